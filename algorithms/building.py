@@ -1,0 +1,425 @@
+"""From the features of all scans to the building: fused wall faces, and doors by tracing rays through them.
+
+The paper puts its labelled scans together and leaves it at that (Fig. 8); Nikoohemat et al. (2018) tell a wall's cells
+apart as filled, empty and occluded by the rays that passed them, which is what finds the openings here.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from pydantic import Field
+
+from algorithms.doors import DoorState
+from algorithms.features import Features
+from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from algorithms.settings import StepSettings
+from algorithms.wall_planes import fit_upright_plane
+
+CELL_M = 0.05
+"""Edge of the cells that a wall face is told apart by."""
+
+RANGE_M = 12.0
+"""Rays from farther away say too little of a wall's cells."""
+
+_FILLED, _SUM, _SQUARES, _THROUGH = range(4)
+
+
+class BuildingSettings(StepSettings):
+    """Fusing scans into walls and doors."""
+
+    angle_deg: float = Field(8.0, gt=0, le=45, description="Planes of one wall differ by at most so many degrees.")
+    distance_m: float = Field(0.10, gt=0, description="Planes of one wall lie at most so many metres apart.")
+    gap_m: float = Field(0.6, ge=0, description="A wall has no gap longer than so many metres between its planes.")
+    scans_min: int = Field(3, ge=1, description="Fewest scans that make a wall, and that bear out each part of it.")
+    length_min_m: float = Field(0.25, ge=0, description="Shortest wall face in metres.")
+    near_m: float = Field(
+        0.35,
+        gt=0,
+        description="A return at most so many metres behind a wall's face is a leaf; deeper, it went through.",
+    )
+    recess_min_m: float = Field(
+        0.02, gt=0, description="Least depth in metres of a closed leaf behind the wall. III.C."
+    )
+    door_width_min_m: float = Field(0.6, gt=0, description="Narrowest door in metres.")
+    door_width_max_m: float = Field(2.6, gt=0, description="Widest door in metres.")
+    door_height_min_m: float = Field(1.8, gt=0, description="Lowest door head in metres. III.C, condition 3.")
+    door_height_max_m: float = Field(2.4, gt=0, description="Above so many metres the wall over a door is looked for.")
+    agreement_min: float = Field(
+        0.6, ge=0, le=1, description="Share of a column's rays that must agree on its being a door's."
+    )
+    rays_min: int = Field(6, ge=1, description="Fewest rays that decide on a column of a wall, 5 cm wide.")
+
+
+@dataclass(frozen=True)
+class Walls:
+    """Wall faces in the map: straight, upright, each seen from the side that its normal points to.
+
+    ends: (W, 2, 2) x and y, metres.
+    normal: (W, 2) unit vectors towards the room.
+    bottom_m, top_m: (W,) heights that were seen.
+    scan_count: (W,) scans that saw it.
+    rms_m: (W,) spread of the scans' samples about it.
+    """
+
+    ends: FloatArray
+    normal: FloatArray
+    bottom_m: FloatArray
+    top_m: FloatArray
+    scan_count: IntArray
+    rms_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+
+@dataclass(frozen=True)
+class WallCells:
+    """What the rays found in each cell of each wall face: columns along it, rows from the floor up, 5 cm each.
+
+    first: (W + 1,) the column at which each wall begins. rows: how many.
+    counts: (columns, rows, 4) float32: returns near the face, the sum and the sum of squares of their distances before
+    it (metres, negative behind), rays that went through.
+    """
+
+    first: IntArray
+    rows: int
+    counts: FloatArray
+
+
+@dataclass(frozen=True)
+class Doors:
+    """Doors in the map.
+
+    ends: (D, 2, 2) x and y of the two jambs, along the sill.
+    normal: (D, 2) of the wall face in which it was seen best.
+    head_m: (D,) height of the lintel's underside above the floor.
+    depth_m: (D,) depth of the leaf behind the wall's face; NaN for open doors.
+    state: (D,) uint8, see `algorithms.doors.DoorState`.
+    confidence: (D,) 0 to 1: share of the rays through it that agree, times how well they cover it.
+    ray_count: (D,) rays that decided.
+    wall: (D,) the wall face in which it was seen best.
+    """
+
+    ends: FloatArray
+    normal: FloatArray
+    head_m: FloatArray
+    depth_m: FloatArray
+    state: UInt8Array
+    confidence: FloatArray
+    ray_count: IntArray
+    wall: IntArray
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+
+def fuse_walls(features: Features, settings: BuildingSettings) -> Walls:
+    """Wall faces from the wall planes of all scans.
+
+    The planes join largest first, each the wall face of the same side that it fits; moments add up, so that a wall's
+    place is the least-squares one over all its scans. A part that fewer than `scans_min` scans bear out is dropped,
+    and a wall with a long gap becomes two.
+
+    features: the planes of all scans; their rays are not looked at.
+    """
+    scan = np.repeat(np.arange(len(features.scan)), features.plane_count.astype(np.int64))
+    length_m = np.linalg.norm(features.plane_ends_map[:, 1] - features.plane_ends_map[:, 0], axis=1)
+    largest_first = np.argsort(-length_m * features.plane_lines, kind="stable")
+    wall = _join(
+        np.ascontiguousarray(features.plane_moments, np.float64),
+        np.ascontiguousarray(features.plane_normal, np.float64),
+        np.ascontiguousarray(features.plane_ends_map, np.float64),
+        largest_first,
+        float(np.cos(np.radians(settings.angle_deg))),
+        settings.distance_m,
+        settings.gap_m,
+    )
+    faces: list[tuple[FloatArray, FloatArray, float, float, int, float]] = []
+    for w in range(int(wall.max(initial=-1)) + 1):
+        faces.extend(_faces_of(features, np.flatnonzero(wall == w), scan, settings))
+    if not faces:
+        none = np.zeros(0)
+        return Walls(np.zeros((0, 2, 2)), np.zeros((0, 2)), none, none, none.astype(np.int32), none)
+    ends, normal, bottom, top, count, rms = zip(*faces, strict=True)
+    return Walls(
+        np.array(ends), np.array(normal), np.array(bottom), np.array(top), np.array(count, np.int32), np.array(rms)
+    )
+
+
+def _faces_of(
+    features: Features, members: IntArray, scan: IntArray, settings: BuildingSettings
+) -> Iterable[tuple[FloatArray, FloatArray, float, float, int, float]]:
+    """The borne-out stretches of one fused wall: ends, normal, bottom, top, scans, RMS."""
+    nx, ny, offset, rms, _ = fit_upright_plane(features.plane_moments[members].sum(axis=0))
+    normal = np.array([nx, ny])
+    if np.sum(features.plane_normal[members] @ normal) < 0:
+        normal, offset = -normal, -offset
+    along = np.array([-normal[1], normal[0]])
+    place = np.sort(features.plane_ends_map[members] @ along, axis=1)
+    low = place.min()
+    bins = np.floor((place - low) / CELL_M).astype(np.int64)
+    cover = np.zeros(bins.max() + 2)
+    np.add.at(cover, bins[:, 0], 1)
+    np.add.at(cover, bins[:, 1] + 1, -1)
+    borne_out = np.cumsum(cover)[:-1] >= settings.scans_min
+    for first, last in _stretches(borne_out, int(settings.gap_m / CELL_M)):
+        start, stop = low + first * CELL_M, low + (last + 1) * CELL_M
+        if stop - start < settings.length_min_m:
+            continue
+        inside = members[(place[:, 1] > start) & (place[:, 0] < stop)]
+        ends = np.stack([normal * offset + along * start, normal * offset + along * stop])
+        yield (
+            ends,
+            normal,
+            float(np.percentile(features.plane_bottom_m[inside], 10)),
+            float(np.percentile(features.plane_top_m[inside], 90)),
+            len(np.unique(scan[inside])),
+            rms,
+        )
+
+
+def _stretches(flags: BoolArray, bridge: int) -> list[tuple[int, int]]:
+    """First and last index, inclusive, of the runs of True; gaps of at most `bridge` are bridged."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    runs: list[tuple[int, int]] = []
+    for first, after in edges.reshape(-1, 2):
+        if runs and first - runs[-1][1] - 1 <= bridge:
+            runs[-1] = (runs[-1][0], int(after) - 1)
+        else:
+            runs.append((int(first), int(after) - 1))
+    return runs
+
+
+def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSettings) -> WallCells:
+    """Every ray against every wall face that looks towards its origin: what it hit there, or that it went through.
+
+    blocks: features in any portions; the memory needed is the building's, not the recording's.
+    """
+    length_m = np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1) if len(walls) else np.zeros(0)
+    first = np.concatenate([[0], np.cumsum(np.ceil(length_m / CELL_M))]).astype(np.int64)
+    rows = int(np.ceil((float(walls.top_m.max(initial=2.0)) + 0.5) / CELL_M))
+    counts = np.zeros((int(first[-1]), rows, 4), np.float32)
+    for block in blocks:
+        _trace(
+            walls.ends,
+            walls.normal,
+            first,
+            counts,
+            np.ascontiguousarray(block.origin_map, np.float64),
+            np.ascontiguousarray(block.floor_m, np.float64),
+            np.concatenate([[0], np.cumsum(block.ray_count)]).astype(np.int64),
+            np.ascontiguousarray(block.ray_end_map, np.float32),
+            settings.near_m,
+        )
+    return WallCells(first, rows, counts)
+
+
+def find_doors(walls: Walls, cells: WallCells, settings: BuildingSettings) -> Doors:
+    """Doors: columns with wall above and, below, either nothing for the rays to hit or a recessed leaf.
+
+    Columns next to each other that agree make a door, if it is as wide as doors are. What was seen in both faces of a
+    wall, or in two stretches of it, is one door: the better seen one stands.
+    """
+    found: list[tuple[FloatArray, FloatArray, float, float, int, float, int, int]] = []
+    for w in range(len(walls)):
+        found.extend(_doors_in(w, walls, cells, settings))
+    found.sort(key=lambda door: -door[5] * door[6])
+    kept: list[tuple[FloatArray, FloatArray, float, float, int, float, int, int]] = []
+    for door in found:
+        middle = door[0].mean(axis=0)
+        if all(np.linalg.norm(middle - other[0].mean(axis=0)) > 0.6 or abs(door[1] @ other[1]) < 0.8 for other in kept):
+            kept.append(door)
+    if not kept:
+        none = np.zeros(0)
+        whole = none.astype(np.int32)
+        return Doors(np.zeros((0, 2, 2)), np.zeros((0, 2)), none, none, none.astype(np.uint8), none, whole, whole)
+    ends, normal, head, depth, state, confidence, rays, wall = zip(*kept, strict=True)
+    return Doors(
+        np.array(ends),
+        np.array(normal),
+        np.array(head),
+        np.array(depth),
+        np.array(state, np.uint8),
+        np.array(confidence),
+        np.array(rays, np.int32),
+        np.array(wall, np.int32),
+    )
+
+
+def _doors_in(
+    w: int, walls: Walls, cells: WallCells, settings: BuildingSettings
+) -> Iterable[tuple[FloatArray, FloatArray, float, float, int, float, int, int]]:
+    counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
+    if len(counts) < 3:
+        return
+    # Neighbouring columns share their rays: an emitter's lines may stand farther apart than a column is wide.
+    smooth = counts.copy()
+    smooth[1:] += counts[:-1]
+    smooth[:-1] += counts[1:]
+    low, knee = int(0.15 / CELL_M), int(0.6 / CELL_M)
+    high, above = int(settings.door_height_min_m / CELL_M), int(settings.door_height_max_m / CELL_M)
+    top = int(max(walls.top_m[w] - 0.1, 0) / CELL_M)
+    lintel = smooth[:, min(above, max(top - 4, 0)) : top].sum(axis=1)
+    below, foot = smooth[:, low:high].sum(axis=1), smooth[:, low:knee].sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        lintel_m = lintel[:, _SUM] / lintel[:, _FILLED]
+        mean_m = below[:, _SUM] / below[:, _FILLED]
+        spread_m = np.sqrt(np.maximum(below[:, _SQUARES] / below[:, _FILLED] - mean_m**2, 0))
+        through = below[:, _THROUGH] / (below[:, _THROUGH] + below[:, _FILLED])
+        foot_through = foot[:, _THROUGH] / (foot[:, _THROUGH] + foot[:, _FILLED])
+        depth_m = lintel_m - mean_m
+    decided = below[:, _THROUGH] + below[:, _FILLED] >= settings.rays_min
+    wall_above = (lintel[:, _FILLED] >= 2) & (lintel[:, _THROUGH] <= lintel[:, _FILLED]) & (np.abs(lintel_m) < 0.06)
+    is_open = decided & wall_above & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)
+    is_closed = (
+        decided
+        & wall_above
+        & (through < 1 - settings.agreement_min)
+        & (depth_m > settings.recess_min_m)
+        & (spread_m < 0.06)
+    )
+    along = (walls.ends[w, 1] - walls.ends[w, 0]) / np.linalg.norm(walls.ends[w, 1] - walls.ends[w, 0])
+    for state, flags in ((DoorState.OPEN, is_open), (DoorState.CLOSED, is_closed)):
+        for first, last in _stretches(flags, 2):
+            width_m = (last + 1 - first) * CELL_M
+            # Smoothing and the cells' own width blur each side by up to a column.
+            if not settings.door_width_min_m <= width_m + CELL_M or width_m > settings.door_width_max_m:
+                continue
+            columns = slice(first, last + 1)
+            rays = below[columns]
+            agree = through[columns] if state == DoorState.OPEN else 1 - through[columns]
+            yield (
+                walls.ends[w, 0] + along * CELL_M * np.array([[first], [last + 1]]),
+                walls.normal[w],
+                _head_m(counts[columns], state, float(np.nanmean(lintel_m[columns])), settings),
+                float("nan") if state == DoorState.OPEN else float(np.nanmedian(depth_m[columns])),
+                int(state),
+                float(np.mean(flags[columns]) * np.nanmean(agree[flags[columns]])),
+                int(rays[:, [_FILLED, _THROUGH]].sum() / 3),
+                w,
+            )
+
+
+def _head_m(counts: FloatArray, state: DoorState, lintel_m: float, settings: BuildingSettings) -> float:
+    """Height below which the rows of a door are no longer wall."""
+    rows = counts.sum(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        if state == DoorState.OPEN:
+            wall = rows[:, _FILLED] > rows[:, _THROUGH]
+        else:
+            wall = lintel_m - rows[:, _SUM] / rows[:, _FILLED] < 0.5 * settings.recess_min_m
+    start = int((settings.door_height_min_m - 0.1) / CELL_M)
+    stop = min(int((settings.door_height_max_m + 0.3) / CELL_M), len(rows))
+    for row in range(start, stop):
+        if wall[row] and rows[row, _FILLED] > 0:
+            return row * CELL_M
+    return settings.door_height_min_m
+
+
+@numba.njit(cache=True, nogil=True)
+def _join(
+    moments: FloatArray,
+    normal: FloatArray,
+    ends: FloatArray,
+    order: IntArray,
+    cos_angle: float,
+    distance_m: float,
+    gap_m: float,
+) -> IntArray:  # pragma: no cover
+    """The fused wall of each plane, numbered from 0."""
+    count = len(order)
+    wall = np.full(count, -1, np.int64)
+    total = np.zeros((count, 6))
+    facing = np.zeros((count, 2))
+    fit = np.zeros((count, 5))  # normal x, y, offset, lowest and highest place along it
+    walls = 0
+    for position in range(count):
+        p = order[position]
+        best, nearest = -1, distance_m
+        for w in range(walls):
+            if facing[w, 0] * normal[p, 0] + facing[w, 1] * normal[p, 1] < cos_angle:
+                continue
+            nx, ny, offset = fit[w, 0], fit[w, 1], fit[w, 2]
+            far = 0.0
+            low, high = np.inf, -np.inf
+            for e in range(2):
+                far = max(far, abs(nx * ends[p, e, 0] + ny * ends[p, e, 1] - offset))
+                u = -ny * ends[p, e, 0] + nx * ends[p, e, 1]
+                low, high = min(low, u), max(high, u)
+            if far < nearest and max(low, fit[w, 3]) - min(high, fit[w, 4]) < gap_m:
+                best, nearest = w, far
+        if best < 0:
+            best = walls
+            walls += 1
+            fit[best, 3], fit[best, 4] = np.inf, -np.inf
+        wall[p] = best
+        total[best] += moments[p]
+        old = fit[best].copy()
+        nx, ny, offset, _, _ = fit_upright_plane(total[best])
+        if nx * normal[p, 0] + ny * normal[p, 1] < 0:
+            nx, ny, offset = -nx, -ny, -offset
+        facing[best, 0], facing[best, 1] = nx, ny
+        low, high = np.inf, -np.inf
+        for e in range(2):
+            u = -ny * ends[p, e, 0] + nx * ends[p, e, 1]
+            low, high = min(low, u), max(high, u)
+        if old[3] < old[4]:
+            # The direction hardly moves once a wall is long: carry its old ends over to the new one.
+            for u_old in (old[3], old[4]):
+                x = old[0] * old[2] - old[1] * u_old
+                y = old[1] * old[2] + old[0] * u_old
+                u = -ny * x + nx * y
+                low, high = min(low, u), max(high, u)
+        fit[best, 0], fit[best, 1], fit[best, 2], fit[best, 3], fit[best, 4] = nx, ny, offset, low, high
+    return wall
+
+
+@numba.njit(cache=True, nogil=True)
+def _trace(
+    ends: FloatArray,
+    normal: FloatArray,
+    first: IntArray,
+    counts: FloatArray,
+    origin: FloatArray,
+    floor_m: FloatArray,
+    starts: IntArray,
+    ray_end: FloatArray,
+    near_m: float,
+) -> None:  # pragma: no cover
+    rows = counts.shape[1]
+    for s in range(len(origin)):
+        ox, oy, oz = origin[s, 0], origin[s, 1], origin[s, 2]
+        for w in range(len(ends)):
+            nx, ny = normal[w, 0], normal[w, 1]
+            reach = nx * (ox - ends[w, 0, 0]) + ny * (oy - ends[w, 0, 1])
+            if reach < 0.1 or reach > RANGE_M:
+                continue
+            dx, dy = ends[w, 1, 0] - ends[w, 0, 0], ends[w, 1, 1] - ends[w, 0, 1]
+            length = np.sqrt(dx * dx + dy * dy)
+            dx, dy = dx / length, dy / length
+            nearest = min(max((ox - ends[w, 0, 0]) * dx + (oy - ends[w, 0, 1]) * dy, 0.0), length)
+            if np.hypot(ends[w, 0, 0] + dx * nearest - ox, ends[w, 0, 1] + dy * nearest - oy) > RANGE_M:
+                continue
+            columns = first[w + 1] - first[w]
+            for r in range(starts[s], starts[s + 1]):
+                x, y, z = np.float64(ray_end[r, 0]), np.float64(ray_end[r, 1]), np.float64(ray_end[r, 2])
+                side = nx * (x - ends[w, 0, 0]) + ny * (y - ends[w, 0, 1])
+                if side > 0.1:
+                    continue
+                near = side > -near_m
+                if not near:
+                    t = reach / (reach - side)
+                    x, y, z = ox + t * (x - ox), oy + t * (y - oy), oz + t * (z - oz)
+                column = int(np.floor(((x - ends[w, 0, 0]) * dx + (y - ends[w, 0, 1]) * dy) / CELL_M))
+                row = int(np.floor((z - floor_m[s]) / CELL_M))
+                if column < 0 or column >= columns or row < 0 or row >= rows:
+                    continue
+                cell = counts[first[w] + column, row]
+                if near:
+                    cell[0] += 1.0
+                    cell[1] += side
+                    cell[2] += side * side
+                else:
+                    cell[3] += 1.0

@@ -1,0 +1,259 @@
+"""From a placed scan to a label for every return, with all evidence (paper, III.C, Fig. 2)."""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from pydantic import Field
+
+from algorithms.doors import DoorLines, DoorsSettings, DoorState, Openings, find_door_lines, find_openings
+from algorithms.labels import Label
+from algorithms.rearrangement import (
+    HorizontalPlane,
+    PointLines,
+    RearrangementSettings,
+    find_ceilings,
+    find_floor,
+    make_point_lines,
+)
+from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array
+from algorithms.settings import StepSettings
+from algorithms.trajectory import PlacedScan
+from algorithms.vertical_structures import VerticalStructures, VerticalStructuresSettings, find_vertical_structures
+from algorithms.wall_planes import WallPlanes, WallPlanesSettings, grow_wall_planes
+
+
+class LabellingSettings(StepSettings):
+    """From planes to labels (paper, III.C)."""
+
+    wall_distance_m: float = Field(
+        0.055, gt=0, le=0.5, description="Returns within so many metres of any wall plane of the scan are wall. III.C."
+    )
+    end_margin_m: float = Field(
+        0.15, ge=0, description="A wall plane counts so many metres beyond its outermost lines. III.C."
+    )
+    corner_m: float = Field(
+        0.6,
+        ge=0,
+        description="Two planes that end at most so many metres before they meet are completed to the corner. III.C.",
+    )
+    leaf_margin_m: float = Field(
+        0.03, ge=0, description="A closed leaf reaches so many metres beyond the outermost lines that showed it. III.C."
+    )
+
+
+@dataclass(frozen=True)
+class MethodSettings:
+    """The settings of every step that labels a scan."""
+
+    rearrangement: RearrangementSettings
+    vertical_structures: VerticalStructuresSettings
+    wall_planes: WallPlanesSettings
+    doors: DoorsSettings
+    labelling: LabellingSettings
+
+
+@dataclass(frozen=True)
+class ScanLabelling:
+    """The labels of one scan and everything that led to them.
+
+    label: (n,) uint8, see `Label`, one for each return of the scan.
+    plane: (n,) int16, the wall plane that a wall or door return lies on, -1 for others.
+    height_m: (n,) float32, above the floor.
+    floor: the floor below the robot; ceilings: the planes found above, largest first, none where no ceiling is in view.
+    """
+
+    label: UInt8Array
+    plane: IntArray
+    height_m: FloatArray
+    floor: HorizontalPlane
+    ceilings: tuple[HorizontalPlane, ...]
+    lines: PointLines
+    structures: VerticalStructures
+    planes: WallPlanes
+    door_lines: DoorLines
+    openings: Openings
+
+
+def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: int) -> ScanLabelling:
+    """The paper's method on one scan: III.A to III.C in order.
+
+    seed: of the scan's random numbers; made from the run's seed and the scan's index, so that no label depends on
+    which process labelled it.
+    """
+    points = placed.points_level
+    # III.A: floor by height, ceiling by RANSAC, 2n point lines.
+    floor = find_floor(points, settings.rearrangement)
+    height_m = _heights(points, floor.height_m, floor.slope)
+    ceilings = find_ceilings(points, height_m, settings.rearrangement, seed)
+    label = _label_horizontal(
+        points,
+        height_m,
+        np.array([[c.height_m, *c.slope] for c in ceilings]).reshape(-1, 3),
+        settings.rearrangement.floor_height_m,
+        settings.rearrangement.ceiling_distance_m,
+    )
+    lines = make_point_lines(
+        scan.points_sensor,
+        scan.ring,
+        scan.ring_count,
+        placed.down_sensor,
+        label != Label.CLUTTER,
+        settings.rearrangement,
+    )
+    # III.B: vertical structures, wall candidates, wall planes.
+    structures = find_vertical_structures(
+        points, height_m, lines.samples, placed.origin_level, settings.vertical_structures
+    )
+    planes = grow_wall_planes(
+        points, height_m, lines.samples, structures, ceilings, floor, placed.origin_level, settings.wall_planes
+    )
+    # III.C: doors, then a label for every return.
+    door_lines = find_door_lines(points, height_m, lines, planes, placed.origin_level, settings.doors)
+    openings = find_openings(door_lines, planes, settings.doors)
+    plane = _label_walls(
+        points,
+        height_m,
+        label,
+        planes.normal,
+        planes.offset_m,
+        completed_ends(planes.normal, planes.offset_m, planes.ends, settings.labelling),
+        settings.labelling.wall_distance_m,
+    )
+    _label_leaves(points, height_m, label, plane, planes, openings, settings)
+    return ScanLabelling(label, plane, height_m, floor, ceilings, lines, structures, planes, door_lines, openings)
+
+
+def completed_ends(
+    normal: FloatArray, offset_m: FloatArray, ends: FloatArray, settings: LabellingSettings
+) -> FloatArray:
+    """(K, 2) least and largest place along each plane, widened by the margin and completed to corners with others."""
+    along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
+    places = np.einsum("ked,kd->ke", ends, along)
+    low, high = places.min(axis=1), places.max(axis=1)
+    widened = np.stack([low - settings.end_margin_m, high + settings.end_margin_m], axis=1)
+    for k in range(len(normal)):
+        for other in range(len(normal)):
+            turn = normal[k, 0] * normal[other, 1] - normal[k, 1] * normal[other, 0]
+            if abs(turn) < 0.3:
+                continue
+            corner = np.linalg.solve(normal[[k, other]], offset_m[[k, other]])
+            place_k, place_other = float(corner @ along[k]), float(corner @ along[other])
+            if not low[other] - settings.corner_m < place_other < high[other] + settings.corner_m:
+                continue
+            if low[k] - settings.corner_m < place_k < low[k]:
+                widened[k, 0] = min(widened[k, 0], place_k)
+            elif high[k] < place_k < high[k] + settings.corner_m:
+                widened[k, 1] = max(widened[k, 1], place_k)
+    return widened
+
+
+def _label_leaves(
+    points: FloatArray,
+    height_m: FloatArray,
+    label: UInt8Array,
+    plane: IntArray,
+    planes: WallPlanes,
+    openings: Openings,
+    settings: MethodSettings,
+) -> None:
+    """Returns within a closed opening, on its leaf, are door, though they lie near enough to the wall to be wall."""
+    for o in np.flatnonzero(openings.state == DoorState.CLOSED):
+        k = int(openings.plane[o])
+        normal = planes.normal[k]
+        along = np.array([-normal[1], normal[0]])
+        low, high = np.sort(openings.ends[o] @ along)
+        _label_leaf(
+            points,
+            height_m,
+            label,
+            plane,
+            k,
+            normal,
+            planes.offset_m[k],
+            low - settings.labelling.leaf_margin_m,
+            high + settings.labelling.leaf_margin_m,
+            openings.head_m[o],
+            openings.depth_m[o],
+        )
+
+
+@numba.njit(cache=True, nogil=True)
+def _heights(points: FloatArray, height_m: float, slope: FloatArray) -> FloatArray:  # pragma: no cover
+    heights = np.empty(len(points), np.float32)
+    for i in range(len(points)):
+        heights[i] = points[i, 2] - (height_m + slope[0] * points[i, 0] + slope[1] * points[i, 1])
+    return heights
+
+
+@numba.njit(cache=True, nogil=True)
+def _label_horizontal(
+    points: FloatArray, height: FloatArray, ceilings: FloatArray, floor_height_m: float, ceiling_distance_m: float
+) -> UInt8Array:  # pragma: no cover
+    label = np.zeros(len(points), np.uint8)
+    for i in range(len(points)):
+        if abs(height[i]) < floor_height_m:
+            label[i] = 1
+        elif height[i] > 1.0:
+            for c in range(len(ceilings)):
+                ceiling = ceilings[c, 0] + ceilings[c, 1] * points[i, 0] + ceilings[c, 2] * points[i, 1]
+                if abs(points[i, 2] - ceiling) < ceiling_distance_m:
+                    label[i] = 2
+                    break
+    return label
+
+
+@numba.njit(cache=True, nogil=True)
+def _label_walls(
+    points: FloatArray,
+    height: FloatArray,
+    label: UInt8Array,
+    normal: FloatArray,
+    offset: FloatArray,
+    ends: FloatArray,
+    distance_m: float,
+) -> IntArray:  # pragma: no cover
+    """Every return against every plane of the scan; at the edges the nearer of wall and floor or ceiling decides."""
+    plane = np.full(len(points), -1, np.int16)
+    for i in range(len(points)):
+        nearest = distance_m
+        best = -1
+        x, y = points[i, 0], points[i, 1]
+        for k in range(len(normal)):
+            s = abs(normal[k, 0] * x + normal[k, 1] * y - offset[k])
+            if s < nearest:
+                u = -normal[k, 1] * x + normal[k, 0] * y
+                if ends[k, 0] < u < ends[k, 1]:
+                    nearest, best = s, k
+        if best < 0:
+            continue
+        if label[i] == 0 or (label[i] == 1 and height[i] > max(nearest, 0.02)):
+            label[i] = 3
+            plane[i] = best
+    return plane
+
+
+@numba.njit(cache=True, nogil=True)
+def _label_leaf(
+    points: FloatArray,
+    height: FloatArray,
+    label: UInt8Array,
+    plane: IntArray,
+    k: int,
+    normal: FloatArray,
+    offset: float,
+    low: float,
+    high: float,
+    head_m: float,
+    depth_m: float,
+) -> None:  # pragma: no cover
+    for i in range(len(points)):
+        if label[i] != 0 and label[i] != 3:
+            continue
+        x, y = points[i, 0], points[i, 1]
+        u = -normal[1] * x + normal[0] * y
+        if low < u < high and height[i] < head_m:
+            s = normal[0] * x + normal[1] * y - offset
+            if -depth_m - 0.05 < s < -0.5 * depth_m:
+                label[i] = 4
+                plane[i] = k

@@ -1,0 +1,32 @@
+"""The classes that a point can have (paper, III.C and Fig. 8; "outside" is this program's own)."""
+
+from enum import IntEnum
+
+NO_RETURN = 255
+"""The label of a place in the cloud where the sensor returned nothing (NaN or zero)."""
+
+
+class Label(IntEnum):
+    CLUTTER = 0
+    FLOOR = 1
+    CEILING = 2
+    WALL = 3
+    DOOR = 4
+    OUTSIDE = 5
+    """Seen through glass, or mirrored."""
+
+
+class Truth(IntEnum):
+    """The classes of a bag's truth; the first six are those of `Label`."""
+
+    CLUTTER = 0
+    FLOOR = 1
+    CEILING = 2
+    WALL = 3
+    DOOR = 4
+    OUTSIDE = 5
+    GLASS = 6
+    OPEN_LEAF = 7
+    FULL_HEIGHT_CABINET = 8
+    BOARD_ON_WALL = 9
+    PERSON = 10

@@ -1,0 +1,125 @@
+"""From horizontal scans to poses by KISS-ICP (paper, IV.A, where it was BLAM); the only file that imports kiss_icp."""
+
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from kiss_icp.config import KISSConfig
+from kiss_icp.config.config import AdaptiveThresholdConfig, DataConfig, MappingConfig, RegistrationConfig
+from kiss_icp.kiss_icp import KissICP
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from algorithms import transforms
+from algorithms.scan import FloatArray, Scan
+from algorithms.settings import StepSettings
+
+
+class OdometrySettings(StepSettings):
+    """KISS-ICP (Vizzo et al. 2023), in place of the paper's BLAM (IV.A)."""
+
+    voxel_m: float = Field(0.4, gt=0, le=5, description="Edge in metres of the local map's voxels. KISS-ICP.")
+    points_per_voxel: int = Field(20, ge=1, description="Most points that a voxel of the local map keeps. KISS-ICP.")
+    range_min_m: float = Field(
+        0.5, ge=0, description="Returns nearer than so many metres are the robot itself. KISS-ICP."
+    )
+    range_max_m: float = Field(60.0, gt=0, description="Returns farther than so many metres are left out. KISS-ICP.")
+    deskew: bool = Field(True, description="Compensate the motion within a sweep where the cloud has times. KISS-ICP.")
+    threshold_initial_m: float = Field(
+        1.0, gt=0, description="First correspondence threshold in metres, before it adapts. KISS-ICP."
+    )
+    motion_min_m: float = Field(
+        0.05, gt=0, description="Deviations below so many metres do not adapt the threshold. KISS-ICP."
+    )
+    iterations_max: int = Field(300, ge=1, description="Most ICP iterations a scan. KISS-ICP.")
+    convergence: float = Field(1e-4, gt=0, description="ICP stops at a smaller step. KISS-ICP.")
+    threads: int = Field(1, ge=0, description="KISS-ICP's threads; 1 is reproducible, 0 takes all cores. KISS-ICP.")
+    evidence_every: int = Field(
+        10, ge=1, description="The local map and the residual are kept for every so many-th scan. KISS-ICP."
+    )
+
+
+@dataclass(frozen=True)
+class Registration:
+    """One horizontal scan registered.
+
+    index: of the scan's cloud in the bag.
+    stamp_ns: the time of the pose: the END of the sweep (KISS-ICP's convention with motion compensation).
+    T_odom_sensor: (4, 4) at that time; odom is the sensor's frame at the first scan.
+    keypoints_sensor: (k, 3) float32, the downsampled returns that were registered.
+    local_map_odom: (m, 3) float32, the local map that they were registered to; empty but for every
+        `evidence_every`-th scan.
+    threshold_m: KISS-ICP's adaptive correspondence threshold.
+    correction_m: how far the registration moved the constant-velocity prediction.
+    residual_m: median distance of the keypoints to the local map; NaN where that was not kept.
+    inlier_share: share of keypoints nearer to the local map than the threshold; NaN likewise.
+    milliseconds: what the registration took.
+    """
+
+    index: int
+    stamp_ns: int
+    T_odom_sensor: FloatArray
+    keypoints_sensor: FloatArray
+    local_map_odom: FloatArray
+    threshold_m: float
+    correction_m: float
+    residual_m: float
+    inlier_share: float
+    milliseconds: float
+
+
+def register_scans(scans: Iterable[tuple[int, Scan]], settings: OdometrySettings) -> Iterator[Registration]:
+    """Register scans one after another to the map that they build; yields one `Registration` for each."""
+    odometry = KissICP(
+        KISSConfig(
+            data=DataConfig(max_range=settings.range_max_m, min_range=settings.range_min_m, deskew=settings.deskew),
+            mapping=MappingConfig(voxel_size=settings.voxel_m, max_points_per_voxel=settings.points_per_voxel),
+            registration=RegistrationConfig(
+                max_num_iterations=settings.iterations_max,
+                convergence_criterion=settings.convergence,
+                max_num_threads=settings.threads,
+            ),
+            adaptive_threshold=AdaptiveThresholdConfig(
+                initial_threshold=settings.threshold_initial_m, min_motion_th=settings.motion_min_m
+            ),
+        )
+    )
+    for number, (index, scan) in enumerate(scans):
+        threshold_m = float(odometry.adaptive_threshold.get_threshold())
+        keep_evidence = number % settings.evidence_every == 0
+        local_map = odometry.local_map.point_cloud() if keep_evidence else np.zeros((0, 3))
+        started = time.perf_counter()
+        T_prediction = odometry.last_pose @ odometry.last_delta
+        _, keypoints = odometry.register_frame(scan.points_sensor.astype(np.float64), _sweep_fraction(scan))
+        milliseconds = 1e3 * (time.perf_counter() - started)
+        T_odom_sensor = odometry.last_pose.copy()
+        residual_m, inlier_share = _residual(keypoints, local_map, T_odom_sensor, threshold_m)
+        yield Registration(
+            index=index,
+            stamp_ns=scan.end_ns,
+            T_odom_sensor=T_odom_sensor,
+            keypoints_sensor=keypoints.astype(np.float32),
+            local_map_odom=local_map.astype(np.float32),
+            threshold_m=threshold_m,
+            correction_m=float(np.linalg.norm((transforms.invert(T_prediction) @ T_odom_sensor)[:3, 3])),
+            residual_m=residual_m,
+            inlier_share=inlier_share,
+            milliseconds=milliseconds,
+        )
+
+
+def _sweep_fraction(scan: Scan) -> FloatArray:
+    """Time of each return from 0 to 1 over the sweep; empty, which leaves motion uncompensated, without times."""
+    if scan.time_ns is None:
+        return np.zeros(0)
+    return np.asarray(scan.time_ns / max(int(scan.time_ns.max(initial=0)), 1), np.float64)
+
+
+def _residual(
+    keypoints_sensor: FloatArray, local_map_odom: FloatArray, T_odom_sensor: FloatArray, threshold_m: float
+) -> tuple[float, float]:
+    if not len(local_map_odom) or not len(keypoints_sensor):
+        return float("nan"), float("nan")
+    distance_m, _ = cKDTree(local_map_odom).query(transforms.apply(T_odom_sensor, keypoints_sensor))
+    return float(np.median(distance_m)), float(np.mean(distance_m < threshold_m))

@@ -1,0 +1,303 @@
+"""From a scan to its floor, its ceiling and its 2n point lines (paper, III.A, eq. 1)."""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from pydantic import Field
+
+from algorithms.scan import BoolArray, FloatArray, IntArray
+from algorithms.settings import StepSettings
+
+SAMPLES = 200
+"""Returns in a resampled point line (paper, III.A: "exactly 200 points")."""
+
+_HEIGHT_BIN_M = 0.01
+
+
+class RearrangementSettings(StepSettings):
+    """Floor, ceiling and point lines (paper, III.A)."""
+
+    floor_height_m: float = Field(
+        0.05, gt=0, le=0.5, description="Half thickness in metres of the height filter that takes the floor. III.A."
+    )
+    floor_search_m: float = Field(
+        0.25, gt=0, le=2.0, description="The floor is looked for this many metres above and below the map's. III.A."
+    )
+    floor_slope_max: float = Field(
+        0.09, ge=0, le=0.5, description="Steepest floor in metres a metre; 0 keeps the map's level. III.A."
+    )
+    ceiling_distance_m: float = Field(
+        0.06, gt=0, le=0.5, description="Returns within this many metres of a ceiling plane are ceiling. III.A."
+    )
+    ceiling_height_min_m: float = Field(
+        2.1, gt=0, description="Lowest height in metres above the floor at which a ceiling is believed. III.A."
+    )
+    ceiling_support_min: float = Field(
+        0.02, ge=0, le=1, description="Smallest share of the scan's returns that makes a ceiling. III.A."
+    )
+    ceiling_iterations: int = Field(500, ge=1, le=100_000, description="RANSAC's hypotheses for each ceiling. III.A.")
+    ceilings_max: int = Field(
+        3, ge=1, le=10, description="Most ceilings in one scan; rooms seen through doors have their own. III.A."
+    )
+    line_points_min: int = Field(
+        20, ge=2, description="Fewest returns, floor and ceiling left out, that make a point line. III.A."
+    )
+
+
+@dataclass(frozen=True)
+class HorizontalPlane:
+    """A floor or a ceiling: height(x, y) = height_m + slope · (x, y), in the level frame.
+
+    height_m: at the level frame's origin.
+    slope: (2,) metres up for each metre along x and y; zero unless the plane was refined.
+    support: how many returns lie on it.
+    """
+
+    height_m: float
+    slope: FloatArray
+    support: int
+
+    def height_at(self, points_level: FloatArray) -> FloatArray:
+        """Height (m,) of the plane at the x and y of points (m, 2 or more)."""
+        return np.asarray(self.height_m + points_level[:, :2] @ self.slope)
+
+
+@dataclass(frozen=True)
+class PointLines:
+    """The point lines of a scan: n emitters × 2 sides.
+
+    Line 2 × ring + side; side 0 is the half turn counter-clockwise about the spin axis from straight down.
+
+    angle_rad: (n,) float32 of every return, eq. 1 unfolded: 0 straight down, π straight up, about the spin axis.
+    order: (n,) int32, the scan's returns line by line, each line from below upwards; floor and ceiling included.
+    starts: (2n + 1,) int32; order[starts[l]:starts[l + 1]] is line l.
+    samples: (2n, 200) int32, each line without floor and ceiling, resampled to exactly 200 returns, from below
+        upwards; -1 throughout a line with too few returns.
+    """
+
+    angle_rad: FloatArray
+    order: IntArray
+    starts: IntArray
+    samples: IntArray
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+
+def find_floor(points_level: FloatArray, settings: RearrangementSettings) -> HorizontalPlane:
+    """The floor below the robot, near the map's (paper: "we can straightforward locate where the floor is").
+
+    The height that holds most returns within `floor_search_m` of the map's floor, refined to a plane by least squares
+    over its returns, so that drift, a sloping floor or a tilted mount do not cut it. Falls back to the map's floor
+    where too few returns are near it.
+    """
+    histogram = _low_histogram(points_level, settings.floor_search_m, _HEIGHT_BIN_M)
+    width = max(1, round(settings.floor_height_m / _HEIGHT_BIN_M))
+    counts = np.convolve(histogram, np.ones(width), mode="same")
+    mode = int(np.argmax(counts))
+    if counts[mode] < 50:
+        return HorizontalPlane(0.0, np.zeros(2), 0)
+    height_m = -settings.floor_search_m + (mode + 0.5) * _HEIGHT_BIN_M
+    return _refine(points_level, height_m, settings.floor_height_m, settings.floor_slope_max, 10.0)
+
+
+def find_ceilings(
+    points_level: FloatArray, height_m: FloatArray, settings: RearrangementSettings, seed: int
+) -> tuple[HorizontalPlane, ...]:
+    """The ceilings by RANSAC: the biggest planes parallel to the floor, high above it and well supported.
+
+    A plane parallel to the floor has one unknown, its height, so one return makes a hypothesis. The largest is the
+    ceiling. A further one is taken only where it can be no duct or lamp: above the largest, or as broad as a room.
+
+    points_level: (n, 3); height_m: (n,) of each return above the floor; seed: of the hypotheses.
+    """
+    high = height_m > settings.ceiling_height_min_m
+    heights, points = height_m[high], points_level[high]
+    support_min = max(50, int(settings.ceiling_support_min * len(points_level)))
+    generator = np.random.default_rng(seed)
+    ceilings: list[HorizontalPlane] = []
+    while len(ceilings) < settings.ceilings_max and len(heights) >= support_min:
+        centre_m, support = _ransac_height(heights, settings, generator)
+        if support < support_min:
+            break
+        on_plane = np.abs(heights - centre_m) < settings.ceiling_distance_m
+        if not ceilings or _is_further_ceiling(points[on_plane], centre_m, ceilings[0], support):
+            level_m = float(np.median(points[on_plane, 2]))
+            ceilings.append(_refine(points, level_m, settings.ceiling_distance_m, 0.03, 20.0))
+        # What touches a plane that was tried is not tried again.
+        rest = np.abs(heights - centre_m) > 1.5 * settings.ceiling_distance_m
+        heights, points = heights[rest], points[rest]
+    return tuple(ceilings)
+
+
+def _ransac_height(
+    heights_m: FloatArray, settings: RearrangementSettings, generator: np.random.Generator
+) -> tuple[float, int]:
+    """The best of the hypotheses, as the mean height of its returns, and how many they are."""
+    lowest = float(heights_m.min())
+    histogram = np.bincount(((heights_m - lowest) / _HEIGHT_BIN_M).astype(np.int64))
+    cumulative = np.concatenate([[0], np.cumsum(histogram)])
+    hypotheses = heights_m[generator.integers(0, len(heights_m), settings.ceiling_iterations)]
+    bins = ((hypotheses - lowest) / _HEIGHT_BIN_M).astype(np.int64)
+    reach = max(1, round(settings.ceiling_distance_m / _HEIGHT_BIN_M))
+    supports = cumulative[np.minimum(bins + reach + 1, len(histogram))] - cumulative[np.maximum(bins - reach, 0)]
+    best_m = float(hypotheses[np.argmax(supports)])
+    inliers = heights_m[np.abs(heights_m - best_m) < settings.ceiling_distance_m]
+    return float(inliers.mean()), len(inliers)
+
+
+def _is_further_ceiling(points: FloatArray, height_m: float, largest: HorizontalPlane, support: int) -> bool:
+    if height_m > largest.height_m:
+        return True
+    centred = points[:, :2] - points[:, :2].mean(axis=0)
+    breadth_m = 4.0 * float(np.sqrt(max(np.linalg.eigvalsh(centred.T @ centred / len(centred))[0], 0.0)))
+    return support > 0.2 * largest.support and breadth_m > 1.2
+
+
+def _refine(
+    points: FloatArray, height_m: float, distance_m: float, slope_max: float, range_m: float
+) -> HorizontalPlane:
+    """Least squares on the returns near a height, twice, with the slope held to its bound."""
+    slope = np.zeros(2)
+    support = 0
+    for _ in range(3):
+        moments = _plane_moments(points, height_m, slope, distance_m, range_m)
+        support = int(moments[0])
+        if support < 50:
+            break
+        A = np.array(
+            [
+                [moments[0], moments[1], moments[2]],
+                [moments[1], moments[3], moments[4]],
+                [moments[2], moments[4], moments[5]],
+            ]
+        )
+        # The prior of a level plane holds what the returns leave open, such as a narrow strip's tilt.
+        A[1, 1] += 0.02 * moments[0]
+        A[2, 2] += 0.02 * moments[0]
+        b = np.array([moments[6], moments[7], moments[8]])
+        correction = np.linalg.solve(A, b)
+        height_m += float(correction[0])
+        slope = slope + correction[1:]
+        steepness = float(np.hypot(slope[0], slope[1]))
+        if steepness > slope_max:
+            slope = slope * (slope_max / steepness)
+    return HorizontalPlane(height_m, slope, support)
+
+
+def make_point_lines(
+    points_sensor: FloatArray,
+    ring: IntArray,
+    ring_count: int,
+    down_sensor: FloatArray,
+    is_horizontal: BoolArray,
+    settings: RearrangementSettings,
+) -> PointLines:
+    """The 2n point lines, each sorted by angle and resampled to 200 returns (paper, III.A, Fig. 4 and 5a).
+
+    Eq. 1 gives the angle from a coordinate's ratio and so folds up onto down; here it is the angle about the spin axis
+    from straight down, 0 to π, and its sign is the side.
+
+    points_sensor: (n, 3), z along the spin axis. ring: (n,). down_sensor: (3,) gravity. is_horizontal: (n,) floor or
+    ceiling, kept in `order` and left out of `samples`.
+    Raises ValueError where the spin axis is upright, for then no line stands upright.
+    """
+    across = float(np.hypot(down_sensor[0], down_sensor[1]))
+    if across < 0.35:
+        raise ValueError("the spin axis is upright: this lidar sweeps no wall from floor to ceiling")
+    down_rad = float(np.arctan2(down_sensor[1], down_sensor[0]))
+    angle_rad, order, starts = _sort_lines(points_sensor, ring, ring_count, down_rad)
+    samples = _resample(order, starts, is_horizontal, settings.line_points_min)
+    return PointLines(angle_rad, order, starts, samples)
+
+
+@numba.njit(cache=True, nogil=True)
+def _low_histogram(points: FloatArray, search_m: float, bin_m: float) -> IntArray:  # pragma: no cover
+    histogram = np.zeros(int(np.ceil(2 * search_m / bin_m)), np.int64)
+    for i in range(len(points)):
+        z = points[i, 2]
+        if abs(z) < search_m and points[i, 0] ** 2 + points[i, 1] ** 2 < 36.0:
+            histogram[min(int((z + search_m) / bin_m), len(histogram) - 1)] += 1
+    return histogram
+
+
+@numba.njit(cache=True, nogil=True)
+def _plane_moments(
+    points: FloatArray, height_m: float, slope: FloatArray, distance_m: float, range_m: float
+) -> FloatArray:  # pragma: no cover
+    """Σ of 1, x, y, xx, xy, yy, r, xr, yr over the returns near the plane, r their residual height."""
+    total = np.zeros(9)
+    for i in range(len(points)):
+        x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
+        r = points[i, 2] - (height_m + slope[0] * x + slope[1] * y)
+        if abs(r) < distance_m and x * x + y * y < range_m * range_m:
+            total[0] += 1.0
+            total[1] += x
+            total[2] += y
+            total[3] += x * x
+            total[4] += x * y
+            total[5] += y * y
+            total[6] += r
+            total[7] += x * r
+            total[8] += y * r
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
+def _sort_lines(
+    points: FloatArray, ring: IntArray, ring_count: int, down_rad: float
+) -> tuple[FloatArray, IntArray, IntArray]:  # pragma: no cover
+    """Counting sort by line and angle, made exact by an insertion pass: linear in any order of the input."""
+    bins = 1024
+    count = len(points)
+    lines = 2 * ring_count
+    angle = np.empty(count, np.float32)
+    key = np.empty(count, np.int32)
+    offsets = np.zeros(lines * bins + 1, np.int32)
+    for i in range(count):
+        turn = np.arctan2(points[i, 1], points[i, 0]) - np.float32(down_rad)
+        if turn > np.pi:
+            turn -= 2 * np.pi
+        elif turn <= -np.pi:
+            turn += 2 * np.pi
+        angle[i] = abs(turn)
+        line = 2 * np.int64(ring[i]) + (0 if turn > 0 else 1)
+        key[i] = line * bins + min(int(angle[i] * (bins / np.pi)), bins - 1)
+        offsets[key[i] + 1] += 1
+    for k in range(lines * bins):
+        offsets[k + 1] += offsets[k]
+    starts = offsets[::bins].copy()
+    order = np.empty(count, np.int32)
+    for i in range(count):
+        order[offsets[key[i]]] = i
+        offsets[key[i]] += 1
+    for line in range(lines):
+        for j in range(starts[line] + 1, starts[line + 1]):
+            moving = order[j]
+            k = int(j)
+            while k > starts[line] and angle[order[k - 1]] > angle[moving]:
+                order[k] = order[k - 1]
+                k -= 1
+            order[k] = moving
+    return angle, order, starts
+
+
+@numba.njit(cache=True, nogil=True)
+def _resample(
+    order: IntArray, starts: IntArray, is_horizontal: BoolArray, points_min: int
+) -> IntArray:  # pragma: no cover
+    lines = len(starts) - 1
+    samples = np.full((lines, SAMPLES), -1, np.int32)
+    kept = np.empty(len(order), np.int32)
+    for line in range(lines):
+        count = 0
+        for j in range(starts[line], starts[line + 1]):
+            if not is_horizontal[order[j]]:
+                kept[count] = order[j]
+                count += 1
+        if count < points_min:
+            continue
+        for s in range(SAMPLES):
+            samples[line, s] = kept[(s * (count - 1) * 2 + SAMPLES - 1) // (2 * (SAMPLES - 1))]
+    return samples

@@ -1,0 +1,114 @@
+"""From the building back to the scans: the final label of every return."""
+
+import numba
+import numpy as np
+from pydantic import Field
+
+from algorithms.building import Doors, Walls
+from algorithms.doors import DoorState
+from algorithms.scan import FloatArray, UInt8Array
+from algorithms.settings import StepSettings
+
+
+class RelabellingSettings(StepSettings):
+    """What the building's walls and doors change in a scan's labels."""
+
+    wall_distance_m: float = Field(
+        0.05, gt=0, description="Clutter within so many metres of a fused wall face becomes wall."
+    )
+    leaf_distance_m: float = Field(0.04, gt=0, description="A return at most so many metres off a closed leaf is door.")
+    margin_m: float = Field(0.05, ge=0, description="A wall face counts so many metres beyond its ends.")
+    forget_m: float = Field(
+        0.2, gt=0, description="A wall return farther than so many metres from every fused face becomes clutter."
+    )
+
+
+def relabel(
+    points_map: FloatArray,
+    height_m: FloatArray,
+    label_scan: UInt8Array,
+    walls: Walls,
+    doors: Doors,
+    settings: RelabellingSettings,
+) -> UInt8Array:
+    """The final labels (n,): what many scans agree on overrules what one scan saw.
+
+    A return on a closed door's leaf is door; wall and door only stand where the building has them; clutter on a wall
+    face is wall. Floor, ceiling and outside stay.
+
+    points_map: (n, 3); height_m: (n,) above the floor; label_scan: (n,) of the scan alone.
+    """
+    closed = doors.state == DoorState.CLOSED
+    return np.asarray(
+        _relabel(
+            points_map,
+            height_m,
+            label_scan,
+            walls.ends,
+            walls.normal,
+            walls.top_m,
+            doors.ends[closed],
+            doors.normal[closed],
+            doors.head_m[closed],
+            doors.depth_m[closed],
+            settings.wall_distance_m,
+            settings.leaf_distance_m,
+            settings.margin_m,
+            settings.forget_m,
+        )
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _place(x: float, y: float, ends: FloatArray, normal: FloatArray) -> tuple[float, float, float]:  # pragma: no cover
+    """Place along a segment from its first end, distance before it, and its length."""
+    dx, dy = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1]
+    length = np.sqrt(dx * dx + dy * dy)
+    u = ((x - ends[0, 0]) * dx + (y - ends[0, 1]) * dy) / max(length, 1e-9)
+    s = normal[0] * (x - ends[0, 0]) + normal[1] * (y - ends[0, 1])
+    return u, s, length
+
+
+@numba.njit(cache=True, nogil=True)
+def _relabel(
+    points: FloatArray,
+    height: FloatArray,
+    label_scan: UInt8Array,
+    wall_ends: FloatArray,
+    wall_normal: FloatArray,
+    wall_top: FloatArray,
+    door_ends: FloatArray,
+    door_normal: FloatArray,
+    door_head: FloatArray,
+    door_depth: FloatArray,
+    wall_distance_m: float,
+    leaf_distance_m: float,
+    margin_m: float,
+    forget_m: float,
+) -> UInt8Array:  # pragma: no cover
+    label = label_scan.copy()
+    for i in range(len(points)):
+        if label[i] != 0 and label[i] != 3 and label[i] != 4:
+            continue
+        x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
+        is_leaf = False
+        for d in range(len(door_ends)):
+            u, s, length = _place(x, y, door_ends[d], door_normal[d])
+            if 0.0 < u < length and height[i] < door_head[d] and abs(s + door_depth[d]) < leaf_distance_m:
+                is_leaf = True
+                break
+        if is_leaf:
+            label[i] = 4
+            continue
+        nearest = np.inf
+        for w in range(len(wall_ends)):
+            u, s, length = _place(x, y, wall_ends[w], wall_normal[w])
+            if abs(s) < nearest and -margin_m < u < length + margin_m and height[i] < wall_top[w] + 0.1:
+                nearest = abs(s)
+        if label[i] == 0 and nearest < wall_distance_m:
+            label[i] = 3
+        elif label[i] == 3 and nearest > forget_m:
+            label[i] = 0
+        elif label[i] == 4:
+            label[i] = 3 if nearest < 2.0 * wall_distance_m else 0
+    return label

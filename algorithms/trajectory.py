@@ -1,0 +1,227 @@
+"""Poses over time: interpolation, motion compensation of every firing, levelling to gravity (paper, IV.C and V).
+
+The paper used the nearest horizontal scan's pose for a vertical scan and left interpolation for the future; here every
+firing has the pose of its own time.
+"""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from pydantic import Field
+from scipy.spatial.transform import Rotation
+
+from algorithms import transforms
+from algorithms.scan import BoolArray, FloatArray, IntArray, Scan
+from algorithms.settings import StepSettings
+
+KNOTS = 17
+"""Poses that one sweep is given; between them a firing's pose is interpolated linearly (6 ms apart at 10 Hz)."""
+
+
+class TrajectorySettings(StepSettings):
+    """Placing scans and levelling the map (paper, IV.C and V)."""
+
+    level_s: float = Field(
+        2.0, gt=0, le=60, description="The map is levelled by the floor that the first so many seconds show."
+    )
+    extrapolate_s: float = Field(
+        0.3, ge=0, description="A vertical scan may lie so many seconds outside the odometry; farther, it is skipped."
+    )
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Poses of the base in the map, in order of time.
+
+    stamp_ns: (n,) int64, strictly increasing.
+    T_map_base: (n, 4, 4) float64.
+    """
+
+    stamp_ns: IntArray
+    T_map_base: FloatArray
+
+    def __post_init__(self) -> None:
+        if len(self.stamp_ns) != len(self.T_map_base):
+            raise ValueError(f"{len(self.stamp_ns)} stamps for {len(self.T_map_base)} poses")
+        if np.any(np.diff(self.stamp_ns) <= 0):
+            raise ValueError("the stamps of a trajectory must increase")
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+    def covers(self, stamp_ns: IntArray, margin_ns: int = 0) -> BoolArray:
+        """Whether each time lies within the trajectory, or at most `margin_ns` outside."""
+        if not len(self):
+            return np.zeros(np.shape(stamp_ns), bool)
+        return np.asarray((stamp_ns >= self.stamp_ns[0] - margin_ns) & (stamp_ns <= self.stamp_ns[-1] + margin_ns))
+
+    def at(self, stamp_ns: IntArray) -> FloatArray:
+        """T_map_base (m, 4, 4) at any times: positions linearly, rotations by slerp.
+
+        Beyond its ends the motion of the nearest two poses is carried on, for the first and last sweeps stand outside.
+        """
+        stamps = np.asarray(stamp_ns, np.int64)
+        if len(self) == 0:
+            raise ValueError("an empty trajectory has no pose")
+        if len(self) == 1:
+            return np.broadcast_to(self.T_map_base[0], (len(stamps), 4, 4)).copy()
+        after = np.clip(np.searchsorted(self.stamp_ns, stamps, side="right"), 1, len(self) - 1)
+        before = after - 1
+        span = (self.stamp_ns[after] - self.stamp_ns[before]).astype(np.float64)
+        fraction = (stamps - self.stamp_ns[before]) / span
+        T_before, T_after = self.T_map_base[before], self.T_map_base[after]
+        T = np.broadcast_to(np.eye(4), (len(stamps), 4, 4)).copy()
+        step = (
+            Rotation.from_matrix(np.swapaxes(T_before[:, :3, :3], 1, 2) @ T_after[:, :3, :3]).as_rotvec()
+            * fraction[:, None]
+        )
+        T[:, :3, :3] = T_before[:, :3, :3] @ Rotation.from_rotvec(step).as_matrix()
+        T[:, :3, 3] = T_before[:, :3, 3] + fraction[:, None] * (T_after[:, :3, 3] - T_before[:, :3, 3])
+        return T
+
+    def moved(self, T_new_map: FloatArray) -> "Trajectory":
+        """The same trajectory seen from another map frame."""
+        return Trajectory(self.stamp_ns, T_new_map @ self.T_map_base)
+
+
+@dataclass(frozen=True)
+class PlacedScan:
+    """A scan with every firing at the pose of its own time, in the frame `level`.
+
+    level: gravity-aligned; its origin lies on the map's floor height under the base at the scan's reference time
+    (the middle of the sweep), x along the base's heading there.
+
+    points_level: (n, 3) float32, metres.
+    origin_level: (3,) the sensor's place at the reference time.
+    sweep_level: (2, 3) the sensor's place at the first and at the last firing.
+    spin_axis_level: (3,) unit vector, the sensor's spin axis at the reference time.
+    down_sensor: (3,) unit vector, gravity in the sensor's frame at the reference time.
+    T_map_level: (4, 4), a turn about z and a shift in x and y.
+    T_map_base: (4, 4) at the reference time.
+    """
+
+    points_level: FloatArray
+    origin_level: FloatArray
+    sweep_level: FloatArray
+    spin_axis_level: FloatArray
+    down_sensor: FloatArray
+    T_map_level: FloatArray
+    T_map_base: FloatArray
+
+    def to_map(self, points_level: FloatArray) -> FloatArray:
+        """Points (m, 3) of the level frame in the map's."""
+        return transforms.apply(self.T_map_level, points_level)
+
+
+def place_scan(scan: Scan, trajectory: Trajectory, T_base_sensor: FloatArray) -> PlacedScan:
+    """Put every firing of a scan at the pose of its own time (paper, V: "interpolate the vertical Lidar pose").
+
+    Without times all firings get the pose at the scan's stamp.
+    """
+    duration_ns = scan.end_ns - scan.start_ns
+    reference_ns = scan.start_ns + duration_ns // 2
+    knots_ns = scan.start_ns + np.linspace(0, duration_ns, KNOTS).astype(np.int64)
+    T_map_base = trajectory.at(np.append(knots_ns, reference_ns))
+    T_map_level = transforms.from_yaw(
+        transforms.yaw_of(T_map_base[-1]), [T_map_base[-1, 0, 3], T_map_base[-1, 1, 3], 0.0]
+    )
+    T_level_sensor = transforms.invert(T_map_level) @ T_map_base @ T_base_sensor
+    time_ns = scan.time_ns if scan.time_ns is not None else np.zeros(0, np.int64)
+    points_level = _place(
+        scan.points_sensor, time_ns, float(max(duration_ns, 1)), np.ascontiguousarray(T_level_sensor[:KNOTS])
+    )
+    T_reference = T_level_sensor[-1]
+    return PlacedScan(
+        points_level=points_level,
+        origin_level=T_reference[:3, 3],
+        sweep_level=T_level_sensor[[0, KNOTS - 1], :3, 3],
+        spin_axis_level=T_reference[:3, 2],
+        down_sensor=-T_reference[2, :3],
+        T_map_level=T_map_level,
+        T_map_base=T_map_base[-1],
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _place(points: FloatArray, time_ns: IntArray, duration_ns: float, T: FloatArray) -> FloatArray:  # pragma: no cover
+    placed = np.empty((len(points), 3), np.float32)
+    timed = len(time_ns) == len(points)
+    last = len(T) - 1
+    for i in range(len(points)):
+        position = (time_ns[i] / duration_ns) * last if timed else 0.0
+        k = min(max(int(position), 0), last - 1)
+        b = np.float64(position - k)
+        a = 1.0 - b
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        for row in range(3):
+            placed[i, row] = (
+                (a * T[k, row, 0] + b * T[k + 1, row, 0]) * x
+                + (a * T[k, row, 1] + b * T[k + 1, row, 1]) * y
+                + (a * T[k, row, 2] + b * T[k + 1, row, 2]) * z
+                + (a * T[k, row, 3] + b * T[k + 1, row, 3])
+            )
+    return placed
+
+
+def level_to_floor(points_odom: FloatArray, T_odom_base: FloatArray, seed: int = 0) -> tuple[FloatArray, float]:
+    """T_map_odom from the floor, and how many metres RMS the floor's points stand off its plane.
+
+    The floor is the largest plane below the base whose normal is within 15° of the base's z axis. The map's z is its
+    normal, its origin lies on it below the base at the first pose, its x runs along the base's forward.
+
+    points_odom: (n, 3) returns of the first sweeps, in the odometry's frame.
+    T_odom_base: (4, 4) the first pose.
+    Returns NaN as RMS, and a level made from the base's own z axis, where no floor was found.
+    """
+    points_base = transforms.apply(transforms.invert(T_odom_base), points_odom)
+    normal, offset, rms = _fit_floor(points_base, seed)
+    z = normal
+    x = np.array([1.0, 0.0, 0.0]) - z[0] * z
+    x /= np.linalg.norm(x)
+    T_map_base0 = np.eye(4)
+    T_map_base0[:3, :3] = np.stack([x, np.cross(z, x), z])
+    T_map_base0[2, 3] = -offset
+    return T_map_base0 @ transforms.invert(T_odom_base), rms
+
+
+def _fit_floor(points_base: FloatArray, seed: int) -> tuple[FloatArray, float, float]:
+    """Unit normal, offset (normal · p = offset) and RMS of the floor under the base."""
+    up = np.array([0.0, 0.0, 1.0])
+    # Within 6 m a floor that slopes by 15° stays below a sensor's usual height; farther returns only blur it.
+    near = points_base[np.hypot(points_base[:, 0], points_base[:, 1]) < 6.0]
+    if len(near) < 100:
+        return up, 0.0, float("nan")
+    generator = np.random.default_rng(seed)
+    if len(near) > 20_000:
+        near = near[generator.choice(len(near), 20_000, replace=False)]
+    low = near[near[:, 2] < np.percentile(near[:, 2], 50)]
+    best_score, best = -np.inf, (up, float("nan"))
+    for _ in range(300):
+        a, b, c = low[generator.choice(len(low), 3, replace=False)]
+        normal = np.cross(b - a, c - a)
+        length = np.linalg.norm(normal)
+        if length < 1e-2:
+            continue
+        normal /= length if normal[2] > 0 else -length
+        if normal[2] < np.cos(np.radians(15.0)):
+            continue
+        offset = float(normal @ a)
+        height = near @ normal - offset
+        # A table top or a ceiling has returns below it; the floor has none but reflections.
+        score = np.count_nonzero(np.abs(height) < 0.03) - 3.0 * np.count_nonzero(height < -0.1)
+        if score > best_score:
+            best_score, best = score, (normal, offset)
+    normal, offset = best
+    if not np.isfinite(offset):
+        return up, 0.0, float("nan")
+    for width_m in (0.06, 0.04, 0.03):
+        inliers = near[np.abs(near @ normal - offset) < width_m]
+        if len(inliers) < 50:
+            return up, 0.0, float("nan")
+        centre = inliers.mean(axis=0)
+        normal = np.linalg.svd(inliers - centre, full_matrices=False)[2][2]
+        normal = normal if normal[2] > 0 else -normal
+        offset = float(normal @ centre)
+    residual = inliers @ normal - offset
+    return normal, offset, float(np.sqrt(np.mean(residual**2)))

@@ -1,0 +1,458 @@
+"""From wall candidates to wall planes by growing (paper, III.B, Algorithm 1, Fig. 7)."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numba
+import numpy as np
+from pydantic import Field
+
+from algorithms.rearrangement import HorizontalPlane
+from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from algorithms.settings import StepSettings
+from algorithms.vertical_structures import VerticalStructures
+
+
+class WallPlanesSettings(StepSettings):
+    """Growing wall planes from candidates (paper, III.B, Algorithm 1)."""
+
+    similarity_m: float = Field(
+        0.05,
+        gt=0,
+        le=1,
+        description="σ_th: a candidate joins a plane that it is nearer to than this, in metres RMS. Alg. 1.",
+    )
+    upper_part_m: float = Field(
+        0.4,
+        gt=0,
+        description="A candidate counts with its upper so many metres, where no leaf or furniture stands before the wall. "
+        "III.B.",
+    )
+    reach_m: float = Field(
+        0.35,
+        gt=0,
+        description="A wall meets the ceiling: a candidate that ends more metres below one is refused. III.B.",
+    )
+    height_min_m: float = Field(
+        2.1, gt=0, description="Where no ceiling is in view, a wall is at least so many metres high. III.B."
+    )
+    gap_m: float = Field(0.3, gt=0, description="Largest gap in metres between neighbouring lines of a plane. Alg. 1.")
+    gap_per_range: float = Field(
+        0.15, ge=0, description="Added to the gap for each metre of range, for emitters spread apart. Alg. 1."
+    )
+    merge_gap_m: float = Field(
+        1.5,
+        ge=0,
+        description="Planes in line are one when no more metres lie between them; a breaking line is bridged. Alg. 1.",
+    )
+    lines_min: int = Field(3, ge=2, description="Fewest lines in a wall plane. Alg. 1.")
+    length_min_m: float = Field(0.15, ge=0, description="Shortest wall plane in metres; columns are walls. III.B.")
+
+
+class Growth(IntEnum):
+    """What became of a candidate in Algorithm 1."""
+
+    SEEDED = 0
+    """It started a plane."""
+    JOINED = 1
+    """It was similar to the current plane and joined it."""
+    BROKE = 2
+    """It was not similar: the current plane was closed, and this candidate became the next seed."""
+    REFUSED = 3
+    """It does not reach the ceiling and was left out."""
+
+
+@dataclass(frozen=True)
+class WallPlanes:
+    """The wall planes of one scan, all upright: normal · (x, y) = offset_m, in the level frame.
+
+    normal: (K, 2) unit vectors towards the sensor.
+    offset_m: (K,)
+    ends: (K, 2, 2) x and y of its two ends along the plane.
+    bottom_m, top_m: (K,) heights that its candidates span.
+    rms_m: (K,) of its candidates' samples about it.
+    line_count, point_count: (K,) candidates and samples in it.
+    moments: (K, 6) its samples' n, Σx, Σy, Σxx, Σxy, Σyy, from which planes of many scans can be fused.
+
+    The growing, one row for each candidate, in the order in which Algorithm 1 met it:
+    candidate_line: (C,) the point line.
+    candidate_growth: (C,) uint8, see `Growth`.
+    candidate_plane: (C,) index of the plane that holds it in the end, -1 where none does.
+    candidate_distance_m: (C,) Θ, its distance to the plane that it was compared with; NaN where there was none.
+    """
+
+    normal: FloatArray
+    offset_m: FloatArray
+    ends: FloatArray
+    bottom_m: FloatArray
+    top_m: FloatArray
+    rms_m: FloatArray
+    line_count: IntArray
+    point_count: IntArray
+    moments: FloatArray
+    candidate_line: IntArray
+    candidate_growth: UInt8Array
+    candidate_plane: IntArray
+    candidate_distance_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.normal)
+
+
+def grow_wall_planes(
+    points_level: FloatArray,
+    height_m: FloatArray,
+    samples: IntArray,
+    structures: VerticalStructures,
+    ceilings: tuple[HorizontalPlane, ...],
+    floor: HorizontalPlane,
+    origin_level: FloatArray,
+    settings: WallPlanesSettings,
+) -> WallPlanes:
+    """Algorithm 1, repaired.
+
+    As printed it drops the candidate after each seed, the one that breaks a plane, and the last plane; here the
+    breaking candidate seeds the next plane and the last plane is kept. Θ, which the paper leaves open, is the RMS
+    distance of the candidate's samples to the plane; Ω is the upright plane of least squares. Planes that one odd line
+    has cut are joined again, and each candidate then goes to the nearest plane of the scan.
+    """
+    candidates = structures.upmost[structures.upmost >= 0]
+    # Algorithm 1 walks along the wall: emitter by emitter on one side, then on the other.
+    line = structures.line[candidates]
+    walk = np.lexsort((line, line % 2))
+    candidates, line = candidates[walk], line[walk]
+    top_level = points_level[samples[line, structures.last[candidates]]]
+    top_m = structures.top_m[candidates]
+    reaches = _reaches_ceiling(top_level, top_m, ceilings, floor, settings)
+    moments, lowest_sample = _candidate_moments(
+        points_level,
+        height_m,
+        samples,
+        line,
+        structures.first[candidates],
+        structures.last[candidates],
+        settings.upper_part_m,
+    )
+    range_m = np.hypot(moments[:, 1] / moments[:, 0] - origin_level[0], moments[:, 2] / moments[:, 0] - origin_level[1])
+    gap_m = settings.gap_m + settings.gap_per_range * range_m
+    plane, growth, distance_m = _grow(moments, line % 2, reaches, gap_m, settings.similarity_m)
+    plane = _settle(
+        plane,
+        moments,
+        reaches,
+        gap_m,
+        settings.similarity_m,
+        settings.merge_gap_m,
+        settings.lines_min,
+        settings.length_min_m,
+    )
+    count = int(plane.max(initial=-1)) + 1
+    total = np.zeros((count, 6))
+    np.add.at(total, plane[plane >= 0], moments[plane >= 0])
+    normal, offset_m, rms_m = _fit_all(total, np.ascontiguousarray(origin_level[:2]))
+    bottom_m = structures.bottom_m[candidates]
+    return WallPlanes(
+        normal=normal,
+        offset_m=offset_m,
+        ends=_ends(points_level, samples, line, lowest_sample, structures.last[candidates], plane, normal, offset_m),
+        bottom_m=_per_plane(np.minimum, bottom_m, plane, count, np.inf),
+        top_m=_per_plane(np.maximum, top_m, plane, count, -np.inf),
+        rms_m=rms_m,
+        line_count=np.bincount(plane[plane >= 0], minlength=count).astype(np.int32),
+        point_count=total[:, 0].astype(np.int32),
+        moments=total,
+        candidate_line=line.astype(np.int32),
+        candidate_growth=growth,
+        candidate_plane=plane,
+        candidate_distance_m=distance_m,
+    )
+
+
+def _reaches_ceiling(
+    top_level: FloatArray,
+    top_m: FloatArray,
+    ceilings: tuple[HorizontalPlane, ...],
+    floor: HorizontalPlane,
+    settings: WallPlanesSettings,
+) -> BoolArray:
+    """Whether each candidate ends close below some ceiling in view."""
+    if not ceilings:
+        return np.asarray(top_m >= settings.height_min_m)
+    reaches = np.zeros(len(top_m), bool)
+    for ceiling in ceilings:
+        below_m = ceiling.height_at(top_level) - top_level[:, 2]
+        reaches |= np.abs(below_m) < settings.reach_m
+    # Above the highest ceiling in view may be another that is not.
+    highest_m = np.max([c.height_at(top_level) - floor.height_at(top_level) for c in ceilings], axis=0)
+    return np.asarray(reaches | (top_m > highest_m))
+
+
+def _per_plane(reduce: np.ufunc, values: FloatArray, plane: IntArray, count: int, start: float) -> FloatArray:
+    reduced = np.full(count, start)
+    reduce.at(reduced, plane[plane >= 0], values[plane >= 0])
+    return reduced
+
+
+def _ends(
+    points: FloatArray,
+    samples: IntArray,
+    line: IntArray,
+    first: IntArray,
+    last: IntArray,
+    plane: IntArray,
+    normal: FloatArray,
+    offset_m: FloatArray,
+) -> FloatArray:
+    low, high = _extents(points, samples, line, first, last, plane, normal)
+    along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
+    foot = normal * offset_m[:, None]
+    return np.stack([foot + along * low[:, None], foot + along * high[:, None]], axis=1)
+
+
+@numba.njit(cache=True, nogil=True)
+def _extents(
+    points: FloatArray,
+    samples: IntArray,
+    line: IntArray,
+    first: IntArray,
+    last: IntArray,
+    plane: IntArray,
+    normal: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
+    low = np.full(len(normal), np.inf)
+    high = np.full(len(normal), -np.inf)
+    for c in range(len(plane)):
+        k = plane[c]
+        if k < 0:
+            continue
+        for s in range(first[c], last[c] + 1):
+            i = samples[line[c], s]
+            u = -normal[k, 1] * points[i, 0] + normal[k, 0] * points[i, 1]
+            low[k] = min(low[k], u)
+            high[k] = max(high[k], u)
+    return low, high
+
+
+@numba.njit(cache=True, nogil=True)
+def _candidate_moments(
+    points: FloatArray,
+    height: FloatArray,
+    samples: IntArray,
+    line: IntArray,
+    first: IntArray,
+    last: IntArray,
+    upper_part_m: float,
+) -> tuple[FloatArray, IntArray]:  # pragma: no cover
+    """n, Σx, Σy, Σxx, Σxy, Σyy of each candidate's upper part, and that part's lowest sample."""
+    moments = np.zeros((len(line), 6))
+    lowest = np.empty(len(line), np.int32)
+    for c in range(len(line)):
+        top = height[samples[line[c], last[c]]]
+        s = last[c]
+        while s >= first[c] and (last[c] - s < 10 or height[samples[line[c], s]] > top - upper_part_m):
+            i = samples[line[c], s]
+            x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
+            moments[c, 0] += 1.0
+            moments[c, 1] += x
+            moments[c, 2] += y
+            moments[c, 3] += x * x
+            moments[c, 4] += x * y
+            moments[c, 5] += y * y
+            s -= 1
+        lowest[c] = s + 1
+    return moments, lowest
+
+
+@numba.njit(cache=True, nogil=True)
+def fit_upright_plane(m: FloatArray) -> tuple[float, float, float, float, float]:  # pragma: no cover
+    """Ω: the upright plane of least squares from moments n, Σx, Σy, Σxx, Σxy, Σyy.
+
+    Returns its normal's x and y, its offset, the RMS distance of the points and their RMS spread along it, in metres.
+    """
+    mx, my = m[1] / m[0], m[2] / m[0]
+    vxx = max(m[3] / m[0] - mx * mx, 0.0)
+    vyy = max(m[5] / m[0] - my * my, 0.0)
+    vxy = m[4] / m[0] - mx * my
+    angle = 0.5 * np.arctan2(2.0 * vxy, vxx - vyy)
+    nx, ny = -np.sin(angle), np.cos(angle)
+    mean, half = 0.5 * (vxx + vyy), np.hypot(0.5 * (vxx - vyy), vxy)
+    return nx, ny, nx * mx + ny * my, np.sqrt(max(mean - half, 0.0)), np.sqrt(mean + half)
+
+
+@numba.njit(cache=True, nogil=True)
+def _theta(m: FloatArray, nx: float, ny: float, offset: float) -> float:  # pragma: no cover
+    """Θ: RMS distance of a candidate, given by its moments, to a plane."""
+    mean_square = (nx * nx * m[3] + 2.0 * nx * ny * m[4] + ny * ny * m[5] - 2.0 * offset * (nx * m[1] + ny * m[2])) / m[
+        0
+    ] + offset * offset
+    return float(np.sqrt(max(mean_square, 0.0)))
+
+
+@numba.njit(cache=True, nogil=True)
+def _grow(
+    moments: FloatArray, side: IntArray, reaches: BoolArray, gap_m: FloatArray, similarity_m: float
+) -> tuple[IntArray, UInt8Array, FloatArray]:  # pragma: no cover
+    count = len(moments)
+    plane = np.full(count, -1, np.int32)
+    growth = np.full(count, 3, np.uint8)
+    distance = np.full(count, np.nan)
+    current = np.zeros(6)
+    lines, number, last = 0, -1, -1
+    for c in range(count):
+        if not reaches[c]:
+            continue
+        joined = False
+        if lines > 0 and side[last] == side[c]:
+            dx = moments[c, 1] / moments[c, 0] - moments[last, 1] / moments[last, 0]
+            dy = moments[c, 2] / moments[c, 0] - moments[last, 2] / moments[last, 0]
+            if lines == 1:
+                # One line has no direction yet: the plane is that of seed and candidate together.
+                nx, ny, offset, rms, _ = fit_upright_plane(current + moments[c])
+                distance[c] = rms
+            else:
+                nx, ny, offset, _, _ = fit_upright_plane(current)
+                distance[c] = _theta(moments[c], nx, ny, offset)
+            joined = distance[c] < similarity_m and np.hypot(dx, dy) < gap_m[c]
+        if joined:
+            growth[c] = 1
+            current += moments[c]
+            lines += 1
+        else:
+            growth[c] = 2 if lines > 0 and side[last] == side[c] else 0
+            current = moments[c].copy()
+            lines = 1
+            number += 1
+        plane[c] = number
+        last = c
+    return plane, growth, distance
+
+
+@numba.njit(cache=True, nogil=True)
+def _span(moments: FloatArray, members: BoolArray, nx: float, ny: float) -> tuple[float, float]:  # pragma: no cover
+    """Least and largest place along the plane of its members' upper parts (mean ± spread)."""
+    low, high = np.inf, -np.inf
+    for c in range(len(moments)):
+        if members[c]:
+            m = moments[c]
+            u = (-ny * m[1] + nx * m[2]) / m[0]
+            spread = np.sqrt(max((ny * ny * m[3] - 2 * nx * ny * m[4] + nx * nx * m[5]) / m[0] - u * u, 0.0))
+            low = min(low, u - 1.5 * spread)
+            high = max(high, u + 1.5 * spread)
+    return low, high
+
+
+@numba.njit(cache=True, nogil=True)
+def _settle(
+    plane: IntArray,
+    moments: FloatArray,
+    reaches: BoolArray,
+    gap_m: FloatArray,
+    similarity_m: float,
+    merge_gap_m: float,
+    lines_min: int,
+    length_min_m: float,
+) -> IntArray:  # pragma: no cover
+    """Join planes in line, give every candidate to the nearest plane, drop what is too small, number them anew."""
+    count = len(plane)
+    plane = plane.copy()
+    planes = 0
+    for c in range(count):
+        planes = max(planes, plane[c] + 1)
+    total = np.zeros((planes, 6))
+    lines = np.zeros(planes, np.int64)
+    for c in range(count):
+        if plane[c] >= 0:
+            total[plane[c]] += moments[c]
+            lines[plane[c]] += 1
+
+    # Join, largest first: a line that stood before the wall has cut it in Algorithm 1.
+    merged = True
+    while merged:
+        merged = False
+        by_size = np.argsort(-total[:, 0])
+        for a in range(planes):
+            i = by_size[a]
+            if lines[i] < lines_min:
+                continue
+            for b in range(a + 1, planes):
+                j = by_size[b]
+                if lines[j] < 2:
+                    continue
+                nx, ny, offset, rms, _ = fit_upright_plane(total[i] + total[j])
+                if (
+                    rms > 0.6 * similarity_m
+                    or _theta(total[i], nx, ny, offset) > 0.6 * similarity_m
+                    or _theta(total[j], nx, ny, offset) > 0.8 * similarity_m
+                ):
+                    continue
+                low_i, high_i = _span(moments, plane == i, nx, ny)
+                low_j, high_j = _span(moments, plane == j, nx, ny)
+                if max(low_i, low_j) - min(high_i, high_j) > merge_gap_m:
+                    continue
+                for c in range(count):
+                    if plane[c] == j:
+                        plane[c] = i
+                total[i] += total[j]
+                lines[i] += lines[j]
+                total[j] = 0.0
+                lines[j] = 0
+                merged = True
+        # A merge changes the sizes: go round again until nothing joins.
+
+    # Every candidate to the nearest plane that has enough lines, whichever plane it was grown into.
+    for _ in range(2):
+        fits = np.zeros((planes, 5))
+        for i in range(planes):
+            if lines[i] >= lines_min:
+                nx, ny, offset, _, _ = fit_upright_plane(total[i])
+                low, high = _span(moments, plane == i, nx, ny)
+                fits[i] = np.array([nx, ny, offset, low, high])
+        for c in range(count):
+            if not reaches[c]:
+                continue
+            best, nearest = -1, similarity_m
+            for i in range(planes):
+                if lines[i] < lines_min:
+                    continue
+                u = (-fits[i, 1] * moments[c, 1] + fits[i, 0] * moments[c, 2]) / moments[c, 0]
+                if u < fits[i, 3] - gap_m[c] or u > fits[i, 4] + gap_m[c]:
+                    continue
+                theta = _theta(moments[c], fits[i, 0], fits[i, 1], fits[i, 2])
+                if theta < nearest:
+                    best, nearest = i, theta
+            plane[c] = best
+        total[:] = 0.0
+        lines[:] = 0
+        for c in range(count):
+            if plane[c] >= 0:
+                total[plane[c]] += moments[c]
+                lines[plane[c]] += 1
+
+    renumber = np.full(planes, -1, np.int32)
+    kept = 0
+    for i in range(planes):
+        if lines[i] < lines_min:
+            continue
+        nx, ny, offset, rms, _ = fit_upright_plane(total[i])
+        low, high = _span(moments, plane == i, nx, ny)
+        if high - low < length_min_m or rms > similarity_m:
+            continue
+        renumber[i] = kept
+        kept += 1
+    for c in range(count):
+        if plane[c] >= 0:
+            plane[c] = renumber[plane[c]]
+    return plane
+
+
+@numba.njit(cache=True, nogil=True)
+def _fit_all(total: FloatArray, origin: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:  # pragma: no cover
+    """Normals towards the sensor, offsets and RMS of planes from their moments."""
+    normal = np.empty((len(total), 2))
+    offset_m = np.empty(len(total))
+    rms_m = np.empty(len(total))
+    for k in range(len(total)):
+        nx, ny, offset, rms, _ = fit_upright_plane(total[k])
+        sign = 1.0 if nx * origin[0] + ny * origin[1] - offset > 0 else -1.0
+        normal[k, 0], normal[k, 1], offset_m[k], rms_m[k] = sign * nx, sign * ny, sign * offset, rms
+    return normal, offset_m, rms_m

@@ -1,0 +1,306 @@
+"""What worker processes do: label a block of scans, and later finish it with the building's knowledge.
+
+A block's results lie in the spool as files that appear whole: its part of the recording, and an .npz of its labels,
+features and voxel votes. They are all that passes between processes, so that a killed run can go on.
+"""
+
+import time
+from dataclasses import dataclass, fields
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from algorithms.building import Doors, Walls
+from algorithms.features import Features, concatenate, extract
+from algorithms.labelling import MethodSettings, label_scan
+from algorithms.relabelling import RelabellingSettings, relabel
+from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array
+from algorithms.semantic_map import VoxelTable, VoxelVotes, majority
+from algorithms.trajectory import PlacedScan, Trajectory, place_scan
+from app.inputs import Inputs, Sensor
+from app.recorder import Detail, Recorder, open_block
+from loaders.bag import Bag, open_bag
+from loaders.pointcloud2 import full_labels
+from loaders.scans import SkippedScan, read_scans
+
+VOXEL_M = 0.05
+SCANS_PER_BLOCK = 20
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some consecutive clouds of the vertical lidar: [first, first + count), as numbered in the bag."""
+
+    number: int
+    first: int
+    count: int
+
+
+@dataclass(frozen=True)
+class LabelJob:
+    """What a worker needs to label a block."""
+
+    block: Block
+    inputs: Inputs
+    trajectory: Trajectory
+    extrapolate_ns: int
+    method: MethodSettings
+    seed: int
+    recording_id: str
+    detail: Detail | None
+    path: Path
+    """The block's files without their suffixes."""
+
+
+@dataclass(frozen=True)
+class FinishJob:
+    """What a worker needs to finish a block."""
+
+    label: LabelJob
+    walls: Walls
+    doors: Doors
+    settings: RelabellingSettings
+
+
+@dataclass(frozen=True)
+class BlockSummary:
+    """What the run's own process needs to know of a labelled block.
+
+    scan: (s,) scans that were labelled; stamp_ns, T_map_base: (s,), (s, 4, 4) at their header stamps.
+    skipped: number, stamp and reason of each cloud that was not.
+    label_counts: (256,) returns by label. milliseconds: (s, 4) reading, placing, labelling, recording.
+    points_in_cloud, points_in_lines: (s,)
+    """
+
+    scan: IntArray
+    stamp_ns: IntArray
+    T_map_base: FloatArray
+    skipped_scan: IntArray
+    skipped_stamp_ns: IntArray
+    skipped_reason: tuple[str, ...]
+    label_counts: IntArray
+    milliseconds: FloatArray
+    points_in_cloud: IntArray
+    points_in_lines: IntArray
+
+
+def split_blocks(clouds: int) -> list[Block]:
+    """The blocks that `clouds` clouds make."""
+    return [
+        Block(number, first, min(SCANS_PER_BLOCK, clouds - first))
+        for number, first in enumerate(range(0, clouds, SCANS_PER_BLOCK))
+    ]
+
+
+def label_block(job: LabelJob) -> BlockSummary:
+    """Label every scan of a block; write its evidence, labels, features and votes to the spool."""
+    sensor = _vertical(job.inputs)
+    skipped: list[SkippedScan] = []
+    scans: list[tuple[int, int, FloatArray]] = []
+    features: list[Features] = []
+    labels: list[UInt8Array] = []
+    milliseconds: list[list[float]] = []
+    sizes: list[tuple[int, int]] = []
+    counts = np.zeros(256, np.int64)
+    table = VoxelTable(VOXEL_M, 6)
+    with _open_evidence(job, ".rrd") as recorder:
+        started = time.perf_counter()
+        for index, scan in read_scans(
+            _open(job.inputs.bag_path), sensor.index, job.block.first, job.block.count, sensor.lidar.decoding
+        ):
+            read = time.perf_counter()
+            if isinstance(scan, Scan) and not job.trajectory.covers(
+                np.array([scan.start_ns, scan.end_ns]), job.extrapolate_ns
+            ).all():
+                scan = SkippedScan(index, scan.stamp_ns, "no pose at its time")
+            if isinstance(scan, SkippedScan):
+                skipped.append(scan)
+                if recorder:
+                    recorder.log_skipped(scan.index, scan.stamp_ns, scan.reason)
+                started = time.perf_counter()
+                continue
+            placed = place_scan(scan, job.trajectory, sensor.lidar.T_base_sensor)
+            was_placed = time.perf_counter()
+            labelling = label_scan(scan, placed, job.method, seed_of(job.seed, index))
+            labelled = time.perf_counter()
+            timings = {
+                "reading": 1e3 * (read - started),
+                "placing": 1e3 * (was_placed - read),
+                "labelling": 1e3 * (labelled - was_placed),
+            }
+            if recorder:
+                recorder.log_scan(index, placed, labelling, scan.stamp_ns, timings)
+            features.append(extract(index, placed, labelling))
+            table.add(points_in_map(placed), labelling.label)
+            labels.append(full_labels(scan, labelling.label))
+            counts += np.bincount(labelling.label, minlength=256)
+            scans.append((index, scan.stamp_ns, job.trajectory.at(np.array([scan.stamp_ns]))[0]))
+            sizes.append((scan.cloud_size, int(np.count_nonzero(labelling.label == 0) + np.count_nonzero(labelling.label > 2))))
+            milliseconds.append([*timings.values(), 1e3 * (time.perf_counter() - labelled)])
+            started = time.perf_counter()
+    summary = BlockSummary(
+        scan=np.array([s[0] for s in scans], np.int64),
+        stamp_ns=np.array([s[1] for s in scans], np.int64),
+        T_map_base=np.array([s[2] for s in scans]).reshape(-1, 4, 4),
+        skipped_scan=np.array([s.index for s in skipped], np.int64),
+        skipped_stamp_ns=np.array([s.stamp_ns for s in skipped], np.int64),
+        skipped_reason=tuple(s.reason for s in skipped),
+        label_counts=counts,
+        milliseconds=np.array(milliseconds).reshape(-1, 4),
+        points_in_cloud=np.array([s[0] for s in sizes], np.int64),
+        points_in_lines=np.array([s[1] for s in sizes], np.int64),
+    )
+    votes = table.votes()
+    _save(
+        job.path.with_suffix(".npz"),
+        {
+            **{f"summary_{f.name}": np.asarray(getattr(summary, f.name)) for f in fields(BlockSummary)},
+            **_label_arrays(labels, summary.scan),
+            **({f"feature_{f.name}": getattr(concatenate(features), f.name) for f in fields(Features)} if features else {}),
+            "new_points": votes.mean_position.astype(np.float32),
+            "new_label": majority(votes.counts),
+            "new_keys": votes.keys,
+        },
+    )
+    return summary
+
+
+def finish_block(job: FinishJob) -> None:
+    """Read a block's scans a second time and give every return its final label; write labels and votes to the spool."""
+    label_job = job.label
+    sensor = _vertical(label_job.inputs)
+    earlier = load_labels(label_job.path.with_suffix(".npz"))
+    labels: list[UInt8Array] = []
+    numbers: list[int] = []
+    table = VoxelTable(VOXEL_M, 6)
+    with _open_evidence(label_job, ".final.rrd") as recorder:
+        for index, scan in read_scans(
+            _open(label_job.inputs.bag_path),
+            sensor.index,
+            label_job.block.first,
+            label_job.block.count,
+            sensor.lidar.decoding,
+        ):
+            if index not in earlier or isinstance(scan, SkippedScan):
+                continue
+            placed = place_scan(scan, label_job.trajectory, sensor.lidar.T_base_sensor)
+            points_map = points_in_map(placed)
+            label_of_scan = earlier[index][scan.cloud_index]
+            label = relabel(points_map, points_map[:, 2], label_of_scan, job.walls, job.doors, job.settings)
+            if recorder:
+                recorder.log_final(index, scan.stamp_ns, placed, label_of_scan, label)
+            table.add(points_map, label)
+            labels.append(full_labels(scan, label))
+            numbers.append(index)
+    votes = table.votes()
+    _save(
+        label_job.path.with_suffix(".final.npz"),
+        {
+            **_label_arrays(labels, np.array(numbers, np.int64)),
+            **{f"votes_{f.name}": np.asarray(getattr(votes, f.name)) for f in fields(VoxelVotes)},
+        },
+    )
+
+
+def load_summary(path: Path) -> BlockSummary:
+    """The summary in a block's .npz."""
+    with np.load(path) as spooled:
+        values = {f.name: spooled[f"summary_{f.name}"] for f in fields(BlockSummary)}
+    values["skipped_reason"] = tuple(str(reason) for reason in values["skipped_reason"])
+    return BlockSummary(**values)
+
+
+def load_features(path: Path) -> Features | None:
+    """The features in a block's .npz; None where it holds no scan."""
+    with np.load(path) as spooled:
+        if f"feature_{fields(Features)[0].name}" not in spooled:
+            return None
+        return Features(**{f.name: spooled[f"feature_{f.name}"] for f in fields(Features)})
+
+
+def load_new_points(path: Path) -> tuple[IntArray, FloatArray, UInt8Array]:
+    """Keys, mean positions and labels of a block's voxels."""
+    with np.load(path) as spooled:
+        return spooled["new_keys"], spooled["new_points"], spooled["new_label"]
+
+
+def load_labels(path: Path) -> dict[int, UInt8Array]:
+    """Labels of each cloud in a block's .npz, by its number, one for each place in the cloud."""
+    with np.load(path) as spooled:
+        parts = np.split(spooled["label"], np.cumsum(spooled["label_size"])[:-1])
+        return {int(scan): part for scan, part in zip(spooled["label_scan"], parts, strict=True)} if len(
+            spooled["label_scan"]
+        ) else {}
+
+
+def load_votes(path: Path) -> VoxelVotes:
+    """The voxel votes in a finished block's .npz."""
+    with np.load(path) as spooled:
+        values = {f.name: spooled[f"votes_{f.name}"] for f in fields(VoxelVotes)}
+    return VoxelVotes(**{**values, "voxel_m": float(values["voxel_m"])})
+
+
+def points_in_map(placed: PlacedScan) -> FloatArray:
+    """(n, 3) float32."""
+    return placed.to_map(placed.points_level).astype(np.float32)
+
+
+def seed_of(seed: int, index: int) -> int:
+    """The seed of one scan's random numbers: by the run's seed and the scan's number alone."""
+    return int(np.random.SeedSequence([seed, index]).generate_state(1)[0])
+
+
+class _NoEvidence:
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+
+class _Evidence:
+    """A block's part of the recording and its recorder."""
+
+    def __init__(self, path: Path, recording_id: str, detail: Detail) -> None:
+        self._block = open_block(path, recording_id)
+        self._detail = detail
+
+    def __enter__(self) -> Recorder:
+        return Recorder(self._block.__enter__(), self._detail)
+
+    def __exit__(self, *error: object) -> None:
+        self._block.__exit__(*error)  # type: ignore[arg-type]
+
+
+def _open_evidence(job: LabelJob, suffix: str) -> _Evidence | _NoEvidence:
+    if job.detail is None:
+        return _NoEvidence()
+    return _Evidence(job.path.with_suffix(suffix), job.recording_id, job.detail)
+
+
+def _vertical(inputs: Inputs) -> Sensor:
+    if inputs.vertical is None:
+        raise ValueError("a run without a vertical lidar has nothing to label")
+    return inputs.vertical
+
+
+@cache
+def _open(path: Path) -> Bag:
+    """Each worker opens the bag once."""
+    return open_bag(path)
+
+
+def _label_arrays(labels: list[UInt8Array], scan: IntArray) -> dict[str, IntArray]:
+    return {
+        "label": np.concatenate(labels) if labels else np.zeros(0, np.uint8),
+        "label_size": np.array([len(label) for label in labels], np.int64),
+        "label_scan": scan,
+    }
+
+
+def _save(path: Path, arrays: dict[str, IntArray | FloatArray]) -> None:
+    part = path.with_name(path.name + ".part")
+    with part.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
+    part.replace(path)

@@ -1,0 +1,463 @@
+"""`ffmap evaluate`: the files of a run against the truth of its bag, as `metrics.json`.
+
+The names in it, all fractions 0 to 1, null where there is nothing to divide by:
+
+    area.<label>.precision | recall | f1         by 5 cm cubes, for clutter, floor, ceiling, wall, door, outside
+    area.<label>.right_m2 | wrong_m2 | missed_m2
+    area.outside_kept_as_structure
+    area.confusion.truth | label | counts        row and column names, cubes before any rule is applied
+    area_scan, points, points_scan               the same for the labels of single scans, and by points
+    scans.counted | skipped | without_truth
+    doors.true | passed | found_count | found | detections | invented_count | invented
+    doors.width_error_m | width_bias_m | state_right
+    wall_map.precision | recall | error_m | true_cells | occupied_cells
+    trajectory.ate_rmse_m | ate_mean_m | ate_max_m               after the best rotation and shift
+    trajectory.unaligned_rmse_m | unaligned_mean_m | unaligned_max_m
+    trajectory.rotation_rmse_deg | relative_translation_rmse_m | relative_rotation_rmse_deg | poses
+
+Doors and wall map are compared as they stand: the map frame is defined alike for run and truth. Where a run has no
+labelled clouds, the sections about them are missing.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from PIL import Image
+from rich.console import Console
+from rich.table import Table
+
+from algorithms.doors import DoorState
+from algorithms.evaluation import (
+    CUBE_M,
+    UNLABELLED,
+    Counter,
+    DoorFigures,
+    FoundDoors,
+    Tally,
+    TrajectoryFigures,
+    TrueDoors,
+    WallMapFigures,
+    class_figures,
+    compare_doors,
+    compare_trajectories,
+    compare_wall_map,
+    confusion_by_area,
+    outside_kept,
+    rms,
+)
+from algorithms.grid_map import Cell, GridMap
+from algorithms.labels import Label, Truth
+from algorithms.scan import FloatArray, IntArray
+from algorithms.trajectory import Trajectory, place_scan
+from app.results import write_json
+from loaders.bag import open_bag
+from loaders.errors import InputError
+from loaders.pointcloud2 import TimeFrom, describe_layout, field_column
+from loaders.rig import Lidar, find_rig
+from loaders.scans import SkippedScan, cloud_topics, index_clouds, read_clouds
+from loaders.trajectory_file import read_tum
+from loaders.truth import POSE_TOPIC, read_truth
+from loaders.truth import Truth as BagTruth
+
+Metrics = dict[str, Any]
+
+PAPER = {
+    Label.CEILING: (0.8525, 0.9992, 0.9200),
+    Label.FLOOR: (0.8955, 0.9985, 0.9442),
+    Label.WALL: (0.9960, 0.9526, 0.9737),
+    Label.DOOR: (0.8282, 0.8076, 0.8177),
+}
+"""Table II: precision, recall, F1 by area."""
+
+DEFAULT_DOOR_HEIGHT_M = 2.0
+
+CLOUDS_A_PROCESS = 100
+"""For fewer clouds than this a process more costs more than it saves."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Share:
+    """What one process counts: clouds [first, first + count) of the labelled bag."""
+
+    labelled: Path
+    truth_bag: Path
+    lidar: Lidar
+    doors: TrueDoors
+    first: int
+    count: int
+
+
+def evaluate_run(
+    run_dir: Path, truth_bag: Path | None = None, workers: int = 2, pool: Executor | None = None
+) -> Metrics:
+    """Compare a run's files with the truth, write `metrics.json` and return what it says.
+
+    truth_bag: the bag that carries the truth; None for the one that the run was made from.
+    pool: processes that stand ready; without them `workers` new ones are started where there is enough to do.
+    Raises InputError where the folder is no run, or the bag has no truth.
+    """
+    truth_path = truth_bag if truth_bag is not None else _bag_of(run_dir)
+    with open_bag(truth_path) as bag:
+        truth = read_truth(bag)
+        if truth is None or truth.trajectory is None:
+            raise InputError(f"{truth_path}: the bag carries no /truth/pose to compare with; give --truth BAG")
+        metrics = compare_run(run_dir, truth_path, truth, truth.trajectory, workers, pool)
+    write_json(run_dir / "metrics.json", metrics)
+    return metrics
+
+
+def has_truth(run_dir: Path) -> bool:
+    """Whether the bag of a run is still there and carries the truth."""
+    path = _bag_of(run_dir)
+    if not path.exists():
+        return False
+    with open_bag(path) as bag:
+        return POSE_TOPIC in bag.topics and bag.topics[POSE_TOPIC].count > 0
+
+
+def print_metrics(metrics: Metrics) -> None:
+    """`format_metrics` on the terminal."""
+    console = Console()
+    for table in format_metrics(metrics):
+        console.print(table)
+
+
+def compare_run(
+    run_dir: Path,
+    truth_path: Path,
+    truth: BagTruth,
+    true_trajectory: Trajectory,
+    workers: int,
+    pool: Executor | None = None,
+) -> Metrics:
+    """The figures of a run, without writing them."""
+    metrics: Metrics = {"truth": str(truth_path)}
+    if (run_dir / "trajectory.tum").exists():
+        found = read_tum(run_dir / "trajectory.tum")
+        metrics["trajectory"] = _trajectory_metrics(compare_trajectories(found, true_trajectory))
+    labelled = next((p for p in (run_dir / "labelled.bag", run_dir / "labelled") if p.exists()), None)
+    if labelled is None or truth.classes is None:
+        return metrics
+    doors, faces = read_building(truth.building)
+    tally, without_truth = count_run(labelled, truth_path, doors, workers, pool, _time_from(run_dir))
+    metrics["scans"] = {"counted": tally.scans, "skipped": tally.skipped, "without_truth": without_truth}
+    metrics["area"] = _label_metrics(confusion_by_area(tally.cubes), CUBE_M**2)
+    metrics["area_scan"] = _label_metrics(confusion_by_area(tally.cubes, single_scans=True), CUBE_M**2)
+    metrics["points"] = _label_metrics(tally.confusion_points, None)
+    metrics["points_scan"] = _label_metrics(tally.confusion_points_scan, None)
+    if truth.building is not None and (run_dir / "doors.geojson").exists():
+        found_doors = read_doors(run_dir / "doors.geojson")
+        metrics["doors"] = _door_metrics(compare_doors(doors, tally.door_returns, found_doors))
+    if truth.building is not None and (run_dir / "map.yaml").exists():
+        metrics["wall_map"] = _wall_map_metrics(compare_wall_map(faces, tally.cubes, read_grid(run_dir / "map.yaml")))
+    return metrics
+
+
+def count_run(
+    labelled: Path,
+    truth_bag: Path,
+    doors: TrueDoors,
+    workers: int,
+    pool: Executor | None = None,
+    time_from: TimeFrom = "auto",
+) -> tuple[Tally, int]:
+    """Count all clouds of a labelled bag, in processes side by side; also how many have no truth."""
+    with open_bag(labelled) as bag:
+        topics = cloud_topics(bag)
+        if len(topics) != 1:
+            raise InputError(f"{labelled}: {len(topics)} topics with clouds where one belongs; run ffmap again")
+        rig = find_rig(bag, vertical=topics[0], time_from=time_from)
+        assert rig.vertical is not None
+        clouds = len(index_clouds(bag, topics[0]))
+    processes = max(1, min(workers, clouds // CLOUDS_A_PROCESS))
+    edges = np.linspace(0, clouds, processes + 1).astype(int).tolist()
+    shares = [_Share(labelled, truth_bag, rig.vertical, doors, first, last - first) for first, last in pairwise(edges)]
+    if processes == 1:
+        return _count(shares[0])
+    if pool is not None:
+        counted = list(pool.map(_count, shares))
+    else:
+        with ProcessPoolExecutor(processes, get_context("spawn")) as own_pool:
+            counted = list(own_pool.map(_count, shares))
+    total = Counter(doors)
+    for tally, _ in counted:
+        total.absorb(tally)
+    return total.tally(), sum(missing for _, missing in counted)
+
+
+def _count(share: _Share) -> tuple[Tally, int]:
+    counter = Counter(share.doors)
+    without_truth = 0
+    with open_bag(share.labelled) as bag, open_bag(share.truth_bag) as true_bag:
+        truth = read_truth(true_bag)
+        assert truth is not None
+        assert truth.trajectory is not None
+        assert truth.classes is not None
+        index = index_clouds(bag, share.lidar.topic)
+        for _, scan, message in read_clouds(bag, index, share.first, share.count, share.lidar.decoding):
+            if isinstance(scan, SkippedScan) or message is None:
+                counter.skip()
+                continue
+            classes = truth.classes.at(scan.stamp_ns)
+            if classes is None or not truth.trajectory.covers(np.array([scan.start_ns]), _MARGIN_NS)[0]:
+                without_truth += 1
+                continue
+            if len(classes) != scan.cloud_size:
+                raise InputError(
+                    f"{share.truth_bag}: {len(classes)} true classes for a cloud of {scan.cloud_size} points; "
+                    "give the bag that the run was made from as --truth"
+                )
+            layout = describe_layout(message, share.lidar.topic)
+            label, label_scan = (
+                field_column(message, layout, name)[scan.cloud_index].astype(np.uint8)
+                for name in ("label", "label_scan")
+            )
+            placed = place_scan(scan, truth.trajectory, share.lidar.T_base_sensor)
+            counter.add(
+                placed.to_map(placed.points_level),
+                placed.to_map(placed.origin_level[None])[0],
+                classes[scan.cloud_index],
+                label,
+                label_scan,
+            )
+    return counter.tally(), without_truth
+
+
+_MARGIN_NS = 200_000_000
+"""The first and the last sweep may stand a little outside the true poses."""
+
+
+def read_building(building: Mapping[str, Any] | None) -> tuple[TrueDoors, FloatArray]:
+    """Doors, and wall faces (F, 2, 2), of the truth's GeoJSON.
+
+    `kind` of a feature is wall (a LineString or an outline, every edge a face), door (a LineString along the sill with
+    `state`, `height`, and `leaves`, the outlines of its leaves in the plan) or something else, which is left out.
+    Where a closed door has no `leaves`, its sill is taken for one.
+    """
+    faces: list[FloatArray] = []
+    ends, heads_m, leaves, states = [], [], [], []
+    for feature in building["features"] if building is not None else []:
+        properties = feature["properties"]
+        edges = _edges(feature["geometry"]["coordinates"])
+        if properties["kind"] == "wall":
+            faces.append(edges)
+        elif properties["kind"] == "door":
+            ends.append(edges[0])
+            heads_m.append(float(properties.get("height", DEFAULT_DOOR_HEIGHT_M)))
+            state = _state(properties["state"])
+            outlines = [_edges(leaf) for leaf in properties.get("leaves") or []]
+            closed = edges[:1] if state == DoorState.CLOSED else np.zeros((0, 2, 2))
+            leaves.append(np.concatenate(outlines) if outlines else closed)
+            states.append(state)
+    doors = TrueDoors(
+        ends=np.array(ends).reshape(-1, 2, 2),
+        head_m=np.array(heads_m),
+        leaves=tuple(leaves),
+        state=np.array(states, np.uint8),
+    )
+    return doors, np.concatenate(faces) if faces else np.zeros((0, 2, 2))
+
+
+def read_doors(path: Path) -> FoundDoors:
+    """A run's `doors.geojson`."""
+    features = _read_json(path)["features"]
+    return FoundDoors(
+        ends=np.array([feature["geometry"]["coordinates"] for feature in features], float).reshape(-1, 2, 2),
+        width_m=np.array([feature["properties"]["width"] for feature in features], float),
+        state=np.array([_state(feature["properties"]["state"]) for feature in features], np.uint8),
+    )
+
+
+def read_grid(path: Path) -> GridMap:
+    """A map_server map; `path` is its .yaml. Raises InputError where it is none."""
+    try:
+        description = yaml.safe_load(path.read_text())
+        with Image.open(path.parent / description["image"]) as image:
+            pixels = np.asarray(image.convert("L"))[::-1]
+        darkness = pixels / 255 if description["negate"] else 1 - pixels / 255
+        cells = np.full(pixels.shape, Cell.UNKNOWN, np.uint8)
+        cells[darkness > description["occupied_thresh"]] = Cell.OCCUPIED
+        cells[darkness < description["free_thresh"]] = Cell.FREE
+        return GridMap(cells, np.array(description["origin"][:2], float), float(description["resolution"]))
+    except (OSError, yaml.YAMLError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: no map of map_server's ({error}); run ffmap again") from error
+
+
+def format_metrics(metrics: Metrics) -> list[Table]:
+    """What a person reads on the terminal: the labels beside the paper's Table II, then doors, map and trajectory."""
+    tables = []
+    if "area" in metrics:
+        table = Table(title="Labels by area (Table II)", title_justify="left")
+        for heading in ("label", "precision", "recall", "F1", "paper: precision", "recall", "F1", "single scans: F1"):
+            table.add_column(heading, justify="left" if heading == "label" else "right")
+        for label in (Label.CEILING, Label.FLOOR, Label.WALL, Label.DOOR, Label.CLUTTER, Label.OUTSIDE):
+            name = label.name.lower()
+            found = metrics["area"][name]
+            table.add_row(
+                name,
+                *(_percent(found[figure]) for figure in ("precision", "recall", "f1")),
+                *(_percent(figure) for figure in PAPER.get(label, (None, None, None))),
+                _percent(metrics["area_scan"][name]["f1"]),
+            )
+        tables.append(table)
+    rows = [*_door_rows(metrics), *_map_rows(metrics), *_trajectory_rows(metrics)]
+    if rows:
+        table = Table(title="Doors, map, trajectory", title_justify="left", show_header=False)
+        for row in rows:
+            table.add_row(*row)
+        tables.append(table)
+    return tables
+
+
+def _door_rows(metrics: Metrics) -> list[tuple[str, str]]:
+    if (doors := metrics.get("doors")) is None:
+        return []
+    return [
+        ("doors found", f"{doors['found_count']} of {doors['passed']} passed, {_percent(doors['found'])} %"),
+        ("doors invented", f"{doors['invented_count']} of {doors['detections']}, {_percent(doors['invented'])} %"),
+        ("width error, mean", _centimetres(doors["width_error_m"])),
+        ("state right", f"{_percent(doors['state_right'])} %"),
+    ]
+
+
+def _map_rows(metrics: Metrics) -> list[tuple[str, str]]:
+    rows = []
+    if "area" in metrics:
+        rows.append(("outside kept as structure", f"{_percent(metrics['area']['outside_kept_as_structure'])} %"))
+    if (wall_map := metrics.get("wall_map")) is not None:
+        rows += [
+            ("wall map, precision", f"{_percent(wall_map['precision'])} %"),
+            ("wall map, recall", f"{_percent(wall_map['recall'])} %"),
+            ("wall map, mean error", _centimetres(wall_map["error_m"])),
+        ]
+    return rows
+
+
+def _trajectory_rows(metrics: Metrics) -> list[tuple[str, str]]:
+    if (trajectory := metrics.get("trajectory")) is None:
+        return []
+    rotation = trajectory["rotation_rmse_deg"]
+    return [
+        ("trajectory, ATE RMSE", _centimetres(trajectory["ate_rmse_m"])),
+        ("trajectory, unaligned RMSE", _centimetres(trajectory["unaligned_rmse_m"])),
+        ("trajectory, rotation RMSE", "–" if rotation is None else f"{rotation:.2f}°"),
+        ("trajectory, error in 1 m", _centimetres(trajectory["relative_translation_rmse_m"])),
+    ]
+
+
+def _percent(fraction: float | None) -> str:
+    return "–" if fraction is None or np.isnan(fraction) else f"{100 * fraction:.2f}"
+
+
+def _centimetres(metres: float | None) -> str:
+    return "–" if metres is None or np.isnan(metres) else f"{100 * metres:.1f} cm"
+
+
+def _label_metrics(confusion: IntArray, unit_m2: float | None) -> Metrics:
+    section: Metrics = {}
+    for label, figures in class_figures(confusion).items():
+        counts = (figures.true_positives, figures.false_positives, figures.false_negatives)
+        names = ("right", "wrong", "missed")
+        section[label.name.lower()] = {
+            "precision": figures.precision,
+            "recall": figures.recall,
+            "f1": figures.f1,
+            **(
+                {f"{name}_m2": round(count * unit_m2, 4) for name, count in zip(names, counts, strict=True)}
+                if unit_m2 is not None
+                else dict(zip(names, counts, strict=True))
+            ),
+        }
+    section["outside_kept_as_structure"] = outside_kept(confusion)
+    section["confusion"] = {
+        "truth": [truth.name.lower() for truth in Truth],
+        "label": [*(label.name.lower() for label in Label), "unlabelled"][: UNLABELLED + 1],
+        "counts": confusion.tolist(),
+    }
+    return section
+
+
+def _door_metrics(figures: DoorFigures) -> Metrics:
+    return {
+        "true": len(figures.match),
+        "passed": int(np.count_nonzero(figures.passed)),
+        "found_count": figures.found_count,
+        "found": figures.found,
+        "detections": figures.detections,
+        "invented_count": figures.invented_count,
+        "invented": figures.invented,
+        "width_error_m": _mean(np.abs(figures.width_error_m)),
+        "width_bias_m": _mean(figures.width_error_m),
+        "state_right": _mean(figures.state_right),
+    }
+
+
+def _wall_map_metrics(figures: WallMapFigures) -> Metrics:
+    return {
+        "precision": figures.precision,
+        "recall": figures.recall,
+        "error_m": figures.error_m,
+        "true_cells": len(figures.true_cells),
+        "occupied_cells": len(figures.occupied),
+    }
+
+
+def _trajectory_metrics(figures: TrajectoryFigures) -> Metrics:
+    return {
+        "poses": figures.poses,
+        "ate_rmse_m": figures.ate_rmse_m,
+        "ate_mean_m": _mean(figures.error_m),
+        "ate_max_m": float(figures.error_m.max(initial=0.0)) if figures.poses else float("nan"),
+        "unaligned_rmse_m": rms(figures.error_unaligned_m),
+        "unaligned_mean_m": _mean(figures.error_unaligned_m),
+        "unaligned_max_m": float(figures.error_unaligned_m.max(initial=0.0)) if figures.poses else float("nan"),
+        "rotation_rmse_deg": rms(figures.rotation_error_deg),
+        "relative_translation_rmse_m": rms(figures.relative_translation_m),
+        "relative_rotation_rmse_deg": rms(figures.relative_rotation_deg),
+    }
+
+
+def _mean(values: np.ndarray[Any, Any]) -> float:
+    return float(values.mean()) if len(values) else float("nan")
+
+
+def _edges(coordinates: Sequence[Any]) -> FloatArray:
+    """(k, 2, 2) segments of a LineString's coordinates, or of all rings of a Polygon's."""
+    if np.ndim(coordinates[0][0]) > 0:
+        return np.concatenate([_edges(part) for part in coordinates])
+    vertices = np.array([vertex[:2] for vertex in coordinates], float)
+    return np.stack([vertices[:-1], vertices[1:]], axis=1)
+
+
+def _state(name: str) -> DoorState:
+    return DoorState.CLOSED if name == "closed" else DoorState.OPEN
+
+
+def _bag_of(run_dir: Path) -> Path:
+    """The bag that a run was made from."""
+    try:
+        return Path(_read_json(run_dir / "run.json")["bag"]["path"])
+    except KeyError as error:
+        raise InputError(f"{run_dir / 'run.json'}: it does not say which bag was run; give --truth BAG") from error
+
+
+def _time_from(run_dir: Path) -> TimeFrom:
+    """Where the run took the firings' times from: the labelled bag is to be read the same way."""
+    options = _read_json(run_dir / "run.json").get("options") or {}
+    time_from: TimeFrom = options.get("time_from") or "auto"
+    return time_from
+
+
+def _read_json(path: Path) -> Any:  # noqa: ANN401 - JSON
+    try:
+        return json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); give the folder of a run of ffmap") from error

@@ -1,0 +1,74 @@
+"""What a run reads: the bag, which lidar is which, and how their clouds become scans."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from loaders.bag import Bag, digest, open_bag
+from loaders.errors import InputError
+from loaders.pointcloud2 import TimeFrom
+from loaders.rig import Lidar, Rig, find_rig
+from loaders.scans import CloudIndex, cloud_topics, index_clouds
+
+
+@dataclass(frozen=True)
+class InputOptions:
+    """What the user says about the bag."""
+
+    rig_file: Path | None = None
+    horizontal: str | None = None
+    vertical: str | None = None
+    time_from: TimeFrom = "auto"
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One lidar of the bag and where its clouds lie."""
+
+    lidar: Lidar
+    index: CloudIndex
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Everything that worker processes need to read scans for themselves."""
+
+    bag_path: Path
+    bag_digest: str
+    container: str
+    rig: Rig
+    horizontal: Sensor | None
+    vertical: Sensor | None
+    warnings: tuple[str, ...]
+
+
+def find_inputs(bag_path: Path, options: InputOptions) -> Inputs:
+    """Open a bag, find its lidars and settle how their clouds are read.
+
+    Raises InputError that names the file, topic or frame and says what to do.
+    """
+    with open_bag(bag_path) as bag:
+        if not cloud_topics(bag):
+            raise InputError(f"{bag_path}: has no PointCloud2 topic; 'ffmap info {bag_path}' lists what it has")
+        rig = find_rig(bag, options.rig_file, options.horizontal, options.vertical, options.time_from)
+        horizontal = _sensor(bag, rig.horizontal) if rig.horizontal else None
+        vertical = _sensor(bag, rig.vertical) if rig.vertical else None
+        warnings = [*bag.warnings, *rig.warnings]
+        for role, sensor in (("horizontal", horizontal), ("vertical", vertical)):
+            if sensor is not None and not sensor.lidar.decoding.timed:
+                warnings.append(
+                    f"{sensor.lidar.topic}: its points have no times, so motion within a sweep of the {role} lidar is not "
+                    "compensated; --time-from azimuth recovers them (not for clouds that are compensated already)"
+                )
+        return Inputs(
+            bag_path=bag_path.resolve(),
+            bag_digest=digest(bag_path),
+            container=bag.container,
+            rig=rig,
+            horizontal=horizontal,
+            vertical=vertical,
+            warnings=tuple(warnings),
+        )
+
+
+def _sensor(bag: Bag, lidar: Lidar) -> Sensor:
+    return Sensor(lidar, index_clouds(bag, lidar.topic))

@@ -1,0 +1,174 @@
+"""The odometry of a bag: registered in a process of its own, for KISS-ICP holds the interpreter's lock, and cached.
+
+The cache lies in the user's cache folder. Its key holds all that a pose depends on and no labelling setting, so that a
+sweep over labelling settings costs one odometry.
+"""
+
+import hashlib
+import json
+import multiprocessing as mp
+import os
+import queue
+import shutil
+import sys
+from collections.abc import Iterator
+from dataclasses import fields
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from algorithms.odometry import OdometrySettings, Registration
+from algorithms.scan import Scan
+from algorithms.trajectory import TrajectorySettings
+from app.inputs import Inputs, Sensor
+from loaders.bag import open_bag
+from loaders.scans import read_scans
+
+_PER_FILE = 50
+_FORMAT = 1
+"""Raised whenever a change to reading or registering scans changes poses."""
+
+
+def cache_folder() -> Path:
+    """Where odometries are kept: $XDG_CACHE_HOME or ~/.cache, or what the system uses instead."""
+    if sys.platform == "win32":
+        base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches"
+    else:
+        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return base / "furniture-free-mapping" / "odometry"
+
+
+def cache_key(inputs: Inputs, sensor: Sensor, odometry: OdometrySettings, trajectory: TrajectorySettings) -> str:
+    """What the poses depend on, as a name."""
+    content = {
+        "format": _FORMAT,
+        "bag": inputs.bag_digest,
+        "topic": sensor.lidar.topic,
+        "time_from": sensor.lidar.decoding.time_from,
+        "kiss_icp": version("kiss-icp"),
+        "odometry": odometry.model_dump(mode="json"),
+        "trajectory": trajectory.model_dump(mode="json"),
+    }
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def registrations(
+    inputs: Inputs, sensor: Sensor, odometry: OdometrySettings, trajectory: TrajectorySettings
+) -> tuple[Iterator[Registration], bool]:
+    """The registration of every usable horizontal scan in order, and whether they came from the cache.
+
+    What is not cached is registered while the iterator is read, and cached once it has been read to its end.
+    """
+    folder = cache_folder() / cache_key(inputs, sensor, odometry, trajectory)
+    if (folder / "complete").exists():
+        return _from_cache(folder), True
+    return _register(inputs, sensor, odometry, folder), False
+
+
+def _from_cache(folder: Path) -> Iterator[Registration]:
+    for path in sorted(folder.glob("*.npz")):
+        with np.load(path) as stored:
+            columns = {field.name: stored[field.name] for field in fields(Registration)}
+            lengths = {name: stored[f"{name}_length"] for name in ("keypoints_sensor", "local_map_odom")}
+        ragged = {name: np.split(columns.pop(name), np.cumsum(lengths[name])[:-1]) for name in lengths}
+        for i in range(len(columns["index"])):
+            yield Registration(
+                index=int(columns["index"][i]),
+                stamp_ns=int(columns["stamp_ns"][i]),
+                T_odom_sensor=columns["T_odom_sensor"][i],
+                keypoints_sensor=ragged["keypoints_sensor"][i],
+                local_map_odom=ragged["local_map_odom"][i],
+                threshold_m=float(columns["threshold_m"][i]),
+                correction_m=float(columns["correction_m"][i]),
+                residual_m=float(columns["residual_m"][i]),
+                inlier_share=float(columns["inlier_share"][i]),
+                milliseconds=float(columns["milliseconds"][i]),
+            )
+
+
+def _register(inputs: Inputs, sensor: Sensor, settings: OdometrySettings, folder: Path) -> Iterator[Registration]:
+    part = folder.with_name(f"{folder.name}.{os.getpid()}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    context = mp.get_context("spawn")
+    results: mp.Queue[Registration | str | None] = context.Queue(maxsize=64)
+    process = context.Process(
+        target=_odometry_process, args=(inputs.bag_path, sensor, settings, results), name="odometry", daemon=True
+    )
+    process.start()
+    waiting: list[Registration] = []
+    written = 0
+    cachable = _make(part)
+    try:
+        while True:
+            try:
+                result = results.get(timeout=1.0)
+            except queue.Empty:
+                if not process.is_alive():
+                    raise RuntimeError(f"the odometry process ended with exit code {process.exitcode}") from None
+                continue
+            if isinstance(result, str):
+                raise RuntimeError(f"the odometry failed:\n{result}")
+            if cachable and waiting and (result is None or len(waiting) == _PER_FILE):
+                _store(part / f"{written:06d}.npz", waiting)
+                written += 1
+                waiting = []
+            if result is None:
+                break
+            if cachable:
+                waiting.append(result)
+            yield result
+        if cachable:
+            (part / "complete").touch()
+            shutil.rmtree(folder, ignore_errors=True)
+            part.replace(folder)
+    finally:
+        process.kill()
+        process.join()
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _make(part: Path) -> bool:
+    """A cache that cannot be written costs time, nothing else."""
+    try:
+        part.mkdir(parents=True)
+    except OSError:
+        return False
+    return True
+
+
+def _store(path: Path, stored: list[Registration]) -> None:
+    columns = {field.name: [getattr(r, field.name) for r in stored] for field in fields(Registration)}
+    ragged = {name: columns.pop(name) for name in ("keypoints_sensor", "local_map_odom")}
+    np.savez(
+        path,
+        **{name: np.array(values) for name, values in columns.items()},
+        **{name: np.concatenate(values) for name, values in ragged.items()},
+        **{f"{name}_length": np.array([len(v) for v in values]) for name, values in ragged.items()},
+    )
+
+
+def _odometry_process(
+    bag_path: Path, sensor: Sensor, settings: OdometrySettings, results: "mp.Queue[Registration | str | None]"
+) -> None:
+    # Imported here: only this process needs KISS-ICP.
+    import traceback
+
+    from algorithms.odometry import register_scans
+
+    try:
+        for registration in register_scans(_usable_scans(bag_path, sensor), settings):
+            results.put(registration)
+        results.put(None)
+    except Exception:
+        results.put(traceback.format_exc())
+
+
+def _usable_scans(bag_path: Path, sensor: Sensor) -> Iterator[tuple[int, Scan]]:
+    """The usable scans in order."""
+    with open_bag(bag_path) as bag:
+        for index, scan in read_scans(bag, sensor.index, 0, None, sensor.lidar.decoding):
+            if isinstance(scan, Scan):
+                yield index, scan

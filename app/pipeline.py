@@ -1,0 +1,541 @@
+"""A run from beginning to end: odometry, scans, building, final; each stage as it stands in the design.
+
+The labelling of scans follows the odometry block by block, so that both cores work and a live viewer sees scans as soon
+as their poses are known.
+"""
+
+import shutil
+import time
+import uuid
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from algorithms import transforms
+from algorithms.building import Doors, Walls, find_doors, fuse_walls, trace_rays
+from algorithms.features import Features, concatenate
+from algorithms.grid_map import GridMap, draw_furniture_free
+from algorithms.labels import Label
+from algorithms.odometry import Registration
+from algorithms.scan import FloatArray, Scan
+from algorithms.semantic_map import VoxelTable, fuse
+from algorithms.trajectory import Trajectory, level_to_floor, place_scan
+from app import results
+from app.blocks import (
+    VOXEL_M,
+    Block,
+    BlockSummary,
+    FinishJob,
+    LabelJob,
+    finish_block,
+    label_block,
+    load_features,
+    load_labels,
+    load_new_points,
+    load_summary,
+    load_votes,
+    points_in_map,
+    split_blocks,
+)
+from app.inputs import Inputs
+from app.odometry_stage import registrations
+from app.progress import Progress
+from app.recorder import Detail, Recorder, forward_block, open_recording
+from app.run_folder import CLOUD, RECORDING, TRAJECTORY, RunFolder
+from app.settings import Settings
+from app.versions import versions
+from blueprints import entities
+from blueprints import run as run_blueprint
+from loaders.bag import open_bag
+from loaders.errors import InputError
+from loaders.scans import read_scans
+from loaders.trajectory_file import write_tum
+
+_LEVEL_SCANS = 12
+_LEVEL_POINTS = 4_000
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What is neither a setting of the method nor an input: how much is written, and where to."""
+
+    detail: Detail = Detail.LINES
+    save: bool = True
+    connect_url: str | None = None
+    workers: int = 2
+    resume: bool = False
+
+
+@dataclass
+class RunState:
+    """What a run gathers for run.json."""
+
+    timings_s: dict[str, float] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    counts: dict[str, Any] = field(default_factory=dict)
+    odometry_cached: bool = False
+
+
+@dataclass(frozen=True)
+class Building:
+    """The third stage's answer."""
+
+    walls: Walls
+    doors: Doors
+    grid: GridMap
+
+
+def run(
+    inputs: Inputs,
+    given: Trajectory | None,
+    settings: Settings,
+    options: RunOptions,
+    folder: RunFolder,
+    progress: Progress,
+    record: dict[str, Any],
+) -> dict[str, Any]:
+    """Run everything and write the run folder; returns what run.json holds.
+
+    given: T_map_base in place of the odometry, or None. record: what run.json holds at the start; its `recording_id`
+    names the recording.
+    Raises InputError where the bag has no usable cloud.
+    """
+    started = time.perf_counter()
+    state = RunState(warnings=list(inputs.warnings))
+    folder.write_json({**record, "outcome": "running"})
+    recording = (
+        open_recording(
+            folder.path / RECORDING if options.save else None,
+            record["recording_id"],
+            run_blueprint.build(),
+            options.connect_url,
+        )
+        if options.save or options.connect_url
+        else None
+    )
+    try:
+        recorder = Recorder(recording, options.detail) if recording else None
+        _run_stages(inputs, given, settings, options, folder, progress, record, recording, recorder, state)
+        outcome = "complete"
+    except BaseException:
+        folder.write_json({**record, **_gathered(state, started), "outcome": "aborted"})
+        raise
+    finally:
+        if recording is not None:
+            recording.disconnect()
+    record = {**record, **_gathered(state, started), "outcome": outcome}
+    folder.write_json(record)
+    shutil.rmtree(folder.spool, ignore_errors=True)
+    return record
+
+
+def _gathered(state: RunState, started: float) -> dict[str, Any]:
+    return {
+        "timings_s": {name: round(s, 3) for name, s in state.timings_s.items()}
+        | {"total": round(time.perf_counter() - started, 3)},
+        "counts": state.counts,
+        "warnings": state.warnings,
+        "odometry_cached": state.odometry_cached,
+    }
+
+
+def _run_stages(
+    inputs: Inputs,
+    given: Trajectory | None,
+    settings: Settings,
+    options: RunOptions,
+    folder: RunFolder,
+    progress: Progress,
+    record: dict[str, Any],
+    recording: rr.RecordingStream | None,
+    recorder: Recorder | None,
+    state: RunState,
+) -> None:
+    if recorder:
+        _log_start(recorder, inputs, settings, record)
+    with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
+        try:
+            # Stages 1 and 2: the odometry, and the scans that follow it.
+            clock = time.perf_counter()
+            stage = _ScanStage(inputs, settings, options, folder, progress, record, pool, recording, recorder, state)
+            trajectory = stage.follow(given)
+            state.timings_s["odometry_and_scans"] = time.perf_counter() - clock
+            if inputs.vertical is None:
+                _write_trajectory(folder, trajectory, trajectory.stamp_ns)
+                return
+            if not len(stage.scan_stamps_ns):
+                raise InputError(
+                    f"{inputs.bag_path}: {inputs.vertical.lidar.topic} has no usable cloud ({_most(stage.reasons)}); "
+                    f"'ffmap info' tells more"
+                )
+            _write_trajectory(folder, trajectory, np.array(stage.scan_stamps_ns))
+
+            # Stage 3: the building.
+            clock = time.perf_counter()
+            progress.stage("building", None)
+            building = _build(folder, stage.blocks, trajectory, settings)
+            if recorder:
+                recorder.log_building(building.walls, building.doors)
+                recorder.log_grid("furniture_free", building.grid)
+            results.write_walls(folder.path / "walls.geojson", building.walls)
+            results.write_doors(folder.path / "doors.geojson", building.doors)
+            results.write_grid(folder.path / "map.yaml", building.grid)
+            state.counts |= {"walls": len(building.walls), "doors": len(building.doors)}
+            state.timings_s["building"] = time.perf_counter() - clock
+
+            # Stage 4: final labels.
+            clock = time.perf_counter()
+            _finish(stage, building, settings, folder, progress, recording, recorder, trajectory, inputs, state)
+            state.timings_s["final"] = time.perf_counter() - clock
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _log_start(recorder: Recorder, inputs: Inputs, settings: Settings, record: dict[str, Any]) -> None:
+    sensors = {
+        role: sensor.lidar.T_base_sensor
+        for role, sensor in (("horizontal", inputs.horizontal), ("vertical", inputs.vertical))
+        if sensor is not None
+    }
+    recorder.log_static(
+        sensors,
+        entities.explain(record),
+        inputs.vertical.lidar.ring_count if inputs.vertical else None,
+        settings.vertical_structures.slope_max,
+    )
+    recorder.log_properties("settings", settings.model_dump(mode="json"))
+    recorder.log_properties(
+        "run", {name: record[name] for name in ("settings_hash", "bag", "versions", "started") if name in record}
+    )
+
+
+class _ScanStage:
+    """Stages 1 and 2: poses as they come, and behind them the labelling of every block that they cover."""
+
+    def __init__(
+        self,
+        inputs: Inputs,
+        settings: Settings,
+        options: RunOptions,
+        folder: RunFolder,
+        progress: Progress,
+        record: dict[str, Any],
+        pool: ProcessPoolExecutor,
+        recording: rr.RecordingStream | None,
+        recorder: Recorder | None,
+        state: RunState,
+    ) -> None:
+        self._inputs, self._settings, self._options = inputs, settings, options
+        self._folder, self._progress, self._record = folder, progress, record
+        self._pool, self._recording, self._recorder, self._state = pool, recording, recorder, state
+        self.blocks = split_blocks(len(inputs.vertical.index)) if inputs.vertical else []
+        self.jobs: list[LabelJob] = []
+        self.scan_stamps_ns: list[int] = []
+        self.reasons: list[str] = []
+        self._running: deque[tuple[Block, Future[BlockSummary] | BlockSummary]] = deque()
+        self._last_T_map_base: FloatArray | None = None
+        self._seen = np.zeros(0, np.int64)
+        self._counts = np.zeros(256, np.int64)
+        self._milliseconds: list[FloatArray] = []
+
+    def follow(self, given: Trajectory | None) -> Trajectory:
+        """Label every block as soon as poses cover it; returns the whole trajectory."""
+        self._progress.stage("scans", len(self.blocks) or None)
+        if given is not None:
+            trajectory = given
+            self._advance(trajectory, complete=True)
+        else:
+            trajectory = self._follow_odometry()
+        while self._running:
+            self._collect(wait=True)
+        self._summarise()
+        return trajectory
+
+    def _follow_odometry(self) -> Trajectory:
+        sensor = self._inputs.horizontal
+        if sensor is None:
+            raise InputError(
+                f"{self._inputs.bag_path}: no horizontal lidar gives poses; name one with --horizontal, or give a "
+                "trajectory with --trajectory"
+            )
+        source, self._state.odometry_cached = registrations(
+            self._inputs, sensor, self._settings.odometry, self._settings.trajectory
+        )
+        T_sensor_base = transforms.invert(sensor.lidar.T_base_sensor)
+        level_ns = int(self._settings.trajectory.level_s * 1e9)
+        stamps: list[int] = []
+        T_odom_base: list[FloatArray] = []
+        T_map_odom: FloatArray | None = None
+        waiting: list[Registration] = []
+        for registration in source:
+            if stamps and registration.stamp_ns <= stamps[-1]:
+                continue
+            stamps.append(registration.stamp_ns)
+            T_odom_base.append(registration.T_odom_sensor @ T_sensor_base)
+            if T_map_odom is None:
+                waiting.append(registration)
+                if stamps[-1] - stamps[0] < level_ns:
+                    continue
+                T_map_odom = self._level(Trajectory(np.array(stamps), np.array(T_odom_base)))
+                self._log_registrations(waiting)
+                waiting = []
+            else:
+                self._log_registrations([registration])
+            if self.jobs_left and stamps[-1] > self._block_end_ns(len(self.jobs)):
+                self._advance(_trajectory(stamps, T_odom_base, T_map_odom), complete=False)
+            self._collect(wait=False)
+        if not stamps:
+            raise InputError(
+                f"{self._inputs.bag_path}: {sensor.lidar.topic} has no usable cloud; 'ffmap info' tells more"
+            )
+        if T_map_odom is None:
+            T_map_odom = self._level(Trajectory(np.array(stamps), np.array(T_odom_base)))
+            self._log_registrations(waiting)
+        self._state.counts["registrations"] = len(stamps)
+        trajectory = _trajectory(stamps, T_odom_base, T_map_odom)
+        self._advance(trajectory, complete=True)
+        return trajectory
+
+    @property
+    def jobs_left(self) -> bool:
+        """Whether blocks wait for poses."""
+        return len(self.jobs) < len(self.blocks)
+
+    def _block_end_ns(self, number: int) -> int:
+        """A time by which the last sweep of a block has surely ended."""
+        assert self._inputs.vertical is not None
+        block, index = self.blocks[number], self._inputs.vertical.index
+        stamps = index.stamp_ns[block.first : block.first + block.count]
+        period = index.period_ns or 100_000_000
+        return int(stamps.max()) + 2 * period
+
+    def _level(self, odometry: Trajectory) -> FloatArray:
+        """T_map_odom, from what the first sweeps saw of the floor."""
+        sensor = self._inputs.vertical or self._inputs.horizontal
+        assert sensor is not None
+        points: list[FloatArray] = []
+        with open_bag(self._inputs.bag_path) as bag:
+            for _, scan in read_scans(bag, sensor.index, 0, len(sensor.index), sensor.lidar.decoding):
+                if not isinstance(scan, Scan) or scan.start_ns < odometry.stamp_ns[0] - 200_000_000:
+                    continue
+                if scan.end_ns > odometry.stamp_ns[-1] + 200_000_000 or len(points) == _LEVEL_SCANS:
+                    break
+                placed = place_scan(scan, odometry, sensor.lidar.T_base_sensor)
+                stride = max(1, len(scan) // _LEVEL_POINTS)
+                points.append(points_in_map(placed)[::stride])
+        T_map_odom, rms_m = level_to_floor(
+            np.concatenate(points) if points else np.zeros((0, 3)), odometry.T_map_base[0], self._settings.seed
+        )
+        if not np.isfinite(rms_m):
+            self._warn("no floor was found in the first seconds: the map keeps the base's own level; is the rig right?")
+        if self._recorder:
+            self._recorder.log_odometry_frame(T_map_odom)
+        return T_map_odom
+
+    def _warn(self, text: str) -> None:
+        self._state.warnings.append(text)
+        self._progress.warn(text)
+
+    def _log_registrations(self, found: list[Registration]) -> None:
+        if self._recorder:
+            for registration in found:
+                self._recorder.log_registration(registration.stamp_ns, registration)
+
+    def _advance(self, trajectory: Trajectory, complete: bool) -> None:
+        """Hand every block that the trajectory covers to the workers."""
+        while self.jobs_left and (complete or trajectory.stamp_ns[-1] > self._block_end_ns(len(self.jobs))):
+            job = self._job(self.blocks[len(self.jobs)], trajectory)
+            self.jobs.append(job)
+            finished = job.path.with_suffix(".npz")
+            has_evidence = job.detail is None or job.path.with_suffix(".rrd").exists()
+            if self._options.resume and finished.exists() and has_evidence:
+                self._running.append((job.block, load_summary(finished)))
+            else:
+                self._running.append((job.block, self._pool.submit(label_block, job)))
+
+    def _job(self, block: Block, trajectory: Trajectory) -> LabelJob:
+        """Only the poses near the block travel to the worker."""
+        assert self._inputs.vertical is not None
+        stamps = self._inputs.vertical.index.stamp_ns[block.first : block.first + block.count]
+        first = max(0, int(np.searchsorted(trajectory.stamp_ns, stamps.min() - 1_000_000_000)) - 2)
+        last = int(np.searchsorted(trajectory.stamp_ns, stamps.max() + 1_000_000_000)) + 2
+        return LabelJob(
+            block=block,
+            inputs=self._inputs,
+            trajectory=Trajectory(trajectory.stamp_ns[first:last], trajectory.T_map_base[first:last]),
+            extrapolate_ns=int(self._settings.trajectory.extrapolate_s * 1e9),
+            method=self._settings.method,
+            seed=self._settings.seed,
+            recording_id=self._record["recording_id"],
+            detail=self._options.detail if self._recorder else None,
+            path=self._folder.block(block.number, ""),
+        )
+
+    def _collect(self, wait: bool) -> None:
+        """Take finished blocks in order, and send their evidence on."""
+        while self._running:
+            block, pending = self._running[0]
+            if isinstance(pending, Future):
+                if not wait and not pending.done():
+                    return
+                summary = pending.result()
+            else:
+                summary = pending
+            self._running.popleft()
+            self._take(block, summary)
+
+    def _take(self, block: Block, summary: BlockSummary) -> None:
+        self.scan_stamps_ns.extend(summary.stamp_ns.tolist())
+        self.reasons.extend(summary.skipped_reason)
+        self._counts += summary.label_counts
+        self._milliseconds.append(summary.milliseconds)
+        for index, reason in zip(summary.skipped_scan.tolist(), summary.skipped_reason, strict=True):
+            if len(self.reasons) <= 5:
+                self._progress.warn(f"scan {index} skipped: {reason}")
+        if self._recorder and self._recording and len(summary.scan):
+            forward_block(self._recording, self._folder.block(block.number, ".rrd"))
+            self._recorder.log_trajectory(summary.stamp_ns, summary.T_map_base, summary.scan, self._last_T_map_base)
+            self._last_T_map_base = summary.T_map_base[-1]
+            keys, points, label = load_new_points(self._folder.block(block.number, ".npz"))
+            new = ~np.isin(keys, self._seen, assume_unique=True)
+            self._seen = np.union1d(self._seen, keys[new])
+            self._recorder.log_map_block(int(summary.scan[-1]), int(summary.stamp_ns[-1]), points[new], label[new])
+        self._progress.advance()
+
+    def _summarise(self) -> None:
+        if not self.blocks:
+            return
+        milliseconds = np.concatenate(self._milliseconds)
+        self._state.counts |= {
+            "clouds": sum(b.count for b in self.blocks),
+            "scans": len(self.scan_stamps_ns),
+            "skipped": {reason: self.reasons.count(reason) for reason in sorted(set(self.reasons))},
+            "returns": {label.name.lower(): int(self._counts[label]) for label in Label},
+        }
+        if len(milliseconds):
+            for column, name in enumerate(("reading", "placing", "labelling", "recording")):
+                self._state.timings_s[f"{name}_per_scan"] = float(np.median(milliseconds[:, column])) / 1e3
+        if self.reasons:
+            self._state.warnings.append(f"{len(self.reasons)} vertical clouds skipped: {_most(self.reasons)}")
+
+
+def _most(reasons: list[str]) -> str:
+    """The commonest reason."""
+    if not reasons:
+        return "none is there"
+    return max(sorted(set(reasons)), key=reasons.count)
+
+
+def _trajectory(stamps: list[int], T_odom_base: list[FloatArray], T_map_odom: FloatArray) -> Trajectory:
+    return Trajectory(np.array(stamps), T_map_odom @ np.array(T_odom_base))
+
+
+def _write_trajectory(folder: RunFolder, trajectory: Trajectory, stamps_ns: FloatArray) -> None:
+    write_tum(folder.path / TRAJECTORY, Trajectory(stamps_ns, trajectory.at(stamps_ns)))
+
+
+def _build(folder: RunFolder, blocks: list[Block], trajectory: Trajectory, settings: Settings) -> Building:
+    """Walls from all planes, doors and grid from all rays; the rays are read block by block."""
+    planes = [_without_rays(features) for features in _features(folder, blocks)]
+    walls = fuse_walls(concatenate(planes), settings.building)
+    doors = find_doors(walls, trace_rays(walls, _features(folder, blocks), settings.building), settings.building)
+    grid = draw_furniture_free(
+        walls, doors, trajectory.T_map_base[:, :3, 3], _features(folder, blocks), settings.grid_map
+    )
+    return Building(walls, doors, grid)
+
+
+def _features(folder: RunFolder, blocks: list[Block]) -> Iterator[Features]:
+    for block in blocks:
+        features = load_features(folder.block(block.number, ".npz"))
+        if features is not None:
+            yield features
+
+
+def _without_rays(features: Features) -> Features:
+    return Features(
+        **{
+            **features.__dict__,
+            "ray_end_map": np.zeros((0, 3), np.float32),
+            "ray_label": np.zeros(0, np.uint8),
+            "ray_count": np.zeros_like(features.ray_count),
+        }
+    )
+
+
+def _finish(
+    stage: _ScanStage,
+    building: Building,
+    settings: Settings,
+    folder: RunFolder,
+    progress: Progress,
+    recording: rr.RecordingStream | None,
+    recorder: Recorder | None,
+    trajectory: Trajectory,
+    inputs: Inputs,
+    state: RunState,
+) -> None:
+    """Final labels by the workers, while this process writes the labelled bag behind them."""
+    progress.stage("final", len(stage.jobs))
+    pool = stage._pool
+    pending: list[Future[None] | None] = []
+    for job in stage.jobs:
+        done = job.path.with_suffix(".final.npz").exists() and stage._options.resume
+        finish = FinishJob(job, building.walls, building.doors, settings.relabelling)
+        pending.append(None if done else pool.submit(finish_block, finish))
+    table = VoxelTable(VOXEL_M, len(Label))
+
+    def labels() -> Iterator[tuple[int, Any, Any]]:
+        for job, future in zip(stage.jobs, pending, strict=True):
+            if future is not None:
+                future.result()
+            final_path = job.path.with_suffix(".final.npz")
+            if recording is not None and job.path.with_suffix(".final.rrd").exists():
+                forward_block(recording, job.path.with_suffix(".final.rrd"))
+            table.absorb(load_votes(final_path))
+            label, label_scan = load_labels(final_path), load_labels(job.path.with_suffix(".npz"))
+            for index in sorted(label):
+                yield index, label[index], label_scan[index]
+            progress.advance()
+
+    assert inputs.vertical is not None
+    with open_bag(inputs.bag_path) as bag:
+        results.write_labelled_bag(folder.path, bag, inputs.vertical.index, inputs.rig, trajectory, labels())
+    cloud = fuse(table.votes())
+    colours = np.array([entities.CLASSES[label][1] for label in Label], np.uint8)
+    results.write_ply(folder.path / CLOUD, cloud, colours[cloud.label])
+    if recorder:
+        recorder.log_cloud(cloud.points_map, cloud.label)
+    state.counts["cloud_points"] = len(cloud)
+
+
+def first_record(
+    inputs: Inputs, settings: Settings, options: dict[str, Any], bag_path: Path, poses_from: str
+) -> dict[str, Any]:
+    """What run.json holds from the start: everything that the run is made from."""
+    rig = {
+        role: {"topic": s.lidar.topic, "frame": s.lidar.frame_id, "why": s.lidar.reasons}
+        for role, s in (("horizontal", inputs.horizontal), ("vertical", inputs.vertical))
+        if s is not None
+    }
+    return {
+        "program": "furniture-free-mapping",
+        "recording_id": str(uuid.uuid4()),
+        "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "bag": {"path": str(bag_path.resolve()), "digest": inputs.bag_digest, "container": inputs.container},
+        "base_frame": inputs.rig.base_frame,
+        "rig": rig,
+        "poses_from": poses_from,
+        "settings_hash": settings.short_hash(),
+        "settings": settings.model_dump(mode="json"),
+        "options": options,
+        "versions": versions(),
+    }

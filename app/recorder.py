@@ -1,0 +1,846 @@
+"""From the evidence of each step to Rerun entities; the only module that logs."""
+
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa  # type: ignore[import-untyped]
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.chunk import RrdReader
+
+from algorithms import transforms
+from algorithms.building import Doors, Walls
+from algorithms.doors import DoorState
+from algorithms.grid_map import Cell, GridMap
+from algorithms.labelling import ScanLabelling
+from algorithms.labels import Label
+from algorithms.odometry import Registration
+from algorithms.rearrangement import HorizontalPlane
+from algorithms.scan import FloatArray, IntArray, UInt8Array
+from algorithms.trajectory import PlacedScan
+from blueprints import entities
+from blueprints.entities import CurveSheet, LineOutcome
+
+GRID_M = 1.0 / 512.0
+"""Positions are rounded to so many metres, a sensor's resolution: the file halves."""
+JUMP_M = 0.4
+"""No stroke is drawn between neighbours in a line that are farther apart."""
+POINT_RADIUS_UI = 1.5
+MAP_RADIUS_UI = 1.25
+FLOAT16_MAX = 65504.0
+
+_POINT_STYLES: tuple[tuple[str, float, entities.Color | None], ...] = (
+    (entities.POINTS, POINT_RADIUS_UI, None),
+    (entities.RELABELLED, 2.5, None),
+    (entities.DOOR_CONDITIONS, 5.0, None),
+    (entities.KEYPOINTS, 2.0, entities.KEYPOINT_COLOR),
+    (entities.LOCAL_MAP, 1.0, entities.LOCAL_MAP_COLOR),
+)
+_LINE_STYLES: tuple[tuple[str, float, entities.Color | None], ...] = (
+    (entities.TRAJECTORY, 2.0, entities.TRAJECTORY_COLOR),
+    (entities.FLOOR, 1.0, entities.CLASSES[Label.FLOOR][1]),
+    (entities.CEILING, 1.0, entities.CLASSES[Label.CEILING][1]),
+    (entities.LINES, 0.75, None),
+    (entities.EXAMPLE_LINE, 3.0, entities.EXAMPLE_COLOR),
+    (entities.UPMOST, 2.0, entities.UPMOST_COLOR),
+    (entities.BOTTOMMOST, 2.0, entities.BOTTOMMOST_COLOR),
+    (entities.DOOR_LINES, 1.5, entities.CLASSES[Label.DOOR][1]),
+    (entities.OPENINGS, 3.0, entities.CLASSES[Label.DOOR][1]),
+)
+_CURVE_STYLES: tuple[tuple[str, float, entities.Color], ...] = (
+    (entities.CURVE_DIFFERENCES, 0.5, entities.CURVE_COLOR),
+    (entities.CURVE_UPMOST, 1.5, entities.UPMOST_COLOR),
+    (entities.CURVE_BOTTOMMOST, 1.5, entities.BOTTOMMOST_COLOR),
+    (entities.CURVE_EXAMPLE, 1.0, entities.CURVE_COLOR),
+    (entities.CURVE_EXAMPLE_SLOPE, 1.0, entities.EXAMPLE_COLOR),
+)
+
+rr.set_strict_mode(True)
+
+
+class Detail(StrEnum):
+    """How much is logged of each scan."""
+
+    LINES = "lines"
+    """Every intermediate."""
+    SCANS = "scans"
+    """The labelled cloud, planes and doors; no lines and curves."""
+    MAP = "map"
+    """Poses, metrics and the map; nothing of the single scan."""
+
+
+# --- Streams -------------------------------------------------------------------------------------------------------
+
+
+def open_recording(
+    path: Path | None, recording_id: str, blueprint: rrb.Blueprint, connect_url: str | None = None
+) -> rr.RecordingStream:
+    """The run's own stream: to a file, to a viewer, or to both; `disconnect()` completes the file.
+
+    connect_url: as `start_viewer` returns it.
+    """
+    sinks: list[rr.FileSink | rr.GrpcSink] = []
+    if path is not None:
+        sinks.append(rr.FileSink(path))
+    if connect_url is not None:
+        sinks.append(rr.GrpcSink(connect_url))
+    stream = rr.RecordingStream(entities.APPLICATION_ID, recording_id=recording_id, batcher_config=_batches())
+    stream.set_log_time_enabled(False)
+    stream.set_sinks(*sinks, default_blueprint=blueprint)
+    return stream
+
+
+def set_layout(stream: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:
+    """Replace the layout that the recording opens with."""
+    stream.send_blueprint(blueprint, make_active=False, make_default=True)
+
+
+@contextmanager
+def open_block(path: Path, recording_id: str) -> Iterator[rr.RecordingStream]:
+    """A stream into a block of the run's recording, written by one worker; the file appears when it is complete."""
+    part = path.with_name(path.name + ".part")
+    stream = rr.RecordingStream(
+        entities.APPLICATION_ID,
+        recording_id=recording_id,
+        # A recording has its properties once, from the run's own stream.
+        send_properties=False,
+        batcher_config=_batches(),
+    )
+    stream.set_log_time_enabled(False)
+    stream.save(part)
+    try:
+        yield stream
+    except BaseException:
+        stream.disconnect()
+        part.unlink(missing_ok=True)
+        raise
+    stream.disconnect()
+    part.replace(path)
+
+
+def forward_block(stream: rr.RecordingStream, path: Path) -> None:
+    """Send everything in a finished block on into the run's stream."""
+    stream.send_chunks(RrdReader(path).stream())
+    # Without it, what was forwarded piles up in memory.
+    stream.flush()
+
+
+def start_viewer(port: int | None = None, timeout_s: float = 20.0) -> str:
+    """Start a viewer that listens on the loopback address only, and return the URL to connect to.
+
+    `rr.spawn` listens on every interface and has no option for it. Raises RuntimeError if the viewer does not start.
+    """
+    if port is None:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = int(probe.getsockname()[1])
+    command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", "--port", str(port), "--hide-welcome-screen"]
+    viewer = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    end = time.monotonic() + timeout_s
+    while time.monotonic() < end and viewer.poll() is None:
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) == 0:
+                return f"rerun+http://127.0.0.1:{port}/proxy"
+        time.sleep(0.05)
+    viewer.terminate()
+    raise RuntimeError("the Rerun viewer did not start; is there a display?")
+
+
+def _batches() -> rr.ChunkBatcherConfig:
+    """Large chunks: fewer of them, and a quarter less time than with the default, which serves a live viewer."""
+    return rr.ChunkBatcherConfig(flush_tick=3600.0, flush_num_bytes=4 << 20, flush_num_rows=1 << 20)
+
+
+# --- Recorder ------------------------------------------------------------------------------------------------------
+
+
+class Recorder:
+    """Logs results and evidence into one stream.
+
+    Workers log scans into blocks; the run's own process forwards these blocks and logs all else.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, detail: Detail = Detail.LINES) -> None:
+        self._stream = stream
+        self._detail = detail
+
+    # --- once a run ---
+
+    def log_static(
+        self,
+        sensors: Mapping[str, FloatArray],
+        readme: str,
+        ring_count: int | None = None,
+        slope_max: float | None = None,
+    ) -> None:
+        """What holds throughout: classes, styles, frames, sensors, the sheet of the curves, the explanation.
+
+        sensors: T_base_sensor (4, 4) by role. ring_count, slope_max: emitters of the vertical lidar and the threshold
+        of eq. 2; None where nothing is labelled.
+        """
+        self._static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, _annotations(entities.CLASSES))
+        self._static(entities.LINES, _annotations(entities.LINE_OUTCOMES))
+        self._static(entities.DOOR_CONDITIONS, _annotations(entities.DOOR_CONDITION_CLASSES))
+        self._static(entities.README, rr.TextDocument(readme, media_type=rr.MediaType.MARKDOWN))
+        self._static(entities.BASE, rr.TransformAxes3D(0.6))
+        for role, T_base_sensor in sensors.items():
+            self._static(f"{entities.BASE}/{role}", _transform(T_base_sensor), rr.TransformAxes3D(0.3))
+        for path, radius_ui, color in _POINT_STYLES:
+            self._static(path, rr.Points3D.from_fields(radii=rr.Radius.ui_points(radius_ui), colors=color))
+        for path, radius_ui, color in _LINE_STYLES:
+            self._static(path, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(radius_ui), colors=color))
+        for label in Label:
+            name, color = entities.CLASSES[label]
+            self._static(f"{entities.LABEL_COUNTS}/{name}", rr.SeriesLines(colors=color, names=name, widths=1.5))
+        if ring_count is not None and slope_max is not None and self._detail is Detail.LINES:
+            self._log_curve_sheet(CurveSheet(ring_count), slope_max)
+
+    def log_properties(self, name: str, values: Mapping[str, Any]) -> None:
+        """Settings, digests, versions, metrics: nested mappings become columns like `wall_planes_similarity_m`."""
+        self._stream.send_property(name, rr.AnyValues(**_flatten(values)))
+
+    def log_message(
+        self, text: str, stamp_ns: int, index: int | None = None, level: rr.TextLogLevel = rr.TextLogLevel.WARN
+    ) -> None:
+        """A warning or note, at the scan or time that it is about."""
+        self._at(stamp_ns, index)
+        self._log(entities.MESSAGES, rr.TextLog(text, level=level))
+
+    # --- trajectory and odometry ---
+
+    def log_trajectory(
+        self, stamp_ns: IntArray, T_map_base: FloatArray, index: IntArray, previous_T_map_base: FloatArray | None = None
+    ) -> None:
+        """The way from each vertical scan's pose to the next; `previous_T_map_base` carries on an earlier call.
+
+        stamp_ns, index: (n,); T_map_base: (n, 4, 4).
+        """
+        xyz = T_map_base[:, :3, 3]
+        before = xyz[:1] if previous_T_map_base is None else previous_T_map_base[None, :3, 3]
+        steps = np.stack([np.concatenate([before, xyz[:-1]]), xyz], axis=1).astype(np.float32)
+        self._stream.send_columns(
+            entities.TRAJECTORY,
+            indexes=[
+                rr.TimeColumn(entities.SCAN_TIMELINE, sequence=index),
+                rr.TimeColumn(entities.STAMP_TIMELINE, timestamp=stamp_ns.astype("datetime64[ns]")),
+            ],
+            columns=rr.LineStrips3D.columns(strips=steps),
+        )
+
+    def log_odometry_frame(self, T_map_odom: FloatArray) -> None:
+        """Where the odometry's frame lies in the levelled map."""
+        self._static(entities.ODOMETRY, _transform(T_map_odom))
+
+    def log_registration(self, stamp_ns: int, registration: Registration, milliseconds: float | None = None) -> None:
+        """What KISS-ICP used of one horizontal scan, and how well it fits; on `stamp` only."""
+        self._at(stamp_ns)
+        self._log(entities.ODOMETRY_SENSOR, _transform(registration.T_odom_sensor))
+        if self._detail is not Detail.MAP:
+            self._log(entities.KEYPOINTS, rr.Points3D(_round(registration.keypoints_sensor)))
+            if len(registration.local_map_odom):
+                self._log(entities.LOCAL_MAP, rr.Points3D(_round(registration.local_map_odom)))
+        quality: dict[str, float] = {
+            "threshold_m": registration.threshold_m,
+            "residual_m": registration.residual_m,
+            "inlier_share": registration.inlier_share,
+            "keypoint_count": len(registration.keypoints_sensor),
+        }
+        if milliseconds is not None:
+            quality["milliseconds"] = milliseconds
+        for name, value in quality.items():
+            if np.isfinite(value):
+                self._log(f"{entities.REGISTRATION}/{name}", rr.Scalars(value))
+
+    # --- scans ---
+
+    def log_scan(
+        self, index: int, placed: PlacedScan, labelling: ScanLabelling, stamp_ns: int, timings_ms: Mapping[str, float]
+    ) -> None:
+        """One labelled scan with its evidence, as much as the detail asks for."""
+        self._at(stamp_ns, index)
+        self._log(entities.BASE, _transform(placed.T_map_base))
+        self._log(entities.SCAN, _transform(placed.T_map_level))
+        if self._detail is not Detail.MAP:
+            positions = _round(placed.points_level)
+            self._log_points(positions, labelling)
+            self._log_planes(labelling)
+            self._log_openings(labelling)
+            self._log_horizontal(positions, labelling)
+            if self._detail is Detail.LINES:
+                self._log_lines(positions, labelling)
+                self._log_candidates(positions, labelling)
+                self._log_door_lines(labelling)
+                self._log_curves(labelling)
+        for path, value in _scan_metrics(labelling, timings_ms).items():
+            self._log(path, rr.Scalars(value))
+
+    def log_skipped(self, index: int, stamp_ns: int, reason: str) -> None:
+        """A cloud that could not be used: nothing of the scan before it stays in view."""
+        self.log_message(f"scan {index} skipped: {reason}", stamp_ns, index)
+        self._log(entities.SCAN, rr.Clear(recursive=True))
+
+    def log_final(
+        self, index: int, stamp_ns: int, placed: PlacedScan, label_scan: UInt8Array, label: UInt8Array
+    ) -> None:
+        """The labels of the final stage: where any differs from the scan's own, the later `class_ids` win."""
+        if self._detail is Detail.MAP:
+            return
+        self._at(stamp_ns, index)
+        changed = label != label_scan
+        if changed.any():
+            self._log(entities.POINTS, rr.Points3D.from_fields(class_ids=label))
+        self._log(
+            entities.RELABELLED,
+            rr.Points3D(_round(placed.points_level[changed]), class_ids=label[changed]),
+            _evidence({entities.POINT_LABEL_SCAN: label_scan[changed]}),
+        )
+
+    def _log_points(self, positions: FloatArray, labelling: ScanLabelling) -> None:
+        # Fig. 3 is the same cloud with other radii: a second one would cost a third of the file.
+        horizontal = (labelling.label == Label.FLOOR) | (labelling.label == Label.CEILING)
+        self._log(
+            entities.POINTS,
+            rr.Points3D(positions, class_ids=labelling.label),
+            _evidence(
+                {
+                    entities.POINT_LABEL_SCAN: labelling.label,
+                    entities.POINT_RADIUS_UPRIGHT: np.where(horizontal, np.float32(0), _ui_radius(POINT_RADIUS_UI)),
+                }
+            ),
+        )
+
+    def _log_planes(self, labelling: ScanLabelling) -> None:
+        planes = labelling.planes
+        if not len(planes):
+            self._log(entities.PLANES, rr.Clear(recursive=False))
+            return
+        floor_m = labelling.floor.height_at(planes.ends.reshape(-1, 2)).reshape(-1, 2)
+        vertices, triangles = _upright_quads(
+            planes.ends, floor_m + planes.bottom_m[:, None], floor_m + planes.top_m[:, None]
+        )
+        colors = np.array([(*_plane_color(plane), 60) for plane in range(len(planes))], np.uint8)
+        self._log(
+            entities.PLANES,
+            rr.Mesh3D(
+                vertex_positions=vertices, triangle_indices=triangles, vertex_colors=np.repeat(colors, 4, axis=0)
+            ),
+            _evidence(
+                {
+                    "normal": planes.normal,
+                    "offset_m": planes.offset_m,
+                    "rms_m": planes.rms_m,
+                    "line_count": planes.line_count,
+                    "point_count": planes.point_count,
+                }
+            ),
+        )
+
+    def _log_openings(self, labelling: ScanLabelling) -> None:
+        openings = labelling.openings
+        floor_m = np.full(len(openings), labelling.floor.height_m)
+        widths_m = np.linalg.norm(openings.ends[:, 1] - openings.ends[:, 0], axis=1)
+        labels = [
+            f"{DoorState(state).name.lower()} door, {width:.2f} m in view, {depth:.2f} m deep"
+            for state, width, depth in zip(openings.state, widths_m, openings.depth_m, strict=True)
+        ]
+        self._log(
+            entities.OPENINGS,
+            rr.LineStrips3D(_upright_frames(openings.ends, floor_m, floor_m + openings.head_m), labels=labels),
+            _evidence(
+                {
+                    "plane": openings.plane,
+                    "head_m": openings.head_m,
+                    "depth_m": openings.depth_m,
+                    "state": openings.state,
+                    "line_count": openings.line_count,
+                }
+            ),
+        )
+
+    def _log_horizontal(self, positions: FloatArray, labelling: ScanLabelling) -> None:
+        """Floor and ceilings as outlines around what was seen of them."""
+        # Every 13th return: near enough for an outline, and no ring of the sensor is passed over.
+        positions, label = positions[::13], labelling.label[::13]
+        for path, planes, own in (
+            (entities.FLOOR, (labelling.floor,), Label.FLOOR),
+            (entities.CEILING, labelling.ceilings, Label.CEILING),
+        ):
+            outline = _outline(positions[label == own, :2])
+            self._log(
+                path,
+                rr.LineStrips3D([_lift(outline, plane) for plane in planes] if len(outline) else []),
+                _evidence(
+                    {
+                        "height_m": np.array([plane.height_m for plane in planes]),
+                        "slope": np.array([plane.slope for plane in planes]).reshape(-1, 2),
+                        "support": np.array([plane.support for plane in planes], np.int32),
+                    }
+                ),
+            )
+
+    def _log_lines(self, positions: FloatArray, labelling: ScanLabelling) -> None:
+        samples = labelling.lines.samples
+        present = np.flatnonzero(samples[:, 0] >= 0).astype(np.int32)
+        outcome = _line_outcomes(labelling)
+        strips, owner = _unbroken(positions[samples[present]])
+        line = present[owner]
+        self._log(
+            entities.LINES,
+            rr.LineStrips3D(strips, class_ids=outcome[line]),
+            _evidence({"line": line, "outcome": outcome[line]}),
+        )
+        example = present[present == _example_line(labelling)]
+        strips, _ = _unbroken(positions[samples[example]])
+        self._log(entities.EXAMPLE_LINE, rr.LineStrips3D(strips))
+
+    def _log_candidates(self, positions: FloatArray, labelling: ScanLabelling) -> None:
+        structures, planes = labelling.structures, labelling.planes
+        # The up-most structures in the order in which Algorithm 1 met them, the bottom-most line by line.
+        plane_colors = np.array([_plane_color(plane) for plane in planes.candidate_plane], np.uint32).reshape(-1, 3)
+        growth = {
+            "growth": planes.candidate_growth,
+            "plane": planes.candidate_plane,
+            "distance_m": planes.candidate_distance_m.astype(np.float32),
+            entities.CANDIDATE_PLANE_COLOR: plane_colors @ np.array([1 << 24, 1 << 16, 1 << 8], np.uint32)
+            + np.uint32(255),
+        }
+        for path, chosen, evidence in (
+            (entities.UPMOST, structures.upmost[planes.candidate_line], growth),
+            (entities.BOTTOMMOST, structures.bottommost[structures.bottommost >= 0], {}),
+        ):
+            line, first, last = structures.line[chosen], structures.first[chosen], structures.last[chosen]
+            self._log(
+                path,
+                rr.LineStrips3D(_spans(positions, labelling.lines.samples, line, first, last)),
+                _evidence({"line": line, "first": first, "last": last} | evidence),
+            )
+
+    def _log_door_lines(self, labelling: ScanLabelling) -> None:
+        doors, structures = labelling.door_lines, labelling.structures
+        above = doors.above_door
+        floor_m = np.full(len(doors.line), labelling.floor.height_m)
+        top_m = structures.top_m[structures.upmost[doors.line]] + floor_m
+        held = 1 + doors.behind.astype(np.uint8) + above
+        self._log(
+            entities.DOOR_CONDITIONS,
+            rr.Points3D(_round(np.column_stack([doors.position, top_m])), class_ids=held),
+            _evidence(
+                {
+                    "line": doors.line,
+                    "plane": doors.plane,
+                    "conditions_held": held,
+                    "start_height_m": doors.start_height_m,
+                    "depth_m": doors.depth_m,
+                    "state": doors.state,
+                }
+            ),
+        )
+        below = np.empty((np.count_nonzero(above), 2, 3), np.float32)
+        below[:, :, :2] = doors.position[above, None]
+        below[:, 0, 2] = floor_m[above]
+        below[:, 1, 2] = floor_m[above] + doors.start_height_m[above]
+        self._log(entities.DOOR_LINES, rr.LineStrips3D(below))
+
+    # --- difference curves ---
+
+    def _log_curve_sheet(self, sheet: CurveSheet, slope_max: float) -> None:
+        """Frames, thresholds, titles and styles, which never change."""
+        cells = sheet.cells
+        half = sheet.CELL_HEIGHT / 2
+        small = np.column_stack([cells[:, 0], cells[:, 1] - half])
+        boxes = np.concatenate(
+            [
+                [[0, 0, sheet.WIDTH, sheet.EXAMPLE_HEIGHT]],
+                np.column_stack([small, np.full((len(cells), 2), [sheet.SAMPLES, sheet.CELL_HEIGHT])]),
+            ]
+        )
+        self._static(
+            entities.CURVE_FRAMES,
+            rr.Boxes2D(
+                array=boxes,
+                array_format=rr.Box2DFormat.XYWH,
+                colors=entities.FRAME_COLOR,
+                radii=rr.Radius.ui_points(0.5),
+            ),
+        )
+        middles = np.concatenate([[[0, sheet.EXAMPLE_HEIGHT / 2]], cells])
+        widths = np.array([sheet.WIDTH] + [sheet.SAMPLES] * len(cells))
+        reach = slope_max / sheet.LIMIT * np.array([sheet.EXAMPLE_HEIGHT / 2] + [half] * len(cells))
+        thresholds = np.empty((2, len(middles), 2, 2), np.float32)
+        thresholds[..., 0, 0], thresholds[..., 1, 0] = middles[:, 0], middles[:, 0] + widths
+        thresholds[0, ..., 1], thresholds[1, ..., 1] = (middles[:, 1:] + sign * reach[:, None] for sign in (-1, 1))
+        self._static(
+            entities.CURVE_THRESHOLDS,
+            rr.LineStrips2D(
+                thresholds.reshape(-1, 2, 2),
+                colors=entities.THRESHOLD_COLOR,
+                radii=np.tile([_ui_radius(1.25)] + [_ui_radius(0.5)] * len(cells), 2),
+                draw_order=40.0,
+            ),
+        )
+        titles = [
+            f"One line as in Fig. 5b, index 0 at its foot: eq. 2 (blue), slope that decides (white), ±{slope_max:g} (red)",
+            f"All lines of side 0, emitters 0 to {sheet.ring_count - 1}, each drawn from -4 to 4; "
+            "up-most structure green, bottom-most orange",
+            f"All lines of side 1, emitters 0 to {sheet.ring_count - 1}",
+        ]
+        tops = [0.0, sheet.side_top(0), sheet.side_top(1)]
+        self._static(
+            entities.CURVE_TEXTS,
+            rr.Points2D(
+                [(sheet.WIDTH / 2, top - sheet.TITLE_HEIGHT) for top in tops],
+                labels=titles,
+                show_labels=True,
+                colors=entities.TEXT_COLOR,
+                radii=0.0,
+            ),
+        )
+        for path, radius_ui, color in _CURVE_STYLES:
+            self._static(
+                path,
+                # The thresholds lie on the curves of eq. 2, the rest on both.
+                rr.LineStrips2D.from_fields(
+                    radii=rr.Radius.ui_points(radius_ui),
+                    colors=color,
+                    draw_order=30.0 if color == entities.CURVE_COLOR else 50.0,
+                ),
+            )
+        self._static(entities.CURVE_EXAMPLE_STRUCTURES, rr.Boxes2D.from_fields(radii=rr.Radius.ui_points(1.5)))
+
+    def _log_curves(self, labelling: ScanLabelling) -> None:
+        """Eq. 2 for every line: its values, the deciding slope's, and both drawn."""
+        structures, samples = labelling.structures, labelling.lines.samples
+        # Not as tensors, whose union type few readers of tables know.
+        self._log(
+            entities.STRUCTURES,
+            _evidence(
+                {
+                    "difference": _float16(structures.difference),
+                    "slope": _float16(structures.slope),
+                    "line": structures.line,
+                    "first": structures.first,
+                    "last": structures.last,
+                    "bottom_m": structures.bottom_m,
+                    "top_m": structures.top_m,
+                    "upmost": structures.upmost,
+                    "bottommost": structures.bottommost,
+                }
+            ),
+        )
+
+        sheet = CurveSheet(len(samples) // 2)
+        cells = sheet.cells
+        present = np.flatnonzero(samples[:, 0] >= 0)
+        curves = np.empty((len(present), sheet.SAMPLES, 2), np.float32)
+        curves[..., 0] = cells[present, :1] + np.arange(sheet.SAMPLES, dtype=np.float32)
+        scale = sheet.CELL_HEIGHT / 2 / sheet.LIMIT
+        curves[..., 1] = np.rint(cells[present, 1:] - scale * _clamped(structures.difference[present], sheet.LIMIT))
+        self._log(entities.CURVE_DIFFERENCES, rr.LineStrips2D(curves))
+        for path, chosen, offset in (
+            (entities.CURVE_UPMOST, structures.upmost, sheet.CELL_HEIGHT * 0.36),
+            (entities.CURVE_BOTTOMMOST, structures.bottommost, sheet.CELL_HEIGHT * 0.46),
+        ):
+            own = chosen[chosen >= 0]
+            line = structures.line[own]
+            bars = np.empty((len(own), 2, 2), np.float32)
+            bars[:, 0, 0] = cells[line, 0] + structures.first[own]
+            bars[:, 1, 0] = cells[line, 0] + structures.last[own]
+            bars[..., 1] = cells[line, 1:] + offset
+            self._log(path, rr.LineStrips2D(bars))
+        self._log_example(labelling, sheet)
+
+    def _log_example(self, labelling: ScanLabelling, sheet: CurveSheet) -> None:
+        """Fig. 5b: the curve of one line, large."""
+        structures = labelling.structures
+        line = _example_line(labelling)
+        present = labelling.lines.samples[line, 0] >= 0
+        middle, scale = sheet.EXAMPLE_HEIGHT / 2, sheet.EXAMPLE_HEIGHT / 2 / sheet.LIMIT
+        step = sheet.WIDTH / (sheet.SAMPLES - 1)
+        x = np.arange(sheet.SAMPLES) * step
+        for path, values in (
+            (entities.CURVE_EXAMPLE, structures.difference),
+            (entities.CURVE_EXAMPLE_SLOPE, structures.slope),
+        ):
+            y = middle - scale * _clamped(values[line], sheet.LIMIT)
+            self._log(path, rr.LineStrips2D(np.stack([x, y], axis=1, dtype=np.float32)[None] if present else []))
+        own = np.flatnonzero(structures.line == line)
+        boxes = np.zeros((len(own), 4), np.float32)
+        boxes[:, 0] = structures.first[own] * step
+        boxes[:, 2] = (structures.last[own] - structures.first[own]) * step
+        boxes[:, 3] = sheet.EXAMPLE_HEIGHT
+        upmost, bottommost = structures.upmost[line], structures.bottommost[line]
+        colors = np.full((len(own), 3), entities.FRAME_COLOR, np.uint8)
+        colors[own == bottommost] = entities.BOTTOMMOST_COLOR
+        colors[own == upmost] = entities.UPMOST_COLOR
+        self._log(
+            entities.CURVE_EXAMPLE_STRUCTURES,
+            rr.Boxes2D(array=boxes, array_format=rr.Box2DFormat.XYWH, colors=colors),
+            _evidence({"line": np.array([line]), "first": structures.first[own], "last": structures.last[own]}),
+        )
+        named = [(upmost, "up-most: wall candidate", entities.UPMOST_COLOR)] if upmost >= 0 else []
+        if bottommost != upmost:
+            named.append((bottommost, "bottom-most", entities.BOTTOMMOST_COLOR))
+        self._log(
+            entities.CURVE_EXAMPLE_TEXTS,
+            rr.Points2D(
+                [
+                    ((structures.first[s] + structures.last[s]) / 2 * step, 0.8 * sheet.EXAMPLE_HEIGHT)
+                    for s, _, _ in named
+                ],
+                labels=[name for _, name, _ in named],
+                colors=[color for _, _, color in named],
+                show_labels=True,
+                radii=0.0,
+            ),
+        )
+
+    # --- the building ---
+
+    def log_map_block(self, index: int, stamp_ns: int, points_map: FloatArray, label: UInt8Array) -> None:
+        """Points that are new in the map since the last block; the viewer shows all up to the cursor."""
+        self._at(stamp_ns, index)
+        self._log_split(entities.MAP_POINTS, entities.MAP_CEILING, points_map, label, static=False)
+
+    def log_building(self, walls: Walls, doors: Doors) -> None:
+        """The fused walls and doors; they hold for the whole run."""
+        vertices, triangles = _upright_quads(
+            walls.ends, np.repeat(walls.bottom_m[:, None], 2, axis=1), np.repeat(walls.top_m[:, None], 2, axis=1)
+        )
+        if len(walls):
+            self._static(
+                entities.WALLS,
+                rr.Mesh3D(
+                    vertex_positions=vertices,
+                    triangle_indices=triangles,
+                    albedo_factor=(*entities.CLASSES[Label.WALL][1], 90),
+                ),
+                _evidence({"scan_count": walls.scan_count, "rms_m": walls.rms_m}),
+            )
+        widths_m = np.linalg.norm(doors.ends[:, 1] - doors.ends[:, 0], axis=1)
+        if len(doors):
+            self._static(
+                entities.DOORS,
+                rr.LineStrips3D(
+                    _upright_frames(doors.ends, np.zeros(len(doors)), doors.head_m),
+                    colors=entities.CLASSES[Label.DOOR][1],
+                    radii=rr.Radius.ui_points(3.0),
+                    labels=[
+                        f"{DoorState(state).name.lower()} door, {width:.2f} m, {confidence:.0%}"
+                        for state, width, confidence in zip(doors.state, widths_m, doors.confidence, strict=True)
+                    ],
+                    show_labels=False,
+                ),
+                _evidence(
+                    {
+                        "state": doors.state,
+                        "confidence": doors.confidence,
+                        "depth_m": doors.depth_m,
+                        "ray_count": doors.ray_count,
+                    }
+                ),
+            )
+
+    def log_grid(self, name: str, grid: GridMap) -> None:
+        """A grid map; it holds for the whole run."""
+        # As in nav_msgs/OccupancyGrid, which the colour map is made for: 0 free, 100 occupied, 255 unknown.
+        occupancy = np.select([grid.cells == Cell.OCCUPIED, grid.cells == Cell.FREE], [100, 0], 255).astype(np.uint8)
+        rows, columns = occupancy.shape
+        self._static(
+            f"{entities.GRID}/{name}",
+            rr.GridMap(
+                data=np.ascontiguousarray(occupancy[::-1]).tobytes(),  # an image's first row is its uppermost
+                format=rr.components.ImageFormat(width=columns, height=rows, color_model="L", channel_datatype="U8"),
+                cell_size=grid.cell_m,
+                # Below the trajectory, which it would hide.
+                translation=[float(grid.origin[0]), float(grid.origin[1]), -0.05],
+                colormap=rr.components.Colormap.RvizMap,
+            ),
+        )
+
+    def log_cloud(self, points_map: FloatArray, label: UInt8Array) -> None:
+        """The fused semantic cloud, once."""
+        self._log_split(entities.CLOUD, entities.CLOUD_CEILING, points_map, label, static=True)
+
+    def _log_split(self, path: str, ceiling_path: str, points_map: FloatArray, label: UInt8Array, static: bool) -> None:
+        """The ceiling apart, so that a view can look into the building from above."""
+        ceiling = label == Label.CEILING
+        positions = _round(points_map)
+        for own_path, own in ((path, ~ceiling), (ceiling_path, ceiling)):
+            self._stream.log(
+                own_path,
+                rr.Points3D(positions[own], class_ids=label[own], radii=_ui_radius(MAP_RADIUS_UI)),
+                static=static,
+            )
+
+    # --- how ---
+
+    def _at(self, stamp_ns: int, index: int | None = None) -> None:
+        self._stream.reset_time()
+        self._stream.set_time(entities.STAMP_TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
+        if index is not None:
+            self._stream.set_time(entities.SCAN_TIMELINE, sequence=index)
+
+    def _log(self, path: str, *values: rr.AsComponents) -> None:
+        self._stream.log(path, *values)
+
+    def _static(self, path: str, *values: rr.AsComponents) -> None:
+        self._stream.log(path, *values, static=True)
+
+
+def _scan_metrics(labelling: ScanLabelling, timings_ms: Mapping[str, float]) -> dict[str, float]:
+    counts = np.bincount(labelling.label, minlength=len(Label))
+    evidence = {
+        "lines": int(np.count_nonzero(labelling.lines.samples[:, 0] >= 0)),
+        "structures": len(labelling.structures.line),
+        "candidates": len(labelling.planes.candidate_line),
+        "planes": len(labelling.planes),
+        "door_lines": int(np.count_nonzero(labelling.door_lines.above_door)),
+        "openings": len(labelling.openings),
+    }
+    return (
+        {f"{entities.MILLISECONDS}/{stage}": value for stage, value in timings_ms.items()}
+        | {f"{entities.LABEL_COUNTS}/{entities.CLASSES[label][0]}": float(counts[label]) for label in Label}
+        | {f"{entities.COUNTS}/{name}": float(count) for name, count in evidence.items()}
+    )
+
+
+def _annotations(classes: Mapping[int, tuple[str, entities.Color]]) -> rr.AnnotationContext:
+    return rr.AnnotationContext(
+        [rr.AnnotationInfo(id=int(key), label=name, color=color) for key, (name, color) in classes.items()]
+    )
+
+
+def _transform(T_parent_child: FloatArray) -> rr.Transform3D:
+    return rr.Transform3D(
+        translation=T_parent_child[:3, 3], quaternion=rr.Quaternion(xyzw=transforms.quaternion_xyzw(T_parent_child))
+    )
+
+
+def _round(positions_m: FloatArray) -> FloatArray:
+    rounded: FloatArray = np.rint(positions_m.astype(np.float32) * np.float32(1.0 / GRID_M)) * np.float32(GRID_M)
+    return rounded
+
+
+def _ui_radius(points: float) -> np.float32:
+    """A radius in the viewer's points, which Rerun writes as a negative number."""
+    return np.float32(-points)
+
+
+def _evidence(columns: Mapping[str, npt.NDArray[Any]]) -> rr.AnyValues:
+    """Arrays beside an archetype, with the same types in every process even where they are empty."""
+    typed: dict[str, Any] = {}
+    for name, values in columns.items():
+        kind = {"d": np.dtype(np.float32), "l": np.dtype(np.int32)}.get(values.dtype.char, values.dtype)
+        flat = pa.array(values.astype(kind, copy=False).ravel())
+        typed[name] = pa.FixedSizeListArray.from_arrays(flat, values.shape[1]) if values.ndim == 2 else flat
+    return rr.AnyValues(**typed)
+
+
+def _float16(values: FloatArray) -> FloatArray:
+    return np.clip(values, -FLOAT16_MAX, FLOAT16_MAX).astype(np.float16)
+
+
+def _clamped(values: FloatArray, limit: float) -> FloatArray:
+    """For drawing: equal heights, where eq. 2 has no value, are as steep as it gets."""
+    return np.where(np.isnan(values), np.float32(limit), np.clip(values, -limit, limit))
+
+
+def _plane_color(plane: int) -> entities.Color:
+    return entities.PLANE_COLORS[plane % len(entities.PLANE_COLORS)] if plane >= 0 else entities.REFUSED_COLOR
+
+
+def _line_outcomes(labelling: ScanLabelling) -> UInt8Array:
+    """(L,) `LineOutcome` of each line."""
+    planes, doors = labelling.planes, labelling.door_lines
+    outcome = np.full(len(labelling.lines), LineOutcome.NO_STRUCTURE, np.uint8)
+    outcome[planes.candidate_line] = np.where(planes.candidate_plane >= 0, LineOutcome.WALL, LineOutcome.REFUSED)
+    outcome[doors.line[doors.above_door]] = LineOutcome.DOOR
+    return outcome
+
+
+def _example_line(labelling: ScanLabelling) -> int:
+    """The line that tells most: of those with several structures, if any, the one that they cover best."""
+    structures = labelling.structures
+    covered = np.bincount(structures.line, structures.last - structures.first + 1, len(labelling.lines))
+    several = structures.upmost != structures.bottommost
+    return int((covered + CurveSheet.SAMPLES * several).argmax()) if len(covered) else 0
+
+
+def _spans(
+    positions: FloatArray, samples: IntArray, line: IntArray, first: IntArray, last: IntArray, every: int = 5
+) -> pa.Array:
+    """Line strips through every so manieth sample of structures, their ends included."""
+    counts = (last - first - 1) // every + 2
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    within = np.arange(starts[-1]) - np.repeat(starts[:-1], counts)
+    sample = np.minimum(np.repeat(first, counts) + every * within, np.repeat(last, counts))
+    return _strips(positions[samples[np.repeat(line, counts), sample]], starts)
+
+
+def _unbroken(lines: FloatArray) -> tuple[pa.Array, IntArray]:
+    """Line strips of lines (L, n, 3), parted where a line jumps, and the line (S,) that each strip is of."""
+    count, length = lines.shape[:2]
+    points = lines.reshape(-1, 3)
+    step = points[1:] - points[:-1]
+    broken = np.ones(len(points), bool)
+    broken[1:] = np.einsum("ij,ij->i", step, step) > JUMP_M**2
+    broken[::length] = True
+    starts = np.flatnonzero(broken)
+    return _strips(points, np.append(starts, count * length)), starts // length
+
+
+def _strips(points: FloatArray, starts: IntArray) -> pa.Array:
+    """Ragged line strips without a Python loop: strip i is points[starts[i]:starts[i + 1]]."""
+    kind = rr.components.LineStrip3DBatch([]).as_arrow_array().type
+    inner = pa.FixedSizeListArray.from_arrays(pa.array(points.astype(np.float32).ravel()), type=kind.value_type)
+    return pa.ListArray.from_arrays(pa.array(starts, pa.int32()), inner, type=kind)
+
+
+def _upright_quads(ends: FloatArray, bottom_m: FloatArray, top_m: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Vertices (4K, 3) and triangles (2K, 3) over ends (K, 2, 2) between heights (K, 2)."""
+    corners = np.empty((len(ends), 4, 3), np.float32)
+    corners[:, :2, :2], corners[:, :2, 2] = ends, bottom_m
+    corners[:, 2:, :2], corners[:, 2:, 2] = ends[:, ::-1], top_m[:, ::-1]
+    triangles = (
+        np.array([[0, 1, 2], [0, 2, 3]], np.uint32)[None] + 4 * np.arange(len(ends), dtype=np.uint32)[:, None, None]
+    )
+    return corners.reshape(-1, 3), triangles.reshape(-1, 3)
+
+
+def _upright_frames(ends: FloatArray, bottom_m: FloatArray, top_m: FloatArray) -> FloatArray:
+    """Closed outlines (K, 5, 3) over ends (K, 2, 2) between heights (K,)."""
+    corners = _upright_quads(ends, np.repeat(bottom_m[:, None], 2, 1), np.repeat(top_m[:, None], 2, 1))[0]
+    return corners.reshape(-1, 4, 3)[:, [0, 1, 2, 3, 0]]
+
+
+def _outline(points_xy: FloatArray) -> FloatArray:
+    """Closed rectangle (5, 2) around points, or (0, 2) around none."""
+    if not len(points_xy):
+        return np.zeros((0, 2), np.float32)
+    x, y = points_xy[:, 0], points_xy[:, 1]
+    x0, x1, y0, y1 = x.min(), x.max(), y.min(), y.max()
+    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]], np.float32)
+
+
+def _lift(outline: FloatArray, plane: HorizontalPlane) -> FloatArray:
+    return np.column_stack([outline, plane.height_at(outline)]).astype(np.float32)
+
+
+def _flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        name = f"{prefix}{key}".replace(".", "_")
+        if isinstance(value, Mapping):
+            flat |= _flatten(value, f"{name}_")
+        elif value is not None:
+            flat[name] = value if isinstance(value, str | bool | int | float) else str(value)
+    return flat

@@ -1,0 +1,175 @@
+"""ffmap run: from the arguments to a finished run folder."""
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, get_args
+
+import typer
+
+from algorithms.trajectory import Trajectory
+from app import pipeline, run_folder
+from app.inputs import InputOptions, Inputs, find_inputs
+from app.progress import Progress
+from app.recorder import Detail, start_viewer
+from app.run_folder import RECORDING, RunFolder
+from app.settings import Settings, load_settings, validate
+from loaders.bag import open_bag
+from loaders.errors import InputError
+from loaders.pointcloud2 import TimeFrom
+from loaders.trajectory_file import read_pose_topic, read_tum
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """The command line's words; see `app.cli.run`."""
+
+    bag: Path | None
+    out: Path | None
+    config: Path | None
+    overrides: tuple[str, ...]
+    rig: Path | None
+    horizontal: str | None
+    vertical: str | None
+    time_from: TimeFrom
+    trajectory: str | None
+    detail: str
+    spawn: bool
+    connect: str | None
+    save: bool
+    workers: int
+    evaluate: bool
+    quiet: bool
+
+
+_STORED = ("rig", "horizontal", "vertical", "time_from", "trajectory", "detail", "save", "evaluate")
+"""Arguments that run.json keeps, for a run that is resumed."""
+
+
+def run(arguments: Arguments, resume: Path | None) -> None:
+    """Run, or go on with a run; raises InputError for what the user can mend."""
+    if resume is not None:
+        arguments, settings, folder, record = _resumed(arguments, resume)
+        if record is None:
+            typer.echo(f"{folder.path} is complete already; nothing to resume")
+            return
+    else:
+        if arguments.bag is None:
+            raise InputError("give a bag, or --resume with a run folder; 'ffmap run --help' has examples")
+        settings, folder, record = load_settings(arguments.config, arguments.overrides), None, None
+    assert arguments.bag is not None
+    inputs = find_inputs(
+        arguments.bag, InputOptions(arguments.rig, arguments.horizontal, arguments.vertical, arguments.time_from)
+    )
+    given = _given_trajectory(arguments)
+    if record is not None and record["bag"]["digest"] != inputs.bag_digest:
+        raise InputError(f"{arguments.bag}: is not the bag that {resume} was made from; start a new run")
+    if folder is None:
+        folder = run_folder.create(
+            arguments.out or run_folder.default_path(arguments.bag.resolve(), settings.short_hash())
+        )
+        run_folder.clear(folder)
+        record = pipeline.first_record(
+            inputs, settings, _stored(arguments), arguments.bag, arguments.trajectory or "odometry"
+        )
+    assert record is not None
+    connect_url = start_viewer() if arguments.spawn else arguments.connect
+    with Progress(arguments.quiet) as progress:
+        for warning in inputs.warnings:
+            progress.warn(warning)
+        finished = pipeline.run(
+            inputs,
+            given,
+            settings,
+            pipeline.RunOptions(
+                detail=Detail(arguments.detail),
+                save=arguments.save,
+                connect_url=connect_url,
+                workers=arguments.workers,
+                resume=resume is not None,
+            ),
+            folder,
+            progress,
+            record,
+        )
+    run_folder.point_latest_at(folder.path.resolve())
+    if not arguments.quiet:
+        _report(folder, inputs, finished, arguments.save)
+    if arguments.evaluate and inputs.vertical is not None:
+        _evaluate(folder, arguments)
+
+
+def _evaluate(folder: RunFolder, arguments: Arguments) -> None:
+    from app import evaluate
+
+    if evaluate.has_truth(folder.path):
+        metrics = evaluate.evaluate_run(folder.path, None, arguments.workers)
+        if not arguments.quiet:
+            evaluate.print_metrics(metrics)
+
+
+def _given_trajectory(arguments: Arguments) -> Trajectory | None:
+    """Poses from a file, or from a topic of the bag where no such file is there."""
+    if arguments.trajectory is None or arguments.bag is None:
+        return None
+    path = Path(arguments.trajectory)
+    if path.exists():
+        return read_tum(path)
+    with open_bag(arguments.bag) as bag:
+        if arguments.trajectory in bag.topics:
+            return read_pose_topic(bag, arguments.trajectory)
+    raise InputError(
+        f"--trajectory {arguments.trajectory}: is neither a file nor a topic of {arguments.bag}; "
+        f"'ffmap info {arguments.bag}' lists the topics"
+    )
+
+
+def _stored(arguments: Arguments) -> dict[str, Any]:
+    values = asdict(arguments)
+    stored = {name: values[name] for name in _STORED}
+    if arguments.rig is not None:
+        stored["rig"] = str(arguments.rig.resolve())
+    if arguments.trajectory is not None and Path(arguments.trajectory).exists():
+        stored["trajectory"] = str(Path(arguments.trajectory).resolve())
+    return stored
+
+
+def _resumed(arguments: Arguments, path: Path) -> tuple[Arguments, Settings, RunFolder, dict[str, Any] | None]:
+    """What a killed run was started with; None as its record where it is complete."""
+    if arguments.bag is not None or arguments.out is not None or arguments.config is not None or arguments.overrides:
+        raise InputError("--resume goes on as the run was started: give no bag, --out, --config or --set with it")
+    folder = RunFolder(path)
+    record = folder.read_json()
+    if record.get("outcome") == "complete":
+        return arguments, Settings(), folder, None
+    try:
+        options = dict(record["options"])
+        bag, settings = Path(record["bag"]["path"]), validate(record["settings"], str(path / run_folder.RUN_JSON))
+        if options["time_from"] not in get_args(TimeFrom):
+            raise KeyError(options["time_from"])
+    except KeyError as error:
+        raise InputError(f"{path / run_folder.RUN_JSON}: lacks {error}; start a new run") from None
+    options["rig"] = Path(options["rig"]) if options["rig"] else None
+    if not bag.exists():
+        raise InputError(f"{bag}: the run's bag is gone; bring it back, or start a new run")
+    folder.spool.mkdir(exist_ok=True)
+    for leftover in folder.path.rglob("*.part"):
+        if leftover.is_file():
+            leftover.unlink()
+    return replace(arguments, bag=bag, **options), settings, folder, record
+
+
+def _report(folder: RunFolder, inputs: Inputs, record: dict[str, Any], saved: bool) -> None:
+    counts = record["counts"]
+    if inputs.vertical is None:
+        typer.echo(
+            f"{counts.get('registrations', 0)} scans registered; there is nothing to label: {inputs.bag_path.name} has no "
+            "lidar that sweeps the walls (a vertical one, its spin axis level)"
+        )
+    else:
+        typer.echo(
+            f"{counts['scans']} of {counts['clouds']} scans labelled, {counts['walls']} wall faces, "
+            f"{counts['doors']} doors, in {record['timings_s']['total']:.1f} s"
+        )
+    typer.echo(f"results:   {folder.path}")
+    if saved:
+        typer.echo(f"recording: {folder.path / RECORDING}  (open it: rerun {folder.path / RECORDING})")

@@ -1,0 +1,101 @@
+"""The folder of a run: its files' names, run.json, the spool that a killed run is resumed from."""
+
+import json
+import os
+import shutil
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from loaders.errors import InputError
+
+RUN_JSON = "run.json"
+RECORDING = "recording.rrd"
+TRAJECTORY = "trajectory.tum"
+CLOUD = "cloud.ply"
+METRICS = "metrics.json"
+SPOOL = "spool"
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Paths within a run's folder."""
+
+    path: Path
+
+    @property
+    def spool(self) -> Path:
+        """Finished blocks of scans; removed when the run is complete."""
+        return self.path / SPOOL
+
+    def block(self, number: int, suffix: str) -> Path:
+        """A block's file in the spool."""
+        return self.spool / f"{number:05d}{suffix}"
+
+    def read_json(self) -> dict[str, Any]:
+        """run.json; raises InputError where there is none or it cannot be read."""
+        path = self.path / RUN_JSON
+        try:
+            content = json.loads(path.read_text())
+        except FileNotFoundError:
+            raise InputError(f"{self.path}: is no run folder (it has no {RUN_JSON}); give one that 'ffmap run' made") from None
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path}: cannot be read ({error}); give another run folder") from error
+        if not isinstance(content, dict):
+            raise InputError(f"{path}: does not hold what 'ffmap run' writes; give another run folder")
+        return content
+
+    def write_json(self, content: dict[str, Any], name: str = RUN_JSON) -> None:
+        """Write a JSON file whole or not at all."""
+        part = self.path / f"{name}.part"
+        part.write_text(json.dumps(content, indent=2, ensure_ascii=False, default=str) + "\n")
+        part.replace(self.path / name)
+
+
+def default_path(bag: Path, settings_hash: str) -> Path:
+    """runs/<bag>-<time>-<hash> below the working directory."""
+    return Path("runs") / f"{bag.stem}-{datetime.now():%Y%m%d-%H%M%S}-{settings_hash}"
+
+
+def create(path: Path) -> RunFolder:
+    """Make an empty run folder, or empty an earlier run's that was named again.
+
+    A folder that holds anything but a run is left alone. Raises InputError where it cannot be written.
+    """
+    folder = RunFolder(path)
+    try:
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path}: is a file; give a folder to --out")
+        if path.is_dir() and any(path.iterdir()) and not (path / RUN_JSON).exists():
+            raise InputError(f"{path}: holds files that are no run; give an empty or a new folder to --out")
+        path.mkdir(parents=True, exist_ok=True)
+        probe = path / ".writable"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); give another folder to --out") from error
+    return folder
+
+
+def clear(folder: RunFolder) -> None:
+    """Remove an earlier run's files, once everything about the new run is known to be in order."""
+    for entry in folder.path.iterdir():
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry)
+        else:
+            entry.unlink()
+    folder.spool.mkdir()
+
+
+def point_latest_at(path: Path) -> None:
+    """Let `latest` beside the run folder point at it; where links are not possible, leave it."""
+    latest = path.parent / "latest"
+    if latest.exists() and not latest.is_symlink():
+        return
+    link = path.parent / f".latest-{os.getpid()}"
+    try:
+        link.symlink_to(path.name, target_is_directory=True)
+        link.replace(latest)
+    except OSError:
+        link.unlink(missing_ok=True)

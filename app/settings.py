@@ -1,0 +1,142 @@
+"""All settings of a run: one frozen model for each step; defaults, then a TOML file, then --set."""
+
+import difflib
+import hashlib
+import json
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, ValidationError
+
+from algorithms.building import BuildingSettings
+from algorithms.doors import DoorsSettings
+from algorithms.grid_map import GridMapSettings
+from algorithms.labelling import LabellingSettings, MethodSettings
+from algorithms.odometry import OdometrySettings
+from algorithms.rearrangement import RearrangementSettings
+from algorithms.relabelling import RelabellingSettings
+from algorithms.settings import StepSettings
+from algorithms.trajectory import TrajectorySettings
+from algorithms.vertical_structures import VerticalStructuresSettings
+from algorithms.wall_planes import WallPlanesSettings
+from loaders.errors import InputError
+
+
+class Settings(StepSettings):
+    """Settings by step, in the order of the paper."""
+
+    seed: int = Field(0, ge=0, description="Seed of all random numbers; a scan's depend on it and on the scan's index.")
+    odometry: OdometrySettings = OdometrySettings()
+    trajectory: TrajectorySettings = TrajectorySettings()
+    rearrangement: RearrangementSettings = RearrangementSettings()
+    vertical_structures: VerticalStructuresSettings = VerticalStructuresSettings()
+    wall_planes: WallPlanesSettings = WallPlanesSettings()
+    doors: DoorsSettings = DoorsSettings()
+    labelling: LabellingSettings = LabellingSettings()
+    building: BuildingSettings = BuildingSettings()
+    grid_map: GridMapSettings = GridMapSettings()
+    relabelling: RelabellingSettings = RelabellingSettings()
+
+    @property
+    def method(self) -> MethodSettings:
+        """What labels a single scan."""
+        return MethodSettings(
+            self.rearrangement, self.vertical_structures, self.wall_planes, self.doors, self.labelling
+        )
+
+    def flat(self) -> dict[str, Any]:
+        """Every setting by its dotted name."""
+        return dict(_flatten(self.model_dump(mode="json")))
+
+    def short_hash(self, *steps: str) -> str:
+        """Eight hexadecimal digits that name these settings, or those of some steps."""
+        chosen = self.model_dump(mode="json", include=set(steps) if steps else None)
+        return hashlib.sha256(json.dumps(chosen, sort_keys=True).encode()).hexdigest()[:8]
+
+
+def load_settings(config: Path | None, overrides: Sequence[str]) -> Settings:
+    """Defaults, then `config` (TOML), then each override `step.name=value`.
+
+    Raises InputError that names the file or the setting, and suggests the right name.
+    """
+    values: dict[str, Any] = {}
+    source = "--set"
+    if config is not None:
+        source = f"{config} or --set" if overrides else str(config)
+        try:
+            values = tomllib.loads(config.read_text())
+        except OSError as error:
+            raise InputError(f"{config}: cannot be read ({error.strerror}); give an existing TOML file") from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(f"{config}: is not TOML ({error}); see 'ffmap settings' for an example") from error
+    for override in overrides:
+        name, equals, text = override.partition("=")
+        if not equals or not name:
+            raise InputError(f"--set {override}: write it as step.name=value, as in wall_planes.similarity_m=0.05")
+        *steps, last = name.strip().split(".")
+        target = values
+        for step in steps:
+            target = target.setdefault(step, {})
+            if not isinstance(target, dict):
+                raise InputError(f"--set {override}: {step!r} is no step; {_suggestion(name)}")
+        target[last] = parse_value(text.strip())
+    return validate(values, source)
+
+
+def validate(values: dict[str, Any], source: str) -> Settings:
+    """Settings from nested values; raises InputError with the first thing that is wrong."""
+    try:
+        return Settings.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(str(part) for part in first["loc"])
+        if first["type"] == "extra_forbidden":
+            raise InputError(f"{source}: there is no setting {name!r}; {_suggestion(name)}") from None
+        raise InputError(
+            f"{source}: setting {name} = {first['input']!r}: {first['msg']}; 'ffmap settings' lists them all"
+        ) from None
+
+
+def _suggestion(name: str) -> str:
+    known = list(Settings().flat())
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    if not close:
+        # The right name under the wrong step.
+        last = {k.rpartition(".")[2]: k for k in known}
+        close = [last[m] for m in difflib.get_close_matches(name.rpartition(".")[2], list(last), n=1, cutoff=0.6)]
+    return (
+        f"did you mean {close[0]!r}? " + "'ffmap settings' lists them all"
+        if close
+        else "'ffmap settings' lists them all"
+    )
+
+
+def parse_value(text: str) -> Any:  # noqa: ANN401 - a TOML value
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _flatten(values: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    flat: list[tuple[str, Any]] = []
+    for name, value in values.items():
+        if isinstance(value, dict):
+            flat.extend(_flatten(value, f"{prefix}{name}."))
+        else:
+            flat.append((prefix + name, value))
+    return flat
+
+
+def as_toml(settings: Settings) -> str:
+    """The settings as a TOML file, each with its description as a comment."""
+    lines = [f"# {Settings.model_fields['seed'].description}", f"seed = {settings.seed}"]
+    for step, model in settings:
+        if not isinstance(model, StepSettings):
+            continue
+        lines += ["", f"# {(type(model).__doc__ or '').strip().splitlines()[0]}", f"[{step}]"]
+        for name, value in model:
+            lines += [f"# {type(model).model_fields[name].description}", f"{name} = {json.dumps(value)}"]
+    return "\n".join(lines) + "\n"

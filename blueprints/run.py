@@ -1,0 +1,217 @@
+"""One run: the labelled scan, its lines and difference curves, the growing map and the grid at a glance."""
+
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
+
+from blueprints import entities
+from blueprints.entities import CurveSheet
+
+
+def build(ring_count: int = 32, centre_m: tuple[float, float] = (0.0, 0.0), extent_m: float = 20.0) -> rrb.Blueprint:
+    """The layout of a run's recording.
+
+    ring_count: emitters of the vertical lidar. centre_m, extent_m: middle and size of what the map views show.
+    """
+    overview = rrb.Vertical(
+        rrb.Horizontal(_scan(), _map(centre_m, extent_m), column_shares=[1, 1]),
+        rrb.Horizontal(_lines(), _curves(ring_count), _grid(centre_m, extent_m), column_shares=[1, 1.25, 1]),
+        row_shares=[1, 1],
+        name="At a glance",
+    )
+    return rrb.Blueprint(
+        rrb.Tabs(
+            overview,
+            _method(ring_count),
+            _building(centre_m, extent_m),
+            _odometry(),
+            _metrics(),
+            rrb.TextDocumentView(origin=entities.README, name="Read me"),
+            active_tab=0,
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        # A finished recording opens at its end, where the map is whole; a live one stays at the newest scan.
+        rrb.TimePanel(state="collapsed", timeline=entities.SCAN_TIMELINE, play_state="following"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _scan() -> rrb.Spatial3DView:
+    return _scan_view("Labelled scan", [entities.POINTS, entities.OPENINGS])
+
+
+def _lines() -> rrb.Spatial3DView:
+    return _scan_view(
+        "Point lines and wall planes; white: the line drawn large",
+        [f"{entities.LINES}/**", entities.PLANES, entities.OPENINGS],
+        (entities.OPENINGS, rr.LineStrips3D.from_fields(show_labels=False)),
+    )
+
+
+def _scan_view(
+    name: str, contents: list[str], override: tuple[str, rrb.VisualizableArchetype | rrb.Visualizer] | None = None
+) -> rrb.Spatial3DView:
+    return rrb.Spatial3DView(
+        origin=entities.SCAN,
+        contents=contents,
+        name=name,
+        overrides=dict([override]) if override else None,
+        # From behind the robot, right of it and above.
+        eye_controls=rrb.EyeControls3D(position=(-4.8, -3.9, 4.3), look_target=(0.2, 0.0, 1.1)),
+        line_grid=rrb.LineGrid3D(visible=False),
+    )
+
+
+def _curves(ring_count: int, name: str = "Forward differences of all lines (eq. 2, Fig. 5b)") -> rrb.Spatial2DView:
+    sheet = CurveSheet(ring_count)
+    return rrb.Spatial2DView(
+        origin=entities.CURVES,
+        name=name,
+        visual_bounds=rrb.VisualBounds2D(x_range=[-20, sheet.WIDTH + 20], y_range=[-110, sheet.height + 10]),
+    )
+
+
+def _map(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
+    x, y = centre_m
+    return rrb.Spatial3DView(
+        origin=entities.WORLD,
+        contents=[entities.MAP_POINTS, entities.TRAJECTORY, f"{entities.BASE}/**", entities.WALLS, entities.DOORS],
+        name="Growing map (ceiling hidden)",
+        overrides={
+            entities.MAP_POINTS: _until_now(),
+            entities.TRAJECTORY: _until_now(),
+        },
+        eye_controls=rrb.EyeControls3D(
+            position=(x - 0.25 * extent_m, y - 0.6 * extent_m, 0.6 * extent_m), look_target=(x, y, 0.0)
+        ),
+        line_grid=rrb.LineGrid3D(visible=False),
+    )
+
+
+def _grid(centre_m: tuple[float, float], extent_m: float, name: str = entities.FURNITURE_FREE) -> rrb.Spatial3DView:
+    return rrb.Spatial3DView(
+        origin=entities.WORLD,
+        contents=[f"{entities.GRID}/{name}", entities.DOORS, entities.TRAJECTORY, f"{entities.BASE}/**"],
+        name=f"Grid map: {name.replace('_', ' ')}, doors, trajectory",
+        overrides={entities.TRAJECTORY: _until_now()},
+        eye_controls=rrb.EyeControls3D(
+            position=(*centre_m, extent_m), look_target=(*centre_m, 0.0), eye_up=(0.0, 1.0, 0.0)
+        ),
+        line_grid=rrb.LineGrid3D(visible=False),
+    )
+
+
+def _method(ring_count: int) -> rrb.Container:
+    """The paper's figures, step by step."""
+    return rrb.Vertical(
+        rrb.Horizontal(
+            _scan_view(
+                "1. Floor and ceiling removed (Fig. 3)",
+                [entities.POINTS, entities.FLOOR, entities.CEILING],
+                (entities.POINTS, _mapped_radii(entities.POINT_RADIUS_UPRIGHT)),
+            ),
+            _scan_view("2. Point lines (Fig. 5a)", [f"{entities.LINES}/**"]),
+            _curves(ring_count, "3. Forward differences (eq. 2, Fig. 5b)"),
+        ),
+        rrb.Horizontal(
+            _scan_view("4. Up-most structures: wall candidates (Fig. 6a)", [entities.UPMOST]),
+            _scan_view("5. Bottom-most, for comparison (Fig. 6b)", [entities.BOTTOMMOST]),
+            _scan_view(
+                "6. Wall planes grown (Fig. 7)",
+                [entities.UPMOST, entities.PLANES],
+                (entities.UPMOST, _mapped_colors(entities.CANDIDATE_PLANE_COLOR)),
+            ),
+            _scan_view("7. Conditions of a door", ["/scan/doors/**", entities.PLANES]),
+        ),
+        name="Step by step",
+    )
+
+
+def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
+    x, y = centre_m
+    return rrb.Horizontal(
+        rrb.Spatial3DView(
+            origin=entities.WORLD,
+            contents=[entities.CLOUD, entities.WALLS, entities.DOORS],
+            name="Fused cloud, walls and doors (ceiling hidden)",
+            overrides={
+                entities.DOORS: rr.LineStrips3D.from_fields(show_labels=True),
+            },
+            eye_controls=rrb.EyeControls3D(
+                position=(x - 0.15 * extent_m, y - 0.5 * extent_m, 0.6 * extent_m), look_target=(x, y, 0.0)
+            ),
+            line_grid=rrb.LineGrid3D(visible=False),
+        ),
+        _grid(centre_m, extent_m),
+        name="Building",
+    )
+
+
+def _odometry() -> rrb.Container:
+    return rrb.Horizontal(
+        rrb.Spatial3DView(
+            origin=entities.WORLD,
+            contents=[f"{entities.ODOMETRY}/**", entities.TRAJECTORY],
+            name="What KISS-ICP used (timeline stamp)",
+            overrides={entities.TRAJECTORY: _until_now()},
+        ),
+        rrb.Vertical(
+            *(
+                rrb.TimeSeriesView(origin=f"{entities.REGISTRATION}/{name}", name=title)
+                for name, title in (
+                    ("residual_m", "Residual, m (timeline stamp)"),
+                    ("threshold_m", "Adaptive threshold, m"),
+                    ("inlier_share", "Share of inliers"),
+                )
+            )
+        ),
+        name="Odometry",
+    )
+
+
+def _metrics() -> rrb.Container:
+    return rrb.Vertical(
+        rrb.TimeSeriesView(origin=entities.LABEL_COUNTS, name="Returns by label"),
+        rrb.TimeSeriesView(origin=entities.COUNTS, name="Evidence counted"),
+        rrb.TimeSeriesView(origin=entities.MILLISECONDS, name="Milliseconds by stage"),
+        rrb.TextLogView(origin=entities.MESSAGES, name="Warnings"),
+        row_shares=[3, 3, 3, 2],
+        name="Metrics and warnings",
+    )
+
+
+def _until_now() -> rrb.VisibleTimeRanges:
+    """Everything from the beginning up to the time cursor."""
+    return rrb.VisibleTimeRanges(
+        [
+            rrb.VisibleTimeRange(
+                timeline, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
+            )
+            for timeline in (entities.SCAN_TIMELINE, entities.STAMP_TIMELINE)
+        ]
+    )
+
+
+def _mapped_radii(component: str) -> rrb.Visualizer:
+    """Points whose radii come from another component of theirs: 0 hides a point."""
+    return rr.Points3D.from_fields().visualizer(
+        mappings=[
+            VisualizerComponentMapping(
+                target="Points3D:radii", source_kind=ComponentSourceKind.SourceComponent, source_component=component
+            )
+        ]
+    )
+
+
+def _mapped_colors(component: str) -> rrb.Visualizer:
+    return rr.LineStrips3D.from_fields().visualizer(
+        mappings=[
+            VisualizerComponentMapping(
+                target="LineStrips3D:colors",
+                source_kind=ComponentSourceKind.SourceComponent,
+                source_component=component,
+            )
+        ]
+    )

@@ -1,0 +1,157 @@
+"""When each point was fired: from the cloud's time field whatever its unit and reference, or from the azimuth."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from algorithms.scan import FloatArray, IntArray
+from loaders.errors import CloudError
+
+TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "offset_time", "timeoffset", "time_offset", "relative_time")
+"""Names under which drivers store times: Velodyne `time`, Ouster `t`, Hesai and RoboSense `timestamp`, Livox
+`offset_time`."""
+
+_LONGEST_SWEEP_NS = 2_000_000_000
+_SHORTEST_SWEEP_NS = 5_000_000
+_UNITS_NS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
+
+TimeReference = Literal["stamp", "epoch", "own clock"]
+
+
+@dataclass(frozen=True)
+class TimeField:
+    """A field of times.
+
+    unit: "s", "ms", "us" or "ns".
+    reference: "stamp" (relative to the header's stamp, before or after it), "epoch" (absolute, on the stamps' clock),
+        "own clock" (absolute on the sensor's clock: the header's stamp is taken for the sweep's first firing).
+    span_ns: from the first to the last firing in the clouds that were looked at, the median.
+    """
+
+    name: str
+    unit: str
+    reference: TimeReference
+    span_ns: int
+
+    def nanoseconds(self, values: npt.NDArray[Any], stamp_ns: int) -> tuple[IntArray, int]:
+        """Nanoseconds (n,) int64 from the first of these firings, and that firing's absolute time.
+
+        Raises CloudError where the times span longer than a sweep can take.
+        """
+        if not len(values):
+            return np.zeros(0, np.int64), stamp_ns
+        first = values.min()
+        span_s = _span(values) * _UNITS_NS[self.unit] / 1e9
+        if not span_s <= _LONGEST_SWEEP_NS / 1e9:
+            raise CloudError(f"the times in field {self.name} span {span_s:.1f} s, longer than any sweep")
+        time_ns = _scaled(values, first, _UNITS_NS[self.unit])
+        match self.reference:
+            case "stamp":
+                start_ns = stamp_ns + _exact_ns(first, _UNITS_NS[self.unit])
+            case "epoch":
+                start_ns = _exact_ns(first, _UNITS_NS[self.unit])
+            case _:
+                start_ns = stamp_ns
+        return time_ns, start_ns
+
+
+def _scaled(values: npt.NDArray[Any], first: Any, unit_ns: int) -> IntArray:  # noqa: ANN401 - a NumPy scalar
+    """Nanoseconds since `first`; subtracted in the values' own type, for seconds since 1970 take all of a double."""
+    if np.issubdtype(values.dtype, np.integer):
+        return (values.astype(np.int64) - int(first)) * unit_ns
+    since = values.astype(np.float64)
+    since -= float(first)
+    since *= unit_ns
+    nanoseconds: IntArray = np.rint(since, out=since).astype(np.int64)
+    return nanoseconds
+
+
+def _exact_ns(value: Any, unit_ns: int) -> int:  # noqa: ANN401 - a NumPy scalar
+    """Nanoseconds of one value, its whole part multiplied as an integer."""
+    if np.issubdtype(type(value), np.integer):
+        return int(value) * unit_ns
+    whole = int(np.floor(float(value)))
+    return whole * unit_ns + round((float(value) - whole) * unit_ns)
+
+
+def find_time_field(name: str, samples: Sequence[tuple[npt.NDArray[Any], int]]) -> TimeField | None:
+    """Unit and reference of the field's values, from clouds all over the bag: (values of valid points, stamp in ns).
+
+    A sweep takes between 5 ms and 2 s, which leaves one unit; where all are too small to tell, the type's usual one.
+    None where the field is not filled.
+    """
+    samples = [(values, stamp_ns) for values, stamp_ns in samples if len(values) and 0 < _span(values) < np.inf]
+    if not samples:
+        return None
+    spans = [_span(values) for values, _ in samples]
+    span = max(spans)
+    dtype = next(values.dtype for values, _ in samples)
+    units = [unit for unit, ns in _UNITS_NS.items() if _SHORTEST_SWEEP_NS <= span * ns <= _LONGEST_SWEEP_NS]
+    whole = np.issubdtype(dtype, np.integer)
+    # Integers never count seconds; a double that counts from 1970 shows its unit by its size.
+    unit = next((u for u in units if not (whole and u == "s")), None) or _usual_unit(samples, whole)
+    unit_ns = _UNITS_NS[unit]
+    offsets_ns = []
+    for values, stamp_ns in samples:
+        first_ns = _exact_ns(values.min(), unit_ns)
+        offsets_ns.append((abs(first_ns), abs(first_ns - stamp_ns)))
+    relative, epoch = np.median(np.array(offsets_ns, np.float64), axis=0)
+    reference: TimeReference = "own clock"
+    if relative <= _LONGEST_SWEEP_NS:
+        reference = "stamp"
+    elif epoch <= _LONGEST_SWEEP_NS:
+        reference = "epoch"
+    return TimeField(name, unit, reference, round(float(np.median(spans)) * unit_ns))
+
+
+def _span(values: npt.NDArray[Any]) -> float:
+    if np.issubdtype(values.dtype, np.integer):
+        return float(int(values.max()) - int(values.min()))
+    return float(values.max() - values.min())
+
+
+def _usual_unit(samples: Sequence[tuple[npt.NDArray[Any], int]], whole: bool) -> str:
+    largest = max(float(np.abs(values.astype(np.float64)).max()) for values, _ in samples)
+    if largest > 1e8 and not whole:
+        return "ns" if largest > 1e17 else "us" if largest > 1e14 else "ms" if largest > 1e11 else "s"
+    return "ns" if whole else "s"
+
+
+def azimuth_times(points_sensor: FloatArray, ring: IntArray, period_ns: int) -> IntArray:
+    """Nanoseconds (n,) int64 from the sweep's first firing, from the azimuth about the spin axis.
+
+    points_sensor: (n, 3) in the cloud's order; ring: (n,).
+    period_ns: how long a revolution takes.
+
+    The spin's direction is that in which the azimuth grows from point to point of a ring; the sweep begins at the
+    cloud's first point. Where the order tells no direction, the sensor is taken to spin clockwise from behind.
+    """
+    if not len(points_sensor):
+        return np.zeros(0, np.int64)
+    azimuth = np.arctan2(points_sensor[:, 1], points_sensor[:, 0]).astype(np.float64)
+    order = np.argsort(ring, kind="stable")
+    sorted_ring = ring[order]
+    step = _wrapped(np.diff(azimuth[order]))[np.diff(sorted_ring) == 0]
+    step = step[(step != 0) & (np.abs(step) < np.radians(20))]
+    forward = float(np.mean(step > 0)) if len(step) else 0.5
+    ordered = abs(forward - 0.5) > 0.2
+    direction = 1.0 if ordered and forward > 0.5 else -1.0
+    turn = 2 * np.pi
+    if not ordered:
+        return np.asarray(np.rint(np.mod(direction * azimuth - np.pi, turn) / turn * period_ns).astype(np.int64))
+    first = np.flatnonzero(np.append(True, np.diff(sorted_ring) != 0))
+    lengths = np.diff(np.append(first, len(ring)))
+    # How far along its ring a point lies says which turn it belongs to where rings begin before the first point.
+    along = np.empty(len(ring))
+    along[order] = (np.arange(len(ring)) - np.repeat(first, lengths)) / np.repeat(lengths, lengths)
+    phase = direction * (azimuth - azimuth[0])
+    phase += turn * np.round(along - phase / turn)
+    phase -= phase.min()
+    return np.asarray(np.rint(np.minimum(phase / turn, 1.0) * period_ns).astype(np.int64))
+
+
+def _wrapped(angle: FloatArray) -> FloatArray:
+    return np.asarray(np.mod(angle + np.pi, 2 * np.pi) - np.pi)

@@ -1,0 +1,236 @@
+"""Everything that `ffmap info` says about a bag: what is in it, what it is good for, what is missing."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from loaders.bag import Bag, Container, open_bag
+from loaders.errors import CloudError, InputError
+from loaders.frames import FrameTree, StaticTransform, read_frame_tree
+from loaders.packets import PACKET_TYPE
+from loaders.pointcloud2 import CloudDecoding, TimeFrom, decode, settle_decoding
+from loaders.rig import Rig, find_rig
+from loaders.scans import CloudIndex, cloud_topics, index_clouds, sample_messages
+from loaders.truth import BUILDING_TOPIC, CLASSES_TOPIC, POSE_TOPIC
+
+_SAMPLES = 8
+_GAP_PERIODS = 2.5
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    """rate_hz: messages by the bag's length; None for fewer than two."""
+
+    name: str
+    msgtype: str
+    count: int
+    rate_hz: float | None
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A pause between two clouds; start_ns is the stamp of the last one before it."""
+
+    start_ns: int
+    duration_ns: int
+
+
+@dataclass(frozen=True, eq=False)
+class CloudInfo:
+    """A topic with clouds.
+
+    frame_id: with the bag's own spelling but for a leading slash; empty where no cloud can be read.
+    cloud_count: revolutions; messages_per_cloud is above 1 where each message is a packet's worth.
+    unusable_count: clouds whose stamps repeat or jump.
+    points: valid points and all places of a cloud, medians.
+    decoding: how the clouds are read, with layout, rings and times; None where they cannot be, and `problem` says why.
+    rings, times: the same in words.
+    """
+
+    topic: str
+    packets: bool
+    frame_id: str
+    cloud_count: int
+    messages_per_cloud: float
+    rate_hz: float | None
+    points: tuple[int, int]
+    unusable_count: int
+    gaps: tuple[Gap, ...]
+    decoding: CloudDecoding | None
+    rings: str
+    times: str
+    problem: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class BagInfo:
+    """A bag as `ffmap info` prints it.
+
+    start_ns, end_ns: log times; None for an empty bag.
+    frames, transforms: what /tf_static (or the unchanging part of /tf) says.
+    rig: lidars with their roles and the reasons; None where they cannot be told, and `rig_problem` says why.
+    missing: what the bag lacks and what that means, one line each.
+    """
+
+    path: Path
+    container: Container
+    ros_version: int
+    size_bytes: int
+    start_ns: int | None
+    end_ns: int | None
+    topics: tuple[TopicInfo, ...]
+    clouds: tuple[CloudInfo, ...]
+    frames: tuple[str, ...]
+    transforms: tuple[StaticTransform, ...]
+    rig: Rig | None
+    rig_problem: str | None
+    missing: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last message."""
+        return 0.0 if self.start_ns is None or self.end_ns is None else (self.end_ns - self.start_ns) / 1e9
+
+
+def describe_bag(
+    path: Path,
+    rig_file: Path | None = None,
+    horizontal: str | None = None,
+    vertical: str | None = None,
+    time_from: TimeFrom = "auto",
+) -> BagInfo:
+    """Look a bag over; the options are those of `find_rig`. Raises InputError where it cannot be opened."""
+    with open_bag(path) as bag:
+        clouds = tuple(_describe_cloud(bag, topic, time_from) for topic in cloud_topics(bag))
+        tree = read_frame_tree(bag, {cloud.frame_id for cloud in clouds if cloud.frame_id})
+        rig, problem = None, None
+        try:
+            rig = find_rig(bag, rig_file, horizontal, vertical, time_from)
+        except InputError as error:
+            problem = str(error)
+        return BagInfo(
+            path=path,
+            container=bag.container,
+            ros_version=bag.ros_version,
+            size_bytes=sum(p.stat().st_size for p in path.iterdir()) if path.is_dir() else path.stat().st_size,
+            start_ns=bag.start_ns,
+            end_ns=bag.end_ns,
+            topics=_topics(bag),
+            clouds=clouds,
+            frames=tuple(tree.frames),
+            transforms=tree.edges,
+            rig=rig,
+            rig_problem=problem,
+            missing=tuple(_missing(bag, clouds, tree, rig)),
+            warnings=(*bag.warnings, *(rig.warnings if rig else ())),
+        )
+
+
+def _topics(bag: Bag) -> tuple[TopicInfo, ...]:
+    seconds = 0.0 if bag.start_ns is None or bag.end_ns is None else (bag.end_ns - bag.start_ns) / 1e9
+    return tuple(
+        TopicInfo(t.name, t.msgtype, t.count, (t.count - 1) / seconds if t.count > 1 and seconds > 0 else None)
+        for t in bag.topics.values()
+    )
+
+
+def _describe_cloud(bag: Bag, topic: str, time_from: TimeFrom) -> CloudInfo:
+    index = index_clouds(bag, topic)
+    messages = sample_messages(bag, index, _SAMPLES)
+    decoding, problem = None, None
+    counts: list[tuple[int, int]] = []
+    try:
+        decoding = settle_decoding(messages, topic, time_from, index.period_ns)
+        for message in messages:
+            scan = decode(message, decoding)
+            counts.append((len(scan), scan.cloud_size))
+    except CloudError as error:
+        problem = str(error)
+    period_ns = index.period_ns
+    valid, places = np.median(counts, axis=0).astype(int).tolist() if counts else (0, 0)
+    return CloudInfo(
+        topic=topic,
+        packets=bag.topics[topic].msgtype == PACKET_TYPE,
+        frame_id=decoding.layout.frame_id if decoding else "",
+        cloud_count=len(index),
+        messages_per_cloud=float(np.median(index.message_count)) if len(index) else 0.0,
+        rate_hz=1e9 / period_ns if period_ns else None,
+        points=(valid, places),
+        unusable_count=int(np.count_nonzero(~index.usable)),
+        gaps=_gaps(index),
+        decoding=decoding,
+        rings=_ring_words(decoding) if decoding else "",
+        times=_time_words(decoding) if decoding else "",
+        problem=problem,
+    )
+
+
+def _gaps(index: CloudIndex) -> tuple[Gap, ...]:
+    stamps = index.stamp_ns[index.usable]
+    steps = np.diff(stamps)
+    if not index.period_ns:
+        return ()
+    places = np.flatnonzero(steps > _GAP_PERIODS * index.period_ns)
+    return tuple(Gap(int(stamps[i]), int(steps[i])) for i in places)
+
+
+def _ring_words(decoding: CloudDecoding) -> str:
+    rings = decoding.rings
+    seen = rings.elevation_deg[np.isfinite(rings.elevation_deg)]
+    span = f", {seen[0]:+.1f} to {seen[-1]:+.1f} deg" if len(seen) else ""
+    source = {
+        "field": f"from field {decoding.layout.ring_field}",
+        "row": "the cloud's rows",
+        "column": "the cloud's columns",
+        "elevation": "recovered from the elevations",
+        "bins": "not to be told apart: equal slices of elevation",
+    }[rings.source]
+    return f"{rings.count} rings{span} ({source})"
+
+
+def _time_words(decoding: CloudDecoding) -> str:
+    time = decoding.time
+    if decoding.time_from == "azimuth":
+        return "recovered from the azimuth"
+    if decoding.time_from == "none":
+        return "not used"
+    if time is None:
+        name = decoding.layout.time_field
+        return f"none (field {name} is not filled)" if name else "none"
+    meant = {
+        "stamp": "relative to the stamp",
+        "epoch": "absolute",
+        "own clock": "absolute on the sensor's own clock; the stamp is taken for the sweep's start",
+    }[time.reference]
+    return f"field {time.name} in {time.unit}, {meant}, a sweep spans {time.span_ns / 1e6:.1f} ms"
+
+
+def _missing(bag: Bag, clouds: tuple[CloudInfo, ...], tree: FrameTree, rig: Rig | None) -> list[str]:
+    lines = []
+    if bag.start_ns is None:
+        return ["messages: the bag is empty"]
+    if not clouds:
+        lines.append("clouds: without sensor_msgs/PointCloud2 or velodyne_msgs/VelodyneScan there is nothing to do")
+    for cloud in clouds:
+        if cloud.decoding is None:
+            continue
+        if cloud.decoding.rings.source not in ("field", "row", "column"):
+            lines.append(f"rings on {cloud.topic}: {cloud.rings}")
+        if cloud.decoding.time is None:
+            lines.append(
+                f"times on {cloud.topic}: motion compensation is off; --time-from azimuth recovers them unless the "
+                "clouds are compensated already"
+            )
+    if clouds and not tree.edges:
+        lines.append(
+            "transforms: one lidar needs none"
+            if len(clouds) == 1
+            else "transforms: several lidars need --rig FILE.toml"
+        )
+    if rig and rig.vertical is None:
+        lines.append("a vertical lidar: there is a trajectory and a recording, and nothing to label")
+    if not any(name in bag.topics for name in (POSE_TOPIC, CLASSES_TOPIC, BUILDING_TOPIC)):
+        lines.append("truth: no figures can be computed")
+    return lines

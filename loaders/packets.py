@@ -1,0 +1,85 @@
+"""Raw Velodyne packets (velodyne_msgs/VelodyneScan, one message a revolution) to clouds as the Velodyne driver lays
+them out."""
+
+from typing import Any
+
+import numpy as np
+import velodyne_decoder
+from rosbags.typesys.store import Typestore
+
+from loaders.bag import Message
+from loaders.errors import CloudError
+
+PACKET_TYPE = "velodyne_msgs/msg/VelodyneScan"
+
+_POINT = np.dtype(
+    {
+        "names": ["x", "y", "z", "intensity", "ring", "time"],
+        "formats": ["<f4", "<f4", "<f4", "<f4", "<u2", "<f4"],
+        "offsets": [0, 4, 8, 12, 16, 18],
+        "itemsize": 22,
+    }
+)
+_FLOAT32, _UINT16 = 7, 4
+# The decoder subtracts the stamps of packets, and takes none at 0 for a missing one.
+_ANY_TIME_S = 1000.0
+
+
+class PacketDecoder:
+    """Decodes the scans of one sensor, whose model it takes from the packets themselves."""
+
+    def __init__(self, topic: str, typestore: Typestore) -> None:
+        self._topic = topic
+        self._types = typestore.types
+        self._decoder: Any = velodyne_decoder.ScanDecoder(velodyne_decoder.Config(timestamp_first_packet=True))
+
+    @property
+    def model(self) -> str:
+        """The sensor's model, such as "VLP16"; empty before the first scan."""
+        model = self._decoder.model_id
+        return "" if model is None else str(model).rsplit(".", 1)[-1]
+
+    def to_cloud(self, scan: Message) -> Message:
+        """The returns of one revolution as a PointCloud2: x y z intensity ring time, time in seconds from the stamp.
+
+        Raises CloudError where the packets are of no sensor that velodyne-decoder knows.
+        """
+        stamp = scan.header.stamp
+        packets = velodyne_decoder.PacketVector()
+        for packet in scan.packets:
+            since_s = (packet.stamp.sec - stamp.sec) + 1e-9 * (int(packet.stamp.nanosec) - int(stamp.nanosec))
+            packets.append(velodyne_decoder.VelodynePacket(_ANY_TIME_S + since_s, packet.data.tolist()))
+        points = np.zeros(0, _POINT)
+        if len(scan.packets):
+            try:
+                start, decoded = self._decoder.decode(packets, as_pcl_structs=True)
+            except (RuntimeError, ValueError, IndexError) as error:
+                raise CloudError(
+                    f"{self._topic}: the packets cannot be decoded ({error}); decode them with the sensor's own driver "
+                    "and record its PointCloud2"
+                ) from error
+            points = np.zeros(len(decoded), _POINT)
+            for name in ("x", "y", "z", "intensity", "ring"):
+                points[name] = decoded[name]
+            points["time"] = decoded["time"] + np.float32(float(start.host) - _ANY_TIME_S)
+        field = self._types["sensor_msgs/msg/PointField"]
+        fields = [
+            field(
+                name=name,
+                offset=_POINT.fields[name][1],  # type: ignore[index]
+                datatype=_UINT16 if name == "ring" else _FLOAT32,
+                count=1,
+            )
+            for name in _POINT.names or ()
+        ]
+        return self._types["sensor_msgs/msg/PointCloud2"](
+            header=scan.header,
+            height=1,
+            width=len(points),
+            fields=fields,
+            is_bigendian=False,
+            point_step=_POINT.itemsize,
+            row_step=_POINT.itemsize * len(points),
+            data=points.view(np.uint8).reshape(-1),
+            is_dense=True,
+        )

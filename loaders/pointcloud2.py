@@ -1,0 +1,403 @@
+"""sensor_msgs/PointCloud2 to scans and back: any field order, padding, byte order and numeric type, organised or not.
+
+How a topic's clouds are read (`CloudDecoding`) is settled once, from clouds all over the bag: a single cloud may be too
+poor to tell the unit of its times or how many rings there are.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, Literal
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from algorithms.labels import NO_RETURN
+from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array
+from loaders.bag import Message
+from loaders.errors import CloudError
+from loaders.firing_times import TIME_NAMES, TimeField, azimuth_times, find_time_field
+from loaders.rings import RingModel, RingSample, estimate_rings
+
+TimeFrom = Literal["auto", "azimuth", "none"]
+
+RING_NAMES = ("ring", "channel", "laser_id", "line", "laser", "scan_id")
+_DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+_UINT8 = 2
+_LABEL_FIELDS = ("label", "label_scan")
+
+
+@dataclass(frozen=True)
+class CloudField:
+    """A field of a cloud's points; `datatype` as NumPy writes it, such as "f4"."""
+
+    name: str
+    datatype: str
+    offset: int
+    count: int
+
+
+@dataclass(frozen=True)
+class CloudLayout:
+    """What a cloud message says about its points.
+
+    ring_field, time_field: the names of the fields that hold them; None where there is none.
+    """
+
+    topic: str
+    frame_id: str
+    fields: tuple[CloudField, ...]
+    point_step: int
+    big_endian: bool
+    height: int
+    width: int
+    ring_field: str | None
+    time_field: str | None
+
+    @property
+    def organised(self) -> bool:
+        """Whether the cloud has rows and columns."""
+        return self.height > 1
+
+
+@dataclass(frozen=True, eq=False)
+class CloudDecoding:
+    """How the clouds of one topic become scans, the same for all of them.
+
+    time: the field of times as it turned out to be meant; None where there is none or it is not filled.
+    time_from: "auto" (the field), "azimuth" (recovered from the direction of each point), "none".
+    period_ns: time of a revolution, from the stamps; None where fewer than two clouds are there.
+    """
+
+    layout: CloudLayout
+    rings: RingModel
+    time: TimeField | None
+    time_from: TimeFrom
+    period_ns: int | None
+
+    @property
+    def timed(self) -> bool:
+        """Whether scans will carry the time of each firing."""
+        return self.time is not None if self.time_from == "auto" else self.time_from == "azimuth"
+
+
+def describe_layout(message: Message, topic: str, needed: tuple[str, ...] = ("x", "y", "z")) -> CloudLayout:
+    """What the message says about its points. Raises CloudError where it contradicts itself or lacks a needed field."""
+    layout = _layout(
+        topic,
+        message.header.frame_id.removeprefix("/"),
+        tuple((f.name, int(f.offset), int(f.datatype), int(f.count)) for f in message.fields),
+        int(message.point_step),
+        bool(message.is_bigendian),
+        int(message.height),
+        int(message.width),
+        needed,
+    )
+    rows, row_bytes = layout.height, layout.width * layout.point_step
+    if rows and row_bytes:
+        row_step = int(message.row_step)
+        if rows > 1 and row_step < row_bytes and row_step:
+            raise CloudError(
+                f"{topic}: row_step {row_step} is less than width x point_step = {row_bytes}; the driver that wrote "
+                "the cloud is at fault, choose another topic"
+            )
+        size = (rows - 1) * max(row_step, row_bytes) + row_bytes
+        if len(message.data) < size:
+            raise CloudError(
+                f"{topic}: the cloud is truncated, {len(message.data)} bytes where height x width x point_step = "
+                f"{size}; leave that stretch of the bag out, or choose another topic"
+            )
+    return layout
+
+
+@lru_cache(maxsize=64)
+def _layout(
+    topic: str,
+    frame_id: str,
+    fields: tuple[tuple[str, int, int, int], ...],
+    point_step: int,
+    big_endian: bool,
+    height: int,
+    width: int,
+    needed: tuple[str, ...],
+) -> CloudLayout:
+    known: dict[str, CloudField] = {}
+    for name, offset, datatype, count in fields:
+        if datatype not in _DATATYPES:
+            raise CloudError(f"{topic}: field {name} has the unknown datatype {datatype}; choose another topic")
+        field = CloudField(name, _DATATYPES[datatype], offset, max(count, 1))
+        size = np.dtype(field.datatype).itemsize
+        if height * width and offset + size > point_step:
+            raise CloudError(
+                f"{topic}: field {name} ends at byte {offset + size}, beyond point_step {point_step}; the driver that "
+                "wrote the cloud is at fault, choose another topic"
+            )
+        known.setdefault(name, field)
+    if missing := [name for name in needed if name not in known]:
+        raise CloudError(
+            f"{topic}: no field {' '.join(missing)} among {' '.join(known) or 'none'}; choose a topic that has "
+            f"{' '.join(needed)}"
+        )
+    return CloudLayout(
+        topic=topic,
+        frame_id=frame_id,
+        fields=tuple(known.values()),
+        point_step=point_step,
+        big_endian=big_endian,
+        height=height,
+        width=width,
+        ring_field=_first_of(RING_NAMES, known),
+        time_field=_first_of(TIME_NAMES, known),
+    )
+
+
+def _first_of(names: Sequence[str], fields: dict[str, CloudField]) -> str | None:
+    by_lower = {name.lower(): name for name in reversed(fields)}
+    return next((by_lower[name] for name in names if name in by_lower), None)
+
+
+@lru_cache(maxsize=64)
+def point_dtype(layout: CloudLayout) -> np.dtype[np.void]:
+    """The structured type of one point."""
+    order = ">" if layout.big_endian else "<"
+    return np.dtype(
+        {
+            "names": [f.name for f in layout.fields],
+            "formats": [order + f.datatype for f in layout.fields],
+            "offsets": [f.offset for f in layout.fields],
+            "itemsize": layout.point_step,
+        }
+    )
+
+
+def field_column(message: Message, layout: CloudLayout, name: str) -> npt.NDArray[Any]:
+    """One field of every point (height x width,), row by row."""
+    shape = (layout.height, layout.width)
+    if 0 in shape:
+        return np.zeros(0, point_dtype(layout)[name])
+    row_step = max(int(message.row_step), layout.width * layout.point_step)
+    data = np.ascontiguousarray(message.data)
+    cloud = np.ndarray(shape, point_dtype(layout), data.data, strides=(row_step, layout.point_step))
+    return cloud[name].reshape(-1)
+
+
+def _valid_points(message: Message, layout: CloudLayout) -> tuple[FloatArray, IntArray]:
+    """Points (n, 3) float32 that the sensor did return, and their places (n,) int32 in the cloud."""
+    x, y, z = (np.ascontiguousarray(field_column(message, layout, axis), np.float32) for axis in "xyz")
+    return _compact(x, y, z)
+
+
+@numba.njit(cache=True, nogil=True)
+def _compact(x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray, IntArray]:  # pragma: no cover
+    points = np.empty((len(x), 3), np.float32)
+    index = np.empty(len(x), np.int32)
+    n = 0
+    for i in range(len(x)):
+        finite = np.isfinite(x[i]) and np.isfinite(y[i]) and np.isfinite(z[i])
+        if finite and (x[i] != 0 or y[i] != 0 or z[i] != 0):
+            points[n, 0] = x[i]
+            points[n, 1] = y[i]
+            points[n, 2] = z[i]
+            index[n] = i
+            n += 1
+    return points[:n].copy(), index[:n].copy()
+
+
+def stamp_ns(message: Message) -> int:
+    """The header's stamp in nanoseconds."""
+    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
+
+
+def settle_decoding(
+    messages: Sequence[Message], topic: str, time_from: TimeFrom = "auto", period_ns: int | None = None
+) -> CloudDecoding:
+    """How the clouds of a topic are to be read, from some of them, best from all over the bag.
+
+    Raises CloudError where none of them is sound.
+    """
+    layouts, ring_samples, time_samples = [], [], []
+    failure: CloudError | None = None
+    for message in messages:
+        try:
+            layout = describe_layout(message, topic)
+        except CloudError as error:
+            failure = error
+            continue
+        layouts.append(layout)
+        points, index = _valid_points(message, layout)
+        if not len(points):
+            continue
+        field = _ring_numbers(message, layout, index) if layout.ring_field else None
+        row, column = np.divmod(index, layout.width)
+        ring_samples.append(RingSample(points, field, row, column, (layout.height, layout.width)))
+        if layout.time_field:
+            time_samples.append((field_column(message, layout, layout.time_field)[index], stamp_ns(message)))
+    if not layouts:
+        raise failure or CloudError(f"{topic}: no cloud to read; choose another topic")
+    layout = max(layouts, key=lambda found: found.height * found.width)
+    time = find_time_field(layout.time_field, time_samples) if layout.time_field and time_samples else None
+    return CloudDecoding(layout, estimate_rings(ring_samples), time, time_from, period_ns)
+
+
+def _ring_numbers(message: Message, layout: CloudLayout, index: IntArray) -> IntArray:
+    assert layout.ring_field
+    numbers = field_column(message, layout, layout.ring_field)[index]
+    if np.issubdtype(numbers.dtype, np.floating):
+        numbers = np.nan_to_num(numbers, nan=0, posinf=0, neginf=0)
+    return numbers.astype(np.int64)
+
+
+def decode(message: Message, decoding: CloudDecoding) -> Scan:
+    """The cloud as a scan: invalid points dropped, ring and time aligned with what is left.
+
+    A scan without any valid point is returned empty. Raises CloudError where the message contradicts itself.
+    """
+    layout = describe_layout(message, decoding.layout.topic)
+    points, index = _valid_points(message, layout)
+    rings = decoding.rings
+    match rings.source:
+        case "field" if layout.ring_field:
+            number: IntArray | None = _ring_numbers(message, layout, index)
+        case "row":
+            number = index // layout.width
+        case "column":
+            number = index % layout.width
+        case _:
+            number = None
+    ring = rings.rings(points, number)
+    stamp = stamp_ns(message)
+    time_ns, start_ns = _times(message, layout, decoding, points, ring, index, stamp)
+    return Scan(
+        points_sensor=points,
+        ring=ring,
+        ring_count=rings.count,
+        time_ns=time_ns,
+        start_ns=start_ns,
+        stamp_ns=stamp,
+        cloud_index=index,
+        cloud_size=layout.height * layout.width,
+    )
+
+
+def _times(
+    message: Message,
+    layout: CloudLayout,
+    decoding: CloudDecoding,
+    points: FloatArray,
+    ring: IntArray,
+    index: IntArray,
+    stamp: int,
+) -> tuple[IntArray | None, int]:
+    if decoding.time_from == "auto" and decoding.time and layout.time_field == decoding.time.name:
+        try:
+            return decoding.time.nanoseconds(field_column(message, layout, layout.time_field)[index], stamp)
+        except CloudError as error:
+            raise CloudError(f"{layout.topic}: {error}; use --time-from azimuth") from error
+    if decoding.time_from == "azimuth" and decoding.period_ns:
+        if decoding.rings.source == "row":
+            columns = index.astype(np.int64) % layout.width
+            return columns * decoding.period_ns // layout.width, stamp
+        return azimuth_times(points, ring, decoding.period_ns), stamp
+    return None, stamp
+
+
+def full_labels(scan: Scan, label: UInt8Array) -> UInt8Array:
+    """Labels (cloud_size,) of every place in the cloud, from those (n,) of its returns; 255 where nothing returned."""
+    labels = np.full(scan.cloud_size, NO_RETURN, np.uint8)
+    labels[scan.cloud_index] = label
+    return labels
+
+
+def encode_labelled(message: Message, label: UInt8Array, label_scan: UInt8Array) -> Message:
+    """The same cloud with two uint8 fields more, `label` and `label_scan`, at the end of each point.
+
+    label, label_scan: (height x width,) in the cloud's order; see `full_labels`.
+    Stamp, points, their order and the other fields stay as they are; padding at the end of rows goes.
+    """
+    height, width, step = int(message.height), int(message.width), int(message.point_step)
+    if not len(label) == len(label_scan) == height * width:
+        raise ValueError(f"{len(label)} and {len(label_scan)} labels for a cloud of {height} x {width}")
+    labelled = np.empty((height, width, step + 2), np.uint8)
+    if height * width:
+        row_step = max(int(message.row_step), width * step)
+        data = np.ascontiguousarray(message.data)
+        points = np.ndarray((height, width, step), np.uint8, data.data, strides=(row_step, step, 1))
+        labelled[:, :, :step] = points
+        labelled[:, :, step] = np.reshape(label, (height, width))
+        labelled[:, :, step + 1] = np.reshape(label_scan, (height, width))
+    kept = [field for field in message.fields if field.name not in _LABEL_FIELDS]
+    field = message.fields[0]
+    added = [
+        replace(field, name=name, offset=step + i, datatype=_UINT8, count=1) for i, name in enumerate(_LABEL_FIELDS)
+    ]
+    return replace(
+        message,
+        fields=[*kept, *added],
+        point_step=step + 2,
+        row_step=width * (step + 2),
+        data=labelled.reshape(-1),
+    )
+
+
+def merge_clouds(messages: Sequence[Message]) -> Message:
+    """One cloud of several that belong to one revolution, in order; stamp and header of the first.
+
+    A field `time` (float32, seconds from the first stamp) is appended unless the clouds carry times: then each cloud's
+    own stamp is the time of its points. Times relative to a message's stamp are made relative to the first one's.
+    """
+    first = messages[0]
+    layout = describe_layout(first, "")
+    blocks = list(_point_blocks(messages, layout))
+    own_time = next((f for f in layout.fields if f.name == layout.time_field), None)
+    if own_time is None:
+        step = layout.point_step + 4
+        data = np.empty((sum(len(block) for block, _ in blocks), step), np.uint8)
+        at = 0
+        for block, offset_ns in blocks:
+            data[at : at + len(block), : layout.point_step] = block
+            seconds = np.array([offset_ns * 1e-9], ">f4" if layout.big_endian else "<f4")
+            data[at : at + len(block), layout.point_step :] = seconds.view(np.uint8)
+            at += len(block)
+        added = [replace(first.fields[0], name="time", offset=layout.point_step, datatype=7, count=1)]
+    else:
+        step, added = layout.point_step, []
+        data = np.concatenate([_shifted(block, offset_ns, own_time, layout) for block, offset_ns in blocks])
+    return replace(
+        first,
+        height=1,
+        width=len(data),
+        fields=[*first.fields, *added],
+        point_step=step,
+        row_step=len(data) * step,
+        data=data.reshape(-1),
+    )
+
+
+def _point_blocks(messages: Sequence[Message], layout: CloudLayout) -> Iterator[tuple[UInt8Array, int]]:
+    """Each cloud's bytes (n, point_step), and its stamp relative to the first one's in nanoseconds."""
+    start_ns = stamp_ns(messages[0])
+    for message in messages:
+        found = describe_layout(message, layout.topic)
+        if found.point_step != layout.point_step or found.fields != layout.fields:
+            continue
+        shape = (found.height, found.width, found.point_step)
+        row_step = max(int(message.row_step), found.width * found.point_step)
+        data = np.ascontiguousarray(message.data)
+        points = np.ndarray(shape, np.uint8, data.data, strides=(row_step, found.point_step, 1))
+        yield points.reshape(-1, found.point_step), stamp_ns(message) - start_ns
+
+
+def _shifted(block: UInt8Array, offset_ns: int, field: CloudField, layout: CloudLayout) -> UInt8Array:
+    """The block with its times counted from the revolution's first stamp; absolute times stay."""
+    dtype = np.dtype((">" if layout.big_endian else "<") + field.datatype)
+    columns = slice(field.offset, field.offset + dtype.itemsize)
+    values = np.ascontiguousarray(block[:, columns]).view(dtype).reshape(-1)
+    whole = np.issubdtype(dtype, np.integer)
+    limit = 2e9 if whole else 2.0
+    if not len(values) or not np.abs(values.astype(np.float64)).max() < limit:
+        return block
+    shifted = block.copy()
+    moved = values.astype(np.float64) + (offset_ns if whole else offset_ns * 1e-9)
+    shifted[:, columns] = moved.astype(dtype).view(np.uint8).reshape(len(block), dtype.itemsize)
+    return shifted

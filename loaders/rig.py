@@ -1,0 +1,491 @@
+"""Which lidar sits where, and what each is for.
+
+Names do not tell: in one public data set `vertical_velodyne` scans the walls, in another it drives the odometry. The
+lidar whose spin axis is nearest to gravity drives odometry (the "horizontal" lidar: it scans horizontally), the one
+whose spin axis is nearest to level is labelled (the "vertical" lidar).
+
+Where the bag has no transforms, a rig file says where the lidars are:
+
+    base = "base_link"                        # the frame of the trajectory; x forward, z up
+
+    [[lidar]]
+    topic = "/horizontal/velodyne_points"     # topic or frame, or both
+    frame = "velodyne_h"
+    role = "horizontal"                       # optional: "horizontal" or "vertical"
+    translation = [0.12, 0.01, 0.568]         # where the lidar is in base, metres
+    quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]    # how it is turned there, T_base_lidar, or
+    rpy_deg = [0.0, 0.0, -90.0]               # roll, pitch, yaw about base's fixed axes x, y, z
+
+A lidar without translation and rotation takes them from the bag's transforms.
+"""
+
+import difflib
+import tomllib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from algorithms import transforms
+from algorithms.scan import FloatArray, IntArray
+from loaders.bag import Bag
+from loaders.errors import CloudError, InputError
+from loaders.frames import FrameTree, StaticTransform, read_frame_tree
+from loaders.pointcloud2 import CloudDecoding, CloudLayout, TimeFrom, decode, settle_decoding
+from loaders.scans import cloud_hint, cloud_topics, index_clouds, sample_messages
+
+Role = Literal["horizontal", "vertical"]
+
+_SAMPLES = 8
+_UPRIGHT_DEG = 45.0
+_LEVEL_WITHIN_DEG = 5.0
+"""Lidars whose axes differ by less are equally upright: the one that sees more is taken."""
+_SECTORS = 36
+
+
+@dataclass(frozen=True, eq=False)
+class Lidar:
+    """A lidar of the rig.
+
+    T_base_sensor: (4, 4).
+    decoding: how its clouds become scans; for `read_scans`.
+    points_per_cloud: valid points, the median of some clouds.
+    reasons: why it has its role, one line.
+    """
+
+    topic: str
+    frame_id: str
+    T_base_sensor: FloatArray
+    decoding: CloudDecoding
+    points_per_cloud: int
+    reasons: str
+
+    @property
+    def ring_count(self) -> int:
+        """How many emitters it has."""
+        return self.decoding.rings.count
+
+    @property
+    def layout(self) -> CloudLayout:
+        """What its clouds' points carry."""
+        return self.decoding.layout
+
+    @property
+    def tilt_deg(self) -> float:
+        """Angle between its spin axis and the base's z axis, 0 to 90°."""
+        return float(np.degrees(np.arccos(np.clip(abs(self.T_base_sensor[2, 2]), 0.0, 1.0))))
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """The lidars with their roles.
+
+    base_frame: the frame whose pose the trajectory gives.
+    horizontal: drives odometry; None where the bag has none.
+    vertical: is labelled; None where there is nothing to label.
+    static_transforms: all that are known, for the results' /tf_static.
+    warnings: what a user must know about the choice.
+    """
+
+    base_frame: str
+    horizontal: Lidar | None
+    vertical: Lidar | None
+    static_transforms: tuple[StaticTransform, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def tree(self) -> FrameTree:
+        """The static transforms as a tree."""
+        return FrameTree(self.static_transforms)
+
+
+@dataclass(frozen=True, eq=False)
+class RigEntry:
+    """A lidar of a rig file; T_base_sensor is None where the bag's transforms are to tell."""
+
+    topic: str | None
+    frame: str | None
+    role: Role | None
+    T_base_sensor: FloatArray | None
+
+
+@dataclass(frozen=True, eq=False)
+class RigFile:
+    """A rig file, as the module's docstring describes it."""
+
+    path: Path
+    base: str | None
+    lidars: tuple[RigEntry, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A topic that could be one of the rig's lidars."""
+
+    topic: str
+    frame_id: str
+    stamp_ns: IntArray
+    decoding: CloudDecoding
+    points: int
+    sectors: float
+    role: Role | None = None
+    T_base_sensor: FloatArray | None = None
+
+    @property
+    def worth(self) -> tuple[bool, bool, bool, int]:
+        """Better clouds compare greater: whole turns, times and rings, more points."""
+        rings = self.decoding.rings.source in ("field", "row", "column")
+        return self.sectors >= 0.5, self.decoding.time is not None, rings, self.points
+
+    def lidar(self, reasons: str) -> Lidar:
+        T = self.T_base_sensor if self.T_base_sensor is not None else np.eye(4)
+        return Lidar(self.topic, self.frame_id, T, self.decoding, self.points, reasons)
+
+
+def find_rig(
+    bag: Bag,
+    rig_file: Path | None = None,
+    horizontal: str | None = None,
+    vertical: str | None = None,
+    time_from: TimeFrom = "auto",
+) -> Rig:
+    """The rig of a bag.
+
+    rig_file: where the lidars sit; None to ask the bag's transforms.
+    horizontal, vertical: topics that are to have these roles; None to decide by the spin axes. One topic may have both.
+    time_from: where the firings' times come from.
+
+    Raises InputError: no clouds, an unknown topic or frame, several lidars and no transforms that join them, a rig file
+    that is not understood.
+    """
+    warnings: list[str] = []
+    described = read_rig_file(rig_file) if rig_file else None
+    asked = {role: _cloud_topic(bag, name, role) for role, name in _asked(horizontal, vertical)}
+    topics = cloud_topics(bag)
+    if not topics:
+        raise _no_clouds(bag)
+    if described:
+        topics = [*dict.fromkeys([*_named_topics(bag, described, topics), *asked.values()])]
+    if len(asked) == 2:
+        topics = [t for t in topics if t in asked.values()]
+    candidates = _candidates(bag, topics, time_from, warnings)
+    candidates = _one_a_frame(bag, candidates, _chosen(asked, described), warnings)
+    candidates, base, edges = _place(bag, candidates, described, asked, warnings)
+    roles = _roles(candidates, asked, warnings)
+    for role, lidar in roles.items():
+        if not lidar.decoding.timed:
+            warnings.append(
+                f"{lidar.topic} ({role}): no times in its points; motion compensation is off, --time-from azimuth "
+                "recovers them"
+            )
+        if lidar.decoding.rings.source == "bins":
+            warnings.append(f"{lidar.topic} ({role}): no ring field, and the elevations tell no rings apart")
+    return Rig(base, roles.get("horizontal"), roles.get("vertical"), edges, tuple(warnings))
+
+
+def _asked(horizontal: str | None, vertical: str | None) -> list[tuple[Role, str]]:
+    both: list[tuple[Role, str | None]] = [("horizontal", horizontal), ("vertical", vertical)]
+    return [(role, name) for role, name in both if name is not None]
+
+
+def _cloud_topic(bag: Bag, name: str, role: str) -> str:
+    topics = cloud_topics(bag)
+    for candidate in (name, f"/{name}", name.removeprefix("/")):
+        if candidate in topics:
+            return candidate
+    raise InputError(f"{bag.path.name}: --{role} {name} is no topic with clouds; {cloud_hint(bag)}")
+
+
+def _no_clouds(bag: Bag) -> InputError:
+    if bag.start_ns is None:
+        return InputError(f"{bag.path}: the bag is empty, it has no messages; record it again")
+    names = ", ".join(bag.topics)
+    return InputError(
+        f"{bag.path}: no PointCloud2 and no VelodyneScan in the bag; its topics are: {names}. Record the lidars' clouds"
+    )
+
+
+def _candidates(bag: Bag, topics: list[str], time_from: TimeFrom, warnings: list[str]) -> list[_Candidate]:
+    found = []
+    failure: CloudError | None = None
+    for topic in topics:
+        index = index_clouds(bag, topic)
+        messages = sample_messages(bag, index, _SAMPLES)
+        try:
+            decoding = settle_decoding(messages, topic, time_from, index.period_ns)
+        except CloudError as error:
+            failure = error
+            warnings.append(str(error))
+            continue
+        points, sectors = _look(messages, decoding)
+        found.append(_Candidate(topic, decoding.layout.frame_id, index.stamp_ns, decoding, points, sectors))
+    if not found:
+        raise failure or _no_clouds(bag)
+    return found
+
+
+def _look(messages: list[Any], decoding: CloudDecoding) -> tuple[int, float]:
+    """Valid points a cloud, and which share of the directions about the spin axis has any."""
+    counts, seen = [], np.zeros(_SECTORS, bool)
+    for message in messages:
+        try:
+            scan = decode(message, decoding)
+        except CloudError:
+            continue
+        counts.append(len(scan))
+        azimuth = np.arctan2(scan.points_sensor[:, 1], scan.points_sensor[:, 0])
+        seen[((azimuth + np.pi) / (2 * np.pi) * _SECTORS).astype(int) % _SECTORS] = True
+    return int(np.median(counts)) if counts else 0, float(seen.mean())
+
+
+def _unlike(stamps: IntArray, others: IntArray) -> bool:
+    """Whether two clouds are of two sensors: a copy has its original's stamps."""
+    return len(np.intersect1d(stamps, others)) < 0.5 * min(len(stamps), len(others))
+
+
+def _chosen(asked: dict[Role, str], described: RigFile | None) -> set[str]:
+    """Topics that the user named: with and without leading slash."""
+    names = [*asked.values(), *(e.topic for e in described.lidars if e.topic)] if described else list(asked.values())
+    return {form for name in names for form in (name, f"/{name.removeprefix('/')}", name.removeprefix("/"))}
+
+
+def _one_a_frame(bag: Bag, candidates: list[_Candidate], chosen: set[str], warnings: list[str]) -> list[_Candidate]:
+    """Of several clouds of one sensor (dual returns, filtered copies) the best; depth cameras only for want of lidars."""
+    best: dict[str, _Candidate] = {}
+    for candidate in candidates:
+        known = best.get(candidate.frame_id)
+        if known and not {known.topic, candidate.topic} & chosen and _unlike(known.stamp_ns, candidate.stamp_ns):
+            raise InputError(
+                f"{bag.path.name}: {known.topic} and {candidate.topic} both say frame {candidate.frame_id} but are two "
+                "sensors; give --rig FILE.toml, or name one with --horizontal"
+            )
+        if known is None or (candidate.topic in chosen, candidate.worth) > (known.topic in chosen, known.worth):
+            best[candidate.frame_id] = candidate
+    kept = [c for c in candidates if c.topic in chosen or best[c.frame_id] is c]
+    turning = [c for c in kept if c.sectors >= 0.5 or c.topic in chosen]
+    kept = turning or kept
+    if dropped := [c.topic for c in candidates if c not in kept]:
+        warnings.append(
+            f"not used: {', '.join(dropped)} (another cloud of the same frame is better, or no full turn is seen)"
+        )
+    return kept
+
+
+def _place(
+    bag: Bag, candidates: list[_Candidate], described: RigFile | None, asked: dict[Role, str], warnings: list[str]
+) -> tuple[list[_Candidate], str, tuple[StaticTransform, ...]]:
+    """The candidates with their T_base_sensor, the base's frame, and all static transforms."""
+    tree = read_frame_tree(bag, {c.frame_id for c in candidates})
+    if described:
+        return _place_by_file(bag, candidates, described, tree)
+    roots = {c.topic: tree.root(c.frame_id) for c in candidates}
+    if len(candidates) == 1:
+        base, T = roots[candidates[0].topic]
+        return [replace(candidates[0], T_base_sensor=T)], base, tree.edges
+    known = [c for c in candidates if c.frame_id in tree.frames]
+    unknown = [c for c in candidates if c not in known]
+    if not known:
+        pairs = " and ".join(f"{c.frame_id} ({c.topic})" for c in candidates)
+        raise InputError(
+            f"{bag.path.name}: no transforms say where the lidars' frames {pairs} are; give --rig FILE.toml, or "
+            "record /tf_static"
+        )
+    needed = [c for c in unknown if c.topic in asked.values()] or (unknown if len(known) < 2 else [])
+    if needed:
+        raise InputError(
+            f"{bag.path.name}: frame {needed[0].frame_id} of {needed[0].topic} is unknown; the bag's transforms know: "
+            f"{', '.join(tree.frames)}. Give --rig FILE.toml"
+        )
+    if unknown:
+        warnings.append(f"not used: {', '.join(c.topic for c in unknown)} (their frames are unknown)")
+    by_root: dict[str, list[_Candidate]] = {}
+    for candidate in known:
+        by_root.setdefault(roots[candidate.topic][0], []).append(candidate)
+    base, together = max(by_root.items(), key=lambda item: (len(item[1]), [c.worth for c in item[1]]))
+    apart = [c for c in known if c not in together]
+    if apart and (len(together) < 2 or any(c.topic in asked.values() for c in apart)):
+        raise InputError(
+            f"{bag.path.name}: no transforms join frame {together[0].frame_id} ({together[0].topic}) with "
+            f"{apart[0].frame_id} ({apart[0].topic}); the bag's frames are: {', '.join(tree.frames)}. "
+            "Give --rig FILE.toml"
+        )
+    return [replace(c, T_base_sensor=roots[c.topic][1]) for c in together], base, tree.edges
+
+
+def _place_by_file(
+    bag: Bag, candidates: list[_Candidate], described: RigFile, tree: FrameTree
+) -> tuple[list[_Candidate], str, tuple[StaticTransform, ...]]:
+    frames = [f for f in [described.base] if f] or [tree.root(candidates[0].frame_id)[0]]
+    base = frames[0]
+    placed, edges = [], {edge.child: edge for edge in tree.edges}
+    for candidate in candidates:
+        entry = next((e for e in described.lidars if _is_entry_of(e, candidate)), None)
+        T = entry.T_base_sensor if entry else None
+        if T is None:
+            T = tree.between(base, candidate.frame_id)
+            if T is None:
+                known = ", ".join(tree.frames) or "none"
+                raise InputError(
+                    f"{described.path}: no place for {candidate.topic} (frame {candidate.frame_id}) in {base}; give "
+                    f"translation and quaternion_xyzw. Frames that the bag knows: {known}"
+                )
+        else:
+            edges[candidate.frame_id] = StaticTransform(base, candidate.frame_id, T)
+        placed.append(replace(candidate, T_base_sensor=T, role=entry.role if entry else None))
+    return placed, base, tuple(edges.values())
+
+
+def _roles(candidates: list[_Candidate], asked: dict[Role, str], warnings: list[str]) -> dict[Role, Lidar]:
+    by_topic = {c.topic: c for c in candidates}
+    roles: dict[Role, Lidar] = {}
+    for role, topic in asked.items():
+        roles[role] = by_topic[topic].lidar(f"--{role} names it")
+    both: tuple[Role, Role] = ("horizontal", "vertical")
+    for role in both:
+        given = next((c for c in candidates if c.role == role), None)
+        if given and role not in roles:
+            roles[role] = given.lidar("the rig file gives it this role")
+    taken = {lidar.topic for lidar in roles.values()}
+    free = [(c, c.lidar("").tilt_deg) for c in candidates if c.topic not in taken]
+    if len(candidates) == 1:
+        _roles_of_one(candidates[0], roles, warnings)
+        return roles
+    if "horizontal" not in roles and free:
+        upright = min(tilt for _, tilt in free)
+        near = [c for c, tilt in free if tilt <= upright + _LEVEL_WITHIN_DEG]
+        chosen = max(near, key=lambda c: c.worth)
+        tilt = chosen.lidar("").tilt_deg
+        more = " and sees the most" if len(near) > 1 else ""
+        roles["horizontal"] = chosen.lidar(f"its spin axis is nearest to gravity ({tilt:.1f} deg off){more}")
+        free = [(c, tilt) for c, tilt in free if c is not chosen]
+        if tilt > _UPRIGHT_DEG:
+            warnings.append(f"{chosen.topic}: no lidar stands upright; odometry has to do with one that does not")
+    if "vertical" not in roles:
+        lying = [(c, tilt) for c, tilt in free if tilt > _UPRIGHT_DEG]
+        if lying:
+            level = max(tilt for _, tilt in lying)
+            near = [c for c, tilt in lying if tilt >= level - _LEVEL_WITHIN_DEG]
+            chosen = max(near, key=lambda c: c.worth)
+            more = " and sees the most" if len(near) > 1 else ""
+            off = 90.0 - chosen.lidar("").tilt_deg
+            roles["vertical"] = chosen.lidar(f"its spin axis is nearest to level ({off:.1f} deg off){more}")
+        else:
+            warnings.append(
+                "nothing to label: no lidar's spin axis lies level; --vertical TOPIC names one all the same"
+            )
+    return roles
+
+
+def _roles_of_one(only: _Candidate, roles: dict[Role, Lidar], warnings: list[str]) -> None:
+    tilt = only.lidar("").tilt_deg
+    if "vertical" in roles and "horizontal" not in roles:
+        roles["horizontal"] = only.lidar("the only lidar: it drives odometry too")
+    elif "vertical" not in roles and "horizontal" not in roles and tilt > _UPRIGHT_DEG:
+        roles["vertical"] = only.lidar(f"the only lidar, its spin axis {90 - tilt:.1f} deg off level")
+        roles["horizontal"] = only.lidar("the only lidar: it drives odometry too")
+        warnings.append(f"{only.topic}: the only lidar lies on its side; odometry has to do with it")
+    elif "vertical" not in roles:
+        roles.setdefault("horizontal", only.lidar("the only lidar, its spin axis upright or unknown"))
+        warnings.append(
+            "nothing to label: the bag has one horizontal lidar only; --vertical TOPIC labels it all the same"
+        )
+
+
+def read_rig_file(path: Path) -> RigFile:
+    """A rig file. Raises InputError that names the file and the key."""
+    try:
+        content = tomllib.loads(path.read_text())
+    except OSError as error:
+        raise InputError(f"{path}: the rig file cannot be read ({error.strerror}); check --rig") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: no valid TOML ({error}); see `ffmap run --help` for the rig file") from error
+    _check_keys(path, content, ("base", "lidar"), "")
+    lidars = content.get("lidar", [])
+    if not isinstance(lidars, list) or not lidars or not all(isinstance(entry, dict) for entry in lidars):
+        raise InputError(f"{path}: no [[lidar]] in the rig file; give one for each lidar, with topic or frame")
+    base = content.get("base")
+    if base is not None and not isinstance(base, str):
+        raise InputError(f"{path}: base must be the name of a frame")
+    entries = tuple(_rig_entry(path, entry, i + 1) for i, entry in enumerate(lidars))
+    if base is None and any(entry.T_base_sensor is not None for entry in entries):
+        base = "base_link"
+    return RigFile(path, base.removeprefix("/") if base else None, entries)
+
+
+_KEYS = ("topic", "frame", "role", "translation", "quaternion_xyzw", "rpy_deg")
+
+
+def _rig_entry(path: Path, entry: dict[str, Any], number: int) -> RigEntry:
+    where = f"[[lidar]] {number}: "
+    _check_keys(path, entry, _KEYS, where)
+    topic, frame, role = entry.get("topic"), entry.get("frame"), entry.get("role")
+    for key, value in (("topic", topic), ("frame", frame)):
+        if value is not None and not isinstance(value, str):
+            raise InputError(f"{path}: {where}{key} must be a name")
+    if topic is None and frame is None:
+        raise InputError(f"{path}: {where}neither topic nor frame says which lidar is meant; give one")
+    if role not in (None, "horizontal", "vertical"):
+        raise InputError(f'{path}: {where}role {role!r} must be "horizontal" or "vertical"')
+    if "quaternion_xyzw" in entry and "rpy_deg" in entry:
+        raise InputError(f"{path}: {where}give quaternion_xyzw or rpy_deg, not both")
+    if not {"translation", "quaternion_xyzw", "rpy_deg"} & set(entry):
+        T = None
+    else:
+        translation = _numbers(path, entry, "translation", 3, [0.0, 0.0, 0.0], where)
+        if "rpy_deg" in entry:
+            angles = _numbers(path, entry, "rpy_deg", 3, [0.0, 0.0, 0.0], where)
+            T = transforms.make_transform(Rotation.from_euler("xyz", angles, degrees=True), translation)
+        else:
+            quaternion = _numbers(path, entry, "quaternion_xyzw", 4, [0.0, 0.0, 0.0, 1.0], where)
+            if abs(float(np.linalg.norm(quaternion)) - 1.0) > 0.05:
+                raise InputError(f"{path}: {where}quaternion_xyzw has not the length 1; give x y z w")
+            T = transforms.from_quaternion(translation, quaternion)
+    return RigEntry(topic, frame.removeprefix("/") if frame else None, role, T)
+
+
+def _numbers(path: Path, entry: dict[str, Any], key: str, count: int, default: list[float], where: str) -> list[float]:
+    values = entry.get(key, default)
+    sound = isinstance(values, list) and len(values) == count
+    if not sound or not all(isinstance(v, int | float) and np.isfinite(v) for v in values):
+        raise InputError(f"{path}: {where}{key} must be {count} numbers")
+    return [float(v) for v in values]
+
+
+def _check_keys(path: Path, content: dict[str, Any], known: tuple[str, ...], where: str) -> None:
+    for key in content:
+        if key not in known:
+            close = difflib.get_close_matches(key, known, n=1)
+            hint = f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
+            raise InputError(f"{path}: {where}unknown key {key}; {hint}")
+
+
+def _is_entry_of(entry: RigEntry, candidate: _Candidate) -> bool:
+    if entry.topic is not None:
+        return entry.topic.removeprefix("/") == candidate.topic.removeprefix("/")
+    return entry.frame == candidate.frame_id
+
+
+def _named_topics(bag: Bag, described: RigFile, topics: list[str]) -> list[str]:
+    """The topics that a rig file's entries mean; the frames of the bag's clouds are looked up in their first messages."""
+    named = []
+    for entry in described.lidars:
+        if entry.topic is not None:
+            matches = [t for t in topics if t.removeprefix("/") == entry.topic.removeprefix("/")]
+            if not matches:
+                raise InputError(f"{described.path}: topic {entry.topic} has no clouds in the bag; {cloud_hint(bag)}")
+        else:
+            frames = {topic: _frame_of(bag, topic) for topic in topics}
+            matches = [topic for topic, frame in frames.items() if frame == entry.frame]
+            if not matches:
+                raise InputError(
+                    f"{described.path}: frame {entry.frame} is unknown; the bag's clouds have the frames: "
+                    f"{', '.join(sorted(set(frames.values())))}"
+                )
+        named += matches
+    return named
+
+
+def _frame_of(bag: Bag, topic: str) -> str:
+    return str(bag.deserialize(next(bag.messages([topic]))).header.frame_id).removeprefix("/")

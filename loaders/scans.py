@@ -1,0 +1,261 @@
+"""From a bag's messages to scans: one cloud a revolution, numbered over the whole bag, read in any slice.
+
+Some recordings hold one PointCloud2 for each UDP packet, some 75 a revolution (Cartographer's backpack): these are
+gathered, a new cloud beginning where the azimuth comes round.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from algorithms.scan import BoolArray, FloatArray, IntArray, Scan
+from loaders.bag import Bag, Message, RawMessage
+from loaders.errors import CloudError, InputError
+from loaders.packets import PACKET_TYPE, PacketDecoder
+from loaders.pointcloud2 import CloudDecoding, CloudLayout, decode, describe_layout, merge_clouds, point_dtype
+
+CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
+CLOUD_TYPES = (CLOUD_TYPE, PACKET_TYPE)
+
+_STAMP_BYTES = 12
+_PART_NS = 4_000_000
+"""Clouds that come closer than this are parts of a revolution: no lidar spins at 250 Hz."""
+_LEAD_POINTS = 32
+_OUTLIER_PERIODS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class CloudIndex:
+    """Where the clouds of a topic lie: one row a revolution, skipped ones included, in the order of log time.
+
+    log_time_ns: (m,) int64, of the revolution's first message.
+    stamp_ns: (m,) int64, header stamp of the revolution's first message.
+    message_count: (m,) int64, messages a revolution; 1 unless the topic has one for each packet.
+    earlier: (m,) int64, messages of the topic with the very same log time that come before the revolution's first.
+    usable: (m,) bool, False where the stamp repeats or jumps back behind that of an earlier cloud, or jumps ahead of
+        all that follow.
+    """
+
+    topic: str
+    log_time_ns: IntArray
+    stamp_ns: IntArray
+    message_count: IntArray
+    earlier: IntArray
+    usable: BoolArray
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+    @property
+    def period_ns(self) -> int | None:
+        """The usual time between two clouds; None for fewer than two."""
+        steps = np.diff(self.stamp_ns[self.usable])
+        return int(np.median(steps)) if len(steps) else None
+
+
+@dataclass(frozen=True)
+class SkippedScan:
+    """A cloud that gives no scan, and why."""
+
+    index: int
+    stamp_ns: int
+    reason: str
+
+
+def index_clouds(bag: Bag, topic: str) -> CloudIndex:
+    """All clouds of a topic, from the headers of its messages alone. Raises InputError where it holds no clouds."""
+    found = bag.topic(topic)
+    if found.msgtype not in CLOUD_TYPES:
+        raise InputError(
+            f"{bag.path.name}: topic {found.name} is {found.msgtype}, not a PointCloud2; {cloud_hint(bag)}"
+        )
+    log_time_ns, stamps = _stamps(bag, found.name)
+    counts: IntArray = np.ones(len(stamps), np.int64)
+    if found.msgtype == CLOUD_TYPE and len(stamps) >= 20 and np.median(np.diff(stamps)) < _PART_NS:
+        counts = _revolutions(bag, found.name, stamps)
+    first = np.cumsum(counts) - counts
+    earlier = np.arange(len(stamps)) - np.searchsorted(log_time_ns, log_time_ns, side="left")
+    return CloudIndex(
+        topic=found.name,
+        log_time_ns=log_time_ns[first],
+        stamp_ns=stamps[first],
+        message_count=counts,
+        earlier=earlier[first],
+        usable=_usable(stamps[first]),
+    )
+
+
+def cloud_topics(bag: Bag) -> list[str]:
+    """Topics with clouds or packets of a lidar, but for the truth's."""
+    return [
+        t.name for t in bag.topics.values() if t.msgtype in CLOUD_TYPES and t.count and not t.name.startswith("/truth/")
+    ]
+
+
+def cloud_hint(bag: Bag) -> str:
+    """The end of an error message: which topics would do."""
+    topics = cloud_topics(bag)
+    return f"the bag's clouds are on: {', '.join(topics)}" if topics else "the bag has no clouds"
+
+
+def _stamps(bag: Bag, topic: str) -> tuple[IntArray, IntArray]:
+    """Log times and header stamps (m,); seconds and nanoseconds lie at bytes 4 to 12 in ROS 1 and in CDR."""
+    times_ns, heads = [], []
+    for time_ns, head in bag.heads(topic, _STAMP_BYTES):
+        times_ns.append(time_ns)
+        heads.append(head.ljust(_STAMP_BYTES, b"\0"))
+    # CDR says in its second byte whether it is little-endian; ROS 1 always is.
+    little = bag.ros_version == 1 or not heads or heads[0][1] & 1
+    words = np.frombuffer(b"".join(heads), "<u4" if little else ">u4").reshape(-1, 3).astype(np.int64)
+    return np.array(times_ns, np.int64), words[:, 1] * 1_000_000_000 + words[:, 2]
+
+
+def _usable(stamps: IntArray) -> BoolArray:
+    """Clouds whose stamps go on from those before."""
+    usable = np.zeros(len(stamps), bool)
+    steps = np.diff(stamps)
+    period = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    last: int | None = None
+    for i, stamp in enumerate(stamps.tolist()):
+        if last is not None and stamp <= last:
+            continue
+        following = int(stamps[i + 1]) if i + 1 < len(stamps) else stamp
+        # One stamp far ahead would make all that follow jump back: it is the odd one, not they.
+        ahead = last is not None and stamp - last > _OUTLIER_PERIODS * period and last < following < stamp
+        if not ahead:
+            usable[i] = True
+            last = stamp
+    return usable
+
+
+def _revolutions(bag: Bag, topic: str, stamps: IntArray) -> IntArray:
+    """How many messages each revolution has, from the azimuth of each message's first returns."""
+    azimuth = _azimuths(bag, topic)
+    steps = np.mod(np.diff(azimuth) + np.pi, 2 * np.pi) - np.pi
+    direction = 1.0 if np.nanmedian(steps) > 0 else -1.0
+    phase = np.maximum.accumulate(np.concatenate([[0.0], np.nancumsum(direction * steps)]))
+    turn = np.floor(phase / (2 * np.pi) + 1e-9).astype(np.int64)
+    # A pause longer than half a revolution ends the cloud, wherever the azimuth goes on.
+    turns = max(float(phase[-1]) / (2 * np.pi), 1.0)
+    period = float(np.sum(np.minimum(np.diff(stamps), 10 * _PART_NS))) / turns
+    begins = (np.diff(turn) > 0) | (np.diff(stamps) > period / 2)
+    edges = np.concatenate([[0], np.flatnonzero(begins) + 1, [len(stamps)]])
+    return np.diff(edges)
+
+
+def _azimuths(bag: Bag, topic: str) -> FloatArray:
+    """Azimuth (m,) in radians of the first return among each message's first points; NaN where there is none."""
+    raw = next(bag.messages([topic]))
+    message = bag.deserialize(raw)
+    layout = describe_layout(message, topic)
+    # is_dense, one byte, is all that follows the points; header and fields are alike in every message.
+    data_at = len(raw.data) - 1 - len(message.data)
+    lead_bytes = _LEAD_POINTS * layout.point_step
+    azimuths, heads = [], list[bytes]()
+    for _, head in bag.heads(topic, data_at + lead_bytes):
+        heads.append(head[data_at:].ljust(lead_bytes, b"\0"))
+        if len(heads) == 4096:
+            azimuths.append(_lead_azimuths(heads, layout))
+            heads = []
+    azimuths.append(_lead_azimuths(heads, layout))
+    azimuth = np.concatenate(azimuths)
+    known = np.flatnonzero(np.isfinite(azimuth))
+    if not len(known):
+        return np.zeros(len(azimuth))
+    # Messages without a return keep the direction of the one before.
+    before = known[np.maximum(np.searchsorted(known, np.arange(len(azimuth)), side="right") - 1, 0)]
+    return np.asarray(azimuth[before])
+
+
+def _lead_azimuths(heads: list[bytes], layout: CloudLayout) -> FloatArray:
+    points = np.frombuffer(b"".join(heads), point_dtype(layout)).reshape(-1, _LEAD_POINTS)
+    x, y = points["x"].astype(np.float64), points["y"].astype(np.float64)
+    valid = np.isfinite(x) & np.isfinite(y) & ((x != 0) | (y != 0))
+    row = np.arange(len(points))
+    first = valid.argmax(axis=1) if len(points) else row
+    return np.where(valid.any(axis=1), np.arctan2(y[row, first], x[row, first]), np.nan)
+
+
+def read_messages(
+    bag: Bag, index: CloudIndex, first: int = 0, count: int | None = None
+) -> Iterator[tuple[int, Message]]:
+    """Clouds [first, first + count) as PointCloud2 messages, packets and partial clouds joined to whole revolutions.
+
+    A CloudError in place of the message says that it cannot be made one.
+    """
+    stop = len(index) if count is None else min(first + count, len(index))
+    if first >= stop:
+        return
+    raws = islice(bag.messages([index.topic], start_ns=int(index.log_time_ns[first])), int(index.earlier[first]), None)
+    packets = PacketDecoder(index.topic, bag.typestore) if bag.topics[index.topic].msgtype == PACKET_TYPE else None
+    for i in range(first, stop):
+        group = list(islice(raws, int(index.message_count[i])))
+        if not group:
+            return
+        yield i, _to_cloud(bag, group, packets)
+
+
+def _to_cloud(bag: Bag, group: Sequence[RawMessage], packets: PacketDecoder | None) -> Message:
+    try:
+        messages = [bag.deserialize(raw) for raw in group]
+        if packets:
+            return packets.to_cloud(messages[0])
+        return messages[0] if len(messages) == 1 else merge_clouds(messages)
+    except CloudError as error:
+        return error
+    except InputError as error:
+        return CloudError(str(error))
+
+
+def read_clouds(
+    bag: Bag, index: CloudIndex, first: int, count: int | None, decoding: CloudDecoding
+) -> Iterator[tuple[int, Scan | SkippedScan, Message | None]]:
+    """Clouds [first, first + count): number in the bag, scan, and the PointCloud2 that it was made from.
+
+    The message is None only where it could not be read at all. A cloud without a valid point, one that contradicts
+    itself and one whose stamp does not go on from those before are SkippedScans.
+    """
+    for i, message in read_messages(bag, index, first, count):
+        stamp = int(index.stamp_ns[i])
+        if isinstance(message, CloudError):
+            yield i, SkippedScan(i, stamp, str(message)), None
+            continue
+        if not index.usable[i]:
+            yield i, SkippedScan(i, stamp, _stamp_reason(index, i)), message
+            continue
+        try:
+            scan = decode(message, decoding)
+        except CloudError as error:
+            yield i, SkippedScan(i, stamp, str(error)), message
+            continue
+        if not scan.cloud_size:
+            yield i, SkippedScan(i, stamp, "no points"), message
+        elif not len(scan):
+            yield i, SkippedScan(i, stamp, "no valid point: all are NaN, infinite or zero"), message
+        else:
+            yield i, scan, message
+
+
+def read_scans(
+    bag: Bag, index: CloudIndex, first: int, count: int | None, decoding: CloudDecoding
+) -> Iterator[tuple[int, Scan | SkippedScan]]:
+    """Clouds [first, first + count) as scans with their number in the bag; see `read_clouds`."""
+    for i, scan, _ in read_clouds(bag, index, first, count, decoding):
+        yield i, scan
+
+
+def sample_messages(bag: Bag, index: CloudIndex, count: int) -> list[Message]:
+    """Clouds from all over the bag, sound ones only."""
+    places = sorted({round(place) for place in np.linspace(0, len(index) - 1, count)}) if len(index) else []
+    found = (message for i in places for _, message in read_messages(bag, index, i, 1))
+    return [message for message in found if not isinstance(message, CloudError)]
+
+
+def _stamp_reason(index: CloudIndex, i: int) -> str:
+    used = index.stamp_ns[:i][index.usable[:i]]
+    step_ns = int(index.stamp_ns[i]) - int(used[-1]) if len(used) else 0
+    if step_ns == 0:
+        return "stamp repeats that of the cloud before"
+    return f"stamp jumps {'back' if step_ns < 0 else 'ahead'} by {abs(step_ns) / 1e9:.3f} s"

@@ -1,0 +1,239 @@
+"""Lidar rays through a mesh: glass, walking people, and what a sensor makes of the surfaces that it hits."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from embreex import rtcore_scene
+from embreex.mesh_construction import TriangleMesh
+
+from algorithms.labels import NO_RETURN, Truth
+from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from algorithms.trajectory import Trajectory
+from loaders.simulator.mesh import Mesh
+from loaders.simulator.sensors import Lidar
+from loaders.simulator.settings import SimulationSettings
+
+_PASSES = 3
+"""How many panes a ray may meet."""
+_RETURN_STRENGTH = 30.0
+"""Signal over the detector's threshold of a white wall at right angles, 10 m away."""
+_MIXED_STEP_M = 0.7
+"""Beyond this a detector tells the two echoes of an edge apart."""
+_PANE_TRANSMITS = 0.8
+"""Share of the signal that is left after a pane, there and back."""
+
+
+@dataclass(frozen=True)
+class Walker:
+    """A person who walks to and fro between two places (3,) of the map; an upright cylinder with a head.
+
+    phase: where along the way and back at time 0, from 0 to 1.
+    """
+
+    start: FloatArray
+    end: FloatArray
+    speed_mps: float
+    phase: float
+    height_m: float
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """Places (n, 3) of the feet in the map."""
+        length = max(float(np.linalg.norm(self.end - self.start)), 1e-6)
+        cycle = (self.phase + np.asarray(time_s) * self.speed_mps / (2 * length)) % 1.0
+        there = 1.0 - np.abs(2.0 * cycle - 1.0)
+        return np.asarray(self.start + there[..., None] * (self.end - self.start))
+
+    def meet(self, origins: FloatArray, directions: FloatArray, time_s: FloatArray) -> FloatArray:
+        """(n,) distance along each ray, inf where it misses."""
+        feet = self.at(time_s)
+        offset = origins[:, :2] - feet[:, :2]
+        along = directions[:, :2]
+        a = np.maximum((along**2).sum(1), 1e-9)
+        b = (offset * along).sum(1)
+        best = np.full(len(origins), np.inf)
+        for radius, low, high in ((0.19, 0.0, 0.82), (0.09, 0.82, 1.0)):
+            root = b**2 - a * ((offset**2).sum(1) - radius**2)
+            distance = (-b - np.sqrt(np.maximum(root, 0.0))) / a
+            height = (origins[:, 2] + distance * directions[:, 2] - feet[:, 2]) / self.height_m
+            hit = (root > 0) & (distance > 0) & (height >= low) & (height < high)
+            best = np.where(hit, np.minimum(best, distance), best)
+        return best
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What each ray met. distance_m: along the ray as the sensor counts it, inf for nothing; cosine: of incidence;
+    signal: reflectivity times what panes let through; truth: what was hit, OUTSIDE behind or in a pane."""
+
+    distance_m: FloatArray
+    cosine: FloatArray
+    signal: FloatArray
+    truth: UInt8Array
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One revolution as the sensor reports it, in firing order (Velodyne) or ring by ring (Ouster).
+
+    Velodyne: returns only. Ouster: (rings · columns) places, zeros where nothing returned, truth NO_RETURN there.
+
+    points_sensor: (n, 3) float32 metres. time_ns: (n,) from the sweep's start. stamp_ns: its start; end_ns: its end.
+    """
+
+    points_sensor: FloatArray
+    range_m: FloatArray
+    intensity: FloatArray
+    ring: IntArray
+    time_ns: IntArray
+    truth: UInt8Array
+    stamp_ns: int
+    end_ns: int
+
+
+class World:
+    """The map's triangles, ready for rays; safe to use from several threads."""
+
+    def __init__(self, mesh: Mesh, walkers: tuple[Walker, ...] = ()) -> None:
+        self.mesh = mesh
+        self.walkers = walkers
+        edges = mesh.triangles[:, 1:] - mesh.triangles[:, :1]
+        normal = np.cross(edges[:, 0], edges[:, 1])
+        self._normals = (normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]).astype(np.float32)
+        self._reflectivity = mesh.reflectivity.astype(np.float32)
+        self._scene = rtcore_scene.EmbreeScene()
+        TriangleMesh(self._scene, mesh.triangles.astype(np.float32))
+        self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # builds the tree, before any thread
+
+    def trace(
+        self, origins: FloatArray, directions: FloatArray, time_s: FloatArray, rng: np.random.Generator
+    ) -> Hits:
+        """Rays (n, 3) float32 with unit directions, fired at times (n,): through panes, off them, or onto them."""
+        count = len(origins)
+        hits = Hits(
+            np.full(count, np.inf, np.float32), np.ones(count, np.float32), np.zeros(count, np.float32),
+            np.full(count, NO_RETURN, np.uint8),
+        )  # fmt: skip
+        rays = np.arange(count)
+        travelled, transmitted = np.zeros(count, np.float32), np.ones(count, np.float32)
+        behind = np.zeros(count, bool)
+        for last in [False] * _PASSES + [True]:
+            distance, triangle = self._nearest(origins, directions)
+            person = self._nearest_walker(origins, directions, time_s[rays], distance)
+            met = np.flatnonzero((triangle >= 0) | (person < np.inf))
+            distance = np.minimum(distance, person)[met]
+            triangle = np.where(person < np.inf, -1, triangle)[met]
+            normal = self._normals[triangle]
+            facing = np.einsum("ij,ij->i", normal, directions[met])
+            on_person = triangle < 0
+            truth = np.where(on_person, np.uint8(Truth.PERSON), self.mesh.truth[triangle])
+            cosine = np.where(on_person, np.float32(0.7), np.abs(facing))
+            pane = truth == Truth.GLASS
+            returned = ~pane if last else ~pane | (rng.random(len(met)) < _pane_returns(cosine))
+            back = rays[met[returned]]
+            hits.distance_m[back] = travelled[back] + distance[returned]
+            hits.cosine[back] = cosine[returned]
+            hits.signal[back] = transmitted[back] * np.where(on_person, 0.3, self._reflectivity[triangle])[returned]
+            hits.signal[back[pane[returned]]] = 1.0
+            hits.truth[back] = np.where(behind[back], np.uint8(Truth.OUTSIDE), truth[returned])
+            if last or returned.all():
+                break
+            on = np.flatnonzero(~returned)
+            mirrored = rng.random(len(on)) < _pane_mirrors(cosine[on])
+            reached = origins[met[on]] + distance[on, None] * directions[met[on]]
+            turned = directions[met[on]] - np.where(mirrored, 2 * facing[on], 0)[:, None] * normal[on]
+            rays = rays[met[on]]
+            travelled[rays] += distance[on]
+            transmitted[rays] *= np.where(mirrored, 0.9, _PANE_TRANSMITS)
+            behind[rays] = True
+            origins, directions = reached + 1e-3 * turned, turned
+        return hits
+
+    def _nearest(self, origins: FloatArray, directions: FloatArray) -> tuple[FloatArray, IntArray]:
+        found = self._scene.run(np.ascontiguousarray(origins), np.ascontiguousarray(directions), output=True)
+        return np.where(found["primID"] >= 0, found["tfar"], np.float32(np.inf)), found["primID"]
+
+    def _nearest_walker(
+        self, origins: FloatArray, directions: FloatArray, time_s: FloatArray, before_m: FloatArray
+    ) -> FloatArray:
+        """(n,) distance to a walking person where one stands before the mesh, else inf."""
+        nearest = np.full(len(origins), np.inf, np.float32)
+        for walker in self.walkers:
+            nearest = np.minimum(nearest, walker.meet(origins, directions, time_s).astype(np.float32))
+        return np.where(nearest < before_m, nearest, np.float32(np.inf))
+
+
+def _pane_returns(cosine: FloatArray) -> FloatArray:
+    """Chance that a pane itself returns: nearly always straight on, seldom else (dust)."""
+    return np.asarray(0.02 + 0.6 * np.clip((cosine - 0.985) / 0.015, 0.0, 1.0))
+
+
+def _pane_mirrors(cosine: FloatArray) -> FloatArray:
+    """Chance that a pane mirrors (Schlick's approximation for its two faces)."""
+    return np.asarray(0.08 + 0.92 * (1.0 - cosine) ** 5)
+
+
+def scan(
+    world: World, lidar: Lidar, trajectory: Trajectory, sweep: int, settings: SimulationSettings,
+    ring_bias_m: FloatArray,
+) -> Sweep:  # fmt: skip
+    """One revolution, every firing from the pose of its own time.
+
+    trajectory: T_map_base, stamps from the horizontal lidar's first sweep. ring_bias_m: (rings,) range offsets.
+    Its chances depend on the seed, the lidar and the sweep alone.
+    """
+    model = lidar.model
+    rng = np.random.default_rng([settings.seed, 71, lidar.role == "vertical", sweep])
+    start_ns = lidar.sweep_start_ns(sweep)
+    firing_ns = model.firing_ns * (lidar.period_ns * model.rate_hz / 1e9)
+    T_map_sensor = trajectory.at(start_ns + firing_ns[:, 0].astype(np.int64)) @ lidar.T_base_sensor
+    directions_map = model.directions_sensor @ np.swapaxes(T_map_sensor[:, :3, :3], 1, 2).astype(np.float32)
+    origins = np.repeat(T_map_sensor[:, :3, 3].astype(np.float32), model.rings, axis=0)
+    time_s = (start_ns + firing_ns.ravel()) / 1e9
+    hits = world.trace(origins, directions_map.reshape(-1, 3), time_s, rng)
+
+    ring = np.broadcast_to(model.firing_order, firing_ns.shape).ravel()
+    seen = _detected(hits, settings, model.max_range_m, rng)
+    sigma = model.noise_m if settings.noise_m is None else settings.noise_m
+    grazing = np.minimum(1.0 / np.maximum(hits.cosine, 0.2), 2.0)
+    noise = rng.standard_normal(len(ring), np.float32) * sigma * (0.75 + 0.25 * grazing)
+    shape = (model.columns, model.rings)
+    distance = _mixed(hits.distance_m.reshape(shape), settings.mixed_share, rng).ravel()
+    measured = np.where(seen, distance, 0.0) + noise + ring_bias_m[ring]
+    measured = np.round(measured / model.quantum_m) * model.quantum_m
+    seen &= measured > settings.min_range_m
+    measured = np.where(seen, measured, 0.0).astype(np.float32)
+    points = model.directions_sensor.reshape(-1, 3) * measured[:, None]
+    intensity = np.round(100.0 * np.clip(hits.signal * (0.3 + 0.7 * hits.cosine), 0.0, 1.0)).astype(np.float32)
+    order = np.arange(len(ring))
+    if model.layout == "velodyne":
+        order = np.flatnonzero(seen)
+    else:
+        order = order.reshape(model.columns, model.rings).T.ravel()
+        intensity[~seen] = 0.0
+    truth = np.where(seen, hits.truth, np.uint8(NO_RETURN))
+    return Sweep(
+        points[order], measured[order], intensity[order], ring[order], firing_ns.ravel()[order].astype(np.int64),
+        truth[order], start_ns, start_ns + round(lidar.period_ns),
+    )  # fmt: skip
+
+
+def _mixed(distance_m: FloatArray, share: float, rng: np.random.Generator) -> FloatArray:
+    """Ranges (columns, rings) where beams that straddle an edge measure something between its two sides.
+
+    The truth of such a point stays that of the surface in the beam's middle.
+    """
+    with np.errstate(invalid="ignore"):
+        step = np.roll(distance_m, 1, axis=0) - distance_m
+    edge = np.flatnonzero((np.abs(step) > 0.05) & (np.abs(step) < _MIXED_STEP_M))
+    edge = edge[rng.random(len(edge)) < share]
+    mixed = distance_m.copy()
+    mixed.flat[edge] += step.flat[edge] * rng.uniform(0.0, 0.7, len(edge))
+    return mixed
+
+
+def _detected(hits: Hits, settings: SimulationSettings, max_range_m: float, rng: np.random.Generator) -> BoolArray:
+    """Which firings come back: dark, far and grazing surfaces return less often."""
+    distance = np.where(np.isfinite(hits.distance_m), hits.distance_m, max_range_m)
+    strength = _RETURN_STRENGTH * hits.signal * hits.cosine / np.maximum(distance / 10.0, 0.2) ** 2
+    chance = (1.0 - np.exp(-strength)) * (1.0 - settings.dropout)
+    return np.asarray((rng.random(len(distance)) < chance) & (hits.distance_m < max_range_m))

@@ -1,0 +1,185 @@
+"""Trajectories from outside: TUM files (as evo reads them), and poses that a bag carries.
+
+Stamps are nanoseconds since 1970 in 19 digits: they are read and written as integers, for a double keeps only 16.
+"""
+
+from collections.abc import Iterable
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+import numpy as np
+
+from algorithms import transforms
+from algorithms.scan import FloatArray
+from algorithms.trajectory import Trajectory
+from loaders.bag import Bag, Message
+from loaders.errors import InputError
+from loaders.frames import TF_TYPES, FrameTree, edge_of, pose_matrix
+
+_ORDER = "stamp x y z qx qy qz qw"
+
+
+def read_tum(path: Path) -> Trajectory:
+    """A TUM file: one pose a line, "stamp x y z qx qy qz qw", stamps in seconds; # begins a comment.
+
+    Raises InputError that names the line.
+    """
+    try:
+        text = path.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: the trajectory cannot be read ({error}); give a TUM file") from error
+    stamps: list[int] = []
+    poses: list[list[float]] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.split("#", 1)[0].split()
+        if not words:
+            continue
+        where = f"{path}: line {number}"
+        if len(words) != 8:
+            raise InputError(f"{where}: {len(words)} values where 8 belong ({_ORDER}, by spaces)")
+        try:
+            stamp_ns = _nanoseconds(words[0])
+            pose = [float(word) for word in words[1:]]
+        except (ValueError, InvalidOperation, OverflowError):
+            raise InputError(f"{where}: not all values are numbers ({_ORDER})") from None
+        if not np.all(np.isfinite(pose)) or abs(float(np.linalg.norm(pose[3:])) - 1) > 0.05:
+            raise InputError(f"{where}: the quaternion has not the length 1, or a value is not finite ({_ORDER})")
+        if stamps and stamp_ns <= stamps[-1]:
+            raise InputError(f"{where}: the stamp does not come after that of the pose before; sort the file")
+        stamps.append(stamp_ns)
+        poses.append(pose)
+    if not poses:
+        raise InputError(f"{path}: no poses in the file; give a TUM file ({_ORDER})")
+    values = np.array(poses)
+    return Trajectory(np.array(stamps, np.int64), _matrices(values[:, :3], values[:, 3:]))
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Write a trajectory as a TUM file, first under another name, so that a kill leaves no half of it."""
+    positions = trajectory.T_map_base[:, :3, 3]
+    quaternions = transforms.quaternion_xyzw(trajectory.T_map_base)
+    part = path.with_name(path.name + ".part")
+    with part.open("w") as file:
+        for stamp_ns, position, quaternion in zip(trajectory.stamp_ns.tolist(), positions, quaternions, strict=True):
+            values = " ".join(f"{value:.9f}" for value in (*position, *quaternion))
+            file.write(f"{_seconds(stamp_ns)} {values}\n")
+    part.replace(path)
+
+
+def _seconds(stamp_ns: int) -> str:
+    whole, rest = divmod(abs(stamp_ns), 1_000_000_000)
+    return f"{'-' if stamp_ns < 0 else ''}{whole}.{rest:09d}"
+
+
+def _nanoseconds(seconds: str) -> int:
+    """Seconds as text to nanoseconds, digits beyond the ninth rounded."""
+    return int((Decimal(seconds) * 1_000_000_000).to_integral_value())
+
+
+def _matrices(positions: FloatArray, quaternions: FloatArray) -> FloatArray:
+    return np.array([transforms.from_quaternion(p, q) for p, q in zip(positions, quaternions, strict=True)])
+
+
+def read_pose_topic(bag: Bag, topic: str, base_frame: str | None, static: FrameTree | None = None) -> Trajectory:
+    """The poses T_map_base that a topic carries.
+
+    topic: nav_msgs/Odometry, geometry_msgs/PoseStamped, PoseWithCovarianceStamped or TransformStamped, or a TFMessage,
+        whose transforms are followed from `base_frame` upwards to the topmost frame.
+    base_frame: the frame whose poses are wanted; None to take the topic's poses as they are.
+    static: joins the frame that the topic's poses are of with `base_frame`; needed only where the two differ.
+
+    Poses without a rotation, with NaN, or with a stamp that does not go on from the last are left out.
+    Raises InputError where the topic is unknown, of another type or without poses, or no transform joins the frames.
+    """
+    found = bag.topic(topic)
+    if found.msgtype in TF_TYPES:
+        if base_frame is None:
+            raise InputError(f"{bag.path.name}: {found.name} holds many frames' poses; say which frame is meant")
+        return _follow_tf(bag, found.name, base_frame, static or FrameTree([]))
+    if found.msgtype not in _POSES:
+        raise InputError(
+            f"{bag.path.name}: topic {found.name} is {found.msgtype}, which is no pose; name one of "
+            f"{', '.join(name.split('/')[-1] for name in [*_POSES, *TF_TYPES])}"
+        )
+    poses: list[tuple[int, FloatArray]] = []
+    child = ""
+    for raw in bag.messages([found.name]):
+        message = bag.deserialize(raw)
+        child = child or str(getattr(message, "child_frame_id", "")).removeprefix("/")
+        T = _pose_of(message, found.msgtype)
+        if T is not None:
+            poses.append((_stamp_ns(message), T))
+    trajectory = _trajectory(poses, bag, found.name)
+    if base_frame is None or child in ("", base_frame):
+        return trajectory
+    T_child_base = static.between(child, base_frame) if static else None
+    if T_child_base is None:
+        raise InputError(
+            f"{bag.path.name}: {found.name} gives poses of frame {child}, and no transform joins it with {base_frame}; "
+            "record /tf_static"
+        )
+    return Trajectory(trajectory.stamp_ns, trajectory.T_map_base @ T_child_base)
+
+
+_POSES = (
+    "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/TransformStamped",
+)
+
+
+def _pose_of(message: Message, msgtype: str) -> FloatArray | None:
+    match msgtype.rsplit("/", 1)[-1]:
+        case "TransformStamped":
+            return pose_matrix(message.transform.translation, message.transform.rotation)
+        case "PoseStamped":
+            pose = message.pose
+        case _:
+            pose = message.pose.pose
+    return pose_matrix(pose.position, pose.orientation)
+
+
+def _follow_tf(bag: Bag, topic: str, base_frame: str, static: FrameTree) -> Trajectory:
+    """T_top_base over time: each moving transform above the base at the stamps of the busiest one."""
+    by_child: dict[str, tuple[str, list[tuple[int, FloatArray]]]] = {}
+    for raw in bag.messages([topic]):
+        for stamped in bag.deserialize(raw).transforms:
+            edge = edge_of(stamped)
+            if edge is None:
+                continue
+            parent, poses = by_child.setdefault(edge.child, (edge.parent, []))
+            if parent == edge.parent:
+                poses.append((_stamp_ns(stamped), edge.T_parent_child))
+    for edge in static.edges:
+        by_child.setdefault(edge.child, (edge.parent, [(0, edge.T_parent_child)]))
+    chain: list[Trajectory] = []
+    frame, seen = base_frame, {base_frame}
+    while frame in by_child and by_child[frame][0] not in seen:
+        frame, poses = by_child[frame]
+        seen.add(frame)
+        chain.append(_trajectory(poses, bag, topic))
+    if not any(len(part) > 1 for part in chain):
+        known = ", ".join(sorted(by_child)) or "none"
+        raise InputError(f"{bag.path.name}: {topic} moves nothing above frame {base_frame}; it has: {known}")
+    stamps = max(chain, key=len).stamp_ns
+    T = np.broadcast_to(np.eye(4), (len(stamps), 4, 4))
+    for part in chain:
+        T = part.at(stamps) @ T
+    return Trajectory(stamps, T)
+
+
+def _trajectory(poses: Iterable[tuple[int, FloatArray]], bag: Bag, topic: str) -> Trajectory:
+    stamps: list[int] = []
+    kept: list[FloatArray] = []
+    for stamp_ns, T in poses:
+        if not stamps or stamp_ns > stamps[-1]:
+            stamps.append(stamp_ns)
+            kept.append(T)
+    if not kept:
+        raise InputError(f"{bag.path.name}: {topic} has no sound pose; name another topic")
+    return Trajectory(np.array(stamps, np.int64), np.array(kept))
+
+
+def _stamp_ns(message: Message) -> int:
+    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)

@@ -1,0 +1,96 @@
+"""What a bag knows of the true building, poses and classes: simulated bags do. Nothing but the evaluation reads it."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from algorithms.scan import UInt8Array
+from algorithms.trajectory import Trajectory
+from loaders.bag import Bag
+from loaders.errors import InputError
+from loaders.pointcloud2 import describe_layout, field_column, stamp_ns
+from loaders.scans import index_clouds
+from loaders.trajectory_file import read_pose_topic
+
+POSE_TOPIC = "/truth/pose"
+CLASSES_TOPIC = "/truth/classes"
+BUILDING_TOPIC = "/truth/building"
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """A bag's truth; what the bag lacks is None.
+
+    trajectory: T_map_base.
+    building: GeoJSON FeatureCollection of walls, doors and rooms, metres in the map frame.
+    classes: the true class of every point of the vertical clouds.
+    """
+
+    trajectory: Trajectory | None
+    building: dict[str, Any] | None
+    classes: "TruthClasses | None"
+
+
+class TruthClasses:
+    """The clouds of /truth/classes by their stamps, which are those of the vertical clouds."""
+
+    def __init__(self, bag: Bag) -> None:
+        self._bag = bag
+        index = index_clouds(bag, CLASSES_TOPIC)
+        self._log_time_ns = dict(zip(index.stamp_ns.tolist(), index.log_time_ns.tolist(), strict=True))
+
+    def __len__(self) -> int:
+        return len(self._log_time_ns)
+
+    def at(self, stamp: int) -> UInt8Array | None:
+        """Classes (points of the cloud,) uint8 in the cloud's order; None where the bag has none for this stamp.
+
+        Raises CloudError where the message has no field `truth`.
+        """
+        log_time_ns = self._log_time_ns.get(stamp)
+        if log_time_ns is None:
+            return None
+        return next((c for s, c in self._read(log_time_ns, log_time_ns + 1) if s == stamp), None)
+
+    def __iter__(self) -> Iterator[tuple[int, UInt8Array]]:
+        """Stamp in nanoseconds and classes of each cloud, in the bag's order."""
+        return self._read(None, None)
+
+    def _read(self, start_ns: int | None, stop_ns: int | None) -> Iterator[tuple[int, UInt8Array]]:
+        for raw in self._bag.messages([CLASSES_TOPIC], start_ns, stop_ns):
+            message = self._bag.deserialize(raw)
+            layout = describe_layout(message, CLASSES_TOPIC, needed=("truth",))
+            yield stamp_ns(message), field_column(message, layout, "truth").astype(np.uint8)
+
+
+def read_truth(bag: Bag) -> Truth | None:
+    """The bag's truth; None where it carries none. The bag must stay open while classes are read.
+
+    Raises InputError where the truth is damaged.
+    """
+    has = {
+        name for name in (POSE_TOPIC, CLASSES_TOPIC, BUILDING_TOPIC) if name in bag.topics and bag.topics[name].count
+    }
+    if not has:
+        return None
+    return Truth(
+        trajectory=read_pose_topic(bag, POSE_TOPIC, base_frame=None) if POSE_TOPIC in has else None,
+        building=_building(bag) if BUILDING_TOPIC in has else None,
+        classes=TruthClasses(bag) if CLASSES_TOPIC in has else None,
+    )
+
+
+def _building(bag: Bag) -> dict[str, Any]:
+    message = bag.deserialize(next(bag.messages([BUILDING_TOPIC])))
+    try:
+        building = json.loads(message.data)
+    except ValueError as error:
+        raise InputError(
+            f"{bag.path.name}: {BUILDING_TOPIC} is no GeoJSON ({error}); simulate the bag again"
+        ) from error
+    if not isinstance(building, dict) or building.get("type") != "FeatureCollection":
+        raise InputError(f"{bag.path.name}: {BUILDING_TOPIC} is no GeoJSON FeatureCollection; simulate the bag again")
+    return building

@@ -1,0 +1,317 @@
+"""What is logged can be read back: values, frames, timelines, details, and a size that stays within bounds."""
+
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rerun as rr
+from rerun.chunk import RrdReader
+
+from algorithms import transforms
+from algorithms.building import Doors, Walls
+from algorithms.grid_map import Cell, GridMap
+from algorithms.labelling import ScanLabelling, label_scan
+from algorithms.labels import Label
+from algorithms.odometry import Registration
+from algorithms.scan import Scan
+from algorithms.trajectory import PlacedScan, place_scan
+from app.recorder import Detail, Recorder, forward_block, open_block, open_recording, set_layout
+from blueprints import entities
+from blueprints import run as run_blueprint
+from tests import synthetic
+
+SCANS = 4
+CLOUD_BYTES = 2 * 69_440 * 22
+"""A horizontal and a vertical cloud, 22 bytes a point."""
+Labelled = tuple[Scan, PlacedScan, ScanLabelling]
+
+
+@pytest.fixture(scope="module")
+def labelled() -> list[Labelled]:
+    trajectory = synthetic.trajectory(SCANS)
+    scans = [synthetic.scan(index) for index in range(SCANS)]
+    placed = [place_scan(scan, trajectory, synthetic.T_BASE_SENSOR) for scan in scans]
+    return [
+        (scan, place, label_scan(scan, place, synthetic.settings(), index))
+        for index, (scan, place) in enumerate(zip(scans, placed, strict=True))
+    ]
+
+
+def write_block(path: Path, labelled: list[Labelled], first: int, count: int, detail: Detail = Detail.LINES) -> None:
+    with open_block(path, "run-1") as stream:
+        recorder = Recorder(stream, detail)
+        for index in range(first, first + count):
+            _, placed, labelling = labelled[index]
+            recorder.log_scan(index, placed, labelling, synthetic.stamp_ns(index), {"labelling": 8.0 + index})
+
+
+def write_run(folder: Path, labelled: list[Labelled], detail: Detail = Detail.LINES) -> Path:
+    """Two blocks, forwarded into one recording with its statics."""
+    recording = open_recording(folder / "recording.rrd", "run-1", run_blueprint.build())
+    recorder = Recorder(recording, detail)
+    recorder.log_static({"vertical": synthetic.T_BASE_SENSOR}, entities.explain({}), synthetic.RINGS, 1.0)
+    recorder.log_properties("settings", {"wall_planes": {"similarity_m": 0.05}, "name": None})
+    for first in (0, 2):
+        block = folder / f"{first:04d}.rrd"
+        write_block(block, labelled, first, 2, detail)
+        forward_block(recording, block)
+    recording.disconnect()
+    return folder / "recording.rrd"
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory, labelled: list[Labelled]) -> Path:
+    return write_run(tmp_path_factory.mktemp("run"), labelled)
+
+
+def rows(path: Path, entity: str, index: str = entities.SCAN_TIMELINE) -> Iterator[dict[str, Any]]:
+    """The rows of one entity on a timeline, components by their short names."""
+    chunks = RrdReader(path).stream().filter(content=entity).collect()
+    table = chunks.reader(index=index).to_pandas()
+    for row in table.to_dict("records"):
+        yield {str(key).split(":")[-1]: value for key, value in row.items()}
+
+
+def paths(path: Path) -> set[str]:
+    return {chunk.entity_path for chunk in RrdReader(path).stream()}
+
+
+def vectors(values: Any) -> np.ndarray:
+    return np.stack([np.asarray(value) for value in values])
+
+
+def test_points_have_positions_and_both_labels_in_the_order_of_the_scan(recording, labelled):
+    found = {row["scan"]: row for row in rows(recording, entities.POINTS)}
+    assert sorted(found) == list(range(SCANS))
+    for index, (scan, placed, labelling) in enumerate(labelled):
+        row = found[index]
+        assert len(row["positions"]) == len(scan)
+        assert np.abs(vectors(row["positions"]) - placed.points_level).max() <= 0.5 / 512 + 1e-6
+        np.testing.assert_array_equal(row["class_ids"], labelling.label)
+        np.testing.assert_array_equal(row["label_scan"], labelling.label)
+
+
+def test_both_timelines_are_exact(recording):
+    stamps = [row["stamp"].value for row in rows(recording, entities.POINTS)]
+    assert stamps == [synthetic.stamp_ns(index) for index in range(SCANS)]
+
+
+def test_the_scan_is_placed_by_its_transform(recording, labelled):
+    for row, (_, placed, _) in zip(rows(recording, entities.SCAN), labelled, strict=True):
+        T_map_level = transforms.from_quaternion(vectors(row["translation"])[0], vectors(row["quaternion"])[0])
+        np.testing.assert_allclose(T_map_level, placed.T_map_level, atol=1e-6)
+
+
+def test_the_differences_of_all_lines_can_be_read_back(recording, labelled):
+    for row, (_, _, labelling) in zip(rows(recording, entities.STRUCTURES), labelled, strict=True):
+        for name in ("difference", "slope"):
+            values = vectors(row[name])
+            assert values.shape == (2 * synthetic.RINGS, 200)
+            np.testing.assert_allclose(values, getattr(labelling.structures, name), rtol=1e-3, atol=1e-6)
+        for name in ("line", "first", "last", "upmost", "bottommost"):
+            np.testing.assert_array_equal(row[name], getattr(labelling.structures, name))
+
+
+def test_evidence_stands_beside_what_is_drawn(recording, labelled):
+    for upmost, doors, planes, (_, _, labelling) in zip(
+        rows(recording, entities.UPMOST),
+        rows(recording, entities.DOOR_CONDITIONS),
+        rows(recording, entities.PLANES),
+        labelled,
+        strict=True,
+    ):
+        np.testing.assert_array_equal(upmost["line"], labelling.planes.candidate_line)
+        np.testing.assert_array_equal(upmost["plane"], labelling.planes.candidate_plane)
+        np.testing.assert_array_equal(doors["line"], labelling.door_lines.line)
+        np.testing.assert_array_equal(np.asarray(doors["conditions_held"]) == 3, labelling.door_lines.above_door)
+        np.testing.assert_allclose(vectors(planes["normal"]), labelling.planes.normal, atol=1e-6)
+        np.testing.assert_allclose(planes["offset_m"], labelling.planes.offset_m, atol=1e-5)
+
+
+def test_metrics_lie_on_the_scan(recording, labelled):
+    milliseconds = [row["scalars"][0] for row in rows(recording, f"{entities.MILLISECONDS}/labelling")]
+    assert milliseconds == [8.0, 9.0, 10.0, 11.0]
+    walls = [row["scalars"][0] for row in rows(recording, f"{entities.LABEL_COUNTS}/wall")]
+    assert walls == [np.count_nonzero(labelling.label == Label.WALL) for _, _, labelling in labelled]
+
+
+def test_forwarding_keeps_every_chunk(recording):
+    kept = {chunk.id for chunk in RrdReader(recording).stream()}
+    for block in recording.parent.glob("????.rrd"):
+        assert {chunk.id for chunk in RrdReader(block).stream()} <= kept
+
+
+def test_the_file_holds_properties_classes_blueprint_and_footer(recording):
+    assert [entry.recording_id for entry in RrdReader(recording).recordings()] == ["run-1"]
+    assert len(RrdReader(recording).blueprints()) == 1
+    RrdReader(recording).store()  # fails without a footer
+    static = RrdReader(recording).stream().filter(is_static=True).collect()
+    columns = {field.name: chunk for chunk in static.stream() for field in chunk.to_record_batch().schema}
+    assert columns["wall_planes_similarity_m"].to_record_batch()["wall_planes_similarity_m"].to_pylist() == [[0.05]]
+    assert any(name.startswith("AnnotationContext") for name in columns)
+    assert any("TextDocument" in name for name in columns)
+
+
+def test_details_log_less_and_less(tmp_path, labelled, recording):
+    logged = {Detail.LINES: paths(recording)}
+    for detail in (Detail.SCANS, Detail.MAP):
+        folder = tmp_path / detail
+        folder.mkdir()
+        logged[detail] = paths(write_run(folder, labelled, detail))
+    assert {entities.POINTS, entities.PLANES, entities.OPENINGS} <= logged[Detail.SCANS]
+    assert not {entities.STRUCTURES, entities.CURVE_DIFFERENCES, entities.UPMOST} & logged[Detail.SCANS]
+    assert f"{entities.LABEL_COUNTS}/wall" in logged[Detail.MAP]
+    map_scans = [row for row in rows(tmp_path / "map" / "recording.rrd", entities.SCAN)]
+    assert len(map_scans) == SCANS
+    positions = [
+        chunk
+        for chunk in RrdReader(tmp_path / "map" / "recording.rrd").stream()
+        if chunk.entity_path.startswith("/scan/") and not chunk.is_static
+    ]
+    assert positions == []
+
+
+def test_a_scan_with_everything_stays_small(recording):
+    blocks = sum(block.stat().st_size for block in recording.parent.glob("????.rrd"))
+    assert blocks / SCANS < 0.26 * CLOUD_BYTES
+    assert recording.stat().st_size < blocks + 100_000
+
+
+def test_final_labels_win_at_the_same_scan(tmp_path, labelled):
+    _, placed, labelling = labelled[0]
+    final = labelling.label.copy()
+    final[:100] = Label.OUTSIDE
+    path = tmp_path / "run.rrd"
+    recording = open_recording(path, "run-2", run_blueprint.build())
+    recorder = Recorder(recording)
+    recorder.log_scan(0, placed, labelling, synthetic.stamp_ns(0), {})
+    recorder.log_final(0, synthetic.stamp_ns(0), placed, labelling.label, final)
+    recording.disconnect()
+    last = list(rows(path, entities.POINTS))[-1]
+    np.testing.assert_array_equal(last["class_ids"], final)
+    relabelled = list(rows(path, entities.RELABELLED))[0]
+    changed = labelling.label != final
+    assert np.count_nonzero(changed) == len(relabelled["class_ids"]) > 0
+    np.testing.assert_array_equal(relabelled["label_scan"], labelling.label[changed])
+
+
+def test_registrations_lie_on_stamp_alone(tmp_path):
+    path = tmp_path / "run.rrd"
+    recording = open_recording(path, "run-3", run_blueprint.build())
+    recorder = Recorder(recording)
+    for number in range(3):
+        registration = Registration(
+            stamp_ns=synthetic.stamp_ns(number),
+            T_odom_sensor=transforms.make_transform(translation=[number, 0.0, 0.0]),
+            keypoints_sensor=np.full((5, 3), float(number)),
+            local_map_odom=np.zeros((0, 3)),
+            threshold_m=0.4,
+            residual_m=0.02 if number else float("nan"),
+            inlier_share=0.9,
+        )
+        recorder.log_registration(synthetic.stamp_ns(number), registration)
+    recording.disconnect()
+    timelines = {
+        name
+        for chunk in RrdReader(path).stream()
+        if chunk.entity_path.startswith((entities.ODOMETRY, entities.REGISTRATION)) and not chunk.is_static
+        for name in chunk.timeline_names
+    }
+    assert timelines == {entities.STAMP_TIMELINE}
+    poses = [vectors(row["translation"])[0][0] for row in rows(path, entities.ODOMETRY_SENSOR, entities.STAMP_TIMELINE)]
+    assert poses == [0.0, 1.0, 2.0]
+    residuals = list(rows(path, f"{entities.REGISTRATION}/residual_m", entities.STAMP_TIMELINE))
+    assert len(residuals) == 2  # what was not measured is not drawn
+
+
+def test_building_grid_map_and_messages(tmp_path):
+    path = tmp_path / "run.rrd"
+    recording = open_recording(path, "run-4", run_blueprint.build())
+    recorder = Recorder(recording)
+    walls = Walls(
+        ends=np.array([[[0.0, 0.0], [4.0, 0.0]]]),
+        normal=np.array([[0.0, 1.0]]),
+        bottom_m=np.zeros(1),
+        top_m=np.full(1, 2.8),
+        scan_count=np.array([7]),
+        rms_m=np.array([0.01]),
+    )
+    doors = Doors(
+        ends=np.array([[[1.0, 0.0], [1.9, 0.0]]]),
+        normal=np.array([[0.0, 1.0]]),
+        head_m=np.array([2.1]),
+        depth_m=np.array([0.05]),
+        state=np.zeros(1, np.uint8),
+        confidence=np.array([0.9]),
+        ray_count=np.array([50]),
+        wall=np.zeros(1, np.int64),
+    )
+    recorder.log_building(walls, doors)
+    cells = np.full((2, 3), Cell.FREE, np.uint8)
+    cells[0, 0], cells[1, 2] = Cell.OCCUPIED, Cell.UNKNOWN
+    recorder.log_grid(entities.FURNITURE_FREE, GridMap(cells, np.array([-1.0, 2.0]), 0.05))
+    stamps = np.array([synthetic.stamp_ns(index) for index in range(3)])
+    recorder.log_trajectory(stamps, synthetic.trajectory(3).T_map_base, np.arange(3))
+    recorder.log_map_block(2, int(stamps[2]), np.ones((4, 3)), np.array([1, 2, 2, 3], np.uint8))
+    recorder.log_skipped(1, int(stamps[1]), "all returns invalid")
+    set_layout(recording, run_blueprint.build(centre_m=(1.0, 2.0), extent_m=30.0))
+    recording.disconnect()
+
+    static = {chunk.entity_path: chunk.to_record_batch() for chunk in RrdReader(path).stream() if chunk.is_static}
+    image = static[f"{entities.GRID}/{entities.FURNITURE_FREE}"].column("GridMap:data").to_pylist()[0][0]
+    assert list(bytes(image)) == [0, 0, 255, 100, 0, 0]  # the uppermost row first
+    assert "closed door, 0.90 m, 90%" in str(static[entities.DOORS].column("LineStrips3D:labels").to_pylist())
+    assert len(static[entities.WALLS].column("Mesh3D:vertex_positions").to_pylist()[0]) == 4
+    steps = [vectors(row["strips"][0]) for row in rows(path, entities.TRAJECTORY)]
+    np.testing.assert_allclose(steps[2], [[0.05, 0.0, 0.0], [0.1, 0.0, 0.0]], atol=1e-6)
+    assert [len(row["class_ids"]) for row in rows(path, entities.MAP_CEILING)] == [2]
+    assert "scan 1 skipped: all returns invalid" in str(list(rows(path, entities.MESSAGES)))
+
+
+def test_a_scan_without_returns_is_recorded_like_any_other(tmp_path, labelled):
+    scan = synthetic.scan(0)
+    empty = Scan(
+        points_sensor=scan.points_sensor[:0],
+        ring=scan.ring[:0],
+        ring_count=scan.ring_count,
+        time_ns=None,
+        start_ns=scan.start_ns,
+        stamp_ns=scan.stamp_ns,
+        cloud_index=scan.cloud_index[:0],
+        cloud_size=scan.cloud_size,
+    )
+    placed = place_scan(empty, synthetic.trajectory(2), synthetic.T_BASE_SENSOR)
+    labelling = label_scan(empty, placed, synthetic.settings(), 0)
+    with open_block(tmp_path / "block.rrd", "run-5") as stream:
+        recorder = Recorder(stream)
+        recorder.log_scan(0, *labelled[0][1:], synthetic.stamp_ns(0), {})
+        recorder.log_scan(1, placed, labelling, synthetic.stamp_ns(1), {})
+    # Nothing of the scan before stays in view.
+    for entity in (entities.POINTS, entities.LINES, entities.UPMOST, entities.OPENINGS):
+        last = list(rows(tmp_path / "block.rrd", entity))[-1]
+        assert all(len(value) == 0 for value in last.values() if isinstance(value, list | np.ndarray))
+
+
+def test_a_block_that_fails_leaves_nothing(tmp_path):
+    with pytest.raises(KeyError), open_block(tmp_path / "block.rrd", "run-6"):
+        raise KeyError("a worker's error")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_wrong_shape_is_an_error(tmp_path):
+    with pytest.raises(ValueError, match="."), open_block(tmp_path / "block.rrd", "run-7") as stream:
+        stream.log("/points", rr.Points3D(np.zeros((3, 4))))
+
+
+def test_file_and_viewer_receive_the_same(tmp_path):
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    # A port where nobody listens: the file must not suffer.
+    recording = open_recording(tmp_path / "run.rrd", "run-8", run_blueprint.build(), f"rerun+http://127.0.0.1:{port}/proxy")
+    Recorder(recording).log_message("hello", synthetic.stamp_ns(0), 0)
+    del recording
+    assert entities.MESSAGES in paths(tmp_path / "run.rrd")

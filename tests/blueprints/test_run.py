@@ -1,0 +1,54 @@
+"""The layout names only what the recorder writes, and every view says what it shows."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import rerun.blueprint as rrb
+
+from blueprints import entities, run
+from blueprints.entities import CurveSheet
+
+
+def views(part: rrb.Container | rrb.View) -> Iterator[rrb.View]:
+    if isinstance(part, rrb.View):
+        yield part
+    else:
+        for inner in part.contents:
+            yield from views(inner)
+
+
+def test_every_view_has_a_name_and_an_origin_that_is_written():
+    known = {value for value in vars(entities).values() if isinstance(value, str) and value.startswith("/")}
+    shown = list(views(run.build().root_container))
+    assert len(shown) > 10
+    for view in shown:
+        assert view.name
+        assert any(path == str(view.origin) or path.startswith(f"{view.origin}/") or str(view.origin).startswith(f"{path}/") for path in known)
+
+
+def test_the_first_tab_shows_scan_lines_curves_map_and_grid():
+    overview = run.build().root_container.contents[0]
+    names = " ".join(str(view.name) for view in views(overview))
+    for word in ("Labelled scan", "Point lines", "Forward differences", "Growing map", "Grid map"):
+        assert word in names
+
+
+def test_cells_of_the_curve_sheet_do_not_touch():
+    for rings in (16, 32, 33):
+        sheet = CurveSheet(rings)
+        cells = sheet.cells
+        assert cells.shape == (2 * rings, 2)
+        assert len(np.unique(cells, axis=0)) == 2 * rings
+        assert cells[:, 0].max() + sheet.SAMPLES <= sheet.WIDTH
+        assert cells[:, 1].min() - sheet.CELL_HEIGHT / 2 >= sheet.EXAMPLE_HEIGHT
+        assert cells[:, 1].max() + sheet.CELL_HEIGHT / 2 <= sheet.height
+        apart = np.abs(cells[:, None] - cells[None]) >= [sheet.SAMPLES, sheet.CELL_HEIGHT]
+        assert np.all(apart.any(axis=2) | np.eye(2 * rings, dtype=bool))
+
+
+def test_the_explanation_names_classes_and_settings():
+    text = entities.explain({"bag": {"path": "/data/drive.bag"}, "settings": {"wall_planes": {"similarity_m": 0.05}}})
+    assert "# drive.bag" in text
+    assert "| wall_planes | similarity_m | 0.05 |" in text
+    for name, _ in list(entities.CLASSES.values())[:6]:
+        assert name in text

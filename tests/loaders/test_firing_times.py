@@ -1,0 +1,66 @@
+"""Every driver's times become the same nanoseconds."""
+
+import numpy as np
+import pytest
+
+from loaders.errors import CloudError
+from loaders.firing_times import find_time_field
+from loaders.pointcloud2 import decode, settle_decoding
+from tests.loaders.bag_builder import START_NS, cloud, point_dtype, sweep
+
+TRUE_NS = np.arange(1440) // 16 * 1_111_111
+LAYOUTS = {
+    "velodyne, from the start": ("time", "f4", TRUE_NS * 1e-9, "s", "stamp", 0, 10),
+    "velodyne, up to the end": ("time", "f4", TRUE_NS * 1e-9 - 0.1, "s", "stamp", -100_000_000, 10),
+    "ouster": ("t", "u4", TRUE_NS, "ns", "stamp", 0, 0),
+    "hesai, robosense": ("timestamp", "f8", START_NS / 1e9 + TRUE_NS * 1e-9, "s", "epoch", 0, 500),
+    "stamp at the end": ("timestamp", "f8", START_NS / 1e9 - 0.1 + TRUE_NS * 1e-9, "s", "epoch", -100_000_000, 500),
+    "livox": ("offset_time", "u4", TRUE_NS, "ns", "stamp", 0, 0),
+    "absolute nanoseconds": ("timestamp", "f8", START_NS + TRUE_NS.astype(np.float64), "ns", "epoch", 0, 600),
+    "microseconds": ("t", "u4", TRUE_NS // 1000, "us", "stamp", 0, 1000),
+    "milliseconds": ("time", "f4", TRUE_NS * 1e-6, "ms", "stamp", 0, 10),
+    "sensor's own clock": ("timestamp", "f8", 5000.0 + TRUE_NS * 1e-9, "s", "own clock", 0, 10),
+}
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+@pytest.mark.parametrize("big", [False, True])
+def test_times_of_every_driver(name, big):
+    field, kind, values, unit, reference, start_ns, within_ns = LAYOUTS[name]
+    points = sweep()
+    fields = [("x", "f4"), ("y", "f4"), ("z", "f4"), (field, kind)]
+    stored = np.zeros(len(points), point_dtype(fields, big))
+    for axis in "xyz":
+        stored[axis] = points[axis]
+    stored[field] = values
+    stored["x"][::7] = np.nan
+    message = cloud(stored)
+    decoding = settle_decoding([message], "/points")
+    assert (decoding.time.unit, decoding.time.reference) == (unit, reference)
+    scan = decode(message, decoding)
+    first = TRUE_NS[scan.cloud_index].min()
+    assert np.abs(scan.time_ns - (TRUE_NS[scan.cloud_index] - first)).max() <= within_ns
+    assert abs(scan.start_ns - (START_NS + start_ns + (first if reference != "own clock" else 0))) <= within_ns
+    assert scan.time_ns.min() == 0
+
+
+def test_a_field_that_is_not_filled_is_no_time():
+    assert find_time_field("time", [(np.zeros(100, np.float32), START_NS)] * 3) is None
+    assert find_time_field("time", [(np.full(100, np.nan, np.float32), START_NS)]) is None
+    assert find_time_field("time", []) is None
+    mixed = [(np.array([0, np.nan], np.float32), START_NS), (np.linspace(0, 0.1, 9, dtype=np.float32), START_NS)]
+    assert find_time_field("time", mixed).unit == "s"
+
+
+def test_poor_clouds_go_by_the_usual_unit():
+    assert find_time_field("t", [(np.array([10, 12], np.uint32), START_NS)]).unit == "ns"
+    assert find_time_field("time", [(np.array([0.0, 0.001], np.float32), START_NS)]).unit == "s"
+
+
+def test_times_longer_than_a_sweep_are_an_error():
+    field = find_time_field("time", [(np.linspace(0, 0.1, 100, dtype=np.float32), START_NS)])
+    with pytest.raises(CloudError, match=r"span 900\.0 s"):
+        field.nanoseconds(np.array([0.0, 900.0], np.float32), START_NS)
+    with pytest.raises(CloudError):
+        field.nanoseconds(np.array([0.0, np.nan], np.float32), START_NS)
+    assert field.nanoseconds(np.zeros(0, np.float32), START_NS)[1] == START_NS

@@ -1,0 +1,55 @@
+"""What a bag is said to hold and to lack."""
+
+from loaders.info import describe_bag
+from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, clouds, only, sweep, tf_message, write_bag
+
+
+def test_a_whole_rig(tmp_path):
+    entries = [
+        *clouds("/h/points", 6, "h"),
+        *clouds("/v/points", 6, "v", late_ns=5),
+        (
+            "/tf_static",
+            START_NS,
+            tf_message([("base", "h", [0, 0, 1], [0, 0, 0, 1]), ("base", "v", [0, 0, 1], [0.5] * 4)]),
+        ),
+    ]
+    info = describe_bag(write_bag(tmp_path / "a.bag", sorted(entries, key=lambda entry: entry[1])))
+    assert (info.container, info.ros_version, info.duration_s > 0.5) == ("ros1", 1, True)
+    assert {t.name: t.count for t in info.topics} == {"/h/points": 6, "/v/points": 6, "/tf_static": 1}
+    assert info.frames == ("base", "h", "v")
+    assert (info.rig.horizontal.topic, info.rig.vertical.topic) == ("/h/points", "/v/points")
+    found = info.clouds[0]
+    assert (found.topic, found.frame_id, found.cloud_count, found.rate_hz) == ("/h/points", "h", 6, 10.0)
+    assert found.rings == "16 rings, -15.0 to +15.0 deg (from field ring)"
+    assert found.times == "field time in s, relative to the stamp, a sweep spans 98.9 ms"
+    assert found.points == (1440, 1440)
+    assert info.missing == ("truth: no figures can be computed",)
+    assert info.rig_problem is None
+
+
+def test_what_is_missing_is_said(tmp_path):
+    entries = []
+    for i in (0, 1, 2, 3, 4, 20, 21, 22):
+        stamp_ns = START_NS + i * PERIOD_NS
+        for topic, frame in (("/a", "x"), ("/b", "y")):
+            entries.append((topic, stamp_ns, cloud(only(sweep(seed=i), "x", "y", "z"), stamp_ns, frame)))
+    info = describe_bag(write_bag(tmp_path / "a.bag", entries))
+    assert info.rig is None
+    assert "--rig" in info.rig_problem
+    assert [(g.start_ns, g.duration_ns) for g in info.clouds[0].gaps] == [(START_NS + 4 * PERIOD_NS, 16 * PERIOD_NS)]
+    text = " ".join(info.missing)
+    for part in ("rings on /a", "times on /b", "transforms: several lidars need --rig", "truth"):
+        assert part in text
+
+
+def test_an_empty_bag_and_a_broken_cloud(tmp_path):
+    info = describe_bag(write_bag(tmp_path / "empty_mcap", []))
+    assert info.missing == ("messages: the bag is empty",)
+    assert "empty" in info.rig_problem
+    broken = cloud(sweep())
+    broken.data = broken.data[:10]
+    info = describe_bag(write_bag(tmp_path / "broken.bag", [("/a", START_NS, broken)]))
+    assert "truncated" in info.clouds[0].problem
+    assert info.clouds[0].points == (0, 0)
+    assert info.duration_s == 0.0

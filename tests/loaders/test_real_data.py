@@ -1,0 +1,87 @@
+"""Real recordings, where they are at hand."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loaders.bag import open_bag
+from loaders.info import describe_bag
+from loaders.rig import find_rig
+from loaders.scans import index_clouds, read_scans
+from loaders.trajectory_file import read_tum
+
+FOLDER = os.environ.get("FFMAP_REAL_DATA")
+pytestmark = pytest.mark.skipif(not FOLDER, reason="FFMAP_REAL_DATA names no folder with real recordings")
+
+
+def real(name: str) -> Path:
+    path = Path(FOLDER or "") / name
+    if not path.exists():
+        pytest.skip(f"{name} is not in FFMAP_REAL_DATA")
+    return path
+
+
+def scans_of(path: Path):
+    with open_bag(path) as bag:
+        rig = find_rig(bag)
+        index = index_clouds(bag, rig.horizontal.topic)
+        return rig, [scan for _, scan in read_scans(bag, index, 0, None, rig.horizontal.decoding)]
+
+
+def test_a_hesai_without_rings_has_32():
+    rig, scans = scans_of(real("hilti_14.bag"))
+    assert (rig.horizontal.decoding.rings.source, rig.horizontal.ring_count) == ("elevation", 32)
+    np.testing.assert_allclose(rig.horizontal.decoding.rings.elevation_deg, np.arange(-16, 16), atol=0.3)
+    assert rig.vertical is None
+    assert len(scans) == 30
+    for scan in scans:
+        x, y, z = scan.points_sensor.T.astype(np.float64)
+        distance = np.sqrt(x * x + y * y + z * z)
+        off = np.degrees(np.arctan2(z, np.hypot(x, y))) - rig.horizontal.decoding.rings.elevation_deg[scan.ring]
+        assert np.mean(np.abs(off[distance > 1]) < 0.25) > 0.99
+    assert len(read_tum(real("hilti_14.tum"))) == 30
+
+
+def test_an_ouster_has_its_rows_as_rings():
+    rig, scans = scans_of(real("os0_room.bag"))
+    assert (rig.horizontal.decoding.rings.source, rig.horizontal.ring_count) == ("row", 128)
+    for scan in scans:
+        assert scan.cloud_size == 128 * 1024
+        assert len(scan) < scan.cloud_size
+        # Rows run downwards, ring 0 is the lowest.
+        np.testing.assert_array_equal(scan.ring, 127 - scan.cloud_index // 1024)
+
+
+def test_packets_become_the_clouds_that_another_decoder_made():
+    rig, scans = scans_of(real("vlp16_packets"))
+    assert len(scans) == 4
+    assert rig.horizontal.ring_count == 16
+    for scan in scans:
+        assert 0.09e9 < scan.end_ns - scan.start_ns < 0.11e9
+        assert abs(scan.start_ns - scan.stamp_ns) < 1_000_000
+        ascending = np.argsort(scan.time_ns, kind="stable")
+        assert np.all(np.diff(scan.time_ns[ascending]) >= 0)
+    content = real("vlp16_packets_decoded.pcd").read_bytes()
+    kind = np.dtype(
+        {
+            "names": ["x", "y", "z", "intensity", "return_type", "channel", "azimuth", "elevation", "distance", "time"],
+            "formats": ["<f4", "<f4", "<f4", "u1", "u1", "<u2", "<f4", "<f4", "<f4", "<u4"],
+        }
+    )
+    other = np.frombuffer(content.split(b"DATA binary\n", 1)[1], kind)
+    points = np.stack([other["x"], other["y"], other["z"]], axis=1)
+    # The decoders differ in which block begins a sweep and in which returns are too near.
+    from scipy.spatial import cKDTree
+
+    gaps = [cKDTree(scan.points_sensor).query(points)[0] for scan in scans]
+    assert min(np.percentile(gap, 95) for gap in gaps) < 0.02
+
+
+@pytest.mark.parametrize("name", ["hilti_14.bag", "os0_room.bag", "vlp16_packets"])
+def test_every_recording_can_be_described(name):
+    info = describe_bag(real(name))
+    assert info.rig.horizontal
+    assert info.clouds[0].problem is None
+    assert info.missing

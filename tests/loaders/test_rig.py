@@ -1,0 +1,259 @@
+"""Roles by the spin axes, places by transforms or rig file, and what is said when they cannot be told."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from loaders.bag import open_bag
+from loaders.errors import InputError
+from loaders.rig import find_rig, read_rig_file
+from tests.loaders.bag_builder import (
+    PERIOD_NS,
+    START_NS,
+    cloud,
+    clouds,
+    odometry,
+    only,
+    sweep,
+    tf_message,
+    write_bag,
+)
+
+UPRIGHT = [0.0, 0.0, -0.7071067811865476, 0.7071067811865476]
+LYING = [0.5, 0.5, 0.5, 0.5]
+# The paper's own rig: the names tell the spin axis, not the role.
+MARS = [
+    ("base_link", "vertical_velodyne", [0.12, 0.01, 0.568], UPRIGHT),
+    ("/base_link", "/horizontal_velodyne", [0.3, 0.01, 0.348], LYING),
+]
+
+
+def two_lidars(edges, tf="/tf_static", ros_version=1):
+    entries = [
+        *clouds("/v/points", 4, "vertical_velodyne", ros_version),
+        *clouds("/h/points", 4, "/horizontal_velodyne", ros_version, late_ns=PERIOD_NS // 3),
+    ]
+    if edges:
+        entries.append((tf, START_NS, tf_message(edges, ros_version)))
+    return sorted(entries, key=lambda entry: entry[1])
+
+
+def rig_of(path, **options):
+    with open_bag(path) as bag:
+        return find_rig(bag, **options)
+
+
+def error_of(path, **options):
+    with pytest.raises(InputError) as caught:
+        rig_of(path, **options)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["a.bag", "a_db3", "a_mcap"])
+def test_roles_by_the_spin_axis_not_by_name(tmp_path, name):
+    version = 1 if name.endswith(".bag") else 2
+    rig = rig_of(write_bag(tmp_path / name, two_lidars(MARS, ros_version=version)))
+    assert rig.base_frame == "base_link"
+    assert (rig.horizontal.topic, rig.vertical.topic) == ("/v/points", "/h/points")
+    assert rig.vertical.frame_id == "horizontal_velodyne"
+    np.testing.assert_allclose(rig.horizontal.T_base_sensor[:3, 3], [0.12, 0.01, 0.568])
+    np.testing.assert_allclose(rig.vertical.T_base_sensor[:3, 2], [1, 0, 0], atol=1e-12)
+    assert "gravity" in rig.horizontal.reasons
+    assert "level" in rig.vertical.reasons
+    assert (rig.vertical.ring_count, rig.vertical.layout.time_field) == (16, "time")
+    assert {e.child for e in rig.static_transforms} == {"vertical_velodyne", "horizontal_velodyne"}
+    assert not rig.warnings
+
+
+def test_roles_may_be_overridden(tmp_path):
+    path = write_bag(tmp_path / "a.bag", two_lidars(MARS))
+    rig = rig_of(path, horizontal="h/points", vertical="/v/points")
+    assert (rig.horizontal.topic, rig.vertical.topic) == ("/h/points", "/v/points")
+    assert rig.horizontal.reasons == "--horizontal names it"
+    rig = rig_of(path, vertical="/v/points")
+    assert (rig.horizontal.topic, rig.vertical.topic) == ("/h/points", "/v/points")
+    rig = rig_of(path, horizontal="/v/points", vertical="/v/points")
+    assert rig.horizontal.topic == rig.vertical.topic == "/v/points"
+    assert "--vertical /nothing is no topic with clouds; the bag's clouds are on: /h/points, /v/points" in error_of(
+        path, vertical="/nothing"
+    )
+
+
+def test_base_is_the_root_of_the_tree(tmp_path):
+    edges = [("footprint", "base_link", [0, 0, 0.2], [0, 0, 0, 1]), *MARS]
+    rig = rig_of(write_bag(tmp_path / "a.bag", two_lidars(edges)))
+    assert rig.base_frame == "footprint"
+    np.testing.assert_allclose(rig.horizontal.T_base_sensor[:3, 3], [0.12, 0.01, 0.768])
+
+
+def test_transforms_on_tf_that_never_change(tmp_path):
+    entries = two_lidars([])
+    for i in range(40):
+        log_time_ns = START_NS + i * PERIOD_NS // 10
+        moving = [("odom", "base_link", [0.1 * i, 0, 0], [0, 0, 0, 1])]
+        entries.append(("/tf", log_time_ns, tf_message([*MARS, *moving])))
+    rig = rig_of(write_bag(tmp_path / "a.bag", sorted(entries, key=lambda entry: entry[1])))
+    assert rig.base_frame == "base_link"
+    assert rig.vertical.topic == "/h/points"
+
+
+def test_two_lidars_without_transforms(tmp_path):
+    text = error_of(write_bag(tmp_path / "a.bag", two_lidars([])))
+    for part in ("vertical_velodyne", "horizontal_velodyne", "/v/points", "--rig"):
+        assert part in text
+
+
+def test_an_unknown_frame(tmp_path):
+    text = error_of(write_bag(tmp_path / "a.bag", two_lidars(MARS[:1])))
+    assert "frame horizontal_velodyne of /h/points is unknown" in text
+    assert "base_link, vertical_velodyne" in text
+
+
+def test_two_trees_that_do_not_meet(tmp_path):
+    apart = [MARS[0], ("elsewhere", "horizontal_velodyne", [0, 0, 0], LYING)]
+    text = error_of(write_bag(tmp_path / "a.bag", two_lidars(apart)))
+    assert "no transforms join" in text
+    assert "elsewhere" in text
+
+
+def test_a_loop_of_transforms_ends(tmp_path):
+    loop = [*MARS, ("vertical_velodyne", "base_link", [0, 0, 0], [0, 0, 0, 1])]
+    rig_of(write_bag(tmp_path / "a.bag", two_lidars(loop)))
+
+
+def test_one_lidar_alone_needs_no_transforms(tmp_path):
+    path = write_bag(tmp_path / "a.bag", clouds("/points", 3))
+    rig = rig_of(path)
+    assert (rig.base_frame, rig.vertical) == ("lidar", None)
+    np.testing.assert_array_equal(rig.horizontal.T_base_sensor, np.eye(4))
+    assert "nothing to label" in rig.warnings[0]
+    rig = rig_of(path, vertical="/points")
+    assert rig.horizontal.topic == rig.vertical.topic == "/points"
+
+
+def test_two_upright_lidars_leave_nothing_to_label(tmp_path):
+    edges = [(p, c, t, UPRIGHT) for p, c, t, _ in MARS]
+    rig = rig_of(write_bag(tmp_path / "a.bag", two_lidars(edges)))
+    assert rig.vertical is None
+    assert any("nothing to label" in w for w in rig.warnings)
+
+
+def test_copies_and_cameras_are_passed_over(tmp_path):
+    entries = two_lidars(MARS)
+    for i in range(4):
+        stamp_ns = START_NS + i * PERIOD_NS
+        thin = only(sweep(columns=30, seed=i), "x", "y", "z")
+        entries.append(("/v/filtered", stamp_ns + PERIOD_NS, cloud(thin, stamp_ns, "vertical_velodyne")))
+        narrow = only(sweep(columns=30, seed=i), "x", "y", "z")
+        narrow["x"] = np.abs(narrow["x"]) + 1
+        narrow["y"] *= 0.3
+        entries.append(("/camera/points", stamp_ns + PERIOD_NS, cloud(narrow, stamp_ns, "camera")))
+    edges = [("base_link", "camera", [0, 0, 1], [0, 0, 0, 1])]
+    entries.append(("/tf_static", START_NS + 1, tf_message(edges)))
+    rig = rig_of(write_bag(tmp_path / "a.bag", sorted(entries, key=lambda entry: entry[1])))
+    assert (rig.horizontal.topic, rig.vertical.topic) == ("/v/points", "/h/points")
+    assert "/v/filtered" in rig.warnings[0]
+    assert "/camera/points" in rig.warnings[0]
+
+
+def test_two_sensors_with_one_frame_need_a_rig_file(tmp_path):
+    entries = [*clouds("/a", 4, "velodyne"), *clouds("/b", 4, "velodyne", late_ns=7)]
+    path = write_bag(tmp_path / "a.bag", sorted(entries, key=lambda entry: entry[1]))
+    assert "both say frame velodyne" in error_of(path)
+    file = tmp_path / "rig.toml"
+    file.write_text('[[lidar]]\ntopic = "/a"\ntranslation = [0, 0, 1]\n[[lidar]]\ntopic = "b"\nrpy_deg = [90, 0, 0]\n')
+    rig = rig_of(path, rig_file=file)
+    assert (rig.base_frame, rig.horizontal.topic, rig.vertical.topic) == ("base_link", "/a", "/b")
+
+
+CARTOGRAPHER = """
+base = "base_link"
+[[lidar]]
+frame = "/vertical_velodyne"
+translation = [0.01, 0.0, 0.19]
+rpy_deg = [0.0, -10.0, 180.0]
+[[lidar]]
+topic = "/h/points"
+translation = [0.19, 0.0, 0.04]
+rpy_deg = [0.0, 80.0, 0.0]
+"""
+
+
+def test_a_rig_file(tmp_path):
+    path = write_bag(tmp_path / "a.bag", two_lidars([]))
+    file = tmp_path / "rig.toml"
+    file.write_text(CARTOGRAPHER)
+    rig = rig_of(path, rig_file=file)
+    assert (rig.base_frame, rig.horizontal.topic, rig.vertical.topic) == ("base_link", "/v/points", "/h/points")
+    # Roll, pitch, yaw about fixed axes, as URDF and Cartographer mean them.
+    expected = Rotation.from_euler("z", np.pi) * Rotation.from_euler("y", np.radians(-10))
+    np.testing.assert_allclose(rig.horizontal.T_base_sensor[:3, :3], expected.as_matrix(), atol=1e-12)
+    assert rig.horizontal.tilt_deg == pytest.approx(10.0)
+    assert {e.child: e.parent for e in rig.static_transforms}["horizontal_velodyne"] == "base_link"
+    file.write_text(CARTOGRAPHER.replace('topic = "/h/points"', 'topic = "/h/points"\nrole = "horizontal"'))
+    assert rig_of(path, rig_file=file).horizontal.topic == "/h/points"
+
+
+def test_a_rig_file_may_leave_places_to_the_bag(tmp_path):
+    path = write_bag(tmp_path / "a.bag", two_lidars(MARS))
+    file = tmp_path / "rig.toml"
+    file.write_text(
+        '[[lidar]]\nframe = "vertical_velodyne"\nrole = "vertical"\n[[lidar]]\nframe = "horizontal_velodyne"\n'
+    )
+    rig = rig_of(path, rig_file=file)
+    assert (rig.base_frame, rig.vertical.topic, rig.horizontal.topic) == ("base_link", "/v/points", "/h/points")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("base = ", "no valid TOML"),
+        ('base = "b"\n', "no [[lidar]]"),
+        ('bas = "b"\n', "unknown key bas; did you mean base?"),
+        ('[[lidar]]\ntopic = "/v/points"\ntranslatoin = [0, 0, 0]\n', "did you mean translation?"),
+        ("[[lidar]]\ntranslation = [0, 0, 0]\n", "neither topic nor frame"),
+        ('[[lidar]]\ntopic = "/v/points"\ntranslation = [0, 0]\n', "translation must be 3 numbers"),
+        ('[[lidar]]\ntopic = "/v/points"\nquaternion_xyzw = [0, 0, 0, 3]\n', "length 1"),
+        ('[[lidar]]\ntopic = "/v/points"\nquaternion_xyzw = [0, 0, 0, 1]\nrpy_deg = [0, 0, 0]\n', "not both"),
+        ('[[lidar]]\ntopic = "/v/points"\nrole = "up"\n', "role 'up'"),
+        ("[[lidar]]\ntopic = 5\n", "topic must be a name"),
+        ('[[lidar]]\ntopic = "/x"\ntranslation = [0, 0, 0]\n', "topic /x has no clouds in the bag"),
+        (
+            '[[lidar]]\nframe = "x"\ntranslation = [0, 0, 0]\n',
+            "frame x is unknown; the bag's clouds have the frames: h",
+        ),
+        ('base = "odd"\n[[lidar]]\ntopic = "/v/points"\n', "no place for /v/points"),
+    ],
+)
+def test_a_rig_file_that_is_not_understood(tmp_path, text, words):
+    path = write_bag(tmp_path / "a.bag", two_lidars(MARS))
+    file = tmp_path / "rig.toml"
+    file.write_text(text)
+    message = error_of(path, rig_file=file)
+    assert words in message
+    assert "rig.toml" in message
+
+
+def test_no_such_rig_file(tmp_path):
+    with pytest.raises(InputError, match=r"none\.toml"):
+        read_rig_file(tmp_path / "none.toml")
+
+
+def test_bags_without_clouds(tmp_path):
+    assert "the bag is empty" in error_of(write_bag(tmp_path / "empty.bag", []))
+    entries = [("/odom", START_NS, odometry(START_NS, [0, 0, 0]))]
+    text = error_of(write_bag(tmp_path / "odom.bag", entries))
+    assert "no PointCloud2" in text
+    assert "/odom" in text
+
+
+def test_clouds_without_times_warn(tmp_path):
+    entries = [
+        ("/a", START_NS + i, cloud(only(sweep(seed=i), "x", "y", "z"), START_NS + i * PERIOD_NS)) for i in range(3)
+    ]
+    path = write_bag(tmp_path / "a.bag", entries)
+    assert any("--time-from azimuth" in w for w in rig_of(path).warnings)
+    rig = rig_of(path, time_from="azimuth")
+    assert rig.horizontal.decoding.timed
+    assert not any("--time-from" in w for w in rig.warnings)

@@ -1,0 +1,155 @@
+"""The index of a bag's clouds, slices of it, and clouds that give no scan."""
+
+import numpy as np
+import pytest
+
+from algorithms.scan import Scan
+from loaders.bag import make_typestore, open_bag
+from loaders.errors import InputError
+from loaders.pointcloud2 import settle_decoding
+from loaders.scans import SkippedScan, index_clouds, read_clouds, read_scans, sample_messages
+from tests.loaders.bag_builder import (
+    PERIOD_NS,
+    START_NS,
+    cloud,
+    clouds,
+    header,
+    odometry,
+    only,
+    sweep,
+    write_bag,
+)
+
+NAMES = ["a.bag", "lz4.bag", "a_db3", "a_mcap"]
+
+
+def version(name):
+    return 1 if name.endswith(".bag") else 2
+
+
+def scans_of(bag, topic, first=0, count=None):
+    index = index_clouds(bag, topic)
+    decoding = settle_decoding(sample_messages(bag, index, 4), index.topic, period_ns=index.period_ns)
+    return list(read_scans(bag, index, first, count, decoding))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_index_and_any_slice(tmp_path, name):
+    entries = clouds("/a", 10, ros_version=version(name))
+    path = write_bag(tmp_path / name, entries, 50_000, "lz4" if name == "lz4.bag" else "")
+    with open_bag(path) as bag:
+        index = index_clouds(bag, "a")
+        np.testing.assert_array_equal(index.stamp_ns, START_NS + np.arange(10) * PERIOD_NS)
+        np.testing.assert_array_equal(index.log_time_ns, index.stamp_ns + PERIOD_NS)
+        assert index.usable.all()
+        assert index.period_ns == PERIOD_NS
+        whole = scans_of(bag, "/a")
+        assert [i for i, _ in whole] == list(range(10))
+        for first, count in ((0, 3), (3, 4), (7, 100), (9, 1), (10, 5), (4, 0)):
+            part = scans_of(bag, "/a", first, count)
+            assert [i for i, _ in part] == list(range(first, min(first + count, 10)))
+            for i, scan in part:
+                assert scan.stamp_ns == index.stamp_ns[i]
+                np.testing.assert_array_equal(scan.points_sensor, whole[i][1].points_sensor)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_clouds_with_the_same_log_time_are_told_apart(tmp_path, name):
+    made = clouds("/a", 9, ros_version=version(name))
+    entries = [(topic, START_NS + i // 3, message) for i, (topic, _, message) in enumerate(made)]
+    with open_bag(write_bag(tmp_path / name, entries, 60_000)) as bag:
+        index = index_clouds(bag, "/a")
+        for first in range(9):
+            assert [s.stamp_ns for _, s in scans_of(bag, "/a", first, 2)] == index.stamp_ns[first : first + 2].tolist()
+
+
+def test_clouds_that_give_no_scan_are_counted_and_say_why(tmp_path):
+    entries = clouds("/a", 9)
+    types = make_typestore(1).types
+
+    def changed(i, **changes):
+        message = entries[i][2]
+        for key, value in changes.items():
+            setattr(message, key, value)
+        return message
+
+    empty = sweep()[:0]
+    changed(2, **vars(cloud(empty, START_NS + 2 * PERIOD_NS)))
+    nan = sweep()
+    nan["x"] = np.nan
+    changed(4, **vars(cloud(nan, START_NS + 4 * PERIOD_NS)))
+    changed(6, header=header(types, START_NS + PERIOD_NS // 2, "lidar"))
+    changed(7, data=entries[7][2].data[:100])
+    with open_bag(write_bag(tmp_path / "a.bag", entries)) as bag:
+        found = scans_of(bag, "/a")
+        reasons = {i: s.reason for i, s in found if isinstance(s, SkippedScan)}
+        assert set(reasons) == {2, 4, 6, 7}
+        assert reasons[2] == "no points"
+        assert "NaN" in reasons[4]
+        assert "jumps back by 0.450 s" in reasons[6]
+        assert "truncated" in reasons[7]
+        assert all(isinstance(s, Scan) for i, s in found if i not in reasons)
+
+
+def test_one_stamp_far_ahead_does_not_cost_the_clouds_after_it(tmp_path):
+    entries = clouds("/a", 8)
+    entries[3][2].header.stamp.sec += 3600
+    entries[6][2].header.stamp.nanosec = entries[5][2].header.stamp.nanosec
+    with open_bag(write_bag(tmp_path / "a.bag", entries)) as bag:
+        reasons = {i: s.reason for i, s in scans_of(bag, "/a") if isinstance(s, SkippedScan)}
+        assert set(reasons) == {3, 6}
+        assert "ahead" in reasons[3]
+        assert "repeats" in reasons[6]
+
+
+@pytest.mark.parametrize("name", ["a.bag", "a_mcap"])
+@pytest.mark.parametrize("clockwise", [True, False])
+def test_a_cloud_for_each_packet_is_gathered_to_revolutions(tmp_path, name, clockwise):
+    """Cartographer's backpack: 75 messages a revolution at 20 Hz, no ring, no time, a spin that is not quite steady."""
+    entries = []
+    columns, each = 300, 4
+    points = only(sweep(columns, clockwise=clockwise), "x", "y", "z").reshape(columns // each, -1)
+    step_ns = 50_000_000 // len(points)
+    for i in range(6 * len(points) + 20):
+        part = points[i % len(points)].copy()
+        if i % 17 == 0:
+            part["x"][:20] = np.nan
+        stamp_ns = START_NS + i * step_ns + (i % 3) * 10_000
+        entries.append(("points", stamp_ns + 1000, cloud(part, stamp_ns, "lidar", version(name))))
+    with open_bag(write_bag(tmp_path / name, entries, 100_000)) as bag:
+        index = index_clouds(bag, "points")
+        assert index.message_count.sum() == len(entries)
+        assert np.abs(index.message_count - [75, 75, 75, 75, 75, 75, 20]).max() <= 1
+        assert abs(index.period_ns - 50_000_000) < 1_000_000
+        scans = scans_of(bag, "points", 1, 3)
+        assert [i for i, _ in scans] == [1, 2, 3]
+        for i, scan in scans:
+            assert scan.stamp_ns == index.stamp_ns[i]
+            assert scan.ring_count == 16
+            assert scan.cloud_size == index.message_count[i] * each * 16
+            assert np.abs(scan.time_ns - scan.cloud_index // (16 * each) * step_ns).max() < 50_000
+
+
+def test_a_pause_ends_a_revolution(tmp_path):
+    points = only(sweep(300), "x", "y", "z").reshape(75, -1)
+    entries = []
+    for i in range(300):
+        stamp_ns = START_NS + i * 666_667 + (3_000_000_000 if i >= 110 else 0)
+        entries.append(("/a", stamp_ns, cloud(points[i % 75], stamp_ns)))
+    with open_bag(write_bag(tmp_path / "a.bag", entries)) as bag:
+        assert 110 in np.cumsum(index_clouds(bag, "/a").message_count)
+
+
+def test_clouds_and_their_messages_come_together(tmp_path):
+    with open_bag(write_bag(tmp_path / "a_mcap", clouds("/a", 3, ros_version=2))) as bag:
+        index = index_clouds(bag, "/a")
+        decoding = settle_decoding(sample_messages(bag, index, 2), "/a")
+        for i, scan, message in read_clouds(bag, index, 0, None, decoding):
+            assert message.width == scan.cloud_size
+            assert message.header.stamp.nanosec == index.stamp_ns[i] % 10**9
+
+
+def test_a_topic_without_clouds(tmp_path):
+    path = write_bag(tmp_path / "a.bag", [("/odom", START_NS, odometry(START_NS, [0, 0, 0]))])
+    with open_bag(path) as bag, pytest.raises(InputError, match=r"/odom is nav_msgs/msg/Odometry.*no clouds"):
+        index_clouds(bag, "/odom")
