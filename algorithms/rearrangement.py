@@ -275,7 +275,7 @@ def _sort_lines(
     for line in range(lines):
         for j in range(starts[line] + 1, starts[line + 1]):
             moving = order[j]
-            k = int(j)
+            k = j + 0
             while k > starts[line] and angle[order[k - 1]] > angle[moving]:
                 order[k] = order[k - 1]
                 k -= 1

@@ -142,12 +142,12 @@ def _make(part: Path) -> bool:
 def _store(path: Path, stored: list[Registration]) -> None:
     columns = {field.name: [getattr(r, field.name) for r in stored] for field in fields(Registration)}
     ragged = {name: columns.pop(name) for name in ("keypoints_sensor", "local_map_odom")}
-    np.savez(
-        path,
+    arrays = {
         **{name: np.array(values) for name, values in columns.items()},
         **{name: np.concatenate(values) for name, values in ragged.items()},
         **{f"{name}_length": np.array([len(v) for v in values]) for name, values in ragged.items()},
-    )
+    }
+    np.savez(path, allow_pickle=False, **arrays)
 
 
 def _odometry_process(

@@ -24,7 +24,7 @@ from algorithms.features import Features, concatenate
 from algorithms.grid_map import GridMap, draw_furniture_free
 from algorithms.labels import Label
 from algorithms.odometry import Registration
-from algorithms.scan import FloatArray, Scan
+from algorithms.scan import FloatArray, IntArray, Scan
 from algorithms.semantic_map import VoxelTable, fuse
 from algorithms.trajectory import Trajectory, level_to_floor, place_scan
 from app import results
@@ -438,7 +438,7 @@ def _trajectory(stamps: list[int], T_odom_base: list[FloatArray], T_map_odom: Fl
     return Trajectory(np.array(stamps), T_map_odom @ np.array(T_odom_base))
 
 
-def _write_trajectory(folder: RunFolder, trajectory: Trajectory, stamps_ns: FloatArray) -> None:
+def _write_trajectory(folder: RunFolder, trajectory: Trajectory, stamps_ns: IntArray) -> None:
     write_tum(folder.path / TRAJECTORY, Trajectory(stamps_ns, trajectory.at(stamps_ns)))
 
 

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +29,7 @@ from algorithms.rearrangement import HorizontalPlane
 from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.trajectory import PlacedScan
 from blueprints import entities
+from blueprints import run as run_blueprint
 from blueprints.entities import CurveSheet, LineOutcome
 
 GRID_M = 1.0 / 512.0
@@ -86,12 +88,13 @@ def open_recording(
 ) -> rr.RecordingStream:
     """The run's own stream: to a file, to a viewer, or to both; `disconnect()` completes the file.
 
-    connect_url: as `start_viewer` returns it.
+    connect_url: as `start_viewer` returns it. Raises ConnectionError if nothing listens there.
     """
     sinks: list[rr.FileSink | rr.GrpcSink] = []
     if path is not None:
         sinks.append(rr.FileSink(path))
     if connect_url is not None:
+        _check_viewer(connect_url)
         sinks.append(rr.GrpcSink(connect_url))
     stream = rr.RecordingStream(entities.APPLICATION_ID, recording_id=recording_id, batcher_config=_batches())
     stream.set_log_time_enabled(False)
@@ -99,8 +102,11 @@ def open_recording(
     return stream
 
 
-def set_layout(stream: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:
-    """Replace the layout that the recording opens with."""
+def set_layout(stream: rr.RecordingStream, ring_count: int | None, grid: GridMap) -> None:
+    """Replace the layout that the recording opens with by one that shows the whole grid."""
+    size_m = np.array(grid.cells.shape[::-1]) * grid.cell_m
+    x, y = grid.origin + size_m / 2
+    blueprint = run_blueprint.build(ring_count, (float(x), float(y)), float(size_m.max()))
     stream.send_blueprint(blueprint, make_active=False, make_default=True)
 
 
@@ -130,8 +136,13 @@ def open_block(path: Path, recording_id: str) -> Iterator[rr.RecordingStream]:
 def forward_block(stream: rr.RecordingStream, path: Path) -> None:
     """Send everything in a finished block on into the run's stream."""
     stream.send_chunks(RrdReader(path).stream())
-    # Without it, what was forwarded piles up in memory.
-    stream.flush()
+    try:
+        # Without it, what was forwarded piles up in memory.
+        stream.flush()
+    except RuntimeError as error:
+        # Who closes the viewer does not mean to end the run.
+        if "gRPC" not in str(error):
+            raise
 
 
 def start_viewer(port: int | None = None, timeout_s: float = 20.0) -> str:
@@ -153,6 +164,15 @@ def start_viewer(port: int | None = None, timeout_s: float = 20.0) -> str:
         time.sleep(0.05)
     viewer.terminate()
     raise RuntimeError("the Rerun viewer did not start; is there a display?")
+
+
+def _check_viewer(url: str, timeout_s: float = 5.0) -> None:
+    """Rerun itself would wait for the viewer for ever."""
+    address = urlsplit(url)
+    try:
+        socket.create_connection((address.hostname or "127.0.0.1", address.port or 9876), timeout_s).close()
+    except (OSError, ValueError) as error:
+        raise ConnectionError(f"no Rerun viewer at {url}: {error}") from error
 
 
 def _batches() -> rr.ChunkBatcherConfig:
@@ -218,29 +238,30 @@ class Recorder:
     # --- trajectory and odometry ---
 
     def log_trajectory(
-        self, stamp_ns: IntArray, T_map_base: FloatArray, index: IntArray, previous_T_map_base: FloatArray | None = None
+        self,
+        stamp_ns: IntArray,
+        T_map_base: FloatArray,
+        index: IntArray | None,
+        previous_T_map_base: FloatArray | None = None,
     ) -> None:
-        """The way from each vertical scan's pose to the next; `previous_T_map_base` carries on an earlier call.
+        """The way from each pose to the next; `previous_T_map_base` carries on an earlier call.
 
-        stamp_ns, index: (n,); T_map_base: (n, 4, 4).
+        stamp_ns: (n,); T_map_base: (n, 4, 4); index: (n,) of the vertical scans, None where the poses are of horizontal
+        ones, which lie on `stamp` alone.
         """
         xyz = T_map_base[:, :3, 3]
         before = xyz[:1] if previous_T_map_base is None else previous_T_map_base[None, :3, 3]
         steps = np.stack([np.concatenate([before, xyz[:-1]]), xyz], axis=1).astype(np.float32)
-        self._stream.send_columns(
-            entities.TRAJECTORY,
-            indexes=[
-                rr.TimeColumn(entities.SCAN_TIMELINE, sequence=index),
-                rr.TimeColumn(entities.STAMP_TIMELINE, timestamp=stamp_ns.astype("datetime64[ns]")),
-            ],
-            columns=rr.LineStrips3D.columns(strips=steps),
-        )
+        indexes = [rr.TimeColumn(entities.STAMP_TIMELINE, timestamp=stamp_ns.astype("datetime64[ns]"))]
+        if index is not None:
+            indexes.append(rr.TimeColumn(entities.SCAN_TIMELINE, sequence=index))
+        self._stream.send_columns(entities.TRAJECTORY, indexes, rr.LineStrips3D.columns(strips=steps))
 
     def log_odometry_frame(self, T_map_odom: FloatArray) -> None:
         """Where the odometry's frame lies in the levelled map."""
         self._static(entities.ODOMETRY, _transform(T_map_odom))
 
-    def log_registration(self, stamp_ns: int, registration: Registration, milliseconds: float | None = None) -> None:
+    def log_registration(self, stamp_ns: int, registration: Registration) -> None:
         """What KISS-ICP used of one horizontal scan, and how well it fits; on `stamp` only."""
         self._at(stamp_ns)
         self._log(entities.ODOMETRY_SENSOR, _transform(registration.T_odom_sensor))
@@ -250,12 +271,12 @@ class Recorder:
                 self._log(entities.LOCAL_MAP, rr.Points3D(_round(registration.local_map_odom)))
         quality: dict[str, float] = {
             "threshold_m": registration.threshold_m,
+            "correction_m": registration.correction_m,
             "residual_m": registration.residual_m,
             "inlier_share": registration.inlier_share,
             "keypoint_count": len(registration.keypoints_sensor),
+            "milliseconds": registration.milliseconds,
         }
-        if milliseconds is not None:
-            quality["milliseconds"] = milliseconds
         for name, value in quality.items():
             if np.isfinite(value):
                 self._log(f"{entities.REGISTRATION}/{name}", rr.Scalars(value))
@@ -627,6 +648,11 @@ class Recorder:
             )
         widths_m = np.linalg.norm(doors.ends[:, 1] - doors.ends[:, 0], axis=1)
         if len(doors):
+            sills = np.pad(doors.ends, ((0, 0), (0, 0), (0, 1))).astype(np.float32)
+            self._static(
+                entities.DOOR_SILLS,
+                rr.LineStrips3D(sills, radii=_ui_radius(3.0), colors=entities.CLASSES[Label.DOOR][1]),
+            )
             self._static(
                 entities.DOORS,
                 rr.LineStrips3D(

@@ -60,7 +60,7 @@ def run(arguments: Arguments, resume: Path | None) -> None:
     inputs = find_inputs(
         arguments.bag, InputOptions(arguments.rig, arguments.horizontal, arguments.vertical, arguments.time_from)
     )
-    given = _given_trajectory(arguments)
+    given = _given_trajectory(arguments, inputs)
     if record is not None and record["bag"]["digest"] != inputs.bag_digest:
         raise InputError(f"{arguments.bag}: is not the bag that {resume} was made from; start a new run")
     if folder is None:
@@ -107,7 +107,7 @@ def _evaluate(folder: RunFolder, arguments: Arguments) -> None:
             evaluate.print_metrics(metrics)
 
 
-def _given_trajectory(arguments: Arguments) -> Trajectory | None:
+def _given_trajectory(arguments: Arguments, inputs: Inputs) -> Trajectory | None:
     """Poses from a file, or from a topic of the bag where no such file is there."""
     if arguments.trajectory is None or arguments.bag is None:
         return None
@@ -116,7 +116,7 @@ def _given_trajectory(arguments: Arguments) -> Trajectory | None:
         return read_tum(path)
     with open_bag(arguments.bag) as bag:
         if arguments.trajectory in bag.topics:
-            return read_pose_topic(bag, arguments.trajectory)
+            return read_pose_topic(bag, arguments.trajectory, inputs.rig.base_frame, inputs.rig.tree)
     raise InputError(
         f"--trajectory {arguments.trajectory}: is neither a file nor a topic of {arguments.bag}; "
         f"'ffmap info {arguments.bag}' lists the topics"

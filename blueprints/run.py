@@ -8,31 +8,34 @@ from blueprints import entities
 from blueprints.entities import CurveSheet
 
 
-def build(ring_count: int = 32, centre_m: tuple[float, float] = (0.0, 0.0), extent_m: float = 20.0) -> rrb.Blueprint:
+def build(
+    ring_count: int | None = 32, centre_m: tuple[float, float] = (0.0, 0.0), extent_m: float = 20.0
+) -> rrb.Blueprint:
     """The layout of a run's recording.
 
-    ring_count: emitters of the vertical lidar. centre_m, extent_m: middle and size of what the map views show.
+    ring_count: emitters of the vertical lidar, None where there is nothing to label. centre_m, extent_m: middle and size
+    of what the map views show.
     """
+    about: list[rrb.Container | rrb.View] = [_metrics(), rrb.TextDocumentView(origin=entities.README, name="Read me")]
+    if ring_count is None:
+        return _blueprint([_odometry(), *about], entities.STAMP_TIMELINE)
     overview = rrb.Vertical(
         rrb.Horizontal(_scan(), _map(centre_m, extent_m), column_shares=[1, 1]),
         rrb.Horizontal(_lines(), _curves(ring_count), _grid(centre_m, extent_m), column_shares=[1, 1.25, 1]),
         row_shares=[1, 1],
         name="At a glance",
     )
+    tabs = [overview, _method(ring_count), _building(centre_m, extent_m), _odometry(), *about]
+    return _blueprint(tabs, entities.SCAN_TIMELINE)
+
+
+def _blueprint(tabs: list[rrb.Container | rrb.View], timeline: str) -> rrb.Blueprint:
     return rrb.Blueprint(
-        rrb.Tabs(
-            overview,
-            _method(ring_count),
-            _building(centre_m, extent_m),
-            _odometry(),
-            _metrics(),
-            rrb.TextDocumentView(origin=entities.README, name="Read me"),
-            active_tab=0,
-        ),
+        rrb.Tabs(*tabs, active_tab=0),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         # A finished recording opens at its end, where the map is whole; a live one stays at the newest scan.
-        rrb.TimePanel(state="collapsed", timeline=entities.SCAN_TIMELINE, play_state="following"),
+        rrb.TimePanel(state="collapsed", timeline=timeline, play_state="following"),
         auto_views=False,
         auto_layout=False,
     )
@@ -84,7 +87,7 @@ def _map(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
             entities.TRAJECTORY: _until_now(),
         },
         eye_controls=rrb.EyeControls3D(
-            position=(x - 0.25 * extent_m, y - 0.6 * extent_m, 0.6 * extent_m), look_target=(x, y, 0.0)
+            position=(x - 0.3 * extent_m, y - 0.65 * extent_m, 0.65 * extent_m), look_target=(x, y, 0.0)
         ),
         line_grid=rrb.LineGrid3D(visible=False),
     )
@@ -93,7 +96,7 @@ def _map(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
 def _grid(centre_m: tuple[float, float], extent_m: float, name: str = entities.FURNITURE_FREE) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         origin=entities.WORLD,
-        contents=[f"{entities.GRID}/{name}", entities.DOORS, entities.TRAJECTORY, f"{entities.BASE}/**"],
+        contents=[f"{entities.GRID}/{name}", entities.DOOR_SILLS, entities.TRAJECTORY, f"{entities.BASE}/**"],
         name=f"Grid map: {name.replace('_', ' ')}, doors, trajectory",
         overrides={entities.TRAJECTORY: _until_now()},
         eye_controls=rrb.EyeControls3D(
@@ -140,7 +143,7 @@ def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
                 entities.DOORS: rr.LineStrips3D.from_fields(show_labels=True),
             },
             eye_controls=rrb.EyeControls3D(
-                position=(x - 0.15 * extent_m, y - 0.5 * extent_m, 0.6 * extent_m), look_target=(x, y, 0.0)
+                position=(x - 0.2 * extent_m, y - 0.55 * extent_m, 0.75 * extent_m), look_target=(x, y, 0.0)
             ),
             line_grid=rrb.LineGrid3D(visible=False),
         ),
@@ -161,9 +164,10 @@ def _odometry() -> rrb.Container:
             *(
                 rrb.TimeSeriesView(origin=f"{entities.REGISTRATION}/{name}", name=title)
                 for name, title in (
-                    ("residual_m", "Residual, m (timeline stamp)"),
+                    ("residual_m", "Median distance to the local map, m"),
+                    ("correction_m", "Correction of the predicted pose, m"),
                     ("threshold_m", "Adaptive threshold, m"),
-                    ("inlier_share", "Share of inliers"),
+                    ("inlier_share", "Share of keypoints within the threshold"),
                 )
             )
         ),

@@ -154,15 +154,10 @@ def simulate(
         frames = {lidar.frame_id: lidar.T_base_sensor for lidar in scene.lidars}
         writer.write("/tf_static", writer.static_transforms(BASE_FRAME, frames, EPOCH_NS), EPOCH_NS, latched=True)
         writer.write("/truth/building", writer.text(json.dumps(scene.truth)), EPOCH_NS, latched=True)
-        poses = _poses(scene.trajectory)
-        next_pose = next(poses, None)
+        written = 0
         jobs = _jobs(scene.lidars, settings)
         for job, sweep in _traced(world, scene, jobs, settings):
-            while next_pose is not None and next_pose[0] <= job.log_time_ns:
-                stamp_ns, T_map_base = next_pose
-                message = writer.odometry(T_map_base, EPOCH_NS + stamp_ns, BASE_FRAME)
-                writer.write("/truth/pose", message, EPOCH_NS + stamp_ns)
-                next_pose = next(poses, None)
+            written = _write_poses(writer, scene.trajectory, written, job.log_time_ns)
             lidar = scene.lidars[job.lidar]
             writer.write(lidar.topic, writer.cloud(lidar, sweep, EPOCH_NS), EPOCH_NS + job.log_time_ns)
             if lidar.role == "vertical":
@@ -171,6 +166,7 @@ def simulate(
             points[lidar.topic] = points.get(lidar.topic, 0) + int(np.count_nonzero(sweep.range_m))
             if progress is not None:
                 progress(sum(clouds.values()) / len(jobs))
+        _write_poses(writer, scene.trajectory, written, round(settings.duration_s * 1e9))
     files = out.rglob("*") if out.is_dir() else [out]
     return SimulationReport(
         path=out, building=settings.building, rooms=len(scene.plan.rooms), doors=len(scene.plan.doors),
@@ -180,8 +176,13 @@ def simulate(
     )  # fmt: skip
 
 
-def _poses(trajectory: Trajectory) -> Iterator[tuple[int, FloatArray]]:
-    yield from zip(trajectory.stamp_ns.tolist(), trajectory.T_map_base, strict=True)
+def _write_poses(writer: BagWriter, trajectory: Trajectory, first: int, until_ns: int) -> int:
+    """The poses from number `first` up to a time; returns the number of the next."""
+    following = int(np.searchsorted(trajectory.stamp_ns, until_ns, side="right"))
+    for i in range(first, following):
+        stamp_ns = EPOCH_NS + int(trajectory.stamp_ns[i])
+        writer.write("/truth/pose", writer.odometry(trajectory.T_map_base[i], stamp_ns, BASE_FRAME), stamp_ns)
+    return max(first, following)
 
 
 def _jobs(lidars: tuple[Lidar, Lidar], settings: SimulationSettings) -> list[_Job]:

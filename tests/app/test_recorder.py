@@ -75,8 +75,8 @@ def rows(path: Path, entity: str, index: str = entities.SCAN_TIMELINE) -> Iterat
         yield {str(key).split(":")[-1]: value for key, value in row.items()}
 
 
-def paths(path: Path) -> set[str]:
-    return {chunk.entity_path for chunk in RrdReader(path).stream()}
+def temporal_paths(path: Path) -> set[str]:
+    return {chunk.entity_path for chunk in RrdReader(path).stream() if not chunk.is_static}
 
 
 def vectors(values: Any) -> np.ndarray:
@@ -110,7 +110,8 @@ def test_the_differences_of_all_lines_can_be_read_back(recording, labelled):
         for name in ("difference", "slope"):
             values = vectors(row[name])
             assert values.shape == (2 * synthetic.RINGS, 200)
-            np.testing.assert_allclose(values, getattr(labelling.structures, name), rtol=1e-3, atol=1e-6)
+            expected = np.clip(getattr(labelling.structures, name), -65504.0, 65504.0)  # kept as float16
+            np.testing.assert_allclose(values, expected, rtol=1e-3, atol=1e-6)
         for name in ("line", "first", "last", "upmost", "bottommost"):
             np.testing.assert_array_equal(row[name], getattr(labelling.structures, name))
 
@@ -156,28 +157,22 @@ def test_the_file_holds_properties_classes_blueprint_and_footer(recording):
 
 
 def test_details_log_less_and_less(tmp_path, labelled, recording):
-    logged = {Detail.LINES: paths(recording)}
+    logged = {Detail.LINES: temporal_paths(recording)}
     for detail in (Detail.SCANS, Detail.MAP):
         folder = tmp_path / detail
         folder.mkdir()
-        logged[detail] = paths(write_run(folder, labelled, detail))
+        logged[detail] = temporal_paths(write_run(folder, labelled, detail))
     assert {entities.POINTS, entities.PLANES, entities.OPENINGS} <= logged[Detail.SCANS]
     assert not {entities.STRUCTURES, entities.CURVE_DIFFERENCES, entities.UPMOST} & logged[Detail.SCANS]
     assert f"{entities.LABEL_COUNTS}/wall" in logged[Detail.MAP]
-    map_scans = [row for row in rows(tmp_path / "map" / "recording.rrd", entities.SCAN)]
-    assert len(map_scans) == SCANS
-    positions = [
-        chunk
-        for chunk in RrdReader(tmp_path / "map" / "recording.rrd").stream()
-        if chunk.entity_path.startswith("/scan/") and not chunk.is_static
-    ]
-    assert positions == []
+    assert entities.SCAN in logged[Detail.MAP]
+    assert not [path for path in logged[Detail.MAP] if path.startswith(f"{entities.SCAN}/")]
 
 
 def test_a_scan_with_everything_stays_small(recording):
     blocks = sum(block.stat().st_size for block in recording.parent.glob("????.rrd"))
     assert blocks / SCANS < 0.26 * CLOUD_BYTES
-    assert recording.stat().st_size < blocks + 100_000
+    assert recording.stat().st_size < blocks + 500_000  # what is logged once, and the layout
 
 
 def test_final_labels_win_at_the_same_scan(tmp_path, labelled):
@@ -192,7 +187,7 @@ def test_final_labels_win_at_the_same_scan(tmp_path, labelled):
     recording.disconnect()
     last = list(rows(path, entities.POINTS))[-1]
     np.testing.assert_array_equal(last["class_ids"], final)
-    relabelled = list(rows(path, entities.RELABELLED))[0]
+    relabelled = next(iter(rows(path, entities.RELABELLED)))
     changed = labelling.label != final
     assert np.count_nonzero(changed) == len(relabelled["class_ids"]) > 0
     np.testing.assert_array_equal(relabelled["label_scan"], labelling.label[changed])
@@ -204,13 +199,16 @@ def test_registrations_lie_on_stamp_alone(tmp_path):
     recorder = Recorder(recording)
     for number in range(3):
         registration = Registration(
+            index=number,
             stamp_ns=synthetic.stamp_ns(number),
             T_odom_sensor=transforms.make_transform(translation=[number, 0.0, 0.0]),
             keypoints_sensor=np.full((5, 3), float(number)),
             local_map_odom=np.zeros((0, 3)),
             threshold_m=0.4,
+            correction_m=0.01,
             residual_m=0.02 if number else float("nan"),
             inlier_share=0.9,
+            milliseconds=12.0,
         )
         recorder.log_registration(synthetic.stamp_ns(number), registration)
     recording.disconnect()
@@ -252,12 +250,13 @@ def test_building_grid_map_and_messages(tmp_path):
     recorder.log_building(walls, doors)
     cells = np.full((2, 3), Cell.FREE, np.uint8)
     cells[0, 0], cells[1, 2] = Cell.OCCUPIED, Cell.UNKNOWN
-    recorder.log_grid(entities.FURNITURE_FREE, GridMap(cells, np.array([-1.0, 2.0]), 0.05))
+    grid = GridMap(cells, np.array([-1.0, 2.0]), 0.05)
+    recorder.log_grid(entities.FURNITURE_FREE, grid)
     stamps = np.array([synthetic.stamp_ns(index) for index in range(3)])
     recorder.log_trajectory(stamps, synthetic.trajectory(3).T_map_base, np.arange(3))
     recorder.log_map_block(2, int(stamps[2]), np.ones((4, 3)), np.array([1, 2, 2, 3], np.uint8))
     recorder.log_skipped(1, int(stamps[1]), "all returns invalid")
-    set_layout(recording, run_blueprint.build(centre_m=(1.0, 2.0), extent_m=30.0))
+    set_layout(recording, 32, grid)
     recording.disconnect()
 
     static = {chunk.entity_path: chunk.to_record_batch() for chunk in RrdReader(path).stream() if chunk.is_static}
@@ -302,16 +301,16 @@ def test_a_block_that_fails_leaves_nothing(tmp_path):
 
 
 def test_a_wrong_shape_is_an_error(tmp_path):
-    with pytest.raises(ValueError, match="."), open_block(tmp_path / "block.rrd", "run-7") as stream:
+    with (
+        pytest.raises(ValueError, match=r"(?i)expected|shape|length|size"),
+        open_block(tmp_path / "block.rrd", "run-7") as stream,
+    ):
         stream.log("/points", rr.Points3D(np.zeros((3, 4))))
 
 
-def test_file_and_viewer_receive_the_same(tmp_path):
+def test_a_viewer_that_is_not_there_is_an_error_and_not_a_wait(tmp_path):
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    # A port where nobody listens: the file must not suffer.
-    recording = open_recording(tmp_path / "run.rrd", "run-8", run_blueprint.build(), f"rerun+http://127.0.0.1:{port}/proxy")
-    Recorder(recording).log_message("hello", synthetic.stamp_ns(0), 0)
-    del recording
-    assert entities.MESSAGES in paths(tmp_path / "run.rrd")
+        url = f"rerun+http://127.0.0.1:{probe.getsockname()[1]}/proxy"
+    with pytest.raises(ConnectionError, match="no Rerun viewer"):
+        open_recording(tmp_path / "run.rrd", "run-8", run_blueprint.build(), url)

@@ -23,7 +23,10 @@ def test_every_view_has_a_name_and_an_origin_that_is_written():
     assert len(shown) > 10
     for view in shown:
         assert view.name
-        assert any(path == str(view.origin) or path.startswith(f"{view.origin}/") or str(view.origin).startswith(f"{path}/") for path in known)
+        assert any(
+            path == str(view.origin) or path.startswith(f"{view.origin}/") or str(view.origin).startswith(f"{path}/")
+            for path in known
+        )
 
 
 def test_the_first_tab_shows_scan_lines_curves_map_and_grid():
@@ -52,3 +55,8 @@ def test_the_explanation_names_classes_and_settings():
     assert "| wall_planes | similarity_m | 0.05 |" in text
     for name, _ in list(entities.CLASSES.values())[:6]:
         assert name in text
+
+
+def test_where_nothing_is_labelled_the_odometry_comes_first():
+    tabs = run.build(None).root_container.contents
+    assert [str(tab.name) for tab in tabs] == ["Odometry", "Metrics and warnings", "Read me"]
