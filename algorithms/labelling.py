@@ -16,7 +16,7 @@ from algorithms.rearrangement import (
     find_floor,
     make_point_lines,
 )
-from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array
+from algorithms.scan import BoolArray, FloatArray, IntArray, Scan, UInt8Array
 from algorithms.settings import StepSettings
 from algorithms.trajectory import PlacedScan
 from algorithms.vertical_structures import VerticalStructures, VerticalStructuresSettings, find_vertical_structures
@@ -86,10 +86,11 @@ def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: i
     floor = find_floor(points, settings.rearrangement)
     height_m = _heights(points, floor.height_m, floor.slope)
     ceilings = find_ceilings(points, height_m, settings.rearrangement, seed)
+    ceiling_planes = np.array([[c.height_m, *c.slope] for c in ceilings]).reshape(-1, 3)
     label = _label_horizontal(
         points,
         height_m,
-        np.array([[c.height_m, *c.slope] for c in ceilings]).reshape(-1, 3),
+        ceiling_planes,
         settings.rearrangement.floor_height_m,
         settings.rearrangement.ceiling_distance_m,
     )
@@ -106,7 +107,15 @@ def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: i
         points, height_m, lines.samples, placed.origin_level, settings.vertical_structures
     )
     planes = grow_wall_planes(
-        points, height_m, lines.samples, structures, ceilings, floor, placed.origin_level, settings.wall_planes
+        points,
+        height_m,
+        lines.samples,
+        structures,
+        ceilings,
+        floor,
+        _lines_with(label, Label.CEILING, lines.order, lines.starts),
+        placed.origin_level,
+        settings.wall_planes,
     )
     # III.C: doors, then a label for every return.
     door_lines = find_door_lines(points, height_m, lines, planes, placed.origin_level, settings.doors)
@@ -115,6 +124,7 @@ def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: i
         points,
         height_m,
         label,
+        ceiling_planes,
         planes.normal,
         planes.offset_m,
         completed_ends(planes.normal, planes.offset_m, planes.ends, settings.labelling),
@@ -122,6 +132,12 @@ def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: i
     )
     _label_leaves(points, height_m, label, plane, planes, openings, settings)
     return ScanLabelling(label, plane, height_m, floor, ceilings, lines, structures, planes, door_lines, openings)
+
+
+def _lines_with(label: UInt8Array, wanted: Label, order: IntArray, starts: IntArray) -> BoolArray:
+    """(L,) whether each line has returns of a label."""
+    counts = np.concatenate([[0], np.cumsum(label[order] == wanted)])
+    return np.asarray(counts[starts[1:]] - counts[starts[:-1]] > 2)
 
 
 def completed_ends(
@@ -208,12 +224,13 @@ def _label_walls(
     points: FloatArray,
     height: FloatArray,
     label: UInt8Array,
+    ceilings: FloatArray,
     normal: FloatArray,
     offset: FloatArray,
     ends: FloatArray,
     distance_m: float,
 ) -> IntArray:  # pragma: no cover
-    """Every return against every plane of the scan; at the edges the nearer of wall and floor or ceiling decides."""
+    """Every return against every plane of the scan; along an edge the nearer of wall and floor or ceiling decides."""
     plane = np.full(len(points), -1, np.int16)
     for i in range(len(points)):
         nearest = distance_m
@@ -227,7 +244,14 @@ def _label_walls(
                     nearest, best = s, k
         if best < 0:
             continue
-        if label[i] == 0 or (label[i] == 1 and height[i] > max(nearest, 0.02)):
+        inside = np.inf  # how far the return lies within the room from the floor or ceiling that claims it
+        if label[i] == 1:
+            inside = height[i]
+        elif label[i] == 2:
+            for c in range(len(ceilings)):
+                below = ceilings[c, 0] + ceilings[c, 1] * x + ceilings[c, 2] * y - points[i, 2]
+                inside = below if abs(below) < abs(inside) else inside
+        if inside > nearest:
             label[i] = 3
             plane[i] = best
     return plane

@@ -19,21 +19,24 @@ from algorithms.settings import StepSettings
 class OdometrySettings(StepSettings):
     """KISS-ICP (Vizzo et al. 2023), in place of the paper's BLAM (IV.A)."""
 
-    voxel_m: float = Field(0.4, gt=0, le=5, description="Edge in metres of the local map's voxels. KISS-ICP.")
-    points_per_voxel: int = Field(20, ge=1, description="Most points that a voxel of the local map keeps. KISS-ICP.")
+    voxel_m: float = Field(0.25, gt=0, le=5, description="Edge in metres of the local map's voxels. KISS-ICP.")
+    points_per_voxel: int = Field(5, ge=1, description="Most points that a voxel of the local map keeps. KISS-ICP.")
     range_min_m: float = Field(
         0.5, ge=0, description="Returns nearer than so many metres are the robot itself. KISS-ICP."
     )
     range_max_m: float = Field(60.0, gt=0, description="Returns farther than so many metres are left out. KISS-ICP.")
+    points_max: int = Field(
+        25_000, ge=100, description="Denser clouds are thinned evenly to at most so many returns. KISS-ICP."
+    )
     deskew: bool = Field(True, description="Compensate the motion within a sweep where the cloud has times. KISS-ICP.")
     threshold_initial_m: float = Field(
-        1.0, gt=0, description="First correspondence threshold in metres, before it adapts. KISS-ICP."
+        0.5, gt=0, description="First correspondence threshold in metres, before it adapts. KISS-ICP."
     )
     motion_min_m: float = Field(
         0.05, gt=0, description="Deviations below so many metres do not adapt the threshold. KISS-ICP."
     )
     iterations_max: int = Field(300, ge=1, description="Most ICP iterations a scan. KISS-ICP.")
-    convergence: float = Field(1e-4, gt=0, description="ICP stops at a smaller step. KISS-ICP.")
+    convergence: float = Field(1e-3, gt=0, description="ICP stops at a smaller step. KISS-ICP.")
     threads: int = Field(1, ge=0, description="KISS-ICP's threads; 1 is reproducible, 0 takes all cores. KISS-ICP.")
     evidence_every: int = Field(
         10, ge=1, description="The local map and the residual are kept for every so many-th scan. KISS-ICP."
@@ -91,7 +94,10 @@ def register_scans(scans: Iterable[tuple[int, Scan]], settings: OdometrySettings
         local_map = odometry.local_map.point_cloud() if keep_evidence else np.zeros((0, 3))
         started = time.perf_counter()
         T_prediction = odometry.last_pose @ odometry.last_delta
-        _, keypoints = odometry.register_frame(scan.points_sensor.astype(np.float64), _sweep_fraction(scan))
+        stride = -(-len(scan) // settings.points_max)
+        _, keypoints = odometry.register_frame(
+            scan.points_sensor[::stride].astype(np.float64), _sweep_fraction(scan)[::stride]
+        )
         milliseconds = 1e3 * (time.perf_counter() - started)
         T_odom_sensor = odometry.last_pose.copy()
         residual_m, inlier_share = _residual(keypoints, local_map, T_odom_sensor, threshold_m)

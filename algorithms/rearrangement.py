@@ -36,6 +36,9 @@ class RearrangementSettings(StepSettings):
     ceiling_support_min: float = Field(
         0.02, ge=0, le=1, description="Smallest share of the scan's returns that makes a ceiling. III.A."
     )
+    ceiling_further_min: float = Field(
+        0.004, ge=0, le=1, description="The same share for a further ceiling, seen through a door. III.A."
+    )
     ceiling_iterations: int = Field(500, ge=1, le=100_000, description="RANSAC's hypotheses for each ceiling. III.A.")
     ceilings_max: int = Field(
         3, ge=1, le=10, description="Most ceilings in one scan; rooms seen through doors have their own. III.A."
@@ -114,10 +117,13 @@ def find_ceilings(
     """
     high = height_m > settings.ceiling_height_min_m
     heights, points = height_m[high], points_level[high]
-    support_min = max(50, int(settings.ceiling_support_min * len(points_level)))
     generator = np.random.default_rng(seed)
     ceilings: list[HorizontalPlane] = []
-    while len(ceilings) < settings.ceilings_max and len(heights) >= support_min:
+    for _ in range(2 * settings.ceilings_max):
+        share = settings.ceiling_further_min if ceilings else settings.ceiling_support_min
+        support_min = max(50, int(share * len(points_level)))
+        if len(heights) < support_min or len(ceilings) == settings.ceilings_max:
+            break
         centre_m, support = _ransac_height(heights, settings, generator)
         if support < support_min:
             break
@@ -275,10 +281,10 @@ def _sort_lines(
     for line in range(lines):
         for j in range(starts[line] + 1, starts[line + 1]):
             moving = order[j]
-            k = j + 0
+            k = j
             while k > starts[line] and angle[order[k - 1]] > angle[moving]:
                 order[k] = order[k - 1]
-                k -= 1
+                k = k - 1
             order[k] = moving
     return angle, order, starts
 

@@ -106,6 +106,7 @@ def grow_wall_planes(
     structures: VerticalStructures,
     ceilings: tuple[HorizontalPlane, ...],
     floor: HorizontalPlane,
+    meets_ceiling: BoolArray,
     origin_level: FloatArray,
     settings: WallPlanesSettings,
 ) -> WallPlanes:
@@ -115,6 +116,8 @@ def grow_wall_planes(
     breaking candidate seeds the next plane and the last plane is kept. Θ, which the paper leaves open, is the RMS
     distance of the candidate's samples to the plane; Ω is the upright plane of least squares. Planes that one odd line
     has cut are joined again, and each candidate then goes to the nearest plane of the scan.
+
+    meets_ceiling: (L,) whether each line has returns of a ceiling.
     """
     candidates = structures.upmost[structures.upmost >= 0]
     # Algorithm 1 walks along the wall: emitter by emitter on one side, then on the other.
@@ -123,7 +126,10 @@ def grow_wall_planes(
     candidates, line = candidates[walk], line[walk]
     top_level = points_level[samples[line, structures.last[candidates]]]
     top_m = structures.top_m[candidates]
-    reaches = _reaches_ceiling(top_level, top_m, ceilings, floor, settings)
+    # A line that sweeps a wall ahead in a circle may turn back below the ceiling: it has no return of it at all.
+    reaches = _reaches_ceiling(top_level, top_m, ceilings, floor, settings) | (
+        ~meets_ceiling[line] & (top_m > 0.5 * settings.height_min_m)
+    )
     moments, lowest_sample = _candidate_moments(
         points_level,
         height_m,

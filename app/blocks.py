@@ -110,9 +110,10 @@ def label_block(job: LabelJob) -> BlockSummary:
             _open(job.inputs.bag_path), sensor.index, job.block.first, job.block.count, sensor.lidar.decoding
         ):
             read = time.perf_counter()
-            if isinstance(scan, Scan) and not job.trajectory.covers(
-                np.array([scan.start_ns, scan.end_ns]), job.extrapolate_ns
-            ).all():
+            if (
+                isinstance(scan, Scan)
+                and not job.trajectory.covers(np.array([scan.start_ns, scan.end_ns]), job.extrapolate_ns).all()
+            ):
                 scan = SkippedScan(index, scan.stamp_ns, "no pose at its time")
             if isinstance(scan, SkippedScan):
                 skipped.append(scan)
@@ -136,7 +137,9 @@ def label_block(job: LabelJob) -> BlockSummary:
             labels.append(full_labels(scan, labelling.label))
             counts += np.bincount(labelling.label, minlength=256)
             scans.append((index, scan.stamp_ns, job.trajectory.at(np.array([scan.stamp_ns]))[0]))
-            sizes.append((scan.cloud_size, int(np.count_nonzero(labelling.label == 0) + np.count_nonzero(labelling.label > 2))))
+            sizes.append(
+                (scan.cloud_size, int(np.count_nonzero(labelling.label == 0) + np.count_nonzero(labelling.label > 2)))
+            )
             milliseconds.append([*timings.values(), 1e3 * (time.perf_counter() - labelled)])
             started = time.perf_counter()
     summary = BlockSummary(
@@ -157,7 +160,11 @@ def label_block(job: LabelJob) -> BlockSummary:
         {
             **{f"summary_{f.name}": np.asarray(getattr(summary, f.name)) for f in fields(BlockSummary)},
             **_label_arrays(labels, summary.scan),
-            **({f"feature_{f.name}": getattr(concatenate(features), f.name) for f in fields(Features)} if features else {}),
+            **(
+                {f"feature_{f.name}": getattr(concatenate(features), f.name) for f in fields(Features)}
+                if features
+                else {}
+            ),
             "new_points": votes.mean_position.astype(np.float32),
             "new_label": majority(votes.counts),
             "new_keys": votes.keys,
@@ -229,9 +236,11 @@ def load_labels(path: Path) -> dict[int, UInt8Array]:
     """Labels of each cloud in a block's .npz, by its number, one for each place in the cloud."""
     with np.load(path) as spooled:
         parts = np.split(spooled["label"], np.cumsum(spooled["label_size"])[:-1])
-        return {int(scan): part for scan, part in zip(spooled["label_scan"], parts, strict=True)} if len(
-            spooled["label_scan"]
-        ) else {}
+        return (
+            {int(scan): part for scan, part in zip(spooled["label_scan"], parts, strict=True)}
+            if len(spooled["label_scan"])
+            else {}
+        )
 
 
 def load_votes(path: Path) -> VoxelVotes:

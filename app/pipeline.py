@@ -47,7 +47,7 @@ from app.blocks import (
 from app.inputs import Inputs
 from app.odometry_stage import registrations
 from app.progress import Progress
-from app.recorder import Detail, Recorder, forward_block, open_recording
+from app.recorder import Detail, Recorder, forward_block, open_recording, set_layout
 from app.run_folder import CLOUD, RECORDING, TRAJECTORY, RunFolder
 from app.settings import Settings
 from app.versions import versions
@@ -114,7 +114,7 @@ def run(
         open_recording(
             folder.path / RECORDING if options.save else None,
             record["recording_id"],
-            run_blueprint.build(),
+            run_blueprint.build(_ring_count(inputs)),
             options.connect_url,
         )
         if options.save or options.connect_url
@@ -169,6 +169,8 @@ def _run_stages(
             state.timings_s["odometry_and_scans"] = time.perf_counter() - clock
             if inputs.vertical is None:
                 _write_trajectory(folder, trajectory, trajectory.stamp_ns)
+                if recorder:
+                    recorder.log_trajectory(trajectory.stamp_ns, trajectory.T_map_base, None)
                 return
             if not len(stage.scan_stamps_ns):
                 raise InputError(
@@ -184,6 +186,8 @@ def _run_stages(
             if recorder:
                 recorder.log_building(building.walls, building.doors)
                 recorder.log_grid("furniture_free", building.grid)
+            if recording:
+                set_layout(recording, _ring_count(inputs), building.grid)
             results.write_walls(folder.path / "walls.geojson", building.walls)
             results.write_doors(folder.path / "doors.geojson", building.doors)
             results.write_grid(folder.path / "map.yaml", building.grid)
@@ -208,13 +212,18 @@ def _log_start(recorder: Recorder, inputs: Inputs, settings: Settings, record: d
     recorder.log_static(
         sensors,
         entities.explain(record),
-        inputs.vertical.lidar.ring_count if inputs.vertical else None,
+        _ring_count(inputs),
         settings.vertical_structures.slope_max,
     )
     recorder.log_properties("settings", settings.model_dump(mode="json"))
     recorder.log_properties(
         "run", {name: record[name] for name in ("settings_hash", "bag", "versions", "started") if name in record}
     )
+
+
+def _ring_count(inputs: Inputs) -> int | None:
+    """Emitters of the lidar that is labelled; None where nothing is."""
+    return inputs.vertical.lidar.ring_count if inputs.vertical else None
 
 
 class _ScanStage:

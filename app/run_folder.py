@@ -39,7 +39,9 @@ class RunFolder:
         try:
             content = json.loads(path.read_text())
         except FileNotFoundError:
-            raise InputError(f"{self.path}: is no run folder (it has no {RUN_JSON}); give one that 'ffmap run' made") from None
+            raise InputError(
+                f"{self.path}: is no run folder (it has no {RUN_JSON}); give one that 'ffmap run' made"
+            ) from None
         except (OSError, ValueError) as error:
             raise InputError(f"{path}: cannot be read ({error}); give another run folder") from error
         if not isinstance(content, dict):
