@@ -89,6 +89,20 @@ class WallCells:
 
 
 @dataclass(frozen=True)
+class Windows:
+    """Stretches of wall that rays pass above a sill: what lies behind is seen through glass.
+
+    ends: (N, 2, 2) x and y, on the wall's face. normal: (N, 2) towards the room.
+    """
+
+    ends: FloatArray
+    normal: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+
+@dataclass(frozen=True)
 class Doors:
     """Doors in the map.
 
@@ -246,6 +260,29 @@ def find_doors(walls: Walls, cells: WallCells, settings: BuildingSettings) -> Do
         np.array(rays, np.int32),
         np.array(wall, np.int32),
     )
+
+
+def find_windows(walls: Walls, cells: WallCells, settings: BuildingSettings) -> Windows:
+    """Columns of a wall with a filled foot, above which rays went through."""
+    ends: list[FloatArray] = []
+    normal: list[FloatArray] = []
+    foot, knee = int(0.1 / CELL_M), int(0.5 / CELL_M)
+    for w in range(len(walls)):
+        counts = cells.counts[cells.first[w] : cells.first[w + 1]]
+        top = int(max(walls.top_m[w] - 0.2, 0.0) / CELL_M)
+        below, above = counts[:, foot:knee].sum(axis=1), counts[:, knee:top].sum(axis=1)
+        is_window = (
+            (below[:, _FILLED] >= settings.rays_min)
+            & (below[:, _THROUGH] < 0.1 * below[:, _FILLED])
+            & (above[:, _THROUGH] >= settings.rays_min)
+            & (above[:, _THROUGH] > 0.1 * above[:, _FILLED])
+        )
+        along = (walls.ends[w, 1] - walls.ends[w, 0]) / np.linalg.norm(walls.ends[w, 1] - walls.ends[w, 0])
+        for first, last in _stretches(is_window, 4):
+            if last - first >= 4:
+                ends.append(walls.ends[w, 0] + along * CELL_M * np.array([[first], [last + 1]]))
+                normal.append(walls.normal[w])
+    return Windows(np.array(ends).reshape(-1, 2, 2), np.array(normal).reshape(-1, 2))
 
 
 def _doors_in(

@@ -108,16 +108,17 @@ def find_door_lines(
     height_m: FloatArray,
     lines: PointLines,
     planes: WallPlanes,
+    upmost: IntArray,
     origin_level: FloatArray,
     settings: DoorsSettings,
 ) -> DoorLines:
-    """Conditions 1 to 3 for every line of a wall plane.
+    """Conditions 1 to 3 for every line whose up-most structure belongs to a wall plane.
 
     Of a line, all returns count, the floor's too: seen through an open door they lie behind the wall and prove that it
     is "connected to the floor". Where the plane ends and the depression begins is the split of the line, from top to
     bottom, that parts its distances best: single returns scatter as much as a closed leaf is recessed.
     """
-    member = planes.candidate_plane >= 0
+    member = (planes.candidate_plane >= 0) & (upmost[planes.candidate_line] == planes.candidate_structure)
     line, plane = planes.candidate_line[member], planes.candidate_plane[member]
     start, depth_m, position = _split_lines(
         points_level,

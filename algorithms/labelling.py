@@ -118,7 +118,9 @@ def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: i
         settings.wall_planes,
     )
     # III.C: doors, then a label for every return.
-    door_lines = find_door_lines(points, height_m, lines, planes, placed.origin_level, settings.doors)
+    door_lines = find_door_lines(
+        points, height_m, lines, planes, structures.upmost, placed.origin_level, settings.doors
+    )
     openings = find_openings(door_lines, planes, settings.doors)
     plane = _label_walls(
         points,

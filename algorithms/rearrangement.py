@@ -19,7 +19,7 @@ class RearrangementSettings(StepSettings):
     """Floor, ceiling and point lines (paper, III.A)."""
 
     floor_height_m: float = Field(
-        0.05, gt=0, le=0.5, description="Half thickness in metres of the height filter that takes the floor. III.A."
+        0.06, gt=0, le=0.5, description="Half thickness in metres of the height filter that takes the floor. III.A."
     )
     floor_search_m: float = Field(
         0.25, gt=0, le=2.0, description="The floor is looked for this many metres above and below the map's. III.A."

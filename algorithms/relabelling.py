@@ -4,7 +4,7 @@ import numba
 import numpy as np
 from pydantic import Field
 
-from algorithms.building import Doors, Walls
+from algorithms.building import Doors, Walls, Windows
 from algorithms.doors import DoorState
 from algorithms.scan import FloatArray, UInt8Array
 from algorithms.settings import StepSettings
@@ -18,6 +18,12 @@ class RelabellingSettings(StepSettings):
     )
     leaf_distance_m: float = Field(0.04, gt=0, description="A return at most so many metres off a closed leaf is door.")
     margin_m: float = Field(0.05, ge=0, description="A wall face counts so many metres beyond its ends.")
+    reveal_m: float = Field(
+        0.4, ge=0, description="A door's reveals and the underside of its lintel reach so many metres behind the face."
+    )
+    behind_glass_m: float = Field(
+        0.25, gt=0, description="More than so many metres behind a window's wall a return is outside."
+    )
     forget_m: float = Field(
         0.2, gt=0, description="A wall return farther than so many metres from every fused face becomes clutter."
     )
@@ -27,18 +33,21 @@ def relabel(
     points_map: FloatArray,
     height_m: FloatArray,
     label_scan: UInt8Array,
+    origin_map: FloatArray,
     walls: Walls,
     doors: Doors,
+    windows: Windows,
     settings: RelabellingSettings,
 ) -> UInt8Array:
     """The final labels (n,): what many scans agree on overrules what one scan saw.
 
     A return on a closed door's leaf is door; wall and door only stand where the building has them; clutter on a wall
-    face is wall. Floor, ceiling and outside stay.
+    face, a door's reveal or its lintel is wall; what a ray reached through a window is outside.
 
-    points_map: (n, 3); height_m: (n,) above the floor; label_scan: (n,) of the scan alone.
+    points_map: (n, 3); height_m: (n,) above the floor; label_scan: (n,) of the scan alone; origin_map: (3,) the sensor.
     """
     closed = doors.state == DoorState.CLOSED
+    depth_m = np.where(closed, doors.depth_m, np.inf)
     return np.asarray(
         _relabel(
             points_map,
@@ -47,13 +56,18 @@ def relabel(
             walls.ends,
             walls.normal,
             walls.top_m,
-            doors.ends[closed],
-            doors.normal[closed],
-            doors.head_m[closed],
-            doors.depth_m[closed],
+            doors.ends,
+            doors.normal,
+            doors.head_m,
+            depth_m,
+            windows.ends,
+            windows.normal,
+            np.ascontiguousarray(origin_map, np.float64),
             settings.wall_distance_m,
             settings.leaf_distance_m,
             settings.margin_m,
+            settings.reveal_m,
+            settings.behind_glass_m,
             settings.forget_m,
         )
     )
@@ -81,22 +95,50 @@ def _relabel(
     door_normal: FloatArray,
     door_head: FloatArray,
     door_depth: FloatArray,
+    window_ends: FloatArray,
+    window_normal: FloatArray,
+    origin: FloatArray,
     wall_distance_m: float,
     leaf_distance_m: float,
     margin_m: float,
+    reveal_m: float,
+    behind_glass_m: float,
     forget_m: float,
 ) -> UInt8Array:  # pragma: no cover
     label = label_scan.copy()
     for i in range(len(points)):
-        if label[i] != 0 and label[i] != 3 and label[i] != 4:
-            continue
         x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
+        is_outside = False
+        for g in range(len(window_ends)):
+            _, s, length = _place(x, y, window_ends[g], window_normal[g])
+            if s > -behind_glass_m:
+                continue
+            _, reach, _ = _place(origin[0], origin[1], window_ends[g], window_normal[g])
+            if reach < 0.0:
+                continue
+            t = reach / (reach - s)
+            u, _, _ = _place(
+                origin[0] + t * (x - origin[0]), origin[1] + t * (y - origin[1]), window_ends[g], window_normal[g]
+            )
+            if 0.0 < u < length:
+                is_outside = True
+                break
+        if is_outside:
+            label[i] = 5
+            continue
+        if label[i] == 1 or label[i] == 2:
+            continue
         is_leaf = False
+        is_reveal = False
         for d in range(len(door_ends)):
             u, s, length = _place(x, y, door_ends[d], door_normal[d])
             if 0.0 < u < length and height[i] < door_head[d] and abs(s + door_depth[d]) < leaf_distance_m:
                 is_leaf = True
                 break
+            if -reveal_m < s < wall_distance_m and height[i] < door_head[d] + wall_distance_m:
+                at_jamb = abs(u) < wall_distance_m or abs(u - length) < wall_distance_m
+                at_head = -wall_distance_m < u < length + wall_distance_m and height[i] > door_head[d] - wall_distance_m
+                is_reveal = is_reveal or at_jamb or at_head
         if is_leaf:
             label[i] = 4
             continue
@@ -105,7 +147,7 @@ def _relabel(
             u, s, length = _place(x, y, wall_ends[w], wall_normal[w])
             if abs(s) < nearest and -margin_m < u < length + margin_m and height[i] < wall_top[w] + 0.1:
                 nearest = abs(s)
-        if label[i] == 0 and nearest < wall_distance_m:
+        if label[i] == 0 and (is_reveal or nearest < wall_distance_m):
             label[i] = 3
         elif label[i] == 3 and nearest > forget_m:
             label[i] = 0

@@ -75,7 +75,8 @@ class WallPlanes:
     moments: (K, 6) its samples' n, Σx, Σy, Σxx, Σxy, Σyy, from which planes of many scans can be fused.
 
     The growing, one row for each candidate, in the order in which Algorithm 1 met it:
-    candidate_line: (C,) the point line.
+    candidate_structure: (C,) the vertical structure, by its index in `VerticalStructures`.
+    candidate_line: (C,) its point line.
     candidate_growth: (C,) uint8, see `Growth`.
     candidate_plane: (C,) index of the plane that holds it in the end, -1 where none does.
     candidate_distance_m: (C,) Θ, its distance to the plane that it was compared with; NaN where there was none.
@@ -90,6 +91,7 @@ class WallPlanes:
     line_count: IntArray
     point_count: IntArray
     moments: FloatArray
+    candidate_structure: IntArray
     candidate_line: IntArray
     candidate_growth: UInt8Array
     candidate_plane: IntArray
@@ -119,16 +121,20 @@ def grow_wall_planes(
 
     meets_ceiling: (L,) whether each line has returns of a ceiling.
     """
-    candidates = structures.upmost[structures.upmost >= 0]
-    # Algorithm 1 walks along the wall: emitter by emitter on one side, then on the other.
-    line = structures.line[candidates]
-    walk = np.lexsort((line, line % 2))
+    is_upmost = structures.upmost[structures.line] == np.arange(len(structures.line))
+    reaches = _reaches_ceiling(
+        points_level[samples[structures.line, structures.last]], structures.top_m, ceilings, floor, settings
+    )
+    # Through an opening a line shows the wall of the next room below the lintel: what ends at a ceiling is a candidate
+    # too, though it is not the up-most.
+    candidates = np.flatnonzero(is_upmost | (reaches & (len(ceilings) > 0)))
+    # Algorithm 1 walks along the wall: emitter by emitter on one side, then on the other; up-most structures first.
+    line, upmost = structures.line[candidates], is_upmost[candidates]
+    walk = np.lexsort((line, line % 2, ~upmost))
     candidates, line = candidates[walk], line[walk]
-    top_level = points_level[samples[line, structures.last[candidates]]]
-    top_m = structures.top_m[candidates]
     # A line that sweeps a wall ahead in a circle may turn back below the ceiling: it has no return of it at all.
-    reaches = _reaches_ceiling(top_level, top_m, ceilings, floor, settings) | (
-        ~meets_ceiling[line] & (top_m > 0.5 * settings.height_min_m)
+    reaches = reaches[candidates] | (
+        ~meets_ceiling[line] & is_upmost[candidates] & (structures.top_m[candidates] > 0.5 * settings.height_min_m)
     )
     moments, lowest_sample = _candidate_moments(
         points_level,
@@ -141,7 +147,8 @@ def grow_wall_planes(
     )
     range_m = np.hypot(moments[:, 1] / moments[:, 0] - origin_level[0], moments[:, 2] / moments[:, 0] - origin_level[1])
     gap_m = settings.gap_m + settings.gap_per_range * range_m
-    plane, growth, distance_m = _grow(moments, line % 2, reaches, gap_m, settings.similarity_m)
+    walk_part = line % 2 + 2 * ~is_upmost[candidates]
+    plane, growth, distance_m = _grow(moments, walk_part, reaches, gap_m, settings.similarity_m)
     plane = _settle(
         plane,
         moments,
@@ -162,11 +169,12 @@ def grow_wall_planes(
         offset_m=offset_m,
         ends=_ends(points_level, samples, line, lowest_sample, structures.last[candidates], plane, normal, offset_m),
         bottom_m=_per_plane(np.minimum, bottom_m, plane, count, np.inf),
-        top_m=_per_plane(np.maximum, top_m, plane, count, -np.inf),
+        top_m=_per_plane(np.maximum, structures.top_m[candidates], plane, count, -np.inf),
         rms_m=rms_m,
         line_count=np.bincount(plane[plane >= 0], minlength=count).astype(np.int32),
         point_count=total[:, 0].astype(np.int32),
         moments=total,
+        candidate_structure=candidates.astype(np.int32),
         candidate_line=line.astype(np.int32),
         candidate_growth=growth,
         candidate_plane=plane,

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from algorithms.building import Doors, Walls
+from algorithms.building import Doors, Walls, Windows
 from algorithms.features import Features, concatenate, extract
 from algorithms.labelling import MethodSettings, label_scan
 from algorithms.relabelling import RelabellingSettings, relabel
@@ -60,6 +60,7 @@ class FinishJob:
     label: LabelJob
     walls: Walls
     doors: Doors
+    windows: Windows
     settings: RelabellingSettings
 
 
@@ -194,7 +195,16 @@ def finish_block(job: FinishJob) -> None:
             placed = place_scan(scan, label_job.trajectory, sensor.lidar.T_base_sensor)
             points_map = points_in_map(placed)
             label_of_scan = earlier[index][scan.cloud_index]
-            label = relabel(points_map, points_map[:, 2], label_of_scan, job.walls, job.doors, job.settings)
+            label = relabel(
+                points_map,
+                points_map[:, 2],
+                label_of_scan,
+                placed.to_map(placed.origin_level[None])[0],
+                job.walls,
+                job.doors,
+                job.windows,
+                job.settings,
+            )
             if recorder:
                 recorder.log_final(index, scan.stamp_ns, placed, label_of_scan, label)
             table.add(points_map, label)

@@ -19,7 +19,7 @@ import numpy as np
 import rerun as rr
 
 from algorithms import transforms
-from algorithms.building import Doors, Walls, find_doors, fuse_walls, trace_rays
+from algorithms.building import Doors, Walls, Windows, find_doors, find_windows, fuse_walls, trace_rays
 from algorithms.features import Features, concatenate
 from algorithms.grid_map import GridMap, draw_furniture_free
 from algorithms.labels import Label
@@ -89,6 +89,7 @@ class Building:
 
     walls: Walls
     doors: Doors
+    windows: Windows
     grid: GridMap
 
 
@@ -455,11 +456,13 @@ def _build(folder: RunFolder, blocks: list[Block], trajectory: Trajectory, setti
     """Walls from all planes, doors and grid from all rays; the rays are read block by block."""
     planes = [_without_rays(features) for features in _features(folder, blocks)]
     walls = fuse_walls(concatenate(planes), settings.building)
-    doors = find_doors(walls, trace_rays(walls, _features(folder, blocks), settings.building), settings.building)
+    cells = trace_rays(walls, _features(folder, blocks), settings.building)
+    doors = find_doors(walls, cells, settings.building)
+    windows = find_windows(walls, cells, settings.building)
     grid = draw_furniture_free(
         walls, doors, trajectory.T_map_base[:, :3, 3], _features(folder, blocks), settings.grid_map
     )
-    return Building(walls, doors, grid)
+    return Building(walls, doors, windows, grid)
 
 
 def _features(folder: RunFolder, blocks: list[Block]) -> Iterator[Features]:
@@ -498,7 +501,7 @@ def _finish(
     pending: list[Future[None] | None] = []
     for job in stage.jobs:
         done = job.path.with_suffix(".final.npz").exists() and stage._options.resume
-        finish = FinishJob(job, building.walls, building.doors, settings.relabelling)
+        finish = FinishJob(job, building.walls, building.doors, building.windows, settings.relabelling)
         pending.append(None if done else pool.submit(finish_block, finish))
     table = VoxelTable(VOXEL_M, len(Label))
 
