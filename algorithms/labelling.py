@@ -29,6 +29,12 @@ class LabellingSettings(StepSettings):
     wall_distance_m: float = Field(
         0.055, gt=0, le=0.5, description="Returns within so many metres of any wall plane of the scan are wall. III.C."
     )
+    edge_m: float = Field(
+        0.01,
+        ge=-0.1,
+        le=0.1,
+        description="Along an edge a return goes to the wall though floor or ceiling is so much nearer.",
+    )
     end_margin_m: float = Field(
         0.15, ge=0, description="A wall plane counts so many metres beyond its outermost lines. III.C."
     )
@@ -131,6 +137,7 @@ def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: i
         planes.offset_m,
         completed_ends(planes.normal, planes.offset_m, planes.ends, settings.labelling),
         settings.labelling.wall_distance_m,
+        settings.labelling.edge_m,
     )
     _label_leaves(points, height_m, label, plane, planes, openings, settings)
     return ScanLabelling(label, plane, height_m, floor, ceilings, lines, structures, planes, door_lines, openings)
@@ -231,6 +238,7 @@ def _label_walls(
     offset: FloatArray,
     ends: FloatArray,
     distance_m: float,
+    edge_m: float,
 ) -> IntArray:  # pragma: no cover
     """Every return against every plane of the scan; along an edge the nearer of wall and floor or ceiling decides."""
     plane = np.full(len(points), -1, np.int16)
@@ -253,7 +261,7 @@ def _label_walls(
             for c in range(len(ceilings)):
                 below = ceilings[c, 0] + ceilings[c, 1] * x + ceilings[c, 2] * y - points[i, 2]
                 inside = below if abs(below) < abs(inside) else inside
-        if inside > nearest:
+        if inside > nearest - edge_m:
             label[i] = 3
             plane[i] = best
     return plane

@@ -262,7 +262,8 @@ def load_votes(path: Path) -> VoxelVotes:
 
 def points_in_map(placed: PlacedScan) -> FloatArray:
     """(n, 3) float32."""
-    return placed.to_map(placed.points_level).astype(np.float32)
+    T = placed.T_map_level.astype(np.float32)
+    return np.asarray(placed.points_level @ T[:3, :3].T + T[:3, 3])
 
 
 def seed_of(seed: int, index: int) -> int:

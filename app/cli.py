@@ -225,8 +225,24 @@ def demo(
     demo_command.demo(out)
 
 
+def _set_environment() -> None:
+    """What numpy and the C library read when they start, here and in the worker processes.
+
+    One thread for each process's linear algebra, for the processes themselves fill the cores; and freed memory is kept
+    rather than given back, for every cloud asks for the same again.
+    """
+    for name, value in {
+        "OPENBLAS_NUM_THREADS": "1",
+        "OMP_NUM_THREADS": "1",
+        "MALLOC_MMAP_THRESHOLD_": str(64 << 20),
+        "MALLOC_TRIM_THRESHOLD_": str(256 << 20),
+    }.items():
+        os.environ.setdefault(name, value)
+
+
 def main() -> None:
     """Entry point: the user's mistakes are one line and exit code 2, ours a traceback."""
+    _set_environment()
     try:
         app()
     except InputError as error:
