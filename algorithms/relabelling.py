@@ -53,15 +53,12 @@ def relabel(
             points_map,
             height_m,
             label_scan,
-            walls.ends,
-            walls.normal,
+            _frames(walls.ends, walls.normal),
             walls.top_m,
-            doors.ends,
-            doors.normal,
+            _frames(doors.ends, doors.normal),
             doors.head_m,
             depth_m,
-            windows.ends,
-            windows.normal,
+            _frames(windows.ends, windows.normal),
             np.ascontiguousarray(origin_map, np.float64),
             settings.wall_distance_m,
             settings.leaf_distance_m,
@@ -73,14 +70,14 @@ def relabel(
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _place(x: float, y: float, ends: FloatArray, normal: FloatArray) -> tuple[float, float, float]:  # pragma: no cover
-    """Place along a segment from its first end, distance before it, and its length."""
-    dx, dy = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1]
-    length = np.sqrt(dx * dx + dy * dy)
-    u = ((x - ends[0, 0]) * dx + (y - ends[0, 1]) * dy) / max(length, 1e-9)
-    s = normal[0] * (x - ends[0, 0]) + normal[1] * (y - ends[0, 1])
-    return u, s, length
+def _frames(ends: FloatArray, normal: FloatArray) -> FloatArray:
+    """(k, 7) for each segment: direction x y, its first end's place along it, normal x y, offset, length."""
+    along = ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    along = along / np.maximum(length, 1e-9)
+    start = np.sum(along * ends[:, 0], axis=1, keepdims=True)
+    offset = np.sum(normal * ends[:, 0], axis=1, keepdims=True)
+    return np.ascontiguousarray(np.concatenate([along, start, normal, offset, length], axis=1))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -88,15 +85,12 @@ def _relabel(
     points: FloatArray,
     height: FloatArray,
     label_scan: UInt8Array,
-    wall_ends: FloatArray,
-    wall_normal: FloatArray,
+    walls: FloatArray,
     wall_top: FloatArray,
-    door_ends: FloatArray,
-    door_normal: FloatArray,
+    doors: FloatArray,
     door_head: FloatArray,
     door_depth: FloatArray,
-    window_ends: FloatArray,
-    window_normal: FloatArray,
+    windows: FloatArray,
     origin: FloatArray,
     wall_distance_m: float,
     leaf_distance_m: float,
@@ -109,18 +103,15 @@ def _relabel(
     for i in range(len(points)):
         x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
         is_outside = False
-        for g in range(len(window_ends)):
-            _, s, length = _place(x, y, window_ends[g], window_normal[g])
-            if s > -behind_glass_m:
-                continue
-            _, reach, _ = _place(origin[0], origin[1], window_ends[g], window_normal[g])
-            if reach < 0.0:
+        for g in range(len(windows)):
+            s = windows[g, 3] * x + windows[g, 4] * y - windows[g, 5]
+            reach = windows[g, 3] * origin[0] + windows[g, 4] * origin[1] - windows[g, 5]
+            if s > -behind_glass_m or reach < 0.0:
                 continue
             t = reach / (reach - s)
-            u, _, _ = _place(
-                origin[0] + t * (x - origin[0]), origin[1] + t * (y - origin[1]), window_ends[g], window_normal[g]
-            )
-            if 0.0 < u < length:
+            cx, cy = origin[0] + t * (x - origin[0]), origin[1] + t * (y - origin[1])
+            u = windows[g, 0] * cx + windows[g, 1] * cy - windows[g, 2]
+            if 0.0 < u < windows[g, 6]:
                 is_outside = True
                 break
         if is_outside:
@@ -130,8 +121,11 @@ def _relabel(
             continue
         is_leaf = False
         is_reveal = False
-        for d in range(len(door_ends)):
-            u, s, length = _place(x, y, door_ends[d], door_normal[d])
+        for d in range(len(doors)):
+            s = doors[d, 3] * x + doors[d, 4] * y - doors[d, 5]
+            if abs(s) > 1.0:
+                continue
+            u, length = doors[d, 0] * x + doors[d, 1] * y - doors[d, 2], doors[d, 6]
             if 0.0 < u < length and height[i] < door_head[d] and abs(s + door_depth[d]) < leaf_distance_m:
                 is_leaf = True
                 break
@@ -143,10 +137,12 @@ def _relabel(
             label[i] = 4
             continue
         nearest = np.inf
-        for w in range(len(wall_ends)):
-            u, s, length = _place(x, y, wall_ends[w], wall_normal[w])
-            if abs(s) < nearest and -margin_m < u < length + margin_m and height[i] < wall_top[w] + 0.1:
-                nearest = abs(s)
+        for w in range(len(walls)):
+            distance = abs(walls[w, 3] * x + walls[w, 4] * y - walls[w, 5])
+            if distance < nearest:
+                u = walls[w, 0] * x + walls[w, 1] * y - walls[w, 2]
+                if -margin_m < u < walls[w, 6] + margin_m and height[i] < wall_top[w] + 0.1:
+                    nearest = distance
         if label[i] == 0 and (is_reveal or nearest < wall_distance_m):
             label[i] = 3
         elif label[i] == 3 and nearest > forget_m:

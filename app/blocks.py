@@ -26,6 +26,7 @@ from loaders.scans import SkippedScan, read_scans
 
 VOXEL_M = 0.05
 SCANS_PER_BLOCK = 20
+_GROWING_STRIDE = 4
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,8 @@ def label_block(job: LabelJob) -> BlockSummary:
             if recorder:
                 recorder.log_scan(index, placed, labelling, scan.stamp_ns, timings)
             features.append(extract(index, placed, labelling))
-            table.add(points_in_map(placed), labelling.label)
+            # For the map as it grows a share of the returns is enough; the final stage counts all.
+            table.add(points_in_map(placed)[::_GROWING_STRIDE], labelling.label[::_GROWING_STRIDE])
             labels.append(full_labels(scan, labelling.label))
             counts += np.bincount(labelling.label, minlength=256)
             scans.append((index, scan.stamp_ns, job.trajectory.at(np.array([scan.stamp_ns]))[0]))

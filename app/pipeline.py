@@ -415,8 +415,9 @@ class _ScanStage:
             self._recorder.log_trajectory(summary.stamp_ns, summary.T_map_base, summary.scan, self._last_T_map_base)
             self._last_T_map_base = summary.T_map_base[-1]
             keys, points, label = load_new_points(self._folder.block(block.number, ".npz"))
-            new = ~np.isin(keys, self._seen, assume_unique=True)
-            self._seen = np.union1d(self._seen, keys[new])
+            places = np.searchsorted(self._seen, keys)
+            new = np.append(self._seen, -1)[places] != keys
+            self._seen = np.insert(self._seen, places[new], keys[new])
             self._recorder.log_map_block(int(summary.scan[-1]), int(summary.stamp_ns[-1]), points[new], label[new])
         self._progress.advance()
 
