@@ -145,6 +145,8 @@ def label_block(job: LabelJob) -> BlockSummary:
             )
             milliseconds.append([*timings.values(), 1e3 * (time.perf_counter() - labelled)])
             started = time.perf_counter()
+        if recorder:
+            recorder.log_scan_metrics()
     summary = BlockSummary(
         scan=np.array([s[0] for s in scans], np.int64),
         stamp_ns=np.array([s[1] for s in scans], np.int64),

@@ -22,6 +22,7 @@ from algorithms.odometry import OdometrySettings, Registration
 from algorithms.scan import Scan
 from algorithms.trajectory import TrajectorySettings
 from app.inputs import Inputs, Sensor
+from app.processes import process_context
 from loaders.bag import open_bag
 from loaders.scans import read_scans
 
@@ -92,7 +93,7 @@ def _from_cache(folder: Path) -> Iterator[Registration]:
 def _register(inputs: Inputs, sensor: Sensor, settings: OdometrySettings, folder: Path) -> Iterator[Registration]:
     part = folder.with_name(f"{folder.name}.{os.getpid()}.part")
     shutil.rmtree(part, ignore_errors=True)
-    context = mp.get_context("spawn")
+    context = process_context()
     results: mp.Queue[Registration | str | None] = context.Queue(maxsize=64)
     process = context.Process(
         target=_odometry_process, args=(inputs.bag_path, sensor, settings, results), name="odometry", daemon=True

@@ -11,7 +11,6 @@ from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +45,7 @@ from app.blocks import (
 )
 from app.inputs import Inputs
 from app.odometry_stage import registrations
+from app.processes import process_context
 from app.progress import Progress
 from app.recorder import Detail, Recorder, forward_block, open_recording, set_layout
 from app.run_folder import CLOUD, RECORDING, TRAJECTORY, RunFolder
@@ -161,7 +161,7 @@ def _run_stages(
 ) -> None:
     if recorder:
         _log_start(recorder, inputs, settings, record)
-    with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
+    with ProcessPoolExecutor(options.workers, process_context()) as pool:
         try:
             # Stages 1 and 2: the odometry, and the scans that follow it.
             clock = time.perf_counter()

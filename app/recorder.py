@@ -192,6 +192,7 @@ class Recorder:
     def __init__(self, stream: rr.RecordingStream, detail: Detail = Detail.LINES) -> None:
         self._stream = stream
         self._detail = detail
+        self._metrics: list[tuple[int, int, dict[str, float]]] = []
 
     # --- once a run ---
 
@@ -301,8 +302,23 @@ class Recorder:
                 self._log_candidates(positions, labelling)
                 self._log_door_lines(labelling)
                 self._log_curves(labelling)
-        for path, value in _scan_metrics(labelling, timings_ms).items():
-            self._log(path, rr.Scalars(value))
+        self._metrics.append((index, stamp_ns, _scan_metrics(labelling, timings_ms)))
+
+    def log_scan_metrics(self) -> None:
+        """The metrics of all scans logged so far, at once: one by one they cost as much as the cloud."""
+        if not self._metrics:
+            return
+        index, stamp_ns, rows = zip(*self._metrics, strict=True)
+        for path in rows[0]:
+            self._stream.send_columns(
+                path,
+                indexes=[
+                    rr.TimeColumn(entities.SCAN_TIMELINE, sequence=index),
+                    rr.TimeColumn(entities.STAMP_TIMELINE, timestamp=np.array(stamp_ns).astype("datetime64[ns]")),
+                ],
+                columns=rr.Scalars.columns(scalars=[row[path] for row in rows]),
+            )
+        self._metrics.clear()
 
     def log_skipped(self, index: int, stamp_ns: int, reason: str) -> None:
         """A cloud that could not be used: nothing of the scan before it stays in view."""
