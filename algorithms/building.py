@@ -209,6 +209,9 @@ def _stretches(flags: BoolArray, bridge: int) -> list[tuple[int, int]]:
 def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSettings) -> WallCells:
     """Every ray against every wall face that looks towards its origin: what it hit there, or that it went through.
 
+    Where the scan itself has a plane of that wall, its rays are measured against its own plane: a leaf lies centimetres
+    behind its wall, and so much may the pose be off.
+
     blocks: features in any portions; the memory needed is the building's, not the recording's.
     """
     length_m = np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1) if len(walls) else np.zeros(0)
@@ -225,7 +228,12 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
             np.ascontiguousarray(block.floor_m, np.float64),
             np.concatenate([[0], np.cumsum(block.ray_count)]).astype(np.int64),
             np.ascontiguousarray(block.ray_end_map, np.float32),
+            np.concatenate([[0], np.cumsum(block.plane_count)]).astype(np.int64),
+            np.ascontiguousarray(block.plane_ends_map, np.float64),
+            np.ascontiguousarray(block.plane_normal, np.float64),
             settings.near_m,
+            2.0 * settings.distance_m,
+            float(np.cos(np.radians(settings.angle_deg))),
         )
     return WallCells(first, rows, counts)
 
@@ -260,6 +268,21 @@ def find_doors(walls: Walls, cells: WallCells, settings: BuildingSettings) -> Do
         np.array(rays, np.int32),
         np.array(wall, np.int32),
     )
+
+
+def seen_through(windows: Windows, features: Features) -> BoolArray:
+    """(p,) whether each plane of the scans was seen through a window: it is no wall of this building."""
+    scan = np.repeat(np.arange(len(features.scan)), features.plane_count.astype(np.int64))
+    origin, middle = features.origin_map[scan, :2], features.plane_ends_map.mean(axis=1)
+    outside = np.zeros(len(scan), bool)
+    for ends, normal in zip(windows.ends, windows.normal, strict=True):
+        before, behind = (origin - ends[0]) @ normal, (middle - ends[0]) @ normal
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossing = origin + (before / (before - behind))[:, None] * (middle - origin)
+        length_m = np.linalg.norm(ends[1] - ends[0])
+        place = (crossing - ends[0]) @ (ends[1] - ends[0]) / length_m
+        outside |= (before > 0) & (behind < -CELL_M) & (place > 0) & (place < length_m)
+    return outside
 
 
 def find_windows(walls: Walls, cells: WallCells, settings: BuildingSettings) -> Windows:
@@ -423,7 +446,12 @@ def _trace(
     floor_m: FloatArray,
     starts: IntArray,
     ray_end: FloatArray,
+    plane_starts: IntArray,
+    plane_ends: FloatArray,
+    plane_normal: FloatArray,
     near_m: float,
+    distance_m: float,
+    cos_angle: float,
 ) -> None:  # pragma: no cover
     rows = counts.shape[1]
     for s in range(len(origin)):
@@ -440,9 +468,30 @@ def _trace(
             if np.hypot(ends[w, 0, 0] + dx * nearest - ox, ends[w, 0, 1] + dy * nearest - oy) > RANGE_M:
                 continue
             columns = first[w + 1] - first[w]
+            # The scan's own plane of this wall: the one that shares the longest stretch with it.
+            offset = nx * ends[w, 0, 0] + ny * ends[w, 0, 1]
+            longest = 0.0
+            for p in range(plane_starts[s], plane_starts[s + 1]):
+                px, py = plane_normal[p, 0], plane_normal[p, 1]
+                if px * normal[w, 0] + py * normal[w, 1] < cos_angle:
+                    continue
+                low, high = np.inf, -np.inf
+                far = 0.0
+                for e in range(2):
+                    ex, ey = plane_ends[p, e, 0] - ends[w, 0, 0], plane_ends[p, e, 1] - ends[w, 0, 1]
+                    far = max(far, abs(normal[w, 0] * ex + normal[w, 1] * ey))
+                    low, high = min(low, ex * dx + ey * dy), max(high, ex * dx + ey * dy)
+                shared = min(high, length) - max(low, 0.0)
+                if far < distance_m and shared > longest:
+                    longest = shared
+                    nx, ny = px, py
+                    offset = px * plane_ends[p, 0, 0] + py * plane_ends[p, 0, 1]
+            reach = nx * ox + ny * oy - offset
+            if reach < 0.1:
+                continue
             for r in range(starts[s], starts[s + 1]):
                 x, y, z = np.float64(ray_end[r, 0]), np.float64(ray_end[r, 1]), np.float64(ray_end[r, 2])
-                side = nx * (x - ends[w, 0, 0]) + ny * (y - ends[w, 0, 1])
+                side = nx * x + ny * y - offset
                 if side > 0.1:
                     continue
                 near = side > -near_m

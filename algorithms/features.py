@@ -1,12 +1,12 @@
 """What the building needs of a scan: its wall planes, a share of its rays; small enough to keep for every scan."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from algorithms import transforms
 from algorithms.labelling import ScanLabelling
-from algorithms.scan import FloatArray, IntArray, UInt8Array
+from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from algorithms.trajectory import PlacedScan
 
 RAYS_PER_SCAN = 16_000
@@ -59,6 +59,17 @@ def extract(index: int, placed: PlacedScan, labelling: ScanLabelling) -> Feature
         plane_lines=planes.line_count,
         plane_moments=move_moments(planes.moments, T),
     )
+
+
+def select_planes(features: Features, chosen: BoolArray) -> Features:
+    """The same scans with some of their planes alone; chosen: (p,)."""
+    scan = np.repeat(np.arange(len(features.scan)), features.plane_count.astype(np.int64))
+    columns = {
+        f.name: getattr(features, f.name)[chosen]
+        for f in fields(Features)
+        if f.name.startswith("plane_") and f.name != "plane_count"
+    }
+    return replace(features, plane_count=np.bincount(scan[chosen], minlength=len(features.scan)), **columns)
 
 
 def concatenate(parts: list[Features]) -> Features:

@@ -4,7 +4,7 @@ The paper used the nearest horizontal scan's pose for a vertical scan and left i
 firing has the pose of its own time.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
@@ -24,6 +24,12 @@ class TrajectorySettings(StepSettings):
 
     level_s: float = Field(
         2.0, gt=0, le=60, description="The map is levelled by the floor that the first so many seconds show."
+    )
+    level_scan_max_deg: float = Field(
+        2.0,
+        ge=0,
+        le=10,
+        description="A scan is turned by at most so many degrees to make its floor level; 0 turns none.",
     )
     extrapolate_s: float = Field(
         0.3, ge=0, description="A vertical scan may lie so many seconds outside the odometry; farther, it is skipped."
@@ -162,6 +168,39 @@ def _place(points: FloatArray, time_ns: IntArray, duration_ns: float, T: FloatAr
                 + (a * T[k, row, 3] + b * T[k + 1, row, 3])
             )
     return placed
+
+
+def level_scan(placed: PlacedScan, floor_height_m: float, floor_slope: FloatArray, max_deg: float) -> PlacedScan:
+    """The scan turned about the floor below it so that its floor is level.
+
+    A registration's roll and pitch err by some tenths of a degree, which at a ceiling's height is more than a leaf is
+    recessed. A floor that slopes by more than `max_deg` is a ramp, and stays one.
+
+    floor_height_m: of the floor at the level frame's origin; floor_slope: (2,) metres up for each metre along x and y.
+    """
+    if np.degrees(np.arctan(np.hypot(*floor_slope))) > max_deg:
+        return placed
+    normal = np.array([-floor_slope[0], -floor_slope[1], 1.0])
+    turn, _ = Rotation.align_vectors([0.0, 0.0, 1.0], normal / np.linalg.norm(normal))
+    pivot = np.array([0.0, 0.0, floor_height_m])
+    T = transforms.make_transform(turn, pivot - turn.apply(pivot))
+    return replace(
+        placed,
+        points_level=_move(placed.points_level, T.astype(np.float32)),
+        origin_level=transforms.apply(T, placed.origin_level[None])[0],
+        sweep_level=transforms.apply(T, placed.sweep_level),
+        spin_axis_level=turn.apply(placed.spin_axis_level),
+        T_map_base=placed.T_map_level @ T @ transforms.invert(placed.T_map_level) @ placed.T_map_base,
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _move(points: FloatArray, T: FloatArray) -> FloatArray:  # pragma: no cover
+    moved = np.empty_like(points)
+    for i in range(len(points)):
+        for row in range(3):
+            moved[i, row] = T[row, 0] * points[i, 0] + T[row, 1] * points[i, 1] + T[row, 2] * points[i, 2] + T[row, 3]
+    return moved
 
 
 def level_to_floor(points_odom: FloatArray, T_odom_base: FloatArray, seed: int = 0) -> tuple[FloatArray, float]:

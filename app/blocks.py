@@ -14,10 +14,11 @@ import numpy as np
 from algorithms.building import Doors, Walls, Windows
 from algorithms.features import Features, concatenate, extract
 from algorithms.labelling import MethodSettings, label_scan
+from algorithms.rearrangement import find_floor
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array
 from algorithms.semantic_map import VoxelTable, VoxelVotes, majority
-from algorithms.trajectory import PlacedScan, Trajectory, place_scan
+from algorithms.trajectory import PlacedScan, Trajectory, level_scan, place_scan
 from app.inputs import Inputs, Sensor
 from app.recorder import Detail, Recorder, open_block
 from loaders.bag import Bag, open_bag
@@ -46,6 +47,7 @@ class LabelJob:
     inputs: Inputs
     trajectory: Trajectory
     extrapolate_ns: int
+    level_scan_max_deg: float
     method: MethodSettings
     seed: int
     recording_id: str
@@ -123,7 +125,7 @@ def label_block(job: LabelJob) -> BlockSummary:
                     recorder.log_skipped(scan.index, scan.stamp_ns, scan.reason)
                 started = time.perf_counter()
                 continue
-            placed = place_scan(scan, job.trajectory, sensor.lidar.T_base_sensor)
+            placed = _place(scan, job)
             was_placed = time.perf_counter()
             labelling = label_scan(scan, placed, job.method, seed_of(job.seed, index))
             labelled = time.perf_counter()
@@ -196,7 +198,7 @@ def finish_block(job: FinishJob) -> None:
         ):
             if index not in earlier or isinstance(scan, SkippedScan):
                 continue
-            placed = place_scan(scan, label_job.trajectory, sensor.lidar.T_base_sensor)
+            placed = _place(scan, label_job)
             points_map = points_in_map(placed)
             label_of_scan = earlier[index][scan.cloud_index]
             label = relabel(
@@ -222,6 +224,13 @@ def finish_block(job: FinishJob) -> None:
             **{f"votes_{f.name}": np.asarray(getattr(votes, f.name)) for f in fields(VoxelVotes)},
         },
     )
+
+
+def _place(scan: Scan, job: LabelJob) -> PlacedScan:
+    """The scan with every firing at its own pose, its floor level."""
+    placed = place_scan(scan, job.trajectory, _vertical(job.inputs).lidar.T_base_sensor)
+    floor = find_floor(placed.points_level, job.method.rearrangement)
+    return level_scan(placed, floor.height_m, floor.slope, job.level_scan_max_deg)
 
 
 def load_summary(path: Path) -> BlockSummary:

@@ -18,8 +18,8 @@ import numpy as np
 import rerun as rr
 
 from algorithms import transforms
-from algorithms.building import Doors, Walls, Windows, find_doors, find_windows, fuse_walls, trace_rays
-from algorithms.features import Features, concatenate
+from algorithms.building import Doors, Walls, Windows, find_doors, find_windows, fuse_walls, seen_through, trace_rays
+from algorithms.features import Features, concatenate, select_planes
 from algorithms.grid_map import GridMap, draw_furniture_free
 from algorithms.labels import Label
 from algorithms.odometry import Registration
@@ -382,6 +382,7 @@ class _ScanStage:
             inputs=self._inputs,
             trajectory=Trajectory(trajectory.stamp_ns[first:last], trajectory.T_map_base[first:last]),
             extrapolate_ns=int(self._settings.trajectory.extrapolate_s * 1e9),
+            level_scan_max_deg=self._settings.trajectory.level_scan_max_deg,
             method=self._settings.method,
             seed=self._settings.seed,
             recording_id=self._record["recording_id"],
@@ -455,11 +456,16 @@ def _write_trajectory(folder: RunFolder, trajectory: Trajectory, stamps_ns: IntA
 
 def _build(folder: RunFolder, blocks: list[Block], trajectory: Trajectory, settings: Settings) -> Building:
     """Walls from all planes, doors and grid from all rays; the rays are read block by block."""
-    planes = [_without_rays(features) for features in _features(folder, blocks)]
-    walls = fuse_walls(concatenate(planes), settings.building)
+    planes = concatenate([_without_rays(features) for features in _features(folder, blocks)])
+    walls = fuse_walls(planes, settings.building)
     cells = trace_rays(walls, _features(folder, blocks), settings.building)
-    doors = find_doors(walls, cells, settings.building)
     windows = find_windows(walls, cells, settings.building)
+    outside = seen_through(windows, planes)
+    if outside.any():
+        walls = fuse_walls(select_planes(planes, ~outside), settings.building)
+        cells = trace_rays(walls, _features(folder, blocks), settings.building)
+        windows = find_windows(walls, cells, settings.building)
+    doors = find_doors(walls, cells, settings.building)
     grid = draw_furniture_free(
         walls, doors, trajectory.T_map_base[:, :3, 3], _features(folder, blocks), settings.grid_map
     )
