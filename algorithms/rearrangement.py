@@ -257,11 +257,12 @@ def _plane_moments(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def _turns(points: FloatArray, cos_down: float, sin_down: float) -> FloatArray:  # pragma: no cover
+def _turns(points: FloatArray, down_rad: float) -> FloatArray:  # pragma: no cover
     """Angle of each return about z from straight down, -π to π, without branches so that it runs on whole vectors.
 
     The arc tangent is a polynomial within 1.2e-5 rad, a fraction of an encoder's step (Abramowitz and Stegun, 4.4.47).
     """
+    cos_down, sin_down = np.float32(np.cos(down_rad)), np.float32(np.sin(down_rad))
     turn = np.empty(len(points), np.float32)
     for i in range(len(points)):
         x = points[i, 0] * cos_down + points[i, 1] * sin_down
@@ -289,13 +290,13 @@ def _sort_lines(
     bins = 256
     count = len(points)
     lines = 2 * ring_count
-    turn = _turns(points, np.float32(np.cos(down_rad)), np.float32(np.sin(down_rad)))
+    turn = _turns(points, down_rad)
     angle = np.abs(turn)
     key = np.empty(count, np.int32)
     offsets = np.zeros(lines * bins + 1, np.int32)
     for i in range(count):
-        line = 2 * np.int64(ring[i]) + (0 if turn[i] > 0 else 1)
-        key[i] = line * bins + min(int(angle[i] * np.float32(bins / np.pi)), bins - 1)
+        own_line = 2 * np.int64(ring[i]) + (0 if turn[i] > 0 else 1)
+        key[i] = own_line * bins + min(int(angle[i] * np.float32(bins / np.pi)), bins - 1)
         offsets[key[i] + 1] += 1
     for k in range(lines * bins):
         offsets[k + 1] += offsets[k]
@@ -307,11 +308,11 @@ def _sort_lines(
     for line in range(lines):
         for j in range(starts[line] + 1, starts[line + 1]):
             moving = order[j]
-            k = j
-            while k > starts[line] and angle[order[k - 1]] > angle[moving]:
-                order[k] = order[k - 1]
-                k = k - 1
-            order[k] = moving
+            steps = 0
+            while j - steps > starts[line] and angle[order[j - steps - 1]] > angle[moving]:
+                order[j - steps] = order[j - steps - 1]
+                steps += 1
+            order[j - steps] = moving
     return angle, order, starts
 
 

@@ -24,7 +24,6 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +56,7 @@ from algorithms.grid_map import Cell, GridMap
 from algorithms.labels import Label, Truth
 from algorithms.scan import FloatArray, IntArray
 from algorithms.trajectory import Trajectory, place_scan
+from app.processes import process_context
 from app.results import write_json
 from loaders.bag import open_bag
 from loaders.errors import InputError
@@ -185,7 +185,7 @@ def count_run(
     if pool is not None:
         counted = list(pool.map(_count, shares))
     else:
-        with ProcessPoolExecutor(processes, get_context("spawn")) as own_pool:
+        with ProcessPoolExecutor(processes, process_context()) as own_pool:
             counted = list(own_pool.map(_count, shares))
     total = Counter(doors)
     for tally, _ in counted:

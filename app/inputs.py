@@ -52,13 +52,6 @@ def find_inputs(bag_path: Path, options: InputOptions) -> Inputs:
         rig = find_rig(bag, options.rig_file, options.horizontal, options.vertical, options.time_from)
         horizontal = _sensor(bag, rig.horizontal) if rig.horizontal else None
         vertical = _sensor(bag, rig.vertical) if rig.vertical else None
-        warnings = [*bag.warnings, *rig.warnings]
-        for role, sensor in (("horizontal", horizontal), ("vertical", vertical)):
-            if sensor is not None and not sensor.lidar.decoding.timed:
-                warnings.append(
-                    f"{sensor.lidar.topic}: its points have no times, so motion within a sweep of the {role} lidar is not "
-                    "compensated; --time-from azimuth recovers them (not for clouds that are compensated already)"
-                )
         return Inputs(
             bag_path=bag_path.resolve(),
             bag_digest=digest(bag_path),
@@ -66,7 +59,7 @@ def find_inputs(bag_path: Path, options: InputOptions) -> Inputs:
             rig=rig,
             horizontal=horizontal,
             vertical=vertical,
-            warnings=tuple(warnings),
+            warnings=(*bag.warnings, *rig.warnings),
         )
 
 

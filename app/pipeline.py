@@ -111,16 +111,7 @@ def run(
     started = time.perf_counter()
     state = RunState(warnings=list(inputs.warnings))
     folder.write_json({**record, "outcome": "running"})
-    recording = (
-        open_recording(
-            folder.path / RECORDING if options.save else None,
-            record["recording_id"],
-            run_blueprint.build(_ring_count(inputs)),
-            options.connect_url,
-        )
-        if options.save or options.connect_url
-        else None
-    )
+    recording = _open(inputs, options, folder, record)
     try:
         recorder = Recorder(recording, options.detail) if recording else None
         _run_stages(inputs, given, settings, options, folder, progress, record, recording, recorder, state)
@@ -135,6 +126,23 @@ def run(
     folder.write_json(record)
     shutil.rmtree(folder.spool, ignore_errors=True)
     return record
+
+
+def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[str, Any]) -> rr.RecordingStream | None:
+    """The run's recording; None where none is wanted."""
+    if not options.save and options.connect_url is None:
+        return None
+    try:
+        return open_recording(
+            folder.path / RECORDING if options.save else None,
+            record["recording_id"],
+            run_blueprint.build(_ring_count(inputs)),
+            options.connect_url,
+        )
+    except ConnectionError as error:
+        raise InputError(
+            f"--connect {options.connect_url}: {error}; start a viewer first, or leave --connect out"
+        ) from error
 
 
 def _gathered(state: RunState, started: float) -> dict[str, Any]:

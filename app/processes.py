@@ -2,10 +2,10 @@
 
 import multiprocessing as mp
 import sys
-from multiprocessing.context import BaseContext
+from multiprocessing.context import ForkServerContext, SpawnContext
 
 
-def process_context() -> BaseContext:
+def process_context() -> ForkServerContext | SpawnContext:
     """Workers fork from a server that has imported what they need, where the system can: imports take two seconds each.
 
     Nothing forks from the run's own process, whose threads a fork would not survive.

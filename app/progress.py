@@ -49,7 +49,7 @@ class Progress:
 
     def warn(self, text: str) -> None:
         """Say what the user ought to know, once."""
-        self._console.print(f"warning: {text}", style="yellow", markup=False)
+        self._console.print(f"warning: {text}", style="yellow", markup=False, soft_wrap=True)
 
     def _end_stage(self, done: bool) -> None:
         if self._task is None:

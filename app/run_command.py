@@ -72,7 +72,7 @@ def run(arguments: Arguments, resume: Path | None) -> None:
             inputs, settings, _stored(arguments), arguments.bag, arguments.trajectory or "odometry"
         )
     assert record is not None
-    connect_url = start_viewer() if arguments.spawn else arguments.connect
+    connect_url = _viewer(arguments)
     with Progress(arguments.quiet) as progress:
         for warning in inputs.warnings:
             progress.warn(warning)
@@ -96,6 +96,16 @@ def run(arguments: Arguments, resume: Path | None) -> None:
         _report(folder, inputs, finished, arguments.save)
     if arguments.evaluate and inputs.vertical is not None:
         _evaluate(folder, arguments)
+
+
+def _viewer(arguments: Arguments) -> str | None:
+    """Where a viewer listens: one that is started, or the one that was named."""
+    if not arguments.spawn:
+        return arguments.connect
+    try:
+        return start_viewer()
+    except RuntimeError as error:
+        raise InputError(f"--spawn: {error} Leave it out: recording.rrd can be opened later") from error
 
 
 def _evaluate(folder: RunFolder, arguments: Arguments) -> None:

@@ -119,7 +119,12 @@ class BagWriter:
         return self._new("std_msgs/msg/Header", *counter, stamp, frame_id)
 
     def _cloud(
-        self, stamp_ns: int, frame_id: str, fields: list[tuple[str, int, int]], rows: Any, height: int  # noqa: ANN401
+        self,
+        stamp_ns: int,
+        frame_id: str,
+        fields: list[tuple[str, int, int]],
+        rows: Any,  # noqa: ANN401
+        height: int,
     ) -> Any:  # noqa: ANN401
         described = [self._new("sensor_msgs/msg/PointField", n, offset, kind, 1) for n, offset, kind in fields]
         width, step = len(rows) // height, rows.dtype.itemsize

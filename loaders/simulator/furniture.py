@@ -187,7 +187,9 @@ PIECES: tuple[Piece, ...] = (
 )
 
 
-def furnish(plan: Plan, path: BaseGeometry, clutter: float, mesh: MeshBuilder, rng: np.random.Generator) -> BaseGeometry:
+def furnish(
+    plan: Plan, path: BaseGeometry, clutter: float, mesh: MeshBuilder, rng: np.random.Generator
+) -> BaseGeometry:
     """Furniture in every room, `clutter` from 0 to 1 as dense as it fits; returns the floor it covers.
 
     path: what must stay clear, in the plan.

@@ -104,9 +104,7 @@ class World:
         TriangleMesh(self._scene, mesh.triangles.astype(np.float32))
         self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # builds the tree, before any thread
 
-    def trace(
-        self, origins: FloatArray, directions: FloatArray, time_s: FloatArray, rng: np.random.Generator
-    ) -> Hits:
+    def trace(self, origins: FloatArray, directions: FloatArray, time_s: FloatArray, rng: np.random.Generator) -> Hits:
         """Rays (n, 3) float32 with unit directions, fired at times (n,): through panes, off them, or onto them."""
         count = len(origins)
         hits = Hits(

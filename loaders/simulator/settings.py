@@ -17,7 +17,9 @@ class SimulationSettings(BaseModel):
     seed: int = Field(0, ge=0, description="every random choice follows from it")
     sensor: Sensor = Field("hdl32e", description="the model of both lidars")
     format: Container = Field("bag", description="ROS 1 bag, or ROS 2 folder with MCAP (mcap) or SQLite (db3) inside")
-    duration_s: float = Field(60.0, gt=0.3, le=3600, description="length of the drive in seconds; the first one at rest")
+    duration_s: float = Field(
+        60.0, gt=0.3, le=3600, description="length of the drive in seconds; the first one at rest"
+    )
     workers: int = Field(2, ge=1, description="threads that trace rays; the bag does not depend on it")
 
     speed_mps: float = Field(0.6, gt=0, le=2, description="speed on straight lines, metres a second")
@@ -41,9 +43,14 @@ class SimulationSettings(BaseModel):
     step_m: float = Field(0.0, ge=0, le=0.3, description="height of a podium in one room, metres")
 
     mount_tilt_deg: float = Field(
-        0.0, ge=-15, le=15, description="how far the vertical lidar's spin axis points down, degrees (told in /tf_static)"
+        0.0,
+        ge=-15,
+        le=15,
+        description="how far the vertical lidar's spin axis points down, degrees (told in /tf_static)",
     )
-    noise_m: float | None = Field(None, ge=0, le=0.1, description="range noise, sigma in metres; the sensor's if not given")
+    noise_m: float | None = Field(
+        None, ge=0, le=0.1, description="range noise, sigma in metres; the sensor's if not given"
+    )
     ring_bias_m: float = Field(0.003, ge=0, le=0.05, description="range offset of each emitter, sigma in metres")
     mixed_share: float = Field(
         0.2, ge=0, le=1, description="share of firings at an edge that measure between the near and the far surface"

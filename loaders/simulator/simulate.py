@@ -197,9 +197,7 @@ def _jobs(lidars: tuple[Lidar, Lidar], settings: SimulationSettings) -> list[_Jo
     return sorted(jobs, key=lambda job: job.log_time_ns)
 
 
-def _traced(
-    world: World, scene: Scene, jobs: list[_Job], settings: SimulationSettings
-) -> Iterator[tuple[_Job, Sweep]]:
+def _traced(world: World, scene: Scene, jobs: list[_Job], settings: SimulationSettings) -> Iterator[tuple[_Job, Sweep]]:
     """The jobs in their order with their sweeps, a few traced ahead: Embree and NumPy let other threads run."""
     waiting: deque[tuple[_Job, Future[Sweep]]] = deque()
     with ThreadPoolExecutor(settings.workers) as pool:

@@ -31,9 +31,7 @@ def trace(settings: SimulationSettings, sweeps: range, lidar: int = 1) -> tuple[
     """A scene, the returns (n, 3) of some sweeps in the map, and their truth."""
     scene = draw_scene(settings)
     world = World(scene.mesh, scene.walkers)
-    traced = [
-        scan(world, scene.lidars[lidar], scene.trajectory, k, settings, scene.ring_bias_m[lidar]) for k in sweeps
-    ]
+    traced = [scan(world, scene.lidars[lidar], scene.trajectory, k, settings, scene.ring_bias_m[lidar]) for k in sweeps]
     points = np.concatenate([returns_in_map(scene, sweep, lidar) for sweep in traced])
     truth = np.concatenate([sweep.truth for sweep in traced])
     return scene, points[truth != NO_RETURN], truth[truth != NO_RETURN]
@@ -47,7 +45,14 @@ def features(scene: Scene, kind: str) -> list[dict]:
 def exact() -> tuple[Scene, np.ndarray, np.ndarray]:
     """A drive in and out of rooms without any error of measurement, every 15th sweep."""
     settings = SimulationSettings(
-        building="office", seed=4, duration_s=50, sensor="vlp16", noise_m=0, ring_bias_m=0, mixed_share=0, closed_share=0.5
+        building="office",
+        seed=4,
+        duration_s=50,
+        sensor="vlp16",
+        noise_m=0,
+        ring_bias_m=0,
+        mixed_share=0,
+        closed_share=0.5,
     )
     return trace(settings, range(0, 480, 15))
 
@@ -209,9 +214,7 @@ def test_the_robot_keeps_clear_of_everything(building: str, seed: int) -> None:
     turn = np.diff(np.unwrap(np.arctan2(T_plan_base[:, 1, 0], T_plan_base[:, 0, 0]))) * 100
     assert step.max() < 0.62
     assert np.abs(turn).max() < 0.65
-    visited = [
-        room for room in scene.plan.rooms[1:] if shapely.contains_xy(room.interior, T_plan_base[:, :2, 3]).any()
-    ]
+    visited = [room for room in scene.plan.rooms[1:] if shapely.contains_xy(room.interior, T_plan_base[:, :2, 3]).any()]
     assert visited
     passed = sum(
         np.linalg.norm(T_plan_base[:, :2, 3] - [door.spot.x, door.spot.y], axis=1).min() < 3.0

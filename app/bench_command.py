@@ -1,0 +1,154 @@
+"""ffmap bench: how fast this machine labels, and how much memory a run takes."""
+
+import os
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import psutil
+import typer
+
+from algorithms.labelling import label_scan
+from algorithms.scan import FloatArray, Scan
+from algorithms.trajectory import PlacedScan, Trajectory, place_scan
+from app import run_command
+from app.inputs import InputOptions, find_inputs
+from app.odometry_stage import registrations
+from app.run_folder import RunFolder
+from app.settings import Settings
+from app.simulate_command import simulate
+from loaders.bag import open_bag
+from loaders.errors import InputError
+from loaders.scans import read_scans
+
+_SCANS = 60
+_PAPER_MS = "paper: mean 74, standard deviation 26, min 32, max 187 for 96,058 points"
+
+
+def bench(bag: Path | None, duration_s: float) -> None:
+    """Print labelling times of single scans on one thread, and time and memory of a whole run."""
+    with tempfile.TemporaryDirectory(prefix="ffmap-bench-") as folder:
+        # An odometry from the cache would make the run look faster than it is.
+        os.environ["XDG_CACHE_HOME"] = folder
+        if bag is None:
+            bag = Path(folder) / "office.bag"
+            typer.echo(f"simulating {duration_s:.0f} s in building 'office' ...")
+            simulate(bag, "office", 1, "hdl32e", "bag", duration_s, [], quiet=True)
+        _bench_run(bag, Path(folder) / "run")
+        _bench_labelling(bag)
+
+
+def _bench_run(bag: Path, out: Path) -> None:
+    started = time.perf_counter()
+    with _peak_memory() as peak:
+        run_command.run(
+            run_command.Arguments(
+                bag=bag,
+                out=out,
+                config=None,
+                overrides=(),
+                rig=None,
+                horizontal=None,
+                vertical=None,
+                time_from="auto",
+                trajectory=None,
+                detail="lines",
+                spawn=False,
+                connect=None,
+                save=True,
+                workers=os.cpu_count() or 1,
+                evaluate=False,
+                quiet=True,
+            ),
+            None,
+        )
+    seconds = time.perf_counter() - started
+    with open_bag(bag) as opened:
+        covered_s = ((opened.end_ns or 0) - (opened.start_ns or 0)) / 1e9
+        clouds = sum(t.count for t in opened.topics.values() if t.msgtype.endswith("PointCloud2"))
+    record = RunFolder(out).read_json()
+    stages = ", ".join(
+        f"{name.replace('_', ' ')} {record['timings_s'][name]:.1f} s"
+        for name in ("odometry_and_scans", "building", "final")
+    )
+    share = (out / "recording.rrd").stat().st_size / max(_cloud_bytes(bag), 1)
+    typer.echo(
+        f"whole run: {seconds:.1f} s for {covered_s:.1f} s of driving ({clouds} clouds): {covered_s / seconds:.2f} x real time"
+    )
+    typer.echo(f"  stages: {stages}")
+    typer.echo(f"  memory: peak {peak[0] / 2**20:.0f} MiB (proportional set sizes of all processes, summed)")
+    typer.echo(f"  recording: {share:.3f} of the clouds' bytes (22 a point)")
+
+
+def _cloud_bytes(bag: Path) -> int:
+    """22 bytes for each place of the lidars' clouds."""
+    inputs = find_inputs(bag, InputOptions())
+    sensors = [sensor for sensor in (inputs.horizontal, inputs.vertical) if sensor is not None]
+    return sum(22 * sensor.lidar.points_per_cloud * len(sensor.index) for sensor in sensors)
+
+
+def _bench_labelling(bag: Path) -> None:
+    settings = Settings()
+    scans = _placed_scans(bag, settings)
+    for index, scan, placed in scans[:5]:
+        label_scan(scan, placed, settings.method, index)
+    milliseconds = []
+    for index, scan, placed in scans:
+        started = time.perf_counter()
+        label_scan(scan, placed, settings.method, index)
+        milliseconds.append(1e3 * (time.perf_counter() - started))
+    points = np.mean([len(scan) for _, scan, _ in scans])
+    times: FloatArray = np.array(milliseconds)
+    typer.echo(f"labelling: {len(scans)} scans of {points:,.0f} points, one thread, warm")
+    typer.echo(
+        f"  median {np.median(times):.1f} ms, mean {times.mean():.1f}, standard deviation {times.std():.1f}, "
+        f"min {times.min():.1f}, max {times.max():.1f} ({_PAPER_MS})"
+    )
+
+
+def _placed_scans(bag: Path, settings: Settings) -> list[tuple[int, Scan, PlacedScan]]:
+    """Some scans from all over the bag with their poses, from the odometry that the run left in the cache."""
+    inputs = find_inputs(bag, InputOptions())
+    if inputs.vertical is None or inputs.horizontal is None:
+        raise InputError(f"{bag}: has no vertical lidar to label; give a bag of two lidars")
+    found, _ = registrations(inputs, inputs.horizontal, settings.odometry, settings.trajectory)
+    stamps, poses = zip(*((r.stamp_ns, r.T_odom_sensor) for r in found), strict=True)
+    T_base_horizontal = inputs.horizontal.lidar.T_base_sensor
+    # The odometry's first frame is level where the base is, which times need no better than.
+    trajectory = Trajectory(np.array(stamps), T_base_horizontal @ np.array(poses) @ np.linalg.inv(T_base_horizontal))
+    sensor, scans = inputs.vertical, []
+    with open_bag(bag) as opened:
+        for first in np.linspace(0, len(sensor.index) - 1, _SCANS).astype(int):
+            for index, scan in read_scans(opened, sensor.index, int(first), 1, sensor.lidar.decoding):
+                if isinstance(scan, Scan):
+                    scans.append((index, scan, place_scan(scan, trajectory, sensor.lidar.T_base_sensor)))
+    return scans
+
+
+@contextmanager
+def _peak_memory() -> Iterator[list[int]]:
+    """Samples the proportional set sizes of this process and all below it; the peak in bytes is the list's only entry."""
+    peak, done = [0], threading.Event()
+
+    def sample() -> None:
+        own = psutil.Process()
+        while not done.wait(0.2):
+            total = 0
+            for process in [own, *own.children(recursive=True)]:
+                try:
+                    total += process.memory_full_info().pss
+                except (psutil.NoSuchProcess, psutil.AccessDenied, FileNotFoundError, ProcessLookupError):
+                    continue
+            peak[0] = max(peak[0], total)
+
+    sampler = threading.Thread(target=sample, daemon=True)
+    sampler.start()
+    try:
+        yield peak
+    finally:
+        done.set()
+        sampler.join()

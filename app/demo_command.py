@@ -1,0 +1,47 @@
+"""ffmap demo: a small building simulated and mapped, to see what the program does."""
+
+import time
+from pathlib import Path
+
+import typer
+
+from app import run_command
+from app.run_folder import RECORDING
+from app.simulate_command import simulate
+
+SECONDS = 16.0
+
+
+def demo(out: Path) -> None:
+    """Simulate `out`/small.bag anew, run on it into `out`/run, say where everything lies."""
+    started = time.monotonic()
+    out.mkdir(parents=True, exist_ok=True)
+    bag = out / "small.bag"
+    bag.unlink(missing_ok=True)
+    typer.echo(f"simulating {SECONDS:.0f} s of driving in a small furnished building ...")
+    simulate(bag, "small", 3, "hdl32e", "bag", SECONDS, [], quiet=True)
+    typer.echo("labelling every scan, mapping the building, recording every intermediate ...")
+    run_command.run(
+        run_command.Arguments(
+            bag=bag,
+            out=out / "run",
+            config=None,
+            overrides=(),
+            rig=None,
+            horizontal=None,
+            vertical=None,
+            time_from="auto",
+            trajectory=None,
+            detail="lines",
+            spawn=False,
+            connect=None,
+            save=True,
+            workers=2,
+            evaluate=True,
+            quiet=False,
+        ),
+        None,
+    )
+    typer.echo(f"\ndone in {time.monotonic() - started:.0f} s. Look at every scan, step by step:\n")
+    typer.echo(f"    .venv/bin/rerun {out / 'run' / RECORDING}\n")
+    typer.echo("Your own bag: .venv/bin/ffmap run BAG (README.md says what it needs).")
