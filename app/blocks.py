@@ -27,6 +27,7 @@ from loaders.scans import SkippedScan, read_scans
 
 VOXEL_M = 0.05
 SCANS_PER_BLOCK = 20
+FINAL_EVIDENCE = ".final.rrd"
 _GROWING_STRIDE = 4
 
 
@@ -188,7 +189,7 @@ def finish_block(job: FinishJob) -> None:
     labels: list[UInt8Array] = []
     numbers: list[int] = []
     table = VoxelTable(VOXEL_M, 6)
-    with _open_evidence(label_job, ".final.rrd") as recorder:
+    with _open_evidence(label_job, FINAL_EVIDENCE) as recorder:
         for index, scan in read_scans(
             _open(label_job.inputs.bag_path),
             sensor.index,
@@ -307,7 +308,8 @@ class _Evidence:
 
 
 def _open_evidence(job: LabelJob, suffix: str) -> _Evidence | _NoEvidence:
-    if job.detail is None:
+    # A recording of the map alone has nothing of the final labels, and a file without content is none to Rerun.
+    if job.detail is None or (job.detail is Detail.MAP and suffix == FINAL_EVIDENCE):
         return _NoEvidence()
     return _Evidence(job.path.with_suffix(suffix), job.recording_id, job.detail)
 

@@ -28,6 +28,7 @@ from algorithms.semantic_map import VoxelTable, fuse
 from algorithms.trajectory import Trajectory, level_to_floor, place_scan
 from app import results
 from app.blocks import (
+    FINAL_EVIDENCE,
     VOXEL_M,
     Block,
     BlockSummary,
@@ -525,8 +526,8 @@ def _finish(
             if future is not None:
                 future.result()
             final_path = job.path.with_suffix(".final.npz")
-            if recording is not None and job.path.with_suffix(".final.rrd").exists():
-                forward_block(recording, job.path.with_suffix(".final.rrd"))
+            if recording is not None and job.path.with_suffix(FINAL_EVIDENCE).exists():
+                forward_block(recording, job.path.with_suffix(FINAL_EVIDENCE))
             table.absorb(load_votes(final_path))
             label, label_scan = load_labels(final_path), load_labels(job.path.with_suffix(".npz"))
             for index in sorted(label):

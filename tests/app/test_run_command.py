@@ -1,0 +1,225 @@
+"""The command line as a user meets it: whole runs, resumed runs, and mistakes."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+from rosbags.highlevel import AnyReader
+
+from loaders.simulator import SimulationSettings, simulate
+
+FFMAP = [sys.executable, "-c", "from app.cli import main; main()"]
+FILES = [
+    "recording.rrd",
+    "run.json",
+    "trajectory.tum",
+    "cloud.ply",
+    "map.yaml",
+    "map.pgm",
+    "walls.geojson",
+    "doors.geojson",
+    "metrics.json",
+]
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    return {**os.environ, "XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache")), "COLUMNS": "200"}
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The same drive in each container."""
+    folder = tmp_path_factory.mktemp("bags")
+    paths = {}
+    for container, name in (("bag", "drive.bag"), ("mcap", "drive_mcap"), ("db3", "drive_db3")):
+        paths[container] = folder / name
+        values = {"building": "small", "seed": 3, "sensor": "vlp16", "format": container, "duration_s": 3.0}
+        simulate(paths[container], SimulationSettings.model_validate(values))
+    return paths
+
+
+@pytest.fixture(scope="module")
+def finished(bags: dict[str, Path], environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run on the ROS 1 bag."""
+    out = tmp_path_factory.mktemp("runs") / "whole"
+    done = ffmap(environment, "run", bags["bag"], "--out", out)
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+def ffmap(environment: dict[str, str], *words: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*FFMAP, *map(str, words)], env=environment, capture_output=True, text=True, timeout=300, check=False
+    )
+
+
+def labels_of(run: Path) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    """Stamp, label and label_scan of every cloud of the labelled bag, read with rosbags."""
+    path = run / "labelled.bag" if (run / "labelled.bag").exists() else run / "labelled"
+    clouds = []
+    with AnyReader([path]) as reader:
+        connections = [c for c in reader.connections if c.msgtype == "sensor_msgs/msg/PointCloud2"]
+        for connection, _, raw in reader.messages(connections):
+            message = reader.deserialize(raw, connection.msgtype)
+            stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            points = np.asarray(message.data).reshape(-1, message.point_step)
+            offsets = {field.name: field.offset for field in message.fields}
+            clouds.append((stamp, points[:, offsets["label"]].copy(), points[:, offsets["label_scan"]].copy()))
+    return clouds
+
+
+def assert_same_labels(run: Path, other: Path) -> None:
+    ours, theirs = labels_of(run), labels_of(other)
+    assert len(ours) == len(theirs) > 0
+    for (stamp, label, label_scan), (other_stamp, other_label, other_label_scan) in zip(ours, theirs, strict=True):
+        assert stamp == other_stamp
+        np.testing.assert_array_equal(label, other_label)
+        np.testing.assert_array_equal(label_scan, other_label_scan)
+
+
+def assert_one_line_error(done: subprocess.CompletedProcess[str], *words: str) -> None:
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+    for word in words:
+        assert word in done.stderr
+
+
+def test_every_file_can_be_read_by_something_else(finished: Path, environment: dict[str, str]) -> None:
+    assert all((finished / name).exists() for name in FILES)
+    assert not list(finished.rglob("*.part"))
+    record = json.loads((finished / "run.json").read_text())
+    assert record["outcome"] == "complete"
+    assert record["counts"]["scans"] == len(labels_of(finished))
+    meta = yaml.safe_load((finished / "map.yaml").read_text())
+    with Image.open(finished / meta["image"]) as image:
+        assert set(np.unique(np.asarray(image))) <= {0, 205, 254}
+    trajectory = np.loadtxt(finished / "trajectory.tum")
+    assert trajectory.shape == (record["counts"]["scans"], 8)
+    evo = Path(sys.executable).parent / "evo_traj"
+    if evo.exists():
+        done = subprocess.run(
+            [evo, "tum", finished / "trajectory.tum"], env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+    done = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "verify", finished / "recording.rrd"], capture_output=True, check=False
+    )
+    assert done.returncode == 0
+    walls = json.loads((finished / "walls.geojson").read_text())
+    assert walls["features"]
+    metrics = json.loads((finished / "metrics.json").read_text())
+    assert 0.5 < metrics["area"]["floor"]["f1"] <= 1.0
+
+
+@pytest.mark.parametrize("container", ["mcap", "db3"])
+def test_every_container_gives_the_same_labels(
+    container: str, bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    done = ffmap(environment, "run", bags[container], "--out", tmp_path / "run", "--no-evaluate", "--detail", "map")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run" / "labelled").is_dir()
+    assert_same_labels(tmp_path / "run", finished)
+
+
+def test_killed_run_is_resumed_with_the_same_labels(
+    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    out = tmp_path / "killed"
+    process = subprocess.Popen(
+        [*FFMAP, "run", str(bags["bag"]), "--out", str(out), "--no-evaluate"],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    end = time.monotonic() + 120
+    while not list(out.glob("spool/*.npz")) and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert json.loads((out / "run.json").read_text())["outcome"] == "running"
+    done = ffmap(environment, "run", "--resume", out)
+    assert done.returncode == 0, done.stderr
+    assert json.loads((out / "run.json").read_text())["outcome"] == "complete"
+    assert_same_labels(out, finished)
+    assert "complete already" in ffmap(environment, "run", "--resume", out).stdout
+
+
+def test_cut_bag_is_processed_up_to_the_cut(bags: dict[str, Path], environment: dict[str, str], tmp_path: Path) -> None:
+    whole = bags["bag"].read_bytes()
+    cut = tmp_path / "cut.bag"
+    cut.write_bytes(whole[: int(0.7 * len(whole))])
+    done = ffmap(environment, "run", cut, "--out", tmp_path / "run", "--no-evaluate", "--detail", "map")
+    assert done.returncode == 0, done.stderr
+    assert "warning" in done.stderr
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert 10 < record["counts"]["scans"] < 30
+    assert record["warnings"]
+
+
+def test_mistakes_are_one_line_and_leave_earlier_results_alone(
+    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    before = {path.name: path.stat().st_mtime_ns for path in finished.iterdir()}
+    missing = tmp_path / "none.bag"
+    assert_one_line_error(ffmap(environment, "run", missing, "--out", finished), "none.bag")
+    text = tmp_path / "text.bag"
+    text.write_text("this is no bag\n")
+    assert_one_line_error(ffmap(environment, "run", text, "--out", finished), "text.bag")
+    assert_one_line_error(ffmap(environment, "info", text), "text.bag")
+    done = ffmap(environment, "run", bags["bag"], "--out", finished, "--set", "wall_planes.similarty_m=0.05")
+    assert_one_line_error(done, "similarty_m", "wall_planes.similarity_m")
+    done = ffmap(environment, "run", bags["bag"], "--out", finished, "--vertical", "/nothing")
+    assert_one_line_error(done, "/nothing")
+    assert_one_line_error(ffmap(environment, "run", "--resume", tmp_path), "run.json")
+    assert_one_line_error(ffmap(environment, "evaluate", tmp_path), str(tmp_path))
+    assert {path.name: path.stat().st_mtime_ns for path in finished.iterdir()} == before
+
+
+def test_folder_that_cannot_be_written_is_named(bags: dict[str, Path], environment: dict[str, str], tmp_path: Path) -> None:
+    blocker = tmp_path / "file"
+    blocker.write_text("")
+    assert_one_line_error(ffmap(environment, "run", bags["bag"], "--out", blocker / "run"), str(blocker))
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "thesis.tex").write_text("mine")
+    assert_one_line_error(ffmap(environment, "run", bags["bag"], "--out", foreign), "foreign")
+    assert (foreign / "thesis.tex").read_text() == "mine"
+
+
+def test_settings_round_trip(environment: dict[str, str], tmp_path: Path) -> None:
+    shown = ffmap(environment, "settings", "--set", "doors.recess_min_m=0.03")
+    assert shown.returncode == 0
+    file = tmp_path / "mine.toml"
+    file.write_text(shown.stdout)
+    assert ffmap(environment, "settings", "--config", file).stdout == shown.stdout
+    assert "recess_min_m = 0.03" in shown.stdout
+
+
+def test_real_lidar_gives_a_trajectory_and_nothing_to_label(environment: dict[str, str], tmp_path: Path) -> None:
+    data = os.environ.get("FFMAP_REAL_DATA")
+    if not data:
+        pytest.skip("FFMAP_REAL_DATA is not set: no real recordings here")
+    bag = Path(data) / "hilti_14.bag"
+    shutil.copy(bag, tmp_path / "hilti.bag")
+    done = ffmap(environment, "run", tmp_path / "hilti.bag", "--out", tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    assert "nothing to label" in done.stdout
+    found = np.loadtxt(tmp_path / "run" / "trajectory.tum")[:, 1:4]
+    given = np.loadtxt(Path(data) / "hilti_14.tum")[:, 1:4]
+    # Umeyama's alignment without scale.
+    a, b = found - found.mean(axis=0), given - given.mean(axis=0)
+    u, _, v = np.linalg.svd(b.T @ a)
+    turn = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ v))]) @ v
+    assert np.linalg.norm(b - a @ turn.T, axis=1).mean() < 0.06
