@@ -1,0 +1,329 @@
+"""The method on an analytic room: known walls, floor, ceiling, a recessed door, under noise and rigid motion."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+
+from algorithms import transforms
+from algorithms.building import BuildingSettings, find_doors, find_windows, fuse_walls, trace_rays
+from algorithms.doors import DoorsSettings, DoorState
+from algorithms.features import concatenate, extract, move_moments
+from algorithms.grid_map import Cell, GridMapSettings, draw_furniture_free
+from algorithms.labelling import LabellingSettings, MethodSettings, ScanLabelling, label_scan
+from algorithms.labels import Label
+from algorithms.rearrangement import SAMPLES, RearrangementSettings, find_ceilings, find_floor, make_point_lines
+from algorithms.relabelling import RelabellingSettings, relabel
+from algorithms.scan import Scan
+from algorithms.trajectory import PlacedScan, Trajectory, level_scan, level_to_floor, place_scan
+from algorithms.vertical_structures import VerticalStructuresSettings
+from algorithms.wall_planes import WallPlanesSettings
+
+METHOD = MethodSettings(
+    RearrangementSettings(), VerticalStructuresSettings(), WallPlanesSettings(), DoorsSettings(), LabellingSettings()
+)
+HEIGHT_M = 2.8
+# The lidar lies on its side: its spin axis z points along the base's x, its x axis down.
+T_BASE_SENSOR = transforms.make_transform(
+    Rotation.from_matrix(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])), [0.0, 0.0, 0.8]
+)
+
+
+@dataclass(frozen=True)
+class Hole:
+    """In the wall y = 2: from x0 to x1, below head; depth of the leaf behind the wall, None for an open door."""
+
+    x0: float = -0.5
+    x1: float = 0.4
+    head: float = 2.1
+    depth: float | None = 0.05
+
+
+def cast(
+    T_map_sensor: np.ndarray, hole: Hole | None, noise_m: float, seed: int, ceiling: bool = True
+) -> tuple[Scan, np.ndarray]:
+    """One sweep of 32 emitters in a corridor -4 < x < 6, -1.5 < y < 2, and the true label of each return."""
+    generator = np.random.default_rng(seed)
+    azimuth, elevation = np.meshgrid(
+        np.linspace(0, 2 * np.pi, 1800, endpoint=False), np.radians(np.linspace(-30, 10, 32)), indexing="ij"
+    )
+    ring = np.tile(np.arange(32, dtype=np.uint16), 1800)
+    direction_sensor = np.stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
+    ).reshape(-1, 3)
+    origin = T_map_sensor[:3, 3]
+    d = direction_sensor @ T_map_sensor[:3, :3].T
+    best = np.full(len(d), np.inf)
+    label = np.zeros(len(d), np.uint8)
+    planes = [
+        (2, 0.0, Label.FLOOR),
+        (0, -4.0, Label.WALL),
+        (0, 6.0, Label.WALL),
+        (1, -1.5, Label.WALL),
+        (1, 2.0, Label.WALL),
+    ]
+    if ceiling:
+        planes.append((2, HEIGHT_M, Label.CEILING))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for axis, at, code in planes:
+            t = (at - origin[axis]) / d[:, axis]
+            hit = (t > 1e-6) & (t < best)
+            if axis == 1 and at == 2.0 and hole is not None:
+                p = origin + t[:, None] * d
+                in_hole = (p[:, 0] > hole.x0) & (p[:, 0] < hole.x1) & (p[:, 2] < hole.head)
+                hit &= ~in_hole
+            best[hit], label[hit] = t[hit], code
+        if hole is not None:
+            t = (2.0 + (4.0 if hole.depth is None else hole.depth) - origin[1]) / d[:, 1]
+            p = origin + t[:, None] * d
+            behind = (t > 0) & (t < best) & (p[:, 2] > 0) & (p[:, 2] < HEIGHT_M)
+            best[behind], label[behind] = t[behind], Label.CLUTTER if hole.depth is None else Label.DOOR
+    keep = np.isfinite(best) & (best < 30)
+    range_m = best[keep] + generator.normal(0, noise_m, keep.sum())
+    scan = Scan(
+        points_sensor=(direction_sensor[keep] * range_m[:, None]).astype(np.float32),
+        ring=ring[keep],
+        ring_count=32,
+        time_ns=None,
+        start_ns=0,
+        stamp_ns=0,
+        cloud_index=np.flatnonzero(keep).astype(np.int32),
+        cloud_size=len(keep),
+    )
+    return scan, label[keep]
+
+
+def pose(x: float = 0.0, yaw_rad: float = 0.0) -> np.ndarray:
+    return transforms.from_yaw(yaw_rad, [x, 0.0, 0.0])
+
+
+def place(scan: Scan, T_map_base: np.ndarray) -> PlacedScan:
+    return place_scan(scan, Trajectory(np.array([0]), T_map_base[None]), T_BASE_SENSOR)
+
+
+def labelled(
+    hole: Hole | None = None, noise_m: float = 0.015, seed: int = 1, x: float = 0.0, ceiling: bool = True
+) -> tuple[Scan, PlacedScan, np.ndarray, ScanLabelling]:
+    scan, truth = cast(pose(x) @ T_BASE_SENSOR, hole, noise_m, seed, ceiling)
+    placed = place(scan, pose(x))
+    return scan, placed, truth, label_scan(scan, placed, METHOD, seed)
+
+
+def share(label: np.ndarray, truth: np.ndarray, code: int) -> tuple[float, float]:
+    """Precision and recall by points."""
+    right = np.count_nonzero((label == code) & (truth == code))
+    return right / max(np.count_nonzero(label == code), 1), right / max(np.count_nonzero(truth == code), 1)
+
+
+def test_a_bare_corridor_is_labelled_almost_without_error() -> None:
+    _, _, truth, found = labelled()
+    for code in (Label.FLOOR, Label.CEILING, Label.WALL):
+        precision, recall = share(found.label, truth, code)
+        assert precision > 0.97, code
+        assert recall > 0.97, code
+    assert found.ceilings[0].height_m == pytest.approx(HEIGHT_M, abs=0.005)
+    # Side walls and both ends: planes at the known offsets, facing the sensor.
+    walls = {tuple(np.round(n * o, 1) + 0.0) for n, o in zip(found.planes.normal, found.planes.offset_m, strict=True)}
+    assert {(0.0, 2.0), (0.0, -1.5)} <= walls
+    assert np.all(found.planes.normal @ np.array([0.0, 0.0]) - found.planes.offset_m > 0)
+
+
+def test_a_closed_leaf_recessed_by_centimetres_is_door() -> None:
+    _, _, truth, found = labelled(Hole(depth=0.05))
+    precision, recall = share(found.label, truth, Label.DOOR)
+    assert precision > 0.8
+    assert recall > 0.6
+    assert len(found.openings) >= 1
+    assert set(found.openings.state.tolist()) == {DoorState.CLOSED}
+    assert np.median(found.openings.depth_m) == pytest.approx(0.05, abs=0.015)
+    above = found.door_lines.above_door
+    assert np.all(found.door_lines.start_height_m[above] > METHOD.doors.height_min_m)
+    assert np.all(found.door_lines.start_height_m[above] == pytest.approx(2.1, abs=0.25))
+
+
+def test_an_open_door_is_an_open_opening_and_a_bare_wall_has_none() -> None:
+    assert DoorState.OPEN in labelled(Hole(depth=None))[3].openings.state
+    assert len(labelled(None)[3].openings) == 0
+
+
+def test_without_a_ceiling_in_view_none_is_invented() -> None:
+    _, _, _, found = labelled(ceiling=False)
+    assert found.ceilings == ()
+    assert not np.any(found.label == Label.CEILING)
+
+
+def test_labels_do_not_depend_on_the_order_of_returns() -> None:
+    scan, placed, _, found = labelled(Hole())
+    shuffle = np.random.default_rng(3).permutation(len(scan))
+    shuffled = replace(
+        scan, points_sensor=scan.points_sensor[shuffle], ring=scan.ring[shuffle], cloud_index=scan.cloud_index[shuffle]
+    )
+    other = label_scan(shuffled, replace(placed, points_level=placed.points_level[shuffle]), METHOD, 1)
+    assert np.mean(other.label == found.label[shuffle]) > 0.99
+
+
+@pytest.mark.parametrize("yaw_rad", [0.4, 1.3, -2.9])
+def test_labels_hold_under_rigid_motion_of_the_whole(yaw_rad: float) -> None:
+    scan, _, _, found = labelled(Hole())
+    moved = place(scan, transforms.from_yaw(yaw_rad, [30.0, -12.0, 0.0]))
+    assert np.mean(label_scan(scan, moved, METHOD, 1).label == found.label) > 0.999
+
+
+def test_empty_and_tiny_scans_are_labelled_without_complaint() -> None:
+    scan, placed, _, _ = labelled()
+    for count in (0, 1, 5, 300):
+        few = replace(
+            scan, points_sensor=scan.points_sensor[:count], ring=scan.ring[:count], cloud_index=scan.cloud_index[:count]
+        )
+        found = label_scan(few, replace(placed, points_level=placed.points_level[:count]), METHOD, 1)
+        assert len(found.label) == count
+
+
+def test_point_lines_have_exactly_200_returns_from_below_upwards() -> None:
+    scan, _placed, _, found = labelled()
+    lines = found.lines
+    assert lines.samples.shape == (64, SAMPLES)
+    assert sorted(lines.order.tolist()) == list(range(len(scan)))
+    for line in range(64):
+        own = lines.order[lines.starts[line] : lines.starts[line + 1]]
+        assert np.all(scan.ring[own] == line // 2)
+        assert np.all(np.diff(lines.angle_rad[own]) >= 0)
+    full = lines.samples[lines.samples[:, 0] >= 0]
+    assert np.all(np.diff(lines.angle_rad[full], axis=1) >= 0)
+    assert not np.any(np.isin(found.label[full], [Label.FLOOR, Label.CEILING]) & (found.plane[full] < 0))
+    # Eq. 1, unfolded: the angle about the spin axis from straight down.
+    down = transforms.invert(T_BASE_SENSOR)[:3, :3] @ np.array([0.0, 0.0, -1.0])
+    radial = scan.points_sensor[:, :2] / np.linalg.norm(scan.points_sensor[:, :2], axis=1, keepdims=True)
+    np.testing.assert_allclose(lines.angle_rad, np.arccos(np.clip(radial @ down[:2], -1, 1)), atol=1e-3)
+
+
+def test_equation_2_is_kept_as_printed() -> None:
+    _, placed, _, found = labelled()
+    points, samples = placed.points_level, found.lines.samples
+    for line in np.flatnonzero(samples[:, 0] >= 0)[::7]:
+        p = points[samples[line]].astype(np.float64) - placed.origin_level
+        rho = np.hypot(p[:, 0], p[:, 1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            expected = np.diff(rho) / np.diff(p[:, 2])
+        ours = found.structures.difference[line, 1:]
+        usable = np.isfinite(expected) & (np.abs(np.diff(p[:, 2])) > 1e-4)
+        np.testing.assert_allclose(ours[usable], expected[usable], rtol=2e-2, atol=2e-2)
+
+
+def test_an_upright_spin_axis_has_no_lines() -> None:
+    scan, _, _, _ = labelled()
+    with pytest.raises(ValueError, match="upright"):
+        make_point_lines(
+            scan.points_sensor,
+            scan.ring,
+            32,
+            np.array([0.0, 0.0, -1.0]),
+            np.zeros(len(scan), bool),
+            METHOD.rearrangement,
+        )
+
+
+def test_floor_and_ceiling_follow_a_tilt() -> None:
+    _, placed, _, _ = labelled()
+    tilt = Rotation.from_euler("xy", [0.8, -0.6], degrees=True)
+    points = ([*tilt.apply(placed.points_level), 0, 0, 0.05]).astype(np.float32)
+    floor = find_floor(points, METHOD.rearrangement)
+    assert floor.height_m == pytest.approx(0.05, abs=0.01)
+    level = level_scan(replace(placed, points_level=points), floor.height_m, floor.slope, 2.0)
+    again = find_floor(level.points_level, METHOD.rearrangement)
+    assert np.hypot(*again.slope) < 0.002
+    untouched = level_scan(replace(placed, points_level=points), floor.height_m, floor.slope, 0.1)
+    assert untouched.points_level is points
+
+
+def test_ceiling_is_independent_of_the_seed() -> None:
+    _, placed, _, _ = labelled()
+    heights = placed.points_level[:, 2]
+    found = [find_ceilings(placed.points_level, heights, METHOD.rearrangement, seed)[0].height_m for seed in range(5)]
+    assert np.ptp(found) < 0.005
+
+
+def test_the_map_is_levelled_by_the_floor() -> None:
+    tilt = transforms.make_transform(Rotation.from_euler("xyz", [3.0, -2.0, 40.0], degrees=True), [5.0, 1.0, -0.3])
+    _, placed, _, _ = labelled()
+    T_odom_base = tilt @ pose()
+    T_map_odom, rms_m = level_to_floor(transforms.apply(tilt, placed.points_level), T_odom_base)
+    assert rms_m < 0.03
+    np.testing.assert_allclose((T_map_odom @ T_odom_base)[:3, 3], 0, atol=0.02)
+    np.testing.assert_allclose((T_map_odom @ tilt)[2, :3], [0, 0, 1], atol=0.005)
+
+
+def test_poses_between_stamps_are_scipys() -> None:
+    generator = np.random.default_rng(0)
+    turns = Rotation.from_rotvec(np.cumsum(generator.normal(0, 0.1, (8, 3)), axis=0))
+    T = np.stack([transforms.make_transform(r, [i, 2 * i, 0]) for i, r in enumerate(turns)])
+    stamps = 1_700_000_000_000_000_000 + np.arange(8) * 100_000_000
+    trajectory = Trajectory(stamps, T)
+    times = stamps[0] + generator.integers(0, 700_000_000, 50)
+    expected = Slerp((stamps - stamps[0]) * 1e-9, turns)((times - stamps[0]) * 1e-9)
+    ours = trajectory.at(times)
+    assert np.max((Rotation.from_matrix(ours[:, :3, :3]).inv() * expected).magnitude()) < 1e-6
+    np.testing.assert_allclose(ours[:, 0, 3], (times - stamps[0]) / 1e8, atol=1e-6)
+    with pytest.raises(ValueError, match="increase"):
+        Trajectory(stamps[::-1], T)
+
+
+def test_moments_move_with_their_points() -> None:
+    xy = np.random.default_rng(1).normal(size=(40, 2))
+
+    def moments(p: np.ndarray) -> np.ndarray:
+        x, y = p[:, 0], p[:, 1]
+        return np.array([[len(p), x.sum(), y.sum(), (x * x).sum(), (x * y).sum(), (y * y).sum()]])
+
+    T = transforms.from_yaw(0.7, [3.0, -4.0, 0.0])
+    moved = transforms.apply(T, np.column_stack([xy, np.zeros(40)]))[:, :2]
+    np.testing.assert_allclose(move_moments(moments(xy), T), moments(moved), rtol=1e-9)
+
+
+@pytest.mark.parametrize("depth", [0.05, None])
+def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float | None) -> None:
+    hole = Hole(depth=depth)
+    scans = [(i, *labelled(hole, seed=i, x=x)) for i, x in enumerate(np.linspace(-1.0, 1.5, 12))]
+    features = concatenate([extract(i, placed, found) for i, _, placed, _, found in scans])
+    settings = BuildingSettings()
+    walls = fuse_walls(features, settings)
+    offsets = {tuple(np.round(n * (n @ e[0]), 1) + 0.0) for n, e in zip(walls.normal, walls.ends, strict=True)}
+    assert {(0.0, 2.0), (0.0, -1.5)} <= offsets
+    cells = trace_rays(walls, [features], settings)
+    doors = find_doors(walls, cells, settings)
+    assert len(doors) == 1
+    assert doors.state[0] == (DoorState.OPEN if depth is None else DoorState.CLOSED)
+    np.testing.assert_allclose(doors.ends[0].mean(axis=0), [-0.05, 2.0], atol=0.1)
+    assert np.linalg.norm(doors.ends[0, 1] - doors.ends[0, 0]) == pytest.approx(0.9, abs=0.15)
+    assert doors.head_m[0] == pytest.approx(2.1, abs=0.11)
+    windows = find_windows(walls, cells, settings)
+    assert len(windows) == 0
+
+    if depth is not None:
+        _, _, placed, truth, found = scans[5]
+        points = placed.to_map(placed.points_level).astype(np.float32)
+        final = relabel(
+            points,
+            found.height_m,
+            found.label,
+            placed.to_map(placed.origin_level[None])[0],
+            walls,
+            doors,
+            windows,
+            RelabellingSettings(),
+        )
+        precision, recall = share(final, truth, Label.DOOR)
+        assert precision > 0.9
+        assert recall > 0.9
+
+    grid = draw_furniture_free(walls, doors, np.array([[-1.0, 0.0], [1.5, 0.0]]), [features], GridMapSettings())
+
+    def at(x: float, y: float) -> int:
+        column, row = np.floor((np.array([x, y]) - grid.origin) / grid.cell_m).astype(int)
+        return int(grid.cells[row, column])
+
+    assert at(-0.05, 2.0) == Cell.FREE  # through the door, even a closed one
+    assert Cell.OCCUPIED in {at(1.5, 1.97), at(1.5, 2.02)}
+    assert at(0.5, 0.5) == Cell.FREE
+    assert at(1.5, 2.4) == Cell.UNKNOWN
