@@ -222,7 +222,8 @@ def _label_horizontal(
         elif height[i] > 1.0:
             for c in range(len(ceilings)):
                 ceiling = ceilings[c, 0] + ceilings[c, 1] * points[i, 0] + ceilings[c, 2] * points[i, 1]
-                if abs(points[i, 2] - ceiling) < ceiling_distance_m:
+                # Lamps and ducts hang close below a ceiling; above it there is its noise alone.
+                if -ceiling_distance_m < points[i, 2] - ceiling < 2.0 * ceiling_distance_m:
                     label[i] = 2
                     break
     return label

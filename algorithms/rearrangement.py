@@ -29,7 +29,10 @@ class RearrangementSettings(StepSettings):
         0.09, ge=0, le=0.5, description="Steepest floor in metres a metre; 0 keeps the map's level. III.A."
     )
     ceiling_distance_m: float = Field(
-        0.06, gt=0, le=0.5, description="Returns within this many metres of a ceiling plane are ceiling. III.A."
+        0.045,
+        gt=0,
+        le=0.5,
+        description="Returns up to so many metres below a ceiling plane, or twice as many above, are ceiling. III.A.",
     )
     ceiling_height_min_m: float = Field(
         2.1, gt=0, description="Lowest height in metres above the floor at which a ceiling is believed. III.A."

@@ -36,6 +36,11 @@ class WallPlanesSettings(StepSettings):
     height_min_m: float = Field(
         2.1, gt=0, description="Where no ceiling is in view, a wall is at least so many metres high. III.B."
     )
+    bottom_max_m: float = Field(
+        2.2,
+        gt=0,
+        description="A wall comes down to a door's head: what ends more metres above the floor is a duct. III.B.",
+    )
     gap_m: float = Field(0.3, gt=0, description="Largest gap in metres between neighbouring lines of a plane. Alg. 1.")
     gap_per_range: float = Field(
         0.15, ge=0, description="Added to the gap for each metre of range, for emitters spread apart. Alg. 1."
@@ -159,6 +164,7 @@ def grow_wall_planes(
         settings.lines_min,
         settings.length_min_m,
     )
+    plane = _without_ducts(plane, structures.bottom_m[candidates], settings.bottom_max_m)
     count = int(plane.max(initial=-1)) + 1
     total = np.zeros((count, 6))
     np.add.at(total, plane[plane >= 0], moments[plane >= 0])
@@ -199,6 +205,14 @@ def _reaches_ceiling(
     # Above the highest ceiling in view may be another that is not.
     highest_m = np.max([c.height_at(top_level) - floor.height_at(top_level) for c in ceilings], axis=0)
     return np.asarray(reaches | (top_m > highest_m))
+
+
+def _without_ducts(plane: IntArray, bottom_m: FloatArray, bottom_max_m: float) -> IntArray:
+    """The planes numbered anew without those that end high above the floor in all of their lines."""
+    count = int(plane.max(initial=-1)) + 1
+    is_wall = _per_plane(np.minimum, bottom_m, plane, count, np.inf) < bottom_max_m
+    number = np.append(np.where(is_wall, np.cumsum(is_wall) - 1, -1), -1)
+    return number[plane].astype(np.int32)
 
 
 def _per_plane(reduce: np.ufunc, values: FloatArray, plane: IntArray, count: int, start: float) -> FloatArray:
