@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from algorithms.scan import Scan
 from loaders.bag import Bag, digest, open_bag
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom
 from loaders.rig import Lidar, Rig, find_rig
-from loaders.scans import CloudIndex, cloud_topics, index_clouds
+from loaders.scans import CloudIndex, cloud_topics, index_clouds, read_scans
 
 
 @dataclass(frozen=True)
@@ -64,4 +65,14 @@ def find_inputs(bag_path: Path, options: InputOptions) -> Inputs:
 
 
 def _sensor(bag: Bag, lidar: Lidar) -> Sensor:
-    return Sensor(lidar, index_clouds(bag, lidar.topic))
+    """Raises InputError where no cloud of the lidar gives a scan, before anything of an earlier run is touched."""
+    sensor = Sensor(lidar, index_clouds(bag, lidar.topic))
+    reasons: list[str] = []
+    for _, scan in read_scans(bag, sensor.index, 0, None, lidar.decoding):
+        if isinstance(scan, Scan):
+            return sensor
+        reasons.append(scan.reason)
+    reason = max(sorted(set(reasons)), key=reasons.count) if reasons else "there is none"
+    raise InputError(
+        f"{bag.path}: {lidar.topic} has no usable cloud ({reason}); name another topic, 'ffmap info {bag.path}' lists them"
+    )

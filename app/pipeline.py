@@ -133,17 +133,12 @@ def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[s
     """The run's recording; None where none is wanted."""
     if not options.save and options.connect_url is None:
         return None
-    try:
-        return open_recording(
-            folder.path / RECORDING if options.save else None,
-            record["recording_id"],
-            run_blueprint.build(_ring_count(inputs)),
-            options.connect_url,
-        )
-    except ConnectionError as error:
-        raise InputError(
-            f"--connect {options.connect_url}: {error}; start a viewer first, or leave --connect out"
-        ) from error
+    return open_recording(
+        folder.path / RECORDING if options.save else None,
+        record["recording_id"],
+        run_blueprint.build(_ring_count(inputs)),
+        options.connect_url,
+    )
 
 
 def _gathered(state: RunState, started: float) -> dict[str, Any]:

@@ -94,7 +94,7 @@ def open_recording(
     if path is not None:
         sinks.append(rr.FileSink(path))
     if connect_url is not None:
-        _check_viewer(connect_url)
+        check_viewer(connect_url)
         sinks.append(rr.GrpcSink(connect_url))
     stream = rr.RecordingStream(entities.APPLICATION_ID, recording_id=recording_id, batcher_config=_batches())
     stream.set_log_time_enabled(False)
@@ -166,8 +166,8 @@ def start_viewer(port: int | None = None, timeout_s: float = 20.0) -> str:
     raise RuntimeError("the Rerun viewer did not start; is there a display?")
 
 
-def _check_viewer(url: str, timeout_s: float = 5.0) -> None:
-    """Rerun itself would wait for the viewer for ever."""
+def check_viewer(url: str, timeout_s: float = 5.0) -> None:
+    """Raise ConnectionError where no viewer listens; Rerun itself would wait for it for ever."""
     address = urlsplit(url)
     try:
         socket.create_connection((address.hostname or "127.0.0.1", address.port or 9876), timeout_s).close()

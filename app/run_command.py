@@ -10,7 +10,7 @@ from algorithms.trajectory import Trajectory
 from app import pipeline, run_folder
 from app.inputs import InputOptions, Inputs, find_inputs
 from app.progress import Progress
-from app.recorder import Detail, start_viewer
+from app.recorder import Detail, check_viewer, start_viewer
 from app.run_folder import RECORDING, RunFolder
 from app.settings import Settings, load_settings, validate
 from loaders.bag import open_bag
@@ -61,6 +61,7 @@ def run(arguments: Arguments, resume: Path | None) -> None:
         arguments.bag, InputOptions(arguments.rig, arguments.horizontal, arguments.vertical, arguments.time_from)
     )
     given = _given_trajectory(arguments, inputs)
+    connect_url = _viewer(arguments)
     if record is not None and record["bag"]["digest"] != inputs.bag_digest:
         raise InputError(f"{arguments.bag}: is not the bag that {resume} was made from; start a new run")
     if folder is None:
@@ -72,7 +73,6 @@ def run(arguments: Arguments, resume: Path | None) -> None:
             inputs, settings, _stored(arguments), arguments.bag, arguments.trajectory or "odometry"
         )
     assert record is not None
-    connect_url = _viewer(arguments)
     with Progress(arguments.quiet) as progress:
         for warning in inputs.warnings:
             progress.warn(warning)
@@ -100,10 +100,15 @@ def run(arguments: Arguments, resume: Path | None) -> None:
 
 def _viewer(arguments: Arguments) -> str | None:
     """Where a viewer listens: one that is started, or the one that was named."""
-    if not arguments.spawn:
-        return arguments.connect
+    if not arguments.spawn and arguments.connect is None:
+        return None
     try:
+        if not arguments.spawn and arguments.connect is not None:
+            check_viewer(arguments.connect)
+            return arguments.connect
         return start_viewer()
+    except ConnectionError as error:
+        raise InputError(f"--connect: {error}; start a viewer first, or leave --connect out") from error
     except RuntimeError as error:
         raise InputError(f"--spawn: {error} Leave it out: recording.rrd can be opened later") from error
 

@@ -14,6 +14,8 @@ import pytest
 import yaml
 from PIL import Image
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
 
 from loaders.simulator import SimulationSettings, simulate
 
@@ -93,6 +95,31 @@ def assert_one_line_error(done: subprocess.CompletedProcess[str], *words: str) -
     assert len(done.stderr.strip().splitlines()) == 1, done.stderr
     for word in words:
         assert word in done.stderr
+
+
+def write_empty_clouds(path: Path) -> Path:
+    """A bag whose only lidar never sees anything: clouds without points, and clouds of NaN."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    types = store.types
+    fields = [types["sensor_msgs/msg/PointField"](name, 4 * i, 7, 1) for i, name in enumerate("xyz")]
+    with Writer(path) as writer:
+        connection = writer.add_connection("/points", "sensor_msgs/msg/PointCloud2", typestore=store)
+        for k in range(6):
+            points = np.full((20 * (k % 2), 3), np.nan, np.float32)
+            stamp = types["builtin_interfaces/msg/Time"](1000, k * 100_000_000)
+            cloud = types["sensor_msgs/msg/PointCloud2"](
+                types["std_msgs/msg/Header"](k, stamp, "lidar"),
+                1,
+                len(points),
+                fields,
+                False,
+                12,
+                12 * len(points),
+                points.view(np.uint8).reshape(-1),
+                False,
+            )
+            writer.write(connection, 10**12 + k * 10**8, store.serialize_ros1(cloud, "sensor_msgs/msg/PointCloud2"))
+    return path
 
 
 def test_every_file_can_be_read_by_something_else(finished: Path, environment: dict[str, str]) -> None:
@@ -184,10 +211,18 @@ def test_mistakes_are_one_line_and_leave_earlier_results_alone(
     assert_one_line_error(done, "/nothing")
     assert_one_line_error(ffmap(environment, "run", "--resume", tmp_path), "run.json")
     assert_one_line_error(ffmap(environment, "evaluate", tmp_path), str(tmp_path))
+    done = ffmap(environment, "run", bags["bag"], "--out", finished, "--connect", "rerun+http://127.0.0.1:1/proxy")
+    assert_one_line_error(done, "--connect", "127.0.0.1:1")
+    nothing = write_empty_clouds(tmp_path / "nothing.bag")
+    done = ffmap(environment, "run", nothing, "--out", finished)
+    assert done.returncode == 2
+    assert "no usable cloud" in done.stderr
     assert {path.name: path.stat().st_mtime_ns for path in finished.iterdir()} == before
 
 
-def test_folder_that_cannot_be_written_is_named(bags: dict[str, Path], environment: dict[str, str], tmp_path: Path) -> None:
+def test_folder_that_cannot_be_written_is_named(
+    bags: dict[str, Path], environment: dict[str, str], tmp_path: Path
+) -> None:
     blocker = tmp_path / "file"
     blocker.write_text("")
     assert_one_line_error(ffmap(environment, "run", bags["bag"], "--out", blocker / "run"), str(blocker))
