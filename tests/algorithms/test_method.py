@@ -227,7 +227,7 @@ def test_an_upright_spin_axis_has_no_lines() -> None:
 def test_floor_and_ceiling_follow_a_tilt() -> None:
     _, placed, _, _ = labelled()
     tilt = Rotation.from_euler("xy", [0.8, -0.6], degrees=True)
-    points = ([*tilt.apply(placed.points_level), 0, 0, 0.05]).astype(np.float32)
+    points = (tilt.apply(placed.points_level) + np.array([0.0, 0.0, 0.05])).astype(np.float32)
     floor = find_floor(points, METHOD.rearrangement)
     assert floor.height_m == pytest.approx(0.05, abs=0.01)
     level = level_scan(replace(placed, points_level=points), floor.height_m, floor.slope, 2.0)

@@ -46,6 +46,7 @@ def write_block(path: Path, labelled: list[Labelled], first: int, count: int, de
         for index in range(first, first + count):
             _, placed, labelling = labelled[index]
             recorder.log_scan(index, placed, labelling, synthetic.stamp_ns(index), {"labelling": 8.0 + index})
+        recorder.log_scan_metrics()
 
 
 def write_run(folder: Path, labelled: list[Labelled], detail: Detail = Detail.LINES) -> Path:
