@@ -14,12 +14,12 @@ class RelabellingSettings(StepSettings):
     """What the building's walls and doors change in a scan's labels."""
 
     wall_distance_m: float = Field(
-        0.05, gt=0, description="Clutter within so many metres of a fused wall face becomes wall."
+        0.035, gt=0, description="Clutter within so many metres of a fused wall face becomes wall."
     )
     leaf_distance_m: float = Field(0.04, gt=0, description="A return at most so many metres off a closed leaf is door.")
     margin_m: float = Field(0.05, ge=0, description="A wall face counts so many metres beyond its ends.")
     reveal_m: float = Field(
-        0.4, ge=0, description="A door's reveals and the underside of its lintel reach so many metres behind the face."
+        0.2, ge=0, description="A door's reveals and the underside of its lintel reach so many metres behind the face."
     )
     behind_glass_m: float = Field(
         0.25, gt=0, description="More than so many metres behind a window's wall a return is outside."
