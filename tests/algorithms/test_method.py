@@ -284,7 +284,7 @@ def test_moments_move_with_their_points() -> None:
 @pytest.mark.parametrize("depth", [0.05, None])
 def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float | None) -> None:
     hole = Hole(depth=depth)
-    scans = [(i, *labelled(hole, seed=i, x=x)) for i, x in enumerate(np.linspace(-1.0, 1.5, 12))]
+    scans = [(i, *labelled(hole, seed=i, x=x)) for i, x in enumerate(np.linspace(-1.0, 1.5, 30))]
     features = concatenate([extract(i, placed, found) for i, _, placed, _, found in scans])
     settings = BuildingSettings()
     walls = fuse_walls(features, settings)
@@ -301,7 +301,7 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
     assert len(windows) == 0
 
     if depth is not None:
-        _, _, placed, truth, found = scans[5]
+        _, _, placed, truth, found = scans[14]
         points = placed.to_map(placed.points_level).astype(np.float32)
         final = relabel(
             points,
