@@ -45,27 +45,8 @@ def bench(bag: Path | None, duration_s: float) -> None:
 def _bench_run(bag: Path, out: Path) -> None:
     started = time.perf_counter()
     with _peak_memory() as peak:
-        run_command.run(
-            run_command.Arguments(
-                bag=bag,
-                out=out,
-                config=None,
-                overrides=(),
-                rig=None,
-                horizontal=None,
-                vertical=None,
-                time_from="auto",
-                trajectory=None,
-                detail="lines",
-                spawn=False,
-                connect=None,
-                save=True,
-                workers=os.cpu_count() or 1,
-                evaluate=False,
-                quiet=True,
-            ),
-            None,
-        )
+        arguments = run_command.Arguments(bag=bag, out=out, workers=os.cpu_count() or 1, evaluate=False, quiet=True)
+        run_command.run(arguments, None)
     seconds = time.perf_counter() - started
     with open_bag(bag) as opened:
         covered_s = ((opened.end_ns or 0) - (opened.start_ns or 0)) / 1e9

@@ -21,27 +21,7 @@ def demo(out: Path) -> None:
     typer.echo(f"simulating {SECONDS:.0f} s of driving in a small furnished building ...")
     simulate(bag, "small", 3, "hdl32e", "bag", SECONDS, [], quiet=True)
     typer.echo("labelling every scan, mapping the building, recording every intermediate ...")
-    run_command.run(
-        run_command.Arguments(
-            bag=bag,
-            out=out / "run",
-            config=None,
-            overrides=(),
-            rig=None,
-            horizontal=None,
-            vertical=None,
-            time_from="auto",
-            trajectory=None,
-            detail="lines",
-            spawn=False,
-            connect=None,
-            save=True,
-            workers=2,
-            evaluate=True,
-            quiet=False,
-        ),
-        None,
-    )
+    run_command.run(run_command.Arguments(bag=bag, out=out / "run"), None)
     typer.echo(f"\ndone in {time.monotonic() - started:.0f} s. Look at every scan, step by step:\n")
     typer.echo(f"    .venv/bin/rerun {out / 'run' / RECORDING}\n")
     typer.echo("Your own bag: .venv/bin/ffmap run BAG (README.md says what it needs).")

@@ -24,21 +24,21 @@ class Arguments:
     """The command line's words; see `app.cli.run`."""
 
     bag: Path | None
-    out: Path | None
-    config: Path | None
-    overrides: tuple[str, ...]
-    rig: Path | None
-    horizontal: str | None
-    vertical: str | None
-    time_from: TimeFrom
-    trajectory: str | None
-    detail: str
-    spawn: bool
-    connect: str | None
-    save: bool
-    workers: int
-    evaluate: bool
-    quiet: bool
+    out: Path | None = None
+    config: Path | None = None
+    overrides: tuple[str, ...] = ()
+    rig: Path | None = None
+    horizontal: str | None = None
+    vertical: str | None = None
+    time_from: TimeFrom = "auto"
+    trajectory: str | None = None
+    detail: str = "lines"
+    spawn: bool = False
+    connect: str | None = None
+    save: bool = True
+    workers: int = 2
+    evaluate: bool = True
+    quiet: bool = False
 
 
 _STORED = ("rig", "horizontal", "vertical", "time_from", "trajectory", "detail", "save", "evaluate")
