@@ -20,7 +20,8 @@ from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array
 from algorithms.semantic_map import VoxelTable, VoxelVotes, majority
 from algorithms.trajectory import PlacedScan, Trajectory, level_scan, place_scan
 from app.inputs import Inputs, Sensor
-from app.recorder import Detail, Recorder, open_block
+from app.recorder import Detail, Recorder
+from app.recording import open_part
 from loaders.bag import Bag, open_bag
 from loaders.pointcloud2 import full_labels
 from loaders.scans import SkippedScan, read_scans
@@ -297,7 +298,7 @@ class _Evidence:
     """A block's part of the recording and its recorder."""
 
     def __init__(self, path: Path, recording_id: str, detail: Detail) -> None:
-        self._block = open_block(path, recording_id)
+        self._block = open_part(path, recording_id)
         self._detail = detail
 
     def __enter__(self) -> Recorder:

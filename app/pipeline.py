@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rerun as rr
+import rerun.blueprint as rrb
 
 from algorithms import transforms
 from algorithms.building import Doors, Walls, Windows, find_doors, find_windows, fuse_walls, seen_through, trace_rays
@@ -48,7 +48,8 @@ from app.inputs import Inputs
 from app.odometry_stage import registrations
 from app.processes import process_context
 from app.progress import Progress
-from app.recorder import Detail, Recorder, forward_block, open_recording, set_layout
+from app.recorder import Detail, Recorder
+from app.recording import Recording
 from app.run_folder import CLOUD, RECORDING, TRAJECTORY, RunFolder
 from app.settings import Settings
 from app.versions import versions
@@ -61,6 +62,7 @@ from loaders.trajectory_file import write_tum
 
 _LEVEL_SCANS = 12
 _LEVEL_POINTS = 4_000
+_REGISTRATIONS_AT_ONCE = 50
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ def run(
     folder.write_json({**record, "outcome": "running"})
     recording = _open(inputs, options, folder, record)
     try:
-        recorder = Recorder(recording, options.detail) if recording else None
+        recorder = Recorder(recording.stream, options.detail) if recording else None
         _run_stages(inputs, given, settings, options, folder, progress, record, recording, recorder, state)
         outcome = "complete"
     except BaseException:
@@ -122,21 +124,22 @@ def run(
         raise
     finally:
         if recording is not None:
-            recording.disconnect()
+            recording.finish()
     record = {**record, **_gathered(state, started), "outcome": outcome}
     folder.write_json(record)
     shutil.rmtree(folder.spool, ignore_errors=True)
     return record
 
 
-def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[str, Any]) -> rr.RecordingStream | None:
+def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[str, Any]) -> Recording | None:
     """The run's recording; None where none is wanted."""
     if not options.save and options.connect_url is None:
         return None
-    return open_recording(
+    return Recording(
         folder.path / RECORDING if options.save else None,
+        folder.spool,
         record["recording_id"],
-        run_blueprint.build(_ring_count(inputs)),
+        _layout(inputs),
         options.connect_url,
     )
 
@@ -159,7 +162,7 @@ def _run_stages(
     folder: RunFolder,
     progress: Progress,
     record: dict[str, Any],
-    recording: rr.RecordingStream | None,
+    recording: Recording | None,
     recorder: Recorder | None,
     state: RunState,
 ) -> None:
@@ -192,7 +195,7 @@ def _run_stages(
                 recorder.log_building(building.walls, building.doors)
                 recorder.log_grid("furniture_free", building.grid)
             if recording:
-                set_layout(recording, _ring_count(inputs), building.grid)
+                recording.set_layout(_layout(inputs, building.grid))
             results.write_walls(folder.path / "walls.geojson", building.walls)
             results.write_doors(folder.path / "doors.geojson", building.doors)
             results.write_grid(folder.path / "map.yaml", building.grid)
@@ -226,6 +229,15 @@ def _log_start(recorder: Recorder, inputs: Inputs, settings: Settings, record: d
     )
 
 
+def _layout(inputs: Inputs, grid: GridMap | None = None) -> rrb.Blueprint:
+    """How the recording opens; with the grid, so that the whole building is in view."""
+    if grid is None:
+        return run_blueprint.build(_ring_count(inputs))
+    size_m = np.array(grid.cells.shape[::-1]) * grid.cell_m
+    x, y = grid.origin + size_m / 2
+    return run_blueprint.build(_ring_count(inputs), (float(x), float(y)), float(size_m.max()))
+
+
 def _ring_count(inputs: Inputs) -> int | None:
     """Emitters of the lidar that is labelled; None where nothing is."""
     return inputs.vertical.lidar.ring_count if inputs.vertical else None
@@ -243,7 +255,7 @@ class _ScanStage:
         progress: Progress,
         record: dict[str, Any],
         pool: ProcessPoolExecutor,
-        recording: rr.RecordingStream | None,
+        recording: Recording | None,
         recorder: Recorder | None,
         state: RunState,
     ) -> None:
@@ -256,6 +268,7 @@ class _ScanStage:
         self.reasons: list[str] = []
         self._running: deque[tuple[Block, Future[BlockSummary] | BlockSummary]] = deque()
         self._last_T_map_base: FloatArray | None = None
+        self._registered: list[Registration] = []
         self._seen = np.zeros(0, np.int64)
         self._counts = np.zeros(256, np.int64)
         self._milliseconds: list[FloatArray] = []
@@ -288,21 +301,18 @@ class _ScanStage:
         stamps: list[int] = []
         T_odom_base: list[FloatArray] = []
         T_map_odom: FloatArray | None = None
-        waiting: list[Registration] = []
         for registration in source:
             if stamps and registration.stamp_ns <= stamps[-1]:
                 continue
             stamps.append(registration.stamp_ns)
             T_odom_base.append(registration.T_odom_sensor @ T_sensor_base)
+            self._registered.append(registration)
             if T_map_odom is None:
-                waiting.append(registration)
                 if stamps[-1] - stamps[0] < level_ns:
                     continue
                 T_map_odom = self._level(Trajectory(np.array(stamps), np.array(T_odom_base)))
-                self._log_registrations(waiting)
-                waiting = []
-            else:
-                self._log_registrations([registration])
+            if len(self._registered) >= _REGISTRATIONS_AT_ONCE:
+                self._log_registrations()
             if self.jobs_left and stamps[-1] > self._block_end_ns(len(self.jobs)):
                 self._advance(_trajectory(stamps, T_odom_base, T_map_odom), complete=False)
             self._collect(wait=False)
@@ -312,7 +322,7 @@ class _ScanStage:
             )
         if T_map_odom is None:
             T_map_odom = self._level(Trajectory(np.array(stamps), np.array(T_odom_base)))
-            self._log_registrations(waiting)
+        self._log_registrations()
         self._state.counts["registrations"] = len(stamps)
         trajectory = _trajectory(stamps, T_odom_base, T_map_odom)
         self._advance(trajectory, complete=True)
@@ -358,10 +368,11 @@ class _ScanStage:
         self._state.warnings.append(text)
         self._progress.warn(text)
 
-    def _log_registrations(self, found: list[Registration]) -> None:
-        if self._recorder:
-            for registration in found:
-                self._recorder.log_registration(registration.stamp_ns, registration)
+    def _log_registrations(self) -> None:
+        if self._recorder and self._recording:
+            self._recorder.log_registrations(self._registered)
+            self._recording.cut()
+        self._registered = []
 
     def _advance(self, trajectory: Trajectory, complete: bool) -> None:
         """Hand every block that the trajectory covers to the workers."""
@@ -416,7 +427,7 @@ class _ScanStage:
             if len(self.reasons) <= 5:
                 self._progress.warn(f"scan {index} skipped: {reason}")
         if self._recorder and self._recording and len(summary.scan):
-            forward_block(self._recording, self._folder.block(block.number, ".rrd"))
+            self._recording.add(self._folder.block(block.number, ".rrd"))
             self._recorder.log_trajectory(summary.stamp_ns, summary.T_map_base, summary.scan, self._last_T_map_base)
             self._last_T_map_base = summary.T_map_base[-1]
             keys, points, label = load_new_points(self._folder.block(block.number, ".npz"))
@@ -500,7 +511,7 @@ def _finish(
     settings: Settings,
     folder: RunFolder,
     progress: Progress,
-    recording: rr.RecordingStream | None,
+    recording: Recording | None,
     recorder: Recorder | None,
     trajectory: Trajectory,
     inputs: Inputs,
@@ -522,7 +533,7 @@ def _finish(
                 future.result()
             final_path = job.path.with_suffix(".final.npz")
             if recording is not None and job.path.with_suffix(FINAL_EVIDENCE).exists():
-                forward_block(recording, job.path.with_suffix(FINAL_EVIDENCE))
+                recording.add(job.path.with_suffix(FINAL_EVIDENCE))
             table.absorb(load_votes(final_path))
             label, label_scan = load_labels(final_path), load_labels(job.path.with_suffix(".npz"))
             for index in sorted(label):

@@ -1,22 +1,13 @@
 """From the evidence of each step to Rerun entities; the only module that logs."""
 
-import socket
-import subprocess
-import sys
-import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
-from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa  # type: ignore[import-untyped]
 import rerun as rr
-import rerun.blueprint as rrb
-from rerun.chunk import RrdReader
 
 from algorithms import transforms
 from algorithms.building import Doors, Walls
@@ -29,7 +20,6 @@ from algorithms.rearrangement import HorizontalPlane
 from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.trajectory import PlacedScan
 from blueprints import entities
-from blueprints import run as run_blueprint
 from blueprints.entities import CurveSheet, LineOutcome
 
 GRID_M = 1.0 / 512.0
@@ -78,109 +68,6 @@ class Detail(StrEnum):
     """The labelled cloud, planes and doors; no lines and curves."""
     MAP = "map"
     """Poses, metrics and the map; nothing of the single scan."""
-
-
-# --- Streams -------------------------------------------------------------------------------------------------------
-
-
-def open_recording(
-    path: Path | None, recording_id: str, blueprint: rrb.Blueprint, connect_url: str | None = None
-) -> rr.RecordingStream:
-    """The run's own stream: to a file, to a viewer, or to both; `disconnect()` completes the file.
-
-    connect_url: as `start_viewer` returns it. Raises ConnectionError if nothing listens there.
-    """
-    sinks: list[rr.FileSink | rr.GrpcSink] = []
-    if path is not None:
-        sinks.append(rr.FileSink(path))
-    if connect_url is not None:
-        check_viewer(connect_url)
-        sinks.append(rr.GrpcSink(connect_url))
-    stream = rr.RecordingStream(entities.APPLICATION_ID, recording_id=recording_id, batcher_config=_batches())
-    stream.set_log_time_enabled(False)
-    stream.set_sinks(*sinks, default_blueprint=blueprint)
-    return stream
-
-
-def set_layout(stream: rr.RecordingStream, ring_count: int | None, grid: GridMap) -> None:
-    """Replace the layout that the recording opens with by one that shows the whole grid."""
-    size_m = np.array(grid.cells.shape[::-1]) * grid.cell_m
-    x, y = grid.origin + size_m / 2
-    blueprint = run_blueprint.build(ring_count, (float(x), float(y)), float(size_m.max()))
-    stream.send_blueprint(blueprint, make_active=False, make_default=True)
-
-
-@contextmanager
-def open_block(path: Path, recording_id: str) -> Iterator[rr.RecordingStream]:
-    """A stream into a block of the run's recording, written by one worker; the file appears when it is complete."""
-    part = path.with_name(path.name + ".part")
-    stream = rr.RecordingStream(
-        entities.APPLICATION_ID,
-        recording_id=recording_id,
-        # A recording has its properties once, from the run's own stream.
-        send_properties=False,
-        batcher_config=_batches(),
-    )
-    stream.set_log_time_enabled(False)
-    stream.save(part)
-    try:
-        yield stream
-    except BaseException:
-        stream.disconnect()
-        part.unlink(missing_ok=True)
-        raise
-    stream.disconnect()
-    part.replace(path)
-
-
-def forward_block(stream: rr.RecordingStream, path: Path) -> None:
-    """Send everything in a finished block on into the run's stream."""
-    stream.send_chunks(RrdReader(path).stream())
-    try:
-        # Without it, what was forwarded piles up in memory.
-        stream.flush()
-    except RuntimeError as error:
-        # Who closes the viewer does not mean to end the run.
-        if "gRPC" not in str(error):
-            raise
-
-
-def start_viewer(port: int | None = None, timeout_s: float = 20.0) -> str:
-    """Start a viewer that listens on the loopback address only, and return the URL to connect to.
-
-    `rr.spawn` listens on every interface and has no option for it. Raises RuntimeError if the viewer does not start.
-    """
-    if port is None:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = int(probe.getsockname()[1])
-    command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", "--port", str(port), "--hide-welcome-screen"]
-    viewer = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
-    end = time.monotonic() + timeout_s
-    while time.monotonic() < end and viewer.poll() is None:
-        with socket.socket() as probe:
-            if probe.connect_ex(("127.0.0.1", port)) == 0:
-                return f"rerun+http://127.0.0.1:{port}/proxy"
-        time.sleep(0.05)
-    viewer.terminate()
-    raise RuntimeError("the Rerun viewer did not start; is there a display?")
-
-
-def check_viewer(url: str, timeout_s: float = 5.0) -> None:
-    """Raise ConnectionError where no viewer listens; Rerun itself would wait for it for ever."""
-    address = urlsplit(url)
-    try:
-        socket.create_connection((address.hostname or "127.0.0.1", address.port or 9876), timeout_s).close()
-    except (OSError, ValueError) as error:
-        raise ConnectionError(f"no Rerun viewer at {url}: {error}") from error
-
-
-def _batches() -> rr.ChunkBatcherConfig:
-    """Large chunks: fewer of them, and a quarter less time than with the default, which serves a live viewer."""
-    return rr.ChunkBatcherConfig(flush_tick=3600.0, flush_num_bytes=4 << 20, flush_num_rows=1 << 20)
-
-
-# --- Recorder ------------------------------------------------------------------------------------------------------
 
 
 class Recorder:
@@ -262,25 +149,42 @@ class Recorder:
         """Where the odometry's frame lies in the levelled map."""
         self._static(entities.ODOMETRY, _transform(T_map_odom))
 
-    def log_registration(self, stamp_ns: int, registration: Registration) -> None:
-        """What KISS-ICP used of one horizontal scan, and how well it fits; on `stamp` only."""
-        self._at(stamp_ns)
-        self._log(entities.ODOMETRY_SENSOR, _transform(registration.T_odom_sensor))
+    def log_registrations(self, registrations: Sequence[Registration]) -> None:
+        """What KISS-ICP used of horizontal scans, and how well they fit; on `stamp` only.
+
+        Many at once: logged one by one they cost the run's own process more than all else that it logs.
+        """
+        if not registrations:
+            return
+        stamp_ns = np.array([r.stamp_ns for r in registrations])
+        T_odom_sensor = np.array([r.T_odom_sensor for r in registrations])
+        self._columns(
+            entities.ODOMETRY_SENSOR,
+            stamp_ns,
+            rr.Transform3D.columns(
+                translation=T_odom_sensor[:, :3, 3], quaternion=transforms.quaternion_xyzw(T_odom_sensor)
+            ),
+        )
         if self._detail is not Detail.MAP:
-            self._log(entities.KEYPOINTS, rr.Points3D(_round(registration.keypoints_sensor)))
-            if len(registration.local_map_odom):
-                self._log(entities.LOCAL_MAP, rr.Points3D(_round(registration.local_map_odom)))
-        quality: dict[str, float] = {
-            "threshold_m": registration.threshold_m,
-            "correction_m": registration.correction_m,
-            "residual_m": registration.residual_m,
-            "inlier_share": registration.inlier_share,
-            "keypoint_count": len(registration.keypoints_sensor),
-            "milliseconds": registration.milliseconds,
+            self._cloud_columns(entities.KEYPOINTS, stamp_ns, [r.keypoints_sensor for r in registrations])
+            mapped = np.array([len(r.local_map_odom) > 0 for r in registrations])
+            self._cloud_columns(
+                entities.LOCAL_MAP, stamp_ns[mapped], [r.local_map_odom for r in registrations if len(r.local_map_odom)]
+            )
+        quality = {
+            "threshold_m": [r.threshold_m for r in registrations],
+            "correction_m": [r.correction_m for r in registrations],
+            "residual_m": [r.residual_m for r in registrations],
+            "inlier_share": [r.inlier_share for r in registrations],
+            "keypoint_count": [len(r.keypoints_sensor) for r in registrations],
+            "milliseconds": [r.milliseconds for r in registrations],
         }
-        for name, value in quality.items():
-            if np.isfinite(value):
-                self._log(f"{entities.REGISTRATION}/{name}", rr.Scalars(value))
+        for name, values in quality.items():
+            scalars = np.array(values, np.float64)
+            known = np.isfinite(scalars)
+            self._columns(
+                f"{entities.REGISTRATION}/{name}", stamp_ns[known], rr.Scalars.columns(scalars=scalars[known])
+            )
 
     # --- scans ---
 
@@ -733,6 +637,18 @@ class Recorder:
 
     def _log(self, path: str, *values: rr.AsComponents) -> None:
         self._stream.log(path, *values)
+
+    def _columns(self, path: str, stamp_ns: IntArray, columns: rr.ComponentColumnList) -> None:
+        """One row at each stamp."""
+        if len(stamp_ns):
+            index = rr.TimeColumn(entities.STAMP_TIMELINE, timestamp=stamp_ns.astype("datetime64[ns]"))
+            self._stream.send_columns(path, [index], columns)
+
+    def _cloud_columns(self, path: str, stamp_ns: IntArray, clouds: Sequence[FloatArray]) -> None:
+        if clouds:
+            positions = _round(np.concatenate(clouds))
+            sizes = [len(cloud) for cloud in clouds]
+            self._columns(path, stamp_ns, rr.Points3D.columns(positions=positions).partition(sizes))
 
     def _static(self, path: str, *values: rr.AsComponents) -> None:
         self._stream.log(path, *values, static=True)

@@ -10,7 +10,8 @@ from algorithms.trajectory import Trajectory
 from app import pipeline, run_folder
 from app.inputs import InputOptions, Inputs, find_inputs
 from app.progress import Progress
-from app.recorder import Detail, check_viewer, start_viewer
+from app.recorder import Detail
+from app.recording import check_viewer, start_viewer
 from app.run_folder import RECORDING, RunFolder
 from app.settings import Settings, load_settings, validate
 from loaders.bag import open_bag
