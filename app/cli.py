@@ -97,6 +97,9 @@ def run(
 
         ffmap run --resume runs/a
     """
+    from app.processes import start_server
+
+    start_server()
     from app import run_command
 
     run_command.run(

@@ -2,6 +2,7 @@
 
 import multiprocessing as mp
 import sys
+from multiprocessing import forkserver
 from multiprocessing.context import ForkServerContext, SpawnContext
 
 
@@ -15,3 +16,9 @@ def process_context() -> ForkServerContext | SpawnContext:
     context = mp.get_context("forkserver")
     context.set_forkserver_preload(["app.blocks", "algorithms.odometry"])
     return context
+
+
+def start_server() -> None:
+    """Let the workers' server import what it needs while this process still imports what itself needs."""
+    if isinstance(process_context(), ForkServerContext):
+        forkserver.ensure_running()
