@@ -18,7 +18,8 @@ from algorithms.labels import Label
 from algorithms.odometry import Registration
 from algorithms.scan import Scan
 from algorithms.trajectory import PlacedScan, place_scan
-from app.recorder import Detail, Recorder, forward_block, open_block, open_recording, set_layout
+from app.recorder import Detail, Recorder
+from app.recording import Recording, open_part
 from blueprints import entities
 from blueprints import run as run_blueprint
 from tests import synthetic
@@ -41,7 +42,7 @@ def labelled() -> list[Labelled]:
 
 
 def write_block(path: Path, labelled: list[Labelled], first: int, count: int, detail: Detail = Detail.LINES) -> None:
-    with open_block(path, "run-1") as stream:
+    with open_part(path, "run-1") as stream:
         recorder = Recorder(stream, detail)
         for index in range(first, first + count):
             _, placed, labelling = labelled[index]
@@ -50,17 +51,21 @@ def write_block(path: Path, labelled: list[Labelled], first: int, count: int, de
 
 
 def write_run(folder: Path, labelled: list[Labelled], detail: Detail = Detail.LINES) -> Path:
-    """Two blocks, forwarded into one recording with its statics."""
-    recording = open_recording(folder / "recording.rrd", "run-1", run_blueprint.build())
-    recorder = Recorder(recording, detail)
+    """Two blocks, joined into one recording with its statics."""
+    recording = start(folder, "run-1")
+    recorder = Recorder(recording.stream, detail)
     recorder.log_static({"vertical": synthetic.T_BASE_SENSOR}, entities.explain({}), synthetic.RINGS, 1.0)
     recorder.log_properties("settings", {"wall_planes": {"similarity_m": 0.05}, "name": None})
     for first in (0, 2):
         block = folder / f"{first:04d}.rrd"
         write_block(block, labelled, first, 2, detail)
-        forward_block(recording, block)
-    recording.disconnect()
+        recording.add(block)
+    recording.finish()
     return folder / "recording.rrd"
+
+
+def start(folder: Path, recording_id: str) -> Recording:
+    return Recording(folder / "recording.rrd", folder, recording_id, run_blueprint.build())
 
 
 @pytest.fixture(scope="module")
@@ -180,12 +185,12 @@ def test_final_labels_win_at_the_same_scan(tmp_path, labelled):
     _, placed, labelling = labelled[0]
     final = labelling.label.copy()
     final[:100] = Label.OUTSIDE
-    path = tmp_path / "run.rrd"
-    recording = open_recording(path, "run-2", run_blueprint.build())
-    recorder = Recorder(recording)
+    path = tmp_path / "recording.rrd"
+    recording = start(tmp_path, "run-2")
+    recorder = Recorder(recording.stream)
     recorder.log_scan(0, placed, labelling, synthetic.stamp_ns(0), {})
     recorder.log_final(0, synthetic.stamp_ns(0), placed, labelling.label, final)
-    recording.disconnect()
+    recording.finish()
     last = list(rows(path, entities.POINTS))[-1]
     np.testing.assert_array_equal(last["class_ids"], final)
     relabelled = next(iter(rows(path, entities.RELABELLED)))
@@ -195,11 +200,11 @@ def test_final_labels_win_at_the_same_scan(tmp_path, labelled):
 
 
 def test_registrations_lie_on_stamp_alone(tmp_path):
-    path = tmp_path / "run.rrd"
-    recording = open_recording(path, "run-3", run_blueprint.build())
-    recorder = Recorder(recording)
-    for number in range(3):
-        registration = Registration(
+    path = tmp_path / "recording.rrd"
+    recording = start(tmp_path, "run-3")
+    recorder = Recorder(recording.stream)
+    registrations = [
+        Registration(
             index=number,
             stamp_ns=synthetic.stamp_ns(number),
             T_odom_sensor=transforms.make_transform(translation=[number, 0.0, 0.0]),
@@ -211,8 +216,10 @@ def test_registrations_lie_on_stamp_alone(tmp_path):
             inlier_share=0.9,
             milliseconds=12.0,
         )
-        recorder.log_registration(synthetic.stamp_ns(number), registration)
-    recording.disconnect()
+        for number in range(3)
+    ]
+    recorder.log_registrations(registrations)
+    recording.finish()
     timelines = {
         name
         for chunk in RrdReader(path).stream()
@@ -227,9 +234,9 @@ def test_registrations_lie_on_stamp_alone(tmp_path):
 
 
 def test_building_grid_map_and_messages(tmp_path):
-    path = tmp_path / "run.rrd"
-    recording = open_recording(path, "run-4", run_blueprint.build())
-    recorder = Recorder(recording)
+    path = tmp_path / "recording.rrd"
+    recording = start(tmp_path, "run-4")
+    recorder = Recorder(recording.stream)
     walls = Walls(
         ends=np.array([[[0.0, 0.0], [4.0, 0.0]]]),
         normal=np.array([[0.0, 1.0]]),
@@ -257,8 +264,8 @@ def test_building_grid_map_and_messages(tmp_path):
     recorder.log_trajectory(stamps, synthetic.trajectory(3).T_map_base, np.arange(3))
     recorder.log_map_block(2, int(stamps[2]), np.ones((4, 3)), np.array([1, 2, 2, 3], np.uint8))
     recorder.log_skipped(1, int(stamps[1]), "all returns invalid")
-    set_layout(recording, 32, grid)
-    recording.disconnect()
+    recording.set_layout(run_blueprint.build(32, (0.0, 0.0), 5.0))
+    recording.finish()
 
     static = {chunk.entity_path: chunk.to_record_batch() for chunk in RrdReader(path).stream() if chunk.is_static}
     image = static[f"{entities.GRID}/{entities.FURNITURE_FREE}"].column("GridMap:data").to_pylist()[0][0]
@@ -285,7 +292,7 @@ def test_a_scan_without_returns_is_recorded_like_any_other(tmp_path, labelled):
     )
     placed = place_scan(empty, synthetic.trajectory(2), synthetic.T_BASE_SENSOR)
     labelling = label_scan(empty, placed, synthetic.settings(), 0)
-    with open_block(tmp_path / "block.rrd", "run-5") as stream:
+    with open_part(tmp_path / "block.rrd", "run-5") as stream:
         recorder = Recorder(stream)
         recorder.log_scan(0, *labelled[0][1:], synthetic.stamp_ns(0), {})
         recorder.log_scan(1, placed, labelling, synthetic.stamp_ns(1), {})
@@ -296,15 +303,43 @@ def test_a_scan_without_returns_is_recorded_like_any_other(tmp_path, labelled):
 
 
 def test_a_block_that_fails_leaves_nothing(tmp_path):
-    with pytest.raises(KeyError), open_block(tmp_path / "block.rrd", "run-6"):
+    with pytest.raises(KeyError), open_part(tmp_path / "block.rrd", "run-6"):
         raise KeyError("a worker's error")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_kill_leaves_can_be_read_and_what_is_finished_has_its_footer(tmp_path, labelled):
+    recording = start(tmp_path, "run-1")
+    Recorder(recording.stream).log_message("before the block", synthetic.stamp_ns(0))
+    write_block(tmp_path / "block.rrd", labelled, 0, 2)
+    recording.add(tmp_path / "block.rrd")
+    Recorder(recording.stream).log_message("after it", synthetic.stamp_ns(1))
+    killed = tmp_path / "killed.rrd"
+    killed.write_bytes((tmp_path / "recording.rrd").read_bytes())
+    recording.finish()
+
+    with pytest.warns(rr.error_utils.RerunWarning, match="no footer"):
+        left = {chunk.entity_path for chunk in RrdReader(killed).stream()}
+    assert {entities.POINTS, entities.MESSAGES} <= left
+    finished = RrdReader(tmp_path / "recording.rrd")
+    assert [entry.recording_id for entry in finished.recordings()] == ["run-1"]
+    assert len(finished.blueprints()) == 1
+    messages = [row["text"] for row in rows(tmp_path / "recording.rrd", entities.MESSAGES, entities.STAMP_TIMELINE)]
+    assert [str(text[0]) for text in messages] == ["before the block", "after it"]
+    assert sum(chunk.entity_path == entities.POINTS for chunk in finished.store().stream()) == 1
+
+
+def test_a_file_that_is_no_recording_is_not_appended(tmp_path):
+    recording = start(tmp_path, "run-10")
+    (tmp_path / "block.rrd").write_bytes(b"not a recording at all")
+    with pytest.raises(RuntimeError, match="is not framed"):
+        recording.add(tmp_path / "block.rrd")
 
 
 def test_a_wrong_shape_is_an_error(tmp_path):
     with (
         pytest.raises(ValueError, match=r"(?i)expected|shape|length|size"),
-        open_block(tmp_path / "block.rrd", "run-7") as stream,
+        open_part(tmp_path / "block.rrd", "run-7") as stream,
     ):
         stream.log("/points", rr.Points3D(np.zeros((3, 4))))
 
@@ -314,4 +349,4 @@ def test_a_viewer_that_is_not_there_is_an_error_and_not_a_wait(tmp_path):
         probe.bind(("127.0.0.1", 0))
         url = f"rerun+http://127.0.0.1:{probe.getsockname()[1]}/proxy"
     with pytest.raises(ConnectionError, match="no Rerun viewer"):
-        open_recording(tmp_path / "run.rrd", "run-8", run_blueprint.build(), url)
+        Recording(tmp_path / "run.rrd", tmp_path, "run-8", run_blueprint.build(), url)
