@@ -100,7 +100,6 @@ class PlacedScan:
 
     points_level: (n, 3) float32, metres.
     origin_level: (3,) the sensor's place at the reference time.
-    sweep_level: (2, 3) the sensor's place at the first and at the last firing.
     spin_axis_level: (3,) unit vector, the sensor's spin axis at the reference time.
     down_sensor: (3,) unit vector, gravity in the sensor's frame at the reference time.
     T_map_level: (4, 4), a turn about z and a shift in x and y.
@@ -109,7 +108,6 @@ class PlacedScan:
 
     points_level: FloatArray
     origin_level: FloatArray
-    sweep_level: FloatArray
     spin_axis_level: FloatArray
     down_sensor: FloatArray
     T_map_level: FloatArray
@@ -141,7 +139,6 @@ def place_scan(scan: Scan, trajectory: Trajectory, T_base_sensor: FloatArray) ->
     return PlacedScan(
         points_level=points_level,
         origin_level=T_reference[:3, 3],
-        sweep_level=T_level_sensor[[0, KNOTS - 1], :3, 3],
         spin_axis_level=T_reference[:3, 2],
         down_sensor=-T_reference[2, :3],
         T_map_level=T_map_level,
@@ -188,7 +185,6 @@ def level_scan(placed: PlacedScan, floor_height_m: float, floor_slope: FloatArra
         placed,
         points_level=_move(placed.points_level, T.astype(np.float32)),
         origin_level=transforms.apply(T, placed.origin_level[None])[0],
-        sweep_level=transforms.apply(T, placed.sweep_level),
         spin_axis_level=turn.apply(placed.spin_axis_level),
         T_map_base=placed.T_map_level @ T @ transforms.invert(placed.T_map_level) @ placed.T_map_base,
     )

@@ -8,7 +8,7 @@ import shutil
 import time
 import uuid
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -87,6 +87,21 @@ class RunState:
 
 
 @dataclass(frozen=True)
+class _Run:
+    """What every stage of a run has at hand."""
+
+    inputs: Inputs
+    settings: Settings
+    options: RunOptions
+    folder: RunFolder
+    progress: Progress
+    record: dict[str, Any]
+    recording: Recording | None
+    recorder: Recorder | None
+    state: RunState
+
+
+@dataclass(frozen=True)
 class Building:
     """The third stage's answer."""
 
@@ -117,7 +132,7 @@ def run(
     recording = _open(inputs, options, folder, record)
     try:
         recorder = Recorder(recording.stream, options.detail) if recording else None
-        _run_stages(inputs, given, settings, options, folder, progress, record, recording, recorder, state)
+        _run_stages(_Run(inputs, settings, options, folder, progress, record, recording, recorder, state), given)
         outcome = "complete"
     except BaseException:
         folder.write_json({**record, **_gathered(state, started), "outcome": "aborted"})
@@ -154,25 +169,15 @@ def _gathered(state: RunState, started: float) -> dict[str, Any]:
     }
 
 
-def _run_stages(
-    inputs: Inputs,
-    given: Trajectory | None,
-    settings: Settings,
-    options: RunOptions,
-    folder: RunFolder,
-    progress: Progress,
-    record: dict[str, Any],
-    recording: Recording | None,
-    recorder: Recorder | None,
-    state: RunState,
-) -> None:
+def _run_stages(run: _Run, given: Trajectory | None) -> None:
+    inputs, settings, folder, recorder, state = run.inputs, run.settings, run.folder, run.recorder, run.state
     if recorder:
-        _log_start(recorder, inputs, settings, record)
-    with ProcessPoolExecutor(options.workers, process_context()) as pool:
+        _log_start(recorder, inputs, settings, run.record)
+    with ProcessPoolExecutor(run.options.workers, process_context()) as pool:
         try:
             # Stages 1 and 2: the odometry, and the scans that follow it.
             clock = time.perf_counter()
-            stage = _ScanStage(inputs, settings, options, folder, progress, record, pool, recording, recorder, state)
+            stage = _ScanStage(run, pool)
             trajectory = stage.follow(given)
             state.timings_s["odometry_and_scans"] = time.perf_counter() - clock
             if inputs.vertical is None:
@@ -189,13 +194,13 @@ def _run_stages(
 
             # Stage 3: the building.
             clock = time.perf_counter()
-            progress.stage("building", None)
+            run.progress.stage("building", None)
             building = _build(folder, stage.blocks, trajectory, settings)
             if recorder:
                 recorder.log_building(building.walls, building.doors)
                 recorder.log_grid("furniture_free", building.grid)
-            if recording:
-                recording.set_layout(_layout(inputs, building.grid))
+            if run.recording:
+                run.recording.set_layout(_layout(inputs, building.grid))
             results.write_walls(folder.path / "walls.geojson", building.walls)
             results.write_doors(folder.path / "doors.geojson", building.doors)
             results.write_grid(folder.path / "map.yaml", building.grid)
@@ -204,7 +209,7 @@ def _run_stages(
 
             # Stage 4: final labels.
             clock = time.perf_counter()
-            _finish(stage, building, settings, folder, progress, recording, recorder, trajectory, inputs, state)
+            _finish(run, pool, stage.jobs, building, trajectory)
             state.timings_s["final"] = time.perf_counter() - clock
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
@@ -246,23 +251,11 @@ def _ring_count(inputs: Inputs) -> int | None:
 class _ScanStage:
     """Stages 1 and 2: poses as they come, and behind them the labelling of every block that they cover."""
 
-    def __init__(
-        self,
-        inputs: Inputs,
-        settings: Settings,
-        options: RunOptions,
-        folder: RunFolder,
-        progress: Progress,
-        record: dict[str, Any],
-        pool: ProcessPoolExecutor,
-        recording: Recording | None,
-        recorder: Recorder | None,
-        state: RunState,
-    ) -> None:
-        self._inputs, self._settings, self._options = inputs, settings, options
-        self._folder, self._progress, self._record = folder, progress, record
-        self._pool, self._recording, self._recorder, self._state = pool, recording, recorder, state
-        self.blocks = split_blocks(len(inputs.vertical.index)) if inputs.vertical else []
+    def __init__(self, run: _Run, pool: ProcessPoolExecutor) -> None:
+        self._inputs, self._settings, self._options = run.inputs, run.settings, run.options
+        self._folder, self._progress, self._record = run.folder, run.progress, run.record
+        self._pool, self._recording, self._recorder, self._state = pool, run.recording, run.recorder, run.state
+        self.blocks = split_blocks(len(run.inputs.vertical.index)) if run.inputs.vertical else []
         self.jobs: list[LabelJob] = []
         self.scan_stamps_ns: list[int] = []
         self.reasons: list[str] = []
@@ -506,29 +499,20 @@ def _without_rays(features: Features) -> Features:
 
 
 def _finish(
-    stage: _ScanStage,
-    building: Building,
-    settings: Settings,
-    folder: RunFolder,
-    progress: Progress,
-    recording: Recording | None,
-    recorder: Recorder | None,
-    trajectory: Trajectory,
-    inputs: Inputs,
-    state: RunState,
+    run: _Run, pool: ProcessPoolExecutor, jobs: Sequence[LabelJob], building: Building, trajectory: Trajectory
 ) -> None:
     """Final labels by the workers, while this process writes the labelled bag behind them."""
-    progress.stage("final", len(stage.jobs))
-    pool = stage._pool
+    inputs, folder, recording = run.inputs, run.folder, run.recording
+    run.progress.stage("final", len(jobs))
     pending: list[Future[None] | None] = []
-    for job in stage.jobs:
-        done = job.path.with_suffix(".final.npz").exists() and stage._options.resume
-        finish = FinishJob(job, building.walls, building.doors, building.windows, settings.relabelling)
+    for job in jobs:
+        done = job.path.with_suffix(".final.npz").exists() and run.options.resume
+        finish = FinishJob(job, building.walls, building.doors, building.windows, run.settings.relabelling)
         pending.append(None if done else pool.submit(finish_block, finish))
     table = VoxelTable(VOXEL_M, len(Label))
 
     def labels() -> Iterator[tuple[int, Any, Any]]:
-        for job, future in zip(stage.jobs, pending, strict=True):
+        for job, future in zip(jobs, pending, strict=True):
             if future is not None:
                 future.result()
             final_path = job.path.with_suffix(".final.npz")
@@ -538,7 +522,7 @@ def _finish(
             label, label_scan = load_labels(final_path), load_labels(job.path.with_suffix(".npz"))
             for index in sorted(label):
                 yield index, label[index], label_scan[index]
-            progress.advance()
+            run.progress.advance()
 
     assert inputs.vertical is not None
     with open_bag(inputs.bag_path) as bag:
@@ -546,9 +530,9 @@ def _finish(
     cloud = fuse(table.votes())
     colours = np.array([entities.CLASSES[label][1] for label in Label], np.uint8)
     results.write_ply(folder.path / CLOUD, cloud, colours[cloud.label])
-    if recorder:
-        recorder.log_cloud(cloud.points_map, cloud.label)
-    state.counts["cloud_points"] = len(cloud)
+    if run.recorder:
+        run.recorder.log_cloud(cloud.points_map, cloud.label)
+    run.state.counts["cloud_points"] = len(cloud)
 
 
 def first_record(
