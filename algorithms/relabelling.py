@@ -7,6 +7,7 @@ from pydantic import Field
 from algorithms.building import Doors, Walls, Windows
 from algorithms.doors import DoorState
 from algorithms.scan import FloatArray, UInt8Array
+from algorithms.semantic_map import Halo
 from algorithms.settings import StepSettings
 
 
@@ -27,6 +28,11 @@ class RelabellingSettings(StepSettings):
     forget_m: float = Field(
         0.2, gt=0, description="A wall return farther than so many metres from every fused face becomes clutter."
     )
+    halo_ratio: float = Field(
+        6.0,
+        ge=1,
+        description="Clutter with fewer than one in so many votes of the floor, ceiling or wall beside it is its scatter.",
+    )
 
 
 def relabel(
@@ -37,18 +43,20 @@ def relabel(
     walls: Walls,
     doors: Doors,
     windows: Windows,
+    halo: Halo,
     settings: RelabellingSettings,
 ) -> UInt8Array:
     """The final labels (n,): what many scans agree on overrules what one scan saw.
 
     A return on a closed door's leaf is door; wall and door only stand where the building has them; clutter on a wall
-    face, a door's reveal or its lintel is wall; what a ray reached through a window is outside.
+    face, a door's reveal or its lintel is wall; what a ray reached through a window is outside; clutter that is but the
+    scatter of a surface is that surface's.
 
     points_map: (n, 3); height_m: (n,) above the floor; label_scan: (n,) of the scan alone; origin_map: (3,) the sensor.
     """
     closed = doors.state == DoorState.CLOSED
     depth_m = np.where(closed, doors.depth_m, np.inf)
-    return np.asarray(
+    label = np.asarray(
         _relabel(
             points_map,
             height_m,
@@ -68,6 +76,7 @@ def relabel(
             settings.forget_m,
         )
     )
+    return halo.label_of(points_map, label)
 
 
 def _frames(ends: FloatArray, normal: FloatArray) -> FloatArray:

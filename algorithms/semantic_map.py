@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from algorithms.labels import Label
-from algorithms.scan import FloatArray, IntArray, UInt8Array
+from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
 
 AXIS_BITS = 21
 """Bits of a key for each axis: 5 cm cubes reach 52 km to either side."""
@@ -66,6 +66,30 @@ class FusedCloud:
         return len(self.label)
 
 
+@dataclass(frozen=True)
+class Halo:
+    """Cubes where what a scan calls clutter is the scatter of a floor, a ceiling or a wall: `find_halo`.
+
+    keys: (m,) int64, increasing; label: (m,) uint8, of the surface; voxel_m: the cubes' edge.
+    """
+
+    keys: IntArray
+    label: UInt8Array
+    voxel_m: float
+
+    def label_of(self, points_map: FloatArray, label: UInt8Array) -> UInt8Array:
+        """The labels (n,) of points (n, 3), clutter in a halo given its surface's."""
+        clutter = np.flatnonzero(label == Label.CLUTTER)
+        if not len(self.keys) or not len(clutter):
+            return label
+        key, _ = _cubes(np.ascontiguousarray(points_map[clutter]), 1.0 / self.voxel_m)
+        place = np.minimum(np.searchsorted(self.keys, key), len(self.keys) - 1)
+        within = self.keys[place] == key
+        corrected = label.copy()
+        corrected[clutter[within]] = self.label[place[within]]
+        return corrected
+
+
 class VoxelTable:
     """Takes votes scan by scan, or whole `VoxelVotes` of other processes; `votes()` gives the sum.
 
@@ -93,14 +117,16 @@ class VoxelTable:
         for code in codes:
             _vote(row, np.ascontiguousarray(code), self._counts)
 
-    def absorb(self, votes: VoxelVotes) -> None:
-        """Add the votes of another table with the same cubes and codes."""
+    def absorb(self, votes: VoxelVotes) -> BoolArray:
+        """Add the votes of another table with the same cubes and codes; tells which cubes (m,) were not here before."""
         if votes.voxel_m != self.voxel_m or votes.counts.shape[1] != self._counts.shape[1]:
             raise ValueError("votes of other cubes or other codes cannot be added")
+        size = self._size
         row = self._rows(votes.keys)
         self._counts[row] += votes.counts
         self._position_sum[row] += votes.position_sum
         self._point_count[row] += votes.point_count
+        return np.asarray(row >= size)
 
     def votes(self) -> VoxelVotes:
         """What was counted so far."""
@@ -159,6 +185,30 @@ def fuse(votes: VoxelVotes, left_out: Iterable[Label] = (Label.OUTSIDE,)) -> Fus
     label = majority(votes.counts)
     kept = (votes.counts.max(axis=1, initial=0) > 0) & ~np.isin(label, list(left_out))
     return FusedCloud(votes.mean_position[kept].astype(np.float32), label[kept])
+
+
+def find_halo(votes: VoxelVotes, ratio: float) -> Halo:
+    """Where clutter is too thin beside a surface to be a thing of its own.
+
+    The returns of a surface scatter, and a few of them end up a cube away from all others, in one scan or another. A
+    cube that holds, or shares a face with one that holds, `ratio` times as many votes for floor, ceiling or wall as it
+    has for clutter is within that surface's halo; a thing that stands against a wall has more returns than that.
+    """
+    surfaces = votes.counts[:, [Label.FLOOR, Label.CEILING, Label.WALL]].astype(np.int64)
+    strength = surfaces.max(axis=1, initial=0)
+    dense = strength >= ratio
+    codes = np.array([Label.FLOOR, Label.CEILING, Label.WALL], np.uint8)[surfaces.argmax(axis=1)]
+    steps = np.array([0, *(sign << axis * AXIS_BITS for axis in range(3) for sign in (1, -1))])
+    key = (votes.keys[dense, None] + steps).ravel()
+    reach, label = np.repeat(strength[dense], len(steps)), np.repeat(codes[dense], len(steps))
+    order = np.lexsort((-reach, key))
+    key, reach, label = key[order], reach[order], label[order]
+    strongest = np.append(True, key[1:] != key[:-1])[: len(key)]
+    key, reach, label = key[strongest], reach[strongest], label[strongest]
+    place = np.minimum(np.searchsorted(votes.keys, key), len(votes) - 1)
+    clutter = np.where(votes.keys[place] == key, votes.counts[place, Label.CLUTTER], 0) if len(key) else key
+    thin = reach >= ratio * np.maximum(clutter, 1)
+    return Halo(key[thin], label[thin], votes.voxel_m)
 
 
 def columns_of(keys: IntArray) -> IntArray:

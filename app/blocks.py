@@ -6,7 +6,7 @@ features and voxel votes. They are all that passes between processes, so that a 
 
 import time
 from dataclasses import dataclass, fields
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from algorithms.labelling import MethodSettings, label_scan
 from algorithms.rearrangement import find_floor
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array
-from algorithms.semantic_map import VoxelTable, VoxelVotes, majority
+from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes
 from algorithms.trajectory import PlacedScan, Trajectory, level_scan, place_scan
 from app.inputs import Inputs, Sensor
 from app.recorder import Detail, Recorder
@@ -66,6 +66,8 @@ class FinishJob:
     walls: Walls
     doors: Doors
     windows: Windows
+    halo: Path
+    """A file that `save_halo` wrote: it grows with the building, and each worker reads it once."""
     settings: RelabellingSettings
 
 
@@ -174,9 +176,7 @@ def label_block(job: LabelJob) -> BlockSummary:
                 if features
                 else {}
             ),
-            "new_points": votes.mean_position.astype(np.float32),
-            "new_label": majority(votes.counts),
-            "new_keys": votes.keys,
+            **{f"votes_{f.name}": np.asarray(getattr(votes, f.name)) for f in fields(VoxelVotes)},
         },
     )
     return summary
@@ -211,6 +211,7 @@ def finish_block(job: FinishJob) -> None:
                 job.walls,
                 job.doors,
                 job.windows,
+                _load_halo(job.halo),
                 job.settings,
             )
             if recorder:
@@ -251,12 +252,6 @@ def load_features(path: Path) -> Features | None:
         return Features(**{f.name: spooled[f"feature_{f.name}"] for f in fields(Features)})
 
 
-def load_new_points(path: Path) -> tuple[IntArray, FloatArray, UInt8Array]:
-    """Keys, mean positions and labels of a block's voxels."""
-    with np.load(path) as spooled:
-        return spooled["new_keys"], spooled["new_points"], spooled["new_label"]
-
-
 def load_labels(path: Path) -> dict[int, UInt8Array]:
     """Labels of each cloud in a block's .npz, by its number, one for each place in the cloud."""
     with np.load(path) as spooled:
@@ -269,10 +264,21 @@ def load_labels(path: Path) -> dict[int, UInt8Array]:
 
 
 def load_votes(path: Path) -> VoxelVotes:
-    """The voxel votes in a finished block's .npz."""
+    """The voxel votes in a block's .npz, of the scans' own labels or of the final ones."""
     with np.load(path) as spooled:
         values = {f.name: spooled[f"votes_{f.name}"] for f in fields(VoxelVotes)}
     return VoxelVotes(**{**values, "voxel_m": float(values["voxel_m"])})
+
+
+def save_halo(path: Path, halo: Halo) -> None:
+    """Write what `FinishJob.halo` names."""
+    _save(path, {f.name: np.asarray(getattr(halo, f.name)) for f in fields(Halo)})
+
+
+@lru_cache(maxsize=1)
+def _load_halo(path: Path) -> Halo:
+    with np.load(path) as stored:
+        return Halo(stored["keys"], stored["label"], float(stored["voxel_m"]))
 
 
 def points_in_map(placed: PlacedScan) -> FloatArray:

@@ -24,7 +24,7 @@ from algorithms.grid_map import GridMap, draw_furniture_free
 from algorithms.labels import Label
 from algorithms.odometry import Registration
 from algorithms.scan import FloatArray, IntArray, Scan
-from algorithms.semantic_map import VoxelTable, fuse
+from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes, find_halo, fuse, majority
 from algorithms.trajectory import Trajectory, level_to_floor, place_scan
 from app import results
 from app.blocks import (
@@ -38,10 +38,10 @@ from app.blocks import (
     label_block,
     load_features,
     load_labels,
-    load_new_points,
     load_summary,
     load_votes,
     points_in_map,
+    save_halo,
     split_blocks,
 )
 from app.inputs import Inputs
@@ -108,6 +108,7 @@ class Building:
     walls: Walls
     doors: Doors
     windows: Windows
+    halo: Halo
     grid: GridMap
 
 
@@ -195,7 +196,7 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
             # Stage 3: the building.
             clock = time.perf_counter()
             run.progress.stage("building", None)
-            building = _build(folder, stage.blocks, trajectory, settings)
+            building = _build(folder, stage.blocks, stage.votes.votes(), trajectory, settings)
             if recorder:
                 recorder.log_building(building.walls, building.doors)
                 recorder.log_grid("furniture_free", building.grid)
@@ -262,7 +263,8 @@ class _ScanStage:
         self._running: deque[tuple[Block, Future[BlockSummary] | BlockSummary]] = deque()
         self._last_T_map_base: FloatArray | None = None
         self._registered: list[Registration] = []
-        self._seen = np.zeros(0, np.int64)
+        self.votes = VoxelTable(VOXEL_M, len(Label))
+        """What the scans' own labels say of each cube of the map."""
         self._counts = np.zeros(256, np.int64)
         self._milliseconds: list[FloatArray] = []
 
@@ -419,15 +421,14 @@ class _ScanStage:
         for index, reason in zip(summary.skipped_scan.tolist(), summary.skipped_reason, strict=True):
             if len(self.reasons) <= 5:
                 self._progress.warn(f"scan {index} skipped: {reason}")
+        votes = load_votes(self._folder.block(block.number, ".npz"))
+        new = self.votes.absorb(votes)
         if self._recorder and self._recording and len(summary.scan):
             self._recording.add(self._folder.block(block.number, ".rrd"))
             self._recorder.log_trajectory(summary.stamp_ns, summary.T_map_base, summary.scan, self._last_T_map_base)
             self._last_T_map_base = summary.T_map_base[-1]
-            keys, points, label = load_new_points(self._folder.block(block.number, ".npz"))
-            places = np.searchsorted(self._seen, keys)
-            new = np.append(self._seen, -1)[places] != keys
-            self._seen = np.insert(self._seen, places[new], keys[new])
-            self._recorder.log_map_block(int(summary.scan[-1]), int(summary.stamp_ns[-1]), points[new], label[new])
+            points, label = votes.mean_position[new].astype(np.float32), majority(votes.counts[new])
+            self._recorder.log_map_block(int(summary.scan[-1]), int(summary.stamp_ns[-1]), points, label)
         self._progress.advance()
 
     def _summarise(self) -> None:
@@ -462,7 +463,9 @@ def _write_trajectory(folder: RunFolder, trajectory: Trajectory, stamps_ns: IntA
     write_tum(folder.path / TRAJECTORY, Trajectory(stamps_ns, trajectory.at(stamps_ns)))
 
 
-def _build(folder: RunFolder, blocks: list[Block], trajectory: Trajectory, settings: Settings) -> Building:
+def _build(
+    folder: RunFolder, blocks: list[Block], votes: VoxelVotes, trajectory: Trajectory, settings: Settings
+) -> Building:
     """Walls from all planes, doors and grid from all rays; the rays are read block by block."""
     planes = concatenate([_without_rays(features) for features in _features(folder, blocks)])
     walls = fuse_walls(planes, settings.building)
@@ -477,7 +480,7 @@ def _build(folder: RunFolder, blocks: list[Block], trajectory: Trajectory, setti
     grid = draw_furniture_free(
         walls, doors, trajectory.T_map_base[:, :3, 3], _features(folder, blocks), settings.grid_map
     )
-    return Building(walls, doors, windows, grid)
+    return Building(walls, doors, windows, find_halo(votes, settings.relabelling.halo_ratio), grid)
 
 
 def _features(folder: RunFolder, blocks: list[Block]) -> Iterator[Features]:
@@ -504,10 +507,12 @@ def _finish(
     """Final labels by the workers, while this process writes the labelled bag behind them."""
     inputs, folder, recording = run.inputs, run.folder, run.recording
     run.progress.stage("final", len(jobs))
+    halo = folder.spool / "halo.npz"
+    save_halo(halo, building.halo)
     pending: list[Future[None] | None] = []
     for job in jobs:
         done = job.path.with_suffix(".final.npz").exists() and run.options.resume
-        finish = FinishJob(job, building.walls, building.doors, building.windows, run.settings.relabelling)
+        finish = FinishJob(job, building.walls, building.doors, building.windows, halo, run.settings.relabelling)
         pending.append(None if done else pool.submit(finish_block, finish))
     table = VoxelTable(VOXEL_M, len(Label))
 

@@ -16,6 +16,7 @@ from algorithms.labels import Label
 from algorithms.rearrangement import SAMPLES, RearrangementSettings, find_ceilings, find_floor, make_point_lines
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.scan import Scan
+from algorithms.semantic_map import find_halo, vote
 from algorithms.trajectory import PlacedScan, Trajectory, level_scan, level_to_floor, place_scan
 from algorithms.vertical_structures import VerticalStructuresSettings
 from algorithms.wall_planes import WallPlanesSettings
@@ -311,6 +312,7 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
             walls,
             doors,
             windows,
+            find_halo(vote(points, found.label, len(Label), 0.05), 6.0),
             RelabellingSettings(),
         )
         precision, recall = share(final, truth, Label.DOOR)
