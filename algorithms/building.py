@@ -25,6 +25,10 @@ RANGE_M = 12.0
 
 _FILLED, _SUM, _SQUARES, _THROUGH = range(4)
 
+_REVEAL_MIN_M = 0.03
+_REVEAL_COLUMNS = 3
+"""A reveal that is seen at a slant hides so many columns of an opening at most."""
+
 
 class BuildingSettings(StepSettings):
     """Fusing scans into walls and doors."""
@@ -343,6 +347,8 @@ def _doors_in(
     along = (walls.ends[w, 1] - walls.ends[w, 0]) / np.linalg.norm(walls.ends[w, 1] - walls.ends[w, 0])
     for state, flags in ((DoorState.OPEN, is_open), (DoorState.CLOSED, is_closed)):
         for first, last in _stretches(flags, 2):
+            if state == DoorState.OPEN:
+                first, last = _to_jambs(counts[:, low:high].sum(axis=1), first, last)
             width_m = (last + 1 - first) * CELL_M
             # Smoothing and the cells' own width blur each side by up to a column.
             if not settings.door_width_min_m <= width_m + CELL_M or width_m > settings.door_width_max_m:
@@ -360,6 +366,21 @@ def _doors_in(
                 int(rays[:, [_FILLED, _THROUGH]].sum() / 3),
                 w,
             )
+
+
+def _to_jambs(below: FloatArray, first: int, last: int) -> tuple[int, int]:
+    """An open stretch of columns, widened to the jambs: beside them rays end on the reveals, behind the wall's face.
+
+    below: (columns, 4), a face's counts between a door's foot and its head.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        behind = below[:, _SUM] / below[:, _FILLED] < -_REVEAL_MIN_M
+    for _ in range(_REVEAL_COLUMNS):
+        if first > 0 and behind[first - 1]:
+            first -= 1
+        if last + 1 < len(behind) and behind[last + 1]:
+            last += 1
+    return first, last
 
 
 def _head_m(counts: FloatArray, state: DoorState, lintel_m: float, settings: BuildingSettings) -> float:

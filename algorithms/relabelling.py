@@ -20,7 +20,9 @@ class RelabellingSettings(StepSettings):
     leaf_distance_m: float = Field(0.04, gt=0, description="A return at most so many metres off a closed leaf is door.")
     margin_m: float = Field(0.05, ge=0, description="A wall face counts so many metres beyond its ends.")
     reveal_m: float = Field(
-        0.2, ge=0, description="A door's reveals and the underside of its lintel reach so many metres behind the face."
+        0.2,
+        ge=0,
+        description="A door's reveals and the underside of its lintel reach so many metres behind the wall's face.",
     )
     behind_glass_m: float = Field(
         0.25, gt=0, description="More than so many metres behind a window's wall a return is outside."
@@ -49,7 +51,7 @@ def relabel(
     """The final labels (n,): what many scans agree on overrules what one scan saw.
 
     A return on a closed door's leaf is door; wall and door only stand where the building has them; clutter on a wall
-    face, a door's reveal or its lintel is wall; what a ray reached through a window is outside; clutter that is but the
+    face or on a door's reveals or lintel is wall; what a ray reached through a window is outside; clutter that is but the
     scatter of a surface is that surface's.
 
     points_map: (n, 3); height_m: (n,) above the floor; label_scan: (n,) of the scan alone; origin_map: (3,) the sensor.
@@ -112,6 +114,7 @@ def _relabel(
     for i in range(len(points)):
         x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
         is_outside = False
+        is_reveal = False
         for g in range(len(windows)):
             s = windows[g, 3] * x + windows[g, 4] * y - windows[g, 5]
             reach = windows[g, 3] * origin[0] + windows[g, 4] * origin[1] - windows[g, 5]
@@ -129,7 +132,6 @@ def _relabel(
         if label[i] == 1 or label[i] == 2:
             continue
         is_leaf = False
-        is_reveal = False
         for d in range(len(doors)):
             s = doors[d, 3] * x + doors[d, 4] * y - doors[d, 5]
             if abs(s) > 1.0:
@@ -138,10 +140,11 @@ def _relabel(
             if 0.0 < u < length and height[i] < door_head[d] and abs(s + door_depth[d]) < leaf_distance_m:
                 is_leaf = True
                 break
-            if -reveal_m < s < wall_distance_m and height[i] < door_head[d] + wall_distance_m:
-                at_jamb = abs(u) < wall_distance_m or abs(u - length) < wall_distance_m
-                at_head = -wall_distance_m < u < length + wall_distance_m and height[i] > door_head[d] - wall_distance_m
-                is_reveal = is_reveal or at_jamb or at_head
+            if -reveal_m < s < wall_distance_m and -wall_distance_m < u < length + wall_distance_m:
+                at_jamb = u < wall_distance_m or u > length - wall_distance_m
+                # Nothing but the lintel's underside is within the wall above the head, which is known to a cell or two.
+                at_head = door_head[d] - wall_distance_m < height[i] < door_head[d] + reveal_m
+                is_reveal = is_reveal or at_head or (at_jamb and height[i] < door_head[d])
         if is_leaf:
             label[i] = 4
             continue
