@@ -18,7 +18,7 @@ AXIS_BITS = 21
 AXIS_OFFSET = 1 << (AXIS_BITS - 1)
 SUBDIVISIONS = 1 << 16
 """A place within a cube is counted in whole parts of its edge, so that a sum of places does not depend on order."""
-_EMPTY = np.int64(-1)
+_EMPTY = np.int32(-1)
 
 
 @dataclass(frozen=True)
@@ -99,8 +99,7 @@ class VoxelTable:
     def __init__(self, voxel_m: float, codes: int) -> None:
         self.voxel_m = voxel_m
         self._size = 0
-        self._slots = np.full(1 << 16, _EMPTY)
-        self._row_of_slot = np.zeros(1 << 16, np.int32)
+        self._row_of_slot = np.full(1 << 15, _EMPTY)
         self._keys: IntArray = np.zeros(1 << 14, np.int64)
         self._counts: IntArray = np.zeros((1 << 14, codes), np.uint32)
         self._position_sum: IntArray = np.zeros((1 << 14, 3), np.int64)
@@ -144,7 +143,7 @@ class VoxelTable:
         row = np.empty(len(key), np.int32)
         done = 0
         while True:
-            done, self._size = _find_rows(key, row, done, self._slots, self._row_of_slot, self._keys, self._size)
+            done, self._size = _find_rows(key, row, done, self._row_of_slot, self._keys, self._size)
             if done == len(key):
                 return row
             self._grow()
@@ -155,9 +154,8 @@ class VoxelTable:
         self._counts = _enlarged(self._counts, capacity)
         self._position_sum = _enlarged(self._position_sum, capacity)
         self._point_count = _enlarged(self._point_count, capacity)
-        self._slots = np.full(4 * capacity, _EMPTY)
-        self._row_of_slot = np.zeros(4 * capacity, np.int32)
-        _rehash(self._keys, self._size, self._slots, self._row_of_slot)
+        self._row_of_slot = np.full(2 * capacity, _EMPTY)
+        _rehash(self._keys, self._size, self._row_of_slot)
 
 
 def vote(points_map: FloatArray, label: UInt8Array, classes: int, voxel_m: float) -> VoxelVotes:
@@ -245,30 +243,29 @@ def _cubes(points: FloatArray, per_metre: float) -> tuple[IntArray, IntArray]:  
 
 
 @numba.njit(cache=True, nogil=True)
-def _slot_of(key: int, slots: IntArray) -> int:  # pragma: no cover
-    """Where a key stands, or the free slot where it belongs (open addressing, Fibonacci hashing)."""
-    mask = len(slots) - 1
+def _slot_of(key: int, row_of_slot: IntArray, keys: IntArray) -> int:  # pragma: no cover
+    """Where a key's row stands, or the free slot where it belongs (open addressing, Fibonacci hashing)."""
+    mask = len(row_of_slot) - 1
     mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
     slot = int((mixed >> np.uint64(32)) ^ (mixed >> np.uint64(47))) & mask
-    while slots[slot] != key and slots[slot] != -1:
+    while row_of_slot[slot] != -1 and keys[row_of_slot[slot]] != key:
         slot = (slot + 1) & mask
     return slot
 
 
 @numba.njit(cache=True, nogil=True)
 def _find_rows(
-    key: IntArray, row: IntArray, start: int, slots: IntArray, row_of_slot: IntArray, keys: IntArray, size: int
+    key: IntArray, row: IntArray, start: int, row_of_slot: IntArray, keys: IntArray, size: int
 ) -> tuple[int, int]:  # pragma: no cover
     """Fill `row` from `start` on; stops where the table is full. Returns how far it came and the table's size."""
     for i in range(start, len(key)):
         if i > start and key[i] == key[i - 1]:
             row[i] = row[i - 1]
             continue
-        slot = _slot_of(key[i], slots)
-        if slots[slot] == -1:
+        slot = _slot_of(key[i], row_of_slot, keys)
+        if row_of_slot[slot] == -1:
             if size == len(keys):
                 return i, size
-            slots[slot] = key[i]
             row_of_slot[slot] = size
             keys[size] = key[i]
             size += 1
@@ -277,11 +274,9 @@ def _find_rows(
 
 
 @numba.njit(cache=True, nogil=True)
-def _rehash(keys: IntArray, size: int, slots: IntArray, row_of_slot: IntArray) -> None:  # pragma: no cover
+def _rehash(keys: IntArray, size: int, row_of_slot: IntArray) -> None:  # pragma: no cover
     for row in range(size):
-        slot = _slot_of(keys[row], slots)
-        slots[slot] = keys[row]
-        row_of_slot[slot] = row
+        row_of_slot[_slot_of(keys[row], row_of_slot, keys)] = row
 
 
 @numba.njit(cache=True, nogil=True)

@@ -20,9 +20,10 @@ labelled clouds, the sections about them are missing.
 """
 
 import json
-from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -58,13 +59,13 @@ from algorithms.scan import FloatArray, IntArray
 from algorithms.trajectory import Trajectory, place_scan
 from app.processes import process_context
 from app.results import write_json
-from loaders.bag import open_bag
+from loaders.bag import Bag, open_bag
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom, describe_layout, field_column
 from loaders.rig import Lidar, find_rig
-from loaders.scans import SkippedScan, cloud_topics, index_clouds, read_clouds
+from loaders.scans import CloudIndex, SkippedScan, cloud_topics, index_clouds, read_clouds
 from loaders.trajectory_file import read_tum
-from loaders.truth import POSE_TOPIC, read_truth
+from loaders.truth import POSE_TOPIC, TruthClasses, read_truth
 from loaders.truth import Truth as BagTruth
 
 Metrics = dict[str, Any]
@@ -79,13 +80,13 @@ PAPER = {
 
 DEFAULT_DOOR_HEIGHT_M = 2.0
 
-CLOUDS_A_PROCESS = 100
-"""For fewer clouds than this a process more costs more than it saves."""
+CLOUDS_A_SHARE = 100
+"""For fewer clouds than this a process more costs more than it saves; with many more, its cubes fill the memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Share:
-    """What one process counts: clouds [first, first + count) of the labelled bag."""
+    """What is counted at a time: clouds [first, first + count) of the labelled bag."""
 
     labelled: Path
     truth_bag: Path
@@ -95,13 +96,11 @@ class _Share:
     count: int
 
 
-def evaluate_run(
-    run_dir: Path, truth_bag: Path | None = None, workers: int = 2, pool: Executor | None = None
-) -> Metrics:
+def evaluate_run(run_dir: Path, truth_bag: Path | None = None, workers: int = 2) -> Metrics:
     """Compare a run's files with the truth, write `metrics.json` and return what it says.
 
     truth_bag: the bag that carries the truth; None for the one that the run was made from.
-    pool: processes that stand ready; without them `workers` new ones are started where there is enough to do.
+    workers: processes that are started where there is enough to do.
     Raises InputError where the folder is no run, or the bag has no truth.
     """
     truth_path = truth_bag if truth_bag is not None else _bag_of(run_dir)
@@ -109,7 +108,7 @@ def evaluate_run(
         truth = read_truth(bag)
         if truth is None or truth.trajectory is None:
             raise InputError(f"{truth_path}: the bag carries no /truth/pose to compare with; give --truth BAG")
-        metrics = compare_run(run_dir, truth_path, truth, truth.trajectory, workers, pool)
+        metrics = compare_run(run_dir, truth_path, truth, truth.trajectory, workers)
     write_json(run_dir / "metrics.json", metrics)
     return metrics
 
@@ -136,7 +135,6 @@ def compare_run(
     truth: BagTruth,
     true_trajectory: Trajectory,
     workers: int,
-    pool: Executor | None = None,
 ) -> Metrics:
     """The figures of a run, without writing them."""
     metrics: Metrics = {"truth": str(truth_path)}
@@ -147,7 +145,7 @@ def compare_run(
     if labelled is None or truth.classes is None:
         return metrics
     doors, faces = read_building(truth.building)
-    tally, without_truth = count_run(labelled, truth_path, doors, workers, pool, _time_from(run_dir))
+    tally, without_truth = count_run(labelled, truth_path, doors, workers, _time_from(run_dir))
     metrics["scans"] = {"counted": tally.scans, "skipped": tally.skipped, "without_truth": without_truth}
     metrics["area"] = _label_metrics(confusion_by_area(tally.cubes), CUBE_M**2)
     metrics["area_scan"] = _label_metrics(confusion_by_area(tally.cubes, single_scans=True), CUBE_M**2)
@@ -166,7 +164,6 @@ def count_run(
     truth_bag: Path,
     doors: TrueDoors,
     workers: int,
-    pool: Executor | None = None,
     time_from: TimeFrom = "auto",
 ) -> tuple[Tally, int]:
     """Count all clouds of a labelled bag, in processes side by side; also how many have no truth."""
@@ -177,57 +174,81 @@ def count_run(
         rig = find_rig(bag, vertical=topics[0], time_from=time_from)
         assert rig.vertical is not None
         clouds = len(index_clouds(bag, topics[0]))
-    processes = max(1, min(workers, clouds // CLOUDS_A_PROCESS))
-    edges = np.linspace(0, clouds, processes + 1).astype(int).tolist()
+    edges = np.linspace(0, clouds, max(1, clouds // CLOUDS_A_SHARE) + 1).astype(int).tolist()
     shares = [_Share(labelled, truth_bag, rig.vertical, doors, first, last - first) for first, last in pairwise(edges)]
+    processes = min(workers, len(shares))
     if processes == 1:
-        return _count(shares[0])
-    if pool is not None:
-        counted = list(pool.map(_count, shares))
-    else:
-        with ProcessPoolExecutor(processes, process_context()) as own_pool:
-            counted = list(own_pool.map(_count, shares))
-    total = Counter(doors)
-    for tally, _ in counted:
+        with open_bag(labelled) as bag, open_bag(truth_bag) as true_bag:
+            bags = _Bags.read(bag, true_bag, rig.vertical.topic)
+            return _sum(doors, (_count(share, bags) for share in shares))
+    with ProcessPoolExecutor(processes, process_context()) as pool:
+        return _sum(doors, pool.map(_count_in_worker, shares))
+
+
+def _sum(doors: TrueDoors, counted: Iterable[tuple[Tally, int]]) -> tuple[Tally, int]:
+    total, without_truth = Counter(doors), 0
+    for tally, missing in counted:
         total.absorb(tally)
-    return total.tally(), sum(missing for _, missing in counted)
+        without_truth += missing
+    return total.tally(), without_truth
 
 
-def _count(share: _Share) -> tuple[Tally, int]:
-    counter = Counter(share.doors)
-    without_truth = 0
-    with open_bag(share.labelled) as bag, open_bag(share.truth_bag) as true_bag:
+@dataclass(frozen=True, eq=False)
+class _Bags:
+    """What is counted and what it is compared with, both open."""
+
+    labelled: Bag
+    index: CloudIndex
+    trajectory: Trajectory
+    classes: TruthClasses
+
+    @staticmethod
+    def read(labelled: Bag, true_bag: Bag, topic: str) -> "_Bags":
         truth = read_truth(true_bag)
         assert truth is not None
         assert truth.trajectory is not None
         assert truth.classes is not None
-        index = index_clouds(bag, share.lidar.topic)
-        for _, scan, message in read_clouds(bag, index, share.first, share.count, share.lidar.decoding):
-            if isinstance(scan, SkippedScan) or message is None:
-                counter.skip()
-                continue
-            classes = truth.classes.at(scan.stamp_ns)
-            if classes is None or not truth.trajectory.covers(np.array([scan.start_ns]), _MARGIN_NS)[0]:
-                without_truth += 1
-                continue
-            if len(classes) != scan.cloud_size:
-                raise InputError(
-                    f"{share.truth_bag}: {len(classes)} true classes for a cloud of {scan.cloud_size} points; "
-                    "give the bag that the run was made from as --truth"
-                )
-            layout = describe_layout(message, share.lidar.topic)
-            label, label_scan = (
-                field_column(message, layout, name)[scan.cloud_index].astype(np.uint8)
-                for name in ("label", "label_scan")
+        return _Bags(labelled, index_clouds(labelled, topic), truth.trajectory, truth.classes)
+
+
+def _count_in_worker(share: _Share) -> tuple[Tally, int]:
+    return _count(share, _opened(share.labelled, share.truth_bag, share.lidar.topic))
+
+
+@cache
+def _opened(labelled: Path, truth_bag: Path, topic: str) -> _Bags:
+    """Each worker opens the bags once; it lives as long as one evaluation."""
+    return _Bags.read(open_bag(labelled), open_bag(truth_bag), topic)
+
+
+def _count(share: _Share, bags: _Bags) -> tuple[Tally, int]:
+    counter = Counter(share.doors)
+    without_truth = 0
+    for _, scan, message in read_clouds(bags.labelled, bags.index, share.first, share.count, share.lidar.decoding):
+        if isinstance(scan, SkippedScan) or message is None:
+            counter.skip()
+            continue
+        classes = bags.classes.at(scan.stamp_ns)
+        if classes is None or not bags.trajectory.covers(np.array([scan.start_ns]), _MARGIN_NS)[0]:
+            without_truth += 1
+            continue
+        if len(classes) != scan.cloud_size:
+            raise InputError(
+                f"{share.truth_bag}: {len(classes)} true classes for a cloud of {scan.cloud_size} points; "
+                "give the bag that the run was made from as --truth"
             )
-            placed = place_scan(scan, truth.trajectory, share.lidar.T_base_sensor)
-            counter.add(
-                placed.to_map(placed.points_level),
-                placed.to_map(placed.origin_level[None])[0],
-                classes[scan.cloud_index],
-                label,
-                label_scan,
-            )
+        layout = describe_layout(message, share.lidar.topic)
+        label, label_scan = (
+            field_column(message, layout, name)[scan.cloud_index].astype(np.uint8) for name in ("label", "label_scan")
+        )
+        placed = place_scan(scan, bags.trajectory, share.lidar.T_base_sensor)
+        counter.add(
+            placed.to_map(placed.points_level),
+            placed.to_map(placed.origin_level[None])[0],
+            classes[scan.cloud_index],
+            label,
+            label_scan,
+        )
     return counter.tally(), without_truth
 
 

@@ -196,7 +196,7 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
             # Stage 3: the building.
             clock = time.perf_counter()
             run.progress.stage("building", None)
-            building = _build(folder, stage.blocks, stage.votes.votes(), trajectory, settings)
+            building = _build(folder, stage.blocks, stage.take_votes(), trajectory, settings)
             if recorder:
                 recorder.log_building(building.walls, building.doors)
                 recorder.log_grid("furniture_free", building.grid)
@@ -263,8 +263,7 @@ class _ScanStage:
         self._running: deque[tuple[Block, Future[BlockSummary] | BlockSummary]] = deque()
         self._last_T_map_base: FloatArray | None = None
         self._registered: list[Registration] = []
-        self.votes = VoxelTable(VOXEL_M, len(Label))
-        """What the scans' own labels say of each cube of the map."""
+        self._votes = VoxelTable(VOXEL_M, len(Label))
         self._counts = np.zeros(256, np.int64)
         self._milliseconds: list[FloatArray] = []
 
@@ -322,6 +321,12 @@ class _ScanStage:
         trajectory = _trajectory(stamps, T_odom_base, T_map_odom)
         self._advance(trajectory, complete=True)
         return trajectory
+
+    def take_votes(self) -> VoxelVotes:
+        """What the scans' own labels say of each cube of the map; they are let go of here, for they grow with it."""
+        votes = self._votes.votes()
+        self._votes = VoxelTable(VOXEL_M, len(Label))
+        return votes
 
     @property
     def jobs_left(self) -> bool:
@@ -422,7 +427,7 @@ class _ScanStage:
             if len(self.reasons) <= 5:
                 self._progress.warn(f"scan {index} skipped: {reason}")
         votes = load_votes(self._folder.block(block.number, ".npz"))
-        new = self.votes.absorb(votes)
+        new = self._votes.absorb(votes)
         if self._recorder and self._recording and len(summary.scan):
             self._recording.add(self._folder.block(block.number, ".rrd"))
             self._recorder.log_trajectory(summary.stamp_ns, summary.T_map_base, summary.scan, self._last_T_map_base)
@@ -532,6 +537,7 @@ def _finish(
     assert inputs.vertical is not None
     with open_bag(inputs.bag_path) as bag:
         results.write_labelled_bag(folder.path, bag, inputs.vertical.index, inputs.rig, trajectory, labels())
+    pool.shutdown()  # the workers' memory goes before the whole cloud is made
     cloud = fuse(table.votes())
     colours = np.array([entities.CLASSES[label][1] for label in Label], np.uint8)
     results.write_ply(folder.path / CLOUD, cloud, colours[cloud.label])

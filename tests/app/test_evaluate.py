@@ -223,7 +223,7 @@ def test_the_tables_print(run: tuple[Path, dict[str, Any]], capsys: pytest.Captu
 def test_other_containers_and_two_processes_count_the_same(
     tmp_path: Path, name: str, run: tuple[Path, dict[str, Any]], monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(evaluate, "CLOUDS_A_PROCESS", 2)
+    monkeypatch.setattr(evaluate, "CLOUDS_A_SHARE", 2)
     bag_path, classes = make_truth_bag(tmp_path / name)
     made = make_run(tmp_path / "run", bag_path, classes)
     metrics = evaluate_run(made, workers=2 if name == "in_mcap" else 1)
