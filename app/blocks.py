@@ -229,11 +229,18 @@ def finish_block(job: FinishJob) -> None:
     )
 
 
-def _place(scan: Scan, job: LabelJob) -> PlacedScan:
+def place_level(
+    scan: Scan, trajectory: Trajectory, T_base_sensor: FloatArray, method: MethodSettings, level_scan_max_deg: float
+) -> PlacedScan:
     """The scan with every firing at its own pose, its floor level."""
-    placed = place_scan(scan, job.trajectory, _vertical(job.inputs).lidar.T_base_sensor)
-    floor = find_floor(placed.points_level, job.method.rearrangement)
-    return level_scan(placed, floor.height_m, floor.slope, job.level_scan_max_deg)
+    placed = place_scan(scan, trajectory, T_base_sensor)
+    floor = find_floor(placed.points_level, method.rearrangement)
+    return level_scan(placed, floor.height_m, floor.slope, level_scan_max_deg)
+
+
+def _place(scan: Scan, job: LabelJob) -> PlacedScan:
+    T_base_sensor = _vertical(job.inputs).lidar.T_base_sensor
+    return place_level(scan, job.trajectory, T_base_sensor, job.method, job.level_scan_max_deg)
 
 
 def load_summary(path: Path) -> BlockSummary:

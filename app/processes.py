@@ -7,14 +7,14 @@ from multiprocessing.context import ForkServerContext, SpawnContext
 
 
 def process_context() -> ForkServerContext | SpawnContext:
-    """Workers fork from a server that has imported what they need, where the system can: imports take two seconds each.
+    """Workers fork from a server that has loaded what they need, where the system can: that takes two seconds each.
 
     Nothing forks from the run's own process, whose threads a fork would not survive.
     """
     if sys.platform != "linux":
         return mp.get_context("spawn")
     context = mp.get_context("forkserver")
-    context.set_forkserver_preload(["app.blocks", "algorithms.odometry"])
+    context.set_forkserver_preload(["algorithms.odometry", "app.warm_up"])
     return context
 
 

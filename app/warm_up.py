@@ -1,0 +1,71 @@
+"""Imported by the workers' server before it forks: compiled code is loaded once, and shared by all workers.
+
+Numba loads a function when it is first called with arrays of given types, which takes each process most of a second.
+"""
+
+import numpy as np
+
+from algorithms.building import Doors, Walls, Windows
+from algorithms.features import extract
+from algorithms.labelling import label_scan
+from algorithms.relabelling import RelabellingSettings, relabel
+from algorithms.scan import Scan
+from algorithms.semantic_map import VoxelTable, find_halo
+from algorithms.trajectory import Trajectory
+from app.blocks import VOXEL_M, place_level, points_in_map
+from app.settings import Settings
+
+RINGS, FIRINGS = 8, 180
+ROOM_M = np.array([3.0, 2.0, 1.2])
+"""Half the edges of the room that is seen, about the sensor."""
+
+
+def warm_up() -> None:
+    """Take one scan of an empty room through both passes of a run."""
+    scan, method = _room_scan(), Settings().method
+    upright = np.array([[0.0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, ROOM_M[2]], [0, 0, 0, 1]])
+    trajectory = Trajectory(np.array([0, 200_000_000]), np.stack([np.eye(4)] * 2))
+    placed = place_level(scan, trajectory, upright, method, 2.0)
+    labelling = label_scan(scan, placed, method, 0)
+    extract(0, placed, labelling)
+    points_map = points_in_map(placed)
+    table = VoxelTable(VOXEL_M, 6)
+    table.add(points_map, labelling.label)
+    votes = table.votes()
+    table.absorb(votes)
+    none, whole = np.zeros(0), np.zeros(0, np.int32)
+    relabel(
+        points_map,
+        points_map[:, 2],
+        labelling.label,
+        placed.to_map(placed.origin_level[None])[0],
+        Walls(np.zeros((0, 2, 2)), np.zeros((0, 2)), none, none, whole, none),
+        Doors(np.zeros((0, 2, 2)), np.zeros((0, 2)), none, none, none.astype(np.uint8), none, whole, whole),
+        Windows(np.zeros((0, 2, 2)), np.zeros((0, 2))),
+        find_halo(votes, 6.0),
+        RelabellingSettings(),
+    )
+
+
+def _room_scan() -> Scan:
+    """What a lidar with its spin axis along x returns from the middle of a box."""
+    elevation = np.repeat(np.radians(np.linspace(-15, 15, RINGS)), FIRINGS)
+    azimuth = np.tile(np.linspace(-np.pi, np.pi, FIRINGS, endpoint=False), RINGS)
+    ray = np.column_stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    # The sensor's z lies along the map's x, its x against the map's z.
+    reach = np.min(ROOM_M[[2, 1, 0]] / np.maximum(np.abs(ray), 1e-9), axis=1)
+    points = (ray * reach[:, None]).astype(np.float32)
+    count = len(points)
+    return Scan(
+        points_sensor=points,
+        ring=np.repeat(np.arange(RINGS, dtype=np.uint16), FIRINGS),
+        ring_count=RINGS,
+        time_ns=np.tile(np.linspace(0, 99_000_000, FIRINGS).astype(np.int64), RINGS),
+        start_ns=0,
+        stamp_ns=0,
+        cloud_index=np.arange(count, dtype=np.int32),
+        cloud_size=count,
+    )
+
+
+warm_up()
