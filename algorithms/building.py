@@ -25,6 +25,13 @@ RANGE_M = 12.0
 
 _FILLED, _SUM, _SQUARES, _THROUGH = range(4)
 
+_FOOT_M = 0.15
+"""Below it lie sills, and the floor's own returns."""
+_KNEE_M = 0.5
+"""A window's sill is higher."""
+_WINDOW_MIN_M = 0.3
+_JAMB_COLUMNS = 2
+
 _REVEAL_MIN_M = 0.03
 _REVEAL_COLUMNS = 3
 """A reveal that is seen at a slant hides so many columns of an opening at most."""
@@ -50,6 +57,10 @@ class BuildingSettings(StepSettings):
     door_width_max_m: float = Field(2.6, gt=0, description="Widest door in metres.")
     door_height_min_m: float = Field(1.8, gt=0, description="Lowest door head in metres. III.C, condition 3.")
     door_height_max_m: float = Field(2.4, gt=0, description="Above so many metres the wall over a door is looked for.")
+    pane_share_min: float = Field(
+        0.005, gt=0, le=1, description="An opening that returns this share of its rays from one sheet holds a pane."
+    )
+    pane_spread_m: float = Field(0.03, gt=0, description="Largest spread in metres of what a pane returns.")
     agreement_min: float = Field(
         0.6, ge=0, le=1, description="Share of a column's rays that must agree on its being a door's."
     )
@@ -290,41 +301,94 @@ def seen_through(windows: Windows, features: Features) -> BoolArray:
 
 
 def find_windows(walls: Walls, cells: WallCells, settings: BuildingSettings) -> Windows:
-    """Columns of a wall with a filled foot, above which rays went through."""
+    """Stretches of wall that rays pass through glass: above a sill, or down to the floor where a pane shows itself."""
     ends: list[FloatArray] = []
     normal: list[FloatArray] = []
-    foot, knee = int(0.1 / CELL_M), int(0.5 / CELL_M)
     for w in range(len(walls)):
-        counts = cells.counts[cells.first[w] : cells.first[w + 1]]
-        top = int(max(walls.top_m[w] - 0.2, 0.0) / CELL_M)
-        below, above = counts[:, foot:knee].sum(axis=1), counts[:, knee:top].sum(axis=1)
-        is_window = (
-            (below[:, _FILLED] >= settings.rays_min)
-            & (below[:, _THROUGH] < 0.1 * below[:, _FILLED])
-            & (above[:, _THROUGH] >= settings.rays_min)
-            & (above[:, _THROUGH] > 0.1 * above[:, _FILLED])
-        )
-        along = (walls.ends[w, 1] - walls.ends[w, 0]) / np.linalg.norm(walls.ends[w, 1] - walls.ends[w, 0])
-        for first, last in _stretches(is_window, 4):
-            if last - first >= 4:
-                ends.append(walls.ends[w, 0] + along * CELL_M * np.array([[first], [last + 1]]))
-                normal.append(walls.normal[w])
+        counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
+        if len(counts) < 3:
+            continue
+        along = _along(walls, w)
+        opened = _look_for_doors(counts, walls.top_m[w], settings).is_open
+        panes = [(first, last) for first, last in _stretches(opened, 2) if _is_pane(counts[first : last + 1], settings)]
+        sills = [
+            (first, last)
+            for first, last in _stretches(_above_sill(counts, walls.top_m[w], settings), 4)
+            if last - first >= 4
+        ]
+        for first, last in panes + sills:
+            ends.append(walls.ends[w, 0] + along * CELL_M * np.array([[first], [last + 1]]))
+            normal.append(walls.normal[w])
     return Windows(np.array(ends).reshape(-1, 2, 2), np.array(normal).reshape(-1, 2))
 
 
-def _doors_in(
-    w: int, walls: Walls, cells: WallCells, settings: BuildingSettings
-) -> Iterable[tuple[FloatArray, FloatArray, float, float, int, float, int, int]]:
-    counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
-    if len(counts) < 3:
-        return
-    # Neighbouring columns share their rays: an emitter's lines may stand farther apart than a column is wide.
-    smooth = counts.copy()
-    smooth[1:] += counts[:-1]
-    smooth[:-1] += counts[1:]
-    low, knee = int(0.15 / CELL_M), int(0.6 / CELL_M)
+def _above_sill(counts: FloatArray, top_m: float, settings: BuildingSettings) -> BoolArray:
+    """Columns (c,) with a filled foot, above which there is a stretch that more rays pass than end at."""
+    foot, knee, top = int(0.1 / CELL_M), int(_KNEE_M / CELL_M), int(max(top_m - 0.2, 0.0) / CELL_M)
+    below = counts[:, foot:knee].sum(axis=1)
+    near = _with_neighbours(np.swapaxes(_with_neighbours(counts), 0, 1)).swapaxes(0, 1)
+    clear = (near[..., _THROUGH] > near[..., _FILLED]) & (near[..., _THROUGH] >= 0.5 * settings.rays_min)
+    return np.asarray(
+        (below[:, _FILLED] >= settings.rays_min)
+        & (below[:, _THROUGH] < 0.1 * below[:, _FILLED])
+        & (clear[:, knee:top].sum(axis=1) >= _WINDOW_MIN_M / CELL_M)
+    )
+
+
+def _is_pane(counts: FloatArray, settings: BuildingSettings) -> bool:
+    """Whether an opening holds a pane: glass lets most rays through, but those that it returns come from one sheet.
+
+    An open doorway returns nothing, and what stands in it has some depth. (Glass returns rays that meet it straight on,
+    and dust does so elsewhere: Wang and Wang, "Detecting glass in simultaneous localisation and mapping", 2017.)
+
+    counts: (c, rows, 4) of the opening's columns; those at its jambs are not looked at.
+    """
+    jamb = min(_JAMB_COLUMNS, (len(counts) - 1) // 2)
+    inner = counts[jamb : len(counts) - jamb, int(_FOOT_M / CELL_M) : int(settings.door_height_min_m / CELL_M)]
+    total = inner.sum(axis=(0, 1))
+    if total[_FILLED] < max(settings.rays_min, settings.pane_share_min * total[_THROUGH]):
+        return False
+    variance = total[_SQUARES] / total[_FILLED] - (total[_SUM] / total[_FILLED]) ** 2
+    return bool(variance < settings.pane_spread_m**2)
+
+
+def _with_neighbours(counts: FloatArray) -> FloatArray:
+    """Each column with the counts of the two beside it: an emitter's lines may stand farther apart than a column is."""
+    summed = counts.copy()
+    summed[1:] += counts[:-1]
+    summed[:-1] += counts[1:]
+    return summed
+
+
+def _along(walls: Walls, w: int) -> FloatArray:
+    """The unit vector (2,) along a wall."""
+    along: FloatArray = walls.ends[w, 1] - walls.ends[w, 0]
+    return along / np.linalg.norm(along)
+
+
+@dataclass(frozen=True)
+class _DoorColumns:
+    """What a face's columns (c,) say of doors.
+
+    is_open, is_closed: whether it may be an open door's, a closed one's.
+    through: share of the rays below a door's head that went through. rays: (c, 4) counts of those.
+    lintel_m: mean distance of the wall above before the face. depth_m: how far behind that a leaf lies.
+    """
+
+    is_open: BoolArray
+    is_closed: BoolArray
+    through: FloatArray
+    rays: FloatArray
+    lintel_m: FloatArray
+    depth_m: FloatArray
+
+
+def _look_for_doors(counts: FloatArray, top_m: float, settings: BuildingSettings) -> _DoorColumns:
+    """Columns with wall above and, below, either nothing for the rays to hit or a recessed leaf."""
+    smooth = _with_neighbours(counts)
+    low, knee = int(_FOOT_M / CELL_M), int(0.6 / CELL_M)
     high, above = int(settings.door_height_min_m / CELL_M), int(settings.door_height_max_m / CELL_M)
-    top = int(max(walls.top_m[w] - 0.1, 0) / CELL_M)
+    top = int(max(top_m - 0.1, 0) / CELL_M)
     lintel = smooth[:, min(above, max(top - 4, 0)) : top].sum(axis=1)
     below, foot = smooth[:, low:high].sum(axis=1), smooth[:, low:knee].sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -344,26 +408,38 @@ def _doors_in(
         & (depth_m > settings.recess_min_m)
         & (spread_m < 0.06)
     )
-    along = (walls.ends[w, 1] - walls.ends[w, 0]) / np.linalg.norm(walls.ends[w, 1] - walls.ends[w, 0])
-    for state, flags in ((DoorState.OPEN, is_open), (DoorState.CLOSED, is_closed)):
+    return _DoorColumns(is_open, is_closed, through, below, lintel_m, depth_m)
+
+
+def _doors_in(
+    w: int, walls: Walls, cells: WallCells, settings: BuildingSettings
+) -> Iterable[tuple[FloatArray, FloatArray, float, float, int, float, int, int]]:
+    counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
+    if len(counts) < 3:
+        return
+    found = _look_for_doors(counts, walls.top_m[w], settings)
+    low, high = int(_FOOT_M / CELL_M), int(settings.door_height_min_m / CELL_M)
+    along = _along(walls, w)
+    for state, flags in ((DoorState.OPEN, found.is_open), (DoorState.CLOSED, found.is_closed)):
         for first, last in _stretches(flags, 2):
             if state == DoorState.OPEN:
+                if _is_pane(counts[first : last + 1], settings):
+                    continue
                 first, last = _to_jambs(counts[:, low:high].sum(axis=1), first, last)
             width_m = (last + 1 - first) * CELL_M
             # Smoothing and the cells' own width blur each side by up to a column.
             if not settings.door_width_min_m <= width_m + CELL_M or width_m > settings.door_width_max_m:
                 continue
             columns = slice(first, last + 1)
-            rays = below[columns]
-            agree = through[columns] if state == DoorState.OPEN else 1 - through[columns]
+            agree = found.through[columns] if state == DoorState.OPEN else 1 - found.through[columns]
             yield (
                 walls.ends[w, 0] + along * CELL_M * np.array([[first], [last + 1]]),
                 walls.normal[w],
-                _head_m(counts[columns], state, float(np.nanmean(lintel_m[columns])), settings),
-                float("nan") if state == DoorState.OPEN else float(np.nanmedian(depth_m[columns])),
+                _head_m(counts[columns], state, float(np.nanmean(found.lintel_m[columns])), settings),
+                float("nan") if state == DoorState.OPEN else float(np.nanmedian(found.depth_m[columns])),
                 int(state),
                 float(np.mean(flags[columns]) * np.nanmean(agree[flags[columns]])),
-                int(rays[:, [_FILLED, _THROUGH]].sum() / 3),
+                int(found.rays[columns][:, [_FILLED, _THROUGH]].sum() / 3),
                 w,
             )
 
@@ -387,15 +463,18 @@ def _head_m(counts: FloatArray, state: DoorState, lintel_m: float, settings: Bui
     """Height below which the rows of a door are no longer wall."""
     rows = counts.sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
+        depth_m = lintel_m - rows[:, _SUM] / rows[:, _FILLED]
         if state == DoorState.OPEN:
-            wall = rows[:, _FILLED] > rows[:, _THROUGH]
+            # A ray that ends on the lintel's underside passes the face lower than it ends.
+            wall = (rows[:, _FILLED] > rows[:, _THROUGH]) & (depth_m < _REVEAL_MIN_M)
         else:
-            wall = lintel_m - rows[:, _SUM] / rows[:, _FILLED] < 0.5 * settings.recess_min_m
+            wall = depth_m < 0.5 * settings.recess_min_m
     start = int((settings.door_height_min_m - 0.1) / CELL_M)
     stop = min(int((settings.door_height_max_m + 0.3) / CELL_M), len(rows))
     for row in range(start, stop):
         if wall[row] and rows[row, _FILLED] > 0:
-            return row * CELL_M
+            # The head lies somewhere in the row below, which is partly wall.
+            return (row - 0.5) * CELL_M
     return settings.door_height_min_m
 
 

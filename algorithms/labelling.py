@@ -90,7 +90,7 @@ def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: i
     points = placed.points_level
     # III.A: floor by height, ceiling by RANSAC, 2n point lines.
     floor = find_floor(points, settings.rearrangement)
-    height_m = _heights(points, floor.height_m, floor.slope)
+    height_m = floor.heights_above(points)
     ceilings = find_ceilings(points, height_m, settings.rearrangement, seed)
     ceiling_planes = np.array([[c.height_m, *c.slope] for c in ceilings]).reshape(-1, 3)
     label = _label_horizontal(
@@ -201,14 +201,6 @@ def _label_leaves(
             openings.head_m[o],
             openings.depth_m[o],
         )
-
-
-@numba.njit(cache=True, nogil=True)
-def _heights(points: FloatArray, height_m: float, slope: FloatArray) -> FloatArray:  # pragma: no cover
-    heights = np.empty(len(points), np.float32)
-    for i in range(len(points)):
-        heights[i] = points[i, 2] - (height_m + slope[0] * points[i, 0] + slope[1] * points[i, 1])
-    return heights
 
 
 @numba.njit(cache=True, nogil=True)

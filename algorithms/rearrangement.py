@@ -69,6 +69,10 @@ class HorizontalPlane:
         """Height (m,) of the plane at the x and y of points (m, 2 or more)."""
         return np.asarray(self.height_m + points_level[:, :2] @ self.slope)
 
+    def heights_above(self, points_level: FloatArray) -> FloatArray:
+        """Heights (n,) float32 of points (n, 3) above the plane, in metres."""
+        return np.asarray(_heights(points_level, self.height_m, self.slope))
+
 
 @dataclass(frozen=True)
 class PointLines:
@@ -337,3 +341,11 @@ def _resample(
         for s in range(SAMPLES):
             samples[line, s] = kept[(s * (count - 1) * 2 + SAMPLES - 1) // (2 * (SAMPLES - 1))]
     return samples
+
+
+@numba.njit(cache=True, nogil=True)
+def _heights(points: FloatArray, height_m: float, slope: FloatArray) -> FloatArray:  # pragma: no cover
+    heights = np.empty(len(points), np.float32)
+    for i in range(len(points)):
+        heights[i] = points[i, 2] - (height_m + slope[0] * points[i, 0] + slope[1] * points[i, 1])
+    return heights

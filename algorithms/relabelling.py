@@ -20,7 +20,7 @@ class RelabellingSettings(StepSettings):
     leaf_distance_m: float = Field(0.04, gt=0, description="A return at most so many metres off a closed leaf is door.")
     margin_m: float = Field(0.05, ge=0, description="A wall face counts so many metres beyond its ends.")
     reveal_m: float = Field(
-        0.2,
+        0.3,
         ge=0,
         description="A door's reveals and the underside of its lintel reach so many metres behind the wall's face.",
     )
@@ -142,8 +142,8 @@ def _relabel(
                 break
             if -reveal_m < s < wall_distance_m and -wall_distance_m < u < length + wall_distance_m:
                 at_jamb = u < wall_distance_m or u > length - wall_distance_m
-                # Nothing but the lintel's underside is within the wall above the head, which is known to a cell or two.
-                at_head = door_head[d] - wall_distance_m < height[i] < door_head[d] + reveal_m
+                # Nothing but the lintel's underside is within the wall about the head, which is known to a cell or two.
+                at_head = door_head[d] - 2.0 * wall_distance_m < height[i] < door_head[d] + reveal_m
                 is_reveal = is_reveal or at_head or (at_jamb and height[i] < door_head[d])
         if is_leaf:
             label[i] = 4

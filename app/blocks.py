@@ -5,7 +5,7 @@ features and voxel votes. They are all that passes between processes, so that a 
 """
 
 import time
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cache, lru_cache
 from pathlib import Path
 
@@ -14,7 +14,7 @@ import numpy as np
 from algorithms.building import Doors, Walls, Windows
 from algorithms.features import Features, concatenate, extract
 from algorithms.labelling import MethodSettings, label_scan
-from algorithms.rearrangement import find_floor
+from algorithms.rearrangement import HorizontalPlane, find_floor
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array
 from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes
@@ -129,7 +129,7 @@ def label_block(job: LabelJob) -> BlockSummary:
                     recorder.log_skipped(scan.index, scan.stamp_ns, scan.reason)
                 started = time.perf_counter()
                 continue
-            placed = _place(scan, job)
+            placed, _ = _place(scan, job)
             was_placed = time.perf_counter()
             labelling = label_scan(scan, placed, job.method, seed_of(job.seed, index))
             labelled = time.perf_counter()
@@ -200,12 +200,13 @@ def finish_block(job: FinishJob) -> None:
         ):
             if index not in earlier or isinstance(scan, SkippedScan):
                 continue
-            placed = _place(scan, label_job)
+            placed, floor = _place(scan, label_job)
             points_map = points_in_map(placed)
             label_of_scan = earlier[index][scan.cloud_index]
             label = relabel(
                 points_map,
-                points_map[:, 2],
+                # A map's height drifts; a door's head is so high above the floor that it was seen with.
+                floor.heights_above(placed.points_level),
                 label_of_scan,
                 placed.to_map(placed.origin_level[None])[0],
                 job.walls,
@@ -231,14 +232,15 @@ def finish_block(job: FinishJob) -> None:
 
 def place_level(
     scan: Scan, trajectory: Trajectory, T_base_sensor: FloatArray, method: MethodSettings, level_scan_max_deg: float
-) -> PlacedScan:
-    """The scan with every firing at its own pose, its floor level."""
+) -> tuple[PlacedScan, HorizontalPlane]:
+    """The scan with every firing at its own pose and its floor level; and that floor, in the level frame."""
     placed = place_scan(scan, trajectory, T_base_sensor)
     floor = find_floor(placed.points_level, method.rearrangement)
-    return level_scan(placed, floor.height_m, floor.slope, level_scan_max_deg)
+    levelled = level_scan(placed, floor.height_m, floor.slope, level_scan_max_deg)
+    return levelled, floor if levelled is placed else replace(floor, slope=np.zeros(2))
 
 
-def _place(scan: Scan, job: LabelJob) -> PlacedScan:
+def _place(scan: Scan, job: LabelJob) -> tuple[PlacedScan, HorizontalPlane]:
     T_base_sensor = _vertical(job.inputs).lidar.T_base_sensor
     return place_level(scan, job.trajectory, T_base_sensor, job.method, job.level_scan_max_deg)
 
