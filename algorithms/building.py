@@ -311,12 +311,10 @@ def find_windows(walls: Walls, cells: WallCells, settings: BuildingSettings) -> 
         along = _along(walls, w)
         opened = _look_for_doors(counts, walls.top_m[w], settings).is_open
         panes = [(first, last) for first, last in _stretches(opened, 2) if _is_pane(counts[first : last + 1], settings)]
-        sills = [
-            (first, last)
-            for first, last in _stretches(_above_sill(counts, walls.top_m[w], settings), 4)
-            if last - first >= 4
-        ]
-        for first, last in panes + sills:
+        sills = _stretches(_above_sill(counts, walls.top_m[w], settings), 4)
+        high = counts[:, int(_KNEE_M / CELL_M) : int(settings.door_height_min_m / CELL_M)].sum(axis=1)
+        for first, last in panes + [(first, last) for first, last in sills if last - first >= 4]:
+            first, last = _to_jambs(high, first, last)
             ends.append(walls.ends[w, 0] + along * CELL_M * np.array([[first], [last + 1]]))
             normal.append(walls.normal[w])
     return Windows(np.array(ends).reshape(-1, 2, 2), np.array(normal).reshape(-1, 2))
@@ -445,9 +443,9 @@ def _doors_in(
 
 
 def _to_jambs(below: FloatArray, first: int, last: int) -> tuple[int, int]:
-    """An open stretch of columns, widened to the jambs: beside them rays end on the reveals, behind the wall's face.
+    """An open stretch of columns, widened to the jambs: beside it rays end on the reveals, behind the wall's face.
 
-    below: (columns, 4), a face's counts between a door's foot and its head.
+    below: (columns, 4), a face's counts between the foot and the head of an opening.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         behind = below[:, _SUM] / below[:, _FILLED] < -_REVEAL_MIN_M

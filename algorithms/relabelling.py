@@ -18,7 +18,7 @@ class RelabellingSettings(StepSettings):
         0.035, gt=0, description="Clutter within so many metres of a fused wall face becomes wall."
     )
     leaf_distance_m: float = Field(0.04, gt=0, description="A return at most so many metres off a closed leaf is door.")
-    margin_m: float = Field(0.05, ge=0, description="A wall face counts so many metres beyond its ends.")
+    margin_m: float = Field(0.05, ge=0, description="A wall face, or a window, counts so many metres beyond its ends.")
     reveal_m: float = Field(
         0.3,
         ge=0,
@@ -123,7 +123,7 @@ def _relabel(
             t = reach / (reach - s)
             cx, cy = origin[0] + t * (x - origin[0]), origin[1] + t * (y - origin[1])
             u = windows[g, 0] * cx + windows[g, 1] * cy - windows[g, 2]
-            if 0.0 < u < windows[g, 6]:
+            if -margin_m < u < windows[g, 6] + margin_m:
                 is_outside = True
                 break
         if is_outside:
