@@ -89,6 +89,9 @@ class Walls:
         return len(self.ends)
 
 
+NO_WALLS = Walls(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, np.int32), np.zeros(0))
+
+
 @dataclass(frozen=True)
 class WallCells:
     """What the rays found in each cell of each wall face: columns along it, rows from the floor up, 5 cm each.
@@ -105,16 +108,22 @@ class WallCells:
 
 @dataclass(frozen=True)
 class Windows:
-    """Stretches of wall that rays pass above a sill: what lies behind is seen through glass.
+    """Stretches of wall that rays pass through glass: what lies behind is seen through it.
 
     ends: (N, 2, 2) x and y, on the wall's face. normal: (N, 2) towards the room.
+    bottom_m, top_m: (N,) heights between which most rays pass.
     """
 
     ends: FloatArray
     normal: FloatArray
+    bottom_m: FloatArray
+    top_m: FloatArray
 
     def __len__(self) -> int:
         return len(self.ends)
+
+
+NO_WINDOWS = Windows(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -144,6 +153,18 @@ class Doors:
         return len(self.ends)
 
 
+NO_DOORS = Doors(
+    ends=np.zeros((0, 2, 2)),
+    normal=np.zeros((0, 2)),
+    head_m=np.zeros(0),
+    depth_m=np.zeros(0),
+    state=np.zeros(0, np.uint8),
+    confidence=np.zeros(0),
+    ray_count=np.zeros(0, np.int32),
+    wall=np.zeros(0, np.int32),
+)
+
+
 def fuse_walls(features: Features, settings: BuildingSettings) -> Walls:
     """Wall faces from the wall planes of all scans.
 
@@ -169,8 +190,7 @@ def fuse_walls(features: Features, settings: BuildingSettings) -> Walls:
     for w in range(int(wall.max(initial=-1)) + 1):
         faces.extend(_faces_of(features, np.flatnonzero(wall == w), scan, settings))
     if not faces:
-        none = np.zeros(0)
-        return Walls(np.zeros((0, 2, 2)), np.zeros((0, 2)), none, none, none.astype(np.int32), none)
+        return NO_WALLS
     ends, normal, bottom, top, count, rms = zip(*faces, strict=True)
     return Walls(
         np.array(ends), np.array(normal), np.array(bottom), np.array(top), np.array(count, np.int32), np.array(rms)
@@ -269,9 +289,7 @@ def find_doors(walls: Walls, cells: WallCells, settings: BuildingSettings) -> Do
         if all(np.linalg.norm(middle - other[0].mean(axis=0)) > 0.6 or abs(door[1] @ other[1]) < 0.8 for other in kept):
             kept.append(door)
     if not kept:
-        none = np.zeros(0)
-        whole = none.astype(np.int32)
-        return Doors(np.zeros((0, 2, 2)), np.zeros((0, 2)), none, none, none.astype(np.uint8), none, whole, whole)
+        return NO_DOORS
     ends, normal, head, depth, state, confidence, rays, wall = zip(*kept, strict=True)
     return Doors(
         np.array(ends),
@@ -302,8 +320,7 @@ def seen_through(windows: Windows, features: Features) -> BoolArray:
 
 def find_windows(walls: Walls, cells: WallCells, settings: BuildingSettings) -> Windows:
     """Stretches of wall that rays pass through glass: above a sill, or down to the floor where a pane shows itself."""
-    ends: list[FloatArray] = []
-    normal: list[FloatArray] = []
+    found: list[tuple[FloatArray, FloatArray, float, float]] = []
     for w in range(len(walls)):
         counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
         if len(counts) < 3:
@@ -314,10 +331,15 @@ def find_windows(walls: Walls, cells: WallCells, settings: BuildingSettings) -> 
         sills = _stretches(_above_sill(counts, walls.top_m[w], settings), 4)
         high = counts[:, int(_KNEE_M / CELL_M) : int(settings.door_height_min_m / CELL_M)].sum(axis=1)
         for first, last in panes + [(first, last) for first, last in sills if last - first >= 4]:
+            rows = counts[first : last + 1].sum(axis=0)
+            clear = np.flatnonzero(rows[:, _THROUGH] > rows[:, _FILLED])
             first, last = _to_jambs(high, first, last)
-            ends.append(walls.ends[w, 0] + along * CELL_M * np.array([[first], [last + 1]]))
-            normal.append(walls.normal[w])
-    return Windows(np.array(ends).reshape(-1, 2, 2), np.array(normal).reshape(-1, 2))
+            ends = walls.ends[w, 0] + along * CELL_M * np.array([[first], [last + 1]])
+            found.append((ends, walls.normal[w], CELL_M * clear[0], CELL_M * (clear[-1] + 1)))
+    if not found:
+        return NO_WINDOWS
+    ends_of_all, normal, bottom_m, top_m = zip(*found, strict=True)
+    return Windows(np.array(ends_of_all), np.array(normal), np.array(bottom_m), np.array(top_m))
 
 
 def _above_sill(counts: FloatArray, top_m: float, settings: BuildingSettings) -> BoolArray:

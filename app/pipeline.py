@@ -198,7 +198,7 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
             run.progress.stage("building", None)
             building = _build(folder, stage.blocks, stage.take_votes(), trajectory, settings)
             if recorder:
-                recorder.log_building(building.walls, building.doors)
+                recorder.log_building(building.walls, building.doors, building.windows)
                 recorder.log_grid("furniture_free", building.grid)
             if run.recording:
                 run.recording.set_layout(_layout(inputs, building.grid))

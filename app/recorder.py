@@ -10,7 +10,7 @@ import pyarrow as pa  # type: ignore[import-untyped]
 import rerun as rr
 
 from algorithms import transforms
-from algorithms.building import Doors, Walls
+from algorithms.building import Doors, Walls, Windows
 from algorithms.doors import DoorState
 from algorithms.grid_map import Cell, GridMap
 from algorithms.labelling import ScanLabelling
@@ -551,8 +551,8 @@ class Recorder:
         self._at(stamp_ns, index)
         self._log_split(entities.MAP_POINTS, entities.MAP_CEILING, points_map, label, static=False)
 
-    def log_building(self, walls: Walls, doors: Doors) -> None:
-        """The fused walls and doors; they hold for the whole run."""
+    def log_building(self, walls: Walls, doors: Doors, windows: Windows) -> None:
+        """The fused walls, doors and windows; they hold for the whole run."""
         vertices, triangles = _upright_quads(
             walls.ends, np.repeat(walls.bottom_m[:, None], 2, axis=1), np.repeat(walls.top_m[:, None], 2, axis=1)
         )
@@ -592,6 +592,18 @@ class Recorder:
                         "depth_m": doors.depth_m,
                         "ray_count": doors.ray_count,
                     }
+                ),
+            )
+
+        if len(windows):
+            self._static(
+                entities.WINDOWS,
+                rr.LineStrips3D(
+                    _upright_frames(windows.ends, windows.bottom_m, windows.top_m),
+                    colors=entities.CLASSES[Label.OUTSIDE][1],
+                    radii=rr.Radius.ui_points(1.5),
+                    labels=["window"] * len(windows),
+                    show_labels=False,
                 ),
             )
 

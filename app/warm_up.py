@@ -5,7 +5,7 @@ Numba loads a function when it is first called with arrays of given types, which
 
 import numpy as np
 
-from algorithms.building import Doors, Walls, Windows
+from algorithms.building import NO_DOORS, NO_WALLS, NO_WINDOWS
 from algorithms.features import extract
 from algorithms.labelling import label_scan
 from algorithms.relabelling import RelabellingSettings, relabel
@@ -33,15 +33,14 @@ def warm_up() -> None:
     table.add(points_map, labelling.label)
     votes = table.votes()
     table.absorb(votes)
-    none, whole = np.zeros(0), np.zeros(0, np.int32)
     relabel(
         points_map,
         floor.heights_above(placed.points_level),
         labelling.label,
         placed.to_map(placed.origin_level[None])[0],
-        Walls(np.zeros((0, 2, 2)), np.zeros((0, 2)), none, none, whole, none),
-        Doors(np.zeros((0, 2, 2)), np.zeros((0, 2)), none, none, none.astype(np.uint8), none, whole, whole),
-        Windows(np.zeros((0, 2, 2)), np.zeros((0, 2))),
+        NO_WALLS,
+        NO_DOORS,
+        NO_WINDOWS,
         find_halo(votes, 6.0),
         RelabellingSettings(),
     )

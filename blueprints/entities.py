@@ -33,6 +33,7 @@ BUILDING = "/world/building"
 WALLS = "/world/building/walls"
 DOORS = "/world/building/doors"
 DOOR_SILLS = "/world/building/sills"
+WINDOWS = "/world/building/windows"
 CLOUD = "/world/building/cloud"
 CLOUD_CEILING = "/world/building/ceiling"
 GRID = "/world/grid"
@@ -194,7 +195,7 @@ Every intermediate of *Furniture Free Mapping using 3D Lidars* (He, Hou, Schwert
 the map, growing up to the time cursor; the furniture-free grid |
 | **Step by step** | Fig. 3 (no floor, no ceiling), 5a (point lines), 6 (up-most and bottom-most structures), \
 7 (wall planes), the door conditions |
-| **Building** | the fused cloud, walls and doors, and the grid; they hold for the whole run |
+| **Building** | the fused cloud, walls, doors (blue), windows (magenta), and the grid; they hold for the whole run |
 | **Odometry** | what KISS-ICP used of each horizontal scan. These lie on the timeline `stamp` alone: choose it below |
 | **Metrics and warnings** | returns by label, evidence counted, milliseconds by stage, scans that were skipped |
 

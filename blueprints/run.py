@@ -80,7 +80,14 @@ def _map(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
     x, y = centre_m
     return rrb.Spatial3DView(
         origin=entities.WORLD,
-        contents=[entities.MAP_POINTS, entities.TRAJECTORY, f"{entities.BASE}/**", entities.WALLS, entities.DOORS],
+        contents=[
+            entities.MAP_POINTS,
+            entities.TRAJECTORY,
+            f"{entities.BASE}/**",
+            entities.WALLS,
+            entities.DOORS,
+            entities.WINDOWS,
+        ],
         name="Growing map (ceiling hidden)",
         overrides={
             entities.MAP_POINTS: _until_now(),
@@ -137,7 +144,7 @@ def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
     return rrb.Horizontal(
         rrb.Spatial3DView(
             origin=entities.WORLD,
-            contents=[entities.CLOUD, entities.WALLS, entities.DOORS],
+            contents=[entities.CLOUD, entities.WALLS, entities.DOORS, entities.WINDOWS],
             name="Fused cloud, walls and doors (ceiling hidden)",
             overrides={
                 entities.DOORS: rr.LineStrips3D.from_fields(show_labels=True),

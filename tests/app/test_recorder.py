@@ -11,7 +11,7 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from algorithms import transforms
-from algorithms.building import Doors, Walls
+from algorithms.building import Doors, Walls, Windows
 from algorithms.grid_map import Cell, GridMap
 from algorithms.labelling import ScanLabelling, label_scan
 from algorithms.labels import Label
@@ -255,7 +255,8 @@ def test_building_grid_map_and_messages(tmp_path):
         ray_count=np.array([50]),
         wall=np.zeros(1, np.int64),
     )
-    recorder.log_building(walls, doors)
+    windows = Windows(np.array([[[2.5, 0.0], [3.5, 0.0]]]), np.array([[0.0, 1.0]]), np.array([0.9]), np.array([2.2]))
+    recorder.log_building(walls, doors, windows)
     cells = np.full((2, 3), Cell.FREE, np.uint8)
     cells[0, 0], cells[1, 2] = Cell.OCCUPIED, Cell.UNKNOWN
     grid = GridMap(cells, np.array([-1.0, 2.0]), 0.05)
@@ -271,6 +272,8 @@ def test_building_grid_map_and_messages(tmp_path):
     image = static[f"{entities.GRID}/{entities.FURNITURE_FREE}"].column("GridMap:data").to_pylist()[0][0]
     assert list(bytes(image)) == [0, 0, 255, 100, 0, 0]  # the uppermost row first
     assert "closed door, 0.90 m, 90%" in str(static[entities.DOORS].column("LineStrips3D:labels").to_pylist())
+    outline = vectors(static[entities.WINDOWS].column("LineStrips3D:strips").to_pylist()[0][0])
+    np.testing.assert_allclose(outline[:3], [[2.5, 0, 0.9], [3.5, 0, 0.9], [3.5, 0, 2.2]], rtol=1e-6)
     assert len(static[entities.WALLS].column("Mesh3D:vertex_positions").to_pylist()[0]) == 4
     steps = [vectors(row["strips"][0]) for row in rows(path, entities.TRAJECTORY)]
     np.testing.assert_allclose(steps[2], [[0.05, 0.0, 0.0], [0.1, 0.0, 0.0]], atol=1e-6)
