@@ -1,5 +1,6 @@
 """The command line: ffmap run, info, simulate, evaluate, settings, bench, demo."""
 
+import errno
 import os
 import sys
 from enum import StrEnum
@@ -251,10 +252,18 @@ def main() -> None:
     except InputError as error:
         typer.echo(f"ffmap: {error}", err=True)
         sys.exit(2)
-    except KeyboardInterrupt:
-        typer.echo("ffmap: interrupted; 'ffmap run --resume DIR' goes on with a run", err=True)
-        sys.exit(130)
     except BrokenPipeError:
         # The reader of our output has gone, as with | head.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        typer.echo(
+            "ffmap: no space is left on the disk; free some, then go on with 'ffmap run --resume DIR', or start again",
+            err=True,
+        )
+        sys.exit(2)
+    except KeyboardInterrupt:
+        typer.echo("ffmap: interrupted; 'ffmap run --resume DIR' goes on with a run", err=True)
+        sys.exit(130)

@@ -1,5 +1,6 @@
 """The command line as a user meets it: whole runs, resumed runs, and mistakes."""
 
+import errno
 import json
 import os
 import shutil
@@ -17,6 +18,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
+from app import cli
 from loaders.simulator import SimulationSettings, simulate
 
 FFMAP = [sys.executable, "-c", "from app.cli import main; main()"]
@@ -231,6 +233,17 @@ def test_folder_that_cannot_be_written_is_named(
     (foreign / "thesis.tex").write_text("mine")
     assert_one_line_error(ffmap(environment, "run", bags["bag"], "--out", foreign), "foreign")
     assert (foreign / "thesis.tex").read_text() == "mine"
+
+
+def test_full_disk_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def fill() -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(cli, "app", fill)
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err.startswith("ffmap: no space is left on the disk")
 
 
 def test_settings_round_trip(environment: dict[str, str], tmp_path: Path) -> None:
