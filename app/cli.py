@@ -173,15 +173,36 @@ def simulate(
 
 @app.command()
 def evaluate(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.", show_default=False)],
+    run_folder: Annotated[Path | None, typer.Argument(metavar="[RUN]", help="Run folder.", show_default=False)] = None,
     truth: Annotated[Path | None, typer.Option(help="Bag with the truth.  [default: the run's own]")] = None,
+    suite: Annotated[
+        bool, typer.Option("--suite", help="Simulate, run and evaluate buildings of many kinds, one line each.")
+    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="With --suite: one seed a building, short drives.")] = False,
+    seeds: Annotated[
+        str | None, typer.Option(help="With --suite: seeds, as in 1001,1002; 1 and 2 are those to tune on.")
+    ] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", help="With --suite: one setting of the runs.")] = None,
+    out: Annotated[Path, typer.Option(help="With --suite: where all figures are written.")] = Path("runs/suite.json"),
 ) -> None:
     """Compare a run with the truth: labels by area, doors, map, trajectory; writes metrics.json.
 
-    Example:
+    Examples:
 
         ffmap evaluate runs/latest
+
+        ffmap evaluate --suite --quick
+
+        ffmap evaluate --suite --seeds 1,2 --set building.scans_min=5 --out runs/tuning.json
     """
+    if suite:
+        from app.suite import parse_seeds, run_suite
+
+        if run_folder is not None or truth is not None:
+            raise InputError("--suite makes its own bags and runs: give no run folder and no --truth with it")
+        sys.exit(1 if run_suite(out, parse_seeds(seeds), quick, set_ or []) else 0)
+    if run_folder is None:
+        raise InputError("give a run folder, or --suite; 'ffmap evaluate --help' has examples")
     from app import evaluate as evaluation
 
     evaluation.print_metrics(evaluation.evaluate_run(run_folder, truth, os.cpu_count() or 1))

@@ -167,9 +167,7 @@ def test_condition_1_fails_where_the_line_belongs_to_no_wall_plane() -> None:
     assert np.count_nonzero(of_door) == 4
     assert np.all(planes.candidate_plane[of_door] == -1)
     claimed = replace(planes, candidate_plane=np.where(of_door, 0, planes.candidate_plane).astype(np.int32))
-    lines = find_door_lines(
-        seen.points, seen.points[:, 2], seen.lines, claimed, seen.structures.upmost, ORIGIN, DOORS
-    )
+    lines = find_door_lines(seen.points, seen.points[:, 2], seen.lines, claimed, seen.structures.upmost, ORIGIN, DOORS)
     assert set(lines.line[lines.above_door].tolist()) == {seen.line_at[x] for x in DOOR_X_M}
     assert len(find_openings(lines, claimed, DOORS)) == 1
 
@@ -268,9 +266,7 @@ def test_lines_far_apart_or_of_another_state_are_other_openings() -> None:
     # A double door, one leaf of which stands open.
     double = look(wall | dict.fromkeys([0.3, 0.5], door(0.06)) | dict.fromkeys([0.7, 0.9], door(3.0)))
     assert double.openings.state.tolist() == [DoorState.CLOSED, DoorState.OPEN]
-    np.testing.assert_allclose(
-        np.sort(double.openings.ends[:, :, 0], axis=1), [[0.3, 0.5], [0.7, 0.9]], atol=0.01
-    )
+    np.testing.assert_allclose(np.sort(double.openings.ends[:, :, 0], axis=1), [[0.3, 0.5], [0.7, 0.9]], atol=0.01)
 
 
 def test_without_walls_there_are_no_doors() -> None:
