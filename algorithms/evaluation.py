@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from algorithms import transforms
 from algorithms.grid_map import Cell, GridMap
-from algorithms.labels import NO_RETURN, Label, Truth
+from algorithms.labels import NO_RETURN, Label, Truth, Verdict
 from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from algorithms.semantic_map import VoxelTable, VoxelVotes, columns_of, majority, pack_column
 from algorithms.trajectory import Trajectory
@@ -159,11 +159,15 @@ class Counter:
         )
 
 
-def confusion_by_area(cubes: VoxelVotes, single_scans: bool = False) -> IntArray:
-    """(11, 7) int64: cubes by their majority's `Truth` and `Label` (of equals the lower code)."""
+def majorities(cubes: VoxelVotes, single_scans: bool = False) -> tuple[UInt8Array, UInt8Array]:
+    """The `Truth` and the `Label` (m,) of each cube: its majority's (of equals the lower code)."""
     first = _TRUTHS + (_LABELS if single_scans else 0)
-    truth = majority(cubes.counts[:, :_TRUTHS])
-    label = majority(cubes.counts[:, first : first + _LABELS])
+    return majority(cubes.counts[:, :_TRUTHS]), majority(cubes.counts[:, first : first + _LABELS])
+
+
+def confusion_by_area(cubes: VoxelVotes, single_scans: bool = False) -> IntArray:
+    """(11, 7) int64: cubes by their `majorities`."""
+    truth, label = majorities(cubes, single_scans)
     joint = truth.astype(np.intp) * _LABELS + label
     return np.bincount(joint, minlength=_TRUTHS * _LABELS).reshape(_TRUTHS, _LABELS)
 
@@ -209,6 +213,39 @@ def class_figures(confusion: IntArray) -> dict[Label, ClassFigures]:
         )
         for label in Label
     }
+
+
+def verdicts(truth: UInt8Array, label: UInt8Array) -> UInt8Array:
+    """`Verdict` (n,) of labels (n,) on what truly is `truth` (n,); what counts nowhere is right."""
+    return _VERDICT_OF[np.minimum(truth, _TRUTHS), np.minimum(label, UNLABELLED)]
+
+
+def _tabulate_verdicts() -> UInt8Array:
+    """(12, 7) by `Truth` and label; the last row is for points whose truth is not known."""
+    table: UInt8Array = np.full((_TRUTHS + 1, _LABELS), Verdict.RIGHT, np.uint8)
+    for truth in Truth:
+        for label in range(_LABELS):
+            alone = np.zeros((_TRUTHS, _LABELS), np.int64)
+            alone[truth, label] = 1
+            # Wrong is what is a false positive of its label or a false negative of its truth.
+            figures = class_figures(alone).values()
+            if not any(f.false_positives or f.false_negatives for f in figures):
+                continue
+            table[truth, label] = (
+                Verdict.FALSE_WALL
+                if label == Label.WALL
+                else Verdict.MISSED_WALL
+                if truth == Truth.WALL
+                else Verdict.FALSE_DOOR
+                if label == Label.DOOR
+                else Verdict.MISSED_DOOR
+                if truth == Truth.DOOR
+                else Verdict.OTHER
+            )
+    return table
+
+
+_VERDICT_OF = _tabulate_verdicts()
 
 
 def outside_kept(confusion: IntArray) -> float:

@@ -30,3 +30,14 @@ class Truth(IntEnum):
     FULL_HEIGHT_CABINET = 8
     BOARD_ON_WALL = 9
     PERSON = 10
+
+
+class Verdict(IntEnum):
+    """What is wrong with a label, if anything is."""
+
+    RIGHT = 0
+    FALSE_WALL = 1
+    MISSED_WALL = 2
+    FALSE_DOOR = 3
+    MISSED_DOOR = 4
+    OTHER = 5

@@ -14,15 +14,17 @@ The names in it, all fractions 0 to 1, null where there is nothing to divide by:
     trajectory.ate_rmse_m | ate_mean_m | ate_max_m               after the best rotation and shift
     trajectory.unaligned_rmse_m | unaligned_mean_m | unaligned_max_m
     trajectory.rotation_rmse_deg | relative_translation_rmse_m | relative_rotation_rmse_deg | poses
+    statistics.milliseconds_per_cloud | points_in_cloud | points_in_lines: mean, standard_deviation, min, max (Table I)
 
 Doors and wall map are compared as they stand: the map frame is defined alike for run and truth. Where a run has no
 labelled clouds, the sections about them are missing.
 """
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -55,10 +57,12 @@ from algorithms.evaluation import (
 )
 from algorithms.grid_map import Cell, GridMap
 from algorithms.labels import Label, Truth
-from algorithms.scan import FloatArray, IntArray
+from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.trajectory import Trajectory, place_scan
 from app.processes import process_context
 from app.results import write_json
+from app.run_folder import EVALUATION, RECORDING, RUN_JSON
+from blueprints import run as run_blueprint
 from loaders.bag import Bag, open_bag
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom, describe_layout, field_column
@@ -84,6 +88,24 @@ CLOUDS_A_SHARE = 100
 """For fewer clouds than this a process more costs more than it saves; with many more, its cubes fill the memory."""
 
 
+PAPER_STATISTICS = {
+    "milliseconds_per_cloud": (74, 26, 32, 187),
+    "points_in_cloud": (96_058, 5_743, 60_130, 100_538),
+    "points_in_lines": (40_595, 13_047, 14_885, 75_698),
+}
+"""Table I: mean, standard deviation, least, most."""
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Where errors are recorded: `spool` takes the parts of a layer of the recording `recording_id`."""
+
+    spool: Path
+    recording_id: str
+    scans: bool
+    """Whether the recording has single scans."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Share:
     """What is counted at a time: clouds [first, first + count) of the labelled bag."""
@@ -94,23 +116,81 @@ class _Share:
     doors: TrueDoors
     first: int
     count: int
+    layer: Layer | None
+
+    @property
+    def part(self) -> Path:
+        """The share's part of the layer."""
+        assert self.layer is not None
+        return self.layer.spool / f"scans-{self.first:06d}.rrd"
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A run beside the truth; what the run does not have is None."""
+
+    metrics: Metrics
+    faces: FloatArray
+    doors: TrueDoors
+    tally: Tally | None = None
+    parts: tuple[Path, ...] = ()
+    ring_count: int | None = None
+    found_doors: FoundDoors | None = None
+    door_figures: DoorFigures | None = None
+    grid: GridMap | None = None
+    wall_map: WallMapFigures | None = None
 
 
 def evaluate_run(run_dir: Path, truth_bag: Path | None = None, workers: int = 2) -> Metrics:
     """Compare a run's files with the truth, write `metrics.json` and return what it says.
+
+    Where the run has a recording, `evaluation.rrd` becomes its second layer.
 
     truth_bag: the bag that carries the truth; None for the one that the run was made from.
     workers: processes that are started where there is enough to do.
     Raises InputError where the folder is no run, or the bag has no truth.
     """
     truth_path = truth_bag if truth_bag is not None else _bag_of(run_dir)
-    with open_bag(truth_path) as bag:
+    with open_bag(truth_path) as bag, tempfile.TemporaryDirectory(prefix="evaluation-", dir=run_dir) as spool:
         truth = read_truth(bag)
         if truth is None or truth.trajectory is None:
             raise InputError(f"{truth_path}: the bag carries no /truth/pose to compare with; give --truth BAG")
-        metrics = compare_run(run_dir, truth_path, truth, truth.trajectory, workers)
-    write_json(run_dir / "metrics.json", metrics)
-    return metrics
+        layer = _layer_of(run_dir, Path(spool))
+        comparison = compare_run(run_dir, truth_path, truth, truth.trajectory, workers, layer)
+        write_json(run_dir / "metrics.json", comparison.metrics)
+        if layer is not None and comparison.tally is not None:
+            _write_layer(run_dir / EVALUATION, layer, comparison)
+    return comparison.metrics
+
+
+def _layer_of(run_dir: Path, spool: Path) -> Layer | None:
+    """Where the errors of a run are recorded; None where it has no recording that they could be a layer of."""
+    record = _read_json(run_dir / RUN_JSON)
+    if not (run_dir / RECORDING).exists() or "recording_id" not in record:
+        return None
+    return Layer(spool, record["recording_id"], (record.get("options") or {}).get("detail") != "map")
+
+
+def _write_layer(out: Path, layer: Layer, comparison: Comparison) -> None:
+    # Rerun is not needed where a run has no recording.
+    from app.evaluation_recorder import write_layer
+
+    assert comparison.tally is not None
+    found, figures = comparison.found_doors, comparison.door_figures
+    write_layer(
+        out,
+        list(comparison.parts),
+        layer.spool,
+        layer.recording_id,
+        run_blueprint.build(comparison.ring_count, *run_blueprint.view_of(comparison.grid), evaluated=True),
+        comparison.metrics,
+        in_markdown(comparison.metrics),
+        comparison.tally,
+        comparison.faces,
+        comparison.doors,
+        (found, figures) if found is not None and figures is not None else None,
+        comparison.wall_map,
+    )
 
 
 def has_truth(run_dir: Path) -> bool:
@@ -135,28 +215,48 @@ def compare_run(
     truth: BagTruth,
     true_trajectory: Trajectory,
     workers: int,
-) -> Metrics:
-    """The figures of a run, without writing them."""
+    layer: Layer | None = None,
+) -> Comparison:
+    """A run beside the truth, nothing written but the parts of the layer, if one is wanted."""
     metrics: Metrics = {"truth": str(truth_path)}
     if (run_dir / "trajectory.tum").exists():
         found = read_tum(run_dir / "trajectory.tum")
         metrics["trajectory"] = _trajectory_metrics(compare_trajectories(found, true_trajectory))
+    if statistics := _read_json(run_dir / RUN_JSON).get("statistics"):
+        metrics["statistics"] = statistics
+    doors, faces = read_building(truth.building)
     labelled = next((p for p in (run_dir / "labelled.bag", run_dir / "labelled") if p.exists()), None)
     if labelled is None or truth.classes is None:
-        return metrics
-    doors, faces = read_building(truth.building)
-    tally, without_truth = count_run(labelled, truth_path, doors, workers, _time_from(run_dir))
-    metrics["scans"] = {"counted": tally.scans, "skipped": tally.skipped, "without_truth": without_truth}
+        return Comparison(metrics, faces, doors)
+    counted = count_run(labelled, truth_path, doors, workers, _time_from(run_dir), layer)
+    tally = counted.tally
+    metrics["scans"] = {"counted": tally.scans, "skipped": tally.skipped, "without_truth": counted.without_truth}
     metrics["area"] = _label_metrics(confusion_by_area(tally.cubes), CUBE_M**2)
     metrics["area_scan"] = _label_metrics(confusion_by_area(tally.cubes, single_scans=True), CUBE_M**2)
     metrics["points"] = _label_metrics(tally.confusion_points, None)
     metrics["points_scan"] = _label_metrics(tally.confusion_points_scan, None)
+    comparison = Comparison(metrics, faces, doors, tally, counted.parts, counted.ring_count)
     if truth.building is not None and (run_dir / "doors.geojson").exists():
         found_doors = read_doors(run_dir / "doors.geojson")
-        metrics["doors"] = _door_metrics(compare_doors(doors, tally.door_returns, found_doors))
+        door_figures = compare_doors(doors, tally.door_returns, found_doors)
+        metrics["doors"] = _door_metrics(door_figures)
+        comparison = replace(comparison, found_doors=found_doors, door_figures=door_figures)
     if truth.building is not None and (run_dir / "map.yaml").exists():
-        metrics["wall_map"] = _wall_map_metrics(compare_wall_map(faces, tally.cubes, read_grid(run_dir / "map.yaml")))
-    return metrics
+        grid = read_grid(run_dir / "map.yaml")
+        wall_map = compare_wall_map(faces, tally.cubes, grid)
+        metrics["wall_map"] = _wall_map_metrics(wall_map)
+        comparison = replace(comparison, grid=grid, wall_map=wall_map)
+    return comparison
+
+
+@dataclass(frozen=True, eq=False)
+class Counted:
+    """All clouds of a labelled bag. without_truth: how many were left out. parts: of the layer, in order."""
+
+    tally: Tally
+    without_truth: int
+    ring_count: int
+    parts: tuple[Path, ...]
 
 
 def count_run(
@@ -165,8 +265,9 @@ def count_run(
     doors: TrueDoors,
     workers: int,
     time_from: TimeFrom = "auto",
-) -> tuple[Tally, int]:
-    """Count all clouds of a labelled bag, in processes side by side; also how many have no truth."""
+    layer: Layer | None = None,
+) -> Counted:
+    """Count all clouds of a labelled bag, in processes side by side."""
     with open_bag(labelled) as bag:
         topics = cloud_topics(bag)
         if len(topics) != 1:
@@ -174,15 +275,20 @@ def count_run(
         rig = find_rig(bag, vertical=topics[0], time_from=time_from)
         assert rig.vertical is not None
         clouds = len(index_clouds(bag, topics[0]))
+    lidar = rig.vertical
+    layer = layer if layer is not None and layer.scans else None
     edges = np.linspace(0, clouds, max(1, clouds // CLOUDS_A_SHARE) + 1).astype(int).tolist()
-    shares = [_Share(labelled, truth_bag, rig.vertical, doors, first, last - first) for first, last in pairwise(edges)]
+    shares = [_Share(labelled, truth_bag, lidar, doors, first, last - first, layer) for first, last in pairwise(edges)]
     processes = min(workers, len(shares))
     if processes == 1:
         with open_bag(labelled) as bag, open_bag(truth_bag) as true_bag:
-            bags = _Bags.read(bag, true_bag, rig.vertical.topic)
-            return _sum(doors, (_count(share, bags) for share in shares))
-    with ProcessPoolExecutor(processes, process_context()) as pool:
-        return _sum(doors, pool.map(_count_in_worker, shares))
+            bags = _Bags.read(bag, true_bag, lidar.topic)
+            tally, without_truth = _sum(doors, (_count(share, bags) for share in shares))
+    else:
+        with ProcessPoolExecutor(processes, process_context()) as pool:
+            tally, without_truth = _sum(doors, pool.map(_count_in_worker, shares))
+    parts = tuple(share.part for share in shares if layer is not None and share.part.exists())
+    return Counted(tally, without_truth, lidar.ring_count, parts)
 
 
 def _sum(doors: TrueDoors, counted: Iterable[tuple[Tally, int]]) -> tuple[Tally, int]:
@@ -222,9 +328,26 @@ def _opened(labelled: Path, truth_bag: Path, topic: str) -> _Bags:
 
 
 def _count(share: _Share, bags: _Bags) -> tuple[Tally, int]:
+    if share.layer is None:
+        return _count_clouds(share, bags, lambda *_: None)
+    # Rerun is not needed where a run has no recording.
+    from app.evaluation_recorder import ScanErrors
+    from app.recording import open_part
+
+    with open_part(share.part, share.layer.recording_id) as stream:
+        errors = ScanErrors(stream)
+        counted = _count_clouds(share, bags, errors.log)
+        errors.finish()
+    return counted
+
+
+def _count_clouds(
+    share: _Share, bags: _Bags, log: Callable[[int, int, UInt8Array, UInt8Array], None]
+) -> tuple[Tally, int]:
+    """log: called with each counted scan's number, stamp, truth and label."""
     counter = Counter(share.doors)
     without_truth = 0
-    for _, scan, message in read_clouds(bags.labelled, bags.index, share.first, share.count, share.lidar.decoding):
+    for number, scan, message in read_clouds(bags.labelled, bags.index, share.first, share.count, share.lidar.decoding):
         if isinstance(scan, SkippedScan) or message is None:
             counter.skip()
             continue
@@ -241,14 +364,16 @@ def _count(share: _Share, bags: _Bags) -> tuple[Tally, int]:
         label, label_scan = (
             field_column(message, layout, name)[scan.cloud_index].astype(np.uint8) for name in ("label", "label_scan")
         )
+        truth = classes[scan.cloud_index]
         placed = place_scan(scan, bags.trajectory, share.lidar.T_base_sensor)
         counter.add(
             placed.to_map(placed.points_level),
             placed.to_map(placed.origin_level[None])[0],
-            classes[scan.cloud_index],
+            truth,
             label,
             label_scan,
         )
+        log(number, scan.stamp_ns, truth, label)
     return counter.tally(), without_truth
 
 
@@ -329,6 +454,19 @@ def format_metrics(metrics: Metrics) -> list[Table]:
                 _percent(metrics["area_scan"][name]["f1"]),
             )
         tables.append(table)
+    if "statistics" in metrics:
+        table = Table(title="Statistics (Table I)", title_justify="left")
+        for heading in ("", "mean", "std", "min", "max", "paper: mean", "std", "min", "max"):
+            table.add_column(heading, justify="right" if heading else "left")
+        for name, paper in PAPER_STATISTICS.items():
+            own = metrics["statistics"][name]
+            digits = 1 if name.startswith("milliseconds") else 0
+            table.add_row(
+                name.replace("_", " "),
+                *(f"{own[figure]:,.{digits}f}" for figure in ("mean", "standard_deviation", "min", "max")),
+                *(f"{figure:,}" for figure in paper),
+            )
+        tables.append(table)
     rows = [*_door_rows(metrics), *_map_rows(metrics), *_trajectory_rows(metrics)]
     if rows:
         table = Table(title="Doors, map, trajectory", title_justify="left", show_header=False)
@@ -336,6 +474,17 @@ def format_metrics(metrics: Metrics) -> list[Table]:
             table.add_row(*row)
         tables.append(table)
     return tables
+
+
+def in_markdown(metrics: Metrics) -> str:
+    """The tables of `format_metrics` for the viewer."""
+    parts = []
+    for table in format_metrics(metrics):
+        columns = [[str(cell) for cell in column.cells] for column in table.columns]
+        headings = [str(column.header) for column in table.columns]
+        rows = [headings, ["---"] * len(headings), *map(list, zip(*columns, strict=True))]
+        parts += [f"## {table.title}", "", *("| " + " | ".join(row) + " |" for row in rows), ""]
+    return "\n".join(parts)
 
 
 def _door_rows(metrics: Metrics) -> list[tuple[str, str]]:
@@ -465,14 +614,14 @@ def _state(name: str) -> DoorState:
 def _bag_of(run_dir: Path) -> Path:
     """The bag that a run was made from."""
     try:
-        return Path(_read_json(run_dir / "run.json")["bag"]["path"])
+        return Path(_read_json(run_dir / RUN_JSON)["bag"]["path"])
     except KeyError as error:
         raise InputError(f"{run_dir / 'run.json'}: it does not say which bag was run; give --truth BAG") from error
 
 
 def _time_from(run_dir: Path) -> TimeFrom:
     """Where the run took the firings' times from: the labelled bag is to be read the same way."""
-    options = _read_json(run_dir / "run.json").get("options") or {}
+    options = _read_json(run_dir / RUN_JSON).get("options") or {}
     time_from: TimeFrom = options.get("time_from") or "auto"
     return time_from
 

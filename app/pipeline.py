@@ -83,6 +83,8 @@ class RunState:
     timings_s: dict[str, float] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     counts: dict[str, Any] = field(default_factory=dict)
+    statistics: dict[str, Any] = field(default_factory=dict)
+    """Table I of the paper."""
     odometry_cached: bool = False
 
 
@@ -165,6 +167,7 @@ def _gathered(state: RunState, started: float) -> dict[str, Any]:
         "timings_s": {name: round(s, 3) for name, s in state.timings_s.items()}
         | {"total": round(time.perf_counter() - started, 3)},
         "counts": state.counts,
+        "statistics": state.statistics,
         "warnings": state.warnings,
         "odometry_cached": state.odometry_cached,
     }
@@ -237,11 +240,7 @@ def _log_start(recorder: Recorder, inputs: Inputs, settings: Settings, record: d
 
 def _layout(inputs: Inputs, grid: GridMap | None = None) -> rrb.Blueprint:
     """How the recording opens; with the grid, so that the whole building is in view."""
-    if grid is None:
-        return run_blueprint.build(_ring_count(inputs))
-    size_m = np.array(grid.cells.shape[::-1]) * grid.cell_m
-    x, y = grid.origin + size_m / 2
-    return run_blueprint.build(_ring_count(inputs), (float(x), float(y)), float(size_m.max()))
+    return run_blueprint.build(_ring_count(inputs), *run_blueprint.view_of(grid))
 
 
 def _ring_count(inputs: Inputs) -> int | None:
@@ -266,6 +265,7 @@ class _ScanStage:
         self._votes = VoxelTable(VOXEL_M, len(Label))
         self._counts = np.zeros(256, np.int64)
         self._milliseconds: list[FloatArray] = []
+        self._sizes: list[FloatArray] = []
 
     def follow(self, given: Trajectory | None) -> Trajectory:
         """Label every block as soon as poses cover it; returns the whole trajectory."""
@@ -423,6 +423,7 @@ class _ScanStage:
         self.reasons.extend(summary.skipped_reason)
         self._counts += summary.label_counts
         self._milliseconds.append(summary.milliseconds)
+        self._sizes.append(np.stack([summary.points_in_cloud, summary.points_in_lines], axis=1, dtype=np.float64))
         for index, reason in zip(summary.skipped_scan.tolist(), summary.skipped_reason, strict=True):
             if len(self.reasons) <= 5:
                 self._progress.warn(f"scan {index} skipped: {reason}")
@@ -449,8 +450,23 @@ class _ScanStage:
         if len(milliseconds):
             for column, name in enumerate(("reading", "placing", "labelling", "recording")):
                 self._state.timings_s[f"{name}_per_scan"] = float(np.median(milliseconds[:, column])) / 1e3
+            sizes = np.concatenate(self._sizes)
+            self._state.statistics = {
+                "milliseconds_per_cloud": _spread(milliseconds[:, 2]),
+                "points_in_cloud": _spread(sizes[:, 0]),
+                "points_in_lines": _spread(sizes[:, 1]),
+            }
         if self.reasons:
             self._state.warnings.append(f"{len(self.reasons)} vertical clouds skipped: {_most(self.reasons)}")
+
+
+def _spread(values: FloatArray) -> dict[str, float]:
+    return {
+        "mean": float(values.mean()),
+        "standard_deviation": float(values.std()),
+        "min": float(values.min()),
+        "max": float(values.max()),
+    }
 
 
 def _most(reasons: list[str]) -> str:

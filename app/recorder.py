@@ -242,7 +242,7 @@ class Recorder:
         self._log(
             entities.RELABELLED,
             rr.Points3D(_round(placed.points_level[changed]), class_ids=label[changed]),
-            _evidence({entities.POINT_LABEL_SCAN: label_scan[changed]}),
+            evidence({entities.POINT_LABEL_SCAN: label_scan[changed]}),
         )
 
     def _log_points(self, positions: FloatArray, labelling: ScanLabelling) -> None:
@@ -251,7 +251,7 @@ class Recorder:
         self._log(
             entities.POINTS,
             rr.Points3D(positions, class_ids=labelling.label),
-            _evidence(
+            evidence(
                 {
                     entities.POINT_LABEL_SCAN: labelling.label,
                     entities.POINT_RADIUS_UPRIGHT: np.where(horizontal, np.float32(0), _ui_radius(POINT_RADIUS_UI)),
@@ -274,7 +274,7 @@ class Recorder:
             rr.Mesh3D(
                 vertex_positions=vertices, triangle_indices=triangles, vertex_colors=np.repeat(colors, 4, axis=0)
             ),
-            _evidence(
+            evidence(
                 {
                     "normal": planes.normal,
                     "offset_m": planes.offset_m,
@@ -295,8 +295,8 @@ class Recorder:
         ]
         self._log(
             entities.OPENINGS,
-            rr.LineStrips3D(_upright_frames(openings.ends, floor_m, floor_m + openings.head_m), labels=labels),
-            _evidence(
+            rr.LineStrips3D(upright_frames(openings.ends, floor_m, floor_m + openings.head_m), labels=labels),
+            evidence(
                 {
                     "plane": openings.plane,
                     "head_m": openings.head_m,
@@ -319,7 +319,7 @@ class Recorder:
             self._log(
                 path,
                 rr.LineStrips3D([_lift(outline, plane) for plane in planes] if len(outline) else []),
-                _evidence(
+                evidence(
                     {
                         "height_m": np.array([plane.height_m for plane in planes]),
                         "slope": np.array([plane.slope for plane in planes]).reshape(-1, 2),
@@ -337,7 +337,7 @@ class Recorder:
         self._log(
             entities.LINES,
             rr.LineStrips3D(strips, class_ids=outcome[line]),
-            _evidence({"line": line, "outcome": outcome[line]}),
+            evidence({"line": line, "outcome": outcome[line]}),
         )
         example = present[present == _example_line(labelling)]
         strips, _ = _unbroken(positions[samples[example]])
@@ -354,7 +354,7 @@ class Recorder:
             entities.CANDIDATE_PLANE_COLOR: plane_colors @ np.array([1 << 24, 1 << 16, 1 << 8], np.uint32)
             + np.uint32(255),
         }
-        for path, chosen, evidence in (
+        for path, chosen, more in (
             (entities.UPMOST, structures.upmost[planes.candidate_line], growth),
             (entities.BOTTOMMOST, structures.bottommost[structures.bottommost >= 0], {}),
         ):
@@ -362,7 +362,7 @@ class Recorder:
             self._log(
                 path,
                 rr.LineStrips3D(_spans(positions, labelling.lines.samples, line, first, last)),
-                _evidence({"line": line, "first": first, "last": last} | evidence),
+                evidence({"line": line, "first": first, "last": last} | more),
             )
 
     def _log_door_lines(self, labelling: ScanLabelling) -> None:
@@ -374,7 +374,7 @@ class Recorder:
         self._log(
             entities.DOOR_CONDITIONS,
             rr.Points3D(_round(np.column_stack([doors.position, top_m])), class_ids=held),
-            _evidence(
+            evidence(
                 {
                     "line": doors.line,
                     "plane": doors.plane,
@@ -463,7 +463,7 @@ class Recorder:
         # Not as tensors, whose union type few readers of tables know.
         self._log(
             entities.STRUCTURES,
-            _evidence(
+            evidence(
                 {
                     "difference": _float16(structures.difference),
                     "slope": _float16(structures.slope),
@@ -525,7 +525,7 @@ class Recorder:
         self._log(
             entities.CURVE_EXAMPLE_STRUCTURES,
             rr.Boxes2D(array=boxes, array_format=rr.Box2DFormat.XYWH, colors=colors),
-            _evidence({"line": np.array([line]), "first": structures.first[own], "last": structures.last[own]}),
+            evidence({"line": np.array([line]), "first": structures.first[own], "last": structures.last[own]}),
         )
         named = [(upmost, "up-most: wall candidate", entities.UPMOST_COLOR)] if upmost >= 0 else []
         if bottommost != upmost:
@@ -564,7 +564,7 @@ class Recorder:
                     triangle_indices=triangles,
                     albedo_factor=(*entities.CLASSES[Label.WALL][1], 90),
                 ),
-                _evidence({"scan_count": walls.scan_count, "rms_m": walls.rms_m}),
+                evidence({"scan_count": walls.scan_count, "rms_m": walls.rms_m}),
             )
         widths_m = np.linalg.norm(doors.ends[:, 1] - doors.ends[:, 0], axis=1)
         if len(doors):
@@ -576,7 +576,7 @@ class Recorder:
             self._static(
                 entities.DOORS,
                 rr.LineStrips3D(
-                    _upright_frames(doors.ends, np.zeros(len(doors)), doors.head_m),
+                    upright_frames(doors.ends, np.zeros(len(doors)), doors.head_m),
                     colors=entities.CLASSES[Label.DOOR][1],
                     radii=rr.Radius.ui_points(3.0),
                     labels=[
@@ -585,7 +585,7 @@ class Recorder:
                     ],
                     show_labels=False,
                 ),
-                _evidence(
+                evidence(
                     {
                         "state": doors.state,
                         "confidence": doors.confidence,
@@ -599,7 +599,7 @@ class Recorder:
             self._static(
                 entities.WINDOWS,
                 rr.LineStrips3D(
-                    _upright_frames(windows.ends, windows.bottom_m, windows.top_m),
+                    upright_frames(windows.ends, windows.bottom_m, windows.top_m),
                     colors=entities.CLASSES[Label.OUTSIDE][1],
                     radii=rr.Radius.ui_points(1.5),
                     labels=["window"] * len(windows),
@@ -705,7 +705,7 @@ def _ui_radius(points: float) -> np.float32:
     return np.float32(-points)
 
 
-def _evidence(columns: Mapping[str, npt.NDArray[Any]]) -> rr.AnyValues:
+def evidence(columns: Mapping[str, npt.NDArray[Any]]) -> rr.AnyValues:
     """Arrays beside an archetype, with the same types in every process even where they are empty."""
     typed: dict[str, Any] = {}
     for name, values in columns.items():
@@ -786,7 +786,7 @@ def _upright_quads(ends: FloatArray, bottom_m: FloatArray, top_m: FloatArray) ->
     return corners.reshape(-1, 3), triangles.reshape(-1, 3)
 
 
-def _upright_frames(ends: FloatArray, bottom_m: FloatArray, top_m: FloatArray) -> FloatArray:
+def upright_frames(ends: FloatArray, bottom_m: FloatArray, top_m: FloatArray) -> FloatArray:
     """Closed outlines (K, 5, 3) over ends (K, 2, 2) between heights (K,)."""
     corners = _upright_quads(ends, np.repeat(bottom_m[:, None], 2, 1), np.repeat(top_m[:, None], 2, 1))[0]
     return corners.reshape(-1, 4, 3)[:, [0, 1, 2, 3, 0]]

@@ -137,7 +137,7 @@ class Recording:
             self._viewer.disconnect()
         if self._path is not None and self._parts:
             joined = self._path.with_name(self._path.name + ".part")
-            _join(self._parts, joined)
+            join(self._parts, joined)
             joined.replace(self._path)
 
     def _close_own(self) -> None:
@@ -197,7 +197,7 @@ def _content_end(part: Path) -> int | None:
             count += 1
 
 
-def _join(parts: Sequence[Path], out: Path) -> None:
+def join(parts: Sequence[Path], out: Path) -> None:
     """One recording with one footer from all parts, none of them decompressed."""
     command = [sys.executable, "-c", _RERUN, "rrd", "route", "-o", str(out.resolve())]
     folders = {part.parent for part in parts}

@@ -12,7 +12,7 @@ from app.inputs import InputOptions, Inputs, find_inputs
 from app.progress import Progress
 from app.recorder import Detail
 from app.recording import check_viewer, start_viewer
-from app.run_folder import RECORDING, RunFolder
+from app.run_folder import EVALUATION, RECORDING, RunFolder
 from app.settings import Settings, load_settings, validate
 from loaders.bag import open_bag
 from loaders.errors import InputError
@@ -121,6 +121,8 @@ def _evaluate(folder: RunFolder, arguments: Arguments) -> None:
         metrics = evaluate.evaluate_run(folder.path, None, arguments.workers)
         if not arguments.quiet:
             evaluate.print_metrics(metrics)
+            if (folder.path / EVALUATION).exists():
+                typer.echo(f"errors:    rerun {folder.path / EVALUATION} {folder.path / RECORDING}")
 
 
 def _given_trajectory(arguments: Arguments, inputs: Inputs) -> Trajectory | None:

@@ -12,6 +12,7 @@ from loaders.errors import InputError
 
 RUN_JSON = "run.json"
 RECORDING = "recording.rrd"
+EVALUATION = "evaluation.rrd"
 TRAJECTORY = "trajectory.tum"
 CLOUD = "cloud.ply"
 METRICS = "metrics.json"

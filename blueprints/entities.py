@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from algorithms.labels import NO_RETURN, Label
+from algorithms.labels import NO_RETURN, Label, Verdict
 from algorithms.scan import FloatArray
 
 APPLICATION_ID = "furniture_free_mapping"
@@ -67,12 +67,21 @@ CURVE_EXAMPLE_SLOPE = "/scan/curves/example_slope"
 CURVE_EXAMPLE_STRUCTURES = "/scan/curves/example_structures"
 CURVE_EXAMPLE_TEXTS = "/scan/curves/example_texts"
 
+TRUTH_WALLS = "/world/truth/walls"
+TRUTH_DOORS = "/world/truth/doors"
+ERRORS = "/world/errors/space"
+PLAN_ERRORS = "/world/errors/plan"
+INVENTED_DOORS = "/world/errors/invented_doors"
+FIGURES = "/evaluation/figures"
+SCAN_ERRORS = "/metrics/errors"
+
 MILLISECONDS = "/metrics/milliseconds"
 LABEL_COUNTS = "/metrics/labels"
 COUNTS = "/metrics/counts"
 REGISTRATION = "/metrics/registration"
 
 POINT_LABEL_SCAN = "label_scan"
+POINT_VERDICT_COLOR = "verdict_color"
 POINT_RADIUS_UPRIGHT = "radius_without_floor_and_ceiling"
 CANDIDATE_PLANE_COLOR = "plane_color"
 
@@ -112,6 +121,17 @@ DOOR_CONDITION_CLASSES: dict[int, tuple[str, Color]] = {
     3: ("1, 2, 3: high enough: above a door", CLASSES[Label.DOOR][1]),
 }
 """How many of the paper's conditions held, in order."""
+
+VERDICTS: dict[int, tuple[str, Color]] = {
+    Verdict.RIGHT: ("right", (80, 88, 100)),
+    Verdict.FALSE_WALL: ("false wall", (240, 50, 50)),
+    Verdict.MISSED_WALL: ("missed wall", (255, 150, 0)),
+    Verdict.FALSE_DOOR: ("false door", (200, 90, 255)),
+    Verdict.MISSED_DOOR: ("missed door", (70, 140, 255)),
+    Verdict.OTHER: ("other", (240, 220, 90)),
+}
+"""Name and colour of what may be wrong with a label."""
+TRUTH_COLOR: Color = (235, 238, 245)
 
 UPMOST_COLOR: Color = (46, 204, 87)
 BOTTOMMOST_COLOR: Color = (255, 140, 0)

@@ -1,20 +1,25 @@
 """One run: the labelled scan, its lines and difference curves, the growing map and the grid at a glance."""
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
+from algorithms.grid_map import GridMap
 from blueprints import entities
 from blueprints.entities import CurveSheet
 
 
 def build(
-    ring_count: int | None = 32, centre_m: tuple[float, float] = (0.0, 0.0), extent_m: float = 20.0
+    ring_count: int | None = 32,
+    centre_m: tuple[float, float] = (0.0, 0.0),
+    extent_m: float = 20.0,
+    evaluated: bool = False,
 ) -> rrb.Blueprint:
     """The layout of a run's recording.
 
     ring_count: emitters of the vertical lidar, None where there is nothing to label. centre_m, extent_m: middle and size
-    of what the map views show.
+    of what the map views show. evaluated: with the errors that `evaluation.rrd` adds, first of all.
     """
     about: list[rrb.Container | rrb.View] = [_metrics(), rrb.TextDocumentView(origin=entities.README, name="Read me")]
     if ring_count is None:
@@ -26,7 +31,16 @@ def build(
         name="At a glance",
     )
     tabs = [overview, _method(ring_count), _building(centre_m, extent_m), _odometry(), *about]
-    return _blueprint(tabs, entities.SCAN_TIMELINE)
+    return _blueprint([_evaluation(centre_m, extent_m), *tabs] if evaluated else tabs, entities.SCAN_TIMELINE)
+
+
+def view_of(grid: GridMap | None) -> tuple[tuple[float, float], float]:
+    """`centre_m` and `extent_m` that show a whole grid map."""
+    if grid is None:
+        return (0.0, 0.0), 20.0
+    size_m = np.array(grid.cells.shape[::-1]) * grid.cell_m
+    x, y = grid.origin + size_m / 2
+    return (float(x), float(y)), float(size_m.max())
 
 
 def _blueprint(tabs: list[rrb.Container | rrb.View], timeline: str) -> rrb.Blueprint:
@@ -110,6 +124,53 @@ def _grid(centre_m: tuple[float, float], extent_m: float, name: str = entities.F
             position=(*centre_m, extent_m), look_target=(*centre_m, 0.0), eye_up=(0.0, 1.0, 0.0)
         ),
         line_grid=rrb.LineGrid3D(visible=False),
+    )
+
+
+def _evaluation(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
+    """What is wrong: on the map, in the scan, over time, and in figures."""
+    from_above = rrb.EyeControls3D(position=(*centre_m, extent_m), look_target=(*centre_m, 0.0), eye_up=(0.0, 1.0, 0.0))
+    outlines = [entities.TRUTH_WALLS, entities.TRUTH_DOORS, entities.INVENTED_DOORS]
+    return rrb.Horizontal(
+        rrb.Vertical(
+            rrb.Tabs(
+                rrb.Spatial3DView(
+                    origin=entities.WORLD,
+                    contents=[*outlines, f"{entities.PLAN_ERRORS}/**", entities.TRAJECTORY, f"{entities.BASE}/**"],
+                    name="False wall red, missed wall orange; truth white",
+                    overrides={entities.TRAJECTORY: _until_now()},
+                    eye_controls=from_above,
+                    line_grid=rrb.LineGrid3D(visible=False),
+                ),
+                rrb.Spatial3DView(
+                    origin=entities.WORLD,
+                    contents=[*outlines, f"{entities.ERRORS}/**", entities.TRAJECTORY, f"{entities.BASE}/**"],
+                    name="The same in space",
+                    overrides={entities.TRAJECTORY: _until_now()},
+                    line_grid=rrb.LineGrid3D(visible=False),
+                ),
+            ),
+            rrb.Spatial3DView(
+                origin=entities.WORLD,
+                contents=[*outlines, f"{entities.GRID}/**"],
+                name="Wall map: false cells red, missed cells orange",
+                eye_controls=from_above,
+                line_grid=rrb.LineGrid3D(visible=False),
+            ),
+        ),
+        rrb.Vertical(
+            _scan_view(
+                "This scan: false wall red, missed wall orange",
+                [entities.POINTS],
+                (entities.POINTS, _mapped_point_colors(entities.POINT_VERDICT_COLOR)),
+            ),
+            _scan_view("Its labels", [entities.POINTS]),
+            rrb.TimeSeriesView(origin=entities.SCAN_ERRORS, name="Wrong points in each scan, percent"),
+            row_shares=[3, 3, 2],
+        ),
+        rrb.TextDocumentView(origin=entities.FIGURES, name="Figures"),
+        column_shares=[4, 3, 3],
+        name="Evaluation",
     )
 
 
@@ -211,6 +272,17 @@ def _mapped_radii(component: str) -> rrb.Visualizer:
         mappings=[
             VisualizerComponentMapping(
                 target="Points3D:radii", source_kind=ComponentSourceKind.SourceComponent, source_component=component
+            )
+        ]
+    )
+
+
+def _mapped_point_colors(component: str) -> rrb.Visualizer:
+    """Points whose colours come from another component of theirs."""
+    return rr.Points3D.from_fields().visualizer(
+        mappings=[
+            VisualizerComponentMapping(
+                target="Points3D:colors", source_kind=ComponentSourceKind.SourceComponent, source_component=component
             )
         ]
     )

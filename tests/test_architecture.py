@@ -15,7 +15,7 @@ ALLOWED = {
 HOUSE = set(ALLOWED) | {"tests"}
 ONLY_IN = {
     "kiss_icp": ["algorithms/odometry.py"],
-    "rerun": ["app/recorder.py", "app/recording.py", "app/pipeline.py", "blueprints/"],
+    "rerun": ["app/recorder.py", "app/recording.py", "app/evaluation_recorder.py", "app/pipeline.py", "blueprints/"],
     "embreex": ["loaders/simulator/"],
     "pickle": [],
 }

@@ -19,9 +19,10 @@ from algorithms.evaluation import (
     compare_wall_map,
     confusion_by_area,
     outside_kept,
+    verdicts,
 )
 from algorithms.grid_map import Cell, GridMap
-from algorithms.labels import NO_RETURN, Label, Truth
+from algorithms.labels import NO_RETURN, Label, Truth, Verdict
 from algorithms.semantic_map import vote
 from algorithms.trajectory import Trajectory
 
@@ -428,3 +429,22 @@ class TestTrajectory:
         np.testing.assert_allclose(align(source, transforms.apply(T, source)), T, atol=1e-9)
         mirrored = align(source, source * [1, 1, -1])
         assert np.linalg.det(mirrored[:3, :3]) == pytest.approx(1)
+
+
+def test_verdicts_agree_with_the_figures() -> None:
+    wrong_by_truth = {
+        Truth.WALL: {Label.CLUTTER: Verdict.MISSED_WALL, Label.DOOR: Verdict.MISSED_WALL},
+        Truth.DOOR: {Label.WALL: Verdict.FALSE_WALL, Label.CLUTTER: Verdict.MISSED_DOOR},
+        Truth.FLOOR: {Label.DOOR: Verdict.FALSE_DOOR, Label.CEILING: Verdict.OTHER},
+        Truth.OPEN_LEAF: {Label.WALL: Verdict.FALSE_WALL, Label.CLUTTER: Verdict.RIGHT, Label.DOOR: Verdict.RIGHT},
+        Truth.GLASS: dict.fromkeys(Label, Verdict.RIGHT),
+        Truth.OUTSIDE: {Label.CLUTTER: Verdict.RIGHT, Label.WALL: Verdict.FALSE_WALL},
+        Truth.PERSON: {Label.OUTSIDE: Verdict.RIGHT, Label.WALL: Verdict.FALSE_WALL},
+    }
+    for truth, expected in wrong_by_truth.items():
+        for label, verdict in expected.items():
+            assert verdicts(np.array([truth], np.uint8), np.array([label], np.uint8))[0] == verdict, (truth, label)
+    own = np.arange(len(Label), dtype=np.uint8)
+    assert not verdicts(own, own).any()
+    # A return without a label is missed; one whose truth is unknown counts nowhere.
+    assert verdicts(np.array([3, 255], np.uint8), np.array([255, 3], np.uint8)).tolist() == [Verdict.MISSED_WALL, 0]

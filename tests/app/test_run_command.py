@@ -14,16 +14,20 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
+from rerun.chunk import RrdReader
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
+from algorithms.labels import Verdict
 from app import cli
+from blueprints import entities
 from loaders.simulator import SimulationSettings, simulate
 
 FFMAP = [sys.executable, "-c", "from app.cli import main; main()"]
 FILES = [
     "recording.rrd",
+    "evaluation.rrd",
     "run.json",
     "trajectory.tum",
     "cloud.ply",
@@ -141,14 +145,39 @@ def test_every_file_can_be_read_by_something_else(finished: Path, environment: d
             [evo, "tum", finished / "trajectory.tum"], env=environment, capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stderr
-    done = subprocess.run(
-        [sys.executable, "-m", "rerun", "rrd", "verify", finished / "recording.rrd"], capture_output=True, check=False
-    )
-    assert done.returncode == 0
+    for name in ("recording.rrd", "evaluation.rrd"):
+        rerun = Path(sys.executable).parent / "rerun"
+        done = subprocess.run([rerun, "rrd", "verify", finished / name], capture_output=True, check=False)
+        assert done.returncode == 0, name
     walls = json.loads((finished / "walls.geojson").read_text())
     assert walls["features"]
     metrics = json.loads((finished / "metrics.json").read_text())
     assert 0.5 < metrics["area"]["floor"]["f1"] <= 1.0
+
+
+def test_errors_are_a_layer_of_the_recording(finished: Path) -> None:
+    record = json.loads((finished / "run.json").read_text())
+    metrics = json.loads((finished / "metrics.json").read_text())
+    reader = RrdReader(finished / "evaluation.rrd")
+    assert {entry.recording_id for entry in reader.recordings()} == {record["recording_id"]}
+    chunks = [(chunk.entity_path, chunk.to_record_batch()) for chunk in reader.stream()]
+    verdicts: dict[int, np.ndarray] = {}
+    for path, rows in chunks:
+        if path == entities.POINTS:
+            for scan, colors in zip(
+                rows.column("scan").to_pylist(), rows.column(entities.POINT_VERDICT_COLOR).to_pylist(), strict=True
+            ):
+                verdicts[scan] = np.array(colors)
+    assert len(verdicts) == record["counts"]["scans"]
+    red, green, blue = entities.VERDICTS[Verdict.FALSE_WALL][1]
+    false_walls = sum(
+        int(np.count_nonzero(c == (red << 24 | green << 16 | blue << 8 | 255))) for c in verdicts.values()
+    )
+    assert false_walls == metrics["points"]["wall"]["wrong"] > 0
+    assert metrics["statistics"]["points_in_cloud"]["max"] >= max(map(len, verdicts.values()))
+    # One verdict for each return, in the order of the recorded points.
+    for scan, (_, label, _) in enumerate(labels_of(finished)):
+        assert len(verdicts[scan]) == np.count_nonzero(label != 255)
 
 
 @pytest.mark.parametrize("container", ["mcap", "db3"])
