@@ -40,6 +40,7 @@ def grow(
     *,
     spans: Sequence[tuple[float, float]] | None = None,
     noise_m: float = 0.0,
+    seed: int = 0,
     ceilings: tuple[HorizontalPlane, ...] = (CEILING,),
     T: np.ndarray | None = None,
     rows: Sequence[int] | None = None,
@@ -53,7 +54,7 @@ def grow(
     own_line = np.arange(count) * 2 if line is None else np.asarray(line)
     line_count = int(own_line.max(initial=-1)) + 1
     span = np.array(spans if spans is not None else [SPAN_M] * count, float).reshape(-1, 2)
-    points = samples_of(candidates, span, noise_m).reshape(-1, 3)
+    points = samples_of(candidates, span, noise_m, seed).reshape(-1, 3)
     height_m = points[:, 2].astype(np.float32)
     origin = ORIGIN
     if T is not None:
@@ -89,9 +90,9 @@ def grow(
     )
 
 
-def literal(candidates: np.ndarray, noise_m: float = 0.0) -> list[list[int]]:
+def literal(candidates: np.ndarray, noise_m: float = 0.0, seed: int = 0) -> list[list[int]]:
     """Algorithm 1 as printed, on the candidates' upper parts; Ω and Θ by singular values."""
-    points = samples_of(candidates, np.array([SPAN_M] * len(candidates)), noise_m)
+    points = samples_of(candidates, np.array([SPAN_M] * len(candidates)), noise_m, seed)
     upper = [p[p[:, 2] > p[-1, 2] - SETTINGS.upper_part_m, :2] for p in points]
 
     def omega(members: list[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -153,8 +154,9 @@ def test_the_two_sides_of_the_emitters_are_walked_one_after_the_other() -> None:
     left, right = wall([-0.6, 2.0], [0.8, 2.0], 8), wall([-0.6, -1.5], [0.8, -1.5], 8)
     found = grow(np.stack([left, right], axis=1).reshape(-1, 2, 2), list(range(16)))
     assert found.candidate_line.tolist() == [*range(0, 16, 2), *range(1, 16, 2)]
-    # The second side starts afresh; nothing was broken.
+    # The second side starts afresh, compared with nothing; nothing was broken.
     assert found.candidate_growth.tolist() == 2 * ([SEEDED] + [JOINED] * 7)
+    assert np.flatnonzero(np.isnan(found.candidate_distance_m)).tolist() == [0, 8]
     assert found.candidate_plane.tolist() == [0] * 8 + [1] * 8
     np.testing.assert_allclose(found.normal, [[0, -1], [0, 1]], atol=1e-5)
     np.testing.assert_allclose(found.offset_m, [-2, -1.5], atol=1e-5)
@@ -210,17 +212,33 @@ def test_as_printed_one_wall_is_no_wall() -> None:
 
 
 def test_a_seed_alone_has_no_direction() -> None:
-    # Printed, Ω of the seed's samples is compared with; under noise their direction is anything, and a wall is torn.
-    candidates, noise_m = wall([-1.5, 2.0], [2.3, 2.0], 20), 0.01
-    torn = literal(candidates, noise_m)
-    assert len(torn) > 1
-    assert sum(len(members) for members in torn) < 15
-    found = grow(candidates, noise_m=noise_m)
-    assert found.candidate_growth.tolist() == [SEEDED] + [JOINED] * 19
-    assert found.candidate_plane.tolist() == [0] * 20
-    assert abs(np.degrees(np.arctan2(found.normal[0, 0], -found.normal[0, 1]))) < 0.3
-    assert found.offset_m[0] == pytest.approx(-2, abs=0.003)
-    assert found.rms_m[0] == pytest.approx(noise_m, rel=0.1)
+    # Printed, the third candidate is compared with Ω of the seed alone; under noise its direction is anything, and a
+    # wall is torn. The last candidate stands off and closes the wall's plane, so that it is not lost for its place.
+    candidates, noise_m = np.concatenate([wall([-1.5, 2.0], [2.3, 2.0], 20), wall([2.5, 1.0], [2.5, 0.9], 2)[:1]]), 0.01
+    assert literal(candidates) == [[0, *range(2, 20)]]
+    kept = []
+    for seed in range(8):
+        kept.append(max([len(members) for members in literal(candidates, noise_m, seed)], default=0))
+        found = grow(candidates, noise_m=noise_m, seed=seed)
+        assert found.candidate_growth.tolist() == [SEEDED] + [JOINED] * 19 + [BROKE]
+        assert found.candidate_plane.tolist() == [0] * 20 + [-1]
+        assert abs(np.degrees(np.arctan2(found.normal[0, 0], -found.normal[0, 1]))) < 0.3
+        assert found.offset_m[0] == pytest.approx(-2, abs=0.003)
+        assert found.rms_m[0] == pytest.approx(noise_m, rel=0.1)
+    assert max(kept) < 19, kept
+
+
+@pytest.mark.parametrize(("apart_m", "growth"), [(0.08, JOINED), (0.3, BROKE)])
+def test_the_second_candidate_is_compared_with_the_plane_of_both(apart_m: float, growth: Growth) -> None:
+    # Two lines that bend far along two parallel walls: each is flat in itself, but they have no plane in common.
+    pair = wall([0.0, 2.0], [0.2, 2.0], 2, lean_m=3.0)
+    pair[1, :, 1] += apart_m
+    found = grow(pair)
+    assert found.candidate_growth.tolist() == [SEEDED, growth]
+    points = samples_of(pair, np.array([SPAN_M] * 2))
+    xy = points[points[:, :, 2] > SPAN_M[1] - SETTINGS.upper_part_m][:, :2]
+    rms_m = np.linalg.svd(xy - xy.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(xy))
+    assert found.candidate_distance_m[1] == pytest.approx(rms_m, rel=0.01)
 
 
 def test_planes_that_one_odd_line_has_cut_are_joined_again() -> None:
