@@ -12,6 +12,7 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 
 from algorithms import transforms
+from algorithms.refinement import Refinement, RefinementSettings, Refiner
 from algorithms.scan import FloatArray, Scan
 from algorithms.settings import StepSettings
 
@@ -49,15 +50,17 @@ class Registration:
 
     index: of the scan's cloud in the bag.
     stamp_ns: the time of the pose: the END of the sweep (KISS-ICP's convention with motion compensation).
-    T_odom_sensor: (4, 4) at that time; odom is the sensor's frame at the first scan.
+    T_odom_sensor: (4, 4) at that time, refined; odom is the sensor's frame at the first scan.
     keypoints_sensor: (k, 3) float32, the downsampled returns that were registered.
-    local_map_odom: (m, 3) float32, the local map that they were registered to; empty but for every
-        `evidence_every`-th scan.
+    local_map_odom: (m, 3) float32, the local map that they were registered to, moved as the pose was refined; empty
+        but for every `evidence_every`-th scan.
     threshold_m: KISS-ICP's adaptive correspondence threshold.
     correction_m: how far the registration moved the constant-velocity prediction.
     residual_m: median distance of the keypoints to the local map; NaN where that was not kept.
     inlier_share: share of keypoints nearer to the local map than the threshold; NaN likewise.
-    milliseconds: what the registration took.
+    refined_m: how far the refinement has moved the pose, all scans until this one together.
+    refined_inlier_share, weakest_share: see `Refinement`; NaN where poses are not refined.
+    milliseconds: what registration and refinement took.
     """
 
     index: int
@@ -69,11 +72,17 @@ class Registration:
     correction_m: float
     residual_m: float
     inlier_share: float
+    refined_m: float
+    refined_inlier_share: float
+    weakest_share: float
     milliseconds: float
 
 
-def register_scans(scans: Iterable[tuple[int, Scan]], settings: OdometrySettings) -> Iterator[Registration]:
+def register_scans(
+    scans: Iterable[tuple[int, Scan]], settings: OdometrySettings, refinement: RefinementSettings
+) -> Iterator[Registration]:
     """Register scans one after another to the map that they build; yields one `Registration` for each."""
+    refiner = Refiner(refinement, (settings.range_min_m, settings.range_max_m)) if refinement.enabled else None
     odometry = KissICP(
         KISSConfig(
             data=DataConfig(max_range=settings.range_max_m, min_range=settings.range_min_m, deskew=settings.deskew),
@@ -98,19 +107,24 @@ def register_scans(scans: Iterable[tuple[int, Scan]], settings: OdometrySettings
         _, keypoints = odometry.register_frame(
             scan.points_sensor[::stride].astype(np.float64), _sweep_fraction(scan)[::stride]
         )
+        T_kiss = odometry.last_pose.copy()
+        refined = refiner.refine(scan, T_kiss) if refiner else Refinement(T_kiss, float("nan"), float("nan"))
         milliseconds = 1e3 * (time.perf_counter() - started)
-        T_odom_sensor = odometry.last_pose.copy()
-        residual_m, inlier_share = _residual(keypoints, local_map, T_odom_sensor, threshold_m)
+        residual_m, inlier_share = _residual(keypoints, local_map, T_kiss, threshold_m)
+        T_refined_kiss = refined.T_odom_sensor @ transforms.invert(T_kiss)
         yield Registration(
             index=index,
             stamp_ns=scan.end_ns,
-            T_odom_sensor=T_odom_sensor,
+            T_odom_sensor=refined.T_odom_sensor,
             keypoints_sensor=keypoints.astype(np.float32),
-            local_map_odom=local_map.astype(np.float32),
+            local_map_odom=transforms.apply(T_refined_kiss, local_map).astype(np.float32),
             threshold_m=threshold_m,
-            correction_m=float(np.linalg.norm((transforms.invert(T_prediction) @ T_odom_sensor)[:3, 3])),
+            correction_m=float(np.linalg.norm((transforms.invert(T_prediction) @ T_kiss)[:3, 3])),
             residual_m=residual_m,
             inlier_share=inlier_share,
+            refined_m=float(np.linalg.norm(refined.T_odom_sensor[:3, 3] - T_kiss[:3, 3])),
+            refined_inlier_share=refined.inlier_share,
+            weakest_share=refined.weakest_share,
             milliseconds=milliseconds,
         )
 

@@ -51,3 +51,16 @@ def yaw_of(T_target_source: FloatArray) -> float:
 def from_yaw(yaw_rad: float, translation: FloatArray | list[float]) -> FloatArray:
     """T_target_source (4, 4) that turns about z only."""
     return make_transform(Rotation.from_euler("z", yaw_rad), translation)
+
+
+def orthonormal(T: FloatArray) -> FloatArray:
+    """The transform (4, 4) whose rotation is the nearest one to T's."""
+    U, _, Vt = np.linalg.svd(T[:3, :3])
+    nearest = T.copy()
+    nearest[:3, :3] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    return nearest
+
+
+def to_twist(T: FloatArray) -> FloatArray:
+    """(6,): rotation vector and translation of T."""
+    return np.concatenate([Rotation.from_matrix(T[:3, :3]).as_rotvec(), T[:3, 3]])

@@ -96,7 +96,7 @@ def _placed_scans(bag: Path, settings: Settings) -> list[tuple[int, Scan, Placed
     inputs = find_inputs(bag, InputOptions())
     if inputs.vertical is None or inputs.horizontal is None:
         raise InputError(f"{bag}: has no vertical lidar to label; give a bag of two lidars")
-    found, _ = registrations(inputs, inputs.horizontal, settings.odometry, settings.trajectory)
+    found, _ = registrations(inputs, inputs.horizontal, settings)
     stamps, poses = zip(*((r.stamp_ns, r.T_odom_sensor) for r in found), strict=True)
     T_base_horizontal = inputs.horizontal.lidar.T_base_sensor
     # The odometry's first frame is level where the base is, which times need no better than.

@@ -18,16 +18,16 @@ from pathlib import Path
 
 import numpy as np
 
-from algorithms.odometry import OdometrySettings, Registration
+from algorithms.odometry import Registration
 from algorithms.scan import Scan
-from algorithms.trajectory import TrajectorySettings
 from app.inputs import Inputs, Sensor
 from app.processes import process_context
+from app.settings import Settings
 from loaders.bag import open_bag
 from loaders.scans import read_scans
 
 _PER_FILE = 50
-_FORMAT = 1
+_FORMAT = 2
 """Raised whenever a change to reading or registering scans changes poses."""
 
 
@@ -42,7 +42,7 @@ def cache_folder() -> Path:
     return base / "furniture-free-mapping" / "odometry"
 
 
-def cache_key(inputs: Inputs, sensor: Sensor, odometry: OdometrySettings, trajectory: TrajectorySettings) -> str:
+def cache_key(inputs: Inputs, sensor: Sensor, settings: Settings) -> str:
     """What the poses depend on, as a name."""
     content = {
         "format": _FORMAT,
@@ -50,23 +50,23 @@ def cache_key(inputs: Inputs, sensor: Sensor, odometry: OdometrySettings, trajec
         "topic": sensor.lidar.topic,
         "time_from": sensor.lidar.decoding.time_from,
         "kiss_icp": version("kiss-icp"),
-        "odometry": odometry.model_dump(mode="json"),
-        "trajectory": trajectory.model_dump(mode="json"),
+        "small_gicp": version("small_gicp"),
+        "odometry": settings.odometry.model_dump(mode="json"),
+        "refinement": settings.refinement.model_dump(mode="json"),
+        "trajectory": settings.trajectory.model_dump(mode="json"),
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
 
 
-def registrations(
-    inputs: Inputs, sensor: Sensor, odometry: OdometrySettings, trajectory: TrajectorySettings
-) -> tuple[Iterator[Registration], bool]:
+def registrations(inputs: Inputs, sensor: Sensor, settings: Settings) -> tuple[Iterator[Registration], bool]:
     """The registration of every usable horizontal scan in order, and whether they came from the cache.
 
     What is not cached is registered while the iterator is read, and cached once it has been read to its end.
     """
-    folder = cache_folder() / cache_key(inputs, sensor, odometry, trajectory)
+    folder = cache_folder() / cache_key(inputs, sensor, settings)
     if (folder / "complete").exists():
         return _from_cache(folder), True
-    return _register(inputs, sensor, odometry, folder), False
+    return _register(inputs, sensor, settings, folder), False
 
 
 def _from_cache(folder: Path) -> Iterator[Registration]:
@@ -86,11 +86,14 @@ def _from_cache(folder: Path) -> Iterator[Registration]:
                 correction_m=float(columns["correction_m"][i]),
                 residual_m=float(columns["residual_m"][i]),
                 inlier_share=float(columns["inlier_share"][i]),
+                refined_m=float(columns["refined_m"][i]),
+                refined_inlier_share=float(columns["refined_inlier_share"][i]),
+                weakest_share=float(columns["weakest_share"][i]),
                 milliseconds=float(columns["milliseconds"][i]),
             )
 
 
-def _register(inputs: Inputs, sensor: Sensor, settings: OdometrySettings, folder: Path) -> Iterator[Registration]:
+def _register(inputs: Inputs, sensor: Sensor, settings: Settings, folder: Path) -> Iterator[Registration]:
     part = folder.with_name(f"{folder.name}.{os.getpid()}.part")
     shutil.rmtree(part, ignore_errors=True)
     context = process_context()
@@ -152,7 +155,7 @@ def _store(path: Path, stored: list[Registration]) -> None:
 
 
 def _odometry_process(
-    bag_path: Path, sensor: Sensor, settings: OdometrySettings, results: "mp.Queue[Registration | str | None]"
+    bag_path: Path, sensor: Sensor, settings: Settings, results: "mp.Queue[Registration | str | None]"
 ) -> None:
     # Imported here: only this process needs KISS-ICP.
     import traceback
@@ -160,7 +163,7 @@ def _odometry_process(
     from algorithms.odometry import register_scans
 
     try:
-        for registration in register_scans(_usable_scans(bag_path, sensor), settings):
+        for registration in register_scans(_usable_scans(bag_path, sensor), settings.odometry, settings.refinement):
             results.put(registration)
         results.put(None)
     except Exception:

@@ -287,9 +287,7 @@ class _ScanStage:
                 f"{self._inputs.bag_path}: no horizontal lidar gives poses; name one with --horizontal, or give a "
                 "trajectory with --trajectory"
             )
-        source, self._state.odometry_cached = registrations(
-            self._inputs, sensor, self._settings.odometry, self._settings.trajectory
-        )
+        source, self._state.odometry_cached = registrations(self._inputs, sensor, self._settings)
         T_sensor_base = transforms.invert(sensor.lidar.T_base_sensor)
         level_ns = int(self._settings.trajectory.level_s * 1e9)
         stamps: list[int] = []

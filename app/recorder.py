@@ -176,6 +176,9 @@ class Recorder:
             "correction_m": [r.correction_m for r in registrations],
             "residual_m": [r.residual_m for r in registrations],
             "inlier_share": [r.inlier_share for r in registrations],
+            "refined_m": [r.refined_m for r in registrations],
+            "refined_inlier_share": [r.refined_inlier_share for r in registrations],
+            "weakest_share": [r.weakest_share for r in registrations],
             "keypoint_count": [len(r.keypoints_sensor) for r in registrations],
             "milliseconds": [r.milliseconds for r in registrations],
         }

@@ -16,6 +16,7 @@ from algorithms.grid_map import GridMapSettings
 from algorithms.labelling import LabellingSettings, MethodSettings
 from algorithms.odometry import OdometrySettings
 from algorithms.rearrangement import RearrangementSettings
+from algorithms.refinement import RefinementSettings
 from algorithms.relabelling import RelabellingSettings
 from algorithms.settings import StepSettings
 from algorithms.trajectory import TrajectorySettings
@@ -29,6 +30,7 @@ class Settings(StepSettings):
 
     seed: int = Field(0, ge=0, description="Seed of all random numbers; a scan's depend on it and on the scan's index.")
     odometry: OdometrySettings = OdometrySettings()
+    refinement: RefinementSettings = RefinementSettings()
     trajectory: TrajectorySettings = TrajectorySettings()
     rearrangement: RearrangementSettings = RearrangementSettings()
     vertical_structures: VerticalStructuresSettings = VerticalStructuresSettings()

@@ -5,7 +5,7 @@ import subprocess
 from importlib.metadata import version
 from pathlib import Path
 
-PACKAGES = ("rerun-sdk", "numpy", "scipy", "numba", "rosbags", "kiss-icp")
+PACKAGES = ("rerun-sdk", "numpy", "scipy", "numba", "rosbags", "kiss-icp", "small_gicp")
 
 
 def versions() -> dict[str, str]:

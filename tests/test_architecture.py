@@ -15,6 +15,7 @@ ALLOWED = {
 HOUSE = set(ALLOWED) | {"tests"}
 ONLY_IN = {
     "kiss_icp": ["algorithms/odometry.py"],
+    "small_gicp": ["algorithms/refinement.py"],
     "rerun": ["app/recorder.py", "app/recording.py", "app/evaluation_recorder.py", "app/pipeline.py", "blueprints/"],
     "embreex": ["loaders/simulator/"],
     "pickle": [],

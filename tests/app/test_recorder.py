@@ -213,6 +213,9 @@ def test_registrations_lie_on_stamp_alone(tmp_path):
             threshold_m=0.4,
             correction_m=0.01,
             residual_m=0.02 if number else float("nan"),
+            refined_m=0.02,
+            refined_inlier_share=0.9,
+            weakest_share=0.1,
             inlier_share=0.9,
             milliseconds=12.0,
         )
