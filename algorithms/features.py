@@ -47,7 +47,7 @@ def extract(index: int, placed: PlacedScan, labelling: ScanLabelling) -> Feature
     return Features(
         scan=np.array([index]),
         origin_map=placed.to_map(placed.origin_level[None]),
-        floor_m=np.array([labelling.floor.height_m]),
+        floor_m=np.array([labelling.floor.height_m + T[2, 3]]),
         ray_count=np.array([len(chosen)]),
         plane_count=np.array([len(planes)]),
         ray_end_map=placed.to_map(placed.points_level[chosen]).astype(np.float32),

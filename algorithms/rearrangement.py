@@ -13,6 +13,8 @@ SAMPLES = 200
 """Returns in a resampled point line (paper, III.A: "exactly 200 points")."""
 
 _HEIGHT_BIN_M = 0.01
+_CEILING_HEIGHT_MAX_M = 50.0
+"""No ceiling is higher; a damaged return may be."""
 _CEILING_POINTS = 8_000
 
 
@@ -58,7 +60,7 @@ class HorizontalPlane:
 
     height_m: at the level frame's origin.
     slope: (2,) metres up for each metre along x and y; zero unless the plane was refined.
-    support: how many returns lie on it.
+    support: how many of the returns that it was fitted to lie on it; a share of the scan's, for a share places it.
     """
 
     height_m: float
@@ -125,7 +127,7 @@ def find_ceilings(
 
     points_level: (n, 3); height_m: (n,) of each return above the floor; seed: of the hypotheses.
     """
-    high = np.flatnonzero(height_m > settings.ceiling_height_min_m)
+    high = np.flatnonzero((height_m > settings.ceiling_height_min_m) & (height_m < _CEILING_HEIGHT_MAX_M))
     # A plane needs no more returns than these to be found and placed to a millimetre.
     stride = max(1, len(high) // _CEILING_POINTS)
     high = high[::stride]

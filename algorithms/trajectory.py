@@ -95,14 +95,14 @@ class Trajectory:
 class PlacedScan:
     """A scan with every firing at the pose of its own time, in the frame `level`.
 
-    level: gravity-aligned; its origin lies on the map's floor height under the base at the scan's reference time
-    (the middle of the sweep), x along the base's heading there.
+    level: gravity-aligned; its origin lies on the floor that the base stands on at the scan's reference time (the middle
+    of the sweep), as far as the pose tells, x along the base's heading there.
 
     points_level: (n, 3) float32, metres.
     origin_level: (3,) the sensor's place at the reference time.
     spin_axis_level: (3,) unit vector, the sensor's spin axis at the reference time.
     down_sensor: (3,) unit vector, gravity in the sensor's frame at the reference time.
-    T_map_level: (4, 4), a turn about z and a shift in x and y.
+    T_map_level: (4, 4), a turn about z and a shift.
     T_map_base: (4, 4) at the reference time.
     """
 
@@ -118,17 +118,22 @@ class PlacedScan:
         return transforms.apply(self.T_map_level, points_level)
 
 
-def place_scan(scan: Scan, trajectory: Trajectory, T_base_sensor: FloatArray) -> PlacedScan:
+def place_scan(
+    scan: Scan, trajectory: Trajectory, T_base_sensor: FloatArray, base_height_m: float | None = None
+) -> PlacedScan:
     """Put every firing of a scan at the pose of its own time (paper, V: "interpolate the vertical Lidar pose").
 
     Without times all firings get the pose at the scan's stamp.
+
+    base_height_m: how high the base stands above the floor, wherever that lies; None for a floor at height 0.
     """
     duration_ns = scan.end_ns - scan.start_ns
     reference_ns = scan.start_ns + duration_ns // 2
     knots_ns = scan.start_ns + np.linspace(0, duration_ns, KNOTS).astype(np.int64)
     T_map_base = trajectory.at(np.append(knots_ns, reference_ns))
     T_map_level = transforms.from_yaw(
-        transforms.yaw_of(T_map_base[-1]), [T_map_base[-1, 0, 3], T_map_base[-1, 1, 3], 0.0]
+        transforms.yaw_of(T_map_base[-1]),
+        [*T_map_base[-1, :2, 3], 0.0 if base_height_m is None else T_map_base[-1, 2, 3] - base_height_m],
     )
     T_level_sensor = transforms.invert(T_map_level) @ T_map_base @ T_base_sensor
     time_ns = scan.time_ns if scan.time_ns is not None else np.zeros(0, np.int64)

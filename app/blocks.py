@@ -48,6 +48,8 @@ class LabelJob:
     block: Block
     inputs: Inputs
     trajectory: Trajectory
+    base_height_m: float
+    """How high the base stands above the floor."""
     extrapolate_ns: int
     level_scan_max_deg: float
     method: MethodSettings
@@ -231,10 +233,15 @@ def finish_block(job: FinishJob) -> None:
 
 
 def place_level(
-    scan: Scan, trajectory: Trajectory, T_base_sensor: FloatArray, method: MethodSettings, level_scan_max_deg: float
+    scan: Scan,
+    trajectory: Trajectory,
+    T_base_sensor: FloatArray,
+    base_height_m: float,
+    method: MethodSettings,
+    level_scan_max_deg: float,
 ) -> tuple[PlacedScan, HorizontalPlane]:
     """The scan with every firing at its own pose and its floor level; and that floor, in the level frame."""
-    placed = place_scan(scan, trajectory, T_base_sensor)
+    placed = place_scan(scan, trajectory, T_base_sensor, base_height_m)
     floor = find_floor(placed.points_level, method.rearrangement)
     levelled = level_scan(placed, floor.height_m, floor.slope, level_scan_max_deg)
     return levelled, floor if levelled is placed else replace(floor, slope=np.zeros(2))
@@ -242,7 +249,7 @@ def place_level(
 
 def _place(scan: Scan, job: LabelJob) -> tuple[PlacedScan, HorizontalPlane]:
     T_base_sensor = _vertical(job.inputs).lidar.T_base_sensor
-    return place_level(scan, job.trajectory, T_base_sensor, job.method, job.level_scan_max_deg)
+    return place_level(scan, job.trajectory, T_base_sensor, job.base_height_m, job.method, job.level_scan_max_deg)
 
 
 def load_summary(path: Path) -> BlockSummary:

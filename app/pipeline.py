@@ -394,6 +394,7 @@ class _ScanStage:
             block=block,
             inputs=self._inputs,
             trajectory=Trajectory(trajectory.stamp_ns[first:last], trajectory.T_map_base[first:last]),
+            base_height_m=float(trajectory.T_map_base[0, 2, 3]),
             extrapolate_ns=int(self._settings.trajectory.extrapolate_s * 1e9),
             level_scan_max_deg=self._settings.trajectory.level_scan_max_deg,
             method=self._settings.method,

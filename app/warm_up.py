@@ -25,7 +25,7 @@ def warm_up() -> None:
     scan, method = _room_scan(), Settings().method
     upright = np.array([[0.0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, ROOM_M[2]], [0, 0, 0, 1]])
     trajectory = Trajectory(np.array([0, 200_000_000]), np.stack([np.eye(4)] * 2))
-    placed, floor = place_level(scan, trajectory, upright, method, 2.0)
+    placed, floor = place_level(scan, trajectory, upright, 0.0, method, 2.0)
     labelling = label_scan(scan, placed, method, 0)
     extract(0, placed, labelling)
     points_map = points_in_map(placed)

@@ -380,3 +380,15 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
     assert Cell.OCCUPIED in {at(0.9, 1.97), at(0.9, 2.02)}
     assert at(0.5, 0.5) == Cell.FREE
     assert at(1.5, 2.4) == Cell.UNKNOWN
+
+
+def test_the_floor_is_found_wherever_the_robot_has_climbed() -> None:
+    scan, truth = cast(pose() @ T_BASE_SENSOR, None, 0.015, 3)
+    # The map says that robot and floor are 0.6 m higher than at the start: a ramp, or drift.
+    climbed = transforms.make_transform(None, [1.0, 0.0, 0.6])
+    placed = place_scan(scan, Trajectory(np.array([0]), climbed[None]), T_BASE_SENSOR, base_height_m=0.0)
+    found = label_scan(scan, placed, METHOD, 3)
+    assert share(found.label, truth, Label.FLOOR)[1] > 0.97
+    np.testing.assert_allclose(placed.to_map(placed.points_level)[truth == Label.FLOOR, 2], 0.6, atol=0.1)
+    features = extract(0, placed, found)
+    assert features.floor_m[0] == pytest.approx(0.6, abs=0.01)

@@ -1,6 +1,7 @@
 """Properties that hold for any input: transforms, votes, floor and ceilings of wild clouds, labels of wild scans."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -361,3 +362,19 @@ class TestLabels:
         check()
         # None of that was said of clutter alone.
         assert expected <= set(met), met
+
+
+@pytest.mark.parametrize("far_m", [1e5, 1e9, 1e19, 3e38])
+def test_one_damaged_return_changes_nothing_else(far_m: float) -> None:
+    whole = synthetic.scan(firings=1000)
+    points = whole.points_sensor.copy()
+    points[777] = (-far_m, 0.3, 0.3)
+    harmed = replace(whole, points_sensor=points)
+    labels = [
+        label_scan(
+            scan, place_scan(scan, synthetic.trajectory(3), synthetic.T_BASE_SENSOR), synthetic.settings(), 0
+        ).label
+        for scan in (whole, harmed)
+    ]
+    assert np.mean(labels[0] != labels[1]) < 0.001
+    assert labels[1][777] == Label.CLUTTER
