@@ -79,10 +79,18 @@ class Registration:
 
 
 def register_scans(
-    scans: Iterable[tuple[int, Scan]], settings: OdometrySettings, refinement: RefinementSettings
+    scans: Iterable[tuple[int, Scan, Scan | None]],
+    settings: OdometrySettings,
+    refinement: RefinementSettings,
+    T_sensor_companion: FloatArray | None = None,
 ) -> Iterator[Registration]:
-    """Register scans one after another to the map that they build; yields one `Registration` for each."""
-    refiner = Refiner(refinement, (settings.range_min_m, settings.range_max_m)) if refinement.enabled else None
+    """Register scans one after another to the map that they build; yields one `Registration` for each.
+
+    scans: index and scan, and the scan of the other lidar, if any, that ended last before it.
+    T_sensor_companion: (4, 4) where that lidar sits.
+    """
+    range_m = (settings.range_min_m, settings.range_max_m)
+    refiner = Refiner(refinement, range_m, T_sensor_companion) if refinement.enabled else None
     odometry = KissICP(
         KISSConfig(
             data=DataConfig(max_range=settings.range_max_m, min_range=settings.range_min_m, deskew=settings.deskew),
@@ -97,7 +105,7 @@ def register_scans(
             ),
         )
     )
-    for number, (index, scan) in enumerate(scans):
+    for number, (index, scan, companion) in enumerate(scans):
         threshold_m = float(odometry.adaptive_threshold.get_threshold())
         keep_evidence = number % settings.evidence_every == 0
         local_map = odometry.local_map.point_cloud() if keep_evidence else np.zeros((0, 3))
@@ -108,7 +116,7 @@ def register_scans(
             scan.points_sensor[::stride].astype(np.float64), _sweep_fraction(scan)[::stride]
         )
         T_kiss = odometry.last_pose.copy()
-        refined = refiner.refine(scan, T_kiss) if refiner else Refinement(T_kiss, float("nan"), float("nan"))
+        refined = refiner.refine(scan, T_kiss, companion) if refiner else Refinement(T_kiss, float("nan"), float("nan"))
         milliseconds = 1e3 * (time.perf_counter() - started)
         residual_m, inlier_share = _residual(keypoints, local_map, T_kiss, threshold_m)
         T_refined_kiss = refined.T_odom_sensor @ transforms.invert(T_kiss)

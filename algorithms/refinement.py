@@ -24,6 +24,11 @@ class RefinementSettings(StepSettings):
     points_max: int = Field(8_000, ge=100, description="Denser clouds are thinned evenly to at most so many returns.")
     resolution_m: float = Field(0.2, gt=0, le=5, description="Scans are thinned to a point in so many metres.")
     neighbours: int = Field(10, ge=4, description="Points that a point's covariance is estimated from.")
+    companion_points_max: int = Field(
+        5_000,
+        ge=0,
+        description="As many returns of the other lidar, which sees floor and ceiling, are registered with.",
+    )
     distance_m: float = Field(0.5, gt=0, description="Points farther than so many metres from a Gaussian have none.")
     iterations_max: int = Field(20, ge=1, description="Most iterations a scan.")
 
@@ -47,30 +52,50 @@ class Refiner:
     """Registers scan after scan to the map that the earlier ones made.
 
     settings: of the refinement. range_m: returns nearer or farther than these are left out.
+    T_sensor_companion: (4, 4) where the other lidar sits, if there is one.
     """
 
-    def __init__(self, settings: RefinementSettings, range_m: tuple[float, float]) -> None:
+    def __init__(
+        self, settings: RefinementSettings, range_m: tuple[float, float], T_sensor_companion: FloatArray | None = None
+    ) -> None:
         self._settings = settings
         self._range_m = range_m
+        self._T_sensor_companion = T_sensor_companion
         self._map = small_gicp.GaussianVoxelMap(settings.voxel_m)
         self._last: tuple[int, FloatArray, FloatArray] | None = None
         """End of the last sweep, its pose by the odometry, and its refined one."""
-        self._motion_per_ns: FloatArray = np.zeros(6)
 
-    def refine(self, scan: Scan, T_odom_sensor: FloatArray) -> Refinement:
-        """T_odom_sensor: the odometry's pose at the scan's end; its motion since the last scan is the first guess."""
-        source = self._thin(scan)
+    def refine(self, scan: Scan, T_odom_sensor: FloatArray, companion: Scan | None = None) -> Refinement:
+        """Register one scan, and beside it the last one of the other lidar that ended before it.
+
+        T_odom_sensor: the odometry's pose at the scan's end; its motion since the last scan is the first guess.
+        """
+        motion_per_ns = self._motion_per_ns(scan.end_ns, T_odom_sensor)
+        points = [self._moved(scan, self._settings.points_max, np.eye(4), scan.end_ns, motion_per_ns)]
+        if companion is not None and self._T_sensor_companion is not None and self._settings.companion_points_max:
+            most = self._settings.companion_points_max
+            points.append(self._moved(companion, most, self._T_sensor_companion, scan.end_ns, motion_per_ns))
+        source, _ = small_gicp.preprocess_points(
+            np.concatenate(points),
+            downsampling_resolution=self._settings.resolution_m,
+            num_neighbors=self._settings.neighbours,
+        )
         if self._last is None:
             refined = Refinement(T_odom_sensor, 1.0, 1.0)
         else:
-            last_ns, T_odom_before, T_refined_before = self._last
+            _, T_odom_before, T_refined_before = self._last
             guess = T_refined_before @ transforms.invert(T_odom_before) @ T_odom_sensor
             refined = self._register(source, guess)
-            motion = transforms.invert(T_refined_before) @ refined.T_odom_sensor
-            self._motion_per_ns = transforms.to_twist(motion) / max(scan.end_ns - last_ns, 1)
         self._map.insert(source, refined.T_odom_sensor)
         self._last = (scan.end_ns, T_odom_sensor, refined.T_odom_sensor)
         return refined
+
+    def _motion_per_ns(self, end_ns: int, T_odom_sensor: FloatArray) -> FloatArray:
+        """(6,) the odometry's motion since the last scan, as a twist; within a sweep it is taken to be steady."""
+        if self._last is None:
+            return np.zeros(6)
+        last_ns, T_odom_before, _ = self._last
+        return transforms.to_twist(transforms.invert(T_odom_before) @ T_odom_sensor) / max(end_ns - last_ns, 1)
 
     def _register(self, source: "small_gicp.PointCloud", guess: FloatArray) -> Refinement:
         found = small_gicp.align(
@@ -92,23 +117,19 @@ class Refiner:
             T_odom_sensor, found.num_inliers / max(source.size(), 1), float(max(hold[0], 0.0) / max(hold[2], 1e-9))
         )
 
-    def _thin(self, scan: Scan) -> "small_gicp.PointCloud":
-        """Fewer points with covariances, moved to where they are seen from the end of the sweep.
-
-        The motion within the sweep is taken to go on as it did between the last two refined poses.
-        """
-        stride = -(-len(scan) // self._settings.points_max) or 1
-        points = scan.points_sensor[::stride].astype(np.float64)
+    def _moved(
+        self, scan: Scan, most: int, T_sensor_own: FloatArray, at_ns: int, motion_per_ns: FloatArray
+    ) -> FloatArray:
+        """At most so many returns (n, 3) of a lidar, where they are seen at a time from the sensor that is registered."""
+        stride = -(-len(scan) // most) or 1
+        points: FloatArray = scan.points_sensor[::stride].astype(np.float64)
         range_m = np.linalg.norm(points, axis=1)
         kept = (range_m > self._range_m[0]) & (range_m < self._range_m[1])
-        points = points[kept]
-        if scan.time_ns is not None:
-            before_ns = scan.start_ns + scan.time_ns[::stride][kept] - scan.end_ns
-            turn, shift = self._motion_per_ns[:3] * before_ns[:, None], self._motion_per_ns[3:] * before_ns[:, None]
-            # A turn within a sweep is small: two terms of its series leave less than a millimetre.
-            first = np.cross(turn, points)
-            points = points + first + 0.5 * np.cross(turn, first) + shift
-        cloud, _ = small_gicp.preprocess_points(
-            points, downsampling_resolution=self._settings.resolution_m, num_neighbors=self._settings.neighbours
-        )
-        return cloud
+        points = transforms.apply(T_sensor_own, points[kept])
+        if scan.time_ns is None:
+            return points
+        before_ns = (scan.start_ns + scan.time_ns[::stride][kept] - at_ns)[:, None]
+        turn, shift = motion_per_ns[:3] * before_ns, motion_per_ns[3:] * before_ns
+        # A turn within a sweep is small: two terms of its series leave less than a millimetre.
+        first = np.cross(turn, points)
+        return np.asarray(points + first + 0.5 * np.cross(turn, first) + shift)

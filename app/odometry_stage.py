@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from algorithms import transforms
 from algorithms.odometry import Registration
 from algorithms.scan import Scan
 from app.inputs import Inputs, Sensor
@@ -44,11 +45,14 @@ def cache_folder() -> Path:
 
 def cache_key(inputs: Inputs, sensor: Sensor, settings: Settings) -> str:
     """What the poses depend on, as a name."""
+    companion = _companion(inputs, settings)
     content = {
         "format": _FORMAT,
         "bag": inputs.bag_digest,
         "topic": sensor.lidar.topic,
         "time_from": sensor.lidar.decoding.time_from,
+        "companion": companion.lidar.topic if companion else None,
+        "rig": [s.lidar.T_base_sensor.tolist() for s in (sensor, companion) if s is not None],
         "kiss_icp": version("kiss-icp"),
         "small_gicp": version("small_gicp"),
         "odometry": settings.odometry.model_dump(mode="json"),
@@ -99,7 +103,7 @@ def _register(inputs: Inputs, sensor: Sensor, settings: Settings, folder: Path) 
     context = process_context()
     results: mp.Queue[Registration | str | None] = context.Queue(maxsize=64)
     process = context.Process(
-        target=_odometry_process, args=(inputs.bag_path, sensor, settings, results), name="odometry", daemon=True
+        target=_odometry_process, args=(inputs, sensor, settings, results), name="odometry", daemon=True
     )
     process.start()
     waiting: list[Registration] = []
@@ -155,19 +159,50 @@ def _store(path: Path, stored: list[Registration]) -> None:
 
 
 def _odometry_process(
-    bag_path: Path, sensor: Sensor, settings: Settings, results: "mp.Queue[Registration | str | None]"
+    inputs: Inputs, sensor: Sensor, settings: Settings, results: "mp.Queue[Registration | str | None]"
 ) -> None:
     # Imported here: only this process needs KISS-ICP.
     import traceback
 
     from algorithms.odometry import register_scans
 
+    companion = _companion(inputs, settings)
+    T_sensor_companion = None
+    if companion is not None:
+        T_sensor_companion = transforms.invert(sensor.lidar.T_base_sensor) @ companion.lidar.T_base_sensor
     try:
-        for registration in register_scans(_usable_scans(bag_path, sensor), settings.odometry, settings.refinement):
+        scans = _with_companions(inputs.bag_path, sensor, companion)
+        for registration in register_scans(scans, settings.odometry, settings.refinement, T_sensor_companion):
             results.put(registration)
         results.put(None)
     except Exception:
         results.put(traceback.format_exc())
+
+
+def _companion(inputs: Inputs, settings: Settings) -> Sensor | None:
+    """The lidar whose scans are registered with the horizontal one's."""
+    wanted = settings.refinement.enabled and settings.refinement.companion_points_max > 0
+    return inputs.vertical if wanted else None
+
+
+def _with_companions(
+    bag_path: Path, sensor: Sensor, companion: Sensor | None
+) -> Iterator[tuple[int, Scan, Scan | None]]:
+    """The usable scans in order; beside each the companion's last one that ended before it, once."""
+    others = _usable_scans(bag_path, companion) if companion is not None else iter(())
+    following = next(others, None)
+    for index, scan in _usable_scans(bag_path, sensor):
+        latest: Scan | None = None
+        while following is not None and following[1].end_ns <= scan.end_ns:
+            latest = following[1]
+            following = next(others, None)
+        if latest is not None and scan.end_ns - latest.end_ns > _COMPANION_NS:
+            latest = None
+        yield index, scan, latest
+
+
+_COMPANION_NS = 200_000_000
+"""A companion's scan that ended longer ago says too little of where the sensor is now."""
 
 
 def _usable_scans(bag_path: Path, sensor: Sensor) -> Iterator[tuple[int, Scan]]:
