@@ -27,7 +27,7 @@ class OdometrySettings(StepSettings):
     )
     range_max_m: float = Field(60.0, gt=0, description="Returns farther than so many metres are left out. KISS-ICP.")
     points_max: int = Field(
-        15_000, ge=100, description="Denser clouds are thinned evenly to at most so many returns. KISS-ICP."
+        8_000, ge=100, description="Denser clouds are thinned evenly to at most so many returns. KISS-ICP."
     )
     deskew: bool = Field(True, description="Compensate the motion within a sweep where the cloud has times. KISS-ICP.")
     threshold_initial_m: float = Field(
