@@ -23,7 +23,7 @@ class RefinementSettings(StepSettings):
     voxel_m: float = Field(0.4, gt=0, le=5, description="Edge in metres of the voxels that hold one Gaussian each.")
     points_max: int = Field(6_000, ge=100, description="Denser clouds are thinned evenly to at most so many returns.")
     resolution_m: float = Field(0.2, gt=0, le=5, description="Scans are thinned to a point in so many metres.")
-    neighbours: int = Field(8, ge=4, description="Points that a point's covariance is estimated from.")
+    neighbours: int = Field(12, ge=4, description="Points that a point's covariance is estimated from.")
     companion_points_max: int = Field(
         5_000,
         ge=0,

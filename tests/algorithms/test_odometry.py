@@ -1,0 +1,130 @@
+"""KISS-ICP and its refinement on a lidar that is driven through a box with pillars: the way is known."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from algorithms import transforms
+from algorithms.odometry import OdometrySettings, Registration, register_scans
+from algorithms.refinement import RefinementSettings
+from algorithms.scan import FloatArray, Scan
+
+PERIOD_NS = 100_000_000
+LOW_M, HIGH_M = np.array([-5.0, -3.0, 0.0]), np.array([7.0, 3.5, 2.8])
+PILLARS_M = np.array([[[-3.0, 1.5, 0.0], [-2.6, 1.9, 2.8]], [[2.0, -2.2, 0.0], [2.5, -1.7, 2.8]]])
+T_BASE_HORIZONTAL = transforms.make_transform(None, [0.0, 0.0, 1.0])
+T_BASE_VERTICAL = transforms.make_transform(Rotation.from_euler("y", 90, degrees=True), [0.1, 0.0, 0.8])
+
+
+def true_pose(time_s: float) -> FloatArray:
+    """T_map_base: half a second at rest, then 0.6 m/s in a gentle curve."""
+    driven = max(time_s - 0.5, 0.0)
+    yaw = 0.15 * driven
+    return transforms.from_yaw(yaw, [0.6 * driven * np.cos(yaw / 2), 0.6 * driven * np.sin(yaw / 2), 0.0])
+
+
+def sweep(index: int, T_base_sensor: FloatArray, seed: int, shift_ns: int = 0) -> Scan:
+    """16 rings; every firing at its own time and pose, 1 cm of noise."""
+    firings, rings = 600, 16
+    azimuth = np.repeat((np.arange(firings) + 0.5) * 2 * np.pi / firings, rings)
+    elevation = np.tile(np.radians(np.linspace(-15, 15, rings)), firings)
+    rays = np.stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=1
+    )
+    start_ns = index * PERIOD_NS + shift_ns
+    time_ns = np.repeat(np.arange(firings) * PERIOD_NS // firings, rings)
+    range_m = np.empty(len(rays))
+    for firing in range(firings):
+        own = slice(firing * rings, (firing + 1) * rings)
+        T = true_pose((start_ns + time_ns[own][0]) * 1e-9) @ T_base_sensor
+        range_m[own] = ranges(T[:3, 3], rays[own] @ T[:3, :3].T)
+    range_m += np.random.default_rng((seed, index)).normal(0, 0.01, len(range_m))
+    count = len(rays)
+    return Scan(
+        points_sensor=(rays * range_m[:, None]).astype(np.float32),
+        ring=np.tile(np.arange(rings, dtype=np.uint16), firings),
+        ring_count=rings,
+        time_ns=time_ns.astype(np.int64),
+        start_ns=start_ns,
+        stamp_ns=start_ns,
+        cloud_index=np.arange(count, dtype=np.int32),
+        cloud_size=count,
+    )
+
+
+def ranges(origin: FloatArray, rays: FloatArray) -> FloatArray:
+    nearest = np.where(rays > 0, (HIGH_M - origin) / rays, (LOW_M - origin) / rays).min(axis=1)
+    for pillar in PILLARS_M:
+        to_faces = (pillar[:, None] - origin) / rays
+        near, far = to_faces.min(axis=0).max(axis=1), to_faces.max(axis=0).min(axis=1)
+        nearest = np.where((near < far) & (near > 0) & (near < nearest), near, nearest)
+    return nearest
+
+
+@pytest.fixture(scope="module")
+def scans() -> list[tuple[int, Scan, Scan | None]]:
+    """The other lidar turns half a sweep later."""
+    horizontal = [sweep(i, T_BASE_HORIZONTAL, 1) for i in range(40)]
+    vertical = [sweep(i, T_BASE_VERTICAL, 2, PERIOD_NS // 2) for i in range(40)]
+    return [(i, scan, vertical[i - 1] if i else None) for i, scan in enumerate(horizontal)]
+
+
+def errors(found: list[Registration]) -> tuple[FloatArray, FloatArray]:
+    """Metres and degrees from the true poses, all seen from the first."""
+    T_true = np.array([true_pose(r.stamp_ns * 1e-9) @ T_BASE_HORIZONTAL for r in found])
+    T_found = np.array([r.T_odom_sensor for r in found])
+    off = transforms.invert(transforms.invert(T_true[:1]) @ T_true) @ transforms.invert(T_found[:1]) @ T_found
+    return np.linalg.norm(off[:, :3, 3], axis=1), np.degrees(Rotation.from_matrix(off[:, :3, :3]).magnitude())
+
+
+@pytest.mark.parametrize("companions", [True, False])
+def test_the_way_through_a_box_is_found(scans: list[tuple[int, Scan, Scan | None]], companions: bool) -> None:
+    given = scans if companions else [(i, scan, None) for i, scan, _ in scans]
+    T_sensor_companion = transforms.invert(T_BASE_HORIZONTAL) @ T_BASE_VERTICAL
+    found = list(register_scans(given, OdometrySettings(), RefinementSettings(), T_sensor_companion))
+    assert [r.index for r in found] == list(range(40))
+    assert [r.stamp_ns for r in found] == [scan.end_ns for _, scan, _ in scans]
+    off_m, off_deg = errors(found)
+    # Two metres driven, 30 degrees turned.
+    assert off_m.max() < 0.03
+    assert off_deg.max() < 1.0
+    assert min(r.refined_inlier_share for r in found) > 0.9
+    assert all(0 < r.weakest_share <= 1 for r in found)
+    for r in found:
+        np.testing.assert_allclose(r.T_odom_sensor[:3, :3] @ r.T_odom_sensor[:3, :3].T, np.eye(3), atol=1e-9)
+
+
+def test_the_refinement_can_be_left_out(scans: list[tuple[int, Scan, Scan | None]]) -> None:
+    found = list(register_scans(scans[:15], OdometrySettings(), RefinementSettings(enabled=False)))
+    assert np.isnan([r.weakest_share for r in found]).all()
+    assert {r.refined_m for r in found} == {0.0}
+    assert errors(found)[0].max() < 0.1
+
+
+def test_the_same_scans_give_the_same_poses(scans: list[tuple[int, Scan, Scan | None]]) -> None:
+    runs = [
+        np.array([r.T_odom_sensor for r in register_scans(scans[:12], OdometrySettings(), RefinementSettings())])
+        for _ in range(2)
+    ]
+    np.testing.assert_array_equal(*runs)
+
+
+def test_a_cloud_of_nothing_keeps_the_odometrys_motion(scans: list[tuple[int, Scan, Scan | None]]) -> None:
+    index, scan, _ = scans[5]
+    few = np.flatnonzero(np.arange(len(scan)) % 2000 == 0)
+    assert scan.time_ns is not None
+    thin = Scan(
+        scan.points_sensor[few],
+        scan.ring[few],
+        scan.ring_count,
+        scan.time_ns[few],
+        scan.start_ns,
+        scan.stamp_ns,
+        scan.cloud_index[few],
+        scan.cloud_size,
+    )
+    found = list(
+        register_scans([*scans[:5], (index, thin, None), *scans[6:8]], OdometrySettings(), RefinementSettings())
+    )
+    assert len(found) == 8
+    assert np.isfinite([r.T_odom_sensor for r in found]).all()
