@@ -33,6 +33,9 @@ class RefinementSettings(StepSettings):
     iterations_max: int = Field(20, ge=1, description="Most iterations a scan.")
 
 
+_FOR_EVER = 2_000_000_000
+
+
 @dataclass(frozen=True)
 class Refinement:
     """One scan registered again.
@@ -62,6 +65,8 @@ class Refiner:
         self._range_m = range_m
         self._T_sensor_companion = T_sensor_companion
         self._map = small_gicp.GaussianVoxelMap(settings.voxel_m)
+        # By default it forgets after 100 scans where the robot was, and with it every loop that is driven.
+        self._map.set_lru(horizon=_FOR_EVER, clear_cycle=_FOR_EVER)
         self._last: tuple[int, FloatArray, FloatArray] | None = None
         """End of the last sweep, its pose by the odometry, and its refined one."""
 
