@@ -333,6 +333,8 @@ def find_windows(walls: Walls, cells: WallCells, settings: BuildingSettings) -> 
         for first, last in panes + [(first, last) for first, last in sills if last - first >= 4]:
             rows = counts[first : last + 1].sum(axis=0)
             clear = np.flatnonzero(rows[:, _THROUGH] > rows[:, _FILLED])
+            if not len(clear):
+                continue
             first, last = _to_jambs(high, first, last)
             ends = walls.ends[w, 0] + along * CELL_M * np.array([[first], [last + 1]])
             found.append((ends, walls.normal[w], CELL_M * clear[0], CELL_M * (clear[-1] + 1)))

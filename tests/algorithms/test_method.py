@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from algorithms import transforms
-from algorithms.building import BuildingSettings, find_doors, find_windows, fuse_walls, trace_rays
+from algorithms.building import BuildingSettings, WallCells, Walls, find_doors, find_windows, fuse_walls, trace_rays
 from algorithms.doors import DoorsSettings, DoorState
 from algorithms.features import concatenate, extract, move_moments
 from algorithms.grid_map import Cell, GridMapSettings, draw_furniture_free
@@ -331,6 +331,24 @@ def test_glass_is_told_from_open_doors(hole: Hole | None, doors: int, windows: i
         )
         assert np.mean(final[points[:, 1] > 2.5] == Label.OUTSIDE) > 0.99
         assert not np.any(final[points[:, 1] < 2.1] == Label.OUTSIDE)
+
+
+def test_slits_beside_a_mullion_that_returns_more_are_no_window() -> None:
+    walls = Walls(
+        np.array([[[0.0, 0.0], [3.0, 0.0]]]),
+        np.array([[0.0, -1.0]]),
+        np.zeros(1),
+        np.array([2.8]),
+        np.array([9], np.int32),
+        np.array([0.01]),
+    )
+    counts = np.zeros((60, 66, 4), np.float32)
+    counts[:, :, 0] = 10.0
+    # Two slits with a mullion between them that returns more rays than both let through.
+    counts[19:31, 20:40, 0], counts[19:31, 20:40, 3] = 0.0, 20.0
+    counts[24:26, 20:40, 0], counts[24:26, 20:40, 3] = 1000.0, 0.0
+    cells = WallCells(np.array([0, 60]), 66, counts)
+    assert len(find_windows(walls, cells, BuildingSettings())) == 0
 
 
 @pytest.mark.parametrize("depth", [0.05, None])
