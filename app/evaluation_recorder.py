@@ -25,7 +25,7 @@ from algorithms.evaluation import (
 )
 from algorithms.labels import Verdict
 from algorithms.scan import FloatArray, UInt8Array
-from app.recorder import Recorder, evidence, upright_frames
+from app.recorder import Recorder, evidence, scan_columns, set_time, upright_frames
 from app.recording import join, open_part
 from blueprints import entities
 
@@ -48,9 +48,7 @@ class ScanErrors:
     def log(self, index: int, stamp_ns: int, truth: UInt8Array, label: UInt8Array) -> None:
         """The points of one scan, in the order of its recorded ones."""
         verdict = verdicts(truth, label)
-        self._stream.reset_time()
-        self._stream.set_time(entities.STAMP_TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
-        self._stream.set_time(entities.SCAN_TIMELINE, sequence=index)
+        set_time(self._stream, stamp_ns, index)
         self._stream.log(entities.POINTS, evidence({entities.POINT_VERDICT_COLOR: _COLORS[verdict]}))
         self._index.append(index)
         self._stamp_ns.append(stamp_ns)
@@ -60,10 +58,7 @@ class ScanErrors:
         """The share of each kind of error in each scan, as curves."""
         if not self._index:
             return
-        indexes = [
-            rr.TimeColumn(entities.SCAN_TIMELINE, sequence=self._index),
-            rr.TimeColumn(entities.STAMP_TIMELINE, timestamp=np.array(self._stamp_ns).astype("datetime64[ns]")),
-        ]
+        indexes = scan_columns(self._index, self._stamp_ns)
         for verdict, (name, _) in entities.VERDICTS.items():
             if verdict != Verdict.RIGHT:
                 columns = rr.Scalars.columns(scalars=np.array(self._shares)[:, verdict])

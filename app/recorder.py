@@ -219,10 +219,7 @@ class Recorder:
         for path in rows[0]:
             self._stream.send_columns(
                 path,
-                indexes=[
-                    rr.TimeColumn(entities.SCAN_TIMELINE, sequence=index),
-                    rr.TimeColumn(entities.STAMP_TIMELINE, timestamp=np.array(stamp_ns).astype("datetime64[ns]")),
-                ],
+                indexes=scan_columns(index, stamp_ns),
                 columns=rr.Scalars.columns(scalars=[row[path] for row in rows]),
             )
         self._metrics.clear()
@@ -645,10 +642,7 @@ class Recorder:
     # --- how ---
 
     def _at(self, stamp_ns: int, index: int | None = None) -> None:
-        self._stream.reset_time()
-        self._stream.set_time(entities.STAMP_TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
-        if index is not None:
-            self._stream.set_time(entities.SCAN_TIMELINE, sequence=index)
+        set_time(self._stream, stamp_ns, index)
 
     def _log(self, path: str, *values: rr.AsComponents) -> None:
         self._stream.log(path, *values)
@@ -667,6 +661,22 @@ class Recorder:
 
     def _static(self, path: str, *values: rr.AsComponents) -> None:
         self._stream.log(path, *values, static=True)
+
+
+def set_time(stream: rr.RecordingStream, stamp_ns: int, index: int | None = None) -> None:
+    """What is logged next is of this time, and of this scan."""
+    stream.reset_time()
+    stream.set_time(entities.STAMP_TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
+    if index is not None:
+        stream.set_time(entities.SCAN_TIMELINE, sequence=index)
+
+
+def scan_columns(index: Sequence[int], stamp_ns: Sequence[int]) -> list[rr.TimeColumn]:
+    """Both timelines for one row a scan."""
+    return [
+        rr.TimeColumn(entities.SCAN_TIMELINE, sequence=index),
+        rr.TimeColumn(entities.STAMP_TIMELINE, timestamp=np.array(stamp_ns).astype("datetime64[ns]")),
+    ]
 
 
 def _scan_metrics(labelling: ScanLabelling, timings_ms: Mapping[str, float]) -> dict[str, float]:

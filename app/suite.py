@@ -151,8 +151,7 @@ def run_suite(out: Path, seeds: Sequence[int], quick: bool, overrides: Sequence[
             drives.append(drive)
             _write(out, drives, overrides, settings.short_hash())
             progress.advance()
-    console = Console()
-    console = Console(width=max(console.width, _WIDTH))
+    console = Console(width=max(Console().width, _WIDTH))
     for table in format_suite(drives):
         console.print(table)
     failed = sum(drive.metrics is None for drive in drives)
@@ -199,7 +198,8 @@ def _drive(
             if done.returncode:
                 return Drive(case.name, seed, None, (done.stderr.strip().splitlines() or ["no reason given"])[-1])
         metrics: Metrics = json.loads((run / "metrics.json").read_text())
-        metrics["run"] = {name: json.loads((run / "run.json").read_text())[name] for name in ("timings_s", "counts")}
+        record = json.loads((run / "run.json").read_text())
+        metrics["run"] = {name: record[name] for name in ("timings_s", "counts")}
     cached.parent.mkdir(parents=True, exist_ok=True)
     write_json(cached, metrics)
     return Drive(case.name, seed, metrics, seconds=time.monotonic() - started)

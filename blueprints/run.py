@@ -120,16 +120,18 @@ def _grid(centre_m: tuple[float, float], extent_m: float, name: str = entities.F
         contents=[f"{entities.GRID}/{name}", entities.DOOR_SILLS, entities.TRAJECTORY, f"{entities.BASE}/**"],
         name=f"Grid map: {name.replace('_', ' ')}, doors, trajectory",
         overrides={entities.TRAJECTORY: _until_now()},
-        eye_controls=rrb.EyeControls3D(
-            position=(*centre_m, extent_m), look_target=(*centre_m, 0.0), eye_up=(0.0, 1.0, 0.0)
-        ),
+        eye_controls=_from_above(centre_m, extent_m),
         line_grid=rrb.LineGrid3D(visible=False),
     )
 
 
+def _from_above(centre_m: tuple[float, float], extent_m: float) -> rrb.EyeControls3D:
+    return rrb.EyeControls3D(position=(*centre_m, extent_m), look_target=(*centre_m, 0.0), eye_up=(0.0, 1.0, 0.0))
+
+
 def _evaluation(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
     """What is wrong: on the map, in the scan, over time, and in figures."""
-    from_above = rrb.EyeControls3D(position=(*centre_m, extent_m), look_target=(*centre_m, 0.0), eye_up=(0.0, 1.0, 0.0))
+    from_above = _from_above(centre_m, extent_m)
     outlines = [entities.TRUTH_WALLS, entities.TRUTH_DOORS, entities.INVENTED_DOORS]
     return rrb.Horizontal(
         rrb.Vertical(
@@ -162,7 +164,7 @@ def _evaluation(centre_m: tuple[float, float], extent_m: float) -> rrb.Container
             _scan_view(
                 "This scan: false wall red, missed wall orange",
                 [entities.POINTS],
-                (entities.POINTS, _mapped_point_colors(entities.POINT_VERDICT_COLOR)),
+                (entities.POINTS, _mapped(rr.Points3D.from_fields(), "Points3D:colors", entities.POINT_VERDICT_COLOR)),
             ),
             _scan_view("Its labels", [entities.POINTS]),
             rrb.TimeSeriesView(origin=entities.SCAN_ERRORS, name="Wrong points in each scan, percent"),
@@ -181,7 +183,7 @@ def _method(ring_count: int) -> rrb.Container:
             _scan_view(
                 "1. Floor and ceiling removed (Fig. 3)",
                 [entities.POINTS, entities.FLOOR, entities.CEILING],
-                (entities.POINTS, _mapped_radii(entities.POINT_RADIUS_UPRIGHT)),
+                (entities.POINTS, _mapped(rr.Points3D.from_fields(), "Points3D:radii", entities.POINT_RADIUS_UPRIGHT)),
             ),
             _scan_view("2. Point lines (Fig. 5a)", [f"{entities.LINES}/**"]),
             _curves(ring_count, "3. Forward differences (eq. 2, Fig. 5b)"),
@@ -192,7 +194,10 @@ def _method(ring_count: int) -> rrb.Container:
             _scan_view(
                 "6. Wall planes grown (Fig. 7)",
                 [entities.UPMOST, entities.PLANES],
-                (entities.UPMOST, _mapped_colors(entities.CANDIDATE_PLANE_COLOR)),
+                (
+                    entities.UPMOST,
+                    _mapped(rr.LineStrips3D.from_fields(), "LineStrips3D:colors", entities.CANDIDATE_PLANE_COLOR),
+                ),
             ),
             _scan_view("7. Conditions of a door", ["/scan/doors/**", entities.PLANES]),
         ),
@@ -266,35 +271,12 @@ def _until_now() -> rrb.VisibleTimeRanges:
     )
 
 
-def _mapped_radii(component: str) -> rrb.Visualizer:
-    """Points whose radii come from another component of theirs: 0 hides a point."""
-    return rr.Points3D.from_fields().visualizer(
+def _mapped(archetype: rrb.VisualizableArchetype, target: str, component: str) -> rrb.Visualizer:
+    """What is drawn with a component of the entity's own in the place of another; a radius of 0 hides a point."""
+    return archetype.visualizer(
         mappings=[
             VisualizerComponentMapping(
-                target="Points3D:radii", source_kind=ComponentSourceKind.SourceComponent, source_component=component
-            )
-        ]
-    )
-
-
-def _mapped_point_colors(component: str) -> rrb.Visualizer:
-    """Points whose colours come from another component of theirs."""
-    return rr.Points3D.from_fields().visualizer(
-        mappings=[
-            VisualizerComponentMapping(
-                target="Points3D:colors", source_kind=ComponentSourceKind.SourceComponent, source_component=component
-            )
-        ]
-    )
-
-
-def _mapped_colors(component: str) -> rrb.Visualizer:
-    return rr.LineStrips3D.from_fields().visualizer(
-        mappings=[
-            VisualizerComponentMapping(
-                target="LineStrips3D:colors",
-                source_kind=ComponentSourceKind.SourceComponent,
-                source_component=component,
+                target=target, source_kind=ComponentSourceKind.SourceComponent, source_component=component
             )
         ]
     )

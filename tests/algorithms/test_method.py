@@ -7,7 +7,17 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from algorithms import transforms
-from algorithms.building import BuildingSettings, WallCells, Walls, find_doors, find_windows, fuse_walls, trace_rays
+from algorithms.building import (
+    BuildingSettings,
+    Doors,
+    WallCells,
+    Walls,
+    Windows,
+    find_doors,
+    find_windows,
+    fuse_walls,
+    trace_rays,
+)
 from algorithms.doors import DoorsSettings, DoorState
 from algorithms.features import concatenate, extract, move_moments
 from algorithms.grid_map import Cell, GridMapSettings, draw_furniture_free
@@ -118,6 +128,18 @@ def labelled(
     scan, truth = cast(pose(x) @ T_BASE_SENSOR, hole, noise_m, seed, ceiling)
     placed = place(scan, pose(x))
     return scan, placed, truth, label_scan(scan, placed, METHOD, seed)
+
+
+def relabelled(
+    placed: PlacedScan, found: ScanLabelling, walls: Walls, doors: Doors, windows: Windows
+) -> tuple[np.ndarray, np.ndarray]:
+    """A scan's points in the map, and their final labels."""
+    points = placed.to_map(placed.points_level).astype(np.float32)
+    halo = find_halo(vote(points, found.label, len(Label), 0.05), 6.0)
+    origin = placed.to_map(placed.origin_level[None])[0]
+    return points, relabel(
+        points, found.height_m, found.label, origin, walls, doors, windows, halo, RelabellingSettings()
+    )
 
 
 def share(label: np.ndarray, truth: np.ndarray, code: int) -> tuple[float, float]:
@@ -317,18 +339,7 @@ def test_glass_is_told_from_open_doors(hole: Hole | None, doors: int, windows: i
         np.testing.assert_allclose(found.ends[0, :, 1], 2.0, atol=0.02)
         # What lies beyond is outside.
         _, placed, _, labelling = scans[14][1:]
-        points = placed.to_map(placed.points_level).astype(np.float32)
-        final = relabel(
-            points,
-            labelling.height_m,
-            labelling.label,
-            placed.to_map(placed.origin_level[None])[0],
-            walls,
-            find_doors(walls, cells, settings),
-            found,
-            find_halo(vote(points, labelling.label, len(Label), 0.05), 6.0),
-            RelabellingSettings(),
-        )
+        points, final = relabelled(placed, labelling, walls, find_doors(walls, cells, settings), found)
         assert np.mean(final[points[:, 1] > 2.5] == Label.OUTSIDE) > 0.99
         assert not np.any(final[points[:, 1] < 2.1] == Label.OUTSIDE)
 
@@ -372,18 +383,7 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
 
     if depth is not None:
         _, _, placed, truth, found = scans[14]
-        points = placed.to_map(placed.points_level).astype(np.float32)
-        final = relabel(
-            points,
-            found.height_m,
-            found.label,
-            placed.to_map(placed.origin_level[None])[0],
-            walls,
-            doors,
-            windows,
-            find_halo(vote(points, found.label, len(Label), 0.05), 6.0),
-            RelabellingSettings(),
-        )
+        _, final = relabelled(placed, found, walls, doors, windows)
         precision, recall = share(final, truth, Label.DOOR)
         assert precision > 0.9
         assert recall > 0.9
