@@ -5,7 +5,7 @@ apart as filled, empty and occluded by the rays that passed them, which is what 
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
@@ -34,6 +34,8 @@ _JAMB_COLUMNS = 2
 
 _REVEAL_MIN_M = 0.03
 _REVEAL_COLUMNS = 3
+_REVEAL_BIN_M = 0.02
+_REVEAL_MAX_M = 0.7
 """A reveal that is seen at a slant hides so many columns of an opening at most."""
 
 
@@ -43,7 +45,7 @@ class BuildingSettings(StepSettings):
     angle_deg: float = Field(8.0, gt=0, le=45, description="Planes of one wall differ by at most so many degrees.")
     distance_m: float = Field(0.10, gt=0, description="Planes of one wall lie at most so many metres apart.")
     gap_m: float = Field(0.6, ge=0, description="A wall has no gap longer than so many metres between its planes.")
-    scans_min: int = Field(7, ge=1, description="Fewest scans that make a wall, and that bear out each part of it.")
+    scans_min: int = Field(3, ge=1, description="Fewest scans that make a wall, and that bear out each part of it.")
     length_min_m: float = Field(0.25, ge=0, description="Shortest wall face in metres.")
     near_m: float = Field(
         0.35,
@@ -57,6 +59,11 @@ class BuildingSettings(StepSettings):
     door_width_max_m: float = Field(2.6, gt=0, description="Widest door in metres.")
     door_height_min_m: float = Field(1.8, gt=0, description="Lowest door head in metres. III.C, condition 3.")
     door_height_max_m: float = Field(2.4, gt=0, description="Above so many metres the wall over a door is looked for.")
+    reveal_m: float = Field(
+        0.3,
+        ge=0,
+        description="A door's reveals reach so many metres behind the wall's face where its lintel does not tell.",
+    )
     pane_share_min: float = Field(
         0.005, gt=0, le=1, description="An opening that returns this share of its rays from one sheet holds a pane."
     )
@@ -138,6 +145,7 @@ class Doors:
     confidence: (D,) 0 to 1: share of the rays through it that agree, times how well they cover it.
     ray_count: (D,) rays that decided.
     wall: (D,) the wall face in which it was seen best.
+    reveal_m: (D,) how far its reveals and the underside of its lintel reach behind the wall's face.
     """
 
     ends: FloatArray
@@ -148,6 +156,7 @@ class Doors:
     confidence: FloatArray
     ray_count: IntArray
     wall: IntArray
+    reveal_m: FloatArray
 
     def __len__(self) -> int:
         return len(self.ends)
@@ -162,6 +171,7 @@ NO_DOORS = Doors(
     confidence=np.zeros(0),
     ray_count=np.zeros(0, np.int32),
     wall=np.zeros(0, np.int32),
+    reveal_m=np.zeros(0),
 )
 
 
@@ -260,7 +270,7 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
             first,
             counts,
             np.ascontiguousarray(block.origin_map, np.float64),
-            np.ascontiguousarray(block.floor_m, np.float64),
+            np.ascontiguousarray(block.floor_map, np.float64),
             np.concatenate([[0], np.cumsum(block.ray_count)]).astype(np.int64),
             np.ascontiguousarray(block.ray_end_map, np.float32),
             np.concatenate([[0], np.cumsum(block.plane_count)]).astype(np.int64),
@@ -300,22 +310,130 @@ def find_doors(walls: Walls, cells: WallCells, settings: BuildingSettings) -> Do
         np.array(confidence),
         np.array(rays, np.int32),
         np.array(wall, np.int32),
+        np.full(len(kept), settings.reveal_m),
     )
+
+
+def measure_reveals(doors: Doors, blocks: Iterable[Features], settings: BuildingSettings) -> Doors:
+    """The doors with the depth of their reveals, by the returns of the underside of each lintel.
+
+    Nothing else hangs in a doorway at the height of its head; the leaf's edge stands beside a jamb, which is left out.
+    """
+    bins = int(_REVEAL_MAX_M / _REVEAL_BIN_M)
+    counts = np.zeros((len(doors), bins), np.int64)
+    length_m = np.linalg.norm(doors.ends[:, 1] - doors.ends[:, 0], axis=1)
+    for block in blocks:
+        _count_undersides(
+            doors.ends,
+            doors.normal,
+            length_m,
+            doors.head_m,
+            counts,
+            np.ascontiguousarray(block.floor_map, np.float64),
+            np.concatenate([[0], np.cumsum(block.ray_count)]).astype(np.int64),
+            block.ray_end_map,
+        )
+    reveal_m = doors.reveal_m.copy()
+    for d in range(len(doors)):
+        # Behind the face by as far as returns follow each other without a gap.
+        enough = counts[d] >= max(2.0, 0.1 * np.median(counts[d][counts[d] > 0])) if counts[d].any() else counts[d] > 0
+        runs = _stretches(enough, 2)
+        if runs and runs[0][0] * _REVEAL_BIN_M <= 0.1:
+            reveal_m[d] = (runs[0][1] + 1) * _REVEAL_BIN_M
+    return replace(doors, reveal_m=reveal_m)
+
+
+@numba.njit(cache=True, nogil=True)
+def _count_undersides(
+    ends: FloatArray,
+    normal: FloatArray,
+    length_m: FloatArray,
+    head_m: FloatArray,
+    counts: IntArray,
+    floor: FloatArray,
+    starts: IntArray,
+    ray_end: FloatArray,
+) -> None:  # pragma: no cover
+    bins = counts.shape[1]
+    for s in range(len(floor)):
+        for r in range(starts[s], starts[s + 1]):
+            height = ray_end[r, 2] - (floor[s, 0] + floor[s, 1] * ray_end[r, 0] + floor[s, 2] * ray_end[r, 1])
+            if height < 1.7 or height > 2.7:
+                continue
+            for d in range(len(ends)):
+                if abs(height - head_m[d]) > 0.08:
+                    continue
+                x, y = ray_end[r, 0] - ends[d, 0, 0], ray_end[r, 1] - ends[d, 0, 1]
+                behind = -(normal[d, 0] * x + normal[d, 1] * y)
+                if behind < 0.0 or behind >= bins * 0.02:
+                    continue
+                u = ((ends[d, 1, 0] - ends[d, 0, 0]) * x + (ends[d, 1, 1] - ends[d, 0, 1]) * y) / length_m[d]
+                if 0.15 < u < length_m[d] - 0.15:
+                    counts[d, int(behind / 0.02)] += 1
 
 
 def seen_through(windows: Windows, features: Features) -> BoolArray:
     """(p,) whether each plane of the scans was seen through a window: it is no wall of this building."""
     scan = np.repeat(np.arange(len(features.scan)), features.plane_count.astype(np.int64))
-    origin, middle = features.origin_map[scan, :2], features.plane_ends_map.mean(axis=1)
+    origin = features.origin_map[scan, :2]
     outside = np.zeros(len(scan), bool)
     for ends, normal in zip(windows.ends, windows.normal, strict=True):
-        before, behind = (origin - ends[0]) @ normal, (middle - ends[0]) @ normal
-        with np.errstate(divide="ignore", invalid="ignore"):
-            crossing = origin + (before / (before - behind))[:, None] * (middle - origin)
+        before = (origin - ends[0]) @ normal
         length_m = np.linalg.norm(ends[1] - ends[0])
-        place = (crossing - ends[0]) @ (ends[1] - ends[0]) / length_m
-        outside |= (before > 0) & (behind < -CELL_M) & (place > 0) & (place < length_m)
+        for part in (0.0, 0.5, 1.0):
+            place = features.plane_ends_map[:, 0] + part * (
+                features.plane_ends_map[:, 1] - features.plane_ends_map[:, 0]
+            )
+            behind = (place - ends[0]) @ normal
+            with np.errstate(divide="ignore", invalid="ignore"):
+                crossing = origin + (before / (before - behind))[:, None] * (place - origin)
+            along = (crossing - ends[0]) @ (ends[1] - ends[0]) / length_m
+            outside |= (before > 0) & (behind < -CELL_M) & (along > 0) & (along < length_m)
     return outside
+
+
+def without_rays_through(windows: Windows, features: Features) -> Features:
+    """The same scans without the rays that ended beyond a window."""
+    passed = _rays_through(
+        np.ascontiguousarray(windows.ends, np.float64),
+        np.ascontiguousarray(windows.normal, np.float64),
+        np.ascontiguousarray(features.origin_map, np.float64),
+        np.concatenate([[0], np.cumsum(features.ray_count)]).astype(np.int64),
+        features.ray_end_map,
+    )
+    scan = np.repeat(np.arange(len(features.scan)), features.ray_count.astype(np.int64))
+    return replace(
+        features,
+        ray_count=np.bincount(scan[~passed], minlength=len(features.scan)),
+        ray_end_map=features.ray_end_map[~passed],
+        ray_label=features.ray_label[~passed],
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _rays_through(
+    ends: FloatArray, normal: FloatArray, origin: FloatArray, starts: IntArray, ray_end: FloatArray
+) -> BoolArray:  # pragma: no cover
+    passed = np.zeros(len(ray_end), np.bool_)
+    for w in range(len(ends)):
+        dx, dy = ends[w, 1, 0] - ends[w, 0, 0], ends[w, 1, 1] - ends[w, 0, 1]
+        length = np.sqrt(dx * dx + dy * dy)
+        dx, dy = dx / length, dy / length
+        for s in range(len(origin)):
+            ox, oy = origin[s, 0] - ends[w, 0, 0], origin[s, 1] - ends[w, 0, 1]
+            reach = normal[w, 0] * ox + normal[w, 1] * oy
+            if reach <= 0.0:
+                continue
+            for r in range(starts[s], starts[s + 1]):
+                x, y = ray_end[r, 0] - ends[w, 0, 0], ray_end[r, 1] - ends[w, 0, 1]
+                side = normal[w, 0] * x + normal[w, 1] * y
+                if side > -0.05:
+                    continue
+                t = reach / (reach - side)
+                u = (ox + t * (x - ox)) * dx + (oy + t * (y - oy)) * dy
+                if 0.0 < u < length:
+                    passed[r] = True
+    return passed
 
 
 def find_windows(walls: Walls, cells: WallCells, settings: BuildingSettings) -> Windows:
@@ -565,7 +683,7 @@ def _trace(
     first: IntArray,
     counts: FloatArray,
     origin: FloatArray,
-    floor_m: FloatArray,
+    floor: FloatArray,
     starts: IntArray,
     ray_end: FloatArray,
     plane_starts: IntArray,
@@ -621,7 +739,7 @@ def _trace(
                     t = reach / (reach - side)
                     x, y, z = ox + t * (x - ox), oy + t * (y - oy), oz + t * (z - oz)
                 column = int(np.floor(((x - ends[w, 0, 0]) * dx + (y - ends[w, 0, 1]) * dy) / CELL_M))
-                row = int(np.floor((z - floor_m[s]) / CELL_M))
+                row = int(np.floor((z - (floor[s, 0] + floor[s, 1] * x + floor[s, 2] * y)) / CELL_M))
                 if column < 0 or column >= columns or row < 0 or row >= rows:
                     continue
                 cell = counts[first[w] + column, row]

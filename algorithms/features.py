@@ -16,7 +16,8 @@ RAYS_PER_SCAN = 16_000
 class Features:
     """Features of some scans, in the map frame; concatenating those of blocks gives those of the whole.
 
-    scan: (s,) int64, index of each scan. origin_map: (s, 3) the sensor. floor_m: (s,) height of the floor below it.
+    scan: (s,) int64, index of each scan. origin_map: (s, 3) the sensor.
+    floor_map: (s, 3) the floor that each was seen with: its height at the map's origin, its slope along x and y.
     ray_count, plane_count: (s,) how many rows below belong to each scan, in order.
     ray_end_map: (r, 3) float32; ray_label: (r,) uint8, the scan's label of the return.
     plane_ends_map: (p, 2, 2); plane_normal: (p, 2) towards the sensor; plane_bottom_m, plane_top_m: (p,);
@@ -25,7 +26,7 @@ class Features:
 
     scan: IntArray
     origin_map: FloatArray
-    floor_m: FloatArray
+    floor_map: FloatArray
     ray_count: IntArray
     plane_count: IntArray
     ray_end_map: FloatArray
@@ -43,11 +44,12 @@ def extract(index: int, placed: PlacedScan, labelling: ScanLabelling) -> Feature
     stride = max(1, -(-len(labelling.label) // RAYS_PER_SCAN))
     chosen = labelling.lines.order[index % stride :: stride]
     T, planes = placed.T_map_level, labelling.planes
+    slope = T[:2, :2] @ labelling.floor.slope
     ends = np.concatenate([planes.ends, np.zeros((len(planes), 2, 1))], axis=2).reshape(-1, 3)
     return Features(
         scan=np.array([index]),
         origin_map=placed.to_map(placed.origin_level[None]),
-        floor_m=np.array([labelling.floor.height_m + T[2, 3]]),
+        floor_map=np.array([[labelling.floor.height_m + T[2, 3] - slope @ T[:2, 3], *slope]]),
         ray_count=np.array([len(chosen)]),
         plane_count=np.array([len(planes)]),
         ray_end_map=placed.to_map(placed.points_level[chosen]).astype(np.float32),

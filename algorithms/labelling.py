@@ -15,6 +15,7 @@ from algorithms.rearrangement import (
     find_ceilings,
     find_floor,
     make_point_lines,
+    plane_rows,
 )
 from algorithms.scan import BoolArray, FloatArray, IntArray, Scan, UInt8Array
 from algorithms.settings import StepSettings
@@ -80,6 +81,11 @@ class ScanLabelling:
     door_lines: DoorLines
     openings: Openings
 
+    @property
+    def ceiling_planes(self) -> FloatArray:
+        """(c, 3) height at the level frame's origin and slope along x and y of each ceiling."""
+        return plane_rows(self.ceilings)
+
 
 def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: int) -> ScanLabelling:
     """The paper's method on one scan: III.A to III.C in order.
@@ -92,7 +98,7 @@ def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: i
     floor = find_floor(points, settings.rearrangement)
     height_m = floor.heights_above(points)
     ceilings = find_ceilings(points, height_m, settings.rearrangement, seed)
-    ceiling_planes = np.array([[c.height_m, *c.slope] for c in ceilings]).reshape(-1, 3)
+    ceiling_planes = plane_rows(ceilings)
     label = _label_horizontal(
         points,
         height_m,

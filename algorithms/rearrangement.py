@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 from pydantic import Field
+from scipy.ndimage import binary_erosion
 
 from algorithms.scan import BoolArray, FloatArray, IntArray
 from algorithms.settings import StepSettings
@@ -16,13 +17,16 @@ _HEIGHT_BIN_M = 0.01
 _CEILING_HEIGHT_MAX_M = 50.0
 """No ceiling is higher; a damaged return may be."""
 _CEILING_POINTS = 8_000
+_BREADTH_CELL_M = 0.2
+_BREADTH_CELLS_MAX = 4_000_000
+_BREADTH_INNER_MIN = 4
 
 
 class RearrangementSettings(StepSettings):
     """Floor, ceiling and point lines (paper, III.A)."""
 
     floor_height_m: float = Field(
-        0.06, gt=0, le=0.5, description="Half thickness in metres of the height filter that takes the floor. III.A."
+        0.045, gt=0, le=0.5, description="Half thickness in metres of the height filter that takes the floor. III.A."
     )
     floor_search_m: float = Field(
         0.25, gt=0, le=2.0, description="The floor is looked for this many metres above and below the map's. III.A."
@@ -31,7 +35,7 @@ class RearrangementSettings(StepSettings):
         0.09, ge=0, le=0.5, description="Steepest floor in metres a metre; 0 keeps the map's level. III.A."
     )
     ceiling_distance_m: float = Field(
-        0.045,
+        0.03,
         gt=0,
         le=0.5,
         description="Returns up to so many metres below a ceiling plane, or twice as many above, are ceiling. III.A.",
@@ -96,6 +100,19 @@ class PointLines:
 
     def __len__(self) -> int:
         return len(self.samples)
+
+
+def plane_rows(planes: tuple[HorizontalPlane, ...]) -> FloatArray:
+    """(c, 3) height at the level frame's origin, slope along x, slope along y."""
+    return np.array([[p.height_m, *p.slope] for p in planes]).reshape(-1, 3)
+
+
+def below_ceiling(points_level: FloatArray, planes: FloatArray) -> FloatArray:
+    """How far (n,) float32 points (n, 3) lie below the ceiling nearest in height, negative above; planes as `plane_rows`.
+
+    Infinite where there is no ceiling.
+    """
+    return np.asarray(_below(points_level, np.ascontiguousarray(planes, np.float64)))
 
 
 def find_floor(points_level: FloatArray, settings: RearrangementSettings) -> HorizontalPlane:
@@ -171,9 +188,22 @@ def _ransac_height(
 def _is_further_ceiling(points: FloatArray, height_m: float, largest: HorizontalPlane, support: int) -> bool:
     if height_m > largest.height_m:
         return True
-    centred = points[:, :2] - points[:, :2].mean(axis=0)
-    breadth_m = 4.0 * float(np.sqrt(max(np.linalg.eigvalsh(centred.T @ centred / len(centred))[0], 0.0)))
-    return support > 0.2 * largest.support and breadth_m > 1.2
+    return support > 0.2 * largest.support and _is_broad(points)
+
+
+def _is_broad(points: FloatArray) -> bool:
+    """Whether most of the ground that returns of one height cover is at least 60 cm wide: a duct's underside is not.
+
+    The walls that reach that height are but lines on this ground.
+    """
+    cell = np.floor(points[:, :2] / _BREADTH_CELL_M).astype(np.int64)
+    cell -= cell.min(axis=0) - 1
+    covered = np.zeros(cell.max(axis=0) + 2, bool)
+    if covered.size > _BREADTH_CELLS_MAX:
+        return False
+    covered[cell[:, 0], cell[:, 1]] = True
+    inner = binary_erosion(covered, np.ones((3, 3), bool))
+    return bool(inner.sum() >= _BREADTH_INNER_MIN)
 
 
 def _refine(
@@ -351,3 +381,14 @@ def _heights(points: FloatArray, height_m: float, slope: FloatArray) -> FloatArr
     for i in range(len(points)):
         heights[i] = points[i, 2] - (height_m + slope[0] * points[i, 0] + slope[1] * points[i, 1])
     return heights
+
+
+@numba.njit(cache=True, nogil=True)
+def _below(points: FloatArray, planes: FloatArray) -> FloatArray:  # pragma: no cover
+    below = np.full(len(points), np.inf, np.float32)
+    for i in range(len(points)):
+        for c in range(len(planes)):
+            b = planes[c, 0] + planes[c, 1] * points[i, 0] + planes[c, 2] * points[i, 1] - points[i, 2]
+            if abs(b) < abs(below[i]):
+                below[i] = b
+    return below

@@ -19,16 +19,23 @@ class RelabellingSettings(StepSettings):
     )
     leaf_distance_m: float = Field(0.04, gt=0, description="A return at most so many metres off a closed leaf is door.")
     margin_m: float = Field(0.05, ge=0, description="A wall face, or a window, counts so many metres beyond its ends.")
-    reveal_m: float = Field(
-        0.3,
-        ge=0,
-        description="A door's reveals and the underside of its lintel reach so many metres behind the wall's face.",
+    at_reveal_m: float = Field(
+        0.07, ge=0, description="A reveal or the underside of a lintel is known to so many metres."
+    )
+    refused_m: float = Field(
+        0.06, ge=0, description="What a scan calls wall at most so many metres off a refused face is clutter."
     )
     behind_glass_m: float = Field(
         0.25, gt=0, description="More than so many metres behind a window's wall a return is outside."
     )
     forget_m: float = Field(
         0.2, gt=0, description="A wall return farther than so many metres from every fused face becomes clutter."
+    )
+    edge_m: float = Field(
+        0.0,
+        ge=-0.1,
+        le=0.1,
+        description="Along an edge a return goes to the wall that is so much nearer than floor or ceiling.",
     )
     halo_ratio: float = Field(
         6.0,
@@ -40,9 +47,11 @@ class RelabellingSettings(StepSettings):
 def relabel(
     points_map: FloatArray,
     height_m: FloatArray,
+    below_ceiling_m: FloatArray,
     label_scan: UInt8Array,
     origin_map: FloatArray,
     walls: Walls,
+    refused: Walls,
     doors: Doors,
     windows: Windows,
     halo: Halo,
@@ -62,20 +71,27 @@ def relabel(
         _relabel(
             points_map,
             height_m,
+            below_ceiling_m,
             label_scan,
             _frames(walls.ends, walls.normal),
             walls.top_m,
+            _frames(refused.ends, refused.normal),
+            refused.top_m,
             _frames(doors.ends, doors.normal),
             doors.head_m,
             depth_m,
+            doors.reveal_m,
             _frames(windows.ends, windows.normal),
+            np.stack([windows.bottom_m, windows.top_m], axis=1),
             np.ascontiguousarray(origin_map, np.float64),
             settings.wall_distance_m,
             settings.leaf_distance_m,
             settings.margin_m,
-            settings.reveal_m,
+            settings.at_reveal_m,
+            settings.refused_m,
             settings.behind_glass_m,
             settings.forget_m,
+            settings.edge_m,
         )
     )
     return halo.label_of(points_map, label)
@@ -95,20 +111,27 @@ def _frames(ends: FloatArray, normal: FloatArray) -> FloatArray:
 def _relabel(
     points: FloatArray,
     height: FloatArray,
+    below_ceiling: FloatArray,
     label_scan: UInt8Array,
     walls: FloatArray,
     wall_top: FloatArray,
+    refused: FloatArray,
+    refused_top: FloatArray,
     doors: FloatArray,
     door_head: FloatArray,
     door_depth: FloatArray,
+    door_reveal: FloatArray,
     windows: FloatArray,
+    window_heights: FloatArray,
     origin: FloatArray,
     wall_distance_m: float,
     leaf_distance_m: float,
     margin_m: float,
-    reveal_m: float,
+    at_reveal_m: float,
+    refused_m: float,
     behind_glass_m: float,
     forget_m: float,
+    edge_m: float,
 ) -> UInt8Array:  # pragma: no cover
     label = label_scan.copy()
     for i in range(len(points)):
@@ -118,7 +141,13 @@ def _relabel(
         for g in range(len(windows)):
             s = windows[g, 3] * x + windows[g, 4] * y - windows[g, 5]
             reach = windows[g, 3] * origin[0] + windows[g, 4] * origin[1] - windows[g, 5]
-            if s > -behind_glass_m or reach < 0.0:
+            if s > -behind_glass_m:
+                # Between a window's face and its pane there is nothing but the sill, the head and the reveals.
+                if s < wall_distance_m and window_heights[g, 0] - 0.1 < height[i] < window_heights[g, 1] + 0.1:
+                    u = windows[g, 0] * x + windows[g, 1] * y - windows[g, 2]
+                    is_reveal = is_reveal or -margin_m < u < windows[g, 6] + margin_m
+                continue
+            if reach < 0.0:
                 continue
             t = reach / (reach - s)
             cx, cy = origin[0] + t * (x - origin[0]), origin[1] + t * (y - origin[1])
@@ -130,6 +159,16 @@ def _relabel(
             label[i] = 5
             continue
         if label[i] == 1 or label[i] == 2:
+            # Along an edge the nearer of wall and floor or ceiling decides.
+            inside = height[i] if label[i] == 1 else below_ceiling[i]
+            if inside > edge_m:
+                for w in range(len(walls)):
+                    distance = abs(walls[w, 3] * x + walls[w, 4] * y - walls[w, 5])
+                    if distance < wall_distance_m and distance + edge_m < inside:
+                        u = walls[w, 0] * x + walls[w, 1] * y - walls[w, 2]
+                        if -margin_m < u < walls[w, 6] + margin_m:
+                            label[i] = 3
+                            break
             continue
         is_leaf = False
         for d in range(len(doors)):
@@ -140,10 +179,10 @@ def _relabel(
             if 0.0 < u < length and height[i] < door_head[d] and abs(s + door_depth[d]) < leaf_distance_m:
                 is_leaf = True
                 break
-            if -reveal_m < s < wall_distance_m and -wall_distance_m < u < length + wall_distance_m:
-                at_jamb = u < wall_distance_m or u > length - wall_distance_m
+            if -door_reveal[d] - 0.03 < s < wall_distance_m and -wall_distance_m < u < length + wall_distance_m:
+                at_jamb = u < at_reveal_m or u > length - at_reveal_m
                 # Nothing but the lintel's underside is within the wall about the head, which is known to a cell or two.
-                at_head = door_head[d] - 2.0 * wall_distance_m < height[i] < door_head[d] + reveal_m
+                at_head = door_head[d] - at_reveal_m < height[i] < door_head[d] + 0.3
                 is_reveal = is_reveal or at_head or (at_jamb and height[i] < door_head[d])
         if is_leaf:
             label[i] = 4
@@ -155,6 +194,17 @@ def _relabel(
                 u = walls[w, 0] * x + walls[w, 1] * y - walls[w, 2]
                 if -margin_m < u < walls[w, 6] + margin_m and height[i] < wall_top[w] + 0.1:
                     nearest = distance
+        if nearest > wall_distance_m and (label[i] == 3 or label[i] == 4) and not is_reveal:
+            is_refused = False
+            for f in range(len(refused)):
+                if abs(refused[f, 3] * x + refused[f, 4] * y - refused[f, 5]) < refused_m:
+                    u = refused[f, 0] * x + refused[f, 1] * y - refused[f, 2]
+                    if -margin_m < u < refused[f, 6] + margin_m and height[i] < refused_top[f] + 0.2:
+                        is_refused = True
+                        break
+            if is_refused:
+                label[i] = 0
+                continue
         if label[i] == 0 and (is_reveal or nearest < wall_distance_m):
             label[i] = 3
         elif label[i] == 3 and nearest > forget_m:

@@ -1,10 +1,10 @@
-"""Poses over time: interpolation, motion compensation of every firing, levelling to gravity (paper, IV.C and V).
+"""Poses over time: interpolation and motion compensation of every firing (paper, IV.C and V).
 
 The paper used the nearest horizontal scan's pose for a vertical scan and left interpolation for the future; here every
 firing has the pose of its own time.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -23,13 +23,16 @@ class TrajectorySettings(StepSettings):
     """Placing scans and levelling the map (paper, IV.C and V)."""
 
     level_s: float = Field(
-        2.0, gt=0, le=60, description="The map is levelled by the floor that the first so many seconds show."
+        2.0,
+        gt=0,
+        le=60,
+        description="The map is levelled by the walls and the floor that the first so many seconds show.",
     )
     level_scan_max_deg: float = Field(
         2.0,
         ge=0,
         le=10,
-        description="A scan is turned by at most so many degrees to make its floor level; 0 turns none.",
+        description="A scan is turned by at most so many degrees to make its floor lie as the map's does; 0 turns none.",
     )
     extrapolate_s: float = Field(
         0.3, ge=0, description="A vertical scan may lie so many seconds outside the odometry; farther, it is skipped."
@@ -170,98 +173,3 @@ def _place(points: FloatArray, time_ns: IntArray, duration_ns: float, T: FloatAr
                 + (a * T[k, row, 3] + b * T[k + 1, row, 3])
             )
     return placed
-
-
-def level_scan(placed: PlacedScan, floor_height_m: float, floor_slope: FloatArray, max_deg: float) -> PlacedScan:
-    """The scan turned about the floor below it so that its floor is level.
-
-    A registration's roll and pitch err by some tenths of a degree, which at a ceiling's height is more than a leaf is
-    recessed. A floor that slopes by more than `max_deg` is a ramp, and stays one.
-
-    floor_height_m: of the floor at the level frame's origin; floor_slope: (2,) metres up for each metre along x and y.
-    """
-    if np.degrees(np.arctan(np.hypot(*floor_slope))) > max_deg:
-        return placed
-    normal = np.array([-floor_slope[0], -floor_slope[1], 1.0])
-    turn, _ = Rotation.align_vectors([0.0, 0.0, 1.0], normal / np.linalg.norm(normal))
-    pivot = np.array([0.0, 0.0, floor_height_m])
-    T = transforms.make_transform(turn, pivot - turn.apply(pivot))
-    return replace(
-        placed,
-        points_level=_move(placed.points_level, T.astype(np.float32)),
-        origin_level=transforms.apply(T, placed.origin_level[None])[0],
-        spin_axis_level=turn.apply(placed.spin_axis_level),
-        T_map_base=placed.T_map_level @ T @ transforms.invert(placed.T_map_level) @ placed.T_map_base,
-    )
-
-
-@numba.njit(cache=True, nogil=True)
-def _move(points: FloatArray, T: FloatArray) -> FloatArray:  # pragma: no cover
-    moved = np.empty_like(points)
-    for i in range(len(points)):
-        for row in range(3):
-            moved[i, row] = T[row, 0] * points[i, 0] + T[row, 1] * points[i, 1] + T[row, 2] * points[i, 2] + T[row, 3]
-    return moved
-
-
-def level_to_floor(points_odom: FloatArray, T_odom_base: FloatArray, seed: int = 0) -> tuple[FloatArray, float]:
-    """T_map_odom from the floor, and how many metres RMS the floor's points stand off its plane.
-
-    The floor is the largest plane below the base whose normal is within 15° of the base's z axis. The map's z is its
-    normal, its origin lies on it below the base at the first pose, its x runs along the base's forward.
-
-    points_odom: (n, 3) returns of the first sweeps, in the odometry's frame.
-    T_odom_base: (4, 4) the first pose.
-    Returns NaN as RMS, and a level made from the base's own z axis, where no floor was found.
-    """
-    points_base = transforms.apply(transforms.invert(T_odom_base), points_odom)
-    normal, offset, rms = _fit_floor(points_base, seed)
-    z = normal
-    x = np.array([1.0, 0.0, 0.0]) - z[0] * z
-    x /= np.linalg.norm(x)
-    T_map_base0 = np.eye(4)
-    T_map_base0[:3, :3] = np.stack([x, np.cross(z, x), z])
-    T_map_base0[2, 3] = -offset
-    return T_map_base0 @ transforms.invert(T_odom_base), rms
-
-
-def _fit_floor(points_base: FloatArray, seed: int) -> tuple[FloatArray, float, float]:
-    """Unit normal, offset (normal · p = offset) and RMS of the floor under the base."""
-    up = np.array([0.0, 0.0, 1.0])
-    # Within 6 m a floor that slopes by 15° stays below a sensor's usual height; farther returns only blur it.
-    near = points_base[np.hypot(points_base[:, 0], points_base[:, 1]) < 6.0]
-    if len(near) < 100:
-        return up, 0.0, float("nan")
-    generator = np.random.default_rng(seed)
-    if len(near) > 20_000:
-        near = near[generator.choice(len(near), 20_000, replace=False)]
-    low = near[near[:, 2] < np.percentile(near[:, 2], 50)]
-    best_score, best = -np.inf, (up, float("nan"))
-    for _ in range(300):
-        a, b, c = low[generator.choice(len(low), 3, replace=False)]
-        normal = np.cross(b - a, c - a)
-        length = np.linalg.norm(normal)
-        if length < 1e-2:
-            continue
-        normal /= length if normal[2] > 0 else -length
-        if normal[2] < np.cos(np.radians(15.0)):
-            continue
-        offset = float(normal @ a)
-        height = near @ normal - offset
-        # A table top or a ceiling has returns below it; the floor has none but reflections.
-        score = np.count_nonzero(np.abs(height) < 0.03) - 3.0 * np.count_nonzero(height < -0.1)
-        if score > best_score:
-            best_score, best = score, (normal, offset)
-    normal, offset = best
-    if not np.isfinite(offset):
-        return up, 0.0, float("nan")
-    for width_m in (0.06, 0.04, 0.03):
-        inliers = near[np.abs(near @ normal - offset) < width_m]
-        if len(inliers) < 50:
-            return up, 0.0, float("nan")
-        centre = inliers.mean(axis=0)
-        normal = np.linalg.svd(inliers - centre, full_matrices=False)[2][2]
-        normal = normal if normal[2] > 0 else -normal
-        offset = float(normal @ centre)
-    residual = inliers @ normal - offset
-    return normal, offset, float(np.sqrt(np.mean(residual**2)))

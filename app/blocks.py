@@ -14,11 +14,12 @@ import numpy as np
 from algorithms.building import Doors, Walls, Windows
 from algorithms.features import Features, concatenate, extract
 from algorithms.labelling import MethodSettings, label_scan
-from algorithms.rearrangement import HorizontalPlane, find_floor
+from algorithms.levelling import level_scan
+from algorithms.rearrangement import HorizontalPlane, below_ceiling, find_floor
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array
 from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes
-from algorithms.trajectory import PlacedScan, Trajectory, level_scan, place_scan
+from algorithms.trajectory import PlacedScan, Trajectory, place_scan
 from app.inputs import Inputs, Sensor
 from app.recorder import Detail, Recorder
 from app.recording import open_part
@@ -50,6 +51,8 @@ class LabelJob:
     trajectory: Trajectory
     base_height_m: float
     """How high the base stands above the floor."""
+    floor_slope: FloatArray
+    """(2,) of the map's floor, metres up for each metre along x and y."""
     extrapolate_ns: int
     level_scan_max_deg: float
     method: MethodSettings
@@ -66,6 +69,7 @@ class FinishJob:
 
     label: LabelJob
     walls: Walls
+    refused: Walls
     doors: Doors
     windows: Windows
     halo: Path
@@ -110,6 +114,7 @@ def label_block(job: LabelJob) -> BlockSummary:
     scans: list[tuple[int, int, FloatArray]] = []
     features: list[Features] = []
     labels: list[UInt8Array] = []
+    ceilings: list[FloatArray] = []
     milliseconds: list[list[float]] = []
     sizes: list[tuple[int, int]] = []
     counts = np.zeros(256, np.int64)
@@ -146,6 +151,7 @@ def label_block(job: LabelJob) -> BlockSummary:
             # For the map as it grows a share of the returns is enough; the final stage counts all.
             table.add(points_in_map(placed)[::_GROWING_STRIDE], labelling.label[::_GROWING_STRIDE])
             labels.append(full_labels(scan, labelling.label))
+            ceilings.append(labelling.ceiling_planes)
             counts += np.bincount(labelling.label, minlength=256)
             scans.append((index, scan.stamp_ns, job.trajectory.at(np.array([scan.stamp_ns]))[0]))
             sizes.append(
@@ -173,6 +179,8 @@ def label_block(job: LabelJob) -> BlockSummary:
         {
             **{f"summary_{f.name}": np.asarray(getattr(summary, f.name)) for f in fields(BlockSummary)},
             **_label_arrays(labels, summary.scan),
+            "ceiling_count": np.array([len(c) for c in ceilings], np.int64),
+            "ceiling_planes": np.concatenate(ceilings) if ceilings else np.zeros((0, 3)),
             **(
                 {f"feature_{f.name}": getattr(concatenate(features), f.name) for f in fields(Features)}
                 if features
@@ -189,6 +197,7 @@ def finish_block(job: FinishJob) -> None:
     label_job = job.label
     sensor = _vertical(label_job.inputs)
     earlier = load_labels(label_job.path.with_suffix(".npz"))
+    ceilings = _load_ceilings(label_job.path.with_suffix(".npz"))
     labels: list[UInt8Array] = []
     numbers: list[int] = []
     table = VoxelTable(VOXEL_M, 6)
@@ -209,9 +218,11 @@ def finish_block(job: FinishJob) -> None:
                 points_map,
                 # A map's height drifts; a door's head is so high above the floor that it was seen with.
                 floor.heights_above(placed.points_level),
+                below_ceiling(placed.points_level, ceilings[index]),
                 label_of_scan,
                 placed.to_map(placed.origin_level[None])[0],
                 job.walls,
+                job.refused,
                 job.doors,
                 job.windows,
                 _load_halo(job.halo),
@@ -237,19 +248,23 @@ def place_level(
     trajectory: Trajectory,
     T_base_sensor: FloatArray,
     base_height_m: float,
+    floor_slope: FloatArray,
     method: MethodSettings,
     level_scan_max_deg: float,
 ) -> tuple[PlacedScan, HorizontalPlane]:
-    """The scan with every firing at its own pose and its floor level; and that floor, in the level frame."""
+    """The scan with every firing at its own pose, turned to the map's floor; and its floor, in the level frame."""
     placed = place_scan(scan, trajectory, T_base_sensor, base_height_m)
     floor = find_floor(placed.points_level, method.rearrangement)
-    levelled = level_scan(placed, floor.height_m, floor.slope, level_scan_max_deg)
-    return levelled, floor if levelled is placed else replace(floor, slope=np.zeros(2))
+    wanted = floor_slope @ placed.T_map_level[:2, :2]
+    levelled = level_scan(placed, floor.height_m, floor.slope, wanted, level_scan_max_deg)
+    return levelled, floor if levelled is placed else replace(floor, slope=wanted)
 
 
 def _place(scan: Scan, job: LabelJob) -> tuple[PlacedScan, HorizontalPlane]:
     T_base_sensor = _vertical(job.inputs).lidar.T_base_sensor
-    return place_level(scan, job.trajectory, T_base_sensor, job.base_height_m, job.method, job.level_scan_max_deg)
+    return place_level(
+        scan, job.trajectory, T_base_sensor, job.base_height_m, job.floor_slope, job.method, job.level_scan_max_deg
+    )
 
 
 def load_summary(path: Path) -> BlockSummary:
@@ -277,6 +292,13 @@ def load_labels(path: Path) -> dict[int, UInt8Array]:
             if len(spooled["label_scan"])
             else {}
         )
+
+
+def _load_ceilings(path: Path) -> dict[int, FloatArray]:
+    """The ceiling planes (k, 3) of each scan in a block's .npz, by its number."""
+    with np.load(path) as spooled:
+        parts = np.split(spooled["ceiling_planes"], np.cumsum(spooled["ceiling_count"]))
+        return {int(scan): part for scan, part in zip(spooled["label_scan"], parts, strict=False)}
 
 
 def load_votes(path: Path) -> VoxelVotes:

@@ -4,12 +4,13 @@ The labelling of scans follows the odometry block by block, so that both cores w
 as their poses are known.
 """
 
+import os
 import shutil
 import time
 import uuid
 from collections import deque
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,14 +19,38 @@ import numpy as np
 import rerun.blueprint as rrb
 
 from algorithms import transforms
-from algorithms.building import Doors, Walls, Windows, find_doors, find_windows, fuse_walls, seen_through, trace_rays
+from algorithms.building import (
+    NO_WINDOWS,
+    BuildingSettings,
+    Doors,
+    WallCells,
+    Walls,
+    Windows,
+    find_doors,
+    find_windows,
+    fuse_walls,
+    measure_reveals,
+    seen_through,
+    trace_rays,
+    without_rays_through,
+)
 from algorithms.features import Features, concatenate, select_planes
 from algorithms.grid_map import GridMap, draw_furniture_free
 from algorithms.labels import Label
+from algorithms.levelling import level_map
 from algorithms.odometry import Registration
 from algorithms.scan import FloatArray, IntArray, Scan
 from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes, find_halo, fuse, majority
-from algorithms.trajectory import Trajectory, level_to_floor, place_scan
+from algorithms.standing_walls import (
+    JudgedFaces,
+    append,
+    clear_heights,
+    column_places,
+    find_hidden_walls,
+    join_corners,
+    judge_faces,
+)
+from algorithms.trajectory import Trajectory, place_scan
 from app import results
 from app.blocks import (
     FINAL_EVIDENCE,
@@ -63,6 +88,7 @@ from loaders.trajectory_file import write_tum
 _LEVEL_SCANS = 12
 _LEVEL_POINTS = 4_000
 _REGISTRATIONS_AT_ONCE = 50
+_STRICT_NEAR_M = 0.07
 
 
 @dataclass(frozen=True)
@@ -108,6 +134,7 @@ class Building:
     """The third stage's answer."""
 
     walls: Walls
+    judged: JudgedFaces
     doors: Doors
     windows: Windows
     halo: Halo
@@ -201,14 +228,18 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
             run.progress.stage("building", None)
             building = _build(folder, stage.blocks, stage.take_votes(), trajectory, settings)
             if recorder:
-                recorder.log_building(building.walls, building.doors, building.windows)
+                recorder.log_building(building.walls, building.judged, building.doors, building.windows)
                 recorder.log_grid("furniture_free", building.grid)
             if run.recording:
                 run.recording.set_layout(_layout(inputs, building.grid))
             results.write_walls(folder.path / "walls.geojson", building.walls)
             results.write_doors(folder.path / "doors.geojson", building.doors)
             results.write_grid(folder.path / "map.yaml", building.grid)
-            state.counts |= {"walls": len(building.walls), "doors": len(building.doors)}
+            state.counts |= {
+                "walls": len(building.walls),
+                "refused_walls": len(building.judged.refused),
+                "doors": len(building.doors),
+            }
             state.timings_s["building"] = time.perf_counter() - clock
 
             # Stage 4: final labels.
@@ -261,6 +292,7 @@ class _ScanStage:
         self.reasons: list[str] = []
         self._running: deque[tuple[Block, Future[BlockSummary] | BlockSummary]] = deque()
         self._last_T_map_base: FloatArray | None = None
+        self._floor_slope: FloatArray = np.zeros(2)
         self._registered: list[Registration] = []
         self._votes = VoxelTable(VOXEL_M, len(Label))
         self._counts = np.zeros(256, np.int64)
@@ -353,14 +385,15 @@ class _ScanStage:
                 placed = place_scan(scan, odometry, sensor.lidar.T_base_sensor)
                 stride = max(1, len(scan) // _LEVEL_POINTS)
                 points.append(points_in_map(placed)[::stride])
-        T_map_odom, rms_m = level_to_floor(
+        level = level_map(
             np.concatenate(points) if points else np.zeros((0, 3)), odometry.T_map_base[0], self._settings.seed
         )
-        if not np.isfinite(rms_m):
+        if not np.isfinite(level.floor_rms_m):
             self._warn("no floor was found in the first seconds: the map keeps the base's own level; is the rig right?")
+        self._floor_slope = level.floor_slope
         if self._recorder:
-            self._recorder.log_odometry_frame(T_map_odom)
-        return T_map_odom
+            self._recorder.log_odometry_frame(level.T_map_odom)
+        return level.T_map_odom
 
     def _warn(self, text: str) -> None:
         self._state.warnings.append(text)
@@ -395,6 +428,7 @@ class _ScanStage:
             inputs=self._inputs,
             trajectory=Trajectory(trajectory.stamp_ns[first:last], trajectory.T_map_base[first:last]),
             base_height_m=float(trajectory.T_map_base[0, 2, 3]),
+            floor_slope=self._floor_slope,
             extrapolate_ns=int(self._settings.trajectory.extrapolate_s * 1e9),
             level_scan_max_deg=self._settings.trajectory.level_scan_max_deg,
             method=self._settings.method,
@@ -488,19 +522,57 @@ def _build(
 ) -> Building:
     """Walls from all planes, doors and grid from all rays; the rays are read block by block."""
     planes = concatenate([_without_rays(features) for features in _features(folder, blocks)])
-    walls = fuse_walls(planes, settings.building)
-    cells = trace_rays(walls, _features(folder, blocks), settings.building)
-    windows = find_windows(walls, cells, settings.building)
+    strict = settings.building.model_copy(update={"near_m": _STRICT_NEAR_M})
+
+    def trace(faces: Walls, building: BuildingSettings = settings.building, windows: Windows = NO_WINDOWS) -> WallCells:
+        return _trace(faces, folder, blocks, building, windows)
+
+    def judge(faces: Walls) -> JudgedFaces:
+        faces = join_corners(faces, settings.standing_walls.corner_m)
+        cells = trace(faces)
+        clear_m = clear_heights(column_places(faces, cells), votes, settings.standing_walls.ceiling_near_m)
+        return judge_faces(faces, cells, clear_m, settings.building.length_min_m, settings.standing_walls)
+
+    judged = judge(fuse_walls(planes, settings.building))
+    windows = find_windows(judged.walls, trace(judged.walls), settings.building)
     outside = seen_through(windows, planes)
     if outside.any():
-        walls = fuse_walls(select_planes(planes, ~outside), settings.building)
-        cells = trace_rays(walls, _features(folder, blocks), settings.building)
-        windows = find_windows(walls, cells, settings.building)
-    doors = find_doors(walls, cells, settings.building)
+        judged = judge(fuse_walls(select_planes(planes, ~outside), settings.building))
+    hidden = find_hidden_walls(
+        votes,
+        judged.walls,
+        judged.refused,
+        trajectory.T_map_base[:, :2, 3],
+        lambda faces: trace(faces, strict, windows),
+        settings.building.length_min_m,
+        settings.standing_walls,
+    )
+    walls = join_corners(append(judged.walls, hidden), settings.standing_walls.corner_m)
+    cells = trace(walls)
+    windows = find_windows(walls, cells, settings.building)
+    doors = measure_reveals(find_doors(walls, cells, settings.building), _features(folder, blocks), settings.building)
     grid = draw_furniture_free(
         walls, doors, trajectory.T_map_base[:, :3, 3], _features(folder, blocks), settings.grid_map
     )
-    return Building(walls, doors, windows, find_halo(votes, settings.relabelling.halo_ratio), grid)
+    return Building(walls, judged, doors, windows, find_halo(votes, settings.relabelling.halo_ratio), grid)
+
+
+def _trace(
+    walls: Walls, folder: RunFolder, blocks: list[Block], settings: BuildingSettings, windows: Windows
+) -> WallCells:
+    """`trace_rays` on all cores: block by block, summed in their order, so that no sum depends on how many they are."""
+
+    def trace_block(block: Block) -> WallCells:
+        features = _features(folder, [block])
+        if len(windows):
+            features = (without_rays_through(windows, part) for part in features)
+        return trace_rays(walls, features, settings)
+
+    cells = trace_rays(walls, [], settings)
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        for part in threads.map(trace_block, blocks):
+            cells.counts[...] += part.counts
+    return cells
 
 
 def _features(folder: RunFolder, blocks: list[Block]) -> Iterator[Features]:
@@ -532,7 +604,15 @@ def _finish(
     pending: list[Future[None] | None] = []
     for job in jobs:
         done = job.path.with_suffix(".final.npz").exists() and run.options.resume
-        finish = FinishJob(job, building.walls, building.doors, building.windows, halo, run.settings.relabelling)
+        finish = FinishJob(
+            job,
+            building.walls,
+            building.judged.refused,
+            building.doors,
+            building.windows,
+            halo,
+            run.settings.relabelling,
+        )
         pending.append(None if done else pool.submit(finish_block, finish))
     table = VoxelTable(VOXEL_M, len(Label))
 

@@ -18,6 +18,7 @@ from algorithms.labels import Label
 from algorithms.odometry import Registration
 from algorithms.rearrangement import HorizontalPlane
 from algorithms.scan import FloatArray, IntArray, UInt8Array
+from algorithms.standing_walls import JudgedFaces
 from algorithms.trajectory import PlacedScan
 from blueprints import entities
 from blueprints.entities import CurveSheet, LineOutcome
@@ -551,8 +552,8 @@ class Recorder:
         self._at(stamp_ns, index)
         self._log_split(entities.MAP_POINTS, entities.MAP_CEILING, points_map, label, static=False)
 
-    def log_building(self, walls: Walls, doors: Doors, windows: Windows) -> None:
-        """The fused walls, doors and windows; they hold for the whole run."""
+    def log_building(self, walls: Walls, refused: JudgedFaces, doors: Doors, windows: Windows) -> None:
+        """The fused walls, what was refused as a wall, doors and windows; they hold for the whole run."""
         vertices, triangles = _upright_quads(
             walls.ends, np.repeat(walls.bottom_m[:, None], 2, axis=1), np.repeat(walls.top_m[:, None], 2, axis=1)
         )
@@ -565,6 +566,19 @@ class Recorder:
                     albedo_factor=(*entities.CLASSES[Label.WALL][1], 90),
                 ),
                 evidence({"scan_count": walls.scan_count, "rms_m": walls.rms_m}),
+            )
+        if len(refused.refused):
+            faces = refused.refused
+            self._static(
+                entities.REFUSED_WALLS,
+                rr.LineStrips3D(
+                    upright_frames(faces.ends, faces.bottom_m, faces.top_m),
+                    colors=entities.REFUSED_COLOUR,
+                    radii=rr.Radius.ui_points(1.5),
+                    labels=[f"no wall: {entities.REFUSALS[verdict]}" for verdict in refused.verdict],
+                    show_labels=False,
+                ),
+                evidence({"verdict": refused.verdict, "scan_count": faces.scan_count}),
             )
         widths_m = np.linalg.norm(doors.ends[:, 1] - doors.ends[:, 0], axis=1)
         if len(doors):

@@ -19,6 +19,7 @@ from algorithms.rearrangement import RearrangementSettings
 from algorithms.refinement import RefinementSettings
 from algorithms.relabelling import RelabellingSettings
 from algorithms.settings import StepSettings
+from algorithms.standing_walls import StandingWallsSettings
 from algorithms.trajectory import TrajectorySettings
 from algorithms.vertical_structures import VerticalStructuresSettings
 from algorithms.wall_planes import WallPlanesSettings
@@ -38,6 +39,7 @@ class Settings(StepSettings):
     doors: DoorsSettings = DoorsSettings()
     labelling: LabellingSettings = LabellingSettings()
     building: BuildingSettings = BuildingSettings()
+    standing_walls: StandingWallsSettings = StandingWallsSettings()
     grid_map: GridMapSettings = GridMapSettings()
     relabelling: RelabellingSettings = RelabellingSettings()
 

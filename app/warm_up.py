@@ -8,6 +8,7 @@ import numpy as np
 from algorithms.building import NO_DOORS, NO_WALLS, NO_WINDOWS
 from algorithms.features import extract
 from algorithms.labelling import label_scan
+from algorithms.rearrangement import below_ceiling
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.scan import Scan
 from algorithms.semantic_map import VoxelTable, find_halo
@@ -25,7 +26,7 @@ def warm_up() -> None:
     scan, method = _room_scan(), Settings().method
     upright = np.array([[0.0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, ROOM_M[2]], [0, 0, 0, 1]])
     trajectory = Trajectory(np.array([0, 200_000_000]), np.stack([np.eye(4)] * 2))
-    placed, floor = place_level(scan, trajectory, upright, 0.0, method, 2.0)
+    placed, floor = place_level(scan, trajectory, upright, 0.0, np.zeros(2), method, 2.0)
     labelling = label_scan(scan, placed, method, 0)
     extract(0, placed, labelling)
     points_map = points_in_map(placed)
@@ -36,8 +37,10 @@ def warm_up() -> None:
     relabel(
         points_map,
         floor.heights_above(placed.points_level),
+        below_ceiling(placed.points_level, labelling.ceiling_planes),
         labelling.label,
         placed.to_map(placed.origin_level[None])[0],
+        NO_WALLS,
         NO_WALLS,
         NO_DOORS,
         NO_WINDOWS,

@@ -9,6 +9,7 @@ import numpy as np
 
 from algorithms.labels import NO_RETURN, Label, Verdict
 from algorithms.scan import FloatArray
+from algorithms.standing_walls import FaceVerdict
 
 APPLICATION_ID = "furniture_free_mapping"
 
@@ -34,6 +35,12 @@ WALLS = "/world/building/walls"
 DOORS = "/world/building/doors"
 DOOR_SILLS = "/world/building/sills"
 WINDOWS = "/world/building/windows"
+REFUSED_WALLS = "/world/building/refused_walls"
+REFUSED_COLOUR = (255, 140, 60)
+REFUSALS = {
+    FaceVerdict.ENDS_LOW: "rays pass above it, below the ceiling (a leaf, a cupboard)",
+    FaceVerdict.HANGS: "rays pass below it (a duct, a beam)",
+}
 CLOUD = "/world/building/cloud"
 CLOUD_CEILING = "/world/building/ceiling"
 GRID = "/world/grid"

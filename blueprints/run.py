@@ -101,6 +101,7 @@ def _map(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
             entities.WALLS,
             entities.DOORS,
             entities.WINDOWS,
+            entities.REFUSED_WALLS,
         ],
         name="Growing map (ceiling hidden)",
         overrides={
@@ -210,7 +211,7 @@ def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
     return rrb.Horizontal(
         rrb.Spatial3DView(
             origin=entities.WORLD,
-            contents=[entities.CLOUD, entities.WALLS, entities.DOORS, entities.WINDOWS],
+            contents=[entities.CLOUD, entities.WALLS, entities.DOORS, entities.WINDOWS, entities.REFUSED_WALLS],
             name="Fused cloud, walls and doors (ceiling hidden)",
             overrides={
                 entities.DOORS: rr.LineStrips3D.from_fields(show_labels=True),

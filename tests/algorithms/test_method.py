@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from algorithms import transforms
 from algorithms.building import (
+    NO_WALLS,
     BuildingSettings,
     Doors,
     WallCells,
@@ -23,11 +24,19 @@ from algorithms.features import concatenate, extract, move_moments
 from algorithms.grid_map import Cell, GridMapSettings, draw_furniture_free
 from algorithms.labelling import LabellingSettings, MethodSettings, ScanLabelling, label_scan
 from algorithms.labels import Label
-from algorithms.rearrangement import SAMPLES, RearrangementSettings, find_ceilings, find_floor, make_point_lines
+from algorithms.levelling import level_map, level_scan
+from algorithms.rearrangement import (
+    SAMPLES,
+    RearrangementSettings,
+    below_ceiling,
+    find_ceilings,
+    find_floor,
+    make_point_lines,
+)
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.scan import Scan
 from algorithms.semantic_map import find_halo, vote
-from algorithms.trajectory import PlacedScan, Trajectory, level_scan, level_to_floor, place_scan
+from algorithms.trajectory import PlacedScan, Trajectory, place_scan
 from algorithms.vertical_structures import VerticalStructuresSettings
 from algorithms.wall_planes import WallPlanesSettings
 
@@ -138,7 +147,17 @@ def relabelled(
     halo = find_halo(vote(points, found.label, len(Label), 0.05), 6.0)
     origin = placed.to_map(placed.origin_level[None])[0]
     return points, relabel(
-        points, found.height_m, found.label, origin, walls, doors, windows, halo, RelabellingSettings()
+        points,
+        found.height_m,
+        below_ceiling(placed.points_level, found.ceiling_planes),
+        found.label,
+        origin,
+        walls,
+        NO_WALLS,
+        doors,
+        windows,
+        halo,
+        RelabellingSettings(),
     )
 
 
@@ -262,10 +281,10 @@ def test_floor_and_ceiling_follow_a_tilt() -> None:
     points = (tilt.apply(placed.points_level) + np.array([0.0, 0.0, 0.05])).astype(np.float32)
     floor = find_floor(points, METHOD.rearrangement)
     assert floor.height_m == pytest.approx(0.05, abs=0.01)
-    level = level_scan(replace(placed, points_level=points), floor.height_m, floor.slope, 2.0)
+    level = level_scan(replace(placed, points_level=points), floor.height_m, floor.slope, np.zeros(2), 2.0)
     again = find_floor(level.points_level, METHOD.rearrangement)
     assert np.hypot(*again.slope) < 0.002
-    untouched = level_scan(replace(placed, points_level=points), floor.height_m, floor.slope, 0.1)
+    untouched = level_scan(replace(placed, points_level=points), floor.height_m, floor.slope, np.zeros(2), 0.1)
     assert untouched.points_level is points
 
 
@@ -276,12 +295,14 @@ def test_ceiling_is_independent_of_the_seed() -> None:
     assert np.ptp(found) < 0.005
 
 
-def test_the_map_is_levelled_by_the_floor() -> None:
+def test_the_map_is_levelled_by_floor_and_walls() -> None:
     tilt = transforms.make_transform(Rotation.from_euler("xyz", [3.0, -2.0, 40.0], degrees=True), [5.0, 1.0, -0.3])
     _, placed, _, _ = labelled()
     T_odom_base = tilt @ pose()
-    T_map_odom, rms_m = level_to_floor(transforms.apply(tilt, placed.points_level), T_odom_base)
-    assert rms_m < 0.03
+    level = level_map(transforms.apply(tilt, placed.points_level), T_odom_base)
+    assert level.floor_rms_m < 0.03
+    T_map_odom = level.T_map_odom
+    np.testing.assert_allclose(level.floor_slope, 0, atol=0.005)
     np.testing.assert_allclose((T_map_odom @ T_odom_base)[:3, 3], 0, atol=0.02)
     np.testing.assert_allclose((T_map_odom @ tilt)[2, :3], [0, 0, 1], atol=0.005)
 
@@ -409,4 +430,4 @@ def test_the_floor_is_found_wherever_the_robot_has_climbed() -> None:
     assert share(found.label, truth, Label.FLOOR)[1] > 0.97
     np.testing.assert_allclose(placed.to_map(placed.points_level)[truth == Label.FLOOR, 2], 0.6, atol=0.1)
     features = extract(0, placed, found)
-    assert features.floor_m[0] == pytest.approx(0.6, abs=0.01)
+    np.testing.assert_allclose(features.floor_map[0] @ [1.0, 1.0, 0.0], 0.6, atol=0.02)

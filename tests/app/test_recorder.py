@@ -2,6 +2,7 @@
 
 import socket
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from algorithms.labelling import ScanLabelling, label_scan
 from algorithms.labels import Label
 from algorithms.odometry import Registration
 from algorithms.scan import Scan
+from algorithms.standing_walls import FaceVerdict, JudgedFaces
 from algorithms.trajectory import PlacedScan, place_scan
 from app.recorder import Detail, Recorder
 from app.recording import Recording, open_part
@@ -257,9 +259,11 @@ def test_building_grid_map_and_messages(tmp_path):
         confidence=np.array([0.9]),
         ray_count=np.array([50]),
         wall=np.zeros(1, np.int64),
+        reveal_m=np.array([0.05]),
     )
     windows = Windows(np.array([[[2.5, 0.0], [3.5, 0.0]]]), np.array([[0.0, 1.0]]), np.array([0.9]), np.array([2.2]))
-    recorder.log_building(walls, doors, windows)
+    leaf = replace(walls, ends=np.array([[[1.0, 0.0], [1.0, 0.9]]]))
+    recorder.log_building(walls, JudgedFaces(walls, leaf, np.array([FaceVerdict.ENDS_LOW])), doors, windows)
     cells = np.full((2, 3), Cell.FREE, np.uint8)
     cells[0, 0], cells[1, 2] = Cell.OCCUPIED, Cell.UNKNOWN
     grid = GridMap(cells, np.array([-1.0, 2.0]), 0.05)
@@ -275,6 +279,9 @@ def test_building_grid_map_and_messages(tmp_path):
     image = static[f"{entities.GRID}/{entities.FURNITURE_FREE}"].column("GridMap:data").to_pylist()[0][0]
     assert list(bytes(image)) == [0, 0, 255, 100, 0, 0]  # the uppermost row first
     assert "closed door, 0.90 m, 90%" in str(static[entities.DOORS].column("LineStrips3D:labels").to_pylist())
+    assert "no wall: rays pass above it" in str(
+        static[entities.REFUSED_WALLS].column("LineStrips3D:labels").to_pylist()
+    )
     outline = vectors(static[entities.WINDOWS].column("LineStrips3D:strips").to_pylist()[0][0])
     np.testing.assert_allclose(outline[:3], [[2.5, 0, 0.9], [3.5, 0, 0.9], [3.5, 0, 2.2]], rtol=1e-6)
     assert len(static[entities.WALLS].column("Mesh3D:vertex_positions").to_pylist()[0]) == 4

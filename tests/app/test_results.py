@@ -255,6 +255,7 @@ class TestGeojson:
             confidence=np.array([0.9, 0.7]),
             ray_count=np.array([100, 90]),
             wall=np.array([0, 1]),
+            reveal_m=np.array([0.05, 0.2]),
         )
         write_doors(tmp_path / "doors.geojson", doors)
         content = json.loads((tmp_path / "doors.geojson").read_text())

@@ -1,0 +1,440 @@
+"""Which fused faces are walls, and the walls that no single scan could tell: the rays of all scans decide.
+
+A wall stands from the floor to the ceiling, so no ray passes it but through a door or a window. A leaf, a cupboard or a
+duct is passed above or below (paper, III.B: the up-most structure is the wall; Nikoohemat et al., 2018: cells that are
+filled, empty and occluded).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from algorithms.building import CELL_M, NO_WALLS, WallCells, Walls
+from algorithms.labels import Label
+from algorithms.scan import BoolArray, FloatArray, UInt8Array
+from algorithms.semantic_map import VoxelVotes, majority
+from algorithms.settings import StepSettings
+
+_FOOT_M, _HIP_M = 0.15, 1.8
+"""Between these heights rays that pass a face prove an opening, or that nothing stands there."""
+_CEILING_MARGIN_M = 0.08
+"""Rows so close below a ceiling hold its own returns."""
+_UPPER_M = 0.4
+_ON_FACE_M = 0.06
+_SMOOTH_COLUMNS = 2
+_CUT_MIN_M = 0.3
+
+
+class StandingWallsSettings(StepSettings):
+    """Telling walls from what only looks like one, and finding those that scans saw too little of."""
+
+    above_door_m: float = Field(
+        2.12, gt=0, description="Above so many metres, higher than leaves and cupboards, a wall still stands."
+    )
+    passed_ratio: float = Field(
+        2.0,
+        gt=0,
+        description="A column is no wall's where so many rays pass below the ceiling for each that ends there.",
+    )
+    hollow_ratio: float = Field(
+        4.0, gt=0, description="A column is open below where so many rays pass for each that ends there."
+    )
+    opening_max_m: float = Field(
+        2.6, gt=0, description="What is open below over a longer stretch than so many metres is a duct, no lintel."
+    )
+    corner_m: float = Field(
+        0.7, ge=0, description="A face is carried on to the corner with another that begins at most so far away."
+    )
+    hidden_distance_m: float = Field(0.04, gt=0, description="Half thickness in metres of a hidden wall's returns.")
+    hidden_passed_max: float = Field(
+        0.2, ge=0, lt=1, description="Share of a hidden wall's rays that may pass it: scatter, and the poses' errors."
+    )
+    hidden_returns_min: int = Field(20, ge=1, description="Fewest returns that prove a hidden wall.")
+    hidden_gap_m: float = Field(0.6, ge=0, description="Longest gap in metres within a hidden wall.")
+    robot_m: float = Field(
+        0.25,
+        ge=0,
+        description="No hidden wall stands so near the robot's way, in metres; a lamp above it may hang there.",
+    )
+    ceiling_near_m: float = Field(2.0, gt=0, description="A wall's ceiling is looked for so many metres around it.")
+
+
+class FaceVerdict(IntEnum):
+    """What the rays of all scans say of a face."""
+
+    STANDS = 0
+    """Nothing passes it but through openings: a wall."""
+    ENDS_LOW = 1
+    """Rays pass above it, below the ceiling: a leaf, a cupboard, a partition."""
+    HANGS = 2
+    """Rays pass below it over a longer stretch than an opening has: a duct, a beam."""
+
+
+@dataclass(frozen=True)
+class JudgedFaces:
+    """The faces that stand, and those that do not with the verdict on each."""
+
+    walls: Walls
+    refused: Walls
+    verdict: UInt8Array
+
+
+def clear_heights(places: FloatArray, votes: VoxelVotes, near_m: float) -> FloatArray:
+    """(m,) metres from the floor to the ceiling near each place (m, 2); NaN where no ceiling was seen.
+
+    The higher ones of the nearest cubes of ceiling count, for ducts and lamps hang below it.
+    """
+    label = majority(votes.counts)
+    strong = votes.counts.max(axis=1, initial=0) >= 3
+    position = votes.mean_position
+    ceiling, floor = position[strong & (label == Label.CEILING)], position[strong & (label == Label.FLOOR)]
+    if len(ceiling) < 10 or not len(places):
+        return np.full(len(places), np.nan)
+    distance, nearest = cKDTree(ceiling[:, :2]).query(places, k=10)
+    top = np.percentile(ceiling[nearest, 2], 80, axis=1)
+    ground = np.zeros(len(places))
+    if len(floor) >= 5:
+        ground = np.median(floor[cKDTree(floor[:, :2]).query(places, k=5)[1], 2], axis=1)
+    return np.where(distance[:, 0] < near_m, top - ground, np.nan)
+
+
+def column_places(walls: Walls, cells: WallCells, before_m: float = 0.2) -> FloatArray:
+    """(columns, 2) x and y so many metres before the middle of each column of the faces."""
+    places = np.zeros((int(cells.first[-1]), 2))
+    for w in range(len(walls)):
+        along = walls.ends[w, 1] - walls.ends[w, 0]
+        along = along / np.linalg.norm(along)
+        middle = (np.arange(cells.first[w + 1] - cells.first[w]) + 0.5) * CELL_M
+        places[cells.first[w] : cells.first[w + 1]] = (
+            walls.ends[w, 0] + along * middle[:, None] + before_m * walls.normal[w]
+        )
+    return places
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Rays on and past each column (c,) of the faces, close below the ceiling and between foot and hip."""
+
+    upper_on: FloatArray
+    upper_passed: FloatArray
+    lower_on: FloatArray
+    lower_passed: FloatArray
+
+
+def _count_columns(cells: WallCells, clear_m: FloatArray, settings: StandingWallsSettings) -> _Columns:
+    filled, total, passed = (cells.counts[..., i].astype(np.float64) for i in (0, 1, 3))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        on = np.where(np.abs(total / filled) < _ON_FACE_M, filled, 0.0)
+    passed = passed + filled - on
+    height = (np.arange(cells.rows) + 0.5) * CELL_M
+    top = np.where(np.isfinite(clear_m), clear_m, np.inf) - _CEILING_MARGIN_M
+    upper = (height > np.maximum(settings.above_door_m, np.where(np.isfinite(top), top - _UPPER_M, 0.0))[:, None]) & (
+        height < top[:, None]
+    )
+    lower = (height > _FOOT_M) & (height < _HIP_M)
+    return _Columns(
+        _smooth((on * upper).sum(axis=1), cells),
+        _smooth((passed * upper).sum(axis=1), cells),
+        _smooth(on[:, lower].sum(axis=1), cells),
+        _smooth(passed[:, lower].sum(axis=1), cells),
+    )
+
+
+def _smooth(values: FloatArray, cells: WallCells) -> FloatArray:
+    """Each column with those beside it on the same face."""
+    smooth = np.zeros_like(values)
+    for first, last in zip(cells.first[:-1], cells.first[1:], strict=True):
+        if last > first:
+            kernel = np.ones(2 * _SMOOTH_COLUMNS + 1)
+            smooth[first:last] = np.convolve(values[first:last], kernel)[_SMOOTH_COLUMNS:-_SMOOTH_COLUMNS]
+    return smooth
+
+
+def judge_faces(
+    walls: Walls, cells: WallCells, clear_m: FloatArray, length_min_m: float, settings: StandingWallsSettings
+) -> JudgedFaces:
+    """Keep the stretches of the faces that stand from floor to ceiling, as far as rays tell.
+
+    clear_m: (columns,) from the floor to the ceiling before each column.
+    """
+    columns = _count_columns(cells, clear_m, settings)
+    ends_low = (columns.upper_passed >= 4) & (columns.upper_passed > settings.passed_ratio * columns.upper_on)
+    hollow = (columns.lower_passed >= 6) & (columns.lower_passed > settings.hollow_ratio * columns.lower_on)
+    kept: list[tuple[int, int, int]] = []
+    refused: list[tuple[int, int, int, FaceVerdict]] = []
+    for w in range(len(walls)):
+        own = slice(int(cells.first[w]), int(cells.first[w + 1]))
+        count = own.stop - own.start
+        hangs = _long_runs(hollow[own], int(settings.opening_max_m / CELL_M), bridge=4)
+        low = _long_runs(ends_low[own], min(int(_CUT_MIN_M / CELL_M), max(count // 2, 1)), bridge=2)
+        low &= ~_between_walls(low, columns.lower_on[own] > 0)
+        if hangs.any():
+            # The rest of a duct, where nothing was seen below it.
+            for first, after in _runs(~(hangs | low)):
+                hangs[first:after] = not columns.lower_on[own][first:after].any()
+        for first, after in _runs(~(hangs | low)):
+            if (after - first) * CELL_M >= length_min_m:
+                kept.append((w, first, after))
+        for first, after in _runs(hangs | low):
+            verdict = FaceVerdict.HANGS if hangs[first:after].mean() > 0.5 else FaceVerdict.ENDS_LOW
+            refused.append((w, first, after, verdict))
+    return JudgedFaces(
+        _cut(walls, cells, kept),
+        _cut(walls, cells, [r[:3] for r in refused]),
+        np.array([r[3] for r in refused], np.uint8),
+    )
+
+
+def _between_walls(low: BoolArray, sill: BoolArray) -> BoolArray:
+    """The runs of columns that rays pass below the ceiling, yet with wall on both sides and a sill below: high windows."""
+    windows = np.zeros(len(low), bool)
+    beside = int(_CUT_MIN_M / CELL_M)
+    for first, after in _runs(low):
+        before, behind = low[max(first - beside, 0) : first], low[after : after + beside]
+        framed = len(before) == beside and len(behind) == beside and not before.any() and not behind.any()
+        windows[first:after] = framed and sill[first:after].mean() > 0.5
+    return windows
+
+
+def _cut(walls: Walls, cells: WallCells, stretches: list[tuple[int, int, int]]) -> Walls:
+    """Stretches of faces, in columns, as faces of their own."""
+    if not stretches:
+        return NO_WALLS
+    owner = np.array([s[0] for s in stretches])
+    ends = np.empty((len(stretches), 2, 2))
+    for i, (w, first, after) in enumerate(stretches):
+        along = walls.ends[w, 1] - walls.ends[w, 0]
+        length_m = float(np.linalg.norm(along))
+        whole = after == cells.first[w + 1] - cells.first[w]
+        places = np.array([first * CELL_M, length_m if whole else after * CELL_M])
+        ends[i] = walls.ends[w, 0] + places[:, None] * along / length_m
+    return Walls(
+        ends,
+        walls.normal[owner],
+        walls.bottom_m[owner],
+        walls.top_m[owner],
+        walls.scan_count[owner],
+        walls.rms_m[owner],
+    )
+
+
+def _runs(flags: BoolArray) -> list[tuple[int, int]]:
+    """First index, and the one after the last, of the runs of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def _long_runs(flags: BoolArray, length: int, bridge: int) -> BoolArray:
+    """The flags with short gaps closed, and of these the runs of at least so many."""
+    closed = flags.copy()
+    for first, after in _runs(~flags):
+        if first > 0 and after < len(flags) and after - first <= bridge:
+            closed[first:after] = True
+    long = np.zeros(len(flags), bool)
+    for first, after in _runs(closed):
+        if after - first >= length:
+            long[first:after] = True
+    return long
+
+
+def join_corners(walls: Walls, corner_m: float) -> Walls:
+    """Faces carried on to the corners that they make with others, where both end or pass close to it."""
+    ends = walls.ends.copy()
+    along = walls.ends[:, 1] - walls.ends[:, 0]
+    length = np.linalg.norm(along, axis=1)
+    along = along / np.maximum(length, 1e-9)[:, None]
+    for w in range(len(walls)):
+        best = np.array([corner_m, corner_m])
+        for other in range(len(walls)):
+            turn = float(walls.normal[w] @ along[other])
+            if abs(turn) < 0.3:
+                continue
+            t_other = -float((walls.ends[other, 0] - walls.ends[w, 0]) @ walls.normal[w]) / turn
+            if not -corner_m < t_other < length[other] + corner_m:
+                continue
+            corner = walls.ends[other, 0] + t_other * along[other]
+            place = float((corner - walls.ends[w, 0]) @ along[w])
+            if -best[0] < place < 0:
+                best[0], ends[w, 0] = -place, corner
+            elif length[w] < place < length[w] + best[1]:
+                best[1], ends[w, 1] = place - length[w], corner
+    return Walls(ends, walls.normal, walls.bottom_m, walls.top_m, walls.scan_count, walls.rms_m)
+
+
+def find_hidden_walls(
+    votes: VoxelVotes,
+    walls: Walls,
+    refused: Walls,
+    path_map: FloatArray,
+    trace: Callable[[Walls], WallCells],
+    length_min_m: float,
+    settings: StandingWallsSettings,
+) -> Walls:
+    """Walls that scans saw too little of for a plane: returns of all scans that stand in line with the building's walls.
+
+    Upright columns of returns that belong to no face are looked through for straight lines in the directions that the
+    walls have; a line is a wall where rays end on it up to the ceiling and next to none passes.
+
+    path_map: (n, 2) the robot's places: where it was stands no wall. trace: counts rays against faces; a return more than
+    some centimetres behind a face counts as passed, and rays through windows do not count.
+    """
+    place, weight = _unexplained_columns(votes, walls, refused)
+    found = _straight_lines(place, weight, _directions(walls), settings)
+    if not found:
+        return NO_WALLS
+    ends = np.array([e for e, _ in found])
+    normal = np.array([n for _, n in found])
+    # Which side it is seen from is not known yet: both are tried.
+    both = Walls(
+        np.concatenate([ends, ends[:, ::-1]]),
+        np.concatenate([normal, -normal]),
+        np.zeros(2 * len(found)),
+        np.full(2 * len(found), 5.0),
+        np.ones(2 * len(found), np.int32),
+        np.zeros(2 * len(found)),
+    )
+    both = _select(both, ~_before_a_face(both, walls))
+    cells = trace(both)
+    clear_m = clear_heights(column_places(both, cells), votes, settings.ceiling_near_m)
+    visited = cKDTree(path_map).query(column_places(both, cells, 0.0))[0] < settings.robot_m
+    columns = _count_columns(cells, clear_m, settings)
+    kept: list[tuple[int, int, int]] = []
+    top_m: list[float] = []
+    for w in range(len(both)):
+        own = slice(int(cells.first[w]), int(cells.first[w + 1]))
+        on = columns.upper_on[own] + columns.lower_on[own]
+        passed = columns.upper_passed[own] + columns.lower_passed[own]
+        proven = (
+            (on > 0)
+            & (passed <= settings.hidden_passed_max * on)
+            & (columns.upper_passed[own] <= 0.5 * columns.upper_on[own])
+            & np.isfinite(clear_m[own])
+            & ~visited[own]
+        )
+        for first, after in _runs(_long_runs(proven, 1, bridge=int(settings.hidden_gap_m / CELL_M))):
+            part = slice(own.start + first, own.start + after)
+            reaches = np.mean(columns.upper_on[part] > 0) > 0.3
+            counted = float((columns.upper_on[part] + columns.lower_on[part]).sum()) / (2 * _SMOOTH_COLUMNS + 1)
+            if reaches and counted >= settings.hidden_returns_min and (after - first) * CELL_M >= length_min_m:
+                kept.append((w, first, after))
+                top_m.append(float(np.nanmedian(clear_m[part])))
+    hidden = _cut(both, cells, kept)
+    return Walls(hidden.ends, hidden.normal, hidden.bottom_m, np.array(top_m), hidden.scan_count, hidden.rms_m)
+
+
+def append(walls: Walls, more: Walls) -> Walls:
+    """The faces of both."""
+    return Walls(
+        *(
+            np.concatenate([getattr(walls, name), getattr(more, name)])
+            for name in ("ends", "normal", "bottom_m", "top_m", "scan_count", "rms_m")
+        )
+    )
+
+
+def _select(walls: Walls, chosen: BoolArray) -> Walls:
+    return Walls(
+        *(getattr(walls, name)[chosen] for name in ("ends", "normal", "bottom_m", "top_m", "scan_count", "rms_m"))
+    )
+
+
+def _before_a_face(candidates: Walls, walls: Walls) -> BoolArray:
+    """(k,) whether a known face that looks the same way lies close behind each candidate: a board, a rail, its noise."""
+    before = np.zeros(len(candidates), bool)
+    middle = candidates.ends.mean(axis=1)
+    for ends, normal in zip(walls.ends, walls.normal, strict=True):
+        along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        place = (middle - ends[0]) @ along
+        distance = (middle - ends[0]) @ normal
+        before |= (
+            (candidates.normal @ normal > 0.9)
+            & (place > 0)
+            & (place < np.linalg.norm(ends[1] - ends[0]))
+            & (np.abs(distance) < 0.3)
+        )
+    return before
+
+
+def _directions(walls: Walls) -> FloatArray:
+    """(k, 2) the normals that walls have, and those across them; the longest walls' first."""
+    length = np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1)
+    angle = np.degrees(np.arctan2(walls.normal[:, 1], walls.normal[:, 0])) % 90.0
+    left = np.ones(len(walls), bool)
+    found: list[float] = []
+    while left.any():
+        longest = int(np.argmax(np.where(left, length, 0.0)))
+        turn = (angle - angle[longest] + 45.0) % 90.0 - 45.0
+        same = left & (np.abs(turn) < 2.0)
+        if length[same].sum() < 1.0:
+            left &= ~same
+            continue
+        mean = angle[longest] + float(np.average(turn[same], weights=length[same]))
+        found += [mean, mean + 90.0]
+        left &= ~same
+    radians = np.radians(np.array(found))
+    return np.stack([np.cos(radians), np.sin(radians)], axis=1)
+
+
+def _unexplained_columns(votes: VoxelVotes, walls: Walls, refused: Walls) -> tuple[FloatArray, FloatArray]:
+    """Upright columns of cubes that no face explains: x and y (m, 2), and how many cubes stand in each (m,)."""
+    label = majority(votes.counts)
+    unexplained = ((label == Label.CLUTTER) | (label == Label.WALL)) & (votes.counts.max(axis=1, initial=0) > 0)
+    position, count = votes.mean_position[unexplained], votes.point_count[unexplained]
+    free = np.ones(len(position), bool)
+    for faces in (walls, refused):
+        for ends, normal in zip(faces.ends, faces.normal, strict=True):
+            length = float(np.linalg.norm(ends[1] - ends[0]))
+            relative = position[:, :2] - ends[0]
+            place = relative @ ((ends[1] - ends[0]) / length)
+            free &= ~((np.abs(relative @ normal) < 0.08) & (place > -0.08) & (place < length + 0.08))
+    position, count = position[free], count[free]
+    cell = np.floor(position[:, :2] / CELL_M).astype(np.int64)
+    _, column = np.unique(cell, axis=0, return_inverse=True)
+    column = column.ravel()
+    columns = int(column.max(initial=-1)) + 1
+    weight = np.bincount(column, count, columns)
+    place = np.stack([np.bincount(column, count * position[:, axis], columns) / weight for axis in (0, 1)], axis=1)
+    cubes = np.bincount(column, minlength=columns)
+    stands = cubes >= 3
+    return place[stands], np.minimum(cubes[stands], 20).astype(np.float64)
+
+
+def _straight_lines(
+    place: FloatArray, weight: FloatArray, normals: FloatArray, settings: StandingWallsSettings
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Stretches of columns in line, the strongest first, each column in one: ends (2, 2) and normal (2,)."""
+    bin_m = 0.5 * settings.hidden_distance_m
+    left = np.ones(len(place), bool)
+    across = [place @ normal for normal in normals]
+    along = [place @ np.array([-normal[1], normal[0]]) for normal in normals]
+    bins = [np.floor((a - a.min(initial=0.0)) / bin_m).astype(np.int64) for a in across]
+    dead = [np.zeros(int(b.max(initial=0)) + 3, bool) for b in bins]
+    found: list[tuple[FloatArray, FloatArray]] = []
+    while len(normals) and left.any():
+        best, direction, at = 0.0, 0, 0
+        for d in range(len(normals)):
+            strength = np.bincount(bins[d][left], weight[left], len(dead[d]))
+            strength = np.where(dead[d], 0.0, np.convolve(strength, np.ones(3), "same"))
+            if strength.max() > best:
+                best, direction, at = float(strength.max()), d, int(np.argmax(strength))
+        if best < 9.0:
+            break
+        centre = float(across[direction].min(initial=0.0)) + (at + 0.5) * bin_m
+        near = np.flatnonzero(left & (np.abs(across[direction] - centre) < settings.hidden_distance_m))
+        near = near[np.argsort(along[direction][near])]
+        breaks = np.flatnonzero(np.diff(along[direction][near]) > settings.hidden_gap_m) + 1
+        parts = [p for p in np.split(near, breaks) if len(p) >= 3 and np.ptp(along[direction][p]) > 3 * CELL_M]
+        if not parts:
+            dead[direction][at] = True
+            continue
+        part = max(parts, key=lambda p: float(weight[p].sum()))
+        left[part] = False
+        normal = normals[direction]
+        offset = float(np.average(across[direction][part], weights=weight[part]))
+        reach = along[direction][part][[0, -1]] + np.array([-0.5, 0.5]) * CELL_M
+        found.append((normal * offset + reach[:, None] * np.array([-normal[1], normal[0]]), normal))
+    return found
