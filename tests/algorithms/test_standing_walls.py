@@ -1,0 +1,197 @@
+"""Which faces stand: ducts, leaves and high windows by hand-made rays; corners, ceilings and walls no scan could tell."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from algorithms.building import CELL_M, WallCells, Walls
+from algorithms.labels import Label
+from algorithms.semantic_map import VoxelVotes, vote
+from algorithms.standing_walls import (
+    FaceVerdict,
+    StandingWallsSettings,
+    clear_heights,
+    find_hidden_walls,
+    join_corners,
+    judge_faces,
+)
+
+CEILING_M = 2.8
+SETTINGS = StandingWallsSettings()
+FILLED, SUM, SQUARES, THROUGH = range(4)
+
+
+def faces(*ends: tuple[tuple[float, float], tuple[float, float]]) -> Walls:
+    """Faces whose normals lie to the left of the way from their first end to their second."""
+    segments = np.array(ends, np.float64)
+    along = segments[:, 1] - segments[:, 0]
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    count = len(segments)
+    return Walls(
+        segments,
+        np.stack([-along[:, 1], along[:, 0]], axis=1),
+        np.zeros(count),
+        np.full(count, CEILING_M),
+        np.full(count, 9, np.int32),
+        np.full(count, 0.01),
+    )
+
+
+def cells_of(length_m: float) -> WallCells:
+    """A face on which every cell up to the ceiling returns ten rays."""
+    columns, rows = round(length_m / CELL_M), 66
+    counts = np.zeros((columns, rows, 4), np.float32)
+    counts[:, : int(CEILING_M / CELL_M), FILLED] = 10.0
+    return WallCells(np.array([0, columns]), rows, counts)
+
+
+def pass_rays(cells: WallCells, columns: slice, low_m: float, high_m: float) -> None:
+    rows = slice(int(low_m / CELL_M), int(high_m / CELL_M))
+    cells.counts[columns, rows, FILLED] = 0.0
+    cells.counts[columns, rows, THROUGH] = 20.0
+
+
+def judge(cells: WallCells) -> tuple[list[list[float]], list[FaceVerdict]]:
+    """Where along the face wall still stands, and the verdicts on the rest."""
+    columns = int(cells.first[-1])
+    judged = judge_faces(
+        faces(((0, 0), (columns * CELL_M, 0))), cells, np.full(columns, CEILING_M), length_min_m=0.25, settings=SETTINGS
+    )
+    return judged.walls.ends[:, :, 0].round(2).tolist(), [FaceVerdict(v) for v in judged.verdict]
+
+
+def test_a_wall_that_nothing_passes_stands_whole():
+    assert judge(cells_of(4.0)) == ([[0.0, 4.0]], [])
+
+
+def test_a_door_and_a_window_do_not_cut_their_wall():
+    cells = cells_of(6.0)
+    pass_rays(cells, slice(20, 40), 0.0, 2.1)
+    pass_rays(cells, slice(70, 100), 0.9, 2.7)  # up to close below the ceiling
+    assert judge(cells) == ([[0.0, 6.0]], [])
+
+
+def test_a_duct_is_refused():
+    cells = cells_of(6.0)
+    pass_rays(cells, slice(0, 120), 0.0, 2.2)
+    assert judge(cells) == ([], [FaceVerdict.HANGS])
+
+
+def test_the_rest_of_a_duct_goes_with_it():
+    cells = cells_of(6.0)
+    pass_rays(cells, slice(0, 90), 0.0, 2.2)
+    cells.counts[90:, :44] = 0.0  # nobody looked below it
+    kept, verdicts = judge(cells)
+    assert kept == []
+    assert set(verdicts) == {FaceVerdict.HANGS}
+
+
+def test_a_leaf_is_refused_whether_seen_past_or_against_the_wall_behind():
+    past = cells_of(0.9)
+    pass_rays(past, slice(None), 2.05, CEILING_M)
+    assert judge(past) == ([], [FaceVerdict.ENDS_LOW])
+    behind = cells_of(0.9)
+    rows = slice(int(2.05 / CELL_M), None)
+    behind.counts[:, rows, SUM] = -0.2 * behind.counts[:, rows, FILLED]
+    assert judge(behind) == ([], [FaceVerdict.ENDS_LOW])
+
+
+def test_a_cupboard_in_line_with_a_wall_is_cut_off():
+    cells = cells_of(4.0)
+    pass_rays(cells, slice(60, 80), 2.0, CEILING_M)
+    kept, verdicts = judge(cells)
+    assert verdicts == [FaceVerdict.ENDS_LOW]
+    np.testing.assert_allclose(kept, [[0.0, 3.0]], atol=2 * CELL_M)
+
+
+def test_nothing_is_decided_where_no_ray_went():
+    cells = cells_of(2.0)
+    cells.counts[...] = 0.0
+    assert judge(cells) == ([[0.0, 2.0]], [])
+
+
+def test_no_face_gives_no_answer():
+    none = WallCells(np.zeros(1, np.int64), 66, np.zeros((0, 66, 4), np.float32))
+    empty = faces(((0, 0), (1, 0)))
+    empty = Walls(
+        *(getattr(empty, name)[:0] for name in ("ends", "normal", "bottom_m", "top_m", "scan_count", "rms_m"))
+    )
+    judged = judge_faces(empty, none, np.zeros(0), 0.25, SETTINGS)
+    assert len(judged.walls) == len(judged.refused) == len(judged.verdict) == 0
+    assert len(join_corners(empty, 0.7)) == 0
+
+
+def test_faces_meet_in_their_corner_and_leave_gaps_that_are_wide():
+    walls = join_corners(faces(((0, 0), (3.6, 0)), ((4, 0.5), (4, 3)), ((0, -2), (0, -9))), 0.7)
+    np.testing.assert_allclose(walls.ends[0], [[0, 0], [4, 0]], atol=1e-9)
+    np.testing.assert_allclose(walls.ends[1], [[4, 0], [4, 3]], atol=1e-9)
+    np.testing.assert_allclose(walls.ends[2], [[0, -2], [0, -9]], atol=1e-9)
+
+
+def room(wall: bool = True, height_m: float = CEILING_M, seed: int = 0) -> VoxelVotes:
+    """Floor and ceiling of a room, a known wall at y = 0, and clutter on the plane x = 3."""
+    generator = np.random.default_rng(seed)
+
+    def spread(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float], count: int) -> np.ndarray:
+        low, high = np.array([x, y, z]).T
+        return generator.uniform(low, high, (count, 3)) + generator.normal(0, 0.01, (count, 3))
+
+    parts = [
+        (spread((-1, 5), (0, 3), (0, 0), 40_000), Label.FLOOR),
+        (spread((-1, 5), (0, 3), (CEILING_M, CEILING_M), 40_000), Label.CEILING),
+        (spread((-1, 5), (0, 0), (0, CEILING_M), 9_000), Label.WALL),
+    ]
+    if wall:
+        parts.append((spread((3, 3), (0.5, 2.0), (0, height_m), 4_000), Label.CLUTTER))
+    points = np.concatenate([p for p, _ in parts])
+    label = np.concatenate([np.full(len(p), code, np.uint8) for p, code in parts])
+    return vote(points, label, len(Label), 0.05)
+
+
+def test_the_ceiling_over_a_place_is_known_where_it_was_seen():
+    heights = clear_heights(np.array([[1.0, 1.0], [60.0, 1.0]]), room(), 2.0)
+    assert heights[0] == pytest.approx(CEILING_M, abs=0.02)
+    assert np.isnan(heights[1])
+
+
+def hidden(votes: VoxelVotes, passed_above_m: float | None = None, path_x: float = 0.0) -> Walls:
+    """What is found; rays end on every candidate that lies on x = 3, seen from smaller x, and pass the others."""
+
+    def trace(candidates: Walls) -> WallCells:
+        columns = [int(np.ceil(np.linalg.norm(e[1] - e[0]) / CELL_M)) for e in candidates.ends]
+        first = np.concatenate([[0], np.cumsum(columns)]).astype(np.int64)
+        counts = np.zeros((int(first[-1]), 60, 4), np.float32)
+        for w in range(len(candidates)):
+            own = slice(int(first[w]), int(first[w + 1]))
+            on = bool(np.all(np.abs(candidates.ends[w, :, 0] - 3.0) < 0.03)) and candidates.normal[w, 0] < -0.9
+            counts[own, :56, FILLED if on else THROUGH] = 3.0
+            if on and passed_above_m is not None:
+                above = slice(int(passed_above_m / CELL_M), 56)
+                counts[own, above, FILLED], counts[own, above, THROUGH] = 0.0, 3.0
+        return WallCells(first, 60, counts)
+
+    known = faces(((-1, 0), (5, 0)))
+    path = np.column_stack([np.full(50, path_x), np.linspace(0.2, 2.8, 50)])
+    none = replace(
+        known, **{n: getattr(known, n)[:0] for n in ("ends", "normal", "bottom_m", "top_m", "scan_count", "rms_m")}
+    )
+    return find_hidden_walls(votes, known, none, path, trace, 0.25, SETTINGS)
+
+
+def test_a_wall_that_no_scan_alone_told_is_found():
+    walls = hidden(room())
+    assert len(walls) == 1
+    np.testing.assert_allclose(walls.ends[0, :, 0], 3.0, atol=0.02)
+    np.testing.assert_allclose(np.sort(walls.ends[0, :, 1]), [0.5, 2.0], atol=0.1)
+    np.testing.assert_allclose(walls.normal[0], [-1.0, 0.0], atol=0.02)
+    assert walls.top_m[0] == pytest.approx(CEILING_M, abs=0.03)
+
+
+def test_furniture_lower_than_the_ceiling_is_no_hidden_wall():
+    assert len(hidden(room(height_m=1.9), passed_above_m=1.9)) == 0
+
+
+def test_no_wall_is_found_where_the_robot_drove_or_nothing_stands():
+    assert len(hidden(room(), path_x=3.05)) == 0
+    assert len(hidden(room(wall=False))) == 0
