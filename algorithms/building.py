@@ -33,6 +33,8 @@ _WINDOW_MIN_M = 0.3
 _JAMB_COLUMNS = 2
 
 _REVEAL_MIN_M = 0.03
+_LEAF_COLUMNS = 30
+"""A leaf that is ajar, or the closed one of two, covers at most so many columns beside the open ones."""
 _REVEAL_COLUMNS = 3
 _REVEAL_BIN_M = 0.02
 _REVEAL_MAX_M = 0.7
@@ -453,7 +455,7 @@ def find_windows(walls: Walls, cells: WallCells, settings: BuildingSettings) -> 
             clear = np.flatnonzero(rows[:, _THROUGH] > rows[:, _FILLED])
             if not len(clear):
                 continue
-            first, last = _to_jambs(high, first, last)
+            first, last = _to_jambs(high, first, last, _REVEAL_COLUMNS)
             ends = walls.ends[w, 0] + along * CELL_M * np.array([[first], [last + 1]])
             found.append((ends, walls.normal[w], CELL_M * clear[0], CELL_M * (clear[-1] + 1)))
     if not found:
@@ -565,7 +567,7 @@ def _doors_in(
             if state == DoorState.OPEN:
                 if _is_pane(counts[first : last + 1], settings):
                     continue
-                first, last = _to_jambs(counts[:, low:high].sum(axis=1), first, last)
+                first, last = _to_jambs(counts[:, low:high].sum(axis=1), first, last, _LEAF_COLUMNS)
             width_m = (last + 1 - first) * CELL_M
             # Smoothing and the cells' own width blur each side by up to a column.
             if not settings.door_width_min_m <= width_m + CELL_M or width_m > settings.door_width_max_m:
@@ -584,14 +586,14 @@ def _doors_in(
             )
 
 
-def _to_jambs(below: FloatArray, first: int, last: int) -> tuple[int, int]:
-    """An open stretch of columns, widened to the jambs: beside it rays end on the reveals, behind the wall's face.
+def _to_jambs(below: FloatArray, first: int, last: int, most: int) -> tuple[int, int]:
+    """An open stretch of columns, widened to the jambs: beside it rays end on the reveals or on a leaf, behind the face.
 
-    below: (columns, 4), a face's counts between the foot and the head of an opening.
+    below: (columns, 4), a face's counts between the foot and the head of an opening. most: columns on each side.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         behind = below[:, _SUM] / below[:, _FILLED] < -_REVEAL_MIN_M
-    for _ in range(_REVEAL_COLUMNS):
+    for _ in range(most):
         if first > 0 and behind[first - 1]:
             first -= 1
         if last + 1 < len(behind) and behind[last + 1]:

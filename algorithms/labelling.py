@@ -28,7 +28,7 @@ class LabellingSettings(StepSettings):
     """From planes to labels (paper, III.C)."""
 
     wall_distance_m: float = Field(
-        0.055, gt=0, le=0.5, description="Returns within so many metres of any wall plane of the scan are wall. III.C."
+        0.045, gt=0, le=0.5, description="Returns within so many metres of any wall plane of the scan are wall. III.C."
     )
     edge_m: float = Field(
         0.01,

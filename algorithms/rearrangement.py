@@ -192,7 +192,7 @@ def _is_further_ceiling(points: FloatArray, height_m: float, largest: Horizontal
 
 
 def _is_broad(points: FloatArray) -> bool:
-    """Whether most of the ground that returns of one height cover is at least 60 cm wide: a duct's underside is not.
+    """Whether most of the ground that returns of one height cover is a metre wide: a duct's underside is not.
 
     The walls that reach that height are but lines on this ground.
     """
@@ -202,7 +202,8 @@ def _is_broad(points: FloatArray) -> bool:
     if covered.size > _BREADTH_CELLS_MAX:
         return False
     covered[cell[:, 0], cell[:, 1]] = True
-    inner = binary_erosion(covered, np.ones((3, 3), bool))
+    # A duct of 40 cm, and the wall beside it, cover up to four cells across.
+    inner = binary_erosion(covered, np.ones((5, 5), bool))
     return bool(inner.sum() >= _BREADTH_INNER_MIN)
 
 

@@ -82,7 +82,6 @@ def relabel(
             depth_m,
             doors.reveal_m,
             _frames(windows.ends, windows.normal),
-            np.stack([windows.bottom_m, windows.top_m], axis=1),
             np.ascontiguousarray(origin_map, np.float64),
             settings.wall_distance_m,
             settings.leaf_distance_m,
@@ -122,7 +121,6 @@ def _relabel(
     door_depth: FloatArray,
     door_reveal: FloatArray,
     windows: FloatArray,
-    window_heights: FloatArray,
     origin: FloatArray,
     wall_distance_m: float,
     leaf_distance_m: float,
@@ -143,7 +141,7 @@ def _relabel(
             reach = windows[g, 3] * origin[0] + windows[g, 4] * origin[1] - windows[g, 5]
             if s > -behind_glass_m:
                 # Between a window's face and its pane there is nothing but the sill, the head and the reveals.
-                if s < wall_distance_m and window_heights[g, 0] - 0.1 < height[i] < window_heights[g, 1] + 0.1:
+                if s < wall_distance_m:
                     u = windows[g, 0] * x + windows[g, 1] * y - windows[g, 2]
                     is_reveal = is_reveal or -margin_m < u < windows[g, 6] + margin_m
                 continue

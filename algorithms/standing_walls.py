@@ -27,6 +27,9 @@ _UPPER_M = 0.4
 _ON_FACE_M = 0.06
 _SMOOTH_COLUMNS = 2
 _CUT_MIN_M = 0.3
+_SCATTERED_RAYS = 2
+_DIRECTION_SHARE = 0.04
+"""A direction that fewer of the walls' metres have is a leaf's."""
 
 
 class StandingWallsSettings(StepSettings):
@@ -171,11 +174,15 @@ def judge_faces(
         count = own.stop - own.start
         hangs = _long_runs(hollow[own], int(settings.opening_max_m / CELL_M), bridge=4)
         low = _long_runs(ends_low[own], min(int(_CUT_MIN_M / CELL_M), max(count // 2, 1)), bridge=2)
-        low &= ~_between_walls(low, columns.lower_on[own] > 0)
+        stands = columns.upper_on[own] > columns.upper_passed[own]
+        low &= ~_between_walls(low, stands, columns.lower_on[own] > 0)
         if hangs.any():
-            # The rest of a duct, where nothing was seen below it.
+            # The rest of a duct, below which little was seen.
             for first, after in _runs(~(hangs | low)):
-                hangs[first:after] = not columns.lower_on[own][first:after].any()
+                part = slice(own.start + first, own.start + after)
+                hangs[first:after] = columns.lower_on[part].sum() < max(
+                    columns.lower_passed[part].sum(), columns.upper_on[part].sum()
+                )
         for first, after in _runs(~(hangs | low)):
             if (after - first) * CELL_M >= length_min_m:
                 kept.append((w, first, after))
@@ -189,13 +196,13 @@ def judge_faces(
     )
 
 
-def _between_walls(low: BoolArray, sill: BoolArray) -> BoolArray:
+def _between_walls(low: BoolArray, stands: BoolArray, sill: BoolArray) -> BoolArray:
     """The runs of columns that rays pass below the ceiling, yet with wall on both sides and a sill below: high windows."""
     windows = np.zeros(len(low), bool)
     beside = int(_CUT_MIN_M / CELL_M)
     for first, after in _runs(low):
-        before, behind = low[max(first - beside, 0) : first], low[after : after + beside]
-        framed = len(before) == beside and len(behind) == beside and not before.any() and not behind.any()
+        before, behind = stands[max(first - beside, 0) : first], stands[after : after + beside]
+        framed = len(before) == len(behind) == beside and before.mean() > 0.5 and behind.mean() > 0.5
         windows[first:after] = framed and sill[first:after].mean() > 0.5
     return windows
 
@@ -311,6 +318,7 @@ def find_hidden_walls(
         proven = (
             (on > 0)
             & (passed <= settings.hidden_passed_max * on)
+            & (columns.lower_passed[own] <= settings.hidden_passed_max * columns.lower_on[own] + _SCATTERED_RAYS)
             & (columns.upper_passed[own] <= 0.5 * columns.upper_on[own])
             & np.isfinite(clear_m[own])
             & ~visited[own]
@@ -369,7 +377,7 @@ def _directions(walls: Walls) -> FloatArray:
         longest = int(np.argmax(np.where(left, length, 0.0)))
         turn = (angle - angle[longest] + 45.0) % 90.0 - 45.0
         same = left & (np.abs(turn) < 2.0)
-        if length[same].sum() < 1.0:
+        if length[same].sum() < _DIRECTION_SHARE * length.sum():
             left &= ~same
             continue
         mean = angle[longest] + float(np.average(turn[same], weights=length[same]))
