@@ -36,6 +36,10 @@ _REVEAL_MIN_M = 0.03
 _LEAF_COLUMNS = 30
 """A leaf that is ajar, or the closed one of two, covers at most so many columns beside the open ones."""
 _REVEAL_COLUMNS = 3
+_JAMB_BIN_M = 0.01
+_JAMB_REACH_M = 0.2
+_JAMB_BINS = 41
+_JAMB_RAYS = 30
 _REVEAL_BIN_M = 0.02
 _REVEAL_MAX_M = 0.7
 """A reveal that is seen at a slant hides so many columns of an opening at most."""
@@ -314,6 +318,87 @@ def find_doors(walls: Walls, cells: WallCells, settings: BuildingSettings) -> Do
         np.array(wall, np.int32),
         np.full(len(kept), settings.reveal_m),
     )
+
+
+def place_jambs(doors: Doors, blocks: Iterable[Features]) -> Doors:
+    """The doors with their jambs where the rays tell them to a centimetre: beyond a jamb rays end on the wall's face,
+    within they pass it or end on the leaf behind.
+
+    Each jamb goes where fewest rays contradict it; one without rays on both sides stays.
+    """
+    counts = np.zeros((len(doors), 2, _JAMB_BINS, 2), np.int64)
+    on_face_m = np.where(np.isfinite(doors.depth_m), 0.5 * doors.depth_m, 0.06)
+    for block in blocks:
+        _count_at_jambs(
+            np.ascontiguousarray(doors.ends, np.float64),
+            np.ascontiguousarray(doors.normal, np.float64),
+            np.ascontiguousarray(doors.head_m, np.float64),
+            np.ascontiguousarray(on_face_m, np.float64),
+            counts,
+            np.ascontiguousarray(block.origin_map, np.float64),
+            np.ascontiguousarray(block.floor_map, np.float64),
+            np.concatenate([[0], np.cumsum(block.ray_count)]).astype(np.int64),
+            block.ray_end_map,
+        )
+    ends = doors.ends.copy()
+    for d in range(len(doors)):
+        along = (doors.ends[d, 1] - doors.ends[d, 0]) / np.linalg.norm(doors.ends[d, 1] - doors.ends[d, 0])
+        for side, outwards in ((0, -1.0), (1, 1.0)):
+            on_face, behind = counts[d, side].T
+            if on_face.sum() < _JAMB_RAYS or behind.sum() < _JAMB_RAYS:
+                continue
+            # Bins run from within the opening outwards: rays on the face before the jamb and behind it after contradict.
+            wrong = np.concatenate([[0], np.cumsum(on_face)]) + behind.sum() - np.concatenate([[0], np.cumsum(behind)])
+            best = np.flatnonzero(wrong == wrong.min()).mean()
+            ends[d, side] = doors.ends[d, side] + outwards * along * (best * _JAMB_BIN_M - _JAMB_REACH_M)
+    return replace(doors, ends=ends)
+
+
+@numba.njit(cache=True, nogil=True)
+def _count_at_jambs(
+    ends: FloatArray,
+    normal: FloatArray,
+    head_m: FloatArray,
+    on_face_m: FloatArray,
+    counts: IntArray,
+    origin: FloatArray,
+    floor: FloatArray,
+    starts: IntArray,
+    ray_end: FloatArray,
+) -> None:  # pragma: no cover
+    for d in range(len(ends)):
+        nx, ny = normal[d, 0], normal[d, 1]
+        dx, dy = ends[d, 1, 0] - ends[d, 0, 0], ends[d, 1, 1] - ends[d, 0, 1]
+        length = np.sqrt(dx * dx + dy * dy)
+        dx, dy = dx / length, dy / length
+        for s in range(len(origin)):
+            ox, oy = origin[s, 0] - ends[d, 0, 0], origin[s, 1] - ends[d, 0, 1]
+            reach = nx * ox + ny * oy
+            # Seen at a slant, a leaf's recess shifts where rays pass the face.
+            if reach < 0.3 or reach > 6.0 or abs(ox * dx + oy * dy - 0.5 * length) > 2.0 * reach + 0.5 * length:
+                continue
+            for r in range(starts[s], starts[s + 1]):
+                x, y = ray_end[r, 0] - ends[d, 0, 0], ray_end[r, 1] - ends[d, 0, 1]
+                side = nx * x + ny * y
+                if side > 0.06:
+                    continue
+                on_face = side > -on_face_m[d]
+                if not on_face:
+                    t = reach / (reach - side)
+                    x, y = ox + t * (x - ox), oy + t * (y - oy)
+                u = x * dx + y * dy
+                if u < -_JAMB_REACH_M or u > length + _JAMB_REACH_M:
+                    continue
+                z = np.float64(ray_end[r, 2])
+                if not on_face:
+                    z = origin[s, 2] + (reach / (reach - side)) * (z - origin[s, 2])
+                height = z - (floor[s, 0] + floor[s, 1] * ray_end[r, 0] + floor[s, 2] * ray_end[r, 1])
+                if height < 0.2 or height > head_m[d] - 0.15:
+                    continue
+                if u < _JAMB_REACH_M:
+                    counts[d, 0, int((_JAMB_REACH_M - u) / _JAMB_BIN_M), 0 if on_face else 1] += 1
+                if u > length - _JAMB_REACH_M:
+                    counts[d, 1, int((u - length + _JAMB_REACH_M) / _JAMB_BIN_M), 0 if on_face else 1] += 1
 
 
 def measure_reveals(doors: Doors, blocks: Iterable[Features], settings: BuildingSettings) -> Doors:

@@ -17,7 +17,14 @@ class RelabellingSettings(StepSettings):
     wall_distance_m: float = Field(
         0.035, gt=0, description="Clutter within so many metres of a fused wall face becomes wall."
     )
-    leaf_distance_m: float = Field(0.04, gt=0, description="A return at most so many metres off a closed leaf is door.")
+    body_m: float = Field(
+        0.07,
+        ge=0,
+        description="Clutter at most so many metres behind a face that the sensor looks at is within the wall: its scatter.",
+    )
+    leaf_distance_m: float = Field(
+        0.1, gt=0, description="A return at most so many metres behind a closed leaf is its scatter."
+    )
     margin_m: float = Field(0.05, ge=0, description="A wall face, or a window, counts so many metres beyond its ends.")
     at_reveal_m: float = Field(
         0.07, ge=0, description="A reveal or the underside of a lintel is known to so many metres."
@@ -66,7 +73,7 @@ def relabel(
     points_map: (n, 3); height_m: (n,) above the floor; label_scan: (n,) of the scan alone; origin_map: (3,) the sensor.
     """
     closed = doors.state == DoorState.CLOSED
-    depth_m = np.where(closed, doors.depth_m, np.inf)
+    depth_m = np.where(closed, doors.depth_m, -np.inf)
     label = np.asarray(
         _relabel(
             points_map,
@@ -91,6 +98,7 @@ def relabel(
             settings.behind_glass_m,
             settings.forget_m,
             settings.edge_m,
+            settings.body_m,
         )
     )
     return halo.label_of(points_map, label)
@@ -130,6 +138,7 @@ def _relabel(
     behind_glass_m: float,
     forget_m: float,
     edge_m: float,
+    body_m: float,
 ) -> UInt8Array:  # pragma: no cover
     label = label_scan.copy()
     for i in range(len(points)):
@@ -169,14 +178,17 @@ def _relabel(
                             break
             continue
         is_leaf = False
+        in_doorway = False
         for d in range(len(doors)):
             s = doors[d, 3] * x + doors[d, 4] * y - doors[d, 5]
             if abs(s) > 1.0:
                 continue
             u, length = doors[d, 0] * x + doors[d, 1] * y - doors[d, 2], doors[d, 6]
-            if 0.0 < u < length and height[i] < door_head[d] and abs(s + door_depth[d]) < leaf_distance_m:
+            # Between the jambs of a closed door there is nothing but its leaf, its handle, and their scatter.
+            if 0.0 < u < length and height[i] < door_head[d] and -door_depth[d] - leaf_distance_m < s < wall_distance_m:
                 is_leaf = True
                 break
+            in_doorway = in_doorway or (-margin_m < u < length + margin_m and height[i] < door_head[d])
             if -door_reveal[d] - 0.03 < s < wall_distance_m and -wall_distance_m < u < length + wall_distance_m:
                 at_jamb = u < at_reveal_m or u > length - at_reveal_m
                 # Nothing but the lintel's underside is within the wall about the head, which is known to a cell or two.
@@ -186,12 +198,15 @@ def _relabel(
             label[i] = 4
             continue
         nearest = np.inf
+        is_scatter = False
         for w in range(len(walls)):
-            distance = abs(walls[w, 3] * x + walls[w, 4] * y - walls[w, 5])
-            if distance < nearest:
+            s = walls[w, 3] * x + walls[w, 4] * y - walls[w, 5]
+            behind = -s if walls[w, 3] * origin[0] + walls[w, 4] * origin[1] > walls[w, 5] else 0.0
+            if abs(s) < nearest or 0.0 < behind < body_m:
                 u = walls[w, 0] * x + walls[w, 1] * y - walls[w, 2]
                 if -margin_m < u < walls[w, 6] + margin_m and height[i] < wall_top[w] + 0.1:
-                    nearest = distance
+                    nearest = min(nearest, abs(s))
+                    is_scatter = is_scatter or 0.0 < behind < body_m
         if nearest > wall_distance_m and (label[i] == 3 or label[i] == 4) and not is_reveal:
             is_refused = False
             for f in range(len(refused)):
@@ -203,7 +218,7 @@ def _relabel(
             if is_refused:
                 label[i] = 0
                 continue
-        if label[i] == 0 and (is_reveal or nearest < wall_distance_m):
+        if label[i] == 0 and (is_reveal or nearest < wall_distance_m or (is_scatter and not in_doorway)):
             label[i] = 3
         elif label[i] == 3 and nearest > forget_m:
             label[i] = 0

@@ -25,7 +25,9 @@ _CEILING_MARGIN_M = 0.08
 """Rows so close below a ceiling hold its own returns."""
 _UPPER_M = 0.4
 _ON_FACE_M = 0.06
-_SMOOTH_COLUMNS = 2
+_SMOOTH_COLUMNS = 1
+_REST_MIN_M = 0.5
+"""What is left of a face beside a leaf or a cupboard is no wall if it is shorter: a reveal, the leaf's hinge."""
 _CUT_MIN_M = 0.3
 _SCATTERED_RAYS = 2
 _DIRECTION_SHARE = 0.04
@@ -183,6 +185,9 @@ def judge_faces(
                 hangs[first:after] = columns.lower_on[part].sum() < max(
                     columns.lower_passed[part].sum(), columns.upper_on[part].sum()
                 )
+        if low.any():
+            for first, after in _runs(~(hangs | low)):
+                low[first:after] = (after - first) * CELL_M < _REST_MIN_M
         for first, after in _runs(~(hangs | low)):
             if (after - first) * CELL_M >= length_min_m:
                 kept.append((w, first, after))
@@ -323,9 +328,11 @@ def find_hidden_walls(
             & np.isfinite(clear_m[own])
             & ~visited[own]
         )
-        for first, after in _runs(_long_runs(proven, 1, bridge=int(settings.hidden_gap_m / CELL_M))):
+        contradicted = (passed > 2 * _SCATTERED_RAYS) & ~proven
+        bridged = _long_runs(proven, 1, bridge=int(settings.hidden_gap_m / CELL_M)) & ~contradicted
+        for first, after in _runs(bridged):
             part = slice(own.start + first, own.start + after)
-            reaches = np.mean(columns.upper_on[part] > 0) > 0.3
+            reaches = np.mean(columns.upper_on[part] > 0) > 0.5
             counted = float((columns.upper_on[part] + columns.lower_on[part]).sum()) / (2 * _SMOOTH_COLUMNS + 1)
             if reaches and counted >= settings.hidden_returns_min and (after - first) * CELL_M >= length_min_m:
                 kept.append((w, first, after))

@@ -30,6 +30,7 @@ from algorithms.building import (
     find_windows,
     fuse_walls,
     measure_reveals,
+    place_jambs,
     seen_through,
     trace_rays,
     without_rays_through,
@@ -550,7 +551,8 @@ def _build(
     walls = join_corners(append(judged.walls, hidden), settings.standing_walls.corner_m)
     cells = trace(walls)
     windows = find_windows(walls, cells, settings.building)
-    doors = measure_reveals(find_doors(walls, cells, settings.building), _features(folder, blocks), settings.building)
+    doors = place_jambs(find_doors(walls, cells, settings.building), _features(folder, blocks))
+    doors = measure_reveals(doors, _features(folder, blocks), settings.building)
     grid = draw_furniture_free(
         walls, doors, trajectory.T_map_base[:, :3, 3], _features(folder, blocks), settings.grid_map
     )
