@@ -125,18 +125,20 @@ class Windows:
 
     ends: (N, 2, 2) x and y, on the wall's face. normal: (N, 2) towards the room.
     bottom_m, top_m: (N,) heights between which most rays pass.
+    pane_m: (N,) how far the pane stands behind the face; NaN where it returned nothing.
     """
 
     ends: FloatArray
     normal: FloatArray
     bottom_m: FloatArray
     top_m: FloatArray
+    pane_m: FloatArray
 
     def __len__(self) -> int:
         return len(self.ends)
 
 
-NO_WINDOWS = Windows(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+NO_WINDOWS = Windows(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -525,7 +527,7 @@ def _rays_through(
 
 def find_windows(walls: Walls, cells: WallCells, settings: BuildingSettings) -> Windows:
     """Stretches of wall that rays pass through glass: above a sill, or down to the floor where a pane shows itself."""
-    found: list[tuple[FloatArray, FloatArray, float, float]] = []
+    found: list[tuple[FloatArray, FloatArray, float, float, float]] = []
     for w in range(len(walls)):
         counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
         if len(counts) < 3:
@@ -540,13 +542,25 @@ def find_windows(walls: Walls, cells: WallCells, settings: BuildingSettings) -> 
             clear = np.flatnonzero(rows[:, _THROUGH] > rows[:, _FILLED])
             if not len(clear):
                 continue
+            pane_m = _pane_m(counts[first : last + 1, clear[0] : clear[-1] + 1], settings)
             first, last = _to_jambs(high, first, last, _REVEAL_COLUMNS)
             ends = walls.ends[w, 0] + along * CELL_M * np.array([[first], [last + 1]])
-            found.append((ends, walls.normal[w], CELL_M * clear[0], CELL_M * (clear[-1] + 1)))
+            found.append((ends, walls.normal[w], CELL_M * clear[0], CELL_M * (clear[-1] + 1), pane_m))
     if not found:
         return NO_WINDOWS
-    ends_of_all, normal, bottom_m, top_m = zip(*found, strict=True)
-    return Windows(np.array(ends_of_all), np.array(normal), np.array(bottom_m), np.array(top_m))
+    ends_of_all, normal, bottom_m, top_m, panes_m = zip(*found, strict=True)
+    return Windows(np.array(ends_of_all), np.array(normal), np.array(bottom_m), np.array(top_m), np.array(panes_m))
+
+
+def _pane_m(counts: FloatArray, settings: BuildingSettings) -> float:
+    """How far behind the face a window's pane stands, by what it returns away from reveals, sill and head."""
+    columns, rows = (min(_JAMB_COLUMNS, (size - 1) // 2) for size in counts.shape[:2])
+    total = counts[columns : counts.shape[0] - columns, rows : counts.shape[1] - rows].sum(axis=(0, 1))
+    if total[_FILLED] < settings.rays_min:
+        return float("nan")
+    mean_m = total[_SUM] / total[_FILLED]
+    spread_m = np.sqrt(max(total[_SQUARES] / total[_FILLED] - mean_m**2, 0.0))
+    return float(-mean_m) if spread_m < 2.0 * settings.pane_spread_m and mean_m < 0 else float("nan")
 
 
 def _above_sill(counts: FloatArray, top_m: float, settings: BuildingSettings) -> BoolArray:

@@ -32,8 +32,11 @@ class RelabellingSettings(StepSettings):
     refused_m: float = Field(
         0.06, ge=0, description="What a scan calls wall at most so many metres off a refused face is clutter."
     )
+    pane_m: float = Field(0.05, gt=0, description="More than so many metres behind a pane a return is outside.")
     behind_glass_m: float = Field(
-        0.25, gt=0, description="More than so many metres behind a window's wall a return is outside."
+        0.25,
+        gt=0,
+        description="The same behind a window's wall, where the pane returned nothing and its place is not known.",
     )
     forget_m: float = Field(
         0.2, gt=0, description="A wall return farther than so many metres from every fused face becomes clutter."
@@ -89,13 +92,13 @@ def relabel(
             depth_m,
             doors.reveal_m,
             _frames(windows.ends, windows.normal),
+            np.where(np.isfinite(windows.pane_m), windows.pane_m + settings.pane_m, settings.behind_glass_m),
             np.ascontiguousarray(origin_map, np.float64),
             settings.wall_distance_m,
             settings.leaf_distance_m,
             settings.margin_m,
             settings.at_reveal_m,
             settings.refused_m,
-            settings.behind_glass_m,
             settings.forget_m,
             settings.edge_m,
             settings.body_m,
@@ -129,13 +132,13 @@ def _relabel(
     door_depth: FloatArray,
     door_reveal: FloatArray,
     windows: FloatArray,
+    beyond_m: FloatArray,
     origin: FloatArray,
     wall_distance_m: float,
     leaf_distance_m: float,
     margin_m: float,
     at_reveal_m: float,
     refused_m: float,
-    behind_glass_m: float,
     forget_m: float,
     edge_m: float,
     body_m: float,
@@ -148,7 +151,7 @@ def _relabel(
         for g in range(len(windows)):
             s = windows[g, 3] * x + windows[g, 4] * y - windows[g, 5]
             reach = windows[g, 3] * origin[0] + windows[g, 4] * origin[1] - windows[g, 5]
-            if s > -behind_glass_m:
+            if s > -beyond_m[g]:
                 # Between a window's face and its pane there is nothing but the sill, the head and the reveals.
                 if s < wall_distance_m:
                     u = windows[g, 0] * x + windows[g, 1] * y - windows[g, 2]

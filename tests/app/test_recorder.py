@@ -261,7 +261,9 @@ def test_building_grid_map_and_messages(tmp_path):
         wall=np.zeros(1, np.int64),
         reveal_m=np.array([0.05]),
     )
-    windows = Windows(np.array([[[2.5, 0.0], [3.5, 0.0]]]), np.array([[0.0, 1.0]]), np.array([0.9]), np.array([2.2]))
+    windows = Windows(
+        np.array([[[2.5, 0.0], [3.5, 0.0]]]), np.array([[0.0, 1.0]]), np.array([0.9]), np.array([2.2]), np.array([0.1])
+    )
     leaf = replace(walls, ends=np.array([[[1.0, 0.0], [1.0, 0.9]]]))
     recorder.log_building(walls, JudgedFaces(walls, leaf, np.array([FaceVerdict.ENDS_LOW])), doors, windows)
     cells = np.full((2, 3), Cell.FREE, np.uint8)
