@@ -42,6 +42,7 @@ _JAMB_BINS = 41
 _JAMB_RAYS = 30
 _REVEAL_BIN_M = 0.02
 _REVEAL_MAX_M = 0.7
+_UNDERSIDE_PARTS = 8
 """A reveal that is seen at a slant hides so many columns of an opening at most."""
 
 
@@ -409,7 +410,7 @@ def measure_reveals(doors: Doors, blocks: Iterable[Features], settings: Building
     Nothing else hangs in a doorway at the height of its head; the leaf's edge stands beside a jamb, which is left out.
     """
     bins = int(_REVEAL_MAX_M / _REVEAL_BIN_M)
-    counts = np.zeros((len(doors), bins), np.int64)
+    counts = np.zeros((len(doors), bins, _UNDERSIDE_PARTS), np.int64)
     length_m = np.linalg.norm(doors.ends[:, 1] - doors.ends[:, 0], axis=1)
     for block in blocks:
         _count_undersides(
@@ -424,8 +425,9 @@ def measure_reveals(doors: Doors, blocks: Iterable[Features], settings: Building
         )
     reveal_m = doors.reveal_m.copy()
     for d in range(len(doors)):
-        # Behind the face by as far as returns follow each other without a gap.
-        enough = counts[d] >= max(2.0, 0.1 * np.median(counts[d][counts[d] > 0])) if counts[d].any() else counts[d] > 0
+        # Behind the face by as far as returns follow each other without a gap, over most of the width: a leaf's upper edge
+        # that is ajar is narrow.
+        enough = np.count_nonzero(counts[d], axis=1) > 0.5 * _UNDERSIDE_PARTS
         runs = _stretches(enough, 2)
         if runs and runs[0][0] * _REVEAL_BIN_M <= 0.1:
             reveal_m[d] = (runs[0][1] + 1) * _REVEAL_BIN_M
@@ -457,8 +459,9 @@ def _count_undersides(
                 if behind < 0.0 or behind >= bins * 0.02:
                     continue
                 u = ((ends[d, 1, 0] - ends[d, 0, 0]) * x + (ends[d, 1, 1] - ends[d, 0, 1]) * y) / length_m[d]
-                if 0.15 < u < length_m[d] - 0.15:
-                    counts[d, int(behind / 0.02)] += 1
+                inner = (u - 0.15) / (length_m[d] - 0.3)
+                if 0.0 <= inner < 1.0:
+                    counts[d, int(behind / 0.02), int(inner * counts.shape[2])] += 1
 
 
 def seen_through(windows: Windows, features: Features) -> BoolArray:
