@@ -17,6 +17,8 @@ _HEIGHT_BIN_M = 0.01
 _CEILING_HEIGHT_MAX_M = 50.0
 """No ceiling is higher; a damaged return may be."""
 _CEILING_POINTS = 8_000
+_LEVEL_M = 0.02
+"""A floor whose slope changes heights by less is level as far as ceilings go."""
 _BREADTH_CELL_M = 0.2
 _BREADTH_CELLS_MAX = 4_000_000
 _BREADTH_INNER_MIN = 4
@@ -137,10 +139,11 @@ def find_floor(points_level: FloatArray, settings: RearrangementSettings) -> Hor
 def find_ceilings(
     points_level: FloatArray, height_m: FloatArray, settings: RearrangementSettings, seed: int
 ) -> tuple[HorizontalPlane, ...]:
-    """The ceilings by RANSAC: the biggest planes parallel to the floor, high above it and well supported.
+    """The ceilings by RANSAC: the biggest planes parallel to the floor or level, high above it and well supported.
 
-    A plane parallel to the floor has one unknown, its height, so one return makes a hypothesis. The largest is the
-    ceiling. A further one is taken only where it can be no duct or lamp: above the largest, or as broad as a room.
+    A plane parallel to a given one has one unknown, its height, so one return makes a hypothesis; over a ramp the ceiling
+    is level. The largest is the ceiling. A further one is taken only where it can be no duct or lamp: above the largest,
+    or as broad as a room.
 
     points_level: (n, 3); height_m: (n,) of each return above the floor; seed: of the hypotheses.
     """
@@ -148,15 +151,20 @@ def find_ceilings(
     # A plane needs no more returns than these to be found and placed to a millimetre.
     stride = max(1, len(high) // _CEILING_POINTS)
     high = high[::stride]
-    heights, points = height_m[high], points_level[high]
+    points = points_level[high]
+    level = points[:, 2] + np.median(height_m[high] - points[:, 2]) if len(high) else points[:, 2]
+    slopes = len(high) > 0 and np.ptp(height_m[high] - level) > _LEVEL_M
+    parallel = [height_m[high], level] if slopes else [height_m[high]]
     generator = np.random.default_rng(seed)
     ceilings: list[HorizontalPlane] = []
     for _ in range(settings.ceilings_max + 1):
         share = settings.ceiling_further_min if ceilings else settings.ceiling_support_min
         support_min = max(30, int(share * len(points_level) / stride))
-        if len(heights) < support_min or len(ceilings) == settings.ceilings_max:
+        if len(points) < support_min or len(ceilings) == settings.ceilings_max:
             break
-        centre_m, support = _ransac_height(heights, settings, generator)
+        found = [_ransac_height(heights, settings, generator) for heights in parallel]
+        best = int(np.argmax([support for _, support in found]))
+        heights, (centre_m, support) = parallel[best], found[best]
         if support < support_min:
             break
         on_plane = np.abs(heights - centre_m) < settings.ceiling_distance_m
@@ -165,7 +173,7 @@ def find_ceilings(
             ceilings.append(_refine(points, level_m, settings.ceiling_distance_m, 0.03, 20.0))
         # What touches a plane that was tried is not tried again.
         rest = np.abs(heights - centre_m) > 1.5 * settings.ceiling_distance_m
-        heights, points = heights[rest], points[rest]
+        parallel, points = [heights[rest] for heights in parallel], points[rest]
     return tuple(ceilings)
 
 

@@ -23,7 +23,6 @@ _FOOT_M, _HIP_M = 0.15, 1.8
 """Between these heights rays that pass a face prove an opening, or that nothing stands there."""
 _CEILING_MARGIN_M = 0.08
 """Rows so close below a ceiling hold its own returns."""
-_UPPER_M = 0.4
 _ON_FACE_M = 0.06
 _SMOOTH_COLUMNS = 1
 _REST_MIN_M = 0.5
@@ -137,9 +136,7 @@ def _count_columns(cells: WallCells, clear_m: FloatArray, settings: StandingWall
     passed = passed + filled - on
     height = (np.arange(cells.rows) + 0.5) * CELL_M
     top = np.where(np.isfinite(clear_m), clear_m, np.inf) - _CEILING_MARGIN_M
-    upper = (height > np.maximum(settings.above_door_m, np.where(np.isfinite(top), top - _UPPER_M, 0.0))[:, None]) & (
-        height < top[:, None]
-    )
+    upper = (height > settings.above_door_m) & (height < top[:, None])
     lower = (height > _FOOT_M) & (height < _HIP_M)
     return _Columns(
         _smooth((on * upper).sum(axis=1), cells),
