@@ -97,7 +97,7 @@ def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: i
     # III.A: floor by height, ceiling by RANSAC, 2n point lines.
     floor = find_floor(points, settings.rearrangement)
     height_m = floor.heights_above(points)
-    ceilings = find_ceilings(points, height_m, settings.rearrangement, seed)
+    ceilings = find_ceilings(points, floor, settings.rearrangement, seed)
     ceiling_planes = plane_rows(ceilings)
     label = _label_horizontal(
         points,

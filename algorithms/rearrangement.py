@@ -17,8 +17,8 @@ _HEIGHT_BIN_M = 0.01
 _CEILING_HEIGHT_MAX_M = 50.0
 """No ceiling is higher; a damaged return may be."""
 _CEILING_POINTS = 8_000
-_LEVEL_M = 0.02
-"""A floor whose slope changes heights by less is level as far as ceilings go."""
+_LEVEL_SLOPE = 0.01
+"""A floor whose slope is less is level as far as ceilings go."""
 _BREADTH_CELL_M = 0.2
 _BREADTH_CELLS_MAX = 4_000_000
 _BREADTH_INNER_MIN = 4
@@ -133,28 +133,28 @@ def find_floor(points_level: FloatArray, settings: RearrangementSettings) -> Hor
     if counts[mode] < 20:
         return HorizontalPlane(0.0, np.zeros(2), 0)
     height_m = -settings.floor_search_m + (mode + 0.5) * _HEIGHT_BIN_M
-    return _refine(points_level, height_m, settings.floor_height_m, settings.floor_slope_max, 10.0)
+    return _refine(points_level, height_m, np.zeros(2), settings.floor_height_m, settings.floor_slope_max, 10.0)
 
 
 def find_ceilings(
-    points_level: FloatArray, height_m: FloatArray, settings: RearrangementSettings, seed: int
+    points_level: FloatArray, floor: HorizontalPlane, settings: RearrangementSettings, seed: int
 ) -> tuple[HorizontalPlane, ...]:
     """The ceilings by RANSAC: the biggest planes parallel to the floor or level, high above it and well supported.
 
-    A plane parallel to a given one has one unknown, its height, so one return makes a hypothesis; over a ramp the ceiling
-    is level. The largest is the ceiling. A further one is taken only where it can be no duct or lamp: above the largest,
+    A plane parallel to a given one has one unknown, its height, so one return makes a hypothesis. The largest is the ceiling. A further one is taken only where it can be no duct or lamp: above the largest,
     or as broad as a room.
 
-    points_level: (n, 3); height_m: (n,) of each return above the floor; seed: of the hypotheses.
+    points_level: (n, 3); seed: of the hypotheses.
     """
+    height_m = floor.heights_above(points_level)
     high = np.flatnonzero((height_m > settings.ceiling_height_min_m) & (height_m < _CEILING_HEIGHT_MAX_M))
     # A plane needs no more returns than these to be found and placed to a millimetre.
     stride = max(1, len(high) // _CEILING_POINTS)
     high = high[::stride]
     points = points_level[high]
-    level = points[:, 2] + np.median(height_m[high] - points[:, 2]) if len(high) else points[:, 2]
-    slopes = len(high) > 0 and np.ptp(height_m[high] - level) > _LEVEL_M
-    parallel = [height_m[high], level] if slopes else [height_m[high]]
+    # Heights above planes parallel to the floor, and above level ones where the floor is a ramp.
+    slopes = [floor.slope] if np.hypot(*floor.slope) < _LEVEL_SLOPE else [floor.slope, np.zeros(2)]
+    parallel = [points[:, 2] - floor.height_m - points[:, :2] @ slope for slope in slopes]
     generator = np.random.default_rng(seed)
     ceilings: list[HorizontalPlane] = []
     for _ in range(settings.ceilings_max + 1):
@@ -168,9 +168,10 @@ def find_ceilings(
         if support < support_min:
             break
         on_plane = np.abs(heights - centre_m) < settings.ceiling_distance_m
-        if not ceilings or _is_further_ceiling(points[on_plane], centre_m, ceilings[0], support):
-            level_m = float(np.median(points[on_plane, 2]))
-            ceilings.append(_refine(points, level_m, settings.ceiling_distance_m, 0.03, 20.0))
+        if not ceilings or _is_further_ceiling(points[on_plane], floor.height_m + centre_m, ceilings[0], support):
+            ceilings.append(
+                _refine(points, floor.height_m + centre_m, slopes[best], settings.ceiling_distance_m, 0.03, 20.0)
+            )
         # What touches a plane that was tried is not tried again.
         rest = np.abs(heights - centre_m) > 1.5 * settings.ceiling_distance_m
         parallel, points = [heights[rest] for heights in parallel], points[rest]
@@ -216,10 +217,10 @@ def _is_broad(points: FloatArray) -> bool:
 
 
 def _refine(
-    points: FloatArray, height_m: float, distance_m: float, slope_max: float, range_m: float
+    points: FloatArray, height_m: float, slope: FloatArray, distance_m: float, turn_max: float, range_m: float
 ) -> HorizontalPlane:
-    """Least squares on the returns near a height, twice, with the slope held to its bound."""
-    slope = np.zeros(2)
+    """Least squares on the returns near a plane, repeated, with its turn from the first slope held to a bound."""
+    first = slope
     support = 0
     for _ in range(3):
         moments = _plane_moments(points, height_m, slope, distance_m, range_m)
@@ -240,9 +241,9 @@ def _refine(
         correction = np.linalg.solve(A, b)
         height_m += float(correction[0])
         slope = slope + correction[1:]
-        steepness = float(np.hypot(slope[0], slope[1]))
-        if steepness > slope_max:
-            slope = slope * (slope_max / steepness)
+        turn = float(np.hypot(*(slope - first)))
+        if turn > turn_max:
+            slope = first + (slope - first) * (turn_max / turn)
     return HorizontalPlane(height_m, slope, support)
 
 

@@ -27,6 +27,7 @@ from algorithms.labels import Label
 from algorithms.levelling import level_map, level_scan
 from algorithms.rearrangement import (
     SAMPLES,
+    HorizontalPlane,
     RearrangementSettings,
     below_ceiling,
     find_ceilings,
@@ -288,10 +289,21 @@ def test_floor_and_ceiling_follow_a_tilt() -> None:
     assert untouched.points_level is points
 
 
+def test_a_ceiling_over_a_ramp_may_slope_with_it_or_be_level() -> None:
+    generator = np.random.default_rng(2)
+    xy = generator.uniform(-3, 3, (6_000, 2))
+    ramp = HorizontalPlane(0.0, np.array([0.08, 0.0]), 0)
+    for slope in (0.08, 0.0):
+        points = np.column_stack([xy, 2.8 + slope * xy[:, 0] + generator.normal(0, 0.01, len(xy))]).astype(np.float32)
+        (ceiling,) = find_ceilings(points, ramp, METHOD.rearrangement, 0)
+        assert ceiling.height_m == pytest.approx(2.8, abs=0.01)
+        np.testing.assert_allclose(ceiling.slope, [slope, 0.0], atol=0.005)
+
+
 def test_ceiling_is_independent_of_the_seed() -> None:
     _, placed, _, _ = labelled()
-    heights = placed.points_level[:, 2]
-    found = [find_ceilings(placed.points_level, heights, METHOD.rearrangement, seed)[0].height_m for seed in range(5)]
+    floor = HorizontalPlane(0.0, np.zeros(2), 0)
+    found = [find_ceilings(placed.points_level, floor, METHOD.rearrangement, seed)[0].height_m for seed in range(5)]
     assert np.ptp(found) < 0.005
 
 
