@@ -15,7 +15,7 @@ from algorithms.scan import FloatArray
 from algorithms.trajectory import PlacedScan
 
 _VOXEL_M = 0.06
-_NEIGHBOURS = 16
+_NEIGHBOURS = 30
 _FLAT_M, _BROAD_M = 0.02, 0.05
 """RMS extents of a patch whose normal is worth something: across it, and along its narrower side."""
 _PATCHES_MIN = 200

@@ -141,8 +141,8 @@ def find_ceilings(
 ) -> tuple[HorizontalPlane, ...]:
     """The ceilings by RANSAC: the biggest planes parallel to the floor or level, high above it and well supported.
 
-    A plane parallel to a given one has one unknown, its height, so one return makes a hypothesis. The largest is the ceiling. A further one is taken only where it can be no duct or lamp: above the largest,
-    or as broad as a room.
+    A plane parallel to a given one has one unknown, its height, so one return makes a hypothesis. The largest is the
+    ceiling. A further one is taken only where it can be no duct or lamp: above the largest, or as broad as a room.
 
     points_level: (n, 3); seed: of the hypotheses.
     """

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from algorithms import transforms
 from algorithms.building import (
+    NO_DOORS,
     NO_WALLS,
     BuildingSettings,
     Doors,
@@ -17,6 +18,8 @@ from algorithms.building import (
     find_doors,
     find_windows,
     fuse_walls,
+    measure_reveals,
+    place_jambs,
     trace_rays,
 )
 from algorithms.doors import DoorsSettings, DoorState
@@ -319,6 +322,43 @@ def test_the_map_is_levelled_by_floor_and_walls() -> None:
     np.testing.assert_allclose((T_map_odom @ tilt)[2, :3], [0, 0, 1], atol=0.005)
 
 
+def test_walls_tell_which_way_is_up_where_the_floor_slopes() -> None:
+    scans = [labelled(seed=i, x=x) for i, x in enumerate(np.linspace(0.0, 1.0, 12))]
+    points = np.concatenate([placed.to_map(placed.points_level) for _, placed, _, _ in scans])
+    floor = np.concatenate([truth for _, _, truth, _ in scans]) == Label.FLOOR
+    points[floor, 2] -= 0.02 * points[floor, 1]  # the walls' normals lie along y: slopes along x they leave open
+    tilt = transforms.make_transform(Rotation.from_euler("xy", [2.0, -1.0], degrees=True), [0.0, 0.0, 0.0])
+    level = level_map(transforms.apply(tilt, points), tilt @ pose())
+    lean_deg = np.degrees(np.arccos((level.T_map_odom @ tilt)[2, 2]))
+    assert lean_deg < 0.2  # the floor's normal is off by 1.15 degrees
+    np.testing.assert_allclose(level.floor_slope, [0.0, -0.02], atol=0.004)
+
+
+def test_an_underside_tells_how_deep_a_reveal_is() -> None:
+    generator = np.random.default_rng(5)
+    door = replace(
+        NO_DOORS,
+        ends=np.array([[[0.0, 2.0], [1.0, 2.0]]]),
+        normal=np.array([[0.0, -1.0]]),
+        head_m=np.array([2.1]),
+        depth_m=np.array([np.nan]),
+        state=np.array([DoorState.OPEN], np.uint8),
+        reveal_m=np.array([0.3]),
+    )
+    underside = generator.uniform([0.0, 2.0, 2.09], [1.0, 2.18, 2.11], (3_000, 3))
+    leaf = generator.uniform([0.8, 2.2, 2.05], [0.84, 2.6, 2.1], (3_000, 3))
+    _, placed, _, found = labelled()
+    rays = np.concatenate([underside, leaf]).astype(np.float32)
+    features = replace(
+        extract(0, placed, found),
+        floor_map=np.zeros((1, 3)),
+        ray_count=np.array([len(rays)]),
+        ray_end_map=rays,
+        ray_label=np.zeros(len(rays), np.uint8),
+    )
+    assert measure_reveals(door, [features], BuildingSettings()).reveal_m[0] == pytest.approx(0.18, abs=0.025)
+
+
 def test_poses_between_stamps_are_scipys() -> None:
     generator = np.random.default_rng(0)
     turns = Rotation.from_rotvec(np.cumsum(generator.normal(0, 0.1, (8, 3)), axis=0))
@@ -411,6 +451,11 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
     np.testing.assert_allclose(doors.ends[0].mean(axis=0), [-0.05, 2.0], atol=0.1)
     assert np.linalg.norm(doors.ends[0, 1] - doors.ends[0, 0]) == pytest.approx(0.9, abs=0.15)
     assert doors.head_m[0] == pytest.approx(2.1, abs=0.04)
+    exact = place_jambs(doors, [features])
+    np.testing.assert_allclose(np.sort(exact.ends[0, :, 0]), [hole.x0, hole.x1], atol=0.02)
+    np.testing.assert_allclose(exact.ends[0, :, 1], doors.ends[0, :, 1], atol=0.01)
+    # The wall has no thickness here: its lintel's underside is but the edge's scatter.
+    assert measure_reveals(doors, [features], settings).reveal_m[0] < 0.1
     windows = find_windows(walls, cells, settings)
     assert len(windows) == 0
 
