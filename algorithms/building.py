@@ -642,6 +642,7 @@ def _look_for_doors(counts: FloatArray, top_m: float, settings: BuildingSettings
         through = below[:, _THROUGH] / (below[:, _THROUGH] + below[:, _FILLED])
         foot_through = foot[:, _THROUGH] / (foot[:, _THROUGH] + foot[:, _FILLED])
         depth_m = lintel_m - mean_m
+        foot_depth_m = lintel_m - foot[:, _SUM] / foot[:, _FILLED]
     decided = below[:, _THROUGH] + below[:, _FILLED] >= settings.rays_min
     wall_above = (lintel[:, _FILLED] >= 2) & (lintel[:, _THROUGH] <= lintel[:, _FILLED]) & (np.abs(lintel_m) < 0.06)
     is_open = decided & wall_above & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)
@@ -650,6 +651,8 @@ def _look_for_doors(counts: FloatArray, top_m: float, settings: BuildingSettings
         & wall_above
         & (through < 1 - settings.agreement_min)
         & (depth_m > settings.recess_min_m)
+        # A leaf is recessed down to the floor; below a window the wall stands flush.
+        & ~(foot_depth_m < 0.5 * settings.recess_min_m)
         & (spread_m < 0.06)
     )
     return _DoorColumns(is_open, is_closed, through, below, lintel_m, depth_m)

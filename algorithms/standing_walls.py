@@ -75,7 +75,7 @@ class FaceVerdict(IntEnum):
     ENDS_LOW = 1
     """Rays pass above it, below the ceiling: a leaf, a cupboard, a partition."""
     HANGS = 2
-    """Rays pass below it over a longer stretch than an opening has: a duct, a beam."""
+    """Rays pass below it over a longer stretch than an opening has, or the robot drove along it: a duct, a beam."""
 
 
 @dataclass(frozen=True)
@@ -146,6 +146,14 @@ def _count_columns(cells: WallCells, clear_m: FloatArray, settings: StandingWall
     )
 
 
+def _visited(walls: Walls, cells: WallCells, path_map: FloatArray, robot_m: float) -> BoolArray:
+    """(columns,) whether the robot drove where each column stands."""
+    places = column_places(walls, cells, 0.0)
+    if not len(places) or not len(path_map):
+        return np.zeros(len(places), bool)
+    return np.asarray(cKDTree(path_map).query(places)[0] < robot_m)
+
+
 def _smooth(values: FloatArray, cells: WallCells) -> FloatArray:
     """Each column with those beside it on the same face."""
     smooth = np.zeros_like(values)
@@ -157,12 +165,18 @@ def _smooth(values: FloatArray, cells: WallCells) -> FloatArray:
 
 
 def judge_faces(
-    walls: Walls, cells: WallCells, clear_m: FloatArray, length_min_m: float, settings: StandingWallsSettings
+    walls: Walls,
+    cells: WallCells,
+    clear_m: FloatArray,
+    path_map: FloatArray,
+    length_min_m: float,
+    settings: StandingWallsSettings,
 ) -> JudgedFaces:
     """Keep the stretches of the faces that stand from floor to ceiling, as far as rays tell.
 
-    clear_m: (columns,) from the floor to the ceiling before each column.
+    clear_m: (columns,) from the floor to the ceiling before each column. path_map: (n, 2) the robot's places.
     """
+    visited = _visited(walls, cells, path_map, settings.robot_m)
     columns = _count_columns(cells, clear_m, settings)
     ends_low = (columns.upper_passed >= 4) & (columns.upper_passed > settings.passed_ratio * columns.upper_on)
     hollow = (columns.lower_passed >= 6) & (columns.lower_passed > settings.hollow_ratio * columns.lower_on)
@@ -173,6 +187,8 @@ def judge_faces(
         count = own.stop - own.start
         hangs = _long_runs(hollow[own], int(settings.opening_max_m / CELL_M), bridge=4)
         low = _long_runs(ends_low[own], min(int(_CUT_MIN_M / CELL_M), max(count // 2, 1)), bridge=2)
+        if visited[own].mean() > 0.5:
+            hangs[:] = True
         stands = columns.upper_on[own] > columns.upper_passed[own]
         low &= ~_between_walls(low, stands, columns.lower_on[own] > 0)
         if hangs.any():
@@ -309,7 +325,7 @@ def find_hidden_walls(
     both = _select(both, ~_before_a_face(both, walls))
     cells = trace(both)
     clear_m = clear_heights(column_places(both, cells), votes, settings.ceiling_near_m)
-    visited = cKDTree(path_map).query(column_places(both, cells, 0.0))[0] < settings.robot_m
+    visited = _visited(both, cells, path_map, settings.robot_m)
     columns = _count_columns(cells, clear_m, settings)
     kept: list[tuple[int, int, int]] = []
     top_m: list[float] = []

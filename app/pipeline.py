@@ -532,7 +532,8 @@ def _build(
         faces = join_corners(faces, settings.standing_walls.corner_m)
         cells = trace(faces)
         clear_m = clear_heights(column_places(faces, cells), votes, settings.standing_walls.ceiling_near_m)
-        return judge_faces(faces, cells, clear_m, settings.building.length_min_m, settings.standing_walls)
+        path = trajectory.T_map_base[:, :2, 3]
+        return judge_faces(faces, cells, clear_m, path, settings.building.length_min_m, settings.standing_walls)
 
     judged = judge(fuse_walls(planes, settings.building))
     windows = find_windows(judged.walls, trace(judged.walls), settings.building)

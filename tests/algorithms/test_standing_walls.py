@@ -52,11 +52,16 @@ def pass_rays(cells: WallCells, columns: slice, low_m: float, high_m: float) -> 
     cells.counts[columns, rows, THROUGH] = 20.0
 
 
-def judge(cells: WallCells) -> tuple[list[list[float]], list[FaceVerdict]]:
+def judge(cells: WallCells, path_y: float = 1.0) -> tuple[list[list[float]], list[FaceVerdict]]:
     """Where along the face wall still stands, and the verdicts on the rest."""
     columns = int(cells.first[-1])
     judged = judge_faces(
-        faces(((0, 0), (columns * CELL_M, 0))), cells, np.full(columns, CEILING_M), length_min_m=0.25, settings=SETTINGS
+        faces(((0, 0), (columns * CELL_M, 0))),
+        cells,
+        np.full(columns, CEILING_M),
+        path_map=np.column_stack([np.linspace(0, columns * CELL_M, 200), np.full(200, path_y)]),
+        length_min_m=0.25,
+        settings=SETTINGS,
     )
     return judged.walls.ends[:, :, 0].round(2).tolist(), [FaceVerdict(v) for v in judged.verdict]
 
@@ -85,6 +90,10 @@ def test_the_rest_of_a_duct_goes_with_it():
     kept, verdicts = judge(cells)
     assert kept == []
     assert set(verdicts) == {FaceVerdict.HANGS}
+
+
+def test_where_the_robot_drove_along_stands_no_wall():
+    assert judge(cells_of(2.0), path_y=0.05) == ([], [FaceVerdict.HANGS])
 
 
 def test_a_leaf_is_refused_whether_seen_past_or_against_the_wall_behind():
@@ -117,7 +126,7 @@ def test_no_face_gives_no_answer():
     empty = Walls(
         *(getattr(empty, name)[:0] for name in ("ends", "normal", "bottom_m", "top_m", "scan_count", "rms_m"))
     )
-    judged = judge_faces(empty, none, np.zeros(0), 0.25, SETTINGS)
+    judged = judge_faces(empty, none, np.zeros(0), np.zeros((0, 2)), 0.25, SETTINGS)
     assert len(judged.walls) == len(judged.refused) == len(judged.verdict) == 0
     assert len(join_corners(empty, 0.7)) == 0
 
