@@ -69,11 +69,13 @@ def relabel(
 ) -> UInt8Array:
     """The final labels (n,): what many scans agree on overrules what one scan saw.
 
-    A return on a closed door's leaf is door; wall and door only stand where the building has them; clutter on a wall
+    A return in a closed doorway is door; wall and door only stand where the building has them; clutter on a wall
     face or on a door's reveals or lintel is wall; what a ray reached through a window is outside; clutter that is but the
     scatter of a surface is that surface's.
 
-    points_map: (n, 3); height_m: (n,) above the floor; label_scan: (n,) of the scan alone; origin_map: (3,) the sensor.
+    points_map: (n, 3); height_m: (n,) above the floor; below_ceiling_m: (n,) below the scan's ceiling, infinite without
+    one; label_scan: (n,) of the scan alone; origin_map: (3,) the sensor. refused: faces that are no walls, whose returns
+    are clutter.
     """
     closed = doors.state == DoorState.CLOSED
     depth_m = np.where(closed, doors.depth_m, -np.inf)
