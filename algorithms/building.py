@@ -36,14 +36,16 @@ _REVEAL_MIN_M = 0.03
 _LEAF_COLUMNS = 30
 """A leaf that is ajar, or the closed one of two, covers at most so many columns beside the open ones."""
 _REVEAL_COLUMNS = 3
+"""A reveal that is seen at a slant hides so many columns of an opening at most."""
 _JAMB_BIN_M = 0.01
 _JAMB_REACH_M = 0.2
 _JAMB_BINS = 41
 _JAMB_RAYS = 30
+"""Fewest rays on the face, and behind it, that move a jamb."""
 _REVEAL_BIN_M = 0.02
 _REVEAL_MAX_M = 0.7
 _UNDERSIDE_PARTS = 8
-"""A reveal that is seen at a slant hides so many columns of an opening at most."""
+"""A lintel's underside shows over most of so many parts of the door's width; the edge of a leaf that is ajar does not."""
 
 
 class BuildingSettings(StepSettings):
@@ -385,16 +387,14 @@ def _count_at_jambs(
                 side = nx * x + ny * y
                 if side > 0.06:
                     continue
+                z = np.float64(ray_end[r, 2])
                 on_face = side > -on_face_m[d]
                 if not on_face:
                     t = reach / (reach - side)
-                    x, y = ox + t * (x - ox), oy + t * (y - oy)
+                    x, y, z = ox + t * (x - ox), oy + t * (y - oy), origin[s, 2] + t * (z - origin[s, 2])
                 u = x * dx + y * dy
                 if u < -_JAMB_REACH_M or u > length + _JAMB_REACH_M:
                     continue
-                z = np.float64(ray_end[r, 2])
-                if not on_face:
-                    z = origin[s, 2] + (reach / (reach - side)) * (z - origin[s, 2])
                 height = z - (floor[s, 0] + floor[s, 1] * ray_end[r, 0] + floor[s, 2] * ray_end[r, 1])
                 if height < 0.2 or height > head_m[d] - 0.15:
                     continue
@@ -456,12 +456,12 @@ def _count_undersides(
                     continue
                 x, y = ray_end[r, 0] - ends[d, 0, 0], ray_end[r, 1] - ends[d, 0, 1]
                 behind = -(normal[d, 0] * x + normal[d, 1] * y)
-                if behind < 0.0 or behind >= bins * 0.02:
+                if behind < 0.0 or behind >= bins * _REVEAL_BIN_M:
                     continue
                 u = ((ends[d, 1, 0] - ends[d, 0, 0]) * x + (ends[d, 1, 1] - ends[d, 0, 1]) * y) / length_m[d]
                 inner = (u - 0.15) / (length_m[d] - 0.3)
                 if 0.0 <= inner < 1.0:
-                    counts[d, int(behind / 0.02), int(inner * counts.shape[2])] += 1
+                    counts[d, int(behind / _REVEAL_BIN_M), int(inner * counts.shape[2])] += 1
 
 
 def seen_through(windows: Windows, features: Features) -> BoolArray:
