@@ -5,7 +5,7 @@ apart as filled, empty and occluded by the rays that passed them, which is what 
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numba
 import numpy as np
@@ -103,6 +103,14 @@ class Walls:
 
     def __len__(self) -> int:
         return len(self.ends)
+
+    def select(self, chosen: IntArray | BoolArray) -> "Walls":
+        """Some of the faces, by index or by flag."""
+        return Walls(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+    def append(self, more: "Walls") -> "Walls":
+        """These faces and more."""
+        return Walls(*(np.concatenate([getattr(w, field.name) for w in (self, more)]) for field in fields(self)))
 
 
 NO_WALLS = Walls(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, np.int32), np.zeros(0))
@@ -234,7 +242,7 @@ def _faces_of(
     np.add.at(cover, bins[:, 0], 1)
     np.add.at(cover, bins[:, 1] + 1, -1)
     borne_out = np.cumsum(cover)[:-1] >= settings.scans_min
-    for first, last in _stretches(borne_out, int(settings.gap_m / CELL_M)):
+    for first, last in stretches(borne_out, int(settings.gap_m / CELL_M)):
         start, stop = low + first * CELL_M, low + (last + 1) * CELL_M
         if stop - start < settings.length_min_m:
             continue
@@ -250,7 +258,7 @@ def _faces_of(
         )
 
 
-def _stretches(flags: BoolArray, bridge: int) -> list[tuple[int, int]]:
+def stretches(flags: BoolArray, bridge: int) -> list[tuple[int, int]]:
     """First and last index, inclusive, of the runs of True; gaps of at most `bridge` are bridged."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     runs: list[tuple[int, int]] = []
@@ -282,9 +290,9 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
             counts,
             np.ascontiguousarray(block.origin_map, np.float64),
             np.ascontiguousarray(block.floor_map, np.float64),
-            np.concatenate([[0], np.cumsum(block.ray_count)]).astype(np.int64),
+            block.ray_starts,
             np.ascontiguousarray(block.ray_end_map, np.float32),
-            np.concatenate([[0], np.cumsum(block.plane_count)]).astype(np.int64),
+            block.plane_starts,
             np.ascontiguousarray(block.plane_ends_map, np.float64),
             np.ascontiguousarray(block.plane_normal, np.float64),
             settings.near_m,
@@ -342,7 +350,7 @@ def place_jambs(doors: Doors, blocks: Iterable[Features]) -> Doors:
             counts,
             np.ascontiguousarray(block.origin_map, np.float64),
             np.ascontiguousarray(block.floor_map, np.float64),
-            np.concatenate([[0], np.cumsum(block.ray_count)]).astype(np.int64),
+            block.ray_starts,
             block.ray_end_map,
         )
     ends = doors.ends.copy()
@@ -420,7 +428,7 @@ def measure_reveals(doors: Doors, blocks: Iterable[Features], settings: Building
             doors.head_m,
             counts,
             np.ascontiguousarray(block.floor_map, np.float64),
-            np.concatenate([[0], np.cumsum(block.ray_count)]).astype(np.int64),
+            block.ray_starts,
             block.ray_end_map,
         )
     reveal_m = doors.reveal_m.copy()
@@ -428,7 +436,7 @@ def measure_reveals(doors: Doors, blocks: Iterable[Features], settings: Building
         # Behind the face by as far as returns follow each other without a gap, over most of the width: a leaf's upper edge
         # that is ajar is narrow.
         enough = np.count_nonzero(counts[d], axis=1) > 0.5 * _UNDERSIDE_PARTS
-        runs = _stretches(enough, 2)
+        runs = stretches(enough, 2)
         if runs and runs[0][0] * _REVEAL_BIN_M <= 0.1:
             reveal_m[d] = (runs[0][1] + 1) * _REVEAL_BIN_M
     return replace(doors, reveal_m=reveal_m)
@@ -490,7 +498,7 @@ def without_rays_through(windows: Windows, features: Features) -> Features:
         np.ascontiguousarray(windows.ends, np.float64),
         np.ascontiguousarray(windows.normal, np.float64),
         np.ascontiguousarray(features.origin_map, np.float64),
-        np.concatenate([[0], np.cumsum(features.ray_count)]).astype(np.int64),
+        features.ray_starts,
         features.ray_end_map,
     )
     scan = np.repeat(np.arange(len(features.scan)), features.ray_count.astype(np.int64))
@@ -537,8 +545,8 @@ def find_windows(walls: Walls, cells: WallCells, settings: BuildingSettings) -> 
             continue
         along = _along(walls, w)
         opened = _look_for_doors(counts, walls.top_m[w], settings).is_open
-        panes = [(first, last) for first, last in _stretches(opened, 2) if _is_pane(counts[first : last + 1], settings)]
-        sills = _stretches(_above_sill(counts, walls.top_m[w], settings), 4)
+        panes = [(first, last) for first, last in stretches(opened, 2) if _is_pane(counts[first : last + 1], settings)]
+        sills = stretches(_above_sill(counts, walls.top_m[w], settings), 4)
         high = counts[:, int(_KNEE_M / CELL_M) : int(settings.door_height_min_m / CELL_M)].sum(axis=1)
         for first, last in panes + [(first, last) for first, last in sills if last - first >= 4]:
             rows = counts[first : last + 1].sum(axis=0)
@@ -668,7 +676,7 @@ def _doors_in(
     low, high = int(_FOOT_M / CELL_M), int(settings.door_height_min_m / CELL_M)
     along = _along(walls, w)
     for state, flags in ((DoorState.OPEN, found.is_open), (DoorState.CLOSED, found.is_closed)):
-        for first, last in _stretches(flags, 2):
+        for first, last in stretches(flags, 2):
             if state == DoorState.OPEN:
                 if _is_pane(counts[first : last + 1], settings):
                     continue

@@ -38,6 +38,16 @@ class Features:
     plane_lines: IntArray
     plane_moments: FloatArray
 
+    @property
+    def ray_starts(self) -> IntArray:
+        """(s + 1,) int64: the rays of scan k are rows ray_starts[k] to ray_starts[k + 1]."""
+        return np.concatenate([[0], np.cumsum(self.ray_count)]).astype(np.int64)
+
+    @property
+    def plane_starts(self) -> IntArray:
+        """(s + 1,) int64, the same for its wall planes."""
+        return np.concatenate([[0], np.cumsum(self.plane_count)]).astype(np.int64)
+
 
 def extract(index: int, placed: PlacedScan, labelling: ScanLabelling) -> Features:
     """The features of one scan: every so many-th return, line by line, so that all directions stay covered."""

@@ -68,7 +68,7 @@ def draw_furniture_free(
         _clear_along_rays(
             cells,
             np.ascontiguousarray((block.origin_map[:, :2] - origin) / cell_m, np.float64),
-            np.concatenate([[0], np.cumsum(block.ray_count)]).astype(np.int64),
+            block.ray_starts,
             np.ascontiguousarray((block.ray_end_map[:, :2] - origin) / cell_m, np.float64),
             settings.range_m / cell_m,
         )

@@ -6,14 +6,14 @@ filled, empty and occluded).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from algorithms.building import CELL_M, NO_WALLS, WallCells, Walls
+from algorithms.building import CELL_M, NO_WALLS, WallCells, Walls, stretches
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, UInt8Array
 from algorithms.semantic_map import VoxelVotes, majority
@@ -237,32 +237,19 @@ def _cut(walls: Walls, cells: WallCells, stretches: list[tuple[int, int, int]]) 
         whole = after == cells.first[w + 1] - cells.first[w]
         places = np.array([first * CELL_M, length_m if whole else after * CELL_M])
         ends[i] = walls.ends[w, 0] + places[:, None] * along / length_m
-    return Walls(
-        ends,
-        walls.normal[owner],
-        walls.bottom_m[owner],
-        walls.top_m[owner],
-        walls.scan_count[owner],
-        walls.rms_m[owner],
-    )
+    return replace(walls.select(owner), ends=ends)
 
 
 def _runs(flags: BoolArray) -> list[tuple[int, int]]:
     """First index, and the one after the last, of the runs of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+    return [(first, last + 1) for first, last in stretches(flags, 0)]
 
 
 def _long_runs(flags: BoolArray, length: int, bridge: int) -> BoolArray:
     """The flags with short gaps closed, and of these the runs of at least so many."""
-    closed = flags.copy()
-    for first, after in _runs(~flags):
-        if first > 0 and after < len(flags) and after - first <= bridge:
-            closed[first:after] = True
     long = np.zeros(len(flags), bool)
-    for first, after in _runs(closed):
-        if after - first >= length:
-            long[first:after] = True
+    for first, last in stretches(flags, bridge):
+        long[first : last + 1] = last + 1 - first >= length
     return long
 
 
@@ -287,7 +274,7 @@ def join_corners(walls: Walls, corner_m: float) -> Walls:
                 best[0], ends[w, 0] = -place, corner
             elif length[w] < place < length[w] + best[1]:
                 best[1], ends[w, 1] = place - length[w], corner
-    return Walls(ends, walls.normal, walls.bottom_m, walls.top_m, walls.scan_count, walls.rms_m)
+    return replace(walls, ends=ends)
 
 
 def find_hidden_walls(
@@ -322,7 +309,7 @@ def find_hidden_walls(
         np.ones(2 * len(found), np.int32),
         np.zeros(2 * len(found)),
     )
-    both = _select(both, ~_before_a_face(both, walls))
+    both = both.select(~_before_a_face(both, walls))
     cells = trace(both)
     clear_m = clear_heights(column_places(both, cells), votes, settings.ceiling_near_m)
     visited = _visited(both, cells, path_map, settings.robot_m)
@@ -351,23 +338,7 @@ def find_hidden_walls(
                 kept.append((w, first, after))
                 top_m.append(float(np.nanmedian(clear_m[part])))
     hidden = _cut(both, cells, kept)
-    return Walls(hidden.ends, hidden.normal, hidden.bottom_m, np.array(top_m), hidden.scan_count, hidden.rms_m)
-
-
-def append(walls: Walls, more: Walls) -> Walls:
-    """The faces of both."""
-    return Walls(
-        *(
-            np.concatenate([getattr(walls, name), getattr(more, name)])
-            for name in ("ends", "normal", "bottom_m", "top_m", "scan_count", "rms_m")
-        )
-    )
-
-
-def _select(walls: Walls, chosen: BoolArray) -> Walls:
-    return Walls(
-        *(getattr(walls, name)[chosen] for name in ("ends", "normal", "bottom_m", "top_m", "scan_count", "rms_m"))
-    )
+    return replace(hidden, top_m=np.array(top_m))
 
 
 def _before_a_face(candidates: Walls, walls: Walls) -> BoolArray:

@@ -44,7 +44,6 @@ from algorithms.scan import FloatArray, IntArray, Scan
 from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes, find_halo, fuse, majority
 from algorithms.standing_walls import (
     JudgedFaces,
-    append,
     clear_heights,
     column_places,
     find_hidden_walls,
@@ -549,7 +548,7 @@ def _build(
         settings.building.length_min_m,
         settings.standing_walls,
     )
-    walls = join_corners(append(judged.walls, hidden), settings.standing_walls.corner_m)
+    walls = join_corners(judged.walls.append(hidden), settings.standing_walls.corner_m)
     cells = trace(walls)
     windows = find_windows(walls, cells, settings.building)
     doors = place_jambs(find_doors(walls, cells, settings.building), _features(folder, blocks))

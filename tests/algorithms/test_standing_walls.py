@@ -1,11 +1,9 @@
 """Which faces stand: ducts, leaves and high windows by hand-made rays; corners, ceilings and walls no scan could tell."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from algorithms.building import CELL_M, WallCells, Walls
+from algorithms.building import CELL_M, NO_WALLS, WallCells, Walls
 from algorithms.labels import Label
 from algorithms.semantic_map import VoxelVotes, vote
 from algorithms.standing_walls import (
@@ -122,10 +120,7 @@ def test_nothing_is_decided_where_no_ray_went():
 
 def test_no_face_gives_no_answer():
     none = WallCells(np.zeros(1, np.int64), 66, np.zeros((0, 66, 4), np.float32))
-    empty = faces(((0, 0), (1, 0)))
-    empty = Walls(
-        *(getattr(empty, name)[:0] for name in ("ends", "normal", "bottom_m", "top_m", "scan_count", "rms_m"))
-    )
+    empty = NO_WALLS
     judged = judge_faces(empty, none, np.zeros(0), np.zeros((0, 2)), 0.25, SETTINGS)
     assert len(judged.walls) == len(judged.refused) == len(judged.verdict) == 0
     assert len(join_corners(empty, 0.7)) == 0
@@ -182,10 +177,7 @@ def hidden(votes: VoxelVotes, passed_above_m: float | None = None, path_x: float
 
     known = faces(((-1, 0), (5, 0)))
     path = np.column_stack([np.full(50, path_x), np.linspace(0.2, 2.8, 50)])
-    none = replace(
-        known, **{n: getattr(known, n)[:0] for n in ("ends", "normal", "bottom_m", "top_m", "scan_count", "rms_m")}
-    )
-    return find_hidden_walls(votes, known, none, path, trace, 0.25, SETTINGS)
+    return find_hidden_walls(votes, known, NO_WALLS, path, trace, 0.25, SETTINGS)
 
 
 def test_a_wall_that_no_scan_alone_told_is_found():
