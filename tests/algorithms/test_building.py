@@ -7,6 +7,7 @@ import pytest
 
 from algorithms.building import (
     CELL_M,
+    NO_DOORS,
     NO_WINDOWS,
     BuildingSettings,
     WallCells,
@@ -14,9 +15,11 @@ from algorithms.building import (
     Windows,
     find_doors,
     find_windows,
+    prove_crossed,
     seen_through,
     without_rays_through,
 )
+from algorithms.doors import DoorState
 from algorithms.features import Features
 
 FILLED, SUM, SQUARES, THROUGH = range(4)
@@ -134,3 +137,27 @@ def test_planes_beyond_a_window_were_seen_through_it() -> None:
     assert not seen_through(NO_WINDOWS, scan).any()
     turned = replace(scan, origin_map=np.array([[2.0, 2.0, 1.0]]))
     assert not seen_through(WINDOW, turned).any()
+
+
+@pytest.mark.parametrize(
+    ("path", "crossed"),
+    [
+        ([[2.0, -1.0], [2.0, 1.0]], True),
+        ([[1.0, -1.0], [2.6, 0.2]], True),  # at a slant, between two poses
+        ([[3.0, -1.0], [3.0, 1.0]], False),  # beside the jamb
+        ([[2.0, -1.0], [2.0, -0.1], [2.2, -1.0]], False),  # up to it and back
+        ([[2.0, -1.0]], False),
+        (np.zeros((0, 2)), False),
+    ],
+)
+def test_a_door_that_was_driven_through_is_open(path: list[list[float]], crossed: bool) -> None:
+    seen = cells()
+    recess(seen, 0.0, 2.1, 0.05)
+    closed = find_doors(WALL, seen, SETTINGS)
+    assert closed.state.tolist() == [DoorState.CLOSED]
+    proven = prove_crossed(closed, np.array(path, np.float64))
+    assert proven.crossed.tolist() == [crossed]
+    assert proven.state.tolist() == [DoorState.OPEN if crossed else DoorState.CLOSED]
+    assert np.isnan(proven.depth_m[0]) == crossed
+    assert (proven.confidence[0] == 1.0) == (crossed or closed.confidence[0] == 1.0)
+    assert len(prove_crossed(NO_DOORS, np.array(path, np.float64))) == 0
