@@ -142,6 +142,19 @@ def register_scans(
         )
 
 
+def weakness(registration: Registration, settings: RefinementSettings) -> str | None:
+    """In words, why a registration is not to be relied on; None where nothing speaks against it.
+
+    A scan slides along what does not hold it while all of its points fit: no residual shows that (Zhang, Kaess and Singh
+    2016, "On degeneracy of optimization-based state estimation problems").
+    """
+    if registration.refined_inlier_share < settings.weak_inlier_share:
+        return f"only {registration.refined_inlier_share:.0%} of the scan fits the map"
+    if registration.weakest_share < settings.weak_share:
+        return f"nothing holds it in one direction ({registration.weakest_share:.1%} of the best one's hold)"
+    return None
+
+
 def _sweep_fraction(scan: Scan) -> FloatArray:
     """Time of each return from 0 to 1 over the sweep; empty, which leaves motion uncompensated, without times."""
     if scan.time_ns is None:

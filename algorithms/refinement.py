@@ -31,6 +31,16 @@ class RefinementSettings(StepSettings):
     )
     distance_m: float = Field(0.5, gt=0, description="Points farther than so many metres from a Gaussian have none.")
     iterations_max: int = Field(20, ge=1, description="Most iterations a registration.")
+    weak_share: float = Field(
+        0.012,
+        ge=0,
+        le=1,
+        description="Registration is called weak where the direction that holds a scan least has less than this share "
+        "of the hold of the best one, as along a bare corridor.",
+    )
+    weak_inlier_share: float = Field(
+        0.4, ge=0, le=1, description="Registration is called weak where a smaller share of a scan fits the map."
+    )
     passes: int = Field(
         1, ge=1, le=5, description="Registrations a scan, each with the motion within the sweep that the last one found."
     )

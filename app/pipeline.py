@@ -40,7 +40,7 @@ from algorithms.features import Features, concatenate, select_planes
 from algorithms.grid_map import GridMap, draw_furniture_free
 from algorithms.labels import Label
 from algorithms.levelling import level_map
-from algorithms.odometry import Registration
+from algorithms.odometry import Registration, weakness
 from algorithms.scan import FloatArray, IntArray, Scan
 from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes, find_halo, fuse, majority
 from algorithms.standing_walls import (
@@ -295,6 +295,7 @@ class _ScanStage:
         self._last_T_map_base: FloatArray | None = None
         self._floor_slope: FloatArray = np.zeros(2)
         self._registered: list[Registration] = []
+        self._weak: list[str] = []
         self._votes = VoxelTable(VOXEL_M, len(Label))
         self._counts = np.zeros(256, np.int64)
         self._milliseconds: list[FloatArray] = []
@@ -348,7 +349,12 @@ class _ScanStage:
         if T_map_odom is None:
             T_map_odom = self._level(Trajectory(np.array(stamps), np.array(T_odom_base)))
         self._log_registrations()
-        self._state.counts["registrations"] = len(stamps)
+        self._state.counts |= {"registrations": len(stamps), "weak_registrations": len(self._weak)}
+        if self._weak:
+            self._warn(
+                f"registration was weak for {len(self._weak)} of {len(stamps)} scans (the first: {self._weak[0]}); poses "
+                "may be off there: see the recording's tab Odometry"
+            )
         trajectory = _trajectory(stamps, T_odom_base, T_map_odom)
         self._advance(trajectory, complete=True)
         return trajectory
@@ -401,8 +407,10 @@ class _ScanStage:
         self._progress.warn(text)
 
     def _log_registrations(self) -> None:
+        weak = [weakness(registration, self._settings.refinement) for registration in self._registered]
+        self._weak.extend(why for why in weak if why is not None)
         if self._recorder and self._recording:
-            self._recorder.log_registrations(self._registered)
+            self._recorder.log_registrations(self._registered, weak)
             self._recording.cut()
         self._registered = []
 

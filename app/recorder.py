@@ -38,6 +38,7 @@ _POINT_STYLES: tuple[tuple[str, float, entities.Color | None], ...] = (
     (entities.DOOR_CONDITIONS, 5.0, None),
     (entities.KEYPOINTS, 2.0, entities.KEYPOINT_COLOR),
     (entities.LOCAL_MAP, 1.0, entities.LOCAL_MAP_COLOR),
+    (entities.WEAK_REGISTRATION, 6.0, entities.WEAK_COLOR),
 )
 _LINE_STYLES: tuple[tuple[str, float, entities.Color | None], ...] = (
     (entities.TRAJECTORY, 2.0, entities.TRAJECTORY_COLOR),
@@ -151,10 +152,12 @@ class Recorder:
         """Where the odometry's frame lies in the levelled map."""
         self._static(entities.ODOMETRY, _transform(T_map_odom))
 
-    def log_registrations(self, registrations: Sequence[Registration]) -> None:
+    def log_registrations(self, registrations: Sequence[Registration], weak: Sequence[str | None]) -> None:
         """What KISS-ICP used of horizontal scans, and how well they fit; on `stamp` only.
 
         Many at once: logged one by one they cost the run's own process more than all else that it logs.
+
+        weak: for each in words why it is not to be relied on, or None.
         """
         if not registrations:
             return
@@ -173,6 +176,21 @@ class Recorder:
             self._cloud_columns(
                 entities.LOCAL_MAP, stamp_ns[mapped], [r.local_map_odom for r in registrations if len(r.local_map_odom)]
             )
+        alarms = [(r, why) for r, why in zip(registrations, weak, strict=True) if why is not None]
+        if alarms:
+            self._columns(
+                entities.WEAK_REGISTRATION,
+                np.array([r.stamp_ns for r, _ in alarms]),
+                rr.Points3D.columns(positions=np.array([r.T_odom_sensor[:3, 3] for r, _ in alarms], np.float32)),
+            )
+            self._columns(
+                entities.MESSAGES,
+                np.array([r.stamp_ns for r, _ in alarms]),
+                rr.TextLog.columns(
+                    text=[f"registration {r.index} is weak: {why}" for r, why in alarms],
+                    level=[rr.TextLogLevel.WARN] * len(alarms),
+                ),
+            )
         quality = {
             "threshold_m": [r.threshold_m for r in registrations],
             "correction_m": [r.correction_m for r in registrations],
@@ -184,6 +202,7 @@ class Recorder:
             "keypoint_count": [len(r.keypoints_sensor) for r in registrations],
             "milliseconds": [r.milliseconds for r in registrations],
         }
+        quality["weak"] = [float(why is not None) for why in weak]
         for name, values in quality.items():
             scalars = np.array(values, np.float64)
             known = np.isfinite(scalars)

@@ -30,6 +30,7 @@ ODOMETRY = "/world/odometry"
 ODOMETRY_SENSOR = "/world/odometry/sensor"
 KEYPOINTS = "/world/odometry/sensor/keypoints"
 LOCAL_MAP = "/world/odometry/local_map"
+WEAK_REGISTRATION = "/world/odometry/weak"
 BUILDING = "/world/building"
 WALLS = "/world/building/walls"
 DOORS = "/world/building/doors"
@@ -150,6 +151,7 @@ FRAME_COLOR: Color = (70, 74, 82)
 TEXT_COLOR: Color = (200, 204, 212)
 TRAJECTORY_COLOR: Color = (0, 214, 255)
 KEYPOINT_COLOR: Color = (255, 196, 0)
+WEAK_COLOR: Color = (255, 70, 70)
 LOCAL_MAP_COLOR: Color = (96, 110, 130)
 
 PLANE_COLORS: tuple[Color, ...] = (

@@ -242,10 +242,12 @@ def _odometry() -> rrb.Container:
             *(
                 rrb.TimeSeriesView(origin=f"{entities.REGISTRATION}/{name}", name=title)
                 for name, title in (
-                    ("residual_m", "Median distance to the local map, m"),
-                    ("correction_m", "Correction of the predicted pose, m"),
-                    ("threshold_m", "Adaptive threshold, m"),
-                    ("inlier_share", "Share of keypoints within the threshold"),
+                    ("weak", "Alarm: registration is weak (1)"),
+                    ("weakest_share", "Hold in the direction that holds least, share of the best one's"),
+                    ("refined_inlier_share", "Share of the scan that fits the map"),
+                    ("residual_m", "KISS-ICP: median distance to the local map, m"),
+                    ("correction_m", "KISS-ICP: correction of the predicted pose, m"),
+                    ("threshold_m", "KISS-ICP: adaptive threshold, m"),
                 )
             )
         ),

@@ -1,11 +1,14 @@
 """KISS-ICP and its refinement on a lidar that is driven through a box with pillars: the way is known."""
 
+import sys
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from algorithms import transforms
-from algorithms.odometry import OdometrySettings, Registration, register_scans
+from algorithms.odometry import OdometrySettings, Registration, register_scans, weakness
 from algorithms.refinement import RefinementSettings
 from algorithms.scan import FloatArray, Scan
 
@@ -53,8 +56,14 @@ def sweep(index: int, T_base_sensor: FloatArray, seed: int, shift_ns: int = 0) -
 
 
 def ranges(origin: FloatArray, rays: FloatArray) -> FloatArray:
-    nearest = np.where(rays > 0, (HIGH_M - origin) / rays, (LOW_M - origin) / rays).min(axis=1)
-    for pillar in PILLARS_M:
+    return ranges_in_box(origin, rays, LOW_M, HIGH_M, PILLARS_M)
+
+
+def ranges_in_box(
+    origin: FloatArray, rays: FloatArray, low_m: FloatArray, high_m: FloatArray, pillars_m: FloatArray
+) -> FloatArray:
+    nearest = np.where(rays > 0, (high_m - origin) / rays, (low_m - origin) / rays).min(axis=1)
+    for pillar in pillars_m:
         to_faces = (pillar[:, None] - origin) / rays
         near, far = to_faces.min(axis=0).max(axis=1), to_faces.max(axis=0).min(axis=1)
         nearest = np.where((near < far) & (near > 0) & (near < nearest), near, nearest)
@@ -129,3 +138,31 @@ def test_a_cloud_of_nothing_keeps_the_odometrys_motion(scans: list[tuple[int, Sc
     )
     assert len(found) == 8
     assert np.isfinite([r.T_odom_sensor for r in found]).all()
+
+
+def test_a_bare_corridor_raises_the_alarm_and_a_room_does_not(
+    scans: list[tuple[int, Scan, Scan | None]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    room = list(register_scans(scans[:12], OdometrySettings(), RefinementSettings()))
+    assert [weakness(r, RefinementSettings()) for r in room] == [None] * 12
+    monkeypatch.setattr(
+        sys.modules[__name__],
+        "ranges",
+        lambda origin, rays: ranges_in_box(
+            origin, rays, np.array([-300.0, -1.2, 0.0]), np.array([300.0, 1.2, 2.8]), np.zeros((0, 2, 3))
+        ),
+    )
+    given = [(i, sweep(i, T_BASE_HORIZONTAL, 1), None) for i in range(8)]
+    corridor = list(register_scans(given, OdometrySettings(range_max_m=20.0), RefinementSettings()))
+    alarms = [weakness(r, RefinementSettings()) for r in corridor]
+    assert alarms[0] is None  # the first scan is the map
+    assert all(why is not None and "nothing holds it in one direction" in why for why in alarms[1:])
+
+
+def test_a_scan_of_another_place_raises_the_alarm(scans: list[tuple[int, Scan, Scan | None]]) -> None:
+    index, scan, _ = scans[5]
+    elsewhere = replace(scan, points_sensor=(scan.points_sensor + np.float32([40.0, 0.0, 9.0])))
+    found = list(register_scans([*scans[:5], (index, elsewhere, None)], OdometrySettings(), RefinementSettings()))
+    why = weakness(found[-1], RefinementSettings())
+    assert why is not None
+    assert "of the scan fits the map" in why

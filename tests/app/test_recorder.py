@@ -223,7 +223,7 @@ def test_registrations_lie_on_stamp_alone(tmp_path):
         )
         for number in range(3)
     ]
-    recorder.log_registrations(registrations)
+    recorder.log_registrations(registrations, [None, "nothing holds it", None])
     recording.finish()
     timelines = {
         name
@@ -234,6 +234,12 @@ def test_registrations_lie_on_stamp_alone(tmp_path):
     assert timelines == {entities.STAMP_TIMELINE}
     poses = [vectors(row["translation"])[0][0] for row in rows(path, entities.ODOMETRY_SENSOR, entities.STAMP_TIMELINE)]
     assert poses == [0.0, 1.0, 2.0]
+    alarms = [row["scalars"][0] for row in rows(path, f"{entities.REGISTRATION}/weak", entities.STAMP_TIMELINE)]
+    assert alarms == [0.0, 1.0, 0.0]
+    (weak,) = rows(path, entities.WEAK_REGISTRATION, entities.STAMP_TIMELINE)
+    assert vectors(weak["positions"])[0][0] == 1.0
+    (message,) = rows(path, entities.MESSAGES, entities.STAMP_TIMELINE)
+    assert "registration 1 is weak: nothing holds it" in str(message)
     residuals = list(rows(path, f"{entities.REGISTRATION}/residual_m", entities.STAMP_TIMELINE))
     assert len(residuals) == 2  # what was not measured is not drawn
 
