@@ -117,6 +117,8 @@ class Openings:
     depth_m: (O,) median depth of what lies behind.
     state: (O,) uint8, see `DoorState`.
     line_count: (O,) how many lines showed it.
+    door_line_opening: (D,) the opening that each row of the `DoorLines` is part of, -1 where it is of none: its
+        conditions did not hold, or too few neighbours' did.
     """
 
     plane: IntArray
@@ -125,6 +127,7 @@ class Openings:
     depth_m: FloatArray
     state: UInt8Array
     line_count: IntArray
+    door_line_opening: IntArray
 
     def __len__(self) -> int:
         return len(self.plane)
@@ -194,10 +197,19 @@ def find_openings(door_lines: DoorLines, planes: WallPlanes, settings: DoorsSett
     plane, state = door_lines.plane[chosen], door_lines.state[chosen]
     breaks = np.flatnonzero((np.diff(plane) != 0) | (np.diff(state) != 0) | (np.diff(place_m) > settings.gap_m)) + 1
     groups = [g for g in np.split(np.arange(len(chosen)), breaks) if len(g) >= settings.lines_min]
+    door_line_opening = np.full(len(door_lines.line), -1, np.int32)
+    for opening, group in enumerate(groups):
+        door_line_opening[chosen[group]] = opening
     if not groups:
         none = np.zeros(0)
         return Openings(
-            none.astype(np.int32), np.zeros((0, 2, 2)), none, none, none.astype(np.uint8), none.astype(np.int32)
+            none.astype(np.int32),
+            np.zeros((0, 2, 2)),
+            none,
+            none,
+            none.astype(np.uint8),
+            none.astype(np.int32),
+            door_line_opening,
         )
     first = np.array([g[0] for g in groups])
     low_high = np.array([[place_m[g[0]], place_m[g[-1]]] for g in groups])
@@ -210,6 +222,7 @@ def find_openings(door_lines: DoorLines, planes: WallPlanes, settings: DoorsSett
         depth_m=np.array([np.median(door_lines.depth_m[chosen[g]]) for g in groups]),
         state=state[first],
         line_count=np.array([len(g) for g in groups], np.int32),
+        door_line_opening=door_line_opening,
     )
 
 

@@ -82,6 +82,20 @@ INVENTED_DOORS = "/world/errors/invented_doors"
 FIGURES = "/evaluation/figures"
 SCAN_ERRORS = "/metrics/errors"
 
+LINE_TIMELINE = "line"
+"""Of a recording of one scan: point line 2 × emitter + side."""
+WHY_LINE = "/why/line"
+WHY_SCAN = "/why/scan"
+LINE_STRUCTURES = "/scan/line/structures"
+LINE_GROWING = "/scan/line/growing_plane"
+LINE_PLANE = "/scan/line/plane"
+LINE_DOOR = "/scan/line/door"
+PROFILE = "/profile"
+PROFILE_SAMPLES = "/profile/samples"
+PROFILE_STRUCTURES = "/profile/structures"
+PROFILE_LEVELS = "/profile/levels"
+PROFILE_DOOR = "/profile/door"
+
 MILLISECONDS = "/metrics/milliseconds"
 LABEL_COUNTS = "/metrics/labels"
 COUNTS = "/metrics/counts"
@@ -145,6 +159,7 @@ BOTTOMMOST_COLOR: Color = (255, 140, 0)
 THRESHOLD_COLOR: Color = (240, 60, 60)
 CURVE_COLOR: Color = (84, 112, 160)
 EXAMPLE_COLOR: Color = (255, 255, 255)
+GROWING_COLOR: Color = (190, 120, 255)
 FRAME_COLOR: Color = (70, 74, 82)
 TEXT_COLOR: Color = (200, 204, 212)
 TRAJECTORY_COLOR: Color = (0, 214, 255)
