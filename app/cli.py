@@ -236,6 +236,36 @@ def inspect(
 
 
 @app.command()
+def compare(
+    run_folders: Annotated[list[Path], typer.Argument(metavar="RUN RUN...", help="Run folders.", show_default=False)],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", "-o", help="Folder for comparison.rrd and comparison.json, or the recording's name (.rrd).  "
+            "[default: comparison-<runs>]"
+        ),
+    ] = None,
+    scans: Annotated[bool, typer.Option(help="With single scans side by side; without, the file is small.")] = True,
+    spawn: Annotated[bool, typer.Option("--spawn", help="Open it in the Rerun viewer.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """What differs between runs, and where: labels point by point, poses, walls, doors, map, settings, figures.
+
+    The first run is the one that the others are compared with. Whatever the runs have is compared; what cannot be is
+    said, as for runs of different bags, or runs that were aborted.
+
+    Examples:
+
+        ffmap compare runs/a runs/b
+
+        ffmap compare runs/a runs/b runs/c -o comparisons/walls --spawn
+    """
+    from app import compare_command
+
+    compare_command.compare(run_folders, out, scans, spawn, quiet)
+
+
+@app.command()
 def settings(
     config: Annotated[Path | None, typer.Option(help="Settings to show in place of the defaults.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="One setting, as in doors.recess_min_m=0.03.")] = None,

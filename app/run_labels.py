@@ -1,5 +1,8 @@
 """The labels of a run cloud by cloud, from whichever of its files has them; memory does not grow with the drive.
 
+These are the labelled bag; `labels.parquet`, which holds the labels alone, one row for each cloud that has a pose in
+`trajectory.tum`; or the recording.
+
 A return is known by its cloud's stamp and its place there: two runs on one bag are compared point by point.
 """
 
@@ -9,12 +12,15 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
+import pyarrow.parquet as pq  # type: ignore[import-untyped]
 
 from algorithms import transforms
 from algorithms.labels import NO_RETURN
 from algorithms.scan import FloatArray, Scan, UInt8Array
 from algorithms.trajectory import Trajectory, place_scan
 from app.finished_run import FinishedRun
+from app.inputs import Sensor, find_inputs
 from app.recorded import Row, rows
 from blueprints import entities
 from loaders.bag import open_bag
@@ -23,6 +29,9 @@ from loaders.pointcloud2 import describe_layout, field_column
 from loaders.rig import find_rig
 from loaders.scans import cloud_topics, index_clouds, read_clouds
 from loaders.trajectory_file import read_tum
+
+LABELS_ALONE = "labels.parquet"
+_CLOUDS_AT_ONCE = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +79,20 @@ class LabelSource:
         """The file's name within the run folder."""
         if self.run.labelled is not None:
             return self.run.labelled.name
+        if self._alone is not None:
+            return LABELS_ALONE
         return self.run.recording.name if self.recording is not None and self.run.recording is not None else None
+
+    @property
+    def has_points(self) -> bool:
+        """Whether it tells where in the map the returns lie."""
+        if self.run.labelled is None and self._alone is not None:
+            return self.run.bag_path is not None and self.run.bag_path.exists()
+        return True
+
+    @property
+    def _alone(self) -> Path | None:
+        return self.run.file(LABELS_ALONE) if self.run.trajectory is not None else None
 
     def read(self, with_points: bool = False, first: int = 0) -> Iterator[CloudLabels]:
         """The labels of every usable cloud, in the order of their stamps.
@@ -80,6 +102,8 @@ class LabelSource:
         """
         if self.run.labelled is not None:
             return _read_bag(self.run.labelled, self.run, with_points, first)
+        if self._alone is not None:
+            return _read_alone(self._alone, self.run, with_points and self.has_points)
         if self.recording is not None:
             return _read_recording(self.recording, self.run.complete, with_points)
         return iter(())
@@ -107,6 +131,38 @@ def _read_bag(path: Path, run: FinishedRun, with_points: bool, first: int) -> It
             )
             points = _placed(scan, trajectory, lidar.T_base_sensor) if with_points else None
             yield CloudLabels(index, scan.stamp_ns, label_scan, label, points, every_place=True)
+
+
+def _read_alone(path: Path, run: FinishedRun, with_points: bool) -> Iterator[CloudLabels]:
+    assert run.trajectory is not None
+    trajectory = read_tum(run.trajectory)
+    points = _bag_points(run, trajectory) if with_points else iter(())
+    following = next(points, None)
+    row = 0
+    try:
+        for batch in pq.ParquetFile(path).iter_batches(_CLOUDS_AT_ONCE):
+            for values in zip(*(batch.column(name) for name in ("scan", "label", "label_scan")), strict=True):
+                scan = int(values[0].as_py())
+                label, label_scan = (np.asarray(value.values.to_numpy(), np.uint8) for value in values[1:])
+                while following is not None and following[0] < scan:
+                    following = next(points, None)
+                own = following[1] if following is not None and following[0] == scan else None
+                yield CloudLabels(scan, int(trajectory.stamp_ns[row]), label_scan, label, own, every_place=True)
+                row += 1
+    except (OSError, KeyError, IndexError, pa.ArrowException) as error:
+        raise InputError(f"{path}: cannot be read, or is not of this run ({error}); run ffmap again") from error
+
+
+def _bag_points(run: FinishedRun, trajectory: Trajectory) -> Iterator[tuple[int, FloatArray]]:
+    """Number and placed returns of each cloud of the run's bag."""
+    assert run.bag_path is not None
+    sensor: Sensor | None = find_inputs(run.bag_path, run.input_options).vertical
+    if sensor is None:
+        return
+    with open_bag(run.bag_path) as bag:
+        for index, scan, _ in read_clouds(bag, sensor.index, 0, None, sensor.lidar.decoding):
+            if isinstance(scan, Scan):
+                yield index, _placed(scan, trajectory, sensor.lidar.T_base_sensor)
 
 
 def _placed(scan: Scan, trajectory: Trajectory | None, T_base_sensor: FloatArray) -> FloatArray:

@@ -82,6 +82,21 @@ INVENTED_DOORS = "/world/errors/invented_doors"
 FIGURES = "/evaluation/figures"
 SCAN_ERRORS = "/metrics/errors"
 
+CHANGED_POINTS = "/changes/{}/points"
+"""Of the comparison of the first run with this one; its letter is to be filled in."""
+CHANGED_CUBES = "/changes/{}/cubes"
+CHANGED_PERCENT = "/changes/{}/percent"
+CHANGED_PERCENT_SCAN = "/changes/{}/percent_of_single_scans"
+CHANGED_PLANES = "/changes/{}/planes"
+CHANGED_WALLS = "/changes/{}/building/walls"
+CHANGED_DOORS = "/changes/{}/building/doors"
+CHANGED_CELLS = "/changes/{}/building/cells"
+POSE_DISTANCE = "/changes/{}/pose_distance_m"
+CHANGES_TEXT = "/changes/{}/text"
+RUNS_TEXT = "/changes/runs"
+PATHS = "/paths"
+"""Below it the trajectory of each run, by its letter."""
+
 LINE_TIMELINE = "line"
 """Of a recording of one scan: point line 2 × emitter + side."""
 WHY_LINE = "/why/line"
@@ -160,6 +175,22 @@ THRESHOLD_COLOR: Color = (240, 60, 60)
 CURVE_COLOR: Color = (84, 112, 160)
 EXAMPLE_COLOR: Color = (255, 255, 255)
 GROWING_COLOR: Color = (190, 120, 255)
+LOST_COLOR: Color = (240, 70, 70)
+GAINED_COLOR: Color = (60, 220, 120)
+BACKDROP_COLOR: Color = (86, 90, 98)
+TRANSITION_COLORS: tuple[Color, ...] = (
+    (255, 80, 80),
+    (70, 160, 255),
+    (255, 200, 40),
+    (190, 110, 255),
+    (60, 220, 120),
+    (255, 130, 30),
+    (50, 225, 225),
+    (255, 120, 190),
+)
+"""From one label to another: the changes that befell most points take these in turn."""
+OTHER_TRANSITION_COLOR: Color = (170, 170, 170)
+RUN_COLORS: tuple[Color, ...] = ((0, 214, 255), (255, 170, 0), (190, 120, 255), (60, 220, 120), (255, 120, 190))
 FRAME_COLOR: Color = (70, 74, 82)
 TEXT_COLOR: Color = (200, 204, 212)
 TRAJECTORY_COLOR: Color = (0, 214, 255)
