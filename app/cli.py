@@ -217,6 +217,7 @@ def inspect(
     line: Annotated[
         int | None, typer.Option(help="A point line, 2 × emitter + side: open there, and print its reasons.")
     ] = None,
+    bag: Annotated[Path | None, typer.Option(help="Where the run's bag lies now, if it was moved.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Recording.  [default: RUN/inspect-SCAN.rrd]")] = None,
     spawn: Annotated[bool, typer.Option("--spawn", help="Open it in the Rerun viewer.")] = False,
 ) -> None:
@@ -232,7 +233,7 @@ def inspect(
     """
     from app import inspect_command
 
-    inspect_command.inspect(run_folder, scan, line, out, spawn)
+    inspect_command.inspect(run_folder, scan, line, bag, out, spawn)
 
 
 @app.command()

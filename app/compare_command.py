@@ -33,7 +33,7 @@ from app.comparison import (
 from app.finished_run import FinishedRun, open_run
 from app.inspect_command import open_viewer
 from app.progress import Progress
-from app.recorded import rows, whole_recording
+from app.recorded import readable, rows
 from app.recording import join, open_part
 from app.results import write_json
 from blueprints import compare as compare_blueprint
@@ -121,13 +121,13 @@ def _readable(letter: str, run: FinishedRun, stack: ExitStack, warnings: list[st
         warnings.append(f"{letter}, {run.name}: has no recording, so nothing of it is shown side by side")
         return RunToCompare(letter, run, None)
     try:
-        path, warning = stack.enter_context(whole_recording(run.recording))
+        recording = stack.enter_context(readable(run.recording))
     except InputError as error:
         warnings.append(f"{letter}: {error}")
         return RunToCompare(letter, run, None)
-    if warning is not None:
-        warnings.append(f"{letter}: {warning}")
-    return RunToCompare(letter, run, path)
+    if recording.warning is not None:
+        warnings.append(f"{letter}: {recording.warning}")
+    return RunToCompare(letter, run, recording)
 
 
 def _record(
@@ -159,7 +159,7 @@ def _record(
         changes.append(change)
     for run in runs:
         if run.recording is not None and not scan_of:
-            scan_of |= {row.stamp_ns: row.scan for row in rows(run.recording, entities.TRAJECTORY)}
+            scan_of |= {row.stamp_ns: row.scan for row in rows(run.recording.path, entities.TRAJECTORY)}
     comparison = Comparison(
         runs,
         tuple(changes),
@@ -169,13 +169,22 @@ def _record(
         tuple(warnings),
     )
     progress.stage("side by side", len(runs))
+    compared = {change.b.letter: frozenset(change.compared) for change in changes}
     shown = []
     for run in runs:
         part = spool / f"run-{run.letter}.rrd"
-        if run.recording is not None and write_rerooted(run.recording, run.letter, part, recording_id, scans):
+        if run.recording is not None and write_rerooted(run.recording.path, run.letter, part, recording_id, scans):
             parts.append(part)
         has_scans = run.recording is not None and (run.run.part("options").get("detail") or "lines") != "map"
-        shown.append(ComparedRun(run.letter, run.title, scans and has_scans, run.recording is not None))
+        shown.append(
+            ComparedRun(
+                run.letter,
+                run.title,
+                scans and has_scans,
+                run.recording is not None,
+                compared.get(run.letter, frozenset()),
+            )
+        )
         progress.advance()
     parts.insert(0, _write_findings(comparison, scan_of, spool, recording_id))
     parts.insert(0, _write_layout(comparison, shown, spool, recording_id))
@@ -190,8 +199,16 @@ def _write_layout(comparison: Comparison, shown: Sequence[ComparedRun], spool: P
     grids = (grid_of(run.run) for run in comparison.runs)
     centre_m, extent_m = view_of(next((grid for grid in grids if grid is not None), None))
     with open_part(part, recording_id) as stream:
-        stream.send_blueprint(compare_blueprint.build(shown, centre_m, extent_m), make_active=True, make_default=True)
+        layout = compare_blueprint.build(shown, centre_m, extent_m, _most_changed(comparison.changes))
+        stream.send_blueprint(layout, make_active=True, make_default=True)
     return part
+
+
+def _most_changed(changes: Sequence[PairChange]) -> int | None:
+    """The scan that tells most."""
+    worst = [c.labels.worst for c in changes if c.labels is not None]
+    found = max((w for w in worst if w is not None), key=lambda w: w.changed, default=None)
+    return found.scan if found is not None else None
 
 
 def _write_findings(comparison: Comparison, scan_of: dict[int, int], spool: Path, recording_id: str) -> Path:
@@ -200,9 +217,10 @@ def _write_findings(comparison: Comparison, scan_of: dict[int, int], spool: Path
         style = TransitionStyle.of([c.labels for c in comparison.changes if c.labels is not None])
         recorder = ComparisonRecorder(stream, style)
         recorder.log_common(_runs_document(comparison))
-        same_frame = {change.b.letter for change in comparison.changes if "different bags" not in str(change.refused)}
+        # Only runs of the same bag have a map frame in common.
+        apart = {change.b.letter for change in comparison.changes if not change.same_bag}
         for k, run in enumerate(comparison.runs):
-            if k and run.letter not in same_frame:
+            if run.letter in apart:
                 continue
             recorder.log_run(
                 run.letter, entities.RUN_COLORS[k % len(entities.RUN_COLORS)], _path_of(run.run), grid_of(run.run)
@@ -224,7 +242,7 @@ def _summary(change: PairChange) -> list[tuple[str, str]]:
     found: list[tuple[str, str]] = []
     labels = change.labels
     if labels is not None:
-        kind = "labels changed" if labels.final else "labels of single scans changed (not both runs are complete)"
+        kind = "labels changed" if labels.final else "labels of single scans changed (not both runs have final ones)"
         found.append((kind, f"{labels.changed:,} of {labels.points:,} ({_share(labels.changed, labels.points)})"))
         if labels.final:
             found.append(
@@ -302,7 +320,7 @@ def _pair_document(change: PairChange, comparison: Comparison) -> str:
     parts += [f"| {what} | {how_much} |" for what, how_much in _summary(change)]
     if change.refused:
         parts += ["", "## What could not be compared"]
-        parts += [f"- {what}: {why}" for what, why in change.refused.items()]
+        parts += [f"- {what}: {why}" for what, why in change.reasons.items()]
     headlines = {n: v for n, v in _headlines(comparison).items() if v[a] != v[b] and not n.startswith("seconds")}
     if headlines:
         parts += ["", "## Figures that differ", f"| figure | {change.a.letter} | {change.b.letter} | |", "|---|---|---|---|"]
@@ -365,7 +383,7 @@ def _print(comparison: Comparison) -> None:
         table = Table(title=f"{change.b.letter} against {change.a.letter}", title_justify="left", show_header=False)
         for what, how_much in _summary(change):
             table.add_row(what, how_much)
-        for what, why in change.refused.items():
+        for what, why in change.reasons.items():
             table.add_row(f"{what}: not compared", why)
         console.print(table)
     _print_figures(console, comparison, letters)

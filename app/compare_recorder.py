@@ -202,7 +202,8 @@ class ComparisonRecorder:
             ("as_they_stand", change.figures.error_unaligned_m, (255, 255, 255)),
             ("aligned", change.figures.error_m, entities.RUN_COLORS[0]),
         ):
-            self._log_curve(f"{path}/{name}", indexes, values[known], name.replace("_", " "), color)
+            # To the micrometre: what is less is the arithmetic's.
+            self._log_curve(f"{path}/{name}", indexes, np.round(values[known], 6), name.replace("_", " "), color)
 
     def _log_doors(self, letter: str, doors: DoorsCompared) -> None:
         path = entities.CHANGED_DOORS.format(letter)

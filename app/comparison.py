@@ -33,13 +33,14 @@ from algorithms.semantic_map import VoxelTable, VoxelVotes
 from algorithms.trajectory import Trajectory
 from app.evaluate import read_grid
 from app.finished_run import FinishedRun
-from app.recorded import Row, rows
+from app.recorded import ReadableRecording, Row, rows
 from app.run_labels import LabelSource, pair
 from blueprints import entities
 from loaders.errors import InputError
 from loaders.trajectory_file import read_tum
 
 CLASS_NAMES = (*(label.name.lower() for label in Label), "no label")
+COMPARABLE = ("labels", "planes", "trajectory", "walls", "doors", "grid")
 CUBE_M = 0.1
 """Edge of the cubes in which changed points are gathered for the map."""
 TRANSITIONS = CLASSES**2
@@ -49,12 +50,12 @@ TRANSITIONS = CLASSES**2
 class RunToCompare:
     """One of the runs, under the letter that it has in the comparison.
 
-    recording: what is read as its recording; None where it has none that can be read.
+    recording: None where it has none that can be read.
     """
 
     letter: str
     run: FinishedRun
-    recording: Path | None
+    recording: ReadableRecording | None
 
     @property
     def labels(self) -> LabelSource:
@@ -209,10 +210,21 @@ class PairChange:
     refused: dict[str, str] = field(default_factory=dict)
 
     @property
+    def same_bag(self) -> bool:
+        """Whether both runs are of the same bag, so that they have clouds and a map frame in common."""
+        digest = self.a.run.bag_digest
+        return digest is not None and digest == self.b.run.bag_digest
+
+    @property
     def compared(self) -> list[str]:
         """What was compared."""
-        parts = ("labels", "planes", "trajectory", "walls", "doors", "grid")
-        return [name for name in parts if getattr(self, name) is not None]
+        return [name for name in COMPARABLE if getattr(self, name) is not None]
+
+    @property
+    def reasons(self) -> dict[str, str]:
+        """What could not be compared, together where the reason is the same, and that reason."""
+        reasons = dict.fromkeys(self.refused.values())
+        return {", ".join(name for name in self.refused if self.refused[name] == why): why for why in reasons}
 
 
 def differing_settings(runs: Sequence[FinishedRun]) -> dict[str, list[Any]]:
@@ -313,9 +325,9 @@ class LabelComparison:
 def compare_files(change: PairChange) -> None:
     """Compare all but the labels, as far as both runs have the files; what cannot be is noted in `refused`."""
     a, b = change.a, change.b
-    if not _same_bag(change):
+    if not change.same_bag:
         reason = "the runs are of different bags"
-        change.refused |= dict.fromkeys(("planes", "trajectory", "walls", "doors", "grid"), reason)
+        change.refused |= dict.fromkeys(COMPARABLE, reason)
         return
     if _both(change, "trajectory", a.run.trajectory, b.run.trajectory, "trajectory.tum"):
         assert a.run.trajectory is not None
@@ -337,7 +349,7 @@ def compare_files(change: PairChange) -> None:
     if a.recording is None or b.recording is None:
         change.refused["planes"] = _lacks(change, a.recording, b.recording, "recording")
     else:
-        change.planes = _compare_planes(a.recording, b.recording)
+        change.planes = _compare_planes(a.recording.path, b.recording.path)
         if change.planes is None:
             change.refused["planes"] = "a recording has no wall planes of single scans (--detail map)"
 
@@ -346,7 +358,7 @@ def labels_can_be_compared(change: PairChange) -> bool:
     """Whether both runs have labels of the same clouds; else `refused` says why not."""
     a, b = change.a, change.b
     reason = ""
-    if not _same_bag(change):
+    if not change.same_bag:
         reason = "the runs are of different bags"
     elif a.run.topic != b.run.topic:
         reason = f"{a.letter} labelled {a.run.topic}, {b.letter} {b.run.topic}"
@@ -383,11 +395,6 @@ def _sum_counts(counts: Iterable[IntArray]) -> IntArray:
     for part in counts:
         total += part
     return total
-
-
-def _same_bag(change: PairChange) -> bool:
-    digest = change.a.run.bag_digest
-    return digest is not None and digest == change.b.run.bag_digest
 
 
 def _compare_poses(a: Trajectory, b: Trajectory) -> TrajectoryChange:
@@ -431,8 +438,8 @@ def _both(change: PairChange, what: str, first: Path | None, second: Path | None
     return False
 
 
-def _lacks(change: PairChange, first: Path | None, second: Path | None, name: str) -> str:
-    lacking = [r.letter for r, path in ((change.a, first), (change.b, second)) if path is None]
+def _lacks(change: PairChange, first: object, second: object, name: str) -> str:
+    lacking = [r.letter for r, file in ((change.a, first), (change.b, second)) if file is None]
     return f"{' and '.join(lacking)} {'have' if len(lacking) > 1 else 'has'} no {name}"
 
 

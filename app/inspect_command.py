@@ -20,7 +20,7 @@ from app.inputs import find_inputs
 from app.inspect_recorder import write
 from app.poses import given_trajectory, poses_of
 from app.reasons import LineReason, explain_lines, name_of, scan_document
-from app.recorded import rows, whole_recording
+from app.recorded import readable, rows
 from app.recording import start_viewer
 from app.run_folder import EVALUATION
 from app.run_labels import CloudLabels, LabelSource
@@ -49,8 +49,13 @@ class InspectedScan:
     compared_with: str | None
 
 
-def inspect(run_path: Path, wanted: str, line: int | None, out: Path | None, spawn: bool) -> None:
-    """Record one scan line by line; raises InputError for what the user can mend."""
+def inspect(
+    run_path: Path, wanted: str, line: int | None, bag: Path | None, out: Path | None, spawn: bool
+) -> None:
+    """Record one scan line by line; raises InputError for what the user can mend.
+
+    bag: where the run's bag lies now; None for where it was.
+    """
     run = open_run(run_path)
     number = None if wanted == WORST else _number(wanted)
     notes: list[str] = []
@@ -58,7 +63,7 @@ def inspect(run_path: Path, wanted: str, line: int | None, out: Path | None, spa
         number, why = find_worst(run)
         notes.append(f"Scan {number} is the worst: {why}.")
     target = _target(run, out, number)
-    inspected = label_again(run, number)
+    inspected = label_again(run, number, bag)
     lines = len(inspected.labelling.lines)
     if line is not None and not 0 <= line < lines:
         raise InputError(f"--line {line}: a scan of this lidar has lines 0 to {lines - 1} (2 × emitter + side)")
@@ -85,28 +90,29 @@ def open_viewer(path: Path) -> None:
         raise InputError(f"--spawn: {error} Leave it out: {path} can be opened later") from error
 
 
-def label_again(run: FinishedRun, number: int) -> InspectedScan:
+def label_again(run: FinishedRun, number: int, bag: Path | None = None) -> InspectedScan:
     """Label one scan of a run as the run did: same bag, poses, settings and random numbers.
 
+    bag: where the run's bag lies now; None for where it was.
     Raises InputError where the bag has gone or is another, the scan is out of range, or it was skipped.
     """
-    bag_path = run.bag_path
+    bag_path = bag or run.bag_path
     if bag_path is None or not bag_path.exists():
         raise InputError(
-            f"{run.path}: its bag {bag_path or '(not named)'} is gone, and a scan is labelled again from the bag; "
-            "bring it back to that place"
+            f"{bag_path or run.path}: the run's bag is not there, and a scan is labelled again from it; say with --bag "
+            "where it is"
         )
     settings = run.settings()
     inputs = find_inputs(bag_path, run.input_options)
     if run.bag_digest not in (None, inputs.bag_digest):
-        raise InputError(f"{bag_path}: is not the bag that {run.path} was made from; bring that one back")
+        raise InputError(f"{bag_path}: is not the bag that {run.path} was made from; give that one with --bag")
     vertical = inputs.vertical
     if vertical is None:
         raise InputError(f"{run.path}: its bag has no lidar that sweeps the walls, so no scan was labelled")
     if not 0 <= number < len(vertical.index):
         raise InputError(f"--scan {number}: {run.name} has scans 0 to {len(vertical.index) - 1}")
-    with open_bag(bag_path) as bag:
-        _, scan = next(read_scans(bag, vertical.index, number, 1, vertical.lidar.decoding))
+    with open_bag(bag_path) as opened:
+        _, scan = next(read_scans(opened, vertical.index, number, 1, vertical.lidar.decoding))
     if isinstance(scan, SkippedScan):
         raise InputError(f"--scan {number}: was skipped ({scan.reason}); give another scan")
     trajectory = run.part("options").get("trajectory")
@@ -136,8 +142,8 @@ def recorded_labels(run: FinishedRun, number: int, stamp_ns: int) -> tuple[Cloud
         return next((c for c in source.read(first=number) if c.stamp_ns == stamp_ns), None), source.file
     if run.recording is None:
         return None, None
-    with whole_recording(run.recording) as (path, _):
-        source = LabelSource(run, path)
+    with readable(run.recording) as recording:
+        source = LabelSource(run, recording)
         return next((c for c in source.read() if c.stamp_ns == stamp_ns), None), source.file
 
 
@@ -149,8 +155,8 @@ def find_worst(run: FinishedRun) -> tuple[int, str]:
     errors = run.file(EVALUATION)
     if errors is not None:
         percent: dict[int, float] = {}
-        with whole_recording(errors) as (path, _):
-            for row in rows(path, f"{entities.SCAN_ERRORS}/**", "scalars"):
+        with readable(errors) as recording:
+            for row in rows(recording.path, f"{entities.SCAN_ERRORS}/**", "scalars"):
                 percent[row.scan] = percent.get(row.scan, 0.0) + float(row.values["scalars"][0])
         if percent:
             worst = max(percent, key=lambda scan: (percent[scan], -scan))
@@ -158,8 +164,8 @@ def find_worst(run: FinishedRun) -> tuple[int, str]:
     if run.labelled is not None or run.recording is None:
         found = _most_relabelled(LabelSource(run, None))
     else:
-        with whole_recording(run.recording) as (path, _):
-            found = _most_relabelled(LabelSource(run, path))
+        with readable(run.recording) as recording:
+            found = _most_relabelled(LabelSource(run, recording))
     if found is None:
         raise InputError(f"{run.path}: holds no labels of single scans to find the worst by; name one, as in --scan 17")
     return found

@@ -31,23 +31,39 @@ class Row:
     values: dict[str, Any]
 
 
-@contextmanager
-def whole_recording(path: Path) -> Iterator[tuple[Path, str | None]]:
-    """A recording that can be read to its end, and a warning where it had been cut.
+@dataclass(frozen=True)
+class ReadableRecording:
+    """A recording that can be read to its end.
 
-    One that was cut in the middle of a message is read from a copy that ends before it.
+    path: itself, or a copy up to where it was cut. warning: what is to be said of it; None where it is whole.
+    """
+
+    path: Path
+    warning: str | None = None
+
+    @property
+    def whole(self) -> bool:
+        """Whether all that its writer meant to write is there."""
+        return self.warning is None
+
+
+@contextmanager
+def readable(path: Path) -> Iterator[ReadableRecording]:
+    """A recording that can be read to its end: where it was cut in the middle of a message, a copy that ends before it.
+
     Raises InputError where it is no recording, or nothing of it is left.
     """
     end = whole_messages(path)
     if end.complete:
-        yield path, None if end.has_footer else f"{path}: has no footer, as its writer was killed; it is read as it is"
+        warning = None if end.has_footer else f"{path}: has no footer: it was cut, or its writer killed"
+        yield ReadableRecording(path, warning)
         return
     with tempfile.TemporaryDirectory(prefix="ffmap-cut-") as folder:
         copy = Path(folder) / path.name
         with path.open("rb") as source, copy.open("wb") as target:
             shutil.copyfileobj(source, target)
             target.truncate(end.position)
-        yield copy, f"{path}: was cut; it is read up to the cut"
+        yield ReadableRecording(copy, f"{path}: was cut; it is read up to the cut")
 
 
 def chunk_stream(path: Path) -> LazyChunkStream:

@@ -21,7 +21,7 @@ from algorithms.scan import FloatArray, Scan, UInt8Array
 from algorithms.trajectory import Trajectory, place_scan
 from app.finished_run import FinishedRun
 from app.inputs import Sensor, find_inputs
-from app.recorded import Row, rows
+from app.recorded import ReadableRecording, Row, rows
 from blueprints import entities
 from loaders.bag import open_bag
 from loaders.errors import InputError
@@ -71,8 +71,7 @@ class LabelSource:
     """Where a run's labels are read from; None where nothing of the run holds any."""
 
     run: FinishedRun
-    recording: Path | None
-    """The recording to read, which is a copy where the run's own was cut."""
+    recording: ReadableRecording | None
 
     @property
     def file(self) -> str | None:
@@ -105,7 +104,9 @@ class LabelSource:
         if self._alone is not None:
             return _read_alone(self._alone, self.run, with_points and self.has_points)
         if self.recording is not None:
-            return _read_recording(self.recording, self.run.complete, with_points)
+            # Of a run that did not end it is not known which scans the final stage had reached.
+            final = self.run.complete and self.recording.whole
+            return _read_recording(self.recording.path, final, with_points)
         return iter(())
 
     def has_labels(self) -> bool:
@@ -174,7 +175,7 @@ def _placed(scan: Scan, trajectory: Trajectory | None, T_base_sensor: FloatArray
     return points
 
 
-def _read_recording(path: Path, complete: bool, with_points: bool) -> Iterator[CloudLabels]:
+def _read_recording(path: Path, has_final: bool, with_points: bool) -> Iterator[CloudLabels]:
     """The final stage logs the labels of scans that it changed a second time, far behind the first in the file."""
     final = (row for row in rows(path, entities.POINTS, "class_ids") if "positions" not in row.values)
     poses = rows(path, entities.SCAN, "translation") if with_points else iter(())
@@ -188,8 +189,7 @@ def _read_recording(path: Path, complete: bool, with_points: bool) -> Iterator[C
         changed = following is not None and following.scan == row.scan
         label = following.values["class_ids"].astype(np.uint8) if changed and following is not None else label_scan
         points = _in_map(row, pose) if with_points else None
-        # Of a run that did not end it is not known which scans the final stage had reached.
-        yield CloudLabels(row.scan, row.stamp_ns, label_scan, label if complete else None, points, every_place=False)
+        yield CloudLabels(row.scan, row.stamp_ns, label_scan, label if has_final else None, points, every_place=False)
 
 
 def _in_map(row: Row, pose: Row | None) -> FloatArray:

@@ -5,6 +5,7 @@ import rerun.blueprint as rrb
 
 from blueprints import entities
 from blueprints.entities import CurveSheet
+from blueprints.run import time_panel
 
 
 def build(profile_m: tuple[float, float], line: int | None = None) -> rrb.Blueprint:
@@ -71,20 +72,7 @@ def build(profile_m: tuple[float, float], line: int | None = None) -> rrb.Bluepr
         rrb.Horizontal(seen, told, column_shares=[3, 2]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        _time_panel(line),
+        time_panel(entities.LINE_TIMELINE, line),
         auto_views=False,
         auto_layout=False,
-    )
-
-
-def _time_panel(line: int | None) -> rrb.TimePanel:
-    if line is None:
-        return rrb.TimePanel(state="collapsed", timeline=entities.LINE_TIMELINE, play_state="paused", fps=2.0)
-    return rrb.TimePanel(
-        state="collapsed",
-        timeline=entities.LINE_TIMELINE,
-        play_state="playing",
-        loop_mode="selection",
-        time_selection=rrb.components.AbsoluteTimeRange(line, line),
-        fps=2.0,
     )
