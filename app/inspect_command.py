@@ -67,7 +67,7 @@ def inspect(
     lines = len(inspected.labelling.lines)
     if line is not None and not 0 <= line < lines:
         raise InputError(f"--line {line}: a scan of this lidar has lines 0 to {lines - 1} (2 × emitter + side)")
-    notes.append(_agreement(run, inspected))
+    notes.append(agreement(run, inspected))
     reasons = explain_lines(inspected.labelling)
     document = scan_document(f"Scan {number} of {run.name}", notes, inspected.labelling, reasons)
     for note in notes:
@@ -191,7 +191,8 @@ def _differing(recorded: CloudLabels, scan: Scan, label: UInt8Array) -> int:
     return int(np.count_nonzero(own != recorded.label_scan))
 
 
-def _agreement(run: FinishedRun, inspected: InspectedScan) -> str:
+def agreement(run: FinishedRun, inspected: InspectedScan) -> str:
+    """Whether the labels are the run's own, in a sentence."""
     total = len(inspected.labelling.label)
     if inspected.differing is None:
         return f"Labelled again; {run.name} holds no labels of this scan to compare with."
