@@ -238,12 +238,12 @@ def inspect(
 
 @app.command()
 def compare(
-    run_folders: Annotated[list[Path], typer.Argument(metavar="RUN RUN...", help="Run folders.", show_default=False)],
+    run_folders: Annotated[list[Path], typer.Argument(metavar="RUN", help="Run folders.", show_default=False)],
     out: Annotated[
         Path | None,
         typer.Option(
             "--out", "-o", help="Folder for comparison.rrd and comparison.json, or the recording's name (.rrd).  "
-            "[default: comparison-<runs>]"
+            "[default: comparison-RUN-RUN]"
         ),
     ] = None,
     scans: Annotated[bool, typer.Option(help="With single scans side by side; without, the file is small.")] = True,

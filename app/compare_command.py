@@ -302,6 +302,22 @@ def _summary(change: PairChange) -> list[tuple[str, str]]:
     return found
 
 
+def _headline(change: PairChange) -> str:
+    """The answer in a sentence."""
+    labels = change.labels
+    if labels is None:
+        return f"Labels cannot be compared: {change.refused.get('labels', 'none are there')}."
+    kind = "labels" if labels.final else "labels of single scans"
+    if not labels.changed:
+        return f"No {kind} differ, in {labels.points:,} points of {len(labels.scans)} scans."
+    worst, (most, *_) = labels.worst, most_frequent([labels], 1)
+    assert worst is not None
+    return (
+        f"{_share(labels.changed, labels.points)} of the {kind} changed ({labels.changed:,} points), most often "
+        f"{name_transition(most)}, and most in scan {worst.scan}."
+    )
+
+
 def _headlines(comparison: Comparison) -> dict[str, list[float | None]]:
     return {name: comparison.figures[name] for name in _HEADLINES if name in comparison.figures}
 
@@ -309,15 +325,17 @@ def _headlines(comparison: Comparison) -> dict[str, list[float | None]]:
 def _pair_document(change: PairChange, comparison: Comparison) -> str:
     a, b = (comparison.runs.index(run) for run in (change.a, change.b))
     parts = [f"# {change.b.letter} against {change.a.letter}", ""]
-    parts += [f"**{run.letter}** is `{run.run.name}`.\n" for run in (change.a, change.b)]
+    parts.append(f"**{change.a.letter}** is `{change.a.run.name}`, **{change.b.letter}** is `{change.b.run.name}`.")
+    parts += ["", f"**{_headline(change)}**", ""]
     settings = {name: values for name, values in comparison.settings.items() if values[a] != values[b]}
     if settings:
         parts += ["## Settings that differ", f"| setting | {change.a.letter} | {change.b.letter} |", "|---|---|---|"]
         parts += [f"| {name} | {_text(values[a])} | {_text(values[b])} |" for name, values in settings.items()]
     else:
         parts.append("Their settings are the same.")
-    parts += ["", "## What differs", "| | |", "|---|---|"]
-    parts += [f"| {what} | {how_much} |" for what, how_much in _summary(change)]
+    if summary := _summary(change):
+        parts += ["", "## What differs", "| what | how much |", "|---|---|"]
+        parts += [f"| {what} | {how_much} |" for what, how_much in summary]
     if change.refused:
         parts += ["", "## What could not be compared"]
         parts += [f"- {what}: {why}" for what, why in change.reasons.items()]
@@ -537,5 +555,7 @@ def _figure(value: float | None) -> str:
 def _difference(first: float | None, second: float | None) -> str:
     if first is None or second is None:
         return "–"
-    difference = second - first
-    return f"{difference:+,.0f}" if float(difference).is_integer() and abs(difference) > 1 else f"{difference:+.4f}"
+    if first == second:
+        return "="
+    whole = float(first).is_integer() and float(second).is_integer() and max(abs(first), abs(second)) > 1
+    return f"{second - first:+,.0f}" if whole else f"{second - first:+.4f}"

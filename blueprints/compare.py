@@ -61,7 +61,7 @@ def _differences(
     text = rrb.TextDocumentView(origin=entities.CHANGES_TEXT.format(letter), name=f"What differs: {other.title}")
     name = f"{letter} against {first.letter}"
     above = from_above(centre_m, extent_m)
-    grid, paths = f"{entities.GRID}/{first.letter}", f"{entities.PATHS}/**"
+    grid = f"{entities.GRID}/{first.letter}"
     where = [
         rrb.Spatial3DView(
             origin="/",
@@ -79,7 +79,8 @@ def _differences(
                 f"{entities.CHANGED_WALLS.format(letter)}/**",
                 f"{entities.CHANGED_DOORS.format(letter)}/**",
                 f"{entities.CHANGED_CELLS.format(letter)}/**",
-                paths,
+                f"{entities.PATHS}/{first.letter}",
+                f"{entities.PATHS}/{letter}",
             ],
             name="Walls, doors, map cells: lost red, gained green; trajectories",
             eye_controls=above,
