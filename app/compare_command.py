@@ -384,7 +384,7 @@ def _print(comparison: Comparison) -> None:
     for run in comparison.runs:
         bag = run.run.bag_path
         table.add_row(
-            run.letter, str(run.run.path), run.run.outcome, run.labels.file or "–", bag.name if bag else "–"
+            run.letter, str(run.run.path), run.run.outcome, run.labels_from or "–", bag.name if bag else "–"
         )
     console.print(table)
     if comparison.settings:
@@ -438,7 +438,7 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
                 "recording_id": run.run.record.get("recording_id"),
                 "bag": dict(run.run.part("bag")),
                 "versions": dict(run.run.part("versions")),
-                "labels_from": run.labels.file,
+                "labels_from": run.labels_from,
             }
             for run in comparison.runs
         ],

@@ -63,6 +63,11 @@ class RunToCompare:
         return LabelSource(self.run, self.recording)
 
     @property
+    def labels_from(self) -> str | None:
+        """The file that its labels are read from; None where it has none."""
+        return self.labels.file if self.labels.has_labels() else None
+
+    @property
     def title(self) -> str:
         """Letter and name."""
         return f"{self.letter}: {self.run.name}"
@@ -351,7 +356,7 @@ def compare_files(change: PairChange) -> None:
     else:
         change.planes = _compare_planes(a.recording.path, b.recording.path)
         if change.planes is None:
-            change.refused["planes"] = "a recording has no wall planes of single scans (--detail map)"
+            change.refused["planes"] = "a recording has no wall planes of single scans"
 
 
 def labels_can_be_compared(change: PairChange) -> bool:
