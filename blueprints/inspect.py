@@ -5,7 +5,7 @@ import rerun.blueprint as rrb
 
 from blueprints import entities
 from blueprints.entities import CurveSheet
-from blueprints.run import time_panel
+from blueprints.timeline import time_panel
 
 
 def build(profile_m: tuple[float, float], line: int | None = None) -> rrb.Blueprint:

@@ -132,7 +132,7 @@ def from_above(centre_m: tuple[float, float], extent_m: float) -> rrb.EyeControl
 
 def _evaluation(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
     """What is wrong: on the map, in the scan, over time, and in figures."""
-    above = from_above(centre_m, extent_m)
+    eye = from_above(centre_m, extent_m)
     outlines = [entities.TRUTH_WALLS, entities.TRUTH_DOORS, entities.INVENTED_DOORS]
     return rrb.Horizontal(
         rrb.Vertical(
@@ -142,7 +142,7 @@ def _evaluation(centre_m: tuple[float, float], extent_m: float) -> rrb.Container
                     contents=[*outlines, f"{entities.PLAN_ERRORS}/**", entities.TRAJECTORY, f"{entities.BASE}/**"],
                     name="False wall red, missed wall orange; truth white",
                     overrides={entities.TRAJECTORY: until_now()},
-                    eye_controls=above,
+                    eye_controls=eye,
                     line_grid=rrb.LineGrid3D(visible=False),
                 ),
                 rrb.Spatial3DView(
@@ -157,7 +157,7 @@ def _evaluation(centre_m: tuple[float, float], extent_m: float) -> rrb.Container
                 origin=entities.WORLD,
                 contents=[*outlines, f"{entities.GRID}/**"],
                 name="Wall map: false cells red, missed cells orange",
-                eye_controls=above,
+                eye_controls=eye,
                 line_grid=rrb.LineGrid3D(visible=False),
             ),
         ),
@@ -221,7 +221,11 @@ def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
             ),
             line_grid=rrb.LineGrid3D(visible=False),
         ),
-        _grid(centre_m, extent_m),
+        rrb.Vertical(
+            _grid(centre_m, extent_m),
+            rrb.TextDocumentView(origin=entities.BUILDING_REASONS, name="Why: doors, refused faces, windows"),
+        ),
+        column_shares=[3, 2],
         name="Building",
     )
 
@@ -257,22 +261,6 @@ def _metrics() -> rrb.Container:
         rrb.TextLogView(origin=entities.MESSAGES, name="Warnings"),
         row_shares=[3, 3, 3, 2],
         name="Metrics and warnings",
-    )
-
-
-def time_panel(timeline: str, at: int | None) -> rrb.TimePanel:
-    """A timeline of numbers that opens at its start, or at one of them.
-
-    A layout cannot place the time cursor; it can play a selection, and one of a single number stays there.
-    """
-    if at is None:
-        return rrb.TimePanel(state="collapsed", timeline=timeline, play_state="paused")
-    return rrb.TimePanel(
-        state="collapsed",
-        timeline=timeline,
-        play_state="playing",
-        loop_mode="selection",
-        time_selection=rrb.components.AbsoluteTimeRange(at, at),
     )
 
 
