@@ -293,6 +293,7 @@ the robot and x ahead; its transform places it in the map.
 the points where they differ. `/scan/structures` has `difference`, eq. 2 as printed, and `slope`, the one over a longer
 span that decides: one row a line (2 × emitter + side) of 200 samples from below upwards; and each structure's line, first
 and last sample. Planes, candidates and doors carry their parameters beside what is drawn.
+Wall candidates and door conditions carry the reason why each was taken or refused: rest the pointer on one.
 
 ## This run
 {run}
