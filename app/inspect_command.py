@@ -70,13 +70,13 @@ def inspect(
     notes.append(agreement(run, inspected))
     reasons = explain_lines(inspected.labelling)
     document = scan_document(f"Scan {number} of {run.name}", notes, inspected.labelling, reasons)
-    for note in notes:
-        typer.echo(note)
-    _print_summary(inspected.labelling, reasons, line)
     with tempfile.TemporaryDirectory(prefix="ffmap-inspect-") as spool:
         write(
             target, Path(spool), str(uuid.uuid4()), inspected.placed, inspected.labelling, reasons, document, line
         )
+    for note in notes:
+        typer.echo(note.replace("**", ""))
+    _print_summary(inspected.labelling, reasons, line)
     typer.echo(f"recording: {target}  (open it: rerun {target}; step through the timeline 'line')")
     if spawn:
         open_viewer(target)
