@@ -36,6 +36,7 @@ from app.progress import Progress
 from app.recorded import readable, rows
 from app.recording import join, open_part
 from app.results import write_json
+from app.run_labels import LabelSource
 from blueprints import compare as compare_blueprint
 from blueprints import entities
 from blueprints.compare import ComparedRun
@@ -114,20 +115,21 @@ def _targets(runs: Sequence[FinishedRun], out: Path | None) -> tuple[Path, Path]
 
 
 def _readable(letter: str, run: FinishedRun, stack: ExitStack, warnings: list[str]) -> RunToCompare:
-    """The run with a recording that can be read, if it has one."""
+    """The run with its recording, if it has one that can be read, and with what has its labels."""
     if not run.complete:
         warnings.append(f"{letter}, {run.name}: is not complete ({run.outcome}); what it has is compared")
+    recording = None
     if run.recording is None:
         warnings.append(f"{letter}, {run.name}: has no recording, so nothing of it is shown side by side")
-        return RunToCompare(letter, run, None)
-    try:
-        recording = stack.enter_context(readable(run.recording))
-    except InputError as error:
-        warnings.append(f"{letter}: {error}")
-        return RunToCompare(letter, run, None)
-    if recording.warning is not None:
+    else:
+        try:
+            recording = stack.enter_context(readable(run.recording))
+        except InputError as error:
+            warnings.append(f"{letter}: {error}")
+    if recording is not None and recording.warning is not None:
         warnings.append(f"{letter}: {recording.warning}")
-    return RunToCompare(letter, run, recording)
+    source = LabelSource(run, recording)
+    return RunToCompare(letter, run, recording, source.file if source.has_labels() else None)
 
 
 def _record(

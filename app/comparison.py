@@ -50,22 +50,19 @@ TRANSITIONS = CLASSES**2
 class RunToCompare:
     """One of the runs, under the letter that it has in the comparison.
 
-    recording: None where it has none that can be read.
+    recording: None where it has none that can be read. labels_from: the file that its labels are read from; None where it
+    has none.
     """
 
     letter: str
     run: FinishedRun
     recording: ReadableRecording | None
+    labels_from: str | None
 
     @property
     def labels(self) -> LabelSource:
         """Where its labels are read from."""
         return LabelSource(self.run, self.recording)
-
-    @property
-    def labels_from(self) -> str | None:
-        """The file that its labels are read from; None where it has none."""
-        return self.labels.file if self.labels.has_labels() else None
 
     @property
     def title(self) -> str:
@@ -368,7 +365,7 @@ def labels_can_be_compared(change: PairChange) -> bool:
     elif a.run.topic != b.run.topic:
         reason = f"{a.letter} labelled {a.run.topic}, {b.letter} {b.run.topic}"
     else:
-        lacking = [r.letter for r in (a, b) if not r.labels.has_labels()]
+        lacking = [r.letter for r in (a, b) if r.labels_from is None]
         if lacking:
             reason = f"{' and '.join(lacking)} has neither a labelled bag nor scans in a recording"
     if reason:
