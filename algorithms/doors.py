@@ -50,6 +50,22 @@ class DoorState(IntEnum):
     OPEN = 1
 
 
+class Depression(IntEnum):
+    """Whether condition 2 held, and what it failed by; tried in this order."""
+
+    FEW_RETURNS = 0
+    """The line has too few returns at its plane and behind it."""
+    NONE = 1
+    """Nowhere does what lies below recede from what lies above by the least recess."""
+    ABOVE_OFF_PLANE = 2
+    """What lies above the split does not stand on the plane."""
+    SHALLOW = 3
+    """What lies below the split is less behind the plane than the least recess."""
+    EXCEPTIONS = 4
+    """Too many returns below the split lie on the plane."""
+    HELD = 5
+
+
 @dataclass(frozen=True)
 class DoorLines:
     """The three conditions for each line that belongs to a wall plane, tried in order.
@@ -62,6 +78,12 @@ class DoorLines:
     depth_m: (D,) mean distance behind the plane below the start, at most 0.5 a return; NaN where condition 2 failed.
     state: (D,) uint8, see `DoorState`; has a meaning where all three conditions held.
     position: (D, 2) x and y on the plane where the line passes below the start.
+
+    What condition 2 measured; NaN where it failed earlier:
+    depression: (D,) uint8, see `Depression`.
+    recess_m: (D,) the largest step back, mean above less mean below, over all splits.
+    above_m, below_m: (D,) mean distance before the plane above and below the best split; negative is behind.
+    on_plane_share: (D,) share of the returns below the split that lie on the plane.
     """
 
     line: IntArray
@@ -73,6 +95,11 @@ class DoorLines:
     depth_m: FloatArray
     state: UInt8Array
     position: FloatArray
+    depression: UInt8Array
+    recess_m: FloatArray
+    above_m: FloatArray
+    below_m: FloatArray
+    on_plane_share: FloatArray
 
     @property
     def above_door(self) -> BoolArray:
@@ -90,6 +117,8 @@ class Openings:
     depth_m: (O,) median depth of what lies behind.
     state: (O,) uint8, see `DoorState`.
     line_count: (O,) how many lines showed it.
+    door_line_opening: (D,) the opening that each row of the `DoorLines` is part of, -1 where it is of none: its
+        conditions did not hold, or too few neighbours' did.
     """
 
     plane: IntArray
@@ -98,6 +127,7 @@ class Openings:
     depth_m: FloatArray
     state: UInt8Array
     line_count: IntArray
+    door_line_opening: IntArray
 
     def __len__(self) -> int:
         return len(self.plane)
@@ -120,7 +150,7 @@ def find_door_lines(
     """
     member = (planes.candidate_plane >= 0) & (upmost[planes.candidate_line] == planes.candidate_structure)
     line, plane = planes.candidate_line[member], planes.candidate_plane[member]
-    start, depth_m, position = _split_lines(
+    start, depth_m, position, depression, measured = _split_lines(
         points_level,
         height_m,
         lines.order,
@@ -149,6 +179,11 @@ def find_door_lines(
         depth_m=depth_m,
         state=np.where(depth_m > settings.open_depth_m, DoorState.OPEN, DoorState.CLOSED).astype(np.uint8),
         position=position,
+        depression=depression,
+        recess_m=measured[:, 0],
+        above_m=measured[:, 1],
+        below_m=measured[:, 2],
+        on_plane_share=measured[:, 3],
     )
 
 
@@ -162,10 +197,19 @@ def find_openings(door_lines: DoorLines, planes: WallPlanes, settings: DoorsSett
     plane, state = door_lines.plane[chosen], door_lines.state[chosen]
     breaks = np.flatnonzero((np.diff(plane) != 0) | (np.diff(state) != 0) | (np.diff(place_m) > settings.gap_m)) + 1
     groups = [g for g in np.split(np.arange(len(chosen)), breaks) if len(g) >= settings.lines_min]
+    door_line_opening = np.full(len(door_lines.line), -1, np.int32)
+    for opening, group in enumerate(groups):
+        door_line_opening[chosen[group]] = opening
     if not groups:
         none = np.zeros(0)
         return Openings(
-            none.astype(np.int32), np.zeros((0, 2, 2)), none, none, none.astype(np.uint8), none.astype(np.int32)
+            none.astype(np.int32),
+            np.zeros((0, 2, 2)),
+            none,
+            none,
+            none.astype(np.uint8),
+            none.astype(np.int32),
+            door_line_opening,
         )
     first = np.array([g[0] for g in groups])
     low_high = np.array([[place_m[g[0]], place_m[g[-1]]] for g in groups])
@@ -178,6 +222,7 @@ def find_openings(door_lines: DoorLines, planes: WallPlanes, settings: DoorsSett
         depth_m=np.array([np.median(door_lines.depth_m[chosen[g]]) for g in groups]),
         state=state[first],
         line_count=np.array([len(g) for g in groups], np.int32),
+        door_line_opening=door_line_opening,
     )
 
 
@@ -198,11 +243,13 @@ def _split_lines(
     before_m: float,
     exceptions_max: float,
     points_min: int,
-) -> tuple[IntArray, FloatArray, FloatArray]:  # pragma: no cover
+) -> tuple[IntArray, FloatArray, FloatArray, UInt8Array, FloatArray]:  # pragma: no cover
     count = len(line)
     start = np.full(count, -1, np.int32)
     depth = np.full(count, np.nan)
     position = np.full((count, 2), np.nan)
+    depression = np.zeros(count, np.uint8)
+    measured = np.full((count, 4), np.nan)  # recess, above, below, share on the plane
     for d in range(count):
         nx, ny, off = normal[plane[d], 0], normal[plane[d], 1], offset[plane[d]]
         first, last = starts[line[d]], starts[line[d] + 1]
@@ -221,6 +268,7 @@ def _split_lines(
                 weight += 1.0
         if weight < points_min + 3:
             continue
+        depression[d] = 1
         best, best_j = 0.0, -1
         above_sum, above_n = 0.0, 0.0
         for j in range(top, first, -1):
@@ -236,6 +284,7 @@ def _split_lines(
             if height[order[top]] - height[i] < lintel_min_m:
                 continue
             gap = above_sum / above_n - (total - above_sum) / below_n
+            measured[d, 0] = gap if np.isnan(measured[d, 0]) else max(gap, measured[d, 0])
             score = gap * gap * above_n * below_n / weight
             if gap > recess_min_m and score > best:
                 best, best_j = score, j
@@ -262,11 +311,18 @@ def _split_lines(
             x += origin[0] + t * (points[i, 0] - origin[0])
             y += origin[1] + t * (points[i, 1] - origin[1])
             crossings += 1.0
-        if abs(above / above_n) > 0.5 * recess_min_m + 0.01 or below / below_n > -recess_min_m:
+        measured[d, 1], measured[d, 2], measured[d, 3] = above / above_n, below / below_n, on_plane / below_n
+        if abs(above / above_n) > 0.5 * recess_min_m + 0.01:
+            depression[d] = 2
+            continue
+        if below / below_n > -recess_min_m:
+            depression[d] = 3
             continue
         if on_plane > exceptions_max * below_n:
+            depression[d] = 4
             continue
+        depression[d] = 5
         start[d] = order[best_j]
         depth[d] = -below / below_n
         position[d, 0], position[d, 1] = x / crossings, y / crossings
-    return start, depth, position
+    return start, depth, position, depression, measured

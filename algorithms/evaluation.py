@@ -290,15 +290,7 @@ class DoorFigures:
 def compare_doors(true: TrueDoors, door_returns: IntArray, found: FoundDoors) -> DoorFigures:
     """Match detections to true doors one to one, nearest sill midpoints first, and count."""
     passed = np.asarray(door_returns) >= DOOR_RETURNS
-    match = np.full(len(true), -1)
-    if len(true) and len(found):
-        distance = np.linalg.norm(true.ends.mean(axis=1)[:, None] - found.ends.mean(axis=1), axis=2)
-        cosine = np.abs(np.sum(_direction(true.ends)[:, None] * _direction(found.ends), axis=2))
-        possible = (distance <= MATCH_MIDPOINT_M) & (cosine >= np.cos(np.radians(MATCH_DIRECTION_DEG)))
-        taken = np.zeros(len(found), bool)
-        for t, f in _nearest_first(distance, possible):
-            if match[t] < 0 and not taken[f]:
-                match[t], taken[f] = f, True
+    match = match_doors(true.ends, found.ends)
     both = passed & (match >= 0)
     true_width = np.linalg.norm(true.ends[:, 1] - true.ends[:, 0], axis=1)
     return DoorFigures(
@@ -308,6 +300,23 @@ def compare_doors(true: TrueDoors, door_returns: IntArray, found: FoundDoors) ->
         width_error_m=found.width_m[match[both]] - true_width[both],
         state_right=found.state[match[both]] == true.state[both],
     )
+
+
+def match_doors(ends: FloatArray, others: FloatArray) -> IntArray:
+    """(n,) the one of the others that each door is, -1 for none: one to one, nearest midpoints of the sills first.
+
+    ends, others: (n, 2, 2), (m, 2, 2) sills. Midpoints within 0.3 m, directions within 15°.
+    """
+    match = np.full(len(ends), -1)
+    if len(ends) and len(others):
+        distance = np.linalg.norm(ends.mean(axis=1)[:, None] - others.mean(axis=1), axis=2)
+        cosine = np.abs(np.sum(_direction(ends)[:, None] * _direction(others), axis=2))
+        possible = (distance <= MATCH_MIDPOINT_M) & (cosine >= np.cos(np.radians(MATCH_DIRECTION_DEG)))
+        taken = np.zeros(len(others), bool)
+        for i, j in _nearest_first(distance, possible):
+            if match[i] < 0 and not taken[j]:
+                match[i], taken[j] = j, True
+    return match
 
 
 @dataclass(frozen=True)

@@ -68,6 +68,7 @@ class ScanLabelling:
     plane: (n,) int16, the wall plane that a wall or door return lies on, -1 for others.
     height_m: (n,) float32, above the floor.
     floor: the floor below the robot; ceilings: the planes found above, largest first, none where no ceiling is in view.
+    settings: what it was made with.
     """
 
     label: UInt8Array
@@ -80,6 +81,7 @@ class ScanLabelling:
     planes: WallPlanes
     door_lines: DoorLines
     openings: Openings
+    settings: MethodSettings
 
     @property
     def ceiling_planes(self) -> FloatArray:
@@ -146,7 +148,9 @@ def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: i
         settings.labelling.edge_m,
     )
     _label_leaves(points, height_m, label, plane, planes, openings, settings)
-    return ScanLabelling(label, plane, height_m, floor, ceilings, lines, structures, planes, door_lines, openings)
+    return ScanLabelling(
+        label, plane, height_m, floor, ceilings, lines, structures, planes, door_lines, openings, settings
+    )
 
 
 def _lines_with(label: UInt8Array, wanted: Label, order: IntArray, starts: IntArray) -> BoolArray:

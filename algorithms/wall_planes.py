@@ -67,6 +67,39 @@ class Growth(IntEnum):
     """It does not reach the ceiling and was left out."""
 
 
+class Reach(IntEnum):
+    """Whether a candidate is as high as a wall, and by what."""
+
+    LOW = 0
+    """It ends too far below the ceiling, or too low where none is in view: it is refused."""
+    CEILING = 1
+    """It ends close to a ceiling."""
+    ABOVE_CEILINGS = 2
+    """It ends above the highest ceiling in view: another is there."""
+    HEIGHT = 3
+    """No ceiling is in view, and it is high enough."""
+    TURNS_BACK = 4
+    """Its line has no return of a ceiling: it may turn back below it."""
+
+
+class Membership(IntEnum):
+    """Whether a candidate is in a wall plane in the end, and why it is not."""
+
+    IN_PLANE = 0
+    REFUSED = 1
+    """It does not reach the ceiling."""
+    ALONE = 2
+    """No plane of enough lines is similar and near."""
+    FEW_LINES = 3
+    """Its plane has too few lines left once each candidate went to the nearest one."""
+    SHORT = 4
+    """Its plane is too short."""
+    ROUGH = 5
+    """Its plane's samples lie too far from it."""
+    DUCT = 6
+    """Its plane ends high above the floor in all of its lines."""
+
+
 @dataclass(frozen=True)
 class WallPlanes:
     """The wall planes of one scan, all upright: normal · (x, y) = offset_m, in the level frame.
@@ -85,6 +118,17 @@ class WallPlanes:
     candidate_growth: (C,) uint8, see `Growth`.
     candidate_plane: (C,) index of the plane that holds it in the end, -1 where none does.
     candidate_distance_m: (C,) Θ, its distance to the plane that it was compared with; NaN where there was none.
+    candidate_reach: (C,) uint8, see `Reach`.
+    candidate_below_ceiling_m: (C,) how far it ends below the ceiling that is nearest to its end in height, negative
+        above; NaN where no ceiling is in view.
+    candidate_gap_m: (C,) horizontal distance to the candidate before it in the plane that it was compared with; NaN
+        where there was none.
+    candidate_gap_max_m: (C,) the largest such distance that would do.
+    candidate_grown: (C,) number of the plane that Algorithm 1 grew it into, before planes in line were joined and small
+        ones dropped; -1 where it was refused.
+    candidate_nearest_m: (C,) Θ to the nearest plane within reach when each candidate went to the nearest; NaN where
+        none was.
+    candidate_membership: (C,) uint8, see `Membership`.
     """
 
     normal: FloatArray
@@ -101,6 +145,13 @@ class WallPlanes:
     candidate_growth: UInt8Array
     candidate_plane: IntArray
     candidate_distance_m: FloatArray
+    candidate_reach: UInt8Array
+    candidate_below_ceiling_m: FloatArray
+    candidate_gap_m: FloatArray
+    candidate_gap_max_m: FloatArray
+    candidate_grown: IntArray
+    candidate_nearest_m: FloatArray
+    candidate_membership: UInt8Array
 
     def __len__(self) -> int:
         return len(self.normal)
@@ -127,20 +178,22 @@ def grow_wall_planes(
     meets_ceiling: (L,) whether each line has returns of a ceiling.
     """
     is_upmost = structures.upmost[structures.line] == np.arange(len(structures.line))
-    reaches = _reaches_ceiling(
+    reach, below_ceiling_m = _reach_of(
         points_level[samples[structures.line, structures.last]], structures.top_m, ceilings, floor, settings
     )
     # Through an opening a line shows the wall of the next room below the lintel: what ends at a ceiling is a candidate
     # too, though it is not the up-most.
-    candidates = np.flatnonzero(is_upmost | (reaches & (len(ceilings) > 0)))
+    candidates = np.flatnonzero(is_upmost | ((reach != Reach.LOW) & (len(ceilings) > 0)))
     # Algorithm 1 walks along the wall: emitter by emitter on one side, then on the other; up-most structures first.
     line, upmost = structures.line[candidates], is_upmost[candidates]
     walk = np.lexsort((line, line % 2, ~upmost))
     candidates, line = candidates[walk], line[walk]
     # A line that sweeps a wall ahead in a circle may turn back below the ceiling: it has no return of it at all.
-    reaches = reaches[candidates] | (
+    turns_back = (
         ~meets_ceiling[line] & is_upmost[candidates] & (structures.top_m[candidates] > 0.5 * settings.height_min_m)
     )
+    reach = np.where((reach[candidates] == Reach.LOW) & turns_back, Reach.TURNS_BACK, reach[candidates]).astype(np.uint8)
+    reaches = reach != Reach.LOW
     moments, lowest_sample = _candidate_moments(
         points_level,
         height_m,
@@ -151,20 +204,22 @@ def grow_wall_planes(
         settings.upper_part_m,
     )
     range_m = np.hypot(moments[:, 1] / moments[:, 0] - origin_level[0], moments[:, 2] / moments[:, 0] - origin_level[1])
-    gap_m = settings.gap_m + settings.gap_per_range * range_m
+    gap_max_m = settings.gap_m + settings.gap_per_range * range_m
     walk_part = line % 2 + 2 * ~is_upmost[candidates]
-    plane, growth, distance_m = _grow(moments, walk_part, reaches, gap_m, settings.similarity_m)
-    plane = _settle(
-        plane,
+    grown, growth, distance_m, gap_m = _grow(moments, walk_part, reaches, gap_max_m, settings.similarity_m)
+    plane, nearest_m, membership = _settle(
+        grown,
         moments,
         reaches,
-        gap_m,
+        gap_max_m,
         settings.similarity_m,
         settings.merge_gap_m,
         settings.lines_min,
         settings.length_min_m,
     )
-    plane = _without_ducts(plane, structures.bottom_m[candidates], settings.bottom_max_m)
+    settled = plane
+    plane = _without_ducts(settled, structures.bottom_m[candidates], settings.bottom_max_m)
+    membership[(settled >= 0) & (plane < 0)] = Membership.DUCT
     count = int(plane.max(initial=-1)) + 1
     total = np.zeros((count, 6))
     np.add.at(total, plane[plane >= 0], moments[plane >= 0])
@@ -185,26 +240,35 @@ def grow_wall_planes(
         candidate_growth=growth,
         candidate_plane=plane,
         candidate_distance_m=distance_m,
+        candidate_reach=reach,
+        candidate_below_ceiling_m=below_ceiling_m[candidates],
+        candidate_gap_m=gap_m,
+        candidate_gap_max_m=gap_max_m,
+        candidate_grown=grown,
+        candidate_nearest_m=nearest_m,
+        candidate_membership=membership,
     )
 
 
-def _reaches_ceiling(
+def _reach_of(
     top_level: FloatArray,
     top_m: FloatArray,
     ceilings: tuple[HorizontalPlane, ...],
     floor: HorizontalPlane,
     settings: WallPlanesSettings,
-) -> BoolArray:
-    """Whether each candidate ends close below some ceiling in view."""
+) -> tuple[UInt8Array, FloatArray]:
+    """`Reach` of each structure but for lines that turn back, and how far it ends below the nearest ceiling."""
     if not ceilings:
-        return np.asarray(top_m >= settings.height_min_m)
-    reaches = np.zeros(len(top_m), bool)
-    for ceiling in ceilings:
-        below_m = ceiling.height_at(top_level) - top_level[:, 2]
-        reaches |= np.abs(below_m) < settings.reach_m
+        reach = np.where(top_m >= settings.height_min_m, Reach.HEIGHT, Reach.LOW)
+        return reach.astype(np.uint8), np.full(len(top_m), np.nan)
+    below_m = np.array([ceiling.height_at(top_level) - top_level[:, 2] for ceiling in ceilings])
+    nearest_m = below_m[np.abs(below_m).argmin(axis=0), np.arange(len(top_m))]
     # Above the highest ceiling in view may be another that is not.
     highest_m = np.max([c.height_at(top_level) - floor.height_at(top_level) for c in ceilings], axis=0)
-    return np.asarray(reaches | (top_m > highest_m))
+    reach = np.select(
+        [np.abs(nearest_m) < settings.reach_m, top_m > highest_m], [Reach.CEILING, Reach.ABOVE_CEILINGS], Reach.LOW
+    )
+    return reach.astype(np.uint8), nearest_m
 
 
 def _without_ducts(plane: IntArray, bottom_m: FloatArray, bottom_max_m: float) -> IntArray:
@@ -318,12 +382,13 @@ def _theta(m: FloatArray, nx: float, ny: float, offset: float) -> float:  # prag
 
 @numba.njit(cache=True, nogil=True)
 def _grow(
-    moments: FloatArray, side: IntArray, reaches: BoolArray, gap_m: FloatArray, similarity_m: float
-) -> tuple[IntArray, UInt8Array, FloatArray]:  # pragma: no cover
+    moments: FloatArray, side: IntArray, reaches: BoolArray, gap_max_m: FloatArray, similarity_m: float
+) -> tuple[IntArray, UInt8Array, FloatArray, FloatArray]:  # pragma: no cover
     count = len(moments)
     plane = np.full(count, -1, np.int32)
     growth = np.full(count, 3, np.uint8)
     distance = np.full(count, np.nan)
+    gap = np.full(count, np.nan)
     current = np.zeros(6)
     lines, number, last = 0, -1, -1
     for c in range(count):
@@ -340,7 +405,8 @@ def _grow(
             else:
                 nx, ny, offset, _, _ = fit_upright_plane(current)
                 distance[c] = _theta(moments[c], nx, ny, offset)
-            joined = distance[c] < similarity_m and np.hypot(dx, dy) < gap_m[c]
+            gap[c] = np.hypot(dx, dy)
+            joined = distance[c] < similarity_m and gap[c] < gap_max_m[c]
         if joined:
             growth[c] = 1
             current += moments[c]
@@ -352,7 +418,7 @@ def _grow(
             number += 1
         plane[c] = number
         last = c
-    return plane, growth, distance
+    return plane, growth, distance, gap
 
 
 @numba.njit(cache=True, nogil=True)
@@ -379,9 +445,14 @@ def _settle(
     merge_gap_m: float,
     lines_min: int,
     length_min_m: float,
-) -> IntArray:  # pragma: no cover
-    """Join planes in line, give every candidate to the nearest plane, drop what is too small, number them anew."""
+) -> tuple[IntArray, FloatArray, UInt8Array]:  # pragma: no cover
+    """Join planes in line, give every candidate to the nearest plane, drop what is too small, number them anew.
+
+    Returns each candidate's plane, its distance to the nearest plane within reach and its `Membership`.
+    """
     count = len(plane)
+    distance = np.full(count, np.nan)
+    membership = np.full(count, 1, np.uint8)
     plane = plane.copy()
     planes = 0
     for c in range(count):
@@ -438,7 +509,7 @@ def _settle(
         for c in range(count):
             if not reaches[c]:
                 continue
-            best, nearest = -1, similarity_m
+            best, nearest, closest = -1, similarity_m, np.inf
             for i in range(planes):
                 if lines[i] < lines_min:
                     continue
@@ -446,9 +517,11 @@ def _settle(
                 if u < fits[i, 3] - gap_m[c] or u > fits[i, 4] + gap_m[c]:
                     continue
                 theta = _theta(moments[c], fits[i, 0], fits[i, 1], fits[i, 2])
+                closest = min(closest, theta)
                 if theta < nearest:
                     best, nearest = i, theta
             plane[c] = best
+            distance[c] = closest if closest < np.inf else np.nan
         total[:] = 0.0
         lines[:] = 0
         for c in range(count):
@@ -457,20 +530,26 @@ def _settle(
                 lines[plane[c]] += 1
 
     renumber = np.full(planes, -1, np.int32)
+    verdict = np.zeros(planes, np.uint8)
     kept = 0
     for i in range(planes):
         if lines[i] < lines_min:
+            verdict[i] = 3
             continue
         nx, ny, offset, rms, _ = fit_upright_plane(total[i])
         low, high = _span(moments, plane == i, nx, ny)
         if high - low < length_min_m or rms > similarity_m:
+            verdict[i] = 4 if high - low < length_min_m else 5
             continue
         renumber[i] = kept
         kept += 1
     for c in range(count):
         if plane[c] >= 0:
+            membership[c] = verdict[plane[c]]
             plane[c] = renumber[plane[c]]
-    return plane
+        elif reaches[c]:
+            membership[c] = 2
+    return plane, distance, membership
 
 
 @numba.njit(cache=True, nogil=True)

@@ -1,4 +1,4 @@
-"""The command line: ffmap run, info, simulate, evaluate, settings, bench, demo."""
+"""The command line: ffmap run, info, simulate, evaluate, inspect, compare, settings, bench, demo."""
 
 import errno
 import os
@@ -206,6 +206,64 @@ def evaluate(
     from app import evaluate as evaluation
 
     evaluation.print_metrics(evaluation.evaluate_run(run_folder, truth, os.cpu_count() or 1))
+
+
+@app.command()
+def inspect(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.", show_default=False)],
+    scan: Annotated[
+        str, typer.Option(help="The scan's number, or 'worst': the largest error, or the most changed labels.")
+    ],
+    line: Annotated[
+        int | None, typer.Option(help="A point line, 2 × emitter + side: open there, and print its reasons.")
+    ] = None,
+    bag: Annotated[Path | None, typer.Option(help="Where the run's bag lies now, if it was moved.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Recording.  [default: RUN/inspect-SCAN.rrd]")] = None,
+    spawn: Annotated[bool, typer.Option("--spawn", help="Open it in the Rerun viewer.")] = False,
+) -> None:
+    """One scan, line by line: what was measured, what each line became, and in words why.
+
+    The scan is labelled again from its bag exactly as the run did, and checked against the run's own labels.
+
+    Examples:
+
+        ffmap inspect runs/latest --scan worst
+
+        ffmap inspect runs/a --scan 120 --line 37 --spawn
+    """
+    from app import inspect_command
+
+    inspect_command.inspect(run_folder, scan, line, bag, out, spawn)
+
+
+@app.command()
+def compare(
+    run_folders: Annotated[list[Path], typer.Argument(metavar="RUN", help="Run folders.", show_default=False)],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", "-o", help="Folder for comparison.rrd and comparison.json, or the recording's name (.rrd).  "
+            "[default: comparison-RUN-RUN]"
+        ),
+    ] = None,
+    scans: Annotated[bool, typer.Option(help="With single scans side by side; without, the file is small.")] = True,
+    spawn: Annotated[bool, typer.Option("--spawn", help="Open it in the Rerun viewer.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """What differs between runs, and where: labels point by point, poses, walls, doors, map, settings, figures.
+
+    The first run is the one that the others are compared with. Whatever the runs have is compared; what cannot be is
+    said, as for runs of different bags, or runs that were aborted.
+
+    Examples:
+
+        ffmap compare runs/a runs/b
+
+        ffmap compare runs/a runs/b runs/c -o comparisons/walls --spawn
+    """
+    from app import compare_command
+
+    compare_command.compare(run_folders, out, scans, spawn, quiet)
 
 
 @app.command()

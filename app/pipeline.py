@@ -39,9 +39,8 @@ from algorithms.building import (
 from algorithms.features import Features, concatenate, select_planes
 from algorithms.grid_map import GridMap, draw_furniture_free
 from algorithms.labels import Label
-from algorithms.levelling import level_map
 from algorithms.odometry import Registration, weakness
-from algorithms.scan import FloatArray, IntArray, Scan
+from algorithms.scan import FloatArray, IntArray
 from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes, find_halo, fuse, majority
 from algorithms.standing_walls import (
     JudgedFaces,
@@ -51,7 +50,7 @@ from algorithms.standing_walls import (
     join_corners,
     judge_faces,
 )
-from algorithms.trajectory import Trajectory, place_scan
+from algorithms.trajectory import Trajectory
 from app import results
 from app.blocks import (
     FINAL_EVIDENCE,
@@ -66,12 +65,12 @@ from app.blocks import (
     load_labels,
     load_summary,
     load_votes,
-    points_in_map,
     save_halo,
     split_blocks,
 )
 from app.inputs import Inputs
 from app.odometry_stage import registrations
+from app.poses import level_by_first_scans
 from app.processes import process_context
 from app.progress import Progress
 from app.recorder import Detail, Recorder
@@ -83,11 +82,8 @@ from blueprints import entities
 from blueprints import run as run_blueprint
 from loaders.bag import open_bag
 from loaders.errors import InputError
-from loaders.scans import read_scans
 from loaders.trajectory_file import write_tum
 
-_LEVEL_SCANS = 12
-_LEVEL_POINTS = 4_000
 _REGISTRATIONS_AT_ONCE = 50
 _STRICT_NEAR_M = 0.07
 
@@ -380,21 +376,7 @@ class _ScanStage:
 
     def _level(self, odometry: Trajectory) -> FloatArray:
         """T_map_odom, from what the first sweeps saw of the floor."""
-        sensor = self._inputs.vertical or self._inputs.horizontal
-        assert sensor is not None
-        points: list[FloatArray] = []
-        with open_bag(self._inputs.bag_path) as bag:
-            for _, scan in read_scans(bag, sensor.index, 0, len(sensor.index), sensor.lidar.decoding):
-                if not isinstance(scan, Scan) or scan.start_ns < odometry.stamp_ns[0] - 200_000_000:
-                    continue
-                if scan.end_ns > odometry.stamp_ns[-1] + 200_000_000 or len(points) == _LEVEL_SCANS:
-                    break
-                placed = place_scan(scan, odometry, sensor.lidar.T_base_sensor)
-                stride = max(1, len(scan) // _LEVEL_POINTS)
-                points.append(points_in_map(placed)[::stride])
-        level = level_map(
-            np.concatenate(points) if points else np.zeros((0, 3)), odometry.T_map_base[0], self._settings.seed
-        )
+        level = level_by_first_scans(self._inputs, odometry, self._settings.seed)
         if not np.isfinite(level.floor_rms_m):
             self._warn("no floor was found in the first seconds: the map keeps the base's own level; is the rig right?")
         self._floor_slope = level.floor_slope

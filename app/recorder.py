@@ -21,8 +21,9 @@ from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.standing_walls import JudgedFaces
 from algorithms.trajectory import PlacedScan
 from app.building_reasons import explain_building
+from app.reasons import candidate_reasons, door_reasons, line_outcomes
 from blueprints import entities
-from blueprints.entities import CurveSheet, LineOutcome
+from blueprints.entities import CurveSheet
 
 GRID_M = 1.0 / 512.0
 """Positions are rounded to so many metres, a sensor's resolution: the file halves."""
@@ -79,9 +80,11 @@ class Recorder:
     Workers log scans into blocks; the run's own process forwards these blocks and logs all else.
     """
 
-    def __init__(self, stream: rr.RecordingStream, detail: Detail = Detail.LINES) -> None:
+    def __init__(self, stream: rr.RecordingStream, detail: Detail = Detail.LINES, timeless: bool = False) -> None:
+        """timeless: what is logged of a scan holds throughout, as in a recording of one scan alone."""
         self._stream = stream
         self._detail = detail
+        self._timeless = timeless
         self._metrics: list[tuple[int, int, dict[str, float]]] = []
 
     # --- once a run ---
@@ -96,7 +99,7 @@ class Recorder:
         """What holds throughout: classes, styles, frames, sensors, the sheet of the curves, the explanation.
 
         sensors: T_base_sensor (4, 4) by role. ring_count, slope_max: emitters of the vertical lidar and the threshold
-        of eq. 2; None where nothing is labelled.
+        of eq. 2; None where nothing is labelled. With 0 emitters the sheet of the curves has the large one alone.
         """
         self._static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, _annotations(entities.CLASSES))
         self._static(entities.LINES, _annotations(entities.LINE_OUTCOMES))
@@ -109,6 +112,9 @@ class Recorder:
             self._static(path, rr.Points3D.from_fields(radii=rr.Radius.ui_points(radius_ui), colors=color))
         for path, radius_ui, color in _LINE_STYLES:
             self._static(path, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(radius_ui), colors=color))
+        # Their labels are whole sentences: they show where the pointer rests.
+        self._static(entities.UPMOST, rr.LineStrips3D.from_fields(show_labels=False))
+        self._static(entities.DOOR_CONDITIONS, rr.Points3D.from_fields(show_labels=False))
         for label in Label:
             name, color = entities.CLASSES[label]
             self._static(f"{entities.LABEL_COUNTS}/{name}", rr.SeriesLines(colors=color, names=name, widths=1.5))
@@ -216,7 +222,8 @@ class Recorder:
         self, index: int, placed: PlacedScan, labelling: ScanLabelling, stamp_ns: int, timings_ms: Mapping[str, float]
     ) -> None:
         """One labelled scan with its evidence, as much as the detail asks for."""
-        self._at(stamp_ns, index)
+        if not self._timeless:
+            self._at(stamp_ns, index)
         self._log(entities.BASE, _transform(placed.T_map_base))
         self._log(entities.SCAN, _transform(placed.T_map_level))
         if self._detail is not Detail.MAP:
@@ -230,6 +237,8 @@ class Recorder:
                 self._log_candidates(positions, labelling)
                 self._log_door_lines(labelling)
                 self._log_curves(labelling)
+                if not self._timeless:
+                    self.log_line(placed.points_level, labelling, _example_line(labelling))
         self._metrics.append((index, stamp_ns, _scan_metrics(labelling, timings_ms)))
 
     def log_scan_metrics(self) -> None:
@@ -352,7 +361,7 @@ class Recorder:
     def _log_lines(self, positions: FloatArray, labelling: ScanLabelling) -> None:
         samples = labelling.lines.samples
         present = np.flatnonzero(samples[:, 0] >= 0).astype(np.int32)
-        outcome = _line_outcomes(labelling)
+        outcome = np.array(line_outcomes(labelling), np.uint8)
         strips, owner = _unbroken(positions[samples[present]])
         line = present[owner]
         self._log(
@@ -360,13 +369,10 @@ class Recorder:
             rr.LineStrips3D(strips, class_ids=outcome[line]),
             evidence({"line": line, "outcome": outcome[line]}),
         )
-        example = present[present == _example_line(labelling)]
-        strips, _ = _unbroken(positions[samples[example]])
-        self._log(entities.EXAMPLE_LINE, rr.LineStrips3D(strips))
 
     def _log_candidates(self, positions: FloatArray, labelling: ScanLabelling) -> None:
         structures, planes = labelling.structures, labelling.planes
-        # The up-most structures in the order in which Algorithm 1 met them, the bottom-most line by line.
+        # The wall candidates in the order in which Algorithm 1 met them, the bottom-most line by line.
         plane_colors = np.array([_plane_color(plane) for plane in planes.candidate_plane], np.uint32).reshape(-1, 3)
         growth = {
             "growth": planes.candidate_growth,
@@ -375,14 +381,14 @@ class Recorder:
             entities.CANDIDATE_PLANE_COLOR: plane_colors @ np.array([1 << 24, 1 << 16, 1 << 8], np.uint32)
             + np.uint32(255),
         }
-        for path, chosen, more in (
-            (entities.UPMOST, structures.upmost[planes.candidate_line], growth),
-            (entities.BOTTOMMOST, structures.bottommost[structures.bottommost >= 0], {}),
+        for path, chosen, more, reasons in (
+            (entities.UPMOST, planes.candidate_structure, growth, candidate_reasons(labelling)),
+            (entities.BOTTOMMOST, structures.bottommost[structures.bottommost >= 0], {}, None),
         ):
             line, first, last = structures.line[chosen], structures.first[chosen], structures.last[chosen]
             self._log(
                 path,
-                rr.LineStrips3D(_spans(positions, labelling.lines.samples, line, first, last)),
+                rr.LineStrips3D(_spans(positions, labelling.lines.samples, line, first, last), labels=reasons),
                 evidence({"line": line, "first": first, "last": last} | more),
             )
 
@@ -394,7 +400,9 @@ class Recorder:
         held = 1 + doors.behind.astype(np.uint8) + above
         self._log(
             entities.DOOR_CONDITIONS,
-            rr.Points3D(_round(np.column_stack([doors.position, top_m])), class_ids=held),
+            rr.Points3D(
+                _round(np.column_stack([doors.position, top_m])), class_ids=held, labels=door_reasons(labelling)
+            ),
             evidence(
                 {
                     "line": doors.line,
@@ -455,12 +463,12 @@ class Recorder:
             "up-most structure green, bottom-most orange",
             f"All lines of side 1, emitters 0 to {sheet.ring_count - 1}",
         ]
-        tops = [0.0, sheet.side_top(0), sheet.side_top(1)]
+        tops = [0.0, sheet.side_top(0), sheet.side_top(1)] if sheet.ring_count else [0.0]
         self._static(
             entities.CURVE_TEXTS,
             rr.Points2D(
                 [(sheet.WIDTH / 2, top - sheet.TITLE_HEIGHT) for top in tops],
-                labels=titles,
+                labels=titles[: len(tops)],
                 show_labels=True,
                 colors=entities.TEXT_COLOR,
                 radii=0.0,
@@ -518,13 +526,13 @@ class Recorder:
             bars[:, 1, 0] = cells[line, 0] + structures.last[own]
             bars[..., 1] = cells[line, 1:] + offset
             self._log(path, rr.LineStrips2D(bars))
-        self._log_example(labelling, sheet)
 
-    def _log_example(self, labelling: ScanLabelling, sheet: CurveSheet) -> None:
-        """Fig. 5b: the curve of one line, large."""
-        structures = labelling.structures
-        line = _example_line(labelling)
+    def log_line(self, points_level: FloatArray, labelling: ScanLabelling, line: int) -> None:
+        """One line drawn large, in space and with its curve as in Fig. 5b, at the time that is set."""
+        structures, sheet = labelling.structures, CurveSheet(len(labelling.lines) // 2)
         present = labelling.lines.samples[line, 0] >= 0
+        strips, _ = _unbroken(_round(points_level[labelling.lines.samples[[line] if present else []]]))
+        self._stream.log(entities.EXAMPLE_LINE, rr.LineStrips3D(strips))
         middle, scale = sheet.EXAMPLE_HEIGHT / 2, sheet.EXAMPLE_HEIGHT / 2 / sheet.LIMIT
         step = sheet.WIDTH / (sheet.SAMPLES - 1)
         x = np.arange(sheet.SAMPLES) * step
@@ -533,7 +541,7 @@ class Recorder:
             (entities.CURVE_EXAMPLE_SLOPE, structures.slope),
         ):
             y = middle - scale * _clamped(values[line], sheet.LIMIT)
-            self._log(path, rr.LineStrips2D(np.stack([x, y], axis=1, dtype=np.float32)[None] if present else []))
+            self._stream.log(path, rr.LineStrips2D(np.stack([x, y], axis=1, dtype=np.float32)[None] if present else []))
         own = np.flatnonzero(structures.line == line)
         boxes = np.zeros((len(own), 4), np.float32)
         boxes[:, 0] = structures.first[own] * step
@@ -543,7 +551,7 @@ class Recorder:
         colors = np.full((len(own), 3), entities.FRAME_COLOR, np.uint8)
         colors[own == bottommost] = entities.BOTTOMMOST_COLOR
         colors[own == upmost] = entities.UPMOST_COLOR
-        self._log(
+        self._stream.log(
             entities.CURVE_EXAMPLE_STRUCTURES,
             rr.Boxes2D(array=boxes, array_format=rr.Box2DFormat.XYWH, colors=colors),
             evidence({"line": np.array([line]), "first": structures.first[own], "last": structures.last[own]}),
@@ -551,7 +559,7 @@ class Recorder:
         named = [(upmost, "up-most: wall candidate", entities.UPMOST_COLOR)] if upmost >= 0 else []
         if bottommost != upmost:
             named.append((bottommost, "bottom-most", entities.BOTTOMMOST_COLOR))
-        self._log(
+        self._stream.log(
             entities.CURVE_EXAMPLE_TEXTS,
             rr.Points2D(
                 [
@@ -688,7 +696,7 @@ class Recorder:
         set_time(self._stream, stamp_ns, index)
 
     def _log(self, path: str, *values: rr.AsComponents) -> None:
-        self._stream.log(path, *values)
+        self._stream.log(path, *values, static=self._timeless)
 
     def _columns(self, path: str, stamp_ns: IntArray, columns: rr.ComponentColumnList) -> None:
         """One row at each stamp."""
@@ -782,15 +790,6 @@ def _clamped(values: FloatArray, limit: float) -> FloatArray:
 
 def _plane_color(plane: int) -> entities.Color:
     return entities.PLANE_COLORS[plane % len(entities.PLANE_COLORS)] if plane >= 0 else entities.REFUSED_COLOR
-
-
-def _line_outcomes(labelling: ScanLabelling) -> UInt8Array:
-    """(L,) `LineOutcome` of each line."""
-    planes, doors = labelling.planes, labelling.door_lines
-    outcome = np.full(len(labelling.lines), LineOutcome.NO_STRUCTURE, np.uint8)
-    outcome[planes.candidate_line] = np.where(planes.candidate_plane >= 0, LineOutcome.WALL, LineOutcome.REFUSED)
-    outcome[doors.line[doors.above_door]] = LineOutcome.DOOR
-    return outcome
 
 
 def _example_line(labelling: ScanLabelling) -> int:

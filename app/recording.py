@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -21,11 +22,14 @@ import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from blueprints import entities
+from loaders.errors import InputError
 
 _STREAM_HEADER = struct.Struct("<4s8x")
 _MESSAGE_HEADER = struct.Struct("<QQ")
 _MAGIC = b"RRF2"
 _END = 0
+_FOOTER_BYTES = 32
+"""What follows the end message's own content: where that lies, and how the stream ends."""
 _OWN = "own"
 _RERUN = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
 """As the `rerun` command does; `python -m rerun_cli` always ends with 0."""
@@ -197,6 +201,41 @@ def _content_end(part: Path) -> int | None:
             count += 1
 
 
+@dataclass(frozen=True)
+class WholeMessages:
+    """How far a recording can be read.
+
+    position: where its last whole message ends. complete: whether nothing follows but a whole footer, if there is one.
+    """
+
+    position: int
+    complete: bool
+    has_footer: bool
+
+
+def whole_messages(path: Path) -> WholeMessages:
+    """How far a recording can be read whose writer may have been killed, or which was cut later.
+
+    Raises InputError where it is no recording, or has no whole message.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as source:
+        header = source.read(_STREAM_HEADER.size)
+        if len(header) < _STREAM_HEADER.size or _STREAM_HEADER.unpack(header)[0] != _MAGIC:
+            raise InputError(f"{path}: is no recording of Rerun's; run ffmap again")
+        at = source.tell()
+        while True:
+            message = source.read(_MESSAGE_HEADER.size)
+            kind, length = _MESSAGE_HEADER.unpack(message) if len(message) == _MESSAGE_HEADER.size else (_END, None)
+            has_footer = kind == _END and length is not None and source.tell() + length + _FOOTER_BYTES == size
+            if kind == _END or source.tell() + length > size:
+                break
+            at = source.seek(length, io.SEEK_CUR)
+    if at == _STREAM_HEADER.size:
+        raise InputError(f"{path}: was cut before its first message; run ffmap again")
+    return WholeMessages(at, has_footer or at == size, has_footer)
+
+
 def join(parts: Sequence[Path], out: Path) -> None:
     """One recording with one footer from all parts, none of them decompressed."""
     command = [sys.executable, "-c", _RERUN, "rrd", "route", "-o", str(out.resolve())]
@@ -209,8 +248,10 @@ def join(parts: Sequence[Path], out: Path) -> None:
         raise OSError(f"{out}: the recording's parts could not be joined: {done.stderr.strip()}")
 
 
-def start_viewer(port: int | None = None, timeout_s: float = 20.0) -> str:
+def start_viewer(port: int | None = None, timeout_s: float = 20.0, files: Sequence[Path] = ()) -> str:
     """Start a viewer that listens on the loopback address only, and return the URL to connect to.
+
+    files: recordings that it opens.
 
     `rr.spawn` listens on every interface and has no option for it. Raises RuntimeError if the viewer does not start.
     """
@@ -219,6 +260,7 @@ def start_viewer(port: int | None = None, timeout_s: float = 20.0) -> str:
             probe.bind(("127.0.0.1", 0))
             port = int(probe.getsockname()[1])
     command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", "--port", str(port), "--hide-welcome-screen"]
+    command += [str(file.resolve()) for file in files]
     viewer = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
     end = time.monotonic() + timeout_s
     while time.monotonic() < end and viewer.poll() is None:

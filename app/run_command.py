@@ -6,18 +6,16 @@ from typing import Any, get_args
 
 import typer
 
-from algorithms.trajectory import Trajectory
 from app import pipeline, run_folder
 from app.inputs import InputOptions, Inputs, find_inputs
+from app.poses import given_trajectory
 from app.progress import Progress
 from app.recorder import Detail
 from app.recording import check_viewer, start_viewer
 from app.run_folder import EVALUATION, RECORDING, RunFolder
 from app.settings import Settings, load_settings, validate
-from loaders.bag import open_bag
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom
-from loaders.trajectory_file import read_pose_topic, read_tum
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ def run(arguments: Arguments, resume: Path | None) -> None:
     inputs = find_inputs(
         arguments.bag, InputOptions(arguments.rig, arguments.horizontal, arguments.vertical, arguments.time_from)
     )
-    given = _given_trajectory(arguments, inputs)
+    given = given_trajectory(arguments.trajectory, inputs)
     connect_url = _viewer(arguments)
     if record is not None and record["bag"]["digest"] != inputs.bag_digest:
         raise InputError(f"{arguments.bag}: is not the bag that {resume} was made from; start a new run")
@@ -123,22 +121,6 @@ def _evaluate(folder: RunFolder, arguments: Arguments) -> None:
             evaluate.print_metrics(metrics)
             if (folder.path / EVALUATION).exists():
                 typer.echo(f"errors:    rerun {folder.path / EVALUATION} {folder.path / RECORDING}")
-
-
-def _given_trajectory(arguments: Arguments, inputs: Inputs) -> Trajectory | None:
-    """Poses from a file, or from a topic of the bag where no such file is there."""
-    if arguments.trajectory is None or arguments.bag is None:
-        return None
-    path = Path(arguments.trajectory)
-    if path.exists():
-        return read_tum(path)
-    with open_bag(arguments.bag) as bag:
-        if arguments.trajectory in bag.topics:
-            return read_pose_topic(bag, arguments.trajectory, inputs.rig.base_frame, inputs.rig.tree)
-    raise InputError(
-        f"--trajectory {arguments.trajectory}: is neither a file nor a topic of {arguments.bag}; "
-        f"'ffmap info {arguments.bag}' lists the topics"
-    )
 
 
 def _stored(arguments: Arguments) -> dict[str, Any]:

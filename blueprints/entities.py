@@ -84,6 +84,35 @@ INVENTED_DOORS = "/world/errors/invented_doors"
 FIGURES = "/evaluation/figures"
 SCAN_ERRORS = "/metrics/errors"
 
+CHANGED_POINTS = "/changes/{}/points"
+"""Of the comparison of the first run with this one; its letter is to be filled in."""
+CHANGED_CUBES = "/changes/{}/cubes"
+CHANGED_PERCENT = "/changes/{}/percent"
+CHANGED_PERCENT_SCAN = "/changes/{}/percent_of_single_scans"
+CHANGED_PLANES = "/changes/{}/planes"
+CHANGED_WALLS = "/changes/{}/building/walls"
+CHANGED_DOORS = "/changes/{}/building/doors"
+CHANGED_CELLS = "/changes/{}/building/cells"
+POSE_DISTANCE = "/changes/{}/pose_distance_m"
+CHANGES_TEXT = "/changes/{}/text"
+RUNS_TEXT = "/changes/runs"
+PATHS = "/paths"
+"""Below it the trajectory of each run, by its letter."""
+
+LINE_TIMELINE = "line"
+"""Of a recording of one scan: point line 2 × emitter + side."""
+WHY_LINE = "/why/line"
+WHY_SCAN = "/why/scan"
+LINE_STRUCTURES = "/scan/line/structures"
+LINE_GROWING = "/scan/line/growing_plane"
+LINE_PLANE = "/scan/line/plane"
+LINE_DOOR = "/scan/line/door"
+PROFILE = "/profile"
+PROFILE_SAMPLES = "/profile/samples"
+PROFILE_STRUCTURES = "/profile/structures"
+PROFILE_LEVELS = "/profile/levels"
+PROFILE_DOOR = "/profile/door"
+
 MILLISECONDS = "/metrics/milliseconds"
 LABEL_COUNTS = "/metrics/labels"
 COUNTS = "/metrics/counts"
@@ -147,6 +176,23 @@ BOTTOMMOST_COLOR: Color = (255, 140, 0)
 THRESHOLD_COLOR: Color = (240, 60, 60)
 CURVE_COLOR: Color = (84, 112, 160)
 EXAMPLE_COLOR: Color = (255, 255, 255)
+GROWING_COLOR: Color = (190, 120, 255)
+LOST_COLOR: Color = (240, 70, 70)
+GAINED_COLOR: Color = (60, 220, 120)
+BACKDROP_COLOR: Color = (86, 90, 98)
+TRANSITION_COLORS: tuple[Color, ...] = (
+    (255, 80, 80),
+    (70, 160, 255),
+    (255, 200, 40),
+    (190, 110, 255),
+    (60, 220, 120),
+    (255, 130, 30),
+    (50, 225, 225),
+    (255, 120, 190),
+)
+"""From one label to another: the changes that befell most points take these in turn."""
+OTHER_TRANSITION_COLOR: Color = (170, 170, 170)
+RUN_COLORS: tuple[Color, ...] = ((0, 214, 255), (255, 170, 0), (190, 120, 255), (60, 220, 120), (255, 120, 190))
 FRAME_COLOR: Color = (70, 74, 82)
 TEXT_COLOR: Color = (200, 204, 212)
 TRAJECTORY_COLOR: Color = (0, 214, 255)
@@ -249,6 +295,7 @@ the robot and x ahead; its transform places it in the map.
 the points where they differ. `/scan/structures` has `difference`, eq. 2 as printed, and `slope`, the one over a longer
 span that decides: one row a line (2 × emitter + side) of 200 samples from below upwards; and each structure's line, first
 and last sample. Planes, candidates and doors carry their parameters beside what is drawn.
+Wall candidates and door conditions carry the reason why each was taken or refused: rest the pointer on one.
 
 ## This run
 {run}

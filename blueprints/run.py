@@ -105,8 +105,8 @@ def _map(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
         ],
         name="Growing map (ceiling hidden)",
         overrides={
-            entities.MAP_POINTS: _until_now(),
-            entities.TRAJECTORY: _until_now(),
+            entities.MAP_POINTS: until_now(),
+            entities.TRAJECTORY: until_now(),
         },
         eye_controls=rrb.EyeControls3D(
             position=(x - 0.3 * extent_m, y - 0.65 * extent_m, 0.65 * extent_m), look_target=(x, y, 0.0)
@@ -120,19 +120,19 @@ def _grid(centre_m: tuple[float, float], extent_m: float, name: str = entities.F
         origin=entities.WORLD,
         contents=[f"{entities.GRID}/{name}", entities.DOOR_SILLS, entities.TRAJECTORY, f"{entities.BASE}/**"],
         name=f"Grid map: {name.replace('_', ' ')}, doors, trajectory",
-        overrides={entities.TRAJECTORY: _until_now()},
-        eye_controls=_from_above(centre_m, extent_m),
+        overrides={entities.TRAJECTORY: until_now()},
+        eye_controls=from_above(centre_m, extent_m),
         line_grid=rrb.LineGrid3D(visible=False),
     )
 
 
-def _from_above(centre_m: tuple[float, float], extent_m: float) -> rrb.EyeControls3D:
+def from_above(centre_m: tuple[float, float], extent_m: float) -> rrb.EyeControls3D:
     return rrb.EyeControls3D(position=(*centre_m, extent_m), look_target=(*centre_m, 0.0), eye_up=(0.0, 1.0, 0.0))
 
 
 def _evaluation(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
     """What is wrong: on the map, in the scan, over time, and in figures."""
-    from_above = _from_above(centre_m, extent_m)
+    eye = from_above(centre_m, extent_m)
     outlines = [entities.TRUTH_WALLS, entities.TRUTH_DOORS, entities.INVENTED_DOORS]
     return rrb.Horizontal(
         rrb.Vertical(
@@ -141,15 +141,15 @@ def _evaluation(centre_m: tuple[float, float], extent_m: float) -> rrb.Container
                     origin=entities.WORLD,
                     contents=[*outlines, f"{entities.PLAN_ERRORS}/**", entities.TRAJECTORY, f"{entities.BASE}/**"],
                     name="False wall red, missed wall orange; truth white",
-                    overrides={entities.TRAJECTORY: _until_now()},
-                    eye_controls=from_above,
+                    overrides={entities.TRAJECTORY: until_now()},
+                    eye_controls=eye,
                     line_grid=rrb.LineGrid3D(visible=False),
                 ),
                 rrb.Spatial3DView(
                     origin=entities.WORLD,
                     contents=[*outlines, f"{entities.ERRORS}/**", entities.TRAJECTORY, f"{entities.BASE}/**"],
                     name="The same in space",
-                    overrides={entities.TRAJECTORY: _until_now()},
+                    overrides={entities.TRAJECTORY: until_now()},
                     line_grid=rrb.LineGrid3D(visible=False),
                 ),
             ),
@@ -157,7 +157,7 @@ def _evaluation(centre_m: tuple[float, float], extent_m: float) -> rrb.Container
                 origin=entities.WORLD,
                 contents=[*outlines, f"{entities.GRID}/**"],
                 name="Wall map: false cells red, missed cells orange",
-                eye_controls=from_above,
+                eye_controls=eye,
                 line_grid=rrb.LineGrid3D(visible=False),
             ),
         ),
@@ -236,7 +236,7 @@ def _odometry() -> rrb.Container:
             origin=entities.WORLD,
             contents=[f"{entities.ODOMETRY}/**", entities.TRAJECTORY],
             name="What KISS-ICP used (timeline stamp)",
-            overrides={entities.TRAJECTORY: _until_now()},
+            overrides={entities.TRAJECTORY: until_now()},
         ),
         rrb.Vertical(
             *(
@@ -266,7 +266,7 @@ def _metrics() -> rrb.Container:
     )
 
 
-def _until_now() -> rrb.VisibleTimeRanges:
+def until_now() -> rrb.VisibleTimeRanges:
     """Everything from the beginning up to the time cursor."""
     return rrb.VisibleTimeRanges(
         [

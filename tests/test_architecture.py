@@ -16,7 +16,16 @@ HOUSE = set(ALLOWED) | {"tests"}
 ONLY_IN = {
     "kiss_icp": ["algorithms/odometry.py"],
     "small_gicp": ["algorithms/refinement.py"],
-    "rerun": ["app/recorder.py", "app/recording.py", "app/evaluation_recorder.py", "app/pipeline.py", "blueprints/"],
+    "rerun": [
+        "app/recorder.py",
+        "app/recording.py",
+        "app/recorded.py",
+        "app/evaluation_recorder.py",
+        "app/inspect_recorder.py",
+        "app/compare_recorder.py",
+        "app/pipeline.py",
+        "blueprints/",
+    ],
     "embreex": ["loaders/simulator/"],
     "pickle": [],
 }

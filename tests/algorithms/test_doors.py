@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 
 from algorithms import transforms
-from algorithms.doors import DoorLines, DoorsSettings, DoorState, Openings, find_door_lines, find_openings
+from algorithms.doors import (
+    Depression,
+    DoorLines,
+    DoorsSettings,
+    DoorState,
+    Openings,
+    find_door_lines,
+    find_openings,
+)
 from algorithms.rearrangement import HorizontalPlane, PointLines, RearrangementSettings, make_point_lines
 from algorithms.vertical_structures import VerticalStructures, VerticalStructuresSettings, find_vertical_structures
 from algorithms.wall_planes import WallPlanes, WallPlanesSettings, grow_wall_planes
@@ -213,6 +221,37 @@ def test_condition_2_fails_where_not_all_below_lies_behind(profile: Profile, for
     assert len(relaxed.openings) == 1
 
 
+@pytest.mark.parametrize(
+    ("profile", "depression"),
+    [
+        (bare, {Depression.NONE}),
+        (door(0.01), {Depression.NONE}),
+        (shelf_in_a_niche, {Depression.EXCEPTIONS}),
+        (bulge_above, {Depression.SHALLOW}),
+        (door(0.06), {Depression.HELD}),
+    ],
+    ids=["bare", "too shallow", "some returns on the plane", "below a bulge", "door"],
+)
+def test_what_condition_2_measured_tells_why(profile: Profile, depression: set[Depression]) -> None:
+    seen = with_door(profile)
+    rows, found = seen.evidences(DOOR_X_M), seen.door_lines
+    assert set(found.depression[rows].tolist()) == depression
+    assert np.array_equal(found.depression == Depression.HELD, found.behind)
+    assert np.array_equal(seen.openings.door_line_opening >= 0, found.above_door)
+    if depression == {Depression.NONE}:
+        assert np.all(found.recess_m[rows] < DOORS.recess_min_m)
+        assert np.isnan(found.below_m[rows]).all()
+        return
+    assert np.all(found.recess_m[rows] > DOORS.recess_min_m)
+    if depression == {Depression.EXCEPTIONS}:
+        assert np.all(found.on_plane_share[rows] > DOORS.exceptions_max)
+    if depression == {Depression.SHALLOW}:
+        assert np.all(-found.below_m[rows] < DOORS.recess_min_m)
+    if depression == {Depression.HELD}:
+        np.testing.assert_allclose(found.below_m[rows], -found.depth_m[rows])
+        np.testing.assert_allclose(found.above_m[rows], 0, atol=0.01)
+
+
 def test_condition_2_fails_on_a_bare_wall() -> None:
     seen = with_door(bare)
     assert len(seen.door_lines.line) == len(WALL_X_M) + len(DOOR_X_M)
@@ -258,6 +297,7 @@ def test_one_line_alone_is_no_opening() -> None:
     seen = look(profiles | {0.5: door(0.06)})
     assert seen.door_lines.line[seen.door_lines.above_door].tolist() == [seen.line_at[0.5]]
     assert len(seen.openings) == 0
+    assert set(seen.openings.door_line_opening.tolist()) == {-1}
     assert len(look(profiles | {0.5: door(0.06), 0.7: door(0.06)}).openings) == 1
 
 

@@ -8,7 +8,7 @@ import pytest
 from algorithms import transforms
 from algorithms.rearrangement import SAMPLES, HorizontalPlane
 from algorithms.vertical_structures import VerticalStructures
-from algorithms.wall_planes import Growth, WallPlanes, WallPlanesSettings, grow_wall_planes
+from algorithms.wall_planes import Growth, Membership, Reach, WallPlanes, WallPlanesSettings, grow_wall_planes
 
 SETTINGS = WallPlanesSettings()
 CEILING_M = 2.8
@@ -287,6 +287,44 @@ def test_a_duct_below_the_ceiling_is_no_wall() -> None:
     assert len(grow(STRAIGHT, spans=spans)) == 1
     numbered = grow(CORNER, spans=[(SETTINGS.bottom_max_m + 0.1, 2.75)] * 8 + [SPAN_M] * 8)
     assert numbered.candidate_plane.tolist() == [-1] * 8 + [0] * 8
+
+
+def test_the_evidence_tells_why_each_candidate_is_in_no_plane() -> None:
+    # One too low, one that stands 30 cm before the wall alone; two of their own far away, two that make no length.
+    candidates = np.concatenate([STRAIGHT, [STRAIGHT[5] - [0, 0.3]], wall([4.0, -3.0], [4.2, -3.0], 2)])
+    spans = [SPAN_M] * len(candidates)
+    spans[2] = (0.1, 2.0)
+    found = grow(candidates, spans=spans)
+    reasons = found.candidate_membership
+    assert reasons[2] == Membership.REFUSED
+    assert found.candidate_reach[2] == Reach.LOW
+    assert found.candidate_below_ceiling_m[2] == pytest.approx(CEILING_M - 2.0, abs=1e-5)
+    assert found.candidate_grown[2] == -1
+    assert np.isnan(found.candidate_nearest_m[2])
+    assert reasons[12] == Membership.ALONE
+    assert found.candidate_nearest_m[12] == pytest.approx(0.3, abs=1e-3)
+    assert reasons[13:].tolist() == [Membership.ALONE] * 2
+    assert np.isnan(found.candidate_nearest_m[13:]).all()
+    assert found.candidate_grown[13] == found.candidate_grown[14] == found.candidate_grown[12] + 1
+    others = np.delete(np.arange(12), 2)
+    assert np.all(reasons[others] == Membership.IN_PLANE)
+    assert np.all(found.candidate_reach[others] == Reach.CEILING)
+    np.testing.assert_allclose(found.candidate_nearest_m[others], 0, atol=1e-3)
+    assert np.array_equal(reasons == Membership.IN_PLANE, found.candidate_plane >= 0)
+    # The step from one line to the next is 12 cm, and twice that past the one that was refused.
+    step_m = float(STRAIGHT[1, 0, 0] - STRAIGHT[0, 0, 0])
+    np.testing.assert_allclose(found.candidate_gap_m[[1, 3]], [step_m, 2 * step_m], atol=1e-3)
+    assert np.all(found.candidate_gap_m[others[1:]] < found.candidate_gap_max_m[others[1:]])
+
+
+def test_the_evidence_tells_by_what_a_plane_was_dropped() -> None:
+    duct = grow(STRAIGHT, spans=[(SETTINGS.bottom_max_m + 0.1, 2.75)] * 12)
+    assert duct.candidate_membership.tolist() == [Membership.DUCT] * 12
+    short = grow(wall([0.0, 2.0], [0.06, 2.0], 4, lean_m=0.0))
+    assert short.candidate_membership.tolist() == [Membership.SHORT] * 4
+    high = grow(STRAIGHT, spans=[(0.1, CEILING_M + 0.9)] * 12)
+    assert set(high.candidate_reach.tolist()) == {Reach.ABOVE_CEILINGS}
+    assert set(grow(STRAIGHT, ceilings=()).candidate_reach.tolist()) == {Reach.HEIGHT}
 
 
 def test_an_empty_scan_has_no_planes() -> None:

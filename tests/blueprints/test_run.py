@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import rerun.blueprint as rrb
 
-from blueprints import entities, run
+from blueprints import compare, entities, inspect, run
 from blueprints.entities import CurveSheet
 
 
@@ -27,6 +27,28 @@ def test_every_view_has_a_name_and_an_origin_that_is_written():
             path == str(view.origin) or path.startswith(f"{view.origin}/") or str(view.origin).startswith(f"{path}/")
             for path in known
         )
+
+
+def test_a_comparison_shows_what_was_compared_and_no_more():
+    first = compare.ComparedRun("A", "A: usual", scans=True, map_points=True)
+    parts = frozenset({"labels", "planes", "trajectory", "walls", "doors", "grid"})
+    other = compare.ComparedRun("B", "B: other", scans=True, map_points=True, compared=parts)
+    layout = compare.build([first, other], scan=17)
+    names = [str(view.name) for view in views(layout.root_container)]
+    for word in ("Where labels changed, A → B", "its changed points", "Distance of the poses", "lost red"):
+        assert any(word in name for name in names)
+    nothing = compare.ComparedRun("B", "B: other", scans=False, map_points=False)
+    bare = compare.build([compare.ComparedRun("A", "A", False, False), nothing])
+    assert [type(view) for view in views(bare.root_container)] == [rrb.TextDocumentView] * 2
+    labels_only = compare.ComparedRun("B", "B", True, False, frozenset({"labels"}))
+    shown = [str(view.name) for view in views(compare.build([first, labels_only]).root_container)]
+    assert not any("Walls, doors" in name or "poses" in name for name in shown)
+
+
+def test_a_scan_shows_the_line_its_curve_its_profile_and_why():
+    names = " ".join(str(view.name) for view in views(inspect.build((5.0, 3.0), 7).root_container))
+    for word in ("The line in its scan", "eq. 2, Fig. 5b", "profile", "Why: this line", "Why: the whole scan"):
+        assert word in names
 
 
 def test_the_first_tab_shows_scan_lines_curves_map_and_grid():

@@ -1,0 +1,120 @@
+"""A run that is there already, as `inspect` and `compare` read it: its record and its files, whatever it has of them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from app.inputs import InputOptions
+from app.run_folder import METRICS, RECORDING, RUN_JSON, TRAJECTORY, RunFolder
+from app.settings import Settings, validate
+from loaders.errors import InputError
+from loaders.pointcloud2 import TimeFrom
+
+Record = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class FinishedRun:
+    """A run folder; complete, aborted, or killed.
+
+    record: what run.json holds; runs of other versions of the program may hold other things.
+    """
+
+    path: Path
+    record: Record
+
+    @property
+    def name(self) -> str:
+        """The folder's own name, a link followed."""
+        return self.path.resolve().name
+
+    @property
+    def complete(self) -> bool:
+        """Whether the run came to its end."""
+        return self.record.get("outcome") == "complete"
+
+    @property
+    def outcome(self) -> str:
+        """complete, aborted or running (as a run that was killed still says)."""
+        return str(self.record.get("outcome", "unknown"))
+
+    @cached_property
+    def labelled(self) -> Path | None:
+        """The labelled bag."""
+        return next((p for p in (self.path / "labelled.bag", self.path / "labelled") if p.exists()), None)
+
+    @cached_property
+    def recording(self) -> Path | None:
+        """The recording; it may have been cut."""
+        return self.file(RECORDING)
+
+    @property
+    def trajectory(self) -> Path | None:
+        """T_map_base at each vertical scan's stamp."""
+        return self.file(TRAJECTORY)
+
+    @property
+    def metrics(self) -> Path | None:
+        """Figures against the truth."""
+        return self.file(METRICS)
+
+    def file(self, name: str) -> Path | None:
+        """A file of the run; None where the run has none."""
+        path = self.path / name
+        return path if path.exists() else None
+
+    @property
+    def bag_path(self) -> Path | None:
+        """The bag that the run was made from; it may be gone."""
+        path = self.part("bag").get("path")
+        return Path(path) if isinstance(path, str) else None
+
+    @property
+    def bag_digest(self) -> str | None:
+        """What names the bag's content."""
+        digest = self.part("bag").get("digest")
+        return digest if isinstance(digest, str) else None
+
+    @property
+    def topic(self) -> str | None:
+        """The topic of the clouds that were labelled."""
+        vertical = self.part("rig").get("vertical")
+        return str(vertical["topic"]) if isinstance(vertical, Mapping) and "topic" in vertical else None
+
+    @property
+    def input_options(self) -> InputOptions:
+        """What the user said about the bag."""
+        options = self.part("options")
+        rig = options.get("rig")
+        return InputOptions(
+            Path(rig) if rig else None, options.get("horizontal"), options.get("vertical"), self.time_from
+        )
+
+    @property
+    def time_from(self) -> TimeFrom:
+        """Where the firings' times were taken from."""
+        time_from: TimeFrom = self.part("options").get("time_from") or "auto"
+        return time_from
+
+    def settings(self) -> Settings:
+        """The settings that the run was made with; raises InputError where this version does not know them."""
+        settings = self.record.get("settings")
+        if not isinstance(settings, dict):
+            raise InputError(f"{self.path / RUN_JSON}: holds no settings; run ffmap again")
+        return validate(settings, str(self.path / RUN_JSON))
+
+    def part(self, name: str) -> Record:
+        """One mapping within the record; empty where there is none."""
+        value = self.record.get(name)
+        return value if isinstance(value, Mapping) else {}
+
+
+def open_run(path: Path) -> FinishedRun:
+    """Raises InputError where the folder is no run."""
+    if not path.exists():
+        raise InputError(f"{path}: no such folder; give a run folder that 'ffmap run' made")
+    if not path.is_dir():
+        raise InputError(f"{path}: is a file; give the run folder that holds it")
+    return FinishedRun(path, RunFolder(path).read_json())

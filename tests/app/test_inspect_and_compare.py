@@ -1,0 +1,420 @@
+"""`ffmap inspect` and `ffmap compare` on real runs: what they say is what the runs' own files hold, point by point."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from rerun.chunk import RrdReader
+from rosbags.highlevel import AnyReader
+
+from algorithms.comparison import CLASSES, classes_of
+from algorithms.labels import NO_RETURN
+from app import compare_command, inspect_command
+from app.finished_run import open_run
+from app.recorded import readable, rows
+from app.recording import whole_messages
+from app.run_labels import LABELS_ALONE, LabelSource, pair
+from blueprints import entities
+from blueprints.entities import LineOutcome
+from loaders.errors import InputError
+from loaders.simulator import SimulationSettings, simulate
+
+FFMAP = [sys.executable, "-c", "from app.cli import main; main()"]
+SCANS = 29
+SETTINGS = ("wall_planes.similarity_m=0.008", "doors.recess_min_m=0.05", "relabelling.wall_distance_m=0.01")
+Labels = dict[int, tuple[np.ndarray, np.ndarray]]
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+    cache = str(tmp_path_factory.mktemp("cache"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", cache)
+        patch.setenv("COLUMNS", "200")
+        yield dict(os.environ)
+
+
+@pytest.fixture(scope="module")
+def runs(environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The same drive run twice, with the default settings and with three others."""
+    folder = tmp_path_factory.mktemp("runs")
+    bag = folder / "drive.bag"
+    values = {"building": "small", "seed": 3, "sensor": "vlp16", "format": "bag", "duration_s": 3.0}
+    simulate(bag, SimulationSettings.model_validate(values))
+    found = {}
+    for name, settings in (("usual", ()), ("other", SETTINGS)):
+        found[name] = folder / name
+        sets = [word for setting in settings for word in ("--set", setting)]
+        done = ffmap(environment, "run", bag, "--out", found[name], *sets, "--quiet")
+        assert done.returncode == 0, done.stderr
+    return found
+
+
+@pytest.fixture(scope="module")
+def compared(runs: dict[str, Path], environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("compared")
+    done = ffmap(environment, "compare", runs["usual"], runs["other"], "--out", out)
+    assert done.returncode == 0, done.stderr
+    for word in (*(setting.partition("=")[0] for setting in SETTINGS), "labels changed", "area.wall.f1"):
+        assert word in done.stdout
+    return out
+
+
+def ffmap(environment: dict[str, str], *words: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*FFMAP, *map(str, words)], env=environment, capture_output=True, text=True, timeout=300, check=False
+    )
+
+
+def labels_of(run: Path) -> Labels:
+    """label and label_scan of every cloud of a labelled bag by its stamp, read with rosbags alone."""
+    found: Labels = {}
+    with AnyReader([run / "labelled.bag"]) as reader:
+        connections = [c for c in reader.connections if c.msgtype == "sensor_msgs/msg/PointCloud2"]
+        for connection, _, raw in reader.messages(connections):
+            message = reader.deserialize(raw, connection.msgtype)
+            stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            points = np.asarray(message.data).reshape(-1, message.point_step)
+            offset = {field.name: field.offset for field in message.fields}
+            found[stamp] = points[:, offset["label"]].copy(), points[:, offset["label_scan"]].copy()
+    return found
+
+
+def report(out: Path) -> dict[str, Any]:
+    return json.loads((out / "comparison.json").read_text())
+
+
+def compare(out: Path, *paths: Path) -> dict[str, Any]:
+    compare_command.compare(paths, out, scans=True, spawn=False, quiet=True)
+    return report(out)
+
+
+def recorded(out: Path, entity: str) -> dict[int, dict[str, Any]]:
+    return {row.scan: row.values for row in rows(out / "comparison.rrd", entity)}
+
+
+# --- compare ---
+
+
+def test_exactly_the_labels_that_differ_are_found(compared: Path, runs: dict[str, Path]) -> None:
+    a, b = labels_of(runs["usual"]), labels_of(runs["other"])
+    found = report(compared)["comparisons"][0]["labels"]
+    assert found["final"]
+    changed_points = recorded(compared, entities.CHANGED_POINTS.format("B"))
+    confusion = np.zeros((CLASSES, CLASSES), int)
+    changed = changed_scan = 0
+    for scan, stamp in enumerate(sorted(a)):
+        (label_a, scan_a), (label_b, scan_b) = a[stamp], b[stamp]
+        differs = label_a != label_b
+        row = found["scans"][scan]
+        assert (row["scan"], row["stamp_ns"]) == (scan, stamp)
+        assert row["changed"] == np.count_nonzero(differs)
+        assert row["changed_label_scan"] == np.count_nonzero(scan_a != scan_b)
+        assert row["points"] == np.count_nonzero((label_a != NO_RETURN) | (label_b != NO_RETURN))
+        # Which point changed from what to what, in the cloud's order.
+        values = changed_points[scan]
+        assert values["before"].tolist() == classes_of(label_a[differs]).tolist()
+        assert values["after"].tolist() == classes_of(label_b[differs]).tolist()
+        assert values["class_ids"].tolist() == (CLASSES * values["before"].astype(int) + values["after"]).tolist()
+        assert values["positions"].shape == (row["changed"], 3)
+        changed, changed_scan = changed + row["changed"], changed_scan + row["changed_label_scan"]
+        valid = (label_a != NO_RETURN) | (label_b != NO_RETURN)
+        np.add.at(confusion, (classes_of(label_a[valid]), classes_of(label_b[valid])), 1)
+    assert len(found["scans"]) == len(a) == SCANS
+    assert found["changed"] == changed > 1000
+    assert found["changed_label_scan"] == changed_scan > 1000
+    assert found["confusion"] == confusion.tolist()
+    assert sum(found["transitions"].values()) == changed
+
+
+def test_changed_points_lie_where_the_runs_saw_them(compared: Path, runs: dict[str, Path]) -> None:
+    changed = recorded(compared, entities.CHANGED_POINTS.format("B"))
+    source = LabelSource(open_run(runs["other"]), None)
+    others = {cloud.scan: cloud for cloud in source.read(with_points=True)}
+    a = labels_of(runs["usual"])
+    for scan, stamp in enumerate(sorted(a)):
+        cloud = others[scan]
+        assert cloud.label is not None
+        assert cloud.points_map is not None
+        np.testing.assert_allclose(
+            changed[scan]["positions"], cloud.points_map[a[stamp][0] != cloud.label], atol=1e-5
+        )
+
+
+def test_settings_figures_and_files_that_differ(compared: Path, runs: dict[str, Path]) -> None:
+    found = report(compared)
+    assert found["settings"] == {
+        "wall_planes.similarity_m": {"A": 0.05, "B": 0.008},
+        "doors.recess_min_m": {"A": 0.022, "B": 0.05},
+        "relabelling.wall_distance_m": {"A": 0.035, "B": 0.01},
+    }
+    figure = found["figures"]["area.wall.f1"]
+    a, b = (json.loads((runs[name] / "metrics.json").read_text())["area"]["wall"]["f1"] for name in ("usual", "other"))
+    assert (figure["A"], figure["B"], figure["differences"]) == (a, b, [b - a])
+    pair_found = found["comparisons"][0]
+    assert pair_found["not_compared"] == {}
+    assert pair_found["trajectory"]["poses"] == SCANS
+    assert pair_found["trajectory"]["max_m"] == 0.0
+    doors = [len(json.loads((runs[name] / "doors.geojson").read_text())["features"]) for name in ("usual", "other")]
+    assert doors[1] - doors[0] == len(pair_found["doors"]["gained"]) - len(pair_found["doors"]["lost"])
+    assert pair_found["planes"]["lost"] + pair_found["planes"]["gained"] > 0
+
+
+def test_the_recording_holds_both_runs_below_their_letters(compared: Path, runs: dict[str, Path]) -> None:
+    path = compared / "comparison.rrd"
+    assert whole_messages(path).has_footer
+    assert len(RrdReader(path).recordings()) == 1
+    for letter, name in (("A", "usual"), ("B", "other")):
+        own = {row.scan: row for row in rows(runs[name] / "recording.rrd", entities.POINTS, "label_scan")}
+        below = {row.scan: row for row in rows(path, f"/{letter}{entities.POINTS}", "label_scan")}
+        assert own.keys() == below.keys() == set(range(SCANS))
+        for scan, row in own.items():
+            np.testing.assert_array_equal(row.values["label_scan"], below[scan].values["label_scan"])
+            np.testing.assert_array_equal(row.values["positions"], below[scan].values["positions"])
+    entity_paths = {chunk.entity_path for chunk in RrdReader(path).stream()}
+    assert not [p for p in entity_paths if p.startswith(entities.SCAN)]
+    for path_of in (entities.CHANGED_CUBES, entities.CHANGES_TEXT):
+        assert path_of.format("B") in entity_paths
+
+
+def test_a_run_against_its_copy_differs_nowhere(
+    compared: Path, runs: dict[str, Path], environment: dict[str, str], tmp_path: Path
+) -> None:
+    copied = tmp_path / "copied"
+    shutil.copytree(runs["usual"], copied)
+    found = compare(tmp_path / "out", runs["usual"], copied, runs["other"])
+    assert found["runs"][0]["recording_id"] == found["runs"][1]["recording_id"]
+    assert found["settings"].keys() == {setting.partition("=")[0] for setting in SETTINGS}
+    same = found["comparisons"][0]
+    assert same["labels"]["changed"] == same["labels"]["changed_label_scan"] == 0
+    assert same["labels"]["transitions"] == {}
+    assert same["labels"]["points"] > 100_000
+    for part in ("walls", "grid", "doors", "planes"):
+        counts = {name: value for name, value in same[part].items() if "lost" in name or "gained" in name or name == "altered"}
+        assert counts
+        assert not any(counts.values()), counts
+    # Two runs with the same recording id are both there, and the third is compared as it is alone.
+    entity_paths = {chunk.entity_path for chunk in RrdReader(tmp_path / "out" / "comparison.rrd").stream()}
+    assert {f"/{letter}{entities.POINTS}" for letter in "ABC"} <= entity_paths
+    assert found["comparisons"][1]["labels"]["changed"] == report(compared)["comparisons"][0]["labels"]["changed"]
+
+
+def test_whichever_file_has_the_labels_they_are_the_same(runs: dict[str, Path], tmp_path: Path) -> None:
+    """From the recording alone, and from labels.parquet, as from the labelled bag."""
+    bag = LabelSource(open_run(runs["other"]), None)
+    without_bag = tmp_path / "recording"
+    without_bag.mkdir()
+    for name in ("run.json", "recording.rrd", "trajectory.tum"):
+        shutil.copy(runs["other"] / name, without_bag)
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    for name in ("run.json", "trajectory.tum"):
+        shutil.copy(runs["other"] / name, alone)
+    kept = sorted(labels_of(runs["other"]).items())
+    columns = {
+        "scan": pa.array(range(SCANS), pa.int32()),
+        "label": pa.array([label for _, (label, _) in kept], pa.list_(pa.uint8())),
+        "label_scan": pa.array([label_scan for _, (_, label_scan) in kept], pa.list_(pa.uint8())),
+    }
+    pq.write_table(pa.table(columns), alone / LABELS_ALONE)
+    with readable(without_bag / "recording.rrd") as recording:
+        for source in (LabelSource(open_run(without_bag), recording), LabelSource(open_run(alone), None)):
+            assert source.has_labels()
+            clouds = 0
+            for found in pair(bag.read(with_points=True), source.read(with_points=True)):
+                clouds += 1
+                assert found.same_cloud
+                assert found.a is not None
+                assert found.b is not None
+                np.testing.assert_array_equal(found.a.label, found.b.label)
+                np.testing.assert_array_equal(found.a.label_scan, found.b.label_scan)
+                assert found.a.points_map is not None
+                assert found.b.points_map is not None
+                # A recording's points are rounded, and levelled by the scan's own floor.
+                returned = np.isfinite(found.a.points_map).all(axis=1)
+                assert np.linalg.norm((found.a.points_map - found.b.points_map)[returned], axis=1).max() < 0.2
+            assert clouds == SCANS
+
+
+def test_what_a_run_lacks_is_said_and_the_rest_compared(runs: dict[str, Path], tmp_path: Path) -> None:
+    cut = tmp_path / "cut"
+    cut.mkdir()
+    whole = (runs["other"] / "recording.rrd").read_bytes()
+    (cut / "recording.rrd").write_bytes(whole[: int(0.7 * len(whole))])
+    shutil.copy(runs["other"] / "run.json", cut)
+    found = compare(tmp_path / "out1", runs["usual"], cut)
+    assert any("was cut" in warning for warning in found["warnings"])
+    change = found["comparisons"][0]
+    # Of a recording that was cut it is not known which final labels are missing.
+    assert not change["labels"]["final"]
+    assert 0 < len(change["labels"]["scans"]) <= SCANS
+    assert set(change["not_compared"]) == {"trajectory", "walls", "doors", "grid"}
+    assert all("B has no" in why for why in change["not_compared"].values())
+    a, b = labels_of(runs["usual"]), labels_of(runs["other"])
+    for row in change["labels"]["scans"]:
+        stamp = row["stamp_ns"]
+        assert row["changed"] == np.count_nonzero(a[stamp][1] != b[stamp][1])
+
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    record = json.loads((runs["other"] / "run.json").read_text())
+    (bare / "run.json").write_text(json.dumps(record | {"outcome": "aborted", "settings": {"gone": {"by_m": 1}}}))
+    (bare / "recording.rrd").write_text("this is no recording")
+    found = compare(tmp_path / "out2", bare, runs["usual"])
+    assert any("aborted" in warning for warning in found["warnings"])
+    assert any("is no recording" in warning for warning in found["warnings"])
+    assert found["settings"]["gone.by_m"] == {"A": 1, "B": None}
+    assert found["comparisons"][0]["compared"] == []
+
+    foreign = tmp_path / "foreign"
+    shutil.copytree(runs["usual"], foreign)
+    (foreign / "run.json").write_text(json.dumps(record | {"bag": {"path": "/elsewhere.bag", "digest": "another"}}))
+    found = compare(tmp_path / "out3", runs["usual"], foreign)
+    assert set(found["comparisons"][0]["not_compared"].values()) == {"the runs are of different bags"}
+    assert found["figures"]["area.wall.f1"]["differences"] == [0.0]
+
+
+def test_mistakes_are_one_line_and_nothing_of_a_run_is_overwritten(
+    runs: dict[str, Path], environment: dict[str, str], tmp_path: Path
+) -> None:
+    before = {path: path.stat().st_mtime_ns for path in runs["usual"].iterdir()}
+    usual, empty = runs["usual"], tmp_path / "empty"
+    empty.mkdir()
+    done = ffmap(environment, "compare", usual, empty)
+    assert done.returncode == 2, done.stderr
+    assert "empty: is no run folder" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    for paths, out, expected in (
+        ((usual,), None, "two run folders"),
+        ((usual, tmp_path / "none"), None, "none: no such folder"),
+        ((usual, runs["other"]), usual / "recording.rrd", "recording.rrd: lies among the files of a run"),
+    ):
+        with pytest.raises(InputError, match=expected):
+            compare_command.compare(paths, out, scans=True, spawn=False, quiet=True)
+    assert {path: path.stat().st_mtime_ns for path in runs["usual"].iterdir()} == before
+
+
+# --- inspect ---
+
+
+def test_a_scan_is_labelled_again_bit_for_bit(
+    runs: dict[str, Path], environment: dict[str, str], tmp_path: Path
+) -> None:
+    out = tmp_path / "scan.rrd"
+    done = ffmap(environment, "inspect", runs["other"], "--scan", "worst", "--line", "3", "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert "labelled wrongly, by the truth" in done.stdout
+    assert "equal label_scan in labelled.bag" in done.stdout
+    for number in (0, 17, SCANS - 1):
+        found = inspect_command.label_again(open_run(runs["other"]), number)
+        assert found.differing == 0
+    lines = len(found.labelling.lines)
+    documents: dict[int, str] = {}
+    strips: dict[int, int] = {}
+    for chunk in RrdReader(out).stream().filter(content=[entities.WHY_LINE, entities.EXAMPLE_LINE]):
+        batch = chunk.to_record_batch()
+        if entities.LINE_TIMELINE not in batch.schema.names:
+            continue
+        for i, line in enumerate(batch.column(entities.LINE_TIMELINE).to_pylist()):
+            if chunk.entity_path == entities.WHY_LINE:
+                documents[line] = batch.column("TextDocument:text")[i].as_py()[0]
+            else:
+                strips[line] = sum(len(strip) for strip in batch.column("LineStrips3D:strips")[i].as_py())
+    assert documents.keys() == strips.keys() == set(range(lines))
+    assert all(documents[line].startswith(f"# Line {line} ") for line in documents)
+    assert set(strips.values()) <= {0, 200}
+
+
+def test_the_worst_scan_is_that_with_most_errors_or_most_changed_labels(
+    runs: dict[str, Path], tmp_path: Path
+) -> None:
+    run = runs["other"]
+    verdicts = {row.scan: row.values for row in rows(run / "evaluation.rrd", entities.POINTS)}
+    red, green, blue = entities.VERDICTS[0][1]
+    right = np.uint32(red << 24 | green << 16 | blue << 8 | 255)
+    wrong = {s: np.mean(v[entities.POINT_VERDICT_COLOR] != right) for s, v in verdicts.items()}
+    worst, _ = inspect_command.find_worst(open_run(run))
+    assert worst == max(wrong, key=wrong.__getitem__)
+    without_truth = tmp_path / "run"
+    without_truth.mkdir()
+    for name in ("run.json", "labelled.bag"):
+        shutil.copy(run / name, without_truth)
+    relabelled = [
+        np.count_nonzero(label != label_scan) / np.count_nonzero(label != NO_RETURN)
+        for _, (label, label_scan) in sorted(labels_of(run).items())
+    ]
+    worst, why = inspect_command.find_worst(open_run(without_truth))
+    assert worst == int(np.argmax(relabelled))
+    assert "not those of the scan alone" in why
+
+
+def test_reasons_are_recorded_beside_candidates_and_door_lines(runs: dict[str, Path]) -> None:
+    path = runs["usual"] / "recording.rrd"
+    reasons = {row.scan: row.values for row in rows(path, entities.UPMOST, "growth")}
+    outcomes = {row.scan: row.values for row in rows(path, entities.LINES, "outcome")}
+    assert len(reasons) == SCANS
+    for scan, values in reasons.items():
+        assert len(values["labels"]) == len(values["line"])
+        taken = values["plane"] >= 0
+        assert [label.startswith("taken: ") for label in values["labels"]] == taken.tolist()
+        outcome = dict(zip(outcomes[scan]["line"].tolist(), outcomes[scan]["outcome"].tolist(), strict=True))
+        assert all(outcome[line] in (LineOutcome.WALL, LineOutcome.DOOR) for line in values["line"][taken])
+    doors = [row.values for row in rows(path, entities.DOOR_CONDITIONS, "conditions_held")]
+    for values in doors:
+        held = values["conditions_held"] == 3
+        assert [label.startswith("above a door") for label in values["labels"]] == held.tolist()
+    assert any((values["conditions_held"] == 3).any() for values in doors)
+
+
+def test_a_run_that_is_not_this_programs_is_not_passed_off_as_such(runs: dict[str, Path], tmp_path: Path) -> None:
+    """The labels of one run with the settings of the other."""
+    altered = tmp_path / "altered"
+    shutil.copytree(runs["usual"], altered)
+    shutil.copy(runs["other"] / "run.json", altered)
+    run = open_run(altered)
+    usual, other = (labels_of(runs[name]) for name in ("usual", "other"))
+    differing = [np.count_nonzero(usual[stamp][1] != other[stamp][1]) for stamp in sorted(usual)]
+    worst = int(np.argmax(differing))
+    found = inspect_command.label_again(run, worst)
+    assert found.differing == differing[worst] > 0
+    assert f"{differing[worst]:,} of" in inspect_command.agreement(run, found)
+
+
+def test_what_cannot_be_inspected_is_one_line(
+    runs: dict[str, Path], environment: dict[str, str], tmp_path: Path
+) -> None:
+    done = ffmap(environment, "inspect", runs["usual"], "--scan", SCANS)
+    assert done.returncode == 2
+    assert f"--scan {SCANS}: usual has scans 0 to {SCANS - 1}" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    out = tmp_path / "x.rrd"
+    moved = tmp_path / "moved"
+    moved.mkdir()
+    record = json.loads((runs["usual"] / "run.json").read_text())
+    bag = Path(record["bag"]["path"])
+    (moved / "run.json").write_text(json.dumps(record | {"bag": record["bag"] | {"path": str(tmp_path / "gone.bag")}}))
+    for path, scan, line, wanted in (
+        (runs["usual"], "-1", None, "has scans 0 to"),
+        (runs["usual"], "five", None, "give a scan's number, or worst"),
+        (runs["usual"], "3", 32, "has lines 0 to 31"),
+        (tmp_path / "none", "3", None, "no such folder"),
+        (tmp_path, "3", None, "is no run folder"),
+        (moved, "worst", None, "no labels of single scans"),
+        (moved, "3", None, "say with --bag where it is"),
+    ):
+        with pytest.raises(InputError, match=wanted):
+            inspect_command.inspect(path, scan, line, None, out, spawn=False)
+    with pytest.raises(InputError, match="the run's own recording"):
+        inspect_command.inspect(runs["usual"], "3", None, None, runs["usual"] / "recording.rrd", spawn=False)
+    assert not out.exists()
+    inspect_command.inspect(moved, "3", None, bag, out, spawn=False)
+    assert whole_messages(out).has_footer
