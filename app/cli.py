@@ -47,6 +47,14 @@ VerticalOption = Annotated[str | None, typer.Option(help="Topic of the lidar tha
 TimeFromOption = Annotated[
     TimeFrom, typer.Option(help="Times of the firings: the cloud's own, recovered from the azimuth, or none.")
 ]
+OutputsOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LIST",
+        help="Files to write, as in recording,maps: of recording, labelled (a bag), labels (Parquet, without the "
+        "clouds), cloud, maps, geojson.",
+    ),
+]
 
 
 @app.command()
@@ -75,6 +83,7 @@ def run(
         str | None, typer.Option(help="Send to a viewer that runs, as rerun+http://127.0.0.1:9876/proxy.")
     ] = None,
     save: Annotated[bool, typer.Option(help="Write recording.rrd.")] = True,
+    outputs: OutputsOption = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Labelling processes.  [default: one for each core]")
     ] = None,
@@ -98,9 +107,13 @@ def run(
 
         ffmap run --resume runs/a
     """
+    from app.outputs import RUN_OUTPUTS, Output, parse_outputs
     from app.processes import start_server
 
-    start_server()
+    written = parse_outputs(outputs, RUN_OUTPUTS)
+    workers = workers or os.cpu_count() or 1
+    if workers > 1:
+        start_server()
     from app import run_command
 
     run_command.run(
@@ -117,8 +130,8 @@ def run(
             detail=detail.value,
             spawn=spawn,
             connect=connect,
-            save=save,
-            workers=workers or os.cpu_count() or 1,
+            outputs=tuple(output for output in written if save or output is not Output.RECORDING),
+            workers=workers,
             evaluate=evaluate_,
             quiet=quiet,
         ),

@@ -9,6 +9,7 @@ import typer
 from algorithms.trajectory import Trajectory
 from app import pipeline, run_folder
 from app.inputs import InputOptions, Inputs, find_inputs
+from app.outputs import RUN_OUTPUTS, Output, check_outputs
 from app.progress import Progress
 from app.recorder import Detail
 from app.recording import check_viewer, start_viewer
@@ -36,13 +37,13 @@ class Arguments:
     detail: str = "lines"
     spawn: bool = False
     connect: str | None = None
-    save: bool = True
+    outputs: tuple[str, ...] = RUN_OUTPUTS
     workers: int = 2
     evaluate: bool = True
     quiet: bool = False
 
 
-_STORED = ("rig", "horizontal", "vertical", "time_from", "trajectory", "detail", "save", "evaluate")
+_STORED = ("rig", "horizontal", "vertical", "time_from", "trajectory", "detail", "outputs", "evaluate")
 """Arguments that run.json keeps, for a run that is resumed."""
 
 
@@ -83,7 +84,7 @@ def run(arguments: Arguments, resume: Path | None) -> None:
             settings,
             pipeline.RunOptions(
                 detail=Detail(arguments.detail),
-                save=arguments.save,
+                outputs=check_outputs(arguments.outputs),
                 connect_url=connect_url,
                 workers=arguments.workers,
                 resume=resume is not None,
@@ -94,7 +95,7 @@ def run(arguments: Arguments, resume: Path | None) -> None:
         )
     run_folder.point_latest_at(folder.path.resolve())
     if not arguments.quiet:
-        _report(folder, inputs, finished, arguments.save)
+        _report(folder, inputs, finished, Output.RECORDING in arguments.outputs)
     if arguments.evaluate and inputs.vertical is not None:
         _evaluate(folder, arguments)
 
@@ -164,6 +165,7 @@ def _resumed(arguments: Arguments, path: Path) -> tuple[Arguments, Settings, Run
         bag, settings = Path(record["bag"]["path"]), validate(record["settings"], str(path / run_folder.RUN_JSON))
         if options["time_from"] not in get_args(TimeFrom):
             raise KeyError(options["time_from"])
+        options["outputs"] = check_outputs(options["outputs"])
     except KeyError as error:
         raise InputError(f"{path / run_folder.RUN_JSON}: lacks {error}; start a new run") from None
     options["rig"] = Path(options["rig"]) if options["rig"] else None
