@@ -222,6 +222,98 @@ def evaluate(
 
 
 @app.command()
+def sweep(
+    bags: Annotated[list[Path], typer.Argument(metavar="BAG...", help="ROS bags, as 'ffmap run' takes them.")],
+    grid: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=V,V",
+            help="A setting and its values, as in doors.lines_min=2,3; with --random and --optuna also a range, as in "
+            "wall_planes.similarity_m=0.02..0.08; repeatable.",
+        ),
+    ] = None,
+    random: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="So many combinations at random, not all of them.")
+    ] = None,
+    optuna: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="So many combinations, each proposed by Optuna after those before.")
+    ] = None,
+    objective: Annotated[
+        str, typer.Option(help="The figure that runs are ranked by, and that --optuna optimises; errors and times: the less.")
+    ] = "wall_f1",
+    seed: Annotated[int, typer.Option(min=0, help="Of --random and --optuna: the same seed, the same combinations.")] = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the sweep; named again, it goes on there.  [default: runs/sweep-<bag>-<hash>]"),
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="Settings as TOML; see 'ffmap settings'.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", help="One setting for all runs; repeatable.")] = None,
+    rig: RigOption = None,
+    horizontal: HorizontalOption = None,
+    vertical: VerticalOption = None,
+    time_from: TimeFromOption = TimeFrom.AUTO,
+    trajectory: Annotated[
+        str | None, typer.Option(help="Poses T_map_base in place of the odometry: a TUM file, or a topic of the bag.")
+    ] = None,
+    detail: Annotated[DetailOption, typer.Option(help="What each recording holds; see 'ffmap run'.")] = DetailOption.MAP,
+    outputs: OutputsOption = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Runs at once, one thread each.  [default: one for each core]")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="tcp://HOST:PORT", help="Run on the Dask cluster of this scheduler; needs the extra 'cluster'."),
+    ] = None,
+    evaluate_: Annotated[
+        bool, typer.Option("--evaluate/--no-evaluate", help="Where the bags carry truth, compare with it.")
+    ] = True,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Try many settings: every combination a run folder, one odometry for all; a table, sweep.parquet and sweep.rrd.
+
+    A sweep that was stopped goes on with the same command; finished runs are not made again. Each run writes
+    recording,labels,maps,geojson unless --outputs says otherwise.
+
+    Examples:
+
+        ffmap sweep drive.bag --grid wall_planes.similarity_m=0.03,0.05,0.08 --grid doors.lines_min=2,3
+
+        ffmap sweep a.bag b.bag --grid wall_planes.similarity_m=0.02..0.1 --optuna 30 --objective wall_f1
+
+        ffmap sweep drive.bag --grid seed=0,1,2,3 --scheduler tcp://127.0.0.1:8786
+    """
+    from app import sweep_command
+    from app.outputs import SWEEP_OUTPUTS, parse_outputs
+
+    failed = sweep_command.sweep(
+        sweep_command.Arguments(
+            bags=tuple(bags),
+            grid=tuple(grid or ()),
+            random=random,
+            optuna=optuna,
+            objective=objective,
+            seed=seed,
+            out=out,
+            config=config,
+            overrides=tuple(set_ or ()),
+            rig=rig,
+            horizontal=horizontal,
+            vertical=vertical,
+            time_from=time_from.value,
+            trajectory=trajectory,
+            detail=detail.value,
+            outputs=parse_outputs(outputs, SWEEP_OUTPUTS),
+            evaluate=evaluate_,
+            scheduler=scheduler,
+            workers=workers or os.cpu_count() or 1,
+            quiet=quiet,
+        )
+    )
+    if failed:
+        sys.exit(1)
+
+
+@app.command()
 def settings(
     config: Annotated[Path | None, typer.Option(help="Settings to show in place of the defaults.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="One setting, as in doors.recess_min_m=0.03.")] = None,
@@ -264,17 +356,10 @@ def demo(
 
 
 def _set_environment() -> None:
-    """What numpy and the C library read when they start, here and in the worker processes.
+    """For numpy here, and for the worker processes."""
+    from app.processes import ENVIRONMENT
 
-    One thread for each process's linear algebra, for the processes themselves fill the cores; and freed memory is kept
-    rather than given back, for every cloud asks for the same again.
-    """
-    for name, value in {
-        "OPENBLAS_NUM_THREADS": "1",
-        "OMP_NUM_THREADS": "1",
-        "MALLOC_MMAP_THRESHOLD_": str(64 << 20),
-        "MALLOC_TRIM_THRESHOLD_": str(256 << 20),
-    }.items():
+    for name, value in ENVIRONMENT.items():
         os.environ.setdefault(name, value)
 
 

@@ -10,6 +10,18 @@ from typing import Any, TypeVar
 
 _T = TypeVar("_T")
 
+ENVIRONMENT = {
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "MALLOC_MMAP_THRESHOLD_": str(64 << 20),
+    "MALLOC_TRIM_THRESHOLD_": str(256 << 20),
+}
+"""What numpy and the C library read when they start.
+
+One thread for each process's linear algebra, for the processes themselves fill the cores; and freed memory is kept
+rather than given back, for every cloud asks for the same again.
+"""
+
 
 def process_context() -> ForkServerContext | SpawnContext:
     """Workers fork from a server that has loaded what they need, where the system can: that takes two seconds each.

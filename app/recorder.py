@@ -115,7 +115,7 @@ class Recorder:
 
     def log_properties(self, name: str, values: Mapping[str, Any]) -> None:
         """Settings, digests, versions, metrics: nested mappings become columns like `wall_planes_similarity_m`."""
-        self._stream.send_property(name, rr.AnyValues(**_flatten(values)))
+        self._stream.send_property(name, rr.AnyValues(**flatten(values)))
 
     def log_message(
         self, text: str, stamp_ns: int, index: int | None = None, level: rr.TextLogLevel = rr.TextLogLevel.WARN
@@ -832,12 +832,13 @@ def _lift(outline: FloatArray, plane: HorizontalPlane) -> FloatArray:
     return np.column_stack([outline, plane.height_at(outline)]).astype(np.float32)
 
 
-def _flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested values by the names of their columns in a catalogue; what is None is left out."""
     flat: dict[str, Any] = {}
     for key, value in values.items():
         name = f"{prefix}{key}".replace(".", "_")
         if isinstance(value, Mapping):
-            flat |= _flatten(value, f"{name}_")
+            flat |= flatten(value, f"{name}_")
         elif value is not None:
             flat[name] = value if isinstance(value, str | bool | int | float) else str(value)
     return flat

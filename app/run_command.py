@@ -72,7 +72,7 @@ def run(arguments: Arguments, resume: Path | None) -> None:
         )
         run_folder.clear(folder)
         record = pipeline.first_record(
-            inputs, settings, _stored(arguments), arguments.bag, arguments.trajectory or "odometry"
+            inputs, settings, stored(arguments), arguments.bag, arguments.trajectory or "odometry"
         )
     assert record is not None
     with Progress(arguments.quiet) as progress:
@@ -142,7 +142,7 @@ def _given_trajectory(arguments: Arguments, inputs: Inputs) -> Trajectory | None
     )
 
 
-def _stored(arguments: Arguments) -> dict[str, Any]:
+def stored(arguments: Arguments) -> dict[str, Any]:
     values = asdict(arguments)
     stored = {name: values[name] for name in _STORED}
     if arguments.rig is not None:

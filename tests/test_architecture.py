@@ -16,7 +16,8 @@ HOUSE = set(ALLOWED) | {"tests"}
 ONLY_IN = {
     "kiss_icp": ["algorithms/odometry.py"],
     "small_gicp": ["algorithms/refinement.py"],
-    "rerun": ["app/recorder.py", "app/recording.py", "app/evaluation_recorder.py", "app/pipeline.py", "blueprints/"],
+    "rerun": ["app/recorder.py", "app/recording.py", "app/evaluation_recorder.py", "app/pipeline.py",
+              "app/sweep_recorder.py", "app/catalogue.py", "blueprints/"],
     "embreex": ["loaders/simulator/"],
     "pickle": [],
 }
