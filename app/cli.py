@@ -1,4 +1,4 @@
-"""The command line: ffmap run, info, simulate, evaluate, settings, bench, demo."""
+"""The command line: ffmap run, sweep, runs, view, serve, info, simulate, evaluate, settings, bench, demo."""
 
 import errno
 import os
@@ -311,6 +311,84 @@ def sweep(
     )
     if failed:
         sys.exit(1)
+
+
+@app.command()
+def runs(
+    place: Annotated[
+        str, typer.Argument(metavar="[DIR | URL]", help="Folder with runs, or a catalogue server, as 'ffmap serve' prints it.")
+    ] = "runs",
+    where: Annotated[
+        str | None, typer.Option(metavar="SQL", help='Only runs of which this is true, as in "wall_f1 > 0.98".')
+    ] = None,
+    sort: Annotated[
+        str | None, typer.Option(metavar="COLUMN", help="Best first for a metric, least first for anything else.")
+    ] = None,
+    reverse: Annotated[bool, typer.Option("--reverse", help="With --sort: the other way round.")] = False,
+    columns: Annotated[
+        str | None, typer.Option(metavar="LIST", help="Columns to show, as in wall_f1,doors_found; 'all' lists their names.")
+    ] = None,
+    dataset: Annotated[str | None, typer.Option(help="With a server: which of its datasets.  [default: runs]")] = None,
+) -> None:
+    """All runs with the settings in which they differ and their figures; asked of Rerun's catalogue.
+
+    Columns are settings by their names (wall_planes.similarity_m), metrics (wall_f1, doors_found,
+    trajectory_ate_rmse_m), counts (walls, doors) and seconds, what a run took.
+
+    Examples:
+
+        ffmap runs
+
+        ffmap runs runs/sweep-drive-1a2b3c4d --where "wall_f1 > 0.98 and doors_lines_min = 2" --sort seconds
+
+        ffmap runs rerun+http://127.0.0.1:51234 --columns started,wall_f1,door_f1 --sort wall_f1
+    """
+    from app import runs_command
+    from app.catalogue import Query
+
+    runs_command.runs(place, Query(where, sort, reverse), columns, dataset)
+
+
+@app.command()
+def view(
+    places: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run folders, sweep folders, recordings (.rrd).")],
+) -> None:
+    """Open runs in the Rerun viewer with the layout that fits them: errors first, where the truth is known.
+
+    Examples:
+
+        ffmap view runs/latest
+
+        ffmap view runs/a runs/b
+
+        ffmap view runs/sweep-drive-1a2b3c4d
+    """
+    from app import view_command
+
+    view_command.view(places)
+
+
+@app.command()
+def serve(
+    folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="Folder with runs.")] = Path("runs"),
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; 0.0.0.0 lets every machine on the network read the runs.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 for any that is free.")] = 51234,
+) -> None:
+    """Serve a folder of runs as a Rerun catalogue, to 'ffmap runs URL', to the viewer and to Python; Ctrl-C ends it.
+
+    Runs that are finished meanwhile are added.
+
+    Examples:
+
+        ffmap serve
+
+        ffmap serve /data/runs --host 0.0.0.0
+    """
+    from app import runs_command
+
+    runs_command.serve(folder, host, port)
 
 
 @app.command()

@@ -193,7 +193,7 @@ def _write_layer(out: Path, layer: Layer, comparison: Comparison) -> None:
         list(comparison.parts),
         layer.spool,
         layer.recording_id,
-        run_blueprint.build(comparison.ring_count, *run_blueprint.view_of(comparison.grid), evaluated=True),
+        run_blueprint.build(comparison.ring_count, *run_blueprint.view_of(comparison.grid), evaluated=True, scans=layer.scans),
         comparison.metrics,
         in_markdown(comparison.metrics),
         comparison.tally,

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from algorithms.labels import Label
-from app.recorder import flatten
 from loaders.errors import InputError
 
 SECONDS = "seconds"
@@ -21,6 +20,7 @@ QUALITY = "wall_f1"
 
 HEADLINES = (
     "wall_f1",
+    SECONDS,
     "ceiling_f1",
     "floor_f1",
     "door_f1",
@@ -31,12 +31,32 @@ HEADLINES = (
     "trajectory_ate_rmse_m",
     "walls",
     "doors",
-    SECONDS,
 )
 """The figures that a table shows where nobody chooses; those that no run has are left out."""
 
+_WITHOUT_TRUTH = {SECONDS, "labelling_s_per_scan", "walls", "doors"}
+OBJECTIVES = (
+    _WITHOUT_TRUTH
+    | {f"{label.name.lower()}_{figure}" for label in Label for figure in ("precision", "recall", "f1")}
+    | {"outside_kept_as_structure", "doors_found", "doors_invented", "doors_width_error_m", "doors_state_right"}
+    | {"wall_map_precision", "wall_map_recall", "wall_map_error_m", "trajectory_ate_rmse_m"}
+)
+"""Figures of which one value is better than another."""
+
 _RENAMED = {"timings_s_total": SECONDS, "timings_s_labelling_per_scan": "labelling_s_per_scan"}
 _LESS_IS_BETTER = re.compile(r"error|rmse|bias|invented|outside_kept|wrong|missed|skipped|milliseconds|_s$|_s_|^seconds$")
+
+
+def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested values by the names of their columns in a catalogue; what is None is left out."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        name = f"{prefix}{key}".replace(".", "_")
+        if isinstance(value, Mapping):
+            flat |= flatten(value, f"{name}_")
+        elif value is not None:
+            flat[name] = value if isinstance(value, str | bool | int | float) else str(value)
+    return flat
 
 
 def column_name(group: str, field: str) -> str:
@@ -67,18 +87,13 @@ def less_is_better(name: str) -> bool:
 
 def check_objective(name: str, with_truth: bool) -> None:
     """Raises InputError where runs cannot be ranked by a figure of this name."""
-    without = {SECONDS, "labelling_s_per_scan", "walls", "doors"}
-    of_labels = {f"{label.name.lower()}_{figure}" for label in Label for figure in ("precision", "recall", "f1")}
-    of_rest = {"outside_kept_as_structure", "doors_found", "doors_invented", "doors_width_error_m", "doors_state_right"}
-    of_map = {"wall_map_precision", "wall_map_recall", "wall_map_error_m", "trajectory_ate_rmse_m"}
-    known = without | of_labels | of_rest | of_map
-    if name not in known:
-        close = difflib.get_close_matches(name, known, n=1)
+    if name not in OBJECTIVES:
+        close = difflib.get_close_matches(name, OBJECTIVES, n=1)
         hint = f"did you mean {close[0]!r}? " if close else ""
-        raise InputError(f"--objective: there is no figure {name!r}; {hint}choose among {', '.join(sorted(known))}")
-    if not with_truth and name not in without:
+        raise InputError(f"--objective: there is no figure {name!r}; {hint}choose among {', '.join(sorted(OBJECTIVES))}")
+    if not with_truth and name not in _WITHOUT_TRUTH:
         raise InputError(
-            f"--objective {name}: it needs the truth, which a bag does not carry; choose among {', '.join(sorted(without))}"
+            f"--objective {name}: it needs the truth, which a bag does not carry; choose among {', '.join(sorted(_WITHOUT_TRUTH))}"
         )
 
 
@@ -112,3 +127,14 @@ def pareto_front(cost: Sequence[float], quality: Sequence[float]) -> list[int]:
         if not front or quality[i] > quality[front[-1]]:
             front.append(i)
     return front
+
+
+def fit(columns: Sequence[str], width: int) -> list[str]:
+    """As many columns, from the first on, as there is room for with their whole headings; at least three."""
+    shown: list[str] = []
+    for name in columns:
+        width -= len(name) + 3
+        if width < 0 and len(shown) >= 3:
+            break
+        shown.append(name)
+    return shown

@@ -168,7 +168,8 @@ def run(
         _run_stages(_Run(inputs, settings, options, folder, progress, record, recording, recorder, state), given)
         outcome = "complete"
         if recorder:
-            recorder.log_properties("result", {**_gathered(state, started), "outcome": outcome})
+            result = {name: value for name, value in _gathered(state, started).items() if name not in _TOLD_ELSEWHERE}
+            recorder.log_properties("result", {**result, "outcome": outcome})
     except BaseException:
         folder.write_json({**record, **_gathered(state, started), "outcome": "aborted"})
         raise
@@ -190,9 +191,13 @@ def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[s
         folder.path / RECORDING if save else None,
         folder.spool,
         record["recording_id"],
-        _layout(inputs),
+        _layout(inputs, options.detail),
         options.connect_url,
     )
+
+
+_TOLD_ELSEWHERE = ("statistics", "warnings")
+"""Among the metrics, and as messages."""
 
 
 def _gathered(state: RunState, started: float) -> dict[str, Any]:
@@ -239,7 +244,7 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
                 recorder.log_building(building.walls, building.judged, building.doors, building.windows)
                 recorder.log_grid("furniture_free", building.grid)
             if run.recording:
-                run.recording.set_layout(_layout(inputs, building.grid))
+                run.recording.set_layout(_layout(inputs, run.options.detail, building.grid))
             if Output.GEOJSON in outputs:
                 results.write_walls(folder.path / "walls.geojson", building.walls)
                 results.write_doors(folder.path / "doors.geojson", building.doors)
@@ -279,9 +284,9 @@ def _log_start(recorder: Recorder, inputs: Inputs, settings: Settings, record: d
     )
 
 
-def _layout(inputs: Inputs, grid: GridMap | None = None) -> rrb.Blueprint:
+def _layout(inputs: Inputs, detail: Detail, grid: GridMap | None = None) -> rrb.Blueprint:
     """How the recording opens; with the grid, so that the whole building is in view."""
-    return run_blueprint.build(_ring_count(inputs), *run_blueprint.view_of(grid))
+    return run_blueprint.build(_ring_count(inputs), *run_blueprint.view_of(grid), scans=detail is not Detail.MAP)
 
 
 def _ring_count(inputs: Inputs) -> int | None:

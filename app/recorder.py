@@ -20,6 +20,7 @@ from algorithms.rearrangement import HorizontalPlane
 from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.standing_walls import JudgedFaces
 from algorithms.trajectory import PlacedScan
+from app.figures import flatten
 from blueprints import entities
 from blueprints.entities import CurveSheet, LineOutcome
 
@@ -830,15 +831,3 @@ def _outline(points_xy: FloatArray) -> FloatArray:
 
 def _lift(outline: FloatArray, plane: HorizontalPlane) -> FloatArray:
     return np.column_stack([outline, plane.height_at(outline)]).astype(np.float32)
-
-
-def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested values by the names of their columns in a catalogue; what is None is left out."""
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        name = f"{prefix}{key}".replace(".", "_")
-        if isinstance(value, Mapping):
-            flat |= flatten(value, f"{name}_")
-        elif value is not None:
-            flat[name] = value if isinstance(value, str | bool | int | float) else str(value)
-    return flat

@@ -20,6 +20,7 @@ from app.outputs import Output
 from app.progress import Progress
 from app.run_folder import RunFolder
 from app.settings import Settings, load_settings
+from app.sweep_files import RECORDING, STUDY, SWEEP_JSON, TABLE
 from app.sweep_plan import Combination, Parameter, Search, Study
 from app.sweep_results import Results
 from app.sweep_run import Job, overrides_of, stop_all
@@ -29,11 +30,6 @@ from loaders.bag import open_bag
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom
 from loaders.truth import POSE_TOPIC
-
-SWEEP_JSON = "sweep.json"
-TABLE = "sweep.parquet"
-RECORDING = "sweep.rrd"
-_STUDY = "optuna.journal"
 
 
 @dataclass(frozen=True)
@@ -282,7 +278,7 @@ def _search(plan: Sweep) -> Search:
     arguments = plan.arguments
     if arguments.optuna is not None:
         minimise = figures.less_is_better(plan.arguments.objective)
-        return Study(plan.parameters, arguments.optuna, arguments.seed, minimise, plan.out / _STUDY)
+        return Study(plan.parameters, arguments.optuna, arguments.seed, minimise, plan.out / STUDY)
     if arguments.random is not None:
         return sweep_plan.random_of(plan.parameters, arguments.random, arguments.seed)
     return sweep_plan.grid_of(plan.parameters)

@@ -63,7 +63,7 @@ class Results:
     def table(self, width: int) -> Table:
         """Best first; as many of the usual figures as fit."""
         names = figures.short_names(self.parameters)
-        shown = fit(self.headlines, width - sum(len(name) + 3 for name in names.values()) - 30)
+        shown = figures.fit(self.headlines, width - sum(len(name) + 3 for name in names.values()) - 30)
         arrow = "least" if figures.less_is_better(self.objective) else "highest"
         table = Table(
             title=f"{len(self.trials)} settings by {self.objective}, {arrow} first; ● no other is better and faster",
@@ -106,17 +106,6 @@ class Results:
         columns = dict.fromkeys(name for row in rows for name in row)
         table = pa.Table.from_pylist([{name: row.get(name) for name in columns} for row in rows])
         write_atomically(path, lambda part: pq.write_table(table, part))
-
-
-def fit(columns: Sequence[str], width: int) -> list[str]:
-    """As many columns, from the first on, as there is room for with their whole headings; at least three."""
-    shown: list[str] = []
-    for name in columns:
-        width -= len(name) + 3
-        if width < 0 and len(shown) >= 3:
-            break
-        shown.append(name)
-    return shown
 
 
 def _mean(runs: Sequence[Run]) -> Trial:
