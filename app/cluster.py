@@ -1,5 +1,6 @@
 """Runs of a sweep on a Dask cluster: its own scheduler, workers and executor; imported only where one is named."""
 
+import asyncio
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -43,14 +44,15 @@ def connect(address: str, needed: list[Path]) -> Iterator[Cluster]:
         raise InputError(
             "--scheduler: Dask is not installed; pip install 'furniture-free-mapping[cluster]', or leave --scheduler out"
         ) from None
-    # What it logs of a scheduler that is not there is said in one line here.
-    distributed.client.logger.setLevel("CRITICAL")
     try:
+        # A client that finds nobody takes its time, and says more than one line.
+        asyncio.run(asyncio.wait_for(_knock(address), _CONNECT_S))
         client: Any = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError, TypeError) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = " ".join(str(error).split()) or "it says nothing"
         raise InputError(
-            f"--scheduler {address}: no Dask scheduler answers there ({reason}); start one with 'dask scheduler'"
+            f"--scheduler {address}: no Dask scheduler answers there ({reason}); 'dask scheduler' starts one and prints its "
+            "address, as in tcp://127.0.0.1:8786"
         ) from None
     try:
         cluster = Cluster(client)
@@ -58,6 +60,14 @@ def connect(address: str, needed: list[Path]) -> Iterator[Cluster]:
         yield cluster
     finally:
         client.close(timeout=_CONNECT_S)
+
+
+async def _knock(address: str) -> None:
+    """Raises OSError or ValueError where nobody speaks Dask's protocol."""
+    from distributed.comm import connect as reach
+
+    comm = await reach(address, timeout=_CONNECT_S)
+    await comm.close()
 
 
 def _check(client: Any, cluster: Cluster, address: str, needed: list[Path]) -> None:  # noqa: ANN401

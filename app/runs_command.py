@@ -73,26 +73,13 @@ def _chosen(answer: Answer, columns: str | None, query: Query, known: Sequence[s
 def _table(answer: Answer, columns: Sequence[str], place: str) -> Table:
     table = Table()
     table.add_column("run", no_wrap=True)
-    names = _short(columns, answer.settings)
     for name in columns:
-        table.add_column(names[name], justify="right")
+        table.add_column(name, justify="right", overflow="fold")
     for row in answer.table.select([catalogue.RUN, *columns]).to_pylist():
         folder = Path(row[catalogue.RUN])
         shown = folder.relative_to(place) if folder.is_relative_to(place) else folder
         table.add_row(str(shown) if str(shown) != "." else folder.name, *(_cell(name, row[name]) for name in columns))
     return table
-
-
-def _short(columns: Sequence[str], settings: Sequence[str]) -> dict[str, str]:
-    """Settings by their dotted names, as the user writes them; the rest as it is."""
-    dotted = {name.replace(".", "_"): name for name in _setting_names()}
-    return {name: dotted.get(name, name) if name in settings else name for name in columns}
-
-
-def _setting_names() -> list[str]:
-    from app.settings import Settings
-
-    return list(Settings().flat())
 
 
 def _cell(name: str, value: object) -> str:

@@ -78,6 +78,7 @@ def sweep(arguments: Arguments) -> int:
     """
     plan = _plan(arguments)
     _create(plan.out)
+    _write_json(plan, [])
     search = _search(plan)
     started = time.monotonic()
     with _workers(plan) as (executor, slots, cache), Progress(arguments.quiet, estimate_s=_WHOLE_SWEEP_S) as progress:
@@ -294,8 +295,7 @@ def _workers(plan: Sweep) -> Iterator[tuple[Executor, Callable[[], int], Path]]:
         return
     from app.cluster import connect
 
-    # The folder is seen by a worker if what lies in it is.
-    _write_json(plan, [])
+    # A worker sees the folder if it sees what lies in it.
     needed = [plan.out / SWEEP_JSON, *(inputs.bag_path for inputs in plan.bags)]
     with connect(plan.arguments.scheduler, needed) as cluster:
         shared = _can_write(own) and cluster.all_see(own / _MARK)

@@ -17,15 +17,14 @@ def build(panels: Mapping[str, Sequence[tuple[str, str]]], front: str) -> rrb.Bl
         rrb.Horizontal(*(_panel(path, title) for path, title in shown), name=parameter)
         for parameter, shown in panels.items()
     ]
-    run = rrb.TextDocumentView(origin=entities.SWEEP_RUN, name="The run at the cursor (timeline run)")
     overview = rrb.Horizontal(
         rrb.Vertical(_panel(entities.SWEEP_FRONT, front), rrb.Grid(*_firsts(panels)), row_shares=[3, 2]),
-        run,
+        _run_at_cursor(),
         column_shares=[3, 1],
         name="Which settings are worth it",
     )
     parameters = rrb.Horizontal(
-        rrb.Vertical(*rows), run, column_shares=[4, 1], name="Every figure against every parameter"
+        rrb.Vertical(*rows), _run_at_cursor(), column_shares=[4, 1], name="Every figure against every parameter"
     )
     table = rrb.TextDocumentView(origin=entities.SWEEP_TABLE, name="All runs, best first")
     return rrb.Blueprint(
@@ -36,6 +35,10 @@ def build(panels: Mapping[str, Sequence[tuple[str, str]]], front: str) -> rrb.Bl
         auto_views=False,
         auto_layout=False,
     )
+
+
+def _run_at_cursor() -> rrb.TextDocumentView:
+    return rrb.TextDocumentView(origin=entities.SWEEP_RUN, name="The run at the cursor (timeline run)")
 
 
 def _firsts(panels: Mapping[str, Sequence[tuple[str, str]]]) -> list[rrb.Spatial2DView]:
