@@ -159,7 +159,7 @@ def run(
     names the recording.
     Raises InputError where the bag has no usable cloud.
     """
-    started = time.perf_counter()
+    started, worked = time.perf_counter(), time.process_time()
     state = RunState(warnings=list(inputs.warnings))
     folder.write_json({**record, "outcome": "running"})
     recording = _open(inputs, options, folder, record)
@@ -167,6 +167,9 @@ def run(
         recorder = Recorder(recording.stream, options.detail) if recording else None
         _run_stages(_Run(inputs, settings, options, folder, progress, record, recording, recorder, state), given)
         outcome = "complete"
+        if options.workers == 1:
+            # All of it was this process's work, whatever else the machine was busy with.
+            state.timings_s["cpu"] = time.process_time() - worked
         if recorder:
             result = {name: value for name, value in _gathered(state, started).items() if name not in _TOLD_ELSEWHERE}
             recorder.log_properties("result", {**result, "outcome": outcome})

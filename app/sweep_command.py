@@ -101,6 +101,8 @@ def sweep(arguments: Arguments) -> int:
     return sum(run.failed for run in runs)
 
 
+_WIDTH = 120
+"""Where nobody's terminal says how wide it is, the table stays whole."""
 _WHOLE_SWEEP_S = 30 * 86_400.0
 
 
@@ -201,7 +203,7 @@ def _write_json(plan: Sweep, runs: Sequence[Run]) -> None:
 
 
 def _report(plan: Sweep, results: Results, odometries: int, seconds: float) -> None:
-    console = Console()
+    console = Console() if Console().is_terminal else Console(width=max(Console().width, _WIDTH))
     if results.trials:
         console.print(results.table(console.width))
     runs = results.runs
@@ -278,8 +280,7 @@ def _create(out: Path) -> None:
 def _search(plan: Sweep) -> Search:
     arguments = plan.arguments
     if arguments.optuna is not None:
-        minimise = figures.less_is_better(plan.arguments.objective)
-        return Study(plan.parameters, arguments.optuna, arguments.seed, minimise, plan.out / STUDY)
+        return Study(plan.parameters, arguments.optuna, arguments.seed, arguments.objective, plan.out / STUDY)
     if arguments.random is not None:
         return sweep_plan.random_of(plan.parameters, arguments.random, arguments.seed)
     return sweep_plan.grid_of(plan.parameters)

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from app.figures import less_is_better
 from app.settings import Settings, parse_value, validate
 from loaders.errors import InputError
 
@@ -186,8 +187,11 @@ def _named(parameters: Sequence[Parameter], values: Sequence[Any]) -> Combinatio
 class Study:
     """Combinations that Optuna's TPE proposes, each learning from those before; kept in a file, and gone on with."""
 
-    def __init__(self, parameters: Sequence[Parameter], count: int, seed: int, minimise: bool, path: Path) -> None:
-        """Raises InputError where Optuna is not installed, or the file is not its own."""
+    def __init__(self, parameters: Sequence[Parameter], count: int, seed: int, objective: str, path: Path) -> None:
+        """path: a file that may hold studies of other objectives and parameters too.
+
+        Raises InputError where Optuna is not installed.
+        """
         try:
             import optuna
             from optuna.storages import JournalStorage
@@ -201,22 +205,18 @@ class Study:
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
             # A liar: runs side by side are told apart by supposing that those under way turn out badly.
             sampler = optuna.samplers.TPESampler(seed=seed, constant_liar=True)
-            try:
-                self._study = optuna.create_study(
-                    storage=JournalStorage(JournalFileBackend(str(path))),
-                    study_name="sweep",
-                    sampler=sampler,
-                    direction="minimize" if minimise else "maximize",
-                    load_if_exists=True,
-                )
-            except (ValueError, KeyError) as error:
-                raise InputError(f"{path}: is not a study that can be gone on with ({error}); use another --out") from error
+            self._study = optuna.create_study(
+                storage=JournalStorage(JournalFileBackend(str(path))),
+                study_name=f"{objective} by {parameters}",
+                sampler=sampler,
+                direction="minimize" if less_is_better(objective) else "maximize",
+                load_if_exists=True,
+            )
         self.total = count
         self._parameters = parameters
         self._failed = optuna.trial.TrialState.FAIL
         # Those that a kill left, and those that are done, whose runs are there already.
-        earlier = [trial for trial in self._study.get_trials() if set(trial.params) == {p.name for p in parameters}]
-        self._earlier = deque((trial.number, trial.params) for trial in earlier[:count])
+        self._earlier = deque((trial.number, trial.params) for trial in self._study.get_trials()[:count])
         self._numbers: dict[tuple[Any, ...], list[int]] = {}
         self._asked = 0
 

@@ -43,27 +43,27 @@ class Axis:
 
 
 def write_recording(path: Path, results: Results, bag: str) -> None:
-    """Write the recording with its layout; `results` has at least one trial."""
+    """Beside the runs, write the recording with its layout; `results` has at least one trial."""
     shown = _figures_shown(results)
     names = figures.short_names(results.parameters)
     panels = {
         names[parameter]: [
-            (f"{entities.SWEEP_PARAMETERS}/{parameter.replace('.', '_')}/{name}", f"{name} against {names[parameter]}")
+            (f"{entities.SWEEP_PARAMETERS}/{parameter.replace('.', '_')}/{name}", f"{name} against {names[parameter]}; line: mean")
             for name in shown
         ]
         for parameter in results.parameters
     }
-    title = f"{results.objective} against seconds; orange: no other is better and faster"
+    title = f"{results.objective} against {results.cost}; green: best; orange: no other is better and faster"
     part = path.with_name(path.name + ".part")
     with rr.RecordingStream(entities.SWEEP_APPLICATION_ID) as stream:
         stream.save(part, default_blueprint=sweep_blueprint.build(panels, title))
         stream.set_log_time_enabled(False)
         stream.send_recording_name(f"sweep of {bag}")
         _log_table(stream, results, bag)
-        numbers = {name: _figure_values(results, name) for name in {*shown, figures.SECONDS, results.objective}}
+        numbers = {name: _figure_values(results, name) for name in {*shown, results.cost, results.objective}}
         _Drawing(stream, entities.SWEEP_FRONT, results).draw(
-            numeric_axis(figures.SECONDS, numbers[figures.SECONDS]),
-            numbers[figures.SECONDS],
+            numeric_axis(results.cost, numbers[results.cost]),
+            numbers[results.cost],
             numeric_axis(results.objective, numbers[results.objective]),
             numbers[results.objective],
             front=True,
@@ -75,20 +75,20 @@ def write_recording(path: Path, results: Results, bag: str) -> None:
                 drawing.draw(axis, values, numeric_axis(name, numbers[name]), numbers[name])
         for place in range(len(results.trials)):
             stream.set_time(entities.RUN_TIMELINE, sequence=place)
-            text = rr.TextDocument(_describe(results, place, names), media_type=rr.MediaType.MARKDOWN)
+            text = rr.TextDocument(_describe(results, place, names, path.parent), media_type=rr.MediaType.MARKDOWN)
             stream.log(entities.SWEEP_RUN, text)
     part.replace(path)
 
 
 def _figures_shown(results: Results) -> list[str]:
-    """The objective, what the runs took, then the figures that differ most between runs, as a share of their mean."""
+    """The objective, the time, then the figures that differ most between runs, as a share of their mean."""
     spread = {}
     for name in results.headlines:
         values = _figure_values(results, name)
         known = values[np.isfinite(values)]
         spread[name] = np.ptp(known) / max(abs(known.mean()), 1e-9) if len(known) else 0.0
     others = sorted((name for name in spread if spread[name] > 0), key=lambda name: -spread[name])
-    return list(dict.fromkeys([results.objective, figures.SECONDS, *others]))[:_FIGURES_MAX]
+    return list(dict.fromkeys([results.objective, results.cost, *others]))[:_FIGURES_MAX]
 
 
 def _figure_values(results: Results, name: str) -> FloatArray:
@@ -257,7 +257,7 @@ def _log_table(stream: rr.RecordingStream, results: Results, bag: str) -> None:
     )
 
 
-def _describe(results: Results, place: int, names: Mapping[str, str]) -> str:
+def _describe(results: Results, place: int, names: Mapping[str, str], folder: Path) -> str:
     trial = results.trials[place]
     rank = results.ranked.index(place) + 1
     lines = [
@@ -273,6 +273,6 @@ def _describe(results: Results, place: int, names: Mapping[str, str]) -> str:
         "|---|---|",
         *(f"| {name} | {figures.format_value(trial.figures.get(name))} |" for name in results.headlines),
         "",
-        *(f"`ffmap view {name}`" for name in trial.names),
+        *(f"`ffmap view {folder / name}`" for name in trial.names),
     ]
     return "\n".join(lines)

@@ -38,8 +38,11 @@ class Results:
             groups.setdefault(tuple(run.combination.values()), []).append(run)
         self.trials = tuple(_mean(group) for group in groups.values() if all(run.figures for run in group))
         """What succeeded on every bag, in the order in which it was proposed."""
+        timed = all(figures.CPU_SECONDS in trial.figures for trial in self.trials)
+        self.cost = figures.CPU_SECONDS if timed else figures.SECONDS
+        """The time that a trial took, as well as it is known."""
         quality = [self.quality(trial) for trial in self.trials]
-        seconds = [trial.figures.get(figures.SECONDS, float("nan")) for trial in self.trials]
+        seconds = [trial.figures.get(self.cost, float("nan")) for trial in self.trials]
         self.front = tuple(figures.pareto_front(seconds, quality))
         """Places of the trials that no other beats in both the objective and time, the fastest first."""
 
@@ -56,14 +59,17 @@ class Results:
 
     @property
     def headlines(self) -> list[str]:
-        """The objective, then the usual figures that some trial has."""
-        usual = [self.objective, *(name for name in figures.HEADLINES if name != self.objective)]
+        """The objective and the time, then the usual figures that some trial has."""
+        usual = dict.fromkeys([self.objective, self.cost, *figures.HEADLINES])
         return [name for name in usual if any(name in trial.figures for trial in self.trials)]
 
     def table(self, width: int) -> Table:
         """Best first; as many of the usual figures as fit."""
         names = figures.short_names(self.parameters)
-        shown = figures.fit(self.headlines, width - sum(len(name) + 3 for name in names.values()) - 30)
+        # A step's name stands above its setting's.
+        headings = {name: short.replace(".", ".\n") for name, short in names.items()}
+        taken = sum(max(map(len, heading.split("\n"))) + 3 for heading in headings.values())
+        shown = figures.fit(self.headlines, width - taken - max(len(run.job.name) for run in self.runs) - 12)
         arrow = "least" if figures.less_is_better(self.objective) else "highest"
         table = Table(
             title=f"{len(self.trials)} settings by {self.objective}, {arrow} first; ● no other is better and faster",
@@ -71,7 +77,7 @@ class Results:
         )
         table.add_column("")
         for name in self.parameters:
-            table.add_column(names[name], justify="right")
+            table.add_column(headings[name], justify="right")
         for name in shown:
             table.add_column(name, justify="right")
         table.add_column("run", no_wrap=True)
