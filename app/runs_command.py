@@ -1,5 +1,6 @@
 """ffmap runs and ffmap serve: runs as a table, and as a catalogue that others can query."""
 
+import os
 import signal
 import tempfile
 import threading
@@ -7,11 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from app import catalogue, figures
 from app.catalogue import LOOPBACK, Answer, Catalogue, Query
+from app.progress import table_console
 from loaders.errors import InputError
 
 _ALL = "all"
@@ -27,28 +28,42 @@ def runs(place: str, query: Query, columns: str | None, dataset: str | None) -> 
     Raises InputError where there are no runs, or the query is wrong.
     """
     if "://" in place:
-        _show(catalogue.ask(catalogue.connect(place, dataset), query), query, columns, place, {})
+        _show(catalogue.ask(catalogue.connect(place, dataset), query), query, columns, place)
         return
     root = Path(place)
     with catalogue.serve(catalogue.find_runs(root)) as served:
         answer = catalogue.ask(served.dataset, query) if served.taken else None
         if answer is not None:
-            _show(answer, query, columns, str(root.resolve()), served.left_out)
+            _show(answer, query, columns, str(root.resolve()))
         for reason in served.left_out.values():
             typer.echo(f"not in the table: {reason}", err=True)
         if answer is None:
             raise InputError(f"{root}: none of its runs has a recording that can be queried")
 
 
-def _show(answer: Answer, query: Query, columns: str | None, place: str, left_out: dict[Path, str]) -> None:
+def _show(answer: Answer, query: Query, columns: str | None, place: str) -> None:
     known = [name for name in answer.table.column_names if not name.startswith("rerun_")]
     if columns == _ALL:
         typer.echo("\n".join(sorted(known)))
         return
-    console = Console()
-    console.print(_table(answer, _chosen(answer, columns, query, known, console.width), place))
-    total = answer.table.num_rows
-    typer.echo(f"{total} runs in {place}" + (f", where {query.where}" if query.where else ""))
+    console = table_console()
+    names, parent = _run_names(answer, place)
+    chosen = _chosen(answer, columns, query, known, console.width - max(map(len, names), default=0) - 4)
+    console.print(_table(answer, chosen, names))
+    where = f", where {query.where}" if query.where else ""
+    typer.echo(f"{len(names)} runs in {parent}{where}")
+
+
+def _run_names(answer: Answer, place: str) -> tuple[list[str], str]:
+    """Each run's folder within the one that was named, or that a server's have in common; and that folder."""
+    folders = answer.table.column(catalogue.RUN).to_pylist()
+    if "://" in place and folders:
+        common = os.path.commonpath(folders) if len(folders) > 1 else str(Path(folders[0]).parent)
+        parent, said = common, f"{common} at {place}"
+    else:
+        parent = said = place
+    names = [os.path.relpath(folder, parent) for folder in folders]
+    return [Path(folder).name if name == "." else name for name, folder in zip(names, folders, strict=True)], said
 
 
 def _chosen(answer: Answer, columns: str | None, query: Query, known: Sequence[str], width: int) -> list[str]:
@@ -67,18 +82,16 @@ def _chosen(answer: Answer, columns: str | None, query: Query, known: Sequence[s
     differing = answer.differing
     details = [name for name in _DETAILS if len(set(answer.table.column(name).to_pylist() if name in known else [])) > 1]
     taken = sum(len(name) + 3 for name in (*differing, *details))
-    return [*differing, *details, *figures.fit([name for name in there if name not in differing], width - taken - 30)]
+    return [*differing, *details, *figures.fit([name for name in there if name not in differing], width - taken)]
 
 
-def _table(answer: Answer, columns: Sequence[str], place: str) -> Table:
+def _table(answer: Answer, columns: Sequence[str], names: Sequence[str]) -> Table:
     table = Table()
     table.add_column("run", no_wrap=True)
     for name in columns:
         table.add_column(name, justify="right", overflow="fold")
-    for row in answer.table.select([catalogue.RUN, *columns]).to_pylist():
-        folder = Path(row[catalogue.RUN])
-        shown = folder.relative_to(place) if folder.is_relative_to(place) else folder
-        table.add_row(str(shown) if str(shown) != "." else folder.name, *(_cell(name, row[name]) for name in columns))
+    for run, row in zip(names, answer.table.select(list(columns)).to_pylist(), strict=True):
+        table.add_row(run, *(_cell(name, row[name]) for name in columns))
     return table
 
 

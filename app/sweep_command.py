@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import typer
-from rich.console import Console
 
 from app import figures, sweep_plan
 from app.inputs import InputOptions, Inputs, find_inputs
 from app.odometry_stage import cache_folder, cache_key
 from app.outputs import Output
-from app.progress import Progress
+from app.progress import Progress, table_console
 from app.run_folder import RunFolder
 from app.settings import Settings, load_settings
 from app.sweep_files import RECORDING, STUDY, SWEEP_JSON, TABLE
@@ -101,8 +100,6 @@ def sweep(arguments: Arguments) -> int:
     return sum(run.failed for run in runs)
 
 
-_WIDTH = 120
-"""Where nobody's terminal says how wide it is, the table stays whole."""
 _WHOLE_SWEEP_S = 30 * 86_400.0
 
 
@@ -203,7 +200,7 @@ def _write_json(plan: Sweep, runs: Sequence[Run]) -> None:
 
 
 def _report(plan: Sweep, results: Results, odometries: int, seconds: float) -> None:
-    console = Console() if Console().is_terminal else Console(width=max(Console().width, _WIDTH))
+    console = table_console()
     if results.trials:
         console.print(results.table(console.width))
     runs = results.runs

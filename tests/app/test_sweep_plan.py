@@ -66,7 +66,7 @@ def test_mistakes_in_a_grid(texts: list[str], word: str) -> None:
 def test_mistakes_in_a_range(text: str) -> None:
     with pytest.raises(InputError):
         parse_grid([text], BASE, True)
-    with pytest.raises(InputError, match="similarity_m = -0.5"):
+    with pytest.raises(InputError, match=r"similarity_m = -0\.5"):
         parse_grid(["wall_planes.similarity_m=-0.5..0.5"], BASE, True)
 
 
