@@ -6,7 +6,7 @@ properties. A query is the same whether the server runs here for a second or is 
 
 import difflib
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +27,6 @@ LOOPBACK = "127.0.0.1"
 DATASET = "runs"
 RUN = "run"
 """The column that names a run: its folder."""
-_SEGMENT = "rerun_segment_id"
 _URLS = "rerun_storage_urls"
 _GROUPS = ("run", "result", "metrics", "settings")
 """Properties that are asked for; where two have a name in common, the earlier is meant."""
@@ -159,27 +158,21 @@ class Answer:
 def ask(dataset: DatasetEntry, query: Query) -> Answer:
     """Runs of a dataset; raises InputError where the query cannot be understood, or names what is not there."""
     segments = dataset.segment_table()
-    names, settings = _columns(segments.schema().names)
-    runs = segments.select(
-        *(f.array_element(_column(source), lit(1)).alias(name) for name, source in names.items()),
-        f.array_element(_column(_URLS), lit(1)).alias(RUN),
-        _column(_SEGMENT),
-    )
-    known = [*names, RUN]
+    columns, settings = _columns(segments.schema().names)
     if query.where is not None:
-        runs = _filtered(runs, _without_dots(query.where, known), query.where, known)
+        segments = _filtered(segments, query.where, columns)
     if query.sort is not None:
-        name = _without_dots(query.sort, known)
-        if name not in known:
-            raise InputError(f"--sort {query.sort}: {unknown(query.sort, known)}")
+        name = query.sort.replace(".", "_")
+        if name not in columns:
+            raise InputError(f"--sort {query.sort}: {unknown(query.sort, list(columns))}")
         more_is_better = name in figures.OBJECTIVES and not figures.less_is_better(name)
-        runs = runs.sort(_column(name).sort(ascending=more_is_better == query.reverse, nulls_first=False))
+        segments = segments.sort(_value(columns[name]).sort(ascending=more_is_better == query.reverse, nulls_first=False))
     else:
-        runs = runs.sort(_column(RUN).sort(ascending=True))
-    table = runs.to_arrow_table()
-    folders = [_folder_of(url) for url in table.column(RUN).to_pylist()]
-    table = table.set_column(table.column_names.index(RUN), RUN, pa.array(folders, pa.string()))
-    return Answer(table, tuple(settings))
+        segments = segments.sort(_value(_URLS).sort(ascending=True))
+    found = segments.to_arrow_table()
+    table = {name: _firsts(found.column(source)) for name, source in columns.items()}
+    table[RUN] = pa.array([_folder_of(url) for url in table[RUN].to_pylist()], pa.string())
+    return Answer(pa.table(table), tuple(settings))
 
 
 def _columns(names: Sequence[str]) -> tuple[dict[str, str], list[str]]:
@@ -192,23 +185,28 @@ def _columns(names: Sequence[str]) -> tuple[dict[str, str], list[str]]:
                 name = figures.column_name(group, source.removeprefix(prefix))
                 if found.setdefault(name, source) == source and group == "settings":
                     settings.append(name)
-    return found, settings
+    return {**found, RUN: _URLS}, settings
 
 
-def _column(name: str) -> Expr:
-    return col(f'"{name}"')
+def _value(column: str) -> Expr:
+    """A property's value: the catalogue has lists of one."""
+    return f.array_element(col(f'"{column}"'), lit(1))
 
 
-def _filtered(runs: DataFrame, condition: str, said: str, known: Sequence[str]) -> DataFrame:
+def _firsts(column: pa.ChunkedArray) -> pa.Array:
+    return pa.array([values[0] if values else None for values in column.to_pylist()], column.type.value_type)
+
+
+def _filtered(runs: DataFrame, said: str, columns: Mapping[str, str]) -> DataFrame:
     try:
-        filtered = runs.filter(condition)
+        filtered = runs.filter(_in_their_words(said, columns))
         # A plan is checked against the columns' types only when it is carried out.
         filtered.execution_plan()
     except Exception as error:
         text = str(error)
         missing = re.search(r"No field named (\S+?)[.,]?(?:\s|$)", text)
         if missing is not None:
-            raise InputError(f"--where {said}: {unknown(missing.group(1).strip(chr(34)), known)}") from None
+            raise InputError(f"--where {said}: {unknown(missing.group(1).strip(chr(34)), list(columns))}") from None
         reason = re.sub(r"^DataFusion error: ", "", text.splitlines()[0])
         raise InputError(
             f"--where {said}: is not understood ({reason}); write it as SQL, as in \"wall_f1 > 0.98 and doors = 4\""
@@ -227,13 +225,17 @@ def unknown(name: str, known: Sequence[str]) -> str:
     )
 
 
-def _without_dots(text: str, known: Sequence[str]) -> str:
-    """A setting as 'ffmap settings' names it is the column that has underscores for dots."""
-    return re.sub(
-        r"\b[a-z_]\w*(?:\.[a-z_]\w*)+\b",
-        lambda found: found[0].replace(".", "_") if found[0].replace(".", "_") in known else found[0],
-        text,
-    )
+def _in_their_words(condition: str, columns: Mapping[str, str]) -> str:
+    """SQL on the catalogue's columns; a setting may be written with its dots, as 'ffmap settings' names it."""
+
+    def value(found: re.Match[str]) -> str:
+        source = columns.get(found[0].strip('"').replace(".", "_"))
+        return found[0] if source is None else f'"{source}"[1]'
+
+    # What stands between single quotes is text.
+    parts = condition.split("'")
+    parts[::2] = [re.sub(r'"[^"]+"|[A-Za-z_][\w.]*', value, part) for part in parts[::2]]
+    return "'".join(parts)
 
 
 def _folder_of(url: str) -> str:

@@ -64,9 +64,9 @@ def connect(address: str, needed: list[Path]) -> Iterator[Cluster]:
 
 async def _knock(address: str) -> None:
     """Raises OSError or ValueError where nobody speaks Dask's protocol."""
-    from distributed.comm import connect as reach
+    from distributed.comm.core import connect as reach
 
-    comm = await reach(address, timeout=_CONNECT_S)
+    comm = await reach(address, timeout=_CONNECT_S)  # type: ignore[no-untyped-call]
     await comm.close()
 
 

@@ -13,6 +13,7 @@ from rich.table import Table
 from app import catalogue, figures
 from app.catalogue import LOOPBACK, Answer, Catalogue, Query
 from app.progress import table_console
+from app.run_folder import RunFolder
 from loaders.errors import InputError
 
 _ALL = "all"
@@ -42,7 +43,7 @@ def runs(place: str, query: Query, columns: str | None, dataset: str | None) -> 
 
 
 def _show(answer: Answer, query: Query, columns: str | None, place: str) -> None:
-    known = [name for name in answer.table.column_names if not name.startswith("rerun_")]
+    known = answer.table.column_names
     if columns == _ALL:
         typer.echo("\n".join(sorted(known)))
         return
@@ -142,5 +143,6 @@ def _add_layout(served: Catalogue, folder: Path) -> None:
     from blueprints import run as run_blueprint
 
     path = folder / "run.rbl"
-    run_blueprint.build(evaluated=True).save(entities.APPLICATION_ID, str(path))
+    scans = any(RunFolder(run).read_json().get("options", {}).get("detail") != "map" for run in served.taken.values())
+    run_blueprint.build(evaluated=True, scans=scans).save(entities.APPLICATION_ID, str(path))
     served.dataset.register_blueprint(path.resolve().as_uri(), set_default=True)

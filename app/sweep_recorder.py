@@ -84,6 +84,8 @@ def _figures_shown(results: Results) -> list[str]:
     """The objective, the time, then the figures that differ most between runs, as a share of their mean."""
     spread = {}
     for name in results.headlines:
+        if name == figures.SECONDS != results.cost:
+            continue
         values = _figure_values(results, name)
         known = values[np.isfinite(values)]
         spread[name] = np.ptp(known) / max(abs(known.mean()), 1e-9) if len(known) else 0.0

@@ -1,11 +1,11 @@
 """ffmap view: runs, sweeps and single recordings in the Rerun viewer, laid out for what they are."""
 
-import json
 import subprocess
 import sys
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+
+import typer
 
 from app import sweep_files
 from app.recording import free_port
@@ -16,13 +16,13 @@ from loaders.errors import InputError
 def view(places: Sequence[Path]) -> None:
     """Open them and wait until the viewer is closed; raises InputError where there is nothing to see."""
     files = [file for place in places for file in files_of(place)]
-    with tempfile.TemporaryDirectory(prefix="ffmap-view-") as folder:
-        layout = several_layout(places, Path(folder) / "runs.rbl")
-        command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", "--port", str(free_port()), "--hide-welcome-screen"]
-        try:
-            done = subprocess.run([*command, *map(str, files), *map(str, layout)], stderr=subprocess.PIPE, check=False)
-        except KeyboardInterrupt:
-            return
+    if len(places) > 1:
+        typer.echo("the list at the left of the viewer (first button at the top right) changes from one to the other")
+    command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", "--port", str(free_port()), "--hide-welcome-screen"]
+    try:
+        done = subprocess.run([*command, *map(str, files)], stderr=subprocess.PIPE, check=False)
+    except KeyboardInterrupt:
+        return
     if done.returncode:
         said = done.stderr.decode(errors="replace").strip().splitlines()
         raise InputError(
@@ -45,19 +45,3 @@ def files_of(place: Path) -> list[Path]:
     if place / RECORDING not in files:
         raise InputError(f"{place}: has no {RECORDING}; it was run without, make it again with 'ffmap run'")
     return files
-
-
-def several_layout(places: Sequence[Path], path: Path) -> list[Path]:
-    """A layout in which one run after the other can be chosen; none is needed for a single one, which brings its own."""
-    runs = [place for place in places if (place / RUN_JSON).exists()]
-    if len(runs) < 2:
-        return []
-    from blueprints import entities
-    from blueprints import run as run_blueprint
-
-    records = [json.loads((run / RUN_JSON).read_text()) for run in runs]
-    evaluated = all((run / EVALUATION).exists() for run in runs)
-    scans = any((record.get("options") or {}).get("detail") != "map" for record in records)
-    layout = run_blueprint.build(evaluated=evaluated, scans=scans, several=True)
-    layout.save(entities.APPLICATION_ID, str(path))
-    return [path]

@@ -16,22 +16,21 @@ def build(
     extent_m: float = 20.0,
     evaluated: bool = False,
     scans: bool = True,
-    several: bool = False,
 ) -> rrb.Blueprint:
     """The layout of a run's recording.
 
     ring_count: emitters of the vertical lidar, None where there is nothing to label. centre_m, extent_m: middle and size
     of what the map views show. evaluated: with the errors that `evaluation.rrd` adds, first of all. scans: whether the
-    recording has anything of single scans. several: with the list of recordings, to change from run to run.
+    recording has anything of single scans.
     """
     about: list[rrb.Container | rrb.View] = [_metrics(), rrb.TextDocumentView(origin=entities.README, name="Read me")]
     if ring_count is None:
-        return _blueprint([_odometry(), *about], entities.STAMP_TIMELINE, several)
+        return _blueprint([_odometry(), *about], entities.STAMP_TIMELINE)
     if not scans:
         # The map alone: its tabs without the scan's views, which would be empty.
         tabs = [_building(centre_m, extent_m), _map(centre_m, extent_m), _odometry(), *about]
         tabs = [_evaluation(centre_m, extent_m, scans=False), *tabs] if evaluated else tabs
-        return _blueprint(tabs, entities.SCAN_TIMELINE, several)
+        return _blueprint(tabs, entities.SCAN_TIMELINE)
     overview = rrb.Vertical(
         rrb.Horizontal(_scan(), _map(centre_m, extent_m), column_shares=[1, 1]),
         rrb.Horizontal(_lines(), _curves(ring_count), _grid(centre_m, extent_m), column_shares=[1, 1.25, 1]),
@@ -40,7 +39,7 @@ def build(
     )
     tabs = [overview, _method(ring_count), _building(centre_m, extent_m), _odometry(), *about]
     tabs = [_evaluation(centre_m, extent_m), *tabs] if evaluated else tabs
-    return _blueprint(tabs, entities.SCAN_TIMELINE, several)
+    return _blueprint(tabs, entities.SCAN_TIMELINE)
 
 
 def view_of(grid: GridMap | None) -> tuple[tuple[float, float], float]:
@@ -52,10 +51,10 @@ def view_of(grid: GridMap | None) -> tuple[tuple[float, float], float]:
     return (float(x), float(y)), float(size_m.max())
 
 
-def _blueprint(tabs: list[rrb.Container | rrb.View], timeline: str, several: bool) -> rrb.Blueprint:
+def _blueprint(tabs: list[rrb.Container | rrb.View], timeline: str) -> rrb.Blueprint:
     return rrb.Blueprint(
         rrb.Tabs(*tabs, active_tab=0),
-        rrb.BlueprintPanel(state="expanded" if several else "collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         # A finished recording opens at its end, where the map is whole; a live one stays at the newest scan.
         rrb.TimePanel(state="collapsed", timeline=timeline, play_state="following"),

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from app.view_command import files_of, several_layout
+from app.view_command import files_of
 from loaders.errors import InputError
 
 
@@ -37,10 +37,3 @@ def test_nothing_to_see(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").touch()
     with pytest.raises(InputError, match="no recording"):
         files_of(tmp_path / "notes.txt")
-
-
-def test_several_runs_get_a_layout_with_their_list(tmp_path: Path) -> None:
-    runs = [make_run(tmp_path / name, "recording.rrd", detail="map") for name in "ab"]
-    assert several_layout(runs[:1], tmp_path / "x.rbl") == []
-    assert several_layout([*runs, tmp_path / "some.rrd"], tmp_path / "x.rbl") == [tmp_path / "x.rbl"]
-    assert (tmp_path / "x.rbl").stat().st_size > 0
