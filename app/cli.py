@@ -62,7 +62,7 @@ def run(
     bag: Annotated[
         Path | None, typer.Argument(help="ROS 1 .bag, ROS 2 folder, .db3 or .mcap.", show_default=False)
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Run folder.  [default: runs/<bag>-<time>-<hash>]")] = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder.  [default: runs/BAG-TIME-HASH]")] = None,
     config: Annotated[Path | None, typer.Option(help="Settings as TOML; see 'ffmap settings'.")] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="One setting, as in wall_planes.similarity_m=0.05; repeatable.")
@@ -223,7 +223,7 @@ def evaluate(
 
 @app.command()
 def sweep(
-    bags: Annotated[list[Path], typer.Argument(metavar="BAG...", help="ROS bags, as 'ffmap run' takes them.")],
+    bags: Annotated[list[Path], typer.Argument(metavar="BAG", help="ROS bags, as 'ffmap run' takes them.")],
     grid: Annotated[
         list[str] | None,
         typer.Option(
@@ -244,7 +244,7 @@ def sweep(
     seed: Annotated[int, typer.Option(min=0, help="Of --random and --optuna: the same seed, the same combinations.")] = 0,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder of the sweep; named again, it goes on there.  [default: runs/sweep-<bag>-<hash>]"),
+        typer.Option(help="Folder of the sweep; named again, it goes on there.  [default: runs/sweep-BAG-HASH]"),
     ] = None,
     config: Annotated[Path | None, typer.Option(help="Settings as TOML; see 'ffmap settings'.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="One setting for all runs; repeatable.")] = None,
@@ -316,7 +316,7 @@ def sweep(
 @app.command()
 def runs(
     place: Annotated[
-        str, typer.Argument(metavar="[DIR | URL]", help="Folder with runs, or a catalogue server, as 'ffmap serve' prints it.")
+        str, typer.Argument(metavar="DIR|URL", help="Folder with runs, or a catalogue server, as 'ffmap serve' prints it.")
     ] = "runs",
     where: Annotated[
         str | None, typer.Option(metavar="SQL", help='Only runs of which this is true, as in "wall_f1 > 0.98".')
@@ -351,7 +351,7 @@ def runs(
 
 @app.command()
 def view(
-    places: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run folders, sweep folders, recordings (.rrd).")],
+    places: Annotated[list[Path], typer.Argument(metavar="RUN", help="Run folders, sweep folders, recordings (.rrd).")],
 ) -> None:
     """Open runs in the Rerun viewer with the layout that fits them: errors first, where the truth is known.
 
@@ -370,7 +370,7 @@ def view(
 
 @app.command()
 def serve(
-    folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="Folder with runs.")] = Path("runs"),
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with runs.")] = Path("runs"),
     host: Annotated[
         str, typer.Option(help="Address to listen on; 0.0.0.0 lets every machine on the network read the runs.")
     ] = "127.0.0.1",
