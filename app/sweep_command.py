@@ -80,13 +80,11 @@ def sweep(arguments: Arguments) -> int:
     _write_json(plan, [])
     search = _search(plan)
     started = time.monotonic()
-    with _workers(plan) as (executor, slots, cache), Progress(arguments.quiet, estimate_s=_WHOLE_SWEEP_S) as progress:
-        for warning in dict.fromkeys(warning for inputs in plan.bags for warning in inputs.warnings):
-            progress.warn(warning)
-        teller = _Teller(progress, search.total * len(plan.bags), plan.arguments.objective)
-        schedule = Schedule(search, lambda combination: _runs_of(plan, combination, cache), arguments.objective, teller.tell)
-        progress.stage("sweep", search.total * len(plan.bags))
-        schedule.perform(executor, slots)
+    try:
+        schedule = _perform(plan, search)
+    except KeyboardInterrupt:
+        typer.echo("ffmap: interrupted; the same command goes on with the sweep", err=True)
+        raise SystemExit(130) from None
     runs = list(schedule.runs.values())
     results = Results(runs, plan.parameters, arguments.objective)
     results.write(plan.out / TABLE)
@@ -98,6 +96,22 @@ def sweep(arguments: Arguments) -> int:
     if not arguments.quiet:
         _report(plan, results, len(schedule.odometries), time.monotonic() - started)
     return sum(run.failed for run in runs)
+
+
+def _perform(plan: Sweep, search: Search) -> Schedule:
+    """All runs, with what the user sees meanwhile."""
+    objective, total = plan.arguments.objective, search.total * len(plan.bags)
+    with (
+        _workers(plan) as (executor, slots, cache),
+        Progress(plan.arguments.quiet, estimate_s=_WHOLE_SWEEP_S) as progress,
+    ):
+        for warning in dict.fromkeys(warning for inputs in plan.bags for warning in inputs.warnings):
+            progress.warn(warning)
+        teller = _Teller(progress, total, objective)
+        schedule = Schedule(search, lambda combination: _runs_of(plan, combination, cache), objective, teller.tell)
+        progress.stage("sweep", total)
+        schedule.perform(executor, slots)
+    return schedule
 
 
 _WHOLE_SWEEP_S = 30 * 86_400.0
