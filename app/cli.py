@@ -1,4 +1,7 @@
-"""The command line: ffmap run, info, simulate, evaluate, inspect, compare, settings, bench, demo."""
+"""The command line: ffmap run, inspect, compare, sweep, runs, view, serve, info, simulate, evaluate, settings, bench, demo.
+
+Each command imports what it needs when it is called: 'ffmap --help' answers at once.
+"""
 
 import errno
 import os
@@ -47,6 +50,14 @@ VerticalOption = Annotated[str | None, typer.Option(help="Topic of the lidar tha
 TimeFromOption = Annotated[
     TimeFrom, typer.Option(help="Times of the firings: the cloud's own, recovered from the azimuth, or none.")
 ]
+OutputsOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="LIST",
+        help="Files to write, as in recording,maps: of recording, labelled (a bag), labels (Parquet, without the "
+        "clouds), cloud, maps, geojson.",
+    ),
+]
 
 
 @app.command()
@@ -54,7 +65,7 @@ def run(
     bag: Annotated[
         Path | None, typer.Argument(help="ROS 1 .bag, ROS 2 folder, .db3 or .mcap.", show_default=False)
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Run folder.  [default: runs/<bag>-<time>-<hash>]")] = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder.  [default: runs/BAG-TIME-HASH]")] = None,
     config: Annotated[Path | None, typer.Option(help="Settings as TOML; see 'ffmap settings'.")] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="One setting, as in wall_planes.similarity_m=0.05; repeatable.")
@@ -75,6 +86,7 @@ def run(
         str | None, typer.Option(help="Send to a viewer that runs, as rerun+http://127.0.0.1:9876/proxy.")
     ] = None,
     save: Annotated[bool, typer.Option(help="Write recording.rrd.")] = True,
+    outputs: OutputsOption = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Labelling processes.  [default: one for each core]")
     ] = None,
@@ -98,9 +110,13 @@ def run(
 
         ffmap run --resume runs/a
     """
+    from app.outputs import RUN_OUTPUTS, Output, parse_outputs
     from app.processes import start_server
 
-    start_server()
+    written = parse_outputs(outputs, RUN_OUTPUTS)
+    workers = workers or os.cpu_count() or 1
+    if workers > 1:
+        start_server()
     from app import run_command
 
     run_command.run(
@@ -117,8 +133,8 @@ def run(
             detail=detail.value,
             spawn=spawn,
             connect=connect,
-            save=save,
-            workers=workers or os.cpu_count() or 1,
+            outputs=tuple(output for output in written if save or output is not Output.RECORDING),
+            workers=workers,
             evaluate=evaluate_,
             quiet=quiet,
         ),
@@ -267,6 +283,176 @@ def compare(
 
 
 @app.command()
+def sweep(
+    bags: Annotated[list[Path], typer.Argument(metavar="BAG", help="ROS bags, as 'ffmap run' takes them.")],
+    grid: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=V,V",
+            help="A setting and its values, as in doors.lines_min=2,3; with --random and --optuna also a range, as in "
+            "wall_planes.similarity_m=0.02..0.08; repeatable.",
+        ),
+    ] = None,
+    random: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="So many combinations at random, not all of them.")
+    ] = None,
+    optuna: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="So many combinations, each proposed by Optuna after those before.")
+    ] = None,
+    objective: Annotated[
+        str, typer.Option(help="The figure that runs are ranked by, and that --optuna optimises; errors and times: the less.")
+    ] = "wall_f1",
+    seed: Annotated[int, typer.Option(min=0, help="Of --random and --optuna: the same seed, the same combinations.")] = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the sweep; named again, it goes on there.  [default: runs/sweep-BAG-HASH]"),
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="Settings as TOML; see 'ffmap settings'.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", help="One setting for all runs; repeatable.")] = None,
+    rig: RigOption = None,
+    horizontal: HorizontalOption = None,
+    vertical: VerticalOption = None,
+    time_from: TimeFromOption = TimeFrom.AUTO,
+    trajectory: Annotated[
+        str | None, typer.Option(help="Poses T_map_base in place of the odometry: a TUM file, or a topic of the bag.")
+    ] = None,
+    detail: Annotated[DetailOption, typer.Option(help="What each recording holds; see 'ffmap run'.")] = DetailOption.MAP,
+    outputs: OutputsOption = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Runs at once, one thread each.  [default: one for each core]")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="tcp://HOST:PORT", help="Run on the Dask cluster of this scheduler; needs the extra 'cluster'."),
+    ] = None,
+    evaluate_: Annotated[
+        bool, typer.Option("--evaluate/--no-evaluate", help="Where the bags carry truth, compare with it.")
+    ] = True,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+) -> None:
+    """Try many settings: every combination a run folder, one odometry for all; a table, sweep.parquet and sweep.rrd.
+
+    A sweep that was stopped goes on with the same command; finished runs are not made again. Each run writes
+    recording,labels,maps,geojson unless --outputs says otherwise.
+
+    Examples:
+
+        ffmap sweep drive.bag --grid wall_planes.similarity_m=0.03,0.05,0.08 --grid doors.lines_min=2,3
+
+        ffmap sweep a.bag b.bag --grid wall_planes.similarity_m=0.02..0.1 --optuna 30 --objective wall_f1
+
+        ffmap sweep drive.bag --grid seed=0,1,2,3 --scheduler tcp://127.0.0.1:8786
+    """
+    from app import sweep_command
+    from app.outputs import SWEEP_OUTPUTS, parse_outputs
+
+    failed = sweep_command.sweep(
+        sweep_command.Arguments(
+            bags=tuple(bags),
+            grid=tuple(grid or ()),
+            random=random,
+            optuna=optuna,
+            objective=objective,
+            seed=seed,
+            out=out,
+            config=config,
+            overrides=tuple(set_ or ()),
+            rig=rig,
+            horizontal=horizontal,
+            vertical=vertical,
+            time_from=time_from.value,
+            trajectory=trajectory,
+            detail=detail.value,
+            outputs=parse_outputs(outputs, SWEEP_OUTPUTS),
+            evaluate=evaluate_,
+            scheduler=scheduler,
+            workers=workers or os.cpu_count() or 1,
+            quiet=quiet,
+        )
+    )
+    if failed:
+        sys.exit(1)
+
+
+@app.command()
+def runs(
+    place: Annotated[
+        str, typer.Argument(metavar="DIR|URL", help="Folder with runs, or a catalogue server, as 'ffmap serve' prints it.")
+    ] = "runs",
+    where: Annotated[
+        str | None, typer.Option(metavar="SQL", help='Only runs of which this is true, as in "wall_f1 > 0.98".')
+    ] = None,
+    sort: Annotated[
+        str | None, typer.Option(metavar="COLUMN", help="Best first for a metric, least first for anything else.")
+    ] = None,
+    reverse: Annotated[bool, typer.Option("--reverse", help="With --sort: the other way round.")] = False,
+    columns: Annotated[
+        str | None, typer.Option(metavar="LIST", help="Columns to show, as in wall_f1,doors_found; 'all' lists their names.")
+    ] = None,
+    dataset: Annotated[str | None, typer.Option(help="With a server: which of its datasets.  [default: runs]")] = None,
+) -> None:
+    """All runs with the settings in which they differ and their figures; asked of Rerun's catalogue.
+
+    Columns are settings by their names (wall_planes.similarity_m), metrics (wall_f1, doors_found,
+    trajectory_ate_rmse_m), counts (walls, doors) and seconds, what a run took.
+
+    Examples:
+
+        ffmap runs
+
+        ffmap runs runs/sweep-drive-1a2b3c4d --where "wall_f1 > 0.98 and doors_lines_min = 2" --sort seconds
+
+        ffmap runs rerun+http://127.0.0.1:51234 --columns started,wall_f1,door_f1 --sort wall_f1
+    """
+    from app import runs_command
+    from app.catalogue import Query
+
+    runs_command.runs(place, Query(where, sort, reverse), columns, dataset)
+
+
+@app.command()
+def view(
+    places: Annotated[list[Path], typer.Argument(metavar="RUN", help="Run folders, sweep folders, recordings (.rrd).")],
+) -> None:
+    """Open runs in the Rerun viewer with the layout that fits them: errors first, where the truth is known.
+
+    Examples:
+
+        ffmap view runs/latest
+
+        ffmap view runs/a runs/b
+
+        ffmap view runs/sweep-drive-1a2b3c4d
+    """
+    from app import view_command
+
+    view_command.view(places)
+
+
+@app.command()
+def serve(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with runs.")] = Path("runs"),
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; 0.0.0.0 lets every machine on the network read the runs.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 for any that is free.")] = 51234,
+) -> None:
+    """Serve a folder of runs as a Rerun catalogue, to 'ffmap runs URL', to the viewer and to Python; Ctrl-C ends it.
+
+    Runs that are finished meanwhile are added.
+
+    Examples:
+
+        ffmap serve
+
+        ffmap serve /data/runs --host 0.0.0.0
+    """
+    from app import runs_command
+
+    runs_command.serve(folder, host, port)
+
+
+@app.command()
 def settings(
     config: Annotated[Path | None, typer.Option(help="Settings to show in place of the defaults.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="One setting, as in doors.recess_min_m=0.03.")] = None,
@@ -309,17 +495,10 @@ def demo(
 
 
 def _set_environment() -> None:
-    """What numpy and the C library read when they start, here and in the worker processes.
+    """For numpy here, and for the worker processes."""
+    from app.processes import ENVIRONMENT
 
-    One thread for each process's linear algebra, for the processes themselves fill the cores; and freed memory is kept
-    rather than given back, for every cloud asks for the same again.
-    """
-    for name, value in {
-        "OPENBLAS_NUM_THREADS": "1",
-        "OMP_NUM_THREADS": "1",
-        "MALLOC_MMAP_THRESHOLD_": str(64 << 20),
-        "MALLOC_TRIM_THRESHOLD_": str(256 << 20),
-    }.items():
+    for name, value in ENVIRONMENT.items():
         os.environ.setdefault(name, value)
 
 

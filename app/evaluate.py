@@ -56,12 +56,13 @@ from algorithms.evaluation import (
     rms,
 )
 from algorithms.grid_map import Cell, GridMap
-from algorithms.labels import Label, Truth
+from algorithms.labels import NO_RETURN, Label, Truth
 from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.trajectory import Trajectory, place_scan
+from app.labels_file import read_labels
 from app.processes import process_context
 from app.results import write_json
-from app.run_folder import EVALUATION, RECORDING, RUN_JSON
+from app.run_folder import EVALUATION, LABELS, RECORDING, RUN_JSON
 from blueprints import run as run_blueprint
 from loaders.bag import Bag, open_bag
 from loaders.errors import InputError
@@ -106,13 +107,23 @@ class Layer:
     """Whether the recording has single scans."""
 
 
+@dataclass(frozen=True)
+class LabelledClouds:
+    """Where a run's vertical clouds and their labels are read."""
+
+    bag: Path
+    """The labelled bag, or the one that the run was made from."""
+    lidar: Lidar
+    labels: Path | None = None
+    """labels.parquet; None where the clouds themselves have the labels."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Share:
-    """What is counted at a time: clouds [first, first + count) of the labelled bag."""
+    """What is counted at a time: clouds [first, first + count) of the run's."""
 
-    labelled: Path
+    clouds: LabelledClouds
     truth_bag: Path
-    lidar: Lidar
     doors: TrueDoors
     first: int
     count: int
@@ -182,7 +193,7 @@ def _write_layer(out: Path, layer: Layer, comparison: Comparison) -> None:
         list(comparison.parts),
         layer.spool,
         layer.recording_id,
-        run_blueprint.build(comparison.ring_count, *run_blueprint.view_of(comparison.grid), evaluated=True),
+        run_blueprint.build(comparison.ring_count, *run_blueprint.view_of(comparison.grid), evaluated=True, scans=layer.scans),
         comparison.metrics,
         in_markdown(comparison.metrics),
         comparison.tally,
@@ -225,10 +236,10 @@ def compare_run(
     if statistics := _read_json(run_dir / RUN_JSON).get("statistics"):
         metrics["statistics"] = statistics
     doors, faces = read_building(truth.building)
-    labelled = next((p for p in (run_dir / "labelled.bag", run_dir / "labelled") if p.exists()), None)
-    if labelled is None or truth.classes is None:
+    clouds = _clouds_of(run_dir)
+    if clouds is None or truth.classes is None:
         return Comparison(metrics, faces, doors)
-    counted = count_run(labelled, truth_path, doors, workers, _time_from(run_dir), layer)
+    counted = count_run(clouds, truth_path, doors, workers, layer)
     tally = counted.tally
     metrics["scans"] = {"counted": tally.scans, "skipped": tally.skipped, "without_truth": counted.without_truth}
     metrics["area"] = _label_metrics(confusion_by_area(tally.cubes), CUBE_M**2)
@@ -249,9 +260,31 @@ def compare_run(
     return comparison
 
 
+def _clouds_of(run_dir: Path) -> LabelledClouds | None:
+    """The labelled bag, or the labels beside the run's own bag; None where the run kept neither."""
+    labelled = next((p for p in (run_dir / "labelled.bag", run_dir / "labelled") if p.exists()), None)
+    if labelled is not None:
+        with open_bag(labelled) as bag:
+            topics = cloud_topics(bag)
+            if len(topics) != 1:
+                raise InputError(f"{labelled}: {len(topics)} topics with clouds where one belongs; run ffmap again")
+            rig = find_rig(bag, vertical=topics[0], time_from=_time_from(run_dir))
+        assert rig.vertical is not None
+        return LabelledClouds(labelled, rig.vertical)
+    if not (run_dir / LABELS).exists():
+        return None
+    options = _read_json(run_dir / RUN_JSON)["options"]
+    path = _bag_of(run_dir)
+    rig_file = Path(options["rig"]) if options["rig"] else None
+    with open_bag(path) as bag:
+        rig = find_rig(bag, rig_file, options["horizontal"], options["vertical"], options["time_from"])
+    assert rig.vertical is not None
+    return LabelledClouds(path, rig.vertical, run_dir / LABELS)
+
+
 @dataclass(frozen=True, eq=False)
 class Counted:
-    """All clouds of a labelled bag. without_truth: how many were left out. parts: of the layer, in order."""
+    """All clouds of a run. without_truth: how many were left out. parts: of the layer, in order."""
 
     tally: Tally
     without_truth: int
@@ -260,35 +293,29 @@ class Counted:
 
 
 def count_run(
-    labelled: Path,
+    clouds: LabelledClouds,
     truth_bag: Path,
     doors: TrueDoors,
     workers: int,
-    time_from: TimeFrom = "auto",
     layer: Layer | None = None,
 ) -> Counted:
-    """Count all clouds of a labelled bag, in processes side by side."""
-    with open_bag(labelled) as bag:
-        topics = cloud_topics(bag)
-        if len(topics) != 1:
-            raise InputError(f"{labelled}: {len(topics)} topics with clouds where one belongs; run ffmap again")
-        rig = find_rig(bag, vertical=topics[0], time_from=time_from)
-        assert rig.vertical is not None
-        clouds = len(index_clouds(bag, topics[0]))
-    lidar = rig.vertical
+    """Count all clouds of a run, in processes side by side."""
+    topic = clouds.lidar.topic
+    with open_bag(clouds.bag) as bag:
+        count = len(index_clouds(bag, topic))
     layer = layer if layer is not None and layer.scans else None
-    edges = np.linspace(0, clouds, max(1, clouds // CLOUDS_A_SHARE) + 1).astype(int).tolist()
-    shares = [_Share(labelled, truth_bag, lidar, doors, first, last - first, layer) for first, last in pairwise(edges)]
+    edges = np.linspace(0, count, max(1, count // CLOUDS_A_SHARE) + 1).astype(int).tolist()
+    shares = [_Share(clouds, truth_bag, doors, first, last - first, layer) for first, last in pairwise(edges)]
     processes = min(workers, len(shares))
     if processes == 1:
-        with open_bag(labelled) as bag, open_bag(truth_bag) as true_bag:
-            bags = _Bags.read(bag, true_bag, lidar.topic)
+        with open_bag(clouds.bag) as bag, open_bag(truth_bag) as true_bag:
+            bags = _Bags.read(bag, true_bag, topic)
             tally, without_truth = _sum(doors, (_count(share, bags) for share in shares))
     else:
         with ProcessPoolExecutor(processes, process_context()) as pool:
             tally, without_truth = _sum(doors, pool.map(_count_in_worker, shares))
     parts = tuple(share.part for share in shares if layer is not None and share.part.exists())
-    return Counted(tally, without_truth, lidar.ring_count, parts)
+    return Counted(tally, without_truth, clouds.lidar.ring_count, parts)
 
 
 def _sum(doors: TrueDoors, counted: Iterable[tuple[Tally, int]]) -> tuple[Tally, int]:
@@ -303,28 +330,28 @@ def _sum(doors: TrueDoors, counted: Iterable[tuple[Tally, int]]) -> tuple[Tally,
 class _Bags:
     """What is counted and what it is compared with, both open."""
 
-    labelled: Bag
+    clouds: Bag
     index: CloudIndex
     trajectory: Trajectory
     classes: TruthClasses
 
     @staticmethod
-    def read(labelled: Bag, true_bag: Bag, topic: str) -> "_Bags":
+    def read(clouds: Bag, true_bag: Bag, topic: str) -> "_Bags":
         truth = read_truth(true_bag)
         assert truth is not None
         assert truth.trajectory is not None
         assert truth.classes is not None
-        return _Bags(labelled, index_clouds(labelled, topic), truth.trajectory, truth.classes)
+        return _Bags(clouds, index_clouds(clouds, topic), truth.trajectory, truth.classes)
 
 
 def _count_in_worker(share: _Share) -> tuple[Tally, int]:
-    return _count(share, _opened(share.labelled, share.truth_bag, share.lidar.topic))
+    return _count(share, _opened(share.clouds.bag, share.truth_bag, share.clouds.lidar.topic))
 
 
 @cache
-def _opened(labelled: Path, truth_bag: Path, topic: str) -> _Bags:
+def _opened(clouds: Path, truth_bag: Path, topic: str) -> _Bags:
     """Each worker opens the bags once; it lives as long as one evaluation."""
-    return _Bags.read(open_bag(labelled), open_bag(truth_bag), topic)
+    return _Bags.read(open_bag(clouds), open_bag(truth_bag), topic)
 
 
 def _count(share: _Share, bags: _Bags) -> tuple[Tally, int]:
@@ -347,7 +374,9 @@ def _count_clouds(
     """log: called with each counted scan's number, stamp, truth and label."""
     counter = Counter(share.doors)
     without_truth = 0
-    for number, scan, message in read_clouds(bags.labelled, bags.index, share.first, share.count, share.lidar.decoding):
+    lidar, labels = share.clouds.lidar, share.clouds.labels
+    stored = read_labels(labels, share.first, share.count) if labels is not None else None
+    for number, scan, message in read_clouds(bags.clouds, bags.index, share.first, share.count, lidar.decoding):
         if isinstance(scan, SkippedScan) or message is None:
             counter.skip()
             continue
@@ -360,12 +389,15 @@ def _count_clouds(
                 f"{share.truth_bag}: {len(classes)} true classes for a cloud of {scan.cloud_size} points; "
                 "give the bag that the run was made from as --truth"
             )
-        layout = describe_layout(message, share.lidar.topic)
-        label, label_scan = (
-            field_column(message, layout, name)[scan.cloud_index].astype(np.uint8) for name in ("label", "label_scan")
-        )
+        if stored is None:
+            layout = describe_layout(message, lidar.topic)
+            full = tuple(field_column(message, layout, name) for name in ("label", "label_scan"))
+        else:
+            # What was not labelled has no row.
+            full = stored.get(number) or (np.full(scan.cloud_size, NO_RETURN, np.uint8),) * 2
+        label, label_scan = (values[scan.cloud_index].astype(np.uint8) for values in full)
         truth = classes[scan.cloud_index]
-        placed = place_scan(scan, bags.trajectory, share.lidar.T_base_sensor)
+        placed = place_scan(scan, bags.trajectory, lidar.T_base_sensor)
         counter.add(
             placed.to_map(placed.points_level),
             placed.to_map(placed.origin_level[None])[0],

@@ -33,7 +33,9 @@ _FORMAT = 4
 
 
 def cache_folder() -> Path:
-    """Where odometries are kept: $XDG_CACHE_HOME or ~/.cache, or what the system uses instead."""
+    """Where odometries are kept: in $FFMAP_CACHE, else in $XDG_CACHE_HOME or ~/.cache, or what the system uses instead."""
+    if named := os.environ.get("FFMAP_CACHE"):
+        return Path(named) / "odometry"
     if sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
     elif sys.platform == "darwin":
@@ -68,9 +70,14 @@ def registrations(inputs: Inputs, sensor: Sensor, settings: Settings) -> tuple[I
     What is not cached is registered while the iterator is read, and cached once it has been read to its end.
     """
     folder = cache_folder() / cache_key(inputs, sensor, settings)
-    if (folder / "complete").exists():
+    if is_cached(folder):
         return _from_cache(folder), True
     return _register(inputs, sensor, settings, folder), False
+
+
+def is_cached(folder: Path) -> bool:
+    """Whether the odometry that this folder of the cache is for need not be computed again."""
+    return (folder / "complete").exists()
 
 
 def _from_cache(folder: Path) -> Iterator[Registration]:

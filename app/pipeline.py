@@ -4,13 +4,12 @@ The labelling of scans follows the odometry block by block, so that both cores w
 as their poses are known.
 """
 
-import os
 import shutil
 import time
 import uuid
 from collections import deque
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -69,13 +68,15 @@ from app.blocks import (
     split_blocks,
 )
 from app.inputs import Inputs
+from app.labels_file import LabelsWriter
 from app.odometry_stage import registrations
+from app.outputs import RUN_OUTPUTS, Output
 from app.poses import level_by_first_scans
-from app.processes import process_context
+from app.processes import make_pool
 from app.progress import Progress
 from app.recorder import Detail, Recorder
 from app.recording import Recording
-from app.run_folder import CLOUD, RECORDING, TRAJECTORY, RunFolder
+from app.run_folder import CLOUD, LABELS, RECORDING, TRAJECTORY, RunFolder
 from app.settings import Settings
 from app.versions import versions
 from blueprints import entities
@@ -93,7 +94,7 @@ class RunOptions:
     """What is neither a setting of the method nor an input: how much is written, and where to."""
 
     detail: Detail = Detail.LINES
-    save: bool = True
+    outputs: tuple[Output, ...] = RUN_OUTPUTS
     connect_url: str | None = None
     workers: int = 2
     resume: bool = False
@@ -109,6 +110,8 @@ class RunState:
     statistics: dict[str, Any] = field(default_factory=dict)
     """Table I of the paper."""
     odometry_cached: bool = False
+    labels_digest: str = ""
+    """See `LabelsWriter.digest`; empty where nothing was labelled."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +156,7 @@ def run(
     names the recording.
     Raises InputError where the bag has no usable cloud.
     """
-    started = time.perf_counter()
+    started, worked = time.perf_counter(), time.process_time()
     state = RunState(warnings=list(inputs.warnings))
     folder.write_json({**record, "outcome": "running"})
     recording = _open(inputs, options, folder, record)
@@ -161,6 +164,12 @@ def run(
         recorder = Recorder(recording.stream, options.detail) if recording else None
         _run_stages(_Run(inputs, settings, options, folder, progress, record, recording, recorder, state), given)
         outcome = "complete"
+        if options.workers == 1:
+            # All of it was this process's work, whatever else the machine was busy with.
+            state.timings_s["cpu"] = time.process_time() - worked
+        if recorder:
+            result = {name: value for name, value in _gathered(state, started).items() if name not in _TOLD_ELSEWHERE}
+            recorder.log_properties("result", {**result, "outcome": outcome})
     except BaseException:
         folder.write_json({**record, **_gathered(state, started), "outcome": "aborted"})
         raise
@@ -175,15 +184,20 @@ def run(
 
 def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[str, Any]) -> Recording | None:
     """The run's recording; None where none is wanted."""
-    if not options.save and options.connect_url is None:
+    save = Output.RECORDING in options.outputs
+    if not save and options.connect_url is None:
         return None
     return Recording(
-        folder.path / RECORDING if options.save else None,
+        folder.path / RECORDING if save else None,
         folder.spool,
         record["recording_id"],
-        _layout(inputs),
+        _layout(inputs, options.detail),
         options.connect_url,
     )
+
+
+_TOLD_ELSEWHERE = ("statistics", "warnings")
+"""Among the metrics, and as messages."""
 
 
 def _gathered(state: RunState, started: float) -> dict[str, Any]:
@@ -194,14 +208,16 @@ def _gathered(state: RunState, started: float) -> dict[str, Any]:
         "statistics": state.statistics,
         "warnings": state.warnings,
         "odometry_cached": state.odometry_cached,
+        "labels_digest": state.labels_digest,
     }
 
 
 def _run_stages(run: _Run, given: Trajectory | None) -> None:
     inputs, settings, folder, recorder, state = run.inputs, run.settings, run.folder, run.recorder, run.state
+    outputs = run.options.outputs
     if recorder:
         _log_start(recorder, inputs, settings, run.record)
-    with ProcessPoolExecutor(run.options.workers, process_context()) as pool:
+    with make_pool(run.options.workers) as pool:
         try:
             # Stages 1 and 2: the odometry, and the scans that follow it.
             clock = time.perf_counter()
@@ -223,15 +239,17 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
             # Stage 3: the building.
             clock = time.perf_counter()
             run.progress.stage("building", None)
-            building = _build(folder, stage.blocks, stage.take_votes(), trajectory, settings)
+            building = _build(folder, stage.blocks, stage.take_votes(), trajectory, settings, run.options.workers)
             if recorder:
                 recorder.log_building(building.walls, building.judged, building.doors, building.windows)
                 recorder.log_grid("furniture_free", building.grid)
             if run.recording:
-                run.recording.set_layout(_layout(inputs, building.grid))
-            results.write_walls(folder.path / "walls.geojson", building.walls)
-            results.write_doors(folder.path / "doors.geojson", building.doors)
-            results.write_grid(folder.path / "map.yaml", building.grid)
+                run.recording.set_layout(_layout(inputs, run.options.detail, building.grid))
+            if Output.GEOJSON in outputs:
+                results.write_walls(folder.path / "walls.geojson", building.walls)
+                results.write_doors(folder.path / "doors.geojson", building.doors)
+            if Output.MAPS in outputs:
+                results.write_grid(folder.path / "map.yaml", building.grid)
             state.counts |= {
                 "walls": len(building.walls),
                 "refused_walls": len(building.judged.refused),
@@ -266,9 +284,9 @@ def _log_start(recorder: Recorder, inputs: Inputs, settings: Settings, record: d
     )
 
 
-def _layout(inputs: Inputs, grid: GridMap | None = None) -> rrb.Blueprint:
+def _layout(inputs: Inputs, detail: Detail, grid: GridMap | None = None) -> rrb.Blueprint:
     """How the recording opens; with the grid, so that the whole building is in view."""
-    return run_blueprint.build(_ring_count(inputs), *run_blueprint.view_of(grid))
+    return run_blueprint.build(_ring_count(inputs), *run_blueprint.view_of(grid), scans=detail is not Detail.MAP)
 
 
 def _ring_count(inputs: Inputs) -> int | None:
@@ -279,7 +297,7 @@ def _ring_count(inputs: Inputs) -> int | None:
 class _ScanStage:
     """Stages 1 and 2: poses as they come, and behind them the labelling of every block that they cover."""
 
-    def __init__(self, run: _Run, pool: ProcessPoolExecutor) -> None:
+    def __init__(self, run: _Run, pool: Executor) -> None:
         self._inputs, self._settings, self._options = run.inputs, run.settings, run.options
         self._folder, self._progress, self._record = run.folder, run.progress, run.record
         self._pool, self._recording, self._recorder, self._state = pool, run.recording, run.recorder, run.state
@@ -509,14 +527,19 @@ def _write_trajectory(folder: RunFolder, trajectory: Trajectory, stamps_ns: IntA
 
 
 def _build(
-    folder: RunFolder, blocks: list[Block], votes: VoxelVotes, trajectory: Trajectory, settings: Settings
+    folder: RunFolder,
+    blocks: list[Block],
+    votes: VoxelVotes,
+    trajectory: Trajectory,
+    settings: Settings,
+    workers: int,
 ) -> Building:
     """Walls from all planes, doors and grid from all rays; the rays are read block by block."""
     planes = concatenate([_without_rays(features) for features in _features(folder, blocks)])
     strict = settings.building.model_copy(update={"near_m": _STRICT_NEAR_M})
 
     def trace(faces: Walls, building: BuildingSettings = settings.building, windows: Windows = NO_WINDOWS) -> WallCells:
-        return _trace(faces, folder, blocks, building, windows)
+        return _trace(faces, folder, blocks, building, windows, workers)
 
     def judge(faces: Walls) -> JudgedFaces:
         faces = join_corners(faces, settings.standing_walls.corner_m)
@@ -552,9 +575,9 @@ def _build(
 
 
 def _trace(
-    walls: Walls, folder: RunFolder, blocks: list[Block], settings: BuildingSettings, windows: Windows
+    walls: Walls, folder: RunFolder, blocks: list[Block], settings: BuildingSettings, windows: Windows, workers: int
 ) -> WallCells:
-    """`trace_rays` on all cores: block by block, summed in their order, so that no sum depends on how many they are."""
+    """`trace_rays` on so many cores: block by block, summed in their order, so that no sum depends on how many they are."""
 
     def trace_block(block: Block) -> WallCells:
         features = _features(folder, [block])
@@ -563,7 +586,7 @@ def _trace(
         return trace_rays(walls, features, settings)
 
     cells = trace_rays(walls, [], settings)
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
+    with ThreadPoolExecutor(workers) as threads:
         for part in threads.map(trace_block, blocks):
             cells.counts[...] += part.counts
     return cells
@@ -588,7 +611,7 @@ def _without_rays(features: Features) -> Features:
 
 
 def _finish(
-    run: _Run, pool: ProcessPoolExecutor, jobs: Sequence[LabelJob], building: Building, trajectory: Trajectory
+    run: _Run, pool: Executor, jobs: Sequence[LabelJob], building: Building, trajectory: Trajectory
 ) -> None:
     """Final labels by the workers, while this process writes the labelled bag behind them."""
     inputs, folder, recording = run.inputs, run.folder, run.recording
@@ -624,12 +647,20 @@ def _finish(
             run.progress.advance()
 
     assert inputs.vertical is not None
-    with open_bag(inputs.bag_path) as bag:
-        results.write_labelled_bag(folder.path, bag, inputs.vertical.index, inputs.rig, trajectory, labels())
+    outputs = run.options.outputs
+    with LabelsWriter(folder.path / LABELS if Output.LABELS in outputs else None) as writer:
+        kept = writer.passing(labels())
+        if Output.LABELLED in outputs:
+            with open_bag(inputs.bag_path) as bag:
+                results.write_labelled_bag(folder.path, bag, inputs.vertical.index, inputs.rig, trajectory, kept)
+        else:
+            deque(kept, maxlen=0)
+    run.state.labels_digest = writer.digest
     pool.shutdown()  # the workers' memory goes before the whole cloud is made
     cloud = fuse(table.votes())
-    colours = np.array([entities.CLASSES[label][1] for label in Label], np.uint8)
-    results.write_ply(folder.path / CLOUD, cloud, colours[cloud.label])
+    if Output.CLOUD in outputs:
+        colours = np.array([entities.CLASSES[label][1] for label in Label], np.uint8)
+        results.write_ply(folder.path / CLOUD, cloud, colours[cloud.label])
     if run.recorder:
         run.recorder.log_cloud(cloud.points_map, cloud.label)
     run.state.counts["cloud_points"] = len(cloud)

@@ -2,8 +2,25 @@
 
 import multiprocessing as mp
 import sys
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from multiprocessing import forkserver
 from multiprocessing.context import ForkServerContext, SpawnContext
+from typing import Any, TypeVar
+
+_T = TypeVar("_T")
+
+ENVIRONMENT = {
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "MALLOC_MMAP_THRESHOLD_": str(64 << 20),
+    "MALLOC_TRIM_THRESHOLD_": str(256 << 20),
+}
+"""What numpy and the C library read when they start.
+
+One thread for each process's linear algebra, for the processes themselves fill the cores; and freed memory is kept
+rather than given back, for every cloud asks for the same again.
+"""
 
 
 def process_context() -> ForkServerContext | SpawnContext:
@@ -22,3 +39,32 @@ def start_server() -> None:
     """Let the workers' server import what it needs while this process still imports what itself needs."""
     if isinstance(process_context(), ForkServerContext):
         forkserver.ensure_running()
+
+
+def make_pool(workers: int) -> Executor:
+    """Processes that take jobs; a single worker is this process itself, so that the whole run is one thread's work."""
+    return _InTurn() if workers == 1 else ProcessPoolExecutor(workers, process_context())
+
+
+class _InTurn(Executor):
+    """Does each job when its result is asked for."""
+
+    def submit(self, fn: Callable[..., _T], /, *args: Any, **kwargs: Any) -> Future[_T]:  # noqa: ANN401
+        return _Deferred(lambda: fn(*args, **kwargs))
+
+
+class _Deferred(Future[_T]):
+    """`done` from the start, for whoever asks waits for nobody else."""
+
+    def __init__(self, job: Callable[[], _T]) -> None:
+        super().__init__()
+        self._job: Callable[[], _T] | None = job
+
+    def done(self) -> bool:
+        return True
+
+    def result(self, timeout: float | None = None) -> _T:
+        if self._job is not None:
+            job, self._job = self._job, None
+            self.set_result(job())
+        return super().result(timeout)

@@ -13,7 +13,8 @@ from rich.progress import Progress as Bars
 class Progress:
     """Progress on standard error; use as a context manager."""
 
-    def __init__(self, quiet: bool = False) -> None:
+    def __init__(self, quiet: bool = False, estimate_s: float = 30.0) -> None:
+        """estimate_s: the time left is estimated from the steps of so many seconds; slow steps need more of them."""
         self._console = Console(stderr=True, quiet=quiet, highlight=False)
         self._bars = Bars(
             TextColumn("{task.description:<10}"),
@@ -23,6 +24,7 @@ class Progress:
             TimeRemainingColumn(),
             console=self._console,
             disable=quiet or not sys.stderr.isatty(),
+            speed_estimate_period=estimate_s,
         )
         self._task: TaskID | None = None
         self._name = ""
@@ -47,9 +49,24 @@ class Progress:
         if self._task is not None:
             self._bars.advance(self._task)
 
+    @property
+    def has_bar(self) -> bool:
+        """Whether the user sees a bar with the time left."""
+        return not self._bars.disable
+
+    def left_out(self) -> None:
+        """One step of the stage need not be done."""
+        if self._task is not None:
+            total = self._bars.tasks[0].total if self._bars.tasks else None
+            self._bars.update(self._task, total=None if total is None else total - 1)
+
     def warn(self, text: str) -> None:
         """Say what the user ought to know, once."""
         self._console.print(f"warning: {text}", style="yellow", markup=False, soft_wrap=True)
+
+    def say(self, text: str) -> None:
+        """A line above the bar."""
+        self._console.print(text, markup=False, soft_wrap=True)
 
     def _end_stage(self, done: bool) -> None:
         if self._task is None:
@@ -58,3 +75,12 @@ class Progress:
             self._console.print(f"{self._name}: {time.monotonic() - self._started:.1f} s", markup=False)
         self._bars.stop_task(self._task)
         self._task = None
+
+
+_WIDTH = 120
+
+
+def table_console() -> Console:
+    """Standard output for a table, which stays whole where nobody's terminal says how wide it is."""
+    console = Console()
+    return console if console.is_terminal else Console(width=max(console.width, _WIDTH))

@@ -21,6 +21,7 @@ from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.standing_walls import JudgedFaces
 from algorithms.trajectory import PlacedScan
 from app.building_reasons import explain_building
+from app.figures import flatten
 from app.reasons import candidate_reasons, door_reasons, line_outcomes
 from blueprints import entities
 from blueprints.entities import CurveSheet
@@ -123,7 +124,7 @@ class Recorder:
 
     def log_properties(self, name: str, values: Mapping[str, Any]) -> None:
         """Settings, digests, versions, metrics: nested mappings become columns like `wall_planes_similarity_m`."""
-        self._stream.send_property(name, rr.AnyValues(**_flatten(values)))
+        self._stream.send_property(name, rr.AnyValues(**flatten(values)))
 
     def log_message(
         self, text: str, stamp_ns: int, index: int | None = None, level: rr.TextLogLevel = rr.TextLogLevel.WARN
@@ -858,14 +859,3 @@ def _outline(points_xy: FloatArray) -> FloatArray:
 
 def _lift(outline: FloatArray, plane: HorizontalPlane) -> FloatArray:
     return np.column_stack([outline, plane.height_at(outline)]).astype(np.float32)
-
-
-def _flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        name = f"{prefix}{key}".replace(".", "_")
-        if isinstance(value, Mapping):
-            flat |= _flatten(value, f"{name}_")
-        elif value is not None:
-            flat[name] = value if isinstance(value, str | bool | int | float) else str(value)
-    return flat

@@ -255,10 +255,7 @@ def start_viewer(port: int | None = None, timeout_s: float = 20.0, files: Sequen
 
     `rr.spawn` listens on every interface and has no option for it. Raises RuntimeError if the viewer does not start.
     """
-    if port is None:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = int(probe.getsockname()[1])
+    port = port or free_port()
     command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", "--port", str(port), "--hide-welcome-screen"]
     command += [str(file.resolve()) for file in files]
     viewer = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
@@ -270,6 +267,13 @@ def start_viewer(port: int | None = None, timeout_s: float = 20.0, files: Sequen
         time.sleep(0.05)
     viewer.terminate()
     raise RuntimeError("the Rerun viewer did not start; is there a display?")
+
+
+def free_port() -> int:
+    """A port of the loopback address that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def check_viewer(url: str, timeout_s: float = 5.0) -> None:

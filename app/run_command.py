@@ -8,6 +8,7 @@ import typer
 
 from app import pipeline, run_folder
 from app.inputs import InputOptions, Inputs, find_inputs
+from app.outputs import RUN_OUTPUTS, Output, check_outputs
 from app.poses import given_trajectory
 from app.progress import Progress
 from app.recorder import Detail
@@ -34,13 +35,13 @@ class Arguments:
     detail: str = "lines"
     spawn: bool = False
     connect: str | None = None
-    save: bool = True
+    outputs: tuple[str, ...] = RUN_OUTPUTS
     workers: int = 2
     evaluate: bool = True
     quiet: bool = False
 
 
-_STORED = ("rig", "horizontal", "vertical", "time_from", "trajectory", "detail", "save", "evaluate")
+_STORED = ("rig", "horizontal", "vertical", "time_from", "trajectory", "detail", "outputs", "evaluate")
 """Arguments that run.json keeps, for a run that is resumed."""
 
 
@@ -69,7 +70,7 @@ def run(arguments: Arguments, resume: Path | None) -> None:
         )
         run_folder.clear(folder)
         record = pipeline.first_record(
-            inputs, settings, _stored(arguments), arguments.bag, arguments.trajectory or "odometry"
+            inputs, settings, stored(arguments), arguments.bag, arguments.trajectory or "odometry"
         )
     assert record is not None
     with Progress(arguments.quiet) as progress:
@@ -81,7 +82,7 @@ def run(arguments: Arguments, resume: Path | None) -> None:
             settings,
             pipeline.RunOptions(
                 detail=Detail(arguments.detail),
-                save=arguments.save,
+                outputs=check_outputs(arguments.outputs),
                 connect_url=connect_url,
                 workers=arguments.workers,
                 resume=resume is not None,
@@ -92,7 +93,7 @@ def run(arguments: Arguments, resume: Path | None) -> None:
         )
     run_folder.point_latest_at(folder.path.resolve())
     if not arguments.quiet:
-        _report(folder, inputs, finished, arguments.save)
+        _report(folder, inputs, finished, Output.RECORDING in arguments.outputs)
     if arguments.evaluate and inputs.vertical is not None:
         _evaluate(folder, arguments)
 
@@ -123,7 +124,7 @@ def _evaluate(folder: RunFolder, arguments: Arguments) -> None:
                 typer.echo(f"errors:    rerun {folder.path / EVALUATION} {folder.path / RECORDING}")
 
 
-def _stored(arguments: Arguments) -> dict[str, Any]:
+def stored(arguments: Arguments) -> dict[str, Any]:
     values = asdict(arguments)
     stored = {name: values[name] for name in _STORED}
     if arguments.rig is not None:
@@ -146,6 +147,7 @@ def _resumed(arguments: Arguments, path: Path) -> tuple[Arguments, Settings, Run
         bag, settings = Path(record["bag"]["path"]), validate(record["settings"], str(path / run_folder.RUN_JSON))
         if options["time_from"] not in get_args(TimeFrom):
             raise KeyError(options["time_from"])
+        options["outputs"] = check_outputs(options["outputs"])
     except KeyError as error:
         raise InputError(f"{path / run_folder.RUN_JSON}: lacks {error}; start a new run") from None
     options["rig"] = Path(options["rig"]) if options["rig"] else None

@@ -15,6 +15,7 @@ RECORDING = "recording.rrd"
 EVALUATION = "evaluation.rrd"
 TRAJECTORY = "trajectory.tum"
 CLOUD = "cloud.ply"
+LABELS = "labels.parquet"
 METRICS = "metrics.json"
 SPOOL = "spool"
 

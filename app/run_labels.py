@@ -22,6 +22,7 @@ from algorithms.trajectory import Trajectory, place_scan
 from app.finished_run import FinishedRun
 from app.inputs import Sensor, find_inputs
 from app.recorded import ReadableRecording, Row, rows
+from app.run_folder import LABELS
 from blueprints import entities
 from loaders.bag import open_bag
 from loaders.errors import InputError
@@ -30,7 +31,6 @@ from loaders.rig import find_rig
 from loaders.scans import cloud_topics, index_clouds, read_clouds
 from loaders.trajectory_file import read_tum
 
-LABELS_ALONE = "labels.parquet"
 _CLOUDS_AT_ONCE = 20
 
 
@@ -79,7 +79,7 @@ class LabelSource:
         if self.run.labelled is not None:
             return self.run.labelled.name
         if self._alone is not None:
-            return LABELS_ALONE
+            return LABELS
         return self.run.recording.name if self.recording is not None and self.run.recording is not None else None
 
     @property
@@ -91,7 +91,7 @@ class LabelSource:
 
     @property
     def _alone(self) -> Path | None:
-        return self.run.file(LABELS_ALONE) if self.run.trajectory is not None else None
+        return self.run.file(LABELS) if self.run.trajectory is not None else None
 
     def read(self, with_points: bool = False, first: int = 0) -> Iterator[CloudLabels]:
         """The labels of every usable cloud, in the order of their stamps.

@@ -15,15 +15,22 @@ def build(
     centre_m: tuple[float, float] = (0.0, 0.0),
     extent_m: float = 20.0,
     evaluated: bool = False,
+    scans: bool = True,
 ) -> rrb.Blueprint:
     """The layout of a run's recording.
 
     ring_count: emitters of the vertical lidar, None where there is nothing to label. centre_m, extent_m: middle and size
-    of what the map views show. evaluated: with the errors that `evaluation.rrd` adds, first of all.
+    of what the map views show. evaluated: with the errors that `evaluation.rrd` adds, first of all. scans: whether the
+    recording has anything of single scans.
     """
     about: list[rrb.Container | rrb.View] = [_metrics(), rrb.TextDocumentView(origin=entities.README, name="Read me")]
     if ring_count is None:
         return _blueprint([_odometry(), *about], entities.STAMP_TIMELINE)
+    if not scans:
+        # The map alone: its tabs without the scan's views, which would be empty.
+        tabs = [_building(centre_m, extent_m), _map(centre_m, extent_m), _odometry(), *about]
+        tabs = [_evaluation(centre_m, extent_m, scans=False), *tabs] if evaluated else tabs
+        return _blueprint(tabs, entities.SCAN_TIMELINE)
     overview = rrb.Vertical(
         rrb.Horizontal(_scan(), _map(centre_m, extent_m), column_shares=[1, 1]),
         rrb.Horizontal(_lines(), _curves(ring_count), _grid(centre_m, extent_m), column_shares=[1, 1.25, 1]),
@@ -31,7 +38,8 @@ def build(
         name="At a glance",
     )
     tabs = [overview, _method(ring_count), _building(centre_m, extent_m), _odometry(), *about]
-    return _blueprint([_evaluation(centre_m, extent_m), *tabs] if evaluated else tabs, entities.SCAN_TIMELINE)
+    tabs = [_evaluation(centre_m, extent_m), *tabs] if evaluated else tabs
+    return _blueprint(tabs, entities.SCAN_TIMELINE)
 
 
 def view_of(grid: GridMap | None) -> tuple[tuple[float, float], float]:
@@ -130,10 +138,20 @@ def from_above(centre_m: tuple[float, float], extent_m: float) -> rrb.EyeControl
     return rrb.EyeControls3D(position=(*centre_m, extent_m), look_target=(*centre_m, 0.0), eye_up=(0.0, 1.0, 0.0))
 
 
-def _evaluation(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
-    """What is wrong: on the map, in the scan, over time, and in figures."""
+def _evaluation(centre_m: tuple[float, float], extent_m: float, scans: bool = True) -> rrb.Container:
+    """What is wrong: on the map, in the scan (if there are any), over time, and in figures."""
     eye = from_above(centre_m, extent_m)
     outlines = [entities.TRUTH_WALLS, entities.TRUTH_DOORS, entities.INVENTED_DOORS]
+    scan = rrb.Vertical(
+        _scan_view(
+            "This scan: false wall red, missed wall orange",
+            [entities.POINTS],
+            (entities.POINTS, _mapped(rr.Points3D.from_fields(), "Points3D:colors", entities.POINT_VERDICT_COLOR)),
+        ),
+        _scan_view("Its labels", [entities.POINTS]),
+        rrb.TimeSeriesView(origin=entities.SCAN_ERRORS, name="Wrong points in each scan, percent"),
+        row_shares=[3, 3, 2],
+    )
     return rrb.Horizontal(
         rrb.Vertical(
             rrb.Tabs(
@@ -161,18 +179,9 @@ def _evaluation(centre_m: tuple[float, float], extent_m: float) -> rrb.Container
                 line_grid=rrb.LineGrid3D(visible=False),
             ),
         ),
-        rrb.Vertical(
-            _scan_view(
-                "This scan: false wall red, missed wall orange",
-                [entities.POINTS],
-                (entities.POINTS, _mapped(rr.Points3D.from_fields(), "Points3D:colors", entities.POINT_VERDICT_COLOR)),
-            ),
-            _scan_view("Its labels", [entities.POINTS]),
-            rrb.TimeSeriesView(origin=entities.SCAN_ERRORS, name="Wrong points in each scan, percent"),
-            row_shares=[3, 3, 2],
-        ),
+        *([scan] if scans else []),
         rrb.TextDocumentView(origin=entities.FIGURES, name="Figures"),
-        column_shares=[4, 3, 3],
+        column_shares=[4, 3, 3] if scans else [3, 2],
         name="Evaluation",
     )
 

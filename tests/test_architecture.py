@@ -24,6 +24,8 @@ ONLY_IN = {
         "app/inspect_recorder.py",
         "app/compare_recorder.py",
         "app/pipeline.py",
+        "app/sweep_recorder.py",
+        "app/catalogue.py",
         "blueprints/",
     ],
     "embreex": ["loaders/simulator/"],

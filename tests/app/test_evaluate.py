@@ -22,12 +22,14 @@ from app.evaluate import (
     read_building,
     read_doors,
 )
+from app.labels_file import LabelsWriter
 from app.results import write_geojson, write_grid, write_json, write_labelled_bag
 from loaders.bag import make_typestore, open_bag
 from loaders.errors import InputError
 from loaders.frames import StaticTransform
+from loaders.pointcloud2 import describe_layout, field_column
 from loaders.rig import Rig
-from loaders.scans import index_clouds
+from loaders.scans import index_clouds, read_messages
 from loaders.trajectory_file import write_tum
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, odometry, point_dtype, tf_message, write_bag
 
@@ -282,3 +284,28 @@ def test_building_and_doors_from_geojson(tmp_path: Path):
     assert (len(doors), faces.shape) == (0, (0, 2, 2))
     write_geojson(tmp_path / "doors.geojson", [])
     assert len(read_doors(tmp_path / "doors.geojson")) == 0
+
+
+def test_labels_beside_the_runs_own_bag_count_the_same(tmp_path: Path, run: tuple[Path, dict[str, Any]]):
+    bag_path, classes = make_truth_bag(tmp_path / "in.bag")
+    made = make_run(tmp_path / "run", bag_path, classes)
+    with open_bag(made / "labelled.bag") as bag:
+        index = index_clouds(bag, "/vertical")
+        rows = []
+        for number, message in read_messages(bag, index):
+            layout = describe_layout(message, "/vertical")
+            rows.append((number, *(field_column(message, layout, name).copy() for name in ("label", "label_scan"))))
+    with LabelsWriter(made / "labels.parquet") as writer:
+        list(writer.passing(rows))
+    (made / "labelled.bag").unlink()
+    options = {"rig": None, "horizontal": None, "vertical": "/vertical", "time_from": "auto"}
+    write_json(made / "run.json", {"bag": {"path": str(bag_path)}, "options": options})
+    metrics = evaluate_run(made, workers=1)
+    for section in ("scans", "area", "area_scan", "points", "points_scan", "doors", "wall_map"):
+        assert json.dumps(metrics[section]) == json.dumps(run[1][section])
+    with LabelsWriter(made / "labels.parquet") as writer:
+        list(writer.passing(rows[1:]))
+    # A scan without labels is not one that was not there: all its points are missed.
+    fewer = evaluate_run(made, workers=1)
+    assert fewer["scans"] == metrics["scans"]
+    assert fewer["points"]["wall"]["missed"] == metrics["points"]["wall"]["missed"] + 600

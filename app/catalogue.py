@@ -1,0 +1,244 @@
+"""Runs as a catalogue: Rerun's own server over their recordings, and queries on the properties that these carry.
+
+A recording is a segment of the dataset `runs`, its `evaluation.rrd` a layer of it; settings, results and metrics are their
+properties. A query is the same whether the server runs here for a second or is one that others share.
+"""
+
+import difflib
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pyarrow as pa  # type: ignore[import-untyped]
+import rerun as rr
+import rerun.server
+from datafusion import DataFrame, Expr, col, lit
+from datafusion import functions as f
+from rerun.catalog import CatalogClient, DatasetEntry
+
+from app import figures
+from app.run_folder import EVALUATION, RECORDING, RUN_JSON, RunFolder
+from loaders.errors import InputError
+
+LOOPBACK = "127.0.0.1"
+DATASET = "runs"
+RUN = "run"
+"""The column that names a run: its folder."""
+_URLS = "rerun_storage_urls"
+_GROUPS = ("run", "result", "metrics", "settings")
+"""Properties that are asked for; where two have a name in common, the earlier is meant."""
+_DEPTH = 3
+
+
+def find_runs(root: Path) -> list[Path]:
+    """Run folders in a folder, or the folder itself, links left out; raises InputError where there is none."""
+    if not root.is_dir():
+        raise InputError(f"{root}: is no folder; give one with runs")
+    found = sorted(_runs_below(root, _DEPTH))
+    if not found:
+        raise InputError(f"{root}: holds no runs; 'ffmap run' and 'ffmap sweep' make some")
+    return found
+
+
+def _runs_below(folder: Path, depth: int) -> Iterator[Path]:
+    if (folder / RUN_JSON).is_file():
+        yield folder
+    elif depth:
+        try:
+            inner = [entry for entry in folder.iterdir() if entry.is_dir() and not entry.is_symlink()]
+        except PermissionError:
+            return
+        for entry in inner:
+            yield from _runs_below(entry, depth - 1)
+
+
+class Catalogue:
+    """A server over the recordings of runs, and what it could not take."""
+
+    def __init__(self, server: rr.server.Server) -> None:
+        self.url: str = server.url()
+        self.dataset: DatasetEntry = server.client().create_dataset(DATASET)
+        self.taken: dict[str, Path] = {}
+        """Folders by their recordings' ids."""
+        self.left_out: dict[Path, str] = {}
+        """Why a run is not among them, and what to do."""
+
+    def add(self, folder: Path) -> None:
+        """Register a run; one that cannot be is kept in `left_out`."""
+        reason = self._register(folder)
+        if reason is not None:
+            self.left_out[folder] = reason
+
+    def _register(self, folder: Path) -> str | None:
+        try:
+            record = RunFolder(folder).read_json()
+        except InputError as error:
+            return str(error)
+        identity = str(record.get("recording_id"))
+        recording = folder / RECORDING
+        if not recording.exists():
+            return f"{folder}: has no {RECORDING}, in which its properties would be"
+        if identity in self.taken:
+            return f"{folder}: has the recording id of {self.taken[identity]}, of which it is a copy"
+        layers = [(recording, "base"), (folder / EVALUATION, "evaluation")]
+        try:
+            for path, layer in layers:
+                if path.exists():
+                    self.dataset.register([path.resolve().as_uri()], layer_name=layer).wait()
+                    self.taken[identity] = folder
+        except (ValueError, RuntimeError) as error:
+            name = path.name
+            if record.get("outcome") == "running":
+                return f"{folder}: {name} has no end yet: the run goes on, or was killed; ffmap run --resume {folder}"
+            return f"{folder}: {name} is damaged ({str(error).splitlines()[0]}); make the run again"
+        return None
+
+
+@contextmanager
+def serve(folders: Sequence[Path], host: str = LOOPBACK, port: int | None = None) -> Iterator[Catalogue]:
+    """A catalogue of runs for as long as the context lasts.
+
+    Raises InputError where the address cannot be had.
+    """
+    try:
+        server = rr.server.Server(host=host, port=port)
+    except (RuntimeError, ValueError, OSError) as error:
+        raise InputError(f"{host}:{port or 0}: no server can listen there ({error}); choose another --port") from error
+    with server:
+        catalogue = Catalogue(server)
+        for folder in folders:
+            catalogue.add(folder)
+        yield catalogue
+
+
+def connect(url: str, name: str | None) -> DatasetEntry:
+    """The dataset of a catalogue server; raises InputError where there is none."""
+    try:
+        client = CatalogClient(url)
+        names = client.dataset_names()
+    except (ConnectionError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"{url}: no catalogue answers there ({reason}); 'ffmap serve DIR' starts one") from None
+    wanted = name or (DATASET if DATASET in names or len(names) != 1 else names[0])
+    if wanted not in names:
+        raise InputError(f"{url}: has no dataset {wanted!r}; choose one with --dataset: {', '.join(names) or 'it has none'}")
+    return client.get_dataset(wanted)
+
+
+@dataclass(frozen=True)
+class Query:
+    """What is asked of a catalogue: SQL that a run has to satisfy, and a column to sort by."""
+
+    where: str | None = None
+    sort: str | None = None
+    reverse: bool = False
+    """What is better, or less, comes last."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Runs that a query found.
+
+    table: one row a run, a column for each property by its name in `app.figures`, and `run`, its folder.
+    """
+
+    table: pa.Table
+    settings: tuple[str, ...]
+    """Columns that are settings."""
+
+    @property
+    def differing(self) -> list[str]:
+        """Settings that are not the same in all runs."""
+        return [name for name in self.settings if len(set(self.table.column(name).to_pylist())) > 1]
+
+
+def ask(dataset: DatasetEntry, query: Query) -> Answer:
+    """Runs of a dataset; raises InputError where the query cannot be understood, or names what is not there."""
+    segments = dataset.segment_table()
+    columns, settings = _columns(segments.schema().names)
+    if query.where is not None:
+        segments = _filtered(segments, query.where, columns)
+    if query.sort is not None:
+        name = query.sort.replace(".", "_")
+        if name not in columns:
+            raise InputError(f"--sort {query.sort}: {unknown(query.sort, list(columns))}")
+        more_is_better = name in figures.OBJECTIVES and not figures.less_is_better(name)
+        segments = segments.sort(_value(columns[name]).sort(ascending=more_is_better == query.reverse, nulls_first=False))
+    else:
+        segments = segments.sort(_value(_URLS).sort(ascending=True))
+    found = segments.to_arrow_table()
+    table = {name: _firsts(found.column(source)) for name, source in columns.items()}
+    table[RUN] = pa.array([_folder_of(url) for url in table[RUN].to_pylist()], pa.string())
+    return Answer(pa.table(table), tuple(settings))
+
+
+def _columns(names: Sequence[str]) -> tuple[dict[str, str], list[str]]:
+    """The properties' columns by the names that they have here; and which of them are settings."""
+    found: dict[str, str] = {}
+    settings = []
+    for group in _GROUPS:
+        for source in names:
+            if source.startswith(prefix := f"property:{group}:"):
+                name = figures.column_name(group, source.removeprefix(prefix))
+                if found.setdefault(name, source) == source and group == "settings":
+                    settings.append(name)
+    return {**found, RUN: _URLS}, settings
+
+
+def _value(column: str) -> Expr:
+    """A property's value: the catalogue has lists of one."""
+    return f.array_element(col(f'"{column}"'), lit(1))
+
+
+def _firsts(column: pa.ChunkedArray) -> pa.Array:
+    return pa.array([values[0] if values else None for values in column.to_pylist()], column.type.value_type)
+
+
+def _filtered(runs: DataFrame, said: str, columns: Mapping[str, str]) -> DataFrame:
+    try:
+        filtered = runs.filter(_in_their_words(said, columns))
+        # A plan is checked against the columns' types only when it is carried out.
+        filtered.execution_plan()
+    except Exception as error:
+        text = str(error)
+        missing = re.search(r"No field named (\S+?)[.,]?(?:\s|$)", text)
+        if missing is not None:
+            raise InputError(f"--where {said}: {unknown(missing.group(1).strip(chr(34)), list(columns))}") from None
+        reason = re.sub(r"^DataFusion error: ", "", text.splitlines()[0])
+        raise InputError(
+            f"--where {said}: is not understood ({reason}); write it as SQL, as in \"wall_f1 > 0.98 and doors = 4\""
+        ) from None
+    return filtered
+
+
+def unknown(name: str, known: Sequence[str]) -> str:
+    """What to say of a column that is not there."""
+    close = difflib.get_close_matches(name.replace(".", "_"), known, n=1, cutoff=0.5)
+    usual = [figure for figure in figures.HEADLINES if figure in known]
+    return (
+        f"there is no column {name!r}; "
+        + (f"did you mean {close[0]!r}? " if close else "")
+        + f"There are {', '.join(usual) or 'no figures'} and {len(known) - len(usual)} more; --columns all lists them"
+    )
+
+
+def _in_their_words(condition: str, columns: Mapping[str, str]) -> str:
+    """SQL on the catalogue's columns; a setting may be written with its dots, as 'ffmap settings' names it."""
+
+    def value(found: re.Match[str]) -> str:
+        source = columns.get(found[0].strip('"').replace(".", "_"))
+        return found[0] if source is None else f'"{source}"[1]'
+
+    # What stands between single quotes is text.
+    parts = condition.split("'")
+    parts[::2] = [re.sub(r'"[^"]+"|[A-Za-z_][\w.]*', value, part) for part in parts[::2]]
+    return "'".join(parts)
+
+
+def _folder_of(url: str) -> str:
+    """The folder of a recording, where it is a file."""
+    parts = urlsplit(url)
+    return str(Path(unquote(parts.path)).parent) if parts.scheme == "file" else url.rpartition("/")[0]
