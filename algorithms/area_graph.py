@@ -32,6 +32,8 @@ _BESIDE_M = 0.4
 """A room begins at most so far beside a doorway."""
 _SITE_M = 0.25
 """Edges of the Voronoi graph lie at least so far from the obstacles."""
+_BEAM_M = 0.15
+"""No room is narrower than twice this: what is, are rays that left through a gap."""
 _JAMB_M = 0.1
 """A doorway is closed so far into both jambs, whose place is not known better."""
 
@@ -133,8 +135,8 @@ def find_rooms(
     doorways: (D, 4, 2) corners of the detected doors' openings, the sill's two first, in metres of the map frame; free in
     the grid, they part rooms whatever their width, and belong to none. windows: (W, 2, 2), through which no room is
     reached. path_map: (n, 2 or more) the robot's places, for a map that was made on the way: rooms that no passage
-    joins to them are dropped, the edge of what was seen is no jamb, and a room reaches on behind what hid it as far as
-    its convex hull. None for a map whose making is unknown.
+    joins to them are dropped, the edge of what was seen is no jamb, and what something hid within a room is part of it.
+    None for a map whose making is unknown.
     """
     view = _View.of(grid)
     free = view.cells == Cell.FREE
@@ -147,9 +149,10 @@ def find_rooms(
     sides = np.array([_sides(label, view, doorway) for doorway in doorways], np.int32).reshape(-1, 2)
     openings = _openings(label, view)
     if path_map is not None:
+        label = _without_beams(label, _BEAM_M / grid.cell_m)
         label = _reached(label, sides, [pair for pair, _ in openings], view.at(path_map[:, :2]))
-        hidden = (view.cells == Cell.UNKNOWN) & ~closed
-        label = _reaching_on(label, hidden | furniture)
+        label = _reaching_on(label, walls & ~furniture)
+        label = _with_niches(label, closed, settings.block_max_m / grid.cell_m)
     reach_m = 0.0 if path_map is None else grid.cell_m / 2  # such a map's walls run along the middle of their cells
     removed, skeleton = view.centres(furniture & ~free), _voronoi(label, nearest, view)
     return _described(label, sides, openings, doorways, removed, skeleton, view, reach_m)
@@ -361,20 +364,53 @@ def _reached(
     return np.where(np.isin(label, list(reached)), label, 0)
 
 
-def _reaching_on(label: IntArray, hidden: BoolArray) -> IntArray:
-    """Each area with the hidden cells of its convex hull that no wall parts from it; what two areas claim is neither's."""
-    claimed = np.zeros(label.shape, np.uint8)
-    grown = label.copy()
-    for number, box in enumerate(ndimage.find_objects(label), 1):
+def _without_beams(label: IntArray, radius: float) -> IntArray:
+    """Areas without what no disc of so many cells reaches: single rays that left through a gap."""
+    core = ndimage.distance_transform_edt(label > 0) > radius
+    near = ndimage.distance_transform_edt(~core) <= radius + 1
+    return np.where(near, label, 0)
+
+
+def _reaching_on(label: IntArray, walls: BoolArray) -> IntArray:
+    """Areas with the cells that something hid: whichever way one looks from there, one sees the area or a wall.
+
+    Two of the four ways have to end in the area, so that the inside of walls and cupboards is none of it.
+    """
+    known = (label > 0) | walls
+    seen = []
+    for axis in (0, 1):
+        for backwards in (False, True):
+            met = np.where(known, np.where(walls, 0, label), -1)
+            met = np.flip(met, axis) if backwards else met
+            place = np.arange(met.shape[axis]).reshape((-1, 1) if axis == 0 else (1, -1))
+            last = np.maximum.accumulate(np.where(met >= 0, place, 0), axis=axis)
+            met = np.take_along_axis(met, last, axis)
+            seen.append(np.flip(met, axis) if backwards else met)
+    ends = np.stack(seen)
+    area = ends.max(axis=0)
+    alike = (ends == area).sum(axis=0) >= 2
+    enclosed = (ends >= 0).all(axis=0) & ((ends == area) | (ends == 0)).all(axis=0)
+    return np.where(~known & enclosed & alike & (area > 0), area, label)
+
+
+def _with_niches(label: IntArray, closed: BoolArray, size: float) -> IntArray:
+    """Areas with the blocks that stand at their walls: notches of the convex hull, at most so many cells long.
+
+    What two areas claim is neither's.
+    """
+    claims = np.zeros(label.shape, np.uint8)
+    filled = label.copy()
+    for area, box in enumerate(ndimage.find_objects(label), 1):
         if box is None:
             continue
-        own = label[box] == number
-        hull = convex_hull_image(own)  # type: ignore[no-untyped-call]
-        allowed = own | (hull & hidden[box] & (label[box] == 0))
-        gained = ndimage.binary_propagation(own, mask=allowed) & ~own
-        claimed[box] += gained
-        grown[box][gained] = number
-    return np.where(claimed > 1, 0, grown)
+        hull = convex_hull_image(label[box] == area)  # type: ignore[no-untyped-call]
+        notches, _ = ndimage.label(hull & (label[box] == 0) & ~closed[box])
+        for notch, part in enumerate(ndimage.find_objects(notches), 1):
+            own = notches[part] == notch
+            if max(own.shape) <= size and _length(own) <= size:
+                claims[box][part] += own
+                filled[box][part][own] = area
+    return np.where(claims > 1, 0, filled)
 
 
 def _described(
