@@ -28,6 +28,7 @@ from algorithms.settings import StepSettings
 NO_DOORWAYS: FloatArray = np.zeros((0, 4, 2))
 NO_LINES: FloatArray = np.zeros((0, 2, 2))
 _EIGHT = np.ones((3, 3), bool)
+_WAYS = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if (down, right) != (0, 0)]
 _BESIDE_M = 0.4
 """A room begins at most so far beside a doorway."""
 _SITE_M = 0.25
@@ -145,6 +146,8 @@ def find_rooms(
     open_cells = (free | furniture) & ~closed
     walls = ~free if path_map is None else (view.cells == Cell.OCCUPIED) | closed
     distance, nearest = ndimage.distance_transform_edt(open_cells, return_indices=True)
+    if len(doorways):
+        settings = settings.model_copy(update={"passage_max_m": min(settings.passage_max_m, _door_width(doorways))})
     label = _areas(open_cells, distance.astype(np.float32), nearest, walls, grid.cell_m, settings)
     sides = np.array([_sides(label, view, doorway) for doorway in doorways], np.int32).reshape(-1, 2)
     openings = _openings(label, view)
@@ -156,6 +159,11 @@ def find_rooms(
     reach_m = 0.0 if path_map is None else grid.cell_m / 2  # such a map's walls run along the middle of their cells
     removed, skeleton = view.centres(furniture & ~free), _voronoi(label, nearest, view)
     return _described(label, sides, openings, doorways, removed, skeleton, view, reach_m)
+
+
+def _door_width(doorways: FloatArray) -> float:
+    """The w of the Area Graph where doors are known: what they usually measure, and 0.1 m."""
+    return float(np.median(np.linalg.norm(doorways[:, 1] - doorways[:, 0], axis=1))) + 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +181,7 @@ class _View:
         if not len(rows):
             return _View(grid, np.full((1, 1), Cell.UNKNOWN, np.uint8), (0, 0))
         part = grid.cells[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-        bordered = np.pad(part, 1, constant_values=Cell.OCCUPIED)
+        bordered = np.pad(part, 1, constant_values=Cell.UNKNOWN)
         return _View(grid, bordered, (int(rows[0]) - 1, int(columns[0]) - 1))
 
     @property
@@ -374,29 +382,41 @@ def _without_beams(label: IntArray, radius: float) -> IntArray:
 def _reaching_on(label: IntArray, walls: BoolArray) -> IntArray:
     """Areas with the cells that something hid: whichever way one looks from there, one sees the area or a wall.
 
-    Two of the four ways have to end in the area, so that the inside of walls and cupboards is none of it.
+    Three of the eight ways have to end in the area, so that the inside of walls and cupboards is none of it.
     """
     known = (label > 0) | walls
-    seen = []
-    for axis in (0, 1):
-        for backwards in (False, True):
-            met = np.where(known, np.where(walls, 0, label), -1)
-            met = np.flip(met, axis) if backwards else met
-            place = np.arange(met.shape[axis]).reshape((-1, 1) if axis == 0 else (1, -1))
-            last = np.maximum.accumulate(np.where(met >= 0, place, 0), axis=axis)
-            met = np.take_along_axis(met, last, axis)
-            seen.append(np.flip(met, axis) if backwards else met)
-    ends = np.stack(seen)
+    ends = np.stack([_met(np.where(known, label, -1), known, down, right) for down, right in _WAYS])
     area = ends.max(axis=0)
-    alike = (ends == area).sum(axis=0) >= 2
-    enclosed = (ends >= 0).all(axis=0) & ((ends == area) | (ends == 0)).all(axis=0)
-    return np.where(~known & enclosed & alike & (area > 0), area, label)
+    seen = ends == area
+    inside = (seen | (ends == 0)).all(axis=0) & (seen.sum(axis=0) >= 3) & (area > 0) & ~known
+    grown = label.copy()
+    for number, box in enumerate(ndimage.find_objects(np.where(inside, area, label)), 1):
+        if box is not None:
+            own = label[box] == number
+            reached = ndimage.binary_propagation(own, mask=own | (inside[box] & (area[box] == number)))
+            grown[box][reached] = number
+    return grown
+
+
+def _met(value: IntArray, known: BoolArray, down: int, right: int) -> IntArray:
+    """What the first known cell holds that one meets from each cell in a direction; -1 where there is none."""
+    if down == 0:
+        return _met(value.T, known.T, right, 0).T
+    met = np.full_like(value, -1)
+    before = np.full(value.shape[1], -1, value.dtype)
+    for row in range(value.shape[0])[:: -down]:
+        if right:
+            before = np.roll(before, -right)
+            before[-1 if right > 0 else 0] = -1
+        before = np.where(known[row], value[row], before)
+        met[row] = before
+    return met
 
 
 def _with_niches(label: IntArray, closed: BoolArray, size: float) -> IntArray:
     """Areas with the blocks that stand at their walls: notches of the convex hull, at most so many cells long.
 
-    What two areas claim is neither's.
+    A notch that touches another area or a doorway is the wall between them; what two areas claim is neither's.
     """
     claims = np.zeros(label.shape, np.uint8)
     filled = label.copy()
@@ -404,10 +424,13 @@ def _with_niches(label: IntArray, closed: BoolArray, size: float) -> IntArray:
         if box is None:
             continue
         hull = convex_hull_image(label[box] == area)  # type: ignore[no-untyped-call]
-        notches, _ = ndimage.label(hull & (label[box] == 0) & ~closed[box])
+        notches, count = ndimage.label(hull & (label[box] == 0) & ~closed[box], _EIGHT)
+        foreign = closed[box] | ((label[box] > 0) & (label[box] != area))
+        touching = np.zeros(count + 1, bool)
+        touching[notches[ndimage.binary_dilation(foreign, _EIGHT)]] = True
         for notch, part in enumerate(ndimage.find_objects(notches), 1):
             own = notches[part] == notch
-            if max(own.shape) <= size and _length(own) <= size:
+            if not touching[notch] and max(own.shape) <= size and _length(own) <= size:
                 claims[box][part] += own
                 filled[box][part][own] = area
     return np.where(claims > 1, 0, filled)
