@@ -21,6 +21,7 @@ from scipy.spatial.distance import pdist, squareform
 from skimage.morphology import convex_hull_image, local_maxima
 from skimage.segmentation import watershed
 
+from algorithms.building import Doors
 from algorithms.grid_map import Cell, GridMap
 from algorithms.scan import BoolArray, FloatArray, IntArray
 from algorithms.settings import StepSettings
@@ -164,6 +165,34 @@ def find_rooms(
 def _door_width(doorways: FloatArray) -> float:
     """The w of the Area Graph where doors are known: what they usually measure, and 0.1 m."""
     return float(np.median(np.linalg.norm(doorways[:, 1] - doorways[:, 0], axis=1))) + 0.1
+
+
+def doorways_of(doors: Doors) -> FloatArray:
+    """(D, 4, 2) the openings of doors through their walls, for `find_rooms`: the sill, then the far side."""
+    behind = doors.ends - doors.normal[:, None] * doors.reveal_m[:, None, None]
+    return np.concatenate([doors.ends, behind[:, ::-1]], axis=1)
+
+
+def coarsened(grid: GridMap, cells_max: int) -> GridMap:
+    """The grid around its free cells, with cells so large that no more than so many are left.
+
+    A large cell is occupied if any of its cells is, and else free if any is: no wall opens, and no room is lost.
+    """
+    rows = np.flatnonzero((grid.cells == Cell.FREE).any(axis=1))
+    columns = np.flatnonzero((grid.cells == Cell.FREE).any(axis=0))
+    if not len(rows):
+        return grid
+    first, stop = np.array([rows[0], columns[0]]), np.array([rows[-1] + 1, columns[-1] + 1])
+    factor = int(np.ceil(np.sqrt(np.prod((stop - first).astype(float)) / cells_max)))
+    part = grid.cells[first[0] : stop[0], first[1] : stop[1]]
+    origin = grid.origin + grid.cell_m * first[::-1]
+    if factor > 1:
+        tiled = np.pad(part, [(0, -part.shape[0] % factor), (0, -part.shape[1] % factor)], constant_values=Cell.UNKNOWN)
+        tiles = tiled.reshape(tiled.shape[0] // factor, factor, tiled.shape[1] // factor, factor)
+        occupied = (tiles == Cell.OCCUPIED).any(axis=(1, 3))
+        free = (tiles == Cell.FREE).any(axis=(1, 3))
+        part = np.select([occupied, free], [Cell.OCCUPIED, Cell.FREE], Cell.UNKNOWN).astype(np.uint8)
+    return GridMap(part, origin, grid.cell_m * factor)
 
 
 @dataclass(frozen=True, eq=False)
