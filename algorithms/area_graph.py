@@ -32,6 +32,8 @@ _EIGHT = np.ones((3, 3), bool)
 _WAYS = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if (down, right) != (0, 0)]
 _BESIDE_M = 0.4
 """A room begins at most so far beside a doorway."""
+_MARGIN = 10
+"""Cells around the free ones that stay in view."""
 _SITE_M = 0.25
 """Edges of the Voronoi graph lie at least so far from the obstacles."""
 _BEAM_M = 0.15
@@ -182,7 +184,8 @@ def coarsened(grid: GridMap, cells_max: int) -> GridMap:
     columns = np.flatnonzero((grid.cells == Cell.FREE).any(axis=0))
     if not len(rows):
         return grid
-    first, stop = np.array([rows[0], columns[0]]), np.array([rows[-1] + 1, columns[-1] + 1])
+    first = np.maximum([rows[0] - _MARGIN, columns[0] - _MARGIN], 0)
+    stop = np.minimum([rows[-1] + 1 + _MARGIN, columns[-1] + 1 + _MARGIN], grid.cells.shape)
     factor = int(np.ceil(np.sqrt(np.prod((stop - first).astype(float)) / cells_max)))
     part = grid.cells[first[0] : stop[0], first[1] : stop[1]]
     origin = grid.origin + grid.cell_m * first[::-1]

@@ -12,7 +12,8 @@ from blueprints import entities
 
 _FLOOR_M = 0.01
 _LINE_M = 0.04
-"""Rooms lie so far above the grid, lines above the rooms; the grid would hide them."""
+_NAME_M = 0.08
+"""Rooms lie so far above the grid, lines above the rooms, passages and names above all: else one would hide another."""
 
 
 def log_rooms(stream: rr.RecordingStream, graph: AreaGraph) -> None:
@@ -25,7 +26,7 @@ def log_rooms(stream: rr.RecordingStream, graph: AreaGraph) -> None:
         stream.log(
             entities.ROOM_NAMES,
             rr.Points3D(
-                _at_height(inside, _LINE_M), colors=colors, labels=captions, show_labels=True,
+                _at_height(inside, _NAME_M), colors=entities.TRUTH_COLOR, labels=captions, show_labels=True,
                 radii=rr.Radius.ui_points(4.0),
             ),
             evidence({"area_m2": np.array([room.area_m2 for room in graph.rooms])}),
@@ -37,9 +38,9 @@ def log_rooms(stream: rr.RecordingStream, graph: AreaGraph) -> None:
                 [room.name for room in graph.rooms],
                 # The graph's view has y downwards; a metre is so many of its units.
                 positions=(inside * [1.0, -1.0] * entities.GRAPH_UNITS_PER_M).astype(np.float32),
-                labels=captions,
+                labels=[room.name for room in graph.rooms],
+                show_labels=True,
                 colors=colors,
-                radii=np.sqrt([room.area_m2 for room in graph.rooms]).astype(np.float32) * 2.0,
             ),
             rr.GraphEdges(
                 [(graph.rooms[a].name, graph.rooms[b].name) for a, b in (passage.rooms for passage in graph.passages)],
@@ -51,7 +52,7 @@ def log_rooms(stream: rr.RecordingStream, graph: AreaGraph) -> None:
     stream.log(
         entities.ROOM_PASSAGES,
         rr.LineStrips3D(
-            _at_height(lines, _LINE_M),
+            _at_height(lines, _NAME_M),
             colors=entities.PASSAGE_COLOR,
             radii=rr.Radius.ui_points(2.5),
             labels=[" – ".join(graph.rooms[room].name for room in passage.rooms) for passage in graph.passages],

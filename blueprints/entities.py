@@ -57,7 +57,7 @@ ROOM_TOPOLOGY = "/world/rooms/topology"
 ROOM_VORONOI = "/world/rooms/voronoi"
 ROOM_FURNITURE = "/world/rooms/furniture"
 ROOM_GRAPH = "/rooms/graph"
-GRAPH_UNITS_PER_M = 40.0
+GRAPH_UNITS_PER_M = 25.0
 """The graph's view writes names in its own units: rooms have to lie as far apart as they are long."""
 
 SCAN = "/scan"
@@ -164,7 +164,7 @@ TRAJECTORY_COLOR: Color = (0, 214, 255)
 KEYPOINT_COLOR: Color = (255, 196, 0)
 LOCAL_MAP_COLOR: Color = (96, 110, 130)
 PASSAGE_COLOR: Color = (214, 40, 40)
-TOPOLOGY_COLOR: Color = (255, 255, 255)
+TOPOLOGY_COLOR: Color = (150, 0, 190)
 VORONOI_COLOR: Color = (54, 120, 255)
 FURNITURE_COLOR: Color = (255, 140, 0)
 

@@ -55,7 +55,7 @@ def tab(centre_m: tuple[float, float], extent_m: float, grid: str = entities.FUR
             rrb.Spatial3DView(
                 origin=entities.WORLD,
                 contents=[ground, entities.ROOM_VORONOI, entities.ROOM_TOPOLOGY, entities.ROOM_FURNITURE],
-                name="Voronoi graph, topology (white), what was taken for furniture (orange)",
+                name="Voronoi graph (blue), topology (violet), what was taken for furniture (orange)",
                 eye_controls=eye,
                 line_grid=rrb.LineGrid3D(visible=False),
             ),
