@@ -378,11 +378,12 @@ def _openings(label: IntArray, view: _View) -> list[tuple[tuple[int, int], Float
         row, column = np.nonzero((here != there) & (here > 0) & (there > 0))
         pairs.append(np.sort(np.column_stack([here[row, column], there[row, column]]), axis=1))
         edges.append(_border(row, column, down))
-    all_pairs, all_edges = np.concatenate(pairs), np.concatenate(edges)
+    all_pairs, which = np.unique(np.concatenate(pairs), axis=0, return_inverse=True)
+    order = np.argsort(which, kind="stable")
+    groups = np.split(np.concatenate(edges)[order], np.flatnonzero(np.diff(which[order])) + 1)
     openings = []
-    for pair in np.unique(all_pairs, axis=0):
-        own = shapely.linestrings(all_edges[(all_pairs == pair).all(axis=1)])
-        merged = shapely.line_merge(shapely.union_all(own))
+    for pair, own in zip(all_pairs, groups, strict=False):
+        merged = shapely.line_merge(shapely.union_all(shapely.linestrings(own)))
         # Corners that touch are one opening.
         for part in shapely.get_parts(shapely.union_all(shapely.buffer(shapely.get_parts(merged), 0.9))):
             corners = shapely.get_coordinates(shapely.intersection(merged, part))
@@ -491,17 +492,17 @@ def _described(
         for door, pair in enumerate(door_rooms)
         if min(pair) >= 0 and pair[0] != pair[1]
     ]
+    by_door = {passage.rooms: passage.line for passage in passages}
     for pair, line in openings:
         a, b = sorted(int(i) for i in index[list(pair)])
-        if a >= 0 and not any(p.rooms == (a, b) and _same_place(p.line, line) for p in passages):
+        if a >= 0 and not ((a, b) in by_door and _same_place(by_door[a, b], line)):
             passages.append(Passage((a, b), line, None))
+    doors: list[list[int]] = [[] for _ in order]
+    for door, pair in enumerate(door_rooms):
+        for room in {*pair} - {-1}:
+            doors[room].append(door)
     rooms = tuple(
-        Room(
-            name=f"room {place + 1}",
-            polygon=outlines[i],
-            area_m2=float(outlines[i].area),
-            doors=tuple(door for door, pair in enumerate(door_rooms) if place in pair),
-        )
+        Room(f"room {place + 1}", outlines[i], float(outlines[i].area), tuple(doors[place]))
         for place, i in enumerate(order)
     )
     whole = np.full(view.grid.cells.shape, -1, np.int32)

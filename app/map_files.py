@@ -60,7 +60,7 @@ def read_map(path: Path, resolution_m: float | None = None) -> GridMap:
 
 
 def read_image(path: Path, what: str = "") -> UInt8Array:
-    """Grey values (rows, columns) of an image, its first row the uppermost; transparent is white.
+    """Grey values (rows, columns) of an image, its first row the uppermost; transparent is unknown.
 
     what: names the image in an error's line. Raises InputError where it is none, or too large.
     """
@@ -89,9 +89,9 @@ def _grey(path: Path, what: str) -> UInt8Array:
             raise InputError(f"{what}{path} has more than 8 bits a pixel; save it with 8 bits")
         if "A" in image.getbands() or "transparency" in image.info:
             rgba = image.convert("RGBA")
-            white = Image.new("RGBA", image.size, "white")
-            white.alpha_composite(rgba)
-            return np.asarray(white.convert("L"))
+            ground = Image.new("RGBA", image.size, (int(Cell.UNKNOWN),) * 3)
+            ground.alpha_composite(rgba)
+            return np.asarray(ground.convert("L"))
         return np.asarray(image.convert("L"))
 
 
@@ -121,7 +121,7 @@ def _read_description(path: Path) -> MapDescription:
 
 
 def _cells(pixels: UInt8Array, description: MapDescription) -> UInt8Array:
-    """As map_server decides, by a table of all grey values."""
+    """As map_server decides, by a table of all grey values; its modes trinary and scale tell the same cells free."""
     grey = np.arange(256)
     table = np.full(256, Cell.UNKNOWN, np.uint8)
     if description.mode == "raw":
@@ -131,4 +131,6 @@ def _cells(pixels: UInt8Array, description: MapDescription) -> UInt8Array:
     occupied = grey / 255 if description.negate else (255 - grey) / 255
     table[occupied > description.occupied_thresh] = Cell.OCCUPIED
     table[occupied < description.free_thresh] = Cell.FREE
+    if not description.negate:
+        table[Cell.UNKNOWN] = Cell.UNKNOWN  # what map_server saves as unknown is just under its own default for free
     return np.asarray(table[pixels])

@@ -21,6 +21,7 @@ _TRANSPARENCY = 0.35
 
 def write_rooms(path: Path, graph: AreaGraph) -> None:
     """Rooms as Polygons in metres of the map frame, with name, area, doors (ids in doors.geojson) and neighbours."""
+    network = graph.topology()
     write_geojson(
         path,
         [
@@ -29,7 +30,7 @@ def write_rooms(path: Path, graph: AreaGraph) -> None:
                     "name": room.name,
                     "area": round(room.area_m2, 3),
                     "doors": room.doors,
-                    "neighbours": [graph.rooms[other].name for other in sorted(graph.topology()[index])],
+                    "neighbours": [graph.rooms[other].name for other in sorted(network[index])],
                 },
                 "geometry": shapely.geometry.mapping(room.polygon),
             }

@@ -21,7 +21,7 @@ from app.room_results import topology, write_picture, write_rooms
 from app.settings import load_settings
 from loaders.errors import InputError
 
-CELLS_MAX = 10_000_000
+CELLS_MAX = 8_000_000
 """A map with more cells around its free space is segmented with larger ones: time and memory stay bounded."""
 TRUTH_SUFFIX = "_gt_segmentation"
 IMAGES = (".png", ".pgm")
