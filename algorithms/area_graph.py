@@ -200,7 +200,7 @@ def coarsened(grid: GridMap, cells_max: int) -> GridMap:
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """The part of a grid that is free, with a border of one cell; first: its row and column in the grid."""
+    """The part of a grid around its free cells, bordered by unknown ones; first: its row and column in the grid."""
 
     grid: GridMap
     cells: IntArray
@@ -212,9 +212,9 @@ class _View:
         rows, columns = np.flatnonzero(free.any(axis=1)), np.flatnonzero(free.any(axis=0))
         if not len(rows):
             return _View(grid, np.full((1, 1), Cell.UNKNOWN, np.uint8), (0, 0))
-        part = grid.cells[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-        bordered = np.pad(part, 1, constant_values=Cell.UNKNOWN)
-        return _View(grid, bordered, (int(rows[0]) - 1, int(columns[0]) - 1))
+        row, column = max(int(rows[0]) - _MARGIN, 0), max(int(columns[0]) - _MARGIN, 0)
+        part = grid.cells[row : rows[-1] + 1 + _MARGIN, column : columns[-1] + 1 + _MARGIN]
+        return _View(grid, np.pad(part, 1, constant_values=Cell.UNKNOWN), (row - 1, column - 1))
 
     @property
     def origin(self) -> FloatArray:
@@ -483,7 +483,9 @@ def _described(
     numbers = np.flatnonzero(np.bincount(label.ravel()))
     numbers = numbers[numbers > 0]
     outlines = _outlines(label, numbers, view, reach_m)
-    order = sorted(range(len(numbers)), key=lambda i: (-outlines[i].area, *outlines[i].centroid.coords[0]))
+    # Rounded, so that rooms of equal size keep their order wherever the map lies.
+    places = np.round([(-area.area, *area.centroid.coords[0]) for area in outlines], 6).reshape(-1, 3)
+    order = np.lexsort(places.T[::-1])
     index = np.full(int(label.max(initial=0)) + 1, -1, np.int32)
     index[numbers[order]] = np.arange(len(order))
     door_rooms = tuple((int(a), int(b)) for a, b in index[sides])
@@ -497,7 +499,7 @@ def _described(
         a, b = sorted(int(i) for i in index[list(pair)])
         if a >= 0 and not ((a, b) in by_door and _same_place(by_door[a, b], line)):
             passages.append(Passage((a, b), line, None))
-    doors: list[list[int]] = [[] for _ in order]
+    doors: list[list[int]] = [[] for _ in outlines]
     for door, pair in enumerate(door_rooms):
         for room in {*pair} - {-1}:
             doors[room].append(door)
