@@ -1,19 +1,35 @@
 """Rooms as Rerun entities: coloured floors with names and areas, and their topology as a graph."""
 
+import uuid
+from pathlib import Path
+
 import numpy as np
 import rerun as rr
 import shapely
 
 from algorithms.area_graph import AreaGraph
+from algorithms.grid_map import GridMap
 from algorithms.scan import FloatArray, UInt8Array
-from app.recorder import evidence
+from app.recorder import Recorder, evidence
+from app.recording import open_part
 from app.room_results import inner_point, room_color
 from blueprints import entities
+from blueprints import rooms as rooms_blueprint
+from blueprints.run import view_of
 
 _FLOOR_M = 0.01
 _LINE_M = 0.04
 _NAME_M = 0.08
 """Rooms lie so far above the grid, lines above the rooms, passages and names above all: else one would hide another."""
+
+
+def write_recording(path: Path, grid: GridMap, graph: AreaGraph) -> None:
+    """A recording of one segmented map, its layout inside."""
+    with open_part(path, str(uuid.uuid4())) as stream:
+        stream.send_blueprint(rooms_blueprint.build(*view_of(grid)), make_active=True, make_default=True)
+        stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        Recorder(stream).log_grid(entities.SEGMENTED, grid)
+        log_rooms(stream, graph)
 
 
 def log_rooms(stream: rr.RecordingStream, graph: AreaGraph) -> None:

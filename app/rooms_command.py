@@ -1,7 +1,6 @@
 """`ffmap rooms`: rooms of any system's grid map, and how well they meet rooms drawn by hand."""
 
 import json
-import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -129,14 +128,7 @@ def _segment(
 
 def _write(out: Path, grid: GridMap, graph: AreaGraph, figures: RoomFigures | None) -> None:
     # Rerun takes longer to start than a small map to segment.
-    import rerun as rr
-
-    from app.recorder import Recorder
-    from app.recording import open_part
-    from app.room_recorder import log_rooms
-    from blueprints import entities
-    from blueprints import rooms as rooms_blueprint
-    from blueprints.run import view_of
+    from app.room_recorder import write_recording
 
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -145,11 +137,7 @@ def _write(out: Path, grid: GridMap, graph: AreaGraph, figures: RoomFigures | No
         write_picture(out / "rooms.png", grid, graph)
         if figures is not None:
             write_json(out / "metrics.json", metrics(figures))
-        with open_part(out / "rooms.rrd", str(uuid.uuid4())) as stream:
-            stream.send_blueprint(rooms_blueprint.build(*view_of(grid)), make_active=True, make_default=True)
-            stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-            Recorder(stream).log_grid(entities.SEGMENTED, grid)
-            log_rooms(stream, graph)
+        write_recording(out / "rooms.rrd", grid, graph)
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror}); give another folder to --out") from error
 

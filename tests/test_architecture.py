@@ -16,7 +16,14 @@ HOUSE = set(ALLOWED) | {"tests"}
 ONLY_IN = {
     "kiss_icp": ["algorithms/odometry.py"],
     "small_gicp": ["algorithms/refinement.py"],
-    "rerun": ["app/recorder.py", "app/recording.py", "app/evaluation_recorder.py", "app/pipeline.py", "blueprints/"],
+    "rerun": [
+        "app/recorder.py",
+        "app/recording.py",
+        "app/room_recorder.py",
+        "app/evaluation_recorder.py",
+        "app/pipeline.py",
+        "blueprints/",
+    ],
     "embreex": ["loaders/simulator/"],
     "pickle": [],
 }

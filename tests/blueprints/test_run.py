@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import rerun.blueprint as rrb
 
-from blueprints import entities, run
+from blueprints import entities, rooms, run
 from blueprints.entities import CurveSheet
 
 
@@ -27,6 +27,15 @@ def test_every_view_has_a_name_and_an_origin_that_is_written():
             path == str(view.origin) or path.startswith(f"{view.origin}/") or str(view.origin).startswith(f"{path}/")
             for path in known
         )
+
+
+def test_rooms_have_a_tab_and_a_layout_of_their_own():
+    tabs = run.build().root_container.contents
+    assert "Rooms" in [str(tab.name) for tab in tabs]
+    own = list(views(rooms.build((3.0, 4.0), 10.0).root_container))
+    shown = {path for view in own for path in view.contents} | {str(view.origin) for view in own}
+    assert {f"{entities.GRID}/{entities.SEGMENTED}", entities.ROOM_FLOORS, entities.ROOM_NAMES} <= shown
+    assert any(isinstance(view, rrb.GraphView) and view.origin == entities.ROOM_GRAPH for view in own)
 
 
 def test_the_first_tab_shows_scan_lines_curves_map_and_grid():
