@@ -286,3 +286,12 @@ def test_the_voronoi_graph_keeps_off_the_walls() -> None:
     assert len(middles) > 100
     assert shapely.contains(free, middles).all()
     assert shapely.distance(middles, walls.difference(shapely.union_all(plan.doorways).buffer(0.02))).min() > 0.2
+    assert len(graph.skeleton) < 0.1 * np.count_nonzero(graph.label >= 0)
+
+
+def test_an_alcove_too_small_for_a_room_joins_the_one_that_it_opens_to() -> None:
+    alcove = shapely.box(4.1, 1.6, 5.0, 2.4)
+    plan = Plan((shapely.box(0, 0, 4, 4), alcove), (shapely.box(4, 1.8, 4.1, 2.2),))
+    (room,) = find_rooms(draw(plan), SETTINGS).rooms
+    assert room.polygon.intersection(alcove).area > 0.95 * alcove.area
+    assert len(find_rooms(draw(plan), AreaGraphSettings(room_min_m2=0.3))) == 2
