@@ -1,4 +1,4 @@
-"""The command line: ffmap run, inspect, compare, sweep, runs, view, serve, info, simulate, evaluate, settings, bench, demo.
+"""The command line: ffmap run, inspect, compare, sweep, runs, view, serve, rooms, info, simulate, evaluate and more.
 
 Each command imports what it needs when it is called: 'ffmap --help' answers at once.
 """
@@ -450,6 +450,49 @@ def serve(
     from app import runs_command
 
     runs_command.serve(folder, host, port)
+
+
+@app.command()
+def rooms(
+    map_path: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MAP", help="map_server's .yaml, or an image: .png or .pgm; or a folder of them.", show_default=False
+        ),
+    ],
+    resolution: Annotated[
+        float | None, typer.Option(help="Edge of a pixel in metres; needed for an image without YAML.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for what is written.  [default: rooms/<map>]")] = None,
+    truth: Annotated[
+        Path | None, typer.Option(help="Image of the true rooms, white and parted by lines: prints recall and precision.")
+    ] = None,
+    doors: Annotated[Path | None, typer.Option(help="Doors that are known, as a run's doors.geojson.")] = None,
+    config: Annotated[Path | None, typer.Option(help="Settings as TOML; see 'ffmap settings'.")] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="One setting, as in area_graph.passage_max_m=1.25; repeatable.")
+    ] = None,
+) -> None:
+    """Rooms of any system's grid map, furniture and all: outlines, areas, and which room leads to which.
+
+    Writes rooms.geojson, topology.json, rooms.png and rooms.rrd. Free is white (over 250) in an image; a YAML file has
+    its own thresholds. In a folder, every X.png that has its Y_gt_segmentation.png beside it is compared with that.
+
+    Examples:
+
+        ffmap rooms map.yaml
+
+        ffmap rooms floor.png --resolution 0.05 --truth floor_rooms.png
+
+        ffmap rooms ipa_room_segmentation/test_maps --resolution 0.05
+
+        ffmap rooms slam.yaml --set area_graph.furniture_max_m=0 --set area_graph.block_max_m=0
+    """
+    from app import rooms_command
+
+    rooms_command.rooms(
+        rooms_command.Arguments(map_path, resolution, out, truth, doors, config, tuple(set_ or ()))
+    )
 
 
 @app.command()

@@ -11,6 +11,8 @@ The names in it, all fractions 0 to 1, null where there is nothing to divide by:
     doors.true | passed | found_count | found | detections | invented_count | invented
     doors.width_error_m | width_bias_m | state_right
     wall_map.precision | recall | error_m | true_cells | occupied_cells
+    rooms.true | entered | found | recall | precision     recall over the true rooms with 1 m of the true way or more in them
+    rooms.recall_of_all | split | merged                         names of the true rooms; pairs of them
     trajectory.ate_rmse_m | ate_mean_m | ate_max_m               after the best rotation and shift
     trajectory.unaligned_rmse_m | unaligned_mean_m | unaligned_max_m
     trajectory.rotation_rmse_deg | relative_translation_rmse_m | relative_rotation_rmse_deg | poses
@@ -57,11 +59,13 @@ from algorithms.evaluation import (
 )
 from algorithms.grid_map import Cell, GridMap
 from algorithms.labels import NO_RETURN, Label, Truth
+from algorithms.room_evaluation import RoomFigures, compare_rooms
 from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.trajectory import Trajectory, place_scan
 from app.labels_file import read_labels
 from app.processes import process_context
 from app.results import write_json
+from app.room_results import outlines
 from app.run_folder import EVALUATION, LABELS, RECORDING, RUN_JSON
 from blueprints import run as run_blueprint
 from loaders.bag import Bag, open_bag
@@ -235,6 +239,8 @@ def compare_run(
         metrics["trajectory"] = _trajectory_metrics(compare_trajectories(found, true_trajectory))
     if statistics := _read_json(run_dir / RUN_JSON).get("statistics"):
         metrics["statistics"] = statistics
+    if truth.building is not None and (run_dir / "rooms.geojson").exists():
+        metrics["rooms"] = _compare_rooms(run_dir / "rooms.geojson", truth.building, true_trajectory)
     doors, faces = read_building(truth.building)
     clouds = _clouds_of(run_dir)
     if clouds is None or truth.classes is None:
@@ -444,6 +450,13 @@ def read_building(building: Mapping[str, Any] | None) -> tuple[TrueDoors, FloatA
     return doors, np.concatenate(faces) if faces else np.zeros((0, 2, 2))
 
 
+def _compare_rooms(path: Path, building: Mapping[str, Any], true_trajectory: Trajectory) -> Metrics:
+    true = [feature for feature in building["features"] if feature["properties"]["kind"] == "room"]
+    names = [feature["properties"].get("name", str(i)) for i, feature in enumerate(true)]
+    way = true_trajectory.T_map_base[:, :3, 3]
+    return _room_metrics(compare_rooms(outlines(true), outlines(_read_json(path)["features"]), way), names)
+
+
 def read_doors(path: Path) -> FoundDoors:
     """A run's `doors.geojson`."""
     features = _read_json(path)["features"]
@@ -499,9 +512,9 @@ def format_metrics(metrics: Metrics) -> list[Table]:
                 *(f"{figure:,}" for figure in paper),
             )
         tables.append(table)
-    rows = [*_door_rows(metrics), *_map_rows(metrics), *_trajectory_rows(metrics)]
+    rows = [*_door_rows(metrics), *_map_rows(metrics), *_room_rows(metrics), *_trajectory_rows(metrics)]
     if rows:
-        table = Table(title="Doors, map, trajectory", title_justify="left", show_header=False)
+        table = Table(title="Doors, map, rooms, trajectory", title_justify="left", show_header=False)
         for row in rows:
             table.add_row(*row)
         tables.append(table)
@@ -541,6 +554,18 @@ def _map_rows(metrics: Metrics) -> list[tuple[str, str]]:
             ("wall map, mean error", _centimetres(wall_map["error_m"])),
         ]
     return rows
+
+
+def _room_rows(metrics: Metrics) -> list[tuple[str, str]]:
+    if (rooms := metrics.get("rooms")) is None:
+        return []
+    merged = [" and ".join(pair) for pair in rooms["merged"]]
+    return [
+        ("rooms entered, recall", f"{_percent(rooms['recall'])} % ({rooms['entered']} of {rooms['true']} true rooms)"),
+        ("rooms found, precision", f"{_percent(rooms['precision'])} % ({rooms['found']} rooms)"),
+        ("rooms split", ", ".join(rooms["split"]) or "none"),
+        ("rooms merged", ", ".join(merged) or "none"),
+    ]
 
 
 def _trajectory_rows(metrics: Metrics) -> list[tuple[str, str]]:
@@ -609,6 +634,20 @@ def _wall_map_metrics(figures: WallMapFigures) -> Metrics:
         "error_m": figures.error_m,
         "true_cells": len(figures.true_cells),
         "occupied_cells": len(figures.occupied),
+    }
+
+
+def _room_metrics(figures: RoomFigures, names: Sequence[str]) -> Metrics:
+    return {
+        "true": len(figures.recall),
+        "entered": int(np.count_nonzero(figures.counted)),
+        "found": len(figures.precision),
+        "recall": figures.mean_recall,
+        "recall_of_all": _mean(figures.recall),
+        "precision": figures.mean_precision,
+        "split": [names[room] for room in figures.split],
+        "merged": [[names[room] for room in pair] for pair in figures.merged],
+        "by_room": {name: float(recall) for name, recall in zip(names, figures.recall, strict=True)},
     }
 
 

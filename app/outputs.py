@@ -20,7 +20,7 @@ class Output(StrEnum):
     MAPS = "maps"
     """map.yaml and map.pgm."""
     GEOJSON = "geojson"
-    """walls.geojson and doors.geojson."""
+    """walls.geojson, doors.geojson and rooms.geojson."""
 
 
 RUN_OUTPUTS = (Output.RECORDING, Output.LABELLED, Output.CLOUD, Output.MAPS, Output.GEOJSON)

@@ -18,6 +18,7 @@ import numpy as np
 import rerun.blueprint as rrb
 
 from algorithms import transforms
+from algorithms.area_graph import AreaGraph, doorways_of, find_rooms
 from algorithms.building import (
     NO_WINDOWS,
     BuildingSettings,
@@ -76,6 +77,8 @@ from app.processes import make_pool
 from app.progress import Progress
 from app.recorder import Detail, Recorder
 from app.recording import Recording
+from app.room_recorder import log_rooms
+from app.room_results import door_rooms, topology, write_rooms
 from app.run_folder import CLOUD, LABELS, RECORDING, TRAJECTORY, RunFolder
 from app.settings import Settings
 from app.versions import versions
@@ -112,6 +115,8 @@ class RunState:
     odometry_cached: bool = False
     labels_digest: str = ""
     """See `LabelsWriter.digest`; empty where nothing was labelled."""
+    topology: dict[str, Any] = field(default_factory=dict)
+    """Rooms and passages."""
 
 
 @dataclass(frozen=True)
@@ -139,6 +144,7 @@ class Building:
     windows: Windows
     halo: Halo
     grid: GridMap
+    rooms: AreaGraph
 
 
 def run(
@@ -209,6 +215,7 @@ def _gathered(state: RunState, started: float) -> dict[str, Any]:
         "warnings": state.warnings,
         "odometry_cached": state.odometry_cached,
         "labels_digest": state.labels_digest,
+        "topology": state.topology,
     }
 
 
@@ -244,16 +251,20 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
                 recorder.log_building(building.walls, building.judged, building.doors, building.windows)
                 recorder.log_grid("furniture_free", building.grid)
             if run.recording:
+                log_rooms(run.recording.stream, building.rooms)
                 run.recording.set_layout(_layout(inputs, run.options.detail, building.grid))
             if Output.GEOJSON in outputs:
                 results.write_walls(folder.path / "walls.geojson", building.walls)
-                results.write_doors(folder.path / "doors.geojson", building.doors)
+                results.write_doors(folder.path / "doors.geojson", building.doors, door_rooms(building.rooms))
+                write_rooms(folder.path / "rooms.geojson", building.rooms)
             if Output.MAPS in outputs:
                 results.write_grid(folder.path / "map.yaml", building.grid)
+            state.topology = topology(building.rooms)
             state.counts |= {
                 "walls": len(building.walls),
                 "refused_walls": len(building.judged.refused),
                 "doors": len(building.doors),
+                "rooms": len(building.rooms),
             }
             state.timings_s["building"] = time.perf_counter() - clock
 
@@ -571,7 +582,9 @@ def _build(
     grid = draw_furniture_free(
         walls, doors, trajectory.T_map_base[:, :3, 3], _features(folder, blocks), settings.grid_map
     )
-    return Building(walls, judged, doors, windows, find_halo(votes, settings.relabelling.halo_ratio), grid)
+    path = trajectory.T_map_base[:, :3, 3]
+    rooms = find_rooms(grid, settings.area_graph, doorways_of(doors), windows.ends, path)
+    return Building(walls, judged, doors, windows, find_halo(votes, settings.relabelling.halo_ratio), grid, rooms)
 
 
 def _trace(

@@ -123,10 +123,10 @@ def write_walls(path: Path, walls: Walls) -> None:
     )
 
 
-def write_doors(path: Path, doors: Doors, rooms: Sequence[tuple[int, int] | None] | None = None) -> None:
+def write_doors(path: Path, doors: Doors, rooms: Sequence[Sequence[str | None] | None] | None = None) -> None:
     """Doors as LineStrings along the sill between the jambs, in metres of the map frame.
 
-    rooms: the two rooms that each door joins, where they are known.
+    rooms: names of the two rooms that each door joins, None for one that was not mapped.
     """
     write_geojson(
         path,

@@ -10,6 +10,7 @@ from typing import Any
 
 from pydantic import Field, ValidationError
 
+from algorithms.area_graph import AreaGraphSettings
 from algorithms.building import BuildingSettings
 from algorithms.doors import DoorsSettings
 from algorithms.grid_map import GridMapSettings
@@ -41,6 +42,7 @@ class Settings(StepSettings):
     building: BuildingSettings = BuildingSettings()
     standing_walls: StandingWallsSettings = StandingWallsSettings()
     grid_map: GridMapSettings = GridMapSettings()
+    area_graph: AreaGraphSettings = AreaGraphSettings()
     relabelling: RelabellingSettings = RelabellingSettings()
 
     @property

@@ -70,7 +70,7 @@ LONG_CASES = (Case("office, 150 s", {"building": "office"}), Case("ell, 150 s", 
 class Figure:
     """A figure of `metrics.json` in a table.
 
-    path: its keys; fractions become percent, metres centimetres.
+    path: its keys; fractions become percent, metres centimetres, lists their length.
     """
 
     heading: str
@@ -78,10 +78,12 @@ class Figure:
     less_is_better: bool = False
 
     def of(self, metrics: Metrics) -> float | None:
-        """The figure times 100; None where the run has none."""
+        """The figure, fractions and metres times 100; None where the run has none."""
         value: Any = metrics
         for key in self.path:
             value = value.get(key) if isinstance(value, Mapping) else None
+        if isinstance(value, list):
+            return float(len(value))
         return None if value is None else 100.0 * float(value)
 
 
@@ -113,6 +115,16 @@ TABLES: tuple[tuple[str, tuple[Figure, ...]], ...] = (
             Figure("R", ("wall_map", "recall")),
             Figure("off cm", ("wall_map", "error_m"), less_is_better=True),
             Figure("ATE cm", ("trajectory", "ate_rmse_m"), less_is_better=True),
+        ),
+    ),
+    (
+        "Rooms: percent, and how many were split or merged",
+        (
+            Figure("recall", ("rooms", "recall")),
+            Figure("precision", ("rooms", "precision")),
+            Figure("recall of all", ("rooms", "recall_of_all")),
+            Figure("split", ("rooms", "split"), less_is_better=True),
+            Figure("merged", ("rooms", "merged"), less_is_better=True),
         ),
     ),
 )

@@ -48,6 +48,19 @@ CLOUD_CEILING = "/world/building/ceiling"
 GRID = "/world/grid"
 FURNITURE_FREE = "furniture_free"
 """Name of the grid that the run is about; the paper's rivals lie beside it."""
+SEGMENTED = "segmented"
+"""Name of a grid of another system's, of which only the rooms are wanted."""
+ROOMS = "/world/rooms"
+ROOM_FLOORS = "/world/rooms/floors"
+ROOM_OUTLINES = "/world/rooms/outlines"
+ROOM_NAMES = "/world/rooms/names"
+ROOM_PASSAGES = "/world/rooms/passages"
+ROOM_TOPOLOGY = "/world/rooms/topology"
+ROOM_VORONOI = "/world/rooms/voronoi"
+ROOM_FURNITURE = "/world/rooms/furniture"
+ROOM_GRAPH = "/rooms/graph"
+GRAPH_UNITS_PER_M = 25.0
+"""The graph's view writes names in its own units: rooms have to lie as far apart as they are long."""
 
 SCAN = "/scan"
 POINTS = "/scan/points"
@@ -199,6 +212,10 @@ TRAJECTORY_COLOR: Color = (0, 214, 255)
 KEYPOINT_COLOR: Color = (255, 196, 0)
 WEAK_COLOR: Color = (255, 70, 70)
 LOCAL_MAP_COLOR: Color = (96, 110, 130)
+PASSAGE_COLOR: Color = (214, 40, 40)
+TOPOLOGY_COLOR: Color = (150, 0, 190)
+VORONOI_COLOR: Color = (54, 120, 255)
+FURNITURE_COLOR: Color = (255, 140, 0)
 
 PLANE_COLORS: tuple[Color, ...] = (
     (31, 186, 140),
@@ -272,6 +289,7 @@ the map, growing up to the time cursor; the furniture-free grid |
 | **Step by step** | Fig. 3 (no floor, no ceiling), 5a (point lines), 6 (up-most and bottom-most structures), \
 7 (wall planes), the door conditions |
 | **Building** | the fused cloud, walls, doors (blue), windows (magenta), and the grid; they hold for the whole run |
+| **Rooms** | the rooms of the grid with their areas, which one leads to which, and the Voronoi graph they are cut from |
 | **Odometry** | what KISS-ICP used of each horizontal scan. These lie on the timeline `stamp` alone: choose it below |
 | **Metrics and warnings** | returns by label, evidence counted, milliseconds by stage, scans that were skipped |
 

@@ -6,7 +6,7 @@ import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
 from algorithms.grid_map import GridMap
-from blueprints import entities
+from blueprints import entities, rooms
 from blueprints.entities import CurveSheet
 
 
@@ -37,7 +37,8 @@ def build(
         row_shares=[1, 1],
         name="At a glance",
     )
-    tabs = [overview, _method(ring_count), _building(centre_m, extent_m), _odometry(), *about]
+    building = [_building(centre_m, extent_m), rooms.tab(centre_m, extent_m)]
+    tabs = [overview, _method(ring_count), *building, _odometry(), *about]
     tabs = [_evaluation(centre_m, extent_m), *tabs] if evaluated else tabs
     return _blueprint(tabs, entities.SCAN_TIMELINE)
 

@@ -21,6 +21,7 @@ ONLY_IN = {
         "app/recording.py",
         "app/recorded.py",
         "app/evaluation_recorder.py",
+        "app/room_recorder.py",
         "app/inspect_recorder.py",
         "app/compare_recorder.py",
         "app/pipeline.py",

@@ -35,6 +35,7 @@ FILES = [
     "map.pgm",
     "walls.geojson",
     "doors.geojson",
+    "rooms.geojson",
     "metrics.json",
 ]
 
@@ -126,6 +127,29 @@ def write_empty_clouds(path: Path) -> Path:
             )
             writer.write(connection, 10**12 + k * 10**8, store.serialize_ros1(cloud, "sensor_msgs/msg/PointCloud2"))
     return path
+
+
+def test_rooms_doors_topology_and_recording_tell_the_same(finished: Path) -> None:
+    rooms = [f["properties"] for f in json.loads((finished / "rooms.geojson").read_text())["features"]]
+    doors = [f["properties"] for f in json.loads((finished / "doors.geojson").read_text())["features"]]
+    record = json.loads((finished / "run.json").read_text())
+    topology = record["topology"]
+    assert len(rooms) == record["counts"]["rooms"] == len(topology["rooms"]) > 0
+    assert [room["name"] for room in rooms] == [room["name"] for room in topology["rooms"]]
+    for room in rooms:
+        for door in room["doors"]:
+            assert room["name"] in doors[door]["rooms"]
+        assert {name for p in topology["passages"] if room["name"] in p["rooms"] for name in p["rooms"]} - {
+            room["name"]
+        } == set(room["neighbours"])
+    joined = [door for door in doors if door["rooms"] and None not in door["rooms"] and len(set(door["rooms"])) == 2]
+    assert len(joined) == sum(passage["door"] is not None for passage in topology["passages"])
+    assert any(door["rooms"] for door in doors)
+    paths = {str(chunk.entity_path) for chunk in RrdReader(finished / "recording.rrd").stream()}
+    assert {entities.ROOM_FLOORS, entities.ROOM_NAMES, entities.ROOM_GRAPH} <= paths
+    metrics = json.loads((finished / "metrics.json").read_text())["rooms"]
+    assert metrics["found"] == len(rooms)
+    assert metrics["precision"] > 0.8
 
 
 def test_every_file_can_be_read_by_something_else(finished: Path, environment: dict[str, str]) -> None:

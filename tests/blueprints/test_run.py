@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import rerun.blueprint as rrb
 
-from blueprints import compare, entities, inspect, run
+from blueprints import compare, entities, inspect, rooms, run
 from blueprints.entities import CurveSheet
 
 
@@ -49,6 +49,15 @@ def test_a_scan_shows_the_line_its_curve_its_profile_and_why():
     names = " ".join(str(view.name) for view in views(inspect.build((5.0, 3.0), 7).root_container))
     for word in ("The line in its scan", "eq. 2, Fig. 5b", "profile", "Why: this line", "Why: the whole scan"):
         assert word in names
+
+
+def test_rooms_have_a_tab_and_a_layout_of_their_own():
+    tabs = run.build().root_container.contents
+    assert "Rooms" in [str(tab.name) for tab in tabs]
+    own = list(views(rooms.build((3.0, 4.0), 10.0).root_container))
+    shown = {path for view in own for path in view.contents} | {str(view.origin) for view in own}
+    assert {f"{entities.GRID}/{entities.SEGMENTED}", entities.ROOM_FLOORS, entities.ROOM_NAMES} <= shown
+    assert any(isinstance(view, rrb.GraphView) and view.origin == entities.ROOM_GRAPH for view in own)
 
 
 def test_the_first_tab_shows_scan_lines_curves_map_and_grid():

@@ -1,0 +1,215 @@
+"""`ffmap rooms`: rooms of any system's grid map, and how well they meet rooms drawn by hand."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from algorithms.area_graph import NO_DOORWAYS, AreaGraph, coarsened, find_rooms
+from algorithms.grid_map import Cell, GridMap
+from algorithms.room_evaluation import RoomFigures, compare_room_images, rooms_of_image
+from algorithms.scan import FloatArray, IntArray
+from app.map_files import read_image, read_map
+from app.results import write_json
+from app.room_results import topology, write_picture, write_rooms
+from app.settings import load_settings
+from loaders.errors import InputError
+
+CELLS_MAX = 8_000_000
+"""A map with more cells around its free space is segmented with larger ones: time and memory stay bounded."""
+TRUTH_SUFFIX = "_gt_segmentation"
+IMAGES = (".png", ".pgm")
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What the command line says."""
+
+    map_path: Path
+    resolution_m: float | None
+    out: Path | None
+    truth: Path | None
+    doors: Path | None
+    config: Path | None
+    overrides: tuple[str, ...]
+
+
+def rooms(arguments: Arguments) -> None:
+    """Segment one map, or every map of a folder that has its truth beside it; write and print what was found."""
+    if arguments.map_path.is_dir():
+        _segment_folder(arguments)
+        return
+    graph, figures = _segment(arguments, arguments.map_path, arguments.truth)
+    out = arguments.out or Path("rooms") / arguments.map_path.stem
+    console = Console(highlight=False)
+    console.print(_rooms_table(graph))
+    if figures is not None:
+        console.print(_truth_line(figures))
+    console.print(f"{out}: rooms.geojson, topology.json, rooms.png; look at it with: rerun {out / 'rooms.rrd'}")
+
+
+def _segment_folder(arguments: Arguments) -> None:
+    """Every map that has rooms drawn by hand beside it, and the mean of each kind of maps."""
+    if arguments.truth is not None:
+        raise InputError("--truth: for one map; in a folder the truth of X.png is the longest fit of Y_gt_segmentation.png")
+    pairs = _pairs(arguments.map_path)
+    if not pairs:
+        raise InputError(
+            f"{arguments.map_path}: no map has rooms beside it (as office_a.png has office_a{TRUTH_SUFFIX}.png); give one map"
+        )
+    console = Console(highlight=False)
+    table = Table("map", title="Rooms against those drawn by hand, percent", title_justify="left")
+    for heading in ("true", "found", "recall", "precision", "split", "merged"):
+        table.add_column(heading, justify="right")
+    by_kind: dict[str, list[RoomFigures]] = {}
+    for path, truth in pairs:
+        _, figures = _segment(arguments, path, truth, many=True)
+        assert figures is not None
+        by_kind.setdefault(path.stem.removeprefix(truth.stem.removesuffix(TRUTH_SUFFIX)), []).append(figures)
+        table.add_row(path.stem, *_figures_cells(figures))
+    table.add_section()
+    for kind, many in by_kind.items():
+        table.add_row(
+            f"mean of {len(many)} {kind.strip('_ ') or 'plain'}",
+            str(sum(len(f.recall) for f in many)),
+            str(sum(len(f.precision) for f in many)),
+            f"{100 * np.mean([f.mean_recall for f in many]):.2f}",
+            f"{100 * np.mean([f.mean_precision for f in many]):.2f}",
+            str(sum(len(f.split) for f in many)),
+            str(sum(len(f.merged) for f in many)),
+        )
+    console.print(table)
+
+
+def _pairs(folder: Path) -> list[tuple[Path, Path]]:
+    images = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGES)
+    truths = [path for path in images if path.stem.endswith(TRUTH_SUFFIX)]
+    pairs = []
+    for path in images:
+        fits = [truth for truth in truths if path.stem.startswith(truth.stem.removesuffix(TRUTH_SUFFIX))]
+        if path not in truths and fits:
+            pairs.append((path, max(fits, key=lambda truth: len(truth.stem))))
+    return pairs
+
+
+def _segment(
+    arguments: Arguments, path: Path, truth: Path | None, many: bool = False
+) -> tuple[AreaGraph, RoomFigures | None]:
+    settings = load_settings(arguments.config, arguments.overrides).area_graph
+    grid = read_map(path, arguments.resolution_m)
+    if not (grid.cells == Cell.FREE).any():
+        raise InputError(
+            f"{path}: the map has no free cell; free is white (over 250) in an image, for other greys give a YAML file"
+        )
+    doorways = _doorways(arguments.doors) if arguments.doors is not None else NO_DOORWAYS
+    coarse = coarsened(grid, CELLS_MAX)
+    if coarse.cell_m > grid.cell_m:
+        typer.echo(
+            f"{path}: {grid.cells.shape[1]} × {grid.cells.shape[0]} cells are many; "
+            f"segmented with cells of {coarse.cell_m:g} m",
+            err=True,
+        )
+    graph = find_rooms(coarse, settings, doorways)
+    if not len(graph):
+        raise InputError(
+            f"{path}: no room has {settings.room_min_m2:g} m² or more with pixels of {grid.cell_m:g} m; "
+            "is the resolution right? see --set area_graph.room_min_m2"
+        )
+    figures = None if truth is None else _compare(path, grid, coarse, graph, truth)
+    out = arguments.out or Path("rooms")
+    _write(out / path.stem if many or arguments.out is None else out, coarse, graph, figures)
+    return graph, figures
+
+
+def _write(out: Path, grid: GridMap, graph: AreaGraph, figures: RoomFigures | None) -> None:
+    # Rerun takes longer to start than a small map to segment.
+    from app.room_recorder import write_recording
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        write_rooms(out / "rooms.geojson", graph)
+        write_json(out / "topology.json", topology(graph))
+        write_picture(out / "rooms.png", grid, graph)
+        if figures is not None:
+            write_json(out / "metrics.json", metrics(figures))
+        write_recording(out / "rooms.rrd", grid, graph)
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written ({error.strerror}); give another folder to --out") from error
+
+
+def metrics(figures: RoomFigures) -> dict[str, object]:
+    """Figures as fractions, as in a run's metrics.json."""
+    return {
+        "rooms": {
+            "true": len(figures.recall),
+            "found": len(figures.precision),
+            "recall": figures.mean_recall,
+            "precision": figures.mean_precision,
+            "split": len(figures.split),
+            "merged": len(figures.merged),
+        }
+    }
+
+
+def _compare(path: Path, grid: GridMap, coarse: GridMap, graph: AreaGraph, truth: Path) -> RoomFigures:
+    true = rooms_of_image(read_image(truth)[::-1], grid.cell_m)
+    if true.shape != grid.cells.shape:
+        raise InputError(
+            f"{truth}: has {true.shape[1]} × {true.shape[0]} pixels and {path} {grid.cells.shape[1]} × "
+            f"{grid.cells.shape[0]}; give the truth of this map"
+        )
+    return compare_room_images(true, _spread(graph.label, coarse, grid), grid.cells == Cell.FREE, grid.cell_m)
+
+
+def _spread(label: IntArray, coarse: GridMap, grid: GridMap) -> IntArray:
+    """The label of a coarsened grid, in the cells of the grid itself."""
+    factor = round(coarse.cell_m / grid.cell_m)
+    column, row = np.rint((coarse.origin - grid.origin) / grid.cell_m).astype(int)
+    fine = np.repeat(np.repeat(label, factor, axis=0), factor, axis=1)
+    whole = np.full(grid.cells.shape, -1, np.int32)
+    rows, columns = grid.cells.shape
+    fine = fine[: rows - row, : columns - column]
+    whole[row : row + len(fine), column : column + fine.shape[1]] = fine
+    return whole
+
+
+def _doorways(path: Path) -> FloatArray:
+    """Sills of a doors.geojson, without depth."""
+    try:
+        features = json.loads(path.read_text("utf-8"))["features"]
+        sills = np.array([feature["geometry"]["coordinates"] for feature in features], float).reshape(-1, 2, 2)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: is no GeoJSON of doors ({error}); give a run's doors.geojson") from error
+    return np.concatenate([sills, sills[:, ::-1]], axis=1)
+
+
+def _rooms_table(graph: AreaGraph) -> Table:
+    table = Table("room", title=f"{len(graph)} rooms, {len(graph.passages)} passages", title_justify="left")
+    table.add_column("m²", justify="right")
+    table.add_column("leads to")
+    network = graph.topology()
+    for index, room in enumerate(graph.rooms):
+        neighbours = ", ".join(graph.rooms[other].name for other in sorted(network[index]))
+        table.add_row(room.name, f"{room.area_m2:.1f}", neighbours or "–")
+    return table
+
+
+def _truth_line(figures: RoomFigures) -> str:
+    true, found, recall, precision, split, merged = _figures_cells(figures)
+    return f"{found} rooms for {true} true ones: recall {recall} %, precision {precision} %; {split} split, {merged} merged"
+
+
+def _figures_cells(figures: RoomFigures) -> Sequence[str]:
+    return (
+        str(len(figures.recall)),
+        str(len(figures.precision)),
+        f"{100 * figures.mean_recall:.2f}",
+        f"{100 * figures.mean_precision:.2f}",
+        str(len(figures.split)),
+        str(len(figures.merged)),
+    )
