@@ -9,7 +9,7 @@ import shutil
 import time
 import uuid
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -36,10 +36,11 @@ from algorithms.building import (
     without_rays_through,
 )
 from algorithms.features import Features, concatenate, select_planes
-from algorithms.grid_map import GridMap, draw_furniture_free
+from algorithms.grid_map import Drive, GridMap, Immobile, draw_furniture_free
 from algorithms.labels import Label
 from algorithms.levelling import level_map
 from algorithms.odometry import Registration
+from algorithms.rival_maps import Rival, draw_rivals
 from algorithms.scan import FloatArray, IntArray, Scan
 from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes, find_halo, fuse, majority
 from algorithms.standing_walls import (
@@ -63,6 +64,7 @@ from app.blocks import (
     label_block,
     load_features,
     load_labels,
+    load_rivals,
     load_summary,
     load_votes,
     points_in_map,
@@ -75,7 +77,7 @@ from app.processes import process_context
 from app.progress import Progress
 from app.recorder import Detail, Recorder
 from app.recording import Recording
-from app.run_folder import CLOUD, RECORDING, TRAJECTORY, RunFolder
+from app.run_folder import CLOUD, RECORDING, TRAJECTORY, RunFolder, map_file
 from app.settings import Settings
 from app.versions import versions
 from blueprints import entities
@@ -139,6 +141,7 @@ class Building:
     windows: Windows
     halo: Halo
     grid: GridMap
+    rivals: Mapping[Rival, GridMap]
 
 
 def run(
@@ -226,15 +229,17 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
             # Stage 3: the building.
             clock = time.perf_counter()
             run.progress.stage("building", None)
-            building = _build(folder, stage.blocks, stage.take_votes(), trajectory, settings)
+            building = _build(folder, stage.blocks, stage.take_votes(), stage.take_rivals(), trajectory, settings)
             if recorder:
                 recorder.log_building(building.walls, building.judged, building.doors, building.windows)
-                recorder.log_grid("furniture_free", building.grid)
+                for name, grid in _maps(building).items():
+                    recorder.log_grid(name, grid)
             if run.recording:
                 run.recording.set_layout(_layout(inputs, building.grid))
             results.write_walls(folder.path / "walls.geojson", building.walls)
             results.write_doors(folder.path / "doors.geojson", building.doors)
-            results.write_grid(folder.path / "map.yaml", building.grid)
+            for name, grid in _maps(building).items():
+                results.write_grid(folder.path / map_file(name), grid)
             state.counts |= {
                 "walls": len(building.walls),
                 "refused_walls": len(building.judged.refused),
@@ -249,6 +254,11 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _maps(building: Building) -> dict[str, GridMap]:
+    """Every grid map by its name, the run's own first."""
+    return {entities.FURNITURE_FREE: building.grid} | {str(name): grid for name, grid in building.rivals.items()}
 
 
 def _log_start(recorder: Recorder, inputs: Inputs, settings: Settings, record: dict[str, Any]) -> None:
@@ -295,6 +305,7 @@ class _ScanStage:
         self._floor_slope: FloatArray = np.zeros(2)
         self._registered: list[Registration] = []
         self._votes = VoxelTable(VOXEL_M, len(Label))
+        self._rivals = VoxelTable(run.settings.grid_map.cell_m, len(Rival))
         self._counts = np.zeros(256, np.int64)
         self._milliseconds: list[FloatArray] = []
         self._sizes: list[FloatArray] = []
@@ -356,6 +367,12 @@ class _ScanStage:
         """What the scans' own labels say of each cube of the map; they are let go of here, for they grow with it."""
         votes = self._votes.votes()
         self._votes = VoxelTable(VOXEL_M, len(Label))
+        return votes
+
+    def take_rivals(self) -> VoxelVotes:
+        """What the maps that the paper compares with are drawn from; let go of here."""
+        votes = self._rivals.votes()
+        self._rivals = VoxelTable(self._rivals.voxel_m, len(Rival))
         return votes
 
     @property
@@ -432,6 +449,8 @@ class _ScanStage:
             extrapolate_ns=int(self._settings.trajectory.extrapolate_s * 1e9),
             level_scan_max_deg=self._settings.trajectory.level_scan_max_deg,
             method=self._settings.method,
+            rival_maps=self._settings.rival_maps,
+            cell_m=self._settings.grid_map.cell_m,
             seed=self._settings.seed,
             recording_id=self._record["recording_id"],
             detail=self._options.detail if self._recorder else None,
@@ -462,6 +481,7 @@ class _ScanStage:
                 self._progress.warn(f"scan {index} skipped: {reason}")
         votes = load_votes(self._folder.block(block.number, ".npz"))
         new = self._votes.absorb(votes)
+        self._rivals.absorb(load_rivals(self._folder.block(block.number, ".npz")))
         if self._recorder and self._recording and len(summary.scan):
             self._recording.add(self._folder.block(block.number, ".rrd"))
             self._recorder.log_trajectory(summary.stamp_ns, summary.T_map_base, summary.scan, self._last_T_map_base)
@@ -518,7 +538,12 @@ def _write_trajectory(folder: RunFolder, trajectory: Trajectory, stamps_ns: IntA
 
 
 def _build(
-    folder: RunFolder, blocks: list[Block], votes: VoxelVotes, trajectory: Trajectory, settings: Settings
+    folder: RunFolder,
+    blocks: list[Block],
+    votes: VoxelVotes,
+    rivals: VoxelVotes,
+    trajectory: Trajectory,
+    settings: Settings,
 ) -> Building:
     """Walls from all planes, doors and grid from all rays; the rays are read block by block."""
     planes = concatenate([_without_rays(features) for features in _features(folder, blocks)])
@@ -553,10 +578,12 @@ def _build(
     windows = find_windows(walls, cells, settings.building)
     doors = place_jambs(find_doors(walls, cells, settings.building), _features(folder, blocks))
     doors = measure_reveals(doors, _features(folder, blocks), settings.building)
-    grid = draw_furniture_free(
-        walls, doors, trajectory.T_map_base[:, :3, 3], _features(folder, blocks), settings.grid_map
-    )
-    return Building(walls, judged, doors, windows, find_halo(votes, settings.relabelling.halo_ratio), grid)
+    drive = Drive(trajectory.T_map_base[:, :3, 3], lambda: _features(folder, blocks))
+    immobile = Immobile(walls, cells, doors, windows)
+    grid = draw_furniture_free(immobile, drive, settings.grid_map, settings.wall_thickness)
+    rival_maps = draw_rivals(rivals, drive, settings.grid_map, settings.rival_maps)
+    halo = find_halo(votes, settings.relabelling.halo_ratio)
+    return Building(walls, judged, doors, windows, halo, grid, rival_maps)
 
 
 def _trace(

@@ -8,6 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from blueprints.entities import FURNITURE_FREE
 from loaders.errors import InputError
 
 RUN_JSON = "run.json"
@@ -17,6 +18,11 @@ TRAJECTORY = "trajectory.tum"
 CLOUD = "cloud.ply"
 METRICS = "metrics.json"
 SPOOL = "spool"
+
+
+def map_file(name: str) -> str:
+    """The file of a grid map: map.yaml for the furniture-free one, map_NAME.yaml for the others."""
+    return "map.yaml" if name == FURNITURE_FREE else f"map_{name}.yaml"
 
 
 @dataclass(frozen=True)

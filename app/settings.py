@@ -18,11 +18,13 @@ from algorithms.odometry import OdometrySettings
 from algorithms.rearrangement import RearrangementSettings
 from algorithms.refinement import RefinementSettings
 from algorithms.relabelling import RelabellingSettings
+from algorithms.rival_maps import RivalMapsSettings
 from algorithms.settings import StepSettings
 from algorithms.standing_walls import StandingWallsSettings
 from algorithms.trajectory import TrajectorySettings
 from algorithms.vertical_structures import VerticalStructuresSettings
 from algorithms.wall_planes import WallPlanesSettings
+from algorithms.wall_thickness import WallThicknessSettings
 from loaders.errors import InputError
 
 
@@ -40,7 +42,9 @@ class Settings(StepSettings):
     labelling: LabellingSettings = LabellingSettings()
     building: BuildingSettings = BuildingSettings()
     standing_walls: StandingWallsSettings = StandingWallsSettings()
+    wall_thickness: WallThicknessSettings = WallThicknessSettings()
     grid_map: GridMapSettings = GridMapSettings()
+    rival_maps: RivalMapsSettings = RivalMapsSettings()
     relabelling: RelabellingSettings = RelabellingSettings()
 
     @property
