@@ -222,8 +222,14 @@ class _Canvas:
         self._set(self._index(places), cell)
 
     def draw_line(self, ends: FloatArray, cell: Cell) -> None:
-        steps = max(2, int(np.ceil(np.linalg.norm(ends[1] - ends[0]) / (0.25 * self._cell_m))))
-        self.draw_points(ends[0] + np.linspace(0, 1, steps)[:, None] * (ends[1] - ends[0]), cell)
+        """One cell for each column, or each row, that the segment crosses: thin, and nothing passes it cell by cell."""
+        start, stop = (ends - self._origin) / self._cell_m
+        axis = int(abs(stop[1] - start[1]) > abs(stop[0] - start[0]))
+        low, high = sorted((start[axis], stop[axis]))
+        middles = np.arange(np.floor(low), np.floor(high) + 1) + 0.5
+        middles = np.clip(middles, low, high)
+        t = (middles - start[axis]) / (stop[axis] - start[axis]) if high > low else np.zeros(1)
+        self._set(np.floor(start + t[:, None] * (stop - start)).astype(np.int64), cell)
 
     def draw_area(self, corners: FloatArray, cell: Cell) -> None:
         """corners: (4, 2) of a rectangle, in order; drawn are the cells whose middle lies in it."""
