@@ -17,6 +17,10 @@ EVALUATION = "evaluation.rrd"
 TRAJECTORY = "trajectory.tum"
 CLOUD = "cloud.ply"
 METRICS = "metrics.json"
+OVERLAY = "overlay.png"
+REFERENCE_OVERLAY = "reference_overlay.png"
+REFERENCE_JSON = "reference.json"
+REFERENCE_RECORDING = "reference.rrd"
 SPOOL = "spool"
 
 

@@ -6,8 +6,9 @@ import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
 from algorithms.grid_map import GridMap
-from blueprints import entities
+from blueprints import entities, maps
 from blueprints.entities import CurveSheet
+from blueprints.maps import from_above, until_now
 
 
 def build(
@@ -30,7 +31,14 @@ def build(
         row_shares=[1, 1],
         name="At a glance",
     )
-    tabs = [overview, _method(ring_count), _building(centre_m, extent_m), _odometry(), *about]
+    tabs = [
+        overview,
+        _method(ring_count),
+        _building(centre_m, extent_m),
+        maps.tab(centre_m, extent_m, evaluated),
+        _odometry(),
+        *about,
+    ]
     return _blueprint([_evaluation(centre_m, extent_m), *tabs] if evaluated else tabs, entities.SCAN_TIMELINE)
 
 
@@ -105,8 +113,8 @@ def _map(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
         ],
         name="Growing map (ceiling hidden)",
         overrides={
-            entities.MAP_POINTS: _until_now(),
-            entities.TRAJECTORY: _until_now(),
+            entities.MAP_POINTS: until_now(),
+            entities.TRAJECTORY: until_now(),
         },
         eye_controls=rrb.EyeControls3D(
             position=(x - 0.3 * extent_m, y - 0.65 * extent_m, 0.65 * extent_m), look_target=(x, y, 0.0)
@@ -120,19 +128,15 @@ def _grid(centre_m: tuple[float, float], extent_m: float, name: str = entities.F
         origin=entities.WORLD,
         contents=[f"{entities.GRID}/{name}", entities.DOOR_SILLS, entities.TRAJECTORY, f"{entities.BASE}/**"],
         name=f"Grid map: {name.replace('_', ' ')}, doors, trajectory",
-        overrides={entities.TRAJECTORY: _until_now()},
-        eye_controls=_from_above(centre_m, extent_m),
+        overrides={entities.TRAJECTORY: until_now()},
+        eye_controls=from_above(centre_m, extent_m),
         line_grid=rrb.LineGrid3D(visible=False),
     )
 
 
-def _from_above(centre_m: tuple[float, float], extent_m: float) -> rrb.EyeControls3D:
-    return rrb.EyeControls3D(position=(*centre_m, extent_m), look_target=(*centre_m, 0.0), eye_up=(0.0, 1.0, 0.0))
-
-
 def _evaluation(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
     """What is wrong: on the map, in the scan, over time, and in figures."""
-    from_above = _from_above(centre_m, extent_m)
+    eye = from_above(centre_m, extent_m)
     outlines = [entities.TRUTH_WALLS, entities.TRUTH_DOORS, entities.INVENTED_DOORS]
     return rrb.Horizontal(
         rrb.Vertical(
@@ -141,23 +145,27 @@ def _evaluation(centre_m: tuple[float, float], extent_m: float) -> rrb.Container
                     origin=entities.WORLD,
                     contents=[*outlines, f"{entities.PLAN_ERRORS}/**", entities.TRAJECTORY, f"{entities.BASE}/**"],
                     name="False wall red, missed wall orange; truth white",
-                    overrides={entities.TRAJECTORY: _until_now()},
-                    eye_controls=from_above,
+                    overrides={entities.TRAJECTORY: until_now()},
+                    eye_controls=eye,
                     line_grid=rrb.LineGrid3D(visible=False),
                 ),
                 rrb.Spatial3DView(
                     origin=entities.WORLD,
                     contents=[*outlines, f"{entities.ERRORS}/**", entities.TRAJECTORY, f"{entities.BASE}/**"],
                     name="The same in space",
-                    overrides={entities.TRAJECTORY: _until_now()},
+                    overrides={entities.TRAJECTORY: until_now()},
                     line_grid=rrb.LineGrid3D(visible=False),
                 ),
             ),
             rrb.Spatial3DView(
                 origin=entities.WORLD,
-                contents=[*outlines, f"{entities.GRID}/**"],
-                name="Wall map: false cells red, missed cells orange",
-                eye_controls=from_above,
+                contents=[
+                    *outlines,
+                    f"{entities.GRID}/{entities.FURNITURE_FREE}",
+                    f"{entities.OVERLAYS}/{entities.FURNITURE_FREE}/**",
+                ],
+                name="Wall map: right cells green, false red, missed orange",
+                eye_controls=eye,
                 line_grid=rrb.LineGrid3D(visible=False),
             ),
         ),
@@ -232,7 +240,7 @@ def _odometry() -> rrb.Container:
             origin=entities.WORLD,
             contents=[f"{entities.ODOMETRY}/**", entities.TRAJECTORY],
             name="What KISS-ICP used (timeline stamp)",
-            overrides={entities.TRAJECTORY: _until_now()},
+            overrides={entities.TRAJECTORY: until_now()},
         ),
         rrb.Vertical(
             *(
@@ -257,18 +265,6 @@ def _metrics() -> rrb.Container:
         rrb.TextLogView(origin=entities.MESSAGES, name="Warnings"),
         row_shares=[3, 3, 3, 2],
         name="Metrics and warnings",
-    )
-
-
-def _until_now() -> rrb.VisibleTimeRanges:
-    """Everything from the beginning up to the time cursor."""
-    return rrb.VisibleTimeRanges(
-        [
-            rrb.VisibleTimeRange(
-                timeline, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
-            )
-            for timeline in (entities.SCAN_TIMELINE, entities.STAMP_TIMELINE)
-        ]
     )
 
 

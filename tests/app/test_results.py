@@ -18,9 +18,9 @@ from algorithms.building import Doors, Walls
 from algorithms.grid_map import Cell, GridMap
 from algorithms.semantic_map import FusedCloud
 from algorithms.trajectory import Trajectory
-from app.evaluate import read_grid
 from app.results import (
     LabelledBagWriter,
+    read_grid,
     write_doors,
     write_grid,
     write_json,
