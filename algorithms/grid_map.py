@@ -1,7 +1,7 @@
 """Grid maps of the building: furniture-free, or of what was hit in a slice of space (paper, IV.C, Fig. 6 and 9)."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Literal
 
@@ -106,9 +106,9 @@ def draw_furniture_free(
     """
     doors = immobile.doors
     canvas = _Canvas.around([immobile.walls.ends, doors.ends, drive.path_map[:, :2]], settings)
-    for ends in standing_stretches(immobile, settings):
+    for ends in standing_stretches(immobile, settings).ends:
         canvas.draw_line(ends, Cell.OCCUPIED)
-    depth_m = door_depths(doors, part_walls(immobile.walls, thickness), thickness)
+    depth_m = door_depths(doors, immobile.walls, part_walls(immobile.walls, thickness), thickness)
     margin_m, inset_m = settings.door_margin_m, 0.5 * settings.cell_m
     doorways = [_doorway(doors.ends[d], doors.normal[d], depth_m[d], margin_m, inset_m) for d in range(len(doors))]
     for doorway in doorways:
@@ -136,14 +136,15 @@ def draw_cells(cell_index: IntArray, drive: Drive, settings: GridMapSettings) ->
     return canvas.freed(drive, NO_WINDOWS, [], faces=False)
 
 
-def standing_stretches(immobile: Immobile, settings: GridMapSettings) -> list[FloatArray]:
-    """The stretches (2, 2) of the faces that returns bear out and that reach down to the floor.
+def standing_stretches(immobile: Immobile, settings: GridMapSettings) -> Walls:
+    """The stretches of the faces that returns bear out and that reach down to the floor, as faces of their own.
 
     Left out: what rays passed at knee height (an opening, though no door was made of it), what nothing was seen of (a
     pillar may stand before it), and the reveals of windows, below which the wall goes on.
     """
     walls, cells = immobile.walls, immobile.cells
-    found = []
+    owner: list[int] = []
+    found: list[FloatArray] = []
     for w in range(len(walls)):
         length_m = float(np.linalg.norm(walls.ends[w, 1] - walls.ends[w, 0]))
         along = (walls.ends[w, 1] - walls.ends[w, 0]) / max(length_m, 1e-9)
@@ -159,8 +160,9 @@ def standing_stretches(immobile: Immobile, settings: GridMapSettings) -> list[Fl
                 continue
             for a, b in stretches(~open_columns, 0):
                 low_m, high_m = columns[a] * CELL_M, min((columns[b] + 1) * CELL_M, length_m)
+                owner.append(w)
                 found.append(walls.ends[w, 0] + np.array([[low_m], [high_m]]) * along)
-    return found
+    return replace(walls.select(np.array(owner, np.int64)), ends=np.array(found).reshape(-1, 2, 2))
 
 
 def _columns(counts: FloatArray, settings: GridMapSettings) -> tuple[BoolArray, BoolArray]:

@@ -80,24 +80,33 @@ def part_walls(walls: Walls, settings: WallThicknessSettings) -> WallParts:
     )
 
 
+def face_thickness(walls: Walls, parts: WallParts) -> FloatArray:
+    """(W,) the median, by length, of what was measured along each face; NaN where the other side was not seen."""
+    thickness_m = np.empty(len(walls))
+    for w in range(len(walls)):
+        own = (parts.wall == w) & np.isfinite(parts.thickness_m)
+        thickness_m[w] = _median_by_length(parts.thickness_m[own], _lengths(parts.ends[own]), float("nan"))
+    return thickness_m
+
+
 def usual_thickness(parts: WallParts, settings: WallThicknessSettings) -> float:
     """The median, by length, of what was measured; `unseen_m` where nothing was."""
     measured = np.isfinite(parts.thickness_m)
     return _median_by_length(parts.thickness_m[measured], _lengths(parts.ends[measured]), settings.unseen_m)
 
 
-def door_depths(doors: Doors, parts: WallParts, settings: WallThicknessSettings) -> FloatArray:
+def door_depths(doors: Doors, walls: Walls, parts: WallParts, settings: WallThicknessSettings) -> FloatArray:
     """(D,) how far each doorway reaches behind its sill: as far as its wall is thick.
 
     The wall beside the door tells; else, for an open door, the underside of its lintel; else the building's usual
     thickness, for a closed leaf hides the rest of the doorway.
     """
-    usual_m = usual_thickness(parts, settings)
+    usual_m, of_face_m = usual_thickness(parts, settings), face_thickness(walls, parts)
     depth_m = np.empty(len(doors))
     for d in range(len(doors)):
-        own = (parts.wall == doors.wall[d]) & np.isfinite(parts.thickness_m)
         seen_m = doors.reveal_m[d] if doors.state[d] == DoorState.OPEN else max(usual_m, doors.reveal_m[d])
-        depth_m[d] = _median_by_length(parts.thickness_m[own], _lengths(parts.ends[own]), float(seen_m))
+        own_m = of_face_m[doors.wall[d]]
+        depth_m[d] = own_m if np.isfinite(own_m) else seen_m
     return depth_m
 
 

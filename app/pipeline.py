@@ -36,7 +36,8 @@ from algorithms.building import (
     without_rays_through,
 )
 from algorithms.features import Features, concatenate, select_planes
-from algorithms.grid_map import Drive, GridMap, Immobile, draw_furniture_free
+from algorithms.floor_plan import FloorPlan, draw_floor_plan
+from algorithms.grid_map import Drive, GridMap, Immobile, draw_furniture_free, standing_stretches
 from algorithms.labels import Label
 from algorithms.levelling import level_map
 from algorithms.odometry import Registration
@@ -52,6 +53,7 @@ from algorithms.standing_walls import (
     judge_faces,
 )
 from algorithms.trajectory import Trajectory, place_scan
+from algorithms.wall_thickness import face_thickness, part_walls
 from app import results
 from app.blocks import (
     FINAL_EVIDENCE,
@@ -73,11 +75,12 @@ from app.blocks import (
 )
 from app.inputs import Inputs
 from app.odometry_stage import registrations
+from app.plan_files import write_dxf, write_svg
 from app.processes import process_context
 from app.progress import Progress
 from app.recorder import Detail, Recorder
 from app.recording import Recording
-from app.run_folder import CLOUD, RECORDING, TRAJECTORY, RunFolder, map_file
+from app.run_folder import CLOUD, FLOOR_PLAN_DXF, FLOOR_PLAN_SVG, RECORDING, TRAJECTORY, RunFolder, map_file
 from app.settings import Settings
 from app.versions import versions
 from blueprints import entities
@@ -142,6 +145,9 @@ class Building:
     halo: Halo
     grid: GridMap
     rivals: Mapping[Rival, GridMap]
+    plan: FloorPlan
+    thickness_m: FloatArray
+    """(W,) of each face's wall."""
 
 
 def run(
@@ -236,7 +242,9 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
                     recorder.log_grid(name, grid)
             if run.recording:
                 run.recording.set_layout(_layout(inputs, building.grid))
-            results.write_walls(folder.path / "walls.geojson", building.walls)
+            results.write_walls(folder.path / "walls.geojson", building.walls, building.thickness_m)
+            write_svg(folder.path / FLOOR_PLAN_SVG, building.plan, inputs.bag_path.name)
+            write_dxf(folder.path / FLOOR_PLAN_DXF, building.plan)
             results.write_doors(folder.path / "doors.geojson", building.doors)
             for name, grid in _maps(building).items():
                 results.write_grid(folder.path / map_file(name), grid)
@@ -583,7 +591,10 @@ def _build(
     grid = draw_furniture_free(immobile, drive, settings.grid_map, settings.wall_thickness)
     rival_maps = draw_rivals(rivals, drive, settings.grid_map, settings.rival_maps)
     halo = find_halo(votes, settings.relabelling.halo_ratio)
-    return Building(walls, judged, doors, windows, halo, grid, rival_maps)
+    stretches = standing_stretches(immobile, settings.grid_map)
+    plan = draw_floor_plan(stretches, immobile, grid, votes, settings.floor_plan, settings.wall_thickness)
+    thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
+    return Building(walls, judged, doors, windows, halo, grid, rival_maps, plan, thickness_m)
 
 
 def _trace(

@@ -130,8 +130,11 @@ def read_grid(path: Path) -> GridMap:
         raise InputError(f"{path}: is no map of map_server's ({reason}); give its YAML file") from error
 
 
-def write_walls(path: Path, walls: Walls) -> None:
-    """Wall faces as LineStrings in metres of the map frame; heights and spread in metres."""
+def write_walls(path: Path, walls: Walls, thickness_m: FloatArray | None = None) -> None:
+    """Wall faces as LineStrings in metres of the map frame; heights, thickness and spread in metres.
+
+    thickness_m: (W,) of each face's wall, NaN where its other side was not seen; None where nobody asked.
+    """
     write_geojson(
         path,
         [
@@ -143,6 +146,7 @@ def write_walls(path: Path, walls: Walls) -> None:
                     "top": walls.top_m[i],
                     "scans": walls.scan_count[i],
                     "rms": walls.rms_m[i],
+                    "thickness": thickness_m[i] if thickness_m is not None else None,
                 },
             )
             for i, ends in enumerate(walls.ends)

@@ -12,6 +12,7 @@ from pydantic import Field, ValidationError
 
 from algorithms.building import BuildingSettings
 from algorithms.doors import DoorsSettings
+from algorithms.floor_plan import FloorPlanSettings
 from algorithms.grid_map import GridMapSettings
 from algorithms.labelling import LabellingSettings, MethodSettings
 from algorithms.odometry import OdometrySettings
@@ -45,6 +46,7 @@ class Settings(StepSettings):
     wall_thickness: WallThicknessSettings = WallThicknessSettings()
     grid_map: GridMapSettings = GridMapSettings()
     rival_maps: RivalMapsSettings = RivalMapsSettings()
+    floor_plan: FloorPlanSettings = FloorPlanSettings()
     relabelling: RelabellingSettings = RelabellingSettings()
 
     @property
