@@ -8,13 +8,15 @@ from typing import Literal
 import numba
 import numpy as np
 from pydantic import Field
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_closing, binary_dilation
+from scipy.spatial import cKDTree
 
 from algorithms.building import CELL_M, NO_WINDOWS, Doors, WallCells, Walls, Windows, stretches
 from algorithms.doors import DoorState
 from algorithms.features import Features
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from algorithms.semantic_map import VoxelVotes, majority
 from algorithms.settings import StepSettings
 from algorithms.wall_thickness import WallThicknessSettings, door_depths, part_walls
 
@@ -37,7 +39,7 @@ class GridMapSettings(StepSettings):
     """The furniture-free grid and its rivals (paper, IV.C, Fig. 9)."""
 
     cell_m: float = Field(0.05, gt=0, le=1, description="Edge of a cell in metres. IV.C.")
-    range_m: float = Field(12.0, gt=0, description="Rays clear cells up to so many metres from the sensor. IV.C.")
+    range_m: float = Field(25.0, gt=0, description="Rays clear cells up to so many metres from the sensor. IV.C.")
     margin_m: float = Field(1.0, ge=0, description="Unknown border in metres around what is drawn. IV.C.")
     doors: DoorsDrawn = Field(
         "open", description="Which doorways are free: open (all), as-seen (those that stood open), closed (none). IV.C."
@@ -45,7 +47,7 @@ class GridMapSettings(StepSettings):
     door_margin_m: float = Field(
         0.1, ge=0, description="A free doorway reaches so many metres beyond both sides of its wall. IV.C."
     )
-    rays_min: int = Field(3, ge=1, description="Fewest returns that bear out 5 cm of a wall's face. IV.C.")
+    rays_min: int = Field(3, ge=1, description="Fewest returns, or cubes of wall, that bear out 5 cm of a wall's face. IV.C.")
     bridge_m: float = Field(
         0.25, ge=0, description="Longest gap in metres that is closed in a wall between what was seen of it. IV.C."
     )
@@ -78,10 +80,14 @@ class GridMap:
 
 @dataclass(frozen=True)
 class Immobile:
-    """What the furniture-free grid shows. cells: what rays found of the walls, from `building.trace_rays`."""
+    """What the furniture-free grid shows.
+
+    cells: what rays found of the walls, from `building.trace_rays`. votes: of all scans' labels; they reach farther.
+    """
 
     walls: Walls
     cells: WallCells
+    votes: VoxelVotes
     doors: Doors
     windows: Windows
 
@@ -143,13 +149,18 @@ def standing_stretches(immobile: Immobile, settings: GridMapSettings) -> Walls:
     pillar may stand before it), and the reveals of windows, below which the wall goes on.
     """
     walls, cells = immobile.walls, immobile.cells
+    voted = immobile.votes.mean_position[majority(immobile.votes.counts) == Label.WALL, :2]
+    tree = cKDTree(voted) if len(voted) else None
     owner: list[int] = []
     found: list[FloatArray] = []
     for w in range(len(walls)):
         length_m = float(np.linalg.norm(walls.ends[w, 1] - walls.ends[w, 0]))
         along = (walls.ends[w, 1] - walls.ends[w, 0]) / max(length_m, 1e-9)
         stands, passed = _columns(cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64), settings)
-        reveal = _in_window_reveal(walls.ends[w, 0] + _middles(len(stands)) * along, walls.normal[w], immobile.windows)
+        middles = walls.ends[w, 0] + (np.arange(len(stands))[:, None] + 0.5) * CELL_M * along
+        if tree is not None:
+            stands |= tree.query_ball_point(middles, _ON_FACE_M, return_length=True) >= settings.rays_min
+        reveal = _in_window_reveal(middles, walls.normal[w], immobile.windows)
         stands &= ~(passed | reveal)
         # A face ends at a corner, up to which it is carried on as over any other gap.
         bridge = int(settings.bridge_m / CELL_M)
@@ -174,10 +185,6 @@ def _columns(counts: FloatArray, settings: GridMapSettings) -> tuple[BoolArray, 
     low = slice(int(_FOOT_M / CELL_M), int(_KNEE_M / CELL_M))
     on_low, passed_low = (np.convolve(rays[:, low].sum(axis=1), np.ones(3))[1:-1] for rays in (on, through))
     return near >= settings.rays_min, (passed_low >= _PASSED_MIN) & (passed_low > _PASSED_RATIO * on_low)
-
-
-def _middles(columns: int) -> FloatArray:
-    return (np.arange(columns)[:, None] + 0.5) * CELL_M
 
 
 def _in_window_reveal(places: FloatArray, normal: FloatArray, windows: Windows) -> BoolArray:
@@ -273,6 +280,8 @@ class _Canvas:
         for doorway in doorways:
             self.draw_area(doorway, Cell.FREE)
         crossed = self._cells == Cell.FREE
+        # Far away rays lie apart; a wall is thicker than the gaps between them that this closes.
+        crossed |= binary_closing(crossed, np.ones((3, 3))) & (self._cells == Cell.UNKNOWN)
         if faces:
             occupied[~binary_dilation(crossed, np.ones((3, 3)), iterations=_BOUND_CELLS)] = Cell.UNKNOWN
         reach = int(self._settings.floor_reach_m / self._cell_m)

@@ -587,7 +587,7 @@ def _build(
     doors = place_jambs(find_doors(walls, cells, settings.building), _features(folder, blocks))
     doors = measure_reveals(doors, _features(folder, blocks), settings.building)
     drive = Drive(trajectory.T_map_base[:, :3, 3], lambda: _features(folder, blocks))
-    immobile = Immobile(walls, cells, doors, windows)
+    immobile = Immobile(walls, cells, votes, doors, windows)
     grid = draw_furniture_free(immobile, drive, settings.grid_map, settings.wall_thickness)
     rival_maps = draw_rivals(rivals, drive, settings.grid_map, settings.rival_maps)
     halo = find_halo(votes, settings.relabelling.halo_ratio)
