@@ -256,6 +256,8 @@ def _groups(stretches: Walls, apart_m: float) -> IntArray:
     """(W,) a number that those stretches share which stand together, each near to the next."""
     lines = [shapely.LineString(ends) for ends in stretches.ends]
     group = np.arange(len(lines))
+    if not lines:
+        return group
     for a, b in shapely.STRtree(lines).query(lines, predicate="dwithin", distance=apart_m).T:
         group[group == group[b]] = group[a]
     return group

@@ -115,7 +115,7 @@ def draw_furniture_free(
     for ends in standing_stretches(immobile, settings).ends:
         canvas.draw_line(ends, Cell.OCCUPIED)
     depth_m = door_depths(doors, immobile.walls, part_walls(immobile.walls, thickness), thickness)
-    margin_m, inset_m = settings.door_margin_m, 0.5 * settings.cell_m
+    margin_m, inset_m = settings.door_margin_m, settings.cell_m
     doorways = [_doorway(doors.ends[d], doors.normal[d], depth_m[d], margin_m, inset_m) for d in range(len(doors))]
     for doorway in doorways:
         canvas.draw_area(doorway, Cell.UNKNOWN)

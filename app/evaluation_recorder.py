@@ -186,9 +186,9 @@ def log_overlay(stream: rr.RecordingStream, name: str, compared: ComparedMap) ->
         stream.log(
             f"{entities.OVERLAYS}/{name}/{title.replace(' ', '_')}",
             rr.Points3D(
-                np.pad(places, ((0, 0), (0, 1)), constant_values=_LIFT_M).astype(np.float32),
+                np.pad(places, ((0, 0), (0, 1)), constant_values=2 * _LIFT_M).astype(np.float32),
                 colors=color,
-                radii=0.5 * compared.grid.cell_m,
+                radii=0.9 * compared.grid.cell_m,
             ),
             static=True,
         )

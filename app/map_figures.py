@@ -117,15 +117,15 @@ def maps_table(metrics: Mapping[str, Any], title: str) -> Table:
     table = Table(title=title, title_justify="left")
     with_doors = any("doors_blocked" in own for own in metrics.values())
     headings = ["map", "precision %", "recall %", "mean error cm"]
-    headings += ["precision % without cabinets", "doors blocked"] if with_doors else []
+    headings += ["doors blocked", "precision % without cabinets"] if with_doors else []
     for heading in headings:
         table.add_column(heading, justify="left" if heading == "map" else "right")
     for name, own in metrics.items():
         row = [TITLES[name], _number(own["precision"], 100), _number(own["recall"], 100), _number(own["error_m"], 100)]
         if with_doors:
             row += [
-                _number(own["precision_without_cabinets"], 100),
                 f"{own['doors_blocked']} of {own['doors_passed']}",
+                _number(own["precision_without_cabinets"], 100),
             ]
         table.add_row(*row)
     return table
