@@ -3,7 +3,6 @@
 What they need of a scan is counted by cells of the ground as soon as it is labelled, so that it grows with the building.
 """
 
-from collections.abc import Mapping
 from enum import StrEnum
 
 import numpy as np
@@ -71,13 +70,12 @@ class RivalCounter:
         return self._table.votes()
 
 
-def draw_rivals(
-    votes: VoxelVotes, drive: Drive, grid: GridMapSettings, settings: RivalMapsSettings
-) -> Mapping[Rival, GridMap]:
-    """Every rival as a grid, drawn like the furniture-free one but for what is occupied.
+def draw_rival(
+    rival: Rival, votes: VoxelVotes, drive: Drive, grid: GridMapSettings, settings: RivalMapsSettings
+) -> GridMap:
+    """One of the maps as a grid, drawn like the furniture-free one but for what is occupied.
 
-    votes: sums of `RivalCounter.votes`. drive: its blocks are gone through once for each map.
+    votes: sums of `RivalCounter.votes`.
     """
-    cell_index = votes.cube_index[:, :2]
-    occupied = votes.counts >= settings.hits_min
-    return {rival: draw_cells(cell_index[occupied[:, code]], drive, grid) for code, rival in enumerate(Rival)}
+    occupied = votes.counts[:, list(Rival).index(rival)] >= settings.hits_min
+    return draw_cells(votes.cube_index[occupied, :2], drive, grid)

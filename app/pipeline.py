@@ -41,7 +41,7 @@ from algorithms.grid_map import Drive, GridMap, Immobile, draw_furniture_free, s
 from algorithms.labels import Label
 from algorithms.levelling import level_map
 from algorithms.odometry import Registration
-from algorithms.rival_maps import Rival, draw_rivals
+from algorithms.rival_maps import Rival, draw_rival
 from algorithms.scan import FloatArray, IntArray, Scan
 from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes, find_halo, fuse, majority
 from algorithms.standing_walls import (
@@ -589,7 +589,9 @@ def _build(
     drive = Drive(trajectory.T_map_base[:, :3, 3], lambda: _features(folder, blocks))
     immobile = Immobile(walls, cells, votes, doors, windows)
     grid = draw_furniture_free(immobile, drive, settings.grid_map, settings.wall_thickness)
-    rival_maps = draw_rivals(rivals, drive, settings.grid_map, settings.rival_maps)
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        drawn = threads.map(lambda rival: draw_rival(rival, rivals, drive, settings.grid_map, settings.rival_maps), Rival)
+        rival_maps = dict(zip(Rival, drawn, strict=True))
     halo = find_halo(votes, settings.relabelling.halo_ratio)
     stretches = standing_stretches(immobile, settings.grid_map)
     plan = draw_floor_plan(stretches, immobile, grid, votes, settings.floor_plan, settings.wall_thickness)

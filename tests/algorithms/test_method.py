@@ -39,7 +39,7 @@ from algorithms.rearrangement import (
 )
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.scan import Scan
-from algorithms.semantic_map import find_halo, vote
+from algorithms.semantic_map import VoxelTable, find_halo, vote
 from algorithms.trajectory import PlacedScan, Trajectory, place_scan
 from algorithms.vertical_structures import VerticalStructuresSettings
 from algorithms.wall_planes import WallPlanesSettings
@@ -468,7 +468,7 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
         assert recall > 0.9
 
     drive = Drive(np.array([[-1.0, 0.0], [1.5, 0.0]]), lambda: [features])
-    immobile = Immobile(walls, cells, doors, windows)
+    immobile = Immobile(walls, cells, VoxelTable(0.05, len(Label)).votes(), doors, windows)
     grid = draw_furniture_free(immobile, drive, GridMapSettings(), WallThicknessSettings())
 
     def at(x: float, y: float) -> int:
