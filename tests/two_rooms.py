@@ -23,7 +23,8 @@ class TwoRooms:
     """Room A is [0, 4] × [0, 3], room B the same behind a wall; B's rays are left out unless both are seen.
 
     closed: the leaf stands 4 cm behind A's face. turn_deg, shift: of the whole in the map. pillar: 40 × 20 cm before A's
-    western wall. leaf: where an open leaf stands, hung at the western jamb.
+    western wall. leaf_deg: where an open leaf stands, hung at the western jamb. glass: heights between which the
+    southern wall of A has a pane that returns nothing, from x = 1 to 2, with reveals of 30 cm; outside is a wall.
     """
 
     thickness_m: float = 0.2
@@ -33,6 +34,7 @@ class TwoRooms:
     shift: tuple[float, float] = (0.0, 0.0)
     pillar: bool = False
     leaf_deg: float | None = None
+    glass: tuple[float, float] | None = None
     more: tuple[tuple[FloatArray, tuple[float, float]], ...] = field(default=())
 
     def to_map(self, places: FloatArray) -> FloatArray:
@@ -85,7 +87,23 @@ class TwoRooms:
             hinge = np.array([left, y + t])
             tip = hinge + (right - left) * np.array([np.cos(angle), np.sin(angle)])
             panels += [(np.stack([hinge, tip]), (0.0, HEAD_M - 0.02))]
+        if self.glass is not None:
+            south = [i for i, (ends, _) in enumerate(panels) if (ends[:, 1] == 0).all() and ends[1, 0] == x]
+            panels.pop(south[0])
+            panels += [(np.array([[a, 0], [b, 0]], float), whole) for a, b in ((0, 1), (2, x))]
+            panels += [(np.array([[1, 0], [2, 0]], float), (0.0, self.glass[0]))]
+            panels += [(np.array([[1, 0], [2, 0]], float), (self.glass[1], CEILING_M))]
+            panels += [(np.array([[side, 0], [side, -0.3]], float), self.glass) for side in (1, 2)]
+            panels += [(np.array([[-2, -1.5], [6, -1.5]], float), whole)]
         return [*panels, *self.more]
+
+    @property
+    def window(self) -> Windows:
+        """The pane in A's southern wall."""
+        assert self.glass is not None
+        bottom_m, top_m = (np.array([height]) for height in self.glass)
+        pane, normal = self.to_map(np.array([[1.0, 0.0], [2.0, 0.0]])), self.walls.normal[2:3]
+        return Windows(pane[None], normal, bottom_m, top_m, np.array([np.nan]))
 
     def scans(self, count: int = 6, rays: int = 6000, seed: int = 0) -> Features:
         """Scans from places along each room that was driven through."""

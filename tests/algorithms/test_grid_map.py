@@ -1,11 +1,22 @@
 """The furniture-free grid of a building that is known, whichever way it is turned."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from algorithms.building import Windows
+from algorithms.building import BuildingSettings, trace_rays
 from algorithms.evaluation import WALL_TOLERANCE_M
-from algorithms.grid_map import Cell, Drive, GridMap, GridMapSettings, Immobile, draw_cells, draw_furniture_free
+from algorithms.grid_map import (
+    Cell,
+    Drive,
+    GridMap,
+    GridMapSettings,
+    Immobile,
+    draw_cells,
+    draw_furniture_free,
+    standing_stretches,
+)
 from algorithms.map_comparison import blocked_doors
 from algorithms.scan import FloatArray
 from algorithms.wall_thickness import WallThicknessSettings
@@ -92,24 +103,29 @@ def test_a_wall_is_not_carried_on_behind_a_pillar() -> None:
     assert (at(drawn(TwoRooms()), rooms, behind) == Cell.OCCUPIED).all()
 
 
-def test_glass_stops_rays_and_its_reveals_are_no_walls() -> None:
-    # A window in the southern wall of A, and something far outside that rays reach through it.
-    pane = np.array([[1.0, 0.0], [2.0, 0.0]])
-    window = Windows(pane[None], np.array([[0.0, 1.0]]), np.array([0.9]), np.array([2.0]), np.array([np.nan]))
-    rooms = TwoRooms()
-    immobile, drive = rooms.build(windows=window)
-    features = next(iter(drive.blocks()))
-    outside = features.ray_end_map.copy()
-    through = (np.abs(outside[:, 1]) < 0.01) & (outside[:, 0] > 1.0) & (outside[:, 0] < 2.0) & (outside[:, 2] > 0.9)
-    origin = np.repeat(features.origin_map, features.ray_count, axis=0)[through]
-    outside[through] = origin + 2.0 * (outside[through] - origin)
-    seen = features.__class__(**{**features.__dict__, "ray_end_map": outside})
-    behind = np.column_stack([np.linspace(1.1, 1.9, 5), np.full(5, -0.3)])
-    with_glass = draw_furniture_free(immobile, Drive(drive.path_map, lambda: [seen]), SETTINGS, THICKNESS)
-    assert (at(with_glass, rooms, behind) == Cell.UNKNOWN).all()
-    without_glass = Immobile(immobile.walls, immobile.cells, immobile.votes, immobile.doors, rooms.build()[0].windows)
-    below_sill = draw_furniture_free(without_glass, Drive(drive.path_map, lambda: [seen]), SETTINGS, THICKNESS)
-    assert (at(below_sill, rooms, np.array([[1.5, 0.01]])) == Cell.OCCUPIED).all()
+def test_glass_stops_rays_and_stays_unknown() -> None:
+    rooms = TwoRooms(glass=(0.0, 2.1), both_seen=False)
+    behind = np.column_stack([np.linspace(1.2, 1.8, 5), np.full(5, -0.6)])
+    known = draw_furniture_free(*rooms.build(windows=rooms.window), SETTINGS, THICKNESS)
+    assert (at(known, rooms, behind) == Cell.UNKNOWN).all()
+    assert (at(known, rooms, np.column_stack([np.linspace(1.2, 1.8, 5), np.full(5, 0.01)])) == Cell.UNKNOWN).all()
+    assert (at(drawn(rooms), rooms, behind) == Cell.FREE).all()
+
+
+def test_the_reveals_of_a_window_are_no_walls_but_its_sill_is() -> None:
+    rooms = TwoRooms(glass=(0.9, 2.1), both_seen=False)
+    immobile, _ = rooms.build(windows=rooms.window)
+    reveal = rooms.walls.select([2])
+    reveal = replace(reveal, ends=np.array([[[1.0, 0.0], [1.0, -0.3]]]), normal=np.array([[1.0, 0.0]]))
+    walls = rooms.walls.append(reveal)
+    cells = trace_rays(walls, [rooms.scans()], BuildingSettings())
+    with_window = replace(immobile, walls=walls, cells=cells)
+    last = walls.ends[-1]
+    for known, expected in ((with_window, False), (replace(with_window, windows=rooms.build()[0].windows), True)):
+        stretches = standing_stretches(known, SETTINGS).ends
+        assert any(np.allclose(np.sort(ends[:, 0]), last[:, 0], atol=0.01) for ends in stretches) == expected
+        southern = [ends for ends in stretches if np.allclose(ends[:, 1], 0.0)]
+        assert sum(np.linalg.norm(ends[1] - ends[0]) for ends in southern) > 3.9
 
 
 def test_free_is_only_what_lies_near_to_floor_that_was_seen() -> None:
