@@ -18,7 +18,7 @@ from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from algorithms.semantic_map import VoxelVotes, majority
 from algorithms.settings import StepSettings
-from algorithms.wall_thickness import WallThicknessSettings, door_depths, part_walls
+from algorithms.wall_thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
 
 DoorsDrawn = Literal["open", "as-seen", "closed"]
 
@@ -46,6 +46,9 @@ class GridMapSettings(StepSettings):
     )
     door_margin_m: float = Field(
         0.1, ge=0, description="A free doorway reaches so many metres beyond both sides of its wall. IV.C."
+    )
+    door_guessed_m: float = Field(
+        0.3, ge=0, description="Least free depth in metres of a doorway whose wall's other side was not seen. IV.C."
     )
     rays_min: int = Field(3, ge=1, description="Fewest returns, or cubes of wall, that bear out 5 cm of a wall's face. IV.C.")
     bridge_m: float = Field(
@@ -114,9 +117,13 @@ def draw_furniture_free(
     canvas = _Canvas.around([immobile.walls.ends, doors.ends, drive.path_map[:, :2]], settings)
     for ends in standing_stretches(immobile, settings).ends:
         canvas.draw_line(ends, Cell.OCCUPIED)
-    depth_m = door_depths(doors, immobile.walls, part_walls(immobile.walls, thickness), thickness)
+    parts = part_walls(immobile.walls, thickness)
+    depth_m = door_depths(doors, immobile.walls, parts, thickness)
+    # Where the thickness is a guess, a doorway rather ends in the room behind than within the wall.
+    guessed = np.isnan(face_thickness(immobile.walls, parts)[doors.wall])
+    reach_m = np.where(guessed, np.maximum(depth_m, settings.door_guessed_m), depth_m)
     margin_m, inset_m = settings.door_margin_m, settings.cell_m
-    doorways = [_doorway(doors.ends[d], doors.normal[d], depth_m[d], margin_m, inset_m) for d in range(len(doors))]
+    doorways = [_doorway(doors.ends[d], doors.normal[d], reach_m[d], margin_m, inset_m) for d in range(len(doors))]
     for doorway in doorways:
         canvas.draw_area(doorway, Cell.UNKNOWN)
     for d in range(len(doors)):
