@@ -161,8 +161,12 @@ class Doors:
     head_m: (D,) height of the lintel's underside above the floor.
     depth_m: (D,) depth of the leaf behind the wall's face; NaN for open doors.
     state: (D,) uint8, see `algorithms.doors.DoorState`.
-    confidence: (D,) 0 to 1: share of the rays through it that agree, times how well they cover it.
+    confidence: (D,) 0 to 1: `agreement` times `coverage`; 1 where it was crossed.
+    agreement: (D,) share of the rays between foot and head that say the same: that it is open, or closed.
+    coverage: (D,) share of its columns that are decided so by themselves.
     ray_count: (D,) rays that decided.
+    scan_count, first_scan, last_scan: (D,) the scans whose rays met it or passed it close by; -1 where none is known.
+    crossed: (D,) whether the robot drove through.
     wall: (D,) the wall face in which it was seen best.
     reveal_m: (D,) how far its reveals and the underside of its lintel reach behind the wall's face.
     """
@@ -173,7 +177,13 @@ class Doors:
     depth_m: FloatArray
     state: UInt8Array
     confidence: FloatArray
+    agreement: FloatArray
+    coverage: FloatArray
     ray_count: IntArray
+    scan_count: IntArray
+    first_scan: IntArray
+    last_scan: IntArray
+    crossed: BoolArray
     wall: IntArray
     reveal_m: FloatArray
 
@@ -188,7 +198,13 @@ NO_DOORS = Doors(
     depth_m=np.zeros(0),
     state=np.zeros(0, np.uint8),
     confidence=np.zeros(0),
+    agreement=np.zeros(0),
+    coverage=np.zeros(0),
     ray_count=np.zeros(0, np.int32),
+    scan_count=np.zeros(0, np.int32),
+    first_scan=np.zeros(0, np.int64),
+    last_scan=np.zeros(0, np.int64),
+    crossed=np.zeros(0, bool),
     wall=np.zeros(0, np.int32),
     reveal_m=np.zeros(0),
 )
@@ -308,38 +324,88 @@ def find_doors(walls: Walls, cells: WallCells, settings: BuildingSettings) -> Do
     Columns next to each other that agree make a door, if it is as wide as doors are. What was seen in both faces of a
     wall, or in two stretches of it, is one door: the better seen one stands.
     """
-    found: list[tuple[FloatArray, FloatArray, float, float, int, float, int, int]] = []
+    found: list[_Door] = []
     for w in range(len(walls)):
         found.extend(_doors_in(w, walls, cells, settings))
-    found.sort(key=lambda door: -door[5] * door[6])
-    kept: list[tuple[FloatArray, FloatArray, float, float, int, float, int, int]] = []
+    found.sort(key=lambda door: -door.agreement * door.coverage * door.ray_count)
+    kept: list[_Door] = []
     for door in found:
-        middle = door[0].mean(axis=0)
-        if all(np.linalg.norm(middle - other[0].mean(axis=0)) > 0.6 or abs(door[1] @ other[1]) < 0.8 for other in kept):
+        middle = door.ends.mean(axis=0)
+        if all(
+            np.linalg.norm(middle - other.ends.mean(axis=0)) > 0.6 or abs(door.normal @ other.normal) < 0.8
+            for other in kept
+        ):
             kept.append(door)
     if not kept:
         return NO_DOORS
-    ends, normal, head, depth, state, confidence, rays, wall = zip(*kept, strict=True)
+    agreement, coverage = np.array([d.agreement for d in kept]), np.array([d.coverage for d in kept])
     return Doors(
-        np.array(ends),
-        np.array(normal),
-        np.array(head),
-        np.array(depth),
-        np.array(state, np.uint8),
-        np.array(confidence),
-        np.array(rays, np.int32),
-        np.array(wall, np.int32),
-        np.full(len(kept), settings.reveal_m),
+        ends=np.array([d.ends for d in kept]),
+        normal=np.array([d.normal for d in kept]),
+        head_m=np.array([d.head_m for d in kept]),
+        depth_m=np.array([d.depth_m for d in kept]),
+        state=np.array([d.state for d in kept], np.uint8),
+        confidence=agreement * coverage,
+        agreement=agreement,
+        coverage=coverage,
+        ray_count=np.array([d.ray_count for d in kept], np.int32),
+        scan_count=np.zeros(len(kept), np.int32),
+        first_scan=np.full(len(kept), -1, np.int64),
+        last_scan=np.full(len(kept), -1, np.int64),
+        crossed=np.zeros(len(kept), bool),
+        wall=np.array([d.wall for d in kept], np.int32),
+        reveal_m=np.full(len(kept), settings.reveal_m),
+    )
+
+
+@dataclass(frozen=True)
+class _Door:
+    """One of `Doors`, as one face shows it."""
+
+    ends: FloatArray
+    normal: FloatArray
+    head_m: float
+    depth_m: float
+    state: DoorState
+    agreement: float
+    coverage: float
+    ray_count: int
+    wall: int
+
+
+def prove_crossed(doors: Doors, path_map: FloatArray) -> Doors:
+    """The doors, of which those that the robot drove through are open beyond doubt, whatever rays said of them.
+
+    path_map: (n, 2) the robot's places in their order.
+    """
+    crossed = np.zeros(len(doors), bool)
+    for d in range(len(doors)):
+        along = doors.ends[d, 1] - doors.ends[d, 0]
+        length_m = float(np.linalg.norm(along))
+        side = (path_map - doors.ends[d, 0]) @ doors.normal[d]
+        place = (path_map - doors.ends[d, 0]) @ (along / length_m)
+        change = np.flatnonzero(np.diff(side > 0))
+        t = side[change] / (side[change] - side[change + 1])
+        at = place[change] + t * (place[change + 1] - place[change])
+        crossed[d] = bool(np.any((at > 0) & (at < length_m)))
+    return replace(
+        doors,
+        crossed=crossed,
+        state=np.where(crossed, np.uint8(DoorState.OPEN), doors.state),
+        depth_m=np.where(crossed, np.nan, doors.depth_m),
+        confidence=np.where(crossed, 1.0, doors.confidence),
     )
 
 
 def place_jambs(doors: Doors, blocks: Iterable[Features]) -> Doors:
-    """The doors with their jambs where the rays tell them to a centimetre: beyond a jamb rays end on the wall's face,
-    within they pass it or end on the leaf behind.
+    """The doors with their jambs where the rays tell them to a centimetre, and with the scans that saw these.
 
-    Each jamb goes where fewest rays contradict it; one without rays on both sides stays.
+    Beyond a jamb rays end on the wall's face, within they pass it or end on the leaf behind. Each jamb goes where fewest
+    rays contradict it; one without rays on both sides stays.
     """
     counts = np.zeros((len(doors), 2, _JAMB_BINS, 2), np.int64)
+    scans = np.zeros((len(doors), 3), np.int64)
+    scans[:, 1:] = -1
     on_face_m = np.where(np.isfinite(doors.depth_m), 0.5 * doors.depth_m, 0.06)
     for block in blocks:
         _count_at_jambs(
@@ -348,6 +414,8 @@ def place_jambs(doors: Doors, blocks: Iterable[Features]) -> Doors:
             np.ascontiguousarray(doors.head_m, np.float64),
             np.ascontiguousarray(on_face_m, np.float64),
             counts,
+            scans,
+            np.ascontiguousarray(block.scan, np.int64),
             np.ascontiguousarray(block.origin_map, np.float64),
             np.ascontiguousarray(block.floor_map, np.float64),
             block.ray_starts,
@@ -364,7 +432,8 @@ def place_jambs(doors: Doors, blocks: Iterable[Features]) -> Doors:
             wrong = np.concatenate([[0], np.cumsum(on_face)]) + behind.sum() - np.concatenate([[0], np.cumsum(behind)])
             best = np.flatnonzero(wrong == wrong.min()).mean()
             ends[d, side] = doors.ends[d, side] + outwards * along * (best * _JAMB_BIN_M - _JAMB_REACH_M)
-    return replace(doors, ends=ends)
+    count, first, last = scans.T
+    return replace(doors, ends=ends, scan_count=count.astype(np.int32), first_scan=first, last_scan=last)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -374,6 +443,8 @@ def _count_at_jambs(
     head_m: FloatArray,
     on_face_m: FloatArray,
     counts: IntArray,
+    scans: IntArray,
+    scan: IntArray,
     origin: FloatArray,
     floor: FloatArray,
     starts: IntArray,
@@ -390,6 +461,7 @@ def _count_at_jambs(
             # Seen at a slant, a leaf's recess shifts where rays pass the face.
             if reach < 0.3 or reach > 6.0 or abs(ox * dx + oy * dy - 0.5 * length) > 2.0 * reach + 0.5 * length:
                 continue
+            saw = False
             for r in range(starts[s], starts[s + 1]):
                 x, y = ray_end[r, 0] - ends[d, 0, 0], ray_end[r, 1] - ends[d, 0, 1]
                 side = nx * x + ny * y
@@ -406,10 +478,15 @@ def _count_at_jambs(
                 height = z - (floor[s, 0] + floor[s, 1] * ray_end[r, 0] + floor[s, 2] * ray_end[r, 1])
                 if height < 0.2 or height > head_m[d] - 0.15:
                     continue
+                saw = True
                 if u < _JAMB_REACH_M:
                     counts[d, 0, int((_JAMB_REACH_M - u) / _JAMB_BIN_M), 0 if on_face else 1] += 1
                 if u > length - _JAMB_REACH_M:
                     counts[d, 1, int((u - length + _JAMB_REACH_M) / _JAMB_BIN_M), 0 if on_face else 1] += 1
+            if saw:
+                scans[d, 0] += 1
+                scans[d, 1] = scan[s] if scans[d, 1] < 0 else scans[d, 1]
+                scans[d, 2] = scan[s]
 
 
 def measure_reveals(doors: Doors, blocks: Iterable[Features], settings: BuildingSettings) -> Doors:
@@ -668,7 +745,7 @@ def _look_for_doors(counts: FloatArray, top_m: float, settings: BuildingSettings
 
 def _doors_in(
     w: int, walls: Walls, cells: WallCells, settings: BuildingSettings
-) -> Iterable[tuple[FloatArray, FloatArray, float, float, int, float, int, int]]:
+) -> Iterable[_Door]:
     counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
     if len(counts) < 3:
         return
@@ -687,15 +764,16 @@ def _doors_in(
                 continue
             columns = slice(first, last + 1)
             agree = found.through[columns] if state == DoorState.OPEN else 1 - found.through[columns]
-            yield (
-                walls.ends[w, 0] + along * CELL_M * np.array([[first], [last + 1]]),
-                walls.normal[w],
-                _head_m(counts[columns], state, float(np.nanmean(found.lintel_m[columns])), settings),
-                float("nan") if state == DoorState.OPEN else float(np.nanmedian(found.depth_m[columns])),
-                int(state),
-                float(np.mean(flags[columns]) * np.nanmean(agree[flags[columns]])),
-                int(found.rays[columns][:, [_FILLED, _THROUGH]].sum() / 3),
-                w,
+            yield _Door(
+                ends=walls.ends[w, 0] + along * CELL_M * np.array([[first], [last + 1]]),
+                normal=walls.normal[w],
+                head_m=_head_m(counts[columns], state, float(np.nanmean(found.lintel_m[columns])), settings),
+                depth_m=float("nan") if state == DoorState.OPEN else float(np.nanmedian(found.depth_m[columns])),
+                state=state,
+                agreement=float(np.nanmean(agree[flags[columns]])),
+                coverage=float(np.mean(flags[columns])),
+                ray_count=int(found.rays[columns][:, [_FILLED, _THROUGH]].sum() / 3),
+                wall=w,
             )
 
 

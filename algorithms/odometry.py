@@ -49,7 +49,8 @@ class Registration:
     """One horizontal scan registered.
 
     index: of the scan's cloud in the bag.
-    stamp_ns: the time of the pose: the END of the sweep (KISS-ICP's convention with motion compensation).
+    stamp_ns: the time of the pose: the middle of the sweep; where poses are not refined, the END of the sweep (KISS-ICP's
+        convention with motion compensation).
     T_odom_sensor: (4, 4) at that time, refined; odom is the sensor's frame at the first scan.
     keypoints_sensor: (k, 3) float32, the downsampled returns that were registered.
     local_map_odom: (m, 3) float32, the local map that they were registered to, moved as the pose was refined; empty
@@ -116,13 +117,17 @@ def register_scans(
             scan.points_sensor[::stride].astype(np.float64), _sweep_fraction(scan)[::stride]
         )
         T_kiss = odometry.last_pose.copy()
-        refined = refiner.refine(scan, T_kiss, companion) if refiner else Refinement(T_kiss, float("nan"), float("nan"))
+        refined = (
+            refiner.refine(scan, T_kiss, companion)
+            if refiner
+            else Refinement(scan.end_ns, T_kiss, T_kiss, float("nan"), float("nan"))
+        )
         milliseconds = 1e3 * (time.perf_counter() - started)
         residual_m, inlier_share = _residual(keypoints, local_map, T_kiss, threshold_m)
-        T_refined_kiss = refined.T_odom_sensor @ transforms.invert(T_kiss)
+        T_refined_kiss = refined.T_odom_sensor_end @ transforms.invert(T_kiss)
         yield Registration(
             index=index,
-            stamp_ns=scan.end_ns,
+            stamp_ns=refined.stamp_ns,
             T_odom_sensor=refined.T_odom_sensor,
             keypoints_sensor=keypoints.astype(np.float32),
             local_map_odom=transforms.apply(T_refined_kiss, local_map).astype(np.float32),
@@ -130,7 +135,7 @@ def register_scans(
             correction_m=float(np.linalg.norm((transforms.invert(T_prediction) @ T_kiss)[:3, 3])),
             residual_m=residual_m,
             inlier_share=inlier_share,
-            refined_m=float(np.linalg.norm(refined.T_odom_sensor[:3, 3] - T_kiss[:3, 3])),
+            refined_m=float(np.linalg.norm(refined.T_odom_sensor_end[:3, 3] - T_kiss[:3, 3])),
             refined_inlier_share=refined.inlier_share,
             weakest_share=refined.weakest_share,
             milliseconds=milliseconds,

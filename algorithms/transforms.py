@@ -64,3 +64,8 @@ def orthonormal(T: FloatArray) -> FloatArray:
 def to_twist(T: FloatArray) -> FloatArray:
     """(6,): rotation vector and translation of T."""
     return np.concatenate([Rotation.from_matrix(T[:3, :3]).as_rotvec(), T[:3, 3]])
+
+
+def from_twist(twist: FloatArray) -> FloatArray:
+    """T (4, 4) of a rotation vector and a translation (6,)."""
+    return make_transform(Rotation.from_rotvec(twist[:3]), twist[3:])

@@ -28,7 +28,7 @@ from loaders.bag import open_bag
 from loaders.scans import read_scans
 
 _PER_FILE = 50
-_FORMAT = 3
+_FORMAT = 4
 """Raised whenever a change to reading or registering scans changes poses."""
 
 

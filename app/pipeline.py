@@ -31,6 +31,7 @@ from algorithms.building import (
     fuse_walls,
     measure_reveals,
     place_jambs,
+    prove_crossed,
     seen_through,
     trace_rays,
     without_rays_through,
@@ -585,6 +586,7 @@ def _build(
     cells = trace(walls)
     windows = find_windows(walls, cells, settings.building)
     doors = place_jambs(find_doors(walls, cells, settings.building), _features(folder, blocks))
+    doors = prove_crossed(doors, trajectory.T_map_base[:, :2, 3])
     doors = measure_reveals(doors, _features(folder, blocks), settings.building)
     drive = Drive(trajectory.T_map_base[:, :3, 3], lambda: _features(folder, blocks))
     immobile = Immobile(walls, cells, votes, doors, windows)

@@ -20,6 +20,7 @@ from algorithms.rearrangement import HorizontalPlane
 from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.standing_walls import JudgedFaces
 from algorithms.trajectory import PlacedScan
+from app.building_reasons import explain_building
 from blueprints import entities
 from blueprints.entities import CurveSheet, LineOutcome
 
@@ -603,6 +604,10 @@ class Recorder:
                     {
                         "state": doors.state,
                         "confidence": doors.confidence,
+                        "agreement": doors.agreement,
+                        "coverage": doors.coverage,
+                        "scan_count": doors.scan_count,
+                        "crossed": doors.crossed.astype(np.uint8),
                         "depth_m": doors.depth_m,
                         "ray_count": doors.ray_count,
                     }
@@ -620,6 +625,11 @@ class Recorder:
                     show_labels=False,
                 ),
             )
+
+        self._static(
+            entities.BUILDING_REASONS,
+            rr.TextDocument(explain_building(refused, doors, windows), media_type=rr.MediaType.MARKDOWN),
+        )
 
     def log_grid(self, name: str, grid: GridMap) -> None:
         """A grid map; it holds for the whole run."""

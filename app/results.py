@@ -170,6 +170,7 @@ def write_doors(path: Path, doors: Doors, rooms: Sequence[tuple[int, int] | None
                     "height": doors.head_m[i],
                     "depth": doors.depth_m[i],
                     "confidence": doors.confidence[i],
+                    "crossed": bool(doors.crossed[i]),
                     "rooms": rooms[i] if rooms is not None else None,
                 },
             )

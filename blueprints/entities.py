@@ -38,6 +38,7 @@ DOOR_SILLS = "/world/building/sills"
 WINDOWS = "/world/building/windows"
 REFUSED_WALLS = "/world/building/refused_walls"
 REFUSED_COLOUR = (255, 140, 60)
+BUILDING_REASONS = "/world/building/reasons"
 REFUSALS = {
     FaceVerdict.ENDS_LOW: "rays pass above it, below the ceiling (a leaf, a cupboard)",
     FaceVerdict.HANGS: "rays pass below it (a duct, a beam)",

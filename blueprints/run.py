@@ -229,7 +229,11 @@ def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
             ),
             line_grid=rrb.LineGrid3D(visible=False),
         ),
-        _grid(centre_m, extent_m),
+        rrb.Vertical(
+            _grid(centre_m, extent_m),
+            rrb.TextDocumentView(origin=entities.BUILDING_REASONS, name="Why: doors, refused faces, windows"),
+        ),
+        column_shares=[3, 2],
         name="Building",
     )
 

@@ -491,3 +491,19 @@ def test_the_floor_is_found_wherever_the_robot_has_climbed() -> None:
     np.testing.assert_allclose(placed.to_map(placed.points_level)[truth == Label.FLOOR, 2], 0.6, atol=0.1)
     features = extract(0, placed, found)
     np.testing.assert_allclose(features.floor_map[0] @ [1.0, 1.0, 0.0], 0.6, atol=0.02)
+
+
+def test_a_duct_below_the_ceiling_is_no_ceiling_of_its_own_and_a_lower_room_has_one() -> None:
+    generator = np.random.default_rng(3)
+    floor = HorizontalPlane(0.0, np.zeros(2), 0)
+
+    def returns(count: int, low: tuple[float, float], high: tuple[float, float], height_m: float) -> np.ndarray:
+        return np.column_stack([generator.uniform(low, high, (count, 2)), generator.normal(height_m, 0.005, count)])
+
+    ceiling = returns(12_000, (-3, -3), (3, 3), 2.8)
+    duct = returns(4_000, (-3, 1.0), (3, 1.4), 2.45)
+    lower = returns(4_000, (3, -3), (5, 1), 2.45)
+    with_duct = find_ceilings(np.concatenate([ceiling, duct]).astype(np.float32), floor, METHOD.rearrangement, 0)
+    assert [round(c.height_m, 1) for c in with_duct] == [2.8]
+    with_room = find_ceilings(np.concatenate([ceiling, lower]).astype(np.float32), floor, METHOD.rearrangement, 0)
+    assert sorted(round(c.height_m, 2) for c in with_room) == [2.45, 2.8]

@@ -257,7 +257,13 @@ def test_building_grid_map_and_messages(tmp_path):
         depth_m=np.array([0.05]),
         state=np.zeros(1, np.uint8),
         confidence=np.array([0.9]),
+        agreement=np.array([1.0]),
+        coverage=np.array([0.9]),
         ray_count=np.array([50]),
+        scan_count=np.array([3]),
+        first_scan=np.array([5]),
+        last_scan=np.array([9]),
+        crossed=np.array([False]),
         wall=np.zeros(1, np.int64),
         reveal_m=np.array([0.05]),
     )
@@ -284,6 +290,11 @@ def test_building_grid_map_and_messages(tmp_path):
     assert "no wall: rays pass above it" in str(
         static[entities.REFUSED_WALLS].column("LineStrips3D:labels").to_pylist()
     )
+    reasons = static[entities.BUILDING_REASONS].column("TextDocument:text").to_pylist()[0][0]
+    assert "100% of 50 rays agree; 90% of its columns; leaf 5.0 cm behind the wall" in reasons
+    assert "3 from 5 to 9" in reasons
+    assert "rays pass above it" in reasons
+    assert "10 cm behind the face" in reasons
     outline = vectors(static[entities.WINDOWS].column("LineStrips3D:strips").to_pylist()[0][0])
     np.testing.assert_allclose(outline[:3], [[2.5, 0, 0.9], [3.5, 0, 0.9], [3.5, 0, 2.2]], rtol=1e-6)
     assert len(static[entities.WALLS].column("Mesh3D:vertex_positions").to_pylist()[0]) == 4

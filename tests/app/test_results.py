@@ -253,7 +253,13 @@ class TestGeojson:
             depth_m=np.array([0.05, np.nan]),
             state=np.array([0, 1], np.uint8),
             confidence=np.array([0.9, 0.7]),
+            agreement=np.array([1.0, 0.7]),
+            coverage=np.array([0.9, 1.0]),
             ray_count=np.array([100, 90]),
+            scan_count=np.array([3, 4]),
+            first_scan=np.array([5, 6]),
+            last_scan=np.array([9, 60]),
+            crossed=np.array([False, True]),
             wall=np.array([0, 1]),
             reveal_m=np.array([0.05, 0.2]),
         )
@@ -269,6 +275,7 @@ class TestGeojson:
             "height": 2.0,
             "depth": 0.05,
             "confidence": 0.9,
+            "crossed": False,
             "rooms": None,
         }
         assert opened["properties"]["state"] == "open"

@@ -1,0 +1,82 @@
+"""In words, for the recording: why each door is a door, and why faces that look like walls are none."""
+
+import numpy as np
+
+from algorithms.building import Doors, Windows
+from algorithms.doors import DoorState
+from algorithms.standing_walls import JudgedFaces
+from blueprints import entities
+
+_DOORS = """\
+## Doors
+
+A door has wall above it; below, a ray either goes on (open) or ends on a leaf that is recessed down to the floor (closed).
+Confidence = share of its rays that agree × share of its columns (5 cm) that are decided so by themselves; a door that the
+robot drove through is open for sure.
+
+| door | at x, y (m) | width | what held | scans | confidence |
+|---|---|---|---|---|---|
+"""
+_REFUSED = """
+## Faces that are no walls
+
+| at x, y (m) | length | why | seen on scans |
+|---|---|---|---|
+"""
+_WINDOWS = """
+## Windows
+
+| at x, y (m) | width | from – to height | pane |
+|---|---|---|---|
+"""
+
+
+def explain_building(judged: JudgedFaces, doors: Doors, windows: Windows) -> str:
+    """Markdown: what the building's doors, refused faces and windows were judged by."""
+    parts = [_DOORS + ("\n".join(_door(doors, d) for d in range(len(doors))) or "| none | | | | | |")]
+    if len(judged.refused):
+        faces = judged.refused
+        parts.append(
+            _REFUSED
+            + "\n".join(
+                f"| {_place(faces.ends[f])} | {_length_m(faces.ends[f]):.2f} m | {entities.REFUSALS[judged.verdict[f]]} "
+                f"| {faces.scan_count[f]} |"
+                for f in range(len(faces))
+            )
+        )
+    if len(windows):
+        parts.append(_WINDOWS + "\n".join(_window(windows, w) for w in range(len(windows))))
+    return "\n".join(parts)
+
+
+def _door(doors: Doors, d: int) -> str:
+    state = DoorState(int(doors.state[d]))
+    held = [f"{doors.agreement[d]:.0%} of {doors.ray_count[d]:,} rays agree", f"{doors.coverage[d]:.0%} of its columns"]
+    if doors.crossed[d]:
+        held.insert(0, "the robot drove through")
+    if state == DoorState.CLOSED:
+        held.append(f"leaf {100 * doors.depth_m[d]:.1f} cm behind the wall")
+    held.append(f"head at {doors.head_m[d]:.2f} m")
+    scans = f"{doors.scan_count[d]} from {doors.first_scan[d]} to {doors.last_scan[d]}" if doors.scan_count[d] else "–"
+    return (
+        f"| {d} {state.name.lower()} | {_place(doors.ends[d])} | {_length_m(doors.ends[d]):.2f} m | {'; '.join(held)} "
+        f"| {scans} | {doors.confidence[d]:.0%} |"
+    )
+
+
+def _window(windows: Windows, w: int) -> str:
+    pane_m = windows.pane_m[w]
+    pane = f"{100 * pane_m:.0f} cm behind the face" if np.isfinite(pane_m) else "returned nothing"
+    return (
+        f"| {_place(windows.ends[w])} | {_length_m(windows.ends[w]):.2f} m "
+        f"| {windows.bottom_m[w]:.2f} – {windows.top_m[w]:.2f} m | {pane} |"
+    )
+
+
+def _place(ends: np.ndarray) -> str:
+    x, y = ends.mean(axis=0)
+    return f"{x:.2f}, {y:.2f}"
+
+
+def _length_m(ends: np.ndarray) -> float:
+    return float(np.linalg.norm(ends[1] - ends[0]))

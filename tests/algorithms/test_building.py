@@ -1,0 +1,163 @@
+"""Doors, windows and what is seen through them, on hand-made walls, cells and rays."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from algorithms.building import (
+    CELL_M,
+    NO_DOORS,
+    NO_WINDOWS,
+    BuildingSettings,
+    WallCells,
+    Walls,
+    Windows,
+    find_doors,
+    find_windows,
+    prove_crossed,
+    seen_through,
+    without_rays_through,
+)
+from algorithms.doors import DoorState
+from algorithms.features import Features
+
+FILLED, SUM, SQUARES, THROUGH = range(4)
+SETTINGS = BuildingSettings()
+WALL = Walls(
+    np.array([[[0.0, 0.0], [4.0, 0.0]]]),
+    np.array([[0.0, -1.0]]),
+    np.zeros(1),
+    np.array([2.8]),
+    np.array([9], np.int32),
+    np.array([0.01]),
+)
+WINDOW = Windows(
+    np.array([[[1.0, 0.0], [3.0, 0.0]]]), np.array([[0.0, -1.0]]), np.array([0.9]), np.array([2.0]), np.array([0.05])
+)
+
+
+def cells() -> WallCells:
+    """The wall, ten returns on its face in every cell."""
+    counts = np.zeros((80, 66, 4), np.float32)
+    counts[..., FILLED] = 10.0
+    return WallCells(np.array([0, 80]), 66, counts)
+
+
+def recess(cells: WallCells, low_m: float, high_m: float, depth_m: float) -> None:
+    """Between x = 1.5 and 2.4 the returns of these heights lie behind the face."""
+    part = cells.counts[30:48, round(low_m / CELL_M) : round(high_m / CELL_M)]
+    part[..., SUM] = -depth_m * part[..., FILLED]
+    part[..., SQUARES] = depth_m**2 * part[..., FILLED]
+
+
+def features(origin: tuple[float, float], rays: np.ndarray, planes: np.ndarray) -> Features:
+    """One scan with rays (r, 3) and planes (p, 2, 2)."""
+    return Features(
+        scan=np.array([0]),
+        origin_map=np.array([[*origin, 1.0]]),
+        floor_map=np.zeros((1, 3)),
+        ray_count=np.array([len(rays)]),
+        plane_count=np.array([len(planes)]),
+        ray_end_map=rays.astype(np.float32),
+        ray_label=np.arange(len(rays)).astype(np.uint8),
+        plane_ends_map=planes,
+        plane_normal=np.tile([0.0, -1.0], (len(planes), 1)),
+        plane_bottom_m=np.zeros(len(planes)),
+        plane_top_m=np.full(len(planes), 2.8),
+        plane_lines=np.full(len(planes), 5),
+        plane_moments=np.zeros((len(planes), 6)),
+    )
+
+
+@pytest.mark.parametrize(("depth_m", "found"), [(0.02, 0), (0.03, 1), (0.08, 1)])
+def test_a_closed_leaf_is_recessed(depth_m: float, found: int) -> None:
+    seen = cells()
+    recess(seen, 0.0, 2.1, depth_m)
+    doors = find_doors(WALL, seen, SETTINGS)
+    assert len(doors) == found
+    if found:
+        assert doors.depth_m[0] == pytest.approx(depth_m, abs=0.005)
+        np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
+
+
+def test_a_pane_above_a_flush_parapet_is_no_leaf() -> None:
+    seen = cells()
+    recess(seen, 0.7, 2.1, 0.05)
+    assert len(find_doors(WALL, seen, SETTINGS)) == 0
+
+
+def test_a_recess_up_to_the_ceiling_is_no_door() -> None:
+    seen = cells()
+    recess(seen, 0.0, 2.8, 0.05)
+    assert len(find_doors(WALL, seen, SETTINGS)) == 0
+
+
+def test_a_windows_pane_is_placed_by_what_it_returns() -> None:
+    seen = cells()
+    seen.counts[20:60, 18:44, FILLED], seen.counts[20:60, 18:44, THROUGH] = 0.0, 50.0
+    assert np.isnan(find_windows(WALL, seen, SETTINGS).pane_m).all()
+    pane = seen.counts[20:60, 18:44]
+    pane[..., FILLED], pane[..., SUM], pane[..., SQUARES] = 1.0, -0.06, 0.06**2
+    windows = find_windows(WALL, seen, SETTINGS)
+    assert windows.pane_m.tolist() == pytest.approx([0.06], abs=0.002)
+    np.testing.assert_allclose(windows.ends[0, :, 0], [1.0, 3.0], atol=2 * CELL_M)
+    np.testing.assert_allclose([windows.bottom_m[0], windows.top_m[0]], [0.9, 2.2], atol=CELL_M)
+
+
+def test_rays_that_ended_beyond_a_window_are_left_out() -> None:
+    rays = np.array(
+        [
+            [2.0, 3.0, 1.2],  # through the window
+            [2.0, 0.02, 1.2],  # on its pane
+            [2.0, -1.0, 0.0],  # before it
+            [9.0, 3.0, 1.2],  # past its end
+        ]
+    )
+    left = without_rays_through(WINDOW, features((2.0, -2.0), rays, np.zeros((0, 2, 2))))
+    assert left.ray_label.tolist() == [1, 2, 3]
+    assert left.ray_count.tolist() == [3]
+    np.testing.assert_array_equal(left.ray_end_map, rays[1:].astype(np.float32))
+    # From the other side it is that side's window, if any.
+    behind = without_rays_through(WINDOW, features((2.0, 2.0), rays, np.zeros((0, 2, 2))))
+    assert behind.ray_label.tolist() == [0, 1, 2, 3]
+    assert without_rays_through(NO_WINDOWS, left).ray_label.tolist() == [1, 2, 3]
+
+
+def test_planes_beyond_a_window_were_seen_through_it() -> None:
+    planes = np.array(
+        [
+            [[1.0, 4.0], [3.0, 4.0]],  # the house across the street
+            [[0.0, 0.0], [4.0, 0.0]],  # the window's own wall
+            [[8.0, 1.0], [12.0, 1.0]],  # past the window
+        ]
+    )
+    scan = features((2.0, -2.0), np.zeros((0, 3)), planes)
+    assert seen_through(WINDOW, scan).tolist() == [True, False, False]
+    assert not seen_through(NO_WINDOWS, scan).any()
+    turned = replace(scan, origin_map=np.array([[2.0, 2.0, 1.0]]))
+    assert not seen_through(WINDOW, turned).any()
+
+
+@pytest.mark.parametrize(
+    ("path", "crossed"),
+    [
+        ([[2.0, -1.0], [2.0, 1.0]], True),
+        ([[1.0, -1.0], [2.6, 0.2]], True),  # at a slant, between two poses
+        ([[3.0, -1.0], [3.0, 1.0]], False),  # beside the jamb
+        ([[2.0, -1.0], [2.0, -0.1], [2.2, -1.0]], False),  # up to it and back
+        ([[2.0, -1.0]], False),
+        (np.zeros((0, 2)), False),
+    ],
+)
+def test_a_door_that_was_driven_through_is_open(path: list[list[float]], crossed: bool) -> None:
+    seen = cells()
+    recess(seen, 0.0, 2.1, 0.05)
+    closed = find_doors(WALL, seen, SETTINGS)
+    assert closed.state.tolist() == [DoorState.CLOSED]
+    proven = prove_crossed(closed, np.array(path, np.float64))
+    assert proven.crossed.tolist() == [crossed]
+    assert proven.state.tolist() == [DoorState.OPEN if crossed else DoorState.CLOSED]
+    assert np.isnan(proven.depth_m[0]) == crossed
+    assert (proven.confidence[0] == 1.0) == (crossed or closed.confidence[0] == 1.0)
+    assert len(prove_crossed(NO_DOORS, np.array(path, np.float64))) == 0

@@ -1,0 +1,212 @@
+"""What the building changes in a scan's labels: one wall along y = 0, looked at from y < 0, one return at a time."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from algorithms.building import NO_DOORS, NO_WALLS, NO_WINDOWS, Doors, Walls, Windows
+from algorithms.doors import DoorState
+from algorithms.labels import Label
+from algorithms.relabelling import RelabellingSettings, relabel
+from algorithms.semantic_map import find_halo, vote
+
+SETTINGS = RelabellingSettings()
+SENSOR = np.array([2.0, -2.0, 1.0])
+NO_HALO = find_halo(vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05), SETTINGS.halo_ratio)
+
+
+def face(x0: float = 0.0, x1: float = 4.0, y: float = 0.0, top_m: float = 2.8) -> Walls:
+    """A face towards the sensor."""
+    return Walls(
+        np.array([[[x0, y], [x1, y]]]),
+        np.array([[0.0, -1.0]]),
+        np.zeros(1),
+        np.array([top_m]),
+        np.array([9], np.int32),
+        np.array([0.01]),
+    )
+
+
+def door(depth_m: float) -> Doors:
+    """Between x = 1 and x = 2, its head at 2.1 m, its reveals 0.2 m deep; open where the depth is NaN."""
+    state = DoorState.OPEN if np.isnan(depth_m) else DoorState.CLOSED
+    return replace(
+        NO_DOORS,
+        ends=np.array([[[1.0, 0.0], [2.0, 0.0]]]),
+        normal=np.array([[0.0, -1.0]]),
+        head_m=np.array([2.1]),
+        depth_m=np.array([depth_m]),
+        state=np.array([state], np.uint8),
+        reveal_m=np.array([0.2]),
+    )
+
+
+def window(pane_m: float) -> Windows:
+    return Windows(
+        np.array([[[1.0, 0.0], [3.0, 0.0]]]), np.array([[0.0, -1.0]]), np.array([0.9]), np.array([2.0]), np.array([pane_m])
+    )
+
+
+def final(
+    point: tuple[float, float, float],
+    label: Label,
+    walls: Walls = NO_WALLS,
+    refused: Walls = NO_WALLS,
+    doors: Doors = NO_DOORS,
+    windows: Windows = NO_WINDOWS,
+    sensor: np.ndarray = SENSOR,
+) -> Label:
+    """The final label of one return; the ceiling hangs at 2.8 m."""
+    at = np.array([point], np.float32)
+    height_m = at[:, 2].astype(np.float64)
+    found = relabel(
+        at,
+        height_m,
+        2.8 - height_m,
+        np.array([label], np.uint8),
+        sensor,
+        walls,
+        refused,
+        doors,
+        windows,
+        NO_HALO,
+        SETTINGS,
+    )
+    return Label(int(found[0]))
+
+
+@pytest.mark.parametrize(
+    ("y", "scan_label", "expected"),
+    [
+        (-0.02, Label.CLUTTER, Label.WALL),  # on the face
+        (-0.10, Label.CLUTTER, Label.CLUTTER),  # before it stands furniture
+        (0.06, Label.CLUTTER, Label.WALL),  # behind it is the wall's body: scatter
+        (0.15, Label.CLUTTER, Label.CLUTTER),  # beyond that, another thing
+        (-0.15, Label.WALL, Label.WALL),  # what the scan took for wall stays near a face
+        (-0.40, Label.WALL, Label.CLUTTER),  # but not far from all
+    ],
+)
+def test_a_return_by_its_distance_to_a_face(y: float, scan_label: Label, expected: Label) -> None:
+    assert final((2.0, y, 1.0), scan_label, walls=face()) == expected
+
+
+def test_only_the_sensors_side_of_a_face_has_a_body_behind_it() -> None:
+    other_side = np.array([2.0, 2.0, 1.0])
+    assert final((2.0, 0.06, 1.0), Label.CLUTTER, walls=face(), sensor=other_side) == Label.CLUTTER
+
+
+def test_an_open_doorway_is_no_body_of_its_wall() -> None:
+    point = (1.5, 0.05, 1.0)
+    assert final(point, Label.CLUTTER, walls=face()) == Label.WALL
+    assert final(point, Label.CLUTTER, walls=face(), doors=door(np.nan)) == Label.CLUTTER
+
+
+def test_what_a_scan_called_wall_on_a_refused_face_is_clutter() -> None:
+    leaf = face(1.0, 1.9, -0.12, top_m=2.05)
+    assert final((1.5, -0.12, 1.0), Label.WALL, walls=face()) == Label.WALL
+    assert final((1.5, -0.12, 1.0), Label.WALL, walls=face(), refused=leaf) == Label.CLUTTER
+    # The wall above the leaf, and the wall behind it, stay.
+    assert final((1.5, -0.12, 2.5), Label.WALL, walls=face(), refused=leaf) == Label.WALL
+    assert final((1.5, -0.02, 1.0), Label.WALL, walls=face(), refused=leaf) == Label.WALL
+
+
+@pytest.mark.parametrize("scan_label", [Label.CLUTTER, Label.WALL, Label.DOOR])
+def test_between_the_jambs_of_a_closed_door_all_is_its_leaf(scan_label: Label) -> None:
+    def label_at(x: float, y: float, z: float) -> Label:
+        return final((x, y, z), scan_label, walls=face(), doors=door(0.04))
+
+    assert label_at(1.5, 0.04, 1.0) == Label.DOOR
+    assert label_at(1.5, 0.0, 1.0) == Label.DOOR  # its handle
+    assert label_at(1.5, 0.12, 1.0) == Label.DOOR  # its scatter
+    assert label_at(1.5, 0.02, 2.3) == Label.WALL  # the lintel
+    assert label_at(0.9, 0.02, 1.0) == Label.WALL  # beside the jamb
+
+
+def test_door_without_a_door_of_the_building_is_wall_or_clutter() -> None:
+    assert final((3.0, 0.03, 1.0), Label.DOOR, walls=face()) == Label.WALL
+    assert final((3.0, -0.3, 1.0), Label.DOOR, walls=face()) == Label.CLUTTER
+
+
+@pytest.mark.parametrize(
+    ("point", "expected"),
+    [
+        ((1.03, 0.15, 1.0), Label.WALL),  # a jamb's reveal
+        ((1.5, 0.15, 2.08), Label.WALL),  # the lintel's underside
+        ((1.5, 0.15, 1.0), Label.CLUTTER),  # somebody in the doorway
+        ((1.03, 0.4, 1.0), Label.CLUTTER),  # deeper than the wall is thick
+    ],
+)
+def test_reveals_of_an_open_door(point: tuple[float, float, float], expected: Label) -> None:
+    assert final(point, Label.CLUTTER, walls=face(), doors=door(np.nan)) == expected
+
+
+@pytest.mark.parametrize(
+    ("pane_m", "y", "expected"),
+    [
+        (0.05, 0.04, Label.WALL),  # on the pane: what stands before it is sill and reveal
+        (0.05, 0.15, Label.OUTSIDE),
+        (np.nan, 0.15, Label.WALL),  # a pane that returned nothing may stand anywhere in its wall
+        (np.nan, 0.30, Label.OUTSIDE),
+    ],
+)
+def test_beyond_a_windows_pane_is_outside(pane_m: float, y: float, expected: Label) -> None:
+    found = final((2.0, y, 1.2), Label.CLUTTER, walls=face(), windows=window(pane_m))
+    assert found == expected
+
+
+def test_outside_is_what_the_ray_crossed_the_window_for() -> None:
+    behind = (2.0, 3.0, 1.2)
+    assert final(behind, Label.WALL, windows=window(0.05)) == Label.OUTSIDE
+    # The same place seen past the window's end, and from within the room behind, is not.
+    assert final(behind, Label.WALL, windows=window(0.05), sensor=np.array([9.0, -1.0, 1.0])) != Label.OUTSIDE
+    assert final(behind, Label.WALL, walls=face(y=3.0), windows=window(0.05), sensor=np.array([2.0, 1.0, 1.0])) == Label.WALL
+
+
+def test_along_an_edge_the_nearer_of_wall_and_floor_decides() -> None:
+    assert final((2.0, -0.005, 0.03), Label.FLOOR, walls=face()) == Label.WALL
+    assert final((2.0, -0.03, 0.01), Label.FLOOR, walls=face()) == Label.FLOOR
+    assert final((2.0, -0.005, 2.775), Label.CEILING, walls=face()) == Label.WALL
+    assert final((2.0, -0.03, 2.79), Label.CEILING, walls=face()) == Label.CEILING
+
+
+def test_labels_hold_under_rigid_motion() -> None:
+    generator = np.random.default_rng(7)
+    points = generator.uniform([0, -0.5, 0], [4, 0.5, 2.8], (4_000, 3))
+    label = generator.integers(0, 5, len(points)).astype(np.uint8)
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    shift = np.array([3.0, -7.0])
+
+    def moved(xy: np.ndarray) -> np.ndarray:
+        return xy @ turn.T + shift
+
+    def relabelled(move: bool) -> np.ndarray:
+        at, walls, doors, windows, sensor = points.copy(), face(), door(0.04), window(0.05), SENSOR.copy()
+        if move:
+            at[:, :2], sensor[:2] = moved(at[:, :2]), moved(sensor[:2])
+            walls, doors, windows = (
+                replace(part, ends=moved(part.ends), normal=part.normal @ turn.T) for part in (walls, doors, windows)
+            )
+        return relabel(
+            at, points[:, 2], 2.8 - points[:, 2], label, sensor, walls, NO_WALLS, doors, windows, NO_HALO, SETTINGS
+        )
+
+    assert np.count_nonzero(relabelled(False) != label) > 500
+    np.testing.assert_array_equal(relabelled(True), relabelled(False))
+
+
+def test_nothing_is_relabelled_where_there_is_nothing() -> None:
+    nothing = relabel(
+        np.zeros((0, 3)),
+        np.zeros(0),
+        np.zeros(0),
+        np.zeros(0, np.uint8),
+        SENSOR,
+        NO_WALLS,
+        NO_WALLS,
+        NO_DOORS,
+        NO_WINDOWS,
+        NO_HALO,
+        SETTINGS,
+    )
+    assert len(nothing) == 0
