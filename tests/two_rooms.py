@@ -164,7 +164,13 @@ class TwoRooms:
             depth_m=np.array([0.04 if self.closed else np.nan]),
             state=np.array([DoorState.CLOSED if self.closed else DoorState.OPEN], np.uint8),
             confidence=np.ones(1),
+            agreement=np.ones(1),
+            coverage=np.ones(1),
             ray_count=np.array([100], np.int32),
+            scan_count=np.array([6], np.int32),
+            first_scan=np.array([0]),
+            last_scan=np.array([5]),
+            crossed=np.array([False]),
             wall=np.array([3], np.int32),
             reveal_m=np.array([0.04 if self.closed else self.thickness_m]),
         )
