@@ -136,7 +136,12 @@ def write_overlays(path: Path, compared: ComparedMaps, compared_with: str) -> No
 
     compared_with: "truth", or the reference's name.
     """
-    pictures = [_picture(one, TITLES[name], map_metrics({name: one})[name]) for name, one in compared.items()]
+    # What a slice caught far outside, through windows, would make the pictures small: all show the first map's extent.
+    first = next(iter(compared.values())).grid
+    low, high = first.origin, first.origin + np.array(first.cells.shape[::-1]) * first.cell_m
+    pictures = [
+        _picture(one, TITLES[name], map_metrics({name: one})[name], low, high) for name, one in compared.items()
+    ]
     legend = [
         (Agreement.BOTH, f"wall in the map and in {compared_with}"),
         (Agreement.ONLY_MAP, "wall only in the map"),
@@ -162,9 +167,22 @@ def write_overlays(path: Path, compared: ComparedMaps, compared_with: str) -> No
     write_atomically(path, lambda part: sheet.save(part, format="PNG"))
 
 
-def _picture(one: ComparedMap, title: str, metrics: Mapping[str, Any]) -> Image.Image:
+def _picture(
+    one: ComparedMap, title: str, metrics: Mapping[str, Any], low: FloatArray, high: FloatArray
+) -> Image.Image:
+    """low, high: (2,) the corners of what is shown; it is unknown where the map does not reach."""
+    columns, rows = np.round((high - low) / one.grid.cell_m).astype(int)
+    agreement = np.full((rows, columns), Agreement.NOTHING, np.uint8)
+    shift = np.round((one.grid.origin - low) / one.grid.cell_m).astype(int)
+    whole = one.agreement
+    left, bottom = np.maximum(shift, 0)
+    right, top = np.minimum(shift + whole.shape[::-1], [columns, rows])
+    if right > left and top > bottom:
+        agreement[bottom:top, left:right] = whole[
+            bottom - shift[1] : top - shift[1], left - shift[0] : right - shift[0]
+        ]
     colours = np.array([entities.AGREEMENTS[a][1] for a in Agreement], np.uint8)
-    drawn = Image.fromarray(np.ascontiguousarray(colours[one.agreement[::-1]]))
+    drawn = Image.fromarray(np.ascontiguousarray(colours[agreement[::-1]]))
     drawn = drawn.resize((drawn.width * _SCALE, drawn.height * _SCALE), Image.Resampling.NEAREST)
     lines = [
         title,
