@@ -48,7 +48,7 @@ class GridMapSettings(StepSettings):
         0.1, ge=0, description="A free doorway reaches so many metres beyond both sides of its wall. IV.C."
     )
     door_guessed_m: float = Field(
-        0.3, ge=0, description="Least free depth in metres of a doorway whose wall's other side was not seen. IV.C."
+        0.3, ge=0, description="Least free depth in metres behind a sill where a leaf or one-sided wall hides more. IV.C."
     )
     rays_min: int = Field(3, ge=1, description="Fewest returns, or cubes of wall, that bear out 5 cm of a wall's face. IV.C.")
     bridge_m: float = Field(
@@ -119,8 +119,8 @@ def draw_furniture_free(
         canvas.draw_line(ends, Cell.OCCUPIED)
     parts = part_walls(immobile.walls, thickness)
     depth_m = door_depths(doors, immobile.walls, parts, thickness)
-    # Where the thickness is a guess, a doorway rather ends in the room behind than within the wall.
-    guessed = np.isnan(face_thickness(immobile.walls, parts)[doors.wall])
+    # Where the thickness is a guess, or a leaf hid whether it holds here, a doorway rather ends in the room behind.
+    guessed = np.isnan(face_thickness(immobile.walls, parts)[doors.wall]) | (doors.state == DoorState.CLOSED)
     reach_m = np.where(guessed, np.maximum(depth_m, settings.door_guessed_m), depth_m)
     margin_m, inset_m = settings.door_margin_m, settings.cell_m
     doorways = [_doorway(doors.ends[d], doors.normal[d], reach_m[d], margin_m, inset_m) for d in range(len(doors))]
