@@ -1,27 +1,61 @@
-"""Grid maps of the building (paper, IV.C, Fig. 9)."""
+"""Grid maps of the building: furniture-free, or of what was hit in a slice of space (paper, IV.C, Fig. 6 and 9)."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import Literal
 
 import numba
 import numpy as np
 from pydantic import Field
+from scipy.ndimage import binary_closing, binary_dilation
+from scipy.spatial import cKDTree
 
-from algorithms.building import Doors, Walls
+from algorithms.building import CELL_M, NO_WINDOWS, Doors, WallCells, Walls, Windows, stretches
+from algorithms.doors import DoorState
 from algorithms.features import Features
-from algorithms.scan import FloatArray, IntArray, UInt8Array
+from algorithms.labels import Label
+from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from algorithms.semantic_map import VoxelVotes, majority
 from algorithms.settings import StepSettings
+from algorithms.wall_thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
+
+DoorsDrawn = Literal["open", "as-seen", "closed"]
+
+_ON_FACE_M = 0.06
+_FOOT_M, _KNEE_M = 0.15, 0.6
+"""Between these heights rays that pass a face prove an opening down to the floor: a window's sill is higher."""
+_PASSED_MIN = 6
+_PASSED_RATIO = 2.0
+_SILL_MIN_M = 0.3
+_REVEAL_MAX_M, _REVEAL_BESIDE_M = 0.6, 0.12
+_PARALLEL = 0.9
+_BOUND_CELLS = 2
+_STEP_MAX_M = 0.5
+"""Places of the robot that lie farther apart are not joined: there poses are missing."""
 
 
 class GridMapSettings(StepSettings):
-    """The furniture-free grid (paper, IV.C, Fig. 9b)."""
+    """The furniture-free grid and its rivals (paper, IV.C, Fig. 9)."""
 
     cell_m: float = Field(0.05, gt=0, le=1, description="Edge of a cell in metres. IV.C.")
-    range_m: float = Field(12.0, gt=0, description="Rays clear cells up to so many metres from the sensor. IV.C.")
-    margin_m: float = Field(1.0, ge=0, description="Unknown border in metres around the walls. IV.C.")
-    door_depth_m: float = Field(
-        0.35, ge=0, description="A door is opened so many metres to both sides, through the wall's thickness. IV.C."
+    range_m: float = Field(25.0, gt=0, description="Rays clear cells up to so many metres from the sensor. IV.C.")
+    margin_m: float = Field(1.0, ge=0, description="Unknown border in metres around what is drawn. IV.C.")
+    doors: DoorsDrawn = Field(
+        "open", description="Which doorways are free: open (all), as-seen (those that stood open), closed (none). IV.C."
+    )
+    door_margin_m: float = Field(
+        0.1, ge=0, description="A free doorway reaches so many metres beyond both sides of its wall. IV.C."
+    )
+    door_guessed_m: float = Field(
+        0.3, ge=0, description="Least free depth in metres behind a sill where a leaf or one-sided wall hides more. IV.C."
+    )
+    rays_min: int = Field(3, ge=1, description="Fewest returns, or cubes of wall, that bear out 5 cm of a wall's face. IV.C.")
+    bridge_m: float = Field(
+        0.25, ge=0, description="Longest gap in metres that is closed in a wall between what was seen of it. IV.C."
+    )
+    floor_reach_m: float = Field(
+        1.5, ge=0, description="Free is what rays crossed so near to floor that was seen, in metres; it hides under tables."
     )
 
 
@@ -41,60 +75,246 @@ class GridMap:
     origin: FloatArray
     cell_m: float
 
+    def centres(self, cell: Cell) -> FloatArray:
+        """(m, 2) x and y of the middles of all cells of one kind."""
+        rows, columns = np.nonzero(self.cells == cell)
+        return np.asarray(self.origin + (np.stack([columns, rows], axis=1) + 0.5) * self.cell_m)
+
+
+@dataclass(frozen=True)
+class Immobile:
+    """What the furniture-free grid shows.
+
+    cells: what rays found of the walls, from `building.trace_rays`. votes: of all scans' labels; they reach farther.
+    """
+
+    walls: Walls
+    cells: WallCells
+    votes: VoxelVotes
+    doors: Doors
+    windows: Windows
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What makes cells free: where the robot was, and what its rays crossed.
+
+    path_map: (n, 2 or more) the robot's places. blocks: gives the features of all scans in any portions, every time anew.
+    """
+
+    path_map: FloatArray
+    blocks: Callable[[], Iterable[Features]]
+
 
 def draw_furniture_free(
-    walls: Walls,
-    doors: Doors,
-    path_map: FloatArray,
-    blocks: Iterable[Features],
-    settings: GridMapSettings,
+    immobile: Immobile, drive: Drive, settings: GridMapSettings, thickness: WallThicknessSettings
 ) -> GridMap:
-    """Walls occupied, doors open, what the rays crossed before they met a wall free (paper, Fig. 9b).
+    """Walls as thin lines, one for each side that was seen; doorways free through the whole wall (paper, Fig. 9b).
 
-    path_map: (n, 2 or more) the robot's places, which are free. blocks: the features of all scans in any portions.
+    What lies between the two sides of a wall nobody saw: it stays unknown. Panes stop rays, and stay unknown too.
     """
-    corners = np.concatenate([walls.ends.reshape(-1, 2), path_map[:, :2]])
-    if not len(corners):
-        return GridMap(np.full((1, 1), Cell.UNKNOWN, np.uint8), np.zeros(2), settings.cell_m)
-    cell_m = settings.cell_m
-    origin = np.floor((corners.min(axis=0) - settings.margin_m) / cell_m) * cell_m
-    columns, rows = np.ceil((corners.max(axis=0) + settings.margin_m - origin) / cell_m).astype(int)
-    cells = np.full((rows, columns), Cell.UNKNOWN, np.uint8)
-    for ends in walls.ends:
-        _set_cells(cells, _cells_along(ends, origin, cell_m), Cell.OCCUPIED)
-    for ends, normal in zip(doors.ends, doors.normal, strict=True):
-        _open_door(cells, ends, normal, origin, settings)
-    for block in blocks:
-        _clear_along_rays(
-            cells,
-            np.ascontiguousarray((block.origin_map[:, :2] - origin) / cell_m, np.float64),
-            block.ray_starts,
-            np.ascontiguousarray((block.ray_end_map[:, :2] - origin) / cell_m, np.float64),
-            settings.range_m / cell_m,
-        )
-    _set_cells(cells, np.floor((path_map[:, :2] - origin) / cell_m).astype(np.int64), Cell.FREE)
-    return GridMap(cells, origin, cell_m)
+    doors = immobile.doors
+    canvas = _Canvas.around([immobile.walls.ends, doors.ends, drive.path_map[:, :2]], settings)
+    for ends in standing_stretches(immobile, settings).ends:
+        canvas.draw_line(ends, Cell.OCCUPIED)
+    parts = part_walls(immobile.walls, thickness)
+    depth_m = door_depths(doors, immobile.walls, parts, thickness)
+    # Where the thickness is a guess, or a leaf hid whether it holds here, a doorway rather ends in the room behind.
+    guessed = np.isnan(face_thickness(immobile.walls, parts)[doors.wall]) | (doors.state == DoorState.CLOSED)
+    reach_m = np.where(guessed, np.maximum(depth_m, settings.door_guessed_m), depth_m)
+    margin_m, inset_m = settings.door_margin_m, settings.cell_m
+    doorways = [_doorway(doors.ends[d], doors.normal[d], reach_m[d], margin_m, inset_m) for d in range(len(doors))]
+    for doorway in doorways:
+        canvas.draw_area(doorway, Cell.UNKNOWN)
+    for d in range(len(doors)):
+        for jamb in doors.ends[d]:
+            canvas.draw_line(np.stack([jamb, jamb - depth_m[d] * doors.normal[d]]), Cell.OCCUPIED)
+    shut = np.full(len(doors), settings.doors == "closed")
+    if settings.doors == "as-seen":
+        shut = doors.state == DoorState.CLOSED
+    for d in np.flatnonzero(shut).tolist():
+        canvas.draw_line(doors.ends[d] - np.nan_to_num(doors.depth_m[d]) * doors.normal[d], Cell.OCCUPIED)
+    open_doorways = [doorway for doorway, is_shut in zip(doorways, shut, strict=True) if not is_shut]
+    return canvas.freed(drive, immobile.windows, open_doorways, faces=True)
 
 
-def _cells_along(ends: FloatArray, origin: FloatArray, cell_m: float) -> IntArray:
-    steps = max(2, int(np.ceil(np.linalg.norm(ends[1] - ends[0]) / (0.25 * cell_m))))
-    points = ends[0] + np.linspace(0, 1, steps)[:, None] * (ends[1] - ends[0])
-    return np.asarray(np.floor((points - origin) / cell_m).astype(np.int64))
+def draw_cells(cell_index: IntArray, drive: Drive, settings: GridMapSettings) -> GridMap:
+    """A map of given occupied cells, free by the same rays as `draw_furniture_free`; it knows of no doors and no glass.
+
+    cell_index: (m, 2) column and row of each cell of `settings.cell_m`, counted from the map frame's origin.
+    """
+    places = (cell_index + 0.5) * settings.cell_m
+    canvas = _Canvas.around([places, drive.path_map[:, :2]], settings)
+    canvas.draw_points(places, Cell.OCCUPIED)
+    return canvas.freed(drive, NO_WINDOWS, [], faces=False)
 
 
-def _set_cells(cells: UInt8Array, index_xy: IntArray, value: int) -> None:
-    rows, columns = cells.shape
-    inside = (index_xy >= 0).all(axis=1) & (index_xy[:, 0] < columns) & (index_xy[:, 1] < rows)
-    cells[index_xy[inside, 1], index_xy[inside, 0]] = value
+def standing_stretches(immobile: Immobile, settings: GridMapSettings) -> Walls:
+    """The stretches of the faces that returns bear out and that reach down to the floor, as faces of their own.
+
+    Left out: what rays passed at knee height (an opening, though no door was made of it), what nothing was seen of (a
+    pillar may stand before it), and the reveals of windows, below which the wall goes on.
+    """
+    walls, cells = immobile.walls, immobile.cells
+    voted = immobile.votes.mean_position[majority(immobile.votes.counts) == Label.WALL, :2]
+    tree = cKDTree(voted) if len(voted) else None
+    owner: list[int] = []
+    found: list[FloatArray] = []
+    for w in range(len(walls)):
+        length_m = float(np.linalg.norm(walls.ends[w, 1] - walls.ends[w, 0]))
+        along = (walls.ends[w, 1] - walls.ends[w, 0]) / max(length_m, 1e-9)
+        stands, passed = _columns(cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64), settings)
+        middles = walls.ends[w, 0] + (np.arange(len(stands))[:, None] + 0.5) * CELL_M * along
+        if tree is not None:
+            stands |= tree.query_ball_point(middles, _ON_FACE_M, return_length=True) >= settings.rays_min
+        reveal = _in_window_reveal(middles, walls.normal[w], immobile.windows)
+        stands &= ~(passed | reveal)
+        # A face ends at a corner, up to which it is carried on as over any other gap.
+        bridge = int(settings.bridge_m / CELL_M)
+        for first, last in stretches(np.concatenate([[True], stands, [True]]), bridge):
+            columns = np.arange(max(first - 1, 0), min(last, len(stands)))
+            open_columns = (passed | reveal)[columns]
+            if not stands[columns].any():
+                continue
+            for a, b in stretches(~open_columns, 0):
+                low_m, high_m = columns[a] * CELL_M, min((columns[b] + 1) * CELL_M, length_m)
+                owner.append(w)
+                found.append(walls.ends[w, 0] + np.array([[low_m], [high_m]]) * along)
+    return replace(walls.select(np.array(owner, np.int64)), ends=np.array(found).reshape(-1, 2, 2))
 
 
-def _open_door(
-    cells: UInt8Array, ends: FloatArray, normal: FloatArray, origin: FloatArray, settings: GridMapSettings
-) -> None:
-    """Free what lies between the jambs, so far to both sides as walls are thick."""
-    steps = np.arange(-settings.door_depth_m, settings.door_depth_m + 1e-9, 0.5 * settings.cell_m)
-    for step in steps:
-        _set_cells(cells, _cells_along(ends + normal * step, origin, settings.cell_m), Cell.FREE)
+def _columns(counts: FloatArray, settings: GridMapSettings) -> tuple[BoolArray, BoolArray]:
+    """(c,) whether returns bear each column of a face out, and whether rays passed it down to the floor."""
+    filled, total, through = counts[..., 0], counts[..., 1], counts[..., 3]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        on = np.where(np.abs(total / filled) < _ON_FACE_M, filled, 0.0)
+    near = np.convolve(on.sum(axis=1), np.ones(3))[1:-1]
+    low = slice(int(_FOOT_M / CELL_M), int(_KNEE_M / CELL_M))
+    on_low, passed_low = (np.convolve(rays[:, low].sum(axis=1), np.ones(3))[1:-1] for rays in (on, through))
+    return near >= settings.rays_min, (passed_low >= _PASSED_MIN) & (passed_low > _PASSED_RATIO * on_low)
+
+
+def _in_window_reveal(places: FloatArray, normal: FloatArray, windows: Windows) -> BoolArray:
+    """(c,) whether places (c, 2) of a face lie in the recess of a window with a sill, of whose wall it is no side."""
+    within = np.zeros(len(places), bool)
+    for ends, facing, bottom_m in zip(windows.ends, windows.normal, windows.bottom_m, strict=True):
+        if bottom_m < _SILL_MIN_M or abs(normal @ facing) > _PARALLEL:
+            continue
+        length_m = float(np.linalg.norm(ends[1] - ends[0]))
+        place = (places - ends[0]) @ (ends[1] - ends[0]) / length_m
+        behind = -(places - ends[0]) @ facing
+        beside = _REVEAL_BESIDE_M
+        within |= (behind > 0) & (behind < _REVEAL_MAX_M) & (place > -beside) & (place < length_m + beside)
+    return within
+
+
+def _doorway(ends: FloatArray, normal: FloatArray, depth_m: float, margin_m: float, inset_m: float) -> FloatArray:
+    """(4, 2) corners of what a doorway leaves free, around its sill."""
+    along = (ends[1] - ends[0]) / max(float(np.linalg.norm(ends[1] - ends[0])), 1e-9)
+    left, right = ends[0] + inset_m * along, ends[1] - inset_m * along
+    front, back = margin_m * normal, -(depth_m + margin_m) * normal
+    return np.array([left + front, right + front, right + back, left + back])
+
+
+class _Canvas:
+    """A grid while it is drawn."""
+
+    def __init__(self, low: FloatArray, high: FloatArray, settings: GridMapSettings) -> None:
+        self._settings = settings
+        self._cell_m = settings.cell_m
+        self._origin = np.floor(low / self._cell_m) * self._cell_m
+        columns, rows = np.maximum(np.ceil((high - self._origin) / self._cell_m).astype(int), 1)
+        self._cells = np.full((rows, columns), Cell.UNKNOWN, np.uint8)
+
+    @classmethod
+    def around(cls, places: Sequence[FloatArray], settings: GridMapSettings) -> "_Canvas":
+        """Space for places (…, 2) with the margin around; one cell where there are none."""
+        corners = np.concatenate([np.zeros((0, 2)), *(place.reshape(-1, 2) for place in places)])
+        if not len(corners):
+            return cls(np.zeros(2), np.zeros(2), settings)
+        return cls(corners.min(axis=0) - settings.margin_m, corners.max(axis=0) + settings.margin_m, settings)
+
+    def draw_points(self, places: FloatArray, cell: Cell) -> None:
+        self._set(self._index(places), cell)
+
+    def draw_line(self, ends: FloatArray, cell: Cell) -> None:
+        """One cell for each column, or each row, that the segment crosses: thin, and nothing passes it cell by cell."""
+        start, stop = (ends - self._origin) / self._cell_m
+        axis = int(abs(stop[1] - start[1]) > abs(stop[0] - start[0]))
+        low, high = sorted((start[axis], stop[axis]))
+        middles = np.arange(np.floor(low), np.floor(high) + 1) + 0.5
+        middles = np.clip(middles, low, high)
+        t = (middles - start[axis]) / (stop[axis] - start[axis]) if high > low else np.zeros(1)
+        self._set(np.floor(start + t[:, None] * (stop - start)).astype(np.int64), cell)
+
+    def draw_area(self, corners: FloatArray, cell: Cell) -> None:
+        """corners: (4, 2) of a rectangle, in order; drawn are the cells whose middle lies in it."""
+        rows, columns = self._cells.shape
+        low = np.clip(self._index(corners.min(axis=0)[None])[0], 0, [columns, rows])
+        high = np.clip(self._index(corners.max(axis=0)[None])[0] + 1, 0, [columns, rows])
+        x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
+        index = np.stack([x.ravel(), y.ravel()], axis=1)
+        middle = self._origin + (index + 0.5) * self._cell_m - corners[0]
+        inside = np.ones(len(index), bool)
+        for side in (corners[1] - corners[0], corners[3] - corners[0]):
+            place = middle @ side
+            inside &= (place >= 0) & (place <= side @ side)
+        self._set(index[inside], cell)
+
+    def freed(self, drive: Drive, windows: Windows, doorways: Sequence[FloatArray], faces: bool) -> GridMap:
+        """The finished map: free is what rays crossed before they met something, near to floor that was seen.
+
+        doorways: (4, 2) each, free in any case; so is the robot's own way.
+        faces: whether what is occupied are faces of walls: one that bounds nothing that rays crossed is hidden, as the
+            reveals of windows are, and a wall that was carried on behind a pillar.
+        """
+        occupied = self._cells.copy()
+        # Glass stops rays: what lies behind belongs to another world.
+        for ends in windows.ends:
+            self.draw_line(ends, Cell.OCCUPIED)
+        floor = np.zeros(self._cells.shape, bool)
+        for block in drive.blocks():
+            _clear_along_rays(
+                self._cells,
+                np.ascontiguousarray((block.origin_map[:, :2] - self._origin) / self._cell_m, np.float64),
+                block.ray_starts,
+                np.ascontiguousarray((block.ray_end_map[:, :2] - self._origin) / self._cell_m, np.float64),
+                self._settings.range_m / self._cell_m,
+            )
+            on_floor = self._index(block.ray_end_map[block.ray_label == Label.FLOOR, :2])
+            on_floor = on_floor[self._within(on_floor)]
+            floor[on_floor[:, 1], on_floor[:, 0]] = True
+        for doorway in doorways:
+            self.draw_area(doorway, Cell.FREE)
+        crossed = self._cells == Cell.FREE
+        # Far away rays lie apart; a wall is thicker than the gaps between them that this closes.
+        crossed |= binary_closing(crossed, np.ones((3, 3))) & (self._cells == Cell.UNKNOWN)
+        if faces:
+            occupied[~binary_dilation(crossed, np.ones((3, 3)), iterations=_BOUND_CELLS)] = Cell.UNKNOWN
+        reach = int(self._settings.floor_reach_m / self._cell_m)
+        supported = floor & crossed
+        if reach:
+            supported = binary_dilation(supported, iterations=reach, mask=crossed)
+        self._cells = np.where(supported, np.uint8(Cell.FREE), occupied)
+        path = drive.path_map[:, :2]
+        for step in np.stack([path[:-1], path[1:]], axis=1):
+            if np.linalg.norm(step[1] - step[0]) < _STEP_MAX_M:
+                self.draw_line(step, Cell.FREE)
+        self.draw_points(path, Cell.FREE)
+        for doorway in doorways:
+            self.draw_area(doorway, Cell.FREE)
+        return GridMap(self._cells, self._origin, self._cell_m)
+
+    def _index(self, places: FloatArray) -> IntArray:
+        return np.asarray(np.floor((places[:, :2] - self._origin) / self._cell_m).astype(np.int64))
+
+    def _within(self, index_xy: IntArray) -> BoolArray:
+        rows, columns = self._cells.shape
+        return np.asarray((index_xy >= 0).all(axis=1) & (index_xy[:, 0] < columns) & (index_xy[:, 1] < rows))
+
+    def _set(self, index_xy: IntArray, cell: Cell) -> None:
+        inside = index_xy[self._within(index_xy)]
+        self._cells[inside[:, 1], inside[:, 0]] = cell
 
 
 @numba.njit(cache=True, nogil=True)

@@ -17,6 +17,7 @@ from algorithms.labelling import MethodSettings, label_scan
 from algorithms.levelling import level_scan
 from algorithms.rearrangement import HorizontalPlane, below_ceiling, find_floor
 from algorithms.relabelling import RelabellingSettings, relabel
+from algorithms.rival_maps import RivalCounter, RivalMapsSettings
 from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array
 from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes
 from algorithms.trajectory import PlacedScan, Trajectory, place_scan
@@ -56,6 +57,9 @@ class LabelJob:
     extrapolate_ns: int
     level_scan_max_deg: float
     method: MethodSettings
+    rival_maps: RivalMapsSettings
+    cell_m: float
+    """Edge of the grid maps' cells."""
     seed: int
     recording_id: str
     detail: Detail | None
@@ -119,6 +123,7 @@ def label_block(job: LabelJob) -> BlockSummary:
     sizes: list[tuple[int, int]] = []
     counts = np.zeros(256, np.int64)
     table = VoxelTable(VOXEL_M, 6)
+    rivals = RivalCounter(job.cell_m, job.rival_maps)
     with _open_evidence(job, ".rrd") as recorder:
         started = time.perf_counter()
         for index, scan in read_scans(
@@ -150,6 +155,7 @@ def label_block(job: LabelJob) -> BlockSummary:
             features.append(extract(index, placed, labelling))
             # For the map as it grows a share of the returns is enough; the final stage counts all.
             table.add(points_in_map(placed)[::_GROWING_STRIDE], labelling.label[::_GROWING_STRIDE])
+            rivals.add(placed, labelling)
             labels.append(full_labels(scan, labelling.label))
             ceilings.append(labelling.ceiling_planes)
             counts += np.bincount(labelling.label, minlength=256)
@@ -173,7 +179,6 @@ def label_block(job: LabelJob) -> BlockSummary:
         points_in_cloud=np.array([s[0] for s in sizes], np.int64),
         points_in_lines=np.array([s[1] for s in sizes], np.int64),
     )
-    votes = table.votes()
     _save(
         job.path.with_suffix(".npz"),
         {
@@ -186,7 +191,8 @@ def label_block(job: LabelJob) -> BlockSummary:
                 if features
                 else {}
             ),
-            **{f"votes_{f.name}": np.asarray(getattr(votes, f.name)) for f in fields(VoxelVotes)},
+            **_vote_arrays("votes", table.votes()),
+            **_vote_arrays("rivals", rivals.votes()),
         },
     )
     return summary
@@ -233,12 +239,11 @@ def finish_block(job: FinishJob) -> None:
             table.add(points_map, label)
             labels.append(full_labels(scan, label))
             numbers.append(index)
-    votes = table.votes()
     _save(
         label_job.path.with_suffix(".final.npz"),
         {
             **_label_arrays(labels, np.array(numbers, np.int64)),
-            **{f"votes_{f.name}": np.asarray(getattr(votes, f.name)) for f in fields(VoxelVotes)},
+            **_vote_arrays("votes", table.votes()),
         },
     )
 
@@ -303,9 +308,22 @@ def _load_ceilings(path: Path) -> dict[int, FloatArray]:
 
 def load_votes(path: Path) -> VoxelVotes:
     """The voxel votes in a block's .npz, of the scans' own labels or of the final ones."""
+    return _load_votes(path, "votes")
+
+
+def load_rivals(path: Path) -> VoxelVotes:
+    """What `RivalCounter` counted of a block, from its .npz."""
+    return _load_votes(path, "rivals")
+
+
+def _load_votes(path: Path, name: str) -> VoxelVotes:
     with np.load(path) as spooled:
-        values = {f.name: spooled[f"votes_{f.name}"] for f in fields(VoxelVotes)}
+        values = {f.name: spooled[f"{name}_{f.name}"] for f in fields(VoxelVotes)}
     return VoxelVotes(**{**values, "voxel_m": float(values["voxel_m"])})
+
+
+def _vote_arrays(name: str, votes: VoxelVotes) -> dict[str, IntArray | FloatArray]:
+    return {f"{name}_{f.name}": np.asarray(getattr(votes, f.name)) for f in fields(VoxelVotes)}
 
 
 def save_halo(path: Path, halo: Halo) -> None:

@@ -1,4 +1,4 @@
-"""The command line: ffmap run, inspect, compare, sweep, runs, view, serve, rooms, info, simulate, evaluate and more.
+"""The command line: ffmap run, inspect, compare, sweep, runs, view, serve, rooms, maps, info, simulate, evaluate and more.
 
 Each command imports what it needs when it is called: 'ffmap --help' answers at once.
 """
@@ -31,6 +31,14 @@ class TimeFrom(StrEnum):
     AUTO = "auto"
     AZIMUTH = "azimuth"
     NONE = "none"
+
+
+class DoorsOption(StrEnum):
+    """Which doorways of the furniture-free grid are free."""
+
+    OPEN = "open"
+    AS_SEEN = "as-seen"
+    CLOSED = "closed"
 
 
 class DetailOption(StrEnum):
@@ -78,6 +86,10 @@ def run(
         str | None,
         typer.Option(help="Poses T_map_base in place of the odometry: a TUM file, or a topic of the bag."),
     ] = None,
+    doors: Annotated[
+        DoorsOption | None,
+        typer.Option(help="Doorways in map.yaml: all open, as they were seen, or closed; --set grid_map.doors.  [default: open]"),
+    ] = None,
     detail: Annotated[
         DetailOption, typer.Option(help="What the recording holds of each scan: everything, labels, or the map alone.")
     ] = DetailOption.LINES,
@@ -124,7 +136,7 @@ def run(
             bag=bag,
             out=out,
             config=config,
-            overrides=tuple(set_ or ()),
+            overrides=(*(set_ or ()), *([f"grid_map.doors={doors.value}"] if doors else [])),
             rig=rig,
             horizontal=horizontal,
             vertical=vertical,
@@ -493,6 +505,26 @@ def rooms(
     rooms_command.rooms(
         rooms_command.Arguments(map_path, resolution, out, truth, doors, config, tuple(set_ or ()))
     )
+
+
+@app.command()
+def maps(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.", show_default=False)],
+    reference: Annotated[
+        Path, typer.Option(help="YAML file of another map of the building, as map_server reads it.", show_default=False)
+    ],
+) -> None:
+    """Lay a run's maps over any other map of the building: alignment, figures, a picture (Fig. 9e), a recording.
+
+    The reference may lie anywhere and be turned by any angle; its resolution must be true.
+
+    Example:
+
+        ffmap maps runs/latest --reference floor3/map.yaml
+    """
+    from app import maps_command
+
+    maps_command.maps(run_folder, reference)
 
 
 @app.command()

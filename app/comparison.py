@@ -31,9 +31,9 @@ from algorithms.labels import Label
 from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.semantic_map import VoxelTable, VoxelVotes
 from algorithms.trajectory import Trajectory
-from app.evaluate import read_grid
 from app.finished_run import FinishedRun
 from app.recorded import ReadableRecording, Row, rows
+from app.results import read_grid
 from app.run_labels import LabelSource, pair
 from blueprints import entities
 from loaders.errors import InputError

@@ -10,7 +10,10 @@ The names in it, all fractions 0 to 1, null where there is nothing to divide by:
     scans.counted | skipped | without_truth
     doors.true | passed | found_count | found | detections | invented_count | invented
     doors.width_error_m | width_bias_m | state_right
-    wall_map.precision | recall | error_m | true_cells | occupied_cells
+    maps.<map>.precision | recall | error_m | true_cells | occupied_cells | false_cells
+    maps.<map>.false_cells_of_cabinets | precision_without_cabinets     cabinets as high as the room count as false walls
+    maps.<map>.doors_passed | doors_blocked      in whose doorway no free cells connect the wall's two sides
+    wall_map                                     the same as maps.furniture_free
     rooms.true | entered | found | recall | precision     recall over the true rooms with 1 m of the true way or more in them
     rooms.recall_of_all | split | merged                         names of the true rooms; pairs of them
     trajectory.ate_rmse_m | ate_mean_m | ate_max_m               after the best rotation and shift
@@ -18,7 +21,7 @@ The names in it, all fractions 0 to 1, null where there is nothing to divide by:
     trajectory.rotation_rmse_deg | relative_translation_rmse_m | relative_rotation_rmse_deg | poses
     statistics.milliseconds_per_cloud | points_in_cloud | points_in_lines: mean, standard_deviation, min, max (Table I)
 
-Doors and wall map are compared as they stand: the map frame is defined alike for run and truth. Where a run has no
+Doors and maps are compared as they stand: the map frame is defined alike for run and truth. Where a run has no
 labelled clouds, the sections about them are missing.
 """
 
@@ -26,21 +29,20 @@ import json
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
-from PIL import Image
 from rich.console import Console
 from rich.table import Table
 
 from algorithms.doors import DoorState
 from algorithms.evaluation import (
     CUBE_M,
+    DOOR_RETURNS,
     UNLABELLED,
     Counter,
     DoorFigures,
@@ -48,25 +50,32 @@ from algorithms.evaluation import (
     Tally,
     TrajectoryFigures,
     TrueDoors,
-    WallMapFigures,
     class_figures,
     compare_doors,
     compare_trajectories,
-    compare_wall_map,
     confusion_by_area,
     outside_kept,
     rms,
 )
-from algorithms.grid_map import Cell, GridMap
 from algorithms.labels import NO_RETURN, Label, Truth
 from algorithms.room_evaluation import RoomFigures, compare_rooms
 from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.trajectory import Trajectory, place_scan
 from app.labels_file import read_labels
+from app.map_figures import (
+    ComparedMaps,
+    compare_with_truth,
+    map_metrics,
+    maps_table,
+    read_maps,
+    wall_thickness_of_doors,
+    write_overlays,
+)
 from app.processes import process_context
 from app.results import write_json
 from app.room_results import outlines
-from app.run_folder import EVALUATION, LABELS, RECORDING, RUN_JSON
+from app.run_folder import EVALUATION, LABELS, OVERLAY, RECORDING, RUN_JSON
+from blueprints import entities
 from blueprints import run as run_blueprint
 from loaders.bag import Bag, open_bag
 from loaders.errors import InputError
@@ -152,8 +161,7 @@ class Comparison:
     ring_count: int | None = None
     found_doors: FoundDoors | None = None
     door_figures: DoorFigures | None = None
-    grid: GridMap | None = None
-    wall_map: WallMapFigures | None = None
+    maps: ComparedMaps = field(default_factory=dict)
 
 
 def evaluate_run(run_dir: Path, truth_bag: Path | None = None, workers: int = 2) -> Metrics:
@@ -173,6 +181,8 @@ def evaluate_run(run_dir: Path, truth_bag: Path | None = None, workers: int = 2)
         layer = _layer_of(run_dir, Path(spool))
         comparison = compare_run(run_dir, truth_path, truth, truth.trajectory, workers, layer)
         write_json(run_dir / "metrics.json", comparison.metrics)
+        if comparison.maps:
+            write_overlays(run_dir / OVERLAY, comparison.maps, "truth")
         if layer is not None and comparison.tally is not None:
             _write_layer(run_dir / EVALUATION, layer, comparison)
     return comparison.metrics
@@ -192,19 +202,22 @@ def _write_layer(out: Path, layer: Layer, comparison: Comparison) -> None:
 
     assert comparison.tally is not None
     found, figures = comparison.found_doors, comparison.door_figures
+    own = comparison.maps.get(entities.FURNITURE_FREE)
     write_layer(
         out,
         list(comparison.parts),
         layer.spool,
         layer.recording_id,
-        run_blueprint.build(comparison.ring_count, *run_blueprint.view_of(comparison.grid), evaluated=True, scans=layer.scans),
+        run_blueprint.build(
+            comparison.ring_count, *run_blueprint.view_of(own.grid if own else None), evaluated=True, scans=layer.scans
+        ),
         comparison.metrics,
         in_markdown(comparison.metrics),
         comparison.tally,
         comparison.faces,
         comparison.doors,
         (found, figures) if found is not None and figures is not None else None,
-        comparison.wall_map,
+        comparison.maps,
     )
 
 
@@ -258,11 +271,14 @@ def compare_run(
         door_figures = compare_doors(doors, tally.door_returns, found_doors)
         metrics["doors"] = _door_metrics(door_figures)
         comparison = replace(comparison, found_doors=found_doors, door_figures=door_figures)
-    if truth.building is not None and (run_dir / "map.yaml").exists():
-        grid = read_grid(run_dir / "map.yaml")
-        wall_map = compare_wall_map(faces, tally.cubes, grid)
-        metrics["wall_map"] = _wall_map_metrics(wall_map)
-        comparison = replace(comparison, grid=grid, wall_map=wall_map)
+    if truth.building is not None and (maps := read_maps(run_dir)):
+        passed = tally.door_returns >= DOOR_RETURNS
+        wall_m = wall_thickness_of_doors(truth.building)
+        compared = compare_with_truth(maps, faces, tally, doors.ends[passed], wall_m[passed])
+        metrics["maps"] = map_metrics(compared)
+        if entities.FURNITURE_FREE in compared:
+            metrics["wall_map"] = metrics["maps"][entities.FURNITURE_FREE]
+        comparison = replace(comparison, maps=compared)
     return comparison
 
 
@@ -467,21 +483,6 @@ def read_doors(path: Path) -> FoundDoors:
     )
 
 
-def read_grid(path: Path) -> GridMap:
-    """A map_server map; `path` is its .yaml. Raises InputError where it is none."""
-    try:
-        description = yaml.safe_load(path.read_text())
-        with Image.open(path.parent / description["image"]) as image:
-            pixels = np.asarray(image.convert("L"))[::-1]
-        darkness = pixels / 255 if description["negate"] else 1 - pixels / 255
-        cells = np.full(pixels.shape, Cell.UNKNOWN, np.uint8)
-        cells[darkness > description["occupied_thresh"]] = Cell.OCCUPIED
-        cells[darkness < description["free_thresh"]] = Cell.FREE
-        return GridMap(cells, np.array(description["origin"][:2], float), float(description["resolution"]))
-    except (OSError, yaml.YAMLError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: no map of map_server's ({error}); run ffmap again") from error
-
-
 def format_metrics(metrics: Metrics) -> list[Table]:
     """What a person reads on the terminal: the labels beside the paper's Table II, then doors, map and trajectory."""
     tables = []
@@ -512,6 +513,8 @@ def format_metrics(metrics: Metrics) -> list[Table]:
                 *(f"{figure:,}" for figure in paper),
             )
         tables.append(table)
+    if "maps" in metrics:
+        tables.append(maps_table(metrics["maps"], "Grid maps against the truth (Fig. 9)"))
     rows = [*_door_rows(metrics), *_map_rows(metrics), *_room_rows(metrics), *_trajectory_rows(metrics)]
     if rows:
         table = Table(title="Doors, map, rooms, trajectory", title_justify="left", show_header=False)
@@ -547,12 +550,6 @@ def _map_rows(metrics: Metrics) -> list[tuple[str, str]]:
     rows = []
     if "area" in metrics:
         rows.append(("outside kept as structure", f"{_percent(metrics['area']['outside_kept_as_structure'])} %"))
-    if (wall_map := metrics.get("wall_map")) is not None:
-        rows += [
-            ("wall map, precision", f"{_percent(wall_map['precision'])} %"),
-            ("wall map, recall", f"{_percent(wall_map['recall'])} %"),
-            ("wall map, mean error", _centimetres(wall_map["error_m"])),
-        ]
     return rows
 
 
@@ -624,16 +621,6 @@ def _door_metrics(figures: DoorFigures) -> Metrics:
         "width_error_m": _mean(np.abs(figures.width_error_m)),
         "width_bias_m": _mean(figures.width_error_m),
         "state_right": _mean(figures.state_right),
-    }
-
-
-def _wall_map_metrics(figures: WallMapFigures) -> Metrics:
-    return {
-        "precision": figures.precision,
-        "recall": figures.recall,
-        "error_m": figures.error_m,
-        "true_cells": len(figures.true_cells),
-        "occupied_cells": len(figures.occupied),
     }
 
 

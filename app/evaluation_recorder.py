@@ -19,12 +19,12 @@ from algorithms.evaluation import (
     FoundDoors,
     Tally,
     TrueDoors,
-    WallMapFigures,
     majorities,
     verdicts,
 )
 from algorithms.labels import Verdict
 from algorithms.scan import FloatArray, UInt8Array
+from app.map_figures import ComparedMap, ComparedMaps, false_and_missed
 from app.recorder import Recorder, evidence, scan_columns, set_time, upright_frames
 from app.recording import join, open_part
 from blueprints import entities
@@ -77,12 +77,12 @@ def write_layer(
     faces: FloatArray,
     doors: TrueDoors,
     compared_doors: tuple[FoundDoors, DoorFigures] | None,
-    wall_map: WallMapFigures | None,
+    maps: ComparedMaps,
 ) -> None:
     """Join the scans' parts with what is wrong on the map.
 
     parts: of `ScanErrors`, in `spool`. metrics become properties of the recording; text: the figures in Markdown.
-    faces: (F, 2, 2) of the true walls. compared_doors, wall_map: None where the run has none.
+    faces: (F, 2, 2) of the true walls. compared_doors: None where the run has none. maps: by name.
     """
     layout, own = spool / "layout.rrd", spool / "map.rrd"
     with open_part(layout, recording_id) as stream:
@@ -95,8 +95,8 @@ def write_layer(
         _log_walls(stream, faces)
         _log_doors(stream, doors, compared_doors)
         _log_cubes(stream, tally)
-        if wall_map is not None:
-            _log_wall_map(stream, wall_map)
+        for name, compared in maps.items():
+            log_overlay(stream, name, compared)
     part = out.with_name(out.name + ".part")
     join([layout, own, *parts], part)
     part.replace(out)
@@ -179,17 +179,16 @@ def _log_cubes(stream: rr.RecordingStream, tally: Tally) -> None:
             )
 
 
-def _log_wall_map(stream: rr.RecordingStream, figures: WallMapFigures) -> None:
-    for name, cells, color in (
-        ("false_cells", figures.occupied[~figures.right], _WRONG_COLOR),
-        ("missed_cells", figures.true_cells[~figures.covered], _MISSED_COLOR),
-    ):
+def log_overlay(stream: rr.RecordingStream, name: str, compared: ComparedMap) -> None:
+    """A map against what it was compared with: an entity for what agrees, what is false and what is missed."""
+    for agreement, places in false_and_missed(compared):
+        title, color = entities.AGREEMENTS[agreement]
         stream.log(
-            f"{entities.GRID}/{name}",
+            f"{entities.OVERLAYS}/{name}/{title.replace(' ', '_')}",
             rr.Points3D(
-                np.pad(cells, ((0, 0), (0, 1)), constant_values=_LIFT_M).astype(np.float32),
+                np.pad(places, ((0, 0), (0, 1)), constant_values=2 * _LIFT_M).astype(np.float32),
                 colors=color,
-                radii=rr.Radius.ui_points(2.0),
+                radii=0.9 * compared.grid.cell_m,
             ),
             static=True,
         )

@@ -18,12 +18,14 @@ class Output(StrEnum):
     CLOUD = "cloud"
     """cloud.ply."""
     MAPS = "maps"
-    """map.yaml and map.pgm."""
+    """map.yaml and map.pgm, and the maps that the paper compares with."""
+    PLAN = "plan"
+    """floorplan.svg and floorplan.dxf."""
     GEOJSON = "geojson"
     """walls.geojson, doors.geojson and rooms.geojson."""
 
 
-RUN_OUTPUTS = (Output.RECORDING, Output.LABELLED, Output.CLOUD, Output.MAPS, Output.GEOJSON)
+RUN_OUTPUTS = (Output.RECORDING, Output.LABELLED, Output.CLOUD, Output.MAPS, Output.PLAN, Output.GEOJSON)
 """What a single run writes."""
 SWEEP_OUTPUTS = (Output.RECORDING, Output.LABELS, Output.MAPS, Output.GEOJSON)
 """What each run of a sweep writes: all that its figures are made from, and no cloud."""

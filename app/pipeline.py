@@ -8,7 +8,7 @@ import shutil
 import time
 import uuid
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,9 +37,11 @@ from algorithms.building import (
     without_rays_through,
 )
 from algorithms.features import Features, concatenate, select_planes
-from algorithms.grid_map import GridMap, draw_furniture_free
+from algorithms.floor_plan import FloorPlan, draw_floor_plan
+from algorithms.grid_map import Drive, GridMap, Immobile, draw_furniture_free, standing_stretches
 from algorithms.labels import Label
 from algorithms.odometry import Registration, weakness
+from algorithms.rival_maps import Rival, draw_rival
 from algorithms.scan import FloatArray, IntArray
 from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes, find_halo, fuse, majority
 from algorithms.standing_walls import (
@@ -51,6 +53,7 @@ from algorithms.standing_walls import (
     judge_faces,
 )
 from algorithms.trajectory import Trajectory
+from algorithms.wall_thickness import face_thickness, part_walls
 from app import results
 from app.blocks import (
     FINAL_EVIDENCE,
@@ -63,6 +66,7 @@ from app.blocks import (
     label_block,
     load_features,
     load_labels,
+    load_rivals,
     load_summary,
     load_votes,
     save_halo,
@@ -72,6 +76,7 @@ from app.inputs import Inputs
 from app.labels_file import LabelsWriter
 from app.odometry_stage import registrations
 from app.outputs import RUN_OUTPUTS, Output
+from app.plan_files import write_dxf, write_svg
 from app.poses import level_by_first_scans
 from app.processes import make_pool
 from app.progress import Progress
@@ -79,7 +84,16 @@ from app.recorder import Detail, Recorder
 from app.recording import Recording
 from app.room_recorder import log_rooms
 from app.room_results import door_rooms, topology, write_rooms
-from app.run_folder import CLOUD, LABELS, RECORDING, TRAJECTORY, RunFolder
+from app.run_folder import (
+    CLOUD,
+    FLOOR_PLAN_DXF,
+    FLOOR_PLAN_SVG,
+    LABELS,
+    RECORDING,
+    TRAJECTORY,
+    RunFolder,
+    map_file,
+)
 from app.settings import Settings
 from app.versions import versions
 from blueprints import entities
@@ -145,6 +159,10 @@ class Building:
     halo: Halo
     grid: GridMap
     rooms: AreaGraph
+    rivals: Mapping[Rival, GridMap]
+    plan: FloorPlan
+    thickness_m: FloatArray
+    """(W,) of each face's wall."""
 
 
 def run(
@@ -246,19 +264,32 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
             # Stage 3: the building.
             clock = time.perf_counter()
             run.progress.stage("building", None)
-            building = _build(folder, stage.blocks, stage.take_votes(), trajectory, settings, run.options.workers)
+            building = _build(
+                folder,
+                stage.blocks,
+                stage.take_votes(),
+                stage.take_rivals(),
+                trajectory,
+                settings,
+                run.options.workers,
+            )
             if recorder:
                 recorder.log_building(building.walls, building.judged, building.doors, building.windows)
-                recorder.log_grid("furniture_free", building.grid)
+                for name, grid in _maps(building).items():
+                    recorder.log_grid(name, grid)
             if run.recording:
                 log_rooms(run.recording.stream, building.rooms)
                 run.recording.set_layout(_layout(inputs, run.options.detail, building.grid))
             if Output.GEOJSON in outputs:
-                results.write_walls(folder.path / "walls.geojson", building.walls)
+                results.write_walls(folder.path / "walls.geojson", building.walls, building.thickness_m)
                 results.write_doors(folder.path / "doors.geojson", building.doors, door_rooms(building.rooms))
                 write_rooms(folder.path / "rooms.geojson", building.rooms)
+            if Output.PLAN in outputs:
+                write_svg(folder.path / FLOOR_PLAN_SVG, building.plan, inputs.bag_path.name)
+                write_dxf(folder.path / FLOOR_PLAN_DXF, building.plan)
             if Output.MAPS in outputs:
-                results.write_grid(folder.path / "map.yaml", building.grid)
+                for name, grid in _maps(building).items():
+                    results.write_grid(folder.path / map_file(name), grid)
             state.topology = topology(building.rooms)
             state.counts |= {
                 "walls": len(building.walls),
@@ -275,6 +306,11 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _maps(building: Building) -> dict[str, GridMap]:
+    """Every grid map by its name, the run's own first."""
+    return {entities.FURNITURE_FREE: building.grid} | {str(name): grid for name, grid in building.rivals.items()}
 
 
 def _log_start(recorder: Recorder, inputs: Inputs, settings: Settings, record: dict[str, Any]) -> None:
@@ -322,6 +358,7 @@ class _ScanStage:
         self._registered: list[Registration] = []
         self._weak: list[str] = []
         self._votes = VoxelTable(VOXEL_M, len(Label))
+        self._rivals = VoxelTable(run.settings.grid_map.cell_m, len(Rival))
         self._counts = np.zeros(256, np.int64)
         self._milliseconds: list[FloatArray] = []
         self._sizes: list[FloatArray] = []
@@ -390,6 +427,12 @@ class _ScanStage:
         self._votes = VoxelTable(VOXEL_M, len(Label))
         return votes
 
+    def take_rivals(self) -> VoxelVotes:
+        """What the maps that the paper compares with are drawn from; let go of here."""
+        votes = self._rivals.votes()
+        self._rivals = VoxelTable(self._rivals.voxel_m, len(Rival))
+        return votes
+
     @property
     def jobs_left(self) -> bool:
         """Whether blocks wait for poses."""
@@ -452,6 +495,8 @@ class _ScanStage:
             extrapolate_ns=int(self._settings.trajectory.extrapolate_s * 1e9),
             level_scan_max_deg=self._settings.trajectory.level_scan_max_deg,
             method=self._settings.method,
+            rival_maps=self._settings.rival_maps,
+            cell_m=self._settings.grid_map.cell_m,
             seed=self._settings.seed,
             recording_id=self._record["recording_id"],
             detail=self._options.detail if self._recorder else None,
@@ -482,6 +527,7 @@ class _ScanStage:
                 self._progress.warn(f"scan {index} skipped: {reason}")
         votes = load_votes(self._folder.block(block.number, ".npz"))
         new = self._votes.absorb(votes)
+        self._rivals.absorb(load_rivals(self._folder.block(block.number, ".npz")))
         if self._recorder and self._recording and len(summary.scan):
             self._recording.add(self._folder.block(block.number, ".rrd"))
             self._recorder.log_trajectory(summary.stamp_ns, summary.T_map_base, summary.scan, self._last_T_map_base)
@@ -541,6 +587,7 @@ def _build(
     folder: RunFolder,
     blocks: list[Block],
     votes: VoxelVotes,
+    rivals: VoxelVotes,
     trajectory: Trajectory,
     settings: Settings,
     workers: int,
@@ -579,12 +626,21 @@ def _build(
     doors = place_jambs(find_doors(walls, cells, settings.building), _features(folder, blocks))
     doors = prove_crossed(doors, trajectory.T_map_base[:, :2, 3])
     doors = measure_reveals(doors, _features(folder, blocks), settings.building)
-    grid = draw_furniture_free(
-        walls, doors, trajectory.T_map_base[:, :3, 3], _features(folder, blocks), settings.grid_map
-    )
     path = trajectory.T_map_base[:, :3, 3]
+    drive = Drive(path, lambda: _features(folder, blocks))
+    immobile = Immobile(walls, cells, votes, doors, windows)
+    grid = draw_furniture_free(immobile, drive, settings.grid_map, settings.wall_thickness)
     rooms = find_rooms(grid, settings.area_graph, doorways_of(doors), windows.ends, path)
-    return Building(walls, judged, doors, windows, find_halo(votes, settings.relabelling.halo_ratio), grid, rooms)
+    with ThreadPoolExecutor(workers) as threads:
+        drawn = threads.map(lambda rival: draw_rival(rival, rivals, drive, settings.grid_map, settings.rival_maps), Rival)
+        rival_maps = dict(zip(Rival, drawn, strict=True))
+    halo = find_halo(votes, settings.relabelling.halo_ratio)
+    stretches = standing_stretches(immobile, settings.grid_map)
+    plan = draw_floor_plan(
+        stretches, immobile, grid, votes, settings.floor_plan, settings.wall_thickness, rooms.rooms
+    )
+    thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
+    return Building(walls, judged, doors, windows, halo, grid, rooms, rival_maps, plan, thickness_m)
 
 
 def _trace(

@@ -8,6 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from blueprints.entities import FURNITURE_FREE
 from loaders.errors import InputError
 
 RUN_JSON = "run.json"
@@ -17,7 +18,18 @@ TRAJECTORY = "trajectory.tum"
 CLOUD = "cloud.ply"
 LABELS = "labels.parquet"
 METRICS = "metrics.json"
+FLOOR_PLAN_SVG = "floorplan.svg"
+FLOOR_PLAN_DXF = "floorplan.dxf"
+OVERLAY = "overlay.png"
+REFERENCE_OVERLAY = "reference_overlay.png"
+REFERENCE_JSON = "reference.json"
+REFERENCE_RECORDING = "reference.rrd"
 SPOOL = "spool"
+
+
+def map_file(name: str) -> str:
+    """The file of a grid map: map.yaml for the furniture-free one, map_NAME.yaml for the others."""
+    return "map.yaml" if name == FURNITURE_FREE else f"map_{name}.yaml"
 
 
 @dataclass(frozen=True)

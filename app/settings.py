@@ -13,17 +13,20 @@ from pydantic import Field, ValidationError
 from algorithms.area_graph import AreaGraphSettings
 from algorithms.building import BuildingSettings
 from algorithms.doors import DoorsSettings
+from algorithms.floor_plan import FloorPlanSettings
 from algorithms.grid_map import GridMapSettings
 from algorithms.labelling import LabellingSettings, MethodSettings
 from algorithms.odometry import OdometrySettings
 from algorithms.rearrangement import RearrangementSettings
 from algorithms.refinement import RefinementSettings
 from algorithms.relabelling import RelabellingSettings
+from algorithms.rival_maps import RivalMapsSettings
 from algorithms.settings import StepSettings
 from algorithms.standing_walls import StandingWallsSettings
 from algorithms.trajectory import TrajectorySettings
 from algorithms.vertical_structures import VerticalStructuresSettings
 from algorithms.wall_planes import WallPlanesSettings
+from algorithms.wall_thickness import WallThicknessSettings
 from loaders.errors import InputError
 
 
@@ -41,8 +44,11 @@ class Settings(StepSettings):
     labelling: LabellingSettings = LabellingSettings()
     building: BuildingSettings = BuildingSettings()
     standing_walls: StandingWallsSettings = StandingWallsSettings()
+    wall_thickness: WallThicknessSettings = WallThicknessSettings()
     grid_map: GridMapSettings = GridMapSettings()
     area_graph: AreaGraphSettings = AreaGraphSettings()
+    rival_maps: RivalMapsSettings = RivalMapsSettings()
+    floor_plan: FloorPlanSettings = FloorPlanSettings()
     relabelling: RelabellingSettings = RelabellingSettings()
 
     @property

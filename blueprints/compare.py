@@ -7,7 +7,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from blueprints import entities
-from blueprints.run import from_above, until_now
+from blueprints.maps import from_above, until_now
 from blueprints.timeline import time_panel
 
 

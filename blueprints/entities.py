@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from algorithms.labels import NO_RETURN, Label, Verdict
+from algorithms.map_comparison import Agreement
 from algorithms.scan import FloatArray
 from algorithms.standing_walls import FaceVerdict
 
@@ -61,6 +62,8 @@ ROOM_FURNITURE = "/world/rooms/furniture"
 ROOM_GRAPH = "/rooms/graph"
 GRAPH_UNITS_PER_M = 25.0
 """The graph's view writes names in its own units: rooms have to lie as far apart as they are long."""
+OVERLAYS = "/world/overlay"
+"""Below it, for each grid by name, what is right and wrong of it."""
 
 SCAN = "/scan"
 POINTS = "/scan/points"
@@ -182,6 +185,15 @@ VERDICTS: dict[int, tuple[str, Color]] = {
     Verdict.OTHER: ("other", (240, 220, 90)),
 }
 """Name and colour of what may be wrong with a label."""
+AGREEMENTS: dict[int, tuple[str, Color]] = {
+    Agreement.NOTHING: ("unknown", (205, 205, 205)),
+    Agreement.FREE: ("free", (255, 255, 255)),
+    Agreement.BOTH: ("wall in both", (20, 140, 60)),
+    Agreement.ONLY_MAP: ("wall only in the map", (240, 50, 50)),
+    Agreement.ONLY_REFERENCE: ("wall only in the reference", (255, 150, 0)),
+    Agreement.NOT_SEEN: ("wall that was not seen", (120, 160, 230)),
+}
+"""Name and colour of what a map laid over another shows (Fig. 9e)."""
 TRUTH_COLOR: Color = (235, 238, 245)
 
 UPMOST_COLOR: Color = (46, 204, 87)

@@ -4,6 +4,7 @@ import rerun.blueprint as rrb
 from rerun.blueprint import archetypes
 
 from blueprints import entities
+from blueprints.maps import from_above
 
 
 def build(centre_m: tuple[float, float], extent_m: float, grid: str = entities.SEGMENTED) -> rrb.Blueprint:
@@ -23,7 +24,7 @@ def build(centre_m: tuple[float, float], extent_m: float, grid: str = entities.S
 
 def tab(centre_m: tuple[float, float], extent_m: float, grid: str = entities.FURNITURE_FREE) -> rrb.Container:
     """Rooms and their graph, as a part of a larger layout."""
-    eye = rrb.EyeControls3D(position=(*centre_m, extent_m), look_target=(*centre_m, 0.0), eye_up=(0.0, 1.0, 0.0))
+    eye = from_above(centre_m, extent_m)
     ground = f"{entities.GRID}/{grid}"
     x, y = (value * entities.GRAPH_UNITS_PER_M for value in centre_m)
     half = 0.6 * extent_m * entities.GRAPH_UNITS_PER_M

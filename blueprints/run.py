@@ -6,8 +6,9 @@ import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
 from algorithms.grid_map import GridMap
-from blueprints import entities, rooms
+from blueprints import entities, maps, rooms
 from blueprints.entities import CurveSheet
+from blueprints.maps import from_above, until_now
 
 
 def build(
@@ -37,7 +38,11 @@ def build(
         row_shares=[1, 1],
         name="At a glance",
     )
-    building = [_building(centre_m, extent_m), rooms.tab(centre_m, extent_m)]
+    building = [
+        _building(centre_m, extent_m),
+        maps.tab(centre_m, extent_m, evaluated),
+        rooms.tab(centre_m, extent_m),
+    ]
     tabs = [overview, _method(ring_count), *building, _odometry(), *about]
     tabs = [_evaluation(centre_m, extent_m), *tabs] if evaluated else tabs
     return _blueprint(tabs, entities.SCAN_TIMELINE)
@@ -135,10 +140,6 @@ def _grid(centre_m: tuple[float, float], extent_m: float, name: str = entities.F
     )
 
 
-def from_above(centre_m: tuple[float, float], extent_m: float) -> rrb.EyeControls3D:
-    return rrb.EyeControls3D(position=(*centre_m, extent_m), look_target=(*centre_m, 0.0), eye_up=(0.0, 1.0, 0.0))
-
-
 def _evaluation(centre_m: tuple[float, float], extent_m: float, scans: bool = True) -> rrb.Container:
     """What is wrong: on the map, in the scan (if there are any), over time, and in figures."""
     eye = from_above(centre_m, extent_m)
@@ -174,8 +175,12 @@ def _evaluation(centre_m: tuple[float, float], extent_m: float, scans: bool = Tr
             ),
             rrb.Spatial3DView(
                 origin=entities.WORLD,
-                contents=[*outlines, f"{entities.GRID}/**"],
-                name="Wall map: false cells red, missed cells orange",
+                contents=[
+                    *outlines,
+                    f"{entities.GRID}/{entities.FURNITURE_FREE}",
+                    f"{entities.OVERLAYS}/{entities.FURNITURE_FREE}/**",
+                ],
+                name="Wall map: right cells green, false red, missed orange",
                 eye_controls=eye,
                 line_grid=rrb.LineGrid3D(visible=False),
             ),
@@ -273,18 +278,6 @@ def _metrics() -> rrb.Container:
         rrb.TextLogView(origin=entities.MESSAGES, name="Warnings"),
         row_shares=[3, 3, 3, 2],
         name="Metrics and warnings",
-    )
-
-
-def until_now() -> rrb.VisibleTimeRanges:
-    """Everything from the beginning up to the time cursor."""
-    return rrb.VisibleTimeRanges(
-        [
-            rrb.VisibleTimeRange(
-                timeline, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
-            )
-            for timeline in (entities.SCAN_TIMELINE, entities.STAMP_TIMELINE)
-        ]
     )
 
 

@@ -24,7 +24,7 @@ from algorithms.building import (
 )
 from algorithms.doors import DoorsSettings, DoorState
 from algorithms.features import concatenate, extract, move_moments
-from algorithms.grid_map import Cell, GridMapSettings, draw_furniture_free
+from algorithms.grid_map import Cell, Drive, GridMapSettings, Immobile, draw_furniture_free
 from algorithms.labelling import LabellingSettings, MethodSettings, ScanLabelling, label_scan
 from algorithms.labels import Label
 from algorithms.levelling import level_map, level_scan
@@ -39,10 +39,11 @@ from algorithms.rearrangement import (
 )
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.scan import Scan
-from algorithms.semantic_map import find_halo, vote
+from algorithms.semantic_map import VoxelTable, find_halo, vote
 from algorithms.trajectory import PlacedScan, Trajectory, place_scan
 from algorithms.vertical_structures import VerticalStructuresSettings
 from algorithms.wall_planes import WallPlanesSettings
+from algorithms.wall_thickness import WallThicknessSettings
 
 METHOD = MethodSettings(
     RearrangementSettings(), VerticalStructuresSettings(), WallPlanesSettings(), DoorsSettings(), LabellingSettings()
@@ -466,7 +467,9 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
         assert precision > 0.9
         assert recall > 0.9
 
-    grid = draw_furniture_free(walls, doors, np.array([[-1.0, 0.0], [1.5, 0.0]]), [features], GridMapSettings())
+    drive = Drive(np.array([[-1.0, 0.0], [1.5, 0.0]]), lambda: [features])
+    immobile = Immobile(walls, cells, VoxelTable(0.05, len(Label)).votes(), doors, windows)
+    grid = draw_furniture_free(immobile, drive, GridMapSettings(), WallThicknessSettings())
 
     def at(x: float, y: float) -> int:
         column, row = np.floor((np.array([x, y]) - grid.origin) / grid.cell_m).astype(int)

@@ -194,6 +194,9 @@ def test_wall_map(run: tuple[Path, dict[str, Any]]):
     assert (wall_map["true_cells"], wall_map["occupied_cells"]) == (40, 50)
     assert (wall_map["precision"], wall_map["recall"]) == (0.8, 1.0)
     assert wall_map["error_m"] == pytest.approx(0.01)
+    assert run[1]["maps"] == {"furniture_free": wall_map}
+    assert (wall_map["doors_passed"], wall_map["doors_blocked"]) == (1, 0)
+    assert (run[0] / "overlay.png").exists()
 
 
 def test_trajectory(run: tuple[Path, dict[str, Any]]):
@@ -218,7 +221,7 @@ def test_the_tables_print(run: tuple[Path, dict[str, Any]], capsys: pytest.Captu
     printed = capsys.readouterr().out
     assert "99.60" in printed
     assert "1 of 1 passed" in printed
-    assert len(format_metrics(json.loads((folder / "metrics.json").read_text()))) == 2
+    assert len(format_metrics(json.loads((folder / "metrics.json").read_text()))) == 3
 
 
 @pytest.mark.parametrize("name", ["in.bag", "in_mcap", "in_sqlite3"])

@@ -18,9 +18,9 @@ from algorithms.building import Doors, Walls
 from algorithms.grid_map import Cell, GridMap
 from algorithms.semantic_map import FusedCloud
 from algorithms.trajectory import Trajectory
-from app.evaluate import read_grid
 from app.results import (
     LabelledBagWriter,
+    read_grid,
     write_doors,
     write_grid,
     write_json,
@@ -297,7 +297,12 @@ class TestGeojson:
         write_walls(tmp_path / "walls.geojson", walls)
         (feature,) = json.loads((tmp_path / "walls.geojson").read_text())["features"]
         assert feature["geometry"]["coordinates"] == [[0.0, 0.0], [4.0, 0.0]]
-        assert feature["properties"] == {"normal": [0.0, 1.0], "bottom": 0.05, "top": 2.75, "scans": 12, "rms": 0.01}
+        expected = {"normal": [0.0, 1.0], "bottom": 0.05, "top": 2.75, "scans": 12, "rms": 0.01}
+        assert feature["properties"] == {**expected, "thickness": None}
+        for thickness_m, written in ((0.2, 0.2), (np.nan, None)):
+            write_walls(tmp_path / "walls.geojson", walls, np.full(len(walls), thickness_m))
+            (feature,) = json.loads((tmp_path / "walls.geojson").read_text())["features"]
+            assert feature["properties"] == {**expected, "thickness": written}
 
     def test_what_json_cannot_say_is_null(self, tmp_path: Path):
         write_json(tmp_path / "a.json", {"a": np.float32("nan"), "b": [np.int64(3), float("inf")], "c": np.eye(2)})

@@ -20,6 +20,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from algorithms.labels import Verdict
+from algorithms.rival_maps import Rival
 from app import cli
 from blueprints import entities
 from loaders.simulator import SimulationSettings, simulate
@@ -33,6 +34,10 @@ FILES = [
     "cloud.ply",
     "map.yaml",
     "map.pgm",
+    *(f"map_{name}.{suffix}" for name in Rival for suffix in ("yaml", "pgm")),
+    "floorplan.svg",
+    "floorplan.dxf",
+    "overlay.png",
     "walls.geojson",
     "doors.geojson",
     "rooms.geojson",

@@ -1,0 +1,122 @@
+"""How thick the walls are: which face has the same wall's other side behind it (paper, Fig. 9a: both sides drawn)."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from pydantic import Field
+
+from algorithms.building import Doors, Walls
+from algorithms.doors import DoorState
+from algorithms.scan import FloatArray, IntArray
+from algorithms.settings import StepSettings
+
+_STRETCH_MIN_M = 0.02
+"""Parts of a face that are shorter are roundings of its ends."""
+
+
+class WallThicknessSettings(StepSettings):
+    """Finding the other side of a wall."""
+
+    least_m: float = Field(0.03, gt=0, description="Thinnest wall in metres; two faces nearer than this are one.")
+    most_m: float = Field(0.6, gt=0, description="Thickest wall in metres: faces farther apart belong to two walls.")
+    angle_deg: float = Field(3.0, gt=0, le=20, description="The two sides of a wall are parallel to so many degrees.")
+    unseen_m: float = Field(
+        0.15, gt=0, description="Thickness in metres where no wall of the building was seen from both sides."
+    )
+
+
+@dataclass(frozen=True)
+class WallParts:
+    """The faces of `Walls`, cut where the thickness behind them changes.
+
+    wall: (P,) the face that each part belongs to. ends: (P, 2, 2) its stretch of that face.
+    other: (P,) the face on the wall's other side, -1 where that was not seen.
+    thickness_m: (P,) NaN where it was not.
+    """
+
+    wall: IntArray
+    ends: FloatArray
+    other: IntArray
+    thickness_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.wall)
+
+
+def part_walls(walls: Walls, settings: WallThicknessSettings) -> WallParts:
+    """Each face cut into stretches that have one thickness: the nearest face behind that looks the other way."""
+    wall, ends, other, thickness = [], [], [], []
+    cos_angle = np.cos(np.radians(settings.angle_deg))
+    for w in range(len(walls)):
+        start, normal = walls.ends[w, 0], walls.normal[w]
+        length_m = float(np.linalg.norm(walls.ends[w, 1] - start))
+        along = (walls.ends[w, 1] - start) / max(length_m, 1e-9)
+        behind = []
+        for o in np.flatnonzero(walls.normal @ normal < -cos_angle).tolist():
+            place = (walls.ends[o] - start) @ along
+            depth_m = -(walls.ends[o] - start) @ normal
+            low, high = max(float(place.min()), 0.0), min(float(place.max()), length_m)
+            if high - low < _STRETCH_MIN_M:
+                continue
+            # Depth where the two overlap, for faces are parallel to some degrees only.
+            slope = (depth_m[1] - depth_m[0]) / (place[1] - place[0])
+            depth = float(depth_m[0] + slope * (0.5 * (low + high) - place[0]))
+            if settings.least_m <= depth <= settings.most_m:
+                behind.append((low, high, depth, o))
+        edges = np.unique([0.0, length_m, *(edge for low, high, *_ in behind for edge in (low, high))])
+        for low, high in pairwise(edges.tolist()):
+            middle = 0.5 * (low + high)
+            nearest = min(((d, o) for a, b, d, o in behind if a <= middle <= b), default=(float("nan"), -1))
+            wall.append(w)
+            ends.append(start + np.array([[low], [high]]) * along)
+            thickness.append(nearest[0])
+            other.append(nearest[1])
+    return WallParts(
+        np.array(wall, np.int64),
+        np.array(ends, float).reshape(-1, 2, 2),
+        np.array(other, np.int64),
+        np.array(thickness, float),
+    )
+
+
+def face_thickness(walls: Walls, parts: WallParts) -> FloatArray:
+    """(W,) the median, by length, of what was measured along each face; NaN where the other side was not seen."""
+    thickness_m = np.empty(len(walls))
+    for w in range(len(walls)):
+        own = (parts.wall == w) & np.isfinite(parts.thickness_m)
+        thickness_m[w] = _median_by_length(parts.thickness_m[own], _lengths(parts.ends[own]), float("nan"))
+    return thickness_m
+
+
+def usual_thickness(parts: WallParts, settings: WallThicknessSettings) -> float:
+    """The median, by length, of what was measured; `unseen_m` where nothing was."""
+    measured = np.isfinite(parts.thickness_m)
+    return _median_by_length(parts.thickness_m[measured], _lengths(parts.ends[measured]), settings.unseen_m)
+
+
+def door_depths(doors: Doors, walls: Walls, parts: WallParts, settings: WallThicknessSettings) -> FloatArray:
+    """(D,) how far each doorway reaches behind its sill: as far as its wall is thick.
+
+    The wall beside the door tells; else, for an open door, the underside of its lintel; else the building's usual
+    thickness, for a closed leaf hides the rest of the doorway.
+    """
+    usual_m, of_face_m = usual_thickness(parts, settings), face_thickness(walls, parts)
+    depth_m = np.empty(len(doors))
+    for d in range(len(doors)):
+        seen_m = doors.reveal_m[d] if doors.state[d] == DoorState.OPEN else max(usual_m, doors.reveal_m[d])
+        own_m = of_face_m[doors.wall[d]]
+        depth_m[d] = own_m if np.isfinite(own_m) else seen_m
+    return depth_m
+
+
+def _lengths(ends: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
+
+
+def _median_by_length(values: FloatArray, length_m: FloatArray, otherwise: float) -> float:
+    if not len(values):
+        return otherwise
+    order = np.argsort(values)
+    covered = np.cumsum(length_m[order])
+    return float(values[order][np.searchsorted(covered, 0.5 * covered[-1])])

@@ -1,0 +1,122 @@
+"""Wall thickness and the floor plan of a building that is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+
+from algorithms.doors import DoorState
+from algorithms.floor_plan import FloorPlan, FloorPlanSettings, draw_floor_plan
+from algorithms.grid_map import Drive, GridMapSettings, draw_furniture_free, standing_stretches
+from algorithms.wall_thickness import WallThicknessSettings, door_depths, face_thickness, part_walls, usual_thickness
+from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms
+
+THICKNESS = WallThicknessSettings()
+
+
+def plan_of(rooms: TwoRooms) -> FloorPlan:
+    immobile, drive = rooms.build()
+    grid = draw_furniture_free(immobile, drive, GridMapSettings(), THICKNESS)
+    stretches = standing_stretches(immobile, GridMapSettings())
+    return draw_floor_plan(stretches, immobile, grid, immobile.votes, FloorPlanSettings(), THICKNESS)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 25.0, 160.0])
+def test_thickness_is_measured_where_both_sides_were_seen(turn_deg: float) -> None:
+    rooms = TwoRooms(thickness_m=0.17, turn_deg=turn_deg)
+    parts = part_walls(rooms.walls, THICKNESS)
+    thickness_m = face_thickness(rooms.walls, parts)
+    np.testing.assert_allclose(thickness_m[[3, 6]], 0.17, atol=1e-6)
+    assert np.isnan(np.delete(thickness_m, [3, 6])).all()
+    assert usual_thickness(parts, THICKNESS) == pytest.approx(0.17)
+    # The wall tells, not what the underside of the lintel seemed to be.
+    doors = replace(rooms.doors, reveal_m=np.array([0.3]))
+    np.testing.assert_allclose(door_depths(doors, rooms.walls, parts, THICKNESS), 0.17)
+
+
+def test_a_face_is_cut_where_the_other_side_ends() -> None:
+    rooms = TwoRooms()
+    walls = rooms.walls.select([3, 6])
+    walls.ends[1, 1, 0] = 2.5
+    parts = part_walls(walls, THICKNESS)
+    own = parts.wall == 0
+    lengths = np.linalg.norm(parts.ends[own, 1] - parts.ends[own, 0], axis=1)
+    np.testing.assert_allclose(lengths, [2.5, 1.5])
+    np.testing.assert_array_equal(np.isnan(parts.thickness_m[own]), [False, True])
+    np.testing.assert_array_equal(parts.other[own], [1, -1])
+
+
+def test_a_doorway_that_one_side_showed_is_as_deep_as_is_known() -> None:
+    for closed, depth_m in ((False, 0.2), (True, THICKNESS.unseen_m)):
+        rooms = TwoRooms(both_seen=False, closed=closed)
+        parts = part_walls(rooms.walls, THICKNESS)
+        assert np.isnan(parts.thickness_m).all()
+        np.testing.assert_allclose(door_depths(rooms.doors, rooms.walls, parts, THICKNESS), depth_m)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 37.0])
+def test_walls_are_areas_with_the_doorway_cut_out(turn_deg: float) -> None:
+    rooms = TwoRooms(turn_deg=turn_deg)
+    plan = plan_of(rooms)
+    (x, y), t, (left, right) = SIZE_M, rooms.thickness_m, JAMBS_X
+    measured = shapely.union_all(plan.walls)
+    for low, high in ((0.0, left), (right, x)):
+        part = shapely.Polygon(rooms.to_map(np.array([[low, y], [high, y], [high, y + t], [low, y + t]])))
+        assert part.difference(measured).area < 0.03 * part.area
+    doorway = shapely.Polygon(rooms.to_map(np.array([[left, y], [right, y], [right, y + t], [left, y + t]])))
+    assert shapely.union_all([*plan.walls, *plan.assumed]).intersection(doorway.buffer(-0.01)).area < 1e-6
+    assert plan.doors[0].outline.symmetric_difference(doorway).area < 0.01
+    # The outer walls were seen from within: the usual thickness is put behind them, and none before.
+    inside = shapely.Polygon(rooms.to_map(np.array([[0, 0], [x, 0], [x, y], [0, y]]))).buffer(-0.02)
+    assert shapely.union_all([*plan.walls, *plan.assumed]).intersection(inside).area < 1e-6
+    corner = shapely.Point(rooms.to_map(np.array([[-0.1, -0.1]]))[0])
+    assert shapely.union_all(plan.assumed).contains(corner)
+
+
+@pytest.mark.parametrize("angle_deg", [35.0, 90.0, 130.0])
+@pytest.mark.parametrize("turn_deg", [0.0, 50.0])
+def test_the_swing_of_an_open_leaf_is_found(angle_deg: float, turn_deg: float) -> None:
+    rooms = TwoRooms(leaf_deg=angle_deg, turn_deg=turn_deg)
+    door = plan_of(rooms).doors[0]
+    assert len(door.leaves) == 1
+    leaf = door.leaves[0]
+    # Hung at the western jamb on B's side, it turns counter-clockwise into B.
+    np.testing.assert_allclose(rooms.to_rooms(leaf.hinge[None])[0], [JAMBS_X[0], SIZE_M[1] + rooms.thickness_m], atol=0.01)
+    assert leaf.swing_deg == pytest.approx(angle_deg, abs=5.1)
+
+
+def test_no_leaf_is_made_up() -> None:
+    assert plan_of(TwoRooms()).doors[0].leaves == ()
+    closed = plan_of(TwoRooms(closed=True)).doors[0]
+    assert closed.state == DoorState.CLOSED
+    assert closed.leaves == ()
+    np.testing.assert_allclose(closed.closed[:, 1], SIZE_M[1] + 0.04)
+
+
+def test_a_free_standing_column_is_its_own_outline() -> None:
+    rooms = TwoRooms(both_seen=False)
+    corners = np.array([[2.6, 1.4], [3.0, 1.4], [3.0, 1.8], [2.6, 1.8], [2.6, 1.4]])
+    sides = [(corners[i : i + 2], (0.0, 2.6)) for i in range(4)]
+    normals = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]], float)
+    rooms = TwoRooms(both_seen=False, more=tuple(sides))
+
+    class WithColumn(TwoRooms):
+        @property
+        def faces(self):
+            own = [(corners[i : i + 2], normals[i]) for i in range(4)]
+            return [*super().faces, *own]
+
+    plan = plan_of(WithColumn(both_seen=False, more=rooms.more))
+    assert len(plan.columns) == 1
+    assert plan.columns[0].symmetric_difference(shapely.Polygon(corners)).area < 0.01
+    assert shapely.union_all([*plan.walls, *plan.assumed]).intersection(plan.columns[0]).area < 1e-6
+
+
+def test_an_empty_building_has_an_empty_plan() -> None:
+    rooms = TwoRooms(both_seen=False)
+    immobile, drive = rooms.build()
+    grid = draw_furniture_free(immobile, Drive(drive.path_map, list), GridMapSettings(), THICKNESS)
+    nothing = immobile.walls.select(np.zeros(0, int))
+    plan = draw_floor_plan(nothing, immobile, grid, immobile.votes, FloorPlanSettings(), THICKNESS)
+    assert (plan.walls, plan.assumed, plan.columns) == ((), (), ())

@@ -1,0 +1,180 @@
+"""The furniture-free grid of a building that is known, whichever way it is turned."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from algorithms.building import BuildingSettings, trace_rays
+from algorithms.evaluation import WALL_TOLERANCE_M
+from algorithms.grid_map import (
+    Cell,
+    Drive,
+    GridMap,
+    GridMapSettings,
+    Immobile,
+    draw_cells,
+    draw_furniture_free,
+    standing_stretches,
+)
+from algorithms.map_comparison import blocked_doors
+from algorithms.scan import FloatArray
+from algorithms.wall_thickness import WallThicknessSettings
+from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms, without
+
+SETTINGS, THICKNESS = GridMapSettings(), WallThicknessSettings()
+TURNS = [0.0, 17.0, 45.0, 101.0]
+
+
+def drawn(rooms: TwoRooms, settings: GridMapSettings = SETTINGS) -> GridMap:
+    return draw_furniture_free(*rooms.build(), settings, THICKNESS)
+
+
+def at(grid: GridMap, rooms: TwoRooms, places: FloatArray) -> FloatArray:
+    index = np.floor((rooms.to_map(np.array(places, float)) - grid.origin) / grid.cell_m).astype(int)
+    return grid.cells[index[:, 1], index[:, 0]]
+
+
+def across_the_door(rooms: TwoRooms, beyond_m: float = 0.05) -> FloatArray:
+    """Places from before the wall to behind it, in the middle of the doorway."""
+    y = np.arange(SIZE_M[1] - beyond_m, SIZE_M[1] + rooms.thickness_m + beyond_m, 0.02)
+    return np.column_stack([np.full(len(y), np.mean(JAMBS_X)), y])
+
+
+@pytest.mark.parametrize("turn_deg", TURNS)
+def test_walls_are_thin_lines_as_far_apart_as_they_are_thick(turn_deg: float) -> None:
+    rooms = TwoRooms(turn_deg=turn_deg, shift=(3.1, -7.2))
+    grid = drawn(rooms)
+    occupied = rooms.to_rooms(grid.centres(Cell.OCCUPIED))
+    middle = (occupied[:, 0] > 2.7) & (occupied[:, 0] < 3.7) & (np.abs(occupied[:, 1] - 3.1) < 0.5)
+    sides = occupied[middle, 1]
+    assert (np.minimum(np.abs(sides - 3.0), np.abs(sides - 3.2)) < 0.04).all()
+    # One cell for each 5 cm along the longer axis, on either side.
+    slant = max(abs(np.cos(np.radians(turn_deg))), abs(np.sin(np.radians(turn_deg))))
+    assert np.count_nonzero(sides < 3.1) == pytest.approx(1.0 / 0.05 * slant, abs=2)
+    assert np.count_nonzero(sides > 3.1) == pytest.approx(1.0 / 0.05 * slant, abs=2)
+    inside = np.column_stack([np.linspace(2.8, 3.6, 9), np.full(9, 3.1)])
+    assert (at(grid, rooms, inside) == Cell.UNKNOWN).all()
+
+
+@pytest.mark.parametrize("turn_deg", TURNS)
+@pytest.mark.parametrize("closed", [False, True])
+@pytest.mark.parametrize("both_seen", [False, True])
+def test_a_doorway_is_free_through_the_whole_wall(turn_deg: float, closed: bool, both_seen: bool) -> None:
+    rooms = TwoRooms(turn_deg=turn_deg, closed=closed, both_seen=both_seen, thickness_m=0.25)
+    grid = drawn(rooms)
+    assert (at(grid, rooms, across_the_door(rooms)) == Cell.FREE).all()
+    sill = rooms.doors.ends + 0.5 * rooms.thickness_m * -rooms.doors.normal[:, None]
+    assert not blocked_doors(grid, sill, np.array([rooms.thickness_m])).any()
+    jambs = rooms.to_rooms(grid.centres(Cell.OCCUPIED))
+    for x in JAMBS_X:
+        near = (np.abs(jambs[:, 0] - x) < 0.06) & (jambs[:, 1] > 3.03) & (jambs[:, 1] < 3.14)
+        assert near.any()
+
+
+def test_closed_leaves_and_doorways_block_where_that_is_asked() -> None:
+    thick = np.array([0.2])
+    for closed in (False, True):
+        rooms = TwoRooms(closed=closed)
+        sill = rooms.doors.ends - 0.1 * rooms.doors.normal[:, None]
+        blocked = {
+            doors: bool(blocked_doors(drawn(rooms, GridMapSettings(doors=doors)), sill, thick)[0])
+            for doors in ("open", "as-seen", "closed")
+        }
+        assert blocked == {"open": False, "as-seen": closed, "closed": True}
+
+
+def test_an_opening_that_no_door_was_made_of_is_not_walled_up() -> None:
+    rooms = TwoRooms()
+    immobile, drive = rooms.build(without(rooms.doors))
+    grid = draw_furniture_free(immobile, drive, SETTINGS, THICKNESS)
+    assert (at(grid, rooms, across_the_door(rooms)) == Cell.FREE).all()
+    closed = TwoRooms(closed=True)
+    immobile, drive = closed.build(without(closed.doors))
+    grid = draw_furniture_free(immobile, drive, SETTINGS, THICKNESS)
+    assert Cell.OCCUPIED in at(grid, closed, across_the_door(closed))
+
+
+def test_a_wall_is_not_carried_on_behind_a_pillar() -> None:
+    rooms = TwoRooms(pillar=True)
+    grid = drawn(rooms)
+    behind = np.column_stack([np.full(3, 0.01), [1.17, 1.2, 1.22]])
+    assert (at(grid, rooms, behind) == Cell.UNKNOWN).all()
+    assert (at(drawn(TwoRooms()), rooms, behind) == Cell.OCCUPIED).all()
+
+
+def test_glass_stops_rays_and_stays_unknown() -> None:
+    rooms = TwoRooms(glass=(0.0, 2.1), both_seen=False)
+    behind = np.column_stack([np.linspace(1.2, 1.8, 5), np.full(5, -0.6)])
+    known = draw_furniture_free(*rooms.build(windows=rooms.window), SETTINGS, THICKNESS)
+    assert (at(known, rooms, behind) == Cell.UNKNOWN).all()
+    assert (at(known, rooms, np.column_stack([np.linspace(1.2, 1.8, 5), np.full(5, 0.01)])) == Cell.UNKNOWN).all()
+    assert (at(drawn(rooms), rooms, behind) == Cell.FREE).all()
+
+
+def test_the_reveals_of_a_window_are_no_walls_but_its_sill_is() -> None:
+    rooms = TwoRooms(glass=(0.9, 2.1), both_seen=False)
+    immobile, _ = rooms.build(windows=rooms.window)
+    reveal = rooms.walls.select([2])
+    reveal = replace(reveal, ends=np.array([[[1.0, 0.0], [1.0, -0.3]]]), normal=np.array([[1.0, 0.0]]))
+    walls = rooms.walls.append(reveal)
+    cells = trace_rays(walls, [rooms.scans()], BuildingSettings())
+    with_window = replace(immobile, walls=walls, cells=cells)
+    last = walls.ends[-1]
+    for known, expected in ((with_window, False), (replace(with_window, windows=rooms.build()[0].windows), True)):
+        stretches = standing_stretches(known, SETTINGS).ends
+        assert any(np.allclose(np.sort(ends[:, 0]), last[:, 0], atol=0.01) for ends in stretches) == expected
+        southern = [ends for ends in stretches if np.allclose(ends[:, 1], 0.0)]
+        assert sum(np.linalg.norm(ends[1] - ends[0]) for ends in southern) > 3.9
+
+
+def test_free_is_only_what_lies_near_to_floor_that_was_seen() -> None:
+    rooms = TwoRooms(both_seen=False)
+    immobile, drive = rooms.build()
+    features = next(iter(drive.blocks()))
+    label = features.ray_label.copy()
+    label[features.ray_end_map[:, 0] > 1.5] = 0
+    dark = features.__class__(**{**features.__dict__, "ray_label": label})
+    near = GridMapSettings(floor_reach_m=0.5)
+    grid = draw_furniture_free(immobile, Drive(drive.path_map[:1], lambda: [dark]), near, THICKNESS)
+    assert (at(grid, rooms, np.array([[1.0, 1.0], [1.8, 1.0]])) == Cell.FREE).all()
+    assert (at(grid, rooms, np.array([[2.4, 1.0], [3.5, 1.0]])) == Cell.UNKNOWN).all()
+
+
+def test_the_whole_is_right_to_ten_centimetres() -> None:
+    rooms = TwoRooms(turn_deg=33.0)
+    grid = drawn(rooms)
+    occupied = rooms.to_rooms(grid.centres(Cell.OCCUPIED))
+    segments = [ends for ends, (low, _) in rooms.panels if low == 0.0]
+    distance = np.full(len(occupied), np.inf)
+    for a, b in segments:
+        t = np.clip((occupied - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+        distance = np.minimum(distance, np.linalg.norm(occupied - a - t[:, None] * (b - a), axis=1))
+    assert (distance < WALL_TOLERANCE_M).mean() > 0.99
+    assert distance.mean() < 0.02
+
+
+def test_nothing_gives_an_unknown_map() -> None:
+    rooms = TwoRooms()
+    immobile, _ = rooms.build(without(rooms.doors))
+    nothing = Immobile(
+        immobile.walls.select(np.zeros(0, int)),
+        immobile.cells.__class__(np.zeros(1, np.int64), 50, np.zeros((0, 50, 4), np.float32)),
+        immobile.votes,
+        immobile.doors,
+        immobile.windows,
+    )
+    grid = draw_furniture_free(nothing, Drive(np.zeros((0, 3)), list), SETTINGS, THICKNESS)
+    assert (grid.cells == Cell.UNKNOWN).all()
+    assert (draw_cells(np.zeros((0, 2), int), Drive(np.zeros((0, 3)), list), SETTINGS).cells == Cell.UNKNOWN).all()
+
+
+def test_given_cells_are_occupied_and_the_rest_is_freed_by_the_same_rays() -> None:
+    rooms = TwoRooms(both_seen=False)
+    _, drive = rooms.build()
+    grid = draw_cells(np.array([[20, 20], [70, 10], [-10, 70]]), drive, SETTINGS)
+    occupied = grid.centres(Cell.OCCUPIED)
+    np.testing.assert_allclose(np.sort(occupied, axis=0), [[-0.475, 0.525], [1.025, 1.025], [3.525, 3.525]], atol=1e-6)
+    assert (at(grid, rooms, np.array([[2.0, 0.7], [0.5, 2.5]])) == Cell.FREE).all()
+    # What the cell hides from the rays stays unknown only where none comes another way; beyond the walls all is.
+    assert (at(grid, rooms, np.array([[-0.2, 1.0]])) == Cell.UNKNOWN).all()
