@@ -23,7 +23,7 @@ class TrajectorySettings(StepSettings):
     """Placing scans and levelling the map (paper, IV.C and V)."""
 
     level_s: float = Field(
-        2.0,
+        8.0,
         gt=0,
         le=60,
         description="The map is levelled by the walls and the floor that the first so many seconds show.",

@@ -18,7 +18,7 @@ from loaders.errors import InputError
 from loaders.scans import read_scans
 from loaders.trajectory_file import read_pose_topic, read_tum
 
-_LEVEL_SCANS = 12
+_LEVEL_SCANS = 24
 _LEVEL_POINTS = 4_000
 
 
@@ -59,19 +59,21 @@ def given_trajectory(name: str | None, inputs: Inputs) -> Trajectory | None:
 
 
 def level_by_first_scans(inputs: Inputs, odometry: Trajectory, seed: int) -> Level:
-    """The map's frame from what the first sweeps saw of walls and floor.
+    """The map's frame from what some of the first sweeps saw of walls and floor.
 
     odometry: the first poses T_odom_base.
     """
     sensor = inputs.vertical or inputs.horizontal
     assert sensor is not None
     points: list[FloatArray] = []
+    covered = np.flatnonzero(odometry.covers(sensor.index.stamp_ns, margin_ns=100_000_000))
+    # Spread over the time: a robot at rest sees the same few walls again and again.
+    chosen = set(covered[np.linspace(0, len(covered) - 1, min(_LEVEL_SCANS, len(covered))).astype(int)].tolist())
+    first, last = min(chosen, default=0), max(chosen, default=-1)
     with open_bag(inputs.bag_path) as bag:
-        for _, scan in read_scans(bag, sensor.index, 0, len(sensor.index), sensor.lidar.decoding):
-            if not isinstance(scan, Scan) or scan.start_ns < odometry.stamp_ns[0] - 200_000_000:
+        for index, scan in read_scans(bag, sensor.index, first, last - first + 1, sensor.lidar.decoding):
+            if index not in chosen or not isinstance(scan, Scan):
                 continue
-            if scan.end_ns > odometry.stamp_ns[-1] + 200_000_000 or len(points) == _LEVEL_SCANS:
-                break
             placed = place_scan(scan, odometry, sensor.lidar.T_base_sensor)
             stride = max(1, len(scan) // _LEVEL_POINTS)
             points.append(points_in_map(placed)[::stride])

@@ -22,7 +22,8 @@ from app import compare_command, inspect_command
 from app.finished_run import open_run
 from app.recorded import readable, rows
 from app.recording import whole_messages
-from app.run_labels import LABELS_ALONE, LabelSource, pair
+from app.run_folder import LABELS
+from app.run_labels import LabelSource, pair
 from blueprints import entities
 from blueprints.entities import LineOutcome
 from loaders.errors import InputError
@@ -225,7 +226,7 @@ def test_whichever_file_has_the_labels_they_are_the_same(runs: dict[str, Path], 
         "label": pa.array([label for _, (label, _) in kept], pa.list_(pa.uint8())),
         "label_scan": pa.array([label_scan for _, (_, label_scan) in kept], pa.list_(pa.uint8())),
     }
-    pq.write_table(pa.table(columns), alone / LABELS_ALONE)
+    pq.write_table(pa.table(columns), alone / LABELS)
     with readable(without_bag / "recording.rrd") as recording:
         for source in (LabelSource(open_run(without_bag), recording), LabelSource(open_run(alone), None)):
             assert source.has_labels()
