@@ -12,7 +12,7 @@ The names in it, all fractions 0 to 1, null where there is nothing to divide by:
     doors.width_error_m | width_bias_m | state_right
     maps.<map>.precision | recall | error_m | true_cells | occupied_cells | false_cells
     maps.<map>.false_cells_of_cabinets | precision_without_cabinets     cabinets as high as the room count as false walls
-    maps.<map>.doors_passed | doors_blocked      in whose doorway no free cells connect the wall's two sides
+    maps.<map>.doors_passed | doors_blocked | blocked      in whose doorway no free cells connect the wall's two sides
     wall_map                                     the same as maps.furniture_free
     rooms.true | entered | found | recall | precision     recall over the true rooms with 1 m of the true way or more in them
     rooms.recall_of_all | split | merged                         names of the true rooms; pairs of them

@@ -108,7 +108,12 @@ def map_metrics(compared: ComparedMaps) -> dict[str, Any]:
                 "precision_without_cabinets": right / counted if counted else float("nan"),
             }
         if one.blocked is not None:
-            metrics[name] |= {"doors_passed": len(one.blocked), "doors_blocked": int(np.count_nonzero(one.blocked))}
+            blocked = int(np.count_nonzero(one.blocked))
+            metrics[name] |= {
+                "doors_passed": len(one.blocked),
+                "doors_blocked": blocked,
+                "blocked": blocked / len(one.blocked) if len(one.blocked) else float("nan"),
+            }
     return metrics
 
 

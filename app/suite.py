@@ -105,16 +105,29 @@ TABLES: tuple[tuple[str, tuple[Figure, ...]], ...] = (
         ),
     ),
     (
-        "Doors, map, trajectory, percent and centimetres",
+        "Doors, trajectory, percent and centimetres",
         (
             Figure("found", ("doors", "found")),
             Figure("invented", ("doors", "invented"), less_is_better=True),
             Figure("width cm", ("doors", "width_error_m"), less_is_better=True),
             Figure("state", ("doors", "state_right")),
-            Figure("map P", ("wall_map", "precision")),
-            Figure("R", ("wall_map", "recall")),
-            Figure("off cm", ("wall_map", "error_m"), less_is_better=True),
             Figure("ATE cm", ("trajectory", "ate_rmse_m"), less_is_better=True),
+        ),
+    ),
+    (
+        "Wall cells of the furniture-free grid, and of slices below the ceiling (c) and in the middle (m), percent",
+        (
+            Figure("P", ("maps", "furniture_free", "precision")),
+            Figure("no cabinets", ("maps", "furniture_free", "precision_without_cabinets")),
+            Figure("R", ("maps", "furniture_free", "recall")),
+            Figure("off cm", ("maps", "furniture_free", "error_m"), less_is_better=True),
+            Figure("blocked", ("maps", "furniture_free", "blocked"), less_is_better=True),
+            Figure("c P", ("maps", "below_ceiling", "precision")),
+            Figure("c R", ("maps", "below_ceiling", "recall")),
+            Figure("c blocked", ("maps", "below_ceiling", "blocked"), less_is_better=True),
+            Figure("m P", ("maps", "middle", "precision")),
+            Figure("m R", ("maps", "middle", "recall")),
+            Figure("m blocked", ("maps", "middle", "blocked"), less_is_better=True),
         ),
     ),
     (
