@@ -14,7 +14,7 @@ A door has wall above it; below, a ray either goes on (open) or ends on a leaf t
 Confidence = share of its rays that agree × share of its columns (5 cm) that are decided so by themselves; a door that the
 robot drove through is open for sure.
 
-| door | at x, y (m) | width | what held | scans | confidence |
+| door | width | confidence | what held | scans | at x, y (m) |
 |---|---|---|---|---|---|
 """
 _REFUSED = """
@@ -51,7 +51,7 @@ def explain_building(judged: JudgedFaces, doors: Doors, windows: Windows) -> str
 
 def _door(doors: Doors, d: int) -> str:
     state = DoorState(int(doors.state[d]))
-    held = [f"{doors.agreement[d]:.0%} of {doors.ray_count[d]:,} rays agree", f"{doors.coverage[d]:.0%} of its columns"]
+    held = [f"{doors.agreement[d]:.0%} of {doors.ray_count[d]:,} rays in {doors.coverage[d]:.0%} of its columns"]
     if doors.crossed[d]:
         held.insert(0, "the robot drove through")
     if state == DoorState.CLOSED:
@@ -59,8 +59,8 @@ def _door(doors: Doors, d: int) -> str:
     held.append(f"head at {doors.head_m[d]:.2f} m")
     scans = f"{doors.scan_count[d]} from {doors.first_scan[d]} to {doors.last_scan[d]}" if doors.scan_count[d] else "–"
     return (
-        f"| {d} {state.name.lower()} | {_place(doors.ends[d])} | {_length_m(doors.ends[d]):.2f} m | {'; '.join(held)} "
-        f"| {scans} | {doors.confidence[d]:.0%} |"
+        f"| {d} {state.name.lower()} | {_length_m(doors.ends[d]):.2f} m | {doors.confidence[d]:.0%} | {'; '.join(held)} "
+        f"| {scans} | {_place(doors.ends[d])} |"
     )
 
 

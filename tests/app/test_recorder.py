@@ -297,7 +297,7 @@ def test_building_grid_map_and_messages(tmp_path):
         static[entities.REFUSED_WALLS].column("LineStrips3D:labels").to_pylist()
     )
     reasons = static[entities.BUILDING_REASONS].column("TextDocument:text").to_pylist()[0][0]
-    assert "100% of 50 rays agree; 90% of its columns; leaf 5.0 cm behind the wall" in reasons
+    assert "100% of 50 rays in 90% of its columns; leaf 5.0 cm behind the wall" in reasons
     assert "3 from 5 to 9" in reasons
     assert "rays pass above it" in reasons
     assert "10 cm behind the face" in reasons
