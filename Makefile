@@ -26,7 +26,7 @@ demo: install
 	$(VENV)/bin/ffmap demo
 
 test: lint
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python -m pytest -n auto --dist loadfile
 
 lint: install
 	$(VENV)/bin/ruff check .
