@@ -32,8 +32,8 @@ from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.semantic_map import VoxelTable, VoxelVotes
 from algorithms.trajectory import Trajectory
 from app.finished_run import FinishedRun
+from app.map_files import read_map
 from app.recorded import ReadableRecording, Row, rows
-from app.results import read_grid
 from app.run_labels import LabelSource, pair
 from blueprints import entities
 from loaders.errors import InputError
@@ -345,7 +345,7 @@ def compare_files(change: PairChange) -> None:
         change.doors = DoorsCompared(before, after, compare_doors(_segments(before), _segments(after)))
     if paths := _pair_of(change, "grid", "map.yaml"):
         try:
-            change.grid = compare_grids(*(read_grid(path) for path in paths))
+            change.grid = compare_grids(*(read_map(path) for path in paths))
         except ValueError as error:
             change.refused["grid"] = str(error)
     if a.recording is None or b.recording is None:
@@ -376,7 +376,7 @@ def labels_can_be_compared(change: PairChange) -> bool:
 def grid_of(run: FinishedRun) -> GridMap | None:
     """A run's furniture-free map."""
     path = run.file("map.yaml")
-    return read_grid(path) if path is not None else None
+    return read_map(path) if path is not None else None
 
 
 def name_transition(code: int) -> str:

@@ -16,7 +16,8 @@ from algorithms.labels import Truth
 from algorithms.map_comparison import Agreement, blocked_doors, overlay
 from algorithms.rival_maps import Rival
 from algorithms.scan import BoolArray, FloatArray, UInt8Array
-from app.results import read_grid, write_atomically
+from app.map_files import read_map
+from app.results import write_atomically
 from app.run_folder import map_file
 from blueprints import entities
 
@@ -60,7 +61,7 @@ ComparedMaps = Mapping[str, ComparedMap]
 def read_maps(run_dir: Path) -> dict[str, GridMap]:
     """The maps that a run folder holds, by name."""
     return {
-        str(name): read_grid(run_dir / map_file(name)) for name in TITLES if (run_dir / map_file(name)).exists()
+        str(name): read_map(run_dir / map_file(name)) for name in TITLES if (run_dir / map_file(name)).exists()
     }
 
 

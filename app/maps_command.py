@@ -8,7 +8,8 @@ from rich.console import Console
 
 from algorithms.map_comparison import Alignment, align_maps, compare_with_reference, unseen_walls
 from app.map_figures import ComparedMap, ComparedMaps, map_metrics, maps_table, read_maps, write_overlays
-from app.results import read_grid, write_json
+from app.map_files import read_map
+from app.results import write_json
 from app.run_folder import RECORDING, REFERENCE_JSON, REFERENCE_OVERLAY, REFERENCE_RECORDING, RunFolder
 from blueprints import entities
 from loaders.errors import InputError
@@ -23,7 +24,7 @@ def maps(run_dir: Path, reference_path: Path) -> None:
     own = read_maps(run_dir)
     if entities.FURNITURE_FREE not in own:
         raise InputError(f"{run_dir}: holds no map.yaml to compare; run ffmap again")
-    reference = read_grid(reference_path)
+    reference = read_map(reference_path)
     known = own[entities.FURNITURE_FREE]
     alignment = align_maps(known, reference)
     if not alignment.fits:

@@ -3,7 +3,6 @@
 import json
 import math
 import shutil
-import warnings
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -11,7 +10,6 @@ from typing import Any, Literal, Self
 
 import numpy as np
 import yaml
-from PIL import Image
 from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
@@ -21,13 +19,13 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from algorithms import transforms
 from algorithms.building import Doors, Walls
 from algorithms.doors import DoorState
-from algorithms.grid_map import Cell, GridMap
+from algorithms.grid_map import GridMap
 from algorithms.labels import NO_RETURN
 from algorithms.scan import FloatArray, UInt8Array
 from algorithms.semantic_map import FusedCloud
 from algorithms.trajectory import Trajectory
 from loaders.bag import Bag, Container, Message, make_typestore
-from loaders.errors import CloudError, InputError
+from loaders.errors import CloudError
 from loaders.frames import StaticTransform
 from loaders.pointcloud2 import describe_layout, encode_labelled, stamp_ns
 from loaders.rig import Rig
@@ -103,31 +101,6 @@ def write_grid(path: Path, grid: GridMap) -> None:
     text = yaml.safe_dump(description, sort_keys=False, default_flow_style=None)
     write_atomically(image, lambda part: part.write_bytes(f"P5\n{columns} {rows}\n255\n".encode() + pixels))
     write_atomically(path, lambda part: part.write_text(text, "utf-8"))
-
-
-def read_grid(path: Path) -> GridMap:
-    """A map_server map; `path` is its .yaml. Raises InputError where it is none."""
-    try:
-        description = yaml.safe_load(path.read_text("utf-8"))
-        with warnings.catch_warnings():
-            # A large map is no attack.
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            with Image.open(path.parent / description["image"]) as image:
-                pixels = np.asarray(image.convert("L"))[::-1]
-        darkness = pixels / 255 if description["negate"] else 1 - pixels / 255
-        cells = np.full(pixels.shape, Cell.UNKNOWN, np.uint8)
-        cells[darkness > float(description["occupied_thresh"])] = Cell.OCCUPIED
-        cells[darkness < float(description["free_thresh"])] = Cell.FREE
-        origin = np.array(description["origin"][:2], float)
-        cell_m = float(description["resolution"])
-        if not (cell_m > 0 and np.isfinite([cell_m, *origin]).all() and origin.shape == (2,)):
-            raise ValueError(f"resolution {cell_m} and origin {origin.tolist()} are no metres")
-        return GridMap(cells, origin, cell_m)
-    except KeyError as error:
-        raise InputError(f"{path}: lacks {error}; give the YAML file of a map of map_server's") from None
-    except (OSError, ValueError, TypeError, yaml.YAMLError, Image.DecompressionBombError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: is no map of map_server's ({reason}); give its YAML file") from error
 
 
 def write_walls(path: Path, walls: Walls, thickness_m: FloatArray | None = None) -> None:

@@ -64,15 +64,15 @@ def test_another_building_is_told(folder, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("content", "named"),
     [
-        (None, "No such file"),
-        ("not: [yaml", "is no map"),
-        ("5", "is no map"),
-        ("image: gone.pgm\n", "gone.pgm"),
-        ("image: text.pgm\nnegate: 0\n", "text.pgm"),
+        (None, "is not there"),
+        ("not: [yaml", "is no YAML file"),
+        ("5", "holds no keys"),
+        ("image: gone.pgm\nresolution: 0.1\n", "gone.pgm"),
+        ("image: text.pgm\nresolution: 0.1\n", "text.pgm"),
         ("image: image.png\nnegate: 0\noccupied_thresh: 0.6\nfree_thresh: 0.2\norigin: [0, 0, 0]\n", "resolution"),
         ("image: image.png\nnegate: 0\noccupied_thresh: 0.6\nfree_thresh: 0.2\norigin: [0]\nresolution: 0.1\n", "origin"),
-        ("image: image.png\nnegate: 0\noccupied_thresh: x\nfree_thresh: 0.2\norigin: [0, 0]\nresolution: 1\n", "float"),
-        ("image: image.png\nnegate: 0\noccupied_thresh: 0.6\nfree_thresh: 0.2\norigin: [0, 0]\nresolution: 0\n", "metres"),
+        ("image: image.png\nnegate: 0\noccupied_thresh: x\nfree_thresh: 0.2\norigin: [0, 0, 0]\nresolution: 1\n", "occupied_thresh"),
+        ("image: image.png\nnegate: 0\noccupied_thresh: 0.6\nfree_thresh: 0.2\norigin: [0, 0, 0]\nresolution: 0\n", "resolution"),
     ],
 )
 def test_a_reference_that_is_no_map_is_one_line(content, named, folder, tmp_path, monkeypatch, capsys):

@@ -18,9 +18,9 @@ from algorithms.building import Doors, Walls
 from algorithms.grid_map import Cell, GridMap
 from algorithms.semantic_map import FusedCloud
 from algorithms.trajectory import Trajectory
+from app.map_files import read_map
 from app.results import (
     LabelledBagWriter,
-    read_grid,
     write_doors,
     write_grid,
     write_json,
@@ -239,7 +239,7 @@ class TestGrid:
 
     def test_the_thresholds_tell_the_three_apart_as_map_server_does(self, tmp_path: Path):
         write_grid(tmp_path / "map.yaml", self.GRID)
-        back = read_grid(tmp_path / "map.yaml")
+        back = read_map(tmp_path / "map.yaml")
         np.testing.assert_array_equal(back.cells, self.GRID.cells)
         np.testing.assert_allclose(back.origin, self.GRID.origin)
 
