@@ -5,7 +5,6 @@ from enum import IntEnum
 
 import numpy as np
 from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt, label
-from scipy.signal import fftconvolve
 from scipy.spatial import cKDTree
 
 from algorithms.evaluation import WALL_TOLERANCE_M, WallMapFigures
@@ -101,6 +100,9 @@ def wall_cells(grid: GridMap) -> FloatArray:
 
 def _coarse(source: FloatArray, target: FloatArray) -> list[FloatArray]:
     """The best motions (3, 3) of the correlation, one for each turn, best first."""
+    # A second to import, which every process would wait for.
+    from scipy.signal import fftconvolve
+
     centre = source.mean(axis=0)
     reach = float(np.linalg.norm(source - centre, axis=1).max())
     size = max(float(np.ptp(target, axis=0).max()), 2 * reach)

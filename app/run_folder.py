@@ -8,7 +8,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from blueprints.entities import FURNITURE_FREE
 from loaders.errors import InputError
 
 RUN_JSON = "run.json"
@@ -29,6 +28,9 @@ SPOOL = "spool"
 
 def map_file(name: str) -> str:
     """The file of a grid map: map.yaml for the furniture-free one, map_NAME.yaml for the others."""
+    # Not above: it brings the algorithms with it, and a list of runs needs none of them.
+    from blueprints.entities import FURNITURE_FREE
+
     return "map.yaml" if name == FURNITURE_FREE else f"map_{name}.yaml"
 
 

@@ -71,7 +71,7 @@ def test_another_building_is_told(folder, monkeypatch, capsys):
         ("image: text.pgm\nresolution: 0.1\n", "text.pgm"),
         ("image: image.png\nnegate: 0\noccupied_thresh: 0.6\nfree_thresh: 0.2\norigin: [0, 0, 0]\n", "resolution"),
         ("image: image.png\nnegate: 0\noccupied_thresh: 0.6\nfree_thresh: 0.2\norigin: [0]\nresolution: 0.1\n", "origin"),
-        ("image: image.png\nnegate: 0\noccupied_thresh: x\nfree_thresh: 0.2\norigin: [0, 0, 0]\nresolution: 1\n", "occupied_thresh"),
+        ("image: image.png\noccupied_thresh: x\nfree_thresh: 0.2\norigin: [0, 0, 0]\nresolution: 1\n", "occupied_thresh"),
         ("image: image.png\nnegate: 0\noccupied_thresh: 0.6\nfree_thresh: 0.2\norigin: [0, 0, 0]\nresolution: 0\n", "resolution"),
     ],
 )
