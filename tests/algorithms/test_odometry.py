@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from algorithms import transforms
 from algorithms.odometry import OdometrySettings, Registration, register_scans, weakness
-from algorithms.refinement import RefinementSettings
+from algorithms.refinement import RefinementSettings, Refiner
 from algorithms.scan import FloatArray, Scan
 
 PERIOD_NS = 100_000_000
@@ -166,3 +166,23 @@ def test_a_scan_of_another_place_raises_the_alarm(scans: list[tuple[int, Scan, S
     why = weakness(found[-1], RefinementSettings())
     assert why is not None
     assert "of the scan fits the map" in why
+
+
+def test_an_odometry_that_jitters_bends_no_sweep(scans: list[tuple[int, Scan, Scan | None]]) -> None:
+    """Where few returns hold it, an odometry's pose errs anew with each scan; what it says of a sweep's motion is noise."""
+    generator = np.random.default_rng(4)
+    refiner = Refiner(RefinementSettings(), (0.5, 60.0), transforms.invert(T_BASE_HORIZONTAL) @ T_BASE_VERTICAL)
+    off = []
+    for number, (_, scan, companion) in enumerate(scans):
+        T_end = true_pose(scan.end_ns * 1e-9) @ T_BASE_HORIZONTAL
+        if number:
+            turn = Rotation.from_rotvec(generator.normal(0, np.radians(0.6), 3))
+            T_end = T_end @ transforms.make_transform(turn, generator.normal(0, 0.03, 3))
+        found = refiner.refine(scan, T_end, companion)
+        off.append(transforms.invert(true_pose(found.stamp_ns * 1e-9) @ T_BASE_HORIZONTAL) @ found.T_odom_sensor)
+    # From scan to scan, for what drifts is another matter.
+    step = transforms.invert(np.array(off[:-1])) @ np.array(off[1:])
+    step_m = np.linalg.norm(step[:, :3, 3], axis=1)
+    step_deg = np.degrees(Rotation.from_matrix(step[:, :3, :3]).magnitude())
+    assert np.sqrt(np.mean(step_m**2)) < 0.003
+    assert np.sqrt(np.mean(step_deg**2)) < 0.1
