@@ -36,6 +36,7 @@ from app.progress import Progress
 from app.recorded import readable, rows
 from app.recording import join, open_part
 from app.results import write_json
+from app.run_folder import make_writable
 from app.run_labels import LabelSource
 from blueprints import compare as compare_blueprint
 from blueprints import entities
@@ -105,10 +106,7 @@ def _targets(runs: Sequence[FinishedRun], out: Path | None) -> tuple[Path, Path]
         if recording.resolve().parent == run.path.resolve() and recording.name != RECORDING:
             raise InputError(f"{recording}: lies among the files of a run; give another place to --out")
     try:
-        recording.parent.mkdir(parents=True, exist_ok=True)
-        probe = recording.with_name(recording.name + ".part")
-        probe.touch()
-        probe.unlink()
+        make_writable(recording.parent)
     except OSError as error:
         raise InputError(f"{recording}: cannot be written ({error.strerror}); give another place to --out") from error
     return recording, recording.parent / REPORT

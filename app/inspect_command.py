@@ -22,7 +22,7 @@ from app.poses import given_trajectory, poses_of
 from app.reasons import LineReason, explain_lines, name_of, scan_document
 from app.recorded import readable, rows
 from app.recording import start_viewer
-from app.run_folder import EVALUATION
+from app.run_folder import EVALUATION, make_writable
 from app.run_labels import CloudLabels, LabelSource
 from blueprints import entities
 from loaders.bag import open_bag
@@ -224,10 +224,7 @@ def _target(run: FinishedRun, out: Path | None, number: int) -> Path:
     if path.resolve() in {(run.path / name).resolve() for name in ("recording.rrd", EVALUATION)}:
         raise InputError(f"{path}: is the run's own recording; give another file to --out")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        probe = path.with_name(path.name + ".part")
-        probe.touch()
-        probe.unlink()
+        make_writable(path.parent)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); give another file to --out") from error
     return path

@@ -101,5 +101,16 @@ def read_labels(path: Path, first: int = 0, count: int | None = None) -> dict[in
     }
 
 
+def stream_labels(path: Path) -> Iterator[ScanLabels]:
+    """All that `LabelsWriter` wrote, in its order, some at a time.
+
+    Raises OSError, KeyError or an error of pyarrow's where the file cannot be read.
+    """
+    for batch in pq.ParquetFile(path).iter_batches(_SCANS_AT_ONCE):
+        columns = [batch.column(name) for name in _SCHEMA.names]
+        for row, scan in enumerate(columns[0].to_numpy()):
+            yield int(scan), _values(columns[1], row), _values(columns[2], row)
+
+
 def _values(lists: pa.ListArray, row: int) -> UInt8Array:
     return np.asarray(lists[row].values.to_numpy(), np.uint8)

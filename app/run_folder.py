@@ -87,13 +87,18 @@ def create(path: Path) -> RunFolder:
             raise InputError(f"{path}: is a file; give a folder to --out")
         if path.is_dir() and any(path.iterdir()) and not (path / RUN_JSON).exists():
             raise InputError(f"{path}: holds files that are no run; give an empty or a new folder to --out")
-        path.mkdir(parents=True, exist_ok=True)
-        probe = path / ".writable"
-        probe.touch()
-        probe.unlink()
+        make_writable(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); give another folder to --out") from error
     return folder
+
+
+def make_writable(path: Path) -> None:
+    """Make a folder where there is none, and try to write in it; raises OSError where that fails."""
+    path.mkdir(parents=True, exist_ok=True)
+    probe = path / f".writable-{os.getpid()}"
+    probe.touch()
+    probe.unlink()
 
 
 def clear(folder: RunFolder) -> None:

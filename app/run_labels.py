@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
-import pyarrow.parquet as pq  # type: ignore[import-untyped]
 
 from algorithms import transforms
 from algorithms.labels import NO_RETURN
@@ -21,6 +20,7 @@ from algorithms.scan import FloatArray, Scan, UInt8Array
 from algorithms.trajectory import Trajectory, place_scan
 from app.finished_run import FinishedRun
 from app.inputs import Sensor, find_inputs
+from app.labels_file import stream_labels
 from app.recorded import ReadableRecording, Row, rows
 from app.run_folder import LABELS
 from blueprints import entities
@@ -30,8 +30,6 @@ from loaders.pointcloud2 import describe_layout, field_column
 from loaders.rig import find_rig
 from loaders.scans import cloud_topics, index_clouds, read_clouds
 from loaders.trajectory_file import read_tum
-
-_CLOUDS_AT_ONCE = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,17 +137,12 @@ def _read_alone(path: Path, run: FinishedRun, with_points: bool) -> Iterator[Clo
     trajectory = read_tum(run.trajectory)
     points = _bag_points(run, trajectory) if with_points else iter(())
     following = next(points, None)
-    row = 0
     try:
-        for batch in pq.ParquetFile(path).iter_batches(_CLOUDS_AT_ONCE):
-            for values in zip(*(batch.column(name) for name in ("scan", "label", "label_scan")), strict=True):
-                scan = int(values[0].as_py())
-                label, label_scan = (np.asarray(value.values.to_numpy(), np.uint8) for value in values[1:])
-                while following is not None and following[0] < scan:
-                    following = next(points, None)
-                own = following[1] if following is not None and following[0] == scan else None
-                yield CloudLabels(scan, int(trajectory.stamp_ns[row]), label_scan, label, own, every_place=True)
-                row += 1
+        for row, (scan, label, label_scan) in enumerate(stream_labels(path)):
+            while following is not None and following[0] < scan:
+                following = next(points, None)
+            own = following[1] if following is not None and following[0] == scan else None
+            yield CloudLabels(scan, int(trajectory.stamp_ns[row]), label_scan, label, own, every_place=True)
     except (OSError, KeyError, IndexError, pa.ArrowException) as error:
         raise InputError(f"{path}: cannot be read, or is not of this run ({error}); run ffmap again") from error
 

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -17,7 +16,7 @@ from app.inputs import InputOptions, Inputs, find_inputs
 from app.odometry_stage import cache_folder, cache_key
 from app.outputs import Output
 from app.progress import Progress, table_console
-from app.run_folder import RunFolder
+from app.run_folder import RunFolder, make_writable
 from app.settings import Settings, load_settings
 from app.sweep_files import RECORDING, STUDY, SWEEP_JSON, TABLE
 from app.sweep_plan import Combination, Parameter, Search, Study
@@ -280,10 +279,7 @@ def _create(out: Path) -> None:
     try:
         if out.is_dir() and any(out.iterdir()) and not (out / SWEEP_JSON).exists():
             raise InputError(f"{out}: holds files that are no sweep; give an empty or a new folder to --out")
-        out.mkdir(parents=True, exist_ok=True)
-        probe = out / f".writable-{os.getpid()}"
-        probe.touch()
-        probe.unlink()
+        make_writable(out)
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror}); give another folder to --out") from error
 
