@@ -25,6 +25,8 @@ RANGE_M = 12.0
 
 _FILLED, _SUM, _SQUARES, _THROUGH = range(4)
 
+_OWN_MARGIN_M = 0.2
+"""A scan's own plane of a wall holds so many metres beyond what the scan saw of it."""
 _FOOT_M = 0.15
 """Below it lie sills, and the floor's own returns."""
 _KNEE_M = 0.5
@@ -37,11 +39,15 @@ _LEAF_COLUMNS = 30
 """A leaf that is ajar, or the closed one of two, covers at most so many columns beside the open ones."""
 _REVEAL_COLUMNS = 3
 """A reveal that is seen at a slant hides so many columns of an opening at most."""
-_JAMB_BIN_M = 0.01
-_JAMB_REACH_M = 0.2
-_JAMB_BINS = 41
-_JAMB_RAYS = 30
-"""Fewest rays on the face, and behind it, that move a jamb."""
+_FRAME_BIN_M = 0.01
+_FRAME_REACH_M = 0.2
+_FRAME_BINS = 41
+_HEAD_MIN_M = 1.7
+_HEAD_BINS = 100
+_ON_FACE_M = 0.03
+"""A return farther behind the face is within the opening: on a reveal, on the lintel's underside, or beyond."""
+_FRAME_RAYS = 30
+"""Fewest rays on the face, and behind it, that move a jamb or a head."""
 _REVEAL_BIN_M = 0.02
 _REVEAL_MAX_M = 0.7
 _UNDERSIDE_PARTS = 8
@@ -397,74 +403,119 @@ def prove_crossed(doors: Doors, path_map: FloatArray) -> Doors:
     )
 
 
-def place_jambs(doors: Doors, blocks: Iterable[Features]) -> Doors:
-    """The doors with their jambs where the rays tell them to a centimetre, and with the scans that saw these.
+def place_frames(doors: Doors, walls: Walls, blocks: Iterable[Features], settings: BuildingSettings) -> Doors:
+    """The doors with jambs and head where the rays tell them to a centimetre, and with the scans that saw these.
 
-    Beyond a jamb rays end on the wall's face, within they pass it or end on the leaf behind. Each jamb goes where fewest
-    rays contradict it; one without rays on both sides stays.
+    Beyond a jamb or the head rays end on the wall's face, within they pass it or end on the leaf behind. Each edge goes
+    where fewest rays contradict it; one without rays on both sides stays.
+
+    walls: those that `doors.wall` counts.
     """
-    counts = np.zeros((len(doors), 2, _JAMB_BINS, 2), np.int64)
+    jambs = np.zeros((len(doors), 2, _FRAME_BINS, 2), np.int64)
+    heads = np.zeros((len(doors), _HEAD_BINS, 2), np.int64)
     scans = np.zeros((len(doors), 3), np.int64)
     scans[:, 1:] = -1
-    on_face_m = np.where(np.isfinite(doors.depth_m), 0.5 * doors.depth_m, 0.06)
+    on_face_m = np.where(np.isfinite(doors.depth_m), np.minimum(0.5 * doors.depth_m, _ON_FACE_M), _ON_FACE_M)
     for block in blocks:
-        _count_at_jambs(
+        _count_at_frames(
             np.ascontiguousarray(doors.ends, np.float64),
-            np.ascontiguousarray(doors.normal, np.float64),
             np.ascontiguousarray(doors.head_m, np.float64),
             np.ascontiguousarray(on_face_m, np.float64),
-            counts,
+            np.ascontiguousarray(walls.ends[doors.wall], np.float64),
+            np.ascontiguousarray(walls.normal[doors.wall], np.float64),
+            jambs,
+            heads,
             scans,
             np.ascontiguousarray(block.scan, np.int64),
             np.ascontiguousarray(block.origin_map, np.float64),
             np.ascontiguousarray(block.floor_map, np.float64),
             block.ray_starts,
             block.ray_end_map,
+            block.plane_starts,
+            np.ascontiguousarray(block.plane_ends_map, np.float64),
+            np.ascontiguousarray(block.plane_normal, np.float64),
+            2.0 * settings.distance_m,
+            float(np.cos(np.radians(settings.angle_deg))),
         )
-    ends = doors.ends.copy()
+    ends, head_m = doors.ends.copy(), doors.head_m.copy()
     for d in range(len(doors)):
         along = (doors.ends[d, 1] - doors.ends[d, 0]) / np.linalg.norm(doors.ends[d, 1] - doors.ends[d, 0])
         for side, outwards in ((0, -1.0), (1, 1.0)):
-            on_face, behind = counts[d, side].T
-            if on_face.sum() < _JAMB_RAYS or behind.sum() < _JAMB_RAYS:
-                continue
-            # Bins run from within the opening outwards: rays on the face before the jamb and behind it after contradict.
-            wrong = np.concatenate([[0], np.cumsum(on_face)]) + behind.sum() - np.concatenate([[0], np.cumsum(behind)])
-            best = np.flatnonzero(wrong == wrong.min()).mean()
-            ends[d, side] = doors.ends[d, side] + outwards * along * (best * _JAMB_BIN_M - _JAMB_REACH_M)
+            edge_m = _edge_m(jambs[d, side])
+            if edge_m is not None:
+                ends[d, side] += outwards * along * (edge_m - _FRAME_REACH_M)
+        edge_m = _edge_m(heads[d])
+        head_m[d] = doors.head_m[d] if edge_m is None else _HEAD_MIN_M + edge_m
     count, first, last = scans.T
-    return replace(doors, ends=ends, scan_count=count.astype(np.int32), first_scan=first, last_scan=last)
+    return replace(doors, ends=ends, head_m=head_m, scan_count=count.astype(np.int32), first_scan=first, last_scan=last)
+
+
+def _edge_m(counts: IntArray) -> float | None:
+    """How far from the first bin an opening's edge lies, where fewest rays contradict it; None where too few tell.
+
+    counts: (bins, 2) rays on the face and behind it, from within the opening outwards, 1 cm each.
+    """
+    on_face, behind = counts.T
+    if on_face.sum() < _FRAME_RAYS or behind.sum() < _FRAME_RAYS:
+        return None
+    # Rays on the face before the edge, and behind it after, contradict.
+    wrong = np.concatenate([[0], np.cumsum(on_face)]) + behind.sum() - np.concatenate([[0], np.cumsum(behind)])
+    return float(np.flatnonzero(wrong == wrong.min())[-1]) * _FRAME_BIN_M
 
 
 @numba.njit(cache=True, nogil=True)
-def _count_at_jambs(
+def _count_at_frames(
     ends: FloatArray,
-    normal: FloatArray,
     head_m: FloatArray,
     on_face_m: FloatArray,
-    counts: IntArray,
+    wall_ends: FloatArray,
+    wall_normal: FloatArray,
+    jambs: IntArray,
+    heads: IntArray,
     scans: IntArray,
     scan: IntArray,
     origin: FloatArray,
     floor: FloatArray,
     starts: IntArray,
     ray_end: FloatArray,
+    plane_starts: IntArray,
+    plane_ends: FloatArray,
+    plane_normal: FloatArray,
+    distance_m: float,
+    cos_angle: float,
 ) -> None:  # pragma: no cover
     for d in range(len(ends)):
-        nx, ny = normal[d, 0], normal[d, 1]
         dx, dy = ends[d, 1, 0] - ends[d, 0, 0], ends[d, 1, 1] - ends[d, 0, 1]
         length = np.sqrt(dx * dx + dy * dy)
         dx, dy = dx / length, dy / length
         for s in range(len(origin)):
             ox, oy = origin[s, 0] - ends[d, 0, 0], origin[s, 1] - ends[d, 0, 1]
-            reach = nx * ox + ny * oy
+            reach = wall_normal[d, 0] * ox + wall_normal[d, 1] * oy
             # Seen at a slant, a leaf's recess shifts where rays pass the face.
             if reach < 0.3 or reach > 6.0 or abs(ox * dx + oy * dy - 0.5 * length) > 2.0 * reach + 0.5 * length:
+                continue
+            nx, ny, offset, start, stop = _own_plane(
+                wall_ends[d],
+                wall_normal[d],
+                plane_ends,
+                plane_normal,
+                plane_starts[s],
+                plane_starts[s + 1],
+                distance_m,
+                cos_angle,
+            )
+            sill = abs((ends[d, 0, 0] - wall_ends[d, 0, 0]) * dx + (ends[d, 0, 1] - wall_ends[d, 0, 1]) * dy) + 0.5 * length
+            if not start < sill < stop:
+                nx, ny = wall_normal[d, 0], wall_normal[d, 1]
+                offset = nx * wall_ends[d, 0, 0] + ny * wall_ends[d, 0, 1]
+            offset -= nx * ends[d, 0, 0] + ny * ends[d, 0, 1]
+            reach = nx * ox + ny * oy - offset
+            if reach < 0.3:
                 continue
             saw = False
             for r in range(starts[s], starts[s + 1]):
                 x, y = ray_end[r, 0] - ends[d, 0, 0], ray_end[r, 1] - ends[d, 0, 1]
-                side = nx * x + ny * y
+                side = nx * x + ny * y - offset
                 if side > 0.06:
                     continue
                 z = np.float64(ray_end[r, 2])
@@ -473,16 +524,20 @@ def _count_at_jambs(
                     t = reach / (reach - side)
                     x, y, z = ox + t * (x - ox), oy + t * (y - oy), origin[s, 2] + t * (z - origin[s, 2])
                 u = x * dx + y * dy
-                if u < -_JAMB_REACH_M or u > length + _JAMB_REACH_M:
+                if u < -_FRAME_REACH_M or u > length + _FRAME_REACH_M:
                     continue
                 height = z - (floor[s, 0] + floor[s, 1] * ray_end[r, 0] + floor[s, 2] * ray_end[r, 1])
+                kind = 0 if on_face else 1
+                row = int((height - _HEAD_MIN_M) / _FRAME_BIN_M)
+                if 0.15 < u < length - 0.15 and height > _HEAD_MIN_M and row < _HEAD_BINS:
+                    heads[d, row, kind] += 1
                 if height < 0.2 or height > head_m[d] - 0.15:
                     continue
                 saw = True
-                if u < _JAMB_REACH_M:
-                    counts[d, 0, int((_JAMB_REACH_M - u) / _JAMB_BIN_M), 0 if on_face else 1] += 1
-                if u > length - _JAMB_REACH_M:
-                    counts[d, 1, int((u - length + _JAMB_REACH_M) / _JAMB_BIN_M), 0 if on_face else 1] += 1
+                if u < _FRAME_REACH_M:
+                    jambs[d, 0, int((_FRAME_REACH_M - u) / _FRAME_BIN_M), kind] += 1
+                if u > length - _FRAME_REACH_M:
+                    jambs[d, 1, int((u - length + _FRAME_REACH_M) / _FRAME_BIN_M), kind] += 1
             if saw:
                 scans[d, 0] += 1
                 scans[d, 1] = scan[s] if scans[d, 1] < 0 else scans[d, 1]
@@ -743,9 +798,7 @@ def _look_for_doors(counts: FloatArray, top_m: float, settings: BuildingSettings
     return _DoorColumns(is_open, is_closed, through, below, lintel_m, depth_m)
 
 
-def _doors_in(
-    w: int, walls: Walls, cells: WallCells, settings: BuildingSettings
-) -> Iterable[_Door]:
+def _doors_in(w: int, walls: Walls, cells: WallCells, settings: BuildingSettings) -> Iterable[_Door]:
     counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
     if len(counts) < 3:
         return
@@ -870,6 +923,42 @@ def _join(
 
 
 @numba.njit(cache=True, nogil=True)
+def _own_plane(
+    ends: FloatArray,
+    normal: FloatArray,
+    plane_ends: FloatArray,
+    plane_normal: FloatArray,
+    first: int,
+    after: int,
+    distance_m: float,
+    cos_angle: float,
+) -> tuple[float, float, float, float, float]:  # pragma: no cover
+    """Normal x, y and offset of a scan's own plane of a wall face, the one that shares most with it, and the stretch of the
+    face over which it was seen; the face's own normal and offset, and no stretch, where there is none."""
+    along = ends[1] - ends[0]
+    length = np.sqrt(along[0] ** 2 + along[1] ** 2)
+    dx, dy = along[0] / length, along[1] / length
+    nx, ny, offset = normal[0], normal[1], normal[0] * ends[0, 0] + normal[1] * ends[0, 1]
+    longest, start, stop = 0.0, np.inf, -np.inf
+    for p in range(first, after):
+        px, py = plane_normal[p, 0], plane_normal[p, 1]
+        if px * normal[0] + py * normal[1] < cos_angle:
+            continue
+        low, high = np.inf, -np.inf
+        far = 0.0
+        for e in range(2):
+            ex, ey = plane_ends[p, e, 0] - ends[0, 0], plane_ends[p, e, 1] - ends[0, 1]
+            far = max(far, abs(normal[0] * ex + normal[1] * ey))
+            low, high = min(low, ex * dx + ey * dy), max(high, ex * dx + ey * dy)
+        shared = min(high, length) - max(low, 0.0)
+        if far < distance_m and shared > longest:
+            longest, start, stop = shared, low, high
+            nx, ny = px, py
+            offset = px * plane_ends[p, 0, 0] + py * plane_ends[p, 0, 1]
+    return nx, ny, offset, start, stop
+
+
+@numba.njit(cache=True, nogil=True)
 def _trace(
     ends: FloatArray,
     normal: FloatArray,
@@ -901,29 +990,19 @@ def _trace(
             if np.hypot(ends[w, 0, 0] + dx * nearest - ox, ends[w, 0, 1] + dy * nearest - oy) > RANGE_M:
                 continue
             columns = first[w + 1] - first[w]
-            # The scan's own plane of this wall: the one that shares the longest stretch with it.
-            offset = nx * ends[w, 0, 0] + ny * ends[w, 0, 1]
-            longest = 0.0
-            for p in range(plane_starts[s], plane_starts[s + 1]):
-                px, py = plane_normal[p, 0], plane_normal[p, 1]
-                if px * normal[w, 0] + py * normal[w, 1] < cos_angle:
-                    continue
-                low, high = np.inf, -np.inf
-                far = 0.0
-                for e in range(2):
-                    ex, ey = plane_ends[p, e, 0] - ends[w, 0, 0], plane_ends[p, e, 1] - ends[w, 0, 1]
-                    far = max(far, abs(normal[w, 0] * ex + normal[w, 1] * ey))
-                    low, high = min(low, ex * dx + ey * dy), max(high, ex * dx + ey * dy)
-                shared = min(high, length) - max(low, 0.0)
-                if far < distance_m and shared > longest:
-                    longest = shared
-                    nx, ny = px, py
-                    offset = px * plane_ends[p, 0, 0] + py * plane_ends[p, 0, 1]
-            reach = nx * ox + ny * oy - offset
-            if reach < 0.1:
-                continue
+            own_x, own_y, own_offset, start, stop = _own_plane(
+                ends[w], normal[w], plane_ends, plane_normal, plane_starts[s], plane_starts[s + 1], distance_m, cos_angle
+            )
             for r in range(starts[s], starts[s + 1]):
                 x, y, z = np.float64(ray_end[r, 0]), np.float64(ray_end[r, 1]), np.float64(ray_end[r, 2])
+                nx, ny = normal[w, 0], normal[w, 1]
+                offset = nx * ends[w, 0, 0] + ny * ends[w, 0, 1]
+                along = (x - ends[w, 0, 0]) * dx + (y - ends[w, 0, 1]) * dy
+                if start - _OWN_MARGIN_M < along < stop + _OWN_MARGIN_M:
+                    nx, ny, offset = own_x, own_y, own_offset
+                reach = nx * ox + ny * oy - offset
+                if reach < 0.1:
+                    continue
                 side = nx * x + ny * y - offset
                 if side > 0.1:
                     continue

@@ -4,11 +4,17 @@ import numba
 import numpy as np
 from pydantic import Field
 
-from algorithms.building import Doors, Walls, Windows
+from algorithms.before_walls import BeforeWalls
+from algorithms.building import CELL_M, Doors, Walls, Windows
 from algorithms.doors import DoorState
-from algorithms.scan import FloatArray, UInt8Array
+from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from algorithms.semantic_map import Halo
 from algorithms.settings import StepSettings
+
+_GRAZING = 0.2
+"""Sine of the angle between a ray and a face below which where they cross says nothing."""
+
+_ANOTHER_CEILING_M = 0.12
 
 
 class RelabellingSettings(StepSettings):
@@ -29,10 +35,13 @@ class RelabellingSettings(StepSettings):
     at_reveal_m: float = Field(
         0.07, ge=0, description="A reveal or the underside of a lintel is known to so many metres."
     )
+    opening_m: float = Field(
+        0.03, ge=0, description="So many metres within the frame of an open door no wall stands."
+    )
     refused_m: float = Field(
         0.06, ge=0, description="What a scan calls wall at most so many metres off a refused face is clutter."
     )
-    pane_m: float = Field(0.05, gt=0, description="More than so many metres behind a pane a return is outside.")
+    pane_m: float = Field(0.02, gt=0, description="More than so many metres behind a pane a return is outside.")
     behind_glass_m: float = Field(
         0.25,
         gt=0,
@@ -42,15 +51,18 @@ class RelabellingSettings(StepSettings):
         0.2, gt=0, description="A wall return farther than so many metres from every fused face becomes clutter."
     )
     edge_m: float = Field(
-        0.0,
-        ge=-0.1,
-        le=0.1,
-        description="Along an edge a return goes to the wall that is so much nearer than floor or ceiling.",
+        0.06,
+        ge=0,
+        le=0.2,
+        description="So near both to a wall and to floor or ceiling a return is of the one that its ray meets first.",
     )
     halo_ratio: float = Field(
         6.0,
         ge=1,
         description="Clutter with fewer than one in so many votes of the floor, ceiling or wall beside it is its scatter.",
+    )
+    halo_wall_m: float = Field(
+        0.12, gt=0, description="So near one of the building's faces clutter may be a wall's scatter."
     )
 
 
@@ -61,6 +73,7 @@ def relabel(
     label_scan: UInt8Array,
     origin_map: FloatArray,
     walls: Walls,
+    before: BeforeWalls,
     refused: Walls,
     doors: Doors,
     windows: Windows,
@@ -74,8 +87,8 @@ def relabel(
     scatter of a surface is that surface's.
 
     points_map: (n, 3); height_m: (n,) above the floor; below_ceiling_m: (n,) below the scan's ceiling, infinite without
-    one; label_scan: (n,) of the scan alone; origin_map: (3,) the sensor. refused: faces that are no walls, whose returns
-    are clutter.
+    one; label_scan: (n,) of the scan alone; origin_map: (3,) the sensor. before: what is before `walls`. refused: faces that
+    are no walls, whose returns are clutter.
     """
     closed = doors.state == DoorState.CLOSED
     depth_m = np.where(closed, doors.depth_m, -np.inf)
@@ -87,6 +100,9 @@ def relabel(
             label_scan,
             _frames(walls.ends, walls.normal),
             walls.top_m,
+            before.first,
+            before.clear_m,
+            before.covered,
             _frames(refused.ends, refused.normal),
             refused.top_m,
             _frames(doors.ends, doors.normal),
@@ -100,6 +116,7 @@ def relabel(
             settings.leaf_distance_m,
             settings.margin_m,
             settings.at_reveal_m,
+            settings.opening_m,
             settings.refused_m,
             settings.forget_m,
             settings.edge_m,
@@ -120,6 +137,83 @@ def _frames(ends: FloatArray, normal: FloatArray) -> FloatArray:
 
 
 @numba.njit(cache=True, nogil=True)
+def _crossing(
+    plane: FloatArray, behind_m: float, x: float, y: float, origin: FloatArray
+) -> tuple[float, float]:  # pragma: no cover
+    """Where a ray crosses a face, or the plane so far behind it: the share of the ray's length, the place along the face.
+
+    NaN where the ray does not come from before the face, or runs along it, so that the crossing says nothing.
+    """
+    before = plane[3] * origin[0] + plane[4] * origin[1] - plane[5] + behind_m
+    approach = before - (plane[3] * x + plane[4] * y - plane[5] + behind_m)
+    if before <= 0.0 or approach < _GRAZING * np.hypot(x - origin[0], y - origin[1]):
+        return np.nan, np.nan
+    share = before / approach
+    cx, cy = origin[0] + share * (x - origin[0]), origin[1] + share * (y - origin[1])
+    return share, plane[0] * cx + plane[1] * cy - plane[2]
+
+
+@numba.njit(cache=True, nogil=True)
+def _at_edge(
+    label: int,
+    x: float,
+    y: float,
+    z: float,
+    height: float,
+    below_ceiling: float,
+    origin: FloatArray,
+    walls: FloatArray,
+    wall_columns: IntArray,
+    ceiling_before: FloatArray,
+    doors: FloatArray,
+    door_head: FloatArray,
+    door_depth: FloatArray,
+    edge_m: float,
+) -> int:  # pragma: no cover
+    """The label of a floor, ceiling or wall return by what its ray meets first, where two of them are near.
+
+    Range is the noisy coordinate of a return, its direction is not: where the ray crosses a wall's face above the floor and
+    below the ceiling it ended on the wall, and on floor or ceiling where it would reach the face beyond them.
+    """
+    near_floor, near_a_ceiling = abs(height) < edge_m, abs(below_ceiling) < edge_m
+    if not (near_floor or near_a_ceiling):
+        return label
+    for d in range(len(doors)):
+        # A closed leaf stands on the floor, behind its wall's face.
+        if near_floor and door_depth[d] >= 0.0:
+            s = doors[d, 3] * x + doors[d, 4] * y - doors[d, 5] + door_depth[d]
+            if abs(s) < edge_m:
+                share, u = _crossing(doors[d], door_depth[d], x, y, origin)
+                if 0.0 < u < doors[d, 6]:
+                    return 4 if height + (share - 1.0) * (z - origin[2]) > 0.0 else 1
+    missed = False
+    for w in range(len(walls)):
+        if abs(walls[w, 3] * x + walls[w, 4] * y - walls[w, 5]) > edge_m:
+            continue
+        share, u = _crossing(walls[w], 0.0, x, y, origin)
+        if not 0.0 <= u <= walls[w, 6]:
+            continue
+        rise = (share - 1.0) * (z - origin[2])
+        in_doorway = False
+        for d in range(len(doors)):
+            cx, cy = origin[0] + share * (x - origin[0]), origin[1] + share * (y - origin[1])
+            v = doors[d, 0] * cx + doors[d, 1] * cy - doors[d, 2]
+            aside = abs(doors[d, 3] * cx + doors[d, 4] * cy - doors[d, 5])
+            in_doorway = in_doorway or (0.0 < v < doors[d, 6] and aside < 0.5 and height + rise < door_head[d])
+        if in_doorway:
+            continue
+        # A ceiling that hangs lower than the one before this wall is another room's.
+        clear_m = ceiling_before[wall_columns[w] + min(int(u / CELL_M), wall_columns[w + 1] - wall_columns[w] - 1)]
+        near_ceiling = near_a_ceiling and not height < clear_m - _ANOTHER_CEILING_M
+        if (not near_floor or height + rise > 0.0) and (not near_ceiling or below_ceiling - rise > 0.0):
+            return 3
+        missed = True
+    if label == 3 and missed:
+        return 1 if near_floor else 2
+    return label
+
+
+@numba.njit(cache=True, nogil=True)
 def _relabel(
     points: FloatArray,
     height: FloatArray,
@@ -127,6 +221,9 @@ def _relabel(
     label_scan: UInt8Array,
     walls: FloatArray,
     wall_top: FloatArray,
+    wall_columns: IntArray,
+    ceiling_before: FloatArray,
+    covered: BoolArray,
     refused: FloatArray,
     refused_top: FloatArray,
     doors: FloatArray,
@@ -140,6 +237,7 @@ def _relabel(
     leaf_distance_m: float,
     margin_m: float,
     at_reveal_m: float,
+    opening_m: float,
     refused_m: float,
     forget_m: float,
     edge_m: float,
@@ -170,20 +268,28 @@ def _relabel(
         if is_outside:
             label[i] = 5
             continue
-        if label[i] == 1 or label[i] == 2:
-            # Along an edge the nearer of wall and floor or ceiling decides.
-            inside = height[i] if label[i] == 1 else below_ceiling[i]
-            if inside > edge_m:
-                for w in range(len(walls)):
-                    distance = abs(walls[w, 3] * x + walls[w, 4] * y - walls[w, 5])
-                    if distance < wall_distance_m and distance + edge_m < inside:
-                        u = walls[w, 0] * x + walls[w, 1] * y - walls[w, 2]
-                        if -margin_m < u < walls[w, 6] + margin_m:
-                            label[i] = 3
-                            break
-            continue
+        if 1 <= label[i] <= 3:
+            label[i] = _at_edge(
+                label[i],
+                x,
+                y,
+                points[i, 2],
+                height[i],
+                below_ceiling[i],
+                origin,
+                walls,
+                wall_columns,
+                ceiling_before,
+                doors,
+                door_head,
+                door_depth,
+                edge_m,
+            )
+            if label[i] != 3:
+                continue
         is_leaf = False
         in_doorway = False
+        in_opening = False
         for d in range(len(doors)):
             s = doors[d, 3] * x + doors[d, 4] * y - doors[d, 5]
             if abs(s) > 1.0:
@@ -193,8 +299,14 @@ def _relabel(
             if 0.0 < u < length and height[i] < door_head[d] and -door_depth[d] - leaf_distance_m < s < wall_distance_m:
                 is_leaf = True
                 break
+            in_opening = in_opening or (
+                door_depth[d] < 0.0
+                and opening_m < u < length - opening_m
+                and height[i] < door_head[d] - opening_m
+                and -door_reveal[d] - margin_m < s < margin_m
+            )
             in_doorway = in_doorway or (-margin_m < u < length + margin_m and height[i] < door_head[d])
-            if -door_reveal[d] - 0.03 < s < wall_distance_m and -wall_distance_m < u < length + wall_distance_m:
+            if -door_reveal[d] < s < wall_distance_m and -wall_distance_m < u < length + wall_distance_m:
                 at_jamb = u < at_reveal_m or u > length - at_reveal_m
                 # Nothing but the lintel's underside is within the wall about the head, which is known to a cell or two.
                 at_head = door_head[d] - at_reveal_m < height[i] < door_head[d] + 0.3
@@ -202,16 +314,28 @@ def _relabel(
         if is_leaf:
             label[i] = 4
             continue
+        if in_opening and not is_reveal:
+            # A face goes on over its doors, but no wall stands in an open one.
+            label[i] = 0
+            continue
         nearest = np.inf
         is_scatter = False
+        is_covered = False
         for w in range(len(walls)):
             s = walls[w, 3] * x + walls[w, 4] * y - walls[w, 5]
             behind = -s if walls[w, 3] * origin[0] + walls[w, 4] * origin[1] > walls[w, 5] else 0.0
             if abs(s) < nearest or 0.0 < behind < body_m:
                 u = walls[w, 0] * x + walls[w, 1] * y - walls[w, 2]
                 if -margin_m < u < walls[w, 6] + margin_m and height[i] < wall_top[w] + 0.1:
-                    nearest = min(nearest, abs(s))
+                    if abs(s) < nearest:
+                        nearest = abs(s)
+                        column = min(max(int(u / CELL_M), 0), wall_columns[w + 1] - wall_columns[w] - 1)
+                        row = min(max(int(height[i] / CELL_M), 0), covered.shape[1] - 1)
+                        is_covered = covered[wall_columns[w] + column, row]
                     is_scatter = is_scatter or 0.0 < behind < body_m
+        if is_covered and nearest < forget_m and not is_reveal:
+            label[i] = 0
+            continue
         if nearest > wall_distance_m and (label[i] == 3 or label[i] == 4) and not is_reveal:
             is_refused = False
             for f in range(len(refused)):

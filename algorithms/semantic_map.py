@@ -44,9 +44,7 @@ class VoxelVotes:
     @property
     def cube_index(self) -> IntArray:
         """(m, 3) int64: cube i spans i·voxel_m to (i + 1)·voxel_m on each axis."""
-        mask = (1 << AXIS_BITS) - 1
-        shifted = np.stack([self.keys >> 2 * AXIS_BITS, (self.keys >> AXIS_BITS) & mask, self.keys & mask], axis=1)
-        return shifted - AXIS_OFFSET
+        return _unpack(self.keys)
 
     @property
     def mean_position(self) -> FloatArray:
@@ -76,6 +74,11 @@ class Halo:
     keys: IntArray
     label: UInt8Array
     voxel_m: float
+
+    @property
+    def centres(self) -> FloatArray:
+        """(m, 3) metres, of the cubes."""
+        return np.asarray((_unpack(self.keys) + 0.5) * self.voxel_m)
 
     def label_of(self, points_map: FloatArray, label: UInt8Array) -> UInt8Array:
         """The labels (n,) of points (n, 3), clutter in a halo given its surface's."""
@@ -218,6 +221,12 @@ def pack_column(cells: IntArray) -> IntArray:
     """The keys (k,) of columns with indexes (k, 2)."""
     packed: IntArray = ((cells[:, 0] + AXIS_OFFSET) << AXIS_BITS) | (cells[:, 1] + AXIS_OFFSET)
     return packed
+
+
+def _unpack(keys: IntArray) -> IntArray:
+    """The indexes (m, 3) of cubes with keys (m,)."""
+    mask = (1 << AXIS_BITS) - 1
+    return np.asarray(np.stack([keys >> 2 * AXIS_BITS, (keys >> AXIS_BITS) & mask, keys & mask], axis=1) - AXIS_OFFSET)
 
 
 def _enlarged(rows: IntArray, capacity: int) -> IntArray:

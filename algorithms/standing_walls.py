@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from algorithms.building import CELL_M, NO_WALLS, WallCells, Walls, stretches
+from algorithms.building import CELL_M, NO_WALLS, Doors, WallCells, Walls, stretches
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, UInt8Array
 from algorithms.semantic_map import VoxelVotes, majority
@@ -28,6 +28,12 @@ _SMOOTH_COLUMNS = 1
 _REST_MIN_M = 0.5
 """What is left of a face beside a leaf or a cupboard is no wall if it is shorter: a reveal, the leaf's hinge."""
 _CUT_MIN_M = 0.3
+_ACROSS = 0.5
+"""Cosine of the angle between two faces below which one stands across the other."""
+_AT_JAMB_M = 0.15
+"""A reveal's face passes its jamb so closely."""
+_GOES_ON_SHARE = 0.8
+"""A reveal's face goes on as a wall where so many of the columns beyond stand."""
 _SCATTERED_RAYS = 2
 _DIRECTION_SHARE = 0.04
 """A direction that fewer of the walls' metres have is a leaf's."""
@@ -85,6 +91,11 @@ class JudgedFaces:
     walls: Walls
     refused: Walls
     verdict: UInt8Array
+
+    def refuse(self, more: Walls, verdict: FaceVerdict) -> "JudgedFaces":
+        """The same with more refused faces."""
+        verdicts = np.concatenate([self.verdict, np.full(len(more), verdict, np.uint8)])
+        return replace(self, refused=self.refused.append(more), verdict=verdicts)
 
 
 def clear_heights(places: FloatArray, votes: VoxelVotes, near_m: float) -> FloatArray:
@@ -275,6 +286,69 @@ def join_corners(walls: Walls, corner_m: float) -> Walls:
             elif length[w] < place < length[w] + best[1]:
                 best[1], ends[w, 1] = place - length[w], corner
     return replace(walls, ends=ends)
+
+
+@dataclass(frozen=True)
+class TrimmedFaces:
+    """Faces that end where their wall does, their cells, and the leaves that were taken for their continuation."""
+
+    walls: Walls
+    cells: WallCells
+    leaves: Walls
+
+
+def trim_at_doorways(
+    walls: Walls, cells: WallCells, doors: Doors, clear_m: FloatArray, settings: StandingWallsSettings
+) -> TrimmedFaces:
+    """The faces, those of doors' reveals cut off at their wall's two faces unless they go on up to the ceiling there.
+
+    The leaf of an open door hangs at the end of a reveal, often in line with it, and the scans' planes run from one on to
+    the other.
+
+    doors: with their reveals' depth. clear_m: (columns,) from the floor to the ceiling before each column.
+    """
+    columns = _count_columns(cells, clear_m, settings)
+    stands = columns.upper_on > columns.upper_passed
+    places = column_places(walls, cells, 0.0)
+    along = doors.ends[:, 1] - doors.ends[:, 0]
+    length_m = np.linalg.norm(along, axis=1)
+    kept: list[tuple[int, int, int]] = []
+    leaves: list[tuple[int, int, int]] = []
+    top_m: list[float] = []
+    for w in range(len(walls)):
+        own = slice(int(cells.first[w]), int(cells.first[w + 1]))
+        first, after = 0, own.stop - own.start
+        for d in np.flatnonzero(np.abs(doors.normal @ walls.normal[w]) < _ACROSS):
+            relative = places[own] - doors.ends[d, 0]
+            behind_m = -relative @ doors.normal[d]
+            place_m = relative @ along[d] / length_m[d]
+            to_jamb_m = np.minimum(np.abs(place_m), np.abs(place_m - length_m[d]))
+            reveal = np.flatnonzero((behind_m > 0.0) & (behind_m < doors.reveal_m[d]))
+            if not len(reveal) or to_jamb_m[reveal].min() > _AT_JAMB_M:
+                continue
+            # The columns next to the wall's own face catch that face's returns; what is kept counts a little beyond its ends.
+            before, beyond = stands[own][first : reveal[0]], stands[own][reveal[-1] + 1 : after]
+            inner = reveal[1:-1] if len(reveal) > 2 else reveal
+            if len(before) and not _goes_on(before[:-1]):
+                leaves.append((w, first, int(inner[0])))
+                top_m.append(float(doors.head_m[d]))
+                first = int(inner[0])
+            if len(beyond) and not _goes_on(beyond[1:]):
+                leaves.append((w, int(inner[-1]) + 1, after))
+                top_m.append(float(doors.head_m[d]))
+                after = int(inner[-1]) + 1
+        kept.append((w, first, after))
+    counts = [cells.counts[cells.first[w] + first : cells.first[w] + after] for w, first, after in kept]
+    starts = np.concatenate([[0], np.cumsum([len(c) for c in counts])]).astype(np.int64)
+    return TrimmedFaces(
+        _cut(walls, cells, kept),
+        replace(cells, first=starts, counts=np.concatenate(counts) if counts else cells.counts),
+        replace(_cut(walls, cells, leaves), top_m=np.array(top_m)),
+    )
+
+
+def _goes_on(stands: BoolArray) -> bool:
+    return len(stands) > 0 and float(stands.mean()) >= _GOES_ON_SHARE
 
 
 def find_hidden_walls(

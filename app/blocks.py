@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from algorithms.before_walls import BeforeWalls
 from algorithms.building import Doors, Walls, Windows
 from algorithms.features import Features, concatenate, extract
 from algorithms.labelling import MethodSettings, label_scan
@@ -73,6 +74,7 @@ class FinishJob:
 
     label: LabelJob
     walls: Walls
+    before: BeforeWalls
     refused: Walls
     doors: Doors
     windows: Windows
@@ -228,6 +230,7 @@ def finish_block(job: FinishJob) -> None:
                 label_of_scan,
                 placed.to_map(placed.origin_level[None])[0],
                 job.walls,
+                job.before,
                 job.refused,
                 job.doors,
                 job.windows,

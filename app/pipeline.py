@@ -10,7 +10,7 @@ import uuid
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ import rerun.blueprint as rrb
 
 from algorithms import transforms
 from algorithms.area_graph import AreaGraph, doorways_of, find_rooms
+from algorithms.before_walls import BeforeWalls, halo_at_walls, look_before_walls
 from algorithms.building import (
     NO_WINDOWS,
     BuildingSettings,
@@ -30,7 +31,7 @@ from algorithms.building import (
     find_windows,
     fuse_walls,
     measure_reveals,
-    place_jambs,
+    place_frames,
     prove_crossed,
     seen_through,
     trace_rays,
@@ -45,15 +46,17 @@ from algorithms.rival_maps import Rival, draw_rival
 from algorithms.scan import FloatArray, IntArray
 from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes, find_halo, fuse, majority
 from algorithms.standing_walls import (
+    FaceVerdict,
     JudgedFaces,
     clear_heights,
     column_places,
     find_hidden_walls,
     join_corners,
     judge_faces,
+    trim_at_doorways,
 )
 from algorithms.trajectory import Trajectory
-from algorithms.wall_thickness import face_thickness, part_walls
+from algorithms.wall_thickness import door_depths, face_thickness, part_walls
 from app import results
 from app.blocks import (
     FINAL_EVIDENCE,
@@ -153,6 +156,7 @@ class Building:
     """The third stage's answer."""
 
     walls: Walls
+    before: BeforeWalls
     judged: JudgedFaces
     doors: Doors
     windows: Windows
@@ -623,24 +627,32 @@ def _build(
     walls = join_corners(judged.walls.append(hidden), settings.standing_walls.corner_m)
     cells = trace(walls)
     windows = find_windows(walls, cells, settings.building)
-    doors = place_jambs(find_doors(walls, cells, settings.building), _features(folder, blocks))
+    doors = find_doors(walls, cells, settings.building)
+    doors = place_frames(doors, walls, _features(folder, blocks), settings.building)
     doors = prove_crossed(doors, trajectory.T_map_base[:, :2, 3])
     doors = measure_reveals(doors, _features(folder, blocks), settings.building)
+    parts = part_walls(walls, settings.wall_thickness)
+    doors = replace(doors, reveal_m=door_depths(doors, walls, parts, settings.wall_thickness))
+    clear_m = clear_heights(column_places(walls, cells), votes, settings.standing_walls.ceiling_near_m)
+    trimmed = trim_at_doorways(walls, cells, doors, clear_m, settings.standing_walls)
+    walls, cells, judged = trimmed.walls, trimmed.cells, judged.refuse(trimmed.leaves, FaceVerdict.ENDS_LOW)
     path = trajectory.T_map_base[:, :3, 3]
     drive = Drive(path, lambda: _features(folder, blocks))
     immobile = Immobile(walls, cells, votes, doors, windows)
     grid = draw_furniture_free(immobile, drive, settings.grid_map, settings.wall_thickness)
     rooms = find_rooms(grid, settings.area_graph, doorways_of(doors), windows.ends, path)
     with ThreadPoolExecutor(workers) as threads:
-        drawn = threads.map(lambda rival: draw_rival(rival, rivals, drive, settings.grid_map, settings.rival_maps), Rival)
+        drawn = threads.map(
+            lambda rival: draw_rival(rival, rivals, drive, settings.grid_map, settings.rival_maps), Rival
+        )
         rival_maps = dict(zip(Rival, drawn, strict=True))
+    before = look_before_walls(walls, cells, votes, settings.standing_walls.ceiling_near_m, settings.before_walls)
     halo = find_halo(votes, settings.relabelling.halo_ratio)
+    halo = halo_at_walls(halo, walls, before, settings.relabelling.halo_wall_m)
     stretches = standing_stretches(immobile, settings.grid_map)
-    plan = draw_floor_plan(
-        stretches, immobile, grid, votes, settings.floor_plan, settings.wall_thickness, rooms.rooms
-    )
+    plan = draw_floor_plan(stretches, immobile, grid, votes, settings.floor_plan, settings.wall_thickness, rooms.rooms)
     thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
-    return Building(walls, judged, doors, windows, halo, grid, rooms, rival_maps, plan, thickness_m)
+    return Building(walls, before, judged, doors, windows, halo, grid, rooms, rival_maps, plan, thickness_m)
 
 
 def _trace(
@@ -679,9 +691,7 @@ def _without_rays(features: Features) -> Features:
     )
 
 
-def _finish(
-    run: _Run, pool: Executor, jobs: Sequence[LabelJob], building: Building, trajectory: Trajectory
-) -> None:
+def _finish(run: _Run, pool: Executor, jobs: Sequence[LabelJob], building: Building, trajectory: Trajectory) -> None:
     """Final labels by the workers, while this process writes the labelled bag behind them."""
     inputs, folder, recording = run.inputs, run.folder, run.recording
     run.progress.stage("final", len(jobs))
@@ -693,6 +703,7 @@ def _finish(
         finish = FinishJob(
             job,
             building.walls,
+            building.before,
             building.judged.refused,
             building.doors,
             building.windows,

@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import Field, ValidationError
 
 from algorithms.area_graph import AreaGraphSettings
+from algorithms.before_walls import BeforeWallsSettings
 from algorithms.building import BuildingSettings
 from algorithms.doors import DoorsSettings
 from algorithms.floor_plan import FloorPlanSettings
@@ -44,6 +45,7 @@ class Settings(StepSettings):
     labelling: LabellingSettings = LabellingSettings()
     building: BuildingSettings = BuildingSettings()
     standing_walls: StandingWallsSettings = StandingWallsSettings()
+    before_walls: BeforeWallsSettings = BeforeWallsSettings()
     wall_thickness: WallThicknessSettings = WallThicknessSettings()
     grid_map: GridMapSettings = GridMapSettings()
     area_graph: AreaGraphSettings = AreaGraphSettings()

@@ -5,6 +5,7 @@ Numba loads a function when it is first called with arrays of given types, which
 
 import numpy as np
 
+from algorithms.before_walls import NOTHING_BEFORE
 from algorithms.building import NO_DOORS, NO_WALLS, NO_WINDOWS
 from algorithms.features import extract
 from algorithms.labelling import label_scan
@@ -41,6 +42,7 @@ def warm_up() -> None:
         labelling.label,
         placed.to_map(placed.origin_level[None])[0],
         NO_WALLS,
+        NOTHING_BEFORE,
         NO_WALLS,
         NO_DOORS,
         NO_WINDOWS,

@@ -7,7 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from algorithms import transforms
+from algorithms.before_walls import BeforeWalls
 from algorithms.building import (
+    CELL_M,
     NO_DOORS,
     NO_WALLS,
     BuildingSettings,
@@ -19,7 +21,7 @@ from algorithms.building import (
     find_windows,
     fuse_walls,
     measure_reveals,
-    place_jambs,
+    place_frames,
     trace_rays,
 )
 from algorithms.doors import DoorsSettings, DoorState
@@ -151,6 +153,9 @@ def relabelled(
     points = placed.to_map(placed.points_level).astype(np.float32)
     halo = find_halo(vote(points, found.label, len(Label), 0.05), 6.0)
     origin = placed.to_map(placed.origin_level[None])[0]
+    columns = np.ceil(np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1) / CELL_M)
+    first = np.concatenate([[0], np.cumsum(columns)]).astype(np.int64)
+    before = BeforeWalls(first, np.full(first[-1], HEIGHT_M), np.zeros((first[-1], 60), bool))
     return points, relabel(
         points,
         found.height_m,
@@ -158,6 +163,7 @@ def relabelled(
         found.label,
         origin,
         walls,
+        before,
         NO_WALLS,
         doors,
         windows,
@@ -452,9 +458,13 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
     np.testing.assert_allclose(doors.ends[0].mean(axis=0), [-0.05, 2.0], atol=0.1)
     assert np.linalg.norm(doors.ends[0, 1] - doors.ends[0, 0]) == pytest.approx(0.9, abs=0.15)
     assert doors.head_m[0] == pytest.approx(2.1, abs=0.04)
-    exact = place_jambs(doors, [features])
+    exact = place_frames(doors, walls, [features], settings)
     np.testing.assert_allclose(np.sort(exact.ends[0, :, 0]), [hole.x0, hole.x1], atol=0.02)
     np.testing.assert_allclose(exact.ends[0, :, 1], doors.ends[0, :, 1], atol=0.01)
+    assert exact.head_m[0] == pytest.approx(2.1, abs=0.02)
+    # However wrong the head was before.
+    far_off = place_frames(replace(doors, head_m=np.array([2.4])), walls, [features], settings)
+    assert far_off.head_m[0] == exact.head_m[0]
     # The wall has no thickness here: its lintel's underside is but the edge's scatter.
     assert measure_reveals(doors, [features], settings).reveal_m[0] < 0.1
     windows = find_windows(walls, cells, settings)

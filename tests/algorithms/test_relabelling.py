@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from algorithms.building import NO_DOORS, NO_WALLS, NO_WINDOWS, Doors, Walls, Windows
+from algorithms.before_walls import NOTHING_BEFORE, BeforeWalls
+from algorithms.building import CELL_M, NO_DOORS, NO_WALLS, NO_WINDOWS, Doors, Walls, Windows
 from algorithms.doors import DoorState
 from algorithms.labels import Label
 from algorithms.relabelling import RelabellingSettings, relabel
@@ -48,6 +49,13 @@ def window(pane_m: float) -> Windows:
     )
 
 
+def before(walls: Walls, ceiling_m: float = 2.8, covered: bool = False) -> BeforeWalls:
+    """A room of one height before all faces, in which something or nothing stands against them."""
+    length_m = np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1)
+    first = np.concatenate([[0], np.cumsum(np.ceil(length_m / CELL_M))]).astype(np.int64)
+    return BeforeWalls(first, np.full(first[-1], ceiling_m), np.full((first[-1], 60), covered))
+
+
 def final(
     point: tuple[float, float, float],
     label: Label,
@@ -56,8 +64,10 @@ def final(
     doors: Doors = NO_DOORS,
     windows: Windows = NO_WINDOWS,
     sensor: np.ndarray = SENSOR,
+    ceiling_m: float = 2.8,
+    covered: bool = False,
 ) -> Label:
-    """The final label of one return; the ceiling hangs at 2.8 m."""
+    """The final label of one return; the scan's ceiling hangs at 2.8 m, that before the walls at `ceiling_m`."""
     at = np.array([point], np.float32)
     height_m = at[:, 2].astype(np.float64)
     found = relabel(
@@ -67,6 +77,7 @@ def final(
         np.array([label], np.uint8),
         sensor,
         walls,
+        before(walls, ceiling_m, covered),
         refused,
         doors,
         windows,
@@ -163,11 +174,53 @@ def test_outside_is_what_the_ray_crossed_the_window_for() -> None:
     assert final(behind, Label.WALL, walls=face(y=3.0), windows=window(0.05), sensor=np.array([2.0, 1.0, 1.0])) == Label.WALL
 
 
-def test_along_an_edge_the_nearer_of_wall_and_floor_decides() -> None:
+@pytest.mark.parametrize("scan_label", [Label.FLOOR, Label.CEILING, Label.WALL])
+@pytest.mark.parametrize("range_error_m", [-0.03, 0.0, 0.03])
+@pytest.mark.parametrize(
+    ("height_m", "expected"), [(0.01, Label.WALL), (-0.01, Label.FLOOR), (2.79, Label.WALL), (2.81, Label.CEILING)]
+)
+def test_along_an_edge_the_surface_that_the_ray_meets_first_decides(
+    scan_label: Label, range_error_m: float, height_m: float, expected: Label
+) -> None:
+    # Where the ray crosses the wall's plane: above the floor and below the ceiling it ended there, whatever range it gave.
+    crossing = np.array([2.0, 0.0, height_m])
+    ray = (crossing - SENSOR) / np.linalg.norm(crossing - SENSOR)
+    if expected in (Label.FLOOR, Label.CEILING):
+        level_m = 0.0 if expected == Label.FLOOR else 2.8
+        crossing = SENSOR + ray * (level_m - SENSOR[2]) / ray[2]
+    x, y, z = crossing + ray * range_error_m
+    if (height_m > 1.0) == (scan_label == Label.CEILING) or scan_label == Label.WALL:
+        assert final((x, y, z), scan_label, walls=face()) == expected
+
+
+def test_the_floor_in_an_open_doorway_is_no_wall() -> None:
     assert final((2.0, -0.005, 0.03), Label.FLOOR, walls=face()) == Label.WALL
-    assert final((2.0, -0.03, 0.01), Label.FLOOR, walls=face()) == Label.FLOOR
-    assert final((2.0, -0.005, 2.775), Label.CEILING, walls=face()) == Label.WALL
-    assert final((2.0, -0.03, 2.79), Label.CEILING, walls=face()) == Label.CEILING
+    assert final((1.5, -0.005, 0.03), Label.FLOOR, walls=face(), doors=door(np.nan)) == Label.FLOOR
+
+
+def test_a_closed_leaf_stands_on_the_floor() -> None:
+    assert final((1.5, 0.03, 0.03), Label.FLOOR, walls=face(), doors=door(0.04)) == Label.DOOR
+    assert final((1.5, 0.01, -0.03), Label.FLOOR, walls=face(), doors=door(0.04)) == Label.FLOOR
+
+
+def test_a_ceiling_that_hangs_lower_than_the_room_before_the_wall_is_another_rooms() -> None:
+    at = (2.0, -0.02, 2.79)
+    assert final(at, Label.CEILING, walls=face(top_m=3.2)) == Label.CEILING
+    assert final(at, Label.CEILING, walls=face(top_m=3.2), ceiling_m=3.2) == Label.WALL
+
+
+def test_no_wall_stands_in_an_open_door() -> None:
+    # The face of a wall goes on over its doors; on it a leaf's edge hangs in the doorway.
+    assert final((1.1, -0.01, 1.0), Label.WALL, walls=face()) == Label.WALL
+    assert final((1.5, -0.01, 1.0), Label.WALL, walls=face(), doors=door(np.nan)) == Label.CLUTTER
+    assert final((1.5, -0.01, 2.3), Label.WALL, walls=face(), doors=door(np.nan)) == Label.WALL
+
+
+def test_what_stands_against_a_wall_is_clutter_though_a_scan_took_it_for_the_wall() -> None:
+    assert final((2.0, -0.02, 1.0), Label.WALL, walls=face(), covered=True) == Label.CLUTTER
+    assert final((2.0, -0.40, 1.0), Label.CLUTTER, walls=face(), covered=True) == Label.CLUTTER
+    # A door's reveal stays.
+    assert final((1.02, 0.01, 1.0), Label.WALL, walls=face(), doors=door(np.nan), covered=True) == Label.WALL
 
 
 def test_labels_hold_under_rigid_motion() -> None:
@@ -188,7 +241,18 @@ def test_labels_hold_under_rigid_motion() -> None:
                 replace(part, ends=moved(part.ends), normal=part.normal @ turn.T) for part in (walls, doors, windows)
             )
         return relabel(
-            at, points[:, 2], 2.8 - points[:, 2], label, sensor, walls, NO_WALLS, doors, windows, NO_HALO, SETTINGS
+            at,
+            points[:, 2],
+            2.8 - points[:, 2],
+            label,
+            sensor,
+            walls,
+            before(walls),
+            NO_WALLS,
+            doors,
+            windows,
+            NO_HALO,
+            SETTINGS,
         )
 
     assert np.count_nonzero(relabelled(False) != label) > 500
@@ -203,6 +267,7 @@ def test_nothing_is_relabelled_where_there_is_nothing() -> None:
         np.zeros(0, np.uint8),
         SENSOR,
         NO_WALLS,
+        NOTHING_BEFORE,
         NO_WALLS,
         NO_DOORS,
         NO_WINDOWS,

@@ -1,9 +1,11 @@
 """Which faces stand: ducts, leaves and high windows by hand-made rays; corners, ceilings and walls no scan could tell."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from algorithms.building import CELL_M, NO_WALLS, WallCells, Walls
+from algorithms.building import CELL_M, NO_DOORS, NO_WALLS, WallCells, Walls
 from algorithms.labels import Label
 from algorithms.semantic_map import VoxelVotes, vote
 from algorithms.standing_walls import (
@@ -13,6 +15,7 @@ from algorithms.standing_walls import (
     find_hidden_walls,
     join_corners,
     judge_faces,
+    trim_at_doorways,
 )
 
 CEILING_M = 2.8
@@ -196,3 +199,36 @@ def test_furniture_lower_than_the_ceiling_is_no_hidden_wall():
 def test_no_wall_is_found_where_the_robot_drove_or_nothing_stands():
     assert len(hidden(room(), path_x=3.05)) == 0
     assert len(hidden(room(wall=False))) == 0
+
+
+@pytest.mark.parametrize("goes_on", [False, True])
+def test_a_reveal_ends_with_its_wall_unless_a_wall_goes_on_from_it(goes_on: bool) -> None:
+    """A wall 0.2 m thick along x; the face across it, at the door's jamb, runs on for the length of a leaf."""
+    face = faces(((1.0, 0.5), (1.0, -1.0)))
+    cells = cells_of(1.5)
+    if not goes_on:
+        pass_rays(cells, slice(14, 30), 2.05, CEILING_M)
+    door = replace(
+        NO_DOORS,
+        ends=np.array([[[0.1, 0.5], [1.0, 0.5]]]),
+        normal=np.array([[0.0, 1.0]]),
+        head_m=np.array([2.05]),
+        reveal_m=np.array([0.2]),
+    )
+    trimmed = trim_at_doorways(face, cells, door, np.full(30, CEILING_M), SETTINGS)
+    assert int(trimmed.cells.first[-1]) == len(trimmed.cells.counts)
+    if goes_on:
+        np.testing.assert_allclose(trimmed.walls.ends, face.ends)
+        assert len(trimmed.leaves) == 0
+    else:
+        assert trimmed.walls.ends[0, 1, 1] >= 0.3
+        np.testing.assert_allclose(trimmed.leaves.ends[0, 1], face.ends[0, 1])
+        assert trimmed.leaves.top_m[0] == 2.05
+
+
+def test_faces_far_from_doors_and_no_faces_stay_as_they_are() -> None:
+    face, cells = faces(((3.0, 0.5), (3.0, -1.0))), cells_of(1.5)
+    trimmed = trim_at_doorways(face, cells, NO_DOORS, np.full(30, CEILING_M), SETTINGS)
+    np.testing.assert_array_equal(trimmed.walls.ends, face.ends)
+    nothing = WallCells(np.zeros(1, np.int64), 66, np.zeros((0, 66, 4), np.float32))
+    assert len(trim_at_doorways(NO_WALLS, nothing, NO_DOORS, np.zeros(0), SETTINGS).walls) == 0

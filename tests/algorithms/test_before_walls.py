@@ -1,0 +1,101 @@
+"""What stands flat against a wall, told from the wall by the mean distance of each cell's returns before its face."""
+
+import numpy as np
+import pytest
+
+from algorithms.before_walls import BeforeWallsSettings, halo_at_walls, look_before_walls
+from algorithms.building import CELL_M, WallCells, Walls
+from algorithms.labels import Label
+from algorithms.semantic_map import VoxelVotes, find_halo, merge, vote
+
+CEILING_M = 2.8
+LENGTH_M = 6.0
+SETTINGS = BeforeWallsSettings()
+FACE = Walls(
+    np.array([[[0.0, 0.0], [LENGTH_M, 0.0]]]),
+    np.array([[0.0, 1.0]]),
+    np.zeros(1),
+    np.array([CEILING_M]),
+    np.array([9], np.int32),
+    np.array([0.01]),
+)
+FLAT = (0.0, 0.0)
+
+
+def room() -> VoxelVotes:
+    """Floor and ceiling before the face."""
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(0, LENGTH_M, 0.05), np.arange(0.1, 2.0, 0.05)))
+    planes = [
+        vote(np.column_stack([x, y, np.full(len(x), z)]), np.full(len(x), label, np.uint8), len(Label), 0.05)
+        for z, label in ((0.01, Label.FLOOR), (CEILING_M - 0.01, Label.CEILING))
+        for _ in range(3)
+    ]
+    return merge(planes)
+
+
+def relief(
+    x_m: tuple[float, float], z_m: tuple[float, float], depth_m: float, wall_m: tuple[float, float] = FLAT
+) -> np.ndarray:
+    """The cells that are covered where something stands so far before a face that leans from its wall at its ends."""
+    columns, rows = round(LENGTH_M / CELL_M), 60
+    x, z = (np.arange(columns) + 0.5) * CELL_M, (np.arange(rows) + 0.5) * CELL_M
+    before_m = np.interp(x, [0, LENGTH_M], wall_m)[:, None] + np.zeros((columns, rows))
+    thing = ((x > x_m[0]) & (x < x_m[1]))[:, None] & (z > z_m[0]) & (z < z_m[1])
+    before_m = before_m + depth_m * thing + np.random.default_rng(3).normal(0, 0.003, before_m.shape)
+    counts = np.zeros((columns, rows, 4), np.float32)
+    counts[..., 0] = 40.0 * (z < CEILING_M)
+    counts[..., 1] = counts[..., 0] * before_m
+    cells = WallCells(np.array([0, columns]), rows, counts)
+    covered = look_before_walls(FACE, cells, room(), 2.0, SETTINGS).covered
+    assert not covered[~thing].any()
+    return np.asarray(covered[thing & (z > 0.1)])
+
+
+@pytest.mark.parametrize("wall_m", [FLAT, (-0.03, 0.05)])
+def test_the_back_of_a_shelf_is_covered_however_the_face_leans(wall_m: tuple[float, float]) -> None:
+    assert relief((1.0, 2.0), (0.0, 1.6), 0.025, wall_m).mean() > 0.98
+
+
+@pytest.mark.parametrize(
+    ("x_m", "z_m", "depth_m"),
+    [
+        ((1.0, 2.0), (0.0, 1.6), 0.005),  # unevenness
+        ((1.0, 2.0), (0.9, 2.0), 0.025),  # a board that hangs on its wall
+        ((1.0, 2.0), (0.0, 2.8), 0.025),  # a pillar
+        ((1.0, 5.0), (0.0, 1.2), 0.025),  # panelling
+        ((1.0, 5.0), (0.0, 0.15), 0.025),  # a skirting board
+    ],
+)
+def test_what_is_part_of_a_wall_is_not(x_m: tuple[float, float], z_m: tuple[float, float], depth_m: float) -> None:
+    assert not relief(x_m, z_m, depth_m).any()
+
+
+def test_a_shelf_is_one_thing_though_its_boards_hide_parts_of_its_back() -> None:
+    columns, rows = round(LENGTH_M / CELL_M), 60
+    counts = np.zeros((columns, rows, 4), np.float32)
+    counts[:, :56, 0] = 40.0
+    counts[20:40, 0:32, 1] = 40.0 * 0.03
+    counts[20:40, 10:15] = 0.0
+    before = look_before_walls(FACE, WallCells(np.array([0, columns]), rows, counts), room(), 2.0, SETTINGS)
+    assert before.covered[20:40, 15:32].all()
+
+
+def test_only_the_buildings_own_walls_have_a_halo() -> None:
+    """Two cubes that scans took for wall, with a stray return beside each: on the face, and a metre before it."""
+    on, off = np.array([3.02, 0.02, 1.02]), np.array([3.02, 1.02, 1.02])
+    beside = np.array([0.0, 0.05, 0.0])
+    points = np.concatenate([np.repeat([on, off], 20, axis=0), [on + beside, off + beside]])
+    label = np.array([Label.WALL] * 40 + [Label.CLUTTER] * 2, np.uint8)
+    halo = find_halo(vote(points, label, len(Label), 0.05), 6.0)
+    stray = np.array([on + beside, off + beside])
+    clutter = np.full(2, Label.CLUTTER, np.uint8)
+    np.testing.assert_array_equal(halo.label_of(stray, clutter), [Label.WALL, Label.WALL])
+    cells = WallCells(np.array([0, 120]), 60, np.zeros((120, 60, 4), np.float32))
+    before = look_before_walls(FACE, cells, room(), 2.0, SETTINGS)
+    np.testing.assert_array_equal(
+        halo_at_walls(halo, FACE, before, 0.12).label_of(stray, clutter), [Label.WALL, Label.CLUTTER]
+    )
+    before.covered[:] = True
+    np.testing.assert_array_equal(
+        halo_at_walls(halo, FACE, before, 0.12).label_of(stray, clutter), [Label.CLUTTER, Label.CLUTTER]
+    )
