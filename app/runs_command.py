@@ -125,15 +125,14 @@ def serve(root: Path, host: str, port: int) -> None:
 
 
 def _add_new(served: Catalogue, root: Path) -> None:
-    for folder in catalogue.find_runs(root):
+    new = [folder for folder in catalogue.find_runs(root) if folder not in served.taken.values()]
+    said = {folder: served.left_out.pop(folder, None) for folder in new}
+    served.add(new)
+    for folder in new:
         if folder in served.taken.values():
-            continue
-        said = served.left_out.pop(folder, None)
-        served.add(folder)
-        reason = served.left_out.get(folder)
-        if reason is None:
             typer.echo(f"added: {folder}")
-        elif reason != said:
+        reason = served.left_out.get(folder)
+        if reason not in (None, said[folder]):
             typer.echo(f"not among them: {reason}", err=True)
 
 
