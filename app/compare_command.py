@@ -93,7 +93,7 @@ def compare(paths: Sequence[Path], out: Path | None, scans: bool, spawn: bool, q
     if not quiet:
         _print(comparison)
         typer.echo(f"figures:   {report}")
-        typer.echo(f"recording: {recording}  (open it: rerun {recording})")
+        typer.echo(f"recording: {recording}  (open it: ffmap view {recording})")
     if spawn:
         open_viewer(recording)
 

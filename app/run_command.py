@@ -177,4 +177,4 @@ def _report(folder: RunFolder, inputs: Inputs, record: dict[str, Any], saved: bo
         )
     typer.echo(f"results:   {folder.path}")
     if saved:
-        typer.echo(f"recording: {folder.path / RECORDING}  (open it: rerun {folder.path / RECORDING})")
+        typer.echo(f"recording: {folder.path / RECORDING}  (open it: ffmap view {folder.path})")
