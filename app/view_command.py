@@ -69,8 +69,8 @@ def write_common_layout(runs: Sequence[FinishedRun], folder: Path) -> list[Path]
             raise InputError(f"{run.path}: is a copy of another of these runs, which the viewer cannot tell apart; leave it out")
         written[identity] = folder / f"{number}.rrd"
         with open_part(written[identity], identity) as stream:
-            stream.send_recording_name(run.name)
             stream.send_blueprint(layout, make_active=True, make_default=True)
+            stream.send_recording_name(run.name)
     return list(written.values())
 
 
