@@ -80,6 +80,8 @@ def files_of(place: Path) -> list[Path]:
         if place.suffix not in (".rrd", ".rbl"):
             raise InputError(f"{place}: is no recording; give a run's folder, a sweep's, or a .rrd")
         return [place]
+    if not place.exists():
+        raise InputError(f"{place}: no such folder or file; give a run's folder, a sweep's, or a .rrd")
     if (place / sweep_files.RECORDING).exists():
         return [place / sweep_files.RECORDING]
     if not (place / RUN_JSON).exists():

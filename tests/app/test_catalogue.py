@@ -138,7 +138,7 @@ def test_what_cannot_be_queried_is_told_and_the_rest_is_found(
     (root / "unknown" / "run.json").write_text("{")
     runs_command.runs(str(root), Query(), None, None)
     told = capsys.readouterr()
-    assert "1 runs in" in told.out
+    assert "1 run in" in told.out
     reasons = dict(line.removeprefix("not in the table: ").split(": ", 1) for line in told.err.strip().splitlines())
     names = {Path(place).name: reason for place, reason in reasons.items()}
     assert sorted(names) == ["b", "c", "copy", "d", "run.json"]

@@ -219,7 +219,7 @@ def test_poses_that_differ_are_told_and_labels_compared_all_the_same(
     poses = np.loadtxt(moved / "trajectory.tum")
     turn = Rotation.from_euler("yz", [0.3, 1.0], degrees=True)
     before = poses[:, 1:4].copy()
-    poses[:, 1:4] = turn.apply(before) + [0.1, 0.0, 0.02]
+    poses[:, 1:4] = turn.apply(before) + np.array([0.1, 0.0, 0.02])
     poses[:, 4:] = (turn * Rotation.from_quat(poses[:, 4:])).as_quat()
     # Stamps as they stood: a float would lose their last digits.
     stamps = [line.split()[0] for line in (moved / "trajectory.tum").read_text().splitlines()]

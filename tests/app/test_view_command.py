@@ -32,8 +32,10 @@ def test_sweeps_and_single_recordings(tmp_path: Path) -> None:
 
 
 def test_nothing_to_see(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no run and no sweep"):
+    with pytest.raises(InputError, match="no such folder"):
         files_of(tmp_path / "nothing")
+    with pytest.raises(InputError, match="no run and no sweep"):
+        files_of(tmp_path)
     with pytest.raises(InputError, match=r"no recording\.rrd"):
         files_of(make_run(tmp_path / "a", "evaluation.rrd"))
     (tmp_path / "notes.txt").touch()
