@@ -6,7 +6,7 @@ properties. A query is the same whether the server runs here for a second or is 
 
 import difflib
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,38 +63,73 @@ class Catalogue:
         self.dataset: DatasetEntry = server.client().create_dataset(DATASET)
         self.taken: dict[str, Path] = {}
         """Folders by their recordings' ids."""
+        self._evaluated: set[Path] = set()
         self.left_out: dict[Path, str] = {}
-        """Why a run is not among them, and what to do."""
+        """Why a run is not among them, or its figures are not, and what to do."""
 
-    def add(self, folder: Path) -> None:
-        """Register a run; one that cannot be is kept in `left_out`."""
-        reason = self._register(folder)
-        if reason is not None:
-            self.left_out[folder] = reason
+    def add(self, folders: Iterable[Path]) -> None:
+        """Register runs; of those that cannot be, or not with their figures, `left_out` says why."""
+        new: dict[str, Path] = {}
+        copies: dict[Path, str] = {}
+        for folder in folders:
+            try:
+                identity = str(RunFolder(folder).read_json().get("recording_id"))
+            except InputError as error:
+                self.left_out[folder] = str(error)
+                continue
+            if not (folder / RECORDING).exists():
+                self.left_out[folder] = f"{folder}: has no {RECORDING}, in which its properties would be"
+            elif identity in self.taken or identity in new:
+                copies[folder] = identity
+            else:
+                new[identity] = folder
+        refused = self._register([folder / RECORDING for folder in new.values()], "base")
+        for identity, folder in new.items():
+            reason = refused.get(folder / RECORDING)
+            if reason is None:
+                self.taken[identity] = folder
+            else:
+                self.left_out[folder] = _no_end(folder) or f"{folder}: {RECORDING} is damaged ({reason}); make the run again"
+        self._add_figures()
+        for folder, identity in copies.items():
+            if identity in self.taken:
+                self.left_out[folder] = f"{folder}: has the recording id of {self.taken[identity]}, of which it is a copy"
+        if whole := [folder for folder, identity in copies.items() if identity not in self.taken]:
+            self.add(whole)
 
-    def _register(self, folder: Path) -> str | None:
+    def _add_figures(self) -> None:
+        """Those of runs that were evaluated since they were registered too."""
+        files = [folder / EVALUATION for folder in self.taken.values() if folder not in self._evaluated]
+        there = [file for file in files if file.exists()]
+        damaged = self._register(there, "evaluation")
+        self._evaluated |= {file.parent for file in there if file not in damaged}
+        for file, reason in damaged.items():
+            self.left_out[file.parent] = f"{file}: is damaged ({reason}); ffmap evaluate {file.parent} makes it again"
+
+    def _register(self, files: Sequence[Path], layer: str) -> dict[Path, str]:
+        """Add files as a layer of their segments, in one call: one by one they take four times as long.
+
+        Returns those that could not be added, and why. The server refuses a call for a single file that it cannot read;
+        each half is then tried by itself.
+        """
+        if not files:
+            return {}
+        by_uri = {file.resolve().as_uri(): file for file in files}
         try:
-            record = RunFolder(folder).read_json()
-        except InputError as error:
-            return str(error)
-        identity = str(record.get("recording_id"))
-        recording = folder / RECORDING
-        if not recording.exists():
-            return f"{folder}: has no {RECORDING}, in which its properties would be"
-        if identity in self.taken:
-            return f"{folder}: has the recording id of {self.taken[identity]}, of which it is a copy"
-        layers = [(recording, "base"), (folder / EVALUATION, "evaluation")]
-        try:
-            for path, layer in layers:
-                if path.exists():
-                    self.dataset.register([path.resolve().as_uri()], layer_name=layer).wait()
-                    self.taken[identity] = folder
+            results = list(self.dataset.register(list(by_uri), layer_name=layer).iter_results())
         except (ValueError, RuntimeError) as error:
-            name = path.name
-            if record.get("outcome") == "running":
-                return f"{folder}: {name} has no end yet: the run goes on, or was killed; ffmap run --resume {folder}"
-            return f"{folder}: {name} is damaged ({str(error).splitlines()[0]}); make the run again"
+            if len(files) == 1:
+                return {files[0]: str(error).splitlines()[0]}
+            half = len(files) // 2
+            return self._register(files[:half], layer) | self._register(files[half:], layer)
+        return {by_uri[result.uri]: result.error.splitlines()[0] for result in results if result.error is not None}
+
+
+def _no_end(folder: Path) -> str | None:
+    """What to say of a run that did not come to its end."""
+    if RunFolder(folder).read_json().get("outcome") != "running":
         return None
+    return f"{folder}: {RECORDING} has no end yet: the run goes on, or was killed; ffmap run --resume {folder}"
 
 
 @contextmanager
@@ -109,8 +144,7 @@ def serve(folders: Sequence[Path], host: str = LOOPBACK, port: int | None = None
         raise InputError(f"{host}:{port or 0}: no server can listen there ({error}); choose another --port") from error
     with server:
         catalogue = Catalogue(server)
-        for folder in folders:
-            catalogue.add(folder)
+        catalogue.add(folders)
         yield catalogue
 
 

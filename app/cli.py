@@ -63,7 +63,7 @@ OutputsOption = Annotated[
     typer.Option(
         metavar="LIST",
         help="Files to write, as in recording,maps: of recording, labelled (a bag), labels (Parquet, without the "
-        "clouds), cloud, maps, geojson.",
+        "clouds), cloud, maps, plan, geojson.",
     ),
 ]
 
@@ -149,6 +149,7 @@ def run(
             workers=workers,
             evaluate=evaluate_,
             quiet=quiet,
+            latest=True,
         ),
         resume,
     )
@@ -424,9 +425,14 @@ def runs(
 
 @app.command()
 def view(
-    places: Annotated[list[Path], typer.Argument(metavar="RUN", help="Run folders, sweep folders, recordings (.rrd).")],
+    places: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN", help="Run folders, sweep folders, recordings (.rrd).", show_default=False),
+    ],
 ) -> None:
     """Open runs in the Rerun viewer with the layout that fits them: errors first, where the truth is known.
+
+    Several runs have one layout and a list to choose from; side by side they are in what 'ffmap compare' writes.
 
     Examples:
 

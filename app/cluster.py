@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from app.sweep_run import stop_all
 from app.versions import versions
 from loaders.errors import InputError
 
@@ -32,10 +33,10 @@ class Cluster:
 
 
 @contextmanager
-def connect(address: str, needed: list[Path]) -> Iterator[Cluster]:
+def connect(address: str, needed: list[Path], folder: Path) -> Iterator[Cluster]:
     """The cluster at a scheduler's address, if all its workers can do the sweep's runs.
 
-    needed: files that every worker has to see under the same path.
+    needed: files that every worker has to see under the same path. folder: of the sweep, whose runs end with it.
     Raises InputError in seconds where Dask is not installed, no scheduler answers, or a worker cannot do the work.
     """
     try:
@@ -57,7 +58,13 @@ def connect(address: str, needed: list[Path]) -> Iterator[Cluster]:
     try:
         cluster = Cluster(client)
         _check(client, cluster, address, needed)
-        yield cluster
+        try:
+            yield cluster
+        except BaseException:
+            # Dask takes back what has not begun; what has would go on to its end.
+            cluster.executor.shutdown(wait=False)
+            client.run(stop_all, folder, on_error="ignore")
+            raise
     finally:
         client.close(timeout=_CONNECT_S)
 

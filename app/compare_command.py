@@ -93,7 +93,7 @@ def compare(paths: Sequence[Path], out: Path | None, scans: bool, spawn: bool, q
     if not quiet:
         _print(comparison)
         typer.echo(f"figures:   {report}")
-        typer.echo(f"recording: {recording}  (open it: rerun {recording})")
+        typer.echo(f"recording: {recording}  (open it: ffmap view {recording})")
     if spawn:
         open_viewer(recording)
 
@@ -169,7 +169,7 @@ def _record(
         tuple(warnings),
     )
     progress.stage("side by side", len(runs))
-    compared = {change.b.letter: frozenset(change.compared) for change in changes}
+    of_pair = {change.b.letter: change for change in changes}
     shown = []
     for run in runs:
         part = spool / f"run-{run.letter}.rrd"
@@ -182,7 +182,8 @@ def _record(
                 run.title,
                 scans and has_scans,
                 run.recording is not None,
-                compared.get(run.letter, frozenset()),
+                frozenset(of_pair[run.letter].compared) if run.letter in of_pair else frozenset(),
+                frozenset(of_pair[run.letter].differing) if run.letter in of_pair else frozenset(),
             )
         )
         progress.advance()
@@ -196,8 +197,7 @@ def _record(
 
 def _write_layout(comparison: Comparison, shown: Sequence[ComparedRun], spool: Path, recording_id: str) -> Path:
     part = spool / "layout.rrd"
-    grids = (grid_of(run.run) for run in comparison.runs)
-    centre_m, extent_m = view_of(next((grid for grid in grids if grid is not None), None))
+    centre_m, extent_m = view_of(*(grid_of(run.run) for run in comparison.runs))
     with open_part(part, recording_id) as stream:
         layout = compare_blueprint.build(shown, centre_m, extent_m, _most_changed(comparison.changes))
         stream.send_blueprint(layout, make_active=True, make_default=True)
@@ -214,6 +214,7 @@ def _most_changed(changes: Sequence[PairChange]) -> int | None:
 def _write_findings(comparison: Comparison, scan_of: dict[int, int], spool: Path, recording_id: str) -> Path:
     part = spool / "findings.rrd"
     with open_part(part, recording_id) as stream:
+        stream.send_recording_name(" – ".join(run.run.name for run in comparison.runs))
         style = TransitionStyle.of([c.labels for c in comparison.changes if c.labels is not None])
         recorder = ComparisonRecorder(stream, style)
         recorder.log_common(_runs_document(comparison))
@@ -558,4 +559,7 @@ def _difference(first: float | None, second: float | None) -> str:
     if first == second:
         return "="
     whole = float(first).is_integer() and float(second).is_integer() and max(abs(first), abs(second)) > 1
-    return f"{second - first:+,.0f}" if whole else f"{second - first:+.4f}"
+    if whole:
+        return f"{second - first:+,.0f}"
+    # What is less than the last digit is told by its size.
+    return f"{second - first:+.4f}" if abs(second - first) >= 5e-5 else f"{second - first:+.0e}"

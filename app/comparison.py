@@ -223,6 +223,16 @@ class PairChange:
         return [name for name in COMPARABLE if getattr(self, name) is not None]
 
     @property
+    def differing(self) -> list[str]:
+        """Of what has a curve over the scans, what differs in any: labels of scans alone, planes, poses."""
+        differs = {
+            "labels": self.labels is not None and self.labels.changed_scan > 0,
+            "planes": self.planes is not None and bool(self.planes.lost.any() or self.planes.gained.any()),
+            "trajectory": self.trajectory is not None and bool(self.trajectory.figures.error_unaligned_m.any()),
+        }
+        return [name for name, differ in differs.items() if differ]
+
+    @property
     def reasons(self) -> dict[str, str]:
         """What could not be compared, together where the reason is the same, and that reason."""
         reasons = dict.fromkeys(self.refused.values())

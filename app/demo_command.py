@@ -6,7 +6,6 @@ from pathlib import Path
 import typer
 
 from app import run_command
-from app.run_folder import RECORDING
 from app.simulate_command import simulate
 
 SECONDS = 16.0
@@ -23,5 +22,5 @@ def demo(out: Path) -> None:
     typer.echo("labelling every scan, mapping the building, recording every intermediate ...")
     run_command.run(run_command.Arguments(bag=bag, out=out / "run"), None)
     typer.echo(f"\ndone in {time.monotonic() - started:.0f} s. Look at every scan, step by step:\n")
-    typer.echo(f"    .venv/bin/rerun {out / 'run' / RECORDING}\n")
+    typer.echo(f"    .venv/bin/ffmap view {out / 'run'}\n")
     typer.echo("Your own bag: .venv/bin/ffmap run BAG (README.md says what it needs).")

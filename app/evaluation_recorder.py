@@ -24,6 +24,7 @@ from algorithms.evaluation import (
 )
 from algorithms.labels import Verdict
 from algorithms.scan import FloatArray, UInt8Array
+from app.figures import queried
 from app.map_figures import ComparedMap, ComparedMaps, false_and_missed
 from app.recorder import Recorder, evidence, scan_columns, set_time, upright_frames
 from app.recording import join, open_part
@@ -81,7 +82,8 @@ def write_layer(
 ) -> None:
     """Join the scans' parts with what is wrong on the map.
 
-    parts: of `ScanErrors`, in `spool`. metrics become properties of the recording; text: the figures in Markdown.
+    parts: of `ScanErrors`, in `spool`. metrics: those by which runs are asked for become properties of the recording.
+    text: the figures in Markdown.
     faces: (F, 2, 2) of the true walls. compared_doors: None where the run has none. maps: by name.
     """
     layout, own = spool / "layout.rrd", spool / "map.rrd"
@@ -89,7 +91,7 @@ def write_layer(
         # The recording brings a layout of its own, which may be there first.
         stream.send_blueprint(blueprint, make_active=True, make_default=True)
     with open_part(own, recording_id) as stream:
-        Recorder(stream).log_properties("metrics", metrics)
+        Recorder(stream).log_properties("metrics", queried(metrics))
         stream.log(entities.FIGURES, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
         _log_curve_styles(stream)
         _log_walls(stream, faces)

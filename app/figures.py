@@ -1,8 +1,8 @@
 """The names by which runs are compared: each setting, metric, count and time has one, short and fit for a query.
 
-The same names are columns of `ffmap runs`, of sweep.parquet, and what --objective, --where and --sort take: a metric's
-path in metrics.json joined by underscores, by area without saying so (`wall_f1`, `doors_found`, `trajectory_ate_rmse_m`);
-a setting's path (`wall_planes_similarity_m`); a count (`doors`); `seconds`, what the run took.
+The same names are columns of `ffmap runs`, of sweep.parquet (which has some more), and what --objective, --where and
+--sort take: a metric's path in metrics.json joined by underscores, by area without saying so (`wall_f1`, `doors_found`,
+`trajectory_ate_rmse_m`); a setting's path (`wall_planes_similarity_m`); a count (`doors`); `seconds`, what the run took.
 """
 
 import difflib
@@ -45,6 +45,13 @@ OBJECTIVES = (
 )
 """Figures of which one value is better than another."""
 
+_NOT_QUERIED = {
+    *("points", "points_scan", "maps", "statistics", "by_room", "confusion"),
+    # What precision and recall are made from.
+    *("right_m2", "wrong_m2", "missed_m2"),
+}
+"""What metrics.json alone has: areas count, not points; the run's own map does, under wall_map; names of rooms are no figures."""
+
 _RENAMED = {"timings_s_total": SECONDS, "timings_s_cpu": CPU_SECONDS, "timings_s_labelling_per_scan": "labelling_s_per_scan"}
 _LESS_IS_BETTER = re.compile(r"error|rmse|bias|invented|outside_kept|wrong|missed|skipped|milliseconds|_s$|_s_|seconds$")
 
@@ -59,6 +66,15 @@ def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         elif value is not None:
             flat[name] = value if isinstance(value, str | bool | int | float) else str(value)
     return flat
+
+
+def queried(metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """Of what metrics.json says, the figures by which runs are asked for: a catalogue is slower for every column."""
+    return {
+        name: queried(value) if isinstance(value, Mapping) else value
+        for name, value in metrics.items()
+        if name not in _NOT_QUERIED
+    }
 
 
 def column_name(group: str, field: str) -> str:

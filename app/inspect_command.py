@@ -77,7 +77,7 @@ def inspect(
     for note in notes:
         typer.echo(note.replace("**", ""))
     _print_summary(inspected.labelling, reasons, line)
-    typer.echo(f"recording: {target}  (open it: rerun {target}; step through the timeline 'line')")
+    typer.echo(f"recording: {target}  (open it: ffmap view {target}; step through the timeline 'line')")
     if spawn:
         open_viewer(target)
 

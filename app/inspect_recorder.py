@@ -15,6 +15,7 @@ from app.recording import join, open_part
 from blueprints import entities
 from blueprints import inspect as inspect_blueprint
 
+_SIGHT_COLOR = (255, 255, 255, 45)
 _STYLE_COLORS = {"upmost": entities.UPMOST_COLOR, "bottommost": entities.BOTTOMMOST_COLOR, "others": (120, 140, 170)}
 
 
@@ -74,6 +75,7 @@ class _Lines:
     ) -> None:
         self._stream, self._recorder = stream, recorder
         self._points, self._labelling = placed.points_level, labelling
+        self._origin = placed.origin_level
         self._range_m = np.linalg.norm(placed.points_level[:, :2] - placed.origin_level[:2], axis=1)
         self._log_styles(range_m, height_m)
 
@@ -89,6 +91,7 @@ class _Lines:
                 rr.TextDocument(line_document(self._labelling, reason), media_type=rr.MediaType.MARKDOWN),
             )
             self._recorder.log_line(self._points, self._labelling, reason.line)
+            self._log_sight(reason.line)
             self._log_structures(reason.line)
             self._log_planes(reason.line)
             self._log_door(reason.line)
@@ -146,6 +149,22 @@ class _Lines:
                 radii=0.0,
             ),
             static=True,
+        )
+
+    def _log_sight(self, line: int) -> None:
+        """The rays from the lidar to the line as a sheet: of the line alone one would see a few bright pixels."""
+        samples = self._labelling.lines.samples[line]
+        ends = self._points[samples[samples >= 0]]
+        fan = [(0, i, i + 1) for i in range(1, len(ends))]
+        self._stream.log(
+            entities.LINE_SIGHT,
+            rr.Mesh3D(
+                vertex_positions=np.vstack([self._origin, ends]).astype(np.float32),
+                triangle_indices=fan,
+                albedo_factor=_SIGHT_COLOR,
+            )
+            if fan
+            else rr.Clear(recursive=False),
         )
 
     def _log_structures(self, line: int) -> None:

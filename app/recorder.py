@@ -31,6 +31,8 @@ GRID_M = 1.0 / 512.0
 JUMP_M = 0.4
 """No stroke is drawn between neighbours in a line that are farther apart."""
 POINT_RADIUS_UI = 1.5
+_SEE_THROUGH = (255, 255, 255, 90)
+"""Factor of a mesh's colours behind which points and lines can be seen."""
 MAP_RADIUS_UI = 1.25
 FLOAT16_MAX = 65504.0
 
@@ -299,11 +301,14 @@ class Recorder:
         vertices, triangles = _upright_quads(
             planes.ends, floor_m + planes.bottom_m[:, None], floor_m + planes.top_m[:, None]
         )
-        colors = np.array([(*_plane_color(plane), 60) for plane in range(len(planes))], np.uint8)
+        colors = np.array([_plane_color(plane) for plane in range(len(planes))], np.uint8)
         self._log(
             entities.PLANES,
             rr.Mesh3D(
-                vertex_positions=vertices, triangle_indices=triangles, vertex_colors=np.repeat(colors, 4, axis=0)
+                vertex_positions=vertices,
+                triangle_indices=triangles,
+                vertex_colors=np.repeat(colors, 4, axis=0),
+                albedo_factor=_SEE_THROUGH,
             ),
             evidence(
                 {

@@ -39,6 +39,8 @@ class Arguments:
     workers: int = 2
     evaluate: bool = True
     quiet: bool = False
+    latest: bool = False
+    """Whether `latest` beside the run folder is to point at it: not in a sweep, whose runs come in any order."""
 
 
 _STORED = ("rig", "horizontal", "vertical", "time_from", "trajectory", "detail", "outputs", "evaluate")
@@ -91,7 +93,8 @@ def run(arguments: Arguments, resume: Path | None) -> None:
             progress,
             record,
         )
-    run_folder.point_latest_at(folder.path.resolve())
+    if arguments.latest:
+        run_folder.point_latest_at(folder.path.resolve())
     if not arguments.quiet:
         _report(folder, inputs, finished, Output.RECORDING in arguments.outputs)
     if arguments.evaluate and inputs.vertical is not None:
@@ -174,4 +177,4 @@ def _report(folder: RunFolder, inputs: Inputs, record: dict[str, Any], saved: bo
         )
     typer.echo(f"results:   {folder.path}")
     if saved:
-        typer.echo(f"recording: {folder.path / RECORDING}  (open it: rerun {folder.path / RECORDING})")
+        typer.echo(f"recording: {folder.path / RECORDING}  (open it: ffmap view {folder.path})")

@@ -52,7 +52,11 @@ def _show(answer: Answer, query: Query, columns: str | None, place: str) -> None
     chosen = _chosen(answer, columns, query, known, console.width - max(map(len, names), default=0) - 4)
     console.print(_table(answer, chosen, names))
     where = f", where {query.where}" if query.where else ""
-    typer.echo(f"{len(names)} runs in {parent}{where}")
+    typer.echo(f"{_count(len(names))} in {parent}{where}")
+
+
+def _count(runs: int) -> str:
+    return "1 run" if runs == 1 else f"{runs} runs"
 
 
 def _run_names(answer: Answer, place: str) -> tuple[list[str], str]:
@@ -108,7 +112,7 @@ def serve(root: Path, host: str, port: int) -> None:
         signal.signal(number, lambda *_: stop.set())
     with catalogue.serve(folders, host, port) as served, tempfile.TemporaryDirectory(prefix="ffmap-serve-") as folder:
         _add_layout(served, Path(folder))
-        typer.echo(f"{len(served.taken)} runs of {root} are served at {served.url}")
+        typer.echo(f"{_count(len(served.taken))} of {root}, served at {served.url}")
         for reason in served.left_out.values():
             typer.echo(f"not among them: {reason}", err=True)
         if host != LOOPBACK:
@@ -125,15 +129,14 @@ def serve(root: Path, host: str, port: int) -> None:
 
 
 def _add_new(served: Catalogue, root: Path) -> None:
-    for folder in catalogue.find_runs(root):
+    new = [folder for folder in catalogue.find_runs(root) if folder not in served.taken.values()]
+    said = {folder: served.left_out.pop(folder, None) for folder in new}
+    served.add(new)
+    for folder in new:
         if folder in served.taken.values():
-            continue
-        said = served.left_out.pop(folder, None)
-        served.add(folder)
-        reason = served.left_out.get(folder)
-        if reason is None:
             typer.echo(f"added: {folder}")
-        elif reason != said:
+        reason = served.left_out.get(folder)
+        if reason not in (None, said[folder]):
             typer.echo(f"not among them: {reason}", err=True)
 
 

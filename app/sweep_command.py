@@ -298,14 +298,14 @@ def _workers(plan: Sweep) -> Iterator[tuple[Executor, Callable[[], int], Path]]:
     """Who does the runs, how many at once, and where the odometries are kept that they share."""
     own = cache_folder().parent
     if plan.arguments.scheduler is None:
-        with _local(plan.arguments.workers) as executor:
+        with _local(plan) as executor:
             yield executor, lambda: plan.arguments.workers, own if _can_write(own) else plan.out
         return
     from app.cluster import connect
 
     # A worker sees the folder if it sees what lies in it.
     needed = [plan.out / SWEEP_JSON, *(inputs.bag_path for inputs in plan.bags)]
-    with connect(plan.arguments.scheduler, needed) as cluster:
+    with connect(plan.arguments.scheduler, needed, plan.out) as cluster:
         shared = _can_write(own) and cluster.all_see(own / _MARK)
         yield cluster.executor, lambda: cluster.slots, own if shared else plan.out
 
@@ -324,11 +324,11 @@ def _can_write(folder: Path) -> bool:
 
 
 @contextmanager
-def _local(workers: int) -> Iterator[Executor]:
+def _local(plan: Sweep) -> Iterator[Executor]:
     """Threads, each of which waits for a process."""
-    executor = ThreadPoolExecutor(workers)
+    executor = ThreadPoolExecutor(plan.arguments.workers)
     try:
         yield executor
     finally:
         executor.shutdown(wait=False, cancel_futures=True)
-        stop_all()
+        stop_all(plan.out)

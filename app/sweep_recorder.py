@@ -56,7 +56,7 @@ def write_recording(path: Path, results: Results, bag: str) -> None:
     title = f"{results.objective} against {results.cost}; green: best; orange: no other is better and faster"
     part = path.with_name(path.name + ".part")
     with rr.RecordingStream(entities.SWEEP_APPLICATION_ID) as stream:
-        stream.save(part, default_blueprint=sweep_blueprint.build(panels, title))
+        stream.save(part, default_blueprint=sweep_blueprint.build(panels, title, results.ranked[0]))
         stream.set_log_time_enabled(False)
         stream.send_recording_name(f"sweep of {bag}")
         _log_table(stream, results, bag)

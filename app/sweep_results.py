@@ -1,5 +1,6 @@
 """What came of a sweep: a table for the terminal, sweep.parquet, and the front of quality against time."""
 
+import math
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -42,8 +43,7 @@ class Results:
         self.cost = figures.CPU_SECONDS if timed else figures.SECONDS
         """The time that a trial took, as well as it is known."""
         quality = [self.quality(trial) for trial in self.trials]
-        seconds = [trial.figures.get(self.cost, float("nan")) for trial in self.trials]
-        self.front = tuple(figures.pareto_front(seconds, quality))
+        self.front = tuple(figures.pareto_front(self._costs, quality))
         """Places of the trials that no other beats in both the objective and time, the fastest first."""
 
     def quality(self, trial: Trial) -> float:
@@ -52,10 +52,14 @@ class Results:
         return -value if figures.less_is_better(self.objective) else value
 
     @property
+    def _costs(self) -> list[float]:
+        return [trial.figures.get(self.cost, math.nan) for trial in self.trials]
+
+    @property
     def ranked(self) -> list[int]:
-        """Places of the trials, best first; those without the objective last."""
-        quality = [self.quality(trial) for trial in self.trials]
-        return sorted(range(len(quality)), key=lambda i: (quality[i] != quality[i], -quality[i]))
+        """Places of the trials, best first, of those that are as good the fastest; those without the objective last."""
+        quality, costs = [self.quality(trial) for trial in self.trials], self._costs
+        return sorted(range(len(quality)), key=lambda i: (math.isnan(quality[i]), -quality[i], costs[i]))
 
     @property
     def headlines(self) -> list[str]:

@@ -127,7 +127,8 @@ def _complete_record(job: Job) -> dict[str, Any] | None:
     return record if same else None
 
 
-_children: set[subprocess.Popen[bytes]] = set()
+_children: dict[subprocess.Popen[bytes], Path] = {}
+"""Processes of this one, and the folder of the sweep that each is at work for."""
 
 
 def perform(job: Job) -> Outcome:
@@ -142,7 +143,7 @@ def perform(job: Job) -> Outcome:
             env={**ENVIRONMENT, **os.environ, "FFMAP_CACHE": str(job.cache)},
             start_new_session=True,
         )
-        _children.add(process)
+        _children[process] = job.out.parent
         try:
             assert process.stdin is not None
             process.stdin.write(job.model_dump_json().encode() + b"\n")
@@ -151,7 +152,7 @@ def perform(job: Job) -> Outcome:
         except BrokenPipeError:
             code = process.wait()
         finally:
-            _children.discard(process)
+            del _children[process]
             _end(process)
             process.communicate()
         stderr.seek(0)
@@ -165,10 +166,11 @@ def perform(job: Job) -> Outcome:
     return Outcome(seconds=seconds, error=said[-1] if said else f"ended with exit code {code}")
 
 
-def stop_all() -> None:
-    """End every process that `perform` waits for."""
-    for process in list(_children):
-        _end(process)
+def stop_all(folder: Path) -> None:
+    """End every process that `perform` waits for in a sweep into this folder."""
+    for process, sweep in list(_children.items()):
+        if sweep == folder:
+            _end(process)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

@@ -16,7 +16,8 @@ class ComparedRun:
     """A run as the layout shows it.
 
     letter: its entities lie below it. scans: whether single scans are there. map_points: whether its growing map is.
-    compared: what was compared with the first run: labels, planes, trajectory, walls, doors, grid.
+    compared: what was compared with the first run: labels, planes, trajectory, walls, doors, grid. differing: of labels,
+    planes and trajectory, what differs.
     """
 
     letter: str
@@ -24,6 +25,7 @@ class ComparedRun:
     scans: bool
     map_points: bool
     compared: frozenset[str] = frozenset()
+    differing: frozenset[str] = frozenset()
 
     def path(self, path: str) -> str:
         """Where an entity of the run's recording lies in the comparison."""
@@ -110,13 +112,18 @@ def _differences(
                 plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
             ),
         ]
-    curves = [
-        rrb.TimeSeriesView(origin=path.format(letter), name=title)
-        for what, path, title in (
+    # What differs comes first: a line along zero tells nothing.
+    by_scan = sorted(
+        (
             ("trajectory", entities.POSE_DISTANCE, "Distance of the poses, metres"),
             ("planes", entities.CHANGED_PLANES, "Wall planes lost and gained"),
             ("labels", entities.CHANGED_PERCENT_SCAN, "Changed labels of single scans, percent"),
-        )
+        ),
+        key=lambda curve: curve[0] not in other.differing,
+    )
+    curves = [
+        rrb.TimeSeriesView(origin=path.format(letter), name=title)
+        for what, path, title in by_scan
         if what in other.compared
     ]
     if curves:

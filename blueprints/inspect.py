@@ -15,6 +15,7 @@ def build(profile_m: tuple[float, float], line: int | None = None) -> rrb.Bluepr
     line: the line to open at; None for the first.
     """
     range_m, height_m = profile_m
+    far_m = max(1.3 * range_m, 6.0)
     seen = rrb.Vertical(
         rrb.Spatial3DView(
             origin=entities.SCAN,
@@ -23,18 +24,21 @@ def build(profile_m: tuple[float, float], line: int | None = None) -> rrb.Bluepr
                 entities.PLANES,
                 entities.OPENINGS,
                 entities.EXAMPLE_LINE,
+                entities.LINE_SIGHT,
                 f"{entities.LINE_STRUCTURES}/**",
                 entities.LINE_GROWING,
                 entities.LINE_PLANE,
                 entities.LINE_DOOR,
             ],
-            name="The line in its scan (white); up-most green, bottom-most orange, the plane that grew violet",
+            name="The line in its scan: white, and its fan of rays; up-most green, bottom-most orange, the plane that grew violet",
             overrides={
                 entities.POINTS: rr.Points3D.from_fields(radii=rr.Radius.ui_points(1.0)),
                 entities.OPENINGS: rr.LineStrips3D.from_fields(show_labels=False),
             },
-            # From behind the robot, right of it and above.
-            eye_controls=rrb.EyeControls3D(position=(-4.8, -3.9, 4.3), look_target=(0.2, 0.0, 1.1)),
+            # From behind the robot, right of it and above, so far that both sides are in view.
+            eye_controls=rrb.EyeControls3D(
+                position=(-0.85 * far_m, -0.4 * far_m, 0.5 * far_m), look_target=(0.0, 0.0, 1.0)
+            ),
             line_grid=rrb.LineGrid3D(visible=False),
         ),
         rrb.Horizontal(

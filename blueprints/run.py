@@ -17,21 +17,22 @@ def build(
     extent_m: float = 20.0,
     evaluated: bool = False,
     scans: bool = True,
+    several: bool = False,
 ) -> rrb.Blueprint:
     """The layout of a run's recording.
 
     ring_count: emitters of the vertical lidar, None where there is nothing to label. centre_m, extent_m: middle and size
     of what the map views show. evaluated: with the errors that `evaluation.rrd` adds, first of all. scans: whether the
-    recording has anything of single scans.
+    recording has anything of single scans. several: whether it is to hold for several runs, with the list to choose from.
     """
     about: list[rrb.Container | rrb.View] = [_metrics(), rrb.TextDocumentView(origin=entities.README, name="Read me")]
     if ring_count is None:
-        return _blueprint([_odometry(), *about], entities.STAMP_TIMELINE)
+        return _blueprint([_odometry(), *about], entities.STAMP_TIMELINE, several)
     if not scans:
         # The map alone: its tabs without the scan's views, which would be empty.
         tabs = [_building(centre_m, extent_m), _map(centre_m, extent_m), _odometry(), *about]
         tabs = [_evaluation(centre_m, extent_m, scans=False), *tabs] if evaluated else tabs
-        return _blueprint(tabs, entities.SCAN_TIMELINE)
+        return _blueprint(tabs, entities.SCAN_TIMELINE, several)
     overview = rrb.Vertical(
         rrb.Horizontal(_scan(), _map(centre_m, extent_m), column_shares=[1, 1]),
         rrb.Horizontal(_lines(), _curves(ring_count), _grid(centre_m, extent_m), column_shares=[1, 1.25, 1]),
@@ -45,22 +46,24 @@ def build(
     ]
     tabs = [overview, _method(ring_count), *building, _odometry(), *about]
     tabs = [_evaluation(centre_m, extent_m), *tabs] if evaluated else tabs
-    return _blueprint(tabs, entities.SCAN_TIMELINE)
+    return _blueprint(tabs, entities.SCAN_TIMELINE, several)
 
 
-def view_of(grid: GridMap | None) -> tuple[tuple[float, float], float]:
-    """`centre_m` and `extent_m` that show a whole grid map."""
-    if grid is None:
+def view_of(*grids: GridMap | None) -> tuple[tuple[float, float], float]:
+    """`centre_m` and `extent_m` that show all of some grid maps."""
+    there = [grid for grid in grids if grid is not None]
+    if not there:
         return (0.0, 0.0), 20.0
-    size_m = np.array(grid.cells.shape[::-1]) * grid.cell_m
-    x, y = grid.origin + size_m / 2
-    return (float(x), float(y)), float(size_m.max())
+    low = np.min([grid.origin for grid in there], axis=0)
+    high = np.max([grid.origin + np.array(grid.cells.shape[::-1]) * grid.cell_m for grid in there], axis=0)
+    x, y = (low + high) / 2
+    return (float(x), float(y)), float(np.max(high - low))
 
 
-def _blueprint(tabs: list[rrb.Container | rrb.View], timeline: str) -> rrb.Blueprint:
+def _blueprint(tabs: list[rrb.Container | rrb.View], timeline: str, several: bool) -> rrb.Blueprint:
     return rrb.Blueprint(
         rrb.Tabs(*tabs, active_tab=0),
-        rrb.BlueprintPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="expanded" if several else "collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         # A finished recording opens at its end, where the map is whole; a live one stays at the newest scan.
         rrb.TimePanel(state="collapsed", timeline=timeline, play_state="following"),

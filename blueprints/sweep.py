@@ -6,12 +6,14 @@ import rerun.blueprint as rrb
 
 from blueprints import entities
 from blueprints.entities import Panel
+from blueprints.timeline import time_panel
 
 
-def build(panels: Mapping[str, Sequence[tuple[str, str]]], front: str) -> rrb.Blueprint:
+def build(panels: Mapping[str, Sequence[tuple[str, str]]], front: str, best: int) -> rrb.Blueprint:
     """The layout of a sweep's recording.
 
-    panels: for each parameter its panels' entity paths and what they show. front: what the Pareto panel shows.
+    panels: for each parameter its panels' entity paths and what they show. front: what the Pareto panel shows. best: the
+    run to open at.
     """
     rows = [
         rrb.Horizontal(*(_panel(path, title) for path, title in shown), name=parameter)
@@ -31,7 +33,7 @@ def build(panels: Mapping[str, Sequence[tuple[str, str]]], front: str) -> rrb.Bl
         rrb.Tabs(overview, parameters, table, active_tab=0),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=entities.RUN_TIMELINE, play_state="paused"),
+        time_panel(entities.RUN_TIMELINE, best),
         auto_views=False,
         auto_layout=False,
     )

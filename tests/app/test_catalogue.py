@@ -138,7 +138,7 @@ def test_what_cannot_be_queried_is_told_and_the_rest_is_found(
     (root / "unknown" / "run.json").write_text("{")
     runs_command.runs(str(root), Query(), None, None)
     told = capsys.readouterr()
-    assert "1 runs in" in told.out
+    assert "1 run in" in told.out
     reasons = dict(line.removeprefix("not in the table: ").split(": ", 1) for line in told.err.strip().splitlines())
     names = {Path(place).name: reason for place, reason in reasons.items()}
     assert sorted(names) == ["b", "c", "copy", "d", "run.json"]
@@ -147,6 +147,43 @@ def test_what_cannot_be_queried_is_told_and_the_rest_is_found(
     assert "copy" in names["copy"]
     assert "no recording.rrd" in names["d"]
     assert "cannot be read" in names["run.json"]
+
+
+def test_runs_are_registered_at_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[int] = []
+    register = catalogue.DatasetEntry.register
+
+    def counted(self: Any, files: list[str], **options: Any) -> Any:
+        calls.append(len(files))
+        return register(self, files, **options)
+
+    monkeypatch.setattr(catalogue.DatasetEntry, "register", counted)
+    with catalogue.serve(find_runs(folder)):
+        assert calls == [5, 4]
+
+
+def test_figures_that_come_later_are_taken(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "a", 0.9, 0.02, 3.0)
+    figures = (run / "evaluation.rrd").read_bytes()
+    (run / "evaluation.rrd").unlink()
+    with catalogue.serve([run]) as served:
+        assert "wall_f1" not in ask(served.dataset, Query()).table.column_names
+        (run / "evaluation.rrd").write_bytes(figures[:-300])
+        served.add([])
+        assert "ffmap evaluate" in served.left_out[run]
+        (run / "evaluation.rrd").write_bytes(figures)
+        served.add([])
+        assert ask(served.dataset, Query()).table.column("wall_f1").to_pylist() == [0.9]
+
+
+def test_a_copy_stands_in_for_a_damaged_run(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "a", 0.9, 0.02, 3.0)
+    shutil.copytree(run, tmp_path / "b")
+    (run / "recording.rrd").write_bytes((run / "recording.rrd").read_bytes()[:-300])
+    with catalogue.serve(find_runs(tmp_path)) as served:
+        assert list(served.taken.values()) == [tmp_path / "b"]
+        assert "damaged" in served.left_out[run]
+        assert ask(served.dataset, Query()).table.column("wall_f1").to_pylist() == [0.9]
 
 
 def test_no_runs_at_all(tmp_path: Path) -> None:

@@ -72,3 +72,12 @@ def test_objectives_are_checked() -> None:
 def test_headings_are_as_short_as_they_can_be() -> None:
     names = ["building.gap_m", "wall_planes.gap_m", "doors.lines_min", "seed"]
     assert list(short_names(names).values()) == ["building.gap_m", "wall_planes.gap_m", "lines_min", "seed"]
+
+
+def test_runs_are_asked_for_by_figures_not_by_what_these_are_made_from() -> None:
+    wall = {"f1": 0.97, "right_m2": 70.0}
+    metrics = {"area": {"wall": wall, "confusion": {"truth": []}}, "maps": {"middle": {"recall": 0.9}}}
+    assert figures.queried({**metrics, "rooms": {"recall": 1.0, "by_room": {"lab 1": 1.0}}}) == {
+        "area": {"wall": {"f1": 0.97}},
+        "rooms": {"recall": 1.0},
+    }

@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from rerun.chunk import RrdReader
 from rosbags.highlevel import AnyReader
+from scipy.spatial.transform import Rotation
 
 from algorithms.comparison import CLASSES, classes_of
 from algorithms.labels import NO_RETURN
@@ -207,6 +208,37 @@ def test_a_run_against_its_copy_differs_nowhere(
     entity_paths = {chunk.entity_path for chunk in RrdReader(tmp_path / "out" / "comparison.rrd").stream()}
     assert {f"/{letter}{entities.POINTS}" for letter in "ABC"} <= entity_paths
     assert found["comparisons"][1]["labels"]["changed"] == report(compared)["comparisons"][0]["labels"]["changed"]
+
+
+def test_poses_that_differ_are_told_and_labels_compared_all_the_same(
+    compared: Path, runs: dict[str, Path], tmp_path: Path
+) -> None:
+    """As after another levelling: the second map is turned by a degree about one of its points, and shifted."""
+    moved = tmp_path / "moved"
+    shutil.copytree(runs["other"], moved)
+    poses = np.loadtxt(moved / "trajectory.tum")
+    turn = Rotation.from_euler("yz", [0.3, 1.0], degrees=True)
+    before = poses[:, 1:4].copy()
+    poses[:, 1:4] = turn.apply(before) + np.array([0.1, 0.0, 0.02])
+    poses[:, 4:] = (turn * Rotation.from_quat(poses[:, 4:])).as_quat()
+    # Stamps as they stood: a float would lose their last digits.
+    stamps = [line.split()[0] for line in (moved / "trajectory.tum").read_text().splitlines()]
+    rows_of = [" ".join([stamp, *(f"{value:.9f}" for value in row[1:])]) for stamp, row in zip(stamps, poses, strict=True)]
+    (moved / "trajectory.tum").write_text("\n".join(rows_of) + "\n")
+    change, same = compare(tmp_path / "out", runs["usual"], moved)["comparisons"][0], report(compared)["comparisons"][0]
+    assert change["labels"] == same["labels"]
+    assert change["planes"] == same["planes"]
+    distance = np.linalg.norm(poses[:, 1:4] - before, axis=1)
+    assert change["trajectory"]["mean_m"] == pytest.approx(distance.mean(), abs=1e-6)
+    assert change["trajectory"]["max_m"] == pytest.approx(distance.max(), abs=1e-6)
+    assert change["trajectory"]["aligned_max_m"] < 1e-6 < 0.1 < change["trajectory"]["mean_m"]
+    drawn = recorded(tmp_path / "out", f"{entities.POSE_DISTANCE.format('B')}/as_they_stand")
+    np.testing.assert_allclose([drawn[scan]["scalars"][0] for scan in range(SCANS)], distance, atol=2e-6)
+    # Changed points lie in the first run's map, over which they are shown.
+    points = entities.CHANGED_POINTS.format("B")
+    mine, usual = recorded(tmp_path / "out", points), recorded(compared, points)
+    for scan in range(SCANS):
+        np.testing.assert_array_equal(mine[scan]["positions"], usual[scan]["positions"])
 
 
 def test_whichever_file_has_the_labels_they_are_the_same(runs: dict[str, Path], tmp_path: Path) -> None:

@@ -52,6 +52,11 @@ def test_each_line_has_its_place_on_the_timeline(settings: dict[str, float], tmp
     for line in lines:
         count = len(upmost[line]) + len(bottommost[line]) + len(others[line])
         assert count == np.count_nonzero(structures.line == line)
+    # A fan from the lidar to every sample of the line.
+    sight = by_line(path, entities.LINE_SIGHT, "Mesh3D:vertex_positions")
+    assert {line: len(drawn) for line, drawn in sight.items()} == {
+        line: 1 + np.count_nonzero(labelling.lines.samples[line] >= 0) for line in lines
+    }
     planes = by_line(path, entities.LINE_PLANE, strips)
     members = labelling.planes.candidate_line[labelling.planes.candidate_plane >= 0]
     assert {line: len(drawn) for line, drawn in planes.items()} == {

@@ -138,6 +138,8 @@ def test_evidence_stands_beside_what_is_drawn(recording, labelled):
         np.testing.assert_array_equal(np.asarray(doors["conditions_held"]) == 3, labelling.door_lines.above_door)
         np.testing.assert_allclose(vectors(planes["normal"]), labelling.planes.normal, atol=1e-6)
         np.testing.assert_allclose(planes["offset_m"], labelling.planes.offset_m, atol=1e-5)
+        # Of a mesh's colours the viewer takes the factor's opacity alone.
+        assert planes["albedo_factor"][0] & 0xFF < 128
 
 
 def test_metrics_lie_on_the_scan(recording, labelled):

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -105,6 +106,7 @@ def test_the_runs_have_what_a_sweep_writes(killed: tuple[Path, dict, str]) -> No
         names = {path.name for path in (out / name).iterdir()}
         assert {"recording.rrd", "evaluation.rrd", "labels.parquet", "metrics.json", "map.yaml"} <= names
         assert not {"labelled.bag", "cloud.ply", "spool"} & names
+        assert not (out / "latest").is_symlink()
         assert record["options"]["detail"] == "map"
         assert record["timings_s"]["cpu"] > 0
 
@@ -147,11 +149,11 @@ def test_the_recording_shows_every_run(killed: tuple[Path, dict, str]) -> None:
         assert any(name in text for text in described)
 
 
-def test_a_cluster_gives_the_same_labels(
-    killed: tuple[Path, dict, str], bag: Path, environment: dict[str, str], tmp_path: Path
-) -> None:
+@pytest.fixture(scope="module")
+def cluster(environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a scheduler with two workers, started from the command line."""
     pytest.importorskip("distributed")
-    scheduler_file = tmp_path / "scheduler.json"
+    scheduler_file = tmp_path_factory.mktemp("cluster") / "scheduler.json"
     dask = Path(sys.executable).parent / "dask"
     quiet = {"env": {**environment, "PYTHONPATH": str(Path.cwd())}, "stdout": subprocess.DEVNULL}
     commands = (
@@ -166,13 +168,18 @@ def test_a_cluster_gives_the_same_labels(
         end = time.monotonic() + 60
         while not scheduler_file.exists() and time.monotonic() < end:
             time.sleep(0.1)
-        address = json.loads(scheduler_file.read_text())["address"]
-        done = ffmap(environment, "sweep", bag, *GRID, "--out", tmp_path / "out", "--scheduler", address)
-        assert done.returncode == 0, done.stderr
+        yield json.loads(scheduler_file.read_text())["address"]
     finally:
         for process in started:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
+
+
+def test_a_cluster_gives_the_same_labels(
+    killed: tuple[Path, dict, str], bag: Path, environment: dict[str, str], cluster: str, tmp_path: Path
+) -> None:
+    done = ffmap(environment, "sweep", bag, *GRID, "--out", tmp_path / "out", "--scheduler", cluster)
+    assert done.returncode == 0, done.stderr
     ours, theirs = records(killed[0]), records(tmp_path / "out")
     assert sorted(ours) == sorted(theirs)
     for name in ours:
@@ -180,6 +187,25 @@ def test_a_cluster_gives_the_same_labels(
         here, there = (read_labels(out / name / "labels.parquet") for out in (killed[0], tmp_path / "out"))
         assert list(here) == list(there)
         assert all(np.array_equal(here[scan], there[scan]) for scan in here)
+
+
+def test_an_interrupted_sweep_leaves_no_run_on_the_cluster(
+    bag: Path, environment: dict[str, str], cluster: str, tmp_path: Path
+) -> None:
+    command = [*FFMAP, "sweep", str(bag), *GRID, "--out", str(tmp_path / "out"), "--scheduler", cluster]
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    end = time.monotonic() + 100
+    while not records(tmp_path / "out") and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == 130, said
+    assert "Traceback" not in said
+    assert "the same command goes on" in said
+    assert not is_writing(tmp_path / "out")
+    left = records(tmp_path / "out")
+    assert left
+    assert all(record["outcome"] == "running" for record in left.values())
 
 
 SEEDS = ("seed=0,1",)

@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from app import sweep_schedule
-from app.sweep_plan import Listed
+from app.sweep_plan import Choice, Listed
+from app.sweep_results import Results
 from app.sweep_run import Job, Outcome, is_finished
 from app.sweep_schedule import Run, Schedule
 
@@ -152,6 +153,16 @@ def test_without_its_odometry_no_run_is_tried(tmp_path: Path, monkeypatch: pytes
     failed = [run for run in schedule.runs.values() if run.failed]
     assert [run.job.name for run in failed] == [f"a-{value}" for value in range(5)]
     assert "no horizontal cloud" in failed[0].outcome.error
+
+
+def test_of_runs_that_are_as_good_the_fastest_comes_first(tmp_path: Path) -> None:
+    runs = []
+    for value, (f1, seconds) in enumerate([(0.9, 5.0), (0.95, 7.0), (0.95, 6.0), (None, 1.0)]):
+        runs.append(run_of(tmp_path, "a", value))
+        runs[-1].figures = {"seconds": seconds, **({} if f1 is None else {"wall_f1": f1})}
+    results = Results(runs, [Choice("seed", (0, 1, 2, 3))], "wall_f1")
+    assert results.ranked == [2, 1, 0, 3]
+    assert results.front == (0, 2)
 
 
 def test_a_combination_that_is_proposed_twice_is_run_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

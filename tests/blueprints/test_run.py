@@ -1,6 +1,7 @@
 """The layout names only what the recorder writes, and every view says what it shows."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import rerun.blueprint as rrb
@@ -37,6 +38,11 @@ def test_a_comparison_shows_what_was_compared_and_no_more():
     names = [str(view.name) for view in views(layout.root_container)]
     for word in ("Where labels changed, A → B", "its changed points", "Distance of the poses", "lost red"):
         assert any(word in name for name in names)
+    curves = [name for name in names if name.startswith(("Distance", "Wall planes", "Changed labels of single"))]
+    assert curves[0].startswith("Distance")
+    moved = replace(other, differing=frozenset({"planes"}))
+    names = [str(view.name) for view in views(compare.build([first, moved]).root_container)]
+    assert next(name for name in names if name in curves).startswith("Wall planes")
     nothing = compare.ComparedRun("B", "B: other", scans=False, map_points=False)
     bare = compare.build([compare.ComparedRun("A", "A", False, False), nothing])
     assert [type(view) for view in views(bare.root_container)] == [rrb.TextDocumentView] * 2
