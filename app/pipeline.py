@@ -632,7 +632,9 @@ def _build(
     grid = draw_furniture_free(immobile, drive, settings.grid_map, settings.wall_thickness)
     rooms = find_rooms(grid, settings.area_graph, doorways_of(doors), windows.ends, path)
     with ThreadPoolExecutor(workers) as threads:
-        drawn = threads.map(lambda rival: draw_rival(rival, rivals, drive, settings.grid_map, settings.rival_maps), Rival)
+        drawn = threads.map(
+            lambda rival: draw_rival(rival, rivals, windows, drive, settings.grid_map, settings.rival_maps), Rival
+        )
         rival_maps = dict(zip(Rival, drawn, strict=True))
     halo = find_halo(votes, settings.relabelling.halo_ratio)
     stretches = standing_stretches(immobile, settings.grid_map)
