@@ -10,6 +10,7 @@ instead of a width that has to be tuned. Where doors were detected, their doorwa
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from itertools import pairwise
 
 import networkx as nx
@@ -42,6 +43,15 @@ _JAMB_M = 0.1
 """A doorway is closed so far into both jambs, whose place is not known better."""
 
 
+class Segmented(StrEnum):
+    """The three that the paper compares (Fig. 10)."""
+
+    FURNITURE_FREE = "furniture_free"
+    NORMAL = "normal"
+    """A slice halfway up with its furniture, of which alpha removal takes away what it knows."""
+    NORMAL_AS_IS = "normal_without_alpha_removal"
+
+
 class AreaGraphSettings(StepSettings):
     """Rooms of a grid map (paper, IV.D, Fig. 10)."""
 
@@ -67,6 +77,10 @@ class AreaGraphSettings(StepSettings):
     room_min_m2: float = Field(
         1.0, ge=0, description="Areas of fewer square metres join the one that they open to, or are dropped."
     )
+
+    def without_alpha_removal(self) -> "AreaGraphSettings":
+        """The same, but all furniture stays."""
+        return self.model_copy(update={"furniture_max_m": 0.0, "block_max_m": 0.0})
 
 
 @dataclass(frozen=True)
