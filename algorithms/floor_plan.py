@@ -106,7 +106,6 @@ class FloorPlan:
     doors: tuple[PlanDoor, ...]
     windows: tuple[shapely.Polygon, ...]
     rooms: tuple[RoomOnPlan, ...]
-    usual_thickness_m: float
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
@@ -173,7 +172,6 @@ def draw_floor_plan(
         ),
         windows=tuple(windows),
         rooms=tuple(rooms),
-        usual_thickness_m=usual_m,
     )
 
 

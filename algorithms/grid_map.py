@@ -330,7 +330,18 @@ class _Canvas:
         self.draw_points(path, Cell.FREE)
         for doorway in doorways:
             self.draw_area(doorway, Cell.FREE)
-        return GridMap(self._cells, self._origin, self._cell_m)
+        return self._framed()
+
+    def _framed(self) -> GridMap:
+        """What is known, with the margin around it: faces that were hidden or passed need no space."""
+        known = self._cells != Cell.UNKNOWN
+        if not known.any():
+            return GridMap(self._cells, self._origin, self._cell_m)
+        margin = round(self._settings.margin_m / self._cell_m)
+        rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+        bottom, left = max(int(rows[0]) - margin, 0), max(int(columns[0]) - margin, 0)
+        cells = self._cells[bottom : rows[-1] + 1 + margin, left : columns[-1] + 1 + margin]
+        return GridMap(np.ascontiguousarray(cells), self._origin + self._cell_m * np.array([left, bottom]), self._cell_m)
 
     def drop_crossed(self, drive: Drive) -> None:
         """Forget occupied cells, in runs of `_CROSSED_MIN`, that many more rays crossed below the knee than ended there.

@@ -202,7 +202,7 @@ def _draw_foot(svg: ElementTree.Element, plan: FloorPlan, title: str, width: flo
     add("text", "y", x=x - 3, y=y - 7)
     legend = [
         ("wall", "wall, both sides seen"),
-        ("assumed", f"wall, one side seen ({100 * plan.usual_thickness_m:.0f} cm assumed)"),
+        ("assumed", "wall, one side seen, its thickness assumed"),
     ]
     for row, (kind, words) in enumerate(legend):
         y = top + 8 + 5.5 * row

@@ -104,7 +104,8 @@ def _segment(
     grid = read_map(path, arguments.resolution_m)
     if not (grid.cells == Cell.FREE).any():
         raise InputError(
-            f"{path}: the map has no free cell; free is white (over 250) in an image, for other greys give a YAML file"
+            f"{path}: the map has no free cell; free is white (over 250) in an image, and what a YAML file's own free_thresh "
+            "says"
         )
     doorways = _doorways(arguments.doors) if arguments.doors is not None else NO_DOORWAYS
     coarse = coarsened(grid, CELLS_MAX)

@@ -224,6 +224,19 @@ def test_nothing_gives_an_unknown_map() -> None:
     assert (empty.cells == Cell.UNKNOWN).all()
 
 
+def test_faces_that_are_not_shown_need_no_space() -> None:
+    rooms = TwoRooms()
+    grid = draw_furniture_free(*with_face(rooms, [[1.0, 30.0], [2.0, 30.0]], [0.0, -1.0], 2.6), SETTINGS, THICKNESS)
+    plain = drawn(rooms)
+    np.testing.assert_allclose(grid.origin, plain.origin)
+    rows, columns = plain.cells.shape
+    np.testing.assert_array_equal(grid.cells[:rows, :columns], plain.cells)
+    known = np.argwhere(grid.cells != Cell.UNKNOWN)
+    margin = round(SETTINGS.margin_m / SETTINGS.cell_m)
+    np.testing.assert_array_equal(known.min(axis=0), margin)
+    np.testing.assert_array_equal(np.array(grid.cells.shape) - 1 - known.max(axis=0), margin)
+
+
 def test_given_cells_are_occupied_and_the_rest_is_freed_by_the_same_rays() -> None:
     rooms = TwoRooms(both_seen=False)
     _, drive = rooms.build()
