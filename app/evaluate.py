@@ -64,6 +64,7 @@ from algorithms.labels import NO_RETURN, Label, Truth
 from algorithms.room_evaluation import RoomFigures, compare_rooms
 from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.trajectory import Trajectory, place_scan
+from app.files import write_json
 from app.labels_file import read_labels
 from app.map_figures import (
     ComparedMaps,
@@ -75,7 +76,6 @@ from app.map_figures import (
     write_overlays,
 )
 from app.processes import process_context
-from app.results import write_json
 from app.room_results import outlines
 from app.run_folder import EVALUATION, LABELS, OVERLAY, RECORDING, RUN_JSON, rooms_file
 from blueprints import entities

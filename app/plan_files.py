@@ -14,7 +14,7 @@ from ezdxf.units import M as METRES
 from algorithms.doors import DoorState
 from algorithms.floor_plan import FloorPlan, Leaf, PlanDoor
 from algorithms.scan import FloatArray
-from app.results import write_atomically
+from app.files import write_atomically
 
 MM_PER_M = 10.0
 """The SVG is drawn at a scale of 1:100."""

@@ -14,8 +14,8 @@ from algorithms.area_graph import NO_DOORWAYS, AreaGraph, coarsened, find_rooms
 from algorithms.grid_map import Cell, GridMap
 from algorithms.room_evaluation import RoomFigures, compare_room_images, rooms_of_image
 from algorithms.scan import FloatArray, IntArray
+from app.files import write_json
 from app.map_files import read_image, read_map
-from app.results import write_json
 from app.room_results import topology, write_picture, write_rooms
 from app.settings import load_settings
 from loaders.errors import InputError

@@ -38,7 +38,7 @@ PLAN = FloorPlan(
     windows=(shapely.box(4.0, 0.0, 5.0, 0.2),),
     rooms=(Room("Room 1", shapely.box(3.2, 0.2, 7.8, 3.8), 16.56), Room("<R&D>", shapely.box(0, 0.2, 3, 4), 11.4)),
 )
-EMPTY = FloorPlan((), (), (), (), (), (), 0.15)
+EMPTY = FloorPlan((), (), (), (), (), ())
 
 
 def numbers(path: str) -> np.ndarray:
