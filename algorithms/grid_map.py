@@ -141,10 +141,10 @@ def draw_furniture_free(
     shut = np.full(len(doors), settings.doors == "closed")
     if settings.doors == "as-seen":
         shut = doors.state == DoorState.CLOSED
-    for d in np.flatnonzero(shut).tolist():
-        canvas.draw_line(doors.ends[d] - np.nan_to_num(doors.depth_m[d]) * doors.normal[d], Cell.OCCUPIED)
+    # Drawn when all is free: rays that passed an open door showed what is behind it.
+    leaves = [doors.ends[d] - np.nan_to_num(doors.depth_m[d]) * doors.normal[d] for d in np.flatnonzero(shut)]
     open_doorways = [doorway for doorway, is_shut in zip(doorways, shut, strict=True) if not is_shut]
-    return canvas.freed(drive, immobile.windows, open_doorways, faces=True)
+    return canvas.freed(drive, immobile.windows, open_doorways, leaves, faces=True)
 
 
 def draw_cells(cell_index: IntArray, windows: Windows, drive: Drive, settings: GridMapSettings) -> GridMap:
@@ -155,7 +155,7 @@ def draw_cells(cell_index: IntArray, windows: Windows, drive: Drive, settings: G
     places = (cell_index + 0.5) * settings.cell_m
     canvas = _Canvas.around([places, drive.path_map[:, :2]], settings)
     canvas.draw_points(places, Cell.OCCUPIED)
-    return canvas.freed(drive, windows, [], faces=False)
+    return canvas.freed(drive, windows, [], [], faces=False)
 
 
 def standing_stretches(immobile: Immobile, settings: GridMapSettings) -> Walls:
@@ -287,12 +287,19 @@ class _Canvas:
             inside &= (place >= 0) & (place <= side @ side)
         self._set(index[inside], cell)
 
-    def freed(self, drive: Drive, windows: Windows, doorways: Sequence[FloatArray], faces: bool) -> GridMap:
+    def freed(
+        self,
+        drive: Drive,
+        windows: Windows,
+        doorways: Sequence[FloatArray],
+        leaves: Sequence[FloatArray],
+        faces: bool,
+    ) -> GridMap:
         """The finished map: free is what rays crossed before they met something, near to floor that was seen.
 
         Floor was seen where a ray to it ran below the knee, and counts if such cells join it to the robot's way.
 
-        doorways: (4, 2) each, free in any case; so is the robot's own way.
+        doorways: (4, 2) each, free in any case; so is the robot's own way. leaves: (2, 2) each, which bar theirs.
         faces: whether what is occupied are faces of walls: one that bounds nothing that rays crossed is hidden, as the
             reveals of windows are, and a wall that was carried on behind a pillar.
         """
@@ -330,6 +337,8 @@ class _Canvas:
         self.draw_points(path, Cell.FREE)
         for doorway in doorways:
             self.draw_area(doorway, Cell.FREE)
+        for leaf in leaves:
+            self.draw_line(leaf, Cell.OCCUPIED)
         return self._framed()
 
     def _framed(self) -> GridMap:

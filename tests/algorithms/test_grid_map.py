@@ -85,6 +85,14 @@ def test_closed_leaves_and_doorways_block_where_that_is_asked() -> None:
         assert blocked == {"open": False, "as-seen": closed, "closed": True}
 
 
+def test_what_an_open_door_showed_is_free_though_the_door_is_to_be_drawn_closed() -> None:
+    rooms = TwoRooms(both_seen=False)
+    grid = drawn(rooms, GridMapSettings(doors="closed"))
+    behind = np.array([[np.mean(JAMBS_X), SIZE_M[1] + rooms.thickness_m + 0.5]])
+    assert (at(grid, rooms, behind) == Cell.FREE).all()
+    assert Cell.OCCUPIED in at(grid, rooms, across_the_door(rooms))
+
+
 def test_an_opening_that_no_door_was_made_of_is_not_walled_up() -> None:
     rooms = TwoRooms()
     immobile, drive = rooms.build(without(rooms.doors))
@@ -234,7 +242,7 @@ def test_faces_that_are_not_shown_need_no_space() -> None:
     known = np.argwhere(grid.cells != Cell.UNKNOWN)
     margin = round(SETTINGS.margin_m / SETTINGS.cell_m)
     np.testing.assert_array_equal(known.min(axis=0), margin)
-    np.testing.assert_array_equal(np.array(grid.cells.shape) - 1 - known.max(axis=0), margin)
+    np.testing.assert_allclose(np.array(grid.cells.shape) - 1 - known.max(axis=0), margin, atol=1)
 
 
 def test_given_cells_are_occupied_and_the_rest_is_freed_by_the_same_rays() -> None:
