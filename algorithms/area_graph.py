@@ -10,6 +10,7 @@ instead of a width that has to be tuned. Where doors were detected, their doorwa
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from itertools import pairwise
 
 import networkx as nx
@@ -42,6 +43,15 @@ _JAMB_M = 0.1
 """A doorway is closed so far into both jambs, whose place is not known better."""
 
 
+class Segmented(StrEnum):
+    """The three that the paper compares (Fig. 10)."""
+
+    FURNITURE_FREE = "furniture_free"
+    NORMAL = "normal"
+    """A slice halfway up with its furniture, of which alpha removal takes away what it knows."""
+    NORMAL_AS_IS = "normal_without_alpha_removal"
+
+
 class AreaGraphSettings(StepSettings):
     """Rooms of a grid map (paper, IV.D, Fig. 10)."""
 
@@ -67,6 +77,10 @@ class AreaGraphSettings(StepSettings):
     room_min_m2: float = Field(
         1.0, ge=0, description="Areas of fewer square metres join the one that they open to, or are dropped."
     )
+
+    def without_alpha_removal(self) -> "AreaGraphSettings":
+        """The same, but all furniture stays."""
+        return self.model_copy(update={"furniture_max_m": 0.0, "block_max_m": 0.0})
 
 
 @dataclass(frozen=True)
@@ -148,10 +162,10 @@ def find_rooms(
     furniture = _furniture(~free | closed, grid.cell_m, settings)
     open_cells = (free | furniture) & ~closed
     walls = ~free if path_map is None else (view.cells == Cell.OCCUPIED) | closed
-    distance, nearest = ndimage.distance_transform_edt(open_cells, return_indices=True)
+    distance, nearest = _to_nearest_obstacle(open_cells)
     if len(doorways):
         settings = settings.model_copy(update={"passage_max_m": min(settings.passage_max_m, _door_width(doorways))})
-    label = _areas(open_cells, distance.astype(np.float32), nearest, walls, grid.cell_m, settings)
+    label = _areas(open_cells, distance, nearest, walls, grid.cell_m, settings)
     sides = np.array([_sides(label, view, doorway) for doorway in doorways], np.int32).reshape(-1, 2)
     openings = _openings(label, view)
     if path_map is not None:
@@ -160,7 +174,7 @@ def find_rooms(
         label = _reaching_on(label, walls & ~furniture)
         label = _with_niches(label, closed, settings.block_max_m / grid.cell_m)
     reach_m = 0.0 if path_map is None else grid.cell_m / 2  # such a map's walls run along the middle of their cells
-    removed, skeleton = view.centres(furniture & ~free), _voronoi(label, nearest, view)
+    removed, skeleton = view.centres(furniture & ~free), _voronoi(label, distance, nearest, view)
     return _described(label, sides, openings, doorways, removed, skeleton, view, reach_m)
 
 
@@ -251,6 +265,20 @@ def _across(doorways: FloatArray, cell_m: float) -> FloatArray:
     return np.concatenate(lines)
 
 
+def _to_nearest_obstacle(free: BoolArray) -> tuple[FloatArray, IntArray]:
+    """float32 distance of each cell to the nearest one that is not free, in cells, and (2, …) that one's row and column.
+
+    SciPy's own distances are float64 with several copies, which take longer than the transform itself.
+    """
+    nearest: IntArray = ndimage.distance_transform_edt(free, return_distances=False, return_indices=True)
+    squared = np.zeros(free.shape, np.float32)
+    for axis, length in enumerate(free.shape):
+        place = np.arange(length, dtype=np.int32)
+        away = nearest[axis] - (place[:, None] if axis == 0 else place)
+        squared += np.square(away, dtype=np.float32)
+    return np.sqrt(squared, out=squared), nearest
+
+
 def _furniture(obstacles: BoolArray, cell_m: float, settings: AreaGraphSettings) -> BoolArray:
     """Alpha removal: what stands free of the walls and is small, or a compact block (paper, IV.D)."""
     label, count = ndimage.label(obstacles, _EIGHT)
@@ -269,9 +297,11 @@ def _furniture(obstacles: BoolArray, cell_m: float, settings: AreaGraphSettings)
 
 def _length(cells: BoolArray) -> float:
     """Greatest distance of two corners of cells, in cells."""
-    row, column = np.nonzero(cells)
-    corners = np.column_stack([column, row])[:, None] + np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
-    hull = shapely.MultiPoint(corners.reshape(-1, 2)).convex_hull
+    row = np.flatnonzero(cells.any(axis=1))
+    # No corner between the outermost two of a row is one of the convex hull.
+    left, right = cells[row].argmax(axis=1), cells.shape[1] - cells[row, ::-1].argmax(axis=1)
+    corners = [np.column_stack([column, edge]) for column in (left, right) for edge in (row, row + 1)]
+    hull = shapely.MultiPoint(np.concatenate(corners)).convex_hull
     return float(pdist(shapely.get_coordinates(hull)).max())
 
 
@@ -562,17 +592,19 @@ def _largest(area: shapely.Geometry) -> shapely.Polygon:
     return max(shapely.get_parts(area), key=shapely.area)
 
 
-def _voronoi(label: IntArray, nearest: IntArray, view: _View) -> FloatArray:
+def _voronoi(label: IntArray, distance: FloatArray, nearest: IntArray, view: _View) -> FloatArray:
     """(s, 2, 2) edges between cells whose nearest obstacles lie far apart, as seen from there, and far away."""
+    far = (label > 0) & (distance * view.grid.cell_m > _SITE_M)
     edges = []
     for down, right in ((1, 0), (0, 1)):
         low = np.s_[: label.shape[0] - down, : label.shape[1] - right]
         high = np.s_[down:, right:]
-        row, column = np.nonzero((label[low] == label[high]) & (label[low] > 0))
-        here, there = nearest[:, row, column], nearest[:, row + down, column + right]
-        apart, distance = np.hypot(*(here - there)), np.hypot(*(here - [row, column]))
-        chosen = (apart > distance) & (distance * view.grid.cell_m > _SITE_M)
-        edges.append(_border(row[chosen], column[chosen], down))
+        apart = np.zeros(label[low].shape, np.float32)
+        for site in nearest:
+            apart += np.square(site[low] - site[high], dtype=np.float32)
+        chosen = far[low] & (label[low] == label[high]) & (apart > np.square(distance[low]))
+        row, column = np.nonzero(chosen)
+        edges.append(_border(row, column, down))
     return np.asarray(view.origin + view.grid.cell_m * np.concatenate(edges))
 
 

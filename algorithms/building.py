@@ -48,7 +48,7 @@ _ON_FACE_M = 0.03
 """A return farther behind the face is within the opening: on a reveal, on the lintel's underside, or beyond."""
 _FRAME_RAYS = 30
 """Fewest rays on the face, and behind it, that move a jamb or a head."""
-_REVEAL_BIN_M = 0.02
+_REVEAL_BIN_M = 0.01
 _REVEAL_MAX_M = 0.7
 _UNDERSIDE_PARTS = 8
 """A lintel's underside shows over most of so many parts of the door's width; the edge of a leaf that is ajar does not."""
@@ -566,11 +566,13 @@ def measure_reveals(doors: Doors, blocks: Iterable[Features], settings: Building
     reveal_m = doors.reveal_m.copy()
     for d in range(len(doors)):
         # Behind the face by as far as returns follow each other without a gap, over most of the width: a leaf's upper edge
-        # that is ajar is narrow.
+        # that is ajar is narrow. They scatter about the end, which is where half as many return as before.
         enough = np.count_nonzero(counts[d], axis=1) > 0.5 * _UNDERSIDE_PARTS
-        runs = stretches(enough, 2)
+        runs = stretches(enough, 4)
         if runs and runs[0][0] * _REVEAL_BIN_M <= 0.1:
-            reveal_m[d] = (runs[0][1] + 1) * _REVEAL_BIN_M
+            returns = np.convolve(counts[d].sum(axis=1), np.ones(3), "same")[: runs[0][1] + 1]
+            usual = np.median(returns[len(returns) // 2 :])
+            reveal_m[d] = (np.flatnonzero(returns > 0.5 * usual)[-1] + 1) * _REVEAL_BIN_M
     return replace(doors, reveal_m=reveal_m)
 
 

@@ -9,14 +9,21 @@ import shapely
 from pydantic import Field
 from shapely.geometry.base import BaseGeometry
 
-from algorithms.building import Walls
+from algorithms.building import Doors, Walls
 from algorithms.doors import DoorState
 from algorithms.grid_map import Cell, GridMap, Immobile
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, IntArray
 from algorithms.semantic_map import VoxelVotes, majority
 from algorithms.settings import StepSettings
-from algorithms.wall_thickness import WallParts, WallThicknessSettings, door_depths, part_walls, usual_thickness
+from algorithms.wall_thickness import (
+    WallParts,
+    WallThicknessSettings,
+    door_depths,
+    face_thickness,
+    part_walls,
+    usual_thickness,
+)
 
 _MEET_M = 0.12
 """Ends of two faces so near to each other make a corner."""
@@ -88,8 +95,9 @@ class PlanDoor:
 class FloorPlan:
     """Everything in metres of the map frame.
 
-    walls: areas of walls that were seen from both sides. assumed: of walls that were seen from one side, with the
-    building's usual thickness. columns: their outlines. windows: what they cut out of a wall.
+    walls: areas of walls that were seen from both sides. assumed: of walls that were seen from one side, as thick as
+    their doorways are deep, else with the building's usual thickness. columns: their outlines. windows: what they cut
+    out of a wall.
     """
 
     walls: tuple[shapely.Polygon, ...]
@@ -98,7 +106,6 @@ class FloorPlan:
     doors: tuple[PlanDoor, ...]
     windows: tuple[shapely.Polygon, ...]
     rooms: tuple[RoomOnPlan, ...]
-    usual_thickness_m: float
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
@@ -127,19 +134,24 @@ def draw_floor_plan(
     """
     stretches = stretches.select(_shown(stretches, grid))
     doors = immobile.doors
-    depth_m = door_depths(doors, immobile.walls, part_walls(immobile.walls, thickness), thickness)
+    of_walls = part_walls(immobile.walls, thickness)
+    depth_m = door_depths(doors, immobile.walls, of_walls, thickness)
     parts = part_walls(stretches, thickness)
     usual_m = usual_thickness(parts, thickness)
+    assumed_m = _assumed_thickness(stretches, doors, depth_m, usual_m)
+    # A doorway is cut out of the wall as it is drawn, where both faces of that were seen.
+    drawn_m = face_thickness(immobile.walls, of_walls)[doors.wall]
+    cut_m = np.where(np.isfinite(drawn_m), drawn_m, depth_m)
     columns, in_column = _columns(stretches, settings)
-    outlines = [_quad(doors.ends[d], doors.normal[d], 0.0, float(depth_m[d])) for d in range(len(doors))]
+    outlines = [_quad(doors.ends[d], doors.normal[d], 0.0, float(cut_m[d])) for d in range(len(doors))]
     windows = [
         _quad(ends, normal, 0.0, _thickness_at(ends, parts, stretches, usual_m))
         for ends, normal in zip(immobile.windows.ends, immobile.windows.normal, strict=True)
     ]
     cuts = shapely.union_all([*(o.buffer(_TIDY_M / 2, join_style="mitre") for o in outlines), *windows, *columns])
     in_wall = ~in_column & ~_fragments(stretches, settings)
-    solid = _bodies(stretches, parts, usual_m, in_wall[parts.wall] & np.isfinite(parts.thickness_m))
-    assumed = _bodies(stretches, parts, usual_m, in_wall[parts.wall] & ~np.isfinite(parts.thickness_m))
+    solid = _bodies(stretches, parts, assumed_m, in_wall[parts.wall] & np.isfinite(parts.thickness_m))
+    assumed = _bodies(stretches, parts, assumed_m, in_wall[parts.wall] & ~np.isfinite(parts.thickness_m))
     solid = solid.difference(cuts)
     assumed = assumed.difference(cuts).difference(solid)
     return FloorPlan(
@@ -160,7 +172,6 @@ def draw_floor_plan(
         ),
         windows=tuple(windows),
         rooms=tuple(rooms),
-        usual_thickness_m=usual_m,
     )
 
 
@@ -177,16 +188,27 @@ def _shown(stretches: Walls, grid: GridMap) -> BoolArray:
     return shown
 
 
-def _bodies(stretches: Walls, parts: WallParts, usual_m: float, chosen: BoolArray) -> BaseGeometry:
+def _assumed_thickness(stretches: Walls, doors: Doors, depth_m: FloatArray, usual_m: float) -> FloatArray:
+    """(W,) how thick the wall behind each stretch is taken for where one side was seen: as its doorways are deep."""
+    assumed_m = np.full(len(stretches), usual_m)
+    for w, (start, normal) in enumerate(zip(stretches.ends[:, 0], stretches.normal, strict=True)):
+        off_m = np.abs((doors.ends - start) @ normal).max(axis=1)
+        own = (off_m < _MEET_M) & (doors.normal @ normal > 0.5)
+        if own.any():
+            assumed_m[w] = np.median(depth_m[own])
+    return assumed_m
+
+
+def _bodies(stretches: Walls, parts: WallParts, assumed_m: FloatArray, chosen: BoolArray) -> BaseGeometry:
     """The union of the areas behind some parts of the faces, carried on around the corners of rooms."""
     bodies = []
     for p in np.flatnonzero(chosen):
         w = int(parts.wall[p])
-        depth_m = float(parts.thickness_m[p]) if np.isfinite(parts.thickness_m[p]) else usual_m
+        depth_m = float(parts.thickness_m[p]) if np.isfinite(parts.thickness_m[p]) else float(assumed_m[w])
         ends = parts.ends[p].copy()
         along = (ends[1] - ends[0]) / max(float(np.linalg.norm(ends[1] - ends[0])), 1e-9)
         for end, outwards in ((0, -along), (1, along)):
-            corner = _corner_thickness(ends[end], outwards, w, stretches, parts, usual_m)
+            corner = _corner_thickness(ends[end], outwards, w, stretches, parts, assumed_m)
             ends[end] = ends[end] + corner * outwards
         bodies.append(_quad(ends, stretches.normal[w], 0.0, depth_m))
     joined = shapely.union_all(bodies)
@@ -194,7 +216,7 @@ def _bodies(stretches: Walls, parts: WallParts, usual_m: float, chosen: BoolArra
 
 
 def _corner_thickness(
-    end: FloatArray, outwards: FloatArray, w: int, stretches: Walls, parts: WallParts, usual_m: float
+    end: FloatArray, outwards: FloatArray, w: int, stretches: Walls, parts: WallParts, assumed_m: FloatArray
 ) -> float:
     """How far a wall goes on beyond the end of its face: through the wall that it meets at a room's inner corner."""
     for o in range(len(stretches)):
@@ -203,7 +225,7 @@ def _corner_thickness(
             continue
         if np.linalg.norm(stretches.ends[o] - end, axis=1).min() < _MEET_M:
             own = parts.thickness_m[parts.wall == o]
-            return float(np.nanmedian(own)) if np.isfinite(own).any() else usual_m
+            return float(np.nanmedian(own)) if np.isfinite(own).any() else float(assumed_m[o])
     return 0.0
 
 

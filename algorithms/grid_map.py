@@ -8,10 +8,10 @@ from typing import Literal
 import numba
 import numpy as np
 from pydantic import Field
-from scipy.ndimage import binary_closing, binary_dilation
+from scipy.ndimage import binary_closing, binary_dilation, binary_propagation, label
 from scipy.spatial import cKDTree
 
-from algorithms.building import CELL_M, NO_WINDOWS, Doors, WallCells, Walls, Windows, stretches
+from algorithms.building import CELL_M, Doors, WallCells, Walls, Windows, stretches
 from algorithms.doors import DoorState
 from algorithms.features import Features
 from algorithms.labels import Label
@@ -30,6 +30,14 @@ _PASSED_RATIO = 2.0
 _SILL_MIN_M = 0.3
 _REVEAL_MAX_M, _REVEAL_BESIDE_M = 0.6, 0.12
 _PARALLEL = 0.9
+_BLIND_M = 1.0
+"""So near to its way the robot may not see the floor."""
+_CROSSED_RAYS, _CROSSED_RATIO, _CROSSED_MIN = 5, 5, 4
+_SURELY_CELLS = 2.5
+"""A ray that ends no farther behind a cell may have ended at what the cell shows."""
+_LEAF_OVER_M = 0.3
+"""What was seen of an open leaf ends at most so far above its door's head."""
+_LEAF_BESIDE_M = 0.1
 _BOUND_CELLS = 2
 _STEP_MAX_M = 0.5
 """Places of the robot that lie farther apart are not joined: there poses are missing."""
@@ -117,6 +125,7 @@ def draw_furniture_free(
     canvas = _Canvas.around([immobile.walls.ends, doors.ends, drive.path_map[:, :2]], settings)
     for ends in standing_stretches(immobile, settings).ends:
         canvas.draw_line(ends, Cell.OCCUPIED)
+    canvas.drop_crossed(drive)
     parts = part_walls(immobile.walls, thickness)
     depth_m = door_depths(doors, immobile.walls, parts, thickness)
     # Where the thickness is a guess, or a leaf hid whether it holds here, a doorway rather ends in the room behind.
@@ -132,28 +141,28 @@ def draw_furniture_free(
     shut = np.full(len(doors), settings.doors == "closed")
     if settings.doors == "as-seen":
         shut = doors.state == DoorState.CLOSED
-    for d in np.flatnonzero(shut).tolist():
-        canvas.draw_line(doors.ends[d] - np.nan_to_num(doors.depth_m[d]) * doors.normal[d], Cell.OCCUPIED)
+    # Drawn when all is free: rays that passed an open door showed what is behind it.
+    leaves = [doors.ends[d] - np.nan_to_num(doors.depth_m[d]) * doors.normal[d] for d in np.flatnonzero(shut)]
     open_doorways = [doorway for doorway, is_shut in zip(doorways, shut, strict=True) if not is_shut]
-    return canvas.freed(drive, immobile.windows, open_doorways, faces=True)
+    return canvas.freed(drive, immobile.windows, open_doorways, leaves, faces=True)
 
 
-def draw_cells(cell_index: IntArray, drive: Drive, settings: GridMapSettings) -> GridMap:
-    """A map of given occupied cells, free by the same rays as `draw_furniture_free`; it knows of no doors and no glass.
+def draw_cells(cell_index: IntArray, windows: Windows, drive: Drive, settings: GridMapSettings) -> GridMap:
+    """A map of given occupied cells, free by the same rays as `draw_furniture_free`; it knows of no doors.
 
     cell_index: (m, 2) column and row of each cell of `settings.cell_m`, counted from the map frame's origin.
     """
     places = (cell_index + 0.5) * settings.cell_m
     canvas = _Canvas.around([places, drive.path_map[:, :2]], settings)
     canvas.draw_points(places, Cell.OCCUPIED)
-    return canvas.freed(drive, NO_WINDOWS, [], faces=False)
+    return canvas.freed(drive, windows, [], [], faces=False)
 
 
 def standing_stretches(immobile: Immobile, settings: GridMapSettings) -> Walls:
     """The stretches of the faces that returns bear out and that reach down to the floor, as faces of their own.
 
     Left out: what rays passed at knee height (an opening, though no door was made of it), what nothing was seen of (a
-    pillar may stand before it), and the reveals of windows, below which the wall goes on.
+    pillar may stand before it), the reveals of windows, below which the wall goes on, and the leaves of open doors.
     """
     walls, cells = immobile.walls, immobile.cells
     voted = immobile.votes.mean_position[majority(immobile.votes.counts) == Label.WALL, :2]
@@ -167,13 +176,14 @@ def standing_stretches(immobile: Immobile, settings: GridMapSettings) -> Walls:
         middles = walls.ends[w, 0] + (np.arange(len(stands))[:, None] + 0.5) * CELL_M * along
         if tree is not None:
             stands |= tree.query_ball_point(middles, _ON_FACE_M, return_length=True) >= settings.rays_min
-        reveal = _in_window_reveal(middles, walls.normal[w], immobile.windows)
-        stands &= ~(passed | reveal)
+        none = _in_window_reveal(middles, walls.normal[w], immobile.windows)
+        none |= passed | _of_open_leaf(middles, float(walls.top_m[w]), immobile.doors)
+        stands &= ~none
         # A face ends at a corner, up to which it is carried on as over any other gap.
         bridge = int(settings.bridge_m / CELL_M)
         for first, last in stretches(np.concatenate([[True], stands, [True]]), bridge):
             columns = np.arange(max(first - 1, 0), min(last, len(stands)))
-            open_columns = (passed | reveal)[columns]
+            open_columns = none[columns]
             if not stands[columns].any():
                 continue
             for a, b in stretches(~open_columns, 0):
@@ -206,6 +216,22 @@ def _in_window_reveal(places: FloatArray, normal: FloatArray, windows: Windows) 
         beside = _REVEAL_BESIDE_M
         within |= (behind > 0) & (behind < _REVEAL_MAX_M) & (place > -beside) & (place < length_m + beside)
     return within
+
+
+def _of_open_leaf(places: FloatArray, top_m: float, doors: Doors) -> BoolArray:
+    """(c,) which places (c, 2) of a face belong to a leaf that stands open, beyond the reveal that it carries on.
+
+    A face whose every place lies within a leaf's length of a jamb, and that ends where the door does, is no wall.
+    """
+    leaf = np.zeros(len(places), bool)
+    for d in np.flatnonzero((doors.state == DoorState.OPEN) & (top_m < doors.head_m + _LEAF_OVER_M)):
+        behind = (doors.ends[d, 0] - places) @ doors.normal[d]
+        beyond = (behind < -_LEAF_BESIDE_M) | (behind > doors.reveal_m[d] + _LEAF_BESIDE_M)
+        reach_m = np.linalg.norm(doors.ends[d, 1] - doors.ends[d, 0]) + doors.reveal_m[d] + _LEAF_BESIDE_M
+        for jamb in doors.ends[d]:
+            if np.linalg.norm(places - jamb, axis=1).max() < reach_m:
+                leaf |= beyond
+    return leaf
 
 
 def _doorway(ends: FloatArray, normal: FloatArray, depth_m: float, margin_m: float, inset_m: float) -> FloatArray:
@@ -261,10 +287,19 @@ class _Canvas:
             inside &= (place >= 0) & (place <= side @ side)
         self._set(index[inside], cell)
 
-    def freed(self, drive: Drive, windows: Windows, doorways: Sequence[FloatArray], faces: bool) -> GridMap:
+    def freed(
+        self,
+        drive: Drive,
+        windows: Windows,
+        doorways: Sequence[FloatArray],
+        leaves: Sequence[FloatArray],
+        faces: bool,
+    ) -> GridMap:
         """The finished map: free is what rays crossed before they met something, near to floor that was seen.
 
-        doorways: (4, 2) each, free in any case; so is the robot's own way.
+        Floor was seen where a ray to it ran below the knee, and counts if such cells join it to the robot's way.
+
+        doorways: (4, 2) each, free in any case; so is the robot's own way. leaves: (2, 2) each, which bar theirs.
         faces: whether what is occupied are faces of walls: one that bounds nothing that rays crossed is hidden, as the
             reveals of windows are, and a wall that was carried on behind a pillar.
         """
@@ -272,18 +307,17 @@ class _Canvas:
         # Glass stops rays: what lies behind belongs to another world.
         for ends in windows.ends:
             self.draw_line(ends, Cell.OCCUPIED)
-        floor = np.zeros(self._cells.shape, bool)
+        low = np.zeros(self._cells.shape, bool)
         for block in drive.blocks():
             _clear_along_rays(
                 self._cells,
+                low,
                 np.ascontiguousarray((block.origin_map[:, :2] - self._origin) / self._cell_m, np.float64),
                 block.ray_starts,
                 np.ascontiguousarray((block.ray_end_map[:, :2] - self._origin) / self._cell_m, np.float64),
+                _low_from(block),
                 self._settings.range_m / self._cell_m,
             )
-            on_floor = self._index(block.ray_end_map[block.ray_label == Label.FLOOR, :2])
-            on_floor = on_floor[self._within(on_floor)]
-            floor[on_floor[:, 1], on_floor[:, 0]] = True
         for doorway in doorways:
             self.draw_area(doorway, Cell.FREE)
         crossed = self._cells == Cell.FREE
@@ -292,7 +326,7 @@ class _Canvas:
         if faces:
             occupied[~binary_dilation(crossed, np.ones((3, 3)), iterations=_BOUND_CELLS)] = Cell.UNKNOWN
         reach = int(self._settings.floor_reach_m / self._cell_m)
-        supported = floor & crossed
+        supported = self._joined_to(drive.path_map, binary_closing(low, np.ones((3, 3))) & crossed)
         if reach:
             supported = binary_dilation(supported, iterations=reach, mask=crossed)
         self._cells = np.where(supported, np.uint8(Cell.FREE), occupied)
@@ -303,7 +337,50 @@ class _Canvas:
         self.draw_points(path, Cell.FREE)
         for doorway in doorways:
             self.draw_area(doorway, Cell.FREE)
-        return GridMap(self._cells, self._origin, self._cell_m)
+        for leaf in leaves:
+            self.draw_line(leaf, Cell.OCCUPIED)
+        return self._framed()
+
+    def _framed(self) -> GridMap:
+        """What is known, with the margin around it: faces that were hidden or passed need no space."""
+        known = self._cells != Cell.UNKNOWN
+        if not known.any():
+            return GridMap(self._cells, self._origin, self._cell_m)
+        margin = round(self._settings.margin_m / self._cell_m)
+        rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+        bottom, left = max(int(rows[0]) - margin, 0), max(int(columns[0]) - margin, 0)
+        cells = self._cells[bottom : rows[-1] + 1 + margin, left : columns[-1] + 1 + margin]
+        return GridMap(np.ascontiguousarray(cells), self._origin + self._cell_m * np.array([left, bottom]), self._cell_m)
+
+    def drop_crossed(self, drive: Drive) -> None:
+        """Forget occupied cells, in runs of `_CROSSED_MIN`, that many more rays crossed below the knee than ended there.
+
+        A face knows of the rays that come from its front; what hangs in a room is passed below from both sides.
+        """
+        counts = np.zeros((*self._cells.shape, 2), np.int32)
+        for block in drive.blocks():
+            _count_crossings(
+                self._cells,
+                counts,
+                np.ascontiguousarray((block.origin_map - [*self._origin, 0.0]) / self._cell_m, np.float64),
+                block.ray_starts,
+                np.ascontiguousarray((block.ray_end_map - [*self._origin, 0.0]) / self._cell_m, np.float64),
+                _FOOT_M / self._cell_m,
+                _KNEE_M / self._cell_m,
+            )
+        ended, crossed = counts[..., 0], counts[..., 1]
+        open_cells = (crossed >= _CROSSED_RAYS) & (crossed > _CROSSED_RATIO * ended)
+        run, _ = label(open_cells, np.ones((3, 3)))
+        self._cells[open_cells & (np.bincount(run.ravel()) >= _CROSSED_MIN)[run]] = Cell.UNKNOWN
+
+    def _joined_to(self, path_map: FloatArray, low: BoolArray) -> BoolArray:
+        """What rays close above the floor join to the robot's way: not what lies behind a sill, seen though it may be."""
+        start = np.zeros(self._cells.shape, bool)
+        index = self._index(path_map)
+        index = index[self._within(index)]
+        start[index[:, 1], index[:, 0]] = True
+        start = binary_dilation(start, iterations=int(_BLIND_M / self._cell_m)) & low
+        return np.asarray(binary_propagation(start, np.ones((3, 3)), low))
 
     def _index(self, places: FloatArray) -> IntArray:
         return np.asarray(np.floor((places[:, :2] - self._origin) / self._cell_m).astype(np.int64))
@@ -318,10 +395,56 @@ class _Canvas:
 
 
 @numba.njit(cache=True, nogil=True)
-def _clear_along_rays(
-    cells: UInt8Array, origin: FloatArray, starts: IntArray, end: FloatArray, range_cells: float
+def _count_crossings(
+    cells: UInt8Array,
+    counts: IntArray,
+    origin: FloatArray,
+    starts: IntArray,
+    end: FloatArray,
+    foot: float,
+    knee: float,
 ) -> None:  # pragma: no cover
-    """Walk every fourth ray cell by cell (Amanatides and Woo 1987) and free what is unknown, up to a wall or its end."""
+    """For each occupied cell the rays that end in it or beside it, and those that cross it; everything in cells."""
+    rows, columns = cells.shape
+    for s in range(len(origin)):
+        for r in range(starts[s] + s % 2, starts[s + 1], 2):
+            step = end[r] - origin[s]
+            length = np.sqrt(step[0] * step[0] + step[1] * step[1])
+            count = int(2 * length) + 1
+            last = -1
+            for k in range(count + 1):
+                t = k / count
+                height = origin[s, 2] + t * step[2]
+                column, row = int(np.floor(origin[s, 0] + t * step[0])), int(np.floor(origin[s, 1] + t * step[1]))
+                if column < 0 or row < 0 or column >= columns or row >= rows:
+                    break
+                cell = row * columns + column
+                if cell == last or cells[row, column] != 0 or height < foot or height > knee:
+                    continue
+                last = cell
+                counts[row, column, 1 if length * (1 - t) > _SURELY_CELLS else 0] += 1
+
+
+def _low_from(block: Features) -> FloatArray:
+    """(r,) the share of each ray's length from which it runs below the knee to its end on the floor; 2 where it does not."""
+    drop_m = np.repeat(block.origin_map[:, 2], block.ray_count) - block.ray_end_map[:, 2]
+    return np.where(block.ray_label == Label.FLOOR, 1.0 - _KNEE_M / np.maximum(drop_m, _KNEE_M), 2.0)
+
+
+@numba.njit(cache=True, nogil=True)
+def _clear_along_rays(
+    cells: UInt8Array,
+    low: BoolArray,
+    origin: FloatArray,
+    starts: IntArray,
+    end: FloatArray,
+    low_from: FloatArray,
+    range_cells: float,
+) -> None:  # pragma: no cover
+    """Walk every fourth ray cell by cell (Amanatides and Woo 1987) and free what is unknown, up to a wall or its end.
+
+    low: set where a ray runs close above the floor, which it does from the share `low_from` of its length on.
+    """
     rows, columns = cells.shape
     for s in range(len(origin)):
         for r in range(starts[s] + s % 4, starts[s + 1], 4):
@@ -335,11 +458,14 @@ def _clear_along_rays(
             t_dy = length / abs(dy) if dy != 0 else np.inf
             t_x = (column + (dx > 0) - origin[s, 0]) * step_x * t_dx if dx != 0 else np.inf
             t_y = (row + (dy > 0) - origin[s, 1]) * step_y * t_dy if dy != 0 else np.inf
-            stop = min(length, range_cells)
+            stop, at = min(length, range_cells), 0.0
             while True:
                 if column < 0 or row < 0 or column >= columns or row >= rows or cells[row, column] == 0:
                     break
                 cells[row, column] = 254
+                if at >= low_from[r] * length:
+                    low[row, column] = True
+                at = min(t_x, t_y)
                 if t_x < t_y:
                     if t_x > stop:
                         break

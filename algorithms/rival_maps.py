@@ -8,6 +8,7 @@ from enum import StrEnum
 import numpy as np
 from pydantic import Field
 
+from algorithms.building import Windows
 from algorithms.grid_map import Drive, GridMap, GridMapSettings, draw_cells
 from algorithms.labelling import ScanLabelling
 from algorithms.rearrangement import below_ceiling
@@ -71,11 +72,16 @@ class RivalCounter:
 
 
 def draw_rival(
-    rival: Rival, votes: VoxelVotes, drive: Drive, grid: GridMapSettings, settings: RivalMapsSettings
+    rival: Rival,
+    votes: VoxelVotes,
+    windows: Windows,
+    drive: Drive,
+    grid: GridMapSettings,
+    settings: RivalMapsSettings,
 ) -> GridMap:
     """One of the maps as a grid, drawn like the furniture-free one but for what is occupied.
 
-    votes: sums of `RivalCounter.votes`.
+    votes: sums of `RivalCounter.votes`. windows: behind them nothing is free; the paper removed that by hand.
     """
     occupied = votes.counts[:, list(Rival).index(rival)] >= settings.hits_min
-    return draw_cells(votes.cube_index[occupied, :2], drive, grid)
+    return draw_cells(votes.cube_index[occupied, :2], windows, drive, grid)

@@ -98,16 +98,24 @@ def usual_thickness(parts: WallParts, settings: WallThicknessSettings) -> float:
 def door_depths(doors: Doors, walls: Walls, parts: WallParts, settings: WallThicknessSettings) -> FloatArray:
     """(D,) how far each doorway reaches behind its sill: as far as its wall is thick.
 
-    The wall beside the door tells; else, for an open door, the underside of its lintel; else the building's usual
-    thickness, for a closed leaf hides the rest of the doorway.
+    An open door tells by the underside of its lintel, which single scans measure; a wall's two faces were seen from two
+    rooms, minutes apart, and the poses' drift lies between them. A closed leaf hides it: there the open doors in the same
+    face tell, else the wall's faces, else the building's open doors, else the building's usual thickness.
     """
     usual_m, of_face_m = usual_thickness(parts, settings), face_thickness(walls, parts)
+    told = (doors.state == DoorState.OPEN) & (doors.reveal_m >= settings.least_m)
     depth_m = np.empty(len(doors))
     for d in range(len(doors)):
-        seen_m = doors.reveal_m[d] if doors.state[d] == DoorState.OPEN else max(usual_m, doors.reveal_m[d])
-        own_m = of_face_m[doors.wall[d]]
-        depth_m[d] = own_m if np.isfinite(own_m) else seen_m
-    return depth_m
+        beside = told & (doors.wall == doors.wall[d])
+        if told[d]:
+            depth_m[d] = doors.reveal_m[d]
+        elif beside.any():
+            depth_m[d] = np.median(doors.reveal_m[beside])
+        elif np.isfinite(of_face_m[doors.wall[d]]):
+            depth_m[d] = of_face_m[doors.wall[d]]
+        else:
+            depth_m[d] = np.median(doors.reveal_m[told]) if told.any() else usual_m
+    return np.maximum(depth_m, doors.reveal_m)
 
 
 def _lengths(ends: FloatArray) -> FloatArray:

@@ -30,12 +30,12 @@ from app.comparison import (
     most_frequent,
     name_transition,
 )
+from app.files import write_json
 from app.finished_run import FinishedRun, open_run
 from app.inspect_command import open_viewer
 from app.progress import Progress
 from app.recorded import readable, rows
 from app.recording import join, open_part
-from app.results import write_json
 from app.run_folder import make_writable
 from app.run_labels import LabelSource
 from blueprints import compare as compare_blueprint

@@ -16,6 +16,8 @@ The names in it, all fractions 0 to 1, null where there is nothing to divide by:
     wall_map                                     the same as maps.furniture_free
     rooms.true | entered | found | recall | precision     recall over the true rooms with 1 m of the true way or more in them
     rooms.recall_of_all | split | merged                         names of the true rooms; pairs of them
+    rooms_of_maps.<map>.found | recall | precision | split | merged
+        the same of furniture_free, normal, normal_without_alpha_removal (Fig. 10)
     trajectory.ate_rmse_m | ate_mean_m | ate_max_m               after the best rotation and shift
     trajectory.unaligned_rmse_m | unaligned_mean_m | unaligned_max_m
     trajectory.rotation_rmse_deg | relative_translation_rmse_m | relative_rotation_rmse_deg | poses
@@ -39,6 +41,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from algorithms.area_graph import Segmented
 from algorithms.doors import DoorState
 from algorithms.evaluation import (
     CUBE_M,
@@ -61,6 +64,7 @@ from algorithms.labels import NO_RETURN, Label, Truth
 from algorithms.room_evaluation import RoomFigures, compare_rooms
 from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.trajectory import Trajectory, place_scan
+from app.files import write_json
 from app.labels_file import read_labels
 from app.map_figures import (
     ComparedMaps,
@@ -72,9 +76,8 @@ from app.map_figures import (
     write_overlays,
 )
 from app.processes import process_context
-from app.results import write_json
 from app.room_results import outlines
-from app.run_folder import EVALUATION, LABELS, OVERLAY, RECORDING, RUN_JSON
+from app.run_folder import EVALUATION, LABELS, OVERLAY, RECORDING, RUN_JSON, rooms_file
 from blueprints import entities
 from blueprints import run as run_blueprint
 from loaders.bag import Bag, open_bag
@@ -97,6 +100,13 @@ PAPER = {
 """Table II: precision, recall, F1 by area."""
 
 DEFAULT_DOOR_HEIGHT_M = 2.0
+
+_FIG_10 = ("found", "recall", "precision", "split", "merged")
+_SEGMENTED = {
+    Segmented.FURNITURE_FREE: "furniture-free map",
+    Segmented.NORMAL: "normal map, after alpha removal",
+    Segmented.NORMAL_AS_IS: "normal map, furniture and all",
+}
 
 CLOUDS_A_SHARE = 100
 """For fewer clouds than this a process more costs more than it saves; with many more, its cubes fill the memory."""
@@ -252,8 +262,16 @@ def compare_run(
         metrics["trajectory"] = _trajectory_metrics(compare_trajectories(found, true_trajectory))
     if statistics := _read_json(run_dir / RUN_JSON).get("statistics"):
         metrics["statistics"] = statistics
-    if truth.building is not None and (run_dir / "rooms.geojson").exists():
-        metrics["rooms"] = _compare_rooms(run_dir / "rooms.geojson", truth.building, true_trajectory)
+    if truth.building is not None:
+        files = {name: run_dir / rooms_file(name) for name in Segmented}
+        compared_rooms = {
+            name: _compare_rooms(path, truth.building, true_trajectory) for name, path in files.items() if path.exists()
+        }
+        if Segmented.FURNITURE_FREE in compared_rooms:
+            metrics["rooms"] = compared_rooms[Segmented.FURNITURE_FREE]
+            metrics["rooms_of_maps"] = {
+                name: {figure: own[figure] for figure in _FIG_10} for name, own in compared_rooms.items()
+            }
     doors, faces = read_building(truth.building)
     clouds = _clouds_of(run_dir)
     if clouds is None or truth.classes is None:
@@ -515,6 +533,8 @@ def format_metrics(metrics: Metrics) -> list[Table]:
         tables.append(table)
     if "maps" in metrics:
         tables.append(maps_table(metrics["maps"], "Grid maps against the truth (Fig. 9)"))
+    if "rooms_of_maps" in metrics:
+        tables.append(_rooms_table(metrics["rooms_of_maps"]))
     rows = [*_door_rows(metrics), *_map_rows(metrics), *_room_rows(metrics), *_trajectory_rows(metrics)]
     if rows:
         table = Table(title="Doors, map, rooms, trajectory", title_justify="left", show_header=False)
@@ -563,6 +583,16 @@ def _room_rows(metrics: Metrics) -> list[tuple[str, str]]:
         ("rooms split", ", ".join(rooms["split"]) or "none"),
         ("rooms merged", ", ".join(merged) or "none"),
     ]
+
+
+def _rooms_table(rooms_of_maps: Mapping[str, Metrics]) -> Table:
+    table = Table(title="Rooms of maps against the truth (Fig. 10)", title_justify="left")
+    for heading in ("rooms of", "found", "recall %", "precision %", "split", "merged"):
+        table.add_column(heading, justify="left" if heading == "rooms of" else "right")
+    for name, rooms in rooms_of_maps.items():
+        row = [_SEGMENTED[Segmented(name)], str(rooms["found"]), _percent(rooms["recall"]), _percent(rooms["precision"])]
+        table.add_row(*row, str(len(rooms["split"])), str(len(rooms["merged"])))
+    return table
 
 
 def _trajectory_rows(metrics: Metrics) -> list[tuple[str, str]]:

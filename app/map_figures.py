@@ -16,8 +16,8 @@ from algorithms.labels import Truth
 from algorithms.map_comparison import Agreement, blocked_doors, overlay
 from algorithms.rival_maps import Rival
 from algorithms.scan import BoolArray, FloatArray, UInt8Array
+from app.files import write_atomically
 from app.map_files import read_map
-from app.results import write_atomically
 from app.run_folder import map_file
 from blueprints import entities
 

@@ -7,9 +7,9 @@ import typer
 from rich.console import Console
 
 from algorithms.map_comparison import Alignment, align_maps, compare_with_reference, unseen_walls
+from app.files import write_json
 from app.map_figures import ComparedMap, ComparedMaps, map_metrics, maps_table, read_maps, write_overlays
 from app.map_files import read_map
-from app.results import write_json
 from app.run_folder import RECORDING, REFERENCE_JSON, REFERENCE_OVERLAY, REFERENCE_RECORDING, RunFolder
 from blueprints import entities
 from loaders.errors import InputError

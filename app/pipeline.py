@@ -18,7 +18,7 @@ import numpy as np
 import rerun.blueprint as rrb
 
 from algorithms import transforms
-from algorithms.area_graph import AreaGraph, doorways_of, find_rooms
+from algorithms.area_graph import AreaGraph, Segmented, doorways_of, find_rooms
 from algorithms.before_walls import BeforeWalls, halo_at_walls, look_before_walls
 from algorithms.building import (
     NO_WINDOWS,
@@ -85,7 +85,7 @@ from app.processes import make_pool
 from app.progress import Progress
 from app.recorder import Detail, Recorder
 from app.recording import Recording
-from app.room_recorder import log_rooms
+from app.room_recorder import log_areas, log_rooms
 from app.room_results import door_rooms, topology, write_rooms
 from app.run_folder import (
     CLOUD,
@@ -96,6 +96,7 @@ from app.run_folder import (
     TRAJECTORY,
     RunFolder,
     map_file,
+    rooms_file,
 )
 from app.settings import Settings
 from app.versions import versions
@@ -163,6 +164,8 @@ class Building:
     halo: Halo
     grid: GridMap
     rooms: AreaGraph
+    compared_rooms: Mapping[Segmented, AreaGraph]
+    """Of the maps that the paper compares with (Fig. 10), without any doors known."""
     rivals: Mapping[Rival, GridMap]
     plan: FloorPlan
     thickness_m: FloatArray
@@ -283,11 +286,15 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
                     recorder.log_grid(name, grid)
             if run.recording:
                 log_rooms(run.recording.stream, building.rooms)
+                for segmented, graph in building.compared_rooms.items():
+                    log_areas(run.recording.stream, graph, f"{entities.ROOMS_COMPARED}/{segmented}")
                 run.recording.set_layout(_layout(inputs, run.options.detail, building.grid))
             if Output.GEOJSON in outputs:
                 results.write_walls(folder.path / "walls.geojson", building.walls, building.thickness_m)
                 results.write_doors(folder.path / "doors.geojson", building.doors, door_rooms(building.rooms))
-                write_rooms(folder.path / "rooms.geojson", building.rooms)
+                write_rooms(folder.path / rooms_file(Segmented.FURNITURE_FREE), building.rooms)
+                for segmented, graph in building.compared_rooms.items():
+                    write_rooms(folder.path / rooms_file(segmented), graph)
             if Output.PLAN in outputs:
                 write_svg(folder.path / FLOOR_PLAN_SVG, building.plan, inputs.bag_path.name)
                 write_dxf(folder.path / FLOOR_PLAN_DXF, building.plan)
@@ -643,16 +650,23 @@ def _build(
     rooms = find_rooms(grid, settings.area_graph, doorways_of(doors), windows.ends, path)
     with ThreadPoolExecutor(workers) as threads:
         drawn = threads.map(
-            lambda rival: draw_rival(rival, rivals, drive, settings.grid_map, settings.rival_maps), Rival
+            lambda rival: draw_rival(rival, rivals, windows, drive, settings.grid_map, settings.rival_maps), Rival
         )
         rival_maps = dict(zip(Rival, drawn, strict=True))
+    normal, as_is = rival_maps[Rival.MIDDLE], settings.area_graph.without_alpha_removal()
+    compared_rooms = {
+        Segmented.NORMAL: find_rooms(normal, settings.area_graph, path_map=path),
+        Segmented.NORMAL_AS_IS: find_rooms(normal, as_is, path_map=path),
+    }
     before = look_before_walls(walls, cells, votes, settings.standing_walls.ceiling_near_m, settings.before_walls)
     halo = find_halo(votes, settings.relabelling.halo_ratio)
     halo = halo_at_walls(halo, walls, before, settings.relabelling.halo_wall_m)
     stretches = standing_stretches(immobile, settings.grid_map)
     plan = draw_floor_plan(stretches, immobile, grid, votes, settings.floor_plan, settings.wall_thickness, rooms.rooms)
     thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
-    return Building(walls, before, judged, doors, windows, halo, grid, rooms, rival_maps, plan, thickness_m)
+    return Building(
+        walls, before, judged, doors, windows, halo, grid, rooms, compared_rooms, rival_maps, plan, thickness_m
+    )
 
 
 def _trace(

@@ -14,7 +14,7 @@ from ezdxf.units import M as METRES
 from algorithms.doors import DoorState
 from algorithms.floor_plan import FloorPlan, Leaf, PlanDoor
 from algorithms.scan import FloatArray
-from app.results import write_atomically
+from app.files import write_atomically
 
 MM_PER_M = 10.0
 """The SVG is drawn at a scale of 1:100."""
@@ -202,7 +202,7 @@ def _draw_foot(svg: ElementTree.Element, plan: FloorPlan, title: str, width: flo
     add("text", "y", x=x - 3, y=y - 7)
     legend = [
         ("wall", "wall, both sides seen"),
-        ("assumed", f"wall, one side seen ({100 * plan.usual_thickness_m:.0f} cm assumed)"),
+        ("assumed", "wall, one side seen, its thickness assumed"),
     ]
     for row, (kind, words) in enumerate(legend):
         y = top + 8 + 5.5 * row

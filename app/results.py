@@ -1,9 +1,7 @@
 """The files of a run folder. Each is written as NAME.part and renamed, so that a file that is there is complete."""
 
-import json
-import math
 import shutil
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
@@ -24,6 +22,7 @@ from algorithms.labels import NO_RETURN
 from algorithms.scan import FloatArray, UInt8Array
 from algorithms.semantic_map import FusedCloud
 from algorithms.trajectory import Trajectory
+from app.files import write_atomically, write_geojson
 from loaders.bag import Bag, Container, Message, make_typestore
 from loaders.errors import CloudError
 from loaders.frames import StaticTransform
@@ -37,19 +36,6 @@ TF = "tf2_msgs/msg/TFMessage"
 
 FREE_THRESHOLD = 0.196
 """Nav2 reads a pixel p as free below it: (255 − 205) / 255 = 0.1961 has to stay unknown, so its usual 0.25 will not do."""
-
-
-def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill NAME.part, then give it its name; an earlier file stays until then."""
-    part = path.with_name(path.name + ".part")
-    write(part)
-    part.replace(path)
-
-
-def write_json(path: Path, content: object) -> None:
-    """Readable JSON; numbers that are not finite become null, arrays lists."""
-    text = json.dumps(_plain(content), indent=1, ensure_ascii=False, allow_nan=False)
-    write_atomically(path, lambda part: part.write_text(text + "\n", "utf-8"))
 
 
 def write_ply(path: Path, cloud: FusedCloud, colours: UInt8Array) -> None:
@@ -150,12 +136,6 @@ def write_doors(path: Path, doors: Doors, rooms: Sequence[Sequence[str | None] |
             for i, ends in enumerate(doors.ends)
         ],
     )
-
-
-def write_geojson(path: Path, features: Sequence[dict[str, Any]]) -> None:
-    """A FeatureCollection whose coordinates are metres in the map frame."""
-    numbered = [{"type": "Feature", "id": i, **feature} for i, feature in enumerate(features)]
-    write_json(path, {"type": "FeatureCollection", "features": numbered})
 
 
 def write_labelled_bag(
@@ -363,19 +343,3 @@ _LATCHED = Qos(
 
 def _line_feature(ends: FloatArray, properties: dict[str, object]) -> dict[str, Any]:
     return {"properties": properties, "geometry": {"type": "LineString", "coordinates": ends}}
-
-
-def _plain(value: object) -> object:
-    """Numbers, lists and dictionaries in place of numpy's; null in place of what JSON cannot say."""
-    match value:
-        case np.ndarray():
-            return _plain(value.tolist())
-        case np.generic():
-            return _plain(value.item())
-        case float():
-            return value if math.isfinite(value) else None
-        case dict():
-            return {str(key): _plain(item) for key, item in value.items()}
-        case list() | tuple():
-            return [_plain(item) for item in value]
-    return value

@@ -34,20 +34,9 @@ def write_recording(path: Path, grid: GridMap, graph: AreaGraph) -> None:
 
 def log_rooms(stream: rr.RecordingStream, graph: AreaGraph) -> None:
     """Rooms, passages, topology and Voronoi graph; they hold for the whole recording."""
-    colors = np.array([room_color(index) for index in range(len(graph))], np.uint8).reshape(-1, 3)
-    inside = np.array([inner_point(room) for room in graph.rooms]).reshape(-1, 2)
-    captions = [f"{room.name}, {room.area_m2:.1f} m²" for room in graph.rooms]
+    log_areas(stream, graph)
+    inside = _inner_points(graph)
     if len(graph):
-        _log_floors(stream, graph, colors)
-        stream.log(
-            entities.ROOM_NAMES,
-            rr.Points3D(
-                _at_height(inside, _NAME_M), colors=entities.TRUTH_COLOR, labels=captions, show_labels=True,
-                radii=rr.Radius.ui_points(4.0),
-            ),
-            evidence({"area_m2": np.array([room.area_m2 for room in graph.rooms])}),
-            static=True,
-        )  # fmt: skip
         stream.log(
             entities.ROOM_GRAPH,
             rr.GraphNodes(
@@ -56,7 +45,7 @@ def log_rooms(stream: rr.RecordingStream, graph: AreaGraph) -> None:
                 positions=(inside * [1.0, -1.0] * entities.GRAPH_UNITS_PER_M).astype(np.float32),
                 labels=[room.name for room in graph.rooms],
                 show_labels=True,
-                colors=colors,
+                colors=_colors(graph),
             ),
             rr.GraphEdges(
                 [(graph.rooms[a].name, graph.rooms[b].name) for a, b in (passage.rooms for passage in graph.passages)],
@@ -64,19 +53,6 @@ def log_rooms(stream: rr.RecordingStream, graph: AreaGraph) -> None:
             ),
             static=True,
         )
-    lines = np.array([passage.line for passage in graph.passages]).reshape(-1, 2, 2)
-    stream.log(
-        entities.ROOM_PASSAGES,
-        rr.LineStrips3D(
-            _at_height(lines, _NAME_M),
-            colors=entities.PASSAGE_COLOR,
-            radii=rr.Radius.ui_points(2.5),
-            labels=[" – ".join(graph.rooms[room].name for room in passage.rooms) for passage in graph.passages],
-            show_labels=False,
-        ),
-        evidence({"door": np.array([-1 if p.door is None else p.door for p in graph.passages], np.int32)}),
-        static=True,
-    )
     ways = [np.stack([inside[p.rooms[0]], p.line.mean(axis=0), inside[p.rooms[1]]]) for p in graph.passages]
     stream.log(
         entities.ROOM_TOPOLOGY,
@@ -101,7 +77,47 @@ def log_rooms(stream: rr.RecordingStream, graph: AreaGraph) -> None:
     )
 
 
-def _log_floors(stream: rr.RecordingStream, graph: AreaGraph, colors: UInt8Array) -> None:
+def log_areas(stream: rr.RecordingStream, graph: AreaGraph, root: str = entities.ROOMS) -> None:
+    """Coloured floors, outlines, names with areas, and passages, below an entity."""
+    if len(graph):
+        _log_floors(stream, graph, root)
+        stream.log(
+            f"{root}/names",
+            rr.Points3D(
+                _at_height(_inner_points(graph), _NAME_M),
+                colors=entities.TRUTH_COLOR,
+                labels=[f"{room.name}, {room.area_m2:.1f} m²" for room in graph.rooms],
+                show_labels=True,
+                radii=rr.Radius.ui_points(4.0),
+            ),
+            evidence({"area_m2": np.array([room.area_m2 for room in graph.rooms])}),
+            static=True,
+        )
+    lines = np.array([passage.line for passage in graph.passages]).reshape(-1, 2, 2)
+    stream.log(
+        f"{root}/passages",
+        rr.LineStrips3D(
+            _at_height(lines, _NAME_M),
+            colors=entities.PASSAGE_COLOR,
+            radii=rr.Radius.ui_points(2.5),
+            labels=[" – ".join(graph.rooms[room].name for room in passage.rooms) for passage in graph.passages],
+            show_labels=False,
+        ),
+        evidence({"door": np.array([-1 if p.door is None else p.door for p in graph.passages], np.int32)}),
+        static=True,
+    )
+
+
+def _colors(graph: AreaGraph) -> UInt8Array:
+    return np.array([room_color(index) for index in range(len(graph))], np.uint8).reshape(-1, 3)
+
+
+def _inner_points(graph: AreaGraph) -> FloatArray:
+    return np.array([inner_point(room) for room in graph.rooms]).reshape(-1, 2)
+
+
+def _log_floors(stream: rr.RecordingStream, graph: AreaGraph, root: str) -> None:
+    colors = _colors(graph)
     corners, owner = [], []
     for index, room in enumerate(graph.rooms):
         parts = shapely.get_parts(shapely.constrained_delaunay_triangles(room.polygon))
@@ -109,7 +125,7 @@ def _log_floors(stream: rr.RecordingStream, graph: AreaGraph, colors: UInt8Array
         owner.append(np.full(3 * len(parts), index))
     vertices, owners = np.concatenate(corners), np.concatenate(owner)
     stream.log(
-        entities.ROOM_FLOORS,
+        f"{root}/floors",
         rr.Mesh3D(
             vertex_positions=_at_height(vertices, _FLOOR_M),
             triangle_indices=np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3),
@@ -123,7 +139,7 @@ def _log_floors(stream: rr.RecordingStream, graph: AreaGraph, colors: UInt8Array
         for ring in (room.polygon.exterior, *room.polygon.interiors)
     ]
     stream.log(
-        entities.ROOM_OUTLINES,
+        f"{root}/outlines",
         rr.LineStrips3D(
             [_at_height(ring, _LINE_M) for ring, _ in rings],
             colors=[colors[index] for _, index in rings],

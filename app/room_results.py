@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from algorithms.area_graph import AreaGraph, Room
 from algorithms.grid_map import GridMap
-from app.results import write_atomically, write_geojson
+from app.files import write_atomically, write_geojson
 from blueprints import entities
 
 _PICTURE_PX = 1600

@@ -14,8 +14,8 @@ from algorithms.area_graph import NO_DOORWAYS, AreaGraph, coarsened, find_rooms
 from algorithms.grid_map import Cell, GridMap
 from algorithms.room_evaluation import RoomFigures, compare_room_images, rooms_of_image
 from algorithms.scan import FloatArray, IntArray
+from app.files import write_json
 from app.map_files import read_image, read_map
-from app.results import write_json
 from app.room_results import topology, write_picture, write_rooms
 from app.settings import load_settings
 from loaders.errors import InputError
@@ -104,7 +104,8 @@ def _segment(
     grid = read_map(path, arguments.resolution_m)
     if not (grid.cells == Cell.FREE).any():
         raise InputError(
-            f"{path}: the map has no free cell; free is white (over 250) in an image, for other greys give a YAML file"
+            f"{path}: the map has no free cell; free is white (over 250) in an image, and what a YAML file's own free_thresh "
+            "says"
         )
     doorways = _doorways(arguments.doors) if arguments.doors is not None else NO_DOORWAYS
     coarse = coarsened(grid, CELLS_MAX)

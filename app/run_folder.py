@@ -34,6 +34,13 @@ def map_file(name: str) -> str:
     return "map.yaml" if name == FURNITURE_FREE else f"map_{name}.yaml"
 
 
+def rooms_file(name: str) -> str:
+    """The file of a map's rooms: rooms.geojson for the furniture-free one, rooms_NAME.geojson for the others."""
+    from algorithms.area_graph import Segmented  # as above
+
+    return "rooms.geojson" if name == Segmented.FURNITURE_FREE else f"rooms_{name}.geojson"
+
+
 @dataclass(frozen=True)
 class RunFolder:
     """Paths within a run's folder."""

@@ -22,9 +22,9 @@ from rich.console import Console
 from rich.table import Table
 
 from app.evaluate import PAPER, Metrics
+from app.files import write_json
 from app.odometry_stage import cache_folder
 from app.progress import Progress
-from app.results import write_json
 from app.settings import load_settings
 from loaders.errors import InputError
 

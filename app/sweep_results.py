@@ -12,7 +12,7 @@ import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from rich.table import Table
 
 from app import figures
-from app.results import write_atomically
+from app.files import write_atomically
 from app.sweep_plan import Combination, Parameter
 from app.sweep_schedule import Run
 

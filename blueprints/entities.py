@@ -52,13 +52,15 @@ FURNITURE_FREE = "furniture_free"
 SEGMENTED = "segmented"
 """Name of a grid of another system's, of which only the rooms are wanted."""
 ROOMS = "/world/rooms"
-ROOM_FLOORS = "/world/rooms/floors"
-ROOM_OUTLINES = "/world/rooms/outlines"
-ROOM_NAMES = "/world/rooms/names"
-ROOM_PASSAGES = "/world/rooms/passages"
-ROOM_TOPOLOGY = "/world/rooms/topology"
-ROOM_VORONOI = "/world/rooms/voronoi"
-ROOM_FURNITURE = "/world/rooms/furniture"
+ROOM_FLOORS = f"{ROOMS}/floors"
+ROOM_OUTLINES = f"{ROOMS}/outlines"
+ROOM_NAMES = f"{ROOMS}/names"
+ROOM_PASSAGES = f"{ROOMS}/passages"
+ROOM_TOPOLOGY = f"{ROOMS}/topology"
+ROOM_VORONOI = f"{ROOMS}/voronoi"
+ROOM_FURNITURE = f"{ROOMS}/furniture"
+ROOMS_COMPARED = "/world/rooms_compared"
+"""Below it, by name, the areas of other maps for comparison (Fig. 10), each like those below `ROOMS`."""
 ROOM_GRAPH = "/rooms/graph"
 GRAPH_UNITS_PER_M = 25.0
 """The graph's view writes names in its own units: rooms have to lie as far apart as they are long."""
@@ -302,7 +304,9 @@ the map, growing up to the time cursor; the furniture-free grid |
 | **Step by step** | Fig. 3 (no floor, no ceiling), 5a (point lines), 6 (up-most and bottom-most structures), \
 7 (wall planes), the door conditions |
 | **Building** | the fused cloud, walls, doors (blue), windows (magenta), and the grid; they hold for the whole run |
-| **Rooms** | the rooms of the grid with their areas, which one leads to which, and the Voronoi graph they are cut from |
+| **Maps** | the furniture-free grid beside the maps that the paper compares with (Fig. 6, 9) |
+| **Rooms** | the rooms of the grid with their areas, those of the normal map with and without alpha removal (Fig. 10), \
+which one leads to which, and the Voronoi graph they are cut from |
 | **Odometry** | what KISS-ICP used of each horizontal scan. These lie on the timeline `stamp` alone: choose it below |
 | **Metrics and warnings** | returns by label, evidence counted, milliseconds by stage, scans that were skipped |
 

@@ -3,8 +3,15 @@
 import rerun.blueprint as rrb
 from rerun.blueprint import archetypes
 
+from algorithms.area_graph import Segmented
+from algorithms.rival_maps import Rival
 from blueprints import entities
 from blueprints.maps import from_above
+
+_COMPARED = {
+    Segmented.NORMAL: "Normal map, after alpha removal",
+    Segmented.NORMAL_AS_IS: "Normal map, furniture and all",
+}
 
 
 def build(centre_m: tuple[float, float], extent_m: float, grid: str = entities.SEGMENTED) -> rrb.Blueprint:
@@ -22,45 +29,64 @@ def build(centre_m: tuple[float, float], extent_m: float, grid: str = entities.S
     )
 
 
-def tab(centre_m: tuple[float, float], extent_m: float, grid: str = entities.FURNITURE_FREE) -> rrb.Container:
-    """Rooms and their graph, as a part of a larger layout."""
-    eye = from_above(centre_m, extent_m)
-    ground = f"{entities.GRID}/{grid}"
+def tab(
+    centre_m: tuple[float, float], extent_m: float, grid: str = entities.FURNITURE_FREE, compared: bool = False
+) -> rrb.Container:
+    """Rooms and their graph, as a part of a larger layout.
+
+    compared: the recording has the rooms of the normal map too, with and without alpha removal, which then stand beside.
+    """
+    evidence = [_topology(centre_m, extent_m), _voronoi(centre_m, extent_m, grid)]
+    title = "Rooms and their areas; passages red"
+    if not compared:
+        return rrb.Horizontal(
+            _areas(entities.ROOMS, grid, title, centre_m, extent_m),
+            rrb.Vertical(*evidence),
+            column_shares=[3, 2],
+            name="Rooms",
+        )
+    areas = [_areas(entities.ROOMS, grid, f"Furniture-free map (Fig. 10): {title.lower()}", centre_m, extent_m)]
+    for name, title in _COMPARED.items():
+        root = f"{entities.ROOMS_COMPARED}/{name}"
+        areas.append(_areas(root, Rival.MIDDLE, title, centre_m, extent_m))
+    return rrb.Vertical(rrb.Horizontal(*areas), rrb.Horizontal(*evidence), row_shares=[1, 1], name="Rooms")
+
+
+def _areas(root: str, grid: str, name: str, centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
+    return rrb.Spatial3DView(
+        origin=entities.WORLD,
+        contents=[f"{entities.GRID}/{grid}", *(f"{root}/{part}" for part in ("floors", "outlines", "names", "passages"))],
+        name=name,
+        eye_controls=from_above(centre_m, extent_m),
+        line_grid=rrb.LineGrid3D(visible=False),
+    )
+
+
+def _topology(centre_m: tuple[float, float], extent_m: float) -> rrb.GraphView:
     x, y = (value * entities.GRAPH_UNITS_PER_M for value in centre_m)
     half = 0.6 * extent_m * entities.GRAPH_UNITS_PER_M
-    return rrb.Horizontal(
-        rrb.Spatial3DView(
-            origin=entities.WORLD,
-            contents=[
-                ground,
-                entities.ROOM_FLOORS,
-                entities.ROOM_OUTLINES,
-                entities.ROOM_NAMES,
-                entities.ROOM_PASSAGES,
-            ],
-            name="Rooms and their areas; passages red",
-            eye_controls=eye,
-            line_grid=rrb.LineGrid3D(visible=False),
-        ),
-        rrb.Vertical(
-            rrb.GraphView(
-                origin=entities.ROOM_GRAPH,
-                name="Topology: which room leads to which",
-                visual_bounds=rrb.VisualBounds2D(x_range=[x - half, x + half], y_range=[-y - half, -y + half]),
-                force_link=archetypes.ForceLink(enabled=False),
-                force_many_body=archetypes.ForceManyBody(enabled=False),
-                force_position=archetypes.ForcePosition(enabled=False),
-                force_center=archetypes.ForceCenter(enabled=False),
-                force_collision_radius=archetypes.ForceCollisionRadius(enabled=False),
-            ),
-            rrb.Spatial3DView(
-                origin=entities.WORLD,
-                contents=[ground, entities.ROOM_VORONOI, entities.ROOM_TOPOLOGY, entities.ROOM_FURNITURE],
-                name="Voronoi graph (blue), topology (violet), what was taken for furniture (orange)",
-                eye_controls=eye,
-                line_grid=rrb.LineGrid3D(visible=False),
-            ),
-        ),
-        column_shares=[3, 2],
-        name="Rooms",
+    return rrb.GraphView(
+        origin=entities.ROOM_GRAPH,
+        name="Topology: which room leads to which",
+        visual_bounds=rrb.VisualBounds2D(x_range=[x - half, x + half], y_range=[-y - half, -y + half]),
+        force_link=archetypes.ForceLink(enabled=False),
+        force_many_body=archetypes.ForceManyBody(enabled=False),
+        force_position=archetypes.ForcePosition(enabled=False),
+        force_center=archetypes.ForceCenter(enabled=False),
+        force_collision_radius=archetypes.ForceCollisionRadius(enabled=False),
+    )
+
+
+def _voronoi(centre_m: tuple[float, float], extent_m: float, grid: str) -> rrb.Spatial3DView:
+    return rrb.Spatial3DView(
+        origin=entities.WORLD,
+        contents=[
+            f"{entities.GRID}/{grid}",
+            entities.ROOM_VORONOI,
+            entities.ROOM_TOPOLOGY,
+            entities.ROOM_FURNITURE,
+        ],
+        name="Voronoi graph (blue), topology (violet), what was taken for furniture (orange)",
+        eye_controls=from_above(centre_m, extent_m),
+        line_grid=rrb.LineGrid3D(visible=False),
     )

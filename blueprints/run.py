@@ -28,9 +28,14 @@ def build(
     about: list[rrb.Container | rrb.View] = [_metrics(), rrb.TextDocumentView(origin=entities.README, name="Read me")]
     if ring_count is None:
         return _blueprint([_odometry(), *about], entities.STAMP_TIMELINE, several)
+    building = [
+        _building(centre_m, extent_m),
+        maps.tab(centre_m, extent_m, evaluated),
+        rooms.tab(centre_m, extent_m, compared=True),
+    ]
     if not scans:
         # The map alone: its tabs without the scan's views, which would be empty.
-        tabs = [_building(centre_m, extent_m), _map(centre_m, extent_m), _odometry(), *about]
+        tabs = [*building, _map(centre_m, extent_m), _odometry(), *about]
         tabs = [_evaluation(centre_m, extent_m, scans=False), *tabs] if evaluated else tabs
         return _blueprint(tabs, entities.SCAN_TIMELINE, several)
     overview = rrb.Vertical(
@@ -39,11 +44,6 @@ def build(
         row_shares=[1, 1],
         name="At a glance",
     )
-    building = [
-        _building(centre_m, extent_m),
-        maps.tab(centre_m, extent_m, evaluated),
-        rooms.tab(centre_m, extent_m),
-    ]
     tabs = [overview, _method(ring_count), *building, _odometry(), *about]
     tabs = [_evaluation(centre_m, extent_m), *tabs] if evaluated else tabs
     return _blueprint(tabs, entities.SCAN_TIMELINE, several)

@@ -24,7 +24,7 @@ class TwoRooms:
 
     closed: the leaf stands 4 cm behind A's face. turn_deg, shift: of the whole in the map. pillar: 40 × 20 cm before A's
     western wall. leaf_deg: where an open leaf stands, hung at the western jamb. glass: heights between which the
-    southern wall of A has a pane that returns nothing, from x = 1 to 2, with reveals of 30 cm; outside is a wall.
+    southern wall of A has a pane that returns nothing, from x = 1 to 2, with reveals of 30 cm; so far outside is a wall.
     """
 
     thickness_m: float = 0.2
@@ -35,6 +35,7 @@ class TwoRooms:
     pillar: bool = False
     leaf_deg: float | None = None
     glass: tuple[float, float] | None = None
+    outside_m: float = 1.5
     more: tuple[tuple[FloatArray, tuple[float, float]], ...] = field(default=())
 
     def to_map(self, places: FloatArray) -> FloatArray:
@@ -94,7 +95,7 @@ class TwoRooms:
             panels += [(np.array([[1, 0], [2, 0]], float), (0.0, self.glass[0]))]
             panels += [(np.array([[1, 0], [2, 0]], float), (self.glass[1], CEILING_M))]
             panels += [(np.array([[side, 0], [side, -0.3]], float), self.glass) for side in (1, 2)]
-            panels += [(np.array([[-2, -1.5], [6, -1.5]], float), whole)]
+            panels += [(np.array([[-2, -self.outside_m], [6, -self.outside_m]], float), whole)]
         return [*panels, *self.more]
 
     @property

@@ -1,11 +1,12 @@
 """Wall thickness and the floor plan of a building that is known."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 import shapely
 
+from algorithms.building import Doors
 from algorithms.doors import DoorState
 from algorithms.floor_plan import FloorPlan, FloorPlanSettings, draw_floor_plan
 from algorithms.grid_map import Drive, GridMapSettings, draw_furniture_free, standing_stretches
@@ -30,9 +31,23 @@ def test_thickness_is_measured_where_both_sides_were_seen(turn_deg: float) -> No
     np.testing.assert_allclose(thickness_m[[3, 6]], 0.17, atol=1e-6)
     assert np.isnan(np.delete(thickness_m, [3, 6])).all()
     assert usual_thickness(parts, THICKNESS) == pytest.approx(0.17)
-    # The wall tells, not what the underside of the lintel seemed to be.
-    doors = replace(rooms.doors, reveal_m=np.array([0.3]))
-    np.testing.assert_allclose(door_depths(doors, rooms.walls, parts, THICKNESS), 0.17)
+    closed = TwoRooms(thickness_m=0.17, turn_deg=turn_deg, closed=True).doors
+    np.testing.assert_allclose(door_depths(closed, rooms.walls, parts, THICKNESS), 0.17, atol=1e-6)
+
+
+def test_lintels_tell_how_deep_doorways_are() -> None:
+    # The wall's faces were seen minutes apart: drift lies between them, and none between a lintel's edges.
+    rooms = TwoRooms(thickness_m=0.17)
+    parts = part_walls(rooms.walls, THICKNESS)
+    lintel = replace(rooms.doors, reveal_m=np.array([0.24]))
+    np.testing.assert_allclose(door_depths(lintel, rooms.walls, parts, THICKNESS), 0.24)
+    closed = TwoRooms(closed=True).doors
+    both = Doors(*(np.concatenate([getattr(d, f.name) for d in (lintel, closed)]) for f in fields(Doors)))
+    np.testing.assert_allclose(door_depths(both, rooms.walls, parts, THICKNESS), 0.24)
+    # In another face of which one side was seen too; the face's own other side comes before.
+    for wall, depth_m in ((0, 0.24), (6, 0.17)):
+        elsewhere = replace(both, wall=np.array([3, wall]))
+        assert door_depths(elsewhere, rooms.walls, parts, THICKNESS)[1] == pytest.approx(depth_m)
 
 
 def test_a_face_is_cut_where_the_other_side_ends() -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from algorithms.building import BuildingSettings, trace_rays
+from algorithms.building import NO_WINDOWS, BuildingSettings, Walls, trace_rays
 from algorithms.evaluation import WALL_TOLERANCE_M
 from algorithms.grid_map import (
     Cell,
@@ -17,6 +17,7 @@ from algorithms.grid_map import (
     draw_furniture_free,
     standing_stretches,
 )
+from algorithms.labels import Label
 from algorithms.map_comparison import blocked_doors
 from algorithms.scan import FloatArray
 from algorithms.wall_thickness import WallThicknessSettings
@@ -84,6 +85,14 @@ def test_closed_leaves_and_doorways_block_where_that_is_asked() -> None:
         assert blocked == {"open": False, "as-seen": closed, "closed": True}
 
 
+def test_what_an_open_door_showed_is_free_though_the_door_is_to_be_drawn_closed() -> None:
+    rooms = TwoRooms(both_seen=False)
+    grid = drawn(rooms, GridMapSettings(doors="closed"))
+    behind = np.array([[np.mean(JAMBS_X), SIZE_M[1] + rooms.thickness_m + 0.5]])
+    assert (at(grid, rooms, behind) == Cell.FREE).all()
+    assert Cell.OCCUPIED in at(grid, rooms, across_the_door(rooms))
+
+
 def test_an_opening_that_no_door_was_made_of_is_not_walled_up() -> None:
     rooms = TwoRooms()
     immobile, drive = rooms.build(without(rooms.doors))
@@ -138,7 +147,60 @@ def test_free_is_only_what_lies_near_to_floor_that_was_seen() -> None:
     near = GridMapSettings(floor_reach_m=0.5)
     grid = draw_furniture_free(immobile, Drive(drive.path_map[:1], lambda: [dark]), near, THICKNESS)
     assert (at(grid, rooms, np.array([[1.0, 1.0], [1.8, 1.0]])) == Cell.FREE).all()
-    assert (at(grid, rooms, np.array([[2.4, 1.0], [3.5, 1.0]])) == Cell.UNKNOWN).all()
+    # From 3.3 m away rays to the floor at 1.5 m run below the knee from 2.4 m on.
+    assert (at(grid, rooms, np.array([[3.1, 1.0], [3.5, 1.0]])) == Cell.UNKNOWN).all()
+
+
+def test_floor_beyond_a_sill_is_not_free_though_it_was_seen() -> None:
+    rooms = TwoRooms(glass=(0.7, 2.1), both_seen=False, outside_m=9.0)
+    immobile, drive = rooms.build()
+    walls = rooms.walls
+    walls.ends[2, 1, 0] = 1.0  # of the wall below the pane, and of the pane, nothing was made
+    unknown = replace(immobile, walls=walls, cells=trace_rays(walls, [rooms.scans()], BuildingSettings()))
+    settings = GridMapSettings(floor_reach_m=0.5, margin_m=8.0)
+    seen = np.concatenate([block.ray_end_map[block.ray_label == Label.FLOOR] for block in drive.blocks()])
+    assert np.count_nonzero(seen[:, 1] < -3.0) > 20
+    free = draw_furniture_free(unknown, drive, settings, THICKNESS).centres(Cell.FREE)
+    assert free[:, 1].min() > -0.6
+    assert np.count_nonzero(free[:, 1] > 0) * settings.cell_m**2 > 11.0
+    # A pane that is known stops rays in every map.
+    rival = draw_cells(np.zeros((0, 2), int), rooms.window, drive, settings).centres(Cell.FREE)
+    assert rival[(rival[:, 0] > 1.2) & (rival[:, 0] < 1.8), 1].min() > -0.1
+
+
+def with_face(rooms: TwoRooms, ends: list[list[float]], normal: list[float], top_m: float) -> tuple[Immobile, Drive]:
+    """The rooms with one more face that was taken for a wall's."""
+    immobile, drive = rooms.build()
+    more = rooms.walls.select([0])
+    more = replace(more, ends=np.array([ends]), normal=np.array([normal]), top_m=np.array([top_m]))
+    walls: Walls = rooms.walls.append(more)
+    return replace(immobile, walls=walls, cells=trace_rays(walls, [rooms.scans()], BuildingSettings())), drive
+
+
+def test_what_rays_pass_below_from_behind_is_no_wall() -> None:
+    beam = ([[1.0, 2.2], [2.0, 2.2]], [0.0, 1.0])
+    rooms = TwoRooms(both_seen=False, more=((np.array(beam[0]), (2.3, 2.6)),))
+    grid = draw_furniture_free(*with_face(rooms, *beam, 2.6), SETTINGS, THICKNESS)
+    places = np.column_stack([np.linspace(1.1, 1.9, 9), np.full(9, 2.21)])
+    assert (at(grid, rooms, places) == Cell.FREE).all()
+    screen = TwoRooms(both_seen=False, more=((np.array(beam[0]), (0.0, 2.6)),))
+    grid = draw_furniture_free(*with_face(screen, *beam, 2.6), SETTINGS, THICKNESS)
+    assert (at(grid, screen, places) == Cell.OCCUPIED).all()
+
+
+def test_the_leaf_of_an_open_door_is_no_wall_but_its_reveal_is() -> None:
+    y = SIZE_M[1] + 0.2
+    face = ([[JAMBS_X[0], y - 0.2], [JAMBS_X[0], y + 0.7]], [1.0, 0.0])
+    rooms = TwoRooms(leaf_deg=90.0)
+    immobile, _ = with_face(rooms, *face, 2.05)
+    stretches = standing_stretches(immobile, SETTINGS).ends
+    along = [ends for ends in stretches if np.allclose(ends[:, 0], JAMBS_X[0])]
+    assert along
+    assert max(float(ends[:, 1].max()) for ends in along) < y + 0.2
+    # A wall there reaches the ceiling.
+    partition, _ = with_face(rooms, *face, 2.6)
+    along = [ends for ends in standing_stretches(partition, SETTINGS).ends if np.allclose(ends[:, 0], JAMBS_X[0])]
+    assert max(float(ends[:, 1].max()) for ends in along) > y + 0.6
 
 
 def test_the_whole_is_right_to_ten_centimetres() -> None:
@@ -166,13 +228,27 @@ def test_nothing_gives_an_unknown_map() -> None:
     )
     grid = draw_furniture_free(nothing, Drive(np.zeros((0, 3)), list), SETTINGS, THICKNESS)
     assert (grid.cells == Cell.UNKNOWN).all()
-    assert (draw_cells(np.zeros((0, 2), int), Drive(np.zeros((0, 3)), list), SETTINGS).cells == Cell.UNKNOWN).all()
+    empty = draw_cells(np.zeros((0, 2), int), NO_WINDOWS, Drive(np.zeros((0, 3)), list), SETTINGS)
+    assert (empty.cells == Cell.UNKNOWN).all()
+
+
+def test_faces_that_are_not_shown_need_no_space() -> None:
+    rooms = TwoRooms()
+    grid = draw_furniture_free(*with_face(rooms, [[1.0, 30.0], [2.0, 30.0]], [0.0, -1.0], 2.6), SETTINGS, THICKNESS)
+    plain = drawn(rooms)
+    np.testing.assert_allclose(grid.origin, plain.origin)
+    rows, columns = plain.cells.shape
+    np.testing.assert_array_equal(grid.cells[:rows, :columns], plain.cells)
+    known = np.argwhere(grid.cells != Cell.UNKNOWN)
+    margin = round(SETTINGS.margin_m / SETTINGS.cell_m)
+    np.testing.assert_array_equal(known.min(axis=0), margin)
+    np.testing.assert_allclose(np.array(grid.cells.shape) - 1 - known.max(axis=0), margin, atol=1)
 
 
 def test_given_cells_are_occupied_and_the_rest_is_freed_by_the_same_rays() -> None:
     rooms = TwoRooms(both_seen=False)
     _, drive = rooms.build()
-    grid = draw_cells(np.array([[20, 20], [70, 10], [-10, 70]]), drive, SETTINGS)
+    grid = draw_cells(np.array([[20, 20], [70, 10], [-10, 70]]), NO_WINDOWS, drive, SETTINGS)
     occupied = grid.centres(Cell.OCCUPIED)
     np.testing.assert_allclose(np.sort(occupied, axis=0), [[-0.475, 0.525], [1.025, 1.025], [3.525, 3.525]], atol=1e-6)
     assert (at(grid, rooms, np.array([[2.0, 0.7], [0.5, 2.5]])) == Cell.FREE).all()

@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from algorithms.building import NO_WINDOWS
 from algorithms.features import extract
 from algorithms.grid_map import Cell, Drive, GridMapSettings
 from algorithms.labelling import ScanLabelling, label_scan
@@ -96,7 +97,7 @@ def test_rivals_are_drawn_and_freed_by_rays(scans):
     blocks = [extract(i, *scan) for i, scan in enumerate(scans)]
     drive = Drive(np.array([placed.origin_level for placed, _ in scans]), lambda: blocks)
     for rival in Rival:
-        grid = draw_rival(rival, counted(scans), drive, GridMapSettings(), SETTINGS)
+        grid = draw_rival(rival, counted(scans), NO_WINDOWS, drive, GridMapSettings(), SETTINGS)
         np.testing.assert_allclose(
             np.sort(grid.centres(Cell.OCCUPIED), axis=0).mean(axis=0), cells_of(counted(scans), rival).mean(axis=0), atol=0.1
         )

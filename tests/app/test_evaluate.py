@@ -22,8 +22,9 @@ from app.evaluate import (
     read_building,
     read_doors,
 )
+from app.files import write_geojson, write_json
 from app.labels_file import LabelsWriter
-from app.results import write_geojson, write_grid, write_json, write_labelled_bag
+from app.results import write_grid, write_labelled_bag
 from loaders.bag import make_typestore, open_bag
 from loaders.errors import InputError
 from loaders.frames import StaticTransform

@@ -37,9 +37,8 @@ PLAN = FloorPlan(
     doors=(door(DoorState.OPEN, 1.0, (LEAF,)), door(DoorState.CLOSED, 2.0), door(DoorState.OPEN, -1.5)),
     windows=(shapely.box(4.0, 0.0, 5.0, 0.2),),
     rooms=(Room("Room 1", shapely.box(3.2, 0.2, 7.8, 3.8), 16.56), Room("<R&D>", shapely.box(0, 0.2, 3, 4), 11.4)),
-    usual_thickness_m=0.15,
 )
-EMPTY = FloorPlan((), (), (), (), (), (), 0.15)
+EMPTY = FloorPlan((), (), (), (), (), ())
 
 
 def numbers(path: str) -> np.ndarray:

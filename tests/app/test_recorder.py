@@ -182,7 +182,7 @@ def test_details_log_less_and_less(tmp_path, labelled, recording):
 def test_a_scan_with_everything_stays_small(recording):
     blocks = sum(block.stat().st_size for block in recording.parent.glob("????.rrd"))
     assert blocks / SCANS < 0.26 * CLOUD_BYTES
-    assert recording.stat().st_size < blocks + 500_000  # what is logged once, and the layout
+    assert recording.stat().st_size < blocks + 550_000  # what is logged once, and the layout
 
 
 def test_final_labels_win_at_the_same_scan(tmp_path, labelled):

@@ -18,12 +18,12 @@ from algorithms.building import Doors, Walls
 from algorithms.grid_map import Cell, GridMap
 from algorithms.semantic_map import FusedCloud
 from algorithms.trajectory import Trajectory
+from app.files import write_json
 from app.map_files import read_map
 from app.results import (
     LabelledBagWriter,
     write_doors,
     write_grid,
-    write_json,
     write_labelled_bag,
     write_ply,
     write_walls,

@@ -19,9 +19,11 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
+from algorithms.area_graph import Segmented
 from algorithms.labels import Verdict
 from algorithms.rival_maps import Rival
 from app import cli
+from app.run_folder import rooms_file
 from blueprints import entities
 from loaders.simulator import SimulationSettings, simulate
 
@@ -152,9 +154,16 @@ def test_rooms_doors_topology_and_recording_tell_the_same(finished: Path) -> Non
     assert any(door["rooms"] for door in doors)
     paths = {str(chunk.entity_path) for chunk in RrdReader(finished / "recording.rrd").stream()}
     assert {entities.ROOM_FLOORS, entities.ROOM_NAMES, entities.ROOM_GRAPH} <= paths
-    metrics = json.loads((finished / "metrics.json").read_text())["rooms"]
-    assert metrics["found"] == len(rooms)
-    assert metrics["precision"] > 0.8
+    metrics = json.loads((finished / "metrics.json").read_text())
+    assert metrics["rooms"]["found"] == len(rooms)
+    assert metrics["rooms"]["precision"] > 0.8
+    # Beside them, as in Fig. 10, the rooms of the normal map, with and without alpha removal.
+    assert set(metrics["rooms_of_maps"]) == set(Segmented)
+    for name, figures in metrics["rooms_of_maps"].items():
+        file = json.loads((finished / rooms_file(name)).read_text())
+        assert figures["found"] == len(file["features"])
+        if name != Segmented.FURNITURE_FREE:
+            assert f"{entities.ROOMS_COMPARED}/{name}/passages" in paths
 
 
 def test_every_file_can_be_read_by_something_else(finished: Path, environment: dict[str, str]) -> None:

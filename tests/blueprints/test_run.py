@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import rerun.blueprint as rrb
 
+from algorithms.area_graph import Segmented
 from blueprints import compare, entities, inspect, rooms, run
 from blueprints.entities import CurveSheet
 
@@ -64,6 +65,21 @@ def test_rooms_have_a_tab_and_a_layout_of_their_own():
     shown = {path for view in own for path in view.contents} | {str(view.origin) for view in own}
     assert {f"{entities.GRID}/{entities.SEGMENTED}", entities.ROOM_FLOORS, entities.ROOM_NAMES} <= shown
     assert any(isinstance(view, rrb.GraphView) and view.origin == entities.ROOM_GRAPH for view in own)
+
+
+def test_maps_and_rooms_have_tabs_with_and_without_scans():
+    for scans in (True, False):
+        names = [str(tab.name) for tab in run.build(scans=scans).root_container.contents]
+        assert {"Building", "Maps", "Rooms"} <= set(names)
+
+
+def test_rooms_of_the_maps_of_fig_10_stand_side_by_side():
+    tab = rooms.tab((3.0, 4.0), 10.0, compared=True)
+    shown = {path for view in views(tab) for path in view.contents}
+    assert entities.ROOM_FLOORS in shown
+    for name in set(Segmented) - {Segmented.FURNITURE_FREE}:
+        assert f"{entities.ROOMS_COMPARED}/{name}/floors" in shown
+        assert f"{entities.ROOMS_COMPARED}/{name}/names" in shown
 
 
 def test_the_first_tab_shows_scan_lines_curves_map_and_grid():

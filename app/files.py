@@ -1,0 +1,44 @@
+"""Files that are there are complete: each is written as NAME.part and renamed. What needs no bag is written here."""
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` fill NAME.part, then give it its name; an earlier file stays until then."""
+    part = path.with_name(path.name + ".part")
+    write(part)
+    part.replace(path)
+
+
+def write_json(path: Path, content: object) -> None:
+    """Readable JSON; numbers that are not finite become null, arrays lists."""
+    text = json.dumps(_plain(content), indent=1, ensure_ascii=False, allow_nan=False)
+    write_atomically(path, lambda part: part.write_text(text + "\n", "utf-8"))
+
+
+def write_geojson(path: Path, features: Sequence[dict[str, Any]]) -> None:
+    """A FeatureCollection whose coordinates are metres in the map frame."""
+    numbered = [{"type": "Feature", "id": i, **feature} for i, feature in enumerate(features)]
+    write_json(path, {"type": "FeatureCollection", "features": numbered})
+
+
+def _plain(value: object) -> object:
+    """Numbers, lists and dictionaries in place of numpy's; null in place of what JSON cannot say."""
+    match value:
+        case np.ndarray():
+            return _plain(value.tolist())
+        case np.generic():
+            return _plain(value.item())
+        case float():
+            return value if math.isfinite(value) else None
+        case dict():
+            return {str(key): _plain(item) for key, item in value.items()}
+        case list() | tuple():
+            return [_plain(item) for item in value]
+    return value
