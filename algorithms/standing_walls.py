@@ -34,6 +34,9 @@ _AT_JAMB_M = 0.15
 """A reveal's face passes its jamb so closely."""
 _GOES_ON_SHARE = 0.8
 """A reveal's face goes on as a wall where so many of the columns beyond stand."""
+_NOISE_M, _BEFORE_M = 0.1, 0.5
+"""So close to a face are its noise, boards and rails; so far before it a pillar stands."""
+_PILLAR_SHARE = 0.8
 _SCATTERED_RAYS = 2
 _DIRECTION_SHARE = 0.04
 """A direction that fewer of the walls' metres have is a leaf's."""
@@ -383,7 +386,8 @@ def find_hidden_walls(
         np.ones(2 * len(found), np.int32),
         np.zeros(2 * len(found)),
     )
-    both = both.select(~_before_a_face(both, walls))
+    both = both.select(~_before_a_face(both, walls, _NOISE_M))
+    before = _before_a_face(both, walls, _BEFORE_M)
     cells = trace(both)
     clear_m = clear_heights(column_places(both, cells), votes, settings.ceiling_near_m)
     visited = _visited(both, cells, path_map, settings.robot_m)
@@ -407,6 +411,9 @@ def find_hidden_walls(
         for first, after in _runs(bridged):
             part = slice(own.start + first, own.start + after)
             reaches = np.mean(columns.upper_on[part] > 0) > 0.5
+            if before[w]:
+                # A pillar shows from floor to ceiling; what else stands or hangs before a wall does not.
+                reaches &= _upright_share(cells, part, float(np.nanmedian(clear_m[part]))) > _PILLAR_SHARE
             counted = float((columns.upper_on[part] + columns.lower_on[part]).sum()) / (2 * _SMOOTH_COLUMNS + 1)
             if reaches and counted >= settings.hidden_returns_min and (after - first) * CELL_M >= length_min_m:
                 kept.append((w, first, after))
@@ -415,8 +422,15 @@ def find_hidden_walls(
     return replace(hidden, top_m=np.array(top_m))
 
 
-def _before_a_face(candidates: Walls, walls: Walls) -> BoolArray:
-    """(k,) whether a known face that looks the same way lies close behind each candidate: a board, a rail, its noise."""
+def _upright_share(cells: WallCells, columns: slice, clear_m: float) -> float:
+    """Share of the rows between foot and ceiling in which more rays end on these columns than pass them."""
+    rows = slice(int(_FOOT_M / CELL_M), int((clear_m - _CEILING_MARGIN_M) / CELL_M))
+    on, total, _, passed = cells.counts[columns, rows].sum(axis=0).T
+    return float(np.mean((on > passed) & (np.abs(total) < _ON_FACE_M * on)))
+
+
+def _before_a_face(candidates: Walls, walls: Walls, before_m: float) -> BoolArray:
+    """(k,) whether a known face that looks the same way lies so close behind each candidate, or before it."""
     before = np.zeros(len(candidates), bool)
     middle = candidates.ends.mean(axis=1)
     for ends, normal in zip(walls.ends, walls.normal, strict=True):
@@ -427,7 +441,7 @@ def _before_a_face(candidates: Walls, walls: Walls) -> BoolArray:
             (candidates.normal @ normal > 0.9)
             & (place > 0)
             & (place < np.linalg.norm(ends[1] - ends[0]))
-            & (np.abs(distance) < 0.3)
+            & (np.abs(distance) < before_m)
         )
     return before
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from algorithms.before_walls import BeforeWalls
 from algorithms.building import Doors, Walls, Windows
+from algorithms.ceiling_map import CeilingMap
 from algorithms.features import Features, concatenate, extract
 from algorithms.labelling import MethodSettings, label_scan
 from algorithms.levelling import level_scan
@@ -80,6 +81,7 @@ class FinishJob:
     windows: Windows
     halo: Path
     """A file that `save_halo` wrote: it grows with the building, and each worker reads it once."""
+    ceilings: CeilingMap
     settings: RelabellingSettings
 
 
@@ -235,6 +237,7 @@ def finish_block(job: FinishJob) -> None:
                 job.doors,
                 job.windows,
                 _load_halo(job.halo),
+                job.ceilings,
                 job.settings,
             )
             if recorder:

@@ -37,6 +37,7 @@ from algorithms.building import (
     trace_rays,
     without_rays_through,
 )
+from algorithms.ceiling_map import CeilingMap, map_ceilings
 from algorithms.features import Features, concatenate, select_planes
 from algorithms.floor_plan import FloorPlan, draw_floor_plan
 from algorithms.grid_map import Drive, GridMap, Immobile, draw_furniture_free, standing_stretches
@@ -162,6 +163,7 @@ class Building:
     doors: Doors
     windows: Windows
     halo: Halo
+    ceilings: CeilingMap
     grid: GridMap
     rooms: AreaGraph
     compared_rooms: Mapping[Segmented, AreaGraph]
@@ -605,7 +607,7 @@ def _build(
 ) -> Building:
     """Walls from all planes, doors and grid from all rays; the rays are read block by block."""
     planes = concatenate([_without_rays(features) for features in _features(folder, blocks)])
-    strict = settings.building.model_copy(update={"near_m": _STRICT_NEAR_M})
+    strict = settings.building.model_copy(update={"near_m": _STRICT_NEAR_M, "distance_m": 0.0})
 
     def trace(faces: Walls, building: BuildingSettings = settings.building, windows: Windows = NO_WINDOWS) -> WallCells:
         return _trace(faces, folder, blocks, building, windows, workers)
@@ -665,7 +667,7 @@ def _build(
     plan = draw_floor_plan(stretches, immobile, grid, votes, settings.floor_plan, settings.wall_thickness, rooms.rooms)
     thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
     return Building(
-        walls, before, judged, doors, windows, halo, grid, rooms, compared_rooms, rival_maps, plan, thickness_m
+        walls, before, judged, doors, windows, halo, map_ceilings(votes), grid, rooms, compared_rooms, rival_maps, plan, thickness_m
     )
 
 
@@ -722,6 +724,7 @@ def _finish(run: _Run, pool: Executor, jobs: Sequence[LabelJob], building: Build
             building.doors,
             building.windows,
             halo,
+            building.ceilings,
             run.settings.relabelling,
         )
         pending.append(None if done else pool.submit(finish_block, finish))

@@ -7,6 +7,7 @@ import numpy as np
 
 from algorithms.before_walls import NOTHING_BEFORE
 from algorithms.building import NO_DOORS, NO_WALLS, NO_WINDOWS
+from algorithms.ceiling_map import map_ceilings
 from algorithms.features import extract
 from algorithms.labelling import label_scan
 from algorithms.rearrangement import below_ceiling
@@ -47,6 +48,7 @@ def warm_up() -> None:
         NO_DOORS,
         NO_WINDOWS,
         find_halo(votes, 6.0),
+        map_ceilings(votes),
         RelabellingSettings(),
     )
 

@@ -24,6 +24,7 @@ from algorithms.building import (
     place_frames,
     trace_rays,
 )
+from algorithms.ceiling_map import NO_CEILINGS
 from algorithms.doors import DoorsSettings, DoorState
 from algorithms.features import concatenate, extract, move_moments
 from algorithms.grid_map import Cell, Drive, GridMapSettings, Immobile, draw_furniture_free
@@ -168,6 +169,7 @@ def relabelled(
         doors,
         windows,
         halo,
+        NO_CEILINGS,
         RelabellingSettings(),
     )
 
@@ -489,6 +491,42 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
     assert Cell.OCCUPIED in {at(0.9, 1.97), at(0.9, 2.02)}
     assert at(0.5, 0.5) == Cell.FREE
     assert at(1.5, 2.4) == Cell.UNKNOWN
+
+
+def test_a_scans_own_plane_tells_of_a_wall_only_where_the_scan_saw_it() -> None:
+    """A face 6 m long; the scan's plane of its first 2 m leans by 4 degrees, and would be 28 cm off at the far end."""
+    lean = np.radians(4.0)
+    normal = np.array([np.sin(lean), -np.cos(lean)])
+    scans = [(0, *labelled(Hole(depth=None), seed=0, x=0.0))]
+    features = concatenate([extract(i, placed, found) for i, _, placed, _, found in scans])
+    x = np.linspace(0.1, 5.9, 59)
+    features = replace(
+        features,
+        origin_map=np.array([[3.0, 0.0, 1.0]]),
+        floor_map=np.zeros((1, 3)),
+        ray_count=np.array([len(x)], np.int32),
+        ray_end_map=np.column_stack([x, np.full(len(x), 2.0), np.full(len(x), 1.0)]).astype(np.float32),
+        plane_count=np.array([1], np.int32),
+        plane_ends_map=np.array([[[0.0, 2.0], [2.0 * np.cos(lean), 2.0 + 2.0 * np.sin(lean)]]]),
+        plane_normal=normal[None],
+        plane_moments=np.zeros((1, 6)),
+        plane_bottom_m=np.zeros(1),
+        plane_top_m=np.full(1, 2.8),
+        plane_lines=np.ones(1, np.int32),
+    )
+    wall = Walls(
+        np.array([[[0.0, 2.0], [6.0, 2.0]]]),
+        np.array([[0.0, -1.0]]),
+        np.zeros(1),
+        np.full(1, 2.8),
+        np.ones(1, np.int32),
+        np.zeros(1),
+    )
+    cells = trace_rays(wall, [features], BuildingSettings())
+    filled, total = cells.counts[..., 0].sum(axis=1), cells.counts[..., 1].sum(axis=1)
+    mean_m = np.divide(total, filled, out=np.zeros_like(total), where=filled > 0)
+    np.testing.assert_allclose(mean_m[50:], 0.0, atol=1e-6)
+    assert mean_m[:40].max() > 0.05
 
 
 def test_the_floor_is_found_wherever_the_robot_has_climbed() -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from algorithms.before_walls import NOTHING_BEFORE, BeforeWalls
 from algorithms.building import CELL_M, NO_DOORS, NO_WALLS, NO_WINDOWS, Doors, Walls, Windows
+from algorithms.ceiling_map import NO_CEILINGS
 from algorithms.doors import DoorState
 from algorithms.labels import Label
 from algorithms.relabelling import RelabellingSettings, relabel
@@ -82,6 +83,7 @@ def final(
         doors,
         windows,
         NO_HALO,
+        NO_CEILINGS,
         SETTINGS,
     )
     return Label(int(found[0]))
@@ -252,6 +254,7 @@ def test_labels_hold_under_rigid_motion() -> None:
             doors,
             windows,
             NO_HALO,
+            NO_CEILINGS,
             SETTINGS,
         )
 
@@ -272,6 +275,7 @@ def test_nothing_is_relabelled_where_there_is_nothing() -> None:
         NO_DOORS,
         NO_WINDOWS,
         NO_HALO,
+        NO_CEILINGS,
         SETTINGS,
     )
     assert len(nothing) == 0

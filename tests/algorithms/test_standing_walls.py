@@ -162,8 +162,13 @@ def test_the_ceiling_over_a_place_is_known_where_it_was_seen():
     assert np.isnan(heights[1])
 
 
-def hidden(votes: VoxelVotes, passed_above_m: float | None = None, path_x: float = 0.0) -> Walls:
-    """What is found; rays end on every candidate that lies on x = 3, seen from smaller x, and pass the others."""
+def hidden(
+    votes: VoxelVotes, passed_above_m: float | None = None, path_x: float = 0.0, hip_m: float = 0.0, behind: bool = False
+) -> Walls:
+    """What is found; rays end on every candidate that lies on x = 3, seen from smaller x, and pass the others.
+
+    hip_m: from there to a door's head a few rays pass. behind: whether a known wall stands 20 cm behind.
+    """
 
     def trace(candidates: Walls) -> WallCells:
         columns = [int(np.ceil(np.linalg.norm(e[1] - e[0]) / CELL_M)) for e in candidates.ends]
@@ -176,9 +181,12 @@ def hidden(votes: VoxelVotes, passed_above_m: float | None = None, path_x: float
             if on and passed_above_m is not None:
                 above = slice(int(passed_above_m / CELL_M), 56)
                 counts[own, above, FILLED], counts[own, above, THROUGH] = 0.0, 3.0
+            if on and hip_m:
+                between = slice(int(hip_m / CELL_M), int(2.1 / CELL_M))
+                counts[own, between, FILLED], counts[own, between, THROUGH] = 0.0, 0.1
         return WallCells(first, 60, counts)
 
-    known = faces(((-1, 0), (5, 0)))
+    known = faces(((-1, 0), (5, 0)), ((3.2, 0), (3.2, 3))) if behind else faces(((-1, 0), (5, 0)))
     path = np.column_stack([np.full(50, path_x), np.linspace(0.2, 2.8, 50)])
     return find_hidden_walls(votes, known, NO_WALLS, path, trace, 0.25, SETTINGS)
 
@@ -190,6 +198,13 @@ def test_a_wall_that_no_scan_alone_told_is_found():
     np.testing.assert_allclose(np.sort(walls.ends[0, :, 1]), [0.5, 2.0], atol=0.1)
     np.testing.assert_allclose(walls.normal[0], [-1.0, 0.0], atol=0.02)
     assert walls.top_m[0] == pytest.approx(CEILING_M, abs=0.03)
+
+
+def test_a_pillar_before_a_wall_shows_from_floor_to_ceiling():
+    assert len(hidden(room(), behind=True)) == 1
+    # A bench, and a duct above it.
+    assert len(hidden(room(), hip_m=0.6)) == 1
+    assert len(hidden(room(), hip_m=0.6, behind=True)) == 0
 
 
 def test_furniture_lower_than_the_ceiling_is_no_hidden_wall():
