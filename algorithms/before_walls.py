@@ -36,14 +36,18 @@ class BeforeWallsSettings(StepSettings):
     above_m: float = Field(2.12, gt=0, description="Above so many metres, to the ceiling, the wall itself is seen.")
     returns_min: int = Field(8, ge=1, description="Fewest returns that tell a distance before the face.")
     foot_max_m: float = Field(
-        0.3, gt=0, description="What does not come down to so many metres above the floor hangs on its wall and is wall."
+        0.3,
+        gt=0,
+        description="What does not come down to so many metres above the floor hangs on its wall and is wall.",
     )
     extent_min_m: float = Field(0.4, gt=0, description="Relief that is lower or narrower than so many metres is wall.")
     extent_max_m: float = Field(3.0, gt=0, description="Relief that is longer than so many metres is wall: panelling.")
     below_ceiling_m: float = Field(
         0.2, ge=0, description="Relief that comes so close to the ceiling, in metres, is wall: a pillar, a corner."
     )
-    end_m: float = Field(0.1, ge=0, description="Closer than so many metres to a face's end another wall's returns tell.")
+    end_m: float = Field(
+        0.1, ge=0, description="Closer than so many metres to a face's end another wall's returns tell."
+    )
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,9 @@ def _relief(counts: FloatArray, clear_m: FloatArray, settings: BeforeWallsSettin
     top_m = np.where(np.isfinite(clear_m), clear_m, np.inf)[:, None]
     # A face that is fitted over many metres may be off its wall by more than the relief: the wall above tells.
     above = (height_m > settings.above_m) & (height_m < top_m - 2 * CELL_M)
-    wall_m = _mean_m((counts[..., : _SUM + 1] * above[..., None]).sum(axis=1, keepdims=True), (_WALL_COLUMNS, 1), settings)
+    wall_m = _mean_m(
+        (counts[..., : _SUM + 1] * above[..., None]).sum(axis=1, keepdims=True), (_WALL_COLUMNS, 1), settings
+    )
     relief_m = _mean_m(counts[..., : _SUM + 1], (1, 1), settings) - wall_m
     unseen = np.isnan(relief_m)
     relief_m = np.where(unseen, 0.0, relief_m)

@@ -504,7 +504,10 @@ def _count_at_frames(
                 distance_m,
                 cos_angle,
             )
-            sill = abs((ends[d, 0, 0] - wall_ends[d, 0, 0]) * dx + (ends[d, 0, 1] - wall_ends[d, 0, 1]) * dy) + 0.5 * length
+            sill = (
+                abs((ends[d, 0, 0] - wall_ends[d, 0, 0]) * dx + (ends[d, 0, 1] - wall_ends[d, 0, 1]) * dy)
+                + 0.5 * length
+            )
             if not start < sill < stop:
                 nx, ny = wall_normal[d, 0], wall_normal[d, 1]
                 offset = nx * wall_ends[d, 0, 0] + ny * wall_ends[d, 0, 1]
@@ -993,7 +996,14 @@ def _trace(
                 continue
             columns = first[w + 1] - first[w]
             own_x, own_y, own_offset, start, stop = _own_plane(
-                ends[w], normal[w], plane_ends, plane_normal, plane_starts[s], plane_starts[s + 1], distance_m, cos_angle
+                ends[w],
+                normal[w],
+                plane_ends,
+                plane_normal,
+                plane_starts[s],
+                plane_starts[s + 1],
+                distance_m,
+                cos_angle,
             )
             for r in range(starts[s], starts[s + 1]):
                 x, y, z = np.float64(ray_end[r, 0]), np.float64(ray_end[r, 1]), np.float64(ray_end[r, 2])

@@ -36,9 +36,7 @@ class RelabellingSettings(StepSettings):
     at_reveal_m: float = Field(
         0.07, ge=0, description="A reveal or the underside of a lintel is known to so many metres."
     )
-    opening_m: float = Field(
-        0.03, ge=0, description="So many metres within the frame of an open door no wall stands."
-    )
+    opening_m: float = Field(0.03, ge=0, description="So many metres within the frame of an open door no wall stands.")
     refused_m: float = Field(
         0.06, ge=0, description="What a scan calls wall at most so many metres off a refused face is clutter."
     )

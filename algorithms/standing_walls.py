@@ -32,8 +32,8 @@ _ACROSS = 0.5
 """Cosine of the angle between two faces below which one stands across the other."""
 _AT_JAMB_M = 0.15
 """A reveal's face passes its jamb so closely."""
-_GOES_ON_SHARE = 0.8
-"""A reveal's face goes on as a wall where so many of the columns beyond stand."""
+_GOES_ON_SHARE = 0.95
+"""A reveal's face goes on as a wall where rays end on so many of the rows beyond."""
 _NOISE_M, _BEFORE_M = 0.1, 0.5
 """So close to a face are its noise, boards and rails; so far before it a pillar stands."""
 _PILLAR_SHARE = 0.8
@@ -300,9 +300,7 @@ class TrimmedFaces:
     leaves: Walls
 
 
-def trim_at_doorways(
-    walls: Walls, cells: WallCells, doors: Doors, clear_m: FloatArray, settings: StandingWallsSettings
-) -> TrimmedFaces:
+def trim_at_doorways(walls: Walls, cells: WallCells, doors: Doors, clear_m: FloatArray) -> TrimmedFaces:
     """The faces, those of doors' reveals cut off at their wall's two faces unless they go on up to the ceiling there.
 
     The leaf of an open door hangs at the end of a reveal, often in line with it, and the scans' planes run from one on to
@@ -310,8 +308,6 @@ def trim_at_doorways(
 
     doors: with their reveals' depth. clear_m: (columns,) from the floor to the ceiling before each column.
     """
-    columns = _count_columns(cells, clear_m, settings)
-    stands = columns.upper_on > columns.upper_passed
     places = column_places(walls, cells, 0.0)
     along = doors.ends[:, 1] - doors.ends[:, 0]
     length_m = np.linalg.norm(along, axis=1)
@@ -321,6 +317,10 @@ def trim_at_doorways(
     for w in range(len(walls)):
         own = slice(int(cells.first[w]), int(cells.first[w + 1]))
         first, after = 0, own.stop - own.start
+        counts, ceiling_m = (
+            cells.counts[own],
+            float(np.nanmedian(clear_m[own])) if np.isfinite(clear_m[own]).any() else np.nan,
+        )
         for d in np.flatnonzero(np.abs(doors.normal @ walls.normal[w]) < _ACROSS):
             relative = places[own] - doors.ends[d, 0]
             behind_m = -relative @ doors.normal[d]
@@ -330,28 +330,42 @@ def trim_at_doorways(
             if not len(reveal) or to_jamb_m[reveal].min() > _AT_JAMB_M:
                 continue
             # The columns next to the wall's own face catch that face's returns; what is kept counts a little beyond its ends.
-            before, beyond = stands[own][first : reveal[0]], stands[own][reveal[-1] + 1 : after]
+            before, beyond = counts[first : reveal[0]], counts[reveal[-1] + 1 : after]
             inner = reveal[1:-1] if len(reveal) > 2 else reveal
-            if len(before) and not _goes_on(before[:-1]):
+            if len(before) and not _goes_on(before[:-1], doors.head_m[d], ceiling_m):
                 leaves.append((w, first, int(inner[0])))
                 top_m.append(float(doors.head_m[d]))
                 first = int(inner[0])
-            if len(beyond) and not _goes_on(beyond[1:]):
+            if len(beyond) and not _goes_on(beyond[1:], doors.head_m[d], ceiling_m):
                 leaves.append((w, int(inner[-1]) + 1, after))
                 top_m.append(float(doors.head_m[d]))
                 after = int(inner[-1]) + 1
         kept.append((w, first, after))
-    counts = [cells.counts[cells.first[w] + first : cells.first[w] + after] for w, first, after in kept]
-    starts = np.concatenate([[0], np.cumsum([len(c) for c in counts])]).astype(np.int64)
+    own_counts = [cells.counts[cells.first[w] + first : cells.first[w] + after] for w, first, after in kept]
+    starts = np.concatenate([[0], np.cumsum([len(c) for c in own_counts])]).astype(np.int64)
     return TrimmedFaces(
         _cut(walls, cells, kept),
-        replace(cells, first=starts, counts=np.concatenate(counts) if counts else cells.counts),
+        replace(cells, first=starts, counts=np.concatenate(own_counts) if own_counts else cells.counts),
         replace(_cut(walls, cells, leaves), top_m=np.array(top_m)),
     )
 
 
-def _goes_on(stands: BoolArray) -> bool:
-    return len(stands) > 0 and float(stands.mean()) >= _GOES_ON_SHARE
+def _goes_on(counts: FloatArray, head_m: float, clear_m: float) -> bool:
+    """Whether a wall stands in columns (c, rows, 4) from foot to ceiling: a leaf ends below, whatever hangs over it."""
+    if not len(counts) or not np.isfinite(clear_m):
+        return False
+    on, passed = _rows_on_and_passed(counts, clear_m)
+    seen = on + passed >= _SCATTERED_RAYS
+    above = seen[int((head_m - _FOOT_M) / CELL_M) + 1 :]
+    return bool(np.mean(above) > 0.5 and np.mean(on[seen] > passed[seen]) >= _GOES_ON_SHARE) if len(above) else False
+
+
+def _rows_on_and_passed(counts: FloatArray, clear_m: float) -> tuple[FloatArray, FloatArray]:
+    """How many rays ended on columns (c, rows, 4), and how many did not, in each row between foot and ceiling."""
+    rows = slice(int(_FOOT_M / CELL_M), int((clear_m - _CEILING_MARGIN_M) / CELL_M))
+    filled, total, _, through = counts[:, rows].sum(axis=0, dtype=np.float64).T
+    on = np.where(np.abs(total) < _ON_FACE_M * filled, filled, 0.0)
+    return on, through + filled - on
 
 
 def find_hidden_walls(
@@ -424,9 +438,8 @@ def find_hidden_walls(
 
 def _upright_share(cells: WallCells, columns: slice, clear_m: float) -> float:
     """Share of the rows between foot and ceiling in which more rays end on these columns than pass them."""
-    rows = slice(int(_FOOT_M / CELL_M), int((clear_m - _CEILING_MARGIN_M) / CELL_M))
-    on, total, _, passed = cells.counts[columns, rows].sum(axis=0).T
-    return float(np.mean((on > passed) & (np.abs(total) < _ON_FACE_M * on)))
+    on, passed = _rows_on_and_passed(cells.counts[columns], clear_m)
+    return float(np.mean(on > passed))
 
 
 def _before_a_face(candidates: Walls, walls: Walls, before_m: float) -> BoolArray:

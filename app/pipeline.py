@@ -643,7 +643,7 @@ def _build(
     parts = part_walls(walls, settings.wall_thickness)
     doors = replace(doors, reveal_m=door_depths(doors, walls, parts, settings.wall_thickness))
     clear_m = clear_heights(column_places(walls, cells), votes, settings.standing_walls.ceiling_near_m)
-    trimmed = trim_at_doorways(walls, cells, doors, clear_m, settings.standing_walls)
+    trimmed = trim_at_doorways(walls, cells, doors, clear_m)
     walls, cells, judged = trimmed.walls, trimmed.cells, judged.refuse(trimmed.leaves, FaceVerdict.ENDS_LOW)
     path = trajectory.T_map_base[:, :3, 3]
     drive = Drive(path, lambda: _features(folder, blocks))

@@ -230,7 +230,7 @@ def test_a_reveal_ends_with_its_wall_unless_a_wall_goes_on_from_it(goes_on: bool
         head_m=np.array([2.05]),
         reveal_m=np.array([0.2]),
     )
-    trimmed = trim_at_doorways(face, cells, door, np.full(30, CEILING_M), SETTINGS)
+    trimmed = trim_at_doorways(face, cells, door, np.full(30, CEILING_M))
     assert int(trimmed.cells.first[-1]) == len(trimmed.cells.counts)
     if goes_on:
         np.testing.assert_allclose(trimmed.walls.ends, face.ends)
@@ -243,7 +243,7 @@ def test_a_reveal_ends_with_its_wall_unless_a_wall_goes_on_from_it(goes_on: bool
 
 def test_faces_far_from_doors_and_no_faces_stay_as_they_are() -> None:
     face, cells = faces(((3.0, 0.5), (3.0, -1.0))), cells_of(1.5)
-    trimmed = trim_at_doorways(face, cells, NO_DOORS, np.full(30, CEILING_M), SETTINGS)
+    trimmed = trim_at_doorways(face, cells, NO_DOORS, np.full(30, CEILING_M))
     np.testing.assert_array_equal(trimmed.walls.ends, face.ends)
     nothing = WallCells(np.zeros(1, np.int64), 66, np.zeros((0, 66, 4), np.float32))
-    assert len(trim_at_doorways(NO_WALLS, nothing, NO_DOORS, np.zeros(0), SETTINGS).walls) == 0
+    assert len(trim_at_doorways(NO_WALLS, nothing, NO_DOORS, np.zeros(0)).walls) == 0
