@@ -125,6 +125,17 @@ def _mean_m(counts: FloatArray, size: tuple[int, int], settings: BeforeWallsSett
         return np.asarray(np.where(filled * size[0] * size[1] >= settings.returns_min, total / filled, np.nan))
 
 
+def covered_places(walls: Walls, before: BeforeWalls) -> FloatArray:
+    """(n, 3) the middles of the covered cells, on their faces, metres above the floor."""
+    along = walls.ends[:, 1] - walls.ends[:, 0]
+    along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+    column, row = np.nonzero(before.covered)
+    wall = np.searchsorted(before.first, column, side="right") - 1
+    place_m = (column - before.first[wall] + 0.5) * CELL_M
+    at = walls.ends[wall, 0] + place_m[:, None] * along[wall]
+    return np.column_stack([at, (row + 0.5) * CELL_M])
+
+
 def halo_at_walls(halo: Halo, walls: Walls, before: BeforeWalls, near_m: float) -> Halo:
     """The halo without that of "walls" which the building does not have: what scans took for one.
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from algorithms.building import Doors, Windows
+from algorithms.before_walls import BeforeWalls
+from algorithms.building import CELL_M, Doors, Windows
 from algorithms.doors import DoorState
 from algorithms.standing_walls import JudgedFaces
 from blueprints import entities
@@ -23,6 +24,12 @@ _REFUSED = """
 | at x, y (m) | length | why | seen on scans |
 |---|---|---|---|
 """
+_AGAINST = """
+## What stands against walls
+
+{area_m2:.1f} m² of wall faces are covered: there the mean of all scans' returns lies before the wall above, from the floor up
+but not to the ceiling. That is clutter, though single scans take it for the wall.
+"""
 _WINDOWS = """
 ## Windows
 
@@ -31,8 +38,8 @@ _WINDOWS = """
 """
 
 
-def explain_building(judged: JudgedFaces, doors: Doors, windows: Windows) -> str:
-    """Markdown: what the building's doors, refused faces and windows were judged by."""
+def explain_building(before: BeforeWalls, judged: JudgedFaces, doors: Doors, windows: Windows) -> str:
+    """Markdown: what the building's doors, refused faces, windows and what stands against walls were judged by."""
     parts = [_DOORS + ("\n".join(_door(doors, d) for d in range(len(doors))) or "| none | | | | | |")]
     if len(judged.refused):
         faces = judged.refused
@@ -44,6 +51,9 @@ def explain_building(judged: JudgedFaces, doors: Doors, windows: Windows) -> str
                 for f in range(len(faces))
             )
         )
+    if before.covered.any():
+        area_m2 = np.count_nonzero(before.covered) * CELL_M**2
+        parts.append(_AGAINST.format(area_m2=area_m2))
     if len(windows):
         parts.append(_WINDOWS + "\n".join(_window(windows, w) for w in range(len(windows))))
     return "\n".join(parts)

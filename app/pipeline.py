@@ -283,7 +283,7 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
                 run.options.workers,
             )
             if recorder:
-                recorder.log_building(building.walls, building.judged, building.doors, building.windows)
+                recorder.log_building(building.walls, building.before, building.judged, building.doors, building.windows)
                 for name, grid in _maps(building).items():
                     recorder.log_grid(name, grid)
             if run.recording:

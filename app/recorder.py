@@ -10,7 +10,8 @@ import pyarrow as pa  # type: ignore[import-untyped]
 import rerun as rr
 
 from algorithms import transforms
-from algorithms.building import Doors, Walls, Windows
+from algorithms.before_walls import BeforeWalls, covered_places
+from algorithms.building import CELL_M, Doors, Walls, Windows
 from algorithms.doors import DoorState
 from algorithms.grid_map import Cell, GridMap
 from algorithms.labelling import ScanLabelling
@@ -586,8 +587,10 @@ class Recorder:
         self._at(stamp_ns, index)
         self._log_split(entities.MAP_POINTS, entities.MAP_CEILING, points_map, label, static=False)
 
-    def log_building(self, walls: Walls, refused: JudgedFaces, doors: Doors, windows: Windows) -> None:
-        """The fused walls, what was refused as a wall, doors and windows; they hold for the whole run."""
+    def log_building(
+        self, walls: Walls, before: BeforeWalls, refused: JudgedFaces, doors: Doors, windows: Windows
+    ) -> None:
+        """The fused walls, what stands against them, what was refused as a wall, doors and windows, for the whole run."""
         vertices, triangles = _upright_quads(
             walls.ends, np.repeat(walls.bottom_m[:, None], 2, axis=1), np.repeat(walls.top_m[:, None], 2, axis=1)
         )
@@ -600,6 +603,17 @@ class Recorder:
                     albedo_factor=(*entities.CLASSES[Label.WALL][1], 90),
                 ),
                 evidence({"scan_count": walls.scan_count, "rms_m": walls.rms_m}),
+            )
+        if before.covered.any():
+            self._static(
+                entities.AGAINST_WALLS,
+                rr.Points3D(
+                    covered_places(walls, before).astype(np.float32),
+                    radii=CELL_M / 2,
+                    colors=entities.CLASSES[Label.CLUTTER][1],
+                    labels="stands against the wall",
+                    show_labels=False,
+                ),
             )
         if len(refused.refused):
             faces = refused.refused
@@ -661,7 +675,7 @@ class Recorder:
 
         self._static(
             entities.BUILDING_REASONS,
-            rr.TextDocument(explain_building(refused, doors, windows), media_type=rr.MediaType.MARKDOWN),
+            rr.TextDocument(explain_building(before, refused, doors, windows), media_type=rr.MediaType.MARKDOWN),
         )
 
     def log_grid(self, name: str, grid: GridMap) -> None:

@@ -38,6 +38,7 @@ DOORS = "/world/building/doors"
 DOOR_SILLS = "/world/building/sills"
 WINDOWS = "/world/building/windows"
 REFUSED_WALLS = "/world/building/refused_walls"
+AGAINST_WALLS = "/world/building/against_walls"
 REFUSED_COLOUR = (255, 140, 60)
 BUILDING_REASONS = "/world/building/reasons"
 REFUSALS = {

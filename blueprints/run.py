@@ -229,7 +229,14 @@ def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
     return rrb.Horizontal(
         rrb.Spatial3DView(
             origin=entities.WORLD,
-            contents=[entities.CLOUD, entities.WALLS, entities.DOORS, entities.WINDOWS, entities.REFUSED_WALLS],
+            contents=[
+                entities.CLOUD,
+                entities.WALLS,
+                entities.DOORS,
+                entities.WINDOWS,
+                entities.REFUSED_WALLS,
+                entities.AGAINST_WALLS,
+            ],
             name="Fused cloud, walls and doors (ceiling hidden)",
             overrides={
                 entities.DOORS: rr.LineStrips3D.from_fields(show_labels=True),

@@ -12,6 +12,7 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from algorithms import transforms
+from algorithms.before_walls import BeforeWalls
 from algorithms.building import Doors, Walls, Windows
 from algorithms.grid_map import Cell, GridMap
 from algorithms.labelling import ScanLabelling, label_scan
@@ -279,7 +280,11 @@ def test_building_grid_map_and_messages(tmp_path):
         np.array([[[2.5, 0.0], [3.5, 0.0]]]), np.array([[0.0, 1.0]]), np.array([0.9]), np.array([2.2]), np.array([0.1])
     )
     leaf = replace(walls, ends=np.array([[[1.0, 0.0], [1.0, 0.9]]]))
-    recorder.log_building(walls, JudgedFaces(walls, leaf, np.array([FaceVerdict.ENDS_LOW])), doors, windows)
+    columns = round(float(np.linalg.norm(walls.ends[0, 1] - walls.ends[0, 0])) / 0.05)
+    covered = np.zeros((columns, 60), bool)
+    covered[2:4, 1] = True
+    before = BeforeWalls(np.array([0, columns]), np.full(columns, 2.8), covered)
+    recorder.log_building(walls, before, JudgedFaces(walls, leaf, np.array([FaceVerdict.ENDS_LOW])), doors, windows)
     cells = np.full((2, 3), Cell.FREE, np.uint8)
     cells[0, 0], cells[1, 2] = Cell.OCCUPIED, Cell.UNKNOWN
     grid = GridMap(cells, np.array([-1.0, 2.0]), 0.05)
@@ -303,6 +308,8 @@ def test_building_grid_map_and_messages(tmp_path):
     assert "3 from 5 to 9" in reasons
     assert "rays pass above it" in reasons
     assert "10 cm behind the face" in reasons
+    against = vectors(static[entities.AGAINST_WALLS].column("Points3D:positions").to_pylist()[0])
+    np.testing.assert_allclose(against, [[0.125, 0, 0.075], [0.175, 0, 0.075]], atol=1e-6)
     outline = vectors(static[entities.WINDOWS].column("LineStrips3D:strips").to_pylist()[0][0])
     np.testing.assert_allclose(outline[:3], [[2.5, 0, 0.9], [3.5, 0, 0.9], [3.5, 0, 2.2]], rtol=1e-6)
     assert len(static[entities.WALLS].column("Mesh3D:vertex_positions").to_pylist()[0]) == 4
