@@ -214,7 +214,10 @@ def judge_faces(
                 )
         if low.any():
             for first, after in _runs(~(hangs | low)):
-                low[first:after] = (after - first) * CELL_M < _REST_MIN_M
+                # Of pillars in line, each is a rest; they show from floor to ceiling.
+                inner = slice(own.start + first + 1, own.start + after - 1)
+                is_pillar = _goes_on(cells.counts[inner], settings.above_door_m, _median_m(clear_m[inner]))
+                low[first:after] = (after - first) * CELL_M < _REST_MIN_M and not is_pillar
         for first, after in _runs(~(hangs | low)):
             if (after - first) * CELL_M >= length_min_m:
                 kept.append((w, first, after))
@@ -317,10 +320,7 @@ def trim_at_doorways(walls: Walls, cells: WallCells, doors: Doors, clear_m: Floa
     for w in range(len(walls)):
         own = slice(int(cells.first[w]), int(cells.first[w + 1]))
         first, after = 0, own.stop - own.start
-        counts, ceiling_m = (
-            cells.counts[own],
-            float(np.nanmedian(clear_m[own])) if np.isfinite(clear_m[own]).any() else np.nan,
-        )
+        counts, ceiling_m = cells.counts[own], _median_m(clear_m[own])
         for d in np.flatnonzero(np.abs(doors.normal @ walls.normal[w]) < _ACROSS):
             relative = places[own] - doors.ends[d, 0]
             behind_m = -relative @ doors.normal[d]
@@ -348,6 +348,12 @@ def trim_at_doorways(walls: Walls, cells: WallCells, doors: Doors, clear_m: Floa
         replace(cells, first=starts, counts=np.concatenate(own_counts) if own_counts else cells.counts),
         replace(_cut(walls, cells, leaves), top_m=np.array(top_m)),
     )
+
+
+def _median_m(values_m: FloatArray) -> float:
+    """The median of those that are known; NaN where none is."""
+    known = values_m[np.isfinite(values_m)]
+    return float(np.median(known)) if len(known) else float("nan")
 
 
 def _goes_on(counts: FloatArray, head_m: float, clear_m: float) -> bool:
@@ -427,7 +433,7 @@ def find_hidden_walls(
             reaches = np.mean(columns.upper_on[part] > 0) > 0.5
             if before[w]:
                 # A pillar shows from floor to ceiling; what else stands or hangs before a wall does not.
-                reaches &= _upright_share(cells, part, float(np.nanmedian(clear_m[part]))) > _PILLAR_SHARE
+                reaches &= _upright_share(cells, part, _median_m(clear_m[part])) > _PILLAR_SHARE
             counted = float((columns.upper_on[part] + columns.lower_on[part]).sum()) / (2 * _SMOOTH_COLUMNS + 1)
             if reaches and counted >= settings.hidden_returns_min and (after - first) * CELL_M >= length_min_m:
                 kept.append((w, first, after))

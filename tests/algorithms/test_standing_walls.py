@@ -115,6 +115,15 @@ def test_a_cupboard_in_line_with_a_wall_is_cut_off():
     np.testing.assert_allclose(kept, [[0.0, 3.0]], atol=2 * CELL_M)
 
 
+def test_pillars_in_line_stand_though_rays_pass_between_them():
+    cells = cells_of(2.0)
+    pass_rays(cells, slice(8, 32), 0.0, CEILING_M)
+    assert judge(cells)[0] == [[0.0, 0.4], [1.6, 2.0]]
+    # A reveal on either side of an opening is none: it ends at the door's head.
+    pass_rays(cells, slice(0, 40), 2.1, CEILING_M)
+    assert judge(cells)[0] == []
+
+
 def test_nothing_is_decided_where_no_ray_went():
     cells = cells_of(2.0)
     cells.counts[...] = 0.0
