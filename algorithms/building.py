@@ -44,6 +44,7 @@ _FRAME_REACH_M = 0.2
 _FRAME_BINS = 41
 _HEAD_MIN_M = 1.7
 _HEAD_BINS = 100
+_HEAD_SLACK_M = 0.05
 _ON_FACE_M = 0.03
 """A return farther behind the face is within the opening: on a reveal, on the lintel's underside, or beyond."""
 _FRAME_RAYS = 30
@@ -195,6 +196,10 @@ class Doors:
 
     def __len__(self) -> int:
         return len(self.ends)
+
+    def select(self, chosen: IntArray | BoolArray) -> "Doors":
+        """Some of the doors, by index or by flag."""
+        return Doors(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
 
 NO_DOORS = Doors(
@@ -448,6 +453,17 @@ def place_frames(doors: Doors, walls: Walls, blocks: Iterable[Features], setting
         head_m[d] = doors.head_m[d] if edge_m is None else _HEAD_MIN_M + edge_m
     count, first, last = scans.T
     return replace(doors, ends=ends, head_m=head_m, scan_count=count.astype(np.int32), first_scan=first, last_scan=last)
+
+
+def drop_leaning(doors: Doors, settings: BuildingSettings) -> Doors:
+    """The doors without those "closed" ones whose leaf ends too low: walls that the poses' tilt leans back there.
+
+    A leaf is set back by a step, at its head and at its jambs; a wall that leans comes forward little by little.
+
+    doors: from `place_frames`.
+    """
+    low = doors.head_m < settings.door_height_min_m - _HEAD_SLACK_M
+    return doors.select(~(low & (doors.state == DoorState.CLOSED)))
 
 
 def _edge_m(counts: IntArray) -> float | None:

@@ -42,7 +42,7 @@ class RelabellingSettings(StepSettings):
     )
     pane_m: float = Field(0.02, gt=0, description="More than so many metres behind a pane a return is outside.")
     behind_glass_m: float = Field(
-        0.25,
+        0.16,
         gt=0,
         description="The same behind a window's wall, where the pane returned nothing and its place is not known.",
     )

@@ -1,6 +1,6 @@
 """Doors, windows and what is seen through them, on hand-made walls, cells and rays."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -10,9 +10,11 @@ from algorithms.building import (
     NO_DOORS,
     NO_WINDOWS,
     BuildingSettings,
+    Doors,
     WallCells,
     Walls,
     Windows,
+    drop_leaning,
     find_doors,
     find_windows,
     prove_crossed,
@@ -161,3 +163,20 @@ def test_a_door_that_was_driven_through_is_open(path: list[list[float]], crossed
     assert np.isnan(proven.depth_m[0]) == crossed
     assert (proven.confidence[0] == 1.0) == (crossed or closed.confidence[0] == 1.0)
     assert len(prove_crossed(NO_DOORS, np.array(path, np.float64))) == 0
+
+
+def test_a_leaf_whose_head_is_far_too_low_is_a_wall_that_leans() -> None:
+    kinds = [(2.05, DoorState.CLOSED), (1.70, DoorState.CLOSED), (1.70, DoorState.OPEN)]
+    count = len(kinds)
+    doors = Doors(
+        **{
+            field.name: np.zeros((count, *getattr(NO_DOORS, field.name).shape[1:]), getattr(NO_DOORS, field.name).dtype)
+            for field in fields(Doors)
+        }
+    )
+    doors = replace(
+        doors, head_m=np.array([k[0] for k in kinds]), state=np.array([k[1] for k in kinds], np.uint8)
+    )
+    kept = drop_leaning(doors, BuildingSettings())
+    np.testing.assert_array_equal(kept.state, [DoorState.CLOSED, DoorState.OPEN])
+    assert len(drop_leaning(NO_DOORS, BuildingSettings())) == 0
