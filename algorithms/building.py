@@ -455,15 +455,16 @@ def place_frames(doors: Doors, walls: Walls, blocks: Iterable[Features], setting
     return replace(doors, ends=ends, head_m=head_m, scan_count=count.astype(np.int32), first_scan=first, last_scan=last)
 
 
-def drop_leaning(doors: Doors, settings: BuildingSettings) -> Doors:
-    """The doors without those "closed" ones whose leaf ends too low: walls that the poses' tilt leans back there.
+def drop_doubtful(doors: Doors, settings: BuildingSettings) -> Doors:
+    """The doors without "closed" ones that are rather a wall.
 
-    A leaf is set back by a step, at its head and at its jambs; a wall that leans comes forward little by little.
+    A leaf's recess of centimetres shows from nearby only: at least `scans_min` scans have to have seen it so. And a leaf is
+    set back by a step; a wall that the poses' tilt leans back comes forward little by little, and its "head" is far too low.
 
     doors: from `place_frames`.
     """
-    low = doors.head_m < settings.door_height_min_m - _HEAD_SLACK_M
-    return doors.select(~(low & (doors.state == DoorState.CLOSED)))
+    doubtful = (doors.scan_count < settings.scans_min) | (doors.head_m < settings.door_height_min_m - _HEAD_SLACK_M)
+    return doors.select(~(doubtful & (doors.state == DoorState.CLOSED)))
 
 
 def _edge_m(counts: IntArray) -> float | None:

@@ -27,7 +27,7 @@ from algorithms.building import (
     WallCells,
     Walls,
     Windows,
-    drop_leaning,
+    drop_doubtful,
     find_doors,
     find_windows,
     fuse_walls,
@@ -639,7 +639,7 @@ def _build(
     windows = find_windows(walls, cells, settings.building)
     doors = find_doors(walls, cells, settings.building)
     doors = place_frames(doors, walls, _features(folder, blocks), settings.building)
-    doors = drop_leaning(doors, settings.building)
+    doors = drop_doubtful(doors, settings.building)
     doors = prove_crossed(doors, trajectory.T_map_base[:, :2, 3])
     doors = measure_reveals(doors, _features(folder, blocks), settings.building)
     parts = part_walls(walls, settings.wall_thickness)

@@ -14,7 +14,7 @@ from algorithms.building import (
     WallCells,
     Walls,
     Windows,
-    drop_leaning,
+    drop_doubtful,
     find_doors,
     find_windows,
     prove_crossed,
@@ -165,18 +165,14 @@ def test_a_door_that_was_driven_through_is_open(path: list[list[float]], crossed
     assert len(prove_crossed(NO_DOORS, np.array(path, np.float64))) == 0
 
 
-def test_a_leaf_whose_head_is_far_too_low_is_a_wall_that_leans() -> None:
-    kinds = [(2.05, DoorState.CLOSED), (1.70, DoorState.CLOSED), (1.70, DoorState.OPEN)]
-    count = len(kinds)
-    doors = Doors(
-        **{
-            field.name: np.zeros((count, *getattr(NO_DOORS, field.name).shape[1:]), getattr(NO_DOORS, field.name).dtype)
-            for field in fields(Doors)
-        }
-    )
-    doors = replace(
-        doors, head_m=np.array([k[0] for k in kinds]), state=np.array([k[1] for k in kinds], np.uint8)
-    )
-    kept = drop_leaning(doors, BuildingSettings())
-    np.testing.assert_array_equal(kept.state, [DoorState.CLOSED, DoorState.OPEN])
-    assert len(drop_leaning(NO_DOORS, BuildingSettings())) == 0
+def test_a_leaf_without_a_head_or_that_was_seen_from_afar_only_is_a_wall() -> None:
+    closed, opened = DoorState.CLOSED, DoorState.OPEN
+    kinds = [(2.05, 9, closed), (1.70, 9, closed), (1.70, 9, opened), (2.05, 1, closed), (2.05, 0, opened)]
+    head_m, scan_count, state = (np.array(column) for column in zip(*kinds, strict=True))
+    shape = {f.name: getattr(NO_DOORS, f.name) for f in fields(Doors)}
+    doors = Doors(**{name: np.zeros((len(kinds), *v.shape[1:]), v.dtype) for name, v in shape.items()})
+    doors = replace(doors, head_m=head_m, scan_count=scan_count, state=state.astype(np.uint8))
+    kept = drop_doubtful(doors, BuildingSettings())
+    np.testing.assert_array_equal(kept.head_m, [2.05, 1.70, 2.05])
+    np.testing.assert_array_equal(kept.state, [closed, opened, opened])
+    assert len(drop_doubtful(NO_DOORS, BuildingSettings())) == 0
