@@ -96,13 +96,19 @@ def _differences(
         when += [
             rrb.Spatial3DView(
                 origin=backdrop.path(entities.SCAN) if backdrop.scans else "/",
-                contents=[backdrop.path(entities.POINTS), entities.CHANGED_POINTS.format(letter)],
+                # Without the scans' returns the map is what the changed ones are seen against.
+                contents=[
+                    backdrop.path(entities.POINTS) if backdrop.scans else grid,
+                    entities.CHANGED_POINTS.format(letter),
+                ],
                 name=f"This scan: its changed points, {first.letter} → {letter}",
                 overrides={
                     backdrop.path(entities.POINTS): rr.Points3D.from_fields(
                         colors=entities.BACKDROP_COLOR, radii=rr.Radius.ui_points(1.0)
                     )
-                },
+                }
+                if backdrop.scans
+                else None,
                 eye_controls=_behind_the_robot() if backdrop.scans else above,
                 line_grid=rrb.LineGrid3D(visible=False),
             ),

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import rerun.blueprint as rrb
 
 from algorithms.area_graph import Segmented
@@ -113,3 +114,16 @@ def test_the_explanation_names_classes_and_settings():
 def test_where_nothing_is_labelled_the_odometry_comes_first():
     tabs = run.build(None).root_container.contents
     assert [str(tab.name) for tab in tabs] == ["Odometry", "Metrics and warnings", "Read me"]
+
+
+@pytest.mark.parametrize("scans", [True, False])
+def test_changed_points_are_seen_against_the_scan_or_else_the_map(scans: bool) -> None:
+    compared = frozenset({"labels"})
+    runs = [compare.ComparedRun(letter, letter, scans, map_points=False, compared=compared) for letter in ("A", "B")]
+    layout = compare.build(runs)
+    changed = next(view for view in views(layout.root_container) if str(view.name).startswith("This scan"))
+    contents = [str(path) for path in changed.contents]
+    assert (runs[0].path(entities.POINTS) in contents) == scans
+    assert (f"{entities.GRID}/A" in contents) != scans
+    # An override of what is not there is an error that the viewer shows.
+    assert (runs[0].path(entities.POINTS) in changed.visualizer_overrides) == scans
