@@ -1,5 +1,6 @@
 """ffmap compare: runs side by side in one recording, and what differs between the first and each of the others."""
 
+import math
 import string
 import tempfile
 import uuid
@@ -556,7 +557,8 @@ def _figure(value: float | None) -> str:
 def _difference(first: float | None, second: float | None) -> str:
     if first is None or second is None:
         return "–"
-    if first == second:
+    if math.isclose(first, second, rel_tol=1e-9):
+        # Sums that were taken in another order differ in their last bits.
         return "="
     whole = float(first).is_integer() and float(second).is_integer() and max(abs(first), abs(second)) > 1
     if whole:

@@ -451,3 +451,11 @@ def test_what_cannot_be_inspected_is_one_line(
     assert not out.exists()
     inspect_command.inspect(moved, "3", None, bag, out, spawn=False)
     assert whole_messages(out).has_footer
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "expected"),
+    [(0.1 + 0.2, 0.3, "="), (0.5, 0.50004, "+4e-05"), (0.5, 0.4, "-0.1000"), (3.0, 5.0, "+2"), (None, 1.0, "–")],
+)
+def test_the_difference_of_two_figures_in_words(first: float | None, second: float | None, expected: str) -> None:
+    assert compare_command._difference(first, second) == expected
