@@ -13,9 +13,9 @@ from scipy import ndimage
 from algorithms.building import CELL_M, WallCells, Walls
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, IntArray
-from algorithms.semantic_map import Halo, VoxelVotes
+from algorithms.semantic_map import Halo
 from algorithms.settings import StepSettings
-from algorithms.standing_walls import clear_heights, column_places
+from algorithms.standing_walls import column_places
 
 _FILLED, _SUM = 0, 1
 _WALL_COLUMNS = 11
@@ -67,14 +67,11 @@ class BeforeWalls:
 NOTHING_BEFORE = BeforeWalls(np.zeros(1, np.int64), np.zeros(0), np.zeros((0, 1), bool))
 
 
-def look_before_walls(
-    walls: Walls, cells: WallCells, votes: VoxelVotes, near_m: float, settings: BeforeWallsSettings
-) -> BeforeWalls:
-    """How high the rooms are before the faces, and what stands flat against them.
+def look_before_walls(cells: WallCells, clear_m: FloatArray, settings: BeforeWallsSettings) -> BeforeWalls:
+    """What stands flat against the faces.
 
-    cells: of these faces. votes: of all scans' labels. near_m: a ceiling is looked for so many metres around.
+    cells: of the faces. clear_m: (columns,) from the floor to the ceiling before each column.
     """
-    clear_m = clear_heights(column_places(walls, cells), votes, near_m)
     covered = np.zeros(cells.counts.shape[:2], bool)
     for first, after in zip(cells.first[:-1], cells.first[1:], strict=True):
         covered[first:after] = _relief(cells.counts[first:after], clear_m[first:after], settings)
@@ -127,13 +124,8 @@ def _mean_m(counts: FloatArray, size: tuple[int, int], settings: BeforeWallsSett
 
 def covered_places(walls: Walls, before: BeforeWalls) -> FloatArray:
     """(n, 3) the middles of the covered cells, on their faces, metres above the floor."""
-    along = walls.ends[:, 1] - walls.ends[:, 0]
-    along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
     column, row = np.nonzero(before.covered)
-    wall = np.searchsorted(before.first, column, side="right") - 1
-    place_m = (column - before.first[wall] + 0.5) * CELL_M
-    at = walls.ends[wall, 0] + place_m[:, None] * along[wall]
-    return np.column_stack([at, (row + 0.5) * CELL_M])
+    return np.column_stack([column_places(walls, before.first, 0.0)[column], (row + 0.5) * CELL_M])
 
 
 def halo_at_walls(halo: Halo, walls: Walls, before: BeforeWalls, near_m: float) -> Halo:

@@ -521,11 +521,8 @@ def _count_at_frames(
                 distance_m,
                 cos_angle,
             )
-            sill = (
-                abs((ends[d, 0, 0] - wall_ends[d, 0, 0]) * dx + (ends[d, 0, 1] - wall_ends[d, 0, 1]) * dy)
-                + 0.5 * length
-            )
-            if not start < sill < stop:
+            middle = (ends[d, 0, 0] - wall_ends[d, 0, 0]) * dx + (ends[d, 0, 1] - wall_ends[d, 0, 1]) * dy + 0.5 * length
+            if not start < middle < stop:
                 nx, ny = wall_normal[d, 0], wall_normal[d, 1]
                 offset = nx * wall_ends[d, 0, 0] + ny * wall_ends[d, 0, 1]
             offset -= nx * ends[d, 0, 0] + ny * ends[d, 0, 1]
@@ -1022,10 +1019,10 @@ def _trace(
                 distance_m,
                 cos_angle,
             )
+            face_offset = normal[w, 0] * ends[w, 0, 0] + normal[w, 1] * ends[w, 0, 1]
             for r in range(starts[s], starts[s + 1]):
                 x, y, z = np.float64(ray_end[r, 0]), np.float64(ray_end[r, 1]), np.float64(ray_end[r, 2])
-                nx, ny = normal[w, 0], normal[w, 1]
-                offset = nx * ends[w, 0, 0] + ny * ends[w, 0, 1]
+                nx, ny, offset = normal[w, 0], normal[w, 1], face_offset
                 along = (x - ends[w, 0, 0]) * dx + (y - ends[w, 0, 1]) * dy
                 if start - _OWN_MARGIN_M < along < stop + _OWN_MARGIN_M:
                     nx, ny, offset = own_x, own_y, own_offset

@@ -194,9 +194,9 @@ def _at_edge(
         if not 0.0 <= u <= walls[w, 6]:
             continue
         rise = (share - 1.0) * (z - origin[2])
+        cx, cy = origin[0] + share * (x - origin[0]), origin[1] + share * (y - origin[1])
         in_doorway = False
         for d in range(len(doors)):
-            cx, cy = origin[0] + share * (x - origin[0]), origin[1] + share * (y - origin[1])
             v = doors[d, 0] * cx + doors[d, 1] * cy - doors[d, 2]
             aside = abs(doors[d, 3] * cx + doors[d, 4] * cy - doors[d, 5])
             in_doorway = in_doorway or (0.0 < v < doors[d, 6] and aside < 0.5 and height + rise < door_head[d])

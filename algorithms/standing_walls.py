@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from algorithms.building import CELL_M, NO_WALLS, Doors, WallCells, Walls, stretches
 from algorithms.labels import Label
-from algorithms.scan import BoolArray, FloatArray, UInt8Array
+from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from algorithms.semantic_map import VoxelVotes, majority
 from algorithms.settings import StepSettings
 
@@ -120,14 +120,14 @@ def clear_heights(places: FloatArray, votes: VoxelVotes, near_m: float) -> Float
     return np.where(distance[:, 0] < near_m, top - ground, np.nan)
 
 
-def column_places(walls: Walls, cells: WallCells, before_m: float = 0.2) -> FloatArray:
-    """(columns, 2) x and y so many metres before the middle of each column of the faces."""
-    places = np.zeros((int(cells.first[-1]), 2))
+def column_places(walls: Walls, first: IntArray, before_m: float = 0.2) -> FloatArray:
+    """(columns, 2) x and y so many metres before the middle of each column of the faces; first: see `WallCells`."""
+    places = np.zeros((int(first[-1]), 2))
     for w in range(len(walls)):
         along = walls.ends[w, 1] - walls.ends[w, 0]
         along = along / np.linalg.norm(along)
-        middle = (np.arange(cells.first[w + 1] - cells.first[w]) + 0.5) * CELL_M
-        places[cells.first[w] : cells.first[w + 1]] = (
+        middle = (np.arange(first[w + 1] - first[w]) + 0.5) * CELL_M
+        places[first[w] : first[w + 1]] = (
             walls.ends[w, 0] + along * middle[:, None] + before_m * walls.normal[w]
         )
     return places
@@ -162,7 +162,7 @@ def _count_columns(cells: WallCells, clear_m: FloatArray, settings: StandingWall
 
 def _visited(walls: Walls, cells: WallCells, path_map: FloatArray, robot_m: float) -> BoolArray:
     """(columns,) whether the robot drove where each column stands."""
-    places = column_places(walls, cells, 0.0)
+    places = column_places(walls, cells.first, 0.0)
     if not len(places) or not len(path_map):
         return np.zeros(len(places), bool)
     return np.asarray(cKDTree(path_map).query(places)[0] < robot_m)
@@ -216,8 +216,9 @@ def judge_faces(
             for first, after in _runs(~(hangs | low)):
                 # Of pillars in line, each is a rest; they show from floor to ceiling.
                 inner = slice(own.start + first + 1, own.start + after - 1)
-                is_pillar = _goes_on(cells.counts[inner], settings.above_door_m, _median_m(clear_m[inner]))
-                low[first:after] = (after - first) * CELL_M < _REST_MIN_M and not is_pillar
+                low[first:after] = (after - first) * CELL_M < _REST_MIN_M and not _goes_on(
+                    cells.counts[inner], settings.above_door_m, _median_m(clear_m[inner])
+                )
         for first, after in _runs(~(hangs | low)):
             if (after - first) * CELL_M >= length_min_m:
                 kept.append((w, first, after))
@@ -296,10 +297,14 @@ def join_corners(walls: Walls, corner_m: float) -> Walls:
 
 @dataclass(frozen=True)
 class TrimmedFaces:
-    """Faces that end where their wall does, their cells, and the leaves that were taken for their continuation."""
+    """Faces that end where their wall does, and the leaves that were taken for their continuation.
+
+    cells: of the faces. clear_m: (columns,) from the floor to the ceiling before each of their columns.
+    """
 
     walls: Walls
     cells: WallCells
+    clear_m: FloatArray
     leaves: Walls
 
 
@@ -311,7 +316,7 @@ def trim_at_doorways(walls: Walls, cells: WallCells, doors: Doors, clear_m: Floa
 
     doors: with their reveals' depth. clear_m: (columns,) from the floor to the ceiling before each column.
     """
-    places = column_places(walls, cells, 0.0)
+    places = column_places(walls, cells.first, 0.0)
     along = doors.ends[:, 1] - doors.ends[:, 0]
     length_m = np.linalg.norm(along, axis=1)
     kept: list[tuple[int, int, int]] = []
@@ -341,11 +346,14 @@ def trim_at_doorways(walls: Walls, cells: WallCells, doors: Doors, clear_m: Floa
                 top_m.append(float(doors.head_m[d]))
                 after = int(inner[-1]) + 1
         kept.append((w, first, after))
-    own_counts = [cells.counts[cells.first[w] + first : cells.first[w] + after] for w, first, after in kept]
-    starts = np.concatenate([[0], np.cumsum([len(c) for c in own_counts])]).astype(np.int64)
+    columns = np.concatenate(
+        [np.zeros(0, np.int64), *(cells.first[w] + np.arange(first, after) for w, first, after in kept)]
+    )
+    starts = np.concatenate([[0], np.cumsum([after - first for _, first, after in kept])]).astype(np.int64)
     return TrimmedFaces(
         _cut(walls, cells, kept),
-        replace(cells, first=starts, counts=np.concatenate(own_counts) if own_counts else cells.counts),
+        replace(cells, first=starts, counts=cells.counts[columns]),
+        clear_m[columns],
         replace(_cut(walls, cells, leaves), top_m=np.array(top_m)),
     )
 
@@ -409,7 +417,7 @@ def find_hidden_walls(
     both = both.select(~_before_a_face(both, walls, _NOISE_M))
     before = _before_a_face(both, walls, _BEFORE_M)
     cells = trace(both)
-    clear_m = clear_heights(column_places(both, cells), votes, settings.ceiling_near_m)
+    clear_m = clear_heights(column_places(both, cells.first), votes, settings.ceiling_near_m)
     visited = _visited(both, cells, path_map, settings.robot_m)
     columns = _count_columns(cells, clear_m, settings)
     kept: list[tuple[int, int, int]] = []

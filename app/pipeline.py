@@ -616,7 +616,7 @@ def _build(
     def judge(faces: Walls) -> JudgedFaces:
         faces = join_corners(faces, settings.standing_walls.corner_m)
         cells = trace(faces)
-        clear_m = clear_heights(column_places(faces, cells), votes, settings.standing_walls.ceiling_near_m)
+        clear_m = clear_heights(column_places(faces, cells.first), votes, settings.standing_walls.ceiling_near_m)
         path = trajectory.T_map_base[:, :2, 3]
         return judge_faces(faces, cells, clear_m, path, settings.building.length_min_m, settings.standing_walls)
 
@@ -644,7 +644,7 @@ def _build(
     doors = measure_reveals(doors, _features(folder, blocks), settings.building)
     parts = part_walls(walls, settings.wall_thickness)
     doors = replace(doors, reveal_m=door_depths(doors, walls, parts, settings.wall_thickness))
-    clear_m = clear_heights(column_places(walls, cells), votes, settings.standing_walls.ceiling_near_m)
+    clear_m = clear_heights(column_places(walls, cells.first), votes, settings.standing_walls.ceiling_near_m)
     trimmed = trim_at_doorways(walls, cells, doors, clear_m)
     walls, cells, judged = trimmed.walls, trimmed.cells, judged.refuse(trimmed.leaves, FaceVerdict.ENDS_LOW)
     path = trajectory.T_map_base[:, :3, 3]
@@ -662,7 +662,7 @@ def _build(
         Segmented.NORMAL: find_rooms(normal, settings.area_graph, path_map=path),
         Segmented.NORMAL_AS_IS: find_rooms(normal, as_is, path_map=path),
     }
-    before = look_before_walls(walls, cells, votes, settings.standing_walls.ceiling_near_m, settings.before_walls)
+    before = look_before_walls(cells, trimmed.clear_m, settings.before_walls)
     halo = find_halo(votes, settings.relabelling.halo_ratio)
     halo = halo_at_walls(halo, walls, before, settings.relabelling.halo_wall_m)
     stretches = standing_stretches(immobile, settings.grid_map)

@@ -525,6 +525,7 @@ def test_a_scans_own_plane_tells_of_a_wall_only_where_the_scan_saw_it() -> None:
     cells = trace_rays(wall, [features], BuildingSettings())
     filled, total = cells.counts[..., 0].sum(axis=1), cells.counts[..., 1].sum(axis=1)
     mean_m = np.divide(total, filled, out=np.zeros_like(total), where=filled > 0)
+    assert filled[50:].sum() > 30
     np.testing.assert_allclose(mean_m[50:], 0.0, atol=1e-6)
     assert mean_m[:40].max() > 0.05
 
