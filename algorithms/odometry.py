@@ -52,7 +52,8 @@ class Registration:
     stamp_ns: the time of the pose: the middle of the sweep; where poses are not refined, the END of the sweep (KISS-ICP's
         convention with motion compensation).
     T_odom_sensor: (4, 4) at that time, refined; odom is the sensor's frame at the first scan.
-    keypoints_sensor: (k, 3) float32, the downsampled returns that were registered.
+    keypoints_sensor: (k, 3) float32, the thinned returns that were registered, as they are seen at that time: of both
+        lidars; where poses are not refined, KISS-ICP's own of the one.
     local_map_odom: (m, 3) float32, the local map that they were registered to, moved as the pose was refined; empty
         but for every `evidence_every`-th scan.
     threshold_m: KISS-ICP's adaptive correspondence threshold.
@@ -60,7 +61,7 @@ class Registration:
     residual_m: median distance of the keypoints to the local map; NaN where that was not kept.
     inlier_share: share of keypoints nearer to the local map than the threshold; NaN likewise.
     refined_m: how far the refinement has moved the pose, all scans until this one together.
-    refined_inlier_share, weakest_share: see `Refinement`; NaN where poses are not refined.
+    refined_inlier_share, weakest_share, refused: see `Refinement`; NaN, and False, where poses are not refined.
     milliseconds: what registration and refinement took.
     """
 
@@ -76,6 +77,7 @@ class Registration:
     refined_m: float
     refined_inlier_share: float
     weakest_share: float
+    refused: bool
     milliseconds: float
 
 
@@ -120,7 +122,7 @@ def register_scans(
         refined = (
             refiner.refine(scan, T_kiss, companion)
             if refiner
-            else Refinement(scan.end_ns, T_kiss, T_kiss, float("nan"), float("nan"))
+            else Refinement(scan.end_ns, T_kiss, T_kiss, float("nan"), float("nan"), False, keypoints.astype(np.float32))
         )
         milliseconds = 1e3 * (time.perf_counter() - started)
         residual_m, inlier_share = _residual(keypoints, local_map, T_kiss, threshold_m)
@@ -129,7 +131,7 @@ def register_scans(
             index=index,
             stamp_ns=refined.stamp_ns,
             T_odom_sensor=refined.T_odom_sensor,
-            keypoints_sensor=keypoints.astype(np.float32),
+            keypoints_sensor=refined.cloud_sensor,
             local_map_odom=transforms.apply(T_refined_kiss, local_map).astype(np.float32),
             threshold_m=threshold_m,
             correction_m=float(np.linalg.norm((transforms.invert(T_prediction) @ T_kiss)[:3, 3])),
@@ -138,6 +140,7 @@ def register_scans(
             refined_m=float(np.linalg.norm(refined.T_odom_sensor_end[:3, 3] - T_kiss[:3, 3])),
             refined_inlier_share=refined.inlier_share,
             weakest_share=refined.weakest_share,
+            refused=refined.refused,
             milliseconds=milliseconds,
         )
 
@@ -148,6 +151,8 @@ def weakness(registration: Registration, settings: RefinementSettings) -> str | 
     A scan slides along what does not hold it while all of its points fit: no residual shows that (Zhang, Kaess and Singh
     2016, "On degeneracy of optimization-based state estimation problems").
     """
+    if registration.refused:
+        return "it jumped away from the motion and was refused"
     if registration.refined_inlier_share < settings.weak_inlier_share:
         return f"only {registration.refined_inlier_share:.0%} of the scan fits the map"
     if registration.weakest_share < settings.weak_share:

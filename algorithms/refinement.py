@@ -1,23 +1,18 @@
-"""Poses refined by generalised ICP to a map of Gaussians; the only file that imports small_gicp.
-
-KISS-ICP matches points to points. The rings that a lidar draws on floor and walls move with it, and so do their points:
-in a bare corridor that holds the pose back, by a metre at worst. Distributions have no such bias: a patch of floor holds
-a scan at its height and nowhere else (Segal et al. 2009; voxels of Gaussians: Koide et al. 2021, "Voxelized GICP").
-"""
+"""Poses refined by generalised ICP: each scan, and the other lidar's beside it, registered to a map of Gaussians."""
 
 from dataclasses import dataclass
 
 import numpy as np
-import small_gicp
 from pydantic import Field
 
 from algorithms import transforms
+from algorithms.gaussian_map import GaussianCloud, GaussianMap
 from algorithms.scan import FloatArray, Scan
 from algorithms.settings import StepSettings
 
 
 class RefinementSettings(StepSettings):
-    """Registering each scan again, to a map of Gaussians; in place of the paper's loop closure by BLAM (IV.A)."""
+    """Registering each scan again, to a map of Gaussians (the paper's poses are BLAM's, IV.A)."""
 
     enabled: bool = Field(True, description="Whether poses are refined; if not, they are KISS-ICP's own.")
     voxel_m: float = Field(0.4, gt=0, le=5, description="Edge in metres of the voxels that hold one Gaussian each.")
@@ -31,6 +26,11 @@ class RefinementSettings(StepSettings):
     )
     distance_m: float = Field(0.5, gt=0, description="Points farther than so many metres from a Gaussian have none.")
     iterations_max: int = Field(20, ge=1, description="Most iterations a registration.")
+    memory_scans: int = Field(
+        50,
+        ge=1,
+        description="What so many scans in a row have not met is forgotten: a place seen again is for the pose graph.",
+    )
     weak_share: float = Field(
         0.012,
         ge=0,
@@ -41,12 +41,19 @@ class RefinementSettings(StepSettings):
     weak_inlier_share: float = Field(
         0.4, ge=0, le=1, description="Registration is called weak where a smaller share of a scan fits the map."
     )
+    jump_deg: float = Field(
+        3.0,
+        gt=0,
+        description="A registration that departs by more degrees than this both from the odometry's motion and from the "
+        "motion so far is refused: it fell for another place that looks like this one.",
+    )
+    jump_m: float = Field(0.15, gt=0, description="Likewise, by more metres than this.")
+    refusals_max: int = Field(
+        10, ge=0, description="After so many refusals in a row a registration is believed: the poses before it were wrong."
+    )
     passes: int = Field(
         1, ge=1, le=5, description="Registrations a scan, each with the motion within the sweep that the last one found."
     )
-
-
-_FOR_EVER = 2_000_000_000
 
 
 @dataclass(frozen=True)
@@ -58,6 +65,8 @@ class Refinement:
     inlier_share: share of the thinned scan's points that have a Gaussian; 1 for the first scan.
     weakest_share: how well the scan holds its place in the direction in which it holds it least, as a share of how well
         it does in the best one; near 0 in a corridor without a feature. 1 for the first scan.
+    refused: whether the registration was: it jumped. The pose is then where the odometry's motion leads.
+    cloud_sensor: (k, 3) float32, both lidars' returns that were registered, as they are seen at `stamp_ns`.
     """
 
     stamp_ns: int
@@ -65,6 +74,8 @@ class Refinement:
     T_odom_sensor_end: FloatArray
     inlier_share: float
     weakest_share: float
+    refused: bool
+    cloud_sensor: FloatArray
 
 
 @dataclass(frozen=True)
@@ -95,10 +106,9 @@ class Refiner:
         self._settings = settings
         self._range_m = range_m
         self._T_sensor_companion = T_sensor_companion
-        self._map = small_gicp.GaussianVoxelMap(settings.voxel_m)
-        # By default it forgets after 100 scans where the robot was, and with it every loop that is driven.
-        self._map.set_lru(horizon=_FOR_EVER, clear_cycle=_FOR_EVER)
+        self._map = GaussianMap(settings.voxel_m, settings.memory_scans)
         self._last: _Registered | None = None
+        self._refusals = 0
 
     def refine(self, scan: Scan, T_odom_sensor: FloatArray, companion: Scan | None = None) -> Refinement:
         """Register one scan, and beside it the last one of the other lidar that ended before it.
@@ -110,7 +120,7 @@ class Refiner:
         motion_per_ns: FloatArray = np.zeros(6)
         if last is None:
             source = self._put_together(scan, companion, stamp_ns, motion_per_ns)
-            T_refined, inlier_share, weakest_share = T_odom_sensor, 1.0, 1.0
+            T_refined, inlier_share, weakest_share, refused = T_odom_sensor, 1.0, 1.0, False
         else:
             elapsed_ns = max(stamp_ns - last.stamp_ns, 1)
             T_refined = last.T_refined @ transforms.invert(last.T_odometry) @ T_odom_sensor
@@ -118,51 +128,50 @@ class Refiner:
             if not motion_per_ns.any():
                 # The second scan: nothing is known yet but the odometry's motion.
                 motion_per_ns = transforms.to_twist(transforms.invert(last.T_refined) @ T_refined) / elapsed_ns
+            T_carried_on = last.T_refined @ transforms.from_twist(motion_per_ns * elapsed_ns)
             for _ in range(self._settings.passes):
                 source = self._put_together(scan, companion, stamp_ns, motion_per_ns)
-                T_refined, inlier_share, weakest_share = self._register(source, T_refined)
+                T_refined, inlier_share, weakest_share, refused = self._register(source, T_refined, T_carried_on)
                 motion_per_ns = transforms.to_twist(transforms.invert(last.T_refined) @ T_refined) / elapsed_ns
+        self._refusals = self._refusals + 1 if refused else 0
         self._map.insert(source, T_refined)
         self._last = _Registered(stamp_ns, T_odom_sensor, T_refined, motion_per_ns)
         T_middle_end = transforms.from_twist(motion_per_ns * (scan.end_ns - stamp_ns))
-        return Refinement(stamp_ns, T_refined, T_refined @ T_middle_end, inlier_share, weakest_share)
+        return Refinement(
+            stamp_ns, T_refined, T_refined @ T_middle_end, inlier_share, weakest_share, refused, source.points
+        )
 
     def _put_together(
         self, scan: Scan, companion: Scan | None, stamp_ns: int, motion_per_ns: FloatArray
-    ) -> "small_gicp.PointCloud":
+    ) -> GaussianCloud:
         """Both lidars' returns, thinned, as they are seen at a time, with their covariances."""
         points = [self._moved(scan, self._settings.points_max, np.eye(4), stamp_ns, motion_per_ns)]
         if companion is not None and self._T_sensor_companion is not None and self._settings.companion_points_max:
             most = self._settings.companion_points_max
             points.append(self._moved(companion, most, self._T_sensor_companion, stamp_ns, motion_per_ns))
-        source, _ = small_gicp.preprocess_points(
-            np.concatenate(points),
-            downsampling_resolution=self._settings.resolution_m,
-            num_neighbors=self._settings.neighbours,
-        )
-        return source
+        return GaussianCloud(np.concatenate(points), self._settings.resolution_m, self._settings.neighbours)
 
-    def _register(self, source: "small_gicp.PointCloud", guess: FloatArray) -> tuple[FloatArray, float, float]:
-        """The pose (4, 4), the share of inliers and the weakest share; the guess and zeros where nothing matches."""
-        found = small_gicp.align(
-            self._map,
-            source,
-            guess,
-            max_correspondence_distance=self._settings.distance_m,
-            num_threads=1,
-            max_iterations=self._settings.iterations_max,
-            rotation_epsilon=1e-4,
-            translation_epsilon=2e-4,
-        )
-        if not found.num_inliers or not np.isfinite(found.T_target_source).all():
-            return guess, 0.0, 0.0
-        hold = np.linalg.eigvalsh(np.asarray(found.H)[3:, 3:])
-        return (
-            # Small errors of rounding would grow from pose to pose.
-            transforms.orthonormal(np.array(found.T_target_source)),
-            found.num_inliers / max(source.size(), 1),
-            float(max(hold[0], 0.0) / max(hold[2], 1e-9)),
-        )
+    def _register(
+        self, source: GaussianCloud, T_odometry: FloatArray, T_carried_on: FloatArray
+    ) -> tuple[FloatArray, float, float, bool]:
+        """The pose (4, 4), the share of inliers, the weakest share, and whether the registration was refused.
+
+        T_odometry, T_carried_on: where the odometry's motion leads, and where that of the last scans does.
+        """
+        for guess in (T_odometry, T_carried_on):
+            found = self._map.register(source, guess, self._settings.distance_m, self._settings.iterations_max)
+            refused = all(self._is_jump(T, found.T_map_cloud) for T in (T_odometry, T_carried_on))
+            if not refused:
+                break
+        refused = refused and self._refusals < self._settings.refusals_max
+        hold = np.linalg.eigvalsh(found.information[3:, 3:])
+        weakest_share = float(max(hold[0], 0.0) / max(hold[2], 1e-9))
+        return T_odometry if refused else found.T_map_cloud, found.inlier_share, weakest_share, refused
+
+    def _is_jump(self, T_expected: FloatArray, T_found: FloatArray) -> bool:
+        off = transforms.to_twist(transforms.invert(T_expected) @ T_found)
+        off_deg, off_m = np.degrees(np.linalg.norm(off[:3])), np.linalg.norm(off[3:])
+        return bool(off_deg > self._settings.jump_deg or off_m > self._settings.jump_m)
 
     def _moved(
         self, scan: Scan, most: int, T_sensor_own: FloatArray, at_ns: int, motion_per_ns: FloatArray

@@ -14,10 +14,10 @@ import typer
 
 from algorithms.labelling import label_scan
 from algorithms.scan import FloatArray, Scan
-from algorithms.trajectory import PlacedScan, Trajectory, place_scan
+from algorithms.trajectory import PlacedScan, place_scan
 from app import run_command
 from app.inputs import InputOptions, find_inputs
-from app.odometry_stage import registrations
+from app.poses import poses_of
 from app.run_folder import RunFolder
 from app.settings import Settings
 from app.simulate_command import simulate
@@ -54,7 +54,7 @@ def _bench_run(bag: Path, out: Path) -> None:
     record = RunFolder(out).read_json()
     stages = ", ".join(
         f"{name.replace('_', ' ')} {record['timings_s'][name]:.1f} s"
-        for name in ("odometry_and_scans", "building", "final")
+        for name in ("odometry", "scans", "building", "final")
     )
     share = (out / "recording.rrd").stat().st_size / max(_cloud_bytes(bag), 1)
     typer.echo(
@@ -96,11 +96,7 @@ def _placed_scans(bag: Path, settings: Settings) -> list[tuple[int, Scan, Placed
     inputs = find_inputs(bag, InputOptions())
     if inputs.vertical is None or inputs.horizontal is None:
         raise InputError(f"{bag}: has no vertical lidar to label; give a bag of two lidars")
-    found, _ = registrations(inputs, inputs.horizontal, settings)
-    stamps, poses = zip(*((r.stamp_ns, r.T_odom_sensor) for r in found), strict=True)
-    T_base_horizontal = inputs.horizontal.lidar.T_base_sensor
-    # The odometry's first frame is level where the base is, which times need no better than.
-    trajectory = Trajectory(np.array(stamps), T_base_horizontal @ np.array(poses) @ np.linalg.inv(T_base_horizontal))
+    trajectory = poses_of(inputs, None, settings).trajectory
     sensor, scans = inputs.vertical, []
     with open_bag(bag) as opened:
         for first in np.linspace(0, len(sensor.index) - 1, _SCANS).astype(int):

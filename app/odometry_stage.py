@@ -20,7 +20,9 @@ import numpy as np
 
 from algorithms import transforms
 from algorithms.odometry import Registration
-from algorithms.scan import Scan
+from algorithms.pose_graph import PoseGraph
+from algorithms.scan import FloatArray, Scan
+from algorithms.trajectory import Trajectory
 from app.inputs import Inputs, Sensor
 from app.processes import process_context
 from app.settings import Settings
@@ -28,7 +30,8 @@ from loaders.bag import open_bag
 from loaders.scans import read_scans
 
 _PER_FILE = 50
-_FORMAT = 4
+_GRAPH = "pose_graph.npz"
+_FORMAT = 5
 """Raised whenever a change to reading or registering scans changes poses."""
 
 
@@ -57,22 +60,56 @@ def cache_key(inputs: Inputs, sensor: Sensor, settings: Settings) -> str:
         "rig": [s.lidar.T_base_sensor.tolist() for s in (sensor, companion) if s is not None],
         "kiss_icp": version("kiss-icp"),
         "small_gicp": version("small_gicp"),
+        "gtsam": version("gtsam"),
         "odometry": settings.odometry.model_dump(mode="json"),
         "refinement": settings.refinement.model_dump(mode="json"),
+        "pose_graph": settings.pose_graph.model_dump(mode="json"),
         "trajectory": settings.trajectory.model_dump(mode="json"),
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
 
 
-def registrations(inputs: Inputs, sensor: Sensor, settings: Settings) -> tuple[Iterator[Registration], bool]:
-    """The registration of every usable horizontal scan in order, and whether they came from the cache.
+class Odometry:
+    """The registration of every usable horizontal scan in order, and after them the loops that were closed.
 
-    What is not cached is registered while the iterator is read, and cached once it has been read to its end.
+    What is not cached is registered while it is iterated over, once, and cached when that has come to its end.
     """
-    folder = cache_folder() / cache_key(inputs, sensor, settings)
-    if is_cached(folder):
-        return _from_cache(folder), True
-    return _register(inputs, sensor, settings, folder), False
+
+    def __init__(self, inputs: Inputs, sensor: Sensor, settings: Settings) -> None:
+        folder = cache_folder() / cache_key(inputs, sensor, settings)
+        self.from_cache = is_cached(folder)
+        self._source = _from_cache(folder) if self.from_cache else _register(inputs, sensor, settings, folder)
+        self._T_sensor_base = transforms.invert(sensor.lidar.T_base_sensor)
+        self._stamps: list[int] = []
+        self._T_odom_sensor: list[FloatArray] = []
+        self.pose_graph: PoseGraph | None = None
+        """None before the end, and where loops are not to be closed."""
+
+    def __iter__(self) -> Iterator[Registration]:
+        for result in self._source:
+            if isinstance(result, PoseGraph):
+                self.pose_graph = result
+            else:
+                self._stamps.append(result.stamp_ns)
+                self._T_odom_sensor.append(result.T_odom_sensor)
+                yield result
+
+    def __len__(self) -> int:
+        """How many scans have been registered so far."""
+        return len(self._stamps)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """T_odom_base of the scans so far; of all of them with the loops closed."""
+        T_odom_sensor = np.array(self._T_odom_sensor).reshape(-1, 4, 4)
+        if self.pose_graph is not None:
+            T_odom_sensor = self.pose_graph.corrected(T_odom_sensor)
+        return Trajectory(np.array(self._stamps, np.int64), T_odom_sensor @ self._T_sensor_base)
+
+    def correction(self) -> FloatArray:
+        """(n, 4, 4) what closing the loops did to each scan's pose, in the odometry's frame."""
+        before = np.array(self._T_odom_sensor).reshape(-1, 4, 4) @ self._T_sensor_base
+        return self.trajectory.T_map_base @ transforms.invert(before)
 
 
 def is_cached(folder: Path) -> bool:
@@ -80,8 +117,8 @@ def is_cached(folder: Path) -> bool:
     return (folder / "complete").exists()
 
 
-def _from_cache(folder: Path) -> Iterator[Registration]:
-    for path in sorted(folder.glob("*.npz")):
+def _from_cache(folder: Path) -> Iterator[Registration | PoseGraph]:
+    for path in sorted(folder.glob("[0-9]*.npz")):
         with np.load(path) as stored:
             columns = {field.name: stored[field.name] for field in fields(Registration)}
             lengths = {name: stored[f"{name}_length"] for name in ("keypoints_sensor", "local_map_odom")}
@@ -100,15 +137,21 @@ def _from_cache(folder: Path) -> Iterator[Registration]:
                 refined_m=float(columns["refined_m"][i]),
                 refined_inlier_share=float(columns["refined_inlier_share"][i]),
                 weakest_share=float(columns["weakest_share"][i]),
+                refused=bool(columns["refused"][i]),
                 milliseconds=float(columns["milliseconds"][i]),
             )
+    if (folder / _GRAPH).exists():
+        with np.load(folder / _GRAPH) as stored:
+            yield PoseGraph(**stored)
 
 
-def _register(inputs: Inputs, sensor: Sensor, settings: Settings, folder: Path) -> Iterator[Registration]:
+def _register(
+    inputs: Inputs, sensor: Sensor, settings: Settings, folder: Path
+) -> Iterator[Registration | PoseGraph]:
     part = folder.with_name(f"{folder.name}.{os.getpid()}.part")
     shutil.rmtree(part, ignore_errors=True)
     context = process_context()
-    results: mp.Queue[Registration | str | None] = context.Queue(maxsize=64)
+    results: mp.Queue[Registration | PoseGraph | str | None] = context.Queue(maxsize=64)
     process = context.Process(
         target=_odometry_process, args=(inputs, sensor, settings, results), name="odometry", daemon=True
     )
@@ -132,7 +175,9 @@ def _register(inputs: Inputs, sensor: Sensor, settings: Settings, folder: Path) 
                 waiting = []
             if result is None:
                 break
-            if cachable:
+            if cachable and isinstance(result, PoseGraph):
+                np.savez(part / _GRAPH, allow_pickle=False, **{f.name: getattr(result, f.name) for f in fields(result)})
+            elif cachable and isinstance(result, Registration):
                 waiting.append(result)
             yield result
         if cachable:
@@ -166,12 +211,13 @@ def _store(path: Path, stored: list[Registration]) -> None:
 
 
 def _odometry_process(
-    inputs: Inputs, sensor: Sensor, settings: Settings, results: "mp.Queue[Registration | str | None]"
+    inputs: Inputs, sensor: Sensor, settings: Settings, results: "mp.Queue[Registration | PoseGraph | str | None]"
 ) -> None:
     # Imported here: only this process needs KISS-ICP.
     import traceback
 
     from algorithms.odometry import register_scans
+    from algorithms.pose_graph import close_loops
 
     companion = _companion(inputs, settings)
     T_sensor_companion = None
@@ -179,8 +225,19 @@ def _odometry_process(
         T_sensor_companion = transforms.invert(sensor.lidar.T_base_sensor) @ companion.lidar.T_base_sensor
     try:
         scans = _with_companions(inputs.bag_path, sensor, companion)
+        poses: list[FloatArray] = []
+        clouds: list[FloatArray] = []
+        last_ns = -1
         for registration in register_scans(scans, settings.odometry, settings.refinement, T_sensor_companion):
+            # A clock that steps back gives a second pose for a time that has one.
+            if registration.stamp_ns <= last_ns:
+                continue
+            last_ns = registration.stamp_ns
             results.put(registration)
+            poses.append(registration.T_odom_sensor)
+            clouds.append(registration.keypoints_sensor)
+        if settings.pose_graph.enabled:
+            results.put(close_loops(np.array(poses).reshape(-1, 4, 4), clouds, settings.pose_graph))
         results.put(None)
     except Exception:
         results.put(traceback.format_exc())

@@ -1,7 +1,6 @@
 """A run from beginning to end: odometry, scans, building, final; each stage as it stands in the design.
 
-The labelling of scans follows the odometry block by block, so that both cores work and a live viewer sees scans as soon
-as their poses are known.
+Scans are labelled once all poses are final: the last loop of a drive may move the first scan.
 """
 
 import shutil
@@ -79,7 +78,7 @@ from app.blocks import (
 )
 from app.inputs import Inputs
 from app.labels_file import LabelsWriter
-from app.odometry_stage import registrations
+from app.odometry_stage import Odometry
 from app.outputs import RUN_OUTPUTS, Output
 from app.plan_files import write_dxf, write_svg
 from app.poses import level_by_first_scans
@@ -254,11 +253,16 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
         _log_start(recorder, inputs, settings, run.record)
     with make_pool(run.options.workers) as pool:
         try:
-            # Stages 1 and 2: the odometry, and the scans that follow it.
+            # Stage 1: the poses.
             clock = time.perf_counter()
             stage = _ScanStage(run, pool)
-            trajectory = stage.follow(given)
-            state.timings_s["odometry_and_scans"] = time.perf_counter() - clock
+            trajectory = given if given is not None else stage.register()
+            state.timings_s["odometry"] = time.perf_counter() - clock
+
+            # Stage 2: the scans.
+            clock = time.perf_counter()
+            stage.label(trajectory)
+            state.timings_s["scans"] = time.perf_counter() - clock
             if inputs.vertical is None:
                 _write_trajectory(folder, trajectory, trajectory.stamp_ns)
                 if recorder:
@@ -356,7 +360,7 @@ def _ring_count(inputs: Inputs) -> int | None:
 
 
 class _ScanStage:
-    """Stages 1 and 2: poses as they come, and behind them the labelling of every block that they cover."""
+    """Stages 1 and 2: the poses, then the labelling of every block."""
 
     def __init__(self, run: _Run, pool: Executor) -> None:
         self._inputs, self._settings, self._options = run.inputs, run.settings, run.options
@@ -366,7 +370,6 @@ class _ScanStage:
         self.jobs: list[LabelJob] = []
         self.scan_stamps_ns: list[int] = []
         self.reasons: list[str] = []
-        self._running: deque[tuple[Block, Future[BlockSummary] | BlockSummary]] = deque()
         self._last_T_map_base: FloatArray | None = None
         self._floor_slope: FloatArray = np.zeros(2)
         self._registered: list[Registration] = []
@@ -377,63 +380,75 @@ class _ScanStage:
         self._milliseconds: list[FloatArray] = []
         self._sizes: list[FloatArray] = []
 
-    def follow(self, given: Trajectory | None) -> Trajectory:
-        """Label every block as soon as poses cover it; returns the whole trajectory."""
-        self._progress.stage("scans", len(self.blocks) or None)
-        if given is not None:
-            trajectory = given
-            self._advance(trajectory, complete=True)
-        else:
-            trajectory = self._follow_odometry()
-        while self._running:
-            self._collect(wait=True)
-        self._summarise()
-        return trajectory
-
-    def _follow_odometry(self) -> Trajectory:
+    def register(self) -> Trajectory:
+        """Stage 1: the trajectory in the levelled map."""
         sensor = self._inputs.horizontal
         if sensor is None:
             raise InputError(
                 f"{self._inputs.bag_path}: no horizontal lidar gives poses; name one with --horizontal, or give a "
                 "trajectory with --trajectory"
             )
-        source, self._state.odometry_cached = registrations(self._inputs, sensor, self._settings)
-        T_sensor_base = transforms.invert(sensor.lidar.T_base_sensor)
-        level_ns = int(self._settings.trajectory.level_s * 1e9)
-        stamps: list[int] = []
-        T_odom_base: list[FloatArray] = []
-        T_map_odom: FloatArray | None = None
-        for registration in source:
-            if stamps and registration.stamp_ns <= stamps[-1]:
-                continue
-            stamps.append(registration.stamp_ns)
-            T_odom_base.append(registration.T_odom_sensor @ T_sensor_base)
+        self._progress.stage("odometry", len(sensor.index))
+        odometry = Odometry(self._inputs, sensor, self._settings)
+        self._state.odometry_cached = odometry.from_cache
+        for registration in odometry:
+            if len(odometry) == 1 and self._recorder:
+                # Until the map is level, the base's first pose is.
+                self._recorder.log_odometry_frame(
+                    odometry.trajectory.stamp_ns, sensor.lidar.T_base_sensor[None]
+                )
             self._registered.append(registration)
-            if T_map_odom is None:
-                if stamps[-1] - stamps[0] < level_ns:
-                    continue
-                T_map_odom = self._level(Trajectory(np.array(stamps), np.array(T_odom_base)))
             if len(self._registered) >= _REGISTRATIONS_AT_ONCE:
                 self._log_registrations()
-            if self.jobs_left and stamps[-1] > self._block_end_ns(len(self.jobs)):
-                self._advance(_trajectory(stamps, T_odom_base, T_map_odom), complete=False)
-            self._collect(wait=False)
-        if not stamps:
+            self._progress.advance()
+        if not len(odometry):
             raise InputError(
                 f"{self._inputs.bag_path}: {sensor.lidar.topic} has no usable cloud; 'ffmap info' tells more"
             )
-        if T_map_odom is None:
-            T_map_odom = self._level(Trajectory(np.array(stamps), np.array(T_odom_base)))
         self._log_registrations()
-        self._state.counts |= {"registrations": len(stamps), "weak_registrations": len(self._weak)}
+        self._state.counts |= {"registrations": len(odometry), "weak_registrations": len(self._weak)}
         if self._weak:
             self._warn(
-                f"registration was weak for {len(self._weak)} of {len(stamps)} scans (the first: {self._weak[0]}); poses "
+                f"registration was weak for {len(self._weak)} of {len(odometry)} scans (the first: {self._weak[0]}); poses "
                 "may be off there: see the recording's tab Odometry"
             )
-        trajectory = _trajectory(stamps, T_odom_base, T_map_odom)
-        self._advance(trajectory, complete=True)
-        return trajectory
+        level = level_by_first_scans(self._inputs, odometry.trajectory, self._settings)
+        if not np.isfinite(level.floor_rms_m):
+            self._warn("no floor was found in the first seconds: the map keeps the base's own level; is the rig right?")
+        self._floor_slope = level.floor_slope
+        self._take_loops(odometry, level.T_map_odom)
+        return odometry.trajectory.moved(level.T_map_odom)
+
+    def _take_loops(self, odometry: Odometry, T_map_odom: FloatArray) -> None:
+        """Count the loops, and record what they did to the poses."""
+        graph, trajectory, T_correction = odometry.pose_graph, odometry.trajectory, odometry.correction()
+        if graph is not None:
+            self._state.counts["loops"] = int(np.count_nonzero(graph.is_loop & (graph.weight > 0)))
+        if self._recorder:
+            self._recorder.log_odometry_frame(trajectory.stamp_ns, T_map_odom @ T_correction)
+            if graph is not None:
+                before = transforms.invert(T_correction) @ trajectory.T_map_base
+                moved_m = np.linalg.norm((trajectory.T_map_base - before)[:, :3, 3], axis=1)
+                self._recorder.log_pose_graph(graph, T_map_odom, trajectory.stamp_ns, moved_m)
+
+    def label(self, trajectory: Trajectory) -> None:
+        """Stage 2: every scan that the trajectory covers."""
+        self._progress.stage("scans", len(self.blocks) or None)
+        running: deque[tuple[Block, Future[BlockSummary] | BlockSummary]] = deque()
+        for block in self.blocks:
+            job = self._job(block, trajectory)
+            self.jobs.append(job)
+            finished = job.path.with_suffix(".npz")
+            has_evidence = job.detail is None or job.path.with_suffix(".rrd").exists()
+            if self._options.resume and finished.exists() and has_evidence:
+                running.append((block, load_summary(finished)))
+            else:
+                running.append((block, self._pool.submit(label_block, job)))
+        # In order, so that the recording grows in the order of time.
+        while running:
+            block, summary = running.popleft()
+            self._take(block, summary if isinstance(summary, BlockSummary) else summary.result())
+        self._summarise()
 
     def take_votes(self) -> VoxelVotes:
         """What the scans' own labels say of each cube of the map; they are let go of here, for they grow with it."""
@@ -447,29 +462,6 @@ class _ScanStage:
         self._rivals = VoxelTable(self._rivals.voxel_m, len(Rival))
         return votes
 
-    @property
-    def jobs_left(self) -> bool:
-        """Whether blocks wait for poses."""
-        return len(self.jobs) < len(self.blocks)
-
-    def _block_end_ns(self, number: int) -> int:
-        """A time by which the last sweep of a block has surely ended."""
-        assert self._inputs.vertical is not None
-        block, index = self.blocks[number], self._inputs.vertical.index
-        stamps = index.stamp_ns[block.first : block.first + block.count]
-        period = index.period_ns or 100_000_000
-        return int(stamps.max()) + 2 * period
-
-    def _level(self, odometry: Trajectory) -> FloatArray:
-        """T_map_odom, from what the first sweeps saw of the floor."""
-        level = level_by_first_scans(self._inputs, odometry, self._settings.seed)
-        if not np.isfinite(level.floor_rms_m):
-            self._warn("no floor was found in the first seconds: the map keeps the base's own level; is the rig right?")
-        self._floor_slope = level.floor_slope
-        if self._recorder:
-            self._recorder.log_odometry_frame(level.T_map_odom)
-        return level.T_map_odom
-
     def _warn(self, text: str) -> None:
         self._state.warnings.append(text)
         self._progress.warn(text)
@@ -481,18 +473,6 @@ class _ScanStage:
             self._recorder.log_registrations(self._registered, weak)
             self._recording.cut()
         self._registered = []
-
-    def _advance(self, trajectory: Trajectory, complete: bool) -> None:
-        """Hand every block that the trajectory covers to the workers."""
-        while self.jobs_left and (complete or trajectory.stamp_ns[-1] > self._block_end_ns(len(self.jobs))):
-            job = self._job(self.blocks[len(self.jobs)], trajectory)
-            self.jobs.append(job)
-            finished = job.path.with_suffix(".npz")
-            has_evidence = job.detail is None or job.path.with_suffix(".rrd").exists()
-            if self._options.resume and finished.exists() and has_evidence:
-                self._running.append((job.block, load_summary(finished)))
-            else:
-                self._running.append((job.block, self._pool.submit(label_block, job)))
 
     def _job(self, block: Block, trajectory: Trajectory) -> LabelJob:
         """Only the poses near the block travel to the worker."""
@@ -516,19 +496,6 @@ class _ScanStage:
             detail=self._options.detail if self._recorder else None,
             path=self._folder.block(block.number, ""),
         )
-
-    def _collect(self, wait: bool) -> None:
-        """Take finished blocks in order, and send their evidence on."""
-        while self._running:
-            block, pending = self._running[0]
-            if isinstance(pending, Future):
-                if not wait and not pending.done():
-                    return
-                summary = pending.result()
-            else:
-                summary = pending
-            self._running.popleft()
-            self._take(block, summary)
 
     def _take(self, block: Block, summary: BlockSummary) -> None:
         self.scan_stamps_ns.extend(summary.stamp_ns.tolist())
@@ -587,10 +554,6 @@ def _most(reasons: list[str]) -> str:
     if not reasons:
         return "none is there"
     return max(sorted(set(reasons)), key=reasons.count)
-
-
-def _trajectory(stamps: list[int], T_odom_base: list[FloatArray], T_map_odom: FloatArray) -> Trajectory:
-    return Trajectory(np.array(stamps), T_map_odom @ np.array(T_odom_base))
 
 
 def _write_trajectory(folder: RunFolder, trajectory: Trajectory, stamps_ns: IntArray) -> None:

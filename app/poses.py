@@ -1,17 +1,17 @@
 """The poses of a run: its map's frame from the first sweeps, and all of it made again for one that is finished."""
 
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from algorithms import transforms
 from algorithms.levelling import Level, level_map
 from algorithms.scan import FloatArray, Scan
 from algorithms.trajectory import Trajectory, place_scan
 from app.blocks import points_in_map
 from app.inputs import Inputs
-from app.odometry_stage import registrations
+from app.odometry_stage import Odometry
 from app.settings import Settings
 from loaders.bag import open_bag
 from loaders.errors import InputError
@@ -58,11 +58,14 @@ def given_trajectory(name: str | None, inputs: Inputs) -> Trajectory | None:
     )
 
 
-def level_by_first_scans(inputs: Inputs, odometry: Trajectory, seed: int) -> Level:
+def level_by_first_scans(inputs: Inputs, odometry: Trajectory, settings: Settings) -> Level:
     """The map's frame from what some of the first sweeps saw of walls and floor.
 
-    odometry: the first poses T_odom_base.
+    odometry: T_odom_base.
     """
+    elapsed_ns = odometry.stamp_ns - odometry.stamp_ns[0]
+    first_poses = int(np.searchsorted(elapsed_ns, int(settings.trajectory.level_s * 1e9))) + 1
+    odometry = Trajectory(odometry.stamp_ns[:first_poses], odometry.T_map_base[:first_poses])
     sensor = inputs.vertical or inputs.horizontal
     assert sensor is not None
     points: list[FloatArray] = []
@@ -77,7 +80,7 @@ def level_by_first_scans(inputs: Inputs, odometry: Trajectory, seed: int) -> Lev
             placed = place_scan(scan, odometry, sensor.lidar.T_base_sensor)
             stride = max(1, len(scan) // _LEVEL_POINTS)
             points.append(points_in_map(placed)[::stride])
-    return level_map(np.concatenate(points) if points else np.zeros((0, 3)), odometry.T_map_base[0], seed)
+    return level_map(np.concatenate(points) if points else np.zeros((0, 3)), odometry.T_map_base[0], settings.seed)
 
 
 def poses_of(inputs: Inputs, given: Trajectory | None, settings: Settings) -> RunPoses:
@@ -91,17 +94,9 @@ def poses_of(inputs: Inputs, given: Trajectory | None, settings: Settings) -> Ru
     sensor = inputs.horizontal
     if sensor is None:
         raise InputError(f"{inputs.bag_path}: no horizontal lidar gives poses; the run needs its trajectory")
-    source, from_cache = registrations(inputs, sensor, settings)
-    T_sensor_base = transforms.invert(sensor.lidar.T_base_sensor)
-    stamps: list[int] = []
-    T_odom_base: list[FloatArray] = []
-    for registration in source:
-        if not stamps or registration.stamp_ns > stamps[-1]:
-            stamps.append(registration.stamp_ns)
-            T_odom_base.append(registration.T_odom_sensor @ T_sensor_base)
-    if not stamps:
+    odometry = Odometry(inputs, sensor, settings)
+    deque(odometry, maxlen=0)
+    if not len(odometry):
         raise InputError(f"{inputs.bag_path}: {sensor.lidar.topic} has no usable cloud; 'ffmap info' tells more")
-    stamp_ns, poses = np.array(stamps), np.array(T_odom_base)
-    first = int(np.searchsorted(stamp_ns - stamp_ns[0], int(settings.trajectory.level_s * 1e9))) + 1
-    level = level_by_first_scans(inputs, Trajectory(stamp_ns[:first], poses[:first]), settings.seed)
-    return RunPoses(Trajectory(stamp_ns, level.T_map_odom @ poses), level.floor_slope, from_cache)
+    level = level_by_first_scans(inputs, odometry.trajectory, settings)
+    return RunPoses(odometry.trajectory.moved(level.T_map_odom), level.floor_slope, odometry.from_cache)

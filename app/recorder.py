@@ -17,6 +17,7 @@ from algorithms.grid_map import Cell, GridMap
 from algorithms.labelling import ScanLabelling
 from algorithms.labels import Label
 from algorithms.odometry import Registration
+from algorithms.pose_graph import PoseGraph
 from algorithms.rearrangement import HorizontalPlane
 from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.standing_walls import JudgedFaces
@@ -44,9 +45,12 @@ _POINT_STYLES: tuple[tuple[str, float, entities.Color | None], ...] = (
     (entities.KEYPOINTS, 2.0, entities.KEYPOINT_COLOR),
     (entities.LOCAL_MAP, 1.0, entities.LOCAL_MAP_COLOR),
     (entities.WEAK_REGISTRATION, 6.0, entities.WEAK_COLOR),
+    (entities.SUBMAPS, 4.0, entities.LOOP_COLOR),
 )
 _LINE_STYLES: tuple[tuple[str, float, entities.Color | None], ...] = (
     (entities.TRAJECTORY, 2.0, entities.TRAJECTORY_COLOR),
+    (entities.LOOPS, 0.75, None),
+    (entities.WAY_OF_ODOMETRY, 1.5, entities.WAY_OF_ODOMETRY_COLOR),
     (entities.FLOOR, 1.0, entities.CLASSES[Label.FLOOR][1]),
     (entities.CEILING, 1.0, entities.CLASSES[Label.CEILING][1]),
     (entities.LINES, 0.75, None),
@@ -158,12 +162,38 @@ class Recorder:
             indexes.append(rr.TimeColumn(entities.SCAN_TIMELINE, sequence=index))
         self._stream.send_columns(entities.TRAJECTORY, indexes, rr.LineStrips3D.columns(strips=steps))
 
-    def log_odometry_frame(self, T_map_odom: FloatArray) -> None:
-        """Where the odometry's frame lies in the levelled map."""
-        self._static(entities.ODOMETRY, _transform(T_map_odom))
+    def log_odometry_frame(self, stamp_ns: IntArray, T_map_odom: FloatArray) -> None:
+        """Where the odometry's frame lies in the levelled map; it moves as the loops that were closed correct its drift.
+
+        stamp_ns: (n,); T_map_odom: (n, 4, 4).
+        """
+        self._transforms(entities.ODOMETRY, stamp_ns, T_map_odom)
+
+    def log_pose_graph(
+        self, graph: PoseGraph, T_map_odom: FloatArray, stamp_ns: IntArray, moved_m: FloatArray
+    ) -> None:
+        """The submaps, the loops between them, the way as the odometry had it, and how far each pose was moved.
+
+        T_map_odom: (4, 4) before any loop. stamp_ns, moved_m: (n,) of all scans.
+        """
+        T_before = transforms.invert(graph.T_correction) @ graph.T_odom_sensor
+        at, before = (
+            transforms.apply(T_map_odom, T[:, :3, 3]).astype(np.float32) for T in (graph.T_odom_sensor, T_before)
+        )
+        loops = np.flatnonzero(graph.is_loop & (graph.weight > 0))
+        strips = np.stack([at[graph.first[loops]], at[graph.second[loops]]], axis=1)
+        colors = [entities.LOOP_COLOR if graph.weight[e] >= 0.5 else entities.LOOP_DOUBTED_COLOR for e in loops]
+        labels = [
+            f"{graph.inlier_share[e]:.0%} fits, {graph.offset[e]:.1f} standard deviations off, weight {graph.weight[e]:.2f}"
+            for e in loops
+        ]
+        self._static(entities.SUBMAPS, rr.Points3D(at))
+        self._static(entities.LOOPS, rr.LineStrips3D(strips, colors=colors, labels=labels, show_labels=False))
+        self._static(entities.WAY_OF_ODOMETRY, rr.LineStrips3D([before] if len(before) > 1 else []))
+        self._columns(f"{entities.REGISTRATION}/loops_moved_m", stamp_ns, rr.Scalars.columns(scalars=moved_m))
 
     def log_registrations(self, registrations: Sequence[Registration], weak: Sequence[str | None]) -> None:
-        """What KISS-ICP used of horizontal scans, and how well they fit; on `stamp` only.
+        """What was registered of scans, and how well it fits; on `stamp` only.
 
         Many at once: logged one by one they cost the run's own process more than all else that it logs.
 
@@ -172,14 +202,7 @@ class Recorder:
         if not registrations:
             return
         stamp_ns = np.array([r.stamp_ns for r in registrations])
-        T_odom_sensor = np.array([r.T_odom_sensor for r in registrations])
-        self._columns(
-            entities.ODOMETRY_SENSOR,
-            stamp_ns,
-            rr.Transform3D.columns(
-                translation=T_odom_sensor[:, :3, 3], quaternion=transforms.quaternion_xyzw(T_odom_sensor)
-            ),
-        )
+        self._transforms(entities.ODOMETRY_SENSOR, stamp_ns, np.array([r.T_odom_sensor for r in registrations]))
         if self._detail is not Detail.MAP:
             self._cloud_columns(entities.KEYPOINTS, stamp_ns, [r.keypoints_sensor for r in registrations])
             mapped = np.array([len(r.local_map_odom) > 0 for r in registrations])
@@ -717,6 +740,10 @@ class Recorder:
 
     def _log(self, path: str, *values: rr.AsComponents) -> None:
         self._stream.log(path, *values, static=self._timeless)
+
+    def _transforms(self, path: str, stamp_ns: IntArray, T: FloatArray) -> None:
+        columns = rr.Transform3D.columns(translation=T[:, :3, 3], quaternion=transforms.quaternion_xyzw(T))
+        self._columns(path, stamp_ns, columns)
 
     def _columns(self, path: str, stamp_ns: IntArray, columns: rr.ComponentColumnList) -> None:
         """One row at each stamp."""

@@ -18,6 +18,7 @@ from algorithms.floor_plan import FloorPlanSettings
 from algorithms.grid_map import GridMapSettings
 from algorithms.labelling import LabellingSettings, MethodSettings
 from algorithms.odometry import OdometrySettings
+from algorithms.pose_graph import PoseGraphSettings
 from algorithms.rearrangement import RearrangementSettings
 from algorithms.refinement import RefinementSettings
 from algorithms.relabelling import RelabellingSettings
@@ -37,6 +38,7 @@ class Settings(StepSettings):
     seed: int = Field(0, ge=0, description="Seed of all random numbers; a scan's depend on it and on the scan's index.")
     odometry: OdometrySettings = OdometrySettings()
     refinement: RefinementSettings = RefinementSettings()
+    pose_graph: PoseGraphSettings = PoseGraphSettings()
     trajectory: TrajectorySettings = TrajectorySettings()
     rearrangement: RearrangementSettings = RearrangementSettings()
     vertical_structures: VerticalStructuresSettings = VerticalStructuresSettings()

@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict
 
 from app import run_command
 from app.inputs import InputOptions, find_inputs
-from app.odometry_stage import cache_folder, cache_key, is_cached, registrations
+from app.odometry_stage import Odometry, cache_folder, cache_key, is_cached
 from app.processes import ENVIRONMENT
 from app.run_folder import METRICS, RunFolder
 from app.settings import Settings, load_settings
@@ -216,8 +216,7 @@ def _register(job: Job) -> None:
     settings = load_settings(None, job.overrides)
     if inputs.horizontal is None:
         raise InputError(f"{job.bag}: no horizontal lidar gives poses; name one with --horizontal, or give --trajectory")
-    source, _ = registrations(inputs, inputs.horizontal, settings)
-    deque(source, maxlen=0)
+    deque(Odometry(inputs, inputs.horizontal, settings), maxlen=0)
     if not is_cached(cache_folder() / cache_key(inputs, inputs.horizontal, settings)):
         raise InputError(f"{job.cache}: the odometry cannot be kept there; set FFMAP_CACHE to a folder that can be written")
 

@@ -5,7 +5,7 @@ import subprocess
 from importlib.metadata import version
 from pathlib import Path
 
-PACKAGES = ("rerun-sdk", "numpy", "scipy", "numba", "rosbags", "kiss-icp", "small_gicp")
+PACKAGES = ("rerun-sdk", "numpy", "scipy", "numba", "rosbags", "kiss-icp", "small_gicp", "gtsam")
 
 
 def versions() -> dict[str, str]:

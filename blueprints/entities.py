@@ -32,6 +32,10 @@ ODOMETRY_SENSOR = "/world/odometry/sensor"
 KEYPOINTS = "/world/odometry/sensor/keypoints"
 LOCAL_MAP = "/world/odometry/local_map"
 WEAK_REGISTRATION = "/world/odometry/weak"
+POSE_GRAPH = "/world/pose_graph"
+SUBMAPS = "/world/pose_graph/submaps"
+LOOPS = "/world/pose_graph/loops"
+WAY_OF_ODOMETRY = "/world/pose_graph/way_of_odometry"
 BUILDING = "/world/building"
 WALLS = "/world/building/walls"
 DOORS = "/world/building/doors"
@@ -228,6 +232,9 @@ TRAJECTORY_COLOR: Color = (0, 214, 255)
 KEYPOINT_COLOR: Color = (255, 196, 0)
 WEAK_COLOR: Color = (255, 70, 70)
 LOCAL_MAP_COLOR: Color = (96, 110, 130)
+LOOP_COLOR: Color = (0, 190, 160)
+LOOP_DOUBTED_COLOR: Color = (255, 110, 60)
+WAY_OF_ODOMETRY_COLOR: Color = (200, 90, 90)
 PASSAGE_COLOR: Color = (214, 40, 40)
 TOPOLOGY_COLOR: Color = (150, 0, 190)
 VORONOI_COLOR: Color = (54, 120, 255)
@@ -308,7 +315,9 @@ the map, growing up to the time cursor; the furniture-free grid |
 | **Maps** | the furniture-free grid beside the maps that the paper compares with (Fig. 6, 9) |
 | **Rooms** | the rooms of the grid with their areas, those of the normal map with and without alpha removal (Fig. 10), \
 which one leads to which, and the Voronoi graph they are cut from |
-| **Odometry** | what KISS-ICP used of each horizontal scan. These lie on the timeline `stamp` alone: choose it below |
+| **Odometry** | what was registered of each sweep, and the submaps that were joined where the robot came by again: \
+loops (teal; orange where they contradict the others), the way before they were closed (red). These lie on the timeline \
+`stamp` alone: choose it below |
 | **Metrics and warnings** | returns by label, evidence counted, milliseconds by stage, scans that were skipped |
 
 ## Colours

@@ -259,8 +259,8 @@ def _odometry() -> rrb.Container:
     return rrb.Horizontal(
         rrb.Spatial3DView(
             origin=entities.WORLD,
-            contents=[f"{entities.ODOMETRY}/**", entities.TRAJECTORY],
-            name="What KISS-ICP used (timeline stamp)",
+            contents=[f"{entities.ODOMETRY}/**", f"{entities.POSE_GRAPH}/**", entities.TRAJECTORY],
+            name="What was registered, and loops (timeline stamp)",
             overrides={entities.TRAJECTORY: until_now()},
         ),
         rrb.Vertical(
@@ -270,6 +270,7 @@ def _odometry() -> rrb.Container:
                     ("weak", "Alarm: registration is weak (1)"),
                     ("weakest_share", "Hold in the direction that holds least, share of the best one's"),
                     ("refined_inlier_share", "Share of the scan that fits the map"),
+                    ("loops_moved_m", "Closing the loops moved the pose, m"),
                     ("residual_m", "KISS-ICP: median distance to the local map, m"),
                     ("correction_m", "KISS-ICP: correction of the predicted pose, m"),
                     ("threshold_m", "KISS-ICP: adaptive threshold, m"),

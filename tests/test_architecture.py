@@ -15,7 +15,8 @@ ALLOWED = {
 HOUSE = set(ALLOWED) | {"tests"}
 ONLY_IN = {
     "kiss_icp": ["algorithms/odometry.py"],
-    "small_gicp": ["algorithms/refinement.py"],
+    "small_gicp": ["algorithms/gaussian_map.py"],
+    "gtsam": ["algorithms/pose_graph.py"],
     "rerun": [
         "app/recorder.py",
         "app/recording.py",

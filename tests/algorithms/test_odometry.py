@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from algorithms import transforms
+from algorithms.gaussian_map import Aligned, GaussianCloud, GaussianMap
 from algorithms.odometry import OdometrySettings, Registration, register_scans, weakness
 from algorithms.refinement import RefinementSettings, Refiner
 from algorithms.scan import FloatArray, Scan
@@ -166,6 +167,63 @@ def test_a_scan_of_another_place_raises_the_alarm(scans: list[tuple[int, Scan, S
     why = weakness(found[-1], RefinementSettings())
     assert why is not None
     assert "of the scan fits the map" in why
+
+
+def jumping(monkeypatch: pytest.MonkeyPatch, off: FloatArray, times: int) -> list[FloatArray]:
+    """Registration falls for another place, `off` from the right one, `times` times; returns what it is given as guesses."""
+    register = GaussianMap.register
+    guesses: list[FloatArray] = []
+
+    def fooled(self: GaussianMap, cloud: GaussianCloud, guess: FloatArray, *limits: float) -> Aligned:
+        guesses.append(guess)
+        found = register(self, cloud, guess, *limits)  # type: ignore[arg-type]
+        return replace(found, T_map_cloud=found.T_map_cloud @ off) if len(guesses) <= times else found
+
+    monkeypatch.setattr(GaussianMap, "register", fooled)
+    return guesses
+
+
+@pytest.mark.parametrize("off", [Rotation.from_euler("y", 7, degrees=True), [0.25, 0.0, 0.0]])
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_registration_that_jumps_is_tried_again_and_then_refused(
+    scans: list[tuple[int, Scan, Scan | None]], monkeypatch: pytest.MonkeyPatch, off: Rotation | list[float], times: int
+) -> None:
+    refiner = Refiner(RefinementSettings(), (0.5, 60.0), transforms.invert(T_BASE_HORIZONTAL) @ T_BASE_VERTICAL)
+    T_off = transforms.make_transform(off) if isinstance(off, Rotation) else transforms.make_transform(None, off)
+    found = []
+    for number, (_, scan, companion) in enumerate(scans[:14]):
+        if number == 12:
+            guesses = jumping(monkeypatch, T_off, times)
+        found.append(refiner.refine(scan, true_pose(scan.end_ns * 1e-9) @ T_BASE_HORIZONTAL, companion))
+    assert [r.refused for r in found] == [False] * 12 + [times == 2, False]
+    assert np.linalg.norm(guesses[0] - guesses[1]) > 0  # not from where it was fooled
+    T_true = np.array([true_pose(r.stamp_ns * 1e-9) @ T_BASE_HORIZONTAL for r in found])
+    T_found = np.array([r.T_odom_sensor for r in found])
+    error = transforms.invert(transforms.invert(T_true[0]) @ T_true[12]) @ transforms.invert(T_found[0]) @ T_found[12]
+    assert np.linalg.norm(error[:3, 3]) < 0.02
+    assert np.degrees(Rotation.from_matrix(error[:3, :3]).magnitude()) < 0.5
+
+
+def test_a_registration_that_keeps_saying_so_is_believed(
+    scans: list[tuple[int, Scan, Scan | None]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Poses that went wrong must find back, and a robot that sets off must not be held where it stood."""
+    settings = RefinementSettings(refusals_max=3)
+    refiner = Refiner(settings, (0.5, 60.0), transforms.invert(T_BASE_HORIZONTAL) @ T_BASE_VERTICAL)
+    found = []
+    for number, (_, scan, companion) in enumerate(scans[:18]):
+        if number == 12:
+            jumping(monkeypatch, transforms.make_transform(None, [0.4, 0.0, 0.0]), 1000)
+        found.append(refiner.refine(scan, true_pose(scan.end_ns * 1e-9) @ T_BASE_HORIZONTAL, companion))
+    assert [r.refused for r in found[:16]] == [False] * 12 + [True] * 3 + [False]
+
+
+def test_a_refused_registration_raises_the_alarm(scans: list[tuple[int, Scan, Scan | None]]) -> None:
+    (first,) = register_scans(scans[:1], OdometrySettings(), RefinementSettings())
+    assert weakness(first, RefinementSettings()) is None
+    why = weakness(replace(first, refused=True), RefinementSettings())
+    assert why is not None
+    assert "refused" in why
 
 
 def test_an_odometry_that_jitters_bends_no_sweep(scans: list[tuple[int, Scan, Scan | None]]) -> None:

@@ -18,6 +18,7 @@ from algorithms.grid_map import Cell, GridMap
 from algorithms.labelling import ScanLabelling, label_scan
 from algorithms.labels import Label
 from algorithms.odometry import Registration
+from algorithms.pose_graph import PoseGraph
 from algorithms.scan import Scan
 from algorithms.standing_walls import FaceVerdict, JudgedFaces
 from algorithms.trajectory import PlacedScan, place_scan
@@ -221,6 +222,7 @@ def test_registrations_lie_on_stamp_alone(tmp_path):
             refined_m=0.02,
             refined_inlier_share=0.9,
             weakest_share=0.1,
+            refused=False,
             inlier_share=0.9,
             milliseconds=12.0,
         )
@@ -245,6 +247,45 @@ def test_registrations_lie_on_stamp_alone(tmp_path):
     assert "registration 1 is weak: nothing holds it" in str(message)
     residuals = list(rows(path, f"{entities.REGISTRATION}/residual_m", entities.STAMP_TIMELINE))
     assert len(residuals) == 2  # what was not measured is not drawn
+
+
+def test_loops_are_drawn_where_the_solved_poses_are(tmp_path):
+    path = tmp_path / "recording.rrd"
+    recording = start(tmp_path, "run-4")
+    T = np.array([transforms.make_transform(translation=[float(i), 0.0, 1.0]) for i in range(4)])
+    shift = np.array([transforms.make_transform(translation=[0.0, 0.1 * i, 0.0]) for i in range(4)])
+    graph = PoseGraph(
+        scan=np.arange(4) * 10,
+        T_odom_sensor=shift @ T,
+        T_correction=shift,
+        first=np.array([0, 0, 0]),
+        second=np.array([1, 3, 3]),
+        offset=np.array([0.5, 1.0, 8.0]),
+        inlier_share=np.array([0.9, 0.8, 0.7]),
+        weight=np.array([1.0, 0.9, 0.12]),
+    )
+    stamps = np.array([synthetic.stamp_ns(number) for number in range(4)])
+    T_map_odom = transforms.make_transform(translation=[0.0, 0.0, 2.0])
+    recorder = Recorder(recording.stream)
+    recorder.log_odometry_frame(stamps, T_map_odom @ shift)
+    recorder.log_pose_graph(graph, T_map_odom, stamps, 0.1 * np.arange(4))
+    recording.finish()
+    frames = [vectors(r["translation"])[0] for r in rows(path, entities.ODOMETRY, entities.STAMP_TIMELINE)]
+    np.testing.assert_allclose(frames, [[0.0, 0.1 * i, 2.0] for i in range(4)], atol=1e-6)
+    moved = [r["scalars"][0] for r in rows(path, f"{entities.REGISTRATION}/loops_moved_m", entities.STAMP_TIMELINE)]
+    np.testing.assert_allclose(moved, 0.1 * np.arange(4))
+    static = {
+        chunk.entity_path: chunk.to_record_batch().to_pydict()
+        for chunk in RrdReader(path).stream()
+        if chunk.is_static and chunk.entity_path.startswith(entities.POSE_GRAPH)
+    }
+    loops = static[entities.LOOPS]
+    np.testing.assert_allclose(loops["LineStrips3D:strips"][0], [[[0, 0, 3], [3, 0.3, 3]]] * 2, atol=1e-6)
+    believed, doubted = loops["LineStrips3D:colors"][0]
+    assert believed != doubted  # one of them contradicts the others
+    assert loops["LineStrips3D:labels"][0][1] == "70% fits, 8.0 standard deviations off, weight 0.12"
+    before = static[entities.WAY_OF_ODOMETRY]["LineStrips3D:strips"][0]
+    np.testing.assert_allclose(before, [[[i, 0, 3] for i in range(4)]], atol=1e-6)
 
 
 def test_building_grid_map_and_messages(tmp_path):
