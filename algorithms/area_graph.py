@@ -8,6 +8,7 @@ markedly narrower than both of them; so a narrow corridor stays a room although 
 instead of a width that has to be tuned. Where doors were detected, their doorways part the rooms.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -287,6 +288,9 @@ def _furniture(obstacles: BoolArray, cell_m: float, settings: AreaGraphSettings)
     for number, box in enumerate(ndimage.find_objects(label), 1):
         sides_m = [(s.stop - s.start) * cell_m for s in box]
         if max(sides_m) > limit_m:
+            continue
+        if math.hypot(*sides_m) <= settings.furniture_max_m:  # nothing in the box is longer
+            removed[number] = True
             continue
         own = label[box] == number
         length_m = _length(own) * cell_m

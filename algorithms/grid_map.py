@@ -39,6 +39,8 @@ _LEAF_OVER_M = 0.3
 """What was seen of an open leaf ends at most so far above its door's head."""
 _LEAF_BESIDE_M = 0.1
 _BOUND_CELLS = 2
+_GAP_MAX_M = 0.6
+"""Gaps in a face that are not so wide, and no doors, are no passages."""
 _STEP_MAX_M = 0.5
 """Places of the robot that lie farther apart are not joined: there poses are missing."""
 
@@ -144,7 +146,7 @@ def draw_furniture_free(
     # Drawn when all is free: rays that passed an open door showed what is behind it.
     leaves = [doors.ends[d] - np.nan_to_num(doors.depth_m[d]) * doors.normal[d] for d in np.flatnonzero(shut)]
     open_doorways = [doorway for doorway, is_shut in zip(doorways, shut, strict=True) if not is_shut]
-    return canvas.freed(drive, immobile.windows, open_doorways, leaves, faces=True)
+    return canvas.freed(drive, immobile.windows, open_doorways, leaves, immobile.walls.ends)
 
 
 def draw_cells(cell_index: IntArray, windows: Windows, drive: Drive, settings: GridMapSettings) -> GridMap:
@@ -155,7 +157,7 @@ def draw_cells(cell_index: IntArray, windows: Windows, drive: Drive, settings: G
     places = (cell_index + 0.5) * settings.cell_m
     canvas = _Canvas.around([places, drive.path_map[:, :2]], settings)
     canvas.draw_points(places, Cell.OCCUPIED)
-    return canvas.freed(drive, windows, [], [], faces=False)
+    return canvas.freed(drive, windows, [], [], np.zeros((0, 2, 2)))
 
 
 def standing_stretches(immobile: Immobile, settings: GridMapSettings) -> Walls:
@@ -242,6 +244,35 @@ def _doorway(ends: FloatArray, normal: FloatArray, depth_m: float, margin_m: flo
     return np.array([left + front, right + front, right + back, left + back])
 
 
+def _within(places: FloatArray, corners: FloatArray) -> BoolArray:
+    """Which places (n, 2) lie in a rectangle, given by its corners (4, 2) in order."""
+    inside = np.ones(len(places), bool)
+    for side in (corners[1] - corners[0], corners[3] - corners[0]):
+        along = (places - corners[0]) @ side
+        inside &= (along >= 0) & (along <= side @ side)
+    return inside
+
+
+def _glazed(faces: FloatArray, windows: Windows) -> list[FloatArray]:
+    """The faces (F, 2, 2) that windows lie in."""
+    chosen = []
+    for ends in faces:
+        along = (ends[1] - ends[0]) / max(float(np.linalg.norm(ends[1] - ends[0])), 1e-9)
+        middles = windows.ends.mean(axis=1) - ends[0]
+        beside_m = np.abs(middles @ np.array([-along[1], along[0]]))
+        within = (middles @ along > 0) & (middles @ along < np.linalg.norm(ends[1] - ends[0]))
+        if ((beside_m < _ON_FACE_M) & within & (np.abs(windows.normal @ along) < 1 - _PARALLEL)).any():
+            chosen.append(ends)
+    return chosen
+
+
+def _lengthened(lines: FloatArray, by_m: float) -> FloatArray:
+    """Lines (n, 2, 2), longer by so much at either end."""
+    along = lines[:, 1] - lines[:, 0]
+    along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9) * by_m
+    return np.asarray(np.stack([lines[:, 0] - along, lines[:, 1] + along], axis=1))
+
+
 class _Canvas:
     """A grid while it is drawn."""
 
@@ -280,11 +311,7 @@ class _Canvas:
         high = np.clip(self._index(corners.max(axis=0)[None])[0] + 1, 0, [columns, rows])
         x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
         index = np.stack([x.ravel(), y.ravel()], axis=1)
-        middle = self._origin + (index + 0.5) * self._cell_m - corners[0]
-        inside = np.ones(len(index), bool)
-        for side in (corners[1] - corners[0], corners[3] - corners[0]):
-            place = middle @ side
-            inside &= (place >= 0) & (place <= side @ side)
+        inside = _within(self._origin + (index + 0.5) * self._cell_m, corners)
         self._set(index[inside], cell)
 
     def freed(
@@ -293,42 +320,43 @@ class _Canvas:
         windows: Windows,
         doorways: Sequence[FloatArray],
         leaves: Sequence[FloatArray],
-        faces: bool,
+        faces: FloatArray,
     ) -> GridMap:
         """The finished map: free is what rays crossed before they met something, near to floor that was seen.
 
         Floor was seen where a ray to it ran below the knee, and counts if such cells join it to the robot's way.
 
         doorways: (4, 2) each, free in any case; so is the robot's own way. leaves: (2, 2) each, which bar theirs.
-        faces: whether what is occupied are faces of walls: one that bounds nothing that rays crossed is hidden, as the
-            reveals of windows are, and a wall that was carried on behind a pillar.
+        faces: (F, 2, 2) of walls, if these are what is occupied: one that bounds nothing that rays crossed is hidden, as
+            the reveals of windows are, and a wall that was carried on behind a pillar.
         """
         occupied = self._cells.copy()
         # Glass stops rays: what lies behind belongs to another world.
         for ends in windows.ends:
             self.draw_line(ends, Cell.OCCUPIED)
-        low = np.zeros(self._cells.shape, bool)
+        for ends in [*_glazed(faces, windows), *_lengthened(windows.ends, _GAP_MAX_M)]:
+            self._close_gaps(ends, doorways)
+        barred = self._cells == Cell.OCCUPIED
+        crossed, low = np.zeros_like(barred), np.zeros_like(barred)
+        range_cells = self._settings.range_m / self._cell_m
         for block in drive.blocks():
-            _clear_along_rays(
-                self._cells,
-                low,
-                np.ascontiguousarray((block.origin_map[:, :2] - self._origin) / self._cell_m, np.float64),
-                block.ray_starts,
-                np.ascontiguousarray((block.ray_end_map[:, :2] - self._origin) / self._cell_m, np.float64),
-                _low_from(block),
-                self._settings.range_m / self._cell_m,
-            )
+            _cross(barred, crossed, low, *self._rays(block), _low_from(block), range_cells)
+        self._cells[crossed] = Cell.FREE
         for doorway in doorways:
             self.draw_area(doorway, Cell.FREE)
         crossed = self._cells == Cell.FREE
         # Far away rays lie apart; a wall is thicker than the gaps between them that this closes.
         crossed |= binary_closing(crossed, np.ones((3, 3))) & (self._cells == Cell.UNKNOWN)
-        if faces:
+        if len(faces):
             occupied[~binary_dilation(crossed, np.ones((3, 3)), iterations=_BOUND_CELLS)] = Cell.UNKNOWN
-        reach = int(self._settings.floor_reach_m / self._cell_m)
         supported = self._joined_to(drive.path_map, binary_closing(low, np.ones((3, 3))) & crossed)
+        reach = int(self._settings.floor_reach_m / self._cell_m)
         if reach:
-            supported = binary_dilation(supported, iterations=reach, mask=crossed)
+            bounded = np.zeros_like(barred)
+            for block in drive.blocks():
+                _bound(barred, supported, bounded, *self._rays(block), range_cells, 2.0 * reach)
+            bounded = (binary_closing(bounded, np.ones((3, 3))) | supported) & crossed
+            supported = binary_dilation(supported, iterations=reach, mask=bounded)
         self._cells = np.where(supported, np.uint8(Cell.FREE), occupied)
         path = drive.path_map[:, :2]
         for step in np.stack([path[:-1], path[1:]], axis=1):
@@ -340,6 +368,24 @@ class _Canvas:
         for leaf in leaves:
             self.draw_line(leaf, Cell.OCCUPIED)
         return self._framed()
+
+    def _close_gaps(self, ends: FloatArray, doorways: Sequence[FloatArray]) -> None:
+        """Let no ray pass a gap in a face that nobody could: beside a pane, or where a part of one was not told.
+
+        ends: (2, 2) of a line along the face.
+        """
+        length_m = float(np.linalg.norm(ends[1] - ends[0]))
+        step_m = self._cell_m / 4
+        places = np.linspace(ends[0], ends[1], int(length_m / step_m) + 2)
+        across = (ends[1] - ends[0])[::-1] / max(length_m, 1e-9) * np.array([-self._cell_m, self._cell_m])
+        stands = np.zeros(len(places), bool)
+        for side in (-across, np.zeros(2), across):
+            row, column = np.clip(self._index(places + side)[:, ::-1], 0, np.array(self._cells.shape) - 1).T
+            stands |= self._cells[row, column] == Cell.OCCUPIED
+        for first, last in stretches(~stands, 0):
+            bounded = first > 0 and last < len(places) - 1 and (last - first) * step_m < _GAP_MAX_M
+            if bounded and not any(_within(places[first : last + 1], doorway).any() for doorway in doorways):
+                self.draw_line(places[[first - 1, last + 1]], Cell.OCCUPIED)
 
     def _framed(self) -> GridMap:
         """What is known, with the margin around it: faces that were hidden or passed need no space."""
@@ -372,6 +418,11 @@ class _Canvas:
         open_cells = (crossed >= _CROSSED_RAYS) & (crossed > _CROSSED_RATIO * ended)
         run, _ = label(open_cells, np.ones((3, 3)))
         self._cells[open_cells & (np.bincount(run.ravel()) >= _CROSSED_MIN)[run]] = Cell.UNKNOWN
+
+    def _rays(self, block: Features) -> tuple[FloatArray, IntArray, FloatArray]:
+        """Where the rays of each scan start, in cells; the first ray of each scan; where the rays end, in cells."""
+        origin, end = ((places[:, :2] - self._origin) / self._cell_m for places in (block.origin_map, block.ray_end_map))
+        return np.ascontiguousarray(origin, np.float64), block.ray_starts, np.ascontiguousarray(end, np.float64)
 
     def _joined_to(self, path_map: FloatArray, low: BoolArray) -> BoolArray:
         """What rays close above the floor join to the robot's way: not what lies behind a sill, seen though it may be."""
@@ -431,9 +482,51 @@ def _low_from(block: Features) -> FloatArray:
     return np.where(block.ray_label == Label.FLOOR, 1.0 - _KNEE_M / np.maximum(drop_m, _KNEE_M), 2.0)
 
 
+_ENDED, _LEFT = 0, 1
+"""How the walk along a ray stops: before what bars it or at its end, or out of range or of the map."""
+
+
 @numba.njit(cache=True, nogil=True)
-def _clear_along_rays(
-    cells: UInt8Array,
+def _walk(
+    barred: BoolArray, start: FloatArray, end: FloatArray, range_cells: float, found: IntArray, entered: FloatArray
+) -> tuple[int, int]:  # pragma: no cover
+    """Walk a ray cell by cell (Amanatides and Woo 1987), up to what bars it: how many cells it crosses, how it stops.
+
+    found: (k, 2) to be filled with the cells' rows and columns. entered: (k,) with the ray's length up to each.
+    """
+    rows, columns = barred.shape
+    dx, dy = end[0] - start[0], end[1] - start[1]
+    length = np.sqrt(dx * dx + dy * dy)
+    if length < 1e-6:
+        return 0, _ENDED
+    column, row = int(np.floor(start[0])), int(np.floor(start[1]))
+    step_x, step_y = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
+    t_dx = length / abs(dx) if dx != 0 else np.inf
+    t_dy = length / abs(dy) if dy != 0 else np.inf
+    t_x = (column + (dx > 0) - start[0]) * step_x * t_dx if dx != 0 else np.inf
+    t_y = (row + (dy > 0) - start[1]) * step_y * t_dy if dy != 0 else np.inf
+    at, count = 0.0, 0
+    while at <= length:
+        if at > range_cells or count == len(found) or column < 0 or row < 0 or column >= columns or row >= rows:
+            return count, _LEFT
+        if barred[row, column]:
+            break
+        found[count, 0], found[count, 1], entered[count] = row, column, at
+        count += 1
+        at = min(t_x, t_y)
+        if t_x < t_y:
+            column += step_x
+            t_x += t_dx
+        else:
+            row += step_y
+            t_y += t_dy
+    return count, _ENDED
+
+
+@numba.njit(cache=True, nogil=True)
+def _cross(
+    barred: BoolArray,
+    crossed: BoolArray,
     low: BoolArray,
     origin: FloatArray,
     starts: IntArray,
@@ -441,38 +534,41 @@ def _clear_along_rays(
     low_from: FloatArray,
     range_cells: float,
 ) -> None:  # pragma: no cover
-    """Walk every fourth ray cell by cell (Amanatides and Woo 1987) and free what is unknown, up to a wall or its end.
-
-    low: set where a ray runs close above the floor, which it does from the share `low_from` of its length on.
-    """
-    rows, columns = cells.shape
+    """Mark what every fourth ray crosses, and where it runs close above the floor: from the share `low_from` of its length."""
+    found = np.empty((int(2 * range_cells) + 4, 2), np.int64)
+    entered = np.empty(len(found))
     for s in range(len(origin)):
         for r in range(starts[s] + s % 4, starts[s + 1], 4):
-            dx, dy = end[r, 0] - origin[s, 0], end[r, 1] - origin[s, 1]
-            length = np.sqrt(dx * dx + dy * dy)
-            if length < 1e-6:
+            length = np.hypot(end[r, 0] - origin[s, 0], end[r, 1] - origin[s, 1])
+            count, _ = _walk(barred, origin[s], end[r], range_cells, found, entered)
+            for k in range(count):
+                crossed[found[k, 0], found[k, 1]] = True
+                if entered[k] >= low_from[r] * length:
+                    low[found[k, 0], found[k, 1]] = True
+
+
+@numba.njit(cache=True, nogil=True)
+def _bound(
+    barred: BoolArray,
+    supported: BoolArray,
+    bounded: BoolArray,
+    origin: FloatArray,
+    starts: IntArray,
+    end: FloatArray,
+    range_cells: float,
+    gap_max: float,
+) -> None:  # pragma: no cover
+    """Mark where a ray will end, or be above known floor again, within so many cells."""
+    found = np.empty((int(2 * range_cells) + 4, 2), np.int64)
+    entered = np.empty(len(found))
+    for s in range(len(origin)):
+        for r in range(starts[s] + s % 4, starts[s + 1], 4):
+            count, stop = _walk(barred, origin[s], end[r], range_cells, found, entered)
+            if not count:
                 continue
-            column, row = int(np.floor(origin[s, 0])), int(np.floor(origin[s, 1]))
-            step_x, step_y = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
-            t_dx = length / abs(dx) if dx != 0 else np.inf
-            t_dy = length / abs(dy) if dy != 0 else np.inf
-            t_x = (column + (dx > 0) - origin[s, 0]) * step_x * t_dx if dx != 0 else np.inf
-            t_y = (row + (dy > 0) - origin[s, 1]) * step_y * t_dy if dy != 0 else np.inf
-            stop, at = min(length, range_cells), 0.0
-            while True:
-                if column < 0 or row < 0 or column >= columns or row >= rows or cells[row, column] == 0:
-                    break
-                cells[row, column] = 254
-                if at >= low_from[r] * length:
-                    low[row, column] = True
-                at = min(t_x, t_y)
-                if t_x < t_y:
-                    if t_x > stop:
-                        break
-                    column += step_x
-                    t_x += t_dx
-                else:
-                    if t_y > stop:
-                        break
-                    row += step_y
-                    t_y += t_dy
+            last = entered[count - 1] if stop == _ENDED else np.inf
+            for k in range(count - 1, -1, -1):
+                if supported[found[k, 0], found[k, 1]]:
+                    last = entered[k]
+                elif last - entered[k] <= gap_max:
+                    bounded[found[k, 0], found[k, 1]] = True

@@ -89,6 +89,8 @@ def _grey(path: Path, what: str) -> UInt8Array:
             raise InputError(f"{what}{path} has more than 8 bits a pixel; save it with 8 bits")
         if "A" in image.getbands() or "transparency" in image.info:
             rgba = image.convert("RGBA")
+            if np.asarray(rgba.getchannel("A")).min(initial=255) == 255:  # nothing is transparent
+                return np.asarray(image.convert("L"))
             ground = Image.new("RGBA", image.size, (int(Cell.UNKNOWN),) * 3)
             ground.alpha_composite(rgba)
             return np.asarray(ground.convert("L"))

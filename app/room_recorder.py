@@ -1,6 +1,7 @@
 """Rooms as Rerun entities: coloured floors with names and areas, and their topology as a graph."""
 
 import uuid
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -23,13 +24,18 @@ _NAME_M = 0.08
 """Rooms lie so far above the grid, lines above the rooms, passages and names above all: else one would hide another."""
 
 
-def write_recording(path: Path, grid: GridMap, graph: AreaGraph) -> None:
-    """A recording of one segmented map, its layout inside."""
-    with open_part(path, str(uuid.uuid4())) as stream:
-        stream.send_blueprint(rooms_blueprint.build(*view_of(grid)), make_active=True, make_default=True)
-        stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        Recorder(stream).log_grid(entities.SEGMENTED, grid)
-        log_rooms(stream, graph)
+def prepare_recording(grid: GridMap) -> Callable[[Path, AreaGraph], None]:
+    """All that needs no rooms of a segmented map's recording; what is returned writes it, its layout inside."""
+    blueprint = rooms_blueprint.build(*view_of(grid))
+
+    def write(path: Path, graph: AreaGraph) -> None:
+        with open_part(path, str(uuid.uuid4())) as stream:
+            stream.send_blueprint(blueprint, make_active=True, make_default=True)
+            stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+            Recorder(stream).log_grid(entities.SEGMENTED, grid)
+            log_rooms(stream, graph)
+
+    return write
 
 
 def log_rooms(stream: rr.RecordingStream, graph: AreaGraph) -> None:

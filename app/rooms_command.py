@@ -1,7 +1,8 @@
 """`ffmap rooms`: rooms of any system's grid map, and how well they meet rooms drawn by hand."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +25,8 @@ CELLS_MAX = 8_000_000
 """A map with more cells around its free space is segmented with larger ones: time and memory stay bounded."""
 TRUTH_SUFFIX = "_gt_segmentation"
 IMAGES = (".png", ".pgm")
+
+RecordingWriter = Callable[[Path, AreaGraph], None]
 
 
 @dataclass(frozen=True)
@@ -115,7 +118,10 @@ def _segment(
             f"segmented with cells of {coarse.cell_m:g} m",
             err=True,
         )
-    graph = find_rooms(coarse, settings, doorways)
+    with ThreadPoolExecutor(1) as beside:
+        # Rerun takes as long to load as a large map to segment, which mostly leaves the interpreter to others.
+        recording = beside.submit(_prepare_recording, coarse)
+        graph = find_rooms(coarse, settings, doorways)
     if not len(graph):
         raise InputError(
             f"{path}: no room has {settings.room_min_m2:g} m² or more with pixels of {grid.cell_m:g} m; "
@@ -123,14 +129,19 @@ def _segment(
         )
     figures = None if truth is None else _compare(path, grid, coarse, graph, truth)
     out = arguments.out or Path("rooms")
-    _write(out / path.stem if many or arguments.out is None else out, coarse, graph, figures)
+    _write(out / path.stem if many or arguments.out is None else out, coarse, graph, figures, recording.result())
     return graph, figures
 
 
-def _write(out: Path, grid: GridMap, graph: AreaGraph, figures: RoomFigures | None) -> None:
-    # Rerun takes longer to start than a small map to segment.
-    from app.room_recorder import write_recording
+def _prepare_recording(grid: GridMap) -> RecordingWriter:
+    from app.room_recorder import prepare_recording
 
+    return prepare_recording(grid)
+
+
+def _write(
+    out: Path, grid: GridMap, graph: AreaGraph, figures: RoomFigures | None, write_recording: RecordingWriter
+) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
         write_rooms(out / "rooms.geojson", graph)
@@ -138,7 +149,7 @@ def _write(out: Path, grid: GridMap, graph: AreaGraph, figures: RoomFigures | No
         write_picture(out / "rooms.png", grid, graph)
         if figures is not None:
             write_json(out / "metrics.json", metrics(figures))
-        write_recording(out / "rooms.rrd", grid, graph)
+        write_recording(out / "rooms.rrd", graph)
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror}); give another folder to --out") from error
 

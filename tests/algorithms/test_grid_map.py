@@ -121,6 +121,19 @@ def test_glass_stops_rays_and_stays_unknown() -> None:
     assert (at(drawn(rooms), rooms, behind) == Cell.FREE).all()
 
 
+@pytest.mark.parametrize(("told_m", "expected"), [(0.55, Cell.UNKNOWN), (0.2, Cell.FREE)])
+def test_no_ray_passes_a_gap_beside_a_pane_that_nobody_could(told_m: float, expected: Cell) -> None:
+    rooms = TwoRooms(glass=(0.0, 2.1), both_seen=False)
+    along = rooms.window.ends[0, 1] - rooms.window.ends[0, 0]
+    ends = rooms.window.ends[0, 0] + np.array([[0.0], [told_m]]) * along
+    grid = draw_furniture_free(*rooms.build(windows=replace(rooms.window, ends=ends[None])), SETTINGS, THICKNESS)
+    gap_x = np.linspace(1.0 + told_m + 0.1, 1.8, 5)
+    assert expected in at(grid, rooms, np.column_stack([gap_x, np.full(5, -0.4)]))
+    assert (Cell.FREE in at(grid, rooms, np.column_stack([gap_x, np.full(5, -0.4)]))) == (expected == Cell.FREE)
+    # What stops rays there was not seen.
+    assert Cell.OCCUPIED not in at(grid, rooms, np.column_stack([gap_x, np.full(5, 0.01)]))
+
+
 def test_the_reveals_of_a_window_are_no_walls_but_its_sill_is() -> None:
     rooms = TwoRooms(glass=(0.9, 2.1), both_seen=False)
     immobile, _ = rooms.build(windows=rooms.window)
@@ -166,6 +179,28 @@ def test_floor_beyond_a_sill_is_not_free_though_it_was_seen() -> None:
     # A pane that is known stops rays in every map.
     rival = draw_cells(np.zeros((0, 2), int), rooms.window, drive, settings).centres(Cell.FREE)
     assert rival[(rival[:, 0] > 1.2) & (rival[:, 0] < 1.8), 1].min() > -0.1
+
+
+def test_what_rays_leave_through_a_window_that_was_not_told_is_not_free() -> None:
+    rooms = TwoRooms(glass=(0.95, 2.1), both_seen=False, outside_m=9.0)
+    immobile, drive = rooms.build()
+    walls = rooms.walls
+    walls.ends[2, 1, 0] = 1.0
+    unknown = replace(immobile, walls=walls, cells=trace_rays(walls, [rooms.scans()], BuildingSettings()))
+    features = next(iter(drive.blocks()))
+    sky = (features.ray_end_map[:, 1] < -0.05) & (features.ray_end_map[:, 1] > -8.5)  # outside there is no ceiling
+    scan = np.repeat(np.arange(len(features.scan)), features.ray_count.astype(int))[~sky]
+    open_air = replace(
+        features,
+        ray_count=np.bincount(scan, minlength=len(features.scan)),
+        ray_end_map=features.ray_end_map[~sky],
+        ray_label=features.ray_label[~sky],
+    )
+    drive = replace(drive, blocks=lambda: [open_air])
+    grid = draw_furniture_free(unknown, drive, GridMapSettings(margin_m=8.0), THICKNESS)
+    free = grid.centres(Cell.FREE)
+    assert free[:, 1].min() > -0.35  # the reveals are 30 cm deep
+    assert (at(grid, rooms, np.column_stack([np.linspace(0.2, 3.8, 9), np.full(9, 0.1)])) == Cell.FREE).all()
 
 
 def with_face(rooms: TwoRooms, ends: list[list[float]], normal: list[float], top_m: float) -> tuple[Immobile, Drive]:
