@@ -34,6 +34,14 @@ _KNEE_M = 0.5
 _WINDOW_MIN_M = 0.3
 _JAMB_COLUMNS = 2
 
+_SHEET_M = 0.02
+"""A pane's returns lie so close to its sheet."""
+_BESIDE_COLUMNS = 8
+_JAMB_WALL_COLUMNS = 2
+"""Of so many columns beside a door at least so many show its wall, on one side of it."""
+_NEXT_WALL_M, _LEADS_M = 0.2, 0.9
+"""Another wall that faces the same way, so close behind an opening, leaves no room that it could lead to."""
+
 _REVEAL_MIN_M = 0.03
 _LEAF_COLUMNS = 30
 """A leaf that is ajar, or the closed one of two, covers at most so many columns beside the open ones."""
@@ -86,6 +94,9 @@ class BuildingSettings(StepSettings):
     pane_spread_m: float = Field(0.03, gt=0, description="Largest spread in metres of what a pane returns.")
     agreement_min: float = Field(
         0.6, ge=0, le=1, description="Share of a column's rays that must agree on its being a door's."
+    )
+    opaque_min: float = Field(
+        0.9, ge=0, le=1, description="Share of a closed leaf's rays that end on it; a pane lets more of them through."
     )
     rays_min: int = Field(6, ge=1, description="Fewest rays that decide on a column of a wall, 5 cm wide.")
 
@@ -329,15 +340,21 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
     return WallCells(first, rows, counts)
 
 
-def find_doors(walls: Walls, cells: WallCells, settings: BuildingSettings) -> Doors:
+def find_doors(
+    walls: Walls, cells: WallCells, settings: BuildingSettings, windows: Windows = NO_WINDOWS
+) -> Doors:
     """Doors: columns with wall above and, below, either nothing for the rays to hit or a recessed leaf.
 
     Columns next to each other that agree make a door, if it is as wide as doors are. What was seen in both faces of a
     wall, or in two stretches of it, is one door: the better seen one stands.
+
+    cells: without the rays through the windows, for what is seen through glass tells nothing of this building's doors.
     """
     found: list[_Door] = []
     for w in range(len(walls)):
-        found.extend(_doors_in(w, walls, cells, settings))
+        for door in _doors_in(w, walls, cells, settings):
+            if _leads_somewhere(door, walls) and not _is_glazed(door, windows):
+                found.append(door)
     found.sort(key=lambda door: -door.agreement * door.coverage * door.ray_count)
     kept: list[_Door] = []
     for door in found:
@@ -367,6 +384,30 @@ def find_doors(walls: Walls, cells: WallCells, settings: BuildingSettings) -> Do
         wall=np.array([d.wall for d in kept], np.int32),
         reveal_m=np.full(len(kept), settings.reveal_m),
     )
+
+
+def _leads_somewhere(door: "_Door", walls: Walls) -> bool:
+    """Whether an opening has room behind it: below a duct, and beside a cupboard under it, the next wall is close."""
+    middle = door.ends.mean(axis=0)
+    for ends, normal in zip(walls.ends, walls.normal, strict=True):
+        length_m = float(np.linalg.norm(ends[1] - ends[0]))
+        place_m = float((middle - ends[0]) @ (ends[1] - ends[0])) / length_m
+        before_m = float((middle - ends[0]) @ normal)
+        if door.normal @ normal > 0.8 and 0 < place_m < length_m and _NEXT_WALL_M < before_m < _LEADS_M:
+            return False
+    return True
+
+
+def _is_glazed(door: "_Door", windows: Windows) -> bool:
+    """Whether most of an opening is a window's, of whichever of its wall's faces."""
+    width_m = float(np.linalg.norm(door.ends[1] - door.ends[0]))
+    along = (door.ends[1] - door.ends[0]) / width_m
+    for ends, normal in zip(windows.ends, windows.normal, strict=True):
+        low, high = np.sort((ends - door.ends[0]) @ along)
+        near = np.abs((ends - door.ends[0]) @ door.normal).max() < _FRAME_REACH_M
+        if near and abs(door.normal @ normal) > 0.8 and min(high, width_m) - max(low, 0.0) > 0.5 * width_m:
+            return True
+    return False
 
 
 @dataclass(frozen=True)
@@ -456,15 +497,24 @@ def place_frames(doors: Doors, walls: Walls, blocks: Iterable[Features], setting
 
 
 def drop_doubtful(doors: Doors, settings: BuildingSettings) -> Doors:
-    """The doors without "closed" ones that are rather a wall.
+    """The doors without what is too narrow for one, and without "closed" ones that are rather a wall or a pane.
 
-    A leaf's recess of centimetres shows from nearby only: at least `scans_min` scans have to have seen it so. And a leaf is
-    set back by a step; a wall that the poses' tilt leans back comes forward little by little, and its "head" is far too low.
+    A leaf's recess of centimetres shows from nearby only: at least `scans_min` scans have to have seen it so. A leaf is
+    set back by a step, as high as doors are; a wall that the poses' tilt leans back comes forward little by little, and
+    its "head" is far too low or high. And no ray passes a leaf.
 
     doors: from `place_frames`.
     """
-    doubtful = (doors.scan_count < settings.scans_min) | (doors.head_m < settings.door_height_min_m - _HEAD_SLACK_M)
-    return doors.select(~(doubtful & (doors.state == DoorState.CLOSED)))
+    width_m = np.linalg.norm(doors.ends[:, 1] - doors.ends[:, 0], axis=1)
+    narrow = width_m < settings.door_width_min_m - CELL_M
+    lowest_m, highest_m = settings.door_height_min_m - _HEAD_SLACK_M, settings.door_height_max_m + _HEAD_SLACK_M
+    doubtful = (
+        (doors.scan_count < settings.scans_min)
+        | (doors.head_m < lowest_m)
+        | (doors.head_m > highest_m)
+        | (doors.agreement < settings.opaque_min)
+    )
+    return doors.select(~narrow & ~(doubtful & (doors.state == DoorState.CLOSED)))
 
 
 def _edge_m(counts: IntArray) -> float | None:
@@ -717,12 +767,46 @@ def find_windows(walls: Walls, cells: WallCells, settings: BuildingSettings) -> 
 def _pane_m(counts: FloatArray, settings: BuildingSettings) -> float:
     """How far behind the face a window's pane stands, by what it returns away from reveals, sill and head."""
     columns, rows = (min(_JAMB_COLUMNS, (size - 1) // 2) for size in counts.shape[:2])
-    total = counts[columns : counts.shape[0] - columns, rows : counts.shape[1] - rows].sum(axis=(0, 1))
-    if total[_FILLED] < settings.rays_min:
-        return float("nan")
-    mean_m = total[_SUM] / total[_FILLED]
-    spread_m = np.sqrt(max(total[_SQUARES] / total[_FILLED] - mean_m**2, 0.0))
-    return float(-mean_m) if spread_m < 2.0 * settings.pane_spread_m and mean_m < 0 else float("nan")
+    inner = counts[columns : counts.shape[0] - columns, rows : counts.shape[1] - rows]
+    sheet = _find_sheet(inner, settings)
+    return sheet.behind_m if sheet is not None and sheet.behind_m > 0 else float("nan")
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """The sheet that most returns from within an opening lie on.
+
+    behind_m: so far behind the face. returns: how many lie on it. columns: in how many columns.
+    """
+
+    behind_m: float
+    returns: int
+    columns: int
+
+
+def _find_sheet(counts: FloatArray, settings: BuildingSettings) -> _Sheet | None:
+    """The sheet in an opening's cells (c, rows, 4): what stands behind a pane, or on its sill, adds returns of other depths.
+
+    None where too few returns lie on one, or where they show in few of the columns that they might: the edge of a leaf or of
+    a reveal does so.
+    """
+    filled = counts[..., _FILLED]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean_m = counts[..., _SUM] / filled
+        variance = counts[..., _SQUARES] / filled - mean_m**2
+    flat = (filled > 0) & (variance < settings.pane_spread_m**2)
+    if not flat.any():
+        return None
+    depth_m, weight = mean_m[flat], filled[flat]
+    order = np.argsort(depth_m)
+    depth_m, total = depth_m[order], np.concatenate([[0.0], np.cumsum(weight[order])])
+    within = total[np.searchsorted(depth_m, depth_m + _SHEET_M, "right")]
+    within -= total[np.searchsorted(depth_m, depth_m - _SHEET_M, "left")]
+    on_sheet = flat & (np.abs(mean_m - depth_m[np.argmax(within)]) <= _SHEET_M)
+    returns, columns = float(filled[on_sheet].sum()), int(on_sheet.any(axis=1).sum())
+    if returns < settings.rays_min or columns < 0.5 * min(len(counts), returns):
+        return None
+    return _Sheet(-float(counts[on_sheet, _SUM].sum()) / returns, int(returns), columns)
 
 
 def _above_sill(counts: FloatArray, top_m: float, settings: BuildingSettings) -> BoolArray:
@@ -748,11 +832,8 @@ def _is_pane(counts: FloatArray, settings: BuildingSettings) -> bool:
     """
     jamb = min(_JAMB_COLUMNS, (len(counts) - 1) // 2)
     inner = counts[jamb : len(counts) - jamb, int(_FOOT_M / CELL_M) : int(settings.door_height_min_m / CELL_M)]
-    total = inner.sum(axis=(0, 1))
-    if total[_FILLED] < max(settings.rays_min, settings.pane_share_min * total[_THROUGH]):
-        return False
-    variance = total[_SQUARES] / total[_FILLED] - (total[_SUM] / total[_FILLED]) ** 2
-    return bool(variance < settings.pane_spread_m**2)
+    sheet = _find_sheet(inner, settings)
+    return sheet is not None and sheet.returns >= settings.pane_share_min * float(inner[..., _THROUGH].sum())
 
 
 def _with_neighbours(counts: FloatArray) -> FloatArray:
@@ -835,18 +916,43 @@ def _doors_in(w: int, walls: Walls, cells: WallCells, settings: BuildingSettings
             if not settings.door_width_min_m <= width_m + CELL_M or width_m > settings.door_width_max_m:
                 continue
             columns = slice(first, last + 1)
+            lintel_m = float(np.nanmean(found.lintel_m[columns]))
+            depth_m = float("nan") if state == DoorState.OPEN else float(np.nanmedian(found.depth_m[columns]))
+            if not _has_jamb(counts, first, last, lintel_m, depth_m, settings):
+                continue
             agree = found.through[columns] if state == DoorState.OPEN else 1 - found.through[columns]
             yield _Door(
                 ends=walls.ends[w, 0] + along * CELL_M * np.array([[first], [last + 1]]),
                 normal=walls.normal[w],
-                head_m=_head_m(counts[columns], state, float(np.nanmean(found.lintel_m[columns])), settings),
-                depth_m=float("nan") if state == DoorState.OPEN else float(np.nanmedian(found.depth_m[columns])),
+                head_m=_head_m(counts[columns], state, lintel_m, settings),
+                depth_m=depth_m,
                 state=state,
                 agreement=float(np.nanmean(agree[flags[columns]])),
                 coverage=float(np.mean(flags[columns])),
                 ray_count=int(found.rays[columns][:, [_FILLED, _THROUGH]].sum() / 3),
                 wall=w,
             )
+
+
+def _has_jamb(
+    counts: FloatArray, first: int, last: int, lintel_m: float, depth_m: float, settings: BuildingSettings
+) -> bool:
+    """Whether the wall above an opening stands beside it too, on one side at least.
+
+    A leaf is recessed behind the wall beside it, not only behind what is above: so is a cupboard's front below a board, and
+    a wall that leans.
+
+    counts: (columns, rows, 4) of the whole face; first, last: the opening's columns. lintel_m: the wall above before the
+    face. depth_m: the leaf behind that; NaN of an open door.
+    """
+    low, high = int(_FOOT_M / CELL_M), int(settings.door_height_min_m / CELL_M)
+    below = counts[:, low:high].sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        behind_m = lintel_m - below[:, _SUM] / below[:, _FILLED]
+    stands = (below[:, _FILLED] >= settings.rays_min) & (below[:, _THROUGH] < below[:, _FILLED])
+    flush = stands & (np.abs(behind_m) < (0.5 * depth_m if np.isfinite(depth_m) else _ON_FACE_M))
+    sides = flush[max(first - _BESIDE_COLUMNS, 0) : first], flush[last + 1 : last + 1 + _BESIDE_COLUMNS]
+    return any(np.count_nonzero(side) >= _JAMB_WALL_COLUMNS for side in sides)
 
 
 def _to_jambs(below: FloatArray, first: int, last: int, most: int) -> tuple[int, int]:

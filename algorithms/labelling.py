@@ -9,6 +9,7 @@ from pydantic import Field
 from algorithms.doors import DoorLines, DoorsSettings, DoorState, Openings, find_door_lines, find_openings
 from algorithms.labels import Label
 from algorithms.rearrangement import (
+    Floor,
     HorizontalPlane,
     PointLines,
     RearrangementSettings,
@@ -74,7 +75,7 @@ class ScanLabelling:
     label: UInt8Array
     plane: IntArray
     height_m: FloatArray
-    floor: HorizontalPlane
+    floor: Floor
     ceilings: tuple[HorizontalPlane, ...]
     lines: PointLines
     structures: VerticalStructures

@@ -29,7 +29,7 @@ class TrajectorySettings(StepSettings):
         description="The map is levelled by the walls and the floor that the first so many seconds show.",
     )
     level_scan_max_deg: float = Field(
-        2.0,
+        1.0,
         ge=0,
         le=10,
         description="A scan is turned by at most so many degrees to make its floor lie as the map's does; 0 turns none.",

@@ -17,7 +17,7 @@ from algorithms.ceiling_map import CeilingMap
 from algorithms.features import Features, concatenate, extract
 from algorithms.labelling import MethodSettings, label_scan
 from algorithms.levelling import level_scan
-from algorithms.rearrangement import HorizontalPlane, below_ceiling, find_floor
+from algorithms.rearrangement import Floor, below_ceiling, find_floor
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.rival_maps import RivalCounter, RivalMapsSettings
 from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array
@@ -262,16 +262,19 @@ def place_level(
     floor_slope: FloatArray,
     method: MethodSettings,
     level_scan_max_deg: float,
-) -> tuple[PlacedScan, HorizontalPlane]:
+) -> tuple[PlacedScan, Floor]:
     """The scan with every firing at its own pose, turned to the map's floor; and its floor, in the level frame."""
     placed = place_scan(scan, trajectory, T_base_sensor, base_height_m)
     floor = find_floor(placed.points_level, method.rearrangement)
     wanted = floor_slope @ placed.T_map_level[:2, :2]
+    if len(floor.pieces):
+        # At a ramp's foot or top no one slope is the floor's.
+        return placed, floor
     levelled = level_scan(placed, floor.height_m, floor.slope, wanted, level_scan_max_deg)
     return levelled, floor if levelled is placed else replace(floor, slope=wanted)
 
 
-def _place(scan: Scan, job: LabelJob) -> tuple[PlacedScan, HorizontalPlane]:
+def _place(scan: Scan, job: LabelJob) -> tuple[PlacedScan, Floor]:
     T_base_sensor = _vertical(job.inputs).lidar.T_base_sensor
     return place_level(
         scan, job.trajectory, T_base_sensor, job.base_height_m, job.floor_slope, job.method, job.level_scan_max_deg

@@ -600,7 +600,8 @@ def _build(
     walls = join_corners(judged.walls.append(hidden), settings.standing_walls.corner_m)
     cells = trace(walls)
     windows = find_windows(walls, cells, settings.building)
-    doors = find_doors(walls, cells, settings.building)
+    before_glass = trace(walls, windows=windows) if len(windows) else cells
+    doors = find_doors(walls, before_glass, settings.building, windows)
     doors = place_frames(doors, walls, _features(folder, blocks), settings.building)
     doors = drop_doubtful(doors, settings.building)
     doors = prove_crossed(doors, trajectory.T_map_base[:, :2, 3])

@@ -95,6 +95,67 @@ def test_a_recess_up_to_the_ceiling_is_no_door() -> None:
     assert len(find_doors(WALL, seen, SETTINGS)) == 0
 
 
+def test_a_door_has_its_wall_beside_it() -> None:
+    seen = cells()
+    recess(seen, 0.0, 2.1, 0.05)
+    # A cupboard's front below a board that stands out: nothing beside it is flush with the board.
+    for beside in (slice(0, 30), slice(48, 80)):
+        seen.counts[beside] = 0.0
+        seen.counts[beside, 1:36, THROUGH] = 10.0
+    assert len(find_doors(WALL, seen, SETTINGS)) == 0
+    # In a corner there is wall on one side only.
+    seen.counts[48:51] = 0.0
+    seen.counts[48:51, :, FILLED] = 10.0
+    assert len(find_doors(WALL, seen, SETTINGS)) == 1
+
+
+def opening(seen: WallCells) -> None:
+    """Between x = 1.5 and 2.4 rays pass up to 2.1 m."""
+    part = seen.counts[30:48, 0:42]
+    part[...], part[..., THROUGH] = 0.0, 50.0
+
+
+@pytest.mark.parametrize(("behind_m", "found"), [(0.1, 1), (0.5, 0), (2.0, 1)])
+def test_an_opening_leads_somewhere(behind_m: float, found: int) -> None:
+    seen = cells()
+    opening(seen)
+    behind = replace(WALL, ends=WALL.ends + np.array([0.0, behind_m]))
+    nothing = WallCells(np.array([0, 80, 160]), 66, np.concatenate([seen.counts, np.zeros_like(seen.counts)]))
+    assert len(find_doors(WALL.append(behind), nothing, SETTINGS)) == found
+    # The other side of the wall, or of the room, looks this way.
+    across = replace(behind, normal=-WALL.normal)
+    assert len(find_doors(WALL.append(across), nothing, SETTINGS)) == 1
+
+
+def test_where_a_window_is_there_is_no_door() -> None:
+    seen = cells()
+    opening(seen)
+    assert len(find_doors(WALL, seen, SETTINGS)) == 1
+    assert len(find_doors(WALL, seen, SETTINGS, WINDOW)) == 0
+    # Seen from the other side of its wall it is a window as well; in another wall it is another's.
+    assert len(find_doors(WALL, seen, SETTINGS, replace(WINDOW, normal=-WINDOW.normal))) == 0
+    assert len(find_doors(WALL, seen, SETTINGS, replace(WINDOW, ends=WINDOW.ends + np.array([0.0, 0.5])))) == 1
+
+
+def test_a_pane_down_to_the_floor_shows_though_more_stands_behind_it() -> None:
+    seen = cells()
+    opening(seen)
+    part = seen.counts[30:48, 0:42]
+    part[..., FILLED], part[..., SUM], part[..., SQUARES] = 2.0, -0.16, 2 * 0.08**2
+    # A cupboard stands 20 cm behind the pane, over half of it.
+    behind = part[9:, 3:]
+    behind[..., FILLED] += 4.0
+    behind[..., SUM] -= 4 * 0.28
+    behind[..., SQUARES] += 4 * 0.28**2
+    assert len(find_doors(WALL, seen, SETTINGS)) == 0
+    windows = find_windows(WALL, seen, SETTINGS)
+    assert windows.pane_m.tolist() == pytest.approx([0.08], abs=0.005)
+    # What shows in two columns alone is the edge of a leaf, and the opening a door.
+    part[..., :THROUGH] = 0.0
+    part[4:6, 3:, FILLED], part[4:6, 3:, SUM], part[4:6, 3:, SQUARES] = 30.0, -30 * 0.2, 30 * 0.2**2
+    assert len(find_doors(WALL, seen, SETTINGS)) == 1
+
+
 def test_a_windows_pane_is_placed_by_what_it_returns() -> None:
     seen = cells()
     seen.counts[20:60, 18:44, FILLED], seen.counts[20:60, 18:44, THROUGH] = 0.0, 50.0
@@ -165,14 +226,28 @@ def test_a_door_that_was_driven_through_is_open(path: list[list[float]], crossed
     assert len(prove_crossed(NO_DOORS, np.array(path, np.float64))) == 0
 
 
-def test_a_leaf_without_a_head_or_that_was_seen_from_afar_only_is_a_wall() -> None:
+def test_what_frames_show_to_be_no_door_is_dropped() -> None:
     closed, opened = DoorState.CLOSED, DoorState.OPEN
-    kinds = [(2.05, 9, closed), (1.70, 9, closed), (1.70, 9, opened), (2.05, 1, closed), (2.05, 0, opened)]
-    head_m, scan_count, state = (np.array(column) for column in zip(*kinds, strict=True))
+    kinds = [
+        # head, scans, width, agreement, state
+        (2.05, 9, 0.9, 1.0, closed),
+        (1.70, 9, 0.9, 1.0, closed),  # a wall that leans
+        (2.53, 9, 0.9, 1.0, closed),  # up to the ceiling
+        (1.70, 9, 0.9, 1.0, opened),
+        (2.05, 1, 0.9, 1.0, closed),
+        (2.05, 0, 0.9, 1.0, opened),
+        (2.05, 9, 0.9, 0.7, closed),  # rays pass it: a pane, met straight on
+        (2.05, 9, 0.9, 0.7, opened),
+        (2.05, 9, 0.2, 1.0, opened),  # the rays left little of it
+    ]
+    head_m, scan_count, width_m, agreement, state = (np.array(column) for column in zip(*kinds, strict=True))
     shape = {f.name: getattr(NO_DOORS, f.name) for f in fields(Doors)}
     doors = Doors(**{name: np.zeros((len(kinds), *v.shape[1:]), v.dtype) for name, v in shape.items()})
-    doors = replace(doors, head_m=head_m, scan_count=scan_count, state=state.astype(np.uint8))
+    doors.ends[:, 1, 0] = width_m
+    doors = replace(
+        doors, head_m=head_m, scan_count=scan_count, agreement=agreement, state=state.astype(np.uint8)
+    )
     kept = drop_doubtful(doors, BuildingSettings())
-    np.testing.assert_array_equal(kept.head_m, [2.05, 1.70, 2.05])
-    np.testing.assert_array_equal(kept.state, [closed, opened, opened])
+    np.testing.assert_array_equal(kept.head_m, head_m[[0, 3, 5, 7]])
+    np.testing.assert_array_equal(kept.state, [closed, opened, opened, opened])
     assert len(drop_doubtful(NO_DOORS, BuildingSettings())) == 0

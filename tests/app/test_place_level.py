@@ -1,0 +1,36 @@
+"""A scan is turned to the map's floor, but not by a floor that bends."""
+
+import numpy as np
+import pytest
+
+from algorithms.rearrangement import find_floor
+from algorithms.scan import FloatArray, Scan
+from algorithms.trajectory import Trajectory
+from app.blocks import place_level
+from app.settings import load_settings
+
+SETTINGS = load_settings(None, [])
+
+
+def scan_of(rise_m: FloatArray, places: FloatArray) -> Scan:
+    """One firing at once of a sensor in the base's origin, which stands on the floor."""
+    points = np.column_stack([places, rise_m]).astype(np.float32)
+    count = len(points)
+    return Scan(points, np.zeros(count, np.uint16), 1, None, 0, 0, np.arange(count, dtype=np.int32), count)
+
+
+@pytest.mark.parametrize(("ramp", "tilt_deg", "turned"), [(0.0, 0.4, True), (0.08, 0.0, False), (0.0, 1.5, False)])
+def test_a_scan_is_levelled_by_a_floor_that_is_a_plane(ramp: float, tilt_deg: float, turned: bool) -> None:
+    generator = np.random.default_rng(0)
+    places = generator.uniform(-3, 3, (30_000, 2))
+    # The ramp begins right ahead: one plane through its foot would slope by half as much, which passes for a tilt.
+    rise_m = ramp * np.maximum(places[:, 0] - 1.0, 0.0) + np.tan(np.radians(tilt_deg)) * places[:, 0]
+    scan = scan_of(rise_m + generator.normal(0, 0.01, len(places)), places)
+    trajectory = Trajectory(np.array([-1, 1]) * 10**9, np.tile(np.eye(4), (2, 1, 1)))
+    method, most_deg = SETTINGS.method, SETTINGS.trajectory.level_scan_max_deg
+    placed, floor = place_level(scan, trajectory, np.eye(4), 0.0, np.zeros(2), method, most_deg)
+    np.testing.assert_allclose(floor.heights_above(placed.points_level).std(), 0.01, atol=0.002)
+    assert (np.abs(placed.points_level - scan.points_sensor).max() > 0.01) == turned
+    assert (len(floor.pieces) == 2) == (ramp > 0)
+    if turned:
+        assert np.hypot(*find_floor(placed.points_level, method.rearrangement).slope) < 0.001
