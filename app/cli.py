@@ -213,6 +213,10 @@ def evaluate(
     ] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="With --suite: one setting of the runs.")] = None,
     out: Annotated[Path, typer.Option(help="With --suite: where all figures are written.")] = Path("runs/suite.json"),
+    workers: Annotated[
+        int | None,
+        typer.Option(min=1, help="Processes; with --suite: drives at a time.  [default: one for each core]"),
+    ] = None,
 ) -> None:
     """Compare a run with the truth: labels by area, doors, map, trajectory; writes metrics.json.
 
@@ -229,12 +233,12 @@ def evaluate(
 
         if run_folder is not None or truth is not None:
             raise InputError("--suite makes its own bags and runs: give no run folder and no --truth with it")
-        sys.exit(1 if run_suite(out, parse_seeds(seeds), quick, set_ or []) else 0)
+        sys.exit(1 if run_suite(out, parse_seeds(seeds), quick, set_ or [], at_once=workers) else 0)
     if run_folder is None:
         raise InputError("give a run folder, or --suite; 'ffmap evaluate --help' has examples")
     from app import evaluate as evaluation
 
-    evaluation.print_metrics(evaluation.evaluate_run(run_folder, truth, os.cpu_count() or 1))
+    evaluation.print_metrics(evaluation.evaluate_run(run_folder, truth, workers or os.cpu_count() or 1))
 
 
 @app.command()

@@ -6,6 +6,7 @@ by the simulation, the settings and the code that they depend on.
 
 import hashlib
 import json
+import os
 import shutil
 import statistics
 import subprocess
@@ -13,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -29,6 +31,7 @@ from app.settings import load_settings
 from loaders.errors import InputError
 
 DURATION_S = 60.0
+QUICK_S = 40.0
 LONG_S = 150.0
 REPORTED_SEEDS = (1001, 1002)
 """Nothing is set on these; thresholds are set on 1 and 2."""
@@ -155,27 +158,44 @@ class Drive:
     cached: bool = False
 
 
-def run_suite(out: Path, seeds: Sequence[int], quick: bool, overrides: Sequence[str], quiet: bool = False) -> int:
+def run_suite(
+    out: Path,
+    seeds: Sequence[int],
+    quick: bool,
+    overrides: Sequence[str],
+    quiet: bool = False,
+    at_once: int | None = None,
+) -> int:
     """Drive through every building with every seed, print the tables, write `out`; returns how many drives failed.
 
-    quick: one seed, no long drives.
+    quick: one seed, short drives, no long ones. at_once: drives under way at a time, each the work of one core; None for one a core.
     """
     settings = load_settings(None, overrides)
-    jobs = [(case, seed, DURATION_S) for case in CASES for seed in (seeds[:1] if quick else seeds)]
+    duration_s = QUICK_S if quick else DURATION_S
+    jobs = [(case, seed, duration_s) for case in CASES for seed in (seeds[:1] if quick else seeds)]
     jobs += [] if quick else [(case, seeds[0], LONG_S) for case in LONG_CASES]
+    at_once = min(at_once or os.cpu_count() or 1, len(jobs))
     drives: list[Drive] = []
     started = time.monotonic()
-    _check_space(out.parent)
-    with Progress(quiet) as progress:
+    _check_space(out.parent, at_once)
+
+    def drive_through(job: tuple[Case, int, float]) -> Drive:
+        case, seed, duration_s = job
+        simulation = {**case.simulation, "seed": seed, "duration_s": duration_s}
+        return _drive(case, seed, simulation, overrides, settings.short_hash(), out.parent)
+
+    with Progress(quiet) as progress, ThreadPoolExecutor(at_once) as pool:
         progress.stage("suite", len(jobs))
-        for case, seed, duration_s in jobs:
-            simulation = {**case.simulation, "seed": seed, "duration_s": duration_s}
-            drive = _drive(case, seed, simulation, overrides, settings.short_hash(), out.parent)
-            if drive.metrics is None:
-                progress.warn(f"{case.name}, seed {seed}: {drive.error}")
-            drives.append(drive)
-            _write(out, drives, overrides, settings.short_hash())
-            progress.advance()
+        try:
+            for drive in pool.map(drive_through, jobs):
+                if drive.metrics is None:
+                    progress.warn(f"{drive.case}, seed {drive.seed}: {drive.error}")
+                drives.append(drive)
+                _write(out, drives, overrides, settings.short_hash())
+                progress.advance()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
     console = Console(width=max(Console().width, _WIDTH))
     for table in format_suite(drives):
         console.print(table)
@@ -217,7 +237,7 @@ def _drive(
         options = [argument for override in overrides for argument in ("--set", override)]
         for command in (
             ["simulate", str(bag), "--quiet", *named],
-            ["run", str(bag), "--out", str(run), "--no-save", "--quiet", *options],
+            ["run", str(bag), "--out", str(run), "--no-save", "--quiet", "--workers", "1", *options],
         ):
             done = subprocess.run([*_FFMAP, *command], capture_output=True, text=True, check=False)
             if done.returncode:
@@ -298,17 +318,18 @@ def _paper(figure: Figure) -> str:
     return f"{100 * by_name[figure.path[1]][('precision', 'recall', 'f1').index(figure.path[2])]:.1f}"
 
 
-def _check_space(folder: Path) -> None:
-    """Raises InputError where a drive's bag and run would not fit on the disk."""
+def _check_space(folder: Path, at_once: int) -> None:
+    """Raises InputError where the bags and runs of the drives under way would not fit on the disk."""
     folder.mkdir(parents=True, exist_ok=True)
-    free = shutil.disk_usage(folder).free
-    if free < _NEEDED_BYTES:
+    free, needed = shutil.disk_usage(folder).free, at_once * _NEEDED_BYTES
+    if free < needed:
         raise InputError(
-            f"{folder}: {free / 1e9:.0f} GB are free and a drive of the suite needs {_NEEDED_BYTES / 1e9:.0f}; "
-            "free some, or choose another folder with --out"
+            f"{folder}: {free / 1e9:.0f} GB are free and {at_once} drives of the suite at once need {needed / 1e9:.0f}; "
+            "free some, choose another folder with --out, or fewer drives at once with --workers"
         )
 
 
-_NEEDED_BYTES = 12_000_000_000
+_NEEDED_BYTES = 9_000_000_000
+"""Of one drive: the bag of a long one, the bag with labels, and the run's spool."""
 _WIDTH = 120
 """Where nobody's terminal says how wide it is, the tables stay whole."""

@@ -51,7 +51,7 @@ def test_a_drive_is_simulated_run_evaluated_deleted_and_cached(
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(suite, "CASES", (Case("small", {"building": "small", "sensor": "vlp16"}),))
-    monkeypatch.setattr(suite, "DURATION_S", 2.0)
+    monkeypatch.setattr(suite, "QUICK_S", 2.0)
     out = tmp_path / "results" / "suite.json"
     assert run_suite(out, (3,), True, [], quiet=True) == 0
     first = json.loads(out.read_text())["drives"][0]
