@@ -32,6 +32,7 @@ _FOOT_M = 0.15
 _KNEE_M = 0.5
 """A window's sill is higher."""
 _WINDOW_MIN_M = 0.3
+_SILL_COLUMNS = 4
 _JAMB_COLUMNS = 2
 
 _SHEET_M = 0.02
@@ -747,9 +748,10 @@ def find_windows(walls: Walls, cells: WallCells, settings: BuildingSettings) -> 
         along = _along(walls, w)
         opened = _look_for_doors(counts, walls.top_m[w], settings).is_open
         panes = [(first, last) for first, last in stretches(opened, 2) if _is_pane(counts[first : last + 1], settings)]
-        sills = stretches(_above_sill(counts, walls.top_m[w], settings), 4)
+        may_be, is_sill = _above_sill(counts, walls.top_m[w], settings)
+        sills = [(first, last) for first, last in stretches(may_be, 4) if is_sill[first : last + 1].sum() >= _SILL_COLUMNS]
         high = counts[:, int(_KNEE_M / CELL_M) : int(settings.door_height_min_m / CELL_M)].sum(axis=1)
-        for first, last in panes + [(first, last) for first, last in sills if last - first >= 4]:
+        for first, last in panes + sills:
             rows = counts[first : last + 1].sum(axis=0)
             clear = np.flatnonzero(rows[:, _THROUGH] > rows[:, _FILLED])
             if not len(clear):
@@ -809,17 +811,18 @@ def _find_sheet(counts: FloatArray, settings: BuildingSettings) -> _Sheet | None
     return _Sheet(-float(counts[on_sheet, _SUM].sum()) / returns, int(returns), columns)
 
 
-def _above_sill(counts: FloatArray, top_m: float, settings: BuildingSettings) -> BoolArray:
-    """Columns (c,) with a filled foot, above which there is a stretch that more rays pass than end at."""
+def _above_sill(counts: FloatArray, top_m: float, settings: BuildingSettings) -> tuple[BoolArray, BoolArray]:
+    """Columns (c,) that rays pass above the knee and not below it, and those of them (c,) whose foot is seen to be wall.
+
+    What stands before a window hides its sill, and a window is as wide as it is all the same.
+    """
     foot, knee, top = int(0.1 / CELL_M), int(_KNEE_M / CELL_M), int(max(top_m - 0.2, 0.0) / CELL_M)
     below = counts[:, foot:knee].sum(axis=1)
     near = _with_neighbours(np.swapaxes(_with_neighbours(counts), 0, 1)).swapaxes(0, 1)
     clear = (near[..., _THROUGH] > near[..., _FILLED]) & (near[..., _THROUGH] >= 0.5 * settings.rays_min)
-    return np.asarray(
-        (below[:, _FILLED] >= settings.rays_min)
-        & (below[:, _THROUGH] < 0.1 * below[:, _FILLED])
-        & (clear[:, knee:top].sum(axis=1) >= _WINDOW_MIN_M / CELL_M)
-    )
+    passed = clear[:, knee:top].sum(axis=1) >= _WINDOW_MIN_M / CELL_M
+    may_be = passed & (below[:, _THROUGH] <= 0.1 * below[:, _FILLED])
+    return may_be, may_be & (below[:, _FILLED] >= settings.rays_min)
 
 
 def _is_pane(counts: FloatArray, settings: BuildingSettings) -> bool:

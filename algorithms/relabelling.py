@@ -1,13 +1,15 @@
 """From the building back to the scans: the final label of every return."""
 
+from collections.abc import Sequence
+
 import numba
 import numpy as np
 from pydantic import Field
 
 from algorithms.before_walls import BeforeWalls
 from algorithms.building import CELL_M, Doors, Walls, Windows
-from algorithms.ceiling_map import CeilingMap
 from algorithms.doors import DoorState
+from algorithms.height_maps import HeightMap
 from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from algorithms.semantic_map import Halo
 from algorithms.settings import StepSettings
@@ -77,14 +79,14 @@ def relabel(
     doors: Doors,
     windows: Windows,
     halo: Halo,
-    ceilings: CeilingMap,
+    levels: Sequence[HeightMap],
     settings: RelabellingSettings,
 ) -> UInt8Array:
     """The final labels (n,): what many scans agree on overrules what one scan saw.
 
     A return in a closed doorway is door; wall and door only stand where the building has them; clutter on a wall
     face or on a door's reveals or lintel is wall; what a ray reached through a window is outside; clutter that is but the
-    scatter of a surface is that surface's, and at the height of the building's ceiling it is ceiling.
+    scatter of a surface is that surface's, and at the height of the building's ceiling or of a raised floor it is that.
 
     points_map: (n, 3); height_m: (n,) above the floor; below_ceiling_m: (n,) below the scan's ceiling, infinite without
     one; label_scan: (n,) of the scan alone; origin_map: (3,) the sensor. before: what is before `walls`. refused: faces that
@@ -123,7 +125,10 @@ def relabel(
             settings.body_m,
         )
     )
-    return ceilings.label_of(points_map, halo.label_of(points_map, label))
+    label = halo.label_of(points_map, label)
+    for level in levels:
+        label = level.label_of(points_map, label)
+    return label
 
 
 def _frames(ends: FloatArray, normal: FloatArray) -> FloatArray:

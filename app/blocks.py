@@ -13,8 +13,8 @@ import numpy as np
 
 from algorithms.before_walls import BeforeWalls
 from algorithms.building import Doors, Walls, Windows
-from algorithms.ceiling_map import CeilingMap
 from algorithms.features import Features, concatenate, extract
+from algorithms.height_maps import HeightMap
 from algorithms.labelling import MethodSettings, label_scan
 from algorithms.levelling import level_scan
 from algorithms.rearrangement import Floor, below_ceiling, find_floor
@@ -81,7 +81,8 @@ class FinishJob:
     windows: Windows
     halo: Path
     """A file that `save_halo` wrote: it grows with the building, and each worker reads it once."""
-    ceilings: CeilingMap
+    levels: tuple[HeightMap, ...]
+    """The building's ceilings and raised floors."""
     settings: RelabellingSettings
 
 
@@ -237,7 +238,7 @@ def finish_block(job: FinishJob) -> None:
                 job.doors,
                 job.windows,
                 _load_halo(job.halo),
-                job.ceilings,
+                job.levels,
                 job.settings,
             )
             if recorder:

@@ -37,10 +37,10 @@ from algorithms.building import (
     trace_rays,
     without_rays_through,
 )
-from algorithms.ceiling_map import CeilingMap, map_ceilings
 from algorithms.features import Features, concatenate, select_planes
 from algorithms.floor_plan import FloorPlan, draw_floor_plan
 from algorithms.grid_map import Drive, GridMap, Immobile, draw_furniture_free, standing_stretches
+from algorithms.height_maps import HeightMap, map_ceilings, map_raised_floors
 from algorithms.labels import Label
 from algorithms.odometry import Registration, weakness
 from algorithms.rival_maps import Rival, draw_rival
@@ -163,7 +163,8 @@ class Building:
     doors: Doors
     windows: Windows
     halo: Halo
-    ceilings: CeilingMap
+    levels: tuple[HeightMap, ...]
+    """Its ceilings and raised floors."""
     grid: GridMap
     rooms: AreaGraph
     compared_rooms: Mapping[Segmented, AreaGraph]
@@ -632,8 +633,9 @@ def _build(
     stretches = standing_stretches(immobile, settings.grid_map)
     plan = draw_floor_plan(stretches, immobile, grid, votes, settings.floor_plan, settings.wall_thickness, rooms.rooms)
     thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
+    levels = (map_ceilings(votes), map_raised_floors(votes))
     return Building(
-        walls, before, judged, doors, windows, halo, map_ceilings(votes), grid, rooms, compared_rooms, rival_maps, plan, thickness_m
+        walls, before, judged, doors, windows, halo, levels, grid, rooms, compared_rooms, rival_maps, plan, thickness_m
     )
 
 
@@ -690,7 +692,7 @@ def _finish(run: _Run, pool: Executor, jobs: Sequence[LabelJob], building: Build
             building.doors,
             building.windows,
             halo,
-            building.ceilings,
+            building.levels,
             run.settings.relabelling,
         )
         pending.append(None if done else pool.submit(finish_block, finish))

@@ -168,7 +168,7 @@ def run_suite(
 ) -> int:
     """Drive through every building with every seed, print the tables, write `out`; returns how many drives failed.
 
-    quick: one seed, short drives, no long ones. at_once: drives under way at a time, each the work of one core; None for one a core.
+    quick: one seed, short drives, no long ones. at_once: drives under way at a time, each one core's work; None for one a core.
     """
     settings = load_settings(None, overrides)
     duration_s = QUICK_S if quick else DURATION_S

@@ -7,8 +7,8 @@ import numpy as np
 
 from algorithms.before_walls import NOTHING_BEFORE
 from algorithms.building import NO_DOORS, NO_WALLS, NO_WINDOWS
-from algorithms.ceiling_map import map_ceilings
 from algorithms.features import extract
+from algorithms.height_maps import map_ceilings
 from algorithms.labelling import label_scan
 from algorithms.rearrangement import below_ceiling
 from algorithms.relabelling import RelabellingSettings, relabel
@@ -48,7 +48,7 @@ def warm_up() -> None:
         NO_DOORS,
         NO_WINDOWS,
         find_halo(votes, 6.0),
-        map_ceilings(votes),
+        (map_ceilings(votes),),
         RelabellingSettings(),
     )
 

@@ -156,6 +156,18 @@ def test_a_pane_down_to_the_floor_shows_though_more_stands_behind_it() -> None:
     assert len(find_doors(WALL, seen, SETTINGS)) == 1
 
 
+def test_a_window_is_as_wide_as_it_is_though_its_sill_is_hidden() -> None:
+    seen = cells()
+    seen.counts[20:60, 18:44, FILLED], seen.counts[20:60, 18:44, THROUGH] = 0.0, 50.0
+    # A desk stands before most of it: no ray reaches the wall below, and none passes there.
+    seen.counts[26:56, 0:18] = 0.0
+    windows = find_windows(WALL, seen, SETTINGS)
+    np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, 3.0]], atol=2 * CELL_M)
+    # Where nothing of a sill is seen, it may be a doorway that is blocked.
+    seen.counts[18:62, 0:18] = 0.0
+    assert len(find_windows(WALL, seen, SETTINGS)) == 0
+
+
 def test_a_windows_pane_is_placed_by_what_it_returns() -> None:
     seen = cells()
     seen.counts[20:60, 18:44, FILLED], seen.counts[20:60, 18:44, THROUGH] = 0.0, 50.0

@@ -24,7 +24,6 @@ from algorithms.building import (
     place_frames,
     trace_rays,
 )
-from algorithms.ceiling_map import NO_CEILINGS
 from algorithms.doors import DoorsSettings, DoorState
 from algorithms.features import concatenate, extract, move_moments
 from algorithms.grid_map import Cell, Drive, GridMapSettings, Immobile, draw_furniture_free
@@ -169,7 +168,7 @@ def relabelled(
         doors,
         windows,
         halo,
-        NO_CEILINGS,
+        (),
         RelabellingSettings(),
     )
 

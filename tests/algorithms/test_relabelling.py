@@ -7,7 +7,6 @@ import pytest
 
 from algorithms.before_walls import NOTHING_BEFORE, BeforeWalls
 from algorithms.building import CELL_M, NO_DOORS, NO_WALLS, NO_WINDOWS, Doors, Walls, Windows
-from algorithms.ceiling_map import NO_CEILINGS
 from algorithms.doors import DoorState
 from algorithms.labels import Label
 from algorithms.relabelling import RelabellingSettings, relabel
@@ -83,7 +82,7 @@ def final(
         doors,
         windows,
         NO_HALO,
-        NO_CEILINGS,
+        (),
         SETTINGS,
     )
     return Label(int(found[0]))
@@ -254,7 +253,7 @@ def test_labels_hold_under_rigid_motion() -> None:
             doors,
             windows,
             NO_HALO,
-            NO_CEILINGS,
+            (),
             SETTINGS,
         )
 
@@ -275,7 +274,7 @@ def test_nothing_is_relabelled_where_there_is_nothing() -> None:
         NO_DOORS,
         NO_WINDOWS,
         NO_HALO,
-        NO_CEILINGS,
+        (),
         SETTINGS,
     )
     assert len(nothing) == 0

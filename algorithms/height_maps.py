@@ -1,0 +1,133 @@
+"""Ceilings and raised floors of the whole building, for what single scans saw too little of, or took for something else."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from algorithms.labels import Label
+from algorithms.scan import BoolArray, FloatArray, UInt8Array
+from algorithms.semantic_map import VoxelVotes, majority
+
+_CELL_M = 0.25
+_VOTES_MIN = 3
+_REACH_M = 1.5
+"""A ceiling goes on level so far beyond what was seen of it."""
+_MARGIN_M = 0.04
+"""Poses drift, and returns scatter, by so much."""
+_RISE_M = (0.06, 0.30)
+"""Steps and platforms are so much higher than the floor beside them."""
+_BROAD_M = 1.2
+"""A raised floor holds a disc so broad: nothing that low and that broad is furniture."""
+_RAISED_CELL_M = 0.1
+_FLAT_M = 0.03
+
+
+@dataclass(frozen=True)
+class HeightMap:
+    """How high something level lies: height_m (rows, columns) in the map frame, NaN where there is none.
+
+    label: what it is. origin: (2,) x and y of the first cell's corner, metres; cell_m: the cells' edge.
+    """
+
+    label: Label
+    origin: FloatArray
+    cell_m: float
+    height_m: FloatArray
+
+    def label_of(self, points_map: FloatArray, label: UInt8Array) -> UInt8Array:
+        """The labels (n,) of points (n, 3), clutter at that height made what lies there."""
+        clutter = np.flatnonzero(label == Label.CLUTTER)
+        rows, columns = self.height_m.shape
+        cell = np.floor((points_map[clutter, :2] - self.origin) / self.cell_m).astype(np.int64)
+        inside = (cell >= 0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
+        clutter, cell = clutter[inside], cell[inside]
+        on_it = np.abs(points_map[clutter, 2] - self.height_m[cell[:, 1], cell[:, 0]]) < _MARGIN_M
+        corrected = label.copy()
+        corrected[clutter[on_it]] = self.label
+        return corrected
+
+
+def map_ceilings(votes: VoxelVotes) -> HeightMap:
+    """The ceilings that all scans found: in each cell the median height of its cubes, and around them the nearest's."""
+    is_ceiling = (majority(votes.counts) == Label.CEILING) & (votes.counts.max(axis=1, initial=0) >= _VOTES_MIN)
+    position = votes.mean_position[is_ceiling]
+    if not len(position):
+        return _nothing(Label.CEILING)
+    origin, shape = _frame(position, _CELL_M)
+    median_m = _in_cells(position, origin, shape, _CELL_M, share=0.5)
+    away, nearest = ndimage.distance_transform_edt(np.isnan(median_m), return_indices=True)
+    height_m = np.where(away * _CELL_M <= _REACH_M, median_m[tuple(nearest)], np.nan)
+    return HeightMap(Label.CEILING, origin, _CELL_M, height_m)
+
+
+def map_raised_floors(votes: VoxelVotes) -> HeightMap:
+    """What lies a step above the floor around it, level and too broad for furniture (paper, V: uneven floors).
+
+    A scan knows the floor that it stands on; what is higher is clutter to it. Here the lowest that was seen in each cell
+    tells: furniture stands on something that shows between its legs and beside it.
+    """
+    label = majority(votes.counts)
+    position = votes.mean_position
+    seen = votes.counts.max(axis=1, initial=0) >= _VOTES_MIN
+    floor, low = seen & (label == Label.FLOOR), seen & ((label == Label.FLOOR) | (label == Label.CLUTTER))
+    if not floor.any():
+        return _nothing(Label.FLOOR)
+    origin, shape = _frame(position[low], _RAISED_CELL_M)
+    floor_m = _in_cells(position[floor], origin, shape, _RAISED_CELL_M, share=0.5)
+    away, nearest = ndimage.distance_transform_edt(np.isnan(floor_m), return_indices=True)
+    rise_m = position[:, 2] - floor_m[tuple(nearest)][tuple(_cells(position, origin, shape, _RAISED_CELL_M).T)]
+    lowest_m = _in_cells(position[low & (rise_m > -_MARGIN_M)], origin, shape, _RAISED_CELL_M, share=0.0)
+    rise_m = lowest_m - floor_m[tuple(nearest)]
+    around = _median_around(lowest_m)
+    level = (np.abs(lowest_m - around) < _FLAT_M) & (rise_m > _RISE_M[0]) & (rise_m < _RISE_M[1]) & (away > 0)
+    broad = _holding_a_disc(ndimage.binary_closing(level, np.ones((3, 3))), 0.5 * _BROAD_M / _RAISED_CELL_M)
+    return HeightMap(Label.FLOOR, origin, _RAISED_CELL_M, np.where(broad, around, np.nan))
+
+
+def _median_around(height_m: FloatArray) -> FloatArray:
+    """The median of each cell's and its eight neighbours' heights, NaN where none of them has one."""
+    padded = np.pad(height_m, 1, constant_values=np.nan)
+    nine = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).reshape(-1, 9)
+    known = ~np.isnan(nine).all(axis=1)
+    median_m = np.full(len(nine), np.nan)
+    median_m[known] = np.nanmedian(nine[known], axis=1)
+    return median_m.reshape(height_m.shape)
+
+
+def _holding_a_disc(mask: BoolArray, radius: float) -> BoolArray:
+    """Cells (r, c) of the mask that a disc within it covers, and those next to them; in cells."""
+    core = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1] >= radius
+    if not core.any():
+        return np.zeros_like(mask)
+    return np.asarray(mask & (ndimage.distance_transform_edt(~core) <= radius + 1.0))
+
+
+def _nothing(label: Label) -> HeightMap:
+    return HeightMap(label, np.zeros(2), _CELL_M, np.zeros((0, 0)))
+
+
+def _frame(position: FloatArray, cell_m: float) -> tuple[FloatArray, tuple[int, int]]:
+    """The origin (2,) and the shape of a grid that holds all positions (n, 3) and what they reach to."""
+    origin = position[:, :2].min(axis=0) - _REACH_M
+    columns, rows = np.floor((position[:, :2].max(axis=0) + _REACH_M - origin) / cell_m).astype(int) + 1
+    return origin, (int(rows), int(columns))
+
+
+def _cells(position: FloatArray, origin: FloatArray, shape: tuple[int, int], cell_m: float) -> FloatArray:
+    """Row and column (n, 2) of each position (n, 3), at the edge for what lies outside."""
+    cell = np.floor((position[:, 1::-1] - origin[::-1]) / cell_m).astype(np.int64)
+    return np.clip(cell, 0, np.array(shape) - 1)
+
+
+def _in_cells(
+    position: FloatArray, origin: FloatArray, shape: tuple[int, int], cell_m: float, share: float
+) -> FloatArray:
+    """In each cell the height that so large a share of its positions (n, 3) lie below; NaN where there are none."""
+    cell = _cells(position, origin, shape, cell_m)
+    index = cell[:, 0] * shape[1] + cell[:, 1]
+    order = np.lexsort((position[:, 2], index))
+    own, first, count = np.unique(index[order], return_index=True, return_counts=True)
+    height_m = np.full(shape[0] * shape[1], np.nan)
+    height_m[own] = position[order, 2][first + (share * count).astype(np.int64)]
+    return height_m.reshape(shape)

@@ -1,0 +1,91 @@
+"""The building's ceilings: two rooms of different height, one of which a scan saw too little of; and its raised floors."""
+
+import numpy as np
+import pytest
+
+from algorithms.height_maps import HeightMap, map_ceilings, map_raised_floors
+from algorithms.labels import Label
+from algorithms.semantic_map import merge, vote
+
+
+def two_rooms() -> HeightMap:
+    """Ceilings at 2.5 m where x < 3 and at 3.0 m beyond, with a lamp's returns below the lower one."""
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(0.02, 6, 0.05), np.arange(0.02, 2, 0.05)))
+    points = np.column_stack([x, y, np.where(x < 3, 2.52, 3.02)])
+    lamp = np.array([[1.02, 1.02, 2.37]])
+    portions = [vote(points, np.full(len(points), Label.CEILING, np.uint8), len(Label), 0.05) for _ in range(3)]
+    return map_ceilings(merge([*portions, vote(lamp, np.zeros(1, np.uint8), len(Label), 0.05)]))
+
+
+@pytest.mark.parametrize(
+    ("point", "label", "expected"),
+    [
+        ((1.0, 1.0, 2.51), Label.CLUTTER, Label.CEILING),
+        ((1.0, 1.0, 2.37), Label.CLUTTER, Label.CLUTTER),  # a lamp
+        ((5.0, 1.0, 2.51), Label.CLUTTER, Label.CLUTTER),  # the other room's height
+        ((5.0, 1.0, 3.03), Label.CLUTTER, Label.CEILING),
+        ((5.0, 3.0, 3.03), Label.CLUTTER, Label.CEILING),  # where the ceiling goes on
+        ((5.0, 9.0, 3.03), Label.CLUTTER, Label.CLUTTER),  # far from all that was seen
+        ((1.0, 1.0, 2.51), Label.WALL, Label.WALL),  # only clutter is doubted
+    ],
+)
+def test_clutter_at_the_ceilings_height_is_ceiling(
+    point: tuple[float, float, float], label: Label, expected: Label
+) -> None:
+    assert two_rooms().label_of(np.array([point]), np.array([label], np.uint8))[0] == expected
+
+
+def test_a_building_without_ceilings_changes_nothing() -> None:
+    label = np.zeros(1, np.uint8)
+    floor = vote(np.zeros((4, 3)), np.full(4, Label.FLOOR, np.uint8), len(Label), 0.05)
+    assert map_ceilings(floor).label_of(np.zeros((1, 3)), label)[0] == Label.CLUTTER
+    nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
+    assert map_raised_floors(nothing).label_of(np.zeros((1, 3)), label)[0] == Label.CLUTTER
+    assert len(two_rooms().label_of(np.zeros((0, 3)), np.zeros(0, np.uint8))) == 0
+
+
+def lying(x: tuple[float, float], y: tuple[float, float], z: float, slope: float = 0.0) -> np.ndarray:
+    """(n, 3) points 5 cm apart on something level, or sloping along x."""
+    xs, ys = (a.ravel() for a in np.meshgrid(np.arange(x[0] + 0.02, x[1], 0.05), np.arange(y[0] + 0.02, y[1], 0.05)))
+    return np.column_stack([xs, ys, z + slope * xs])
+
+
+def raised(*pieces: tuple[np.ndarray, Label]) -> HeightMap:
+    portions = [vote(p, np.full(len(p), label, np.uint8), len(Label), 0.05) for p, label in pieces]
+    return map_raised_floors(merge(portions * 3))
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.02])
+def test_a_platform_is_floor_and_so_is_what_stands_on_it_not(slope: float) -> None:
+    floor, platform = lying((0, 4), (0, 4), 0.01, slope), lying((4, 7), (0, 4), 0.16, slope)
+    table = lying((5, 6), (1, 2), 0.73 + slope * 5)
+    found = raised((floor, Label.FLOOR), (platform, Label.CLUTTER), (table, Label.CLUTTER))
+    clutter = np.zeros(1, np.uint8)
+    for x in (4.3, 5.5, 6.8):
+        assert found.label_of(np.array([[x, 1.5, 0.16 + slope * x]]), clutter)[0] == Label.FLOOR
+        assert found.label_of(np.array([[x, 1.5, 0.25 + slope * x]]), clutter)[0] == Label.CLUTTER
+    assert found.label_of(np.array([[5.5, 1.5, 0.73 + slope * 5]]), clutter)[0] == Label.CLUTTER
+    assert found.label_of(np.array([[2.0, 1.5, 0.16 + slope * 2]]), clutter)[0] == Label.CLUTTER
+    assert found.label_of(np.array([[5.5, 1.5, 0.16]]), np.array([Label.WALL], np.uint8))[0] == Label.WALL
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "z"),
+    [
+        ((1.0, 2.2), (1.0, 1.8), 0.15),  # a pallet
+        ((1.0, 3.5), (1.0, 1.9), 0.15),  # a mattress
+        ((1.0, 3.5), (1.0, 3.5), 0.45),  # as high as a seat
+        ((1.0, 3.5), (1.0, 3.5), 0.04),  # a carpet
+    ],
+)
+def test_what_is_narrow_high_or_thin_is_no_floor(x: tuple[float, float], y: tuple[float, float], z: float) -> None:
+    floor = lying((0, 5), (0, 5), 0.01)
+    hidden = (floor[:, 0] > x[0]) & (floor[:, 0] < x[1]) & (floor[:, 1] > y[0]) & (floor[:, 1] < y[1])
+    found = raised((floor[~hidden], Label.FLOOR), (lying(x, y, z), Label.CLUTTER))
+    assert np.isnan(found.height_m).all()
+
+
+def test_a_table_whose_floor_is_seen_below_it_is_none() -> None:
+    low_table = lying((1.0, 3.5), (1.0, 3.5), 0.25)
+    found = raised((lying((0, 5), (0, 5), 0.01), Label.FLOOR), (low_table, Label.CLUTTER))
+    assert np.isnan(found.height_m).all()
