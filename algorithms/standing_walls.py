@@ -62,6 +62,11 @@ class StandingWallsSettings(StepSettings):
     corner_m: float = Field(
         0.7, ge=0, description="A face is carried on to the corner with another that begins at most so far away."
     )
+    scans_few: int = Field(
+        10,
+        ge=0,
+        description="A face that fewer scans saw, and that runs along and across no others, is a thing's.",
+    )
     hidden_distance_m: float = Field(0.04, gt=0, description="Half thickness in metres of a hidden wall's returns.")
     hidden_passed_max: float = Field(
         0.2, ge=0, lt=1, description="Share of a hidden wall's rays that may pass it: scatter, and the poses' errors."
@@ -85,6 +90,8 @@ class FaceVerdict(IntEnum):
     """Rays pass above it, below the ceiling: a leaf, a cupboard, a partition."""
     HANGS = 2
     """Rays pass below it over a longer stretch than an opening has, or the robot drove along it: a duct, a beam."""
+    ALONE = 3
+    """Few scans saw it, and it runs along and across no others: the side of a thing."""
 
 
 @dataclass(frozen=True)
@@ -414,7 +421,7 @@ def find_hidden_walls(
         np.ones(2 * len(found), np.int32),
         np.zeros(2 * len(found)),
     )
-    both = both.select(~_before_a_face(both, walls, _NOISE_M))
+    both = both.select(~_before_a_face(both, walls, _NOISE_M) & ~_faces_a_face(both, walls, _BEFORE_M))
     before = _before_a_face(both, walls, _BEFORE_M)
     cells = trace(both)
     clear_m = clear_heights(column_places(both, cells.first), votes, settings.ceiling_near_m)
@@ -438,22 +445,18 @@ def find_hidden_walls(
         bridged = _long_runs(proven, 1, bridge=int(settings.hidden_gap_m / CELL_M)) & ~contradicted
         for first, after in _runs(bridged):
             part = slice(own.start + first, own.start + after)
-            reaches = np.mean(columns.upper_on[part] > 0) > 0.5
-            if before[w]:
-                # A pillar shows from floor to ceiling; what else stands or hangs before a wall does not.
-                reaches &= _upright_share(cells, part, _median_m(clear_m[part])) > _PILLAR_SHARE
+            reaches = np.mean(columns.upper_on[part] > 0) > 0.5 and np.mean(proven[first:after]) > 0.5
+            on_rows, passed_rows = _rows_on_and_passed(cells.counts[part], _median_m(clear_m[part]))
+            # A duct's underside and the ceiling next to it are rows of returns, with nothing between them and the floor.
+            reaches &= np.count_nonzero(on_rows > passed_rows) > np.count_nonzero(passed_rows > on_rows)
+            # A pillar shows from floor to ceiling; what else stands or hangs before a wall does not.
+            reaches &= not before[w] or float(np.mean(on_rows > passed_rows)) > _PILLAR_SHARE
             counted = float((columns.upper_on[part] + columns.lower_on[part]).sum()) / (2 * _SMOOTH_COLUMNS + 1)
             if reaches and counted >= settings.hidden_returns_min and (after - first) * CELL_M >= length_min_m:
                 kept.append((w, first, after))
                 top_m.append(float(np.nanmedian(clear_m[part])))
     hidden = _cut(both, cells, kept)
     return replace(hidden, top_m=np.array(top_m))
-
-
-def _upright_share(cells: WallCells, columns: slice, clear_m: float) -> float:
-    """Share of the rows between foot and ceiling in which more rays end on these columns than pass them."""
-    on, passed = _rows_on_and_passed(cells.counts[columns], clear_m)
-    return float(np.mean(on > passed))
 
 
 def _before_a_face(candidates: Walls, walls: Walls, before_m: float) -> BoolArray:
@@ -471,6 +474,26 @@ def _before_a_face(candidates: Walls, walls: Walls, before_m: float) -> BoolArra
             & (np.abs(distance) < before_m)
         )
     return before
+
+
+def _faces_a_face(candidates: Walls, walls: Walls, apart_m: float) -> BoolArray:
+    """(k,) whether a known face looks at each candidate from so near: nobody sees the one from before the other."""
+    faces = np.zeros(len(candidates), bool)
+    middle = candidates.ends.mean(axis=1)
+    for ends, normal in zip(walls.ends, walls.normal, strict=True):
+        along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        place, distance = (middle - ends[0]) @ along, (middle - ends[0]) @ normal
+        beside = (place > 0) & (place < np.linalg.norm(ends[1] - ends[0]))
+        faces |= (candidates.normal @ normal < -0.9) & beside & (distance > 0) & (distance < apart_m)
+    return faces
+
+
+def along_others(walls: Walls) -> BoolArray:
+    """(W,) whether a face runs along or across a good part of the building's others."""
+    directions = _directions(walls)
+    if not len(directions):
+        return np.ones(len(walls), bool)
+    return np.asarray(np.abs(walls.normal @ directions.T).max(axis=1) > np.cos(np.radians(5.0)))
 
 
 def _directions(walls: Walls) -> FloatArray:

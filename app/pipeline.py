@@ -49,6 +49,7 @@ from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes, find_halo, fus
 from algorithms.standing_walls import (
     FaceVerdict,
     JudgedFaces,
+    along_others,
     clear_heights,
     column_places,
     find_hidden_walls,
@@ -579,10 +580,13 @@ def _build(
 
     def judge(faces: Walls) -> JudgedFaces:
         faces = join_corners(faces, settings.standing_walls.corner_m)
+        alone = (faces.scan_count < settings.standing_walls.scans_few) & ~along_others(faces)
+        faces, refused = faces.select(~alone), faces.select(alone)
         cells = trace(faces)
         clear_m = clear_heights(column_places(faces, cells.first), votes, settings.standing_walls.ceiling_near_m)
         path = trajectory.T_map_base[:, :2, 3]
-        return judge_faces(faces, cells, clear_m, path, settings.building.length_min_m, settings.standing_walls)
+        judged = judge_faces(faces, cells, clear_m, path, settings.building.length_min_m, settings.standing_walls)
+        return judged.refuse(refused, FaceVerdict.ALONE)
 
     judged = judge(fuse_walls(planes, settings.building))
     windows = find_windows(judged.walls, trace(judged.walls), settings.building)

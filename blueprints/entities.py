@@ -48,6 +48,7 @@ BUILDING_REASONS = "/world/building/reasons"
 REFUSALS = {
     FaceVerdict.ENDS_LOW: "rays pass above it, below the ceiling (a leaf, a cupboard)",
     FaceVerdict.HANGS: "rays pass below it (a duct, a beam)",
+    FaceVerdict.ALONE: "few scans saw it, and it runs along and across no others (a thing's side)",
 }
 CLOUD = "/world/building/cloud"
 CLOUD_CEILING = "/world/building/ceiling"

@@ -11,6 +11,7 @@ from algorithms.semantic_map import VoxelVotes, vote
 from algorithms.standing_walls import (
     FaceVerdict,
     StandingWallsSettings,
+    along_others,
     clear_heights,
     find_hidden_walls,
     join_corners,
@@ -172,11 +173,16 @@ def test_the_ceiling_over_a_place_is_known_where_it_was_seen():
 
 
 def hidden(
-    votes: VoxelVotes, passed_above_m: float | None = None, path_x: float = 0.0, hip_m: float = 0.0, behind: bool = False
+    votes: VoxelVotes,
+    passed_above_m: float | None = None,
+    path_x: float = 0.0,
+    hip_m: float = 0.0,
+    known: Walls | None = None,
+    unseen_m: float = 0.0,
 ) -> Walls:
     """What is found; rays end on every candidate that lies on x = 3, seen from smaller x, and pass the others.
 
-    hip_m: from there to a door's head a few rays pass. behind: whether a known wall stands 20 cm behind.
+    hip_m: from there to a door's head a few rays pass. unseen_m: up to there no ray comes. known: a wall beside it.
     """
 
     def trace(candidates: Walls) -> WallCells:
@@ -193,11 +199,13 @@ def hidden(
             if on and hip_m:
                 between = slice(int(hip_m / CELL_M), int(2.1 / CELL_M))
                 counts[own, between, FILLED], counts[own, between, THROUGH] = 0.0, 0.1
+            counts[own, : int(unseen_m / CELL_M)] = 0.0
         return WallCells(first, 60, counts)
 
-    known = faces(((-1, 0), (5, 0)), ((3.2, 0), (3.2, 3))) if behind else faces(((-1, 0), (5, 0)))
+    others = faces(((-1, 0), (5, 0)))
+    others = others if known is None else others.append(known)
     path = np.column_stack([np.full(50, path_x), np.linspace(0.2, 2.8, 50)])
-    return find_hidden_walls(votes, known, NO_WALLS, path, trace, 0.25, SETTINGS)
+    return find_hidden_walls(votes, others, NO_WALLS, path, trace, 0.25, SETTINGS)
 
 
 def test_a_wall_that_no_scan_alone_told_is_found():
@@ -210,10 +218,26 @@ def test_a_wall_that_no_scan_alone_told_is_found():
 
 
 def test_a_pillar_before_a_wall_shows_from_floor_to_ceiling():
-    assert len(hidden(room(), behind=True)) == 1
+    behind = faces(((3.2, 0), (3.2, 3)))
+    assert len(hidden(room(), known=behind)) == 1
     # A bench, and a duct above it.
-    assert len(hidden(room(), hip_m=0.6)) == 1
-    assert len(hidden(room(), hip_m=0.6, behind=True)) == 0
+    assert len(hidden(room(), hip_m=0.6)) == 0
+    assert len(hidden(room(), hip_m=0.6, known=behind)) == 0
+    # What furniture hides may be wall, but for what stands before one.
+    assert len(hidden(room(), unseen_m=1.2)) == 1
+    assert len(hidden(room(), unseen_m=1.2, known=behind)) == 0
+
+
+def test_between_two_walls_that_look_at_each_other_there_is_room():
+    assert len(hidden(room(), known=faces(((2.8, 3), (2.8, 0))))) == 0
+    assert len(hidden(room(), known=faces(((2.0, 3), (2.0, 0))))) == 1
+
+
+def test_a_face_alone_runs_along_and_across_no_others():
+    room_of_four = [((0, 0), (8, 0)), ((8, 0), (8, 6)), ((8, 6), (0, 6)), ((0, 6), (0, 0))]
+    diagonal, pillar = ((1.0, 1.0), (1.5, 1.4)), ((2.0, 2.0), (2.3, 2.01))
+    assert along_others(faces(*room_of_four, diagonal, pillar)).tolist() == [True] * 4 + [False, True]
+    assert len(along_others(NO_WALLS)) == 0
 
 
 def test_furniture_lower_than_the_ceiling_is_no_hidden_wall():
