@@ -27,7 +27,7 @@ def build(
     """
     about: list[rrb.Container | rrb.View] = [_metrics(), rrb.TextDocumentView(origin=entities.README, name="Read me")]
     if ring_count is None:
-        return _blueprint([_odometry(), *about], entities.STAMP_TIMELINE, several)
+        return _blueprint([_odometry(None), *about], entities.STAMP_TIMELINE, several)
     building = [
         _building(centre_m, extent_m),
         maps.tab(centre_m, extent_m, evaluated),
@@ -35,7 +35,7 @@ def build(
     ]
     if not scans:
         # The map alone: its tabs without the scan's views, which would be empty.
-        tabs = [*building, _map(centre_m, extent_m), _odometry(), *about]
+        tabs = [*building, _map(centre_m, extent_m), _odometry(_from_above(centre_m, extent_m)), *about]
         tabs = [_evaluation(centre_m, extent_m, scans=False), *tabs] if evaluated else tabs
         return _blueprint(tabs, entities.SCAN_TIMELINE, several)
     overview = rrb.Vertical(
@@ -44,7 +44,7 @@ def build(
         row_shares=[1, 1],
         name="At a glance",
     )
-    tabs = [overview, _method(ring_count), *building, _odometry(), *about]
+    tabs = [overview, _method(ring_count), *building, _odometry(_from_above(centre_m, extent_m)), *about]
     tabs = [_evaluation(centre_m, extent_m), *tabs] if evaluated else tabs
     return _blueprint(tabs, entities.SCAN_TIMELINE, several)
 
@@ -224,8 +224,14 @@ def _method(ring_count: int) -> rrb.Container:
     )
 
 
-def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
+def _from_above(centre_m: tuple[float, float], extent_m: float) -> rrb.EyeControls3D:
+    """Aslant from above, the whole building in view."""
     x, y = centre_m
+    position = (x - 0.2 * extent_m, y - 0.55 * extent_m, 0.75 * extent_m)
+    return rrb.EyeControls3D(position=position, look_target=(x, y, 0.0))
+
+
+def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
     return rrb.Horizontal(
         rrb.Spatial3DView(
             origin=entities.WORLD,
@@ -241,9 +247,7 @@ def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
             overrides={
                 entities.DOORS: rr.LineStrips3D.from_fields(show_labels=True),
             },
-            eye_controls=rrb.EyeControls3D(
-                position=(x - 0.2 * extent_m, y - 0.55 * extent_m, 0.75 * extent_m), look_target=(x, y, 0.0)
-            ),
+            eye_controls=_from_above(centre_m, extent_m),
             line_grid=rrb.LineGrid3D(visible=False),
         ),
         rrb.Vertical(
@@ -255,12 +259,14 @@ def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
     )
 
 
-def _odometry() -> rrb.Container:
+def _odometry(eye: rrb.EyeControls3D | None) -> rrb.Container:
+    """eye: None where nothing says how large the place is."""
     return rrb.Horizontal(
         rrb.Spatial3DView(
             origin=entities.WORLD,
             contents=[f"{entities.ODOMETRY}/**", f"{entities.POSE_GRAPH}/**", entities.TRAJECTORY],
             name="What was registered, and loops (timeline stamp)",
+            eye_controls=eye,
             overrides={entities.TRAJECTORY: until_now()},
         ),
         rrb.Vertical(
