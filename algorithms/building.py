@@ -41,7 +41,8 @@ _BESIDE_COLUMNS = 8
 _JAMB_WALL_COLUMNS = 2
 """Of so many columns beside a door at least so many show its wall, on one side of it."""
 _NEXT_WALL_M, _LEADS_M = 0.2, 0.9
-"""Another wall that faces the same way, so close behind an opening, leaves no room that it could lead to."""
+_PARALLEL_DEG, _HIDDEN_SHARE = 5.0, 0.8
+"""Another wall that faces the same way, so close behind an opening and all of it, leaves no room that it could lead to."""
 
 _REVEAL_MIN_M = 0.03
 _LEAF_COLUMNS = 30
@@ -388,13 +389,19 @@ def find_doors(
 
 
 def _leads_somewhere(door: "_Door", walls: Walls) -> bool:
-    """Whether an opening has room behind it: below a duct, and beside a cupboard under it, the next wall is close."""
-    middle = door.ends.mean(axis=0)
+    """Whether an opening has room behind it: below a duct, and beside a cupboard under it, the next wall is close.
+
+    What hides a part of it, or stands aslant, may be its own leaf ajar, or what the room behind it is furnished with.
+    """
+    if door.state == DoorState.CLOSED:
+        return True
     for ends, normal in zip(walls.ends, walls.normal, strict=True):
         length_m = float(np.linalg.norm(ends[1] - ends[0]))
-        place_m = float((middle - ends[0]) @ (ends[1] - ends[0])) / length_m
-        before_m = float((middle - ends[0]) @ normal)
-        if door.normal @ normal > 0.8 and 0 < place_m < length_m and _NEXT_WALL_M < before_m < _LEADS_M:
+        place_m = np.sort((door.ends - ends[0]) @ (ends[1] - ends[0]) / length_m)
+        hidden = (min(place_m[1], length_m) - max(place_m[0], 0.0)) / (place_m[1] - place_m[0])
+        before_m = float((door.ends.mean(axis=0) - ends[0]) @ normal)
+        parallel = door.normal @ normal > np.cos(np.radians(_PARALLEL_DEG))
+        if parallel and hidden > _HIDDEN_SHARE and _NEXT_WALL_M < before_m < _LEADS_M:
             return False
     return True
 

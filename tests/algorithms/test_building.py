@@ -122,6 +122,12 @@ def test_an_opening_leads_somewhere(behind_m: float, found: int) -> None:
     behind = replace(WALL, ends=WALL.ends + np.array([0.0, behind_m]))
     nothing = WallCells(np.array([0, 80, 160]), 66, np.concatenate([seen.counts, np.zeros_like(seen.counts)]))
     assert len(find_doors(WALL.append(behind), nothing, SETTINGS)) == found
+    # A cupboard in the room behind hides a part of the doorway, a leaf ajar stands aslant.
+    part = replace(behind, ends=np.array([[[1.9, behind_m], [4.0, behind_m]]]))
+    assert len(find_doors(WALL.append(part), nothing, SETTINGS)) == 1
+    turn = np.array([[np.cos(0.15), np.sin(0.15)], [-np.sin(0.15), np.cos(0.15)]])
+    aslant = replace(behind, normal=behind.normal @ turn)
+    assert len(find_doors(WALL.append(aslant), nothing, SETTINGS)) == 1
     # The other side of the wall, or of the room, looks this way.
     across = replace(behind, normal=-WALL.normal)
     assert len(find_doors(WALL.append(across), nothing, SETTINGS)) == 1
