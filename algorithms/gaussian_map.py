@@ -14,6 +14,8 @@ from algorithms import transforms
 from algorithms.scan import FloatArray
 
 _FOR_EVER = 2_000_000_000
+_CLEAR_CYCLE = 10
+"""Insertions from one clearing of the map to the next."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,7 @@ class GaussianMap:
 
     def __init__(self, voxel_m: float, memory: int | None = None) -> None:
         self._map = small_gicp.GaussianVoxelMap(voxel_m)
-        kept = _FOR_EVER if memory is None else memory
-        self._map.set_lru(horizon=kept, clear_cycle=_FOR_EVER if memory is None else _CLEAR_CYCLE)
+        self._map.set_lru(horizon=_FOR_EVER if memory is None else memory, clear_cycle=_CLEAR_CYCLE)
 
     def insert(self, cloud: GaussianCloud, T_map_cloud: FloatArray) -> None:
         """Add a cloud where it was seen."""
@@ -86,7 +87,3 @@ class GaussianMap:
             found.num_inliers / len(cloud),
             np.array(found.H),
         )
-
-
-_CLEAR_CYCLE = 10
-"""Insertions from one clearing of the map to the next."""

@@ -101,15 +101,18 @@ class Odometry:
     @property
     def trajectory(self) -> Trajectory:
         """T_odom_base of the scans so far; of all of them with the loops closed."""
-        T_odom_sensor = np.array(self._T_odom_sensor).reshape(-1, 4, 4)
+        T_odom_sensor = self._all_poses()
         if self.pose_graph is not None:
             T_odom_sensor = self.pose_graph.corrected(T_odom_sensor)
         return Trajectory(np.array(self._stamps, np.int64), T_odom_sensor @ self._T_sensor_base)
 
-    def correction(self) -> FloatArray:
-        """(n, 4, 4) what closing the loops did to each scan's pose, in the odometry's frame."""
-        before = np.array(self._T_odom_sensor).reshape(-1, 4, 4) @ self._T_sensor_base
-        return self.trajectory.T_map_base @ transforms.invert(before)
+    @property
+    def before_loops(self) -> Trajectory:
+        """T_odom_base of the scans so far, as they were registered."""
+        return Trajectory(np.array(self._stamps, np.int64), self._all_poses() @ self._T_sensor_base)
+
+    def _all_poses(self) -> FloatArray:
+        return np.array(self._T_odom_sensor).reshape(-1, 4, 4)
 
 
 def is_cached(folder: Path) -> bool:

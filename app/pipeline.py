@@ -414,23 +414,24 @@ class _ScanStage:
                 f"registration was weak for {len(self._weak)} of {len(odometry)} scans (the first: {self._weak[0]}); poses "
                 "may be off there: see the recording's tab Odometry"
             )
-        level = level_by_first_scans(self._inputs, odometry.trajectory, self._settings)
+        trajectory = odometry.trajectory
+        level = level_by_first_scans(self._inputs, trajectory, self._settings)
         if not np.isfinite(level.floor_rms_m):
             self._warn("no floor was found in the first seconds: the map keeps the base's own level; is the rig right?")
         self._floor_slope = level.floor_slope
-        self._take_loops(odometry, level.T_map_odom)
-        return odometry.trajectory.moved(level.T_map_odom)
+        self._take_loops(odometry, trajectory, level.T_map_odom)
+        return trajectory.moved(level.T_map_odom)
 
-    def _take_loops(self, odometry: Odometry, T_map_odom: FloatArray) -> None:
-        """Count the loops, and record what they did to the poses."""
-        graph, trajectory, T_correction = odometry.pose_graph, odometry.trajectory, odometry.correction()
+    def _take_loops(self, odometry: Odometry, trajectory: Trajectory, T_map_odom: FloatArray) -> None:
+        """Count the loops, and record what they did to the poses; trajectory: T_odom_base with them closed."""
+        graph, before = odometry.pose_graph, odometry.before_loops
         if graph is not None:
             self._state.counts["loops"] = int(np.count_nonzero(graph.is_loop & (graph.weight > 0)))
         if self._recorder:
+            T_correction = trajectory.T_map_base @ transforms.invert(before.T_map_base)
             self._recorder.log_odometry_frame(trajectory.stamp_ns, T_map_odom @ T_correction)
             if graph is not None:
-                before = transforms.invert(T_correction) @ trajectory.T_map_base
-                moved_m = np.linalg.norm((trajectory.T_map_base - before)[:, :3, 3], axis=1)
+                moved_m = np.linalg.norm((trajectory.T_map_base - before.T_map_base)[:, :3, 3], axis=1)
                 self._recorder.log_pose_graph(graph, T_map_odom, trajectory.stamp_ns, moved_m)
 
     def label(self, trajectory: Trajectory) -> None:

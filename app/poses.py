@@ -98,5 +98,6 @@ def poses_of(inputs: Inputs, given: Trajectory | None, settings: Settings) -> Ru
     deque(odometry, maxlen=0)
     if not len(odometry):
         raise InputError(f"{inputs.bag_path}: {sensor.lidar.topic} has no usable cloud; 'ffmap info' tells more")
-    level = level_by_first_scans(inputs, odometry.trajectory, settings)
-    return RunPoses(odometry.trajectory.moved(level.T_map_odom), level.floor_slope, odometry.from_cache)
+    trajectory = odometry.trajectory
+    level = level_by_first_scans(inputs, trajectory, settings)
+    return RunPoses(trajectory.moved(level.T_map_odom), level.floor_slope, odometry.from_cache)
