@@ -13,6 +13,7 @@ from pydantic import Field
 
 from algorithms.doors import DoorState
 from algorithms.features import Features
+from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from algorithms.settings import StepSettings
 from algorithms.wall_planes import fit_upright_plane
@@ -24,7 +25,10 @@ RANGE_M = 12.0
 """Rays from farther away say too little of a wall's cells."""
 
 _FILLED, _SUM, _SQUARES, _THROUGH = range(4)
+_FLOOR, _CEILING = int(Label.FLOOR), int(Label.CEILING)
 
+_AT_FACE_M = 0.06
+"""A return so close to a face may be its own, displaced by noise along the ray and by the pose's error."""
 _OWN_MARGIN_M = 0.2
 """A scan's own plane of a wall holds so many metres beyond what the scan saw of it."""
 _FOOT_M = 0.15
@@ -79,7 +83,9 @@ class BuildingSettings(StepSettings):
         description="A return at most so many metres behind a wall's face is a leaf; deeper, it went through.",
     )
     recess_min_m: float = Field(
-        0.02, gt=0, description="Least depth in metres of a closed leaf behind the wall. III.C."
+        0.016,
+        gt=0,
+        description="Least depth in metres of a closed leaf behind the wall: III.C's 2 cm, less what poses are off.",
     )
     door_width_min_m: float = Field(0.6, gt=0, description="Narrowest door in metres.")
     door_width_max_m: float = Field(2.6, gt=0, description="Widest door in metres.")
@@ -100,6 +106,7 @@ class BuildingSettings(StepSettings):
     opaque_min: float = Field(
         0.9, ge=0, le=1, description="Share of a closed leaf's rays that end on it; a pane lets more of them through."
     )
+    confidence_min: float = Field(0.2, ge=0, le=1, description="What is less sure than this to be a door is none.")
     rays_min: int = Field(6, ge=1, description="Fewest rays that decide on a column of a wall, 5 cm wide.")
 
 
@@ -332,19 +339,19 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
             np.ascontiguousarray(block.floor_map, np.float64),
             block.ray_starts,
             np.ascontiguousarray(block.ray_end_map, np.float32),
+            block.ray_label,
             block.plane_starts,
             np.ascontiguousarray(block.plane_ends_map, np.float64),
             np.ascontiguousarray(block.plane_normal, np.float64),
             settings.near_m,
+            _AT_FACE_M,
             2.0 * settings.distance_m,
             float(np.cos(np.radians(settings.angle_deg))),
         )
     return WallCells(first, rows, counts)
 
 
-def find_doors(
-    walls: Walls, cells: WallCells, settings: BuildingSettings, windows: Windows = NO_WINDOWS
-) -> Doors:
+def find_doors(walls: Walls, cells: WallCells, settings: BuildingSettings, windows: Windows = NO_WINDOWS) -> Doors:
     """Doors: columns with wall above and, below, either nothing for the rays to hit or a recessed leaf.
 
     Columns next to each other that agree make a door, if it is as wide as doors are. What was seen in both faces of a
@@ -505,7 +512,7 @@ def place_frames(doors: Doors, walls: Walls, blocks: Iterable[Features], setting
 
 
 def drop_doubtful(doors: Doors, settings: BuildingSettings) -> Doors:
-    """The doors without what is too narrow for one, and without "closed" ones that are rather a wall or a pane.
+    """The doors without what is too narrow for one or too unsure, and without "closed" ones that are rather a wall or a pane.
 
     A leaf's recess of centimetres shows from nearby only: at least `scans_min` scans have to have seen it so. A leaf is
     set back by a step, as high as doors are; a wall that the poses' tilt leans back comes forward little by little, and
@@ -522,7 +529,8 @@ def drop_doubtful(doors: Doors, settings: BuildingSettings) -> Doors:
         | (doors.head_m > highest_m)
         | (doors.agreement < settings.opaque_min)
     )
-    return doors.select(~narrow & ~(doubtful & (doors.state == DoorState.CLOSED)))
+    unsure = narrow | (doors.confidence < settings.confidence_min)
+    return doors.select(~unsure & ~(doubtful & (doors.state == DoorState.CLOSED)))
 
 
 def _edge_m(counts: IntArray) -> float | None:
@@ -579,7 +587,9 @@ def _count_at_frames(
                 distance_m,
                 cos_angle,
             )
-            middle = (ends[d, 0, 0] - wall_ends[d, 0, 0]) * dx + (ends[d, 0, 1] - wall_ends[d, 0, 1]) * dy + 0.5 * length
+            middle = (
+                (ends[d, 0, 0] - wall_ends[d, 0, 0]) * dx + (ends[d, 0, 1] - wall_ends[d, 0, 1]) * dy + 0.5 * length
+            )
             if not start < middle < stop:
                 nx, ny = wall_normal[d, 0], wall_normal[d, 1]
                 offset = nx * wall_ends[d, 0, 0] + ny * wall_ends[d, 0, 1]
@@ -756,7 +766,9 @@ def find_windows(walls: Walls, cells: WallCells, settings: BuildingSettings) -> 
         opened = _look_for_doors(counts, walls.top_m[w], settings).is_open
         panes = [(first, last) for first, last in stretches(opened, 2) if _is_pane(counts[first : last + 1], settings)]
         may_be, is_sill = _above_sill(counts, walls.top_m[w], settings)
-        sills = [(first, last) for first, last in stretches(may_be, 4) if is_sill[first : last + 1].sum() >= _SILL_COLUMNS]
+        sills = [
+            (first, last) for first, last in stretches(may_be, 4) if is_sill[first : last + 1].sum() >= _SILL_COLUMNS
+        ]
         high = counts[:, int(_KNEE_M / CELL_M) : int(settings.door_height_min_m / CELL_M)].sum(axis=1)
         for first, last in panes + sills:
             rows = counts[first : last + 1].sum(axis=0)
@@ -846,6 +858,15 @@ def _is_pane(counts: FloatArray, settings: BuildingSettings) -> bool:
     return sheet is not None and sheet.returns >= settings.pane_share_min * float(inner[..., _THROUGH].sum())
 
 
+def _is_open_to_floor(counts: FloatArray, settings: BuildingSettings) -> bool:
+    """Whether rays pass an opening's columns (c, rows, 4) at its foot: what stands before a window may hide its sill."""
+    foot = counts[:, int(_FOOT_M / CELL_M) : int(_KNEE_M / CELL_M)].sum(axis=(0, 1))
+    return bool(
+        foot[_THROUGH] >= settings.rays_min
+        and foot[_THROUGH] > settings.agreement_min * (foot[_THROUGH] + foot[_FILLED])
+    )
+
+
 def _with_neighbours(counts: FloatArray) -> FloatArray:
     """Each column with the counts of the two beside it: an emitter's lines may stand farther apart than a column is."""
     summed = counts.copy()
@@ -883,7 +904,11 @@ def _look_for_doors(counts: FloatArray, top_m: float, settings: BuildingSettings
     low, knee = int(_FOOT_M / CELL_M), int(0.6 / CELL_M)
     high, above = int(settings.door_height_min_m / CELL_M), int(settings.door_height_max_m / CELL_M)
     top = int(max(top_m - 0.1, 0) / CELL_M)
-    lintel = smooth[:, min(above, max(top - 4, 0)) : top].sum(axis=1)
+    above_head = smooth[:, min(above, max(top - 4, 0)) : top]
+    # What hangs behind a lintel is seen below it, and would pull its mean back.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        on_face = np.abs(above_head[..., _SUM] / above_head[..., _FILLED]) < _AT_FACE_M
+    lintel = (above_head * on_face[..., None]).sum(axis=1)
     below, foot = smooth[:, low:high].sum(axis=1), smooth[:, low:knee].sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         lintel_m = lintel[:, _SUM] / lintel[:, _FILLED]
@@ -894,7 +919,7 @@ def _look_for_doors(counts: FloatArray, top_m: float, settings: BuildingSettings
         depth_m = lintel_m - mean_m
         foot_depth_m = lintel_m - foot[:, _SUM] / foot[:, _FILLED]
     decided = below[:, _THROUGH] + below[:, _FILLED] >= settings.rays_min
-    wall_above = (lintel[:, _FILLED] >= 2) & (lintel[:, _THROUGH] <= lintel[:, _FILLED]) & (np.abs(lintel_m) < 0.06)
+    wall_above = (lintel[:, _FILLED] >= 2) & (above_head[..., _THROUGH].sum(axis=1) <= lintel[:, _FILLED])
     is_open = decided & wall_above & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)
     is_closed = (
         decided
@@ -918,7 +943,8 @@ def _doors_in(w: int, walls: Walls, cells: WallCells, settings: BuildingSettings
     for state, flags in ((DoorState.OPEN, found.is_open), (DoorState.CLOSED, found.is_closed)):
         for first, last in stretches(flags, 2):
             if state == DoorState.OPEN:
-                if _is_pane(counts[first : last + 1], settings):
+                opening = counts[first : last + 1]
+                if _is_pane(opening, settings) or not _is_open_to_floor(opening, settings):
                     continue
                 first, last = _to_jambs(counts[:, low:high].sum(axis=1), first, last, _LEAF_COLUMNS)
             width_m = (last + 1 - first) * CELL_M
@@ -1103,10 +1129,12 @@ def _trace(
     floor: FloatArray,
     starts: IntArray,
     ray_end: FloatArray,
+    ray_label: UInt8Array,
     plane_starts: IntArray,
     plane_ends: FloatArray,
     plane_normal: FloatArray,
     near_m: float,
+    on_face_m: float,
     distance_m: float,
     cos_angle: float,
 ) -> None:  # pragma: no cover
@@ -1148,7 +1176,9 @@ def _trace(
                 side = nx * x + ny * y - offset
                 if side > 0.1:
                     continue
-                near = side > -near_m
+                # Floor and ceiling behind an opening are no leaf: what ended there passed the face.
+                level = ray_label[r] == _FLOOR or ray_label[r] == _CEILING
+                near = side > (-on_face_m if level else -near_m)
                 if not near:
                     t = reach / (reach - side)
                     x, y, z = ox + t * (x - ox), oy + t * (y - oy), oz + t * (z - oz)

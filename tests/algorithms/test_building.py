@@ -19,6 +19,7 @@ from algorithms.building import (
     find_windows,
     prove_crossed,
     seen_through,
+    trace_rays,
     without_rays_through,
 )
 from algorithms.doors import DoorState
@@ -72,7 +73,7 @@ def features(origin: tuple[float, float], rays: np.ndarray, planes: np.ndarray) 
     )
 
 
-@pytest.mark.parametrize(("depth_m", "found"), [(0.02, 0), (0.03, 1), (0.08, 1)])
+@pytest.mark.parametrize(("depth_m", "found"), [(0.012, 0), (0.021, 1), (0.08, 1)])
 def test_a_closed_leaf_is_recessed(depth_m: float, found: int) -> None:
     seen = cells()
     recess(seen, 0.0, 2.1, depth_m)
@@ -113,6 +114,35 @@ def opening(seen: WallCells) -> None:
     """Between x = 1.5 and 2.4 rays pass up to 2.1 m."""
     part = seen.counts[30:48, 0:42]
     part[...], part[..., THROUGH] = 0.0, 50.0
+
+
+def test_what_hangs_behind_a_lintel_does_not_hide_its_door() -> None:
+    seen = cells()
+    opening(seen)
+    # From close by, rays under the lintel rise to a duct behind it: as many returns as from the lintel itself.
+    duct = seen.counts[30:48, 46:51]
+    duct[..., FILLED], duct[..., SUM], duct[..., SQUARES] = 20.0, -10 * 0.3, 10 * 0.3**2
+    doors = find_doors(WALL, seen, SETTINGS)
+    assert doors.state.tolist() == [DoorState.OPEN]
+    np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
+
+
+def test_a_window_behind_a_desk_is_no_doorway() -> None:
+    seen = cells()
+    opening(seen)
+    seen.counts[30:48, 0:14] = 0.0  # the desk hides the wall below the pane
+    assert len(find_doors(WALL, seen, SETTINGS)) == 0
+
+
+def test_floor_and_ceiling_behind_an_opening_passed_its_face() -> None:
+    rays = np.array([[2.0, 0.2, 0.0], [2.0, 0.2, 0.0], [2.0, 0.2, 0.0], [2.0, 0.0, 0.5]])
+    scan = replace(features((2.0, -0.8), rays, np.zeros((0, 2, 2))), ray_label=np.array([1, 2, 0, 1], np.uint8))
+    seen = trace_rays(WALL, [scan], SETTINGS).counts
+    # The first two crossed the face 0.2 m above the floor; the third may be a leaf's foot, the last is on the face.
+    assert seen[40, 4].tolist() == [0.0, 0.0, 0.0, 2.0]
+    assert seen[40, 0].tolist() == pytest.approx([1.0, -0.2, 0.04, 0.0])
+    assert seen[40, 10, FILLED] == 1.0
+    assert seen[..., FILLED].sum() + seen[..., THROUGH].sum() == 4.0
 
 
 @pytest.mark.parametrize(("behind_m", "found"), [(0.1, 1), (0.5, 0), (2.0, 1)])
@@ -257,14 +287,14 @@ def test_what_frames_show_to_be_no_door_is_dropped() -> None:
         (2.05, 9, 0.9, 0.7, closed),  # rays pass it: a pane, met straight on
         (2.05, 9, 0.9, 0.7, opened),
         (2.05, 9, 0.2, 1.0, opened),  # the rays left little of it
+        (2.05, 9, 0.9, 0.1, opened),  # few of its columns show it
     ]
     head_m, scan_count, width_m, agreement, state = (np.array(column) for column in zip(*kinds, strict=True))
     shape = {f.name: getattr(NO_DOORS, f.name) for f in fields(Doors)}
     doors = Doors(**{name: np.zeros((len(kinds), *v.shape[1:]), v.dtype) for name, v in shape.items()})
     doors.ends[:, 1, 0] = width_m
-    doors = replace(
-        doors, head_m=head_m, scan_count=scan_count, agreement=agreement, state=state.astype(np.uint8)
-    )
+    doors = replace(doors, head_m=head_m, scan_count=scan_count, agreement=agreement, state=state.astype(np.uint8))
+    doors = replace(doors, confidence=agreement)
     kept = drop_doubtful(doors, BuildingSettings())
     np.testing.assert_array_equal(kept.head_m, head_m[[0, 3, 5, 7]])
     np.testing.assert_array_equal(kept.state, [closed, opened, opened, opened])
