@@ -51,6 +51,8 @@ _PARALLEL_DEG, _HIDDEN_SHARE = 5.0, 0.8
 _REVEAL_MIN_M = 0.03
 _LEAF_COLUMNS = 30
 """A leaf that is ajar, or the closed one of two, covers at most so many columns beside the open ones."""
+_EMPTY_COLUMNS, _EMPTY_SHARE = 20, 0.2
+"""So far a window goes on where so small a share returns of what returns below it."""
 _REVEAL_COLUMNS = 3
 """A reveal that is seen at a slant hides so many columns of an opening at most."""
 _FRAME_BIN_M = 0.01
@@ -777,12 +779,31 @@ def find_windows(walls: Walls, cells: WallCells, settings: BuildingSettings) -> 
                 continue
             pane_m = _pane_m(counts[first : last + 1, clear[0] : clear[-1] + 1], settings)
             first, last = _to_jambs(high, first, last, _REVEAL_COLUMNS)
+            first, last = _over_empty_columns(counts, clear[0], clear[-1] + 1, first, last)
             ends = walls.ends[w, 0] + along * CELL_M * np.array([[first], [last + 1]])
             found.append((ends, walls.normal[w], CELL_M * clear[0], CELL_M * (clear[-1] + 1), pane_m))
     if not found:
         return NO_WINDOWS
     ends_of_all, normal, bottom_m, top_m, panes_m = zip(*found, strict=True)
     return Windows(np.array(ends_of_all), np.array(normal), np.array(bottom_m), np.array(top_m), np.array(panes_m))
+
+
+def _over_empty_columns(counts: FloatArray, bottom: int, top: int, first: int, last: int) -> tuple[int, int]:
+    """A window's columns, with those beside it that return next to nothing between its sill and its head, but do below it.
+
+    Glass that is met at a slant sends the rays elsewhere.
+
+    counts: (columns, rows, 4) of the whole face; bottom, top: the window's rows.
+    """
+    below = counts[:, int(_FOOT_M / CELL_M) : bottom, _FILLED]
+    usual = below.mean(axis=1) if below.shape[1] else np.zeros(len(counts))
+    empty = counts[:, bottom:top, _FILLED].mean(axis=1) < _EMPTY_SHARE * usual
+    for _ in range(_EMPTY_COLUMNS):
+        if first > 0 and empty[first - 1]:
+            first -= 1
+        if last + 1 < len(empty) and empty[last + 1]:
+            last += 1
+    return first, last
 
 
 def _pane_m(counts: FloatArray, settings: BuildingSettings) -> float:

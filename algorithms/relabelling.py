@@ -42,9 +42,9 @@ class RelabellingSettings(StepSettings):
     refused_m: float = Field(
         0.06, ge=0, description="What a scan calls wall at most so many metres off a refused face is clutter."
     )
-    pane_m: float = Field(0.02, gt=0, description="More than so many metres behind a pane a return is outside.")
+    pane_m: float = Field(0.0, ge=0, description="More than so many metres behind a pane a return is outside.")
     behind_glass_m: float = Field(
-        0.16,
+        0.12,
         gt=0,
         description="The same behind a window's wall, where the pane returned nothing and its place is not known.",
     )

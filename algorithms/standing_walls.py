@@ -37,6 +37,8 @@ _GOES_ON_SHARE = 0.95
 _NOISE_M, _BEFORE_M = 0.1, 0.5
 """So close to a face are its noise, boards and rails; so far before it a pillar stands."""
 _PILLAR_SHARE = 0.8
+_BELOW_CEILING_M, _ABOVE_HEADS_M = 0.3, 2.4
+"""What is seen neither so close below the ceiling nor so far up is a leaf, or the reveal of a window."""
 _SCATTERED_RAYS = 2
 _DIRECTION_SHARE = 0.04
 """A direction that fewer of the walls' metres have is a leaf's."""
@@ -428,7 +430,7 @@ def find_hidden_walls(
     visited = _visited(both, cells, path_map, settings.robot_m)
     columns = _count_columns(cells, clear_m, settings)
     kept: list[tuple[int, int, int]] = []
-    top_m: list[float] = []
+    ceiling_m: list[float] = []
     for w in range(len(both)):
         own = slice(int(cells.first[w]), int(cells.first[w + 1]))
         on = columns.upper_on[own] + columns.lower_on[own]
@@ -443,20 +445,39 @@ def find_hidden_walls(
         )
         contradicted = (passed > 2 * _SCATTERED_RAYS) & ~proven
         bridged = _long_runs(proven, 1, bridge=int(settings.hidden_gap_m / CELL_M)) & ~contradicted
+        bridged &= ~_crossed_by(walls, both, w, own.stop - own.start)
         for first, after in _runs(bridged):
             part = slice(own.start + first, own.start + after)
             reaches = np.mean(columns.upper_on[part] > 0) > 0.5 and np.mean(proven[first:after]) > 0.5
             on_rows, passed_rows = _rows_on_and_passed(cells.counts[part], _median_m(clear_m[part]))
             # A duct's underside and the ceiling next to it are rows of returns, with nothing between them and the floor.
             reaches &= np.count_nonzero(on_rows > passed_rows) > np.count_nonzero(passed_rows > on_rows)
+            seen = np.flatnonzero(on_rows >= _SCATTERED_RAYS)
+            top_m = _FOOT_M + (seen[-1] + 1) * CELL_M if len(seen) else 0.0
+            reaches &= top_m > min(_median_m(clear_m[part]) - _BELOW_CEILING_M, _ABOVE_HEADS_M)
             # A pillar shows from floor to ceiling; what else stands or hangs before a wall does not.
             reaches &= not before[w] or float(np.mean(on_rows > passed_rows)) > _PILLAR_SHARE
             counted = float((columns.upper_on[part] + columns.lower_on[part]).sum()) / (2 * _SMOOTH_COLUMNS + 1)
             if reaches and counted >= settings.hidden_returns_min and (after - first) * CELL_M >= length_min_m:
                 kept.append((w, first, after))
-                top_m.append(float(np.nanmedian(clear_m[part])))
+                ceiling_m.append(float(np.nanmedian(clear_m[part])))
     hidden = _cut(both, cells, kept)
-    return replace(hidden, top_m=np.array(top_m))
+    return replace(hidden, top_m=np.array(ceiling_m))
+
+
+def _crossed_by(walls: Walls, candidates: Walls, w: int, count: int) -> BoolArray:
+    """(count,) the columns of one candidate at which it crosses a known face: beyond it another wall goes on, or a reveal."""
+    crossed = np.zeros(count, bool)
+    start, normal = candidates.ends[w, 0], candidates.normal[w]
+    along = (candidates.ends[w, 1] - start) / np.linalg.norm(candidates.ends[w, 1] - start)
+    for ends, other in zip(walls.ends, walls.normal, strict=True):
+        if abs(other @ normal) > _ACROSS:
+            continue
+        column = int(((ends[0] - start) @ other) / (along @ other) // CELL_M)
+        place_m = (start + (column + 0.5) * CELL_M * along - ends[0]) @ (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        if 0 <= column < count and 0.0 < place_m < np.linalg.norm(ends[1] - ends[0]):
+            crossed[column] = True
+    return crossed
 
 
 def _before_a_face(candidates: Walls, walls: Walls, before_m: float) -> BoolArray:

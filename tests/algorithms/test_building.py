@@ -216,6 +216,16 @@ def test_a_windows_pane_is_placed_by_what_it_returns() -> None:
     np.testing.assert_allclose([windows.bottom_m[0], windows.top_m[0]], [0.9, 2.2], atol=CELL_M)
 
 
+def test_a_window_goes_on_where_its_glass_returns_nothing() -> None:
+    seen = cells()
+    seen.counts[20:60, 18:44] = 0.0
+    seen.counts[30:40, 18:44, THROUGH] = 50.0
+    np.testing.assert_allclose(find_windows(WALL, seen, SETTINGS).ends[:, :, 0], [[1.0, 3.0]], atol=CELL_M)
+    # Where nothing returns from below either, nothing is known of it.
+    seen.counts[40:60, :18] = 0.0
+    np.testing.assert_allclose(find_windows(WALL, seen, SETTINGS).ends[:, :, 0], [[1.0, 2.0]], atol=2 * CELL_M)
+
+
 def test_rays_that_ended_beyond_a_window_are_left_out() -> None:
     rays = np.array(
         [

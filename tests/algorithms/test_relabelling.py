@@ -158,7 +158,7 @@ def test_reveals_of_an_open_door(point: tuple[float, float, float], expected: La
     [
         (0.05, 0.04, Label.WALL),  # on the pane: what stands before it is sill and reveal
         (0.05, 0.15, Label.OUTSIDE),
-        (np.nan, 0.15, Label.WALL),  # a pane that returned nothing may stand anywhere in its wall
+        (np.nan, 0.10, Label.WALL),  # a pane that returned nothing may stand anywhere in its wall
         (np.nan, 0.30, Label.OUTSIDE),
     ],
 )

@@ -179,10 +179,12 @@ def hidden(
     hip_m: float = 0.0,
     known: Walls | None = None,
     unseen_m: float = 0.0,
+    seen_m: float = CEILING_M,
 ) -> Walls:
     """What is found; rays end on every candidate that lies on x = 3, seen from smaller x, and pass the others.
 
-    hip_m: from there to a door's head a few rays pass. unseen_m: up to there no ray comes. known: a wall beside it.
+    hip_m: from there to a door's head a few rays pass. unseen_m, seen_m: below and above there no ray comes.
+    known: a wall beside it.
     """
 
     def trace(candidates: Walls) -> WallCells:
@@ -200,6 +202,7 @@ def hidden(
                 between = slice(int(hip_m / CELL_M), int(2.1 / CELL_M))
                 counts[own, between, FILLED], counts[own, between, THROUGH] = 0.0, 0.1
             counts[own, : int(unseen_m / CELL_M)] = 0.0
+            counts[own, int(seen_m / CELL_M) :] = 0.0
         return WallCells(first, 60, counts)
 
     others = faces(((-1, 0), (5, 0)))
@@ -226,6 +229,20 @@ def test_a_pillar_before_a_wall_shows_from_floor_to_ceiling():
     # What furniture hides may be wall, but for what stands before one.
     assert len(hidden(room(), unseen_m=1.2)) == 1
     assert len(hidden(room(), unseen_m=1.2, known=behind)) == 0
+
+
+def test_what_is_seen_no_higher_than_heads_are_is_a_leaf_or_a_reveal():
+    assert len(hidden(room(), seen_m=2.2)) == 0
+    assert len(hidden(room(), seen_m=2.6)) == 1
+
+
+def test_a_hidden_wall_ends_at_a_wall_that_it_crosses():
+    walls = hidden(room(), known=faces(((2.0, 1.2), (4.0, 1.2))))
+    along = np.sort(walls.ends[:, :, 1], axis=1)
+    np.testing.assert_allclose(along[np.argsort(along[:, 0])], [[0.5, 1.2], [1.2, 2.0]], atol=0.1)
+    # What is left beyond is as short as a window's reveal.
+    walls = hidden(room(), known=faces(((2.0, 1.8), (4.0, 1.8))))
+    np.testing.assert_allclose(np.sort(walls.ends[:, :, 1]), [[0.5, 1.8]], atol=0.1)
 
 
 def test_between_two_walls_that_look_at_each_other_there_is_room():
