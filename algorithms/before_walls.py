@@ -17,9 +17,12 @@ from algorithms.semantic_map import Halo
 from algorithms.settings import StepSettings
 from algorithms.standing_walls import column_places
 
-_FILLED, _SUM = 0, 1
+_FILLED, _SUM, _THROUGH = 0, 1, 3
+_ON_FACE_M, _FRONT_PERCENT = 0.03, 75.0
 _WALL_COLUMNS = 11
 """Columns over which the distance of the wall above is averaged."""
+_CELLS_TOGETHER = (1, 3, 5, 7)
+"""Where a cell returned too little, so many along and up tell together."""
 _BRIDGE_ROWS = 11
 _EDGE = 0.6
 """A patch of relief goes on where it is so much lower than its threshold."""
@@ -35,6 +38,9 @@ class BeforeWallsSettings(StepSettings):
     )
     above_m: float = Field(2.12, gt=0, description="Above so many metres, to the ceiling, the wall itself is seen.")
     returns_min: int = Field(8, ge=1, description="Fewest returns that tell a distance before the face.")
+    scatter_max: float = Field(
+        2.0, gt=0, description="What returns with so many times the wall's own scatter is no surface, but several."
+    )
     foot_max_m: float = Field(
         0.3,
         gt=0,
@@ -87,10 +93,15 @@ def _relief(counts: FloatArray, clear_m: FloatArray, settings: BeforeWallsSettin
     top_m = np.where(np.isfinite(clear_m), clear_m, np.inf)[:, None]
     # A face that is fitted over many metres may be off its wall by more than the relief: the wall above tells.
     above = (height_m > settings.above_m) & (height_m < top_m - 2 * CELL_M)
-    wall_m = _mean_m(
-        (counts[..., : _SUM + 1] * above[..., None]).sum(axis=1, keepdims=True), (_WALL_COLUMNS, 1), settings
-    )
-    relief_m = _mean_m(counts[..., : _SUM + 1], (1, 1), settings) - wall_m
+    wall = (counts[..., :_THROUGH] * (above & ~_reveals(counts, above))[..., None]).sum(axis=1, keepdims=True)
+    wall_m, _ = _mean_and_scatter_m(wall, (_WALL_COLUMNS, 1), settings.returns_min)
+    usual_m = _scatter_m(wall)
+    relief_m = np.full(counts.shape[:2], np.nan)
+    for size in _CELLS_TOGETHER:
+        mean_m, scatter_m = _mean_and_scatter_m(counts[..., :_THROUGH], (size, size), settings.returns_min)
+        # Of what stands some way before the wall and the wall beside it the mean says nothing.
+        mean_m = np.where(scatter_m < settings.scatter_max * usual_m, mean_m, np.nan) if size > 1 else mean_m
+        relief_m = np.where(np.isnan(relief_m), mean_m - wall_m, relief_m)
     unseen = np.isnan(relief_m)
     relief_m = np.where(unseen, 0.0, relief_m)
     before = ndimage.binary_propagation(relief_m > settings.relief_m, mask=relief_m > _EDGE * settings.relief_m)
@@ -112,14 +123,38 @@ def _relief(counts: FloatArray, clear_m: FloatArray, settings: BeforeWallsSettin
     return np.asarray(covered, bool)
 
 
-def _mean_m(counts: FloatArray, size: tuple[int, int], settings: BeforeWallsSettings) -> FloatArray:
-    """Mean distance before the face over windows of so many columns and rows; NaN where too few returned.
-
-    counts: (c, rows, 2) returns, and the sum of their distances.
-    """
-    filled, total = (ndimage.uniform_filter(counts[..., i].astype(np.float64), size) for i in (_FILLED, _SUM))
+def _reveals(counts: FloatArray, above: BoolArray) -> BoolArray:
+    """(c, rows) which cells lie behind most of those above a door's height around them: of a window's head, or beyond it."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.where(filled * size[0] * size[1] >= settings.returns_min, total / filled, np.nan))
+        mean_m = np.where(above, counts[..., _SUM] / counts[..., _FILLED], np.nan)
+    beside = _WALL_COLUMNS // 2
+    around = np.lib.stride_tricks.sliding_window_view(
+        np.pad(mean_m, ((beside, beside), (0, 0)), constant_values=np.nan), _WALL_COLUMNS, axis=0
+    )
+    front_m = np.full(len(mean_m), np.nan)
+    known = np.isfinite(around).any(axis=(1, 2))
+    front_m[known] = np.nanpercentile(around[known], _FRONT_PERCENT, axis=(1, 2))
+    return np.asarray(mean_m < front_m[:, None] - _ON_FACE_M)
+
+
+def _scatter_m(counts: FloatArray) -> float:
+    """Standard deviation of all returns (..., 3: how many, sum, sum of squares of their distances); 0 of none."""
+    filled, total, squares = counts.sum(axis=tuple(range(counts.ndim - 1)), dtype=np.float64)
+    return float(np.sqrt(max(squares / filled - (total / filled) ** 2, 0.0))) if filled else 0.0
+
+
+def _mean_and_scatter_m(
+    counts: FloatArray, size: tuple[int, int], returns_min: float
+) -> tuple[FloatArray, FloatArray]:
+    """Mean distance before the face and its standard deviation over windows of so many columns and rows; NaN where too few
+    returned.
+
+    counts: (c, rows, 3) returns, the sum of their distances, and of these squared.
+    """
+    filled, total, squares = (ndimage.uniform_filter(counts[..., i].astype(np.float64), size) for i in range(3))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean_m = np.where(filled * size[0] * size[1] >= returns_min, total / filled, np.nan)
+        return mean_m, np.sqrt(np.maximum(squares / filled - mean_m**2, 0.0))
 
 
 def covered_places(walls: Walls, before: BeforeWalls) -> FloatArray:

@@ -36,7 +36,7 @@ class RelabellingSettings(StepSettings):
     )
     margin_m: float = Field(0.05, ge=0, description="A wall face, or a window, counts so many metres beyond its ends.")
     at_reveal_m: float = Field(
-        0.07, ge=0, description="A reveal or the underside of a lintel is known to so many metres."
+        0.035, ge=0, description="A reveal or the underside of a lintel is known to so many metres."
     )
     opening_m: float = Field(0.03, ge=0, description="So many metres within the frame of an open door no wall stands.")
     refused_m: float = Field(

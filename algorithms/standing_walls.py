@@ -40,6 +40,8 @@ _PILLAR_SHARE = 0.8
 _BELOW_CEILING_M, _ABOVE_HEADS_M = 0.3, 2.4
 """What is seen neither so close below the ceiling nor so far up is a leaf, or the reveal of a window."""
 _SCATTERED_RAYS = 2
+_LEANING_DEG, _LEANING_M, _LEANING_SHARE, _LEANING_SCANS = (4.0, 20.0), 0.1, 0.9, 2.5
+"""At such angles to a face that so many times the scans saw, so close to it, and so much of it beside the other, a leaf leans."""
 _DIRECTION_SHARE = 0.04
 """A direction that fewer of the walls' metres have is a leaf's."""
 
@@ -94,6 +96,8 @@ class FaceVerdict(IntEnum):
     """Rays pass below it over a longer stretch than an opening has, or the robot drove along it: a duct, a beam."""
     ALONE = 3
     """Few scans saw it, and it runs along and across no others: the side of a thing."""
+    LEANS = 4
+    """It stands close to a longer face that more scans saw, at an angle to it: a leaf that is open against its wall."""
 
 
 @dataclass(frozen=True)
@@ -515,6 +519,25 @@ def along_others(walls: Walls) -> BoolArray:
     if not len(directions):
         return np.ones(len(walls), bool)
     return np.asarray(np.abs(walls.normal @ directions.T).max(axis=1) > np.cos(np.radians(5.0)))
+
+
+def leaning_on_others(walls: Walls) -> BoolArray:
+    """(W,) whether a face stands close to another, all along, at an angle to it: as a leaf does that is open against its wall.
+
+    Of two such the one that fewer scans saw, by far, leans.
+    """
+    along = walls.ends[:, 1] - walls.ends[:, 0]
+    length_m = np.linalg.norm(along, axis=1)
+    leans = np.zeros(len(walls), bool)
+    for w in range(len(walls)):
+        turn = np.degrees(np.arccos(np.clip(walls.normal @ walls.normal[w], -1.0, 1.0)))
+        angled = (turn > _LEANING_DEG[0]) & (turn < _LEANING_DEG[1])
+        for other in np.flatnonzero(angled & (walls.scan_count > _LEANING_SCANS * walls.scan_count[w])):
+            place_m = np.sort((walls.ends[w] - walls.ends[other, 0]) @ along[other] / length_m[other])
+            beside = min(place_m[1], length_m[other]) - max(place_m[0], 0.0)
+            apart_m = (walls.ends[w].mean(axis=0) - walls.ends[other, 0]) @ walls.normal[other]
+            leans[w] |= beside > _LEANING_SHARE * (place_m[1] - place_m[0]) and abs(apart_m) < _LEANING_M
+    return leans
 
 
 def _directions(walls: Walls) -> FloatArray:

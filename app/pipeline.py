@@ -55,6 +55,7 @@ from algorithms.standing_walls import (
     find_hidden_walls,
     join_corners,
     judge_faces,
+    leaning_on_others,
     trim_at_doorways,
 )
 from algorithms.trajectory import Trajectory
@@ -580,14 +581,15 @@ def _build(
         return _trace(faces, folder, blocks, building, windows, workers)
 
     def judge(faces: Walls) -> JudgedFaces:
-        faces = join_corners(faces, settings.standing_walls.corner_m)
+        leaning = leaning_on_others(faces)
+        leaves, faces = faces.select(leaning), join_corners(faces.select(~leaning), settings.standing_walls.corner_m)
         alone = (faces.scan_count < settings.standing_walls.scans_few) & ~along_others(faces)
         faces, refused = faces.select(~alone), faces.select(alone)
         cells = trace(faces)
         clear_m = clear_heights(column_places(faces, cells.first), votes, settings.standing_walls.ceiling_near_m)
         path = trajectory.T_map_base[:, :2, 3]
         judged = judge_faces(faces, cells, clear_m, path, settings.building.length_min_m, settings.standing_walls)
-        return judged.refuse(refused, FaceVerdict.ALONE)
+        return judged.refuse(refused, FaceVerdict.ALONE).refuse(leaves, FaceVerdict.LEANS)
 
     judged = judge(fuse_walls(planes, settings.building))
     windows = find_windows(judged.walls, trace(judged.walls), settings.building)

@@ -49,6 +49,7 @@ REFUSALS = {
     FaceVerdict.ENDS_LOW: "rays pass above it, below the ceiling (a leaf, a cupboard)",
     FaceVerdict.HANGS: "rays pass below it (a duct, a beam)",
     FaceVerdict.ALONE: "few scans saw it, and it runs along and across no others (a thing's side)",
+    FaceVerdict.LEANS: "it stands at an angle to a wall, close to it (a leaf open against its wall)",
 }
 CLOUD = "/world/building/cloud"
 CLOUD_CEILING = "/world/building/ceiling"

@@ -71,6 +71,44 @@ def test_a_shelf_is_one_thing_though_its_boards_hide_parts_of_its_back() -> None
     assert before.covered[20:40, 15:32].all()
 
 
+def sparse(low: int, high: int, depth_m: float, share: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """What is covered where two returns a cell tell of a wall, and of a thing before it in columns low to high, 1.6 m high.
+
+    share: of the thing's returns so many, spread evenly, are its own; the others are the wall's.
+    """
+    columns, rows = round(LENGTH_M / CELL_M), 60
+    generator = np.random.default_rng(5)
+    before_m = generator.normal(0, 0.01, (columns, rows, 2))
+    own = generator.uniform(size=(high - low, 32, 2)) < share
+    before_m[low:high, :32] += depth_m * own
+    counts = np.zeros((columns, rows, 4), np.float32)
+    counts[:, :56, 0] = 2.0
+    counts[:, :56, 1], counts[:, :56, 2] = before_m[:, :56].sum(axis=2), (before_m[:, :56] ** 2).sum(axis=2)
+    covered = look_before_walls(WallCells(np.array([0, columns]), rows, counts), np.full(columns, CEILING_M), SETTINGS).covered
+    return covered[low + 2 : high - 2, 4:30], np.delete(covered, np.s_[low - 4 : high + 4], axis=0)
+
+
+def test_few_returns_tell_together() -> None:
+    thing, wall = sparse(40, 60, 0.025)
+    assert thing.mean() > 0.95
+    assert not wall.any()
+    # What is farther before the wall, and hides it here and there, is no sheet that stands flat against it.
+    thing, wall = sparse(40, 60, 0.08, share=0.3)
+    assert not thing.any()
+    assert not wall.any()
+
+
+def test_the_reveal_of_a_high_window_is_not_the_wall_that_relief_is_measured_from() -> None:
+    columns, rows = round(LENGTH_M / CELL_M), 60
+    counts = np.zeros((columns, rows, 4), np.float32)
+    counts[:, :56, 0] = 40.0
+    counts[40:70, 18:47, 1] = -40.0 * 0.1
+    # Curtains hide the wall beside its head.
+    counts[34:40, 43:] = counts[70:76, 43:] = 0.0
+    cells = WallCells(np.array([0, columns]), rows, counts)
+    assert not look_before_walls(cells, np.full(columns, CEILING_M), SETTINGS).covered.any()
+
+
 def test_only_the_buildings_own_walls_have_a_halo() -> None:
     """Two cubes that scans took for wall, with a stray return beside each: on the face, and a metre before it."""
     on, off = np.array([3.02, 0.02, 1.02]), np.array([3.02, 1.02, 1.02])

@@ -16,6 +16,7 @@ from algorithms.standing_walls import (
     find_hidden_walls,
     join_corners,
     judge_faces,
+    leaning_on_others,
     trim_at_doorways,
 )
 
@@ -255,6 +256,17 @@ def test_a_face_alone_runs_along_and_across_no_others():
     diagonal, pillar = ((1.0, 1.0), (1.5, 1.4)), ((2.0, 2.0), (2.3, 2.01))
     assert along_others(faces(*room_of_four, diagonal, pillar)).tolist() == [True] * 4 + [False, True]
     assert len(along_others(NO_WALLS)) == 0
+
+
+def test_a_leaf_that_is_open_against_its_wall_leans_on_it():
+    wall, leaf, across = ((0, 0), (5, 0)), ((1.0, 0.02), (1.9, 0.14)), ((2.5, 0), (2.5, 3))
+    pair = replace(faces(wall, leaf, across), scan_count=np.array([40, 9, 9], np.int32))
+    assert leaning_on_others(pair).tolist() == [False, True, False]
+    # As many scans saw it: a wall that bends. It stands away, or goes on beyond the other's end: another wall.
+    assert not leaning_on_others(replace(pair, scan_count=np.array([20, 9, 9], np.int32))).any()
+    for other in (((1.0, 0.32), (1.9, 0.44)), ((4.6, 0.02), (5.5, 0.14)), ((1.0, 0.02), (1.9, 0.05))):
+        assert not leaning_on_others(replace(faces(wall, other), scan_count=np.array([40, 9], np.int32))).any()
+    assert len(leaning_on_others(NO_WALLS)) == 0
 
 
 def test_furniture_lower_than_the_ceiling_is_no_hidden_wall():
