@@ -17,7 +17,7 @@ from algorithms.settings import StepSettings
 _GRAZING = 0.2
 """Sine of the angle between a ray and a face below which where they cross says nothing."""
 
-_ANOTHER_CEILING_M = 0.12
+_ANOTHER_CEILING_M = 0.06
 
 
 class RelabellingSettings(StepSettings):
