@@ -44,6 +44,8 @@ _SHEET_M = 0.02
 _BESIDE_COLUMNS = 8
 _JAMB_WALL_COLUMNS = 2
 """Of so many columns beside a door at least so many show its wall, on one side of it."""
+_HIDDEN_JAMBS = 0.5
+"""Where fewer of them are seen, nothing is known of an open doorway's jambs."""
 _NEXT_WALL_M, _LEADS_M = 0.2, 0.9
 _PARALLEL_DEG, _HIDDEN_SHARE = 5.0, 0.8
 """Another wall that faces the same way, so close behind an opening and all of it, leaves no room that it could lead to."""
@@ -997,7 +999,7 @@ def _has_jamb(
     """Whether the wall above an opening stands beside it too, on one side at least.
 
     A leaf is recessed behind the wall beside it, not only behind what is above: so is a cupboard's front below a board, and
-    a wall that leans.
+    a wall that leans. Beside an open doorway that is seen through another one, things may hide the wall.
 
     counts: (columns, rows, 4) of the whole face; first, last: the opening's columns. lintel_m: the wall above before the
     face. depth_m: the leaf behind that; NaN of an open door.
@@ -1006,10 +1008,12 @@ def _has_jamb(
     below = counts[:, low:high].sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         behind_m = lintel_m - below[:, _SUM] / below[:, _FILLED]
+    seen = below[:, _FILLED] + below[:, _THROUGH] >= settings.rays_min
     stands = (below[:, _FILLED] >= settings.rays_min) & (below[:, _THROUGH] < below[:, _FILLED])
     flush = stands & (np.abs(behind_m) < (0.5 * depth_m if np.isfinite(depth_m) else _ON_FACE_M))
-    sides = flush[max(first - _BESIDE_COLUMNS, 0) : first], flush[last + 1 : last + 1 + _BESIDE_COLUMNS]
-    return any(np.count_nonzero(side) >= _JAMB_WALL_COLUMNS for side in sides)
+    sides = slice(max(first - _BESIDE_COLUMNS, 0), first), slice(last + 1, last + 1 + _BESIDE_COLUMNS)
+    hidden = not np.isfinite(depth_m) and np.concatenate([seen[side] for side in sides]).mean() < _HIDDEN_JAMBS
+    return hidden or any(np.count_nonzero(flush[side]) >= _JAMB_WALL_COLUMNS for side in sides)
 
 
 def _to_jambs(below: FloatArray, first: int, last: int, most: int) -> tuple[int, int]:

@@ -145,6 +145,18 @@ def test_floor_and_ceiling_behind_an_opening_passed_its_face() -> None:
     assert seen[..., FILLED].sum() + seen[..., THROUGH].sum() == 4.0
 
 
+def test_an_open_door_is_found_though_its_jambs_are_hidden() -> None:
+    seen = cells()
+    opening(seen)
+    # Seen through another door: of the wall beside, only what is above shows.
+    seen.counts[:30, :42] = seen.counts[48:, :42] = 0.0
+    assert len(find_doors(WALL, seen, SETTINGS)) == 1
+    # Where the wall beside is seen to stand back, or to be passed, the opening is no doorway.
+    for beside in (seen.counts[:30, :42], seen.counts[48:, :42]):
+        beside[..., FILLED], beside[..., SUM] = 10.0, -10 * 0.045
+    assert len(find_doors(WALL, seen, SETTINGS)) == 0
+
+
 @pytest.mark.parametrize(("behind_m", "found"), [(0.1, 1), (0.5, 0), (2.0, 1)])
 def test_an_opening_leads_somewhere(behind_m: float, found: int) -> None:
     seen = cells()
