@@ -18,7 +18,8 @@ from algorithms.settings import StepSettings
 from algorithms.standing_walls import column_places
 
 _FILLED, _SUM, _THROUGH = 0, 1, 3
-_ON_FACE_M, _FRONT_PERCENT = 0.03, 75.0
+_REVEAL_M, _FRONT_PERCENT = 0.03, 75.0
+"""So far behind this percentile of the cells around it a cell is no longer the wall's surface."""
 _WALL_COLUMNS = 11
 """Columns over which the distance of the wall above is averaged."""
 _CELLS_TOGETHER = (1, 3, 5, 7)
@@ -99,8 +100,9 @@ def _relief(counts: FloatArray, clear_m: FloatArray, settings: BeforeWallsSettin
     relief_m = np.full(counts.shape[:2], np.nan)
     for size in _CELLS_TOGETHER:
         mean_m, scatter_m = _mean_and_scatter_m(counts[..., :_THROUGH], (size, size), settings.returns_min)
-        # Of what stands some way before the wall and the wall beside it the mean says nothing.
-        mean_m = np.where(scatter_m < settings.scatter_max * usual_m, mean_m, np.nan) if size > 1 else mean_m
+        if size > 1:
+            # Several cells may hold a thing that stands away and the wall beside it: their mean is neither's.
+            mean_m = np.where(scatter_m < settings.scatter_max * usual_m, mean_m, np.nan)
         relief_m = np.where(np.isnan(relief_m), mean_m - wall_m, relief_m)
     unseen = np.isnan(relief_m)
     relief_m = np.where(unseen, 0.0, relief_m)
@@ -134,7 +136,7 @@ def _reveals(counts: FloatArray, above: BoolArray) -> BoolArray:
     front_m = np.full(len(mean_m), np.nan)
     known = np.isfinite(around).any(axis=(1, 2))
     front_m[known] = np.nanpercentile(around[known], _FRONT_PERCENT, axis=(1, 2))
-    return np.asarray(mean_m < front_m[:, None] - _ON_FACE_M)
+    return np.asarray(mean_m < front_m[:, None] - _REVEAL_M)
 
 
 def _scatter_m(counts: FloatArray) -> float:

@@ -24,11 +24,12 @@ CELL_M = 0.05
 RANGE_M = 12.0
 """Rays from farther away say too little of a wall's cells."""
 
+AT_FACE_M = 0.06
+"""A return so close to a face may be its own, displaced by noise along the ray and by the pose's error."""
+
 _FILLED, _SUM, _SQUARES, _THROUGH = range(4)
 _FLOOR, _CEILING = int(Label.FLOOR), int(Label.CEILING)
 
-_AT_FACE_M = 0.06
-"""A return so close to a face may be its own, displaced by noise along the ray and by the pose's error."""
 _OWN_MARGIN_M = 0.2
 """A scan's own plane of a wall holds so many metres beyond what the scan saw of it."""
 _FOOT_M = 0.15
@@ -348,7 +349,6 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
             np.ascontiguousarray(block.plane_ends_map, np.float64),
             np.ascontiguousarray(block.plane_normal, np.float64),
             settings.near_m,
-            _AT_FACE_M,
             2.0 * settings.distance_m,
             float(np.cos(np.radians(settings.angle_deg))),
         )
@@ -800,12 +800,7 @@ def _over_empty_columns(counts: FloatArray, bottom: int, top: int, first: int, l
     below = counts[:, int(_FOOT_M / CELL_M) : bottom, _FILLED]
     usual = below.mean(axis=1) if below.shape[1] else np.zeros(len(counts))
     empty = counts[:, bottom:top, _FILLED].mean(axis=1) < _EMPTY_SHARE * usual
-    for _ in range(_EMPTY_COLUMNS):
-        if first > 0 and empty[first - 1]:
-            first -= 1
-        if last + 1 < len(empty) and empty[last + 1]:
-            last += 1
-    return first, last
+    return _widened(empty, first, last, _EMPTY_COLUMNS)
 
 
 def _pane_m(counts: FloatArray, settings: BuildingSettings) -> float:
@@ -930,7 +925,7 @@ def _look_for_doors(counts: FloatArray, top_m: float, settings: BuildingSettings
     above_head = smooth[:, min(above, max(top - 4, 0)) : top]
     # What hangs behind a lintel is seen below it, and would pull its mean back.
     with np.errstate(invalid="ignore", divide="ignore"):
-        on_face = np.abs(above_head[..., _SUM] / above_head[..., _FILLED]) < _AT_FACE_M
+        on_face = np.abs(above_head[..., _SUM] / above_head[..., _FILLED]) < AT_FACE_M
     lintel = (above_head * on_face[..., None]).sum(axis=1)
     below, foot = smooth[:, low:high].sum(axis=1), smooth[:, low:knee].sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -1023,10 +1018,15 @@ def _to_jambs(below: FloatArray, first: int, last: int, most: int) -> tuple[int,
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         behind = below[:, _SUM] / below[:, _FILLED] < -_REVEAL_MIN_M
+    return _widened(behind, first, last, most)
+
+
+def _widened(flags: BoolArray, first: int, last: int, most: int) -> tuple[int, int]:
+    """A stretch of columns with the flagged ones that follow on each side without a gap, so many at most."""
     for _ in range(most):
-        if first > 0 and behind[first - 1]:
+        if first > 0 and flags[first - 1]:
             first -= 1
-        if last + 1 < len(behind) and behind[last + 1]:
+        if last + 1 < len(flags) and flags[last + 1]:
             last += 1
     return first, last
 
@@ -1159,7 +1159,6 @@ def _trace(
     plane_ends: FloatArray,
     plane_normal: FloatArray,
     near_m: float,
-    on_face_m: float,
     distance_m: float,
     cos_angle: float,
 ) -> None:  # pragma: no cover
@@ -1203,7 +1202,7 @@ def _trace(
                     continue
                 # Floor and ceiling behind an opening are no leaf: what ended there passed the face.
                 level = ray_label[r] == _FLOOR or ray_label[r] == _CEILING
-                near = side > (-on_face_m if level else -near_m)
+                near = side > (-AT_FACE_M if level else -near_m)
                 if not near:
                     t = reach / (reach - side)
                     x, y, z = ox + t * (x - ox), oy + t * (y - oy), oz + t * (z - oz)

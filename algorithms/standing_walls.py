@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from algorithms.building import CELL_M, NO_WALLS, Doors, WallCells, Walls, stretches
+from algorithms.building import AT_FACE_M, CELL_M, NO_WALLS, Doors, WallCells, Walls, stretches
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from algorithms.semantic_map import VoxelVotes, majority
@@ -23,7 +23,6 @@ _FOOT_M, _HIP_M = 0.15, 1.8
 """Between these heights rays that pass a face prove an opening, or that nothing stands there."""
 _CEILING_MARGIN_M = 0.08
 """Rows so close below a ceiling hold its own returns."""
-_ON_FACE_M = 0.06
 _SMOOTH_COLUMNS = 1
 _REST_MIN_M = 0.5
 """What is left of a face beside a leaf or a cupboard is no wall if it is shorter: a reveal, the leaf's hinge."""
@@ -159,7 +158,7 @@ class _Columns:
 def _count_columns(cells: WallCells, clear_m: FloatArray, settings: StandingWallsSettings) -> _Columns:
     filled, total, passed = (cells.counts[..., i].astype(np.float64) for i in (0, 1, 3))
     with np.errstate(invalid="ignore", divide="ignore"):
-        on = np.where(np.abs(total / filled) < _ON_FACE_M, filled, 0.0)
+        on = np.where(np.abs(total / filled) < AT_FACE_M, filled, 0.0)
     passed = passed + filled - on
     height = (np.arange(cells.rows) + 0.5) * CELL_M
     top = np.where(np.isfinite(clear_m), clear_m, np.inf) - _CEILING_MARGIN_M
@@ -391,7 +390,7 @@ def _rows_on_and_passed(counts: FloatArray, clear_m: float) -> tuple[FloatArray,
     """How many rays ended on columns (c, rows, 4), and how many did not, in each row between foot and ceiling."""
     rows = slice(int(_FOOT_M / CELL_M), int((clear_m - _CEILING_MARGIN_M) / CELL_M))
     filled, total, _, through = counts[:, rows].sum(axis=0, dtype=np.float64).T
-    on = np.where(np.abs(total) < _ON_FACE_M * filled, filled, 0.0)
+    on = np.where(np.abs(total) < AT_FACE_M * filled, filled, 0.0)
     return on, through + filled - on
 
 
@@ -434,7 +433,7 @@ def find_hidden_walls(
     visited = _visited(both, cells, path_map, settings.robot_m)
     columns = _count_columns(cells, clear_m, settings)
     kept: list[tuple[int, int, int]] = []
-    ceiling_m: list[float] = []
+    top_m: list[float] = []
     for w in range(len(both)):
         own = slice(int(cells.first[w]), int(cells.first[w + 1]))
         on = columns.upper_on[own] + columns.lower_on[own]
@@ -453,20 +452,21 @@ def find_hidden_walls(
         for first, after in _runs(bridged):
             part = slice(own.start + first, own.start + after)
             reaches = np.mean(columns.upper_on[part] > 0) > 0.5 and np.mean(proven[first:after]) > 0.5
-            on_rows, passed_rows = _rows_on_and_passed(cells.counts[part], _median_m(clear_m[part]))
+            ceiling_m = _median_m(clear_m[part])
+            on_rows, passed_rows = _rows_on_and_passed(cells.counts[part], ceiling_m)
             # A duct's underside and the ceiling next to it are rows of returns, with nothing between them and the floor.
             reaches &= np.count_nonzero(on_rows > passed_rows) > np.count_nonzero(passed_rows > on_rows)
             seen = np.flatnonzero(on_rows >= _SCATTERED_RAYS)
-            top_m = _FOOT_M + (seen[-1] + 1) * CELL_M if len(seen) else 0.0
-            reaches &= top_m > min(_median_m(clear_m[part]) - _BELOW_CEILING_M, _ABOVE_HEADS_M)
+            seen_to_m = _FOOT_M + (seen[-1] + 1) * CELL_M if len(seen) else 0.0
+            reaches &= seen_to_m > min(ceiling_m - _BELOW_CEILING_M, _ABOVE_HEADS_M)
             # A pillar shows from floor to ceiling; what else stands or hangs before a wall does not.
             reaches &= not before[w] or float(np.mean(on_rows > passed_rows)) > _PILLAR_SHARE
             counted = float((columns.upper_on[part] + columns.lower_on[part]).sum()) / (2 * _SMOOTH_COLUMNS + 1)
             if reaches and counted >= settings.hidden_returns_min and (after - first) * CELL_M >= length_min_m:
                 kept.append((w, first, after))
-                ceiling_m.append(float(np.nanmedian(clear_m[part])))
+                top_m.append(ceiling_m)
     hidden = _cut(both, cells, kept)
-    return replace(hidden, top_m=np.array(ceiling_m))
+    return replace(hidden, top_m=np.array(top_m))
 
 
 def _crossed_by(walls: Walls, candidates: Walls, w: int, count: int) -> BoolArray:
@@ -478,8 +478,9 @@ def _crossed_by(walls: Walls, candidates: Walls, w: int, count: int) -> BoolArra
         if abs(other @ normal) > _ACROSS:
             continue
         column = int(((ends[0] - start) @ other) / (along @ other) // CELL_M)
-        place_m = (start + (column + 0.5) * CELL_M * along - ends[0]) @ (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-        if 0 <= column < count and 0.0 < place_m < np.linalg.norm(ends[1] - ends[0]):
+        length_m = np.linalg.norm(ends[1] - ends[0])
+        place_m = (start + (column + 0.5) * CELL_M * along - ends[0]) @ (ends[1] - ends[0]) / length_m
+        if 0 <= column < count and 0.0 < place_m < length_m:
             crossed[column] = True
     return crossed
 
