@@ -6,6 +6,7 @@ apart as filled, empty and occluded by the rays that passed them, which is what 
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -66,6 +67,8 @@ _HEAD_BINS = 100
 _HEAD_SLACK_M = 0.05
 _ON_FACE_M = 0.03
 """A return farther behind the face is within the opening: on a reveal, on the lintel's underside, or beyond."""
+_BEYOND_M = 0.1
+"""Of an open door's rays it does not matter how much farther behind the face they ended."""
 _FRAME_RAYS = 30
 """Fewest rays on the face, and behind it, that move a jamb or a head."""
 _REVEAL_BIN_M = 0.01
@@ -471,25 +474,25 @@ def prove_crossed(doors: Doors, path_map: FloatArray) -> Doors:
 def place_frames(doors: Doors, walls: Walls, blocks: Iterable[Features], settings: BuildingSettings) -> Doors:
     """The doors with jambs and head where the rays tell them to a centimetre, and with the scans that saw these.
 
-    Beyond a jamb or the head rays end on the wall's face, within they pass it or end on the leaf behind. Each edge goes
-    where fewest rays contradict it; one without rays on both sides stays.
+    Beyond a jamb or the head rays end on the wall's face, within they pass it or end on the leaf behind, or on the reveal or
+    the lintel's underside. Each edge goes where rays contradict it least; one without rays on both sides stays.
 
     walls: those that `doors.wall` counts.
     """
-    jambs = np.zeros((len(doors), 2, _FRAME_BINS, 2), np.int64)
-    heads = np.zeros((len(doors), _HEAD_BINS, 2), np.int64)
+    jambs = _EdgeCosts(np.zeros((len(doors), 2, _FRAME_BINS)), np.zeros((len(doors), 2, 2), np.int64))
+    heads = _EdgeCosts(np.zeros((len(doors), 1, _HEAD_BINS)), np.zeros((len(doors), 1, 2), np.int64))
     scans = np.zeros((len(doors), 3), np.int64)
     scans[:, 1:] = -1
-    on_face_m = np.where(np.isfinite(doors.depth_m), np.minimum(0.5 * doors.depth_m, _ON_FACE_M), _ON_FACE_M)
+    depth_m = np.where(np.isfinite(doors.depth_m), np.minimum(doors.depth_m, _BEYOND_M), _BEYOND_M)
     for block in blocks:
-        _count_at_frames(
+        _compare_with_frames(
             np.ascontiguousarray(doors.ends, np.float64),
             np.ascontiguousarray(doors.head_m, np.float64),
-            np.ascontiguousarray(on_face_m, np.float64),
+            depth_m,
             np.ascontiguousarray(walls.ends[doors.wall], np.float64),
             np.ascontiguousarray(walls.normal[doors.wall], np.float64),
-            jambs,
-            heads,
+            *jambs,
+            *heads,
             scans,
             np.ascontiguousarray(block.scan, np.int64),
             np.ascontiguousarray(block.origin_map, np.float64),
@@ -506,10 +509,10 @@ def place_frames(doors: Doors, walls: Walls, blocks: Iterable[Features], setting
     for d in range(len(doors)):
         along = (doors.ends[d, 1] - doors.ends[d, 0]) / np.linalg.norm(doors.ends[d, 1] - doors.ends[d, 0])
         for side, outwards in ((0, -1.0), (1, 1.0)):
-            edge_m = _edge_m(jambs[d, side])
+            edge_m = _edge_m(jambs.cost_m[d, side], jambs.rays[d, side])
             if edge_m is not None:
                 ends[d, side] += outwards * along * (edge_m - _FRAME_REACH_M)
-        edge_m = _edge_m(heads[d])
+        edge_m = _edge_m(heads.cost_m[d, 0], heads.rays[d, 0])
         head_m[d] = doors.head_m[d] if edge_m is None else _HEAD_MIN_M + edge_m
     count, first, last = scans.T
     return replace(doors, ends=ends, head_m=head_m, scan_count=count.astype(np.int32), first_scan=first, last_scan=last)
@@ -537,28 +540,60 @@ def drop_doubtful(doors: Doors, settings: BuildingSettings) -> Doors:
     return doors.select(~unsure & ~(doubtful & (doors.state == DoorState.CLOSED)))
 
 
-def _edge_m(counts: IntArray) -> float | None:
-    """How far from the first bin an opening's edge lies, where fewest rays contradict it; None where too few tell.
+class _EdgeCosts(NamedTuple):
+    """What rays say of edges of doors, E of each, for places one bin apart.
 
-    counts: (bins, 2) rays on the face and behind it, from within the opening outwards, 1 cm each.
+    cost_m: (D, E, bins) by how much rays end off where they would if the edge were there. rays: (D, E, 2) how many of them
+    ended on the face, and behind it.
     """
-    on_face, behind = counts.T
-    if on_face.sum() < _FRAME_RAYS or behind.sum() < _FRAME_RAYS:
+
+    cost_m: FloatArray
+    rays: IntArray
+
+
+def _edge_m(cost_m: FloatArray, rays: IntArray) -> float | None:
+    """How far from the first bin an opening's edge lies, where rays contradict it least; None where too few tell.
+
+    cost_m: (bins,), rays: (2,), see `_EdgeCosts`; from within the opening outwards.
+    """
+    if rays.min() < _FRAME_RAYS:
         return None
-    # Rays on the face before the edge, and behind it after, contradict.
-    wrong = np.concatenate([[0], np.cumsum(on_face)]) + behind.sum() - np.concatenate([[0], np.cumsum(behind)])
-    return float(np.flatnonzero(wrong == wrong.min())[-1]) * _FRAME_BIN_M
+    return float(np.argmin(cost_m)) * _FRAME_BIN_M
 
 
 @numba.njit(cache=True, nogil=True)
-def _count_at_frames(
+def _add_costs(
+    cost_m: FloatArray, first_m: float, place_m: float, outwards: float, end_m: float, depth_m: float
+) -> None:  # pragma: no cover
+    """Add, for an edge in each bin, by how much a ray ended off where it then should have.
+
+    Beyond the edge a ray ends on the face; within, on the leaf or wherever, or before on the reveal or the lintel's
+    underside, if it comes near enough.
+
+    first_m: the first bin's place. place_m: where the ray meets the face; outwards: by how many metres it nears the edge for
+    each behind that. end_m: how far behind the face it ended; depth_m: where it would within the opening.
+    """
+    for k in range(len(cost_m)):
+        inside_m = first_m + k * _FRAME_BIN_M - place_m
+        off_m = abs(end_m)
+        if inside_m > 0.0:
+            off_m = depth_m - end_m
+            if outwards > 0.0:
+                off_m = min(off_m, abs(end_m - inside_m / outwards))
+        cost_m[k] += min(off_m, depth_m)
+
+
+@numba.njit(cache=True, nogil=True)
+def _compare_with_frames(
     ends: FloatArray,
     head_m: FloatArray,
-    on_face_m: FloatArray,
+    depth_m: FloatArray,
     wall_ends: FloatArray,
     wall_normal: FloatArray,
-    jambs: IntArray,
-    heads: IntArray,
+    jamb_cost_m: FloatArray,
+    jamb_rays: IntArray,
+    head_cost_m: FloatArray,
+    head_rays: IntArray,
     scans: IntArray,
     scan: IntArray,
     origin: FloatArray,
@@ -607,26 +642,28 @@ def _count_at_frames(
                 side = nx * x + ny * y - offset
                 if side > 0.06:
                     continue
-                z = np.float64(ray_end[r, 2])
-                on_face = side > -on_face_m[d]
-                if not on_face:
-                    t = reach / (reach - side)
-                    x, y, z = ox + t * (x - ox), oy + t * (y - oy), origin[s, 2] + t * (z - origin[s, 2])
+                # A ray's direction is known far better than where on it it ended.
+                t = reach / (reach - side)
+                x, y, z = ox + t * (x - ox), oy + t * (y - oy), origin[s, 2] + t * (ray_end[r, 2] - origin[s, 2])
                 u = x * dx + y * dy
                 if u < -_FRAME_REACH_M or u > length + _FRAME_REACH_M:
                     continue
                 height = z - (floor[s, 0] + floor[s, 1] * ray_end[r, 0] + floor[s, 2] * ray_end[r, 1])
-                kind = 0 if on_face else 1
-                row = int((height - _HEAD_MIN_M) / _FRAME_BIN_M)
-                if 0.15 < u < length - 0.15 and height > _HEAD_MIN_M and row < _HEAD_BINS:
-                    heads[d, row, kind] += 1
+                kind = 0 if -side < min(0.5 * depth_m[d], _ON_FACE_M) else 1
+                end_m = min(max(-side, -depth_m[d]), depth_m[d])
+                if 0.15 < u < length - 0.15 and _HEAD_MIN_M < height < _HEAD_MIN_M + _HEAD_BINS * _FRAME_BIN_M:
+                    head_rays[d, 0, kind] += 1
+                    _add_costs(head_cost_m[d, 0], _HEAD_MIN_M, height, (z - origin[s, 2]) / reach, end_m, depth_m[d])
                 if height < 0.2 or height > head_m[d] - 0.15:
                     continue
                 saw = True
+                sideways = (u - (ox * dx + oy * dy)) / reach
                 if u < _FRAME_REACH_M:
-                    jambs[d, 0, int((_FRAME_REACH_M - u) / _FRAME_BIN_M), kind] += 1
+                    jamb_rays[d, 0, kind] += 1
+                    _add_costs(jamb_cost_m[d, 0], -_FRAME_REACH_M, -u, -sideways, end_m, depth_m[d])
                 if u > length - _FRAME_REACH_M:
-                    jambs[d, 1, int((u - length + _FRAME_REACH_M) / _FRAME_BIN_M), kind] += 1
+                    jamb_rays[d, 1, kind] += 1
+                    _add_costs(jamb_cost_m[d, 1], -_FRAME_REACH_M, u - length, sideways, end_m, depth_m[d])
             if saw:
                 scans[d, 0] += 1
                 scans[d, 1] = scan[s] if scans[d, 1] < 0 else scans[d, 1]

@@ -54,6 +54,7 @@ class PoseGraphSettings(StepSettings):
 class PoseGraph:
     """Submaps, what joins them, and where that puts them.
 
+    T_odom_first: (4, 4) the odometry's first pose anew, by registering that scan to those after it.
     scan: (m,) the scan in the middle of each submap, by its place among the poses.
     T_odom_sensor: (m, 4, 4) of that scan as the graph has it; T_correction: (m, 4, 4) from its pose by the odometry to
         that, both in the odometry's frame.
@@ -63,6 +64,7 @@ class PoseGraph:
     weight: (e,) how much the registration counted in the end, from 0, where too little fitted, to 1.
     """
 
+    T_odom_first: FloatArray
     scan: IntArray
     T_odom_sensor: FloatArray
     T_correction: FloatArray
@@ -80,8 +82,9 @@ class PoseGraph:
     def corrected(self, T_odom_sensor: FloatArray) -> FloatArray:
         """Poses (n, 4, 4) of all scans: each as its two nearest submaps see it, blended between their middles."""
         n, m = len(T_odom_sensor), len(self.scan)
+        T_odom_sensor = _with_first(T_odom_sensor, self.T_odom_first)
         if m == 0:
-            return T_odom_sensor.copy()
+            return T_odom_sensor
         place = np.interp(np.arange(n), self.scan, np.arange(m))
         before = np.minimum(place.astype(np.int64), max(m - 2, 0))
         after = np.minimum(before + 1, m - 1)
@@ -118,8 +121,10 @@ def close_loops(
     """Join submaps of the drive where it comes by again, and solve for their poses.
 
     T_odom_sensor: (n, 4, 4) of each scan; clouds_sensor: (k, 3) of each, without the motion within its sweep.
-    The first submap stays where it is. A drive too short for a loop is left as it is.
+    The first submap stays where it is. A drive too short for a submap is left as it is.
     """
+    T_odom_first = _first_again(T_odom_sensor, clouds_sensor, settings)
+    T_odom_sensor = _with_first(T_odom_sensor, T_odom_first)
     scan = np.arange(0, len(T_odom_sensor), settings.every_scans)
     T_start = T_odom_sensor[scan]
 
@@ -139,7 +144,31 @@ def close_loops(
             break
         edges |= {(e.first, e.second): e for e in _register(new, T, submap, settings)}
         T = _solve(T_start, T, list(edges.values()), settings)
-    return _answer(scan, T_start, T, [edges[pair] for pair in sorted(edges)], settings)
+    return _answer(T_odom_first, scan, T_start, T, [edges[pair] for pair in sorted(edges)], settings)
+
+
+def _first_again(
+    T_odom_sensor: FloatArray, clouds_sensor: Sequence[FloatArray], settings: PoseGraphSettings
+) -> FloatArray:
+    """The pose (4, 4) of the first scan by those after it.
+
+    It alone was the map that the second one was registered to, and by its pose the run's map is placed: an error of half a
+    degree there turns the whole building.
+    """
+    half = settings.submap_scans // 2
+    if len(T_odom_sensor) <= half:
+        return T_odom_sensor[0] if len(T_odom_sensor) else np.eye(4)
+    after = range(1, half + 1)
+    points = np.concatenate([transforms.apply(T_odom_sensor[i], clouds_sensor[i]) for i in after])
+    gaussians = GaussianMap(settings.voxel_m)
+    gaussians.insert(GaussianCloud(points, settings.resolution_m, settings.neighbours), np.eye(4))
+    first = GaussianCloud(clouds_sensor[0], settings.resolution_m, settings.neighbours)
+    aligned = gaussians.register(first, T_odom_sensor[0], settings.distance_m, settings.iterations_max)
+    return aligned.T_map_cloud if aligned.inlier_share >= settings.inlier_share else T_odom_sensor[0]
+
+
+def _with_first(T_odom_sensor: FloatArray, T_odom_first: FloatArray) -> FloatArray:
+    return np.concatenate([T_odom_first[None], T_odom_sensor[1:]]) if len(T_odom_sensor) else T_odom_sensor
 
 
 def _pairs(position: FloatArray, settings: PoseGraphSettings) -> set[tuple[int, int]]:
@@ -204,7 +233,12 @@ def _solve(
 
 
 def _answer(
-    scan: IntArray, T_start: FloatArray, T: FloatArray, edges: Sequence[_Edge], settings: PoseGraphSettings
+    T_odom_first: FloatArray,
+    scan: IntArray,
+    T_start: FloatArray,
+    T: FloatArray,
+    edges: Sequence[_Edge],
+    settings: PoseGraphSettings,
 ) -> PoseGraph:
     first = np.array([e.first for e in edges], np.int64)
     second = np.array([e.second for e in edges], np.int64)
@@ -212,6 +246,7 @@ def _answer(
     offset = np.array([_offset(e, T) for e in edges])
     loss = np.where(second - first > _ALONG, 1.0 / (1.0 + (offset / settings.loss_scale) ** 2), 1.0)
     return PoseGraph(
+        T_odom_first=T_odom_first,
         scan=scan,
         T_odom_sensor=T,
         T_correction=T @ transforms.invert(T_start),

@@ -301,9 +301,14 @@ def _relabel(
                 continue
             u, length = doors[d, 0] * x + doors[d, 1] * y - doors[d, 2], doors[d, 6]
             # Between the jambs of a closed door there is nothing but its leaf, its handle, and their scatter.
-            if 0.0 < u < length and height[i] < door_head[d] and -door_depth[d] - leaf_distance_m < s < wall_distance_m:
-                is_leaf = True
-                break
+            if -door_depth[d] - leaf_distance_m < s < wall_distance_m:
+                share, at_leaf = _crossing(doors[d], door_depth[d], x, y, origin)
+                rise = (share - 1.0) * (points[i, 2] - origin[2])
+                if np.isnan(share):
+                    at_leaf, rise = u, 0.0
+                if 0.0 < at_leaf < length and height[i] + rise < door_head[d]:
+                    is_leaf = True
+                    break
             in_opening = in_opening or (
                 door_depth[d] < 0.0
                 and opening_m < u < length - opening_m

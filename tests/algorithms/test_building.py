@@ -17,6 +17,7 @@ from algorithms.building import (
     drop_doubtful,
     find_doors,
     find_windows,
+    place_frames,
     prove_crossed,
     seen_through,
     trace_rays,
@@ -321,3 +322,49 @@ def test_what_frames_show_to_be_no_door_is_dropped() -> None:
     np.testing.assert_array_equal(kept.head_m, head_m[[0, 3, 5, 7]])
     np.testing.assert_array_equal(kept.state, [closed, opened, opened, opened])
     assert len(drop_doubtful(NO_DOORS, BuildingSettings())) == 0
+
+
+def seen_through_a_doorway(origin: tuple[float, float], depth_m: float, generator: np.random.Generator) -> np.ndarray:
+    """(r, 3) what rays from 1 m above the floor meet: a wall 20 cm thick, its opening from x = 1.5 to 2.4 and 2.08 m high.
+
+    A leaf stands `depth_m` behind the face; without one rays go on to a wall at y = 3. Ranges scatter by 1.5 cm.
+    """
+    start = np.array([*origin, 1.0])
+    aim = np.column_stack([generator.uniform(1.2, 2.7, 40_000), np.zeros(40_000), generator.uniform(0.0, 2.7, 40_000)])
+    ray = aim - start
+    within = (aim[:, 0] > 1.5) & (aim[:, 0] < 2.4) & (aim[:, 2] < 2.08)
+    with np.errstate(divide="ignore"):
+        to_jamb = np.where(ray[:, 0] > 0, 2.4 - aim[:, 0], 1.5 - aim[:, 0]) / ray[:, 0]
+        to_head = np.where(ray[:, 2] > 0, (2.08 - aim[:, 2]) / ray[:, 2], np.inf)
+    # Metres behind the face as a share of the way to it.
+    reveal = np.minimum(to_jamb, to_head)
+    reveal = np.where(reveal * ray[:, 1] < 0.2, reveal, np.inf)
+    beyond = np.minimum(reveal, (depth_m if np.isfinite(depth_m) else 3.0) / ray[:, 1])
+    share = 1.0 + np.where(within, beyond, 0.0)
+    share += generator.normal(0.0, 0.015, len(ray)) / np.linalg.norm(ray, axis=1)
+    return start + share[:, None] * ray
+
+
+@pytest.mark.parametrize("depth_m", [np.nan, 0.04])
+def test_frames_are_placed_to_a_centimetre_though_reveals_return_too(depth_m: float) -> None:
+    """Most of what returns next to a head from below is the lintel's underside."""
+    generator = np.random.default_rng(3)
+    scans = [features((x, y), seen_through_a_doorway((x, y), depth_m, generator), WALL.ends) for x, y in ((1.2, -1.5), (2.9, -1.0))]
+    state = DoorState.OPEN if np.isnan(depth_m) else DoorState.CLOSED
+    door = replace(
+        NO_DOORS,
+        **{field.name: np.zeros((1, *getattr(NO_DOORS, field.name).shape[1:])) for field in fields(Doors)},
+    )
+    door = replace(
+        door,
+        ends=np.array([[[1.55, 0.0], [2.45, 0.0]]]),
+        normal=WALL.normal,
+        head_m=np.array([2.0]),
+        depth_m=np.array([depth_m]),
+        state=np.array([state], np.uint8),
+        wall=np.zeros(1, np.int32),
+    )
+    placed = place_frames(door, WALL, scans, SETTINGS)
+    np.testing.assert_allclose(placed.ends[0, :, 0], [1.5, 2.4], atol=0.012)
+    assert placed.head_m[0] == pytest.approx(2.08, abs=0.012)
+    assert placed.scan_count[0] == 2

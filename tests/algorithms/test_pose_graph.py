@@ -102,9 +102,21 @@ def test_a_drift_is_undone_where_the_robot_comes_by_again(
     before, after = off_m(T_odometry, T_true), off_m(T, T_true)
     assert before.max() > 0.3
     assert after.max() < 0.1 * before.max()
-    np.testing.assert_allclose(T[0], T_odometry[0], atol=1e-12)
+    np.testing.assert_allclose(T[0], T_odometry[0], atol=2e-2)  # the drift of the first few scans
     assert np.count_nonzero(closed.is_loop & (closed.weight > 0)) > 10
     np.testing.assert_allclose(T[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2), np.broadcast_to(np.eye(3), (160, 3, 3)), atol=1e-9)
+
+
+def test_the_first_pose_is_told_by_the_scans_after_it(drive: tuple[FloatArray, FloatArray, list[FloatArray]]) -> None:
+    """The map is placed by it: what it is turned by, the whole building is."""
+    T_true, _, clouds = drive
+    T_odometry = T_true[:30].copy()
+    off = Rotation.from_euler("zyx", [0.6, -0.3, 0.2], degrees=True)
+    T_odometry[0] = T_true[0] @ transforms.make_transform(off, [0.02, 0.01, -0.02])
+    T = close_loops(T_odometry, clouds[:30], SETTINGS).corrected(T_odometry)
+    before, after = off_m(T_odometry, T_true[:30]), off_m(T, T_true[:30])
+    assert before.max() > 0.05
+    assert after.max() < 0.25 * before.max()
 
 
 def test_without_loops_the_drift_stays(drive: tuple[FloatArray, FloatArray, list[FloatArray]]) -> None:
@@ -180,7 +192,7 @@ def test_poses_between_two_submaps_are_blended() -> None:
     shift = transforms.make_transform(Rotation.from_euler("z", 10, degrees=True), [0.0, 0.1, 0.0])
     none = np.zeros(0)
     graph = PoseGraph(
-        np.array([0, 8]), np.stack([T[0], shift @ T[8]]), np.stack([np.eye(4), shift]), none, none, none, none, none
+        T[0], np.array([0, 8]), np.stack([T[0], shift @ T[8]]), np.stack([np.eye(4), shift]), none, none, none, none, none
     )
     corrected = graph.corrected(T)
     np.testing.assert_allclose(corrected[0], T[0])

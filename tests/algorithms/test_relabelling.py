@@ -135,6 +135,20 @@ def test_between_the_jambs_of_a_closed_door_all_is_its_leaf(scan_label: Label) -
     assert label_at(0.9, 0.02, 1.0) == Label.WALL  # beside the jamb
 
 
+def test_along_the_frame_of_a_closed_door_the_leaf_is_where_the_ray_would_meet_it() -> None:
+    def label_at(x: float, y: float, z: float) -> Label:
+        return final((x, y, z), Label.DOOR, walls=face(), doors=door(0.04))
+
+    # Rising at 45 degrees: the lintel's underside, measured a centimetre too low, and the leaf's upper edge.
+    low = np.array([1.5, -1.08, 1.0])
+    assert final((1.5, 0.01, 2.09), Label.DOOR, walls=face(), doors=door(0.04), sensor=low) == Label.WALL
+    assert final((1.5, 0.05, 2.09), Label.DOOR, walls=face(), doors=door(0.04), sensor=np.array([1.5, -3.0, 1.9])) == Label.DOOR
+    # At a slant, the reveal within the frame.
+    aside = np.array([0.0, -1.0, 1.0])
+    assert final((1.99, 0.01, 1.0), Label.DOOR, walls=face(), doors=door(0.04), sensor=aside) == Label.WALL
+    assert label_at(1.97, 0.04, 1.0) == Label.DOOR
+
+
 def test_door_without_a_door_of_the_building_is_wall_or_clutter() -> None:
     assert final((3.0, 0.03, 1.0), Label.DOOR, walls=face()) == Label.WALL
     assert final((3.0, -0.3, 1.0), Label.DOOR, walls=face()) == Label.CLUTTER

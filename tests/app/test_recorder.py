@@ -255,6 +255,7 @@ def test_loops_are_drawn_where_the_solved_poses_are(tmp_path):
     T = np.array([transforms.make_transform(translation=[float(i), 0.0, 1.0]) for i in range(4)])
     shift = np.array([transforms.make_transform(translation=[0.0, 0.1 * i, 0.0]) for i in range(4)])
     graph = PoseGraph(
+        T_odom_first=T[0],
         scan=np.arange(4) * 10,
         T_odom_sensor=shift @ T,
         T_correction=shift,
