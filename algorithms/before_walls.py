@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 from scipy import ndimage
 
-from algorithms.building import CELL_M, WallCells, Walls
+from algorithms.building import CELL_M, Doors, WallCells, Walls
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, IntArray
 from algorithms.semantic_map import Halo
@@ -25,6 +25,8 @@ _WALL_COLUMNS = 11
 _CELLS_TOGETHER = (1, 3, 5, 7)
 """Where a cell returned too little, so many along and up tell together."""
 _BRIDGE_ROWS = 11
+_LEAF_OFF_M = 0.03
+"""So far before or behind a doorway a wall's returns do not scatter between its jambs."""
 _EDGE = 0.6
 """A patch of relief goes on where it is so much lower than its threshold."""
 _FOOT_ROWS = 2
@@ -165,10 +167,11 @@ def covered_places(walls: Walls, before: BeforeWalls) -> FloatArray:
     return np.column_stack([column_places(walls, before.first, 0.0)[column], (row + 0.5) * CELL_M])
 
 
-def halo_at_walls(halo: Halo, walls: Walls, before: BeforeWalls, near_m: float) -> Halo:
+def halo_at_walls(halo: Halo, walls: Walls, doors: Doors, before: BeforeWalls, near_m: float) -> Halo:
     """The halo without that of "walls" which the building does not have: what scans took for one.
 
-    Ducts, leaves, cupboards: they lie farther than `near_m` metres from every face, or stand before one.
+    Ducts, leaves, cupboards: they lie farther than `near_m` metres from every face, or stand before one. And straight before
+    and behind an open doorway there is its leaf.
     """
     is_wall = halo.label == Label.WALL
     centre = halo.centres
@@ -181,5 +184,11 @@ def halo_at_walls(halo: Halo, walls: Walls, before: BeforeWalls, near_m: float) 
         column = np.clip((place_m[near] / CELL_M).astype(np.int64), 0, before.first[w + 1] - before.first[w] - 1)
         row = np.clip((centre[near, 2] / CELL_M).astype(np.int64), 0, before.covered.shape[1] - 1)
         at_face[near] |= ~before.covered[before.first[w] + column, row]
+    for ends, normal, reveal_m, head_m in zip(doors.ends, doors.normal, doors.reveal_m, doors.head_m, strict=True):
+        width_m = float(np.linalg.norm(ends[1] - ends[0]))
+        place_m = (centre[:, :2] - ends[0]) @ (ends[1] - ends[0]) / width_m
+        before_m = (centre[:, :2] - ends[0]) @ normal
+        within_wall = (before_m > -reveal_m - _LEAF_OFF_M) & (before_m < _LEAF_OFF_M)
+        at_face &= ~((place_m > 0) & (place_m < width_m) & (centre[:, 2] < head_m) & (np.abs(before_m) < 1.0) & ~within_wall)
     kept = ~is_wall | at_face
     return Halo(halo.keys[kept], halo.label[kept], halo.voxel_m)

@@ -22,9 +22,6 @@ from algorithms.wall_planes import fit_upright_plane
 CELL_M = 0.05
 """Edge of the cells that a wall face is told apart by."""
 
-RANGE_M = 12.0
-"""Rays from farther away say too little of a wall's cells."""
-
 AT_FACE_M = 0.06
 """A return so close to a face may be its own, displaced by noise along the ray and by the pose's error."""
 
@@ -89,6 +86,9 @@ class BuildingSettings(StepSettings):
         0.35,
         gt=0,
         description="A return at most so many metres behind a wall's face is a leaf; deeper, it went through.",
+    )
+    range_m: float = Field(
+        25.0, gt=0, description="Rays from farther away than so many metres say too little of the cells of a wall."
     )
     recess_min_m: float = Field(
         0.016,
@@ -352,6 +352,7 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
             np.ascontiguousarray(block.plane_ends_map, np.float64),
             np.ascontiguousarray(block.plane_normal, np.float64),
             settings.near_m,
+            settings.range_m,
             2.0 * settings.distance_m,
             float(np.cos(np.radians(settings.angle_deg))),
         )
@@ -1196,6 +1197,7 @@ def _trace(
     plane_ends: FloatArray,
     plane_normal: FloatArray,
     near_m: float,
+    range_m: float,
     distance_m: float,
     cos_angle: float,
 ) -> None:  # pragma: no cover
@@ -1205,13 +1207,13 @@ def _trace(
         for w in range(len(ends)):
             nx, ny = normal[w, 0], normal[w, 1]
             reach = nx * (ox - ends[w, 0, 0]) + ny * (oy - ends[w, 0, 1])
-            if reach < 0.1 or reach > RANGE_M:
+            if reach < 0.1 or reach > range_m:
                 continue
             dx, dy = ends[w, 1, 0] - ends[w, 0, 0], ends[w, 1, 1] - ends[w, 0, 1]
             length = np.sqrt(dx * dx + dy * dy)
             dx, dy = dx / length, dy / length
             nearest = min(max((ox - ends[w, 0, 0]) * dx + (oy - ends[w, 0, 1]) * dy, 0.0), length)
-            if np.hypot(ends[w, 0, 0] + dx * nearest - ox, ends[w, 0, 1] + dy * nearest - oy) > RANGE_M:
+            if np.hypot(ends[w, 0, 0] + dx * nearest - ox, ends[w, 0, 1] + dy * nearest - oy) > range_m:
                 continue
             columns = first[w + 1] - first[w]
             own_x, own_y, own_offset, start, stop = _own_plane(

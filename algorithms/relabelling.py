@@ -58,7 +58,7 @@ class RelabellingSettings(StepSettings):
         description="So near both to a wall and to floor or ceiling a return is of the one that its ray meets first.",
     )
     halo_ratio: float = Field(
-        6.0,
+        10.0,
         ge=1,
         description="Clutter with fewer than one in so many votes of the floor, ceiling or wall beside it is its scatter.",
     )

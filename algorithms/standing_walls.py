@@ -39,6 +39,9 @@ _PILLAR_SHARE = 0.8
 _BELOW_CEILING_M, _ABOVE_HEADS_M = 0.3, 2.4
 """What is seen neither so close below the ceiling nor so far up is a leaf, or the reveal of a window."""
 _SCATTERED_RAYS = 2
+_AGREED_VOTES = 3
+_ROOM_M, _ROOM_BESIDE_M, _ROOM_CUBES = (0.3, 2.0), 0.5, 10
+"""Between these distances before a wall of this building, and so far beside it, so many cubes of floor or ceiling are seen."""
 _LEANING_DEG, _LEANING_M, _LEANING_SHARE, _LEANING_SCANS = (4.0, 20.0), 0.1, 0.9, 2.5
 """At such angles to a face that so many times the scans saw, so close to it, and so much of it beside the other, a leaf leans."""
 _DIRECTION_SHARE = 0.04
@@ -118,10 +121,7 @@ def clear_heights(places: FloatArray, votes: VoxelVotes, near_m: float) -> Float
 
     The higher ones of the nearest cubes of ceiling count, for ducts and lamps hang below it.
     """
-    label = majority(votes.counts)
-    strong = votes.counts.max(axis=1, initial=0) >= 3
-    position = votes.mean_position
-    ceiling, floor = position[strong & (label == Label.CEILING)], position[strong & (label == Label.FLOOR)]
+    ceiling, floor = _places_of(votes, Label.CEILING), _places_of(votes, Label.FLOOR)
     if len(ceiling) < 10 or not len(places):
         return np.full(len(places), np.nan)
     distance, nearest = cKDTree(ceiling[:, :2]).query(places, k=10)
@@ -130,6 +130,12 @@ def clear_heights(places: FloatArray, votes: VoxelVotes, near_m: float) -> Float
     if len(floor) >= 5:
         ground = np.median(floor[cKDTree(floor[:, :2]).query(places, k=5)[1], 2], axis=1)
     return np.where(distance[:, 0] < near_m, top - ground, np.nan)
+
+
+def _places_of(votes: VoxelVotes, label: Label) -> FloatArray:
+    """(n, 3) the cubes that scans agree on to be of one label."""
+    agreed = (majority(votes.counts) == label) & (votes.counts.max(axis=1, initial=0) >= _AGREED_VOTES)
+    return np.asarray(votes.mean_position[agreed])
 
 
 def column_places(walls: Walls, first: IntArray, before_m: float = 0.2) -> FloatArray:
@@ -432,6 +438,7 @@ def find_hidden_walls(
     clear_m = clear_heights(column_places(both, cells.first), votes, settings.ceiling_near_m)
     visited = _visited(both, cells, path_map, settings.robot_m)
     columns = _count_columns(cells, clear_m, settings)
+    floor_and_ceiling = np.concatenate([_places_of(votes, label) for label in (Label.FLOOR, Label.CEILING)])
     kept: list[tuple[int, int, int]] = []
     top_m: list[float] = []
     for w in range(len(both)):
@@ -462,11 +469,25 @@ def find_hidden_walls(
             # A pillar shows from floor to ceiling; what else stands or hangs before a wall does not.
             reaches &= not before[w] or float(np.mean(on_rows > passed_rows)) > _PILLAR_SHARE
             counted = float((columns.upper_on[part] + columns.lower_on[part]).sum()) / (2 * _SMOOTH_COLUMNS + 1)
-            if reaches and counted >= settings.hidden_returns_min and (after - first) * CELL_M >= length_min_m:
+            reaches &= counted >= settings.hidden_returns_min and (after - first) * CELL_M >= length_min_m
+            if reaches and _has_room_before(_cut(both, cells, [(w, first, after)]), floor_and_ceiling):
                 kept.append((w, first, after))
                 top_m.append(ceiling_m)
     hidden = _cut(both, cells, kept)
     return replace(hidden, top_m=np.array(top_m))
+
+
+def _has_room_before(face: Walls, floor_and_ceiling: FloatArray) -> bool:
+    """Whether floor or ceiling is seen before a face: what is seen through a window, another house's front, has neither.
+
+    face: a single one. floor_and_ceiling: (n, 3) places of both.
+    """
+    start, stop = face.ends[0]
+    length_m = float(np.linalg.norm(stop - start))
+    relative = floor_and_ceiling[:, :2] - start
+    place_m, before_m = relative @ (stop - start) / length_m, relative @ face.normal[0]
+    beside = (place_m > -_ROOM_BESIDE_M) & (place_m < length_m + _ROOM_BESIDE_M)
+    return bool(np.count_nonzero(beside & (before_m > _ROOM_M[0]) & (before_m < _ROOM_M[1])) >= _ROOM_CUBES)
 
 
 def _crossed_by(walls: Walls, candidates: Walls, w: int, count: int) -> BoolArray:

@@ -33,7 +33,6 @@ from loaders.scans import SkippedScan, read_scans
 VOXEL_M = 0.05
 SCANS_PER_BLOCK = 20
 FINAL_EVIDENCE = ".final.rrd"
-_GROWING_STRIDE = 4
 
 
 @dataclass(frozen=True)
@@ -158,8 +157,7 @@ def label_block(job: LabelJob) -> BlockSummary:
             if recorder:
                 recorder.log_scan(index, placed, labelling, scan.stamp_ns, timings)
             features.append(extract(index, placed, labelling))
-            # For the map as it grows a share of the returns is enough; the final stage counts all.
-            table.add(points_in_map(placed)[::_GROWING_STRIDE], labelling.label[::_GROWING_STRIDE])
+            table.add(points_in_map(placed), labelling.label)
             rivals.add(placed, labelling)
             labels.append(full_labels(scan, labelling.label))
             ceilings.append(labelling.ceiling_planes)

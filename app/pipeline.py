@@ -636,7 +636,7 @@ def _build(
     }
     before = look_before_walls(cells, trimmed.clear_m, settings.before_walls)
     halo = find_halo(votes, settings.relabelling.halo_ratio)
-    halo = halo_at_walls(halo, walls, before, settings.relabelling.halo_wall_m)
+    halo = halo_at_walls(halo, walls, doors, before, settings.relabelling.halo_wall_m)
     stretches = standing_stretches(immobile, settings.grid_map)
     plan = draw_floor_plan(stretches, immobile, grid, votes, settings.floor_plan, settings.wall_thickness, rooms.rooms)
     thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))

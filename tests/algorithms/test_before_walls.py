@@ -1,10 +1,12 @@
 """What stands flat against a wall, told from the wall by the mean distance of each cell's returns before its face."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from algorithms.before_walls import BeforeWallsSettings, halo_at_walls, look_before_walls
-from algorithms.building import CELL_M, WallCells, Walls
+from algorithms.building import CELL_M, NO_DOORS, WallCells, Walls
 from algorithms.labels import Label
 from algorithms.semantic_map import find_halo, vote
 
@@ -122,9 +124,32 @@ def test_only_the_buildings_own_walls_have_a_halo() -> None:
     cells = WallCells(np.array([0, 120]), 60, np.zeros((120, 60, 4), np.float32))
     before = look_before_walls(cells, np.full(120, CEILING_M), SETTINGS)
     np.testing.assert_array_equal(
-        halo_at_walls(halo, FACE, before, 0.12).label_of(stray, clutter), [Label.WALL, Label.CLUTTER]
+        halo_at_walls(halo, FACE, NO_DOORS, before, 0.12).label_of(stray, clutter), [Label.WALL, Label.CLUTTER]
     )
     before.covered[:] = True
     np.testing.assert_array_equal(
-        halo_at_walls(halo, FACE, before, 0.12).label_of(stray, clutter), [Label.CLUTTER, Label.CLUTTER]
+        halo_at_walls(halo, FACE, NO_DOORS, before, 0.12).label_of(stray, clutter), [Label.CLUTTER, Label.CLUTTER]
     )
+
+
+def test_the_leaf_of_an_open_door_is_no_halo_of_its_wall() -> None:
+    """What scans took for wall next to the wall, straight before a doorway and beside it."""
+    leaf, wall = np.array([3.02, 0.08, 1.02]), np.array([4.02, 0.08, 1.02])
+    points = np.repeat([leaf, wall], 20, axis=0)
+    halo = find_halo(vote(points, np.full(40, Label.WALL, np.uint8), len(Label), 0.05), 6.0)
+    cells = WallCells(np.array([0, 120]), 60, np.zeros((120, 60, 4), np.float32))
+    before = look_before_walls(cells, np.full(120, CEILING_M), SETTINGS)
+    doors = replace(
+        NO_DOORS,
+        ends=np.array([[[2.9, 0.0], [3.8, 0.0]]]),
+        normal=np.array([[0.0, 1.0]]),
+        head_m=np.array([2.1]),
+        reveal_m=np.array([0.2]),
+    )
+    clutter = np.full(2, Label.CLUTTER, np.uint8)
+    stray = np.array([leaf, wall])
+    found = halo_at_walls(halo, FACE, doors, before, 0.12).label_of(stray, clutter)
+    np.testing.assert_array_equal(found, [Label.CLUTTER, Label.WALL])
+    # Above its head a wall goes on.
+    low = replace(doors, head_m=np.array([0.9]))
+    np.testing.assert_array_equal(halo_at_walls(halo, FACE, low, before, 0.12).label_of(stray, clutter), [Label.WALL] * 2)

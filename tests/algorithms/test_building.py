@@ -146,6 +146,12 @@ def test_floor_and_ceiling_behind_an_opening_passed_its_face() -> None:
     assert seen[..., FILLED].sum() + seen[..., THROUGH].sum() == 4.0
 
 
+@pytest.mark.parametrize(("before_m", "counted"), [(15.0, 1), (30.0, 0)])
+def test_walls_seen_from_afar_through_doors_count(before_m: float, counted: int) -> None:
+    scan = features((2.0, -before_m), np.array([[2.0, 0.0, 1.0]]), np.zeros((0, 2, 2)))
+    assert trace_rays(WALL, [scan], SETTINGS).counts[..., FILLED].sum() == counted
+
+
 def test_an_open_door_is_found_though_its_jambs_are_hidden() -> None:
     seen = cells()
     opening(seen)

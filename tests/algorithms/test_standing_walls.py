@@ -147,8 +147,8 @@ def test_faces_meet_in_their_corner_and_leave_gaps_that_are_wide():
     np.testing.assert_allclose(walls.ends[2], [[0, -2], [0, -9]], atol=1e-9)
 
 
-def room(wall: bool = True, height_m: float = CEILING_M, seed: int = 0) -> VoxelVotes:
-    """Floor and ceiling of a room, a known wall at y = 0, and clutter on the plane x = 3."""
+def room(wall: bool = True, height_m: float = CEILING_M, seed: int = 0, from_x: float = -1.0) -> VoxelVotes:
+    """Floor and ceiling of a room, from `from_x` on, a known wall at y = 0, and clutter on the plane x = 3."""
     generator = np.random.default_rng(seed)
 
     def spread(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float], count: int) -> np.ndarray:
@@ -156,8 +156,8 @@ def room(wall: bool = True, height_m: float = CEILING_M, seed: int = 0) -> Voxel
         return generator.uniform(low, high, (count, 3)) + generator.normal(0, 0.01, (count, 3))
 
     parts = [
-        (spread((-1, 5), (0, 3), (0, 0), 40_000), Label.FLOOR),
-        (spread((-1, 5), (0, 3), (CEILING_M, CEILING_M), 40_000), Label.CEILING),
+        (spread((from_x, 5), (0, 3), (0, 0), 40_000), Label.FLOOR),
+        (spread((from_x, 5), (0, 3), (CEILING_M, CEILING_M), 40_000), Label.CEILING),
         (spread((-1, 5), (0, 0), (0, CEILING_M), 9_000), Label.WALL),
     ]
     if wall:
@@ -235,6 +235,12 @@ def test_a_pillar_before_a_wall_shows_from_floor_to_ceiling():
 def test_what_is_seen_no_higher_than_heads_are_is_a_leaf_or_a_reveal():
     assert len(hidden(room(), seen_m=2.2)) == 0
     assert len(hidden(room(), seen_m=2.6)) == 1
+
+
+def test_before_a_wall_of_this_building_floor_or_ceiling_is_seen():
+    """Through windows another house's front shows, as high as the ceiling, which ends there."""
+    assert len(hidden(room(from_x=2.0))) == 1
+    assert len(hidden(room(from_x=2.9))) == 0
 
 
 def test_a_hidden_wall_ends_at_a_wall_that_it_crosses():
