@@ -19,7 +19,9 @@ _RISE_M = (0.06, 0.30)
 """Steps and platforms are so much higher than the floor beside them."""
 _BROAD_M = 1.2
 """A raised floor holds a disc so broad: nothing that low and that broad is furniture."""
-_RAISED_CELL_M = 0.1
+_OVERHEAD_M, _BROAD_OVERHEAD_M, _UNKNOWN_M = 2.2, 0.8, 0.3
+"""What hangs so high and holds a disc so broad, with nothing seen above it, is a ceiling: ducts and lamps are narrow."""
+_FINE_CELL_M = 0.1
 _FLAT_M = 0.03
 
 
@@ -61,6 +63,30 @@ def map_ceilings(votes: VoxelVotes) -> HeightMap:
     return HeightMap(Label.CEILING, origin, _CELL_M, height_m)
 
 
+def map_glimpsed_ceilings(votes: VoxelVotes) -> HeightMap:
+    """Ceilings that no scan told, of rooms seen through a doorway: the highest there is, level, and too broad for a duct.
+
+    A scan knows the ceiling above it; what is higher or lower is clutter to it.
+    """
+    label = majority(votes.counts)
+    position = votes.mean_position
+    seen = votes.counts.max(axis=1, initial=0) >= _VOTES_MIN
+    floor, known = (seen & (label == surface) for surface in (Label.FLOOR, Label.CEILING))
+    if not floor.any():
+        return _nothing(Label.CEILING)
+    origin, shape = _frame(position, _FINE_CELL_M)
+    ground_m, _ = _ground_m(position[floor], origin, shape)
+    rise_m = position[:, 2] - ground_m[tuple(_cells(position, origin, shape, _FINE_CELL_M).T)]
+    high = (label == Label.CLUTTER) & (rise_m > _OVERHEAD_M)
+    highest_m = _in_cells(position[high], origin, shape, _FINE_CELL_M, share=1.0)
+    away = ndimage.distance_transform_edt(np.isnan(_in_cells(position[known], origin, shape, _FINE_CELL_M, share=0.5)))
+    highest_m[away * _FINE_CELL_M < _UNKNOWN_M] = np.nan
+    around = _median_around(highest_m)
+    level = np.abs(highest_m - around) < _FLAT_M
+    broad = _holding_a_disc(ndimage.binary_closing(level, np.ones((3, 3))), 0.5 * _BROAD_OVERHEAD_M / _FINE_CELL_M)
+    return HeightMap(Label.CEILING, origin, _FINE_CELL_M, np.where(broad, around, np.nan))
+
+
 def map_raised_floors(votes: VoxelVotes) -> HeightMap:
     """What lies a step above the floor around it, level and too broad for furniture (paper, V: uneven floors).
 
@@ -73,16 +99,25 @@ def map_raised_floors(votes: VoxelVotes) -> HeightMap:
     floor, low = seen & (label == Label.FLOOR), seen & ((label == Label.FLOOR) | (label == Label.CLUTTER))
     if not floor.any():
         return _nothing(Label.FLOOR)
-    origin, shape = _frame(position[low], _RAISED_CELL_M)
-    floor_m = _in_cells(position[floor], origin, shape, _RAISED_CELL_M, share=0.5)
-    away, nearest = ndimage.distance_transform_edt(np.isnan(floor_m), return_indices=True)
-    rise_m = position[:, 2] - floor_m[tuple(nearest)][tuple(_cells(position, origin, shape, _RAISED_CELL_M).T)]
-    lowest_m = _in_cells(position[low & (rise_m > -_MARGIN_M)], origin, shape, _RAISED_CELL_M, share=0.0)
-    rise_m = lowest_m - floor_m[tuple(nearest)]
+    origin, shape = _frame(position[low], _FINE_CELL_M)
+    ground_m, away = _ground_m(position[floor], origin, shape)
+    rise_m = position[:, 2] - ground_m[tuple(_cells(position, origin, shape, _FINE_CELL_M).T)]
+    lowest_m = _in_cells(position[low & (rise_m > -_MARGIN_M)], origin, shape, _FINE_CELL_M, share=0.0)
+    rise_m = lowest_m - ground_m
     around = _median_around(lowest_m)
     level = (np.abs(lowest_m - around) < _FLAT_M) & (rise_m > _RISE_M[0]) & (rise_m < _RISE_M[1]) & (away > 0)
-    broad = _holding_a_disc(ndimage.binary_closing(level, np.ones((3, 3))), 0.5 * _BROAD_M / _RAISED_CELL_M)
-    return HeightMap(Label.FLOOR, origin, _RAISED_CELL_M, np.where(broad, around, np.nan))
+    broad = _holding_a_disc(ndimage.binary_closing(level, np.ones((3, 3))), 0.5 * _BROAD_M / _FINE_CELL_M)
+    return HeightMap(Label.FLOOR, origin, _FINE_CELL_M, np.where(broad, around, np.nan))
+
+
+def _ground_m(floor: FloatArray, origin: FloatArray, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
+    """The median height of the floor in each cell, or in the nearest that has one, and how many cells away that is.
+
+    floor: (m, 3) places on it, one at least.
+    """
+    floor_m = _in_cells(floor, origin, shape, _FINE_CELL_M, share=0.5)
+    away, nearest = ndimage.distance_transform_edt(np.isnan(floor_m), return_indices=True)
+    return floor_m[tuple(nearest)], away
 
 
 def _median_around(height_m: FloatArray) -> FloatArray:
@@ -129,5 +164,5 @@ def _in_cells(
     order = np.lexsort((position[:, 2], index))
     own, first, count = np.unique(index[order], return_index=True, return_counts=True)
     height_m = np.full(shape[0] * shape[1], np.nan)
-    height_m[own] = position[order, 2][first + (share * count).astype(np.int64)]
+    height_m[own] = position[order, 2][first + np.minimum((share * count).astype(np.int64), count - 1)]
     return height_m.reshape(shape)

@@ -19,6 +19,9 @@ _GRAZING = 0.2
 
 _ANOTHER_CEILING_M = 0.06
 
+_LEAF_HANGS_M, _AT_LEAF_M = 0.03, 0.012
+"""Over so much of a reveal, at its end, a return so far within the frame is the leaf's."""
+
 
 class RelabellingSettings(StepSettings):
     """What the building's walls and doors change in a scan's labels."""
@@ -38,7 +41,7 @@ class RelabellingSettings(StepSettings):
     at_reveal_m: float = Field(
         0.035, ge=0, description="A reveal or the underside of a lintel is known to so many metres."
     )
-    opening_m: float = Field(0.03, ge=0, description="So many metres within the frame of an open door no wall stands.")
+    opening_m: float = Field(0.015, ge=0, description="So many metres within the frame of an open door no wall stands.")
     refused_m: float = Field(
         0.06, ge=0, description="What a scan calls wall at most so many metres off a refused face is clutter."
     )
@@ -317,7 +320,9 @@ def _relabel(
             )
             in_doorway = in_doorway or (-margin_m < u < length + margin_m and height[i] < door_head[d])
             if -door_reveal[d] < s < wall_distance_m and -wall_distance_m < u < length + wall_distance_m:
-                at_jamb = u < at_reveal_m or u > length - at_reveal_m
+                # At the reveal's end an open leaf hangs, as thick as the reveal's scatter is wide.
+                inner_m = _AT_LEAF_M if s < _LEAF_HANGS_M - door_reveal[d] else at_reveal_m
+                at_jamb = u < inner_m or u > length - inner_m
                 # Nothing but the lintel's underside is within the wall about the head, which is known to a cell or two.
                 at_head = door_head[d] - at_reveal_m < height[i] < door_head[d] + 0.3
                 is_reveal = is_reveal or at_head or (at_jamb and height[i] < door_head[d])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from algorithms.height_maps import HeightMap, map_ceilings, map_raised_floors
+from algorithms.height_maps import HeightMap, map_ceilings, map_glimpsed_ceilings, map_raised_floors
 from algorithms.labels import Label
 from algorithms.semantic_map import merge, vote
 
@@ -41,6 +41,8 @@ def test_a_building_without_ceilings_changes_nothing() -> None:
     assert map_ceilings(floor).label_of(np.zeros((1, 3)), label)[0] == Label.CLUTTER
     nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
     assert map_raised_floors(nothing).label_of(np.zeros((1, 3)), label)[0] == Label.CLUTTER
+    for votes in (nothing, floor):
+        assert map_glimpsed_ceilings(votes).label_of(np.zeros((1, 3)), label)[0] == Label.CLUTTER
     assert len(two_rooms().label_of(np.zeros((0, 3)), np.zeros(0, np.uint8))) == 0
 
 
@@ -89,3 +91,25 @@ def test_a_table_whose_floor_is_seen_below_it_is_none() -> None:
     low_table = lying((1.0, 3.5), (1.0, 3.5), 0.25)
     found = raised((lying((0, 5), (0, 5), 0.01), Label.FLOOR), (low_table, Label.CLUTTER))
     assert np.isnan(found.height_m).all()
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "z", "expected"),
+    [
+        ((5.0, 7.0), (0.0, 4.0), 2.82, Label.CEILING),  # of another room, seen through its doorway
+        ((5.0, 7.0), (1.0, 1.4), 2.82, Label.CLUTTER),  # a duct
+        ((5.0, 7.0), (0.0, 4.0), 1.92, Label.CLUTTER),  # a bunk
+        ((0.0, 4.0), (0.0, 4.0), 2.22, Label.CLUTTER),  # a canopy below the ceiling
+    ],
+)
+def test_a_glimpsed_ceiling_is_high_broad_and_the_highest(
+    x: tuple[float, float], y: tuple[float, float], z: float, expected: Label
+) -> None:
+    pieces = (
+        (lying((0, 7), (0, 4), 0.01), Label.FLOOR),
+        (lying((0, 4), (0, 4), 2.52), Label.CEILING),
+        (lying(x, y, z), Label.CLUTTER),
+    )
+    votes = merge([vote(p, np.full(len(p), label, np.uint8), len(Label), 0.05) for p, label in pieces] * 3)
+    point = np.array([[np.mean(x), np.mean(y), z]])
+    assert map_glimpsed_ceilings(votes).label_of(point, np.array([Label.CLUTTER], np.uint8))[0] == expected
