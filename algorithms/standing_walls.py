@@ -21,6 +21,8 @@ from algorithms.settings import StepSettings
 
 _FOOT_M, _HIP_M = 0.15, 1.8
 """Between these heights rays that pass a face prove an opening, or that nothing stands there."""
+_FOOT_ROW = 2
+"""The lowest row above sills and the floor's own returns."""
 _CEILING_MARGIN_M = 0.08
 """Rows so close below a ceiling hold its own returns."""
 _SMOOTH_COLUMNS = 1
@@ -36,7 +38,7 @@ _GOES_ON_SHARE = 0.95
 _NOISE_M, _BEFORE_M = 0.1, 0.5
 """So close to a face are its noise, boards and rails; so far before it a pillar stands."""
 _PILLAR_SHARE = 0.8
-_BELOW_CEILING_M, _ABOVE_HEADS_M = 0.3, 2.4
+_BELOW_CEILING_M, _ABOVE_HEADS_M = 0.35, 2.25
 """What is seen neither so close below the ceiling nor so far up is a leaf, or the reveal of a window."""
 _SCATTERED_RAYS = 2
 _AGREED_VOTES = 3
@@ -388,13 +390,13 @@ def _goes_on(counts: FloatArray, head_m: float, clear_m: float) -> bool:
         return False
     on, passed = _rows_on_and_passed(counts, clear_m)
     seen = on + passed >= _SCATTERED_RAYS
-    above = seen[int((head_m - _FOOT_M) / CELL_M) + 1 :]
+    above = seen[int(head_m / CELL_M) + 1 - _FOOT_ROW :]
     return bool(np.mean(above) > 0.5 and np.mean(on[seen] > passed[seen]) >= _GOES_ON_SHARE) if len(above) else False
 
 
 def _rows_on_and_passed(counts: FloatArray, clear_m: float) -> tuple[FloatArray, FloatArray]:
     """How many rays ended on columns (c, rows, 4), and how many did not, in each row between foot and ceiling."""
-    rows = slice(int(_FOOT_M / CELL_M), int((clear_m - _CEILING_MARGIN_M) / CELL_M))
+    rows = slice(_FOOT_ROW, int((clear_m - _CEILING_MARGIN_M) / CELL_M))
     filled, total, _, through = counts[:, rows].sum(axis=0, dtype=np.float64).T
     on = np.where(np.abs(total) < AT_FACE_M * filled, filled, 0.0)
     return on, through + filled - on
@@ -464,7 +466,7 @@ def find_hidden_walls(
             # A duct's underside and the ceiling next to it are rows of returns, with nothing between them and the floor.
             reaches &= np.count_nonzero(on_rows > passed_rows) > np.count_nonzero(passed_rows > on_rows)
             seen = np.flatnonzero(on_rows >= _SCATTERED_RAYS)
-            seen_to_m = _FOOT_M + (seen[-1] + 1) * CELL_M if len(seen) else 0.0
+            seen_to_m = (_FOOT_ROW + seen[-1] + 1) * CELL_M if len(seen) else 0.0
             reaches &= seen_to_m > min(ceiling_m - _BELOW_CEILING_M, _ABOVE_HEADS_M)
             # A pillar shows from floor to ceiling; what else stands or hangs before a wall does not.
             reaches &= not before[w] or float(np.mean(on_rows > passed_rows)) > _PILLAR_SHARE

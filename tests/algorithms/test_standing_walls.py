@@ -234,7 +234,7 @@ def test_a_pillar_before_a_wall_shows_from_floor_to_ceiling():
 
 def test_what_is_seen_no_higher_than_heads_are_is_a_leaf_or_a_reveal():
     assert len(hidden(room(), seen_m=2.2)) == 0
-    assert len(hidden(room(), seen_m=2.6)) == 1
+    assert len(hidden(room(), seen_m=2.35)) == 1  # through a doorway, from afar
 
 
 def test_before_a_wall_of_this_building_floor_or_ceiling_is_seen():
