@@ -88,8 +88,9 @@ class BuildingSettings(StepSettings):
         description="A return at most so many metres behind a wall's face is a leaf; deeper, it went through.",
     )
     range_m: float = Field(
-        25.0, gt=0, description="Rays from farther away than so many metres say too little of the cells of a wall."
+        12.0, gt=0, description="Rays from farther away than so many metres tell nothing of doors and windows."
     )
+    far_m: float = Field(25.0, gt=0, description="The same of where walls stand: some are seen through doors, from afar.")
     recess_min_m: float = Field(
         0.016,
         gt=0,

@@ -19,8 +19,8 @@ from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from algorithms.semantic_map import VoxelVotes, majority
 from algorithms.settings import StepSettings
 
-_FOOT_M, _HIP_M = 0.15, 1.8
-"""Between these heights rays that pass a face prove an opening, or that nothing stands there."""
+_FOOT_M, _SILL_M, _HIP_M = 0.15, 0.7, 1.8
+"""Between foot and hip rays that pass a face prove an opening, or that nothing stands there; up to the sill, no window."""
 _FOOT_ROW = 2
 """The lowest row above sills and the floor's own returns."""
 _CEILING_MARGIN_M = 0.08
@@ -155,12 +155,14 @@ def column_places(walls: Walls, first: IntArray, before_m: float = 0.2) -> Float
 
 @dataclass(frozen=True)
 class _Columns:
-    """Rays on and past each column (c,) of the faces, close below the ceiling and between foot and hip."""
+    """Rays on and past each column (c,) of the faces: close below the ceiling, between foot and hip, below windows' sills."""
 
     upper_on: FloatArray
     upper_passed: FloatArray
     lower_on: FloatArray
     lower_passed: FloatArray
+    sill_on: FloatArray
+    sill_passed: FloatArray
 
 
 def _count_columns(cells: WallCells, clear_m: FloatArray, settings: StandingWallsSettings) -> _Columns:
@@ -172,11 +174,14 @@ def _count_columns(cells: WallCells, clear_m: FloatArray, settings: StandingWall
     top = np.where(np.isfinite(clear_m), clear_m, np.inf) - _CEILING_MARGIN_M
     upper = (height > settings.above_door_m) & (height < top[:, None])
     lower = (height > _FOOT_M) & (height < _HIP_M)
+    sill = (height > _FOOT_M) & (height < _SILL_M)
     return _Columns(
         _smooth((on * upper).sum(axis=1), cells),
         _smooth((passed * upper).sum(axis=1), cells),
         _smooth(on[:, lower].sum(axis=1), cells),
         _smooth(passed[:, lower].sum(axis=1), cells),
+        _smooth(on[:, sill].sum(axis=1), cells),
+        _smooth(passed[:, sill].sum(axis=1), cells),
     )
 
 
@@ -447,14 +452,16 @@ def find_hidden_walls(
         own = slice(int(cells.first[w]), int(cells.first[w + 1]))
         on = columns.upper_on[own] + columns.lower_on[own]
         passed = columns.upper_passed[own] + columns.lower_passed[own]
-        proven = (
+        below_ceiling = columns.upper_passed[own] <= 0.5 * columns.upper_on[own]
+        solid = (
             (on > 0)
             & (passed <= settings.hidden_passed_max * on)
             & (columns.lower_passed[own] <= settings.hidden_passed_max * columns.lower_on[own] + _SCATTERED_RAYS)
-            & (columns.upper_passed[own] <= 0.5 * columns.upper_on[own])
-            & np.isfinite(clear_m[own])
-            & ~visited[own]
         )
+        window = (columns.upper_on[own] > _SCATTERED_RAYS) & (
+            columns.sill_passed[own] + _SCATTERED_RAYS < settings.hidden_passed_max * columns.sill_on[own]
+        )
+        proven = (solid | window) & below_ceiling & np.isfinite(clear_m[own]) & ~visited[own]
         contradicted = (passed > 2 * _SCATTERED_RAYS) & ~proven
         bridged = _long_runs(proven, 1, bridge=int(settings.hidden_gap_m / CELL_M)) & ~contradicted
         bridged &= ~_crossed_by(walls, both, w, own.stop - own.start)

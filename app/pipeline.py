@@ -575,7 +575,8 @@ def _build(
 ) -> Building:
     """Walls from all planes, doors and grid from all rays; the rays are read block by block."""
     planes = concatenate([_without_rays(features) for features in _features(folder, blocks)])
-    strict = settings.building.model_copy(update={"near_m": _STRICT_NEAR_M, "distance_m": 0.0})
+    far = settings.building.model_copy(update={"range_m": settings.building.far_m})
+    strict = far.model_copy(update={"near_m": _STRICT_NEAR_M, "distance_m": 0.0})
 
     def trace(faces: Walls, building: BuildingSettings = settings.building, windows: Windows = NO_WINDOWS) -> WallCells:
         return _trace(faces, folder, blocks, building, windows, workers)
@@ -621,7 +622,7 @@ def _build(
     walls, cells, judged = trimmed.walls, trimmed.cells, judged.refuse(trimmed.leaves, FaceVerdict.ENDS_LOW)
     path = trajectory.T_map_base[:, :3, 3]
     drive = Drive(path, lambda: _features(folder, blocks))
-    immobile = Immobile(walls, cells, votes, doors, windows)
+    immobile = Immobile(walls, trace(walls, far), votes, doors, windows)
     grid = draw_furniture_free(immobile, drive, settings.grid_map, settings.wall_thickness)
     rooms = find_rooms(grid, settings.area_graph, doorways_of(doors), windows.ends, path)
     with ThreadPoolExecutor(workers) as threads:

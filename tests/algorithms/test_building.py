@@ -146,10 +146,12 @@ def test_floor_and_ceiling_behind_an_opening_passed_its_face() -> None:
     assert seen[..., FILLED].sum() + seen[..., THROUGH].sum() == 4.0
 
 
-@pytest.mark.parametrize(("before_m", "counted"), [(15.0, 1), (30.0, 0)])
-def test_walls_seen_from_afar_through_doors_count(before_m: float, counted: int) -> None:
+@pytest.mark.parametrize(("before_m", "near", "far"), [(10.0, 1, 1), (15.0, 0, 1), (30.0, 0, 0)])
+def test_rays_count_from_so_far_as_they_tell(before_m: float, near: int, far: int) -> None:
     scan = features((2.0, -before_m), np.array([[2.0, 0.0, 1.0]]), np.zeros((0, 2, 2)))
-    assert trace_rays(WALL, [scan], SETTINGS).counts[..., FILLED].sum() == counted
+    for range_m, counted in ((SETTINGS.range_m, near), (SETTINGS.far_m, far)):
+        seen = trace_rays(WALL, [scan], SETTINGS.model_copy(update={"range_m": range_m}))
+        assert seen.counts[..., FILLED].sum() == counted
 
 
 def test_an_open_door_is_found_though_its_jambs_are_hidden() -> None:

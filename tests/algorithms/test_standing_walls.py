@@ -181,11 +181,12 @@ def hidden(
     known: Walls | None = None,
     unseen_m: float = 0.0,
     seen_m: float = CEILING_M,
+    window_m: tuple[float, float] | None = None,
 ) -> Walls:
     """What is found; rays end on every candidate that lies on x = 3, seen from smaller x, and pass the others.
 
     hip_m: from there to a door's head a few rays pass. unseen_m, seen_m: below and above there no ray comes.
-    known: a wall beside it.
+    window_m: between these heights rays pass. known: a wall beside it.
     """
 
     def trace(candidates: Walls) -> WallCells:
@@ -202,6 +203,9 @@ def hidden(
             if on and hip_m:
                 between = slice(int(hip_m / CELL_M), int(2.1 / CELL_M))
                 counts[own, between, FILLED], counts[own, between, THROUGH] = 0.0, 0.1
+            if on and window_m is not None:
+                pane = slice(round(window_m[0] / CELL_M), round(window_m[1] / CELL_M))
+                counts[own, pane, FILLED], counts[own, pane, THROUGH] = 0.0, 3.0
             counts[own, : int(unseen_m / CELL_M)] = 0.0
             counts[own, int(seen_m / CELL_M) :] = 0.0
         return WallCells(first, 60, counts)
@@ -235,6 +239,11 @@ def test_a_pillar_before_a_wall_shows_from_floor_to_ceiling():
 def test_what_is_seen_no_higher_than_heads_are_is_a_leaf_or_a_reveal():
     assert len(hidden(room(), seen_m=2.2)) == 0
     assert len(hidden(room(), seen_m=2.35)) == 1  # through a doorway, from afar
+
+
+def test_a_hidden_wall_may_have_a_window():
+    assert len(hidden(room(), window_m=(0.9, 2.1))) == 1
+    assert len(hidden(room(), window_m=(0.3, 2.1))) == 0  # a table, and a duct above it
 
 
 def test_before_a_wall_of_this_building_floor_or_ceiling_is_seen():
