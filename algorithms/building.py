@@ -90,7 +90,11 @@ class BuildingSettings(StepSettings):
     range_m: float = Field(
         12.0, gt=0, description="Rays from farther away than so many metres tell nothing of doors and windows."
     )
-    far_m: float = Field(25.0, gt=0, description="The same of where walls stand: some are seen through doors, from afar.")
+    far_m: float = Field(
+        25.0,
+        gt=0,
+        description="Rays from farther away than so many metres tell nothing of walls either, which show through doors.",
+    )
     recess_min_m: float = Field(
         0.016,
         gt=0,
@@ -373,7 +377,8 @@ def find_doors(walls: Walls, cells: WallCells, settings: BuildingSettings, windo
         for door in _doors_in(w, walls, cells, settings):
             if _leads_somewhere(door, walls) and not _is_glazed(door, windows):
                 found.append(door)
-    found.sort(key=lambda door: -door.agreement * door.coverage * door.ray_count)
+    # Where a face ends within an opening, the other face may show all of it.
+    found.sort(key=lambda door: (door.is_cut, -door.agreement * door.coverage * door.ray_count))
     kept: list[_Door] = []
     for door in found:
         middle = door.ends.mean(axis=0)
@@ -447,6 +452,8 @@ class _Door:
     coverage: float
     ray_count: int
     wall: int
+    is_cut: bool
+    """Whether it reaches the end of its face: that may not be its jamb."""
 
 
 def prove_crossed(doors: Doors, path_map: FloatArray) -> Doors:
@@ -1024,6 +1031,7 @@ def _doors_in(w: int, walls: Walls, cells: WallCells, settings: BuildingSettings
                 coverage=float(np.mean(flags[columns])),
                 ray_count=int(found.rays[columns][:, [_FILLED, _THROUGH]].sum() / 3),
                 wall=w,
+                is_cut=first == 0 or last == len(counts) - 1,
             )
 
 

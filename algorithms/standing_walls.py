@@ -20,7 +20,7 @@ from algorithms.semantic_map import VoxelVotes, majority
 from algorithms.settings import StepSettings
 
 _FOOT_M, _SILL_M, _HIP_M = 0.15, 0.7, 1.8
-"""Between foot and hip rays that pass a face prove an opening, or that nothing stands there; up to the sill, no window."""
+"""Between foot and hip rays that pass a face prove an opening, or that nothing stands there. No window has a lower sill."""
 _FOOT_ROW = 2
 """The lowest row above sills and the floor's own returns."""
 _CEILING_MARGIN_M = 0.08

@@ -128,6 +128,24 @@ def test_what_hangs_behind_a_lintel_does_not_hide_its_door() -> None:
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
 
 
+def test_a_doorway_is_taken_from_the_face_that_shows_all_of_it() -> None:
+    """The nearer face, seen better, ends within the doorway."""
+    walls = Walls(
+        np.array([[[0.0, 0.0], [2.15, 0.0]], [[4.0, 0.1], [0.0, 0.1]]]),
+        np.array([[0.0, -1.0], [0.0, 1.0]]),
+        np.zeros(2),
+        np.full(2, 2.8),
+        np.full(2, 9, np.int32),
+        np.full(2, 0.01),
+    )
+    seen = cells()
+    opening(seen)
+    both = np.concatenate([3.0 * seen.counts[:43], seen.counts[::-1]])
+    doors = find_doors(walls, WallCells(np.array([0, 43, 123]), 66, both), SETTINGS)
+    assert len(doors) == 1
+    np.testing.assert_allclose(np.sort(doors.ends[0, :, 0]), [1.5, 2.4], atol=2 * CELL_M)
+
+
 def test_a_window_behind_a_desk_is_no_doorway() -> None:
     seen = cells()
     opening(seen)
