@@ -25,8 +25,8 @@ _WALL_COLUMNS = 11
 _CELLS_TOGETHER = (1, 3, 5, 7)
 """Where a cell returned too little, so many along and up tell together."""
 _BRIDGE_ROWS = 11
-_LEAF_OFF_M = 0.03
-"""So far before or behind a doorway a wall's returns do not scatter between its jambs."""
+_LEAF_OFF_M, _LEAF_REACH_M = 0.03, 1.0
+"""Between these distances before and behind a doorway what stands between its jambs is its leaf, no wall."""
 _EDGE = 0.6
 """A patch of relief goes on where it is so much lower than its threshold."""
 _FOOT_ROWS = 2
@@ -171,7 +171,7 @@ def halo_at_walls(halo: Halo, walls: Walls, doors: Doors, before: BeforeWalls, n
     """The halo without that of "walls" which the building does not have: what scans took for one.
 
     Ducts, leaves, cupboards: they lie farther than `near_m` metres from every face, or stand before one. And straight before
-    and behind an open doorway there is its leaf.
+    and behind a doorway hangs its leaf.
     """
     is_wall = halo.label == Label.WALL
     centre = halo.centres
@@ -189,6 +189,7 @@ def halo_at_walls(halo: Halo, walls: Walls, doors: Doors, before: BeforeWalls, n
         place_m = (centre[:, :2] - ends[0]) @ (ends[1] - ends[0]) / width_m
         before_m = (centre[:, :2] - ends[0]) @ normal
         within_wall = (before_m > -reveal_m - _LEAF_OFF_M) & (before_m < _LEAF_OFF_M)
-        at_face &= ~((place_m > 0) & (place_m < width_m) & (centre[:, 2] < head_m) & (np.abs(before_m) < 1.0) & ~within_wall)
+        between_jambs = (place_m > 0) & (place_m < width_m) & (centre[:, 2] < head_m)
+        at_face &= ~(between_jambs & (np.abs(before_m) < _LEAF_REACH_M) & ~within_wall)
     kept = ~is_wall | at_face
     return Halo(halo.keys[kept], halo.label[kept], halo.voxel_m)

@@ -6,7 +6,6 @@ apart as filled, empty and occluded by the rays that passed them, which is what 
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -488,8 +487,8 @@ def place_frames(doors: Doors, walls: Walls, blocks: Iterable[Features], setting
 
     walls: those that `doors.wall` counts.
     """
-    jambs = _EdgeCosts(np.zeros((len(doors), 2, _FRAME_BINS)), np.zeros((len(doors), 2, 2), np.int64))
-    heads = _EdgeCosts(np.zeros((len(doors), 1, _HEAD_BINS)), np.zeros((len(doors), 1, 2), np.int64))
+    jamb_cost_m, jamb_rays = np.zeros((len(doors), 2, _FRAME_BINS)), np.zeros((len(doors), 2, 2), np.int64)
+    head_cost_m, head_rays = np.zeros((len(doors), _HEAD_BINS)), np.zeros((len(doors), 2), np.int64)
     scans = np.zeros((len(doors), 3), np.int64)
     scans[:, 1:] = -1
     depth_m = np.where(np.isfinite(doors.depth_m), np.minimum(doors.depth_m, _BEYOND_M), _BEYOND_M)
@@ -500,8 +499,10 @@ def place_frames(doors: Doors, walls: Walls, blocks: Iterable[Features], setting
             depth_m,
             np.ascontiguousarray(walls.ends[doors.wall], np.float64),
             np.ascontiguousarray(walls.normal[doors.wall], np.float64),
-            *jambs,
-            *heads,
+            jamb_cost_m,
+            jamb_rays,
+            head_cost_m,
+            head_rays,
             scans,
             np.ascontiguousarray(block.scan, np.int64),
             np.ascontiguousarray(block.origin_map, np.float64),
@@ -518,10 +519,10 @@ def place_frames(doors: Doors, walls: Walls, blocks: Iterable[Features], setting
     for d in range(len(doors)):
         along = (doors.ends[d, 1] - doors.ends[d, 0]) / np.linalg.norm(doors.ends[d, 1] - doors.ends[d, 0])
         for side, outwards in ((0, -1.0), (1, 1.0)):
-            edge_m = _edge_m(jambs.cost_m[d, side], jambs.rays[d, side])
+            edge_m = _edge_m(jamb_cost_m[d, side], jamb_rays[d, side])
             if edge_m is not None:
                 ends[d, side] += outwards * along * (edge_m - _FRAME_REACH_M)
-        edge_m = _edge_m(heads.cost_m[d, 0], heads.rays[d, 0])
+        edge_m = _edge_m(head_cost_m[d], head_rays[d])
         head_m[d] = doors.head_m[d] if edge_m is None else _HEAD_MIN_M + edge_m
     count, first, last = scans.T
     return replace(doors, ends=ends, head_m=head_m, scan_count=count.astype(np.int32), first_scan=first, last_scan=last)
@@ -549,21 +550,11 @@ def drop_doubtful(doors: Doors, settings: BuildingSettings) -> Doors:
     return doors.select(~unsure & ~(doubtful & (doors.state == DoorState.CLOSED)))
 
 
-class _EdgeCosts(NamedTuple):
-    """What rays say of edges of doors, E of each, for places one bin apart.
-
-    cost_m: (D, E, bins) by how much rays end off where they would if the edge were there. rays: (D, E, 2) how many of them
-    ended on the face, and behind it.
-    """
-
-    cost_m: FloatArray
-    rays: IntArray
-
-
 def _edge_m(cost_m: FloatArray, rays: IntArray) -> float | None:
     """How far from the first bin an opening's edge lies, where rays contradict it least; None where too few tell.
 
-    cost_m: (bins,), rays: (2,), see `_EdgeCosts`; from within the opening outwards.
+    cost_m: (bins,) by how much rays end off where they would with the edge there, from within the opening outwards, 1 cm each.
+    rays: (2,) how many of them ended on the face, and behind it.
     """
     if rays.min() < _FRAME_RAYS:
         return None
@@ -661,8 +652,8 @@ def _compare_with_frames(
                 kind = 0 if -side < min(0.5 * depth_m[d], _ON_FACE_M) else 1
                 end_m = min(max(-side, -depth_m[d]), depth_m[d])
                 if 0.15 < u < length - 0.15 and _HEAD_MIN_M < height < _HEAD_MIN_M + _HEAD_BINS * _FRAME_BIN_M:
-                    head_rays[d, 0, kind] += 1
-                    _add_costs(head_cost_m[d, 0], _HEAD_MIN_M, height, (z - origin[s, 2]) / reach, end_m, depth_m[d])
+                    head_rays[d, kind] += 1
+                    _add_costs(head_cost_m[d], _HEAD_MIN_M, height, (z - origin[s, 2]) / reach, end_m, depth_m[d])
                 if height < 0.2 or height > head_m[d] - 0.15:
                     continue
                 saw = True

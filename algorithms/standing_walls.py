@@ -123,7 +123,7 @@ def clear_heights(places: FloatArray, votes: VoxelVotes, near_m: float) -> Float
 
     The higher ones of the nearest cubes of ceiling count, for ducts and lamps hang below it.
     """
-    ceiling, floor = _places_of(votes, Label.CEILING), _places_of(votes, Label.FLOOR)
+    floor, ceiling = _floor_and_ceiling(votes)
     if len(ceiling) < 10 or not len(places):
         return np.full(len(places), np.nan)
     distance, nearest = cKDTree(ceiling[:, :2]).query(places, k=10)
@@ -134,10 +134,10 @@ def clear_heights(places: FloatArray, votes: VoxelVotes, near_m: float) -> Float
     return np.where(distance[:, 0] < near_m, top - ground, np.nan)
 
 
-def _places_of(votes: VoxelVotes, label: Label) -> FloatArray:
-    """(n, 3) the cubes that scans agree on to be of one label."""
-    agreed = (majority(votes.counts) == label) & (votes.counts.max(axis=1, initial=0) >= _AGREED_VOTES)
-    return np.asarray(votes.mean_position[agreed])
+def _floor_and_ceiling(votes: VoxelVotes) -> tuple[FloatArray, FloatArray]:
+    """(n, 3), (m, 3) the cubes that scans agree on to be floor, and ceiling."""
+    label = np.where(votes.counts.max(axis=1, initial=0) >= _AGREED_VOTES, majority(votes.counts), Label.CLUTTER)
+    return votes.mean_position[label == Label.FLOOR], votes.mean_position[label == Label.CEILING]
 
 
 def column_places(walls: Walls, first: IntArray, before_m: float = 0.2) -> FloatArray:
@@ -445,7 +445,7 @@ def find_hidden_walls(
     clear_m = clear_heights(column_places(both, cells.first), votes, settings.ceiling_near_m)
     visited = _visited(both, cells, path_map, settings.robot_m)
     columns = _count_columns(cells, clear_m, settings)
-    floor_and_ceiling = np.concatenate([_places_of(votes, label) for label in (Label.FLOOR, Label.CEILING)])
+    floor_and_ceiling = np.concatenate(_floor_and_ceiling(votes))
     kept: list[tuple[int, int, int]] = []
     top_m: list[float] = []
     for w in range(len(both)):

@@ -102,6 +102,7 @@ def test_a_drift_is_undone_where_the_robot_comes_by_again(
     before, after = off_m(T_odometry, T_true), off_m(T, T_true)
     assert before.max() > 0.3
     assert after.max() < 0.1 * before.max()
+    np.testing.assert_allclose(T[0], closed.T_odom_first, atol=1e-12)
     np.testing.assert_allclose(T[0], T_odometry[0], atol=2e-2)  # the drift of the first few scans
     assert np.count_nonzero(closed.is_loop & (closed.weight > 0)) > 10
     np.testing.assert_allclose(T[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2), np.broadcast_to(np.eye(3), (160, 3, 3)), atol=1e-9)
