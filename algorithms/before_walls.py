@@ -10,14 +10,15 @@ import numpy as np
 from pydantic import Field
 from scipy import ndimage
 
-from algorithms.building import CELL_M, Doors, WallCells, Walls
+from algorithms.building import CELL_M, Doors, Walls, cells_in
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, IntArray
+from algorithms.segments import segments
 from algorithms.semantic_map import Halo
 from algorithms.settings import StepSettings
 from algorithms.standing_walls import column_places
+from algorithms.wall_cells import FILLED, FOOT_ROW, SUM, THROUGH, WallCells
 
-_FILLED, _SUM, _THROUGH = 0, 1, 3
 _REVEAL_M, _FRONT_PERCENT = 0.03, 75.0
 """So far behind this percentile of the cells around it a cell is no longer the wall's surface."""
 _WALL_COLUMNS = 11
@@ -29,8 +30,6 @@ _LEAF_OFF_M, _LEAF_REACH_M = 0.03, 1.0
 """Between these distances before and behind a doorway what stands between its jambs is its leaf, no wall."""
 _EDGE = 0.6
 """A patch of relief goes on where it is so much lower than its threshold."""
-_FOOT_ROWS = 2
-"""Rows that hold the floor's own returns, and skirting boards."""
 
 
 class BeforeWallsSettings(StepSettings):
@@ -96,12 +95,12 @@ def _relief(counts: FloatArray, clear_m: FloatArray, settings: BeforeWallsSettin
     top_m = np.where(np.isfinite(clear_m), clear_m, np.inf)[:, None]
     # A face that is fitted over many metres may be off its wall by more than the relief: the wall above tells.
     above = (height_m > settings.above_m) & (height_m < top_m - 2 * CELL_M)
-    wall = (counts[..., :_THROUGH] * (above & ~_reveals(counts, above))[..., None]).sum(axis=1, keepdims=True)
+    wall = (counts[..., :THROUGH] * (above & ~_reveals(counts, above))[..., None]).sum(axis=1, keepdims=True)
     wall_m, _ = _mean_and_scatter_m(wall, (_WALL_COLUMNS, 1), settings.returns_min)
     usual_m = _scatter_m(wall)
     relief_m = np.full(counts.shape[:2], np.nan)
     for size in _CELLS_TOGETHER:
-        mean_m, scatter_m = _mean_and_scatter_m(counts[..., :_THROUGH], (size, size), settings.returns_min)
+        mean_m, scatter_m = _mean_and_scatter_m(counts[..., :THROUGH], (size, size), settings.returns_min)
         if size > 1:
             # Several cells may hold a thing that stands away and the wall beside it: their mean is neither's.
             mean_m = np.where(scatter_m < settings.scatter_max * usual_m, mean_m, np.nan)
@@ -109,8 +108,8 @@ def _relief(counts: FloatArray, clear_m: FloatArray, settings: BeforeWallsSettin
     unseen = np.isnan(relief_m)
     relief_m = np.where(unseen, 0.0, relief_m)
     before = ndimage.binary_propagation(relief_m > settings.relief_m, mask=relief_m > _EDGE * settings.relief_m)
-    before[:, :_FOOT_ROWS] = False
-    end = int(settings.end_m / CELL_M)
+    before[:, :FOOT_ROW] = False
+    end = cells_in(settings.end_m)
     before[:end], before[len(before) - end :] = False, False
     # The boards of a shelf hide its back here and there.
     bridged = before | (ndimage.binary_closing(before, np.ones((1, _BRIDGE_ROWS))) & unseen)
@@ -130,7 +129,7 @@ def _relief(counts: FloatArray, clear_m: FloatArray, settings: BeforeWallsSettin
 def _reveals(counts: FloatArray, above: BoolArray) -> BoolArray:
     """(c, rows) which cells lie behind most of those above a door's height around them: of a window's head, or beyond it."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean_m = np.where(above, counts[..., _SUM] / counts[..., _FILLED], np.nan)
+        mean_m = np.where(above, counts[..., SUM] / counts[..., FILLED], np.nan)
     beside = _WALL_COLUMNS // 2
     around = np.lib.stride_tricks.sliding_window_view(
         np.pad(mean_m, ((beside, beside), (0, 0)), constant_values=np.nan), _WALL_COLUMNS, axis=0
@@ -176,20 +175,16 @@ def halo_at_walls(halo: Halo, walls: Walls, doors: Doors, before: BeforeWalls, n
     is_wall = halo.label == Label.WALL
     centre = halo.centres
     at_face = np.zeros(len(halo.keys), bool)
-    for w in range(len(walls)):
-        length_m = float(np.linalg.norm(walls.ends[w, 1] - walls.ends[w, 0]))
-        relative = centre[:, :2] - walls.ends[w, 0]
-        place_m = relative @ (walls.ends[w, 1] - walls.ends[w, 0]) / max(length_m, 1e-9)
-        near = (np.abs(relative @ walls.normal[w]) < near_m) & (place_m > -near_m) & (place_m < length_m + near_m)
+    for w, face in enumerate(segments(walls)):
+        place_m = face.place_m(centre)
+        near = (np.abs(face.before_m(centre)) < near_m) & face.beside(centre, near_m)
         column = np.clip((place_m[near] / CELL_M).astype(np.int64), 0, before.first[w + 1] - before.first[w] - 1)
         row = np.clip((centre[near, 2] / CELL_M).astype(np.int64), 0, before.covered.shape[1] - 1)
         at_face[near] |= ~before.covered[before.first[w] + column, row]
-    for ends, normal, reveal_m, head_m in zip(doors.ends, doors.normal, doors.reveal_m, doors.head_m, strict=True):
-        width_m = float(np.linalg.norm(ends[1] - ends[0]))
-        place_m = (centre[:, :2] - ends[0]) @ (ends[1] - ends[0]) / width_m
-        before_m = (centre[:, :2] - ends[0]) @ normal
+    for doorway, reveal_m, head_m in zip(segments(doors), doors.reveal_m, doors.head_m, strict=True):
+        before_m = doorway.before_m(centre)
         within_wall = (before_m > -reveal_m - _LEAF_OFF_M) & (before_m < _LEAF_OFF_M)
-        between_jambs = (place_m > 0) & (place_m < width_m) & (centre[:, 2] < head_m)
+        between_jambs = doorway.beside(centre) & (centre[:, 2] < head_m)
         at_face &= ~(between_jambs & (np.abs(before_m) < _LEAF_REACH_M) & ~within_wall)
     kept = ~is_wall | at_face
     return Halo(halo.keys[kept], halo.label[kept], halo.voxel_m)

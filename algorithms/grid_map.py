@@ -11,18 +11,19 @@ from pydantic import Field
 from scipy.ndimage import binary_closing, binary_dilation, binary_propagation, label
 from scipy.spatial import cKDTree
 
-from algorithms.building import CELL_M, Doors, WallCells, Walls, Windows, stretches
+from algorithms.building import AT_FACE_M, CELL_M, Doors, Walls, Windows, cells_in, stretches
 from algorithms.doors import DoorState
 from algorithms.features import Features
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from algorithms.segments import Segment, segments
 from algorithms.semantic_map import VoxelVotes, majority
 from algorithms.settings import StepSettings
+from algorithms.wall_cells import FILLED, FOOT_ROW, SUM, THROUGH, WallCells
 from algorithms.wall_thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
 
 DoorsDrawn = Literal["open", "as-seen", "closed"]
 
-_ON_FACE_M = 0.06
 _FOOT_M, _KNEE_M = 0.15, 0.6
 """Between these heights rays that pass a face prove an opening down to the floor: a window's sill is higher."""
 _PASSED_MIN = 6
@@ -95,7 +96,7 @@ class GridMap:
 class Immobile:
     """What the furniture-free grid shows.
 
-    cells: what rays found of the walls, from `building.trace_rays`. votes: of all scans' labels; they reach farther.
+    cells: what rays found of the walls, from `wall_cells.trace_rays`. votes: of all scans' labels; they reach farther.
     """
 
     walls: Walls
@@ -171,37 +172,35 @@ def standing_stretches(immobile: Immobile, settings: GridMapSettings) -> Walls:
     tree = cKDTree(voted) if len(voted) else None
     owner: list[int] = []
     found: list[FloatArray] = []
-    for w in range(len(walls)):
-        length_m = float(np.linalg.norm(walls.ends[w, 1] - walls.ends[w, 0]))
-        along = (walls.ends[w, 1] - walls.ends[w, 0]) / max(length_m, 1e-9)
+    for w, face in enumerate(segments(walls)):
         stands, passed = _columns(cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64), settings)
-        middles = walls.ends[w, 0] + (np.arange(len(stands))[:, None] + 0.5) * CELL_M * along
+        middles = face.at((np.arange(len(stands)) + 0.5) * CELL_M)
         if tree is not None:
-            stands |= tree.query_ball_point(middles, _ON_FACE_M, return_length=True) >= settings.rays_min
-        none = _in_window_reveal(middles, walls.normal[w], immobile.windows)
+            stands |= tree.query_ball_point(middles, AT_FACE_M, return_length=True) >= settings.rays_min
+        none = _in_window_reveal(middles, face.normal, immobile.windows)
         none |= passed | _of_open_leaf(middles, float(walls.top_m[w]), immobile.doors)
         stands &= ~none
         # A face ends at a corner, up to which it is carried on as over any other gap.
-        bridge = int(settings.bridge_m / CELL_M)
+        bridge = cells_in(settings.bridge_m)
         for first, last in stretches(np.concatenate([[True], stands, [True]]), bridge):
             columns = np.arange(max(first - 1, 0), min(last, len(stands)))
             open_columns = none[columns]
             if not stands[columns].any():
                 continue
             for a, b in stretches(~open_columns, 0):
-                low_m, high_m = columns[a] * CELL_M, min((columns[b] + 1) * CELL_M, length_m)
+                low_m, high_m = columns[a] * CELL_M, min((columns[b] + 1) * CELL_M, face.length_m)
                 owner.append(w)
-                found.append(walls.ends[w, 0] + np.array([[low_m], [high_m]]) * along)
+                found.append(face.at(np.array([low_m, high_m])))
     return replace(walls.select(np.array(owner, np.int64)), ends=np.array(found).reshape(-1, 2, 2))
 
 
 def _columns(counts: FloatArray, settings: GridMapSettings) -> tuple[BoolArray, BoolArray]:
     """(c,) whether returns bear each column of a face out, and whether rays passed it down to the floor."""
-    filled, total, through = counts[..., 0], counts[..., 1], counts[..., 3]
+    filled, total, through = counts[..., FILLED], counts[..., SUM], counts[..., THROUGH]
     with np.errstate(invalid="ignore", divide="ignore"):
-        on = np.where(np.abs(total / filled) < _ON_FACE_M, filled, 0.0)
+        on = np.where(np.abs(total / filled) < AT_FACE_M, filled, 0.0)
     near = np.convolve(on.sum(axis=1), np.ones(3))[1:-1]
-    low = slice(int(_FOOT_M / CELL_M), int(_KNEE_M / CELL_M))
+    low = slice(FOOT_ROW, cells_in(_KNEE_M))
     on_low, passed_low = (np.convolve(rays[:, low].sum(axis=1), np.ones(3))[1:-1] for rays in (on, through))
     return near >= settings.rays_min, (passed_low >= _PASSED_MIN) & (passed_low > _PASSED_RATIO * on_low)
 
@@ -209,14 +208,11 @@ def _columns(counts: FloatArray, settings: GridMapSettings) -> tuple[BoolArray, 
 def _in_window_reveal(places: FloatArray, normal: FloatArray, windows: Windows) -> BoolArray:
     """(c,) whether places (c, 2) of a face lie in the recess of a window with a sill, of whose wall it is no side."""
     within = np.zeros(len(places), bool)
-    for ends, facing, bottom_m in zip(windows.ends, windows.normal, windows.bottom_m, strict=True):
-        if bottom_m < _SILL_MIN_M or abs(normal @ facing) > _PARALLEL:
+    for window, bottom_m in zip(segments(windows), windows.bottom_m, strict=True):
+        if bottom_m < _SILL_MIN_M or abs(normal @ window.normal) > _PARALLEL:
             continue
-        length_m = float(np.linalg.norm(ends[1] - ends[0]))
-        place = (places - ends[0]) @ (ends[1] - ends[0]) / length_m
-        behind = -(places - ends[0]) @ facing
-        beside = _REVEAL_BESIDE_M
-        within |= (behind > 0) & (behind < _REVEAL_MAX_M) & (place > -beside) & (place < length_m + beside)
+        behind_m = -window.before_m(places)
+        within |= (behind_m > 0) & (behind_m < _REVEAL_MAX_M) & window.beside(places, _REVEAL_BESIDE_M)
     return within
 
 
@@ -226,11 +222,12 @@ def _of_open_leaf(places: FloatArray, top_m: float, doors: Doors) -> BoolArray:
     A face whose every place lies within a leaf's length of a jamb, and that ends where the door does, is no wall.
     """
     leaf = np.zeros(len(places), bool)
-    for d in np.flatnonzero((doors.state == DoorState.OPEN) & (top_m < doors.head_m + _LEAF_OVER_M)):
-        behind = (doors.ends[d, 0] - places) @ doors.normal[d]
-        beyond = (behind < -_LEAF_BESIDE_M) | (behind > doors.reveal_m[d] + _LEAF_BESIDE_M)
-        reach_m = np.linalg.norm(doors.ends[d, 1] - doors.ends[d, 0]) + doors.reveal_m[d] + _LEAF_BESIDE_M
-        for jamb in doors.ends[d]:
+    may_be = (doors.state == DoorState.OPEN) & (top_m < doors.head_m + _LEAF_OVER_M)
+    for doorway, reveal_m in zip(segments(doors.select(may_be)), doors.reveal_m[may_be], strict=True):
+        behind_m = -doorway.before_m(places)
+        beyond = (behind_m < -_LEAF_BESIDE_M) | (behind_m > reveal_m + _LEAF_BESIDE_M)
+        reach_m = doorway.length_m + reveal_m + _LEAF_BESIDE_M
+        for jamb in doorway.at(np.array([0.0, doorway.length_m])):
             if np.linalg.norm(places - jamb, axis=1).max() < reach_m:
                 leaf |= beyond
     return leaf
@@ -238,8 +235,8 @@ def _of_open_leaf(places: FloatArray, top_m: float, doors: Doors) -> BoolArray:
 
 def _doorway(ends: FloatArray, normal: FloatArray, depth_m: float, margin_m: float, inset_m: float) -> FloatArray:
     """(4, 2) corners of what a doorway leaves free, around its sill."""
-    along = (ends[1] - ends[0]) / max(float(np.linalg.norm(ends[1] - ends[0])), 1e-9)
-    left, right = ends[0] + inset_m * along, ends[1] - inset_m * along
+    sill = Segment.between(ends, normal)
+    left, right = sill.at(np.array([inset_m, sill.length_m - inset_m]))
     front, back = margin_m * normal, -(depth_m + margin_m) * normal
     return np.array([left + front, right + front, right + back, left + back])
 
@@ -256,12 +253,11 @@ def _within(places: FloatArray, corners: FloatArray) -> BoolArray:
 def _glazed(faces: FloatArray, windows: Windows) -> list[FloatArray]:
     """The faces (F, 2, 2) that windows lie in."""
     chosen = []
+    middles = windows.ends.mean(axis=1)
     for ends in faces:
-        along = (ends[1] - ends[0]) / max(float(np.linalg.norm(ends[1] - ends[0])), 1e-9)
-        middles = windows.ends.mean(axis=1) - ends[0]
-        beside_m = np.abs(middles @ np.array([-along[1], along[0]]))
-        within = (middles @ along > 0) & (middles @ along < np.linalg.norm(ends[1] - ends[0]))
-        if ((beside_m < _ON_FACE_M) & within & (np.abs(windows.normal @ along) < 1 - _PARALLEL)).any():
+        face = Segment.between(ends)
+        in_face = (np.abs(face.before_m(middles)) < AT_FACE_M) & face.beside(middles)
+        if (in_face & (np.abs(windows.normal @ face.along) < 1 - _PARALLEL)).any():
             chosen.append(ends)
     return chosen
 
@@ -374,10 +370,10 @@ class _Canvas:
 
         ends: (2, 2) of a line along the face.
         """
-        length_m = float(np.linalg.norm(ends[1] - ends[0]))
+        line = Segment.between(ends)
         step_m = self._cell_m / 4
-        places = np.linspace(ends[0], ends[1], int(length_m / step_m) + 2)
-        across = (ends[1] - ends[0])[::-1] / max(length_m, 1e-9) * np.array([-self._cell_m, self._cell_m])
+        places = np.linspace(ends[0], ends[1], int(line.length_m / step_m) + 2)
+        across = self._cell_m * line.normal
         stands = np.zeros(len(places), bool)
         for side in (-across, np.zeros(2), across):
             row, column = np.clip(self._index(places + side)[:, ::-1], 0, np.array(self._cells.shape) - 1).T

@@ -13,16 +13,16 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from algorithms.building import AT_FACE_M, CELL_M, NO_WALLS, Doors, WallCells, Walls, stretches
+from algorithms.building import AT_FACE_M, CELL_M, NO_WALLS, Doors, Walls, cells_in, stretches
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from algorithms.segments import Segment, segments
 from algorithms.semantic_map import VoxelVotes, majority
 from algorithms.settings import StepSettings
+from algorithms.wall_cells import FOOT_ROW, WallCells
 
 _FOOT_M, _SILL_M, _HIP_M = 0.15, 0.7, 1.8
 """Between foot and hip rays that pass a face prove an opening, or that nothing stands there. No window has a lower sill."""
-_FOOT_ROW = 2
-"""The lowest row above sills and the floor's own returns."""
 _CEILING_MARGIN_M = 0.08
 """Rows so close below a ceiling hold its own returns."""
 _SMOOTH_COLUMNS = 1
@@ -31,6 +31,8 @@ _REST_MIN_M = 0.5
 _CUT_MIN_M = 0.3
 _ACROSS = 0.5
 """Cosine of the angle between two faces below which one stands across the other."""
+_SAME_WAY = 0.9
+"""Cosine of the angle between two faces above which they look the same way."""
 _AT_JAMB_M = 0.15
 """A reveal's face passes its jamb so closely."""
 _GOES_ON_SHARE = 0.95
@@ -40,6 +42,8 @@ _NOISE_M, _BEFORE_M = 0.1, 0.5
 _PILLAR_SHARE = 0.8
 _BELOW_CEILING_M, _ABOVE_HEADS_M = 0.35, 2.25
 """What is seen neither so close below the ceiling nor so far up is a leaf, or the reveal of a window."""
+_EXPLAINED_M = 0.08
+"""What lies so close to a face, and so far beyond its ends, is its own."""
 _SCATTERED_RAYS = 2
 _AGREED_VOTES = 3
 _ROOM_M, _ROOM_BESIDE_M, _ROOM_CUBES = (0.3, 2.0), 0.5, 10
@@ -143,13 +147,9 @@ def _floor_and_ceiling(votes: VoxelVotes) -> tuple[FloatArray, FloatArray]:
 def column_places(walls: Walls, first: IntArray, before_m: float = 0.2) -> FloatArray:
     """(columns, 2) x and y so many metres before the middle of each column of the faces; first: see `WallCells`."""
     places = np.zeros((int(first[-1]), 2))
-    for w in range(len(walls)):
-        along = walls.ends[w, 1] - walls.ends[w, 0]
-        along = along / np.linalg.norm(along)
-        middle = (np.arange(first[w + 1] - first[w]) + 0.5) * CELL_M
-        places[first[w] : first[w + 1]] = (
-            walls.ends[w, 0] + along * middle[:, None] + before_m * walls.normal[w]
-        )
+    for w, face in enumerate(segments(walls)):
+        middles = face.at((np.arange(first[w + 1] - first[w]) + 0.5) * CELL_M)
+        places[first[w] : first[w + 1]] = middles + before_m * face.normal
     return places
 
 
@@ -224,8 +224,8 @@ def judge_faces(
     for w in range(len(walls)):
         own = slice(int(cells.first[w]), int(cells.first[w + 1]))
         count = own.stop - own.start
-        hangs = _long_runs(hollow[own], int(settings.opening_max_m / CELL_M), bridge=4)
-        low = _long_runs(ends_low[own], min(int(_CUT_MIN_M / CELL_M), max(count // 2, 1)), bridge=2)
+        hangs = _long_runs(hollow[own], cells_in(settings.opening_max_m), bridge=4)
+        low = _long_runs(ends_low[own], min(cells_in(_CUT_MIN_M), max(count // 2, 1)), bridge=2)
         if visited[own].mean() > 0.5:
             hangs[:] = True
         stands = columns.upper_on[own] > columns.upper_passed[own]
@@ -260,7 +260,7 @@ def judge_faces(
 def _between_walls(low: BoolArray, stands: BoolArray, sill: BoolArray) -> BoolArray:
     """The runs of columns that rays pass below the ceiling, yet with wall on both sides and a sill below: high windows."""
     windows = np.zeros(len(low), bool)
-    beside = int(_CUT_MIN_M / CELL_M)
+    beside = cells_in(_CUT_MIN_M)
     for first, after in _runs(low):
         before, behind = stands[max(first - beside, 0) : first], stands[after : after + beside]
         framed = len(before) == len(behind) == beside and before.mean() > 0.5 and behind.mean() > 0.5
@@ -275,11 +275,9 @@ def _cut(walls: Walls, cells: WallCells, stretches: list[tuple[int, int, int]]) 
     owner = np.array([s[0] for s in stretches])
     ends = np.empty((len(stretches), 2, 2))
     for i, (w, first, after) in enumerate(stretches):
-        along = walls.ends[w, 1] - walls.ends[w, 0]
-        length_m = float(np.linalg.norm(along))
+        face = Segment.between(walls.ends[w], walls.normal[w])
         whole = after == cells.first[w + 1] - cells.first[w]
-        places = np.array([first * CELL_M, length_m if whole else after * CELL_M])
-        ends[i] = walls.ends[w, 0] + places[:, None] * along / length_m
+        ends[i] = face.at(np.array([first * CELL_M, face.length_m if whole else after * CELL_M]))
     return replace(walls.select(owner), ends=ends)
 
 
@@ -342,8 +340,7 @@ def trim_at_doorways(walls: Walls, cells: WallCells, doors: Doors, clear_m: Floa
     doors: with their reveals' depth. clear_m: (columns,) from the floor to the ceiling before each column.
     """
     places = column_places(walls, cells.first, 0.0)
-    along = doors.ends[:, 1] - doors.ends[:, 0]
-    length_m = np.linalg.norm(along, axis=1)
+    doorways = list(segments(doors))
     kept: list[tuple[int, int, int]] = []
     leaves: list[tuple[int, int, int]] = []
     top_m: list[float] = []
@@ -352,10 +349,8 @@ def trim_at_doorways(walls: Walls, cells: WallCells, doors: Doors, clear_m: Floa
         first, after = 0, own.stop - own.start
         counts, ceiling_m = cells.counts[own], _median_m(clear_m[own])
         for d in np.flatnonzero(np.abs(doors.normal @ walls.normal[w]) < _ACROSS):
-            relative = places[own] - doors.ends[d, 0]
-            behind_m = -relative @ doors.normal[d]
-            place_m = relative @ along[d] / length_m[d]
-            to_jamb_m = np.minimum(np.abs(place_m), np.abs(place_m - length_m[d]))
+            behind_m, place_m = -doorways[d].before_m(places[own]), doorways[d].place_m(places[own])
+            to_jamb_m = np.minimum(np.abs(place_m), np.abs(place_m - doorways[d].length_m))
             reveal = np.flatnonzero((behind_m > 0.0) & (behind_m < doors.reveal_m[d]))
             if not len(reveal) or to_jamb_m[reveal].min() > _AT_JAMB_M:
                 continue
@@ -395,13 +390,13 @@ def _goes_on(counts: FloatArray, head_m: float, clear_m: float) -> bool:
         return False
     on, passed = _rows_on_and_passed(counts, clear_m)
     seen = on + passed >= _SCATTERED_RAYS
-    above = seen[int(head_m / CELL_M) + 1 - _FOOT_ROW :]
+    above = seen[int(head_m / CELL_M) + 1 - FOOT_ROW :]
     return bool(np.mean(above) > 0.5 and np.mean(on[seen] > passed[seen]) >= _GOES_ON_SHARE) if len(above) else False
 
 
 def _rows_on_and_passed(counts: FloatArray, clear_m: float) -> tuple[FloatArray, FloatArray]:
     """How many rays ended on columns (c, rows, 4), and how many did not, in each row between foot and ceiling."""
-    rows = slice(_FOOT_ROW, int((clear_m - _CEILING_MARGIN_M) / CELL_M))
+    rows = slice(FOOT_ROW, int((clear_m - _CEILING_MARGIN_M) / CELL_M))
     filled, total, _, through = counts[:, rows].sum(axis=0, dtype=np.float64).T
     on = np.where(np.abs(total) < AT_FACE_M * filled, filled, 0.0)
     return on, through + filled - on
@@ -463,7 +458,7 @@ def find_hidden_walls(
         )
         proven = (solid | window) & below_ceiling & np.isfinite(clear_m[own]) & ~visited[own]
         contradicted = (passed > 2 * _SCATTERED_RAYS) & ~proven
-        bridged = _long_runs(proven, 1, bridge=int(settings.hidden_gap_m / CELL_M)) & ~contradicted
+        bridged = _long_runs(proven, 1, bridge=cells_in(settings.hidden_gap_m)) & ~contradicted
         bridged &= ~_crossed_by(walls, both, w, own.stop - own.start)
         for first, after in _runs(bridged):
             part = slice(own.start + first, own.start + after)
@@ -473,7 +468,7 @@ def find_hidden_walls(
             # A duct's underside and the ceiling next to it are rows of returns, with nothing between them and the floor.
             reaches &= np.count_nonzero(on_rows > passed_rows) > np.count_nonzero(passed_rows > on_rows)
             seen = np.flatnonzero(on_rows >= _SCATTERED_RAYS)
-            seen_to_m = (_FOOT_ROW + seen[-1] + 1) * CELL_M if len(seen) else 0.0
+            seen_to_m = (FOOT_ROW + seen[-1] + 1) * CELL_M if len(seen) else 0.0
             reaches &= seen_to_m > min(ceiling_m - _BELOW_CEILING_M, _ABOVE_HEADS_M)
             # A pillar shows from floor to ceiling; what else stands or hangs before a wall does not.
             reaches &= not before[w] or float(np.mean(on_rows > passed_rows)) > _PILLAR_SHARE
@@ -491,26 +486,22 @@ def _has_room_before(face: Walls, floor_and_ceiling: FloatArray) -> bool:
 
     face: a single one. floor_and_ceiling: (n, 3) places of both.
     """
-    start, stop = face.ends[0]
-    length_m = float(np.linalg.norm(stop - start))
-    relative = floor_and_ceiling[:, :2] - start
-    place_m, before_m = relative @ (stop - start) / length_m, relative @ face.normal[0]
-    beside = (place_m > -_ROOM_BESIDE_M) & (place_m < length_m + _ROOM_BESIDE_M)
+    segment = Segment.between(face.ends[0], face.normal[0])
+    before_m = segment.before_m(floor_and_ceiling)
+    beside = segment.beside(floor_and_ceiling, _ROOM_BESIDE_M)
     return bool(np.count_nonzero(beside & (before_m > _ROOM_M[0]) & (before_m < _ROOM_M[1])) >= _ROOM_CUBES)
 
 
 def _crossed_by(walls: Walls, candidates: Walls, w: int, count: int) -> BoolArray:
     """(count,) the columns of one candidate at which it crosses a known face: beyond it another wall goes on, or a reveal."""
     crossed = np.zeros(count, bool)
-    start, normal = candidates.ends[w, 0], candidates.normal[w]
-    along = (candidates.ends[w, 1] - start) / np.linalg.norm(candidates.ends[w, 1] - start)
-    for ends, other in zip(walls.ends, walls.normal, strict=True):
-        if abs(other @ normal) > _ACROSS:
+    candidate = Segment.between(candidates.ends[w], candidates.normal[w])
+    for face in segments(walls):
+        if abs(face.normal @ candidate.normal) > _ACROSS:
             continue
-        column = int(((ends[0] - start) @ other) / (along @ other) // CELL_M)
-        length_m = np.linalg.norm(ends[1] - ends[0])
-        place_m = (start + (column + 0.5) * CELL_M * along - ends[0]) @ (ends[1] - ends[0]) / length_m
-        if 0 <= column < count and 0.0 < place_m < length_m:
+        column = int(-face.before_m(candidate.start) / (candidate.along @ face.normal) // CELL_M)
+        place = candidate.at(np.array([(column + 0.5) * CELL_M]))
+        if 0 <= column < count and face.beside(place)[0]:
             crossed[column] = True
     return crossed
 
@@ -519,16 +510,9 @@ def _before_a_face(candidates: Walls, walls: Walls, before_m: float) -> BoolArra
     """(k,) whether a known face that looks the same way lies so close behind each candidate, or before it."""
     before = np.zeros(len(candidates), bool)
     middle = candidates.ends.mean(axis=1)
-    for ends, normal in zip(walls.ends, walls.normal, strict=True):
-        along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-        place = (middle - ends[0]) @ along
-        distance = (middle - ends[0]) @ normal
-        before |= (
-            (candidates.normal @ normal > 0.9)
-            & (place > 0)
-            & (place < np.linalg.norm(ends[1] - ends[0]))
-            & (np.abs(distance) < before_m)
-        )
+    for face in segments(walls):
+        same_way = candidates.normal @ face.normal > _SAME_WAY
+        before |= same_way & face.beside(middle) & (np.abs(face.before_m(middle)) < before_m)
     return before
 
 
@@ -536,11 +520,10 @@ def _faces_a_face(candidates: Walls, walls: Walls, apart_m: float) -> BoolArray:
     """(k,) whether a known face looks at each candidate from so near: nobody sees the one from before the other."""
     faces = np.zeros(len(candidates), bool)
     middle = candidates.ends.mean(axis=1)
-    for ends, normal in zip(walls.ends, walls.normal, strict=True):
-        along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-        place, distance = (middle - ends[0]) @ along, (middle - ends[0]) @ normal
-        beside = (place > 0) & (place < np.linalg.norm(ends[1] - ends[0]))
-        faces |= (candidates.normal @ normal < -0.9) & beside & (distance > 0) & (distance < apart_m)
+    for face in segments(walls):
+        distance_m = face.before_m(middle)
+        opposite = candidates.normal @ face.normal < -_SAME_WAY
+        faces |= opposite & face.beside(middle) & (distance_m > 0) & (distance_m < apart_m)
     return faces
 
 
@@ -557,17 +540,14 @@ def leaning_on_others(walls: Walls) -> BoolArray:
 
     Of two such the one that fewer scans saw, by far, leans.
     """
-    along = walls.ends[:, 1] - walls.ends[:, 0]
-    length_m = np.linalg.norm(along, axis=1)
     leans = np.zeros(len(walls), bool)
     for w in range(len(walls)):
         turn = np.degrees(np.arccos(np.clip(walls.normal @ walls.normal[w], -1.0, 1.0)))
         angled = (turn > _LEANING_DEG[0]) & (turn < _LEANING_DEG[1])
         for other in np.flatnonzero(angled & (walls.scan_count > _LEANING_SCANS * walls.scan_count[w])):
-            place_m = np.sort((walls.ends[w] - walls.ends[other, 0]) @ along[other] / length_m[other])
-            beside = min(place_m[1], length_m[other]) - max(place_m[0], 0.0)
-            apart_m = (walls.ends[w].mean(axis=0) - walls.ends[other, 0]) @ walls.normal[other]
-            leans[w] |= beside > _LEANING_SHARE * (place_m[1] - place_m[0]) and abs(apart_m) < _LEANING_M
+            face = Segment.between(walls.ends[other], walls.normal[other])
+            all_along = face.shared_m(walls.ends[w]) > _LEANING_SHARE * np.ptp(face.place_m(walls.ends[w]))
+            leans[w] |= all_along and abs(face.before_m(walls.ends[w].mean(axis=0))) < _LEANING_M
     return leans
 
 
@@ -598,11 +578,8 @@ def _unexplained_columns(votes: VoxelVotes, walls: Walls, refused: Walls) -> tup
     position, count = votes.mean_position[unexplained], votes.point_count[unexplained]
     free = np.ones(len(position), bool)
     for faces in (walls, refused):
-        for ends, normal in zip(faces.ends, faces.normal, strict=True):
-            length = float(np.linalg.norm(ends[1] - ends[0]))
-            relative = position[:, :2] - ends[0]
-            place = relative @ ((ends[1] - ends[0]) / length)
-            free &= ~((np.abs(relative @ normal) < 0.08) & (place > -0.08) & (place < length + 0.08))
+        for face in segments(faces):
+            free &= ~((np.abs(face.before_m(position)) < _EXPLAINED_M) & face.beside(position, _EXPLAINED_M))
     position, count = position[free], count[free]
     cell = np.floor(position[:, :2] / CELL_M).astype(np.int64)
     _, column = np.unique(cell, axis=0, return_inverse=True)

@@ -9,6 +9,7 @@ from pydantic import Field
 from algorithms.building import Doors, Walls
 from algorithms.doors import DoorState
 from algorithms.scan import FloatArray, IntArray
+from algorithms.segments import segments
 from algorithms.settings import StepSettings
 
 _STRETCH_MIN_M = 0.02
@@ -48,15 +49,11 @@ def part_walls(walls: Walls, settings: WallThicknessSettings) -> WallParts:
     """Each face cut into stretches that have one thickness: the nearest face behind that looks the other way."""
     wall, ends, other, thickness = [], [], [], []
     cos_angle = np.cos(np.radians(settings.angle_deg))
-    for w in range(len(walls)):
-        start, normal = walls.ends[w, 0], walls.normal[w]
-        length_m = float(np.linalg.norm(walls.ends[w, 1] - start))
-        along = (walls.ends[w, 1] - start) / max(length_m, 1e-9)
+    for w, face in enumerate(segments(walls)):
         behind = []
-        for o in np.flatnonzero(walls.normal @ normal < -cos_angle).tolist():
-            place = (walls.ends[o] - start) @ along
-            depth_m = -(walls.ends[o] - start) @ normal
-            low, high = max(float(place.min()), 0.0), min(float(place.max()), length_m)
+        for o in np.flatnonzero(walls.normal @ face.normal < -cos_angle).tolist():
+            place, depth_m = face.place_m(walls.ends[o]), -face.before_m(walls.ends[o])
+            low, high = max(float(place.min()), 0.0), min(float(place.max()), face.length_m)
             if high - low < _STRETCH_MIN_M:
                 continue
             # Depth where the two overlap, for faces are parallel to some degrees only.
@@ -64,12 +61,12 @@ def part_walls(walls: Walls, settings: WallThicknessSettings) -> WallParts:
             depth = float(depth_m[0] + slope * (0.5 * (low + high) - place[0]))
             if settings.least_m <= depth <= settings.most_m:
                 behind.append((low, high, depth, o))
-        edges = np.unique([0.0, length_m, *(edge for low, high, *_ in behind for edge in (low, high))])
+        edges = np.unique([0.0, face.length_m, *(edge for low, high, *_ in behind for edge in (low, high))])
         for low, high in pairwise(edges.tolist()):
             middle = 0.5 * (low + high)
             nearest = min(((d, o) for a, b, d, o in behind if a <= middle <= b), default=(float("nan"), -1))
             wall.append(w)
-            ends.append(start + np.array([[low], [high]]) * along)
+            ends.append(face.at(np.array([low, high])))
             thickness.append(nearest[0])
             other.append(nearest[1])
     return WallParts(

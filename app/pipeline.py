@@ -19,26 +19,12 @@ import rerun.blueprint as rrb
 from algorithms import transforms
 from algorithms.area_graph import AreaGraph, Segmented, doorways_of, find_rooms
 from algorithms.before_walls import BeforeWalls, halo_at_walls, look_before_walls
-from algorithms.building import (
-    NO_WINDOWS,
-    BuildingSettings,
-    Doors,
-    WallCells,
-    Walls,
-    Windows,
-    drop_doubtful,
-    find_doors,
-    find_windows,
-    fuse_walls,
-    measure_reveals,
-    place_frames,
-    prove_crossed,
-    seen_through,
-    trace_rays,
-    without_rays_through,
-)
+from algorithms.building import NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
+from algorithms.building_doors import drop_doubtful, find_doors, prove_crossed
+from algorithms.door_frames import measure_reveals, place_frames
 from algorithms.features import Features, concatenate, select_planes
 from algorithms.floor_plan import FloorPlan, draw_floor_plan
+from algorithms.fused_walls import fuse_walls
 from algorithms.grid_map import Drive, GridMap, Immobile, draw_furniture_free, standing_stretches
 from algorithms.height_maps import HeightMap, map_ceilings, map_glimpsed_ceilings, map_raised_floors
 from algorithms.labels import Label
@@ -59,7 +45,9 @@ from algorithms.standing_walls import (
     trim_at_doorways,
 )
 from algorithms.trajectory import Trajectory
+from algorithms.wall_cells import WallCells, trace_rays
 from algorithms.wall_thickness import door_depths, face_thickness, part_walls
+from algorithms.windows import find_windows, seen_through, without_rays_through
 from app import results
 from app.blocks import (
     FINAL_EVIDENCE,

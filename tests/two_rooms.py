@@ -4,13 +4,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from algorithms.building import BuildingSettings, Doors, Walls, Windows, trace_rays
+from algorithms.building import BuildingSettings, Doors, Walls, Windows
 from algorithms.doors import DoorState
 from algorithms.features import Features, concatenate
 from algorithms.grid_map import Drive, Immobile
 from algorithms.labels import Label
 from algorithms.scan import FloatArray
 from algorithms.semantic_map import VoxelTable
+from algorithms.wall_cells import trace_rays
 
 CEILING_M = 2.6
 HEAD_M = 2.05

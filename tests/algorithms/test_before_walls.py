@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from algorithms.before_walls import BeforeWallsSettings, halo_at_walls, look_before_walls
-from algorithms.building import CELL_M, NO_DOORS, WallCells, Walls
+from algorithms.building import CELL_M, NO_DOORS, Walls
 from algorithms.labels import Label
 from algorithms.semantic_map import find_halo, vote
+from algorithms.wall_cells import WallCells
 
 CEILING_M = 2.8
 LENGTH_M = 6.0

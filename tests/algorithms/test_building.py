@@ -5,26 +5,13 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from algorithms.building import (
-    CELL_M,
-    NO_DOORS,
-    NO_WINDOWS,
-    BuildingSettings,
-    Doors,
-    WallCells,
-    Walls,
-    Windows,
-    drop_doubtful,
-    find_doors,
-    find_windows,
-    place_frames,
-    prove_crossed,
-    seen_through,
-    trace_rays,
-    without_rays_through,
-)
+from algorithms.building import CELL_M, NO_DOORS, NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
+from algorithms.building_doors import drop_doubtful, find_doors, prove_crossed
+from algorithms.door_frames import place_frames
 from algorithms.doors import DoorState
 from algorithms.features import Features
+from algorithms.wall_cells import WallCells, trace_rays
+from algorithms.windows import find_windows, seen_through, without_rays_through
 
 FILLED, SUM, SQUARES, THROUGH = range(4)
 SETTINGS = BuildingSettings()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from algorithms.building import NO_WINDOWS, BuildingSettings, Walls, trace_rays
+from algorithms.building import NO_WINDOWS, BuildingSettings, Walls
 from algorithms.evaluation import WALL_TOLERANCE_M
 from algorithms.grid_map import (
     Cell,
@@ -20,6 +20,7 @@ from algorithms.grid_map import (
 from algorithms.labels import Label
 from algorithms.map_comparison import blocked_doors
 from algorithms.scan import FloatArray
+from algorithms.wall_cells import trace_rays
 from algorithms.wall_thickness import WallThicknessSettings
 from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms, without
 

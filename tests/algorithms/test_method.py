@@ -8,24 +8,12 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from algorithms import transforms
 from algorithms.before_walls import BeforeWalls
-from algorithms.building import (
-    CELL_M,
-    NO_DOORS,
-    NO_WALLS,
-    BuildingSettings,
-    Doors,
-    WallCells,
-    Walls,
-    Windows,
-    find_doors,
-    find_windows,
-    fuse_walls,
-    measure_reveals,
-    place_frames,
-    trace_rays,
-)
+from algorithms.building import CELL_M, NO_DOORS, NO_WALLS, BuildingSettings, Doors, Walls, Windows
+from algorithms.building_doors import find_doors
+from algorithms.door_frames import measure_reveals, place_frames
 from algorithms.doors import DoorsSettings, DoorState
 from algorithms.features import concatenate, extract, move_moments
+from algorithms.fused_walls import fuse_walls
 from algorithms.grid_map import Cell, Drive, GridMapSettings, Immobile, draw_furniture_free
 from algorithms.labelling import LabellingSettings, MethodSettings, ScanLabelling, label_scan
 from algorithms.labels import Label
@@ -44,8 +32,10 @@ from algorithms.scan import Scan
 from algorithms.semantic_map import VoxelTable, find_halo, vote
 from algorithms.trajectory import PlacedScan, Trajectory, place_scan
 from algorithms.vertical_structures import VerticalStructuresSettings
+from algorithms.wall_cells import WallCells, trace_rays
 from algorithms.wall_planes import WallPlanesSettings
 from algorithms.wall_thickness import WallThicknessSettings
+from algorithms.windows import find_windows
 
 METHOD = MethodSettings(
     RearrangementSettings(), VerticalStructuresSettings(), WallPlanesSettings(), DoorsSettings(), LabellingSettings()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from algorithms.building import CELL_M, NO_DOORS, NO_WALLS, WallCells, Walls
+from algorithms.building import CELL_M, NO_DOORS, NO_WALLS, Walls
 from algorithms.labels import Label
 from algorithms.semantic_map import VoxelVotes, vote
 from algorithms.standing_walls import (
@@ -19,6 +19,7 @@ from algorithms.standing_walls import (
     leaning_on_others,
     trim_at_doorways,
 )
+from algorithms.wall_cells import WallCells
 
 CEILING_M = 2.8
 SETTINGS = StandingWallsSettings()

@@ -1,0 +1,148 @@
+"""What the columns of a wall's face say of openings in it: doorways, leaves, panes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from algorithms.building import AT_FACE_M, CELL_M, BuildingSettings, cells_in
+from algorithms.scan import BoolArray, FloatArray
+from algorithms.wall_cells import FILLED, FOOT_ROW, SQUARES, SUM, THROUGH, with_neighbours
+
+JAMB_COLUMNS = 2
+_SHEET_M = 0.02
+"""A pane's returns lie so close to its sheet."""
+REVEAL_MIN_M = 0.03
+KNEE_M = 0.5
+"""A window's sill is higher."""
+
+
+@dataclass(frozen=True)
+class _DoorColumns:
+    """What a face's columns (c,) say of doors.
+
+    is_open, is_closed: whether it may be an open door's, a closed one's.
+    through: share of the rays below a door's head that went through. rays: (c, 4) counts of those.
+    lintel_m: mean distance of the wall above before the face. depth_m: how far behind that a leaf lies.
+    """
+
+    is_open: BoolArray
+    is_closed: BoolArray
+    through: FloatArray
+    rays: FloatArray
+    lintel_m: FloatArray
+    depth_m: FloatArray
+
+
+def look_for_doors(counts: FloatArray, top_m: float, settings: BuildingSettings) -> _DoorColumns:
+    """Columns with wall above and, below, either nothing for the rays to hit or a recessed leaf."""
+    smooth = with_neighbours(counts)
+    low, knee = FOOT_ROW, cells_in(0.6)
+    high, above = cells_in(settings.door_height_min_m), cells_in(settings.door_height_max_m)
+    top = int(max(top_m - 0.1, 0) / CELL_M)
+    above_head = smooth[:, min(above, max(top - 4, 0)) : top]
+    # What hangs behind a lintel is seen below it, and would pull its mean back.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        on_face = np.abs(above_head[..., SUM] / above_head[..., FILLED]) < AT_FACE_M
+    lintel = (above_head * on_face[..., None]).sum(axis=1)
+    below, foot = smooth[:, low:high].sum(axis=1), smooth[:, low:knee].sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        lintel_m = lintel[:, SUM] / lintel[:, FILLED]
+        mean_m = below[:, SUM] / below[:, FILLED]
+        spread_m = np.sqrt(np.maximum(below[:, SQUARES] / below[:, FILLED] - mean_m**2, 0))
+        through = below[:, THROUGH] / (below[:, THROUGH] + below[:, FILLED])
+        foot_through = foot[:, THROUGH] / (foot[:, THROUGH] + foot[:, FILLED])
+        depth_m = lintel_m - mean_m
+        foot_depth_m = lintel_m - foot[:, SUM] / foot[:, FILLED]
+    decided = below[:, THROUGH] + below[:, FILLED] >= settings.rays_min
+    wall_above = (lintel[:, FILLED] >= 2) & (above_head[..., THROUGH].sum(axis=1) <= lintel[:, FILLED])
+    is_open = decided & wall_above & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)
+    is_closed = (
+        decided
+        & wall_above
+        & (through < 1 - settings.agreement_min)
+        & (depth_m > settings.recess_min_m)
+        # A leaf is recessed down to the floor; below a window the wall stands flush.
+        & ~(foot_depth_m < 0.5 * settings.recess_min_m)
+        & (spread_m < 0.06)
+    )
+    return _DoorColumns(is_open, is_closed, through, below, lintel_m, depth_m)
+
+
+def is_pane(counts: FloatArray, settings: BuildingSettings) -> bool:
+    """Whether an opening holds a pane: glass lets most rays through, but those that it returns come from one sheet.
+
+    An open doorway returns nothing, and what stands in it has some depth. (Glass returns rays that meet it straight on,
+    and dust does so elsewhere: Wang and Wang, "Detecting glass in simultaneous localisation and mapping", 2017.)
+
+    counts: (c, rows, 4) of the opening's columns; those at its jambs are not looked at.
+    """
+    jamb = min(JAMB_COLUMNS, (len(counts) - 1) // 2)
+    inner = counts[jamb : len(counts) - jamb, FOOT_ROW : cells_in(settings.door_height_min_m)]
+    sheet = find_sheet(inner, settings)
+    return sheet is not None and sheet.returns >= settings.pane_share_min * float(inner[..., THROUGH].sum())
+
+
+@dataclass(frozen=True)
+class _Sheet:
+    """The sheet that most returns from within an opening lie on.
+
+    behind_m: so far behind the face. returns: how many lie on it. columns: in how many columns.
+    """
+
+    behind_m: float
+    returns: int
+    columns: int
+
+
+def find_sheet(counts: FloatArray, settings: BuildingSettings) -> _Sheet | None:
+    """The sheet in an opening's cells (c, rows, 4): what stands behind a pane, or on its sill, adds returns of other depths.
+
+    None where too few returns lie on one, or where they show in few of the columns that they might: the edge of a leaf or of
+    a reveal does so.
+    """
+    filled = counts[..., FILLED]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean_m = counts[..., SUM] / filled
+        variance = counts[..., SQUARES] / filled - mean_m**2
+    flat = (filled > 0) & (variance < settings.pane_spread_m**2)
+    if not flat.any():
+        return None
+    depth_m, weight = mean_m[flat], filled[flat]
+    order = np.argsort(depth_m)
+    depth_m, total = depth_m[order], np.concatenate([[0.0], np.cumsum(weight[order])])
+    within = total[np.searchsorted(depth_m, depth_m + _SHEET_M, "right")]
+    within -= total[np.searchsorted(depth_m, depth_m - _SHEET_M, "left")]
+    on_sheet = flat & (np.abs(mean_m - depth_m[np.argmax(within)]) <= _SHEET_M)
+    returns, columns = float(filled[on_sheet].sum()), int(on_sheet.any(axis=1).sum())
+    if returns < settings.rays_min or columns < 0.5 * min(len(counts), returns):
+        return None
+    return _Sheet(-float(counts[on_sheet, SUM].sum()) / returns, int(returns), columns)
+
+
+def is_open_to_floor(counts: FloatArray, settings: BuildingSettings) -> bool:
+    """Whether rays pass an opening's columns (c, rows, 4) at its foot: what stands before a window may hide its sill."""
+    foot = counts[:, FOOT_ROW : cells_in(KNEE_M)].sum(axis=(0, 1))
+    return bool(
+        foot[THROUGH] >= settings.rays_min
+        and foot[THROUGH] > settings.agreement_min * (foot[THROUGH] + foot[FILLED])
+    )
+
+
+def to_jambs(below: FloatArray, first: int, last: int, most: int) -> tuple[int, int]:
+    """An open stretch of columns, widened to the jambs: beside it rays end on the reveals or on a leaf, behind the face.
+
+    below: (columns, 4), a face's counts between the foot and the head of an opening. most: columns on each side.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        behind = below[:, SUM] / below[:, FILLED] < -REVEAL_MIN_M
+    return widened(behind, first, last, most)
+
+
+def widened(flags: BoolArray, first: int, last: int, most: int) -> tuple[int, int]:
+    """A stretch of columns with the flagged ones that follow on each side without a gap, so many at most."""
+    for _ in range(most):
+        if first > 0 and flags[first - 1]:
+            first -= 1
+        if last + 1 < len(flags) and flags[last + 1]:
+            last += 1
+    return first, last
