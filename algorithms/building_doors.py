@@ -22,7 +22,7 @@ from algorithms.doors import DoorState
 from algorithms.scan import FloatArray
 from algorithms.segments import Segment, segments
 from algorithms.wall_cells import FILLED, FOOT_ROW, SUM, THROUGH, WallCells
-from algorithms.wall_openings import REVEAL_MIN_M, is_open_to_floor, is_pane, look_for_doors, to_jambs
+from algorithms.wall_openings import REVEAL_MIN_M, is_open_to_floor, is_pane, look_for_doors, to_jambs, tops_m
 
 _BESIDE_COLUMNS = 8
 _JAMB_WALL_COLUMNS = 2
@@ -35,19 +35,25 @@ _PARALLEL_DEG, _HIDDEN_SHARE = 5.0, 0.8
 _LEAF_COLUMNS = 30
 """A leaf that is ajar, or the closed one of two, covers at most so many columns beside the open ones."""
 _HEAD_SLACK_M = 0.05
+_AJAR_M = 0.1
+"""A leaf whose free edge is so far from its frame stands open."""
 
 
-def find_doors(walls: Walls, cells: WallCells, settings: BuildingSettings, windows: Windows = NO_WINDOWS) -> Doors:
+def find_doors(
+    walls: Walls, cells: WallCells, clear_m: FloatArray, settings: BuildingSettings, windows: Windows = NO_WINDOWS
+) -> Doors:
     """Doors: columns with wall above and, below, either nothing for the rays to hit or a recessed leaf.
 
     Columns next to each other that agree make a door, if it is as wide as doors are. What was seen in both faces of a
     wall, or in two stretches of it, is one door: the better seen one stands.
 
     cells: without the rays through the windows, for what is seen through glass tells nothing of this building's doors.
+    clear_m: (columns,) from the floor to the ceiling before each column of the faces; NaN where none was seen.
     """
     found: list[_Door] = []
+    top_m = tops_m(walls, cells, clear_m)
     for w in range(len(walls)):
-        for door in _doors_in(w, walls, cells, settings):
+        for door in _doors_in(w, walls, cells, top_m[cells.first[w] : cells.first[w + 1]], settings):
             if _leads_somewhere(door, walls) and not _is_glazed(door, windows):
                 found.append(door)
     # Where a face ends within an opening, the other face may show all of it.
@@ -99,16 +105,19 @@ class _Door:
     """Whether it reaches the end of its face: that may not be its jamb."""
 
 
-def _doors_in(w: int, walls: Walls, cells: WallCells, settings: BuildingSettings) -> Iterable[_Door]:
+def _doors_in(
+    w: int, walls: Walls, cells: WallCells, top_m: FloatArray, settings: BuildingSettings
+) -> Iterable[_Door]:
+    """The openings of one face; top_m: (c,) how high each of its columns stands."""
     counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
     if len(counts) < 3:
         return
-    found = look_for_doors(counts, walls.top_m[w], settings)
+    found = look_for_doors(counts, top_m, settings)
     low, high = FOOT_ROW, cells_in(settings.door_height_min_m)
     face = Segment.between(walls.ends[w], walls.normal[w])
-    for state, flags in ((DoorState.OPEN, found.is_open), (DoorState.CLOSED, found.is_closed)):
+    for seen_as, flags in ((DoorState.OPEN, found.is_open), (DoorState.CLOSED, found.is_closed)):
         for first, last in stretches(flags, 2):
-            if state == DoorState.OPEN:
+            if seen_as == DoorState.OPEN:
                 opening = counts[first : last + 1]
                 if is_pane(opening, settings) or not is_open_to_floor(opening, settings):
                     continue
@@ -119,15 +128,17 @@ def _doors_in(w: int, walls: Walls, cells: WallCells, settings: BuildingSettings
                 continue
             columns = slice(first, last + 1)
             lintel_m = float(np.nanmean(found.lintel_m[columns]))
-            depth_m = float("nan") if state == DoorState.OPEN else float(np.nanmedian(found.depth_m[columns]))
+            depth_m = float("nan") if seen_as == DoorState.OPEN else float(np.nanmedian(found.depth_m[columns]))
             if not _has_jamb(counts, first, last, lintel_m, depth_m, settings):
                 continue
-            agree = found.through[columns] if state == DoorState.OPEN else 1 - found.through[columns]
+            agree = found.through[columns] if seen_as == DoorState.OPEN else 1 - found.through[columns]
+            is_ajar = seen_as == DoorState.CLOSED and _is_ajar(found.depth_m[columns])
+            state = DoorState.OPEN if is_ajar else seen_as
             yield _Door(
                 ends=face.at(CELL_M * np.array([first, last + 1])),
                 normal=face.normal,
                 head_m=_head_m(counts[columns], state, lintel_m, settings),
-                depth_m=depth_m,
+                depth_m=float("nan") if is_ajar else depth_m,
                 state=state,
                 agreement=float(np.nanmean(agree[flags[columns]])),
                 coverage=float(np.mean(flags[columns])),
@@ -161,6 +172,15 @@ def _is_glazed(door: "_Door", windows: Windows) -> bool:
         if near and opening.shared_m(ends) > 0.5 * opening.length_m:
             return True
     return False
+
+
+def _is_ajar(depth_m: FloatArray) -> bool:
+    """Whether a leaf, so far (c,) behind the wall at each column, stands aslant: its free edge is away from the frame."""
+    known = np.flatnonzero(np.isfinite(depth_m))
+    if len(known) < 3:
+        return False
+    slope, _ = np.polyfit(known, depth_m[known], 1)
+    return bool(abs(slope) * len(depth_m) > _AJAR_M)
 
 
 def _has_jamb(

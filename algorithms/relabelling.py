@@ -13,6 +13,7 @@ from algorithms.height_maps import HeightMap
 from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from algorithms.semantic_map import Halo
 from algorithms.settings import StepSettings
+from algorithms.standing_walls import JudgedFaces
 
 _GRAZING = 0.2
 """Sine of the angle between a ray and a face below which where they cross says nothing."""
@@ -43,7 +44,7 @@ class RelabellingSettings(StepSettings):
     )
     opening_m: float = Field(0.015, ge=0, description="So many metres within the frame of an open door no wall stands.")
     refused_m: float = Field(
-        0.06, ge=0, description="What a scan calls wall at most so many metres off a refused face is clutter."
+        0.06, ge=0, description="What a scan calls wall at most so many metres off a refused face is clutter, or outside."
     )
     pane_m: float = Field(0.0, ge=0, description="More than so many metres behind a pane a return is outside.")
     behind_glass_m: float = Field(
@@ -78,7 +79,7 @@ def relabel(
     origin_map: FloatArray,
     walls: Walls,
     before: BeforeWalls,
-    refused: Walls,
+    judged: JudgedFaces,
     doors: Doors,
     windows: Windows,
     halo: Halo,
@@ -92,8 +93,8 @@ def relabel(
     scatter of a surface is that surface's, and at the height of the building's ceiling or of a raised floor it is that.
 
     points_map: (n, 3); height_m: (n,) above the floor; below_ceiling_m: (n,) below the scan's ceiling, infinite without
-    one; label_scan: (n,) of the scan alone; origin_map: (3,) the sensor. before: what is before `walls`. refused: faces that
-    are no walls, whose returns are clutter.
+    one; label_scan: (n,) of the scan alone; origin_map: (3,) the sensor. before: what is before `walls`.
+    judged: with the faces that are no walls, whose returns are clutter, or outside.
     """
     closed = doors.state == DoorState.CLOSED
     depth_m = np.where(closed, doors.depth_m, -np.inf)
@@ -108,8 +109,9 @@ def relabel(
             before.first,
             before.clear_m,
             before.covered,
-            _frames(refused.ends, refused.normal),
-            refused.top_m,
+            _frames(judged.refused.ends, judged.refused.normal),
+            judged.refused.top_m,
+            judged.refused_label,
             _frames(doors.ends, doors.normal),
             doors.head_m,
             depth_m,
@@ -234,6 +236,7 @@ def _relabel(
     covered: BoolArray,
     refused: FloatArray,
     refused_top: FloatArray,
+    refused_label: UInt8Array,
     doors: FloatArray,
     door_head: FloatArray,
     door_depth: FloatArray,
@@ -352,15 +355,15 @@ def _relabel(
             label[i] = 0
             continue
         if nearest > wall_distance_m and (label[i] == 3 or label[i] == 4) and not is_reveal:
-            is_refused = False
+            refused_as = -1
             for f in range(len(refused)):
                 if abs(refused[f, 3] * x + refused[f, 4] * y - refused[f, 5]) < refused_m:
                     u = refused[f, 0] * x + refused[f, 1] * y - refused[f, 2]
                     if -margin_m < u < refused[f, 6] + margin_m and height[i] < refused_top[f] + 0.2:
-                        is_refused = True
+                        refused_as = refused_label[f]
                         break
-            if is_refused:
-                label[i] = 0
+            if refused_as >= 0:
+                label[i] = refused_as
                 continue
         if label[i] == 0 and (is_reveal or nearest < wall_distance_m or (is_scatter and not in_doorway)):
             label[i] = 3

@@ -40,10 +40,14 @@ _GOES_ON_SHARE = 0.95
 _NOISE_M, _BEFORE_M = 0.1, 0.5
 """So close to a face are its noise, boards and rails; so far before it a pillar stands."""
 _PILLAR_SHARE = 0.8
+_JAMB_SHARE = 0.1
+"""A lintel's face has wall below it over such a share of its length at least."""
 _BELOW_CEILING_M, _ABOVE_HEADS_M = 0.35, 2.25
 """What is seen neither so close below the ceiling nor so far up is a leaf, or the reveal of a window."""
 _EXPLAINED_M = 0.08
 """What lies so close to a face, and so far beyond its ends, is its own."""
+_RAYS_MIN = 6
+"""So many rays below heads tell of a column."""
 _SCATTERED_RAYS = 2
 _AGREED_VOTES = 3
 _ROOM_M, _ROOM_BESIDE_M, _ROOM_CUBES = (0.3, 2.0), 0.5, 10
@@ -106,6 +110,8 @@ class FaceVerdict(IntEnum):
     """Few scans saw it, and it runs along and across no others: the side of a thing."""
     LEANS = 4
     """It stands close to a longer face that more scans saw, at an angle to it: a leaf that is open against its wall."""
+    OUTSIDE = 5
+    """Neither floor nor ceiling was seen before it: another house's front, through a window."""
 
 
 @dataclass(frozen=True)
@@ -116,10 +122,18 @@ class JudgedFaces:
     refused: Walls
     verdict: UInt8Array
 
+    @property
+    def refused_label(self) -> UInt8Array:
+        """(R,) what the returns of each refused face are."""
+        return np.where(self.verdict == FaceVerdict.OUTSIDE, np.uint8(Label.OUTSIDE), np.uint8(Label.CLUTTER))
+
     def refuse(self, more: Walls, verdict: FaceVerdict) -> "JudgedFaces":
         """The same with more refused faces."""
         verdicts = np.concatenate([self.verdict, np.full(len(more), verdict, np.uint8)])
         return replace(self, refused=self.refused.append(more), verdict=verdicts)
+
+
+NO_JUDGED_FACES = JudgedFaces(NO_WALLS, NO_WALLS, np.zeros(0, np.uint8))
 
 
 def clear_heights(places: FloatArray, votes: VoxelVotes, near_m: float) -> FloatArray:
@@ -218,7 +232,8 @@ def judge_faces(
     visited = _visited(walls, cells, path_map, settings.robot_m)
     columns = _count_columns(cells, clear_m, settings)
     ends_low = (columns.upper_passed >= 4) & (columns.upper_passed > settings.passed_ratio * columns.upper_on)
-    hollow = (columns.lower_passed >= 6) & (columns.lower_passed > settings.hollow_ratio * columns.lower_on)
+    hollow = (columns.lower_passed >= _RAYS_MIN) & (columns.lower_passed > settings.hollow_ratio * columns.lower_on)
+    has_wall_below = (columns.lower_on >= _RAYS_MIN) & (columns.lower_on > columns.lower_passed)
     kept: list[tuple[int, int, int]] = []
     refused: list[tuple[int, int, int, FaceVerdict]] = []
     for w in range(len(walls)):
@@ -226,7 +241,8 @@ def judge_faces(
         count = own.stop - own.start
         hangs = _long_runs(hollow[own], cells_in(settings.opening_max_m), bridge=4)
         low = _long_runs(ends_low[own], min(cells_in(_CUT_MIN_M), max(count // 2, 1)), bridge=2)
-        if visited[own].mean() > 0.5:
+        # A lintel has a jamb: what is open below all along is a duct, however short.
+        if visited[own].mean() > 0.5 or (hollow[own].mean() > 0.5 and has_wall_below[own].mean() < _JAMB_SHARE):
             hangs[:] = True
         stands = columns.upper_on[own] > columns.upper_passed[own]
         low &= ~_between_walls(low, stands, columns.lower_on[own] > 0)
@@ -474,22 +490,30 @@ def find_hidden_walls(
             reaches &= not before[w] or float(np.mean(on_rows > passed_rows)) > _PILLAR_SHARE
             counted = float((columns.upper_on[part] + columns.lower_on[part]).sum()) / (2 * _SMOOTH_COLUMNS + 1)
             reaches &= counted >= settings.hidden_returns_min and (after - first) * CELL_M >= length_min_m
-            if reaches and _has_room_before(_cut(both, cells, [(w, first, after)]), floor_and_ceiling):
+            if reaches and _room_before(_cut(both, cells, [(w, first, after)]), floor_and_ceiling)[0]:
                 kept.append((w, first, after))
                 top_m.append(ceiling_m)
     hidden = _cut(both, cells, kept)
     return replace(hidden, top_m=np.array(top_m))
 
 
-def _has_room_before(face: Walls, floor_and_ceiling: FloatArray) -> bool:
-    """Whether floor or ceiling is seen before a face: what is seen through a window, another house's front, has neither.
+def refuse_outside(judged: JudgedFaces, votes: VoxelVotes) -> JudgedFaces:
+    """The same without faces that were only seen through windows, whether or not these were told."""
+    within = _room_before(judged.walls, np.concatenate(_floor_and_ceiling(votes)))
+    return replace(judged, walls=judged.walls.select(within)).refuse(judged.walls.select(~within), FaceVerdict.OUTSIDE)
 
-    face: a single one. floor_and_ceiling: (n, 3) places of both.
+
+def _room_before(faces: Walls, floor_and_ceiling: FloatArray) -> BoolArray:
+    """(W,) whether floor or ceiling is seen before a face: what is seen through a window, another house's front, has neither.
+
+    floor_and_ceiling: (n, 3) places of both.
     """
-    segment = Segment.between(face.ends[0], face.normal[0])
-    before_m = segment.before_m(floor_and_ceiling)
-    beside = segment.beside(floor_and_ceiling, _ROOM_BESIDE_M)
-    return bool(np.count_nonzero(beside & (before_m > _ROOM_M[0]) & (before_m < _ROOM_M[1])) >= _ROOM_CUBES)
+    cubes = np.zeros(len(faces), np.int64)
+    for w, face in enumerate(segments(faces)):
+        before_m = face.before_m(floor_and_ceiling)
+        beside = face.beside(floor_and_ceiling, _ROOM_BESIDE_M)
+        cubes[w] = np.count_nonzero(beside & (before_m > _ROOM_M[0]) & (before_m < _ROOM_M[1]))
+    return np.asarray(cubes >= _ROOM_CUBES)
 
 
 def _crossed_by(walls: Walls, candidates: Walls, w: int, count: int) -> BoolArray:

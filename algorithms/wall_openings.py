@@ -4,14 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from algorithms.building import AT_FACE_M, CELL_M, BuildingSettings, cells_in
+from algorithms.building import AT_FACE_M, CELL_M, BuildingSettings, Walls, cells_in
 from algorithms.scan import BoolArray, FloatArray
-from algorithms.wall_cells import FILLED, FOOT_ROW, SQUARES, SUM, THROUGH, with_neighbours
+from algorithms.wall_cells import FILLED, FOOT_ROW, SQUARES, SUM, THROUGH, WallCells, with_neighbours
 
 JAMB_COLUMNS = 2
 _SHEET_M = 0.02
 """A pane's returns lie so close to its sheet."""
 REVEAL_MIN_M = 0.03
+_TOP_MARGIN_M, _LINTEL_ROWS = 0.1, 4
+"""So close below the ceiling its own returns begin; under a low one so many rows tell of the wall above a door."""
 KNEE_M = 0.5
 """A window's sill is higher."""
 
@@ -33,13 +35,25 @@ class _DoorColumns:
     depth_m: FloatArray
 
 
-def look_for_doors(counts: FloatArray, top_m: float, settings: BuildingSettings) -> _DoorColumns:
-    """Columns with wall above and, below, either nothing for the rays to hit or a recessed leaf."""
+def tops_m(walls: Walls, cells: WallCells, clear_m: FloatArray) -> FloatArray:
+    """(columns,) how high each column of the faces stands: as high as its face was seen, and not above the ceiling there.
+
+    clear_m: (columns,) from the floor to the ceiling before each column; NaN where none was seen.
+    """
+    return np.asarray(np.fmin(np.repeat(walls.top_m, np.diff(cells.first)), clear_m))
+
+
+def look_for_doors(counts: FloatArray, top_m: FloatArray, settings: BuildingSettings) -> _DoorColumns:
+    """Columns with wall above and, below, either nothing for the rays to hit or a recessed leaf.
+
+    counts: (c, rows, 4), see `WallCells`. top_m: (c,) how high the wall stands at each column: see `tops_m`.
+    """
     smooth = with_neighbours(counts)
     low, knee = FOOT_ROW, cells_in(0.6)
     high, above = cells_in(settings.door_height_min_m), cells_in(settings.door_height_max_m)
-    top = int(max(top_m - 0.1, 0) / CELL_M)
-    above_head = smooth[:, min(above, max(top - 4, 0)) : top]
+    top = (np.maximum(top_m - _TOP_MARGIN_M, 0.0) / CELL_M).astype(np.int64)[:, None]
+    row = np.arange(counts.shape[1])
+    above_head = smooth * ((row >= np.minimum(above, np.maximum(top - _LINTEL_ROWS, 0))) & (row < top))[..., None]
     # What hangs behind a lintel is seen below it, and would pull its mean back.
     with np.errstate(invalid="ignore", divide="ignore"):
         on_face = np.abs(above_head[..., SUM] / above_head[..., FILLED]) < AT_FACE_M
@@ -116,7 +130,9 @@ def find_sheet(counts: FloatArray, settings: BuildingSettings) -> _Sheet | None:
     returns, columns = float(filled[on_sheet].sum()), int(on_sheet.any(axis=1).sum())
     if returns < settings.rays_min or columns < 0.5 * min(len(counts), returns):
         return None
-    return _Sheet(-float(counts[on_sheet, SUM].sum()) / returns, int(returns), columns)
+    behind_m = -float(counts[on_sheet, SUM].sum()) / returns
+    # What reaches as deep as is looked goes on beyond: a leaf that is ajar.
+    return _Sheet(behind_m, int(returns), columns) if behind_m < settings.near_m - 2 * _SHEET_M else None
 
 
 def is_open_to_floor(counts: FloatArray, settings: BuildingSettings) -> bool:

@@ -10,7 +10,16 @@ from algorithms.features import Features
 from algorithms.scan import BoolArray, FloatArray, IntArray
 from algorithms.segments import Segment, segments
 from algorithms.wall_cells import FILLED, FOOT_ROW, THROUGH, WallCells, with_neighbours
-from algorithms.wall_openings import JAMB_COLUMNS, KNEE_M, find_sheet, is_pane, look_for_doors, to_jambs, widened
+from algorithms.wall_openings import (
+    JAMB_COLUMNS,
+    KNEE_M,
+    find_sheet,
+    is_pane,
+    look_for_doors,
+    to_jambs,
+    tops_m,
+    widened,
+)
 
 _WINDOW_MIN_M = 0.3
 _SILL_COLUMNS = 4
@@ -20,15 +29,19 @@ _REVEAL_COLUMNS = 3
 """A reveal that is seen at a slant hides so many columns of an opening at most."""
 
 
-def find_windows(walls: Walls, cells: WallCells, settings: BuildingSettings) -> Windows:
-    """Stretches of wall that rays pass through glass: above a sill, or down to the floor where a pane shows itself."""
+def find_windows(walls: Walls, cells: WallCells, clear_m: FloatArray, settings: BuildingSettings) -> Windows:
+    """Stretches of wall that rays pass through glass: above a sill, or down to the floor where a pane shows itself.
+
+    clear_m: (columns,) from the floor to the ceiling before each column of the faces; NaN where none was seen.
+    """
+    standing_m = tops_m(walls, cells, clear_m)
     found: list[tuple[FloatArray, FloatArray, float, float, float]] = []
     for w in range(len(walls)):
         counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
         if len(counts) < 3:
             continue
         face = Segment.between(walls.ends[w], walls.normal[w])
-        opened = look_for_doors(counts, walls.top_m[w], settings).is_open
+        opened = look_for_doors(counts, standing_m[cells.first[w] : cells.first[w + 1]], settings).is_open
         panes = [(first, last) for first, last in stretches(opened, 2) if is_pane(counts[first : last + 1], settings)]
         may_be, is_sill = _above_sill(counts, walls.top_m[w], settings)
         sills = [

@@ -22,6 +22,7 @@ from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.rival_maps import RivalCounter, RivalMapsSettings
 from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array
 from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes
+from algorithms.standing_walls import JudgedFaces
 from algorithms.trajectory import PlacedScan, Trajectory, place_scan
 from app.inputs import Inputs, Sensor
 from app.recorder import Detail, Recorder
@@ -75,7 +76,7 @@ class FinishJob:
     label: LabelJob
     walls: Walls
     before: BeforeWalls
-    refused: Walls
+    judged: JudgedFaces
     doors: Doors
     windows: Windows
     halo: Path
@@ -232,7 +233,7 @@ def finish_block(job: FinishJob) -> None:
                 placed.to_map(placed.origin_level[None])[0],
                 job.walls,
                 job.before,
-                job.refused,
+                job.judged,
                 job.doors,
                 job.windows,
                 _load_halo(job.halo),

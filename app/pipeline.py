@@ -42,6 +42,7 @@ from algorithms.standing_walls import (
     join_corners,
     judge_faces,
     leaning_on_others,
+    refuse_outside,
     trim_at_doorways,
 )
 from algorithms.trajectory import Trajectory
@@ -569,19 +570,23 @@ def _build(
     def trace(faces: Walls, building: BuildingSettings = settings.building, windows: Windows = NO_WINDOWS) -> WallCells:
         return _trace(faces, folder, blocks, building, windows, workers)
 
+    def clear(faces: Walls, cells: WallCells) -> FloatArray:
+        return clear_heights(column_places(faces, cells.first), votes, settings.standing_walls.ceiling_near_m)
+
     def judge(faces: Walls) -> JudgedFaces:
         leaning = leaning_on_others(faces)
         leaves, faces = faces.select(leaning), join_corners(faces.select(~leaning), settings.standing_walls.corner_m)
         alone = (faces.scan_count < settings.standing_walls.scans_few) & ~along_others(faces)
         faces, refused = faces.select(~alone), faces.select(alone)
         cells = trace(faces)
-        clear_m = clear_heights(column_places(faces, cells.first), votes, settings.standing_walls.ceiling_near_m)
         path = trajectory.T_map_base[:, :2, 3]
-        judged = judge_faces(faces, cells, clear_m, path, settings.building.length_min_m, settings.standing_walls)
-        return judged.refuse(refused, FaceVerdict.ALONE).refuse(leaves, FaceVerdict.LEANS)
+        judged = judge_faces(faces, cells, clear(faces, cells), path, settings.building.length_min_m, settings.standing_walls)
+        judged = judged.refuse(refused, FaceVerdict.ALONE).refuse(leaves, FaceVerdict.LEANS)
+        return refuse_outside(judged, votes)
 
     judged = judge(fuse_walls(planes, settings.building))
-    windows = find_windows(judged.walls, trace(judged.walls), settings.building)
+    seen = trace(judged.walls)
+    windows = find_windows(judged.walls, seen, clear(judged.walls, seen), settings.building)
     outside = seen_through(windows, planes)
     if outside.any():
         judged = judge(fuse_walls(select_planes(planes, ~outside), settings.building))
@@ -596,16 +601,16 @@ def _build(
     )
     walls = join_corners(judged.walls.append(hidden), settings.standing_walls.corner_m)
     cells = trace(walls)
-    windows = find_windows(walls, cells, settings.building)
+    clear_m = clear(walls, cells)
+    windows = find_windows(walls, cells, clear_m, settings.building)
     before_glass = trace(walls, windows=windows) if len(windows) else cells
-    doors = find_doors(walls, before_glass, settings.building, windows)
+    doors = find_doors(walls, before_glass, clear_m, settings.building, windows)
     doors = place_frames(doors, walls, _features(folder, blocks), settings.building)
     doors = drop_doubtful(doors, settings.building)
     doors = prove_crossed(doors, trajectory.T_map_base[:, :2, 3])
     doors = measure_reveals(doors, _features(folder, blocks), settings.building)
     parts = part_walls(walls, settings.wall_thickness)
     doors = replace(doors, reveal_m=door_depths(doors, walls, parts, settings.wall_thickness))
-    clear_m = clear_heights(column_places(walls, cells.first), votes, settings.standing_walls.ceiling_near_m)
     trimmed = trim_at_doorways(walls, cells, doors, clear_m)
     walls, cells, judged = trimmed.walls, trimmed.cells, judged.refuse(trimmed.leaves, FaceVerdict.ENDS_LOW)
     path = trajectory.T_map_base[:, :3, 3]
@@ -684,7 +689,7 @@ def _finish(run: _Run, pool: Executor, jobs: Sequence[LabelJob], building: Build
             job,
             building.walls,
             building.before,
-            building.judged.refused,
+            building.judged,
             building.doors,
             building.windows,
             halo,

@@ -14,6 +14,7 @@ from algorithms.rearrangement import below_ceiling
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.scan import Scan
 from algorithms.semantic_map import VoxelTable, find_halo
+from algorithms.standing_walls import NO_JUDGED_FACES
 from algorithms.trajectory import Trajectory
 from app.blocks import VOXEL_M, place_level, points_in_map
 from app.settings import Settings
@@ -44,7 +45,7 @@ def warm_up() -> None:
         placed.to_map(placed.origin_level[None])[0],
         NO_WALLS,
         NOTHING_BEFORE,
-        NO_WALLS,
+        NO_JUDGED_FACES,
         NO_DOORS,
         NO_WINDOWS,
         find_halo(votes, 6.0),

@@ -50,6 +50,7 @@ REFUSALS = {
     FaceVerdict.HANGS: "rays pass below it (a duct, a beam)",
     FaceVerdict.ALONE: "few scans saw it, and it runs along and across no others (a thing's side)",
     FaceVerdict.LEANS: "it stands at an angle to a wall, close to it (a leaf open against its wall)",
+    FaceVerdict.OUTSIDE: "neither floor nor ceiling was seen before it (another house's front, through a window)",
 }
 CLOUD = "/world/building/cloud"
 CLOUD_CEILING = "/world/building/ceiling"

@@ -35,6 +35,11 @@ def cells() -> WallCells:
     return WallCells(np.array([0, 80]), 66, counts)
 
 
+def unknown(cells: WallCells) -> np.ndarray:
+    """No ceiling was seen before any column."""
+    return np.full(int(cells.first[-1]), np.nan)
+
+
 def recess(cells: WallCells, low_m: float, high_m: float, depth_m: float) -> None:
     """Between x = 1.5 and 2.4 the returns of these heights lie behind the face."""
     part = cells.counts[30:48, round(low_m / CELL_M) : round(high_m / CELL_M)]
@@ -65,7 +70,7 @@ def features(origin: tuple[float, float], rays: np.ndarray, planes: np.ndarray) 
 def test_a_closed_leaf_is_recessed(depth_m: float, found: int) -> None:
     seen = cells()
     recess(seen, 0.0, 2.1, depth_m)
-    doors = find_doors(WALL, seen, SETTINGS)
+    doors = find_doors(WALL, seen, unknown(seen), SETTINGS)
     assert len(doors) == found
     if found:
         assert doors.depth_m[0] == pytest.approx(depth_m, abs=0.005)
@@ -75,13 +80,55 @@ def test_a_closed_leaf_is_recessed(depth_m: float, found: int) -> None:
 def test_a_pane_above_a_flush_parapet_is_no_leaf() -> None:
     seen = cells()
     recess(seen, 0.7, 2.1, 0.05)
-    assert len(find_doors(WALL, seen, SETTINGS)) == 0
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
 
 
 def test_a_recess_up_to_the_ceiling_is_no_door() -> None:
     seen = cells()
     recess(seen, 0.0, 2.8, 0.05)
-    assert len(find_doors(WALL, seen, SETTINGS)) == 0
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
+
+
+def test_a_low_ceiling_before_a_part_of_a_wall_is_no_lintel() -> None:
+    """Its own returns come forward from the face, and what is below them seems to recede."""
+    seen = cells()
+    ceiling = seen.counts[34:76, round(2.5 / CELL_M) : round(2.6 / CELL_M)]
+    ceiling[..., SUM] = 0.05 * ceiling[..., FILLED]
+    # Above it nothing of the wall is seen from here; at its end another wall's returns come forward too.
+    seen.counts[34:76, round(2.6 / CELL_M) :] = 0.0
+    seen.counts[76:, :, SUM] = 0.025 * seen.counts[76:, :, FILLED]
+    clear_m = np.full(80, 2.8)
+    assert len(find_doors(WALL, seen, clear_m, SETTINGS)) == 1
+    clear_m[34:] = 2.5
+    assert len(find_doors(WALL, seen, clear_m, SETTINGS)) == 0
+
+
+def test_a_leaf_that_stands_aslant_is_ajar() -> None:
+    def leaf(free_edge_m: float) -> Doors:
+        seen = cells()
+        depth_m = np.linspace(0.03, 0.03 + free_edge_m, 18)[:, None]
+        part = seen.counts[30:48, : round(2.1 / CELL_M)]
+        part[..., SUM], part[..., SQUARES] = -depth_m * part[..., FILLED], depth_m**2 * part[..., FILLED]
+        return find_doors(WALL, seen, unknown(seen), SETTINGS)
+
+    assert leaf(0.05).state.tolist() == [DoorState.CLOSED]
+    ajar = leaf(0.25)
+    assert ajar.state.tolist() == [DoorState.OPEN]
+    assert np.isnan(ajar.depth_m[0])
+    np.testing.assert_allclose(ajar.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
+
+
+def test_a_leaf_at_the_edge_of_what_is_looked_at_is_no_pane() -> None:
+    def opening(sheet_m: float) -> int:
+        """A narrow opening, of whose rays some return from behind the face."""
+        seen = cells()
+        part = seen.counts[30:36, : round(2.1 / CELL_M)]
+        part[..., THROUGH], part[..., FILLED] = 10.0, 1.0
+        part[..., SUM], part[..., SQUARES] = -sheet_m, sheet_m**2
+        return len(find_windows(WALL, seen, unknown(seen), SETTINGS))
+
+    assert opening(0.1) == 1
+    assert opening(0.34) == 0
 
 
 def test_a_door_has_its_wall_beside_it() -> None:
@@ -91,11 +138,11 @@ def test_a_door_has_its_wall_beside_it() -> None:
     for beside in (slice(0, 30), slice(48, 80)):
         seen.counts[beside] = 0.0
         seen.counts[beside, 1:36, THROUGH] = 10.0
-    assert len(find_doors(WALL, seen, SETTINGS)) == 0
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
     # In a corner there is wall on one side only.
     seen.counts[48:51] = 0.0
     seen.counts[48:51, :, FILLED] = 10.0
-    assert len(find_doors(WALL, seen, SETTINGS)) == 1
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 1
 
 
 def opening(seen: WallCells) -> None:
@@ -110,7 +157,7 @@ def test_what_hangs_behind_a_lintel_does_not_hide_its_door() -> None:
     # From close by, rays under the lintel rise to a duct behind it: as many returns as from the lintel itself.
     duct = seen.counts[30:48, 46:51]
     duct[..., FILLED], duct[..., SUM], duct[..., SQUARES] = 20.0, -10 * 0.3, 10 * 0.3**2
-    doors = find_doors(WALL, seen, SETTINGS)
+    doors = find_doors(WALL, seen, unknown(seen), SETTINGS)
     assert doors.state.tolist() == [DoorState.OPEN]
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
 
@@ -128,7 +175,7 @@ def test_a_doorway_is_taken_from_the_face_that_shows_all_of_it() -> None:
     seen = cells()
     opening(seen)
     both = np.concatenate([3.0 * seen.counts[:43], seen.counts[::-1]])
-    doors = find_doors(walls, WallCells(np.array([0, 43, 123]), 66, both), SETTINGS)
+    doors = find_doors(walls, WallCells(np.array([0, 43, 123]), 66, both), np.full(123, np.nan), SETTINGS)
     assert len(doors) == 1
     np.testing.assert_allclose(np.sort(doors.ends[0, :, 0]), [1.5, 2.4], atol=2 * CELL_M)
 
@@ -137,7 +184,7 @@ def test_a_window_behind_a_desk_is_no_doorway() -> None:
     seen = cells()
     opening(seen)
     seen.counts[30:48, 0:14] = 0.0  # the desk hides the wall below the pane
-    assert len(find_doors(WALL, seen, SETTINGS)) == 0
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
 
 
 def test_floor_and_ceiling_behind_an_opening_passed_its_face() -> None:
@@ -164,11 +211,11 @@ def test_an_open_door_is_found_though_its_jambs_are_hidden() -> None:
     opening(seen)
     # Seen through another door: of the wall beside, only what is above shows.
     seen.counts[:30, :42] = seen.counts[48:, :42] = 0.0
-    assert len(find_doors(WALL, seen, SETTINGS)) == 1
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 1
     # Where the wall beside is seen to stand back, or to be passed, the opening is no doorway.
     for beside in (seen.counts[:30, :42], seen.counts[48:, :42]):
         beside[..., FILLED], beside[..., SUM] = 10.0, -10 * 0.045
-    assert len(find_doors(WALL, seen, SETTINGS)) == 0
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
 
 
 @pytest.mark.parametrize(("behind_m", "found"), [(0.1, 1), (0.5, 0), (2.0, 1)])
@@ -177,26 +224,26 @@ def test_an_opening_leads_somewhere(behind_m: float, found: int) -> None:
     opening(seen)
     behind = replace(WALL, ends=WALL.ends + np.array([0.0, behind_m]))
     nothing = WallCells(np.array([0, 80, 160]), 66, np.concatenate([seen.counts, np.zeros_like(seen.counts)]))
-    assert len(find_doors(WALL.append(behind), nothing, SETTINGS)) == found
+    assert len(find_doors(WALL.append(behind), nothing, unknown(nothing), SETTINGS)) == found
     # A cupboard in the room behind hides a part of the doorway, a leaf ajar stands aslant.
     part = replace(behind, ends=np.array([[[1.9, behind_m], [4.0, behind_m]]]))
-    assert len(find_doors(WALL.append(part), nothing, SETTINGS)) == 1
+    assert len(find_doors(WALL.append(part), nothing, unknown(nothing), SETTINGS)) == 1
     turn = np.array([[np.cos(0.15), np.sin(0.15)], [-np.sin(0.15), np.cos(0.15)]])
     aslant = replace(behind, normal=behind.normal @ turn)
-    assert len(find_doors(WALL.append(aslant), nothing, SETTINGS)) == 1
+    assert len(find_doors(WALL.append(aslant), nothing, unknown(nothing), SETTINGS)) == 1
     # The other side of the wall, or of the room, looks this way.
     across = replace(behind, normal=-WALL.normal)
-    assert len(find_doors(WALL.append(across), nothing, SETTINGS)) == 1
+    assert len(find_doors(WALL.append(across), nothing, unknown(nothing), SETTINGS)) == 1
 
 
 def test_where_a_window_is_there_is_no_door() -> None:
     seen = cells()
     opening(seen)
-    assert len(find_doors(WALL, seen, SETTINGS)) == 1
-    assert len(find_doors(WALL, seen, SETTINGS, WINDOW)) == 0
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 1
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS, WINDOW)) == 0
     # Seen from the other side of its wall it is a window as well; in another wall it is another's.
-    assert len(find_doors(WALL, seen, SETTINGS, replace(WINDOW, normal=-WINDOW.normal))) == 0
-    assert len(find_doors(WALL, seen, SETTINGS, replace(WINDOW, ends=WINDOW.ends + np.array([0.0, 0.5])))) == 1
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS, replace(WINDOW, normal=-WINDOW.normal))) == 0
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS, replace(WINDOW, ends=WINDOW.ends + np.array([0.0, 0.5])))) == 1
 
 
 def test_a_pane_down_to_the_floor_shows_though_more_stands_behind_it() -> None:
@@ -209,13 +256,13 @@ def test_a_pane_down_to_the_floor_shows_though_more_stands_behind_it() -> None:
     behind[..., FILLED] += 4.0
     behind[..., SUM] -= 4 * 0.28
     behind[..., SQUARES] += 4 * 0.28**2
-    assert len(find_doors(WALL, seen, SETTINGS)) == 0
-    windows = find_windows(WALL, seen, SETTINGS)
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
+    windows = find_windows(WALL, seen, unknown(seen), SETTINGS)
     assert windows.pane_m.tolist() == pytest.approx([0.08], abs=0.005)
     # What shows in two columns alone is the edge of a leaf, and the opening a door.
     part[..., :THROUGH] = 0.0
     part[4:6, 3:, FILLED], part[4:6, 3:, SUM], part[4:6, 3:, SQUARES] = 30.0, -30 * 0.2, 30 * 0.2**2
-    assert len(find_doors(WALL, seen, SETTINGS)) == 1
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 1
 
 
 def test_a_window_is_as_wide_as_it_is_though_its_sill_is_hidden() -> None:
@@ -223,20 +270,20 @@ def test_a_window_is_as_wide_as_it_is_though_its_sill_is_hidden() -> None:
     seen.counts[20:60, 18:44, FILLED], seen.counts[20:60, 18:44, THROUGH] = 0.0, 50.0
     # A desk stands before most of it: no ray reaches the wall below, and none passes there.
     seen.counts[26:56, 0:18] = 0.0
-    windows = find_windows(WALL, seen, SETTINGS)
+    windows = find_windows(WALL, seen, unknown(seen), SETTINGS)
     np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, 3.0]], atol=2 * CELL_M)
     # Where nothing of a sill is seen, it may be a doorway that is blocked.
     seen.counts[18:62, 0:18] = 0.0
-    assert len(find_windows(WALL, seen, SETTINGS)) == 0
+    assert len(find_windows(WALL, seen, unknown(seen), SETTINGS)) == 0
 
 
 def test_a_windows_pane_is_placed_by_what_it_returns() -> None:
     seen = cells()
     seen.counts[20:60, 18:44, FILLED], seen.counts[20:60, 18:44, THROUGH] = 0.0, 50.0
-    assert np.isnan(find_windows(WALL, seen, SETTINGS).pane_m).all()
+    assert np.isnan(find_windows(WALL, seen, unknown(seen), SETTINGS).pane_m).all()
     pane = seen.counts[20:60, 18:44]
     pane[..., FILLED], pane[..., SUM], pane[..., SQUARES] = 1.0, -0.06, 0.06**2
-    windows = find_windows(WALL, seen, SETTINGS)
+    windows = find_windows(WALL, seen, unknown(seen), SETTINGS)
     assert windows.pane_m.tolist() == pytest.approx([0.06], abs=0.002)
     np.testing.assert_allclose(windows.ends[0, :, 0], [1.0, 3.0], atol=2 * CELL_M)
     np.testing.assert_allclose([windows.bottom_m[0], windows.top_m[0]], [0.9, 2.2], atol=CELL_M)
@@ -246,10 +293,10 @@ def test_a_window_goes_on_where_its_glass_returns_nothing() -> None:
     seen = cells()
     seen.counts[20:60, 18:44] = 0.0
     seen.counts[30:40, 18:44, THROUGH] = 50.0
-    np.testing.assert_allclose(find_windows(WALL, seen, SETTINGS).ends[:, :, 0], [[1.0, 3.0]], atol=CELL_M)
+    np.testing.assert_allclose(find_windows(WALL, seen, unknown(seen), SETTINGS).ends[:, :, 0], [[1.0, 3.0]], atol=CELL_M)
     # Where nothing returns from below either, nothing is known of it.
     seen.counts[40:60, :18] = 0.0
-    np.testing.assert_allclose(find_windows(WALL, seen, SETTINGS).ends[:, :, 0], [[1.0, 2.0]], atol=2 * CELL_M)
+    np.testing.assert_allclose(find_windows(WALL, seen, unknown(seen), SETTINGS).ends[:, :, 0], [[1.0, 2.0]], atol=2 * CELL_M)
 
 
 def test_rays_that_ended_beyond_a_window_are_left_out() -> None:
@@ -300,7 +347,7 @@ def test_planes_beyond_a_window_were_seen_through_it() -> None:
 def test_a_door_that_was_driven_through_is_open(path: list[list[float]], crossed: bool) -> None:
     seen = cells()
     recess(seen, 0.0, 2.1, 0.05)
-    closed = find_doors(WALL, seen, SETTINGS)
+    closed = find_doors(WALL, seen, unknown(seen), SETTINGS)
     assert closed.state.tolist() == [DoorState.CLOSED]
     proven = prove_crossed(closed, np.array(path, np.float64))
     assert proven.crossed.tolist() == [crossed]

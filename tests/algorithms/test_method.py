@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from algorithms import transforms
 from algorithms.before_walls import BeforeWalls
-from algorithms.building import CELL_M, NO_DOORS, NO_WALLS, BuildingSettings, Doors, Walls, Windows
+from algorithms.building import CELL_M, NO_DOORS, BuildingSettings, Doors, Walls, Windows
 from algorithms.building_doors import find_doors
 from algorithms.door_frames import measure_reveals, place_frames
 from algorithms.doors import DoorsSettings, DoorState
@@ -30,6 +30,7 @@ from algorithms.rearrangement import (
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.scan import Scan
 from algorithms.semantic_map import VoxelTable, find_halo, vote
+from algorithms.standing_walls import NO_JUDGED_FACES
 from algorithms.trajectory import PlacedScan, Trajectory, place_scan
 from algorithms.vertical_structures import VerticalStructuresSettings
 from algorithms.wall_cells import WallCells, trace_rays
@@ -154,7 +155,7 @@ def relabelled(
         origin,
         walls,
         before,
-        NO_WALLS,
+        NO_JUDGED_FACES,
         doors,
         windows,
         halo,
@@ -402,15 +403,16 @@ def test_glass_is_told_from_open_doors(hole: Hole | None, doors: int, windows: i
     settings = BuildingSettings()
     walls = fuse_walls(features, settings)
     cells = trace_rays(walls, [features], settings)
-    assert len(find_doors(walls, cells, settings)) == doors
-    found = find_windows(walls, cells, settings)
+    assert len(find_doors(walls, cells, np.full(int(cells.first[-1]), np.nan), settings)) == doors
+    found = find_windows(walls, cells, np.full(int(cells.first[-1]), np.nan), settings)
     assert len(found) == windows
     if hole is not None and windows:
         np.testing.assert_allclose(np.sort(found.ends[0, :, 0]), [hole.x0, hole.x1], atol=0.12)
         np.testing.assert_allclose(found.ends[0, :, 1], 2.0, atol=0.02)
         # What lies beyond is outside.
         _, placed, _, labelling = scans[14][1:]
-        points, final = relabelled(placed, labelling, walls, find_doors(walls, cells, settings), found)
+        doors = find_doors(walls, cells, np.full(int(cells.first[-1]), np.nan), settings)
+        points, final = relabelled(placed, labelling, walls, doors, found)
         assert np.mean(final[points[:, 1] > 2.5] == Label.OUTSIDE) > 0.99
         assert not np.any(final[points[:, 1] < 2.1] == Label.OUTSIDE)
 
@@ -430,7 +432,7 @@ def test_slits_beside_a_mullion_that_returns_more_are_no_window() -> None:
     counts[19:31, 20:40, 0], counts[19:31, 20:40, 3] = 0.0, 20.0
     counts[24:26, 20:40, 0], counts[24:26, 20:40, 3] = 1000.0, 0.0
     cells = WallCells(np.array([0, 60]), 66, counts)
-    assert len(find_windows(walls, cells, BuildingSettings())) == 0
+    assert len(find_windows(walls, cells, np.full(int(cells.first[-1]), np.nan), BuildingSettings())) == 0
 
 
 @pytest.mark.parametrize("depth", [0.05, None])
@@ -443,7 +445,7 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
     offsets = {tuple(np.round(n * (n @ e[0]), 1) + 0.0) for n, e in zip(walls.normal, walls.ends, strict=True)}
     assert {(0.0, 2.0), (0.0, -1.5)} <= offsets
     cells = trace_rays(walls, [features], settings)
-    doors = find_doors(walls, cells, settings)
+    doors = find_doors(walls, cells, np.full(int(cells.first[-1]), np.nan), settings)
     assert len(doors) == 1
     assert doors.state[0] == (DoorState.OPEN if depth is None else DoorState.CLOSED)
     np.testing.assert_allclose(doors.ends[0].mean(axis=0), [-0.05, 2.0], atol=0.1)
@@ -458,7 +460,7 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
     assert far_off.head_m[0] == exact.head_m[0]
     # The wall has no thickness here: its lintel's underside is but the edge's scatter.
     assert measure_reveals(doors, [features], settings).reveal_m[0] < 0.1
-    windows = find_windows(walls, cells, settings)
+    windows = find_windows(walls, cells, np.full(int(cells.first[-1]), np.nan), settings)
     assert len(windows) == 0
 
     if depth is not None:

@@ -11,6 +11,7 @@ from algorithms.doors import DoorState
 from algorithms.labels import Label
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.semantic_map import find_halo, vote
+from algorithms.standing_walls import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
 
 SETTINGS = RelabellingSettings()
 SENSOR = np.array([2.0, -2.0, 1.0])
@@ -66,6 +67,7 @@ def final(
     sensor: np.ndarray = SENSOR,
     ceiling_m: float = 2.8,
     covered: bool = False,
+    verdict: FaceVerdict = FaceVerdict.ENDS_LOW,
 ) -> Label:
     """The final label of one return; the scan's ceiling hangs at 2.8 m, that before the walls at `ceiling_m`."""
     at = np.array([point], np.float32)
@@ -78,7 +80,7 @@ def final(
         sensor,
         walls,
         before(walls, ceiling_m, covered),
-        refused,
+        JudgedFaces(walls, refused, np.full(len(refused), verdict, np.uint8)),
         doors,
         windows,
         NO_HALO,
@@ -118,6 +120,7 @@ def test_what_a_scan_called_wall_on_a_refused_face_is_clutter() -> None:
     leaf = face(1.0, 1.9, -0.12, top_m=2.05)
     assert final((1.5, -0.12, 1.0), Label.WALL, walls=face()) == Label.WALL
     assert final((1.5, -0.12, 1.0), Label.WALL, walls=face(), refused=leaf) == Label.CLUTTER
+    assert final((1.5, -0.12, 1.0), Label.WALL, walls=face(), refused=leaf, verdict=FaceVerdict.OUTSIDE) == Label.OUTSIDE
     # The wall above the leaf, and the wall behind it, stay.
     assert final((1.5, -0.12, 2.5), Label.WALL, walls=face(), refused=leaf) == Label.WALL
     assert final((1.5, -0.02, 1.0), Label.WALL, walls=face(), refused=leaf) == Label.WALL
@@ -265,7 +268,7 @@ def test_labels_hold_under_rigid_motion() -> None:
             sensor,
             walls,
             before(walls),
-            NO_WALLS,
+            NO_JUDGED_FACES,
             doors,
             windows,
             NO_HALO,
@@ -286,7 +289,7 @@ def test_nothing_is_relabelled_where_there_is_nothing() -> None:
         SENSOR,
         NO_WALLS,
         NOTHING_BEFORE,
-        NO_WALLS,
+        NO_JUDGED_FACES,
         NO_DOORS,
         NO_WINDOWS,
         NO_HALO,

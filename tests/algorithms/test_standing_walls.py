@@ -10,6 +10,7 @@ from algorithms.labels import Label
 from algorithms.semantic_map import VoxelVotes, vote
 from algorithms.standing_walls import (
     FaceVerdict,
+    JudgedFaces,
     StandingWallsSettings,
     along_others,
     clear_heights,
@@ -17,6 +18,7 @@ from algorithms.standing_walls import (
     join_corners,
     judge_faces,
     leaning_on_others,
+    refuse_outside,
     trim_at_doorways,
 )
 from algorithms.wall_cells import WallCells
@@ -68,6 +70,26 @@ def judge(cells: WallCells, path_y: float = 1.0) -> tuple[list[list[float]], lis
         settings=SETTINGS,
     )
     return judged.walls.ends[:, :, 0].round(2).tolist(), [FaceVerdict(v) for v in judged.verdict]
+
+
+def test_a_short_duct_has_no_wall_below_it_but_a_lintel_does():
+    """Seen through a doorway, no more of a duct is seen than a lintel would have."""
+    duct = cells_of(1.4)
+    pass_rays(duct, slice(None), 0.1, 2.05)
+    assert judge(duct) == ([], [FaceVerdict.HANGS])
+    lintel = cells_of(2.0)
+    pass_rays(lintel, slice(6, 34), 0.1, 2.05)
+    assert judge(lintel) == ([[0.0, 2.0]], [])
+
+
+def test_a_face_without_room_before_it_is_outside():
+    both = faces(((0, 0), (4, 0)), ((0, 9), (4, 9)))
+    judged = JudgedFaces(both, NO_WALLS, np.zeros(0, np.uint8))
+    floor = np.stack(np.meshgrid(np.arange(0.0, 4.0, 0.05), [0.5, 1.0], [0.0]), axis=-1).reshape(-1, 3)
+    told = refuse_outside(judged, vote(np.repeat(floor, 3, axis=0), np.full(3 * len(floor), Label.FLOOR, np.uint8), 6, 0.05))
+    np.testing.assert_array_equal(told.walls.ends, both.ends[:1])
+    assert told.verdict.tolist() == [FaceVerdict.OUTSIDE]
+    assert told.refused_label.tolist() == [Label.OUTSIDE]
 
 
 def test_a_wall_that_nothing_passes_stands_whole():
