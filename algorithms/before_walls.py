@@ -28,6 +28,8 @@ _CELLS_TOGETHER = (1, 3, 5, 7)
 _BRIDGE_ROWS = 11
 _LEAF_OFF_M, _LEAF_REACH_M = 0.03, 1.0
 """Between these distances before and behind a doorway what stands between its jambs is its leaf, no wall."""
+_LEAN_ROWS, _LEAN_RMS_M, _LEAN_MAX = 20, 0.003, 0.02
+"""So many rows, so close to a line that leans by no more, tell that a wall leans."""
 _EDGE = 0.6
 """A patch of relief goes on where it is so much lower than its threshold."""
 
@@ -105,6 +107,8 @@ def _relief(counts: FloatArray, clear_m: FloatArray, settings: BeforeWallsSettin
             # Several cells may hold a thing that stands away and the wall beside it: their mean is neither's.
             mean_m = np.where(scatter_m < settings.scatter_max * usual_m, mean_m, np.nan)
         relief_m = np.where(np.isnan(relief_m), mean_m - wall_m, relief_m)
+    between = (np.arange(counts.shape[1]) >= FOOT_ROW) & (height_m < top_m - 2 * CELL_M)
+    relief_m -= _lean_m(np.where(between, relief_m, np.nan), height_m)
     unseen = np.isnan(relief_m)
     relief_m = np.where(unseen, 0.0, relief_m)
     before = ndimage.binary_propagation(relief_m > settings.relief_m, mask=relief_m > _EDGE * settings.relief_m)
@@ -124,6 +128,37 @@ def _relief(counts: FloatArray, clear_m: FloatArray, settings: BeforeWallsSettin
         if not np.any(own & (height_m > top_m[along] - settings.below_ceiling_m)):
             covered[along] |= own
     return np.asarray(covered, bool)
+
+
+def _lean_m(relief_m: FloatArray, height_m: FloatArray) -> FloatArray:
+    """(c, rows) by how much a wall leans forward at each height, or poses' tilt makes it; 0 where it does not.
+
+    A wall that leans comes forward little by little; what stands before one does so by a step.
+
+    relief_m: (c, rows) before the wall above; NaN where unknown, and where floor and ceiling return. height_m: (rows,).
+    """
+    around = np.lib.stride_tricks.sliding_window_view(
+        np.pad(relief_m, ((_WALL_COLUMNS // 2,) * 2, (0, 0)), constant_values=np.nan), _WALL_COLUMNS, axis=0
+    )
+    known = np.isfinite(around).any(axis=2)
+    mean_m = np.zeros_like(relief_m)
+    mean_m[known] = np.nanmedian(around[known], axis=1)
+    count = known.sum(axis=1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        z = np.where(known, height_m - (known * height_m).sum(axis=1, keepdims=True) / count, 0.0)
+        y = np.where(known, mean_m - mean_m.sum(axis=1, keepdims=True) / count, 0.0)
+        slope = (z * y).sum(axis=1, keepdims=True) / (z**2).sum(axis=1, keepdims=True)
+        left_of_line = (y**2).sum(axis=1) - (slope * z * y).sum(axis=1)
+        below, total = known.cumsum(axis=1)[:, :-1], y.cumsum(axis=1)[:, :-1]
+        # Since y sums to 0, what a step explains is the square of the sum below it, by both counts.
+        by_step = np.where((below > 0) & (below < count), total**2 * (1 / below + 1 / (count - below)), 0.0)
+        left_of_step = (y**2).sum(axis=1) - by_step.max(axis=1)
+        leans = (left_of_line < left_of_step) & (np.sqrt(left_of_line / count[:, 0]) < _LEAN_RMS_M)
+    leans &= (count[:, 0] >= _LEAN_ROWS) & (np.abs(slope[:, 0]) < _LEAN_MAX)
+    line = (mean_m.sum(axis=1, keepdims=True) / np.maximum(count, 1)) + slope * (
+        height_m - (known * height_m).sum(axis=1, keepdims=True) / np.maximum(count, 1)
+    )
+    return np.where(leans[:, None], line, 0.0)
 
 
 def _reveals(counts: FloatArray, above: BoolArray) -> BoolArray:

@@ -127,9 +127,10 @@ def _doors_in(
             if not settings.door_width_min_m <= width_m + CELL_M or width_m > settings.door_width_max_m:
                 continue
             columns = slice(first, last + 1)
-            lintel_m = float(np.nanmean(found.lintel_m[columns]))
+            lintel_m = float(np.mean(found.lintel_m[columns]))
             depth_m = float("nan") if seen_as == DoorState.OPEN else float(np.nanmedian(found.depth_m[columns]))
-            if not _has_jamb(counts, first, last, lintel_m, depth_m, settings):
+            jambs = _count_jambs(counts, first, last, lintel_m, depth_m, settings)
+            if jambs < (1 if found.has_lintel[columns].mean() > 0.5 else 2):
                 continue
             agree = found.through[columns] if seen_as == DoorState.OPEN else 1 - found.through[columns]
             is_ajar = seen_as == DoorState.CLOSED and _is_ajar(found.depth_m[columns])
@@ -183,10 +184,10 @@ def _is_ajar(depth_m: FloatArray) -> bool:
     return bool(abs(slope) * len(depth_m) > _AJAR_M)
 
 
-def _has_jamb(
+def _count_jambs(
     counts: FloatArray, first: int, last: int, lintel_m: float, depth_m: float, settings: BuildingSettings
-) -> bool:
-    """Whether the wall above an opening stands beside it too, on one side at least.
+) -> int:
+    """On how many sides the wall above an opening stands beside it too: on one at least, on both where its lintel is hidden.
 
     A leaf is recessed behind the wall beside it, not only behind what is above: so is a cupboard's front below a board, and
     a wall that leans. Beside an open doorway that is seen through another one, things may hide the wall.
@@ -203,7 +204,7 @@ def _has_jamb(
     flush = stands & (np.abs(behind_m) < (0.5 * depth_m if np.isfinite(depth_m) else ON_FACE_M))
     sides = slice(max(first - _BESIDE_COLUMNS, 0), first), slice(last + 1, last + 1 + _BESIDE_COLUMNS)
     hidden = not np.isfinite(depth_m) and np.concatenate([seen[side] for side in sides]).mean() < _HIDDEN_JAMBS
-    return hidden or any(np.count_nonzero(flush[side]) >= _JAMB_WALL_COLUMNS for side in sides)
+    return 1 if hidden else sum(int(np.count_nonzero(flush[side]) >= _JAMB_WALL_COLUMNS) for side in sides)
 
 
 def _head_m(counts: FloatArray, state: DoorState, lintel_m: float, settings: BuildingSettings) -> float:
@@ -222,7 +223,9 @@ def _head_m(counts: FloatArray, state: DoorState, lintel_m: float, settings: Bui
         if wall[row] and rows[row, FILLED] > 0:
             # The head lies somewhere in the row below, which is partly wall.
             return (row - 0.5) * CELL_M
-    return settings.door_height_min_m
+    # A duct hides the lintel: the head is as high as rays came.
+    came = np.flatnonzero(rows[:stop, FILLED] + rows[:stop, THROUGH] > 0)
+    return max(settings.door_height_min_m, (int(came[-1]) + 1) * CELL_M if len(came) else 0.0)
 
 
 def drop_doubtful(doors: Doors, settings: BuildingSettings) -> Doors:

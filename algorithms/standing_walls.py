@@ -19,26 +19,36 @@ from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from algorithms.segments import Segment, segments
 from algorithms.semantic_map import VoxelVotes, majority
 from algorithms.settings import StepSettings
-from algorithms.wall_cells import FOOT_ROW, WallCells
+from algorithms.wall_cells import FILLED, FOOT_ROW, SUM, WallCells
+from algorithms.wall_openings import widened
 
 _FOOT_M, _SILL_M, _HIP_M = 0.15, 0.7, 1.8
 """Between foot and hip rays that pass a face prove an opening, or that nothing stands there. No window has a lower sill."""
 _CEILING_MARGIN_M = 0.08
 """Rows so close below a ceiling hold its own returns."""
+_CROWN_M = 0.2
+"""No window reaches so close to where these begin."""
 _SMOOTH_COLUMNS = 1
 _REST_MIN_M = 0.5
 """What is left of a face beside a leaf or a cupboard is no wall if it is shorter: a reveal, the leaf's hinge."""
 _CUT_MIN_M = 0.3
+_FRAME_M = 0.6
+"""So near to a high window as much of its wall stands on both sides; close to its edges some rays pass."""
 _ACROSS = 0.5
 """Cosine of the angle between two faces below which one stands across the other."""
 _SAME_WAY = 0.9
 """Cosine of the angle between two faces above which they look the same way."""
+_AT_CORNER_M = 0.15
 _AT_JAMB_M = 0.15
 """A reveal's face passes its jamb so closely."""
 _GOES_ON_SHARE = 0.95
 """A reveal's face goes on as a wall where rays end on so many of the rows beyond."""
+_FURNITURE_M = 0.9
+"""What stands against a wall is no deeper."""
 _NOISE_M, _BEFORE_M = 0.1, 0.5
 """So close to a face are its noise, boards and rails; so far before it a pillar stands."""
+_WINDOW_COLUMNS = 60
+"""A window is at most so many columns wide."""
 _PILLAR_SHARE = 0.8
 _JAMB_SHARE = 0.1
 """A lintel's face has wall below it over such a share of its length at least."""
@@ -50,7 +60,7 @@ _RAYS_MIN = 6
 """So many rays below heads tell of a column."""
 _SCATTERED_RAYS = 2
 _AGREED_VOTES = 3
-_ROOM_M, _ROOM_BESIDE_M, _ROOM_CUBES = (0.3, 2.0), 0.5, 10
+_ROOM_M, _ROOM_BESIDE_M, _ROOM_CUBES = (0.3, 3.0), 0.5, 10
 """Between these distances before a wall of this building, and so far beside it, so many cubes of floor or ceiling are seen."""
 _LEANING_DEG, _LEANING_M, _LEANING_SHARE, _LEANING_SCANS = (4.0, 20.0), 0.1, 0.9, 2.5
 """At such angles to a face that so many times the scans saw, so close to it, and so much of it beside the other, a leaf leans."""
@@ -169,10 +179,13 @@ def column_places(walls: Walls, first: IntArray, before_m: float = 0.2) -> Float
 
 @dataclass(frozen=True)
 class _Columns:
-    """Rays on and past each column (c,) of the faces: close below the ceiling, between foot and hip, below windows' sills."""
+    """Rays on and past each column (c,) of the faces: above doors, close below the ceiling, between foot and hip, below
+    windows' sills."""
 
     upper_on: FloatArray
     upper_passed: FloatArray
+    crown_on: FloatArray
+    crown_passed: FloatArray
     lower_on: FloatArray
     lower_passed: FloatArray
     sill_on: FloatArray
@@ -187,11 +200,14 @@ def _count_columns(cells: WallCells, clear_m: FloatArray, settings: StandingWall
     height = (np.arange(cells.rows) + 0.5) * CELL_M
     top = np.where(np.isfinite(clear_m), clear_m, np.inf) - _CEILING_MARGIN_M
     upper = (height > settings.above_door_m) & (height < top[:, None])
+    crown = upper & (height > top[:, None] - _CROWN_M)
     lower = (height > _FOOT_M) & (height < _HIP_M)
     sill = (height > _FOOT_M) & (height < _SILL_M)
     return _Columns(
         _smooth((on * upper).sum(axis=1), cells),
         _smooth((passed * upper).sum(axis=1), cells),
+        _smooth((on * crown).sum(axis=1), cells),
+        _smooth((passed * crown).sum(axis=1), cells),
         _smooth(on[:, lower].sum(axis=1), cells),
         _smooth(passed[:, lower].sum(axis=1), cells),
         _smooth(on[:, sill].sum(axis=1), cells),
@@ -234,6 +250,7 @@ def judge_faces(
     ends_low = (columns.upper_passed >= 4) & (columns.upper_passed > settings.passed_ratio * columns.upper_on)
     hollow = (columns.lower_passed >= _RAYS_MIN) & (columns.lower_passed > settings.hollow_ratio * columns.lower_on)
     has_wall_below = (columns.lower_on >= _RAYS_MIN) & (columns.lower_on > columns.lower_passed)
+    stands_before = _before_longer(walls)
     kept: list[tuple[int, int, int]] = []
     refused: list[tuple[int, int, int, FaceVerdict]] = []
     for w in range(len(walls)):
@@ -246,6 +263,8 @@ def judge_faces(
             hangs[:] = True
         stands = columns.upper_on[own] > columns.upper_passed[own]
         low &= ~_between_walls(low, stands, columns.lower_on[own] > 0)
+        # What stands before a wall, and is hidden above by a duct, is no higher than what was seen of it.
+        low |= stands_before[w] and columns.upper_on[own].sum() < _RAYS_MIN
         if hangs.any():
             # The rest of a duct, below which little was seen.
             for first, after in _runs(~(hangs | low)):
@@ -273,13 +292,25 @@ def judge_faces(
     )
 
 
+def _before_longer(walls: Walls) -> BoolArray:
+    """(W,) whether a face stands before a longer one that looks the same way, as near as furniture does."""
+    length_m = np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1)
+    middle = walls.ends.mean(axis=1)
+    before = np.zeros(len(walls), bool)
+    for face in segments(walls):
+        distance_m = face.before_m(middle)
+        near = (distance_m > _NOISE_M) & (distance_m < _FURNITURE_M) & face.beside(middle)
+        before |= near & (walls.normal @ face.normal > _SAME_WAY) & (length_m < face.length_m)
+    return before
+
+
 def _between_walls(low: BoolArray, stands: BoolArray, sill: BoolArray) -> BoolArray:
     """The runs of columns that rays pass below the ceiling, yet with wall on both sides and a sill below: high windows."""
     windows = np.zeros(len(low), bool)
-    beside = cells_in(_CUT_MIN_M)
+    beside, reach = cells_in(_CUT_MIN_M), cells_in(_FRAME_M)
     for first, after in _runs(low):
-        before, behind = stands[max(first - beside, 0) : first], stands[after : after + beside]
-        framed = len(before) == len(behind) == beside and before.mean() > 0.5 and behind.mean() > 0.5
+        before, behind = stands[max(first - reach, 0) : first], stands[after : after + reach]
+        framed = min(np.count_nonzero(before), np.count_nonzero(behind)) >= beside
         windows[first:after] = framed and sill[first:after].mean() > 0.5
     return windows
 
@@ -459,42 +490,70 @@ def find_hidden_walls(
     floor_and_ceiling = np.concatenate(_floor_and_ceiling(votes))
     kept: list[tuple[int, int, int]] = []
     top_m: list[float] = []
+    before_m: list[float] = []
     for w in range(len(both)):
         own = slice(int(cells.first[w]), int(cells.first[w + 1]))
         on = columns.upper_on[own] + columns.lower_on[own]
         passed = columns.upper_passed[own] + columns.lower_passed[own]
-        below_ceiling = columns.upper_passed[own] <= 0.5 * columns.upper_on[own]
         solid = (
             (on > 0)
             & (passed <= settings.hidden_passed_max * on)
             & (columns.lower_passed[own] <= settings.hidden_passed_max * columns.lower_on[own] + _SCATTERED_RAYS)
         )
-        window = (columns.upper_on[own] > _SCATTERED_RAYS) & (
-            columns.sill_passed[own] + _SCATTERED_RAYS < settings.hidden_passed_max * columns.sill_on[own]
-        )
-        proven = (solid | window) & below_ceiling & np.isfinite(clear_m[own]) & ~visited[own]
+        solid &= columns.upper_passed[own] <= 0.5 * columns.upper_on[own]
+        sill = columns.sill_passed[own] + _SCATTERED_RAYS < settings.hidden_passed_max * columns.sill_on[own]
+        window = sill & (columns.upper_on[own] > _SCATTERED_RAYS) & (columns.crown_passed[own] <= 0.5 * columns.crown_on[own])
+        may_be = np.isfinite(clear_m[own]) & ~visited[own] & ~_crossed_by(walls, both, w, own.stop - own.start)
+        proven = (solid | window) & may_be
         contradicted = (passed > 2 * _SCATTERED_RAYS) & ~proven
-        bridged = _long_runs(proven, 1, bridge=cells_in(settings.hidden_gap_m)) & ~contradicted
-        bridged &= ~_crossed_by(walls, both, w, own.stop - own.start)
+        bridged = _long_runs(proven, 1, bridge=cells_in(settings.hidden_gap_m)) & ~contradicted & may_be
+        returned = np.any(cells.counts[own, :, FILLED] > 0, axis=1)
         for first, after in _runs(bridged):
+            # Columns were told with those beside them.
+            first, after = first + int(np.argmax(returned[first:after])), after - int(np.argmax(returned[first:after][::-1]))
             part = slice(own.start + first, own.start + after)
             reaches = np.mean(columns.upper_on[part] > 0) > 0.5 and np.mean(proven[first:after]) > 0.5
             ceiling_m = _median_m(clear_m[part])
             on_rows, passed_rows = _rows_on_and_passed(cells.counts[part], ceiling_m)
             # A duct's underside and the ceiling next to it are rows of returns, with nothing between them and the floor.
-            reaches &= np.count_nonzero(on_rows > passed_rows) > np.count_nonzero(passed_rows > on_rows)
+            solid_rows = np.count_nonzero(on_rows > passed_rows) > np.count_nonzero(passed_rows > on_rows)
+            below_sill = slice(0, cells_in(_SILL_M) - FOOT_ROW)
+            is_window = np.mean(window[first:after]) > 0.5 and np.all(on_rows[below_sill] >= passed_rows[below_sill])
+            reaches &= bool(solid_rows or is_window)
             seen = np.flatnonzero(on_rows >= _SCATTERED_RAYS)
             seen_to_m = (FOOT_ROW + seen[-1] + 1) * CELL_M if len(seen) else 0.0
             reaches &= seen_to_m > min(ceiling_m - _BELOW_CEILING_M, _ABOVE_HEADS_M)
             # A pillar shows from floor to ceiling; what else stands or hangs before a wall does not.
             reaches &= not before[w] or float(np.mean(on_rows > passed_rows)) > _PILLAR_SHARE
             counted = float((columns.upper_on[part] + columns.lower_on[part]).sum()) / (2 * _SMOOTH_COLUMNS + 1)
-            reaches &= counted >= settings.hidden_returns_min and (after - first) * CELL_M >= length_min_m
-            if reaches and _room_before(_cut(both, cells, [(w, first, after)]), floor_and_ceiling)[0]:
-                kept.append((w, first, after))
+            face = _cut(both, cells, [(w, first, after)])
+            length_m = (after - first) * CELL_M + _to_corners_m(face, walls)
+            reaches &= counted >= settings.hidden_returns_min and length_m >= length_min_m
+            if reaches and _room_before(face, floor_and_ceiling)[0]:
+                # Beside it a window may go on, of which not more than the sill is seen.
+                first, last = widened(sill & may_be, first, after - 1, _WINDOW_COLUMNS)
+                kept.append((w, first, last + 1))
                 top_m.append(ceiling_m)
+                before_m.append(_returns_before_m(cells.counts[part]))
     hidden = _cut(both, cells, kept)
-    return replace(hidden, top_m=np.array(top_m))
+    moved = hidden.ends + (np.array(before_m)[:, None] * hidden.normal)[:, None] if kept else hidden.ends
+    return replace(hidden, ends=moved, top_m=np.array(top_m))
+
+
+def _returns_before_m(counts: FloatArray) -> float:
+    """Mean distance before a face of the returns that may be its own, of cells (c, rows, 4); 0 where there are none."""
+    filled, total = counts[..., FILLED].astype(np.float64), counts[..., SUM].astype(np.float64)
+    own = np.abs(total) < AT_FACE_M * filled
+    return float(total[own].sum() / filled[own].sum()) if own.any() else 0.0
+
+
+def _to_corners_m(face: Walls, walls: Walls) -> float:
+    """By how much a single face is longer up to known faces that end at its ends: close to these its returns pass for theirs."""
+    ends = walls.ends[np.abs(walls.normal @ face.normal[0]) < _ACROSS].reshape(-1, 2)
+    if not len(ends):
+        return 0.0
+    nearest_m = np.linalg.norm(face.ends[0][:, None] - ends, axis=2).min(axis=1)
+    return float(nearest_m[nearest_m < _AT_CORNER_M].sum())
 
 
 def refuse_outside(judged: JudgedFaces, votes: VoxelVotes) -> JudgedFaces:

@@ -22,13 +22,15 @@ KNEE_M = 0.5
 class _DoorColumns:
     """What a face's columns (c,) say of doors.
 
-    is_open, is_closed: whether it may be an open door's, a closed one's.
+    is_open, is_closed: whether it may be an open door's, a closed one's. has_lintel: whether wall was seen above it; a duct
+    before the wall may hide that.
     through: share of the rays below a door's head that went through. rays: (c, 4) counts of those.
-    lintel_m: mean distance of the wall above before the face. depth_m: how far behind that a leaf lies.
+    lintel_m: mean distance of the wall above before the face; 0 where it is hidden. depth_m: how far behind that a leaf lies.
     """
 
     is_open: BoolArray
     is_closed: BoolArray
+    has_lintel: BoolArray
     through: FloatArray
     rays: FloatArray
     lintel_m: FloatArray
@@ -36,15 +38,15 @@ class _DoorColumns:
 
 
 def tops_m(walls: Walls, cells: WallCells, clear_m: FloatArray) -> FloatArray:
-    """(columns,) how high each column of the faces stands: as high as its face was seen, and not above the ceiling there.
+    """(columns,) how high each column of the faces stands: up to the ceiling there, or else as high as its face was seen.
 
     clear_m: (columns,) from the floor to the ceiling before each column; NaN where none was seen.
     """
-    return np.asarray(np.fmin(np.repeat(walls.top_m, np.diff(cells.first)), clear_m))
+    return np.where(np.isfinite(clear_m), clear_m, np.repeat(walls.top_m, np.diff(cells.first)))
 
 
 def look_for_doors(counts: FloatArray, top_m: FloatArray, settings: BuildingSettings) -> _DoorColumns:
-    """Columns with wall above and, below, either nothing for the rays to hit or a recessed leaf.
+    """Columns with nothing but wall above and, below, either nothing for the rays to hit or a recessed leaf.
 
     counts: (c, rows, 4), see `WallCells`. top_m: (c,) how high the wall stands at each column: see `tops_m`.
     """
@@ -58,9 +60,12 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, settings: BuildingSett
     with np.errstate(invalid="ignore", divide="ignore"):
         on_face = np.abs(above_head[..., SUM] / above_head[..., FILLED]) < AT_FACE_M
     lintel = (above_head * on_face[..., None]).sum(axis=1)
+    passed_above = above_head[..., THROUGH].sum(axis=1)
+    has_lintel = (lintel[:, FILLED] >= 2) & (passed_above <= lintel[:, FILLED])
+    may_have_lintel = has_lintel | (passed_above + above_head[..., FILLED].sum(axis=1) < 2)
     below, foot = smooth[:, low:high].sum(axis=1), smooth[:, low:knee].sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        lintel_m = lintel[:, SUM] / lintel[:, FILLED]
+        lintel_m = np.where(has_lintel, lintel[:, SUM] / lintel[:, FILLED], 0.0)
         mean_m = below[:, SUM] / below[:, FILLED]
         spread_m = np.sqrt(np.maximum(below[:, SQUARES] / below[:, FILLED] - mean_m**2, 0))
         through = below[:, THROUGH] / (below[:, THROUGH] + below[:, FILLED])
@@ -68,18 +73,17 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, settings: BuildingSett
         depth_m = lintel_m - mean_m
         foot_depth_m = lintel_m - foot[:, SUM] / foot[:, FILLED]
     decided = below[:, THROUGH] + below[:, FILLED] >= settings.rays_min
-    wall_above = (lintel[:, FILLED] >= 2) & (above_head[..., THROUGH].sum(axis=1) <= lintel[:, FILLED])
-    is_open = decided & wall_above & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)
+    is_open = decided & may_have_lintel & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)
     is_closed = (
         decided
-        & wall_above
+        & may_have_lintel
         & (through < 1 - settings.agreement_min)
         & (depth_m > settings.recess_min_m)
         # A leaf is recessed down to the floor; below a window the wall stands flush.
         & ~(foot_depth_m < 0.5 * settings.recess_min_m)
         & (spread_m < 0.06)
     )
-    return _DoorColumns(is_open, is_closed, through, below, lintel_m, depth_m)
+    return _DoorColumns(is_open, is_closed, has_lintel, through, below, lintel_m, depth_m)
 
 
 def is_pane(counts: FloatArray, settings: BuildingSettings) -> bool:

@@ -14,6 +14,8 @@ from algorithms.settings import StepSettings
 
 _STRETCH_MIN_M = 0.02
 """Parts of a face that are shorter are roundings of its ends."""
+_BEYOND_FACE_M = 0.1
+"""A reveal ends at most so far beyond where its wall's other face was measured to be."""
 
 
 class WallThicknessSettings(StepSettings):
@@ -100,19 +102,21 @@ def door_depths(doors: Doors, walls: Walls, parts: WallParts, settings: WallThic
     face tell, else the wall's faces, else the building's open doors, else the building's usual thickness.
     """
     usual_m, of_face_m = usual_thickness(parts, settings), face_thickness(walls, parts)
-    told = (doors.state == DoorState.OPEN) & (doors.reveal_m >= settings.least_m)
+    # Beyond the wall's other face goes on what hangs there as high as the lintel.
+    reveal_m = np.fmin(doors.reveal_m, of_face_m[doors.wall] + _BEYOND_FACE_M)
+    told = (doors.state == DoorState.OPEN) & (reveal_m >= settings.least_m)
     depth_m = np.empty(len(doors))
     for d in range(len(doors)):
         beside = told & (doors.wall == doors.wall[d])
         if told[d]:
-            depth_m[d] = doors.reveal_m[d]
+            depth_m[d] = reveal_m[d]
         elif beside.any():
-            depth_m[d] = np.median(doors.reveal_m[beside])
+            depth_m[d] = np.median(reveal_m[beside])
         elif np.isfinite(of_face_m[doors.wall[d]]):
             depth_m[d] = of_face_m[doors.wall[d]]
         else:
-            depth_m[d] = np.median(doors.reveal_m[told]) if told.any() else usual_m
-    return np.maximum(depth_m, doors.reveal_m)
+            depth_m[d] = np.median(reveal_m[told]) if told.any() else usual_m
+    return np.asarray(np.maximum(depth_m, reveal_m))
 
 
 def _lengths(ends: FloatArray) -> FloatArray:

@@ -41,8 +41,9 @@ def find_windows(walls: Walls, cells: WallCells, clear_m: FloatArray, settings: 
         if len(counts) < 3:
             continue
         face = Segment.between(walls.ends[w], walls.normal[w])
-        opened = look_for_doors(counts, standing_m[cells.first[w] : cells.first[w + 1]], settings).is_open
-        panes = [(first, last) for first, last in stretches(opened, 2) if is_pane(counts[first : last + 1], settings)]
+        columns = look_for_doors(counts, standing_m[cells.first[w] : cells.first[w + 1]], settings)
+        opened = stretches(columns.is_open & columns.has_lintel, 2)
+        panes = [(first, last) for first, last in opened if is_pane(counts[first : last + 1], settings)]
         may_be, is_sill = _above_sill(counts, walls.top_m[w], settings)
         sills = [
             (first, last) for first, last in stretches(may_be, 4) if is_sill[first : last + 1].sum() >= _SILL_COLUMNS

@@ -63,6 +63,27 @@ def test_what_is_part_of_a_wall_is_not(x_m: tuple[float, float], z_m: tuple[floa
     assert not relief(x_m, z_m, depth_m).any()
 
 
+def test_a_wall_that_leans_is_no_relief_but_a_step_on_it_is() -> None:
+    """Poses tilt by a degree: at its foot a wall then comes 3 cm forward, all along."""
+    columns, rows = round(LENGTH_M / CELL_M), 60
+    z = (np.arange(rows) + 0.5) * CELL_M
+
+    def covered(before_m: np.ndarray) -> np.ndarray:
+        counts = np.zeros((columns, rows, 4), np.float32)
+        counts[..., 0] = 40.0 * (z < CEILING_M)
+        counts[..., 1] = counts[..., 0] * before_m
+        cells = WallCells(np.array([0, columns]), rows, counts)
+        return np.asarray(look_before_walls(cells, np.full(columns, CEILING_M), SETTINGS).covered)
+
+    noise_m = np.random.default_rng(3).normal(0, 0.003, (columns, rows))
+    lean_m = np.zeros((columns, rows))
+    lean_m[20:70] = 0.03 * (1 - z / CEILING_M)
+    assert not covered(lean_m + noise_m).any()
+    step_m = np.zeros((columns, rows))
+    step_m[20:70, z < 1.4] = 0.03
+    assert covered(step_m + noise_m)[20:70, 2:28].mean() > 0.95
+
+
 def test_a_shelf_is_one_thing_though_its_boards_hide_parts_of_its_back() -> None:
     columns, rows = round(LENGTH_M / CELL_M), 60
     counts = np.zeros((columns, rows, 4), np.float32)

@@ -103,6 +103,26 @@ def test_a_low_ceiling_before_a_part_of_a_wall_is_no_lintel() -> None:
     assert len(find_doors(WALL, seen, clear_m, SETTINGS)) == 0
 
 
+@pytest.mark.parametrize("state", [DoorState.OPEN, DoorState.CLOSED])
+def test_a_duct_may_hide_a_lintel_if_the_wall_stands_on_both_sides(state: DoorState) -> None:
+    seen = cells()
+    seen.counts[:, round(2.05 / CELL_M) :] = 0.0
+    recess(seen, 0.0, 2.05, 0.05)
+    if state == DoorState.OPEN:
+        part = seen.counts[30:48, : round(2.05 / CELL_M)]
+        part[...], part[..., THROUGH] = 0.0, 10.0
+    clear_m = np.full(80, 2.8)
+    doors = find_doors(WALL, seen, clear_m, SETTINGS)
+    assert doors.state.tolist() == [state]
+    assert doors.head_m[0] == pytest.approx(2.05, abs=CELL_M)
+    # An alcove up to the ceiling is seen to be none, and a recess in a corner may be the corner.
+    high = WallCells(seen.first, seen.rows, seen.counts.copy())
+    high.counts[30:48, round(2.05 / CELL_M) : round(2.7 / CELL_M), THROUGH] = 10.0
+    assert len(find_doors(WALL, high, clear_m, SETTINGS)) == 0
+    seen.counts[48:] = 0.0
+    assert len(find_doors(WALL, seen, clear_m, SETTINGS)) == 0
+
+
 def test_a_leaf_that_stands_aslant_is_ajar() -> None:
     def leaf(free_edge_m: float) -> Doors:
         seen = cells()

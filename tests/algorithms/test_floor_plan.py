@@ -50,6 +50,13 @@ def test_lintels_tell_how_deep_doorways_are() -> None:
         assert door_depths(elsewhere, rooms.walls, parts, THICKNESS)[1] == pytest.approx(depth_m)
 
 
+def test_a_duct_behind_a_lintel_makes_no_doorway_deeper_than_its_wall() -> None:
+    rooms = TwoRooms()
+    parts = part_walls(rooms.walls, THICKNESS)
+    duct = replace(rooms.doors, reveal_m=np.full(len(rooms.doors), 0.6))
+    assert door_depths(duct, rooms.walls, parts, THICKNESS).max() < 0.31
+
+
 def test_a_face_is_cut_where_the_other_side_ends() -> None:
     rooms = TwoRooms()
     walls = rooms.walls.select([3, 6])

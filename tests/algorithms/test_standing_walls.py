@@ -7,6 +7,7 @@ import pytest
 
 from algorithms.building import CELL_M, NO_DOORS, NO_WALLS, Walls
 from algorithms.labels import Label
+from algorithms.segments import Segment
 from algorithms.semantic_map import VoxelVotes, vote
 from algorithms.standing_walls import (
     FaceVerdict,
@@ -103,6 +104,27 @@ def test_a_door_and_a_window_do_not_cut_their_wall():
     assert judge(cells) == ([[0.0, 6.0]], [])
 
 
+def test_a_high_window_does_not_cut_its_wall_though_rays_pass_beside_it():
+    cells = cells_of(4.0)
+    pass_rays(cells, slice(30, 50), 0.9, 2.5)
+    cells.counts[26:30, 43:50, THROUGH] = cells.counts[50:54, 43:50, THROUGH] = 20.0  # aslant, past its edges
+    assert judge(cells) == ([[0.0, 4.0]], [])
+
+
+def test_a_cupboard_under_a_duct_is_no_wall():
+    """The duct hides what is above it, where its own wall is seen."""
+    front, wall = cells_of(1.2), cells_of(4.0)
+    front.counts[:, round(2.0 / CELL_M) :] = 0.0
+    both = WallCells(np.array([0, 24, 104]), front.rows, np.concatenate([front.counts, wall.counts]))
+    ends = faces(((1, 0.5), (2.2, 0.5)), ((0, 0), (4, 0)))
+    path = np.array([[0.0, 2.0], [4.0, 2.0]])
+    judged = judge_faces(ends, both, np.full(104, CEILING_M), path, 0.25, SETTINGS)
+    np.testing.assert_allclose(judged.walls.ends, ends.ends[1:])
+    assert judged.verdict.tolist() == [FaceVerdict.ENDS_LOW]
+    alone = judge_faces(ends.select(np.array([0])), front, np.full(24, CEILING_M), path, 0.25, SETTINGS)
+    assert len(alone.walls) == 1  # of a wall, too, a duct may hide what is above
+
+
 def test_a_duct_is_refused():
     cells = cells_of(6.0)
     pass_rays(cells, slice(0, 120), 0.0, 2.2)
@@ -170,8 +192,10 @@ def test_faces_meet_in_their_corner_and_leave_gaps_that_are_wide():
     np.testing.assert_allclose(walls.ends[2], [[0, -2], [0, -9]], atol=1e-9)
 
 
-def room(wall: bool = True, height_m: float = CEILING_M, seed: int = 0, from_x: float = -1.0) -> VoxelVotes:
-    """Floor and ceiling of a room, from `from_x` on, a known wall at y = 0, and clutter on the plane x = 3."""
+def room(
+    wall: bool = True, height_m: float = CEILING_M, seed: int = 0, from_x: float = -1.0, to_y: float = 2.0
+) -> VoxelVotes:
+    """Floor and ceiling of a room, from `from_x` on, a known wall at y = 0, and clutter on the plane x = 3 up to `to_y`."""
     generator = np.random.default_rng(seed)
 
     def spread(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float], count: int) -> np.ndarray:
@@ -184,7 +208,7 @@ def room(wall: bool = True, height_m: float = CEILING_M, seed: int = 0, from_x: 
         (spread((-1, 5), (0, 0), (0, CEILING_M), 9_000), Label.WALL),
     ]
     if wall:
-        parts.append((spread((3, 3), (0.5, 2.0), (0, height_m), 4_000), Label.CLUTTER))
+        parts.append((spread((3, 3), (0.5, to_y), (0, height_m), 4_000), Label.CLUTTER))
     points = np.concatenate([p for p, _ in parts])
     label = np.concatenate([np.full(len(p), code, np.uint8) for p, code in parts])
     return vote(points, label, len(Label), 0.05)
@@ -205,11 +229,14 @@ def hidden(
     unseen_m: float = 0.0,
     seen_m: float = CEILING_M,
     window_m: tuple[float, float] | None = None,
+    window_from_y: float = 0.0,
+    off_m: float = 0.0,
 ) -> Walls:
     """What is found; rays end on every candidate that lies on x = 3, seen from smaller x, and pass the others.
 
     hip_m: from there to a door's head a few rays pass. unseen_m, seen_m: below and above there no ray comes.
-    window_m: between these heights rays pass. known: a wall beside it.
+    window_m: between these heights rays pass, from `window_from_y` on. known: a wall beside it. off_m: so far before the
+    face the returns lie.
     """
 
     def trace(candidates: Walls) -> WallCells:
@@ -226,11 +253,15 @@ def hidden(
             if on and hip_m:
                 between = slice(int(hip_m / CELL_M), int(2.1 / CELL_M))
                 counts[own, between, FILLED], counts[own, between, THROUGH] = 0.0, 0.1
+            y = Segment.between(candidates.ends[w]).at((np.arange(columns[w]) + 0.5) * CELL_M)[:, 1]
             if on and window_m is not None:
-                pane = slice(round(window_m[0] / CELL_M), round(window_m[1] / CELL_M))
-                counts[own, pane, FILLED], counts[own, pane, THROUGH] = 0.0, 3.0
+                pane = counts[own, round(window_m[0] / CELL_M) : round(window_m[1] / CELL_M)]
+                pane[y > window_from_y] = np.array([0.0, 0.0, 0.0, 3.0])
             counts[own, : int(unseen_m / CELL_M)] = 0.0
             counts[own, int(seen_m / CELL_M) :] = 0.0
+            counts[own, :, SUM] = off_m * counts[own, :, FILLED]
+            if on:
+                counts[own][(y < 0.5) | (y > 2.0)] = 0.0
         return WallCells(first, 60, counts)
 
     others = faces(((-1, 0), (5, 0)))
@@ -267,6 +298,32 @@ def test_what_is_seen_no_higher_than_heads_are_is_a_leaf_or_a_reveal():
 def test_a_hidden_wall_may_have_a_window():
     assert len(hidden(room(), window_m=(0.9, 2.1))) == 1
     assert len(hidden(room(), window_m=(0.3, 2.1))) == 0  # a table, and a duct above it
+
+
+def test_a_window_goes_on_from_a_hidden_wall_over_its_sill():
+    """Through a doorway, next to nothing of the wall above it is seen."""
+
+    def with_window(foot_m: float) -> Walls:
+        return hidden(room(), window_from_y=1.0, window_m=(foot_m, CEILING_M))
+
+    np.testing.assert_allclose(np.sort(with_window(0.9).ends[0, :, 1]), [0.5, 2.0], atol=0.11)
+    np.testing.assert_allclose(np.sort(with_window(0.3).ends[0, :, 1]), [0.5, 1.0], atol=0.11)
+
+
+def test_a_window_may_reach_close_to_the_ceiling():
+    assert len(hidden(room(), window_m=(0.9, 2.5))) == 1
+    assert len(hidden(room(), window_m=(0.9, 2.75))) == 0  # a partition
+
+
+def test_a_hidden_wall_stands_where_its_returns_lie():
+    np.testing.assert_allclose(hidden(room(), off_m=0.02).ends[0, :, 0], 3.0 - 0.02, atol=0.005)
+
+
+def test_a_pillars_side_is_as_long_as_to_the_corner_with_its_front():
+    """Close to the front its returns pass for the front's."""
+    front = ((3.02, 0.4), (3.35, 0.4))
+    assert len(hidden(room(to_y=0.66))) == 0
+    assert len(hidden(room(to_y=0.66), known=faces(front))) == 1
 
 
 def test_before_a_wall_of_this_building_floor_or_ceiling_is_seen():
