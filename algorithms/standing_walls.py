@@ -482,7 +482,7 @@ def find_hidden_walls(
         np.zeros(2 * len(found)),
     )
     both = both.select(~_before_a_face(both, walls, _NOISE_M) & ~_faces_a_face(both, walls, _BEFORE_M))
-    before = _before_a_face(both, walls, _BEFORE_M)
+    before, furniture = (_before_a_face(both, walls, depth_m) for depth_m in (_BEFORE_M, _FURNITURE_M))
     cells = trace(both)
     clear_m = clear_heights(column_places(both, cells.first), votes, settings.ceiling_near_m)
     visited = _visited(both, cells, path_map, settings.robot_m)
@@ -502,6 +502,7 @@ def find_hidden_walls(
         )
         solid &= columns.upper_passed[own] <= 0.5 * columns.upper_on[own]
         sill = columns.sill_passed[own] + _SCATTERED_RAYS < settings.hidden_passed_max * columns.sill_on[own]
+        sill &= not furniture[w]
         window = sill & (columns.upper_on[own] > _SCATTERED_RAYS) & (columns.crown_passed[own] <= 0.5 * columns.crown_on[own])
         may_be = np.isfinite(clear_m[own]) & ~visited[own] & ~_crossed_by(walls, both, w, own.stop - own.start)
         proven = (solid | window) & may_be

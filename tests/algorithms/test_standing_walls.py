@@ -310,6 +310,11 @@ def test_a_window_goes_on_from_a_hidden_wall_over_its_sill():
     np.testing.assert_allclose(np.sort(with_window(0.3).ends[0, :, 1]), [0.5, 1.0], atol=0.11)
 
 
+def test_a_cupboard_and_a_duct_above_it_are_no_wall_with_a_window():
+    """Between them rays pass to the wall behind."""
+    assert len(hidden(room(), window_m=(0.9, 2.5), known=faces(((3.6, 0), (3.6, 3))))) == 0
+
+
 def test_a_window_may_reach_close_to_the_ceiling():
     assert len(hidden(room(), window_m=(0.9, 2.5))) == 1
     assert len(hidden(room(), window_m=(0.9, 2.75))) == 0  # a partition
