@@ -11,12 +11,12 @@ from pydantic import Field
 from scipy import ndimage
 
 from algorithms.building import CELL_M, Doors, Walls, cells_in
+from algorithms.face_columns import column_places
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, IntArray
 from algorithms.segments import segments
 from algorithms.semantic_map import Halo
 from algorithms.settings import StepSettings
-from algorithms.standing_walls import column_places
 from algorithms.wall_cells import FILLED, FOOT_ROW, SUM, THROUGH, WallCells
 
 _REVEAL_M, _FRONT_PERCENT = 0.03, 75.0

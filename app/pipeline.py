@@ -22,11 +22,13 @@ from algorithms.before_walls import BeforeWalls, halo_at_walls, look_before_wall
 from algorithms.building import NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
 from algorithms.building_doors import drop_doubtful, find_doors, prove_crossed
 from algorithms.door_frames import measure_reveals, place_frames
+from algorithms.face_columns import clear_heights, column_places
 from algorithms.features import Features, concatenate, select_planes
 from algorithms.floor_plan import FloorPlan, draw_floor_plan
 from algorithms.fused_walls import fuse_walls
 from algorithms.grid_map import Drive, GridMap, Immobile, draw_furniture_free, standing_stretches
 from algorithms.height_maps import HeightMap, map_ceilings, map_glimpsed_ceilings, map_raised_floors
+from algorithms.hidden_walls import find_hidden_walls
 from algorithms.labels import Label
 from algorithms.odometry import Registration, weakness
 from algorithms.rival_maps import Rival, draw_rival
@@ -36,9 +38,6 @@ from algorithms.standing_walls import (
     FaceVerdict,
     JudgedFaces,
     along_others,
-    clear_heights,
-    column_places,
-    find_hidden_walls,
     join_corners,
     judge_faces,
     leaning_on_others,

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from algorithms.building import CELL_M, NO_DOORS, NO_WALLS, Walls
+from algorithms.face_columns import clear_heights
+from algorithms.hidden_walls import find_hidden_walls
 from algorithms.labels import Label
 from algorithms.segments import Segment
 from algorithms.semantic_map import VoxelVotes, vote
@@ -14,8 +16,6 @@ from algorithms.standing_walls import (
     JudgedFaces,
     StandingWallsSettings,
     along_others,
-    clear_heights,
-    find_hidden_walls,
     join_corners,
     judge_faces,
     leaning_on_others,

@@ -1,0 +1,174 @@
+"""The columns of wall faces: where they are, how high the room is before them, and what rays found of each."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from algorithms.building import AT_FACE_M, CELL_M, NO_WALLS, Walls, stretches
+from algorithms.labels import Label
+from algorithms.scan import BoolArray, FloatArray, IntArray
+from algorithms.segments import Segment, segments
+from algorithms.semantic_map import VoxelVotes, majority
+from algorithms.wall_cells import FOOT_ROW, WallCells
+
+_FOOT_M, SILL_M, _HIP_M = 0.15, 0.7, 1.8
+"""Between foot and hip rays that pass a face prove an opening, or that nothing stands there. No window has a lower sill."""
+_CEILING_MARGIN_M = 0.08
+"""Rows so close below a ceiling hold its own returns."""
+_CROWN_M = 0.2
+"""No window reaches so close to where these begin."""
+SMOOTH_COLUMNS = 1
+_AGREED_VOTES = 3
+_ROOM_M, _ROOM_BESIDE_M, _ROOM_CUBES = (0.3, 3.0), 0.5, 10
+"""Between these distances before a wall of this building, and so far beside it, so many cubes of floor or ceiling are seen."""
+
+
+def clear_heights(places: FloatArray, votes: VoxelVotes, near_m: float) -> FloatArray:
+    """(m,) metres from the floor to the ceiling near each place (m, 2); NaN where no ceiling was seen.
+
+    The higher ones of the nearest cubes of ceiling count, for ducts and lamps hang below it.
+    """
+    floor, ceiling = floor_and_ceiling_cubes(votes)
+    if len(ceiling) < 10 or not len(places):
+        return np.full(len(places), np.nan)
+    distance, nearest = cKDTree(ceiling[:, :2]).query(places, k=10)
+    top = np.percentile(ceiling[nearest, 2], 80, axis=1)
+    ground = np.zeros(len(places))
+    if len(floor) >= 5:
+        ground = np.median(floor[cKDTree(floor[:, :2]).query(places, k=5)[1], 2], axis=1)
+    return np.where(distance[:, 0] < near_m, top - ground, np.nan)
+
+
+def floor_and_ceiling_cubes(votes: VoxelVotes) -> tuple[FloatArray, FloatArray]:
+    """(n, 3), (m, 3) the cubes that scans agree on to be floor, and ceiling."""
+    label = np.where(votes.counts.max(axis=1, initial=0) >= _AGREED_VOTES, majority(votes.counts), Label.CLUTTER)
+    return votes.mean_position[label == Label.FLOOR], votes.mean_position[label == Label.CEILING]
+
+
+def column_places(walls: Walls, first: IntArray, before_m: float = 0.2) -> FloatArray:
+    """(columns, 2) x and y so many metres before the middle of each column of the faces; first: see `WallCells`."""
+    places = np.zeros((int(first[-1]), 2))
+    for w, face in enumerate(segments(walls)):
+        middles = face.at((np.arange(first[w + 1] - first[w]) + 0.5) * CELL_M)
+        places[first[w] : first[w + 1]] = middles + before_m * face.normal
+    return places
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Rays on and past each column (c,) of the faces, told with the columns beside it: above doors, close below the ceiling,
+    between foot and hip, below windows' sills.
+    """
+
+    upper_on: FloatArray
+    upper_passed: FloatArray
+    crown_on: FloatArray
+    crown_passed: FloatArray
+    lower_on: FloatArray
+    lower_passed: FloatArray
+    sill_on: FloatArray
+    sill_passed: FloatArray
+
+    def part(self, columns: slice) -> "Columns":
+        """Some of the columns."""
+        return Columns(*(getattr(self, field.name)[columns] for field in fields(self)))
+
+
+def count_columns(cells: WallCells, clear_m: FloatArray, above_door_m: float) -> Columns:
+    """What the rays found of each column of the faces.
+
+    clear_m: (columns,) from the floor to the ceiling before each; NaN where none was seen. above_door_m: where the wall above
+    doors begins.
+    """
+    filled, total, passed = (cells.counts[..., i].astype(np.float64) for i in (0, 1, 3))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        on = np.where(np.abs(total / filled) < AT_FACE_M, filled, 0.0)
+    passed = passed + filled - on
+    height = (np.arange(cells.rows) + 0.5) * CELL_M
+    top = np.where(np.isfinite(clear_m), clear_m, np.inf) - _CEILING_MARGIN_M
+    upper = (height > above_door_m) & (height < top[:, None])
+    crown = upper & (height > top[:, None] - _CROWN_M)
+    lower = (height > _FOOT_M) & (height < _HIP_M)
+    sill = (height > _FOOT_M) & (height < SILL_M)
+    return Columns(
+        _smooth((on * upper).sum(axis=1), cells),
+        _smooth((passed * upper).sum(axis=1), cells),
+        _smooth((on * crown).sum(axis=1), cells),
+        _smooth((passed * crown).sum(axis=1), cells),
+        _smooth(on[:, lower].sum(axis=1), cells),
+        _smooth(passed[:, lower].sum(axis=1), cells),
+        _smooth(on[:, sill].sum(axis=1), cells),
+        _smooth(passed[:, sill].sum(axis=1), cells),
+    )
+
+
+def visited_columns(walls: Walls, cells: WallCells, path_map: FloatArray, robot_m: float) -> BoolArray:
+    """(columns,) whether the robot drove where each column stands."""
+    places = column_places(walls, cells.first, 0.0)
+    if not len(places) or not len(path_map):
+        return np.zeros(len(places), bool)
+    return np.asarray(cKDTree(path_map).query(places)[0] < robot_m)
+
+
+def _smooth(values: FloatArray, cells: WallCells) -> FloatArray:
+    """Each column with those beside it on the same face."""
+    smooth = np.zeros_like(values)
+    for first, last in zip(cells.first[:-1], cells.first[1:], strict=True):
+        if last > first:
+            kernel = np.ones(2 * SMOOTH_COLUMNS + 1)
+            smooth[first:last] = np.convolve(values[first:last], kernel)[SMOOTH_COLUMNS:-SMOOTH_COLUMNS]
+    return smooth
+
+
+def rows_on_and_passed(counts: FloatArray, clear_m: float) -> tuple[FloatArray, FloatArray]:
+    """How many rays ended on columns (c, rows, 4), and how many did not, in each row between foot and ceiling."""
+    rows = slice(FOOT_ROW, int((clear_m - _CEILING_MARGIN_M) / CELL_M))
+    filled, total, _, through = counts[:, rows].sum(axis=0, dtype=np.float64).T
+    on = np.where(np.abs(total) < AT_FACE_M * filled, filled, 0.0)
+    return on, through + filled - on
+
+
+def median_m(values_m: FloatArray) -> float:
+    """The median of those that are known; NaN where none is."""
+    known = values_m[np.isfinite(values_m)]
+    return float(np.median(known)) if len(known) else float("nan")
+
+
+def room_before(faces: Walls, floor_and_ceiling: FloatArray) -> BoolArray:
+    """(W,) whether floor or ceiling is seen before a face: what is seen through a window, another house's front, has neither.
+
+    floor_and_ceiling: (n, 3) places of both.
+    """
+    cubes = np.zeros(len(faces), np.int64)
+    for w, face in enumerate(segments(faces)):
+        before_m = face.before_m(floor_and_ceiling)
+        beside = face.beside(floor_and_ceiling, _ROOM_BESIDE_M)
+        cubes[w] = np.count_nonzero(beside & (before_m > _ROOM_M[0]) & (before_m < _ROOM_M[1]))
+    return np.asarray(cubes >= _ROOM_CUBES)
+
+
+def cut_faces(walls: Walls, cells: WallCells, stretches: list[tuple[int, int, int]]) -> Walls:
+    """Stretches of faces, in columns, as faces of their own."""
+    if not stretches:
+        return NO_WALLS
+    owner = np.array([s[0] for s in stretches])
+    ends = np.empty((len(stretches), 2, 2))
+    for i, (w, first, after) in enumerate(stretches):
+        face = Segment.between(walls.ends[w], walls.normal[w])
+        whole = after == cells.first[w + 1] - cells.first[w]
+        ends[i] = face.at(np.array([first * CELL_M, face.length_m if whole else after * CELL_M]))
+    return replace(walls.select(owner), ends=ends)
+
+
+def runs(flags: BoolArray) -> list[tuple[int, int]]:
+    """First index, and the one after the last, of the runs of True."""
+    return [(first, last + 1) for first, last in stretches(flags, 0)]
+
+
+def long_runs(flags: BoolArray, length: int, bridge: int) -> BoolArray:
+    """The flags with short gaps closed, and of these the runs of at least so many."""
+    long = np.zeros(len(flags), bool)
+    for first, last in stretches(flags, bridge):
+        long[first : last + 1] = last + 1 - first >= length
+    return long

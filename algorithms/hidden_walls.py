@@ -1,0 +1,300 @@
+"""The walls that no single scan could tell: returns of all scans in line, where rays end up to the ceiling."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from algorithms.building import AT_FACE_M, CELL_M, NO_WALLS, Walls, cells_in
+from algorithms.face_columns import (
+    SILL_M,
+    SMOOTH_COLUMNS,
+    Columns,
+    clear_heights,
+    column_places,
+    count_columns,
+    cut_faces,
+    floor_and_ceiling_cubes,
+    long_runs,
+    median_m,
+    room_before,
+    rows_on_and_passed,
+    runs,
+    visited_columns,
+)
+from algorithms.labels import Label
+from algorithms.scan import BoolArray, FloatArray
+from algorithms.segments import Segment, segments
+from algorithms.semantic_map import VoxelVotes, majority
+from algorithms.standing_walls import (
+    ACROSS,
+    BEFORE_M,
+    FURNITURE_M,
+    NOISE_M,
+    SAME_WAY,
+    SCATTERED_RAYS,
+    StandingWallsSettings,
+    wall_directions,
+)
+from algorithms.wall_cells import FILLED, FOOT_ROW, SUM, WallCells
+from algorithms.wall_openings import widened
+
+_AT_CORNER_M = 0.15
+_WINDOW_COLUMNS = 60
+"""A window is at most so many columns wide."""
+_PILLAR_SHARE = 0.8
+_BELOW_CEILING_M, _ABOVE_HEADS_M = 0.35, 2.25
+"""What is seen neither so close below the ceiling nor so far up is a leaf, or the reveal of a window."""
+_EXPLAINED_M = 0.08
+"""What lies so close to a face, and so far beyond its ends, is its own."""
+
+
+def find_hidden_walls(
+    votes: VoxelVotes,
+    walls: Walls,
+    refused: Walls,
+    path_map: FloatArray,
+    trace: Callable[[Walls], WallCells],
+    length_min_m: float,
+    settings: StandingWallsSettings,
+) -> Walls:
+    """Walls that scans saw too little of for a plane: returns of all scans that stand in line with the building's walls.
+
+    Upright columns of returns that belong to no face are looked through for straight lines in the directions that the
+    walls have; a line is a wall where rays end on it up to the ceiling and next to none passes.
+
+    path_map: (n, 2) the robot's places: where it was stands no wall. trace: counts rays against faces; a return more than
+    some centimetres behind a face counts as passed, and rays through windows do not count.
+    """
+    both = _candidates(votes, walls, refused, settings)
+    if not len(both):
+        return NO_WALLS
+    before, close_before = (_before_a_face(both, walls, depth_m) for depth_m in (FURNITURE_M, BEFORE_M))
+    cells = trace(both)
+    clear_m = clear_heights(column_places(both, cells.first), votes, settings.ceiling_near_m)
+    free = np.isfinite(clear_m) & ~visited_columns(both, cells, path_map, settings.robot_m)
+    columns = count_columns(cells, clear_m, settings.above_door_m)
+    floor_and_ceiling = np.concatenate(floor_and_ceiling_cubes(votes))
+    kept: list[tuple[int, int, int]] = []
+    top_m: list[float] = []
+    before_m: list[float] = []
+    for w in range(len(both)):
+        own = slice(int(cells.first[w]), int(cells.first[w + 1]))
+        may_be = free[own] & ~_crossed_by(walls, both, w, own.stop - own.start)
+        told = _tell_columns(columns.part(own), may_be, before[w], settings)
+        for first, after in _stretches(told, cells.counts[own], settings):
+            counts, ceiling_m = cells.counts[own][first:after], median_m(clear_m[own][first:after])
+            face = cut_faces(both, cells, [(w, first, after)])
+            length_m = (after - first) * CELL_M + _to_corners_m(face, walls)
+            if (
+                length_m >= length_min_m
+                and _is_proven(columns.part(own).part(slice(first, after)), told.part(slice(first, after)), settings)
+                and _reaches_ceiling(counts, ceiling_m, told.window[first:after], close_before[w])
+                and room_before(face, floor_and_ceiling)[0]
+            ):
+                # Beside it a window may go on, of which not more than the sill is seen.
+                first, last = widened(told.sill, first, after - 1, _WINDOW_COLUMNS)
+                kept.append((w, first, last + 1))
+                top_m.append(ceiling_m)
+                before_m.append(_returns_before_m(counts))
+    hidden = cut_faces(both, cells, kept)
+    moved = hidden.ends + (np.array(before_m)[:, None] * hidden.normal)[:, None] if kept else hidden.ends
+    return replace(hidden, ends=moved, top_m=np.array(top_m))
+
+
+def _candidates(votes: VoxelVotes, walls: Walls, refused: Walls, settings: StandingWallsSettings) -> Walls:
+    """Lines of unexplained returns as faces; which side each is seen from is not known yet, so both are tried."""
+    place, weight = _unexplained_columns(votes, walls, refused)
+    found = _straight_lines(place, weight, wall_directions(walls), settings)
+    if not found:
+        return NO_WALLS
+    ends = np.array([e for e, _ in found])
+    normal = np.array([n for _, n in found])
+    both = Walls(
+        np.concatenate([ends, ends[:, ::-1]]),
+        np.concatenate([normal, -normal]),
+        np.zeros(2 * len(found)),
+        np.full(2 * len(found), 5.0),
+        np.ones(2 * len(found), np.int32),
+        np.zeros(2 * len(found)),
+    )
+    return both.select(~_before_a_face(both, walls, NOISE_M) & ~_faces_a_face(both, walls, BEFORE_M))
+
+
+@dataclass(frozen=True)
+class _Told:
+    """What the columns (c,) of a candidate are.
+
+    proven: wall from floor to ceiling, or up to a window's sill and above its head. window: of these, what may be a window's.
+    sill: nothing passes below a sill's height, whatever is above. contradicted: rays pass.
+    """
+
+    proven: BoolArray
+    window: BoolArray
+    sill: BoolArray
+    contradicted: BoolArray
+
+    def part(self, columns: slice) -> "_Told":
+        return _Told(self.proven[columns], self.window[columns], self.sill[columns], self.contradicted[columns])
+
+
+def _tell_columns(columns: Columns, may_be: BoolArray, is_before: bool, settings: StandingWallsSettings) -> _Told:
+    """Tell a candidate's columns; may_be: (c,) where a wall may stand. is_before: whether it stands before a known wall, to
+    which rays pass between a cupboard and a duct as they leave through a window."""
+    passed_max = settings.hidden_passed_max
+    on, passed = columns.upper_on + columns.lower_on, columns.upper_passed + columns.lower_passed
+    solid = (
+        (on > 0)
+        & (passed <= passed_max * on)
+        & (columns.lower_passed <= passed_max * columns.lower_on + SCATTERED_RAYS)
+        & (columns.upper_passed <= 0.5 * columns.upper_on)
+    )
+    sill = may_be & (columns.sill_passed + SCATTERED_RAYS < passed_max * columns.sill_on) & (not is_before)
+    window = sill & (columns.upper_on > SCATTERED_RAYS) & (columns.crown_passed <= 0.5 * columns.crown_on)
+    proven = (solid & may_be) | window
+    return _Told(proven, window, sill, ~may_be | ((passed > 2 * SCATTERED_RAYS) & ~proven))
+
+
+def _stretches(told: _Told, counts: FloatArray, settings: StandingWallsSettings) -> Iterator[tuple[int, int]]:
+    """First column, and the one after the last, of what may be one wall; counts: (c, rows, 4)."""
+    returned = np.any(counts[..., FILLED] > 0, axis=1)
+    bridged = long_runs(told.proven, 1, bridge=cells_in(settings.hidden_gap_m)) & ~told.contradicted
+    for first, after in runs(bridged):
+        # Columns were told with those beside them.
+        own = np.flatnonzero(returned[first:after])
+        if len(own):
+            yield first + int(own[0]), first + int(own[-1]) + 1
+
+
+def _is_proven(columns: Columns, told: _Told, settings: StandingWallsSettings) -> bool:
+    """Whether most columns of a stretch are proven, most are seen above doors, and by returns enough."""
+    returns = float((columns.upper_on + columns.lower_on).sum()) / (2 * SMOOTH_COLUMNS + 1)
+    seen_above, proven = np.mean(columns.upper_on > 0), np.mean(told.proven)
+    return bool(seen_above > 0.5 and proven > 0.5 and returns >= settings.hidden_returns_min)
+
+
+def _reaches_ceiling(counts: FloatArray, ceiling_m: float, window: BoolArray, is_before: bool) -> bool:
+    """Whether a stretch of columns is wall all the way up.
+
+    counts: (c, rows, 4). window: (c,) which columns may be a window's. is_before: whether it stands close before a known wall.
+    """
+    on, passed = rows_on_and_passed(counts, ceiling_m)
+    seen = np.flatnonzero(on >= SCATTERED_RAYS)
+    if not len(seen) or (FOOT_ROW + seen[-1] + 1) * CELL_M <= min(ceiling_m - _BELOW_CEILING_M, _ABOVE_HEADS_M):
+        return False
+    # A pillar shows from floor to ceiling; what else stands or hangs before a wall does not.
+    if is_before and float(np.mean(on > passed)) <= _PILLAR_SHARE:
+        return False
+    # A duct's underside and the ceiling next to it are rows of returns, with nothing between them and the floor.
+    below_sill = slice(0, cells_in(SILL_M) - FOOT_ROW)
+    is_window = np.mean(window) > 0.5 and np.all(on[below_sill] >= passed[below_sill])
+    return bool(is_window or np.count_nonzero(on > passed) > np.count_nonzero(passed > on))
+
+
+def _returns_before_m(counts: FloatArray) -> float:
+    """Mean distance before a face of the returns that may be its own, of cells (c, rows, 4); 0 where there are none."""
+    filled, total = counts[..., FILLED].astype(np.float64), counts[..., SUM].astype(np.float64)
+    own = np.abs(total) < AT_FACE_M * filled
+    return float(total[own].sum() / filled[own].sum()) if own.any() else 0.0
+
+
+def _to_corners_m(face: Walls, walls: Walls) -> float:
+    """By how much a single face is longer up to known faces that end at its ends: close to these its returns pass for theirs."""
+    ends = walls.ends[np.abs(walls.normal @ face.normal[0]) < ACROSS].reshape(-1, 2)
+    if not len(ends):
+        return 0.0
+    nearest_m = np.linalg.norm(face.ends[0][:, None] - ends, axis=2).min(axis=1)
+    return float(nearest_m[nearest_m < _AT_CORNER_M].sum())
+
+
+def _crossed_by(walls: Walls, candidates: Walls, w: int, count: int) -> BoolArray:
+    """(count,) the columns of one candidate at which it crosses a known face: beyond it another wall goes on, or a reveal."""
+    crossed = np.zeros(count, bool)
+    candidate = Segment.between(candidates.ends[w], candidates.normal[w])
+    for face in segments(walls):
+        if abs(face.normal @ candidate.normal) > ACROSS:
+            continue
+        column = int(-face.before_m(candidate.start) / (candidate.along @ face.normal) // CELL_M)
+        place = candidate.at(np.array([(column + 0.5) * CELL_M]))
+        if 0 <= column < count and face.beside(place)[0]:
+            crossed[column] = True
+    return crossed
+
+
+def _before_a_face(candidates: Walls, walls: Walls, before_m: float) -> BoolArray:
+    """(k,) whether a known face that looks the same way lies so close behind each candidate, or before it."""
+    before = np.zeros(len(candidates), bool)
+    middle = candidates.ends.mean(axis=1)
+    for face in segments(walls):
+        same_way = candidates.normal @ face.normal > SAME_WAY
+        before |= same_way & face.beside(middle) & (np.abs(face.before_m(middle)) < before_m)
+    return before
+
+
+def _faces_a_face(candidates: Walls, walls: Walls, apart_m: float) -> BoolArray:
+    """(k,) whether a known face looks at each candidate from so near: nobody sees the one from before the other."""
+    faces = np.zeros(len(candidates), bool)
+    middle = candidates.ends.mean(axis=1)
+    for face in segments(walls):
+        distance_m = face.before_m(middle)
+        opposite = candidates.normal @ face.normal < -SAME_WAY
+        faces |= opposite & face.beside(middle) & (distance_m > 0) & (distance_m < apart_m)
+    return faces
+
+
+def _unexplained_columns(votes: VoxelVotes, walls: Walls, refused: Walls) -> tuple[FloatArray, FloatArray]:
+    """Upright columns of cubes that no face explains: x and y (m, 2), and how many cubes stand in each (m,)."""
+    label = majority(votes.counts)
+    unexplained = ((label == Label.CLUTTER) | (label == Label.WALL)) & (votes.counts.max(axis=1, initial=0) > 0)
+    position, count = votes.mean_position[unexplained], votes.point_count[unexplained]
+    free = np.ones(len(position), bool)
+    for faces in (walls, refused):
+        for face in segments(faces):
+            free &= ~((np.abs(face.before_m(position)) < _EXPLAINED_M) & face.beside(position, _EXPLAINED_M))
+    position, count = position[free], count[free]
+    cell = np.floor(position[:, :2] / CELL_M).astype(np.int64)
+    _, column = np.unique(cell, axis=0, return_inverse=True)
+    column = column.ravel()
+    columns = int(column.max(initial=-1)) + 1
+    weight = np.bincount(column, count, columns)
+    place = np.stack([np.bincount(column, count * position[:, axis], columns) / weight for axis in (0, 1)], axis=1)
+    cubes = np.bincount(column, minlength=columns)
+    stands = cubes >= 3
+    return place[stands], np.minimum(cubes[stands], 20).astype(np.float64)
+
+
+def _straight_lines(
+    place: FloatArray, weight: FloatArray, normals: FloatArray, settings: StandingWallsSettings
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Stretches of columns in line, the strongest first, each column in one: ends (2, 2) and normal (2,)."""
+    bin_m = 0.5 * settings.hidden_distance_m
+    left = np.ones(len(place), bool)
+    across = [place @ normal for normal in normals]
+    along = [place @ np.array([-normal[1], normal[0]]) for normal in normals]
+    bins = [np.floor((a - a.min(initial=0.0)) / bin_m).astype(np.int64) for a in across]
+    dead = [np.zeros(int(b.max(initial=0)) + 3, bool) for b in bins]
+    found: list[tuple[FloatArray, FloatArray]] = []
+    while len(normals) and left.any():
+        best, direction, at = 0.0, 0, 0
+        for d in range(len(normals)):
+            strength = np.bincount(bins[d][left], weight[left], len(dead[d]))
+            strength = np.where(dead[d], 0.0, np.convolve(strength, np.ones(3), "same"))
+            if strength.max() > best:
+                best, direction, at = float(strength.max()), d, int(np.argmax(strength))
+        if best < 9.0:
+            break
+        centre = float(across[direction].min(initial=0.0)) + (at + 0.5) * bin_m
+        near = np.flatnonzero(left & (np.abs(across[direction] - centre) < settings.hidden_distance_m))
+        near = near[np.argsort(along[direction][near])]
+        breaks = np.flatnonzero(np.diff(along[direction][near]) > settings.hidden_gap_m) + 1
+        parts = [p for p in np.split(near, breaks) if len(p) >= 3 and np.ptp(along[direction][p]) > 3 * CELL_M]
+        if not parts:
+            dead[direction][at] = True
+            continue
+        part = max(parts, key=lambda p: float(weight[p].sum()))
+        left[part] = False
+        normal = normals[direction]
+        offset = float(np.average(across[direction][part], weights=weight[part]))
+        reach = along[direction][part][[0, -1]] + np.array([-0.5, 0.5]) * CELL_M
+        found.append((normal * offset + reach[:, None] * np.array([-normal[1], normal[0]]), normal))
+    return found
