@@ -10,6 +10,8 @@ from loaders.pointcloud2 import TimeFrom
 from loaders.rig import Lidar, Rig, find_rig
 from loaders.scans import CloudIndex, cloud_topics, index_clouds, read_scans
 
+_TILT_MIN_DEG = 25.0
+
 
 @dataclass(frozen=True)
 class InputOptions:
@@ -52,7 +54,7 @@ def find_inputs(bag_path: Path, options: InputOptions) -> Inputs:
             raise InputError(f"{bag_path}: has no PointCloud2 topic; 'ffmap info {bag_path}' lists what it has")
         rig = find_rig(bag, options.rig_file, options.horizontal, options.vertical, options.time_from)
         horizontal = _sensor(bag, rig.horizontal) if rig.horizontal else None
-        vertical = _sensor(bag, rig.vertical) if rig.vertical else None
+        vertical = _sensor(bag, _checked(rig.vertical)) if rig.vertical else None
         return Inputs(
             bag_path=bag_path.resolve(),
             bag_digest=digest(bag_path),
@@ -62,6 +64,16 @@ def find_inputs(bag_path: Path, options: InputOptions) -> Inputs:
             vertical=vertical,
             warnings=(*bag.warnings, *rig.warnings),
         )
+
+
+def _checked(vertical: Lidar) -> Lidar:
+    """Raises InputError where the lidar to be labelled stands so upright that no line of it does."""
+    if vertical.tilt_deg < _TILT_MIN_DEG:
+        raise InputError(
+            f"{vertical.topic}: its spin axis is {vertical.tilt_deg:.0f} deg off upright, so it sweeps no wall from floor to "
+            f"ceiling (that takes {_TILT_MIN_DEG:.0f}); name another with --vertical, or tell its mount with --rig FILE"
+        )
+    return vertical
 
 
 def _sensor(bag: Bag, lidar: Lidar) -> Sensor:

@@ -389,7 +389,7 @@ def _roles_of_one(only: _Candidate, roles: dict[Role, Lidar], warnings: list[str
     elif "vertical" not in roles:
         roles.setdefault("horizontal", only.lidar("the only lidar, its spin axis upright or unknown"))
         warnings.append(
-            "nothing to label: the bag has one horizontal lidar only; --vertical TOPIC labels it all the same"
+            "nothing to label: the bag has one lidar only, and it stands upright or its mount is unknown; --rig FILE tells it"
         )
 
 

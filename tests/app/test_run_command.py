@@ -27,6 +27,7 @@ from app.run_folder import rooms_file
 from blueprints import entities
 from loaders.simulator import SimulationSettings, simulate
 
+UPRIGHT_TOPIC = "/horizontal_velodyne/velodyne_points"
 FFMAP = [sys.executable, "-c", "from app.cli import main; main()"]
 FILES = [
     "recording.rrd",
@@ -278,6 +279,8 @@ def test_mistakes_are_one_line_and_leave_earlier_results_alone(
     assert_one_line_error(done, "similarty_m", "wall_planes.similarity_m")
     done = ffmap(environment, "run", bags["bag"], "--out", finished, "--vertical", "/nothing")
     assert_one_line_error(done, "/nothing")
+    done = ffmap(environment, "run", bags["bag"], "--out", finished, "--vertical", UPRIGHT_TOPIC)
+    assert_one_line_error(done, UPRIGHT_TOPIC, "spin axis", "--rig FILE")
     assert_one_line_error(ffmap(environment, "run", "--resume", tmp_path), "run.json")
     assert_one_line_error(ffmap(environment, "evaluate", tmp_path), str(tmp_path))
     done = ffmap(environment, "run", bags["bag"], "--out", finished, "--connect", "rerun+http://127.0.0.1:1/proxy")
