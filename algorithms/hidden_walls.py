@@ -69,19 +69,21 @@ def find_hidden_walls(
     both = _candidates(votes, walls, refused, settings)
     if not len(both):
         return NO_WALLS
-    before, close_before = (_before_a_face(both, walls, depth_m) for depth_m in (FURNITURE_M, BEFORE_M))
+    close_before = _before_a_face(both, walls, BEFORE_M)
+    floor_and_ceiling = np.concatenate(floor_and_ceiling_cubes(votes))
+    # Between a cupboard and a duct, and over a table, rays pass to the room behind; through a window they leave the building.
+    inside = _before_a_face(both, walls, FURNITURE_M) | room_before(replace(both, normal=-both.normal), floor_and_ceiling)
     cells = trace(both)
     clear_m = clear_heights(column_places(both, cells.first), votes, settings.ceiling_near_m)
     free = np.isfinite(clear_m) & ~visited_columns(both, cells, path_map, settings.robot_m)
     columns = count_columns(cells, clear_m, settings.above_door_m)
-    floor_and_ceiling = np.concatenate(floor_and_ceiling_cubes(votes))
     kept: list[tuple[int, int, int]] = []
     top_m: list[float] = []
     before_m: list[float] = []
     for w in range(len(both)):
         own = slice(int(cells.first[w]), int(cells.first[w + 1]))
         may_be = free[own] & ~_crossed_by(walls, both, w, own.stop - own.start)
-        told = _tell_columns(columns.part(own), may_be, before[w], settings)
+        told = _tell_columns(columns.part(own), may_be, not inside[w], settings)
         for first, after in _stretches(told, cells.counts[own], settings):
             counts, ceiling_m = cells.counts[own][first:after], median_m(clear_m[own][first:after])
             face = cut_faces(both, cells, [(w, first, after)])
@@ -138,9 +140,10 @@ class _Told:
         return _Told(self.proven[columns], self.window[columns], self.sill[columns], self.contradicted[columns])
 
 
-def _tell_columns(columns: Columns, may_be: BoolArray, is_before: bool, settings: StandingWallsSettings) -> _Told:
-    """Tell a candidate's columns; may_be: (c,) where a wall may stand. is_before: whether it stands before a known wall, to
-    which rays pass between a cupboard and a duct as they leave through a window."""
+def _tell_columns(columns: Columns, may_be: BoolArray, is_outer: bool, settings: StandingWallsSettings) -> _Told:
+    """Tell a candidate's columns; may_be: (c,) where a wall may stand. is_outer: whether nothing of the building is known
+    behind it, so that it may have windows.
+    """
     passed_max = settings.hidden_passed_max
     on, passed = columns.upper_on + columns.lower_on, columns.upper_passed + columns.lower_passed
     solid = (
@@ -149,7 +152,7 @@ def _tell_columns(columns: Columns, may_be: BoolArray, is_before: bool, settings
         & (columns.lower_passed <= passed_max * columns.lower_on + SCATTERED_RAYS)
         & (columns.upper_passed <= 0.5 * columns.upper_on)
     )
-    sill = may_be & (columns.sill_passed + SCATTERED_RAYS < passed_max * columns.sill_on) & (not is_before)
+    sill = may_be & (columns.sill_passed + SCATTERED_RAYS < passed_max * columns.sill_on) & is_outer
     window = sill & (columns.upper_on > SCATTERED_RAYS) & (columns.crown_passed <= 0.5 * columns.crown_on)
     proven = (solid & may_be) | window
     return _Told(proven, window, sill, ~may_be | ((passed > 2 * SCATTERED_RAYS) & ~proven))

@@ -193,9 +193,14 @@ def test_faces_meet_in_their_corner_and_leave_gaps_that_are_wide():
 
 
 def room(
-    wall: bool = True, height_m: float = CEILING_M, seed: int = 0, from_x: float = -1.0, to_y: float = 2.0
+    wall: bool = True,
+    height_m: float = CEILING_M,
+    seed: int = 0,
+    from_x: float = -1.0,
+    to_x: float = 5.0,
+    to_y: float = 2.0,
 ) -> VoxelVotes:
-    """Floor and ceiling of a room, from `from_x` on, a known wall at y = 0, and clutter on the plane x = 3 up to `to_y`."""
+    """Floor and ceiling of a room, from `from_x` to `to_x`, a known wall at y = 0, and clutter on the plane x = 3 up to `to_y`."""
     generator = np.random.default_rng(seed)
 
     def spread(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float], count: int) -> np.ndarray:
@@ -203,8 +208,8 @@ def room(
         return generator.uniform(low, high, (count, 3)) + generator.normal(0, 0.01, (count, 3))
 
     parts = [
-        (spread((from_x, 5), (0, 3), (0, 0), 40_000), Label.FLOOR),
-        (spread((from_x, 5), (0, 3), (CEILING_M, CEILING_M), 40_000), Label.CEILING),
+        (spread((from_x, to_x), (0, 3), (0, 0), 40_000), Label.FLOOR),
+        (spread((from_x, to_x), (0, 3), (CEILING_M, CEILING_M), 40_000), Label.CEILING),
         (spread((-1, 5), (0, 0), (0, CEILING_M), 9_000), Label.WALL),
     ]
     if wall:
@@ -296,15 +301,17 @@ def test_what_is_seen_no_higher_than_heads_are_is_a_leaf_or_a_reveal():
 
 
 def test_a_hidden_wall_may_have_a_window():
-    assert len(hidden(room(), window_m=(0.9, 2.1))) == 1
-    assert len(hidden(room(), window_m=(0.3, 2.1))) == 0  # a table, and a duct above it
+    outer = room(to_x=3.0)
+    assert len(hidden(outer, window_m=(0.9, 2.1))) == 1
+    assert len(hidden(outer, window_m=(0.3, 2.1))) == 0  # a bench, and a duct above it
+    assert len(hidden(room(), window_m=(0.9, 2.1))) == 0  # a table in the room, and a lamp above it
 
 
 def test_a_window_goes_on_from_a_hidden_wall_over_its_sill():
     """Through a doorway, next to nothing of the wall above it is seen."""
 
     def with_window(foot_m: float) -> Walls:
-        return hidden(room(), window_from_y=1.0, window_m=(foot_m, CEILING_M))
+        return hidden(room(to_x=3.0), window_from_y=1.0, window_m=(foot_m, CEILING_M))
 
     np.testing.assert_allclose(np.sort(with_window(0.9).ends[0, :, 1]), [0.5, 2.0], atol=0.11)
     np.testing.assert_allclose(np.sort(with_window(0.3).ends[0, :, 1]), [0.5, 1.0], atol=0.11)
@@ -312,12 +319,12 @@ def test_a_window_goes_on_from_a_hidden_wall_over_its_sill():
 
 def test_a_cupboard_and_a_duct_above_it_are_no_wall_with_a_window():
     """Between them rays pass to the wall behind."""
-    assert len(hidden(room(), window_m=(0.9, 2.5), known=faces(((3.6, 0), (3.6, 3))))) == 0
+    assert len(hidden(room(to_x=3.0), window_m=(0.9, 2.5), known=faces(((3.6, 0), (3.6, 3))))) == 0
 
 
 def test_a_window_may_reach_close_to_the_ceiling():
-    assert len(hidden(room(), window_m=(0.9, 2.5))) == 1
-    assert len(hidden(room(), window_m=(0.9, 2.75))) == 0  # a partition
+    assert len(hidden(room(to_x=3.0), window_m=(0.9, 2.5))) == 1
+    assert len(hidden(room(to_x=3.0), window_m=(0.9, 2.75))) == 0  # a partition
 
 
 def test_a_hidden_wall_stands_where_its_returns_lie():
