@@ -69,10 +69,9 @@ def find_hidden_walls(
     both = _candidates(votes, walls, refused, settings)
     if not len(both):
         return NO_WALLS
-    close_before = _before_a_face(both, walls, BEFORE_M)
+    before, close_before = (_before_a_face(both, walls, depth_m) for depth_m in (FURNITURE_M, BEFORE_M))
     floor_and_ceiling = np.concatenate(floor_and_ceiling_cubes(votes))
-    # Between a cupboard and a duct, and over a table, rays pass to the room behind; through a window they leave the building.
-    inside = _before_a_face(both, walls, FURNITURE_M) | room_before(replace(both, normal=-both.normal), floor_and_ceiling)
+    backs = replace(both, normal=-both.normal)
     cells = trace(both)
     clear_m = clear_heights(column_places(both, cells.first), votes, settings.ceiling_near_m)
     free = np.isfinite(clear_m) & ~visited_columns(both, cells, path_map, settings.robot_m)
@@ -83,7 +82,10 @@ def find_hidden_walls(
     for w in range(len(both)):
         own = slice(int(cells.first[w]), int(cells.first[w + 1]))
         may_be = free[own] & ~_crossed_by(walls, both, w, own.stop - own.start)
-        told = _tell_columns(columns.part(own), may_be, not inside[w], settings)
+        # Between a cupboard and a duct, and over a table, rays pass to the room behind; through a window they leave the building.
+        may_have_window = not before[w] and bool(_has_sill(columns.part(own), settings).any())
+        is_outer = may_have_window and not room_before(backs.select(np.array([w])), floor_and_ceiling)[0]
+        told = _tell_columns(columns.part(own), may_be, is_outer, settings)
         for first, after in _stretches(told, cells.counts[own], settings):
             counts, ceiling_m = cells.counts[own][first:after], median_m(clear_m[own][first:after])
             face = cut_faces(both, cells, [(w, first, after)])
@@ -152,10 +154,15 @@ def _tell_columns(columns: Columns, may_be: BoolArray, is_outer: bool, settings:
         & (columns.lower_passed <= passed_max * columns.lower_on + SCATTERED_RAYS)
         & (columns.upper_passed <= 0.5 * columns.upper_on)
     )
-    sill = may_be & (columns.sill_passed + SCATTERED_RAYS < passed_max * columns.sill_on) & is_outer
+    sill = may_be & is_outer & _has_sill(columns, settings)
     window = sill & (columns.upper_on > SCATTERED_RAYS) & (columns.crown_passed <= 0.5 * columns.crown_on)
     proven = (solid & may_be) | window
     return _Told(proven, window, sill, ~may_be | ((passed > 2 * SCATTERED_RAYS) & ~proven))
+
+
+def _has_sill(columns: Columns, settings: StandingWallsSettings) -> BoolArray:
+    """(c,) whether rays end on the columns, and next to none passes, up to where windows' sills are."""
+    return np.asarray(columns.sill_passed + SCATTERED_RAYS < settings.hidden_passed_max * columns.sill_on)
 
 
 def _stretches(told: _Told, counts: FloatArray, settings: StandingWallsSettings) -> Iterator[tuple[int, int]]:
