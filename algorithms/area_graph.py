@@ -26,6 +26,7 @@ from skimage.segmentation import watershed
 from algorithms.building import Doors
 from algorithms.grid_map import Cell, GridMap
 from algorithms.scan import BoolArray, FloatArray, IntArray
+from algorithms.segments import lengths_m
 from algorithms.settings import StepSettings
 
 NO_DOORWAYS: FloatArray = np.zeros((0, 4, 2))
@@ -181,7 +182,7 @@ def find_rooms(
 
 def _door_width(doorways: FloatArray) -> float:
     """The w of the Area Graph where doors are known: what they usually measure, and 0.1 m."""
-    return float(np.median(np.linalg.norm(doorways[:, 1] - doorways[:, 0], axis=1))) + 0.1
+    return float(np.median(lengths_m(doorways))) + 0.1
 
 
 def doorways_of(doors: Doors) -> FloatArray:

@@ -137,16 +137,14 @@ def _lean_m(relief_m: FloatArray, height_m: FloatArray) -> FloatArray:
 
     relief_m: (c, rows) before the wall above; NaN where unknown, and where floor and ceiling return. height_m: (rows,).
     """
-    around = np.lib.stride_tricks.sliding_window_view(
-        np.pad(relief_m, ((_WALL_COLUMNS // 2,) * 2, (0, 0)), constant_values=np.nan), _WALL_COLUMNS, axis=0
-    )
+    around = _columns_around(relief_m)
     known = np.isfinite(around).any(axis=2)
     mean_m = np.zeros_like(relief_m)
     mean_m[known] = np.nanmedian(around[known], axis=1)
     count = known.sum(axis=1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
-        z = np.where(known, height_m - (known * height_m).sum(axis=1, keepdims=True) / count, 0.0)
-        y = np.where(known, mean_m - mean_m.sum(axis=1, keepdims=True) / count, 0.0)
+        middle_m, usual_m = ((known * of).sum(axis=1, keepdims=True) / count for of in (height_m, mean_m))
+        z, y = np.where(known, height_m - middle_m, 0.0), np.where(known, mean_m - usual_m, 0.0)
         slope = (z * y).sum(axis=1, keepdims=True) / (z**2).sum(axis=1, keepdims=True)
         left_of_line = (y**2).sum(axis=1) - (slope * z * y).sum(axis=1)
         below, total = known.cumsum(axis=1)[:, :-1], y.cumsum(axis=1)[:, :-1]
@@ -155,24 +153,25 @@ def _lean_m(relief_m: FloatArray, height_m: FloatArray) -> FloatArray:
         left_of_step = (y**2).sum(axis=1) - by_step.max(axis=1)
         leans = (left_of_line < left_of_step) & (np.sqrt(left_of_line / count[:, 0]) < _LEAN_RMS_M)
     leans &= (count[:, 0] >= _LEAN_ROWS) & (np.abs(slope[:, 0]) < _LEAN_MAX)
-    line = (mean_m.sum(axis=1, keepdims=True) / np.maximum(count, 1)) + slope * (
-        height_m - (known * height_m).sum(axis=1, keepdims=True) / np.maximum(count, 1)
-    )
-    return np.where(leans[:, None], line, 0.0)
+    return np.where(leans[:, None], usual_m + slope * (height_m - middle_m), 0.0)
 
 
 def _reveals(counts: FloatArray, above: BoolArray) -> BoolArray:
     """(c, rows) which cells lie behind most of those above a door's height around them: of a window's head, or beyond it."""
     with np.errstate(invalid="ignore", divide="ignore"):
         mean_m = np.where(above, counts[..., SUM] / counts[..., FILLED], np.nan)
-    beside = _WALL_COLUMNS // 2
-    around = np.lib.stride_tricks.sliding_window_view(
-        np.pad(mean_m, ((beside, beside), (0, 0)), constant_values=np.nan), _WALL_COLUMNS, axis=0
-    )
+    around = _columns_around(mean_m)
     front_m = np.full(len(mean_m), np.nan)
     known = np.isfinite(around).any(axis=(1, 2))
     front_m[known] = np.nanpercentile(around[known], _FRONT_PERCENT, axis=(1, 2))
     return np.asarray(mean_m < front_m[:, None] - _REVEAL_M)
+
+
+def _columns_around(values: FloatArray) -> FloatArray:
+    """(c, rows, _WALL_COLUMNS) each cell (c, rows) with those beside it in its row; NaN beyond the ends."""
+    beside = _WALL_COLUMNS // 2
+    padded = np.pad(values, ((beside, beside), (0, 0)), constant_values=np.nan)
+    return np.lib.stride_tricks.sliding_window_view(padded, _WALL_COLUMNS, axis=0)
 
 
 def _scatter_m(counts: FloatArray) -> float:

@@ -1,4 +1,4 @@
-"""The immobile building as faces of walls, doors and windows, and how scans are fused into them."""
+"""The immobile building as faces of walls, doors and windows; the lengths that tell what belongs to a face."""
 
 from dataclasses import dataclass, fields
 
@@ -96,6 +96,7 @@ class Walls:
         """These faces and more."""
         return Walls(*(np.concatenate([getattr(w, field.name) for w in (self, more)]) for field in fields(self)))
 
+
 NO_WALLS = Walls(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, np.int32), np.zeros(0))
 
 
@@ -116,6 +117,7 @@ class Windows:
 
     def __len__(self) -> int:
         return len(self.ends)
+
 
 NO_WINDOWS = Windows(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
 
@@ -161,6 +163,7 @@ class Doors:
     def select(self, chosen: IntArray | BoolArray) -> "Doors":
         """Some of the doors, by index or by flag."""
         return Doors(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
 
 NO_DOORS = Doors(
     ends=np.zeros((0, 2, 2)),

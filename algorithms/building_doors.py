@@ -20,7 +20,7 @@ from algorithms.building import (
 )
 from algorithms.doors import DoorState
 from algorithms.scan import FloatArray
-from algorithms.segments import Segment, segments
+from algorithms.segments import Segment, lengths_m, segments
 from algorithms.wall_cells import FILLED, FOOT_ROW, SUM, THROUGH, WallCells
 from algorithms.wall_openings import REVEAL_MIN_M, is_open_to_floor, is_pane, look_for_doors, to_jambs, tops_m
 
@@ -237,7 +237,7 @@ def drop_doubtful(doors: Doors, settings: BuildingSettings) -> Doors:
 
     doors: from `place_frames`.
     """
-    width_m = np.linalg.norm(doors.ends[:, 1] - doors.ends[:, 0], axis=1)
+    width_m = lengths_m(doors.ends)
     narrow = width_m < settings.door_width_min_m - CELL_M
     lowest_m, highest_m = settings.door_height_min_m - _HEAD_SLACK_M, settings.door_height_max_m + _HEAD_SLACK_M
     doubtful = (

@@ -13,6 +13,7 @@ from algorithms.evaluation import match_doors
 from algorithms.grid_map import Cell, GridMap
 from algorithms.labels import NO_RETURN, Label
 from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from algorithms.segments import lengths_m
 
 CLASSES = len(Label) + 1
 """The labels, and last what has none."""
@@ -71,12 +72,12 @@ class WallChange:
     @property
     def lost_m(self) -> float:
         """Length of what was lost."""
-        return float(_lengths(self.lost).sum())
+        return float(lengths_m(self.lost).sum())
 
     @property
     def gained_m(self) -> float:
         """Length of what was gained."""
-        return float(_lengths(self.gained).sum())
+        return float(lengths_m(self.gained).sum())
 
 
 def compare_walls(ends_a: FloatArray, ends_b: FloatArray) -> WallChange:
@@ -84,8 +85,8 @@ def compare_walls(ends_a: FloatArray, ends_b: FloatArray) -> WallChange:
     return WallChange(
         _uncovered(ends_a, ends_b),
         _uncovered(ends_b, ends_a),
-        float(_lengths(ends_a).sum()),
-        float(_lengths(ends_b).sum()),
+        float(lengths_m(ends_a).sum()),
+        float(lengths_m(ends_b).sum()),
     )
 
 
@@ -160,10 +161,6 @@ def match_planes(
         if not taken_a[i] and not taken_b[j]:
             taken_a[i] = taken_b[j] = True
     return int(np.count_nonzero(~taken_a)), int(np.count_nonzero(~taken_b))
-
-
-def _lengths(ends: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
 
 
 def _uncovered(ends: FloatArray, others: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ import numpy as np
 from algorithms.building import FRAME_REACH_M, ON_FACE_M, BuildingSettings, Doors, Walls, stretches
 from algorithms.features import Features
 from algorithms.scan import FloatArray, IntArray
+from algorithms.segments import lengths_m, segments
 from algorithms.wall_cells import own_plane
 
 _FRAME_BIN_M = 0.01
@@ -62,12 +63,11 @@ def place_frames(doors: Doors, walls: Walls, blocks: Iterable[Features], setting
             float(np.cos(np.radians(settings.angle_deg))),
         )
     ends, head_m = doors.ends.copy(), doors.head_m.copy()
-    for d in range(len(doors)):
-        along = (doors.ends[d, 1] - doors.ends[d, 0]) / np.linalg.norm(doors.ends[d, 1] - doors.ends[d, 0])
+    for d, doorway in enumerate(segments(doors)):
         for side, outwards in ((0, -1.0), (1, 1.0)):
             edge_m = _edge_m(jamb_cost_m[d, side], jamb_rays[d, side])
             if edge_m is not None:
-                ends[d, side] += outwards * along * (edge_m - FRAME_REACH_M)
+                ends[d, side] += outwards * doorway.along * (edge_m - FRAME_REACH_M)
         edge_m = _edge_m(head_cost_m[d], head_rays[d])
         head_m[d] = doors.head_m[d] if edge_m is None else _HEAD_MIN_M + edge_m
     count, first, last = scans.T
@@ -201,7 +201,7 @@ def measure_reveals(doors: Doors, blocks: Iterable[Features], settings: Building
     """
     bins = int(_REVEAL_MAX_M / _REVEAL_BIN_M)
     counts = np.zeros((len(doors), bins, _UNDERSIDE_PARTS), np.int64)
-    length_m = np.linalg.norm(doors.ends[:, 1] - doors.ends[:, 0], axis=1)
+    length_m = lengths_m(doors.ends)
     for block in blocks:
         _count_undersides(
             doors.ends,

@@ -16,6 +16,7 @@ from algorithms import transforms
 from algorithms.grid_map import Cell, GridMap
 from algorithms.labels import NO_RETURN, Label, Truth, Verdict
 from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from algorithms.segments import lengths_m
 from algorithms.semantic_map import VoxelTable, VoxelVotes, columns_of, majority, pack_column
 from algorithms.trajectory import Trajectory
 
@@ -292,7 +293,7 @@ def compare_doors(true: TrueDoors, door_returns: IntArray, found: FoundDoors) ->
     passed = np.asarray(door_returns) >= DOOR_RETURNS
     match = match_doors(true.ends, found.ends)
     both = passed & (match >= 0)
-    true_width = np.linalg.norm(true.ends[:, 1] - true.ends[:, 0], axis=1)
+    true_width = lengths_m(true.ends)
     return DoorFigures(
         passed=passed,
         match=match,

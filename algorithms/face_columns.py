@@ -5,12 +5,12 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from algorithms.building import AT_FACE_M, CELL_M, NO_WALLS, Walls, stretches
+from algorithms.building import CELL_M, NO_WALLS, Walls, stretches
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, IntArray
 from algorithms.segments import Segment, segments
 from algorithms.semantic_map import VoxelVotes, majority
-from algorithms.wall_cells import FOOT_ROW, WallCells
+from algorithms.wall_cells import FILLED, FOOT_ROW, THROUGH, WallCells, returns_at_face
 
 _FOOT_M, SILL_M, _HIP_M = 0.15, 0.7, 1.8
 """Between foot and hip rays that pass a face prove an opening, or that nothing stands there. No window has a lower sill."""
@@ -81,10 +81,7 @@ def count_columns(cells: WallCells, clear_m: FloatArray, above_door_m: float) ->
     clear_m: (columns,) from the floor to the ceiling before each; NaN where none was seen. above_door_m: where the wall above
     doors begins.
     """
-    filled, total, passed = (cells.counts[..., i].astype(np.float64) for i in (0, 1, 3))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        on = np.where(np.abs(total / filled) < AT_FACE_M, filled, 0.0)
-    passed = passed + filled - on
+    on, passed = _on_and_passed(cells.counts)
     height = (np.arange(cells.rows) + 0.5) * CELL_M
     top = np.where(np.isfinite(clear_m), clear_m, np.inf) - _CEILING_MARGIN_M
     upper = (height > above_door_m) & (height < top[:, None])
@@ -124,9 +121,13 @@ def _smooth(values: FloatArray, cells: WallCells) -> FloatArray:
 def rows_on_and_passed(counts: FloatArray, clear_m: float) -> tuple[FloatArray, FloatArray]:
     """How many rays ended on columns (c, rows, 4), and how many did not, in each row between foot and ceiling."""
     rows = slice(FOOT_ROW, int((clear_m - _CEILING_MARGIN_M) / CELL_M))
-    filled, total, _, through = counts[:, rows].sum(axis=0, dtype=np.float64).T
-    on = np.where(np.abs(total) < AT_FACE_M * filled, filled, 0.0)
-    return on, through + filled - on
+    return _on_and_passed(counts[:, rows].sum(axis=0, dtype=np.float64))
+
+
+def _on_and_passed(counts: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How many rays ended on cells, or sums of them (…, 4), and how many did not."""
+    on = returns_at_face(counts)
+    return on, counts[..., THROUGH] + counts[..., FILLED] - on
 
 
 def median_m(values_m: FloatArray) -> float:

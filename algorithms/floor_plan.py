@@ -14,6 +14,7 @@ from algorithms.doors import DoorState
 from algorithms.grid_map import Cell, GridMap, Immobile
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, IntArray
+from algorithms.segments import lengths_m
 from algorithms.semantic_map import VoxelVotes, majority
 from algorithms.settings import StepSettings
 from algorithms.wall_thickness import (
@@ -270,7 +271,7 @@ def _columns(stretches: Walls, settings: FloorPlanSettings) -> tuple[list[shapel
 def _fragments(stretches: Walls, settings: FloorPlanSettings) -> BoolArray:
     """(W,) which stretches stand alone and are short."""
     group = _groups(stretches, settings.piece_min_m)
-    length_m = np.linalg.norm(stretches.ends[:, 1] - stretches.ends[:, 0], axis=1)
+    length_m = lengths_m(stretches.ends)
     return np.bincount(group, length_m, len(stretches))[group] < settings.piece_min_m
 
 

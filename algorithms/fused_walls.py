@@ -8,6 +8,7 @@ import numpy as np
 from algorithms.building import CELL_M, NO_WALLS, BuildingSettings, Walls, cells_in, stretches
 from algorithms.features import Features
 from algorithms.scan import FloatArray, IntArray
+from algorithms.segments import lengths_m
 from algorithms.wall_planes import fit_upright_plane
 
 
@@ -21,7 +22,7 @@ def fuse_walls(features: Features, settings: BuildingSettings) -> Walls:
     features: the planes of all scans; their rays are not looked at.
     """
     scan = np.repeat(np.arange(len(features.scan)), features.plane_count.astype(np.int64))
-    length_m = np.linalg.norm(features.plane_ends_map[:, 1] - features.plane_ends_map[:, 0], axis=1)
+    length_m = lengths_m(features.plane_ends_map)
     largest_first = np.argsort(-length_m * features.plane_lines, kind="stable")
     wall = _join(
         np.ascontiguousarray(features.plane_moments, np.float64),

@@ -19,7 +19,7 @@ from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from algorithms.segments import Segment, segments
 from algorithms.semantic_map import VoxelVotes, majority
 from algorithms.settings import StepSettings
-from algorithms.wall_cells import FILLED, FOOT_ROW, SUM, THROUGH, WallCells
+from algorithms.wall_cells import FOOT_ROW, THROUGH, WallCells, returns_at_face
 from algorithms.wall_thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
 
 DoorsDrawn = Literal["open", "as-seen", "closed"]
@@ -196,12 +196,10 @@ def standing_stretches(immobile: Immobile, settings: GridMapSettings) -> Walls:
 
 def _columns(counts: FloatArray, settings: GridMapSettings) -> tuple[BoolArray, BoolArray]:
     """(c,) whether returns bear each column of a face out, and whether rays passed it down to the floor."""
-    filled, total, through = counts[..., FILLED], counts[..., SUM], counts[..., THROUGH]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        on = np.where(np.abs(total / filled) < AT_FACE_M, filled, 0.0)
+    on = returns_at_face(counts)
     near = np.convolve(on.sum(axis=1), np.ones(3))[1:-1]
     low = slice(FOOT_ROW, cells_in(_KNEE_M))
-    on_low, passed_low = (np.convolve(rays[:, low].sum(axis=1), np.ones(3))[1:-1] for rays in (on, through))
+    on_low, passed_low = (np.convolve(rays[:, low].sum(axis=1), np.ones(3))[1:-1] for rays in (on, counts[..., THROUGH]))
     return near >= settings.rays_min, (passed_low >= _PASSED_MIN) & (passed_low > _PASSED_RATIO * on_low)
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from algorithms.building import AT_FACE_M, CELL_M, NO_WALLS, Walls, cells_in
+from algorithms.building import CELL_M, NO_WALLS, Walls, cells_in
 from algorithms.face_columns import (
     SILL_M,
     SMOOTH_COLUMNS,
@@ -36,7 +36,7 @@ from algorithms.standing_walls import (
     StandingWallsSettings,
     wall_directions,
 )
-from algorithms.wall_cells import FILLED, FOOT_ROW, SUM, WallCells
+from algorithms.wall_cells import FILLED, FOOT_ROW, SUM, WallCells, returns_at_face
 from algorithms.wall_openings import widened
 
 _AT_CORNER_M = 0.15
@@ -81,18 +81,19 @@ def find_hidden_walls(
     before_m: list[float] = []
     for w in range(len(both)):
         own = slice(int(cells.first[w]), int(cells.first[w + 1]))
+        rays = columns.part(own)
         may_be = free[own] & ~_crossed_by(walls, both, w, own.stop - own.start)
         # Between a cupboard and a duct, and over a table, rays pass to the room behind; through a window they leave the building.
-        may_have_window = not before[w] and bool(_has_sill(columns.part(own), settings).any())
+        may_have_window = not before[w] and bool(_has_sill(rays, settings).any())
         is_outer = may_have_window and not room_before(backs.select(np.array([w])), floor_and_ceiling)[0]
-        told = _tell_columns(columns.part(own), may_be, is_outer, settings)
+        told = _tell_columns(rays, may_be, is_outer, settings)
         for first, after in _stretches(told, cells.counts[own], settings):
             counts, ceiling_m = cells.counts[own][first:after], median_m(clear_m[own][first:after])
             face = cut_faces(both, cells, [(w, first, after)])
             length_m = (after - first) * CELL_M + _to_corners_m(face, walls)
             if (
                 length_m >= length_min_m
-                and _is_proven(columns.part(own).part(slice(first, after)), told.part(slice(first, after)), settings)
+                and _is_proven(rays.part(slice(first, after)), told.part(slice(first, after)), settings)
                 and _reaches_ceiling(counts, ceiling_m, told.window[first:after], close_before[w])
                 and room_before(face, floor_and_ceiling)[0]
             ):
@@ -102,7 +103,7 @@ def find_hidden_walls(
                 top_m.append(ceiling_m)
                 before_m.append(_returns_before_m(counts))
     hidden = cut_faces(both, cells, kept)
-    moved = hidden.ends + (np.array(before_m)[:, None] * hidden.normal)[:, None] if kept else hidden.ends
+    moved = hidden.ends + np.array(before_m).reshape(-1, 1, 1) * hidden.normal[:, None]
     return replace(hidden, ends=moved, top_m=np.array(top_m))
 
 
@@ -203,9 +204,9 @@ def _reaches_ceiling(counts: FloatArray, ceiling_m: float, window: BoolArray, is
 
 def _returns_before_m(counts: FloatArray) -> float:
     """Mean distance before a face of the returns that may be its own, of cells (c, rows, 4); 0 where there are none."""
-    filled, total = counts[..., FILLED].astype(np.float64), counts[..., SUM].astype(np.float64)
-    own = np.abs(total) < AT_FACE_M * filled
-    return float(total[own].sum() / filled[own].sum()) if own.any() else 0.0
+    returns = returns_at_face(counts)
+    total = counts[..., SUM].sum(where=returns > 0, dtype=np.float64)
+    return float(total / returns.sum()) if returns.any() else 0.0
 
 
 def _to_corners_m(face: Walls, walls: Walls) -> float:

@@ -12,6 +12,8 @@ from algorithms.settings import StepSettings
 
 SAMPLES = 200
 """Returns in a resampled point line (paper, III.A: "exactly 200 points")."""
+LEANING_MIN_DEG = 15.0
+"""A lidar whose spin axis is less far off upright has no line that stands upright."""
 
 _HEIGHT_BIN_M = 0.01
 _CEILING_HEIGHT_MAX_M = 50.0
@@ -384,7 +386,7 @@ def make_point_lines(
     Raises ValueError where the spin axis is upright, for then no line stands upright.
     """
     across = float(np.hypot(down_sensor[0], down_sensor[1]))
-    if across < 0.35:
+    if across < np.sin(np.radians(LEANING_MIN_DEG)):
         raise ValueError("the spin axis is upright: this lidar sweeps no wall from floor to ceiling")
     down_rad = float(np.arctan2(down_sensor[1], down_sensor[0]))
     angle_rad, order, starts = _sort_lines(points_sensor, ring, ring_count, down_rad)

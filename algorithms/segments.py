@@ -62,6 +62,11 @@ class Segment:
         return float(min(high, self.length_m) - max(low, 0.0))
 
 
+def lengths_m(ends: FloatArray) -> FloatArray:
+    """(k,) how long faces, sills or other lines with these ends (k, 2, 2) are."""
+    return np.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
+
+
 def segments(faces: Faces) -> Iterator[Segment]:
     """Each of the faces by itself."""
     for ends, normal in zip(faces.ends, faces.normal, strict=True):

@@ -26,7 +26,7 @@ from algorithms.face_columns import (
 )
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, UInt8Array
-from algorithms.segments import Segment, segments
+from algorithms.segments import Segment, lengths_m, segments
 from algorithms.semantic_map import VoxelVotes
 from algorithms.settings import StepSettings
 from algorithms.wall_cells import FOOT_ROW, WallCells
@@ -133,6 +133,7 @@ class JudgedFaces:
         verdicts = np.concatenate([self.verdict, np.full(len(more), verdict, np.uint8)])
         return replace(self, refused=self.refused.append(more), verdict=verdicts)
 
+
 NO_JUDGED_FACES = JudgedFaces(NO_WALLS, NO_WALLS, np.zeros(0, np.uint8))
 
 
@@ -197,7 +198,7 @@ def judge_faces(
 
 def _before_longer(walls: Walls) -> BoolArray:
     """(W,) whether a face stands before a longer one that looks the same way, as near as furniture does."""
-    length_m = np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1)
+    length_m = lengths_m(walls.ends)
     middle = walls.ends.mean(axis=1)
     before = np.zeros(len(walls), bool)
     for face in segments(walls):
@@ -344,7 +345,7 @@ def leaning_on_others(walls: Walls) -> BoolArray:
 
 def wall_directions(walls: Walls) -> FloatArray:
     """(k, 2) the normals that walls have, and those across them; the longest walls' first."""
-    length = np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1)
+    length = lengths_m(walls.ends)
     angle = np.degrees(np.arctan2(walls.normal[:, 1], walls.normal[:, 0])) % 90.0
     left = np.ones(len(walls), bool)
     found: list[float] = []

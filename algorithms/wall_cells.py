@@ -14,6 +14,7 @@ from algorithms.building import AT_FACE_M, CELL_M, BuildingSettings, Walls
 from algorithms.features import Features
 from algorithms.labels import Label
 from algorithms.scan import FloatArray, IntArray, UInt8Array
+from algorithms.segments import lengths_m
 
 FILLED, SUM, SQUARES, THROUGH = range(4)
 _FLOOR, _CEILING = int(Label.FLOOR), int(Label.CEILING)
@@ -45,8 +46,7 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
 
     blocks: features in any portions; the memory needed is the building's, not the recording's.
     """
-    length_m = np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1) if len(walls) else np.zeros(0)
-    first = np.concatenate([[0], np.cumsum(np.ceil(length_m / CELL_M))]).astype(np.int64)
+    first = np.concatenate([[0], np.cumsum(np.ceil(lengths_m(walls.ends) / CELL_M))]).astype(np.int64)
     rows = int(np.ceil((float(walls.top_m.max(initial=2.0)) + 0.5) / CELL_M))
     counts = np.zeros((int(first[-1]), rows, 4), np.float32)
     for block in blocks:
@@ -69,6 +69,12 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
             float(np.cos(np.radians(settings.angle_deg))),
         )
     return WallCells(first, rows, counts)
+
+
+def returns_at_face(counts: FloatArray) -> FloatArray:
+    """(…) the returns that are a face's own, of its cells or sums of them (…, 4): none where their mean lies off it."""
+    filled, total = counts[..., FILLED].astype(np.float64), counts[..., SUM].astype(np.float64)
+    return np.where(np.abs(total) < AT_FACE_M * filled, filled, 0.0)
 
 
 def with_neighbours(counts: FloatArray) -> FloatArray:

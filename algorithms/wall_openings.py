@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from algorithms.building import AT_FACE_M, CELL_M, BuildingSettings, Walls, cells_in
+from algorithms.building import CELL_M, BuildingSettings, Walls, cells_in
 from algorithms.scan import BoolArray, FloatArray
-from algorithms.wall_cells import FILLED, FOOT_ROW, SQUARES, SUM, THROUGH, WallCells, with_neighbours
+from algorithms.wall_cells import FILLED, FOOT_ROW, SQUARES, SUM, THROUGH, WallCells, returns_at_face, with_neighbours
 
 JAMB_COLUMNS = 2
 _SHEET_M = 0.02
@@ -19,7 +19,7 @@ KNEE_M = 0.5
 
 
 @dataclass(frozen=True)
-class _DoorColumns:
+class DoorColumns:
     """What a face's columns (c,) say of doors.
 
     is_open, is_closed: whether it may be an open door's, a closed one's. has_lintel: whether wall was seen above it; a duct
@@ -45,7 +45,7 @@ def tops_m(walls: Walls, cells: WallCells, clear_m: FloatArray) -> FloatArray:
     return np.where(np.isfinite(clear_m), clear_m, np.repeat(walls.top_m, np.diff(cells.first)))
 
 
-def look_for_doors(counts: FloatArray, top_m: FloatArray, settings: BuildingSettings) -> _DoorColumns:
+def look_for_doors(counts: FloatArray, top_m: FloatArray, settings: BuildingSettings) -> DoorColumns:
     """Columns with nothing but wall above and, below, either nothing for the rays to hit or a recessed leaf.
 
     counts: (c, rows, 4), see `WallCells`. top_m: (c,) how high the wall stands at each column: see `tops_m`.
@@ -57,9 +57,7 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, settings: BuildingSett
     row = np.arange(counts.shape[1])
     above_head = smooth * ((row >= np.minimum(above, np.maximum(top - _LINTEL_ROWS, 0))) & (row < top))[..., None]
     # What hangs behind a lintel is seen below it, and would pull its mean back.
-    with np.errstate(invalid="ignore", divide="ignore"):
-        on_face = np.abs(above_head[..., SUM] / above_head[..., FILLED]) < AT_FACE_M
-    lintel = (above_head * on_face[..., None]).sum(axis=1)
+    lintel = (above_head * (returns_at_face(above_head) > 0)[..., None]).sum(axis=1)
     passed_above = above_head[..., THROUGH].sum(axis=1)
     has_lintel = (lintel[:, FILLED] >= 2) & (passed_above <= lintel[:, FILLED])
     may_have_lintel = has_lintel | (passed_above + above_head[..., FILLED].sum(axis=1) < 2)
@@ -83,7 +81,7 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, settings: BuildingSett
         & ~(foot_depth_m < 0.5 * settings.recess_min_m)
         & (spread_m < 0.06)
     )
-    return _DoorColumns(is_open, is_closed, has_lintel, through, below, lintel_m, depth_m)
+    return DoorColumns(is_open, is_closed, has_lintel, through, below, lintel_m, depth_m)
 
 
 def is_pane(counts: FloatArray, settings: BuildingSettings) -> bool:
@@ -101,7 +99,7 @@ def is_pane(counts: FloatArray, settings: BuildingSettings) -> bool:
 
 
 @dataclass(frozen=True)
-class _Sheet:
+class Sheet:
     """The sheet that most returns from within an opening lie on.
 
     behind_m: so far behind the face. returns: how many lie on it. columns: in how many columns.
@@ -112,7 +110,7 @@ class _Sheet:
     columns: int
 
 
-def find_sheet(counts: FloatArray, settings: BuildingSettings) -> _Sheet | None:
+def find_sheet(counts: FloatArray, settings: BuildingSettings) -> Sheet | None:
     """The sheet in an opening's cells (c, rows, 4): what stands behind a pane, or on its sill, adds returns of other depths.
 
     None where too few returns lie on one, or where they show in few of the columns that they might: the edge of a leaf or of
@@ -136,7 +134,7 @@ def find_sheet(counts: FloatArray, settings: BuildingSettings) -> _Sheet | None:
         return None
     behind_m = -float(counts[on_sheet, SUM].sum()) / returns
     # What reaches as deep as is looked goes on beyond: a leaf that is ajar.
-    return _Sheet(behind_m, int(returns), columns) if behind_m < settings.near_m - 2 * _SHEET_M else None
+    return Sheet(behind_m, int(returns), columns) if behind_m < settings.near_m - 2 * _SHEET_M else None
 
 
 def is_open_to_floor(counts: FloatArray, settings: BuildingSettings) -> bool:

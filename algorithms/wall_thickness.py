@@ -9,13 +9,13 @@ from pydantic import Field
 from algorithms.building import Doors, Walls
 from algorithms.doors import DoorState
 from algorithms.scan import FloatArray, IntArray
-from algorithms.segments import segments
+from algorithms.segments import lengths_m, segments
 from algorithms.settings import StepSettings
 
 _STRETCH_MIN_M = 0.02
 """Parts of a face that are shorter are roundings of its ends."""
 _BEYOND_FACE_M = 0.1
-"""A reveal ends at most so far beyond where its wall's other face was measured to be."""
+"""A reveal ends at most so far beyond where its wall's other face was measured to be: faces are off by as much."""
 
 
 class WallThicknessSettings(StepSettings):
@@ -84,14 +84,14 @@ def face_thickness(walls: Walls, parts: WallParts) -> FloatArray:
     thickness_m = np.empty(len(walls))
     for w in range(len(walls)):
         own = (parts.wall == w) & np.isfinite(parts.thickness_m)
-        thickness_m[w] = _median_by_length(parts.thickness_m[own], _lengths(parts.ends[own]), float("nan"))
+        thickness_m[w] = _median_by_length(parts.thickness_m[own], lengths_m(parts.ends[own]), float("nan"))
     return thickness_m
 
 
 def usual_thickness(parts: WallParts, settings: WallThicknessSettings) -> float:
     """The median, by length, of what was measured; `unseen_m` where nothing was."""
     measured = np.isfinite(parts.thickness_m)
-    return _median_by_length(parts.thickness_m[measured], _lengths(parts.ends[measured]), settings.unseen_m)
+    return _median_by_length(parts.thickness_m[measured], lengths_m(parts.ends[measured]), settings.unseen_m)
 
 
 def door_depths(doors: Doors, walls: Walls, parts: WallParts, settings: WallThicknessSettings) -> FloatArray:
@@ -99,7 +99,8 @@ def door_depths(doors: Doors, walls: Walls, parts: WallParts, settings: WallThic
 
     An open door tells by the underside of its lintel, which single scans measure; a wall's two faces were seen from two
     rooms, minutes apart, and the poses' drift lies between them. A closed leaf hides it: there the open doors in the same
-    face tell, else the wall's faces, else the building's open doors, else the building's usual thickness.
+    face tell, else the wall's faces, else the building's open doors, else the building's usual thickness. None reaches
+    farther beyond the wall's other face than faces are off.
     """
     usual_m, of_face_m = usual_thickness(parts, settings), face_thickness(walls, parts)
     # Beyond the wall's other face goes on what hangs there as high as the lintel.
@@ -117,10 +118,6 @@ def door_depths(doors: Doors, walls: Walls, parts: WallParts, settings: WallThic
         else:
             depth_m[d] = np.median(reveal_m[told]) if told.any() else usual_m
     return np.asarray(np.maximum(depth_m, reveal_m))
-
-
-def _lengths(ends: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
 
 
 def _median_by_length(values: FloatArray, length_m: FloatArray, otherwise: float) -> float:

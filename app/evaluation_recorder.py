@@ -24,6 +24,7 @@ from algorithms.evaluation import (
 )
 from algorithms.labels import Verdict
 from algorithms.scan import FloatArray, UInt8Array
+from algorithms.segments import lengths_m
 from app.figures import queried
 from app.map_figures import ComparedMap, ComparedMaps, false_and_missed
 from app.recorder import Recorder, evidence, scan_columns, set_time, upright_frames
@@ -128,7 +129,7 @@ def _log_doors(stream: rr.RecordingStream, doors: TrueDoors, compared: tuple[Fou
     labels = [f"{DoorState(state).name.lower()} door" for state in doors.state]
     if compared is not None:
         found, figures = compared
-        true_width_m = np.linalg.norm(doors.ends[:, 1] - doors.ends[:, 0], axis=1)
+        true_width_m = lengths_m(doors.ends)
         for door, (match, passed) in enumerate(zip(figures.match, figures.passed, strict=True)):
             if match >= 0:
                 state = DoorState(found.state[match]).name.lower()

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from algorithms.rearrangement import LEANING_MIN_DEG
 from algorithms.scan import Scan
 from loaders.bag import Bag, digest, open_bag
 from loaders.errors import InputError
@@ -10,7 +11,8 @@ from loaders.pointcloud2 import TimeFrom
 from loaders.rig import Lidar, Rig, find_rig
 from loaders.scans import CloudIndex, cloud_topics, index_clouds, read_scans
 
-_TILT_MIN_DEG = 25.0
+_TILT_MIN_DEG = LEANING_MIN_DEG + 5.0
+"""The robot itself tilts on ramps and over sills."""
 
 
 @dataclass(frozen=True)

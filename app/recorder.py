@@ -20,6 +20,7 @@ from algorithms.odometry import Registration
 from algorithms.pose_graph import PoseGraph
 from algorithms.rearrangement import HorizontalPlane
 from algorithms.scan import FloatArray, IntArray, UInt8Array
+from algorithms.segments import lengths_m
 from algorithms.standing_walls import JudgedFaces
 from algorithms.trajectory import PlacedScan
 from app.building_reasons import explain_building
@@ -348,7 +349,7 @@ class Recorder:
     def _log_openings(self, labelling: ScanLabelling) -> None:
         openings = labelling.openings
         floor_m = np.full(len(openings), labelling.floor.height_m)
-        widths_m = np.linalg.norm(openings.ends[:, 1] - openings.ends[:, 0], axis=1)
+        widths_m = lengths_m(openings.ends)
         labels = [
             f"{DoorState(state).name.lower()} door, {width:.2f} m in view, {depth:.2f} m deep"
             for state, width, depth in zip(openings.state, widths_m, openings.depth_m, strict=True)
@@ -651,7 +652,7 @@ class Recorder:
                 ),
                 evidence({"verdict": refused.verdict, "scan_count": faces.scan_count}),
             )
-        widths_m = np.linalg.norm(doors.ends[:, 1] - doors.ends[:, 0], axis=1)
+        widths_m = lengths_m(doors.ends)
         if len(doors):
             sills = np.pad(doors.ends, ((0, 0), (0, 0), (0, 1))).astype(np.float32)
             self._static(

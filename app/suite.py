@@ -34,7 +34,7 @@ DURATION_S = 60.0
 QUICK_S = 40.0
 LONG_S = 150.0
 REPORTED_SEEDS = (1001, 1002)
-"""Nothing is set on these; thresholds are set on 1 and 2."""
+"""No threshold is set on these, but on drives of lower seeds."""
 
 CODE = ("algorithms", "loaders", "app")
 
