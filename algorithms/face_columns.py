@@ -1,6 +1,7 @@
 """The columns of wall faces: where they are, how high the room is before them, and what rays found of each."""
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -24,26 +25,42 @@ _ROOM_M, _ROOM_BESIDE_M, _ROOM_CUBES = (0.3, 3.0), 0.5, 10
 """Between these distances before a wall of this building, and so far beside it, so many cubes of floor or ceiling are seen."""
 
 
-def clear_heights(places: FloatArray, votes: VoxelVotes, near_m: float) -> FloatArray:
-    """(m,) metres from the floor to the ceiling near each place (m, 2); NaN where no ceiling was seen.
+@dataclass(frozen=True)
+class Storey:
+    """The cubes that scans agree on to be floor (n, 3), and ceiling (m, 3)."""
 
-    The higher ones of the nearest cubes of ceiling count, for ducts and lamps hang below it.
-    """
-    floor, ceiling = floor_and_ceiling_cubes(votes)
-    if len(ceiling) < 10 or not len(places):
-        return np.full(len(places), np.nan)
-    distance, nearest = cKDTree(ceiling[:, :2]).query(places, k=10)
-    top = np.percentile(ceiling[nearest, 2], 80, axis=1)
-    ground = np.zeros(len(places))
-    if len(floor) >= 5:
-        ground = np.median(floor[cKDTree(floor[:, :2]).query(places, k=5)[1], 2], axis=1)
-    return np.where(distance[:, 0] < near_m, top - ground, np.nan)
+    floor: FloatArray
+    ceiling: FloatArray
 
+    @classmethod
+    def of(cls, votes: VoxelVotes) -> "Storey":
+        """Of the labels that scans gave."""
+        label = np.where(votes.counts.max(axis=1, initial=0) >= _AGREED_VOTES, majority(votes.counts), Label.CLUTTER)
+        return cls(votes.mean_position[label == Label.FLOOR], votes.mean_position[label == Label.CEILING])
 
-def floor_and_ceiling_cubes(votes: VoxelVotes) -> tuple[FloatArray, FloatArray]:
-    """(n, 3), (m, 3) the cubes that scans agree on to be floor, and ceiling."""
-    label = np.where(votes.counts.max(axis=1, initial=0) >= _AGREED_VOTES, majority(votes.counts), Label.CLUTTER)
-    return votes.mean_position[label == Label.FLOOR], votes.mean_position[label == Label.CEILING]
+    @cached_property
+    def both(self) -> FloatArray:
+        """(n + m, 3) floor and ceiling."""
+        return np.concatenate([self.floor, self.ceiling])
+
+    @cached_property
+    def _trees(self) -> tuple[cKDTree, cKDTree]:
+        return cKDTree(self.floor[:, :2]), cKDTree(self.ceiling[:, :2])
+
+    def clear_m(self, places: FloatArray, near_m: float) -> FloatArray:
+        """(k,) metres from the floor to the ceiling near each place (k, 2); NaN where no ceiling was seen so near.
+
+        The higher ones of the nearest cubes of ceiling count, for ducts and lamps hang below it.
+        """
+        if len(self.ceiling) < 10 or not len(places):
+            return np.full(len(places), np.nan)
+        floor_tree, ceiling_tree = self._trees
+        distance, nearest = ceiling_tree.query(places, k=10)
+        top = np.percentile(self.ceiling[nearest, 2], 80, axis=1)
+        ground = np.zeros(len(places))
+        if len(self.floor) >= 5:
+            ground = np.median(self.floor[floor_tree.query(places, k=5)[1], 2], axis=1)
+        return np.where(distance[:, 0] < near_m, top - ground, np.nan)
 
 
 def column_places(walls: Walls, first: IntArray, before_m: float = 0.2) -> FloatArray:
@@ -136,15 +153,12 @@ def median_m(values_m: FloatArray) -> float:
     return float(np.median(known)) if len(known) else float("nan")
 
 
-def room_before(faces: Walls, floor_and_ceiling: FloatArray) -> BoolArray:
-    """(W,) whether floor or ceiling is seen before a face: what is seen through a window, another house's front, has neither.
-
-    floor_and_ceiling: (n, 3) places of both.
-    """
+def room_before(faces: Walls, storey: Storey) -> BoolArray:
+    """(W,) whether floor or ceiling is seen before a face: what is seen through a window, another house's front, has neither."""
     cubes = np.zeros(len(faces), np.int64)
     for w, face in enumerate(segments(faces)):
-        before_m = face.before_m(floor_and_ceiling)
-        beside = face.beside(floor_and_ceiling, _ROOM_BESIDE_M)
+        before_m = face.before_m(storey.both)
+        beside = face.beside(storey.both, _ROOM_BESIDE_M)
         cubes[w] = np.count_nonzero(beside & (before_m > _ROOM_M[0]) & (before_m < _ROOM_M[1]))
     return np.asarray(cubes >= _ROOM_CUBES)
 

@@ -10,11 +10,10 @@ from algorithms.face_columns import (
     SILL_M,
     SMOOTH_COLUMNS,
     Columns,
-    clear_heights,
+    Storey,
     column_places,
     count_columns,
     cut_faces,
-    floor_and_ceiling_cubes,
     long_runs,
     median_m,
     room_before,
@@ -51,6 +50,7 @@ _EXPLAINED_M = 0.08
 
 def find_hidden_walls(
     votes: VoxelVotes,
+    storey: Storey,
     walls: Walls,
     refused: Walls,
     path_map: FloatArray,
@@ -70,10 +70,9 @@ def find_hidden_walls(
     if not len(both):
         return NO_WALLS
     before, close_before = (_before_a_face(both, walls, depth_m) for depth_m in (FURNITURE_M, BEFORE_M))
-    floor_and_ceiling = np.concatenate(floor_and_ceiling_cubes(votes))
     backs = replace(both, normal=-both.normal)
     cells = trace(both)
-    clear_m = clear_heights(column_places(both, cells.first), votes, settings.ceiling_near_m)
+    clear_m = storey.clear_m(column_places(both, cells.first), settings.ceiling_near_m)
     free = np.isfinite(clear_m) & ~visited_columns(both, cells, path_map, settings.robot_m)
     columns = count_columns(cells, clear_m, settings.above_door_m)
     kept: list[tuple[int, int, int]] = []
@@ -85,7 +84,7 @@ def find_hidden_walls(
         may_be = free[own] & ~_crossed_by(walls, both, w, own.stop - own.start)
         # Between a cupboard and a duct, and over a table, rays pass to the room behind; through a window they leave the building.
         may_have_window = not before[w] and bool(_has_sill(rays, settings).any())
-        is_outer = may_have_window and not room_before(backs.select(np.array([w])), floor_and_ceiling)[0]
+        is_outer = may_have_window and not room_before(backs.select(np.array([w])), storey)[0]
         told = _tell_columns(rays, may_be, is_outer, settings)
         for first, after in _stretches(told, cells.counts[own], settings):
             counts, ceiling_m = cells.counts[own][first:after], median_m(clear_m[own][first:after])
@@ -95,7 +94,7 @@ def find_hidden_walls(
                 length_m >= length_min_m
                 and _is_proven(rays.part(slice(first, after)), told.part(slice(first, after)), settings)
                 and _reaches_ceiling(counts, ceiling_m, told.window[first:after], close_before[w])
-                and room_before(face, floor_and_ceiling)[0]
+                and room_before(face, storey)[0]
             ):
                 # Beside it a window may go on, of which not more than the sill is seen.
                 first, last = widened(told.sill, first, after - 1, _WINDOW_COLUMNS)

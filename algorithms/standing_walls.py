@@ -13,10 +13,10 @@ from pydantic import Field
 
 from algorithms.building import CELL_M, NO_WALLS, Doors, Walls, cells_in
 from algorithms.face_columns import (
+    Storey,
     column_places,
     count_columns,
     cut_faces,
-    floor_and_ceiling_cubes,
     long_runs,
     median_m,
     room_before,
@@ -27,7 +27,6 @@ from algorithms.face_columns import (
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, UInt8Array
 from algorithms.segments import Segment, lengths_m, segments
-from algorithms.semantic_map import VoxelVotes
 from algorithms.settings import StepSettings
 from algorithms.wall_cells import FOOT_ROW, WallCells
 
@@ -219,9 +218,9 @@ def _between_walls(low: BoolArray, stands: BoolArray, sill: BoolArray) -> BoolAr
     return windows
 
 
-def refuse_outside(judged: JudgedFaces, votes: VoxelVotes) -> JudgedFaces:
+def refuse_outside(judged: JudgedFaces, storey: Storey) -> JudgedFaces:
     """The same without faces that were only seen through windows, whether or not these were told."""
-    within = room_before(judged.walls, np.concatenate(floor_and_ceiling_cubes(votes)))
+    within = room_before(judged.walls, storey)
     return replace(judged, walls=judged.walls.select(within)).refuse(judged.walls.select(~within), FaceVerdict.OUTSIDE)
 
 

@@ -22,7 +22,7 @@ from algorithms.before_walls import BeforeWalls, halo_at_walls, look_before_wall
 from algorithms.building import NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
 from algorithms.building_doors import drop_doubtful, find_doors, prove_crossed
 from algorithms.door_frames import measure_reveals, place_frames
-from algorithms.face_columns import clear_heights, column_places
+from algorithms.face_columns import Storey, column_places
 from algorithms.features import Features, concatenate, select_planes
 from algorithms.floor_plan import FloorPlan, draw_floor_plan
 from algorithms.fused_walls import fuse_walls
@@ -563,6 +563,7 @@ def _build(
 ) -> Building:
     """Walls from all planes, doors and grid from all rays; the rays are read block by block."""
     planes = concatenate([_without_rays(features) for features in _features(folder, blocks)])
+    storey = Storey.of(votes)
     far = settings.building.model_copy(update={"range_m": settings.building.far_m})
     strict = far.model_copy(update={"near_m": _STRICT_NEAR_M, "distance_m": 0.0})
 
@@ -570,7 +571,7 @@ def _build(
         return _trace(faces, folder, blocks, building, windows, workers)
 
     def clear(faces: Walls, cells: WallCells) -> FloatArray:
-        return clear_heights(column_places(faces, cells.first), votes, settings.standing_walls.ceiling_near_m)
+        return storey.clear_m(column_places(faces, cells.first), settings.standing_walls.ceiling_near_m)
 
     def judge(faces: Walls) -> JudgedFaces:
         leaning = leaning_on_others(faces)
@@ -581,7 +582,7 @@ def _build(
         path = trajectory.T_map_base[:, :2, 3]
         judged = judge_faces(faces, cells, clear(faces, cells), path, settings.building.length_min_m, settings.standing_walls)
         judged = judged.refuse(refused, FaceVerdict.ALONE).refuse(leaves, FaceVerdict.LEANS)
-        return refuse_outside(judged, votes)
+        return refuse_outside(judged, storey)
 
     judged = judge(fuse_walls(planes, settings.building))
     seen = trace(judged.walls)
@@ -591,6 +592,7 @@ def _build(
         judged = judge(fuse_walls(select_planes(planes, ~outside), settings.building))
     hidden = find_hidden_walls(
         votes,
+        storey,
         judged.walls,
         judged.refused,
         trajectory.T_map_base[:, :2, 3],

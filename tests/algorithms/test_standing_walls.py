@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from algorithms.building import CELL_M, NO_DOORS, NO_WALLS, Walls
-from algorithms.face_columns import clear_heights
+from algorithms.face_columns import Storey
 from algorithms.hidden_walls import find_hidden_walls
 from algorithms.labels import Label
 from algorithms.segments import Segment
@@ -87,7 +87,8 @@ def test_a_face_without_room_before_it_is_outside():
     both = faces(((0, 0), (4, 0)), ((0, 9), (4, 9)))
     judged = JudgedFaces(both, NO_WALLS, np.zeros(0, np.uint8))
     floor = np.stack(np.meshgrid(np.arange(0.0, 4.0, 0.05), [0.5, 1.0], [0.0]), axis=-1).reshape(-1, 3)
-    told = refuse_outside(judged, vote(np.repeat(floor, 3, axis=0), np.full(3 * len(floor), Label.FLOOR, np.uint8), 6, 0.05))
+    votes = vote(np.repeat(floor, 3, axis=0), np.full(3 * len(floor), Label.FLOOR, np.uint8), 6, 0.05)
+    told = refuse_outside(judged, Storey.of(votes))
     np.testing.assert_array_equal(told.walls.ends, both.ends[:1])
     assert told.verdict.tolist() == [FaceVerdict.OUTSIDE]
     assert told.refused_label.tolist() == [Label.OUTSIDE]
@@ -220,7 +221,7 @@ def room(
 
 
 def test_the_ceiling_over_a_place_is_known_where_it_was_seen():
-    heights = clear_heights(np.array([[1.0, 1.0], [60.0, 1.0]]), room(), 2.0)
+    heights = Storey.of(room()).clear_m(np.array([[1.0, 1.0], [60.0, 1.0]]), 2.0)
     assert heights[0] == pytest.approx(CEILING_M, abs=0.02)
     assert np.isnan(heights[1])
 
@@ -272,7 +273,7 @@ def hidden(
     others = faces(((-1, 0), (5, 0)))
     others = others if known is None else others.append(known)
     path = np.column_stack([np.full(50, path_x), np.linspace(0.2, 2.8, 50)])
-    return find_hidden_walls(votes, others, NO_WALLS, path, trace, 0.25, SETTINGS)
+    return find_hidden_walls(votes, Storey.of(votes), others, NO_WALLS, path, trace, 0.25, SETTINGS)
 
 
 def test_a_wall_that_no_scan_alone_told_is_found():
