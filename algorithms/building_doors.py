@@ -142,7 +142,8 @@ def _doors_in(
                 depth_m=float("nan") if is_ajar else depth_m,
                 state=state,
                 agreement=float(np.nanmean(agree[flags[columns]])),
-                coverage=float(np.mean(flags[columns])),
+                # The columns of a doorway that its leaf, ajar, covers bear it out as well.
+                coverage=float(np.mean((flags | found.is_closed)[columns])),
                 ray_count=int(found.rays[columns][:, [FILLED, THROUGH]].sum() / 3),
                 wall=w,
                 is_cut=first == 0 or last == len(counts) - 1,

@@ -106,7 +106,10 @@ def map_raised_floors(votes: VoxelVotes) -> HeightMap:
     rise_m = lowest_m - ground_m
     around = _median_around(lowest_m)
     level = (np.abs(lowest_m - around) < _FLAT_M) & (rise_m > _RISE_M[0]) & (rise_m < _RISE_M[1]) & (away > 0)
-    broad = _holding_a_disc(ndimage.binary_closing(level, np.ones((3, 3))), 0.5 * _BROAD_M / _FINE_CELL_M)
+    # What is seen at a slant shows in lines.
+    between = ndimage.binary_closing(level, np.ones((5, 5))) & np.isnan(lowest_m)
+    closed = ndimage.binary_closing(level, np.ones((3, 3))) | between
+    broad = _holding_a_disc(closed, 0.5 * _BROAD_M / _FINE_CELL_M)
     return HeightMap(Label.FLOOR, origin, _FINE_CELL_M, np.where(broad, around, np.nan))
 
 

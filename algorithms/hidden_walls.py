@@ -110,6 +110,7 @@ def _candidates(votes: VoxelVotes, walls: Walls, refused: Walls, settings: Stand
     """Lines of unexplained returns as faces; which side each is seen from is not known yet, so both are tried."""
     place, weight = _unexplained_columns(votes, walls, refused)
     found = _straight_lines(place, weight, wall_directions(walls), settings)
+    found += _pillar_sides(place, weight, walls, settings)
     if not found:
         return NO_WALLS
     ends = np.array([e for e, _ in found])
@@ -307,4 +308,33 @@ def _straight_lines(
         offset = float(np.average(across[direction][part], weights=weight[part]))
         reach = along[direction][part][[0, -1]] + np.array([-0.5, 0.5]) * CELL_M
         found.append((normal * offset + reach[:, None] * np.array([-normal[1], normal[0]]), normal))
+    return found
+
+
+def _pillar_sides(
+    place: FloatArray, weight: FloatArray, walls: Walls, settings: StandingWallsSettings
+) -> list[tuple[FloatArray, FloatArray]]:
+    """The sides of what stands before a known face and is a known face itself: ends (2, 2) and normal (2,).
+
+    A pillar's side is short, and most of it lies so close to either face that it passes for their own.
+
+    place: (m, 2) of the columns, weight: (m,).
+    """
+    found: list[tuple[FloatArray, FloatArray]] = []
+    fronts = list(segments(walls))
+    for back in fronts:
+        before_m, place_m = back.before_m(place), back.place_m(place)
+        for front in fronts:
+            depth_m = float(back.before_m(front.at(np.array([0.5 * front.length_m])))[0])
+            if front.normal @ back.normal < SAME_WAY or not NOISE_M < depth_m < FURNITURE_M:
+                continue
+            for end_m in back.place_m(front.at(np.array([0.0, front.length_m]))):
+                near = (before_m > 0) & (before_m < depth_m) & (np.abs(place_m - end_m) < _AT_CORNER_M)
+                if not 0 < end_m < back.length_m or not near.any():
+                    continue
+                off_m = np.abs(place_m[near][:, None] - place_m[near])
+                strength = (off_m < settings.hidden_distance_m) @ weight[near]
+                side = off_m[np.argmax(strength)] < settings.hidden_distance_m
+                foot = back.at(np.array([np.average(place_m[near][side], weights=weight[near][side])]))[0]
+                found.append((np.stack([foot, foot + depth_m * back.normal]), back.along))
     return found

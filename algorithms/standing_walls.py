@@ -35,6 +35,8 @@ _REST_MIN_M = 0.5
 _CUT_MIN_M = 0.3
 _FRAME_M = 0.6
 """So near to a high window as much of its wall stands on both sides; close to its edges some rays pass."""
+_REACHED_M = 0.1
+"""A face that ends so little behind a corner ends there."""
 _AT_JAMB_M = 0.15
 """A reveal's face passes its jamb so closely."""
 _GOES_ON_SHARE = 0.95
@@ -241,10 +243,11 @@ def join_corners(walls: Walls, corner_m: float) -> Walls:
                 continue
             corner = walls.ends[other, 0] + t_other * along[other]
             place = float((corner - walls.ends[w, 0]) @ along[w])
-            if -best[0] < place < 0:
-                best[0], ends[w, 0] = -place, corner
-            elif length[w] < place < length[w] + best[1]:
-                best[1], ends[w, 1] = place - length[w], corner
+            for end, beyond_m in enumerate((-place, place - length[w])):
+                if 0 < beyond_m < best[end]:
+                    best[end], ends[w, end] = beyond_m, corner
+                elif -_REACHED_M < beyond_m <= 0:
+                    best[end], ends[w, end] = 0.0, walls.ends[w, end]
     return replace(walls, ends=ends)
 
 

@@ -138,6 +138,29 @@ def test_a_leaf_that_stands_aslant_is_ajar() -> None:
     np.testing.assert_allclose(ajar.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
 
 
+@pytest.mark.parametrize("leaves", [1, 2])
+def test_a_leaf_ajar_is_part_of_its_doorway(leaves: int) -> None:
+    """Near its hinge it is as near to the face as a closed one, and it leaves few columns open."""
+    seen = cells()
+    rows = slice(0, round(2.1 / CELL_M))
+    depth_m = np.linspace(0.03, 0.4, 15)
+    # One leaf covers x = 1.5 to 2.25 of a doorway to 2.55, two cover 1.5 to 2.25 and 2.55 to 3.3.
+    columns = [np.arange(30, 45)] if leaves == 1 else [np.arange(30, 45), np.arange(65, 50, -1)]
+    opened = np.arange(45, 51)
+    for leaf in columns:
+        for column, behind_m in zip(leaf, depth_m, strict=True):
+            cell = seen.counts[column, rows]
+            if behind_m < SETTINGS.near_m:
+                cell[:, SUM], cell[:, SQUARES] = -10.0 * behind_m, 10.0 * behind_m**2
+            else:
+                cell[:], cell[:, THROUGH] = 0.0, 10.0
+    seen.counts[opened, rows] = np.array([0.0, 0.0, 0.0, 10.0])
+    doors = find_doors(WALL, seen, unknown(seen), SETTINGS)
+    assert doors.state.tolist() == [DoorState.OPEN]
+    np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.55 if leaves == 1 else 3.3], atol=2 * CELL_M)
+    assert doors.confidence[0] > 0.6
+
+
 def test_a_leaf_at_the_edge_of_what_is_looked_at_is_no_pane() -> None:
     def opening(sheet_m: float) -> int:
         """A narrow opening, of whose rays some return from behind the face."""

@@ -71,6 +71,15 @@ def test_a_platform_is_floor_and_so_is_what_stands_on_it_not(slope: float) -> No
     assert found.label_of(np.array([[5.5, 1.5, 0.16]]), np.array([Label.WALL], np.uint8))[0] == Label.WALL
 
 
+def test_a_platform_that_shows_in_lines_is_floor() -> None:
+    """At a slant, an emitter's line on it is far from the next."""
+    floor, platform = lying((0, 4), (0, 4), 0.01), lying((4, 7), (0, 4), 0.16)
+    lines = platform[np.floor(platform[:, 0] * 10).astype(int) % 4 == 0]
+    found = raised((floor, Label.FLOOR), (lines, Label.CLUTTER))
+    inner = lines[(lines[:, 0] > 4.5) & (lines[:, 0] < 6.5) & (np.abs(lines[:, 1] - 2.0) < 1.5)]
+    assert np.all(found.label_of(inner, np.zeros(len(inner), np.uint8)) == Label.FLOOR)
+
+
 @pytest.mark.parametrize(
     ("x", "y", "z"),
     [

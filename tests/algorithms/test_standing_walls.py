@@ -193,15 +193,23 @@ def test_faces_meet_in_their_corner_and_leave_gaps_that_are_wide():
     np.testing.assert_allclose(walls.ends[2], [[0, -2], [0, -9]], atol=1e-9)
 
 
+def test_a_face_that_reached_a_corner_is_not_carried_on_to_another():
+    """A pillar's side, between its front and the wall, beside a cupboard."""
+    side, front, cupboard = ((3, 0.5), (3, 0.02)), ((3, 0.45), (3.4, 0.45)), ((1, 0.9), (2.6, 0.9))
+    walls = join_corners(faces(side, front, cupboard, ((1, 0), (6, 0))), 0.7)
+    np.testing.assert_allclose(walls.ends[0], [[3, 0.5], [3, 0]], atol=1e-9)
+
+
 def room(
     wall: bool = True,
     height_m: float = CEILING_M,
     seed: int = 0,
     from_x: float = -1.0,
     to_x: float = 5.0,
+    from_y: float = 0.5,
     to_y: float = 2.0,
 ) -> VoxelVotes:
-    """Floor and ceiling of a room, from `from_x` to `to_x`, a known wall at y = 0, and clutter on the plane x = 3 up to `to_y`."""
+    """Floor and ceiling of a room, a known wall at y = 0, and clutter on the plane x = 3 from `from_y` to `to_y`."""
     generator = np.random.default_rng(seed)
 
     def spread(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float], count: int) -> np.ndarray:
@@ -214,7 +222,7 @@ def room(
         (spread((-1, 5), (0, 0), (0, CEILING_M), 9_000), Label.WALL),
     ]
     if wall:
-        parts.append((spread((3, 3), (0.5, to_y), (0, height_m), 4_000), Label.CLUTTER))
+        parts.append((spread((3, 3), (from_y, to_y), (0, height_m), 4_000), Label.CLUTTER))
     points = np.concatenate([p for p, _ in parts])
     label = np.concatenate([np.full(len(p), code, np.uint8) for p, code in parts])
     return vote(points, label, len(Label), 0.05)
@@ -237,12 +245,13 @@ def hidden(
     window_m: tuple[float, float] | None = None,
     window_from_y: float = 0.0,
     off_m: float = 0.0,
+    from_y: float = 0.5,
 ) -> Walls:
     """What is found; rays end on every candidate that lies on x = 3, seen from smaller x, and pass the others.
 
     hip_m: from there to a door's head a few rays pass. unseen_m, seen_m: below and above there no ray comes.
     window_m: between these heights rays pass, from `window_from_y` on. known: a wall beside it. off_m: so far before the
-    face the returns lie.
+    face the returns lie. from_y: where the face begins.
     """
 
     def trace(candidates: Walls) -> WallCells:
@@ -267,7 +276,7 @@ def hidden(
             counts[own, int(seen_m / CELL_M) :] = 0.0
             counts[own, :, SUM] = off_m * counts[own, :, FILLED]
             if on:
-                counts[own][(y < 0.5) | (y > 2.0)] = 0.0
+                counts[own][(y < from_y) | (y > 2.0)] = 0.0
         return WallCells(first, 60, counts)
 
     others = faces(((-1, 0), (5, 0)))
@@ -337,6 +346,13 @@ def test_a_pillars_side_is_as_long_as_to_the_corner_with_its_front():
     front = ((3.02, 0.4), (3.35, 0.4))
     assert len(hidden(room(to_y=0.66))) == 0
     assert len(hidden(room(to_y=0.66), known=faces(front))) == 1
+
+
+def test_a_pillar_has_sides_however_little_it_stands_before_its_wall():
+    """Most of a side lies so close to the wall, or to the pillar's front, that its returns pass for theirs."""
+    found = hidden(room(from_y=0.02, to_y=0.24), from_y=0.0, known=faces(((2.95, 0.26), (3.4, 0.26))))
+    np.testing.assert_allclose(found.ends[0, :, 0], 3.0, atol=0.01)
+    np.testing.assert_allclose(np.sort(found.ends[0, :, 1]), [0.0, 0.26], atol=0.06)
 
 
 def test_before_a_wall_of_this_building_floor_or_ceiling_is_seen():
