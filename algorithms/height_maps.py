@@ -22,6 +22,8 @@ _BROAD_M = 1.2
 _OVERHEAD_M, _BROAD_OVERHEAD_M, _UNKNOWN_M = 2.2, 0.8, 0.3
 """What hangs so high and holds a disc so broad, with nothing seen above it, is a ceiling: ducts and lamps are narrow."""
 _FINE_CELL_M = 0.1
+_HANGS_M, _BESIDE_DUCT_M, _CEILING_EDGE_M = 0.08, 0.4, 0.3
+"""A duct hangs so much lower than the ceiling that is seen so close to it. A ceiling's edge is so wide."""
 _FLAT_M = 0.03
 
 
@@ -29,24 +31,26 @@ _FLAT_M = 0.03
 class HeightMap:
     """How high something level lies: height_m (rows, columns) in the map frame, NaN where there is none.
 
-    label: what it is. origin: (2,) x and y of the first cell's corner, metres; cell_m: the cells' edge.
+    label: what it is, and taken_for: what scans took it for. origin: (2,) x and y of the first cell's corner, metres; cell_m:
+    the cells' edge.
     """
 
     label: Label
+    taken_for: Label
     origin: FloatArray
     cell_m: float
     height_m: FloatArray
 
     def label_of(self, points_map: FloatArray, label: UInt8Array) -> UInt8Array:
-        """The labels (n,) of points (n, 3), clutter at that height made what lies there."""
-        clutter = np.flatnonzero(label == Label.CLUTTER)
+        """The labels (n,) of points (n, 3), what scans took for something else at that height made what lies there."""
+        wrong = np.flatnonzero(label == self.taken_for)
         rows, columns = self.height_m.shape
-        cell = np.floor((points_map[clutter, :2] - self.origin) / self.cell_m).astype(np.int64)
+        cell = np.floor((points_map[wrong, :2] - self.origin) / self.cell_m).astype(np.int64)
         inside = (cell >= 0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
-        clutter, cell = clutter[inside], cell[inside]
-        on_it = np.abs(points_map[clutter, 2] - self.height_m[cell[:, 1], cell[:, 0]]) < _MARGIN_M
+        wrong, cell = wrong[inside], cell[inside]
+        on_it = np.abs(points_map[wrong, 2] - self.height_m[cell[:, 1], cell[:, 0]]) < _MARGIN_M
         corrected = label.copy()
-        corrected[clutter[on_it]] = self.label
+        corrected[wrong[on_it]] = self.label
         return corrected
 
 
@@ -60,7 +64,7 @@ def map_ceilings(votes: VoxelVotes) -> HeightMap:
     median_m = _in_cells(position, origin, shape, _CELL_M, share=0.5)
     away, nearest = ndimage.distance_transform_edt(np.isnan(median_m), return_indices=True)
     height_m = np.where(away * _CELL_M <= _REACH_M, median_m[tuple(nearest)], np.nan)
-    return HeightMap(Label.CEILING, origin, _CELL_M, height_m)
+    return HeightMap(Label.CEILING, Label.CLUTTER, origin, _CELL_M, height_m)
 
 
 def map_glimpsed_ceilings(votes: VoxelVotes) -> HeightMap:
@@ -84,7 +88,7 @@ def map_glimpsed_ceilings(votes: VoxelVotes) -> HeightMap:
     around = _median_around(highest_m)
     level = np.abs(highest_m - around) < _FLAT_M
     broad = _holding_a_disc(ndimage.binary_closing(level, np.ones((3, 3))), 0.5 * _BROAD_OVERHEAD_M / _FINE_CELL_M)
-    return HeightMap(Label.CEILING, origin, _FINE_CELL_M, np.where(broad, around, np.nan))
+    return HeightMap(Label.CEILING, Label.CLUTTER, origin, _FINE_CELL_M, np.where(broad, around, np.nan))
 
 
 def map_raised_floors(votes: VoxelVotes) -> HeightMap:
@@ -110,7 +114,35 @@ def map_raised_floors(votes: VoxelVotes) -> HeightMap:
     between = ndimage.binary_closing(level, np.ones((5, 5))) & np.isnan(lowest_m)
     closed = ndimage.binary_closing(level, np.ones((3, 3))) | between
     broad = _holding_a_disc(closed, 0.5 * _BROAD_M / _FINE_CELL_M)
-    return HeightMap(Label.FLOOR, origin, _FINE_CELL_M, np.where(broad, around, np.nan))
+    return HeightMap(Label.FLOOR, Label.CLUTTER, origin, _FINE_CELL_M, np.where(broad, around, np.nan))
+
+
+def map_ducts(votes: VoxelVotes) -> HeightMap:
+    """What hangs below a ceiling and is narrow: a duct's underside, at the height of another room's ceiling.
+
+    A scan that sees both rooms cannot tell the one from the other.
+    """
+    ceiling = votes.mean_position[(majority(votes.counts) == Label.CEILING) & (votes.counts.max(axis=1, initial=0) > 0)]
+    if not len(ceiling):
+        return _nothing(Label.CLUTTER)
+    origin, shape = _frame(ceiling, _FINE_CELL_M)
+    lowest_m = _in_cells(ceiling, origin, shape, _FINE_CELL_M, share=0.0)
+    usual_m = _in_cells(ceiling, origin, shape, _FINE_CELL_M, share=0.5)
+    beside = 2 * round(_BESIDE_DUCT_M / _FINE_CELL_M) + 1
+    hangs = lowest_m < _highest(usual_m, beside) - _HANGS_M
+    steep = _highest(lowest_m, 3) + _highest(-lowest_m, 3) > 2.0 * _FLAT_M
+    closed = ndimage.binary_closing(np.isfinite(lowest_m) & ~steep, np.ones((3, 3))) & ~steep
+    broad = _holding_a_disc(closed, 0.5 * _BROAD_OVERHEAD_M / _FINE_CELL_M)
+    # Its edge, along a wall behind which another ceiling begins, is steep.
+    away, nearest = ndimage.distance_transform_edt(~broad, return_indices=True)
+    level_m = np.abs(lowest_m - lowest_m[tuple(nearest)])
+    ceilings = (away <= round(_CEILING_EDGE_M / _FINE_CELL_M)) & (level_m < _MARGIN_M)
+    return HeightMap(Label.CLUTTER, Label.CEILING, origin, _FINE_CELL_M, np.where(hangs & ~ceilings, lowest_m, np.nan))
+
+
+def _highest(height_m: FloatArray, size: int) -> FloatArray:
+    """The highest known of the so many by so many cells around each; minus infinity where none is known."""
+    return np.asarray(ndimage.maximum_filter(np.where(np.isnan(height_m), -np.inf, height_m), size))
 
 
 def _ground_m(floor: FloatArray, origin: FloatArray, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
@@ -142,7 +174,7 @@ def _holding_a_disc(mask: BoolArray, radius: float) -> BoolArray:
 
 
 def _nothing(label: Label) -> HeightMap:
-    return HeightMap(label, np.zeros(2), _CELL_M, np.zeros((0, 0)))
+    return HeightMap(label, Label.CLUTTER, np.zeros(2), _CELL_M, np.zeros((0, 0)))
 
 
 def _frame(position: FloatArray, cell_m: float) -> tuple[FloatArray, tuple[int, int]]:

@@ -35,7 +35,7 @@ from algorithms.standing_walls import (
     StandingWallsSettings,
     wall_directions,
 )
-from algorithms.wall_cells import FILLED, FOOT_ROW, SUM, WallCells, returns_at_face
+from algorithms.wall_cells import FILLED, FOOT_ROW, SUM, THROUGH, WallCells, returns_at_face
 from algorithms.wall_openings import widened
 
 _AT_CORNER_M = 0.15
@@ -169,12 +169,14 @@ def _has_sill(columns: Columns, settings: StandingWallsSettings) -> BoolArray:
 def _stretches(told: _Told, counts: FloatArray, settings: StandingWallsSettings) -> Iterator[tuple[int, int]]:
     """First column, and the one after the last, of what may be one wall; counts: (c, rows, 4)."""
     returned = np.any(counts[..., FILLED] > 0, axis=1)
+    ended = returns_at_face(counts).sum(axis=1) > 0.5 * (counts[..., FILLED] + counts[..., THROUGH]).sum(axis=1)
     bridged = long_runs(told.proven, 1, bridge=cells_in(settings.hidden_gap_m)) & ~told.contradicted
     for first, after in runs(bridged):
-        # Columns were told with those beside them.
+        # Columns were told with those beside them: what has no returns itself is too much, and a pillar's outer columns lack.
         own = np.flatnonzero(returned[first:after])
         if len(own):
-            yield first + int(own[0]), first + int(own[-1]) + 1
+            begin, last = widened(ended, first + int(own[0]), first + int(own[-1]), SMOOTH_COLUMNS)
+            yield begin, last + 1
 
 
 def _is_proven(columns: Columns, told: _Told, settings: StandingWallsSettings) -> bool:

@@ -20,6 +20,11 @@ _GRAZING = 0.2
 
 _ANOTHER_CEILING_M = 0.06
 
+_OWN_MAX_M, _OWN_BIN_M, _OWN_RETURNS = 0.06, 0.002, 20
+"""A scan shows a face so far off at most, to so much, where so many of its returns tell."""
+_OWN_FROM_M, _OWN_TO_M = 0.08, 0.7
+"""Its foot and its top are told by what returned between these distances from floor, or ceiling."""
+
 _LEAF_HANGS_M, _AT_LEAF_M = 0.03, 0.012
 """Over so much of a reveal, at its end, a return so far within the frame is the leaf's."""
 
@@ -60,6 +65,12 @@ class RelabellingSettings(StepSettings):
         ge=0,
         le=0.2,
         description="So near both to a wall and to floor or ceiling a return is of the one that its ray meets first.",
+    )
+    floor_scatter_m: float = Field(
+        0.015, ge=0, description="A floor seen level lies within so many metres of where its plane is."
+    )
+    range_scatter_m: float = Field(
+        0.04, ge=0, description="A return is off by at most so many metres along its ray, which lifts it off a floor seen steeply."
     )
     halo_ratio: float = Field(
         10.0,
@@ -128,6 +139,8 @@ def relabel(
             settings.forget_m,
             settings.edge_m,
             settings.body_m,
+            settings.floor_scatter_m,
+            settings.range_scatter_m,
         )
     )
     label = halo.label_of(points_map, label)
@@ -164,6 +177,40 @@ def _crossing(
 
 
 @numba.njit(cache=True, nogil=True)
+def _own_places(
+    points: FloatArray, height: FloatArray, below_ceiling: FloatArray, label_scan: UInt8Array, walls: FloatArray
+) -> FloatArray:  # pragma: no cover
+    """(W, 2) how far before each face the scan itself shows its foot, and its top; 0 where it shows neither.
+
+    A pose may be off by a centimetre, and its upright by tenths of a degree, which is as much at the ceiling.
+    """
+    bins = int(2.0 * _OWN_MAX_M / _OWN_BIN_M)
+    counts = np.zeros((len(walls), 2, bins), np.int64)
+    for i in range(len(points)):
+        if label_scan[i] != 3:
+            continue
+        at_foot = _OWN_FROM_M < height[i] < _OWN_TO_M
+        if not at_foot and not _OWN_FROM_M < below_ceiling[i] < _OWN_TO_M:
+            continue
+        for w in range(len(walls)):
+            s = walls[w, 3] * points[i, 0] + walls[w, 4] * points[i, 1] - walls[w, 5]
+            u = walls[w, 0] * points[i, 0] + walls[w, 1] * points[i, 1] - walls[w, 2]
+            if abs(s) < _OWN_MAX_M and _OWN_MAX_M < u < walls[w, 6] - _OWN_MAX_M:
+                counts[w, 0 if at_foot else 1, min(int((s + _OWN_MAX_M) / _OWN_BIN_M), bins - 1)] += 1
+    own_m = np.full((len(walls), 2), np.nan)
+    for w in range(len(walls)):
+        for end in range(2):
+            total = counts[w, end].sum()
+            if total >= _OWN_RETURNS:
+                middle = np.searchsorted(np.cumsum(counts[w, end]), 0.5 * total)
+                own_m[w, end] = (middle + 0.5) * _OWN_BIN_M - _OWN_MAX_M
+        for end in range(2):
+            if np.isnan(own_m[w, end]):
+                own_m[w, end] = 0.0 if np.isnan(own_m[w, 1 - end]) else own_m[w, 1 - end]
+    return own_m
+
+
+@numba.njit(cache=True, nogil=True)
 def _at_edge(
     label: int,
     x: float,
@@ -173,6 +220,7 @@ def _at_edge(
     below_ceiling: float,
     origin: FloatArray,
     walls: FloatArray,
+    own_m: FloatArray,
     wall_columns: IntArray,
     ceiling_before: FloatArray,
     doors: FloatArray,
@@ -184,6 +232,8 @@ def _at_edge(
 
     Range is the noisy coordinate of a return, its direction is not: where the ray crosses a wall's face above the floor and
     below the ceiling it ended on the wall, and on floor or ceiling where it would reach the face beyond them.
+
+    own_m: from `_own_places`.
     """
     near_floor, near_a_ceiling = abs(height) < edge_m, abs(below_ceiling) < edge_m
     if not (near_floor or near_a_ceiling):
@@ -198,9 +248,10 @@ def _at_edge(
                     return 4 if height + (share - 1.0) * (z - origin[2]) > 0.0 else 1
     missed = False
     for w in range(len(walls)):
-        if abs(walls[w, 3] * x + walls[w, 4] * y - walls[w, 5]) > edge_m:
+        before_m = own_m[w, 0 if near_floor else 1]
+        if abs(walls[w, 3] * x + walls[w, 4] * y - walls[w, 5] - before_m) > edge_m:
             continue
-        share, u = _crossing(walls[w], 0.0, x, y, origin)
+        share, u = _crossing(walls[w], -before_m, x, y, origin)
         if not 0.0 <= u <= walls[w, 6]:
             continue
         rise = (share - 1.0) * (z - origin[2])
@@ -253,8 +304,11 @@ def _relabel(
     forget_m: float,
     edge_m: float,
     body_m: float,
+    floor_scatter_m: float,
+    range_scatter_m: float,
 ) -> UInt8Array:  # pragma: no cover
     label = label_scan.copy()
+    own_m = _own_places(points, height, below_ceiling, label_scan, walls)
     for i in range(len(points)):
         x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
         is_outside = False
@@ -289,6 +343,7 @@ def _relabel(
                 below_ceiling[i],
                 origin,
                 walls,
+                own_m,
                 wall_columns,
                 ceiling_before,
                 doors,
@@ -296,6 +351,12 @@ def _relabel(
                 door_depth,
                 edge_m,
             )
+            if label[i] == 1:
+                # A ray that comes in level ends on the floor, or far before it: what stands there has a foot.
+                ray = points[i] - origin
+                steepness = abs(ray[2]) / np.sqrt(np.sum(ray**2))
+                if height[i] > floor_scatter_m + range_scatter_m * steepness:
+                    label[i] = 0
             if label[i] != 3:
                 continue
         is_leaf = False

@@ -27,7 +27,7 @@ from algorithms.features import Features, concatenate, select_planes
 from algorithms.floor_plan import FloorPlan, draw_floor_plan
 from algorithms.fused_walls import fuse_walls
 from algorithms.grid_map import Drive, GridMap, Immobile, draw_furniture_free, standing_stretches
-from algorithms.height_maps import HeightMap, map_ceilings, map_glimpsed_ceilings, map_raised_floors
+from algorithms.height_maps import HeightMap, map_ceilings, map_ducts, map_glimpsed_ceilings, map_raised_floors
 from algorithms.hidden_walls import find_hidden_walls
 from algorithms.labels import Label
 from algorithms.odometry import Registration, weakness
@@ -635,7 +635,7 @@ def _build(
     stretches = standing_stretches(immobile, settings.grid_map)
     plan = draw_floor_plan(stretches, immobile, grid, votes, settings.floor_plan, settings.wall_thickness, rooms.rooms)
     thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
-    levels = (map_ceilings(votes), map_glimpsed_ceilings(votes), map_raised_floors(votes))
+    levels = (map_ceilings(votes), map_glimpsed_ceilings(votes), map_raised_floors(votes), map_ducts(votes))
     return Building(
         walls, before, judged, doors, windows, halo, levels, grid, rooms, compared_rooms, rival_maps, plan, thickness_m
     )

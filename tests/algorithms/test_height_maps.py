@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from algorithms.height_maps import HeightMap, map_ceilings, map_glimpsed_ceilings, map_raised_floors
+from algorithms.height_maps import HeightMap, map_ceilings, map_ducts, map_glimpsed_ceilings, map_raised_floors
 from algorithms.labels import Label
 from algorithms.semantic_map import merge, vote
 
@@ -122,3 +122,31 @@ def test_a_glimpsed_ceiling_is_high_broad_and_the_highest(
     votes = merge([vote(p, np.full(len(p), label, np.uint8), len(Label), 0.05) for p, label in pieces] * 3)
     point = np.array([[np.mean(x), np.mean(y), z]])
     assert map_glimpsed_ceilings(votes).label_of(point, np.array([Label.CLUTTER], np.uint8))[0] == expected
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "expected"),
+    [
+        ((1.5, 1.9), (0.5, 3.5), Label.CLUTTER),  # a duct
+        ((1.0, 2.5), (0.0, 4.0), Label.CEILING),  # a bulkhead
+        ((4.1, 7.0), (0.0, 4.0), Label.CEILING),  # another room's, up to the wall between them
+    ],
+)
+def test_a_narrow_strip_below_a_ceiling_is_a_duct(
+    x: tuple[float, float], y: tuple[float, float], expected: Label
+) -> None:
+    high = lying((0, 4), (0, 4), 3.02)
+    beside = (high[:, 0] < x[0]) | (high[:, 0] > x[1]) | (high[:, 1] < y[0]) | (high[:, 1] > y[1])
+    low = lying(x, y, 2.72)
+    ceiling = np.concatenate([high[beside], low])
+    ducts = map_ducts(merge([vote(ceiling, np.full(len(ceiling), Label.CEILING, np.uint8), len(Label), 0.05)]))
+    as_ceiling = np.full(len(low), Label.CEILING, np.uint8)
+    assert np.all(ducts.label_of(low, as_ceiling) == expected)
+    assert np.all(ducts.label_of(high[beside], np.full(beside.sum(), Label.CEILING, np.uint8)) == Label.CEILING)
+    # What was not taken for a ceiling stays what it is.
+    assert np.all(ducts.label_of(low, np.full(len(low), Label.WALL, np.uint8)) == Label.WALL)
+
+
+def test_without_a_ceiling_there_is_no_duct() -> None:
+    nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
+    assert map_ducts(nothing).label_of(np.zeros((1, 3)), np.array([Label.CEILING], np.uint8))[0] == Label.CEILING

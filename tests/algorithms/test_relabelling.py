@@ -70,13 +70,30 @@ def final(
     verdict: FaceVerdict = FaceVerdict.ENDS_LOW,
 ) -> Label:
     """The final label of one return; the scan's ceiling hangs at 2.8 m, that before the walls at `ceiling_m`."""
-    at = np.array([point], np.float32)
-    height_m = at[:, 2].astype(np.float64)
-    found = relabel(
-        at,
+    at, of_scan = np.array([point], np.float32), np.array([label], np.uint8)
+    found = final_of(at, of_scan, walls, refused, doors, windows, sensor, ceiling_m, covered, verdict)
+    return Label(int(found[0]))
+
+
+def final_of(
+    points: np.ndarray,
+    label: np.ndarray,
+    walls: Walls = NO_WALLS,
+    refused: Walls = NO_WALLS,
+    doors: Doors = NO_DOORS,
+    windows: Windows = NO_WINDOWS,
+    sensor: np.ndarray = SENSOR,
+    ceiling_m: float = 2.8,
+    covered: bool = False,
+    verdict: FaceVerdict = FaceVerdict.ENDS_LOW,
+) -> np.ndarray:
+    """The final labels of returns (n, 3)."""
+    height_m = points[:, 2].astype(np.float64)
+    return relabel(
+        points,
         height_m,
         2.8 - height_m,
-        np.array([label], np.uint8),
+        label,
         sensor,
         walls,
         before(walls, ceiling_m, covered),
@@ -87,7 +104,6 @@ def final(
         (),
         SETTINGS,
     )
-    return Label(int(found[0]))
 
 
 @pytest.mark.parametrize(
@@ -211,6 +227,42 @@ def test_along_an_edge_the_surface_that_the_ray_meets_first_decides(
     x, y, z = crossing + ray * range_error_m
     level = Label.FLOOR if height_m < 1.0 else Label.CEILING
     assert final((x, y, z), Label.WALL if taken_for_wall else level, walls=face()) == expected
+
+
+@pytest.mark.parametrize("off_m", [-0.015, 0.015])
+@pytest.mark.parametrize("edge", [Label.FLOOR, Label.CEILING])
+def test_along_an_edge_the_wall_stands_where_the_scan_itself_shows_it(off_m: float, edge: Label) -> None:
+    """The pose is off by more than rays along the edge are told apart by; of the wall's foot and top one leans the other way."""
+    generator = np.random.default_rng(0)
+    level_m, inwards = (0.0, 1.0) if edge == Label.FLOOR else (2.8, -1.0)
+    own = generator.uniform((1.0, off_m, 0.2), (3.0, off_m, 0.6), (60, 3))
+    other = generator.uniform((1.0, -off_m, 2.2), (3.0, -off_m, 2.6), (60, 3))
+    if edge == Label.CEILING:
+        own[:, 1], other[:, 1] = -off_m, off_m
+        own, other = other, own
+    # Rays that meet the wall, where it is seen, half a centimetre off the edge, and those that meet the edge's other side.
+    crossing = np.column_stack([np.linspace(1.2, 2.8, 40), np.full(40, off_m), np.full(40, level_m)])
+    crossing[::2, 2] += inwards * 0.005
+    crossing[1::2, 2] -= inwards * 0.005
+    ray = crossing - SENSOR
+    at_level = SENSOR + ray * ((level_m - SENSOR[2]) / ray[:, 2])[:, None]
+    points = np.concatenate([own, other, np.where(np.arange(40)[:, None] % 2 == 0, crossing, at_level)]).astype(np.float32)
+    label = np.concatenate([np.full(120, Label.WALL), np.full(40, edge)]).astype(np.uint8)
+    found = final_of(points, label, face())[120:]
+    np.testing.assert_array_equal(found[::2], Label.WALL)
+    np.testing.assert_array_equal(found[1::2], edge)
+
+
+@pytest.mark.parametrize(
+    ("before_m", "height_m", "expected"),
+    [
+        (0.3, 0.035, Label.FLOOR),  # straight down a return is off by as much as its range is
+        (8.0, 0.035, Label.CLUTTER),  # a ray that comes in level would have ended a quarter of a metre off
+        (8.0, 0.01, Label.FLOOR),
+    ],
+)
+def test_what_is_higher_than_the_floor_scatters_is_a_foot(before_m: float, height_m: float, expected: Label) -> None:
+    assert final((2.0, SENSOR[1] - before_m, height_m), Label.FLOOR) == expected
 
 
 def test_the_floor_in_an_open_doorway_is_no_wall() -> None:

@@ -355,6 +355,14 @@ def test_a_pillar_has_sides_however_little_it_stands_before_its_wall():
     np.testing.assert_allclose(np.sort(found.ends[0, :, 1]), [0.0, 0.26], atol=0.06)
 
 
+def test_a_pillar_may_be_as_narrow_as_a_wall_is_short():
+    """Columns are told with those beside them, which rays pass; its own outer ones count all the same."""
+    table = room(from_y=0.7, to_y=1.5)
+    found = hidden(table, from_y=0.7, window_m=(0.0, CEILING_M), window_from_y=0.93)
+    np.testing.assert_allclose(np.sort(found.ends[0, :, 1]), [0.7, 0.93], atol=0.06)
+    assert len(hidden(table, from_y=0.7, window_m=(0.0, CEILING_M), window_from_y=0.82)) == 0
+
+
 def test_before_a_wall_of_this_building_floor_or_ceiling_is_seen():
     """Through windows another house's front shows, as high as the ceiling, which ends there."""
     assert len(hidden(room(from_x=2.0))) == 1
