@@ -134,6 +134,8 @@ class Doors:
     confidence: (D,) 0 to 1: `agreement` times `coverage`; 1 where it was crossed.
     agreement: (D,) share of the rays between foot and head that say the same: that it is open, or closed.
     coverage: (D,) share of its columns that are decided so by themselves.
+    lintel: (D,) share of its columns above which its wall was seen; a duct may hide that.
+    ajar: (D,) whether it is open because its leaf, which rays end on, stands aslant.
     ray_count: (D,) rays that decided.
     scan_count, first_scan, last_scan: (D,) the scans whose rays met it or passed it close by; -1 where none is known.
     crossed: (D,) whether the robot drove through.
@@ -149,6 +151,8 @@ class Doors:
     confidence: FloatArray
     agreement: FloatArray
     coverage: FloatArray
+    lintel: FloatArray
+    ajar: BoolArray
     ray_count: IntArray
     scan_count: IntArray
     first_scan: IntArray
@@ -174,6 +178,8 @@ NO_DOORS = Doors(
     confidence=np.zeros(0),
     agreement=np.zeros(0),
     coverage=np.zeros(0),
+    lintel=np.zeros(0),
+    ajar=np.zeros(0, bool),
     ray_count=np.zeros(0, np.int32),
     scan_count=np.zeros(0, np.int32),
     first_scan=np.zeros(0, np.int64),

@@ -78,6 +78,8 @@ def find_doors(
         confidence=agreement * coverage,
         agreement=agreement,
         coverage=coverage,
+        lintel=np.array([d.lintel for d in kept]),
+        ajar=np.array([d.ajar for d in kept]),
         ray_count=np.array([d.ray_count for d in kept], np.int32),
         scan_count=np.zeros(len(kept), np.int32),
         first_scan=np.full(len(kept), -1, np.int64),
@@ -99,6 +101,8 @@ class _Door:
     state: DoorState
     agreement: float
     coverage: float
+    lintel: float
+    ajar: bool
     ray_count: int
     wall: int
     is_cut: bool
@@ -130,7 +134,8 @@ def _doors_in(
             lintel_m = float(np.mean(found.lintel_m[columns]))
             depth_m = float("nan") if seen_as == DoorState.OPEN else float(np.nanmedian(found.depth_m[columns]))
             jambs = _count_jambs(counts, first, last, lintel_m, depth_m, settings)
-            if jambs < (1 if found.has_lintel[columns].mean() > 0.5 else 2):
+            lintel = float(np.mean(found.has_lintel[columns]))
+            if jambs < (1 if lintel > 0.5 else 2):
                 continue
             agree = found.through[columns] if seen_as == DoorState.OPEN else 1 - found.through[columns]
             is_ajar = seen_as == DoorState.CLOSED and _is_ajar(found.depth_m[columns])
@@ -144,6 +149,8 @@ def _doors_in(
                 agreement=float(np.nanmean(agree[flags[columns]])),
                 # The columns of a doorway that its leaf, ajar, covers bear it out as well.
                 coverage=float(np.mean((flags | found.is_closed)[columns])),
+                lintel=lintel,
+                ajar=is_ajar,
                 ray_count=int(found.rays[columns][:, [FILLED, THROUGH]].sum() / 3),
                 wall=w,
                 is_cut=first == 0 or last == len(counts) - 1,

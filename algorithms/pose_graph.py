@@ -165,7 +165,8 @@ def _first_again(
         return T_odom_sensor[0] if len(T_odom_sensor) else np.eye(4)
     after = range(1, half + 1)
     points = np.concatenate([transforms.apply(T_odom_sensor[i], clouds_sensor[i]) for i in after])
-    gaussians = GaussianMap(settings.voxel_m)
+    # So few scans fill voxels as fine as elsewhere too thinly to hold a turn.
+    gaussians = GaussianMap(2.0 * settings.voxel_m)
     gaussians.insert(GaussianCloud(points, settings.resolution_m, settings.neighbours), np.eye(4))
     first = GaussianCloud(clouds_sensor[0], settings.resolution_m, settings.neighbours)
     aligned = gaussians.register(first, T_odom_sensor[0], settings.distance_m, settings.iterations_max)

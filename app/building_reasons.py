@@ -66,7 +66,9 @@ def _door(doors: Doors, d: int) -> str:
         held.insert(0, "the robot drove through")
     if state == DoorState.CLOSED:
         held.append(f"leaf {100 * doors.depth_m[d]:.1f} cm behind the wall")
-    held.append(f"head at {doors.head_m[d]:.2f} m")
+    if doors.ajar[d]:
+        held.append("its leaf stands aslant")
+    held.append(f"head at {doors.head_m[d]:.2f} m, wall seen above {doors.lintel[d]:.0%} of it")
     scans = f"{doors.scan_count[d]} from {doors.first_scan[d]} to {doors.last_scan[d]}" if doors.scan_count[d] else "–"
     return (
         f"| {d} {state.name.lower()} | {_length_m(doors.ends[d]):.2f} m | {doors.confidence[d]:.0%} | {'; '.join(held)} "

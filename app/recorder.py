@@ -677,6 +677,8 @@ class Recorder:
                         "confidence": doors.confidence,
                         "agreement": doors.agreement,
                         "coverage": doors.coverage,
+                        "lintel": doors.lintel,
+                        "ajar": doors.ajar.astype(np.uint8),
                         "scan_count": doors.scan_count,
                         "crossed": doors.crossed.astype(np.uint8),
                         "depth_m": doors.depth_m,

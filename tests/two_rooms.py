@@ -168,6 +168,8 @@ class TwoRooms:
             confidence=np.ones(1),
             agreement=np.ones(1),
             coverage=np.ones(1),
+            lintel=np.ones(1),
+            ajar=np.zeros(1, bool),
             ray_count=np.array([100], np.int32),
             scan_count=np.array([6], np.int32),
             first_scan=np.array([0]),

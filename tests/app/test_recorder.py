@@ -20,8 +20,9 @@ from algorithms.labels import Label
 from algorithms.odometry import Registration
 from algorithms.pose_graph import PoseGraph
 from algorithms.scan import Scan
-from algorithms.standing_walls import FaceVerdict, JudgedFaces
+from algorithms.standing_walls import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
 from algorithms.trajectory import PlacedScan, place_scan
+from app.building_reasons import explain_building
 from app.recorder import Detail, Recorder
 from app.recording import Recording, open_part
 from blueprints import entities
@@ -310,6 +311,8 @@ def test_building_grid_map_and_messages(tmp_path):
         confidence=np.array([0.9]),
         agreement=np.array([1.0]),
         coverage=np.array([0.9]),
+        lintel=np.array([0.75]),
+        ajar=np.zeros(1, bool),
         ray_count=np.array([50]),
         scan_count=np.array([3]),
         first_scan=np.array([5]),
@@ -347,9 +350,13 @@ def test_building_grid_map_and_messages(tmp_path):
     )
     reasons = static[entities.BUILDING_REASONS].column("TextDocument:text").to_pylist()[0][0]
     assert "100% of 50 rays in 90% of its columns; leaf 5.0 cm behind the wall" in reasons
+    assert "head at 2.10 m, wall seen above 75% of it" in reasons
     assert "3 from 5 to 9" in reasons
     assert "rays pass above it" in reasons
     assert "10 cm behind the face" in reasons
+    ajar = replace(doors, ajar=np.array([True]))
+    assert "its leaf stands aslant" in explain_building(before, NO_JUDGED_FACES, ajar, windows)
+    assert "aslant" not in reasons
     against = vectors(static[entities.AGAINST_WALLS].column("Points3D:positions").to_pylist()[0])
     np.testing.assert_allclose(against, [[0.125, 0, 0.075], [0.175, 0, 0.075]], atol=1e-6)
     outline = vectors(static[entities.WINDOWS].column("LineStrips3D:strips").to_pylist()[0][0])

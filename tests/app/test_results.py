@@ -255,6 +255,8 @@ class TestGeojson:
             confidence=np.array([0.9, 0.7]),
             agreement=np.array([1.0, 0.7]),
             coverage=np.array([0.9, 1.0]),
+            lintel=np.ones(2),
+            ajar=np.zeros(2, bool),
             ray_count=np.array([100, 90]),
             scan_count=np.array([3, 4]),
             first_scan=np.array([5, 6]),
