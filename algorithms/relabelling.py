@@ -33,7 +33,7 @@ class RelabellingSettings(StepSettings):
     """What the building's walls and doors change in a scan's labels."""
 
     wall_distance_m: float = Field(
-        0.035, gt=0, description="Clutter within so many metres of a fused wall face becomes wall."
+        0.04, gt=0, description="Clutter within so many metres of a fused wall face becomes wall."
     )
     body_m: float = Field(
         0.07,
@@ -383,7 +383,9 @@ def _relabel(
                 and -door_reveal[d] - margin_m < s < margin_m
             )
             in_doorway = in_doorway or (-margin_m < u < length + margin_m and height[i] < door_head[d])
-            if -door_reveal[d] < s < wall_distance_m and -wall_distance_m < u < length + wall_distance_m:
+            # Beside the frame the wall is as deep as its other face scatters.
+            deep_m = door_reveal[d] if 0.0 < u < length else door_reveal[d] + wall_distance_m
+            if -deep_m < s < wall_distance_m and -wall_distance_m < u < length + wall_distance_m:
                 # At the reveal's end an open leaf hangs, as thick as the reveal's scatter is wide.
                 inner_m = _AT_LEAF_M if s < _LEAF_HANGS_M - door_reveal[d] else at_reveal_m
                 at_jamb = u < inner_m or u > length - inner_m

@@ -181,6 +181,8 @@ def test_door_without_a_door_of_the_building_is_wall_or_clutter() -> None:
         ((1.005, 0.19, 1.0), Label.WALL),
         ((1.5, 0.15, 2.08), Label.WALL),  # the lintel's underside
         ((1.5, 0.15, 1.0), Label.CLUTTER),  # somebody in the doorway
+        ((0.98, 0.22, 1.0), Label.WALL),  # beside the frame, the scatter of the wall's other face
+        ((1.005, 0.22, 1.0), Label.CLUTTER),
         ((1.03, 0.4, 1.0), Label.CLUTTER),  # deeper than the wall is thick
     ],
 )
