@@ -193,7 +193,15 @@ def test_an_interrupted_sweep_leaves_no_run_on_the_cluster(
     bag: Path, environment: dict[str, str], cluster: str, tmp_path: Path
 ) -> None:
     command = [*FFMAP, "sweep", str(bag), *GRID, "--out", str(tmp_path / "out"), "--scheduler", cluster]
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell starts what runs in the background with interrupts ignored, and so would be this.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
     end = time.monotonic() + 100
     while not records(tmp_path / "out") and process.poll() is None and time.monotonic() < end:
         time.sleep(0.02)
