@@ -133,7 +133,7 @@ class Doors:
     state: (D,) uint8, see `algorithms.doors.DoorState`.
     confidence: (D,) 0 to 1: `agreement` times `coverage`; 1 where it was crossed.
     agreement: (D,) share of the rays between foot and head that say the same: that it is open, or closed.
-    coverage: (D,) share of its columns that are decided so by themselves.
+    coverage: (D,) share of its columns that are decided so by themselves, or that an open door's leaf covers.
     lintel: (D,) share of its columns above which its wall was seen; a duct may hide that.
     ajar: (D,) whether it is open because its leaf, which rays end on, stands aslant.
     ray_count: (D,) rays that decided.

@@ -12,8 +12,8 @@ _DOORS = """\
 ## Doors
 
 A door has wall above it; below, a ray either goes on (open) or ends on a leaf that is recessed down to the floor (closed).
-Confidence = share of its rays that agree × share of its columns (5 cm) that are decided so by themselves; a door that the
-robot drove through is open for sure.
+Confidence = share of its rays that agree × share of its columns (5 cm) that are decided so by themselves, or that an open
+door's leaf covers; a door that the robot drove through is open for sure.
 
 | door | width | confidence | what held | scans | at x, y (m) |
 |---|---|---|---|---|---|
