@@ -98,7 +98,7 @@ def count_columns(cells: WallCells, clear_m: FloatArray, above_door_m: float) ->
     clear_m: (columns,) from the floor to the ceiling before each; NaN where none was seen. above_door_m: where the wall above
     doors begins.
     """
-    on, passed = _on_and_passed(cells.counts)
+    on, passed = on_and_passed(cells.counts)
     height = (np.arange(cells.rows) + 0.5) * CELL_M
     top = np.where(np.isfinite(clear_m), clear_m, np.inf) - _CEILING_MARGIN_M
     upper = (height > above_door_m) & (height < top[:, None])
@@ -138,10 +138,10 @@ def _smooth(values: FloatArray, cells: WallCells) -> FloatArray:
 def rows_on_and_passed(counts: FloatArray, clear_m: float) -> tuple[FloatArray, FloatArray]:
     """How many rays ended on columns (c, rows, 4), and how many did not, in each row between foot and ceiling."""
     rows = slice(FOOT_ROW, int((clear_m - _CEILING_MARGIN_M) / CELL_M))
-    return _on_and_passed(counts[:, rows].sum(axis=0, dtype=np.float64))
+    return on_and_passed(counts[:, rows].sum(axis=0, dtype=np.float64))
 
 
-def _on_and_passed(counts: FloatArray) -> tuple[FloatArray, FloatArray]:
+def on_and_passed(counts: FloatArray) -> tuple[FloatArray, FloatArray]:
     """How many rays ended on cells, or sums of them (…, 4), and how many did not."""
     on = returns_at_face(counts)
     return on, counts[..., THROUGH] + counts[..., FILLED] - on

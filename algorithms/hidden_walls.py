@@ -16,6 +16,7 @@ from algorithms.face_columns import (
     cut_faces,
     long_runs,
     median_m,
+    on_and_passed,
     room_before,
     rows_on_and_passed,
     runs,
@@ -35,7 +36,7 @@ from algorithms.standing_walls import (
     StandingWallsSettings,
     wall_directions,
 )
-from algorithms.wall_cells import FILLED, FOOT_ROW, SUM, THROUGH, WallCells, returns_at_face
+from algorithms.wall_cells import FILLED, FOOT_ROW, SUM, WallCells, returns_at_face
 from algorithms.wall_openings import widened
 
 _AT_CORNER_M = 0.15
@@ -63,6 +64,7 @@ def find_hidden_walls(
     Upright columns of returns that belong to no face are looked through for straight lines in the directions that the
     walls have; a line is a wall where rays end on it up to the ceiling and next to none passes.
 
+    votes: of all scans; storey: their floor and ceiling. walls, refused: the faces that explain what returned at them.
     path_map: (n, 2) the robot's places: where it was stands no wall. trace: counts rays against faces; a return more than
     some centimetres behind a face counts as passed, and rays through windows do not count.
     """
@@ -169,13 +171,13 @@ def _has_sill(columns: Columns, settings: StandingWallsSettings) -> BoolArray:
 def _stretches(told: _Told, counts: FloatArray, settings: StandingWallsSettings) -> Iterator[tuple[int, int]]:
     """First column, and the one after the last, of what may be one wall; counts: (c, rows, 4)."""
     returned = np.any(counts[..., FILLED] > 0, axis=1)
-    ended = returns_at_face(counts).sum(axis=1) > 0.5 * (counts[..., FILLED] + counts[..., THROUGH]).sum(axis=1)
+    on, passed = (rays.sum(axis=1) for rays in on_and_passed(counts))
     bridged = long_runs(told.proven, 1, bridge=cells_in(settings.hidden_gap_m)) & ~told.contradicted
     for first, after in runs(bridged):
         # Columns were told with those beside them: what has no returns itself is too much, and a pillar's outer columns lack.
         own = np.flatnonzero(returned[first:after])
         if len(own):
-            begin, last = widened(ended, first + int(own[0]), first + int(own[-1]), SMOOTH_COLUMNS)
+            begin, last = widened(on > passed, first + int(own[0]), first + int(own[-1]), SMOOTH_COLUMNS)
             yield begin, last + 1
 
 
@@ -323,10 +325,10 @@ def _pillar_sides(
     place: (m, 2) of the columns, weight: (m,).
     """
     found: list[tuple[FloatArray, FloatArray]] = []
-    fronts = list(segments(walls))
-    for back in fronts:
+    faces = list(segments(walls))
+    for back in faces:
         before_m, place_m = back.before_m(place), back.place_m(place)
-        for front in fronts:
+        for front in faces:
             depth_m = float(back.before_m(front.at(np.array([0.5 * front.length_m])))[0])
             if front.normal @ back.normal < SAME_WAY or not NOISE_M < depth_m < FURNITURE_M:
                 continue

@@ -353,8 +353,8 @@ def _relabel(
             )
             if label[i] == 1:
                 # A ray that comes in level ends on the floor, or far before it: what stands there has a foot.
-                ray = points[i] - origin
-                steepness = abs(ray[2]) / np.sqrt(np.sum(ray**2))
+                fall = origin[2] - points[i, 2]
+                steepness = abs(fall) / np.sqrt((x - origin[0]) ** 2 + (y - origin[1]) ** 2 + fall**2)
                 if height[i] > floor_scatter_m + range_scatter_m * steepness:
                     label[i] = 0
             if label[i] != 3:

@@ -229,21 +229,19 @@ def refuse_outside(judged: JudgedFaces, storey: Storey) -> JudgedFaces:
 def join_corners(walls: Walls, corner_m: float) -> Walls:
     """Faces carried on to the corners that they make with others, where both end or pass close to it."""
     ends = walls.ends.copy()
-    along = walls.ends[:, 1] - walls.ends[:, 0]
-    length = np.linalg.norm(along, axis=1)
-    along = along / np.maximum(length, 1e-9)[:, None]
-    for w in range(len(walls)):
+    faces = list(segments(walls))
+    for w, face in enumerate(faces):
         best = np.array([corner_m, corner_m])
-        for other in range(len(walls)):
-            turn = float(walls.normal[w] @ along[other])
+        for other in faces:
+            turn = float(face.normal @ other.along)
             if abs(turn) < 0.3:
                 continue
-            t_other = -float((walls.ends[other, 0] - walls.ends[w, 0]) @ walls.normal[w]) / turn
-            if not -corner_m < t_other < length[other] + corner_m:
+            t_other = -float(face.before_m(other.start)) / turn
+            if not -corner_m < t_other < other.length_m + corner_m:
                 continue
-            corner = walls.ends[other, 0] + t_other * along[other]
-            place = float((corner - walls.ends[w, 0]) @ along[w])
-            for end, beyond_m in enumerate((-place, place - length[w])):
+            corner = other.at(np.array([t_other]))[0]
+            place = float(face.place_m(corner))
+            for end, beyond_m in enumerate((-place, place - face.length_m)):
                 if 0 < beyond_m < best[end]:
                     best[end], ends[w, end] = beyond_m, corner
                 elif -_REACHED_M < beyond_m <= 0:

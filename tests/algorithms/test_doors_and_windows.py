@@ -114,6 +114,7 @@ def test_a_duct_may_hide_a_lintel_if_the_wall_stands_on_both_sides(state: DoorSt
     clear_m = np.full(80, 2.8)
     doors = find_doors(WALL, seen, clear_m, SETTINGS)
     assert doors.state.tolist() == [state]
+    assert doors.lintel.tolist() == [0.0]
     assert doors.head_m[0] == pytest.approx(2.05, abs=CELL_M)
     # An alcove up to the ceiling is seen to be none, and a recess in a corner may be the corner.
     high = WallCells(seen.first, seen.rows, seen.counts.copy())
@@ -132,8 +133,11 @@ def test_a_leaf_that_stands_aslant_is_ajar() -> None:
         return find_doors(WALL, seen, unknown(seen), SETTINGS)
 
     assert leaf(0.05).state.tolist() == [DoorState.CLOSED]
+    assert leaf(0.05).ajar.tolist() == [False]
     ajar = leaf(0.25)
     assert ajar.state.tolist() == [DoorState.OPEN]
+    assert ajar.ajar.tolist() == [True]
+    assert ajar.lintel.tolist() == [1.0]
     assert np.isnan(ajar.depth_m[0])
     np.testing.assert_allclose(ajar.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
 

@@ -19,8 +19,10 @@ from algorithms.labelling import LabellingSettings, MethodSettings, ScanLabellin
 from algorithms.labels import Label
 from algorithms.levelling import level_map, level_scan
 from algorithms.rearrangement import (
+    LEANING_MIN_DEG,
     SAMPLES,
     HorizontalPlane,
+    PointLines,
     RearrangementSettings,
     below_ceiling,
     find_ceilings,
@@ -267,15 +269,15 @@ def test_equation_2_is_kept_as_printed() -> None:
 
 def test_an_upright_spin_axis_has_no_lines() -> None:
     scan, _, _, _ = labelled()
-    with pytest.raises(ValueError, match="upright"):
-        make_point_lines(
-            scan.points_sensor,
-            scan.ring,
-            32,
-            np.array([0.0, 0.0, -1.0]),
-            np.zeros(len(scan), bool),
-            METHOD.rearrangement,
-        )
+
+    def lines(tilt_deg: float) -> PointLines:
+        down = np.array([np.sin(np.radians(tilt_deg)), 0.0, -np.cos(np.radians(tilt_deg))])
+        return make_point_lines(scan.points_sensor, scan.ring, 32, down, np.zeros(len(scan), bool), METHOD.rearrangement)
+
+    for tilt_deg in (0.0, LEANING_MIN_DEG - 0.1):
+        with pytest.raises(ValueError, match="upright"):
+            lines(tilt_deg)
+    assert len(lines(LEANING_MIN_DEG + 0.1).order) == len(scan)
 
 
 def test_floor_and_ceiling_follow_a_tilt() -> None:

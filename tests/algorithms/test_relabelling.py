@@ -1,6 +1,7 @@
 """What the building changes in a scan's labels: one wall along y = 0, looked at from y < 0, one return at a time."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,22 +58,9 @@ def before(walls: Walls, ceiling_m: float = 2.8, covered: bool = False) -> Befor
     return BeforeWalls(first, np.full(first[-1], ceiling_m), np.full((first[-1], 60), covered))
 
 
-def final(
-    point: tuple[float, float, float],
-    label: Label,
-    walls: Walls = NO_WALLS,
-    refused: Walls = NO_WALLS,
-    doors: Doors = NO_DOORS,
-    windows: Windows = NO_WINDOWS,
-    sensor: np.ndarray = SENSOR,
-    ceiling_m: float = 2.8,
-    covered: bool = False,
-    verdict: FaceVerdict = FaceVerdict.ENDS_LOW,
-) -> Label:
-    """The final label of one return; the scan's ceiling hangs at 2.8 m, that before the walls at `ceiling_m`."""
-    at, of_scan = np.array([point], np.float32), np.array([label], np.uint8)
-    found = final_of(at, of_scan, walls, refused, doors, windows, sensor, ceiling_m, covered, verdict)
-    return Label(int(found[0]))
+def final(point: tuple[float, float, float], label: Label, **building: Any) -> Label:
+    """The final label of one return, see `final_of`."""
+    return Label(int(final_of(np.array([point], np.float32), np.array([label], np.uint8), **building)[0]))
 
 
 def final_of(
@@ -87,7 +75,7 @@ def final_of(
     covered: bool = False,
     verdict: FaceVerdict = FaceVerdict.ENDS_LOW,
 ) -> np.ndarray:
-    """The final labels of returns (n, 3)."""
+    """The final labels of returns (n, 3); the scan's ceiling hangs at 2.8 m, that before the walls at `ceiling_m`."""
     height_m = points[:, 2].astype(np.float64)
     return relabel(
         points,
