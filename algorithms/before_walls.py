@@ -38,7 +38,7 @@ class BeforeWallsSettings(StepSettings):
     """Relief before walls: what many scans together show to stand before a face."""
 
     relief_m: float = Field(
-        0.014, gt=0, description="What returns on average so many metres before a wall's face is not the wall."
+        0.010, gt=0, description="What returns on average so many metres before a wall's face is not the wall."
     )
     above_m: float = Field(2.12, gt=0, description="Above so many metres, to the ceiling, the wall itself is seen.")
     returns_min: int = Field(8, ge=1, description="Fewest returns that tell a distance before the face.")

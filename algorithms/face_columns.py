@@ -4,6 +4,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from algorithms.building import CELL_M, NO_WALLS, Walls, stretches
@@ -19,6 +20,8 @@ _CEILING_MARGIN_M = 0.08
 """Rows so close below a ceiling hold its own returns."""
 _CROWN_M = 0.2
 """No window reaches so close to where these begin."""
+_ROW_RAYS, _OPEN_RATIO = 3, 10.0
+"""A row of a column is open where so many rays pass, and so many for each that ends there."""
 SMOOTH_COLUMNS = 1
 _AGREED_VOTES = 3
 _ROOM_M, _ROOM_BESIDE_M, _ROOM_CUBES = (0.3, 3.0), 0.5, 10
@@ -75,11 +78,12 @@ def column_places(walls: Walls, first: IntArray, before_m: float = 0.2) -> Float
 @dataclass(frozen=True)
 class Columns:
     """Rays on and past each column (c,) of the faces, told with the columns beside it: above doors, close below the ceiling,
-    between foot and hip, below windows' sills.
+    between foot and hip, below windows' sills. upper_open_m: how much of the height above doors almost all rays pass.
     """
 
     upper_on: FloatArray
     upper_passed: FloatArray
+    upper_open_m: FloatArray
     crown_on: FloatArray
     crown_passed: FloatArray
     lower_on: FloatArray
@@ -105,9 +109,12 @@ def count_columns(cells: WallCells, clear_m: FloatArray, above_door_m: float) ->
     crown = upper & (height > top[:, None] - _CROWN_M)
     lower = (height > _FOOT_M) & (height < _HIP_M)
     sill = (height > _FOOT_M) & (height < SILL_M)
+    upper_on, upper_passed = _smooth(on * upper, cells), _smooth(passed * upper, cells)
+    is_open = (upper_passed >= _ROW_RAYS) & (upper_passed > _OPEN_RATIO * upper_on)
     return Columns(
-        _smooth((on * upper).sum(axis=1), cells),
-        _smooth((passed * upper).sum(axis=1), cells),
+        upper_on.sum(axis=1),
+        upper_passed.sum(axis=1),
+        CELL_M * np.count_nonzero(is_open, axis=1),
         _smooth((on * crown).sum(axis=1), cells),
         _smooth((passed * crown).sum(axis=1), cells),
         _smooth(on[:, lower].sum(axis=1), cells),
@@ -126,12 +133,13 @@ def visited_columns(walls: Walls, cells: WallCells, path_map: FloatArray, robot_
 
 
 def _smooth(values: FloatArray, cells: WallCells) -> FloatArray:
-    """Each column with those beside it on the same face."""
+    """The values (c, …) of each column with those beside it on the same face."""
     smooth = np.zeros_like(values)
     for first, last in zip(cells.first[:-1], cells.first[1:], strict=True):
         if last > first:
-            kernel = np.ones(2 * SMOOTH_COLUMNS + 1)
-            smooth[first:last] = np.convolve(values[first:last], kernel)[SMOOTH_COLUMNS:-SMOOTH_COLUMNS]
+            smooth[first:last] = ndimage.convolve1d(
+                values[first:last], np.ones(2 * SMOOTH_COLUMNS + 1), axis=0, mode="constant"
+            )
     return smooth
 
 

@@ -20,6 +20,7 @@ from algorithms.rearrangement import (
 )
 from algorithms.scan import BoolArray, FloatArray, IntArray, Scan, UInt8Array
 from algorithms.settings import StepSettings
+from algorithms.smoothing import SmoothingSettings
 from algorithms.trajectory import PlacedScan
 from algorithms.vertical_structures import VerticalStructures, VerticalStructuresSettings, find_vertical_structures
 from algorithms.wall_planes import WallPlanes, WallPlanesSettings, grow_wall_planes
@@ -54,6 +55,7 @@ class LabellingSettings(StepSettings):
 class MethodSettings:
     """The settings of every step that labels a scan."""
 
+    smoothing: SmoothingSettings
     rearrangement: RearrangementSettings
     vertical_structures: VerticalStructuresSettings
     wall_planes: WallPlanesSettings
@@ -225,8 +227,7 @@ def _label_horizontal(
         elif height[i] > 1.0:
             for c in range(len(ceilings)):
                 ceiling = ceilings[c, 0] + ceilings[c, 1] * points[i, 0] + ceilings[c, 2] * points[i, 1]
-                # Lamps and ducts hang close below a ceiling; above it there is its noise alone.
-                if -ceiling_distance_m < points[i, 2] - ceiling < 2.0 * ceiling_distance_m:
+                if abs(points[i, 2] - ceiling) < ceiling_distance_m:
                     label[i] = 2
                     break
     return label

@@ -11,8 +11,10 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from algorithms import transforms
-from algorithms.scan import FloatArray
-from algorithms.trajectory import PlacedScan
+from algorithms.rearrangement import Floor, RearrangementSettings, find_floor
+from algorithms.scan import FloatArray, Scan
+from algorithms.smoothing import SmoothedRanges
+from algorithms.trajectory import PlacedScan, Trajectory, place_scan
 
 _VOXEL_M = 0.06
 _NEIGHBOURS = 30
@@ -86,6 +88,41 @@ def _patch_normals(points: FloatArray) -> FloatArray:
     variance, direction = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred) / _NEIGHBOURS)
     flat = (variance[:, 0] < _FLAT_M**2) & (variance[:, 1] > _BROAD_M**2)
     return np.asarray(direction[flat, :, 0])
+
+
+@dataclass(frozen=True)
+class LevelScan:
+    """A scan in its place in the map.
+
+    floor: in the level frame. ranges: what placed it.
+    """
+
+    placed: PlacedScan
+    floor: Floor
+    ranges: SmoothedRanges
+
+
+def place_level(
+    scan: Scan,
+    ranges: SmoothedRanges,
+    trajectory: Trajectory,
+    T_base_sensor: FloatArray,
+    base_height_m: float,
+    floor_slope: FloatArray,
+    rearrangement: RearrangementSettings,
+    max_deg: float,
+) -> LevelScan:
+    """The scan's smoothed returns with every firing at its own pose, turned to the map's floor."""
+    placed = place_scan(
+        replace(scan, points_sensor=ranges.points_sensor), trajectory, T_base_sensor, base_height_m
+    )
+    floor = find_floor(placed.points_level, rearrangement)
+    wanted = floor_slope @ placed.T_map_level[:2, :2]
+    if len(floor.pieces):
+        # At a ramp's foot or top no one slope is the floor's.
+        return LevelScan(placed, floor, ranges)
+    levelled = level_scan(placed, floor.height_m, floor.slope, wanted, max_deg)
+    return LevelScan(levelled, floor if levelled is placed else replace(floor, slope=wanted), ranges)
 
 
 def level_scan(

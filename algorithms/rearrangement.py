@@ -53,7 +53,7 @@ class RearrangementSettings(StepSettings):
         0.03,
         gt=0,
         le=0.5,
-        description="Returns up to so many metres below a ceiling plane, or twice as many above, are ceiling. III.A.",
+        description="Returns at most so many metres below or above a ceiling plane are ceiling. III.A.",
     )
     ceiling_height_min_m: float = Field(
         2.1, gt=0, description="Lowest height in metres above the floor at which a ceiling is believed. III.A."
@@ -458,7 +458,7 @@ def _plane_moments(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def _turns(points: FloatArray, down_rad: float) -> FloatArray:  # pragma: no cover
+def turns(points: FloatArray, down_rad: float) -> FloatArray:  # pragma: no cover
     """Angle of each return about z from straight down, -π to π, without branches so that it runs on whole vectors.
 
     The arc tangent is a polynomial within 1.2e-5 rad, a fraction of an encoder's step (Abramowitz and Stegun, 4.4.47).
@@ -491,7 +491,7 @@ def _sort_lines(
     bins = 256
     count = len(points)
     lines = 2 * ring_count
-    turn = _turns(points, down_rad)
+    turn = turns(points, down_rad)
     angle = np.abs(turn)
     key = np.empty(count, np.int32)
     offsets = np.zeros(lines * bins + 1, np.int32)

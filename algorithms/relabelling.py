@@ -70,7 +70,7 @@ class RelabellingSettings(StepSettings):
         0.015, ge=0, description="A floor seen level lies within so many metres of where its plane is."
     )
     range_scatter_m: float = Field(
-        0.04, ge=0, description="A return is off by at most so many metres along its ray, which lifts it off a floor seen steeply."
+        0.02, ge=0, description="A return is off by at most so many metres along its ray, which lifts it off a floor seen steeply."
     )
     halo_ratio: float = Field(
         10.0,

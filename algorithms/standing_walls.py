@@ -33,6 +33,8 @@ from algorithms.wall_cells import FOOT_ROW, WallCells
 _REST_MIN_M = 0.5
 """What is left of a face beside a leaf or a cupboard is no wall if it is shorter: a reveal, the leaf's hinge."""
 _CUT_MIN_M = 0.3
+_GAP_MIN_M = 0.3
+"""No wall has a gap so high."""
 _FRAME_M = 0.6
 """So near to a high window as much of its wall stands on both sides; close to its edges some rays pass."""
 _REACHED_M = 0.1
@@ -153,6 +155,8 @@ def judge_faces(
     visited = visited_columns(walls, cells, path_map, settings.robot_m)
     columns = count_columns(cells, clear_m, settings.above_door_m)
     ends_low = (columns.upper_passed >= 4) & (columns.upper_passed > settings.passed_ratio * columns.upper_on)
+    # Something may hang above it.
+    ends_low |= columns.upper_open_m > _GAP_MIN_M
     hollow = (columns.lower_passed >= _RAYS_MIN) & (columns.lower_passed > settings.hollow_ratio * columns.lower_on)
     has_wall_below = (columns.lower_on >= _RAYS_MIN) & (columns.lower_on > columns.lower_passed)
     stands_before = _before_longer(walls)

@@ -5,7 +5,7 @@ features and voxel votes. They are all that passes between processes, so that a 
 """
 
 import time
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cache, lru_cache
 from pathlib import Path
 
@@ -16,14 +16,15 @@ from algorithms.building import Doors, Walls, Windows
 from algorithms.features import Features, concatenate, extract
 from algorithms.height_maps import HeightMap
 from algorithms.labelling import MethodSettings, label_scan
-from algorithms.levelling import level_scan
-from algorithms.rearrangement import Floor, below_ceiling, find_floor
+from algorithms.levelling import LevelScan, place_level
+from algorithms.rearrangement import below_ceiling
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.rival_maps import RivalCounter, RivalMapsSettings
 from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array
 from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes
+from algorithms.smoothing import SmoothedRanges, smooth_ranges
 from algorithms.standing_walls import JudgedFaces
-from algorithms.trajectory import PlacedScan, Trajectory, place_scan
+from algorithms.trajectory import PlacedScan, Trajectory
 from app.inputs import Inputs, Sensor
 from app.recorder import Detail, Recorder
 from app.recording import open_part
@@ -92,7 +93,7 @@ class BlockSummary:
 
     scan: (s,) scans that were labelled; stamp_ns, T_map_base: (s,), (s, 4, 4) at their header stamps.
     skipped: number, stamp and reason of each cloud that was not.
-    label_counts: (256,) returns by label. milliseconds: (s, 4) reading, placing, labelling, recording.
+    label_counts: (256,) returns by label. milliseconds: (s, 4) reading, smoothing, placing, labelling, recording.
     points_in_cloud, points_in_lines: (s,)
     """
 
@@ -146,17 +147,21 @@ def label_block(job: LabelJob) -> BlockSummary:
                     recorder.log_skipped(scan.index, scan.stamp_ns, scan.reason)
                 started = time.perf_counter()
                 continue
-            placed, _ = _place(scan, job)
+            ranges = smooth_ranges(scan, job.method.smoothing)
+            smoothed = time.perf_counter()
+            level = _place(scan, ranges, job)
+            placed = level.placed
             was_placed = time.perf_counter()
             labelling = label_scan(scan, placed, job.method, seed_of(job.seed, index))
             labelled = time.perf_counter()
             timings = {
                 "reading": 1e3 * (read - started),
-                "placing": 1e3 * (was_placed - read),
+                "smoothing": 1e3 * (smoothed - read),
+                "placing": 1e3 * (was_placed - smoothed),
                 "labelling": 1e3 * (labelled - was_placed),
             }
             if recorder:
-                recorder.log_scan(index, placed, labelling, scan.stamp_ns, timings)
+                recorder.log_scan(index, level, labelling, scan.stamp_ns, timings)
             features.append(extract(index, placed, labelling))
             table.add(points_in_map(placed), labelling.label)
             rivals.add(placed, labelling)
@@ -179,7 +184,7 @@ def label_block(job: LabelJob) -> BlockSummary:
         skipped_stamp_ns=np.array([s.stamp_ns for s in skipped], np.int64),
         skipped_reason=tuple(s.reason for s in skipped),
         label_counts=counts,
-        milliseconds=np.array(milliseconds).reshape(-1, 4),
+        milliseconds=np.array(milliseconds).reshape(-1, 5),
         points_in_cloud=np.array([s[0] for s in sizes], np.int64),
         points_in_lines=np.array([s[1] for s in sizes], np.int64),
     )
@@ -221,13 +226,14 @@ def finish_block(job: FinishJob) -> None:
         ):
             if index not in earlier or isinstance(scan, SkippedScan):
                 continue
-            placed, floor = _place(scan, label_job)
+            level = _place(scan, smooth_ranges(scan, label_job.method.smoothing), label_job)
+            placed = level.placed
             points_map = points_in_map(placed)
             label_of_scan = earlier[index][scan.cloud_index]
             label = relabel(
                 points_map,
                 # A map's height drifts; a door's head is so high above the floor that it was seen with.
-                floor.heights_above(placed.points_level),
+                level.floor.heights_above(placed.points_level),
                 below_ceiling(placed.points_level, ceilings[index]),
                 label_of_scan,
                 placed.to_map(placed.origin_level[None])[0],
@@ -254,30 +260,17 @@ def finish_block(job: FinishJob) -> None:
     )
 
 
-def place_level(
-    scan: Scan,
-    trajectory: Trajectory,
-    T_base_sensor: FloatArray,
-    base_height_m: float,
-    floor_slope: FloatArray,
-    method: MethodSettings,
-    level_scan_max_deg: float,
-) -> tuple[PlacedScan, Floor]:
-    """The scan with every firing at its own pose, turned to the map's floor; and its floor, in the level frame."""
-    placed = place_scan(scan, trajectory, T_base_sensor, base_height_m)
-    floor = find_floor(placed.points_level, method.rearrangement)
-    wanted = floor_slope @ placed.T_map_level[:2, :2]
-    if len(floor.pieces):
-        # At a ramp's foot or top no one slope is the floor's.
-        return placed, floor
-    levelled = level_scan(placed, floor.height_m, floor.slope, wanted, level_scan_max_deg)
-    return levelled, floor if levelled is placed else replace(floor, slope=wanted)
-
-
-def _place(scan: Scan, job: LabelJob) -> tuple[PlacedScan, Floor]:
+def _place(scan: Scan, ranges: SmoothedRanges, job: LabelJob) -> LevelScan:
     T_base_sensor = _vertical(job.inputs).lidar.T_base_sensor
     return place_level(
-        scan, job.trajectory, T_base_sensor, job.base_height_m, job.floor_slope, job.method, job.level_scan_max_deg
+        scan,
+        ranges,
+        job.trajectory,
+        T_base_sensor,
+        job.base_height_m,
+        job.floor_slope,
+        job.method.rearrangement,
+        job.level_scan_max_deg,
     )
 
 

@@ -12,9 +12,10 @@ from rich.console import Console
 from rich.table import Table
 
 from algorithms.labelling import ScanLabelling, label_scan
+from algorithms.levelling import LevelScan, place_level
 from algorithms.scan import Scan, UInt8Array
-from algorithms.trajectory import PlacedScan
-from app.blocks import place_level, seed_of
+from algorithms.smoothing import smooth_ranges
+from app.blocks import seed_of
 from app.finished_run import FinishedRun, open_run
 from app.inputs import find_inputs
 from app.inspect_recorder import write
@@ -43,7 +44,7 @@ class InspectedScan:
 
     index: int
     scan: Scan
-    placed: PlacedScan
+    level: LevelScan
     labelling: ScanLabelling
     differing: int | None
     compared_with: str | None
@@ -72,7 +73,7 @@ def inspect(
     document = scan_document(f"Scan {number} of {run.name}", notes, inspected.labelling, reasons)
     with tempfile.TemporaryDirectory(prefix="ffmap-inspect-") as spool:
         write(
-            target, Path(spool), str(uuid.uuid4()), inspected.placed, inspected.labelling, reasons, document, line
+            target, Path(spool), str(uuid.uuid4()), inspected.level, inspected.labelling, reasons, document, line
         )
     for note in notes:
         typer.echo(note.replace("**", ""))
@@ -120,19 +121,20 @@ def label_again(run: FinishedRun, number: int, bag: Path | None = None) -> Inspe
     margin_ns = int(settings.trajectory.extrapolate_s * 1e9)
     if not poses.trajectory.covers(np.array([scan.start_ns, scan.end_ns]), margin_ns).all():
         raise InputError(f"--scan {number}: was skipped (no pose at its time); give another scan")
-    placed, _ = place_level(
+    level = place_level(
         scan,
+        smooth_ranges(scan, settings.smoothing),
         poses.trajectory,
         vertical.lidar.T_base_sensor,
         poses.base_height_m,
         poses.floor_slope,
-        settings.method,
+        settings.rearrangement,
         settings.trajectory.level_scan_max_deg,
     )
-    labelling = label_scan(scan, placed, settings.method, seed_of(settings.seed, number))
+    labelling = label_scan(scan, level.placed, settings.method, seed_of(settings.seed, number))
     recorded, file = recorded_labels(run, number, scan.stamp_ns)
     differing = None if recorded is None else _differing(recorded, scan, labelling.label)
-    return InspectedScan(number, scan, placed, labelling, differing, file)
+    return InspectedScan(number, scan, level, labelling, differing, file)
 
 
 def recorded_labels(run: FinishedRun, number: int, stamp_ns: int) -> tuple[CloudLabels | None, str | None]:

@@ -7,6 +7,7 @@ import numpy as np
 import rerun as rr
 
 from algorithms.labelling import ScanLabelling
+from algorithms.levelling import LevelScan
 from algorithms.scan import FloatArray
 from algorithms.trajectory import PlacedScan
 from app.reasons import LineReason, line_document
@@ -23,7 +24,7 @@ def write(
     out: Path,
     spool: Path,
     recording_id: str,
-    placed: PlacedScan,
+    level: LevelScan,
     labelling: ScanLabelling,
     reasons: Sequence[LineReason],
     document: str,
@@ -33,6 +34,7 @@ def write(
 
     spool: a folder for its parts. document: on the whole scan, in Markdown. line: the one to open at.
     """
+    placed = level.placed
     layout, content = spool / "layout.rrd", spool / "content.rrd"
     range_m, height_m = _profile_size(placed, labelling)
     with open_part(layout, recording_id) as stream:
@@ -44,7 +46,7 @@ def write(
     with open_part(content, recording_id) as stream:
         recorder = Recorder(stream, Detail.LINES, timeless=True)
         recorder.log_static({}, document, 0, labelling.settings.vertical_structures.slope_max)
-        recorder.log_scan(0, placed, labelling, 0, {})
+        recorder.log_scan(0, level, labelling, 0, {})
         _Lines(stream, recorder, placed, labelling, range_m, height_m).log(reasons, document)
     part = out.with_name(out.name + ".part")
     join([layout, content], part)

@@ -520,11 +520,11 @@ class _ScanStage:
             "returns": {label.name.lower(): int(self._counts[label]) for label in Label},
         }
         if len(milliseconds):
-            for column, name in enumerate(("reading", "placing", "labelling", "recording")):
+            for column, name in enumerate(("reading", "smoothing", "placing", "labelling", "recording")):
                 self._state.timings_s[f"{name}_per_scan"] = float(np.median(milliseconds[:, column])) / 1e3
             sizes = np.concatenate(self._sizes)
             self._state.statistics = {
-                "milliseconds_per_cloud": _spread(milliseconds[:, 2]),
+                "milliseconds_per_cloud": _spread(milliseconds[:, 1] + milliseconds[:, 3]),
                 "points_in_cloud": _spread(sizes[:, 0]),
                 "points_in_lines": _spread(sizes[:, 1]),
             }

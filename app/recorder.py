@@ -16,11 +16,13 @@ from algorithms.doors import DoorState
 from algorithms.grid_map import Cell, GridMap
 from algorithms.labelling import ScanLabelling
 from algorithms.labels import Label
+from algorithms.levelling import LevelScan
 from algorithms.odometry import Registration
 from algorithms.pose_graph import PoseGraph
 from algorithms.rearrangement import HorizontalPlane
 from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.segments import lengths_m
+from algorithms.smoothing import SmoothedRanges
 from algorithms.standing_walls import JudgedFaces
 from algorithms.trajectory import PlacedScan
 from app.building_reasons import explain_building
@@ -247,16 +249,22 @@ class Recorder:
     # --- scans ---
 
     def log_scan(
-        self, index: int, placed: PlacedScan, labelling: ScanLabelling, stamp_ns: int, timings_ms: Mapping[str, float]
+        self,
+        index: int,
+        level: LevelScan,
+        labelling: ScanLabelling,
+        stamp_ns: int,
+        timings_ms: Mapping[str, float],
     ) -> None:
         """One labelled scan with its evidence, as much as the detail asks for."""
+        placed, ranges = level.placed, level.ranges
         if not self._timeless:
             self._at(stamp_ns, index)
         self._log(entities.BASE, _transform(placed.T_map_base))
         self._log(entities.SCAN, _transform(placed.T_map_level))
         if self._detail is not Detail.MAP:
             positions = _round(placed.points_level)
-            self._log_points(positions, labelling)
+            self._log_points(positions, ranges, labelling)
             self._log_planes(labelling)
             self._log_openings(labelling)
             self._log_horizontal(positions, labelling)
@@ -267,7 +275,7 @@ class Recorder:
                 self._log_curves(labelling)
                 if not self._timeless:
                     self.log_line(placed.points_level, labelling, _example_line(labelling))
-        self._metrics.append((index, stamp_ns, _scan_metrics(labelling, timings_ms)))
+        self._metrics.append((index, stamp_ns, _scan_metrics(ranges, labelling, timings_ms)))
 
     def log_scan_metrics(self) -> None:
         """The metrics of all scans logged so far, at once: one by one they cost as much as the cloud."""
@@ -303,7 +311,7 @@ class Recorder:
             evidence({entities.POINT_LABEL_SCAN: label_scan[changed]}),
         )
 
-    def _log_points(self, positions: FloatArray, labelling: ScanLabelling) -> None:
+    def _log_points(self, positions: FloatArray, ranges: SmoothedRanges, labelling: ScanLabelling) -> None:
         # Fig. 3 is the same cloud with other radii: a second one would cost a third of the file.
         horizontal = (labelling.label == Label.FLOOR) | (labelling.label == Label.CEILING)
         self._log(
@@ -312,6 +320,7 @@ class Recorder:
             evidence(
                 {
                     entities.POINT_LABEL_SCAN: labelling.label,
+                    entities.POINT_CORRECTION: np.clip(np.rint(1e3 * ranges.correction_m), -127, 127).astype(np.int8),
                     entities.POINT_RADIUS_UPRIGHT: np.where(horizontal, np.float32(0), _ui_radius(POINT_RADIUS_UI)),
                 }
             ),
@@ -780,7 +789,9 @@ def scan_columns(index: Sequence[int], stamp_ns: Sequence[int]) -> list[rr.TimeC
     ]
 
 
-def _scan_metrics(labelling: ScanLabelling, timings_ms: Mapping[str, float]) -> dict[str, float]:
+def _scan_metrics(
+    ranges: SmoothedRanges, labelling: ScanLabelling, timings_ms: Mapping[str, float]
+) -> dict[str, float]:
     counts = np.bincount(labelling.label, minlength=len(Label))
     evidence = {
         "lines": int(np.count_nonzero(labelling.lines.samples[:, 0] >= 0)),
@@ -794,6 +805,8 @@ def _scan_metrics(labelling: ScanLabelling, timings_ms: Mapping[str, float]) -> 
         {f"{entities.MILLISECONDS}/{stage}": value for stage, value in timings_ms.items()}
         | {f"{entities.LABEL_COUNTS}/{entities.CLASSES[label][0]}": float(counts[label]) for label in Label}
         | {f"{entities.COUNTS}/{name}": float(count) for name, count in evidence.items()}
+        | {f"{entities.RANGES}/scatter_mm": 1e3 * ranges.scatter_m}
+        | {f"{entities.RANGES}/measured_alone_percent": 100.0 * (1.0 - ranges.smoothed_share)}
     )
 
 

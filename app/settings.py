@@ -24,6 +24,7 @@ from algorithms.refinement import RefinementSettings
 from algorithms.relabelling import RelabellingSettings
 from algorithms.rival_maps import RivalMapsSettings
 from algorithms.settings import StepSettings
+from algorithms.smoothing import SmoothingSettings
 from algorithms.standing_walls import StandingWallsSettings
 from algorithms.trajectory import TrajectorySettings
 from algorithms.vertical_structures import VerticalStructuresSettings
@@ -40,6 +41,7 @@ class Settings(StepSettings):
     refinement: RefinementSettings = RefinementSettings()
     pose_graph: PoseGraphSettings = PoseGraphSettings()
     trajectory: TrajectorySettings = TrajectorySettings()
+    smoothing: SmoothingSettings = SmoothingSettings()
     rearrangement: RearrangementSettings = RearrangementSettings()
     vertical_structures: VerticalStructuresSettings = VerticalStructuresSettings()
     wall_planes: WallPlanesSettings = WallPlanesSettings()
@@ -59,7 +61,7 @@ class Settings(StepSettings):
     def method(self) -> MethodSettings:
         """What labels a single scan."""
         return MethodSettings(
-            self.rearrangement, self.vertical_structures, self.wall_planes, self.doors, self.labelling
+            self.smoothing, self.rearrangement, self.vertical_structures, self.wall_planes, self.doors, self.labelling
         )
 
     def flat(self) -> dict[str, Any]:

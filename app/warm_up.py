@@ -10,13 +10,15 @@ from algorithms.building import NO_DOORS, NO_WALLS, NO_WINDOWS
 from algorithms.features import extract
 from algorithms.height_maps import map_ceilings
 from algorithms.labelling import label_scan
+from algorithms.levelling import place_level
 from algorithms.rearrangement import below_ceiling
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.scan import Scan
 from algorithms.semantic_map import VoxelTable, find_halo
+from algorithms.smoothing import smooth_ranges
 from algorithms.standing_walls import NO_JUDGED_FACES
 from algorithms.trajectory import Trajectory
-from app.blocks import VOXEL_M, place_level, points_in_map
+from app.blocks import VOXEL_M, points_in_map
 from app.settings import Settings
 
 RINGS, FIRINGS = 8, 180
@@ -29,7 +31,9 @@ def warm_up() -> None:
     scan, method = _room_scan(), Settings().method
     upright = np.array([[0.0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, ROOM_M[2]], [0, 0, 0, 1]])
     trajectory = Trajectory(np.array([0, 200_000_000]), np.stack([np.eye(4)] * 2))
-    placed, floor = place_level(scan, trajectory, upright, 0.0, np.zeros(2), method, 2.0)
+    ranges = smooth_ranges(scan, method.smoothing)
+    level = place_level(scan, ranges, trajectory, upright, 0.0, np.zeros(2), method.rearrangement, 2.0)
+    placed = level.placed
     labelling = label_scan(scan, placed, method, 0)
     extract(0, placed, labelling)
     points_map = points_in_map(placed)
@@ -39,7 +43,7 @@ def warm_up() -> None:
     table.absorb(votes)
     relabel(
         points_map,
-        floor.heights_above(placed.points_level),
+        level.floor.heights_above(placed.points_level),
         below_ceiling(placed.points_level, labelling.ceiling_planes),
         labelling.label,
         placed.to_map(placed.origin_level[None])[0],

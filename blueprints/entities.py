@@ -143,9 +143,12 @@ PROFILE_DOOR = "/profile/door"
 MILLISECONDS = "/metrics/milliseconds"
 LABEL_COUNTS = "/metrics/labels"
 COUNTS = "/metrics/counts"
+RANGES = "/metrics/ranges"
 REGISTRATION = "/metrics/registration"
 
 POINT_LABEL_SCAN = "label_scan"
+POINT_CORRECTION = "range_correction_mm"
+"""How much farther than measured a return lies, on the facet that its neighbours show."""
 POINT_VERDICT_COLOR = "verdict_color"
 POINT_RADIUS_UPRIGHT = "radius_without_floor_and_ceiling"
 CANDIDATE_PLANE_COLOR = "plane_color"
@@ -321,7 +324,8 @@ which one leads to which, and the Voronoi graph they are cut from |
 | **Odometry** | what was registered of each sweep, and the submaps that were joined where the robot came by again: \
 loops (teal; orange where they contradict the others), the way before they were closed (red). These lie on the timeline \
 `stamp` alone: choose it below |
-| **Metrics and warnings** | returns by label, evidence counted, milliseconds by stage, scans that were skipped |
+| **Metrics and warnings** | returns by label, evidence counted, noise of the ranges, milliseconds by stage, \
+scans that were skipped |
 
 ## Colours
 | class | {class_names} |
@@ -339,10 +343,11 @@ structure. Wall planes have colours of their own, in turn.
 the robot and x ahead; its transform places it in the map.
 
 ## Where the values are
-`/scan/points` has `label_scan`, the label by this scan alone, and `class_ids`, the final one. `/scan/relabelled` holds
-the points where they differ. `/scan/structures` has `difference`, eq. 2 as printed, and `slope`, the one over a longer
-span that decides: one row a line (2 × emitter + side) of 200 samples from below upwards; and each structure's line, first
-and last sample. Planes, candidates and doors carry their parameters beside what is drawn.
+`/scan/points` are where their neighbours on the same ring show the surface; `range_correction_mm` says how much farther
+from the sensor that is than measured. They have `label_scan`, the label by this scan alone, and `class_ids`, the final
+one; `/scan/relabelled` holds those where they differ. `/scan/structures` has `difference`, eq. 2 as printed, and `slope`,
+the one over a longer span that decides: one row a line (2 × emitter + side) of 200 samples from below upwards; and each
+structure's line, first and last sample. Planes, candidates and doors carry their parameters beside what is drawn.
 Wall candidates and door conditions carry the reason why each was taken or refused: rest the pointer on one.
 
 ## This run

@@ -291,9 +291,10 @@ def _metrics() -> rrb.Container:
     return rrb.Vertical(
         rrb.TimeSeriesView(origin=entities.LABEL_COUNTS, name="Returns by label"),
         rrb.TimeSeriesView(origin=entities.COUNTS, name="Evidence counted"),
+        rrb.TimeSeriesView(origin=entities.RANGES, name="Scatter of the ranges, mm; returns on no facet, %"),
         rrb.TimeSeriesView(origin=entities.MILLISECONDS, name="Milliseconds by stage"),
         rrb.TextLogView(origin=entities.MESSAGES, name="Warnings"),
-        row_shares=[3, 3, 3, 2],
+        row_shares=[3, 3, 2, 3, 2],
         name="Metrics and warnings",
     )
 

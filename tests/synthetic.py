@@ -1,14 +1,18 @@
 """A furnished room with a door, scanned by a vertical 32-ring lidar: small, exact, seeded."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from algorithms import transforms
 from algorithms.doors import DoorsSettings
 from algorithms.labelling import LabellingSettings, MethodSettings
-from algorithms.rearrangement import RearrangementSettings
+from algorithms.levelling import LevelScan
+from algorithms.rearrangement import RearrangementSettings, find_floor
 from algorithms.scan import FloatArray, Scan
-from algorithms.trajectory import Trajectory
+from algorithms.smoothing import SmoothingSettings, smooth_ranges
+from algorithms.trajectory import Trajectory, place_scan
 from algorithms.vertical_structures import VerticalStructuresSettings
 from algorithms.wall_planes import WallPlanesSettings
 
@@ -24,6 +28,7 @@ T_BASE_SENSOR = transforms.make_transform(Rotation.from_euler("y", 90, degrees=T
 
 def settings() -> MethodSettings:
     return MethodSettings(
+        SmoothingSettings(),
         RearrangementSettings(),
         VerticalStructuresSettings(),
         WallPlanesSettings(),
@@ -41,6 +46,13 @@ def trajectory(scan_count: int) -> Trajectory:
     T_map_base = np.broadcast_to(np.eye(4), (scan_count, 4, 4)).copy()
     T_map_base[:, 0, 3] = 0.05 * np.arange(scan_count)
     return Trajectory(stamp_ns(0) + 100_000_000 * np.arange(scan_count), T_map_base)
+
+
+def level(scan: Scan, trajectory: Trajectory) -> LevelScan:
+    """The smoothed scan in its place."""
+    ranges = smooth_ranges(scan, SmoothingSettings())
+    placed = place_scan(replace(scan, points_sensor=ranges.points_sensor), trajectory, T_BASE_SENSOR)
+    return LevelScan(placed, find_floor(placed.points_level, RearrangementSettings()), ranges)
 
 
 def scan(index: int = 0, firings: int = 2170, seed: int = 0) -> Scan:

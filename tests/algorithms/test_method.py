@@ -32,6 +32,7 @@ from algorithms.rearrangement import (
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.scan import Scan
 from algorithms.semantic_map import VoxelTable, find_halo, vote
+from algorithms.smoothing import SmoothingSettings
 from algorithms.standing_walls import NO_JUDGED_FACES
 from algorithms.trajectory import PlacedScan, Trajectory, place_scan
 from algorithms.vertical_structures import VerticalStructuresSettings
@@ -41,7 +42,12 @@ from algorithms.wall_thickness import WallThicknessSettings
 from algorithms.windows import find_windows
 
 METHOD = MethodSettings(
-    RearrangementSettings(), VerticalStructuresSettings(), WallPlanesSettings(), DoorsSettings(), LabellingSettings()
+    SmoothingSettings(),
+    RearrangementSettings(),
+    VerticalStructuresSettings(),
+    WallPlanesSettings(),
+    DoorsSettings(),
+    LabellingSettings(),
 )
 HEIGHT_M = 2.8
 # The lidar lies on its side: its spin axis z points along the base's x, its x axis down.

@@ -83,6 +83,18 @@ def test_a_short_duct_has_no_wall_below_it_but_a_lintel_does():
     assert judge(lintel) == ([[0.0, 2.0]], [])
 
 
+def test_a_cupboard_below_a_duct_is_no_wall():
+    """Up to 1.8 m rays end on the one, and from 2.5 m on the other; between them they go on."""
+    cupboard = cells_of(1.0)
+    cupboard.counts[:, 50:, FILLED] = 100.0
+    pass_rays(cupboard, slice(None), 1.8, 2.5)
+    assert judge(cupboard) == ([], [FaceVerdict.ENDS_LOW])
+    wall = cells_of(1.0)
+    wall.counts[:, 50:, FILLED] = 100.0
+    pass_rays(wall, slice(None), 2.3, 2.5)
+    assert judge(wall) == ([[0.0, 1.0]], [])
+
+
 def test_a_face_without_room_before_it_is_outside():
     both = faces(((0, 0), (4, 0)), ((0, 9), (4, 9)))
     judged = JudgedFaces(both, NO_WALLS, np.zeros(0, np.uint8))

@@ -32,7 +32,7 @@ from loaders.simulator import SimulationSettings, simulate
 
 FFMAP = [sys.executable, "-c", "from app.cli import main; main()"]
 SCANS = 29
-SETTINGS = ("wall_planes.similarity_m=0.008", "doors.recess_min_m=0.05", "relabelling.wall_distance_m=0.01")
+SETTINGS = ("wall_planes.similarity_m=0.002", "doors.recess_min_m=0.05", "relabelling.wall_distance_m=0.01")
 Labels = dict[int, tuple[np.ndarray, np.ndarray]]
 
 
@@ -155,7 +155,7 @@ def test_changed_points_lie_where_the_runs_saw_them(compared: Path, runs: dict[s
 def test_settings_figures_and_files_that_differ(compared: Path, runs: dict[str, Path]) -> None:
     found = report(compared)
     assert found["settings"] == {
-        "wall_planes.similarity_m": {"A": 0.05, "B": 0.008},
+        "wall_planes.similarity_m": {"A": 0.05, "B": 0.002},
         "doors.recess_min_m": {"A": 0.022, "B": 0.05},
         "relabelling.wall_distance_m": {"A": 0.04, "B": 0.01},
     }

@@ -9,19 +9,19 @@ import pytest
 from rerun.chunk import RrdReader
 
 from algorithms.labelling import ScanLabelling, label_scan
-from algorithms.trajectory import PlacedScan, place_scan
+from algorithms.levelling import LevelScan
 from app.inspect_recorder import write
 from app.reasons import explain_lines
 from blueprints import entities
 from tests import synthetic
 
 
-def scan_of(settings: dict[str, float]) -> tuple[PlacedScan, ScanLabelling]:
+def scan_of(settings: dict[str, float]) -> tuple[LevelScan, ScanLabelling]:
     scan = synthetic.scan(3)
-    placed = place_scan(scan, synthetic.trajectory(4), synthetic.T_BASE_SENSOR)
+    level = synthetic.level(scan, synthetic.trajectory(4))
     method = synthetic.settings()
     method = replace(method, wall_planes=method.wall_planes.model_copy(update=settings))
-    return placed, label_scan(scan, placed, method, 3)
+    return level, label_scan(scan, level.placed, method, 3)
 
 
 def by_line(path: Path, entity: str, component: str) -> dict[int, Any]:
@@ -35,9 +35,9 @@ def by_line(path: Path, entity: str, component: str) -> dict[int, Any]:
 
 @pytest.mark.parametrize("settings", [{}, {"lines_min": 60}], ids=["walls", "no walls"])
 def test_each_line_has_its_place_on_the_timeline(settings: dict[str, float], tmp_path: Path) -> None:
-    placed, labelling = scan_of(settings)
+    level, labelling = scan_of(settings)
     path = tmp_path / "inspect.rrd"
-    write(path, tmp_path, "inspect-1", placed, labelling, explain_lines(labelling), "# Scan", line=5)
+    write(path, tmp_path, "inspect-1", level, labelling, explain_lines(labelling), "# Scan", line=5)
     lines = set(range(2 * synthetic.RINGS))
     strips = "LineStrips3D:strips"
     upmost = by_line(path, f"{entities.LINE_STRUCTURES}/upmost", strips)

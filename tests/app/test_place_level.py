@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from algorithms.levelling import place_level
 from algorithms.rearrangement import find_floor
 from algorithms.scan import FloatArray, Scan
+from algorithms.smoothing import SmoothingSettings, smooth_ranges
 from algorithms.trajectory import Trajectory
-from app.blocks import place_level
 from app.settings import load_settings
 
 SETTINGS = load_settings(None, [])
@@ -27,10 +28,13 @@ def test_a_scan_is_levelled_by_a_floor_that_is_a_plane(ramp: float, tilt_deg: fl
     rise_m = ramp * np.maximum(places[:, 0] - 1.0, 0.0) + np.tan(np.radians(tilt_deg)) * places[:, 0]
     scan = scan_of(rise_m + generator.normal(0, 0.01, len(places)), places)
     trajectory = Trajectory(np.array([-1, 1]) * 10**9, np.tile(np.eye(4), (2, 1, 1)))
-    method, most_deg = SETTINGS.method, SETTINGS.trajectory.level_scan_max_deg
-    placed, floor = place_level(scan, trajectory, np.eye(4), 0.0, np.zeros(2), method, most_deg)
+    # These returns follow no ring.
+    ranges = smooth_ranges(scan, SmoothingSettings(returns=0))
+    rearrangement, most_deg = SETTINGS.rearrangement, SETTINGS.trajectory.level_scan_max_deg
+    level = place_level(scan, ranges, trajectory, np.eye(4), 0.0, np.zeros(2), rearrangement, most_deg)
+    placed, floor = level.placed, level.floor
     np.testing.assert_allclose(floor.heights_above(placed.points_level).std(), 0.01, atol=0.002)
     assert (np.abs(placed.points_level - scan.points_sensor).max() > 0.01) == turned
     assert (len(floor.pieces) == 2) == (ramp > 0)
     if turned:
-        assert np.hypot(*find_floor(placed.points_level, method.rearrangement).slope) < 0.001
+        assert np.hypot(*find_floor(placed.points_level, rearrangement).slope) < 0.001

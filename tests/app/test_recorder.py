@@ -17,11 +17,11 @@ from algorithms.building import Doors, Walls, Windows
 from algorithms.grid_map import Cell, GridMap
 from algorithms.labelling import ScanLabelling, label_scan
 from algorithms.labels import Label
+from algorithms.levelling import LevelScan
 from algorithms.odometry import Registration
 from algorithms.pose_graph import PoseGraph
 from algorithms.scan import Scan
 from algorithms.standing_walls import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
-from algorithms.trajectory import PlacedScan, place_scan
 from app.building_reasons import explain_building
 from app.recorder import Detail, Recorder
 from app.recording import Recording, open_part
@@ -32,17 +32,17 @@ from tests import synthetic
 SCANS = 4
 CLOUD_BYTES = 2 * 69_440 * 22
 """A horizontal and a vertical cloud, 22 bytes a point."""
-Labelled = tuple[Scan, PlacedScan, ScanLabelling]
+Labelled = tuple[Scan, LevelScan, ScanLabelling]
 
 
 @pytest.fixture(scope="module")
 def labelled() -> list[Labelled]:
     trajectory = synthetic.trajectory(SCANS)
     scans = [synthetic.scan(index) for index in range(SCANS)]
-    placed = [place_scan(scan, trajectory, synthetic.T_BASE_SENSOR) for scan in scans]
+    levels = [synthetic.level(scan, trajectory) for scan in scans]
     return [
-        (scan, place, label_scan(scan, place, synthetic.settings(), index))
-        for index, (scan, place) in enumerate(zip(scans, placed, strict=True))
+        (scan, level, label_scan(scan, level.placed, synthetic.settings(), index))
+        for index, (scan, level) in enumerate(zip(scans, levels, strict=True))
     ]
 
 
@@ -50,8 +50,8 @@ def write_block(path: Path, labelled: list[Labelled], first: int, count: int, de
     with open_part(path, "run-1") as stream:
         recorder = Recorder(stream, detail)
         for index in range(first, first + count):
-            _, placed, labelling = labelled[index]
-            recorder.log_scan(index, placed, labelling, synthetic.stamp_ns(index), {"labelling": 8.0 + index})
+            _, level, labelling = labelled[index]
+            recorder.log_scan(index, level, labelling, synthetic.stamp_ns(index), {"labelling": 8.0 + index})
         recorder.log_scan_metrics()
 
 
@@ -97,12 +97,15 @@ def vectors(values: Any) -> np.ndarray:
 def test_points_have_positions_and_both_labels_in_the_order_of_the_scan(recording, labelled):
     found = {row["scan"]: row for row in rows(recording, entities.POINTS)}
     assert sorted(found) == list(range(SCANS))
-    for index, (scan, placed, labelling) in enumerate(labelled):
+    for index, (scan, level, labelling) in enumerate(labelled):
         row = found[index]
         assert len(row["positions"]) == len(scan)
-        assert np.abs(vectors(row["positions"]) - placed.points_level).max() <= 0.5 / 512 + 1e-6
+        assert np.abs(vectors(row["positions"]) - level.placed.points_level).max() <= 0.5 / 512 + 1e-6
         np.testing.assert_array_equal(row["class_ids"], labelling.label)
         np.testing.assert_array_equal(row["label_scan"], labelling.label)
+        correction_mm = 1e3 * level.ranges.correction_m
+        assert np.abs(correction_mm).max() > 5
+        np.testing.assert_allclose(row["range_correction_mm"], correction_mm, atol=0.51)
 
 
 def test_both_timelines_are_exact(recording):
@@ -111,9 +114,9 @@ def test_both_timelines_are_exact(recording):
 
 
 def test_the_scan_is_placed_by_its_transform(recording, labelled):
-    for row, (_, placed, _) in zip(rows(recording, entities.SCAN), labelled, strict=True):
+    for row, (_, level, _) in zip(rows(recording, entities.SCAN), labelled, strict=True):
         T_map_level = transforms.from_quaternion(vectors(row["translation"])[0], vectors(row["quaternion"])[0])
-        np.testing.assert_allclose(T_map_level, placed.T_map_level, atol=1e-6)
+        np.testing.assert_allclose(T_map_level, level.placed.T_map_level, atol=1e-6)
 
 
 def test_the_differences_of_all_lines_can_be_read_back(recording, labelled):
@@ -150,6 +153,8 @@ def test_metrics_lie_on_the_scan(recording, labelled):
     assert milliseconds == [8.0, 9.0, 10.0, 11.0]
     walls = [row["scalars"][0] for row in rows(recording, f"{entities.LABEL_COUNTS}/wall")]
     assert walls == [np.count_nonzero(labelling.label == Label.WALL) for _, _, labelling in labelled]
+    scatter_mm = [row["scalars"][0] for row in rows(recording, f"{entities.RANGES}/scatter_mm")]
+    np.testing.assert_allclose(scatter_mm, 5.0, rtol=0.1)
 
 
 def test_forwarding_keeps_every_chunk(recording):
@@ -189,14 +194,14 @@ def test_a_scan_with_everything_stays_small(recording):
 
 
 def test_final_labels_win_at_the_same_scan(tmp_path, labelled):
-    _, placed, labelling = labelled[0]
+    _, level, labelling = labelled[0]
     final = labelling.label.copy()
     final[:100] = Label.OUTSIDE
     path = tmp_path / "recording.rrd"
     recording = start(tmp_path, "run-2")
     recorder = Recorder(recording.stream)
-    recorder.log_scan(0, placed, labelling, synthetic.stamp_ns(0), {})
-    recorder.log_final(0, synthetic.stamp_ns(0), placed, labelling.label, final)
+    recorder.log_scan(0, level, labelling, synthetic.stamp_ns(0), {})
+    recorder.log_final(0, synthetic.stamp_ns(0), level.placed, labelling.label, final)
     recording.finish()
     last = list(rows(path, entities.POINTS))[-1]
     np.testing.assert_array_equal(last["class_ids"], final)
@@ -380,12 +385,12 @@ def test_a_scan_without_returns_is_recorded_like_any_other(tmp_path, labelled):
         cloud_index=scan.cloud_index[:0],
         cloud_size=scan.cloud_size,
     )
-    placed = place_scan(empty, synthetic.trajectory(2), synthetic.T_BASE_SENSOR)
-    labelling = label_scan(empty, placed, synthetic.settings(), 0)
+    level = synthetic.level(empty, synthetic.trajectory(2))
+    labelling = label_scan(empty, level.placed, synthetic.settings(), 0)
     with open_part(tmp_path / "block.rrd", "run-5") as stream:
         recorder = Recorder(stream)
         recorder.log_scan(0, *labelled[0][1:], synthetic.stamp_ns(0), {})
-        recorder.log_scan(1, placed, labelling, synthetic.stamp_ns(1), {})
+        recorder.log_scan(1, level, labelling, synthetic.stamp_ns(1), {})
     # Nothing of the scan before stays in view.
     for entity in (entities.POINTS, entities.LINES, entities.UPMOST, entities.OPENINGS):
         last = list(rows(tmp_path / "block.rrd", entity))[-1]

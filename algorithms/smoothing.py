@@ -1,0 +1,249 @@
+"""Ranges smoothed along the rings: a return takes its place on the small facet that its neighbours show.
+
+Single returns are off by some centimetres, as much as a door's recess is deep; a dozen of them, one after the other on
+one surface, show it to some millimetres. Edges stay, by the facet model (Haralick and Watson, "A facet model for image
+data", 1981): where the neighbours on both sides are no line, of all the runs of neighbours that hold a return the one that
+fits best places it, and a shorter one where none fits. Directions are left as measured.
+"""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from pydantic import Field
+
+from algorithms.rearrangement import turns
+from algorithms.scan import FloatArray, IntArray, Scan
+from algorithms.settings import StepSettings
+
+_RETURNS_MIN = 5
+"""Fewer returns show no facet."""
+_SCATTER_MIN_M = 0.002
+"""No range is taken to be better: sensors count in steps as large."""
+_NEAREST_M = 1e-3
+_STEP_MAX_RAD = 0.04
+_GRAZING = 0.03
+"""Neighbours on one surface differ in range by scatter, and by so large a share of it where the ray grazes along it."""
+_NORMAL = 0.6745
+"""The median of what is normally distributed, without its signs, in standard deviations."""
+
+
+class SmoothingSettings(StepSettings):
+    """Ranges smoothed by their neighbours on the same ring, before anything is decided."""
+
+    returns: int = Field(
+        11, ge=0, le=101, description="Returns, one after the other on a ring, that make a facet; fewer than 5: none is smoothed."
+    )
+    facet_max_m: float = Field(0.2, gt=0, description="A facet is at most so many metres long.")
+    residual_max: float = Field(
+        1.4, gt=0, description="Returns on a facet are off it by at most so many times the scan's scatter (root mean square)."
+    )
+    correction_max: float = Field(
+        3.5, gt=0, description="A return farther off its facet than so many times the scan's scatter stays where it is."
+    )
+
+
+@dataclass(frozen=True)
+class SmoothedRanges:
+    """The returns of a scan on the facets that they are part of.
+
+    points_sensor: (n, 3) float32, metres, each on the ray that it was measured on.
+    correction_m: (n,) float32, how much farther than measured that is; 0 for what lies on no facet.
+    scatter_m: standard deviation of the measured ranges about smooth surfaces; NaN where none was smoothed.
+    """
+
+    points_sensor: FloatArray
+    correction_m: FloatArray
+    scatter_m: float
+
+    @property
+    def smoothed_share(self) -> float:
+        """The share of the returns that lie on facets."""
+        return float(np.count_nonzero(self.correction_m) / max(len(self.correction_m), 1))
+
+
+def smooth_ranges(scan: Scan, settings: SmoothingSettings) -> SmoothedRanges:
+    """Every return on the facet of its ring that fits it best; where none does, as it was measured."""
+    points = scan.points_sensor
+    if settings.returns < _RETURNS_MIN or len(points) < _RETURNS_MIN:
+        return SmoothedRanges(points, np.zeros(len(points), np.float32), np.nan)
+    turn = turns(points, 0.0)
+    order, starts = _sort_rings(turn, scan.ring, scan.ring_count)
+    range_m, turn = _along_rings(points, turn, order)
+    scatter_m = max(_scatter(range_m, starts), _SCATTER_MIN_M)
+    smooth_m = _smooth(
+        range_m,
+        turn,
+        starts,
+        settings.returns,
+        settings.facet_max_m,
+        scatter_m,
+        settings.residual_max * scatter_m,
+        settings.correction_max * scatter_m,
+    )
+    return SmoothedRanges(*_moved(points, order, range_m, smooth_m), scatter_m)
+
+
+@numba.njit(cache=True, nogil=True)
+def _sort_rings(turn: FloatArray, ring: IntArray, ring_count: int) -> tuple[IntArray, IntArray]:  # pragma: no cover
+    """order (n,), starts (rings + 1,): order[starts[r]:starts[r + 1]] is ring r by its turn about the axis."""
+    bins = 512
+    count = len(turn)
+    key = np.empty(count, np.int32)
+    offsets = np.zeros(ring_count * bins + 1, np.int32)
+    for i in range(count):
+        key[i] = ring[i] * bins + min(int((turn[i] + np.pi) * (bins / (2.0 * np.pi))), bins - 1)
+        offsets[key[i] + 1] += 1
+    for k in range(ring_count * bins):
+        offsets[k + 1] += offsets[k]
+    starts = offsets[::bins].copy()
+    order = np.empty(count, np.int32)
+    for i in range(count):
+        order[offsets[key[i]]] = i
+        offsets[key[i]] += 1
+    for r in range(ring_count):
+        for j in range(starts[r] + 1, starts[r + 1]):
+            moving = order[j]
+            steps = 0
+            while j - steps > starts[r] and turn[order[j - steps - 1]] > turn[moving]:
+                order[j - steps] = order[j - steps - 1]
+                steps += 1
+            order[j - steps] = moving
+    return order, starts
+
+
+@numba.njit(cache=True, nogil=True)
+def _along_rings(points: FloatArray, turn: FloatArray, order: IntArray) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
+    """Range and turn (n,) float64 of the returns in the order of `_sort_rings`."""
+    range_m, sorted_turn = np.empty(len(order)), np.empty(len(order))
+    for j in range(len(order)):
+        i = order[j]
+        x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
+        range_m[j] = max(np.sqrt(x * x + y * y + z * z), _NEAREST_M)
+        sorted_turn[j] = turn[i]
+    return range_m, sorted_turn
+
+
+@numba.njit(cache=True, nogil=True)
+def _moved(
+    points: FloatArray, order: IntArray, range_m: FloatArray, smooth_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
+    """The returns (n, 3) at their smoothed ranges, and by how much (n,) they moved."""
+    moved, correction_m = np.empty_like(points), np.empty(len(points), np.float32)
+    for j in range(len(order)):
+        i = order[j]
+        share = np.float32(smooth_m[j] / range_m[j])
+        for axis in range(3):
+            moved[i, axis] = points[i, axis] * share
+        correction_m[i] = smooth_m[j] - range_m[j]
+    return moved, correction_m
+
+
+@numba.njit(cache=True, nogil=True)
+def _scatter(range_m: FloatArray, starts: IntArray) -> float:  # pragma: no cover
+    """From second differences, most of which lie on smooth surfaces; their median knows no edges."""
+    second = np.empty(len(range_m))
+    m = 0
+    for r in range(len(starts) - 1):
+        for j in range(starts[r] + 1, starts[r + 1] - 1):
+            second[m] = abs(range_m[j - 1] - 2.0 * range_m[j] + range_m[j + 1])
+            m += 1
+    return np.median(second[:m]) / (_NORMAL * np.sqrt(6.0)) if m else 0.0
+
+
+@numba.njit(cache=True, nogil=True)
+def _smooth(
+    range_m: FloatArray,
+    turn: FloatArray,
+    starts: IntArray,
+    returns: int,
+    facet_max_m: float,
+    scatter_m: float,
+    residual_max_m: float,
+    correction_max_m: float,
+) -> FloatArray:  # pragma: no cover
+    """Ranges on the facets; all arrays in the order of `_sort_rings`.
+
+    What an emitter meets of a plane has inverse ranges that are a line over a small turn: so the facets are fitted.
+    """
+    smooth_m = range_m.copy()
+    count = len(range_m)
+    inverse = 1.0 / range_m
+    level, slope, residual_m = np.empty(count), np.empty(count), np.empty(count)
+    left = np.empty(count, np.int64)
+    for r in range(len(starts) - 1):
+        first = starts[r]
+        while first < starts[r + 1]:
+            stop = first + 1
+            while (
+                stop < starts[r + 1]
+                and turn[stop] - turn[stop - 1] < _STEP_MAX_RAD
+                and abs(range_m[stop] - range_m[stop - 1]) < 6.0 * scatter_m + _GRAZING * range_m[stop]
+            ):
+                stop += 1
+            lefts = stop - first
+            for k in range(lefts):
+                left[k] = first + k
+            # What no facet of so many returns fits, a shorter one may.
+            n = min(returns, stop - first)
+            while n >= _RETURNS_MIN and lefts > 0:
+                begin, end = max(first, left[0] - n + 1), min(stop, left[lefts - 1] + n)
+                _fit_facets(range_m, inverse, turn, begin, end, n, facet_max_m, level, slope, residual_m)
+                still = 0
+                for k in range(lefts):
+                    j = left[k]
+                    low, high = max(first, j - n + 1), min(j, stop - n)
+                    best = min(max(j - n // 2, low), high)
+                    # Beside an edge one that ends there.
+                    if residual_m[best] > residual_max_m:
+                        for s in range(low, high + 1):
+                            if residual_m[s] < residual_m[best]:
+                                best = s
+                    on_facet = level[best] + slope[best] * turn[j]
+                    if (
+                        residual_m[best] < residual_max_m
+                        and on_facet > 0.0
+                        and abs(1.0 / on_facet - range_m[j]) < correction_max_m
+                    ):
+                        smooth_m[j] = 1.0 / on_facet
+                    else:
+                        left[still] = j
+                        still += 1
+                lefts = still
+                n -= 2
+            first = stop
+    return smooth_m
+
+
+@numba.njit(cache=True, nogil=True)
+def _fit_facets(
+    range_m: FloatArray,
+    inverse: FloatArray,
+    turn: FloatArray,
+    first: int,
+    stop: int,
+    n: int,
+    facet_max_m: float,
+    level: FloatArray,
+    slope: FloatArray,
+    residual_m: FloatArray,
+) -> None:  # pragma: no cover
+    """A facet of n returns for each place in [first, stop) at which one can begin, by sums that slide along."""
+    t0, q0 = turn[first], inverse[first]
+    t1 = t2 = q1 = q2 = tq = 0.0
+    for j in range(first, stop):
+        t, q = turn[j] - t0, inverse[j] - q0
+        t1, t2, q1, q2, tq = t1 + t, t2 + t * t, q1 + q, q2 + q * q, tq + t * q
+        s = j - n + 1
+        if s < first:
+            continue
+        middle_m = range_m[s + n // 2]
+        spread = n * t2 - t1 * t1
+        residual_m[s] = np.inf
+        if spread > 0.0 and (n <= _RETURNS_MIN or (turn[j] - turn[s]) * middle_m < facet_max_m):
+            b = (n * tq - t1 * q1) / spread
+            a = (q1 - b * t1) / n
+            level[s], slope[s] = q0 + a - b * t0, b
+            residual_m[s] = np.sqrt(max(q2 - a * q1 - b * tq, 0.0) / (n - 2)) * middle_m * middle_m
+        t, q = turn[s] - t0, inverse[s] - q0
+        t1, t2, q1, q2, tq = t1 - t, t2 - t * t, q1 - q, q2 - q * q, tq - t * q
