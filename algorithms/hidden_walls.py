@@ -45,8 +45,24 @@ _WINDOW_COLUMNS = 60
 _PILLAR_SHARE = 0.8
 _BELOW_CEILING_M, _ABOVE_HEADS_M = 0.35, 2.25
 """What is seen neither so close below the ceiling nor so far up is a leaf, or the reveal of a window."""
+_UNDERSIDE_MIN_M, _UNDERSIDE_NEAR_M, _UNDERSIDE_CELL_M = 1.8, 0.15, 0.1
+"""No duct's underside is lower; so near is it to where its wall ends. It shows in most of the cells of so many metres."""
+_DUCT_DEPTH_M, _DUCT_SHARE, _BELOW_DUCT_MIN_M = (0.3, 0.8), 0.7, 0.8
+"""How deep ducts are; over how much of a wall below one it hangs, and shows; how long such a wall is at least, in metres."""
 _EXPLAINED_M = 0.08
 """What lies so close to a face, and so far beyond its ends, is its own."""
+
+
+@dataclass(frozen=True)
+class HiddenWalls:
+    """Walls that no single scan could tell, and what hung before some of them.
+
+    walls: the hidden ones. known: the known faces without `ducts`, their parts that hang before a hidden wall.
+    """
+
+    walls: Walls
+    known: Walls
+    ducts: Walls
 
 
 def find_hidden_walls(
@@ -58,11 +74,12 @@ def find_hidden_walls(
     trace: Callable[[Walls], WallCells],
     length_min_m: float,
     settings: StandingWallsSettings,
-) -> Walls:
+) -> HiddenWalls:
     """Walls that scans saw too little of for a plane: returns of all scans that stand in line with the building's walls.
 
     Upright columns of returns that belong to no face are looked through for straight lines in the directions that the
-    walls have; a line is a wall where rays end on it up to the ceiling and next to none passes.
+    walls have; a line is a wall where rays end on it up to the ceiling and next to none passes, or up to the underside of a
+    duct that hides it above.
 
     votes: of all scans; storey: their floor and ceiling. walls, refused: the faces that explain what returned at them.
     path_map: (n, 2) the robot's places: where it was stands no wall. trace: counts rays against faces; a return more than
@@ -70,7 +87,7 @@ def find_hidden_walls(
     """
     both = _candidates(votes, walls, refused, settings)
     if not len(both):
-        return NO_WALLS
+        return HiddenWalls(NO_WALLS, walls, NO_WALLS)
     before, close_before = (_before_a_face(both, walls, depth_m) for depth_m in (FURNITURE_M, BEFORE_M))
     backs = replace(both, normal=-both.normal)
     cells = trace(both)
@@ -80,6 +97,8 @@ def find_hidden_walls(
     kept: list[tuple[int, int, int]] = []
     top_m: list[float] = []
     before_m: list[float] = []
+    ducts: list[tuple[int, float, float]] = []
+    undersides = _undersides(votes)
     for w in range(len(both)):
         own = slice(int(cells.first[w]), int(cells.first[w + 1]))
         rays = columns.part(own)
@@ -92,12 +111,15 @@ def find_hidden_walls(
             counts, ceiling_m = cells.counts[own][first:after], median_m(clear_m[own][first:after])
             face = cut_faces(both, cells, [(w, first, after)])
             length_m = (after - first) * CELL_M + _to_corners_m(face, walls)
+            duct = _duct_before(face, counts, walls, undersides)
             if (
                 length_m >= length_min_m
-                and _is_proven(rays.part(slice(first, after)), told.part(slice(first, after)), settings)
-                and _reaches_ceiling(counts, ceiling_m, told.window[first:after], close_before[w])
+                and _is_proven(rays.part(slice(first, after)), told.part(slice(first, after)), duct is not None, settings)
+                and (duct is not None or _reaches_ceiling(counts, ceiling_m, told.window[first:after], close_before[w]))
                 and room_before(face, storey)[0]
             ):
+                if duct is not None:
+                    ducts.append(duct)
                 # Beside it a window may go on, of which not more than the sill is seen.
                 first, last = widened(told.sill, first, after - 1, _WINDOW_COLUMNS)
                 kept.append((w, first, last + 1))
@@ -105,7 +127,7 @@ def find_hidden_walls(
                 before_m.append(_returns_before_m(counts))
     hidden = cut_faces(both, cells, kept)
     moved = hidden.ends + np.array(before_m).reshape(-1, 1, 1) * hidden.normal[:, None]
-    return replace(hidden, ends=moved, top_m=np.array(top_m))
+    return HiddenWalls(replace(hidden, ends=moved, top_m=np.array(top_m)), *_cut_out(walls, ducts, length_min_m))
 
 
 def _candidates(votes: VoxelVotes, walls: Walls, refused: Walls, settings: StandingWallsSettings) -> Walls:
@@ -181,11 +203,11 @@ def _stretches(told: _Told, counts: FloatArray, settings: StandingWallsSettings)
             yield begin, last + 1
 
 
-def _is_proven(columns: Columns, told: _Told, settings: StandingWallsSettings) -> bool:
-    """Whether most columns of a stretch are proven, most are seen above doors, and by returns enough."""
+def _is_proven(columns: Columns, told: _Told, below_duct: bool, settings: StandingWallsSettings) -> bool:
+    """Whether most columns of a stretch are proven, most are seen above doors unless a duct hides them, and by returns enough."""
     returns = float((columns.upper_on + columns.lower_on).sum()) / (2 * SMOOTH_COLUMNS + 1)
     seen_above, proven = np.mean(columns.upper_on > 0), np.mean(told.proven)
-    return bool(seen_above > 0.5 and proven > 0.5 and returns >= settings.hidden_returns_min)
+    return bool((seen_above > 0.5 or below_duct) and proven > 0.5 and returns >= settings.hidden_returns_min)
 
 
 def _reaches_ceiling(counts: FloatArray, ceiling_m: float, window: BoolArray, is_before: bool) -> bool:
@@ -204,6 +226,59 @@ def _reaches_ceiling(counts: FloatArray, ceiling_m: float, window: BoolArray, is
     below_sill = slice(0, cells_in(SILL_M) - FOOT_ROW)
     is_window = np.mean(window) > 0.5 and np.all(on[below_sill] >= passed[below_sill])
     return bool(is_window or np.count_nonzero(on > passed) > np.count_nonzero(passed > on))
+
+
+def _undersides(votes: VoxelVotes) -> FloatArray:
+    """(m, 3) the cubes that may be of a duct's underside: no wall's, higher than heads."""
+    position = votes.mean_position[majority(votes.counts) != Label.WALL]
+    return np.asarray(position[position[:, 2] > _UNDERSIDE_MIN_M])
+
+
+def _duct_before(
+    face: Walls, counts: FloatArray, walls: Walls, undersides: FloatArray
+) -> tuple[int, float, float] | None:
+    """The known face that hangs before a stretch as a duct's front, and from where to where; None where none does.
+
+    A duct's underside joins the one to the other, as high as the wall was seen; a lintel's is no deeper than a wall is thick.
+
+    face: of one stretch. counts: (c, rows, 4) of its columns. undersides: (m, 3), see `_undersides`.
+    """
+    own = next(segments(face))
+    on, passed = rows_on_and_passed(counts, _UNDERSIDE_MIN_M)
+    if own.length_m < _BELOW_DUCT_MIN_M or not np.all(on > passed):
+        return None
+    seen = np.flatnonzero(returns_at_face(counts).sum(axis=0) >= SCATTERED_RAYS)
+    undersides = undersides[np.abs(undersides[:, 2] - (seen[-1] + 1) * CELL_M) < _UNDERSIDE_NEAR_M]
+    for w, front in enumerate(segments(walls)):
+        depth_m = float(own.before_m(front.at(np.array([0.5 * front.length_m])))[0])
+        if front.normal @ own.normal < SAME_WAY or not _DUCT_DEPTH_M[0] < depth_m < _DUCT_DEPTH_M[1]:
+            continue
+        if own.shared_m(walls.ends[w]) < _DUCT_SHARE * own.length_m:
+            continue
+        place_m, before_m = own.place_m(undersides), own.before_m(undersides)
+        between = (place_m > 0) & (place_m < own.length_m) & (before_m > NOISE_M) & (before_m < depth_m)
+        cells = np.stack([place_m[between], before_m[between]], axis=1) // _UNDERSIDE_CELL_M
+        whole = own.length_m * (depth_m - NOISE_M) / _UNDERSIDE_CELL_M**2
+        if len(np.unique(cells, axis=0)) >= _DUCT_SHARE * whole:
+            low_m, high_m = np.sort(front.place_m(face.ends[0]))
+            return w, max(float(low_m), 0.0), min(float(high_m), front.length_m)
+    return None
+
+
+def _cut_out(walls: Walls, ducts: list[tuple[int, float, float]], length_min_m: float) -> tuple[Walls, Walls]:
+    """The faces without some stretches, each of a face and from where to where along it; and these stretches."""
+    rest, cut = NO_WALLS, NO_WALLS
+    for w, face in enumerate(segments(walls)):
+        own = walls.select(np.array([w]))
+        taken = sorted((low_m, high_m) for front, low_m, high_m in ducts if front == w)
+        for low_m, high_m in taken:
+            cut = cut.append(replace(own, ends=face.at(np.array([low_m, high_m]))[None]))
+        reached_m = 0.0
+        for low_m, high_m in [*taken, (face.length_m, face.length_m)]:
+            if not taken or low_m - reached_m >= length_min_m:
+                rest = rest.append(replace(own, ends=face.at(np.array([reached_m, low_m]))[None]))
+            reached_m = max(reached_m, high_m)
+    return rest, cut
 
 
 def _returns_before_m(counts: FloatArray) -> float:

@@ -600,7 +600,8 @@ def _build(
         settings.building.length_min_m,
         settings.standing_walls,
     )
-    walls = join_corners(judged.walls.append(hidden), settings.standing_walls.corner_m)
+    judged = replace(judged, walls=hidden.known).refuse(hidden.ducts, FaceVerdict.HANGS)
+    walls = join_corners(judged.walls.append(hidden.walls), settings.standing_walls.corner_m)
     cells = trace(walls)
     clear_m = clear(walls, cells)
     windows = find_windows(walls, cells, clear_m, settings.building)

@@ -1,16 +1,17 @@
 """Which faces stand: ducts, leaves and high windows by hand-made rays; corners, ceilings and walls no scan could tell."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from algorithms.building import CELL_M, NO_DOORS, NO_WALLS, Walls
 from algorithms.face_columns import Storey
-from algorithms.hidden_walls import find_hidden_walls
+from algorithms.hidden_walls import HiddenWalls, find_hidden_walls
 from algorithms.labels import Label
 from algorithms.segments import Segment
-from algorithms.semantic_map import VoxelVotes, vote
+from algorithms.semantic_map import VoxelTable, VoxelVotes, vote
 from algorithms.standing_walls import (
     FaceVerdict,
     JudgedFaces,
@@ -246,7 +247,7 @@ def test_the_ceiling_over_a_place_is_known_where_it_was_seen():
     assert np.isnan(heights[1])
 
 
-def hidden(
+def search(
     votes: VoxelVotes,
     passed_above_m: float | None = None,
     path_x: float = 0.0,
@@ -258,7 +259,7 @@ def hidden(
     window_from_y: float = 0.0,
     off_m: float = 0.0,
     from_y: float = 0.5,
-) -> Walls:
+) -> HiddenWalls:
     """What is found; rays end on every candidate that lies on x = 3, seen from smaller x, and pass the others.
 
     hip_m: from there to a door's head a few rays pass. unseen_m, seen_m: below and above there no ray comes.
@@ -297,6 +298,10 @@ def hidden(
     return find_hidden_walls(votes, Storey.of(votes), others, NO_WALLS, path, trace, 0.25, SETTINGS)
 
 
+def hidden(votes: VoxelVotes, **seen: Any) -> Walls:
+    return search(votes, **seen).walls
+
+
 def test_a_wall_that_no_scan_alone_told_is_found():
     walls = hidden(room())
     assert len(walls) == 1
@@ -315,6 +320,33 @@ def test_a_pillar_before_a_wall_shows_from_floor_to_ceiling():
     # What furniture hides may be wall, but for what stands before one.
     assert len(hidden(room(), unseen_m=1.2)) == 1
     assert len(hidden(room(), unseen_m=1.2, known=behind)) == 0
+
+
+def room_with_a_duct(underside_x: tuple[float, float]) -> VoxelVotes:
+    """The room whose wall shows up to 2 m, and what hangs level before it."""
+    votes = room(height_m=2.0)
+    x, y = np.meshgrid(np.arange(*underside_x, 0.02), np.arange(0.5, 2.0, 0.02))
+    points = np.stack([x.ravel(), y.ravel(), np.full(x.size, 2.02)], axis=1)
+    table = VoxelTable(0.05, len(Label))
+    table.absorb(votes)
+    table.add(points.astype(np.float32), np.full(len(points), Label.CLUTTER, np.uint8))
+    return table.votes()
+
+
+def test_a_wall_that_shows_below_a_duct_alone_is_found_and_what_hangs_before_it_is_no_wall():
+    """The duct's front goes on as a cupboard's, from y = 2.2 m to 3 m."""
+    front = faces(((2.55, 0.0), (2.55, 3.0)))
+    found = search(room_with_a_duct((2.55, 3.0)), seen_m=2.0, known=front)
+    assert len(found.walls) == 1
+    np.testing.assert_allclose(found.walls.ends[0, :, 0], 3.0, atol=0.02)
+    np.testing.assert_allclose(np.sort(found.ducts.ends[0, :, 1]), [0.5, 2.0], atol=0.1)
+    beside = found.known.ends[np.abs(found.known.normal[:, 0]) > 0.9]
+    np.testing.assert_allclose(np.sort(beside[:, :, 1], axis=1), [[0.0, 0.5], [2.0, 3.0]], atol=0.1)
+    # What hangs as deep as a wall is thick is a lintel: behind the doorway stands a cupboard, or another room's wall.
+    lintel = search(room_with_a_duct((2.55, 2.7)), seen_m=2.0, known=front)
+    assert (len(lintel.walls), len(lintel.ducts), len(lintel.known)) == (0, 0, 2)
+    # Without a front it is a shelf.
+    assert len(hidden(room_with_a_duct((2.55, 3.0)), seen_m=2.0)) == 0
 
 
 def test_what_is_seen_no_higher_than_heads_are_is_a_leaf_or_a_reveal():
@@ -445,6 +477,24 @@ def test_a_reveal_ends_with_its_wall_unless_a_wall_goes_on_from_it(goes_on: bool
         assert trimmed.walls.ends[0, 1, 1] >= 0.3
         np.testing.assert_allclose(trimmed.leaves.ends[0, 1], face.ends[0, 1])
         assert trimmed.leaves.top_m[0] == 2.05
+
+
+def test_of_a_face_that_two_doorways_would_cut_away_something_is_left() -> None:
+    """One door leaves what is above y = 0.3, the other what is below y = 0."""
+    face, cells = faces(((1.0, 0.5), (1.0, -1.0))), cells_of(1.5)
+    pass_rays(cells, slice(None), 2.05, CEILING_M)
+    doors = replace(
+        NO_DOORS,
+        ends=np.array([[[0.1, 0.5], [1.0, 0.5]], [[1.0, -0.2], [0.1, -0.2]]]),
+        normal=np.array([[0.0, 1.0], [0.0, -1.0]]),
+        head_m=np.array([2.05, 2.05]),
+        reveal_m=np.array([0.2, 0.2]),
+    )
+    trimmed = trim_at_doorways(face, cells, doors, np.full(30, CEILING_M))
+    ends = trimmed.walls.ends[0, :, 1]
+    np.testing.assert_allclose(ends[0] - ends[1], CELL_M)
+    assert trimmed.cells.first.tolist() == [0, 1]
+    assert len(trimmed.cells.counts) == len(trimmed.clear_m) == 1
 
 
 def test_faces_far_from_doors_and_no_faces_stay_as_they_are() -> None:
