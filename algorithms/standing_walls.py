@@ -300,9 +300,9 @@ def trim_at_doorways(walls: Walls, cells: WallCells, doors: Doors, clear_m: Floa
                 leaves.append((w, int(inner[-1]) + 1, after))
                 top_m.append(float(doors.head_m[d]))
                 after = int(inner[-1]) + 1
-        # Of a face between two doorways a column is left at least, for doors count their walls.
-        first = max(min(first, own.stop - own.start - 1), 0)
-        kept.append((w, first, max(after, first + 1)))
+        # Of a face between two doorways something is left, for doors count their walls; its last column may be next to nothing.
+        first = max(min(first, own.stop - own.start - 2), 0)
+        kept.append((w, first, min(max(after, first + 2), own.stop - own.start)))
     columns = np.concatenate(
         [np.zeros(0, np.int64), *(cells.first[w] + np.arange(first, after) for w, first, after in kept)]
     )

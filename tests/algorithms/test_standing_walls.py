@@ -492,9 +492,25 @@ def test_of_a_face_that_two_doorways_would_cut_away_something_is_left() -> None:
     )
     trimmed = trim_at_doorways(face, cells, doors, np.full(30, CEILING_M))
     ends = trimmed.walls.ends[0, :, 1]
-    np.testing.assert_allclose(ends[0] - ends[1], CELL_M)
-    assert trimmed.cells.first.tolist() == [0, 1]
-    assert len(trimmed.cells.counts) == len(trimmed.clear_m) == 1
+    np.testing.assert_allclose(ends[0] - ends[1], 2 * CELL_M)
+    assert trimmed.cells.first.tolist() == [0, 2]
+    assert len(trimmed.cells.counts) == len(trimmed.clear_m) == 2
+
+
+def test_a_last_column_that_is_next_to_nothing_is_not_what_is_left() -> None:
+    """A face 6 columns and a rounding error long, of which a doorway leaves the end."""
+    face = faces(((1.0, 0.1), (1.0, -0.2 - 1e-12)))
+    cells = cells_of(0.35)
+    pass_rays(cells, slice(None), 2.05, CEILING_M)
+    door = replace(
+        NO_DOORS,
+        ends=np.array([[[1.0, -0.25], [0.1, -0.25]]]),
+        normal=np.array([[0.0, -1.0]]),
+        head_m=np.array([2.05]),
+        reveal_m=np.array([0.06]),
+    )
+    trimmed = trim_at_doorways(face, cells, door, np.full(7, CEILING_M))
+    assert np.linalg.norm(trimmed.walls.ends[0, 1] - trimmed.walls.ends[0, 0]) > 0.04
 
 
 def test_faces_far_from_doors_and_no_faces_stay_as_they_are() -> None:
