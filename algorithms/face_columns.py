@@ -78,12 +78,13 @@ def column_places(walls: Walls, first: IntArray, before_m: float = 0.2) -> Float
 @dataclass(frozen=True)
 class Columns:
     """Rays on and past each column (c,) of the faces, told with the columns beside it: above doors, close below the ceiling,
-    between foot and hip, below windows' sills. upper_open_m: how much of the height above doors almost all rays pass.
+    between foot and hip, below windows' sills. upper_open_rows: above doors, those that almost all
+    rays pass.
     """
 
     upper_on: FloatArray
     upper_passed: FloatArray
-    upper_open_m: FloatArray
+    upper_open_rows: IntArray
     crown_on: FloatArray
     crown_passed: FloatArray
     lower_on: FloatArray
@@ -114,7 +115,7 @@ def count_columns(cells: WallCells, clear_m: FloatArray, above_door_m: float) ->
     return Columns(
         upper_on.sum(axis=1),
         upper_passed.sum(axis=1),
-        CELL_M * np.count_nonzero(is_open, axis=1),
+        np.count_nonzero(is_open, axis=1),
         _smooth((on * crown).sum(axis=1), cells),
         _smooth((passed * crown).sum(axis=1), cells),
         _smooth(on[:, lower].sum(axis=1), cells),

@@ -1,4 +1,4 @@
-"""The walls that no single scan could tell: returns of all scans in line, where rays end up to the ceiling."""
+"""The walls that no single scan could tell: returns of all scans in line, where rays end up to the ceiling, or to a duct."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -57,7 +57,7 @@ _EXPLAINED_M = 0.08
 class HiddenWalls:
     """Walls that no single scan could tell, and what hung before some of them.
 
-    walls: the hidden ones. known: the known faces without `ducts`, their parts that hang before a hidden wall.
+    walls: the hidden ones. known: the known faces, without what hangs before a hidden wall. ducts: that.
     """
 
     walls: Walls
@@ -247,7 +247,9 @@ def _duct_before(
     on, passed = rows_on_and_passed(counts, _UNDERSIDE_MIN_M)
     if own.length_m < _BELOW_DUCT_MIN_M or not np.all(on > passed):
         return None
-    seen = np.flatnonzero(returns_at_face(counts).sum(axis=0) >= SCATTERED_RAYS)
+    seen = np.flatnonzero(counts[..., FILLED].sum(axis=0) >= SCATTERED_RAYS)
+    if not len(seen):
+        return None
     undersides = undersides[np.abs(undersides[:, 2] - (seen[-1] + 1) * CELL_M) < _UNDERSIDE_NEAR_M]
     for w, front in enumerate(segments(walls)):
         depth_m = float(own.before_m(front.at(np.array([0.5 * front.length_m])))[0])
@@ -266,19 +268,30 @@ def _duct_before(
 
 
 def _cut_out(walls: Walls, ducts: list[tuple[int, float, float]], length_min_m: float) -> tuple[Walls, Walls]:
-    """The faces without some stretches, each of a face and from where to where along it; and these stretches."""
-    rest, cut = NO_WALLS, NO_WALLS
-    for w, face in enumerate(segments(walls)):
-        own = walls.select(np.array([w]))
+    """The faces without some stretches, each of a face and from where to where along it; and what was cut out of them.
+
+    A rest that is too short for a face is cut with the stretch beside it.
+    """
+    rest, cut = walls.select(~np.isin(np.arange(len(walls)), [w for w, _, _ in ducts])), NO_WALLS
+    for w in sorted({w for w, _, _ in ducts}):
+        own, face = walls.select(np.array([w])), Segment.between(walls.ends[w], walls.normal[w])
+        reached_m, cut_from_m = 0.0, 0.0
         taken = sorted((low_m, high_m) for front, low_m, high_m in ducts if front == w)
-        for low_m, high_m in taken:
-            cut = cut.append(replace(own, ends=face.at(np.array([low_m, high_m]))[None]))
-        reached_m = 0.0
         for low_m, high_m in [*taken, (face.length_m, face.length_m)]:
-            if not taken or low_m - reached_m >= length_min_m:
-                rest = rest.append(replace(own, ends=face.at(np.array([reached_m, low_m]))[None]))
+            if low_m - reached_m >= length_min_m:
+                rest = rest.append(_part(own, face, reached_m, low_m))
+                if reached_m > cut_from_m:
+                    cut = cut.append(_part(own, face, cut_from_m, reached_m))
+                cut_from_m = low_m
             reached_m = max(reached_m, high_m)
+        if reached_m > cut_from_m:
+            cut = cut.append(_part(own, face, cut_from_m, reached_m))
     return rest, cut
+
+
+def _part(own: Walls, face: Segment, low_m: float, high_m: float) -> Walls:
+    """A stretch of a single face."""
+    return replace(own, ends=face.at(np.array([low_m, high_m]))[None])
 
 
 def _returns_before_m(counts: FloatArray) -> float:

@@ -95,6 +95,8 @@ class ScanLabelling:
 def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: int) -> ScanLabelling:
     """The paper's method on one scan: III.A to III.C in order.
 
+    placed: with the returns as they are to be judged, smoothed (`smooth_ranges`) or as measured.
+
     seed: of the scan's random numbers; made from the run's seed and the scan's index, so that no label depends on
     which process labelled it.
     """

@@ -94,7 +94,7 @@ def _patch_normals(points: FloatArray) -> FloatArray:
 class LevelScan:
     """A scan in its place in the map.
 
-    floor: in the level frame. ranges: what placed it.
+    placed: its smoothed returns. floor: below them, in the frame `level`. ranges: what smoothed them.
     """
 
     placed: PlacedScan
@@ -112,10 +112,12 @@ def place_level(
     rearrangement: RearrangementSettings,
     max_deg: float,
 ) -> LevelScan:
-    """The scan's smoothed returns with every firing at its own pose, turned to the map's floor."""
-    placed = place_scan(
-        replace(scan, points_sensor=ranges.points_sensor), trajectory, T_base_sensor, base_height_m
-    )
+    """The scan's smoothed returns with every firing at its own pose, turned to the map's floor.
+
+    T_base_sensor: (4, 4). base_height_m: how high the base stands above the floor. floor_slope: (2,) of the map's floor,
+    metres up for each metre along x and y. max_deg: a floor that slopes more against the map's is a ramp.
+    """
+    placed = place_scan(ranges.of(scan), trajectory, T_base_sensor, base_height_m)
     floor = find_floor(placed.points_level, rearrangement)
     wanted = floor_slope @ placed.T_map_level[:2, :2]
     if len(floor.pieces):

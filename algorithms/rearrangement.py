@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import Field
 from scipy.ndimage import binary_erosion
 
+from algorithms.rings import sort_by_angle, turns
 from algorithms.scan import BoolArray, FloatArray, IntArray
 from algorithms.settings import StepSettings
 
@@ -389,7 +390,8 @@ def make_point_lines(
     if across < np.sin(np.radians(LEANING_MIN_DEG)):
         raise ValueError("the spin axis is upright: this lidar sweeps no wall from floor to ceiling")
     down_rad = float(np.arctan2(down_sensor[1], down_sensor[0]))
-    angle_rad, order, starts = _sort_lines(points_sensor, ring, ring_count, down_rad)
+    line, angle_rad = _lines(points_sensor, ring, down_rad)
+    order, starts = sort_by_angle(line, angle_rad, 2 * ring_count, 0.0)
     samples = _resample(order, starts, is_horizontal, settings.line_points_min)
     return PointLines(angle_rad, order, starts, samples)
 
@@ -457,64 +459,14 @@ def _plane_moments(
     return total
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def turns(points: FloatArray, down_rad: float) -> FloatArray:  # pragma: no cover
-    """Angle of each return about z from straight down, -π to π, without branches so that it runs on whole vectors.
-
-    The arc tangent is a polynomial within 1.2e-5 rad, a fraction of an encoder's step (Abramowitz and Stegun, 4.4.47).
-    """
-    cos_down, sin_down = np.float32(np.cos(down_rad)), np.float32(np.sin(down_rad))
-    turn = np.empty(len(points), np.float32)
-    for i in range(len(points)):
-        x = points[i, 0] * cos_down + points[i, 1] * sin_down
-        y = points[i, 1] * cos_down - points[i, 0] * sin_down
-        ax, ay = abs(x), abs(y)
-        steep = ay > ax
-        ratio = (ax if steep else ay) / max(max(ax, ay), np.float32(1e-30))
-        s = ratio * ratio
-        a = np.float32(0.0208351)
-        a = a * s - np.float32(0.0851330)
-        a = a * s + np.float32(0.1801410)
-        a = a * s - np.float32(0.3302995)
-        a = (a * s + np.float32(0.9998660)) * ratio
-        a = np.float32(np.pi / 2) - a if steep else a
-        a = np.float32(np.pi) - a if x < 0 else a
-        turn[i] = -a if y < 0 else a
-    return turn
-
-
 @numba.njit(cache=True, nogil=True)
-def _sort_lines(
-    points: FloatArray, ring: IntArray, ring_count: int, down_rad: float
-) -> tuple[FloatArray, IntArray, IntArray]:  # pragma: no cover
-    """Counting sort by line and angle, made exact by an insertion pass: linear in any order of the input."""
-    bins = 256
-    count = len(points)
-    lines = 2 * ring_count
+def _lines(points: FloatArray, ring: IntArray, down_rad: float) -> tuple[IntArray, FloatArray]:  # pragma: no cover
+    """(n,) the point line of each return, and its angle from straight down."""
     turn = turns(points, down_rad)
-    angle = np.abs(turn)
-    key = np.empty(count, np.int32)
-    offsets = np.zeros(lines * bins + 1, np.int32)
-    for i in range(count):
-        own_line = 2 * np.int64(ring[i]) + (0 if turn[i] > 0 else 1)
-        key[i] = own_line * bins + min(int(angle[i] * np.float32(bins / np.pi)), bins - 1)
-        offsets[key[i] + 1] += 1
-    for k in range(lines * bins):
-        offsets[k + 1] += offsets[k]
-    starts = offsets[::bins].copy()
-    order = np.empty(count, np.int32)
-    for i in range(count):
-        order[offsets[key[i]]] = i
-        offsets[key[i]] += 1
-    for line in range(lines):
-        for j in range(starts[line] + 1, starts[line + 1]):
-            moving = order[j]
-            steps = 0
-            while j - steps > starts[line] and angle[order[j - steps - 1]] > angle[moving]:
-                order[j - steps] = order[j - steps - 1]
-                steps += 1
-            order[j - steps] = moving
-    return angle, order, starts
+    line = np.empty(len(points), np.int32)
+    for i in range(len(points)):
+        line[i] = 2 * np.int64(ring[i]) + (0 if turn[i] > 0 else 1)
+    return line, np.abs(turn)
 
 
 @numba.njit(cache=True, nogil=True)

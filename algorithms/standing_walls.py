@@ -34,13 +34,15 @@ _REST_MIN_M = 0.5
 """What is left of a face beside a leaf or a cupboard is no wall if it is shorter: a reveal, the leaf's hinge."""
 _CUT_MIN_M = 0.3
 _GAP_MIN_M = 0.3
-"""No wall has a gap so high."""
+"""No wall is open over so much of its height above doors."""
 _FRAME_M = 0.6
 """So near to a high window as much of its wall stands on both sides; close to its edges some rays pass."""
 _REACHED_M = 0.1
 """A face that ends so little behind a corner ends there."""
 _AT_JAMB_M = 0.15
 """A reveal's face passes its jamb so closely."""
+_LEFT_COLUMNS = 2
+"""Of a face between two doorways so much is left, for doors count their walls; its last column may be next to nothing."""
 _GOES_ON_SHARE = 0.95
 """A reveal's face goes on as a wall where rays end on so many of the rows beyond."""
 _JAMB_SHARE = 0.1
@@ -156,7 +158,7 @@ def judge_faces(
     columns = count_columns(cells, clear_m, settings.above_door_m)
     ends_low = (columns.upper_passed >= 4) & (columns.upper_passed > settings.passed_ratio * columns.upper_on)
     # Something may hang above it.
-    ends_low |= columns.upper_open_m > _GAP_MIN_M
+    ends_low |= columns.upper_open_rows >= cells_in(_GAP_MIN_M)
     hollow = (columns.lower_passed >= _RAYS_MIN) & (columns.lower_passed > settings.hollow_ratio * columns.lower_on)
     has_wall_below = (columns.lower_on >= _RAYS_MIN) & (columns.lower_on > columns.lower_passed)
     stands_before = _before_longer(walls)
@@ -300,9 +302,8 @@ def trim_at_doorways(walls: Walls, cells: WallCells, doors: Doors, clear_m: Floa
                 leaves.append((w, int(inner[-1]) + 1, after))
                 top_m.append(float(doors.head_m[d]))
                 after = int(inner[-1]) + 1
-        # Of a face between two doorways something is left, for doors count their walls; its last column may be next to nothing.
-        first = max(min(first, own.stop - own.start - 2), 0)
-        kept.append((w, first, min(max(after, first + 2), own.stop - own.start)))
+        first = max(min(first, own.stop - own.start - _LEFT_COLUMNS), 0)
+        kept.append((w, first, min(max(after, first + _LEFT_COLUMNS), own.stop - own.start)))
     columns = np.concatenate(
         [np.zeros(0, np.int64), *(cells.first[w] + np.arange(first, after) for w, first, after in kept)]
     )

@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -106,8 +105,7 @@ def _placed_scans(bag: Path, settings: Settings) -> list[tuple[int, Scan, Placed
             for index, scan in read_scans(opened, sensor.index, int(first), 1, sensor.lidar.decoding):
                 if isinstance(scan, Scan):
                     ranges = smooth_ranges(scan, settings.smoothing)
-                    smoothed = replace(scan, points_sensor=ranges.points_sensor)
-                    scans.append((index, scan, place_scan(smoothed, trajectory, sensor.lidar.T_base_sensor)))
+                    scans.append((index, scan, place_scan(ranges.of(scan), trajectory, sensor.lidar.T_base_sensor)))
     return scans
 
 

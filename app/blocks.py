@@ -93,7 +93,7 @@ class BlockSummary:
 
     scan: (s,) scans that were labelled; stamp_ns, T_map_base: (s,), (s, 4, 4) at their header stamps.
     skipped: number, stamp and reason of each cloud that was not.
-    label_counts: (256,) returns by label. milliseconds: (s, 4) reading, smoothing, placing, labelling, recording.
+    label_counts: (256,) returns by label. milliseconds: (s, 5) reading, smoothing, placing, labelling, recording.
     points_in_cloud, points_in_lines: (s,)
     """
 

@@ -21,7 +21,8 @@ The names in it, all fractions 0 to 1, null where there is nothing to divide by:
     trajectory.ate_rmse_m | ate_mean_m | ate_max_m               after the best rotation and shift
     trajectory.unaligned_rmse_m | unaligned_mean_m | unaligned_max_m
     trajectory.rotation_rmse_deg | relative_translation_rmse_m | relative_rotation_rmse_deg | poses
-    statistics.milliseconds_per_cloud | points_in_cloud | points_in_lines: mean, standard_deviation, min, max (Table I)
+    statistics.milliseconds_per_cloud (smoothing and labelling) | points_in_cloud | points_in_lines: mean,
+        standard_deviation, min, max (Table I)
 
 Doors and maps are compared as they stand: the map frame is defined alike for run and truth. Where a run has no
 labelled clouds, the sections about them are missing.
@@ -437,6 +438,7 @@ def _count_clouds(
             full = stored.get(number) or (np.full(scan.cloud_size, NO_RETURN, np.uint8),) * 2
         label, label_scan = (values[scan.cloud_index].astype(np.uint8) for values in full)
         truth = classes[scan.cloud_index]
+        # As measured, at the true poses: where a return is counted does not depend on what was made of it.
         placed = place_scan(scan, bags.trajectory, lidar.T_base_sensor)
         counter.add(
             placed.to_map(placed.points_level),

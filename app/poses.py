@@ -77,6 +77,7 @@ def level_by_first_scans(inputs: Inputs, odometry: Trajectory, settings: Setting
         for index, scan in read_scans(bag, sensor.index, first, last - first + 1, sensor.lidar.decoding):
             if index not in chosen or not isinstance(scan, Scan):
                 continue
+            # As measured: planes of thousands of returns need no smoothing, and no labelling setting moves a pose.
             placed = place_scan(scan, odometry, sensor.lidar.T_base_sensor)
             stride = max(1, len(scan) // _LEVEL_POINTS)
             points.append(points_in_map(placed)[::stride])

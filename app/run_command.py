@@ -15,6 +15,7 @@ from app.recorder import Detail
 from app.recording import check_viewer, start_viewer
 from app.run_folder import EVALUATION, RECORDING, RunFolder
 from app.settings import Settings, load_settings, validate
+from app.versions import versions
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom
 
@@ -156,6 +157,9 @@ def _resumed(arguments: Arguments, path: Path) -> tuple[Arguments, Settings, Run
     options["rig"] = Path(options["rig"]) if options["rig"] else None
     if not bag.exists():
         raise InputError(f"{bag}: the run's bag is gone; bring it back, or start a new run")
+    begun, now = record.get("versions", {}), versions()
+    if any(begun.get(name) != now[name] for name in ("furniture-free-mapping", "git_revision")):
+        raise InputError(f"{path}: was begun by another version of ffmap, whose labels may differ; start a new run")
     folder.spool.mkdir(exist_ok=True)
     for leftover in folder.path.rglob("*.part"):
         if leftover.is_file():

@@ -17,6 +17,7 @@ import pyarrow as pa  # type: ignore[import-untyped]
 from algorithms import transforms
 from algorithms.labels import NO_RETURN
 from algorithms.scan import FloatArray, Scan, UInt8Array
+from algorithms.smoothing import SmoothingSettings, smooth_ranges
 from algorithms.trajectory import Trajectory, place_scan
 from app.finished_run import FinishedRun
 from app.inputs import Sensor, find_inputs
@@ -114,6 +115,7 @@ class LabelSource:
 
 def _read_bag(path: Path, run: FinishedRun, with_points: bool, first: int) -> Iterator[CloudLabels]:
     trajectory = read_tum(run.trajectory) if with_points and run.trajectory is not None else None
+    smoothing = run.settings().smoothing if with_points else None
     with open_bag(path) as bag:
         topics = cloud_topics(bag)
         if len(topics) != 1:
@@ -128,7 +130,7 @@ def _read_bag(path: Path, run: FinishedRun, with_points: bool, first: int) -> It
             label, label_scan = (
                 field_column(message, layout, name).astype(np.uint8) for name in ("label", "label_scan")
             )
-            points = _placed(scan, trajectory, lidar.T_base_sensor) if with_points else None
+            points = _placed(scan, trajectory, lidar.T_base_sensor, smoothing) if smoothing is not None else None
             yield CloudLabels(index, scan.stamp_ns, label_scan, label, points, every_place=True)
 
 
@@ -153,17 +155,20 @@ def _bag_points(run: FinishedRun, trajectory: Trajectory) -> Iterator[tuple[int,
     sensor: Sensor | None = find_inputs(run.bag_path, run.input_options).vertical
     if sensor is None:
         return
+    smoothing = run.settings().smoothing
     with open_bag(run.bag_path) as bag:
         for index, scan, _ in read_clouds(bag, sensor.index, 0, None, sensor.lidar.decoding):
             if isinstance(scan, Scan):
-                yield index, _placed(scan, trajectory, sensor.lidar.T_base_sensor)
+                yield index, _placed(scan, trajectory, sensor.lidar.T_base_sensor, smoothing)
 
 
-def _placed(scan: Scan, trajectory: Trajectory | None, T_base_sensor: FloatArray) -> FloatArray:
-    """(cloud_size, 3) float32: the returns in the map, as far as poses reach."""
+def _placed(
+    scan: Scan, trajectory: Trajectory | None, T_base_sensor: FloatArray, smoothing: SmoothingSettings
+) -> FloatArray:
+    """(cloud_size, 3) float32: the smoothed returns in the map, as far as poses reach."""
     points = np.full((scan.cloud_size, 3), np.nan, np.float32)
     if trajectory is not None and trajectory.covers(np.array([scan.stamp_ns])).all():
-        placed = place_scan(scan, trajectory, T_base_sensor)
+        placed = place_scan(smooth_ranges(scan, smoothing).of(scan), trajectory, T_base_sensor)
         points[scan.cloud_index] = placed.to_map(placed.points_level)
     return points
 

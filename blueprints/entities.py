@@ -148,7 +148,7 @@ REGISTRATION = "/metrics/registration"
 
 POINT_LABEL_SCAN = "label_scan"
 POINT_CORRECTION = "range_correction_mm"
-"""How much farther than measured a return lies, on the facet that its neighbours show."""
+"""int8: how many millimetres farther than measured a return lies, at most 127 either way, on the facet its neighbours show."""
 POINT_VERDICT_COLOR = "verdict_color"
 POINT_RADIUS_UPRIGHT = "radius_without_floor_and_ceiling"
 CANDIDATE_PLANE_COLOR = "plane_color"

@@ -1,7 +1,5 @@
 """A furnished room with a door, scanned by a vertical 32-ring lidar: small, exact, seeded."""
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -51,7 +49,7 @@ def trajectory(scan_count: int) -> Trajectory:
 def level(scan: Scan, trajectory: Trajectory) -> LevelScan:
     """The smoothed scan in its place."""
     ranges = smooth_ranges(scan, SmoothingSettings())
-    placed = place_scan(replace(scan, points_sensor=ranges.points_sensor), trajectory, T_BASE_SENSOR)
+    placed = place_scan(ranges.of(scan), trajectory, T_BASE_SENSOR)
     return LevelScan(placed, find_floor(placed.points_level, RearrangementSettings()), ranges)
 
 

@@ -32,7 +32,12 @@ from loaders.simulator import SimulationSettings, simulate
 
 FFMAP = [sys.executable, "-c", "from app.cli import main; main()"]
 SCANS = 29
-SETTINGS = ("wall_planes.similarity_m=0.002", "doors.recess_min_m=0.05", "relabelling.wall_distance_m=0.01")
+SETTINGS = (
+    "smoothing.returns=9",
+    "wall_planes.similarity_m=0.002",
+    "doors.recess_min_m=0.05",
+    "relabelling.wall_distance_m=0.01",
+)
 Labels = dict[int, tuple[np.ndarray, np.ndarray]]
 
 
@@ -140,21 +145,34 @@ def test_exactly_the_labels_that_differ_are_found(compared: Path, runs: dict[str
 
 def test_changed_points_lie_where_the_runs_saw_them(compared: Path, runs: dict[str, Path]) -> None:
     changed = recorded(compared, entities.CHANGED_POINTS.format("B"))
-    source = LabelSource(open_run(runs["other"]), None)
-    others = {cloud.scan: cloud for cloud in source.read(with_points=True)}
-    a = labels_of(runs["usual"])
-    for scan, stamp in enumerate(sorted(a)):
-        cloud = others[scan]
+    source = LabelSource(open_run(runs["usual"]), None)
+    usual = {cloud.scan: cloud for cloud in source.read(with_points=True)}
+    b = labels_of(runs["other"])
+    for scan, stamp in enumerate(sorted(b)):
+        cloud = usual[scan]
         assert cloud.label is not None
         assert cloud.points_map is not None
-        np.testing.assert_allclose(
-            changed[scan]["positions"], cloud.points_map[a[stamp][0] != cloud.label], atol=1e-5
-        )
+        np.testing.assert_allclose(changed[scan]["positions"], cloud.points_map[b[stamp][0] != cloud.label], atol=1e-5)
+
+
+def test_points_of_the_bag_lie_where_the_recording_has_them(runs: dict[str, Path], tmp_path: Path) -> None:
+    """But for tenths of a degree by which the recording's scans are turned to the floor."""
+    alone = Path(shutil.copytree(runs["usual"], tmp_path / "alone", ignore=shutil.ignore_patterns("labelled*")))
+    with readable(alone / "recording.rrd") as recording:
+        seen = {c.scan: c.points_map for c in LabelSource(open_run(alone), recording).read(with_points=True)}
+    off_m = []
+    for cloud in LabelSource(open_run(runs["usual"]), None).read(with_points=True):
+        own = cloud.of_returns().points_map
+        assert own is not None
+        off_m.append(np.linalg.norm(own - seen[cloud.scan], axis=1))
+    assert np.median(np.concatenate(off_m)) < 0.006
+    assert np.quantile(np.concatenate(off_m), 0.95) < 0.02
 
 
 def test_settings_figures_and_files_that_differ(compared: Path, runs: dict[str, Path]) -> None:
     found = report(compared)
     assert found["settings"] == {
+        "smoothing.returns": {"A": 11, "B": 9},
         "wall_planes.similarity_m": {"A": 0.05, "B": 0.002},
         "doors.recess_min_m": {"A": 0.022, "B": 0.05},
         "relabelling.wall_distance_m": {"A": 0.04, "B": 0.01},

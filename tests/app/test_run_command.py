@@ -245,7 +245,12 @@ def test_killed_run_is_resumed_with_the_same_labels(
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    assert json.loads((out / "run.json").read_text())["outcome"] == "running"
+    record = json.loads((out / "run.json").read_text())
+    assert record["outcome"] == "running"
+    by_another = record | {"versions": record["versions"] | {"git_revision": "0123456789ab"}}
+    (out / "run.json").write_text(json.dumps(by_another))
+    assert_one_line_error(ffmap(environment, "run", "--resume", out), "another version")
+    (out / "run.json").write_text(json.dumps(record))
     done = ffmap(environment, "run", "--resume", out)
     assert done.returncode == 0, done.stderr
     assert json.loads((out / "run.json").read_text())["outcome"] == "complete"
