@@ -78,8 +78,7 @@ def column_places(walls: Walls, first: IntArray, before_m: float = 0.2) -> Float
 @dataclass(frozen=True)
 class Columns:
     """Rays on and past each column (c,) of the faces, told with the columns beside it: above doors, close below the ceiling,
-    between foot and hip, below windows' sills. upper_open_rows: above doors, those that almost all
-    rays pass.
+    between foot and hip, below windows' sills. upper_open_rows: above doors, those that almost all rays pass.
     """
 
     upper_on: FloatArray

@@ -35,6 +35,8 @@ from loaders.scans import SkippedScan, read_scans
 VOXEL_M = 0.05
 SCANS_PER_BLOCK = 20
 FINAL_EVIDENCE = ".final.rrd"
+STAGES = ("reading", "smoothing", "placing", "labelling", "recording")
+"""What a scan goes through, each timed by itself."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ class BlockSummary:
 
     scan: (s,) scans that were labelled; stamp_ns, T_map_base: (s,), (s, 4, 4) at their header stamps.
     skipped: number, stamp and reason of each cloud that was not.
-    label_counts: (256,) returns by label. milliseconds: (s, 5) reading, smoothing, placing, labelling, recording.
+    label_counts: (256,) returns by label. milliseconds: (s, 5), see `STAGES`.
     points_in_cloud, points_in_lines: (s,)
     """
 
@@ -184,7 +186,7 @@ def label_block(job: LabelJob) -> BlockSummary:
         skipped_stamp_ns=np.array([s.stamp_ns for s in skipped], np.int64),
         skipped_reason=tuple(s.reason for s in skipped),
         label_counts=counts,
-        milliseconds=np.array(milliseconds).reshape(-1, 5),
+        milliseconds=np.array(milliseconds).reshape(-1, len(STAGES)),
         points_in_cloud=np.array([s[0] for s in sizes], np.int64),
         points_in_lines=np.array([s[1] for s in sizes], np.int64),
     )

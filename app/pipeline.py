@@ -51,6 +51,7 @@ from algorithms.windows import find_windows, seen_through, without_rays_through
 from app import results
 from app.blocks import (
     FINAL_EVIDENCE,
+    STAGES,
     VOXEL_M,
     Block,
     BlockSummary,
@@ -520,11 +521,12 @@ class _ScanStage:
             "returns": {label.name.lower(): int(self._counts[label]) for label in Label},
         }
         if len(milliseconds):
-            for column, name in enumerate(("reading", "smoothing", "placing", "labelling", "recording")):
-                self._state.timings_s[f"{name}_per_scan"] = float(np.median(milliseconds[:, column])) / 1e3
+            by_stage = dict(zip(STAGES, milliseconds.T, strict=True))
+            for name, own in by_stage.items():
+                self._state.timings_s[f"{name}_per_scan"] = float(np.median(own)) / 1e3
             sizes = np.concatenate(self._sizes)
             self._state.statistics = {
-                "milliseconds_per_cloud": _spread(milliseconds[:, 1] + milliseconds[:, 3]),
+                "milliseconds_per_cloud": _spread(by_stage["smoothing"] + by_stage["labelling"]),
                 "points_in_cloud": _spread(sizes[:, 0]),
                 "points_in_lines": _spread(sizes[:, 1]),
             }

@@ -6,11 +6,11 @@ from scipy.spatial.transform import Rotation
 from algorithms import transforms
 from algorithms.doors import DoorsSettings
 from algorithms.labelling import LabellingSettings, MethodSettings
-from algorithms.levelling import LevelScan
-from algorithms.rearrangement import RearrangementSettings, find_floor
+from algorithms.levelling import LevelScan, place_level
+from algorithms.rearrangement import RearrangementSettings
 from algorithms.scan import FloatArray, Scan
 from algorithms.smoothing import SmoothingSettings, smooth_ranges
-from algorithms.trajectory import Trajectory, place_scan
+from algorithms.trajectory import Trajectory
 from algorithms.vertical_structures import VerticalStructuresSettings
 from algorithms.wall_planes import WallPlanesSettings
 
@@ -49,8 +49,7 @@ def trajectory(scan_count: int) -> Trajectory:
 def level(scan: Scan, trajectory: Trajectory) -> LevelScan:
     """The smoothed scan in its place."""
     ranges = smooth_ranges(scan, SmoothingSettings())
-    placed = place_scan(ranges.of(scan), trajectory, T_BASE_SENSOR)
-    return LevelScan(placed, find_floor(placed.points_level, RearrangementSettings()), ranges)
+    return place_level(scan, ranges, trajectory, T_BASE_SENSOR, 0.0, np.zeros(2), RearrangementSettings(), max_deg=2.0)
 
 
 def scan(index: int = 0, firings: int = 2170, seed: int = 0) -> Scan:

@@ -11,11 +11,11 @@ from algorithms.before_walls import BeforeWalls
 from algorithms.building import CELL_M, NO_DOORS, BuildingSettings, Doors, Walls, Windows
 from algorithms.building_doors import find_doors
 from algorithms.door_frames import measure_reveals, place_frames
-from algorithms.doors import DoorsSettings, DoorState
+from algorithms.doors import DoorState
 from algorithms.features import concatenate, extract, move_moments
 from algorithms.fused_walls import fuse_walls
 from algorithms.grid_map import Cell, Drive, GridMapSettings, Immobile, draw_furniture_free
-from algorithms.labelling import LabellingSettings, MethodSettings, ScanLabelling, label_scan
+from algorithms.labelling import ScanLabelling, label_scan
 from algorithms.labels import Label
 from algorithms.levelling import level_map, level_scan
 from algorithms.rearrangement import (
@@ -23,7 +23,6 @@ from algorithms.rearrangement import (
     SAMPLES,
     HorizontalPlane,
     PointLines,
-    RearrangementSettings,
     below_ceiling,
     find_ceilings,
     find_floor,
@@ -32,23 +31,14 @@ from algorithms.rearrangement import (
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.scan import Scan
 from algorithms.semantic_map import VoxelTable, find_halo, vote
-from algorithms.smoothing import SmoothingSettings
 from algorithms.standing_walls import NO_JUDGED_FACES
 from algorithms.trajectory import PlacedScan, Trajectory, place_scan
-from algorithms.vertical_structures import VerticalStructuresSettings
 from algorithms.wall_cells import WallCells, trace_rays
-from algorithms.wall_planes import WallPlanesSettings
 from algorithms.wall_thickness import WallThicknessSettings
 from algorithms.windows import find_windows
+from tests import synthetic
 
-METHOD = MethodSettings(
-    SmoothingSettings(),
-    RearrangementSettings(),
-    VerticalStructuresSettings(),
-    WallPlanesSettings(),
-    DoorsSettings(),
-    LabellingSettings(),
-)
+METHOD = synthetic.settings()
 HEIGHT_M = 2.8
 # The lidar lies on its side: its spin axis z points along the base's x, its x axis down.
 T_BASE_SENSOR = transforms.make_transform(

@@ -259,8 +259,9 @@ def search(
     window_from_y: float = 0.0,
     off_m: float = 0.0,
     from_y: float = 0.5,
+    rays: float = 3.0,
 ) -> HiddenWalls:
-    """What is found; rays end on every candidate that lies on x = 3, seen from smaller x, and pass the others.
+    """What is found; so many rays a cell end on every candidate that lies on x = 3, seen from smaller x, and pass the others.
 
     hip_m: from there to a door's head a few rays pass. unseen_m, seen_m: below and above there no ray comes.
     window_m: between these heights rays pass, from `window_from_y` on. known: a wall beside it. off_m: so far before the
@@ -274,7 +275,7 @@ def search(
         for w in range(len(candidates)):
             own = slice(int(first[w]), int(first[w + 1]))
             on = bool(np.all(np.abs(candidates.ends[w, :, 0] - 3.0) < 0.03)) and candidates.normal[w, 0] < -0.9
-            counts[own, :56, FILLED if on else THROUGH] = 3.0
+            counts[own, :56, FILLED if on else THROUGH] = rays
             if on and passed_above_m is not None:
                 above = slice(int(passed_above_m / CELL_M), 56)
                 counts[own, above, FILLED], counts[own, above, THROUGH] = 0.0, 3.0
@@ -345,8 +346,18 @@ def test_a_wall_that_shows_below_a_duct_alone_is_found_and_what_hangs_before_it_
     # What hangs as deep as a wall is thick is a lintel: behind the doorway stands a cupboard, or another room's wall.
     lintel = search(room_with_a_duct((2.55, 2.7)), seen_m=2.0, known=front)
     assert (len(lintel.walls), len(lintel.ducts), len(lintel.known)) == (0, 0, 2)
+    # Less than two returns a row show nothing.
+    assert len(hidden(room_with_a_duct((2.55, 3.0)), seen_m=2.0, known=front, rays=0.04)) == 0
     # Without a front it is a shelf.
     assert len(hidden(room_with_a_duct((2.55, 3.0)), seen_m=2.0)) == 0
+
+
+def test_what_is_left_of_a_ducts_front_goes_with_it_where_it_is_too_short_for_a_face():
+    found = search(room_with_a_duct((2.55, 3.0)), seen_m=2.0, known=faces(((2.55, 0.35), (2.55, 3.0))))
+    across = [np.sort(w.ends[np.abs(w.normal[:, 0]) > 0.9][:, :, 1], axis=1) for w in (found.ducts, found.known)]
+    np.testing.assert_allclose(across[0], [[0.35, 2.0]], atol=0.1)
+    np.testing.assert_allclose(across[0][0, 0], 0.35)
+    np.testing.assert_allclose(across[1], [[2.0, 3.0]], atol=0.1)
 
 
 def test_what_is_seen_no_higher_than_heads_are_is_a_leaf_or_a_reveal():
