@@ -35,7 +35,7 @@ _BLIND_M = 1.0
 """So near to its way the robot may not see the floor."""
 _CROSSED_RAYS, _CROSSED_RATIO, _CROSSED_MIN = 5, 5, 4
 _SURELY_CELLS = 2.5
-"""A ray that ends no farther behind a cell may have ended at what the cell shows."""
+"""A ray that ends no farther behind a cell's line may have ended at what the cell shows."""
 _LEAF_OVER_M = 0.3
 """What was seen of an open leaf ends at most so far above its door's head."""
 _LEAF_BESIDE_M = 0.1
@@ -276,6 +276,8 @@ class _Canvas:
         self._origin = np.floor(low / self._cell_m) * self._cell_m
         columns, rows = np.maximum(np.ceil((high - self._origin) / self._cell_m).astype(int), 1)
         self._cells = np.full((rows, columns), Cell.UNKNOWN, np.uint8)
+        self._across = np.zeros((rows, columns, 2))
+        """Unit vectors at right angles to the line that was drawn last through each cell."""
 
     @classmethod
     def around(cls, places: Sequence[FloatArray], settings: GridMapSettings) -> "_Canvas":
@@ -296,7 +298,10 @@ class _Canvas:
         middles = np.arange(np.floor(low), np.floor(high) + 1) + 0.5
         middles = np.clip(middles, low, high)
         t = (middles - start[axis]) / (stop[axis] - start[axis]) if high > low else np.zeros(1)
-        self._set(np.floor(start + t[:, None] * (stop - start)).astype(np.int64), cell)
+        index = np.floor(start + t[:, None] * (stop - start)).astype(np.int64)
+        self._set(index, cell)
+        column, row = index[self._within(index)].T
+        self._across[row, column] = Segment.between(ends).normal
 
     def draw_area(self, corners: FloatArray, cell: Cell) -> None:
         """corners: (4, 2) of a rectangle, in order; drawn are the cells whose middle lies in it."""
@@ -401,6 +406,7 @@ class _Canvas:
         for block in drive.blocks():
             _count_crossings(
                 self._cells,
+                self._across,
                 counts,
                 np.ascontiguousarray((block.origin_map - [*self._origin, 0.0]) / self._cell_m, np.float64),
                 block.ray_starts,
@@ -442,6 +448,7 @@ class _Canvas:
 @numba.njit(cache=True, nogil=True)
 def _count_crossings(
     cells: UInt8Array,
+    across: FloatArray,
     counts: IntArray,
     origin: FloatArray,
     starts: IntArray,
@@ -449,7 +456,12 @@ def _count_crossings(
     foot: float,
     knee: float,
 ) -> None:  # pragma: no cover
-    """For each occupied cell the rays that end in it or beside it, and those that cross it; everything in cells."""
+    """For each occupied cell the rays that end in it or beside it, and those that cross it; everything in cells.
+
+    A ray that runs along a line, close before it, meets its cells but does not cross it.
+
+    across: (rows, columns, 2) at right angles to the line in each cell.
+    """
     rows, columns = cells.shape
     for s in range(len(origin)):
         for r in range(starts[s] + s % 2, starts[s + 1], 2):
@@ -467,7 +479,8 @@ def _count_crossings(
                 if cell == last or cells[row, column] != 0 or height < foot or height > knee:
                     continue
                 last = cell
-                counts[row, column, 1 if length * (1 - t) > _SURELY_CELLS else 0] += 1
+                behind = (1 - t) * abs(step[0] * across[row, column, 0] + step[1] * across[row, column, 1])
+                counts[row, column, 1 if behind > _SURELY_CELLS else 0] += 1
 
 
 def _low_from(block: Features) -> FloatArray:

@@ -17,6 +17,7 @@ import numpy as np
 import rerun.blueprint as rrb
 
 from algorithms import transforms
+from algorithms.aligned_walls import AlignedFaces, align_faces
 from algorithms.area_graph import AreaGraph, Segmented, doorways_of, find_rooms
 from algorithms.before_walls import BeforeWalls, halo_at_walls, look_before_walls
 from algorithms.building import NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
@@ -148,6 +149,8 @@ class _Run:
 class Building:
     """The third stage's answer."""
 
+    aligned: AlignedFaces
+    """All faces that scans' planes make, before any was judged."""
     walls: Walls
     before: BeforeWalls
     judged: JudgedFaces
@@ -280,6 +283,7 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
                 run.options.workers,
             )
             if recorder:
+                recorder.log_fused_walls(building.aligned)
                 recorder.log_building(building.walls, building.before, building.judged, building.doors, building.windows)
                 for name, grid in _maps(building).items():
                     recorder.log_grid(name, grid)
@@ -586,12 +590,17 @@ def _build(
         judged = judged.refuse(refused, FaceVerdict.ALONE).refuse(leaves, FaceVerdict.LEANS)
         return refuse_outside(judged, storey)
 
-    judged = judge(fuse_walls(planes, settings.building))
+    def fuse(of: Features) -> AlignedFaces:
+        return align_faces(fuse_walls(of, settings.building), votes, settings.standing_walls.above_door_m)
+
+    aligned = fuse(planes)
+    judged = judge(aligned.walls)
     seen = trace(judged.walls)
     windows = find_windows(judged.walls, seen, clear(judged.walls, seen), settings.building)
     outside = seen_through(windows, planes)
     if outside.any():
-        judged = judge(fuse_walls(select_planes(planes, ~outside), settings.building))
+        aligned = fuse(select_planes(planes, ~outside))
+        judged = judge(aligned.walls)
     hidden = find_hidden_walls(
         votes,
         storey,
@@ -640,7 +649,20 @@ def _build(
     thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
     levels = (map_ceilings(votes), map_glimpsed_ceilings(votes), map_raised_floors(votes), map_ducts(votes))
     return Building(
-        walls, before, judged, doors, windows, halo, levels, grid, rooms, compared_rooms, rival_maps, plan, thickness_m
+        aligned,
+        walls,
+        before,
+        judged,
+        doors,
+        windows,
+        halo,
+        levels,
+        grid,
+        rooms,
+        compared_rooms,
+        rival_maps,
+        plan,
+        thickness_m,
     )
 
 

@@ -10,6 +10,7 @@ import pyarrow as pa  # type: ignore[import-untyped]
 import rerun as rr
 
 from algorithms import transforms
+from algorithms.aligned_walls import AlignedFaces
 from algorithms.before_walls import BeforeWalls, covered_places
 from algorithms.building import CELL_M, Doors, Walls, Windows
 from algorithms.doors import DoorState
@@ -619,6 +620,24 @@ class Recorder:
         """Points that are new in the map since the last block; the viewer shows all up to the cursor."""
         self._at(stamp_ns, index)
         self._log_split(entities.MAP_POINTS, entities.MAP_CEILING, points_map, label, static=False)
+
+    def log_fused_walls(self, aligned: AlignedFaces) -> None:
+        """Where scans' planes had each face before it was laid along the returns of all scans."""
+        if len(aligned.fused):
+            self._static(
+                entities.FUSED_WALLS,
+                rr.LineStrips3D(
+                    np.pad(aligned.fused.ends, ((0, 0), (0, 0), (0, 1))).astype(np.float32),
+                    colors=entities.FUSED_COLOUR,
+                    radii=rr.Radius.ui_points(1.0),
+                    labels=[
+                        f"as planes of {scans} scans had it: its ends then moved {100 * a:+.1f} and {100 * b:+.1f} cm"
+                        for scans, (a, b) in zip(aligned.fused.scan_count, aligned.moved_m, strict=True)
+                    ],
+                    show_labels=False,
+                ),
+                evidence({"moved_m": aligned.moved_m, "scan_count": aligned.fused.scan_count}),
+            )
 
     def log_building(
         self, walls: Walls, before: BeforeWalls, refused: JudgedFaces, doors: Doors, windows: Windows

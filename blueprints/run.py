@@ -240,6 +240,7 @@ def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
                 entities.WALLS,
                 entities.DOORS,
                 entities.WINDOWS,
+                entities.FUSED_WALLS,
                 entities.REFUSED_WALLS,
                 entities.AGAINST_WALLS,
             ],

@@ -224,6 +224,32 @@ def test_what_rays_pass_below_from_behind_is_no_wall() -> None:
     assert (at(grid, screen, places) == Cell.OCCUPIED).all()
 
 
+@pytest.mark.parametrize("turn_deg", [0.0, 20.0])
+def test_rays_along_a_wall_do_not_cross_it(turn_deg: float) -> None:
+    """Below the knee a shelf on legs hides its wall, and one scan looked along behind it."""
+    shelf = (np.array([[0.3, 2.7], [1.3, 2.7]]), (0.0, 1.0))
+    rooms = TwoRooms(both_seen=False, more=(shelf,), turn_deg=turn_deg, shift=(0.0, -0.02))
+    immobile, drive = rooms.build()
+    features = next(iter(drive.blocks()))
+    ends = rooms.to_map(np.column_stack([np.linspace(0.5, 1.3, 80), np.full(80, 2.985)]))
+    along = replace(
+        features,
+        scan=np.array([99]),
+        origin_map=np.array([[*rooms.to_map(np.array([[0.1, 2.985]]))[0], 0.3]]),
+        floor_map=np.zeros((1, 3)),
+        ray_count=np.array([80]),
+        plane_count=np.array([0]),
+        ray_end_map=np.column_stack([ends, np.full(80, 0.3)]).astype(np.float32),
+        ray_label=np.full(80, Label.CLUTTER, np.uint8),
+    )
+    with_it = replace(drive, blocks=lambda: [features, along])
+    wall = np.column_stack([np.linspace(0.3, 1.2, 40), np.full(40, 3.0)])
+    expected = at(draw_furniture_free(immobile, drive, SETTINGS, THICKNESS), rooms, wall)
+    assert (expected == Cell.OCCUPIED).mean() > 0.8  # of a slanted line some places lie in a cell beside it
+    grid = draw_furniture_free(immobile, with_it, SETTINGS, THICKNESS)
+    np.testing.assert_array_equal(at(grid, rooms, wall), expected)
+
+
 def test_the_leaf_of_an_open_door_is_no_wall_but_its_reveal_is() -> None:
     y = SIZE_M[1] + 0.2
     face = ([[JAMBS_X[0], y - 0.2], [JAMBS_X[0], y + 0.7]], [1.0, 0.0])

@@ -12,6 +12,7 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from algorithms import transforms
+from algorithms.aligned_walls import AlignedFaces
 from algorithms.before_walls import BeforeWalls
 from algorithms.building import Doors, Walls, Windows
 from algorithms.grid_map import Cell, GridMap
@@ -334,6 +335,7 @@ def test_building_grid_map_and_messages(tmp_path):
     covered = np.zeros((columns, 60), bool)
     covered[2:4, 1] = True
     before = BeforeWalls(np.array([0, columns]), np.full(columns, 2.8), covered)
+    recorder.log_fused_walls(AlignedFaces(walls, replace(walls, ends=walls.ends + 0.02), np.array([[-0.02, 0.013]])))
     recorder.log_building(walls, before, JudgedFaces(walls, leaf, np.array([FaceVerdict.ENDS_LOW])), doors, windows)
     cells = np.full((2, 3), Cell.FREE, np.uint8)
     cells[0, 0], cells[1, 2] = Cell.OCCUPIED, Cell.UNKNOWN
@@ -362,6 +364,9 @@ def test_building_grid_map_and_messages(tmp_path):
     ajar = replace(doors, ajar=np.array([True]))
     assert "its leaf stands aslant" in explain_building(before, NO_JUDGED_FACES, ajar, windows)
     assert "aslant" not in reasons
+    fused = static[entities.FUSED_WALLS]
+    assert "its ends then moved -2.0 and +1.3 cm" in str(fused.column("LineStrips3D:labels").to_pylist())
+    np.testing.assert_allclose(fused.column("moved_m").to_pylist()[0], [[-0.02, 0.013]], rtol=1e-6)
     against = vectors(static[entities.AGAINST_WALLS].column("Points3D:positions").to_pylist()[0])
     np.testing.assert_allclose(against, [[0.125, 0, 0.075], [0.175, 0, 0.075]], atol=1e-6)
     outline = vectors(static[entities.WINDOWS].column("LineStrips3D:strips").to_pylist()[0][0])

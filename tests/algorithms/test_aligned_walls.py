@@ -1,0 +1,99 @@
+"""Faces that planes of scans put askew come to lie along what all scans returned."""
+
+import numpy as np
+import pytest
+
+from algorithms.aligned_walls import align_faces
+from algorithms.building import NO_WALLS, Walls
+from algorithms.labels import Label
+from algorithms.scan import FloatArray
+from algorithms.semantic_map import VoxelVotes, vote
+
+ABOVE_DOOR_M = 2.12
+TURNS = [0.0, 31.0, 90.0, 203.0]
+
+
+def turned(places: FloatArray, turn_deg: float) -> FloatArray:
+    """Places (…, 2) by so many degrees, and shifted."""
+    c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+    return places @ np.array([[c, s], [-s, c]]) + [1.3, -2.7]
+
+
+def surface(
+    start: float, stop: float, before_m: float = 0.0, low_m: float = 0.1, high_m: float = 2.7, noise_m: float = 0.006
+) -> FloatArray:
+    """(n, 3) returns of an upright surface along x, so far before y = 0."""
+    generator = np.random.default_rng(5)
+    count = int(8000 * (stop - start))
+    y = before_m + noise_m * generator.standard_normal(count)
+    return np.column_stack([generator.uniform(start, stop, count), y, generator.uniform(low_m, high_m, count)])
+
+
+def votes_of(turn_deg: float, *surfaces: FloatArray, label: Label = Label.WALL) -> VoxelVotes:
+    points = np.concatenate(surfaces)
+    placed = np.column_stack([turned(points[:, :2], turn_deg), points[:, 2]])
+    return vote(placed, np.full(len(placed), label, np.uint8), len(Label), 0.05)
+
+
+def face(turn_deg: float, start: float, stop: float, off_start_m: float, off_stop_m: float) -> Walls:
+    """Along x, its ends so far off y = 0, to which side its normal points."""
+    ends = turned(np.array([[start, off_start_m], [stop, off_stop_m]]), turn_deg)
+    along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    one = np.ones(1)
+    return Walls(ends[None], np.array([[-along[1], along[0]]]), 0 * one, 2.7 * one, np.array([3], np.int32), 0.01 * one)
+
+
+def off_m(walls: Walls, turn_deg: float) -> FloatArray:
+    """(2,) how far the ends of the one face lie from y = 0."""
+    return np.asarray(turned(np.zeros((1, 2)), turn_deg) - walls.ends[0]) @ (turned(np.array([0.0, -1.0]), turn_deg) - [1.3, -2.7])
+
+
+@pytest.mark.parametrize("turn_deg", TURNS)
+def test_a_pillars_side_that_was_off_by_eight_degrees_comes_to_lie_along_its_returns(turn_deg: float) -> None:
+    fused = face(turn_deg, 0.0, 0.45, -0.03, 0.035)
+    aligned = align_faces(fused, votes_of(turn_deg, surface(0.0, 0.45)), ABOVE_DOOR_M)
+    np.testing.assert_allclose(off_m(aligned.walls, turn_deg), 0.0, atol=0.003)
+    np.testing.assert_allclose(aligned.moved_m, [[0.03, -0.035]], atol=0.004)
+    assert aligned.fused is fused
+    towards_room = turned(np.array([0.0, 1.0]), turn_deg) - turned(np.zeros(2), turn_deg)
+    np.testing.assert_allclose(aligned.walls.normal[0], towards_room, atol=0.015)
+
+
+@pytest.mark.parametrize("turn_deg", TURNS)
+def test_a_plane_that_runs_on_to_the_wall_behind_comes_to_lie_along_the_surface_that_most_columns_show(turn_deg: float) -> None:
+    """A pillar before its wall: the face lies on the pillar where that is the longer part."""
+    votes = votes_of(turn_deg, surface(0.0, 0.5), surface(0.5, 0.75, before_m=-0.12))
+    aligned = align_faces(face(turn_deg, 0.0, 0.6, 0.02, -0.05), votes, ABOVE_DOOR_M)
+    np.testing.assert_allclose(off_m(aligned.walls, turn_deg), 0.0, atol=0.004)
+
+
+def test_what_stands_before_a_wall_does_not_move_it_while_the_wall_shows_above() -> None:
+    cupboards = surface(0.2, 3.8, before_m=0.03, high_m=1.9)
+    above = surface(0.0, 4.0, low_m=1.9)
+    aligned = align_faces(face(0.0, 0.0, 4.0, 0.0, 0.0), votes_of(0.0, cupboards, cupboards, above), ABOVE_DOOR_M)
+    np.testing.assert_allclose(aligned.moved_m, 0.0, atol=0.002)
+
+
+def test_floor_and_ceiling_move_nothing() -> None:
+    votes = votes_of(0.0, surface(0.0, 1.0, before_m=0.04), label=Label.FLOOR)
+    aligned = align_faces(face(0.0, 0.0, 1.0, 0.0, 0.0), votes, ABOVE_DOOR_M)
+    assert (aligned.moved_m == 0).all()
+    np.testing.assert_array_equal(aligned.walls.ends, aligned.fused.ends)
+
+
+def test_a_face_without_returns_stays_and_no_faces_are_none() -> None:
+    far = votes_of(0.0, surface(5.0, 6.0))
+    stays = align_faces(face(0.0, 0.0, 1.0, 0.01, 0.02), far, ABOVE_DOOR_M)
+    assert (stays.moved_m == 0).all()
+    nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
+    assert (align_faces(face(0.0, 0.0, 1.0, 0.01, 0.02), nothing, ABOVE_DOOR_M).moved_m == 0).all()
+    assert len(align_faces(NO_WALLS, far, ABOVE_DOOR_M).walls) == 0
+
+
+def test_faces_do_not_depend_on_each_others_order() -> None:
+    votes = votes_of(0.0, surface(0.0, 0.5), surface(2.0, 4.0))
+    both = face(0.0, 0.0, 0.5, 0.03, -0.02).append(face(0.0, 2.0, 4.0, -0.01, 0.015))
+    aligned = align_faces(both, votes, ABOVE_DOOR_M)
+    swapped = align_faces(both.select(np.array([1, 0])), votes, ABOVE_DOOR_M)
+    np.testing.assert_array_equal(aligned.walls.ends[::-1], swapped.walls.ends)
+    np.testing.assert_allclose(aligned.walls.ends[:, :, 1] + 2.7, 0.0, atol=0.003)
