@@ -27,6 +27,10 @@ _END_M = 0.03
 """Closer to its ends than this other faces return."""
 _ABOVE_SHARE = 0.6
 """Where the wall above doors returned from so many of its columns, nothing below is asked: things stand there."""
+_COLUMN_ON = 0.5
+"""A column is a line's where such a share of what returned from it is."""
+_RIVAL_SHARE, _AS_LONG_COLUMNS = 0.5, 1
+"""A line may be the wall's with such a share of the votes of the one with most; longer is what is longer by more than this."""
 _ROUNDS = 3
 _FEWEST_COLUMNS = 3
 
@@ -41,6 +45,11 @@ class AlignedFaces:
     walls: Walls
     fused: Walls
     moved_m: FloatArray
+
+    def append(self, more: "AlignedFaces") -> "AlignedFaces":
+        """These faces and more."""
+        moved_m = np.concatenate([self.moved_m, more.moved_m])
+        return AlignedFaces(self.walls.append(more.walls), self.fused.append(more.fused), moved_m)
 
 
 @dataclass(frozen=True)
@@ -92,14 +101,15 @@ def _move_m(face: Segment, cubes: _Cubes, above_door_m: float) -> FloatArray:
     columns = int(np.ceil(face.length_m / CELL_M))
     column = (face.place_m(cubes.mean_map) / CELL_M).astype(np.int64)
     above = cubes.mean_map[:, 2] > above_door_m
-    if len(np.unique(column[above])) > _ABOVE_SHARE * columns:
+    shows_above = len(np.unique(column[above])) > _ABOVE_SHARE * columns
+    if shows_above:
         cubes, column = cubes.select(above), column[above]
     if len(np.unique(column)) < _FEWEST_COLUMNS:
         return np.zeros(2)
     # Every column has one vote, however often it was seen.
     weight = cubes.returns / np.bincount(column, cubes.returns)[column]
     share, before_m = face.place_m(cubes.mean_map) / face.length_m, face.before_m(cubes.mean_map)
-    move_m = _most_voted_m(column, before_m, weight, columns)
+    move_m = _most_voted_m(column, before_m, weight, columns, longest_first=not shows_above)
     for _ in range(_ROUNDS):
         own = np.abs(before_m - _line_m(share, move_m)) < _KEPT_M
         fitted_m = _least_squares_m(share[own], before_m[own], weight[own])
@@ -109,20 +119,34 @@ def _move_m(face: Segment, cubes: _Cubes, above_door_m: float) -> FloatArray:
     return move_m
 
 
-def _most_voted_m(column: np.ndarray, before_m: FloatArray, weight: FloatArray, columns: int) -> FloatArray:
-    """(2,) the distances before the face's ends between which the line runs that most columns return from."""
+def _most_voted_m(
+    column: np.ndarray, before_m: FloatArray, weight: FloatArray, columns: int, longest_first: bool
+) -> FloatArray:
+    """(2,) the distances before the face's ends between which the line runs that most columns return from.
+
+    longest_first: of the lines with half as many votes the longest; of equally long ones that with most.
+    """
     tried_m = np.arange(-_REACH_M, _REACH_M + _STEP_M / 2, _STEP_M)
     low_m = -_REACH_M - _KEPT_M
     bins = round(2 * (_REACH_M + _KEPT_M) / _STEP_M)
     histogram = np.zeros((columns, bins))
     np.add.at(histogram, (column, np.clip(((before_m - low_m) / _STEP_M).astype(np.int64), 0, bins - 1)), weight)
-    histogram = ndimage.uniform_filter1d(histogram, 2 * round(_AT_LINE_M / _STEP_M) + 1, axis=1, mode="constant")
+    window = np.ones(2 * int(_AT_LINE_M / _STEP_M) + 1)
+    histogram = ndimage.convolve1d(histogram, window, axis=1, mode="constant")
     share = (np.arange(columns) + 0.5) / columns
     at_start, at_end = (axis.ravel() for axis in np.meshgrid(tried_m, tried_m, indexing="ij"))
     lines_m = at_start[:, None] * (1 - share) + at_end[:, None] * share
-    votes = histogram[np.arange(columns), ((lines_m - low_m) / _STEP_M).astype(np.int64)].sum(axis=1)
+    of_columns = histogram[np.arange(columns), ((lines_m - low_m) / _STEP_M).astype(np.int64)]
+    votes = of_columns.sum(axis=1)
+    longest = np.ones(len(votes), bool)
+    if longest_first:
+        # A leaf may be broader than what is seen of its wall, and so may a shelf: the wall shows on both sides of either.
+        on = of_columns > _COLUMN_ON
+        extent = np.where(on.any(axis=1), columns - on.argmax(axis=1) - on[:, ::-1].argmax(axis=1), 0)
+        extent[votes < _RIVAL_SHARE * votes.max()] = 0
+        longest = extent >= extent.max() - _AS_LONG_COLUMNS
     # Of lines with as many votes the one that is nearest to the face.
-    best = np.lexsort((np.abs(at_start) + np.abs(at_end), -votes.round(6)))[0]
+    best = np.lexsort((np.abs(at_start) + np.abs(at_end), -votes.round(6), ~longest))[0]
     return np.array([at_start[best], at_end[best]])
 
 

@@ -36,7 +36,7 @@ from algorithms.standing_walls import (
     StandingWallsSettings,
     wall_directions,
 )
-from algorithms.wall_cells import FILLED, FOOT_ROW, SUM, WallCells, returns_at_face
+from algorithms.wall_cells import FILLED, FOOT_ROW, WallCells
 from algorithms.wall_openings import widened
 
 _AT_CORNER_M = 0.15
@@ -96,7 +96,6 @@ def find_hidden_walls(
     columns = count_columns(cells, clear_m, settings.above_door_m)
     kept: list[tuple[int, int, int]] = []
     top_m: list[float] = []
-    before_m: list[float] = []
     ducts: list[tuple[int, float, float]] = []
     undersides = _undersides(votes)
     for w in range(len(both)):
@@ -124,10 +123,8 @@ def find_hidden_walls(
                 first, last = widened(told.sill, first, after - 1, _WINDOW_COLUMNS)
                 kept.append((w, first, last + 1))
                 top_m.append(ceiling_m)
-                before_m.append(_returns_before_m(counts))
     hidden = cut_faces(both, cells, kept)
-    moved = hidden.ends + np.array(before_m).reshape(-1, 1, 1) * hidden.normal[:, None]
-    return HiddenWalls(replace(hidden, ends=moved, top_m=np.array(top_m)), *_cut_out(walls, ducts, length_min_m))
+    return HiddenWalls(replace(hidden, top_m=np.array(top_m)), *_cut_out(walls, ducts, length_min_m))
 
 
 def _candidates(votes: VoxelVotes, walls: Walls, refused: Walls, settings: StandingWallsSettings) -> Walls:
@@ -292,13 +289,6 @@ def _cut_out(walls: Walls, ducts: list[tuple[int, float, float]], length_min_m: 
 def _part(own: Walls, face: Segment, low_m: float, high_m: float) -> Walls:
     """A stretch of a single face."""
     return replace(own, ends=face.at(np.array([low_m, high_m]))[None])
-
-
-def _returns_before_m(counts: FloatArray) -> float:
-    """Mean distance before a face of the returns that may be its own, of cells (c, rows, 4); 0 where there are none."""
-    returns = returns_at_face(counts)
-    total = counts[..., SUM].sum(where=returns > 0, dtype=np.float64)
-    return float(total / returns.sum()) if returns.any() else 0.0
 
 
 def _to_corners_m(face: Walls, walls: Walls) -> float:

@@ -61,6 +61,10 @@ class RefinementSettings(StepSettings):
     )
 
 
+_FIRST_PASSES = 3
+"""The first two scans are registered so often, from rest on, each time with the motion that was found."""
+
+
 @dataclass(frozen=True)
 class Refinement:
     """One scan registered again.
@@ -113,6 +117,7 @@ class Refiner:
         self._T_sensor_companion = T_sensor_companion
         self._map = GaussianMap(settings.voxel_m, settings.memory_scans)
         self._last: _Registered | None = None
+        self._first: tuple[Scan, Scan | None] | None = None
         self._refusals = 0
 
     def refine(self, scan: Scan, T_odom_sensor: FloatArray, companion: Scan | None = None) -> Refinement:
@@ -126,18 +131,19 @@ class Refiner:
         if last is None:
             source = self._put_together(scan, companion, stamp_ns, motion_per_ns)
             T_refined, inlier_share, weakest_share, refused = T_odom_sensor, 1.0, 1.0, False
+            self._first = scan, companion
         else:
             elapsed_ns = max(stamp_ns - last.stamp_ns, 1)
-            T_refined = last.T_refined @ transforms.invert(last.T_odometry) @ T_odom_sensor
+            T_odometry = last.T_refined @ transforms.invert(last.T_odometry) @ T_odom_sensor
             motion_per_ns = last.motion_per_ns
-            if not motion_per_ns.any():
-                # The second scan: nothing is known yet but the odometry's motion.
-                motion_per_ns = transforms.to_twist(transforms.invert(last.T_refined) @ T_refined) / elapsed_ns
-            T_carried_on = last.T_refined @ transforms.from_twist(motion_per_ns * elapsed_ns)
-            for _ in range(self._settings.passes):
+            for _ in range(self._settings.passes if self._first is None else _FIRST_PASSES):
+                if self._first is not None:
+                    self._start_again(*self._first, last, motion_per_ns)
+                T_carried_on = last.T_refined @ transforms.from_twist(motion_per_ns * elapsed_ns)
                 source = self._put_together(scan, companion, stamp_ns, motion_per_ns)
-                T_refined, inlier_share, weakest_share, refused = self._register(source, T_refined, T_carried_on)
+                T_refined, inlier_share, weakest_share, refused = self._register(source, T_odometry, T_carried_on)
                 motion_per_ns = transforms.to_twist(transforms.invert(last.T_refined) @ T_refined) / elapsed_ns
+            self._first = None
         self._refusals = self._refusals + 1 if refused else 0
         self._map.insert(source, T_refined)
         self._last = _Registered(stamp_ns, T_odom_sensor, T_refined, motion_per_ns)
@@ -145,6 +151,11 @@ class Refiner:
         return Refinement(
             stamp_ns, T_refined, T_refined @ T_middle_end, inlier_share, weakest_share, refused, source.points
         )
+
+    def _start_again(self, scan: Scan, companion: Scan | None, at: _Registered, motion_per_ns: FloatArray) -> None:
+        """The map of the first scan alone, put together by a motion that was not known when it came."""
+        self._map = GaussianMap(self._settings.voxel_m, self._settings.memory_scans)
+        self._map.insert(self._put_together(scan, companion, at.stamp_ns, motion_per_ns), at.T_refined)
 
     def _put_together(
         self, scan: Scan, companion: Scan | None, stamp_ns: int, motion_per_ns: FloatArray
@@ -163,7 +174,7 @@ class Refiner:
 
         T_odometry, T_carried_on: where the odometry's motion leads, and where that of the last scans does.
         """
-        for guess in (T_odometry, T_carried_on):
+        for guess in (T_carried_on, T_odometry):
             found = self._map.register(source, guess, self._settings.distance_m, self._settings.iterations_max)
             refused = all(self._is_jump(T, found.T_map_cloud) for T in (T_odometry, T_carried_on))
             if not refused:

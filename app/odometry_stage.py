@@ -31,7 +31,7 @@ from loaders.scans import read_scans
 
 _PER_FILE = 50
 _GRAPH = "pose_graph.npz"
-_FORMAT = 6
+_FORMAT = 7
 """Raised whenever a change to reading or registering scans changes poses."""
 
 

@@ -150,7 +150,7 @@ class Building:
     """The third stage's answer."""
 
     aligned: AlignedFaces
-    """All faces that scans' planes make, before any was judged."""
+    """The faces that scans' planes make, before any was judged, and those found of all scans' returns together."""
     walls: Walls
     before: BeforeWalls
     judged: JudgedFaces
@@ -590,16 +590,16 @@ def _build(
         judged = judged.refuse(refused, FaceVerdict.ALONE).refuse(leaves, FaceVerdict.LEANS)
         return refuse_outside(judged, storey)
 
-    def fuse(of: Features) -> AlignedFaces:
-        return align_faces(fuse_walls(of, settings.building), votes, settings.standing_walls.above_door_m)
+    def align(faces: Walls) -> AlignedFaces:
+        return align_faces(faces, votes, settings.standing_walls.above_door_m)
 
-    aligned = fuse(planes)
+    aligned = align(fuse_walls(planes, settings.building))
     judged = judge(aligned.walls)
     seen = trace(judged.walls)
     windows = find_windows(judged.walls, seen, clear(judged.walls, seen), settings.building)
     outside = seen_through(windows, planes)
     if outside.any():
-        aligned = fuse(select_planes(planes, ~outside))
+        aligned = align(fuse_walls(select_planes(planes, ~outside), settings.building))
         judged = judge(aligned.walls)
     hidden = find_hidden_walls(
         votes,
@@ -612,7 +612,9 @@ def _build(
         settings.standing_walls,
     )
     judged = replace(judged, walls=hidden.known).refuse(hidden.ducts, FaceVerdict.HANGS)
-    walls = join_corners(judged.walls.append(hidden.walls), settings.standing_walls.corner_m)
+    found = align(hidden.walls)
+    aligned = aligned.append(found)
+    walls = join_corners(judged.walls.append(found.walls), settings.standing_walls.corner_m)
     cells = trace(walls)
     clear_m = clear(walls, cells)
     windows = find_windows(walls, cells, clear_m, settings.building)

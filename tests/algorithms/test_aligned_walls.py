@@ -74,6 +74,13 @@ def test_what_stands_before_a_wall_does_not_move_it_while_the_wall_shows_above()
     np.testing.assert_allclose(aligned.moved_m, 0.0, atol=0.002)
 
 
+def test_where_nothing_shows_above_a_leaf_that_is_broader_than_its_wall_does_not_move_it() -> None:
+    """Below a duct; the wall shows on both sides of the leaf, 4 cm before it."""
+    low = [surface(a, b, off, high_m=1.9) for a, b, off in ((0, 0.6, 0), (0.6, 1.5, -0.04), (1.5, 1.65, 0))]
+    aligned = align_faces(face(0.0, 0.0, 1.65, -0.02, -0.02), votes_of(0.0, *low), ABOVE_DOOR_M)
+    np.testing.assert_allclose(aligned.moved_m, 0.02, atol=0.003)
+
+
 def test_floor_and_ceiling_move_nothing() -> None:
     votes = votes_of(0.0, surface(0.0, 1.0, before_m=0.04), label=Label.FLOOR)
     aligned = align_faces(face(0.0, 0.0, 1.0, 0.0, 0.0), votes, ABOVE_DOOR_M)

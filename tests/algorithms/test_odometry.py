@@ -244,3 +244,24 @@ def test_an_odometry_that_jitters_bends_no_sweep(scans: list[tuple[int, Scan, Sc
     step_deg = np.degrees(Rotation.from_matrix(step[:, :3, :3]).magnitude())
     assert np.sqrt(np.mean(step_m**2)) < 0.003
     assert np.sqrt(np.mean(step_deg**2)) < 0.1
+
+
+@pytest.mark.parametrize("from_scan", [0, 20])
+def test_an_odometry_that_is_wild_at_first_moves_no_first_pose(
+    scans: list[tuple[int, Scan, Scan | None]], from_scan: int
+) -> None:
+    """At rest and when the recording begins in motion: nothing but the scans tells what the motion was."""
+    generator = np.random.default_rng(6)
+    refiner = Refiner(RefinementSettings(), (0.5, 60.0), transforms.invert(T_BASE_HORIZONTAL) @ T_BASE_VERTICAL)
+    T_found, T_true = [], []
+    for _, scan, companion in scans[from_scan : from_scan + 10]:
+        turn = Rotation.from_rotvec(generator.normal(0, np.radians(3.0), 3))
+        T_end = true_pose(scan.end_ns * 1e-9) @ T_BASE_HORIZONTAL
+        found = refiner.refine(scan, T_end @ transforms.make_transform(turn, generator.normal(0, 0.1, 3)), companion)
+        assert not found.refused
+        T_found.append(found.T_odom_sensor)
+        T_true.append(true_pose(found.stamp_ns * 1e-9) @ T_BASE_HORIZONTAL)
+    way = transforms.invert(np.array(T_found[:1])) @ np.array(T_found)
+    off = transforms.invert(transforms.invert(np.array(T_true[:1])) @ np.array(T_true)) @ way
+    assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.01
+    assert np.degrees(Rotation.from_matrix(off[:, :3, :3]).magnitude()).max() < 0.5

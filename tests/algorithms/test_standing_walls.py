@@ -257,15 +257,13 @@ def search(
     seen_m: float = CEILING_M,
     window_m: tuple[float, float] | None = None,
     window_from_y: float = 0.0,
-    off_m: float = 0.0,
     from_y: float = 0.5,
     rays: float = 3.0,
 ) -> HiddenWalls:
     """What is found; so many rays a cell end on every candidate that lies on x = 3, seen from smaller x, and pass the others.
 
     hip_m: from there to a door's head a few rays pass. unseen_m, seen_m: below and above there no ray comes.
-    window_m: between these heights rays pass, from `window_from_y` on. known: a wall beside it. off_m: so far before the
-    face the returns lie. from_y: where the face begins.
+    window_m: between these heights rays pass, from `window_from_y` on. known: a wall beside it. from_y: where the face begins.
     """
 
     def trace(candidates: Walls) -> WallCells:
@@ -288,7 +286,6 @@ def search(
                 pane[y > window_from_y] = np.array([0.0, 0.0, 0.0, 3.0])
             counts[own, : int(unseen_m / CELL_M)] = 0.0
             counts[own, int(seen_m / CELL_M) :] = 0.0
-            counts[own, :, SUM] = off_m * counts[own, :, FILLED]
             if on:
                 counts[own][(y < from_y) | (y > 2.0)] = 0.0
         return WallCells(first, 60, counts)
@@ -390,10 +387,6 @@ def test_a_cupboard_and_a_duct_above_it_are_no_wall_with_a_window():
 def test_a_window_may_reach_close_to_the_ceiling():
     assert len(hidden(room(to_x=3.0), window_m=(0.9, 2.5))) == 1
     assert len(hidden(room(to_x=3.0), window_m=(0.9, 2.75))) == 0  # a partition
-
-
-def test_a_hidden_wall_stands_where_its_returns_lie():
-    np.testing.assert_allclose(hidden(room(), off_m=0.02).ends[0, :, 0], 3.0 - 0.02, atol=0.005)
 
 
 def test_a_pillars_side_is_as_long_as_to_the_corner_with_its_front():
