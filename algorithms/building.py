@@ -23,6 +23,12 @@ class BuildingSettings(StepSettings):
 
     angle_deg: float = Field(8.0, gt=0, le=45, description="Planes of one wall differ by at most so many degrees.")
     distance_m: float = Field(0.10, gt=0, description="Planes of one wall lie at most so many metres apart.")
+    own_plane_m: float = Field(
+        0.03,
+        ge=0,
+        description="So closely, in metres, a scan's plane lies at a face that it is this scan's own place of; "
+        "what lies farther behind is a leaf.",
+    )
     gap_m: float = Field(0.6, ge=0, description="A wall has no gap longer than so many metres between its planes.")
     scans_min: int = Field(3, ge=1, description="Fewest scans that make a wall, and that bear out each part of it.")
     length_min_m: float = Field(0.25, ge=0, description="Shortest wall face in metres.")

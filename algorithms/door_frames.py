@@ -59,7 +59,7 @@ def place_frames(doors: Doors, walls: Walls, blocks: Iterable[Features], setting
             block.plane_starts,
             np.ascontiguousarray(block.plane_ends_map, np.float64),
             np.ascontiguousarray(block.plane_normal, np.float64),
-            2.0 * settings.distance_m,
+            settings.own_plane_m,
             float(np.cos(np.radians(settings.angle_deg))),
         )
     ends, head_m = doors.ends.copy(), doors.head_m.copy()

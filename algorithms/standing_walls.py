@@ -177,11 +177,14 @@ def judge_faces(
         # What stands before a wall, and is hidden above by a duct, is no higher than what was seen of it.
         low |= stands_before[w] and columns.upper_on[own].sum() < _RAYS_MIN
         if hangs.any():
-            # The rest of a duct, below which little was seen.
+            # The rest of a duct, below which little was seen; beside a gate the wall stands down to the floor.
             for first, after in runs(~(hangs | low)):
                 part = slice(own.start + first, own.start + after)
-                hangs[first:after] = columns.lower_on[part].sum() < max(
+                little = columns.lower_on[part].sum() < max(
                     columns.lower_passed[part].sum(), columns.upper_on[part].sum()
+                )
+                hangs[first:after] = little and not _goes_on(
+                    cells.counts[part], settings.above_door_m, median_m(clear_m[part])
                 )
         if low.any():
             for first, after in runs(~(hangs | low)):
@@ -224,6 +227,15 @@ def _between_walls(low: BoolArray, stands: BoolArray, sill: BoolArray) -> BoolAr
         framed = min(np.count_nonzero(before), np.count_nonzero(behind)) >= beside
         windows[first:after] = framed and sill[first:after].mean() > 0.5
     return windows
+
+
+def shows_whole(cells: WallCells, clear_m: FloatArray, above_door_m: float) -> BoolArray:
+    """(W,) which faces rays end on from the foot to the ceiling, as on a round column's facets, however few scans saw them.
+
+    clear_m: (columns,) from the floor to the ceiling before each column.
+    """
+    parts = [slice(int(a), int(b)) for a, b in zip(cells.first[:-1], cells.first[1:], strict=True)]
+    return np.array([_goes_on(cells.counts[p], above_door_m, median_m(clear_m[p])) for p in parts], bool)
 
 
 def refuse_outside(judged: JudgedFaces, storey: Storey) -> JudgedFaces:

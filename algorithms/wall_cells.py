@@ -65,7 +65,7 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
             np.ascontiguousarray(block.plane_normal, np.float64),
             settings.near_m,
             settings.range_m,
-            2.0 * settings.distance_m,
+            settings.own_plane_m,
             float(np.cos(np.radians(settings.angle_deg))),
         )
     return WallCells(first, rows, counts)

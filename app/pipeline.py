@@ -43,6 +43,7 @@ from algorithms.standing_walls import (
     judge_faces,
     leaning_on_others,
     refuse_outside,
+    shows_whole,
     trim_at_doorways,
 )
 from algorithms.trajectory import Trajectory
@@ -571,7 +572,7 @@ def _build(
     planes = concatenate([_without_rays(features) for features in _features(folder, blocks)])
     storey = Storey.of(votes)
     far = settings.building.model_copy(update={"range_m": settings.building.far_m})
-    strict = far.model_copy(update={"near_m": _STRICT_NEAR_M, "distance_m": 0.0})
+    strict = far.model_copy(update={"near_m": _STRICT_NEAR_M, "own_plane_m": 0.0})
 
     def trace(faces: Walls, building: BuildingSettings = settings.building, windows: Windows = NO_WINDOWS) -> WallCells:
         return _trace(faces, folder, blocks, building, windows, workers)
@@ -582,8 +583,11 @@ def _build(
     def judge(faces: Walls) -> JudgedFaces:
         leaning = leaning_on_others(faces)
         leaves, faces = faces.select(leaning), join_corners(faces.select(~leaning), settings.standing_walls.corner_m)
-        alone = (faces.scan_count < settings.standing_walls.scans_few) & ~along_others(faces)
-        faces, refused = faces.select(~alone), faces.select(alone)
+        doubtful = np.flatnonzero((faces.scan_count < settings.standing_walls.scans_few) & ~along_others(faces))
+        looked_at = faces.select(doubtful)
+        cells = trace(looked_at)
+        alone = doubtful[~shows_whole(cells, clear(looked_at, cells), settings.standing_walls.above_door_m)]
+        faces, refused = faces.select(np.setdiff1d(np.arange(len(faces)), alone)), faces.select(alone)
         cells = trace(faces)
         path = trajectory.T_map_base[:, :2, 3]
         judged = judge_faces(faces, cells, clear(faces, cells), path, settings.building.length_min_m, settings.standing_walls)

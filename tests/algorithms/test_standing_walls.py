@@ -21,6 +21,7 @@ from algorithms.standing_walls import (
     judge_faces,
     leaning_on_others,
     refuse_outside,
+    shows_whole,
     trim_at_doorways,
 )
 from algorithms.wall_cells import WallCells
@@ -143,6 +144,27 @@ def test_a_duct_is_refused():
     cells = cells_of(6.0)
     pass_rays(cells, slice(0, 120), 0.0, 2.2)
     assert judge(cells) == ([], [FaceVerdict.HANGS])
+
+
+def test_a_wall_beside_a_gate_in_a_high_hall_stands():
+    """The gate is wider than doors are, and above leaves' height the wall returns more than below."""
+    cells = cells_of(12.0)
+    tall = WallCells(cells.first, 100, np.zeros((240, 100, 4), np.float32))
+    tall.counts[:, :92, FILLED] = 10.0
+    pass_rays(tall, slice(60, 124), 0.0, 3.2)
+    judged = judge_faces(
+        faces(((0, 0), (12, 0))), tall, np.full(240, 4.6), np.array([[6.0, 2.0], [7.0, 2.0]]), 0.25, SETTINGS
+    )
+    np.testing.assert_allclose(judged.walls.ends[:, :, 0], [[0.0, 3.0], [6.2, 12.0]], atol=3 * CELL_M)
+    assert judged.verdict.tolist() == [FaceVerdict.HANGS]
+
+
+def test_what_rays_end_on_from_foot_to_ceiling_shows_whole():
+    whole, leaf, hidden = cells_of(0.4), cells_of(0.4), cells_of(0.4)
+    pass_rays(leaf, slice(None), 2.05, CEILING_M)
+    hidden.counts[:, 42:] = 0.0  # nobody looked above
+    cells = WallCells(np.array([0, 8, 16, 24]), 66, np.concatenate([c.counts for c in (whole, leaf, hidden)]))
+    assert shows_whole(cells, np.full(24, CEILING_M), SETTINGS.above_door_m).tolist() == [True, False, False]
 
 
 def test_the_rest_of_a_duct_goes_with_it():
