@@ -11,7 +11,7 @@ from pydantic import Field
 from scipy import ndimage
 
 from algorithms.building import CELL_M, Doors, Walls, cells_in
-from algorithms.face_columns import column_places
+from algorithms.face_columns import above_doors_m, column_places
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, IntArray
 from algorithms.segments import segments
@@ -96,7 +96,7 @@ def _relief(counts: FloatArray, clear_m: FloatArray, settings: BeforeWallsSettin
     height_m = (np.arange(counts.shape[1]) + 0.5) * CELL_M
     top_m = np.where(np.isfinite(clear_m), clear_m, np.inf)[:, None]
     # A face that is fitted over many metres may be off its wall by more than the relief: the wall above tells.
-    above = (height_m > settings.above_m) & (height_m < top_m - 2 * CELL_M)
+    above = (height_m > above_doors_m(clear_m, settings.above_m)[:, None]) & (height_m < top_m - 2 * CELL_M)
     wall = (counts[..., :THROUGH] * (above & ~_reveals(counts, above))[..., None]).sum(axis=1, keepdims=True)
     wall_m, _ = _mean_and_scatter_m(wall, (_WALL_COLUMNS, 1), settings.returns_min)
     usual_m = _scatter_m(wall)

@@ -20,6 +20,7 @@ _CEILING_MARGIN_M = 0.08
 """Rows so close below a ceiling hold its own returns."""
 _CROWN_M = 0.2
 """No window reaches so close to where these begin."""
+_LEAST_ABOVE_M = 0.25
 _ROW_RAYS, _OPEN_RATIO = 3, 10.0
 """A row of a column is open where so many rays pass, and so many for each that ends there."""
 SMOOTH_COLUMNS = 1
@@ -96,6 +97,15 @@ class Columns:
         return Columns(*(getattr(self, field.name)[columns] for field in fields(self)))
 
 
+def above_doors_m(clear_m: FloatArray, above_door_m: float) -> FloatArray:
+    """(k,) from which height on nothing but walls stands: above leaves and cupboards, and in low rooms, whose doors and
+    shelves are lower, the last 25 cm.
+
+    clear_m: (k,) from the floor to the ceiling; NaN where none was seen.
+    """
+    return np.asarray(np.fmin(above_door_m, clear_m - _LEAST_ABOVE_M))
+
+
 def count_columns(cells: WallCells, clear_m: FloatArray, above_door_m: float) -> Columns:
     """What the rays found of each column of the faces.
 
@@ -105,7 +115,7 @@ def count_columns(cells: WallCells, clear_m: FloatArray, above_door_m: float) ->
     on, passed = on_and_passed(cells.counts)
     height = (np.arange(cells.rows) + 0.5) * CELL_M
     top = np.where(np.isfinite(clear_m), clear_m, np.inf) - _CEILING_MARGIN_M
-    upper = (height > above_door_m) & (height < top[:, None])
+    upper = (height > above_doors_m(clear_m, above_door_m)[:, None]) & (height < top[:, None])
     crown = upper & (height > top[:, None] - _CROWN_M)
     lower = (height > _FOOT_M) & (height < _HIP_M)
     sill = (height > _FOOT_M) & (height < SILL_M)

@@ -14,6 +14,7 @@ from pydantic import Field
 from algorithms.building import CELL_M, NO_WALLS, Doors, Walls, cells_in
 from algorithms.face_columns import (
     Storey,
+    above_doors_m,
     column_places,
     count_columns,
     cut_faces,
@@ -68,7 +69,10 @@ class StandingWallsSettings(StepSettings):
     """Telling walls from what only looks like one, and finding those that scans saw too little of."""
 
     above_door_m: float = Field(
-        2.12, gt=0, description="Above so many metres, higher than leaves and cupboards, a wall still stands."
+        2.12,
+        gt=0,
+        description="Above so many metres, higher than leaves and cupboards, a wall still stands; in lower rooms in "
+        "the last 25 cm below the ceiling.",
     )
     passed_ratio: float = Field(
         2.0,
@@ -334,7 +338,7 @@ def _goes_on(counts: FloatArray, head_m: float, clear_m: float) -> bool:
         return False
     on, passed = rows_on_and_passed(counts, clear_m)
     seen = on + passed >= SCATTERED_RAYS
-    above = seen[int(head_m / CELL_M) + 1 - FOOT_ROW :]
+    above = seen[int(above_doors_m(np.array(clear_m), head_m) / CELL_M) + 1 - FOOT_ROW :]
     return bool(np.mean(above) > 0.5 and np.mean(on[seen] > passed[seen]) >= _GOES_ON_SHARE) if len(above) else False
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from algorithms.building import CELL_M, NO_DOORS, NO_WALLS, Walls
-from algorithms.face_columns import Storey
+from algorithms.face_columns import Storey, above_doors_m
 from algorithms.hidden_walls import HiddenWalls, find_hidden_walls
 from algorithms.labels import Label
 from algorithms.segments import Segment
@@ -188,6 +188,25 @@ def test_a_leaf_is_refused_whether_seen_past_or_against_the_wall_behind():
     rows = slice(int(2.05 / CELL_M), None)
     behind.counts[:, rows, SUM] = -0.2 * behind.counts[:, rows, FILLED]
     assert judge(behind) == ([], [FaceVerdict.ENDS_LOW])
+
+
+def test_in_a_low_room_a_shelf_is_told_by_the_last_rows_below_the_ceiling():
+    def judged(top_m: float) -> list[FaceVerdict]:
+        cells = cells_of(1.5)
+        cells.counts[:, int(2.2 / CELL_M) :] = 0.0
+        pass_rays(cells, slice(None), top_m, 2.2)
+        path = np.array([[0.0, 1.0], [1.5, 1.0]])
+        return judge_faces(
+            faces(((0, 0), (1.5, 0))), cells, np.full(30, 2.2), path, 0.25, SETTINGS
+        ).verdict.tolist()
+
+    assert judged(1.9) == [FaceVerdict.ENDS_LOW]
+    assert judged(2.2) == []
+
+
+def test_walls_show_above_doors_and_in_low_rooms_close_below_the_ceiling():
+    clear_m = np.array([np.nan, 2.8, 2.37, 2.2])
+    np.testing.assert_allclose(above_doors_m(clear_m, 2.12), [2.12, 2.12, 2.12, 1.95])
 
 
 def test_a_cupboard_in_line_with_a_wall_is_cut_off():
