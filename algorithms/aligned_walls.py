@@ -2,8 +2,8 @@
 
 A face that is fused from planes of scans is as true as these: over a long wall to millimetres, but of a pillar's side a scan
 sees few lines, and its plane may be off by as much as these scatter over its length, or run from the pillar on to the wall
-behind. Over all scans the cubes of space hold returns enough to say where the surface is: of all lines that pass near both
-ends of a face, most of its columns return from one (Hough, US patent 3,069,654; here in distances before the ends).
+behind. Over all scans the cubes of space hold returns enough to say where the surface is: its columns vote for lines that
+pass near both ends of the face (Hough, US patent 3,069,654; here in distances before the ends).
 """
 
 from dataclasses import dataclass, replace
@@ -12,6 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from algorithms.building import CELL_M, Walls
+from algorithms.face_columns import Storey, above_doors_m
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray
 from algorithms.segments import Segment
@@ -30,9 +31,13 @@ _ABOVE_SHARE = 0.6
 _COLUMN_ON = 0.5
 """A column is a line's where such a share of what returned from it is."""
 _RIVAL_SHARE, _AS_LONG_COLUMNS = 0.5, 1
-"""A line may be the wall's with such a share of the votes of the one with most; longer is what is longer by more than this."""
+"""A line with such a share of the most votes may be the wall's; one that is shorter by no more columns is as long."""
+_BEFORE_M = 0.2
+"""So far before a face its floor and ceiling are looked for."""
 _ROUNDS = 3
-_FEWEST_COLUMNS = 3
+"""So often what lies at the line is fitted anew."""
+_FEWEST_COLUMNS, _SPREAD_SHARE = 3, 0.5
+"""So many columns tell where a face lies, if they spread over such a share of it."""
 
 
 @dataclass(frozen=True)
@@ -79,32 +84,39 @@ class _Cubes:
         return _Cubes(self.mean_map[chosen], self.returns[chosen])
 
 
-def align_faces(walls: Walls, votes: VoxelVotes, above_door_m: float) -> AlignedFaces:
-    """Each face where most of its columns return from, if that is at most 5 cm from where it was; others as they were.
+def align_faces(
+    walls: Walls, votes: VoxelVotes, storey: Storey, above_door_m: float, ceiling_near_m: float
+) -> AlignedFaces:
+    """Each face where its columns return from, if that is at most 7 cm from where it was; others as they were.
 
-    votes: of the labels that scans gave. above_door_m: higher than leaves and cupboards.
+    That is where most of them do; of a face that does not show above doors, where the longest surface does.
+
+    votes: of the labels that scans gave; storey: the floor and the ceiling among them. above_door_m: higher than leaves and
+    cupboards. ceiling_near_m: how near a face's ceiling is looked for.
     """
     cubes = _Cubes.of(votes)
     ends, normal, moved_m = walls.ends.copy(), walls.normal.copy(), np.zeros((len(walls), 2))
     for w in range(len(walls)):
         face = Segment.between(walls.ends[w], walls.normal[w])
-        moved_m[w] = _move_m(face, cubes.near(face, _REACH_M + _KEPT_M), above_door_m)
-        ends[w] += moved_m[w, :, None] * face.normal
-        along = (ends[w, 1] - ends[w, 0]) / np.linalg.norm(ends[w, 1] - ends[w, 0])
-        left = np.array([-along[1], along[0]])
-        normal[w] = left if left @ face.normal > 0 else -left
+        columns = face.at((np.arange(int(np.ceil(face.length_m / CELL_M))) + 0.5) * CELL_M) + _BEFORE_M * face.normal
+        above_m = storey.ground_m(columns) + above_doors_m(storey.clear_m(columns, ceiling_near_m), above_door_m)
+        moved_m[w] = _move_m(face, cubes.near(face, _REACH_M + _KEPT_M), above_m)
+        if moved_m[w].any():
+            ends[w] += moved_m[w, :, None] * face.normal
+            left = Segment.between(ends[w]).normal
+            normal[w] = left if left @ face.normal > 0 else -left
     return AlignedFaces(replace(walls, ends=ends, normal=normal), walls, moved_m)
 
 
-def _move_m(face: Segment, cubes: _Cubes, above_door_m: float) -> FloatArray:
-    """(2,) how far each end of the face is to move towards the room."""
-    columns = int(np.ceil(face.length_m / CELL_M))
+def _move_m(face: Segment, cubes: _Cubes, above_m: FloatArray) -> FloatArray:
+    """(2,) how far each end of the face is to move towards the room; above_m: (c,) where in each column walls alone stand."""
+    columns = len(above_m)
     column = (face.place_m(cubes.mean_map) / CELL_M).astype(np.int64)
-    above = cubes.mean_map[:, 2] > above_door_m
+    above = cubes.mean_map[:, 2] > above_m[column]
     shows_above = len(np.unique(column[above])) > _ABOVE_SHARE * columns
     if shows_above:
         cubes, column = cubes.select(above), column[above]
-    if len(np.unique(column)) < _FEWEST_COLUMNS:
+    if len(np.unique(column)) < _FEWEST_COLUMNS or np.ptp(column) < _SPREAD_SHARE * columns:
         return np.zeros(2)
     # Every column has one vote, however often it was seen.
     weight = cubes.returns / np.bincount(column, cubes.returns)[column]
@@ -114,7 +126,7 @@ def _move_m(face: Segment, cubes: _Cubes, above_door_m: float) -> FloatArray:
         own = np.abs(before_m - _line_m(share, move_m)) < _KEPT_M
         fitted_m = _least_squares_m(share[own], before_m[own], weight[own])
         if not np.all(np.abs(fitted_m) < _REACH_M + _KEPT_M):
-            break
+            return np.zeros(2)
         move_m = fitted_m
     return move_m
 
@@ -127,8 +139,8 @@ def _most_voted_m(
     longest_first: of the lines with half as many votes the longest; of equally long ones that with most.
     """
     tried_m = np.arange(-_REACH_M, _REACH_M + _STEP_M / 2, _STEP_M)
-    low_m = -_REACH_M - _KEPT_M
-    bins = round(2 * (_REACH_M + _KEPT_M) / _STEP_M)
+    low_m = -_REACH_M - _KEPT_M - _STEP_M / 2
+    bins = round(-2 * low_m / _STEP_M)
     histogram = np.zeros((columns, bins))
     np.add.at(histogram, (column, np.clip(((before_m - low_m) / _STEP_M).astype(np.int64), 0, bins - 1)), weight)
     window = np.ones(2 * int(_AT_LINE_M / _STEP_M) + 1)

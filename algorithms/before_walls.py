@@ -40,7 +40,11 @@ class BeforeWallsSettings(StepSettings):
     relief_m: float = Field(
         0.010, gt=0, description="What returns on average so many metres before a wall's face is not the wall."
     )
-    above_m: float = Field(2.12, gt=0, description="Above so many metres, to the ceiling, the wall itself is seen.")
+    above_m: float = Field(
+        2.12,
+        gt=0,
+        description="Above so many metres, to the ceiling, the wall itself is seen; in lower rooms in the last 25 cm.",
+    )
     returns_min: int = Field(8, ge=1, description="Fewest returns that tell a distance before the face.")
     scatter_max: float = Field(
         2.0, gt=0, description="What returns with so many times the wall's own scatter is no surface, but several."

@@ -26,8 +26,8 @@ class BuildingSettings(StepSettings):
     own_plane_m: float = Field(
         0.03,
         ge=0,
-        description="So closely, in metres, a scan's plane lies at a face that it is this scan's own place of; "
-        "what lies farther behind is a leaf.",
+        description="A scan's plane that lies within so many metres of a face is that face as this scan saw it; one "
+        "farther off is another thing's, such as a leaf's.",
     )
     gap_m: float = Field(0.6, ge=0, description="A wall has no gap longer than so many metres between its planes.")
     scans_min: int = Field(3, ge=1, description="Fewest scans that make a wall, and that bear out each part of it.")

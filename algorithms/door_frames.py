@@ -127,7 +127,7 @@ def _compare_with_frames(
     plane_starts: IntArray,
     plane_ends: FloatArray,
     plane_normal: FloatArray,
-    distance_m: float,
+    own_plane_m: float,
     cos_angle: float,
 ) -> None:  # pragma: no cover
     for d in range(len(ends)):
@@ -147,7 +147,7 @@ def _compare_with_frames(
                 plane_normal,
                 plane_starts[s],
                 plane_starts[s + 1],
-                distance_m,
+                own_plane_m,
                 cos_angle,
             )
             middle = (

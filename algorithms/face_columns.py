@@ -58,13 +58,15 @@ class Storey:
         """
         if len(self.ceiling) < 10 or not len(places):
             return np.full(len(places), np.nan)
-        floor_tree, ceiling_tree = self._trees
-        distance, nearest = ceiling_tree.query(places, k=10)
+        distance, nearest = self._trees[1].query(places, k=10)
         top = np.percentile(self.ceiling[nearest, 2], 80, axis=1)
-        ground = np.zeros(len(places))
-        if len(self.floor) >= 5:
-            ground = np.median(self.floor[floor_tree.query(places, k=5)[1], 2], axis=1)
-        return np.where(distance[:, 0] < near_m, top - ground, np.nan)
+        return np.where(distance[:, 0] < near_m, top - self.ground_m(places), np.nan)
+
+    def ground_m(self, places: FloatArray) -> FloatArray:
+        """(k,) how high in the map the floor is near each place (k, 2); 0 where none was seen at all."""
+        if len(self.floor) < 5 or not len(places):
+            return np.zeros(len(places))
+        return np.asarray(np.median(self.floor[self._trees[0].query(places, k=5)[1], 2], axis=1))
 
 
 def column_places(walls: Walls, first: IntArray, before_m: float = 0.2) -> FloatArray:

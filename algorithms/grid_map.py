@@ -480,7 +480,10 @@ def _count_crossings(
                     continue
                 last = cell
                 behind = (1 - t) * abs(step[0] * across[row, column, 0] + step[1] * across[row, column, 1])
-                counts[row, column, 1 if behind > _SURELY_CELLS else 0] += 1
+                if behind > _SURELY_CELLS:
+                    counts[row, column, 1] += 1
+                elif length * (1 - t) <= _SURELY_CELLS:
+                    counts[row, column, 0] += 1
 
 
 def _low_from(block: Features) -> FloatArray:

@@ -6,9 +6,14 @@ import numpy as np
 from pydantic import Field
 
 from algorithms import transforms
-from algorithms.gaussian_map import GaussianCloud, GaussianMap
+from algorithms.gaussian_map import Aligned, GaussianCloud, GaussianMap
 from algorithms.scan import FloatArray, Scan
 from algorithms.settings import StepSettings
+
+_FIRST_PASSES = 3
+"""The first two scans are registered so often at least, from rest on, each time with the motion that was found."""
+_CARRIED_ON_NS = 500_000_000
+"""After a longer pause the motion before it says nothing of where the robot is."""
 
 
 class RefinementSettings(StepSettings):
@@ -57,12 +62,12 @@ class RefinementSettings(StepSettings):
         10, ge=0, description="After so many refusals in a row a registration is believed: the poses before it were wrong."
     )
     passes: int = Field(
-        1, ge=1, le=5, description="Registrations a scan, each with the motion within the sweep that the last one found."
+        1,
+        ge=1,
+        le=5,
+        description="Registrations a scan, each with the motion within the sweep that the last one found; the second scan, "
+        "with which the motion becomes known, takes three at least.",
     )
-
-
-_FIRST_PASSES = 3
-"""The first two scans are registered so often, from rest on, each time with the motion that was found."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +108,9 @@ class Refiner:
     A sweep is put together as seen from its middle, by the motion that the refined poses had. That is what holds: an
     error of this motion bends both halves of a sweep the opposite way, and leaves the pose of its middle as it is; seen
     from its end it would shift the sweep, and the pose with it. (The odometry's own motion is noisy where few returns hold
-    it: 3 cm and half a degree from scan to scan with 16 rings that see neither floor nor ceiling.)
+    it: 3 cm and half a degree from scan to scan with 16 rings that see neither floor nor ceiling, and far more while its
+    own motion compensation feeds on that.) The first motion is found with the second scan, from rest on, and the first scan
+    put together again by it.
 
     settings: of the refinement. range_m: returns nearer or farther than these are left out.
     T_sensor_companion: (4, 4) where the other lidar sits, if there is one.
@@ -123,7 +130,8 @@ class Refiner:
     def refine(self, scan: Scan, T_odom_sensor: FloatArray, companion: Scan | None = None) -> Refinement:
         """Register one scan, and beside it the last one of the other lidar that ended before it.
 
-        T_odom_sensor: the odometry's pose at the scan's end; its motion since the last scan is the first guess.
+        T_odom_sensor: the odometry's pose at the scan's end. Where the motion so far leads is the first guess, and where the
+            odometry's motion since the last scan does, the second.
         """
         stamp_ns = (scan.start_ns + scan.end_ns) // 2
         last = self._last
@@ -136,12 +144,17 @@ class Refiner:
             elapsed_ns = max(stamp_ns - last.stamp_ns, 1)
             T_odometry = last.T_refined @ transforms.invert(last.T_odometry) @ T_odom_sensor
             motion_per_ns = last.motion_per_ns
-            for _ in range(self._settings.passes if self._first is None else _FIRST_PASSES):
+            expected: list[FloatArray] = [T_odometry]
+            if elapsed_ns < _CARRIED_ON_NS:
+                expected.insert(0, last.T_refined @ transforms.from_twist(motion_per_ns * elapsed_ns))
+            guesses = list(expected)
+            passes = self._settings.passes if self._first is None else max(self._settings.passes, _FIRST_PASSES)
+            for _ in range(passes):
                 if self._first is not None:
                     self._start_again(*self._first, last, motion_per_ns)
-                T_carried_on = last.T_refined @ transforms.from_twist(motion_per_ns * elapsed_ns)
                 source = self._put_together(scan, companion, stamp_ns, motion_per_ns)
-                T_refined, inlier_share, weakest_share, refused = self._register(source, T_odometry, T_carried_on)
+                T_refined, inlier_share, weakest_share, refused = self._register(source, guesses, expected, T_odometry)
+                guesses = [T_refined, *expected]
                 motion_per_ns = transforms.to_twist(transforms.invert(last.T_refined) @ T_refined) / elapsed_ns
             self._first = None
         self._refusals = self._refusals + 1 if refused else 0
@@ -152,10 +165,10 @@ class Refiner:
             stamp_ns, T_refined, T_refined @ T_middle_end, inlier_share, weakest_share, refused, source.points
         )
 
-    def _start_again(self, scan: Scan, companion: Scan | None, at: _Registered, motion_per_ns: FloatArray) -> None:
+    def _start_again(self, scan: Scan, companion: Scan | None, first: _Registered, motion_per_ns: FloatArray) -> None:
         """The map of the first scan alone, put together by a motion that was not known when it came."""
         self._map = GaussianMap(self._settings.voxel_m, self._settings.memory_scans)
-        self._map.insert(self._put_together(scan, companion, at.stamp_ns, motion_per_ns), at.T_refined)
+        self._map.insert(self._put_together(scan, companion, first.stamp_ns, motion_per_ns), first.T_refined)
 
     def _put_together(
         self, scan: Scan, companion: Scan | None, stamp_ns: int, motion_per_ns: FloatArray
@@ -168,21 +181,28 @@ class Refiner:
         return GaussianCloud(np.concatenate(points), self._settings.resolution_m, self._settings.neighbours)
 
     def _register(
-        self, source: GaussianCloud, T_odometry: FloatArray, T_carried_on: FloatArray
+        self, source: GaussianCloud, guesses: list[FloatArray], expected: list[FloatArray], T_odometry: FloatArray
     ) -> tuple[FloatArray, float, float, bool]:
         """The pose (4, 4), the share of inliers, the weakest share, and whether the registration was refused.
 
-        T_odometry, T_carried_on: where the odometry's motion leads, and where that of the last scans does.
+        guesses: from these one after another, until a scan fits; if it fits from none, the one from which it fits best.
+        expected: where the motion so far leads, if it can be carried on, and where the odometry's does.
         """
-        for guess in (T_carried_on, T_odometry):
+        best: tuple[bool, Aligned] | None = None
+        for guess in guesses:
             found = self._map.register(source, guess, self._settings.distance_m, self._settings.iterations_max)
-            refused = all(self._is_jump(T, found.T_map_cloud) for T in (T_odometry, T_carried_on))
-            if not refused:
+            jumped = found.inlier_share > 0 and all(self._is_jump(T, found.T_map_cloud) for T in expected)
+            if best is None or (jumped, -found.inlier_share) < (best[0], -best[1].inlier_share):
+                best = jumped, found
+            if not jumped and found.inlier_share >= self._settings.weak_inlier_share:
                 break
-        refused = refused and self._refusals < self._settings.refusals_max
+        assert best is not None
+        jumped, found = best
+        refused = jumped and self._refusals < self._settings.refusals_max
         hold = np.linalg.eigvalsh(found.information[3:, 3:])
         weakest_share = float(max(hold[0], 0.0) / max(hold[2], 1e-9))
-        return T_odometry if refused else found.T_map_cloud, found.inlier_share, weakest_share, refused
+        T_found = T_odometry if refused or not found.inlier_share else found.T_map_cloud
+        return T_found, found.inlier_share, weakest_share, refused
 
     def _is_jump(self, T_expected: FloatArray, T_found: FloatArray) -> bool:
         off = transforms.to_twist(transforms.invert(T_expected) @ T_found)

@@ -91,7 +91,8 @@ class StandingWallsSettings(StepSettings):
     scans_few: int = Field(
         10,
         ge=0,
-        description="A face that fewer scans saw, and that runs along and across no others, is a thing's.",
+        description="A face that fewer scans saw, that runs along and across no others, and that does not show from foot to "
+        "ceiling, is a thing's.",
     )
     hidden_distance_m: float = Field(0.04, gt=0, description="Half thickness in metres of a hidden wall's returns.")
     hidden_passed_max: float = Field(
@@ -117,7 +118,7 @@ class FaceVerdict(IntEnum):
     HANGS = 2
     """Rays pass below it over a longer stretch than an opening has, or the robot drove along it: a duct, a beam."""
     ALONE = 3
-    """Few scans saw it, and it runs along and across no others: the side of a thing."""
+    """Few scans saw it, it runs along and across no others, and does not show up to the ceiling: the side of a thing."""
     LEANS = 4
     """It stands close to a longer face that more scans saw, at an angle to it: a leaf that is open against its wall."""
     OUTSIDE = 5
@@ -164,6 +165,8 @@ def judge_faces(
     # Something may hang above it.
     ends_low |= columns.upper_open_rows >= cells_in(_GAP_MIN_M)
     hollow = (columns.lower_passed >= _RAYS_MIN) & (columns.lower_passed > settings.hollow_ratio * columns.lower_on)
+    # In low rooms doorways reach up to where walls are judged; what ends low stands below.
+    ends_low &= ~(hollow & (above_doors_m(clear_m, settings.above_door_m) < settings.above_door_m))
     has_wall_below = (columns.lower_on >= _RAYS_MIN) & (columns.lower_on > columns.lower_passed)
     stands_before = _before_longer(walls)
     kept: list[tuple[int, int, int]] = []
@@ -187,15 +190,13 @@ def judge_faces(
                 little = columns.lower_on[part].sum() < max(
                     columns.lower_passed[part].sum(), columns.upper_on[part].sum()
                 )
-                hangs[first:after] = little and not _goes_on(
-                    cells.counts[part], settings.above_door_m, median_m(clear_m[part])
-                )
+                hangs[first:after] = little and not _shows_whole(cells.counts[part], clear_m[part], settings.above_door_m)
         if low.any():
             for first, after in runs(~(hangs | low)):
                 # Of pillars in line, each is a rest; they show from floor to ceiling.
                 inner = slice(own.start + first + 1, own.start + after - 1)
-                low[first:after] = (after - first) * CELL_M < _REST_MIN_M and not _goes_on(
-                    cells.counts[inner], settings.above_door_m, median_m(clear_m[inner])
+                low[first:after] = (after - first) * CELL_M < _REST_MIN_M and not _shows_whole(
+                    cells.counts[inner], clear_m[inner], settings.above_door_m
                 )
         for first, after in runs(~(hangs | low)):
             if (after - first) * CELL_M >= length_min_m:
@@ -239,7 +240,13 @@ def shows_whole(cells: WallCells, clear_m: FloatArray, above_door_m: float) -> B
     clear_m: (columns,) from the floor to the ceiling before each column.
     """
     parts = [slice(int(a), int(b)) for a, b in zip(cells.first[:-1], cells.first[1:], strict=True)]
-    return np.array([_goes_on(cells.counts[p], above_door_m, median_m(clear_m[p])) for p in parts], bool)
+    return np.array([_shows_whole(cells.counts[p], clear_m[p], above_door_m) for p in parts], bool)
+
+
+def _shows_whole(counts: FloatArray, clear_m: FloatArray, above_door_m: float) -> bool:
+    """Whether rays end on columns (c, rows, 4) from the foot to the ceiling, so high (c,) above it."""
+    ceiling_m = median_m(clear_m)
+    return _goes_on(counts, float(above_doors_m(np.array(ceiling_m), above_door_m)), ceiling_m)
 
 
 def refuse_outside(judged: JudgedFaces, storey: Storey) -> JudgedFaces:
@@ -338,7 +345,7 @@ def _goes_on(counts: FloatArray, head_m: float, clear_m: float) -> bool:
         return False
     on, passed = rows_on_and_passed(counts, clear_m)
     seen = on + passed >= SCATTERED_RAYS
-    above = seen[int(above_doors_m(np.array(clear_m), head_m) / CELL_M) + 1 - FOOT_ROW :]
+    above = seen[max(int(head_m / CELL_M) + 1 - FOOT_ROW, 0) :]
     return bool(np.mean(above) > 0.5 and np.mean(on[seen] > passed[seen]) >= _GOES_ON_SHARE) if len(above) else False
 
 

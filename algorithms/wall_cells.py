@@ -41,8 +41,8 @@ class WallCells:
 def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSettings) -> WallCells:
     """Every ray against every wall face that looks towards its origin: what it hit there, or that it went through.
 
-    Where the scan itself has a plane of that wall, its rays are measured against its own plane: a leaf lies centimetres
-    behind its wall, and so much may the pose be off.
+    Where the scan itself has a plane so close to the face that it is of that wall (`own_plane_m`), its rays are measured
+    against its own plane: a leaf lies centimetres behind its wall, and a part of that may the pose be off.
 
     blocks: features in any portions; the memory needed is the building's, not the recording's.
     """
@@ -93,7 +93,7 @@ def own_plane(
     plane_normal: FloatArray,
     first: int,
     after: int,
-    distance_m: float,
+    own_plane_m: float,
     cos_angle: float,
 ) -> tuple[float, float, float, float, float]:  # pragma: no cover
     """Normal x, y and offset of a scan's own plane of a wall face, the one that shares most with it, and the stretch of the
@@ -107,14 +107,20 @@ def own_plane(
         px, py = plane_normal[p, 0], plane_normal[p, 1]
         if px * normal[0] + py * normal[1] < cos_angle:
             continue
-        low, high = np.inf, -np.inf
-        far = 0.0
-        for e in range(2):
-            ex, ey = plane_ends[p, e, 0] - ends[0, 0], plane_ends[p, e, 1] - ends[0, 1]
-            far = max(far, abs(normal[0] * ex + normal[1] * ey))
-            low, high = min(low, ex * dx + ey * dy), max(high, ex * dx + ey * dy)
+        x0, y0 = plane_ends[p, 0, 0] - ends[0, 0], plane_ends[p, 0, 1] - ends[0, 1]
+        x1, y1 = plane_ends[p, 1, 0] - ends[0, 0], plane_ends[p, 1, 1] - ends[0, 1]
+        along_0, along_1 = x0 * dx + y0 * dy, x1 * dx + y1 * dy
+        low, high = min(along_0, along_1), max(along_0, along_1)
         shared = min(high, length) - max(low, 0.0)
-        if far < distance_m and shared > longest:
+        if shared <= longest:
+            continue
+        # How far off it is where it lies beside the face; beyond, another wall may go on.
+        off_0, off_1 = normal[0] * x0 + normal[1] * y0, normal[0] * x1 + normal[1] * y1
+        rise = (off_1 - off_0) / (along_1 - along_0)
+        far = max(
+            abs(off_0 + rise * (max(low, 0.0) - along_0)), abs(off_0 + rise * (min(high, length) - along_0))
+        )
+        if far < own_plane_m:
             longest, start, stop = shared, low, high
             nx, ny = px, py
             offset = px * plane_ends[p, 0, 0] + py * plane_ends[p, 0, 1]
@@ -137,7 +143,7 @@ def _trace(
     plane_normal: FloatArray,
     near_m: float,
     range_m: float,
-    distance_m: float,
+    own_plane_m: float,
     cos_angle: float,
 ) -> None:  # pragma: no cover
     rows = counts.shape[1]
@@ -162,7 +168,7 @@ def _trace(
                 plane_normal,
                 plane_starts[s],
                 plane_starts[s + 1],
-                distance_m,
+                own_plane_m,
                 cos_angle,
             )
             face_offset = normal[w, 0] * ends[w, 0, 0] + normal[w, 1] * ends[w, 0, 1]

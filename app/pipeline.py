@@ -580,13 +580,16 @@ def _build(
     def clear(faces: Walls, cells: WallCells) -> FloatArray:
         return storey.clear_m(column_places(faces, cells.first), settings.standing_walls.ceiling_near_m)
 
-    def judge(faces: Walls) -> JudgedFaces:
-        leaning = leaning_on_others(faces)
+    def judge(aligned: AlignedFaces) -> JudgedFaces:
+        # A leaf that leans on its wall would be laid along it.
+        leaning, faces = leaning_on_others(aligned.fused), aligned.walls
         leaves, faces = faces.select(leaning), join_corners(faces.select(~leaning), settings.standing_walls.corner_m)
         doubtful = np.flatnonzero((faces.scan_count < settings.standing_walls.scans_few) & ~along_others(faces))
-        looked_at = faces.select(doubtful)
-        cells = trace(looked_at)
-        alone = doubtful[~shows_whole(cells, clear(looked_at, cells), settings.standing_walls.above_door_m)]
+        alone = doubtful
+        if len(doubtful):
+            cells = trace(faces.select(doubtful))
+            clear_m = clear(faces.select(doubtful), cells)
+            alone = doubtful[~shows_whole(cells, clear_m, settings.standing_walls.above_door_m)]
         faces, refused = faces.select(np.setdiff1d(np.arange(len(faces)), alone)), faces.select(alone)
         cells = trace(faces)
         path = trajectory.T_map_base[:, :2, 3]
@@ -595,16 +598,17 @@ def _build(
         return refuse_outside(judged, storey)
 
     def align(faces: Walls) -> AlignedFaces:
-        return align_faces(faces, votes, settings.standing_walls.above_door_m)
+        standing = settings.standing_walls
+        return align_faces(faces, votes, storey, standing.above_door_m, standing.ceiling_near_m)
 
     aligned = align(fuse_walls(planes, settings.building))
-    judged = judge(aligned.walls)
+    judged = judge(aligned)
     seen = trace(judged.walls)
     windows = find_windows(judged.walls, seen, clear(judged.walls, seen), settings.building)
     outside = seen_through(windows, planes)
     if outside.any():
         aligned = align(fuse_walls(select_planes(planes, ~outside), settings.building))
-        judged = judge(aligned.walls)
+        judged = judge(aligned)
     hidden = find_hidden_walls(
         votes,
         storey,

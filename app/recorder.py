@@ -622,7 +622,7 @@ class Recorder:
         self._log_split(entities.MAP_POINTS, entities.MAP_CEILING, points_map, label, static=False)
 
     def log_fused_walls(self, aligned: AlignedFaces) -> None:
-        """Where scans' planes had each face before it was laid along the returns of all scans."""
+        """Where each face was before it was laid along the returns of all scans."""
         if len(aligned.fused):
             self._static(
                 entities.FUSED_WALLS,
@@ -631,7 +631,8 @@ class Recorder:
                     colors=entities.FUSED_COLOUR,
                     radii=rr.Radius.ui_points(1.0),
                     labels=[
-                        f"as planes of {scans} scans had it: its ends then moved {100 * a:+.1f} and {100 * b:+.1f} cm"
+                        f"before it was laid along all returns ({scans} scans): its ends then moved {100 * a:+.1f} and "
+                        f"{100 * b:+.1f} cm towards the room"
                         for scans, (a, b) in zip(aligned.fused.scan_count, aligned.moved_m, strict=True)
                     ],
                     show_labels=False,

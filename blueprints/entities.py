@@ -50,7 +50,7 @@ BUILDING_REASONS = "/world/building/reasons"
 REFUSALS = {
     FaceVerdict.ENDS_LOW: "rays pass above it, below the ceiling (a leaf, a cupboard)",
     FaceVerdict.HANGS: "rays pass below it (a duct, a beam)",
-    FaceVerdict.ALONE: "few scans saw it, and it runs along and across no others (a thing's side)",
+    FaceVerdict.ALONE: "few scans saw it, it runs along and across no others, and does not reach the ceiling (a thing's side)",
     FaceVerdict.LEANS: "it stands at an angle to a wall, close to it (a leaf open against its wall)",
     FaceVerdict.OUTSIDE: "neither floor nor ceiling was seen before it (another house's front, through a window)",
 }

@@ -3,14 +3,19 @@
 import numpy as np
 import pytest
 
-from algorithms.aligned_walls import align_faces
+from algorithms.aligned_walls import AlignedFaces, align_faces
 from algorithms.building import NO_WALLS, Walls
+from algorithms.face_columns import Storey
 from algorithms.labels import Label
 from algorithms.scan import FloatArray
 from algorithms.semantic_map import VoxelVotes, vote
 
 ABOVE_DOOR_M = 2.12
 TURNS = [0.0, 31.0, 90.0, 203.0]
+
+
+def aligned_by(walls: Walls, votes: VoxelVotes) -> AlignedFaces:
+    return align_faces(walls, votes, Storey.of(votes), ABOVE_DOOR_M, 2.0)
 
 
 def turned(places: FloatArray, turn_deg: float) -> FloatArray:
@@ -51,7 +56,7 @@ def off_m(walls: Walls, turn_deg: float) -> FloatArray:
 @pytest.mark.parametrize("turn_deg", TURNS)
 def test_a_pillars_side_that_was_off_by_eight_degrees_comes_to_lie_along_its_returns(turn_deg: float) -> None:
     fused = face(turn_deg, 0.0, 0.45, -0.03, 0.035)
-    aligned = align_faces(fused, votes_of(turn_deg, surface(0.0, 0.45)), ABOVE_DOOR_M)
+    aligned = aligned_by(fused, votes_of(turn_deg, surface(0.0, 0.45)))
     np.testing.assert_allclose(off_m(aligned.walls, turn_deg), 0.0, atol=0.003)
     np.testing.assert_allclose(aligned.moved_m, [[0.03, -0.035]], atol=0.004)
     assert aligned.fused is fused
@@ -63,44 +68,56 @@ def test_a_pillars_side_that_was_off_by_eight_degrees_comes_to_lie_along_its_ret
 def test_a_plane_that_runs_on_to_the_wall_behind_comes_to_lie_along_the_surface_that_most_columns_show(turn_deg: float) -> None:
     """A pillar before its wall: the face lies on the pillar where that is the longer part."""
     votes = votes_of(turn_deg, surface(0.0, 0.5), surface(0.5, 0.75, before_m=-0.12))
-    aligned = align_faces(face(turn_deg, 0.0, 0.6, 0.02, -0.05), votes, ABOVE_DOOR_M)
+    aligned = aligned_by(face(turn_deg, 0.0, 0.6, 0.02, -0.05), votes)
     np.testing.assert_allclose(off_m(aligned.walls, turn_deg), 0.0, atol=0.004)
 
 
 def test_what_stands_before_a_wall_does_not_move_it_while_the_wall_shows_above() -> None:
     cupboards = surface(0.2, 3.8, before_m=0.03, high_m=1.9)
     above = surface(0.0, 4.0, low_m=1.9)
-    aligned = align_faces(face(0.0, 0.0, 4.0, 0.0, 0.0), votes_of(0.0, cupboards, cupboards, above), ABOVE_DOOR_M)
+    aligned = aligned_by(face(0.0, 0.0, 4.0, 0.0, 0.0), votes_of(0.0, cupboards, cupboards, above))
     np.testing.assert_allclose(aligned.moved_m, 0.0, atol=0.002)
+
+
+def test_above_heads_is_told_from_the_floor_that_a_ramp_has_raised() -> None:
+    floor = surface(0.0, 4.0, before_m=0.2, low_m=0.5, high_m=0.5)
+    cupboards = surface(0.2, 3.8, before_m=0.03, low_m=0.5, high_m=2.5)
+    above = surface(0.0, 4.0, low_m=2.5, high_m=3.2)
+    points = np.concatenate([cupboards, cupboards, above])
+    placed = np.column_stack([turned(points[:, :2], 0.0), points[:, 2]])
+    ground = np.column_stack([turned(floor[:, :2], 0.0), floor[:, 2]])
+    label = np.repeat(np.array([Label.WALL, Label.FLOOR], np.uint8), [len(placed), len(ground)])
+    aligned = aligned_by(face(0.0, 0.0, 4.0, 0.0, 0.0), vote(np.concatenate([placed, ground]), label, len(Label), 0.05))
+    np.testing.assert_allclose(aligned.moved_m, 0.0, atol=0.004)
 
 
 def test_where_nothing_shows_above_a_leaf_that_is_broader_than_its_wall_does_not_move_it() -> None:
     """Below a duct; the wall shows on both sides of the leaf, 4 cm before it."""
     low = [surface(a, b, off, high_m=1.9) for a, b, off in ((0, 0.6, 0), (0.6, 1.5, -0.04), (1.5, 1.65, 0))]
-    aligned = align_faces(face(0.0, 0.0, 1.65, -0.02, -0.02), votes_of(0.0, *low), ABOVE_DOOR_M)
+    aligned = aligned_by(face(0.0, 0.0, 1.65, -0.02, -0.02), votes_of(0.0, *low))
     np.testing.assert_allclose(aligned.moved_m, 0.02, atol=0.003)
 
 
 def test_floor_and_ceiling_move_nothing() -> None:
     votes = votes_of(0.0, surface(0.0, 1.0, before_m=0.04), label=Label.FLOOR)
-    aligned = align_faces(face(0.0, 0.0, 1.0, 0.0, 0.0), votes, ABOVE_DOOR_M)
+    aligned = aligned_by(face(0.0, 0.0, 1.0, 0.0, 0.0), votes)
     assert (aligned.moved_m == 0).all()
     np.testing.assert_array_equal(aligned.walls.ends, aligned.fused.ends)
 
 
 def test_a_face_without_returns_stays_and_no_faces_are_none() -> None:
     far = votes_of(0.0, surface(5.0, 6.0))
-    stays = align_faces(face(0.0, 0.0, 1.0, 0.01, 0.02), far, ABOVE_DOOR_M)
+    stays = aligned_by(face(0.0, 0.0, 1.0, 0.01, 0.02), far)
     assert (stays.moved_m == 0).all()
     nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
-    assert (align_faces(face(0.0, 0.0, 1.0, 0.01, 0.02), nothing, ABOVE_DOOR_M).moved_m == 0).all()
-    assert len(align_faces(NO_WALLS, far, ABOVE_DOOR_M).walls) == 0
+    assert (aligned_by(face(0.0, 0.0, 1.0, 0.01, 0.02), nothing).moved_m == 0).all()
+    assert len(aligned_by(NO_WALLS, far).walls) == 0
 
 
 def test_faces_do_not_depend_on_each_others_order() -> None:
     votes = votes_of(0.0, surface(0.0, 0.5), surface(2.0, 4.0))
     both = face(0.0, 0.0, 0.5, 0.03, -0.02).append(face(0.0, 2.0, 4.0, -0.01, 0.015))
-    aligned = align_faces(both, votes, ABOVE_DOOR_M)
-    swapped = align_faces(both.select(np.array([1, 0])), votes, ABOVE_DOOR_M)
+    aligned = aligned_by(both, votes)
+    swapped = aligned_by(both.select(np.array([1, 0])), votes)
     np.testing.assert_array_equal(aligned.walls.ends[::-1], swapped.walls.ends)
     np.testing.assert_allclose(aligned.walls.ends[:, :, 1] + 2.7, 0.0, atol=0.003)

@@ -265,3 +265,29 @@ def test_an_odometry_that_is_wild_at_first_moves_no_first_pose(
     off = transforms.invert(transforms.invert(np.array(T_true[:1])) @ np.array(T_true)) @ way
     assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.01
     assert np.degrees(Rotation.from_matrix(off[:, :3, :3]).magnitude()).max() < 0.5
+
+
+def later(scan: Scan, by_ns: int) -> Scan:
+    return replace(scan, start_ns=scan.start_ns + by_ns, stamp_ns=scan.stamp_ns + by_ns)
+
+
+@pytest.mark.parametrize("first_alone", [True, False])
+def test_a_pause_in_the_scans_carries_no_motion_on(
+    scans: list[tuple[int, Scan, Scan | None]], first_alone: bool
+) -> None:
+    """The robot moved on, or stood, while nothing was recorded; the odometry knows."""
+    refiner = Refiner(RefinementSettings(), (0.5, 60.0), transforms.invert(T_BASE_HORIZONTAL) @ T_BASE_VERTICAL)
+    before, after = ([0], range(30, 40)) if first_alone else (range(20), range(20, 30))
+    pause_ns = 0 if first_alone else 12 * 10**9
+    T_found, T_true = [], []
+    for number, by_ns in [*((n, 0) for n in before), *((n, pause_ns) for n in after)]:
+        _, scan, companion = scans[number]
+        T_end = true_pose(scan.end_ns * 1e-9) @ T_BASE_HORIZONTAL
+        found = refiner.refine(later(scan, by_ns), T_end, None if companion is None else later(companion, by_ns))
+        assert not found.refused
+        T_found.append(found.T_odom_sensor)
+        T_true.append(true_pose((scan.start_ns + scan.end_ns) / 2 * 1e-9) @ T_BASE_HORIZONTAL)
+    way = transforms.invert(np.array(T_found[:1])) @ np.array(T_found)
+    off = transforms.invert(transforms.invert(np.array(T_true[:1])) @ np.array(T_true)) @ way
+    assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.04
+    assert np.degrees(Rotation.from_matrix(off[:, :3, :3]).magnitude()).max() < 1.0
