@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import stats
 
 from algorithms.building import (
     CELL_M,
@@ -188,7 +189,8 @@ def _is_ajar(depth_m: FloatArray) -> bool:
     known = np.flatnonzero(np.isfinite(depth_m))
     if len(known) < 3:
         return False
-    slope, _ = np.polyfit(known, depth_m[known], 1)
+    # Columns at the jambs hold returns of the reveals as well: the median of the slopes between all pairs (Theil and Sen).
+    slope = float(stats.theilslopes(depth_m[known], known).slope)
     return bool(abs(slope) * len(depth_m) > _AJAR_M)
 
 

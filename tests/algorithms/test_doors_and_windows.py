@@ -142,6 +142,17 @@ def test_a_leaf_that_stands_aslant_is_ajar() -> None:
     np.testing.assert_allclose(ajar.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
 
 
+def test_a_deep_leaf_is_not_ajar_though_columns_at_its_jamb_hold_the_reveal_too() -> None:
+    seen = cells()
+    depth_m = np.full((18, 1), 0.2)
+    depth_m[:3] = 0.03
+    part = seen.counts[30:48, : round(2.1 / CELL_M)]
+    part[..., SUM], part[..., SQUARES] = -depth_m * part[..., FILLED], depth_m**2 * part[..., FILLED]
+    doors = find_doors(WALL, seen, unknown(seen), SETTINGS)
+    assert doors.state.tolist() == [DoorState.CLOSED]
+    np.testing.assert_allclose(doors.depth_m, 0.2, atol=0.01)
+
+
 @pytest.mark.parametrize("leaves", [1, 2])
 def test_a_leaf_ajar_is_part_of_its_doorway(leaves: int) -> None:
     """Near its hinge it is as near to the face as a closed one, and it leaves few columns open."""
