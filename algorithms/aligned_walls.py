@@ -12,11 +12,12 @@ import numpy as np
 from scipy import ndimage
 
 from algorithms.building import CELL_M, Walls
-from algorithms.face_columns import Storey, above_doors_m
+from algorithms.face_columns import Storey, above_doors_m, column_places
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray
-from algorithms.segments import Segment
+from algorithms.segments import Segment, segments
 from algorithms.semantic_map import VoxelVotes, majority
+from algorithms.wall_cells import first_columns
 
 _REACH_M, _STEP_M = 0.05, 0.005
 """The ends of a face move at most so far, and are tried at such steps."""
@@ -32,8 +33,6 @@ _COLUMN_ON = 0.5
 """A column is a line's where such a share of what returned from it is."""
 _RIVAL_SHARE, _AS_LONG_COLUMNS = 0.5, 1
 """A line with such a share of the most votes may be the wall's; one that is shorter by no more columns is as long."""
-_BEFORE_M = 0.2
-"""So far before a face its floor and ceiling are looked for."""
 _ROUNDS = 3
 """So often what lies at the line is fitted anew."""
 _FEWEST_COLUMNS, _SPREAD_SHARE = 3, 0.5
@@ -44,7 +43,7 @@ _FEWEST_COLUMNS, _SPREAD_SHARE = 3, 0.5
 class AlignedFaces:
     """Faces laid along the returns.
 
-    fused: as the scans' planes have them. moved_m: (W, 2) how far each of their ends was moved, metres towards the room.
+    fused: where they were before. moved_m: (W, 2) how far each of their ends was moved, metres towards the room.
     """
 
     walls: Walls
@@ -96,11 +95,11 @@ def align_faces(
     """
     cubes = _Cubes.of(votes)
     ends, normal, moved_m = walls.ends.copy(), walls.normal.copy(), np.zeros((len(walls), 2))
-    for w in range(len(walls)):
-        face = Segment.between(walls.ends[w], walls.normal[w])
-        columns = face.at((np.arange(int(np.ceil(face.length_m / CELL_M))) + 0.5) * CELL_M) + _BEFORE_M * face.normal
-        above_m = storey.ground_m(columns) + above_doors_m(storey.clear_m(columns, ceiling_near_m), above_door_m)
-        moved_m[w] = _move_m(face, cubes.near(face, _REACH_M + _KEPT_M), above_m)
+    first = first_columns(walls)
+    places = column_places(walls, first)
+    above_m = storey.ground_m(places) + above_doors_m(storey.clear_m(places, ceiling_near_m), above_door_m)
+    for w, face in enumerate(segments(walls)):
+        moved_m[w] = _move_m(face, cubes.near(face, _REACH_M + _KEPT_M), above_m[first[w] : first[w + 1]])
         if moved_m[w].any():
             ends[w] += moved_m[w, :, None] * face.normal
             left = Segment.between(ends[w]).normal
@@ -147,7 +146,7 @@ def _most_voted_m(
     histogram = ndimage.convolve1d(histogram, window, axis=1, mode="constant")
     share = (np.arange(columns) + 0.5) / columns
     at_start, at_end = (axis.ravel() for axis in np.meshgrid(tried_m, tried_m, indexing="ij"))
-    lines_m = at_start[:, None] * (1 - share) + at_end[:, None] * share
+    lines_m = _line_m(share, np.array([at_start[:, None], at_end[:, None]]))
     of_columns = histogram[np.arange(columns), ((lines_m - low_m) / _STEP_M).astype(np.int64)]
     votes = of_columns.sum(axis=1)
     longest = np.ones(len(votes), bool)
@@ -163,7 +162,7 @@ def _most_voted_m(
 
 
 def _line_m(share: FloatArray, ends_m: FloatArray) -> FloatArray:
-    """(n,) the distances of a line between its two ends' (2,)."""
+    """(…, n) the distances of lines between their two ends' (2, …), at shares (n,) of their length."""
     return np.asarray(ends_m[0] * (1 - share) + ends_m[1] * share)
 
 

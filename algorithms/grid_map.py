@@ -126,9 +126,10 @@ def draw_furniture_free(
     """
     doors = immobile.doors
     canvas = _Canvas.around([immobile.walls.ends, doors.ends, drive.path_map[:, :2]], settings)
-    for ends in standing_stretches(immobile, settings).ends:
+    standing = standing_stretches(immobile, settings).ends
+    for ends in standing:
         canvas.draw_line(ends, Cell.OCCUPIED)
-    canvas.drop_crossed(drive)
+    canvas.drop_crossed(drive, standing)
     parts = part_walls(immobile.walls, thickness)
     depth_m = door_depths(doors, immobile.walls, parts, thickness)
     # Where the thickness is a guess, or a leaf hid whether it holds here, a doorway rather ends in the room behind.
@@ -276,8 +277,6 @@ class _Canvas:
         self._origin = np.floor(low / self._cell_m) * self._cell_m
         columns, rows = np.maximum(np.ceil((high - self._origin) / self._cell_m).astype(int), 1)
         self._cells = np.full((rows, columns), Cell.UNKNOWN, np.uint8)
-        self._across = np.zeros((rows, columns, 2))
-        """Unit vectors at right angles to the line that was drawn last through each cell."""
 
     @classmethod
     def around(cls, places: Sequence[FloatArray], settings: GridMapSettings) -> "_Canvas":
@@ -291,17 +290,18 @@ class _Canvas:
         self._set(self._index(places), cell)
 
     def draw_line(self, ends: FloatArray, cell: Cell) -> None:
-        """One cell for each column, or each row, that the segment crosses: thin, and nothing passes it cell by cell."""
+        """Thin, and nothing passes it cell by cell."""
+        self._set(self._on_line(ends), cell)
+
+    def _on_line(self, ends: FloatArray) -> IntArray:
+        """(k, 2) one cell for each column, or each row, that the segment crosses."""
         start, stop = (ends - self._origin) / self._cell_m
         axis = int(abs(stop[1] - start[1]) > abs(stop[0] - start[0]))
         low, high = sorted((start[axis], stop[axis]))
         middles = np.arange(np.floor(low), np.floor(high) + 1) + 0.5
         middles = np.clip(middles, low, high)
         t = (middles - start[axis]) / (stop[axis] - start[axis]) if high > low else np.zeros(1)
-        index = np.floor(start + t[:, None] * (stop - start)).astype(np.int64)
-        self._set(index, cell)
-        column, row = index[self._within(index)].T
-        self._across[row, column] = Segment.between(ends).normal
+        return np.asarray(np.floor(start + t[:, None] * (stop - start)).astype(np.int64))
 
     def draw_area(self, corners: FloatArray, cell: Cell) -> None:
         """corners: (4, 2) of a rectangle, in order; drawn are the cells whose middle lies in it."""
@@ -397,16 +397,23 @@ class _Canvas:
         cells = self._cells[bottom : rows[-1] + 1 + margin, left : columns[-1] + 1 + margin]
         return GridMap(np.ascontiguousarray(cells), self._origin + self._cell_m * np.array([left, bottom]), self._cell_m)
 
-    def drop_crossed(self, drive: Drive) -> None:
+    def drop_crossed(self, drive: Drive, lines: FloatArray) -> None:
         """Forget occupied cells, in runs of `_CROSSED_MIN`, that many more rays crossed below the knee than ended there.
 
         A face knows of the rays that come from its front; what hangs in a room is passed below from both sides.
+
+        lines: (n, 2, 2) that were drawn.
         """
+        across = np.zeros((*self._cells.shape, 2))
+        for ends in lines:
+            index = self._on_line(ends)
+            column, row = index[self._within(index)].T
+            across[row, column] = Segment.between(ends).normal
         counts = np.zeros((*self._cells.shape, 2), np.int32)
         for block in drive.blocks():
             _count_crossings(
                 self._cells,
-                self._across,
+                across,
                 counts,
                 np.ascontiguousarray((block.origin_map - [*self._origin, 0.0]) / self._cell_m, np.float64),
                 block.ray_starts,

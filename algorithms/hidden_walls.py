@@ -79,7 +79,7 @@ def find_hidden_walls(
 
     Upright columns of returns that belong to no face are looked through for straight lines in the directions that the
     walls have; a line is a wall where rays end on it up to the ceiling and next to none passes, or up to the underside of a
-    duct that hides it above.
+    duct that hides it above. They stand where they were looked for: to a few centimetres.
 
     votes: of all scans; storey: their floor and ceiling. walls, refused: the faces that explain what returned at them.
     path_map: (n, 2) the robot's places: where it was stands no wall. trace: counts rays against faces; a return more than

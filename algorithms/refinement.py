@@ -153,7 +153,7 @@ class Refiner:
                 if self._first is not None:
                     self._start_again(*self._first, last, motion_per_ns)
                 source = self._put_together(scan, companion, stamp_ns, motion_per_ns)
-                T_refined, inlier_share, weakest_share, refused = self._register(source, guesses, expected, T_odometry)
+                T_refined, inlier_share, weakest_share, refused = self._register(source, guesses, expected)
                 guesses = [T_refined, *expected]
                 motion_per_ns = transforms.to_twist(transforms.invert(last.T_refined) @ T_refined) / elapsed_ns
             self._first = None
@@ -181,12 +181,13 @@ class Refiner:
         return GaussianCloud(np.concatenate(points), self._settings.resolution_m, self._settings.neighbours)
 
     def _register(
-        self, source: GaussianCloud, guesses: list[FloatArray], expected: list[FloatArray], T_odometry: FloatArray
+        self, source: GaussianCloud, guesses: list[FloatArray], expected: list[FloatArray]
     ) -> tuple[FloatArray, float, float, bool]:
         """The pose (4, 4), the share of inliers, the weakest share, and whether the registration was refused.
 
         guesses: from these one after another, until a scan fits; if it fits from none, the one from which it fits best.
-        expected: where the motion so far leads, if it can be carried on, and where the odometry's does.
+        expected: where the motion so far leads, if it can be carried on, and last where the odometry's does, which holds if
+            no registration does.
         """
         best: tuple[bool, Aligned] | None = None
         for guess in guesses:
@@ -201,7 +202,7 @@ class Refiner:
         refused = jumped and self._refusals < self._settings.refusals_max
         hold = np.linalg.eigvalsh(found.information[3:, 3:])
         weakest_share = float(max(hold[0], 0.0) / max(hold[2], 1e-9))
-        T_found = T_odometry if refused or not found.inlier_share else found.T_map_cloud
+        T_found = expected[-1] if refused or not found.inlier_share else found.T_map_cloud
         return T_found, found.inlier_share, weakest_share, refused
 
     def _is_jump(self, T_expected: FloatArray, T_found: FloatArray) -> bool:

@@ -46,7 +46,7 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
 
     blocks: features in any portions; the memory needed is the building's, not the recording's.
     """
-    first = np.concatenate([[0], np.cumsum(np.ceil(lengths_m(walls.ends) / CELL_M))]).astype(np.int64)
+    first = first_columns(walls)
     rows = int(np.ceil((float(walls.top_m.max(initial=2.0)) + 0.5) / CELL_M))
     counts = np.zeros((int(first[-1]), rows, 4), np.float32)
     for block in blocks:
@@ -69,6 +69,11 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
             float(np.cos(np.radians(settings.angle_deg))),
         )
     return WallCells(first, rows, counts)
+
+
+def first_columns(walls: Walls) -> IntArray:
+    """(W + 1,) the column at which each face begins, if all faces' columns are counted one after the other."""
+    return np.concatenate([[0], np.cumsum(np.ceil(lengths_m(walls.ends) / CELL_M))]).astype(np.int64)
 
 
 def returns_at_face(counts: FloatArray) -> FloatArray:

@@ -584,13 +584,12 @@ def _build(
         # A leaf that leans on its wall would be laid along it.
         leaning, faces = leaning_on_others(aligned.fused), aligned.walls
         leaves, faces = faces.select(leaning), join_corners(faces.select(~leaning), settings.standing_walls.corner_m)
-        doubtful = np.flatnonzero((faces.scan_count < settings.standing_walls.scans_few) & ~along_others(faces))
-        alone = doubtful
-        if len(doubtful):
-            cells = trace(faces.select(doubtful))
-            clear_m = clear(faces.select(doubtful), cells)
-            alone = doubtful[~shows_whole(cells, clear_m, settings.standing_walls.above_door_m)]
-        faces, refused = faces.select(np.setdiff1d(np.arange(len(faces)), alone)), faces.select(alone)
+        alone = (faces.scan_count < settings.standing_walls.scans_few) & ~along_others(faces)
+        if alone.any():
+            doubtful = faces.select(alone)
+            cells = trace(doubtful)
+            alone[alone] = ~shows_whole(cells, clear(doubtful, cells), settings.standing_walls.above_door_m)
+        faces, refused = faces.select(~alone), faces.select(alone)
         cells = trace(faces)
         path = trajectory.T_map_base[:, :2, 3]
         judged = judge_faces(faces, cells, clear(faces, cells), path, settings.building.length_min_m, settings.standing_walls)

@@ -98,8 +98,9 @@ def test_where_nothing_shows_above_a_leaf_that_is_broader_than_its_wall_does_not
     np.testing.assert_allclose(aligned.moved_m, 0.02, atol=0.003)
 
 
-def test_floor_and_ceiling_move_nothing() -> None:
-    votes = votes_of(0.0, surface(0.0, 1.0, before_m=0.04), label=Label.FLOOR)
+@pytest.mark.parametrize("label", [Label.FLOOR, Label.CEILING])
+def test_floor_and_ceiling_move_nothing(label: Label) -> None:
+    votes = votes_of(0.0, surface(0.0, 1.0, before_m=0.04), label=label)
     aligned = aligned_by(face(0.0, 0.0, 1.0, 0.0, 0.0), votes)
     assert (aligned.moved_m == 0).all()
     np.testing.assert_array_equal(aligned.walls.ends, aligned.fused.ends)
@@ -121,3 +122,22 @@ def test_faces_do_not_depend_on_each_others_order() -> None:
     swapped = aligned_by(both.select(np.array([1, 0])), votes)
     np.testing.assert_array_equal(aligned.walls.ends[::-1], swapped.walls.ends)
     np.testing.assert_allclose(aligned.walls.ends[:, :, 1] + 2.7, 0.0, atol=0.003)
+
+
+def test_a_face_that_returned_from_one_end_alone_is_not_turned_by_it() -> None:
+    aligned = aligned_by(face(0.0, 0.0, 6.0, 0.0, 0.0), votes_of(0.0, surface(0.0, 0.2, before_m=0.03)))
+    assert (aligned.moved_m == 0).all()
+
+
+def test_every_column_has_one_vote_however_often_it_was_seen() -> None:
+    """A pillar's side of 20 cm, looked at for long, and 80 cm of wall 4 cm behind it."""
+    often = [surface(0.0, 0.2, before_m=0.02)] * 9
+    aligned = aligned_by(face(0.0, 0.0, 1.0, 0.0, 0.0), votes_of(0.0, surface(0.2, 1.0, before_m=-0.02), *often))
+    np.testing.assert_allclose(aligned.moved_m, -0.02, atol=0.004)
+
+
+def test_where_the_wall_shows_above_the_longest_surface_is_not_asked_for() -> None:
+    """A pillar before its wall, of which the face's other end holds a little as well, in line with the pillar's far edge."""
+    votes = votes_of(0.0, surface(0.0, 0.5), surface(0.5, 0.75, before_m=-0.05))
+    aligned = aligned_by(face(0.0, 0.0, 0.75, 0.0, 0.0), votes)
+    np.testing.assert_allclose(aligned.moved_m, 0.0, atol=0.006)

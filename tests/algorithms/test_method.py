@@ -517,6 +517,7 @@ def test_a_scans_own_plane_tells_of_a_wall_only_where_the_scan_saw_it(lean_deg: 
     mean_m = np.divide(total, filled, out=np.zeros_like(total), where=filled > 0)
     assert filled[50:].sum() > 30
     np.testing.assert_allclose(mean_m[50:], 0.0, atol=1e-6)
+    assert filled[:40].sum() > 15
     np.testing.assert_allclose(mean_m[:40].max(), 2.0 * np.sin(lean) if is_own else 0.0, atol=0.004)
 
 

@@ -204,6 +204,23 @@ def test_in_a_low_room_a_shelf_is_told_by_the_last_rows_below_the_ceiling():
     assert judged(2.2) == []
 
 
+@pytest.mark.parametrize(("ceiling_m", "head_m"), [(2.2, 2.05), (2.25, 2.1), (2.15, 2.0)])
+def test_in_a_low_room_a_doorway_cuts_no_wall(ceiling_m: float, head_m: float):
+    cells = cells_of(4.0)
+    cells.counts[:, int(ceiling_m / CELL_M) :] = 0.0
+    pass_rays(cells, slice(31, 49), 0.0, head_m)
+    path = np.array([[0.0, 1.0], [4.0, 1.0]])
+    judged = judge_faces(faces(((0, 0), (4, 0))), cells, np.full(80, ceiling_m), path, 0.25, SETTINGS)
+    np.testing.assert_allclose(judged.walls.ends, [[[0, 0], [4, 0]]])
+    assert len(judged.refused) == 0
+
+
+def test_nothing_shows_whole_of_no_faces_and_below_no_ceiling():
+    none = WallCells(np.zeros(1, np.int64), 66, np.zeros((0, 66, 4), np.float32))
+    assert shows_whole(none, np.zeros(0), SETTINGS.above_door_m).tolist() == []
+    assert shows_whole(cells_of(0.4), np.full(8, np.nan), SETTINGS.above_door_m).tolist() == [False]
+
+
 def test_walls_show_above_doors_and_in_low_rooms_close_below_the_ceiling():
     clear_m = np.array([np.nan, 2.8, 2.37, 2.2])
     np.testing.assert_allclose(above_doors_m(clear_m, 2.12), [2.12, 2.12, 2.12, 1.95])
