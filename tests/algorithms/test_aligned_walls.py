@@ -83,7 +83,7 @@ def test_above_heads_is_told_from_the_floor_that_a_ramp_has_raised() -> None:
     floor = surface(0.0, 4.0, before_m=0.2, low_m=0.5, high_m=0.5)
     cupboards = surface(0.2, 3.8, before_m=0.03, low_m=0.5, high_m=2.5)
     above = surface(0.0, 4.0, low_m=2.5, high_m=3.2)
-    points = np.concatenate([cupboards, cupboards, above])
+    points = np.concatenate([*[cupboards] * 8, above])
     placed = np.column_stack([turned(points[:, :2], 0.0), points[:, 2]])
     ground = np.column_stack([turned(floor[:, :2], 0.0), floor[:, 2]])
     label = np.repeat(np.array([Label.WALL, Label.FLOOR], np.uint8), [len(placed), len(ground)])
@@ -141,3 +141,17 @@ def test_where_the_wall_shows_above_the_longest_surface_is_not_asked_for() -> No
     votes = votes_of(0.0, surface(0.0, 0.5), surface(0.5, 0.75, before_m=-0.05))
     aligned = aligned_by(face(0.0, 0.0, 0.75, 0.0, 0.0), votes)
     np.testing.assert_allclose(aligned.moved_m, 0.0, atol=0.006)
+
+
+def test_a_few_columns_at_either_end_are_no_longer_surface_than_what_most_columns_show() -> None:
+    """Below a duct: scatter behind both ends of what is seen of the wall."""
+    scatter = [surface(a, b, before_m=-0.058, high_m=1.9) for a, b in ((0.03, 0.15), (1.35, 1.47))]
+    aligned = aligned_by(face(0.0, 0.0, 1.5, 0.0, 0.0), votes_of(0.0, surface(0.15, 1.35, high_m=1.9), *scatter))
+    np.testing.assert_allclose(aligned.moved_m, 0.0, atol=0.004)
+
+
+def test_the_wall_around_the_corner_does_not_turn_a_face() -> None:
+    across = surface(0.0, 0.07)[:, [1, 0, 2]] + [0.02, 0.0, 0.0]
+    corner = votes_of(0.0, surface(0.0, 0.3), *[across] * 20)
+    aligned = aligned_by(face(0.0, 0.0, 0.3, 0.0, 0.0), corner)
+    np.testing.assert_allclose(aligned.moved_m, 0.0, atol=0.005)

@@ -32,10 +32,11 @@ def relief(
     depth_m: float,
     wall_m: tuple[float, float] = FLAT,
     outline: int = 0,
+    ceiling_m: float = CEILING_M,
 ) -> np.ndarray:
     """The cells that are covered where something stands so far before a face that leans from its wall at its ends.
 
-    outline: so many cells around it may be covered as well.
+    outline: so many cells around it may be covered as well. ceiling_m: up to there the face returns.
     """
     columns, rows = round(LENGTH_M / CELL_M), 60
     x, z = (np.arange(columns) + 0.5) * CELL_M, (np.arange(rows) + 0.5) * CELL_M
@@ -43,10 +44,10 @@ def relief(
     thing = ((x > x_m[0]) & (x < x_m[1]))[:, None] & (z > z_m[0]) & (z < z_m[1])
     before_m = before_m + depth_m * thing + np.random.default_rng(3).normal(0, 0.003, before_m.shape)
     counts = np.zeros((columns, rows, 4), np.float32)
-    counts[..., 0] = 40.0 * (z < CEILING_M)
+    counts[..., 0] = 40.0 * (z < ceiling_m)
     counts[..., 1] = counts[..., 0] * before_m
     cells = WallCells(np.array([0, columns]), rows, counts)
-    covered = look_before_walls(cells, np.full(columns, CEILING_M), SETTINGS).covered
+    covered = look_before_walls(cells, np.full(columns, ceiling_m), SETTINGS).covered
     around = ndimage.binary_dilation(thing, np.ones((2 * outline + 1, 2 * outline + 1)))
     assert not covered[~around].any()
     return np.asarray(covered[thing & (z > 0.1)])
@@ -56,6 +57,12 @@ def relief(
 def test_the_back_of_a_shelf_is_covered_however_the_face_leans(wall_m: tuple[float, float]) -> None:
     # A cell at its outline is told with those beside it.
     assert relief((1.0, 2.0), (0.0, 1.6), 0.025, wall_m, outline=1).mean() > 0.98
+
+
+def test_in_a_low_room_the_last_rows_below_the_ceiling_tell_where_the_wall_is() -> None:
+    """Nothing there is higher than leaves are elsewhere."""
+    assert relief((1.0, 2.0), (0.0, 1.6), 0.025, outline=1, ceiling_m=2.2).mean() > 0.98
+    assert not relief((1.0, 2.0), (0.0, 2.2), 0.025, ceiling_m=2.2).any()
 
 
 @pytest.mark.parametrize(

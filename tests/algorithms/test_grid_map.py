@@ -224,25 +224,41 @@ def test_what_rays_pass_below_from_behind_is_no_wall() -> None:
     assert (at(grid, screen, places) == Cell.OCCUPIED).all()
 
 
+def looked_along(rooms: TwoRooms, drive: Drive, origin: np.ndarray, ends: np.ndarray, count: int) -> Drive:
+    """The drive and one scan more, of so many rays at the height of a shin, that end between two places."""
+    features = next(iter(drive.blocks()))
+    ray_end = rooms.to_map(np.linspace(ends[0], ends[1], count))
+    along = replace(
+        features,
+        scan=np.array([99]),
+        origin_map=np.array([[*rooms.to_map(origin[None])[0], 0.3]]),
+        floor_map=np.zeros((1, 3)),
+        ray_count=np.array([count]),
+        plane_count=np.array([0]),
+        ray_end_map=np.column_stack([ray_end, np.full(count, 0.3)]).astype(np.float32),
+        ray_label=np.full(count, Label.CLUTTER, np.uint8),
+    )
+    return replace(drive, blocks=lambda: [features, along])
+
+
+def test_rays_along_a_beam_that_end_beyond_it_do_not_hold_it() -> None:
+    """What hangs is passed below from both sides; that very many rays ran along under it, and did not end there, is no wall."""
+    beam = ([[1.0, 2.2], [2.0, 2.2]], [0.0, 1.0])
+    rooms = TwoRooms(both_seen=False, more=((np.array(beam[0]), (2.3, 2.6)),))
+    immobile, drive = with_face(rooms, *beam, 2.6)
+    with_it = looked_along(rooms, drive, np.array([0.6, 2.215]), np.array([[3.4, 2.215], [3.5, 2.215]]), 60_000)
+    places = np.column_stack([np.linspace(1.1, 1.9, 9), np.full(9, 2.21)])
+    grid = draw_furniture_free(immobile, with_it, SETTINGS, THICKNESS)
+    assert (at(grid, rooms, places) == Cell.FREE).all()
+
+
 @pytest.mark.parametrize("turn_deg", [0.0, 20.0])
 def test_rays_along_a_wall_do_not_cross_it(turn_deg: float) -> None:
     """Below the knee a shelf on legs hides its wall, and one scan looked along behind it."""
     shelf = (np.array([[0.3, 2.7], [1.3, 2.7]]), (0.0, 1.0))
     rooms = TwoRooms(both_seen=False, more=(shelf,), turn_deg=turn_deg, shift=(0.0, -0.02))
     immobile, drive = rooms.build()
-    features = next(iter(drive.blocks()))
-    ends = rooms.to_map(np.column_stack([np.linspace(0.5, 1.3, 80), np.full(80, 2.985)]))
-    along = replace(
-        features,
-        scan=np.array([99]),
-        origin_map=np.array([[*rooms.to_map(np.array([[0.1, 2.985]]))[0], 0.3]]),
-        floor_map=np.zeros((1, 3)),
-        ray_count=np.array([80]),
-        plane_count=np.array([0]),
-        ray_end_map=np.column_stack([ends, np.full(80, 0.3)]).astype(np.float32),
-        ray_label=np.full(80, Label.CLUTTER, np.uint8),
-    )
-    with_it = replace(drive, blocks=lambda: [features, along])
+    with_it = looked_along(rooms, drive, np.array([0.1, 2.985]), np.array([[0.5, 2.985], [1.3, 2.985]]), 80)
     wall = np.column_stack([np.linspace(0.3, 1.2, 40), np.full(40, 3.0)])
     expected = at(draw_furniture_free(immobile, drive, SETTINGS, THICKNESS), rooms, wall)
     assert (expected == Cell.OCCUPIED).mean() > 0.8  # of a slanted line some places lie in a cell beside it

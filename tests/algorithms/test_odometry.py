@@ -291,3 +291,35 @@ def test_a_pause_in_the_scans_carries_no_motion_on(
     off = transforms.invert(transforms.invert(np.array(T_true[:1])) @ np.array(T_true)) @ way
     assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.04
     assert np.degrees(Rotation.from_matrix(off[:, :3, :3]).magnitude()).max() < 1.0
+
+
+def test_after_a_pause_the_first_guess_is_the_odometrys(
+    scans: list[tuple[int, Scan, Scan | None]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refiner = Refiner(RefinementSettings(), (0.5, 60.0), transforms.invert(T_BASE_HORIZONTAL) @ T_BASE_VERTICAL)
+    pause_ns = 12 * 10**9
+    *before, (_, scan, companion) = scans[:21]
+    for _, earlier, beside in before:
+        T_last = true_pose(earlier.end_ns * 1e-9) @ T_BASE_HORIZONTAL
+        last = refiner.refine(earlier, T_last, beside)
+    T_end = true_pose(scan.end_ns * 1e-9) @ T_BASE_HORIZONTAL
+    guesses = jumping(monkeypatch, np.eye(4), 0)
+    refiner.refine(later(scan, pause_ns), T_end, None if companion is None else later(companion, pause_ns))
+    np.testing.assert_allclose(guesses[0], last.T_odom_sensor @ transforms.invert(T_last) @ T_end, atol=1e-9)
+
+
+def test_from_scan_to_scan_the_first_guess_is_where_the_motion_leads_however_wild_the_odometry(
+    scans: list[tuple[int, Scan, Scan | None]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What falls on the odometry's guess first may fit the map there, in a corridor whose walls are all alike."""
+    refiner = Refiner(RefinementSettings(), (0.5, 60.0), transforms.invert(T_BASE_HORIZONTAL) @ T_BASE_VERTICAL)
+    found = []
+    for number, (_, scan, companion) in enumerate(scans[:21]):
+        T_end = true_pose(scan.end_ns * 1e-9) @ T_BASE_HORIZONTAL
+        if number == 20:
+            guesses = jumping(monkeypatch, np.eye(4), 0)
+            T_end = T_end @ transforms.make_transform(None, [0.4, 0.0, 0.0])
+        found.append(refiner.refine(scan, T_end, companion))
+    off = transforms.invert(found[-1].T_odom_sensor) @ guesses[0]
+    assert np.linalg.norm(off[:3, 3]) < 0.03
+    assert len(guesses) == 1
