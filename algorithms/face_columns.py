@@ -1,5 +1,6 @@
 """The columns of wall faces: where they are, how high the room is before them, and what rays found of each."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -8,6 +9,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from algorithms.building import CELL_M, NO_WALLS, Walls, stretches
+from algorithms.height_maps import HeightMap
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, IntArray
 from algorithms.segments import Segment, segments
@@ -31,15 +33,20 @@ _ROOM_M, _ROOM_BESIDE_M, _ROOM_CUBES = (0.3, 3.0), 0.5, 10
 
 @dataclass(frozen=True)
 class Storey:
-    """The cubes that scans agree on to be floor (n, 3), and ceiling (m, 3)."""
+    """The cubes that are floor (n, 3), and ceiling (m, 3): scans agree on that, or the building's level surfaces tell."""
 
     floor: FloatArray
     ceiling: FloatArray
 
     @classmethod
-    def of(cls, votes: VoxelVotes) -> "Storey":
-        """Of the labels that scans gave."""
-        label = np.where(votes.counts.max(axis=1, initial=0) >= _AGREED_VOTES, majority(votes.counts), Label.CLUTTER)
+    def of(cls, votes: VoxelVotes, levels: Sequence[HeightMap] = ()) -> "Storey":
+        """Of the labels that scans gave, and of the surfaces that are told from all of them."""
+        by_scans = majority(votes.counts)
+        label = by_scans
+        for level in levels:
+            label = level.label_of(votes.mean_position, label)
+        agreed = (label != by_scans) | (votes.counts.max(axis=1, initial=0) >= _AGREED_VOTES)
+        label = np.where(agreed, label, Label.CLUTTER)
         return cls(votes.mean_position[label == Label.FLOOR], votes.mean_position[label == Label.CEILING])
 
     @cached_property

@@ -1,6 +1,9 @@
-"""Ceilings and raised floors of the whole building, for what single scans saw too little of, or took for something else."""
+"""The level surfaces of the whole building, for what single scans saw too little of, or took for something else.
 
-from dataclasses import dataclass
+Ceilings, floors that lie higher than where the robot stood, ducts that passed for ceilings, and what passed for floor.
+"""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -17,6 +20,8 @@ _MARGIN_M = 0.04
 """Poses drift, and returns scatter, by so much."""
 _RISE_M = (0.06, 0.30)
 """Steps and platforms are so much higher than the floor beside them."""
+_FLOOR_CELLS_M = (0.1, 0.2, 0.3)
+"""A raised floor is looked for in cells so large: from afar rays meet it at a slant, and far apart."""
 _BROAD_M = 1.2
 """A raised floor holds a disc so broad: nothing that low and that broad is furniture."""
 _OVERHEAD_M, _BROAD_OVERHEAD_M, _UNKNOWN_M = 2.2, 0.8, 0.3
@@ -25,11 +30,21 @@ _FINE_CELL_M = 0.1
 _HANGS_M, _BESIDE_DUCT_M, _CEILING_EDGE_M = 0.08, 0.4, 0.3
 """A duct hangs so much lower than the ceiling that is seen so close to it. A ceiling's edge is so wide."""
 _FLAT_M = 0.03
+_SLOPE, _SLOPING_OVER_M = (0.15, 1.8), 1.0
+"""A sloping ceiling rises by so much over each metre. At its lowest it is so high; nothing so broad stands higher."""
+_WINDOW, _WINDOW_SHARE, _PLANE_M = 5, 0.6, 0.025
+"""Of so many by so many cells such a share must hold returns, and these lie so close to one plane (RMS)."""
+_SPREAD_MIN_M = 0.03
+"""What spreads over less in some direction lies in no plane."""
+_SLOPE_EDGE_M = 0.25
+"""A sloping ceiling goes on as a plane so far beyond where windows fit: up to its walls."""
+_SEEN_FLOOR_M, _OFF_FLOOR_M = 0.3, 0.2
+"""Floor holds a disc so broad here and there. What lies so far above the nearest that does is none."""
 
 
 @dataclass(frozen=True)
 class HeightMap:
-    """How high something level lies: height_m (rows, columns) in the map frame, NaN where there is none.
+    """Between which heights something lies: low_m and high_m (rows, columns) in the map frame, NaN where there is none.
 
     label: what it is, and taken_for: what scans took it for. origin: (2,) x and y of the first cell's corner, metres; cell_m:
     the cells' edge.
@@ -39,19 +54,65 @@ class HeightMap:
     taken_for: Label
     origin: FloatArray
     cell_m: float
-    height_m: FloatArray
+    low_m: FloatArray
+    high_m: FloatArray
+
+    @classmethod
+    def level(cls, label: Label, taken_for: Label, origin: FloatArray, cell_m: float, height_m: FloatArray) -> "HeightMap":
+        """Of a level surface, so high (rows, columns) in the map frame."""
+        return cls(label, taken_for, origin, cell_m, height_m - _MARGIN_M, height_m + _MARGIN_M)
 
     def label_of(self, points_map: FloatArray, label: UInt8Array) -> UInt8Array:
-        """The labels (n,) of points (n, 3), what scans took for something else at that height made what lies there."""
+        """The labels (n,) of points (n, 3), what scans took for something else at these heights made what lies there."""
         wrong = np.flatnonzero(label == self.taken_for)
-        rows, columns = self.height_m.shape
+        rows, columns = self.low_m.shape
         cell = np.floor((points_map[wrong, :2] - self.origin) / self.cell_m).astype(np.int64)
         inside = (cell >= 0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
         wrong, cell = wrong[inside], cell[inside]
-        on_it = np.abs(points_map[wrong, 2] - self.height_m[cell[:, 1], cell[:, 0]]) < _MARGIN_M
+        of_cell, height_m = (cell[:, 1], cell[:, 0]), points_map[wrong, 2]
+        on_it = (height_m > self.low_m[of_cell]) & (height_m < self.high_m[of_cell])
         corrected = label.copy()
         corrected[wrong[on_it]] = self.label
         return corrected
+
+
+def map_levels(votes: VoxelVotes) -> tuple[HeightMap, ...]:
+    """All that is known of the building's level surfaces, to be asked in this order; votes: of the labels that scans gave."""
+    false_floors = map_false_floors(votes)
+    told = _corrected(votes, false_floors)
+    ceilings = (map_ceilings(told), map_glimpsed_ceilings(told), map_sloping_ceilings(told))
+    raised_floors = tuple(map_raised_floors(told, cell_m) for cell_m in _FLOOR_CELLS_M)
+    levels = (false_floors, *ceilings, *raised_floors, map_ducts(told))
+    return tuple(level for level in levels if np.isfinite(level.low_m).any())
+
+
+def map_false_floors(votes: VoxelVotes) -> HeightMap:
+    """What scans took for floor on walls and cupboards: strips as narrow as these are thick, far above the floor.
+
+    A scan carries the plane of its floor on as far as it sees; from a ramp that leads up the walls of the next room.
+    """
+    floor = votes.mean_position[(majority(votes.counts) == Label.FLOOR) & (votes.counts.max(axis=1, initial=0) > 0)]
+    if not len(floor):
+        return _nothing(Label.CLUTTER, taken_for=Label.FLOOR)
+    origin, shape = _frame(floor, _FINE_CELL_M)
+    height_m = _in_cells(floor, origin, shape, _FINE_CELL_M, share=0.5)
+    known = np.isfinite(height_m)
+    broad = _holding_a_disc(ndimage.binary_closing(known, np.ones((3, 3))), 0.5 * _SEEN_FLOOR_M / _FINE_CELL_M) & known
+    if not broad.any():
+        return _nothing(Label.CLUTTER, taken_for=Label.FLOOR)
+    nearest = ndimage.distance_transform_edt(~broad, return_distances=False, return_indices=True)
+    low_m = height_m[tuple(nearest)] + _OFF_FLOOR_M
+    return HeightMap(Label.CLUTTER, Label.FLOOR, origin, _FINE_CELL_M, low_m, np.full(shape, np.inf))
+
+
+def _corrected(votes: VoxelVotes, level: HeightMap) -> VoxelVotes:
+    """The votes, where scans took something else for what lies there given to that."""
+    label = majority(votes.counts)
+    wrong = level.label_of(votes.mean_position, label) != label
+    counts = votes.counts.copy()
+    counts[wrong, level.label] += counts[wrong, level.taken_for]
+    counts[wrong, level.taken_for] = 0
+    return replace(votes, counts=counts)
 
 
 def map_ceilings(votes: VoxelVotes) -> HeightMap:
@@ -64,7 +125,7 @@ def map_ceilings(votes: VoxelVotes) -> HeightMap:
     median_m = _in_cells(position, origin, shape, _CELL_M, share=0.5)
     away, nearest = ndimage.distance_transform_edt(np.isnan(median_m), return_indices=True)
     height_m = np.where(away * _CELL_M <= _REACH_M, median_m[tuple(nearest)], np.nan)
-    return HeightMap(Label.CEILING, Label.CLUTTER, origin, _CELL_M, height_m)
+    return HeightMap.level(Label.CEILING, Label.CLUTTER, origin, _CELL_M, height_m)
 
 
 def map_glimpsed_ceilings(votes: VoxelVotes) -> HeightMap:
@@ -79,7 +140,7 @@ def map_glimpsed_ceilings(votes: VoxelVotes) -> HeightMap:
     if not floor.any():
         return _nothing(Label.CEILING)
     origin, shape = _frame(position, _FINE_CELL_M)
-    ground_m, _ = _ground_m(position[floor], origin, shape)
+    ground_m, _ = _ground_m(position[floor], origin, shape, _FINE_CELL_M)
     rise_m = position[:, 2] - ground_m[tuple(_cells(position, origin, shape, _FINE_CELL_M).T)]
     high = (label == Label.CLUTTER) & (rise_m > _OVERHEAD_M)
     highest_m = _in_cells(position[high], origin, shape, _FINE_CELL_M, share=1.0)
@@ -88,14 +149,81 @@ def map_glimpsed_ceilings(votes: VoxelVotes) -> HeightMap:
     around = _median_around(highest_m)
     level = np.abs(highest_m - around) < _FLAT_M
     broad = _holding_a_disc(ndimage.binary_closing(level, np.ones((3, 3))), 0.5 * _BROAD_OVERHEAD_M / _FINE_CELL_M)
-    return HeightMap(Label.CEILING, Label.CLUTTER, origin, _FINE_CELL_M, np.where(broad, around, np.nan))
+    return HeightMap.level(Label.CEILING, Label.CLUTTER, origin, _FINE_CELL_M, np.where(broad, around, np.nan))
 
 
-def map_raised_floors(votes: VoxelVotes) -> HeightMap:
+def map_sloping_ceilings(votes: VoxelVotes) -> HeightMap:
+    """The undersides of roofs and stairs: the highest there is, in one plane that rises, and too broad for furniture."""
+    label = majority(votes.counts)
+    position = votes.mean_position
+    floor = (votes.counts.max(axis=1, initial=0) >= _VOTES_MIN) & (label == Label.FLOOR)
+    if not floor.any():
+        return _nothing(Label.CEILING)
+    origin, shape = _frame(position, _FINE_CELL_M)
+    ground_m, _ = _ground_m(position[floor], origin, shape, _FINE_CELL_M)
+    rise_m = position[:, 2] - ground_m[tuple(_cells(position, origin, shape, _FINE_CELL_M).T)]
+    overhead = (votes.counts.max(axis=1, initial=0) > 0) & (label != Label.FLOOR) & (rise_m > _SLOPING_OVER_M)
+    highest = _highest_in_cells(position[overhead], origin, shape, _FINE_CELL_M)
+    mean, slope, rms_m, known = _planes_around(highest, _WINDOW)
+    off_m = np.abs(highest[..., 2] - mean[..., 2] - ((highest - mean)[..., :2] * slope).sum(axis=2))
+    steepness = np.linalg.norm(slope, axis=2)
+    rising = (steepness > _SLOPE[0]) & (steepness < _SLOPE[1])
+    plane = rising & (rms_m < _PLANE_M) & (known >= _WINDOW_SHARE) & (off_m < 2.0 * _PLANE_M)
+    broad = _holding_a_disc(ndimage.binary_closing(plane, np.ones((3, 3))), 0.5 * _BROAD_OVERHEAD_M / _FINE_CELL_M)
+    away, nearest = ndimage.distance_transform_edt(~(broad & plane), return_indices=True)
+    centre = origin + (np.indices(shape)[::-1].transpose(1, 2, 0) + 0.5) * _FINE_CELL_M
+    mean, slope = mean[tuple(nearest)], slope[tuple(nearest)]
+    height_m = mean[..., 2] + ((centre - mean[..., :2]) * slope).sum(axis=2)
+    height_m[(away * _FINE_CELL_M > _SLOPE_EDGE_M) | ~(broad & plane).any()] = np.nan
+    within_cell_m = 0.5 * _FINE_CELL_M * np.abs(slope).sum(axis=2) + _MARGIN_M
+    return HeightMap(
+        Label.CEILING, Label.CLUTTER, origin, _FINE_CELL_M, height_m - within_cell_m, height_m + within_cell_m
+    )
+
+
+def _highest_in_cells(position: FloatArray, origin: FloatArray, shape: tuple[int, int], cell_m: float) -> FloatArray:
+    """(rows, columns, 3) the highest position of each cell, NaN where there is none; position: (n, 3)."""
+    cell = _cells(position, origin, shape, cell_m)
+    order = np.argsort(position[:, 2], kind="stable")
+    highest = np.full((*shape, 3), np.nan)
+    highest[tuple(cell[order].T)] = position[order]
+    return highest
+
+
+def _planes_around(places: FloatArray, size: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The plane through what lies in so many by so many cells around each.
+
+    places: (rows, columns, 3), NaN where a cell has none. Returns its middle (rows, columns, 3), its slope along x and y
+    (rows, columns, 2), how far the places lie off it (rows, columns; RMS, metres), and the share of cells that have one.
+    """
+    there = np.isfinite(places[..., 0])
+    known = ndimage.uniform_filter(there.astype(np.float64), size, mode="constant")
+    middle = np.nanmean(places, axis=(0, 1)) if there.any() else np.zeros(3)
+    shifted = np.where(there[..., None], places - middle, 0.0)
+
+    def mean_of(values: FloatArray) -> FloatArray:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(ndimage.uniform_filter(values, size, mode="constant") / known)
+
+    mean = np.stack([mean_of(shifted[..., i]) for i in range(3)], axis=2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        xx, xy, xz, yy, yz, zz = (
+            mean_of(shifted[..., i] * shifted[..., j]) - mean[..., i] * mean[..., j] for i in range(3) for j in range(i, 3)
+        )
+        determinant = xx * yy - xy**2
+        slope = np.stack([xz * yy - yz * xy, yz * xx - xz * xy], axis=2) / determinant[..., None]
+        slope[~(determinant > _SPREAD_MIN_M**4)] = np.nan
+    rms_m = np.sqrt(np.maximum(zz - slope[..., 0] * xz - slope[..., 1] * yz, 0.0))
+    return mean + middle, slope, rms_m, known
+
+
+def map_raised_floors(votes: VoxelVotes, cell_m: float = _FINE_CELL_M) -> HeightMap:
     """What lies a step above the floor around it, level and too broad for furniture (paper, V: uneven floors).
 
     A scan knows the floor that it stands on; what is higher is clutter to it. Here the lowest that was seen in each cell
     tells: furniture stands on something that shows between its legs and beside it.
+
+    cell_m: the larger, the fewer returns tell.
     """
     label = majority(votes.counts)
     position = votes.mean_position
@@ -103,18 +231,18 @@ def map_raised_floors(votes: VoxelVotes) -> HeightMap:
     floor, low = seen & (label == Label.FLOOR), seen & ((label == Label.FLOOR) | (label == Label.CLUTTER))
     if not floor.any():
         return _nothing(Label.FLOOR)
-    origin, shape = _frame(position[low], _FINE_CELL_M)
-    ground_m, away = _ground_m(position[floor], origin, shape)
-    rise_m = position[:, 2] - ground_m[tuple(_cells(position, origin, shape, _FINE_CELL_M).T)]
-    lowest_m = _in_cells(position[low & (rise_m > -_MARGIN_M)], origin, shape, _FINE_CELL_M, share=0.0)
+    origin, shape = _frame(position[low], cell_m)
+    ground_m, away = _ground_m(position[floor], origin, shape, cell_m)
+    rise_m = position[:, 2] - ground_m[tuple(_cells(position, origin, shape, cell_m).T)]
+    lowest_m = _in_cells(position[low & (rise_m > -_MARGIN_M)], origin, shape, cell_m, share=0.0)
     rise_m = lowest_m - ground_m
     around = _median_around(lowest_m)
     level = (np.abs(lowest_m - around) < _FLAT_M) & (rise_m > _RISE_M[0]) & (rise_m < _RISE_M[1]) & (away > 0)
     # What is seen at a slant shows in lines.
     between = ndimage.binary_closing(level, np.ones((5, 5))) & np.isnan(lowest_m)
     closed = ndimage.binary_closing(level, np.ones((3, 3))) | between
-    broad = _holding_a_disc(closed, 0.5 * _BROAD_M / _FINE_CELL_M)
-    return HeightMap(Label.FLOOR, Label.CLUTTER, origin, _FINE_CELL_M, np.where(broad, around, np.nan))
+    broad = _holding_a_disc(closed, 0.5 * _BROAD_M / cell_m)
+    return HeightMap.level(Label.FLOOR, Label.CLUTTER, origin, cell_m, np.where(broad, around, np.nan))
 
 
 def map_ducts(votes: VoxelVotes) -> HeightMap:
@@ -137,7 +265,7 @@ def map_ducts(votes: VoxelVotes) -> HeightMap:
     away, nearest = ndimage.distance_transform_edt(~broad, return_indices=True)
     level_m = np.abs(lowest_m - lowest_m[tuple(nearest)])
     ceilings = (away <= round(_CEILING_EDGE_M / _FINE_CELL_M)) & (level_m < _MARGIN_M)
-    return HeightMap(Label.CLUTTER, Label.CEILING, origin, _FINE_CELL_M, np.where(hangs & ~ceilings, lowest_m, np.nan))
+    return HeightMap.level(Label.CLUTTER, Label.CEILING, origin, _FINE_CELL_M, np.where(hangs & ~ceilings, lowest_m, np.nan))
 
 
 def _highest(height_m: FloatArray, size: int) -> FloatArray:
@@ -145,12 +273,14 @@ def _highest(height_m: FloatArray, size: int) -> FloatArray:
     return np.asarray(ndimage.maximum_filter(np.where(np.isnan(height_m), -np.inf, height_m), size))
 
 
-def _ground_m(floor: FloatArray, origin: FloatArray, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
+def _ground_m(
+    floor: FloatArray, origin: FloatArray, shape: tuple[int, int], cell_m: float
+) -> tuple[FloatArray, FloatArray]:
     """The median height of the floor in each cell, or in the nearest that has one, and how many cells away that is.
 
     floor: (m, 3) places on it, one at least.
     """
-    floor_m = _in_cells(floor, origin, shape, _FINE_CELL_M, share=0.5)
+    floor_m = _in_cells(floor, origin, shape, cell_m, share=0.5)
     away, nearest = ndimage.distance_transform_edt(np.isnan(floor_m), return_indices=True)
     return floor_m[tuple(nearest)], away
 
@@ -173,8 +303,8 @@ def _holding_a_disc(mask: BoolArray, radius: float) -> BoolArray:
     return np.asarray(mask & (ndimage.distance_transform_edt(~core) <= radius + 1.0))
 
 
-def _nothing(label: Label) -> HeightMap:
-    return HeightMap(label, Label.CLUTTER, np.zeros(2), _CELL_M, np.zeros((0, 0)))
+def _nothing(label: Label, taken_for: Label = Label.CLUTTER) -> HeightMap:
+    return HeightMap.level(label, taken_for, np.zeros(2), _CELL_M, np.zeros((0, 0)))
 
 
 def _frame(position: FloatArray, cell_m: float) -> tuple[FloatArray, tuple[int, int]]:

@@ -28,7 +28,7 @@ from algorithms.features import Features, concatenate, select_planes
 from algorithms.floor_plan import FloorPlan, draw_floor_plan
 from algorithms.fused_walls import fuse_walls
 from algorithms.grid_map import Drive, GridMap, Immobile, draw_furniture_free, standing_stretches
-from algorithms.height_maps import HeightMap, map_ceilings, map_ducts, map_glimpsed_ceilings, map_raised_floors
+from algorithms.height_maps import HeightMap, map_levels
 from algorithms.hidden_walls import find_hidden_walls
 from algorithms.labels import Label
 from algorithms.odometry import Registration, weakness
@@ -570,7 +570,8 @@ def _build(
 ) -> Building:
     """Walls from all planes, doors and grid from all rays; the rays are read block by block."""
     planes = concatenate([_without_rays(features) for features in _features(folder, blocks)])
-    storey = Storey.of(votes)
+    levels = map_levels(votes)
+    storey = Storey.of(votes, levels)
     far = settings.building.model_copy(update={"range_m": settings.building.far_m})
     strict = far.model_copy(update={"near_m": _STRICT_NEAR_M, "own_plane_m": 0.0})
 
@@ -656,7 +657,6 @@ def _build(
     stretches = standing_stretches(immobile, settings.grid_map)
     plan = draw_floor_plan(stretches, immobile, grid, votes, settings.floor_plan, settings.wall_thickness, rooms.rooms)
     thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
-    levels = (map_ceilings(votes), map_glimpsed_ceilings(votes), map_raised_floors(votes), map_ducts(votes))
     return Building(
         aligned,
         walls,

@@ -1,11 +1,21 @@
-"""The building's ceilings: two rooms of different height, one of which a scan saw too little of; and its raised floors."""
+"""The building's level surfaces: ceilings of rooms of different height, sloping ones, raised floors, ducts, false floors."""
 
 import numpy as np
 import pytest
 
-from algorithms.height_maps import HeightMap, map_ceilings, map_ducts, map_glimpsed_ceilings, map_raised_floors
+from algorithms.face_columns import Storey
+from algorithms.height_maps import (
+    HeightMap,
+    map_ceilings,
+    map_ducts,
+    map_false_floors,
+    map_glimpsed_ceilings,
+    map_levels,
+    map_raised_floors,
+    map_sloping_ceilings,
+)
 from algorithms.labels import Label
-from algorithms.semantic_map import merge, vote
+from algorithms.semantic_map import VoxelVotes, merge, vote
 
 
 def two_rooms() -> HeightMap:
@@ -52,9 +62,13 @@ def lying(x: tuple[float, float], y: tuple[float, float], z: float, slope: float
     return np.column_stack([xs, ys, z + slope * xs])
 
 
-def raised(*pieces: tuple[np.ndarray, Label]) -> HeightMap:
-    portions = [vote(p, np.full(len(p), label, np.uint8), len(Label), 0.05) for p, label in pieces]
-    return map_raised_floors(merge(portions * 3))
+def votes_of(*pieces: tuple[np.ndarray, Label], scans: int = 3) -> VoxelVotes:
+    """So many scans that see each piece so."""
+    return merge([vote(p, np.full(len(p), label, np.uint8), len(Label), 0.05) for p, label in pieces] * scans)
+
+
+def raised(*pieces: tuple[np.ndarray, Label], cell_m: float = 0.1) -> HeightMap:
+    return map_raised_floors(votes_of(*pieces), cell_m)
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.02])
@@ -80,6 +94,19 @@ def test_a_platform_that_shows_in_lines_is_floor() -> None:
     assert np.all(found.label_of(inner, np.zeros(len(inner), np.uint8)) == Label.FLOOR)
 
 
+def test_a_platform_that_few_returns_show_from_afar_is_floor() -> None:
+    floor, platform = lying((0, 4), (0, 4), 0.01), lying((4, 8), (0, 4), 0.16)
+    few = np.random.default_rng(3).choice(platform, 300, replace=False)
+    levels = map_levels(votes_of((floor, Label.FLOOR), (few, Label.CLUTTER)))
+    inner = few[(few[:, 0] > 4.4) & (few[:, 0] < 7.6) & (np.abs(few[:, 1] - 2.0) < 1.6)]
+    label = np.zeros(len(inner), np.uint8)
+    assert np.mean(levels[0].label_of(inner, label) == Label.FLOOR) < 0.5
+    for level in levels:
+        label = level.label_of(inner, label)
+    assert np.mean(label == Label.FLOOR) > 0.97
+
+
+@pytest.mark.parametrize("cell_m", [0.1, 0.2, 0.3])
 @pytest.mark.parametrize(
     ("x", "y", "z"),
     [
@@ -89,17 +116,19 @@ def test_a_platform_that_shows_in_lines_is_floor() -> None:
         ((1.0, 3.5), (1.0, 3.5), 0.04),  # a carpet
     ],
 )
-def test_what_is_narrow_high_or_thin_is_no_floor(x: tuple[float, float], y: tuple[float, float], z: float) -> None:
+def test_what_is_narrow_high_or_thin_is_no_floor(
+    x: tuple[float, float], y: tuple[float, float], z: float, cell_m: float
+) -> None:
     floor = lying((0, 5), (0, 5), 0.01)
     hidden = (floor[:, 0] > x[0]) & (floor[:, 0] < x[1]) & (floor[:, 1] > y[0]) & (floor[:, 1] < y[1])
-    found = raised((floor[~hidden], Label.FLOOR), (lying(x, y, z), Label.CLUTTER))
-    assert np.isnan(found.height_m).all()
+    found = raised((floor[~hidden], Label.FLOOR), (lying(x, y, z), Label.CLUTTER), cell_m=cell_m)
+    assert np.isnan(found.low_m).all()
 
 
 def test_a_table_whose_floor_is_seen_below_it_is_none() -> None:
     low_table = lying((1.0, 3.5), (1.0, 3.5), 0.25)
     found = raised((lying((0, 5), (0, 5), 0.01), Label.FLOOR), (low_table, Label.CLUTTER))
-    assert np.isnan(found.height_m).all()
+    assert np.isnan(found.low_m).all()
 
 
 @pytest.mark.parametrize(
@@ -150,3 +179,89 @@ def test_a_narrow_strip_below_a_ceiling_is_a_duct(
 def test_without_a_ceiling_there_is_no_duct() -> None:
     nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
     assert map_ducts(nothing).label_of(np.zeros((1, 3)), np.array([Label.CEILING], np.uint8))[0] == Label.CEILING
+
+
+def upright(x: tuple[float, float], y: float, z: tuple[float, float]) -> np.ndarray:
+    """(n, 3) points 5 cm apart on a wall along x."""
+    xs, zs = (a.ravel() for a in np.meshgrid(np.arange(x[0] + 0.02, x[1], 0.05), np.arange(z[0] + 0.02, z[1], 0.05)))
+    return np.column_stack([xs, np.full(len(xs), y), zs])
+
+
+def test_floor_that_a_ramp_carries_on_up_the_walls_of_the_next_room_is_none() -> None:
+    floor, next_room = lying((0, 6), (0, 3), 0.02), lying((0, 6), (8, 9), 0.27)
+    strip, wall = upright((0, 6), 9.98, (1.3, 1.45)), upright((0, 6), 9.98, (0.3, 2.8))
+    votes = votes_of((floor, Label.FLOOR), (next_room, Label.FLOOR), (strip, Label.FLOOR))
+    told = map_false_floors(votes)
+    floors = np.concatenate([floor, next_room])
+    assert np.all(told.label_of(floors, np.full(len(floors), Label.FLOOR, np.uint8)) == Label.FLOOR)
+    assert np.all(told.label_of(strip, np.full(len(strip), Label.FLOOR, np.uint8)) == Label.CLUTTER)
+    assert np.all(told.label_of(wall, np.full(len(wall), Label.WALL, np.uint8)) == Label.WALL)
+    # What is measured from the floor is measured from the true one.
+    ceiling = lying((0, 6), (8, 10), 2.82)
+    votes = votes_of((floor, Label.FLOOR), (next_room[:50], Label.FLOOR), (strip, Label.FLOOR), (ceiling, Label.CLUTTER))
+    label = np.zeros(len(ceiling), np.uint8)
+    for level in map_levels(votes):
+        label = level.label_of(ceiling, label)
+    assert np.mean(label == Label.CEILING) > 0.9
+
+
+def test_where_no_floor_is_broad_none_is_false() -> None:
+    nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
+    strip = votes_of((upright((0, 6), 9.98, (1.3, 1.45)), Label.FLOOR))
+    for votes in (nothing, strip):
+        assert np.isnan(map_false_floors(votes).low_m).all()
+    assert map_levels(nothing) == ()
+
+
+def attic(turn_deg: float, rise: float, x: tuple[float, float] = (0.0, 3.0), y: tuple[float, float] = (0.0, 2.0)) -> np.ndarray:
+    """(n, 3) points on a plane that begins 1.3 m above the floor and rises along y."""
+    xs, ys = (a.ravel() for a in np.meshgrid(np.arange(x[0] + 0.02, x[1], 0.04), np.arange(y[0] + 0.02, y[1], 0.04)))
+    noise_m = np.random.default_rng(4).normal(0, 0.006, len(xs))
+    c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+    return np.column_stack([c * xs - s * ys, s * xs + c * ys, 1.3 + rise * (ys - y[0]) + noise_m])
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 35.0, 120.0])
+@pytest.mark.parametrize("rise", [0.3, 0.8, 1.4])
+def test_a_roofs_underside_is_ceiling_and_what_stands_below_it_not(turn_deg: float, rise: float) -> None:
+    roof, floor = attic(turn_deg, rise), attic(turn_deg, 0.0) - [0.0, 0.0, 1.3]
+    bed = attic(turn_deg, 0.0, (0.5, 2.5), (0.2, 1.2)) - [0.0, 0.0, 0.8]
+    votes = votes_of((floor, Label.FLOOR), (roof, Label.CLUTTER), (bed, Label.CLUTTER))
+    found = map_sloping_ceilings(votes)
+    assert np.mean(found.label_of(roof, np.zeros(len(roof), np.uint8)) == Label.CEILING) > 0.97
+    assert not np.any(found.label_of(bed, np.zeros(len(bed), np.uint8)))
+    # How high the room is, is told from it: what stands at a knee wall's foot reaches it.
+    low = attic(turn_deg, rise, (1.0, 2.0), (0.2, 0.4))
+    clear_m = Storey.of(votes, map_levels(votes)).clear_m(low[:, :2], 2.0)
+    np.testing.assert_allclose(clear_m, 1.3 + 0.3 * rise, atol=0.15 * rise + 0.05)
+    assert np.isnan(Storey.of(votes).clear_m(low[:, :2], 2.0)).all()
+
+
+@pytest.mark.parametrize(
+    ("rise", "x", "y"),
+    [
+        (0.0, (0.0, 3.0), (0.0, 2.0)),  # level: a bunk
+        (0.8, (0.0, 0.6), (0.0, 2.0)),  # as narrow as a ladder, or a leaning board
+        (3.0, (0.0, 3.0), (0.0, 0.6)),  # a wall that leans
+    ],
+)
+def test_what_is_level_narrow_or_steep_is_no_sloping_ceiling(
+    rise: float, x: tuple[float, float], y: tuple[float, float]
+) -> None:
+    floor = attic(0.0, 0.0) - [0.0, 0.0, 1.3]
+    votes = votes_of((floor, Label.FLOOR), (attic(0.0, rise, x, y), Label.CLUTTER))
+    assert np.isnan(map_sloping_ceilings(votes).low_m).all()
+
+
+def test_what_lies_below_something_higher_is_no_sloping_ceiling() -> None:
+    floor = attic(0.0, 0.0) - [0.0, 0.0, 1.3]
+    above = attic(0.0, 0.0) + [0.0, 0.0, 2.0]
+    votes = votes_of((floor, Label.FLOOR), (attic(0.0, 0.5), Label.CLUTTER), (above, Label.CEILING))
+    assert np.isnan(map_sloping_ceilings(votes).low_m).all()
+
+
+def test_nothing_slopes_in_an_empty_building() -> None:
+    nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
+    floor = votes_of((lying((0, 4), (0, 4), 0.01), Label.FLOOR))
+    for votes in (nothing, floor):
+        assert np.isnan(map_sloping_ceilings(votes).low_m).all()
