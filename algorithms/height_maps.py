@@ -165,10 +165,9 @@ def map_sloping_ceilings(votes: VoxelVotes) -> HeightMap:
     overhead = (votes.counts.max(axis=1, initial=0) > 0) & (label != Label.FLOOR) & (rise_m > _SLOPING_OVER_M)
     highest = _highest_in_cells(position[overhead], origin, shape, _FINE_CELL_M)
     mean, slope, rms_m, known = _planes_around(highest, _WINDOW)
-    off_m = np.abs(highest[..., 2] - mean[..., 2] - ((highest - mean)[..., :2] * slope).sum(axis=2))
     steepness = np.linalg.norm(slope, axis=2)
     rising = (steepness > _SLOPE[0]) & (steepness < _SLOPE[1])
-    plane = rising & (rms_m < _PLANE_M) & (known >= _WINDOW_SHARE) & (off_m < 2.0 * _PLANE_M)
+    plane = rising & (rms_m < _PLANE_M) & (known >= _WINDOW_SHARE) & np.isfinite(highest[..., 2])
     broad = _holding_a_disc(ndimage.binary_closing(plane, np.ones((3, 3))), 0.5 * _BROAD_OVERHEAD_M / _FINE_CELL_M)
     away, nearest = ndimage.distance_transform_edt(~(broad & plane), return_indices=True)
     centre = origin + (np.indices(shape)[::-1].transpose(1, 2, 0) + 0.5) * _FINE_CELL_M

@@ -242,7 +242,7 @@ def test_a_roofs_underside_is_ceiling_and_what_stands_below_it_not(turn_deg: flo
     [
         (0.0, (0.0, 3.0), (0.0, 2.0)),  # level: a bunk
         (0.8, (0.0, 0.6), (0.0, 2.0)),  # as narrow as a ladder, or a leaning board
-        (3.0, (0.0, 3.0), (0.0, 0.6)),  # a wall that leans
+        (2.5, (0.0, 3.0), (0.0, 2.0)),  # a wall that leans
     ],
 )
 def test_what_is_level_narrow_or_steep_is_no_sloping_ceiling(
@@ -253,9 +253,27 @@ def test_what_is_level_narrow_or_steep_is_no_sloping_ceiling(
     assert np.isnan(map_sloping_ceilings(votes).low_m).all()
 
 
+@pytest.mark.parametrize(
+    ("low_m", "noise_m", "share"),
+    [
+        (0.9, 0.0, 1.0),  # a drawing board
+        (0.0, 0.08, 1.0),  # a heap
+        (0.0, 0.0, 0.1),  # what few returns show
+    ],
+)
+def test_what_is_low_rough_or_hardly_seen_is_no_sloping_ceiling(low_m: float, noise_m: float, share: float) -> None:
+    generator = np.random.default_rng(5)
+    floor = attic(0.0, 0.0) - [0.0, 0.0, 1.3]
+    slope = attic(0.0, 0.3, y=(0.0, 2.0)) - [0.0, 0.0, low_m]
+    slope[:, 2] += generator.normal(0, noise_m, len(slope))
+    slope = slope[generator.uniform(size=len(slope)) < share]
+    votes = votes_of((floor, Label.FLOOR), (slope, Label.CLUTTER))
+    assert np.isnan(map_sloping_ceilings(votes).low_m).all()
+
+
 def test_what_lies_below_something_higher_is_no_sloping_ceiling() -> None:
     floor = attic(0.0, 0.0) - [0.0, 0.0, 1.3]
-    above = attic(0.0, 0.0) + [0.0, 0.0, 2.0]
+    above = attic(0.0, 0.0) + np.array([0.0, 0.0, 2.0])
     votes = votes_of((floor, Label.FLOOR), (attic(0.0, 0.5), Label.CLUTTER), (above, Label.CEILING))
     assert np.isnan(map_sloping_ceilings(votes).low_m).all()
 
