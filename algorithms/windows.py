@@ -9,7 +9,7 @@ from algorithms.building import CELL_M, NO_WINDOWS, BuildingSettings, Walls, Win
 from algorithms.features import Features
 from algorithms.scan import BoolArray, FloatArray, IntArray
 from algorithms.segments import Segment, segments
-from algorithms.wall_cells import FILLED, FOOT_ROW, THROUGH, WallCells, with_neighbours
+from algorithms.wall_cells import FILLED, FOOT_ROW, SUM, THROUGH, WallCells, with_neighbours
 from algorithms.wall_openings import (
     JAMB_COLUMNS,
     KNEE_M,
@@ -25,6 +25,8 @@ _WINDOW_MIN_M = 0.3
 _SILL_COLUMNS = 4
 _EMPTY_COLUMNS, _EMPTY_SHARE = 20, 0.2
 """So far a window goes on where so small a share returns of what returns below it."""
+_AT_PANE_M, _PASSED_SHARE = 0.02, 0.03
+"""What returns so near to a window's pane is of it where such a share of rays passes: a leaf beside it returns all."""
 _REVEAL_COLUMNS = 3
 """A reveal that is seen at a slant hides so many columns of an opening at most."""
 
@@ -55,6 +57,7 @@ def find_windows(walls: Walls, cells: WallCells, clear_m: FloatArray, settings: 
             if not len(clear):
                 continue
             pane_m = _pane_m(counts[first : last + 1, clear[0] : clear[-1] + 1], settings)
+            first, last = _over_its_pane(high, pane_m, first, last)
             first, last = to_jambs(high, first, last, _REVEAL_COLUMNS)
             first, last = _over_empty_columns(counts, clear[0], clear[-1] + 1, first, last)
             ends = face.at(CELL_M * np.array([first, last + 1]))
@@ -77,6 +80,20 @@ def _above_sill(counts: FloatArray, top_m: float, settings: BuildingSettings) ->
     passed = clear[:, knee:top].sum(axis=1) >= _WINDOW_MIN_M / CELL_M
     may_be = passed & (below[:, THROUGH] <= 0.1 * below[:, FILLED])
     return may_be, may_be & (below[:, FILLED] >= settings.rays_min)
+
+
+def _over_its_pane(high: FloatArray, pane_m: float, first: int, last: int) -> tuple[int, int]:
+    """A window's columns, with those beside it that return from the same pane, and are passed nevertheless by some rays.
+
+    Glass that is met straight on returns most of them.
+
+    high: (columns, 4) of the whole face, between knee and head. pane_m: how far behind the face it stands; NaN if unknown.
+    """
+    near = with_neighbours(high)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        on_pane = np.abs(-high[:, SUM] / high[:, FILLED] - pane_m) < _AT_PANE_M
+        passed = near[:, THROUGH] > _PASSED_SHARE * (near[:, THROUGH] + near[:, FILLED])
+    return widened(on_pane & passed, first, last, len(high))
 
 
 def _over_empty_columns(counts: FloatArray, bottom: int, top: int, first: int, last: int) -> tuple[int, int]:

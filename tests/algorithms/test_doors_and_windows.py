@@ -357,6 +357,24 @@ def test_a_window_goes_on_where_its_glass_returns_nothing() -> None:
     np.testing.assert_allclose(find_windows(WALL, seen, unknown(seen), SETTINGS).ends[:, :, 0], [[1.0, 2.0]], atol=2 * CELL_M)
 
 
+@pytest.mark.parametrize(
+    ("depth_m", "passed", "end"),
+    [
+        (0.08, 2.0, 3.0),  # the same pane, met straight on
+        (0.08, 0.0, 2.0),  # a leaf in line with it
+        (0.14, 2.0, 2.0),  # a leaf that is ajar, behind it
+    ],
+)
+def test_a_window_goes_on_where_its_glass_returns_most_rays(depth_m: float, passed: float, end: float) -> None:
+    seen = cells()
+    pane, beside = seen.counts[20:40, 0:44], seen.counts[40:60, 0:44]
+    pane[..., FILLED], pane[..., SUM], pane[..., SQUARES], pane[..., THROUGH] = 1.0, -0.08, 0.08**2, 50.0
+    beside[..., SUM], beside[..., SQUARES], beside[..., THROUGH] = -10 * depth_m, 10 * depth_m**2, passed
+    windows = find_windows(WALL, seen, unknown(seen), SETTINGS)
+    # The reveals of what is no pane count for three columns at most.
+    np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, end]], atol=0.2)
+
+
 def test_rays_that_ended_beyond_a_window_are_left_out() -> None:
     rays = np.array(
         [
