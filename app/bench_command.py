@@ -18,6 +18,7 @@ from algorithms.smoothing import smooth_ranges
 from algorithms.trajectory import PlacedScan, place_scan
 from app import run_command
 from app.inputs import InputOptions, find_inputs
+from app.odometry_stage import CACHE_VARIABLE
 from app.poses import poses_of
 from app.run_folder import RunFolder
 from app.settings import Settings
@@ -32,15 +33,27 @@ _PAPER_MS = "paper: mean 74, standard deviation 26, min 32, max 187 for 96,058 p
 
 def bench(bag: Path | None, duration_s: float) -> None:
     """Print labelling times of single scans on one thread, and time and memory of a whole run."""
-    with tempfile.TemporaryDirectory(prefix="ffmap-bench-") as folder:
-        # An odometry from the cache would make the run look faster than it is.
-        os.environ["XDG_CACHE_HOME"] = folder
+    with tempfile.TemporaryDirectory(prefix="ffmap-bench-") as folder, _odometries_kept_in(Path(folder)):
         if bag is None:
             bag = Path(folder) / "office.bag"
             typer.echo(f"simulating {duration_s:.0f} s in building 'office' ...")
             simulate(bag, "office", 1, "hdl32e", "bag", duration_s, [], quiet=True)
         _bench_run(bag, Path(folder) / "run")
         _bench_labelling(bag)
+
+
+@contextmanager
+def _odometries_kept_in(folder: Path) -> Iterator[None]:
+    """Meanwhile an empty cache: an odometry from the user's would make the run look faster than it is."""
+    before = os.environ.get(CACHE_VARIABLE)
+    os.environ[CACHE_VARIABLE] = str(folder)
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[CACHE_VARIABLE]
+        else:
+            os.environ[CACHE_VARIABLE] = before
 
 
 def _bench_run(bag: Path, out: Path) -> None:
