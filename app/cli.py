@@ -58,14 +58,10 @@ VerticalOption = Annotated[str | None, typer.Option(help="Topic of the lidar tha
 TimeFromOption = Annotated[
     TimeFrom, typer.Option(help="Times of the firings: the cloud's own, recovered from the azimuth, or none.")
 ]
-OutputsOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="LIST",
-        help="Files to write, as in recording,maps: of recording, labelled (a bag), labels (Parquet, without the "
-        "clouds), cloud, maps, plan, geojson.",
-    ),
-]
+_OUTPUTS_HELP = (
+    "All files to write, as in recording,maps: of recording, labelled (a bag), labels (Parquet, without the clouds), "
+    "cloud, maps, plan, geojson."
+)
 
 
 @app.command()
@@ -98,7 +94,9 @@ def run(
         str | None, typer.Option(help="Send to a viewer that runs, as rerun+http://127.0.0.1:9876/proxy.")
     ] = None,
     save: Annotated[bool, typer.Option(help="Write recording.rrd.")] = True,
-    outputs: OutputsOption = None,
+    outputs: Annotated[
+        str | None, typer.Option(metavar="LIST", help=f"{_OUTPUTS_HELP}  [default: all of them but labels]")
+    ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Labelling processes.  [default: one for each core]")
     ] = None,
@@ -334,7 +332,9 @@ def sweep(
         str | None, typer.Option(help="Poses T_map_base in place of the odometry: a TUM file, or a topic of the bag.")
     ] = None,
     detail: Annotated[DetailOption, typer.Option(help="What each recording holds; see 'ffmap run'.")] = DetailOption.MAP,
-    outputs: OutputsOption = None,
+    outputs: Annotated[
+        str | None, typer.Option(metavar="LIST", help=f"{_OUTPUTS_HELP}  [default: recording,labels,maps,geojson]")
+    ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Runs at once, one thread each.  [default: one for each core]")
     ] = None,
@@ -349,8 +349,7 @@ def sweep(
 ) -> None:
     """Try many settings: every combination a run folder, one odometry for all; a table, sweep.parquet and sweep.rrd.
 
-    A sweep that was stopped goes on with the same command; finished runs are not made again. Each run writes
-    recording,labels,maps,geojson unless --outputs says otherwise.
+    A sweep that was stopped goes on with the same command; finished runs are not made again.
 
     Examples:
 

@@ -1,4 +1,4 @@
-"""From the evidence of each step to Rerun entities; the only module that logs."""
+"""What a run records: from the evidence of each step to Rerun entities. What else is logged, the other `*_recorder` log."""
 
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
