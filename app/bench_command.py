@@ -20,7 +20,7 @@ from app import run_command
 from app.inputs import InputOptions, find_inputs
 from app.odometry_stage import CACHE_VARIABLE
 from app.poses import poses_of
-from app.run_folder import RunFolder
+from app.run_folder import RECORDING, RunFolder
 from app.settings import Settings
 from app.simulate_command import simulate
 from loaders.bag import open_bag
@@ -70,7 +70,7 @@ def _bench_run(bag: Path, out: Path) -> None:
         f"{name.replace('_', ' ')} {record['timings_s'][name]:.1f} s"
         for name in ("odometry", "scans", "building", "final")
     )
-    share = (out / "recording.rrd").stat().st_size / max(_cloud_bytes(bag), 1)
+    share = (out / RECORDING).stat().st_size / max(_cloud_bytes(bag), 1)
     typer.echo(
         f"whole run: {seconds:.1f} s for {covered_s:.1f} s of driving ({clouds} clouds): {covered_s / seconds:.2f} x real time"
     )

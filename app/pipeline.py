@@ -83,11 +83,13 @@ from app.room_recorder import log_areas, log_rooms
 from app.room_results import door_rooms, topology, write_rooms
 from app.run_folder import (
     CLOUD,
+    DOORS,
     FLOOR_PLAN_DXF,
     FLOOR_PLAN_SVG,
     LABELS,
     RECORDING,
     TRAJECTORY,
+    WALLS,
     RunFolder,
     map_file,
     rooms_file,
@@ -294,8 +296,8 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
                     log_areas(run.recording.stream, graph, f"{entities.ROOMS_COMPARED}/{segmented}")
                 run.recording.set_layout(_layout(inputs, run.options.detail, building.grid))
             if Output.GEOJSON in outputs:
-                results.write_walls(folder.path / "walls.geojson", building.walls, building.thickness_m)
-                results.write_doors(folder.path / "doors.geojson", building.doors, door_rooms(building.rooms))
+                results.write_walls(folder.path / WALLS, building.walls, building.thickness_m)
+                results.write_doors(folder.path / DOORS, building.doors, door_rooms(building.rooms))
                 write_rooms(folder.path / rooms_file(Segmented.FURNITURE_FREE), building.rooms)
                 for segmented, graph in building.compared_rooms.items():
                     write_rooms(folder.path / rooms_file(segmented), graph)
