@@ -235,8 +235,9 @@ def evaluate(
     if run_folder is None:
         raise InputError("give a run folder, or --suite; 'ffmap evaluate --help' has examples")
     from app import evaluate as evaluation
+    from app.finished_run import open_run
 
-    evaluation.print_metrics(evaluation.evaluate_run(run_folder, truth, workers or os.cpu_count() or 1))
+    evaluation.print_metrics(evaluation.evaluate_run(open_run(run_folder), truth, workers or os.cpu_count() or 1))
 
 
 @app.command()
