@@ -194,7 +194,7 @@ def _compare_with_frames(
                 scans[d, 2] = scan[s]
 
 
-def measure_reveals(doors: Doors, blocks: Iterable[Features], settings: BuildingSettings) -> Doors:
+def measure_reveals(doors: Doors, blocks: Iterable[Features]) -> Doors:
     """The doors with the depth of their reveals, by the returns of the underside of each lintel.
 
     Nothing else hangs in a doorway at the height of its head; the leaf's edge stands beside a jamb, which is left out.

@@ -77,7 +77,7 @@ def inspect(
         )
     for note in notes:
         typer.echo(note.replace("**", ""))
-    _print_summary(inspected.labelling, reasons, line)
+    _print_summary(reasons, line)
     typer.echo(f"recording: {target}  (open it: ffmap view {target}; step through the timeline 'line')")
     if spawn:
         open_viewer(target)
@@ -232,7 +232,7 @@ def _target(run: FinishedRun, out: Path | None, number: int) -> Path:
     return path
 
 
-def _print_summary(labelling: ScanLabelling, reasons: Sequence[LineReason], line: int | None) -> None:
+def _print_summary(reasons: Sequence[LineReason], line: int | None) -> None:
     console = Console(highlight=False)
     if line is None:
         table = Table(title="What became of its lines", title_justify="left")

@@ -632,7 +632,7 @@ def _build(
     doors = place_frames(doors, walls, _features(folder, blocks), settings.building)
     doors = drop_doubtful(doors, settings.building)
     doors = prove_crossed(doors, trajectory.T_map_base[:, :2, 3])
-    doors = measure_reveals(doors, _features(folder, blocks), settings.building)
+    doors = measure_reveals(doors, _features(folder, blocks))
     parts = part_walls(walls, settings.wall_thickness)
     doors = replace(doors, reveal_m=door_depths(doors, walls, parts, settings.wall_thickness))
     trimmed = trim_at_doorways(walls, cells, doors, clear_m)

@@ -71,6 +71,8 @@ _CURVE_STYLES: tuple[tuple[str, float, entities.Color], ...] = (
     (entities.CURVE_EXAMPLE, 1.0, entities.CURVE_COLOR),
     (entities.CURVE_EXAMPLE_SLOPE, 1.0, entities.EXAMPLE_COLOR),
 )
+_SPAN_STEP = 5
+"""Candidates are drawn through every so manieth sample: a recording holds those of every scan."""
 
 rr.set_strict_mode(True)
 
@@ -137,12 +139,10 @@ class Recorder:
         """Settings, digests, versions, metrics: nested mappings become columns like `wall_planes_similarity_m`."""
         self._stream.send_property(name, rr.AnyValues(**flatten(values)))
 
-    def log_message(
-        self, text: str, stamp_ns: int, index: int | None = None, level: rr.TextLogLevel = rr.TextLogLevel.WARN
-    ) -> None:
-        """A warning or note, at the scan or time that it is about."""
+    def log_message(self, text: str, stamp_ns: int, index: int | None = None) -> None:
+        """A warning, at the scan or time that it is about."""
         self._at(stamp_ns, index)
-        self._log(entities.MESSAGES, rr.TextLog(text, level=level))
+        self._log(entities.MESSAGES, rr.TextLog(text, level=rr.TextLogLevel.WARN))
 
     # --- trajectory and odometry ---
 
@@ -883,14 +883,12 @@ def _example_line(labelling: ScanLabelling) -> int:
     return int((covered + CurveSheet.SAMPLES * several).argmax()) if len(covered) else 0
 
 
-def _spans(
-    positions: FloatArray, samples: IntArray, line: IntArray, first: IntArray, last: IntArray, every: int = 5
-) -> pa.Array:
+def _spans(positions: FloatArray, samples: IntArray, line: IntArray, first: IntArray, last: IntArray) -> pa.Array:
     """Line strips through every so manieth sample of structures, their ends included."""
-    counts = (last - first - 1) // every + 2
+    counts = (last - first - 1) // _SPAN_STEP + 2
     starts = np.concatenate([[0], np.cumsum(counts)])
     within = np.arange(starts[-1]) - np.repeat(starts[:-1], counts)
-    sample = np.minimum(np.repeat(first, counts) + every * within, np.repeat(last, counts))
+    sample = np.minimum(np.repeat(first, counts) + _SPAN_STEP * within, np.repeat(last, counts))
     return _strips(positions[samples[np.repeat(line, counts), sample]], starts)
 
 

@@ -5,7 +5,8 @@ import pytest
 
 from algorithms.height_maps import HeightMap, map_ceilings, map_ducts, map_glimpsed_ceilings, map_raised_floors
 from algorithms.labels import Label
-from algorithms.semantic_map import merge, vote
+from algorithms.semantic_map import merge
+from tests.voting import vote
 
 
 def two_rooms() -> HeightMap:
