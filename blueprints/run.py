@@ -218,7 +218,7 @@ def _method(ring_count: int) -> rrb.Container:
                     _mapped(rr.LineStrips3D.from_fields(), "LineStrips3D:colors", entities.CANDIDATE_PLANE_COLOR),
                 ),
             ),
-            _scan_view("7. Conditions of a door", ["/scan/doors/**", entities.PLANES]),
+            _scan_view("7. Conditions of a door", [f"{entities.SCAN_DOORS}/**", entities.PLANES]),
         ),
         name="Step by step",
     )
