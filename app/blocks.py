@@ -16,7 +16,7 @@ from algorithms.building import Doors, Walls, Windows
 from algorithms.features import Features, concatenate, extract
 from algorithms.height_maps import HeightMap
 from algorithms.labelling import MethodSettings, label_scan
-from algorithms.levelling import LevelScan, place_level
+from algorithms.levelling import LevelledScan, place_and_level
 from algorithms.rearrangement import below_ceiling
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.rival_maps import RivalCounter, RivalMapsSettings
@@ -260,9 +260,9 @@ def finish_block(job: FinishJob) -> None:
     )
 
 
-def _place(scan: Scan, ranges: SmoothedRanges, job: LabelJob) -> LevelScan:
+def _place(scan: Scan, ranges: SmoothedRanges, job: LabelJob) -> LevelledScan:
     T_base_sensor = _vertical(job.inputs).lidar.T_base_sensor
-    return place_level(
+    return place_and_level(
         scan,
         ranges,
         job.trajectory,

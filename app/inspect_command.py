@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from algorithms.labelling import ScanLabelling, label_scan
-from algorithms.levelling import LevelScan, place_level
+from algorithms.levelling import LevelledScan, place_and_level
 from algorithms.scan import Scan, UInt8Array
 from algorithms.smoothing import smooth_ranges
 from app.blocks import seed_of
@@ -44,7 +44,7 @@ class InspectedScan:
 
     index: int
     scan: Scan
-    level: LevelScan
+    level: LevelledScan
     labelling: ScanLabelling
     differing: int | None
     compared_with: str | None
@@ -121,7 +121,7 @@ def label_again(run: FinishedRun, number: int, bag: Path | None = None) -> Inspe
     margin_ns = int(settings.trajectory.extrapolate_s * 1e9)
     if not poses.trajectory.covers(np.array([scan.start_ns, scan.end_ns]), margin_ns).all():
         raise InputError(f"--scan {number}: was skipped (no pose at its time); give another scan")
-    level = place_level(
+    level = place_and_level(
         scan,
         smooth_ranges(scan, settings.smoothing),
         poses.trajectory,

@@ -17,7 +17,7 @@ from algorithms.fused_walls import fuse_walls
 from algorithms.grid_map import Cell, Drive, GridMapSettings, Immobile, draw_furniture_free
 from algorithms.labelling import ScanLabelling, label_scan
 from algorithms.labels import Label
-from algorithms.levelling import level_map, level_scan
+from algorithms.levelling import level_map, turn_to_floor
 from algorithms.rearrangement import (
     LEANING_MIN_DEG,
     SAMPLES,
@@ -283,10 +283,10 @@ def test_floor_and_ceiling_follow_a_tilt() -> None:
     points = (tilt.apply(placed.points_level) + np.array([0.0, 0.0, 0.05])).astype(np.float32)
     floor = find_floor(points, METHOD.rearrangement)
     assert floor.height_m == pytest.approx(0.05, abs=0.01)
-    level = level_scan(replace(placed, points_level=points), floor.height_m, floor.slope, np.zeros(2), 2.0)
+    level = turn_to_floor(replace(placed, points_level=points), floor.height_m, floor.slope, np.zeros(2), 2.0)
     again = find_floor(level.points_level, METHOD.rearrangement)
     assert np.hypot(*again.slope) < 0.002
-    untouched = level_scan(replace(placed, points_level=points), floor.height_m, floor.slope, np.zeros(2), 0.1)
+    untouched = turn_to_floor(replace(placed, points_level=points), floor.height_m, floor.slope, np.zeros(2), 0.1)
     assert untouched.points_level is points
 
 
