@@ -17,7 +17,7 @@ from algorithms.doors import DoorState
 from algorithms.grid_map import Cell, GridMap
 from algorithms.labelling import ScanLabelling
 from algorithms.labels import Label
-from algorithms.levelling import LevelScan
+from algorithms.levelling import LevelledScan
 from algorithms.odometry import Registration
 from algorithms.pose_graph import PoseGraph
 from algorithms.rearrangement import HorizontalPlane
@@ -252,7 +252,7 @@ class Recorder:
     def log_scan(
         self,
         index: int,
-        level: LevelScan,
+        level: LevelledScan,
         labelling: ScanLabelling,
         stamp_ns: int,
         timings_ms: Mapping[str, float],
@@ -628,7 +628,7 @@ class Recorder:
                 entities.FUSED_WALLS,
                 rr.LineStrips3D(
                     np.pad(aligned.fused.ends, ((0, 0), (0, 0), (0, 1))).astype(np.float32),
-                    colors=entities.FUSED_COLOUR,
+                    colors=entities.FUSED_WALL_COLOR,
                     radii=rr.Radius.ui_points(1.0),
                     labels=[
                         f"before it was laid along all returns ({scans} scans): its ends then moved {100 * a:+.1f} and "
@@ -641,7 +641,7 @@ class Recorder:
             )
 
     def log_building(
-        self, walls: Walls, before: BeforeWalls, refused: JudgedFaces, doors: Doors, windows: Windows
+        self, walls: Walls, before: BeforeWalls, judged: JudgedFaces, doors: Doors, windows: Windows
     ) -> None:
         """The fused walls, what stands against them, what was refused as a wall, doors and windows, for the whole run."""
         vertices, triangles = _upright_quads(
@@ -668,18 +668,18 @@ class Recorder:
                     show_labels=False,
                 ),
             )
-        if len(refused.refused):
-            faces = refused.refused
+        if len(judged.refused):
+            faces = judged.refused
             self._static(
                 entities.REFUSED_WALLS,
                 rr.LineStrips3D(
                     upright_frames(faces.ends, faces.bottom_m, faces.top_m),
-                    colors=entities.REFUSED_COLOUR,
+                    colors=entities.REFUSED_WALL_COLOR,
                     radii=rr.Radius.ui_points(1.5),
-                    labels=[f"no wall: {entities.REFUSALS[verdict]}" for verdict in refused.verdict],
+                    labels=[f"no wall: {entities.REFUSALS[verdict]}" for verdict in judged.verdict],
                     show_labels=False,
                 ),
-                evidence({"verdict": refused.verdict, "scan_count": faces.scan_count}),
+                evidence({"verdict": judged.verdict, "scan_count": faces.scan_count}),
             )
         widths_m = lengths_m(doors.ends)
         if len(doors):
@@ -730,7 +730,7 @@ class Recorder:
 
         self._static(
             entities.BUILDING_REASONS,
-            rr.TextDocument(explain_building(before, refused, doors, windows), media_type=rr.MediaType.MARKDOWN),
+            rr.TextDocument(explain_building(before, judged, doors, windows), media_type=rr.MediaType.MARKDOWN),
         )
 
     def log_grid(self, name: str, grid: GridMap) -> None:
@@ -872,7 +872,7 @@ def _clamped(values: FloatArray, limit: float) -> FloatArray:
 
 
 def _plane_color(plane: int) -> entities.Color:
-    return entities.PLANE_COLORS[plane % len(entities.PLANE_COLORS)] if plane >= 0 else entities.REFUSED_COLOR
+    return entities.PLANE_COLORS[plane % len(entities.PLANE_COLORS)] if plane >= 0 else entities.REFUSED_CANDIDATE_COLOR
 
 
 def _example_line(labelling: ScanLabelling) -> int:

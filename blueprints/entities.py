@@ -42,10 +42,8 @@ DOORS = "/world/building/doors"
 DOOR_SILLS = "/world/building/sills"
 WINDOWS = "/world/building/windows"
 FUSED_WALLS = "/world/building/fused_walls"
-FUSED_COLOUR = (190, 190, 190)
 REFUSED_WALLS = "/world/building/refused_walls"
 AGAINST_WALLS = "/world/building/against_walls"
-REFUSED_COLOUR = (255, 140, 60)
 BUILDING_REASONS = "/world/building/reasons"
 REFUSALS = {
     FaceVerdict.ENDS_LOW: "rays pass above it, below the ceiling (a leaf, a cupboard)",
@@ -258,7 +256,9 @@ PLANE_COLORS: tuple[Color, ...] = (
     (170, 110, 70),
 )
 """Wall planes take these in turn."""
-REFUSED_COLOR: Color = (110, 110, 110)
+REFUSED_CANDIDATE_COLOR: Color = (110, 110, 110)
+FUSED_WALL_COLOR: Color = (190, 190, 190)
+REFUSED_WALL_COLOR: Color = (255, 140, 60)
 
 
 class CurveSheet:
