@@ -39,7 +39,7 @@ class Storey:
     @classmethod
     def of(cls, votes: VoxelVotes) -> "Storey":
         """Of the labels that scans gave."""
-        label = np.where(votes.counts.max(axis=1, initial=0) >= _AGREED_VOTES, majority(votes.counts), Label.CLUTTER)
+        label = np.where(votes.seen(_AGREED_VOTES), majority(votes.counts), Label.CLUTTER)
         return cls(votes.mean_position[label == Label.FLOOR], votes.mean_position[label == Label.CEILING])
 
     @cached_property

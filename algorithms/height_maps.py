@@ -56,7 +56,7 @@ class HeightMap:
 
 def map_ceilings(votes: VoxelVotes) -> HeightMap:
     """The ceilings that all scans found: in each cell the median height of its cubes, and around them the nearest's."""
-    is_ceiling = (majority(votes.counts) == Label.CEILING) & (votes.counts.max(axis=1, initial=0) >= _VOTES_MIN)
+    is_ceiling = (majority(votes.counts) == Label.CEILING) & votes.seen(_VOTES_MIN)
     position = votes.mean_position[is_ceiling]
     if not len(position):
         return _nothing(Label.CEILING)
@@ -74,7 +74,7 @@ def map_glimpsed_ceilings(votes: VoxelVotes) -> HeightMap:
     """
     label = majority(votes.counts)
     position = votes.mean_position
-    seen = votes.counts.max(axis=1, initial=0) >= _VOTES_MIN
+    seen = votes.seen(_VOTES_MIN)
     floor, known = (seen & (label == surface) for surface in (Label.FLOOR, Label.CEILING))
     if not floor.any():
         return _nothing(Label.CEILING)
@@ -99,7 +99,7 @@ def map_raised_floors(votes: VoxelVotes) -> HeightMap:
     """
     label = majority(votes.counts)
     position = votes.mean_position
-    seen = votes.counts.max(axis=1, initial=0) >= _VOTES_MIN
+    seen = votes.seen(_VOTES_MIN)
     floor, low = seen & (label == Label.FLOOR), seen & ((label == Label.FLOOR) | (label == Label.CLUTTER))
     if not floor.any():
         return _nothing(Label.FLOOR)
@@ -122,7 +122,7 @@ def map_ducts(votes: VoxelVotes) -> HeightMap:
 
     A scan that sees both rooms cannot tell the one from the other.
     """
-    ceiling = votes.mean_position[(majority(votes.counts) == Label.CEILING) & (votes.counts.max(axis=1, initial=0) > 0)]
+    ceiling = votes.mean_position[(majority(votes.counts) == Label.CEILING) & votes.seen()]
     if not len(ceiling):
         return _nothing(Label.CLUTTER)
     origin, shape = _frame(ceiling, _FINE_CELL_M)

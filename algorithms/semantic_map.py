@@ -52,6 +52,10 @@ class VoxelVotes:
         within = self.position_sum / (SUBDIVISIONS * self.point_count[:, None])
         return (self.cube_index + within) * self.voxel_m
 
+    def seen(self, votes_min: int = 1) -> BoolArray:
+        """(m,) whether any one code has so many votes."""
+        return np.asarray(self.counts.max(axis=1, initial=0) >= votes_min)
+
 
 @dataclass(frozen=True)
 class FusedCloud:
@@ -177,7 +181,7 @@ def majority(counts: IntArray) -> UInt8Array:
 def fuse(votes: VoxelVotes) -> FusedCloud:
     """One point a cube: the mean of its points and their most frequent label; what lies outside is removed."""
     label = majority(votes.counts)
-    kept = (votes.counts.max(axis=1, initial=0) > 0) & (label != Label.OUTSIDE)
+    kept = votes.seen() & (label != Label.OUTSIDE)
     return FusedCloud(votes.mean_position[kept].astype(np.float32), label[kept])
 
 

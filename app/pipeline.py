@@ -24,7 +24,7 @@ from algorithms.building import NO_WINDOWS, BuildingSettings, Doors, Walls, Wind
 from algorithms.building_doors import drop_doubtful, find_doors, prove_crossed
 from algorithms.door_frames import measure_reveals, place_frames
 from algorithms.face_columns import Storey, column_places
-from algorithms.features import Features, concatenate, select_planes
+from algorithms.features import Features, concatenate, select_planes, without_rays
 from algorithms.floor_plan import FloorPlan, draw_floor_plan
 from algorithms.fused_walls import fuse_walls
 from algorithms.grid_map import Drive, GridMap, Immobile, draw_furniture_free, standing_stretches
@@ -571,7 +571,7 @@ def _build(
     workers: int,
 ) -> Building:
     """Walls from all planes, doors and grid from all rays; the rays are read block by block."""
-    planes = concatenate([_without_rays(features) for features in _features(folder, blocks)])
+    planes = concatenate([without_rays(features) for features in _features(folder, blocks)])
     storey = Storey.of(votes)
     far = settings.building.model_copy(update={"range_m": settings.building.far_m})
     strict = far.model_copy(update={"near_m": _STRICT_NEAR_M, "own_plane_m": 0.0})
@@ -700,17 +700,6 @@ def _features(folder: RunFolder, blocks: list[Block]) -> Iterator[Features]:
         features = load_features(folder.block(block.number, ".npz"))
         if features is not None:
             yield features
-
-
-def _without_rays(features: Features) -> Features:
-    return Features(
-        **{
-            **features.__dict__,
-            "ray_end_map": np.zeros((0, 3), np.float32),
-            "ray_label": np.zeros(0, np.uint8),
-            "ray_count": np.zeros_like(features.ray_count),
-        }
-    )
 
 
 def _finish(run: _Run, pool: Executor, jobs: Sequence[LabelJob], building: Building, trajectory: Trajectory) -> None:
