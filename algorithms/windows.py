@@ -151,7 +151,7 @@ def _rays_through(
             for r in range(starts[s], starts[s + 1]):
                 x, y = ray_end[r, 0] - ends[w, 0, 0], ray_end[r, 1] - ends[w, 0, 1]
                 side = normal[w, 0] * x + normal[w, 1] * y
-                if side > -0.05:
+                if side > -CELL_M:
                     continue
                 t = reach / (reach - side)
                 u = (ox + t * (x - ox)) * dx + (oy + t * (y - oy)) * dy
