@@ -12,6 +12,7 @@ from typing import Annotated
 
 import typer
 
+from app.outputs import RUN_OUTPUTS, SWEEP_OUTPUTS, Output, parse_outputs
 from loaders.errors import InputError
 
 app = typer.Typer(
@@ -59,7 +60,7 @@ TimeFromOption = Annotated[
     TimeFrom, typer.Option(help="Times of the firings: the cloud's own, recovered from the azimuth, or none.")
 ]
 _OUTPUTS_HELP = (
-    "All files to write, as in recording,maps: of recording, labelled (a bag), labels (Parquet, without the clouds), "
+    "All that is to be written, as in recording,maps: of recording, labelled (a bag), labels (Parquet, without the clouds), "
     "cloud, maps, plan, geojson."
 )
 
@@ -95,7 +96,7 @@ def run(
     ] = None,
     save: Annotated[bool, typer.Option(help="Write recording.rrd.")] = True,
     outputs: Annotated[
-        str | None, typer.Option(metavar="LIST", help=f"{_OUTPUTS_HELP}  [default: all of them but labels]")
+        str | None, typer.Option(metavar="LIST", help=f"{_OUTPUTS_HELP}  [default: {','.join(RUN_OUTPUTS)}]")
     ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Labelling processes.  [default: one for each core]")
@@ -120,7 +121,6 @@ def run(
 
         ffmap run --resume runs/a
     """
-    from app.outputs import RUN_OUTPUTS, Output, parse_outputs
     from app.processes import start_server
 
     written = parse_outputs(outputs, RUN_OUTPUTS)
@@ -334,7 +334,7 @@ def sweep(
     ] = None,
     detail: Annotated[DetailOption, typer.Option(help="What each recording holds; see 'ffmap run'.")] = DetailOption.MAP,
     outputs: Annotated[
-        str | None, typer.Option(metavar="LIST", help=f"{_OUTPUTS_HELP}  [default: recording,labels,maps,geojson]")
+        str | None, typer.Option(metavar="LIST", help=f"{_OUTPUTS_HELP}  [default: {','.join(SWEEP_OUTPUTS)}]")
     ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Runs at once, one thread each.  [default: one for each core]")
@@ -361,7 +361,6 @@ def sweep(
         ffmap sweep drive.bag --grid seed=0,1,2,3 --scheduler tcp://127.0.0.1:8786
     """
     from app import sweep_command
-    from app.outputs import SWEEP_OUTPUTS, parse_outputs
 
     failed = sweep_command.sweep(
         sweep_command.Arguments(
