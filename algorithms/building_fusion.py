@@ -1,7 +1,7 @@
 """The building from all scans: which faces stand, its walls, doors and windows, and every map of it.
 
-The steps stand in modules of their own; here is their order, which matters: rays tell which faces stand, faces tell where
-windows are, and what was seen through those is no face of this building.
+The steps stand in modules of their own; here is their order, which matters: rays tell which faces stand, faces
+where windows are, and what was seen through those is no face of this building.
 """
 
 from collections.abc import Mapping
@@ -234,9 +234,7 @@ def _add_hidden_walls(
 # --- openings ---
 
 
-def _find_openings(
-    walls: Walls, scans: AllScans, settings: FusionSettings
-) -> tuple[TrimmedFaces, Doors, Windows]:
+def _find_openings(walls: Walls, scans: AllScans, settings: FusionSettings) -> tuple[TrimmedFaces, Doors, Windows]:
     """Doors and windows, and the walls' faces as the doors' reveals end them."""
     cells = scans.trace(walls, settings.building, NO_WINDOWS)
     clear_m = _clear_m(walls, cells, scans, settings)
@@ -256,9 +254,7 @@ def _find_openings(
 # --- maps ---
 
 
-def _draw_rivals(
-    windows: Windows, scans: AllScans, settings: FusionSettings, workers: int
-) -> dict[Rival, GridMap]:
+def _draw_rivals(windows: Windows, scans: AllScans, settings: FusionSettings, workers: int) -> dict[Rival, GridMap]:
     """The maps that the paper compares with, side by side."""
 
     def draw(rival: Rival) -> GridMap:
