@@ -6,16 +6,27 @@ from dataclasses import replace
 import numba
 import numpy as np
 
-from algorithms.building import FRAME_REACH_M, ON_FACE_M, BuildingSettings, Doors, Walls, stretches
+from algorithms.building import AT_FACE_M, FRAME_REACH_M, ON_FACE_M, BuildingSettings, Doors, Walls, stretches
 from algorithms.features import Features
 from algorithms.scan import FloatArray, IntArray
 from algorithms.segments import lengths_m, segments
 from algorithms.wall_cells import own_plane
 
 _FRAME_BIN_M = 0.01
-_FRAME_BINS = 41
-_HEAD_MIN_M = 1.7
+_FRAME_BINS = 1 + round(2 * FRAME_REACH_M / _FRAME_BIN_M)
+"""Places that a jamb may have, from FRAME_REACH_M within its door to as far beyond it."""
 _HEAD_BINS = 100
+_HEAD_MIN_M = 1.7
+_HEAD_MAX_M = _HEAD_MIN_M + _HEAD_BINS * _FRAME_BIN_M
+"""Above the floor; no head is looked for elsewhere."""
+_REACH_MIN_M, _REACH_MAX_M = 0.3, 6.0
+"""Scans from so far before the face tell of a frame: nearer ones meet it aslant, and farther ones with few rays."""
+_CORNER_M = 0.15
+"""So near to a jamb rays tell nothing of the head, and so near to the head nothing of a jamb."""
+_FOOT_M = 0.2
+"""Below it sills, stops and thresholds stand in the doorway."""
+_AT_HEAD_M = 0.08
+"""Rays that end so near to a door's head may have met its lintel's underside."""
 _BEYOND_M = 0.1
 """Of an open door's rays it does not matter how much farther behind the face they ended."""
 _FRAME_RAYS = 30
@@ -138,7 +149,7 @@ def _compare_with_frames(
             ox, oy = origin[s, 0] - ends[d, 0, 0], origin[s, 1] - ends[d, 0, 1]
             reach = wall_normal[d, 0] * ox + wall_normal[d, 1] * oy
             # Seen at a slant, a leaf's recess shifts where rays pass the face.
-            if reach < 0.3 or reach > 6.0 or abs(ox * dx + oy * dy - 0.5 * length) > 2.0 * reach + 0.5 * length:
+            if reach < _REACH_MIN_M or reach > _REACH_MAX_M or abs(ox * dx + oy * dy - 0.5 * length) > 2.0 * reach + 0.5 * length:
                 continue
             nx, ny, offset, start, stop = own_plane(
                 wall_ends[d],
@@ -158,13 +169,13 @@ def _compare_with_frames(
                 offset = nx * wall_ends[d, 0, 0] + ny * wall_ends[d, 0, 1]
             offset -= nx * ends[d, 0, 0] + ny * ends[d, 0, 1]
             reach = nx * ox + ny * oy - offset
-            if reach < 0.3:
+            if reach < _REACH_MIN_M:
                 continue
             saw = False
             for r in range(starts[s], starts[s + 1]):
                 x, y = ray_end[r, 0] - ends[d, 0, 0], ray_end[r, 1] - ends[d, 0, 1]
                 side = nx * x + ny * y - offset
-                if side > 0.06:
+                if side > AT_FACE_M:
                     continue
                 # A ray's direction is known far better than where on it it ended.
                 t = reach / (reach - side)
@@ -175,10 +186,10 @@ def _compare_with_frames(
                 height = z - (floor[s, 0] + floor[s, 1] * ray_end[r, 0] + floor[s, 2] * ray_end[r, 1])
                 kind = 0 if -side < min(0.5 * depth_m[d], ON_FACE_M) else 1
                 end_m = min(max(-side, -depth_m[d]), depth_m[d])
-                if 0.15 < u < length - 0.15 and _HEAD_MIN_M < height < _HEAD_MIN_M + _HEAD_BINS * _FRAME_BIN_M:
+                if _CORNER_M < u < length - _CORNER_M and _HEAD_MIN_M < height < _HEAD_MAX_M:
                     head_rays[d, kind] += 1
                     _add_costs(head_cost_m[d], _HEAD_MIN_M, height, (z - origin[s, 2]) / reach, end_m, depth_m[d])
-                if height < 0.2 or height > head_m[d] - 0.15:
+                if height < _FOOT_M or height > head_m[d] - _CORNER_M:
                     continue
                 saw = True
                 sideways = (u - (ox * dx + oy * dy)) / reach
@@ -194,7 +205,7 @@ def _compare_with_frames(
                 scans[d, 2] = scan[s]
 
 
-def measure_reveals(doors: Doors, blocks: Iterable[Features], settings: BuildingSettings) -> Doors:
+def measure_reveals(doors: Doors, blocks: Iterable[Features]) -> Doors:
     """The doors with the depth of their reveals, by the returns of the underside of each lintel.
 
     Nothing else hangs in a doorway at the height of its head; the leaf's edge stands beside a jamb, which is left out.
@@ -241,16 +252,16 @@ def _count_undersides(
     for s in range(len(floor)):
         for r in range(starts[s], starts[s + 1]):
             height = ray_end[r, 2] - (floor[s, 0] + floor[s, 1] * ray_end[r, 0] + floor[s, 2] * ray_end[r, 1])
-            if height < 1.7 or height > 2.7:
+            if height < _HEAD_MIN_M or height > _HEAD_MAX_M:
                 continue
             for d in range(len(ends)):
-                if abs(height - head_m[d]) > 0.08:
+                if abs(height - head_m[d]) > _AT_HEAD_M:
                     continue
                 x, y = ray_end[r, 0] - ends[d, 0, 0], ray_end[r, 1] - ends[d, 0, 1]
                 behind = -(normal[d, 0] * x + normal[d, 1] * y)
                 if behind < 0.0 or behind >= bins * _REVEAL_BIN_M:
                     continue
                 u = ((ends[d, 1, 0] - ends[d, 0, 0]) * x + (ends[d, 1, 1] - ends[d, 0, 1]) * y) / length_m[d]
-                inner = (u - 0.15) / (length_m[d] - 0.3)
+                inner = (u - _CORNER_M) / (length_m[d] - 2 * _CORNER_M)
                 if 0.0 <= inner < 1.0:
                     counts[d, int(behind / _REVEAL_BIN_M), int(inner * counts.shape[2])] += 1

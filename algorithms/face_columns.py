@@ -45,7 +45,7 @@ class Storey:
         label = by_scans
         for level in levels:
             label = level.label_of(votes.mean_position, label)
-        agreed = (label != by_scans) | (votes.counts.max(axis=1, initial=0) >= _AGREED_VOTES)
+        agreed = (label != by_scans) | votes.seen(_AGREED_VOTES)
         label = np.where(agreed, label, Label.CLUTTER)
         return cls(votes.mean_position[label == Label.FLOOR], votes.mean_position[label == Label.CEILING])
 

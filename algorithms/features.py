@@ -48,6 +48,16 @@ class Features:
         """(s + 1,) int64, the same for its wall planes."""
         return np.concatenate([[0], np.cumsum(self.plane_count)]).astype(np.int64)
 
+    @property
+    def ray_scan(self) -> IntArray:
+        """(r,) int64, the row in `scan` that each ray belongs to."""
+        return np.repeat(np.arange(len(self.scan)), self.ray_count.astype(np.int64))
+
+    @property
+    def plane_scan(self) -> IntArray:
+        """(p,) int64, the same of each wall plane."""
+        return np.repeat(np.arange(len(self.scan)), self.plane_count.astype(np.int64))
+
 
 def extract(index: int, placed: PlacedScan, labelling: ScanLabelling) -> Features:
     """The features of one scan: every so many-th return, line by line, so that all directions stay covered."""
@@ -75,13 +85,22 @@ def extract(index: int, placed: PlacedScan, labelling: ScanLabelling) -> Feature
 
 def select_planes(features: Features, chosen: BoolArray) -> Features:
     """The same scans with some of their planes alone; chosen: (p,)."""
-    scan = np.repeat(np.arange(len(features.scan)), features.plane_count.astype(np.int64))
     columns = {
         f.name: getattr(features, f.name)[chosen]
         for f in fields(Features)
         if f.name.startswith("plane_") and f.name != "plane_count"
     }
-    return replace(features, plane_count=np.bincount(scan[chosen], minlength=len(features.scan)), **columns)
+    return replace(features, plane_count=np.bincount(features.plane_scan[chosen], minlength=len(features.scan)), **columns)
+
+
+def without_rays(features: Features) -> Features:
+    """The wall planes of the same scans: all that faces are fused from, and little beside the rays."""
+    return replace(
+        features,
+        ray_count=np.zeros_like(features.ray_count),
+        ray_end_map=np.zeros((0, 3), np.float32),
+        ray_label=np.zeros(0, np.uint8),
+    )
 
 
 def concatenate(parts: list[Features]) -> Features:

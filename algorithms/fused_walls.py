@@ -21,7 +21,6 @@ def fuse_walls(features: Features, settings: BuildingSettings) -> Walls:
 
     features: the planes of all scans; their rays are not looked at.
     """
-    scan = np.repeat(np.arange(len(features.scan)), features.plane_count.astype(np.int64))
     length_m = lengths_m(features.plane_ends_map)
     largest_first = np.argsort(-length_m * features.plane_lines, kind="stable")
     wall = _join(
@@ -33,6 +32,7 @@ def fuse_walls(features: Features, settings: BuildingSettings) -> Walls:
         settings.distance_m,
         settings.gap_m,
     )
+    scan = features.plane_scan
     faces: list[tuple[FloatArray, FloatArray, float, float, int, float]] = []
     for w in range(int(wall.max(initial=-1)) + 1):
         faces.extend(_faces_of(features, np.flatnonzero(wall == w), scan, settings))

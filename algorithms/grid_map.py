@@ -240,7 +240,7 @@ def _doorway(ends: FloatArray, normal: FloatArray, depth_m: float, margin_m: flo
     return np.array([left + front, right + front, right + back, left + back])
 
 
-def _within(places: FloatArray, corners: FloatArray) -> BoolArray:
+def _in_rectangle(places: FloatArray, corners: FloatArray) -> BoolArray:
     """Which places (n, 2) lie in a rectangle, given by its corners (4, 2) in order."""
     inside = np.ones(len(places), bool)
     for side in (corners[1] - corners[0], corners[3] - corners[0]):
@@ -310,7 +310,7 @@ class _Canvas:
         high = np.clip(self._index(corners.max(axis=0)[None])[0] + 1, 0, [columns, rows])
         x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
         index = np.stack([x.ravel(), y.ravel()], axis=1)
-        inside = _within(self._origin + (index + 0.5) * self._cell_m, corners)
+        inside = _in_rectangle(self._origin + (index + 0.5) * self._cell_m, corners)
         self._set(index[inside], cell)
 
     def freed(
@@ -383,7 +383,7 @@ class _Canvas:
             stands |= self._cells[row, column] == Cell.OCCUPIED
         for first, last in stretches(~stands, 0):
             bounded = first > 0 and last < len(places) - 1 and (last - first) * step_m < _GAP_MAX_M
-            if bounded and not any(_within(places[first : last + 1], doorway).any() for doorway in doorways):
+            if bounded and not any(_in_rectangle(places[first : last + 1], doorway).any() for doorway in doorways):
                 self.draw_line(places[[first - 1, last + 1]], Cell.OCCUPIED)
 
     def _framed(self) -> GridMap:
@@ -407,7 +407,7 @@ class _Canvas:
         across = np.zeros((*self._cells.shape, 2))
         for ends in lines:
             index = self._on_line(ends)
-            column, row = index[self._within(index)].T
+            column, row = index[self._in_grid(index)].T
             across[row, column] = Segment.between(ends).normal
         counts = np.zeros((*self._cells.shape, 2), np.int32)
         for block in drive.blocks():
@@ -435,7 +435,7 @@ class _Canvas:
         """What rays close above the floor join to the robot's way: not what lies behind a sill, seen though it may be."""
         start = np.zeros(self._cells.shape, bool)
         index = self._index(path_map)
-        index = index[self._within(index)]
+        index = index[self._in_grid(index)]
         start[index[:, 1], index[:, 0]] = True
         start = binary_dilation(start, iterations=int(_BLIND_M / self._cell_m)) & low
         return np.asarray(binary_propagation(start, np.ones((3, 3)), low))
@@ -443,12 +443,12 @@ class _Canvas:
     def _index(self, places: FloatArray) -> IntArray:
         return np.asarray(np.floor((places[:, :2] - self._origin) / self._cell_m).astype(np.int64))
 
-    def _within(self, index_xy: IntArray) -> BoolArray:
+    def _in_grid(self, index_xy: IntArray) -> BoolArray:
         rows, columns = self._cells.shape
         return np.asarray((index_xy >= 0).all(axis=1) & (index_xy[:, 0] < columns) & (index_xy[:, 1] < rows))
 
     def _set(self, index_xy: IntArray, cell: Cell) -> None:
-        inside = index_xy[self._within(index_xy)]
+        inside = index_xy[self._in_grid(index_xy)]
         self._cells[inside[:, 1], inside[:, 0]] = cell
 
 

@@ -91,7 +91,7 @@ def map_false_floors(votes: VoxelVotes) -> HeightMap:
 
     A scan carries the plane of its floor on as far as it sees; from a ramp that leads up the walls of the next room.
     """
-    floor = votes.mean_position[(majority(votes.counts) == Label.FLOOR) & (votes.counts.max(axis=1, initial=0) > 0)]
+    floor = votes.mean_position[(majority(votes.counts) == Label.FLOOR) & votes.seen()]
     if not len(floor):
         return _nothing(Label.CLUTTER, taken_for=Label.FLOOR)
     origin, shape = _frame(floor, _FINE_CELL_M)
@@ -117,7 +117,7 @@ def _corrected(votes: VoxelVotes, level: HeightMap) -> VoxelVotes:
 
 def map_ceilings(votes: VoxelVotes) -> HeightMap:
     """The ceilings that all scans found: in each cell the median height of its cubes, and around them the nearest's."""
-    is_ceiling = (majority(votes.counts) == Label.CEILING) & (votes.counts.max(axis=1, initial=0) >= _VOTES_MIN)
+    is_ceiling = (majority(votes.counts) == Label.CEILING) & votes.seen(_VOTES_MIN)
     position = votes.mean_position[is_ceiling]
     if not len(position):
         return _nothing(Label.CEILING)
@@ -135,7 +135,7 @@ def map_glimpsed_ceilings(votes: VoxelVotes) -> HeightMap:
     """
     label = majority(votes.counts)
     position = votes.mean_position
-    seen = votes.counts.max(axis=1, initial=0) >= _VOTES_MIN
+    seen = votes.seen(_VOTES_MIN)
     floor, known = (seen & (label == surface) for surface in (Label.FLOOR, Label.CEILING))
     if not floor.any():
         return _nothing(Label.CEILING)
@@ -156,13 +156,13 @@ def map_sloping_ceilings(votes: VoxelVotes) -> HeightMap:
     """The undersides of roofs and stairs: the highest there is, in one plane that rises, and too broad for furniture."""
     label = majority(votes.counts)
     position = votes.mean_position
-    floor = (votes.counts.max(axis=1, initial=0) >= _VOTES_MIN) & (label == Label.FLOOR)
+    floor = votes.seen(_VOTES_MIN) & (label == Label.FLOOR)
     if not floor.any():
         return _nothing(Label.CEILING)
     origin, shape = _frame(position, _FINE_CELL_M)
     ground_m, _ = _ground_m(position[floor], origin, shape, _FINE_CELL_M)
     rise_m = position[:, 2] - ground_m[tuple(_cells(position, origin, shape, _FINE_CELL_M).T)]
-    overhead = (votes.counts.max(axis=1, initial=0) > 0) & (label != Label.FLOOR) & (rise_m > _SLOPING_OVER_M)
+    overhead = votes.seen() & (label != Label.FLOOR) & (rise_m > _SLOPING_OVER_M)
     highest = _highest_in_cells(position[overhead], origin, shape, _FINE_CELL_M)
     mean, slope, rms_m, known = _planes_around(highest, _WINDOW)
     steepness = np.linalg.norm(slope, axis=2)
@@ -226,7 +226,7 @@ def map_raised_floors(votes: VoxelVotes, cell_m: float = _FINE_CELL_M) -> Height
     """
     label = majority(votes.counts)
     position = votes.mean_position
-    seen = votes.counts.max(axis=1, initial=0) >= _VOTES_MIN
+    seen = votes.seen(_VOTES_MIN)
     floor, low = seen & (label == Label.FLOOR), seen & ((label == Label.FLOOR) | (label == Label.CLUTTER))
     if not floor.any():
         return _nothing(Label.FLOOR)
@@ -249,7 +249,7 @@ def map_ducts(votes: VoxelVotes) -> HeightMap:
 
     A scan that sees both rooms cannot tell the one from the other.
     """
-    ceiling = votes.mean_position[(majority(votes.counts) == Label.CEILING) & (votes.counts.max(axis=1, initial=0) > 0)]
+    ceiling = votes.mean_position[(majority(votes.counts) == Label.CEILING) & votes.seen()]
     if not len(ceiling):
         return _nothing(Label.CLUTTER)
     origin, shape = _frame(ceiling, _FINE_CELL_M)

@@ -91,7 +91,7 @@ def _patch_normals(points: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class LevelScan:
+class LevelledScan:
     """A scan in its place in the map.
 
     placed: its smoothed returns. floor: below them, in the frame `level`. ranges: what smoothed them.
@@ -102,7 +102,7 @@ class LevelScan:
     ranges: SmoothedRanges
 
 
-def place_level(
+def place_and_level(
     scan: Scan,
     ranges: SmoothedRanges,
     trajectory: Trajectory,
@@ -111,7 +111,7 @@ def place_level(
     floor_slope: FloatArray,
     rearrangement: RearrangementSettings,
     max_deg: float,
-) -> LevelScan:
+) -> LevelledScan:
     """The scan's smoothed returns with every firing at its own pose, turned to the map's floor.
 
     T_base_sensor: (4, 4). base_height_m: how high the base stands above the floor. floor_slope: (2,) of the map's floor,
@@ -122,12 +122,12 @@ def place_level(
     wanted = floor_slope @ placed.T_map_level[:2, :2]
     if len(floor.pieces):
         # At a ramp's foot or top no one slope is the floor's.
-        return LevelScan(placed, floor, ranges)
-    levelled = level_scan(placed, floor.height_m, floor.slope, wanted, max_deg)
-    return LevelScan(levelled, floor if levelled is placed else replace(floor, slope=wanted), ranges)
+        return LevelledScan(placed, floor, ranges)
+    levelled = turn_to_floor(placed, floor.height_m, floor.slope, wanted, max_deg)
+    return LevelledScan(levelled, floor if levelled is placed else replace(floor, slope=wanted), ranges)
 
 
-def level_scan(
+def turn_to_floor(
     placed: PlacedScan, floor_height_m: float, floor_slope: FloatArray, wanted_slope: FloatArray, max_deg: float
 ) -> PlacedScan:
     """The scan turned about the floor below it so that its floor slopes as the map's does.

@@ -94,10 +94,10 @@ class Refinement:
 
 @dataclass(frozen=True)
 class _Registered:
-    """What is kept of a scan for the next one: its pose by the odometry, at the sweep's end, and its refined one."""
+    """What is kept of a scan for the next one: its pose by KISS-ICP, at the sweep's end, and its refined one, at its middle."""
 
     stamp_ns: int
-    T_odometry: FloatArray
+    T_kiss_end: FloatArray
     T_refined: FloatArray
     motion_per_ns: FloatArray
 
@@ -127,10 +127,10 @@ class Refiner:
         self._first: tuple[Scan, Scan | None] | None = None
         self._refusals = 0
 
-    def refine(self, scan: Scan, T_odom_sensor: FloatArray, companion: Scan | None = None) -> Refinement:
+    def refine(self, scan: Scan, T_odom_sensor_end: FloatArray, companion: Scan | None = None) -> Refinement:
         """Register one scan, and beside it the last one of the other lidar that ended before it.
 
-        T_odom_sensor: the odometry's pose at the scan's end. Where the motion so far leads is the first guess, and where the
+        T_odom_sensor_end: the odometry's pose at the scan's end. Where the motion so far leads is the first guess, and where the
             odometry's motion since the last scan does, the second.
         """
         stamp_ns = (scan.start_ns + scan.end_ns) // 2
@@ -138,13 +138,13 @@ class Refiner:
         motion_per_ns: FloatArray = np.zeros(6)
         if last is None:
             source = self._put_together(scan, companion, stamp_ns, motion_per_ns)
-            T_refined, inlier_share, weakest_share, refused = T_odom_sensor, 1.0, 1.0, False
+            T_refined, inlier_share, weakest_share, refused = T_odom_sensor_end, 1.0, 1.0, False
             self._first = scan, companion
         else:
             elapsed_ns = max(stamp_ns - last.stamp_ns, 1)
-            T_odometry = last.T_refined @ transforms.invert(last.T_odometry) @ T_odom_sensor
+            T_predicted_by_odometry = last.T_refined @ transforms.invert(last.T_kiss_end) @ T_odom_sensor_end
             motion_per_ns = last.motion_per_ns
-            expected: list[FloatArray] = [T_odometry]
+            expected: list[FloatArray] = [T_predicted_by_odometry]
             if elapsed_ns < _CARRIED_ON_NS:
                 expected.insert(0, last.T_refined @ transforms.from_twist(motion_per_ns * elapsed_ns))
             guesses = list(expected)
@@ -159,7 +159,7 @@ class Refiner:
             self._first = None
         self._refusals = self._refusals + 1 if refused else 0
         self._map.insert(source, T_refined)
-        self._last = _Registered(stamp_ns, T_odom_sensor, T_refined, motion_per_ns)
+        self._last = _Registered(stamp_ns, T_odom_sensor_end, T_refined, motion_per_ns)
         T_middle_end = transforms.from_twist(motion_per_ns * (scan.end_ns - stamp_ns))
         return Refinement(
             stamp_ns, T_refined, T_refined @ T_middle_end, inlier_share, weakest_share, refused, source.points

@@ -21,14 +21,13 @@ class RoomFigures:
     """Found rooms F beside true ones T.
 
     recall: (T,) largest overlap with one found room / own area. precision: (F,) largest overlap with one true room / own
-    area. overlap_m2: (T, F). counted: (T,) true rooms that the mean recall is over.
+    area. counted: (T,) true rooms that the mean recall is over.
     split: true rooms in which two or more found rooms that touch one another lie for the most part.
     merged: pairs of true rooms whose mapped part lies for the most part in the same found room.
     """
 
     recall: FloatArray
     precision: FloatArray
-    overlap_m2: FloatArray
     counted: BoolArray
     split: tuple[int, ...]
     merged: tuple[tuple[int, int], ...]
@@ -96,7 +95,7 @@ def _figures(
 ) -> RoomFigures:
     if not overlap.size:
         empty = np.zeros(len(true_m2)), np.zeros(len(found_m2))
-        return RoomFigures(*empty, overlap, counted, (), ())
+        return RoomFigures(*empty, counted, (), ())
     recall = overlap.max(axis=1) / np.maximum(true_m2, 1e-12)
     precision = overlap.max(axis=0) / np.maximum(found_m2, 1e-12)
     mostly_in = overlap > 0.5 * found_m2
@@ -106,4 +105,4 @@ def _figures(
     merged = {
         (int(a), int(b)) for own in holds.T for a, b in np.argwhere(np.triu(np.outer(own, own), 1))
     }  # fmt: skip
-    return RoomFigures(recall, precision, overlap, counted, tuple(split), tuple(sorted(merged)))
+    return RoomFigures(recall, precision, counted, tuple(split), tuple(sorted(merged)))

@@ -4,7 +4,7 @@ Both the fused cloud and the figures by area rest on these votes. They add up to
 whatever portions the scans come, and grow with the building, not with time.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
@@ -51,6 +51,10 @@ class VoxelVotes:
         """(m, 3) float64 in metres: the mean of each cube's points."""
         within = self.position_sum / (SUBDIVISIONS * self.point_count[:, None])
         return (self.cube_index + within) * self.voxel_m
+
+    def seen(self, votes_min: int = 1) -> BoolArray:
+        """(m,) whether any one code has so many votes."""
+        return np.asarray(self.counts.max(axis=1, initial=0) >= votes_min)
 
 
 @dataclass(frozen=True)
@@ -161,13 +165,6 @@ class VoxelTable:
         _rehash(self._keys, self._size, self._row_of_slot)
 
 
-def vote(points_map: FloatArray, label: UInt8Array, classes: int, voxel_m: float) -> VoxelVotes:
-    """The votes of points (n, 3) in metres with labels (n,); a label of `classes` or more has no vote."""
-    table = VoxelTable(voxel_m, classes)
-    table.add(points_map, label)
-    return table.votes()
-
-
 def merge(portions: Sequence[VoxelVotes]) -> VoxelVotes:
     """The sum of at least one portion."""
     table = VoxelTable(portions[0].voxel_m, portions[0].counts.shape[1])
@@ -181,10 +178,10 @@ def majority(counts: IntArray) -> UInt8Array:
     return np.argmax(counts, axis=1).astype(np.uint8) if len(counts) else np.zeros(0, np.uint8)
 
 
-def fuse(votes: VoxelVotes, left_out: Iterable[Label] = (Label.OUTSIDE,)) -> FusedCloud:
+def fuse(votes: VoxelVotes) -> FusedCloud:
     """One point a cube: the mean of its points and their most frequent label; what lies outside is removed."""
     label = majority(votes.counts)
-    kept = (votes.counts.max(axis=1, initial=0) > 0) & ~np.isin(label, list(left_out))
+    kept = votes.seen() & (label != Label.OUTSIDE)
     return FusedCloud(votes.mean_position[kept].astype(np.float32), label[kept])
 
 

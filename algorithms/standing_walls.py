@@ -54,6 +54,8 @@ _LEANING_DEG, _LEANING_M, _LEANING_SHARE, _LEANING_SCANS = (4.0, 20.0), 0.1, 0.9
 """At such angles to a face that so many times the scans saw, so close to it, and so much of it beside the other, a leaf leans."""
 _DIRECTION_SHARE = 0.04
 """A direction that fewer of the walls' metres have is a leaf's."""
+_MEETS_MIN = 0.3
+"""Sine of the angle between two faces that make a corner, at least."""
 ACROSS = 0.5
 """Cosine of the angle between two faces below which one stands across the other."""
 SAME_WAY = 0.9
@@ -263,7 +265,7 @@ def join_corners(walls: Walls, corner_m: float) -> Walls:
         best = np.array([corner_m, corner_m])
         for other in faces:
             turn = float(face.normal @ other.along)
-            if abs(turn) < 0.3:
+            if abs(turn) < _MEETS_MIN:
                 continue
             t_other = -float(face.before_m(other.start)) / turn
             if not -corner_m < t_other < other.length_m + corner_m:

@@ -119,9 +119,8 @@ def _pane_m(counts: FloatArray, settings: BuildingSettings) -> float:
 
 def seen_through(windows: Windows, features: Features) -> BoolArray:
     """(p,) whether each plane of the scans was seen through a window: it is no wall of this building."""
-    scan = np.repeat(np.arange(len(features.scan)), features.plane_count.astype(np.int64))
-    origin = features.origin_map[scan, :2]
-    outside = np.zeros(len(scan), bool)
+    origin = features.origin_map[features.plane_scan, :2]
+    outside = np.zeros(len(origin), bool)
     for window in segments(windows):
         before_m = window.before_m(origin)
         for part in (0.0, 0.5, 1.0):
@@ -144,10 +143,9 @@ def without_rays_through(windows: Windows, features: Features) -> Features:
         features.ray_starts,
         features.ray_end_map,
     )
-    scan = np.repeat(np.arange(len(features.scan)), features.ray_count.astype(np.int64))
     return replace(
         features,
-        ray_count=np.bincount(scan[~passed], minlength=len(features.scan)),
+        ray_count=np.bincount(features.ray_scan[~passed], minlength=len(features.scan)),
         ray_end_map=features.ray_end_map[~passed],
         ray_label=features.ray_label[~passed],
     )
@@ -170,7 +168,7 @@ def _rays_through(
             for r in range(starts[s], starts[s + 1]):
                 x, y = ray_end[r, 0] - ends[w, 0, 0], ray_end[r, 1] - ends[w, 0, 1]
                 side = normal[w, 0] * x + normal[w, 1] * y
-                if side > -0.05:
+                if side > -CELL_M:
                     continue
                 t = reach / (reach - side)
                 u = (ox + t * (x - ox)) * dx + (oy + t * (y - oy)) * dy

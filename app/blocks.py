@@ -16,7 +16,7 @@ from algorithms.building import Doors, Walls, Windows
 from algorithms.features import Features, concatenate, extract
 from algorithms.height_maps import HeightMap
 from algorithms.labelling import MethodSettings, label_scan
-from algorithms.levelling import LevelScan, place_level
+from algorithms.levelling import LevelledScan, place_and_level
 from algorithms.rearrangement import below_ceiling
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.rival_maps import RivalCounter, RivalMapsSettings
@@ -94,7 +94,7 @@ class BlockSummary:
     """What the run's own process needs to know of a labelled block.
 
     scan: (s,) scans that were labelled; stamp_ns, T_map_base: (s,), (s, 4, 4) at their header stamps.
-    skipped: number, stamp and reason of each cloud that was not.
+    skipped: number and reason of each cloud that was not.
     label_counts: (256,) returns by label. milliseconds: (s, 5), see `STAGES`.
     points_in_cloud, points_in_lines: (s,)
     """
@@ -103,7 +103,6 @@ class BlockSummary:
     stamp_ns: IntArray
     T_map_base: FloatArray
     skipped_scan: IntArray
-    skipped_stamp_ns: IntArray
     skipped_reason: tuple[str, ...]
     label_counts: IntArray
     milliseconds: FloatArray
@@ -183,7 +182,6 @@ def label_block(job: LabelJob) -> BlockSummary:
         stamp_ns=np.array([s[1] for s in scans], np.int64),
         T_map_base=np.array([s[2] for s in scans]).reshape(-1, 4, 4),
         skipped_scan=np.array([s.index for s in skipped], np.int64),
-        skipped_stamp_ns=np.array([s.stamp_ns for s in skipped], np.int64),
         skipped_reason=tuple(s.reason for s in skipped),
         label_counts=counts,
         milliseconds=np.array(milliseconds).reshape(-1, len(STAGES)),
@@ -262,9 +260,9 @@ def finish_block(job: FinishJob) -> None:
     )
 
 
-def _place(scan: Scan, ranges: SmoothedRanges, job: LabelJob) -> LevelScan:
+def _place(scan: Scan, ranges: SmoothedRanges, job: LabelJob) -> LevelledScan:
     T_base_sensor = _vertical(job.inputs).lidar.T_base_sensor
-    return place_level(
+    return place_and_level(
         scan,
         ranges,
         job.trajectory,

@@ -12,6 +12,7 @@ from typing import Annotated
 
 import typer
 
+from app.outputs import RUN_OUTPUTS, SWEEP_OUTPUTS, Output, parse_outputs
 from loaders.errors import InputError
 
 app = typer.Typer(
@@ -58,14 +59,10 @@ VerticalOption = Annotated[str | None, typer.Option(help="Topic of the lidar tha
 TimeFromOption = Annotated[
     TimeFrom, typer.Option(help="Times of the firings: the cloud's own, recovered from the azimuth, or none.")
 ]
-OutputsOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="LIST",
-        help="Files to write, as in recording,maps: of recording, labelled (a bag), labels (Parquet, without the "
-        "clouds), cloud, maps, plan, geojson.",
-    ),
-]
+_OUTPUTS_HELP = (
+    "All that is to be written, as in recording,maps: of recording, labelled (a bag), labels (Parquet, without the clouds), "
+    "cloud, maps, plan, geojson."
+)
 
 
 @app.command()
@@ -98,7 +95,9 @@ def run(
         str | None, typer.Option(help="Send to a viewer that runs, as rerun+http://127.0.0.1:9876/proxy.")
     ] = None,
     save: Annotated[bool, typer.Option(help="Write recording.rrd.")] = True,
-    outputs: OutputsOption = None,
+    outputs: Annotated[
+        str | None, typer.Option(metavar="LIST", help=f"{_OUTPUTS_HELP}  [default: {','.join(RUN_OUTPUTS)}]")
+    ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Labelling processes.  [default: one for each core]")
     ] = None,
@@ -122,7 +121,6 @@ def run(
 
         ffmap run --resume runs/a
     """
-    from app.outputs import RUN_OUTPUTS, Output, parse_outputs
     from app.processes import start_server
 
     written = parse_outputs(outputs, RUN_OUTPUTS)
@@ -237,8 +235,9 @@ def evaluate(
     if run_folder is None:
         raise InputError("give a run folder, or --suite; 'ffmap evaluate --help' has examples")
     from app import evaluate as evaluation
+    from app.finished_run import open_run
 
-    evaluation.print_metrics(evaluation.evaluate_run(run_folder, truth, workers or os.cpu_count() or 1))
+    evaluation.print_metrics(evaluation.evaluate_run(open_run(run_folder), truth, workers or os.cpu_count() or 1))
 
 
 @app.command()
@@ -334,7 +333,9 @@ def sweep(
         str | None, typer.Option(help="Poses T_map_base in place of the odometry: a TUM file, or a topic of the bag.")
     ] = None,
     detail: Annotated[DetailOption, typer.Option(help="What each recording holds; see 'ffmap run'.")] = DetailOption.MAP,
-    outputs: OutputsOption = None,
+    outputs: Annotated[
+        str | None, typer.Option(metavar="LIST", help=f"{_OUTPUTS_HELP}  [default: {','.join(SWEEP_OUTPUTS)}]")
+    ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Runs at once, one thread each.  [default: one for each core]")
     ] = None,
@@ -349,8 +350,7 @@ def sweep(
 ) -> None:
     """Try many settings: every combination a run folder, one odometry for all; a table, sweep.parquet and sweep.rrd.
 
-    A sweep that was stopped goes on with the same command; finished runs are not made again. Each run writes
-    recording,labels,maps,geojson unless --outputs says otherwise.
+    A sweep that was stopped goes on with the same command; finished runs are not made again.
 
     Examples:
 
@@ -361,7 +361,6 @@ def sweep(
         ffmap sweep drive.bag --grid seed=0,1,2,3 --scheduler tcp://127.0.0.1:8786
     """
     from app import sweep_command
-    from app.outputs import SWEEP_OUTPUTS, parse_outputs
 
     failed = sweep_command.sweep(
         sweep_command.Arguments(

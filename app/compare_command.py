@@ -176,7 +176,7 @@ def _record(
         part = spool / f"run-{run.letter}.rrd"
         if run.recording is not None and write_rerooted(run.recording.path, run.letter, part, recording_id, scans):
             parts.append(part)
-        has_scans = run.recording is not None and (run.run.part("options").get("detail") or "lines") != "map"
+        has_scans = run.recording is not None and run.run.has_scans
         shown.append(
             ComparedRun(
                 run.letter,

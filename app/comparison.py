@@ -34,6 +34,7 @@ from algorithms.trajectory import Trajectory
 from app.finished_run import FinishedRun
 from app.map_files import read_map
 from app.recorded import ReadableRecording, Row, rows
+from app.run_folder import DOORS, TRAJECTORY, WALLS, map_file
 from app.run_labels import LabelSource, pair
 from blueprints import entities
 from loaders.errors import InputError
@@ -341,19 +342,19 @@ def compare_files(change: PairChange) -> None:
         reason = "the runs are of different bags"
         change.refused |= dict.fromkeys(COMPARABLE, reason)
         return
-    if _both(change, "trajectory", a.run.trajectory, b.run.trajectory, "trajectory.tum"):
+    if _both(change, "trajectory", a.run.trajectory, b.run.trajectory, TRAJECTORY):
         assert a.run.trajectory is not None
         assert b.run.trajectory is not None
         change.trajectory = _compare_poses(read_tum(a.run.trajectory), read_tum(b.run.trajectory))
         if not len(change.trajectory.stamp_ns):
             change.trajectory = None
             change.refused["trajectory"] = "the runs have no pose in common"
-    if paths := _pair_of(change, "walls", "walls.geojson"):
+    if paths := _pair_of(change, "walls", WALLS):
         change.walls = compare_walls(*(_segments(_features(path)) for path in paths))
-    if paths := _pair_of(change, "doors", "doors.geojson"):
+    if paths := _pair_of(change, "doors", DOORS):
         before, after = (_features(path) for path in paths)
         change.doors = DoorsCompared(before, after, compare_doors(_segments(before), _segments(after)))
-    if paths := _pair_of(change, "grid", "map.yaml"):
+    if paths := _pair_of(change, "grid", map_file(entities.FURNITURE_FREE)):
         try:
             change.grid = compare_grids(*(read_map(path) for path in paths))
         except ValueError as error:
@@ -385,7 +386,7 @@ def labels_can_be_compared(change: PairChange) -> bool:
 
 def grid_of(run: FinishedRun) -> GridMap | None:
     """A run's furniture-free map."""
-    path = run.file("map.yaml")
+    path = run.file(map_file(entities.FURNITURE_FREE))
     return read_map(path) if path is not None else None
 
 

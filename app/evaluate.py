@@ -66,6 +66,7 @@ from algorithms.room_evaluation import RoomFigures, compare_rooms
 from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.trajectory import Trajectory, place_scan
 from app.files import write_json
+from app.finished_run import FinishedRun
 from app.labels_file import read_labels
 from app.map_figures import (
     ComparedMaps,
@@ -78,12 +79,12 @@ from app.map_figures import (
 )
 from app.processes import process_context
 from app.room_results import outlines
-from app.run_folder import EVALUATION, LABELS, OVERLAY, RECORDING, RUN_JSON, rooms_file
+from app.run_folder import DOORS, EVALUATION, LABELS, METRICS, OVERLAY, RUN_JSON, rooms_file
 from blueprints import entities
 from blueprints import run as run_blueprint
 from loaders.bag import Bag, open_bag
 from loaders.errors import InputError
-from loaders.pointcloud2 import TimeFrom, describe_layout, field_column
+from loaders.pointcloud2 import describe_layout, field_column
 from loaders.rig import Lidar, find_rig
 from loaders.scans import CloudIndex, SkippedScan, cloud_topics, index_clouds, read_clouds
 from loaders.trajectory_file import read_tum
@@ -175,36 +176,35 @@ class Comparison:
     maps: ComparedMaps = field(default_factory=dict)
 
 
-def evaluate_run(run_dir: Path, truth_bag: Path | None = None, workers: int = 2) -> Metrics:
+def evaluate_run(run: FinishedRun, truth_bag: Path | None = None, workers: int = 2) -> Metrics:
     """Compare a run's files with the truth, write `metrics.json` and return what it says.
 
     Where the run has a recording, `evaluation.rrd` becomes its second layer.
 
     truth_bag: the bag that carries the truth; None for the one that the run was made from.
     workers: processes that are started where there is enough to do.
-    Raises InputError where the folder is no run, or the bag has no truth.
+    Raises InputError where the run does not say which bag it was made from, or the bag has no truth.
     """
-    truth_path = truth_bag if truth_bag is not None else _bag_of(run_dir)
-    with open_bag(truth_path) as bag, tempfile.TemporaryDirectory(prefix="evaluation-", dir=run_dir) as spool:
+    truth_path = truth_bag if truth_bag is not None else _bag_of(run)
+    with open_bag(truth_path) as bag, tempfile.TemporaryDirectory(prefix="evaluation-", dir=run.path) as spool:
         truth = read_truth(bag)
         if truth is None or truth.trajectory is None:
             raise InputError(f"{truth_path}: the bag carries no /truth/pose to compare with; give --truth BAG")
-        layer = _layer_of(run_dir, Path(spool))
-        comparison = compare_run(run_dir, truth_path, truth, truth.trajectory, workers, layer)
-        write_json(run_dir / "metrics.json", comparison.metrics)
+        layer = _layer_of(run, Path(spool))
+        comparison = compare_run(run, truth_path, truth, truth.trajectory, workers, layer)
+        write_json(run.path / METRICS, comparison.metrics)
         if comparison.maps:
-            write_overlays(run_dir / OVERLAY, comparison.maps, "truth")
+            write_overlays(run.path / OVERLAY, comparison.maps, "truth")
         if layer is not None and comparison.tally is not None:
-            _write_layer(run_dir / EVALUATION, layer, comparison)
+            _write_layer(run.path / EVALUATION, layer, comparison)
     return comparison.metrics
 
 
-def _layer_of(run_dir: Path, spool: Path) -> Layer | None:
+def _layer_of(run: FinishedRun, spool: Path) -> Layer | None:
     """Where the errors of a run are recorded; None where it has no recording that they could be a layer of."""
-    record = _read_json(run_dir / RUN_JSON)
-    if not (run_dir / RECORDING).exists() or "recording_id" not in record:
+    if run.recording is None or "recording_id" not in run.record:
         return None
-    return Layer(spool, record["recording_id"], (record.get("options") or {}).get("detail") != "map")
+    return Layer(spool, run.record["recording_id"], run.has_scans)
 
 
 def _write_layer(out: Path, layer: Layer, comparison: Comparison) -> None:
@@ -232,9 +232,9 @@ def _write_layer(out: Path, layer: Layer, comparison: Comparison) -> None:
     )
 
 
-def has_truth(run_dir: Path) -> bool:
+def has_truth(run: FinishedRun) -> bool:
     """Whether the bag of a run is still there and carries the truth."""
-    path = _bag_of(run_dir)
+    path = _bag_of(run)
     if not path.exists():
         return False
     with open_bag(path) as bag:
@@ -249,7 +249,7 @@ def print_metrics(metrics: Metrics) -> None:
 
 
 def compare_run(
-    run_dir: Path,
+    run: FinishedRun,
     truth_path: Path,
     truth: BagTruth,
     true_trajectory: Trajectory,
@@ -258,15 +258,17 @@ def compare_run(
 ) -> Comparison:
     """A run beside the truth, nothing written but the parts of the layer, if one is wanted."""
     metrics: Metrics = {"truth": str(truth_path)}
-    if (run_dir / "trajectory.tum").exists():
-        found = read_tum(run_dir / "trajectory.tum")
+    if run.trajectory is not None:
+        found = read_tum(run.trajectory)
         metrics["trajectory"] = _trajectory_metrics(compare_trajectories(found, true_trajectory))
-    if statistics := _read_json(run_dir / RUN_JSON).get("statistics"):
+    if statistics := run.record.get("statistics"):
         metrics["statistics"] = statistics
     if truth.building is not None:
-        files = {name: run_dir / rooms_file(name) for name in Segmented}
+        files = {name: run.file(rooms_file(name)) for name in Segmented}
         compared_rooms = {
-            name: _compare_rooms(path, truth.building, true_trajectory) for name, path in files.items() if path.exists()
+            name: _compare_rooms(path, truth.building, true_trajectory)
+            for name, path in files.items()
+            if path is not None
         }
         if Segmented.FURNITURE_FREE in compared_rooms:
             metrics["rooms"] = compared_rooms[Segmented.FURNITURE_FREE]
@@ -274,7 +276,7 @@ def compare_run(
                 name: {figure: own[figure] for figure in _FIG_10} for name, own in compared_rooms.items()
             }
     doors, faces = read_building(truth.building)
-    clouds = _clouds_of(run_dir)
+    clouds = _clouds_of(run)
     if clouds is None or truth.classes is None:
         return Comparison(metrics, faces, doors)
     counted = count_run(clouds, truth_path, doors, workers, layer)
@@ -285,12 +287,12 @@ def compare_run(
     metrics["points"] = _label_metrics(tally.confusion_points, None)
     metrics["points_scan"] = _label_metrics(tally.confusion_points_scan, None)
     comparison = Comparison(metrics, faces, doors, tally, counted.parts, counted.ring_count)
-    if truth.building is not None and (run_dir / "doors.geojson").exists():
-        found_doors = read_doors(run_dir / "doors.geojson")
+    if truth.building is not None and (doors_path := run.file(DOORS)) is not None:
+        found_doors = read_doors(doors_path)
         door_figures = compare_doors(doors, tally.door_returns, found_doors)
         metrics["doors"] = _door_metrics(door_figures)
         comparison = replace(comparison, found_doors=found_doors, door_figures=door_figures)
-    if truth.building is not None and (maps := read_maps(run_dir)):
+    if truth.building is not None and (maps := read_maps(run.path)):
         passed = tally.door_returns >= DOOR_RETURNS
         wall_m = wall_thickness_of_doors(truth.building)
         compared = compare_with_truth(maps, faces, tally, doors.ends[passed], wall_m[passed])
@@ -301,26 +303,25 @@ def compare_run(
     return comparison
 
 
-def _clouds_of(run_dir: Path) -> LabelledClouds | None:
+def _clouds_of(run: FinishedRun) -> LabelledClouds | None:
     """The labelled bag, or the labels beside the run's own bag; None where the run kept neither."""
-    labelled = next((p for p in (run_dir / "labelled.bag", run_dir / "labelled") if p.exists()), None)
-    if labelled is not None:
-        with open_bag(labelled) as bag:
+    if run.labelled is not None:
+        with open_bag(run.labelled) as bag:
             topics = cloud_topics(bag)
             if len(topics) != 1:
-                raise InputError(f"{labelled}: {len(topics)} topics with clouds where one belongs; run ffmap again")
-            rig = find_rig(bag, vertical=topics[0], time_from=_time_from(run_dir))
+                raise InputError(f"{run.labelled}: {len(topics)} topics with clouds where one belongs; run ffmap again")
+            # Read as the run read its own bag.
+            rig = find_rig(bag, vertical=topics[0], time_from=run.time_from)
         assert rig.vertical is not None
-        return LabelledClouds(labelled, rig.vertical)
-    if not (run_dir / LABELS).exists():
+        return LabelledClouds(run.labelled, rig.vertical)
+    labels = run.file(LABELS)
+    if labels is None:
         return None
-    options = _read_json(run_dir / RUN_JSON)["options"]
-    path = _bag_of(run_dir)
-    rig_file = Path(options["rig"]) if options["rig"] else None
+    path, options = _bag_of(run), run.input_options
     with open_bag(path) as bag:
-        rig = find_rig(bag, rig_file, options["horizontal"], options["vertical"], options["time_from"])
+        rig = find_rig(bag, options.rig_file, options.horizontal, options.vertical, options.time_from)
     assert rig.vertical is not None
-    return LabelledClouds(path, rig.vertical, run_dir / LABELS)
+    return LabelledClouds(path, rig.vertical, labels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -701,19 +702,11 @@ def _state(name: str) -> DoorState:
     return DoorState.CLOSED if name == "closed" else DoorState.OPEN
 
 
-def _bag_of(run_dir: Path) -> Path:
-    """The bag that a run was made from."""
-    try:
-        return Path(_read_json(run_dir / RUN_JSON)["bag"]["path"])
-    except KeyError as error:
-        raise InputError(f"{run_dir / 'run.json'}: it does not say which bag was run; give --truth BAG") from error
-
-
-def _time_from(run_dir: Path) -> TimeFrom:
-    """Where the run took the firings' times from: the labelled bag is to be read the same way."""
-    options = _read_json(run_dir / RUN_JSON).get("options") or {}
-    time_from: TimeFrom = options.get("time_from") or "auto"
-    return time_from
+def _bag_of(run: FinishedRun) -> Path:
+    """The bag that a run was made from; it may be gone."""
+    if run.bag_path is None:
+        raise InputError(f"{run.path / RUN_JSON}: it does not say which bag was run; give --truth BAG")
+    return run.bag_path
 
 
 def _read_json(path: Path) -> Any:  # noqa: ANN401 - JSON

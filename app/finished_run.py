@@ -1,4 +1,4 @@
-"""A run that is there already, as `inspect` and `compare` read it: its record and its files, whatever it has of them."""
+"""A run that is there already, as `evaluate`, `inspect` and `compare` read it: its record, and whatever it has of its files."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from app.inputs import InputOptions
-from app.run_folder import METRICS, RECORDING, RUN_JSON, TRAJECTORY, RunFolder
+from app.run_folder import LABELLED_BAG, LABELLED_FOLDER, METRICS, RECORDING, RUN_JSON, TRAJECTORY, RunFolder
 from app.settings import Settings, validate
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom
@@ -43,12 +43,17 @@ class FinishedRun:
     @cached_property
     def labelled(self) -> Path | None:
         """The labelled bag."""
-        return next((p for p in (self.path / "labelled.bag", self.path / "labelled") if p.exists()), None)
+        return next((p for p in (self.path / LABELLED_BAG, self.path / LABELLED_FOLDER) if p.exists()), None)
 
     @cached_property
     def recording(self) -> Path | None:
         """The recording; it may have been cut."""
         return self.file(RECORDING)
+
+    @property
+    def has_scans(self) -> bool:
+        """Whether its recording, if it has one, holds single scans and not the map alone."""
+        return self.part("options").get("detail") != "map"
 
     @property
     def trajectory(self) -> Path | None:

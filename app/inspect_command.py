@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from algorithms.labelling import ScanLabelling, label_scan
-from algorithms.levelling import LevelScan, place_level
+from algorithms.levelling import LevelledScan, place_and_level
 from algorithms.scan import Scan, UInt8Array
 from algorithms.smoothing import smooth_ranges
 from app.blocks import seed_of
@@ -23,7 +23,7 @@ from app.poses import given_trajectory, poses_of
 from app.reasons import LineReason, explain_lines, name_of, scan_document
 from app.recorded import readable, rows
 from app.recording import start_viewer
-from app.run_folder import EVALUATION, make_writable
+from app.run_folder import EVALUATION, RECORDING, make_writable
 from app.run_labels import CloudLabels, LabelSource
 from blueprints import entities
 from loaders.bag import open_bag
@@ -44,7 +44,7 @@ class InspectedScan:
 
     index: int
     scan: Scan
-    level: LevelScan
+    level: LevelledScan
     labelling: ScanLabelling
     differing: int | None
     compared_with: str | None
@@ -77,7 +77,7 @@ def inspect(
         )
     for note in notes:
         typer.echo(note.replace("**", ""))
-    _print_summary(inspected.labelling, reasons, line)
+    _print_summary(reasons, line)
     typer.echo(f"recording: {target}  (open it: ffmap view {target}; step through the timeline 'line')")
     if spawn:
         open_viewer(target)
@@ -121,7 +121,7 @@ def label_again(run: FinishedRun, number: int, bag: Path | None = None) -> Inspe
     margin_ns = int(settings.trajectory.extrapolate_s * 1e9)
     if not poses.trajectory.covers(np.array([scan.start_ns, scan.end_ns]), margin_ns).all():
         raise InputError(f"--scan {number}: was skipped (no pose at its time); give another scan")
-    level = place_level(
+    level = place_and_level(
         scan,
         smooth_ranges(scan, settings.smoothing),
         poses.trajectory,
@@ -223,7 +223,7 @@ def _target(run: FinishedRun, out: Path | None, number: int) -> Path:
         path = path / f"inspect-{number}.rrd"
     if path.suffix != ".rrd":
         raise InputError(f"{path}: a recording's name ends in .rrd; give another to --out")
-    if path.resolve() in {(run.path / name).resolve() for name in ("recording.rrd", EVALUATION)}:
+    if path.resolve() in {(run.path / name).resolve() for name in (RECORDING, EVALUATION)}:
         raise InputError(f"{path}: is the run's own recording; give another file to --out")
     try:
         make_writable(path.parent)
@@ -232,7 +232,7 @@ def _target(run: FinishedRun, out: Path | None, number: int) -> Path:
     return path
 
 
-def _print_summary(labelling: ScanLabelling, reasons: Sequence[LineReason], line: int | None) -> None:
+def _print_summary(reasons: Sequence[LineReason], line: int | None) -> None:
     console = Console(highlight=False)
     if line is None:
         table = Table(title="What became of its lines", title_justify="left")

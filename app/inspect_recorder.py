@@ -7,7 +7,7 @@ import numpy as np
 import rerun as rr
 
 from algorithms.labelling import ScanLabelling
-from algorithms.levelling import LevelScan
+from algorithms.levelling import LevelledScan
 from algorithms.scan import FloatArray
 from algorithms.trajectory import PlacedScan
 from app.reasons import LineReason, line_document
@@ -24,7 +24,7 @@ def write(
     out: Path,
     spool: Path,
     recording_id: str,
-    level: LevelScan,
+    level: LevelledScan,
     labelling: ScanLabelling,
     reasons: Sequence[LineReason],
     document: str,

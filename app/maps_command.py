@@ -10,7 +10,7 @@ from algorithms.map_comparison import Alignment, align_maps, compare_with_refere
 from app.files import write_json
 from app.map_figures import ComparedMap, ComparedMaps, map_metrics, maps_table, read_maps, write_overlays
 from app.map_files import read_map
-from app.run_folder import RECORDING, REFERENCE_JSON, REFERENCE_OVERLAY, REFERENCE_RECORDING, RunFolder
+from app.run_folder import RECORDING, REFERENCE_JSON, REFERENCE_OVERLAY, REFERENCE_RECORDING, RunFolder, map_file
 from blueprints import entities
 from loaders.errors import InputError
 
@@ -23,7 +23,7 @@ def maps(run_dir: Path, reference_path: Path) -> None:
     record = RunFolder(run_dir).read_json()
     own = read_maps(run_dir)
     if entities.FURNITURE_FREE not in own:
-        raise InputError(f"{run_dir}: holds no map.yaml to compare; run ffmap again")
+        raise InputError(f"{run_dir}: holds no {map_file(entities.FURNITURE_FREE)} to compare; run ffmap again")
     reference = read_map(reference_path)
     known = own[entities.FURNITURE_FREE]
     alignment = align_maps(known, reference)

@@ -29,6 +29,9 @@ from app.settings import Settings
 from loaders.bag import open_bag
 from loaders.scans import read_scans
 
+CACHE_VARIABLE = "FFMAP_CACHE"
+"""The environment variable that names the folder of the cache, before anything else does."""
+
 _PER_FILE = 50
 _GRAPH = "pose_graph.npz"
 _FORMAT = 7
@@ -37,7 +40,7 @@ _FORMAT = 7
 
 def cache_folder() -> Path:
     """Where odometries are kept: in $FFMAP_CACHE, else in $XDG_CACHE_HOME or ~/.cache, or what the system uses instead."""
-    if named := os.environ.get("FFMAP_CACHE"):
+    if named := os.environ.get(CACHE_VARIABLE):
         return Path(named) / "odometry"
     if sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))

@@ -22,7 +22,7 @@ class Output(StrEnum):
     PLAN = "plan"
     """floorplan.svg and floorplan.dxf."""
     GEOJSON = "geojson"
-    """walls.geojson, doors.geojson and rooms.geojson."""
+    """walls.geojson, doors.geojson, rooms.geojson, and rooms_NAME.geojson of the maps that the paper compares with."""
 
 
 RUN_OUTPUTS = (Output.RECORDING, Output.LABELLED, Output.CLOUD, Output.MAPS, Output.PLAN, Output.GEOJSON)

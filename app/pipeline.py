@@ -7,9 +7,9 @@ import shutil
 import time
 import uuid
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,39 +17,19 @@ import numpy as np
 import rerun.blueprint as rrb
 
 from algorithms import transforms
-from algorithms.aligned_walls import AlignedFaces, align_faces
-from algorithms.area_graph import AreaGraph, Segmented, doorways_of, find_rooms
-from algorithms.before_walls import BeforeWalls, halo_at_walls, look_before_walls
-from algorithms.building import NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
-from algorithms.building_doors import drop_doubtful, find_doors, prove_crossed
-from algorithms.door_frames import measure_reveals, place_frames
-from algorithms.face_columns import Storey, column_places
-from algorithms.features import Features, concatenate, select_planes
-from algorithms.floor_plan import FloorPlan, draw_floor_plan
-from algorithms.fused_walls import fuse_walls
-from algorithms.grid_map import Drive, GridMap, Immobile, draw_furniture_free, standing_stretches
-from algorithms.height_maps import HeightMap, map_levels
-from algorithms.hidden_walls import find_hidden_walls
+from algorithms.area_graph import Segmented
+from algorithms.building import BuildingSettings, Walls, Windows
+from algorithms.building_fusion import AllScans, Building, fuse_building
+from algorithms.features import Features
+from algorithms.grid_map import Drive, GridMap
 from algorithms.labels import Label
 from algorithms.odometry import Registration, weakness
-from algorithms.rival_maps import Rival, draw_rival
+from algorithms.rival_maps import Rival
 from algorithms.scan import FloatArray, IntArray
-from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes, find_halo, fuse, majority
-from algorithms.standing_walls import (
-    FaceVerdict,
-    JudgedFaces,
-    along_others,
-    join_corners,
-    judge_faces,
-    leaning_on_others,
-    refuse_outside,
-    shows_whole,
-    trim_at_doorways,
-)
+from algorithms.semantic_map import VoxelTable, VoxelVotes, fuse, majority
 from algorithms.trajectory import Trajectory
 from algorithms.wall_cells import WallCells, trace_rays
-from algorithms.wall_thickness import door_depths, face_thickness, part_walls
-from algorithms.windows import find_windows, seen_through, without_rays_through
+from algorithms.windows import without_rays_through
 from app import results
 from app.blocks import (
     FINAL_EVIDENCE,
@@ -83,11 +63,13 @@ from app.room_recorder import log_areas, log_rooms
 from app.room_results import door_rooms, topology, write_rooms
 from app.run_folder import (
     CLOUD,
+    DOORS,
     FLOOR_PLAN_DXF,
     FLOOR_PLAN_SVG,
     LABELS,
     RECORDING,
     TRAJECTORY,
+    WALLS,
     RunFolder,
     map_file,
     rooms_file,
@@ -101,7 +83,6 @@ from loaders.errors import InputError
 from loaders.trajectory_file import write_tum
 
 _REGISTRATIONS_AT_ONCE = 50
-_STRICT_NEAR_M = 0.07
 
 
 @dataclass(frozen=True)
@@ -144,30 +125,6 @@ class _Run:
     recording: Recording | None
     recorder: Recorder | None
     state: RunState
-
-
-@dataclass(frozen=True)
-class Building:
-    """The third stage's answer."""
-
-    aligned: AlignedFaces
-    """The faces that scans' planes make, before any was judged, and those found of all scans' returns together."""
-    walls: Walls
-    before: BeforeWalls
-    judged: JudgedFaces
-    doors: Doors
-    windows: Windows
-    halo: Halo
-    levels: tuple[HeightMap, ...]
-    """Its ceilings and raised floors."""
-    grid: GridMap
-    rooms: AreaGraph
-    compared_rooms: Mapping[Segmented, AreaGraph]
-    """Of the maps that the paper compares with (Fig. 10), without any doors known."""
-    rivals: Mapping[Rival, GridMap]
-    plan: FloorPlan
-    thickness_m: FloatArray
-    """(W,) of each face's wall."""
 
 
 def run(
@@ -294,8 +251,8 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
                     log_areas(run.recording.stream, graph, f"{entities.ROOMS_COMPARED}/{segmented}")
                 run.recording.set_layout(_layout(inputs, run.options.detail, building.grid))
             if Output.GEOJSON in outputs:
-                results.write_walls(folder.path / "walls.geojson", building.walls, building.thickness_m)
-                results.write_doors(folder.path / "doors.geojson", building.doors, door_rooms(building.rooms))
+                results.write_walls(folder.path / WALLS, building.walls, building.thickness_m)
+                results.write_doors(folder.path / DOORS, building.doors, door_rooms(building.rooms))
                 write_rooms(folder.path / rooms_file(Segmented.FURNITURE_FREE), building.rooms)
                 for segmented, graph in building.compared_rooms.items():
                     write_rooms(folder.path / rooms_file(segmented), graph)
@@ -568,111 +525,13 @@ def _build(
     settings: Settings,
     workers: int,
 ) -> Building:
-    """Walls from all planes, doors and grid from all rays; the rays are read block by block."""
-    planes = concatenate([_without_rays(features) for features in _features(folder, blocks)])
-    levels = map_levels(votes)
-    storey = Storey.of(votes, levels)
-    far = settings.building.model_copy(update={"range_m": settings.building.far_m})
-    strict = far.model_copy(update={"near_m": _STRICT_NEAR_M, "own_plane_m": 0.0})
+    """The building of all scans; their rays are read block by block."""
 
-    def trace(faces: Walls, building: BuildingSettings = settings.building, windows: Windows = NO_WINDOWS) -> WallCells:
+    def trace(faces: Walls, building: BuildingSettings, windows: Windows) -> WallCells:
         return _trace(faces, folder, blocks, building, windows, workers)
 
-    def clear(faces: Walls, cells: WallCells) -> FloatArray:
-        return storey.clear_m(column_places(faces, cells.first), settings.standing_walls.ceiling_near_m)
-
-    def judge(aligned: AlignedFaces) -> JudgedFaces:
-        # A leaf that leans on its wall would be laid along it.
-        leaning, faces = leaning_on_others(aligned.fused), aligned.walls
-        leaves, faces = faces.select(leaning), join_corners(faces.select(~leaning), settings.standing_walls.corner_m)
-        alone = (faces.scan_count < settings.standing_walls.scans_few) & ~along_others(faces)
-        if alone.any():
-            doubtful = faces.select(alone)
-            cells = trace(doubtful)
-            alone[alone] = ~shows_whole(cells, clear(doubtful, cells), settings.standing_walls.above_door_m)
-        faces, refused = faces.select(~alone), faces.select(alone)
-        cells = trace(faces)
-        path = trajectory.T_map_base[:, :2, 3]
-        judged = judge_faces(faces, cells, clear(faces, cells), path, settings.building.length_min_m, settings.standing_walls)
-        judged = judged.refuse(refused, FaceVerdict.ALONE).refuse(leaves, FaceVerdict.LEANS)
-        return refuse_outside(judged, storey)
-
-    def align(faces: Walls) -> AlignedFaces:
-        standing = settings.standing_walls
-        return align_faces(faces, votes, storey, standing.above_door_m, standing.ceiling_near_m)
-
-    aligned = align(fuse_walls(planes, settings.building))
-    judged = judge(aligned)
-    seen = trace(judged.walls)
-    windows = find_windows(judged.walls, seen, clear(judged.walls, seen), settings.building)
-    outside = seen_through(windows, planes)
-    if outside.any():
-        aligned = align(fuse_walls(select_planes(planes, ~outside), settings.building))
-        judged = judge(aligned)
-    hidden = find_hidden_walls(
-        votes,
-        storey,
-        judged.walls,
-        judged.refused,
-        trajectory.T_map_base[:, :2, 3],
-        lambda faces: trace(faces, strict, windows),
-        settings.building.length_min_m,
-        settings.standing_walls,
-    )
-    judged = replace(judged, walls=hidden.known).refuse(hidden.ducts, FaceVerdict.HANGS)
-    found = align(hidden.walls)
-    aligned = aligned.append(found)
-    walls = join_corners(judged.walls.append(found.walls), settings.standing_walls.corner_m)
-    cells = trace(walls)
-    clear_m = clear(walls, cells)
-    windows = find_windows(walls, cells, clear_m, settings.building)
-    before_glass = trace(walls, windows=windows) if len(windows) else cells
-    doors = find_doors(walls, before_glass, clear_m, settings.building, windows)
-    doors = place_frames(doors, walls, _features(folder, blocks), settings.building)
-    doors = drop_doubtful(doors, settings.building)
-    doors = prove_crossed(doors, trajectory.T_map_base[:, :2, 3])
-    doors = measure_reveals(doors, _features(folder, blocks), settings.building)
-    parts = part_walls(walls, settings.wall_thickness)
-    doors = replace(doors, reveal_m=door_depths(doors, walls, parts, settings.wall_thickness))
-    trimmed = trim_at_doorways(walls, cells, doors, clear_m)
-    walls, cells, judged = trimmed.walls, trimmed.cells, judged.refuse(trimmed.leaves, FaceVerdict.ENDS_LOW)
-    path = trajectory.T_map_base[:, :3, 3]
-    drive = Drive(path, lambda: _features(folder, blocks))
-    immobile = Immobile(walls, trace(walls, far), votes, doors, windows)
-    grid = draw_furniture_free(immobile, drive, settings.grid_map, settings.wall_thickness)
-    rooms = find_rooms(grid, settings.area_graph, doorways_of(doors), windows.ends, path)
-    with ThreadPoolExecutor(workers) as threads:
-        drawn = threads.map(
-            lambda rival: draw_rival(rival, rivals, windows, drive, settings.grid_map, settings.rival_maps), Rival
-        )
-        rival_maps = dict(zip(Rival, drawn, strict=True))
-    normal, as_is = rival_maps[Rival.MIDDLE], settings.area_graph.without_alpha_removal()
-    compared_rooms = {
-        Segmented.NORMAL: find_rooms(normal, settings.area_graph, path_map=path),
-        Segmented.NORMAL_AS_IS: find_rooms(normal, as_is, path_map=path),
-    }
-    before = look_before_walls(cells, trimmed.clear_m, settings.before_walls)
-    halo = find_halo(votes, settings.relabelling.halo_ratio)
-    halo = halo_at_walls(halo, walls, doors, before, settings.relabelling.halo_wall_m)
-    stretches = standing_stretches(immobile, settings.grid_map)
-    plan = draw_floor_plan(stretches, immobile, grid, votes, settings.floor_plan, settings.wall_thickness, rooms.rooms)
-    thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
-    return Building(
-        aligned,
-        walls,
-        before,
-        judged,
-        doors,
-        windows,
-        halo,
-        levels,
-        grid,
-        rooms,
-        compared_rooms,
-        rival_maps,
-        plan,
-        thickness_m,
-    )
+    drive = Drive(trajectory.T_map_base[:, :3, 3], lambda: _features(folder, blocks))
+    return fuse_building(AllScans(drive=drive, votes=votes, rivals=rivals, trace=trace), settings.fusion, workers)
 
 
 def _trace(
@@ -700,17 +559,6 @@ def _features(folder: RunFolder, blocks: list[Block]) -> Iterator[Features]:
             yield features
 
 
-def _without_rays(features: Features) -> Features:
-    return Features(
-        **{
-            **features.__dict__,
-            "ray_end_map": np.zeros((0, 3), np.float32),
-            "ray_label": np.zeros(0, np.uint8),
-            "ray_count": np.zeros_like(features.ray_count),
-        }
-    )
-
-
 def _finish(run: _Run, pool: Executor, jobs: Sequence[LabelJob], building: Building, trajectory: Trajectory) -> None:
     """Final labels by the workers, while this process writes the labelled bag behind them."""
     inputs, folder, recording = run.inputs, run.folder, run.recording
@@ -721,15 +569,15 @@ def _finish(run: _Run, pool: Executor, jobs: Sequence[LabelJob], building: Build
     for job in jobs:
         done = job.path.with_suffix(".final.npz").exists() and run.options.resume
         finish = FinishJob(
-            job,
-            building.walls,
-            building.before,
-            building.judged,
-            building.doors,
-            building.windows,
-            halo,
-            building.levels,
-            run.settings.relabelling,
+            label=job,
+            walls=building.walls,
+            before=building.before,
+            judged=building.judged,
+            doors=building.doors,
+            windows=building.windows,
+            halo=halo,
+            levels=building.levels,
+            settings=run.settings.relabelling,
         )
         pending.append(None if done else pool.submit(finish_block, finish))
     table = VoxelTable(VOXEL_M, len(Label))

@@ -91,7 +91,7 @@ def write_svg(path: Path, plan: FloorPlan, title: str) -> None:
         place = room.polygon.representative_point()
         sheet.text(group, "name", room.name, (place.x, place.y))
         sheet.text(group, "area", f"{room.area_m2:.1f} m²", (place.x, place.y - 0.38))
-    _draw_foot(svg, plan, title, width, height)
+    _draw_foot(svg, title, width, height)
     ElementTree.indent(svg)
     text = ElementTree.tostring(svg, encoding="unicode", xml_declaration=True)
     write_atomically(path, lambda part: part.write_text(text + "\n", "utf-8"))
@@ -177,7 +177,7 @@ def _pane(window: shapely.Polygon) -> FloatArray:
     return np.array([(corners[0] + corners[3]) / 2, (corners[1] + corners[2]) / 2])
 
 
-def _draw_foot(svg: ElementTree.Element, plan: FloorPlan, title: str, width: float, height: float) -> None:
+def _draw_foot(svg: ElementTree.Element, title: str, width: float, height: float) -> None:
     """Title, scale bar, the map's axes, and what the fills mean."""
     foot = _group(svg, "foot")
     top = height - _FOOT_M * MM_PER_M

@@ -25,7 +25,6 @@ class Row:
     values: components by their short names, as arrays of their own shape; none that was not logged.
     """
 
-    entity: str
     scan: int
     stamp_ns: int
     values: dict[str, Any]
@@ -101,7 +100,7 @@ def _rows_of(entity: str, batch: pa.RecordBatch, required: str | None) -> Iterat
     for i, (scan, stamp) in enumerate(zip(scans.tolist(), stamps.tolist(), strict=True)):
         values = {short: _array(column[i].values) for short, column in columns.items() if column[i].is_valid}
         if required is None or required in values:
-            yield Row(entity, scan, stamp, values)
+            yield Row(scan, stamp, values)
 
 
 def _array(values: pa.Array) -> Any:  # noqa: ANN401 - of any type

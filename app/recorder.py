@@ -1,4 +1,4 @@
-"""From the evidence of each step to Rerun entities; the only module that logs."""
+"""What a run records: from the evidence of each step to Rerun entities. What else is logged, the other `*_recorder` log."""
 
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
@@ -17,7 +17,7 @@ from algorithms.doors import DoorState
 from algorithms.grid_map import Cell, GridMap
 from algorithms.labelling import ScanLabelling
 from algorithms.labels import Label
-from algorithms.levelling import LevelScan
+from algorithms.levelling import LevelledScan
 from algorithms.odometry import Registration
 from algorithms.pose_graph import PoseGraph
 from algorithms.rearrangement import HorizontalPlane
@@ -71,6 +71,8 @@ _CURVE_STYLES: tuple[tuple[str, float, entities.Color], ...] = (
     (entities.CURVE_EXAMPLE, 1.0, entities.CURVE_COLOR),
     (entities.CURVE_EXAMPLE_SLOPE, 1.0, entities.EXAMPLE_COLOR),
 )
+_SPAN_STEP = 5
+"""Candidates are drawn through every so manieth sample: a recording holds those of every scan."""
 
 rr.set_strict_mode(True)
 
@@ -137,12 +139,10 @@ class Recorder:
         """Settings, digests, versions, metrics: nested mappings become columns like `wall_planes_similarity_m`."""
         self._stream.send_property(name, rr.AnyValues(**flatten(values)))
 
-    def log_message(
-        self, text: str, stamp_ns: int, index: int | None = None, level: rr.TextLogLevel = rr.TextLogLevel.WARN
-    ) -> None:
-        """A warning or note, at the scan or time that it is about."""
+    def log_message(self, text: str, stamp_ns: int, index: int | None = None) -> None:
+        """A warning, at the scan or time that it is about."""
         self._at(stamp_ns, index)
-        self._log(entities.MESSAGES, rr.TextLog(text, level=level))
+        self._log(entities.MESSAGES, rr.TextLog(text, level=rr.TextLogLevel.WARN))
 
     # --- trajectory and odometry ---
 
@@ -252,7 +252,7 @@ class Recorder:
     def log_scan(
         self,
         index: int,
-        level: LevelScan,
+        level: LevelledScan,
         labelling: ScanLabelling,
         stamp_ns: int,
         timings_ms: Mapping[str, float],
@@ -628,7 +628,7 @@ class Recorder:
                 entities.FUSED_WALLS,
                 rr.LineStrips3D(
                     np.pad(aligned.fused.ends, ((0, 0), (0, 0), (0, 1))).astype(np.float32),
-                    colors=entities.FUSED_COLOUR,
+                    colors=entities.FUSED_WALL_COLOR,
                     radii=rr.Radius.ui_points(1.0),
                     labels=[
                         f"before it was laid along all returns ({scans} scans): its ends then moved {100 * a:+.1f} and "
@@ -641,7 +641,7 @@ class Recorder:
             )
 
     def log_building(
-        self, walls: Walls, before: BeforeWalls, refused: JudgedFaces, doors: Doors, windows: Windows
+        self, walls: Walls, before: BeforeWalls, judged: JudgedFaces, doors: Doors, windows: Windows
     ) -> None:
         """The fused walls, what stands against them, what was refused as a wall, doors and windows, for the whole run."""
         vertices, triangles = _upright_quads(
@@ -668,18 +668,18 @@ class Recorder:
                     show_labels=False,
                 ),
             )
-        if len(refused.refused):
-            faces = refused.refused
+        if len(judged.refused):
+            faces = judged.refused
             self._static(
                 entities.REFUSED_WALLS,
                 rr.LineStrips3D(
                     upright_frames(faces.ends, faces.bottom_m, faces.top_m),
-                    colors=entities.REFUSED_COLOUR,
+                    colors=entities.REFUSED_WALL_COLOR,
                     radii=rr.Radius.ui_points(1.5),
-                    labels=[f"no wall: {entities.REFUSALS[verdict]}" for verdict in refused.verdict],
+                    labels=[f"no wall: {entities.REFUSALS[verdict]}" for verdict in judged.verdict],
                     show_labels=False,
                 ),
-                evidence({"verdict": refused.verdict, "scan_count": faces.scan_count}),
+                evidence({"verdict": judged.verdict, "scan_count": faces.scan_count}),
             )
         widths_m = lengths_m(doors.ends)
         if len(doors):
@@ -730,7 +730,7 @@ class Recorder:
 
         self._static(
             entities.BUILDING_REASONS,
-            rr.TextDocument(explain_building(before, refused, doors, windows), media_type=rr.MediaType.MARKDOWN),
+            rr.TextDocument(explain_building(before, judged, doors, windows), media_type=rr.MediaType.MARKDOWN),
         )
 
     def log_grid(self, name: str, grid: GridMap) -> None:
@@ -872,7 +872,7 @@ def _clamped(values: FloatArray, limit: float) -> FloatArray:
 
 
 def _plane_color(plane: int) -> entities.Color:
-    return entities.PLANE_COLORS[plane % len(entities.PLANE_COLORS)] if plane >= 0 else entities.REFUSED_COLOR
+    return entities.PLANE_COLORS[plane % len(entities.PLANE_COLORS)] if plane >= 0 else entities.REFUSED_CANDIDATE_COLOR
 
 
 def _example_line(labelling: ScanLabelling) -> int:
@@ -883,14 +883,12 @@ def _example_line(labelling: ScanLabelling) -> int:
     return int((covered + CurveSheet.SAMPLES * several).argmax()) if len(covered) else 0
 
 
-def _spans(
-    positions: FloatArray, samples: IntArray, line: IntArray, first: IntArray, last: IntArray, every: int = 5
-) -> pa.Array:
+def _spans(positions: FloatArray, samples: IntArray, line: IntArray, first: IntArray, last: IntArray) -> pa.Array:
     """Line strips through every so manieth sample of structures, their ends included."""
-    counts = (last - first - 1) // every + 2
+    counts = (last - first - 1) // _SPAN_STEP + 2
     starts = np.concatenate([[0], np.cumsum(counts)])
     within = np.arange(starts[-1]) - np.repeat(starts[:-1], counts)
-    sample = np.minimum(np.repeat(first, counts) + every * within, np.repeat(last, counts))
+    sample = np.minimum(np.repeat(first, counts) + _SPAN_STEP * within, np.repeat(last, counts))
     return _strips(positions[samples[np.repeat(line, counts), sample]], starts)
 
 

@@ -23,6 +23,7 @@ from algorithms.scan import FloatArray, UInt8Array
 from algorithms.semantic_map import FusedCloud
 from algorithms.trajectory import Trajectory
 from app.files import write_atomically, write_geojson
+from app.run_folder import LABELLED_BAG, LABELLED_FOLDER
 from loaders.bag import Bag, Container, Message, make_typestore
 from loaders.errors import CloudError
 from loaders.frames import StaticTransform
@@ -262,8 +263,8 @@ class _Ros1Sink:
     ros_version: Literal[1] = 1
 
     def __init__(self, run_dir: Path) -> None:
-        self.path = run_dir / "labelled.bag"
-        self._part = run_dir / "labelled.bag.part"
+        self.path = run_dir / LABELLED_BAG
+        self._part = run_dir / f"{LABELLED_BAG}.part"
 
     def open(self) -> None:
         self._part.unlink(missing_ok=True)
@@ -292,14 +293,14 @@ class _Ros2Sink:
     ros_version: Literal[2] = 2
 
     def __init__(self, run_dir: Path, container: Container) -> None:
-        self.path = run_dir / "labelled"
-        self._part = run_dir / "labelled.part"
+        self.path = run_dir / LABELLED_FOLDER
+        self._part = run_dir / f"{LABELLED_FOLDER}.part"
         self._storage = StoragePlugin.MCAP if container == "mcap" else StoragePlugin.SQLITE3
 
     def open(self) -> None:
         shutil.rmtree(self._part, ignore_errors=True)
         # Version 8 is what the most releases of ROS 2 read.
-        self._writer = Ros2Writer(self._part / "labelled", version=8, storage_plugin=self._storage)
+        self._writer = Ros2Writer(self._part / LABELLED_FOLDER, version=8, storage_plugin=self._storage)
         self._writer.open()
         if isinstance(self._writer.storage, Sqlite3Writer):
             # Large pages suit large messages; the file has no name before it is complete, so no journal is needed.
@@ -319,7 +320,7 @@ class _Ros2Sink:
     def finish(self) -> None:
         self._writer.close()
         shutil.rmtree(self.path, ignore_errors=True)
-        (self._part / "labelled").replace(self.path)
+        (self._part / LABELLED_FOLDER).replace(self.path)
         self._part.rmdir()
 
     def abort(self) -> None:

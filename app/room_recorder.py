@@ -88,7 +88,7 @@ def log_areas(stream: rr.RecordingStream, graph: AreaGraph, root: str = entities
     if len(graph):
         _log_floors(stream, graph, root)
         stream.log(
-            f"{root}/names",
+            f"{root}/{entities.ROOM_NAMES}",
             rr.Points3D(
                 _at_height(_inner_points(graph), _NAME_M),
                 colors=entities.TRUTH_COLOR,
@@ -101,7 +101,7 @@ def log_areas(stream: rr.RecordingStream, graph: AreaGraph, root: str = entities
         )
     lines = np.array([passage.line for passage in graph.passages]).reshape(-1, 2, 2)
     stream.log(
-        f"{root}/passages",
+        f"{root}/{entities.ROOM_PASSAGES}",
         rr.LineStrips3D(
             _at_height(lines, _NAME_M),
             colors=entities.PASSAGE_COLOR,
@@ -131,7 +131,7 @@ def _log_floors(stream: rr.RecordingStream, graph: AreaGraph, root: str) -> None
         owner.append(np.full(3 * len(parts), index))
     vertices, owners = np.concatenate(corners), np.concatenate(owner)
     stream.log(
-        f"{root}/floors",
+        f"{root}/{entities.ROOM_FLOORS}",
         rr.Mesh3D(
             vertex_positions=_at_height(vertices, _FLOOR_M),
             triangle_indices=np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3),
@@ -145,7 +145,7 @@ def _log_floors(stream: rr.RecordingStream, graph: AreaGraph, root: str) -> None
         for ring in (room.polygon.exterior, *room.polygon.interiors)
     ]
     stream.log(
-        f"{root}/outlines",
+        f"{root}/{entities.ROOM_OUTLINES}",
         rr.LineStrips3D(
             [_at_height(ring, _LINE_M) for ring, _ in rings],
             colors=[colors[index] for _, index in rings],

@@ -18,6 +18,7 @@ from algorithms.scan import FloatArray, IntArray
 from app.files import write_json
 from app.map_files import read_image, read_map
 from app.room_results import topology, write_picture, write_rooms
+from app.run_folder import METRICS, ROOMS
 from app.settings import load_settings
 from loaders.errors import InputError
 
@@ -144,11 +145,11 @@ def _write(
 ) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
-        write_rooms(out / "rooms.geojson", graph)
+        write_rooms(out / ROOMS, graph)
         write_json(out / "topology.json", topology(graph))
         write_picture(out / "rooms.png", grid, graph)
         if figures is not None:
-            write_json(out / "metrics.json", metrics(figures))
+            write_json(out / METRICS, metrics(figures))
         write_recording(out / "rooms.rrd", graph)
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror}); give another folder to --out") from error

@@ -7,6 +7,7 @@ from typing import Any, get_args
 import typer
 
 from app import pipeline, run_folder
+from app.finished_run import open_run
 from app.inputs import InputOptions, Inputs, find_inputs
 from app.outputs import RUN_OUTPUTS, Output, check_outputs
 from app.poses import given_trajectory
@@ -120,8 +121,9 @@ def _viewer(arguments: Arguments) -> str | None:
 def _evaluate(folder: RunFolder, arguments: Arguments) -> None:
     from app import evaluate
 
-    if evaluate.has_truth(folder.path):
-        metrics = evaluate.evaluate_run(folder.path, None, arguments.workers)
+    finished = open_run(folder.path)
+    if evaluate.has_truth(finished):
+        metrics = evaluate.evaluate_run(finished, None, arguments.workers)
         if not arguments.quiet:
             evaluate.print_metrics(metrics)
             if (folder.path / EVALUATION).exists():

@@ -15,8 +15,13 @@ RECORDING = "recording.rrd"
 EVALUATION = "evaluation.rrd"
 TRAJECTORY = "trajectory.tum"
 CLOUD = "cloud.ply"
+LABELLED_BAG = "labelled.bag"
+LABELLED_FOLDER = "labelled"
 LABELS = "labels.parquet"
 METRICS = "metrics.json"
+WALLS = "walls.geojson"
+DOORS = "doors.geojson"
+ROOMS = "rooms.geojson"
 FLOOR_PLAN_SVG = "floorplan.svg"
 FLOOR_PLAN_DXF = "floorplan.dxf"
 OVERLAY = "overlay.png"
@@ -38,7 +43,7 @@ def rooms_file(name: str) -> str:
     """The file of a map's rooms: rooms.geojson for the furniture-free one, rooms_NAME.geojson for the others."""
     from algorithms.area_graph import Segmented  # as above
 
-    return "rooms.geojson" if name == Segmented.FURNITURE_FREE else f"rooms_{name}.geojson"
+    return ROOMS if name == Segmented.FURNITURE_FREE else f"rooms_{name}.geojson"
 
 
 @dataclass(frozen=True)

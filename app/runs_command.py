@@ -13,7 +13,6 @@ from rich.table import Table
 from app import catalogue, figures
 from app.catalogue import LOOPBACK, Answer, Catalogue, Query
 from app.progress import table_console
-from app.run_folder import RunFolder
 from loaders.errors import InputError
 
 _ALL = "all"
@@ -142,10 +141,11 @@ def _add_new(served: Catalogue, root: Path) -> None:
 
 def _add_layout(served: Catalogue, folder: Path) -> None:
     """How the viewer opens a run of the catalogue."""
+    from app.finished_run import open_run
     from blueprints import entities
     from blueprints import run as run_blueprint
 
     path = folder / "run.rbl"
-    scans = any(RunFolder(run).read_json().get("options", {}).get("detail") != "map" for run in served.taken.values())
+    scans = any(open_run(run).has_scans for run in served.taken.values())
     run_blueprint.build(evaluated=True, scans=scans).save(entities.APPLICATION_ID, str(path))
     served.dataset.register_blueprint(path.resolve().as_uri(), set_default=True)

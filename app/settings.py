@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError
 from algorithms.area_graph import AreaGraphSettings
 from algorithms.before_walls import BeforeWallsSettings
 from algorithms.building import BuildingSettings
+from algorithms.building_fusion import FusionSettings
 from algorithms.doors import DoorsSettings
 from algorithms.floor_plan import FloorPlanSettings
 from algorithms.grid_map import GridMapSettings
@@ -62,6 +63,21 @@ class Settings(StepSettings):
         """What labels a single scan."""
         return MethodSettings(
             self.smoothing, self.rearrangement, self.vertical_structures, self.wall_planes, self.doors, self.labelling
+        )
+
+    @property
+    def fusion(self) -> FusionSettings:
+        """What makes the building of all scans."""
+        return FusionSettings(
+            building=self.building,
+            standing_walls=self.standing_walls,
+            before_walls=self.before_walls,
+            wall_thickness=self.wall_thickness,
+            grid_map=self.grid_map,
+            area_graph=self.area_graph,
+            rival_maps=self.rival_maps,
+            floor_plan=self.floor_plan,
+            relabelling=self.relabelling,
         )
 
     def flat(self) -> dict[str, Any]:

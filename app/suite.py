@@ -27,6 +27,7 @@ from app.evaluate import PAPER, Metrics
 from app.files import write_json
 from app.odometry_stage import cache_folder
 from app.progress import Progress
+from app.run_folder import METRICS, RUN_JSON
 from app.settings import load_settings
 from loaders.errors import InputError
 
@@ -242,8 +243,8 @@ def _drive(
             done = subprocess.run([*_FFMAP, *command], capture_output=True, text=True, check=False)
             if done.returncode:
                 return Drive(case.name, seed, None, (done.stderr.strip().splitlines() or ["no reason given"])[-1])
-        metrics: Metrics = json.loads((run / "metrics.json").read_text())
-        record = json.loads((run / "run.json").read_text())
+        metrics: Metrics = json.loads((run / METRICS).read_text())
+        record = json.loads((run / RUN_JSON).read_text())
         metrics["run"] = {name: record[name] for name in ("timings_s", "counts")}
     cached.parent.mkdir(parents=True, exist_ok=True)
     write_json(cached, metrics)

@@ -5,7 +5,7 @@ stand beside it.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -75,7 +75,7 @@ def write_recording(path: Path, results: Results, bag: str) -> None:
                 drawing.draw(axis, values, numeric_axis(name, numbers[name]), numbers[name])
         for place in range(len(results.trials)):
             stream.set_time(entities.RUN_TIMELINE, sequence=place)
-            text = rr.TextDocument(_describe(results, place, names, path.parent), media_type=rr.MediaType.MARKDOWN)
+            text = rr.TextDocument(_describe(results, place, path.parent), media_type=rr.MediaType.MARKDOWN)
             stream.log(entities.SWEEP_RUN, text)
     part.replace(path)
 
@@ -259,7 +259,7 @@ def _log_table(stream: rr.RecordingStream, results: Results, bag: str) -> None:
     )
 
 
-def _describe(results: Results, place: int, names: Mapping[str, str], folder: Path) -> str:
+def _describe(results: Results, place: int, folder: Path) -> str:
     trial = results.trials[place]
     rank = results.ranked.index(place) + 1
     lines = [

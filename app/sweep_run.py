@@ -23,8 +23,9 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 
 from app import run_command
+from app.finished_run import open_run
 from app.inputs import InputOptions, find_inputs
-from app.odometry_stage import Odometry, cache_folder, cache_key, is_cached
+from app.odometry_stage import CACHE_VARIABLE, Odometry, cache_folder, cache_key, is_cached
 from app.processes import ENVIRONMENT
 from app.run_folder import METRICS, RunFolder
 from app.settings import Settings, load_settings
@@ -140,7 +141,7 @@ def perform(job: Job) -> Outcome:
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=stderr,
-            env={**ENVIRONMENT, **os.environ, "FFMAP_CACHE": str(job.cache)},
+            env={**ENVIRONMENT, **os.environ, CACHE_VARIABLE: str(job.cache)},
             start_new_session=True,
         )
         _children[process] = job.out.parent
@@ -207,7 +208,7 @@ def _do(job: Job) -> None:
     elif not is_finished(job):
         from app.evaluate import evaluate_run
 
-        evaluate_run(job.out, None, 1)
+        evaluate_run(open_run(job.out), None, 1)
 
 
 def _register(job: Job) -> None:
@@ -218,7 +219,7 @@ def _register(job: Job) -> None:
         raise InputError(f"{job.bag}: no horizontal lidar gives poses; name one with --horizontal, or give --trajectory")
     deque(Odometry(inputs, inputs.horizontal, settings), maxlen=0)
     if not is_cached(cache_folder() / cache_key(inputs, inputs.horizontal, settings)):
-        raise InputError(f"{job.cache}: the odometry cannot be kept there; set FFMAP_CACHE to a folder that can be written")
+        raise InputError(f"{job.cache}: the odometry cannot be kept there; set {CACHE_VARIABLE} to a folder that can be written")
 
 
 def _end_with_the_other_side() -> None:

@@ -59,7 +59,7 @@ def write_common_layout(runs: Sequence[FinishedRun], folder: Path) -> list[Path]
         centre_m=centre_m,
         extent_m=extent_m,
         evaluated=any(run.file(EVALUATION) is not None for run in runs),
-        scans=any(run.part("options").get("detail") != "map" for run in runs),
+        scans=any(run.has_scans for run in runs),
         several=True,
     )
     written: dict[str, Path] = {}

@@ -10,7 +10,7 @@ from algorithms.building import NO_DOORS, NO_WALLS, NO_WINDOWS
 from algorithms.features import extract
 from algorithms.height_maps import map_ceilings
 from algorithms.labelling import label_scan
-from algorithms.levelling import place_level
+from algorithms.levelling import place_and_level
 from algorithms.rearrangement import below_ceiling
 from algorithms.relabelling import RelabellingSettings, relabel
 from algorithms.scan import Scan
@@ -32,7 +32,7 @@ def warm_up() -> None:
     upright = np.array([[0.0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, ROOM_M[2]], [0, 0, 0, 1]])
     trajectory = Trajectory(np.array([0, 200_000_000]), np.stack([np.eye(4)] * 2))
     ranges = smooth_ranges(scan, method.smoothing)
-    level = place_level(scan, ranges, trajectory, upright, 0.0, np.zeros(2), method.rearrangement, 2.0)
+    level = place_and_level(scan, ranges, trajectory, upright, 0.0, np.zeros(2), method.rearrangement, 2.0)
     placed = level.placed
     labelling = label_scan(scan, placed, method, 0)
     extract(0, placed, labelling)

@@ -42,10 +42,8 @@ DOORS = "/world/building/doors"
 DOOR_SILLS = "/world/building/sills"
 WINDOWS = "/world/building/windows"
 FUSED_WALLS = "/world/building/fused_walls"
-FUSED_COLOUR = (190, 190, 190)
 REFUSED_WALLS = "/world/building/refused_walls"
 AGAINST_WALLS = "/world/building/against_walls"
-REFUSED_COLOUR = (255, 140, 60)
 BUILDING_REASONS = "/world/building/reasons"
 REFUSALS = {
     FaceVerdict.ENDS_LOW: "rays pass above it, below the ceiling (a leaf, a cupboard)",
@@ -62,10 +60,8 @@ FURNITURE_FREE = "furniture_free"
 SEGMENTED = "segmented"
 """Name of a grid of another system's, of which only the rooms are wanted."""
 ROOMS = "/world/rooms"
-ROOM_FLOORS = f"{ROOMS}/floors"
-ROOM_OUTLINES = f"{ROOMS}/outlines"
-ROOM_NAMES = f"{ROOMS}/names"
-ROOM_PASSAGES = f"{ROOMS}/passages"
+ROOM_FLOORS, ROOM_OUTLINES, ROOM_NAMES, ROOM_PASSAGES = "floors", "outlines", "names", "passages"
+"""What lies below `ROOMS`, and below each of `ROOMS_COMPARED`."""
 ROOM_TOPOLOGY = f"{ROOMS}/topology"
 ROOM_VORONOI = f"{ROOMS}/voronoi"
 ROOM_FURNITURE = f"{ROOMS}/furniture"
@@ -87,9 +83,10 @@ EXAMPLE_LINE = "/scan/lines/example"
 UPMOST = "/scan/candidates/upmost"
 BOTTOMMOST = "/scan/candidates/bottommost"
 PLANES = "/scan/planes"
-DOOR_CONDITIONS = "/scan/doors/conditions"
-DOOR_LINES = "/scan/doors/lines"
-OPENINGS = "/scan/doors/openings"
+SCAN_DOORS = "/scan/doors"
+DOOR_CONDITIONS = f"{SCAN_DOORS}/conditions"
+DOOR_LINES = f"{SCAN_DOORS}/lines"
+OPENINGS = f"{SCAN_DOORS}/openings"
 
 STRUCTURES = "/scan/structures"
 CURVES = "/scan/curves"
@@ -259,7 +256,9 @@ PLANE_COLORS: tuple[Color, ...] = (
     (170, 110, 70),
 )
 """Wall planes take these in turn."""
-REFUSED_COLOR: Color = (110, 110, 110)
+REFUSED_CANDIDATE_COLOR: Color = (110, 110, 110)
+FUSED_WALL_COLOR: Color = (190, 190, 190)
+REFUSED_WALL_COLOR: Color = (255, 140, 60)
 
 
 class CurveSheet:

@@ -2,14 +2,15 @@
 
 import rerun.blueprint as rrb
 
+from algorithms.rival_maps import Rival
 from blueprints import entities
 
 _NAMES = {
     entities.FURNITURE_FREE: "Furniture-free (Fig. 9b)",
-    "below_ceiling": "Slice below the ceiling (Fig. 9c)",
-    "middle": "Slice in the middle (Fig. 9d)",
-    "upmost": "Up-most structures (Fig. 6a)",
-    "bottommost": "Bottom-most structures (Fig. 6b)",
+    Rival.BELOW_CEILING: "Slice below the ceiling (Fig. 9c)",
+    Rival.MIDDLE: "Slice in the middle (Fig. 9d)",
+    Rival.UPMOST: "Up-most structures (Fig. 6a)",
+    Rival.BOTTOMMOST: "Bottom-most structures (Fig. 6b)",
 }
 
 

@@ -8,6 +8,7 @@ from algorithms.rival_maps import Rival
 from blueprints import entities
 from blueprints.maps import from_above
 
+_PARTS = (entities.ROOM_FLOORS, entities.ROOM_OUTLINES, entities.ROOM_NAMES, entities.ROOM_PASSAGES)
 _COMPARED = {
     Segmented.NORMAL: "Normal map, after alpha removal",
     Segmented.NORMAL_AS_IS: "Normal map, furniture and all",
@@ -55,7 +56,7 @@ def tab(
 def _areas(root: str, grid: str, name: str, centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         origin=entities.WORLD,
-        contents=[f"{entities.GRID}/{grid}", *(f"{root}/{part}" for part in ("floors", "outlines", "names", "passages"))],
+        contents=[f"{entities.GRID}/{grid}", *(f"{root}/{part}" for part in _PARTS)],
         name=name,
         eye_controls=from_above(centre_m, extent_m),
         line_grid=rrb.LineGrid3D(visible=False),

@@ -35,7 +35,7 @@ def build(
     ]
     if not scans:
         # The map alone: its tabs without the scan's views, which would be empty.
-        tabs = [*building, _map(centre_m, extent_m), _odometry(_from_above(centre_m, extent_m)), *about]
+        tabs = [*building, _map(centre_m, extent_m), _odometry(_aslant(centre_m, extent_m)), *about]
         tabs = [_evaluation(centre_m, extent_m, scans=False), *tabs] if evaluated else tabs
         return _blueprint(tabs, entities.SCAN_TIMELINE, several)
     overview = rrb.Vertical(
@@ -44,7 +44,7 @@ def build(
         row_shares=[1, 1],
         name="At a glance",
     )
-    tabs = [overview, _method(ring_count), *building, _odometry(_from_above(centre_m, extent_m)), *about]
+    tabs = [overview, _method(ring_count), *building, _odometry(_aslant(centre_m, extent_m)), *about]
     tabs = [_evaluation(centre_m, extent_m), *tabs] if evaluated else tabs
     return _blueprint(tabs, entities.SCAN_TIMELINE, several)
 
@@ -218,13 +218,13 @@ def _method(ring_count: int) -> rrb.Container:
                     _mapped(rr.LineStrips3D.from_fields(), "LineStrips3D:colors", entities.CANDIDATE_PLANE_COLOR),
                 ),
             ),
-            _scan_view("7. Conditions of a door", ["/scan/doors/**", entities.PLANES]),
+            _scan_view("7. Conditions of a door", [f"{entities.SCAN_DOORS}/**", entities.PLANES]),
         ),
         name="Step by step",
     )
 
 
-def _from_above(centre_m: tuple[float, float], extent_m: float) -> rrb.EyeControls3D:
+def _aslant(centre_m: tuple[float, float], extent_m: float) -> rrb.EyeControls3D:
     """Aslant from above, the whole building in view."""
     x, y = centre_m
     position = (x - 0.2 * extent_m, y - 0.55 * extent_m, 0.75 * extent_m)
@@ -248,7 +248,7 @@ def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
             overrides={
                 entities.DOORS: rr.LineStrips3D.from_fields(show_labels=True),
             },
-            eye_controls=_from_above(centre_m, extent_m),
+            eye_controls=_aslant(centre_m, extent_m),
             line_grid=rrb.LineGrid3D(visible=False),
         ),
         rrb.Vertical(

@@ -143,12 +143,6 @@ class Bag:
                 "leave the topic out, or record it again"
             ) from error
 
-    def serialize(self, message: Message) -> bytes | memoryview:
-        """A message in the serialisation of this bag's ROS version."""
-        if self.ros_version == 1:
-            return self.typestore.serialize_ros1(message, message.__msgtype__)
-        return self.typestore.serialize_cdr(message, message.__msgtype__)
-
     def topic(self, name: str) -> Topic:
         """The topic of that name, with or without its leading slash. Raises InputError where there is none."""
         for candidate in (name, f"/{name}", name.removeprefix("/")):

@@ -279,7 +279,7 @@ def _place(
     """The candidates with their T_base_sensor, the base's frame, and all static transforms."""
     tree = read_frame_tree(bag, {c.frame_id for c in candidates})
     if described:
-        return _place_by_file(bag, candidates, described, tree)
+        return _place_by_file(candidates, described, tree)
     roots = {c.topic: tree.root(c.frame_id) for c in candidates}
     if len(candidates) == 1:
         base, T = roots[candidates[0].topic]
@@ -315,7 +315,7 @@ def _place(
 
 
 def _place_by_file(
-    bag: Bag, candidates: list[_Candidate], described: RigFile, tree: FrameTree
+    candidates: list[_Candidate], described: RigFile, tree: FrameTree
 ) -> tuple[list[_Candidate], str, tuple[StaticTransform, ...]]:
     frames = [f for f in [described.base] if f] or [tree.root(candidates[0].frame_id)[0]]
     base = frames[0]

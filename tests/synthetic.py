@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from algorithms import transforms
 from algorithms.doors import DoorsSettings
 from algorithms.labelling import LabellingSettings, MethodSettings
-from algorithms.levelling import LevelScan, place_level
+from algorithms.levelling import LevelledScan, place_and_level
 from algorithms.rearrangement import RearrangementSettings
 from algorithms.scan import FloatArray, Scan
 from algorithms.smoothing import SmoothingSettings, smooth_ranges
@@ -46,10 +46,10 @@ def trajectory(scan_count: int) -> Trajectory:
     return Trajectory(stamp_ns(0) + 100_000_000 * np.arange(scan_count), T_map_base)
 
 
-def level(scan: Scan, trajectory: Trajectory) -> LevelScan:
+def level(scan: Scan, trajectory: Trajectory) -> LevelledScan:
     """The smoothed scan in its place."""
     ranges = smooth_ranges(scan, SmoothingSettings())
-    return place_level(scan, ranges, trajectory, T_BASE_SENSOR, 0.0, np.zeros(2), RearrangementSettings(), max_deg=2.0)
+    return place_and_level(scan, ranges, trajectory, T_BASE_SENSOR, 0.0, np.zeros(2), RearrangementSettings(), max_deg=2.0)
 
 
 def scan(index: int = 0, firings: int = 2170, seed: int = 0) -> Scan:

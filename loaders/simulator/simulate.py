@@ -1,7 +1,6 @@
 """One simulated drive: a building is drawn and furnished, the robot drives through it, its lidars fill a bag."""
 
 import json
-import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -38,7 +37,7 @@ _CLEARANCE_M = 0.15
 
 @dataclass(frozen=True)
 class SimulationReport:
-    """What was written. clouds and points: by topic. took_s: wall time; duration_s: length of the drive."""
+    """What was written. clouds and points: by topic. duration_s: length of the drive."""
 
     path: Path
     building: str
@@ -49,7 +48,6 @@ class SimulationReport:
     points: dict[str, int]
     size_bytes: int
     duration_s: float
-    took_s: float
 
 
 @dataclass(frozen=True)
@@ -145,7 +143,6 @@ def simulate(
     progress: called with the share that is done, 0 to 1.
     Raises InputError where there is no such building, or `out` exists or cannot be written.
     """
-    began = time.monotonic()
     clouds: dict[str, int] = {}
     points: dict[str, int] = {}
     with BagWriter(out, settings.format) as writer:
@@ -172,7 +169,6 @@ def simulate(
         path=out, building=settings.building, rooms=len(scene.plan.rooms), doors=len(scene.plan.doors),
         triangles=len(scene.mesh), clouds=clouds, points=points,
         size_bytes=sum(file.stat().st_size for file in files), duration_s=settings.duration_s,
-        took_s=time.monotonic() - began,
     )  # fmt: skip
 
 

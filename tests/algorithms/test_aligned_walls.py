@@ -8,7 +8,8 @@ from algorithms.building import NO_WALLS, Walls
 from algorithms.face_columns import Storey
 from algorithms.labels import Label
 from algorithms.scan import FloatArray
-from algorithms.semantic_map import VoxelVotes, vote
+from algorithms.semantic_map import VoxelVotes
+from tests.voting import vote
 
 ABOVE_DOOR_M = 2.12
 TURNS = [0.0, 31.0, 90.0, 203.0]

@@ -9,8 +9,9 @@ from scipy import ndimage
 from algorithms.before_walls import BeforeWallsSettings, halo_at_walls, look_before_walls
 from algorithms.building import CELL_M, NO_DOORS, Walls
 from algorithms.labels import Label
-from algorithms.semantic_map import find_halo, vote
+from algorithms.semantic_map import find_halo
 from algorithms.wall_cells import WallCells
+from tests.voting import vote
 
 CEILING_M = 2.8
 LENGTH_M = 6.0

@@ -23,8 +23,8 @@ from algorithms.evaluation import (
 )
 from algorithms.grid_map import Cell, GridMap
 from algorithms.labels import NO_RETURN, Label, Truth, Verdict
-from algorithms.semantic_map import vote
 from algorithms.trajectory import Trajectory
+from tests.voting import vote
 
 UNLABELLED = 6
 NO_DOORS = TrueDoors(np.zeros((0, 2, 2)), np.zeros(0), (), np.zeros(0, np.uint8))

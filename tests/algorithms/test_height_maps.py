@@ -15,7 +15,8 @@ from algorithms.height_maps import (
     map_sloping_ceilings,
 )
 from algorithms.labels import Label
-from algorithms.semantic_map import VoxelVotes, merge, vote
+from algorithms.semantic_map import VoxelVotes, merge
+from tests.voting import vote
 
 
 def two_rooms() -> HeightMap:

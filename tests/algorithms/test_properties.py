@@ -15,9 +15,10 @@ from algorithms.labelling import label_scan
 from algorithms.labels import Label
 from algorithms.rearrangement import HorizontalPlane, RearrangementSettings, find_ceilings, find_floor
 from algorithms.scan import Scan
-from algorithms.semantic_map import VoxelTable, VoxelVotes, vote
+from algorithms.semantic_map import VoxelTable, VoxelVotes
 from algorithms.trajectory import Trajectory, place_scan
 from tests import synthetic
+from tests.voting import vote
 
 REARRANGEMENT = RearrangementSettings()
 METHOD = synthetic.settings()

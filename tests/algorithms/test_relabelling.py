@@ -11,8 +11,9 @@ from algorithms.building import CELL_M, NO_DOORS, NO_WALLS, NO_WINDOWS, Doors, W
 from algorithms.doors import DoorState
 from algorithms.labels import Label
 from algorithms.relabelling import RelabellingSettings, relabel
-from algorithms.semantic_map import find_halo, vote
+from algorithms.semantic_map import find_halo
 from algorithms.standing_walls import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
+from tests.voting import vote
 
 SETTINGS = RelabellingSettings()
 SENSOR = np.array([2.0, -2.0, 1.0])

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from algorithms.labels import Label
-from algorithms.semantic_map import VoxelTable, VoxelVotes, find_halo, fuse, majority, merge, vote
+from algorithms.semantic_map import VoxelTable, VoxelVotes, find_halo, fuse, majority, merge
+from tests.voting import vote
 
 EDGE_M = 0.05
 

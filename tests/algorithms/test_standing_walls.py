@@ -11,7 +11,7 @@ from algorithms.face_columns import Storey, above_doors_m
 from algorithms.hidden_walls import HiddenWalls, find_hidden_walls
 from algorithms.labels import Label
 from algorithms.segments import Segment
-from algorithms.semantic_map import VoxelTable, VoxelVotes, vote
+from algorithms.semantic_map import VoxelTable, VoxelVotes
 from algorithms.standing_walls import (
     FaceVerdict,
     JudgedFaces,
@@ -25,6 +25,7 @@ from algorithms.standing_walls import (
     trim_at_doorways,
 )
 from algorithms.wall_cells import WallCells
+from tests.voting import vote
 
 CEILING_M = 2.8
 SETTINGS = StandingWallsSettings()

@@ -23,6 +23,7 @@ from app.evaluate import (
     read_doors,
 )
 from app.files import write_geojson, write_json
+from app.finished_run import open_run
 from app.labels_file import LabelsWriter
 from app.results import write_grid, write_labelled_bag
 from loaders.bag import make_typestore, open_bag
@@ -153,7 +154,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]
     folder = tmp_path_factory.mktemp("evaluate")
     bag_path, classes = make_truth_bag(folder / "in.bag")
     made = make_run(folder / "run", bag_path, classes)
-    return made, evaluate_run(made, workers=1)
+    return made, evaluate_run(open_run(made), workers=1)
 
 
 def test_labels(run: tuple[Path, dict[str, Any]]):
@@ -232,7 +233,7 @@ def test_other_containers_and_two_processes_count_the_same(
     monkeypatch.setattr(evaluate, "CLOUDS_A_SHARE", 2)
     bag_path, classes = make_truth_bag(tmp_path / name)
     made = make_run(tmp_path / "run", bag_path, classes)
-    metrics = evaluate_run(made, workers=2 if name == "in_mcap" else 1)
+    metrics = evaluate_run(open_run(made), workers=2 if name == "in_mcap" else 1)
     for section in ("area", "area_scan", "points", "points_scan", "doors", "wall_map"):
         assert json.dumps(metrics[section]) == json.dumps(run[1][section])
 
@@ -240,27 +241,27 @@ def test_other_containers_and_two_processes_count_the_same(
 def test_truth_from_another_bag(tmp_path: Path):
     bare, classes = make_truth_bag(tmp_path / "bare.bag", with_truth=False)
     made = make_run(tmp_path / "run", bare, classes)
-    assert not has_truth(made)
+    assert not has_truth(open_run(made))
     with pytest.raises(InputError, match="--truth"):
-        evaluate_run(made, workers=1)
+        evaluate_run(open_run(made), workers=1)
     with_truth, _ = make_truth_bag(tmp_path / "in.bag")
-    assert evaluate_run(made, with_truth, workers=1)["scans"]["counted"] == SCANS
+    assert evaluate_run(open_run(made), with_truth, workers=1)["scans"]["counted"] == SCANS
 
 
 def test_has_truth(run: tuple[Path, dict[str, Any]]):
-    assert has_truth(run[0])
+    assert has_truth(open_run(run[0]))
 
 
 def test_a_folder_that_is_no_run(tmp_path: Path):
     with pytest.raises(InputError, match=r"run\.json"):
-        evaluate_run(tmp_path)
+        evaluate_run(open_run(tmp_path))
 
 
 def test_a_run_without_labels_has_its_trajectory_compared(tmp_path: Path):
     bag_path, classes = make_truth_bag(tmp_path / "in.bag")
     made = make_run(tmp_path / "run", bag_path, classes)
     (made / "labelled.bag").unlink()
-    metrics = evaluate_run(made, workers=1)
+    metrics = evaluate_run(open_run(made), workers=1)
     assert sorted(metrics) == ["trajectory", "truth"]
     assert len(format_metrics(metrics)) == 1
 
@@ -302,13 +303,13 @@ def test_labels_beside_the_runs_own_bag_count_the_same(tmp_path: Path, run: tupl
     with LabelsWriter(made / "labels.parquet") as writer:
         list(writer.passing(rows))
     (made / "labelled.bag").unlink()
-    options = {"rig": None, "horizontal": None, "vertical": "/vertical", "time_from": "auto"}
+    options = {"vertical": "/vertical"}  # what the user did not say need not be there
     write_json(made / "run.json", {"bag": {"path": str(bag_path)}, "options": options})
-    metrics = evaluate_run(made, workers=1)
+    metrics = evaluate_run(open_run(made), workers=1)
     for section in ("scans", "area", "area_scan", "points", "points_scan", "doors", "wall_map"):
         assert json.dumps(metrics[section]) == json.dumps(run[1][section])
     with LabelsWriter(made / "labels.parquet") as writer:
         list(writer.passing(rows[1:]))
     # What has no row was skipped by the run: left out, and said so, as where the labelled bag has no label.
-    fewer = evaluate_run(made, workers=1)
+    fewer = evaluate_run(open_run(made), workers=1)
     assert fewer["scans"] == metrics["scans"] | {"counted": 5, "skipped": 1}

@@ -9,14 +9,14 @@ import pytest
 from rerun.chunk import RrdReader
 
 from algorithms.labelling import ScanLabelling, label_scan
-from algorithms.levelling import LevelScan
+from algorithms.levelling import LevelledScan
 from app.inspect_recorder import write
 from app.reasons import explain_lines
 from blueprints import entities
 from tests import synthetic
 
 
-def scan_of(settings: dict[str, float]) -> tuple[LevelScan, ScanLabelling]:
+def scan_of(settings: dict[str, float]) -> tuple[LevelledScan, ScanLabelling]:
     scan = synthetic.scan(3)
     level = synthetic.level(scan, synthetic.trajectory(4))
     method = synthetic.settings()

@@ -18,7 +18,7 @@ from algorithms.building import Doors, Walls, Windows
 from algorithms.grid_map import Cell, GridMap
 from algorithms.labelling import ScanLabelling, label_scan
 from algorithms.labels import Label
-from algorithms.levelling import LevelScan
+from algorithms.levelling import LevelledScan
 from algorithms.odometry import Registration
 from algorithms.pose_graph import PoseGraph
 from algorithms.scan import Scan
@@ -33,7 +33,7 @@ from tests import synthetic
 SCANS = 4
 CLOUD_BYTES = 2 * 69_440 * 22
 """A horizontal and a vertical cloud, 22 bytes a point."""
-Labelled = tuple[Scan, LevelScan, ScanLabelling]
+Labelled = tuple[Scan, LevelledScan, ScanLabelling]
 
 
 @pytest.fixture(scope="module")

@@ -106,7 +106,8 @@ def test_the_picture_and_the_recording_show_the_rooms(ffmap, tmp_path: Path) -> 
     assert np.abs(left.astype(int) - right).max() > 40
     store = RrdReader(out / "rooms.rrd").stream().collect()
     paths = {str(chunk.entity_path) for chunk in store.stream()}
-    assert {entities.ROOM_FLOORS, entities.ROOM_NAMES, entities.ROOM_PASSAGES, entities.ROOM_GRAPH} <= paths
+    parts = (entities.ROOM_FLOORS, entities.ROOM_NAMES, entities.ROOM_PASSAGES)
+    assert {*(f"{entities.ROOMS}/{part}" for part in parts), entities.ROOM_GRAPH} <= paths
     columns: dict[str, list] = {}
     for chunk in store.stream():
         if str(chunk.entity_path) == entities.ROOM_GRAPH:

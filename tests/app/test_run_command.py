@@ -154,7 +154,7 @@ def test_rooms_doors_topology_and_recording_tell_the_same(finished: Path) -> Non
     assert len(joined) == sum(passage["door"] is not None for passage in topology["passages"])
     assert any(door["rooms"] for door in doors)
     paths = {str(chunk.entity_path) for chunk in RrdReader(finished / "recording.rrd").stream()}
-    assert {entities.ROOM_FLOORS, entities.ROOM_NAMES, entities.ROOM_GRAPH} <= paths
+    assert {f"{entities.ROOMS}/{entities.ROOM_FLOORS}", f"{entities.ROOMS}/{entities.ROOM_NAMES}", entities.ROOM_GRAPH} <= paths
     metrics = json.loads((finished / "metrics.json").read_text())
     assert metrics["rooms"]["found"] == len(rooms)
     assert metrics["rooms"]["precision"] > 0.8

@@ -64,7 +64,8 @@ def test_rooms_have_a_tab_and_a_layout_of_their_own():
     assert "Rooms" in [str(tab.name) for tab in tabs]
     own = list(views(rooms.build((3.0, 4.0), 10.0).root_container))
     shown = {path for view in own for path in view.contents} | {str(view.origin) for view in own}
-    assert {f"{entities.GRID}/{entities.SEGMENTED}", entities.ROOM_FLOORS, entities.ROOM_NAMES} <= shown
+    assert {f"{entities.ROOMS}/{part}" for part in (entities.ROOM_FLOORS, entities.ROOM_NAMES)} <= shown
+    assert f"{entities.GRID}/{entities.SEGMENTED}" in shown
     assert any(isinstance(view, rrb.GraphView) and view.origin == entities.ROOM_GRAPH for view in own)
 
 
@@ -77,7 +78,7 @@ def test_maps_and_rooms_have_tabs_with_and_without_scans():
 def test_rooms_of_the_maps_of_fig_10_stand_side_by_side():
     tab = rooms.tab((3.0, 4.0), 10.0, compared=True)
     shown = {path for view in views(tab) for path in view.contents}
-    assert entities.ROOM_FLOORS in shown
+    assert f"{entities.ROOMS}/{entities.ROOM_FLOORS}" in shown
     for name in set(Segmented) - {Segmented.FURNITURE_FREE}:
         assert f"{entities.ROOMS_COMPARED}/{name}/floors" in shown
         assert f"{entities.ROOMS_COMPARED}/{name}/names" in shown

@@ -66,13 +66,12 @@ def test_heads_are_the_messages_first_bytes(bag_path, size):
             assert list(bag.heads(topic, size)) == whole
 
 
-def test_deserialize_and_serialize(bag_path):
+def test_messages_are_deserialized(bag_path):
     with open_bag(bag_path) as bag:
         raw = next(bag.messages(["/a/points"]))
         message = bag.deserialize(raw)
         assert message.header.frame_id == "lidar"
         assert message.width == 90 * 16
-        assert bytes(bag.serialize(message)) == bytes(raw.data)
 
 
 @pytest.mark.parametrize("name", ["a_db3", "a_mcap"])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from algorithms.levelling import place_level
+from algorithms.levelling import place_and_level
 from algorithms.rearrangement import find_floor
 from algorithms.scan import FloatArray, Scan
 from algorithms.smoothing import SmoothingSettings, smooth_ranges
@@ -31,7 +31,7 @@ def test_a_scan_is_levelled_by_a_floor_that_is_a_plane(ramp: float, tilt_deg: fl
     # These returns follow no ring.
     ranges = smooth_ranges(scan, SmoothingSettings(returns=0))
     rearrangement, most_deg = SETTINGS.rearrangement, SETTINGS.trajectory.level_scan_max_deg
-    level = place_level(scan, ranges, trajectory, np.eye(4), 0.0, np.zeros(2), rearrangement, most_deg)
+    level = place_and_level(scan, ranges, trajectory, np.eye(4), 0.0, np.zeros(2), rearrangement, most_deg)
     placed, floor = level.placed, level.floor
     np.testing.assert_allclose(floor.heights_above(placed.points_level).std(), 0.01, atol=0.002)
     assert (np.abs(placed.points_level - scan.points_sensor).max() > 0.01) == turned

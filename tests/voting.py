@@ -1,0 +1,11 @@
+"""The votes of points at once, as what rests on votes is tested with."""
+
+from algorithms.scan import FloatArray, UInt8Array
+from algorithms.semantic_map import VoxelTable, VoxelVotes
+
+
+def vote(points_map: FloatArray, label: UInt8Array, classes: int, voxel_m: float) -> VoxelVotes:
+    """The votes of points (n, 3) in metres with labels (n,); a label of `classes` or more has no vote."""
+    table = VoxelTable(voxel_m, classes)
+    table.add(points_map, label)
+    return table.votes()
