@@ -1,4 +1,5 @@
-"""Ceilings and raised floors of the whole building, for what single scans saw too little of, or took for something else."""
+"""Ceilings, raised floors and ducts of the whole building, for what single scans saw too little of, or took for something
+else."""
 
 from dataclasses import dataclass
 

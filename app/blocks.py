@@ -11,19 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from algorithms.before_walls import BeforeWalls
-from algorithms.building import Doors, Walls, Windows
 from algorithms.features import Features, concatenate, extract
-from algorithms.height_maps import HeightMap
 from algorithms.labelling import MethodSettings, label_scan
 from algorithms.levelling import LevelScan, place_level
 from algorithms.rearrangement import below_ceiling
-from algorithms.relabelling import RelabellingSettings, relabel
+from algorithms.relabelling import BuildingModel, RelabellingSettings, relabel
 from algorithms.rival_maps import RivalCounter, RivalMapsSettings
 from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array
 from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes
 from algorithms.smoothing import SmoothedRanges, smooth_ranges
-from algorithms.standing_walls import JudgedFaces
 from algorithms.trajectory import PlacedScan, Trajectory
 from app.inputs import Inputs, Sensor
 from app.recorder import Detail, Recorder
@@ -77,15 +73,9 @@ class FinishJob:
     """What a worker needs to finish a block."""
 
     label: LabelJob
-    walls: Walls
-    before: BeforeWalls
-    judged: JudgedFaces
-    doors: Doors
-    windows: Windows
+    building: BuildingModel
     halo: Path
     """A file that `save_halo` wrote: it grows with the building, and each worker reads it once."""
-    levels: tuple[HeightMap, ...]
-    """The building's ceilings and raised floors."""
     settings: RelabellingSettings
 
 
@@ -239,13 +229,8 @@ def finish_block(job: FinishJob) -> None:
                 below_ceiling(placed.points_level, ceilings[index]),
                 label_of_scan,
                 placed.to_map(placed.origin_level[None])[0],
-                job.walls,
-                job.before,
-                job.judged,
-                job.doors,
-                job.windows,
+                job.building,
                 _load_halo(job.halo),
-                job.levels,
                 job.settings,
             )
             if recorder:

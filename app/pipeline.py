@@ -32,6 +32,7 @@ from algorithms.height_maps import HeightMap, map_ceilings, map_ducts, map_glimp
 from algorithms.hidden_walls import find_hidden_walls
 from algorithms.labels import Label
 from algorithms.odometry import Registration, weakness
+from algorithms.relabelling import BuildingModel
 from algorithms.rival_maps import Rival, draw_rival
 from algorithms.scan import FloatArray, IntArray
 from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes, find_halo, fuse, majority
@@ -159,7 +160,7 @@ class Building:
     windows: Windows
     halo: Halo
     levels: tuple[HeightMap, ...]
-    """Its ceilings and raised floors."""
+    """Its ceilings, raised floors and ducts, see `BuildingModel`."""
     grid: GridMap
     rooms: AreaGraph
     compared_rooms: Mapping[Segmented, AreaGraph]
@@ -717,20 +718,13 @@ def _finish(run: _Run, pool: Executor, jobs: Sequence[LabelJob], building: Build
     run.progress.stage("final", len(jobs))
     halo = folder.spool / "halo.npz"
     save_halo(halo, building.halo)
+    model = BuildingModel(
+        building.walls, building.before, building.judged, building.doors, building.windows, building.levels
+    )
     pending: list[Future[None] | None] = []
     for job in jobs:
         done = job.path.with_suffix(".final.npz").exists() and run.options.resume
-        finish = FinishJob(
-            job,
-            building.walls,
-            building.before,
-            building.judged,
-            building.doors,
-            building.windows,
-            halo,
-            building.levels,
-            run.settings.relabelling,
-        )
+        finish = FinishJob(job, model, halo, run.settings.relabelling)
         pending.append(None if done else pool.submit(finish_block, finish))
     table = VoxelTable(VOXEL_M, len(Label))
 

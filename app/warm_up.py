@@ -12,7 +12,7 @@ from algorithms.height_maps import map_ceilings
 from algorithms.labelling import label_scan
 from algorithms.levelling import place_level
 from algorithms.rearrangement import below_ceiling
-from algorithms.relabelling import RelabellingSettings, relabel
+from algorithms.relabelling import BuildingModel, RelabellingSettings, relabel
 from algorithms.scan import Scan
 from algorithms.semantic_map import VoxelTable, find_halo
 from algorithms.smoothing import smooth_ranges
@@ -47,13 +47,8 @@ def warm_up() -> None:
         below_ceiling(placed.points_level, labelling.ceiling_planes),
         labelling.label,
         placed.to_map(placed.origin_level[None])[0],
-        NO_WALLS,
-        NOTHING_BEFORE,
-        NO_JUDGED_FACES,
-        NO_DOORS,
-        NO_WINDOWS,
+        BuildingModel(NO_WALLS, NOTHING_BEFORE, NO_JUDGED_FACES, NO_DOORS, NO_WINDOWS, (map_ceilings(votes),)),
         find_halo(votes, 6.0),
-        (map_ceilings(votes),),
         RelabellingSettings(),
     )
 

@@ -28,7 +28,7 @@ from algorithms.rearrangement import (
     find_floor,
     make_point_lines,
 )
-from algorithms.relabelling import RelabellingSettings, relabel
+from algorithms.relabelling import BuildingModel, RelabellingSettings, relabel
 from algorithms.scan import Scan
 from algorithms.semantic_map import VoxelTable, find_halo, vote
 from algorithms.standing_walls import NO_JUDGED_FACES
@@ -151,13 +151,8 @@ def relabelled(
         below_ceiling(placed.points_level, found.ceiling_planes),
         found.label,
         origin,
-        walls,
-        before,
-        NO_JUDGED_FACES,
-        doors,
-        windows,
+        BuildingModel(walls, before, NO_JUDGED_FACES, doors, windows, ()),
         halo,
-        (),
         RelabellingSettings(),
     )
 
