@@ -248,7 +248,7 @@ def _split_lines(
     start = np.full(count, -1, np.int32)
     depth = np.full(count, np.nan)
     position = np.full((count, 2), np.nan)
-    depression = np.zeros(count, np.uint8)
+    depression = np.full(count, Depression.FEW_RETURNS, np.uint8)
     measured = np.full((count, 4), np.nan)  # recess, above, below, share on the plane
     for d in range(count):
         nx, ny, off = normal[plane[d], 0], normal[plane[d], 1], offset[plane[d]]
@@ -268,7 +268,7 @@ def _split_lines(
                 weight += 1.0
         if weight < points_min + 3:
             continue
-        depression[d] = 1
+        depression[d] = Depression.NONE
         best, best_j = 0.0, -1
         above_sum, above_n = 0.0, 0.0
         for j in range(top, first, -1):
@@ -313,15 +313,15 @@ def _split_lines(
             crossings += 1.0
         measured[d, 1], measured[d, 2], measured[d, 3] = above / above_n, below / below_n, on_plane / below_n
         if abs(above / above_n) > 0.5 * recess_min_m + 0.01:
-            depression[d] = 2
+            depression[d] = Depression.ABOVE_OFF_PLANE
             continue
         if below / below_n > -recess_min_m:
-            depression[d] = 3
+            depression[d] = Depression.SHALLOW
             continue
         if on_plane > exceptions_max * below_n:
-            depression[d] = 4
+            depression[d] = Depression.EXCEPTIONS
             continue
-        depression[d] = 5
+        depression[d] = Depression.HELD
         start[d] = order[best_j]
         depth[d] = -below / below_n
         position[d, 0], position[d, 1] = x / crossings, y / crossings

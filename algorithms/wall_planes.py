@@ -386,7 +386,7 @@ def _grow(
 ) -> tuple[IntArray, UInt8Array, FloatArray, FloatArray]:  # pragma: no cover
     count = len(moments)
     plane = np.full(count, -1, np.int32)
-    growth = np.full(count, 3, np.uint8)
+    growth = np.full(count, Growth.REFUSED, np.uint8)
     distance = np.full(count, np.nan)
     gap = np.full(count, np.nan)
     current = np.zeros(6)
@@ -408,11 +408,11 @@ def _grow(
             gap[c] = np.hypot(dx, dy)
             joined = distance[c] < similarity_m and gap[c] < gap_max_m[c]
         if joined:
-            growth[c] = 1
+            growth[c] = Growth.JOINED
             current += moments[c]
             lines += 1
         else:
-            growth[c] = 2 if lines > 0 and side[last] == side[c] else 0
+            growth[c] = Growth.BROKE if lines > 0 and side[last] == side[c] else Growth.SEEDED
             current = moments[c].copy()
             lines = 1
             number += 1
@@ -452,7 +452,7 @@ def _settle(
     """
     count = len(plane)
     distance = np.full(count, np.nan)
-    membership = np.full(count, 1, np.uint8)
+    membership = np.full(count, Membership.REFUSED, np.uint8)
     plane = plane.copy()
     planes = 0
     for c in range(count):
@@ -530,16 +530,16 @@ def _settle(
                 lines[plane[c]] += 1
 
     renumber = np.full(planes, -1, np.int32)
-    verdict = np.zeros(planes, np.uint8)
+    verdict = np.full(planes, Membership.IN_PLANE, np.uint8)
     kept = 0
     for i in range(planes):
         if lines[i] < lines_min:
-            verdict[i] = 3
+            verdict[i] = Membership.FEW_LINES
             continue
         nx, ny, offset, rms, _ = fit_upright_plane(total[i])
         low, high = _span(moments, plane == i, nx, ny)
         if high - low < length_min_m or rms > similarity_m:
-            verdict[i] = 4 if high - low < length_min_m else 5
+            verdict[i] = Membership.SHORT if high - low < length_min_m else Membership.ROUGH
             continue
         renumber[i] = kept
         kept += 1
@@ -548,7 +548,7 @@ def _settle(
             membership[c] = verdict[plane[c]]
             plane[c] = renumber[plane[c]]
         elif reaches[c]:
-            membership[c] = 2
+            membership[c] = Membership.ALONE
     return plane, distance, membership
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from algorithms.features import Features, concatenate, extract
 from algorithms.labelling import MethodSettings, label_scan
+from algorithms.labels import Label
 from algorithms.levelling import LevelScan, place_level
 from algorithms.rearrangement import below_ceiling
 from algorithms.relabelling import BuildingModel, RelabellingSettings, relabel
@@ -120,7 +121,7 @@ def label_block(job: LabelJob) -> BlockSummary:
     milliseconds: list[list[float]] = []
     sizes: list[tuple[int, int]] = []
     counts = np.zeros(256, np.int64)
-    table = VoxelTable(VOXEL_M, 6)
+    table = VoxelTable(VOXEL_M, len(Label))
     rivals = RivalCounter(job.cell_m, job.rival_maps)
     with _open_evidence(job, ".rrd") as recorder:
         started = time.perf_counter()
@@ -162,7 +163,7 @@ def label_block(job: LabelJob) -> BlockSummary:
             counts += np.bincount(labelling.label, minlength=256)
             scans.append((index, scan.stamp_ns, job.trajectory.at(np.array([scan.stamp_ns]))[0]))
             sizes.append(
-                (scan.cloud_size, int(np.count_nonzero(labelling.label == 0) + np.count_nonzero(labelling.label > 2)))
+                (scan.cloud_size, int(np.count_nonzero(~np.isin(labelling.label, (Label.FLOOR, Label.CEILING)))))
             )
             milliseconds.append([*timings.values(), 1e3 * (time.perf_counter() - labelled)])
             started = time.perf_counter()
@@ -207,7 +208,7 @@ def finish_block(job: FinishJob) -> None:
     ceilings = _load_ceilings(label_job.path.with_suffix(".npz"))
     labels: list[UInt8Array] = []
     numbers: list[int] = []
-    table = VoxelTable(VOXEL_M, 6)
+    table = VoxelTable(VOXEL_M, len(Label))
     with _open_evidence(label_job, FINAL_EVIDENCE) as recorder:
         for index, scan in read_scans(
             _open(label_job.inputs.bag_path),

@@ -10,6 +10,7 @@ from algorithms.building import NO_DOORS, NO_WALLS, NO_WINDOWS
 from algorithms.features import extract
 from algorithms.height_maps import map_ceilings
 from algorithms.labelling import label_scan
+from algorithms.labels import Label
 from algorithms.levelling import place_level
 from algorithms.rearrangement import below_ceiling
 from algorithms.relabelling import BuildingModel, RelabellingSettings, relabel
@@ -37,7 +38,7 @@ def warm_up() -> None:
     labelling = label_scan(scan, placed, method, 0)
     extract(0, placed, labelling)
     points_map = points_in_map(placed)
-    table = VoxelTable(VOXEL_M, 6)
+    table = VoxelTable(VOXEL_M, len(Label))
     table.add(points_map, labelling.label)
     votes = table.votes()
     table.absorb(votes)
