@@ -25,6 +25,9 @@ from algorithms.trajectory import PlacedScan
 from algorithms.vertical_structures import VerticalStructures, VerticalStructuresSettings, find_vertical_structures
 from algorithms.wall_planes import WallPlanes, WallPlanesSettings, grow_wall_planes
 
+_STRAY_RETURNS = 2
+"""So many returns of a ceiling do not show that a line meets it: what ends just below one scatters into it."""
+
 
 class LabellingSettings(StepSettings):
     """From planes to labels (paper, III.C)."""
@@ -159,9 +162,9 @@ def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: i
 
 
 def _lines_with(label: UInt8Array, wanted: Label, order: IntArray, starts: IntArray) -> BoolArray:
-    """(L,) whether each line has returns of a label."""
+    """(L,) whether each line has returns of a label, more than some stray ones."""
     counts = np.concatenate([[0], np.cumsum(label[order] == wanted)])
-    return np.asarray(counts[starts[1:]] - counts[starts[:-1]] > 2)
+    return np.asarray(counts[starts[1:]] - counts[starts[:-1]] > _STRAY_RETURNS)
 
 
 def completed_ends(
