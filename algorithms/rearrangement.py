@@ -138,14 +138,13 @@ class PointLines:
 
     Line 2 × ring + side; side 0 is the half turn counter-clockwise about the spin axis from straight down.
 
-    angle_rad: (n,) float32 of every return, eq. 1 unfolded: 0 straight down, π straight up, about the spin axis.
-    order: (n,) int32, the scan's returns line by line, each line from below upwards; floor and ceiling included.
+    order: (n,) int32, the scan's returns line by line, each line from below upwards by its angle, eq. 1 unfolded; floor
+        and ceiling included.
     starts: (2n + 1,) int32; order[starts[l]:starts[l + 1]] is line l.
     samples: (2n, 200) int32, each line without floor and ceiling, resampled to exactly 200 returns, from below
         upwards; -1 throughout a line with too few returns.
     """
 
-    angle_rad: FloatArray
     order: IntArray
     starts: IntArray
     samples: IntArray
@@ -393,7 +392,7 @@ def make_point_lines(
     line, angle_rad = _lines(points_sensor, ring, down_rad)
     order, starts = sort_by_angle(line, angle_rad, 2 * ring_count, 0.0)
     samples = _resample(order, starts, is_horizontal, settings.line_points_min)
-    return PointLines(angle_rad, order, starts, samples)
+    return PointLines(order, starts, samples)
 
 
 @numba.njit(cache=True, nogil=True)

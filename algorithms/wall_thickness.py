@@ -34,13 +34,11 @@ class WallParts:
     """The faces of `Walls`, cut where the thickness behind them changes.
 
     wall: (P,) the face that each part belongs to. ends: (P, 2, 2) its stretch of that face.
-    other: (P,) the face on the wall's other side, -1 where that was not seen.
-    thickness_m: (P,) NaN where it was not.
+    thickness_m: (P,) metres, NaN where the wall's other side was not seen.
     """
 
     wall: IntArray
     ends: FloatArray
-    other: IntArray
     thickness_m: FloatArray
 
     def __len__(self) -> int:
@@ -49,7 +47,7 @@ class WallParts:
 
 def part_walls(walls: Walls, settings: WallThicknessSettings) -> WallParts:
     """Each face cut into stretches that have one thickness: the nearest face behind that looks the other way."""
-    wall, ends, other, thickness = [], [], [], []
+    wall, ends, thickness = [], [], []
     cos_angle = np.cos(np.radians(settings.angle_deg))
     for w, face in enumerate(segments(walls)):
         behind = []
@@ -62,21 +60,14 @@ def part_walls(walls: Walls, settings: WallThicknessSettings) -> WallParts:
             slope = (depth_m[1] - depth_m[0]) / (place[1] - place[0])
             depth = float(depth_m[0] + slope * (0.5 * (low + high) - place[0]))
             if settings.least_m <= depth <= settings.most_m:
-                behind.append((low, high, depth, o))
-        edges = np.unique([0.0, face.length_m, *(edge for low, high, *_ in behind for edge in (low, high))])
+                behind.append((low, high, depth))
+        edges = np.unique([0.0, face.length_m, *(edge for low, high, _ in behind for edge in (low, high))])
         for low, high in pairwise(edges.tolist()):
             middle = 0.5 * (low + high)
-            nearest = min(((d, o) for a, b, d, o in behind if a <= middle <= b), default=(float("nan"), -1))
             wall.append(w)
             ends.append(face.at(np.array([low, high])))
-            thickness.append(nearest[0])
-            other.append(nearest[1])
-    return WallParts(
-        np.array(wall, np.int64),
-        np.array(ends, float).reshape(-1, 2, 2),
-        np.array(other, np.int64),
-        np.array(thickness, float),
-    )
+            thickness.append(min((depth for first, last, depth in behind if first <= middle <= last), default=np.nan))
+    return WallParts(np.array(wall, np.int64), np.array(ends, float).reshape(-1, 2, 2), np.array(thickness, float))
 
 
 def face_thickness(walls: Walls, parts: WallParts) -> FloatArray:

@@ -66,7 +66,6 @@ def test_a_face_is_cut_where_the_other_side_ends() -> None:
     lengths = np.linalg.norm(parts.ends[own, 1] - parts.ends[own, 0], axis=1)
     np.testing.assert_allclose(lengths, [2.5, 1.5])
     np.testing.assert_array_equal(np.isnan(parts.thickness_m[own]), [False, True])
-    np.testing.assert_array_equal(parts.other[own], [1, -1])
 
 
 def test_a_doorway_that_one_side_showed_is_as_deep_as_is_known() -> None:
