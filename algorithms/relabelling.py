@@ -35,17 +35,16 @@ _LEAF_HANGS_M, _AT_LEAF_M = 0.03, 0.012
 """Over so much of a reveal, at its end, a return so far within the frame is the leaf's."""
 
 _AT_DOOR_M = 1.0
-"""What is farther before or behind a door's face is not at that door: a leaf, a reveal, somebody in the doorway are."""
+"""What is farther before or behind a door's face has nothing to do with that door: leaves and reveals are nearer."""
 _OTHER_FACE_M = 0.5
 """A doorway opens every face that stands at most so far from the door's: that of its wall's other side too."""
 _LINTEL_M = 0.3
-"""Within the wall there is nothing but the lintel so far above the head: its underside, for the head is known to a cell or
-two, and what scatters into it."""
+"""What lies within a wall so far above a door's head is its lintel's underside: the head is known to a cell or two."""
 
 _FACE_GOES_ON_M, _REFUSED_GOES_ON_M = 0.1, 0.2
 """A face counts so far above the highest that was seen of it; a refused one, which no ceiling ends, farther."""
 _SCAN_DOOR_RATIO = 2.0
-"""What a scan called door where the building has none is wall up to so many wall distances from a face: it lay recessed."""
+"""What a scan called door, where the building has none, is wall up to so many wall distances from a face: it is recessed."""
 
 _ALONG_X, _ALONG_Y, _START, _NORMAL_X, _NORMAL_Y, _OFFSET, _LENGTH = range(7)
 """The columns of `_frames`."""
