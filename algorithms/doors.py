@@ -12,6 +12,22 @@ from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from algorithms.settings import StepSettings
 from algorithms.wall_planes import WallPlanes
 
+_AT_WALL_M = 0.05
+"""A line begins at its uppermost return that is so near its plane: what is higher is ceiling, or another thing."""
+_DEPTHS_COUNTED = 2.0
+"""Behind the plane a return counts so many times `open_depth_m` at most when the split is looked for.
+
+A few far ones behind an open door weigh no more than a leaf's many then.
+"""
+_DEPTH_MAX_M = 0.5
+"""The same once the split is found, when depths are measured."""
+_ABOVE_MIN = 3
+"""Besides the returns that must lie behind the plane, a line needs so many more: those of the wall above."""
+_ON_PLANE_RATIO = 0.25
+"""What lies less than this part of the least recess behind the plane is on it, not behind."""
+_ABOVE_OFF_RATIO, _ABOVE_OFF_M = 0.5, 0.01
+"""The wall above may be off its plane by this part of the least recess and a centimetre, which the plane itself is off."""
+
 
 class DoorsSettings(StepSettings):
     """The paper's door conditions (III.C) and the openings made of them."""
@@ -72,8 +88,7 @@ class DoorLines:
 
     line, plane: (D,) the point line and the wall plane that its up-most structure belongs to (condition 1 held).
     behind: (D,) bool, condition 2: from some point downwards all of its returns lie behind the plane.
-    start_return: (D,) int32, the return at which that begins, -1 where condition 2 failed.
-    start_height_m: (D,) its height above the floor; NaN where condition 2 failed.
+    start_height_m: (D,) height above the floor of the return at which that begins; NaN where condition 2 failed.
     high_enough: (D,) bool, condition 3: it begins at least the door's minimum height above the floor.
     depth_m: (D,) mean distance behind the plane below the start, at most 0.5 a return; NaN where condition 2 failed.
     state: (D,) uint8, see `DoorState`; has a meaning where all three conditions held.
@@ -89,7 +104,6 @@ class DoorLines:
     line: IntArray
     plane: IntArray
     behind: BoolArray
-    start_return: IntArray
     start_height_m: FloatArray
     high_enough: BoolArray
     depth_m: FloatArray
@@ -147,6 +161,13 @@ def find_door_lines(
     Of a line, all returns count, the floor's too: seen through an open door they lie behind the wall and prove that it
     is "connected to the floor". Where the plane ends and the depression begins is the split of the line, from top to
     bottom, that parts its distances best: single returns scatter as much as a closed leaf is recessed.
+
+    points_level: (n, 3) metres in the scan's level frame: z against gravity, its origin on the floor below the base.
+    height_m: (n,) metres above the floor.
+    lines: the point lines (L) of these returns.
+    planes: the scan's wall planes, with the candidates that they were made from.
+    upmost: (L,) index of each line's up-most vertical structure, -1 where it has none: `VerticalStructures.upmost`.
+    origin_level: (3,) metres, the sensor; on the side of each plane that its normal points to.
     """
     member = (planes.candidate_plane >= 0) & (upmost[planes.candidate_line] == planes.candidate_structure)
     line, plane = planes.candidate_line[member], planes.candidate_plane[member]
@@ -173,7 +194,6 @@ def find_door_lines(
         line=line,
         plane=plane,
         behind=behind,
-        start_return=start,
         start_height_m=start_height_m,
         high_enough=behind & (start_height_m >= settings.height_min_m) & (start_height_m <= settings.height_max_m),
         depth_m=depth_m,
@@ -244,31 +264,35 @@ def _split_lines(
     exceptions_max: float,
     points_min: int,
 ) -> tuple[IntArray, FloatArray, FloatArray, UInt8Array, FloatArray]:  # pragma: no cover
+    """Condition 2 for lines (D,) on their planes (D,), from the top of each line down.
+
+    Returns the return (D,) at which the depression begins, -1 where there is none; `depth_m`, `position` and `depression`
+    of `DoorLines`, and (D, 4) what was measured: recess, above, below, share on the plane.
+    """
     count = len(line)
     start = np.full(count, -1, np.int32)
     depth = np.full(count, np.nan)
     position = np.full((count, 2), np.nan)
-    depression = np.zeros(count, np.uint8)
-    measured = np.full((count, 4), np.nan)  # recess, above, below, share on the plane
+    depression = np.full(count, Depression.FEW_RETURNS, np.uint8)
+    measured = np.full((count, 4), np.nan)
     for d in range(count):
         nx, ny, off = normal[plane[d], 0], normal[plane[d], 1], offset[plane[d]]
         first, last = starts[line[d]], starts[line[d] + 1]
         # From the top down: where the line first lies on its plane, the wall begins.
         top = last - 1
-        while top >= first and abs(nx * points[order[top], 0] + ny * points[order[top], 1] - off) > 0.05:
+        while top >= first and abs(nx * points[order[top], 0] + ny * points[order[top], 1] - off) > _AT_WALL_M:
             top -= 1
-        # Only the half of the line below the ceiling counts: distances are held to ±before and to the open depth, so
-        # that a few far returns behind an open door weigh no more than a leaf's many.
+        # From there to the line's lower end: what stands before the plane is skipped, for it hides the wall.
         total, weight = 0.0, 0.0
         for j in range(first, top + 1):
             i = order[j]
             s = nx * points[i, 0] + ny * points[i, 1] - off
             if s < before_m:
-                total += max(s, -2.0 * open_depth_m)
+                total += max(s, -_DEPTHS_COUNTED * open_depth_m)
                 weight += 1.0
-        if weight < points_min + 3:
+        if weight < points_min + _ABOVE_MIN:
             continue
-        depression[d] = 1
+        depression[d] = Depression.NONE
         best, best_j = 0.0, -1
         above_sum, above_n = 0.0, 0.0
         for j in range(top, first, -1):
@@ -276,7 +300,7 @@ def _split_lines(
             s = nx * points[i, 0] + ny * points[i, 1] - off
             if s >= before_m:
                 continue
-            above_sum += max(s, -2.0 * open_depth_m)
+            above_sum += max(s, -_DEPTHS_COUNTED * open_depth_m)
             above_n += 1.0
             below_n = weight - above_n
             if below_n < points_min:
@@ -291,6 +315,7 @@ def _split_lines(
         if best_j < 0:
             continue
         # Above the split the wall stands on its plane, below it all but a few returns lie behind.
+        reach = nx * origin[0] + ny * origin[1] - off
         above, above_n, below, below_n, on_plane, x, y, crossings = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for j in range(first, top + 1):
             i = order[j]
@@ -298,30 +323,29 @@ def _split_lines(
             if s >= before_m:
                 continue
             if j >= best_j:
-                above += max(s, -0.5)
+                above += max(s, -_DEPTH_MAX_M)
                 above_n += 1.0
                 continue
-            below += max(s, -0.5)
+            below += max(s, -_DEPTH_MAX_M)
             below_n += 1.0
-            if s > -0.25 * recess_min_m:
+            if s > -_ON_PLANE_RATIO * recess_min_m:
                 on_plane += 1.0
             # Where the ray passed through the plane.
-            reach = nx * origin[0] + ny * origin[1] - off
             t = reach / max(reach - s, 1e-6)
             x += origin[0] + t * (points[i, 0] - origin[0])
             y += origin[1] + t * (points[i, 1] - origin[1])
             crossings += 1.0
         measured[d, 1], measured[d, 2], measured[d, 3] = above / above_n, below / below_n, on_plane / below_n
-        if abs(above / above_n) > 0.5 * recess_min_m + 0.01:
-            depression[d] = 2
+        if abs(above / above_n) > _ABOVE_OFF_RATIO * recess_min_m + _ABOVE_OFF_M:
+            depression[d] = Depression.ABOVE_OFF_PLANE
             continue
         if below / below_n > -recess_min_m:
-            depression[d] = 3
+            depression[d] = Depression.SHALLOW
             continue
         if on_plane > exceptions_max * below_n:
-            depression[d] = 4
+            depression[d] = Depression.EXCEPTIONS
             continue
-        depression[d] = 5
+        depression[d] = Depression.HELD
         start[d] = order[best_j]
         depth[d] = -below / below_n
         position[d, 0], position[d, 1] = x / crossings, y / crossings

@@ -25,6 +25,9 @@ from algorithms.trajectory import PlacedScan
 from algorithms.vertical_structures import VerticalStructures, VerticalStructuresSettings, find_vertical_structures
 from algorithms.wall_planes import WallPlanes, WallPlanesSettings, grow_wall_planes
 
+_STRAY_RETURNS = 2
+"""So many returns of a ceiling do not show that a line meets it: what ends just below one scatters into it."""
+
 
 class LabellingSettings(StepSettings):
     """From planes to labels (paper, III.C)."""
@@ -159,9 +162,9 @@ def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: i
 
 
 def _lines_with(label: UInt8Array, wanted: Label, order: IntArray, starts: IntArray) -> BoolArray:
-    """(L,) whether each line has returns of a label."""
+    """(L,) whether each line has returns of a label, more than some stray ones."""
     counts = np.concatenate([[0], np.cumsum(label[order] == wanted)])
-    return np.asarray(counts[starts[1:]] - counts[starts[:-1]] > 2)
+    return np.asarray(counts[starts[1:]] - counts[starts[:-1]] > _STRAY_RETURNS)
 
 
 def completed_ends(
@@ -225,12 +228,12 @@ def _label_horizontal(
     label = np.zeros(len(points), np.uint8)
     for i in range(len(points)):
         if abs(height[i]) < floor_height_m:
-            label[i] = 1
+            label[i] = Label.FLOOR
         elif height[i] > 1.0:
             for c in range(len(ceilings)):
                 ceiling = ceilings[c, 0] + ceilings[c, 1] * points[i, 0] + ceilings[c, 2] * points[i, 1]
                 if abs(points[i, 2] - ceiling) < ceiling_distance_m:
-                    label[i] = 2
+                    label[i] = Label.CEILING
                     break
     return label
 
@@ -262,14 +265,14 @@ def _label_walls(
         if best < 0:
             continue
         inside = np.inf  # how far the return lies within the room from the floor or ceiling that claims it
-        if label[i] == 1:
+        if label[i] == Label.FLOOR:
             inside = height[i]
-        elif label[i] == 2:
+        elif label[i] == Label.CEILING:
             for c in range(len(ceilings)):
                 below = ceilings[c, 0] + ceilings[c, 1] * x + ceilings[c, 2] * y - points[i, 2]
                 inside = below if abs(below) < abs(inside) else inside
         if inside > nearest - edge_m:
-            label[i] = 3
+            label[i] = Label.WALL
             plane[i] = best
     return plane
 
@@ -289,12 +292,12 @@ def _label_leaf(
     depth_m: float,
 ) -> None:  # pragma: no cover
     for i in range(len(points)):
-        if label[i] != 0 and label[i] != 3:
+        if label[i] != Label.CLUTTER and label[i] != Label.WALL:
             continue
         x, y = points[i, 0], points[i, 1]
         u = -normal[1] * x + normal[0] * y
         if low < u < high and height[i] < head_m:
             s = normal[0] * x + normal[1] * y - offset
             if -depth_m - 0.05 < s < -0.5 * depth_m:
-                label[i] = 4
+                label[i] = Label.DOOR
                 plane[i] = k

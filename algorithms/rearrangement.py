@@ -138,7 +138,8 @@ class PointLines:
 
     Line 2 × ring + side; side 0 is the half turn counter-clockwise about the spin axis from straight down.
 
-    order: (n,) int32, the scan's returns line by line, each line from below upwards; floor and ceiling included.
+    order: (n,) int32, the scan's returns line by line, each line from below upwards by its angle, eq. 1 unfolded; floor
+        and ceiling included.
     starts: (2n + 1,) int32; order[starts[l]:starts[l + 1]] is line l.
     samples: (2n, 200) int32, each line without floor and ceiling, resampled to exactly 200 returns, from below
         upwards; -1 throughout a line with too few returns.

@@ -17,7 +17,6 @@ from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.segments import lengths_m
 
 FILLED, SUM, SQUARES, THROUGH = range(4)
-_FLOOR, _CEILING = int(Label.FLOOR), int(Label.CEILING)
 _OWN_MARGIN_M = 0.2
 """A scan's own plane of a wall holds so many metres beyond what the scan saw of it."""
 FOOT_ROW = 2
@@ -190,7 +189,7 @@ def _trace(
                 if side > 0.1:
                     continue
                 # Floor and ceiling behind an opening are no leaf: what ended there passed the face.
-                level = ray_label[r] == _FLOOR or ray_label[r] == _CEILING
+                level = ray_label[r] == Label.FLOOR or ray_label[r] == Label.CEILING
                 near = side > (-AT_FACE_M if level else -near_m)
                 if not near:
                     t = reach / (reach - side)
@@ -201,8 +200,8 @@ def _trace(
                     continue
                 cell = counts[first[w] + column, row]
                 if near:
-                    cell[0] += 1.0
-                    cell[1] += side
-                    cell[2] += side * side
+                    cell[FILLED] += 1.0
+                    cell[SUM] += side
+                    cell[SQUARES] += side * side
                 else:
-                    cell[3] += 1.0
+                    cell[THROUGH] += 1.0

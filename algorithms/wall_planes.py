@@ -12,6 +12,18 @@ from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from algorithms.settings import StepSettings
 from algorithms.vertical_structures import VerticalStructures
 
+_IN_LINE_RATIO, _SMALLER_IN_LINE_RATIO = 0.6, 0.8
+"""Planes are in line where that of both fits the two to so many times `similarity_m`, and the smaller of them to so many.
+
+More strictly than a candidate joins: at all of it two faces twice that far apart would become one between them. The
+smaller plane is known less well than the larger.
+"""
+_SPREADS = 1.5
+"""A candidate's moments do not hold its ends: they are taken to lie so many standard deviations from its mean.
+
+Of places strewn evenly they lie √3; fewer, so that some odd samples do not lengthen the plane.
+"""
+
 
 class WallPlanesSettings(StepSettings):
     """Growing wall planes from candidates (paper, III.B, Algorithm 1)."""
@@ -79,7 +91,7 @@ class Reach(IntEnum):
     HEIGHT = 3
     """No ceiling is in view, and it is high enough."""
     TURNS_BACK = 4
-    """Its line has no return of a ceiling: it may turn back below it."""
+    """Its line has next to no returns of a ceiling: it may turn back below it."""
 
 
 class Membership(IntEnum):
@@ -175,24 +187,19 @@ def grow_wall_planes(
     distance of the candidate's samples to the plane; Ω is the upright plane of least squares. Planes that one odd line
     has cut are joined again, and each candidate then goes to the nearest plane of the scan.
 
-    meets_ceiling: (L,) whether each line has returns of a ceiling.
+    points_level: (n, 3) metres in the scan's level frame: z against gravity, its origin on the floor below the base.
+    height_m: (n,) metres above the floor.
+    samples: (L, 200) the returns of each point line from below upwards, from `make_point_lines`.
+    structures: what stands upright in those lines.
+    ceilings: of this scan in the level frame; none where no ceiling is in view. floor: of this scan too.
+    meets_ceiling: (L,) whether each line has returns of a ceiling, but for some stray ones.
+    origin_level: (3,) metres, the sensor; planes' normals point towards it.
     """
-    is_upmost = structures.upmost[structures.line] == np.arange(len(structures.line))
-    reach, below_ceiling_m = _reach_of(
-        points_level[samples[structures.line, structures.last]], structures.top_m, ceilings, floor, settings
+    candidates, reach, below_ceiling_m = _choose_candidates(
+        points_level, samples, structures, ceilings, floor, meets_ceiling, settings
     )
-    # Through an opening a line shows the wall of the next room below the lintel: what ends at a ceiling is a candidate
-    # too, though it is not the up-most.
-    candidates = np.flatnonzero(is_upmost | ((reach != Reach.LOW) & (len(ceilings) > 0)))
-    # Algorithm 1 walks along the wall: emitter by emitter on one side, then on the other; up-most structures first.
-    line, upmost = structures.line[candidates], is_upmost[candidates]
-    walk = np.lexsort((line, line % 2, ~upmost))
-    candidates, line = candidates[walk], line[walk]
-    # A line that sweeps a wall ahead in a circle may turn back below the ceiling: it has no return of it at all.
-    turns_back = (
-        ~meets_ceiling[line] & is_upmost[candidates] & (structures.top_m[candidates] > 0.5 * settings.height_min_m)
-    )
-    reach = np.where((reach[candidates] == Reach.LOW) & turns_back, Reach.TURNS_BACK, reach[candidates]).astype(np.uint8)
+    line = structures.line[candidates]
+    is_upmost = structures.upmost[line] == candidates
     reaches = reach != Reach.LOW
     moments, lowest_sample = _candidate_moments(
         points_level,
@@ -205,7 +212,7 @@ def grow_wall_planes(
     )
     range_m = np.hypot(moments[:, 1] / moments[:, 0] - origin_level[0], moments[:, 2] / moments[:, 0] - origin_level[1])
     gap_max_m = settings.gap_m + settings.gap_per_range * range_m
-    walk_part = line % 2 + 2 * ~is_upmost[candidates]
+    walk_part = line % 2 + 2 * ~is_upmost
     grown, growth, distance_m, gap_m = _grow(moments, walk_part, reaches, gap_max_m, settings.similarity_m)
     plane, nearest_m, membership = _settle(
         grown,
@@ -241,13 +248,45 @@ def grow_wall_planes(
         candidate_plane=plane,
         candidate_distance_m=distance_m,
         candidate_reach=reach,
-        candidate_below_ceiling_m=below_ceiling_m[candidates],
+        candidate_below_ceiling_m=below_ceiling_m,
         candidate_gap_m=gap_m,
         candidate_gap_max_m=gap_max_m,
         candidate_grown=grown,
         candidate_nearest_m=nearest_m,
         candidate_membership=membership,
     )
+
+
+def _choose_candidates(
+    points_level: FloatArray,
+    samples: IntArray,
+    structures: VerticalStructures,
+    ceilings: tuple[HorizontalPlane, ...],
+    floor: HorizontalPlane,
+    meets_ceiling: BoolArray,
+    settings: WallPlanesSettings,
+) -> tuple[IntArray, UInt8Array, FloatArray]:
+    """The candidates (C,) by their structure, in the order of Algorithm 1; the `Reach` of each, and metres below a ceiling.
+
+    Parameters as of `grow_wall_planes`; the last as `WallPlanes.candidate_below_ceiling_m`.
+    """
+    is_upmost = structures.upmost[structures.line] == np.arange(len(structures.line))
+    reach, below_ceiling_m = _reach_of(
+        points_level[samples[structures.line, structures.last]], structures.top_m, ceilings, floor, settings
+    )
+    # Through an opening a line shows the wall of the next room below the lintel: what ends at a ceiling is a candidate
+    # too, though it is not the up-most.
+    candidates = np.flatnonzero(is_upmost | ((reach != Reach.LOW) & (len(ceilings) > 0)))
+    # Algorithm 1 walks along the wall: emitter by emitter on one side, then on the other; up-most structures first.
+    line, upmost = structures.line[candidates], is_upmost[candidates]
+    walk = np.lexsort((line, line % 2, ~upmost))
+    candidates, line = candidates[walk], line[walk]
+    # A line that sweeps a wall ahead in a circle may turn back below the ceiling: it has next to no returns of it.
+    turns_back = (
+        ~meets_ceiling[line] & is_upmost[candidates] & (structures.top_m[candidates] > 0.5 * settings.height_min_m)
+    )
+    reach = np.where((reach[candidates] == Reach.LOW) & turns_back, Reach.TURNS_BACK, reach[candidates]).astype(np.uint8)
+    return candidates, reach, below_ceiling_m[candidates]
 
 
 def _reach_of(
@@ -384,9 +423,14 @@ def _theta(m: FloatArray, nx: float, ny: float, offset: float) -> float:  # prag
 def _grow(
     moments: FloatArray, side: IntArray, reaches: BoolArray, gap_max_m: FloatArray, similarity_m: float
 ) -> tuple[IntArray, UInt8Array, FloatArray, FloatArray]:  # pragma: no cover
+    """Algorithm 1: each candidate's plane (-1 where it is refused), its `Growth`, Θ and the gap, both NaN for a seed.
+
+    moments: (C, 6) in the order of the walk. side: (C,) the part of the walk; no plane goes on from one to the next.
+    reaches: (C,) whether it is high enough. gap_max_m: (C,) metres.
+    """
     count = len(moments)
     plane = np.full(count, -1, np.int32)
-    growth = np.full(count, 3, np.uint8)
+    growth = np.full(count, Growth.REFUSED, np.uint8)
     distance = np.full(count, np.nan)
     gap = np.full(count, np.nan)
     current = np.zeros(6)
@@ -408,11 +452,11 @@ def _grow(
             gap[c] = np.hypot(dx, dy)
             joined = distance[c] < similarity_m and gap[c] < gap_max_m[c]
         if joined:
-            growth[c] = 1
+            growth[c] = Growth.JOINED
             current += moments[c]
             lines += 1
         else:
-            growth[c] = 2 if lines > 0 and side[last] == side[c] else 0
+            growth[c] = Growth.BROKE if lines > 0 and side[last] == side[c] else Growth.SEEDED
             current = moments[c].copy()
             lines = 1
             number += 1
@@ -423,21 +467,158 @@ def _grow(
 
 @numba.njit(cache=True, nogil=True)
 def _span(moments: FloatArray, members: BoolArray, nx: float, ny: float) -> tuple[float, float]:  # pragma: no cover
-    """Least and largest place along the plane of its members' upper parts (mean ± spread)."""
+    """Least and largest place along the plane that its members' upper parts reach, metres: mean ± `_SPREADS` × spread."""
     low, high = np.inf, -np.inf
     for c in range(len(moments)):
         if members[c]:
             m = moments[c]
             u = (-ny * m[1] + nx * m[2]) / m[0]
             spread = np.sqrt(max((ny * ny * m[3] - 2 * nx * ny * m[4] + nx * nx * m[5]) / m[0] - u * u, 0.0))
-            low = min(low, u - 1.5 * spread)
-            high = max(high, u + 1.5 * spread)
+            low = min(low, u - _SPREADS * spread)
+            high = max(high, u + _SPREADS * spread)
     return low, high
 
 
 @numba.njit(cache=True, nogil=True)
-def _settle(
+def _totals(plane: IntArray, moments: FloatArray, planes: int) -> tuple[FloatArray, IntArray]:  # pragma: no cover
+    """Of each of so many planes the summed moments (P, 6) of its candidates, and how many they are (P,)."""
+    total = np.zeros((planes, 6))
+    lines = np.zeros(planes, np.int64)
+    for c in range(len(plane)):
+        if plane[c] >= 0:
+            total[plane[c]] += moments[c]
+            lines[plane[c]] += 1
+    return total, lines
+
+
+@numba.njit(cache=True, nogil=True)
+def _join_in_line(
     plane: IntArray,
+    moments: FloatArray,
+    total: FloatArray,
+    lines: IntArray,
+    similarity_m: float,
+    merge_gap_m: float,
+    lines_min: int,
+) -> None:  # pragma: no cover
+    """Join planes in line, largest first: a line that stood before the wall has cut it in Algorithm 1.
+
+    Changes plane (C,), and total (P, 6) and lines (P,) of `_totals`; a plane that has joined another has no lines left.
+    """
+    merged = True
+    while merged:
+        # A merge changes the sizes: go round again until nothing joins.
+        merged = False
+        by_size = np.argsort(-total[:, 0])
+        for a in range(len(total)):
+            i = by_size[a]
+            if lines[i] < lines_min:
+                continue
+            for b in range(a + 1, len(total)):
+                j = by_size[b]
+                # A single line has no direction that could be the wall's.
+                if lines[j] < 2 or not _are_in_line(plane, moments, total, i, j, similarity_m, merge_gap_m):
+                    continue
+                plane[plane == j] = i
+                total[i] += total[j]
+                lines[i] += lines[j]
+                total[j] = 0.0
+                lines[j] = 0
+                merged = True
+
+
+@numba.njit(cache=True, nogil=True)
+def _are_in_line(
+    plane: IntArray,
+    moments: FloatArray,
+    total: FloatArray,
+    larger: int,
+    smaller: int,
+    similarity_m: float,
+    merge_gap_m: float,
+) -> bool:  # pragma: no cover
+    """Whether one plane fits two, with no more than `merge_gap_m` metres between them."""
+    nx, ny, offset, rms, _ = fit_upright_plane(total[larger] + total[smaller])
+    if (
+        rms > _IN_LINE_RATIO * similarity_m
+        or _theta(total[larger], nx, ny, offset) > _IN_LINE_RATIO * similarity_m
+        or _theta(total[smaller], nx, ny, offset) > _SMALLER_IN_LINE_RATIO * similarity_m
+    ):
+        return False
+    low_i, high_i = _span(moments, plane == larger, nx, ny)
+    low_j, high_j = _span(moments, plane == smaller, nx, ny)
+    return bool(max(low_i, low_j) - min(high_i, high_j) <= merge_gap_m)
+
+
+@numba.njit(cache=True, nogil=True)
+def _assign_to_nearest(
+    plane: IntArray,
+    moments: FloatArray,
+    reaches: BoolArray,
+    gap_m: FloatArray,
+    total: FloatArray,
+    lines: IntArray,
+    similarity_m: float,
+    lines_min: int,
+) -> FloatArray:  # pragma: no cover
+    """Give every candidate to the nearest plane that has enough lines, whichever plane it was grown into; changes `plane`.
+
+    Returns Θ (C,) to the nearest of those that are beside it, metres; NaN where none is.
+    """
+    distance = np.full(len(plane), np.nan)
+    fits = np.zeros((len(total), 5))
+    for i in range(len(total)):
+        if lines[i] >= lines_min:
+            nx, ny, offset, _, _ = fit_upright_plane(total[i])
+            low, high = _span(moments, plane == i, nx, ny)
+            fits[i] = np.array([nx, ny, offset, low, high])
+    for c in range(len(plane)):
+        if not reaches[c]:
+            continue
+        best, nearest, closest = -1, similarity_m, np.inf
+        for i in range(len(total)):
+            if lines[i] < lines_min:
+                continue
+            u = (-fits[i, 1] * moments[c, 1] + fits[i, 0] * moments[c, 2]) / moments[c, 0]
+            if u < fits[i, 3] - gap_m[c] or u > fits[i, 4] + gap_m[c]:
+                continue
+            theta = _theta(moments[c], fits[i, 0], fits[i, 1], fits[i, 2])
+            closest = min(closest, theta)
+            if theta < nearest:
+                best, nearest = i, theta
+        plane[c] = best
+        distance[c] = closest if closest < np.inf else np.nan
+    return distance
+
+
+@numba.njit(cache=True, nogil=True)
+def _verdicts(
+    plane: IntArray,
+    moments: FloatArray,
+    total: FloatArray,
+    lines: IntArray,
+    similarity_m: float,
+    lines_min: int,
+    length_min_m: float,
+) -> UInt8Array:  # pragma: no cover
+    """What each plane (P,) makes of its candidates, see `Membership`: IN_PLANE where it is large and even enough."""
+    verdict = np.full(len(total), Membership.IN_PLANE, np.uint8)
+    for i in range(len(total)):
+        if lines[i] < lines_min:
+            verdict[i] = Membership.FEW_LINES
+            continue
+        nx, ny, _, rms, _ = fit_upright_plane(total[i])
+        low, high = _span(moments, plane == i, nx, ny)
+        if high - low < length_min_m:
+            verdict[i] = Membership.SHORT
+        elif rms > similarity_m:
+            verdict[i] = Membership.ROUGH
+    return verdict
+
+
+@numba.njit(cache=True, nogil=True)
+def _settle(
+    grown: IntArray,
     moments: FloatArray,
     reaches: BoolArray,
     gap_m: FloatArray,
@@ -448,107 +629,36 @@ def _settle(
 ) -> tuple[IntArray, FloatArray, UInt8Array]:  # pragma: no cover
     """Join planes in line, give every candidate to the nearest plane, drop what is too small, number them anew.
 
+    grown: (C,) the plane that Algorithm 1 grew each candidate into, -1 where it refused it. moments: (C, 6) of its upper
+    part. reaches: (C,) whether it is high enough. gap_m: (C,) how far beyond a plane's ends it may be of it.
     Returns each candidate's plane, its distance to the nearest plane within reach and its `Membership`.
     """
-    count = len(plane)
-    distance = np.full(count, np.nan)
-    membership = np.full(count, 1, np.uint8)
-    plane = plane.copy()
+    count = len(grown)
+    plane = grown.copy()
     planes = 0
     for c in range(count):
         planes = max(planes, plane[c] + 1)
-    total = np.zeros((planes, 6))
-    lines = np.zeros(planes, np.int64)
-    for c in range(count):
-        if plane[c] >= 0:
-            total[plane[c]] += moments[c]
-            lines[plane[c]] += 1
-
-    # Join, largest first: a line that stood before the wall has cut it in Algorithm 1.
-    merged = True
-    while merged:
-        merged = False
-        by_size = np.argsort(-total[:, 0])
-        for a in range(planes):
-            i = by_size[a]
-            if lines[i] < lines_min:
-                continue
-            for b in range(a + 1, planes):
-                j = by_size[b]
-                if lines[j] < 2:
-                    continue
-                nx, ny, offset, rms, _ = fit_upright_plane(total[i] + total[j])
-                if (
-                    rms > 0.6 * similarity_m
-                    or _theta(total[i], nx, ny, offset) > 0.6 * similarity_m
-                    or _theta(total[j], nx, ny, offset) > 0.8 * similarity_m
-                ):
-                    continue
-                low_i, high_i = _span(moments, plane == i, nx, ny)
-                low_j, high_j = _span(moments, plane == j, nx, ny)
-                if max(low_i, low_j) - min(high_i, high_j) > merge_gap_m:
-                    continue
-                for c in range(count):
-                    if plane[c] == j:
-                        plane[c] = i
-                total[i] += total[j]
-                lines[i] += lines[j]
-                total[j] = 0.0
-                lines[j] = 0
-                merged = True
-        # A merge changes the sizes: go round again until nothing joins.
-
-    # Every candidate to the nearest plane that has enough lines, whichever plane it was grown into.
+    total, lines = _totals(plane, moments, planes)
+    _join_in_line(plane, moments, total, lines, similarity_m, merge_gap_m, lines_min)
+    distance = np.full(count, np.nan)
+    # Twice, for the first time moves the planes.
     for _ in range(2):
-        fits = np.zeros((planes, 5))
-        for i in range(planes):
-            if lines[i] >= lines_min:
-                nx, ny, offset, _, _ = fit_upright_plane(total[i])
-                low, high = _span(moments, plane == i, nx, ny)
-                fits[i] = np.array([nx, ny, offset, low, high])
-        for c in range(count):
-            if not reaches[c]:
-                continue
-            best, nearest, closest = -1, similarity_m, np.inf
-            for i in range(planes):
-                if lines[i] < lines_min:
-                    continue
-                u = (-fits[i, 1] * moments[c, 1] + fits[i, 0] * moments[c, 2]) / moments[c, 0]
-                if u < fits[i, 3] - gap_m[c] or u > fits[i, 4] + gap_m[c]:
-                    continue
-                theta = _theta(moments[c], fits[i, 0], fits[i, 1], fits[i, 2])
-                closest = min(closest, theta)
-                if theta < nearest:
-                    best, nearest = i, theta
-            plane[c] = best
-            distance[c] = closest if closest < np.inf else np.nan
-        total[:] = 0.0
-        lines[:] = 0
-        for c in range(count):
-            if plane[c] >= 0:
-                total[plane[c]] += moments[c]
-                lines[plane[c]] += 1
-
-    renumber = np.full(planes, -1, np.int32)
-    verdict = np.zeros(planes, np.uint8)
+        distance = _assign_to_nearest(plane, moments, reaches, gap_m, total, lines, similarity_m, lines_min)
+        total, lines = _totals(plane, moments, planes)
+    verdict = _verdicts(plane, moments, total, lines, similarity_m, lines_min, length_min_m)
+    number = np.full(planes, -1, np.int32)
     kept = 0
     for i in range(planes):
-        if lines[i] < lines_min:
-            verdict[i] = 3
-            continue
-        nx, ny, offset, rms, _ = fit_upright_plane(total[i])
-        low, high = _span(moments, plane == i, nx, ny)
-        if high - low < length_min_m or rms > similarity_m:
-            verdict[i] = 4 if high - low < length_min_m else 5
-            continue
-        renumber[i] = kept
-        kept += 1
+        if verdict[i] == Membership.IN_PLANE:
+            number[i] = kept
+            kept += 1
+    membership = np.full(count, Membership.REFUSED, np.uint8)
     for c in range(count):
         if plane[c] >= 0:
             membership[c] = verdict[plane[c]]
-            plane[c] = renumber[plane[c]]
+            plane[c] = number[plane[c]]
         elif reaches[c]:
-            membership[c] = 2
+            membership[c] = Membership.ALONE
     return plane, distance, membership
 
 

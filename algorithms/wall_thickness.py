@@ -34,7 +34,7 @@ class WallParts:
     """The faces of `Walls`, cut where the thickness behind them changes.
 
     wall: (P,) the face that each part belongs to. ends: (P, 2, 2) its stretch of that face.
-    thickness_m: (P,) NaN where the wall's other side was not seen.
+    thickness_m: (P,) metres, NaN where the wall's other side was not seen.
     """
 
     wall: IntArray
@@ -64,15 +64,10 @@ def part_walls(walls: Walls, settings: WallThicknessSettings) -> WallParts:
         edges = np.unique([0.0, face.length_m, *(edge for low, high, _ in behind for edge in (low, high))])
         for low, high in pairwise(edges.tolist()):
             middle = 0.5 * (low + high)
-            nearest = min((depth_m for a, b, depth_m in behind if a <= middle <= b), default=float("nan"))
             wall.append(w)
             ends.append(face.at(np.array([low, high])))
-            thickness.append(nearest)
-    return WallParts(
-        np.array(wall, np.int64),
-        np.array(ends, float).reshape(-1, 2, 2),
-        np.array(thickness, float),
-    )
+            thickness.append(min((depth for first, last, depth in behind if first <= middle <= last), default=np.nan))
+    return WallParts(np.array(wall, np.int64), np.array(ends, float).reshape(-1, 2, 2), np.array(thickness, float))
 
 
 def face_thickness(walls: Walls, parts: WallParts) -> FloatArray:

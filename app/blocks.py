@@ -11,19 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
-from algorithms.before_walls import BeforeWalls
-from algorithms.building import Doors, Walls, Windows
 from algorithms.features import Features, concatenate, extract
-from algorithms.height_maps import HeightMap
 from algorithms.labelling import MethodSettings, label_scan
+from algorithms.labels import Label
 from algorithms.levelling import LevelledScan, place_and_level
 from algorithms.rearrangement import below_ceiling
-from algorithms.relabelling import RelabellingSettings, relabel
+from algorithms.relabelling import BuildingModel, RelabellingSettings, relabel
 from algorithms.rival_maps import RivalCounter, RivalMapsSettings
 from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array
 from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes
 from algorithms.smoothing import SmoothedRanges, smooth_ranges
-from algorithms.standing_walls import JudgedFaces
 from algorithms.trajectory import PlacedScan, Trajectory
 from app.inputs import Inputs, Sensor
 from app.recorder import Detail, Recorder
@@ -77,15 +74,9 @@ class FinishJob:
     """What a worker needs to finish a block."""
 
     label: LabelJob
-    walls: Walls
-    before: BeforeWalls
-    judged: JudgedFaces
-    doors: Doors
-    windows: Windows
+    building: BuildingModel
     halo: Path
     """A file that `save_halo` wrote: it grows with the building, and each worker reads it once."""
-    levels: tuple[HeightMap, ...]
-    """The building's ceilings and raised floors."""
     settings: RelabellingSettings
 
 
@@ -129,7 +120,7 @@ def label_block(job: LabelJob) -> BlockSummary:
     milliseconds: list[list[float]] = []
     sizes: list[tuple[int, int]] = []
     counts = np.zeros(256, np.int64)
-    table = VoxelTable(VOXEL_M, 6)
+    table = VoxelTable(VOXEL_M, len(Label))
     rivals = RivalCounter(job.cell_m, job.rival_maps)
     with _open_evidence(job, ".rrd") as recorder:
         started = time.perf_counter()
@@ -171,7 +162,7 @@ def label_block(job: LabelJob) -> BlockSummary:
             counts += np.bincount(labelling.label, minlength=256)
             scans.append((index, scan.stamp_ns, job.trajectory.at(np.array([scan.stamp_ns]))[0]))
             sizes.append(
-                (scan.cloud_size, int(np.count_nonzero(labelling.label == 0) + np.count_nonzero(labelling.label > 2)))
+                (scan.cloud_size, int(np.count_nonzero(~np.isin(labelling.label, (Label.FLOOR, Label.CEILING)))))
             )
             milliseconds.append([*timings.values(), 1e3 * (time.perf_counter() - labelled)])
             started = time.perf_counter()
@@ -215,7 +206,7 @@ def finish_block(job: FinishJob) -> None:
     ceilings = _load_ceilings(label_job.path.with_suffix(".npz"))
     labels: list[UInt8Array] = []
     numbers: list[int] = []
-    table = VoxelTable(VOXEL_M, 6)
+    table = VoxelTable(VOXEL_M, len(Label))
     with _open_evidence(label_job, FINAL_EVIDENCE) as recorder:
         for index, scan in read_scans(
             _open(label_job.inputs.bag_path),
@@ -237,13 +228,8 @@ def finish_block(job: FinishJob) -> None:
                 below_ceiling(placed.points_level, ceilings[index]),
                 label_of_scan,
                 placed.to_map(placed.origin_level[None])[0],
-                job.walls,
-                job.before,
-                job.judged,
-                job.doors,
-                job.windows,
+                job.building,
                 _load_halo(job.halo),
-                job.levels,
                 job.settings,
             )
             if recorder:

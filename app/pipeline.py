@@ -24,6 +24,7 @@ from algorithms.features import Features
 from algorithms.grid_map import Drive, GridMap
 from algorithms.labels import Label
 from algorithms.odometry import Registration, weakness
+from algorithms.relabelling import BuildingModel
 from algorithms.rival_maps import Rival
 from algorithms.scan import FloatArray, IntArray
 from algorithms.semantic_map import VoxelTable, VoxelVotes, fuse, majority
@@ -565,20 +566,13 @@ def _finish(run: _Run, pool: Executor, jobs: Sequence[LabelJob], building: Build
     run.progress.stage("final", len(jobs))
     halo = folder.spool / "halo.npz"
     save_halo(halo, building.halo)
+    model = BuildingModel(
+        building.walls, building.before, building.judged, building.doors, building.windows, building.levels
+    )
     pending: list[Future[None] | None] = []
     for job in jobs:
         done = job.path.with_suffix(".final.npz").exists() and run.options.resume
-        finish = FinishJob(
-            label=job,
-            walls=building.walls,
-            before=building.before,
-            judged=building.judged,
-            doors=building.doors,
-            windows=building.windows,
-            halo=halo,
-            levels=building.levels,
-            settings=run.settings.relabelling,
-        )
+        finish = FinishJob(job, model, halo, run.settings.relabelling)
         pending.append(None if done else pool.submit(finish_block, finish))
     table = VoxelTable(VOXEL_M, len(Label))
 

@@ -282,7 +282,7 @@ def _reach_sentence(labelling: ScanLabelling, c: int) -> str:
             return f"No ceiling is in view; it ends {top_m:.2f} m high, which is high enough."
         case Reach.TURNS_BACK:
             return (
-                f"It ends {top_m:.2f} m high, but its line has no return of a ceiling at all: it may turn back below one, "
+                f"It ends {top_m:.2f} m high, but its line has next to no returns of a ceiling: it may turn back below one, "
                 "so it counts."
             )
     if np.isnan(below_m):

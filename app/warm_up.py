@@ -10,9 +10,10 @@ from algorithms.building import NO_DOORS, NO_WALLS, NO_WINDOWS
 from algorithms.features import extract
 from algorithms.height_maps import map_ceilings
 from algorithms.labelling import label_scan
+from algorithms.labels import Label
 from algorithms.levelling import place_and_level
 from algorithms.rearrangement import below_ceiling
-from algorithms.relabelling import RelabellingSettings, relabel
+from algorithms.relabelling import BuildingModel, RelabellingSettings, relabel
 from algorithms.scan import Scan
 from algorithms.semantic_map import VoxelTable, find_halo
 from algorithms.smoothing import smooth_ranges
@@ -37,7 +38,7 @@ def warm_up() -> None:
     labelling = label_scan(scan, placed, method, 0)
     extract(0, placed, labelling)
     points_map = points_in_map(placed)
-    table = VoxelTable(VOXEL_M, 6)
+    table = VoxelTable(VOXEL_M, len(Label))
     table.add(points_map, labelling.label)
     votes = table.votes()
     table.absorb(votes)
@@ -47,13 +48,8 @@ def warm_up() -> None:
         below_ceiling(placed.points_level, labelling.ceiling_planes),
         labelling.label,
         placed.to_map(placed.origin_level[None])[0],
-        NO_WALLS,
-        NOTHING_BEFORE,
-        NO_JUDGED_FACES,
-        NO_DOORS,
-        NO_WINDOWS,
+        BuildingModel(NO_WALLS, NOTHING_BEFORE, NO_JUDGED_FACES, NO_DOORS, NO_WINDOWS, (map_ceilings(votes),)),
         find_halo(votes, 6.0),
-        (map_ceilings(votes),),
         RelabellingSettings(),
     )
 

@@ -10,7 +10,7 @@ from algorithms.before_walls import NOTHING_BEFORE, BeforeWalls
 from algorithms.building import CELL_M, NO_DOORS, NO_WALLS, NO_WINDOWS, Doors, Walls, Windows
 from algorithms.doors import DoorState
 from algorithms.labels import Label
-from algorithms.relabelling import RelabellingSettings, relabel
+from algorithms.relabelling import BuildingModel, RelabellingSettings, relabel
 from algorithms.semantic_map import find_halo
 from algorithms.standing_walls import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
 from tests.voting import vote
@@ -84,13 +84,15 @@ def final_of(
         2.8 - height_m,
         label,
         sensor,
-        walls,
-        before(walls, ceiling_m, covered),
-        JudgedFaces(walls, refused, np.full(len(refused), verdict, np.uint8)),
-        doors,
-        windows,
+        BuildingModel(
+            walls,
+            before(walls, ceiling_m, covered),
+            JudgedFaces(walls, refused, np.full(len(refused), verdict, np.uint8)),
+            doors,
+            windows,
+            (),
+        ),
         NO_HALO,
-        (),
         SETTINGS,
     )
 
@@ -309,13 +311,8 @@ def test_labels_hold_under_rigid_motion() -> None:
             2.8 - points[:, 2],
             label,
             sensor,
-            walls,
-            before(walls),
-            NO_JUDGED_FACES,
-            doors,
-            windows,
+            BuildingModel(walls, before(walls), NO_JUDGED_FACES, doors, windows, ()),
             NO_HALO,
-            (),
             SETTINGS,
         )
 
@@ -330,13 +327,8 @@ def test_nothing_is_relabelled_where_there_is_nothing() -> None:
         np.zeros(0),
         np.zeros(0, np.uint8),
         SENSOR,
-        NO_WALLS,
-        NOTHING_BEFORE,
-        NO_JUDGED_FACES,
-        NO_DOORS,
-        NO_WINDOWS,
+        BuildingModel(NO_WALLS, NOTHING_BEFORE, NO_JUDGED_FACES, NO_DOORS, NO_WINDOWS, ()),
         NO_HALO,
-        (),
         SETTINGS,
     )
     assert len(nothing) == 0
