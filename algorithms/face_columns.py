@@ -9,7 +9,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from algorithms.building import CELL_M, NO_WALLS, Walls, stretches
-from algorithms.height_maps import HeightMap
+from algorithms.height_maps import HeightMap, corrected
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, IntArray
 from algorithms.segments import Segment, segments
@@ -42,9 +42,7 @@ class Storey:
     def of(cls, votes: VoxelVotes, levels: Sequence[HeightMap] = ()) -> "Storey":
         """Of the labels that scans gave, and of the surfaces that are told from all of them."""
         by_scans = majority(votes.counts)
-        label = by_scans
-        for level in levels:
-            label = level.label_of(votes.mean_position, label)
+        label = corrected(levels, votes.mean_position, by_scans)
         agreed = (label != by_scans) | votes.seen(_AGREED_VOTES)
         label = np.where(agreed, label, Label.CLUTTER)
         return cls(votes.mean_position[label == Label.FLOOR], votes.mean_position[label == Label.CEILING])

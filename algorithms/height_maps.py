@@ -3,7 +3,9 @@
 Ceilings, floors that lie higher than where the robot stood, ducts that passed for ceilings, and what passed for floor.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 from scipy import ndimage
@@ -22,6 +24,8 @@ _RISE_M = (0.06, 0.30)
 """Steps and platforms are so much higher than the floor beside them."""
 _FLOOR_CELLS_M = (0.1, 0.2, 0.3)
 """A raised floor is looked for in cells so large: from afar rays meet it at a slant, and far apart."""
+_STEP_M, _STEP_CELLS = (0.08, 0.32), 5
+"""Where floors within so many cells differ by so much in height, one ends at the other in a step."""
 _BROAD_M = 1.2
 """A raised floor holds a disc so broad: nothing that low and that broad is furniture."""
 _OVERHEAD_M, _BROAD_OVERHEAD_M, _UNKNOWN_M = 2.2, 0.8, 0.3
@@ -76,13 +80,19 @@ class HeightMap:
         return corrected
 
 
+def corrected(levels: Iterable[HeightMap], points_map: FloatArray, label: UInt8Array) -> UInt8Array:
+    """The labels (n,) of points (n, 3) when each level surface was asked, one after the other."""
+    return reduce(lambda told, level: level.label_of(points_map, told), levels, label)
+
+
 def map_levels(votes: VoxelVotes) -> tuple[HeightMap, ...]:
     """All that is known of the building's level surfaces, to be asked in this order; votes: of the labels that scans gave."""
     false_floors = map_false_floors(votes)
-    told = _corrected(votes, false_floors)
+    told = _corrected_votes(votes, false_floors)
     ceilings = (map_ceilings(told), map_glimpsed_ceilings(told), map_sloping_ceilings(told))
     raised_floors = tuple(map_raised_floors(told, cell_m) for cell_m in _FLOOR_CELLS_M)
-    levels = (false_floors, *ceilings, *raised_floors, map_ducts(told))
+    risers = map_risers(reduce(_corrected_votes, raised_floors, told))
+    levels = (false_floors, *ceilings, *raised_floors, risers, map_ducts(told))
     return tuple(level for level in levels if np.isfinite(level.low_m).any())
 
 
@@ -105,7 +115,7 @@ def map_false_floors(votes: VoxelVotes) -> HeightMap:
     return HeightMap(Label.CLUTTER, Label.FLOOR, origin, _FINE_CELL_M, low_m, np.full(shape, np.inf))
 
 
-def _corrected(votes: VoxelVotes, level: HeightMap) -> VoxelVotes:
+def _corrected_votes(votes: VoxelVotes, level: HeightMap) -> VoxelVotes:
     """The votes, where scans took something else for what lies there given to that."""
     label = majority(votes.counts)
     wrong = level.label_of(votes.mean_position, label) != label
@@ -242,6 +252,25 @@ def map_raised_floors(votes: VoxelVotes, cell_m: float = _FINE_CELL_M) -> Height
     closed = ndimage.binary_closing(level, np.ones((3, 3))) | between
     broad = _holding_a_disc(closed, 0.5 * _BROAD_M / cell_m)
     return HeightMap.level(Label.FLOOR, Label.CLUTTER, origin, cell_m, np.where(broad, around, np.nan))
+
+
+def map_risers(votes: VoxelVotes) -> HeightMap:
+    """The fronts of steps: what stands between a floor and a higher one, both broad, where the one ends at the other.
+
+    votes: with the raised floors.
+    """
+    floor = votes.mean_position[(majority(votes.counts) == Label.FLOOR) & votes.seen()]
+    if not len(floor):
+        return _nothing(Label.FLOOR)
+    origin, shape = _frame(floor, _FINE_CELL_M)
+    floor_m = _in_cells(floor, origin, shape, _FINE_CELL_M, share=0.5)
+    steep = _highest(floor_m, 3) + _highest(-floor_m, 3) > _STEP_M[0]
+    level = ndimage.binary_closing(np.isfinite(floor_m) & ~steep, np.ones((3, 3))) & ~steep
+    broad_m = np.where(_holding_a_disc(level, 0.5 * _BROAD_M / _FINE_CELL_M), floor_m, np.nan)
+    high_m, low_m = _highest(broad_m, _STEP_CELLS), -_highest(-broad_m, _STEP_CELLS)
+    step = (high_m - low_m > _STEP_M[0]) & (high_m - low_m < _STEP_M[1])
+    between = np.where(step, 0.0, np.nan)
+    return HeightMap(Label.FLOOR, Label.CLUTTER, origin, _FINE_CELL_M, low_m + between, high_m + between + _MARGIN_M)
 
 
 def map_ducts(votes: VoxelVotes) -> HeightMap:

@@ -10,7 +10,7 @@ from pydantic import Field
 from algorithms.before_walls import BeforeWalls
 from algorithms.building import CELL_M, Doors, Walls, Windows
 from algorithms.doors import DoorState
-from algorithms.height_maps import HeightMap
+from algorithms.height_maps import HeightMap, corrected
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from algorithms.semantic_map import Halo
@@ -113,8 +113,8 @@ class BuildingModel:
     judged: with the faces that were refused, whose returns are clutter, or outside. Its own `walls` are not asked.
     doors: closed ones with their leaf, open ones with nothing between their jambs.
     windows: stretches of wall; what lies beyond their panes is outside.
-    levels: what lies level at known heights, applied one after the other: ceilings, raised floors and ducts, which
-        turn what scans took for ceiling into clutter.
+    levels: what lies at known heights, applied one after the other: what is no floor though scans took it for that, which
+        is asked before the faces are; ceilings and raised floors; ducts, which turn what scans took for ceiling into clutter.
     """
 
     walls: Walls
@@ -232,12 +232,15 @@ def relabel(
     """
     walls, doors, windows, refused = building.walls, building.doors, building.windows, building.judged.refused
     before = building.before
+    # What a scan took for floor on a wall is to be asked about like anything else there.
+    first = [level for level in building.levels if level.taken_for == Label.FLOOR]
+    last = [level for level in building.levels if level.taken_for != Label.FLOOR]
     label = np.asarray(
         _relabel(
             points_map,
             height_m,
             below_ceiling_m,
-            label_scan,
+            corrected(first, points_map, label_scan),
             np.ascontiguousarray(origin_map, np.float64),
             _Faces(_frames(walls.ends, walls.normal), walls.top_m, before.first, before.clear_m, before.covered),
             _Refused(_frames(refused.ends, refused.normal), refused.top_m, building.judged.refused_label),
@@ -254,10 +257,7 @@ def relabel(
             _Lengths(*(getattr(settings, name) for name in _Lengths._fields)),
         )
     )
-    label = halo.label_of(points_map, label)
-    for level in building.levels:
-        label = level.label_of(points_map, label)
-    return label
+    return corrected(last, points_map, halo.label_of(points_map, label))
 
 
 def _frames(ends: FloatArray, normal: FloatArray) -> FloatArray:

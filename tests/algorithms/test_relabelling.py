@@ -9,6 +9,7 @@ import pytest
 from algorithms.before_walls import NOTHING_BEFORE, BeforeWalls
 from algorithms.building import CELL_M, NO_DOORS, NO_WALLS, NO_WINDOWS, Doors, Walls, Windows
 from algorithms.doors import DoorState
+from algorithms.height_maps import HeightMap
 from algorithms.labels import Label
 from algorithms.relabelling import BuildingModel, RelabellingSettings, relabel
 from algorithms.semantic_map import find_halo
@@ -75,6 +76,7 @@ def final_of(
     ceiling_m: float = 2.8,
     covered: bool = False,
     verdict: FaceVerdict = FaceVerdict.ENDS_LOW,
+    levels: tuple[HeightMap, ...] = (),
 ) -> np.ndarray:
     """The final labels of returns (n, 3); the scan's ceiling hangs at 2.8 m, that before the walls at `ceiling_m`."""
     height_m = points[:, 2].astype(np.float64)
@@ -90,7 +92,7 @@ def final_of(
             JudgedFaces(walls, refused, np.full(len(refused), verdict, np.uint8)),
             doors,
             windows,
-            (),
+            levels,
         ),
         NO_HALO,
         SETTINGS,
@@ -110,6 +112,14 @@ def final_of(
 )
 def test_a_return_by_its_distance_to_a_face(y: float, scan_label: Label, expected: Label) -> None:
     assert final((2.0, y, 1.0), scan_label, walls=face()) == expected
+
+
+@pytest.mark.parametrize(("y", "expected"), [(-0.02, Label.WALL), (-1.0, Label.CLUTTER)])
+def test_what_a_scan_took_for_floor_far_above_it_is_a_walls_or_clutter(y: float, expected: Label) -> None:
+    everywhere = np.zeros(2) - 5.0, 10.0, np.full((1, 1), 0.2), np.full((1, 1), np.inf)
+    false_floor = HeightMap(Label.CLUTTER, Label.FLOOR, *everywhere)
+    assert final((2.0, y, 1.4), Label.FLOOR, walls=face(), levels=(false_floor,)) == expected
+    assert final((2.0, -1.0, 0.02), Label.FLOOR, walls=face(), levels=(false_floor,)) == Label.FLOOR
 
 
 def test_only_the_sensors_side_of_a_face_has_a_body_behind_it() -> None:
