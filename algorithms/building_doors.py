@@ -23,7 +23,16 @@ from algorithms.doors import DoorState
 from algorithms.scan import FloatArray
 from algorithms.segments import Segment, lengths_m, segments
 from algorithms.wall_cells import FILLED, FOOT_ROW, SUM, THROUGH, WallCells
-from algorithms.wall_openings import REVEAL_MIN_M, is_open_to_floor, is_pane, look_for_doors, to_jambs, tops_m
+from algorithms.wall_openings import (
+    REVEAL_MIN_M,
+    DoorColumns,
+    is_open_to_floor,
+    is_pane,
+    look_for_doors,
+    to_jambs,
+    tops_m,
+    widened,
+)
 
 _BESIDE_COLUMNS = 8
 _JAMB_WALL_COLUMNS = 2
@@ -127,6 +136,8 @@ def _doors_in(
                 if is_pane(opening, settings) or not is_open_to_floor(opening, settings):
                     continue
                 first, last = to_jambs(counts[:, low:high].sum(axis=1), first, last, _LEAF_COLUMNS)
+                if (last + 1 - first) * CELL_M < settings.door_width_min_m:
+                    first, last = _over_what_its_leaf_hides(found, first, last, settings)
             width_m = (last + 1 - first) * CELL_M
             # Smoothing and the cells' own width blur each side by up to a column.
             if not settings.door_width_min_m <= width_m + CELL_M or width_m > settings.door_width_max_m:
@@ -156,6 +167,28 @@ def _doors_in(
                 wall=w,
                 is_cut=first == 0 or last == len(counts) - 1,
             )
+
+
+def _over_what_its_leaf_hides(
+    columns: DoorColumns, first: int, last: int, settings: BuildingSettings
+) -> tuple[int, int]:
+    """The columns of an opening too narrow for a door, with those on one side of it that its leaf hides, up to its jamb.
+
+    A leaf that stands ajar towards the robot lets no ray come to them, or stands before the wall itself beside its hinge;
+    above it the wall goes on, and beyond it.
+
+    columns: of the whole face; first, last: the opening's.
+    """
+    on, passed = columns.rays[:, FILLED], columns.rays[:, THROUGH]
+    unseen = on + passed < settings.rays_min
+    hidden = columns.has_lintel & (unseen | (columns.depth_m < -settings.recess_min_m))
+    stands = ~hidden & (on >= settings.rays_min) & (passed < on)
+    before, behind = widened(hidden, first, first, _LEAF_COLUMNS)[0], widened(hidden, last, last, _LEAF_COLUMNS)[1]
+    on_left = 0 < before < first and bool(stands[before - 1])
+    on_right = last < behind < len(hidden) - 1 and bool(stands[behind + 1])
+    if on_left == on_right:
+        return first, last
+    return (before, last) if on_left else (first, behind)
 
 
 def _leads_somewhere(door: "_Door", walls: Walls) -> bool:

@@ -276,6 +276,36 @@ def test_an_open_door_is_found_though_its_jambs_are_hidden() -> None:
     assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
 
 
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_doorway_reaches_to_the_jamb_that_its_leaf_hides(mirrored: bool) -> None:
+    """The leaf stands ajar towards the robot: near its hinge it shows before the wall, beyond that no ray comes."""
+    seen = cells()
+    opening(seen)
+    near, far = seen.counts[30:34, 0:42], seen.counts[34:42, 0:42]
+    near[..., FILLED], near[..., SUM], near[..., SQUARES], near[..., THROUGH] = 10.0, 10 * 0.05, 10 * 0.05**2, 0.0
+    far[...] = 0.0
+    if mirrored:
+        seen.counts[...] = seen.counts[::-1].copy()
+    doors = find_doors(WALL, seen, unknown(seen), SETTINGS)
+    assert doors.state.tolist() == [DoorState.OPEN]
+    expected = [1.6, 2.5] if mirrored else [1.5, 2.4]
+    np.testing.assert_allclose(np.sort(doors.ends[0, :, 0]), expected, atol=2 * CELL_M)
+    # Where that has no end, or the wall above has, nothing tells where the jamb is.
+    for rows in (slice(0, 42), slice(42, 66)):
+        doubtful = WallCells(seen.first, 66, seen.counts.copy())
+        beside = doubtful.counts[42:] if mirrored else doubtful.counts[:38]
+        beside[:, rows] = 0.0
+        assert len(find_doors(WALL, doubtful, unknown(doubtful), SETTINGS)) == 0
+
+
+def test_a_wide_opening_beside_a_cupboard_is_as_wide_as_it_is() -> None:
+    seen = cells()
+    opening(seen)
+    seen.counts[48:60, 0:42] = 0.0  # behind the cupboard
+    doors = find_doors(WALL, seen, unknown(seen), SETTINGS)
+    np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
+
+
 @pytest.mark.parametrize(("behind_m", "found"), [(0.1, 1), (0.5, 0), (2.0, 1)])
 def test_an_opening_leads_somewhere(behind_m: float, found: int) -> None:
     seen = cells()
