@@ -246,7 +246,8 @@ def _count_jambs(
     stands = (below[:, FILLED] >= settings.rays_min) & (below[:, THROUGH] < below[:, FILLED])
     flush = stands & (np.abs(behind_m) < (0.5 * depth_m if np.isfinite(depth_m) else ON_FACE_M))
     sides = slice(max(first - _BESIDE_COLUMNS, 0), first), slice(last + 1, last + 1 + _BESIDE_COLUMNS)
-    hidden = not np.isfinite(depth_m) and np.concatenate([seen[side] for side in sides]).mean() < _HIDDEN_JAMBS
+    beside = np.concatenate([seen[side] for side in sides])
+    hidden = not np.isfinite(depth_m) and len(beside) > 0 and beside.mean() < _HIDDEN_JAMBS
     return 1 if hidden else sum(int(np.count_nonzero(flush[side]) >= _JAMB_WALL_COLUMNS) for side in sides)
 
 

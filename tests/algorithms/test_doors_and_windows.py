@@ -298,6 +298,15 @@ def test_a_doorway_reaches_to_the_jamb_that_its_leaf_hides(mirrored: bool) -> No
         assert len(find_doors(WALL, doubtful, unknown(doubtful), SETTINGS)) == 0
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_face_that_is_passed_over_all_its_length_has_no_door() -> None:
+    narrow = replace(WALL, ends=np.array([[[1.5, 0.0], [2.4, 0.0]]]))
+    seen = cells()
+    opening(seen)
+    alone = WallCells(np.array([0, 18]), 66, seen.counts[30:48].copy())
+    assert len(find_doors(narrow, alone, unknown(alone), SETTINGS)) == 0
+
+
 def test_a_wide_opening_beside_a_cupboard_is_as_wide_as_it_is() -> None:
     seen = cells()
     opening(seen)
