@@ -23,7 +23,7 @@ from algorithms.fused_walls import fuse_walls
 from algorithms.grid_map import Drive, GridMap, GridMapSettings, Immobile, draw_furniture_free, standing_stretches
 from algorithms.height_maps import HeightMap, map_levels
 from algorithms.hidden_walls import find_hidden_walls
-from algorithms.relabelling import RelabellingSettings
+from algorithms.relabelling import BuildingModel, RelabellingSettings
 from algorithms.rival_maps import Rival, RivalMapsSettings, draw_rival
 from algorithms.scan import FloatArray
 from algorithms.semantic_map import Halo, VoxelVotes, find_halo
@@ -119,6 +119,11 @@ class Building:
     plan: FloorPlan
     thickness_m: FloatArray
     """(W,) of each face's wall."""
+
+    @property
+    def model(self) -> BuildingModel:
+        """What scans are labelled by."""
+        return BuildingModel(self.walls, self.before, self.judged, self.doors, self.windows, self.levels)
 
 
 def fuse_building(scans: AllScans, settings: FusionSettings, workers: int) -> Building:

@@ -5,6 +5,7 @@ Ceilings, floors that lie higher than where the robot stood, ducts that passed f
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import reduce
 
 import numpy as np
@@ -46,29 +47,72 @@ _SEEN_FLOOR_M, _OFF_FLOOR_M = 0.3, 0.2
 """Floor holds a disc so broad here and there. What lies so far above the nearest that does is none."""
 
 
+class Surface(StrEnum):
+    """What a height map is of."""
+
+    FALSE_FLOOR = "false_floor"
+    CEILING = "ceiling"
+    GLIMPSED_CEILING = "glimpsed_ceiling"
+    SLOPING_CEILING = "sloping_ceiling"
+    RAISED_FLOOR = "raised_floor"
+    STEP_FRONT = "step_front"
+    DUCT = "duct"
+
+    @property
+    def label(self) -> Label:
+        """What lies there."""
+        return _LABELS[self][0]
+
+    @property
+    def taken_for(self) -> Label:
+        """What scans took it for."""
+        return _LABELS[self][1]
+
+
+_LABELS = {
+    Surface.FALSE_FLOOR: (Label.CLUTTER, Label.FLOOR),
+    Surface.CEILING: (Label.CEILING, Label.CLUTTER),
+    Surface.GLIMPSED_CEILING: (Label.CEILING, Label.CLUTTER),
+    Surface.SLOPING_CEILING: (Label.CEILING, Label.CLUTTER),
+    Surface.RAISED_FLOOR: (Label.FLOOR, Label.CLUTTER),
+    Surface.STEP_FRONT: (Label.FLOOR, Label.CLUTTER),
+    Surface.DUCT: (Label.CLUTTER, Label.CEILING),
+}
+
+
 @dataclass(frozen=True)
 class HeightMap:
     """Between which heights something lies: low_m and high_m (rows, columns) in the map frame, NaN where there is none.
 
-    label: what it is, and taken_for: what scans took it for. origin: (2,) x and y of the first cell's corner, metres; cell_m:
-    the cells' edge.
+    origin: (2,) x and y of the first cell's corner, metres; cell_m: the cells' edge.
     """
 
-    label: Label
-    taken_for: Label
+    surface: Surface
     origin: FloatArray
     cell_m: float
     low_m: FloatArray
     high_m: FloatArray
 
     @classmethod
-    def level(cls, label: Label, taken_for: Label, origin: FloatArray, cell_m: float, height_m: FloatArray) -> "HeightMap":
-        """Of a level surface, so high (rows, columns) in the map frame."""
-        return cls(label, taken_for, origin, cell_m, height_m - _MARGIN_M, height_m + _MARGIN_M)
+    def level(cls, surface: Surface, origin: FloatArray, cell_m: float, height_m: FloatArray) -> "HeightMap":
+        """Of what lies level, so high (rows, columns) in the map frame."""
+        return cls(surface, origin, cell_m, height_m - _MARGIN_M, height_m + _MARGIN_M)
+
+    @property
+    def known(self) -> BoolArray:
+        """(rows, columns) which cells have it."""
+        return np.isfinite(self.low_m)
+
+    @property
+    def places(self) -> FloatArray:
+        """(k, 3) the middles of the cells that have it, half way between its heights."""
+        row, column = np.nonzero(self.known)
+        middle_m = 0.5 * (self.low_m + self.high_m)[row, column]
+        return np.column_stack([self.origin + (np.column_stack([column, row]) + 0.5) * self.cell_m, middle_m])
 
     def label_of(self, points_map: FloatArray, label: UInt8Array) -> UInt8Array:
         """The labels (n,) of points (n, 3), what scans took for something else at these heights made what lies there."""
-        wrong = np.flatnonzero(label == self.taken_for)
+        wrong = np.flatnonzero(label == self.surface.taken_for)
         rows, columns = self.low_m.shape
         cell = np.floor((points_map[wrong, :2] - self.origin) / self.cell_m).astype(np.int64)
         inside = (cell >= 0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
@@ -76,7 +120,7 @@ class HeightMap:
         of_cell, height_m = (cell[:, 1], cell[:, 0]), points_map[wrong, 2]
         on_it = (height_m > self.low_m[of_cell]) & (height_m < self.high_m[of_cell])
         corrected = label.copy()
-        corrected[wrong[on_it]] = self.label
+        corrected[wrong[on_it]] = self.surface.label
         return corrected
 
 
@@ -91,9 +135,9 @@ def map_levels(votes: VoxelVotes) -> tuple[HeightMap, ...]:
     told = _corrected_votes(votes, false_floors)
     ceilings = (map_ceilings(told), map_glimpsed_ceilings(told), map_sloping_ceilings(told))
     raised_floors = tuple(map_raised_floors(told, cell_m) for cell_m in _FLOOR_CELLS_M)
-    risers = map_risers(reduce(_corrected_votes, raised_floors, told))
-    levels = (false_floors, *ceilings, *raised_floors, risers, map_ducts(told))
-    return tuple(level for level in levels if np.isfinite(level.low_m).any())
+    step_fronts = map_step_fronts(reduce(_corrected_votes, raised_floors, told))
+    levels = (false_floors, *ceilings, *raised_floors, step_fronts, map_ducts(told))
+    return tuple(level for level in levels if level.known.any())
 
 
 def map_false_floors(votes: VoxelVotes) -> HeightMap:
@@ -103,16 +147,16 @@ def map_false_floors(votes: VoxelVotes) -> HeightMap:
     """
     floor = votes.mean_position[(majority(votes.counts) == Label.FLOOR) & votes.seen()]
     if not len(floor):
-        return _nothing(Label.CLUTTER, taken_for=Label.FLOOR)
+        return _nothing(Surface.FALSE_FLOOR)
     origin, shape = _frame(floor, _FINE_CELL_M)
     height_m = _in_cells(floor, origin, shape, _FINE_CELL_M, share=0.5)
     known = np.isfinite(height_m)
     broad = _holding_a_disc(ndimage.binary_closing(known, np.ones((3, 3))), 0.5 * _SEEN_FLOOR_M / _FINE_CELL_M) & known
     if not broad.any():
-        return _nothing(Label.CLUTTER, taken_for=Label.FLOOR)
+        return _nothing(Surface.FALSE_FLOOR)
     nearest = ndimage.distance_transform_edt(~broad, return_distances=False, return_indices=True)
     low_m = height_m[tuple(nearest)] + _OFF_FLOOR_M
-    return HeightMap(Label.CLUTTER, Label.FLOOR, origin, _FINE_CELL_M, low_m, np.full(shape, np.inf))
+    return HeightMap(Surface.FALSE_FLOOR, origin, _FINE_CELL_M, low_m, np.full(shape, np.inf))
 
 
 def _corrected_votes(votes: VoxelVotes, level: HeightMap) -> VoxelVotes:
@@ -120,8 +164,8 @@ def _corrected_votes(votes: VoxelVotes, level: HeightMap) -> VoxelVotes:
     label = majority(votes.counts)
     wrong = level.label_of(votes.mean_position, label) != label
     counts = votes.counts.copy()
-    counts[wrong, level.label] += counts[wrong, level.taken_for]
-    counts[wrong, level.taken_for] = 0
+    counts[wrong, level.surface.label] += counts[wrong, level.surface.taken_for]
+    counts[wrong, level.surface.taken_for] = 0
     return replace(votes, counts=counts)
 
 
@@ -130,12 +174,12 @@ def map_ceilings(votes: VoxelVotes) -> HeightMap:
     is_ceiling = (majority(votes.counts) == Label.CEILING) & votes.seen(_VOTES_MIN)
     position = votes.mean_position[is_ceiling]
     if not len(position):
-        return _nothing(Label.CEILING)
+        return _nothing(Surface.CEILING)
     origin, shape = _frame(position, _CELL_M)
     median_m = _in_cells(position, origin, shape, _CELL_M, share=0.5)
     away, nearest = ndimage.distance_transform_edt(np.isnan(median_m), return_indices=True)
     height_m = np.where(away * _CELL_M <= _REACH_M, median_m[tuple(nearest)], np.nan)
-    return HeightMap.level(Label.CEILING, Label.CLUTTER, origin, _CELL_M, height_m)
+    return HeightMap.level(Surface.CEILING, origin, _CELL_M, height_m)
 
 
 def map_glimpsed_ceilings(votes: VoxelVotes) -> HeightMap:
@@ -148,7 +192,7 @@ def map_glimpsed_ceilings(votes: VoxelVotes) -> HeightMap:
     seen = votes.seen(_VOTES_MIN)
     floor, known = (seen & (label == surface) for surface in (Label.FLOOR, Label.CEILING))
     if not floor.any():
-        return _nothing(Label.CEILING)
+        return _nothing(Surface.GLIMPSED_CEILING)
     origin, shape = _frame(position, _FINE_CELL_M)
     ground_m, _ = _ground_m(position[floor], origin, shape, _FINE_CELL_M)
     rise_m = position[:, 2] - ground_m[tuple(_cells(position, origin, shape, _FINE_CELL_M).T)]
@@ -159,7 +203,7 @@ def map_glimpsed_ceilings(votes: VoxelVotes) -> HeightMap:
     around = _median_around(highest_m)
     level = np.abs(highest_m - around) < _FLAT_M
     broad = _holding_a_disc(ndimage.binary_closing(level, np.ones((3, 3))), 0.5 * _BROAD_OVERHEAD_M / _FINE_CELL_M)
-    return HeightMap.level(Label.CEILING, Label.CLUTTER, origin, _FINE_CELL_M, np.where(broad, around, np.nan))
+    return HeightMap.level(Surface.GLIMPSED_CEILING, origin, _FINE_CELL_M, np.where(broad, around, np.nan))
 
 
 def map_sloping_ceilings(votes: VoxelVotes) -> HeightMap:
@@ -168,7 +212,7 @@ def map_sloping_ceilings(votes: VoxelVotes) -> HeightMap:
     position = votes.mean_position
     floor = votes.seen(_VOTES_MIN) & (label == Label.FLOOR)
     if not floor.any():
-        return _nothing(Label.CEILING)
+        return _nothing(Surface.SLOPING_CEILING)
     origin, shape = _frame(position, _FINE_CELL_M)
     ground_m, _ = _ground_m(position[floor], origin, shape, _FINE_CELL_M)
     rise_m = position[:, 2] - ground_m[tuple(_cells(position, origin, shape, _FINE_CELL_M).T)]
@@ -185,8 +229,7 @@ def map_sloping_ceilings(votes: VoxelVotes) -> HeightMap:
     height_m = mean[..., 2] + ((centre - mean[..., :2]) * slope).sum(axis=2)
     height_m[(away * _FINE_CELL_M > _SLOPE_EDGE_M) | ~(broad & plane).any()] = np.nan
     within_cell_m = 0.5 * _FINE_CELL_M * np.abs(slope).sum(axis=2) + _MARGIN_M
-    return HeightMap(
-        Label.CEILING, Label.CLUTTER, origin, _FINE_CELL_M, height_m - within_cell_m, height_m + within_cell_m
+    return HeightMap(Surface.SLOPING_CEILING, origin, _FINE_CELL_M, height_m - within_cell_m, height_m + within_cell_m
     )
 
 
@@ -239,7 +282,7 @@ def map_raised_floors(votes: VoxelVotes, cell_m: float = _FINE_CELL_M) -> Height
     seen = votes.seen(_VOTES_MIN)
     floor, low = seen & (label == Label.FLOOR), seen & ((label == Label.FLOOR) | (label == Label.CLUTTER))
     if not floor.any():
-        return _nothing(Label.FLOOR)
+        return _nothing(Surface.RAISED_FLOOR)
     origin, shape = _frame(position[low], cell_m)
     ground_m, away = _ground_m(position[floor], origin, shape, cell_m)
     rise_m = position[:, 2] - ground_m[tuple(_cells(position, origin, shape, cell_m).T)]
@@ -251,17 +294,17 @@ def map_raised_floors(votes: VoxelVotes, cell_m: float = _FINE_CELL_M) -> Height
     between = ndimage.binary_closing(level, np.ones((5, 5))) & np.isnan(lowest_m)
     closed = ndimage.binary_closing(level, np.ones((3, 3))) | between
     broad = _holding_a_disc(closed, 0.5 * _BROAD_M / cell_m)
-    return HeightMap.level(Label.FLOOR, Label.CLUTTER, origin, cell_m, np.where(broad, around, np.nan))
+    return HeightMap.level(Surface.RAISED_FLOOR, origin, cell_m, np.where(broad, around, np.nan))
 
 
-def map_risers(votes: VoxelVotes) -> HeightMap:
+def map_step_fronts(votes: VoxelVotes) -> HeightMap:
     """The fronts of steps: what stands between a floor and a higher one, both broad, where the one ends at the other.
 
     votes: with the raised floors.
     """
     floor = votes.mean_position[(majority(votes.counts) == Label.FLOOR) & votes.seen()]
     if not len(floor):
-        return _nothing(Label.FLOOR)
+        return _nothing(Surface.STEP_FRONT)
     origin, shape = _frame(floor, _FINE_CELL_M)
     floor_m = _in_cells(floor, origin, shape, _FINE_CELL_M, share=0.5)
     steep = _highest(floor_m, 3) + _highest(-floor_m, 3) > _STEP_M[0]
@@ -270,7 +313,7 @@ def map_risers(votes: VoxelVotes) -> HeightMap:
     high_m, low_m = _highest(broad_m, _STEP_CELLS), -_highest(-broad_m, _STEP_CELLS)
     step = (high_m - low_m > _STEP_M[0]) & (high_m - low_m < _STEP_M[1])
     between = np.where(step, 0.0, np.nan)
-    return HeightMap(Label.FLOOR, Label.CLUTTER, origin, _FINE_CELL_M, low_m + between, high_m + between + _MARGIN_M)
+    return HeightMap(Surface.STEP_FRONT, origin, _FINE_CELL_M, low_m + between, high_m + between + _MARGIN_M)
 
 
 def map_ducts(votes: VoxelVotes) -> HeightMap:
@@ -280,7 +323,7 @@ def map_ducts(votes: VoxelVotes) -> HeightMap:
     """
     ceiling = votes.mean_position[(majority(votes.counts) == Label.CEILING) & votes.seen()]
     if not len(ceiling):
-        return _nothing(Label.CLUTTER)
+        return _nothing(Surface.DUCT)
     origin, shape = _frame(ceiling, _FINE_CELL_M)
     lowest_m = _in_cells(ceiling, origin, shape, _FINE_CELL_M, share=0.0)
     usual_m = _in_cells(ceiling, origin, shape, _FINE_CELL_M, share=0.5)
@@ -293,7 +336,7 @@ def map_ducts(votes: VoxelVotes) -> HeightMap:
     away, nearest = ndimage.distance_transform_edt(~broad, return_indices=True)
     level_m = np.abs(lowest_m - lowest_m[tuple(nearest)])
     ceilings = (away <= round(_CEILING_EDGE_M / _FINE_CELL_M)) & (level_m < _MARGIN_M)
-    return HeightMap.level(Label.CLUTTER, Label.CEILING, origin, _FINE_CELL_M, np.where(hangs & ~ceilings, lowest_m, np.nan))
+    return HeightMap.level(Surface.DUCT, origin, _FINE_CELL_M, np.where(hangs & ~ceilings, lowest_m, np.nan))
 
 
 def _highest(height_m: FloatArray, size: int) -> FloatArray:
@@ -331,8 +374,9 @@ def _holding_a_disc(mask: BoolArray, radius: float) -> BoolArray:
     return np.asarray(mask & (ndimage.distance_transform_edt(~core) <= radius + 1.0))
 
 
-def _nothing(label: Label, taken_for: Label = Label.CLUTTER) -> HeightMap:
-    return HeightMap.level(label, taken_for, np.zeros(2), _CELL_M, np.zeros((0, 0)))
+def _nothing(surface: Surface) -> HeightMap:
+    return HeightMap.level(surface, np.zeros(2), _CELL_M, np.zeros((0, 0)))
+
 
 
 def _frame(position: FloatArray, cell_m: float) -> tuple[FloatArray, tuple[int, int]]:

@@ -233,8 +233,8 @@ def relabel(
     walls, doors, windows, refused = building.walls, building.doors, building.windows, building.judged.refused
     before = building.before
     # What a scan took for floor on a wall is to be asked about like anything else there.
-    first = [level for level in building.levels if level.taken_for == Label.FLOOR]
-    last = [level for level in building.levels if level.taken_for != Label.FLOOR]
+    first = [level for level in building.levels if level.surface.taken_for == Label.FLOOR]
+    last = [level for level in building.levels if level.surface.taken_for != Label.FLOOR]
     label = np.asarray(
         _relabel(
             points_map,

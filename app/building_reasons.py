@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from algorithms.before_walls import BeforeWalls
 from algorithms.building import CELL_M, Doors, Windows
 from algorithms.doors import DoorState
-from algorithms.standing_walls import JudgedFaces
+from algorithms.height_maps import HeightMap, Surface
+from algorithms.relabelling import BuildingModel
 from blueprints import entities
 
 _DOORS = """\
@@ -38,8 +38,19 @@ _WINDOWS = """
 """
 
 
-def explain_building(before: BeforeWalls, judged: JudgedFaces, doors: Doors, windows: Windows) -> str:
+_LEVELS = """
+## Level surfaces
+
+Told from all scans, where single ones took them for something else.
+
+| what | area | between heights in the map |
+|---|---|---|
+"""
+
+
+def explain_building(building: BuildingModel) -> str:
     """Markdown: what the building's doors, refused faces, windows and what stands against walls were judged by."""
+    before, judged, doors, windows = building.before, building.judged, building.doors, building.windows
     parts = [_DOORS + ("\n".join(_door(doors, d) for d in range(len(doors))) or "| none | | | | | |")]
     if len(judged.refused):
         faces = judged.refused
@@ -56,6 +67,8 @@ def explain_building(before: BeforeWalls, judged: JudgedFaces, doors: Doors, win
         parts.append(_AGAINST.format(area_m2=area_m2))
     if len(windows):
         parts.append(_WINDOWS + "\n".join(_window(windows, w) for w in range(len(windows))))
+    if building.levels:
+        parts.append(_LEVELS + "\n".join(_level(level) for level in building.levels))
     return "\n".join(parts)
 
 
@@ -83,6 +96,15 @@ def _window(windows: Windows, w: int) -> str:
         f"| {_place(windows.ends[w])} | {_length_m(windows.ends[w]):.2f} m "
         f"| {windows.bottom_m[w]:.2f} – {windows.top_m[w]:.2f} m | {pane} |"
     )
+
+
+def _level(level: HeightMap) -> str:
+    name = level.surface.replace("_", " ")
+    if not np.isfinite(level.high_m).any():
+        return f"| {name}, if scans saw any | | from {np.nanmin(level.low_m):.2f} m up |"
+    area_m2 = np.count_nonzero(level.known) * level.cell_m**2
+    cells = f" (cells of {level.cell_m:.1f} m)" if level.surface == Surface.RAISED_FLOOR else ""
+    return f"| {name}{cells} | {area_m2:.1f} m² | {np.nanmin(level.low_m):.2f} – {np.nanmax(level.high_m):.2f} m |"
 
 
 def _place(ends: np.ndarray) -> str:

@@ -24,7 +24,6 @@ from algorithms.features import Features
 from algorithms.grid_map import Drive, GridMap
 from algorithms.labels import Label
 from algorithms.odometry import Registration, weakness
-from algorithms.relabelling import BuildingModel
 from algorithms.rival_maps import Rival
 from algorithms.scan import FloatArray, IntArray
 from algorithms.semantic_map import VoxelTable, VoxelVotes, fuse, majority
@@ -243,7 +242,7 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
             )
             if recorder:
                 recorder.log_fused_walls(building.aligned)
-                recorder.log_building(building.walls, building.before, building.judged, building.doors, building.windows)
+                recorder.log_building(building.model)
                 for name, grid in _maps(building).items():
                     recorder.log_grid(name, grid)
             if run.recording:
@@ -566,13 +565,10 @@ def _finish(run: _Run, pool: Executor, jobs: Sequence[LabelJob], building: Build
     run.progress.stage("final", len(jobs))
     halo = folder.spool / "halo.npz"
     save_halo(halo, building.halo)
-    model = BuildingModel(
-        building.walls, building.before, building.judged, building.doors, building.windows, building.levels
-    )
     pending: list[Future[None] | None] = []
     for job in jobs:
         done = job.path.with_suffix(".final.npz").exists() and run.options.resume
-        finish = FinishJob(job, model, halo, run.settings.relabelling)
+        finish = FinishJob(job, building.model, halo, run.settings.relabelling)
         pending.append(None if done else pool.submit(finish_block, finish))
     table = VoxelTable(VOXEL_M, len(Label))
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -11,20 +12,21 @@ import rerun as rr
 
 from algorithms import transforms
 from algorithms.aligned_walls import AlignedFaces
-from algorithms.before_walls import BeforeWalls, covered_places
-from algorithms.building import CELL_M, Doors, Walls, Windows
+from algorithms.before_walls import covered_places
+from algorithms.building import CELL_M
 from algorithms.doors import DoorState
 from algorithms.grid_map import Cell, GridMap
+from algorithms.height_maps import HeightMap
 from algorithms.labelling import ScanLabelling
 from algorithms.labels import Label
 from algorithms.levelling import LevelledScan
 from algorithms.odometry import Registration
 from algorithms.pose_graph import PoseGraph
 from algorithms.rearrangement import HorizontalPlane
+from algorithms.relabelling import BuildingModel
 from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.segments import lengths_m
 from algorithms.smoothing import SmoothedRanges
-from algorithms.standing_walls import JudgedFaces
 from algorithms.trajectory import PlacedScan
 from app.building_reasons import explain_building
 from app.figures import flatten
@@ -640,10 +642,15 @@ class Recorder:
                 evidence({"moved_m": aligned.moved_m, "scan_count": aligned.fused.scan_count}),
             )
 
-    def log_building(
-        self, walls: Walls, before: BeforeWalls, judged: JudgedFaces, doors: Doors, windows: Windows
-    ) -> None:
-        """The fused walls, what stands against them, what was refused as a wall, doors and windows, for the whole run."""
+    def log_building(self, building: BuildingModel) -> None:
+        """The fused walls, what stands against them, what was refused as a wall, doors, windows and level surfaces."""
+        walls, before, judged, doors, windows = (
+            building.walls,
+            building.before,
+            building.judged,
+            building.doors,
+            building.windows,
+        )
         vertices, triangles = _upright_quads(
             walls.ends, np.repeat(walls.bottom_m[:, None], 2, axis=1), np.repeat(walls.top_m[:, None], 2, axis=1)
         )
@@ -728,10 +735,33 @@ class Recorder:
                 ),
             )
 
+        self._log_levels(building.levels)
         self._static(
             entities.BUILDING_REASONS,
-            rr.TextDocument(explain_building(before, judged, doors, windows), media_type=rr.MediaType.MARKDOWN),
+            rr.TextDocument(explain_building(building), media_type=rr.MediaType.MARKDOWN),
         )
+
+    def _log_levels(self, levels: Sequence[HeightMap]) -> None:
+        """Where ceilings, floors and ducts were told that scans took for something else, cell by cell."""
+        for surface, maps in groupby(levels, key=lambda level: level.surface):
+            drawn = [level for level in maps if np.isfinite(level.high_m).any()]
+            if not drawn:  # what is no floor reaches up as high as one sees
+                continue
+            places = np.concatenate([level.places for level in drawn])
+            low_m, high_m = (
+                np.concatenate([getattr(level, name)[level.known] for level in drawn]) for name in ("low_m", "high_m")
+            )
+            self._static(
+                f"{entities.LEVELS}/{surface}",
+                rr.Points3D(
+                    places.astype(np.float32),
+                    radii=np.concatenate([np.full(np.count_nonzero(level.known), 0.5 * level.cell_m) for level in drawn]),
+                    colors=entities.CLASSES[surface.label][1],
+                    labels=surface.replace("_", " "),
+                    show_labels=False,
+                ),
+                evidence({"low_m": low_m, "high_m": high_m}),
+            )
 
     def log_grid(self, name: str, grid: GridMap) -> None:
         """A grid map; it holds for the whole run."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from algorithms.height_maps import Surface
 from algorithms.labels import NO_RETURN, Label, Verdict
 from algorithms.map_comparison import Agreement
 from algorithms.scan import FloatArray
@@ -44,6 +45,8 @@ WINDOWS = "/world/building/windows"
 FUSED_WALLS = "/world/building/fused_walls"
 REFUSED_WALLS = "/world/building/refused_walls"
 AGAINST_WALLS = "/world/building/against_walls"
+LEVELS = "/world/building/levels"
+CEILINGS = [surface for surface in Surface if surface.label == Label.CEILING]
 BUILDING_REASONS = "/world/building/reasons"
 REFUSALS = {
     FaceVerdict.ENDS_LOW: "rays pass above it, below the ceiling (a leaf, a cupboard)",

@@ -243,10 +243,13 @@ def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
                 entities.FUSED_WALLS,
                 entities.REFUSED_WALLS,
                 entities.AGAINST_WALLS,
+                f"{entities.LEVELS}/**",
             ],
             name="Fused cloud, walls and doors (ceiling hidden)",
             overrides={
                 entities.DOORS: rr.LineStrips3D.from_fields(show_labels=True),
+                # They hide what lies below; a click on their eye shows them.
+                **{f"{entities.LEVELS}/{ceiling}": rrb.EntityBehavior(visible=False) for ceiling in entities.CEILINGS},
             },
             eye_controls=_aslant(centre_m, extent_m),
             line_grid=rrb.LineGrid3D(visible=False),

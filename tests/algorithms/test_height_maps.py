@@ -12,8 +12,8 @@ from algorithms.height_maps import (
     map_glimpsed_ceilings,
     map_levels,
     map_raised_floors,
-    map_risers,
     map_sloping_ceilings,
+    map_step_fronts,
 )
 from algorithms.labels import Label
 from algorithms.semantic_map import VoxelVotes, merge
@@ -302,7 +302,7 @@ def test_the_front_of_a_step_is_floor_and_what_stands_at_its_foot_not(
     low = lying((0, 8), (0, 4), 0.01)
     low = low[(low[:, 0] < x[0]) | (low[:, 1] < y[0]) | (low[:, 1] > y[1])]
     front = upright((1.2, 1.6), 0.0, (0.05, z))[:, [1, 0, 2]] + [x[0], 0.0, 0.0]
-    found = map_risers(votes_of((low, Label.FLOOR), (high, Label.FLOOR), (front, Label.CLUTTER)))
+    found = map_step_fronts(votes_of((low, Label.FLOOR), (high, Label.FLOOR), (front, Label.CLUTTER)))
     assert np.all(found.label_of(front, np.zeros(len(front), np.uint8)) == expected)
     away = front - [0.3, 0.0, 0.0]
     above = front + np.array([0.0, 0.0, 0.3])
@@ -312,7 +312,7 @@ def test_the_front_of_a_step_is_floor_and_what_stands_at_its_foot_not(
 
 def test_a_ramp_has_no_step() -> None:
     low, ramp, high = lying((0, 4), (0, 4), 0.01), lying((4, 8), (0, 4), -0.4, 0.1), lying((8, 12), (0, 4), 0.4)
-    found = map_risers(votes_of((low, Label.FLOOR), (ramp, Label.FLOOR), (high, Label.FLOOR)))
+    found = map_step_fronts(votes_of((low, Label.FLOOR), (ramp, Label.FLOOR), (high, Label.FLOOR)))
     assert np.isnan(found.low_m).all()
     nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
-    assert np.isnan(map_risers(nothing).low_m).all()
+    assert np.isnan(map_step_fronts(nothing).low_m).all()

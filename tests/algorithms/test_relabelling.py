@@ -9,7 +9,7 @@ import pytest
 from algorithms.before_walls import NOTHING_BEFORE, BeforeWalls
 from algorithms.building import CELL_M, NO_DOORS, NO_WALLS, NO_WINDOWS, Doors, Walls, Windows
 from algorithms.doors import DoorState
-from algorithms.height_maps import HeightMap
+from algorithms.height_maps import HeightMap, Surface
 from algorithms.labels import Label
 from algorithms.relabelling import BuildingModel, RelabellingSettings, relabel
 from algorithms.semantic_map import find_halo
@@ -117,7 +117,7 @@ def test_a_return_by_its_distance_to_a_face(y: float, scan_label: Label, expecte
 @pytest.mark.parametrize(("y", "expected"), [(-0.02, Label.WALL), (-1.0, Label.CLUTTER)])
 def test_what_a_scan_took_for_floor_far_above_it_is_a_walls_or_clutter(y: float, expected: Label) -> None:
     everywhere = np.zeros(2) - 5.0, 10.0, np.full((1, 1), 0.2), np.full((1, 1), np.inf)
-    false_floor = HeightMap(Label.CLUTTER, Label.FLOOR, *everywhere)
+    false_floor = HeightMap(Surface.FALSE_FLOOR, *everywhere)
     assert final((2.0, y, 1.4), Label.FLOOR, walls=face(), levels=(false_floor,)) == expected
     assert final((2.0, -1.0, 0.02), Label.FLOOR, walls=face(), levels=(false_floor,)) == Label.FLOOR
 

@@ -16,11 +16,13 @@ from algorithms.aligned_walls import AlignedFaces
 from algorithms.before_walls import BeforeWalls
 from algorithms.building import Doors, Walls, Windows
 from algorithms.grid_map import Cell, GridMap
+from algorithms.height_maps import HeightMap, Surface
 from algorithms.labelling import ScanLabelling, label_scan
 from algorithms.labels import Label
 from algorithms.levelling import LevelledScan
 from algorithms.odometry import Registration
 from algorithms.pose_graph import PoseGraph
+from algorithms.relabelling import BuildingModel
 from algorithms.scan import Scan
 from algorithms.standing_walls import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
 from app.building_reasons import explain_building
@@ -336,7 +338,14 @@ def test_building_grid_map_and_messages(tmp_path):
     covered[2:4, 1] = True
     before = BeforeWalls(np.array([0, columns]), np.full(columns, 2.8), covered)
     recorder.log_fused_walls(AlignedFaces(walls, replace(walls, ends=walls.ends + 0.02), np.array([[-0.02, 0.013]])))
-    recorder.log_building(walls, before, JudgedFaces(walls, leaf, np.array([FaceVerdict.ENDS_LOW])), doors, windows)
+    attic = np.full((2, 3), np.nan)
+    attic[1, 2] = 2.0
+    levels = (
+        HeightMap(Surface.FALSE_FLOOR, np.zeros(2), 0.1, attic - 1.8, attic + np.inf),
+        HeightMap.level(Surface.SLOPING_CEILING, np.array([1.0, 3.0]), 0.1, attic),
+    )
+    judged = JudgedFaces(walls, leaf, np.array([FaceVerdict.ENDS_LOW]))
+    recorder.log_building(BuildingModel(walls, before, judged, doors, windows, levels))
     cells = np.full((2, 3), Cell.FREE, np.uint8)
     cells[0, 0], cells[1, 2] = Cell.OCCUPIED, Cell.UNKNOWN
     grid = GridMap(cells, np.array([-1.0, 2.0]), 0.05)
@@ -362,7 +371,14 @@ def test_building_grid_map_and_messages(tmp_path):
     assert "rays pass above it" in reasons
     assert "10 cm behind the face" in reasons
     ajar = replace(doors, ajar=np.array([True]))
-    assert "its leaf stands aslant" in explain_building(before, NO_JUDGED_FACES, ajar, windows)
+    assert "its leaf stands aslant" in explain_building(BuildingModel(walls, before, NO_JUDGED_FACES, ajar, windows, ()))
+    assert "| sloping ceiling | 0.0 m² | 1.96 – 2.04 m |" in reasons
+    assert "| false floor, if scans saw any | | from 0.20 m up |" in reasons
+    sloping = static[f"{entities.LEVELS}/{Surface.SLOPING_CEILING}"]
+    places = vectors(sloping.column("Points3D:positions").to_pylist()[0])
+    np.testing.assert_allclose(places, [[1.25, 3.15, 2.0]], rtol=1e-6)
+    np.testing.assert_allclose(sloping.column("high_m").to_pylist()[0], [2.04], rtol=1e-6)
+    assert f"{entities.LEVELS}/{Surface.FALSE_FLOOR}" not in static
     assert "aslant" not in reasons
     fused = static[entities.FUSED_WALLS]
     assert "its ends then moved -2.0 and +1.3 cm" in str(fused.column("LineStrips3D:labels").to_pylist())
