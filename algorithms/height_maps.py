@@ -23,10 +23,12 @@ _MARGIN_M = 0.04
 """Poses drift, and returns scatter, by so much."""
 _RISE_M = (0.06, 0.30)
 """Steps and platforms are so much higher than the floor beside them."""
-_FLOOR_CELLS_M = (0.1, 0.2, 0.3)
+_FLOOR_CELLS_M = (0.1, 0.2)
 """A raised floor is looked for in cells so large: from afar rays meet it at a slant, and far apart."""
 _STEP_M, _STEP_CELLS = (0.08, 0.32), 5
 """Where floors within so many cells differ by so much in height, one ends at the other in a step."""
+_BEYOND_CELL_M, _LEVEL_M, _BROAD_BEYOND_M = 0.3, 0.05, 0.9
+"""Floor that goes on beyond what scans told is looked for in cells so large, so close to its height, and so broad."""
 _BROAD_M = 1.2
 """A raised floor holds a disc so broad: nothing that low and that broad is furniture."""
 _OVERHEAD_M, _BROAD_OVERHEAD_M, _UNKNOWN_M = 2.2, 0.8, 0.3
@@ -55,6 +57,7 @@ class Surface(StrEnum):
     GLIMPSED_CEILING = "glimpsed_ceiling"
     SLOPING_CEILING = "sloping_ceiling"
     RAISED_FLOOR = "raised_floor"
+    FLOOR_BEYOND = "floor_beyond"
     STEP_FRONT = "step_front"
     DUCT = "duct"
 
@@ -75,6 +78,7 @@ _LABELS = {
     Surface.GLIMPSED_CEILING: (Label.CEILING, Label.CLUTTER),
     Surface.SLOPING_CEILING: (Label.CEILING, Label.CLUTTER),
     Surface.RAISED_FLOOR: (Label.FLOOR, Label.CLUTTER),
+    Surface.FLOOR_BEYOND: (Label.FLOOR, Label.CLUTTER),
     Surface.STEP_FRONT: (Label.FLOOR, Label.CLUTTER),
     Surface.DUCT: (Label.CLUTTER, Label.CEILING),
 }
@@ -135,8 +139,9 @@ def map_levels(votes: VoxelVotes) -> tuple[HeightMap, ...]:
     told = _corrected_votes(votes, false_floors)
     ceilings = (map_ceilings(told), map_glimpsed_ceilings(told), map_sloping_ceilings(told))
     raised_floors = tuple(map_raised_floors(told, cell_m) for cell_m in _FLOOR_CELLS_M)
-    step_fronts = map_step_fronts(reduce(_corrected_votes, raised_floors, told))
-    levels = (false_floors, *ceilings, *raised_floors, step_fronts, map_ducts(told))
+    with_raised = reduce(_corrected_votes, raised_floors, told)
+    floors = (*raised_floors, map_floors_beyond(with_raised), map_step_fronts(with_raised))
+    levels = (false_floors, *ceilings, *floors, map_ducts(told))
     return tuple(level for level in levels if level.known.any())
 
 
@@ -277,24 +282,36 @@ def map_raised_floors(votes: VoxelVotes, cell_m: float = _FINE_CELL_M) -> Height
 
     cell_m: the larger, the fewer returns tell.
     """
+    return _map_floors(votes, Surface.RAISED_FLOOR, cell_m, _RISE_M, _BROAD_M)
+
+
+def map_floors_beyond(votes: VoxelVotes) -> HeightMap:
+    """Where the floor goes on level, though no scan told: seen from afar, through a doorway, or from a ramp's slope."""
+    return _map_floors(votes, Surface.FLOOR_BEYOND, _BEYOND_CELL_M, (-_LEVEL_M, _LEVEL_M), _BROAD_BEYOND_M)
+
+
+def _map_floors(
+    votes: VoxelVotes, surface: Surface, cell_m: float, between_m: tuple[float, float], broad_m: float
+) -> HeightMap:
+    """The lowest that was seen in each cell without floor, where it is level and so broad, so high above the nearest floor."""
     label = majority(votes.counts)
     position = votes.mean_position
-    seen = votes.seen(_VOTES_MIN)
-    floor, low = seen & (label == Label.FLOOR), seen & ((label == Label.FLOOR) | (label == Label.CLUTTER))
+    floor = votes.seen(_VOTES_MIN) & (label == Label.FLOOR)
+    low = votes.seen() & ((label == Label.FLOOR) | (label == Label.CLUTTER))
     if not floor.any():
-        return _nothing(Surface.RAISED_FLOOR)
+        return _nothing(surface)
     origin, shape = _frame(position[low], cell_m)
     ground_m, away = _ground_m(position[floor], origin, shape, cell_m)
     rise_m = position[:, 2] - ground_m[tuple(_cells(position, origin, shape, cell_m).T)]
-    lowest_m = _in_cells(position[low & (rise_m > -_MARGIN_M)], origin, shape, cell_m, share=0.0)
+    lowest_m = _in_cells(position[low & (rise_m > min(between_m[0], -_MARGIN_M))], origin, shape, cell_m, share=0.0)
     rise_m = lowest_m - ground_m
     around = _median_around(lowest_m)
-    level = (np.abs(lowest_m - around) < _FLAT_M) & (rise_m > _RISE_M[0]) & (rise_m < _RISE_M[1]) & (away > 0)
+    level = (np.abs(lowest_m - around) < _FLAT_M) & (rise_m > between_m[0]) & (rise_m < between_m[1]) & (away > 0)
     # What is seen at a slant shows in lines.
     between = ndimage.binary_closing(level, np.ones((5, 5))) & np.isnan(lowest_m)
     closed = ndimage.binary_closing(level, np.ones((3, 3))) | between
-    broad = _holding_a_disc(closed, 0.5 * _BROAD_M / cell_m)
-    return HeightMap.level(Surface.RAISED_FLOOR, origin, cell_m, np.where(broad, around, np.nan))
+    broad = _holding_a_disc(closed, 0.5 * broad_m / cell_m)
+    return HeightMap.level(surface, origin, cell_m, np.where(broad, around, np.nan))
 
 
 def map_step_fronts(votes: VoxelVotes) -> HeightMap:

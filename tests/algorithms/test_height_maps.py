@@ -9,6 +9,7 @@ from algorithms.height_maps import (
     map_ceilings,
     map_ducts,
     map_false_floors,
+    map_floors_beyond,
     map_glimpsed_ceilings,
     map_levels,
     map_raised_floors,
@@ -316,3 +317,24 @@ def test_a_ramp_has_no_step() -> None:
     assert np.isnan(found.low_m).all()
     nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
     assert np.isnan(map_step_fronts(nothing).low_m).all()
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "z", "expected"),
+    [
+        ((4.5, 7.5), (1.5, 2.7), 0.03, Label.FLOOR),  # of the next room, through its doorway
+        ((4.5, 7.5), (1.5, 1.9), 0.03, Label.CLUTTER),  # a plank
+        ((4.5, 7.5), (1.5, 2.7), 0.12, Label.CLUTTER),  # a mattress, or the floor of a platform: too high to be the same
+    ],
+)
+def test_floor_goes_on_level_where_no_scan_told(
+    x: tuple[float, float], y: tuple[float, float], z: float, expected: Label
+) -> None:
+    generator = np.random.default_rng(6)
+    beyond = generator.permutation(lying(x, y, z))[:350]
+    found = map_floors_beyond(
+        merge([votes_of((lying((0, 4), (0, 4), 0.01), Label.FLOOR)), votes_of((beyond, Label.CLUTTER), scans=1)])
+    )
+    inner = beyond[(beyond[:, 0] > x[0] + 0.4) & (beyond[:, 0] < x[1] - 0.4)]
+    told = found.label_of(inner, np.zeros(len(inner), np.uint8))
+    assert np.mean(told == expected) > 0.9
