@@ -55,7 +55,7 @@ def maps(run_dir: Path, reference_path: Path) -> None:
     typer.echo(f"overlay:   {run_dir / REFERENCE_OVERLAY}")
     if "recording_id" in record and (run_dir / RECORDING).exists():
         _write_layer(run_dir / REFERENCE_RECORDING, record["recording_id"], compared)
-        typer.echo(f"recording: rerun {run_dir / REFERENCE_RECORDING} {run_dir / RECORDING}")
+        typer.echo(f"recording: ffmap view {run_dir / REFERENCE_RECORDING} {run_dir / RECORDING}")
 
 
 def _content(reference_path: Path, alignment: Alignment, metrics: dict[str, Any]) -> dict[str, Any]:

@@ -55,7 +55,7 @@ def rooms(arguments: Arguments) -> None:
     console.print(_rooms_table(graph))
     if figures is not None:
         console.print(_truth_line(figures))
-    console.print(f"{out}: rooms.geojson, topology.json, rooms.png; look at it with: rerun {out / 'rooms.rrd'}")
+    console.print(f"{out}: rooms.geojson, topology.json, rooms.png; look at it with: ffmap view {out / 'rooms.rrd'}")
 
 
 def _segment_folder(arguments: Arguments) -> None:

@@ -154,7 +154,7 @@ def _evaluate(folder: RunFolder, arguments: Arguments) -> None:
         if not arguments.quiet:
             evaluate.print_metrics(metrics)
             if (folder.path / EVALUATION).exists():
-                typer.echo(f"errors:    rerun {folder.path / EVALUATION} {folder.path / RECORDING}")
+                typer.echo(f"errors:    {folder.path / EVALUATION}  (open both: ffmap view {folder.path})")
 
 
 def stored(arguments: Arguments) -> dict[str, Any]:

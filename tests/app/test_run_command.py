@@ -530,6 +530,7 @@ def test_info_and_run_say_the_same_of_mistakes(bags: dict[str, Path], environmen
     said = f"{cut}: the bag is empty, it has no messages; record it again"
     assert said in ffmap(environment, "info", cut).stdout
     assert_one_line_error(ffmap(environment, "run", cut), said)
+    assert "(medians of several clouds); the first has 1 x" in ffmap(environment, "info", bags["bag"]).stdout
     rig.write_text("[[lidar]]\n")
     for option, value in (("--horizontal", "/nope"), ("--vertical", "/nope"), ("--rig", rig)):
         info, run = (ffmap(environment, command, bags["bag"], option, value) for command in ("info", "run"))
