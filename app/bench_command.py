@@ -72,7 +72,8 @@ def _bench_run(bag: Path, out: Path) -> None:
     )
     share = (out / RECORDING).stat().st_size / max(_cloud_bytes(bag), 1)
     typer.echo(
-        f"whole run: {seconds:.1f} s for {covered_s:.1f} s of driving ({clouds} clouds): {covered_s / seconds:.2f} x real time"
+        f"whole run: takes {seconds:.1f} s for {covered_s:.1f} s of driving ({clouds} clouds), "
+        f"{covered_s / seconds:.2f} s of driving a second"
     )
     typer.echo(f"  stages: {stages}")
     typer.echo(f"  memory: peak {peak[0] / 2**20:.0f} MiB (proportional set sizes of all processes, summed)")

@@ -5,11 +5,14 @@ properties. A query is the same whether the server runs here for a second or is 
 """
 
 import difflib
+import json
 import re
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote, urlsplit
 
 import pyarrow as pa  # type: ignore[import-untyped]
@@ -20,7 +23,8 @@ from datafusion import functions as f
 from rerun.catalog import CatalogClient, DatasetEntry
 
 from app import figures
-from app.run_folder import EVALUATION, RECORDING, RUN_JSON, RunFolder
+from app.run_folder import EVALUATION, METRICS, RECORDING, RUN_JSON, RunFolder
+from blueprints import entities
 from loaders.errors import InputError
 
 LOOPBACK = "127.0.0.1"
@@ -31,6 +35,7 @@ _URLS = "rerun_storage_urls"
 _GROUPS = ("run", "result", "metrics", "settings")
 """Properties that are asked for; where two have a name in common, the earlier is meant."""
 _DEPTH = 3
+_STAND_INS = "ffmap-stand-ins"
 
 
 def find_runs(root: Path) -> list[Path]:
@@ -58,7 +63,9 @@ def _runs_below(folder: Path, depth: int) -> Iterator[Path]:
 class Catalogue:
     """A server over the recordings of runs, and what it could not take."""
 
-    def __init__(self, server: rr.server.Server) -> None:
+    def __init__(self, server: rr.server.Server, stand_ins: Path) -> None:
+        """stand_ins: an empty folder, for the properties of runs that have no recording."""
+        self._stand_ins = stand_ins / _STAND_INS
         self.url: str = server.url()
         self.dataset: DatasetEntry = server.client().create_dataset(DATASET)
         self.taken: dict[str, Path] = {}
@@ -70,22 +77,24 @@ class Catalogue:
     def add(self, folders: Iterable[Path]) -> None:
         """Register runs; of those that cannot be, or not with their figures, `left_out` says why."""
         new: dict[str, Path] = {}
+        recordings: dict[Path, Path] = {}
         copies: dict[Path, str] = {}
         for folder in folders:
             try:
-                identity = str(RunFolder(folder).read_json().get("recording_id"))
+                record = RunFolder(folder).read_json()
             except InputError as error:
                 self.left_out[folder] = str(error)
                 continue
-            if not (folder / RECORDING).exists():
-                self.left_out[folder] = f"{folder}: has no {RECORDING}, in which its properties would be"
-            elif identity in self.taken or identity in new:
+            identity = str(record.get("recording_id"))
+            if identity in self.taken or identity in new:
                 copies[folder] = identity
-            else:
-                new[identity] = folder
-        refused = self._register([folder / RECORDING for folder in new.values()], "base")
+                continue
+            new[identity] = folder
+            there = (folder / RECORDING).exists()
+            recordings[folder] = folder / RECORDING if there else self._stand_in(folder, identity, record)
+        refused = self._register([recordings[folder] for folder in new.values()], "base")
         for identity, folder in new.items():
-            reason = refused.get(folder / RECORDING)
+            reason = refused.get(recordings[folder])
             if reason is None:
                 self.taken[identity] = folder
             else:
@@ -96,6 +105,25 @@ class Catalogue:
                 self.left_out[folder] = f"{folder}: has the recording id of {self.taken[identity]}, of which it is a copy"
         if whole := [folder for folder, identity in copies.items() if identity not in self.taken]:
             self.add(whole)
+
+    def _stand_in(self, folder: Path, identity: str, record: Mapping[str, Any]) -> Path:
+        """A recording of what run.json and metrics.json say of a run that has no recording itself."""
+        properties = {
+            "settings": record.get("settings"),
+            "run": {name: record[name] for name in ("settings_hash", "bag", "versions", "started") if name in record},
+            "result": {name: record[name] for name in ("timings_s", "counts", "outcome") if name in record},
+        }
+        with suppress(OSError, ValueError):
+            properties["metrics"] = figures.queried(json.loads((folder / METRICS).read_text("utf-8")))
+        # Its place says which run it is of, to whoever asks the server.
+        path = self._stand_ins / folder.resolve().relative_to(folder.resolve().anchor) / RECORDING
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with rr.RecordingStream(entities.APPLICATION_ID, recording_id=identity) as stream:
+            stream.save(path)
+            for name, values in properties.items():
+                if isinstance(values, Mapping) and (flat := figures.flatten(values)):
+                    stream.send_property(name, rr.AnyValues(**flat))
+        return path
 
     def _add_figures(self) -> None:
         """Those of runs that were evaluated since they were registered too."""
@@ -142,8 +170,8 @@ def serve(folders: Sequence[Path], host: str = LOOPBACK, port: int | None = None
         server = rr.server.Server(host=host, port=port)
     except (RuntimeError, ValueError, OSError) as error:
         raise InputError(f"{host}:{port or 0}: no server can listen there ({error}); choose another --port") from error
-    with server:
-        catalogue = Catalogue(server)
+    with server, tempfile.TemporaryDirectory(prefix="ffmap-runs-") as stand_ins:
+        catalogue = Catalogue(server, Path(stand_ins))
         catalogue.add(folders)
         yield catalogue
 
@@ -275,4 +303,9 @@ def _in_their_words(condition: str, columns: Mapping[str, str]) -> str:
 def _folder_of(url: str) -> str:
     """The folder of a recording, where it is a file."""
     parts = urlsplit(url)
-    return str(Path(unquote(parts.path)).parent) if parts.scheme == "file" else url.rpartition("/")[0]
+    if parts.scheme != "file":
+        return url.rpartition("/")[0]
+    folder = Path(unquote(parts.path)).parent
+    if _STAND_INS not in folder.parts:
+        return str(folder)
+    return str(Path(folder.anchor, *folder.parts[folder.parts.index(_STAND_INS) + 1 :]))

@@ -8,7 +8,7 @@ import os
 import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -24,6 +24,25 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Maps of the immobile building from a robot's two 3-D lidars, every intermediate in a Rerun recording.",
 )
+
+
+def _tell_version(wanted: bool) -> None:
+    if wanted:
+        from app.versions import versions
+
+        own = versions()
+        revision = own["git_revision"]
+        typer.echo(f"ffmap {own['furniture-free-mapping']}" + (f" (git {revision})" if revision else ""))
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and end.", callback=_tell_version, is_eager=True)
+    ] = False,
+) -> None:
+    pass
 
 
 class TimeFrom(StrEnum):
@@ -71,6 +90,7 @@ def run(
         Path | None, typer.Argument(help="ROS 1 .bag, ROS 2 folder, .db3 or .mcap.", show_default=False)
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Run folder.  [default: runs/BAG-TIME-HASH]")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run that --out holds already.")] = False,
     config: Annotated[Path | None, typer.Option(help="Settings as TOML; see 'ffmap settings'.")] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="One setting, as in wall_planes.similarity_m=0.05; repeatable.")
@@ -148,6 +168,7 @@ def run(
             evaluate=evaluate_,
             quiet=quiet,
             latest=True,
+            overwrite=overwrite,
         ),
         resume,
     )
@@ -175,13 +196,14 @@ def info(
 @app.command()
 def simulate(
     out: Annotated[Path, typer.Argument(help="Bag to write: a file (bag), or a folder (mcap, db3).")],
-    building: Annotated[str, typer.Option(help="Kind of building.")] = "office",
+    building: Annotated[str, typer.Option(help="Kind of building: small, office, ell, angled or lab.")] = "office",
     seed: Annotated[int, typer.Option(min=0, help="Another building, other furniture, another drive.")] = 0,
     sensor: Annotated[str, typer.Option(help="hdl32e, vlp16 or os1-16.")] = "hdl32e",
     format_: Annotated[str, typer.Option("--format", help="bag (ROS 1), mcap or db3 (ROS 2).")] = "bag",
     duration: Annotated[float, typer.Option(min=1.0, help="Seconds of driving.")] = 60.0,
     set_: Annotated[
-        list[str] | None, typer.Option("--set", help="Any other property of the simulation, as in clutter=0.5.")
+        list[str] | None,
+        typer.Option("--set", help="Any other property of the simulation, as in clutter=0.5; an unknown one lists them all."),
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
@@ -201,7 +223,10 @@ def simulate(
 @app.command()
 def evaluate(
     run_folder: Annotated[Path | None, typer.Argument(metavar="[RUN]", help="Run folder.", show_default=False)] = None,
-    truth: Annotated[Path | None, typer.Option(help="Bag with the truth.  [default: the run's own]")] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(help="Bag with the truth, or a TUM file of the true poses alone.  [default: the run's own bag]"),
+    ] = None,
     suite: Annotated[
         bool, typer.Option("--suite", help="Simulate, run and evaluate buildings of many kinds, one line each.")
     ] = False,
@@ -210,7 +235,9 @@ def evaluate(
         str | None, typer.Option(help="With --suite: seeds, as in 1001,1002; 1 and 2 are those to tune on.")
     ] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="With --suite: one setting of the runs.")] = None,
-    out: Annotated[Path, typer.Option(help="With --suite: where all figures are written.")] = Path("runs/suite.json"),
+    out: Annotated[
+        Path | None, typer.Option(help="With --suite: where all figures are written.  [default: runs/suite.json]")
+    ] = None,
     workers: Annotated[
         int | None,
         typer.Option(min=1, help="Processes; with --suite: drives at a time.  [default: one for each core]"),
@@ -231,9 +258,13 @@ def evaluate(
 
         if run_folder is not None or truth is not None:
             raise InputError("--suite makes its own bags and runs: give no run folder and no --truth with it")
-        sys.exit(1 if run_suite(out, parse_seeds(seeds), quick, set_ or [], at_once=workers) else 0)
+        file = out or Path("runs/suite.json")
+        sys.exit(1 if run_suite(file, parse_seeds(seeds), quick, set_ or [], at_once=workers) else 0)
     if run_folder is None:
         raise InputError("give a run folder, or --suite; 'ffmap evaluate --help' has examples")
+    for name, given in (("--set", set_), ("--quick", quick), ("--seeds", seeds), ("--out", out)):
+        if given:
+            raise InputError(f"{name}: goes with --suite alone; a finished run is evaluated as it was made")
     from app import evaluate as evaluation
     from app.finished_run import open_run
 
@@ -590,7 +621,10 @@ def main() -> None:
     """Entry point: the user's mistakes are one line and exit code 2, ours a traceback."""
     _set_environment()
     try:
-        app()
+        # Not standalone: Typer's own way to tell of a mistake takes five lines, and it says nothing of an interruption.
+        code = app(standalone_mode=False, prog_name="ffmap")
+    except _OptionError as error:
+        sys.exit(_tell_of_options(error))
     except InputError as error:
         typer.echo(f"ffmap: {error}", err=True)
         sys.exit(2)
@@ -599,13 +633,40 @@ def main() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except OSError as error:
-        if error.errno != errno.ENOSPC:
-            raise
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            if error.errno not in _NOT_ALLOWED or error.filename is None:
+                raise
+            typer.echo(
+                f"ffmap: {error.filename}: cannot be read or written ({error.strerror}); change its permissions, or choose "
+                "another place",
+                err=True,
+            )
+            sys.exit(2)
         typer.echo(
             "ffmap: no space is left on the disk; free some, then go on with 'ffmap run --resume DIR', or start again",
             err=True,
         )
         sys.exit(2)
     except KeyboardInterrupt:
-        typer.echo("ffmap: interrupted; 'ffmap run --resume DIR' goes on with a run", err=True)
-        sys.exit(130)
+        code = _INTERRUPTED
+    if code == _INTERRUPTED:
+        typer.echo("ffmap: interrupted", err=True)
+    sys.exit(code or 0)
+
+
+_INTERRUPTED = 130
+_NOT_ALLOWED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR)
+_OptionError: type[Exception] = next(kind for kind in typer.BadParameter.__mro__ if kind.__name__ == "ClickException")
+"""What Typer raises for words that it does not understand. Where it takes this from depends on its version."""
+
+
+def _tell_of_options(error: Any) -> int:  # noqa: ANN401 - as above
+    """Say in one line what is wrong with the words of the command line; returns the exit code."""
+    context = getattr(error, "ctx", None)
+    if type(error).__name__ == "NoArgsIsHelpError":
+        typer.echo(context.get_help() if context else error.format_message())
+        return 2
+    said = " ".join(error.format_message().split()).rstrip(".")
+    command = context.command_path if context else "ffmap"
+    typer.echo(f"ffmap: {said[:1].lower()}{said[1:]}; '{command} --help' lists what it takes", err=True)
+    return 2

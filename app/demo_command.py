@@ -6,21 +6,25 @@ from pathlib import Path
 import typer
 
 from app import run_command
+from app.run_folder import require_writable
 from app.simulate_command import simulate
 
 SECONDS = 16.0
 
 
 def demo(out: Path) -> None:
-    """Simulate `out`/small.bag anew, run on it into `out`/run, say where everything lies."""
+    """Simulate `out`/small.bag anew, run on it into `out`/run, say where everything lies.
+
+    Raises InputError where nothing can be written there.
+    """
     started = time.monotonic()
-    out.mkdir(parents=True, exist_ok=True)
+    require_writable(out, "give another folder to --out")
     bag = out / "small.bag"
     bag.unlink(missing_ok=True)
     typer.echo(f"simulating {SECONDS:.0f} s of driving in a small furnished building ...")
     simulate(bag, "small", 3, "hdl32e", "bag", SECONDS, [], quiet=True)
     typer.echo("labelling every scan, mapping the building, recording every intermediate ...")
-    run_command.run(run_command.Arguments(bag=bag, out=out / "run"), None)
+    run_command.run(run_command.Arguments(bag=bag, out=out / "run", overwrite=True), None)
     typer.echo(f"\ndone in {time.monotonic() - started:.0f} s. Look at every scan, step by step:\n")
     typer.echo(f"    .venv/bin/ffmap view {out / 'run'}\n")
     typer.echo("Your own bag: .venv/bin/ffmap run BAG (README.md says what it needs).")

@@ -7,6 +7,7 @@ The names in it, all fractions 0 to 1, null where there is nothing to divide by:
     area.outside_kept_as_structure
     area.confusion.truth | label | counts        row and column names, cubes before any rule is applied
     area_scan, points, points_scan               the same for the labels of single scans, and by points
+    missing                                      what could not be compared, and why
     scans.counted | skipped | without_truth
     doors.true | passed | found_count | found | detections | invented_count | invented
     doors.width_error_m | width_bias_m | state_right
@@ -30,8 +31,8 @@ labelled clouds, the sections about them are missing.
 
 import json
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import pairwise
@@ -77,9 +78,20 @@ from app.map_figures import (
     wall_thickness_of_doors,
     write_overlays,
 )
-from app.processes import process_context
+from app.processes import make_pool
 from app.room_results import outlines
-from app.run_folder import DOORS, EVALUATION, LABELS, METRICS, OVERLAY, RUN_JSON, rooms_file
+from app.run_folder import (
+    DOORS,
+    EVALUATION,
+    LABELS,
+    METRICS,
+    OVERLAY,
+    RUN_JSON,
+    TRAJECTORY,
+    map_file,
+    require_writable,
+    rooms_file,
+)
 from blueprints import entities
 from blueprints import run as run_blueprint
 from loaders.bag import Bag, open_bag
@@ -88,7 +100,7 @@ from loaders.pointcloud2 import describe_layout, field_column
 from loaders.rig import Lidar, find_rig
 from loaders.scans import CloudIndex, SkippedScan, cloud_topics, index_clouds, read_clouds
 from loaders.trajectory_file import read_tum
-from loaders.truth import POSE_TOPIC, TruthClasses, read_truth
+from loaders.truth import BUILDING_TOPIC, CLASSES_TOPIC, POSE_TOPIC, TruthClasses, read_truth
 from loaders.truth import Truth as BagTruth
 
 Metrics = dict[str, Any]
@@ -102,6 +114,9 @@ PAPER = {
 """Table II: precision, recall, F1 by area."""
 
 DEFAULT_DOOR_HEIGHT_M = 2.0
+
+TRUTH_SUFFIXES = (".tum", ".txt")
+"""Of files with the true poses alone."""
 
 _FIG_10 = ("found", "recall", "precision", "split", "merged")
 _SEGMENTED = {
@@ -181,15 +196,19 @@ def evaluate_run(run: FinishedRun, truth_bag: Path | None = None, workers: int =
 
     Where the run has a recording, `evaluation.rrd` becomes its second layer.
 
-    truth_bag: the bag that carries the truth; None for the one that the run was made from.
-    workers: processes that are started where there is enough to do.
-    Raises InputError where the run does not say which bag it was made from, or the bag has no truth.
+    truth_bag: the bag that carries the truth, or a TUM file of the true poses alone; None for the bag that the run was made
+    from. workers: processes that are started where there is enough to do.
+    Raises InputError where the run does not say which bag it was made from, or the bag has no truth, where run and truth
+    have nothing in common, and where nothing can be written into the run folder.
     """
+    require_writable(run.path, "the figures are written there: change its permissions, or evaluate a copy")
     truth_path = truth_bag if truth_bag is not None else _bag_of(run)
-    with open_bag(truth_path) as bag, tempfile.TemporaryDirectory(prefix="evaluation-", dir=run.path) as spool:
-        truth = read_truth(bag)
+    with _opened_truth(truth_path) as truth, tempfile.TemporaryDirectory(prefix="evaluation-", dir=run.path) as spool:
         if truth is None or truth.trajectory is None:
-            raise InputError(f"{truth_path}: the bag carries no /truth/pose to compare with; give --truth BAG")
+            raise InputError(
+                f"{truth_path}: the bag carries no {POSE_TOPIC} to compare with; give a bag that does, or a TUM file of the "
+                "true poses, to --truth"
+            )
         layer = _layer_of(run, Path(spool))
         comparison = compare_run(run, truth_path, truth, truth.trajectory, workers, layer)
         write_json(run.path / METRICS, comparison.metrics)
@@ -198,6 +217,16 @@ def evaluate_run(run: FinishedRun, truth_bag: Path | None = None, workers: int =
         if layer is not None and comparison.tally is not None:
             _write_layer(run.path / EVALUATION, layer, comparison)
     return comparison.metrics
+
+
+@contextmanager
+def _opened_truth(path: Path) -> Iterator[BagTruth | None]:
+    """A bag's truth, which can be read within the context; of a TUM file, the poses. None where a bag carries none."""
+    if path.suffix.lower() in TRUTH_SUFFIXES:
+        yield BagTruth(read_tum(path), None, None)
+        return
+    with open_bag(path) as bag:
+        yield read_truth(bag)
 
 
 def _layer_of(run: FinishedRun, spool: Path) -> Layer | None:
@@ -246,6 +275,8 @@ def print_metrics(metrics: Metrics) -> None:
     console = Console()
     for table in format_metrics(metrics):
         console.print(table)
+    for reason in metrics.get("missing", ()):
+        console.print(f"not compared: {reason}", markup=False, highlight=False, soft_wrap=True)
 
 
 def compare_run(
@@ -260,7 +291,20 @@ def compare_run(
     metrics: Metrics = {"truth": str(truth_path)}
     if run.trajectory is not None:
         found = read_tum(run.trajectory)
-        metrics["trajectory"] = _trajectory_metrics(compare_trajectories(found, true_trajectory))
+        compared_poses = compare_trajectories(found, true_trajectory)
+        if not compared_poses.poses:
+            raise InputError(
+                f"{truth_path}: has no pose of a time at which the run {run.path} has one; give the truth of the same drive"
+            )
+        metrics["trajectory"] = _trajectory_metrics(compared_poses)
+    missing = tuple(_missing(run, truth))
+    if run.trajectory is None and _clouds_of(run) is None:
+        raise InputError(
+            f"{run.path}: holds nothing to compare with the truth, the run is {run.outcome}; "
+            f"'ffmap run --resume {run.path}' goes on with one that was stopped"
+        )
+    if missing:
+        metrics["missing"] = missing
     if statistics := run.record.get("statistics"):
         metrics["statistics"] = statistics
     if truth.building is not None:
@@ -301,6 +345,34 @@ def compare_run(
             metrics["wall_map"] = metrics["maps"][entities.FURNITURE_FREE]
         comparison = replace(comparison, maps=compared)
     return comparison
+
+
+def _missing(run: FinishedRun, truth: BagTruth) -> Iterator[str]:
+    """What cannot be compared, and why, one line each."""
+    if truth.classes is None and truth.building is None:
+        yield "labels, doors, maps and rooms: the truth has poses alone"
+        return
+    if run.trajectory is None:
+        yield f"trajectory: {_lacks(run, TRAJECTORY, None)}"
+    if truth.classes is None:
+        yield f"labels, doors and maps: the truth has no {CLASSES_TOPIC}"
+    elif run.labelled is None and run.file(LABELS) is None:
+        yield f"labels, doors and maps: {_lacks(run, 'labelled clouds', 'labelled')}"
+    if truth.building is None:
+        yield f"doors, maps and rooms: the truth has no {BUILDING_TOPIC}"
+        return
+    for what, name, output in (
+        ("doors", DOORS, "geojson"),
+        ("rooms", rooms_file(Segmented.FURNITURE_FREE), "geojson"),
+        ("maps", map_file(entities.FURNITURE_FREE), "maps"),
+    ):
+        if run.file(name) is None:
+            yield f"{what}: {_lacks(run, name, output)}"
+
+
+def _lacks(run: FinishedRun, name: str, output: str | None) -> str:
+    why = f"; --outputs with {output} writes it" if run.complete and output is not None else ""
+    return f"the run has no {name}" + (why or f", it is {run.outcome}")
 
 
 def _clouds_of(run: FinishedRun) -> LabelledClouds | None:
@@ -354,7 +426,7 @@ def count_run(
             bags = _Bags.read(bag, true_bag, topic)
             tally, without_truth = _sum(doors, (_count(share, bags) for share in shares))
     else:
-        with ProcessPoolExecutor(processes, process_context()) as pool:
+        with make_pool(processes) as pool:
             tally, without_truth = _sum(doors, pool.map(_count_in_worker, shares))
     parts = tuple(share.part for share in shares if layer is not None and share.part.exists())
     return Counted(tally, without_truth, clouds.lidar.ring_count, parts)
@@ -523,7 +595,7 @@ def format_metrics(metrics: Metrics) -> list[Table]:
         tables.append(table)
     if "statistics" in metrics:
         table = Table(title="Statistics (Table I)", title_justify="left")
-        for heading in ("", "mean", "std", "min", "max", "paper: mean", "std", "min", "max"):
+        for heading in ("", "mean", "std", "min", "max"):
             table.add_column(heading, justify="right" if heading else "left")
         for name, paper in PAPER_STATISTICS.items():
             own = metrics["statistics"][name]
@@ -531,8 +603,8 @@ def format_metrics(metrics: Metrics) -> list[Table]:
             table.add_row(
                 name.replace("_", " "),
                 *(f"{own[figure]:,.{digits}f}" for figure in ("mean", "standard_deviation", "min", "max")),
-                *(f"{figure:,}" for figure in paper),
             )
+            table.add_row("  in the paper", *(f"{figure:,}" for figure in paper))
         tables.append(table)
     if "maps" in metrics:
         tables.append(maps_table(metrics["maps"], "Grid maps against the truth (Fig. 9)"))

@@ -46,7 +46,7 @@ OBJECTIVES = (
 """Figures of which one value is better than another."""
 
 _NOT_QUERIED = {
-    *("points", "points_scan", "maps", "statistics", "by_room", "confusion"),
+    *("missing", "points", "points_scan", "maps", "statistics", "by_room", "confusion"),
     # What precision and recall are made from.
     *("right_m2", "wrong_m2", "missed_m2"),
 }

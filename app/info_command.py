@@ -51,8 +51,8 @@ def _describe_cloud(cloud: CloudInfo) -> list[str]:
     lines = [
         f"frame: {cloud.frame_id or 'none'}",
         f"clouds: {cloud.cloud_count}" + (f" at {cloud.rate_hz:.2f} Hz" if cloud.rate_hz is not None else ""),
-        f"points: {valid} valid of {places} ({layout.height} x {layout.width}, "
-        f"{'organised' if layout.organised else 'unorganised'}), {layout.point_step} bytes each",
+        f"points: {valid} valid of {places} (medians of several clouds); the first has {layout.height} x {layout.width}, "
+        f"{'organised' if layout.organised else 'unorganised'}, {layout.point_step} bytes each",
         f"fields: {fields}",
         f"rings: {cloud.rings}",
         f"times: {cloud.times}",

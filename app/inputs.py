@@ -9,7 +9,7 @@ from loaders.bag import Bag, digest, open_bag
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom
 from loaders.rig import Lidar, Rig, find_rig
-from loaders.scans import CloudIndex, cloud_topics, index_clouds, read_scans
+from loaders.scans import CloudIndex, index_clouds, read_scans
 
 _TILT_MIN_DEG = LEANING_MIN_DEG + 5.0
 """The robot itself tilts on ramps and over sills."""
@@ -52,8 +52,6 @@ def find_inputs(bag_path: Path, options: InputOptions) -> Inputs:
     Raises InputError that names the file, topic or frame and says what to do.
     """
     with open_bag(bag_path) as bag:
-        if not cloud_topics(bag):
-            raise InputError(f"{bag_path}: has no PointCloud2 topic; 'ffmap info {bag_path}' lists what it has")
         rig = find_rig(bag, options.rig_file, options.horizontal, options.vertical, options.time_from)
         horizontal = _sensor(bag, rig.horizontal) if rig.horizontal else None
         vertical = _sensor(bag, _checked(rig.vertical)) if rig.vertical else None

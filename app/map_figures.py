@@ -120,12 +120,15 @@ def map_metrics(compared: ComparedMaps) -> dict[str, Any]:
 
 def maps_table(metrics: Mapping[str, Any], title: str) -> Table:
     """What `map_metrics` says, one line a map."""
-    table = Table(title=title, title_justify="left")
+    table = Table(title=title, title_justify="left", padding=(0, 1, 0, 0))
     with_doors = any("doors_blocked" in own for own in metrics.values())
-    headings = ["map", "precision %", "recall %", "mean error cm"]
-    headings += ["doors blocked", "precision % without cabinets"] if with_doors else []
+    headings = ["map", "precision %", "recall %", "error cm"]
+    headings += ["doors blocked", "no cabinets %"] if with_doors else []
+    # No name is cut where the terminal is narrow: they are folded between words, none of which is longer than this.
+    longest = max(len(word) for name in metrics for word in TITLES[name].split())
     for heading in headings:
-        table.add_column(heading, justify="left" if heading == "map" else "right")
+        first = heading == "map"
+        table.add_column(heading, justify="left" if first else "right", overflow="fold", min_width=longest if first else None)
     for name, own in metrics.items():
         row = [TITLES[name], _number(own["precision"], 100), _number(own["recall"], 100), _number(own["error_m"], 100)]
         if with_doors:

@@ -17,6 +17,8 @@ from loaders.errors import InputError
 WHITE_MIN = 251
 """Without a YAML file, what is at least so bright is free: map_server writes 254, drawings 255."""
 BLACK_MAX = 100
+IMAGES = (".png", ".pgm", ".pbm", ".ppm", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff", ".gif", ".webp")
+RESOLUTION_MAX_M = 1.0
 PIXELS_MAX = 600_000_000
 """What is larger does not fit into the memory of a small computer."""
 
@@ -35,23 +37,30 @@ class MapDescription(BaseModel):
     mode: Literal["trinary", "scale", "raw"] = "trinary"
 
 
-def read_map(path: Path, resolution_m: float | None = None) -> GridMap:
-    """The grid map of a .yaml, or of an image (.png, .pgm or any other that Pillow reads).
+def read_map(path: Path, resolution_m: float | None = None, takes_resolution: bool = False) -> GridMap:
+    """The grid map of a .yaml, or of an image (see `IMAGES`).
 
     resolution_m: edge of a pixel in metres; needed for an image without YAML, in the place of the YAML's otherwise.
+    takes_resolution: whether the user could have given it.
     The origin's yaw turns the map; it is refused where it is not 0, for rooms are given in the map's frame.
     Raises InputError where it is no map.
     """
-    if resolution_m is not None and not (math.isfinite(resolution_m) and resolution_m > 0):
-        raise InputError(f"--resolution {resolution_m}: give the edge of a pixel in metres, as in 0.05")
+    if resolution_m is not None and not 0 < resolution_m <= RESOLUTION_MAX_M:
+        raise InputError(
+            f"--resolution {resolution_m:g}: give the edge of a pixel in metres, as in 0.05; {RESOLUTION_MAX_M:g} at most, for "
+            "larger pixels show no door"
+        )
     if path.suffix.lower() in (".yaml", ".yml"):
         description = _read_description(path)
         pixels = read_image(path.parent / description.image, f"{path}: its image ")
         cells = _cells(pixels, description)
         origin = np.array(description.origin[:2])
         return GridMap(np.ascontiguousarray(cells[::-1]), origin, resolution_m or description.resolution)
+    if path.suffix.lower() not in IMAGES:
+        raise InputError(f"{path}: is no map; give map_server's YAML file, or an image ({', '.join(IMAGES)})")
     if resolution_m is None:
-        raise InputError(f"{path}: an image has no scale; give --resolution METRES of a pixel, or map_server's YAML file")
+        how = "map_server's YAML file that names it" + (", or --resolution METRES of a pixel" if takes_resolution else "")
+        raise InputError(f"{path}: an image has no scale; give {how}")
     pixels = read_image(path)
     cells = np.full(pixels.shape, Cell.UNKNOWN, np.uint8)
     cells[pixels >= WHITE_MIN] = Cell.FREE

@@ -10,7 +10,15 @@ from algorithms.map_comparison import Alignment, align_maps, compare_with_refere
 from app.files import write_json
 from app.map_figures import ComparedMap, ComparedMaps, map_metrics, maps_table, read_maps, write_overlays
 from app.map_files import read_map
-from app.run_folder import RECORDING, REFERENCE_JSON, REFERENCE_OVERLAY, REFERENCE_RECORDING, RunFolder, map_file
+from app.run_folder import (
+    RECORDING,
+    REFERENCE_JSON,
+    REFERENCE_OVERLAY,
+    REFERENCE_RECORDING,
+    RunFolder,
+    map_file,
+    require_writable,
+)
 from blueprints import entities
 from loaders.errors import InputError
 
@@ -18,9 +26,10 @@ from loaders.errors import InputError
 def maps(run_dir: Path, reference_path: Path) -> None:
     """Align the run's maps with the reference, compare, write the picture, the figures and the layer, print the table.
 
-    Raises InputError where the run has no maps, the reference is none, or it shows another building.
+    Raises InputError where the run has no maps or cannot be written, the reference is none, or it shows another building.
     """
     record = RunFolder(run_dir).read_json()
+    require_writable(run_dir, "the comparison is written there: change its permissions, or compare a copy")
     own = read_maps(run_dir)
     if entities.FURNITURE_FREE not in own:
         raise InputError(f"{run_dir}: holds no {map_file(entities.FURNITURE_FREE)} to compare; run ffmap again")
@@ -46,7 +55,7 @@ def maps(run_dir: Path, reference_path: Path) -> None:
     typer.echo(f"overlay:   {run_dir / REFERENCE_OVERLAY}")
     if "recording_id" in record and (run_dir / RECORDING).exists():
         _write_layer(run_dir / REFERENCE_RECORDING, record["recording_id"], compared)
-        typer.echo(f"recording: rerun {run_dir / REFERENCE_RECORDING} {run_dir / RECORDING}")
+        typer.echo(f"recording: ffmap view {run_dir / REFERENCE_RECORDING} {run_dir / RECORDING}")
 
 
 def _content(reference_path: Path, alignment: Alignment, metrics: dict[str, Any]) -> dict[str, Any]:

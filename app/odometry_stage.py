@@ -24,7 +24,7 @@ from algorithms.pose_graph import PoseGraph
 from algorithms.scan import FloatArray, Scan
 from algorithms.trajectory import Trajectory
 from app.inputs import Inputs, Sensor
-from app.processes import process_context
+from app.processes import leave_interrupts_to_the_run, process_context
 from app.settings import Settings
 from loaders.bag import open_bag
 from loaders.scans import read_scans
@@ -219,6 +219,7 @@ def _store(path: Path, stored: list[Registration]) -> None:
 def _odometry_process(
     inputs: Inputs, sensor: Sensor, settings: Settings, results: "mp.Queue[Registration | PoseGraph | str | None]"
 ) -> None:
+    leave_interrupts_to_the_run()
     # Imported here: only this process needs KISS-ICP.
     import traceback
 

@@ -9,6 +9,7 @@ import uuid
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -51,7 +52,7 @@ from app.blocks import (
 )
 from app.inputs import Inputs
 from app.labels_file import LabelsWriter
-from app.odometry_stage import Odometry
+from app.odometry_stage import CACHE_VARIABLE, Odometry, cache_folder
 from app.outputs import RUN_OUTPUTS, Output
 from app.plan_files import write_dxf, write_svg
 from app.poses import level_by_first_scans
@@ -145,41 +146,58 @@ def run(
     started, worked = time.perf_counter(), time.process_time()
     state = RunState(warnings=list(inputs.warnings))
     folder.write_json({**record, "outcome": "running"})
-    recording = _open(inputs, options, folder, record)
+    recording: Recording | None = None
+    recorder: Recorder | None = None
     try:
+        recording = _open(inputs, options, folder, record)
         recorder = Recorder(recording.stream, options.detail) if recording else None
         _run_stages(_Run(inputs, settings, options, folder, progress, record, recording, recorder, state), given)
         outcome = "complete"
         if options.workers == 1:
             # All of it was this process's work, whatever else the machine was busy with.
             state.timings_s["cpu"] = time.process_time() - worked
-        if recorder:
-            result = {name: value for name, value in _gathered(state, started).items() if name not in _TOLD_ELSEWHERE}
-            recorder.log_properties("result", {**result, "outcome": outcome})
-    except BaseException:
-        folder.write_json({**record, **_gathered(state, started), "outcome": "aborted"})
-        raise
-    finally:
+        _log_result(recorder, state, started, outcome)
         if recording is not None:
             recording.finish()
+    except BaseException:
+        folder.write_json({**record, **_gathered(state, started), "outcome": "aborted"})
+        # What ended the run is what the user has to hear of.
+        with suppress(Exception):
+            _log_result(recorder, state, started, "aborted")
+        with suppress(Exception):
+            if recording is not None:
+                recording.finish()
+        raise
     record = {**record, **_gathered(state, started), "outcome": outcome}
     folder.write_json(record)
     shutil.rmtree(folder.spool, ignore_errors=True)
     return record
 
 
+def _log_result(recorder: Recorder | None, state: RunState, started: float, outcome: str) -> None:
+    """As properties, which a list of runs asks for."""
+    if recorder is not None:
+        result = {name: value for name, value in _gathered(state, started).items() if name not in _TOLD_ELSEWHERE}
+        recorder.log_properties("result", {**result, "outcome": outcome})
+
+
 def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[str, Any]) -> Recording | None:
-    """The run's recording; None where none is wanted."""
+    """The run's recording; None where none is wanted. Raises InputError where the viewer has gone."""
     save = Output.RECORDING in options.outputs
     if not save and options.connect_url is None:
         return None
-    return Recording(
-        folder.path / RECORDING if save else None,
-        folder.spool,
-        record["recording_id"],
-        _layout(inputs, options.detail),
-        options.connect_url,
-    )
+    try:
+        return Recording(
+            folder.path / RECORDING if save else None,
+            folder.spool,
+            record["recording_id"],
+            _layout(inputs, options.detail),
+            options.connect_url,
+        )
+    except ConnectionError as error:
+        raise InputError(
+            f"{error}: the viewer has ended; is there a display? Leave --spawn or --connect out: the recording can be opened later"
+        ) from error
 
 
 _TOLD_ELSEWHERE = ("statistics", "warnings")
@@ -345,6 +363,8 @@ class _ScanStage:
         self._progress.stage("odometry", len(sensor.index))
         odometry = Odometry(self._inputs, sensor, self._settings)
         self._state.odometry_cached = odometry.from_cache
+        if odometry.from_cache:
+            self._progress.say(f"odometry: taken from the cache in {cache_folder()}; with {CACHE_VARIABLE} it is another folder")
         for registration in odometry:
             if len(odometry) == 1 and self._recorder:
                 # Until the map is level, the base's first pose is.

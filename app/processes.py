@@ -1,11 +1,13 @@
 """How worker processes are made."""
 
 import multiprocessing as mp
+import signal
 import sys
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from multiprocessing import forkserver
 from multiprocessing.context import ForkServerContext, SpawnContext
+from types import TracebackType
 from typing import Any, TypeVar
 
 _T = TypeVar("_T")
@@ -31,7 +33,7 @@ def process_context() -> ForkServerContext | SpawnContext:
     if sys.platform != "linux":
         return mp.get_context("spawn")
     context = mp.get_context("forkserver")
-    context.set_forkserver_preload(["algorithms.odometry", "app.warm_up"])
+    context.set_forkserver_preload(["app.worker_server", "algorithms.odometry", "app.warm_up"])
     return context
 
 
@@ -43,7 +45,23 @@ def start_server() -> None:
 
 def make_pool(workers: int) -> Executor:
     """Processes that take jobs; a single worker is this process itself, so that the whole run is one thread's work."""
-    return _InTurn() if workers == 1 else ProcessPoolExecutor(workers, process_context())
+    return _InTurn() if workers == 1 else _Processes(workers, process_context(), leave_interrupts_to_the_run)
+
+
+def leave_interrupts_to_the_run() -> None:
+    """Called by a worker process as it starts: Ctrl-C reaches all processes of a terminal, and the run ends the others."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+class _Processes(ProcessPoolExecutor):
+    """Nobody waits for what its workers are at when the user interrupts: every file that they write is whole or not there."""
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        if kind is not None and issubclass(kind, KeyboardInterrupt):
+            self.shutdown(wait=False, cancel_futures=True)
+            for process in mp.active_children():
+                process.terminate()
+        super().__exit__(kind, error, tb)
 
 
 class _InTurn(Executor):

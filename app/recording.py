@@ -260,13 +260,20 @@ def start_viewer(port: int | None = None, timeout_s: float = 20.0, files: Sequen
     command += [str(file.resolve()) for file in files]
     viewer = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
     end = time.monotonic() + timeout_s
+    listens_since: float | None = None
     while time.monotonic() < end and viewer.poll() is None:
         with socket.socket() as probe:
-            if probe.connect_ex(("127.0.0.1", port)) == 0:
-                return f"rerun+http://127.0.0.1:{port}/proxy"
+            if listens_since is None and probe.connect_ex(("127.0.0.1", port)) == 0:
+                listens_since = time.monotonic()
+        # It listens before it opens its window, and ends where it cannot.
+        if listens_since is not None and time.monotonic() - listens_since > _OPENS_WINDOW_S:
+            return f"rerun+http://127.0.0.1:{port}/proxy"
         time.sleep(0.05)
     viewer.terminate()
     raise RuntimeError("the Rerun viewer did not start; is there a display?")
+
+
+_OPENS_WINDOW_S = 1.0
 
 
 def free_port() -> int:

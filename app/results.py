@@ -102,11 +102,11 @@ def write_walls(path: Path, walls: Walls, thickness_m: FloatArray | None = None)
                 ends,
                 {
                     "normal": walls.normal[i],
-                    "bottom": walls.bottom_m[i],
-                    "top": walls.top_m[i],
+                    "bottom": _millimetres(walls.bottom_m[i]),
+                    "top": _millimetres(walls.top_m[i]),
                     "scans": walls.scan_count[i],
                     "rms": walls.rms_m[i],
-                    "thickness": thickness_m[i] if thickness_m is not None else None,
+                    "thickness": _millimetres(thickness_m[i]) if thickness_m is not None else None,
                 },
             )
             for i, ends in enumerate(walls.ends)
@@ -126,9 +126,9 @@ def write_doors(path: Path, doors: Doors, rooms: Sequence[Sequence[str | None] |
                 ends,
                 {
                     "state": DoorState(int(doors.state[i])).name.lower(),
-                    "width": np.linalg.norm(ends[1] - ends[0]),
-                    "height": doors.head_m[i],
-                    "depth": doors.depth_m[i],
+                    "width": _millimetres(np.linalg.norm(ends[1] - ends[0])),
+                    "height": _millimetres(doors.head_m[i]),
+                    "depth": _millimetres(doors.depth_m[i]),
                     "confidence": doors.confidence[i],
                     "crossed": bool(doors.crossed[i]),
                     "rooms": rooms[i] if rooms is not None else None,
@@ -340,6 +340,11 @@ _LATCHED = Qos(
     liveliness_lease_duration=_FOREVER,
     avoid_ros_namespace_conventions=False,
 )
+
+
+def _millimetres(length_m: np.floating[Any]) -> float:
+    """What is written of a length: no more digits than it is good for."""
+    return round(float(length_m), 3)
 
 
 def _line_feature(ends: FloatArray, properties: dict[str, object]) -> dict[str, Any]:

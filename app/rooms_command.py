@@ -24,6 +24,7 @@ from loaders.errors import InputError
 
 CELLS_MAX = 8_000_000
 """A map with more cells around its free space is segmented with larger ones: time and memory stay bounded."""
+TOPOLOGY = "topology.json"
 TRUTH_SUFFIX = "_gt_segmentation"
 IMAGES = (".png", ".pgm")
 
@@ -54,7 +55,7 @@ def rooms(arguments: Arguments) -> None:
     console.print(_rooms_table(graph))
     if figures is not None:
         console.print(_truth_line(figures))
-    console.print(f"{out}: rooms.geojson, topology.json, rooms.png; look at it with: rerun {out / 'rooms.rrd'}")
+    console.print(f"{out}: rooms.geojson, topology.json, rooms.png; look at it with: ffmap view {out / 'rooms.rrd'}")
 
 
 def _segment_folder(arguments: Arguments) -> None:
@@ -105,7 +106,7 @@ def _segment(
     arguments: Arguments, path: Path, truth: Path | None, many: bool = False
 ) -> tuple[AreaGraph, RoomFigures | None]:
     settings = load_settings(arguments.config, arguments.overrides).area_graph
-    grid = read_map(path, arguments.resolution_m)
+    grid = read_map(path, arguments.resolution_m, takes_resolution=True)
     if not (grid.cells == Cell.FREE).any():
         raise InputError(
             f"{path}: the map has no free cell; free is white (over 250) in an image, and what a YAML file's own free_thresh "
@@ -130,8 +131,21 @@ def _segment(
         )
     figures = None if truth is None else _compare(path, grid, coarse, graph, truth)
     out = arguments.out or Path("rooms")
-    _write(out / path.stem if many or arguments.out is None else out, coarse, graph, figures, recording.result())
+    own = out / path.stem if many or arguments.out is None else out
+    if arguments.out is None:
+        _check_default(own, path)
+    _write(own, path, coarse, graph, figures, recording.result())
     return graph, figures
+
+
+def _check_default(out: Path, path: Path) -> None:
+    """Raises InputError where a folder that the user did not name has the rooms of another map of the same name."""
+    try:
+        before = json.loads((out / TOPOLOGY).read_text("utf-8")).get("map")
+    except (OSError, ValueError, AttributeError):
+        return
+    if before is not None and before != str(path.resolve()):
+        raise InputError(f"{out}: has the rooms of {before} already; give another folder to --out, or the same to replace them")
 
 
 def _prepare_recording(grid: GridMap) -> RecordingWriter:
@@ -141,12 +155,12 @@ def _prepare_recording(grid: GridMap) -> RecordingWriter:
 
 
 def _write(
-    out: Path, grid: GridMap, graph: AreaGraph, figures: RoomFigures | None, write_recording: RecordingWriter
+    out: Path, path: Path, grid: GridMap, graph: AreaGraph, figures: RoomFigures | None, write_recording: RecordingWriter
 ) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
         write_rooms(out / ROOMS, graph)
-        write_json(out / "topology.json", topology(graph))
+        write_json(out / TOPOLOGY, {"map": str(path.resolve()), **topology(graph)})
         write_picture(out / "rooms.png", grid, graph)
         if figures is not None:
             write_json(out / METRICS, metrics(figures))

@@ -1,5 +1,8 @@
 """ffmap run: from the arguments to a finished run folder."""
 
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -19,6 +22,9 @@ from app.settings import Settings, load_settings, validate
 from app.versions import versions
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom
+
+INTERRUPTED = 130
+"""The exit code of a program that Ctrl-C has ended."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +49,8 @@ class Arguments:
     quiet: bool = False
     latest: bool = False
     """Whether `latest` beside the run folder is to point at it: not in a sweep, whose runs come in any order."""
+    overwrite: bool = False
+    """Whether a run that is in the folder already may be replaced."""
 
 
 _STORED = ("rig", "horizontal", "vertical", "time_from", "trajectory", "detail", "outputs", "evaluate")
@@ -50,8 +58,16 @@ _STORED = ("rig", "horizontal", "vertical", "time_from", "trajectory", "detail",
 
 
 def run(arguments: Arguments, resume: Path | None) -> None:
-    """Run, or go on with a run; raises InputError for what the user can mend."""
+    """Run, or go on with a run; raises InputError for what the user can mend, as where another run is at the folder."""
+    with ExitStack() as stack:
+        _run(arguments, resume, stack)
+
+
+def _run(arguments: Arguments, resume: Path | None, stack: ExitStack) -> None:
+    """stack: holds the run folder until it is left."""
     if resume is not None:
+        _check_resumable(arguments)
+        stack.enter_context(run_folder.held(resume))
         arguments, settings, folder, record = _resumed(arguments, resume)
         if record is None:
             typer.echo(f"{folder.path} is complete already; nothing to resume")
@@ -65,42 +81,53 @@ def run(arguments: Arguments, resume: Path | None) -> None:
         arguments.bag, InputOptions(arguments.rig, arguments.horizontal, arguments.vertical, arguments.time_from)
     )
     given = given_trajectory(arguments.trajectory, inputs)
-    connect_url = _viewer(arguments)
     if record is not None and record["bag"]["digest"] != inputs.bag_digest:
         raise InputError(f"{arguments.bag}: is not the bag that {resume} was made from; start a new run")
     if folder is None:
         folder = run_folder.create(
-            arguments.out or run_folder.default_path(arguments.bag.resolve(), settings.short_hash())
+            arguments.out or run_folder.default_path(arguments.bag.resolve(), settings.short_hash()), arguments.overwrite
         )
+        stack.enter_context(run_folder.held(folder.path))
+    connect_url = _viewer(arguments)
+    if record is None:
         run_folder.clear(folder)
         record = pipeline.first_record(
             inputs, settings, stored(arguments), arguments.bag, arguments.trajectory or "odometry"
         )
     assert record is not None
-    with Progress(arguments.quiet) as progress:
+    options = pipeline.RunOptions(
+        detail=Detail(arguments.detail),
+        outputs=check_outputs(arguments.outputs),
+        connect_url=connect_url,
+        workers=arguments.workers,
+        resume=resume is not None,
+    )
+    with (
+        _interruptible(f"'ffmap run --resume {folder.path}' goes on with the run"),
+        Progress(arguments.quiet) as progress,
+    ):
         for warning in inputs.warnings:
             progress.warn(warning)
-        finished = pipeline.run(
-            inputs,
-            given,
-            settings,
-            pipeline.RunOptions(
-                detail=Detail(arguments.detail),
-                outputs=check_outputs(arguments.outputs),
-                connect_url=connect_url,
-                workers=arguments.workers,
-                resume=resume is not None,
-            ),
-            folder,
-            progress,
-            record,
-        )
+        finished = pipeline.run(inputs, given, settings, options, folder, progress, record)
     if arguments.latest:
         run_folder.point_latest_at(folder.path.resolve())
     if not arguments.quiet:
         _report(folder, inputs, finished, Output.RECORDING in arguments.outputs)
     if arguments.evaluate and inputs.vertical is not None:
-        _evaluate(folder, arguments)
+        with _interruptible(f"the run is complete, 'ffmap evaluate {folder.path}' compares it with the truth"):
+            _evaluate(folder, arguments)
+
+
+@contextmanager
+def _interruptible(how_to_go_on: str) -> Iterator[None]:
+    """End with one line, and the exit code that says so, where the user interrupts."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        # What was interrupted while it was made complains when it goes.
+        sys.unraisablehook = lambda _: None
+        typer.echo(f"ffmap: interrupted; {how_to_go_on}", err=True)
+        raise SystemExit(INTERRUPTED) from None
 
 
 def _viewer(arguments: Arguments) -> str | None:
@@ -127,7 +154,7 @@ def _evaluate(folder: RunFolder, arguments: Arguments) -> None:
         if not arguments.quiet:
             evaluate.print_metrics(metrics)
             if (folder.path / EVALUATION).exists():
-                typer.echo(f"errors:    rerun {folder.path / EVALUATION} {folder.path / RECORDING}")
+                typer.echo(f"errors:    {folder.path / EVALUATION}  (open both: ffmap view {folder.path})")
 
 
 def stored(arguments: Arguments) -> dict[str, Any]:
@@ -140,10 +167,14 @@ def stored(arguments: Arguments) -> dict[str, Any]:
     return stored
 
 
+def _check_resumable(arguments: Arguments) -> None:
+    given = (arguments.bag, arguments.out, arguments.config)
+    if any(word is not None for word in given) or arguments.overrides or arguments.overwrite:
+        raise InputError("--resume goes on as the run was started: give no bag, --out, --config, --set or --overwrite with it")
+
+
 def _resumed(arguments: Arguments, path: Path) -> tuple[Arguments, Settings, RunFolder, dict[str, Any] | None]:
     """What a killed run was started with; None as its record where it is complete."""
-    if arguments.bag is not None or arguments.out is not None or arguments.config is not None or arguments.overrides:
-        raise InputError("--resume goes on as the run was started: give no bag, --out, --config or --set with it")
     folder = RunFolder(path)
     record = folder.read_json()
     if record.get("outcome") == "complete":

@@ -3,6 +3,9 @@
 import json
 import os
 import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -88,10 +91,12 @@ def default_path(bag: Path, settings_hash: str) -> Path:
     return Path("runs") / f"{bag.stem}-{datetime.now():%Y%m%d-%H%M%S}-{settings_hash}"
 
 
-def create(path: Path) -> RunFolder:
-    """Make an empty run folder, or empty an earlier run's that was named again.
+def create(path: Path, overwrite: bool = False) -> RunFolder:
+    """Make a run folder; nothing in it is touched before `clear`.
 
-    A folder that holds anything but a run is left alone. Raises InputError where it cannot be written.
+    overwrite: whether an earlier run may be there, to be replaced.
+    Raises InputError where there is an earlier run that must not be replaced, where there is anything but a run, and where
+    the folder cannot be written.
     """
     folder = RunFolder(path)
     try:
@@ -99,10 +104,53 @@ def create(path: Path) -> RunFolder:
             raise InputError(f"{path}: is a file; give a folder to --out")
         if path.is_dir() and any(path.iterdir()) and not (path / RUN_JSON).exists():
             raise InputError(f"{path}: holds files that are no run; give an empty or a new folder to --out")
+        if (path / RUN_JSON).exists() and not overwrite:
+            raise InputError(f"{path}: holds {_state(folder)}; give another folder to --out, or replace it with --overwrite")
         make_writable(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); give another folder to --out") from error
     return folder
+
+
+def _state(folder: RunFolder) -> str:
+    """What kind of run a folder holds, in words."""
+    with suppress(InputError):
+        outcome = folder.read_json().get("outcome")
+        if outcome == "complete":
+            return "a finished run"
+        if outcome in ("aborted", "running"):
+            return f"a run that is not finished ('ffmap run --resume {folder.path}' goes on with it)"
+    return "a run"
+
+
+@contextmanager
+def held(path: Path) -> Iterator[None]:
+    """Keep every other run out of a run folder, for as long as the context lasts.
+
+    The system itself lets go of the folder when the process ends, however that happens, and nothing is left behind. Where
+    folders cannot be locked, as on some network drives, none is. Raises InputError where another run is at it.
+    """
+    if sys.platform == "win32":
+        yield
+        return
+    import fcntl
+
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError:
+        # What is wrong with it is said by whoever reads it or writes there.
+        yield
+        return
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(f"{path}: another run is writing there; wait for its end, or give another folder to --out") from None
+        except OSError:
+            pass
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def make_writable(path: Path) -> None:
@@ -111,6 +159,14 @@ def make_writable(path: Path) -> None:
     probe = path / f".writable-{os.getpid()}"
     probe.touch()
     probe.unlink()
+
+
+def require_writable(path: Path, instead: str) -> None:
+    """`make_writable`, with InputError where it fails. instead: what the user can do, as "give another folder to --out"."""
+    try:
+        make_writable(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); {instead}") from error
 
 
 def clear(folder: RunFolder) -> None:

@@ -3,6 +3,7 @@
 import difflib
 import hashlib
 import json
+import math
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -127,24 +128,34 @@ def validate(values: dict[str, Any], source: str) -> Settings:
         first = error.errors()[0]
         name = ".".join(str(part) for part in first["loc"])
         if first["type"] == "extra_forbidden":
+            if isinstance(first["input"], dict) and first["input"]:
+                name = f"{name}.{next(iter(first['input']))}"
             raise InputError(f"{source}: there is no setting {name!r}; {_suggestion(name)}") from None
-        raise InputError(
-            f"{source}: setting {name} = {first['input']!r}: {first['msg']}; 'ffmap settings' lists them all"
-        ) from None
+        if first["type"] == "model_type":
+            own = next((known for known in Settings().flat() if known.startswith(f"{name}.")), "doors.lines_min")
+            raise InputError(
+                f"{source}: {name!r} is a group of settings and has no value itself; name one in it, as {own!r}; 'ffmap "
+                "settings' lists them all"
+            ) from None
+        value = first["input"]
+        # A bound that not-a-number is said to be beyond is no help.
+        wrong = "is no finite number" if isinstance(value, float) and not math.isfinite(value) else first["msg"]
+        raise InputError(f"{source}: setting {name} = {value!r}: {wrong}; 'ffmap settings' lists them all") from None
 
 
 def _suggestion(name: str) -> str:
-    known = list(Settings().flat())
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    if not close:
-        # The right name under the wrong step.
-        last = {k.rpartition(".")[2]: k for k in known}
-        close = [last[m] for m in difflib.get_close_matches(name.rpartition(".")[2], list(last), n=1, cutoff=0.6)]
-    return (
-        f"did you mean {close[0]!r}? " + "'ffmap settings' lists them all"
-        if close
-        else "'ffmap settings' lists them all"
-    )
+    """The setting that may be meant: one whose own name is alike, under whatever step it stands."""
+    alike = [known for known in Settings().flat() if _likeness(*(n.rpartition(".")[2] for n in (name, known))) >= _ALIKE]
+    if not alike:
+        return "'ffmap settings' lists them all"
+    return f"did you mean {max(alike, key=lambda known: _likeness(name, known))!r}? 'ffmap settings' lists them all"
+
+
+_ALIKE = 0.6
+
+
+def _likeness(name: str, other: str) -> float:
+    return difflib.SequenceMatcher(None, name, other).ratio()
 
 
 def parse_value(text: str) -> Any:  # noqa: ANN401 - a TOML value

@@ -44,8 +44,13 @@ def simulate(
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(str(part) for part in first["loc"])
-        known = ", ".join(SimulationSettings.model_fields)
-        raise InputError(f"simulate: {name} = {first['input']!r}: {first['msg']}; the properties are {known}") from None
+        if first["type"] == "extra_forbidden":
+            known = ", ".join(SimulationSettings.model_fields)
+            raise InputError(f"simulate: there is no property {name!r}; the properties are {known}") from None
+        meant = SimulationSettings.model_fields[name].description if name in SimulationSettings.model_fields else None
+        raise InputError(
+            f"simulate: {name} = {first['input']!r}: {first['msg']}" + (f" ({meant})" if meant else "") + "; give another value"
+        ) from None
     with Progress(quiet) as progress:
         progress.stage("simulate", 100)
         done = 0

@@ -27,7 +27,7 @@ from app.evaluate import PAPER, Metrics
 from app.files import write_json
 from app.odometry_stage import cache_folder
 from app.progress import Progress
-from app.run_folder import METRICS, RUN_JSON
+from app.run_folder import METRICS, RUN_JSON, require_writable
 from app.settings import load_settings
 from loaders.errors import InputError
 
@@ -320,8 +320,8 @@ def _paper(figure: Figure) -> str:
 
 
 def _check_space(folder: Path, at_once: int) -> None:
-    """Raises InputError where the bags and runs of the drives under way would not fit on the disk."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Raises InputError where the bags and runs of the drives under way cannot be written, or would not fit on the disk."""
+    require_writable(folder, "name a file in another folder with --out")
     free, needed = shutil.disk_usage(folder).free, at_once * _NEEDED_BYTES
     if free < needed:
         raise InputError(

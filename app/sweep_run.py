@@ -88,6 +88,7 @@ class Job(BaseModel):
             workers=1,
             evaluate=self.evaluate,
             quiet=True,
+            overwrite=True,
         )
 
 

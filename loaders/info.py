@@ -101,7 +101,10 @@ def describe_bag(
     vertical: str | None = None,
     time_from: TimeFrom = "auto",
 ) -> BagInfo:
-    """Look a bag over; the options are those of `find_rig`. Raises InputError where it cannot be opened."""
+    """Look a bag over; the options are those of `find_rig`.
+
+    Raises InputError where the bag cannot be opened, or does not fit what is said of it.
+    """
     with open_bag(path) as bag:
         clouds = tuple(_describe_cloud(bag, topic, time_from) for topic in cloud_topics(bag))
         tree = read_frame_tree(bag, {cloud.frame_id for cloud in clouds if cloud.frame_id})
@@ -109,6 +112,9 @@ def describe_bag(
         try:
             rig = find_rig(bag, rig_file, horizontal, vertical, time_from)
         except InputError as error:
+            # What the bag lacks is what is asked for; what the user says of it has to be right.
+            if any(word is not None for word in (rig_file, horizontal, vertical)):
+                raise
             problem = str(error)
         return BagInfo(
             path=path,

@@ -177,8 +177,8 @@ def find_rig(
     for role, lidar in roles.items():
         if not lidar.decoding.timed:
             warnings.append(
-                f"{lidar.topic} ({role}): no times in its points; motion compensation is off, --time-from azimuth "
-                "recovers them"
+                f"{lidar.topic} ({role}): no times in its points; motion compensation is off; --time-from azimuth "
+                "recovers them, but must not be used where the clouds are compensated already"
             )
         if lidar.decoding.rings.source == "bins":
             warnings.append(f"{lidar.topic} ({role}): no ring field, and the elevations tell no rings apart")

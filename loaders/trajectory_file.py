@@ -72,8 +72,11 @@ def _seconds(stamp_ns: int) -> str:
 
 
 def _nanoseconds(seconds: str) -> int:
-    """Seconds as text to nanoseconds, digits beyond the ninth rounded."""
-    return int((Decimal(seconds) * 1_000_000_000).to_integral_value())
+    """Seconds as text to nanoseconds, digits beyond the ninth rounded; raises OverflowError beyond 64 bits."""
+    nanoseconds = int((Decimal(seconds) * 1_000_000_000).to_integral_value())
+    if not -(2**63) <= nanoseconds < 2**63:
+        raise OverflowError(seconds)
+    return nanoseconds
 
 
 def _matrices(positions: FloatArray, quaternions: FloatArray) -> FloatArray:

@@ -84,10 +84,8 @@ def draw_plan(settings: SimulationSettings, rng: np.random.Generator) -> Plan:
     """
     if settings.building not in BUILDINGS:
         close = get_close_matches(settings.building, BUILDINGS, 1)
-        hint = f"did you mean '{close[0]}'?" if close else "choose one of"
-        raise InputError(
-            f"--building '{settings.building}': no such building; {hint} (there are {', '.join(BUILDINGS)})"
-        )
+        hint = f"did you mean '{close[0]}'? There" if close else "there"
+        raise InputError(f"--building '{settings.building}': no such building; {hint} are {', '.join(BUILDINGS)}")
     outline = BUILDINGS[settings.building](rng)
     thickness = settings.wall_thickness_m or float(rng.uniform(0.12, 0.28))
     rooms = _partition(outline, thickness, settings, rng)

@@ -134,19 +134,40 @@ def test_what_cannot_be_queried_is_told_and_the_rest_is_found(
     killed = root / "c"
     (killed / "recording.rrd").write_bytes((killed / "recording.rrd").read_bytes()[:-300])
     (killed / "run.json").write_text(json.dumps({"recording_id": "id of c", "outcome": "running"}))
-    (root / "sweep" / "d" / "recording.rrd").unlink()
     (root / "unknown" / "run.json").write_text("{")
     runs_command.runs(str(root), Query(), None, None)
     told = capsys.readouterr()
-    assert "1 run in" in told.out
+    assert "2 runs in" in told.out
     reasons = dict(line.removeprefix("not in the table: ").split(": ", 1) for line in told.err.strip().splitlines())
     names = {Path(place).name: reason for place, reason in reasons.items()}
-    assert sorted(names) == ["b", "c", "copy", "d", "run.json"]
+    assert sorted(names) == ["b", "c", "copy", "run.json"]
     assert "damaged" in names["b"]
     assert f"ffmap run --resume {killed}" in names["c"]
     assert "copy" in names["copy"]
-    assert "no recording.rrd" in names["d"]
     assert "cannot be read" in names["run.json"]
+
+
+def test_runs_without_a_recording_are_listed(folder: Path, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        shutil.copytree(next(folder.rglob(name)), tmp_path / "öd und leer" / name)
+    bare = tmp_path / "öd und leer" / "b"
+    for file in ("recording.rrd", "evaluation.rrd"):
+        (bare / file).unlink()
+    record = {
+        "recording_id": "id of b",
+        "outcome": "complete",
+        "settings": {"seed": 0, "wall_planes": {"similarity_m": 0.07}},
+        "counts": {"doors": 3, "walls": 9},
+        "timings_s": {"total": 5.0},
+    }
+    (bare / "run.json").write_text(json.dumps(record))
+    (bare / "metrics.json").write_text(json.dumps({"area": {"wall": {"f1": 0.42}}}))
+    with catalogue.serve(find_runs(tmp_path)) as served:
+        assert not served.left_out
+        rows = {row["run"]: row for row in ask(served.dataset, Query(where="wall_f1 < 0.5")).table.to_pylist()}
+    assert list(rows) == [str(bare)]
+    expected = {"outcome": "complete", "doors": 3, "seconds": 5.0, "wall_planes_similarity_m": 0.07, "wall_f1": 0.42}
+    assert {name: rows[str(bare)][name] for name in expected} == expected
 
 
 def test_runs_are_registered_at_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -192,7 +213,7 @@ def test_no_runs_at_all(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no folder"):
         find_runs(tmp_path / "nothing")
     make_run(tmp_path / "only", 0.9, 0.1, 1.0)
-    (tmp_path / "only" / "recording.rrd").unlink()
+    (tmp_path / "only" / "recording.rrd").write_text("no recording")
     with pytest.raises(InputError, match="queried"):
         runs_command.runs(str(tmp_path), Query(), None, None)
 

@@ -15,6 +15,7 @@ from algorithms.labels import Label, Truth
 from algorithms.trajectory import Trajectory
 from app import evaluate
 from app.evaluate import (
+    PAPER_STATISTICS,
     evaluate_run,
     format_metrics,
     has_truth,
@@ -25,6 +26,7 @@ from app.evaluate import (
 from app.files import write_geojson, write_json
 from app.finished_run import open_run
 from app.labels_file import LabelsWriter
+from app.map_figures import TITLES
 from app.results import write_grid, write_labelled_bag
 from loaders.bag import make_typestore, open_bag
 from loaders.errors import InputError
@@ -226,6 +228,19 @@ def test_the_tables_print(run: tuple[Path, dict[str, Any]], capsys: pytest.Captu
     assert len(format_metrics(json.loads((folder / "metrics.json").read_text()))) == 3
 
 
+def test_tables_cut_no_word_on_a_narrow_terminal(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    figures = dict.fromkeys(("mean", "standard_deviation", "min", "max"), 123_456.0)
+    one = {"precision": 0.99, "recall": 0.98, "error_m": 0.01, "doors_blocked": 150, "doors_passed": 181}
+    maps = {name: one | {"precision_without_cabinets": 1.0} for name in TITLES}
+    print_metrics({"statistics": dict.fromkeys(PAPER_STATISTICS, figures), "maps": maps})
+    printed = capsys.readouterr().out
+    assert "…" not in printed
+    assert max(map(len, printed.splitlines())) <= 80
+    for word in ("milliseconds per cloud", "123,456.0", "100,538", "furniture-free", "bottom-most", "150 of 181", "no cabinets %"):
+        assert word in printed
+
+
 @pytest.mark.parametrize("name", ["in.bag", "in_mcap", "in_sqlite3"])
 def test_other_containers_and_two_processes_count_the_same(
     tmp_path: Path, name: str, run: tuple[Path, dict[str, Any]], monkeypatch: pytest.MonkeyPatch
@@ -262,7 +277,8 @@ def test_a_run_without_labels_has_its_trajectory_compared(tmp_path: Path):
     made = make_run(tmp_path / "run", bag_path, classes)
     (made / "labelled.bag").unlink()
     metrics = evaluate_run(open_run(made), workers=1)
-    assert sorted(metrics) == ["trajectory", "truth"]
+    assert sorted(metrics) == ["missing", "trajectory", "truth"]
+    assert metrics["missing"][0].startswith("labels, doors and maps: the run has no labelled clouds")
     assert len(format_metrics(metrics)) == 1
 
 

@@ -247,7 +247,7 @@ class TestGrid:
 class TestGeojson:
     def test_doors(self, tmp_path: Path):
         doors = Doors(
-            ends=np.array([[[0.0, 0.0], [0.9, 0.0]], [[5.0, 1.0], [5.0, 2.6]]]),
+            ends=np.array([[[0.0, 0.0], [0.9, 0.0]], [[5.0, 1.12], [5.0, 2.0]]]),
             normal=np.array([[0.0, 1.0], [1.0, 0.0]]),
             head_m=np.array([2.0, 2.1]),
             depth_m=np.array([0.05, np.nan]),
@@ -281,7 +281,7 @@ class TestGeojson:
             "rooms": None,
         }
         assert opened["properties"]["state"] == "open"
-        assert opened["properties"]["width"] == pytest.approx(1.6)
+        assert opened["properties"]["width"] == 0.88  # and not 0.8799999999999999
         assert opened["properties"]["depth"] is None
         write_doors(tmp_path / "doors.geojson", doors, [(0, 1), None])
         rooms = [f["properties"]["rooms"] for f in json.loads((tmp_path / "doors.geojson").read_text())["features"]]

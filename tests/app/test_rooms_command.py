@@ -94,6 +94,18 @@ def test_a_map_of_map_servers_gives_outlines_areas_and_topology_in_its_frame(ffm
     assert not list((tmp_path / "found").glob("*.part"))
 
 
+def test_rooms_of_another_map_of_the_same_name_are_left_alone(ffmap, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        save_map(tmp_path / name, two_rooms())
+    assert ffmap("rooms", tmp_path / "a" / "map.yaml")[0] == 0
+    before = (tmp_path / "rooms" / "map" / "rooms.geojson").stat().st_mtime_ns
+    assert_one_line(ffmap("rooms", tmp_path / "b" / "map.yaml"), "rooms/map", str(tmp_path / "a" / "map.yaml"), "--out")
+    assert (tmp_path / "rooms" / "map" / "rooms.geojson").stat().st_mtime_ns == before
+    assert ffmap("rooms", tmp_path / "a" / "map.yaml")[0] == 0
+    assert ffmap("rooms", tmp_path / "b" / "map.yaml", "--out", tmp_path / "rooms" / "map")[0] == 0
+
+
 def test_the_picture_and_the_recording_show_the_rooms(ffmap, tmp_path: Path) -> None:
     save(tmp_path / "floor.png", two_rooms())
     assert ffmap("rooms", "floor.png", "--resolution", 0.05)[0] == 0

@@ -22,9 +22,13 @@ from rosbags.typesys import Stores, get_typestore
 from algorithms.area_graph import Segmented
 from algorithms.labels import Verdict
 from algorithms.rival_maps import Rival
-from app import cli
+from app import cli, run_command, run_folder
+from app.evaluate import evaluate_run
+from app.finished_run import open_run
+from app.maps_command import maps
 from app.run_folder import rooms_file
 from blueprints import entities
+from loaders.errors import InputError
 from loaders.simulator import SimulationSettings, simulate
 
 UPRIGHT_TOPIC = "/horizontal_velodyne/velodyne_points"
@@ -288,8 +292,11 @@ def test_mistakes_are_one_line_and_leave_earlier_results_alone(
     assert_one_line_error(done, UPRIGHT_TOPIC, "spin axis", "--rig FILE")
     assert_one_line_error(ffmap(environment, "run", "--resume", tmp_path), "run.json")
     assert_one_line_error(ffmap(environment, "evaluate", tmp_path), str(tmp_path))
-    done = ffmap(environment, "run", bags["bag"], "--out", finished, "--connect", "rerun+http://127.0.0.1:1/proxy")
+    dead = "rerun+http://127.0.0.1:1/proxy"
+    done = ffmap(environment, "run", bags["bag"], "--out", finished, "--overwrite", "--connect", dead)
     assert_one_line_error(done, "--connect", "127.0.0.1:1")
+    assert_one_line_error(ffmap(environment, "run", bags["bag"], "--out", finished), "finished run", "--overwrite")
+    assert_one_line_error(ffmap(environment, "run", "--resume", finished, "--overwrite"), "--resume")
     nothing = write_empty_clouds(tmp_path / "nothing.bag")
     done = ffmap(environment, "run", nothing, "--out", finished)
     assert done.returncode == 2
@@ -311,7 +318,7 @@ def test_folder_that_cannot_be_written_is_named(
 
 
 def test_full_disk_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    def fill() -> None:
+    def fill(**_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(cli, "app", fill)
@@ -319,6 +326,216 @@ def test_full_disk_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.C
         cli.main()
     assert stopped.value.code == 2
     assert capsys.readouterr().err.startswith("ffmap: no space is left on the disk")
+
+
+def test_what_may_not_be_written_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    def refuse(**_: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", "runs/a/metrics.json")
+
+    monkeypatch.setattr(cli, "app", refuse)
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err.startswith("ffmap: runs/a/metrics.json: cannot be read or written (Permission denied)")
+
+
+def test_folders_of_demo_suite_evaluation_and_maps_that_cannot_be_written(
+    finished: Path, environment: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blocker = tmp_path / "file"
+    blocker.write_text("")
+    assert_one_line_error(ffmap(environment, "demo", "--out", blocker / "demo"), str(blocker), "--out")
+    done = ffmap(environment, "evaluate", "--suite", "--quick", "--out", blocker / "suite.json")
+    assert_one_line_error(done, str(blocker), "--out")
+
+    def refuse(path: Path) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(run_folder, "make_writable", refuse)
+    with pytest.raises(InputError, match=r"whole: cannot be written \(Permission denied\)"):
+        evaluate_run(open_run(finished))
+    with pytest.raises(InputError, match=r"whole: cannot be written \(Permission denied\)"):
+        maps(finished, finished / "map.yaml")
+
+
+def test_two_runs_never_write_into_one_folder(
+    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    with run_folder.held(tmp_path), pytest.raises(InputError, match="another run is writing there"), run_folder.held(tmp_path):
+        pass
+    with run_folder.held(tmp_path):  # whoever held it before has let go
+        done = ffmap(environment, "run", bags["bag"], "--out", tmp_path)
+        assert_one_line_error(done, str(tmp_path), "another run")
+    copy = shutil.copytree(finished, tmp_path / "run")
+    with run_folder.held(copy):
+        done = ffmap(environment, "run", bags["bag"], "--out", copy, "--overwrite")
+        assert_one_line_error(done, str(copy), "another run")
+        assert_one_line_error(ffmap(environment, "run", "--resume", copy), str(copy), "another run")
+    assert (copy / "recording.rrd").exists()
+
+
+def test_run_is_replaced_where_the_user_says_so(
+    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    copy = shutil.copytree(finished, tmp_path / "run")
+    options = ("--overwrite", "--outputs", "maps", "--no-evaluate", "--workers", "1")
+    done = ffmap(environment, "run", bags["bag"], "--out", copy, *options)
+    assert done.returncode == 0, done.stderr
+    assert (copy / "map.yaml").exists()
+    assert not (copy / "recording.rrd").exists()
+
+
+@pytest.mark.parametrize("stage", ["odometry", "scans", "final"])
+def test_interruption_is_one_line_that_says_how_to_go_on(
+    stage: str, bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    # The stage before it has ended, or the run's folder is there.
+    out, before = tmp_path / "run", {"odometry": "", "scans": "odometry:", "final": "building:"}[stage]
+    cold = {"FFMAP_CACHE": str(tmp_path)} if stage == "odometry" else {}
+    process = subprocess.Popen(
+        [*FFMAP, "run", str(bags["bag"]), "--out", str(out), "--workers", "2", "--no-evaluate"],
+        env={**environment, **cold},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stderr is not None
+    said: list[str] = []
+    while before and not (said and said[-1].startswith(before)):
+        said.append(process.stderr.readline())
+        assert said[-1]
+    end = time.monotonic() + 120
+    while not (out / "run.json").exists() and time.monotonic() < end:
+        time.sleep(0.02)
+    time.sleep(0.3)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to the workers too
+    said += process.communicate(timeout=60)[1].splitlines(keepends=True)
+    assert process.returncode == 130
+    assert said[-1] == f"ffmap: interrupted; 'ffmap run --resume {out}' goes on with the run\n"
+    assert all(line.split(":")[0] in ("odometry", "scans", "building", "final") for line in said[:-1]), said
+    assert json.loads((out / "run.json").read_text())["outcome"] == "aborted"
+
+
+def test_viewer_that_ends_is_one_line_and_no_run_goes_on(
+    bags: dict[str, Path], environment: dict[str, str], tmp_path: Path
+) -> None:
+    blind = {name: value for name, value in environment.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    done = ffmap(blind, "run", bags["bag"], "--out", tmp_path / "a", "--spawn")
+    assert_one_line_error(done, "--spawn", "display")
+    assert not (tmp_path / "a" / "run.json").exists()
+
+
+def test_viewer_that_ends_before_the_recording_begins_aborts_the_run(
+    bags: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_command, "check_viewer", lambda url: None)
+    arguments = run_command.Arguments(
+        bag=bags["bag"], out=tmp_path / "a", connect="rerun+http://127.0.0.1:1/proxy", workers=1, quiet=True
+    )
+    with pytest.raises(InputError, match="the viewer has ended"):
+        run_command.run(arguments, None)
+    assert json.loads((tmp_path / "a" / "run.json").read_text())["outcome"] == "aborted"
+
+
+def test_mistakes_in_options_are_one_line(environment: dict[str, str]) -> None:
+    for words, named in (
+        (("run", "a.bag", "--nope"), "--nope"),
+        (("rum",), "rum"),
+        (("inspect",), "RUN"),
+        (("run", "a.bag", "--workers", "0"), "--workers"),
+        (("run", "a.bag", "--time-from", "sun"), "azimuth"),
+    ):
+        assert_one_line_error(ffmap(environment, *words), "ffmap: ", named, "--help")
+
+
+def test_version_and_help(environment: dict[str, str]) -> None:
+    done = ffmap(environment, "--version")
+    assert done.returncode == 0
+    assert done.stdout.startswith("ffmap 0.")
+    assert "--overwrite" in ffmap(environment, "run", "--help").stdout
+    assert "simulate" in ffmap(environment).stdout
+
+
+def test_odometry_from_the_cache_is_told(
+    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    options = ("--outputs", "maps", "--no-evaluate")
+    done = ffmap(environment, "run", bags["bag"], "--out", tmp_path / "a", *options)
+    cache = Path(environment["XDG_CACHE_HOME"]) / "furniture-free-mapping" / "odometry"
+    assert f"odometry: taken from the cache in {cache}; with FFMAP_CACHE" in done.stderr
+
+
+def test_hints_name_what_helps(environment: dict[str, str], finished: Path, tmp_path: Path) -> None:
+    for setting, words in {
+        "doors=3": ("'doors' is a group of settings", "doors.recess_min_m"),
+        "wall_planes.similarity_m=nan": ("no finite number",),
+        "wall_plane.similarity_m=0.1": ("'wall_planes.similarity_m'",),
+    }.items():
+        assert_one_line_error(ffmap(environment, "settings", "--set", setting), *words)
+    done = ffmap(environment, "settings", "--set", "wall_planes.nope=1")
+    assert_one_line_error(done, "wall_planes.nope", "'ffmap settings'")
+    assert "did you mean" not in done.stderr
+    done = ffmap(environment, "simulate", tmp_path / "a.bag", "--building", "foo")
+    assert_one_line_error(done, "there are office")
+    assert "noise_m" not in done.stderr
+    done = ffmap(environment, "simulate", tmp_path / "a.bag", "--set", "clutter=7")
+    assert_one_line_error(done, "less than or equal to 1")
+    assert "noise_m" not in done.stderr
+    assert "angled" in ffmap(environment, "simulate", "--help").stdout
+    (tmp_path / "notes.md").write_text("no map")
+    done = ffmap(environment, "maps", finished, "--reference", tmp_path / "notes.md")
+    assert_one_line_error(done, "notes.md: is no map")
+    assert_one_line_error(ffmap(environment, "rooms", finished / "doors.geojson"), "doors.geojson: is no map")
+    done = ffmap(environment, "maps", finished, "--reference", finished / "overlay.png")
+    assert_one_line_error(done, "YAML")
+    assert "--resolution" not in done.stderr
+    assert_one_line_error(ffmap(environment, "rooms", finished / "map.yaml", "--resolution", "50"), "--resolution 50")
+
+
+def test_evaluation_of_nothing_is_refused(
+    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    aborted = tmp_path / "aborted"
+    aborted.mkdir()
+    record = json.loads((finished / "run.json").read_text())
+    (aborted / "run.json").write_text(json.dumps({**record, "outcome": "aborted"}))
+    assert_one_line_error(ffmap(environment, "evaluate", aborted), "aborted", "--resume")
+    assert not (aborted / "metrics.json").exists()
+    copy = shutil.copytree(finished, tmp_path / "run")
+    poses = [line.split() for line in (copy / "trajectory.tum").read_text().splitlines()]
+    later, moved = tmp_path / "later.tum", tmp_path / "true.tum"
+    later.write_text("".join(" ".join([f"2{p[0][1:]}", *p[1:]]) + "\n" for p in poses))
+    moved.write_text("".join(" ".join([p[0], str(float(p[1]) + 1.0), *p[2:]]) + "\n" for p in poses))
+    before = (copy / "metrics.json").read_bytes()
+    assert_one_line_error(ffmap(environment, "evaluate", copy, "--truth", later), "later.tum", "same drive")
+    for option in ("--set", "--seeds", "--out"):
+        assert_one_line_error(ffmap(environment, "evaluate", copy, option, "a=1"), option, "--suite")
+    assert (copy / "metrics.json").read_bytes() == before
+    done = ffmap(environment, "evaluate", copy, "--truth", moved)
+    assert done.returncode == 0, done.stderr
+    assert "not compared: labels, doors, maps and rooms: the truth has poses alone" in done.stdout
+    figures = json.loads((copy / "metrics.json").read_text())["trajectory"]
+    assert figures["ate_rmse_m"] < 1e-6 < figures["unaligned_rmse_m"]
+    (copy / "doors.geojson").unlink()
+    done = ffmap(environment, "evaluate", copy)
+    assert "not compared: doors: the run has no doors.geojson; --outputs with geojson writes it" in done.stdout
+
+
+def test_info_and_run_say_the_same_of_mistakes(bags: dict[str, Path], environment: dict[str, str], tmp_path: Path) -> None:
+    cut, rig = tmp_path / "cut.bag", tmp_path / "rig.toml"
+    cut.write_bytes(bags["bag"].read_bytes()[:1000])
+    said = f"{cut}: the bag is empty, it has no messages; record it again"
+    assert said in ffmap(environment, "info", cut).stdout
+    assert_one_line_error(ffmap(environment, "run", cut), said)
+    assert "(medians of several clouds); the first has 1 x" in ffmap(environment, "info", bags["bag"]).stdout
+    rig.write_text("[[lidar]]\n")
+    for option, value in (("--horizontal", "/nope"), ("--vertical", "/nope"), ("--rig", rig)):
+        info, run = (ffmap(environment, command, bags["bag"], option, value) for command in ("info", "run"))
+        assert_one_line_error(info, str(value))
+        assert info.stderr == run.stderr
 
 
 def test_settings_round_trip(environment: dict[str, str], tmp_path: Path) -> None:

@@ -44,6 +44,7 @@ def test_comments_exponents_and_few_decimals(tmp_path):
         ("1 0 0 a 0 0 0 1\n", "line 1: not all values are numbers"),
         ("x 0 0 0 0 0 0 1\n", "line 1: not all values are numbers"),
         ("nan 0 0 0 0 0 0 1\n", "line 1: not all values are numbers"),
+        ("91700000000 0 0 0 0 0 0 1\n", "line 1: not all values are numbers"),
         ("1 0 0 nan 0 0 0 1\n", "line 1: the quaternion"),
         ("1 0 0 0 0 0 0 0\n", "line 1: the quaternion"),
         ("2 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "line 2: the stamp"),
