@@ -15,28 +15,21 @@ from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, UInt8Array
 from algorithms.semantic_map import VoxelVotes, majority
 
-_CELL_M = 0.25
-_VOTES_MIN = 3
-_REACH_M = 1.5
-"""A ceiling goes on level so far beyond what was seen of it."""
+_FINE_CELL_M, _VOTES_MIN = 0.1, 3
+"""Most surfaces are looked for in cells so large. What so many votes agree on is known."""
 _MARGIN_M = 0.04
 """Poses drift, and returns scatter, by so much."""
-_RISE_M = (0.06, 0.30)
-"""Steps and platforms are so much higher than the floor beside them."""
-_FLOOR_CELLS_M = (0.1, 0.2)
-"""A raised floor is looked for in cells so large: from afar rays meet it at a slant, and far apart."""
-_STEP_M, _STEP_CELLS = (0.08, 0.32), 5
-"""Where floors within so many cells differ by so much in height, one ends at the other in a step."""
-_BEYOND_CELL_M, _LEVEL_M, _BROAD_BEYOND_M = 0.3, 0.05, 0.9
-"""Floor that goes on beyond what scans told is looked for in cells so large, so close to its height, and so broad."""
-_BROAD_M = 1.2
-"""A raised floor holds a disc so broad: nothing that low and that broad is furniture."""
+_FLAT_M = 0.03
+"""What is level differs by no more from the cells around it."""
+
+_SEEN_FLOOR_M, _OFF_FLOOR_M = 0.3, 0.2
+"""Floor holds a disc so broad here and there. What lies so far above the nearest that does is none."""
+
+_CEILING_CELL_M, _REACH_M = 0.25, 1.5
+"""A ceiling goes on level so far beyond what was seen of it."""
 _OVERHEAD_M, _BROAD_OVERHEAD_M, _UNKNOWN_M = 2.2, 0.8, 0.3
 """What hangs so high and holds a disc so broad, with nothing seen above it, is a ceiling: ducts and lamps are narrow."""
-_FINE_CELL_M = 0.1
-_HANGS_M, _BESIDE_DUCT_M, _CEILING_EDGE_M = 0.08, 0.4, 0.3
-"""A duct hangs so much lower than the ceiling that is seen so close to it. A ceiling's edge is so wide."""
-_FLAT_M = 0.03
+
 _SLOPE, _SLOPING_OVER_M = (0.15, 1.8), 1.0
 """A sloping ceiling rises by so much over each metre. At its lowest it is so high; nothing so broad stands higher."""
 _WINDOW, _WINDOW_SHARE, _PLANE_M = 5, 0.6, 0.025
@@ -45,8 +38,18 @@ _SPREAD_MIN_M = 0.03
 """What spreads over less in some direction lies in no plane."""
 _SLOPE_EDGE_M = 0.25
 """A sloping ceiling goes on as a plane so far beyond where windows fit: up to its walls."""
-_SEEN_FLOOR_M, _OFF_FLOOR_M = 0.3, 0.2
-"""Floor holds a disc so broad here and there. What lies so far above the nearest that does is none."""
+
+_RISE_M, _BROAD_M = (0.06, 0.30), 1.2
+"""Steps and platforms are so much higher than the floor beside them. They hold a disc so broad: no furniture does so low."""
+_FLOOR_CELLS_M = (0.1, 0.2)
+"""A raised floor is looked for in cells so large: from afar rays meet it at a slant, and far apart."""
+_BEYOND_CELL_M, _LEVEL_M, _BROAD_BEYOND_M = 0.3, 0.05, 0.9
+"""Floor that goes on beyond what scans told is looked for in cells so large, so close to its height, and so broad."""
+_STEP_M, _STEP_CELLS = (0.08, 0.32), 5
+"""Where floors within so many cells differ by so much in height, one ends at the other in a step."""
+
+_HANGS_M, _BESIDE_DUCT_M, _CEILING_EDGE_M = 0.08, 0.4, 0.3
+"""A duct hangs so much lower than the ceiling that is seen so close to it. A ceiling's edge is so wide."""
 
 
 class Surface(StrEnum):
@@ -180,11 +183,11 @@ def map_ceilings(votes: VoxelVotes) -> HeightMap:
     position = votes.mean_position[is_ceiling]
     if not len(position):
         return _nothing(Surface.CEILING)
-    origin, shape = _frame(position, _CELL_M)
-    median_m = _in_cells(position, origin, shape, _CELL_M, share=0.5)
+    origin, shape = _frame(position, _CEILING_CELL_M)
+    median_m = _in_cells(position, origin, shape, _CEILING_CELL_M, share=0.5)
     away, nearest = ndimage.distance_transform_edt(np.isnan(median_m), return_indices=True)
-    height_m = np.where(away * _CELL_M <= _REACH_M, median_m[tuple(nearest)], np.nan)
-    return HeightMap.level(Surface.CEILING, origin, _CELL_M, height_m)
+    height_m = np.where(away * _CEILING_CELL_M <= _REACH_M, median_m[tuple(nearest)], np.nan)
+    return HeightMap.level(Surface.CEILING, origin, _CEILING_CELL_M, height_m)
 
 
 def map_glimpsed_ceilings(votes: VoxelVotes) -> HeightMap:
@@ -392,7 +395,7 @@ def _holding_a_disc(mask: BoolArray, radius: float) -> BoolArray:
 
 
 def _nothing(surface: Surface) -> HeightMap:
-    return HeightMap.level(surface, np.zeros(2), _CELL_M, np.zeros((0, 0)))
+    return HeightMap.level(surface, np.zeros(2), _FINE_CELL_M, np.zeros((0, 0)))
 
 
 
