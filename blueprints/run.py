@@ -256,7 +256,7 @@ def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
         ),
         rrb.Vertical(
             _grid(centre_m, extent_m),
-            rrb.TextDocumentView(origin=entities.BUILDING_REASONS, name="Why: doors, refused faces, windows"),
+            rrb.TextDocumentView(origin=entities.BUILDING_REASONS, name="Why: doors, refused faces, windows, surfaces"),
         ),
         column_shares=[3, 2],
         name="Building",
