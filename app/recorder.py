@@ -748,15 +748,17 @@ class Recorder:
             if not drawn:  # what is no floor reaches up as high as one sees
                 continue
             places = np.concatenate([level.places for level in drawn])
+            counts = [np.count_nonzero(level.known) for level in drawn]
             low_m, high_m = (
                 np.concatenate([getattr(level, name)[level.known] for level in drawn]) for name in ("low_m", "high_m")
             )
             self._static(
                 f"{entities.LEVELS}/{surface}",
-                rr.Points3D(
-                    places.astype(np.float32),
-                    radii=np.concatenate([np.full(np.count_nonzero(level.known), 0.5 * level.cell_m) for level in drawn]),
+                rr.Boxes3D(
+                    centers=places.astype(np.float32),
+                    half_sizes=np.repeat([[0.5 * level.cell_m] * 2 + [0.005] for level in drawn], counts, axis=0),
                     colors=entities.CLASSES[surface.label][1],
+                    fill_mode=rr.components.FillMode.Solid,
                     labels=surface.replace("_", " "),
                     show_labels=False,
                 ),

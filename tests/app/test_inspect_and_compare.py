@@ -45,7 +45,7 @@ Labels = dict[int, tuple[np.ndarray, np.ndarray]]
 def environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
     cache = str(tmp_path_factory.mktemp("cache"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", cache)
+        patch.setenv("FFMAP_CACHE", cache)
         patch.setenv("COLUMNS", "200")
         yield dict(os.environ)
 

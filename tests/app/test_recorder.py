@@ -375,7 +375,7 @@ def test_building_grid_map_and_messages(tmp_path):
     assert "| sloping ceiling | 0.0 m² | 1.96 – 2.04 m |" in reasons
     assert "| false floor, if scans saw any | | from 0.20 m up |" in reasons
     sloping = static[f"{entities.LEVELS}/{Surface.SLOPING_CEILING}"]
-    places = vectors(sloping.column("Points3D:positions").to_pylist()[0])
+    places = vectors(sloping.column("Boxes3D:centers").to_pylist()[0])
     np.testing.assert_allclose(places, [[1.25, 3.15, 2.0]], rtol=1e-6)
     np.testing.assert_allclose(sloping.column("high_m").to_pylist()[0], [2.04], rtol=1e-6)
     assert f"{entities.LEVELS}/{Surface.FALSE_FLOOR}" not in static

@@ -54,7 +54,7 @@ FILES = [
 
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    return {**os.environ, "XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache")), "COLUMNS": "200"}
+    return {**os.environ, "FFMAP_CACHE": str(tmp_path_factory.mktemp("cache")), "COLUMNS": "200"}
 
 
 @pytest.fixture(scope="module")
@@ -464,7 +464,7 @@ def test_odometry_from_the_cache_is_told(
 ) -> None:
     options = ("--outputs", "maps", "--no-evaluate")
     done = ffmap(environment, "run", bags["bag"], "--out", tmp_path / "a", *options)
-    cache = Path(environment["XDG_CACHE_HOME"]) / "furniture-free-mapping" / "odometry"
+    cache = Path(environment["FFMAP_CACHE"]) / "odometry"
     assert f"odometry: taken from the cache in {cache}; with FFMAP_CACHE" in done.stderr
 
 

@@ -49,7 +49,7 @@ def test_tables_have_means_spreads_and_the_worst() -> None:
 def test_a_drive_is_simulated_run_evaluated_deleted_and_cached(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("FFMAP_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(suite, "CASES", (Case("small", {"building": "small", "sensor": "vlp16"}),))
     monkeypatch.setattr(suite, "QUICK_S", 2.0)
     out = tmp_path / "results" / "suite.json"
@@ -67,7 +67,7 @@ def test_a_drive_is_simulated_run_evaluated_deleted_and_cached(
 def test_a_drive_that_fails_is_told_and_stops_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("FFMAP_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(suite, "CASES", (Case("none", {"building": "castle"}),))
     assert run_suite(tmp_path / "suite.json", (3,), True, []) == 1
     told = capsys.readouterr()
