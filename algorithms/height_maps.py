@@ -203,7 +203,7 @@ def map_glimpsed_ceilings(votes: VoxelVotes) -> HeightMap:
         return _nothing(Surface.GLIMPSED_CEILING)
     origin, shape = _frame(position, _FINE_CELL_M)
     ground_m, _ = _ground_m(position[floor], origin, shape, _FINE_CELL_M)
-    rise_m = position[:, 2] - ground_m[tuple(_cells(position, origin, shape, _FINE_CELL_M).T)]
+    rise_m = _above_m(position, ground_m, origin, _FINE_CELL_M)
     high = (label == Label.CLUTTER) & (rise_m > _OVERHEAD_M)
     highest_m = _in_cells(position[high], origin, shape, _FINE_CELL_M, share=1.0)
     away = ndimage.distance_transform_edt(np.isnan(_in_cells(position[known], origin, shape, _FINE_CELL_M, share=0.5)))
@@ -223,7 +223,7 @@ def map_sloping_ceilings(votes: VoxelVotes) -> HeightMap:
         return _nothing(Surface.SLOPING_CEILING)
     origin, shape = _frame(position, _FINE_CELL_M)
     ground_m, _ = _ground_m(position[floor], origin, shape, _FINE_CELL_M)
-    rise_m = position[:, 2] - ground_m[tuple(_cells(position, origin, shape, _FINE_CELL_M).T)]
+    rise_m = _above_m(position, ground_m, origin, _FINE_CELL_M)
     overhead = votes.seen() & (label != Label.FLOOR) & (rise_m > _SLOPING_OVER_M)
     highest = _highest_in_cells(position[overhead], origin, shape, _FINE_CELL_M)
     mean, slope, rms_m, known = _planes_around(highest, _WINDOW)
@@ -231,14 +231,16 @@ def map_sloping_ceilings(votes: VoxelVotes) -> HeightMap:
     rising = (steepness > _SLOPE[0]) & (steepness < _SLOPE[1])
     plane = rising & (rms_m < _PLANE_M) & (known >= _WINDOW_SHARE) & np.isfinite(highest[..., 2])
     broad = _holding_a_disc(ndimage.binary_closing(plane, np.ones((3, 3))), 0.5 * _BROAD_OVERHEAD_M / _FINE_CELL_M)
-    away, nearest = ndimage.distance_transform_edt(~(broad & plane), return_indices=True)
+    told = broad & plane
+    if not told.any():
+        return _nothing(Surface.SLOPING_CEILING)
+    away, nearest = ndimage.distance_transform_edt(~told, return_indices=True)
     centre = origin + (np.indices(shape)[::-1].transpose(1, 2, 0) + 0.5) * _FINE_CELL_M
     mean, slope = mean[tuple(nearest)], slope[tuple(nearest)]
     height_m = mean[..., 2] + ((centre - mean[..., :2]) * slope).sum(axis=2)
-    height_m[(away * _FINE_CELL_M > _SLOPE_EDGE_M) | ~(broad & plane).any()] = np.nan
+    height_m[away * _FINE_CELL_M > _SLOPE_EDGE_M] = np.nan
     within_cell_m = 0.5 * _FINE_CELL_M * np.abs(slope).sum(axis=2) + _MARGIN_M
-    return HeightMap(Surface.SLOPING_CEILING, origin, _FINE_CELL_M, height_m - within_cell_m, height_m + within_cell_m
-    )
+    return HeightMap(Surface.SLOPING_CEILING, origin, _FINE_CELL_M, height_m - within_cell_m, height_m + within_cell_m)
 
 
 def _highest_in_cells(position: FloatArray, origin: FloatArray, shape: tuple[int, int], cell_m: float) -> FloatArray:
@@ -262,11 +264,10 @@ def _planes_around(places: FloatArray, size: int) -> tuple[FloatArray, FloatArra
     shifted = np.where(there[..., None], places - middle, 0.0)
 
     def mean_of(values: FloatArray) -> FloatArray:
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(ndimage.uniform_filter(values, size, mode="constant") / known)
+        return np.asarray(ndimage.uniform_filter(values, size, mode="constant") / known)
 
-    mean = np.stack([mean_of(shifted[..., i]) for i in range(3)], axis=2)
     with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.stack([mean_of(shifted[..., i]) for i in range(3)], axis=2)
         xx, xy, xz, yy, yz, zz = (
             mean_of(shifted[..., i] * shifted[..., j]) - mean[..., i] * mean[..., j] for i in range(3) for j in range(i, 3)
         )
@@ -305,7 +306,7 @@ def _map_floors(
         return _nothing(surface)
     origin, shape = _frame(position[low], cell_m)
     ground_m, away = _ground_m(position[floor], origin, shape, cell_m)
-    rise_m = position[:, 2] - ground_m[tuple(_cells(position, origin, shape, cell_m).T)]
+    rise_m = _above_m(position, ground_m, origin, cell_m)
     lowest_m = _in_cells(position[low & (rise_m > min(between_m[0], -_MARGIN_M))], origin, shape, cell_m, share=0.0)
     rise_m = lowest_m - ground_m
     around = _median_around(lowest_m)
@@ -369,11 +370,16 @@ def _ground_m(
 ) -> tuple[FloatArray, FloatArray]:
     """The median height of the floor in each cell, or in the nearest that has one, and how many cells away that is.
 
-    floor: (m, 3) places on it, one at least.
+    floor: (m, 3) places on it, one at least. origin, shape, cell_m: of the grid.
     """
     floor_m = _in_cells(floor, origin, shape, cell_m, share=0.5)
     away, nearest = ndimage.distance_transform_edt(np.isnan(floor_m), return_indices=True)
     return floor_m[tuple(nearest)], away
+
+
+def _above_m(position: FloatArray, ground_m: FloatArray, origin: FloatArray, cell_m: float) -> FloatArray:
+    """(n,) how high each position (n, 3) lies above the ground (rows, columns) in its cell."""
+    return np.asarray(position[:, 2] - ground_m[tuple(_cells(position, origin, ground_m.shape, cell_m).T)])
 
 
 def _median_around(height_m: FloatArray) -> FloatArray:
@@ -396,7 +402,6 @@ def _holding_a_disc(mask: BoolArray, radius: float) -> BoolArray:
 
 def _nothing(surface: Surface) -> HeightMap:
     return HeightMap.level(surface, np.zeros(2), _FINE_CELL_M, np.zeros((0, 0)))
-
 
 
 def _frame(position: FloatArray, cell_m: float) -> tuple[FloatArray, tuple[int, int]]:

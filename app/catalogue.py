@@ -24,7 +24,6 @@ from rerun.catalog import CatalogClient, DatasetEntry
 
 from app import figures
 from app.run_folder import EVALUATION, METRICS, RECORDING, RUN_JSON, RunFolder
-from blueprints import entities
 from loaders.errors import InputError
 
 LOOPBACK = "127.0.0.1"
@@ -118,11 +117,10 @@ class Catalogue:
         # Its place says which run it is of, to whoever asks the server.
         path = self._stand_ins / folder.resolve().relative_to(folder.resolve().anchor) / RECORDING
         path.parent.mkdir(parents=True, exist_ok=True)
-        with rr.RecordingStream(entities.APPLICATION_ID, recording_id=identity) as stream:
-            stream.save(path)
-            for name, values in properties.items():
-                if isinstance(values, Mapping) and (flat := figures.flatten(values)):
-                    stream.send_property(name, rr.AnyValues(**flat))
+        # Imported here, for with it comes the whole method: most folders hold no such run.
+        from app.recording import write_properties
+
+        write_properties(path, identity, {name: of for name, of in properties.items() if isinstance(of, Mapping)})
         return path
 
     def _add_figures(self) -> None:

@@ -29,8 +29,8 @@ from algorithms.segments import lengths_m
 from algorithms.smoothing import SmoothedRanges
 from algorithms.trajectory import PlacedScan
 from app.building_reasons import explain_building
-from app.figures import flatten
 from app.reasons import candidate_reasons, door_reasons, line_outcomes
+from app.recording import send_properties
 from blueprints import entities
 from blueprints.entities import CurveSheet
 
@@ -138,8 +138,8 @@ class Recorder:
             self._log_curve_sheet(CurveSheet(ring_count), slope_max)
 
     def log_properties(self, name: str, values: Mapping[str, Any]) -> None:
-        """Settings, digests, versions, metrics: nested mappings become columns like `wall_planes_similarity_m`."""
-        self._stream.send_property(name, rr.AnyValues(**flatten(values)))
+        """Of the whole run, see `send_properties`."""
+        send_properties(self._stream, name, values)
 
     def log_message(self, text: str, stamp_ns: int, index: int | None = None) -> None:
         """A warning, at the scan or time that it is about."""

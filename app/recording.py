@@ -10,17 +10,19 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
+from app.figures import flatten
 from blueprints import entities
 from loaders.errors import InputError
 
@@ -290,3 +292,17 @@ def check_viewer(url: str, timeout_s: float = 5.0) -> None:
         socket.create_connection((address.hostname or "127.0.0.1", address.port or 9876), timeout_s).close()
     except (OSError, ValueError) as error:
         raise ConnectionError(f"no Rerun viewer at {url}: {error}") from error
+
+
+def send_properties(stream: rr.RecordingStream, name: str, values: Mapping[str, Any]) -> None:
+    """Settings, digests, versions, metrics: nested mappings become columns like `wall_planes_similarity_m`."""
+    if flat := flatten(values):
+        stream.send_property(name, rr.AnyValues(**flat))
+
+
+def write_properties(path: Path, recording_id: str, properties: Mapping[str, Mapping[str, Any]]) -> None:
+    """A recording that holds properties and nothing else."""
+    with rr.RecordingStream(entities.APPLICATION_ID, recording_id=recording_id) as stream:
+        stream.save(path)
+        for name, values in properties.items():
+            send_properties(stream, name, values)

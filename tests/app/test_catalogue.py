@@ -274,3 +274,9 @@ def test_a_server_answers_the_same_takes_new_runs_and_ends_cleanly(
     assert time.monotonic() - started < 20
     with pytest.raises(InputError, match="ffmap serve"):
         catalogue.connect(url, None)
+
+
+def test_asking_for_runs_does_not_wait_for_the_method_to_load() -> None:
+    code = "import sys, app.runs_command; print('numba' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
