@@ -3,7 +3,6 @@
 Everything is a plain value or array that the recorder draws, the terminal shows and comparison.json keeps.
 """
 
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -38,6 +37,7 @@ from app.run_folder import DOORS, TRAJECTORY, WALLS, map_file
 from app.run_labels import LabelSource, pair
 from blueprints import entities
 from loaders.errors import InputError
+from loaders.text_files import read_json
 from loaders.trajectory_file import read_tum
 
 CLASS_NAMES = (*(label.name.lower() for label in Label), "no label")
@@ -266,7 +266,7 @@ def figures(runs: Sequence[FinishedRun]) -> dict[str, list[float | None]]:
     """Every figure of metrics.json, and counts and timings of run.json, one value a run; None where a run lacks it."""
     tables = []
     for run in runs:
-        metrics = _read_json(run.metrics) if run.metrics is not None else {}
+        metrics = read_json(run.metrics, "run ffmap evaluate again") if run.metrics is not None else {}
         tables.append(
             {
                 **_flatten({k: v for k, v in metrics.items() if k not in ("truth", "statistics")}),
@@ -458,7 +458,7 @@ def _lacks(change: PairChange, first: object, second: object, name: str) -> str:
 
 def _features(path: Path) -> list[Any]:
     try:
-        return list(_read_json(path)["features"])
+        return list(read_json(path, "run ffmap again")["features"])
     except (KeyError, TypeError) as error:
         raise InputError(f"{path}: is no GeoJSON of ffmap's ({error}); run ffmap again") from error
 
@@ -466,13 +466,6 @@ def _features(path: Path) -> list[Any]:
 def _segments(features: Sequence[Any]) -> FloatArray:
     """(n, 2, 2) ends of LineStrings."""
     return np.array([np.array(f["geometry"]["coordinates"], float)[:2, :2] for f in features]).reshape(-1, 2, 2)
-
-
-def _read_json(path: Path) -> Any:  # noqa: ANN401 - JSON
-    try:
-        return json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); run ffmap again") from error
 
 
 def _differing(tables: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:

@@ -1,6 +1,5 @@
 """`ffmap rooms`: rooms of any system's grid map, and how well they meet rooms drawn by hand."""
 
-import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from app.room_results import topology, write_picture, write_rooms
 from app.run_folder import METRICS, ROOMS
 from app.settings import load_settings
 from loaders.errors import InputError
+from loaders.text_files import read_json
 
 CELLS_MAX = 8_000_000
 """A map with more cells around its free space is segmented with larger ones: time and memory stay bounded."""
@@ -141,8 +141,8 @@ def _segment(
 def _check_default(out: Path, path: Path) -> None:
     """Raises InputError where a folder that the user did not name has the rooms of another map of the same name."""
     try:
-        before = json.loads((out / TOPOLOGY).read_text("utf-8")).get("map")
-    except (OSError, ValueError, AttributeError):
+        before = read_json(out / TOPOLOGY, "").get("map")
+    except (InputError, AttributeError):
         return
     if before is not None and before != str(path.resolve()):
         raise InputError(f"{out}: has the rooms of {before} already; give another folder to --out, or the same to replace them")
@@ -208,9 +208,9 @@ def _spread(label: IntArray, coarse: GridMap, grid: GridMap) -> IntArray:
 def _doorways(path: Path) -> FloatArray:
     """Sills of a doors.geojson, without depth."""
     try:
-        features = json.loads(path.read_text("utf-8"))["features"]
+        features = read_json(path, "give a run's doors.geojson")["features"]
         sills = np.array([feature["geometry"]["coordinates"] for feature in features], float).reshape(-1, 2, 2)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (ValueError, OverflowError, KeyError, TypeError) as error:
         raise InputError(f"{path}: is no GeoJSON of doors ({error}); give a run's doors.geojson") from error
     return np.concatenate([sills, sills[:, ::-1]], axis=1)
 

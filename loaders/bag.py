@@ -5,7 +5,6 @@ Every process opens the bag for itself; all readers find a log time without read
 
 import hashlib
 import re
-import struct
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -16,12 +15,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Literal, Self, TypeAlias, TypeVar
 
-import apsw
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Ros1Reader
-from rosbags.rosbag1 import ReaderError as Ros1Error
 from rosbags.rosbag2 import Reader as Ros2Reader
-from rosbags.rosbag2 import ReaderError as Ros2Error
 from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
@@ -30,6 +26,7 @@ from rosbags.typesys.store import Typestore
 from loaders.errors import InputError
 from loaders.message_heads import Reader, read_heads
 from loaders.recovery import RecoveredMcapReader, RecoveredRos1Reader
+from loaders.text_files import require_regular
 
 Container = Literal["ros1", "sqlite3", "mcap"]
 Message: TypeAlias = Any
@@ -42,11 +39,6 @@ _MAGIC: Mapping[bytes, Container] = {
     b"SQLite format 3\0": "sqlite3",
 }
 _WAYS_OUT = "give a ROS 1 .bag, a ROS 2 bag folder, an .mcap or a .db3"
-# What rosbags raises on a file that ends too early, beside its own errors.
-_BROKEN = (
-    *(Ros1Error, Ros2Error, apsw.Error, struct.error),
-    *(AssertionError, TypeError, ValueError, LookupError, EOFError, OverflowError, MemoryError),
-)
 
 
 @dataclass(frozen=True)
@@ -188,11 +180,14 @@ def open_bag(path: Path) -> Bag:
 
 def _open_folder(folder: Path, warnings: list[str]) -> tuple[Container, list[Reader]]:
     files = _data_files(folder)
+    for entry in folder.iterdir():
+        if entry.exists() and not entry.is_dir():
+            require_regular(entry, _WAYS_OUT)  # a pipe, in whatever order it is read, would be waited for
     if (folder / "metadata.yaml").exists():
         reader = Ros2Reader(folder)
         try:
             reader.open()
-        except _BROKEN as error:
+        except Exception as error:  # whatever a parser stumbles over: the folder was found to be readable
             if not files:
                 raise InputError(f"{folder}: metadata.yaml names no readable bag ({_one_line(error)})") from error
             warnings.append(f"{folder.name}: metadata.yaml does not fit ({_one_line(error)}); the data files are read")
@@ -209,6 +204,7 @@ def _open_folder(folder: Path, warnings: list[str]) -> tuple[Container, list[Rea
 
 
 def _open_file(path: Path, warnings: list[str]) -> tuple[Container, Reader]:
+    require_regular(path, _WAYS_OUT)
     with path.open("rb") as file:
         start = file.read(16)
     if not start:
@@ -231,7 +227,7 @@ def _open_file(path: Path, warnings: list[str]) -> tuple[Container, Reader]:
     try:
         reader.open()
         return container, reader
-    except _BROKEN as error:
+    except Exception as error:  # as above: the file was found to be readable
         if container == "sqlite3":
             raise InputError(
                 f"{path}: the database is cut or damaged ({_one_line(error)}); repair it with sqlite3's .recover"
@@ -241,7 +237,7 @@ def _open_file(path: Path, warnings: list[str]) -> tuple[Container, Reader]:
         raise InputError(f"{path}: {reason} Convert the bag and try again")
     try:
         rebuilt.open()
-    except _BROKEN as error:
+    except Exception as error:
         raise InputError(f"{path}: the bag is damaged from its start ({_one_line(error)}); {_WAYS_OUT}") from error
     start_ns, stop_ns = _span_ns(rebuilt)
     seconds = max(stop_ns - start_ns, 0) / 1e9
