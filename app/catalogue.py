@@ -160,16 +160,12 @@ def _no_end(folder: Path) -> str | None:
 
 
 @contextmanager
-def serve(folders: Sequence[Path], host: str = LOOPBACK, port: int | None = None) -> Iterator[Catalogue]:
-    """A catalogue of runs for as long as the context lasts.
+def serve(folders: Sequence[Path]) -> Iterator[Catalogue]:
+    """A catalogue of runs for as long as the context lasts, on a loopback port that is free.
 
-    Raises InputError where the address cannot be had.
+    Rerun's server lets whoever reaches it change the list and register files: others come by `app.read_only`.
     """
-    try:
-        server = rr.server.Server(host=host, port=port)
-    except (RuntimeError, ValueError, OSError) as error:
-        raise InputError(f"{host}:{port or 0}: no server can listen there ({error}); choose another --port") from error
-    with server, tempfile.TemporaryDirectory(prefix="ffmap-runs-") as stand_ins:
+    with rr.server.Server(host=LOOPBACK) as server, tempfile.TemporaryDirectory(prefix="ffmap-runs-") as stand_ins:
         catalogue = Catalogue(server, Path(stand_ins))
         catalogue.add(folders)
         yield catalogue
