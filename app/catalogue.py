@@ -25,7 +25,7 @@ from app import figures
 from app.condition import ConditionError, rows_where
 from app.run_folder import EVALUATION, METRICS, RECORDING, RUN_JSON, RunFolder
 from loaders.errors import InputError, shortened
-from loaders.text_files import read_json
+from loaders.text_files import read_object
 
 LOOPBACK = "127.0.0.1"
 DATASET = "runs"
@@ -114,7 +114,7 @@ class Catalogue:
             "result": {name: record[name] for name in ("timings_s", "counts", "outcome") if name in record},
         }
         with suppress(InputError):
-            properties["metrics"] = figures.queried(read_json(folder / METRICS, ""))
+            properties["metrics"] = figures.queried(read_object(folder / METRICS, ""))
         # Its place says which run it is of, to whoever asks the server.
         path = self._stand_ins / folder.resolve().relative_to(folder.resolve().anchor) / RECORDING
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -95,10 +95,10 @@ from blueprints import entities
 from blueprints import run as run_blueprint
 from loaders.bag import Bag, open_bag
 from loaders.errors import InputError
+from loaders.geojson import read_features
 from loaders.pointcloud2 import describe_layout, field_column
 from loaders.rig import Lidar, find_rig
 from loaders.scans import CloudIndex, SkippedScan, cloud_topics, index_clouds, read_clouds
-from loaders.text_files import read_json
 from loaders.trajectory_file import read_tum
 from loaders.truth import BUILDING_TOPIC, CLASSES_TOPIC, POSE_TOPIC, TruthClasses, read_truth
 from loaders.truth import Truth as BagTruth
@@ -563,15 +563,15 @@ def _compare_rooms(path: Path, building: Mapping[str, Any], true_trajectory: Tra
     true = [feature for feature in building["features"] if feature["properties"]["kind"] == "room"]
     names = [feature["properties"].get("name", str(i)) for i, feature in enumerate(true)]
     way = true_trajectory.T_map_base[:, :3, 3]
-    found = read_json(path, "give the folder of a run of ffmap")["features"]
+    found = read_features(path, "outlines", "give the folder of a run of ffmap")
     return _room_metrics(compare_rooms(outlines(true), outlines(found), way), names)
 
 
 def read_doors(path: Path) -> FoundDoors:
     """A run's `doors.geojson`."""
-    features = read_json(path, "give the folder of a run of ffmap")["features"]
+    features = read_features(path, "doors", "give the folder of a run of ffmap")
     return FoundDoors(
-        ends=np.array([feature["geometry"]["coordinates"] for feature in features], float).reshape(-1, 2, 2),
+        ends=np.array([[p[:2] for p in f["geometry"]["coordinates"][:2]] for f in features], float).reshape(-1, 2, 2),
         width_m=np.array([feature["properties"]["width"] for feature in features], float),
         state=np.array([_state(feature["properties"]["state"]) for feature in features], np.uint8),
     )

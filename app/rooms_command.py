@@ -20,6 +20,7 @@ from app.room_results import topology, write_picture, write_rooms
 from app.run_folder import METRICS, ROOMS
 from app.settings import load_settings
 from loaders.errors import InputError
+from loaders.geojson import read_features
 from loaders.text_files import read_json
 
 CELLS_MAX = 8_000_000
@@ -207,11 +208,8 @@ def _spread(label: IntArray, coarse: GridMap, grid: GridMap) -> IntArray:
 
 def _doorways(path: Path) -> FloatArray:
     """Sills of a doors.geojson, without depth."""
-    try:
-        features = read_json(path, "give a run's doors.geojson")["features"]
-        sills = np.array([feature["geometry"]["coordinates"] for feature in features], float).reshape(-1, 2, 2)
-    except (ValueError, OverflowError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: is no GeoJSON of doors ({error}); give a run's doors.geojson") from error
+    features = read_features(path, "lines", "give a run's doors.geojson")
+    sills = np.array([[p[:2] for p in feature["geometry"]["coordinates"][:2]] for feature in features]).reshape(-1, 2, 2)
     return np.concatenate([sills, sills[:, ::-1]], axis=1)
 
 

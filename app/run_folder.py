@@ -11,8 +11,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from app.run_record import check_record
 from loaders.errors import InputError
-from loaders.text_files import read_json
+from loaders.text_files import read_object
 
 RUN_JSON = "run.json"
 RECORDING = "recording.rrd"
@@ -70,10 +71,7 @@ class RunFolder:
         path = self.path / RUN_JSON
         if not self.path.is_dir() or not os.path.lexists(path):
             raise InputError(f"{self.path}: is no run folder (it has no {RUN_JSON}); give one that 'ffmap run' made")
-        content = read_json(path, "give another run folder")
-        if not isinstance(content, dict):
-            raise InputError(f"{path}: does not hold what 'ffmap run' writes; give another run folder")
-        return content
+        return check_record(read_object(path, "give another run folder"), path)
 
     def write_json(self, content: dict[str, Any], name: str = RUN_JSON) -> None:
         """Write a JSON file whole or not at all."""

@@ -12,7 +12,7 @@ from app.odometry_stage import is_cached
 from app.run_folder import METRICS, RunFolder
 from app.sweep_plan import Combination, Search
 from app.sweep_run import Job, Outcome, is_finished, perform
-from loaders.text_files import read_json
+from loaders.text_files import read_object
 
 
 @dataclass(eq=False)
@@ -40,7 +40,8 @@ class Run:
         if outcome.error is None:
             self.record = RunFolder(self.job.out).read_json()
             metrics = self.job.out / METRICS
-            self.figures = figures.figures_of(self.record, read_json(metrics, "run the sweep again") if metrics.exists() else None)
+            known = read_object(metrics, "run the sweep again") if metrics.exists() else None
+            self.figures = figures.figures_of(self.record, known)
 
 
 class Schedule:

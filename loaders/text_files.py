@@ -85,6 +85,14 @@ def read_json(path: Path, advice: str) -> Any:  # noqa: ANN401 - as above
     return _parsed(json.loads, path, "JSON", advice, TEXT_BYTES_MAX)
 
 
+def read_object(path: Path, advice: str) -> dict[str, Any]:
+    """A JSON file of names and values; `advice` and errors as of `read_text`."""
+    content = read_json(path, advice)
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: holds no names and values; {advice}")
+    return content
+
+
 def _parsed(parse: Callable[[str], Any], path: Path, language: str, advice: str, bytes_max: int) -> Any:  # noqa: ANN401
     text = read_text(path, advice, bytes_max)
     try:

@@ -1,6 +1,10 @@
 """Ways in which bytes and texts are damaged."""
 
-from collections.abc import Callable, Sequence
+import copy
+import json
+import re
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 from hypothesis import strategies as st
 
@@ -76,19 +80,38 @@ WORDS = (
 
 @st.composite
 def damaged_text(draw: st.DrawFn, text: str, more: Sequence[str] = ()) -> bytes:
-    """Words of a text replaced, lines removed, repeated and swapped; or its bytes damaged."""
-    if draw(st.booleans()):
+    """Words of a text replaced, removed and repeated; or its bytes damaged. more: words that may stand in the place of one."""
+    if draw(st.integers(0, 4)) == 0:
         return draw(damaged(text.encode()))
-    lines = [line.split(" ") for line in text.splitlines()]
-    for _ in range(draw(st.integers(1, 4))):
-        line = draw(st.sampled_from(lines))
-        match draw(st.sampled_from(("word", "word", "word", "remove", "repeat"))):
-            case "word":
-                line[draw(st.integers(0, len(line) - 1))] = draw(
-                    st.one_of(st.sampled_from((*WORDS, *more)), st.text(max_size=20), st.floats().map(str))
-                )
-            case "remove":
-                line[:] = [""]
-            case "repeat":
-                lines.append(list(line))
-    return "\n".join(" ".join(line) for line in lines).encode(errors="replace")
+    parts = re.findall(r"\s+|\S+", text)
+    words = [i for i, part in enumerate(parts) if not part.isspace()]
+    for i in draw(st.lists(st.sampled_from(words), min_size=1, max_size=3)):
+        new = draw(st.one_of(st.sampled_from((*WORDS, *more)), st.text(max_size=20), st.floats().map(str), st.none()))
+        parts[i] = f"{parts[i]} {parts[i]}" if new is None else new
+    return "".join(parts).encode(errors="replace")
+
+
+_VALUES = (None, True, 0, -1, 1e300, 10**30, "", "0", "x" * 1000, "/dev/zero", [], {}, [[]], [None], [[0.0]], {"a": 1})
+
+
+@st.composite
+def damaged_json(draw: st.DrawFn, text: str) -> bytes:
+    """Values of a JSON document replaced by ones of any kind, and left out; or the text damaged."""
+    if draw(st.integers(0, 2)) == 0:
+        return draw(damaged_text(text))
+    document = [json.loads(text)]
+    for _ in range(draw(st.integers(1, 3))):
+        holder, key = draw(st.sampled_from(list(_places(document))))
+        if draw(st.integers(0, 3)) == 0 and holder is not document:
+            del holder[key]
+        else:
+            holder[key] = copy.deepcopy(draw(st.sampled_from(_VALUES)))
+    return json.dumps(document[0]).encode()
+
+
+def _places(holder: Any) -> Iterator[tuple[Any, Any]]:
+    """Every value within a document, by what holds it and its key or index there."""
+    keys = list(holder) if isinstance(holder, dict) else range(len(holder)) if isinstance(holder, list) else ()
+    for key in keys:
+        yield holder, key
+        yield from _places(holder[key])

@@ -40,8 +40,8 @@ class Sandbox:
         self._process: Any = None
         self._pipe: Any = None
 
-    def failure(self, command: Command, *arguments: object) -> str | None:
-        """Why a command did not end well, where it neither did its work nor raised an InputError of one line."""
+    def run(self, command: Command, *arguments: object) -> None:
+        """Raises AssertionError where a command neither did its work nor raised an InputError of one line."""
         self.cases[command.__name__] += 1
         if self._process is None:
             self._start()
@@ -53,7 +53,7 @@ class Sandbox:
             told = f"ended the process, code {self._process.exitcode}"
         if told is not None:
             self.close()
-        return told
+            raise AssertionError(told)
 
     def close(self) -> None:
         """End the process."""

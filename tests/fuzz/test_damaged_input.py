@@ -21,7 +21,7 @@ from app.settings import Settings, as_toml
 from tests.app.test_catalogue import write as write_recording
 from tests.app.test_evaluate import make_run, make_truth_bag
 from tests.fuzz import commands
-from tests.fuzz.damage import WORDS, damaged, damaged_text
+from tests.fuzz.damage import WORDS, damaged, damaged_json, damaged_text
 from tests.fuzz.sandbox import Sandbox
 from tests.loaders.bag_builder import sweep, write_bag
 from tests.loaders.test_recovery import foreign_mcap
@@ -90,7 +90,7 @@ def test_bags(kind: str, data: st.DataObject, sandbox: Sandbox, place: Path) -> 
         case = case / file if alone else case
     else:
         case.write_bytes(data.draw(damaged(whole.read_bytes())))
-    assert sandbox.failure(commands.look_over_bag, case) is None
+    sandbox.run(commands.look_over_bag, case)
 
 
 numbers = st.one_of(st.sampled_from((0, 1, 2, 3, 384, 2**16, 2**31 - 1, 2**32 - 1)), st.integers(0, 2**32 - 1))
@@ -131,7 +131,7 @@ changes = st.fixed_dictionaries(
 
 @given(change=changes, every=st.booleans())
 def test_clouds(change: dict[str, Any], every: bool, sandbox: Sandbox) -> None:
-    assert sandbox.failure(commands.look_over_clouds, fresh(sandbox.folder / "case"), change, every) is None
+    sandbox.run(commands.look_over_clouds, fresh(sandbox.folder / "case"), change, every)
 
 
 def packet(mode: int, model: int) -> bytes:
@@ -149,7 +149,7 @@ packets = st.tuples(st.sampled_from((0x37, 0x38, 0x39, 0)), st.sampled_from((0x2
 @given(data=st.lists(st.tuples(packets, st.integers(-(10**10), 10**10)), max_size=8))
 def test_packets(data: list[tuple[bytes, int]], sandbox: Sandbox) -> None:
     made, stamps = [packet for packet, _ in data], [stamp for _, stamp in data]
-    assert sandbox.failure(commands.look_over_packets, fresh(sandbox.folder / "case"), made, stamps) is None
+    sandbox.run(commands.look_over_packets, fresh(sandbox.folder / "case"), made, stamps)
 
 
 RIG = """base = "base"
@@ -169,17 +169,17 @@ quaternion_xyzw = [ 0.0 , 0.7071 , 0.0 , 0.7071 ]
 def test_rigs(text: bytes, sandbox: Sandbox, place: Path) -> None:
     path = fresh(sandbox.folder / "case") / "rig.toml"
     path.write_bytes(text)
-    assert sandbox.failure(commands.look_over_rig, path, whole_bag("ROS 1", place)) is None
+    sandbox.run(commands.look_over_rig, path, whole_bag("ROS 1", place))
 
 
-TUM = "".join(f"{1.7e9 + i / 10:.9f} {i / 10:.3f} 0.0 0.0 0.0 0.0 0.0 1.0\n" for i in range(20))
+TUM = "".join(f"{1.7e9 + i / 10:.9f} {i / 10:.3f} 0.0 0.0 0.0 0.0 0.0 1.0\n" for i in range(6))
 
 
 @given(text=damaged_text(TUM))
 def test_trajectories(text: bytes, sandbox: Sandbox) -> None:
     path = fresh(sandbox.folder / "case") / "poses.tum"
     path.write_bytes(text)
-    assert sandbox.failure(commands.look_over_trajectory, path) is None
+    sandbox.run(commands.look_over_trajectory, path)
 
 
 CONFIG = as_toml(Settings())
@@ -190,7 +190,7 @@ NAMES = tuple(Settings().flat())
 def test_configurations(text: bytes, sandbox: Sandbox) -> None:
     path = fresh(sandbox.folder / "case") / "config.toml"
     path.write_bytes(text)
-    assert sandbox.failure(commands.look_over_settings, path, ()) is None
+    sandbox.run(commands.look_over_settings, path, ())
 
 
 names = st.one_of(st.sampled_from(NAMES), st.sampled_from(WORDS), st.text(max_size=30))
@@ -199,7 +199,7 @@ given_values = st.one_of(st.sampled_from(WORDS), st.integers().map(str), st.floa
 
 @given(words=st.lists(st.builds("{}={}".format, names, given_values) | given_values, max_size=4))
 def test_set_words(words: list[str], sandbox: Sandbox) -> None:
-    assert sandbox.failure(commands.look_over_settings, None, tuple(words)) is None
+    sandbox.run(commands.look_over_settings, None, tuple(words))
 
 
 MAP = """image: map.pgm
@@ -232,7 +232,7 @@ def test_maps(data: st.DataObject, name: str, sandbox: Sandbox, place: Path) -> 
         image = data.draw(damaged(image))
     (folder / "map.yaml").write_bytes(text)
     (folder / name).write_bytes(image)
-    assert sandbox.failure(commands.look_over_map, folder / "map.yaml", folder / "rooms") is None
+    sandbox.run(commands.look_over_map, folder / "map.yaml", folder / "rooms")
 
 
 @cache
@@ -268,10 +268,11 @@ def damaged_runs(draw: st.DrawFn, whole: Path, case: Path) -> Path:
     shutil.copytree(whole, case)
     file = draw(st.sampled_from(sorted(path.name for path in whole.iterdir())))
     content = (whole / file).read_bytes()
-    textual = file.endswith((".json", ".geojson", ".tum", ".yaml"))
-    if draw(st.integers(0, 9)) == 0:
+    if draw(st.integers(0, 19)) == 0:
         (case / file).unlink()
-    elif textual:
+    elif file.endswith("json"):
+        (case / file).write_bytes(draw(damaged_json(content.decode())))
+    elif file.endswith((".tum", ".yaml")):
         (case / file).write_bytes(draw(damaged_text(content.decode())))
     else:
         (case / file).write_bytes(draw(damaged(content)))
@@ -282,7 +283,7 @@ def damaged_runs(draw: st.DrawFn, whole: Path, case: Path) -> Path:
 @given(data=st.data())
 def test_evaluated_runs(data: st.DataObject, sandbox: Sandbox, place: Path) -> None:
     run = data.draw(damaged_runs(whole_run(place), fresh(sandbox.folder / "case") / "run"))
-    assert sandbox.failure(commands.evaluate, run) is None
+    sandbox.run(commands.evaluate, run)
 
 
 @fewer
@@ -290,7 +291,7 @@ def test_evaluated_runs(data: st.DataObject, sandbox: Sandbox, place: Path) -> N
 def test_compared_runs(data: st.DataObject, sandbox: Sandbox, place: Path) -> None:
     whole = whole_run(place)
     run = data.draw(damaged_runs(whole, fresh(sandbox.folder / "case") / "run"))
-    assert sandbox.failure(commands.compare, whole, run, sandbox.folder / "case" / "out") is None
+    sandbox.run(commands.compare, whole, run, sandbox.folder / "case" / "out")
 
 
 @fewer
@@ -298,4 +299,4 @@ def test_compared_runs(data: st.DataObject, sandbox: Sandbox, place: Path) -> No
 def test_listed_runs(data: st.DataObject, sandbox: Sandbox, place: Path) -> None:
     root = fresh(sandbox.folder / "case")
     data.draw(damaged_runs(whole_run(place), root / "run"))
-    assert sandbox.failure(commands.list_runs, root) is None
+    sandbox.run(commands.list_runs, root)
