@@ -27,12 +27,12 @@ class Outline(BaseModel):
 
 class _LineFeature(BaseModel):
     geometry: Line
-    properties: dict[str, Any]
+    properties: dict[str, Any] | None = None
 
 
 class _OutlineFeature(BaseModel):
     geometry: Outline
-    properties: dict[str, Any]
+    properties: dict[str, Any] | None = None
 
 
 class _Door(BaseModel):
