@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Literal, Self, TypeAlias, TypeVar
 
-from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.interfaces import Connection, MessageDefinitionFormat, Nodetype
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.rosbag2.storage_mcap import McapReader
@@ -296,7 +296,7 @@ def make_typestore(ros_version: Literal[1, 2]) -> Typestore:
 
 
 def _typestore_of(ros_version: Literal[1, 2], readers: list[Reader], warnings: list[str]) -> Typestore:
-    """The common types, overridden by the definitions that the bag brings along."""
+    """The common types, overridden by the definitions that the bag brings along where these have the common ones' fields."""
     common = make_typestore(ros_version)
     found: dict[str, Any] = {}
     for connection in (c for reader in readers for c in reader.connections):
@@ -304,11 +304,32 @@ def _typestore_of(ros_version: Literal[1, 2], readers: list[Reader], warnings: l
             found.update(_definitions(connection))
         except Exception as error:
             warnings.append(f"the definition of {connection.msgtype} is not understood: {_one_line(error)}")
+    for name in sorted(found.keys() & common.fielddefs.keys()):
+        lacking = _field_names(common.fielddefs[name]) - _field_names(found[name])
+        lacking |= {used for _, field in found[name][1] for used in _types_in(field)} - common.fielddefs.keys() - found.keys()
+        if lacking:
+            warnings.append(f"the definition of {name} in the bag lacks {', '.join(sorted(lacking))}; the common one is used")
+            del found[name]
     if all(common.fielddefs.get(name) == definition for name, definition in found.items()):
         return common
     store = get_typestore(Stores.EMPTY)
-    store.register({**common.fielddefs, **found})
+    try:
+        store.register({**common.fielddefs, **found})
+    except Exception as error:  # whatever a damaged definition leads to
+        warnings.append(f"the bag's definitions of messages do not fit together ({_one_line(error)}); common ones are used")
+        return common
     return store
+
+
+def _field_names(definition: Any) -> set[str]:  # noqa: ANN401 - as rosbags has it: constants, then fields
+    return {name for name, _ in definition[1]}
+
+
+def _types_in(field: Any) -> set[str]:  # noqa: ANN401 - as above: a kind of node, then a name, a basic type or the elements
+    kind, inner = field
+    if kind == Nodetype.NAME:
+        return {inner}
+    return _types_in(inner[0]) if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else set()
 
 
 def _definitions(connection: Connection) -> dict[str, Any]:
