@@ -20,7 +20,7 @@ from loaders.info import describe_bag
 from loaders.rig import read_rig_file
 from loaders.scans import read_clouds
 from loaders.trajectory_file import read_pose_topic, read_tum, write_tum
-from loaders.truth import read_truth
+from loaders.truth import BUILDING_TOPIC, read_truth
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, clouds, header, sweep, tf_message, write_bag
 
 
@@ -124,6 +124,16 @@ def look_over_settings(config: Path | None, words: tuple[str, ...]) -> None:
 
 def evaluate(run: Path) -> None:
     evaluate_run(open_run(run), workers=1)
+
+
+def evaluate_by(run: Path, bag: Path, building: bytes) -> None:
+    """Against the truth of a bag, whose building is another text."""
+    store, path = make_typestore(1), run.parent / "truth.bag"
+    text = store.types["std_msgs/msg/String"](building.decode(errors="replace"))
+    with open_bag(bag) as source:
+        kept = [topic for topic in source.topics if topic.startswith("/truth/") and topic != BUILDING_TOPIC]
+        entries = [(raw.topic, raw.log_time_ns, source.deserialize(raw)) for raw in source.messages(kept)]
+    evaluate_run(open_run(run), write_bag(path, [(BUILDING_TOPIC, START_NS, text), *entries]), workers=1)
 
 
 def compare(run: Path, other: Path, out: Path) -> None:

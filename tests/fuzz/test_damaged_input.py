@@ -3,6 +3,7 @@
 A few cases each, always the same; with --hypothesis-profile=long and -n 0 many, others every time, and their number at the end.
 """
 
+import json
 import shutil
 from collections.abc import Callable
 from functools import cache
@@ -19,7 +20,7 @@ from PIL import Image
 from app.files import write_geojson, write_json
 from app.settings import Settings, as_toml
 from tests.app.test_catalogue import write as write_recording
-from tests.app.test_evaluate import make_run, make_truth_bag
+from tests.app.test_evaluate import BUILDING, make_run, make_truth_bag
 from tests.fuzz import commands
 from tests.fuzz.damage import WORDS, damaged, damaged_json, damaged_text
 from tests.fuzz.sandbox import Sandbox
@@ -284,6 +285,15 @@ def damaged_runs(draw: st.DrawFn, whole: Path, case: Path) -> Path:
 def test_evaluated_runs(data: st.DataObject, sandbox: Sandbox, place: Path) -> None:
     run = data.draw(damaged_runs(whole_run(place), fresh(sandbox.folder / "case") / "run"))
     sandbox.run(commands.evaluate, run)
+
+
+@fewer
+@given(building=damaged_json(json.dumps(BUILDING)))
+def test_true_buildings(building: bytes, sandbox: Sandbox, place: Path) -> None:
+    whole = whole_run(place)
+    run = fresh(sandbox.folder / "case") / "run"
+    shutil.copytree(whole, run)
+    sandbox.run(commands.evaluate_by, run, whole.parent / "in.bag", building)
 
 
 @fewer
