@@ -136,15 +136,20 @@ class Catalogue:
     def _register(self, files: Sequence[Path], layer: str) -> dict[Path, str]:
         """Add files as a layer of their segments, in one call: one by one they take four times as long.
 
-        Returns those that could not be added, and why. The server refuses a call for a single file that it cannot read;
-        each half is then tried by itself.
+        Returns those that could not be added, and why. The server refuses a call for a single file that it cannot read, and
+        takes some damaged files that no list of runs can be read with; each half is then tried by itself.
         """
         if not files:
             return {}
         by_uri = {file.resolve().as_uri(): file for file in files}
+        added: list[str] = []
         try:
             results = list(self.dataset.register(list(by_uri), layer_name=layer).iter_results())
+            added = [result.segment_id for result in results if result.segment_id is not None]
+            self.dataset.segment_table()
         except (ValueError, RuntimeError) as error:
+            if added:
+                self.dataset.unregister(segments_to_drop=added, layers_to_drop=layer).wait()
             if len(files) == 1:
                 return {files[0]: str(error).splitlines()[0]}
             half = len(files) // 2

@@ -284,3 +284,20 @@ def test_asking_for_runs_does_not_wait_for_the_method_to_load() -> None:
     code = "import sys, app.runs_command; print('numba' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+def test_a_damaged_recording_that_rerun_takes_does_not_cost_the_list_of_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("a", "b", "c"):
+        make_run(tmp_path / name, 0.9, 0.02, 5.0)
+    file = tmp_path / "b" / "recording.rrd"
+    content = bytearray(file.read_bytes())
+    # How long the name of a property is: read only when a list of runs is asked for.
+    at = content.index(b"property:", len(content) // 4)
+    content[at - 4 : at] = b"\xff\xff\xff\x7f"
+    file.write_bytes(content)
+    runs_command.runs(str(tmp_path), Query(), None, None)
+    told = capsys.readouterr()
+    assert "2 runs in" in told.out
+    assert f"{tmp_path / 'b'}: recording.rrd is damaged" in told.err
