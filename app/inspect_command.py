@@ -17,7 +17,7 @@ from algorithms.scan import Scan, UInt8Array
 from algorithms.smoothing import smooth_ranges
 from app.blocks import seed_of
 from app.finished_run import FinishedRun, open_run
-from app.inputs import find_inputs
+from app.inputs import Inputs, digest_clouds, find_inputs
 from app.inspect_recorder import write
 from app.poses import given_trajectory, poses_of
 from app.reasons import LineReason, explain_lines, name_of, scan_document
@@ -91,6 +91,13 @@ def open_viewer(path: Path) -> None:
         raise InputError(f"--spawn: {error} Leave it out: {path} can be opened later") from error
 
 
+def _check_same_clouds(run: FinishedRun, inputs: Inputs) -> None:
+    """Raises InputError where the bag is not what the run was made from, be it by one byte."""
+    sensors = [sensor for sensor in inputs.used(False) if sensor.lidar.topic in run.clouds]
+    if digest_clouds(inputs.bag_path, sensors) != run.clouds:
+        raise InputError(f"{inputs.bag_path}: is not the bag that {run.path} was made from; give that one with --bag")
+
+
 def label_again(run: FinishedRun, number: int, bag: Path | None = None) -> InspectedScan:
     """Label one scan of a run as the run did: same bag, poses, settings and random numbers.
 
@@ -105,8 +112,7 @@ def label_again(run: FinishedRun, number: int, bag: Path | None = None) -> Inspe
         )
     settings = run.settings()
     inputs = find_inputs(bag_path, run.input_options)
-    if run.bag_digest not in (None, inputs.bag_digest):
-        raise InputError(f"{bag_path}: is not the bag that {run.path} was made from; give that one with --bag")
+    _check_same_clouds(run, inputs)
     vertical = inputs.vertical
     if vertical is None:
         raise InputError(f"{run.path}: its bag has no lidar that sweeps the walls, so no scan was labelled")

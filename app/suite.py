@@ -25,7 +25,7 @@ from rich.table import Table
 
 from app.evaluate import PAPER, Metrics
 from app.files import write_json
-from app.odometry_stage import cache_folder
+from app.odometry_cache import cache_folder
 from app.progress import Progress
 from app.run_folder import METRICS, RUN_JSON, require_writable
 from app.settings import load_settings
