@@ -23,7 +23,7 @@ from app.poses import given_trajectory, poses_of
 from app.reasons import LineReason, explain_lines, name_of, scan_document
 from app.recorded import readable, rows
 from app.recording import start_viewer
-from app.run_folder import EVALUATION, RECORDING, make_writable
+from app.run_folder import EVALUATION, check_no_run_loses, make_writable
 from app.run_labels import CloudLabels, LabelSource
 from blueprints import entities
 from loaders.bag import open_bag
@@ -229,8 +229,7 @@ def _target(run: FinishedRun, out: Path | None, number: int) -> Path:
         path = path / f"inspect-{number}.rrd"
     if path.suffix != ".rrd":
         raise InputError(f"{path}: a recording's name ends in .rrd; give another to --out")
-    if path.resolve() in {(run.path / name).resolve() for name in (RECORDING, EVALUATION)}:
-        raise InputError(f"{path}: is the run's own recording; give another file to --out")
+    check_no_run_loses(path)
     try:
         make_writable(path.parent)
     except OSError as error:

@@ -257,6 +257,12 @@ def held(path: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
+def check_no_run_loses(path: Path, option: str = "--out") -> None:
+    """Raises InputError where writing this file would replace what a run has made. option: what the path was given to."""
+    if path.name in file_names() and (path.parent / RUN_JSON).exists():
+        raise InputError(f"{path}: belongs to the run in that folder; give another place to {option}")
+
+
 def make_writable(path: Path) -> None:
     """Make a folder where there is none, and try to write in it; raises OSError where that fails."""
     path.mkdir(parents=True, exist_ok=True)

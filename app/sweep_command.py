@@ -17,7 +17,7 @@ from app.odometry_cache import cache_folder
 from app.odometry_stage import name_of
 from app.outputs import Output
 from app.progress import Progress, table_console
-from app.run_folder import RunFolder, make_writable
+from app.run_folder import PROGRAM, RunFolder, make_writable
 from app.settings import Settings, load_settings
 from app.sweep_files import RECORDING, STUDY, SWEEP_JSON, TABLE
 from app.sweep_plan import Combination, Parameter, Search, Study
@@ -79,7 +79,8 @@ def sweep(arguments: Arguments) -> int:
     """
     plan = _plan(arguments)
     _create(plan.out)
-    _write_json(plan, [])
+    if not (plan.out / SWEEP_JSON).exists():
+        _write_json(plan, [])
     search = _search(plan)
     started = time.monotonic()
     try:
@@ -196,7 +197,7 @@ def _write_json(plan: Sweep, runs: Sequence[Run]) -> None:
     """What was asked for, and what became of every run."""
     arguments = plan.arguments
     content = {
-        "program": "furniture-free-mapping",
+        "program": PROGRAM,
         "versions": versions(),
         "bags": [{"path": str(inputs.bag_path), "digest": total_digest(plan.clouds[inputs.bag_path])} for inputs in plan.bags],
         "grid": list(arguments.grid),
@@ -285,11 +286,18 @@ def _default_out(arguments: Arguments, clouds: Mapping[Path, Mapping[str, str]],
 def _create(out: Path) -> None:
     """Raises InputError where the folder cannot be written or holds something else."""
     try:
-        if out.is_dir() and any(out.iterdir()) and not (out / SWEEP_JSON).exists():
+        if out.is_dir() and any(out.iterdir()) and not _is_sweep(out):
             raise InputError(f"{out}: holds files that are no sweep; give an empty or a new folder to --out")
         make_writable(out)
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror}); give another folder to --out") from error
+
+
+def _is_sweep(folder: Path) -> bool:
+    try:
+        return bool(json.loads((folder / SWEEP_JSON).read_text("utf-8"))["program"] == PROGRAM)
+    except (OSError, ValueError, LookupError, TypeError):
+        return False
 
 
 def _search(plan: Sweep) -> Search:

@@ -375,6 +375,12 @@ def test_what_may_not_be_written_is_one_line(
     assert capsys.readouterr().err.startswith("ffmap: runs/a/metrics.json: cannot be read or written (Permission denied)")
 
 
+def test_demo_leaves_the_users_bag_alone(environment: dict[str, str], tmp_path: Path) -> None:
+    (tmp_path / "small.bag").write_text("mine")
+    assert_one_line_error(ffmap(environment, "demo", "--out", tmp_path), "small.bag", "--out")
+    assert (tmp_path / "small.bag").read_text() == "mine"
+
+
 def test_folders_of_demo_suite_evaluation_and_maps_that_cannot_be_written(
     finished: Path, environment: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
