@@ -145,6 +145,8 @@ class Layer:
     recording_id: str
     scans: bool
     """Whether the recording has single scans."""
+    registered: bool
+    """Whether it has the quality of an odometry's poses."""
 
 
 @dataclass(frozen=True)
@@ -233,7 +235,7 @@ def _layer_of(run: FinishedRun, spool: Path) -> Layer | None:
     """Where the errors of a run are recorded; None where it has no recording that they could be a layer of."""
     if run.recording is None or "recording_id" not in run.record:
         return None
-    return Layer(spool, run.record["recording_id"], run.has_scans)
+    return Layer(spool, run.record["recording_id"], run.has_scans, run.registered)
 
 
 def _write_layer(out: Path, layer: Layer, comparison: Comparison) -> None:
@@ -249,7 +251,11 @@ def _write_layer(out: Path, layer: Layer, comparison: Comparison) -> None:
         layer.spool,
         layer.recording_id,
         run_blueprint.build(
-            comparison.ring_count, *run_blueprint.view_of(own.grid if own else None), evaluated=True, scans=layer.scans
+            comparison.ring_count,
+            *run_blueprint.view_of(own.grid if own else None),
+            evaluated=True,
+            scans=layer.scans,
+            registered=layer.registered,
         ),
         comparison.metrics,
         in_markdown(comparison.metrics),

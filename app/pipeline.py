@@ -50,6 +50,7 @@ from app.blocks import (
     save_halo,
     split_blocks,
 )
+from app.finished_run import FROM_ODOMETRY
 from app.inputs import Inputs
 from app.labels_file import LabelsWriter
 from app.odometry_stage import CACHE_VARIABLE, Odometry, cache_folder
@@ -150,7 +151,8 @@ def run(
     recorder: Recorder | None = None
     try:
         recording = _open(inputs, options, folder, record)
-        recorder = Recorder(recording.stream, options.detail) if recording else None
+        scan_stamps_ns = inputs.vertical.index.stamp_ns if inputs.vertical else None
+        recorder = Recorder(recording.stream, options.detail, scan_stamps_ns=scan_stamps_ns) if recording else None
         _run_stages(_Run(inputs, settings, options, folder, progress, record, recording, recorder, state), given)
         outcome = "complete"
         if options.workers == 1:
@@ -179,6 +181,7 @@ def _log_result(recorder: Recorder | None, state: RunState, started: float, outc
     if recorder is not None:
         result = {name: value for name, value in _gathered(state, started).items() if name not in _TOLD_ELSEWHERE}
         recorder.log_properties("result", {**result, "outcome": outcome})
+        recorder.log_warnings(state.warnings)
 
 
 def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[str, Any]) -> Recording | None:
@@ -191,7 +194,7 @@ def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[s
             folder.path / RECORDING if save else None,
             folder.spool,
             record["recording_id"],
-            _layout(inputs, options.detail),
+            _layout(inputs, options.detail, record),
             options.connect_url,
         )
     except ConnectionError as error:
@@ -201,7 +204,7 @@ def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[s
 
 
 _TOLD_ELSEWHERE = ("statistics", "warnings")
-"""Among the metrics, and as messages."""
+"""Among the metrics, and as a text."""
 
 
 def _gathered(state: RunState, started: float) -> dict[str, Any]:
@@ -267,7 +270,7 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
                 log_rooms(run.recording.stream, building.rooms)
                 for segmented, graph in building.compared_rooms.items():
                     log_areas(run.recording.stream, graph, f"{entities.ROOMS_COMPARED}/{segmented}")
-                run.recording.set_layout(_layout(inputs, run.options.detail, building.grid))
+                run.recording.set_layout(_layout(inputs, run.options.detail, run.record, building.grid))
             if Output.GEOJSON in outputs:
                 results.write_walls(folder.path / WALLS, building.walls, building.thickness_m)
                 results.write_doors(folder.path / DOORS, building.doors, door_rooms(building.rooms))
@@ -321,9 +324,14 @@ def _log_start(recorder: Recorder, inputs: Inputs, settings: Settings, record: d
     )
 
 
-def _layout(inputs: Inputs, detail: Detail, grid: GridMap | None = None) -> rrb.Blueprint:
+def _layout(inputs: Inputs, detail: Detail, record: dict[str, Any], grid: GridMap | None = None) -> rrb.Blueprint:
     """How the recording opens; with the grid, so that the whole building is in view."""
-    return run_blueprint.build(_ring_count(inputs), *run_blueprint.view_of(grid), scans=detail is not Detail.MAP)
+    return run_blueprint.build(
+        _ring_count(inputs),
+        *run_blueprint.view_of(grid),
+        scans=detail is not Detail.MAP,
+        registered=record["poses_from"] == FROM_ODOMETRY,
+    )
 
 
 def _ring_count(inputs: Inputs) -> int | None:

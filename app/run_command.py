@@ -10,7 +10,7 @@ from typing import Any, get_args
 import typer
 
 from app import pipeline, run_folder
-from app.finished_run import open_run
+from app.finished_run import FROM_ODOMETRY, open_run
 from app.inputs import InputOptions, Inputs, find_inputs
 from app.outputs import RUN_OUTPUTS, Output, check_outputs
 from app.poses import given_trajectory
@@ -92,7 +92,7 @@ def _run(arguments: Arguments, resume: Path | None, stack: ExitStack) -> None:
     if record is None:
         run_folder.clear(folder)
         record = pipeline.first_record(
-            inputs, settings, stored(arguments), arguments.bag, arguments.trajectory or "odometry"
+            inputs, settings, stored(arguments), arguments.bag, arguments.trajectory or FROM_ODOMETRY
         )
     assert record is not None
     options = pipeline.RunOptions(

@@ -61,6 +61,7 @@ def write_common_layout(runs: Sequence[FinishedRun], folder: Path) -> list[Path]
         evaluated=any(run.file(EVALUATION) is not None for run in runs),
         scans=any(run.has_scans for run in runs),
         several=True,
+        registered=any(run.registered for run in runs),
     )
     written: dict[str, Path] = {}
     for number, run in enumerate(runs):
