@@ -860,15 +860,16 @@ class Recorder:
 
 
 def log_legend(stream: rr.RecordingStream, path: str, entries: Sequence[tuple[str, entities.Color]]) -> None:
-    """Names in their colours side by side, each below a dot, as `blueprints.legend` shows them."""
-    colors = [color for _, color in entries]
+    """Names side by side, each below a dot in its colour, as `blueprints.legend` shows them."""
     across = Legend.STEP * (np.arange(len(entries)) + 0.5)
     dots = rr.Points2D(
-        np.column_stack([across, np.zeros(len(entries))]), colors=colors, radii=rr.Radius.ui_points(Legend.DOT_UI)
+        np.column_stack([across, np.zeros(len(entries))]),
+        colors=[color for _, color in entries],
+        radii=rr.Radius.ui_points(Legend.DOT_UI),
     )
     names = rr.Points2D(
         np.column_stack([across, np.full(len(entries), Legend.NAMES_BELOW)]),
-        colors=colors,
+        colors=entities.TEXT_COLOR,
         radii=0.0,
         labels=[name for name, _ in entries],
         show_labels=True,

@@ -326,9 +326,9 @@ class Legend:
     """Where the entries of a legend are drawn, in units of its 2-D view: side by side, the name below its dot."""
 
     STEP = 120.0
-    DOT_UI = 6.0
-    NAMES_BELOW = 5.0
-    ABOVE, BELOW = 8.0, 24.0
+    DOT_UI = 8.0
+    NAMES_BELOW = 6.0
+    ABOVE, BELOW = 9.0, 24.0
 
 
 class CurveSheet:

@@ -295,8 +295,8 @@ def test_curves_and_legends_have_names_in_words_with_their_units(recording):
     for part in (dots, names):
         places = vectors(part.column("Points2D:positions").to_pylist()[0])
         assert np.all(np.diff(places[:, 0]) > 0)
-        colors = part.column("Points2D:colors").to_pylist()[0]
-        assert colors == [(r << 24) | (g << 16) | (b << 8) | 255 for _, (r, g, b) in entities.LABEL_LEGEND_ENTRIES]
+    colors = dots.column("Points2D:colors").to_pylist()[0]
+    assert colors == [(r << 24) | (g << 16) | (b << 8) | 255 for _, (r, g, b) in entities.LABEL_LEGEND_ENTRIES]
     # Each label's own colour is explained.
     shown = {color for _, color in entities.LABEL_LEGEND_ENTRIES}
     assert shown == {entities.CLASSES[label][1] for label in Label}
