@@ -137,7 +137,8 @@ class Recorder:
         self._static(entities.LINES, _annotations(entities.LINE_OUTCOMES))
         self._static(entities.DOOR_CONDITIONS, _annotations(entities.DOOR_CONDITION_CLASSES))
         self._static(entities.README, rr.TextDocument(readme, media_type=rr.MediaType.MARKDOWN))
-        self._static(entities.GLANCE, rr.TextDocument(entities.GLANCE_TEXT, media_type=rr.MediaType.MARKDOWN))
+        glance = entities.glance(labelled=ring_count is not None, scans=self._detail is not Detail.MAP)
+        self._static(entities.GLANCE, rr.TextDocument(glance, media_type=rr.MediaType.MARKDOWN))
         self._static(
             entities.EVALUATION_HELP, rr.TextDocument(entities.EVALUATION_HELP_TEXT, media_type=rr.MediaType.MARKDOWN)
         )

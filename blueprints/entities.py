@@ -427,9 +427,20 @@ Wall candidates and door conditions carry the reason why each was taken or refus
 {run}
 """
 
-GLANCE_TEXT = """**One scan of the vertical lidar, and the map up to it.** Drag the time cursor at the foot of the \
+_GLANCE_SCANS = """**One scan of the vertical lidar, and the map up to it.** Drag the time cursor at the foot of the \
 window to see others. Upper left: every return in the colour of its label. Below: how walls are told. Right: what all scans \
-give together. All tabs, colours and values are explained in the last tab, **Read me**."""
+give together."""
+_GLANCE_MAP = """**The building that all scans give together**: its cloud, walls, doors and windows, the grid map, and why \
+each door is one. Single scans were not recorded (`--detail lines` does)."""
+_GLANCE_POSES = """**The way of the lidar, and how well each sweep was registered.** Nothing was labelled: no lidar sweeps \
+the walls. Drag the time cursor at the foot of the window to see other sweeps."""
+
+
+def glance(labelled: bool, scans: bool) -> str:
+    """What the first tab shows, in Markdown; labelled: whether anything was, scans: whether single ones are recorded."""
+    shown = _GLANCE_POSES if not labelled else _GLANCE_SCANS if scans else _GLANCE_MAP
+    return f"{shown} All tabs, colours and values are explained in the last tab, **Read me**."
+
 
 EVALUATION_HELP_TEXT = """# Against the truth
 The two tabs beside this one, **Figures** and **What is wrong, and where**, are empty where `recording.rrd` alone is open.

@@ -29,10 +29,11 @@ def build(
     """
     about: list[rrb.Container | rrb.View] = [_metrics(), rrb.TextDocumentView(origin=entities.README, name="Read me")]
     if ring_count is None:
-        return _blueprint([_poses(None, registered), *about], entities.STAMP_TIMELINE, several)
+        only = legend.above(_glance(), _poses(None, registered), "Odometry" if registered else "Trajectory as given")
+        return _blueprint([only, *about], entities.STAMP_TIMELINE, several)
     poses = _poses(_aslant(centre_m, extent_m), registered)
     tabs: list[rrb.Container | rrb.View] = [
-        _building(centre_m, extent_m),
+        _building(centre_m, extent_m, first=not scans),
         maps.tab(centre_m, extent_m, evaluated),
         rooms.tab(centre_m, extent_m, compared=True),
     ]
@@ -41,7 +42,7 @@ def build(
         tabs += [_map(centre_m, extent_m), poses]
     else:
         overview = rrb.Vertical(
-            rrb.Horizontal(_label_legend(), rrb.TextDocumentView(origin=entities.GLANCE, name="What this shows")),
+            rrb.Horizontal(_label_legend(), _glance()),
             rrb.Horizontal(_scan(), _map(centre_m, extent_m), column_shares=[1, 1]),
             rrb.Horizontal(_lines(), _curves(ring_count), _grid(centre_m, extent_m), column_shares=[1, 1.25, 1]),
             row_shares=[1, 5, 5],
@@ -78,6 +79,10 @@ def _blueprint(tabs: list[rrb.Container | rrb.View], timeline: str, several: boo
 
 def _label_legend() -> rrb.View:
     return legend.view(entities.LABEL_LEGEND, len(entities.LABEL_LEGEND_ENTRIES), "Colours of the labels")
+
+
+def _glance() -> rrb.View:
+    return rrb.TextDocumentView(origin=entities.GLANCE, name="What this shows")
 
 
 def _scan() -> rrb.Spatial3DView:
@@ -276,7 +281,8 @@ def _aslant(centre_m: tuple[float, float], extent_m: float) -> rrb.EyeControls3D
     return rrb.EyeControls3D(position=position, look_target=(x, y, 0.0))
 
 
-def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
+def _building(centre_m: tuple[float, float], extent_m: float, first: bool) -> rrb.Container:
+    """first: it is the first tab, which says what it shows."""
     content = rrb.Horizontal(
         rrb.Spatial3DView(
             origin=entities.WORLD,
@@ -306,7 +312,8 @@ def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
         ),
         column_shares=[3, 2],
     )
-    return legend.above(_label_legend(), content, "Building")
+    strip = rrb.Horizontal(_label_legend(), _glance()) if first else _label_legend()
+    return legend.above(strip, content, "Building")
 
 
 def _poses(eye: rrb.EyeControls3D | None, registered: bool) -> rrb.Container | rrb.View:

@@ -92,12 +92,22 @@ def test_the_first_tab_shows_scan_lines_curves_map_and_grid():
         assert word in names
 
 
-def test_the_first_tab_explains_its_colours_and_says_where_all_is_explained():
-    origins = [str(view.origin) for view in views(run.build().root_container.contents[0])]
-    assert origins[:2] == [entities.LABEL_LEGEND, entities.GLANCE]
-    last = run.build().root_container.contents[-1]
-    assert str(last.name) == "Read me"
-    assert f"**{last.name}**" in entities.GLANCE_TEXT
+@pytest.mark.parametrize(
+    ("rings", "scans", "legends"), [(32, True, [entities.LABEL_LEGEND]), (32, False, [entities.LABEL_LEGEND]), (None, True, [])]
+)
+def test_the_first_tab_says_what_it_shows_and_where_all_is_explained(
+    rings: int | None, scans: bool, legends: list[str]
+) -> None:
+    tabs = run.build(rings, scans=scans).root_container.contents
+    origins = [str(view.origin) for view in views(tabs[0])]
+    assert origins[: len(legends) + 1] == [*legends, entities.GLANCE]
+    assert str(tabs[-1].name) == "Read me"
+    text = entities.glance(rings is not None, scans)
+    assert f"**{tabs[-1].name}**" in text
+    assert text.startswith({(32, True): "**One scan", (32, False): "**The building", (None, True): "**The way"}[rings, scans])
+
+
+def test_the_evaluation_explains_its_colours():
     for evaluated in (True, False):
         for scans in (True, False):
             tabs = {str(tab.name): tab for tab in run.build(evaluated=evaluated, scans=scans).root_container.contents}
