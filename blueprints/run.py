@@ -27,10 +27,11 @@ def build(
     of what the map views show. evaluated: with the errors that `evaluation.rrd` adds, first of all. scans: whether the
     recording has anything of single scans. several: whether it is to hold for several runs, with the list to choose from.
     """
-    about: list[rrb.Container | rrb.View] = [_metrics(), rrb.TextDocumentView(origin=entities.README, name="Read me")]
+    readme = rrb.TextDocumentView(origin=entities.README, name="Read me")
+    about: list[rrb.Container | rrb.View] = [_metrics(), readme]
     if ring_count is None:
         only = legend.above(_glance(), _poses(None, registered), "Odometry" if registered else "Trajectory as given")
-        return _blueprint([only, *about], entities.STAMP_TIMELINE, several)
+        return _blueprint([only, _warnings(), readme], entities.STAMP_TIMELINE, several)
     poses = _poses(_aslant(centre_m, extent_m), registered)
     tabs: list[rrb.Container | rrb.View] = [
         _building(centre_m, extent_m, first=not scans),
@@ -385,12 +386,17 @@ def _metrics() -> rrb.Container:
                 for stage in ("reading", "smoothing", "placing", "labelling")
             )
         ),
-        rrb.Horizontal(
-            rrb.TextDocumentView(origin=entities.WARNINGS, name="Warnings of the run"),
-            rrb.TextLogView(origin=entities.MESSAGES, name="Scans skipped or weakly registered (empty: none)"),
-        ),
+        _warnings(),
         row_shares=[3, 3, 2, 2, 2],
         name="Metrics and warnings",
+    )
+
+
+def _warnings() -> rrb.Container:
+    return rrb.Horizontal(
+        rrb.TextDocumentView(origin=entities.WARNINGS, name="Warnings of the run"),
+        rrb.TextLogView(origin=entities.MESSAGES, name="Scans skipped or weakly registered (empty: none)"),
+        name="Warnings",
     )
 
 

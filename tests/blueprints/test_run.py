@@ -175,7 +175,10 @@ def test_the_explanation_names_classes_and_settings():
 
 def test_where_nothing_is_labelled_the_odometry_comes_first():
     tabs = run.build(None).root_container.contents
-    assert [str(tab.name) for tab in tabs] == ["Odometry", "Metrics and warnings", "Read me"]
+    assert [str(tab.name) for tab in tabs] == ["Odometry", "Warnings", "Read me"]
+    # Curves of scans that were never labelled would be empty.
+    curves = [view for tab in tabs for view in views(tab) if isinstance(view, rrb.TimeSeriesView)]
+    assert all(str(view.origin).startswith(entities.REGISTRATION) for view in curves)
 
 
 @pytest.mark.parametrize("scans", [True, False])
