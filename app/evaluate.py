@@ -147,6 +147,8 @@ class Layer:
     """Whether the recording has single scans."""
     registered: bool
     """Whether it has the quality of an odometry's poses."""
+    lines: bool
+    """Whether it has every intermediate of single scans."""
 
 
 @dataclass(frozen=True)
@@ -235,7 +237,7 @@ def _layer_of(run: FinishedRun, spool: Path) -> Layer | None:
     """Where the errors of a run are recorded; None where it has no recording that they could be a layer of."""
     if run.recording is None or "recording_id" not in run.record:
         return None
-    return Layer(spool, run.record["recording_id"], run.has_scans, run.registered)
+    return Layer(spool, run.record["recording_id"], run.has_scans, run.registered, run.has_lines)
 
 
 def _write_layer(out: Path, layer: Layer, comparison: Comparison) -> None:
@@ -256,6 +258,7 @@ def _write_layer(out: Path, layer: Layer, comparison: Comparison) -> None:
             evaluated=True,
             scans=layer.scans,
             registered=layer.registered,
+            lines=layer.lines,
         ),
         comparison.metrics,
         in_markdown(comparison.metrics),

@@ -59,6 +59,11 @@ class FinishedRun:
         return self.part("options").get("detail") != "map"
 
     @property
+    def has_lines(self) -> bool:
+        """Whether its recording, if it has one, holds every intermediate of single scans."""
+        return self.part("options").get("detail") not in ("map", "scans")
+
+    @property
     def registered(self) -> bool:
         """Whether its poses are the odometry's, whose quality the recording then holds."""
         return bool(self.record.get("poses_from", FROM_ODOMETRY) == FROM_ODOMETRY)

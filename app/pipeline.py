@@ -331,6 +331,7 @@ def _layout(inputs: Inputs, detail: Detail, record: dict[str, Any], grid: GridMa
         *run_blueprint.view_of(grid),
         scans=detail is not Detail.MAP,
         registered=record["poses_from"] == FROM_ODOMETRY,
+        lines=detail is Detail.LINES,
     )
 
 

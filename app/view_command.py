@@ -62,6 +62,7 @@ def write_common_layout(runs: Sequence[FinishedRun], folder: Path) -> list[Path]
         scans=any(run.has_scans for run in runs),
         several=True,
         registered=any(run.registered for run in runs),
+        lines=any(run.has_lines for run in runs),
     )
     written: dict[str, Path] = {}
     for number, run in enumerate(runs):

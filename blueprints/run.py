@@ -20,6 +20,7 @@ def build(
     scans: bool = True,
     several: bool = False,
     registered: bool = True,
+    lines: bool = True,
 ) -> rrb.Blueprint:
     """The layout of a run's recording.
 
@@ -42,14 +43,16 @@ def build(
         # The map alone: its tabs without the scan's views, which would be empty.
         tabs += [_map(centre_m, extent_m), poses]
     else:
+        how = [_lines(), _curves(ring_count)] if lines else [_planes()]
         overview = rrb.Vertical(
             rrb.Horizontal(_label_legend(), _glance()),
             rrb.Horizontal(_scan(), _map(centre_m, extent_m), column_shares=[1, 1]),
-            rrb.Horizontal(_lines(), _curves(ring_count), _grid(centre_m, extent_m), column_shares=[1, 1.25, 1]),
+            rrb.Horizontal(*how, _grid(centre_m, extent_m), column_shares=[1, 1.25, 1] if lines else [1, 1]),
             row_shares=[1, 5, 5],
             name="At a glance",
         )
-        tabs = [overview, _method(ring_count), *tabs, poses]
+        method = [_method(ring_count)] if lines else []
+        tabs = [overview, *method, *tabs, poses]
     errors = _evaluation(centre_m, extent_m, scans, evaluated)
     tabs = [errors, *tabs, *about] if evaluated else [*tabs, about[0], errors, *about[1:]]
     return _blueprint(tabs, entities.SCAN_TIMELINE, several)
@@ -94,6 +97,14 @@ def _lines() -> rrb.Spatial3DView:
     return _scan_view(
         "Point lines and wall planes; white: the line drawn large",
         [f"{entities.LINES}/**", entities.PLANES, entities.OPENINGS],
+        (entities.OPENINGS, rr.LineStrips3D.from_fields(show_labels=False)),
+    )
+
+
+def _planes() -> rrb.Spatial3DView:
+    return _scan_view(
+        "Wall planes and doors of the scan",
+        [entities.PLANES, entities.OPENINGS],
         (entities.OPENINGS, rr.LineStrips3D.from_fields(show_labels=False)),
     )
 

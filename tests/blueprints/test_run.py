@@ -192,3 +192,12 @@ def test_changed_points_are_seen_against_the_scan_or_else_the_map(scans: bool) -
     assert (f"{entities.GRID}/A" in contents) != scans
     # An override of what is not there is an error that the viewer shows.
     assert (runs[0].path(entities.POINTS) in changed.visualizer_overrides) == scans
+
+
+def test_without_lines_nothing_is_shown_that_is_drawn_from_them():
+    layout = run.build(lines=False).root_container
+    assert "Step by step" not in [str(tab.name) for tab in layout.contents]
+    of_lines = (entities.LINES, entities.CURVES, entities.UPMOST, entities.BOTTOMMOST, entities.STRUCTURES)
+    for view in views(layout):
+        for path in (str(view.origin), *map(str, [view.contents] if isinstance(view.contents, str) else view.contents)):
+            assert not path.startswith(of_lines)
