@@ -145,6 +145,10 @@ class Layer:
     recording_id: str
     scans: bool
     """Whether the recording has single scans."""
+    registered: bool
+    """Whether it has the quality of an odometry's poses."""
+    lines: bool
+    """Whether it has every intermediate of single scans."""
 
 
 @dataclass(frozen=True)
@@ -233,7 +237,7 @@ def _layer_of(run: FinishedRun, spool: Path) -> Layer | None:
     """Where the errors of a run are recorded; None where it has no recording that they could be a layer of."""
     if run.recording is None or "recording_id" not in run.record:
         return None
-    return Layer(spool, run.record["recording_id"], run.has_scans)
+    return Layer(spool, run.record["recording_id"], run.has_scans, run.registered, run.has_lines)
 
 
 def _write_layer(out: Path, layer: Layer, comparison: Comparison) -> None:
@@ -249,7 +253,12 @@ def _write_layer(out: Path, layer: Layer, comparison: Comparison) -> None:
         layer.spool,
         layer.recording_id,
         run_blueprint.build(
-            comparison.ring_count, *run_blueprint.view_of(own.grid if own else None), evaluated=True, scans=layer.scans
+            comparison.ring_count,
+            *run_blueprint.view_of(own.grid if own else None),
+            evaluated=True,
+            scans=layer.scans,
+            registered=layer.registered,
+            lines=layer.lines,
         ),
         comparison.metrics,
         in_markdown(comparison.metrics),

@@ -14,6 +14,9 @@ from loaders.pointcloud2 import TimeFrom
 
 Record = Mapping[str, Any]
 
+FROM_ODOMETRY = "odometry"
+"""What `run.json` says as to where the poses are from, unless they were given."""
+
 
 @dataclass(frozen=True)
 class FinishedRun:
@@ -54,6 +57,16 @@ class FinishedRun:
     def has_scans(self) -> bool:
         """Whether its recording, if it has one, holds single scans and not the map alone."""
         return self.part("options").get("detail") != "map"
+
+    @property
+    def has_lines(self) -> bool:
+        """Whether its recording, if it has one, holds every intermediate of single scans."""
+        return self.part("options").get("detail") not in ("map", "scans")
+
+    @property
+    def registered(self) -> bool:
+        """Whether its poses are the odometry's, whose quality the recording then holds."""
+        return bool(self.record.get("poses_from", FROM_ODOMETRY) == FROM_ODOMETRY)
 
     @property
     def trajectory(self) -> Path | None:

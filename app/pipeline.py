@@ -50,6 +50,7 @@ from app.blocks import (
     save_halo,
     split_blocks,
 )
+from app.finished_run import FROM_ODOMETRY
 from app.inputs import Inputs, digest_stamps, total_digest
 from app.labels_file import LabelsWriter
 from app.odometry_cache import CACHE_VARIABLE, cache_folder
@@ -156,7 +157,8 @@ def run(
     recorder: Recorder | None = None
     try:
         recording = _open(inputs, options, folder, record)
-        recorder = Recorder(recording.stream, options.detail) if recording else None
+        scan_stamps_ns = inputs.vertical.index.stamp_ns if inputs.vertical else None
+        recorder = Recorder(recording.stream, options.detail, scan_stamps_ns=scan_stamps_ns) if recording else None
         _run_stages(_Run(inputs, settings, options, folder, progress, record, recording, recorder, state), given)
         outcome = "complete"
         if options.workers == 1:
@@ -188,6 +190,7 @@ def _log_result(
         gathered = _gathered(record, state, started)
         result = {name: value for name, value in gathered.items() if name not in _TOLD_ELSEWHERE}
         recorder.log_properties("result", {**result, "bag_digest": gathered["bag"].get("digest"), "outcome": outcome})
+        recorder.log_warnings(state.warnings)
 
 
 def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[str, Any]) -> Recording | None:
@@ -200,7 +203,7 @@ def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[s
             folder.path / RECORDING if save else None,
             folder.spool,
             record["recording_id"],
-            _layout(inputs, options.detail),
+            _layout(inputs, options.detail, record),
             options.connect_url,
         )
     except ConnectionError as error:
@@ -210,7 +213,7 @@ def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[s
 
 
 _TOLD_ELSEWHERE = ("statistics", "warnings", "bag")
-"""Among the metrics, as messages, and among the properties of the run."""
+"""Among the metrics, as a text, and among the properties of the run."""
 
 
 def _gathered(record: dict[str, Any], state: RunState, started: float) -> dict[str, Any]:
@@ -286,7 +289,7 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
                 log_rooms(run.recording.stream, building.rooms)
                 for segmented, graph in building.compared_rooms.items():
                     log_areas(run.recording.stream, graph, f"{entities.ROOMS_COMPARED}/{segmented}")
-                run.recording.set_layout(_layout(inputs, run.options.detail, building.grid))
+                run.recording.set_layout(_layout(inputs, run.options.detail, run.record, building.grid))
             if Output.GEOJSON in outputs:
                 results.write_walls(folder.path / WALLS, building.walls, building.thickness_m)
                 results.write_doors(folder.path / DOORS, building.doors, door_rooms(building.rooms))
@@ -340,9 +343,15 @@ def _log_start(recorder: Recorder, inputs: Inputs, settings: Settings, record: d
     )
 
 
-def _layout(inputs: Inputs, detail: Detail, grid: GridMap | None = None) -> rrb.Blueprint:
+def _layout(inputs: Inputs, detail: Detail, record: dict[str, Any], grid: GridMap | None = None) -> rrb.Blueprint:
     """How the recording opens; with the grid, so that the whole building is in view."""
-    return run_blueprint.build(_ring_count(inputs), *run_blueprint.view_of(grid), scans=detail is not Detail.MAP)
+    return run_blueprint.build(
+        _ring_count(inputs),
+        *run_blueprint.view_of(grid),
+        scans=detail is not Detail.MAP,
+        registered=record["poses_from"] == FROM_ODOMETRY,
+        lines=detail is Detail.LINES,
+    )
 
 
 def _ring_count(inputs: Inputs) -> int | None:
@@ -674,7 +683,7 @@ def first_record(
         },
         "base_frame": inputs.rig.base_frame,
         "rig": rig,
-        "poses_from": given_poses or "odometry",
+        "poses_from": given_poses or FROM_ODOMETRY,
         "settings_hash": settings.short_hash(),
         "settings": settings.model_dump(mode="json"),
         "options": options,

@@ -11,7 +11,7 @@ import typer
 
 from app import pipeline, run_folder
 from app.blocks import holds_clouds_of, split_blocks
-from app.finished_run import open_run
+from app.finished_run import FROM_ODOMETRY, open_run
 from app.inputs import InputOptions, Inputs, digest_clouds, digest_stamps, find_inputs
 from app.outputs import RUN_OUTPUTS, Output, check_outputs
 from app.poses import given_trajectory
@@ -181,7 +181,7 @@ def _files_read(arguments: Arguments) -> list[Path]:
 
 def _check_same_bag(inputs: Inputs, folder: RunFolder, record: dict[str, Any]) -> None:
     """Raises InputError where a run was begun with other clouds than the bag holds now, be it by one byte."""
-    used, known = inputs.used(record["poses_from"] != "odometry"), record["bag"].get("clouds", {})
+    used, known = inputs.used(record["poses_from"] != FROM_ODOMETRY), record["bag"].get("clouds", {})
     same = record["bag"]["stamps"] == digest_stamps(used)
     if same and known:
         clouds = digest_clouds(inputs.bag_path, [sensor for sensor in used if sensor.lidar.topic in known])

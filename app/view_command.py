@@ -24,8 +24,8 @@ def view(places: Sequence[Path]) -> None:
     runs = [open_run(place) for place in places if (place / RUN_JSON).exists()]
     with tempfile.TemporaryDirectory(prefix="ffmap-view-") as folder:
         if len(runs) > 1:
-            # What is opened first has the layout.
-            files = [*write_common_layout(runs, Path(folder)), *files]
+            # Of several files the viewer takes the layout of the last.
+            files += write_common_layout(runs, Path(folder))
             typer.echo("the list at the left has the runs, by their names once they are shown:")
             for run in runs:
                 typer.echo(f"  {run.record.get('recording_id')}  {run.path}")
@@ -61,6 +61,8 @@ def write_common_layout(runs: Sequence[FinishedRun], folder: Path) -> list[Path]
         evaluated=any(run.file(EVALUATION) is not None for run in runs),
         scans=any(run.has_scans for run in runs),
         several=True,
+        registered=any(run.registered for run in runs),
+        lines=any(run.has_lines for run in runs),
     )
     written: dict[str, Path] = {}
     for number, run in enumerate(runs):
@@ -75,7 +77,7 @@ def write_common_layout(runs: Sequence[FinishedRun], folder: Path) -> list[Path]
 
 
 def files_of(place: Path) -> list[Path]:
-    """What the viewer opens: for a run its errors first, whose layout then holds; a sweep's drawing; a recording itself."""
+    """What the viewer opens: for a run its errors last, whose layout then holds; a sweep's drawing; a recording itself."""
     if place.is_file():
         if place.suffix not in (".rrd", ".rbl"):
             raise InputError(f"{place}: is no recording; give a run's folder, a sweep's, or a .rrd")
@@ -86,7 +88,7 @@ def files_of(place: Path) -> list[Path]:
         return [place / sweep_files.RECORDING]
     if not (place / RUN_JSON).exists():
         raise InputError(f"{place}: is no run and no sweep; 'ffmap runs DIR' lists those in a folder")
-    files = [place / name for name in (EVALUATION, RECORDING) if (place / name).exists()]
+    files = [place / name for name in (RECORDING, EVALUATION) if (place / name).exists()]
     if place / RECORDING not in files:
         raise InputError(f"{place}: has no {RECORDING}; it was run without, make it again with 'ffmap run'")
     return files

@@ -219,9 +219,30 @@ def test_errors_are_a_layer_of_the_recording(finished: Path) -> None:
     )
     assert false_walls == metrics["points"]["wall"]["wrong"] > 0
     assert metrics["statistics"]["points_in_cloud"]["max"] >= max(map(len, verdicts.values()))
+    static = {path: rows for path, rows in chunks if "scan" not in rows.schema.names}
+    entries = static[f"{entities.ERROR_LEGEND}/names"].column("Points2D:labels").to_pylist()[0]
+    assert entries == [name for name, _ in entities.ERROR_LEGEND_ENTRIES]
+    # From above, a door's upright frame would be a slab.
+    sills = static[entities.TRUTH_DOOR_SILLS].column("LineStrips3D:strips").to_pylist()[0]
+    assert {len({round(float(point[2]), 3) for point in sill}) for sill in sills} == {1}
+    assert len(sills) == len(static[entities.TRUTH_DOORS].column("LineStrips3D:strips").to_pylist()[0])
+    # Of what is logged once in both files, the viewer takes either: nothing but the layouts may be in both.
+    recorded = {c.entity_path for c in RrdReader(finished / "recording.rrd").stream() if c.is_static}
+    assert not {path for path in static if not path.startswith("/__properties")} & recorded
+    assert all(len(RrdReader(finished / name).blueprints()) for name in ("recording.rrd", "evaluation.rrd"))
     # One verdict for each return, in the order of the recorded points.
     for scan, (_, label, _) in enumerate(labels_of(finished)):
         assert len(verdicts[scan]) == np.count_nonzero(label != 255)
+
+
+def test_what_odometry_measured_lies_on_the_timeline_that_opens(finished: Path) -> None:
+    record = json.loads((finished / "run.json").read_text())
+    chunks = RrdReader(finished / "recording.rrd").stream().collect()
+    for name in ("weak", "refined_inlier_share", "weakest_share", "threshold_m"):
+        path = f"{entities.REGISTRATION}/{name}"
+        found = chunks.stream().filter(content=path).collect().reader(index=entities.SCAN_TIMELINE).to_pandas()
+        assert len(found) > 0.8 * record["counts"]["registrations"]
+        assert 0 <= found["scan"].min() <= found["scan"].max() < record["counts"]["clouds"]
 
 
 @pytest.mark.parametrize("container", ["mcap", "db3"])

@@ -19,9 +19,9 @@ def make_run(folder: Path, *files: str, recording_id: str = "") -> Path:
     return folder
 
 
-def test_errors_come_before_the_recording_whose_layout_would_hide_them(tmp_path: Path) -> None:
+def test_errors_come_after_the_recording_whose_layout_would_hide_them(tmp_path: Path) -> None:
     run = make_run(tmp_path / "a", "recording.rrd", "evaluation.rrd")
-    assert files_of(run) == [run / "evaluation.rrd", run / "recording.rrd"]
+    assert files_of(run) == [run / "recording.rrd", run / "evaluation.rrd"]
     assert files_of(make_run(tmp_path / "b", "recording.rrd")) == [tmp_path / "b" / "recording.rrd"]
 
 
@@ -43,7 +43,7 @@ def test_nothing_to_see(tmp_path: Path) -> None:
         files_of(tmp_path / "notes.txt")
 
 
-def test_several_runs_have_one_layout_that_the_last_does_not_hide(
+def test_several_runs_have_one_layout_that_comes_last(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     runs = [make_run(tmp_path / name, "recording.rrd") for name in ("a", "b")]
@@ -52,12 +52,12 @@ def test_several_runs_have_one_layout_that_the_last_does_not_hide(
 
     def look(files: list[Path]) -> None:
         opened.extend(files)
-        readers = [RrdReader(file) for file in files[: -len(runs)]]
+        readers = [RrdReader(file) for file in files[len(runs) :]]
         layouts.extend((reader.recordings()[0].recording_id, len(reader.blueprints())) for reader in readers)
 
     monkeypatch.setattr(view_command, "_open", look)
     view(runs)
-    assert opened[2:] == [run / "recording.rrd" for run in runs]
+    assert opened[:2] == [run / "recording.rrd" for run in runs]
     assert layouts == [("id of a", 1), ("id of b", 1)]
     said = capsys.readouterr().out
     for run in runs:
