@@ -6,6 +6,7 @@ from pathlib import Path
 import typer
 
 from app import run_command
+from app.own_command import own_command, view_command
 from app.run_folder import require_writable
 from app.simulate_command import simulate
 
@@ -26,5 +27,5 @@ def demo(out: Path) -> None:
     typer.echo("labelling every scan, mapping the building, recording every intermediate ...")
     run_command.run(run_command.Arguments(bag=bag, out=out / "run", overwrite=True), None)
     typer.echo(f"\ndone in {time.monotonic() - started:.0f} s. Look at every scan, step by step:\n")
-    typer.echo(f"    .venv/bin/ffmap view {out / 'run'}\n")
-    typer.echo("Your own bag: .venv/bin/ffmap run BAG (README.md says what it needs).")
+    typer.echo(f"    {view_command(out / 'run')}\n")
+    typer.echo(f"Your own bag: {own_command()} run BAG; '{own_command()} info BAG' says what it lacks, if anything.")

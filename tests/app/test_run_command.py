@@ -401,6 +401,8 @@ def test_interruption_is_one_line_that_says_how_to_go_on(
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        # A shell starts what runs in the background with interrupts ignored, and so would be this.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert process.stderr is not None
     said: list[str] = []
@@ -417,6 +419,29 @@ def test_interruption_is_one_line_that_says_how_to_go_on(
     assert said[-1] == f"ffmap: interrupted; 'ffmap run --resume {out}' goes on with the run\n"
     assert all(line.split(":")[0] in ("odometry", "scans", "building", "final") for line in said[:-1]), said
     assert json.loads((out / "run.json").read_text())["outcome"] == "aborted"
+
+
+def test_a_run_in_the_background_is_not_interrupted(
+    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    process = subprocess.Popen(
+        [*FFMAP, "run", str(bags["bag"]), "--out", str(out), "--workers", "2", "--no-evaluate", "--outputs", "maps"],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        # As 'nohup ffmap run ... &' in a script does: Ctrl-C is meant for what runs in front.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
+    )
+    end = time.monotonic() + 120
+    while not (out / "run.json").exists() and time.monotonic() < end:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)
+    said = process.communicate(timeout=120)[1]
+    assert process.returncode == 0, said
+    assert json.loads((out / "run.json").read_text())["outcome"] == "complete"
 
 
 def test_viewer_that_ends_is_one_line_and_no_run_goes_on(
