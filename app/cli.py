@@ -451,7 +451,7 @@ def runs(
 
         ffmap runs
 
-        ffmap runs runs/sweep-drive-1a2b3c4d --where "wall_f1 > 0.98 and doors_lines_min = 2" --sort seconds
+        ffmap runs runs/sweep-drive-1a2b3c4d --where "wall_f1 > 0.98 and doors.lines_min = 2" --sort seconds
 
         ffmap runs rerun+http://127.0.0.1:51234 --columns started,wall_f1,door_f1 --sort wall_f1
     """
