@@ -345,10 +345,10 @@ def sweep(
         ),
     ] = None,
     random: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="So many combinations at random, not all of them.")
+        int | None, typer.Option(min=1, metavar="N", help="Try N combinations drawn at random, not all of them.")
     ] = None,
     optuna: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="So many combinations, each proposed by Optuna after those before.")
+        int | None, typer.Option(min=1, metavar="N", help="Try N combinations, each proposed by Optuna after those before.")
     ] = None,
     objective: Annotated[
         str, typer.Option(help="The figure that runs are ranked by, and that --optuna optimises; errors and times: the less.")
