@@ -44,8 +44,8 @@ def connect(address: str, needed: list[Path], folder: Path) -> Iterator[Cluster]
         import distributed
     except ImportError:
         raise InputError(
-            f"--scheduler: Dask is not installed; {pip_command('distributed')} installs it (in a checkout also pip install "
-            "'.[cluster]'), or leave --scheduler out"
+            f"--scheduler: Dask is not installed; '{pip_command('distributed')}' installs it (in a checkout, pip install "
+            "'.[cluster]' does too), or leave --scheduler out"
         ) from None
     try:
         # A client that finds nobody takes its time, and says more than one line.

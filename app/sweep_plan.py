@@ -199,8 +199,8 @@ class Study:
             from optuna.storages.journal import JournalFileBackend
         except ImportError:
             raise InputError(
-                f"--optuna: Optuna is not installed; {pip_command('optuna')} installs it (in a checkout also pip install "
-                "'.[optuna]'), or use --random N"
+                f"--optuna: Optuna is not installed; '{pip_command('optuna')}' installs it (in a checkout, pip install "
+                "'.[optuna]' does too), or use --random N"
             ) from None
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         with warnings.catch_warnings():
