@@ -112,8 +112,8 @@ def check_disk(
     free = shutil.disk_usage(next(place for place in (out, *out.resolve().parents) if place.exists())).free
     if resumed is not None:
         free += sum(file.stat().st_size for file in resumed.path.rglob("*") if file.is_file())
-    parts = [f"{_NAMES[output]} {_size(size)}" for output, size in use.kept.items() if output in _NAMES]
-    said = f"about {_size(use.total)} in {out} ({', '.join([*parts, 'the rest little'])}), {_size(use.most)} while it runs"
+    large = ", ".join(f"{_NAMES[output]} {_size(size)}" for output, size in use.kept.items() if output in _NAMES)
+    said = f"about {_size(use.total)} in {out}{f' ({large})' if large else ''}, {_size(use.most)} while it runs"
     said += f"; {_size(free)} are free there"
     less = _how_to_write_less(use, outputs, detail)
     if use.most * (1 - _ERROR) > free:
