@@ -9,11 +9,11 @@ import tempfile
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib import metadata
 from pathlib import Path
 from urllib.parse import quote
 
 import psutil
-import rerun as rr
 import typer
 
 from app import sweep_files
@@ -68,17 +68,18 @@ def _open(files: Sequence[Path], places: Sequence[Path]) -> None:
 def _elsewhere(places: Sequence[Path]) -> str:
     """How the same is seen without a window here."""
     words = " ".join(shlex.quote(str(place)) for place in places)
+    version = metadata.version("rerun-sdk")
     files = " ".join(shlex.quote(str(file.resolve())) for place in places for file in files_of(place))
     return (
         f"'{own_command()} view --web {words}' serves it to a browser, or open {files} on another machine with "
-        f"rerun {rr.__version__} (pip install rerun-sdk=={rr.__version__})"
+        f"rerun {version} (pip install rerun-sdk=={version})"
     )
 
 
 def _serve(files: Sequence[Path]) -> None:
     """Rerun's web viewer and what it shows, for browsers on this machine, until the user ends it.
 
-    Raises InputError where it does not start. `rr.serve_web_viewer` would listen on every address of the machine.
+    Raises InputError where it does not start. Rerun's `serve_web_viewer` would listen on every address of the machine.
     """
     data_port, page_port = free_port(), free_port()
     # All that is sent waits in memory for a browser to come, and beyond the limit the oldest would be lost.
