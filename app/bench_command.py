@@ -19,7 +19,7 @@ from algorithms.trajectory import PlacedScan, place_scan
 from app import run_command
 from app.evaluate import PAPER_STATISTICS
 from app.inputs import InputOptions, find_inputs
-from app.odometry_stage import CACHE_VARIABLE
+from app.odometry_cache import CACHE_VARIABLE
 from app.poses import poses_of
 from app.run_folder import RECORDING, RunFolder
 from app.settings import Settings

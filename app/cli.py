@@ -577,6 +577,25 @@ def maps(
 
 
 @app.command()
+def cache(
+    clear: Annotated[bool, typer.Option("--clear", help="Remove all that it holds.")] = False,
+) -> None:
+    """What the cache of odometries holds: registering a bag's scans is the slowest step, so it is kept for later runs.
+
+    The environment variable FFMAP_CACHE names another folder for it.
+
+    Examples:
+
+        ffmap cache
+
+        ffmap cache --clear
+    """
+    from app import cache_command
+
+    cache_command.cache(clear)
+
+
+@app.command()
 def settings(
     config: Annotated[Path | None, typer.Option(help="Settings to show in place of the defaults.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="One setting, as in doors.recess_min_m=0.03.")] = None,
@@ -636,6 +655,9 @@ def main() -> None:
         sys.exit(_tell_of_options(error))
     except InputError as error:
         typer.echo(f"ffmap: {error}", err=True)
+        sys.exit(2)
+    except MemoryError:
+        typer.echo("ffmap: memory ran out; free some, or give fewer --workers, and start again", err=True)
         sys.exit(2)
     except BrokenPipeError:
         # The reader of our output has gone, as with | head.

@@ -37,7 +37,7 @@ from app.inspect_command import open_viewer
 from app.progress import Progress
 from app.recorded import readable, rows
 from app.recording import join, open_part
-from app.run_folder import make_writable
+from app.run_folder import check_no_run_loses, make_writable
 from app.run_labels import LabelSource
 from blueprints import compare as compare_blueprint
 from blueprints import entities
@@ -106,6 +106,7 @@ def _targets(runs: Sequence[FinishedRun], out: Path | None) -> tuple[Path, Path]
     for run in runs:
         if recording.resolve().parent == run.path.resolve() and recording.name != RECORDING:
             raise InputError(f"{recording}: lies among the files of a run; give another place to --out")
+    check_no_run_loses(recording)
     try:
         make_writable(recording.parent)
     except OSError as error:

@@ -82,6 +82,20 @@ class FinishedRun:
         digest = self.part("bag").get("digest")
         return digest if isinstance(digest, str) else None
 
+    def labelled_same_clouds(self, other: "FinishedRun") -> bool:
+        """Whether both labelled the very same clouds; by their times alone where one was killed before it had read all."""
+        for said in ("clouds", "stamps"):
+            own, others = (run.part("bag").get(said) or {} for run in (self, other))
+            if self.topic in own and other.topic in others:
+                return bool(own[self.topic] == others[other.topic])
+        return False
+
+    @property
+    def clouds(self) -> Mapping[str, str]:
+        """The digest of all clouds of each topic that the run read to its end, by topic."""
+        clouds = self.part("bag").get("clouds")
+        return clouds if isinstance(clouds, Mapping) else {}
+
     @property
     def topic(self) -> str | None:
         """The topic of the clouds that were labelled."""

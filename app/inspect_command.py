@@ -17,13 +17,13 @@ from algorithms.scan import Scan, UInt8Array
 from algorithms.smoothing import smooth_ranges
 from app.blocks import seed_of
 from app.finished_run import FinishedRun, open_run
-from app.inputs import find_inputs
+from app.inputs import Inputs, digest_clouds, find_inputs
 from app.inspect_recorder import write
 from app.poses import given_trajectory, poses_of
 from app.reasons import LineReason, explain_lines, name_of, scan_document
 from app.recorded import readable, rows
 from app.recording import start_viewer
-from app.run_folder import EVALUATION, RECORDING, make_writable
+from app.run_folder import EVALUATION, check_no_run_loses, make_writable
 from app.run_labels import CloudLabels, LabelSource
 from blueprints import entities
 from loaders.bag import open_bag
@@ -91,6 +91,13 @@ def open_viewer(path: Path) -> None:
         raise InputError(f"--spawn: {error} Leave it out: {path} can be opened later") from error
 
 
+def _check_same_clouds(run: FinishedRun, inputs: Inputs) -> None:
+    """Raises InputError where the bag is not what the run was made from, be it by one byte."""
+    sensors = [sensor for sensor in inputs.used(False) if sensor.lidar.topic in run.clouds]
+    if digest_clouds(inputs.bag_path, sensors) != run.clouds:
+        raise InputError(f"{inputs.bag_path}: is not the bag that {run.path} was made from; give that one with --bag")
+
+
 def label_again(run: FinishedRun, number: int, bag: Path | None = None) -> InspectedScan:
     """Label one scan of a run as the run did: same bag, poses, settings and random numbers.
 
@@ -105,8 +112,7 @@ def label_again(run: FinishedRun, number: int, bag: Path | None = None) -> Inspe
         )
     settings = run.settings()
     inputs = find_inputs(bag_path, run.input_options)
-    if run.bag_digest not in (None, inputs.bag_digest):
-        raise InputError(f"{bag_path}: is not the bag that {run.path} was made from; give that one with --bag")
+    _check_same_clouds(run, inputs)
     vertical = inputs.vertical
     if vertical is None:
         raise InputError(f"{run.path}: its bag has no lidar that sweeps the walls, so no scan was labelled")
@@ -223,8 +229,7 @@ def _target(run: FinishedRun, out: Path | None, number: int) -> Path:
         path = path / f"inspect-{number}.rrd"
     if path.suffix != ".rrd":
         raise InputError(f"{path}: a recording's name ends in .rrd; give another to --out")
-    if path.resolve() in {(run.path / name).resolve() for name in (RECORDING, EVALUATION)}:
-        raise InputError(f"{path}: is the run's own recording; give another file to --out")
+    check_no_run_loses(path)
     try:
         make_writable(path.parent)
     except OSError as error:

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any, get_args
 import typer
 
 from app import pipeline, run_folder
+from app.blocks import holds_clouds_of, split_blocks
 from app.disk_use import check_disk
 from app.finished_run import open_run
-from app.inputs import InputOptions, Inputs, find_inputs
+from app.inputs import InputOptions, Inputs, digest_clouds, digest_stamps, find_inputs
 from app.outputs import RUN_OUTPUTS, Output, check_outputs
 from app.own_command import view_command
 from app.poses import given_trajectory
+from app.processes import WorkerLostError
 from app.progress import Progress
 from app.recorder import Detail
 from app.recording import check_viewer, start_viewer
@@ -88,20 +90,18 @@ def _run(arguments: Arguments, resume: Path | None, stack: ExitStack) -> None:
         arguments.bag, InputOptions(arguments.rig, arguments.horizontal, arguments.vertical, arguments.time_from)
     )
     given = given_trajectory(arguments.trajectory, inputs)
-    if record is not None and record["bag"]["digest"] != inputs.bag_digest:
-        raise InputError(f"{arguments.bag}: is not the bag that {resume} was made from; start a new run")
-    out = folder.path if folder else arguments.out or run_folder.default_path(arguments.bag.resolve(), settings.short_hash())
-    disk = check_disk(inputs, out, check_outputs(arguments.outputs), Detail(arguments.detail), folder)
+    home = resume or arguments.out or run_folder.default_path(arguments.bag.resolve(), settings.short_hash())
+    disk = check_disk(inputs, home, check_outputs(arguments.outputs), Detail(arguments.detail), folder)
     if folder is None:
-        folder = run_folder.create(out, arguments.overwrite)
-        stack.enter_context(run_folder.held(folder.path))
+        folder = run_folder.create(home, arguments.overwrite, _files_read(arguments))
+        stack.enter_context(run_folder.held(home))
+    else:
+        assert record is not None
+        _check_same_bag(inputs, folder, record)
     connect_url = _viewer(arguments)
     if record is None:
         run_folder.clear(folder)
-        record = pipeline.first_record(
-            inputs, settings, stored(arguments), arguments.bag, arguments.trajectory or "odometry"
-        )
-    assert record is not None
+        record = pipeline.first_record(inputs, settings, stored(arguments), arguments.bag, arguments.trajectory)
     options = pipeline.RunOptions(
         detail=Detail(arguments.detail),
         outputs=check_outputs(arguments.outputs),
@@ -110,13 +110,14 @@ def _run(arguments: Arguments, resume: Path | None, stack: ExitStack) -> None:
         resume=resume is not None,
     )
     with (
-        _interruptible(f"'ffmap run --resume {folder.path}' goes on with the run"),
+        _interruptible(f"'ffmap run --resume {home}' goes on with the run"),
         Progress(arguments.quiet) as progress,
     ):
         progress.say(disk.said)
         for warning in (*inputs.warnings, *disk.warnings):
             progress.warn(warning)
         finished = pipeline.run(inputs, given, settings, options, folder, progress, record)
+        folder = run_folder.take_place(folder)
     if arguments.latest:
         run_folder.point_latest_at(folder.path.resolve())
     metrics: evaluate.Metrics | None = None
@@ -132,9 +133,13 @@ def _run(arguments: Arguments, resume: Path | None, stack: ExitStack) -> None:
 
 @contextmanager
 def _interruptible(how_to_go_on: str) -> Iterator[None]:
-    """End with one line, and the exit code that says so, where the user interrupts."""
+    """End with one line that says how to go on: where the user interrupts, and where memory runs out."""
     try:
         yield
+    except WorkerLostError as error:
+        raise InputError(f"{error}; {how_to_go_on}") from None
+    except MemoryError:
+        raise InputError(f"memory ran out; free some, or give fewer --workers; {how_to_go_on}") from None
     except KeyboardInterrupt:
         # What was interrupted while it was made complains when it goes.
         sys.unraisablehook = lambda _: None
@@ -182,6 +187,27 @@ def stored(arguments: Arguments) -> dict[str, Any]:
     return stored
 
 
+def _files_read(arguments: Arguments) -> list[Path]:
+    """What the user has named to be read."""
+    named = (arguments.bag, arguments.config, arguments.rig, arguments.trajectory)
+    return [Path(name) for name in named if name is not None and Path(name).exists()]
+
+
+def _check_same_bag(inputs: Inputs, folder: RunFolder, record: dict[str, Any]) -> None:
+    """Raises InputError where a run was begun with other clouds than the bag holds now, be it by one byte."""
+    used, known = inputs.used(record["poses_from"] != "odometry"), record["bag"].get("clouds", {})
+    same = record["bag"]["stamps"] == digest_stamps(used)
+    if same and known:
+        clouds = digest_clouds(inputs.bag_path, [sensor for sensor in used if sensor.lidar.topic in known])
+        same = all(clouds[topic] == digest for topic, digest in known.items())
+    elif same and inputs.vertical is not None:
+        # Where the poses were given, nobody has read all clouds before the last block was finished.
+        blocks = [(block, folder.block(block.number, ".npz")) for block in split_blocks(len(inputs.vertical.index))]
+        same = all(holds_clouds_of(path, block, inputs) for block, path in blocks if path.exists())
+    if not same:
+        raise InputError(f"{inputs.bag_path}: is not the bag that {folder.path} was begun with; start a new run")
+
+
 def _check_resumable(arguments: Arguments) -> None:
     given = (arguments.bag, arguments.out, arguments.config)
     if any(word is not None for word in given) or arguments.overrides or arguments.overwrite:
@@ -190,10 +216,10 @@ def _check_resumable(arguments: Arguments) -> None:
 
 def _resumed(arguments: Arguments, path: Path) -> tuple[Arguments, Settings, RunFolder, dict[str, Any] | None]:
     """What a killed run was started with; None as its record where it is complete."""
-    folder = RunFolder(path)
+    folder = run_folder.unfinished(path)
     record = folder.read_json()
     if record.get("outcome") == "complete":
-        return arguments, Settings(), folder, None
+        return arguments, Settings(), run_folder.take_place(folder), None
     try:
         options = dict(record["options"])
         bag, settings = Path(record["bag"]["path"]), validate(record["settings"], str(path / run_folder.RUN_JSON))
@@ -209,9 +235,6 @@ def _resumed(arguments: Arguments, path: Path) -> tuple[Arguments, Settings, Run
     if any(begun.get(name) != now[name] for name in ("furniture-free-mapping", "git_revision")):
         raise InputError(f"{path}: was begun by another version of ffmap, whose labels may differ; start a new run")
     folder.spool.mkdir(exist_ok=True)
-    for leftover in folder.path.rglob("*.part"):
-        if leftover.is_file():
-            leftover.unlink()
     return replace(arguments, bag=bag, **options), settings, folder, record
 
 

@@ -25,7 +25,7 @@ from rich.table import Table
 
 from app.evaluate import PAPER, Metrics
 from app.files import write_json
-from app.odometry_stage import cache_folder
+from app.odometry_cache import cache_folder
 from app.progress import Progress
 from app.run_folder import METRICS, RUN_JSON, require_writable
 from app.settings import load_settings
@@ -178,6 +178,9 @@ def run_suite(
     at_once = min(at_once or os.cpu_count() or 1, len(jobs))
     drives: list[Drive] = []
     started = time.monotonic()
+    # Of drives that take minutes each, what came of those before an interruption stays there.
+    part = out.with_name(f"{out.name}.part")
+    _check_replaceable(out)
     _check_space(out.parent, at_once)
 
     def drive_through(job: tuple[Case, int, float]) -> Drive:
@@ -192,8 +195,9 @@ def run_suite(
                 if drive.metrics is None:
                     progress.warn(f"{drive.case}, seed {drive.seed}: {drive.error}")
                 drives.append(drive)
-                _write(out, drives, overrides, settings.short_hash())
+                _write(part, drives, overrides, settings.short_hash())
                 progress.advance()
+            part.replace(out)
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
@@ -277,6 +281,18 @@ def _write(out: Path, drives: Iterable[Drive], overrides: Sequence[str], setting
             ],
         },
     )
+
+
+def _check_replaceable(out: Path) -> None:
+    """Raises InputError where a file would be replaced that no suite has written."""
+    if not out.exists():
+        return
+    try:
+        is_suites = "drives" in json.loads(out.read_text())
+    except (OSError, ValueError, TypeError):
+        is_suites = False
+    if not is_suites:
+        raise InputError(f"{out}: is there already, and not by 'ffmap evaluate --suite'; name another file with --out")
 
 
 def format_suite(drives: Sequence[Drive]) -> list[Table]:

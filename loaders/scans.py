@@ -12,6 +12,7 @@ import numpy as np
 
 from algorithms.scan import BoolArray, FloatArray, IntArray, Scan
 from loaders.bag import Bag, Message, RawMessage
+from loaders.cloud_digest import digest_of
 from loaders.errors import CloudError, InputError
 from loaders.packets import PACKET_TYPE, PacketDecoder
 from loaders.pointcloud2 import CloudDecoding, CloudLayout, decode, describe_layout, merge_clouds, point_dtype
@@ -179,22 +180,37 @@ def _lead_azimuths(heads: list[bytes], layout: CloudLayout) -> FloatArray:
 
 
 def read_messages(
-    bag: Bag, index: CloudIndex, first: int = 0, count: int | None = None
+    bag: Bag, index: CloudIndex, first: int = 0, count: int | None = None, digests: list[bytes] | None = None
 ) -> Iterator[tuple[int, Message]]:
     """Clouds [first, first + count) as PointCloud2 messages, packets and partial clouds joined to whole revolutions.
 
     A CloudError in place of the message says that it cannot be made one.
+    digests: takes the digest of each cloud's bytes as it is read.
     """
+    packets = PacketDecoder(index.topic, bag.typestore) if bag.topics[index.topic].msgtype == PACKET_TYPE else None
+    for i, group in _gathered(bag, index, first, count):
+        if digests is not None:
+            digests.append(digest_of(group))
+        yield i, _to_cloud(bag, group, packets)
+
+
+def read_digests(bag: Bag, index: CloudIndex, first: int = 0, count: int | None = None) -> Iterator[bytes]:
+    """The digest of the bytes of each of the clouds [first, first + count), none of them decoded."""
+    for _, group in _gathered(bag, index, first, count):
+        yield digest_of(group)
+
+
+def _gathered(bag: Bag, index: CloudIndex, first: int, count: int | None) -> Iterator[tuple[int, list[RawMessage]]]:
+    """The messages that make up each of the clouds [first, first + count)."""
     stop = len(index) if count is None else min(first + count, len(index))
     if first >= stop:
         return
     raws = islice(bag.messages([index.topic], start_ns=int(index.log_time_ns[first])), int(index.earlier[first]), None)
-    packets = PacketDecoder(index.topic, bag.typestore) if bag.topics[index.topic].msgtype == PACKET_TYPE else None
     for i in range(first, stop):
         group = list(islice(raws, int(index.message_count[i])))
         if not group:
             return
-        yield i, _to_cloud(bag, group, packets)
+        yield i, group
 
 
 def _to_cloud(bag: Bag, group: Sequence[RawMessage], packets: PacketDecoder | None) -> Message:
@@ -210,14 +226,19 @@ def _to_cloud(bag: Bag, group: Sequence[RawMessage], packets: PacketDecoder | No
 
 
 def read_clouds(
-    bag: Bag, index: CloudIndex, first: int, count: int | None, decoding: CloudDecoding
+    bag: Bag,
+    index: CloudIndex,
+    first: int,
+    count: int | None,
+    decoding: CloudDecoding,
+    digests: list[bytes] | None = None,
 ) -> Iterator[tuple[int, Scan | SkippedScan, Message | None]]:
     """Clouds [first, first + count): number in the bag, scan, and the PointCloud2 that it was made from.
 
     The message is None only where it could not be read at all. A cloud without a valid point, one that contradicts
-    itself and one whose stamp does not go on from those before are SkippedScans.
+    itself and one whose stamp does not go on from those before are SkippedScans. digests: as in `read_messages`.
     """
-    for i, message in read_messages(bag, index, first, count):
+    for i, message in read_messages(bag, index, first, count, digests):
         stamp = int(index.stamp_ns[i])
         if isinstance(message, CloudError):
             yield i, SkippedScan(i, stamp, str(message)), None
@@ -239,10 +260,15 @@ def read_clouds(
 
 
 def read_scans(
-    bag: Bag, index: CloudIndex, first: int, count: int | None, decoding: CloudDecoding
+    bag: Bag,
+    index: CloudIndex,
+    first: int,
+    count: int | None,
+    decoding: CloudDecoding,
+    digests: list[bytes] | None = None,
 ) -> Iterator[tuple[int, Scan | SkippedScan]]:
     """Clouds [first, first + count) as scans with their number in the bag; see `read_clouds`."""
-    for i, scan, _ in read_clouds(bag, index, first, count, decoding):
+    for i, scan, _ in read_clouds(bag, index, first, count, decoding, digests):
         yield i, scan
 
 

@@ -464,8 +464,9 @@ def test_what_cannot_be_inspected_is_one_line(
     ):
         with pytest.raises(InputError, match=wanted):
             inspect_command.inspect(path, scan, line, None, out, spawn=False)
-    with pytest.raises(InputError, match="the run's own recording"):
-        inspect_command.inspect(runs["usual"], "3", None, None, runs["usual"] / "recording.rrd", spawn=False)
+    for taken in (runs["usual"] / "recording.rrd", runs["other"] / "recording.rrd", runs["other"] / "reference.rrd"):
+        with pytest.raises(InputError, match="belongs to the run"):
+            inspect_command.inspect(runs["usual"], "3", None, None, taken, spawn=False)
     assert not out.exists()
     inspect_command.inspect(moved, "3", None, bag, out, spawn=False)
     assert whole_messages(out).has_footer

@@ -112,6 +112,27 @@ def test_rooms_of_another_map_of_the_same_name_are_left_alone(ffmap, tmp_path: P
     assert ffmap("rooms", tmp_path / "b" / "map.yaml", "--out", tmp_path / "rooms" / "map")[0] == 0
 
 
+def test_what_is_not_of_the_maps_rooms_is_left_alone(ffmap, tmp_path: Path) -> None:
+    save(tmp_path / "rooms.png", two_rooms())
+    options = ("rooms.png", "--resolution", 0.05, "--out")
+    for folder, name, content in (
+        ("thesis", "rooms.geojson", "mine"),
+        ("run", "rooms.geojson", "a run's"),
+        ("measured", "metrics.json", "mine"),
+    ):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / name).write_text(content)
+    (tmp_path / "run" / "run.json").write_text("{}")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert_one_line(ffmap("rooms", *options, "."), "rooms.png: is read")
+    assert_one_line(ffmap("rooms", *options, "thesis"), "rooms.geojson: is there already")
+    assert_one_line(ffmap("rooms", *options, "run"), "belongs to the run")
+    assert_one_line(ffmap("rooms", *options, "measured"), "metrics.json")
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    for _ in range(2):
+        assert ffmap("rooms", *options, "found")[0] == 0
+
+
 def test_the_picture_and_the_recording_show_the_rooms(ffmap, tmp_path: Path) -> None:
     save(tmp_path / "floor.png", two_rooms())
     assert ffmap("rooms", "floor.png", "--resolution", 0.05)[0] == 0

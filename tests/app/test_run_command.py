@@ -2,6 +2,7 @@
 
 import errno
 import json
+import mmap
 import os
 import shutil
 import signal
@@ -16,7 +17,7 @@ import yaml
 from PIL import Image
 from rerun.chunk import RrdReader
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag1 import Writer
+from rosbags.rosbag1 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from algorithms.area_graph import Segmented
@@ -285,9 +286,9 @@ def test_every_container_gives_the_same_labels(
 def test_killed_run_is_resumed_with_the_same_labels(
     bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    out = tmp_path / "killed"
+    out, bag = tmp_path / "killed", Path(shutil.copy(bags["bag"], tmp_path))
     process = subprocess.Popen(
-        [*FFMAP, "run", str(bags["bag"]), "--out", str(out), "--no-evaluate"],
+        [*FFMAP, "run", str(bag), "--out", str(out), "--no-evaluate"],
         env=environment,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -304,11 +305,44 @@ def test_killed_run_is_resumed_with_the_same_labels(
     (out / "run.json").write_text(json.dumps(by_another))
     assert_one_line_error(ffmap(environment, "run", "--resume", out), "another version")
     (out / "run.json").write_text(json.dumps(record))
+    flip_a_bit(bag, UPRIGHT_TOPIC.replace("horizontal", "vertical"), 3)
+    assert_one_line_error(ffmap(environment, "run", "--resume", out), "not the bag", "start a new run")
+    shutil.copy(bags["bag"], bag)
     done = ffmap(environment, "run", "--resume", out)
     assert done.returncode == 0, done.stderr
     assert json.loads((out / "run.json").read_text())["outcome"] == "complete"
     assert_same_labels(out, finished)
     assert "complete already" in ffmap(environment, "run", "--resume", out).stdout
+
+
+def flip_a_bit(bag: Path, topic: str, cloud: int) -> None:
+    """In the middle of a cloud's points, with size, index and times of the file as they were."""
+    with Reader(bag) as reader:
+        wanted = [c for c in reader.connections if c.topic == topic]
+        data = [bytes(data) for _, _, data in reader.messages(wanted)][cloud]
+    with bag.open("r+b") as file:
+        found = mmap.mmap(file.fileno(), 0)
+        found[found.find(data) + len(data) // 2] ^= 4
+        found.close()
+
+
+@pytest.mark.parametrize("lidar", ["horizontal", "vertical"])
+def test_bag_that_differs_in_one_bit_shares_nothing(
+    lidar: str, bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    other = Path(shutil.copy2(bags["bag"], tmp_path))
+    flip_a_bit(other, UPRIGHT_TOPIC.replace("horizontal", lidar), 15)
+    done = ffmap(environment, "run", other, "--out", tmp_path / "run", "--outputs", "labels", "--no-evaluate")
+    assert done.returncode == 0, done.stderr
+    record, before = (json.loads((run / "run.json").read_text()) for run in (tmp_path / "run", finished))
+    assert not record["odometry_cached"]
+    assert record["bag"]["stamps"] == before["bag"]["stamps"]
+    assert record["bag"]["digest"] != before["bag"]["digest"]
+    assert [t for t, digest in record["bag"]["clouds"].items() if digest != before["bag"]["clouds"][t]] == [
+        UPRIGHT_TOPIC.replace("horizontal", lidar)
+    ]
+    done = ffmap(environment, "inspect", finished, "--scan", "3", "--bag", other, "--out", tmp_path / "scan.rrd")
+    assert_one_line_error(done, other.name, "is not the bag")
 
 
 def test_cut_bag_is_processed_up_to_the_cut(bags: dict[str, Path], environment: dict[str, str], tmp_path: Path) -> None:
@@ -390,6 +424,12 @@ def test_what_may_not_be_written_is_one_line(
     assert capsys.readouterr().err.startswith("ffmap: runs/a/metrics.json: cannot be read or written (Permission denied)")
 
 
+def test_demo_leaves_the_users_bag_alone(environment: dict[str, str], tmp_path: Path) -> None:
+    (tmp_path / "small.bag").write_text("mine")
+    assert_one_line_error(ffmap(environment, "demo", "--out", tmp_path), "small.bag", "--out")
+    assert (tmp_path / "small.bag").read_text() == "mine"
+
+
 def test_folders_of_demo_suite_evaluation_and_maps_that_cannot_be_written(
     finished: Path, environment: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -429,11 +469,43 @@ def test_run_is_replaced_where_the_user_says_so(
     bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
     copy = shutil.copytree(finished, tmp_path / "run")
+    (copy / "notes.txt").write_text("mine")
     options = ("--overwrite", "--outputs", "maps", "--no-evaluate", "--workers", "1")
+    # Not by one that reads it, as a drive labelled before.
+    own = ("--trajectory", copy / "trajectory.tum")
+    assert_one_line_error(ffmap(environment, "run", copy / "labelled.bag", "--out", copy, *options, *own), "labelled.bag")
+    assert_one_line_error(ffmap(environment, "run", bags["bag"], "--out", copy, *options, *own), "trajectory.tum")
+    assert (copy / "labelled.bag").exists()
     done = ffmap(environment, "run", bags["bag"], "--out", copy, *options)
     assert done.returncode == 0, done.stderr
-    assert (copy / "map.yaml").exists()
-    assert not (copy / "recording.rrd").exists()
+    maps = [f"{name}.{suffix}" for name in ("map", *(f"map_{rival}" for rival in Rival)) for suffix in ("yaml", "pgm")]
+    assert {path.name for path in copy.iterdir()} == {"notes.txt", "run.json", "trajectory.tum", *maps}
+    record = json.loads((copy / "run.json").read_text())
+    assert set(record["files"]) == {"run.json", "trajectory.tum", *maps}
+
+
+def test_earlier_run_stays_until_the_new_one_is_complete(
+    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    copy = shutil.copytree(finished, tmp_path / "run")
+    before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
+    process = subprocess.Popen(
+        [*FFMAP, "run", str(bags["bag"]), "--out", str(copy), "--overwrite", "--outputs", "labels", "--no-evaluate"],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    end = time.monotonic() + 120
+    while not list(copy.glob("*/spool/*.npz")) and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert {path: path.read_bytes() for path in before} == before
+    assert ffmap(environment, "evaluate", copy).returncode == 0
+    done = ffmap(environment, "run", "--resume", copy)
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in copy.iterdir()} == {"run.json", "trajectory.tum", "labels.parquet"}
 
 
 @pytest.mark.parametrize("stage", ["odometry", "scans", "final"])

@@ -231,6 +231,7 @@ SEEDS = ("seed=0,1",)
         ({"grid": SEEDS, "optuna": 2, "evaluate": False}, "truth"),
         ({"grid": SEEDS, "out": Path("file") / "out"}, "cannot be written"),
         ({"grid": SEEDS, "out": Path("thesis")}, "holds files that are no sweep"),
+        ({"grid": SEEDS, "out": Path("theirs")}, "holds files that are no sweep"),
         ({"grid": SEEDS, "bags": (Path("no.bag"),)}, "no.bag"),
         ({"grid": SEEDS, "scheduler": "tcp://127.0.0.1:9"}, "dask scheduler"),
         ({"grid": SEEDS, "scheduler": "nonsense"}, "tcp://127.0.0.1:8786"),
@@ -244,6 +245,8 @@ def test_mistakes_are_one_line_and_nothing_starts(
     Path("file").touch()
     Path("thesis").mkdir()
     Path("thesis/thesis.tex").touch()
+    Path("theirs").mkdir()
+    Path("theirs/sweep.json").write_text('{"experiment": 1}')
     arguments = Arguments(**{"bags": (bag,), "out": Path("out"), "outputs": SWEEP_OUTPUTS, "quiet": True, **words})
     with pytest.raises(InputError) as error:
         sweep(arguments)
@@ -251,6 +254,7 @@ def test_mistakes_are_one_line_and_nothing_starts(
     assert "\n" not in str(error.value)
     assert not list(tmp_path.glob("**/run.json"))
     assert sorted(path.name for path in Path("thesis").iterdir()) == ["thesis.tex"]
+    assert Path("theirs/sweep.json").read_text() == '{"experiment": 1}'
 
 
 def test_the_command_line_says_which_outputs_there_are(bag: Path, environment: dict[str, str], tmp_path: Path) -> None:
