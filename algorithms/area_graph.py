@@ -58,7 +58,7 @@ class AreaGraphSettings(StepSettings):
     """Rooms of a grid map (paper, IV.D, Fig. 10)."""
 
     passage_max_m: float = Field(
-        1.9, gt=0, description="w: openings of so many metres or wider part no rooms. IV.D, where the paper uses 1.9 m."
+        1.9, gt=0, description="w: openings of this many metres or wider part no rooms. IV.D, where the paper uses 1.9 m."
     )
     passage_ratio: float = Field(
         0.7, gt=0, le=1, description="An opening parts two rooms if it is at most this share as wide as the narrower one."
@@ -66,7 +66,7 @@ class AreaGraphSettings(StepSettings):
     furniture_max_m: float = Field(
         1.2,
         ge=0,
-        description="What stands free and is at most so many metres across is furniture (alpha removal); 0: none. IV.D.",
+        description="What stands free and is at most this many metres across is furniture (alpha removal); 0: none. IV.D.",
     )
     block_max_m: float = Field(
         2.0,

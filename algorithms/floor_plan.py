@@ -43,7 +43,7 @@ class FloorPlanSettings(StepSettings):
     """The vector floor plan."""
 
     column_max_m: float = Field(
-        1.2, gt=0, description="What stands free, has a corner and is at most so many metres wide is a column."
+        1.2, gt=0, description="What stands free, has a corner and is at most this many metres wide is a column."
     )
     piece_min_m: float = Field(
         0.5, ge=0, description="A piece of wall that stands alone and is shorter, in metres, is left out."

@@ -50,13 +50,13 @@ class GridMapSettings(StepSettings):
     """The furniture-free grid and its rivals (paper, IV.C, Fig. 9)."""
 
     cell_m: float = Field(0.05, gt=0, le=1, description="Edge of a cell in metres. IV.C.")
-    range_m: float = Field(25.0, gt=0, description="Rays clear cells up to so many metres from the sensor. IV.C.")
+    range_m: float = Field(25.0, gt=0, description="Rays clear cells up to this many metres from the sensor. IV.C.")
     margin_m: float = Field(1.0, ge=0, description="Unknown border in metres around what is drawn. IV.C.")
     doors: DoorsDrawn = Field(
         "open", description="Which doorways are free: open (all), as-seen (those that stood open), closed (none). IV.C."
     )
     door_margin_m: float = Field(
-        0.1, ge=0, description="A free doorway reaches so many metres beyond both sides of its wall. IV.C."
+        0.1, ge=0, description="A free doorway reaches this many metres beyond both sides of its wall. IV.C."
     )
     door_guessed_m: float = Field(
         0.3, ge=0, description="Least free depth in metres behind a sill where a leaf or one-sided wall hides more. IV.C."

@@ -128,6 +128,9 @@ def run(
         Path | None, typer.Option(help="Go on with a run folder that was killed; no other argument is needed.")
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Where the truth is known, print all figures as tables.")
+    ] = False,
 ) -> None:
     """Label every scan of a bag, map the building, record every intermediate.
 
@@ -167,6 +170,7 @@ def run(
             workers=workers,
             evaluate=evaluate_,
             quiet=quiet,
+            verbose=verbose,
             latest=True,
             overwrite=overwrite,
         ),
@@ -341,10 +345,10 @@ def sweep(
         ),
     ] = None,
     random: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="So many combinations at random, not all of them.")
+        int | None, typer.Option(min=1, metavar="N", help="Try N combinations drawn at random, not all of them.")
     ] = None,
     optuna: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="So many combinations, each proposed by Optuna after those before.")
+        int | None, typer.Option(min=1, metavar="N", help="Try N combinations, each proposed by Optuna after those before.")
     ] = None,
     objective: Annotated[
         str, typer.Option(help="The figure that runs are ranked by, and that --optuna optimises; errors and times: the less.")
@@ -447,7 +451,7 @@ def runs(
 
         ffmap runs
 
-        ffmap runs runs/sweep-drive-1a2b3c4d --where "wall_f1 > 0.98 and doors_lines_min = 2" --sort seconds
+        ffmap runs runs/sweep-drive-1a2b3c4d --where "wall_f1 > 0.98 and doors.lines_min = 2" --sort seconds
 
         ffmap runs rerun+http://127.0.0.1:51234 --columns started,wall_f1,door_f1 --sort wall_f1
     """
@@ -463,6 +467,9 @@ def view(
         list[Path],
         typer.Argument(metavar="RUN", help="Run folders, sweep folders, recordings (.rrd).", show_default=False),
     ],
+    web: Annotated[
+        bool, typer.Option("--web", help="Serve them to a browser on this machine instead, as where there is no display.")
+    ] = False,
 ) -> None:
     """Open runs in the Rerun viewer with the layout that fits them: errors first, where the truth is known.
 
@@ -475,10 +482,12 @@ def view(
         ffmap view runs/a runs/b
 
         ffmap view runs/sweep-drive-1a2b3c4d
+
+        ffmap view --web runs/latest
     """
     from app import view_command
 
-    view_command.view(places)
+    view_command.view(places, web)
 
 
 @app.command()

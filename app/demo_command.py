@@ -7,6 +7,7 @@ import typer
 
 from app import run_command
 from app.finished_run import open_run
+from app.own_command import own_command, view_command
 from app.run_folder import RUN_JSON, require_writable
 from app.simulate_command import simulate
 from loaders.errors import InputError
@@ -32,5 +33,5 @@ def demo(out: Path) -> None:
     typer.echo("labelling every scan, mapping the building, recording every intermediate ...")
     run_command.run(run_command.Arguments(bag=bag, out=run, overwrite=True), None)
     typer.echo(f"\ndone in {time.monotonic() - started:.0f} s. Look at every scan, step by step:\n")
-    typer.echo(f"    .venv/bin/ffmap view {out / 'run'}\n")
-    typer.echo("Your own bag: .venv/bin/ffmap run BAG (README.md says what it needs).")
+    typer.echo(f"    {view_command(run)}\n")
+    typer.echo(f"Your own bag: {own_command()} run BAG; '{own_command()} info BAG' says what it lacks, if anything.")

@@ -288,6 +288,21 @@ def print_metrics(metrics: Metrics) -> None:
         console.print(f"not compared: {reason}", markup=False, highlight=False, soft_wrap=True)
 
 
+def in_one_line(metrics: Metrics) -> str:
+    """The figures that a person asks for first, and what could not be compared."""
+    said = []
+    if "area" in metrics:
+        said.append(f"wall F1 {_percent(metrics['area'][Label.WALL.name.lower()]['f1'])} %")
+    if (doors := metrics.get("doors")) is not None:
+        said.append(f"{doors['found_count']} of {doors['passed']} doors found, {doors['invented_count']} invented")
+    if (rooms := metrics.get("rooms")) is not None:
+        said.append(f"rooms {_percent(rooms['recall'])} % recalled")
+    if (trajectory := metrics.get("trajectory")) is not None:
+        said.append(f"poses off by {_centimetres(trajectory['ate_rmse_m'])}")
+    said += [f"not compared: {reason}" for reason in metrics.get("missing", ())]
+    return ", ".join(said) or "nothing could be compared with the truth"
+
+
 def compare_run(
     run: FinishedRun,
     truth_path: Path,

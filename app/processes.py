@@ -1,5 +1,6 @@
 """How worker processes are made."""
 
+import atexit
 import multiprocessing as mp
 import os
 import signal
@@ -8,6 +9,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from multiprocessing import connection, forkserver
 from multiprocessing.context import ForkServerContext, SpawnContext
 from types import TracebackType
@@ -56,6 +58,15 @@ def start_server() -> None:
     """Let the workers' server import what it needs while this process still imports what itself needs."""
     if isinstance(process_context(), ForkServerContext):
         forkserver.ensure_running()
+        atexit.register(_end_server)
+
+
+def _end_server() -> None:
+    """Not when it has imported all: until then it would hold what this process writes to, and whoever reads that would wait."""
+    server = getattr(forkserver, "_forkserver", None)
+    if (pid := getattr(server, "_forkserver_pid", None)) is not None:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
 
 
 def make_pool(workers: int) -> Executor:

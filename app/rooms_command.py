@@ -17,6 +17,7 @@ from algorithms.room_evaluation import RoomFigures, compare_room_images, rooms_o
 from algorithms.scan import FloatArray, IntArray
 from app.files import write_json
 from app.map_files import read_image, read_map
+from app.own_command import view_command
 from app.room_results import topology, write_picture, write_rooms
 from app.run_folder import METRICS, ROOMS, check_no_run_loses
 from app.settings import load_settings
@@ -58,7 +59,7 @@ def rooms(arguments: Arguments) -> None:
     console.print(_rooms_table(graph))
     if figures is not None:
         console.print(_truth_line(figures))
-    console.print(f"{out}: rooms.geojson, topology.json, rooms.png; look at it with: ffmap view {out / RECORDING}")
+    typer.echo(f"{out}: rooms.geojson, topology.json, rooms.png; look at it with: {view_command(out / RECORDING)}")
 
 
 def _segment_folder(arguments: Arguments) -> None:

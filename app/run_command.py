@@ -5,25 +5,30 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import typer
 
 from app import pipeline, run_folder
 from app.blocks import holds_clouds_of, split_blocks
+from app.disk_use import check_disk
 from app.finished_run import FROM_ODOMETRY, open_run
 from app.inputs import InputOptions, Inputs, digest_clouds, digest_stamps, find_inputs
 from app.outputs import RUN_OUTPUTS, Output, check_outputs
+from app.own_command import view_command
 from app.poses import given_trajectory
 from app.processes import WorkerLostError
 from app.progress import Progress
 from app.recorder import Detail
 from app.recording import check_viewer, start_viewer
-from app.run_folder import EVALUATION, RECORDING, RunFolder
+from app.run_folder import METRICS, RUN_JSON, RunFolder
 from app.settings import Settings, load_settings, validate
 from app.versions import versions
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom
+
+if TYPE_CHECKING:
+    from app import evaluate
 
 INTERRUPTED = 130
 """The exit code of a program that Ctrl-C has ended."""
@@ -49,6 +54,8 @@ class Arguments:
     workers: int = 2
     evaluate: bool = True
     quiet: bool = False
+    verbose: bool = False
+    """Whether the figures are printed as tables too."""
     latest: bool = False
     """Whether `latest` beside the run folder is to point at it: not in a sweep, whose runs come in any order."""
     overwrite: bool = False
@@ -83,14 +90,13 @@ def _run(arguments: Arguments, resume: Path | None, stack: ExitStack) -> None:
         arguments.bag, InputOptions(arguments.rig, arguments.horizontal, arguments.vertical, arguments.time_from)
     )
     given = given_trajectory(arguments.trajectory, inputs)
+    home = resume or arguments.out or run_folder.default_path(arguments.bag.resolve(), settings.short_hash())
+    disk = check_disk(inputs, home, check_outputs(arguments.outputs), Detail(arguments.detail), folder)
     if folder is None:
-        home = arguments.out or run_folder.default_path(arguments.bag.resolve(), settings.short_hash())
         folder = run_folder.create(home, arguments.overwrite, _files_read(arguments))
         stack.enter_context(run_folder.held(home))
     else:
         assert record is not None
-        assert resume is not None
-        home = resume
         _check_same_bag(inputs, folder, record)
     connect_url = _viewer(arguments)
     if record is None:
@@ -107,17 +113,22 @@ def _run(arguments: Arguments, resume: Path | None, stack: ExitStack) -> None:
         _interruptible(f"'ffmap run --resume {home}' goes on with the run"),
         Progress(arguments.quiet) as progress,
     ):
-        for warning in inputs.warnings:
+        progress.say(disk.said)
+        for warning in (*inputs.warnings, *disk.warnings):
             progress.warn(warning)
         finished = pipeline.run(inputs, given, settings, options, folder, progress, record)
         folder = run_folder.take_place(folder)
     if arguments.latest:
         run_folder.point_latest_at(folder.path.resolve())
-    if not arguments.quiet:
-        _report(folder, inputs, finished, Output.RECORDING in arguments.outputs)
-    if arguments.evaluate and inputs.vertical is not None:
-        with _interruptible(f"the run is complete, 'ffmap evaluate {folder.path}' compares it with the truth"):
-            _evaluate(folder, arguments)
+    metrics: evaluate.Metrics | None = None
+    try:
+        if arguments.evaluate and inputs.vertical is not None:
+            with _interruptible(f"the run is complete, 'ffmap evaluate {folder.path}' compares it with the truth"):
+                metrics = _evaluate(folder, arguments)
+    finally:
+        # The run is complete, whatever becomes of its comparison with the truth.
+        if not arguments.quiet:
+            _report(folder, inputs, finished, arguments, metrics)
 
 
 @contextmanager
@@ -151,16 +162,19 @@ def _viewer(arguments: Arguments) -> str | None:
         raise InputError(f"--spawn: {error} Leave it out: recording.rrd can be opened later") from error
 
 
-def _evaluate(folder: RunFolder, arguments: Arguments) -> None:
+def _evaluate(folder: RunFolder, arguments: Arguments) -> "evaluate.Metrics | None":
+    """The figures against the truth; None where the bag carries none."""
     from app import evaluate
 
     finished = open_run(folder.path)
-    if evaluate.has_truth(finished):
+    if not evaluate.has_truth(finished):
+        return None
+    with Progress(arguments.quiet) as progress:
+        progress.stage("evaluation", None)
         metrics = evaluate.evaluate_run(finished, None, arguments.workers)
-        if not arguments.quiet:
-            evaluate.print_metrics(metrics)
-            if (folder.path / EVALUATION).exists():
-                typer.echo(f"errors:    {folder.path / EVALUATION}  (open both: ffmap view {folder.path})")
+    if arguments.verbose and not arguments.quiet:
+        evaluate.print_metrics(metrics)
+    return metrics
 
 
 def stored(arguments: Arguments) -> dict[str, Any]:
@@ -224,18 +238,56 @@ def _resumed(arguments: Arguments, path: Path) -> tuple[Arguments, Settings, Run
     return replace(arguments, bag=bag, **options), settings, folder, record
 
 
-def _report(folder: RunFolder, inputs: Inputs, record: dict[str, Any], saved: bool) -> None:
-    counts = record["counts"]
+def _report(
+    folder: RunFolder,
+    inputs: Inputs,
+    record: dict[str, Any],
+    arguments: Arguments,
+    metrics: "evaluate.Metrics | None",
+) -> None:
+    """What a person wants to know of a finished run, in five lines; all else is in its files."""
+    lines = {
+        "made": _made(inputs, record),
+        "quality": _quality(folder, inputs, arguments, metrics),
+        "results": str(folder.path),
+        "look": view_command(folder.path) if Output.RECORDING in arguments.outputs else "no recording was asked for",
+        "warnings": _warnings(folder, record),
+    }
+    for name, text in lines.items():
+        typer.echo(f"{name + ':':<10} {text}")
+
+
+def _made(inputs: Inputs, record: dict[str, Any]) -> str:
+    counts, seconds = record["counts"], record["timings_s"]["total"]
     if inputs.vertical is None:
-        typer.echo(
-            f"{counts.get('registrations', 0)} scans registered; there is nothing to label: {inputs.bag_path.name} has no "
-            "lidar that sweeps the walls (a vertical one, its spin axis level)"
+        return (
+            f"{counts.get('registrations', 0)} scans registered in {seconds:.1f} s; there is nothing to label: "
+            f"{inputs.bag_path.name} has no lidar that sweeps the walls (a vertical one, its spin axis level)"
         )
-    else:
-        typer.echo(
-            f"{counts['scans']} of {counts['clouds']} scans labelled, {counts['walls']} wall faces, "
-            f"{counts['doors']} doors, in {record['timings_s']['total']:.1f} s"
+    return (
+        f"{counts['scans']} of {counts['clouds']} scans labelled, {counts['walls']} wall faces, {counts['doors']} doors, "
+        f"{counts['rooms']} rooms, in {seconds:.1f} s"
+    )
+
+
+def _quality(folder: RunFolder, inputs: Inputs, arguments: Arguments, metrics: "evaluate.Metrics | None") -> str:
+    if metrics is not None:
+        from app import evaluate
+
+        return f"{evaluate.in_one_line(metrics)}; all figures in {folder.path / METRICS}" + (
+            "" if arguments.verbose else ", -v prints them"
         )
-    typer.echo(f"results:   {folder.path}")
-    if saved:
-        typer.echo(f"recording: {folder.path / RECORDING}  (open it: ffmap view {folder.path})")
+    if inputs.vertical is None:
+        return "unknown: only what is labelled is compared with the truth"
+    if not arguments.evaluate:
+        return "unknown: not compared with the truth, as --no-evaluate says"
+    return f"unknown: the bag carries no truth; 'ffmap evaluate {folder.path} --truth FILE' compares with another's"
+
+
+def _warnings(folder: RunFolder, record: dict[str, Any]) -> str:
+    warnings = record["warnings"]
+    if not warnings:
+        return "none"
+    if len(warnings) == 1:
+        return f"1, {warnings[0]}"
+    return f"{len(warnings)}, all in {folder.path / RUN_JSON}; the first: {warnings[0]}"

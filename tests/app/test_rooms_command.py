@@ -1,6 +1,7 @@
 """`ffmap rooms` as a user meets it: maps of other systems, truth, and files that are no maps."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -71,9 +72,14 @@ def assert_one_line(result: tuple[int, str, str], *words: str) -> None:
         assert word in err
 
 
-def test_a_map_of_map_servers_gives_outlines_areas_and_topology_in_its_frame(ffmap, tmp_path: Path) -> None:
+def test_a_map_of_map_servers_gives_outlines_areas_and_topology_in_its_frame(
+    ffmap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
     code, out, err = ffmap("rooms", save_map(tmp_path, two_rooms()), "--out", "found")
     assert code == 0, err
+    # A command that is to be copied is not broken, however narrow the terminal.
+    assert re.search(r"view (--web )?found/rooms\.rrd$", out, re.MULTILINE)
     assert "room 1" in out
     assert "25.0" in out
     right, left = features(tmp_path / "found")

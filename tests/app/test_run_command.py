@@ -71,12 +71,20 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.fixture(scope="module")
-def finished(bags: dict[str, Path], environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run on the ROS 1 bag."""
+def finished_as_said(
+    bags: dict[str, Path], environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """A run on the ROS 1 bag, and what it said."""
     out = tmp_path_factory.mktemp("runs") / "whole"
     done = ffmap(environment, "run", bags["bag"], "--out", out)
     assert done.returncode == 0, done.stderr
-    return out
+    return out, done
+
+
+@pytest.fixture(scope="module")
+def finished(finished_as_said: tuple[Path, subprocess.CompletedProcess[str]]) -> Path:
+    """A run on the ROS 1 bag."""
+    return finished_as_said[0]
 
 
 def ffmap(environment: dict[str, str], *words: object) -> subprocess.CompletedProcess[str]:
@@ -140,6 +148,47 @@ def write_empty_clouds(path: Path) -> Path:
             )
             writer.write(connection, 10**12 + k * 10**8, store.serialize_ros1(cloud, "sensor_msgs/msg/PointCloud2"))
     return path
+
+
+def said_at_the_end(done: subprocess.CompletedProcess[str]) -> dict[str, str]:
+    return {name: text.strip() for name, text in (line.split(":", 1) for line in done.stdout.splitlines())}
+
+
+def test_five_lines_tell_of_a_finished_run(finished_as_said: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    out, done = finished_as_said
+    record, metrics = (json.loads((out / name).read_text()) for name in ("run.json", "metrics.json"))
+    said = said_at_the_end(done)
+    assert list(said) == ["made", "quality", "results", "look", "warnings"]
+    counts = record["counts"]
+    assert f"{counts['scans']} of {counts['clouds']} scans" in said["made"]
+    assert f"{counts['doors']} doors, {counts['rooms']} rooms" in said["made"]
+    assert f"wall F1 {100 * metrics['area']['wall']['f1']:.2f} %" in said["quality"]
+    assert str(out / "metrics.json") in said["quality"]
+    assert said["results"] == str(out)
+    assert said["look"].endswith(str(out))
+    assert said["warnings"] == "none"
+    assert any(line.startswith("disk: about ") and "labelled bag" in line for line in done.stderr.splitlines())
+
+
+def test_tables_come_when_asked_for_and_warnings_are_counted(
+    bags: dict[str, Path], environment: dict[str, str], tmp_path: Path
+) -> None:
+    whole = bags["bag"].read_bytes()
+    cut = tmp_path / "cut.bag"
+    cut.write_bytes(whole[: int(0.9 * len(whole))])
+    options = ("--outputs", "maps", "--workers", "1")
+    tables = ffmap(environment, "run", cut, "--out", tmp_path / "a", *options, "-v")
+    assert tables.returncode == 0, tables.stderr
+    assert "trajectory, ATE RMSE" in tables.stdout
+    warnings = json.loads((tmp_path / "a" / "run.json").read_text())["warnings"]
+    last = tables.stdout.splitlines()[-5:]
+    assert [line.split(":")[0] for line in last] == ["made", "quality", "results", "look", "warnings"]
+    assert last[-1].split()[1] == f"{len(warnings)},"
+    assert last[-1].endswith(warnings[0])
+    assert "not compared: labels" in last[1]
+    said = said_at_the_end(ffmap(environment, "run", cut, "--out", tmp_path / "b", *options, "--no-evaluate"))
+    assert "--no-evaluate" in said["quality"]
+    assert not ffmap(environment, "run", cut, "--out", tmp_path / "c", *options, "--no-evaluate", "--quiet").stdout
 
 
 def test_rooms_doors_topology_and_recording_tell_the_same(finished: Path) -> None:
@@ -494,6 +543,8 @@ def test_interruption_is_one_line_that_says_how_to_go_on(
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        # A shell starts what runs in the background with interrupts ignored, and so would be this.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert process.stderr is not None
     said: list[str] = []
@@ -508,8 +559,31 @@ def test_interruption_is_one_line_that_says_how_to_go_on(
     said += process.communicate(timeout=60)[1].splitlines(keepends=True)
     assert process.returncode == 130
     assert said[-1] == f"ffmap: interrupted; 'ffmap run --resume {out}' goes on with the run\n"
-    assert all(line.split(":")[0] in ("odometry", "scans", "building", "final") for line in said[:-1]), said
+    assert all(line.split(":")[0] in ("disk", "odometry", "scans", "building", "final") for line in said[:-1]), said
     assert json.loads((out / "run.json").read_text())["outcome"] == "aborted"
+
+
+def test_a_run_in_the_background_is_not_interrupted(
+    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    process = subprocess.Popen(
+        [*FFMAP, "run", str(bags["bag"]), "--out", str(out), "--workers", "2", "--no-evaluate", "--outputs", "maps"],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        # As 'nohup ffmap run ... &' in a script does: Ctrl-C is meant for what runs in front.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
+    )
+    end = time.monotonic() + 120
+    while not (out / "run.json").exists() and time.monotonic() < end:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)
+    said = process.communicate(timeout=120)[1]
+    assert process.returncode == 0, said
+    assert json.loads((out / "run.json").read_text())["outcome"] == "complete"
 
 
 def test_viewer_that_ends_is_one_line_and_no_run_goes_on(
