@@ -10,6 +10,7 @@ from algorithms.building import Doors
 from algorithms.doors import DoorState
 from algorithms.floor_plan import FloorPlan, FloorPlanSettings, draw_floor_plan
 from algorithms.grid_map import Drive, GridMapSettings, draw_furniture_free, standing_stretches
+from algorithms.segments import main_direction_deg
 from algorithms.wall_thickness import WallThicknessSettings, door_depths, face_thickness, part_walls, usual_thickness
 from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms
 
@@ -93,6 +94,27 @@ def test_walls_are_areas_with_the_doorway_cut_out(turn_deg: float) -> None:
     assert shapely.union_all([*plan.walls, *plan.assumed]).intersection(inside).area < 1e-6
     corner = shapely.Point(rooms.to_map(np.array([[-0.1, -0.1]]))[0])
     assert shapely.union_all(plan.assumed).contains(corner)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 37.0, -30.0, 44.0, 50.0, 160.0])
+def test_the_plan_knows_how_it_lies_in_the_map(turn_deg: float) -> None:
+    assert plan_of(TwoRooms(turn_deg=turn_deg)).direction_deg == pytest.approx((turn_deg + 45) % 90 - 45, abs=1e-6)
+
+
+def test_the_main_direction_is_that_of_most_walls_not_the_mean() -> None:
+    rng = np.random.default_rng(1)
+
+    def lines(count: int, length_m: float, angle_deg: float) -> np.ndarray:
+        starts = rng.uniform(-20, 20, (count, 2))
+        spread_deg = rng.normal(angle_deg + 90 * rng.integers(0, 4, count), 0.2)
+        along = np.stack([np.cos(np.radians(spread_deg)), np.sin(np.radians(spread_deg))], axis=1)
+        return np.stack([starts, starts + length_m * along], axis=1)
+
+    wing, main = lines(30, 2.0, 71.0), lines(12, 8.0, 46.0)
+    assert main_direction_deg(np.concatenate([wing, main])) == pytest.approx(-44.0, abs=0.2)
+    assert main_direction_deg(lines(20, 3.0, 89.99)) == pytest.approx(0.0, abs=0.2)
+    assert main_direction_deg(np.zeros((0, 2, 2))) == 0.0
+    assert main_direction_deg(np.zeros((3, 2, 2))) == 0.0
 
 
 @pytest.mark.parametrize("angle_deg", [35.0, 90.0, 130.0])
