@@ -19,6 +19,8 @@ _RUN_MIN_M = 0.15
 """Shorter stretches of a face do not draw an outline to themselves."""
 _TIDY_M = 0.04
 """Notches and spurs of an outline that are not twice so wide are no part of the room's shape."""
+_STEP_SHARE = 0.6
+"""Steps are at most this share of the reach high, which is two cells: those of one cell."""
 _ON_FACE_M = 1e-6
 _STRAIGHT_M = 1e-4
 """Corners that are so little off a straight line are none."""
@@ -104,7 +106,7 @@ def _laid(outline: shapely.Polygon, bounds: Sequence[_Bound], reach_m: float) ->
         return outline
     area = shapely.union_all([outline, *before]).difference(shapely.union_all(behind))
     tidy = area.buffer(_TIDY_M, join_style="mitre").buffer(-2 * _TIDY_M, join_style="mitre")
-    return _without_steps(_largest(tidy.buffer(_TIDY_M, join_style="mitre")), lines, reach_m)
+    return _without_steps(_largest(tidy.buffer(_TIDY_M, join_style="mitre")), lines, _STEP_SHARE * reach_m)
 
 
 def _runs(outline: shapely.Polygon, face: Segment, reach_m: float) -> Iterator[tuple[float, float]]:
