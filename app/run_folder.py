@@ -153,6 +153,27 @@ def held(path: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
+def is_held(path: Path) -> bool:
+    """Whether a run is at a folder now, see `held`; where folders cannot be locked, nobody knows, and one may be."""
+    if sys.platform == "win32":
+        return True
+    import fcntl
+
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError:
+        return False
+    try:
+        # Shared, so that others who ask at the same time do not take each other for a run.
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return True
+    else:
+        return False
+    finally:
+        os.close(descriptor)
+
+
 def make_writable(path: Path) -> None:
     """Make a folder where there is none, and try to write in it; raises OSError where that fails."""
     path.mkdir(parents=True, exist_ok=True)
