@@ -240,22 +240,23 @@ def _columns(stretches: Walls, settings: FloorPlanSettings) -> tuple[list[shapel
     in_column = np.zeros(len(stretches), bool)
     if not len(stretches):
         return [], in_column
-    lines = [shapely.LineString(ends) for ends in stretches.ends]
     group = _groups(stretches, _MEET_M)
     columns = []
     for g in np.unique(group):
         members = np.flatnonzero(group == g)
-        normal = stretches.normal[members]
-        outline = shapely.MultiLineString([lines[m] for m in members]).minimum_rotated_rectangle
-        if outline.geom_type != "Polygon" or np.abs(normal @ normal[0]).min() > 0.5:
+        normal, ends = stretches.normal[members], stretches.ends[members]
+        if np.abs(normal @ normal[0]).min() > 0.5:
             continue
-        corners = np.array(outline.exterior.coords)
-        sides = np.linalg.norm(np.diff(corners[:3], axis=0), axis=1)
+        # Square to its longest face: around two faces alone the smallest rectangle would lie aslant.
+        across = normal[np.argmax(lengths_m(ends))]
+        axes = np.array([[-across[1], across[0]], across])
+        places = ends.reshape(-1, 2) @ axes.T
+        (low_x, low_y), (high_x, high_y) = places.min(axis=0), places.max(axis=0)
+        corners = np.array([[low_x, low_y], [high_x, low_y], [high_x, high_y], [low_x, high_y]]) @ axes
         # A column's faces look away from each other; a niche's, or a small room's, look at each other.
-        centre = corners[:4].mean(axis=0)
-        outward = np.einsum("ij,ij->i", stretches.ends[members].mean(axis=1) - centre, normal) > -1e-6
-        if sides.max() <= settings.column_max_m and outward.all():
-            columns.append(outline)
+        outward = np.einsum("ij,ij->i", ends.mean(axis=1) - corners.mean(axis=0), normal) > -1e-6
+        if max(high_x - low_x, high_y - low_y) <= settings.column_max_m and outward.all():
+            columns.append(shapely.Polygon(corners))
             in_column[members] = True
     return columns, in_column
 

@@ -137,22 +137,25 @@ def test_no_leaf_is_made_up() -> None:
     np.testing.assert_allclose(closed.closed[:, 1], SIZE_M[1] + 0.04)
 
 
-def test_a_free_standing_column_is_its_own_outline() -> None:
-    rooms = TwoRooms(both_seen=False)
+@pytest.mark.parametrize("seen", [4, 2])
+@pytest.mark.parametrize("turn_deg", [0.0, 25.0])
+def test_a_free_standing_column_is_its_own_outline(seen: int, turn_deg: float) -> None:
+    """Also where two of its sides were seen alone."""
     corners = np.array([[2.6, 1.4], [3.0, 1.4], [3.0, 1.8], [2.6, 1.8], [2.6, 1.4]])
     sides = [(corners[i : i + 2], (0.0, 2.6)) for i in range(4)]
     normals = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]], float)
-    rooms = TwoRooms(both_seen=False, more=tuple(sides))
 
     class WithColumn(TwoRooms):
         @property
         def faces(self):
-            own = [(corners[i : i + 2], normals[i]) for i in range(4)]
+            own = [(corners[i : i + 2], normals[i]) for i in range(seen)]
             return [*super().faces, *own]
 
-    plan = plan_of(WithColumn(both_seen=False, more=rooms.more))
+    rooms = WithColumn(both_seen=False, more=tuple(sides), turn_deg=turn_deg)
+    plan = plan_of(rooms)
     assert len(plan.columns) == 1
-    assert plan.columns[0].symmetric_difference(shapely.Polygon(corners)).area < 0.01
+    true = shapely.Polygon(rooms.to_map(corners))
+    assert plan.columns[0].symmetric_difference(true).area < 0.01
     assert shapely.union_all([*plan.walls, *plan.assumed]).intersection(plan.columns[0]).area < 1e-6
 
 
