@@ -9,7 +9,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from algorithms.scan import FloatArray
-from algorithms.segments import Faces, Segment, segments
+from algorithms.segments import Faces, Segment
 
 _CORNER_M = 0.15
 """Faces that end so near to where their lines cross make a corner there."""
@@ -49,51 +49,60 @@ def lay_on_faces(outlines: Sequence[shapely.Polygon], faces: Sequence[Faces], re
     outlines: rooms that do not overlap, nor do those that are given back. faces: walls, sills of doors and the like,
     whose normals point into the rooms. reach_m: an edge that lies so near before or behind a face belongs on it.
     """
-    bounds = list(_bounds([face for kind in faces for face in segments(kind)]))
+    if not sum(len(kind.ends) for kind in faces):
+        return list(outlines)
+    bounds = list(_bounds(faces))
+    tree = shapely.STRtree([shapely.LineString(_ends(bound.face)) for bound in bounds])
     laid: list[shapely.Polygon] = []
     for outline in outlines:
-        own = _laid(outline, bounds, reach_m)
-        near = [other for other in laid if other.intersects(own)]
-        laid.append(_largest(own.difference(shapely.union_all(near))) if near else own)
+        near = np.sort(tree.query(outline.buffer(2 * reach_m), predicate="intersects"))
+        own = _laid(outline, [bounds[b] for b in near], reach_m)
+        others = [other for other in laid if other.intersects(own)]
+        laid.append(_largest(own.difference(shapely.union_all(others))) if others else own)
     return laid
 
 
-def _bounds(faces: Sequence[Segment]) -> Iterator[_Bound]:
+def _ends(face: Segment) -> FloatArray:
+    """(2, 2) its ends."""
+    return face.at(np.array([0.0, face.length_m]))
+
+
+def _bounds(faces: Sequence[Faces]) -> Iterator[_Bound]:
     """Each face, its ends moved to where it meets another."""
-    for one in faces:
+    ends, normals = (np.concatenate([getattr(f, name) for f in faces]) for name in ("ends", "normal"))
+    for one in (Segment.between(*own) for own in zip(ends, normals, strict=True)):
         ends_m, inner, outer = [0.0, one.length_m], [False, False], [False, False]
+        place_m = _crossed_m(one, ends, normals)
         for end, outwards in ((0, -one.along), (1, one.along)):
-            corners = [c for other in faces if (c := _corner_m(one, other, ends_m[end])) is not None]
-            if not corners:
+            away_m = np.abs(place_m - ends_m[end])
+            if away_m.min(initial=np.inf) > _CORNER_M:
                 continue
-            place_m, normal = min(corners, key=lambda corner: abs(corner[0] - ends_m[end]))
-            ends_m[end] = place_m
-            inner[end], outer[end] = bool(normal @ outwards < 0), bool(normal @ outwards > 0)
+            nearest = int(np.argmin(away_m))
+            ends_m[end] = float(place_m[nearest])
+            inner[end], outer[end] = bool(normals[nearest] @ outwards < 0), bool(normals[nearest] @ outwards > 0)
         if ends_m[1] - ends_m[0] > _RUN_MIN_M:
             face = Segment.between(one.at(np.array(ends_m)), one.normal)
             yield _Bound(face, (inner[0], inner[1]), (outer[0], outer[1]))
 
 
-def _corner_m(face: Segment, other: Segment, end_m: float) -> tuple[float, FloatArray] | None:
-    """How far along a face another one's line crosses it near its end, and the other's normal; None where it does not."""
-    slope = float(face.along @ other.normal)
-    if abs(slope) < _CROSSING:
-        return None
-    place_m = -float(other.before_m(face.start)) / slope
-    if abs(place_m - end_m) > _CORNER_M or not other.beside(face.at(np.array([place_m])), _CORNER_M)[0]:
-        return None
-    return place_m, other.normal
+def _crossed_m(face: Segment, ends: FloatArray, normals: FloatArray) -> FloatArray:
+    """(k,) how far along a face others (k, 2, 2) with their normals (k, 2) cross its line; infinite where they do not."""
+    slope = normals @ face.along
+    slope = np.where(np.abs(slope) < _CROSSING, np.nan, slope)
+    place_m = np.einsum("ij,ij->i", ends[:, 0] - face.start, normals) / slope
+    crossing = face.start + place_m[:, None] * face.along
+    along = ends[:, 1] - ends[:, 0]
+    length_m = np.maximum(np.linalg.norm(along, axis=1), 1e-9)
+    beside_m = np.einsum("ij,ij->i", crossing - ends[:, 0], along) / length_m
+    met = (beside_m > -_CORNER_M) & (beside_m < length_m + _CORNER_M)
+    return np.asarray(np.where(met, place_m, np.inf))
 
 
 def _laid(outline: shapely.Polygon, bounds: Sequence[_Bound], reach_m: float) -> shapely.Polygon:
     """One outline: what lies between it and the faces is added, what lies behind them taken away."""
-    near = outline.buffer(2 * reach_m)
-    shapely.prepare(near)
     before, behind, lines = [], [], []
     for bound in bounds:
         face = bound.face
-        if not near.intersects(shapely.LineString(face.at(np.array([0.0, face.length_m])))):
-            continue
         for low_m, high_m in _runs(outline, face, reach_m):
             at_end = (low_m < 2 * reach_m, high_m > face.length_m - 2 * reach_m)
             ends_m = np.array([0.0 if at_end[0] else low_m, face.length_m if at_end[1] else high_m])
@@ -111,7 +120,7 @@ def _laid(outline: shapely.Polygon, bounds: Sequence[_Bound], reach_m: float) ->
 
 def _runs(outline: shapely.Polygon, face: Segment, reach_m: float) -> Iterator[tuple[float, float]]:
     """From where to where along a face an outline's edge lies on it: the room is before it and not behind."""
-    ends = face.at(np.array([0.0, face.length_m]))
+    ends = _ends(face)
     before = outline.intersection(shapely.LineString(ends + reach_m * face.normal))
     behind = outline.intersection(shapely.LineString(ends - reach_m * face.normal))
     along = _projected(before, face).difference(_projected(behind, face))
