@@ -19,6 +19,9 @@ _RUN_MIN_M = 0.15
 """Shorter stretches of a face do not draw an outline to themselves."""
 _TIDY_M = 0.04
 """Notches and spurs of an outline that are not twice so wide are no part of the room's shape."""
+_GRID_M = 1e-6
+_KEPT_SHARE = 0.5
+"""Faces that take more than this share of a room away are not those that bound it."""
 _STEP_SHARE = 0.6
 """Steps are at most this share of the reach high, which is two cells: those of one cell."""
 _ON_FACE_M = 1e-6
@@ -56,9 +59,10 @@ def lay_on_faces(outlines: Sequence[shapely.Polygon], faces: Sequence[Faces], re
     laid: list[shapely.Polygon] = []
     for outline in outlines:
         near = np.sort(tree.query(outline.buffer(2 * reach_m), predicate="intersects"))
-        own = _laid(outline, [bounds[b] for b in near], reach_m)
-        others = [other for other in laid if other.intersects(own)]
-        laid.append(_largest(own.difference(shapely.union_all(others))) if others else own)
+        # On a fine grid, for polygons that all but touch each other are cut wrongly in floating point.
+        own = _largest(shapely.set_precision(_laid(outline, [bounds[b] for b in near], reach_m), _GRID_M))
+        others = shapely.union_all([other for other in laid if other.intersects(own)], grid_size=_GRID_M)
+        laid.append(_largest(shapely.difference(own, others, grid_size=_GRID_M)))
     return laid
 
 
@@ -115,7 +119,10 @@ def _laid(outline: shapely.Polygon, bounds: Sequence[_Bound], reach_m: float) ->
         return outline
     area = shapely.union_all([outline, *before]).difference(shapely.union_all(behind))
     tidy = area.buffer(_TIDY_M, join_style="mitre").buffer(-2 * _TIDY_M, join_style="mitre")
-    return _without_steps(_largest(tidy.buffer(_TIDY_M, join_style="mitre")), lines, _STEP_SHARE * reach_m)
+    room = _largest(tidy.buffer(_TIDY_M, join_style="mitre"))
+    if room.area < _KEPT_SHARE * outline.area:
+        return outline
+    return _without_steps(room, lines, _STEP_SHARE * reach_m)
 
 
 def _runs(outline: shapely.Polygon, face: Segment, reach_m: float) -> Iterator[tuple[float, float]]:

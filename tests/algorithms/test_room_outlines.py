@@ -108,3 +108,26 @@ def test_rooms_on_both_sides_of_a_thin_wall_do_not_overlap() -> None:
         assert laid[0].intersection(laid[1]).area < 1e-9
         for own, true in zip(laid, rooms, strict=True):
             assert own.symmetric_difference(true).area < 1e-3
+
+
+def test_no_room_is_lost_whatever_faces_there_are() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(150):
+        width_m, height_m, angle_deg = rng.uniform(0.5, 4.0), rng.uniform(0.4, 4.0), rng.uniform(0.0, 90.0)
+        rooms = [
+            shapely.transform(shapely.box(low, 0, low + width_m, height_m), lambda xy, by=angle_deg: turned(xy, by))
+            for low in (0.0, width_m + 0.1)
+        ]
+        count = int(rng.integers(1, 12))
+        ends = np.cumsum(rng.uniform(-2.0, 3.0, (count, 2, 2)), axis=1)
+        along = ends[:, 1] - ends[:, 0]
+        normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
+        laid = lay_on_faces(rooms, [Sides(ends, normal)], 2 * CELL_M)
+        for own, before in zip(laid, rooms, strict=True):
+            assert own.is_valid
+            assert own.area > 0.4 * before.area
+            assert before.buffer(0.3).covers(own)
+        assert laid[0].intersection(laid[1]).area < 1e-8
+    narrow = shapely.box(0, 0, 3, 0.15)
+    between = Sides(np.array([[[0.0, 0.1], [3.0, 0.1]], [[3.0, 0.05], [0.0, 0.05]]]), np.array([[0.0, 1.0], [0.0, -1.0]]))
+    assert lay_on_faces([narrow], [between], 2 * CELL_M)[0].area > 0.2
