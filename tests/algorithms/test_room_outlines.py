@@ -128,6 +128,6 @@ def test_no_room_is_lost_whatever_faces_there_are() -> None:
             assert own.area > 0.4 * before.area
             assert before.buffer(0.3).covers(own)
         assert laid[0].intersection(laid[1]).area < 1e-8
-    narrow = shapely.box(0, 0, 3, 0.15)
-    between = Sides(np.array([[[0.0, 0.1], [3.0, 0.1]], [[3.0, 0.05], [0.0, 0.05]]]), np.array([[0.0, 1.0], [0.0, -1.0]]))
-    assert lay_on_faces([narrow], [between], 2 * CELL_M)[0].area > 0.2
+    narrow = shapely.box(0, 0, 3, 0.25)
+    between = Sides(np.array([[[0.0, 0.09], [3.0, 0.09]], [[3.0, 0.16], [0.0, 0.16]]]), np.array([[0.0, 1.0], [0.0, -1.0]]))
+    assert lay_on_faces([narrow], [between], 2 * CELL_M)[0].equals(narrow)
