@@ -91,6 +91,21 @@ class GridMap:
         rows, columns = np.nonzero(self.cells == cell)
         return np.asarray(self.origin + (np.stack([columns, rows], axis=1) + 0.5) * self.cell_m)
 
+    def cropped_to(self, other: "GridMap") -> "GridMap":
+        """The part that another map of the same cells covers; unknown where this one does not reach."""
+        column, row = np.round((self.origin - other.origin) / self.cell_m).astype(int)
+        cells = np.full_like(other.cells, Cell.UNKNOWN)
+        to_rows, from_rows = _overlap(row, self.cells.shape[0], cells.shape[0])
+        to_columns, from_columns = _overlap(column, self.cells.shape[1], cells.shape[1])
+        cells[to_rows, to_columns] = self.cells[from_rows, from_columns]
+        return GridMap(cells, other.origin, self.cell_m)
+
+
+def _overlap(shift: int, own: int, other: int) -> tuple[slice, slice]:
+    """Where an axis of so many cells, shifted by so many, lies in another one, and which of its cells lie there."""
+    low, high = max(shift, 0), max(min(shift + own, other), max(shift, 0))
+    return slice(low, high), slice(low - shift, high - shift)
+
 
 @dataclass(frozen=True)
 class Immobile:

@@ -279,10 +279,13 @@ def evaluate(
 def inspect(
     run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.", show_default=False)],
     scan: Annotated[
-        str, typer.Option(help="The scan's number, or 'worst': the largest error, or the most changed labels.")
+        str, typer.Option(help="The scan's number, or 'worst': with most wrong final labels, or most changed ones.")
     ],
     line: Annotated[
-        int | None, typer.Option(help="A point line, 2 × emitter + side: open there, and print its reasons.")
+        int | None,
+        typer.Option(
+            help="A point line, 2 × emitter + side: open there, and print its reasons.  [default: that with most wrong labels]"
+        ),
     ] = None,
     bag: Annotated[Path | None, typer.Option(help="Where the run's bag lies now, if it was moved.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Recording.  [default: RUN/inspect-SCAN.rrd]")] = None,

@@ -76,6 +76,7 @@ from app.map_figures import (
     maps_table,
     read_maps,
     wall_thickness_of_doors,
+    walls_direction_deg,
     write_overlays,
 )
 from app.processes import make_pool
@@ -217,7 +218,7 @@ def evaluate_run(run: FinishedRun, truth_bag: Path | None = None, workers: int =
         comparison = compare_run(run, truth_path, truth, truth.trajectory, workers, layer)
         write_json(run.path / METRICS, comparison.metrics)
         if comparison.maps:
-            write_overlays(run.path / OVERLAY, comparison.maps, "truth")
+            write_overlays(run.path / OVERLAY, comparison.maps, "truth", walls_direction_deg(run.path))
         if layer is not None and comparison.tally is not None:
             _write_layer(run.path / EVALUATION, layer, comparison)
     return comparison.metrics

@@ -31,7 +31,10 @@ from app.recorder import Recorder, evidence, log_legend, scan_columns, set_time,
 from app.recording import join, open_part
 from blueprints import entities
 
-_COLORS = np.array([(r << 24) | (g << 16) | (b << 8) | 255 for _, (r, g, b) in entities.VERDICTS.values()], np.uint32)
+VERDICT_COLORS = np.array(
+    [(r << 24) | (g << 16) | (b << 8) | 255 for _, (r, g, b) in entities.VERDICTS.values()], np.uint32
+)
+"""How the verdict of each point of a scan is recorded."""
 _MISSED_COLOR = entities.VERDICTS[Verdict.MISSED_WALL][1]
 _WRONG_COLOR = entities.VERDICTS[Verdict.FALSE_WALL][1]
 _LIFT_M = 0.03
@@ -51,7 +54,7 @@ class ScanErrors:
         """The points of one scan, in the order of its recorded ones."""
         verdict = verdicts(truth, label)
         set_time(self._stream, stamp_ns, index)
-        self._stream.log(entities.POINTS, evidence({entities.POINT_VERDICT_COLOR: _COLORS[verdict]}))
+        self._stream.log(entities.POINTS, evidence({entities.POINT_VERDICT_COLOR: VERDICT_COLORS[verdict]}))
         self._index.append(index)
         self._stamp_ns.append(stamp_ns)
         self._shares.append(100.0 * np.bincount(verdict, minlength=len(Verdict)) / max(len(verdict), 1))

@@ -7,7 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from app.inputs import InputOptions
-from app.run_folder import LABELLED_BAG, LABELLED_FOLDER, METRICS, RECORDING, RUN_JSON, TRAJECTORY, RunFolder
+from app.run_folder import (
+    LABELLED_BAG,
+    LABELLED_FOLDER,
+    METRICS,
+    RECORDING,
+    RUN_JSON,
+    TRAJECTORY,
+    RunFolder,
+    is_held,
+)
 from app.settings import Settings, validate
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom
@@ -40,8 +49,9 @@ class FinishedRun:
 
     @property
     def outcome(self) -> str:
-        """complete, aborted or running (as a run that was killed still says)."""
-        return str(self.record.get("outcome", "unknown"))
+        """complete, aborted, running or killed: then it says that it is running, but nobody is at its folder."""
+        outcome = str(self.record.get("outcome", "unknown"))
+        return "killed" if outcome == "running" and not is_held(self.path) else outcome
 
     @cached_property
     def labelled(self) -> Path | None:

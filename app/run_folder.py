@@ -257,6 +257,27 @@ def held(path: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
+def is_held(path: Path) -> bool:
+    """Whether a run is at a folder now, see `held`; where folders cannot be locked, nobody knows, and one may be."""
+    if sys.platform == "win32":
+        return True
+    import fcntl
+
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError:
+        return False
+    try:
+        # Shared, so that others who ask at the same time do not take each other for a run.
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return True
+    else:
+        return False
+    finally:
+        os.close(descriptor)
+
+
 def check_no_run_loses(path: Path, option: str = "--out") -> None:
     """Raises InputError where writing this file would replace what a run has made. option: what the path was given to."""
     if path.name in file_names() and (path.parent / RUN_JSON).exists():

@@ -147,11 +147,14 @@ LINE_STRUCTURES = "/scan/line/structures"
 LINE_GROWING = "/scan/line/growing_plane"
 LINE_PLANE = "/scan/line/plane"
 LINE_DOOR = "/scan/line/door"
+FAULTS = "/scan/faults"
+"""The returns of an inspected scan that are labelled wrongly."""
 PROFILE = "/profile"
 PROFILE_SAMPLES = "/profile/samples"
 PROFILE_STRUCTURES = "/profile/structures"
 PROFILE_LEVELS = "/profile/levels"
 PROFILE_DOOR = "/profile/door"
+PROFILE_FAULTS = "/profile/faults"
 
 MILLISECONDS = "/metrics/milliseconds"
 LABEL_COUNTS = "/metrics/labels"
@@ -219,6 +222,24 @@ def scan_error(verdict: Verdict) -> str:
     return f"{SCAN_ERRORS}/{VERDICTS[verdict][0].replace(' ', '_')}"
 
 
+class Fault(IntEnum):
+    """What is wrong with a return's final label, as an inspected scan shows it."""
+
+    NONE = 0
+    OF_THE_SCAN = 1
+    """Wrong, and the scan by itself had said the same."""
+    OF_THE_BUILDING = 2
+    """Wrong, and the scan by itself had said something else."""
+    RELABELLED = 3
+    """Another than the scan's own; which of them is right is not known."""
+
+
+FAULT_CLASSES: dict[int, tuple[str, Color]] = {
+    Fault.OF_THE_SCAN: ("wrong, as the scan labelled it", (0, 235, 235)),
+    Fault.OF_THE_BUILDING: ("wrong, as the building changed it", (255, 180, 205)),
+    Fault.RELABELLED: ("changed by the building", (0, 235, 235)),
+}
+"""Their colours are those of no class, and of nothing else that is drawn beside them."""
 AGREEMENTS: dict[int, tuple[str, Color]] = {
     Agreement.NOTHING: ("unknown", (205, 205, 205)),
     Agreement.FREE: ("free", (255, 255, 255)),

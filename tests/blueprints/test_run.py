@@ -54,6 +54,24 @@ def test_a_comparison_shows_what_was_compared_and_no_more():
     assert not any("Walls, doors" in name or "poses" in name for name in shown)
 
 
+def test_a_comparison_opens_on_what_changed_most_and_its_legends_hide_no_curve():
+    parts = frozenset({"labels", "planes", "trajectory"})
+    runs_shown = [compare.ComparedRun(letter, letter, True, True, parts) for letter in "ABC"]
+    tabs = compare.build(runs_shown, most_changed="C").root_container
+    assert [str(tab.name) for tab in tabs.contents][tabs.active_tab] == "C against A"
+    assert compare.build(runs_shown).root_container.active_tab == 0
+    layout = compare.build(runs_shown, scans=(10, 110))
+    plots = [view for view in views(layout.root_container) if isinstance(view, rrb.TimeSeriesView)]
+    assert len(plots) == 8
+    for plot in plots:
+        assert plot.properties["PlotLegend"].corner.as_arrow_array().to_pylist() == [rrb.Corner2D.RightTop.value]
+        (shown,) = plot.properties["TimeAxis"].view_range.as_arrow_array().to_pylist()
+        assert shown["start"] == 10
+        assert shown["end"] == 150
+    bare = [view for view in views(compare.build(runs_shown).root_container) if isinstance(view, rrb.TimeSeriesView)]
+    assert all("TimeAxis" not in plot.properties for plot in bare)
+
+
 def test_a_scan_shows_the_line_its_curve_its_profile_and_why():
     names = " ".join(str(view.name) for view in views(inspect.build((5.0, 3.0), 7).root_container))
     for word in ("The line in its scan", "eq. 2, Fig. 5b", "profile", "Why: this line", "Why: the whole scan"):
