@@ -13,7 +13,7 @@ from app import pipeline, run_folder
 from app.finished_run import open_run
 from app.inputs import InputOptions, Inputs, find_inputs
 from app.outputs import RUN_OUTPUTS, Output, check_outputs
-from app.poses import given_trajectory
+from app.poses import check_lidars_meet, given_poses
 from app.progress import Progress
 from app.recorder import Detail
 from app.recording import check_viewer, start_viewer
@@ -80,7 +80,11 @@ def _run(arguments: Arguments, resume: Path | None, stack: ExitStack) -> None:
     inputs = find_inputs(
         arguments.bag, InputOptions(arguments.rig, arguments.horizontal, arguments.vertical, arguments.time_from)
     )
-    given = given_trajectory(arguments.trajectory, inputs)
+    given = given_poses(arguments.trajectory, inputs, settings)
+    if given is None:
+        check_lidars_meet(inputs)
+    else:
+        inputs = replace(inputs, warnings=(*inputs.warnings, *given.warnings))
     if record is not None and record["bag"]["digest"] != inputs.bag_digest:
         raise InputError(f"{arguments.bag}: is not the bag that {resume} was made from; start a new run")
     if folder is None:
@@ -94,6 +98,8 @@ def _run(arguments: Arguments, resume: Path | None, stack: ExitStack) -> None:
         record = pipeline.first_record(
             inputs, settings, stored(arguments), arguments.bag, arguments.trajectory or "odometry"
         )
+        if given is not None:
+            record["map_origin"] = given.origin_m.tolist()
     assert record is not None
     options = pipeline.RunOptions(
         detail=Detail(arguments.detail),
@@ -108,7 +114,8 @@ def _run(arguments: Arguments, resume: Path | None, stack: ExitStack) -> None:
     ):
         for warning in inputs.warnings:
             progress.warn(warning)
-        finished = pipeline.run(inputs, given, settings, options, folder, progress, record)
+        trajectory = None if given is None else given.trajectory
+        finished = pipeline.run(inputs, trajectory, settings, options, folder, progress, record)
     if arguments.latest:
         run_folder.point_latest_at(folder.path.resolve())
     if not arguments.quiet:
