@@ -21,7 +21,7 @@ class ScanSettings(StepSettings):
     range_max_m: float = Field(
         100.0,
         gt=0,
-        le=200,
+        le=150,
         description="Maximum distance in metres from the lidar; returns farther away are left out: indoors they are errors, "
         "and grids would have to reach as far.",
     )

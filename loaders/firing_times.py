@@ -49,7 +49,7 @@ class TimeField:
         if not np.isfinite(span_s):
             raise CloudError(f"the times in field {self.name} are not all numbers")
         if span_s > _LONGEST_SWEEP_NS / 1e9:
-            raise CloudError(f"the times in field {self.name} span {span_s:.1f} s, longer than any sweep")
+            raise CloudError(f"the times in field {self.name} span {_told(span_s)} s, longer than any sweep")
         if not abs(float(first)) * _UNITS_NS[self.unit] < _CLOCK_MAX_NS:
             raise CloudError(f"the times in field {self.name} are as large as {float(first):.3g} {self.unit}: no clock's")
         time_ns = _scaled(values, first, _UNITS_NS[self.unit])
@@ -62,10 +62,14 @@ class TimeField:
                 start_ns = stamp_ns
         if abs(start_ns - stamp_ns) > _LONGEST_SWEEP_NS:
             raise CloudError(
-                f"the times in field {self.name} begin {abs(start_ns - stamp_ns) / 1e9:.6g} s "
+                f"the times in field {self.name} begin {_told(abs(start_ns - stamp_ns) / 1e9)} s "
                 f"{'before' if start_ns < stamp_ns else 'after'} the cloud's stamp"
             )
         return time_ns, start_ns
+
+
+def _told(seconds: float) -> str:
+    return f"{seconds:.1f}" if seconds < 1e6 else f"{seconds:.3g}"
 
 
 def _scaled(values: npt.NDArray[Any], first: Any, unit_ns: int) -> IntArray:  # noqa: ANN401 - a NumPy scalar

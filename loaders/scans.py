@@ -110,7 +110,7 @@ def stamp_problem(index: CloudIndex) -> str | None:
 
 def clock_problem(index: CloudIndex, other: CloudIndex) -> str | None:
     """What speaks against the clocks of two lidars being one; None where nothing does."""
-    if not index.usable.any() or not other.usable.any():
+    if min(len(index), len(other)) < 2 or stamp_problem(index) or stamp_problem(other):
         return None
     ahead_ns = other.lead_ns - index.lead_ns
     stamps, others = (each.stamp_ns[each.usable] for each in (index, other))

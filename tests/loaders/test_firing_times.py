@@ -72,7 +72,7 @@ def test_times_far_from_the_stamp_are_an_error():
     for field in (relative, epoch):
         with pytest.raises(CloudError, match=r"begin [0-9.e+]+ s after the cloud's stamp"):
             field.nanoseconds(np.full(9, 9e9), START_NS)
-    with pytest.raises(CloudError, match=r"begin 100 s before the cloud's stamp"):
+    with pytest.raises(CloudError, match=r"begin 100\.0 s before the cloud's stamp"):
         relative.nanoseconds(np.linspace(-100, -99.9, 9), START_NS)
     with pytest.raises(CloudError, match=r"as large as 1e\+300 s: no clock's"):
         relative.nanoseconds(np.full(9, 1e300), START_NS)
