@@ -527,8 +527,8 @@ class _ScanStage:
         if beyond.any():
             self._state.counts["beyond_range"] = int(beyond.sum())
             self._warn(
-                f"{beyond.sum():,} returns of {np.count_nonzero(beyond):,} scans are farther than "
-                f"{self._settings.scan.range_max_m:g} m away and were left out (scan.range_max_m)"
+                f"returns farther than {self._settings.scan.range_max_m:g} m away were left out (scan.range_max_m): "
+                f"{beyond.sum():,}, in {np.count_nonzero(beyond):,} of {len(beyond):,} scans"
             )
 
 
