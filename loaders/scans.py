@@ -68,7 +68,10 @@ class CloudIndex:
 
 @dataclass(frozen=True)
 class SkippedScan:
-    """A cloud that gives no scan, and why."""
+    """A cloud that gives no scan, and why.
+
+    stamp_ns: its stamp; where that is wrong, the one beside it that is right: a day ahead would stretch a recording's time.
+    """
 
     index: int
     stamp_ns: int
@@ -100,11 +103,13 @@ def index_clouds(bag: Bag, topic: str) -> CloudIndex:
 
 def stamp_problem(index: CloudIndex) -> str | None:
     """Why the clouds of a topic cannot be put in order of time; None where they can."""
-    if len(index) < 2 or np.any(np.diff(index.stamp_ns)):
+    if len(index) < 2 or np.count_nonzero(index.usable) > 1:
         return None
+    same = not np.any(np.diff(index.stamp_ns))
+    what = f"have the same stamp, {index.stamp_ns[0] / 1e9:.3f} s" if same else "have stamps that go on from no other's"
     return (
-        f"{index.topic}: all {len(index)} clouds have the same stamp, {index.stamp_ns[0] / 1e9:.3f} s, so that nothing tells "
-        "when they were taken; record them with a driver that stamps them"
+        f"{index.topic}: all {len(index)} clouds {what}, so that nothing tells when they were taken; record them with a driver "
+        "that stamps them"
     )
 
 
@@ -312,7 +317,7 @@ def read_clouds(
             yield i, SkippedScan(i, stamp, str(message)), None
             continue
         if not index.usable[i]:
-            yield i, SkippedScan(i, stamp, _stamp_reason(index, i)), message
+            yield i, SkippedScan(i, int(index.stamp_ns[_right_beside(index, i)]), _stamp_reason(index, i)), message
             continue
         try:
             scan = decode(message, decoding)
@@ -342,13 +347,14 @@ def sample_messages(bag: Bag, index: CloudIndex, count: int) -> list[Message]:
     return [message for message in found if not isinstance(message, CloudError)]
 
 
-def _stamp_reason(index: CloudIndex, i: int) -> str:
-    """By the last cloud before it whose stamp is right, or the first after it."""
+def _right_beside(index: CloudIndex, i: int) -> int:
+    """The last cloud before this one whose stamp is right, or the first after it; there always is one."""
     right = np.flatnonzero(index.usable)
-    if not len(right):
-        return "stamp goes on from no other cloud's"
-    beside = right[max(int(np.searchsorted(right, i)) - 1, 0)]
-    step_ns = int(index.stamp_ns[i]) - int(index.stamp_ns[beside])
+    return int(right[max(int(np.searchsorted(right, i)) - 1, 0)])
+
+
+def _stamp_reason(index: CloudIndex, i: int) -> str:
+    step_ns = int(index.stamp_ns[i]) - int(index.stamp_ns[_right_beside(index, i)])
     if step_ns == 0:
         return "stamp repeats that of the cloud before"
     return f"stamp jumps {'back' if step_ns < 0 else 'ahead'} by {abs(step_ns) / 1e9:.3f} s"

@@ -175,8 +175,9 @@ def test_a_stamp_a_day_off_costs_its_own_cloud_alone(tmp_path, wrong, off_s):
         index = index_clouds(bag, "/a")
         assert np.flatnonzero(~index.usable).tolist() == [wrong]
         assert index.period_ns == PERIOD_NS
-        (reason,) = [s.reason for _, s in scans_of(bag, "/a") if isinstance(s, SkippedScan)]
-        assert ("ahead" if off_s > 0 else "back") in reason
+        (skipped,) = [s for _, s in scans_of(bag, "/a") if isinstance(s, SkippedScan)]
+        assert ("ahead" if off_s > 0 else "back") in skipped.reason
+        assert abs(skipped.stamp_ns - START_NS) < 8 * PERIOD_NS
 
 
 def test_a_pause_and_a_clock_that_was_set_cost_no_cloud(tmp_path):
@@ -230,7 +231,11 @@ def test_clouds_that_all_have_one_stamp_are_told(tmp_path):
         index = index_clouds(bag, "/a")
         assert index.message_count.tolist() == [1] * 30
         assert "/a: all 30 clouds have the same stamp, 0.000 s" in stamp_problem(index)
-    with open_bag(write_bag(tmp_path / "b.bag", clouds("/a", 30))) as bag:
+    made = clouds("/a", 30)
+    backwards = [(t, log, made[-1 - i][2]) for i, (t, log, _) in enumerate(made)]
+    with open_bag(write_bag(tmp_path / "backwards.bag", backwards)) as bag:
+        assert "have stamps that go on from no other's" in stamp_problem(index_clouds(bag, "/a"))
+    with open_bag(write_bag(tmp_path / "b.bag", made)) as bag:
         assert stamp_problem(index_clouds(bag, "/a")) is None
 
 
