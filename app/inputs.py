@@ -15,6 +15,7 @@ from loaders.scans import CloudIndex, SkippedScan, clock_problem, index_clouds, 
 _TILT_MIN_DEG = LEANING_MIN_DEG + 5.0
 """The robot itself tilts on ramps and over sills."""
 _REASONS_READ = 50
+_NO_POSE = "its returns are too few, or all in a line, to be registered"
 
 
 @dataclass(frozen=True)
@@ -101,5 +102,5 @@ def why_skipped(bag_path: Path, sensor: Sensor, clouds: Sequence[int]) -> str:
     with open_bag(bag_path) as bag:
         for number in clouds[:: -(-len(clouds) // _REASONS_READ)]:
             for _, scan in read_scans(bag, sensor.index, number, 1, sensor.lidar.decoding):
-                reasons.append(scan.reason if isinstance(scan, SkippedScan) else "its pose is of the time of another's")
+                reasons.append(scan.reason if isinstance(scan, SkippedScan) else _NO_POSE)
     return max(sorted(set(reasons)), key=reasons.count, default="none is there")
