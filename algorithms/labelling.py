@@ -18,7 +18,7 @@ from algorithms.rearrangement import (
     make_point_lines,
     plane_rows,
 )
-from algorithms.scan import BoolArray, FloatArray, IntArray, Scan, UInt8Array
+from algorithms.scan import BoolArray, FloatArray, IntArray, Scan, ScanSettings, UInt8Array
 from algorithms.settings import StepSettings
 from algorithms.smoothing import SmoothingSettings
 from algorithms.trajectory import PlacedScan
@@ -58,6 +58,7 @@ class LabellingSettings(StepSettings):
 class MethodSettings:
     """The settings of every step that labels a scan."""
 
+    scan: ScanSettings
     smoothing: SmoothingSettings
     rearrangement: RearrangementSettings
     vertical_structures: VerticalStructuresSettings

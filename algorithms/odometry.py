@@ -16,6 +16,10 @@ from algorithms.refinement import Refinement, RefinementSettings, Refiner
 from algorithms.scan import FloatArray, Scan
 from algorithms.settings import StepSettings
 
+_LOOKED_AT = 1_000
+_PLACES_MIN, _SPREAD_MIN = 3, 0.5
+"""A pose takes returns in so many voxels of the map, which spread by so many of them in a second direction."""
+
 
 class OdometrySettings(StepSettings):
     """KISS-ICP (Vizzo et al. 2023), in place of the paper's BLAM (IV.A)."""
@@ -87,7 +91,7 @@ def register_scans(
     refinement: RefinementSettings,
     T_sensor_companion: FloatArray | None = None,
 ) -> Iterator[Registration]:
-    """Register scans one after another to the map that they build; yields one `Registration` for each.
+    """Register scans one after another to the map that they build; yields one `Registration` for each that holds a pose.
 
     scans: index and scan, and the scan of the other lidar, if any, that ended last before it.
     T_sensor_companion: (4, 4) where that lidar sits.
@@ -108,7 +112,8 @@ def register_scans(
             ),
         )
     )
-    for number, (index, scan, companion) in enumerate(scans):
+    registrable = ((index, scan, other) for index, scan, other in scans if holds_a_pose(scan, settings))
+    for number, (index, scan, companion) in enumerate(registrable):
         threshold_m = float(odometry.adaptive_threshold.get_threshold())
         keep_evidence = number % settings.evidence_every == 0
         local_map = odometry.local_map.point_cloud() if keep_evidence else np.zeros((0, 3))
@@ -143,6 +148,19 @@ def register_scans(
             refused=refined.refused,
             milliseconds=milliseconds,
         )
+
+
+def holds_a_pose(scan: Scan, settings: OdometrySettings) -> bool:
+    """Whether a scan has returns in range at enough places, and not all in a line: KISS-ICP ends the program otherwise."""
+    # Of a sound scan some tell.
+    points = scan.points_sensor[:: max(1, len(scan) // _LOOKED_AT)].astype(np.float64)
+    range_m = np.linalg.norm(points, axis=1)
+    points = points[(range_m > settings.range_min_m) & (range_m < settings.range_max_m)]
+    places = np.unique(np.floor(points / settings.voxel_m).astype(np.int64), axis=0)
+    if len(places) < _PLACES_MIN:
+        return False
+    spread = np.linalg.svd((places - places.mean(axis=0)) / np.sqrt(len(places)), compute_uv=False)
+    return bool(spread[1] > _SPREAD_MIN)
 
 
 def weakness(registration: Registration, settings: RefinementSettings) -> str | None:

@@ -18,7 +18,7 @@ from algorithms.levelling import LevelledScan, place_and_level
 from algorithms.rearrangement import below_ceiling
 from algorithms.relabelling import BuildingModel, RelabellingSettings, relabel
 from algorithms.rival_maps import RivalCounter, RivalMapsSettings
-from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array
+from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array, within_range
 from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes
 from algorithms.smoothing import SmoothedRanges, smooth_ranges
 from algorithms.trajectory import PlacedScan, Trajectory
@@ -91,6 +91,7 @@ class BlockSummary:
     cloud_digest: (k, 16) uint8 of the bytes of every cloud of the block, skipped ones too.
     label_counts: (256,) returns by label. milliseconds: (s, 5), see `STAGES`.
     points_in_cloud, points_in_lines: (s,)
+    beyond_range: (s,) returns that were left out because they lie too far away.
     """
 
     scan: IntArray
@@ -103,6 +104,7 @@ class BlockSummary:
     milliseconds: FloatArray
     points_in_cloud: IntArray
     points_in_lines: IntArray
+    beyond_range: IntArray
 
 
 def split_blocks(clouds: int) -> list[Block]:
@@ -123,6 +125,7 @@ def label_block(job: LabelJob) -> BlockSummary:
     ceilings: list[FloatArray] = []
     milliseconds: list[list[float]] = []
     sizes: list[tuple[int, int]] = []
+    beyond_range: list[int] = []
     counts = np.zeros(256, np.int64)
     digests: list[bytes] = []
     table = VoxelTable(VOXEL_M, len(Label))
@@ -138,6 +141,9 @@ def label_block(job: LabelJob) -> BlockSummary:
                 and not job.trajectory.covers(np.array([scan.start_ns, scan.end_ns]), job.extrapolate_ns).all()
             ):
                 scan = SkippedScan(index, scan.stamp_ns, "no pose at its time")
+            returns = len(scan) if isinstance(scan, Scan) else 0
+            if isinstance(scan, Scan):
+                scan = _near(index, scan, job)
             if isinstance(scan, SkippedScan):
                 skipped.append(scan)
                 if recorder:
@@ -166,6 +172,7 @@ def label_block(job: LabelJob) -> BlockSummary:
             ceilings.append(labelling.ceiling_planes)
             counts += np.bincount(labelling.label, minlength=256)
             scans.append((index, scan.stamp_ns, job.trajectory.at(np.array([scan.stamp_ns]))[0]))
+            beyond_range.append(returns - len(scan))
             sizes.append(
                 (scan.cloud_size, int(np.count_nonzero(~np.isin(labelling.label, (Label.FLOOR, Label.CEILING)))))
             )
@@ -184,6 +191,7 @@ def label_block(job: LabelJob) -> BlockSummary:
         milliseconds=np.array(milliseconds).reshape(-1, len(STAGES)),
         points_in_cloud=np.array([s[0] for s in sizes], np.int64),
         points_in_lines=np.array([s[1] for s in sizes], np.int64),
+        beyond_range=np.array(beyond_range, np.int64),
     )
     _save(
         job.path.with_suffix(".npz"),
@@ -228,6 +236,7 @@ def finish_block(job: FinishJob) -> None:
         ):
             if index not in earlier or isinstance(scan, SkippedScan):
                 continue
+            scan = within_range(scan, label_job.method.scan.range_max_m)
             level = _place(scan, smooth_ranges(scan, label_job.method.smoothing), label_job)
             placed = level.placed
             points_map = points_in_map(placed)
@@ -259,6 +268,13 @@ def finish_block(job: FinishJob) -> None:
             **_vote_arrays("votes", table.votes()),
         },
     )
+
+
+def _near(index: int, scan: Scan, job: LabelJob) -> Scan | SkippedScan:
+    """The scan without the returns that are too far away to be used."""
+    range_max_m = job.method.scan.range_max_m
+    near = within_range(scan, range_max_m)
+    return near if len(near) else SkippedScan(index, scan.stamp_ns, f"no return within {range_max_m:g} m (scan.range_max_m)")
 
 
 def _place(scan: Scan, ranges: SmoothedRanges, job: LabelJob) -> LevelledScan:

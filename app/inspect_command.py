@@ -14,14 +14,14 @@ from rich.table import Table
 
 from algorithms.labelling import ScanLabelling, label_scan
 from algorithms.levelling import LevelledScan, place_and_level
-from algorithms.scan import Scan, UInt8Array
+from algorithms.scan import Scan, UInt8Array, within_range
 from algorithms.smoothing import smooth_ranges
 from app.blocks import seed_of
 from app.finished_run import FinishedRun, open_run
 from app.inputs import Inputs, digest_clouds, find_inputs
 from app.inspect_faults import ScanFaults, find_faults, in_words
 from app.inspect_recorder import write
-from app.poses import given_trajectory, poses_of
+from app.poses import given_poses, poses_of
 from app.reasons import LineReason, explain_lines, name_of, scan_document
 from app.recorded import readable, rows
 from app.recording import start_viewer
@@ -134,8 +134,9 @@ def label_again(run: FinishedRun, number: int, bag: Path | None = None) -> Inspe
         _, scan = next(read_scans(opened, vertical.index, number, 1, vertical.lidar.decoding))
     if isinstance(scan, SkippedScan):
         raise InputError(f"--scan {number}: was skipped ({scan.reason}); give another scan")
+    scan = within_range(scan, settings.scan.range_max_m)
     trajectory = run.part("options").get("trajectory")
-    poses = poses_of(inputs, given_trajectory(trajectory, inputs), settings)
+    poses = poses_of(inputs, given_poses(trajectory, inputs, settings), settings)
     margin_ns = int(settings.trajectory.extrapolate_s * 1e9)
     if not poses.trajectory.covers(np.array([scan.start_ns, scan.end_ns]), margin_ns).all():
         raise InputError(f"--scan {number}: was skipped (no pose at its time); give another scan")

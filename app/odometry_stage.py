@@ -20,7 +20,7 @@ import numpy as np
 from algorithms import transforms
 from algorithms.odometry import Registration
 from algorithms.pose_graph import PoseGraph
-from algorithms.scan import FloatArray, Scan
+from algorithms.scan import FloatArray, Scan, within_range
 from algorithms.trajectory import Trajectory
 from app import odometry_cache
 from app.inputs import Inputs, Sensor, digest_clouds, digest_stamps, total_digest
@@ -62,6 +62,7 @@ def cache_key(inputs: Inputs, sensor: Sensor, settings: Settings) -> str:
         "kiss_icp": version("kiss-icp"),
         "small_gicp": version("small_gicp"),
         "gtsam": version("gtsam"),
+        "scan": settings.scan.model_dump(mode="json"),
         "odometry": settings.odometry.model_dump(mode="json"),
         "refinement": settings.refinement.model_dump(mode="json"),
         "pose_graph": settings.pose_graph.model_dump(mode="json"),
@@ -271,7 +272,7 @@ def _registered(inputs: Inputs, sensor: Sensor, settings: Settings) -> Iterator[
     if companion is not None:
         T_sensor_companion = transforms.invert(sensor.lidar.T_base_sensor) @ companion.lidar.T_base_sensor
     digests: dict[str, list[bytes]] = {}
-    scans = _with_companions(inputs.bag_path, sensor, companion, digests)
+    scans = _with_companions(inputs.bag_path, sensor, companion, settings.scan.range_max_m, digests)
     poses: list[FloatArray] = []
     clouds: list[FloatArray] = []
     last_ns = -1
@@ -306,15 +307,15 @@ def _sensors(inputs: Inputs, sensor: Sensor, settings: Settings) -> list[Sensor]
 
 
 def _with_companions(
-    bag_path: Path, sensor: Sensor, companion: Sensor | None, digests: dict[str, list[bytes]]
+    bag_path: Path, sensor: Sensor, companion: Sensor | None, range_max_m: float, digests: dict[str, list[bytes]]
 ) -> Iterator[tuple[int, Scan, Scan | None]]:
     """The usable scans in order; beside each the companion's last one that ended before it, once.
 
     digests: takes those of all clouds that are read, by topic.
     """
-    others = _usable_scans(bag_path, companion, digests) if companion is not None else iter(())
+    others = _usable_scans(bag_path, companion, range_max_m, digests) if companion is not None else iter(())
     following = next(others, None)
-    for index, scan in _usable_scans(bag_path, sensor, digests):
+    for index, scan in _usable_scans(bag_path, sensor, range_max_m, digests):
         latest: Scan | None = None
         while following is not None and following[1].end_ns <= scan.end_ns:
             latest = following[1]
@@ -328,10 +329,12 @@ _COMPANION_NS = 200_000_000
 """A companion's scan that ended longer ago says too little of where the sensor is now."""
 
 
-def _usable_scans(bag_path: Path, sensor: Sensor, digests: dict[str, list[bytes]]) -> Iterator[tuple[int, Scan]]:
-    """The usable scans in order."""
+def _usable_scans(
+    bag_path: Path, sensor: Sensor, range_max_m: float, digests: dict[str, list[bytes]]
+) -> Iterator[tuple[int, Scan]]:
+    """The usable scans in order, without the returns that are too far away: a registration may fail on them."""
     own = digests.setdefault(sensor.lidar.topic, [])
     with open_bag(bag_path) as bag:
         for index, scan in read_scans(bag, sensor.index, 0, None, sensor.lidar.decoding, own):
-            if isinstance(scan, Scan):
-                yield index, scan
+            if isinstance(scan, Scan) and len(near := within_range(scan, range_max_m)):
+                yield index, near

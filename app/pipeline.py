@@ -51,7 +51,7 @@ from app.blocks import (
     split_blocks,
 )
 from app.finished_run import FROM_ODOMETRY
-from app.inputs import Inputs, digest_stamps, total_digest
+from app.inputs import Inputs, digest_stamps, total_digest, why_skipped
 from app.labels_file import LabelsWriter
 from app.odometry_cache import CACHE_VARIABLE, cache_folder
 from app.odometry_stage import Odometry
@@ -380,6 +380,7 @@ class _ScanStage:
         self._counts = np.zeros(256, np.int64)
         self._milliseconds: list[FloatArray] = []
         self._sizes: list[FloatArray] = []
+        self._beyond_range: list[IntArray] = []
 
     def register(self) -> Trajectory:
         """Stage 1: the trajectory in the levelled map."""
@@ -394,7 +395,9 @@ class _ScanStage:
         self._state.odometry_cached = odometry.from_cache
         if odometry.from_cache:
             self._progress.say(f"odometry: taken from the cache in {cache_folder()}; with {CACHE_VARIABLE} it is another folder")
+        registered: list[int] = []
         for registration in odometry:
+            registered.append(registration.index)
             if len(odometry) == 1 and self._recorder:
                 # Until the map is level, the base's first pose is.
                 self._recorder.log_odometry_frame(
@@ -413,6 +416,11 @@ class _ScanStage:
         self._state.clouds |= odometry.clouds
         self._log_registrations()
         self._state.counts |= {"registrations": len(odometry), "weak_registrations": len(self._weak)}
+        if unregistered := sorted(set(range(len(sensor.index))) - set(registered)):
+            self._warn(
+                f"{len(unregistered)} of {len(sensor.index)} horizontal clouds skipped: "
+                f"{why_skipped(self._inputs.bag_path, sensor, unregistered)}"
+            )
         if self._weak:
             self._warn(
                 f"registration was weak for {len(self._weak)} of {len(odometry)} scans (the first: {self._weak[0]}); poses "
@@ -509,6 +517,7 @@ class _ScanStage:
         self._digests.append(summary.cloud_digest)
         self.reasons.extend(summary.skipped_reason)
         self._counts += summary.label_counts
+        self._beyond_range.append(summary.beyond_range)
         self._milliseconds.append(summary.milliseconds)
         self._sizes.append(np.stack([summary.points_in_cloud, summary.points_in_lines], axis=1, dtype=np.float64))
         for index, reason in zip(summary.skipped_scan.tolist(), summary.skipped_reason, strict=True):
@@ -549,6 +558,13 @@ class _ScanStage:
             }
         if self.reasons:
             self._state.warnings.append(f"{len(self.reasons)} vertical clouds skipped: {_most(self.reasons)}")
+        beyond = np.concatenate(self._beyond_range)
+        if beyond.any():
+            self._state.counts["beyond_range"] = int(beyond.sum())
+            self._warn(
+                f"returns farther than {self._settings.scan.range_max_m:g} m away were left out (scan.range_max_m): "
+                f"{beyond.sum():,}, in {np.count_nonzero(beyond):,} of {len(beyond):,} scans"
+            )
 
 
 def _spread(values: FloatArray) -> dict[str, float]:

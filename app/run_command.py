@@ -16,7 +16,7 @@ from app.finished_run import FROM_ODOMETRY, open_run
 from app.inputs import InputOptions, Inputs, digest_clouds, digest_stamps, find_inputs
 from app.outputs import RUN_OUTPUTS, Output, check_outputs
 from app.own_command import view_command
-from app.poses import given_trajectory
+from app.poses import check_lidars_meet, given_poses
 from app.processes import WorkerLostError
 from app.progress import Progress
 from app.recorder import Detail
@@ -89,7 +89,11 @@ def _run(arguments: Arguments, resume: Path | None, stack: ExitStack) -> None:
     inputs = find_inputs(
         arguments.bag, InputOptions(arguments.rig, arguments.horizontal, arguments.vertical, arguments.time_from)
     )
-    given = given_trajectory(arguments.trajectory, inputs)
+    given = given_poses(arguments.trajectory, inputs, settings)
+    if given is None:
+        check_lidars_meet(inputs)
+    else:
+        inputs = replace(inputs, warnings=(*inputs.warnings, *given.warnings))
     home = resume or arguments.out or run_folder.default_path(arguments.bag.resolve(), settings.short_hash())
     disk = check_disk(inputs, home, check_outputs(arguments.outputs), Detail(arguments.detail), folder)
     if folder is None:
@@ -102,6 +106,8 @@ def _run(arguments: Arguments, resume: Path | None, stack: ExitStack) -> None:
     if record is None:
         run_folder.clear(folder)
         record = pipeline.first_record(inputs, settings, stored(arguments), arguments.bag, arguments.trajectory)
+        if given is not None:
+            record["map_origin"] = given.origin_m.tolist()
     options = pipeline.RunOptions(
         detail=Detail(arguments.detail),
         outputs=check_outputs(arguments.outputs),
@@ -116,7 +122,8 @@ def _run(arguments: Arguments, resume: Path | None, stack: ExitStack) -> None:
         progress.say(disk.said)
         for warning in (*inputs.warnings, *disk.warnings):
             progress.warn(warning)
-        finished = pipeline.run(inputs, given, settings, options, folder, progress, record)
+        trajectory = None if given is None else given.trajectory
+        finished = pipeline.run(inputs, trajectory, settings, options, folder, progress, record)
         folder = run_folder.take_place(folder)
     if arguments.latest:
         run_folder.point_latest_at(folder.path.resolve())
