@@ -49,7 +49,7 @@ _STEP_MAX_M = 0.5
 class GridMapSettings(StepSettings):
     """The furniture-free grid and its rivals (paper, IV.C, Fig. 9)."""
 
-    cell_m: float = Field(0.05, gt=0, le=1, description="Edge of a cell in metres. IV.C.")
+    cell_m: float = Field(0.05, ge=0.005, le=1, description="Edge of a cell in metres. IV.C.")
     range_m: float = Field(25.0, gt=0, description="Rays clear cells up to this many metres from the sensor. IV.C.")
     margin_m: float = Field(1.0, ge=0, description="Unknown border in metres around what is drawn. IV.C.")
     doors: DoorsDrawn = Field(

@@ -24,7 +24,7 @@ _PLACES_MIN, _SPREAD_MIN = 3, 0.5
 class OdometrySettings(StepSettings):
     """KISS-ICP (Vizzo et al. 2023), in place of the paper's BLAM (IV.A)."""
 
-    voxel_m: float = Field(0.25, gt=0, le=5, description="Edge in metres of the local map's voxels. KISS-ICP.")
+    voxel_m: float = Field(0.25, ge=0.01, le=5, description="Edge in metres of the local map's voxels. KISS-ICP.")
     points_per_voxel: int = Field(5, ge=1, description="Most points that a voxel of the local map keeps. KISS-ICP.")
     range_min_m: float = Field(
         0.5, ge=0, description="Returns nearer than this many metres are the robot itself. KISS-ICP."
@@ -42,7 +42,7 @@ class OdometrySettings(StepSettings):
     )
     iterations_max: int = Field(300, ge=1, description="Most ICP iterations a scan. KISS-ICP.")
     convergence: float = Field(1e-3, gt=0, description="ICP stops at a smaller step. KISS-ICP.")
-    threads: int = Field(1, ge=0, description="KISS-ICP's threads; 1 is reproducible, 0 takes all cores. KISS-ICP.")
+    threads: int = Field(1, ge=0, le=256, description="KISS-ICP's threads; 1 is reproducible, 0 takes all cores. KISS-ICP.")
     evidence_every: int = Field(
         10, ge=1, description="The local map and the residual are kept for one scan in this many. KISS-ICP."
     )

@@ -22,13 +22,13 @@ class RefinementSettings(StepSettings):
     enabled: bool = Field(True, description="Whether poses are refined; if not, they are KISS-ICP's own.")
     voxel_m: float = Field(
         0.2,
-        gt=0,
+        ge=0.01,
         le=5,
         description="Edge in metres of the voxels that hold one Gaussian each; what is as thin, such as a wall, has two sides.",
     )
     points_max: int = Field(6_000, ge=100, description="Denser clouds are thinned evenly to at most this many returns.")
-    resolution_m: float = Field(0.2, gt=0, le=5, description="Scans are thinned to a point in this many metres.")
-    neighbours: int = Field(12, ge=4, description="Points that a point's covariance is estimated from.")
+    resolution_m: float = Field(0.2, ge=0.01, le=5, description="Scans are thinned to a point in this many metres.")
+    neighbours: int = Field(12, ge=4, le=1000, description="Points that a point's covariance is estimated from.")
     companion_points_max: int = Field(
         5_000,
         ge=0,

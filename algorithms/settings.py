@@ -1,9 +1,21 @@
 """What every step's settings have in common."""
 
-from pydantic import BaseModel, ConfigDict
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, field_validator
+
+NUMBER_MAX = 2**31 - 1
+"""Compiled code counts with 32 bits."""
 
 
 class StepSettings(BaseModel):
     """Settings of one step: frozen, no unknown names; each field says its unit, meaning and source."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True)
+
+    @field_validator("*")
+    @classmethod
+    def _of_bounded_size(cls, value: Any) -> Any:  # noqa: ANN401 - of whatever type the field is
+        if isinstance(value, int | float) and abs(value) > NUMBER_MAX:
+            raise ValueError(f"Input should be at most {NUMBER_MAX} in size")
+        return value

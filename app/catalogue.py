@@ -5,7 +5,6 @@ properties. A query is the same whether the server runs here for a second or is 
 """
 
 import difflib
-import json
 import re
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -18,13 +17,15 @@ from urllib.parse import unquote, urlsplit
 import pyarrow as pa  # type: ignore[import-untyped]
 import rerun as rr
 import rerun.server
-from datafusion import DataFrame, Expr, col, lit
+from datafusion import Expr, col, lit
 from datafusion import functions as f
 from rerun.catalog import CatalogClient, DatasetEntry
 
 from app import figures
+from app.condition import ConditionError, rows_where
 from app.run_folder import EVALUATION, METRICS, RECORDING, RUN_JSON, RunFolder
-from loaders.errors import InputError
+from loaders.errors import InputError, shortened
+from loaders.text_files import read_object
 
 LOOPBACK = "127.0.0.1"
 DATASET = "runs"
@@ -112,8 +113,8 @@ class Catalogue:
             "run": {name: record[name] for name in ("settings_hash", "bag", "versions", "started") if name in record},
             "result": {name: record[name] for name in ("timings_s", "counts", "outcome") if name in record},
         }
-        with suppress(OSError, ValueError):
-            properties["metrics"] = figures.queried(json.loads((folder / METRICS).read_text("utf-8")))
+        with suppress(InputError):
+            properties["metrics"] = figures.queried(read_object(folder / METRICS, ""))
         # Its place says which run it is of, to whoever asks the server.
         path = self._stand_ins / folder.resolve().relative_to(folder.resolve().anchor) / RECORDING
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -159,16 +160,12 @@ def _no_end(folder: Path) -> str | None:
 
 
 @contextmanager
-def serve(folders: Sequence[Path], host: str = LOOPBACK, port: int | None = None) -> Iterator[Catalogue]:
-    """A catalogue of runs for as long as the context lasts.
+def serve(folders: Sequence[Path]) -> Iterator[Catalogue]:
+    """A catalogue of runs for as long as the context lasts, on a loopback port that is free.
 
-    Raises InputError where the address cannot be had.
+    Rerun's server lets whoever reaches it change the list and register files: others come by `app.read_only`.
     """
-    try:
-        server = rr.server.Server(host=host, port=port)
-    except (RuntimeError, ValueError, OSError) as error:
-        raise InputError(f"{host}:{port or 0}: no server can listen there ({error}); choose another --port") from error
-    with server, tempfile.TemporaryDirectory(prefix="ffmap-runs-") as stand_ins:
+    with rr.server.Server(host=LOOPBACK) as server, tempfile.TemporaryDirectory(prefix="ffmap-runs-") as stand_ins:
         catalogue = Catalogue(server, Path(stand_ins))
         catalogue.add(folders)
         yield catalogue
@@ -219,8 +216,6 @@ def ask(dataset: DatasetEntry, query: Query) -> Answer:
     """Runs of a dataset; raises InputError where the query cannot be understood, or names what is not there."""
     segments = dataset.segment_table()
     columns, settings = _columns(segments.schema().names)
-    if query.where is not None:
-        segments = _filtered(segments, query.where, columns)
     if query.sort is not None:
         name = known_as(query.sort, columns)
         if name is None:
@@ -230,6 +225,8 @@ def ask(dataset: DatasetEntry, query: Query) -> Answer:
     else:
         segments = segments.sort(_value(_URLS).sort(ascending=True))
     found = segments.to_arrow_table()
+    if query.where is not None:
+        found = _filtered(found, query.where, columns)
     table = {name: _firsts(found.column(source)) for name, source in columns.items()}
     table[RUN] = pa.array([_folder_of(url) for url in table[RUN].to_pylist()], pa.string())
     return Answer(pa.table(table), tuple(settings))
@@ -257,21 +254,19 @@ def _firsts(column: pa.ChunkedArray) -> pa.Array:
     return pa.array([values[0] if values else None for values in column.to_pylist()], column.type.value_type)
 
 
-def _filtered(runs: DataFrame, said: str, columns: Mapping[str, str]) -> DataFrame:
+def _filtered(runs: pa.Table, said: str, columns: Mapping[str, str]) -> pa.Table:
     try:
-        filtered = runs.filter(_in_their_words(said, columns))
-        # A plan is checked against the columns' types only when it is carried out.
-        filtered.execution_plan()
-    except Exception as error:
+        return runs.take(pa.array(rows_where(runs, _in_their_words(said, columns)), pa.int64()))
+    except ConditionError as error:
         text = str(error)
         missing = re.search(r"No field named (\S+?)[.,]?(?:\s|$)", text)
         if missing is not None:
             raise InputError(f"--where {said}: {unknown(missing.group(1).strip(chr(34)), list(columns))}") from None
         reason = re.sub(r"^DataFusion error: ", "", text.splitlines()[0])
         raise InputError(
-            f"--where {said}: is not understood ({reason}); write it as SQL, as in \"wall_f1 > 0.98 and doors = 4\""
+            f"--where {shortened(said)}: has no answer ({shortened(reason)}); write it as SQL, as in \"wall_f1 > 0.98 and "
+            'doors = 4"'
         ) from None
-    return filtered
 
 
 def known_as(name: str, known: Iterable[str]) -> str | None:

@@ -497,13 +497,19 @@ def view(
 def serve(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with runs.")] = Path("runs"),
     host: Annotated[
-        str, typer.Option(help="Address to listen on; 0.0.0.0 lets every machine on the network read the runs.")
+        str,
+        typer.Option(
+            help="Address to listen on; 0.0.0.0 lets every machine on the network read all recordings, settings and paths, "
+            "without a password and unencrypted."
+        ),
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 for any that is free.")] = 51234,
 ) -> None:
     """Serve a folder of runs as a Rerun catalogue, to 'ffmap runs URL', to the viewer and to Python; Ctrl-C ends it.
 
-    Runs that are finished meanwhile are added.
+    Runs that are finished meanwhile are added. Clients can read, and change nothing. Behind this address Rerun's own server
+    listens on a port that only this machine reaches: whoever can start programs here can change the list there (not the
+    runs), and register recordings that you may read, until you end it.
 
     Examples:
 

@@ -223,7 +223,7 @@ class ComparisonRecorder:
             ),
             ("altered", [doors.after[j] for _, j, _ in altered], entities.KEYPOINT_COLOR, [what for _, _, what in altered]),
         ):
-            ends = np.array([np.array(f["geometry"]["coordinates"], float)[:2, :2] for f in features]).reshape(-1, 2, 2)
+            ends = np.array([[p[:2] for p in f["geometry"]["coordinates"][:2]] for f in features], float).reshape(-1, 2, 2)
             self._log_strips(f"{path}/{name}", ends, color, 7.0, labels)
 
     def _log_strips(

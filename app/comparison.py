@@ -3,7 +3,6 @@
 Everything is a plain value or array that the recorder draws, the terminal shows and comparison.json keeps.
 """
 
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,7 +36,8 @@ from app.recorded import ReadableRecording, Row, rows
 from app.run_folder import DOORS, TRAJECTORY, WALLS, map_file
 from app.run_labels import LabelSource, pair
 from blueprints import entities
-from loaders.errors import InputError
+from loaders.geojson import read_features
+from loaders.text_files import read_object
 from loaders.trajectory_file import read_tum
 
 CLASS_NAMES = (*(label.name.lower() for label in Label), "no label")
@@ -265,7 +265,7 @@ def figures(runs: Sequence[FinishedRun]) -> dict[str, list[float | None]]:
     """Every figure of metrics.json, and counts and timings of run.json, one value a run; None where a run lacks it."""
     tables = []
     for run in runs:
-        metrics = _read_json(run.metrics) if run.metrics is not None else {}
+        metrics = read_object(run.metrics, "run ffmap evaluate again") if run.metrics is not None else {}
         tables.append(
             {
                 **_flatten({k: v for k, v in metrics.items() if k not in ("truth", "statistics")}),
@@ -349,9 +349,9 @@ def compare_files(change: PairChange) -> None:
             change.trajectory = None
             change.refused["trajectory"] = "the runs have no pose in common"
     if paths := _pair_of(change, "walls", WALLS):
-        change.walls = compare_walls(*(_segments(_features(path)) for path in paths))
+        change.walls = compare_walls(*(_segments(read_features(path, "lines", _AGAIN)) for path in paths))
     if paths := _pair_of(change, "doors", DOORS):
-        before, after = (_features(path) for path in paths)
+        before, after = (read_features(path, "doors", _AGAIN) for path in paths)
         change.doors = DoorsCompared(before, after, compare_doors(_segments(before), _segments(after)))
     if paths := _pair_of(change, "grid", map_file(entities.FURNITURE_FREE)):
         try:
@@ -455,23 +455,12 @@ def _lacks(change: PairChange, first: object, second: object, name: str) -> str:
     return f"{' and '.join(lacking)} {'have' if len(lacking) > 1 else 'has'} no {name}"
 
 
-def _features(path: Path) -> list[Any]:
-    try:
-        return list(_read_json(path)["features"])
-    except (KeyError, TypeError) as error:
-        raise InputError(f"{path}: is no GeoJSON of ffmap's ({error}); run ffmap again") from error
+_AGAIN = "run ffmap again"
 
 
 def _segments(features: Sequence[Any]) -> FloatArray:
     """(n, 2, 2) ends of LineStrings."""
-    return np.array([np.array(f["geometry"]["coordinates"], float)[:2, :2] for f in features]).reshape(-1, 2, 2)
-
-
-def _read_json(path: Path) -> Any:  # noqa: ANN401 - JSON
-    try:
-        return json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); run ffmap again") from error
+    return np.array([[p[:2] for p in f["geometry"]["coordinates"][:2]] for f in features], float).reshape(-1, 2, 2)
 
 
 def _differing(tables: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:

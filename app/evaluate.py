@@ -29,7 +29,6 @@ Doors and maps are compared as they stand: the map frame is defined alike for ru
 labelled clouds, the sections about them are missing.
 """
 
-import json
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -97,6 +96,7 @@ from blueprints import entities
 from blueprints import run as run_blueprint
 from loaders.bag import Bag, open_bag
 from loaders.errors import InputError
+from loaders.geojson import read_features
 from loaders.pointcloud2 import describe_layout, field_column
 from loaders.rig import Lidar, find_rig
 from loaders.scans import CloudIndex, SkippedScan, cloud_topics, index_clouds, read_clouds
@@ -588,14 +588,15 @@ def _compare_rooms(path: Path, building: Mapping[str, Any], true_trajectory: Tra
     true = [feature for feature in building["features"] if feature["properties"]["kind"] == "room"]
     names = [feature["properties"].get("name", str(i)) for i, feature in enumerate(true)]
     way = true_trajectory.T_map_base[:, :3, 3]
-    return _room_metrics(compare_rooms(outlines(true), outlines(_read_json(path)["features"]), way), names)
+    found = read_features(path, "outlines", "give the folder of a run of ffmap")
+    return _room_metrics(compare_rooms(outlines(true), outlines(found), way), names)
 
 
 def read_doors(path: Path) -> FoundDoors:
     """A run's `doors.geojson`."""
-    features = _read_json(path)["features"]
+    features = read_features(path, "doors", "give the folder of a run of ffmap")
     return FoundDoors(
-        ends=np.array([feature["geometry"]["coordinates"] for feature in features], float).reshape(-1, 2, 2),
+        ends=np.array([[p[:2] for p in f["geometry"]["coordinates"][:2]] for f in features], float).reshape(-1, 2, 2),
         width_m=np.array([feature["properties"]["width"] for feature in features], float),
         state=np.array([_state(feature["properties"]["state"]) for feature in features], np.uint8),
     )
@@ -804,10 +805,3 @@ def _bag_of(run: FinishedRun) -> Path:
     if run.bag_path is None:
         raise InputError(f"{run.path / RUN_JSON}: it does not say which bag was run; give --truth BAG")
     return run.bag_path
-
-
-def _read_json(path: Path) -> Any:  # noqa: ANN401 - JSON
-    try:
-        return json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); give the folder of a run of ffmap") from error

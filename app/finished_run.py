@@ -20,6 +20,7 @@ from app.run_folder import (
 from app.settings import Settings, validate
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom
+from loaders.text_files import require_regular
 
 Record = Mapping[str, Any]
 
@@ -89,9 +90,12 @@ class FinishedRun:
         return self.file(METRICS)
 
     def file(self, name: str) -> Path | None:
-        """A file of the run; None where the run has none."""
+        """A file of the run; None where the run has none. Raises InputError where it is no file, but a folder or a pipe."""
         path = self.path / name
-        return path if path.exists() else None
+        if not path.exists():
+            return None
+        require_regular(path, "give another run folder")
+        return path
 
     @property
     def bag_path(self) -> Path | None:

@@ -1,6 +1,5 @@
 """A run's grid maps against truth or a reference map: figures in one table, and a picture (paper, Fig. 9e)."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,7 +22,7 @@ from app.files import write_atomically
 from app.map_files import read_map
 from app.run_folder import WALLS, map_file
 from blueprints import entities
-from loaders.errors import InputError
+from loaders.geojson import read_features
 
 TITLES = {
     entities.FURNITURE_FREE: "furniture-free",
@@ -169,11 +168,8 @@ def walls_direction_deg(run_dir: Path) -> float:
     path = run_dir / WALLS
     if not path.exists():
         return 0.0
-    try:
-        features = json.loads(path.read_text("utf-8"))["features"]
-        ends = np.array([feature["geometry"]["coordinates"] for feature in features], float).reshape(-1, 2, 2)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: is no GeoJSON of ffmap's ({error}); run ffmap again") from error
+    features = read_features(path, "lines", "run ffmap again")
+    ends = np.array([feature["geometry"]["coordinates"] for feature in features], float).reshape(-1, 2, 2)
     return main_direction_deg(ends)
 
 

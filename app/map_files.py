@@ -1,24 +1,26 @@
 """Grid maps of other systems: map_server's YAML with its image, or the image alone."""
 
-import math
 import warnings
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-import yaml
 from PIL import Image
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from algorithms.grid_map import Cell, GridMap
 from algorithms.scan import UInt8Array
 from loaders.errors import InputError
+from loaders.text_files import read_yaml, require_regular
 
 WHITE_MIN = 251
 """Without a YAML file, what is at least so bright is free: map_server writes 254, drawings 255."""
 BLACK_MAX = 100
 IMAGES = (".png", ".pgm", ".pbm", ".ppm", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff", ".gif", ".webp")
 RESOLUTION_MAX_M = 1.0
+RESOLUTION_MIN_M = 1e-4
+ORIGIN_MAX_M = 1e8
+"""More than any projected coordinates; a grid cannot be laid out further off in 64-bit numbers."""
 PIXELS_MAX = 600_000_000
 """What is larger does not fit into the memory of a small computer."""
 
@@ -29,7 +31,7 @@ class MapDescription(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     image: str
-    resolution: float = Field(gt=0, allow_inf_nan=False)
+    resolution: float = Field(ge=RESOLUTION_MIN_M, le=RESOLUTION_MAX_M)
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     negate: bool = False
     occupied_thresh: float = Field(0.65, ge=0, le=1)
@@ -45,7 +47,7 @@ def read_map(path: Path, resolution_m: float | None = None, takes_resolution: bo
     The origin's yaw turns the map; it is refused where it is not 0, for rooms are given in the map's frame.
     Raises InputError where it is no map.
     """
-    if resolution_m is not None and not 0 < resolution_m <= RESOLUTION_MAX_M:
+    if resolution_m is not None and not RESOLUTION_MIN_M <= resolution_m <= RESOLUTION_MAX_M:
         raise InputError(
             f"--resolution {resolution_m:g}: give the edge of a pixel in metres, as in 0.05; {RESOLUTION_MAX_M:g} at most, for "
             "larger pixels show no door"
@@ -73,6 +75,7 @@ def read_image(path: Path, what: str = "") -> UInt8Array:
 
     what: names the image in an error's line. Raises InputError where it is none, or too large.
     """
+    require_regular(path, "give a PNG or PGM file", what)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # PIXELS_MAX is the limit here
@@ -81,8 +84,6 @@ def read_image(path: Path, what: str = "") -> UInt8Array:
                 return _grey(path, what)
             finally:
                 Image.MAX_IMAGE_PIXELS = before
-    except FileNotFoundError:
-        raise InputError(f"{what}{path} is not there; give an existing file") from None
     except (OSError, ValueError, SyntaxError, EOFError) as error:
         reason = " ".join(str(error).split())
         raise InputError(f"{what}{path} is no image that can be read ({reason}); give a PNG or PGM file") from error
@@ -107,13 +108,7 @@ def _grey(path: Path, what: str) -> UInt8Array:
 
 
 def _read_description(path: Path) -> MapDescription:
-    try:
-        content: Any = yaml.safe_load(path.read_text("utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path} is not there; give an existing file") from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: is no YAML file ({reason}); give one of map_server's") from error
+    content = read_yaml(path, "give a YAML file of map_server's")
     if not isinstance(content, dict):
         raise InputError(f"{path}: holds no keys and values; give a YAML file of map_server's")
     try:
@@ -124,8 +119,10 @@ def _read_description(path: Path) -> MapDescription:
         raise InputError(f"{path}: {name}: {first['msg'].lower()}; see map_server's documentation") from None
     if description.free_thresh > description.occupied_thresh:
         raise InputError(f"{path}: free_thresh is above occupied_thresh; see map_server's documentation")
-    if not all(math.isfinite(value) for value in description.origin):
-        raise InputError(f"{path}: origin is not finite; give x, y and yaw in metres and radians")
+    if not all(abs(value) <= ORIGIN_MAX_M for value in description.origin):
+        raise InputError(
+            f"{path}: origin is not finite, or further off than {ORIGIN_MAX_M:g} m; give x, y and yaw in metres and radians"
+        )
     if description.origin[2] != 0.0:
         raise InputError(f"{path}: origin has a yaw, which most programs ignore; set it to 0 and turn the image")
     return description

@@ -1,6 +1,5 @@
 """`ffmap rooms`: rooms of any system's grid map, and how well they meet rooms drawn by hand."""
 
-import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from app.room_results import topology, write_picture, write_rooms
 from app.run_folder import METRICS, ROOMS, check_no_run_loses
 from app.settings import load_settings
 from loaders.errors import InputError
+from loaders.geojson import read_features
 
 CELLS_MAX = 8_000_000
 """A map with more cells around its free space is segmented with larger ones: time and memory stay bounded."""
@@ -163,8 +163,8 @@ def _check_out(out: Path, path: Path, arguments: Arguments) -> None:
 def _map_of(out: Path) -> str | None:
     """Which map's rooms a folder has; None where it has none."""
     try:
-        return str(json.loads((out / TOPOLOGY).read_text("utf-8"))["map"])
-    except (OSError, ValueError, LookupError, TypeError):
+        return str(read_json(out / TOPOLOGY, "")["map"])
+    except (InputError, LookupError, TypeError):
         return None
 
 
@@ -228,11 +228,8 @@ def _spread(label: IntArray, coarse: GridMap, grid: GridMap) -> IntArray:
 
 def _doorways(path: Path) -> FloatArray:
     """Sills of a doors.geojson, without depth."""
-    try:
-        features = json.loads(path.read_text("utf-8"))["features"]
-        sills = np.array([feature["geometry"]["coordinates"] for feature in features], float).reshape(-1, 2, 2)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: is no GeoJSON of doors ({error}); give a run's doors.geojson") from error
+    features = read_features(path, "lines", "give a run's doors.geojson")
+    sills = np.array([[p[:2] for p in feature["geometry"]["coordinates"][:2]] for feature in features]).reshape(-1, 2, 2)
     return np.concatenate([sills, sills[:, ::-1]], axis=1)
 
 

@@ -15,7 +15,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from app.run_record import check_record
 from loaders.errors import InputError
+from loaders.text_files import read_object
 
 RUN_JSON = "run.json"
 RECORDING = "recording.rrd"
@@ -99,17 +101,9 @@ class RunFolder:
     def read_json(self) -> dict[str, Any]:
         """run.json; raises InputError where there is none or it cannot be read."""
         path = self.path / RUN_JSON
-        try:
-            content = json.loads(path.read_text())
-        except FileNotFoundError:
-            raise InputError(
-                f"{self.path}: is no run folder (it has no {RUN_JSON}); give one that 'ffmap run' made"
-            ) from None
-        except (OSError, ValueError) as error:
-            raise InputError(f"{path}: cannot be read ({error}); give another run folder") from error
-        if not isinstance(content, dict):
-            raise InputError(f"{path}: does not hold what 'ffmap run' writes; give another run folder")
-        return content
+        if not self.path.is_dir() or not os.path.lexists(path):
+            raise InputError(f"{self.path}: is no run folder (it has no {RUN_JSON}); give one that 'ffmap run' made")
+        return check_record(read_object(path, "give another run folder"), path)
 
     def write_json(self, content: dict[str, Any], name: str = RUN_JSON) -> None:
         """Write a JSON file whole or not at all."""

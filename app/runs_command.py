@@ -153,17 +153,28 @@ def serve(root: Path, host: str, port: int) -> None:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    with catalogue.serve(folders, host, port) as served, tempfile.TemporaryDirectory(prefix="ffmap-serve-") as folder:
+    # Here: a list of runs needs none of it.
+    from app.read_only import read_only
+
+    with (
+        catalogue.serve(folders) as served,
+        read_only(served.url, host, port) as url,
+        tempfile.TemporaryDirectory(prefix="ffmap-serve-") as folder,
+    ):
         _add_layout(served, Path(folder))
-        typer.echo(f"{_count(len(served.taken))} of {root}, served at {served.url}")
+        typer.echo(f"{_count(len(served.taken))} of {root}, served at {url}")
         for reason in served.left_out.values():
             typer.echo(f"not among them: {reason}", err=True)
         if host != LOOPBACK:
-            typer.echo(f"whoever reaches {host} can read them", err=True)
+            typer.echo(
+                f"whoever reaches {host} can read them without a password: recordings, settings, paths of bags and folders; "
+                "nothing is encrypted, and nobody can change them from there",
+                err=True,
+            )
         typer.echo(
-            f'\nquery them:    ffmap runs {served.url} --where "wall_f1 > 0.9" --sort seconds\n'
-            f"look at them:  rerun {served.url}\n"
-            f'from Python:   rerun.catalog.CatalogClient("{served.url}").get_dataset("{catalogue.DATASET}").segment_table()\n'
+            f'\nquery them:    ffmap runs {url} --where "wall_f1 > 0.9" --sort seconds\n'
+            f"look at them:  rerun {url}\n"
+            f'from Python:   rerun.catalog.CatalogClient("{url}").get_dataset("{catalogue.DATASET}").segment_table()\n'
             "\nCtrl-C ends it"
         )
         while not stop.wait(_LOOK_AGAIN_S):

@@ -4,6 +4,7 @@ import difflib
 import hashlib
 import json
 import math
+import reprlib
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -33,7 +34,8 @@ from algorithms.trajectory import TrajectorySettings
 from algorithms.vertical_structures import VerticalStructuresSettings
 from algorithms.wall_planes import WallPlanesSettings
 from algorithms.wall_thickness import WallThicknessSettings
-from loaders.errors import InputError
+from loaders.errors import InputError, shortened
+from loaders.text_files import SETTINGS_LINE_MAX, read_toml
 
 
 class Settings(StepSettings):
@@ -108,13 +110,12 @@ def load_settings(config: Path | None, overrides: Sequence[str]) -> Settings:
     source = "--set"
     if config is not None:
         source = f"{config} or --set" if overrides else str(config)
-        try:
-            values = tomllib.loads(config.read_text())
-        except OSError as error:
-            raise InputError(f"{config}: cannot be read ({error.strerror}); give an existing TOML file") from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(f"{config}: is not TOML ({error}); see 'ffmap settings' for an example") from error
+        values = read_toml(config, "give a TOML file, as 'ffmap settings' prints one")
     for override in overrides:
+        if len(override) > SETTINGS_LINE_MAX:
+            raise InputError(
+                f"--set {shortened(override)}: has more than {SETTINGS_LINE_MAX} characters; give one setting and its value"
+            )
         name, equals, text = override.partition("=")
         if not equals or not name:
             raise InputError(f"--set {override}: write it as step.name=value, as in wall_planes.similarity_m=0.05")
@@ -146,9 +147,19 @@ def validate(values: dict[str, Any], source: str) -> Settings:
                 "settings' lists them all"
             ) from None
         value = first["input"]
-        # A bound that not-a-number is said to be beyond is no help.
-        wrong = "is no finite number" if isinstance(value, float) and not math.isfinite(value) else first["msg"]
-        raise InputError(f"{source}: setting {name} = {value!r}: {wrong}; 'ffmap settings' lists them all") from None
+        wrong = first["msg"].removeprefix("Value error, ")
+        if isinstance(value, float) and not math.isfinite(value):
+            wrong = "is no finite number"  # a bound that not-a-number is said to be beyond is no help
+        raise InputError(
+            f"{source}: setting {name} = {_shortened(value)}: {wrong}; 'ffmap settings' lists them all"
+        ) from None
+
+
+def _shortened(value: object) -> str:
+    """A value as it is written, without the middle of a long one; of an integer with thousands of digits their number."""
+    if isinstance(value, int) and abs(value) > 10**100:
+        return f"an integer of {value.bit_length()} bits"
+    return reprlib.repr(value)
 
 
 def _suggestion(name: str) -> str:
@@ -169,7 +180,7 @@ def _likeness(name: str, other: str) -> float:
 def parse_value(text: str) -> Any:  # noqa: ANN401 - a TOML value
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return text
 
 

@@ -30,6 +30,7 @@ from app.progress import Progress
 from app.run_folder import METRICS, RUN_JSON, require_writable
 from app.settings import load_settings
 from loaders.errors import InputError
+from loaders.text_files import read_json
 
 DURATION_S = 60.0
 QUICK_S = 40.0
@@ -287,12 +288,10 @@ def _check_replaceable(out: Path) -> None:
     """Raises InputError where a file would be replaced that no suite has written."""
     if not out.exists():
         return
-    try:
-        is_suites = "drives" in json.loads(out.read_text())
-    except (OSError, ValueError, TypeError):
-        is_suites = False
-    if not is_suites:
-        raise InputError(f"{out}: is there already, and not by 'ffmap evaluate --suite'; name another file with --out")
+    advice = "it is not by 'ffmap evaluate --suite'; name another file with --out"
+    content = read_json(out, advice)
+    if not isinstance(content, dict) or "drives" not in content:
+        raise InputError(f"{out}: is there already, and {advice}")
 
 
 def format_suite(drives: Sequence[Drive]) -> list[Table]:

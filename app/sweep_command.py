@@ -28,6 +28,7 @@ from app.versions import versions
 from loaders.bag import open_bag
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom
+from loaders.text_files import read_json
 from loaders.truth import POSE_TOPIC
 
 
@@ -295,8 +296,8 @@ def _create(out: Path) -> None:
 
 def _is_sweep(folder: Path) -> bool:
     try:
-        return bool(json.loads((folder / SWEEP_JSON).read_text("utf-8"))["program"] == PROGRAM)
-    except (OSError, ValueError, LookupError, TypeError):
+        return bool(read_json(folder / SWEEP_JSON, "")["program"] == PROGRAM)
+    except (InputError, LookupError, TypeError):
         return False
 
 

@@ -1,6 +1,5 @@
 """The order in which a sweep's jobs are done: each odometry once, before the runs that need it; never too many at once."""
 
-import json
 import statistics
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
@@ -13,6 +12,7 @@ from app.odometry_cache import is_complete
 from app.run_folder import METRICS, RunFolder
 from app.sweep_plan import Combination, Search
 from app.sweep_run import Job, Outcome, is_finished, perform
+from loaders.text_files import read_object
 
 
 @dataclass(eq=False)
@@ -40,7 +40,8 @@ class Run:
         if outcome.error is None:
             self.record = RunFolder(self.job.out).read_json()
             metrics = self.job.out / METRICS
-            self.figures = figures.figures_of(self.record, json.loads(metrics.read_text()) if metrics.exists() else None)
+            known = read_object(metrics, "run the sweep again") if metrics.exists() else None
+            self.figures = figures.figures_of(self.record, known)
 
 
 class Schedule:

@@ -4,7 +4,6 @@ Every process opens the bag for itself; all readers find a log time without read
 """
 
 import re
-import struct
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -14,12 +13,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self, TypeAlias, TypeVar
 
-import apsw
-from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.interfaces import Connection, MessageDefinitionFormat, Nodetype
 from rosbags.rosbag1 import Reader as Ros1Reader
-from rosbags.rosbag1 import ReaderError as Ros1Error
 from rosbags.rosbag2 import Reader as Ros2Reader
-from rosbags.rosbag2 import ReaderError as Ros2Error
 from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
@@ -28,6 +24,7 @@ from rosbags.typesys.store import Typestore
 from loaders.errors import InputError
 from loaders.message_heads import Reader, read_heads
 from loaders.recovery import RecoveredMcapReader, RecoveredRos1Reader
+from loaders.text_files import require_regular
 
 Container = Literal["ros1", "sqlite3", "mcap"]
 Message: TypeAlias = Any
@@ -40,11 +37,6 @@ _MAGIC: Mapping[bytes, Container] = {
     b"SQLite format 3\0": "sqlite3",
 }
 _WAYS_OUT = "give a ROS 1 .bag, a ROS 2 bag folder, an .mcap or a .db3"
-# What rosbags raises on a file that ends too early, beside its own errors.
-_BROKEN = (
-    *(Ros1Error, Ros2Error, apsw.Error, struct.error),
-    *(AssertionError, TypeError, ValueError, LookupError, EOFError, OverflowError, MemoryError),
-)
 
 
 @dataclass(frozen=True)
@@ -186,11 +178,14 @@ def open_bag(path: Path) -> Bag:
 
 def _open_folder(folder: Path, warnings: list[str]) -> tuple[Container, list[Reader]]:
     files = _data_files(folder)
+    for entry in folder.iterdir():
+        if entry.exists() and not entry.is_dir():
+            require_regular(entry, _WAYS_OUT)  # a pipe, in whatever order it is read, would be waited for
     if (folder / "metadata.yaml").exists():
         reader = Ros2Reader(folder)
         try:
             reader.open()
-        except _BROKEN as error:
+        except Exception as error:  # whatever a parser stumbles over: the folder was found to be readable
             if not files:
                 raise InputError(f"{folder}: metadata.yaml names no readable bag ({_one_line(error)})") from error
             warnings.append(f"{folder.name}: metadata.yaml does not fit ({_one_line(error)}); the data files are read")
@@ -207,6 +202,7 @@ def _open_folder(folder: Path, warnings: list[str]) -> tuple[Container, list[Rea
 
 
 def _open_file(path: Path, warnings: list[str]) -> tuple[Container, Reader]:
+    require_regular(path, _WAYS_OUT)
     with path.open("rb") as file:
         start = file.read(16)
     if not start:
@@ -229,7 +225,7 @@ def _open_file(path: Path, warnings: list[str]) -> tuple[Container, Reader]:
     try:
         reader.open()
         return container, reader
-    except _BROKEN as error:
+    except Exception as error:  # as above: the file was found to be readable
         if container == "sqlite3":
             raise InputError(
                 f"{path}: the database is cut or damaged ({_one_line(error)}); repair it with sqlite3's .recover"
@@ -239,7 +235,7 @@ def _open_file(path: Path, warnings: list[str]) -> tuple[Container, Reader]:
         raise InputError(f"{path}: {reason} Convert the bag and try again")
     try:
         rebuilt.open()
-    except _BROKEN as error:
+    except Exception as error:
         raise InputError(f"{path}: the bag is damaged from its start ({_one_line(error)}); {_WAYS_OUT}") from error
     start_ns, stop_ns = _span_ns(rebuilt)
     seconds = max(stop_ns - start_ns, 0) / 1e9
@@ -298,7 +294,7 @@ def make_typestore(ros_version: Literal[1, 2]) -> Typestore:
 
 
 def _typestore_of(ros_version: Literal[1, 2], readers: list[Reader], warnings: list[str]) -> Typestore:
-    """The common types, overridden by the definitions that the bag brings along."""
+    """The common types, overridden by the definitions that the bag brings along where these have the common ones' fields."""
     common = make_typestore(ros_version)
     found: dict[str, Any] = {}
     for connection in (c for reader in readers for c in reader.connections):
@@ -306,11 +302,32 @@ def _typestore_of(ros_version: Literal[1, 2], readers: list[Reader], warnings: l
             found.update(_definitions(connection))
         except Exception as error:
             warnings.append(f"the definition of {connection.msgtype} is not understood: {_one_line(error)}")
+    for name in sorted(found.keys() & common.fielddefs.keys()):
+        lacking = _field_names(common.fielddefs[name]) - _field_names(found[name])
+        lacking |= {used for _, field in found[name][1] for used in _types_in(field)} - common.fielddefs.keys() - found.keys()
+        if lacking:
+            warnings.append(f"the definition of {name} in the bag lacks {', '.join(sorted(lacking))}; the common one is used")
+            del found[name]
     if all(common.fielddefs.get(name) == definition for name, definition in found.items()):
         return common
     store = get_typestore(Stores.EMPTY)
-    store.register({**common.fielddefs, **found})
+    try:
+        store.register({**common.fielddefs, **found})
+    except Exception as error:  # whatever a damaged definition leads to
+        warnings.append(f"the bag's definitions of messages do not fit together ({_one_line(error)}); common ones are used")
+        return common
     return store
+
+
+def _field_names(definition: Any) -> set[str]:  # noqa: ANN401 - as rosbags has it: constants, then fields
+    return {name for name, _ in definition[1]}
+
+
+def _types_in(field: Any) -> set[str]:  # noqa: ANN401 - as above: a kind of node, then a name, a basic type or the elements
+    kind, inner = field
+    if kind == Nodetype.NAME:
+        return {inner}
+    return _types_in(inner[0]) if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else set()
 
 
 def _definitions(connection: Connection) -> dict[str, Any]:

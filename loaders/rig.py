@@ -20,7 +20,6 @@ A lidar without translation and rotation takes them from the bag's transforms.
 """
 
 import difflib
-import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -35,6 +34,7 @@ from loaders.errors import CloudError, InputError
 from loaders.frames import FrameTree, StaticTransform, read_frame_tree
 from loaders.pointcloud2 import CloudDecoding, CloudLayout, TimeFrom, decode, settle_decoding
 from loaders.scans import cloud_hint, cloud_topics, index_clouds, sample_messages
+from loaders.text_files import read_toml
 
 Role = Literal["horizontal", "vertical"]
 
@@ -408,12 +408,7 @@ def _roles_of_one(only: _Candidate, roles: dict[Role, Lidar], warnings: list[str
 
 def read_rig_file(path: Path) -> RigFile:
     """A rig file. Raises InputError that names the file and the key."""
-    try:
-        content = tomllib.loads(path.read_text())
-    except OSError as error:
-        raise InputError(f"{path}: the rig file cannot be read ({error.strerror}); check --rig") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: no valid TOML ({error}); see `ffmap run --help` for the rig file") from error
+    content = read_toml(path, "give a rig file to --rig, as README.md shows one")
     _check_keys(path, content, ("base", "lidar"), "")
     lidars = content.get("lidar", [])
     if not isinstance(lidars, list) or not lidars or not all(isinstance(entry, dict) for entry in lidars):

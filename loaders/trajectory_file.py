@@ -15,6 +15,7 @@ from algorithms.trajectory import Trajectory
 from loaders.bag import Bag, Message
 from loaders.errors import InputError
 from loaders.frames import TF_TYPES, FrameTree, edge_of, pose_matrix
+from loaders.text_files import read_text
 
 _ORDER = "stamp x y z qx qy qz qw"
 
@@ -24,10 +25,7 @@ def read_tum(path: Path) -> Trajectory:
 
     Raises InputError that names the line.
     """
-    try:
-        text = path.read_text()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: the trajectory cannot be read ({error}); give a TUM file") from error
+    text = read_text(path, "give a TUM file")
     stamps: list[int] = []
     poses: list[list[float]] = []
     for number, line in enumerate(text.splitlines(), start=1):
@@ -73,10 +71,18 @@ def _seconds(stamp_ns: int) -> str:
 
 def _nanoseconds(seconds: str) -> int:
     """Seconds as text to nanoseconds, digits beyond the ninth rounded; raises OverflowError beyond 64 bits."""
-    nanoseconds = int((Decimal(seconds) * 1_000_000_000).to_integral_value())
+    stamp = Decimal(seconds)
+    # An integer of as many digits as the exponent says may take for ever to make.
+    if stamp.adjusted() > _DIGITS_MAX:
+        raise OverflowError(seconds)
+    nanoseconds = int((stamp * 1_000_000_000).to_integral_value())
     if not -(2**63) <= nanoseconds < 2**63:
         raise OverflowError(seconds)
     return nanoseconds
+
+
+_DIGITS_MAX = 10
+"""A stamp in seconds has as many at most: 64 bits of nanoseconds end in the year 2262."""
 
 
 def _matrices(positions: FloatArray, quaternions: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ from algorithms.scan import UInt8Array
 from algorithms.trajectory import Trajectory
 from loaders.bag import Bag
 from loaders.errors import InputError
+from loaders.geojson import check_features
 from loaders.pointcloud2 import describe_layout, field_column, stamp_ns
 from loaders.scans import index_clouds
 from loaders.trajectory_file import read_pose_topic
@@ -87,10 +88,11 @@ def _building(bag: Bag) -> dict[str, Any]:
     message = bag.deserialize(next(bag.messages([BUILDING_TOPIC])))
     try:
         building = json.loads(message.data)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(
             f"{bag.path.name}: {BUILDING_TOPIC} is no GeoJSON ({error}); simulate the bag again"
         ) from error
     if not isinstance(building, dict) or building.get("type") != "FeatureCollection":
         raise InputError(f"{bag.path.name}: {BUILDING_TOPIC} is no GeoJSON FeatureCollection; simulate the bag again")
+    check_features(building, "building", f"{bag.path.name}: {BUILDING_TOPIC}", "simulate the bag again")
     return building

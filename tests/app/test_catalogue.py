@@ -112,7 +112,11 @@ def test_better_runs_come_first(folder: Path) -> None:
         ({"where": "wall_ff > 1"}, ["wall_ff", "'wall_f1'", "seconds"]),
         ({"where": "wall_planes.similarty_m > 1"}, ["'wall_planes.similarity_m'"]),
         ({"where": "wall_f1 >"}, ["wall_f1 >", "SQL"]),
-        ({"where": "seconds = 'x"}, ["not understood"]),
+        ({"where": "seconds = 'x"}, ["has no answer"]),
+        ({"where": "1/0 = 1"}, ["1/0 = 1", "Divide by zero"]),
+        ({"where": "(select count(*) from generate_series(1, 1000000000000)) > 0"}, ["no end"]),
+        ({"where": "repeat('a', 2000000000) = 'a'"}, ["too much memory"]),
+        ({"where": "+".join(["1"] * 20_000) + " = 1"}, ["nested too deeply"]),
         ({"sort": "speed"}, ["speed", "seconds"]),
     ],
 )
@@ -145,7 +149,7 @@ def test_what_cannot_be_queried_is_told_and_the_rest_is_found(
     assert "damaged" in names["b"]
     assert f"ffmap run --resume {killed}" in names["c"]
     assert "copy" in names["copy"]
-    assert "cannot be read" in names["run.json"]
+    assert "no valid JSON" in names["run.json"]
 
 
 def test_runs_without_a_recording_are_listed(folder: Path, tmp_path: Path) -> None:

@@ -70,7 +70,7 @@ def test_another_building_is_told(folder, monkeypatch, capsys):
     ("content", "named"),
     [
         (None, "is not there"),
-        ("not: [yaml", "is no YAML file"),
+        ("not: [yaml", "is no valid YAML"),
         ("5", "holds no keys"),
         ("image: gone.pgm\nresolution: 0.1\n", "gone.pgm"),
         ("image: text.pgm\nresolution: 0.1\n", "text.pgm"),

@@ -7,6 +7,7 @@ import pytest
 
 from loaders.bag import open_bag
 from loaders.errors import InputError
+from loaders.info import describe_bag
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, clouds, odometry, write_bag
 
 COUNT = 7
@@ -171,3 +172,27 @@ def test_damage_in_the_middle_is_an_input_error(tmp_path):
     path.write_bytes(content)
     with pytest.raises(InputError, match="damaged"), open_bag(path) as bag:
         list(bag.messages(["/a"]))
+
+
+@pytest.mark.parametrize("compression", ["", "bz2"])
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        (b"uint32 width", b"uint32 2idth"),
+        (b"uint32 width", b"uint32 class"),
+        (b"uint32 height", b"uint32  width"),
+        (b"bool is_dense", b"bool __init__"),
+        (b"MSG: sensor_msgs/PointField", b"MSG: sensor_msgs/PointCloud"),
+        (b"PointField[] fields", b"PointFxxxx[] fields"),
+    ],
+    ids=lambda damaged: damaged[1].decode(),
+)
+def test_a_damaged_message_definition_is_told_and_the_common_one_taken(tmp_path, damaged, compression):
+    path = write_bag(tmp_path / "a.bag", clouds("/a", 3), compression=compression)
+    # Outside the chunks, which are compressed, the file has every definition again.
+    content = path.read_bytes()
+    assert damaged[0] in content
+    path.write_bytes(content.replace(*damaged))
+    info = describe_bag(path)
+    assert info.clouds[0].cloud_count == 3
+    assert info.clouds[0].problem is None

@@ -23,14 +23,14 @@ def _entries(version: int) -> list:
     return sorted(entries, key=lambda entry: entry[1])
 
 
-def _foreign_mcap(path: Path, chunked: bool, compression: CompressionType) -> Path:
+def foreign_mcap(path: Path, entries: list, chunked: bool, compression: CompressionType) -> Path:
     """As ROS 2's own recorder writes it: checksums, and chunks only if asked for."""
     store = make_typestore(2)
     with path.open("wb") as file:
         writer = McapWriter(file, chunk_size=2000, compression=compression, use_chunking=chunked)
         writer.start(profile="ros2", library="test")
         channels: dict[str, int] = {}
-        for topic, log_time_ns, message in _entries(2):
+        for topic, log_time_ns, message in entries:
             kind = message.__msgtype__
             if topic not in channels:
                 text = store.generate_msgdef(kind, ros_version=2)[0].encode()
@@ -49,9 +49,9 @@ def _whole(kind: str, folder: Path) -> Path:
         case ["mcap", "rosbags"]:
             return write_bag(folder / "a_mcap", _entries(2)) / "a_mcap.mcap"
         case ["mcap", "unchunked"]:
-            return _foreign_mcap(folder / "a.mcap", False, CompressionType.NONE)
+            return foreign_mcap(folder / "a.mcap", _entries(2), False, CompressionType.NONE)
         case ["mcap", compression]:
-            return _foreign_mcap(folder / "a.mcap", True, CompressionType[compression.upper()])
+            return foreign_mcap(folder / "a.mcap", _entries(2), True, CompressionType[compression.upper()])
     raise AssertionError(kind)
 
 

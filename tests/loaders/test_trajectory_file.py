@@ -45,6 +45,7 @@ def test_comments_exponents_and_few_decimals(tmp_path):
         ("x 0 0 0 0 0 0 1\n", "line 1: not all values are numbers"),
         ("nan 0 0 0 0 0 0 1\n", "line 1: not all values are numbers"),
         ("91700000000 0 0 0 0 0 0 1\n", "line 1: not all values are numbers"),
+        ("1e999999999 0 0 0 0 0 0 1\n", "line 1: not all values are numbers"),
         ("1 0 0 nan 0 0 0 1\n", "line 1: the quaternion"),
         ("1 0 0 0 0 0 0 0\n", "line 1: the quaternion"),
         ("2 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "line 2: the stamp"),

@@ -1,0 +1,104 @@
+"""GeoJSON that a run wrote, or a user gives in its place: features of one kind of geometry, checked as they are read."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_validator
+
+from loaders.errors import InputError, shortened
+from loaders.text_files import read_json
+
+Position = Annotated[list[FiniteFloat], Field(min_length=2)]
+
+
+class Line(BaseModel):
+    """A LineString; coordinates in metres in the map frame."""
+
+    type: Literal["LineString"]
+    coordinates: Annotated[list[Position], Field(min_length=2)]
+
+
+class Outline(BaseModel):
+    """A Polygon: its outer ring, then its holes, each closed; metres in the map frame."""
+
+    type: Literal["Polygon"]
+    coordinates: Annotated[list[Annotated[list[Position], Field(min_length=4)]], Field(min_length=1)]
+
+
+class _LineFeature(BaseModel):
+    geometry: Line
+    properties: dict[str, Any] | None = None
+
+
+class _OutlineFeature(BaseModel):
+    geometry: Outline
+    properties: dict[str, Any] | None = None
+
+
+class _Door(BaseModel):
+    width: FiniteFloat
+    state: str
+
+
+class _DoorFeature(BaseModel):
+    geometry: Line
+    properties: _Door
+
+
+class _TrueProperties(BaseModel):
+    kind: str
+    name: str | None = None
+    state: str | None = None
+    height: FiniteFloat | None = None
+    wall_thickness: FiniteFloat | None = None
+    leaves: list[Annotated[list[Position], Field(min_length=2)]] | None = None
+
+
+class _TrueFeature(BaseModel):
+    """Of a true building: walls, doors, rooms, and whatever else there is."""
+
+    geometry: Line | Outline = Field(discriminator="type")
+    properties: _TrueProperties
+
+    @model_validator(mode="after")
+    def _has_what_its_kind_needs(self) -> Self:
+        kind, geometry = self.properties.kind, self.geometry.type
+        if kind == "door" and (self.properties.state is None or geometry != "LineString"):
+            raise ValueError("a door is a LineString with a state")
+        if kind == "room" and geometry != "Polygon":
+            raise ValueError("a room is a Polygon")
+        return self
+
+
+Kind = Literal["lines", "outlines", "doors", "building"]
+_FEATURES: dict[Kind, type[BaseModel]] = {
+    "lines": _LineFeature,
+    "outlines": _OutlineFeature,
+    "doors": _DoorFeature,
+    "building": _TrueFeature,
+}
+
+
+def read_features(path: Path, of: Kind, advice: str) -> list[dict[str, Any]]:
+    """The features of a FeatureCollection as dictionaries; doors are lines that have a width and a state.
+
+    advice: what the user can do; the end of the error's line. Raises InputError where the file is no such GeoJSON.
+    """
+    return check_features(read_json(path, advice), of, str(path), advice)
+
+
+def check_features(content: object, of: Kind, where: str, advice: str) -> list[dict[str, Any]]:
+    """The features of a FeatureCollection, as they are; `where` names it in the error's line, see `read_features`."""
+    features = content.get("features") if isinstance(content, dict) else None
+    if not isinstance(features, list):
+        raise InputError(f"{where}: is no GeoJSON, it has no list of features; {advice}")
+    for number, feature in enumerate(features):
+        try:
+            _FEATURES[of].model_validate(feature)
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ".".join(str(part) for part in first["loc"])
+            raise InputError(
+                f"{where}: is no GeoJSON of {of}: feature {number}: {place}: {shortened(first['msg'].lower())}; {advice}"
+            ) from None
+    return features

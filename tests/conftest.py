@@ -1,0 +1,9 @@
+"""How many examples Hypothesis tries: few and always the same, or with --hypothesis-profile=long as many as hours allow."""
+
+from hypothesis import HealthCheck, settings
+
+_SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
+
+settings.register_profile("default", derandomize=True, deadline=None, max_examples=5, suppress_health_check=_SLOW)
+settings.register_profile("long", deadline=None, max_examples=1200, suppress_health_check=_SLOW, print_blob=True)
+settings.load_profile("default")

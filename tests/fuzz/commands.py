@@ -1,0 +1,161 @@
+"""What the commands do with a file, as far as their input goes; each raises an InputError for what the user can mend."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app import catalogue, compare_command, rooms_command
+from app.catalogue import Query
+from app.evaluate import evaluate_run
+from app.finished_run import open_run
+from app.inputs import InputOptions, Inputs, find_inputs
+from app.map_files import read_map
+from app.settings import as_toml, load_settings
+from loaders.bag import make_typestore, open_bag
+from loaders.errors import InputError
+from loaders.info import describe_bag
+from loaders.rig import read_rig_file
+from loaders.scans import read_clouds
+from loaders.trajectory_file import read_pose_topic, read_tum, write_tum
+from loaders.truth import BUILDING_TOPIC, read_truth
+from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, clouds, header, sweep, tf_message, write_bag
+
+
+def look_over_bag(path: Path, options: InputOptions | None = None) -> None:
+    """info; what a run reads of a bag; its truth and its poses."""
+    options = options or InputOptions()
+    found: list[Inputs] = []
+    steps: list[Callable[[], object]] = [
+        lambda: describe_bag(path, options.rig_file, time_from=options.time_from),
+        lambda: found.append(find_inputs(path, options)),
+        lambda: _read_all(found[0]) if found else None,
+        lambda: _read_rest(path),
+    ]
+    failures = []
+    for step in steps:
+        try:
+            step()
+        except InputError as error:
+            failures.append(error)
+    if failures:
+        raise max(failures, key=lambda error: len(str(error)))
+
+
+def _read_all(inputs: Inputs) -> None:
+    with open_bag(inputs.bag_path) as bag:
+        for sensor in (inputs.horizontal, inputs.vertical):
+            if sensor is not None:
+                for _ in read_clouds(bag, sensor.index, 0, None, sensor.lidar.decoding):
+                    pass
+
+
+def _read_rest(path: Path) -> None:
+    with open_bag(path) as bag:
+        truth = read_truth(bag)
+        for _ in (truth.classes or ()) if truth is not None else ():
+            pass
+        for topic in bag.topics:
+            with suppress(InputError):
+                read_pose_topic(bag, topic, "v")
+
+
+def look_over_clouds(folder: Path, change: dict[str, Any], every: bool) -> None:
+    """A bag whose clouds, or one of them, say of themselves what `change` says."""
+    good = sweep(24)
+    entries: list[Any] = [("/tf_static", START_NS, MOUNTS)]
+    for i in range(6):
+        message = cloud(good, START_NS + i * PERIOD_NS, "v")
+        if every or i == 3:
+            make = make_typestore(1).types["sensor_msgs/msg/PointField"]
+            for name, value in change.items():
+                if name == "fields":
+                    value = [make(*field) for field in value]
+                if name == "data":
+                    value = np.frombuffer(value, np.uint8)
+                setattr(message.header if name == "frame_id" else message, name, value)
+        entries.append(("/v", START_NS + (i + 1) * PERIOD_NS, message))
+    path = folder / "case.bag"
+    path.unlink(missing_ok=True)
+    look_over_bag(write_bag(path, entries))
+
+
+def look_over_packets(folder: Path, packets: list[bytes], stamps_ns: list[int]) -> None:
+    """A bag of raw packets of 1206 bytes, as many a scan as there are; later scans are the first again."""
+    types = make_typestore(1).types
+    make, scan = types["velodyne_msgs/msg/VelodynePacket"], types["velodyne_msgs/msg/VelodyneScan"]
+    entries: list[Any] = []
+    for i in range(3):
+        stamp = START_NS + i * PERIOD_NS
+        made = [
+            make(stamp=header(types, stamp + later, "v").stamp, data=np.frombuffer(data.ljust(1206, b"\0")[:1206], np.uint8))
+            for data, later in zip(packets, stamps_ns, strict=True)
+        ]
+        entries.append(("/packets", stamp + 1, scan(header=header(types, stamp, "v"), packets=made)))
+    path = folder / "case.bag"
+    path.unlink(missing_ok=True)
+    look_over_bag(write_bag(path, entries))
+
+
+def look_over_rig(path: Path, bag: Path) -> None:
+    read_rig_file(path)
+    look_over_bag(bag, InputOptions(rig_file=path))
+
+
+def look_over_trajectory(path: Path) -> None:
+    trajectory = read_tum(path)
+    trajectory.at(trajectory.stamp_ns)
+    write_tum(path.with_suffix(".again"), trajectory)
+    read_tum(path.with_suffix(".again"))
+
+
+def look_over_map(path: Path, out: Path) -> None:
+    read_map(path)
+    rooms_command.rooms(rooms_command.Arguments(path, None, out, None, None, None, ()))
+
+
+def look_over_settings(config: Path | None, words: tuple[str, ...]) -> None:
+    settings = load_settings(config, words)
+    as_toml(settings)
+    settings.short_hash()
+
+
+def evaluate(run: Path) -> None:
+    evaluate_run(open_run(run), workers=1)
+
+
+def evaluate_by(run: Path, bag: Path, building: bytes) -> None:
+    """Against the truth of a bag, whose building is another text."""
+    store, path = make_typestore(1), run.parent / "truth.bag"
+    text = store.types["std_msgs/msg/String"](building.decode(errors="replace"))
+    with open_bag(bag) as source:
+        kept = [topic for topic in source.topics if topic.startswith("/truth/") and topic != BUILDING_TOPIC]
+        entries = [(raw.topic, raw.log_time_ns, source.deserialize(raw)) for raw in source.messages(kept)]
+    evaluate_run(open_run(run), write_bag(path, [(BUILDING_TOPIC, START_NS, text), *entries]), workers=1)
+
+
+def compare(run: Path, other: Path, out: Path) -> None:
+    compare_command.compare([run, other], out, scans=False, spawn=False, quiet=True)
+
+
+def list_runs(root: Path) -> None:
+    with catalogue.serve(catalogue.find_runs(root)) as served:
+        if served.taken:
+            catalogue.ask(served.dataset, Query())
+
+
+_TILT = (0.0, 0.7071067811865476, 0.0, 0.7071067811865476)
+MOUNTS = tf_message([("base", "h", (0, 0, 1), (0, 0, 0, 1)), ("base", "v", (0, 0, 0.8), _TILT)])
+
+
+def mounts(ros_version: int) -> Any:
+    return tf_message([("base", "h", (0, 0, 1), (0, 0, 0, 1)), ("base", "v", (0, 0, 0.8), _TILT)], ros_version)
+
+
+def small_drive(ros_version: int) -> list[Any]:
+    """Two lidars, four sweeps each, and how they are mounted."""
+    small = {"columns": 16, "elevations_deg": (-3, -1, 1, 3)}
+    entries = clouds("/h", 4, "h", ros_version, **small) + clouds("/v", 4, "v", ros_version, late_ns=10**6, **small)
+    return sorted([("/tf_static", START_NS, mounts(ros_version)), *entries], key=lambda entry: entry[1])

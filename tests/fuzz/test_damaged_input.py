@@ -1,0 +1,312 @@
+"""Whatever is in the files that users give, a command does its work or says in one line what is wrong.
+
+A few cases each, always the same; with --hypothesis-profile=long and -n 0 many, others every time, and their number at the end.
+"""
+
+import json
+import shutil
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.writer import CompressionType
+from PIL import Image
+
+from app.files import write_geojson, write_json
+from app.settings import Settings, as_toml
+from tests.app.test_catalogue import write as write_recording
+from tests.app.test_evaluate import BUILDING, make_run, make_truth_bag
+from tests.fuzz import commands
+from tests.fuzz.damage import WORDS, damaged, damaged_json, damaged_text
+from tests.fuzz.sandbox import Sandbox
+from tests.loaders.bag_builder import sweep, write_bag
+from tests.loaders.test_recovery import foreign_mcap
+
+HEAVY = 10
+"""A run's folder takes so many times as long as a file."""
+
+
+def fewer(test: Callable[..., None]) -> Callable[..., None]:
+    return settings(max_examples=max(3, settings().max_examples // HEAVY))(test)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder for what is damaged."""
+    return tmp_path_factory.mktemp("whole")
+
+
+def fresh(folder: Path) -> Path:
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    return folder
+
+
+BAGS = {
+    "ROS 1": "a.bag",
+    "ROS 1, bz2": "bz2.bag",
+    "ROS 1, lz4": "lz4.bag",
+    "sqlite3": "db3",
+    "sqlite3, messages": "db3 message",
+    "sqlite3, file": "db3 file",
+    "MCAP of rosbags": "mcap",
+    "MCAP, messages": "mcap message",
+    "MCAP, file": "mcap file",
+    "MCAP, no chunks": "chunks",
+    "MCAP, plain": "none",
+    "MCAP, lz4": "lz4",
+    "MCAP, zstd": "zstd",
+}
+
+
+@cache
+def whole_bag(kind: str, folder: Path) -> Path:
+    """A small drive in a container; a file, or a folder of metadata.yaml and one file."""
+    name, _, mode = BAGS[kind].partition(" ")
+    made = fresh(folder / "".join(filter(str.isalnum, kind)))
+    if name.endswith(".bag"):
+        compression = name.removesuffix(".bag") if name != "a.bag" else ""
+        return write_bag(made / "a.bag", commands.small_drive(1), 3000, compression)
+    if name in ("db3", "mcap"):
+        return write_bag(made / f"a_{name}", commands.small_drive(2), compression=mode)
+    compression = CompressionType.NONE if name == "chunks" else CompressionType[name.upper()]
+    return foreign_mcap(made / "a.mcap", commands.small_drive(2), name != "chunks", compression)
+
+
+@pytest.mark.parametrize("kind", BAGS)
+@given(data=st.data())
+def test_bags(kind: str, data: st.DataObject, sandbox: Sandbox, place: Path) -> None:
+    whole = whole_bag(kind, place)
+    case = fresh(sandbox.folder / "case") / whole.name
+    if whole.is_dir():
+        shutil.copytree(whole, case)
+        file = data.draw(st.sampled_from(sorted(path.name for path in whole.iterdir())))
+        (case / file).write_bytes(data.draw(damaged((whole / file).read_bytes())))
+        alone = file != "metadata.yaml" and data.draw(st.booleans())
+        case = case / file if alone else case
+    else:
+        case.write_bytes(data.draw(damaged(whole.read_bytes())))
+    sandbox.run(commands.look_over_bag, case)
+
+
+numbers = st.one_of(st.sampled_from((0, 1, 2, 3, 384, 2**16, 2**31 - 1, 2**32 - 1)), st.integers(0, 2**32 - 1))
+field = st.tuples(
+    st.sampled_from(("x", "y", "z", "ring", "time", "t", "timestamp", "intensity", "", "é", "label")),
+    st.one_of(st.integers(0, 30), numbers),
+    st.one_of(st.integers(1, 8), st.integers(0, 255)),
+    st.one_of(st.just(1), numbers),
+)
+values = st.one_of(st.floats(width=32), st.sampled_from((0.0, 1e30, -1e30, 1e6, 1e-30, float("nan"), float("inf"))))
+
+
+@st.composite
+def points(draw: st.DrawFn) -> bytes:
+    """Points of which some columns, or some of the rows, have other values."""
+    made = sweep(24)
+    for name in draw(st.sets(st.sampled_from(made.dtype.names), min_size=1)):
+        rows = slice(draw(st.integers(0, len(made))), draw(st.integers(0, len(made))), draw(st.integers(1, 50)))
+        value = draw(values) if made.dtype[name].kind == "f" else draw(st.integers(0, 2**16 - 1))
+        made[name][rows] = value
+    return made.tobytes()
+
+
+changes = st.fixed_dictionaries(
+    {},
+    optional={
+        "height": numbers,
+        "width": numbers,
+        "point_step": numbers,
+        "row_step": numbers,
+        "is_bigendian": st.booleans(),
+        "fields": st.lists(field, max_size=8),
+        "data": st.one_of(points(), st.binary(max_size=100), damaged(sweep(24).tobytes())),
+        "frame_id": st.sampled_from(("", "h", "/v", "x" * 1000, "a b")),
+    },
+)
+
+
+@given(change=changes, every=st.booleans())
+def test_clouds(change: dict[str, Any], every: bool, sandbox: Sandbox) -> None:
+    sandbox.run(commands.look_over_clouds, fresh(sandbox.folder / "case"), change, every)
+
+
+def packet(mode: int, model: int) -> bytes:
+    """A packet of a Velodyne: 12 blocks of 32 returns at 5 m, time, return mode and model."""
+    block = b"\xff\xee" + bytes(2) + (2500).to_bytes(2, "little").ljust(3, b"\x20") * 32
+    blocks = b"".join(block[:2] + (3000 * i).to_bytes(2, "little") + block[4:] for i in range(12))
+    return blocks + bytes(4) + bytes((mode, model))
+
+
+packets = st.tuples(st.sampled_from((0x37, 0x38, 0x39, 0)), st.sampled_from((0x21, 0x22, 0x28, 0x63, 0xA1, 0))).flatmap(
+    lambda kind: st.one_of(st.just(packet(*kind)), damaged(packet(*kind)))
+)
+
+
+@given(data=st.lists(st.tuples(packets, st.integers(-(10**10), 10**10)), max_size=8))
+def test_packets(data: list[tuple[bytes, int]], sandbox: Sandbox) -> None:
+    made, stamps = [packet for packet, _ in data], [stamp for _, stamp in data]
+    sandbox.run(commands.look_over_packets, fresh(sandbox.folder / "case"), made, stamps)
+
+
+RIG = """base = "base"
+[[lidar]]
+topic = "/h"
+role = "horizontal"
+translation = [ 0.1 , 0.0 , 0.9 ]
+rpy_deg = [ 0 , 0 , 0 ]
+[[lidar]]
+frame = "v"
+translation = [ 0.3 , 0.0 , 0.6 ]
+quaternion_xyzw = [ 0.0 , 0.7071 , 0.0 , 0.7071 ]
+"""
+
+
+@given(text=damaged_text(RIG, ('"vertical"', '"/v"', '"h"')))
+def test_rigs(text: bytes, sandbox: Sandbox, place: Path) -> None:
+    path = fresh(sandbox.folder / "case") / "rig.toml"
+    path.write_bytes(text)
+    sandbox.run(commands.look_over_rig, path, whole_bag("ROS 1", place))
+
+
+TUM = "".join(f"{1.7e9 + i / 10:.9f} {i / 10:.3f} 0.0 0.0 0.0 0.0 0.0 1.0\n" for i in range(6))
+
+
+@given(text=damaged_text(TUM))
+def test_trajectories(text: bytes, sandbox: Sandbox) -> None:
+    path = fresh(sandbox.folder / "case") / "poses.tum"
+    path.write_bytes(text)
+    sandbox.run(commands.look_over_trajectory, path)
+
+
+CONFIG = as_toml(Settings())
+NAMES = tuple(Settings().flat())
+
+
+@given(text=damaged_text(CONFIG))
+def test_configurations(text: bytes, sandbox: Sandbox) -> None:
+    path = fresh(sandbox.folder / "case") / "config.toml"
+    path.write_bytes(text)
+    sandbox.run(commands.look_over_settings, path, ())
+
+
+names = st.one_of(st.sampled_from(NAMES), st.sampled_from(WORDS), st.text(max_size=30))
+given_values = st.one_of(st.sampled_from(WORDS), st.integers().map(str), st.floats().map(str), st.text(max_size=30))
+
+
+@given(words=st.lists(st.builds("{}={}".format, names, given_values) | given_values, max_size=4))
+def test_set_words(words: list[str], sandbox: Sandbox) -> None:
+    sandbox.run(commands.look_over_settings, None, tuple(words))
+
+
+MAP = """image: map.pgm
+resolution: 0.05
+origin: [ -3.0 , 2.0 , 0.0 ]
+negate: 0
+occupied_thresh: 0.65
+free_thresh: 0.25
+mode: trinary
+"""
+
+
+@cache
+def whole_image(name: str, folder: Path) -> bytes:
+    pixels = np.full((60, 80), 254, np.uint8)
+    pixels[[0, -1]] = pixels[:, [0, -1]] = pixels[:, 40] = 0
+    pixels[20:36, 40] = 254
+    Image.fromarray(pixels).save(folder / name)
+    return (folder / name).read_bytes()
+
+
+@fewer
+@given(data=st.data(), name=st.sampled_from(("map.pgm", "map.png", "map.tif", "map.bmp", "map.gif", "map.jpg", "map.webp")))
+def test_maps(data: st.DataObject, name: str, sandbox: Sandbox, place: Path) -> None:
+    folder = fresh(sandbox.folder / "case")
+    text, image = MAP.replace("map.pgm", name).encode(), whole_image(name, place)
+    if data.draw(st.booleans()):
+        text = data.draw(damaged_text(text.decode(), ("scale", "raw")))
+    else:
+        image = data.draw(damaged(image))
+    (folder / "map.yaml").write_bytes(text)
+    (folder / name).write_bytes(image)
+    sandbox.run(commands.look_over_map, folder / "map.yaml", folder / "rooms")
+
+
+@cache
+def whole_run(folder: Path) -> Path:
+    """A run's folder with a file of each kind, made of a bag with its truth."""
+    bag, classes = make_truth_bag(folder / "in.bag")
+    run = make_run(folder / "run", bag, classes)
+    write_json(
+        run / "run.json",
+        {
+            "recording_id": "a run",
+            "outcome": "complete",
+            "bag": {"path": str(bag), "digest": "0"},
+            "options": {"time_from": "auto"},
+            "settings": Settings().model_dump(mode="json"),
+            "rig": {"vertical": {"topic": "/vertical"}},
+            "counts": {"walls": 3},
+            "timings_s": {"total": 2.5},
+        },
+    )
+    write_json(run / "metrics.json", {"area": {"wall": {"f1": 0.9}}})
+    line = {"type": "LineString", "coordinates": [[0.0, 0.0], [1.0, 2.0]]}
+    write_geojson(run / "walls.geojson", [{"properties": {"thickness": 0.1}, "geometry": line}])
+    square = {"type": "Polygon", "coordinates": [[[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 0.0]]]}
+    write_geojson(run / "rooms.geojson", [{"properties": {"area": 2.0, "name": "1"}, "geometry": square}])
+    write_recording(run / "recording.rrd", "a run", {"settings": {"seed": 0}, "result": {"outcome": "complete"}})
+    return run
+
+
+@st.composite
+def damaged_runs(draw: st.DrawFn, whole: Path, case: Path) -> Path:
+    """A run's folder of which one file is damaged, or not there."""
+    shutil.copytree(whole, case)
+    file = draw(st.sampled_from(sorted(path.name for path in whole.iterdir())))
+    content = (whole / file).read_bytes()
+    if draw(st.integers(0, 19)) == 0:
+        (case / file).unlink()
+    elif file.endswith("json"):
+        (case / file).write_bytes(draw(damaged_json(content.decode())))
+    elif file.endswith((".tum", ".yaml")):
+        (case / file).write_bytes(draw(damaged_text(content.decode())))
+    else:
+        (case / file).write_bytes(draw(damaged(content)))
+    return case
+
+
+@fewer
+@given(data=st.data())
+def test_evaluated_runs(data: st.DataObject, sandbox: Sandbox, place: Path) -> None:
+    run = data.draw(damaged_runs(whole_run(place), fresh(sandbox.folder / "case") / "run"))
+    sandbox.run(commands.evaluate, run)
+
+
+@fewer
+@given(building=damaged_json(json.dumps(BUILDING)))
+def test_true_buildings(building: bytes, sandbox: Sandbox, place: Path) -> None:
+    whole = whole_run(place)
+    run = fresh(sandbox.folder / "case") / "run"
+    shutil.copytree(whole, run)
+    sandbox.run(commands.evaluate_by, run, whole.parent / "in.bag", building)
+
+
+@fewer
+@given(data=st.data())
+def test_compared_runs(data: st.DataObject, sandbox: Sandbox, place: Path) -> None:
+    whole = whole_run(place)
+    run = data.draw(damaged_runs(whole, fresh(sandbox.folder / "case") / "run"))
+    sandbox.run(commands.compare, whole, run, sandbox.folder / "case" / "out")
+
+
+@fewer
+@given(data=st.data())
+def test_listed_runs(data: st.DataObject, sandbox: Sandbox, place: Path) -> None:
+    root = fresh(sandbox.folder / "case")
+    data.draw(damaged_runs(whole_run(place), root / "run"))
+    sandbox.run(commands.list_runs, root)

@@ -1,0 +1,41 @@
+"""The truth's building, feature by feature: what is needed of a kind is there, or one line says what is not."""
+
+from typing import Any
+
+import pytest
+
+from loaders.errors import InputError
+from loaders.geojson import check_features
+
+SILL = {"type": "LineString", "coordinates": [[0.0, 0.0], [1.0, 0.0]]}
+OUTLINE = {"type": "Polygon", "coordinates": [[[0, 0], [1, 0], [1, 1], [0, 0]]]}
+
+
+def check(geometry: Any, **properties: Any) -> None:
+    check_features({"features": [{"geometry": geometry, "properties": properties}]}, "building", "truth", "make it again")
+
+
+def test_what_a_building_has() -> None:
+    check(SILL, kind="wall", height=2.5)
+    check(OUTLINE, kind="wall")
+    check(SILL, kind="door", state="open", leaves=[[[0, 0], [0, 1]]], wall_thickness=0.1)
+    check(OUTLINE, kind="room", name="office")
+    check(SILL, kind="something else", colour="red")
+
+
+@pytest.mark.parametrize(
+    ("geometry", "properties", "words"),
+    [
+        (SILL, {}, "properties.kind"),
+        (SILL, {"kind": "door"}, "a door is a linestring with a state"),
+        (OUTLINE, {"kind": "door", "state": "open"}, "a door is a linestring"),
+        (SILL, {"kind": "room"}, "a room is a polygon"),
+        (SILL, {"kind": "door", "state": "open", "leaves": [[[0, 0]]]}, "leaves"),
+        (SILL, {"kind": "wall", "height": "high"}, "height"),
+        ({"type": "LineString", "coordinates": [[0.0, 0.0], []]}, {"kind": "wall"}, "coordinates"),
+        ({"type": "Point", "coordinates": [0.0, 0.0]}, {"kind": "wall"}, "geometry"),
+    ],
+)
+def test_what_a_building_lacks(geometry: Any, properties: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=rf"truth: is no GeoJSON of building: feature 0: .*{words}.*; make it again"):
+        check(geometry, **properties)
