@@ -22,6 +22,7 @@ from app.run_folder import METRICS, ROOMS, check_no_run_loses
 from app.settings import load_settings
 from loaders.errors import InputError
 from loaders.geojson import read_features
+from loaders.text_files import read_json
 
 CELLS_MAX = 8_000_000
 """A map with more cells around its free space is segmented with larger ones: time and memory stay bounded."""

@@ -79,7 +79,7 @@ def test_a_drive_that_fails_is_told_and_stops_nothing(
 def test_file_that_no_suite_wrote_is_left_alone(content: str, tmp_path: Path) -> None:
     out = tmp_path / "thesis.json"
     out.write_text(content)
-    with pytest.raises(InputError, match="thesis.json: .*name another file"):
+    with pytest.raises(InputError, match="name another file"):
         run_suite(out, (3,), True, [], quiet=True)
     assert out.read_text() == content
 
