@@ -27,7 +27,7 @@ from tests.fuzz.sandbox import Sandbox
 from tests.loaders.bag_builder import sweep, write_bag
 from tests.loaders.test_recovery import foreign_mcap
 
-HEAVY = 10
+HEAVY = 4
 """A run's folder takes so many times as long as a file."""
 
 
