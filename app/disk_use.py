@@ -20,6 +20,8 @@ _SAMPLES = 20
 # What follows was measured on runs of three sensors and three buildings; docs/measured.md has the errors.
 _RECORDING = {Detail.LINES: (130e3, 9.7), Detail.SCANS: (50e3, 7.5), Detail.MAP: (21e3, 0.0)}
 """Bytes of the recording for each scan, and for each of its returns more."""
+_TOLD_ONCE = 1e6
+"""Bytes of the recording for its layouts and explanations, however long the drive."""
 _SPOOL = (210e3, 3.9)
 """The same of what lies in the spool beside the recording's parts."""
 _REGISTRATION = 45e3
@@ -73,7 +75,7 @@ def estimate(inputs: Inputs, outputs: tuple[Output, ...], detail: Detail) -> Dis
     labelled = scans * (cloud_bytes + 2 * places + _TRANSFORM)
     per_scan, per_return = _RECORDING[detail]
     all_kept = {
-        Output.RECORDING: scans * (per_scan + per_return * returns),
+        Output.RECORDING: _TOLD_ONCE + scans * (per_scan + per_return * returns),
         Output.LABELLED: labelled,
         Output.LABELS: _LABELS_SHARE * labelled,
         Output.CLOUD: _CLOUD * scans,

@@ -37,6 +37,7 @@ HEADLINES = (
 """The figures that a table shows where nobody chooses; those that no run has are left out."""
 
 STEPS = (
+    "scan",
     "odometry",
     "refinement",
     "pose_graph",
