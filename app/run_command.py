@@ -11,12 +11,12 @@ import typer
 
 from app import pipeline, run_folder
 from app.blocks import holds_clouds_of, split_blocks
-from app.disk_use import check_disk
+from app.disk_use import DiskCheck, check_disk
 from app.finished_run import FROM_ODOMETRY, open_run
 from app.inputs import InputOptions, Inputs, digest_clouds, digest_stamps, find_inputs
 from app.outputs import RUN_OUTPUTS, Output, check_outputs
 from app.own_command import view_command
-from app.poses import check_lidars_meet, given_poses
+from app.poses import GivenPoses, check_lidars_meet, given_poses
 from app.processes import WorkerLostError
 from app.progress import Progress
 from app.recorder import Detail
@@ -69,62 +69,95 @@ _STORED = ("rig", "horizontal", "vertical", "time_from", "trajectory", "detail",
 def run(arguments: Arguments, resume: Path | None) -> None:
     """Run, or go on with a run; raises InputError for what the user can mend, as where another run is at the folder."""
     with ExitStack() as stack:
-        _run(arguments, resume, stack)
+        ready = _make_ready(arguments, stack) if resume is None else _make_ready_again(arguments, resume, stack)
+        if ready is not None:
+            _perform(ready, resume is not None)
 
 
-def _run(arguments: Arguments, resume: Path | None, stack: ExitStack) -> None:
+@dataclass(frozen=True)
+class _Ready:
+    """A run that can begin: all that it needs was found and checked, and no other run gets at its folder.
+
+    home: where its results are to lie in the end. record: what run.json holds at its start.
+    """
+
+    arguments: Arguments
+    settings: Settings
+    inputs: Inputs
+    given: GivenPoses | None
+    home: Path
+    folder: RunFolder
+    disk: DiskCheck
+    connect_url: str | None
+    record: dict[str, Any]
+
+
+def _make_ready(arguments: Arguments, stack: ExitStack) -> _Ready:
     """stack: holds the run folder until it is left."""
-    if resume is not None:
-        _check_resumable(arguments)
-        stack.enter_context(run_folder.held(resume))
-        arguments, settings, folder, record = _resumed(arguments, resume)
-        if record is None:
-            typer.echo(f"{folder.path} is complete already; nothing to resume")
-            return
-    else:
-        if arguments.bag is None:
-            raise InputError("give a bag, or --resume with a run folder; 'ffmap run --help' has examples")
-        settings, folder, record = load_settings(arguments.config, arguments.overrides), None, None
+    if arguments.bag is None:
+        raise InputError("give a bag, or --resume with a run folder; 'ffmap run --help' has examples")
+    settings = load_settings(arguments.config, arguments.overrides)
+    inputs, given = _find(arguments, arguments.bag, settings)
+    home = arguments.out or run_folder.default_path(arguments.bag.resolve(), settings.short_hash())
+    disk = check_disk(inputs, home, check_outputs(arguments.outputs), Detail(arguments.detail), None)
+    folder = run_folder.create(home, arguments.overwrite, _files_read(arguments))
+    stack.enter_context(run_folder.held(home))
+    connect_url = _viewer(arguments)
+    run_folder.clear(folder)
+    record = pipeline.first_record(inputs, settings, stored(arguments), arguments.bag, arguments.trajectory)
+    if given is not None:
+        record["map_origin"] = given.origin_m.tolist()
+    return _Ready(arguments, settings, inputs, given, home, folder, disk, connect_url, record)
+
+
+def _make_ready_again(arguments: Arguments, resume: Path, stack: ExitStack) -> _Ready | None:
+    """A run that was killed, as it was begun; None where it is complete. stack: as above."""
+    _check_resumable(arguments)
+    stack.enter_context(run_folder.held(resume))
+    folder = run_folder.unfinished(resume)
+    record = folder.read_json()
+    if record.get("outcome") == "complete":
+        typer.echo(f"{run_folder.take_place(folder).path} is complete already; nothing to resume")
+        return None
+    arguments, settings = _as_begun(arguments, resume, record)
     assert arguments.bag is not None
-    inputs = find_inputs(
-        arguments.bag, InputOptions(arguments.rig, arguments.horizontal, arguments.vertical, arguments.time_from)
-    )
+    inputs, given = _find(arguments, arguments.bag, settings)
+    disk = check_disk(inputs, resume, check_outputs(arguments.outputs), Detail(arguments.detail), folder)
+    _check_same_bag(inputs, folder, record)
+    folder.spool.mkdir(exist_ok=True)
+    return _Ready(arguments, settings, inputs, given, resume, folder, disk, _viewer(arguments), record)
+
+
+def _find(arguments: Arguments, bag: Path, settings: Settings) -> tuple[Inputs, GivenPoses | None]:
+    """The bag's lidars, and the poses that were given, if any."""
+    options = InputOptions(arguments.rig, arguments.horizontal, arguments.vertical, arguments.time_from)
+    inputs = find_inputs(bag, options)
     given = given_poses(arguments.trajectory, inputs, settings)
     if given is None:
         check_lidars_meet(inputs)
-    else:
-        inputs = replace(inputs, warnings=(*inputs.warnings, *given.warnings))
-    home = resume or arguments.out or run_folder.default_path(arguments.bag.resolve(), settings.short_hash())
-    disk = check_disk(inputs, home, check_outputs(arguments.outputs), Detail(arguments.detail), folder)
-    if folder is None:
-        folder = run_folder.create(home, arguments.overwrite, _files_read(arguments))
-        stack.enter_context(run_folder.held(home))
-    else:
-        assert record is not None
-        _check_same_bag(inputs, folder, record)
-    connect_url = _viewer(arguments)
-    if record is None:
-        run_folder.clear(folder)
-        record = pipeline.first_record(inputs, settings, stored(arguments), arguments.bag, arguments.trajectory)
-        if given is not None:
-            record["map_origin"] = given.origin_m.tolist()
+        return inputs, None
+    return replace(inputs, warnings=(*inputs.warnings, *given.warnings)), given
+
+
+def _perform(ready: _Ready, resumed: bool) -> None:
+    arguments, inputs = ready.arguments, ready.inputs
     options = pipeline.RunOptions(
         detail=Detail(arguments.detail),
         outputs=check_outputs(arguments.outputs),
-        connect_url=connect_url,
+        connect_url=ready.connect_url,
         workers=arguments.workers,
-        resume=resume is not None,
+        resume=resumed,
     )
     with (
-        _interruptible(f"'ffmap run --resume {home}' goes on with the run"),
+        _interruptible(f"'ffmap run --resume {ready.home}' goes on with the run"),
         Progress(arguments.quiet) as progress,
     ):
-        progress.say(disk.said)
-        for warning in (*inputs.warnings, *disk.warnings):
+        progress.say(ready.disk.said)
+        for warning in (*inputs.warnings, *ready.disk.warnings):
             progress.warn(warning)
-        trajectory = None if given is None else given.trajectory
-        finished = pipeline.run(inputs, trajectory, settings, options, folder, progress, record)
-        folder = run_folder.take_place(folder)
+        trajectory = None if ready.given is None else ready.given.trajectory
+        finished = pipeline.run(inputs, trajectory, ready.settings, options, ready.folder, progress, ready.record)
+        folder = run_folder.take_place(ready.folder)
     if arguments.latest:
         run_folder.point_latest_at(folder.path.resolve())
     metrics: evaluate.Metrics | None = None
@@ -221,12 +254,8 @@ def _check_resumable(arguments: Arguments) -> None:
         raise InputError("--resume goes on as the run was started: give no bag, --out, --config, --set or --overwrite with it")
 
 
-def _resumed(arguments: Arguments, path: Path) -> tuple[Arguments, Settings, RunFolder, dict[str, Any] | None]:
-    """What a killed run was started with; None as its record where it is complete."""
-    folder = run_folder.unfinished(path)
-    record = folder.read_json()
-    if record.get("outcome") == "complete":
-        return arguments, Settings(), run_folder.take_place(folder), None
+def _as_begun(arguments: Arguments, path: Path, record: dict[str, Any]) -> tuple[Arguments, Settings]:
+    """What a killed run was started with. record: what its run.json holds."""
     try:
         options = dict(record["options"])
         bag, settings = Path(record["bag"]["path"]), validate(record["settings"], str(path / run_folder.RUN_JSON))
@@ -241,8 +270,7 @@ def _resumed(arguments: Arguments, path: Path) -> tuple[Arguments, Settings, Run
     begun, now = record.get("versions", {}), versions()
     if any(begun.get(name) != now[name] for name in ("furniture-free-mapping", "git_revision")):
         raise InputError(f"{path}: was begun by another version of ffmap, whose labels may differ; start a new run")
-    folder.spool.mkdir(exist_ok=True)
-    return replace(arguments, bag=bag, **options), settings, folder, record
+    return replace(arguments, bag=bag, **options), settings
 
 
 def _report(
