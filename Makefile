@@ -10,7 +10,7 @@ help:
 	@echo 'make demo     install, simulate a small furnished building, run the program on it, say how to look at the result'
 	@echo 'make test     install, then ruff, mypy --strict and pytest'
 	@echo 'make install  set up $(VENV)/ only; the command is then $(VENV)/bin/ffmap'
-	@echo 'make clean    remove $(VENV)/, demo/ and caches (runs/ stays)'
+	@echo 'make clean    remove $(VENV)/, build/, demo/ and caches (runs/ stays)'
 
 install: $(READY)
 
@@ -33,4 +33,4 @@ lint: install
 	$(VENV)/bin/mypy
 
 clean:
-	rm -rf $(VENV) demo .pytest_cache .mypy_cache .ruff_cache *.egg-info
+	rm -rf $(VENV) build demo .hypothesis .pytest_cache .mypy_cache .ruff_cache *.egg-info

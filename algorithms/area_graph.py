@@ -25,8 +25,9 @@ from skimage.segmentation import watershed
 
 from algorithms.building import Doors
 from algorithms.grid_map import Cell, GridMap
+from algorithms.room_outlines import Sides, lay_on_faces
 from algorithms.scan import BoolArray, FloatArray, IntArray
-from algorithms.segments import lengths_m
+from algorithms.segments import Faces, lengths_m
 from algorithms.settings import StepSettings
 
 NO_DOORWAYS: FloatArray = np.zeros((0, 4, 2))
@@ -44,6 +45,9 @@ _BEAM_M = 0.15
 _JAMB_M = 0.1
 """A doorway is closed so far into both jambs, whose place is not known better."""
 
+_AT_FACE_CELLS = 2.0
+"""An outline's edge lies at most so many cells from the face that it is drawn by."""
+
 
 class Segmented(StrEnum):
     """The three that the paper compares (Fig. 10)."""
@@ -58,7 +62,7 @@ class AreaGraphSettings(StepSettings):
     """Rooms of a grid map (paper, IV.D, Fig. 10)."""
 
     passage_max_m: float = Field(
-        1.9, gt=0, description="w: openings of so many metres or wider part no rooms. IV.D, where the paper uses 1.9 m."
+        1.9, gt=0, description="w: openings of this many metres or wider part no rooms. IV.D, where the paper uses 1.9 m."
     )
     passage_ratio: float = Field(
         0.7, gt=0, le=1, description="An opening parts two rooms if it is at most this share as wide as the narrower one."
@@ -66,7 +70,7 @@ class AreaGraphSettings(StepSettings):
     furniture_max_m: float = Field(
         1.2,
         ge=0,
-        description="What stands free and is at most so many metres across is furniture (alpha removal); 0: none. IV.D.",
+        description="What stands free and is at most this many metres across is furniture (alpha removal); 0: none. IV.D.",
     )
     block_max_m: float = Field(
         2.0,
@@ -149,6 +153,7 @@ def find_rooms(
     doorways: FloatArray = NO_DOORWAYS,
     windows: FloatArray = NO_LINES,
     path_map: FloatArray | None = None,
+    faces: Sequence[Faces] = (),
 ) -> AreaGraph:
     """The Area Graph of a grid map.
 
@@ -156,7 +161,7 @@ def find_rooms(
     the grid, they part rooms whatever their width, and belong to none. windows: (W, 2, 2), through which no room is
     reached. path_map: (n, 2 or more) the robot's places, for a map that was made on the way: rooms that no passage
     joins to them are dropped, the edge of what was seen is no jamb, and what something hid within a room is part of it.
-    None for a map whose making is unknown.
+    None for a map whose making is unknown. faces: of walls, doors and windows; outlines that run along them lie on them.
     """
     view = _View.of(grid)
     free = view.cells == Cell.FREE
@@ -177,7 +182,7 @@ def find_rooms(
         label = _with_niches(label, closed, settings.block_max_m / grid.cell_m)
     reach_m = 0.0 if path_map is None else grid.cell_m / 2  # such a map's walls run along the middle of their cells
     removed, skeleton = view.centres(furniture & ~free), _voronoi(label, distance, nearest, view)
-    return _described(label, sides, openings, doorways, removed, skeleton, view, reach_m)
+    return _described(label, sides, openings, doorways, removed, skeleton, view, reach_m, faces)
 
 
 def _door_width(doorways: FloatArray) -> float:
@@ -189,6 +194,11 @@ def doorways_of(doors: Doors) -> FloatArray:
     """(D, 4, 2) the openings of doors through their walls, for `find_rooms`: the sill, then the far side."""
     behind = doors.ends - doors.normal[:, None] * doors.reveal_m[:, None, None]
     return np.concatenate([doors.ends, behind[:, ::-1]], axis=1)
+
+
+def sides_of(doors: Doors) -> tuple[Faces, Faces]:
+    """The faces of `doorways_of` that rooms end at: in front, and behind."""
+    return doors, Sides(doorways_of(doors)[:, 2:], -doors.normal)
 
 
 def coarsened(grid: GridMap, cells_max: int) -> GridMap:
@@ -513,11 +523,12 @@ def _described(
     skeleton: FloatArray,
     view: _View,
     reach_m: float,
+    faces: Sequence[Faces],
 ) -> AreaGraph:
     """Areas renumbered by size, outlined and named; passages between those that are left."""
     numbers = np.flatnonzero(np.bincount(label.ravel()))
     numbers = numbers[numbers > 0]
-    outlines = _outlines(label, numbers, view, reach_m)
+    outlines = lay_on_faces(_outlines(label, numbers, view, reach_m), faces, _AT_FACE_CELLS * view.grid.cell_m)
     # Rounded, so that rooms of equal size keep their order wherever the map lies.
     places = np.round([(-area.area, *area.centroid.coords[0]) for area in outlines], 6).reshape(-1, 3)
     order = np.lexsort(places.T[::-1])

@@ -38,29 +38,29 @@ class BeforeWallsSettings(StepSettings):
     """Relief before walls: what many scans together show to stand before a face."""
 
     relief_m: float = Field(
-        0.010, gt=0, description="What returns on average so many metres before a wall's face is not the wall."
+        0.010, gt=0, description="What returns on average this many metres before a wall's face is not the wall."
     )
     above_m: float = Field(
         2.12,
         gt=0,
-        description="Above so many metres, to the ceiling, the wall itself is seen; in lower rooms in the last 25 cm.",
+        description="Above this many metres, to the ceiling, the wall itself is seen; in lower rooms in the last 25 cm.",
     )
     returns_min: int = Field(8, ge=1, description="Fewest returns that tell a distance before the face.")
     scatter_max: float = Field(
-        2.0, gt=0, description="What returns with so many times the wall's own scatter is no surface, but several."
+        2.0, gt=0, description="What returns with this many times the wall's own scatter is no surface, but several."
     )
     foot_max_m: float = Field(
         0.3,
         gt=0,
-        description="What does not come down to so many metres above the floor hangs on its wall and is wall.",
+        description="What does not come down to this many metres above the floor hangs on its wall and is wall.",
     )
-    extent_min_m: float = Field(0.4, gt=0, description="Relief that is lower or narrower than so many metres is wall.")
-    extent_max_m: float = Field(3.0, gt=0, description="Relief that is longer than so many metres is wall: panelling.")
+    extent_min_m: float = Field(0.4, gt=0, description="Relief that is lower or narrower than this many metres is wall.")
+    extent_max_m: float = Field(3.0, gt=0, description="Relief that is longer than this many metres is wall: panelling.")
     below_ceiling_m: float = Field(
         0.2, ge=0, description="Relief that comes so close to the ceiling, in metres, is wall: a pillar, a corner."
     )
     end_m: float = Field(
-        0.1, ge=0, description="Closer than so many metres to a face's end another wall's returns tell."
+        0.1, ge=0, description="Closer than this many metres to a face's end another wall's returns tell."
     )
 
 

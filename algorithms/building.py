@@ -21,29 +21,29 @@ FRAME_REACH_M = 0.2
 class BuildingSettings(StepSettings):
     """Fusing scans into walls and doors."""
 
-    angle_deg: float = Field(8.0, gt=0, le=45, description="Planes of one wall differ by at most so many degrees.")
-    distance_m: float = Field(0.10, gt=0, description="Planes of one wall lie at most so many metres apart.")
+    angle_deg: float = Field(8.0, gt=0, le=45, description="Planes of one wall differ by at most this many degrees.")
+    distance_m: float = Field(0.10, gt=0, description="Planes of one wall lie at most this many metres apart.")
     own_plane_m: float = Field(
         0.03,
         ge=0,
-        description="A scan's plane that lies within so many metres of a face is that face as this scan saw it; one "
+        description="A scan's plane that lies within this many metres of a face is that face as this scan saw it; one "
         "farther off is another thing's, such as a leaf's.",
     )
-    gap_m: float = Field(0.6, ge=0, description="A wall has no gap longer than so many metres between its planes.")
+    gap_m: float = Field(0.6, ge=0, description="A wall has no gap longer than this many metres between its planes.")
     scans_min: int = Field(3, ge=1, description="Fewest scans that make a wall, and that bear out each part of it.")
     length_min_m: float = Field(0.25, ge=0, description="Shortest wall face in metres.")
     near_m: float = Field(
         0.35,
         gt=0,
-        description="A return at most so many metres behind a wall's face is a leaf; deeper, it went through.",
+        description="A return at most this many metres behind a wall's face is a leaf; deeper, it went through.",
     )
     range_m: float = Field(
-        12.0, gt=0, description="Rays from farther away than so many metres tell nothing of doors and windows."
+        12.0, gt=0, description="Rays from farther away than this many metres tell nothing of doors and windows."
     )
     far_m: float = Field(
         25.0,
         gt=0,
-        description="Rays from farther away than so many metres tell nothing of walls either, which show through doors.",
+        description="Rays from farther away than this many metres tell nothing of walls either, which show through doors.",
     )
     recess_min_m: float = Field(
         0.016,
@@ -53,11 +53,11 @@ class BuildingSettings(StepSettings):
     door_width_min_m: float = Field(0.6, gt=0, description="Narrowest door in metres.")
     door_width_max_m: float = Field(2.6, gt=0, description="Widest door in metres.")
     door_height_min_m: float = Field(1.8, gt=0, description="Lowest door head in metres. III.C, condition 3.")
-    door_height_max_m: float = Field(2.4, gt=0, description="Above so many metres the wall over a door is looked for.")
+    door_height_max_m: float = Field(2.4, gt=0, description="Above this many metres the wall over a door is looked for.")
     reveal_m: float = Field(
         0.3,
         ge=0,
-        description="A door's reveals reach so many metres behind the wall's face where its lintel does not tell.",
+        description="A door's reveals reach this many metres behind the wall's face where its lintel does not tell.",
     )
     pane_share_min: float = Field(
         0.005, gt=0, le=1, description="An opening that returns this share of its rays from one sheet holds a pane."

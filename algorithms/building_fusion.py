@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Protocol
 
 from algorithms.aligned_walls import AlignedFaces, align_faces
-from algorithms.area_graph import AreaGraph, AreaGraphSettings, Segmented, doorways_of, find_rooms
+from algorithms.area_graph import AreaGraph, AreaGraphSettings, Segmented, doorways_of, find_rooms, sides_of
 from algorithms.before_walls import BeforeWalls, BeforeWallsSettings, halo_at_walls, look_before_walls
 from algorithms.building import NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
 from algorithms.building_doors import drop_doubtful, find_doors, prove_crossed
@@ -139,10 +139,19 @@ def fuse_building(scans: AllScans, settings: FusionSettings, workers: int) -> Bu
     # The grid shows what lies farther away than what doors and windows are told by.
     immobile = Immobile(walls, scans.trace(walls, _far(settings), NO_WINDOWS), scans.votes, doors, windows)
     grid = draw_furniture_free(immobile, scans.drive, settings.grid_map, settings.wall_thickness)
-    rooms = find_rooms(grid, settings.area_graph, doorways_of(doors), windows.ends, scans.drive.path_map)
-    rivals = _draw_rivals(windows, scans, settings, workers)
+    standing = standing_stretches(immobile, settings.grid_map)
+    rooms = find_rooms(
+        grid,
+        settings.area_graph,
+        doorways_of(doors),
+        windows.ends,
+        scans.drive.path_map,
+        (standing, *sides_of(doors), windows),
+    )
+    # All maps show what the furniture-free one does: a slice catches returns far outside, through windows.
+    rivals = {rival: own.cropped_to(grid) for rival, own in _draw_rivals(windows, scans, settings, workers).items()}
     plan = draw_floor_plan(
-        standing_stretches(immobile, settings.grid_map),
+        standing,
         immobile,
         grid,
         scans.votes,

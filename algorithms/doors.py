@@ -35,7 +35,7 @@ class DoorsSettings(StepSettings):
     recess_min_m: float = Field(
         0.022, gt=0, description="Least depth in metres of what lies behind the wall plane. III.C, condition 2."
     )
-    open_depth_m: float = Field(0.15, gt=0, description="Deeper than so many metres a door stands open. III.C.")
+    open_depth_m: float = Field(0.15, gt=0, description="Deeper than this many metres a door stands open. III.C.")
     height_min_m: float = Field(
         1.8, gt=0, description="Least height in metres above the floor at which the door begins. III.C, condition 3."
     )

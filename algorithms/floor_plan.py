@@ -14,7 +14,7 @@ from algorithms.doors import DoorState
 from algorithms.grid_map import Cell, GridMap, Immobile
 from algorithms.labels import Label
 from algorithms.scan import BoolArray, FloatArray, IntArray
-from algorithms.segments import lengths_m
+from algorithms.segments import lengths_m, main_direction_deg, turned
 from algorithms.semantic_map import VoxelVotes, majority
 from algorithms.settings import StepSettings
 from algorithms.wall_thickness import (
@@ -43,7 +43,7 @@ class FloorPlanSettings(StepSettings):
     """The vector floor plan."""
 
     column_max_m: float = Field(
-        1.2, gt=0, description="What stands free, has a corner and is at most so many metres wide is a column."
+        1.2, gt=0, description="What stands free, has a corner and is at most this many metres wide is a column."
     )
     piece_min_m: float = Field(
         0.5, ge=0, description="A piece of wall that stands alone and is shorter, in metres, is left out."
@@ -98,7 +98,7 @@ class FloorPlan:
 
     walls: areas of walls that were seen from both sides. assumed: of walls that were seen from one side, as thick as
     their doorways are deep, else with the building's usual thickness. columns: their outlines. windows: what they cut
-    out of a wall.
+    out of a wall. direction_deg: of most walls, against the x axis; see `main_direction_deg`.
     """
 
     walls: tuple[shapely.Polygon, ...]
@@ -107,16 +107,7 @@ class FloorPlan:
     doors: tuple[PlanDoor, ...]
     windows: tuple[shapely.Polygon, ...]
     rooms: tuple[RoomOnPlan, ...]
-
-    @property
-    def bounds(self) -> tuple[float, float, float, float]:
-        """Least x and y, largest x and y; zeros where nothing is drawn."""
-        parts = [*self.walls, *self.assumed, *self.columns, *(door.outline for door in self.doors)]
-        parts += [room.polygon for room in self.rooms]
-        if not parts:
-            return 0.0, 0.0, 0.0, 0.0
-        low_x, low_y, high_x, high_y = shapely.total_bounds(parts)
-        return float(low_x), float(low_y), float(high_x), float(high_y)
+    direction_deg: float
 
 
 def draw_floor_plan(
@@ -173,6 +164,7 @@ def draw_floor_plan(
         ),
         windows=tuple(windows),
         rooms=tuple(rooms),
+        direction_deg=main_direction_deg(immobile.walls.ends),
     )
 
 
@@ -248,22 +240,23 @@ def _columns(stretches: Walls, settings: FloorPlanSettings) -> tuple[list[shapel
     in_column = np.zeros(len(stretches), bool)
     if not len(stretches):
         return [], in_column
-    lines = [shapely.LineString(ends) for ends in stretches.ends]
     group = _groups(stretches, _MEET_M)
     columns = []
     for g in np.unique(group):
         members = np.flatnonzero(group == g)
-        normal = stretches.normal[members]
-        outline = shapely.MultiLineString([lines[m] for m in members]).minimum_rotated_rectangle
-        if outline.geom_type != "Polygon" or np.abs(normal @ normal[0]).min() > 0.5:
+        normal, ends = stretches.normal[members], stretches.ends[members]
+        if np.abs(normal @ normal[0]).min() > 0.5:
             continue
-        corners = np.array(outline.exterior.coords)
-        sides = np.linalg.norm(np.diff(corners[:3], axis=0), axis=1)
+        # Square to its longest face: around two faces alone the smallest rectangle would lie aslant.
+        across = normal[np.argmax(lengths_m(ends))]
+        axes = np.array([[-across[1], across[0]], across])
+        places = ends.reshape(-1, 2) @ axes.T
+        (low_x, low_y), (high_x, high_y) = places.min(axis=0), places.max(axis=0)
+        corners = np.array([[low_x, low_y], [high_x, low_y], [high_x, high_y], [low_x, high_y]]) @ axes
         # A column's faces look away from each other; a niche's, or a small room's, look at each other.
-        centre = corners[:4].mean(axis=0)
-        outward = np.einsum("ij,ij->i", stretches.ends[members].mean(axis=1) - centre, normal) > -1e-6
-        if sides.max() <= settings.column_max_m and outward.all():
-            columns.append(outline)
+        outward = np.einsum("ij,ij->i", ends.mean(axis=1) - corners.mean(axis=0), normal) > -1e-6
+        if max(high_x - low_x, high_y - low_y) <= settings.column_max_m and outward.all():
+            columns.append(shapely.Polygon(corners))
             in_column[members] = True
     return columns, in_column
 
@@ -311,7 +304,7 @@ def _find_leaves(
                 towards = sill[1 - jamb] - sill[jamb]
                 front = float(np.sign(towards[0] * normal[1] - towards[1] * normal[0]))
                 swing = float(angle) * front * (1.0 if side == 0.0 else -1.0)
-                direction = _turned(towards / width_m, swing)
+                direction = turned(towards / width_m, swing)
                 start_m = _clear_of_wall(abs(float(direction @ normal)))
                 if start_m > 0.5 * length_m:
                     continue
@@ -343,11 +336,6 @@ def _covered(points: FloatArray, hinge: FloatArray, direction: FloatArray, start
     column = np.minimum(((along[on] - start_m) / _LEAF_BIN_M).astype(int), columns - 1)
     row = np.minimum(((points[on, 2] - _LEAF_LOW_M) / _LEAF_BIN_M).astype(int), rows - 1)
     return len(np.unique(column * rows + row)) / (columns * rows)
-
-
-def _turned(direction: FloatArray, angle_deg: float) -> FloatArray:
-    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
-    return np.array([c * direction[0] - s * direction[1], s * direction[0] + c * direction[1]])
 
 
 def _quad(ends: FloatArray, normal: FloatArray, front_m: float, back_m: float) -> shapely.Polygon:

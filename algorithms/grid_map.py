@@ -50,13 +50,13 @@ class GridMapSettings(StepSettings):
     """The furniture-free grid and its rivals (paper, IV.C, Fig. 9)."""
 
     cell_m: float = Field(0.05, ge=0.005, le=1, description="Edge of a cell in metres. IV.C.")
-    range_m: float = Field(25.0, gt=0, description="Rays clear cells up to so many metres from the sensor. IV.C.")
+    range_m: float = Field(25.0, gt=0, description="Rays clear cells up to this many metres from the sensor. IV.C.")
     margin_m: float = Field(1.0, ge=0, description="Unknown border in metres around what is drawn. IV.C.")
     doors: DoorsDrawn = Field(
         "open", description="Which doorways are free: open (all), as-seen (those that stood open), closed (none). IV.C."
     )
     door_margin_m: float = Field(
-        0.1, ge=0, description="A free doorway reaches so many metres beyond both sides of its wall. IV.C."
+        0.1, ge=0, description="A free doorway reaches this many metres beyond both sides of its wall. IV.C."
     )
     door_guessed_m: float = Field(
         0.3, ge=0, description="Least free depth in metres behind a sill where a leaf or one-sided wall hides more. IV.C."
@@ -90,6 +90,21 @@ class GridMap:
         """(m, 2) x and y of the middles of all cells of one kind."""
         rows, columns = np.nonzero(self.cells == cell)
         return np.asarray(self.origin + (np.stack([columns, rows], axis=1) + 0.5) * self.cell_m)
+
+    def cropped_to(self, other: "GridMap") -> "GridMap":
+        """The part that another map of the same cells covers; unknown where this one does not reach."""
+        column, row = np.round((self.origin - other.origin) / self.cell_m).astype(int)
+        cells = np.full_like(other.cells, Cell.UNKNOWN)
+        to_rows, from_rows = _overlap(row, self.cells.shape[0], cells.shape[0])
+        to_columns, from_columns = _overlap(column, self.cells.shape[1], cells.shape[1])
+        cells[to_rows, to_columns] = self.cells[from_rows, from_columns]
+        return GridMap(cells, other.origin, self.cell_m)
+
+
+def _overlap(shift: int, own: int, other: int) -> tuple[slice, slice]:
+    """Where an axis of so many cells, shifted by so many, lies in another one, and which of its cells lie there."""
+    low, high = max(shift, 0), max(min(shift + own, other), max(shift, 0))
+    return slice(low, high), slice(low - shift, high - shift)
 
 
 @dataclass(frozen=True)

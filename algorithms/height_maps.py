@@ -27,6 +27,8 @@ _SEEN_FLOOR_M, _OFF_FLOOR_M = 0.3, 0.2
 
 _CEILING_CELL_M, _REACH_M = 0.25, 1.5
 """A ceiling goes on level so far beyond what was seen of it."""
+_TILE_M, _TILE_CUBES = 10.0, 5
+"""A square of the ground so wide holds so many cubes, or one beside it does, where returns are no single errors."""
 _OVERHEAD_M, _BROAD_OVERHEAD_M, _UNKNOWN_M = 2.2, 0.8, 0.3
 """What hangs so high and holds a disc so broad, with nothing seen above it, is a ceiling: ducts and lamps are narrow."""
 
@@ -245,6 +247,7 @@ def map_sloping_ceilings(votes: VoxelVotes) -> HeightMap:
 
 def _highest_in_cells(position: FloatArray, origin: FloatArray, shape: tuple[int, int], cell_m: float) -> FloatArray:
     """(rows, columns, 3) the highest position of each cell, NaN where there is none; position: (n, 3)."""
+    position = _inside(position, origin, shape, cell_m)
     cell = _cells(position, origin, shape, cell_m)
     order = np.argsort(position[:, 2], kind="stable")
     highest = np.full((*shape, 3), np.nan)
@@ -385,11 +388,12 @@ def _above_m(position: FloatArray, ground_m: FloatArray, origin: FloatArray, cel
 def _median_around(height_m: FloatArray) -> FloatArray:
     """The median of each cell's and its eight neighbours' heights, NaN where none of them has one."""
     padded = np.pad(height_m, 1, constant_values=np.nan)
-    nine = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).reshape(-1, 9)
-    known = ~np.isnan(nine).all(axis=1)
-    median_m = np.full(len(nine), np.nan)
-    median_m[known] = np.nanmedian(nine[known], axis=1)
-    return median_m.reshape(height_m.shape)
+    known = ndimage.binary_dilation(~np.isnan(height_m), np.ones((3, 3)))
+    # The windows of the few cells that are known: those of all would take nine times the map.
+    nine = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))[known].reshape(-1, 9)
+    median_m = np.full(height_m.shape, np.nan)
+    median_m[known] = np.nanmedian(nine, axis=1)
+    return median_m
 
 
 def _holding_a_disc(mask: BoolArray, radius: float) -> BoolArray:
@@ -405,10 +409,23 @@ def _nothing(surface: Surface) -> HeightMap:
 
 
 def _frame(position: FloatArray, cell_m: float) -> tuple[FloatArray, tuple[int, int]]:
-    """The origin (2,) and the shape of a grid that holds all positions (n, 3) and what they reach to."""
-    origin = position[:, :2].min(axis=0) - _REACH_M
-    columns, rows = np.floor((position[:, :2].max(axis=0) + _REACH_M - origin) / cell_m).astype(int) + 1
+    """The origin (2,) and the shape of a grid that holds all positions (n, 3) but for single ones, and what they reach to."""
+    corner = position[:, :2].min(axis=0) - _REACH_M
+    among = _among_others(position)
+    kept = position[among, :2] if among.any() else position[:, :2]
+    # What is left out moves no cell's edge.
+    origin = corner + np.floor((kept.min(axis=0) - _REACH_M - corner) / cell_m) * cell_m
+    columns, rows = np.floor((kept.max(axis=0) + _REACH_M - origin) / cell_m).astype(int) + 1
     return origin, (int(rows), int(columns))
+
+
+def _among_others(position: FloatArray) -> BoolArray:
+    """(n,) which positions (n, 3) have others around them: one return far away would stretch a grid by all that lies between."""
+    tile = np.floor(position[:, :2] / _TILE_M).astype(np.int64)
+    tile -= tile.min(axis=0)
+    counts = np.zeros(tile.max(axis=0) + 1, np.int64)
+    np.add.at(counts, tuple(tile.T), 1)
+    return np.asarray(ndimage.maximum_filter(counts, 3)[tuple(tile.T)] >= _TILE_CUBES)
 
 
 def _cells(position: FloatArray, origin: FloatArray, shape: tuple[int, int], cell_m: float) -> FloatArray:
@@ -417,10 +434,17 @@ def _cells(position: FloatArray, origin: FloatArray, shape: tuple[int, int], cel
     return np.clip(cell, 0, np.array(shape) - 1)
 
 
+def _inside(position: FloatArray, origin: FloatArray, shape: tuple[int, int], cell_m: float) -> FloatArray:
+    """Those of the positions (n, 3) that the grid holds."""
+    cell = np.floor((position[:, 1::-1] - origin[::-1]) / cell_m)
+    return position[((cell >= 0) & (cell < shape)).all(axis=1)]
+
+
 def _in_cells(
     position: FloatArray, origin: FloatArray, shape: tuple[int, int], cell_m: float, share: float
 ) -> FloatArray:
     """In each cell the height that so large a share of its positions (n, 3) lie below; NaN where there are none."""
+    position = _inside(position, origin, shape, cell_m)
     cell = _cells(position, origin, shape, cell_m)
     index = cell[:, 0] * shape[1] + cell[:, 1]
     order = np.lexsort((position[:, 2], index))

@@ -18,7 +18,7 @@ from algorithms.rearrangement import (
     make_point_lines,
     plane_rows,
 )
-from algorithms.scan import BoolArray, FloatArray, IntArray, Scan, UInt8Array
+from algorithms.scan import BoolArray, FloatArray, IntArray, Scan, ScanSettings, UInt8Array
 from algorithms.settings import StepSettings
 from algorithms.smoothing import SmoothingSettings
 from algorithms.trajectory import PlacedScan
@@ -33,7 +33,7 @@ class LabellingSettings(StepSettings):
     """From planes to labels (paper, III.C)."""
 
     wall_distance_m: float = Field(
-        0.045, gt=0, le=0.5, description="Returns within so many metres of any wall plane of the scan are wall. III.C."
+        0.045, gt=0, le=0.5, description="Returns within this many metres of any wall plane of the scan are wall. III.C."
     )
     edge_m: float = Field(
         0.01,
@@ -42,15 +42,15 @@ class LabellingSettings(StepSettings):
         description="Along an edge a return goes to the wall though floor or ceiling is so much nearer.",
     )
     end_margin_m: float = Field(
-        0.15, ge=0, description="A wall plane counts so many metres beyond its outermost lines. III.C."
+        0.15, ge=0, description="A wall plane counts this many metres beyond its outermost lines. III.C."
     )
     corner_m: float = Field(
         0.6,
         ge=0,
-        description="Two planes that end at most so many metres before they meet are completed to the corner. III.C.",
+        description="Two planes that end at most this many metres before they meet are completed to the corner. III.C.",
     )
     leaf_margin_m: float = Field(
-        0.03, ge=0, description="A closed leaf reaches so many metres beyond the outermost lines that showed it. III.C."
+        0.03, ge=0, description="A closed leaf reaches this many metres beyond the outermost lines that showed it. III.C."
     )
 
 
@@ -58,6 +58,7 @@ class LabellingSettings(StepSettings):
 class MethodSettings:
     """The settings of every step that labels a scan."""
 
+    scan: ScanSettings
     smoothing: SmoothingSettings
     rearrangement: RearrangementSettings
     vertical_structures: VerticalStructuresSettings

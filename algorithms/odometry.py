@@ -16,6 +16,10 @@ from algorithms.refinement import Refinement, RefinementSettings, Refiner
 from algorithms.scan import FloatArray, Scan
 from algorithms.settings import StepSettings
 
+_LOOKED_AT = 1_000
+_PLACES_MIN, _SPREAD_MIN = 3, 0.5
+"""A pose takes returns in so many voxels of the map, which spread by so many of them in a second direction."""
+
 
 class OdometrySettings(StepSettings):
     """KISS-ICP (Vizzo et al. 2023), in place of the paper's BLAM (IV.A)."""
@@ -23,24 +27,24 @@ class OdometrySettings(StepSettings):
     voxel_m: float = Field(0.25, ge=0.01, le=5, description="Edge in metres of the local map's voxels. KISS-ICP.")
     points_per_voxel: int = Field(5, ge=1, description="Most points that a voxel of the local map keeps. KISS-ICP.")
     range_min_m: float = Field(
-        0.5, ge=0, description="Returns nearer than so many metres are the robot itself. KISS-ICP."
+        0.5, ge=0, description="Returns nearer than this many metres are the robot itself. KISS-ICP."
     )
-    range_max_m: float = Field(60.0, gt=0, description="Returns farther than so many metres are left out. KISS-ICP.")
+    range_max_m: float = Field(60.0, gt=0, description="Returns farther than this many metres are left out. KISS-ICP.")
     points_max: int = Field(
-        8_000, ge=100, description="Denser clouds are thinned evenly to at most so many returns. KISS-ICP."
+        8_000, ge=100, description="Denser clouds are thinned evenly to at most this many returns. KISS-ICP."
     )
     deskew: bool = Field(True, description="Compensate the motion within a sweep where the cloud has times. KISS-ICP.")
     threshold_initial_m: float = Field(
         0.5, gt=0, description="First correspondence threshold in metres, before it adapts. KISS-ICP."
     )
     motion_min_m: float = Field(
-        0.05, gt=0, description="Deviations below so many metres do not adapt the threshold. KISS-ICP."
+        0.05, gt=0, description="Deviations below this many metres do not adapt the threshold. KISS-ICP."
     )
     iterations_max: int = Field(300, ge=1, description="Most ICP iterations a scan. KISS-ICP.")
     convergence: float = Field(1e-3, gt=0, description="ICP stops at a smaller step. KISS-ICP.")
     threads: int = Field(1, ge=0, le=256, description="KISS-ICP's threads; 1 is reproducible, 0 takes all cores. KISS-ICP.")
     evidence_every: int = Field(
-        10, ge=1, description="The local map and the residual are kept for every so many-th scan. KISS-ICP."
+        10, ge=1, description="The local map and the residual are kept for one scan in this many. KISS-ICP."
     )
 
 
@@ -87,7 +91,7 @@ def register_scans(
     refinement: RefinementSettings,
     T_sensor_companion: FloatArray | None = None,
 ) -> Iterator[Registration]:
-    """Register scans one after another to the map that they build; yields one `Registration` for each.
+    """Register scans one after another to the map that they build; yields one `Registration` for each that holds a pose.
 
     scans: index and scan, and the scan of the other lidar, if any, that ended last before it.
     T_sensor_companion: (4, 4) where that lidar sits.
@@ -108,7 +112,8 @@ def register_scans(
             ),
         )
     )
-    for number, (index, scan, companion) in enumerate(scans):
+    registrable = ((index, scan, other) for index, scan, other in scans if holds_a_pose(scan, settings))
+    for number, (index, scan, companion) in enumerate(registrable):
         threshold_m = float(odometry.adaptive_threshold.get_threshold())
         keep_evidence = number % settings.evidence_every == 0
         local_map = odometry.local_map.point_cloud() if keep_evidence else np.zeros((0, 3))
@@ -143,6 +148,19 @@ def register_scans(
             refused=refined.refused,
             milliseconds=milliseconds,
         )
+
+
+def holds_a_pose(scan: Scan, settings: OdometrySettings) -> bool:
+    """Whether a scan has returns in range at enough places, and not all in a line: KISS-ICP ends the program otherwise."""
+    # Of a sound scan some tell.
+    points = scan.points_sensor[:: max(1, len(scan) // _LOOKED_AT)].astype(np.float64)
+    range_m = np.linalg.norm(points, axis=1)
+    points = points[(range_m > settings.range_min_m) & (range_m < settings.range_max_m)]
+    places = np.unique(np.floor(points / settings.voxel_m).astype(np.int64), axis=0)
+    if len(places) < _PLACES_MIN:
+        return False
+    spread = np.linalg.svd((places - places.mean(axis=0)) / np.sqrt(len(places)), compute_uv=False)
+    return bool(spread[1] > _SPREAD_MIN)
 
 
 def weakness(registration: Registration, settings: RefinementSettings) -> str | None:

@@ -29,7 +29,7 @@ class PoseGraphSettings(StepSettings):
     enabled: bool = Field(True, description="Whether loops are closed once the bag has been driven through.")
     submap_scans: int = Field(20, ge=2, description="Scans that make a submap.")
     every_scans: int = Field(10, ge=1, description="Scans from one submap's middle to the next one's.")
-    resolution_m: float = Field(0.2, ge=0.01, le=5, description="Submaps are thinned to a point in so many metres.")
+    resolution_m: float = Field(0.2, ge=0.01, le=5, description="Submaps are thinned to a point in this many metres.")
     voxel_m: float = Field(
         0.2,
         ge=0.01,
@@ -37,9 +37,9 @@ class PoseGraphSettings(StepSettings):
         description="Edge in metres of the voxels that hold one Gaussian each; what is as thin, such as a wall, has two sides.",
     )
     neighbours: int = Field(12, ge=4, le=1000, description="Points that a point's covariance is estimated from.")
-    near_m: float = Field(3.0, ge=0, description="A loop joins submaps whose middles lie at most so far apart.")
+    near_m: float = Field(3.0, ge=0, description="A loop joins submaps whose middles lie at most this far apart.")
     loops_max: int = Field(6, ge=0, description="Most earlier passes, the nearest ones, that a submap is joined with.")
-    distance_m: float = Field(0.4, gt=0, description="Points farther than so many metres from a Gaussian have none.")
+    distance_m: float = Field(0.4, gt=0, description="Points farther than this many metres from a Gaussian have none.")
     iterations_max: int = Field(30, ge=1, description="Most iterations a registration.")
     inlier_share: float = Field(
         0.5, ge=0, le=1, description="Submaps are joined where at least this share of one fits the other."
@@ -47,7 +47,7 @@ class PoseGraphSettings(StepSettings):
     loss_scale: float = Field(
         3.0,
         gt=0,
-        description="A loop that is off by so many standard deviations counts half (Cauchy's loss); one that is off by "
+        description="A loop that is off by this many standard deviations counts half (Cauchy's loss); one that is off by "
         "ten times as many next to nothing.",
     )
     rounds_max: int = Field(

@@ -54,7 +54,7 @@ class RearrangementSettings(StepSettings):
         0.03,
         gt=0,
         le=0.5,
-        description="Returns at most so many metres below or above a ceiling plane are ceiling. III.A.",
+        description="Returns at most this many metres below or above a ceiling plane are ceiling. III.A.",
     )
     ceiling_height_min_m: float = Field(
         2.1, gt=0, description="Lowest height in metres above the floor at which a ceiling is believed. III.A."

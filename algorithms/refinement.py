@@ -26,20 +26,20 @@ class RefinementSettings(StepSettings):
         le=5,
         description="Edge in metres of the voxels that hold one Gaussian each; what is as thin, such as a wall, has two sides.",
     )
-    points_max: int = Field(6_000, ge=100, description="Denser clouds are thinned evenly to at most so many returns.")
-    resolution_m: float = Field(0.2, ge=0.01, le=5, description="Scans are thinned to a point in so many metres.")
+    points_max: int = Field(6_000, ge=100, description="Denser clouds are thinned evenly to at most this many returns.")
+    resolution_m: float = Field(0.2, ge=0.01, le=5, description="Scans are thinned to a point in this many metres.")
     neighbours: int = Field(12, ge=4, le=1000, description="Points that a point's covariance is estimated from.")
     companion_points_max: int = Field(
         5_000,
         ge=0,
         description="As many returns of the other lidar, which sees floor and ceiling, are registered with.",
     )
-    distance_m: float = Field(0.5, gt=0, description="Points farther than so many metres from a Gaussian have none.")
+    distance_m: float = Field(0.5, gt=0, description="Points farther than this many metres from a Gaussian have none.")
     iterations_max: int = Field(20, ge=1, description="Most iterations a registration.")
     memory_scans: int = Field(
         50,
         ge=1,
-        description="What so many scans in a row have not met is forgotten: a place seen again is for the pose graph.",
+        description="What this many scans in a row have not met is forgotten: a place seen again is for the pose graph.",
     )
     weak_share: float = Field(
         0.012,
@@ -59,7 +59,7 @@ class RefinementSettings(StepSettings):
     )
     jump_m: float = Field(0.15, gt=0, description="Likewise, by more metres than this.")
     refusals_max: int = Field(
-        10, ge=0, description="After so many refusals in a row a registration is believed: the poses before it were wrong."
+        10, ge=0, description="After this many refusals in a row a registration is believed: the poses before it were wrong."
     )
     passes: int = Field(
         1,

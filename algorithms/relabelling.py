@@ -55,32 +55,32 @@ class RelabellingSettings(StepSettings):
     """What the building's walls and doors change in a scan's labels."""
 
     wall_distance_m: float = Field(
-        0.04, gt=0, description="Clutter within so many metres of a fused wall face becomes wall."
+        0.04, gt=0, description="Clutter within this many metres of a fused wall face becomes wall."
     )
     body_m: float = Field(
         0.07,
         ge=0,
-        description="Clutter at most so many metres behind a face that the sensor looks at is within the wall: its scatter.",
+        description="Clutter at most this many metres behind a face that the sensor looks at is within the wall: its scatter.",
     )
     leaf_distance_m: float = Field(
-        0.1, gt=0, description="A return at most so many metres behind a closed leaf is its scatter."
+        0.1, gt=0, description="A return at most this many metres behind a closed leaf is its scatter."
     )
-    margin_m: float = Field(0.05, ge=0, description="A wall face, or a window, counts so many metres beyond its ends.")
+    margin_m: float = Field(0.05, ge=0, description="A wall face, or a window, counts this many metres beyond its ends.")
     at_reveal_m: float = Field(
-        0.035, ge=0, description="A reveal or the underside of a lintel is known to so many metres."
+        0.035, ge=0, description="A reveal or the underside of a lintel is known to this many metres."
     )
-    opening_m: float = Field(0.015, ge=0, description="So many metres within the frame of an open door no wall stands.")
+    opening_m: float = Field(0.015, ge=0, description="This many metres within the frame of an open door no wall stands.")
     refused_m: float = Field(
-        0.06, ge=0, description="What a scan calls wall at most so many metres off a refused face is clutter, or outside."
+        0.06, ge=0, description="What a scan calls wall at most this many metres off a refused face is clutter, or outside."
     )
-    pane_m: float = Field(0.0, ge=0, description="More than so many metres behind a pane a return is outside.")
+    pane_m: float = Field(0.0, ge=0, description="More than this many metres behind a pane a return is outside.")
     behind_glass_m: float = Field(
         0.12,
         gt=0,
         description="The same behind a window's wall, where the pane returned nothing and its place is not known.",
     )
     forget_m: float = Field(
-        0.2, gt=0, description="A wall return farther than so many metres from every fused face becomes clutter."
+        0.2, gt=0, description="A wall return farther than this many metres from every fused face becomes clutter."
     )
     edge_m: float = Field(
         0.06,
@@ -89,15 +89,17 @@ class RelabellingSettings(StepSettings):
         description="So near both to a wall and to floor or ceiling a return is of the one that its ray meets first.",
     )
     floor_scatter_m: float = Field(
-        0.015, ge=0, description="A floor seen level lies within so many metres of where its plane is."
+        0.015, ge=0, description="A floor seen level lies within this many metres of where its plane is."
     )
     range_scatter_m: float = Field(
-        0.02, ge=0, description="A return is off by at most so many metres along its ray, which lifts it off a floor seen steeply."
+        0.02,
+        ge=0,
+        description="A return is off by at most this many metres along its ray, which lifts it off a floor seen steeply.",
     )
     halo_ratio: float = Field(
         10.0,
         ge=1,
-        description="Clutter with fewer than one in so many votes of the floor, ceiling or wall beside it is its scatter.",
+        description="Clutter with fewer than one in this many votes of the floor, ceiling or wall beside it is its scatter.",
     )
     halo_wall_m: float = Field(
         0.12, gt=0, description="So near one of the building's faces clutter may be a wall's scatter."

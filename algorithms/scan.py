@@ -1,15 +1,30 @@
 """One revolution of a spinning lidar, as every step of the method receives it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
+
+from algorithms.settings import StepSettings
 
 FloatArray = npt.NDArray[np.floating[Any]]
 IntArray = npt.NDArray[np.integer[Any]]
 BoolArray = npt.NDArray[np.bool_]
 UInt8Array = npt.NDArray[np.uint8]
+
+
+class ScanSettings(StepSettings):
+    """Which returns of a scan are used."""
+
+    range_max_m: float = Field(
+        100.0,
+        gt=0,
+        le=150,
+        description="Maximum distance in metres from the lidar; returns farther away are left out: indoors they are errors, "
+        "and grids would have to reach as far.",
+    )
 
 
 @dataclass(frozen=True)
@@ -42,3 +57,18 @@ class Scan:
     def end_ns(self) -> int:
         """Time of the last firing."""
         return self.start_ns + (int(self.time_ns.max()) if self.time_ns is not None and len(self) else 0)
+
+
+def within_range(scan: Scan, range_max_m: float) -> Scan:
+    """The scan without the returns that are farther from the lidar; the very same where there are none."""
+    points = scan.points_sensor.astype(np.float64)
+    near = np.einsum("ij,ij->i", points, points) <= range_max_m**2
+    if near.all():
+        return scan
+    return replace(
+        scan,
+        points_sensor=scan.points_sensor[near],
+        ring=scan.ring[near],
+        time_ns=None if scan.time_ns is None else scan.time_ns[near],
+        cloud_index=scan.cloud_index[near],
+    )

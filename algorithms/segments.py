@@ -5,8 +5,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from algorithms.scan import BoolArray, FloatArray
+
+_BIN_DEG = 0.05
+_SIGMA_DEG = 1.0
+_OWN_DEG = 3.0
+"""Lines that are so little askew from the main direction have a say in where exactly it is."""
 
 
 class Faces(Protocol):
@@ -65,6 +71,32 @@ class Segment:
 def lengths_m(ends: FloatArray) -> FloatArray:
     """(k,) how long faces, sills or other lines with these ends (k, 2, 2) are."""
     return np.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
+
+
+def main_direction_deg(ends: FloatArray) -> float:
+    """The angle of most lines with the x axis, in [-45, 45): turned back by it, a drawing is square to them.
+
+    ends: (k, 2, 2). Lines at right angles count as one direction, each by its length. The commonest direction, not the
+    mean: a wing at another angle does not turn it. 0 where there is no line.
+    """
+    along = ends[:, 1] - ends[:, 0]
+    length_m = lengths_m(ends)
+    if not length_m.sum() > 0:
+        return 0.0
+    angle_deg = np.degrees(np.arctan2(along[:, 1], along[:, 0])) % 90.0
+    bins = round(90.0 / _BIN_DEG)
+    count = np.bincount((angle_deg / _BIN_DEG).astype(int) % bins, length_m, bins)
+    peak_deg = (int(np.argmax(gaussian_filter1d(count, _SIGMA_DEG / _BIN_DEG, mode="wrap"))) + 0.5) * _BIN_DEG
+    askew_deg = (angle_deg - peak_deg + 45.0) % 90.0 - 45.0
+    own = np.abs(askew_deg) < _OWN_DEG
+    direction_deg = peak_deg + float(np.average(askew_deg[own], weights=length_m[own]))
+    return (direction_deg + 45.0) % 90.0 - 45.0
+
+
+def turned(places: FloatArray, by_deg: float) -> FloatArray:
+    """Places or directions (…, 2), turned about the origin, counter-clockwise."""
+    c, s = np.cos(np.radians(by_deg)), np.sin(np.radians(by_deg))
+    return np.asarray(places @ np.array([[c, s], [-s, c]]))
 
 
 def segments(faces: Faces) -> Iterator[Segment]:

@@ -42,13 +42,13 @@ class SmoothingSettings(StepSettings):
         description="Most returns, one after the other on a ring, that make a facet; fewer than 5: none is smoothed.",
     )
     facet_max_m: float = Field(
-        0.2, gt=0, description="A facet of more than 5 returns is at most so many metres wide, across its rays."
+        0.2, gt=0, description="A facet of more than 5 returns is at most this many metres wide, across its rays."
     )
     residual_max: float = Field(
-        1.4, gt=0, description="Returns on a facet are off it by at most so many times the scan's scatter (root mean square)."
+        1.4, gt=0, description="Returns on a facet are off it by at most this many times the scan's scatter (root mean square)."
     )
     correction_max: float = Field(
-        3.5, gt=0, description="A return farther off its facet than so many times the scan's scatter stays where it is."
+        3.5, gt=0, description="A return farther off its facet than this many times the scan's scatter stays where it is."
     )
 
 

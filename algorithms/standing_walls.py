@@ -73,22 +73,22 @@ class StandingWallsSettings(StepSettings):
     above_door_m: float = Field(
         2.12,
         gt=0,
-        description="Above so many metres, higher than leaves and cupboards, a wall still stands; in lower rooms in "
+        description="Above this many metres, higher than leaves and cupboards, a wall still stands; in lower rooms in "
         "the last 25 cm below the ceiling.",
     )
     passed_ratio: float = Field(
         2.0,
         gt=0,
-        description="A column is no wall's where so many rays pass below the ceiling for each that ends there.",
+        description="A column is no wall's where this many rays pass below the ceiling for each that ends there.",
     )
     hollow_ratio: float = Field(
-        4.0, gt=0, description="A column is open below where so many rays pass for each that ends there."
+        4.0, gt=0, description="A column is open below where this many rays pass for each that ends there."
     )
     opening_max_m: float = Field(
-        2.6, gt=0, description="What is open below over a longer stretch than so many metres is a duct, no lintel."
+        2.6, gt=0, description="What is open below over a longer stretch than this many metres is a duct, no lintel."
     )
     corner_m: float = Field(
-        0.7, ge=0, description="A face is carried on to the corner with another that begins at most so far away."
+        0.7, ge=0, description="A face is carried on to the corner with another that begins at most this far away."
     )
     scans_few: int = Field(
         10,
@@ -107,7 +107,7 @@ class StandingWallsSettings(StepSettings):
         ge=0,
         description="No hidden wall stands so near the robot's way, in metres; a lamp above it may hang there.",
     )
-    ceiling_near_m: float = Field(2.0, gt=0, description="A wall's ceiling is looked for so many metres around it.")
+    ceiling_near_m: float = Field(2.0, gt=0, description="A wall's ceiling is looked for this many metres around it.")
 
 
 class FaceVerdict(IntEnum):

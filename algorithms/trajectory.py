@@ -26,16 +26,16 @@ class TrajectorySettings(StepSettings):
         8.0,
         gt=0,
         le=60,
-        description="The map is levelled by the walls and the floor that the first so many seconds show.",
+        description="The map is levelled by the walls and the floor that the first this many seconds show.",
     )
     level_scan_max_deg: float = Field(
         1.0,
         ge=0,
         le=10,
-        description="A scan is turned by at most so many degrees to make its floor lie as the map's does; 0 turns none.",
+        description="A scan is turned by at most this many degrees to make its floor lie as the map's does; 0 turns none.",
     )
     extrapolate_s: float = Field(
-        0.3, ge=0, description="A vertical scan may lie so many seconds outside the odometry; farther, it is skipped."
+        0.3, ge=0, description="A vertical scan may lie this many seconds outside the odometry; farther, it is skipped."
     )
 
 

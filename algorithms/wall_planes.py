@@ -37,7 +37,7 @@ class WallPlanesSettings(StepSettings):
     upper_part_m: float = Field(
         0.4,
         gt=0,
-        description="A candidate counts with its upper so many metres, where no leaf or furniture stands before the wall. "
+        description="A candidate counts with its upper this many metres, where no leaf or furniture stands before the wall. "
         "III.B.",
     )
     reach_m: float = Field(
@@ -46,7 +46,7 @@ class WallPlanesSettings(StepSettings):
         description="A wall meets the ceiling: a candidate that ends more metres below one is refused. III.B.",
     )
     height_min_m: float = Field(
-        2.1, gt=0, description="Where no ceiling is in view, a wall is at least so many metres high. III.B."
+        2.1, gt=0, description="Where no ceiling is in view, a wall is at least this many metres high. III.B."
     )
     bottom_max_m: float = Field(
         2.2,

@@ -23,7 +23,7 @@ class WallThicknessSettings(StepSettings):
 
     least_m: float = Field(0.03, gt=0, description="Thinnest wall in metres; two faces nearer than this are one.")
     most_m: float = Field(0.6, gt=0, description="Thickest wall in metres: faces farther apart belong to two walls.")
-    angle_deg: float = Field(3.0, gt=0, le=20, description="The two sides of a wall are parallel to so many degrees.")
+    angle_deg: float = Field(3.0, gt=0, le=20, description="The two sides of a wall are parallel to this many degrees.")
     unseen_m: float = Field(
         0.15, gt=0, description="Thickness in metres where no wall of the building was seen from both sides."
     )

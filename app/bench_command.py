@@ -13,13 +13,13 @@ import psutil
 import typer
 
 from algorithms.labelling import label_scan
-from algorithms.scan import FloatArray, Scan
+from algorithms.scan import FloatArray, Scan, within_range
 from algorithms.smoothing import smooth_ranges
 from algorithms.trajectory import PlacedScan, place_scan
 from app import run_command
 from app.evaluate import PAPER_STATISTICS
 from app.inputs import InputOptions, find_inputs
-from app.odometry_stage import CACHE_VARIABLE
+from app.odometry_cache import CACHE_VARIABLE
 from app.poses import poses_of
 from app.run_folder import RECORDING, RunFolder
 from app.settings import Settings
@@ -125,6 +125,7 @@ def _placed_scans(bag: Path, settings: Settings) -> list[tuple[int, Scan, Placed
         for first in np.linspace(0, len(sensor.index) - 1, _SCANS).astype(int):
             for index, scan in read_scans(opened, sensor.index, int(first), 1, sensor.lidar.decoding):
                 if isinstance(scan, Scan):
+                    scan = within_range(scan, settings.scan.range_max_m)
                     ranges = smooth_ranges(scan, settings.smoothing)
                     scans.append((index, scan, place_scan(ranges.of(scan), trajectory, sensor.lidar.T_base_sensor)))
     return scans

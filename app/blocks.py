@@ -18,7 +18,7 @@ from algorithms.levelling import LevelledScan, place_and_level
 from algorithms.rearrangement import below_ceiling
 from algorithms.relabelling import BuildingModel, RelabellingSettings, relabel
 from algorithms.rival_maps import RivalCounter, RivalMapsSettings
-from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array
+from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array, within_range
 from algorithms.semantic_map import Halo, VoxelTable, VoxelVotes
 from algorithms.smoothing import SmoothedRanges, smooth_ranges
 from algorithms.trajectory import PlacedScan, Trajectory
@@ -26,8 +26,10 @@ from app.inputs import Inputs, Sensor
 from app.recorder import Detail, Recorder
 from app.recording import open_part
 from loaders.bag import Bag, open_bag
+from loaders.cloud_digest import as_rows
+from loaders.errors import InputError
 from loaders.pointcloud2 import full_labels
-from loaders.scans import SkippedScan, read_scans
+from loaders.scans import SkippedScan, read_digests, read_scans
 
 VOXEL_M = 0.05
 SCANS_PER_BLOCK = 20
@@ -86,8 +88,10 @@ class BlockSummary:
 
     scan: (s,) scans that were labelled; stamp_ns, T_map_base: (s,), (s, 4, 4) at their header stamps.
     skipped: number and reason of each cloud that was not.
+    cloud_digest: (k, 16) uint8 of the bytes of every cloud of the block, skipped ones too.
     label_counts: (256,) returns by label. milliseconds: (s, 5), see `STAGES`.
     points_in_cloud, points_in_lines: (s,)
+    beyond_range: (s,) returns that were left out because they lie too far away.
     """
 
     scan: IntArray
@@ -95,10 +99,12 @@ class BlockSummary:
     T_map_base: FloatArray
     skipped_scan: IntArray
     skipped_reason: tuple[str, ...]
+    cloud_digest: UInt8Array
     label_counts: IntArray
     milliseconds: FloatArray
     points_in_cloud: IntArray
     points_in_lines: IntArray
+    beyond_range: IntArray
 
 
 def split_blocks(clouds: int) -> list[Block]:
@@ -119,13 +125,15 @@ def label_block(job: LabelJob) -> BlockSummary:
     ceilings: list[FloatArray] = []
     milliseconds: list[list[float]] = []
     sizes: list[tuple[int, int]] = []
+    beyond_range: list[int] = []
     counts = np.zeros(256, np.int64)
+    digests: list[bytes] = []
     table = VoxelTable(VOXEL_M, len(Label))
     rivals = RivalCounter(job.cell_m, job.rival_maps)
     with _open_evidence(job, ".rrd") as recorder:
         started = time.perf_counter()
         for index, scan in read_scans(
-            _open(job.inputs.bag_path), sensor.index, job.block.first, job.block.count, sensor.lidar.decoding
+            _open(job.inputs.bag_path), sensor.index, job.block.first, job.block.count, sensor.lidar.decoding, digests
         ):
             read = time.perf_counter()
             if (
@@ -133,6 +141,9 @@ def label_block(job: LabelJob) -> BlockSummary:
                 and not job.trajectory.covers(np.array([scan.start_ns, scan.end_ns]), job.extrapolate_ns).all()
             ):
                 scan = SkippedScan(index, scan.stamp_ns, "no pose at its time")
+            returns = len(scan) if isinstance(scan, Scan) else 0
+            if isinstance(scan, Scan):
+                scan = _near(index, scan, job)
             if isinstance(scan, SkippedScan):
                 skipped.append(scan)
                 if recorder:
@@ -161,6 +172,7 @@ def label_block(job: LabelJob) -> BlockSummary:
             ceilings.append(labelling.ceiling_planes)
             counts += np.bincount(labelling.label, minlength=256)
             scans.append((index, scan.stamp_ns, job.trajectory.at(np.array([scan.stamp_ns]))[0]))
+            beyond_range.append(returns - len(scan))
             sizes.append(
                 (scan.cloud_size, int(np.count_nonzero(~np.isin(labelling.label, (Label.FLOOR, Label.CEILING)))))
             )
@@ -174,10 +186,12 @@ def label_block(job: LabelJob) -> BlockSummary:
         T_map_base=np.array([s[2] for s in scans]).reshape(-1, 4, 4),
         skipped_scan=np.array([s.index for s in skipped], np.int64),
         skipped_reason=tuple(s.reason for s in skipped),
+        cloud_digest=as_rows(digests),
         label_counts=counts,
         milliseconds=np.array(milliseconds).reshape(-1, len(STAGES)),
         points_in_cloud=np.array([s[0] for s in sizes], np.int64),
         points_in_lines=np.array([s[1] for s in sizes], np.int64),
+        beyond_range=np.array(beyond_range, np.int64),
     )
     _save(
         job.path.with_suffix(".npz"),
@@ -199,13 +213,17 @@ def label_block(job: LabelJob) -> BlockSummary:
 
 
 def finish_block(job: FinishJob) -> None:
-    """Read a block's scans a second time and give every return its final label; write labels and votes to the spool."""
+    """Read a block's scans a second time and give every return its final label; write labels and votes to the spool.
+
+    Raises InputError where they are not what was read the first time.
+    """
     label_job = job.label
     sensor = _vertical(label_job.inputs)
     earlier = load_labels(label_job.path.with_suffix(".npz"))
     ceilings = _load_ceilings(label_job.path.with_suffix(".npz"))
     labels: list[UInt8Array] = []
     numbers: list[int] = []
+    digests: list[bytes] = []
     table = VoxelTable(VOXEL_M, len(Label))
     with _open_evidence(label_job, FINAL_EVIDENCE) as recorder:
         for index, scan in read_scans(
@@ -214,9 +232,11 @@ def finish_block(job: FinishJob) -> None:
             label_job.block.first,
             label_job.block.count,
             sensor.lidar.decoding,
+            digests,
         ):
             if index not in earlier or isinstance(scan, SkippedScan):
                 continue
+            scan = within_range(scan, label_job.method.scan.range_max_m)
             level = _place(scan, smooth_ranges(scan, label_job.method.smoothing), label_job)
             placed = level.placed
             points_map = points_in_map(placed)
@@ -237,6 +257,10 @@ def finish_block(job: FinishJob) -> None:
             table.add(points_map, label)
             labels.append(full_labels(scan, label))
             numbers.append(index)
+    if not np.array_equal(as_rows(digests), load_summary(label_job.path.with_suffix(".npz")).cloud_digest):
+        raise InputError(
+            f"{label_job.inputs.bag_path}: changed while the run was reading it; let nothing write to it, and start a new run"
+        )
     _save(
         label_job.path.with_suffix(".final.npz"),
         {
@@ -244,6 +268,13 @@ def finish_block(job: FinishJob) -> None:
             **_vote_arrays("votes", table.votes()),
         },
     )
+
+
+def _near(index: int, scan: Scan, job: LabelJob) -> Scan | SkippedScan:
+    """The scan without the returns that are too far away to be used."""
+    range_max_m = job.method.scan.range_max_m
+    near = within_range(scan, range_max_m)
+    return near if len(near) else SkippedScan(index, scan.stamp_ns, f"no return within {range_max_m:g} m (scan.range_max_m)")
 
 
 def _place(scan: Scan, ranges: SmoothedRanges, job: LabelJob) -> LevelledScan:
@@ -258,6 +289,12 @@ def _place(scan: Scan, ranges: SmoothedRanges, job: LabelJob) -> LevelledScan:
         job.method.rearrangement,
         job.level_scan_max_deg,
     )
+
+
+def holds_clouds_of(path: Path, block: Block, inputs: Inputs) -> bool:
+    """Whether a block's .npz was made from the very clouds that the bag holds now, byte by byte."""
+    found = read_digests(_open(inputs.bag_path), _vertical(inputs).index, block.first, block.count)
+    return np.array_equal(load_summary(path).cloud_digest, as_rows(list(found)))
 
 
 def load_summary(path: Path) -> BlockSummary:

@@ -242,8 +242,8 @@ def ask(dataset: DatasetEntry, query: Query) -> Answer:
     segments = dataset.segment_table()
     columns, settings = _columns(segments.schema().names)
     if query.sort is not None:
-        name = query.sort.replace(".", "_")
-        if name not in columns:
+        name = known_as(query.sort, columns)
+        if name is None:
             raise InputError(f"--sort {query.sort}: {unknown(query.sort, list(columns))}")
         more_is_better = name in figures.OBJECTIVES and not figures.less_is_better(name)
         segments = segments.sort(_value(columns[name]).sort(ascending=more_is_better == query.reverse, nulls_first=False))
@@ -294,9 +294,14 @@ def _filtered(runs: pa.Table, said: str, columns: Mapping[str, str]) -> pa.Table
         ) from None
 
 
+def known_as(name: str, known: Iterable[str]) -> str | None:
+    """The column that is meant: a setting may be written with underscores alone. None where there is none."""
+    return next((column for column in known if column.replace(".", "_") == name.replace(".", "_")), None)
+
+
 def unknown(name: str, known: Sequence[str]) -> str:
     """What to say of a column that is not there."""
-    close = difflib.get_close_matches(name.replace(".", "_"), known, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     usual = [figure for figure in figures.HEADLINES if figure in known]
     return (
         f"there is no column {name!r}; "
@@ -306,11 +311,11 @@ def unknown(name: str, known: Sequence[str]) -> str:
 
 
 def _in_their_words(condition: str, columns: Mapping[str, str]) -> str:
-    """SQL on the catalogue's columns; a setting may be written with its dots, as 'ffmap settings' names it."""
+    """SQL on the catalogue's columns; what stands for a setting may have its dot, as 'ffmap settings' names it."""
 
     def value(found: re.Match[str]) -> str:
-        source = columns.get(found[0].strip('"').replace(".", "_"))
-        return found[0] if source is None else f'"{source}"[1]'
+        name = known_as(found[0].strip('"'), columns)
+        return found[0] if name is None else f'"{columns[name]}"[1]'
 
     # What stands between single quotes is text.
     parts = condition.split("'")

@@ -128,6 +128,9 @@ def run(
         Path | None, typer.Option(help="Go on with a run folder that was killed; no other argument is needed.")
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Where the truth is known, print all figures as tables.")
+    ] = False,
 ) -> None:
     """Label every scan of a bag, map the building, record every intermediate.
 
@@ -167,6 +170,7 @@ def run(
             workers=workers,
             evaluate=evaluate_,
             quiet=quiet,
+            verbose=verbose,
             latest=True,
             overwrite=overwrite,
         ),
@@ -275,10 +279,13 @@ def evaluate(
 def inspect(
     run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.", show_default=False)],
     scan: Annotated[
-        str, typer.Option(help="The scan's number, or 'worst': the largest error, or the most changed labels.")
+        str, typer.Option(help="The scan's number, or 'worst': with most wrong final labels, or most changed ones.")
     ],
     line: Annotated[
-        int | None, typer.Option(help="A point line, 2 × emitter + side: open there, and print its reasons.")
+        int | None,
+        typer.Option(
+            help="A point line, 2 × emitter + side: open there, and print its reasons.  [default: that with most wrong labels]"
+        ),
     ] = None,
     bag: Annotated[Path | None, typer.Option(help="Where the run's bag lies now, if it was moved.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Recording.  [default: RUN/inspect-SCAN.rrd]")] = None,
@@ -341,10 +348,10 @@ def sweep(
         ),
     ] = None,
     random: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="So many combinations at random, not all of them.")
+        int | None, typer.Option(min=1, metavar="N", help="Try N combinations drawn at random, not all of them.")
     ] = None,
     optuna: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="So many combinations, each proposed by Optuna after those before.")
+        int | None, typer.Option(min=1, metavar="N", help="Try N combinations, each proposed by Optuna after those before.")
     ] = None,
     objective: Annotated[
         str, typer.Option(help="The figure that runs are ranked by, and that --optuna optimises; errors and times: the less.")
@@ -447,7 +454,7 @@ def runs(
 
         ffmap runs
 
-        ffmap runs runs/sweep-drive-1a2b3c4d --where "wall_f1 > 0.98 and doors_lines_min = 2" --sort seconds
+        ffmap runs runs/sweep-drive-1a2b3c4d --where "wall_f1 > 0.98 and doors.lines_min = 2" --sort seconds
 
         ffmap runs rerun+http://127.0.0.1:51234 --columns started,wall_f1,door_f1 --sort wall_f1
     """
@@ -463,6 +470,9 @@ def view(
         list[Path],
         typer.Argument(metavar="RUN", help="Run folders, sweep folders, recordings (.rrd).", show_default=False),
     ],
+    web: Annotated[
+        bool, typer.Option("--web", help="Serve them to a browser on this machine instead, as where there is no display.")
+    ] = False,
 ) -> None:
     """Open runs in the Rerun viewer with the layout that fits them: errors first, where the truth is known.
 
@@ -475,10 +485,12 @@ def view(
         ffmap view runs/a runs/b
 
         ffmap view runs/sweep-drive-1a2b3c4d
+
+        ffmap view --web runs/latest
     """
     from app import view_command
 
-    view_command.view(places)
+    view_command.view(places, web)
 
 
 @app.command()
@@ -574,6 +586,25 @@ def maps(
 
 
 @app.command()
+def cache(
+    clear: Annotated[bool, typer.Option("--clear", help="Remove all that it holds.")] = False,
+) -> None:
+    """What the cache of odometries holds: registering a bag's scans is the slowest step, so it is kept for later runs.
+
+    The environment variable FFMAP_CACHE names another folder for it.
+
+    Examples:
+
+        ffmap cache
+
+        ffmap cache --clear
+    """
+    from app import cache_command
+
+    cache_command.cache(clear)
+
+
+@app.command()
 def settings(
     config: Annotated[Path | None, typer.Option(help="Settings to show in place of the defaults.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="One setting, as in doors.recess_min_m=0.03.")] = None,
@@ -633,6 +664,9 @@ def main() -> None:
         sys.exit(_tell_of_options(error))
     except InputError as error:
         typer.echo(f"ffmap: {error}", err=True)
+        sys.exit(2)
+    except MemoryError:
+        typer.echo("ffmap: memory ran out; free some, or give fewer --workers, and start again", err=True)
         sys.exit(2)
     except BrokenPipeError:
         # The reader of our output has gone, as with | head.

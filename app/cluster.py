@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from app.own_command import pip_command
 from app.sweep_run import stop_all
 from app.versions import versions
 from loaders.errors import InputError
@@ -43,7 +44,8 @@ def connect(address: str, needed: list[Path], folder: Path) -> Iterator[Cluster]
         import distributed
     except ImportError:
         raise InputError(
-            "--scheduler: Dask is not installed; pip install 'furniture-free-mapping[cluster]', or leave --scheduler out"
+            f"--scheduler: Dask is not installed; '{pip_command('distributed')}' installs it (in a checkout, pip install "
+            "'.[cluster]' does too), or leave --scheduler out"
         ) from None
     try:
         # A client that finds nobody takes its time, and says more than one line.

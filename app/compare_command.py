@@ -19,6 +19,7 @@ from algorithms.scan import FloatArray
 from app.compare_recorder import ComparisonRecorder, TransitionStyle, log_changed_points, write_rerooted
 from app.comparison import (
     CLASS_NAMES,
+    LabelChange,
     LabelComparison,
     PairChange,
     RunToCompare,
@@ -37,7 +38,7 @@ from app.inspect_command import open_viewer
 from app.progress import Progress
 from app.recorded import readable, rows
 from app.recording import join, open_part
-from app.run_folder import make_writable
+from app.run_folder import check_no_run_loses, make_writable
 from app.run_labels import LabelSource
 from blueprints import compare as compare_blueprint
 from blueprints import entities
@@ -49,6 +50,12 @@ from loaders.trajectory_file import read_tum
 RECORDING = "comparison.rrd"
 REPORT = "comparison.json"
 _TRANSITIONS_SHOWN = 6
+_UNFINISHED = {
+    "running": "is still running",
+    "killed": "was killed, 'ffmap run --resume {}' goes on with it",
+    "aborted": "was aborted, 'ffmap run --resume {}' goes on with it",
+}
+_UNKNOWN = "does not say whether it came to its end"
 _HEADLINES = (
     *(f"area.{name}.f1" for name in ("ceiling", "floor", "wall", "door", "clutter", "outside")),
     *("area_scan.wall.f1", "area.outside_kept_as_structure", "doors.found", "doors.invented", "doors.width_error_m"),
@@ -106,6 +113,7 @@ def _targets(runs: Sequence[FinishedRun], out: Path | None) -> tuple[Path, Path]
     for run in runs:
         if recording.resolve().parent == run.path.resolve() and recording.name != RECORDING:
             raise InputError(f"{recording}: lies among the files of a run; give another place to --out")
+    check_no_run_loses(recording)
     try:
         make_writable(recording.parent)
     except OSError as error:
@@ -116,7 +124,7 @@ def _targets(runs: Sequence[FinishedRun], out: Path | None) -> tuple[Path, Path]
 def _readable(letter: str, run: FinishedRun, stack: ExitStack, warnings: list[str]) -> RunToCompare:
     """The run with its recording, if it has one that can be read, and with what has its labels."""
     if not run.complete:
-        warnings.append(f"{letter}, {run.name}: is not complete ({run.outcome}); what it has is compared")
+        warnings.append(f"{letter}, {run.name}: {_UNFINISHED.get(run.outcome, _UNKNOWN).format(run.path)}; what it has is compared")
     recording = None
     if run.recording is None:
         warnings.append(f"{letter}, {run.name}: has no recording, so nothing of it is shown side by side")
@@ -189,27 +197,44 @@ def _record(
         )
         progress.advance()
     parts.insert(0, _write_findings(comparison, scan_of, spool, recording_id))
-    parts.insert(0, _write_layout(comparison, shown, spool, recording_id))
+    parts.insert(0, _write_layout(comparison, shown, scan_of, spool, recording_id))
     joined = out.with_name(out.name + ".part")
     join(parts, joined)
     joined.replace(out)
     return comparison
 
 
-def _write_layout(comparison: Comparison, shown: Sequence[ComparedRun], spool: Path, recording_id: str) -> Path:
+def _write_layout(
+    comparison: Comparison, shown: Sequence[ComparedRun], scan_of: dict[int, int], spool: Path, recording_id: str
+) -> Path:
     part = spool / "layout.rrd"
     centre_m, extent_m = view_of(*(grid_of(run.run) for run in comparison.runs))
+    letter, scan = _most_changed(comparison.changes, scan_of)
+    numbers = scan_of.values()
+    scans = (min(numbers), max(numbers)) if numbers else None
     with open_part(part, recording_id) as stream:
-        layout = compare_blueprint.build(shown, centre_m, extent_m, _most_changed(comparison.changes))
+        layout = compare_blueprint.build(shown, centre_m, extent_m, scan, letter, scans)
         stream.send_blueprint(layout, make_active=True, make_default=True)
     return part
 
 
-def _most_changed(changes: Sequence[PairChange]) -> int | None:
-    """The scan that tells most."""
-    worst = [c.labels.worst for c in changes if c.labels is not None]
-    found = max((w for w in worst if w is not None), key=lambda w: w.changed, default=None)
-    return found.scan if found is not None else None
+def _most_changed(changes: Sequence[PairChange], scan_of: dict[int, int]) -> tuple[str | None, int | None]:
+    """The run and the scan that tell most: by labels, else by poses; None where nothing differs by scans."""
+    worst = [(c.labels.worst, c.b.letter) for c in changes if c.labels is not None]
+    by_labels = [(scan.changed, letter, scan.scan) for scan, letter in worst if scan is not None]
+    by_poses = [
+        (float(moved[k]), c.b.letter, scan_of.get(int(c.trajectory.stamp_ns[k])))
+        for c in changes
+        if c.trajectory is not None
+        for moved in [c.trajectory.figures.error_unaligned_m]
+        for k in [int(np.argmax(moved))]
+        if moved[k] > _MOVED_M
+    ]
+    for found in (by_labels, by_poses):
+        if found:
+            _, letter, scan = max(found, key=lambda candidate: candidate[0])
+            return letter, scan
+    return None, None
 
 
 def _write_findings(comparison: Comparison, scan_of: dict[int, int], spool: Path, recording_id: str) -> Path:
@@ -239,33 +264,15 @@ def _path_of(run: FinishedRun) -> FloatArray | None:
 # --- in words ---
 
 
+_MOVED_M = 1e-6
+"""What is less is the arithmetic's."""
+_UNDER = "  ↳ "
+"""Begins a row that tells a part of the one above it."""
+
+
 def _summary(change: PairChange) -> list[tuple[str, str]]:
     """What differs between two runs: what, and how much."""
-    found: list[tuple[str, str]] = []
-    labels = change.labels
-    if labels is not None:
-        kind = "labels changed" if labels.final else "labels of single scans changed (not both runs have final ones)"
-        found.append((kind, f"{labels.changed:,} of {labels.points:,} ({_share(labels.changed, labels.points)})"))
-        if labels.final:
-            found.append(
-                ("labels of single scans changed", f"{labels.changed_scan:,} ({_share(labels.changed_scan, labels.points)})")
-            )
-        total = labels.confusion
-        for code in most_frequent([labels], _TRANSITIONS_SHOWN):
-            found.append((f"  {name_transition(code)}", f"{int(total.flat[code]):,}"))
-        worst = labels.worst
-        if worst is not None:
-            found.append(
-                ("most changed scan", f"{worst.scan}: {worst.changed:,} ({_share(worst.changed, worst.points)})")
-            )
-        found.append(("scans compared", str(len(labels.scans))))
-        for count, what in (
-            (labels.only_a, f"scans in {change.a.letter} alone"),
-            (labels.only_b, f"scans in {change.b.letter} alone"),
-            (labels.unlike, "scans of different size, left out"),
-        ):
-            if count:
-                found.append((what, str(count)))
+    found = _labels_summary(change, change.labels) if change.labels is not None else []
     if change.planes is not None:
         lost, gained = int(change.planes.lost.sum()), int(change.planes.gained.sum())
         found.append(("wall planes of single scans", f"{lost} lost, {gained} gained"))
@@ -291,7 +298,7 @@ def _summary(change: PairChange) -> list[tuple[str, str]]:
                 f"{len(doors.before)}",
             )
         )
-        found += [(f"  door {i} → {j}", what) for i, j, what in doors.altered]
+        found += [(f"{_UNDER}door {i} → {j}", what) for i, j, what in doors.altered]
     if change.grid is not None:
         grid = change.grid
         found.append(
@@ -301,6 +308,32 @@ def _summary(change: PairChange) -> list[tuple[str, str]]:
             )
         )
         found.append(("free map cells", f"{grid.blocked} lost, {grid.freed} gained"))
+    return found
+
+
+def _labels_summary(change: PairChange, labels: LabelChange) -> list[tuple[str, str]]:
+    """The labels that differ, and below them which became which, and in which scan they are most."""
+    kind = "labels changed" if labels.final else "labels of single scans changed (not both runs have final ones)"
+    found = [(kind, f"{labels.changed:,} of {labels.points:,} ({_share(labels.changed, labels.points)})")]
+    total = labels.confusion
+    for code in most_frequent([labels], _TRANSITIONS_SHOWN):
+        found.append((f"{_UNDER}{name_transition(code)}", f"{int(total.flat[code]):,}"))
+    worst = labels.worst
+    if worst is not None:
+        most = f"{worst.changed:,} ({_share(worst.changed, worst.points)})"
+        found.append((f"{_UNDER}most of all in scan {worst.scan}", most))
+    if labels.final:
+        found.append(
+            ("labels of single scans changed", f"{labels.changed_scan:,} ({_share(labels.changed_scan, labels.points)})")
+        )
+    found.append(("scans compared", str(len(labels.scans))))
+    for count, what in (
+        (labels.only_a, f"scans in {change.a.letter} alone"),
+        (labels.only_b, f"scans in {change.b.letter} alone"),
+        (labels.unlike, "scans of different size, left out"),
+    ):
+        if count:
+            found.append((what, str(count)))
     return found
 
 

@@ -215,8 +215,7 @@ class PairChange:
     @property
     def same_bag(self) -> bool:
         """Whether both runs are of the same bag, so that they have clouds and a map frame in common."""
-        digest = self.a.run.bag_digest
-        return digest is not None and digest == self.b.run.bag_digest
+        return self.a.run.labelled_same_clouds(self.b.run)
 
     @property
     def compared(self) -> list[str]:

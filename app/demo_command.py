@@ -6,8 +6,11 @@ from pathlib import Path
 import typer
 
 from app import run_command
-from app.run_folder import require_writable
+from app.finished_run import open_run
+from app.own_command import own_command, view_command
+from app.run_folder import RUN_JSON, require_writable
 from app.simulate_command import simulate
+from loaders.errors import InputError
 
 SECONDS = 16.0
 
@@ -19,12 +22,16 @@ def demo(out: Path) -> None:
     """
     started = time.monotonic()
     require_writable(out, "give another folder to --out")
-    bag = out / "small.bag"
-    bag.unlink(missing_ok=True)
+    bag, run = out / "small.bag", out / "run"
+    if bag.exists():
+        # A demonstration before this one has made it, if its run says so.
+        if not (run / RUN_JSON).exists() or open_run(run).bag_path != bag.resolve():
+            raise InputError(f"{bag}: is there already; remove it, or give another folder to --out")
+        bag.unlink()
     typer.echo(f"simulating {SECONDS:.0f} s of driving in a small furnished building ...")
     simulate(bag, "small", 3, "hdl32e", "bag", SECONDS, [], quiet=True)
     typer.echo("labelling every scan, mapping the building, recording every intermediate ...")
-    run_command.run(run_command.Arguments(bag=bag, out=out / "run", overwrite=True), None)
+    run_command.run(run_command.Arguments(bag=bag, out=run, overwrite=True), None)
     typer.echo(f"\ndone in {time.monotonic() - started:.0f} s. Look at every scan, step by step:\n")
-    typer.echo(f"    .venv/bin/ffmap view {out / 'run'}\n")
-    typer.echo("Your own bag: .venv/bin/ffmap run BAG (README.md says what it needs).")
+    typer.echo(f"    {view_command(run)}\n")
+    typer.echo(f"Your own bag: {own_command()} run BAG; '{own_command()} info BAG' says what it lacks, if anything.")

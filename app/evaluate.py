@@ -75,6 +75,7 @@ from app.map_figures import (
     maps_table,
     read_maps,
     wall_thickness_of_doors,
+    walls_direction_deg,
     write_overlays,
 )
 from app.processes import make_pool
@@ -145,6 +146,10 @@ class Layer:
     recording_id: str
     scans: bool
     """Whether the recording has single scans."""
+    registered: bool
+    """Whether it has the quality of an odometry's poses."""
+    lines: bool
+    """Whether it has every intermediate of single scans."""
 
 
 @dataclass(frozen=True)
@@ -213,7 +218,7 @@ def evaluate_run(run: FinishedRun, truth_bag: Path | None = None, workers: int =
         comparison = compare_run(run, truth_path, truth, truth.trajectory, workers, layer)
         write_json(run.path / METRICS, comparison.metrics)
         if comparison.maps:
-            write_overlays(run.path / OVERLAY, comparison.maps, "truth")
+            write_overlays(run.path / OVERLAY, comparison.maps, "truth", walls_direction_deg(run.path))
         if layer is not None and comparison.tally is not None:
             _write_layer(run.path / EVALUATION, layer, comparison)
     return comparison.metrics
@@ -233,7 +238,7 @@ def _layer_of(run: FinishedRun, spool: Path) -> Layer | None:
     """Where the errors of a run are recorded; None where it has no recording that they could be a layer of."""
     if run.recording is None or "recording_id" not in run.record:
         return None
-    return Layer(spool, run.record["recording_id"], run.has_scans)
+    return Layer(spool, run.record["recording_id"], run.has_scans, run.registered, run.has_lines)
 
 
 def _write_layer(out: Path, layer: Layer, comparison: Comparison) -> None:
@@ -249,7 +254,12 @@ def _write_layer(out: Path, layer: Layer, comparison: Comparison) -> None:
         layer.spool,
         layer.recording_id,
         run_blueprint.build(
-            comparison.ring_count, *run_blueprint.view_of(own.grid if own else None), evaluated=True, scans=layer.scans
+            comparison.ring_count,
+            *run_blueprint.view_of(own.grid if own else None),
+            evaluated=True,
+            scans=layer.scans,
+            registered=layer.registered,
+            lines=layer.lines,
         ),
         comparison.metrics,
         in_markdown(comparison.metrics),
@@ -277,6 +287,21 @@ def print_metrics(metrics: Metrics) -> None:
         console.print(table)
     for reason in metrics.get("missing", ()):
         console.print(f"not compared: {reason}", markup=False, highlight=False, soft_wrap=True)
+
+
+def in_one_line(metrics: Metrics) -> str:
+    """The figures that a person asks for first, and what could not be compared."""
+    said = []
+    if "area" in metrics:
+        said.append(f"wall F1 {_percent(metrics['area'][Label.WALL.name.lower()]['f1'])} %")
+    if (doors := metrics.get("doors")) is not None:
+        said.append(f"{doors['found_count']} of {doors['passed']} doors found, {doors['invented_count']} invented")
+    if (rooms := metrics.get("rooms")) is not None:
+        said.append(f"rooms {_percent(rooms['recall'])} % recalled")
+    if (trajectory := metrics.get("trajectory")) is not None:
+        said.append(f"poses off by {_centimetres(trajectory['ate_rmse_m'])}")
+    said += [f"not compared: {reason}" for reason in metrics.get("missing", ())]
+    return ", ".join(said) or "nothing could be compared with the truth"
 
 
 def compare_run(

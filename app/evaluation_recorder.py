@@ -27,11 +27,14 @@ from algorithms.scan import FloatArray, UInt8Array
 from algorithms.segments import lengths_m
 from app.figures import queried
 from app.map_figures import ComparedMap, ComparedMaps, false_and_missed
-from app.recorder import Recorder, evidence, scan_columns, set_time, upright_frames
+from app.recorder import Recorder, evidence, log_legend, scan_columns, set_time, upright_frames
 from app.recording import join, open_part
 from blueprints import entities
 
-_COLORS = np.array([(r << 24) | (g << 16) | (b << 8) | 255 for _, (r, g, b) in entities.VERDICTS.values()], np.uint32)
+VERDICT_COLORS = np.array(
+    [(r << 24) | (g << 16) | (b << 8) | 255 for _, (r, g, b) in entities.VERDICTS.values()], np.uint32
+)
+"""How the verdict of each point of a scan is recorded."""
 _MISSED_COLOR = entities.VERDICTS[Verdict.MISSED_WALL][1]
 _WRONG_COLOR = entities.VERDICTS[Verdict.FALSE_WALL][1]
 _LIFT_M = 0.03
@@ -51,7 +54,7 @@ class ScanErrors:
         """The points of one scan, in the order of its recorded ones."""
         verdict = verdicts(truth, label)
         set_time(self._stream, stamp_ns, index)
-        self._stream.log(entities.POINTS, evidence({entities.POINT_VERDICT_COLOR: _COLORS[verdict]}))
+        self._stream.log(entities.POINTS, evidence({entities.POINT_VERDICT_COLOR: VERDICT_COLORS[verdict]}))
         self._index.append(index)
         self._stamp_ns.append(stamp_ns)
         self._shares.append(100.0 * np.bincount(verdict, minlength=len(Verdict)) / max(len(verdict), 1))
@@ -61,10 +64,10 @@ class ScanErrors:
         if not self._index:
             return
         indexes = scan_columns(self._index, self._stamp_ns)
-        for verdict, (name, _) in entities.VERDICTS.items():
+        for verdict in Verdict:
             if verdict != Verdict.RIGHT:
                 columns = rr.Scalars.columns(scalars=np.array(self._shares)[:, verdict])
-                self._stream.send_columns(f"{entities.SCAN_ERRORS}/{name.replace(' ', '_')}", indexes, columns)
+                self._stream.send_columns(entities.scan_error(verdict), indexes, columns)
 
 
 def write_layer(
@@ -94,6 +97,7 @@ def write_layer(
     with open_part(own, recording_id) as stream:
         Recorder(stream).log_properties("metrics", queried(metrics))
         stream.log(entities.FIGURES, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+        log_legend(stream, entities.ERROR_LEGEND, entities.ERROR_LEGEND_ENTRIES)
         _log_curve_styles(stream)
         _log_walls(stream, faces)
         _log_doors(stream, doors, compared_doors)
@@ -106,12 +110,11 @@ def write_layer(
 
 
 def _log_curve_styles(stream: rr.RecordingStream) -> None:
-    for name, color in (entities.VERDICTS[v] for v in Verdict if v != Verdict.RIGHT):
-        stream.log(
-            f"{entities.SCAN_ERRORS}/{name.replace(' ', '_')}",
-            rr.SeriesLines(colors=color, names=name, widths=1.5),
-            static=True,
-        )
+    for verdict in Verdict:
+        if verdict != Verdict.RIGHT:
+            name, color = entities.VERDICTS[verdict]
+            style = rr.SeriesLines(colors=color, names=f"{name}, %", widths=1.5)
+            stream.log(entities.scan_error(verdict), style, static=True)
 
 
 def _log_walls(stream: rr.RecordingStream, faces: FloatArray) -> None:
@@ -149,17 +152,19 @@ def _log_doors(stream: rr.RecordingStream, doors: TrueDoors, compared: tuple[Fou
             ),
             static=True,
         )
-    stream.log(
-        entities.TRUTH_DOORS,
-        rr.LineStrips3D(
-            upright_frames(doors.ends, np.full(len(doors), _LIFT_M), doors.head_m),
-            colors=colors,
-            radii=rr.Radius.ui_points(2.0),
-            labels=labels,
-            show_labels=False,
-        ),
-        static=True,
-    )
+    sills = np.pad(doors.ends, ((0, 0), (0, 0), (0, 1)), constant_values=2 * _LIFT_M).astype(np.float32)
+    frames = upright_frames(doors.ends, np.full(len(doors), _LIFT_M), doors.head_m)
+    for path, strips, radius_ui in (
+        (entities.TRUTH_DOORS, frames, 2.0),
+        (entities.TRUTH_DOOR_SILLS, sills, 3.0),
+    ):
+        stream.log(
+            path,
+            rr.LineStrips3D(
+                strips, colors=colors, radii=rr.Radius.ui_points(radius_ui), labels=labels, show_labels=False
+            ),
+            static=True,
+        )
 
 
 def _log_cubes(stream: rr.RecordingStream, tally: Tally) -> None:

@@ -2,7 +2,7 @@
 
 The same names are columns of `ffmap runs`, of sweep.parquet (which has some more), and what --objective, --where and
 --sort take: a metric's path in metrics.json joined by underscores, by area without saying so (`wall_f1`, `doors_found`,
-`trajectory_ate_rmse_m`); a setting's path (`wall_planes_similarity_m`); a count (`doors`); `seconds`, what the run took.
+`trajectory_ate_rmse_m`); a setting as --set takes it (`wall_planes.similarity_m`); a count (`doors`); `seconds`, what the run took.
 """
 
 import difflib
@@ -35,6 +35,30 @@ HEADLINES = (
     "doors",
 )
 """The figures that a table shows where nobody chooses; those that no run has are left out."""
+
+STEPS = (
+    "scan",
+    "odometry",
+    "refinement",
+    "pose_graph",
+    "trajectory",
+    "smoothing",
+    "rearrangement",
+    "vertical_structures",
+    "wall_planes",
+    "doors",
+    "labelling",
+    "building",
+    "standing_walls",
+    "before_walls",
+    "wall_thickness",
+    "grid_map",
+    "area_graph",
+    "rival_maps",
+    "floor_plan",
+    "relabelling",
+)
+"""The steps that have settings. Not asked of `app.settings`: with it comes the whole method, which a list need not wait for."""
 
 _WITHOUT_TRUTH = {SECONDS, CPU_SECONDS, "labelling_s_per_scan", "walls", "doors"}
 OBJECTIVES = (
@@ -78,7 +102,10 @@ def queried(metrics: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def column_name(group: str, field: str) -> str:
-    """The name of what a recording has as the property `group`:`field`."""
+    """The name of what a recording has as the property `group`:`field`; of a setting, as it is typed after --set."""
+    if group == "settings":
+        step = next((step for step in STEPS if field.startswith(f"{step}_")), None)
+        return field if step is None else f"{step}.{field.removeprefix(f'{step}_')}"
     if group == "metrics":
         return field.removeprefix("area_")
     if group == "result":

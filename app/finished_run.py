@@ -7,13 +7,25 @@ from pathlib import Path
 from typing import Any
 
 from app.inputs import InputOptions
-from app.run_folder import LABELLED_BAG, LABELLED_FOLDER, METRICS, RECORDING, RUN_JSON, TRAJECTORY, RunFolder
+from app.run_folder import (
+    LABELLED_BAG,
+    LABELLED_FOLDER,
+    METRICS,
+    RECORDING,
+    RUN_JSON,
+    TRAJECTORY,
+    RunFolder,
+    is_held,
+)
 from app.settings import Settings, validate
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom
 from loaders.text_files import require_regular
 
 Record = Mapping[str, Any]
+
+FROM_ODOMETRY = "odometry"
+"""What `run.json` says as to where the poses are from, unless they were given."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +50,9 @@ class FinishedRun:
 
     @property
     def outcome(self) -> str:
-        """complete, aborted or running (as a run that was killed still says)."""
-        return str(self.record.get("outcome", "unknown"))
+        """complete, aborted, running or killed: then it says that it is running, but nobody is at its folder."""
+        outcome = str(self.record.get("outcome", "unknown"))
+        return "killed" if outcome == "running" and not is_held(self.path) else outcome
 
     @cached_property
     def labelled(self) -> Path | None:
@@ -55,6 +68,16 @@ class FinishedRun:
     def has_scans(self) -> bool:
         """Whether its recording, if it has one, holds single scans and not the map alone."""
         return self.part("options").get("detail") != "map"
+
+    @property
+    def has_lines(self) -> bool:
+        """Whether its recording, if it has one, holds every intermediate of single scans."""
+        return self.part("options").get("detail") not in ("map", "scans")
+
+    @property
+    def registered(self) -> bool:
+        """Whether its poses are the odometry's, whose quality the recording then holds."""
+        return bool(self.record.get("poses_from", FROM_ODOMETRY) == FROM_ODOMETRY)
 
     @property
     def trajectory(self) -> Path | None:
@@ -85,6 +108,20 @@ class FinishedRun:
         """What names the bag's content."""
         digest = self.part("bag").get("digest")
         return digest if isinstance(digest, str) else None
+
+    def labelled_same_clouds(self, other: "FinishedRun") -> bool:
+        """Whether both labelled the very same clouds; by their times alone where one was killed before it had read all."""
+        for said in ("clouds", "stamps"):
+            own, others = (run.part("bag").get(said) or {} for run in (self, other))
+            if self.topic in own and other.topic in others:
+                return bool(own[self.topic] == others[other.topic])
+        return False
+
+    @property
+    def clouds(self) -> Mapping[str, str]:
+        """The digest of all clouds of each topic that the run read to its end, by topic."""
+        clouds = self.part("bag").get("clouds")
+        return clouds if isinstance(clouds, Mapping) else {}
 
     @property
     def topic(self) -> str | None:

@@ -7,6 +7,9 @@ import typer
 from loaders.info import BagInfo, CloudInfo, describe_bag
 from loaders.pointcloud2 import TimeFrom
 
+_REASONS = 3
+"""So many reasons for which clouds give no scan are told."""
+
 
 def info(bag: Path, rig: Path | None, horizontal: str | None, vertical: str | None, time_from: TimeFrom) -> None:
     """Print a bag's description, a line for each fact, so that it can be searched and compared."""
@@ -43,7 +46,7 @@ def describe(found: BagInfo) -> list[str]:
 
 
 def _describe_cloud(cloud: CloudInfo) -> list[str]:
-    if cloud.problem is not None or cloud.decoding is None:
+    if cloud.decoding is None:
         return [f"problem: {cloud.problem}"]
     layout = cloud.decoding.layout
     valid, places = cloud.points
@@ -61,8 +64,14 @@ def _describe_cloud(cloud: CloudInfo) -> list[str]:
         lines.append("packets: raw, decoded to a cloud a revolution")
     if cloud.messages_per_cloud > 1:
         lines.append(f"messages: {cloud.messages_per_cloud:.0f} make a revolution")
-    if cloud.unusable_count:
+    if cloud.problem is not None:
+        lines.append(f"problem: {cloud.problem}")
+    elif cloud.unusable_count:
         lines.append(f"unusable: {cloud.unusable_count} clouds whose stamps repeat or jump")
+    for reason, count in cloud.bad_clouds[:_REASONS]:
+        lines.append(f"unusable: {count} of {cloud.read_count} clouds that were read: {reason}")
+    if len(cloud.bad_clouds) > _REASONS:
+        lines.append(f"unusable: {sum(count for _, count in cloud.bad_clouds[_REASONS:])} more, for other reasons")
     for gap in cloud.gaps:
         lines.append(f"gap: {gap.duration_ns / 1e9:.2f} s after {gap.start_ns / 1e9:.3f}")
     return lines

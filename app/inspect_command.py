@@ -1,5 +1,6 @@
 """ffmap inspect: one scan of a finished run, labelled again with all evidence, line by line."""
 
+import re
 import tempfile
 import uuid
 from collections.abc import Sequence
@@ -13,17 +14,18 @@ from rich.table import Table
 
 from algorithms.labelling import ScanLabelling, label_scan
 from algorithms.levelling import LevelledScan, place_and_level
-from algorithms.scan import Scan, UInt8Array
+from algorithms.scan import Scan, UInt8Array, within_range
 from algorithms.smoothing import smooth_ranges
 from app.blocks import seed_of
 from app.finished_run import FinishedRun, open_run
-from app.inputs import find_inputs
+from app.inputs import Inputs, digest_clouds, find_inputs
+from app.inspect_faults import ScanFaults, find_faults, in_words
 from app.inspect_recorder import write
-from app.poses import given_trajectory, poses_of
+from app.poses import given_poses, poses_of
 from app.reasons import LineReason, explain_lines, name_of, scan_document
 from app.recorded import readable, rows
 from app.recording import start_viewer
-from app.run_folder import EVALUATION, RECORDING, make_writable
+from app.run_folder import EVALUATION, check_no_run_loses, make_writable
 from app.run_labels import CloudLabels, LabelSource
 from blueprints import entities
 from loaders.bag import open_bag
@@ -32,6 +34,8 @@ from loaders.pointcloud2 import full_labels
 from loaders.scans import SkippedScan, read_scans
 
 WORST = "worst"
+_PLAIN = re.compile(r"\*\*|`")
+"""What Markdown has and a terminal does not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +43,7 @@ class InspectedScan:
     """A scan of a run, labelled again by the functions and settings of the run.
 
     labelling: with all evidence. differing: how many returns the run itself had labelled otherwise; None where its files
-    do not tell. compared_with: the file that told.
+    do not tell. compared_with: the file that told. faults: what is wrong with its final labels; None where they do not tell.
     """
 
     index: int
@@ -48,6 +52,7 @@ class InspectedScan:
     labelling: ScanLabelling
     differing: int | None
     compared_with: str | None
+    faults: ScanFaults | None
 
 
 def inspect(
@@ -55,6 +60,7 @@ def inspect(
 ) -> None:
     """Record one scan line by line; raises InputError for what the user can mend.
 
+    line: the one to open at; None for the worst, as far as the run's files tell.
     bag: where the run's bag lies now; None for where it was.
     """
     run = open_run(run_path)
@@ -68,16 +74,22 @@ def inspect(
     lines = len(inspected.labelling.lines)
     if line is not None and not 0 <= line < lines:
         raise InputError(f"--line {line}: a scan of this lidar has lines 0 to {lines - 1} (2 × emitter + side)")
-    notes.append(agreement(run, inspected))
-    reasons = explain_lines(inspected.labelling)
-    document = scan_document(f"Scan {number} of {run.name}", notes, inspected.labelling, reasons)
+    labelling, faults = inspected.labelling, inspected.faults
+    notes += [in_words(faults, labelling.lines), agreement(run, inspected)]
+    reasons = explain_lines(labelling)
+    counts = faults.counts(labelling.lines).tolist() if faults is not None else None
+    document = scan_document(f"Scan {number} of {run.name}", notes, labelling, reasons, counts)
+    opened = line if line is not None or faults is None else faults.worst_line(labelling.lines)
     with tempfile.TemporaryDirectory(prefix="ffmap-inspect-") as spool:
         write(
-            target, Path(spool), str(uuid.uuid4()), inspected.level, inspected.labelling, reasons, document, line
+            target, Path(spool), str(uuid.uuid4()), inspected.level, labelling, reasons, faults, document, opened
         )
     for note in notes:
-        typer.echo(note.replace("**", ""))
-    _print_summary(reasons, line)
+        typer.echo(_PLAIN.sub("", note))
+    if line is None:
+        _print_outcomes(reasons)
+    if opened is not None:
+        _print_reason(reasons[opened])
     typer.echo(f"recording: {target}  (open it: ffmap view {target}; step through the timeline 'line')")
     if spawn:
         open_viewer(target)
@@ -89,6 +101,13 @@ def open_viewer(path: Path) -> None:
         start_viewer(files=[path])
     except RuntimeError as error:
         raise InputError(f"--spawn: {error} Leave it out: {path} can be opened later") from error
+
+
+def _check_same_clouds(run: FinishedRun, inputs: Inputs) -> None:
+    """Raises InputError where the bag is not what the run was made from, be it by one byte."""
+    sensors = [sensor for sensor in inputs.used(False) if sensor.lidar.topic in run.clouds]
+    if digest_clouds(inputs.bag_path, sensors) != run.clouds:
+        raise InputError(f"{inputs.bag_path}: is not the bag that {run.path} was made from; give that one with --bag")
 
 
 def label_again(run: FinishedRun, number: int, bag: Path | None = None) -> InspectedScan:
@@ -105,8 +124,7 @@ def label_again(run: FinishedRun, number: int, bag: Path | None = None) -> Inspe
         )
     settings = run.settings()
     inputs = find_inputs(bag_path, run.input_options)
-    if run.bag_digest not in (None, inputs.bag_digest):
-        raise InputError(f"{bag_path}: is not the bag that {run.path} was made from; give that one with --bag")
+    _check_same_clouds(run, inputs)
     vertical = inputs.vertical
     if vertical is None:
         raise InputError(f"{run.path}: its bag has no lidar that sweeps the walls, so no scan was labelled")
@@ -116,8 +134,9 @@ def label_again(run: FinishedRun, number: int, bag: Path | None = None) -> Inspe
         _, scan = next(read_scans(opened, vertical.index, number, 1, vertical.lidar.decoding))
     if isinstance(scan, SkippedScan):
         raise InputError(f"--scan {number}: was skipped ({scan.reason}); give another scan")
+    scan = within_range(scan, settings.scan.range_max_m)
     trajectory = run.part("options").get("trajectory")
-    poses = poses_of(inputs, given_trajectory(trajectory, inputs), settings)
+    poses = poses_of(inputs, given_poses(trajectory, inputs, settings), settings)
     margin_ns = int(settings.trajectory.extrapolate_s * 1e9)
     if not poses.trajectory.covers(np.array([scan.start_ns, scan.end_ns]), margin_ns).all():
         raise InputError(f"--scan {number}: was skipped (no pose at its time); give another scan")
@@ -134,7 +153,8 @@ def label_again(run: FinishedRun, number: int, bag: Path | None = None) -> Inspe
     labelling = label_scan(scan, level.placed, settings.method, seed_of(settings.seed, number))
     recorded, file = recorded_labels(run, number, scan.stamp_ns)
     differing = None if recorded is None else _differing(recorded, scan, labelling.label)
-    return InspectedScan(number, scan, level, labelling, differing, file)
+    faults = find_faults(run, number, scan, labelling, recorded)
+    return InspectedScan(number, scan, level, labelling, differing, file, faults)
 
 
 def recorded_labels(run: FinishedRun, number: int, stamp_ns: int) -> tuple[CloudLabels | None, str | None]:
@@ -162,7 +182,7 @@ def find_worst(run: FinishedRun) -> tuple[int, str]:
                 percent[row.scan] = percent.get(row.scan, 0.0) + float(row.values["scalars"][0])
         if percent:
             worst = max(percent, key=lambda scan: (percent[scan], -scan))
-            return worst, f"{percent[worst]:.1f} % of its points are labelled wrongly, by the truth"
+            return worst, f"{percent[worst]:.1f} % of its points have a wrong final label (`label`), by the truth"
     if run.labelled is not None or run.recording is None:
         found = _most_relabelled(LabelSource(run, None))
     else:
@@ -182,7 +202,7 @@ def _most_relabelled(source: LabelSource) -> tuple[int, str] | None:
     if not share:
         return None
     worst = max(share, key=lambda scan: (share[scan], -scan))
-    return worst, f"{share[worst]:.1%} of its final labels are not those of the scan alone"
+    return worst, f"{100 * share[worst]:.1f} % of its final labels (`label`) are not those of the scan alone (`label_scan`)"
 
 
 def _differing(recorded: CloudLabels, scan: Scan, label: UInt8Array) -> int:
@@ -223,8 +243,7 @@ def _target(run: FinishedRun, out: Path | None, number: int) -> Path:
         path = path / f"inspect-{number}.rrd"
     if path.suffix != ".rrd":
         raise InputError(f"{path}: a recording's name ends in .rrd; give another to --out")
-    if path.resolve() in {(run.path / name).resolve() for name in (RECORDING, EVALUATION)}:
-        raise InputError(f"{path}: is the run's own recording; give another file to --out")
+    check_no_run_loses(path)
     try:
         make_writable(path.parent)
     except OSError as error:
@@ -232,22 +251,22 @@ def _target(run: FinishedRun, out: Path | None, number: int) -> Path:
     return path
 
 
-def _print_summary(reasons: Sequence[LineReason], line: int | None) -> None:
+def _print_outcomes(reasons: Sequence[LineReason]) -> None:
+    table = Table(title="What became of its lines", title_justify="left")
+    table.add_column("lines", justify="right")
+    table.add_column("outcome")
+    for outcome, (name, _) in entities.LINE_OUTCOMES.items():
+        table.add_row(str(sum(reason.outcome == outcome for reason in reasons)), name)
+    Console(highlight=False).print(table)
+
+
+def _print_reason(reason: LineReason) -> None:
     console = Console(highlight=False)
-    if line is None:
-        table = Table(title="What became of its lines", title_justify="left")
-        table.add_column("lines", justify="right")
-        table.add_column("outcome")
-        for outcome, (name, _) in entities.LINE_OUTCOMES.items():
-            table.add_row(str(sum(reason.outcome == outcome for reason in reasons)), name)
-        console.print(table)
-        return
-    reason = reasons[line]
-    table = Table(title=f"{name_of(line)}: {entities.LINE_OUTCOMES[reason.outcome][0]}", title_justify="left")
+    table = Table(title=f"{name_of(reason.line)}: {entities.LINE_OUTCOMES[reason.outcome][0]}", title_justify="left")
     for heading in ("held", "condition", "measured", "needed"):
         table.add_column(heading)
     for check in reason.checks:
         held = {True: "yes", False: "no", None: "–"}[check.held]
         table.add_row(held, check.condition, check.measured, check.needed)
     console.print(table)
-    console.print(reason.verdict.replace("**", ""), markup=False)
+    console.print(_PLAIN.sub("", reason.verdict), markup=False)

@@ -8,8 +8,9 @@ import rerun as rr
 
 from algorithms.labelling import ScanLabelling
 from algorithms.levelling import LevelledScan
-from algorithms.scan import FloatArray
+from algorithms.scan import FloatArray, IntArray
 from algorithms.trajectory import PlacedScan
+from app.inspect_faults import ScanFaults
 from app.reasons import LineReason, line_document
 from app.recorder import Detail, Recorder, upright_frames
 from app.recording import join, open_part
@@ -17,6 +18,8 @@ from blueprints import entities
 from blueprints import inspect as inspect_blueprint
 
 _SIGHT_COLOR = (255, 255, 255, 45)
+_LIFT_M = 0.1
+"""What is marked lies so far before its return, towards the lidar: the plane that it is in would hide it."""
 _STYLE_COLORS = {"upmost": entities.UPMOST_COLOR, "bottommost": entities.BOTTOMMOST_COLOR, "others": (120, 140, 170)}
 
 
@@ -27,19 +30,22 @@ def write(
     level: LevelledScan,
     labelling: ScanLabelling,
     reasons: Sequence[LineReason],
+    faults: ScanFaults | None,
     document: str,
     line: int | None,
 ) -> None:
     """Write the recording of one scan.
 
-    spool: a folder for its parts. document: on the whole scan, in Markdown. line: the one to open at.
+    spool: a folder for its parts. faults: what is marked. document: on the whole scan, in Markdown. line: the one to open at.
     """
     placed = level.placed
     layout, content = spool / "layout.rrd", spool / "content.rrd"
     range_m, height_m = _profile_size(placed, labelling)
     with open_part(layout, recording_id) as stream:
         stream.send_blueprint(
-            inspect_blueprint.build((range_m, height_m), line),
+            inspect_blueprint.build(
+                (range_m, height_m), line, faults.kinds if faults is not None else (), _middle(placed, labelling, line)
+            ),
             make_active=True,
             make_default=True,
         )
@@ -47,7 +53,10 @@ def write(
         recorder = Recorder(stream, Detail.LINES, timeless=True)
         recorder.log_static({}, document, 0, labelling.settings.vertical_structures.slope_max)
         recorder.log_scan(0, level, labelling, 0, {})
-        _Lines(stream, recorder, placed, labelling, range_m, height_m).log(reasons, document)
+        lines = _Lines(stream, recorder, placed, labelling, range_m, height_m)
+        if faults is not None:
+            lines.mark(faults)
+        lines.log(reasons, document)
     part = out.with_name(out.name + ".part")
     join([layout, content], part)
     part.replace(out)
@@ -61,6 +70,15 @@ def _profile_size(placed: PlacedScan, labelling: ScanLabelling) -> tuple[float, 
     range_m = np.linalg.norm(placed.points_level[samples.ravel(), :2] - placed.origin_level[:2], axis=1)
     height_m = labelling.height_m[samples.ravel()]
     return float(np.percentile(range_m, 99)) + 0.4, float(np.percentile(height_m, 99.9)) + 0.4
+
+
+def _middle(placed: PlacedScan, labelling: ScanLabelling, line: int | None) -> tuple[float, float, float] | None:
+    """Between the robot and a line, in the level frame; None where there is no such line."""
+    samples = labelling.lines.samples[line] if line is not None else labelling.lines.samples[:0]
+    if not (samples >= 0).any():
+        return None
+    x, y, z = (np.median(placed.points_level[samples], axis=0) + placed.origin_level) / 2
+    return float(x), float(y), float(z)
 
 
 class _Lines:
@@ -79,7 +97,25 @@ class _Lines:
         self._points, self._labelling = placed.points_level, labelling
         self._origin = placed.origin_level
         self._range_m = np.linalg.norm(placed.points_level[:, :2] - placed.origin_level[:2], axis=1)
+        self._faults: ScanFaults | None = None
         self._log_styles(range_m, height_m)
+
+    def mark(self, faults: ScanFaults) -> None:
+        """Let the returns stand out whose final labels are wrong, in the scan and in each line."""
+        self._faults = faults
+        marked = np.flatnonzero(faults.fault)
+        rays = self._points[marked] - self._origin
+        drawn = self._points[marked] - _LIFT_M * rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), _LIFT_M)
+        classes = rr.AnnotationContext(
+            [rr.AnnotationInfo(id=int(k), label=name, color=color) for k, (name, color) in entities.FAULT_CLASSES.items()]
+        )
+        for path in (entities.FAULTS, entities.PROFILE_FAULTS):
+            self._stream.log(path, classes, static=True)
+        self._stream.log(
+            entities.FAULTS,
+            rr.Points3D(drawn.astype(np.float32), class_ids=faults.fault[marked], radii=rr.Radius.ui_points(3.5)),
+            static=True,
+        )
 
     def log(self, reasons: Sequence[LineReason], document: str) -> None:
         self._stream.log(
@@ -90,7 +126,9 @@ class _Lines:
             self._stream.set_time(entities.LINE_TIMELINE, sequence=reason.line)
             self._stream.log(
                 entities.WHY_LINE,
-                rr.TextDocument(line_document(self._labelling, reason), media_type=rr.MediaType.MARKDOWN),
+                rr.TextDocument(
+                    line_document(self._labelling, reason, self._log_faults(reason.line)), media_type=rr.MediaType.MARKDOWN
+                ),
             )
             self._recorder.log_line(self._points, self._labelling, reason.line)
             self._log_sight(reason.line)
@@ -192,6 +230,23 @@ class _Lines:
             entities.PROFILE_SAMPLES, rr.Points2D(self._profile(shown), class_ids=self._labelling.label[shown])
         )
 
+    def _log_faults(self, line: int) -> str:
+        """Mark what is wrong in one line's profile, and give it in words."""
+        if self._faults is None:
+            return ""
+        lines = self._labelling.lines
+        own = lines.order[lines.starts[line] : lines.starts[line + 1]]
+        fault = self._faults.fault[own]
+        marked = own[fault > 0]
+        self._stream.log(
+            entities.PROFILE_FAULTS,
+            rr.Points2D(
+                self._profile(marked), class_ids=fault[fault > 0], radii=rr.Radius.ui_points(5.0), draw_order=25.0
+            ),
+        )
+        kinds = [f"{np.count_nonzero(fault == k)} {name}" for k, (name, _) in entities.FAULT_CLASSES.items() if (fault == k).any()]
+        return f"**Final labels of its {len(own)} returns: {', '.join(kinds)}.**" if kinds else ""
+
     def _log_planes(self, line: int) -> None:
         """The plane that was growing when the line's candidate came, by its lines so far; and the one it is in."""
         planes, structures = self._labelling.planes, self._labelling.structures
@@ -249,6 +304,6 @@ class _Lines:
             ),
         )
 
-    def _profile(self, returns: FloatArray) -> FloatArray:
+    def _profile(self, returns: IntArray) -> FloatArray:
         """(k, 2) horizontal range and height downwards, as images have it."""
         return np.column_stack([self._range_m[returns], -self._labelling.height_m[returns]]).astype(np.float32)

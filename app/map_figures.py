@@ -1,5 +1,6 @@
 """A run's grid maps against truth or a reference map: figures in one table, and a picture (paper, Fig. 9e)."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,15 +12,17 @@ from rich.table import Table
 from scipy.spatial import cKDTree
 
 from algorithms.evaluation import WALL_TOLERANCE_M, Tally, WallMapFigures, compare_wall_map, majorities
-from algorithms.grid_map import GridMap
+from algorithms.grid_map import Cell, GridMap
 from algorithms.labels import Truth
 from algorithms.map_comparison import Agreement, blocked_doors, overlay
 from algorithms.rival_maps import Rival
 from algorithms.scan import BoolArray, FloatArray, UInt8Array
+from algorithms.segments import main_direction_deg, turned
 from app.files import write_atomically
 from app.map_files import read_map
-from app.run_folder import map_file
+from app.run_folder import WALLS, map_file
 from blueprints import entities
+from loaders.geojson import read_features
 
 TITLES = {
     entities.FURNITURE_FREE: "furniture-free",
@@ -30,9 +33,29 @@ TITLES = {
 }
 """Every map of a run, the run's own first."""
 
-_SCALE = 3
-_GAP = 24
-_TEXT_HEIGHT = 40
+_MEANINGS = {
+    Agreement.BOTH: "wall in the map and in the {}",
+    Agreement.ONLY_MAP: "wall only in the map",
+    Agreement.ONLY_REFERENCE: "wall only in the {}",
+    Agreement.NOT_SEEN: "wall of the {} that was not seen",
+    Agreement.FREE: "free",
+    Agreement.NOTHING: "unknown",
+}
+_IN_FRONT = (
+    *(Agreement.NOTHING, Agreement.FREE, Agreement.NOT_SEEN),
+    *(Agreement.BOTH, Agreement.ONLY_REFERENCE, Agreement.ONLY_MAP),
+)
+"""What is seen of several cells that share a pixel: the last of these."""
+_PICTURE_PX, _PICTURE_MAX_PX = 1200, 3000
+_CELL_MIN_PX, _CELL_MAX_PX = 2.0, 8.0
+"""No cell is lost when the map is turned, and none of a tiny map is blown up."""
+_SHEET_SHAPE = 1.5
+_GAP = 48
+_TITLE_PX, _TEXT_PX = 48, 36
+_HEAD_PX = 120
+_MARGIN_M = 0.5
+_LINE = (90, 90, 90)
+_BARS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 _DEFAULT_WALL_M = 0.2
 
 
@@ -140,75 +163,140 @@ def maps_table(metrics: Mapping[str, Any], title: str) -> Table:
     return table
 
 
-def write_overlays(path: Path, compared: ComparedMaps, compared_with: str) -> None:
-    """One picture (PNG) of all maps side by side with what they are compared with laid over, and the legend.
+def walls_direction_deg(run_dir: Path) -> float:
+    """The direction of most walls that a run found, as its plan is turned by; 0 where it has no file of walls."""
+    path = run_dir / WALLS
+    if not path.exists():
+        return 0.0
+    features = read_features(path, "lines", "run ffmap again")
+    ends = np.array([feature["geometry"]["coordinates"] for feature in features], float).reshape(-1, 2, 2)
+    return main_direction_deg(ends)
 
-    compared_with: "truth", or the reference's name.
+
+def write_overlays(path: Path, compared: ComparedMaps, compared_with: str, direction_deg: float) -> None:
+    """One picture (PNG) of all maps with what they are compared with laid over, a scale bar and the legend.
+
+    All maps are drawn at one scale, and show what the first one knows. compared_with: "truth", or "reference".
+    direction_deg: of most walls, see `main_direction_deg`; they are drawn upright and level.
     """
-    # What a slice caught far outside, through windows, would make the pictures small: all show the first map's extent.
-    first = next(iter(compared.values())).grid
-    low, high = first.origin, first.origin + np.array(first.cells.shape[::-1]) * first.cell_m
+    window = _Window.around(next(iter(compared.values())).grid, direction_deg)
+    shown = {name: one.agreement for name, one in compared.items()}
+    found = set(np.unique(np.concatenate([agreement.ravel() for agreement in shown.values()])).tolist())
     pictures = [
-        _picture(one, TITLES[name], map_metrics({name: one})[name], low, high) for name, one in compared.items()
+        _picture(window, one.grid, shown[name], TITLES[name], map_metrics({name: one})[name])
+        for name, one in compared.items()
     ]
-    legend = [
-        (Agreement.BOTH, f"wall in the map and in {compared_with}"),
-        (Agreement.ONLY_MAP, "wall only in the map"),
-        (Agreement.ONLY_REFERENCE, f"wall only in {compared_with}"),
-        (Agreement.NOT_SEEN, f"wall of {compared_with} that was not seen"),
-        (Agreement.FREE, "free"),
-        (Agreement.NOTHING, "unknown"),
-    ]
-    legend_width = max(int(_font().getlength(text)) for _, text in legend) + 60
-    width = sum(p.width for p in pictures) + _GAP * (len(pictures) + 1) + legend_width
-    height = max([p.height for p in pictures] + [30 * len(legend)]) + 2 * _GAP
-    sheet = Image.new("RGB", (width, height), "white")
-    x = _GAP
-    for picture in pictures:
-        sheet.paste(picture, (x, _GAP))
-        x += picture.width + _GAP
-    draw = ImageDraw.Draw(sheet)
-    for row, (agreement, text) in enumerate(legend):
-        y = _GAP + _TEXT_HEIGHT + 28 * row
-        draw.rectangle((x, y, x + 18, y + 18), fill=entities.AGREEMENTS[agreement][1], outline=(90, 90, 90))
-        draw.text((x + 28, y), text, fill="black", font=_font())
-
+    pictures.append(_legend(compared_with, [agreement for agreement in _MEANINGS if agreement in found], window))
+    width, height = (max(getattr(picture, side) for picture in pictures) for side in ("width", "height"))
+    columns = _columns(len(pictures), width, height)
+    rows = math.ceil(len(pictures) / columns)
+    sheet = Image.new("RGB", (columns * (width + _GAP) + _GAP, rows * (height + _GAP) + _GAP), "white")
+    for place, picture in enumerate(pictures):
+        row, column = divmod(place, columns)
+        sheet.paste(picture, (_GAP + column * (width + _GAP), _GAP + row * (height + _GAP)))
     write_atomically(path, lambda part: sheet.save(part, format="PNG"))
 
 
+@dataclass(frozen=True)
+class _Window:
+    """What each picture shows. low, high: (2,) its corners in metres, in the map's frame turned back by direction_deg."""
+
+    low: FloatArray
+    high: FloatArray
+    direction_deg: float
+    pixels_per_m: float
+
+    @classmethod
+    def around(cls, grid: GridMap, direction_deg: float) -> "_Window":
+        """What a map knows, with a margin."""
+        known = np.concatenate([grid.centres(cell) for cell in (Cell.FREE, Cell.OCCUPIED)])
+        if not len(known):
+            known = grid.origin[None]
+        places = turned(known, -direction_deg)
+        low, high = places.min(axis=0) - _MARGIN_M, places.max(axis=0) + _MARGIN_M
+        cells = float((high - low).max()) / grid.cell_m
+        pixels = np.clip(_PICTURE_PX, _CELL_MIN_PX * cells, _CELL_MAX_PX * cells)
+        return cls(low, high, direction_deg, float(min(pixels, _PICTURE_MAX_PX)) / cells / grid.cell_m)
+
+    def draw(self, grid: GridMap, agreement: UInt8Array) -> Image.Image:
+        """An overlay in its colours; unknown where the map does not reach."""
+        factor = math.ceil(_CELL_MIN_PX / (self.pixels_per_m * grid.cell_m) - 1e-9)
+        agreement, cell_m = _coarsened(agreement, factor), factor * grid.cell_m
+        width, height = np.ceil((self.high - self.low) * self.pixels_per_m).astype(int)
+        x = self.low[0] + (np.arange(width) + 0.5) / self.pixels_per_m
+        pixels = np.empty((height, width, 3), np.uint8)
+        colours = np.array([entities.AGREEMENTS[a][1] for a in Agreement], np.uint8)
+        for row in range(height):  # row by row, for a large building's pixels are many
+            y = np.full(width, self.high[1] - (row + 0.5) / self.pixels_per_m)
+            places = turned(np.stack([x, y], axis=1), self.direction_deg)
+            index = np.floor((places - grid.origin) / cell_m).astype(int)
+            inside = ((index >= 0) & (index < agreement.shape[::-1])).all(axis=1)
+            shown = np.full(width, Agreement.NOTHING, np.uint8)
+            shown[inside] = agreement[index[inside, 1], index[inside, 0]]
+            pixels[row] = colours[shown]
+        return Image.fromarray(pixels)
+
+
+def _coarsened(agreement: UInt8Array, factor: int) -> UInt8Array:
+    """Cells so many times as large, each as the one among its own that must not be overlooked."""
+    if factor <= 1:
+        return agreement
+    rank = np.argsort(_IN_FRONT).astype(np.uint8)
+    rows, columns = agreement.shape
+    padded = np.pad(rank[agreement], [(0, -rows % factor), (0, -columns % factor)])
+    tiles = padded.reshape(padded.shape[0] // factor, factor, padded.shape[1] // factor, factor)
+    return np.asarray(np.array(_IN_FRONT, np.uint8)[tiles.max(axis=(1, 3))])
+
+
+def _columns(count: int, width: int, height: int) -> int:
+    """In how many columns so many pictures make a sheet of about the shape of a screen."""
+    shapes = [columns * width / (math.ceil(count / columns) * height) for columns in range(1, count + 1)]
+    return 1 + int(np.argmin([abs(math.log(shape / _SHEET_SHAPE)) for shape in shapes]))
+
+
 def _picture(
-    one: ComparedMap, title: str, metrics: Mapping[str, Any], low: FloatArray, high: FloatArray
+    window: _Window, grid: GridMap, agreement: UInt8Array, title: str, metrics: Mapping[str, Any]
 ) -> Image.Image:
-    """low, high: (2,) the corners of what is shown; it is unknown where the map does not reach."""
-    columns, rows = np.round((high - low) / one.grid.cell_m).astype(int)
-    agreement = np.full((rows, columns), Agreement.NOTHING, np.uint8)
-    shift = np.round((one.grid.origin - low) / one.grid.cell_m).astype(int)
-    whole = one.agreement
-    left, bottom = np.maximum(shift, 0)
-    right, top = np.minimum(shift + whole.shape[::-1], [columns, rows])
-    if right > left and top > bottom:
-        agreement[bottom:top, left:right] = whole[
-            bottom - shift[1] : top - shift[1], left - shift[0] : right - shift[0]
-        ]
-    colours = np.array([entities.AGREEMENTS[a][1] for a in Agreement], np.uint8)
-    drawn = Image.fromarray(np.ascontiguousarray(colours[agreement[::-1]]))
-    drawn = drawn.resize((drawn.width * _SCALE, drawn.height * _SCALE), Image.Resampling.NEAREST)
-    lines = [
-        title,
-        f"precision {_number(metrics['precision'], 100)} %, recall {_number(metrics['recall'], 100)} %, "
-        f"error {_number(metrics['error_m'], 100)} cm",
-    ]
-    width = max([drawn.width, *(int(_font().getlength(line)) for line in lines)])
-    picture = Image.new("RGB", (width, drawn.height + _TEXT_HEIGHT), "white")
-    picture.paste(drawn, (0, _TEXT_HEIGHT))
+    drawn = window.draw(grid, agreement)
+    figures = (
+        f"precision {_number(metrics['precision'], 100)} %   recall {_number(metrics['recall'], 100)} %   "
+        f"error {_number(metrics['error_m'], 100)} cm"
+    )
+    width = max(drawn.width + 2, int(_font(_TEXT_PX).getlength(figures)) + 1)
+    picture = Image.new("RGB", (width, drawn.height + 2 + _HEAD_PX), "white")
     draw = ImageDraw.Draw(picture)
-    for row, line in enumerate(lines):
-        draw.text((0, 18 * row), line, fill="black", font=_font())
+    draw.text((0, 0), title, fill="black", font=_font(_TITLE_PX))
+    draw.text((0, _TITLE_PX + 14), figures, fill="black", font=_font(_TEXT_PX))
+    draw.rectangle((0, _HEAD_PX, drawn.width + 1, _HEAD_PX + drawn.height + 1), outline=_LINE)
+    picture.paste(drawn, (1, _HEAD_PX + 1))
     return picture
 
 
-def _font() -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    return ImageFont.load_default(14)
+def _legend(compared_with: str, agreements: Sequence[Agreement], window: _Window) -> Image.Image:
+    """What the colours mean, and a scale bar of a round length."""
+    lines = [_MEANINGS[agreement].format(compared_with) for agreement in agreements]
+    title = f"Every map over the {compared_with}"
+    rule = f"A wall is right within {100 * WALL_TOLERANCE_M:g} cm."
+    row_px = _TEXT_PX + 22
+    bar_m = max((m for m in _BARS_M if m * window.pixels_per_m <= _PICTURE_PX / 3), default=_BARS_M[0])
+    bar_px = round(bar_m * window.pixels_per_m)
+    texts = [_font(_TITLE_PX).getlength(title), *(_font(_TEXT_PX).getlength(line) + 2 * _TEXT_PX for line in [rule, *lines])]
+    legend = Image.new("RGB", (int(max([bar_px + 4 * _TEXT_PX, *texts])) + 1, _HEAD_PX + row_px * (len(lines) + 2)), "white")
+    draw = ImageDraw.Draw(legend)
+    draw.text((0, 0), title, fill="black", font=_font(_TITLE_PX))
+    draw.text((0, _TITLE_PX + 14), rule, fill="black", font=_font(_TEXT_PX))
+    for row, (agreement, line) in enumerate(zip(agreements, lines, strict=True)):
+        y = _HEAD_PX + row_px * row
+        draw.rectangle((0, y, _TEXT_PX, y + _TEXT_PX), fill=entities.AGREEMENTS[agreement][1], outline=_LINE)
+        draw.text((_TEXT_PX + 20, y), line, fill="black", font=_font(_TEXT_PX))
+    y = _HEAD_PX + row_px * len(lines) + _TEXT_PX
+    draw.rectangle((0, y, bar_px - 1, y + 9), fill="black")
+    draw.text((bar_px + 18, y - 0.4 * _TEXT_PX), f"{bar_m:g} m", fill="black", font=_font(_TEXT_PX))
+    return legend
+
+
+def _font(size_px: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    return ImageFont.load_default(size_px)
 
 
 def _number(value: float | None, scale: float) -> str:

@@ -8,7 +8,15 @@ from rich.console import Console
 
 from algorithms.map_comparison import Alignment, align_maps, compare_with_reference, unseen_walls
 from app.files import write_json
-from app.map_figures import ComparedMap, ComparedMaps, map_metrics, maps_table, read_maps, write_overlays
+from app.map_figures import (
+    ComparedMap,
+    ComparedMaps,
+    map_metrics,
+    maps_table,
+    read_maps,
+    walls_direction_deg,
+    write_overlays,
+)
 from app.map_files import read_map
 from app.run_folder import (
     RECORDING,
@@ -48,7 +56,7 @@ def maps(run_dir: Path, reference_path: Path) -> None:
     }
     metrics = map_metrics(compared)
     write_json(run_dir / REFERENCE_JSON, _content(reference_path, alignment, metrics))
-    write_overlays(run_dir / REFERENCE_OVERLAY, compared, "reference")
+    write_overlays(run_dir / REFERENCE_OVERLAY, compared, "reference", walls_direction_deg(run_dir))
     Console().print(maps_table(metrics, f"Grid maps against {reference_path.name} (Fig. 9)"))
     x, y = alignment.shift_m
     typer.echo(f"aligned:   turned by {alignment.turn_deg:.2f}°, the map's origin at ({x:.2f}, {y:.2f}) m of the reference")

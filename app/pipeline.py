@@ -26,7 +26,7 @@ from algorithms.grid_map import Drive, GridMap
 from algorithms.labels import Label
 from algorithms.odometry import Registration, weakness
 from algorithms.rival_maps import Rival
-from algorithms.scan import FloatArray, IntArray
+from algorithms.scan import FloatArray, IntArray, UInt8Array
 from algorithms.semantic_map import VoxelTable, VoxelVotes, fuse, majority
 from algorithms.trajectory import Trajectory
 from algorithms.wall_cells import WallCells, trace_rays
@@ -50,9 +50,11 @@ from app.blocks import (
     save_halo,
     split_blocks,
 )
-from app.inputs import Inputs
+from app.finished_run import FROM_ODOMETRY
+from app.inputs import Inputs, digest_stamps, total_digest, why_skipped
 from app.labels_file import LabelsWriter
-from app.odometry_stage import CACHE_VARIABLE, Odometry, cache_folder
+from app.odometry_cache import CACHE_VARIABLE, cache_folder
+from app.odometry_stage import Odometry
 from app.outputs import RUN_OUTPUTS, Output
 from app.plan_files import write_dxf, write_svg
 from app.poses import level_by_first_scans
@@ -68,18 +70,21 @@ from app.run_folder import (
     FLOOR_PLAN_DXF,
     FLOOR_PLAN_SVG,
     LABELS,
+    PROGRAM,
     RECORDING,
     TRAJECTORY,
     WALLS,
     RunFolder,
     map_file,
     rooms_file,
+    written_files,
 )
 from app.settings import Settings
 from app.versions import versions
 from blueprints import entities
 from blueprints import run as run_blueprint
 from loaders.bag import open_bag
+from loaders.cloud_digest import joined
 from loaders.errors import InputError
 from loaders.trajectory_file import write_tum
 
@@ -107,6 +112,8 @@ class RunState:
     statistics: dict[str, Any] = field(default_factory=dict)
     """Table I of the paper."""
     odometry_cached: bool = False
+    clouds: dict[str, str] = field(default_factory=dict)
+    """The digest of all clouds of each topic that was read to its end, by topic."""
     labels_digest: str = ""
     """See `LabelsWriter.digest`; empty where nothing was labelled."""
     topology: dict[str, Any] = field(default_factory=dict)
@@ -150,35 +157,40 @@ def run(
     recorder: Recorder | None = None
     try:
         recording = _open(inputs, options, folder, record)
-        recorder = Recorder(recording.stream, options.detail) if recording else None
+        scan_stamps_ns = inputs.vertical.index.stamp_ns if inputs.vertical else None
+        recorder = Recorder(recording.stream, options.detail, scan_stamps_ns=scan_stamps_ns) if recording else None
         _run_stages(_Run(inputs, settings, options, folder, progress, record, recording, recorder, state), given)
         outcome = "complete"
         if options.workers == 1:
             # All of it was this process's work, whatever else the machine was busy with.
             state.timings_s["cpu"] = time.process_time() - worked
-        _log_result(recorder, state, started, outcome)
+        _log_result(recorder, record, state, started, outcome)
         if recording is not None:
             recording.finish()
     except BaseException:
-        folder.write_json({**record, **_gathered(state, started), "outcome": "aborted"})
+        folder.write_json({**record, **_gathered(record, state, started), "outcome": "aborted"})
         # What ended the run is what the user has to hear of.
         with suppress(Exception):
-            _log_result(recorder, state, started, "aborted")
+            _log_result(recorder, record, state, started, "aborted")
         with suppress(Exception):
             if recording is not None:
                 recording.finish()
         raise
-    record = {**record, **_gathered(state, started), "outcome": outcome}
+    record = {**record, **_gathered(record, state, started), "files": written_files(folder), "outcome": outcome}
     folder.write_json(record)
     shutil.rmtree(folder.spool, ignore_errors=True)
     return record
 
 
-def _log_result(recorder: Recorder | None, state: RunState, started: float, outcome: str) -> None:
+def _log_result(
+    recorder: Recorder | None, record: dict[str, Any], state: RunState, started: float, outcome: str
+) -> None:
     """As properties, which a list of runs asks for."""
     if recorder is not None:
-        result = {name: value for name, value in _gathered(state, started).items() if name not in _TOLD_ELSEWHERE}
-        recorder.log_properties("result", {**result, "outcome": outcome})
+        gathered = _gathered(record, state, started)
+        result = {name: value for name, value in gathered.items() if name not in _TOLD_ELSEWHERE}
+        recorder.log_properties("result", {**result, "bag_digest": gathered["bag"].get("digest"), "outcome": outcome})
+        recorder.log_warnings(state.warnings)
 
 
 def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[str, Any]) -> Recording | None:
@@ -191,7 +203,7 @@ def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[s
             folder.path / RECORDING if save else None,
             folder.spool,
             record["recording_id"],
-            _layout(inputs, options.detail),
+            _layout(inputs, options.detail, record),
             options.connect_url,
         )
     except ConnectionError as error:
@@ -200,12 +212,13 @@ def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[s
         ) from error
 
 
-_TOLD_ELSEWHERE = ("statistics", "warnings")
-"""Among the metrics, and as messages."""
+_TOLD_ELSEWHERE = ("statistics", "warnings", "bag")
+"""Among the metrics, as a text, and among the properties of the run."""
 
 
-def _gathered(state: RunState, started: float) -> dict[str, Any]:
+def _gathered(record: dict[str, Any], state: RunState, started: float) -> dict[str, Any]:
     return {
+        "bag": _bag_as_read(record, state),
         "timings_s": {name: round(s, 3) for name, s in state.timings_s.items()}
         | {"total": round(time.perf_counter() - started, 3)},
         "counts": state.counts,
@@ -215,6 +228,13 @@ def _gathered(state: RunState, started: float) -> dict[str, Any]:
         "labels_digest": state.labels_digest,
         "topology": state.topology,
     }
+
+
+def _bag_as_read(record: dict[str, Any], state: RunState) -> dict[str, Any]:
+    """What run.json says of the bag: with the digest of what was read of it, once all of that is known."""
+    bag: dict[str, Any] = {**record["bag"], "clouds": state.clouds}
+    read_whole = bag["stamps"].keys() == state.clouds.keys()
+    return {**bag, "digest": total_digest(state.clouds)} if read_whole else bag
 
 
 def _run_stages(run: _Run, given: Trajectory | None) -> None:
@@ -229,6 +249,8 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
             stage = _ScanStage(run, pool)
             trajectory = given if given is not None else stage.register()
             state.timings_s["odometry"] = time.perf_counter() - clock
+            # Before any scan is labelled with these poses, so that a run that is resumed knows what they were made from.
+            folder.write_json({**run.record, "bag": _bag_as_read(run.record, state), "outcome": "running"})
 
             # Stage 2: the scans.
             clock = time.perf_counter()
@@ -267,7 +289,7 @@ def _run_stages(run: _Run, given: Trajectory | None) -> None:
                 log_rooms(run.recording.stream, building.rooms)
                 for segmented, graph in building.compared_rooms.items():
                     log_areas(run.recording.stream, graph, f"{entities.ROOMS_COMPARED}/{segmented}")
-                run.recording.set_layout(_layout(inputs, run.options.detail, building.grid))
+                run.recording.set_layout(_layout(inputs, run.options.detail, run.record, building.grid))
             if Output.GEOJSON in outputs:
                 results.write_walls(folder.path / WALLS, building.walls, building.thickness_m)
                 results.write_doors(folder.path / DOORS, building.doors, door_rooms(building.rooms))
@@ -321,9 +343,15 @@ def _log_start(recorder: Recorder, inputs: Inputs, settings: Settings, record: d
     )
 
 
-def _layout(inputs: Inputs, detail: Detail, grid: GridMap | None = None) -> rrb.Blueprint:
+def _layout(inputs: Inputs, detail: Detail, record: dict[str, Any], grid: GridMap | None = None) -> rrb.Blueprint:
     """How the recording opens; with the grid, so that the whole building is in view."""
-    return run_blueprint.build(_ring_count(inputs), *run_blueprint.view_of(grid), scans=detail is not Detail.MAP)
+    return run_blueprint.build(
+        _ring_count(inputs),
+        *run_blueprint.view_of(grid),
+        scans=detail is not Detail.MAP,
+        registered=record["poses_from"] == FROM_ODOMETRY,
+        lines=detail is Detail.LINES,
+    )
 
 
 def _ring_count(inputs: Inputs) -> int | None:
@@ -344,6 +372,7 @@ class _ScanStage:
         self.reasons: list[str] = []
         self._last_T_map_base: FloatArray | None = None
         self._floor_slope: FloatArray = np.zeros(2)
+        self._digests: list[UInt8Array] = []
         self._registered: list[Registration] = []
         self._weak: list[str] = []
         self._votes = VoxelTable(VOXEL_M, len(Label))
@@ -351,6 +380,7 @@ class _ScanStage:
         self._counts = np.zeros(256, np.int64)
         self._milliseconds: list[FloatArray] = []
         self._sizes: list[FloatArray] = []
+        self._beyond_range: list[IntArray] = []
 
     def register(self) -> Trajectory:
         """Stage 1: the trajectory in the levelled map."""
@@ -365,7 +395,9 @@ class _ScanStage:
         self._state.odometry_cached = odometry.from_cache
         if odometry.from_cache:
             self._progress.say(f"odometry: taken from the cache in {cache_folder()}; with {CACHE_VARIABLE} it is another folder")
+        registered: list[int] = []
         for registration in odometry:
+            registered.append(registration.index)
             if len(odometry) == 1 and self._recorder:
                 # Until the map is level, the base's first pose is.
                 self._recorder.log_odometry_frame(
@@ -379,8 +411,16 @@ class _ScanStage:
             raise InputError(
                 f"{self._inputs.bag_path}: {sensor.lidar.topic} has no usable cloud; 'ffmap info' tells more"
             )
+        if odometry.cache_warning is not None:
+            self._warn(odometry.cache_warning)
+        self._state.clouds |= odometry.clouds
         self._log_registrations()
         self._state.counts |= {"registrations": len(odometry), "weak_registrations": len(self._weak)}
+        if unregistered := sorted(set(range(len(sensor.index))) - set(registered)):
+            self._warn(
+                f"{len(unregistered)} of {len(sensor.index)} horizontal clouds skipped: "
+                f"{why_skipped(self._inputs.bag_path, sensor, unregistered)}"
+            )
         if self._weak:
             self._warn(
                 f"registration was weak for {len(self._weak)} of {len(odometry)} scans (the first: {self._weak[0]}); poses "
@@ -474,8 +514,10 @@ class _ScanStage:
 
     def _take(self, block: Block, summary: BlockSummary) -> None:
         self.scan_stamps_ns.extend(summary.stamp_ns.tolist())
+        self._digests.append(summary.cloud_digest)
         self.reasons.extend(summary.skipped_reason)
         self._counts += summary.label_counts
+        self._beyond_range.append(summary.beyond_range)
         self._milliseconds.append(summary.milliseconds)
         self._sizes.append(np.stack([summary.points_in_cloud, summary.points_in_lines], axis=1, dtype=np.float64))
         for index, reason in zip(summary.skipped_scan.tolist(), summary.skipped_reason, strict=True):
@@ -495,6 +537,8 @@ class _ScanStage:
     def _summarise(self) -> None:
         if not self.blocks:
             return
+        assert self._inputs.vertical is not None
+        self._state.clouds[self._inputs.vertical.lidar.topic] = joined([np.concatenate(self._digests).tobytes()]).hex()
         milliseconds = np.concatenate(self._milliseconds)
         self._state.counts |= {
             "clouds": sum(b.count for b in self.blocks),
@@ -514,6 +558,13 @@ class _ScanStage:
             }
         if self.reasons:
             self._state.warnings.append(f"{len(self.reasons)} vertical clouds skipped: {_most(self.reasons)}")
+        beyond = np.concatenate(self._beyond_range)
+        if beyond.any():
+            self._state.counts["beyond_range"] = int(beyond.sum())
+            self._warn(
+                f"returns farther than {self._settings.scan.range_max_m:g} m away were left out (scan.range_max_m): "
+                f"{beyond.sum():,}, in {np.count_nonzero(beyond):,} of {len(beyond):,} scans"
+            )
 
 
 def _spread(values: FloatArray) -> dict[str, float]:
@@ -626,22 +677,29 @@ def _finish(run: _Run, pool: Executor, jobs: Sequence[LabelJob], building: Build
 
 
 def first_record(
-    inputs: Inputs, settings: Settings, options: dict[str, Any], bag_path: Path, poses_from: str
+    inputs: Inputs, settings: Settings, options: dict[str, Any], bag_path: Path, given_poses: str | None
 ) -> dict[str, Any]:
-    """What run.json holds from the start: everything that the run is made from."""
+    """What run.json holds from the start: everything that the run is made from.
+
+    given_poses: the file or topic that the poses are taken from; None for the odometry.
+    """
     rig = {
         role: {"topic": s.lidar.topic, "frame": s.lidar.frame_id, "why": s.lidar.reasons}
         for role, s in (("horizontal", inputs.horizontal), ("vertical", inputs.vertical))
         if s is not None
     }
     return {
-        "program": "furniture-free-mapping",
+        "program": PROGRAM,
         "recording_id": str(uuid.uuid4()),
         "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-        "bag": {"path": str(bag_path.resolve()), "digest": inputs.bag_digest, "container": inputs.container},
+        "bag": {
+            "path": str(bag_path.resolve()),
+            "container": inputs.container,
+            "stamps": digest_stamps(inputs.used(given_poses is not None)),
+        },
         "base_frame": inputs.rig.base_frame,
         "rig": rig,
-        "poses_from": poses_from,
+        "poses_from": given_poses or FROM_ODOMETRY,
         "settings_hash": settings.short_hash(),
         "settings": settings.model_dump(mode="json"),
         "options": options,

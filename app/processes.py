@@ -1,16 +1,33 @@
 """How worker processes are made."""
 
+import atexit
 import multiprocessing as mp
+import os
 import signal
 import sys
+import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from multiprocessing import forkserver
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from multiprocessing import connection, forkserver
 from multiprocessing.context import ForkServerContext, SpawnContext
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
+
+from loaders.errors import InputError
 
 _T = TypeVar("_T")
+
+
+class WorkerLostError(InputError):
+    """A worker process was ended from outside; mostly by the system, when memory runs out."""
+
+    @classmethod
+    def of(cls, what: str, exit_code: int | None = None) -> Self:
+        """what: the process, as the subject of a sentence. exit_code: as multiprocessing tells it, where it is known."""
+        how = f"was killed ({signal.Signals(-exit_code).name})" if exit_code is not None and exit_code < 0 else "has ended"
+        return cls(f"{what} {how} before its work was done, most likely because memory ran out; free some, or give fewer --workers")
 
 ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
@@ -41,27 +58,54 @@ def start_server() -> None:
     """Let the workers' server import what it needs while this process still imports what itself needs."""
     if isinstance(process_context(), ForkServerContext):
         forkserver.ensure_running()
+        atexit.register(_end_server)
+
+
+def _end_server() -> None:
+    """Not when it has imported all: until then it would hold what this process writes to, and whoever reads that would wait."""
+    server = getattr(forkserver, "_forkserver", None)
+    if (pid := getattr(server, "_forkserver_pid", None)) is not None:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
 
 
 def make_pool(workers: int) -> Executor:
     """Processes that take jobs; a single worker is this process itself, so that the whole run is one thread's work."""
-    return _InTurn() if workers == 1 else _Processes(workers, process_context(), leave_interrupts_to_the_run)
+    return _InTurn() if workers == 1 else _Processes(workers, process_context(), start_as_worker)
 
 
-def leave_interrupts_to_the_run() -> None:
-    """Called by a worker process as it starts: Ctrl-C reaches all processes of a terminal, and the run ends the others."""
+def start_as_worker() -> None:
+    """Called by a worker process as it starts.
+
+    Ctrl-C reaches all processes of a terminal, and the run ends the others. A run that is killed ends nobody: its workers
+    see to that themselves.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_the_run, daemon=True).start()
+
+
+def _end_with_the_run() -> None:
+    parent = mp.parent_process()
+    assert parent is not None
+    connection.wait([parent.sentinel])
+    os._exit(1)
 
 
 class _Processes(ProcessPoolExecutor):
-    """Nobody waits for what its workers are at when the user interrupts: every file that they write is whole or not there."""
+    """Nobody waits for what its workers are at when the user interrupts, or when one of them was killed.
+
+    Every file that they write is whole or not there. Raises WorkerLostError, at its end, where one was killed.
+    """
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
-        if kind is not None and issubclass(kind, KeyboardInterrupt):
+        if isinstance(error, KeyboardInterrupt | BrokenProcessPool):
             self.shutdown(wait=False, cancel_futures=True)
+            # All of them: the pool itself forgets one that it was starting when another was killed, and waits for it for ever.
             for process in mp.active_children():
                 process.terminate()
         super().__exit__(kind, error, tb)
+        if isinstance(error, BrokenProcessPool):
+            raise WorkerLostError.of("a worker process") from None
 
 
 class _InTurn(Executor):

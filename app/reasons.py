@@ -75,10 +75,12 @@ def name_of(line: int) -> str:
     return f"line {line} (emitter {line // 2}, side {line % 2})"
 
 
-def line_document(labelling: ScanLabelling, reason: LineReason) -> str:
-    """One line's reasons as Markdown."""
+def line_document(labelling: ScanLabelling, reason: LineReason, note: str = "") -> str:
+    """One line's reasons as Markdown; note: what else is to be said of it."""
     outcome = LINE_OUTCOMES[reason.outcome][0]
-    parts = [f"# {name_of(reason.line).capitalize()}: {outcome}", "", reason.verdict, "", *_check_table(reason.checks)]
+    parts = [f"# {name_of(reason.line).capitalize()}: {outcome}", "", reason.verdict, ""]
+    parts += [note, ""] if note else []
+    parts += _check_table(reason.checks)
     structures = labelling.structures
     own = np.flatnonzero(structures.line == reason.line).tolist()
     if own:
@@ -91,8 +93,17 @@ def line_document(labelling: ScanLabelling, reason: LineReason) -> str:
     return "\n".join(parts)
 
 
-def scan_document(title: str, notes: Sequence[str], labelling: ScanLabelling, reasons: Sequence[LineReason]) -> str:
-    """A whole scan as Markdown: what was found, and a table of its lines."""
+def scan_document(
+    title: str,
+    notes: Sequence[str],
+    labelling: ScanLabelling,
+    reasons: Sequence[LineReason],
+    marked: Sequence[int] | None = None,
+) -> str:
+    """A whole scan as Markdown: what was found, and a table of its lines.
+
+    marked: how many returns of each line are marked; None where that is not known.
+    """
     planes, openings = labelling.planes, labelling.openings
     heights = [f"{c.height_m - labelling.floor.height_m:.2f} m" for c in labelling.ceilings]
     parts = [f"# {title}", "", *(f"{note}\n" for note in notes)]
@@ -120,8 +131,13 @@ def scan_document(title: str, notes: Sequence[str], labelling: ScanLabelling, re
             f"| {openings.head_m[o]:.2f} m | {openings.line_count[o]} |"
             for o in range(len(openings))
         ]
-    parts += ["", "## Lines (2 × emitter + side)", "| line | outcome | why |", "|---|---|---|"]
-    parts += [f"| {r.line} | {LINE_OUTCOMES[r.outcome][0]} | {r.short} |" for r in reasons]
+    parts += ["", "## Lines (2 × emitter + side)"]
+    if marked is None:
+        parts += ["| line | outcome | why |", "|---|---|---|"]
+        parts += [f"| {r.line} | {LINE_OUTCOMES[r.outcome][0]} | {r.short} |" for r in reasons]
+    else:
+        parts += ["| line | marked | outcome | why |", "|---|---|---|---|"]
+        parts += [f"| {r.line} | {marked[r.line]} | {LINE_OUTCOMES[r.outcome][0]} | {r.short} |" for r in reasons]
     return "\n".join(parts)
 
 

@@ -31,8 +31,9 @@ from algorithms.trajectory import PlacedScan
 from app.building_reasons import explain_building
 from app.reasons import candidate_reasons, door_reasons, line_outcomes
 from app.recording import send_properties
+from app.wall_panels import wall_panels
 from blueprints import entities
-from blueprints.entities import CurveSheet
+from blueprints.entities import CurveSheet, Legend
 
 GRID_M = 1.0 / 512.0
 """Positions are rounded to so many metres, a sensor's resolution: the file halves."""
@@ -96,11 +97,26 @@ class Recorder:
     Workers log scans into blocks; the run's own process forwards these blocks and logs all else.
     """
 
-    def __init__(self, stream: rr.RecordingStream, detail: Detail = Detail.LINES, timeless: bool = False) -> None:
-        """timeless: what is logged of a scan holds throughout, as in a recording of one scan alone."""
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        detail: Detail = Detail.LINES,
+        timeless: bool = False,
+        scan_stamps_ns: IntArray | None = None,
+    ) -> None:
+        """timeless: what is logged of a scan holds throughout, as in a recording of one scan alone.
+
+        scan_stamps_ns: (n,) of the vertical clouds in the bag. With them, what concerns a horizontal scan also lies on the
+        timeline `scan`, at the first vertical cloud that is not older, or at the last one: there the viewer shows the same
+        as at that cloud's stamp. None where there are no vertical clouds: it lies on `stamp` alone.
+        """
         self._stream = stream
         self._detail = detail
         self._timeless = timeless
+        # The highest stamp up to each cloud, for a clock may step back.
+        self._scan_reached_ns: IntArray | None = None
+        if scan_stamps_ns is not None and len(scan_stamps_ns):
+            self._scan_reached_ns = np.maximum.accumulate(scan_stamps_ns)
         self._metrics: list[tuple[int, int, dict[str, float]]] = []
 
     # --- once a run ---
@@ -121,6 +137,12 @@ class Recorder:
         self._static(entities.LINES, _annotations(entities.LINE_OUTCOMES))
         self._static(entities.DOOR_CONDITIONS, _annotations(entities.DOOR_CONDITION_CLASSES))
         self._static(entities.README, rr.TextDocument(readme, media_type=rr.MediaType.MARKDOWN))
+        glance = entities.glance(labelled=ring_count is not None, scans=self._detail is not Detail.MAP)
+        self._static(entities.GLANCE, rr.TextDocument(glance, media_type=rr.MediaType.MARKDOWN))
+        self._static(
+            entities.EVALUATION_HELP, rr.TextDocument(entities.EVALUATION_HELP_TEXT, media_type=rr.MediaType.MARKDOWN)
+        )
+        log_legend(self._stream, entities.LABEL_LEGEND, entities.LABEL_LEGEND_ENTRIES)
         self._static(entities.BASE, rr.TransformAxes3D(0.6))
         for role, T_base_sensor in sensors.items():
             self._static(f"{entities.BASE}/{role}", _transform(T_base_sensor), rr.TransformAxes3D(0.3))
@@ -134,6 +156,8 @@ class Recorder:
         for label in Label:
             name, color = entities.CLASSES[label]
             self._static(f"{entities.LABEL_COUNTS}/{name}", rr.SeriesLines(colors=color, names=name, widths=1.5))
+        for path, (name, color) in entities.SERIES.items():
+            self._static(path, rr.SeriesLines(colors=color, names=name, widths=1.5))
         if ring_count is not None and slope_max is not None and self._detail is Detail.LINES:
             self._log_curve_sheet(CurveSheet(ring_count), slope_max)
 
@@ -145,6 +169,11 @@ class Recorder:
         """A warning, at the scan or time that it is about."""
         self._at(stamp_ns, index)
         self._log(entities.MESSAGES, rr.TextLog(text, level=rr.TextLogLevel.WARN))
+
+    def log_warnings(self, warnings: Sequence[str]) -> None:
+        """Those of the whole run; that there are none is worth telling too."""
+        text = "\n".join(f"- {warning}" for warning in warnings) or "None."
+        self._static(entities.WARNINGS, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
     # --- trajectory and odometry ---
 
@@ -199,7 +228,7 @@ class Recorder:
         self._columns(f"{entities.REGISTRATION}/loops_moved_m", stamp_ns, rr.Scalars.columns(scalars=moved_m))
 
     def log_registrations(self, registrations: Sequence[Registration], weak: Sequence[str | None]) -> None:
-        """What was registered of scans, and how well it fits; on `stamp` only.
+        """What was registered of horizontal scans, and how well it fits.
 
         Many at once: logged one by one they cost the run's own process more than all else that it logs.
 
@@ -501,10 +530,10 @@ class Recorder:
             ),
         )
         titles = [
-            f"One line as in Fig. 5b, index 0 at its foot: eq. 2 (blue), slope that decides (white), ±{slope_max:g} (red)",
-            f"All lines of side 0, emitters 0 to {sheet.ring_count - 1}, each drawn from -4 to 4; "
-            "up-most structure green, bottom-most orange",
-            f"All lines of side 1, emitters 0 to {sheet.ring_count - 1}",
+            f"One line, foot left, top right: eq. 2 blue, slope that decides white, threshold ±{slope_max:g} red",
+            f"Side 0, emitters 0 to {sheet.ring_count - 1}, each from -{sheet.LIMIT:g} to {sheet.LIMIT:g}; "
+            "up-most green, bottom-most orange",
+            f"Side 1, emitters 0 to {sheet.ring_count - 1}",
         ]
         tops = [0.0, sheet.side_top(0), sheet.side_top(1)] if sheet.ring_count else [0.0]
         self._static(
@@ -599,18 +628,22 @@ class Recorder:
             rr.Boxes2D(array=boxes, array_format=rr.Box2DFormat.XYWH, colors=colors),
             evidence({"line": np.array([line]), "first": structures.first[own], "last": structures.last[own]}),
         )
-        named = [(upmost, "up-most: wall candidate", entities.UPMOST_COLOR)] if upmost >= 0 else []
+        # At heights of their own, and away from the ends: else they would hide one another, or be cut.
+        named = [(upmost, "up-most: wall candidate", entities.UPMOST_COLOR, 0.58)] if upmost >= 0 else []
         if bottommost != upmost:
-            named.append((bottommost, "bottom-most", entities.BOTTOMMOST_COLOR))
+            named.append((bottommost, "bottom-most", entities.BOTTOMMOST_COLOR, 0.8))
         self._stream.log(
             entities.CURVE_EXAMPLE_TEXTS,
             rr.Points2D(
                 [
-                    ((structures.first[s] + structures.last[s]) / 2 * step, 0.8 * sheet.EXAMPLE_HEIGHT)
-                    for s, _, _ in named
+                    (
+                        np.clip((structures.first[s] + structures.last[s]) / 2 * step, 0.15 * sheet.WIDTH, 0.85 * sheet.WIDTH),
+                        height * sheet.EXAMPLE_HEIGHT,
+                    )
+                    for s, _, _, height in named
                 ],
-                labels=[name for _, name, _ in named],
-                colors=[color for _, _, color in named],
+                labels=[name for _, name, _, _ in named],
+                colors=[color for _, _, color, _ in named],
                 show_labels=True,
                 radii=0.0,
             ),
@@ -651,18 +684,12 @@ class Recorder:
             building.doors,
             building.windows,
         )
-        vertices, triangles = _upright_quads(
-            walls.ends, np.repeat(walls.bottom_m[:, None], 2, axis=1), np.repeat(walls.top_m[:, None], 2, axis=1)
-        )
+        panels = wall_panels(walls, doors, windows)
         if len(walls):
             self._static(
                 entities.WALLS,
-                rr.Mesh3D(
-                    vertex_positions=vertices,
-                    triangle_indices=triangles,
-                    albedo_factor=(*entities.CLASSES[Label.WALL][1], 90),
-                ),
-                evidence({"scan_count": walls.scan_count, "rms_m": walls.rms_m}),
+                _panel_mesh(panels.ends, panels.bottom_m, panels.top_m, entities.CLASSES[Label.WALL][1]),
+                evidence({"wall_of_panel": panels.wall, "scan_count": walls.scan_count, "rms_m": walls.rms_m}),
             )
         if before.covered.any():
             self._static(
@@ -722,7 +749,11 @@ class Recorder:
                     }
                 ),
             )
-
+        # An open door is its frame; a closed one has a leaf.
+        closed = doors.select(doors.state == DoorState.CLOSED)
+        if len(closed):
+            leaf = _panel_mesh(closed.ends, np.zeros(len(closed)), closed.head_m, entities.CLASSES[Label.DOOR][1])
+            self._static(entities.DOOR_LEAVES, leaf)
         if len(windows):
             self._static(
                 entities.WINDOWS,
@@ -810,10 +841,14 @@ class Recorder:
         self._columns(path, stamp_ns, columns)
 
     def _columns(self, path: str, stamp_ns: IntArray, columns: rr.ComponentColumnList) -> None:
-        """One row at each stamp."""
-        if len(stamp_ns):
-            index = rr.TimeColumn(entities.STAMP_TIMELINE, timestamp=stamp_ns.astype("datetime64[ns]"))
-            self._stream.send_columns(path, [index], columns)
+        """One row for each horizontal scan, by its stamp."""
+        if not len(stamp_ns):
+            return
+        indexes = [rr.TimeColumn(entities.STAMP_TIMELINE, timestamp=stamp_ns.astype("datetime64[ns]"))]
+        if self._scan_reached_ns is not None:
+            scan = np.searchsorted(self._scan_reached_ns, stamp_ns).clip(max=len(self._scan_reached_ns) - 1)
+            indexes.append(rr.TimeColumn(entities.SCAN_TIMELINE, sequence=scan))
+        self._stream.send_columns(path, indexes, columns)
 
     def _cloud_columns(self, path: str, stamp_ns: IntArray, clouds: Sequence[FloatArray]) -> None:
         if clouds:
@@ -823,6 +858,25 @@ class Recorder:
 
     def _static(self, path: str, *values: rr.AsComponents) -> None:
         self._stream.log(path, *values, static=True)
+
+
+def log_legend(stream: rr.RecordingStream, path: str, entries: Sequence[tuple[str, entities.Color]]) -> None:
+    """Names side by side, each below a dot in its colour, as `blueprints.legend` shows them."""
+    across = Legend.STEP * (np.arange(len(entries)) + 0.5)
+    dots = rr.Points2D(
+        np.column_stack([across, np.zeros(len(entries))]),
+        colors=[color for _, color in entries],
+        radii=rr.Radius.ui_points(Legend.DOT_UI),
+    )
+    names = rr.Points2D(
+        np.column_stack([across, np.full(len(entries), Legend.NAMES_BELOW)]),
+        colors=entities.TEXT_COLOR,
+        radii=0.0,
+        labels=[name for name, _ in entries],
+        show_labels=True,
+    )
+    stream.log(f"{path}/dots", dots, static=True)
+    stream.log(f"{path}/names", names, static=True)
 
 
 def set_time(stream: rr.RecordingStream, stamp_ns: int, index: int | None = None) -> None:
@@ -952,6 +1006,14 @@ def _upright_quads(ends: FloatArray, bottom_m: FloatArray, top_m: FloatArray) ->
         np.array([[0, 1, 2], [0, 2, 3]], np.uint32)[None] + 4 * np.arange(len(ends), dtype=np.uint32)[:, None, None]
     )
     return corners.reshape(-1, 3), triangles.reshape(-1, 3)
+
+
+def _panel_mesh(ends: FloatArray, bottom_m: FloatArray, top_m: FloatArray, color: entities.Color) -> rr.Mesh3D:
+    """Upright rectangles that one can see through, over ends (K, 2, 2) between heights (K,)."""
+    vertices, triangles = _upright_quads(ends, np.repeat(bottom_m[:, None], 2, 1), np.repeat(top_m[:, None], 2, 1))
+    return rr.Mesh3D(
+        vertex_positions=vertices, triangle_indices=triangles, albedo_factor=(*color, _SEE_THROUGH[3])
+    )
 
 
 def upright_frames(ends: FloatArray, bottom_m: FloatArray, top_m: FloatArray) -> FloatArray:

@@ -16,8 +16,9 @@ from algorithms.room_evaluation import RoomFigures, compare_room_images, rooms_o
 from algorithms.scan import FloatArray, IntArray
 from app.files import write_json
 from app.map_files import read_image, read_map
+from app.own_command import view_command
 from app.room_results import topology, write_picture, write_rooms
-from app.run_folder import METRICS, ROOMS
+from app.run_folder import METRICS, ROOMS, check_no_run_loses
 from app.settings import load_settings
 from loaders.errors import InputError
 from loaders.geojson import read_features
@@ -26,6 +27,9 @@ from loaders.text_files import read_json
 CELLS_MAX = 8_000_000
 """A map with more cells around its free space is segmented with larger ones: time and memory stay bounded."""
 TOPOLOGY = "topology.json"
+PICTURE = "rooms.png"
+RECORDING = "rooms.rrd"
+FILES = (TOPOLOGY, ROOMS, PICTURE, METRICS, RECORDING)
 TRUTH_SUFFIX = "_gt_segmentation"
 IMAGES = (".png", ".pgm")
 
@@ -56,7 +60,7 @@ def rooms(arguments: Arguments) -> None:
     console.print(_rooms_table(graph))
     if figures is not None:
         console.print(_truth_line(figures))
-    console.print(f"{out}: rooms.geojson, topology.json, rooms.png; look at it with: ffmap view {out / 'rooms.rrd'}")
+    typer.echo(f"{out}: rooms.geojson, topology.json, rooms.png; look at it with: {view_command(out / RECORDING)}")
 
 
 def _segment_folder(arguments: Arguments) -> None:
@@ -107,6 +111,9 @@ def _segment(
     arguments: Arguments, path: Path, truth: Path | None, many: bool = False
 ) -> tuple[AreaGraph, RoomFigures | None]:
     settings = load_settings(arguments.config, arguments.overrides).area_graph
+    out = arguments.out or Path("rooms")
+    own = out / path.stem if many or arguments.out is None else out
+    _check_out(own, path, arguments)
     grid = read_map(path, arguments.resolution_m, takes_resolution=True)
     if not (grid.cells == Cell.FREE).any():
         raise InputError(
@@ -131,22 +138,35 @@ def _segment(
             "is the resolution right? see --set area_graph.room_min_m2"
         )
     figures = None if truth is None else _compare(path, grid, coarse, graph, truth)
-    out = arguments.out or Path("rooms")
-    own = out / path.stem if many or arguments.out is None else out
-    if arguments.out is None:
-        _check_default(own, path)
     _write(own, path, coarse, graph, figures, recording.result())
     return graph, figures
 
 
-def _check_default(out: Path, path: Path) -> None:
-    """Raises InputError where a folder that the user did not name has the rooms of another map of the same name."""
-    try:
-        before = read_json(out / TOPOLOGY, "").get("map")
-    except (InputError, AttributeError):
-        return
-    if before is not None and before != str(path.resolve()):
+def _check_out(out: Path, path: Path, arguments: Arguments) -> None:
+    """Raises InputError where a file would be replaced that is read, or that is not of the rooms of this map.
+
+    A folder that the user named may have the rooms of another map; one that the program chose may not.
+    """
+    written = [out / name for name in FILES]
+    read = {file.resolve() for file in (path, arguments.truth, arguments.doors, arguments.config) if file is not None}
+    for file in written:
+        check_no_run_loses(file)
+        if file.resolve() in read:
+            raise InputError(f"{file}: is read, and would be replaced; give another folder to --out")
+    there = [file for file in written if file.exists()]
+    before = _map_of(out)
+    if there and before is None:
+        raise InputError(f"{there[0]}: is there already, and not by 'ffmap rooms'; give another folder to --out")
+    if before is not None and before != str(path.resolve()) and arguments.out is None:
         raise InputError(f"{out}: has the rooms of {before} already; give another folder to --out, or the same to replace them")
+
+
+def _map_of(out: Path) -> str | None:
+    """Which map's rooms a folder has; None where it has none."""
+    try:
+        return str(read_json(out / TOPOLOGY, "")["map"])
+    except (InputError, LookupError, TypeError):
+        return None
 
 
 def _prepare_recording(grid: GridMap) -> RecordingWriter:
@@ -160,12 +180,13 @@ def _write(
 ) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
-        write_rooms(out / ROOMS, graph)
+        # First: it says whose the others are.
         write_json(out / TOPOLOGY, {"map": str(path.resolve()), **topology(graph)})
-        write_picture(out / "rooms.png", grid, graph)
+        write_rooms(out / ROOMS, graph)
+        write_picture(out / PICTURE, grid, graph)
         if figures is not None:
             write_json(out / METRICS, metrics(figures))
-        write_recording(out / "rooms.rrd", graph)
+        write_recording(out / RECORDING, graph)
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror}); give another folder to --out") from error
 

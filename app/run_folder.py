@@ -1,13 +1,17 @@
-"""The folder of a run: its files' names, run.json, the spool that a killed run is resumed from."""
+"""The folder of a run: its files' names, run.json, the spool that a killed run is resumed from.
+
+An earlier run is replaced only once the new one is complete: until then that lies in a folder of its own within. Nothing
+is ever removed but files that runs write.
+"""
 
 import json
 import os
-import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +38,14 @@ REFERENCE_OVERLAY = "reference_overlay.png"
 REFERENCE_JSON = "reference.json"
 REFERENCE_RECORDING = "reference.rrd"
 SPOOL = "spool"
+ERROR_LOG = "error.txt"
+REPLACEMENT = ".replacement"
+"""Within the folder of an earlier run: the run that takes its place when it is complete."""
+PROGRAM = "furniture-free-mapping"
+"""What run.json says that it was written by."""
+
+_OWN_SUFFIXES = (".npz", ".rrd", ".db3", ".mcap", ".part")
+"""Of the files that runs write into folders within their own."""
 
 
 def map_file(name: str) -> str:
@@ -49,6 +61,26 @@ def rooms_file(name: str) -> str:
     from algorithms.area_graph import Segmented  # as above
 
     return ROOMS if name == Segmented.FURNITURE_FREE else f"rooms_{name}.geojson"
+
+
+@cache
+def file_names() -> frozenset[str]:
+    """The names of all files and folders that a run, its evaluation and the commands after it write into its folder."""
+    from algorithms.area_graph import Segmented  # as above
+    from algorithms.rival_maps import Rival
+    from blueprints.entities import FURNITURE_FREE
+
+    maps = [map_file(name) for name in (FURNITURE_FREE, *Rival)]
+    return frozenset(
+        (
+            *(RUN_JSON, RECORDING, EVALUATION, TRAJECTORY, CLOUD, LABELLED_BAG, LABELLED_FOLDER, LABELS, METRICS),
+            *(WALLS, DOORS, FLOOR_PLAN_SVG, FLOOR_PLAN_DXF, OVERLAY, SPOOL, ERROR_LOG),
+            *(REFERENCE_OVERLAY, REFERENCE_JSON, REFERENCE_RECORDING),
+            *(rooms_file(name) for name in Segmented),
+            *maps,
+            *(str(Path(name).with_suffix(".pgm")) for name in maps),
+        )
+    )
 
 
 @dataclass(frozen=True)
@@ -85,25 +117,39 @@ def default_path(bag: Path, settings_hash: str) -> Path:
     return Path("runs") / f"{bag.stem}-{datetime.now():%Y%m%d-%H%M%S}-{settings_hash}"
 
 
-def create(path: Path, overwrite: bool = False) -> RunFolder:
-    """Make a run folder; nothing in it is touched before `clear`.
+def create(path: Path, overwrite: bool = False, inputs: Iterable[Path] = ()) -> RunFolder:
+    """The folder of a new run, made if need be; within that of an earlier run which is to be replaced (see `take_place`).
 
-    overwrite: whether an earlier run may be there, to be replaced.
-    Raises InputError where there is an earlier run that must not be replaced, where there is anything but a run, and where
-    the folder cannot be written.
+    Nothing in it is touched before `clear`.
+
+    overwrite: whether an earlier run may be there. inputs: what the run will read.
+    Raises InputError where there is an earlier run that must not be replaced, or that the new one reads from, where there
+    is anything but a run, and where the folder cannot be written.
     """
-    folder = RunFolder(path)
     try:
         if path.exists() and not path.is_dir():
             raise InputError(f"{path}: is a file; give a folder to --out")
         if path.is_dir() and any(path.iterdir()) and not (path / RUN_JSON).exists():
             raise InputError(f"{path}: holds files that are no run; give an empty or a new folder to --out")
-        if (path / RUN_JSON).exists() and not overwrite:
-            raise InputError(f"{path}: holds {_state(folder)}; give another folder to --out, or replace it with --overwrite")
+        replaces = (path / RUN_JSON).exists()
+        if replaces:
+            _check_replaceable(RunFolder(path), overwrite, inputs)
         make_writable(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); give another folder to --out") from error
-    return folder
+    return RunFolder(path / REPLACEMENT if replaces else path)
+
+
+def _check_replaceable(folder: RunFolder, overwrite: bool, inputs: Iterable[Path]) -> None:
+    path = folder.path
+    if folder.read_json().get("program") != PROGRAM:
+        raise InputError(f"{path}: holds a {RUN_JSON} that ffmap did not write; give an empty or a new folder to --out")
+    if not overwrite:
+        raise InputError(f"{path}: holds {_state(folder)}; give another folder to --out, or replace it with --overwrite")
+    for read in inputs:
+        inside = read.resolve().relative_to(path.resolve()).parts if read.resolve().is_relative_to(path.resolve()) else ()
+        if inside and inside[0] in file_names():
+            raise InputError(f"{read}: is read, and belongs to the run that --overwrite replaces; give another folder to --out")
 
 
 def _state(folder: RunFolder) -> str:
@@ -115,6 +161,64 @@ def _state(folder: RunFolder) -> str:
         if outcome in ("aborted", "running"):
             return f"a run that is not finished ('ffmap run --resume {folder.path}' goes on with it)"
     return "a run"
+
+
+def unfinished(path: Path) -> RunFolder:
+    """Where the run lies that is to be gone on with: within the folder, where it is to replace the one that is there."""
+    return RunFolder(path / REPLACEMENT) if (path / REPLACEMENT / RUN_JSON).exists() else RunFolder(path)
+
+
+def written_files(folder: RunFolder) -> list[str]:
+    """Which of the files of a run there are, spool aside."""
+    return sorted(entry.name for entry in folder.path.iterdir() if entry.name in file_names() - {SPOOL})
+
+
+def take_place(folder: RunFolder) -> RunFolder:
+    """Let a complete run take the place of the one that it was made to replace; returns its folder from then on.
+
+    Killed at any point, this is gone on with by `ffmap run --resume`: run.json comes last. The user's own files stay.
+    """
+    if folder.path.name != REPLACEMENT:
+        return folder
+    home = RunFolder(folder.path.parent)
+    record = folder.read_json()
+    home.write_json({**home.read_json(), "outcome": "aborted"})
+    for name in file_names() - set(record["files"]):
+        _remove(home.path / name)
+    for name in record["files"]:
+        if name != RUN_JSON:
+            _move(folder.path / name, home.path / name)
+    (folder.path / RUN_JSON).replace(home.path / RUN_JSON)
+    _remove(folder.spool)
+    with suppress(OSError):
+        folder.path.rmdir()
+    return home
+
+
+def _move(source: Path, target: Path) -> None:
+    """A file or a folder, in place of an earlier one; what was moved before a kill is no longer at its source."""
+    aside = source.with_name(f"{source.name}.part")
+    if source.is_dir() and target.is_dir():
+        target.replace(aside)
+    if source.exists():
+        source.replace(target)
+    if aside.is_dir():
+        _remove(aside)
+        for entry in aside.iterdir() if aside.exists() else ():
+            entry.replace(target / entry.name)
+        _remove(aside)
+
+
+def _remove(path: Path) -> None:
+    """A file that a run has written, or a folder with what runs write into it."""
+    if not path.is_dir() or path.is_symlink():
+        path.unlink(missing_ok=True)
+        return
+    for entry in path.iterdir():
+        if entry.is_dir() or entry.suffix in _OWN_SUFFIXES or entry.name == "metadata.yaml":
+            _remove(entry)
+    with suppress(OSError):
+        path.rmdir()
 
 
 @contextmanager
@@ -147,6 +251,33 @@ def held(path: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
+def is_held(path: Path) -> bool:
+    """Whether a run is at a folder now, see `held`; where folders cannot be locked, nobody knows, and one may be."""
+    if sys.platform == "win32":
+        return True
+    import fcntl
+
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError:
+        return False
+    try:
+        # Shared, so that others who ask at the same time do not take each other for a run.
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return True
+    else:
+        return False
+    finally:
+        os.close(descriptor)
+
+
+def check_no_run_loses(path: Path, option: str = "--out") -> None:
+    """Raises InputError where writing this file would replace what a run has made. option: what the path was given to."""
+    if path.name in file_names() and (path.parent / RUN_JSON).exists():
+        raise InputError(f"{path}: belongs to the run in that folder; give another place to {option}")
+
+
 def make_writable(path: Path) -> None:
     """Make a folder where there is none, and try to write in it; raises OSError where that fails."""
     path.mkdir(parents=True, exist_ok=True)
@@ -164,13 +295,12 @@ def require_writable(path: Path, instead: str) -> None:
 
 
 def clear(folder: RunFolder) -> None:
-    """Remove an earlier run's files, once everything about the new run is known to be in order."""
-    for entry in folder.path.iterdir():
-        if entry.is_dir() and not entry.is_symlink():
-            shutil.rmtree(entry)
-        else:
-            entry.unlink()
-    folder.spool.mkdir()
+    """Remove what an earlier run has left, once everything about the new run is known to be in order."""
+    folder.path.mkdir(exist_ok=True)
+    for name in file_names():
+        _remove(folder.path / name)
+        _remove(folder.path / f"{name}.part")
+    folder.spool.mkdir(exist_ok=True)
 
 
 def point_latest_at(path: Path) -> None:

@@ -1,23 +1,29 @@
 """ffmap runs and ffmap serve: runs as a table, and as a catalogue that others can query."""
 
 import os
+import re
 import signal
 import tempfile
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import typer
+from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from app import catalogue, figures
 from app.catalogue import Answer, Catalogue, Query
 from app.catalogue_server import LOOPBACK
-from app.progress import table_console
 from loaders.errors import InputError
 
 _ALL = "all"
 _LOOK_AGAIN_S = 5.0
+_HEADING = 12
+"""Characters of a heading's line on a terminal, unless one of its words is longer."""
+_WHOLE = 10_000
+"""A width that no table needs."""
 _DETAILS = ("bag_path", "versions_git_revision", "outcome")
 """What is not shown where all runs have it in common."""
 
@@ -47,12 +53,47 @@ def _show(answer: Answer, query: Query, columns: str | None, place: str) -> None
     if columns == _ALL:
         typer.echo("\n".join(sorted(known)))
         return
-    console = table_console()
     names, parent = _run_names(answer, place)
-    chosen = _chosen(answer, columns, query, known, console.width - max(map(len, names), default=0) - 4)
-    console.print(_table(answer, chosen, names))
+    chosen = _chosen(answer, columns, query, known)
+    cells = {name: [_cell(name, value) for value in answer.table.column(name).to_pylist()] for name in chosen}
+    console, shown = Console(), chosen
+    if console.is_terminal:
+        room = console.width - _frame(names, console.width)
+        shown = chosen if columns is not None else _fit(cells, room)
+    else:
+        # Nobody's screen limits it: each run is one whole line, for whatever reads them.
+        console = Console(width=_WHOLE)
+    console.print(_table(names, {name: cells[name] for name in shown}, console))
     where = f", where {query.where}" if query.where else ""
     typer.echo(f"{_count(len(names))} in {parent}{where}")
+    if left_out := [name for name in chosen if name not in shown and name in answer.settings]:
+        typer.echo(f"no room for settings that differ: {', '.join(left_out)}; choose with --columns, or pipe the table to a file")
+
+
+def _frame(names: Sequence[str], width: int) -> int:
+    """How many characters the runs' names take with the table's edges, at most half a screen."""
+    return min(max(map(len, names), default=0), width // 2) + 4
+
+
+def _fit(cells: Mapping[str, Sequence[str]], room: int) -> list[str]:
+    """As many columns, from the first on, as there is room for."""
+    shown: list[str] = []
+    for name, values in cells.items():
+        room -= max(map(len, (*_heading(name).split("\n"), *values))) + 3
+        if room < 0:
+            break
+        shown.append(name)
+    return shown
+
+
+def _heading(name: str) -> str:
+    """The name in lines of a narrow column, broken where its words end."""
+    lines = [""]
+    for word in re.findall(r"[^._]+[._]?", name):
+        if lines[-1] and len(lines[-1] + word) > _HEADING:
+            lines.append("")
+        lines[-1] += word
+    return "\n".join(lines)
 
 
 def _count(runs: int) -> str:
@@ -71,32 +112,35 @@ def _run_names(answer: Answer, place: str) -> tuple[list[str], str]:
     return [Path(folder).name if name == "." else name for name, folder in zip(names, folders, strict=True)], said
 
 
-def _chosen(answer: Answer, columns: str | None, query: Query, known: Sequence[str], width: int) -> list[str]:
-    """The columns that were asked for; else settings that differ, and the usual figures as far as there is room."""
+def _chosen(answer: Answer, columns: str | None, query: Query, known: Sequence[str]) -> list[str]:
+    """The columns that were asked for; else what is sorted by, the usual figures, and between them settings that differ."""
     if columns is not None:
-        chosen = [name.strip().replace(".", "_") for name in columns.split(",")]
-        for name in chosen:
-            if name not in known:
-                raise InputError(f"--columns: {catalogue.unknown(name, known)}")
-        return chosen
-    usual = list(figures.HEADLINES)
-    if query.sort is not None:
-        # What is sorted by is to be seen.
-        usual = list(dict.fromkeys([query.sort.replace(".", "_"), *usual]))
-    there = [name for name in usual if name in known and answer.table.column(name).null_count < answer.table.num_rows]
-    differing = answer.differing
+        return [_known_column(name.strip(), known) for name in columns.split(",")]
+    # What is sorted by is to be seen.
+    first = [] if query.sort is None else [_known_column(query.sort, known)]
+    usual = [name for name in figures.HEADLINES if name in known]
+    there = [name for name in usual if answer.table.column(name).null_count < answer.table.num_rows]
     details = [name for name in _DETAILS if len(set(answer.table.column(name).to_pylist() if name in known else [])) > 1]
-    taken = sum(len(name) + 3 for name in (*differing, *details))
-    return [*differing, *details, *figures.fit([name for name in there if name not in differing], width - taken)]
+    before = [name for name in (figures.QUALITY, figures.SECONDS) if name in there]
+    return list(dict.fromkeys([*first, *before, *answer.differing, *details, *there]))
 
 
-def _table(answer: Answer, columns: Sequence[str], names: Sequence[str]) -> Table:
+def _known_column(name: str, known: Sequence[str]) -> str:
+    column = catalogue.known_as(name, known)
+    if column is None:
+        raise InputError(f"--columns: {catalogue.unknown(name, known)}")
+    return column
+
+
+def _table(names: Sequence[str], cells: Mapping[str, Sequence[str]], console: Console) -> Table:
+    """Rows of text; on a terminal headings are broken, and names that are longer than half a screen."""
+    narrow = console.is_terminal
     table = Table()
-    table.add_column("run", no_wrap=True)
-    for name in columns:
-        table.add_column(name, justify="right", overflow="fold")
-    for run, row in zip(names, answer.table.select(list(columns)).to_pylist(), strict=True):
-        table.add_row(run, *(_cell(name, row[name]) for name in columns))
+    table.add_column("run", overflow="fold", max_width=console.width // 2 if narrow else None)
+    for name in cells:
+        table.add_column(_heading(name) if narrow else name, justify="right", overflow="fold")
+    for row in zip(names, *cells.values(), strict=True):
+        table.add_row(*map(escape, row))
     return table
 
 

@@ -26,6 +26,7 @@ from algorithms.rearrangement import RearrangementSettings
 from algorithms.refinement import RefinementSettings
 from algorithms.relabelling import RelabellingSettings
 from algorithms.rival_maps import RivalMapsSettings
+from algorithms.scan import ScanSettings
 from algorithms.settings import StepSettings
 from algorithms.smoothing import SmoothingSettings
 from algorithms.standing_walls import StandingWallsSettings
@@ -45,6 +46,7 @@ class Settings(StepSettings):
     refinement: RefinementSettings = RefinementSettings()
     pose_graph: PoseGraphSettings = PoseGraphSettings()
     trajectory: TrajectorySettings = TrajectorySettings()
+    scan: ScanSettings = ScanSettings()
     smoothing: SmoothingSettings = SmoothingSettings()
     rearrangement: RearrangementSettings = RearrangementSettings()
     vertical_structures: VerticalStructuresSettings = VerticalStructuresSettings()
@@ -65,7 +67,13 @@ class Settings(StepSettings):
     def method(self) -> MethodSettings:
         """What labels a single scan."""
         return MethodSettings(
-            self.smoothing, self.rearrangement, self.vertical_structures, self.wall_planes, self.doors, self.labelling
+            self.scan,
+            self.smoothing,
+            self.rearrangement,
+            self.vertical_structures,
+            self.wall_planes,
+            self.doors,
+            self.labelling,
         )
 
     @property

@@ -25,11 +25,12 @@ from rich.table import Table
 
 from app.evaluate import PAPER, Metrics
 from app.files import write_json
-from app.odometry_stage import cache_folder
+from app.odometry_cache import cache_folder
 from app.progress import Progress
 from app.run_folder import METRICS, RUN_JSON, require_writable
 from app.settings import load_settings
 from loaders.errors import InputError
+from loaders.text_files import read_json
 
 DURATION_S = 60.0
 QUICK_S = 40.0
@@ -178,6 +179,9 @@ def run_suite(
     at_once = min(at_once or os.cpu_count() or 1, len(jobs))
     drives: list[Drive] = []
     started = time.monotonic()
+    # Of drives that take minutes each, what came of those before an interruption stays there.
+    part = out.with_name(f"{out.name}.part")
+    _check_replaceable(out)
     _check_space(out.parent, at_once)
 
     def drive_through(job: tuple[Case, int, float]) -> Drive:
@@ -192,8 +196,9 @@ def run_suite(
                 if drive.metrics is None:
                     progress.warn(f"{drive.case}, seed {drive.seed}: {drive.error}")
                 drives.append(drive)
-                _write(out, drives, overrides, settings.short_hash())
+                _write(part, drives, overrides, settings.short_hash())
                 progress.advance()
+            part.replace(out)
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
@@ -277,6 +282,16 @@ def _write(out: Path, drives: Iterable[Drive], overrides: Sequence[str], setting
             ],
         },
     )
+
+
+def _check_replaceable(out: Path) -> None:
+    """Raises InputError where a file would be replaced that no suite has written."""
+    if not out.exists():
+        return
+    advice = "it is not by 'ffmap evaluate --suite'; name another file with --out"
+    content = read_json(out, advice)
+    if not isinstance(content, dict) or "drives" not in content:
+        raise InputError(f"{out}: is there already, and {advice}")
 
 
 def format_suite(drives: Sequence[Drive]) -> list[Table]:

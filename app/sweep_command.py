@@ -3,7 +3,7 @@
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,11 +12,12 @@ from pathlib import Path
 import typer
 
 from app import figures, sweep_plan
-from app.inputs import InputOptions, Inputs, find_inputs
-from app.odometry_stage import cache_folder, cache_key
+from app.inputs import InputOptions, Inputs, digest_clouds, find_inputs, total_digest
+from app.odometry_cache import cache_folder
+from app.odometry_stage import name_of
 from app.outputs import Output
 from app.progress import Progress, table_console
-from app.run_folder import RunFolder, make_writable
+from app.run_folder import PROGRAM, RunFolder, make_writable
 from app.settings import Settings, load_settings
 from app.sweep_files import RECORDING, STUDY, SWEEP_JSON, TABLE
 from app.sweep_plan import Combination, Parameter, Search, Study
@@ -27,6 +28,7 @@ from app.versions import versions
 from loaders.bag import open_bag
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom
+from loaders.text_files import read_json
 from loaders.truth import POSE_TOPIC
 
 
@@ -66,6 +68,8 @@ class Sweep:
     bags: tuple[Inputs, ...]
     truth: bool
     """Whether every bag carries it, so that runs have metrics."""
+    clouds: Mapping[Path, Mapping[str, str]]
+    """For each bag, the digest of all clouds of each topic that runs read."""
     out: Path
 
 
@@ -76,7 +80,8 @@ def sweep(arguments: Arguments) -> int:
     """
     plan = _plan(arguments)
     _create(plan.out)
-    _write_json(plan, [])
+    if not (plan.out / SWEEP_JSON).exists():
+        _write_json(plan, [])
     search = _search(plan)
     started = time.monotonic()
     try:
@@ -124,10 +129,12 @@ def _runs_of(plan: Sweep, combination: Combination, cache: Path) -> list[Run]:
     runs = []
     for inputs in plan.bags:
         stem = inputs.bag_path.stem
-        name = stem if stems.count(stem) == 1 else f"{stem}-{inputs.bag_digest[:6]}"
+        clouds = plan.clouds[inputs.bag_path]
+        digest = total_digest(clouds)
+        name = stem if stems.count(stem) == 1 else f"{stem}-{digest[:6]}"
         job = Job(
             bag=inputs.bag_path,
-            bag_digest=inputs.bag_digest,
+            bag_digest=digest,
             out=plan.out / f"{name}-{settings.short_hash()}",
             overrides=overrides_of(settings),
             settings_hash=settings.short_hash(),
@@ -143,7 +150,7 @@ def _runs_of(plan: Sweep, combination: Combination, cache: Path) -> list[Run]:
         )
         given = arguments.trajectory is not None or inputs.horizontal is None
         runs.append(
-            Run(job, combination, None if given or not inputs.horizontal else cache_key(inputs, inputs.horizontal, settings))
+            Run(job, combination, None if given or not inputs.horizontal else name_of(inputs, inputs.horizontal, settings, clouds))
         )
     return runs
 
@@ -191,9 +198,9 @@ def _write_json(plan: Sweep, runs: Sequence[Run]) -> None:
     """What was asked for, and what became of every run."""
     arguments = plan.arguments
     content = {
-        "program": "furniture-free-mapping",
+        "program": PROGRAM,
         "versions": versions(),
-        "bags": [{"path": str(inputs.bag_path), "digest": inputs.bag_digest} for inputs in plan.bags],
+        "bags": [{"path": str(inputs.bag_path), "digest": total_digest(plan.clouds[inputs.bag_path])} for inputs in plan.bags],
         "grid": list(arguments.grid),
         "random": arguments.random,
         "optuna": arguments.optuna,
@@ -257,7 +264,10 @@ def _plan(arguments: Arguments) -> Sweep:
     if truth and not {Output.LABELS, Output.LABELLED} & set(arguments.outputs):
         raise InputError("--outputs: without labels or labelled no run can be compared with the truth; add labels")
     figures.check_objective(arguments.objective, truth or arguments.optuna is None)
-    return Sweep(arguments, base, parameters, bags, truth, (arguments.out or _default_out(arguments, bags, base)).resolve())
+    given = arguments.trajectory is not None
+    clouds = {inputs.bag_path: digest_clouds(inputs.bag_path, inputs.used(given)) for inputs in bags}
+    out = arguments.out or _default_out(arguments, clouds, base)
+    return Sweep(arguments, base, parameters, bags, truth, clouds, out.resolve())
 
 
 def _has_truth(inputs: Inputs) -> bool:
@@ -265,23 +275,30 @@ def _has_truth(inputs: Inputs) -> bool:
         return POSE_TOPIC in bag.topics and bag.topics[POSE_TOPIC].count > 0
 
 
-def _default_out(arguments: Arguments, bags: Sequence[Inputs], base: Settings) -> Path:
+def _default_out(arguments: Arguments, clouds: Mapping[Path, Mapping[str, str]], base: Settings) -> Path:
     """The same for the same command and program, so that a sweep that was killed goes on."""
     said: list[object] = [arguments.grid, arguments.random, arguments.optuna, arguments.objective, arguments.seed]
     said += [arguments.outputs, arguments.detail, arguments.trajectory, arguments.time_from]
-    said += [[inputs.bag_digest for inputs in bags], base.short_hash(), versions()]
+    said += [[total_digest(read) for read in clouds.values()], base.short_hash(), versions()]
     digest = hashlib.sha256(json.dumps(said).encode()).hexdigest()[:8]
-    return Path("runs") / f"sweep-{bags[0].bag_path.stem}-{digest}"
+    return Path("runs") / f"sweep-{next(iter(clouds)).stem}-{digest}"
 
 
 def _create(out: Path) -> None:
     """Raises InputError where the folder cannot be written or holds something else."""
     try:
-        if out.is_dir() and any(out.iterdir()) and not (out / SWEEP_JSON).exists():
+        if out.is_dir() and any(out.iterdir()) and not _is_sweep(out):
             raise InputError(f"{out}: holds files that are no sweep; give an empty or a new folder to --out")
         make_writable(out)
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror}); give another folder to --out") from error
+
+
+def _is_sweep(folder: Path) -> bool:
+    try:
+        return bool(read_json(folder / SWEEP_JSON, "")["program"] == PROGRAM)
+    except (InputError, LookupError, TypeError):
+        return False
 
 
 def _search(plan: Sweep) -> Search:

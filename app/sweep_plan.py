@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from app.figures import less_is_better
+from app.own_command import pip_command
 from app.settings import Settings, parse_value, validate
 from loaders.errors import InputError
 
@@ -198,7 +199,8 @@ class Study:
             from optuna.storages.journal import JournalFileBackend
         except ImportError:
             raise InputError(
-                "--optuna: Optuna is not installed; pip install 'furniture-free-mapping[optuna]', or use --random N"
+                f"--optuna: Optuna is not installed; '{pip_command('optuna')}' installs it (in a checkout, pip install "
+                "'.[optuna]' does too), or use --random N"
             ) from None
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         with warnings.catch_warnings():

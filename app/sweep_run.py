@@ -25,14 +25,14 @@ from pydantic import BaseModel, ConfigDict
 from app import run_command
 from app.finished_run import open_run
 from app.inputs import InputOptions, find_inputs
-from app.odometry_stage import CACHE_VARIABLE, Odometry, cache_folder, cache_key, is_cached
+from app.odometry_cache import CACHE_VARIABLE
+from app.odometry_stage import Odometry
 from app.processes import ENVIRONMENT
-from app.run_folder import METRICS, RunFolder
+from app.run_folder import ERROR_LOG, METRICS, RunFolder
 from app.settings import Settings, load_settings
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom
 
-ERROR_LOG = "error.txt"
 _LOCKS = ".locks"
 _USERS_MISTAKE = 2
 
@@ -60,7 +60,7 @@ class Job(BaseModel):
     cache: Path
     """Folder that takes the place of the user's cache folder."""
     odometry: str | None = None
-    """`cache_key` of the odometry to compute; None for a run."""
+    """The name of the odometry to compute, as the cache knows it; None for a run."""
 
     @property
     def name(self) -> str:
@@ -218,8 +218,9 @@ def _register(job: Job) -> None:
     settings = load_settings(None, job.overrides)
     if inputs.horizontal is None:
         raise InputError(f"{job.bag}: no horizontal lidar gives poses; name one with --horizontal, or give --trajectory")
-    deque(Odometry(inputs, inputs.horizontal, settings), maxlen=0)
-    if not is_cached(cache_folder() / cache_key(inputs, inputs.horizontal, settings)):
+    odometry = Odometry(inputs, inputs.horizontal, settings)
+    deque(odometry, maxlen=0)
+    if not odometry.kept:
         raise InputError(f"{job.cache}: the odometry cannot be kept there; set {CACHE_VARIABLE} to a folder that can be written")
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from app import figures
-from app.odometry_stage import is_cached
+from app.odometry_cache import is_complete
 from app.run_folder import METRICS, RunFolder
 from app.sweep_plan import Combination, Search
 from app.sweep_run import Job, Outcome, is_finished, perform
@@ -22,7 +22,7 @@ class Run:
     job: Job
     combination: Combination
     odometry: str | None
-    """`cache_key` of the odometry that it needs; None where the poses are given."""
+    """The name of the odometry that it needs, as the cache knows it; None where the poses are given."""
     outcome: Outcome | None = None
     reused: bool = False
     """Whether it was finished before."""
@@ -59,7 +59,7 @@ class Schedule:
         self.runs: dict[str, Run] = {}
         """All that were proposed until now, by their names, in that order."""
         self.odometries: dict[str, Outcome | None] = {}
-        """Those that were computed here, by their keys; None while it goes on."""
+        """Those that were computed here, by their names; None while it goes on."""
         self._waiting: list[Run] = []
         self._running: dict[Future[Outcome], Run | str] = {}
         self._untold: list[tuple[Combination, list[Run]]] = []
@@ -109,7 +109,7 @@ class Schedule:
         """A run whose odometry is there, or an odometry that nobody computes yet; None where all has to wait."""
         for run in list(self._waiting):
             key = run.odometry
-            if key is not None and key not in self.odometries and not is_cached(_cached_at(run.job, key)):
+            if key is not None and key not in self.odometries and not is_complete(_cached_at(run.job, key)):
                 self.odometries[key] = None
                 return key, run.job.model_copy(update={"odometry": key})
             outcome = self.odometries.get(key, _THERE) if key is not None else _THERE

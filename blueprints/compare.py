@@ -10,6 +10,9 @@ from blueprints import entities
 from blueprints.maps import from_above, until_now
 from blueprints.timeline import time_panel
 
+_LEGEND_SHARE = 0.4
+"""Of what the curves take of their views, which are narrow, so much more is left for their legends."""
+
 
 @dataclass(frozen=True)
 class ComparedRun:
@@ -37,18 +40,24 @@ def build(
     centre_m: tuple[float, float] = (0.0, 0.0),
     extent_m: float = 20.0,
     scan: int | None = None,
+    most_changed: str | None = None,
+    scans: tuple[int, int] | None = None,
 ) -> rrb.Blueprint:
     """The layout of a comparison of the first run with each of the others.
 
     centre_m, extent_m: middle and size of what the maps show. scan: the one to open at; None for the first.
+    most_changed: letter of the run whose tab is open at first; None for the first. scans: number of the first and of the
+    last one that curves show; None where that is not known.
     """
     first, *others = runs
-    tabs: list[rrb.Container | rrb.View] = [_differences(first, other, centre_m, extent_m) for other in others]
+    tabs: list[rrb.Container | rrb.View] = [
+        _differences(first, other, centre_m, extent_m, scans) for other in others
+    ]
     if any(run.scans or run.map_points for run in runs):
         tabs.append(_side_by_side(runs, centre_m, extent_m))
     tabs.append(rrb.TextDocumentView(origin=entities.RUNS_TEXT, name="Runs, settings, figures"))
     return rrb.Blueprint(
-        rrb.Tabs(*tabs, active_tab=0),
+        rrb.Tabs(*tabs, active_tab=next((k for k, other in enumerate(others) if other.letter == most_changed), 0)),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         time_panel(entities.SCAN_TIMELINE, scan),
@@ -58,7 +67,11 @@ def build(
 
 
 def _differences(
-    first: ComparedRun, other: ComparedRun, centre_m: tuple[float, float], extent_m: float
+    first: ComparedRun,
+    other: ComparedRun,
+    centre_m: tuple[float, float],
+    extent_m: float,
+    scans: tuple[int, int] | None,
 ) -> rrb.Container:
     letter = other.letter
     text = rrb.TextDocumentView(origin=entities.CHANGES_TEXT.format(letter), name=f"What differs: {other.title}")
@@ -85,7 +98,7 @@ def _differences(
                 f"{entities.PATHS}/{first.letter}",
                 f"{entities.PATHS}/{letter}",
             ],
-            name="Walls, doors, map cells: lost red, gained green; trajectories",
+            name="Walls, doors, map cells: lost red, gained green, altered yellow; lines: the robot's ways",
             eye_controls=above,
             line_grid=rrb.LineGrid3D(visible=False),
         )
@@ -116,6 +129,7 @@ def _differences(
                 origin=entities.CHANGED_PERCENT.format(letter),
                 name="Changed labels in each scan, percent, in the colours of the points",
                 plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+                axis_x=_beside_legend(scans),
             ),
         ]
     # What differs comes first: a line along zero tells nothing.
@@ -128,7 +142,12 @@ def _differences(
         key=lambda curve: curve[0] not in other.differing,
     )
     curves = [
-        rrb.TimeSeriesView(origin=path.format(letter), name=title)
+        rrb.TimeSeriesView(
+            origin=path.format(letter),
+            name=title,
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+            axis_x=_beside_legend(scans),
+        )
         for what, path, title in by_scan
         if what in other.compared
     ]
@@ -136,6 +155,16 @@ def _differences(
         when.append(rrb.Tabs(*curves, active_tab=0))
     columns: list[rrb.Container | rrb.View] = [rrb.Vertical(*part) for part in (where, when) if part]
     return rrb.Horizontal(*columns, text, column_shares=[3] * len(columns) + [2.4], name=name)
+
+
+def _beside_legend(scans: tuple[int, int] | None) -> rrb.archetypes.TimeAxis | None:
+    """The time axis of curves over these scans, with room for the legend at their right."""
+    if scans is None:
+        return None
+    first, last = scans
+    end = last + max(round(_LEGEND_SHARE * (last - first)), 1)
+    boundary = rr.TimeRangeBoundary.absolute
+    return rrb.archetypes.TimeAxis(view_range=rr.TimeRange(start=boundary(seq=first), end=boundary(seq=end)))
 
 
 def _side_by_side(runs: Sequence[ComparedRun], centre_m: tuple[float, float], extent_m: float) -> rrb.Container:

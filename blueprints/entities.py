@@ -21,7 +21,14 @@ STAMP_TIMELINE = "stamp"
 """Header stamp, nanoseconds since 1970."""
 
 README = "/readme"
+GLANCE = "/glance"
+"""What the first tab shows, in a few words."""
 MESSAGES = "/messages"
+"""Of single scans: why one was skipped, or its registration is weak."""
+WARNINGS = "/warnings"
+"""Of the whole run."""
+LABEL_LEGEND = "/legend/labels"
+ERROR_LEGEND = "/legend/errors"
 
 WORLD = "/world"
 BASE = "/world/base"
@@ -41,6 +48,7 @@ BUILDING = "/world/building"
 WALLS = "/world/building/walls"
 DOORS = "/world/building/doors"
 DOOR_SILLS = "/world/building/sills"
+DOOR_LEAVES = "/world/building/leaves"
 WINDOWS = "/world/building/windows"
 FUSED_WALLS = "/world/building/fused_walls"
 REFUSED_WALLS = "/world/building/refused_walls"
@@ -106,10 +114,13 @@ CURVE_EXAMPLE_TEXTS = "/scan/curves/example_texts"
 
 TRUTH_WALLS = "/world/truth/walls"
 TRUTH_DOORS = "/world/truth/doors"
+TRUTH_DOOR_SILLS = "/world/truth/door_sills"
+"""The same doors laid flat: seen from above, upright frames would be slabs."""
 ERRORS = "/world/errors/space"
 PLAN_ERRORS = "/world/errors/plan"
 INVENTED_DOORS = "/world/errors/invented_doors"
 FIGURES = "/evaluation/figures"
+EVALUATION_HELP = "/evaluation/help"
 SCAN_ERRORS = "/metrics/errors"
 
 CHANGED_POINTS = "/changes/{}/points"
@@ -136,11 +147,14 @@ LINE_STRUCTURES = "/scan/line/structures"
 LINE_GROWING = "/scan/line/growing_plane"
 LINE_PLANE = "/scan/line/plane"
 LINE_DOOR = "/scan/line/door"
+FAULTS = "/scan/faults"
+"""The returns of an inspected scan that are labelled wrongly."""
 PROFILE = "/profile"
 PROFILE_SAMPLES = "/profile/samples"
 PROFILE_STRUCTURES = "/profile/structures"
 PROFILE_LEVELS = "/profile/levels"
 PROFILE_DOOR = "/profile/door"
+PROFILE_FAULTS = "/profile/faults"
 
 MILLISECONDS = "/metrics/milliseconds"
 LABEL_COUNTS = "/metrics/labels"
@@ -201,6 +215,31 @@ VERDICTS: dict[int, tuple[str, Color]] = {
     Verdict.OTHER: ("other", (240, 220, 90)),
 }
 """Name and colour of what may be wrong with a label."""
+
+
+def scan_error(verdict: Verdict) -> str:
+    """Where the share of each scan's returns is logged that are wrong in one way."""
+    return f"{SCAN_ERRORS}/{VERDICTS[verdict][0].replace(' ', '_')}"
+
+
+class Fault(IntEnum):
+    """What is wrong with a return's final label, as an inspected scan shows it."""
+
+    NONE = 0
+    OF_THE_SCAN = 1
+    """Wrong, and the scan by itself had said the same."""
+    OF_THE_BUILDING = 2
+    """Wrong, and the scan by itself had said something else."""
+    RELABELLED = 3
+    """Another than the scan's own; which of them is right is not known."""
+
+
+FAULT_CLASSES: dict[int, tuple[str, Color]] = {
+    Fault.OF_THE_SCAN: ("wrong, as the scan labelled it", (0, 235, 235)),
+    Fault.OF_THE_BUILDING: ("wrong, as the building changed it", (255, 180, 205)),
+    Fault.RELABELLED: ("changed by the building", (0, 235, 235)),
+}
+"""Their colours are those of no class, and of nothing else that is drawn beside them."""
 AGREEMENTS: dict[int, tuple[str, Color]] = {
     Agreement.NOTHING: ("unknown", (205, 205, 205)),
     Agreement.FREE: ("free", (255, 255, 255)),
@@ -248,6 +287,22 @@ TOPOLOGY_COLOR: Color = (150, 0, 190)
 VORONOI_COLOR: Color = (54, 120, 255)
 FURNITURE_COLOR: Color = (255, 140, 0)
 
+LABEL_LEGEND_ENTRIES: tuple[tuple[str, Color], ...] = (
+    ("wall", CLASSES[Label.WALL][1]),
+    ("door (its leaf)", CLASSES[Label.DOOR][1]),
+    ("floor", CLASSES[Label.FLOOR][1]),
+    ("ceiling", CLASSES[Label.CEILING][1]),
+    ("clutter (furniture)", CLASSES[Label.CLUTTER][1]),
+    ("outside (behind glass)", CLASSES[Label.OUTSIDE][1]),
+)
+ERROR_LEGEND_ENTRIES: tuple[tuple[str, Color], ...] = (
+    ("true wall or door", TRUTH_COLOR),
+    *(VERDICTS[verdict] for verdict in (Verdict.FALSE_WALL, Verdict.MISSED_WALL)),
+    *(VERDICTS[verdict] for verdict in (Verdict.FALSE_DOOR, Verdict.MISSED_DOOR)),
+    ("other wrong label", VERDICTS[Verdict.OTHER][1]),
+    ("right point, door not passed", VERDICTS[Verdict.RIGHT][1]),
+)
+
 PLANE_COLORS: tuple[Color, ...] = (
     (31, 186, 140),
     (214, 110, 40),
@@ -262,6 +317,39 @@ PLANE_COLORS: tuple[Color, ...] = (
 REFUSED_CANDIDATE_COLOR: Color = (110, 110, 110)
 FUSED_WALL_COLOR: Color = (190, 190, 190)
 REFUSED_WALL_COLOR: Color = (255, 140, 60)
+
+SERIES: dict[str, tuple[str, Color]] = {
+    f"{COUNTS}/lines": ("point lines", (130, 170, 220)),
+    f"{COUNTS}/structures": ("vertical structures", BOTTOMMOST_COLOR),
+    f"{COUNTS}/candidates": ("wall candidates", UPMOST_COLOR),
+    f"{COUNTS}/door_lines": ("lines above a door", CLASSES[Label.DOOR][1]),
+    f"{COUNTS}/planes": ("wall planes", UPMOST_COLOR),
+    f"{COUNTS}/openings": ("doors in view", CLASSES[Label.DOOR][1]),
+    f"{RANGES}/scatter_mm": ("scatter of the ranges, mm", (130, 170, 220)),
+    f"{RANGES}/measured_alone_percent": ("returns on no facet, %", (240, 190, 30)),
+    f"{MILLISECONDS}/reading": ("reading, ms", (130, 170, 220)),
+    f"{MILLISECONDS}/placing": ("placing, ms", (126, 118, 220)),
+    f"{MILLISECONDS}/smoothing": ("smoothing, ms", (240, 190, 30)),
+    f"{MILLISECONDS}/labelling": ("labelling, ms", UPMOST_COLOR),
+    f"{REGISTRATION}/weak": ("registration is weak: 1 yes, 0 no", WEAK_COLOR),
+    f"{REGISTRATION}/weakest_share": ("hold of the weakest direction, share of the best one's", KEYPOINT_COLOR),
+    f"{REGISTRATION}/refined_inlier_share": ("share of the sweep that fits the map", KEYPOINT_COLOR),
+    f"{REGISTRATION}/loops_moved_m": ("moved by closing the loops, m", LOOP_COLOR),
+    f"{REGISTRATION}/residual_m": ("median distance to the local map, m", (130, 170, 220)),
+    f"{REGISTRATION}/correction_m": ("correction of the predicted pose, m", (130, 170, 220)),
+    f"{REGISTRATION}/threshold_m": ("adaptive threshold, m", (130, 170, 220)),
+    f"{REGISTRATION}/milliseconds": ("registering, ms", (130, 170, 220)),
+}
+"""Name with its unit, and colour, of each curve that a layout shows beside those by label and by error."""
+
+
+class Legend:
+    """Where the entries of a legend are drawn, in units of its 2-D view: side by side, the name below its dot."""
+
+    STEP = 120.0
+    DOT_UI = 8.0
+    NAMES_BELOW = 6.0
+    ABOVE, BELOW = 9.0, 24.0
 
 
 class CurveSheet:
@@ -321,15 +409,16 @@ Every intermediate of *Furniture Free Mapping using 3D Lidars* (He, Hou, Schwert
 the map, growing up to the time cursor; the furniture-free grid |
 | **Step by step** | Fig. 3 (no floor, no ceiling), 5a (point lines), 6 (up-most and bottom-most structures), \
 7 (wall planes), the door conditions |
-| **Building** | the fused cloud, walls, doors (blue), windows (magenta), and the grid; they hold for the whole run |
+| **Building** | the fused cloud, walls, doors (blue: closed ones filled, open ones as frames), windows \
+(magenta), and the grid; they hold for the whole run |
 | **Maps** | the furniture-free grid beside the maps that the paper compares with (Fig. 6, 9) |
 | **Rooms** | the rooms of the grid with their areas, those of the normal map with and without alpha removal (Fig. 10), \
 which one leads to which, and the Voronoi graph they are cut from |
 | **Odometry** | what was registered of each sweep, and the submaps that were joined where the robot came by again: \
-loops (teal; orange where they contradict the others), the way before they were closed (red). These lie on the timeline \
-`stamp` alone: choose it below |
+loops (teal; orange where they contradict the others), the way before they were closed (red) |
 | **Metrics and warnings** | returns by label, evidence counted, noise of the ranges, milliseconds by stage, \
 scans that were skipped |
+| **Evaluation** | where the truth is known and `evaluation.rrd` is open too: what is wrong, where, and the figures |
 
 ## Colours
 | class | {class_names} |
@@ -341,6 +430,7 @@ structure. Wall planes have colours of their own, in turn.
 
 ## Timelines
 `scan` is the index of the vertical cloud in the bag, skipped ones counted; `stamp` is the time in the cloud's header.
+What was registered of a horizontal sweep has the `scan` of the first vertical cloud that is not older, or of the last one.
 
 ## Frames
 `/world` is the map: z up, its origin on the floor below the robot at the start. `/scan` is level, with its origin below
@@ -356,6 +446,29 @@ Wall candidates and door conditions carry the reason why each was taken or refus
 
 ## This run
 {run}
+"""
+
+_GLANCE_SCANS = """**One scan of the vertical lidar, and the map up to it.** Drag the time cursor at the foot of the \
+window to see others. Upper left: every return in the colour of its label. Below: how walls are told. Right: what all scans \
+give together."""
+_GLANCE_MAP = """**The building that all scans give together**: its cloud, walls, doors and windows, the grid map, and why \
+each door is one. Single scans were not recorded (`--detail lines` does)."""
+_GLANCE_POSES = """**The way of the lidar, and how well each sweep was registered.** Nothing was labelled: no lidar sweeps \
+the walls. Drag the time cursor at the foot of the window to see other sweeps."""
+
+
+def glance(labelled: bool, scans: bool) -> str:
+    """What the first tab shows, in Markdown; labelled: whether anything was, scans: whether single ones are recorded."""
+    shown = _GLANCE_POSES if not labelled else _GLANCE_SCANS if scans else _GLANCE_MAP
+    return f"{shown} All tabs, colours and values are explained in the last tab, **Read me**."
+
+
+EVALUATION_HELP_TEXT = """# Against the truth
+The two tabs beside this one, **Figures** and **What is wrong, and where**, are empty where `recording.rrd` alone is open.
+What they show is in `evaluation.rrd` beside it: open both files, or `ffmap view RUN`, which does so.
+
+`ffmap run` writes that file if the bag carries the truth, and `ffmap evaluate RUN` does so later; `--truth FILE` takes the
+truth from elsewhere. Of a real building there is none, as a rule.
 """
 
 _COLOR_WORDS = ("yellow", "gray", "red", "green", "blue", "magenta")

@@ -1,5 +1,8 @@
 """One scan, line by line: the line in space, its curve, its profile, and in words why it became what it is."""
 
+import math
+from collections.abc import Sequence
+
 import rerun as rr
 import rerun.blueprint as rrb
 
@@ -7,15 +10,29 @@ from blueprints import entities
 from blueprints.entities import CurveSheet
 from blueprints.timeline import time_panel
 
+_COLOR_NAMES = {
+    entities.Fault.OF_THE_SCAN: "cyan",
+    entities.Fault.OF_THE_BUILDING: "pink",
+    entities.Fault.RELABELLED: "cyan",
+}
 
-def build(profile_m: tuple[float, float], line: int | None = None) -> rrb.Blueprint:
+
+def build(
+    profile_m: tuple[float, float],
+    line: int | None = None,
+    faults: Sequence[entities.Fault] = (),
+    look_at_m: tuple[float, float, float] | None = None,
+) -> rrb.Blueprint:
     """The layout of a recording of one scan.
 
     profile_m: largest horizontal range and height that the profile shows.
-    line: the line to open at; None for the first.
+    line: the line to open at; None for the first. faults: those that are marked.
+    look_at_m: what to look at, in the level frame; None for the whole scan.
     """
     range_m, height_m = profile_m
-    far_m = max(1.3 * range_m, 6.0)
+    marked = "".join(f"; {_COLOR_NAMES[fault]}: {entities.FAULT_CLASSES[fault][0]}" for fault in faults)
+    x, y, z = look_at_m or (0.0, 0.0, 1.0)
+    far_m = max(1.3 * range_m if look_at_m is None else 2.0 * math.hypot(x, y), 5.0)
     seen = rrb.Vertical(
         rrb.Spatial3DView(
             origin=entities.SCAN,
@@ -29,15 +46,16 @@ def build(profile_m: tuple[float, float], line: int | None = None) -> rrb.Bluepr
                 entities.LINE_GROWING,
                 entities.LINE_PLANE,
                 entities.LINE_DOOR,
+                entities.FAULTS,
             ],
-            name="The line in its scan: white, and its fan of rays; up-most green, bottom-most orange, the plane that grew violet",
+            name=f"The line in its scan: white, its rays a fan{marked}",
             overrides={
                 entities.POINTS: rr.Points3D.from_fields(radii=rr.Radius.ui_points(1.0)),
                 entities.OPENINGS: rr.LineStrips3D.from_fields(show_labels=False),
             },
-            # From behind the robot, right of it and above, so far that both sides are in view.
+            # From behind the robot and above, on the side that a line's wall faces, so far that both sides are in view.
             eye_controls=rrb.EyeControls3D(
-                position=(-0.85 * far_m, -0.4 * far_m, 0.5 * far_m), look_target=(0.0, 0.0, 1.0)
+                position=(x - 0.85 * far_m, -math.copysign(0.4 * far_m, y), 0.5 * far_m), look_target=(x, y, z)
             ),
             line_grid=rrb.LineGrid3D(visible=False),
         ),

@@ -6,7 +6,7 @@ from algorithms.rival_maps import Rival
 from blueprints import entities
 
 _NAMES = {
-    entities.FURNITURE_FREE: "Furniture-free (Fig. 9b)",
+    entities.FURNITURE_FREE: "Furniture-free (Fig. 9b): wall black, free white, unseen gray",
     Rival.BELOW_CEILING: "Slice below the ceiling (Fig. 9c)",
     Rival.MIDDLE: "Slice in the middle (Fig. 9d)",
     Rival.UPMOST: "Up-most structures (Fig. 6a)",
@@ -34,7 +34,7 @@ def tab(centre_m: tuple[float, float], extent_m: float, compared: bool) -> rrb.C
     views = [_map(name, title, centre_m, extent_m, []) for name, title in _NAMES.items()]
     if compared:
         overlay = [f"{entities.OVERLAYS}/{entities.FURNITURE_FREE}/**"]
-        title = "Overlay (Fig. 9e): both green, only the map red, only the reference orange"
+        title = "Overlay (Fig. 9e): wall in both green, map only red, reference only orange"
         views.insert(1, _map(entities.FURNITURE_FREE, title, centre_m, extent_m, overlay))
     return rrb.Grid(*views, grid_columns=3, name="Maps")
 

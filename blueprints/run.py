@@ -6,7 +6,8 @@ import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
 from algorithms.grid_map import GridMap
-from blueprints import entities, maps, rooms
+from algorithms.labels import Verdict
+from blueprints import entities, legend, maps, rooms
 from blueprints.entities import CurveSheet
 from blueprints.maps import from_above, until_now
 
@@ -18,6 +19,8 @@ def build(
     evaluated: bool = False,
     scans: bool = True,
     several: bool = False,
+    registered: bool = True,
+    lines: bool = True,
 ) -> rrb.Blueprint:
     """The layout of a run's recording.
 
@@ -25,27 +28,33 @@ def build(
     of what the map views show. evaluated: with the errors that `evaluation.rrd` adds, first of all. scans: whether the
     recording has anything of single scans. several: whether it is to hold for several runs, with the list to choose from.
     """
-    about: list[rrb.Container | rrb.View] = [_metrics(), rrb.TextDocumentView(origin=entities.README, name="Read me")]
+    readme = rrb.TextDocumentView(origin=entities.README, name="Read me")
+    about: list[rrb.Container | rrb.View] = [_metrics(), readme]
     if ring_count is None:
-        return _blueprint([_odometry(None), *about], entities.STAMP_TIMELINE, several)
-    building = [
-        _building(centre_m, extent_m),
+        only = legend.above(_glance(), _poses(None, registered), "Odometry" if registered else "Trajectory as given")
+        return _blueprint([only, _warnings(), readme], entities.STAMP_TIMELINE, several)
+    poses = _poses(_aslant(centre_m, extent_m), registered)
+    tabs: list[rrb.Container | rrb.View] = [
+        _building(centre_m, extent_m, first=not scans),
         maps.tab(centre_m, extent_m, evaluated),
         rooms.tab(centre_m, extent_m, compared=True),
     ]
     if not scans:
         # The map alone: its tabs without the scan's views, which would be empty.
-        tabs = [*building, _map(centre_m, extent_m), _odometry(_aslant(centre_m, extent_m)), *about]
-        tabs = [_evaluation(centre_m, extent_m, scans=False), *tabs] if evaluated else tabs
-        return _blueprint(tabs, entities.SCAN_TIMELINE, several)
-    overview = rrb.Vertical(
-        rrb.Horizontal(_scan(), _map(centre_m, extent_m), column_shares=[1, 1]),
-        rrb.Horizontal(_lines(), _curves(ring_count), _grid(centre_m, extent_m), column_shares=[1, 1.25, 1]),
-        row_shares=[1, 1],
-        name="At a glance",
-    )
-    tabs = [overview, _method(ring_count), *building, _odometry(_aslant(centre_m, extent_m)), *about]
-    tabs = [_evaluation(centre_m, extent_m), *tabs] if evaluated else tabs
+        tabs += [_map(centre_m, extent_m), poses]
+    else:
+        how = [_lines(), _curves(ring_count)] if lines else [_planes()]
+        overview = rrb.Vertical(
+            rrb.Horizontal(_label_legend(), _glance()),
+            rrb.Horizontal(_scan(), _map(centre_m, extent_m), column_shares=[1, 1]),
+            rrb.Horizontal(*how, _grid(centre_m, extent_m), column_shares=[1, 1.25, 1] if lines else [1, 1]),
+            row_shares=[1, 5, 5],
+            name="At a glance",
+        )
+        method = [_method(ring_count)] if lines else []
+        tabs = [overview, *method, *tabs, poses]
+    errors = _evaluation(centre_m, extent_m, scans, evaluated)
+    tabs = [errors, *tabs, *about] if evaluated else [*tabs, about[0], errors, *about[1:]]
     return _blueprint(tabs, entities.SCAN_TIMELINE, several)
 
 
@@ -72,6 +81,14 @@ def _blueprint(tabs: list[rrb.Container | rrb.View], timeline: str, several: boo
     )
 
 
+def _label_legend() -> rrb.View:
+    return legend.view(entities.LABEL_LEGEND, len(entities.LABEL_LEGEND_ENTRIES), "Colours of the labels")
+
+
+def _glance() -> rrb.View:
+    return rrb.TextDocumentView(origin=entities.GLANCE, name="What this shows")
+
+
 def _scan() -> rrb.Spatial3DView:
     return _scan_view("Labelled scan", [entities.POINTS, entities.OPENINGS])
 
@@ -80,6 +97,14 @@ def _lines() -> rrb.Spatial3DView:
     return _scan_view(
         "Point lines and wall planes; white: the line drawn large",
         [f"{entities.LINES}/**", entities.PLANES, entities.OPENINGS],
+        (entities.OPENINGS, rr.LineStrips3D.from_fields(show_labels=False)),
+    )
+
+
+def _planes() -> rrb.Spatial3DView:
+    return _scan_view(
+        "Wall planes and doors of the scan",
+        [entities.PLANES, entities.OPENINGS],
         (entities.OPENINGS, rr.LineStrips3D.from_fields(show_labels=False)),
     )
 
@@ -117,81 +142,114 @@ def _map(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
             f"{entities.BASE}/**",
             entities.WALLS,
             entities.DOORS,
+            entities.DOOR_LEAVES,
             entities.WINDOWS,
             entities.REFUSED_WALLS,
         ],
-        name="Growing map (ceiling hidden)",
+        name="Map up to the time cursor (ceiling hidden)",
         overrides={
             entities.MAP_POINTS: until_now(),
             entities.TRAJECTORY: until_now(),
         },
         eye_controls=rrb.EyeControls3D(
-            position=(x - 0.3 * extent_m, y - 0.65 * extent_m, 0.65 * extent_m), look_target=(x, y, 0.0)
+            position=(x - 0.35 * extent_m, y - 0.8 * extent_m, 0.85 * extent_m), look_target=(x, y, 0.0)
         ),
         line_grid=rrb.LineGrid3D(visible=False),
     )
 
 
-def _grid(centre_m: tuple[float, float], extent_m: float, name: str = entities.FURNITURE_FREE) -> rrb.Spatial3DView:
+def _grid(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         origin=entities.WORLD,
-        contents=[f"{entities.GRID}/{name}", entities.DOOR_SILLS, entities.TRAJECTORY, f"{entities.BASE}/**"],
-        name=f"Grid map: {name.replace('_', ' ')}, doors, trajectory",
+        contents=[f"{entities.GRID}/{entities.FURNITURE_FREE}", entities.DOOR_SILLS, entities.TRAJECTORY, f"{entities.BASE}/**"],
+        name="Grid map: wall black, free white, unseen gray; doors blue",
         overrides={entities.TRAJECTORY: until_now()},
         eye_controls=from_above(centre_m, extent_m),
         line_grid=rrb.LineGrid3D(visible=False),
     )
 
 
-def _evaluation(centre_m: tuple[float, float], extent_m: float, scans: bool = True) -> rrb.Container:
-    """What is wrong: on the map, in the scan (if there are any), over time, and in figures."""
+def _evaluation(centre_m: tuple[float, float], extent_m: float, scans: bool, evaluated: bool) -> rrb.Container:
+    """What is wrong, and the figures; where these may not be there, a text that says where they are comes first."""
+    figures = rrb.TextDocumentView(origin=entities.FIGURES, name="Figures")
+    errors: list[rrb.Container | rrb.View] = [_errors_on_map(centre_m, extent_m)]
+    if scans:
+        errors.append(_errors_in_scan())
+    parts: list[rrb.Container | rrb.View] = [
+        legend.view(entities.ERROR_LEGEND, len(entities.ERROR_LEGEND_ENTRIES), "Colours of what is wrong"),
+        rrb.Horizontal(*errors, column_shares=[4, 3][: len(errors)]),
+    ]
+    if scans:
+        parts.append(_errors_over_time())
+    where = rrb.Vertical(*parts, row_shares=[1.2, 10, 2.5][: len(parts)], name="What is wrong, and where")
+    if not evaluated:
+        about = rrb.TextDocumentView(origin=entities.EVALUATION_HELP, name="What this needs")
+        return rrb.Tabs(about, figures, where, active_tab=0, name="Evaluation")
+    return rrb.Horizontal(where, figures, column_shares=[7, 3], name="Evaluation")
+
+
+def _errors_on_map(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
     eye = from_above(centre_m, extent_m)
-    outlines = [entities.TRUTH_WALLS, entities.TRUTH_DOORS, entities.INVENTED_DOORS]
-    scan = rrb.Vertical(
-        _scan_view(
-            "This scan: false wall red, missed wall orange",
-            [entities.POINTS],
-            (entities.POINTS, _mapped(rr.Points3D.from_fields(), "Points3D:colors", entities.POINT_VERDICT_COLOR)),
-        ),
-        _scan_view("Its labels", [entities.POINTS]),
-        rrb.TimeSeriesView(origin=entities.SCAN_ERRORS, name="Wrong points in each scan, percent"),
-        row_shares=[3, 3, 2],
-    )
-    return rrb.Horizontal(
-        rrb.Vertical(
-            rrb.Tabs(
-                rrb.Spatial3DView(
-                    origin=entities.WORLD,
-                    contents=[*outlines, f"{entities.PLAN_ERRORS}/**", entities.TRAJECTORY, f"{entities.BASE}/**"],
-                    name="False wall red, missed wall orange; truth white",
-                    overrides={entities.TRAJECTORY: until_now()},
-                    eye_controls=eye,
-                    line_grid=rrb.LineGrid3D(visible=False),
-                ),
-                rrb.Spatial3DView(
-                    origin=entities.WORLD,
-                    contents=[*outlines, f"{entities.ERRORS}/**", entities.TRAJECTORY, f"{entities.BASE}/**"],
-                    name="The same in space",
-                    overrides={entities.TRAJECTORY: until_now()},
-                    line_grid=rrb.LineGrid3D(visible=False),
-                ),
-            ),
+    plan = [entities.TRUTH_WALLS, entities.TRUTH_DOOR_SILLS, entities.INVENTED_DOORS]
+    space = [entities.TRUTH_WALLS, entities.TRUTH_DOORS, entities.INVENTED_DOORS]
+    trajectory = [entities.TRAJECTORY, f"{entities.BASE}/**"]
+    return rrb.Vertical(
+        rrb.Tabs(
             rrb.Spatial3DView(
                 origin=entities.WORLD,
-                contents=[
-                    *outlines,
-                    f"{entities.GRID}/{entities.FURNITURE_FREE}",
-                    f"{entities.OVERLAYS}/{entities.FURNITURE_FREE}/**",
-                ],
-                name="Wall map: right cells green, false red, missed orange",
+                contents=[*plan, f"{entities.PLAN_ERRORS}/**", *trajectory],
+                name="What is wrong, from above",
+                overrides={entities.TRAJECTORY: until_now()},
                 eye_controls=eye,
                 line_grid=rrb.LineGrid3D(visible=False),
             ),
+            rrb.Spatial3DView(
+                origin=entities.WORLD,
+                contents=[*space, f"{entities.ERRORS}/**", *trajectory],
+                name="The same in space",
+                overrides={entities.TRAJECTORY: until_now()},
+                eye_controls=_aslant(centre_m, extent_m),
+                line_grid=rrb.LineGrid3D(visible=False),
+            ),
+            active_tab=0,
         ),
-        *([scan] if scans else []),
-        rrb.TextDocumentView(origin=entities.FIGURES, name="Figures"),
-        column_shares=[4, 3, 3] if scans else [3, 2],
-        name="Evaluation",
+        rrb.Spatial3DView(
+            origin=entities.WORLD,
+            contents=[
+                *plan,
+                f"{entities.GRID}/{entities.FURNITURE_FREE}",
+                f"{entities.OVERLAYS}/{entities.FURNITURE_FREE}/**",
+            ],
+            name="Grid map: right cells green, false red, missed orange",
+            eye_controls=eye,
+            line_grid=rrb.LineGrid3D(visible=False),
+        ),
+    )
+
+
+def _errors_in_scan() -> rrb.Container:
+    verdicts = _mapped(rr.Points3D.from_fields(), "Points3D:colors", entities.POINT_VERDICT_COLOR)
+    return rrb.Vertical(
+        _scan_view("This scan: what is wrong", [entities.POINTS], (entities.POINTS, verdicts)),
+        _scan_view("Its labels", [entities.POINTS]),
+    )
+
+
+def _errors_over_time() -> rrb.Container:
+    kinds = (
+        ("Walls", (Verdict.FALSE_WALL, Verdict.MISSED_WALL)),
+        ("Doors", (Verdict.FALSE_DOOR, Verdict.MISSED_DOOR)),
+        ("Other labels", (Verdict.OTHER,)),
+    )
+    return rrb.Horizontal(
+        *(
+            rrb.TimeSeriesView(
+                origin=entities.SCAN_ERRORS,
+                contents=[entities.scan_error(verdict) for verdict in verdicts],
+                name=f"{what}: wrong returns in each scan, %",
+            )
+            for what, verdicts in kinds
+        )
     )
 
 
@@ -200,25 +258,29 @@ def _method(ring_count: int) -> rrb.Container:
     return rrb.Vertical(
         rrb.Horizontal(
             _scan_view(
-                "1. Floor and ceiling removed (Fig. 3)",
+                "1. Floor and ceiling removed, here faint (Fig. 3)",
                 [entities.POINTS, entities.FLOOR, entities.CEILING],
                 (entities.POINTS, _mapped(rr.Points3D.from_fields(), "Points3D:radii", entities.POINT_RADIUS_UPRIGHT)),
             ),
-            _scan_view("2. Point lines (Fig. 5a)", [f"{entities.LINES}/**"]),
+            _scan_view(
+                "2. Point lines (Fig. 5a): green wall, blue above a door, orange refused", [f"{entities.LINES}/**"]
+            ),
             _curves(ring_count, "3. Forward differences (eq. 2, Fig. 5b)"),
         ),
         rrb.Horizontal(
-            _scan_view("4. Up-most structures: wall candidates (Fig. 6a)", [entities.UPMOST]),
+            _scan_view("4. Up-most structures: candidates (Fig. 6a)", [entities.UPMOST]),
             _scan_view("5. Bottom-most, for comparison (Fig. 6b)", [entities.BOTTOMMOST]),
             _scan_view(
-                "6. Wall planes grown (Fig. 7)",
+                "6. Wall planes grown (Fig. 7); gray: refused",
                 [entities.UPMOST, entities.PLANES],
                 (
                     entities.UPMOST,
                     _mapped(rr.LineStrips3D.from_fields(), "LineStrips3D:colors", entities.CANDIDATE_PLANE_COLOR),
                 ),
             ),
-            _scan_view("7. Conditions of a door", [f"{entities.SCAN_DOORS}/**", entities.PLANES]),
+            _scan_view(
+                "7. Door conditions: 1 gray, 2 orange, all 3 blue", [f"{entities.SCAN_DOORS}/**", entities.PLANES]
+            ),
         ),
         name="Step by step",
     )
@@ -227,18 +289,20 @@ def _method(ring_count: int) -> rrb.Container:
 def _aslant(centre_m: tuple[float, float], extent_m: float) -> rrb.EyeControls3D:
     """Aslant from above, the whole building in view."""
     x, y = centre_m
-    position = (x - 0.2 * extent_m, y - 0.55 * extent_m, 0.75 * extent_m)
+    position = (x - 0.25 * extent_m, y - 0.7 * extent_m, 0.95 * extent_m)
     return rrb.EyeControls3D(position=position, look_target=(x, y, 0.0))
 
 
-def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
-    return rrb.Horizontal(
+def _building(centre_m: tuple[float, float], extent_m: float, first: bool) -> rrb.Container:
+    """first: it is the first tab, which says what it shows."""
+    content = rrb.Horizontal(
         rrb.Spatial3DView(
             origin=entities.WORLD,
             contents=[
                 entities.CLOUD,
                 entities.WALLS,
                 entities.DOORS,
+                entities.DOOR_LEAVES,
                 entities.WINDOWS,
                 entities.FUSED_WALLS,
                 entities.REFUSED_WALLS,
@@ -259,47 +323,91 @@ def _building(centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
             rrb.TextDocumentView(origin=entities.BUILDING_REASONS, name="Why: doors, refused faces, windows, surfaces"),
         ),
         column_shares=[3, 2],
-        name="Building",
     )
+    strip = rrb.Horizontal(_label_legend(), _glance()) if first else _label_legend()
+    return legend.above(strip, content, "Building")
 
 
-def _odometry(eye: rrb.EyeControls3D | None) -> rrb.Container:
+def _poses(eye: rrb.EyeControls3D | None, registered: bool) -> rrb.Container | rrb.View:
     """eye: None where nothing says how large the place is."""
+    given = rrb.Spatial3DView(
+        origin=entities.WORLD,
+        contents=[entities.TRAJECTORY, f"{entities.BASE}/**"],
+        name="Trajectory as given",
+        eye_controls=eye,
+        overrides={entities.TRAJECTORY: until_now()},
+    )
+    if not registered:
+        return given
+    quality = (
+        ("weak", "Alarm: registration is weak (1 yes, 0 no)", (-0.1, 1.1)),
+        ("refined_inlier_share", "Share of the sweep that fits the map (0 to 1)", (0.0, 1.05)),
+        ("weakest_share", "Hold of the weakest direction / of the best (0 to 1)", (0.0, 1.05)),
+        ("loops_moved_m", "How far closing the loops moved the pose, m", None),
+        ("residual_m", "KISS-ICP: median distance to the local map, m", None),
+        ("correction_m", "KISS-ICP: correction of the predicted pose, m", None),
+        ("threshold_m", "KISS-ICP: adaptive threshold, m", None),
+        ("milliseconds", "Registering a sweep, milliseconds", None),
+    )
     return rrb.Horizontal(
         rrb.Spatial3DView(
             origin=entities.WORLD,
             contents=[f"{entities.ODOMETRY}/**", f"{entities.POSE_GRAPH}/**", entities.TRAJECTORY],
-            name="What was registered, and loops (timeline stamp)",
+            name="Registered sweep yellow, its local map gray; trajectory blue, loops teal",
             eye_controls=eye,
             overrides={entities.TRAJECTORY: until_now()},
         ),
-        rrb.Vertical(
-            *(
-                rrb.TimeSeriesView(origin=f"{entities.REGISTRATION}/{name}", name=title)
-                for name, title in (
-                    ("weak", "Alarm: registration is weak (1)"),
-                    ("weakest_share", "Hold in the direction that holds least, share of the best one's"),
-                    ("refined_inlier_share", "Share of the scan that fits the map"),
-                    ("loops_moved_m", "Closing the loops moved the pose, m"),
-                    ("residual_m", "KISS-ICP: median distance to the local map, m"),
-                    ("correction_m", "KISS-ICP: correction of the predicted pose, m"),
-                    ("threshold_m", "KISS-ICP: adaptive threshold, m"),
-                )
-            )
-        ),
+        rrb.Grid(*(_curve(entities.REGISTRATION, *curve) for curve in quality), grid_columns=2),
         name="Odometry",
     )
 
 
+def _curve(group: str, name: str, title: str, range_y: tuple[float, float] | None = None) -> rrb.TimeSeriesView:
+    """One curve alone: its title says what it is, and a peak flattens nothing else."""
+    return rrb.TimeSeriesView(
+        origin=f"{group}/{name}",
+        name=title,
+        axis_y=rrb.ScalarAxis(range=range_y) if range_y else None,
+        plot_legend=rrb.PlotLegend(visible=False),
+    )
+
+
 def _metrics() -> rrb.Container:
+    counted = (
+        ("Lines, structures, candidates in each scan", ("lines", "structures", "candidates", "door_lines")),
+        ("Wall planes and doors in each scan", ("planes", "openings")),
+    )
     return rrb.Vertical(
-        rrb.TimeSeriesView(origin=entities.LABEL_COUNTS, name="Returns by label"),
-        rrb.TimeSeriesView(origin=entities.COUNTS, name="Evidence counted"),
-        rrb.TimeSeriesView(origin=entities.RANGES, name="Scatter of the ranges, mm; returns on no facet, %"),
-        rrb.TimeSeriesView(origin=entities.MILLISECONDS, name="Milliseconds by stage"),
-        rrb.TextLogView(origin=entities.MESSAGES, name="Warnings"),
-        row_shares=[3, 3, 2, 3, 2],
+        rrb.TimeSeriesView(origin=entities.LABEL_COUNTS, name="Number of returns of each label in each scan"),
+        rrb.Horizontal(
+            *(
+                rrb.TimeSeriesView(
+                    origin=entities.COUNTS, contents=[f"{entities.COUNTS}/{series}" for series in own], name=title
+                )
+                for title, own in counted
+            )
+        ),
+        rrb.Horizontal(
+            _curve(entities.RANGES, "scatter_mm", "Scatter of the ranges, mm"),
+            _curve(entities.RANGES, "measured_alone_percent", "Returns on no facet, whose range stays as measured, %"),
+        ),
+        rrb.Horizontal(
+            *(
+                _curve(entities.MILLISECONDS, stage, f"{stage.capitalize()} a scan, milliseconds")
+                for stage in ("reading", "smoothing", "placing", "labelling")
+            )
+        ),
+        _warnings(),
+        row_shares=[3, 3, 2, 2, 2],
         name="Metrics and warnings",
+    )
+
+
+def _warnings() -> rrb.Container:
+    return rrb.Horizontal(
+        rrb.TextDocumentView(origin=entities.WARNINGS, name="Warnings of the run"),
+        rrb.TextLogView(origin=entities.MESSAGES, name="Scans skipped or weakly registered (empty: none)"),
+        name="Warnings",
     )
 
 

@@ -3,17 +3,15 @@
 Every process opens the bag for itself; all readers find a log time without reading what comes before it.
 """
 
-import hashlib
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from heapq import merge
 from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, Literal, Self, TypeAlias, TypeVar
+from typing import Any, Literal, Self, TypeAlias, TypeVar
 
 from rosbags.interfaces import Connection, MessageDefinitionFormat, Nodetype
 from rosbags.rosbag1 import Reader as Ros1Reader
@@ -342,45 +340,6 @@ def _definitions(connection: Connection) -> dict[str, Any]:
             parts = [p.split("\n", 1)[1] for p in text.split(bar)[1:]] if text.startswith(bar + "IDL: ") else [text]
             return {name: value for part in parts for name, value in get_types_from_idl(part).items()}
     return {}
-
-
-def digest(path: Path) -> str:
-    """SHA-256 that names a bag's content: of its size, its index where that is cheap, its first and its last MiB.
-
-    For a folder, over its data files in order.
-    """
-    files = _data_files(path) or sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
-    total = hashlib.sha256()
-    try:
-        for file_path in files:
-            size = file_path.stat().st_size
-            total.update(size.to_bytes(8, "little"))
-            with file_path.open("rb") as file:
-                start = file.read(_MIB)
-                total.update(start)
-                file.seek(max(size - _MIB, 0))
-                total.update(file.read(_MIB))
-                index = _index_position(start, file, size)
-                if index is not None and index < size - _MIB:
-                    file.seek(index)
-                    total.update(file.read(min(size - _MIB - index, 64 * _MIB)))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    return total.hexdigest()
-
-
-_MIB = 1 << 20
-
-
-def _index_position(start: bytes, file: IO[bytes], size: int) -> int | None:
-    """Where the file's index begins, if it says so."""
-    if start.startswith(b"#ROSBAG") and (found := start.find(b"index_pos=")) >= 0:
-        return int.from_bytes(start[found + 10 : found + 18], "little") or None
-    if start.startswith(b"\x89MCAP"):
-        with suppress(OSError):
-            file.seek(size - 28)
-            return int.from_bytes(file.read(8), "little") or None
-    return None
 
 
 def _one_line(error: BaseException) -> str:

@@ -16,6 +16,7 @@ TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "offset_time", "timeoffset
 
 _LONGEST_SWEEP_NS = 2_000_000_000
 _SHORTEST_SWEEP_NS = 5_000_000
+_CLOCK_MAX_NS = 2.0**63
 _UNITS_NS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 
 TimeReference = Literal["stamp", "epoch", "own clock"]
@@ -39,14 +40,18 @@ class TimeField:
     def nanoseconds(self, values: npt.NDArray[Any], stamp_ns: int) -> tuple[IntArray, int]:
         """Nanoseconds (n,) int64 from the first of these firings, and that firing's absolute time.
 
-        Raises CloudError where the times span longer than a sweep can take.
+        Raises CloudError where the times span longer than a sweep can take, or lie farther than that from the stamp.
         """
         if not len(values):
             return np.zeros(0, np.int64), stamp_ns
         first = values.min()
         span_s = _span(values) * _UNITS_NS[self.unit] / 1e9
-        if not span_s <= _LONGEST_SWEEP_NS / 1e9:
-            raise CloudError(f"the times in field {self.name} span {span_s:.1f} s, longer than any sweep")
+        if not np.isfinite(span_s):
+            raise CloudError(f"the times in field {self.name} are not all numbers")
+        if span_s > _LONGEST_SWEEP_NS / 1e9:
+            raise CloudError(f"the times in field {self.name} span {_told(span_s)} s, longer than any sweep")
+        if not abs(float(first)) * _UNITS_NS[self.unit] < _CLOCK_MAX_NS:
+            raise CloudError(f"the times in field {self.name} are as large as {float(first):.3g} {self.unit}: no clock's")
         time_ns = _scaled(values, first, _UNITS_NS[self.unit])
         match self.reference:
             case "stamp":
@@ -55,7 +60,16 @@ class TimeField:
                 start_ns = _exact_ns(first, _UNITS_NS[self.unit])
             case _:
                 start_ns = stamp_ns
+        if abs(start_ns - stamp_ns) > _LONGEST_SWEEP_NS:
+            raise CloudError(
+                f"the times in field {self.name} begin {_told(abs(start_ns - stamp_ns) / 1e9)} s "
+                f"{'before' if start_ns < stamp_ns else 'after'} the cloud's stamp"
+            )
         return time_ns, start_ns
+
+
+def _told(seconds: float) -> str:
+    return f"{seconds:.1f}" if seconds < 1e6 else f"{seconds:.3g}"
 
 
 def _scaled(values: npt.NDArray[Any], first: Any, unit_ns: int) -> IntArray:  # noqa: ANN401 - a NumPy scalar
@@ -87,7 +101,8 @@ def find_time_field(name: str, samples: Sequence[tuple[npt.NDArray[Any], int]]) 
     if not samples:
         return None
     spans = [_span(values) for values, _ in samples]
-    span = max(spans)
+    # Clouds with few returns span little, and the times of one in many may be absurd.
+    span = float(np.percentile(spans, 75, method="lower"))
     dtype = next(values.dtype for values, _ in samples)
     units = [unit for unit, ns in _UNITS_NS.items() if _SHORTEST_SWEEP_NS <= span * ns <= _LONGEST_SWEEP_NS]
     whole = np.issubdtype(dtype, np.integer)
@@ -96,9 +111,10 @@ def find_time_field(name: str, samples: Sequence[tuple[npt.NDArray[Any], int]]) 
     unit_ns = _UNITS_NS[unit]
     offsets_ns = []
     for values, stamp_ns in samples:
-        first_ns = _exact_ns(values.min(), unit_ns)
+        # To the microsecond, as floats: what an absurd time is as an integer is none.
+        first_ns = float(values.min()) * unit_ns
         offsets_ns.append((abs(first_ns), abs(first_ns - stamp_ns)))
-    relative, epoch = np.median(np.array(offsets_ns, np.float64), axis=0)
+    relative, epoch = np.median(offsets_ns, axis=0)
     reference: TimeReference = "own clock"
     if relative <= _LONGEST_SWEEP_NS:
         reference = "stamp"
@@ -114,7 +130,7 @@ def _span(values: npt.NDArray[Any]) -> float:
 
 
 def _usual_unit(samples: Sequence[tuple[npt.NDArray[Any], int]], whole: bool) -> str:
-    largest = max(float(np.abs(values.astype(np.float64)).max()) for values, _ in samples)
+    largest = float(np.median([np.abs(values.astype(np.float64)).max() for values, _ in samples]))
     if largest > 1e8 and not whole:
         return "ns" if largest > 1e17 else "us" if largest > 1e14 else "ms" if largest > 1e11 else "s"
     return "ns" if whole else "s"

@@ -1,21 +1,34 @@
 """Everything that `ffmap info` says about a bag: what is in it, what it is good for, what is missing."""
 
+from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from loaders.bag import Bag, Container, open_bag
+from loaders.bag import Bag, Container, Message, open_bag
 from loaders.errors import CloudError, InputError
 from loaders.frames import FrameTree, StaticTransform, read_frame_tree
 from loaders.packets import PACKET_TYPE
 from loaders.pointcloud2 import CloudDecoding, TimeFrom, decode, settle_decoding
 from loaders.rig import Rig, find_rig
-from loaders.scans import CloudIndex, cloud_topics, index_clouds, sample_messages
+from loaders.scans import (
+    CloudIndex,
+    SkippedScan,
+    clock_problem,
+    cloud_topics,
+    index_clouds,
+    read_scans,
+    sample_messages,
+    stamp_problem,
+)
 from loaders.truth import BUILDING_TOPIC, CLASSES_TOPIC, POSE_TOPIC
 
 _SAMPLES = 8
 _GAP_PERIODS = 2.5
+_READ_MAX = 400
+"""Of a lidar at most so many clouds are read to the last point: more would take minutes."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +56,8 @@ class CloudInfo:
     frame_id: with the bag's own spelling but for a leading slash; empty where no cloud can be read.
     cloud_count: revolutions; messages_per_cloud is above 1 where each message is a packet's worth.
     unusable_count: clouds whose stamps repeat or jump.
+    read_count: clouds from all over the bag that were read to the last point; bad_clouds: why those of them with a right
+        stamp that give no scan do not, and how many they are, the commonest first.
     points: valid points and all places of a cloud, medians.
     decoding: how the clouds are read, with layout, rings and times; None where they cannot be, and `problem` says why.
     rings, times: the same in words.
@@ -56,6 +71,8 @@ class CloudInfo:
     rate_hz: float | None
     points: tuple[int, int]
     unusable_count: int
+    read_count: int
+    bad_clouds: tuple[tuple[str, int], ...]
     gaps: tuple[Gap, ...]
     decoding: CloudDecoding | None
     rings: str
@@ -106,7 +123,8 @@ def describe_bag(
     Raises InputError where the bag cannot be opened, or does not fit what is said of it.
     """
     with open_bag(path) as bag:
-        clouds = tuple(_describe_cloud(bag, topic, time_from) for topic in cloud_topics(bag))
+        indexes = {topic: index_clouds(bag, topic) for topic in cloud_topics(bag)}
+        clouds = tuple(_describe_cloud(bag, index, time_from) for index in indexes.values())
         tree = read_frame_tree(bag, {cloud.frame_id for cloud in clouds if cloud.frame_id})
         rig, problem = None, None
         try:
@@ -130,8 +148,15 @@ def describe_bag(
             rig=rig,
             rig_problem=problem,
             missing=tuple(_missing(bag, clouds, tree, rig)),
-            warnings=(*bag.warnings, *(rig.warnings if rig else ())),
+            warnings=(*bag.warnings, *(rig.warnings if rig else ()), *_clock_warnings(rig, indexes)),
         )
+
+
+def _clock_warnings(rig: Rig | None, indexes: dict[str, CloudIndex]) -> tuple[str, ...]:
+    if rig is None or rig.horizontal is None or rig.vertical is None:
+        return ()
+    problem = clock_problem(indexes[rig.horizontal.topic], indexes[rig.vertical.topic])
+    return () if problem is None else (problem,)
 
 
 def _topics(bag: Bag) -> tuple[TopicInfo, ...]:
@@ -142,18 +167,16 @@ def _topics(bag: Bag) -> tuple[TopicInfo, ...]:
     )
 
 
-def _describe_cloud(bag: Bag, topic: str, time_from: TimeFrom) -> CloudInfo:
-    index = index_clouds(bag, topic)
+def _describe_cloud(bag: Bag, index: CloudIndex, time_from: TimeFrom) -> CloudInfo:
+    topic = index.topic
     messages = sample_messages(bag, index, _SAMPLES)
-    decoding, problem = None, None
-    counts: list[tuple[int, int]] = []
+    decoding, problem = None, stamp_problem(index)
     try:
         decoding = settle_decoding(messages, topic, time_from, index.period_ns)
-        for message in messages:
-            scan = decode(message, decoding)
-            counts.append((len(scan), scan.cloud_size))
     except CloudError as error:
         problem = str(error)
+    counts = _point_counts(messages, decoding) if decoding else []
+    read_count, bad_clouds = _bad_clouds(bag, index, decoding) if decoding else (0, ())
     period_ns = index.period_ns
     valid, places = np.median(counts, axis=0).astype(int).tolist() if counts else (0, 0)
     return CloudInfo(
@@ -165,12 +188,38 @@ def _describe_cloud(bag: Bag, topic: str, time_from: TimeFrom) -> CloudInfo:
         rate_hz=1e9 / period_ns if period_ns else None,
         points=(valid, places),
         unusable_count=int(np.count_nonzero(~index.usable)),
+        read_count=read_count,
+        bad_clouds=bad_clouds,
         gaps=_gaps(index),
         decoding=decoding,
         rings=_ring_words(decoding) if decoding else "",
         times=_time_words(decoding) if decoding else "",
         problem=problem,
     )
+
+
+def _point_counts(messages: list[Message], decoding: CloudDecoding) -> list[tuple[int, int]]:
+    """Valid points and all places of each cloud that can be read."""
+    counts = []
+    for message in messages:
+        with suppress(CloudError):
+            scan = decode(message, decoding)
+            counts.append((len(scan), scan.cloud_size))
+    return counts
+
+
+def _bad_clouds(bag: Bag, index: CloudIndex, decoding: CloudDecoding) -> tuple[int, tuple[tuple[str, int], ...]]:
+    """How many clouds were read, and of those that give no scan the reasons, with how many each is given for."""
+    stride = -(-len(index) // _READ_MAX)
+    # One after the other, but for a long bag: there each is looked up.
+    first = range(1) if stride == 1 else range(0, len(index), stride)
+    read_count, reasons = 0, Counter[str]()
+    for i in first:
+        for number, scan in read_scans(bag, index, i, None if stride == 1 else 1, decoding):
+            read_count += 1
+            if isinstance(scan, SkippedScan) and index.usable[number]:
+                reasons[scan.reason] += 1
+    return read_count, tuple(reasons.most_common())
 
 
 def _gaps(index: CloudIndex) -> tuple[Gap, ...]:

@@ -4,6 +4,7 @@ How a topic's clouds are read (`CloudDecoding`) is settled once, from clouds all
 poor to tell the unit of its times or how many rings there are.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -26,6 +27,8 @@ RING_NAMES = ("ring", "channel", "laser_id", "line", "laser", "scan_id")
 _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _UINT8 = 2
 _LABEL_FIELDS = ("label", "label_scan")
+_NUMBER_MAX = 2.0**31
+"""No ring has so high a number, whatever the type of its field."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,11 @@ class CloudLayout:
     def organised(self) -> bool:
         """Whether the cloud has rows and columns."""
         return self.height > 1
+
+    def dtype(self, name: str) -> np.dtype[Any]:
+        """How the values of a field are stored."""
+        order = ">" if self.big_endian else "<"
+        return next(np.dtype(order + field.datatype) for field in self.fields if field.name == name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +183,8 @@ def field_column(message: Message, layout: CloudLayout, name: str) -> npt.NDArra
     """One field of every point (height x width,), row by row."""
     shape = (layout.height, layout.width)
     if 0 in shape:
-        return np.zeros(0, point_dtype(layout)[name])
+        # Without points, nothing that the message says of their size has to be true.
+        return np.zeros(0, layout.dtype(name))
     row_step = max(int(message.row_step), layout.width * layout.point_step)
     data = np.ascontiguousarray(message.data)
     cloud = np.ndarray(shape, point_dtype(layout), data.data, strides=(row_step, layout.point_step))
@@ -184,7 +193,9 @@ def field_column(message: Message, layout: CloudLayout, name: str) -> npt.NDArra
 
 def _valid_points(message: Message, layout: CloudLayout) -> tuple[FloatArray, IntArray]:
     """Points (n, 3) float32 that the sensor did return, and their places (n,) int32 in the cloud."""
-    x, y, z = (np.ascontiguousarray(field_column(message, layout, axis), np.float32) for axis in "xyz")
+    # What a float32 cannot hold becomes infinite, and is none of the sensor's returns.
+    with np.errstate(over="ignore"):
+        x, y, z = (np.ascontiguousarray(field_column(message, layout, axis), np.float32) for axis in "xyz")
     return _compact(x, y, z)
 
 
@@ -235,8 +246,12 @@ def settle_decoding(
             time_samples.append((field_column(message, layout, layout.time_field)[index], stamp_ns(message)))
     if not layouts:
         raise failure or CloudError(f"{topic}: no cloud to read; choose another topic")
-    layout = max(layouts, key=lambda found: found.height * found.width)
-    time = find_time_field(layout.time_field, time_samples) if layout.time_field and time_samples else None
+    usual = Counter(found.fields for found in layouts)
+    layout = max(layouts, key=lambda found: (usual[found.fields], found.height * found.width))
+    time = None
+    if layout.time_field:
+        kind = layout.dtype(layout.time_field).kind
+        time = find_time_field(layout.time_field, [sample for sample in time_samples if sample[0].dtype.kind == kind])
     return CloudDecoding(layout, estimate_rings(ring_samples), time, time_from, period_ns)
 
 
@@ -244,8 +259,33 @@ def _ring_numbers(message: Message, layout: CloudLayout, index: IntArray) -> Int
     assert layout.ring_field
     numbers = field_column(message, layout, layout.ring_field)[index]
     if np.issubdtype(numbers.dtype, np.floating):
-        numbers = np.nan_to_num(numbers, nan=0, posinf=0, neginf=0)
+        known = np.abs(numbers) < _NUMBER_MAX
+        numbers = np.where(known, numbers, 0 if 2 * np.count_nonzero(known) > len(known) else -1)
     return numbers.astype(np.int64)
+
+
+def _numbers(message: Message, layout: CloudLayout, rings: RingModel, index: IntArray) -> IntArray | None:
+    """What tells the ring of each valid point (n,), as the topic's other clouds have it; None where elevations tell it.
+
+    Raises CloudError where this cloud has it not, or has numbers that those have not.
+    """
+    match rings.source:
+        case "field":
+            if not layout.ring_field:
+                raise CloudError(f"{layout.topic}: no field with rings, which the topic's other clouds have")
+            number = _ring_numbers(message, layout, index)
+            if 2 * np.count_nonzero((number < 0) | (number >= rings.count)) > len(number):
+                raise CloudError(
+                    f"{layout.topic}: field {layout.ring_field} has numbers from {number.min()} to {number.max()}, where the "
+                    f"topic's other clouds have {rings.count} rings"
+                )
+            return number
+        case "row" | "column":
+            count = layout.height if rings.source == "row" else layout.width
+            if len(index) and count != rings.count:
+                raise CloudError(f"{layout.topic}: {count} {rings.source}s, where the topic's other clouds have {rings.count}")
+            return index // layout.width if rings.source == "row" else index % max(layout.width, 1)
+    return None
 
 
 def decode(message: Message, decoding: CloudDecoding) -> Scan:
@@ -255,23 +295,13 @@ def decode(message: Message, decoding: CloudDecoding) -> Scan:
     """
     layout = describe_layout(message, decoding.layout.topic)
     points, index = _valid_points(message, layout)
-    rings = decoding.rings
-    match rings.source:
-        case "field" if layout.ring_field:
-            number: IntArray | None = _ring_numbers(message, layout, index)
-        case "row":
-            number = index // layout.width
-        case "column":
-            number = index % layout.width
-        case _:
-            number = None
-    ring = rings.rings(points, number)
+    ring = decoding.rings.rings(points, _numbers(message, layout, decoding.rings, index))
     stamp = stamp_ns(message)
     time_ns, start_ns = _times(message, layout, decoding, points, ring, index, stamp)
     return Scan(
         points_sensor=points,
         ring=ring,
-        ring_count=rings.count,
+        ring_count=decoding.rings.count,
         time_ns=time_ns,
         start_ns=start_ns,
         stamp_ns=stamp,
@@ -290,10 +320,12 @@ def _times(
     stamp: int,
 ) -> tuple[IntArray | None, int]:
     if decoding.time_from == "auto" and decoding.time and layout.time_field == decoding.time.name:
+        if layout.dtype(layout.time_field).kind != decoding.layout.dtype(layout.time_field).kind:
+            raise CloudError(f"{layout.topic}: field {layout.time_field} is of another type than in the topic's other clouds")
         try:
             return decoding.time.nanoseconds(field_column(message, layout, layout.time_field)[index], stamp)
         except CloudError as error:
-            raise CloudError(f"{layout.topic}: {error}; use --time-from azimuth") from error
+            raise CloudError(f"{layout.topic}: {error}; if it is so in many clouds, use --time-from azimuth") from error
     if decoding.time_from == "azimuth" and decoding.period_ns:
         if decoding.rings.source == "row":
             columns = index.astype(np.int64) % layout.width
@@ -346,7 +378,8 @@ def merge_clouds(messages: Sequence[Message]) -> Message:
     A field `time` (float32, seconds from the first stamp) is appended unless the clouds carry times: then each cloud's
     own stamp is the time of its points. Times relative to a message's stamp are made relative to the first one's.
     """
-    first = messages[0]
+    # A part without points may say anything of their layout.
+    first = replace(next((m for m in messages if m.width * m.height), messages[0]), header=messages[0].header)
     layout = describe_layout(first, "")
     blocks = list(_point_blocks(messages, layout))
     own_time = next((f for f in layout.fields if f.name == layout.time_field), None)

@@ -43,6 +43,7 @@ _UPRIGHT_DEG = 45.0
 _LEVEL_WITHIN_DEG = 5.0
 """Lidars whose axes differ by less are equally upright: the one that sees more is taken."""
 _SECTORS = 36
+_REACH_MAX_M = 100.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +174,7 @@ def find_rig(
     candidates = _candidates(bag, topics, time_from, warnings)
     candidates = _one_a_frame(bag, candidates, _chosen(asked, described), warnings)
     candidates, base, edges = _place(bag, candidates, described, asked, warnings)
+    _check_reach(rig_file or bag.path, candidates, base)
     roles = _roles(candidates, asked, warnings)
     for role, lidar in roles.items():
         if not lidar.decoding.timed:
@@ -312,6 +314,17 @@ def _place(
             "Give --rig FILE.toml"
         )
     return [replace(c, T_base_sensor=roots[c.topic][1]) for c in together], base, tree.edges
+
+
+def _check_reach(source: Path, candidates: list[_Candidate], base: str) -> None:
+    """Raises InputError where a lidar is so far from the base that no robot holds both: places would lose their millimetres."""
+    for candidate in candidates:
+        away_m = 0.0 if candidate.T_base_sensor is None else float(np.linalg.norm(candidate.T_base_sensor[:3, 3]))
+        if away_m > _REACH_MAX_M:
+            raise InputError(
+                f"{source}: puts {candidate.frame_id} ({candidate.topic}) {away_m:.6g} m away from {base}, which no robot "
+                'spans; say in --rig FILE.toml which frame is the robot\'s, as in base = "base_link", or where the lidar sits'
+            )
 
 
 def _place_by_file(

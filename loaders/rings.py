@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from algorithms.scan import FloatArray, IntArray
+from algorithms.scan import BoolArray, FloatArray, IntArray
 
 RingSource = Literal["field", "row", "column", "elevation", "bins"]
 
@@ -48,7 +48,7 @@ class RingModel:
 
     def rings(self, points_sensor: FloatArray, number: IntArray | None) -> IntArray:
         """Ring (n,) uint16 of points (n, 3); `number` is the field's value, the row or the column of each."""
-        if len(self.lookup) and number is not None:
+        if number is not None:
             return self.lookup[np.clip(number, 0, len(self.lookup) - 1)]
         return _ring_of_elevation(points_sensor, self.edge_tan)
 
@@ -66,29 +66,44 @@ class RingSample:
 
 def estimate_rings(samples: Sequence[RingSample]) -> RingModel:
     """The model that fits these clouds: the ring field if it is filled, rows or columns, else the elevations."""
+    numbered = [s for s in samples if s.field is not None and _are_rings(s.field)]
+    # One cloud in many may lack the field, or have it filled with anything.
+    if 2 * len(numbered) > len(samples):
+        elevation, far = _elevations(numbered)
+        number = np.concatenate([s.field for s in numbered if s.field is not None])
+        return _by_number("field", _whole_count(int(number.max()) + 1), number[far], elevation[far])
+    alike = _of_commonest_shape(samples)
+    if 2 * len(alike) > len(samples) and 1 not in alike[0].shape:
+        elevation, far = _elevations(alike)
+        height, width = alike[0].shape
+        places: list[tuple[RingSource, int, IntArray]] = [
+            ("row", height, np.concatenate([s.row for s in alike])),
+            ("column", width, np.concatenate([s.column for s in alike])),
+        ]
+        for source, count, number in places:
+            if 1 < count <= _MOST_RINGS and _is_constant(number[far], elevation[far]):
+                return _by_number(source, count, number[far], elevation[far])
+    elevation, far = _elevations(samples)
+    return _by_elevation(elevation[far])
+
+
+def _are_rings(number: IntArray) -> bool:
+    return bool(len(number)) and bool(number.min() >= 0) and bool(number.max() < _MOST_RINGS) and bool(number.max() > 0)
+
+
+def _of_commonest_shape(samples: Sequence[RingSample]) -> list[RingSample]:
+    shapes = [s.shape for s in samples]
+    return [s for s in samples if s.shape == max(shapes, key=shapes.count)]
+
+
+def _elevations(samples: Sequence[RingSample]) -> tuple[FloatArray, BoolArray]:
+    """Elevation (n,) of each point in degrees, and whether (n,) it is far enough from the sensor for that to tell its ring."""
     points = np.concatenate([s.points_sensor for s in samples]) if samples else np.zeros((0, 3), np.float32)
     elevation = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))).astype(np.float64)
     far = np.einsum("ij,ij->i", points, points) > _NEAR_M**2
     if np.count_nonzero(far) < 0.2 * len(points):
         far[:] = True
-    if samples and all(s.field is not None for s in samples):
-        number = np.concatenate([s.field for s in samples if s.field is not None])
-        if len(number) and number.min() >= 0 and 0 < number.max() < _MOST_RINGS:
-            return _by_number("field", _whole_count(int(number.max()) + 1), number[far], elevation[far])
-    for source in ("row", "column"):
-        number, count = _place(samples, source)
-        if 1 < count <= _MOST_RINGS and _is_constant(number[far], elevation[far]):
-            return _by_number("row" if source == "row" else "column", count, number[far], elevation[far])
-    return _by_elevation(elevation[far])
-
-
-def _place(samples: Sequence[RingSample], source: str) -> tuple[IntArray, int]:
-    shapes = {s.shape for s in samples}
-    if len(shapes) != 1 or 1 in next(iter(shapes)):
-        return np.zeros(0, np.int64), 0
-    height, width = shapes.pop()
-    rows = source == "row"
-    return np.concatenate([s.row if rows else s.column for s in samples]), height if rows else width
+    return elevation, far
 
 
 def _is_constant(number: IntArray, elevation: FloatArray) -> bool:

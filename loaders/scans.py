@@ -12,6 +12,7 @@ import numpy as np
 
 from algorithms.scan import BoolArray, FloatArray, IntArray, Scan
 from loaders.bag import Bag, Message, RawMessage
+from loaders.cloud_digest import digest_of
 from loaders.errors import CloudError, InputError
 from loaders.packets import PACKET_TYPE, PacketDecoder
 from loaders.pointcloud2 import CloudDecoding, CloudLayout, decode, describe_layout, merge_clouds, point_dtype
@@ -24,6 +25,12 @@ _PART_NS = 4_000_000
 """Clouds that come closer than this are parts of a revolution: no lidar spins at 250 Hz."""
 _LEAD_POINTS = 32
 _OUTLIER_PERIODS = 10
+_LOOK_AHEAD = 1000
+"""So many clouds tell whether a leap of the stamps is their clock's or one cloud's."""
+_STRETCH_MIN = 3
+"""Fewer clouds, between two leaps of the stamps, have wrong ones."""
+_APART_NS = 1_000_000_000
+"""Between a cloud's stamp and its being recorded less time than this passes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +42,7 @@ class CloudIndex:
     message_count: (m,) int64, messages a revolution; 1 unless the topic has one for each packet.
     earlier: (m,) int64, messages of the topic with the very same log time that come before the revolution's first.
     usable: (m,) bool, False where the stamp repeats or jumps back behind that of an earlier cloud, or jumps ahead of
-        all that follow.
+        most that follow.
     """
 
     topic: str
@@ -54,10 +61,18 @@ class CloudIndex:
         steps = np.diff(self.stamp_ns[self.usable])
         return int(np.median(steps)) if len(steps) else None
 
+    @property
+    def lead_ns(self) -> float:
+        """How far the stamps are ahead of the times at which the clouds were recorded, the median."""
+        return float(np.median((self.stamp_ns - self.log_time_ns)[self.usable]))
+
 
 @dataclass(frozen=True)
 class SkippedScan:
-    """A cloud that gives no scan, and why."""
+    """A cloud that gives no scan, and why.
+
+    stamp_ns: its stamp; where that is wrong, the one beside it that is right: a day ahead would stretch a recording's time.
+    """
 
     index: int
     stamp_ns: int
@@ -73,7 +88,7 @@ def index_clouds(bag: Bag, topic: str) -> CloudIndex:
         )
     log_time_ns, stamps = _stamps(bag, found.name)
     counts: IntArray = np.ones(len(stamps), np.int64)
-    if found.msgtype == CLOUD_TYPE and len(stamps) >= 20 and np.median(np.diff(stamps)) < _PART_NS:
+    if found.msgtype == CLOUD_TYPE and _are_parts(stamps, log_time_ns):
         counts = _revolutions(bag, found.name, stamps)
     first = np.cumsum(counts) - counts
     earlier = np.arange(len(stamps)) - np.searchsorted(log_time_ns, log_time_ns, side="left")
@@ -83,8 +98,41 @@ def index_clouds(bag: Bag, topic: str) -> CloudIndex:
         stamp_ns=stamps[first],
         message_count=counts,
         earlier=earlier[first],
-        usable=_usable(stamps[first]),
+        usable=_usable(stamps[first], log_time_ns[first]),
     )
+
+
+def stamp_problem(index: CloudIndex) -> str | None:
+    """Why the clouds of a topic cannot be put in order of time; None where they can."""
+    if len(index) < 2 or np.count_nonzero(index.usable) > 1:
+        return None
+    same = not np.any(np.diff(index.stamp_ns))
+    what = f"have the same stamp, {index.stamp_ns[0] / 1e9:.3f} s" if same else "have stamps that go on from no other's"
+    return (
+        f"{index.topic}: all {len(index)} clouds {what}, so that nothing tells when they were taken; record them with a driver "
+        "that stamps them"
+    )
+
+
+def clock_problem(index: CloudIndex, other: CloudIndex) -> str | None:
+    """What speaks against the clocks of two lidars being one; None where nothing does."""
+    if min(len(index), len(other)) < 2 or stamp_problem(index) or stamp_problem(other):
+        return None
+    ahead_ns = other.lead_ns - index.lead_ns
+    stamps, others = (each.stamp_ns[each.usable] for each in (index, other))
+    if abs(ahead_ns) > _APART_NS:
+        return (
+            f"the clocks of {index.topic} and {other.topic} are apart: the stamps of {other.topic} are "
+            f"{abs(ahead_ns) / 1e9:.1f} s {'ahead' if ahead_ns > 0 else 'behind'}, by the times at which the bag recorded "
+            "both; set the lidars to one clock (PTP), or shift that topic's stamps"
+        )
+    if others[0] > stamps[-1] or others[-1] < stamps[0]:
+        return (
+            f"{index.topic} and {other.topic} share no time: their stamps run from {stamps[0] / 1e9:.1f} to "
+            f"{stamps[-1] / 1e9:.1f} s and from {others[0] / 1e9:.1f} to {others[-1] / 1e9:.1f} s; if both were recorded "
+            "together their clocks are apart: set the lidars to one clock (PTP), or shift one topic's stamps"
+        )
+    return None
 
 
 def cloud_topics(bag: Bag) -> list[str]:
@@ -112,7 +160,19 @@ def _stamps(bag: Bag, topic: str) -> tuple[IntArray, IntArray]:
     return np.array(times_ns, np.int64), words[:, 1] * 1_000_000_000 + words[:, 2]
 
 
-def _usable(stamps: IntArray) -> BoolArray:
+def _are_parts(stamps: IntArray, log_time_ns: IntArray) -> bool:
+    """Whether the messages of a topic come so fast that they are parts of revolutions.
+
+    Where most stamps repeat, the times at which they were recorded tell: a bag may hold every message twice.
+    """
+    if len(stamps) < 20:
+        return False
+    repeat = np.mean(np.diff(stamps) == 0) >= 0.5
+    steps = np.diff(log_time_ns if repeat else stamps)
+    return bool(np.any(steps > 0) and np.median(steps[steps > 0]) < _PART_NS)
+
+
+def _usable(stamps: IntArray, log_time_ns: IntArray) -> BoolArray:
     """Clouds whose stamps go on from those before."""
     usable = np.zeros(len(stamps), bool)
     steps = np.diff(stamps)
@@ -121,13 +181,30 @@ def _usable(stamps: IntArray) -> BoolArray:
     for i, stamp in enumerate(stamps.tolist()):
         if last is not None and stamp <= last:
             continue
-        following = int(stamps[i + 1]) if i + 1 < len(stamps) else stamp
-        # One stamp far ahead would make all that follow jump back: it is the odd one, not they.
-        ahead = last is not None and stamp - last > _OUTLIER_PERIODS * period and last < following < stamp
-        if not ahead:
-            usable[i] = True
-            last = stamp
+        # A stamp far ahead would make all that follow jump back: it is the odd one, not they.
+        if last is None or stamp - last > _OUTLIER_PERIODS * period:
+            following = stamps[i + 1 : i + 1 + _LOOK_AHEAD]
+            if 2 * np.count_nonzero(following < stamp) > len(following):
+                continue
+        usable[i] = True
+        last = stamp
+    kept = np.flatnonzero(usable)
+    usable[kept] = ~_in_short_stretches(stamps[kept], log_time_ns[kept], _OUTLIER_PERIODS * period)
     return usable
+
+
+def _in_short_stretches(stamps: IntArray, log_time_ns: IntArray, leap_ns: float) -> BoolArray:
+    """Clouds (m,) before or after a leap of the stamps in which no time passed, with too few clouds beside them.
+
+    The first cloud of a driver that has no time yet is stamped 0, say. A pause is no leap: time passed.
+    """
+    steps = np.diff(stamps)
+    leaps = (steps > leap_ns) & (2 * np.diff(log_time_ns) < steps)
+    stretch = np.concatenate([[0], np.cumsum(leaps)])[: len(stamps)]
+    lengths = np.bincount(stretch, minlength=1)
+    if lengths.max() < _STRETCH_MIN:
+        return np.zeros(len(stamps), bool)
+    return np.asarray(lengths[stretch] < _STRETCH_MIN)
 
 
 def _revolutions(bag: Bag, topic: str, stamps: IntArray) -> IntArray:
@@ -147,11 +224,10 @@ def _revolutions(bag: Bag, topic: str, stamps: IntArray) -> IntArray:
 
 def _azimuths(bag: Bag, topic: str) -> FloatArray:
     """Azimuth (m,) in radians of the first return among each message's first points; NaN where there is none."""
-    raw = next(bag.messages([topic]))
-    message = bag.deserialize(raw)
-    layout = describe_layout(message, topic)
-    # is_dense, one byte, is all that follows the points; header and fields are alike in every message.
-    data_at = len(raw.data) - 1 - len(message.data)
+    found = _first_layout(bag, topic)
+    if found is None:
+        return np.zeros(bag.topic(topic).count)
+    data_at, layout = found
     lead_bytes = _LEAD_POINTS * layout.point_step
     azimuths, heads = [], list[bytes]()
     for _, head in bag.heads(topic, data_at + lead_bytes):
@@ -169,6 +245,23 @@ def _azimuths(bag: Bag, topic: str) -> FloatArray:
     return np.asarray(azimuth[before])
 
 
+def _first_layout(bag: Bag, topic: str) -> tuple[int, CloudLayout] | None:
+    """Where in a message the points begin, and their layout, by the first message with points; None where none is sound.
+
+    Header and fields are alike in every message.
+    """
+    for raw in bag.messages([topic]):
+        try:
+            message = bag.deserialize(raw)
+            layout = describe_layout(message, topic)
+        except InputError:
+            continue
+        if layout.height * layout.width:
+            # is_dense, one byte, is all that follows the points.
+            return len(raw.data) - 1 - len(message.data), layout
+    return None
+
+
 def _lead_azimuths(heads: list[bytes], layout: CloudLayout) -> FloatArray:
     points = np.frombuffer(b"".join(heads), point_dtype(layout)).reshape(-1, _LEAD_POINTS)
     x, y = points["x"].astype(np.float64), points["y"].astype(np.float64)
@@ -179,27 +272,44 @@ def _lead_azimuths(heads: list[bytes], layout: CloudLayout) -> FloatArray:
 
 
 def read_messages(
-    bag: Bag, index: CloudIndex, first: int = 0, count: int | None = None
+    bag: Bag, index: CloudIndex, first: int = 0, count: int | None = None, digests: list[bytes] | None = None
 ) -> Iterator[tuple[int, Message]]:
     """Clouds [first, first + count) as PointCloud2 messages, packets and partial clouds joined to whole revolutions.
 
     A CloudError in place of the message says that it cannot be made one.
+    digests: takes the digest of each cloud's bytes as it is read.
     """
+    packets = PacketDecoder(index.topic, bag.typestore) if bag.topics[index.topic].msgtype == PACKET_TYPE else None
+    for i, group in _gathered(bag, index, first, count):
+        if digests is not None:
+            digests.append(digest_of(group))
+        yield i, _to_cloud(bag, group, packets)
+
+
+def read_digests(bag: Bag, index: CloudIndex, first: int = 0, count: int | None = None) -> Iterator[bytes]:
+    """The digest of the bytes of each of the clouds [first, first + count), none of them decoded."""
+    for _, group in _gathered(bag, index, first, count):
+        yield digest_of(group)
+
+
+def _gathered(bag: Bag, index: CloudIndex, first: int, count: int | None) -> Iterator[tuple[int, list[RawMessage]]]:
+    """The messages that make up each of the clouds [first, first + count)."""
     stop = len(index) if count is None else min(first + count, len(index))
     if first >= stop:
         return
     raws = islice(bag.messages([index.topic], start_ns=int(index.log_time_ns[first])), int(index.earlier[first]), None)
-    packets = PacketDecoder(index.topic, bag.typestore) if bag.topics[index.topic].msgtype == PACKET_TYPE else None
     for i in range(first, stop):
         group = list(islice(raws, int(index.message_count[i])))
         if not group:
             return
-        yield i, _to_cloud(bag, group, packets)
+        yield i, group
 
 
 def _to_cloud(bag: Bag, group: Sequence[RawMessage], packets: PacketDecoder | None) -> Message:
     try:
-        messages = [bag.deserialize(raw) for raw in group]
+        # Of a part that was recorded twice, one will do.
+        kept = [raw for i, raw in enumerate(group) if not i or raw.data != group[i - 1].data]
+        messages = [bag.deserialize(raw) for raw in kept]
         if packets:
             return packets.to_cloud(messages[0])
         return messages[0] if len(messages) == 1 else merge_clouds(messages)
@@ -210,20 +320,25 @@ def _to_cloud(bag: Bag, group: Sequence[RawMessage], packets: PacketDecoder | No
 
 
 def read_clouds(
-    bag: Bag, index: CloudIndex, first: int, count: int | None, decoding: CloudDecoding
+    bag: Bag,
+    index: CloudIndex,
+    first: int,
+    count: int | None,
+    decoding: CloudDecoding,
+    digests: list[bytes] | None = None,
 ) -> Iterator[tuple[int, Scan | SkippedScan, Message | None]]:
     """Clouds [first, first + count): number in the bag, scan, and the PointCloud2 that it was made from.
 
     The message is None only where it could not be read at all. A cloud without a valid point, one that contradicts
-    itself and one whose stamp does not go on from those before are SkippedScans.
+    itself and one whose stamp does not go on from those before are SkippedScans. digests: as in `read_messages`.
     """
-    for i, message in read_messages(bag, index, first, count):
+    for i, message in read_messages(bag, index, first, count, digests):
         stamp = int(index.stamp_ns[i])
         if isinstance(message, CloudError):
             yield i, SkippedScan(i, stamp, str(message)), None
             continue
         if not index.usable[i]:
-            yield i, SkippedScan(i, stamp, _stamp_reason(index, i)), message
+            yield i, SkippedScan(i, int(index.stamp_ns[_right_beside(index, i)]), _stamp_reason(index, i)), message
             continue
         try:
             scan = decode(message, decoding)
@@ -239,10 +354,15 @@ def read_clouds(
 
 
 def read_scans(
-    bag: Bag, index: CloudIndex, first: int, count: int | None, decoding: CloudDecoding
+    bag: Bag,
+    index: CloudIndex,
+    first: int,
+    count: int | None,
+    decoding: CloudDecoding,
+    digests: list[bytes] | None = None,
 ) -> Iterator[tuple[int, Scan | SkippedScan]]:
     """Clouds [first, first + count) as scans with their number in the bag; see `read_clouds`."""
-    for i, scan, _ in read_clouds(bag, index, first, count, decoding):
+    for i, scan, _ in read_clouds(bag, index, first, count, decoding, digests):
         yield i, scan
 
 
@@ -253,9 +373,14 @@ def sample_messages(bag: Bag, index: CloudIndex, count: int) -> list[Message]:
     return [message for message in found if not isinstance(message, CloudError)]
 
 
+def _right_beside(index: CloudIndex, i: int) -> int:
+    """The last cloud before this one whose stamp is right, or the first after it; there always is one."""
+    right = np.flatnonzero(index.usable)
+    return int(right[max(int(np.searchsorted(right, i)) - 1, 0)])
+
+
 def _stamp_reason(index: CloudIndex, i: int) -> str:
-    used = index.stamp_ns[:i][index.usable[:i]]
-    step_ns = int(index.stamp_ns[i]) - int(used[-1]) if len(used) else 0
+    step_ns = int(index.stamp_ns[i]) - int(index.stamp_ns[_right_beside(index, i)])
     if step_ns == 0:
         return "stamp repeats that of the cloud before"
     return f"stamp jumps {'back' if step_ns < 0 else 'ahead'} by {abs(step_ns) / 1e9:.3f} s"

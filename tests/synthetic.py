@@ -8,7 +8,7 @@ from algorithms.doors import DoorsSettings
 from algorithms.labelling import LabellingSettings, MethodSettings
 from algorithms.levelling import LevelledScan, place_and_level
 from algorithms.rearrangement import RearrangementSettings
-from algorithms.scan import FloatArray, Scan
+from algorithms.scan import FloatArray, Scan, ScanSettings
 from algorithms.smoothing import SmoothingSettings, smooth_ranges
 from algorithms.trajectory import Trajectory
 from algorithms.vertical_structures import VerticalStructuresSettings
@@ -26,6 +26,7 @@ T_BASE_SENSOR = transforms.make_transform(Rotation.from_euler("y", 90, degrees=T
 
 def settings() -> MethodSettings:
     return MethodSettings(
+        ScanSettings(),
         SmoothingSettings(),
         RearrangementSettings(),
         VerticalStructuresSettings(),

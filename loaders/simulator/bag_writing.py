@@ -1,6 +1,7 @@
 """ROS 1 bags and ROS 2 folders through rosbags: the messages of a simulated drive, written under a name of their own
 until they are complete."""
 
+import os
 import shutil
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -44,7 +45,7 @@ _LATCHED = (
 class BagWriter:
     """Messages of a drive into one of the containers, in the order in which they are given.
 
-    Written as NAME.part; `close` gives it its name, leaving by an exception removes it.
+    Written under another name; `close` gives it its own, leaving by an exception removes it.
     Raises InputError where the place is taken or cannot be written.
     """
 
@@ -52,12 +53,14 @@ class BagWriter:
         if out.exists():
             raise InputError(f"{out}: exists already; remove it or choose another name")
         self._out = out
-        self._part = out.with_name(out.name + ".part")
+        # A name that nobody else has a file of: what is there is removed.
+        self._part = out.with_name(f"{out.name}.{os.getpid()}.part")
         self._stack = ExitStack()
         self._connections: dict[str, Any] = {}
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
-            self._clear()
+            if self._part.exists():
+                raise InputError(f"{self._part}: is in the way; remove it or choose another name")
             self._open(container)
         except OSError as error:
             raise InputError(f"{out}: cannot be written ({error.strerror}); choose another folder") from error

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely
 
 from algorithms.area_graph import AreaGraphSettings, Segmented
 from algorithms.before_walls import BeforeWallsSettings
@@ -104,6 +105,12 @@ def test_two_rooms_have_their_walls_their_door_and_their_rooms(closed: bool) -> 
     assert len(building.rooms) == 2
     assert set(building.compared_rooms) == set(Segmented) - {Segmented.FURNITURE_FREE}
     assert set(building.rivals) == set(Rival)
+    for rival in building.rivals.values():
+        assert rival.cells.shape == building.grid.cells.shape
+        np.testing.assert_array_equal(rival.origin, building.grid.origin)
+    corners = np.concatenate([shapely.get_coordinates(room.polygon) for room in building.rooms.rooms])
+    faces = shapely.union_all(shapely.linestrings(rooms.walls.ends))
+    np.testing.assert_allclose(shapely.distance(shapely.points(corners), faces), 0.0, atol=0.02)
     assert len(building.thickness_m) == len(building.walls)
 
 

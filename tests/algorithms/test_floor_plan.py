@@ -10,6 +10,7 @@ from algorithms.building import Doors
 from algorithms.doors import DoorState
 from algorithms.floor_plan import FloorPlan, FloorPlanSettings, draw_floor_plan
 from algorithms.grid_map import Drive, GridMapSettings, draw_furniture_free, standing_stretches
+from algorithms.segments import main_direction_deg
 from algorithms.wall_thickness import WallThicknessSettings, door_depths, face_thickness, part_walls, usual_thickness
 from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms
 
@@ -95,6 +96,27 @@ def test_walls_are_areas_with_the_doorway_cut_out(turn_deg: float) -> None:
     assert shapely.union_all(plan.assumed).contains(corner)
 
 
+@pytest.mark.parametrize("turn_deg", [0.0, 37.0, -30.0, 44.0, 50.0, 160.0])
+def test_the_plan_knows_how_it_lies_in_the_map(turn_deg: float) -> None:
+    assert plan_of(TwoRooms(turn_deg=turn_deg)).direction_deg == pytest.approx((turn_deg + 45) % 90 - 45, abs=1e-6)
+
+
+def test_the_main_direction_is_that_of_most_walls_not_the_mean() -> None:
+    rng = np.random.default_rng(1)
+
+    def lines(count: int, length_m: float, angle_deg: float) -> np.ndarray:
+        starts = rng.uniform(-20, 20, (count, 2))
+        spread_deg = rng.normal(angle_deg + 90 * rng.integers(0, 4, count), 0.2)
+        along = np.stack([np.cos(np.radians(spread_deg)), np.sin(np.radians(spread_deg))], axis=1)
+        return np.stack([starts, starts + length_m * along], axis=1)
+
+    wing, main = lines(30, 2.0, 71.0), lines(12, 8.0, 46.0)
+    assert main_direction_deg(np.concatenate([wing, main])) == pytest.approx(-44.0, abs=0.2)
+    assert main_direction_deg(lines(20, 3.0, 89.99)) == pytest.approx(0.0, abs=0.2)
+    assert main_direction_deg(np.zeros((0, 2, 2))) == 0.0
+    assert main_direction_deg(np.zeros((3, 2, 2))) == 0.0
+
+
 @pytest.mark.parametrize("angle_deg", [35.0, 90.0, 130.0])
 @pytest.mark.parametrize("turn_deg", [0.0, 50.0])
 def test_the_swing_of_an_open_leaf_is_found(angle_deg: float, turn_deg: float) -> None:
@@ -115,22 +137,25 @@ def test_no_leaf_is_made_up() -> None:
     np.testing.assert_allclose(closed.closed[:, 1], SIZE_M[1] + 0.04)
 
 
-def test_a_free_standing_column_is_its_own_outline() -> None:
-    rooms = TwoRooms(both_seen=False)
+@pytest.mark.parametrize("seen", [4, 2])
+@pytest.mark.parametrize("turn_deg", [0.0, 25.0])
+def test_a_free_standing_column_is_its_own_outline(seen: int, turn_deg: float) -> None:
+    """Also where two of its sides were seen alone."""
     corners = np.array([[2.6, 1.4], [3.0, 1.4], [3.0, 1.8], [2.6, 1.8], [2.6, 1.4]])
     sides = [(corners[i : i + 2], (0.0, 2.6)) for i in range(4)]
     normals = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]], float)
-    rooms = TwoRooms(both_seen=False, more=tuple(sides))
 
     class WithColumn(TwoRooms):
         @property
         def faces(self):
-            own = [(corners[i : i + 2], normals[i]) for i in range(4)]
+            own = [(corners[i : i + 2], normals[i]) for i in range(seen)]
             return [*super().faces, *own]
 
-    plan = plan_of(WithColumn(both_seen=False, more=rooms.more))
+    rooms = WithColumn(both_seen=False, more=tuple(sides), turn_deg=turn_deg)
+    plan = plan_of(rooms)
     assert len(plan.columns) == 1
-    assert plan.columns[0].symmetric_difference(shapely.Polygon(corners)).area < 0.01
+    true = shapely.Polygon(rooms.to_map(corners))
+    assert plan.columns[0].symmetric_difference(true).area < 0.01
     assert shapely.union_all([*plan.walls, *plan.assumed]).intersection(plan.columns[0]).area < 1e-6
 
 

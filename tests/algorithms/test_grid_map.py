@@ -332,3 +332,19 @@ def test_given_cells_are_occupied_and_the_rest_is_freed_by_the_same_rays() -> No
     assert (at(grid, rooms, np.array([[2.0, 0.7], [0.5, 2.5]])) == Cell.FREE).all()
     # What the cell hides from the rays stays unknown only where none comes another way; beyond the walls all is.
     assert (at(grid, rooms, np.array([[-0.2, 1.0]])) == Cell.UNKNOWN).all()
+
+
+@pytest.mark.parametrize("shift", [(0, 0), (3, 1), (-2, 2), (-30, 0), (0, 40)])
+def test_a_map_is_cropped_to_the_area_of_another(shift: tuple[int, int]) -> None:
+    rng = np.random.default_rng(0)
+    kinds = np.array([Cell.OCCUPIED, Cell.UNKNOWN, Cell.FREE], np.uint8)
+    frame = GridMap(rng.choice(kinds, (7, 9)), np.array([1.35, -2.1]), 0.05)
+    own = GridMap(rng.choice(kinds, (8, 6)), frame.origin + 0.05 * np.array(shift), 0.05)
+    cropped = own.cropped_to(frame)
+    assert cropped.cells.shape == frame.cells.shape
+    np.testing.assert_array_equal(cropped.origin, frame.origin)
+    high = frame.origin + 0.05 * np.array([9, 7])
+    for kind in (Cell.OCCUPIED, Cell.FREE):
+        places = own.centres(kind)
+        inside = ((places > frame.origin) & (places < high)).all(axis=1)
+        np.testing.assert_allclose(cropped.centres(kind), places[inside])

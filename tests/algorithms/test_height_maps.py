@@ -6,6 +6,7 @@ import pytest
 from algorithms.face_columns import Storey
 from algorithms.height_maps import (
     HeightMap,
+    _median_around,
     map_ceilings,
     map_ducts,
     map_false_floors,
@@ -338,3 +339,29 @@ def test_floor_goes_on_level_where_no_scan_told(
     inner = beyond[(beyond[:, 0] > x[0] + 0.4) & (beyond[:, 0] < x[1] - 0.4)]
     told = found.label_of(inner, np.zeros(len(inner), np.uint8))
     assert np.mean(told == expected) > 0.9
+
+
+def test_single_returns_far_away_stretch_no_grid() -> None:
+    room = [(lying((0, 8), (0, 6), 0.0), Label.FLOOR), (lying((0, 8), (0, 6), 2.6), Label.CEILING)]
+    platform = [(lying((2, 6), (2, 5), 0.2), Label.CLUTTER)]
+    far = np.array([[95.0, 3.0, 0.4], [-95.0, 3.0, 20.0], [3.0, 95.0, 0.1], [3.0, -95.0, 90.0]])
+    strays = [(far, Label.CLUTTER), (far + np.array([0, 0, 1.0]), Label.FLOOR), (far + np.array([0, 0, 2.0]), Label.CEILING)]
+    alone, among_strays = votes_of(*room, *platform), votes_of(*room, *platform, *strays)
+    points = np.concatenate([lying((-1, 9), (-1, 7), z) for z in (0.01, 0.21, 2.61)])
+    clutter = np.full(len(points), Label.CLUTTER, np.uint8)
+    for level, expected in zip(map_levels(among_strays), map_levels(alone), strict=True):
+        assert level.surface is expected.surface
+        assert level.low_m.size < 1.2 * expected.low_m.size + 500
+        differ = np.mean(level.label_of(points, clutter) != expected.label_of(points, clutter))
+        assert differ < 0.02
+
+
+def test_the_median_of_a_neighbourhood_knows_what_any_of_the_nine_does() -> None:
+    generator = np.random.default_rng(0)
+    height_m = np.where(generator.random((30, 20)) < 0.2, generator.random((30, 20)), np.nan)
+    padded = np.pad(height_m, 1, constant_values=np.nan)
+    found = _median_around(height_m)
+    for row, column in np.ndindex(height_m.shape):
+        nine = padded[row : row + 3, column : column + 3]
+        expected = np.nan if np.isnan(nine).all() else np.nanmedian(nine)
+        np.testing.assert_array_equal(found[row, column], expected)

@@ -12,6 +12,7 @@ from algorithms.gaussian_map import Aligned, GaussianCloud, GaussianMap
 from algorithms.odometry import OdometrySettings, Registration, register_scans, weakness
 from algorithms.refinement import RefinementSettings, Refiner
 from algorithms.scan import FloatArray, Scan
+from tests import synthetic
 
 PERIOD_NS = 100_000_000
 LOW_M, HIGH_M = np.array([-5.0, -3.0, 0.0]), np.array([7.0, 3.5, 2.8])
@@ -323,3 +324,17 @@ def test_from_scan_to_scan_the_first_guess_is_where_the_motion_leads_however_wil
     off = transforms.invert(found[-1].T_odom_sensor) @ guesses[0]
     assert np.linalg.norm(off[:3, 3]) < 0.03
     assert len(guesses) == 1
+
+
+def test_scans_that_hold_no_pose_are_left_out_and_the_others_registered() -> None:
+    """KISS-ICP ends the whole program where returns determine no motion."""
+    scans = [synthetic.scan(i, 360) for i in range(6)]
+    few = replace(scans[2], points_sensor=scans[2].points_sensor[:1], ring=scans[2].ring[:1], time_ns=None)
+    at_one_place = replace(scans[3], points_sensor=np.full_like(scans[3].points_sensor, 1.0))
+    in_a_line = replace(scans[4], points_sensor=scans[4].points_sensor * np.array([1, 0, 0], np.float32))
+    given = [scans[0], scans[1], few, at_one_place, in_a_line, scans[5]]
+    found = list(
+        register_scans(((i, scan, None) for i, scan in enumerate(given)), OdometrySettings(), RefinementSettings())
+    )
+    assert [registration.index for registration in found] == [0, 1, 5]
+    assert np.isfinite(found[-1].T_odom_sensor).all()

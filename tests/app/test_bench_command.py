@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from app import bench_command
-from app.odometry_stage import CACHE_VARIABLE, cache_folder
+from app.odometry_cache import CACHE_VARIABLE, cache_folder
 
 
 @pytest.mark.parametrize("named", [True, False])

@@ -1,6 +1,8 @@
 """Runs asked of Rerun's catalogue: what is found, in which order, and what is told of runs that cannot be."""
 
 import json
+import os
+import re
 import shutil
 import signal
 import subprocess
@@ -11,9 +13,11 @@ from typing import Any
 
 import pytest
 import rerun as rr
+from rerun.catalog import DatasetEntry
 
 from app import catalogue, runs_command
 from app.catalogue import Query, ask, find_runs
+from app.catalogue_server import CatalogueServer
 from app.recorder import Recorder
 from blueprints import entities
 from loaders.errors import InputError
@@ -74,11 +78,11 @@ def test_every_run_is_found_once_with_all_it_carries(folder: Path) -> None:
     for name, f1 in F1.items():
         assert rows[name]["wall_f1"] == f1
         assert rows[name]["doors"] == 4
-    assert rows["b"]["wall_planes_similarity_m"] == 0.03
+    assert rows["b"]["wall_planes.similarity_m"] == 0.03
     assert rows["a"]["seconds"] == 10.0
     assert rows["unknown"]["wall_f1"] is None
     assert rows["b"]["run"] == str(folder / "sweep" / "b")
-    assert answer.differing == ["wall_planes_similarity_m"]
+    assert answer.differing == ["wall_planes.similarity_m"]
 
 
 @pytest.mark.parametrize(
@@ -109,7 +113,7 @@ def test_better_runs_come_first(folder: Path) -> None:
     ("query", "words"),
     [
         ({"where": "wall_ff > 1"}, ["wall_ff", "'wall_f1'", "seconds"]),
-        ({"where": "wall_planes.similarty_m > 1"}, ["wall_planes_similarity_m"]),
+        ({"where": "wall_planes.similarty_m > 1"}, ["'wall_planes.similarity_m'"]),
         ({"where": "wall_f1 >"}, ["wall_f1 >", "SQL"]),
         ({"where": "seconds = 'x"}, ["has no answer"]),
         ({"where": "1/0 = 1"}, ["1/0 = 1", "Divide by zero"]),
@@ -170,7 +174,7 @@ def test_runs_without_a_recording_are_listed(folder: Path, tmp_path: Path) -> No
         assert not served.left_out
         rows = {row["run"]: row for row in ask(served.dataset, Query(where="wall_f1 < 0.5")).table.to_pylist()}
     assert list(rows) == [str(bare)]
-    expected = {"outcome": "complete", "doors": 3, "seconds": 5.0, "wall_planes_similarity_m": 0.07, "wall_f1": 0.42}
+    expected = {"outcome": "complete", "doors": 3, "seconds": 5.0, "wall_planes.similarity_m": 0.07, "wall_f1": 0.42}
     assert {name: rows[str(bare)][name] for name in expected} == expected
 
 
@@ -231,6 +235,43 @@ def test_columns_are_chosen(folder: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "door_f1\n" in capsys.readouterr().out
     with pytest.raises(InputError, match="'doors'"):
         runs_command.runs(str(folder), Query(), "dors", None)
+
+
+@pytest.mark.parametrize("width", [80, 120, 200])
+def test_the_table_fits_the_terminal(
+    width: int, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for i, name in enumerate(("drive-20261123-024400-1a2b3c4d", "drive-20261123-031500-5e6f7a8b")):
+        run = make_run(tmp_path / name, 0.9, 0.02, 3.0)
+        settings = {
+            "doors": {"lines_min": i, "recess_min_m": 0.02 + i, "width_min_m": 0.6 + i},
+            "vertical_structures": {"slope_max": 0.1 + i, "points_min": 10 + i},
+            "wall_planes": {"similarity_m": 0.04 + i},
+            "seed": i,
+        }
+        properties = {"settings": settings, "result": {"timings_s": {"total": 5.0 + i}, "counts": {"doors": 3}}}
+        write(run / "recording.rrd", f"id of {name}", properties)
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    runs_command.runs(str(tmp_path), Query(), None, None)
+    said = re.sub(r"\x1b\[\d*m", "", capsys.readouterr().out).splitlines()
+    headings = [line.strip("┃").split("┃") for line in said if line.startswith("┃")]
+    rows = [line for line in said if line.startswith("│")]
+    assert max(map(len, [*rows, *(line for line in said if line[0] in "┏┡└")])) <= width
+    assert "1a2b3c4d" in "".join(rows)
+    assert "…" not in "".join(said)
+    # Each setting that differs has a column, or is named among those for which there was no room.
+    columns = ["".join(lines).replace(" ", "") for lines in zip(*headings, strict=True)]
+    assert {"run", "seconds"} <= set(columns)
+    for setting in ("doors.lines_min", "vertical_structures.points_min", "wall_planes.similarity_m", "seed"):
+        assert setting in columns or setting in said[-1]
+
+
+def test_a_piped_table_is_whole(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    runs_command.runs(str(folder), Query(), None, None)
+    heading = next(line for line in capsys.readouterr().out.splitlines() if "run" in line)
+    assert {"wall_planes.similarity_m", "wall_f1", "doors_invented"} <= {name.strip() for name in heading.split("┃")}
 
 
 def test_a_server_answers_the_same_takes_new_runs_and_ends_cleanly(
@@ -301,3 +342,25 @@ def test_a_damaged_recording_that_rerun_takes_does_not_cost_the_list_of_the_othe
     told = capsys.readouterr()
     assert "2 runs in" in told.out
     assert f"{tmp_path / 'b'}: recording.rrd is damaged" in told.err
+
+
+def test_a_recording_that_ends_the_server_costs_none_of_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = [make_run(tmp_path / name, 0.9, 0.02, 5.0) for name in ("a", "b", "c", "d")]
+    servers: list[CatalogueServer] = []
+    monkeypatch.setattr(catalogue, "CatalogueServer", lambda: servers.append(CatalogueServer()) or servers[0])
+    register = DatasetEntry.register
+
+    def end_at_c(self: DatasetEntry, files: list[str], **options: Any) -> Any:
+        if any("/c/" in file for file in files):
+            os.kill(servers[0]._process.pid, signal.SIGABRT)
+        return register(self, files, **options)
+
+    monkeypatch.setattr(DatasetEntry, "register", end_at_c)
+    with catalogue.serve(runs[:2]) as served:
+        url = served.url
+        served.add(runs[2:])
+        assert served.url == url
+        assert [folder.name for folder in served.taken.values()] == ["a", "b", "d"]
+        assert list(served.left_out) == [runs[2]]
+        answer = ask(served.dataset, Query())
+        assert sorted(answer.table.column("wall_f1").to_pylist()) == [0.9] * 3

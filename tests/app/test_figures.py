@@ -7,6 +7,7 @@ import pytest
 
 from app import figures
 from app.figures import column_name, figures_of, less_is_better, pareto_front, short_names
+from app.settings import Settings
 from loaders.errors import InputError
 
 
@@ -50,7 +51,13 @@ def test_json_and_properties_have_the_same_names() -> None:
     assert column_name("metrics", "area_wall_f1") == "wall_f1"
     assert column_name("metrics", "area_scan_wall_f1") == "scan_wall_f1"
     assert column_name("result", "timings_s_total") == "seconds"
-    assert column_name("settings", "wall_planes_similarity_m") == "wall_planes_similarity_m"
+    assert column_name("settings", "wall_planes_similarity_m") == "wall_planes.similarity_m"
+    assert column_name("settings", "seed") == "seed"
+
+
+def test_every_setting_is_named_as_it_is_typed() -> None:
+    for name in Settings().flat():
+        assert column_name("settings", name.replace(".", "_")) == name
 
 
 def test_errors_and_times_are_better_when_less() -> None:

@@ -2,12 +2,14 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pyarrow as pa
@@ -23,10 +25,11 @@ from app import compare_command, inspect_command
 from app.finished_run import open_run
 from app.recorded import readable, rows
 from app.recording import whole_messages
-from app.run_folder import LABELS
+from app.run_folder import LABELS, held, is_held
 from app.run_labels import LabelSource, pair
+from blueprints import compare as compare_blueprint
 from blueprints import entities
-from blueprints.entities import LineOutcome
+from blueprints.entities import Fault, LineOutcome
 from loaders.errors import InputError
 from loaders.simulator import SimulationSettings, simulate
 
@@ -73,6 +76,7 @@ def compared(runs: dict[str, Path], environment: dict[str, str], tmp_path_factor
     assert done.returncode == 0, done.stderr
     for word in (*(setting.partition("=")[0] for setting in SETTINGS), "labels changed", "area.wall.f1"):
         assert word in done.stdout
+    (out / "stdout.txt").write_text(done.stdout)
     return out
 
 
@@ -143,6 +147,50 @@ def test_exactly_the_labels_that_differ_are_found(compared: Path, runs: dict[str
     assert sum(found["transitions"].values()) == changed
 
 
+def test_what_became_of_labels_stands_below_the_labels_that_it_tells_of(compared: Path) -> None:
+    found = report(compared)["comparisons"][0]["labels"]
+    document = "".join(
+        chunk.to_record_batch().column("TextDocument:text")[0].as_py()[0]
+        for chunk in RrdReader(compared / "comparison.rrd").stream().filter(content=[entities.CHANGES_TEXT.format("B")])
+    )
+    for text, separator in (((compared / "stdout.txt").read_text(), "│"), (document, "|")):
+        rows = [[cell.strip() for cell in line.split(separator)[1:-1]] for line in text.splitlines()]
+        named = [row[0] for row in rows if len(row) == 2]
+        first, scans = named.index("labels changed"), named.index("labels of single scans changed")
+        parts = [name for name in named if re.match(r"↳ [a-z ]+ → [a-z]", name)]
+        assert named[first + 1 : scans] == [*parts, f"↳ most of all in scan {worst_of(found)}"]
+        assert parts == [f"↳ {name}" for name in list(found["transitions"])[: len(parts)]]
+        assert len(parts) >= 3
+        assert not named[scans + 1].startswith("↳")
+
+
+def worst_of(labels: dict[str, Any]) -> int:
+    """The scan with most changed labels."""
+    return int(max(labels["scans"], key=lambda scan: scan["changed"])["scan"])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="folders cannot be locked there")
+def test_a_run_that_was_killed_is_told_from_one_that_goes_on(runs: dict[str, Path], tmp_path: Path) -> None:
+    killed = tmp_path / "killed"
+    killed.mkdir()
+    record = json.loads((runs["other"] / "run.json").read_text())
+    (killed / "run.json").write_text(json.dumps(record | {"outcome": "running"}))
+    with held(killed):
+        assert open_run(killed).outcome == "running"
+        found = compare(tmp_path / "out", runs["usual"], killed)
+    assert "B, killed: is still running; what it has is compared" in found["warnings"]
+    assert open_run(killed).outcome == "killed"
+    found = compare(tmp_path / "out", runs["usual"], killed)
+    assert f"B, killed: was killed, 'ffmap run --resume {killed}' goes on with it; what it has is compared" in found["warnings"]
+    assert [run["outcome"] for run in found["runs"]] == ["complete", "killed"]
+    # Asking does not take the folder.
+    with held(killed):
+        assert is_held(killed)
+        assert is_held(killed)
+    assert not is_held(killed)
+    assert not is_held(tmp_path / "none")
+
+
 def test_changed_points_lie_where_the_runs_saw_them(compared: Path, runs: dict[str, Path]) -> None:
     changed = recorded(compared, entities.CHANGED_POINTS.format("B"))
     source = LabelSource(open_run(runs["usual"]), None)
@@ -207,11 +255,15 @@ def test_the_recording_holds_both_runs_below_their_letters(compared: Path, runs:
 
 
 def test_a_run_against_its_copy_differs_nowhere(
-    compared: Path, runs: dict[str, Path], environment: dict[str, str], tmp_path: Path
+    compared: Path, runs: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     copied = tmp_path / "copied"
     shutil.copytree(runs["usual"], copied)
+    layout = Mock(wraps=compare_blueprint.build)
+    monkeypatch.setattr(compare_blueprint, "build", layout)
     found = compare(tmp_path / "out", runs["usual"], copied, runs["other"])
+    # It opens on what changed most: the third run, not the copy, and there its worst scan.
+    assert layout.call_args.args[3:] == (worst_of(found["comparisons"][1]["labels"]), "C", (0, SCANS - 1))
     assert found["runs"][0]["recording_id"] == found["runs"][1]["recording_id"]
     assert found["settings"].keys() == {setting.partition("=")[0] for setting in SETTINGS}
     same = found["comparisons"][0]
@@ -363,7 +415,7 @@ def test_a_scan_is_labelled_again_bit_for_bit(
     out = tmp_path / "scan.rrd"
     done = ffmap(environment, "inspect", runs["other"], "--scan", "worst", "--line", "3", "--out", out)
     assert done.returncode == 0, done.stderr
-    assert "labelled wrongly, by the truth" in done.stdout
+    assert "have a wrong final label (label), by the truth" in done.stdout
     assert "equal label_scan in labelled.bag" in done.stdout
     for number in (0, 17, SCANS - 1):
         found = inspect_command.label_again(open_run(runs["other"]), number)
@@ -406,6 +458,57 @@ def test_the_worst_scan_is_that_with_most_errors_or_most_changed_labels(
     worst, why = inspect_command.find_worst(open_run(without_truth))
     assert worst == int(np.argmax(relabelled))
     assert "not those of the scan alone" in why
+
+
+def test_the_worst_scan_opens_at_its_worst_line_and_says_which_label_is_wrong(
+    runs: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = runs["other"]
+    scan, _ = inspect_command.find_worst(open_run(run))
+    red, green, blue = entities.VERDICTS[0][1]
+    right = np.uint32(red << 24 | green << 16 | blue << 8 | 255)
+    verdicts = {row.scan: row.values for row in rows(run / "evaluation.rrd", entities.POINTS)}
+    wrong = verdicts[scan][entities.POINT_VERDICT_COLOR] != right
+    label, label_scan = (own[own != NO_RETURN] for own in labels_of(run)[sorted(labels_of(run))[scan]])
+    written = Mock(wraps=inspect_command.write)
+    monkeypatch.setattr(inspect_command, "write", written)
+    inspect_command.inspect(run, "worst", None, None, tmp_path / "worst.rrd", spawn=False)
+    lines, faults, opened = (written.call_args.args[k] for k in (4, 6, 8))
+    assert faults.by_truth
+    np.testing.assert_array_equal(faults.fault > 0, wrong)
+    np.testing.assert_array_equal(faults.fault == Fault.OF_THE_SCAN, wrong & (label == label_scan))
+    np.testing.assert_array_equal(faults.fault == Fault.OF_THE_BUILDING, wrong & (label != label_scan))
+    line_of = np.empty(len(wrong), int)
+    for line in range(len(lines.lines)):
+        line_of[lines.lines.order[lines.lines.starts[line] : lines.lines.starts[line + 1]]] = line
+    counts = np.bincount(line_of[wrong], minlength=len(lines.lines))
+    assert opened == int(np.argmax(counts))
+    out = capsys.readouterr().out
+    assert f"the final label (label) of {np.count_nonzero(wrong):,} of {len(wrong):,} returns is wrong" in out
+    assert f"{np.count_nonzero(wrong & (label == label_scan)):,} that have it from the scan itself (label_scan)" in out
+    assert f"Most are in line {opened} " in out
+    assert f"{counts.max():,}." in out
+
+    # Without truth, what the building changed; a line that is asked for comes before the worst.
+    without_truth = tmp_path / "run"
+    without_truth.mkdir()
+    for name in ("run.json", "labelled.bag", "trajectory.tum"):
+        shutil.copy(run / name, without_truth)
+    inspect_command.inspect(without_truth, str(scan), 3, None, tmp_path / "numbered.rrd", spawn=False)
+    faults, opened = (written.call_args.args[k] for k in (6, 8))
+    assert not faults.by_truth
+    np.testing.assert_array_equal(faults.fault == Fault.RELABELLED, label != label_scan)
+    assert opened == 3
+    assert "is not that of the scan itself (label_scan)" in capsys.readouterr().out
+
+    # A run without final labels says that nothing is marked.
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    shutil.copy(run / "run.json", bare)
+    inspect_command.inspect(bare, str(scan), None, None, tmp_path / "bare.rrd", spawn=False)
+    assert written.call_args.args[6] is None
+    assert written.call_args.args[8] is None
+    assert "holds no final labels (label) of this scan" in capsys.readouterr().out
 
 
 def test_reasons_are_recorded_beside_candidates_and_door_lines(runs: dict[str, Path]) -> None:
@@ -464,8 +567,9 @@ def test_what_cannot_be_inspected_is_one_line(
     ):
         with pytest.raises(InputError, match=wanted):
             inspect_command.inspect(path, scan, line, None, out, spawn=False)
-    with pytest.raises(InputError, match="the run's own recording"):
-        inspect_command.inspect(runs["usual"], "3", None, None, runs["usual"] / "recording.rrd", spawn=False)
+    for taken in (runs["usual"] / "recording.rrd", runs["other"] / "recording.rrd", runs["other"] / "reference.rrd"):
+        with pytest.raises(InputError, match="belongs to the run"):
+            inspect_command.inspect(runs["usual"], "3", None, None, taken, spawn=False)
     assert not out.exists()
     inspect_command.inspect(moved, "3", None, bag, out, spawn=False)
     assert whole_messages(out).has_footer

@@ -10,9 +10,11 @@ from rerun.chunk import RrdReader
 
 from algorithms.labelling import ScanLabelling, label_scan
 from algorithms.levelling import LevelledScan
+from app.inspect_faults import ScanFaults
 from app.inspect_recorder import write
 from app.reasons import explain_lines
 from blueprints import entities
+from blueprints.entities import Fault
 from tests import synthetic
 
 
@@ -37,7 +39,7 @@ def by_line(path: Path, entity: str, component: str) -> dict[int, Any]:
 def test_each_line_has_its_place_on_the_timeline(settings: dict[str, float], tmp_path: Path) -> None:
     level, labelling = scan_of(settings)
     path = tmp_path / "inspect.rrd"
-    write(path, tmp_path, "inspect-1", level, labelling, explain_lines(labelling), "# Scan", line=5)
+    write(path, tmp_path, "inspect-1", level, labelling, explain_lines(labelling), None, "# Scan", line=5)
     lines = set(range(2 * synthetic.RINGS))
     strips = "LineStrips3D:strips"
     upmost = by_line(path, f"{entities.LINE_STRUCTURES}/upmost", strips)
@@ -70,3 +72,42 @@ def test_each_line_has_its_place_on_the_timeline(settings: dict[str, float], tmp
     door = by_line(path, entities.LINE_DOOR, strips)
     behind = labelling.door_lines.line[labelling.door_lines.behind]
     assert {line for line, drawn in door.items() if drawn} == set(behind.tolist())
+
+
+def test_what_is_labelled_wrongly_is_marked_in_the_scan_and_in_each_line(tmp_path: Path) -> None:
+    level, labelling = scan_of({})
+    returns = len(labelling.label)
+    fault = np.random.default_rng(2).choice(3, returns, p=(0.9, 0.06, 0.04)).astype(np.uint8)
+    lines = labelling.lines
+    quiet = lines.order[lines.starts[4] : lines.starts[5]]
+    fault[quiet] = Fault.NONE
+    path = tmp_path / "inspect.rrd"
+    faults = ScanFaults(fault, by_truth=True)
+    write(path, tmp_path, "inspect-2", level, labelling, explain_lines(labelling), faults, "# Scan", line=5)
+    (batch,) = (
+        batch
+        for chunk in RrdReader(path).stream().filter(content=entities.FAULTS)
+        if "Points3D:positions" in (batch := chunk.to_record_batch()).schema.names
+    )
+    drawn = np.array(batch.column("Points3D:positions")[0].as_py())
+    np.testing.assert_array_equal(batch.column("Points3D:class_ids")[0].as_py(), fault[fault > 0])
+    # Just before their returns, on the same rays.
+    returned = level.placed.points_level[fault > 0] - level.placed.origin_level
+    away = drawn - level.placed.origin_level
+    np.testing.assert_allclose(np.linalg.norm(returned, axis=1) - np.linalg.norm(away, axis=1), 0.1, atol=1e-4)
+    np.testing.assert_allclose(np.linalg.norm(np.cross(returned, away), axis=1), 0.0, atol=1e-3)
+    profiles = by_line(path, entities.PROFILE_FAULTS, "Points2D:class_ids")
+    told = by_line(path, entities.WHY_LINE, "TextDocument:text")
+    counts = faults.counts(lines)
+    assert counts.sum() == np.count_nonzero(fault)
+    for line in range(len(lines)):
+        own = fault[lines.order[lines.starts[line] : lines.starts[line + 1]]]
+        assert list(profiles[line]) == own[own > 0].tolist()
+        assert counts[line] == len(profiles[line])
+        for kind in (Fault.OF_THE_SCAN, Fault.OF_THE_BUILDING):
+            words = f"{np.count_nonzero(own == kind)} {entities.FAULT_CLASSES[kind][0]}"
+            assert (words in told[line][0]) == bool((own == kind).any())
+    assert counts[4] == 0
+    assert "Final labels" not in told[4][0]
+    assert faults.worst_line(lines) == int(np.argmax(counts))
+    assert ScanFaults(np.zeros(returns, np.uint8), by_truth=True).worst_line(lines) is None

@@ -8,11 +8,16 @@ import pytest
 import yaml
 from PIL import Image
 
+from algorithms.evaluation import WallMapFigures
 from algorithms.grid_map import Cell, GridMap
-from app import cli
-from app.map_figures import TITLES, ComparedMap, map_metrics, maps_table, write_overlays
+from algorithms.map_comparison import Agreement
+from algorithms.segments import turned
+from app import cli, map_figures
+from app.files import write_geojson
+from app.map_figures import TITLES, ComparedMap, map_metrics, maps_table, walls_direction_deg, write_overlays
 from app.results import write_grid
-from app.run_folder import REFERENCE_JSON, REFERENCE_OVERLAY, map_file
+from app.run_folder import REFERENCE_JSON, REFERENCE_OVERLAY, WALLS, map_file
+from loaders.errors import InputError
 from tests.algorithms.test_map_comparison import OTHER, PLAN, moved, raster
 
 
@@ -50,7 +55,7 @@ def test_every_map_is_aligned_and_compared(folder, monkeypatch, capsys):
     assert own["error_m"] < 0.03
     assert all(own["precision"] > rival["precision"] for name, rival in found["maps"].items() if name != "furniture_free")
     with Image.open(folder / "run" / REFERENCE_OVERLAY) as picture:
-        assert picture.width > 5 * 180
+        assert picture.width > 2 * 1200
     assert not list((folder / "run").glob("*.part"))
 
 
@@ -105,8 +110,6 @@ def test_an_image_of_a_picture_program_is_read(folder, tmp_path, monkeypatch):
 
 
 def test_doors_and_cabinets_are_in_the_table(tmp_path):
-    from algorithms.evaluation import WallMapFigures
-
     grid = GridMap(np.full((10, 10), Cell.FREE, np.uint8), np.zeros(2), 0.05)
     occupied = np.array([[0.1, 0.1], [0.2, 0.1], [0.3, 0.1], [0.4, 0.4]])
     figures = WallMapFigures(occupied, np.array([0.0, 0.02, 0.04, 0.3]), occupied[:2], np.array([True, False]))
@@ -117,7 +120,77 @@ def test_doors_and_cabinets_are_in_the_table(tmp_path):
     assert (own["false_cells_of_cabinets"], own["precision_without_cabinets"]) == (1, 1.0)
     columns = [list(column.cells) for column in maps_table({"furniture_free": own}, "maps").columns]
     assert ["1 of 3"] in columns
-    write_overlays(tmp_path / "overlay.png", compared, "truth")
+    write_overlays(tmp_path / "overlay.png", compared, "truth", 0.0)
     with Image.open(tmp_path / "overlay.png") as picture:
         colours = {colour for _, colour in picture.convert("RGB").getcolors(1 << 20) or []}
-    assert {(20, 140, 60), (240, 50, 50), (255, 150, 0)} <= colours
+    assert {(20, 140, 60), (240, 50, 50)} <= colours
+    assert (255, 150, 0) not in colours  # neither on a map nor in the legend
+
+
+GREEN, RED, ORANGE, FRAME, BLACK = (20, 140, 60), (240, 50, 50), (255, 150, 0), (90, 90, 90), (0, 0, 0)
+
+
+def runs(along: np.ndarray, least: int) -> list[tuple[int, int]]:
+    """From where to where, at least so many, values are true."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], along, [False]]).astype(int)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2) if b - a >= least]
+
+
+@pytest.mark.parametrize("direction_deg", [0.0, 30.0, -44.0])
+def test_the_overlay_shows_all_maps_alike_and_square_to_the_walls(tmp_path, direction_deg):
+    wall = np.stack([np.linspace(-3.0, 3.0, 400), np.full(400, 1.0)], axis=1)
+    floor = np.stack([axis.ravel() for axis in np.meshgrid(np.arange(-3, 3, 0.02), np.arange(-1, 1, 0.02))], axis=1)
+    wall, floor = turned(wall, direction_deg), turned(floor, direction_deg)
+    compared = {}
+    for k, name in enumerate(list(TITLES)[:3]):
+        origin = np.array([-6.0, -5.0]) - 0.05 * np.array([0, 40 * k])
+        cells = np.full((200 + 60 * k, 240), Cell.UNKNOWN, np.uint8)
+        for places, cell in ((floor, Cell.FREE), (wall, Cell.OCCUPIED)):
+            column, row = np.floor((places - origin) / 0.05).astype(int).T
+            cells[row, column] = cell
+        grid = GridMap(cells, origin, 0.05)
+        occupied = grid.centres(Cell.OCCUPIED)
+        right = np.full(len(occupied), k != 1)
+        figures = WallMapFigures(occupied, np.where(right, 0.0, 0.5), occupied, right)
+        compared[str(name)] = ComparedMap(grid, figures, np.zeros((0, 2)))
+    write_overlays(tmp_path / "overlay.png", compared, "truth", direction_deg)
+    with Image.open(tmp_path / "overlay.png") as picture:
+        pixels = np.asarray(picture.convert("RGB")).astype(int)
+    frame, green, red, black = ((pixels == colour).all(axis=2) for colour in (FRAME, GREEN, RED, BLACK))
+    sides = [(a, b) for row in frame[np.flatnonzero(frame.sum(axis=1) > 400)] for a, b in runs(row, 400)]
+    assert len(sides) == 2 * len(compared)
+    assert len({b - a for a, b in sides}) == 1
+    # The wall of 6 m lies level in each picture, one cell thick or two, at one scale with the bar.
+    px_per_m = ((sides[0][1] - sides[0][0]) - 2) / (6.0 + 2 * 0.5 + 0.05)
+    for mask, pictures in ((green, 2), (red, 1)):
+        level = np.flatnonzero(mask.sum(axis=1) > 300)
+        assert 0.05 * px_per_m * 0.9 < len(level) / pictures < 0.05 * px_per_m * 2.5
+        across = np.flatnonzero(mask[level[0]])
+        assert across[-1] - across[0] == pytest.approx(6.0 * px_per_m, rel=0.03)
+    bars = {run for row in black for run in runs(row, 100)}
+    assert [b - a for a, b in bars] == [pytest.approx(2.0 * px_per_m, rel=0.03)]
+
+
+def test_a_run_of_a_turned_building_gets_an_upright_overlay(folder, tmp_path):
+    assert walls_direction_deg(folder / "run") == 0.0  # no walls, no turn
+    ends = turned(np.array([[[0.0, 0.0], [4.0, 0.0]], [[0.0, 0.0], [0.0, 9.0]]]), 33.0)
+    features = [{"properties": {}, "geometry": {"type": "LineString", "coordinates": line}} for line in ends]
+    write_geojson(tmp_path / WALLS, features)
+    assert walls_direction_deg(tmp_path) == pytest.approx(33.0)
+    (tmp_path / WALLS).write_text("{}")
+    with pytest.raises(InputError, match=WALLS):
+        walls_direction_deg(tmp_path)
+
+
+def test_no_wall_is_lost_where_a_large_map_is_drawn_small():
+    agreement = np.full((7, 9), Agreement.FREE, np.uint8)
+    agreement[0, 8], agreement[3, 3], agreement[4, 3], agreement[6, 0] = (
+        *(Agreement.BOTH, Agreement.ONLY_REFERENCE),
+        *(Agreement.BOTH, Agreement.NOTHING),
+    )
+    small = map_figures._coarsened(agreement, 3)
+    assert small.tolist() == [
+        [Agreement.FREE, Agreement.FREE, Agreement.BOTH],
+        [Agreement.FREE, Agreement.ONLY_REFERENCE, Agreement.FREE],
+        [Agreement.FREE, Agreement.FREE, Agreement.FREE],
+    ]

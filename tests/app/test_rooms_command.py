@@ -1,6 +1,7 @@
 """`ffmap rooms` as a user meets it: maps of other systems, truth, and files that are no maps."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -71,9 +72,14 @@ def assert_one_line(result: tuple[int, str, str], *words: str) -> None:
         assert word in err
 
 
-def test_a_map_of_map_servers_gives_outlines_areas_and_topology_in_its_frame(ffmap, tmp_path: Path) -> None:
+def test_a_map_of_map_servers_gives_outlines_areas_and_topology_in_its_frame(
+    ffmap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
     code, out, err = ffmap("rooms", save_map(tmp_path, two_rooms()), "--out", "found")
     assert code == 0, err
+    # A command that is to be copied is not broken, however narrow the terminal.
+    assert re.search(r"view (--web )?found/rooms\.rrd$", out, re.MULTILINE)
     assert "room 1" in out
     assert "25.0" in out
     right, left = features(tmp_path / "found")
@@ -104,6 +110,27 @@ def test_rooms_of_another_map_of_the_same_name_are_left_alone(ffmap, tmp_path: P
     assert (tmp_path / "rooms" / "map" / "rooms.geojson").stat().st_mtime_ns == before
     assert ffmap("rooms", tmp_path / "a" / "map.yaml")[0] == 0
     assert ffmap("rooms", tmp_path / "b" / "map.yaml", "--out", tmp_path / "rooms" / "map")[0] == 0
+
+
+def test_what_is_not_of_the_maps_rooms_is_left_alone(ffmap, tmp_path: Path) -> None:
+    save(tmp_path / "rooms.png", two_rooms())
+    options = ("rooms.png", "--resolution", 0.05, "--out")
+    for folder, name, content in (
+        ("thesis", "rooms.geojson", "mine"),
+        ("run", "rooms.geojson", "a run's"),
+        ("measured", "metrics.json", "mine"),
+    ):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / name).write_text(content)
+    (tmp_path / "run" / "run.json").write_text("{}")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert_one_line(ffmap("rooms", *options, "."), "rooms.png: is read")
+    assert_one_line(ffmap("rooms", *options, "thesis"), "rooms.geojson: is there already")
+    assert_one_line(ffmap("rooms", *options, "run"), "belongs to the run")
+    assert_one_line(ffmap("rooms", *options, "measured"), "metrics.json")
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    for _ in range(2):
+        assert ffmap("rooms", *options, "found")[0] == 0
 
 
 def test_the_picture_and_the_recording_show_the_rooms(ffmap, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import errno
 import json
+import mmap
 import os
 import shutil
 import signal
@@ -16,7 +17,7 @@ import yaml
 from PIL import Image
 from rerun.chunk import RrdReader
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag1 import Writer
+from rosbags.rosbag1 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from algorithms.area_graph import Segmented
@@ -70,12 +71,20 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.fixture(scope="module")
-def finished(bags: dict[str, Path], environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run on the ROS 1 bag."""
+def finished_as_said(
+    bags: dict[str, Path], environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """A run on the ROS 1 bag, and what it said."""
     out = tmp_path_factory.mktemp("runs") / "whole"
     done = ffmap(environment, "run", bags["bag"], "--out", out)
     assert done.returncode == 0, done.stderr
-    return out
+    return out, done
+
+
+@pytest.fixture(scope="module")
+def finished(finished_as_said: tuple[Path, subprocess.CompletedProcess[str]]) -> Path:
+    """A run on the ROS 1 bag."""
+    return finished_as_said[0]
 
 
 def ffmap(environment: dict[str, str], *words: object) -> subprocess.CompletedProcess[str]:
@@ -139,6 +148,47 @@ def write_empty_clouds(path: Path) -> Path:
             )
             writer.write(connection, 10**12 + k * 10**8, store.serialize_ros1(cloud, "sensor_msgs/msg/PointCloud2"))
     return path
+
+
+def said_at_the_end(done: subprocess.CompletedProcess[str]) -> dict[str, str]:
+    return {name: text.strip() for name, text in (line.split(":", 1) for line in done.stdout.splitlines())}
+
+
+def test_five_lines_tell_of_a_finished_run(finished_as_said: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    out, done = finished_as_said
+    record, metrics = (json.loads((out / name).read_text()) for name in ("run.json", "metrics.json"))
+    said = said_at_the_end(done)
+    assert list(said) == ["made", "quality", "results", "look", "warnings"]
+    counts = record["counts"]
+    assert f"{counts['scans']} of {counts['clouds']} scans" in said["made"]
+    assert f"{counts['doors']} doors, {counts['rooms']} rooms" in said["made"]
+    assert f"wall F1 {100 * metrics['area']['wall']['f1']:.2f} %" in said["quality"]
+    assert str(out / "metrics.json") in said["quality"]
+    assert said["results"] == str(out)
+    assert said["look"].endswith(str(out))
+    assert said["warnings"] == "none"
+    assert any(line.startswith("disk: about ") and "labelled bag" in line for line in done.stderr.splitlines())
+
+
+def test_tables_come_when_asked_for_and_warnings_are_counted(
+    bags: dict[str, Path], environment: dict[str, str], tmp_path: Path
+) -> None:
+    whole = bags["bag"].read_bytes()
+    cut = tmp_path / "cut.bag"
+    cut.write_bytes(whole[: int(0.9 * len(whole))])
+    options = ("--outputs", "maps", "--workers", "1")
+    tables = ffmap(environment, "run", cut, "--out", tmp_path / "a", *options, "-v")
+    assert tables.returncode == 0, tables.stderr
+    assert "trajectory, ATE RMSE" in tables.stdout
+    warnings = json.loads((tmp_path / "a" / "run.json").read_text())["warnings"]
+    last = tables.stdout.splitlines()[-5:]
+    assert [line.split(":")[0] for line in last] == ["made", "quality", "results", "look", "warnings"]
+    assert last[-1].split()[1] == f"{len(warnings)},"
+    assert last[-1].endswith(warnings[0])
+    assert "not compared: labels" in last[1]
+    said = said_at_the_end(ffmap(environment, "run", cut, "--out", tmp_path / "b", *options, "--no-evaluate"))
+    assert "--no-evaluate" in said["quality"]
+    assert not ffmap(environment, "run", cut, "--out", tmp_path / "c", *options, "--no-evaluate", "--quiet").stdout
 
 
 def test_rooms_doors_topology_and_recording_tell_the_same(finished: Path) -> None:
@@ -218,9 +268,30 @@ def test_errors_are_a_layer_of_the_recording(finished: Path) -> None:
     )
     assert false_walls == metrics["points"]["wall"]["wrong"] > 0
     assert metrics["statistics"]["points_in_cloud"]["max"] >= max(map(len, verdicts.values()))
+    static = {path: rows for path, rows in chunks if "scan" not in rows.schema.names}
+    entries = static[f"{entities.ERROR_LEGEND}/names"].column("Points2D:labels").to_pylist()[0]
+    assert entries == [name for name, _ in entities.ERROR_LEGEND_ENTRIES]
+    # From above, a door's upright frame would be a slab.
+    sills = static[entities.TRUTH_DOOR_SILLS].column("LineStrips3D:strips").to_pylist()[0]
+    assert {len({round(float(point[2]), 3) for point in sill}) for sill in sills} == {1}
+    assert len(sills) == len(static[entities.TRUTH_DOORS].column("LineStrips3D:strips").to_pylist()[0])
+    # Of what is logged once in both files, the viewer takes either: nothing but the layouts may be in both.
+    recorded = {c.entity_path for c in RrdReader(finished / "recording.rrd").stream() if c.is_static}
+    assert not {path for path in static if not path.startswith("/__properties")} & recorded
+    assert all(len(RrdReader(finished / name).blueprints()) for name in ("recording.rrd", "evaluation.rrd"))
     # One verdict for each return, in the order of the recorded points.
     for scan, (_, label, _) in enumerate(labels_of(finished)):
         assert len(verdicts[scan]) == np.count_nonzero(label != 255)
+
+
+def test_what_odometry_measured_lies_on_the_timeline_that_opens(finished: Path) -> None:
+    record = json.loads((finished / "run.json").read_text())
+    chunks = RrdReader(finished / "recording.rrd").stream().collect()
+    for name in ("weak", "refined_inlier_share", "weakest_share", "threshold_m"):
+        path = f"{entities.REGISTRATION}/{name}"
+        found = chunks.stream().filter(content=path).collect().reader(index=entities.SCAN_TIMELINE).to_pandas()
+        assert len(found) > 0.8 * record["counts"]["registrations"]
+        assert 0 <= found["scan"].min() <= found["scan"].max() < record["counts"]["clouds"]
 
 
 @pytest.mark.parametrize("container", ["mcap", "db3"])
@@ -236,9 +307,9 @@ def test_every_container_gives_the_same_labels(
 def test_killed_run_is_resumed_with_the_same_labels(
     bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    out = tmp_path / "killed"
+    out, bag = tmp_path / "killed", Path(shutil.copy(bags["bag"], tmp_path))
     process = subprocess.Popen(
-        [*FFMAP, "run", str(bags["bag"]), "--out", str(out), "--no-evaluate"],
+        [*FFMAP, "run", str(bag), "--out", str(out), "--no-evaluate"],
         env=environment,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -255,11 +326,44 @@ def test_killed_run_is_resumed_with_the_same_labels(
     (out / "run.json").write_text(json.dumps(by_another))
     assert_one_line_error(ffmap(environment, "run", "--resume", out), "another version")
     (out / "run.json").write_text(json.dumps(record))
+    flip_a_bit(bag, UPRIGHT_TOPIC.replace("horizontal", "vertical"), 3)
+    assert_one_line_error(ffmap(environment, "run", "--resume", out), "not the bag", "start a new run")
+    shutil.copy(bags["bag"], bag)
     done = ffmap(environment, "run", "--resume", out)
     assert done.returncode == 0, done.stderr
     assert json.loads((out / "run.json").read_text())["outcome"] == "complete"
     assert_same_labels(out, finished)
     assert "complete already" in ffmap(environment, "run", "--resume", out).stdout
+
+
+def flip_a_bit(bag: Path, topic: str, cloud: int) -> None:
+    """In the middle of a cloud's points, with size, index and times of the file as they were."""
+    with Reader(bag) as reader:
+        wanted = [c for c in reader.connections if c.topic == topic]
+        data = [bytes(data) for _, _, data in reader.messages(wanted)][cloud]
+    with bag.open("r+b") as file:
+        found = mmap.mmap(file.fileno(), 0)
+        found[found.find(data) + len(data) // 2] ^= 4
+        found.close()
+
+
+@pytest.mark.parametrize("lidar", ["horizontal", "vertical"])
+def test_bag_that_differs_in_one_bit_shares_nothing(
+    lidar: str, bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    other = Path(shutil.copy2(bags["bag"], tmp_path))
+    flip_a_bit(other, UPRIGHT_TOPIC.replace("horizontal", lidar), 15)
+    done = ffmap(environment, "run", other, "--out", tmp_path / "run", "--outputs", "labels", "--no-evaluate")
+    assert done.returncode == 0, done.stderr
+    record, before = (json.loads((run / "run.json").read_text()) for run in (tmp_path / "run", finished))
+    assert not record["odometry_cached"]
+    assert record["bag"]["stamps"] == before["bag"]["stamps"]
+    assert record["bag"]["digest"] != before["bag"]["digest"]
+    assert [t for t, digest in record["bag"]["clouds"].items() if digest != before["bag"]["clouds"][t]] == [
+        UPRIGHT_TOPIC.replace("horizontal", lidar)
+    ]
+    done = ffmap(environment, "inspect", finished, "--scan", "3", "--bag", other, "--out", tmp_path / "scan.rrd")
+    assert_one_line_error(done, other.name, "is not the bag")
 
 
 def test_cut_bag_is_processed_up_to_the_cut(bags: dict[str, Path], environment: dict[str, str], tmp_path: Path) -> None:
@@ -341,6 +445,12 @@ def test_what_may_not_be_written_is_one_line(
     assert capsys.readouterr().err.startswith("ffmap: runs/a/metrics.json: cannot be read or written (Permission denied)")
 
 
+def test_demo_leaves_the_users_bag_alone(environment: dict[str, str], tmp_path: Path) -> None:
+    (tmp_path / "small.bag").write_text("mine")
+    assert_one_line_error(ffmap(environment, "demo", "--out", tmp_path), "small.bag", "--out")
+    assert (tmp_path / "small.bag").read_text() == "mine"
+
+
 def test_folders_of_demo_suite_evaluation_and_maps_that_cannot_be_written(
     finished: Path, environment: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -380,11 +490,43 @@ def test_run_is_replaced_where_the_user_says_so(
     bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
     copy = shutil.copytree(finished, tmp_path / "run")
+    (copy / "notes.txt").write_text("mine")
     options = ("--overwrite", "--outputs", "maps", "--no-evaluate", "--workers", "1")
+    # Not by one that reads it, as a drive labelled before.
+    own = ("--trajectory", copy / "trajectory.tum")
+    assert_one_line_error(ffmap(environment, "run", copy / "labelled.bag", "--out", copy, *options, *own), "labelled.bag")
+    assert_one_line_error(ffmap(environment, "run", bags["bag"], "--out", copy, *options, *own), "trajectory.tum")
+    assert (copy / "labelled.bag").exists()
     done = ffmap(environment, "run", bags["bag"], "--out", copy, *options)
     assert done.returncode == 0, done.stderr
-    assert (copy / "map.yaml").exists()
-    assert not (copy / "recording.rrd").exists()
+    maps = [f"{name}.{suffix}" for name in ("map", *(f"map_{rival}" for rival in Rival)) for suffix in ("yaml", "pgm")]
+    assert {path.name for path in copy.iterdir()} == {"notes.txt", "run.json", "trajectory.tum", *maps}
+    record = json.loads((copy / "run.json").read_text())
+    assert set(record["files"]) == {"run.json", "trajectory.tum", *maps}
+
+
+def test_earlier_run_stays_until_the_new_one_is_complete(
+    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    copy = shutil.copytree(finished, tmp_path / "run")
+    before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
+    process = subprocess.Popen(
+        [*FFMAP, "run", str(bags["bag"]), "--out", str(copy), "--overwrite", "--outputs", "labels", "--no-evaluate"],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    end = time.monotonic() + 120
+    while not list(copy.glob("*/spool/*.npz")) and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert {path: path.read_bytes() for path in before} == before
+    assert ffmap(environment, "evaluate", copy).returncode == 0
+    done = ffmap(environment, "run", "--resume", copy)
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in copy.iterdir()} == {"run.json", "trajectory.tum", "labels.parquet"}
 
 
 @pytest.mark.parametrize("stage", ["odometry", "scans", "final"])
@@ -401,6 +543,8 @@ def test_interruption_is_one_line_that_says_how_to_go_on(
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        # A shell starts what runs in the background with interrupts ignored, and so would be this.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert process.stderr is not None
     said: list[str] = []
@@ -415,8 +559,31 @@ def test_interruption_is_one_line_that_says_how_to_go_on(
     said += process.communicate(timeout=60)[1].splitlines(keepends=True)
     assert process.returncode == 130
     assert said[-1] == f"ffmap: interrupted; 'ffmap run --resume {out}' goes on with the run\n"
-    assert all(line.split(":")[0] in ("odometry", "scans", "building", "final") for line in said[:-1]), said
+    assert all(line.split(":")[0] in ("disk", "odometry", "scans", "building", "final") for line in said[:-1]), said
     assert json.loads((out / "run.json").read_text())["outcome"] == "aborted"
+
+
+def test_a_run_in_the_background_is_not_interrupted(
+    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    process = subprocess.Popen(
+        [*FFMAP, "run", str(bags["bag"]), "--out", str(out), "--workers", "2", "--no-evaluate", "--outputs", "maps"],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        # As 'nohup ffmap run ... &' in a script does: Ctrl-C is meant for what runs in front.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
+    )
+    end = time.monotonic() + 120
+    while not (out / "run.json").exists() and time.monotonic() < end:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)
+    said = process.communicate(timeout=120)[1]
+    assert process.returncode == 0, said
+    assert json.loads((out / "run.json").read_text())["outcome"] == "complete"
 
 
 def test_viewer_that_ends_is_one_line_and_no_run_goes_on(

@@ -75,6 +75,32 @@ def test_a_drive_that_fails_is_told_and_stops_nothing(
     assert "0 of 1 drives" in told.out
 
 
+@pytest.mark.parametrize("content", ["my thesis", "[]", '{"seeds": 1}'])
+def test_file_that_no_suite_wrote_is_left_alone(content: str, tmp_path: Path) -> None:
+    out = tmp_path / "thesis.json"
+    out.write_text(content)
+    with pytest.raises(InputError, match="name another file"):
+        run_suite(out, (3,), True, [], quiet=True)
+    assert out.read_text() == content
+
+
+def test_earlier_results_stay_until_the_suite_is_complete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(suite, "CASES", (Case("one", {}), Case("two", {})))
+    out = tmp_path / "suite.json"
+    out.write_text('{"drives": []}')
+
+    def drive(case: Case, seed: int, *_: object) -> suite.Drive:
+        if case.name == "two":
+            raise KeyboardInterrupt
+        return suite.Drive(case.name, seed, {})
+
+    monkeypatch.setattr(suite, "_drive", drive)
+    with pytest.raises(KeyboardInterrupt):
+        run_suite(out, (3,), True, [], quiet=True, at_once=1)
+    assert json.loads(out.read_text()) == {"drives": []}
+    assert [d["case"] for d in json.loads((tmp_path / "suite.json.part").read_text())["drives"]] == ["one"]
+
+
 @pytest.mark.parametrize("text", ["one", "1,", "1;2", "-1"])
 def test_seeds_that_are_none(text: str) -> None:
     with pytest.raises(InputError, match="--seeds"):

@@ -231,6 +231,7 @@ SEEDS = ("seed=0,1",)
         ({"grid": SEEDS, "optuna": 2, "evaluate": False}, "truth"),
         ({"grid": SEEDS, "out": Path("file") / "out"}, "cannot be written"),
         ({"grid": SEEDS, "out": Path("thesis")}, "holds files that are no sweep"),
+        ({"grid": SEEDS, "out": Path("theirs")}, "holds files that are no sweep"),
         ({"grid": SEEDS, "bags": (Path("no.bag"),)}, "no.bag"),
         ({"grid": SEEDS, "scheduler": "tcp://127.0.0.1:9"}, "dask scheduler"),
         ({"grid": SEEDS, "scheduler": "nonsense"}, "tcp://127.0.0.1:8786"),
@@ -244,6 +245,8 @@ def test_mistakes_are_one_line_and_nothing_starts(
     Path("file").touch()
     Path("thesis").mkdir()
     Path("thesis/thesis.tex").touch()
+    Path("theirs").mkdir()
+    Path("theirs/sweep.json").write_text('{"experiment": 1}')
     arguments = Arguments(**{"bags": (bag,), "out": Path("out"), "outputs": SWEEP_OUTPUTS, "quiet": True, **words})
     with pytest.raises(InputError) as error:
         sweep(arguments)
@@ -251,6 +254,7 @@ def test_mistakes_are_one_line_and_nothing_starts(
     assert "\n" not in str(error.value)
     assert not list(tmp_path.glob("**/run.json"))
     assert sorted(path.name for path in Path("thesis").iterdir()) == ["thesis.tex"]
+    assert Path("theirs/sweep.json").read_text() == '{"experiment": 1}'
 
 
 def test_the_command_line_says_which_outputs_there_are(bag: Path, environment: dict[str, str], tmp_path: Path) -> None:
@@ -265,5 +269,12 @@ def test_the_command_line_says_which_outputs_there_are(bag: Path, environment: d
 def test_without_dask_it_says_how_to_install_it(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     arguments = Arguments((bag,), SEEDS, SWEEP_OUTPUTS, out=tmp_path / "out", scheduler="tcp://127.0.0.1:9", quiet=True)
-    with pytest.raises(InputError, match=r"pip install .*\[cluster\]"):
+    with pytest.raises(InputError, match=r"-m pip install distributed' .*'\.\[cluster\]'"):
+        sweep(arguments)
+
+
+def test_without_optuna_it_says_how_to_install_it(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    arguments = Arguments((bag,), SEEDS, SWEEP_OUTPUTS, out=tmp_path / "out", optuna=2, quiet=True)
+    with pytest.raises(InputError, match=r"-m pip install optuna' .*'\.\[optuna\]'"):
         sweep(arguments)

@@ -8,6 +8,7 @@ import pytest
 import rerun.blueprint as rrb
 
 from algorithms.area_graph import Segmented
+from algorithms.labels import Verdict
 from blueprints import compare, entities, inspect, rooms, run
 from blueprints.entities import CurveSheet
 
@@ -53,6 +54,24 @@ def test_a_comparison_shows_what_was_compared_and_no_more():
     assert not any("Walls, doors" in name or "poses" in name for name in shown)
 
 
+def test_a_comparison_opens_on_what_changed_most_and_its_legends_hide_no_curve():
+    parts = frozenset({"labels", "planes", "trajectory"})
+    runs_shown = [compare.ComparedRun(letter, letter, True, True, parts) for letter in "ABC"]
+    tabs = compare.build(runs_shown, most_changed="C").root_container
+    assert [str(tab.name) for tab in tabs.contents][tabs.active_tab] == "C against A"
+    assert compare.build(runs_shown).root_container.active_tab == 0
+    layout = compare.build(runs_shown, scans=(10, 110))
+    plots = [view for view in views(layout.root_container) if isinstance(view, rrb.TimeSeriesView)]
+    assert len(plots) == 8
+    for plot in plots:
+        assert plot.properties["PlotLegend"].corner.as_arrow_array().to_pylist() == [rrb.Corner2D.RightTop.value]
+        (shown,) = plot.properties["TimeAxis"].view_range.as_arrow_array().to_pylist()
+        assert shown["start"] == 10
+        assert shown["end"] == 150
+    bare = [view for view in views(compare.build(runs_shown).root_container) if isinstance(view, rrb.TimeSeriesView)]
+    assert all("TimeAxis" not in plot.properties for plot in bare)
+
+
 def test_a_scan_shows_the_line_its_curve_its_profile_and_why():
     names = " ".join(str(view.name) for view in views(inspect.build((5.0, 3.0), 7).root_container))
     for word in ("The line in its scan", "eq. 2, Fig. 5b", "profile", "Why: this line", "Why: the whole scan"):
@@ -87,8 +106,68 @@ def test_rooms_of_the_maps_of_fig_10_stand_side_by_side():
 def test_the_first_tab_shows_scan_lines_curves_map_and_grid():
     overview = run.build().root_container.contents[0]
     names = " ".join(str(view.name) for view in views(overview))
-    for word in ("Labelled scan", "Point lines", "Forward differences", "Growing map", "Grid map"):
+    for word in ("Labelled scan", "Point lines", "Forward differences", "Map up to the time cursor", "Grid map"):
         assert word in names
+
+
+@pytest.mark.parametrize(
+    ("rings", "scans", "legends"), [(32, True, [entities.LABEL_LEGEND]), (32, False, [entities.LABEL_LEGEND]), (None, True, [])]
+)
+def test_the_first_tab_says_what_it_shows_and_where_all_is_explained(
+    rings: int | None, scans: bool, legends: list[str]
+) -> None:
+    tabs = run.build(rings, scans=scans).root_container.contents
+    origins = [str(view.origin) for view in views(tabs[0])]
+    assert origins[: len(legends) + 1] == [*legends, entities.GLANCE]
+    assert str(tabs[-1].name) == "Read me"
+    text = entities.glance(rings is not None, scans)
+    assert f"**{tabs[-1].name}**" in text
+    assert text.startswith({(32, True): "**One scan", (32, False): "**The building", (None, True): "**The way"}[rings, scans])
+
+
+def test_the_evaluation_explains_its_colours():
+    for evaluated in (True, False):
+        for scans in (True, False):
+            tabs = {str(tab.name): tab for tab in run.build(evaluated=evaluated, scans=scans).root_container.contents}
+            assert entities.ERROR_LEGEND in [str(view.origin) for view in views(tabs["Evaluation"])]
+
+
+def test_whichever_layout_the_viewer_takes_has_the_evaluation():
+    usual, evaluated = (run.build(evaluated=evaluated).root_container for evaluated in (False, True))
+    assert sorted(str(tab.name) for tab in usual.contents) == sorted(str(tab.name) for tab in evaluated.contents)
+    assert str(evaluated.contents[0].name) == "Evaluation"
+    assert str(usual.contents[0].name) == "At a glance"
+    own = [list(views(tab)) for layout in (usual, evaluated) for tab in layout.contents if tab.name == "Evaluation"]
+    assert {str(view.name) for view in own[0]} - {str(view.name) for view in own[1]} == {"What this needs"}
+    assert {str(view.name) for view in own[1]} < {str(view.name) for view in own[0]}
+    # A recording alone has no errors: what is shown first says what is missing.
+    assert str(own[0][0].origin) == entities.EVALUATION_HELP
+
+
+def test_curves_whose_peak_would_flatten_others_stand_alone():
+    shown = [view for view in views(run.build().root_container) if isinstance(view, rrb.TimeSeriesView)]
+    alone = [str(view.origin) for view in shown if str(view.origin) in entities.SERIES]
+    for group in (entities.MILLISECONDS, entities.RANGES, entities.REGISTRATION):
+        assert sorted(p for p in alone if p.startswith(group)) == sorted(p for p in entities.SERIES if p.startswith(group))
+    errors = [view.contents for view in shown if str(view.origin) == entities.SCAN_ERRORS]
+    assert len(errors) == 3
+    # Whatever is drawn has a name in words.
+    named = set(entities.SERIES) | {entities.scan_error(verdict) for verdict in Verdict}
+    for view in shown:
+        if view.contents != "$origin/**":
+            assert set(view.contents) <= named
+        elif str(view.origin) != entities.LABEL_COUNTS:
+            assert str(view.origin) in named
+
+
+def test_given_poses_have_no_quality_to_show():
+    for rings in (32, None):
+        tabs = run.build(rings, registered=False).root_container.contents
+        names = [str(tab.name) for tab in tabs]
+        assert "Trajectory as given" in names
+        assert "Odometry" not in names
+        origins = {str(view.origin) for tab in tabs for view in views(tab)}
+        assert not any(origin.startswith(entities.REGISTRATION) for origin in origins)
 
 
 def test_cells_of_the_curve_sheet_do_not_touch():
@@ -114,7 +193,10 @@ def test_the_explanation_names_classes_and_settings():
 
 def test_where_nothing_is_labelled_the_odometry_comes_first():
     tabs = run.build(None).root_container.contents
-    assert [str(tab.name) for tab in tabs] == ["Odometry", "Metrics and warnings", "Read me"]
+    assert [str(tab.name) for tab in tabs] == ["Odometry", "Warnings", "Read me"]
+    # Curves of scans that were never labelled would be empty.
+    curves = [view for tab in tabs for view in views(tab) if isinstance(view, rrb.TimeSeriesView)]
+    assert all(str(view.origin).startswith(entities.REGISTRATION) for view in curves)
 
 
 @pytest.mark.parametrize("scans", [True, False])
@@ -128,3 +210,12 @@ def test_changed_points_are_seen_against_the_scan_or_else_the_map(scans: bool) -
     assert (f"{entities.GRID}/A" in contents) != scans
     # An override of what is not there is an error that the viewer shows.
     assert (runs[0].path(entities.POINTS) in changed.visualizer_overrides) == scans
+
+
+def test_without_lines_nothing_is_shown_that_is_drawn_from_them():
+    layout = run.build(lines=False).root_container
+    assert "Step by step" not in [str(tab.name) for tab in layout.contents]
+    of_lines = (entities.LINES, entities.CURVES, entities.UPMOST, entities.BOTTOMMOST, entities.STRUCTURES)
+    for view in views(layout):
+        for path in (str(view.origin), *map(str, [view.contents] if isinstance(view.contents, str) else view.contents)):
+            assert not path.startswith(of_lines)

@@ -64,3 +64,25 @@ def test_times_longer_than_a_sweep_are_an_error():
     with pytest.raises(CloudError):
         field.nanoseconds(np.array([0.0, np.nan], np.float32), START_NS)
     assert field.nanoseconds(np.zeros(0, np.float32), START_NS)[1] == START_NS
+
+
+def test_times_far_from_the_stamp_are_an_error():
+    relative = find_time_field("time", [(np.linspace(0, 0.1, 100), START_NS)])
+    epoch = find_time_field("time", [(START_NS / 1e9 + np.linspace(0, 0.1, 100), START_NS)])
+    for field in (relative, epoch):
+        with pytest.raises(CloudError, match=r"begin [0-9.e+]+ s after the cloud's stamp"):
+            field.nanoseconds(np.full(9, 9e9), START_NS)
+    with pytest.raises(CloudError, match=r"begin 100\.0 s before the cloud's stamp"):
+        relative.nanoseconds(np.linspace(-100, -99.9, 9), START_NS)
+    with pytest.raises(CloudError, match=r"as large as 1e\+300 s: no clock's"):
+        relative.nanoseconds(np.full(9, 1e300), START_NS)
+    own = find_time_field("time", [(5000.0 + np.linspace(0, 0.1, 100), START_NS)])
+    assert own.nanoseconds(np.full(9, 1e6), START_NS)[1] == START_NS
+
+
+def test_absurd_times_in_one_cloud_do_not_tell_the_unit():
+    sound = [(np.linspace(0, 0.1, 100), START_NS)] * 5
+    huge = [np.linspace(first, 1.1 * first, 100) for first in (1e9, 1e18, 1e25, 1e300)]
+    for absurd in (np.linspace(0, 1e9, 100), *huge):
+        field = find_time_field("time", [*sound, (absurd, START_NS)])
+        assert (field.unit, field.reference) == ("s", "stamp")

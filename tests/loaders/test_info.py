@@ -1,5 +1,6 @@
 """What a bag is said to hold and to lack."""
 
+from app.info_command import describe
 from loaders.info import describe_bag
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, clouds, only, sweep, tf_message, write_bag
 
@@ -53,3 +54,27 @@ def test_an_empty_bag_and_a_broken_cloud(tmp_path):
     assert "truncated" in info.clouds[0].problem
     assert info.clouds[0].points == (0, 0)
     assert info.duration_s == 0.0
+
+
+def test_bad_clouds_are_counted_and_clocks_apart_are_named(tmp_path):
+    entries = [
+        *clouds("/h", 30, "h"),
+        *clouds("/v", 30, "v", late_ns=5),
+        (
+            "/tf_static",
+            START_NS,
+            tf_message([("base", "h", [0, 0, 1], [0, 0, 0, 1]), ("base", "v", [0, 0, 1], [0.5] * 4)]),
+        ),
+    ]
+    truncated = entries[7][2]
+    truncated.data = truncated.data[:100]
+    for _, _, message in entries[30:60]:
+        message.header.stamp.sec += 1000
+    info = describe_bag(write_bag(tmp_path / "a.bag", sorted(entries, key=lambda entry: entry[1])))
+    ((reason, count),) = info.clouds[0].bad_clouds
+    assert (count, info.clouds[0].read_count) == (1, 30)
+    assert "truncated" in reason
+    assert info.clouds[1].bad_clouds == ()
+    assert any("the clocks of /h and /v are apart: the stamps of /v are 1000.0 s ahead" in text for text in info.warnings)
+    lines = describe(info)
+    assert any(line.startswith("  unusable: 1 of 30 clouds that were read: /h: the cloud is truncated") for line in lines)

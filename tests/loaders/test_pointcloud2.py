@@ -1,6 +1,7 @@
 """Clouds of every layout become the same scan, and labels find their way back to their points."""
 
 import itertools
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -231,3 +232,46 @@ def test_layout_says_what_is_there():
     layout = describe_layout(cloud(sweep().reshape(16, -1), frame="/lidar"), "/points")
     assert (layout.frame_id, layout.ring_field, layout.time_field, layout.organised) == ("lidar", "ring", "time", True)
     assert [(f.name, f.datatype, f.offset) for f in layout.fields][-2:] == [("ring", "u2", 16), ("time", "f4", 18)]
+
+
+def test_a_cloud_unlike_the_others_of_its_topic_gives_no_scan():
+    sound = [cloud(sweep(seed=i)) for i in range(7)]
+    other_rings = sweep()
+    other_rings["ring"] = 65535
+    whole_times = np.zeros(1440, point_dtype([("x", "f4"), ("y", "f4"), ("z", "f4"), ("ring", "u2"), ("time", "u4")]))
+    for name in ("x", "y", "z", "ring"):
+        whole_times[name] = sweep()[name]
+    for odd, reason in (
+        (cloud(other_rings), "65535 to 65535, where the topic's other clouds have 16 rings"),
+        (cloud(only(sweep(), "x", "y", "z", "time")), "no field with rings"),
+        (cloud(whole_times), "of another type"),
+    ):
+        decoding = settle_decoding([odd, *sound], "/points")
+        assert (decoding.rings.source, decoding.rings.count, decoding.time.unit) == ("field", 16, "s")
+        with pytest.raises(CloudError, match=reason):
+            decode(odd, decoding)
+        assert len(decode(sound[0], decoding)) == 1440
+
+
+def test_an_organised_cloud_of_another_shape_gives_no_scan():
+    def organised(columns):
+        return only(sweep(columns), "x", "y", "z").reshape(columns, 16).T.copy()
+
+    sound = [cloud(organised(90)) for _ in range(4)]
+    flat = cloud(organised(90).reshape(1, -1))
+    decoding = settle_decoding([flat, *sound], "/points")
+    assert (decoding.rings.source, decoding.rings.count) == ("row", 16)
+    with pytest.raises(CloudError, match="1 rows, where the topic's other clouds have 16"):
+        decode(flat, decoding)
+    assert decode(cloud(organised(45)), decoding).ring_count == 16
+
+
+def test_coordinates_beyond_float32_are_no_returns():
+    kinds = [("x", "f8"), ("y", "f8"), ("z", "f8")]
+    points = np.zeros(1440, point_dtype(kinds))
+    for axis in "xyz":
+        points[axis] = sweep()[axis]
+    points["x"][:5] = 1e300
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(read(cloud(points))) == 1435

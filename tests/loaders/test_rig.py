@@ -257,3 +257,16 @@ def test_clouds_without_times_warn(tmp_path):
     rig = rig_of(path, time_from="azimuth")
     assert rig.horizontal.decoding.timed
     assert not any("--time-from" in w for w in rig.warnings)
+
+
+def test_a_base_that_no_robot_reaches_is_refused_and_a_rig_file_names_another(tmp_path):
+    """Static transforms may go on to a frame of the town."""
+    edges = [("utm", "base_link", [432_123.4, 5_412_345.6, 450.0], [0, 0, 0, 1]), *MARS]
+    path = write_bag(tmp_path / "a.bag", two_lidars(edges))
+    error = error_of(path)
+    assert "away from utm, which no robot spans" in error
+    assert 'base = "base_link"' in error
+    file = tmp_path / "rig.toml"
+    file.write_text('base = "base_link"\n[[lidar]]\ntopic = "/v/points"\n[[lidar]]\ntopic = "/h/points"\n')
+    rig = rig_of(path, rig_file=file)
+    np.testing.assert_allclose(rig.horizontal.T_base_sensor[:3, 3], [0.12, 0.01, 0.568], atol=1e-6)

@@ -7,7 +7,15 @@ from algorithms.scan import Scan
 from loaders.bag import make_typestore, open_bag
 from loaders.errors import InputError
 from loaders.pointcloud2 import settle_decoding
-from loaders.scans import SkippedScan, index_clouds, read_clouds, read_scans, sample_messages
+from loaders.scans import (
+    SkippedScan,
+    clock_problem,
+    index_clouds,
+    read_clouds,
+    read_scans,
+    sample_messages,
+    stamp_problem,
+)
 from tests.loaders.bag_builder import (
     PERIOD_NS,
     START_NS,
@@ -153,3 +161,105 @@ def test_a_topic_without_clouds(tmp_path):
     path = write_bag(tmp_path / "a.bag", [("/odom", START_NS, odometry(START_NS, [0, 0, 0]))])
     with open_bag(path) as bag, pytest.raises(InputError, match=r"/odom is nav_msgs/msg/Odometry.*no clouds"):
         index_clouds(bag, "/odom")
+
+
+DAY_S = 86_400
+
+
+@pytest.mark.parametrize("wrong", [0, 3, 7])
+@pytest.mark.parametrize("off_s", [DAY_S, -DAY_S])
+def test_a_stamp_a_day_off_costs_its_own_cloud_alone(tmp_path, wrong, off_s):
+    entries = clouds("/a", 8)
+    entries[wrong][2].header.stamp.sec += off_s
+    with open_bag(write_bag(tmp_path / "a.bag", entries)) as bag:
+        index = index_clouds(bag, "/a")
+        assert np.flatnonzero(~index.usable).tolist() == [wrong]
+        assert index.period_ns == PERIOD_NS
+        (skipped,) = [s for _, s in scans_of(bag, "/a") if isinstance(s, SkippedScan)]
+        assert ("ahead" if off_s > 0 else "back") in skipped.reason
+        assert abs(skipped.stamp_ns - START_NS) < 8 * PERIOD_NS
+
+
+def test_a_pause_and_a_clock_that_was_set_cost_no_cloud(tmp_path):
+    made = clouds("/a", 12)
+    paused = [(t, log + 10**10 * (i >= 10), m) for i, (t, log, m) in enumerate(made)]
+    for _, _, message in paused[10:]:
+        message.header.stamp.sec += 10
+    with open_bag(write_bag(tmp_path / "paused.bag", paused)) as bag:
+        assert index_clouds(bag, "/a").usable.all()
+    made = clouds("/a", 12)
+    for _, _, message in made[6:]:
+        message.header.stamp.sec += DAY_S
+    with open_bag(write_bag(tmp_path / "set.bag", made)) as bag:
+        assert index_clouds(bag, "/a").usable.all()
+
+
+def test_every_message_twice_is_read_once(tmp_path):
+    twice = [entry for entry in clouds("/a", 15) for _ in range(2)]
+    with open_bag(write_bag(tmp_path / "a.bag", twice)) as bag:
+        index = index_clouds(bag, "/a")
+        assert index.message_count.tolist() == [1] * 30
+        assert np.count_nonzero(index.usable) == 15
+        reasons = {s.reason for _, s in scans_of(bag, "/a") if isinstance(s, SkippedScan)}
+        assert reasons == {"stamp repeats that of the cloud before"}
+
+
+def test_every_part_of_a_revolution_twice_is_read_once(tmp_path):
+    parts = only(sweep(300), "x", "y", "z").reshape(75, -1)
+    stamps = [START_NS + i * 1_333_333 for i in range(300)]
+    entries = [("/a", ns, cloud(parts[i % 75], ns)) for i, ns in enumerate(stamps) for _ in range(2)]
+    with open_bag(write_bag(tmp_path / "a.bag", entries)) as bag:
+        assert index_clouds(bag, "/a").message_count.tolist() == [150] * 4
+        assert {s.cloud_size for _, s in scans_of(bag, "/a")} == {300 * 16}
+
+
+def test_parts_of_a_revolution_may_begin_with_one_that_holds_nothing(tmp_path):
+    parts = only(sweep(300), "x", "y", "z").reshape(75, -1)
+    entries = [("/a", START_NS + i * 1_333_333, cloud(parts[i % 75], START_NS + i * 1_333_333)) for i in range(225)]
+    for i in (0, 80):
+        message = entries[i][2]
+        message.width, message.point_step, message.data = 0, 0, message.data[:0]
+    with open_bag(write_bag(tmp_path / "a.bag", entries)) as bag:
+        assert [s.cloud_size for _, s in scans_of(bag, "/a")] == [4800, 4736, 4736]
+
+
+def test_clouds_that_all_have_one_stamp_are_told(tmp_path):
+    entries = clouds("/a", 30)
+    for _, _, message in entries:
+        message.header.stamp.sec = message.header.stamp.nanosec = 0
+    with open_bag(write_bag(tmp_path / "a.bag", entries)) as bag:
+        index = index_clouds(bag, "/a")
+        assert index.message_count.tolist() == [1] * 30
+        assert "/a: all 30 clouds have the same stamp, 0.000 s" in stamp_problem(index)
+    made = clouds("/a", 30)
+    backwards = [(t, log, made[-1 - i][2]) for i, (t, log, _) in enumerate(made)]
+    with open_bag(write_bag(tmp_path / "backwards.bag", backwards)) as bag:
+        assert "have stamps that go on from no other's" in stamp_problem(index_clouds(bag, "/a"))
+    with open_bag(write_bag(tmp_path / "b.bag", made)) as bag:
+        assert stamp_problem(index_clouds(bag, "/a")) is None
+
+
+def test_clocks_that_are_apart_are_named(tmp_path):
+    entries = sorted([*clouds("/a", 30), *clouds("/b", 30, late_ns=40_000_000)], key=lambda entry: entry[1])
+    for topic, _, message in entries:
+        message.header.stamp.sec += 1000 if topic == "/b" else 0
+    with open_bag(write_bag(tmp_path / "a.bag", entries)) as bag:
+        a, b = index_clouds(bag, "/a"), index_clouds(bag, "/b")
+        assert "/b are 1000.0 s ahead" in clock_problem(a, b)
+        assert "/a are 1000.0 s behind" in clock_problem(b, a)
+        assert clock_problem(a, a) is None
+    later = [*clouds("/a", 10), *clouds("/b", 10, late_ns=10**12)]
+    with open_bag(write_bag(tmp_path / "b.bag", later)) as bag:
+        assert "share no time" in clock_problem(index_clouds(bag, "/a"), index_clouds(bag, "/b"))
+    together = sorted([*clouds("/a", 10), *clouds("/b", 10, late_ns=300_000_000)], key=lambda entry: entry[1])
+    with open_bag(write_bag(tmp_path / "c.bag", together)) as bag:
+        assert clock_problem(index_clouds(bag, "/a"), index_clouds(bag, "/b")) is None
+
+
+@pytest.mark.parametrize("point_step", [0, 4])
+def test_a_cloud_without_points_may_say_anything_of_their_layout(tmp_path, point_step):
+    entries = clouds("/a", 9)
+    message = entries[4][2]
+    message.width, message.point_step, message.row_step, message.data = 0, point_step, 0, message.data[:0]
+    with open_bag(write_bag(tmp_path / "a.bag", entries)) as bag:
+        assert {i: s.reason for i, s in scans_of(bag, "/a") if isinstance(s, SkippedScan)} == {4: "no points"}

@@ -248,3 +248,8 @@ def test_unknown_names_are_refused(tmp_path: Path) -> None:
     (tmp_path / "drive.bag").touch()
     with pytest.raises(InputError, match="exists already"):
         simulate(tmp_path / "drive.bag", SimulationSettings())
+    theirs = tmp_path / "other.bag.part"
+    theirs.mkdir()
+    (theirs / "thesis.txt").touch()
+    simulate(tmp_path / "other.bag", SimulationSettings(building="small", sensor="vlp16", duration_s=1.0))
+    assert (theirs / "thesis.txt").exists()

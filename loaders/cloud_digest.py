@@ -1,0 +1,30 @@
+"""What the bytes of a bag's clouds are known by, so that two bags that differ anywhere in what is used are told apart.
+
+XXH3 of 128 bits is as fast as memory is read, and clouds that differ by accident do not share it. It is no protection
+against somebody who makes two clouds alike on purpose.
+"""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import xxhash
+
+from algorithms.scan import UInt8Array
+from loaders.bag import RawMessage
+
+DIGEST_BYTES = 16
+
+
+def digest_of(messages: Sequence[RawMessage]) -> bytes:
+    """The digest of one cloud: of all bytes of the messages that it was gathered from, headers included."""
+    return joined(xxhash.xxh3_128_digest(message.data) for message in messages)
+
+
+def joined(digests: Iterable[bytes]) -> bytes:
+    """One digest of several, in their order."""
+    return xxhash.xxh3_128_digest(b"".join(digests))
+
+
+def as_rows(digests: Sequence[bytes]) -> UInt8Array:
+    """(n, 16), to be kept in a file."""
+    return np.frombuffer(b"".join(digests), np.uint8).reshape(-1, DIGEST_BYTES)
