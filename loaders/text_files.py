@@ -52,12 +52,11 @@ def read_text(path: Path, advice: str, bytes_max: int = TEXT_BYTES_MAX) -> str:
     """
     require_regular(path, advice)
     try:
-        with path.open("rb") as file:
-            content = file.read(bytes_max + 1)
+        if path.stat().st_size > bytes_max:
+            raise InputError(f"{path}: has more than {bytes_max:,} bytes, too many for what it should be; {advice}")
+        content = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({_reason(error)}); {advice}") from error
-    if len(content) > bytes_max:
-        raise InputError(f"{path}: has more than {bytes_max:,} bytes, too many for what it should be; {advice}")
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:
