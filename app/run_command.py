@@ -204,11 +204,11 @@ def _check_same_bag(inputs: Inputs, folder: RunFolder, record: dict[str, Any]) -
     """Raises InputError where a run was begun with other clouds than the bag holds now, be it by one byte."""
     used, known = inputs.used(record["poses_from"] != FROM_ODOMETRY), record["bag"].get("clouds", {})
     same = record["bag"]["stamps"] == digest_stamps(used)
-    if same and known:
+    if same:
         clouds = digest_clouds(inputs.bag_path, [sensor for sensor in used if sensor.lidar.topic in known])
         same = all(clouds[topic] == digest for topic, digest in known.items())
-    elif same and inputs.vertical is not None:
-        # Where the poses were given, nobody has read all clouds before the last block was finished.
+    if same and inputs.vertical is not None and inputs.vertical.lidar.topic not in known:
+        # Where the odometry did not take them, not all clouds were read before the last block was finished.
         blocks = [(block, folder.block(block.number, ".npz")) for block in split_blocks(len(inputs.vertical.index))]
         same = all(holds_clouds_of(path, block, inputs) for block, path in blocks if path.exists())
     if not same:
