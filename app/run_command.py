@@ -24,6 +24,7 @@ from app.recording import check_viewer, start_viewer
 from app.run_folder import METRICS, RUN_JSON, RunFolder
 from app.settings import Settings, load_settings, validate
 from app.versions import versions
+from loaders.cloud_digest import joined
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom
 
@@ -185,12 +186,15 @@ def _evaluate(folder: RunFolder, arguments: Arguments) -> "evaluate.Metrics | No
 
 
 def stored(arguments: Arguments) -> dict[str, Any]:
+    """What run.json keeps of the command line, with the digests of the rig's and the poses' file: either may be changed."""
     values = asdict(arguments)
     stored = {name: values[name] for name in _STORED}
     if arguments.rig is not None:
         stored["rig"] = str(arguments.rig.resolve())
     if arguments.trajectory is not None and Path(arguments.trajectory).exists():
         stored["trajectory"] = str(Path(arguments.trajectory).resolve())
+    files = {name: Path(stored[name]) for name in ("rig", "trajectory") if stored[name] is not None}
+    stored["digests"] = {name: joined([file.read_bytes()]).hex() for name, file in files.items() if file.is_file()}
     return stored
 
 
@@ -233,6 +237,7 @@ def _resumed(arguments: Arguments, path: Path) -> tuple[Arguments, Settings, Run
         if options["time_from"] not in get_args(TimeFrom):
             raise KeyError(options["time_from"])
         options["outputs"] = check_outputs(options["outputs"])
+        digests = options.pop("digests")
     except KeyError as error:
         raise InputError(f"{path / run_folder.RUN_JSON}: lacks {error}; start a new run") from None
     options["rig"] = Path(options["rig"]) if options["rig"] else None
@@ -241,8 +246,12 @@ def _resumed(arguments: Arguments, path: Path) -> tuple[Arguments, Settings, Run
     begun, now = record.get("versions", {}), versions()
     if any(begun.get(name) != now[name] for name in ("furniture-free-mapping", "git_revision")):
         raise InputError(f"{path}: was begun by another version of ffmap, whose labels may differ; start a new run")
+    begun_with = replace(arguments, bag=bag, **options)
+    if stored(begun_with)["digests"] != digests:
+        files = " or ".join(str(options[name]) for name in ("rig", "trajectory") if options[name] is not None)
+        raise InputError(f"{files}: is not what {path} was begun with, or is gone; bring that back, or start a new run")
     folder.spool.mkdir(exist_ok=True)
-    return replace(arguments, bag=bag, **options), settings, folder, record
+    return begun_with, settings, folder, record
 
 
 def _report(
