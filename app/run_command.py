@@ -24,6 +24,7 @@ from app.recording import check_viewer, start_viewer
 from app.run_folder import METRICS, RUN_JSON, RunFolder
 from app.settings import Settings, load_settings, validate
 from app.versions import versions
+from loaders.cloud_digest import joined
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom
 
@@ -218,12 +219,15 @@ def _evaluate(folder: RunFolder, arguments: Arguments) -> "evaluate.Metrics | No
 
 
 def stored(arguments: Arguments) -> dict[str, Any]:
+    """What run.json keeps of the command line, with the digests of the rig's and the poses' file: either may be changed."""
     values = asdict(arguments)
     stored = {name: values[name] for name in _STORED}
     if arguments.rig is not None:
         stored["rig"] = str(arguments.rig.resolve())
     if arguments.trajectory is not None and Path(arguments.trajectory).exists():
         stored["trajectory"] = str(Path(arguments.trajectory).resolve())
+    files = {name: Path(stored[name]) for name in ("rig", "trajectory") if stored[name] is not None}
+    stored["digests"] = {name: joined([file.read_bytes()]).hex() for name, file in files.items() if file.is_file()}
     return stored
 
 
@@ -237,11 +241,11 @@ def _check_same_bag(inputs: Inputs, folder: RunFolder, record: dict[str, Any]) -
     """Raises InputError where a run was begun with other clouds than the bag holds now, be it by one byte."""
     used, known = inputs.used(record["poses_from"] != FROM_ODOMETRY), record["bag"].get("clouds", {})
     same = record["bag"]["stamps"] == digest_stamps(used)
-    if same and known:
+    if same:
         clouds = digest_clouds(inputs.bag_path, [sensor for sensor in used if sensor.lidar.topic in known])
         same = all(clouds[topic] == digest for topic, digest in known.items())
-    elif same and inputs.vertical is not None:
-        # Where the poses were given, nobody has read all clouds before the last block was finished.
+    if same and inputs.vertical is not None and inputs.vertical.lidar.topic not in known:
+        # Where the odometry did not take them, not all clouds were read before the last block was finished.
         blocks = [(block, folder.block(block.number, ".npz")) for block in split_blocks(len(inputs.vertical.index))]
         same = all(holds_clouds_of(path, block, inputs) for block, path in blocks if path.exists())
     if not same:
@@ -262,6 +266,7 @@ def _as_begun(arguments: Arguments, path: Path, record: dict[str, Any]) -> tuple
         if options["time_from"] not in get_args(TimeFrom):
             raise KeyError(options["time_from"])
         options["outputs"] = check_outputs(options["outputs"])
+        digests = options.pop("digests")
     except KeyError as error:
         raise InputError(f"{path / run_folder.RUN_JSON}: lacks {error}; start a new run") from None
     options["rig"] = Path(options["rig"]) if options["rig"] else None
@@ -270,7 +275,11 @@ def _as_begun(arguments: Arguments, path: Path, record: dict[str, Any]) -> tuple
     begun, now = record.get("versions", {}), versions()
     if any(begun.get(name) != now[name] for name in ("furniture-free-mapping", "git_revision")):
         raise InputError(f"{path}: was begun by another version of ffmap, whose labels may differ; start a new run")
-    return replace(arguments, bag=bag, **options), settings
+    begun_with = replace(arguments, bag=bag, **options)
+    if stored(begun_with)["digests"] != digests:
+        files = " or ".join(str(options[name]) for name in ("rig", "trajectory") if options[name] is not None)
+        raise InputError(f"{files}: is not what {path} was begun with, or is gone; bring that back, or start a new run")
+    return begun_with, settings
 
 
 def _report(

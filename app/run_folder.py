@@ -6,6 +6,7 @@ is ever removed but files that runs write.
 
 import json
 import os
+import re
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -44,8 +45,11 @@ REPLACEMENT = ".replacement"
 PROGRAM = "furniture-free-mapping"
 """What run.json says that it was written by."""
 
-_OWN_SUFFIXES = (".npz", ".rrd", ".db3", ".mcap", ".part")
-"""Of the files that runs write into folders within their own."""
+_WITHIN = re.compile(
+    rf"{LABELLED_FOLDER}|metadata\.yaml|{LABELLED_FOLDER}(_\d+)?\.(db3|mcap)"
+    r"|(\d{5}(\.final)?|own-\d{5}|halo)\.(npz|rrd)(\.part)?"
+)
+"""What runs write into the folders within their own: the files of a labelled ROS 2 bag and of the spool."""
 
 
 def map_file(name: str) -> str:
@@ -127,6 +131,8 @@ def create(path: Path, overwrite: bool = False, inputs: Iterable[Path] = ()) -> 
     is anything but a run, and where the folder cannot be written.
     """
     try:
+        if path.resolve().name == REPLACEMENT:
+            raise InputError(f"{path}: is where a run lies until it replaces another; give the folder around it to --out")
         if path.exists() and not path.is_dir():
             raise InputError(f"{path}: is a file; give a folder to --out")
         if path.is_dir() and any(path.iterdir()) and not (path / RUN_JSON).exists():
@@ -164,7 +170,12 @@ def _state(folder: RunFolder) -> str:
 
 
 def unfinished(path: Path) -> RunFolder:
-    """Where the run lies that is to be gone on with: within the folder, where it is to replace the one that is there."""
+    """Where the run lies that is to be gone on with: within the folder, where it is to replace the one that is there.
+
+    Raises InputError where that folder within is given itself.
+    """
+    if path.resolve().name == REPLACEMENT:
+        raise InputError(f"{path}: is where a run lies until it replaces another; give the folder around it to --resume")
     return RunFolder(path / REPLACEMENT) if (path / REPLACEMENT / RUN_JSON).exists() else RunFolder(path)
 
 
@@ -215,7 +226,7 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
         return
     for entry in path.iterdir():
-        if entry.is_dir() or entry.suffix in _OWN_SUFFIXES or entry.name == "metadata.yaml":
+        if _WITHIN.fullmatch(entry.name):
             _remove(entry)
     with suppress(OSError):
         path.rmdir()
@@ -304,9 +315,9 @@ def clear(folder: RunFolder) -> None:
 
 
 def point_latest_at(path: Path) -> None:
-    """Let `latest` beside the run folder point at it; where links are not possible, leave it."""
+    """Let `latest` beside the run folder point at it; leave what is there and no link to a run, and where none can be made."""
     latest = path.parent / "latest"
-    if latest.exists() and not latest.is_symlink():
+    if latest.exists() and not (latest.is_symlink() and (latest / RUN_JSON).exists()):
         return
     link = path.parent / f".latest-{os.getpid()}"
     try:

@@ -336,6 +336,43 @@ def test_killed_run_is_resumed_with_the_same_labels(
     assert "complete already" in ffmap(environment, "run", "--resume", out).stdout
 
 
+def test_resumed_run_knows_clouds_that_the_odometry_did_not_take(
+    bags: dict[str, Path], environment: dict[str, str], tmp_path: Path
+) -> None:
+    out, bag = tmp_path / "killed", Path(shutil.copy(bags["bag"], tmp_path))
+    options = ("--no-evaluate", "--set", "refinement.companion_points_max=0", "--outputs", "labels")
+    process = subprocess.Popen(
+        [*FFMAP, "run", str(bag), "--out", str(out), *options],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    end = time.monotonic() + 120
+    while not (out / "spool" / "00000.npz").exists() and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert list(json.loads((out / "run.json").read_text())["bag"]["clouds"]) == [UPRIGHT_TOPIC]
+    flip_a_bit(bag, UPRIGHT_TOPIC.replace("horizontal", "vertical"), 3)
+    assert_one_line_error(ffmap(environment, "run", "--resume", out), "not the bag", "start a new run")
+
+
+def test_run_is_not_gone_on_with_on_other_poses(
+    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    poses, out = Path(shutil.copy(finished / "trajectory.tum", tmp_path)), tmp_path / "run"
+    options = ("--trajectory", poses, "--no-evaluate", "--outputs", "labels")
+    assert ffmap(environment, "run", bags["bag"], "--out", out, *options).returncode == 0
+    record = json.loads((out / "run.json").read_text())
+    (out / "run.json").write_text(json.dumps(record | {"outcome": "aborted"}))
+    lines = poses.read_text().splitlines()
+    poses.write_text("\n".join(lines[:-1]))
+    assert_one_line_error(ffmap(environment, "run", "--resume", out), "trajectory.tum", "is not what", "start a new run")
+    poses.unlink()
+    assert_one_line_error(ffmap(environment, "run", "--resume", out), "trajectory.tum", "or is gone")
+
+
 def flip_a_bit(bag: Path, topic: str, cloud: int) -> None:
     """In the middle of a cloud's points, with size, index and times of the file as they were."""
     with Reader(bag) as reader:

@@ -20,15 +20,15 @@ def write_run(folder: RunFolder, label: str, files: tuple[str, ...], outcome: st
 
 
 EARLIER = ("recording.rrd", "cloud.ply", "metrics.json", "labelled/metadata.yaml", "labelled/labelled_0.mcap", "map.pgm")
-USERS = ("notes.txt", "labelled/mine.txt", "figures/a.png", "map_of_mine.pgm")
+USERS = ("notes.txt", "labelled/mine.txt", "labelled/mine.mcap", "labelled/cuts/a.mcap", "figures/a.png", "map_of_mine.pgm")
 
 
 @pytest.fixture
 def home(tmp_path: Path) -> RunFolder:
     folder = RunFolder(tmp_path / "run")
     write_run(folder, "earlier", EARLIER)
-    (folder.path / "figures").mkdir()
     for name in USERS:
+        (folder.path / name).parent.mkdir(exist_ok=True)
         (folder.path / name).write_text("mine")
     return folder
 
@@ -113,6 +113,32 @@ def test_run_is_not_replaced_by_one_that_reads_it(name: str, home: RunFolder, tm
             create(home.path, overwrite=True, inputs=[read])
     create(home.path, overwrite=True, inputs=[home.path / "notes.txt", tmp_path / "drive.bag"])
     assert contents(home) == before
+
+
+def test_folder_of_a_replacement_is_no_place_for_a_run(home: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = contents(home)
+    inside = home.path / REPLACEMENT
+    with pytest.raises(InputError, match="give the folder around it to --out"):
+        create(inside)
+    write_run(create(home.path, overwrite=True), "new", ("cloud.ply",))
+    monkeypatch.chdir(inside)
+    for path in (inside, Path()):
+        with pytest.raises(InputError, match="give the folder around it to --resume"):
+            unfinished(path)
+    assert {name: text for name, text in contents(home).items() if not name.startswith(REPLACEMENT)} == before
+
+
+def test_latest_points_at_the_newest_run_and_no_other_link_is_lost(home: RunFolder) -> None:
+    latest, newer = home.path.parent / "latest", home.path.parent / "newer"
+    run_folder.point_latest_at(home.path)
+    write_run(RunFolder(newer), "newer", ("cloud.ply",))
+    run_folder.point_latest_at(newer)
+    assert latest.readlink() == Path("newer")
+    latest.unlink()
+    (home.path.parent / "thesis").mkdir()
+    latest.symlink_to("thesis")
+    run_folder.point_latest_at(newer)
+    assert latest.readlink() == Path("thesis")
 
 
 def test_every_file_of_a_run_is_known_by_its_name() -> None:
