@@ -8,26 +8,24 @@ import difflib
 import re
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
 import pyarrow as pa  # type: ignore[import-untyped]
-import rerun as rr
-import rerun.server
 from datafusion import Expr, col, lit
 from datafusion import functions as f
 from rerun.catalog import CatalogClient, DatasetEntry
 
 from app import figures
+from app.catalogue_server import CatalogueServer
 from app.condition import ConditionError, rows_where
 from app.run_folder import EVALUATION, METRICS, RECORDING, RUN_JSON, RunFolder
 from loaders.errors import InputError, shortened
 from loaders.text_files import read_object
 
-LOOPBACK = "127.0.0.1"
 DATASET = "runs"
 RUN = "run"
 """The column that names a run: its folder."""
@@ -63,11 +61,15 @@ def _runs_below(folder: Path, depth: int) -> Iterator[Path]:
 class Catalogue:
     """A server over the recordings of runs, and what it could not take."""
 
-    def __init__(self, server: rr.server.Server, stand_ins: Path) -> None:
+    def __init__(self, server: CatalogueServer, stand_ins: Path) -> None:
         """stand_ins: an empty folder, for the properties of runs that have no recording."""
         self._stand_ins = stand_ins / _STAND_INS
-        self.url: str = server.url()
-        self.dataset: DatasetEntry = server.client().create_dataset(DATASET)
+        self._server = server
+        self.url: str = server.url
+        self.dataset: DatasetEntry = CatalogClient(server.url).create_dataset(DATASET)
+        self._sound: list[tuple[str, list[str]]] = []
+        """Layers, and addresses of their files, in the order in which they were registered."""
+        self._layout: str | None = None
         self.taken: dict[str, Path] = {}
         """Folders by their recordings' ids."""
         self._evaluated: set[Path] = set()
@@ -136,20 +138,43 @@ class Catalogue:
     def _register(self, files: Sequence[Path], layer: str) -> dict[Path, str]:
         """Add files as a layer of their segments, in one call: one by one they take four times as long.
 
-        Returns those that could not be added, and why. The server refuses a call for a single file that it cannot read;
-        each half is then tried by itself.
+        Returns those that could not be added, and why. The server refuses a call for a single file that it cannot read, and
+        takes some damaged files that no list of runs can be read with; each half is then tried by itself.
         """
         if not files:
             return {}
         by_uri = {file.resolve().as_uri(): file for file in files}
+        added: list[str] = []
         try:
             results = list(self.dataset.register(list(by_uri), layer_name=layer).iter_results())
-        except (ValueError, RuntimeError) as error:
+            added = [result.segment_id for result in results if result.segment_id is not None]
+            self.dataset.segment_table().to_arrow_table()
+        except (ValueError, RuntimeError, OSError) as error:
+            if self._server.ended():
+                self._restart()
+            elif added:
+                self.dataset.unregister(segments_to_drop=added, layers_to_drop=layer).wait()
             if len(files) == 1:
                 return {files[0]: str(error).splitlines()[0]}
             half = len(files) // 2
             return self._register(files[:half], layer) | self._register(files[half:], layer)
+        self._sound.append((layer, [result.uri for result in results if result.error is None]))
         return {by_uri[result.uri]: result.error.splitlines()[0] for result in results if result.error is not None}
+
+    def _restart(self) -> None:
+        """Another server in place of one that a recording has ended, with all that the other had."""
+        self._server.restart()
+        self.dataset = CatalogClient(self.url).create_dataset(DATASET)
+        for layer, uris in self._sound:
+            if uris:
+                self.dataset.register(uris, layer_name=layer).wait()
+        if self._layout is not None:
+            self.set_layout(self._layout)
+
+    def set_layout(self, uri: str) -> None:
+        """How the viewer opens a run: a blueprint's address, which has to stay there."""
+        self.dataset.register_blueprint(uri, set_default=True)
+        self._layout = uri
 
 
 def _no_end(folder: Path) -> str | None:
@@ -165,7 +190,7 @@ def serve(folders: Sequence[Path]) -> Iterator[Catalogue]:
 
     Rerun's server lets whoever reaches it change the list and register files: others come by `app.read_only`.
     """
-    with rr.server.Server(host=LOOPBACK) as server, tempfile.TemporaryDirectory(prefix="ffmap-runs-") as stand_ins:
+    with closing(CatalogueServer()) as server, tempfile.TemporaryDirectory(prefix="ffmap-runs-") as stand_ins:
         catalogue = Catalogue(server, Path(stand_ins))
         catalogue.add(folders)
         yield catalogue

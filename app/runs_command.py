@@ -14,7 +14,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from app import catalogue, figures
-from app.catalogue import LOOPBACK, Answer, Catalogue, Query
+from app.catalogue import Answer, Catalogue, Query
+from app.catalogue_server import LOOPBACK
 from loaders.errors import InputError
 
 _ALL = "all"
@@ -203,4 +204,4 @@ def _add_layout(served: Catalogue, folder: Path) -> None:
     path = folder / "run.rbl"
     scans = any(open_run(run).has_scans for run in served.taken.values())
     run_blueprint.build(evaluated=True, scans=scans).save(entities.APPLICATION_ID, str(path))
-    served.dataset.register_blueprint(path.resolve().as_uri(), set_default=True)
+    served.set_layout(path.resolve().as_uri())

@@ -27,7 +27,7 @@ ONLY_IN = {
         "app/compare_recorder.py",
         "app/pipeline.py",
         "app/sweep_recorder.py",
-        "app/catalogue.py",
+        "app/catalogue",
         "blueprints/",
     ],
     "embreex": ["loaders/simulator/"],

@@ -1,6 +1,7 @@
 """Runs asked of Rerun's catalogue: what is found, in which order, and what is told of runs that cannot be."""
 
 import json
+import os
 import re
 import shutil
 import signal
@@ -12,9 +13,11 @@ from typing import Any
 
 import pytest
 import rerun as rr
+from rerun.catalog import DatasetEntry
 
 from app import catalogue, runs_command
 from app.catalogue import Query, ask, find_runs
+from app.catalogue_server import CatalogueServer
 from app.recorder import Recorder
 from blueprints import entities
 from loaders.errors import InputError
@@ -322,3 +325,42 @@ def test_asking_for_runs_does_not_wait_for_the_method_to_load() -> None:
     code = "import sys, app.runs_command; print('numba' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+def test_a_damaged_recording_that_rerun_takes_does_not_cost_the_list_of_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("a", "b", "c"):
+        make_run(tmp_path / name, 0.9, 0.02, 5.0)
+    file = tmp_path / "b" / "recording.rrd"
+    content = bytearray(file.read_bytes())
+    # Within the compressed properties, which are read only when a list of runs is asked for.
+    middle = content.index(b"property:", len(content) // 4) // 2
+    content[middle : middle + 200] = b"\xff" * 200
+    file.write_bytes(content)
+    runs_command.runs(str(tmp_path), Query(), None, None)
+    told = capsys.readouterr()
+    assert "2 runs in" in told.out
+    assert f"{tmp_path / 'b'}: recording.rrd is damaged" in told.err
+
+
+def test_a_recording_that_ends_the_server_costs_none_of_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = [make_run(tmp_path / name, 0.9, 0.02, 5.0) for name in ("a", "b", "c", "d")]
+    servers: list[CatalogueServer] = []
+    monkeypatch.setattr(catalogue, "CatalogueServer", lambda: servers.append(CatalogueServer()) or servers[0])
+    register = DatasetEntry.register
+
+    def end_at_c(self: DatasetEntry, files: list[str], **options: Any) -> Any:
+        if any("/c/" in file for file in files):
+            os.kill(servers[0]._process.pid, signal.SIGABRT)
+        return register(self, files, **options)
+
+    monkeypatch.setattr(DatasetEntry, "register", end_at_c)
+    with catalogue.serve(runs[:2]) as served:
+        url = served.url
+        served.add(runs[2:])
+        assert served.url == url
+        assert [folder.name for folder in served.taken.values()] == ["a", "b", "d"]
+        assert list(served.left_out) == [runs[2]]
+        answer = ask(served.dataset, Query())
+        assert sorted(answer.table.column("wall_f1").to_pylist()) == [0.9] * 3
