@@ -20,7 +20,7 @@ _LOOKED_AT = 1_000
 _STEP_MIN_NS = 5_000_000
 """No lidar sweeps faster. Over a shorter step, the error of two poses would pass for a motion at any speed."""
 _PLACES_MIN, _SPREAD_MIN = 3, 0.5
-"""A pose takes returns in so many voxels of the map, which spread by so many of them in a second direction."""
+"""Minimum number of voxels of the map that a pose needs returns in, and their minimum spread, in voxels, in a second direction."""
 
 
 class OdometrySettings(StepSettings):

@@ -89,6 +89,8 @@ from app.run_folder import (
     OVERLAY,
     RUN_JSON,
     TRAJECTORY,
+    RunFolder,
+    check_same_run,
     map_file,
     require_writable,
     rooms_file,
@@ -122,7 +124,7 @@ TRUTH_SUFFIXES = (".tum", ".txt")
 
 _FIG_10 = ("found", "recall", "precision", "split", "merged")
 _FRAMES_APART_M = 1_000.0
-"""Poses so far from the true ones are not wrong but given in another frame, as in UTM."""
+"""Distance in metres from the true poses beyond which poses are not wrong but given in another frame, as in UTM."""
 
 _SEGMENTED = {
     Segmented.FURNITURE_FREE: "furniture-free map",
@@ -220,6 +222,7 @@ def evaluate_run(run: FinishedRun, truth_bag: Path | None = None, workers: int =
             )
         layer = _layer_of(run, Path(spool))
         comparison = compare_run(run, truth_path, truth, truth.trajectory, workers, layer)
+        check_same_run(RunFolder(run.path), run.record)
         write_json(run.path / METRICS, comparison.metrics)
         if comparison.maps:
             write_overlays(run.path / OVERLAY, comparison.maps, "truth", walls_direction_deg(run.path))

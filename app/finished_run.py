@@ -71,7 +71,8 @@ class FinishedRun:
     @cached_property
     def labelled(self) -> Path | None:
         """The labelled bag."""
-        return next((p for p in (self.path / LABELLED_BAG, self.path / LABELLED_FOLDER) if p.exists()), None)
+        bag, folder = self.path / LABELLED_BAG, self.path / LABELLED_FOLDER
+        return bag if bag.exists() else folder if (folder / "metadata.yaml").exists() else None
 
     @cached_property
     def recording(self) -> Path | None:

@@ -100,10 +100,14 @@ def _make_ready(arguments: Arguments, stack: ExitStack) -> _Ready:
     settings = load_settings(arguments.config, arguments.overrides)
     inputs, given = _find(arguments, arguments.bag, settings)
     home = arguments.out or run_folder.default_path(arguments.bag.resolve(), settings.short_hash())
-    disk = check_disk(inputs, home, check_outputs(arguments.outputs), Detail(arguments.detail), None)
+    disk = check_disk(
+        inputs, home, check_outputs(arguments.outputs), Detail(arguments.detail), run_folder.replacement_in(home)
+    )
     folder = run_folder.create(home, arguments.overwrite, _files_read(arguments))
     stack.enter_context(run_folder.held(home))
     connect_url = _viewer(arguments)
+    # A replacement that was killed when only its move was left is the earlier run now.
+    run_folder.take_place_if_complete(home)
     run_folder.clear(folder)
     record = pipeline.first_record(inputs, settings, stored(arguments), arguments.bag, arguments.trajectory)
     if given is not None:

@@ -8,7 +8,8 @@ import json
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -179,6 +180,18 @@ def unfinished(path: Path) -> RunFolder:
     return RunFolder(path / REPLACEMENT) if (path / REPLACEMENT / RUN_JSON).exists() else RunFolder(path)
 
 
+def replacement_in(path: Path) -> RunFolder | None:
+    """What a run that was to replace the one in this folder has left there, complete or not."""
+    return RunFolder(path / REPLACEMENT) if (path / REPLACEMENT).is_dir() else None
+
+
+def take_place_if_complete(path: Path) -> None:
+    """Finish what a kill has interrupted, see `take_place`."""
+    left = replacement_in(path)
+    if left is not None and (left.path / RUN_JSON).exists() and left.read_json().get("outcome") == "complete":
+        take_place(left)
+
+
 def written_files(folder: RunFolder) -> list[str]:
     """Which of the files of a run there are, spool aside."""
     return sorted(entry.name for entry in folder.path.iterdir() if entry.name in file_names() - {SPOOL})
@@ -251,15 +264,29 @@ def held(path: Path) -> Iterator[None]:
         yield
         return
     try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(f"{path}: another run is writing there; wait for its end, or give another folder to --out") from None
-        except OSError:
-            pass
+        # Who asks whether the folder is held holds it for a moment.
+        for last in (False, False, False, True):
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if last:
+                    raise InputError(
+                        f"{path}: another run is writing there; wait for its end, or give another folder to --out"
+                    ) from None
+                time.sleep(0.05)
+            except OSError:
+                break
+            else:
+                break
         yield
     finally:
         os.close(descriptor)
+
+
+def check_same_run(folder: RunFolder, record: Mapping[str, Any]) -> None:
+    """Raises InputError where another run has taken the folder since `record` was read: nothing of this one belongs there."""
+    if folder.read_json().get("recording_id") != record.get("recording_id"):
+        raise InputError(f"{folder.path}: another run has taken this one's place meanwhile; start again")
 
 
 def is_held(path: Path) -> bool:

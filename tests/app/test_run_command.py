@@ -482,6 +482,29 @@ def test_what_may_not_be_written_is_one_line(
     assert capsys.readouterr().err.startswith("ffmap: runs/a/metrics.json: cannot be read or written (Permission denied)")
 
 
+def test_evaluation_writes_nothing_to_a_run_that_took_the_place_of_its_own(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy = shutil.copytree(finished, tmp_path / "run")
+    run, before = open_run(copy), (copy / "metrics.json").read_bytes()
+    (copy / "run.json").write_text(json.dumps({**run.record, "recording_id": "another"}))
+    with pytest.raises(InputError, match="another run has taken"):
+        evaluate_run(run, None, 1)
+    assert (copy / "metrics.json").read_bytes() == before
+
+
+def test_scan_of_a_run_whose_clouds_are_not_known_is_known_by_their_times(
+    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    copy = shutil.copytree(finished, tmp_path / "run")
+    record = json.loads((copy / "run.json").read_text())
+    bag = {name: value for name, value in record["bag"].items() if name != "clouds"}
+    stamps = {topic: digest[::-1] for topic, digest in bag["stamps"].items()}
+    (copy / "run.json").write_text(json.dumps({**record, "bag": {**bag, "stamps": stamps}}))
+    done = ffmap(environment, "inspect", copy, "--scan", "3", "--out", tmp_path / "scan.rrd")
+    assert_one_line_error(done, bags["bag"].name, "is not the bag")
+
+
 def test_demo_leaves_the_users_bag_alone(environment: dict[str, str], tmp_path: Path) -> None:
     (tmp_path / "small.bag").write_text("mine")
     assert_one_line_error(ffmap(environment, "demo", "--out", tmp_path), "small.bag", "--out")

@@ -144,3 +144,25 @@ def test_latest_points_at_the_newest_run_and_no_other_link_is_lost(home: RunFold
 def test_every_file_of_a_run_is_known_by_its_name() -> None:
     written = {value for name, value in vars(run_folder).items() if name.isupper() and isinstance(value, str)}
     assert written - {REPLACEMENT, run_folder.PROGRAM} <= run_folder.file_names()
+
+
+def test_what_is_complete_takes_its_place_before_the_next_replacement(home: RunFolder) -> None:
+    run_folder.take_place_if_complete(home.path)
+    folder = create(home.path, overwrite=True)
+    run_folder.clear(folder)
+    write_run(folder, "half", ("cloud.ply",), outcome="running")
+    run_folder.take_place_if_complete(home.path)
+    assert home.read_json()["label"] == "earlier"
+    write_run(folder, "new", ("cloud.ply",))
+    run_folder.take_place_if_complete(home.path)
+    assert home.read_json()["label"] == "new"
+    assert contents(home) == {"cloud.ply": "new", **dict.fromkeys(USERS, "mine")}
+
+
+def test_nothing_of_one_run_is_written_to_another_that_took_its_place(home: RunFolder) -> None:
+    record = {**home.read_json(), "recording_id": "a"}
+    home.write_json(record)
+    run_folder.check_same_run(home, record)
+    home.write_json({**record, "recording_id": "b"})
+    with pytest.raises(InputError, match="another run has taken"):
+        run_folder.check_same_run(home, record)
