@@ -30,6 +30,8 @@ _FLOOR_OFF_M = 0.1
 _LEAN_MAX_DEG = 30.0
 _JUMP_M, _SPEED_MAX_M_S = 10.0, 100.0
 """Distance in metres and speed of a step between poses beyond which they are of another frame, or not in metres."""
+_GAP_S = 1.0
+"""Time without poses from which on a robot may have done anything between them."""
 _COORDINATE_MAX_M = 1e8
 _MARGIN_NS = 1_000_000_000
 """Time before and after the bag's own in which poses from outside count."""
@@ -87,6 +89,12 @@ def given_poses(name: str | None, inputs: Inputs, settings: Settings) -> GivenPo
         origin_m[2] = floor_m if abs(floor_m) > _FLOOR_OFF_M else 0.0
     else:
         warnings.append(f"no floor was found in the first seconds below the poses of {name}: are they of this drive?")
+    gaps_s = np.diff(read.stamp_ns) / 1e9
+    if len(gaps_s) and gaps_s.max() > _GAP_S:
+        warnings.append(
+            f"{name} has no pose for {gaps_s.max():.1f} s from {read.stamp_ns[gaps_s.argmax()] / 1e9:.3f} s on: the poses of the "
+            "scans between are interpolated, and off where the robot did not move evenly"
+        )
     if origin_m.any():
         x, y, z = origin_m
         warnings.append(

@@ -166,14 +166,20 @@ def _perform(ready: _Ready, resumed: bool) -> None:
     if arguments.latest:
         run_folder.point_latest_at(folder.path.resolve())
     metrics: evaluate.Metrics | None = None
+    compared = False
     try:
         if arguments.evaluate and inputs.vertical is not None:
             with _interruptible(f"the run is complete, 'ffmap evaluate {folder.path}' compares it with the truth"):
                 metrics = _evaluate(folder, arguments)
+        compared = True
     finally:
         # The run is complete, whatever becomes of its comparison with the truth.
         if not arguments.quiet:
-            _report(folder, inputs, finished, arguments, metrics)
+            quality = _quality(folder, inputs, arguments, metrics) if compared else _NOT_COMPARED
+            _report(folder, inputs, finished, arguments, quality)
+
+
+_NOT_COMPARED = "unknown: the comparison with the truth came to no end, as is told below"
 
 
 @contextmanager
@@ -291,12 +297,12 @@ def _report(
     inputs: Inputs,
     record: dict[str, Any],
     arguments: Arguments,
-    metrics: "evaluate.Metrics | None",
+    quality: str,
 ) -> None:
     """What a person wants to know of a finished run, in five lines; all else is in its files."""
     lines = {
         "made": _made(inputs, record),
-        "quality": _quality(folder, inputs, arguments, metrics),
+        "quality": quality,
         "results": str(folder.path),
         "look": view_command(folder.path) if Output.RECORDING in arguments.outputs else "no recording was asked for",
         "warnings": _warnings(folder, record),

@@ -170,6 +170,26 @@ def test_five_lines_tell_of_a_finished_run(finished_as_said: tuple[Path, subproc
     assert any(line.startswith("disk: about ") and "labelled bag" in line for line in done.stderr.splitlines())
 
 
+def test_truth_that_cannot_be_compared_with_is_not_said_to_be_absent(
+    bags: dict[str, Path],
+    environment: dict[str, str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def damaged(*_: object) -> None:
+        raise InputError("the truth is damaged")
+
+    monkeypatch.setenv("FFMAP_CACHE", environment["FFMAP_CACHE"])
+    monkeypatch.setattr(run_command, "_evaluate", damaged)
+    arguments = run_command.Arguments(bags["bag"], tmp_path / "run", detail="map", outputs=("labels",), workers=1)
+    with pytest.raises(InputError, match="the truth is damaged"):
+        run_command.run(arguments, None)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 5
+    assert "came to no end" in lines[1]
+
+
 def test_tables_come_when_asked_for_and_warnings_are_counted(
     bags: dict[str, Path], environment: dict[str, str], tmp_path: Path
 ) -> None:
