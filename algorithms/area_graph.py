@@ -46,7 +46,7 @@ _JAMB_M = 0.1
 """A doorway is closed so far into both jambs, whose place is not known better."""
 
 _AT_FACE_CELLS = 2.0
-"""An outline's edge lies at most so many cells from the face that it is drawn by."""
+"""Maximum distance of an outline's edge from the face that it is drawn by, in cells."""
 
 
 class Segmented(StrEnum):

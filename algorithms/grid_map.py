@@ -102,7 +102,7 @@ class GridMap:
 
 
 def _overlap(shift: int, own: int, other: int) -> tuple[slice, slice]:
-    """Where an axis of so many cells, shifted by so many, lies in another one, and which of its cells lie there."""
+    """Where an axis of `count` cells lies in another one when it is shifted, and which of its cells lie there."""
     low, high = max(shift, 0), max(min(shift + own, other), max(shift, 0))
     return slice(low, high), slice(low - shift, high - shift)
 

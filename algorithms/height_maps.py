@@ -28,7 +28,7 @@ _SEEN_FLOOR_M, _OFF_FLOOR_M = 0.3, 0.2
 _CEILING_CELL_M, _REACH_M = 0.25, 1.5
 """A ceiling goes on level so far beyond what was seen of it."""
 _TILE_M, _TILE_CUBES = 10.0, 5
-"""A square of the ground so wide holds so many cubes, or one beside it does, where returns are no single errors."""
+"""Edge in metres of a square of the ground, and the minimum number of cubes in it or beside it: fewer are single errors."""
 _OVERHEAD_M, _BROAD_OVERHEAD_M, _UNKNOWN_M = 2.2, 0.8, 0.3
 """What hangs so high and holds a disc so broad, with nothing seen above it, is a ceiling: ducts and lamps are narrow."""
 

@@ -12,13 +12,15 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 
 from algorithms import transforms
-from algorithms.refinement import Refinement, RefinementSettings, Refiner
+from algorithms.refinement import Refinement, RefinementSettings, Refiner, middle_ns
 from algorithms.scan import FloatArray, Scan
 from algorithms.settings import StepSettings
 
 _LOOKED_AT = 1_000
+_STEP_MIN_NS = 5_000_000
+"""No lidar sweeps faster. Over a shorter step, the error of two poses would pass for a motion at any speed."""
 _PLACES_MIN, _SPREAD_MIN = 3, 0.5
-"""A pose takes returns in so many voxels of the map, which spread by so many of them in a second direction."""
+"""Minimum number of voxels of the map that a pose needs returns in, and their minimum spread, in voxels, in a second direction."""
 
 
 class OdometrySettings(StepSettings):
@@ -93,7 +95,8 @@ def register_scans(
 ) -> Iterator[Registration]:
     """Register scans one after another to the map that they build; yields one `Registration` for each that holds a pose.
 
-    scans: index and scan, and the scan of the other lidar, if any, that ended last before it.
+    scans: index and scan, and the scan of the other lidar, if any, that ended last before it. One whose time does not go on
+        from that of the last pose gets none.
     T_sensor_companion: (4, 4) where that lidar sits.
     """
     range_m = (settings.range_min_m, settings.range_max_m)
@@ -112,7 +115,8 @@ def register_scans(
             ),
         )
     )
-    registrable = ((index, scan, other) for index, scan, other in scans if holds_a_pose(scan, settings))
+    sound = ((index, scan, other) for index, scan, other in scans if holds_a_pose(scan, settings))
+    registrable = _in_order(sound, refinement.enabled)
     for number, (index, scan, companion) in enumerate(registrable):
         threshold_m = float(odometry.adaptive_threshold.get_threshold())
         keep_evidence = number % settings.evidence_every == 0
@@ -161,6 +165,18 @@ def holds_a_pose(scan: Scan, settings: OdometrySettings) -> bool:
         return False
     spread = np.linalg.svd((places - places.mean(axis=0)) / np.sqrt(len(places)), compute_uv=False)
     return bool(spread[1] > _SPREAD_MIN)
+
+
+def _in_order(
+    scans: Iterable[tuple[int, Scan, Scan | None]], at_middle: bool
+) -> Iterator[tuple[int, Scan, Scan | None]]:
+    """The scans whose poses, of their middle or of their end, are of later and later times."""
+    last_ns: int | None = None
+    for index, scan, companion in scans:
+        stamp_ns = middle_ns(scan) if at_middle else scan.end_ns
+        if last_ns is None or stamp_ns - last_ns >= _STEP_MIN_NS:
+            last_ns = stamp_ns
+            yield index, scan, companion
 
 
 def weakness(registration: Registration, settings: RefinementSettings) -> str | None:

@@ -102,6 +102,11 @@ class _Registered:
     motion_per_ns: FloatArray
 
 
+def middle_ns(scan: Scan) -> int:
+    """The middle of a sweep: the time of its refined pose."""
+    return (scan.start_ns + scan.end_ns) // 2
+
+
 class Refiner:
     """Registers scan after scan to the map that the earlier ones made.
 
@@ -128,12 +133,12 @@ class Refiner:
         self._refusals = 0
 
     def refine(self, scan: Scan, T_odom_sensor_end: FloatArray, companion: Scan | None = None) -> Refinement:
-        """Register one scan, and beside it the last one of the other lidar that ended before it.
+        """Register one scan, later than the last one, and beside it the last one of the other lidar that ended before it.
 
         T_odom_sensor_end: the odometry's pose at the scan's end. Where the motion so far leads is the first guess, and where the
             odometry's motion since the last scan does, the second.
         """
-        stamp_ns = (scan.start_ns + scan.end_ns) // 2
+        stamp_ns = middle_ns(scan)
         last = self._last
         motion_per_ns: FloatArray = np.zeros(6)
         if last is None:
@@ -141,7 +146,7 @@ class Refiner:
             T_refined, inlier_share, weakest_share, refused = T_odom_sensor_end, 1.0, 1.0, False
             self._first = scan, companion
         else:
-            elapsed_ns = max(stamp_ns - last.stamp_ns, 1)
+            elapsed_ns = stamp_ns - last.stamp_ns
             T_predicted_by_odometry = last.T_refined @ transforms.invert(last.T_kiss_end) @ T_odom_sensor_end
             motion_per_ns = last.motion_per_ns
             expected: list[FloatArray] = [T_predicted_by_odometry]

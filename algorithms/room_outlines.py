@@ -12,7 +12,7 @@ from algorithms.scan import FloatArray
 from algorithms.segments import Faces, Segment
 
 _CORNER_M = 0.15
-"""Faces that end so near to where their lines cross make a corner there."""
+"""Maximum distance in metres of two faces' ends from where their lines cross, for a corner there."""
 _CROSSING = 0.3
 """Least sine of the angle between two faces that make a corner."""
 _RUN_MIN_M = 0.15
@@ -50,7 +50,7 @@ def lay_on_faces(outlines: Sequence[shapely.Polygon], faces: Sequence[Faces], re
     """The outlines with their edges on the faces that they run along.
 
     outlines: rooms that do not overlap, nor do those that are given back. faces: walls, sills of doors and the like,
-    whose normals point into the rooms. reach_m: an edge that lies so near before or behind a face belongs on it.
+    whose normals point into the rooms. reach_m: maximum distance of an edge before or behind the face that it belongs on.
     """
     if not sum(len(kind.ends) for kind in faces):
         return list(outlines)
@@ -144,7 +144,7 @@ def _projected(lines: BaseGeometry, face: Segment) -> BaseGeometry:
 
 
 def _strip(face: Segment, ends_m: FloatArray, depth_m: float) -> shapely.Polygon:
-    """What lies so far before a stretch of a face, or behind it where the depth is negative."""
+    """The rectangle before a stretch of a face, or behind it where the depth is negative."""
     ends = face.at(ends_m)
     return shapely.Polygon(np.concatenate([ends, ends[::-1] + depth_m * face.normal]))
 

@@ -48,7 +48,6 @@ from loaders.errors import InputError
 from loaders.trajectory_file import read_tum
 
 RECORDING = "comparison.rrd"
-REPORT = "comparison.json"
 _TRANSITIONS_SHOWN = 6
 _UNFINISHED = {
     "running": "is still running",
@@ -118,7 +117,7 @@ def _targets(runs: Sequence[FinishedRun], out: Path | None) -> tuple[Path, Path]
         make_writable(recording.parent)
     except OSError as error:
         raise InputError(f"{recording}: cannot be written ({error.strerror}); give another place to --out") from error
-    return recording, recording.parent / REPORT
+    return recording, recording.with_suffix(".json")
 
 
 def _readable(letter: str, run: FinishedRun, stack: ExitStack, warnings: list[str]) -> RunToCompare:

@@ -42,6 +42,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from algorithms import transforms
 from algorithms.area_graph import Segmented
 from algorithms.doors import DoorState
 from algorithms.evaluation import (
@@ -88,6 +89,8 @@ from app.run_folder import (
     OVERLAY,
     RUN_JSON,
     TRAJECTORY,
+    RunFolder,
+    check_same_run,
     map_file,
     require_writable,
     rooms_file,
@@ -120,6 +123,9 @@ TRUTH_SUFFIXES = (".tum", ".txt")
 """Of files with the true poses alone."""
 
 _FIG_10 = ("found", "recall", "precision", "split", "merged")
+_FRAMES_APART_M = 1_000.0
+"""Distance in metres from the true poses beyond which poses are not wrong but given in another frame, as in UTM."""
+
 _SEGMENTED = {
     Segmented.FURNITURE_FREE: "furniture-free map",
     Segmented.NORMAL: "normal map, after alpha removal",
@@ -216,6 +222,7 @@ def evaluate_run(run: FinishedRun, truth_bag: Path | None = None, workers: int =
             )
         layer = _layer_of(run, Path(spool))
         comparison = compare_run(run, truth_path, truth, truth.trajectory, workers, layer)
+        check_same_run(RunFolder(run.path), run.record)
         write_json(run.path / METRICS, comparison.metrics)
         if comparison.maps:
             write_overlays(run.path / OVERLAY, comparison.maps, "truth", walls_direction_deg(run.path))
@@ -314,15 +321,12 @@ def compare_run(
 ) -> Comparison:
     """A run beside the truth, nothing written but the parts of the layer, if one is wanted."""
     metrics: Metrics = {"truth": str(truth_path)}
+    poses_missing: tuple[str, ...] = ()
     if run.trajectory is not None:
-        found = read_tum(run.trajectory)
-        compared_poses = compare_trajectories(found, true_trajectory)
-        if not compared_poses.poses:
-            raise InputError(
-                f"{truth_path}: has no pose of a time at which the run {run.path} has one; give the truth of the same drive"
-            )
-        metrics["trajectory"] = _trajectory_metrics(compared_poses)
-    missing = tuple(_missing(run, truth))
+        metrics["trajectory"], poses_missing = _compare_poses(run, run.trajectory, truth_path, true_trajectory)
+    missing = (*poses_missing, *_missing(run, truth))
+    if run.map_origin_m[:2].any():
+        truth = replace(truth, building=None)
     if run.trajectory is None and _clouds_of(run) is None:
         raise InputError(
             f"{run.path}: holds nothing to compare with the truth, the run is {run.outcome}; "
@@ -372,6 +376,26 @@ def compare_run(
     return comparison
 
 
+def _compare_poses(
+    run: FinishedRun, poses: Path, truth_path: Path, true_trajectory: Trajectory
+) -> tuple[Metrics, tuple[str, ...]]:
+    """The figures of a run's poses, seen from the frame in which they were given, and what of them cannot be told."""
+    found = read_tum(poses).moved(transforms.make_transform(translation=run.map_origin_m))
+    compared = compare_trajectories(found, true_trajectory)
+    if not compared.poses:
+        raise InputError(
+            f"{truth_path}: has no pose of a time at which the run {run.path} has one; give the truth of the same drive"
+        )
+    metrics = _trajectory_metrics(compared)
+    apart_m = float(np.median(compared.error_unaligned_m))
+    if apart_m < _FRAMES_APART_M:
+        return metrics, ()
+    metrics |= dict.fromkeys((name for name in metrics if name.startswith("unaligned")), float("nan"))
+    return metrics, (
+        f"unaligned poses: the run's are {apart_m / 1e3:.1f} km from the true ones, so the two are given in different frames",
+    )
+
+
 def _missing(run: FinishedRun, truth: BagTruth) -> Iterator[str]:
     """What cannot be compared, and why, one line each."""
     if truth.classes is None and truth.building is None:
@@ -385,6 +409,9 @@ def _missing(run: FinishedRun, truth: BagTruth) -> Iterator[str]:
         yield f"labels, doors and maps: {_lacks(run, 'labelled clouds', 'labelled')}"
     if truth.building is None:
         yield f"doors, maps and rooms: the truth has no {BUILDING_TOPIC}"
+        return
+    if run.map_origin_m[:2].any():
+        yield "doors, maps and rooms: the map's origin lies elsewhere than that of its poses (run.json: map_origin)"
         return
     for what, name, output in (
         ("doors", DOORS, "geojson"),

@@ -6,6 +6,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from algorithms.scan import FloatArray
 from app.inputs import InputOptions
 from app.run_folder import (
     LABELLED_BAG,
@@ -54,10 +57,22 @@ class FinishedRun:
         outcome = str(self.record.get("outcome", "unknown"))
         return "killed" if outcome == "running" and not is_held(self.path) else outcome
 
+    @property
+    def map_origin_m(self) -> FloatArray:
+        """(3,) where the map's origin lies in the frame of the poses that were given; zeros where it is theirs.
+
+        Raises InputError where run.json is damaged.
+        """
+        origin = self.record.get("map_origin", [0.0, 0.0, 0.0])
+        if not (isinstance(origin, list) and len(origin) == 3 and all(isinstance(v, int | float) for v in origin)):
+            raise InputError(f"{self.path / RUN_JSON}: map_origin is {origin!r}, not x, y and z in metres; run ffmap again")
+        return np.array(origin, float)
+
     @cached_property
     def labelled(self) -> Path | None:
         """The labelled bag."""
-        return next((p for p in (self.path / LABELLED_BAG, self.path / LABELLED_FOLDER) if p.exists()), None)
+        bag, folder = self.path / LABELLED_BAG, self.path / LABELLED_FOLDER
+        return bag if bag.exists() else folder if (folder / "metadata.yaml").exists() else None
 
     @cached_property
     def recording(self) -> Path | None:

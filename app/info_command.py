@@ -8,7 +8,7 @@ from loaders.info import BagInfo, CloudInfo, describe_bag
 from loaders.pointcloud2 import TimeFrom
 
 _REASONS = 3
-"""So many reasons for which clouds give no scan are told."""
+"""Maximum number of reasons told for which clouds give no scan."""
 
 
 def info(bag: Path, rig: Path | None, horizontal: str | None, vertical: str | None, time_from: TimeFrom) -> None:

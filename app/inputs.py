@@ -24,7 +24,7 @@ from loaders.scans import (
 _TILT_MIN_DEG = LEANING_MIN_DEG + 5.0
 """The robot itself tilts on ramps and over sills."""
 _REASONS_READ = 50
-_NO_POSE = "its returns are too few, or all in a line, to be registered"
+_NO_POSE = "its returns are too few, or all in a line, to be registered, or its times overlap those of a cloud before it"
 
 
 @dataclass(frozen=True)

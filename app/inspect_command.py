@@ -18,7 +18,7 @@ from algorithms.scan import Scan, UInt8Array, within_range
 from algorithms.smoothing import smooth_ranges
 from app.blocks import seed_of
 from app.finished_run import FinishedRun, open_run
-from app.inputs import Inputs, digest_clouds, find_inputs
+from app.inputs import Inputs, digest_clouds, digest_stamps, find_inputs
 from app.inspect_faults import ScanFaults, find_faults, in_words
 from app.inspect_recorder import write
 from app.poses import given_poses, poses_of
@@ -104,9 +104,13 @@ def open_viewer(path: Path) -> None:
 
 
 def _check_same_clouds(run: FinishedRun, inputs: Inputs) -> None:
-    """Raises InputError where the bag is not what the run was made from, be it by one byte."""
-    sensors = [sensor for sensor in inputs.used(False) if sensor.lidar.topic in run.clouds]
-    if digest_clouds(inputs.bag_path, sensors) != run.clouds:
+    """Raises InputError where the bag is not what the run was made from, be it by one byte.
+
+    Of a run that was killed before it had read all clouds, their times alone are known.
+    """
+    told = run.clouds or run.part("bag").get("stamps", {})
+    sensors = [sensor for sensor in inputs.used(False) if sensor.lidar.topic in told]
+    if told != (digest_clouds(inputs.bag_path, sensors) if run.clouds else digest_stamps(sensors)):
         raise InputError(f"{inputs.bag_path}: is not the bag that {run.path} was made from; give that one with --bag")
 
 

@@ -19,7 +19,7 @@ from blueprints import inspect as inspect_blueprint
 
 _SIGHT_COLOR = (255, 255, 255, 45)
 _LIFT_M = 0.1
-"""What is marked lies so far before its return, towards the lidar: the plane that it is in would hide it."""
+"""Distance in metres of a mark from its return, towards the lidar: the plane that it is in would hide it."""
 _STYLE_COLORS = {"upmost": entities.UPMOST_COLOR, "bottommost": entities.BOTTOMMOST_COLOR, "others": (120, 140, 170)}
 
 

@@ -238,7 +238,7 @@ class _Window:
 
 
 def _coarsened(agreement: UInt8Array, factor: int) -> UInt8Array:
-    """Cells so many times as large, each as the one among its own that must not be overlooked."""
+    """Cells larger by `factor`, each as that of the cells within it that must not be overlooked."""
     if factor <= 1:
         return agreement
     rank = np.argsort(_IN_FRONT).astype(np.uint8)
@@ -249,7 +249,7 @@ def _coarsened(agreement: UInt8Array, factor: int) -> UInt8Array:
 
 
 def _columns(count: int, width: int, height: int) -> int:
-    """In how many columns so many pictures make a sheet of about the shape of a screen."""
+    """The number of columns in which `count` pictures make a sheet of about the shape of a screen."""
     shapes = [columns * width / (math.ceil(count / columns) * height) for columns in range(1, count + 1)]
     return 1 + int(np.argmin([abs(math.log(shape / _SHEET_SHAPE)) for shape in shapes]))
 

@@ -24,6 +24,7 @@ from app.run_folder import (
     REFERENCE_OVERLAY,
     REFERENCE_RECORDING,
     RunFolder,
+    check_same_run,
     map_file,
     require_writable,
 )
@@ -55,6 +56,7 @@ def maps(run_dir: Path, reference_path: Path) -> None:
         for name, grid in own.items()
     }
     metrics = map_metrics(compared)
+    check_same_run(RunFolder(run_dir), record)
     write_json(run_dir / REFERENCE_JSON, _content(reference_path, alignment, metrics))
     write_overlays(run_dir / REFERENCE_OVERLAY, compared, "reference", walls_direction_deg(run_dir))
     Console().print(maps_table(metrics, f"Grid maps against {reference_path.name} (Fig. 9)"))

@@ -30,9 +30,9 @@ _COMPLETE = "complete"
 _ENTRY = re.compile(r"[0-9a-f]{24}(-[0-9a-f]{32})?")
 _PART = re.compile(_ENTRY.pattern + r"\.\d+\.part")
 _ABANDONED_S = 24 * 3600.0
-"""A part that nobody has written to for so long is of a run that was killed."""
+"""Age in seconds at which an unfinished part is taken for that of a run that was killed."""
 _IN_USE_S = 60.0
-"""An entry that was used so recently may still be read by another run."""
+"""Time in seconds after its last use in which another run may still read an entry."""
 
 Arrays = Mapping[str, Any]
 """Named arrays."""

@@ -35,7 +35,7 @@ from loaders.scans import read_digests, read_scans
 _PER_FILE = 50
 _WAITING = 64
 """Results that the odometry process keeps back while the run's own process is busy."""
-_FORMAT = 8
+_FORMAT = 9
 """Raised whenever a change to reading or registering scans changes poses."""
 _RAGGED = ("keypoints_sensor", "local_map_odom")
 """What each registration has another number of."""
@@ -275,12 +275,7 @@ def _registered(inputs: Inputs, sensor: Sensor, settings: Settings) -> Iterator[
     scans = _with_companions(inputs.bag_path, sensor, companion, settings.scan.range_max_m, digests)
     poses: list[FloatArray] = []
     clouds: list[FloatArray] = []
-    last_ns = -1
     for registration in register_scans(scans, settings.odometry, settings.refinement, T_sensor_companion):
-        # A clock that steps back gives a second pose for a time that has one.
-        if registration.stamp_ns <= last_ns:
-            continue
-        last_ns = registration.stamp_ns
         yield registration
         poses.append(registration.T_odom_sensor)
         clouds.append(registration.keypoints_sensor)

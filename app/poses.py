@@ -23,16 +23,18 @@ _LEVEL_SCANS = 24
 _LEVEL_POINTS = 4_000
 
 _FAR_M = 1_000.0
-"""Poses from outside that begin so far from their frame's origin, as in UTM, are moved: float32 keeps a tenth of a millimetre
-of a kilometre, half a metre of the northing of a place."""
+"""Distance in metres from their frame's origin beyond which poses from outside, as in UTM, are moved: float32 keeps a tenth of
+a millimetre of a kilometre, but half a metre of the northing of a place."""
 _FLOOR_OFF_M = 0.1
-"""A floor that lies so far from the height 0 of such poses is none that the steps after this one look for."""
+"""Distance in metres of the floor from the height 0 of such poses beyond which the steps after this one would not find it."""
 _LEAN_MAX_DEG = 30.0
 _JUMP_M, _SPEED_MAX_M_S = 10.0, 100.0
-"""A pose that is so far from the one before, and was reached so fast, is of another frame, or not in metres."""
+"""Distance in metres and speed of a step between poses beyond which they are of another frame, or not in metres."""
+_GAP_S = 1.0
+"""Time without poses from which on a robot may have done anything between them."""
 _COORDINATE_MAX_M = 1e8
 _MARGIN_NS = 1_000_000_000
-"""Of poses from outside those of the bag's own time count, and so much around it."""
+"""Time before and after the bag's own in which poses from outside count."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,12 @@ def given_poses(name: str | None, inputs: Inputs, settings: Settings) -> GivenPo
         origin_m[2] = floor_m if abs(floor_m) > _FLOOR_OFF_M else 0.0
     else:
         warnings.append(f"no floor was found in the first seconds below the poses of {name}: are they of this drive?")
+    gaps_s = np.diff(read.stamp_ns) / 1e9
+    if len(gaps_s) and gaps_s.max() > _GAP_S:
+        warnings.append(
+            f"{name} has no pose for {gaps_s.max():.1f} s from {read.stamp_ns[gaps_s.argmax()] / 1e9:.3f} s on: the poses of the "
+            "scans between are interpolated, and off where the robot did not move evenly"
+        )
     if origin_m.any():
         x, y, z = origin_m
         warnings.append(

@@ -50,7 +50,7 @@ def process_context() -> ForkServerContext | SpawnContext:
     if sys.platform != "linux":
         return mp.get_context("spawn")
     context = mp.get_context("forkserver")
-    context.set_forkserver_preload(["app.worker_server", "algorithms.odometry", "app.warm_up"])
+    context.set_forkserver_preload(["app.worker_server"])
     return context
 
 

@@ -24,6 +24,7 @@ from app.recording import check_viewer, start_viewer
 from app.run_folder import METRICS, RUN_JSON, RunFolder
 from app.settings import Settings, load_settings, validate
 from app.versions import versions
+from loaders.cloud_digest import joined
 from loaders.errors import InputError
 from loaders.pointcloud2 import TimeFrom
 
@@ -99,10 +100,14 @@ def _make_ready(arguments: Arguments, stack: ExitStack) -> _Ready:
     settings = load_settings(arguments.config, arguments.overrides)
     inputs, given = _find(arguments, arguments.bag, settings)
     home = arguments.out or run_folder.default_path(arguments.bag.resolve(), settings.short_hash())
-    disk = check_disk(inputs, home, check_outputs(arguments.outputs), Detail(arguments.detail), None)
+    disk = check_disk(
+        inputs, home, check_outputs(arguments.outputs), Detail(arguments.detail), run_folder.replacement_in(home)
+    )
     folder = run_folder.create(home, arguments.overwrite, _files_read(arguments))
     stack.enter_context(run_folder.held(home))
     connect_url = _viewer(arguments)
+    # A replacement that was killed when only its move was left is the earlier run now.
+    run_folder.take_place_if_complete(home)
     run_folder.clear(folder)
     record = pipeline.first_record(inputs, settings, stored(arguments), arguments.bag, arguments.trajectory)
     if given is not None:
@@ -161,14 +166,20 @@ def _perform(ready: _Ready, resumed: bool) -> None:
     if arguments.latest:
         run_folder.point_latest_at(folder.path.resolve())
     metrics: evaluate.Metrics | None = None
+    compared = False
     try:
         if arguments.evaluate and inputs.vertical is not None:
             with _interruptible(f"the run is complete, 'ffmap evaluate {folder.path}' compares it with the truth"):
                 metrics = _evaluate(folder, arguments)
+        compared = True
     finally:
         # The run is complete, whatever becomes of its comparison with the truth.
         if not arguments.quiet:
-            _report(folder, inputs, finished, arguments, metrics)
+            quality = _quality(folder, inputs, arguments, metrics) if compared else _NOT_COMPARED
+            _report(folder, inputs, finished, arguments, quality)
+
+
+_NOT_COMPARED = "unknown: the comparison with the truth came to no end, as is told below"
 
 
 @contextmanager
@@ -218,12 +229,15 @@ def _evaluate(folder: RunFolder, arguments: Arguments) -> "evaluate.Metrics | No
 
 
 def stored(arguments: Arguments) -> dict[str, Any]:
+    """What run.json keeps of the command line, with the digests of the rig's and the poses' file: either may be changed."""
     values = asdict(arguments)
     stored = {name: values[name] for name in _STORED}
     if arguments.rig is not None:
         stored["rig"] = str(arguments.rig.resolve())
     if arguments.trajectory is not None and Path(arguments.trajectory).exists():
         stored["trajectory"] = str(Path(arguments.trajectory).resolve())
+    files = {name: Path(stored[name]) for name in ("rig", "trajectory") if stored[name] is not None}
+    stored["digests"] = {name: joined([file.read_bytes()]).hex() for name, file in files.items() if file.is_file()}
     return stored
 
 
@@ -237,11 +251,11 @@ def _check_same_bag(inputs: Inputs, folder: RunFolder, record: dict[str, Any]) -
     """Raises InputError where a run was begun with other clouds than the bag holds now, be it by one byte."""
     used, known = inputs.used(record["poses_from"] != FROM_ODOMETRY), record["bag"].get("clouds", {})
     same = record["bag"]["stamps"] == digest_stamps(used)
-    if same and known:
+    if same:
         clouds = digest_clouds(inputs.bag_path, [sensor for sensor in used if sensor.lidar.topic in known])
         same = all(clouds[topic] == digest for topic, digest in known.items())
-    elif same and inputs.vertical is not None:
-        # Where the poses were given, nobody has read all clouds before the last block was finished.
+    if same and inputs.vertical is not None and inputs.vertical.lidar.topic not in known:
+        # Where the odometry did not take them, not all clouds were read before the last block was finished.
         blocks = [(block, folder.block(block.number, ".npz")) for block in split_blocks(len(inputs.vertical.index))]
         same = all(holds_clouds_of(path, block, inputs) for block, path in blocks if path.exists())
     if not same:
@@ -262,6 +276,7 @@ def _as_begun(arguments: Arguments, path: Path, record: dict[str, Any]) -> tuple
         if options["time_from"] not in get_args(TimeFrom):
             raise KeyError(options["time_from"])
         options["outputs"] = check_outputs(options["outputs"])
+        digests = options.pop("digests")
     except KeyError as error:
         raise InputError(f"{path / run_folder.RUN_JSON}: lacks {error}; start a new run") from None
     options["rig"] = Path(options["rig"]) if options["rig"] else None
@@ -270,7 +285,11 @@ def _as_begun(arguments: Arguments, path: Path, record: dict[str, Any]) -> tuple
     begun, now = record.get("versions", {}), versions()
     if any(begun.get(name) != now[name] for name in ("furniture-free-mapping", "git_revision")):
         raise InputError(f"{path}: was begun by another version of ffmap, whose labels may differ; start a new run")
-    return replace(arguments, bag=bag, **options), settings
+    begun_with = replace(arguments, bag=bag, **options)
+    if stored(begun_with)["digests"] != digests:
+        files = " or ".join(str(options[name]) for name in ("rig", "trajectory") if options[name] is not None)
+        raise InputError(f"{files}: is not what {path} was begun with, or is gone; bring that back, or start a new run")
+    return begun_with, settings
 
 
 def _report(
@@ -278,12 +297,12 @@ def _report(
     inputs: Inputs,
     record: dict[str, Any],
     arguments: Arguments,
-    metrics: "evaluate.Metrics | None",
+    quality: str,
 ) -> None:
     """What a person wants to know of a finished run, in five lines; all else is in its files."""
     lines = {
         "made": _made(inputs, record),
-        "quality": _quality(folder, inputs, arguments, metrics),
+        "quality": quality,
         "results": str(folder.path),
         "look": view_command(folder.path) if Output.RECORDING in arguments.outputs else "no recording was asked for",
         "warnings": _warnings(folder, record),

@@ -6,8 +6,10 @@ is ever removed but files that runs write.
 
 import json
 import os
+import re
 import sys
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -44,8 +46,11 @@ REPLACEMENT = ".replacement"
 PROGRAM = "furniture-free-mapping"
 """What run.json says that it was written by."""
 
-_OWN_SUFFIXES = (".npz", ".rrd", ".db3", ".mcap", ".part")
-"""Of the files that runs write into folders within their own."""
+_WITHIN = re.compile(
+    rf"{LABELLED_FOLDER}|metadata\.yaml|{LABELLED_FOLDER}(_\d+)?\.(db3|mcap)"
+    r"|(\d{5}(\.final)?|own-\d{5}|halo)\.(npz|rrd)(\.part)?"
+)
+"""What runs write into the folders within their own: the files of a labelled ROS 2 bag and of the spool."""
 
 
 def map_file(name: str) -> str:
@@ -127,6 +132,8 @@ def create(path: Path, overwrite: bool = False, inputs: Iterable[Path] = ()) -> 
     is anything but a run, and where the folder cannot be written.
     """
     try:
+        if path.resolve().name == REPLACEMENT:
+            raise InputError(f"{path}: is where a run lies until it replaces another; give the folder around it to --out")
         if path.exists() and not path.is_dir():
             raise InputError(f"{path}: is a file; give a folder to --out")
         if path.is_dir() and any(path.iterdir()) and not (path / RUN_JSON).exists():
@@ -164,8 +171,25 @@ def _state(folder: RunFolder) -> str:
 
 
 def unfinished(path: Path) -> RunFolder:
-    """Where the run lies that is to be gone on with: within the folder, where it is to replace the one that is there."""
+    """Where the run lies that is to be gone on with: within the folder, where it is to replace the one that is there.
+
+    Raises InputError where that folder within is given itself.
+    """
+    if path.resolve().name == REPLACEMENT:
+        raise InputError(f"{path}: is where a run lies until it replaces another; give the folder around it to --resume")
     return RunFolder(path / REPLACEMENT) if (path / REPLACEMENT / RUN_JSON).exists() else RunFolder(path)
+
+
+def replacement_in(path: Path) -> RunFolder | None:
+    """What a run that was to replace the one in this folder has left there, complete or not."""
+    return RunFolder(path / REPLACEMENT) if (path / REPLACEMENT).is_dir() else None
+
+
+def take_place_if_complete(path: Path) -> None:
+    """Finish what a kill has interrupted, see `take_place`."""
+    left = replacement_in(path)
+    if left is not None and (left.path / RUN_JSON).exists() and left.read_json().get("outcome") == "complete":
+        take_place(left)
 
 
 def written_files(folder: RunFolder) -> list[str]:
@@ -215,7 +239,7 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
         return
     for entry in path.iterdir():
-        if entry.is_dir() or entry.suffix in _OWN_SUFFIXES or entry.name == "metadata.yaml":
+        if _WITHIN.fullmatch(entry.name):
             _remove(entry)
     with suppress(OSError):
         path.rmdir()
@@ -240,15 +264,29 @@ def held(path: Path) -> Iterator[None]:
         yield
         return
     try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(f"{path}: another run is writing there; wait for its end, or give another folder to --out") from None
-        except OSError:
-            pass
+        # Who asks whether the folder is held holds it for a moment.
+        for last in (False, False, False, True):
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if last:
+                    raise InputError(
+                        f"{path}: another run is writing there; wait for its end, or give another folder to --out"
+                    ) from None
+                time.sleep(0.05)
+            except OSError:
+                break
+            else:
+                break
         yield
     finally:
         os.close(descriptor)
+
+
+def check_same_run(folder: RunFolder, record: Mapping[str, Any]) -> None:
+    """Raises InputError where another run has taken the folder since `record` was read: nothing of this one belongs there."""
+    if folder.read_json().get("recording_id") != record.get("recording_id"):
+        raise InputError(f"{folder.path}: another run has taken this one's place meanwhile; start again")
 
 
 def is_held(path: Path) -> bool:
@@ -304,9 +342,9 @@ def clear(folder: RunFolder) -> None:
 
 
 def point_latest_at(path: Path) -> None:
-    """Let `latest` beside the run folder point at it; where links are not possible, leave it."""
+    """Let `latest` beside the run folder point at it; leave what is there and no link to a run, and where none can be made."""
     latest = path.parent / "latest"
-    if latest.exists() and not latest.is_symlink():
+    if latest.exists() and not (latest.is_symlink() and (latest / RUN_JSON).exists()):
         return
     link = path.parent / f".latest-{os.getpid()}"
     try:

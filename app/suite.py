@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -233,7 +234,7 @@ def _drive(
     """Simulate, run, evaluate and delete one drive, or take its figures from the cache."""
     key = json.dumps({"simulation": simulation, "settings": settings_hash, "code": code_digest()}, sort_keys=True)
     cached = cache_folder().parent / "suite" / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.json"
-    if cached.exists():
+    with suppress(OSError, ValueError):
         return Drive(case.name, seed, json.loads(cached.read_text()), cached=True)
     started = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="suite-", dir=folder) as work:

@@ -10,7 +10,7 @@ from algorithms.scan import FloatArray, IntArray
 from algorithms.segments import lengths_m
 
 _BEHIND_MAX_M = 0.5
-"""An opening also pierces the wall's other face, which lies at most so far from it."""
+"""Maximum distance in metres of an opening from the wall's other face, which it pierces too."""
 _ALONG_MIN = float(np.cos(np.radians(15.0)))
 """Cosine of the angle between an opening and the wall that it pierces, at least."""
 _SLIVER_M = 0.01

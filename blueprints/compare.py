@@ -11,7 +11,7 @@ from blueprints.maps import from_above, until_now
 from blueprints.timeline import time_panel
 
 _LEGEND_SHARE = 0.4
-"""Of what the curves take of their views, which are narrow, so much more is left for their legends."""
+"""Width left for the legends of curves, as a share of the curves' own: their views are narrow."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from loaders.truth import BUILDING_TOPIC, CLASSES_TOPIC, POSE_TOPIC
 _SAMPLES = 8
 _GAP_PERIODS = 2.5
 _READ_MAX = 400
-"""Of a lidar at most so many clouds are read to the last point: more would take minutes."""
+"""Maximum number of a lidar's clouds that are read to the last point: more would take minutes."""
 
 
 @dataclass(frozen=True)

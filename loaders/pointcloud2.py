@@ -27,6 +27,8 @@ RING_NAMES = ("ring", "channel", "laser_id", "line", "laser", "scan_id")
 _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _UINT8 = 2
 _LABEL_FIELDS = ("label", "label_scan")
+_SPANS_MAX = 2.0
+"""A cloud whose times span this many sweeps and more is stamped wrongly: they would lie among those of the clouds after it."""
 _NUMBER_MAX = 2.0**31
 """No ring has so high a number, whatever the type of its field."""
 
@@ -323,7 +325,10 @@ def _times(
         if layout.dtype(layout.time_field).kind != decoding.layout.dtype(layout.time_field).kind:
             raise CloudError(f"{layout.topic}: field {layout.time_field} is of another type than in the topic's other clouds")
         try:
-            return decoding.time.nanoseconds(field_column(message, layout, layout.time_field)[index], stamp)
+            values = field_column(message, layout, layout.time_field)[index]
+            time_ns, start_ns = decoding.time.nanoseconds(values, stamp)
+            _check_span(time_ns, decoding.time, decoding.period_ns)
+            return time_ns, start_ns
         except CloudError as error:
             raise CloudError(f"{layout.topic}: {error}; if it is so in many clouds, use --time-from azimuth") from error
     if decoding.time_from == "azimuth" and decoding.period_ns:
@@ -332,6 +337,17 @@ def _times(
             return columns * decoding.period_ns // layout.width, stamp
         return azimuth_times(points, ring, decoding.period_ns), stamp
     return None, stamp
+
+
+def _check_span(time_ns: IntArray, time: TimeField, period_ns: int | None) -> None:
+    """Raises CloudError where one cloud's times span far more than those of the others, which come in every period."""
+    if period_ns is None or not len(time_ns):
+        return
+    span_ns, usual_ns = int(time_ns.max()), max(time.span_ns, period_ns)
+    if span_ns > _SPANS_MAX * usual_ns:
+        raise CloudError(
+            f"the times in field {time.name} span {span_ns / 1e9:.2f} s, where a sweep takes {usual_ns / 1e9:.2f} s"
+        )
 
 
 def full_labels(scan: Scan, label: UInt8Array) -> UInt8Array:

@@ -317,7 +317,7 @@ def _place(
 
 
 def _check_reach(source: Path, candidates: list[_Candidate], base: str) -> None:
-    """Raises InputError where a lidar is so far from the base that no robot holds both: places would lose their millimetres."""
+    """Raises InputError where a lidar is farther from the base than any robot is long: places would lose their millimetres."""
     for candidate in candidates:
         away_m = 0.0 if candidate.T_base_sensor is None else float(np.linalg.norm(candidate.T_base_sensor[:3, 3]))
         if away_m > _REACH_MAX_M:

@@ -26,7 +26,7 @@ _PART_NS = 4_000_000
 _LEAD_POINTS = 32
 _OUTLIER_PERIODS = 10
 _LOOK_AHEAD = 1000
-"""So many clouds tell whether a leap of the stamps is their clock's or one cloud's."""
+"""Number of clouds that tell whether a leap of the stamps is their clock's or one cloud's."""
 _STRETCH_MIN = 3
 """Fewer clouds, between two leaps of the stamps, have wrong ones."""
 _APART_NS = 1_000_000_000

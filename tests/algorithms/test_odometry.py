@@ -142,6 +142,20 @@ def test_a_cloud_of_nothing_keeps_the_odometrys_motion(scans: list[tuple[int, Sc
     assert np.isfinite([r.T_odom_sensor for r in found]).all()
 
 
+@pytest.mark.parametrize("later_ns", [-20_000_000, 0, 1_000])
+@pytest.mark.parametrize("refined", [True, False])
+def test_a_scan_that_is_not_later_than_the_one_before_gets_no_pose_and_spoils_none(
+    scans: list[tuple[int, Scan, Scan | None]], refined: bool, later_ns: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    _, scan, _ = scans[4]
+    again = replace(scan, start_ns=scan.start_ns + later_ns)
+    given = [*scans[:5], (99, again, None), *scans[5:9]]
+    found = list(register_scans(given, OdometrySettings(), RefinementSettings(enabled=refined)))
+    assert [r.index for r in found] == list(range(9))
+    assert errors(found)[0].max() < 0.1
+    assert "out of range" not in capfd.readouterr().err
+
+
 def test_a_bare_corridor_raises_the_alarm_and_a_room_does_not(
     scans: list[tuple[int, Scan, Scan | None]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -29,7 +29,7 @@ def in_cells(room: shapely.Polygon) -> shapely.Polygon:
 
 
 def faces_of(room: shapely.Polygon, short_m: float = 0.0) -> Sides:
-    """The faces around a room, which end so far before its corners."""
+    """The faces around a room, which end `short_m` before its corners."""
     ends, normals = [], []
     for ring in (shapely.polygons(room.exterior).normalize().exterior.reverse(), *room.interiors):
         hole = ring in list(room.interiors)

@@ -1,6 +1,7 @@
 """A run's folder against a bag's truth, from end to end, in a room whose figures are known."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from app.evaluate import (
     evaluate_run,
     format_metrics,
     has_truth,
+    in_one_line,
     print_metrics,
     read_building,
     read_doors,
@@ -34,7 +36,7 @@ from loaders.frames import StaticTransform
 from loaders.pointcloud2 import describe_layout, field_column
 from loaders.rig import Rig
 from loaders.scans import index_clouds, read_messages
-from loaders.trajectory_file import write_tum
+from loaders.trajectory_file import read_tum, write_tum
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, odometry, point_dtype, tf_message, write_bag
 
 HEIGHT_M = 1.0
@@ -208,6 +210,52 @@ def test_trajectory(run: tuple[Path, dict[str, Any]]):
     assert trajectory["poses"] == SCANS
     assert trajectory["ate_rmse_m"] == pytest.approx(0, abs=1e-6)
     assert trajectory["unaligned_rmse_m"] == pytest.approx(0.02, abs=1e-6)
+
+
+def moved_run(run: tuple[Path, dict[str, Any]], tmp_path: Path, origin_m: list[float]) -> Path:
+    folder = Path(shutil.copytree(run[0], tmp_path / "moved"))
+    record = json.loads((folder / "run.json").read_text())
+    write_json(folder / "run.json", {**record, "map_origin": origin_m})
+    return folder
+
+
+def test_the_truth_in_the_frame_of_poses_that_were_given_far_from_its_origin(
+    run: tuple[Path, dict[str, Any]], tmp_path: Path
+):
+    origin_m = [432_123.0, 5_412_346.0, 450.25]
+    folder = moved_run(run, tmp_path, origin_m)
+    poses = read_tum(folder / "trajectory.tum")
+    write_tum(tmp_path / "true.tum", poses.moved(transforms.make_transform(translation=origin_m)))
+    trajectory = evaluate_run(open_run(folder), tmp_path / "true.tum", workers=1)["trajectory"]
+    assert trajectory["unaligned_max_m"] < 1e-3
+    assert trajectory["ate_rmse_m"] < 1e-3
+
+
+def test_what_lies_in_another_frame_than_the_truth_is_not_compared_with_it(
+    run: tuple[Path, dict[str, Any]], tmp_path: Path
+):
+    folder = moved_run(run, tmp_path, [432_123.0, 5_412_346.0, 450.25])
+    metrics = evaluate_run(open_run(folder), workers=1)
+    assert {"doors", "maps", "wall_map", "rooms"}.isdisjoint(metrics)
+    assert np.isnan(metrics["trajectory"]["unaligned_rmse_m"])
+    assert metrics["trajectory"]["ate_rmse_m"] == pytest.approx(0, abs=1e-6)
+    assert metrics["area"]["wall"] == run[1]["area"]["wall"]
+    told = in_one_line(metrics)
+    assert "not compared: unaligned poses: the run's are 5429.6 km from the true ones" in told
+    assert "not compared: doors, maps and rooms: the map's origin lies elsewhere" in told
+    assert json.loads((folder / "metrics.json").read_text())["trajectory"]["unaligned_rmse_m"] is None
+
+
+def test_a_map_whose_floor_alone_was_moved_is_compared(run: tuple[Path, dict[str, Any]], tmp_path: Path):
+    metrics = evaluate_run(open_run(moved_run(run, tmp_path, [0.0, 0.0, -0.8])), workers=1)
+    assert metrics["doors"] == run[1]["doors"]
+    assert metrics["trajectory"]["unaligned_rmse_m"] == pytest.approx(np.hypot(0.02, 0.8), abs=1e-6)
+
+
+@pytest.mark.parametrize("origin", [["x", 0, 0], [1.0], {}])
+def test_a_damaged_map_origin_is_told(run: tuple[Path, dict[str, Any]], tmp_path: Path, origin: Any):
+    with pytest.raises(InputError, match="map_origin"):
+        evaluate_run(open_run(moved_run(run, tmp_path, origin)), workers=1)
 
 
 def test_metrics_json_holds_the_same(run: tuple[Path, dict[str, Any]]):

@@ -131,7 +131,7 @@ GREEN, RED, ORANGE, FRAME, BLACK = (20, 140, 60), (240, 50, 50), (255, 150, 0), 
 
 
 def runs(along: np.ndarray, least: int) -> list[tuple[int, int]]:
-    """From where to where, at least so many, values are true."""
+    """Where values are true: begin and end of each run of at least `least` of them."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], along, [False]]).astype(int)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2) if b - a >= least]
 

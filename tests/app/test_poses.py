@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag1 import Reader, Writer
 
+from app import poses
 from app.cli import main
 from app.inputs import InputOptions, Inputs, find_inputs
 from app.poses import GivenPoses, check_lidars_meet, given_poses
@@ -68,6 +69,18 @@ def test_poses_far_out_are_moved_to_the_floor_near_the_first_and_that_is_told(in
     given = read_tum(tmp_path / "utm.tum").T_map_base[:, :3, 3]
     np.testing.assert_allclose(found.trajectory.T_map_base[:, :3, 3] + found.origin_m, given, atol=1e-6)
     assert "x 432123, y 5412346, z 450" in found.warnings[0]
+
+
+def test_time_without_poses_is_told(inputs: Inputs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(poses, "_GAP_S", 0.3)
+    path = tmp_path / "near.tum"
+    assert placed(path, inputs, [0.0, 0.0, 0.0]).warnings == ()
+    lines = path.read_text().splitlines(keepends=True)
+    begun = float(lines[0].split()[0])
+    path.write_text("".join(line for line in lines if not 0.3 < float(line.split()[0]) - begun < 0.8))
+    found = given_poses(str(path), inputs, Settings())
+    assert found is not None
+    assert "has no pose for 0.5 s" in found.warnings[0]
 
 
 def test_the_floor_is_found_wherever_the_poses_begin(inputs: Inputs, tmp_path: Path) -> None:

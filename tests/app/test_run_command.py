@@ -170,6 +170,26 @@ def test_five_lines_tell_of_a_finished_run(finished_as_said: tuple[Path, subproc
     assert any(line.startswith("disk: about ") and "labelled bag" in line for line in done.stderr.splitlines())
 
 
+def test_truth_that_cannot_be_compared_with_is_not_said_to_be_absent(
+    bags: dict[str, Path],
+    environment: dict[str, str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def damaged(*_: object) -> None:
+        raise InputError("the truth is damaged")
+
+    monkeypatch.setenv("FFMAP_CACHE", environment["FFMAP_CACHE"])
+    monkeypatch.setattr(run_command, "_evaluate", damaged)
+    arguments = run_command.Arguments(bags["bag"], tmp_path / "run", detail="map", outputs=("labels",), workers=1)
+    with pytest.raises(InputError, match="the truth is damaged"):
+        run_command.run(arguments, None)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 5
+    assert "came to no end" in lines[1]
+
+
 def test_tables_come_when_asked_for_and_warnings_are_counted(
     bags: dict[str, Path], environment: dict[str, str], tmp_path: Path
 ) -> None:
@@ -336,6 +356,43 @@ def test_killed_run_is_resumed_with_the_same_labels(
     assert "complete already" in ffmap(environment, "run", "--resume", out).stdout
 
 
+def test_resumed_run_knows_clouds_that_the_odometry_did_not_take(
+    bags: dict[str, Path], environment: dict[str, str], tmp_path: Path
+) -> None:
+    out, bag = tmp_path / "killed", Path(shutil.copy(bags["bag"], tmp_path))
+    options = ("--no-evaluate", "--set", "refinement.companion_points_max=0", "--outputs", "labels")
+    process = subprocess.Popen(
+        [*FFMAP, "run", str(bag), "--out", str(out), *options],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    end = time.monotonic() + 120
+    while not (out / "spool" / "00000.npz").exists() and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert list(json.loads((out / "run.json").read_text())["bag"]["clouds"]) == [UPRIGHT_TOPIC]
+    flip_a_bit(bag, UPRIGHT_TOPIC.replace("horizontal", "vertical"), 3)
+    assert_one_line_error(ffmap(environment, "run", "--resume", out), "not the bag", "start a new run")
+
+
+def test_run_is_not_gone_on_with_on_other_poses(
+    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    poses, out = Path(shutil.copy(finished / "trajectory.tum", tmp_path)), tmp_path / "run"
+    options = ("--trajectory", poses, "--no-evaluate", "--outputs", "labels")
+    assert ffmap(environment, "run", bags["bag"], "--out", out, *options).returncode == 0
+    record = json.loads((out / "run.json").read_text())
+    (out / "run.json").write_text(json.dumps(record | {"outcome": "aborted"}))
+    lines = poses.read_text().splitlines()
+    poses.write_text("\n".join(lines[:-1]))
+    assert_one_line_error(ffmap(environment, "run", "--resume", out), "trajectory.tum", "is not what", "start a new run")
+    poses.unlink()
+    assert_one_line_error(ffmap(environment, "run", "--resume", out), "trajectory.tum", "or is gone")
+
+
 def flip_a_bit(bag: Path, topic: str, cloud: int) -> None:
     """In the middle of a cloud's points, with size, index and times of the file as they were."""
     with Reader(bag) as reader:
@@ -443,6 +500,29 @@ def test_what_may_not_be_written_is_one_line(
         cli.main()
     assert stopped.value.code == 2
     assert capsys.readouterr().err.startswith("ffmap: runs/a/metrics.json: cannot be read or written (Permission denied)")
+
+
+def test_evaluation_writes_nothing_to_a_run_that_took_the_place_of_its_own(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy = shutil.copytree(finished, tmp_path / "run")
+    run, before = open_run(copy), (copy / "metrics.json").read_bytes()
+    (copy / "run.json").write_text(json.dumps({**run.record, "recording_id": "another"}))
+    with pytest.raises(InputError, match="another run has taken"):
+        evaluate_run(run, None, 1)
+    assert (copy / "metrics.json").read_bytes() == before
+
+
+def test_scan_of_a_run_whose_clouds_are_not_known_is_known_by_their_times(
+    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+) -> None:
+    copy = shutil.copytree(finished, tmp_path / "run")
+    record = json.loads((copy / "run.json").read_text())
+    bag = {name: value for name, value in record["bag"].items() if name != "clouds"}
+    stamps = {topic: digest[::-1] for topic, digest in bag["stamps"].items()}
+    (copy / "run.json").write_text(json.dumps({**record, "bag": {**bag, "stamps": stamps}}))
+    done = ffmap(environment, "inspect", copy, "--scan", "3", "--out", tmp_path / "scan.rrd")
+    assert_one_line_error(done, bags["bag"].name, "is not the bag")
 
 
 def test_demo_leaves_the_users_bag_alone(environment: dict[str, str], tmp_path: Path) -> None:

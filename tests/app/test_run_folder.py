@@ -20,15 +20,15 @@ def write_run(folder: RunFolder, label: str, files: tuple[str, ...], outcome: st
 
 
 EARLIER = ("recording.rrd", "cloud.ply", "metrics.json", "labelled/metadata.yaml", "labelled/labelled_0.mcap", "map.pgm")
-USERS = ("notes.txt", "labelled/mine.txt", "figures/a.png", "map_of_mine.pgm")
+USERS = ("notes.txt", "labelled/mine.txt", "labelled/mine.mcap", "labelled/cuts/a.mcap", "figures/a.png", "map_of_mine.pgm")
 
 
 @pytest.fixture
 def home(tmp_path: Path) -> RunFolder:
     folder = RunFolder(tmp_path / "run")
     write_run(folder, "earlier", EARLIER)
-    (folder.path / "figures").mkdir()
     for name in USERS:
+        (folder.path / name).parent.mkdir(exist_ok=True)
         (folder.path / name).write_text("mine")
     return folder
 
@@ -115,6 +115,54 @@ def test_run_is_not_replaced_by_one_that_reads_it(name: str, home: RunFolder, tm
     assert contents(home) == before
 
 
+def test_folder_of_a_replacement_is_no_place_for_a_run(home: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = contents(home)
+    inside = home.path / REPLACEMENT
+    with pytest.raises(InputError, match="give the folder around it to --out"):
+        create(inside)
+    write_run(create(home.path, overwrite=True), "new", ("cloud.ply",))
+    monkeypatch.chdir(inside)
+    for path in (inside, Path()):
+        with pytest.raises(InputError, match="give the folder around it to --resume"):
+            unfinished(path)
+    assert {name: text for name, text in contents(home).items() if not name.startswith(REPLACEMENT)} == before
+
+
+def test_latest_points_at_the_newest_run_and_no_other_link_is_lost(home: RunFolder) -> None:
+    latest, newer = home.path.parent / "latest", home.path.parent / "newer"
+    run_folder.point_latest_at(home.path)
+    write_run(RunFolder(newer), "newer", ("cloud.ply",))
+    run_folder.point_latest_at(newer)
+    assert latest.readlink() == Path("newer")
+    latest.unlink()
+    (home.path.parent / "thesis").mkdir()
+    latest.symlink_to("thesis")
+    run_folder.point_latest_at(newer)
+    assert latest.readlink() == Path("thesis")
+
+
 def test_every_file_of_a_run_is_known_by_its_name() -> None:
     written = {value for name, value in vars(run_folder).items() if name.isupper() and isinstance(value, str)}
     assert written - {REPLACEMENT, run_folder.PROGRAM} <= run_folder.file_names()
+
+
+def test_what_is_complete_takes_its_place_before_the_next_replacement(home: RunFolder) -> None:
+    run_folder.take_place_if_complete(home.path)
+    folder = create(home.path, overwrite=True)
+    run_folder.clear(folder)
+    write_run(folder, "half", ("cloud.ply",), outcome="running")
+    run_folder.take_place_if_complete(home.path)
+    assert home.read_json()["label"] == "earlier"
+    write_run(folder, "new", ("cloud.ply",))
+    run_folder.take_place_if_complete(home.path)
+    assert home.read_json()["label"] == "new"
+    assert contents(home) == {"cloud.ply": "new", **dict.fromkeys(USERS, "mine")}
+
+
+def test_nothing_of_one_run_is_written_to_another_that_took_its_place(home: RunFolder) -> None:
+    record = {**home.read_json(), "recording_id": "a"}
+    home.write_json(record)
+    run_folder.check_same_run(home, record)
+    home.write_json({**record, "recording_id": "b"})
+    with pytest.raises(InputError, match="another run has taken"):
+        run_folder.check_same_run(home, record)

@@ -134,6 +134,17 @@ def test_only_the_very_run_counts_as_finished(change: dict[str, Any], tmp_path: 
     assert not is_finished(job)
 
 
+@pytest.mark.parametrize("name", ["rig", "trajectory"])
+def test_run_that_was_made_with_another_file_is_not_finished(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "file.txt"
+    file.write_text("earlier")
+    job = run_of(tmp_path, "a", 1).job.model_copy(update={name: file if name == "rig" else str(file)})
+    write_run(job)
+    assert is_finished(job)
+    file.write_text("changed")
+    assert not is_finished(job)
+
+
 def test_one_failed_run_does_not_stop_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     machine = Machine({"a-1": "no memory"})
     schedule, told = swept(tmp_path, machine, monkeypatch, [0, 1, 2])

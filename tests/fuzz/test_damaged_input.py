@@ -28,7 +28,7 @@ from tests.loaders.bag_builder import sweep, write_bag
 from tests.loaders.test_recovery import foreign_mcap
 
 HEAVY = 4
-"""A run's folder takes so many times as long as a file."""
+"""How many times as long a run's folder takes as a file."""
 
 
 def fewer(test: Callable[..., None]) -> Callable[..., None]:

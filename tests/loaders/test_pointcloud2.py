@@ -253,6 +253,16 @@ def test_a_cloud_unlike_the_others_of_its_topic_gives_no_scan():
         assert len(decode(sound[0], decoding)) == 1440
 
 
+def test_a_cloud_whose_times_reach_far_into_the_clouds_after_it_gives_no_scan():
+    sound = [cloud(sweep(seed=i)) for i in range(7)]
+    stretched = sweep()
+    stretched["time"] *= 19
+    decoding = settle_decoding(sound, "/points", period_ns=100_000_000)
+    with pytest.raises(CloudError, match=r"time span 1\.\d+ s, where a sweep takes 0\.10 s"):
+        decode(cloud(stretched), decoding)
+    assert len(decode(sound[0], decoding)) == 1440
+
+
 def test_an_organised_cloud_of_another_shape_gives_no_scan():
     def organised(columns):
         return only(sweep(columns), "x", "y", "z").reshape(columns, 16).T.copy()
