@@ -271,15 +271,17 @@ def _check_resumable(arguments: Arguments) -> None:
 def _as_begun(arguments: Arguments, path: Path, record: dict[str, Any]) -> tuple[Arguments, Settings]:
     """What a killed run was started with. record: what its run.json holds."""
     try:
-        options = dict(record["options"])
+        options = {name: record["options"][name] for name in (*_STORED, "digests")}
         bag, settings = Path(record["bag"]["path"]), validate(record["settings"], str(path / run_folder.RUN_JSON))
         if options["time_from"] not in get_args(TimeFrom):
             raise KeyError(options["time_from"])
         options["outputs"] = check_outputs(options["outputs"])
         digests = options.pop("digests")
+        options["rig"] = Path(options["rig"]) if options["rig"] else None
     except KeyError as error:
         raise InputError(f"{path / run_folder.RUN_JSON}: lacks {error}; start a new run") from None
-    options["rig"] = Path(options["rig"]) if options["rig"] else None
+    except TypeError as error:
+        raise InputError(f"{path / run_folder.RUN_JSON}: is not as ffmap wrote it ({error}); start a new run") from None
     if not bag.exists():
         raise InputError(f"{bag}: the run's bag is gone; bring it back, or start a new run")
     begun, now = record.get("versions", {}), versions()

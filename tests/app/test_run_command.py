@@ -342,6 +342,9 @@ def test_killed_run_is_resumed_with_the_same_labels(
     process.wait()
     record = json.loads((out / "run.json").read_text())
     assert record["outcome"] == "running"
+    for options in ({"outputs": 3}, {"rig": 5}, {"time_from": "never"}):
+        (out / "run.json").write_text(json.dumps(record | {"options": record["options"] | options}))
+        assert_one_line_error(ffmap(environment, "run", "--resume", out), "run.json")
     by_another = record | {"versions": record["versions"] | {"git_revision": "0123456789ab"}}
     (out / "run.json").write_text(json.dumps(by_another))
     assert_one_line_error(ffmap(environment, "run", "--resume", out), "another version")
