@@ -30,7 +30,8 @@ test: lint
 
 lint: install
 	$(VENV)/bin/ruff check .
+	@mkdir -p .types && ln -sfn .. .types/ffmap # mypy finds the package under the name that it is installed by
 	$(VENV)/bin/mypy
 
 clean:
-	rm -rf $(VENV) build demo .hypothesis .pytest_cache .mypy_cache .ruff_cache *.egg-info
+	rm -rf $(VENV) build demo .hypothesis .pytest_cache .mypy_cache .ruff_cache .types *.egg-info

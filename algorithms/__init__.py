@@ -1,6 +1,6 @@
-"""The method of "Furniture Free Mapping using 3D Lidars" as pure functions on arrays, one module for each step.
+"""The method of "Furniture Free Mapping using 3D Lidars" as pure functions on arrays, one file for each step.
 
-Reads in the order of the paper: odometry and trajectory (IV.A), rearrangement (III.A), vertical_structures and
-wall_planes (III.B), doors and labelling (III.C), then what is made of all scans: building, semantic_map, grid_map,
-evaluation (IV). Knows neither files nor Rerun: every step returns a frozen dataclass with its answer and its evidence.
+Rooms, each of which uses only those before it: `base` (what a scan is), `scan` (one scan, section III of the paper), `poses`
+(IV.A), `building` (all scans together), `maps` (IV.C and D), `truth` (IV.B). They know neither files nor Rerun: each step
+returns a frozen dataclass with its answer and its evidence.
 """

@@ -12,8 +12,8 @@ from typing import Annotated, Any
 
 import typer
 
-from app.outputs import RUN_OUTPUTS, SWEEP_OUTPUTS, Output, parse_outputs
-from loaders.errors import InputError
+from ffmap.app.setup.outputs import RUN_OUTPUTS, SWEEP_OUTPUTS, Output, parse_outputs
+from ffmap.loaders.errors import InputError
 
 app = typer.Typer(
     name="ffmap",
@@ -28,7 +28,7 @@ app = typer.Typer(
 
 def _tell_version(wanted: bool) -> None:
     if wanted:
-        from app.versions import versions
+        from ffmap.app.setup.versions import versions
 
         own = versions()
         revision = own["git_revision"]
@@ -105,7 +105,9 @@ def run(
     ] = None,
     doors: Annotated[
         DoorsOption | None,
-        typer.Option(help="Doorways in map.yaml: all open, as they were seen, or closed; --set grid_map.doors.  [default: open]"),
+        typer.Option(
+            help="Doorways in map.yaml: all open, as they were seen, or closed; --set grid_map.doors.  [default: open]"
+        ),
     ] = None,
     detail: Annotated[
         DetailOption, typer.Option(help="What the recording holds of each scan: everything, labels, or the map alone.")
@@ -144,13 +146,13 @@ def run(
 
         ffmap run --resume runs/a
     """
-    from app.processes import start_server
+    from ffmap.app.run.workers import start_server
 
     written = parse_outputs(outputs, RUN_OUTPUTS)
     workers = workers or os.cpu_count() or 1
     if workers > 1:
         start_server()
-    from app import run_command
+    from ffmap.app.commands import run as run_command
 
     run_command.run(
         run_command.Arguments(
@@ -192,7 +194,7 @@ def info(
 
         ffmap info drive.bag
     """
-    from app import info_command
+    from ffmap.app.commands import info as info_command
 
     info_command.info(bag, rig, horizontal, vertical, time_from.value)
 
@@ -207,7 +209,9 @@ def simulate(
     duration: Annotated[float, typer.Option(min=1.0, help="Seconds of driving.")] = 60.0,
     set_: Annotated[
         list[str] | None,
-        typer.Option("--set", help="Any other property of the simulation, as in clutter=0.5; an unknown one lists them all."),
+        typer.Option(
+            "--set", help="Any other property of the simulation, as in clutter=0.5; an unknown one lists them all."
+        ),
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
@@ -219,7 +223,7 @@ def simulate(
 
         ffmap simulate angled --building angled --sensor vlp16 --format mcap
     """
-    from app import simulate_command
+    from ffmap.app.commands import simulate as simulate_command
 
     simulate_command.simulate(out, building, seed, sensor, format_, duration, set_ or [], quiet)
 
@@ -258,7 +262,7 @@ def evaluate(
         ffmap evaluate --suite --seeds 1,2 --set building.scans_min=5 --out runs/tuning.json
     """
     if suite:
-        from app.suite import parse_seeds, run_suite
+        from ffmap.app.commands.suite import parse_seeds, run_suite
 
         if run_folder is not None or truth is not None:
             raise InputError("--suite makes its own bags and runs: give no run folder and no --truth with it")
@@ -269,8 +273,8 @@ def evaluate(
     for name, given in (("--set", set_), ("--quick", quick), ("--seeds", seeds), ("--out", out)):
         if given:
             raise InputError(f"{name}: goes with --suite alone; a finished run is evaluated as it was made")
-    from app import evaluate as evaluation
-    from app.finished_run import open_run
+    from ffmap.app.analysis import evaluation
+    from ffmap.app.folder.finished_run import open_run
 
     evaluation.print_metrics(evaluation.evaluate_run(open_run(run_folder), truth, workers or os.cpu_count() or 1))
 
@@ -301,7 +305,7 @@ def inspect(
 
         ffmap inspect runs/a --scan 120 --line 37 --spawn
     """
-    from app import inspect_command
+    from ffmap.app.commands import inspect as inspect_command
 
     inspect_command.inspect(run_folder, scan, line, bag, out, spawn)
 
@@ -312,8 +316,10 @@ def compare(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", "-o", help="Folder for comparison.rrd and comparison.json, or the recording's name (.rrd).  "
-            "[default: comparison-RUN-RUN]"
+            "--out",
+            "-o",
+            help="Folder for comparison.rrd and comparison.json, or the recording's name (.rrd).  "
+            "[default: comparison-RUN-RUN]",
         ),
     ] = None,
     scans: Annotated[bool, typer.Option(help="With single scans side by side; without, the file is small.")] = True,
@@ -331,7 +337,7 @@ def compare(
 
         ffmap compare runs/a runs/b runs/c -o comparisons/walls --spawn
     """
-    from app import compare_command
+    from ffmap.app.commands import compare as compare_command
 
     compare_command.compare(run_folders, out, scans, spawn, quiet)
 
@@ -351,12 +357,18 @@ def sweep(
         int | None, typer.Option(min=1, metavar="N", help="Try N combinations drawn at random, not all of them.")
     ] = None,
     optuna: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Try N combinations, each proposed by Optuna after those before.")
+        int | None,
+        typer.Option(min=1, metavar="N", help="Try N combinations, each proposed by Optuna after those before."),
     ] = None,
     objective: Annotated[
-        str, typer.Option(help="The figure that runs are ranked by, and that --optuna optimises; errors and times: the less.")
+        str,
+        typer.Option(
+            help="The figure that runs are ranked by, and that --optuna optimises; errors and times: the less."
+        ),
     ] = "wall_f1",
-    seed: Annotated[int, typer.Option(min=0, help="Of --random and --optuna: the same seed, the same combinations.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Of --random and --optuna: the same seed, the same combinations.")
+    ] = 0,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder of the sweep; named again, it goes on there.  [default: runs/sweep-BAG-HASH]"),
@@ -370,7 +382,9 @@ def sweep(
     trajectory: Annotated[
         str | None, typer.Option(help="Poses T_map_base in place of the odometry: a TUM file, or a topic of the bag.")
     ] = None,
-    detail: Annotated[DetailOption, typer.Option(help="What each recording holds; see 'ffmap run'.")] = DetailOption.MAP,
+    detail: Annotated[
+        DetailOption, typer.Option(help="What each recording holds; see 'ffmap run'.")
+    ] = DetailOption.MAP,
     outputs: Annotated[
         str | None, typer.Option(metavar="LIST", help=f"{_OUTPUTS_HELP}  [default: {','.join(SWEEP_OUTPUTS)}]")
     ] = None,
@@ -379,7 +393,9 @@ def sweep(
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(metavar="tcp://HOST:PORT", help="Run on the Dask cluster of this scheduler; needs the extra 'cluster'."),
+        typer.Option(
+            metavar="tcp://HOST:PORT", help="Run on the Dask cluster of this scheduler; needs the extra 'cluster'."
+        ),
     ] = None,
     evaluate_: Annotated[
         bool, typer.Option("--evaluate/--no-evaluate", help="Where the bags carry truth, compare with it.")
@@ -398,7 +414,7 @@ def sweep(
 
         ffmap sweep drive.bag --grid seed=0,1,2,3 --scheduler tcp://127.0.0.1:8786
     """
-    from app import sweep_command
+    from ffmap.app.commands import sweep as sweep_command
 
     failed = sweep_command.sweep(
         sweep_command.Arguments(
@@ -431,7 +447,8 @@ def sweep(
 @app.command()
 def runs(
     place: Annotated[
-        str, typer.Argument(metavar="DIR|URL", help="Folder with runs, or a catalogue server, as 'ffmap serve' prints it.")
+        str,
+        typer.Argument(metavar="DIR|URL", help="Folder with runs, or a catalogue server, as 'ffmap serve' prints it."),
     ] = "runs",
     where: Annotated[
         str | None, typer.Option(metavar="SQL", help='Only runs of which this is true, as in "wall_f1 > 0.98".')
@@ -441,7 +458,8 @@ def runs(
     ] = None,
     reverse: Annotated[bool, typer.Option("--reverse", help="With --sort: the other way round.")] = False,
     columns: Annotated[
-        str | None, typer.Option(metavar="LIST", help="Columns to show, as in wall_f1,doors_found; 'all' lists their names.")
+        str | None,
+        typer.Option(metavar="LIST", help="Columns to show, as in wall_f1,doors_found; 'all' lists their names."),
     ] = None,
     dataset: Annotated[str | None, typer.Option(help="With a server: which of its datasets.  [default: runs]")] = None,
 ) -> None:
@@ -458,8 +476,8 @@ def runs(
 
         ffmap runs rerun+http://127.0.0.1:51234 --columns started,wall_f1,door_f1 --sort wall_f1
     """
-    from app import runs_command
-    from app.catalogue import Query
+    from ffmap.app.commands import runs as runs_command
+    from ffmap.app.record.catalogue.runs import Query
 
     runs_command.runs(place, Query(where, sort, reverse), columns, dataset)
 
@@ -471,7 +489,8 @@ def view(
         typer.Argument(metavar="RUN", help="Run folders, sweep folders, recordings (.rrd).", show_default=False),
     ],
     web: Annotated[
-        bool, typer.Option("--web", help="Serve them to a browser on this machine instead, as where there is no display.")
+        bool,
+        typer.Option("--web", help="Serve them to a browser on this machine instead, as where there is no display."),
     ] = False,
 ) -> None:
     """Open runs in the Rerun viewer with the layout that fits them: errors first, where the truth is known.
@@ -488,7 +507,7 @@ def view(
 
         ffmap view --web runs/latest
     """
-    from app import view_command
+    from ffmap.app.commands import view as view_command
 
     view_command.view(places, web)
 
@@ -517,7 +536,7 @@ def serve(
 
         ffmap serve /data/runs --host 0.0.0.0
     """
-    from app import runs_command
+    from ffmap.app.commands import runs as runs_command
 
     runs_command.serve(folder, host, port)
 
@@ -527,7 +546,9 @@ def rooms(
     map_path: Annotated[
         Path,
         typer.Argument(
-            metavar="MAP", help="map_server's .yaml, or an image: .png or .pgm; or a folder of them.", show_default=False
+            metavar="MAP",
+            help="map_server's .yaml, or an image: .png or .pgm; or a folder of them.",
+            show_default=False,
         ),
     ],
     resolution: Annotated[
@@ -535,7 +556,8 @@ def rooms(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for what is written.  [default: rooms/<map>]")] = None,
     truth: Annotated[
-        Path | None, typer.Option(help="Image of the true rooms, white and parted by lines: prints recall and precision.")
+        Path | None,
+        typer.Option(help="Image of the true rooms, white and parted by lines: prints recall and precision."),
     ] = None,
     doors: Annotated[Path | None, typer.Option(help="Doors that are known, as a run's doors.geojson.")] = None,
     config: Annotated[Path | None, typer.Option(help="Settings as TOML; see 'ffmap settings'.")] = None,
@@ -558,11 +580,9 @@ def rooms(
 
         ffmap rooms slam.yaml --set area_graph.furniture_max_m=0 --set area_graph.block_max_m=0
     """
-    from app import rooms_command
+    from ffmap.app.commands import rooms as rooms_command
 
-    rooms_command.rooms(
-        rooms_command.Arguments(map_path, resolution, out, truth, doors, config, tuple(set_ or ()))
-    )
+    rooms_command.rooms(rooms_command.Arguments(map_path, resolution, out, truth, doors, config, tuple(set_ or ())))
 
 
 @app.command()
@@ -580,7 +600,7 @@ def maps(
 
         ffmap maps runs/latest --reference floor3/map.yaml
     """
-    from app import maps_command
+    from ffmap.app.commands import maps as maps_command
 
     maps_command.maps(run_folder, reference)
 
@@ -599,7 +619,7 @@ def cache(
 
         ffmap cache --clear
     """
-    from app import cache_command
+    from ffmap.app.commands import cache as cache_command
 
     cache_command.cache(clear)
 
@@ -615,7 +635,7 @@ def settings(
 
         ffmap settings > mine.toml
     """
-    from app.settings import as_toml, load_settings
+    from ffmap.app.setup.settings import as_toml, load_settings
 
     typer.echo(as_toml(load_settings(config, set_ or [])), nl=False)
 
@@ -631,7 +651,7 @@ def bench(
 
         ffmap bench drive.bag
     """
-    from app import bench_command
+    from ffmap.app.commands import bench as bench_command
 
     bench_command.bench(bag, duration)
 
@@ -641,14 +661,14 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder for the demonstration's bag and run.")] = Path("demo"),
 ) -> None:
     """Simulate a small furnished building, run the program on it, and say how to look at the result."""
-    from app import demo_command
+    from ffmap.app.commands import demo as demo_command
 
     demo_command.demo(out)
 
 
 def _set_environment() -> None:
     """For numpy here, and for the worker processes."""
-    from app.processes import ENVIRONMENT
+    from ffmap.app.run.workers import ENVIRONMENT
 
     for name, value in ENVIRONMENT.items():
         os.environ.setdefault(name, value)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import rerun as rr
 import rerun.blueprint as rrb
 
-from blueprints import entities
-from blueprints.maps import from_above, until_now
-from blueprints.timeline import time_panel
+from ffmap.blueprints import entities
+from ffmap.blueprints.maps import from_above, until_now
+from ffmap.blueprints.timeline import time_panel
 
 _LEGEND_SHARE = 0.4
 """Width left for the legends of curves, as a share of the curves' own: their views are narrow."""
@@ -50,9 +50,7 @@ def build(
     last one that curves show; None where that is not known.
     """
     first, *others = runs
-    tabs: list[rrb.Container | rrb.View] = [
-        _differences(first, other, centre_m, extent_m, scans) for other in others
-    ]
+    tabs: list[rrb.Container | rrb.View] = [_differences(first, other, centre_m, extent_m, scans) for other in others]
     if any(run.scans or run.map_points for run in runs):
         tabs.append(_side_by_side(runs, centre_m, extent_m))
     tabs.append(rrb.TextDocumentView(origin=entities.RUNS_TEXT, name="Runs, settings, figures"))

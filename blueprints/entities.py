@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from algorithms.height_maps import Surface
-from algorithms.labels import NO_RETURN, Label, Verdict
-from algorithms.map_comparison import Agreement
-from algorithms.scan import FloatArray
-from algorithms.standing_walls import FaceVerdict
+from ffmap.algorithms.base.labels import NO_RETURN, Label, Verdict
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.building.face_verdicts import FaceVerdict
+from ffmap.algorithms.building.levels import Surface
+from ffmap.algorithms.truth.maps import Agreement
 
 APPLICATION_ID = "furniture_free_mapping"
 
@@ -504,6 +504,7 @@ def explain(record: Mapping[str, Any]) -> str:
         class_colors=" | ".join(_COLOR_WORDS),
         run="\n".join(run),
     )
+
 
 # --- a sweep's recording ---
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 import rerun as rr
 import rerun.blueprint as rrb
 
-from blueprints import entities
-from blueprints.entities import CurveSheet
-from blueprints.timeline import time_panel
+from ffmap.blueprints import entities
+from ffmap.blueprints.entities import CurveSheet
+from ffmap.blueprints.timeline import time_panel
 
 _COLOR_NAMES = {
     entities.Fault.OF_THE_SCAN: "cyan",

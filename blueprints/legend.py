@@ -2,7 +2,7 @@
 
 import rerun.blueprint as rrb
 
-from blueprints.entities import Legend
+from ffmap.blueprints.entities import Legend
 
 
 def above(legend: rrb.View | rrb.Container, content: rrb.View | rrb.Container, name: str) -> rrb.Container:

@@ -2,8 +2,8 @@
 
 import rerun.blueprint as rrb
 
-from algorithms.rival_maps import Rival
-from blueprints import entities
+from ffmap.algorithms.maps.rivals import Rival
+from ffmap.blueprints import entities
 
 _NAMES = {
     entities.FURNITURE_FREE: "Furniture-free (Fig. 9b): wall black, free white, unseen gray",

@@ -3,10 +3,10 @@
 import rerun.blueprint as rrb
 from rerun.blueprint import archetypes
 
-from algorithms.area_graph import Segmented
-from algorithms.rival_maps import Rival
-from blueprints import entities
-from blueprints.maps import from_above
+from ffmap.algorithms.maps.area_graph import Segmented
+from ffmap.algorithms.maps.rivals import Rival
+from ffmap.blueprints import entities
+from ffmap.blueprints.maps import from_above
 
 _PARTS = (entities.ROOM_FLOORS, entities.ROOM_OUTLINES, entities.ROOM_NAMES, entities.ROOM_PASSAGES)
 _COMPARED = {

@@ -5,11 +5,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
-from algorithms.grid_map import GridMap
-from algorithms.labels import Verdict
-from blueprints import entities, legend, maps, rooms
-from blueprints.entities import CurveSheet
-from blueprints.maps import from_above, until_now
+from ffmap.algorithms.base.labels import Verdict
+from ffmap.algorithms.maps.grid import GridMap
+from ffmap.blueprints import entities, legend, maps, rooms
+from ffmap.blueprints.entities import CurveSheet
+from ffmap.blueprints.maps import from_above, until_now
 
 
 def build(
@@ -161,7 +161,12 @@ def _map(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
 def _grid(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         origin=entities.WORLD,
-        contents=[f"{entities.GRID}/{entities.FURNITURE_FREE}", entities.DOOR_SILLS, entities.TRAJECTORY, f"{entities.BASE}/**"],
+        contents=[
+            f"{entities.GRID}/{entities.FURNITURE_FREE}",
+            entities.DOOR_SILLS,
+            entities.TRAJECTORY,
+            f"{entities.BASE}/**",
+        ],
         name="Grid map: wall black, free white, unseen gray; doors blue",
         overrides={entities.TRAJECTORY: until_now()},
         eye_controls=from_above(centre_m, extent_m),

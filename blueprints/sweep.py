@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 
 import rerun.blueprint as rrb
 
-from blueprints import entities
-from blueprints.entities import Panel
-from blueprints.timeline import time_panel
+from ffmap.blueprints import entities
+from ffmap.blueprints.entities import Panel
+from ffmap.blueprints.timeline import time_panel
 
 
 def build(panels: Mapping[str, Sequence[tuple[str, str]]], front: str, best: int) -> rrb.Blueprint:

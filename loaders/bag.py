@@ -21,10 +21,10 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from loaders.errors import InputError
-from loaders.message_heads import Reader, read_heads
-from loaders.recovery import RecoveredMcapReader, RecoveredRos1Reader
-from loaders.text_files import require_regular
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.message_heads import Reader, read_heads
+from ffmap.loaders.recovery import RecoveredMcapReader, RecoveredRos1Reader
+from ffmap.loaders.text_files import require_regular
 
 Container = Literal["ros1", "sqlite3", "mcap"]
 Message: TypeAlias = Any
@@ -304,9 +304,13 @@ def _typestore_of(ros_version: Literal[1, 2], readers: list[Reader], warnings: l
             warnings.append(f"the definition of {connection.msgtype} is not understood: {_one_line(error)}")
     for name in sorted(found.keys() & common.fielddefs.keys()):
         lacking = _field_names(common.fielddefs[name]) - _field_names(found[name])
-        lacking |= {used for _, field in found[name][1] for used in _types_in(field)} - common.fielddefs.keys() - found.keys()
+        lacking |= (
+            {used for _, field in found[name][1] for used in _types_in(field)} - common.fielddefs.keys() - found.keys()
+        )
         if lacking:
-            warnings.append(f"the definition of {name} in the bag lacks {', '.join(sorted(lacking))}; the common one is used")
+            warnings.append(
+                f"the definition of {name} in the bag lacks {', '.join(sorted(lacking))}; the common one is used"
+            )
             del found[name]
     if all(common.fielddefs.get(name) == definition for name, definition in found.items()):
         return common
@@ -314,7 +318,9 @@ def _typestore_of(ros_version: Literal[1, 2], readers: list[Reader], warnings: l
     try:
         store.register({**common.fielddefs, **found})
     except Exception as error:  # whatever a damaged definition leads to
-        warnings.append(f"the bag's definitions of messages do not fit together ({_one_line(error)}); common ones are used")
+        warnings.append(
+            f"the bag's definitions of messages do not fit together ({_one_line(error)}); common ones are used"
+        )
         return common
     return store
 

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import xxhash
 
-from algorithms.scan import UInt8Array
-from loaders.bag import RawMessage
+from ffmap.algorithms.base.scan import UInt8Array
+from ffmap.loaders.bag import RawMessage
 
 DIGEST_BYTES = 16
 

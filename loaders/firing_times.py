@@ -7,8 +7,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from algorithms.scan import FloatArray, IntArray
-from loaders.errors import CloudError
+from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.loaders.errors import CloudError
 
 TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "offset_time", "timeoffset", "time_offset", "relative_time")
 """Names under which drivers store times: Velodyne `time`, Ouster `t`, Hesai and RoboSense `timestamp`, Livox
@@ -51,7 +51,9 @@ class TimeField:
         if span_s > _LONGEST_SWEEP_NS / 1e9:
             raise CloudError(f"the times in field {self.name} span {_told(span_s)} s, longer than any sweep")
         if not abs(float(first)) * _UNITS_NS[self.unit] < _CLOCK_MAX_NS:
-            raise CloudError(f"the times in field {self.name} are as large as {float(first):.3g} {self.unit}: no clock's")
+            raise CloudError(
+                f"the times in field {self.name} are as large as {float(first):.3g} {self.unit}: no clock's"
+            )
         time_ns = _scaled(values, first, _UNITS_NS[self.unit])
         match self.reference:
             case "stamp":

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from algorithms import transforms
-from algorithms.scan import FloatArray
-from loaders.bag import Bag, Message
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.loaders.bag import Bag, Message
 
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 

@@ -5,8 +5,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_validator
 
-from loaders.errors import InputError, shortened
-from loaders.text_files import read_json
+from ffmap.loaders.errors import InputError, shortened
+from ffmap.loaders.text_files import read_json
 
 Position = Annotated[list[FiniteFloat], Field(min_length=2)]
 

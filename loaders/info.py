@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from loaders.bag import Bag, Container, Message, open_bag
-from loaders.errors import CloudError, InputError
-from loaders.frames import FrameTree, StaticTransform, read_frame_tree
-from loaders.packets import PACKET_TYPE
-from loaders.pointcloud2 import CloudDecoding, TimeFrom, decode, settle_decoding
-from loaders.rig import Rig, find_rig
-from loaders.scans import (
+from ffmap.loaders.bag import Bag, Container, Message, open_bag
+from ffmap.loaders.errors import CloudError, InputError
+from ffmap.loaders.frames import FrameTree, StaticTransform, read_frame_tree
+from ffmap.loaders.packets import PACKET_TYPE
+from ffmap.loaders.pointcloud2 import CloudDecoding, TimeFrom, decode, settle_decoding
+from ffmap.loaders.rig import Rig, find_rig
+from ffmap.loaders.scans import (
     CloudIndex,
     SkippedScan,
     clock_problem,
@@ -23,7 +23,7 @@ from loaders.scans import (
     sample_messages,
     stamp_problem,
 )
-from loaders.truth import BUILDING_TOPIC, CLASSES_TOPIC, POSE_TOPIC
+from ffmap.loaders.truth import BUILDING_TOPIC, CLASSES_TOPIC, POSE_TOPIC
 
 _SAMPLES = 8
 _GAP_PERIODS = 2.5

@@ -7,8 +7,8 @@ import numpy as np
 import velodyne_decoder
 from rosbags.typesys.store import Typestore
 
-from loaders.bag import Message
-from loaders.errors import CloudError
+from ffmap.loaders.bag import Message
+from ffmap.loaders.errors import CloudError
 
 PACKET_TYPE = "velodyne_msgs/msg/VelodyneScan"
 

@@ -14,12 +14,12 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from algorithms.labels import NO_RETURN
-from algorithms.scan import FloatArray, IntArray, Scan, UInt8Array
-from loaders.bag import Message
-from loaders.errors import CloudError
-from loaders.firing_times import TIME_NAMES, TimeField, azimuth_times, find_time_field
-from loaders.rings import RingModel, RingSample, estimate_rings
+from ffmap.algorithms.base.labels import NO_RETURN
+from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array
+from ffmap.loaders.bag import Message
+from ffmap.loaders.errors import CloudError
+from ffmap.loaders.firing_times import TIME_NAMES, TimeField, azimuth_times, find_time_field
+from ffmap.loaders.rings import RingModel, RingSample, estimate_rings
 
 TimeFrom = Literal["auto", "azimuth", "none"]
 
@@ -285,7 +285,9 @@ def _numbers(message: Message, layout: CloudLayout, rings: RingModel, index: Int
         case "row" | "column":
             count = layout.height if rings.source == "row" else layout.width
             if len(index) and count != rings.count:
-                raise CloudError(f"{layout.topic}: {count} {rings.source}s, where the topic's other clouds have {rings.count}")
+                raise CloudError(
+                    f"{layout.topic}: {count} {rings.source}s, where the topic's other clouds have {rings.count}"
+                )
             return index // layout.width if rings.source == "row" else index % max(layout.width, 1)
     return None
 
@@ -323,7 +325,9 @@ def _times(
 ) -> tuple[IntArray | None, int]:
     if decoding.time_from == "auto" and decoding.time and layout.time_field == decoding.time.name:
         if layout.dtype(layout.time_field).kind != decoding.layout.dtype(layout.time_field).kind:
-            raise CloudError(f"{layout.topic}: field {layout.time_field} is of another type than in the topic's other clouds")
+            raise CloudError(
+                f"{layout.topic}: field {layout.time_field} is of another type than in the topic's other clouds"
+            )
         try:
             values = field_column(message, layout, layout.time_field)[index]
             time_ns, start_ns = decoding.time.nanoseconds(values, stamp)

@@ -27,14 +27,14 @@ from typing import Any, Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from algorithms import transforms
-from algorithms.scan import FloatArray, IntArray
-from loaders.bag import Bag
-from loaders.errors import CloudError, InputError
-from loaders.frames import FrameTree, StaticTransform, read_frame_tree
-from loaders.pointcloud2 import CloudDecoding, CloudLayout, TimeFrom, decode, settle_decoding
-from loaders.scans import cloud_hint, cloud_topics, index_clouds, sample_messages
-from loaders.text_files import read_toml
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.loaders.bag import Bag
+from ffmap.loaders.errors import CloudError, InputError
+from ffmap.loaders.frames import FrameTree, StaticTransform, read_frame_tree
+from ffmap.loaders.pointcloud2 import CloudDecoding, CloudLayout, TimeFrom, decode, settle_decoding
+from ffmap.loaders.scans import cloud_hint, cloud_topics, index_clouds, sample_messages
+from ffmap.loaders.text_files import read_toml
 
 Role = Literal["horizontal", "vertical"]
 

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from algorithms.scan import BoolArray, FloatArray, IntArray
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 
 RingSource = Literal["field", "row", "column", "elevation", "bins"]
 

@@ -10,12 +10,12 @@ from itertools import islice
 
 import numpy as np
 
-from algorithms.scan import BoolArray, FloatArray, IntArray, Scan
-from loaders.bag import Bag, Message, RawMessage
-from loaders.cloud_digest import digest_of
-from loaders.errors import CloudError, InputError
-from loaders.packets import PACKET_TYPE, PacketDecoder
-from loaders.pointcloud2 import CloudDecoding, CloudLayout, decode, describe_layout, merge_clouds, point_dtype
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan
+from ffmap.loaders.bag import Bag, Message, RawMessage
+from ffmap.loaders.cloud_digest import digest_of
+from ffmap.loaders.errors import CloudError, InputError
+from ffmap.loaders.packets import PACKET_TYPE, PacketDecoder
+from ffmap.loaders.pointcloud2 import CloudDecoding, CloudLayout, decode, describe_layout, merge_clouds, point_dtype
 
 CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 CLOUD_TYPES = (CLOUD_TYPE, PACKET_TYPE)

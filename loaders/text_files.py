@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 
-from loaders.errors import InputError, shortened
+from ffmap.loaders.errors import InputError, shortened
 
 TEXT_BYTES_MAX = 64 << 20
 """A trajectory of 100 hours at 10 Hz has 40 MB."""

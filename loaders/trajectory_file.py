@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from algorithms import transforms
-from algorithms.scan import FloatArray
-from algorithms.trajectory import Trajectory
-from loaders.bag import Bag, Message
-from loaders.errors import InputError
-from loaders.frames import TF_TYPES, FrameTree, edge_of, pose_matrix
-from loaders.text_files import read_text
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.loaders.bag import Bag, Message
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.frames import TF_TYPES, FrameTree, edge_of, pose_matrix
+from ffmap.loaders.text_files import read_text
 
 _ORDER = "stamp x y z qx qy qz qw"
 

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from algorithms.scan import UInt8Array
-from algorithms.trajectory import Trajectory
-from loaders.bag import Bag
-from loaders.errors import InputError
-from loaders.geojson import check_features
-from loaders.pointcloud2 import describe_layout, field_column, stamp_ns
-from loaders.scans import index_clouds
-from loaders.trajectory_file import read_pose_topic
+from ffmap.algorithms.base.scan import UInt8Array
+from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.loaders.bag import Bag
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.geojson import check_features
+from ffmap.loaders.pointcloud2 import describe_layout, field_column, stamp_ns
+from ffmap.loaders.scans import index_clouds
+from ffmap.loaders.trajectory_file import read_pose_topic
 
 POSE_TOPIC = "/truth/pose"
 CLASSES_TOPIC = "/truth/classes"

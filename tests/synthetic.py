@@ -3,16 +3,16 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from algorithms import transforms
-from algorithms.doors import DoorsSettings
-from algorithms.labelling import LabellingSettings, MethodSettings
-from algorithms.levelling import LevelledScan, place_and_level
-from algorithms.rearrangement import RearrangementSettings
-from algorithms.scan import FloatArray, Scan, ScanSettings
-from algorithms.smoothing import SmoothingSettings, smooth_ranges
-from algorithms.trajectory import Trajectory
-from algorithms.vertical_structures import VerticalStructuresSettings
-from algorithms.wall_planes import WallPlanesSettings
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray, Scan, ScanSettings
+from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
+from ffmap.algorithms.scan.doors import DoorsSettings
+from ffmap.algorithms.scan.labelling import LabellingSettings, MethodSettings
+from ffmap.algorithms.scan.point_lines import RearrangementSettings
+from ffmap.algorithms.scan.smoothing import SmoothingSettings, smooth_ranges
+from ffmap.algorithms.scan.vertical_structures import VerticalStructuresSettings
+from ffmap.algorithms.scan.wall_planes import WallPlanesSettings
 
 RINGS = 32
 LOW_M = np.array([-6.0, -2.5, 0.0])
@@ -50,7 +50,9 @@ def trajectory(scan_count: int) -> Trajectory:
 def level(scan: Scan, trajectory: Trajectory) -> LevelledScan:
     """The smoothed scan in its place."""
     ranges = smooth_ranges(scan, SmoothingSettings())
-    return place_and_level(scan, ranges, trajectory, T_BASE_SENSOR, 0.0, np.zeros(2), RearrangementSettings(), max_deg=2.0)
+    return place_and_level(
+        scan, ranges, trajectory, T_BASE_SENSOR, 0.0, np.zeros(2), RearrangementSettings(), max_deg=2.0
+    )
 
 
 def scan(index: int = 0, firings: int = 2170, seed: int = 0) -> Scan:

@@ -4,14 +4,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from algorithms.building import BuildingSettings, Doors, Walls, Windows
-from algorithms.doors import DoorState
-from algorithms.features import Features, concatenate
-from algorithms.grid_map import Drive, Immobile
-from algorithms.labels import Label
-from algorithms.scan import FloatArray
-from algorithms.semantic_map import VoxelTable
-from algorithms.wall_cells import trace_rays
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.building.model import BuildingSettings, Doors, Walls, Windows
+from ffmap.algorithms.building.ray_evidence import trace_rays
+from ffmap.algorithms.building.votes import VoxelTable
+from ffmap.algorithms.maps.grid import Drive, Immobile
+from ffmap.algorithms.scan.doors import DoorState
+from ffmap.algorithms.scan.summary import Features, concatenate
 
 CEILING_M = 2.6
 HEAD_M = 2.05
@@ -153,7 +153,9 @@ class TwoRooms:
         origin = self.to_map(np.zeros((1, 2)))
         normal = np.array([self.to_map(n[None])[0] - origin[0] for _, n in self.faces])
         count = len(ends)
-        return Walls(ends, normal, np.zeros(count), np.full(count, 2.6), np.full(count, 5, np.int32), np.full(count, 0.01))
+        return Walls(
+            ends, normal, np.zeros(count), np.full(count, 2.6), np.full(count, 5, np.int32), np.full(count, 0.01)
+        )
 
     @property
     def doors(self) -> Doors:
@@ -190,7 +192,9 @@ class TwoRooms:
             cells=trace_rays(self.walls, [features], BuildingSettings()),
             votes=votes.votes(),
             doors=doors if doors is not None else self.doors,
-            windows=windows if windows is not None else Windows(np.zeros((0, 2, 2)), np.zeros((0, 2)), none, none, none),
+            windows=windows
+            if windows is not None
+            else Windows(np.zeros((0, 2, 2)), np.zeros((0, 2)), none, none, none),
         )
         return immobile, Drive(features.origin_map, lambda: [features])
 

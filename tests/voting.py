@@ -1,7 +1,7 @@
 """The votes of points at once, as what rests on votes is tested with."""
 
-from algorithms.scan import FloatArray, UInt8Array
-from algorithms.semantic_map import VoxelTable, VoxelVotes
+from ffmap.algorithms.base.scan import FloatArray, UInt8Array
+from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
 
 
 def vote(points_map: FloatArray, label: UInt8Array, classes: int, voxel_m: float) -> VoxelVotes:

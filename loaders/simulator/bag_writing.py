@@ -21,12 +21,12 @@ from rosbags.interfaces import (
 )
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from algorithms import transforms
-from algorithms.scan import FloatArray
-from loaders.errors import InputError
-from loaders.simulator.raytrace import Sweep
-from loaders.simulator.sensors import Lidar
-from loaders.simulator.settings import Container
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.simulator.raytrace import Sweep
+from ffmap.loaders.simulator.sensors import Lidar
+from ffmap.loaders.simulator.settings import Container
 
 _FLOAT32, _UINT32, _UINT16, _UINT8 = 7, 6, 4, 2
 _NUMPY_TYPE = {_FLOAT32: "<f4", _UINT32: "<u4", _UINT16: "<u2", _UINT8: "u1"}

@@ -15,9 +15,9 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
-from algorithms.labels import Truth
-from algorithms.scan import FloatArray
-from loaders.simulator.mesh import MeshBuilder, Spot
+from ffmap.algorithms.base.labels import Truth
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.loaders.simulator.mesh import MeshBuilder, Spot
 
 LEAF_THICKNESS_M = 0.04
 _CUT_M = 0.001

@@ -7,10 +7,10 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from algorithms.labels import Truth
-from algorithms.scan import FloatArray
-from loaders.simulator.building import Plan, Room, edges, spot_on
-from loaders.simulator.mesh import UP, MeshBuilder, Spot
+from ffmap.algorithms.base.labels import Truth
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.loaders.simulator.building import Plan, Room, edges, spot_on
+from ffmap.loaders.simulator.mesh import UP, MeshBuilder, Spot
 
 Size = tuple[float, float]
 Build = Callable[[MeshBuilder, Spot, Size, float, np.random.Generator], None]

@@ -7,8 +7,8 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from algorithms.labels import Truth
-from algorithms.scan import FloatArray, UInt8Array
+from ffmap.algorithms.base.labels import Truth
+from ffmap.algorithms.base.scan import FloatArray, UInt8Array
 
 _BOX_FACES = np.array(
     [[0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6], [3, 0, 4], [3, 4, 7], [4, 5, 6], [4, 6, 7],

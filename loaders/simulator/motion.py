@@ -12,10 +12,10 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 from shapely.geometry.base import BaseGeometry
 
-from algorithms.scan import FloatArray
-from algorithms.trajectory import Trajectory
-from loaders.simulator.building import Door, Plan, Room
-from loaders.simulator.settings import SimulationSettings
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.loaders.simulator.building import Door, Plan, Room
+from ffmap.loaders.simulator.settings import SimulationSettings
 
 POSE_RATE_HZ = 100
 REST_S = 1.0

@@ -8,11 +8,11 @@ from itertools import combinations
 import numpy as np
 import shapely
 
-from algorithms.scan import FloatArray
-from loaders.errors import InputError
-from loaders.simulator.building import Door, Plan, Room, Window, edges, outer_walls, shared_walls, spot_on
-from loaders.simulator.mesh import Spot
-from loaders.simulator.settings import SimulationSettings
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.simulator.building import Door, Plan, Room, Window, edges, outer_walls, shared_walls, spot_on
+from ffmap.loaders.simulator.mesh import Spot
+from ffmap.loaders.simulator.settings import SimulationSettings
 
 _CLEAR_OF_BEND_M = 1.4
 _JAMB_M = 0.5

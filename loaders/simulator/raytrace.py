@@ -6,12 +6,12 @@ import numpy as np
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 
-from algorithms.labels import NO_RETURN, Truth
-from algorithms.scan import BoolArray, FloatArray, IntArray, UInt8Array
-from algorithms.trajectory import Trajectory
-from loaders.simulator.mesh import Mesh
-from loaders.simulator.sensors import Lidar
-from loaders.simulator.settings import SimulationSettings
+from ffmap.algorithms.base.labels import NO_RETURN, Truth
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.loaders.simulator.mesh import Mesh
+from ffmap.loaders.simulator.sensors import Lidar
+from ffmap.loaders.simulator.settings import SimulationSettings
 
 _PASSES = 3
 """How many panes a ray may meet."""

@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from algorithms import transforms
-from algorithms.scan import FloatArray, IntArray
-from loaders.simulator.settings import Sensor, SimulationSettings
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.loaders.simulator.settings import Sensor, SimulationSettings
 
 
 @dataclass(frozen=True)

@@ -12,20 +12,20 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from algorithms import transforms
-from algorithms.scan import FloatArray
-from algorithms.trajectory import Trajectory
-from loaders.simulator.bag_writing import BagWriter
-from loaders.simulator.building import Plan, build_structure
-from loaders.simulator.furniture import build_outside, furnish
-from loaders.simulator.mesh import Mesh, MeshBuilder
-from loaders.simulator.motion import ROBOT_RADIUS_M, choose_route, draw_ways, drive
-from loaders.simulator.plans import draw_plan
-from loaders.simulator.raytrace import Sweep, Walker, World, scan
-from loaders.simulator.sensors import Lidar, mount_lidars
-from loaders.simulator.settings import SimulationSettings
-from loaders.simulator.terrain import Terrain, draw_terrain
-from loaders.simulator.truth import building_truth
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.loaders.simulator.bag_writing import BagWriter
+from ffmap.loaders.simulator.building import Plan, build_structure
+from ffmap.loaders.simulator.furniture import build_outside, furnish
+from ffmap.loaders.simulator.mesh import Mesh, MeshBuilder
+from ffmap.loaders.simulator.motion import ROBOT_RADIUS_M, choose_route, draw_ways, drive
+from ffmap.loaders.simulator.plans import draw_plan
+from ffmap.loaders.simulator.raytrace import Sweep, Walker, World, scan
+from ffmap.loaders.simulator.sensors import Lidar, mount_lidars
+from ffmap.loaders.simulator.settings import SimulationSettings
+from ffmap.loaders.simulator.terrain import Terrain, draw_terrain
+from ffmap.loaders.simulator.truth import building_truth
 
 BASE_FRAME = "base_link"
 EPOCH_NS = 1_700_000_000_000_000_000

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from algorithms.scan import FloatArray
-from algorithms.trajectory import Trajectory
-from loaders.simulator.mesh import Mesh
-from loaders.simulator.settings import SimulationSettings
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.loaders.simulator.mesh import Mesh
+from ffmap.loaders.simulator.settings import SimulationSettings
 
 _RAMP_GRADIENT = 0.08
 _FACET_M = 0.6

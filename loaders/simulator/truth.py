@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from algorithms import transforms
-from algorithms.scan import FloatArray
-from loaders.simulator.building import Plan
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.loaders.simulator.building import Plan
 
 
 def building_truth(plan: Plan, T_map_plan: FloatArray) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from app import own_command
+from ffmap.app import own_command
 
 
 @pytest.fixture

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import rerun.blueprint as rrb
 
-from algorithms.area_graph import Segmented
-from algorithms.labels import Verdict
-from blueprints import compare, entities, inspect, rooms, run
-from blueprints.entities import CurveSheet
+from ffmap.algorithms.base.labels import Verdict
+from ffmap.algorithms.maps.area_graph import Segmented
+from ffmap.blueprints import compare, entities, inspect, rooms, run
+from ffmap.blueprints.entities import CurveSheet
 
 
 def views(part: rrb.Container | rrb.View) -> Iterator[rrb.View]:
@@ -111,7 +111,8 @@ def test_the_first_tab_shows_scan_lines_curves_map_and_grid():
 
 
 @pytest.mark.parametrize(
-    ("rings", "scans", "legends"), [(32, True, [entities.LABEL_LEGEND]), (32, False, [entities.LABEL_LEGEND]), (None, True, [])]
+    ("rings", "scans", "legends"),
+    [(32, True, [entities.LABEL_LEGEND]), (32, False, [entities.LABEL_LEGEND]), (None, True, [])],
 )
 def test_the_first_tab_says_what_it_shows_and_where_all_is_explained(
     rings: int | None, scans: bool, legends: list[str]
@@ -122,7 +123,9 @@ def test_the_first_tab_says_what_it_shows_and_where_all_is_explained(
     assert str(tabs[-1].name) == "Read me"
     text = entities.glance(rings is not None, scans)
     assert f"**{tabs[-1].name}**" in text
-    assert text.startswith({(32, True): "**One scan", (32, False): "**The building", (None, True): "**The way"}[rings, scans])
+    assert text.startswith(
+        {(32, True): "**One scan", (32, False): "**The building", (None, True): "**The way"}[rings, scans]
+    )
 
 
 def test_the_evaluation_explains_its_colours():
@@ -148,7 +151,9 @@ def test_curves_whose_peak_would_flatten_others_stand_alone():
     shown = [view for view in views(run.build().root_container) if isinstance(view, rrb.TimeSeriesView)]
     alone = [str(view.origin) for view in shown if str(view.origin) in entities.SERIES]
     for group in (entities.MILLISECONDS, entities.RANGES, entities.REGISTRATION):
-        assert sorted(p for p in alone if p.startswith(group)) == sorted(p for p in entities.SERIES if p.startswith(group))
+        assert sorted(p for p in alone if p.startswith(group)) == sorted(
+            p for p in entities.SERIES if p.startswith(group)
+        )
     errors = [view.contents for view in shown if str(view.origin) == entities.SCAN_ERRORS]
     assert len(errors) == 3
     # Whatever is drawn has a name in words.

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import rerun.blueprint as rrb
 
-from blueprints import entities, sweep
+from ffmap.blueprints import entities, sweep
 
 PANELS = {
     "similarity_m": [("/sweep/parameters/a/wall_f1", "wall_f1 against a"), ("/sweep/parameters/a/seconds", "seconds")],

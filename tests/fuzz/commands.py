@@ -7,20 +7,22 @@ from typing import Any
 
 import numpy as np
 
-from app import catalogue, compare_command, rooms_command
-from app.catalogue import Query
-from app.evaluate import evaluate_run
-from app.finished_run import open_run
-from app.inputs import InputOptions, Inputs, find_inputs
-from app.map_files import read_map
-from app.settings import as_toml, load_settings
-from loaders.bag import make_typestore, open_bag
-from loaders.errors import InputError
-from loaders.info import describe_bag
-from loaders.rig import read_rig_file
-from loaders.scans import read_clouds
-from loaders.trajectory_file import read_pose_topic, read_tum, write_tum
-from loaders.truth import BUILDING_TOPIC, read_truth
+from ffmap.app.analysis.evaluation import evaluate_run
+from ffmap.app.commands import compare as compare_command
+from ffmap.app.commands import rooms as rooms_command
+from ffmap.app.folder.finished_run import open_run
+from ffmap.app.folder.map_files import read_map
+from ffmap.app.record.catalogue import runs as catalogue
+from ffmap.app.record.catalogue.runs import Query
+from ffmap.app.setup.inputs import InputOptions, Inputs, find_inputs
+from ffmap.app.setup.settings import as_toml, load_settings
+from ffmap.loaders.bag import make_typestore, open_bag
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.info import describe_bag
+from ffmap.loaders.rig import read_rig_file
+from ffmap.loaders.scans import read_clouds
+from ffmap.loaders.trajectory_file import read_pose_topic, read_tum, write_tum
+from ffmap.loaders.truth import BUILDING_TOPIC, read_truth
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, clouds, header, sweep, tf_message, write_bag
 
 
@@ -90,7 +92,10 @@ def look_over_packets(folder: Path, packets: list[bytes], stamps_ns: list[int]) 
     for i in range(3):
         stamp = START_NS + i * PERIOD_NS
         made = [
-            make(stamp=header(types, stamp + later, "v").stamp, data=np.frombuffer(data.ljust(1206, b"\0")[:1206], np.uint8))
+            make(
+                stamp=header(types, stamp + later, "v").stamp,
+                data=np.frombuffer(data.ljust(1206, b"\0")[:1206], np.uint8),
+            )
             for data, later in zip(packets, stamps_ns, strict=True)
         ]
         entries.append(("/packets", stamp + 1, scan(header=header(types, stamp, "v"), packets=made)))

@@ -14,7 +14,7 @@ from typing import Any
 
 import psutil
 
-from loaders.errors import InputError
+from ffmap.loaders.errors import InputError
 
 SECONDS_MAX = 10
 """Of the processor: a busy machine is no failure."""

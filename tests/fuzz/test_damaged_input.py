@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType
 from PIL import Image
 
-from app.files import write_geojson, write_json
-from app.settings import Settings, as_toml
-from tests.app.test_catalogue import write as write_recording
-from tests.app.test_evaluate import BUILDING, make_run, make_truth_bag
+from ffmap.app.folder.atomic import write_geojson, write_json
+from ffmap.app.setup.settings import Settings, as_toml
+from tests.app.analysis.test_evaluation import BUILDING, make_run, make_truth_bag
+from tests.app.record.test_catalogue import write as write_recording
 from tests.fuzz import commands
 from tests.fuzz.damage import WORDS, damaged, damaged_json, damaged_text
 from tests.fuzz.sandbox import Sandbox
@@ -223,7 +223,9 @@ def whole_image(name: str, folder: Path) -> bytes:
 
 
 @fewer
-@given(data=st.data(), name=st.sampled_from(("map.pgm", "map.png", "map.tif", "map.bmp", "map.gif", "map.jpg", "map.webp")))
+@given(
+    data=st.data(), name=st.sampled_from(("map.pgm", "map.png", "map.tif", "map.bmp", "map.gif", "map.jpg", "map.webp"))
+)
 def test_maps(data: st.DataObject, name: str, sandbox: Sandbox, place: Path) -> None:
     folder = fresh(sandbox.folder / "case")
     text, image = MAP.replace("map.pgm", name).encode(), whole_image(name, place)

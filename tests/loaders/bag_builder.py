@@ -9,7 +9,7 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 
-from loaders.bag import make_typestore
+from ffmap.loaders.bag import make_typestore
 
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 100_000_000

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from loaders.bag import open_bag
-from loaders.errors import InputError
-from loaders.info import describe_bag
+from ffmap.loaders.bag import open_bag
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.info import describe_bag
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, clouds, odometry, write_bag
 
 COUNT = 7

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from loaders.bag import open_bag
-from loaders.cloud_digest import DIGEST_BYTES, as_rows, joined
-from loaders.scans import index_clouds, read_digests, read_messages
+from ffmap.loaders.bag import open_bag
+from ffmap.loaders.cloud_digest import DIGEST_BYTES, as_rows, joined
+from ffmap.loaders.scans import index_clouds, read_digests, read_messages
 from tests.loaders.bag_builder import START_NS, clouds, tf_message, write_bag
 
 MOUNT = [("base", "a", (0, 0, 1), (0, 0, 0, 1))]

@@ -4,15 +4,17 @@ from typing import Any
 
 import pytest
 
-from loaders.errors import InputError
-from loaders.geojson import check_features
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.geojson import check_features
 
 SILL = {"type": "LineString", "coordinates": [[0.0, 0.0], [1.0, 0.0]]}
 OUTLINE = {"type": "Polygon", "coordinates": [[[0, 0], [1, 0], [1, 1], [0, 0]]]}
 
 
 def check(geometry: Any, **properties: Any) -> None:
-    check_features({"features": [{"geometry": geometry, "properties": properties}]}, "building", "truth", "make it again")
+    check_features(
+        {"features": [{"geometry": geometry, "properties": properties}]}, "building", "truth", "make it again"
+    )
 
 
 def test_what_a_building_has() -> None:

@@ -1,7 +1,7 @@
 """What a bag is said to hold and to lack."""
 
-from app.info_command import describe
-from loaders.info import describe_bag
+from ffmap.app.commands.info import describe
+from ffmap.loaders.info import describe_bag
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, clouds, only, sweep, tf_message, write_bag
 
 
@@ -75,6 +75,10 @@ def test_bad_clouds_are_counted_and_clocks_apart_are_named(tmp_path):
     assert (count, info.clouds[0].read_count) == (1, 30)
     assert "truncated" in reason
     assert info.clouds[1].bad_clouds == ()
-    assert any("the clocks of /h and /v are apart: the stamps of /v are 1000.0 s ahead" in text for text in info.warnings)
+    assert any(
+        "the clocks of /h and /v are apart: the stamps of /v are 1000.0 s ahead" in text for text in info.warnings
+    )
     lines = describe(info)
-    assert any(line.startswith("  unusable: 1 of 30 clouds that were read: /h: the cloud is truncated") for line in lines)
+    assert any(
+        line.startswith("  unusable: 1 of 30 clouds that were read: /h: the cloud is truncated") for line in lines
+    )

@@ -9,8 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from loaders.errors import CloudError
-from loaders.pointcloud2 import decode, describe_layout, encode_labelled, full_labels, merge_clouds, settle_decoding
+from ffmap.loaders.errors import CloudError
+from ffmap.loaders.pointcloud2 import (
+    decode,
+    describe_layout,
+    encode_labelled,
+    full_labels,
+    merge_clouds,
+    settle_decoding,
+)
 from tests.loaders.bag_builder import START_NS, VELODYNE, cloud, only, point_dtype, sweep
 
 

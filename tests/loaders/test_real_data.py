@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loaders.bag import open_bag
-from loaders.info import describe_bag
-from loaders.rig import find_rig
-from loaders.scans import index_clouds, read_scans
-from loaders.trajectory_file import read_tum
+from ffmap.loaders.bag import open_bag
+from ffmap.loaders.info import describe_bag
+from ffmap.loaders.rig import find_rig
+from ffmap.loaders.scans import index_clouds, read_scans
+from ffmap.loaders.trajectory_file import read_tum
 
 FOLDER = os.environ.get("FFMAP_REAL_DATA")
 pytestmark = pytest.mark.skipif(not FOLDER, reason="FFMAP_REAL_DATA names no folder with real recordings")

@@ -7,8 +7,8 @@ import pytest
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
-from loaders.bag import make_typestore, open_bag
-from loaders.errors import InputError
+from ffmap.loaders.bag import make_typestore, open_bag
+from ffmap.loaders.errors import InputError
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, clouds, odometry, write_bag
 
 SMALL = {"columns": 4, "elevations_deg": (-3, -1, 1, 3)}

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from loaders.bag import open_bag
-from loaders.errors import InputError
-from loaders.rig import find_rig, read_rig_file
+from ffmap.loaders.bag import open_bag
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.rig import find_rig, read_rig_file
 from tests.loaders.bag_builder import (
     PERIOD_NS,
     START_NS,

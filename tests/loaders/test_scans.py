@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from algorithms.scan import Scan
-from loaders.bag import make_typestore, open_bag
-from loaders.errors import InputError
-from loaders.pointcloud2 import settle_decoding
-from loaders.scans import (
+from ffmap.algorithms.base.scan import Scan
+from ffmap.loaders.bag import make_typestore, open_bag
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.pointcloud2 import settle_decoding
+from ffmap.loaders.scans import (
     SkippedScan,
     clock_problem,
     index_clouds,

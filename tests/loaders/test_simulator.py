@@ -11,14 +11,14 @@ from pydantic import ValidationError
 from rosbags.highlevel import AnyReader
 from scipy.spatial import cKDTree
 
-from algorithms import transforms
-from algorithms.labels import NO_RETURN, Truth
-from loaders.errors import InputError
-from loaders.simulator import BUILDINGS, SimulationSettings, simulate
-from loaders.simulator.building import Door
-from loaders.simulator.motion import ROBOT_RADIUS_M
-from loaders.simulator.raytrace import Sweep, World, scan
-from loaders.simulator.simulate import Scene, draw_scene
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.labels import NO_RETURN, Truth
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.simulator import BUILDINGS, SimulationSettings, simulate
+from ffmap.loaders.simulator.building import Door
+from ffmap.loaders.simulator.motion import ROBOT_RADIUS_M
+from ffmap.loaders.simulator.raytrace import Sweep, World, scan
+from ffmap.loaders.simulator.simulate import Scene, draw_scene
 
 
 def returns_in_map(scene: Scene, sweep: Sweep, lidar: int) -> np.ndarray:

@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 
-from app.finished_run import open_run
-from app.map_files import read_image, read_map
-from app.settings import load_settings
-from loaders.bag import open_bag
-from loaders.errors import InputError
-from loaders.rig import read_rig_file
-from loaders.text_files import read_json, read_text, read_toml, read_yaml
-from loaders.trajectory_file import read_tum
+from ffmap.app.folder.finished_run import open_run
+from ffmap.app.folder.map_files import read_image, read_map
+from ffmap.app.setup.settings import load_settings
+from ffmap.loaders.bag import open_bag
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.rig import read_rig_file
+from ffmap.loaders.text_files import read_json, read_text, read_toml, read_yaml
+from ffmap.loaders.trajectory_file import read_tum
 
 READERS: dict[str, Callable[[Path], Any]] = {
     "config.toml": lambda path: load_settings(path, []),

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from algorithms.trajectory import Trajectory
-from loaders.bag import open_bag
-from loaders.errors import InputError
-from loaders.frames import FrameTree, StaticTransform
-from loaders.trajectory_file import read_pose_topic, read_tum, write_tum
+from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.loaders.bag import open_bag
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.frames import FrameTree, StaticTransform
+from ffmap.loaders.trajectory_file import read_pose_topic, read_tum, write_tum
 from tests.loaders.bag_builder import START_NS, odometry, tf_message, write_bag
 
 

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from loaders.bag import make_typestore, open_bag
-from loaders.errors import CloudError, InputError
-from loaders.truth import read_truth
+from ffmap.loaders.bag import make_typestore, open_bag
+from ffmap.loaders.errors import CloudError, InputError
+from ffmap.loaders.truth import read_truth
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, clouds, odometry, point_dtype, write_bag
 
 

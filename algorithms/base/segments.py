@@ -1,0 +1,105 @@
+"""Upright faces seen from above: where places lie along one, and how far before it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from ffmap.algorithms.base.scan import BoolArray, FloatArray
+
+_BIN_DEG = 0.05
+_SIGMA_DEG = 1.0
+_OWN_DEG = 3.0
+"""Lines that are so little askew from the main direction have a say in where exactly it is."""
+
+
+class Faces(Protocol):
+    """Walls, doors or windows: ends (k, 2, 2) x and y in metres, normal (k, 2) unit vectors."""
+
+    @property
+    def ends(self) -> FloatArray: ...
+
+    @property
+    def normal(self) -> FloatArray: ...
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One face.
+
+    start: (2,) x and y of its first end. along, normal: (2,) unit vectors, towards its other end and to the side that it is
+    seen from. length_m: how long it is.
+    """
+
+    start: FloatArray
+    along: FloatArray
+    normal: FloatArray
+    length_m: float
+
+    @classmethod
+    def between(cls, ends: FloatArray, normal: FloatArray | None = None) -> "Segment":
+        """From its ends (2, 2) and its normal (2,), which is to the left where none is given."""
+        length_m = float(np.linalg.norm(ends[1] - ends[0]))
+        along = (ends[1] - ends[0]) / max(length_m, 1e-9)
+        return cls(ends[0], along, np.array([-along[1], along[0]]) if normal is None else normal, length_m)
+
+    def place_m(self, points: FloatArray) -> FloatArray:
+        """(…,) how far along it points (…, 2 or 3) lie from its first end."""
+        return np.asarray((points[..., :2] - self.start) @ self.along)
+
+    def before_m(self, points: FloatArray) -> FloatArray:
+        """(…,) how far before it points (…, 2 or 3) lie; negative behind."""
+        return np.asarray((points[..., :2] - self.start) @ self.normal)
+
+    def at(self, place_m: FloatArray) -> FloatArray:
+        """(k, 2) the points on it so far (k,) from its first end."""
+        return np.asarray(self.start + place_m[:, None] * self.along)
+
+    def beside(self, points: FloatArray, margin_m: float = 0.0) -> BoolArray:
+        """(…,) whether points lie between its ends, or at most so far beyond them."""
+        place_m = self.place_m(points)
+        return np.asarray((place_m > -margin_m) & (place_m < self.length_m + margin_m))
+
+    def shared_m(self, ends: FloatArray) -> float:
+        """Over how much of it another face with these ends (2, 2) lies beside it; negative where they do not meet."""
+        low, high = np.sort(self.place_m(ends))
+        return float(min(high, self.length_m) - max(low, 0.0))
+
+
+def lengths_m(ends: FloatArray) -> FloatArray:
+    """(k,) how long faces, sills or other lines with these ends (k, 2, 2) are."""
+    return np.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
+
+
+def main_direction_deg(ends: FloatArray) -> float:
+    """The angle of most lines with the x axis, in [-45, 45): turned back by it, a drawing is square to them.
+
+    ends: (k, 2, 2). Lines at right angles count as one direction, each by its length. The commonest direction, not the
+    mean: a wing at another angle does not turn it. 0 where there is no line.
+    """
+    along = ends[:, 1] - ends[:, 0]
+    length_m = lengths_m(ends)
+    if not length_m.sum() > 0:
+        return 0.0
+    angle_deg = np.degrees(np.arctan2(along[:, 1], along[:, 0])) % 90.0
+    bins = round(90.0 / _BIN_DEG)
+    count = np.bincount((angle_deg / _BIN_DEG).astype(int) % bins, length_m, bins)
+    peak_deg = (int(np.argmax(gaussian_filter1d(count, _SIGMA_DEG / _BIN_DEG, mode="wrap"))) + 0.5) * _BIN_DEG
+    askew_deg = (angle_deg - peak_deg + 45.0) % 90.0 - 45.0
+    own = np.abs(askew_deg) < _OWN_DEG
+    direction_deg = peak_deg + float(np.average(askew_deg[own], weights=length_m[own]))
+    return (direction_deg + 45.0) % 90.0 - 45.0
+
+
+def turned(places: FloatArray, by_deg: float) -> FloatArray:
+    """Places or directions (…, 2), turned about the origin, counter-clockwise."""
+    c, s = np.cos(np.radians(by_deg)), np.sin(np.radians(by_deg))
+    return np.asarray(places @ np.array([[c, s], [-s, c]]))
+
+
+def segments(faces: Faces) -> Iterator[Segment]:
+    """Each of the faces by itself."""
+    for ends, normal in zip(faces.ends, faces.normal, strict=True):
+        yield Segment.between(ends, normal)

@@ -1,0 +1,175 @@
+"""Poses over time: interpolation and motion compensation of every firing (paper, IV.C and V).
+
+The paper used the nearest horizontal scan's pose for a vertical scan and left interpolation for the future; here every
+firing has the pose of its own time.
+"""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from pydantic import Field
+from scipy.spatial.transform import Rotation
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan
+from ffmap.algorithms.base.settings import StepSettings
+
+KNOTS = 17
+"""Poses that one sweep is given; between them a firing's pose is interpolated linearly (6 ms apart at 10 Hz)."""
+
+
+class TrajectorySettings(StepSettings):
+    """Placing scans and levelling the map (paper, IV.C and V)."""
+
+    level_s: float = Field(
+        8.0,
+        gt=0,
+        le=60,
+        description="The map is levelled by the walls and the floor that the first this many seconds show.",
+    )
+    level_scan_max_deg: float = Field(
+        1.0,
+        ge=0,
+        le=10,
+        description="A scan is turned by at most this many degrees to make its floor lie as the map's does; 0 turns none.",
+    )
+    extrapolate_s: float = Field(
+        0.3, ge=0, description="A vertical scan may lie this many seconds outside the odometry; farther, it is skipped."
+    )
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Poses of the base in the map, in order of time.
+
+    stamp_ns: (n,) int64, strictly increasing.
+    T_map_base: (n, 4, 4) float64.
+    """
+
+    stamp_ns: IntArray
+    T_map_base: FloatArray
+
+    def __post_init__(self) -> None:
+        if len(self.stamp_ns) != len(self.T_map_base):
+            raise ValueError(f"{len(self.stamp_ns)} stamps for {len(self.T_map_base)} poses")
+        if np.any(np.diff(self.stamp_ns) <= 0):
+            raise ValueError("the stamps of a trajectory must increase")
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+    def covers(self, stamp_ns: IntArray, margin_ns: int = 0) -> BoolArray:
+        """Whether each time lies within the trajectory, or at most `margin_ns` outside."""
+        if not len(self):
+            return np.zeros(np.shape(stamp_ns), bool)
+        return np.asarray((stamp_ns >= self.stamp_ns[0] - margin_ns) & (stamp_ns <= self.stamp_ns[-1] + margin_ns))
+
+    def at(self, stamp_ns: IntArray) -> FloatArray:
+        """T_map_base (m, 4, 4) at any times: positions linearly, rotations by slerp.
+
+        Beyond its ends the motion of the nearest two poses is carried on, for the first and last sweeps stand outside.
+        """
+        stamps = np.asarray(stamp_ns, np.int64)
+        if len(self) == 0:
+            raise ValueError("an empty trajectory has no pose")
+        if len(self) == 1:
+            return np.broadcast_to(self.T_map_base[0], (len(stamps), 4, 4)).copy()
+        after = np.clip(np.searchsorted(self.stamp_ns, stamps, side="right"), 1, len(self) - 1)
+        before = after - 1
+        span = (self.stamp_ns[after] - self.stamp_ns[before]).astype(np.float64)
+        fraction = (stamps - self.stamp_ns[before]) / span
+        T_before, T_after = self.T_map_base[before], self.T_map_base[after]
+        T = np.broadcast_to(np.eye(4), (len(stamps), 4, 4)).copy()
+        step = (
+            Rotation.from_matrix(np.swapaxes(T_before[:, :3, :3], 1, 2) @ T_after[:, :3, :3]).as_rotvec()
+            * fraction[:, None]
+        )
+        T[:, :3, :3] = T_before[:, :3, :3] @ Rotation.from_rotvec(step).as_matrix()
+        T[:, :3, 3] = T_before[:, :3, 3] + fraction[:, None] * (T_after[:, :3, 3] - T_before[:, :3, 3])
+        return T
+
+    def moved(self, T_new_map: FloatArray) -> "Trajectory":
+        """The same trajectory seen from another map frame."""
+        return Trajectory(self.stamp_ns, T_new_map @ self.T_map_base)
+
+
+@dataclass(frozen=True)
+class PlacedScan:
+    """A scan with every firing at the pose of its own time, in the frame `level`.
+
+    level: gravity-aligned; its origin lies on the floor that the base stands on at the scan's reference time (the middle
+    of the sweep), as far as the pose tells, x along the base's heading there.
+
+    points_level: (n, 3) float32, metres.
+    origin_level: (3,) the sensor's place at the reference time.
+    spin_axis_level: (3,) unit vector, the sensor's spin axis at the reference time.
+    down_sensor: (3,) unit vector, gravity in the sensor's frame at the reference time.
+    T_map_level: (4, 4), a turn about z and a shift.
+    T_map_base: (4, 4) at the reference time.
+    """
+
+    points_level: FloatArray
+    origin_level: FloatArray
+    spin_axis_level: FloatArray
+    down_sensor: FloatArray
+    T_map_level: FloatArray
+    T_map_base: FloatArray
+
+    def to_map(self, points_level: FloatArray) -> FloatArray:
+        """Points (m, 3) of the level frame in the map's."""
+        return transforms.apply(self.T_map_level, points_level)
+
+
+def place_scan(
+    scan: Scan, trajectory: Trajectory, T_base_sensor: FloatArray, base_height_m: float | None = None
+) -> PlacedScan:
+    """Put every firing of a scan at the pose of its own time (paper, V: "interpolate the vertical Lidar pose").
+
+    Without times all firings get the pose at the scan's stamp.
+
+    base_height_m: how high the base stands above the floor, wherever that lies; None for a floor at height 0.
+    """
+    duration_ns = scan.end_ns - scan.start_ns
+    reference_ns = scan.start_ns + duration_ns // 2
+    knots_ns = scan.start_ns + np.linspace(0, duration_ns, KNOTS).astype(np.int64)
+    T_map_base = trajectory.at(np.append(knots_ns, reference_ns))
+    T_map_level = transforms.from_yaw(
+        transforms.yaw_of(T_map_base[-1]),
+        [*T_map_base[-1, :2, 3], 0.0 if base_height_m is None else T_map_base[-1, 2, 3] - base_height_m],
+    )
+    T_level_sensor = transforms.invert(T_map_level) @ T_map_base @ T_base_sensor
+    time_ns = scan.time_ns if scan.time_ns is not None else np.zeros(0, np.int64)
+    points_level = _place(
+        scan.points_sensor, time_ns, float(max(duration_ns, 1)), np.ascontiguousarray(T_level_sensor[:KNOTS])
+    )
+    T_reference = T_level_sensor[-1]
+    return PlacedScan(
+        points_level=points_level,
+        origin_level=T_reference[:3, 3],
+        spin_axis_level=T_reference[:3, 2],
+        down_sensor=-T_reference[2, :3],
+        T_map_level=T_map_level,
+        T_map_base=T_map_base[-1],
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _place(points: FloatArray, time_ns: IntArray, duration_ns: float, T: FloatArray) -> FloatArray:  # pragma: no cover
+    placed = np.empty((len(points), 3), np.float32)
+    timed = len(time_ns) == len(points)
+    last = len(T) - 1
+    for i in range(len(points)):
+        position = (time_ns[i] / duration_ns) * last if timed else 0.0
+        k = min(max(int(position), 0), last - 1)
+        b = np.float64(position - k)
+        a = 1.0 - b
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        for row in range(3):
+            placed[i, row] = (
+                (a * T[k, row, 0] + b * T[k + 1, row, 0]) * x
+                + (a * T[k, row, 1] + b * T[k + 1, row, 1]) * y
+                + (a * T[k, row, 2] + b * T[k + 1, row, 2]) * z
+                + (a * T[k, row, 3] + b * T[k + 1, row, 3])
+            )
+    return placed

@@ -1,0 +1,313 @@
+"""Doors of the building, by the rays of all scans."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.segments import Segment, lengths_m, segments
+from ffmap.algorithms.building.model import (
+    CELL_M,
+    FRAME_REACH_M,
+    NO_DOORS,
+    NO_WINDOWS,
+    ON_FACE_M,
+    BuildingSettings,
+    Doors,
+    Walls,
+    Windows,
+    cells_in,
+    stretches,
+)
+from ffmap.algorithms.building.openings import (
+    REVEAL_MIN_M,
+    DoorColumns,
+    is_open_to_floor,
+    is_pane,
+    look_for_doors,
+    to_jambs,
+    tops_m,
+    widened,
+)
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells
+from ffmap.algorithms.scan.doors import DoorState
+
+_BESIDE_COLUMNS = 8
+_JAMB_WALL_COLUMNS = 2
+"""Of so many columns beside a door at least so many show its wall, on one side of it."""
+_HIDDEN_JAMBS = 0.5
+"""Where fewer of them are seen, nothing is known of an open doorway's jambs."""
+_NEXT_WALL_M, _LEADS_M = 0.2, 0.9
+_PARALLEL_DEG, _HIDDEN_SHARE = 5.0, 0.8
+"""Another wall that faces the same way, so close behind an opening and all of it, leaves no room that it could lead to."""
+_LEAF_COLUMNS = 30
+"""A leaf that is ajar, or the closed one of two, covers at most so many columns beside the open ones."""
+_HEAD_SLACK_M = 0.05
+_AJAR_M = 0.1
+"""A leaf whose free edge is so far from its frame stands open."""
+
+
+def find_doors(
+    walls: Walls, cells: WallCells, clear_m: FloatArray, settings: BuildingSettings, windows: Windows = NO_WINDOWS
+) -> Doors:
+    """Doors: columns with wall above and, below, either nothing for the rays to hit or a recessed leaf.
+
+    Columns next to each other that agree make a door, if it is as wide as doors are. What was seen in both faces of a
+    wall, or in two stretches of it, is one door: the better seen one stands.
+
+    cells: without the rays through the windows, for what is seen through glass tells nothing of this building's doors.
+    clear_m: (columns,) from the floor to the ceiling before each column of the faces; NaN where none was seen.
+    """
+    found: list[_Door] = []
+    top_m = tops_m(walls, cells, clear_m)
+    for w in range(len(walls)):
+        for door in _doors_in(w, walls, cells, top_m[cells.first[w] : cells.first[w + 1]], settings):
+            if _leads_somewhere(door, walls) and not _is_glazed(door, windows):
+                found.append(door)
+    # Where a face ends within an opening, the other face may show all of it.
+    found.sort(key=lambda door: (door.is_cut, -door.agreement * door.coverage * door.ray_count))
+    kept: list[_Door] = []
+    for door in found:
+        middle = door.ends.mean(axis=0)
+        if all(
+            np.linalg.norm(middle - other.ends.mean(axis=0)) > 0.6 or abs(door.normal @ other.normal) < 0.8
+            for other in kept
+        ):
+            kept.append(door)
+    if not kept:
+        return NO_DOORS
+    agreement, coverage = np.array([d.agreement for d in kept]), np.array([d.coverage for d in kept])
+    return Doors(
+        ends=np.array([d.ends for d in kept]),
+        normal=np.array([d.normal for d in kept]),
+        head_m=np.array([d.head_m for d in kept]),
+        depth_m=np.array([d.depth_m for d in kept]),
+        state=np.array([d.state for d in kept], np.uint8),
+        confidence=agreement * coverage,
+        agreement=agreement,
+        coverage=coverage,
+        lintel=np.array([d.lintel for d in kept]),
+        ajar=np.array([d.ajar for d in kept]),
+        ray_count=np.array([d.ray_count for d in kept], np.int32),
+        scan_count=np.zeros(len(kept), np.int32),
+        first_scan=np.full(len(kept), -1, np.int64),
+        last_scan=np.full(len(kept), -1, np.int64),
+        crossed=np.zeros(len(kept), bool),
+        wall=np.array([d.wall for d in kept], np.int32),
+        reveal_m=np.full(len(kept), settings.reveal_m),
+    )
+
+
+@dataclass(frozen=True)
+class _Door:
+    """One of `Doors`, as one face shows it."""
+
+    ends: FloatArray
+    normal: FloatArray
+    head_m: float
+    depth_m: float
+    state: DoorState
+    agreement: float
+    coverage: float
+    lintel: float
+    ajar: bool
+    ray_count: int
+    wall: int
+    is_cut: bool
+    """Whether it reaches the end of its face: that may not be its jamb."""
+
+
+def _doors_in(w: int, walls: Walls, cells: WallCells, top_m: FloatArray, settings: BuildingSettings) -> Iterable[_Door]:
+    """The openings of one face; top_m: (c,) how high each of its columns stands."""
+    counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
+    if len(counts) < 3:
+        return
+    found = look_for_doors(counts, top_m, settings)
+    low, high = FOOT_ROW, cells_in(settings.door_height_min_m)
+    face = Segment.between(walls.ends[w], walls.normal[w])
+    for seen_as, flags in ((DoorState.OPEN, found.is_open), (DoorState.CLOSED, found.is_closed)):
+        for first, last in stretches(flags, 2):
+            if seen_as == DoorState.OPEN:
+                opening = counts[first : last + 1]
+                if is_pane(opening, settings) or not is_open_to_floor(opening, settings):
+                    continue
+                first, last = to_jambs(counts[:, low:high].sum(axis=1), first, last, _LEAF_COLUMNS)
+                if (last + 1 - first) * CELL_M < settings.door_width_min_m:
+                    first, last = _over_what_its_leaf_hides(found, first, last, settings)
+            width_m = (last + 1 - first) * CELL_M
+            # Smoothing and the cells' own width blur each side by up to a column.
+            if not settings.door_width_min_m <= width_m + CELL_M or width_m > settings.door_width_max_m:
+                continue
+            columns = slice(first, last + 1)
+            lintel_m = float(np.mean(found.lintel_m[columns]))
+            depth_m = float("nan") if seen_as == DoorState.OPEN else float(np.nanmedian(found.depth_m[columns]))
+            jambs = _count_jambs(counts, first, last, lintel_m, depth_m, settings)
+            lintel = float(np.mean(found.has_lintel[columns]))
+            if jambs < (1 if lintel > 0.5 else 2):
+                continue
+            agree = found.through[columns] if seen_as == DoorState.OPEN else 1 - found.through[columns]
+            is_ajar = seen_as == DoorState.CLOSED and _is_ajar(found.depth_m[columns])
+            state = DoorState.OPEN if is_ajar else seen_as
+            yield _Door(
+                ends=face.at(CELL_M * np.array([first, last + 1])),
+                normal=face.normal,
+                head_m=_head_m(counts[columns], state, lintel_m, settings),
+                depth_m=float("nan") if is_ajar else depth_m,
+                state=state,
+                agreement=float(np.nanmean(agree[flags[columns]])),
+                # The columns of a doorway that its leaf, ajar, covers bear it out as well.
+                coverage=float(np.mean((flags | found.is_closed)[columns])),
+                lintel=lintel,
+                ajar=is_ajar,
+                ray_count=int(found.rays[columns][:, [FILLED, THROUGH]].sum() / 3),
+                wall=w,
+                is_cut=first == 0 or last == len(counts) - 1,
+            )
+
+
+def _over_what_its_leaf_hides(
+    columns: DoorColumns, first: int, last: int, settings: BuildingSettings
+) -> tuple[int, int]:
+    """The columns of an opening too narrow for a door, with those on one side of it that its leaf hides, up to its jamb.
+
+    A leaf that stands ajar towards the robot lets no ray come to them, or stands before the wall itself beside its hinge;
+    above it the wall goes on, and beyond it.
+
+    columns: of the whole face; first, last: the opening's.
+    """
+    on, passed = columns.rays[:, FILLED], columns.rays[:, THROUGH]
+    unseen = on + passed < settings.rays_min
+    hidden = columns.has_lintel & (unseen | (columns.depth_m < -settings.recess_min_m))
+    stands = ~hidden & (on >= settings.rays_min) & (passed < on)
+    before, behind = widened(hidden, first, first, _LEAF_COLUMNS)[0], widened(hidden, last, last, _LEAF_COLUMNS)[1]
+    on_left = 0 < before < first and bool(stands[before - 1])
+    on_right = last < behind < len(hidden) - 1 and bool(stands[behind + 1])
+    if on_left == on_right:
+        return first, last
+    return (before, last) if on_left else (first, behind)
+
+
+def _leads_somewhere(door: "_Door", walls: Walls) -> bool:
+    """Whether an opening has room behind it: below a duct, and beside a cupboard under it, the next wall is close.
+
+    What hides a part of it, or stands aslant, may be its own leaf ajar, or what the room behind it is furnished with.
+    """
+    if door.state == DoorState.CLOSED:
+        return True
+    width_m = float(np.linalg.norm(door.ends[1] - door.ends[0]))
+    for face in segments(walls):
+        parallel = door.normal @ face.normal > np.cos(np.radians(_PARALLEL_DEG))
+        close = _NEXT_WALL_M < face.before_m(door.ends.mean(axis=0)) < _LEADS_M
+        if parallel and close and face.shared_m(door.ends) > _HIDDEN_SHARE * width_m:
+            return False
+    return True
+
+
+def _is_glazed(door: "_Door", windows: Windows) -> bool:
+    """Whether most of an opening is a window's, of whichever of its wall's faces."""
+    opening = Segment.between(door.ends, door.normal)
+    for ends, normal in zip(windows.ends, windows.normal, strict=True):
+        near = np.abs(opening.before_m(ends)).max() < FRAME_REACH_M and abs(door.normal @ normal) > 0.8
+        if near and opening.shared_m(ends) > 0.5 * opening.length_m:
+            return True
+    return False
+
+
+def _is_ajar(depth_m: FloatArray) -> bool:
+    """Whether a leaf, so far (c,) behind the wall at each column, stands aslant: its free edge is away from the frame."""
+    known = np.flatnonzero(np.isfinite(depth_m))
+    if len(known) < 3:
+        return False
+    # Columns at the jambs hold returns of the reveals as well: the median of the slopes between all pairs (Theil and Sen).
+    slope = float(stats.theilslopes(depth_m[known], known).slope)
+    return bool(abs(slope) * len(depth_m) > _AJAR_M)
+
+
+def _count_jambs(
+    counts: FloatArray, first: int, last: int, lintel_m: float, depth_m: float, settings: BuildingSettings
+) -> int:
+    """On how many sides the wall above an opening stands beside it too: on one at least, on both where its lintel is hidden.
+
+    A leaf is recessed behind the wall beside it, not only behind what is above: so is a cupboard's front below a board, and
+    a wall that leans. Beside an open doorway that is seen through another one, things may hide the wall.
+
+    counts: (columns, rows, 4) of the whole face; first, last: the opening's columns. lintel_m: the wall above before the
+    face. depth_m: the leaf behind that; NaN of an open door.
+    """
+    low, high = FOOT_ROW, cells_in(settings.door_height_min_m)
+    below = counts[:, low:high].sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        behind_m = lintel_m - below[:, SUM] / below[:, FILLED]
+    seen = below[:, FILLED] + below[:, THROUGH] >= settings.rays_min
+    stands = (below[:, FILLED] >= settings.rays_min) & (below[:, THROUGH] < below[:, FILLED])
+    flush = stands & (np.abs(behind_m) < (0.5 * depth_m if np.isfinite(depth_m) else ON_FACE_M))
+    sides = slice(max(first - _BESIDE_COLUMNS, 0), first), slice(last + 1, last + 1 + _BESIDE_COLUMNS)
+    beside = np.concatenate([seen[side] for side in sides])
+    hidden = not np.isfinite(depth_m) and len(beside) > 0 and beside.mean() < _HIDDEN_JAMBS
+    return 1 if hidden else sum(int(np.count_nonzero(flush[side]) >= _JAMB_WALL_COLUMNS) for side in sides)
+
+
+def _head_m(counts: FloatArray, state: DoorState, lintel_m: float, settings: BuildingSettings) -> float:
+    """Height below which the rows of a door are no longer wall."""
+    rows = counts.sum(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        depth_m = lintel_m - rows[:, SUM] / rows[:, FILLED]
+        if state == DoorState.OPEN:
+            # A ray that ends on the lintel's underside passes the face lower than it ends.
+            wall = (rows[:, FILLED] > rows[:, THROUGH]) & (depth_m < REVEAL_MIN_M)
+        else:
+            wall = depth_m < 0.5 * settings.recess_min_m
+    start = cells_in(settings.door_height_min_m - 0.1)
+    stop = min(cells_in(settings.door_height_max_m + 0.3), len(rows))
+    for row in range(start, stop):
+        if wall[row] and rows[row, FILLED] > 0:
+            # The head lies somewhere in the row below, which is partly wall.
+            return (row - 0.5) * CELL_M
+    # A duct hides the lintel: the head is as high as rays came.
+    came = np.flatnonzero(rows[:stop, FILLED] + rows[:stop, THROUGH] > 0)
+    return max(settings.door_height_min_m, (int(came[-1]) + 1) * CELL_M if len(came) else 0.0)
+
+
+def drop_doubtful(doors: Doors, settings: BuildingSettings) -> Doors:
+    """The doors without what is too narrow for one or too unsure, and without "closed" ones that are rather a wall or a pane.
+
+    A leaf's recess of centimetres shows from nearby only: at least `scans_min` scans have to have seen it so. A leaf is
+    set back by a step, as high as doors are; a wall that the poses' tilt leans back comes forward little by little, and
+    its "head" is far too low or high. And no ray passes a leaf.
+
+    doors: from `place_frames`.
+    """
+    width_m = lengths_m(doors.ends)
+    narrow = width_m < settings.door_width_min_m - CELL_M
+    lowest_m, highest_m = settings.door_height_min_m - _HEAD_SLACK_M, settings.door_height_max_m + _HEAD_SLACK_M
+    doubtful = (
+        (doors.scan_count < settings.scans_min)
+        | (doors.head_m < lowest_m)
+        | (doors.head_m > highest_m)
+        | (doors.agreement < settings.opaque_min)
+    )
+    unsure = narrow | (doors.confidence < settings.confidence_min)
+    return doors.select(~unsure & ~(doubtful & (doors.state == DoorState.CLOSED)))
+
+
+def prove_crossed(doors: Doors, path_map: FloatArray) -> Doors:
+    """The doors, of which those that the robot drove through are open beyond doubt, whatever rays said of them.
+
+    path_map: (n, 2) the robot's places in their order.
+    """
+    crossed = np.zeros(len(doors), bool)
+    for d, door in enumerate(segments(doors)):
+        side_m, place_m = door.before_m(path_map), door.place_m(path_map)
+        change = np.flatnonzero(np.diff(side_m > 0))
+        t = side_m[change] / (side_m[change] - side_m[change + 1])
+        at_m = place_m[change] + t * (place_m[change + 1] - place_m[change])
+        crossed[d] = bool(np.any((at_m > 0) & (at_m < door.length_m)))
+    return replace(
+        doors,
+        crossed=crossed,
+        state=np.where(crossed, np.uint8(DoorState.OPEN), doors.state),
+        depth_m=np.where(crossed, np.nan, doors.depth_m),
+        confidence=np.where(crossed, 1.0, doors.confidence),
+    )

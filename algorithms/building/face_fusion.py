@@ -1,0 +1,134 @@
+"""Wall faces from the wall planes of all scans."""
+
+from collections.abc import Iterable
+
+import numba
+import numpy as np
+
+from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.algorithms.base.segments import lengths_m
+from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls, cells_in, stretches
+from ffmap.algorithms.scan.summary import Features
+from ffmap.algorithms.scan.wall_planes import fit_upright_plane
+
+
+def fuse_walls(features: Features, settings: BuildingSettings) -> Walls:
+    """Wall faces from the wall planes of all scans.
+
+    The planes join largest first, each the wall face of the same side that it fits; moments add up, so that a wall's
+    place is the least-squares one over all its scans. A part that fewer than `scans_min` scans bear out is dropped,
+    and a wall with a long gap becomes two.
+
+    features: the planes of all scans; their rays are not looked at.
+    """
+    length_m = lengths_m(features.plane_ends_map)
+    largest_first = np.argsort(-length_m * features.plane_lines, kind="stable")
+    wall = _join(
+        np.ascontiguousarray(features.plane_moments, np.float64),
+        np.ascontiguousarray(features.plane_normal, np.float64),
+        np.ascontiguousarray(features.plane_ends_map, np.float64),
+        largest_first,
+        float(np.cos(np.radians(settings.angle_deg))),
+        settings.distance_m,
+        settings.gap_m,
+    )
+    scan = features.plane_scan
+    faces: list[tuple[FloatArray, FloatArray, float, float, int, float]] = []
+    for w in range(int(wall.max(initial=-1)) + 1):
+        faces.extend(_faces_of(features, np.flatnonzero(wall == w), scan, settings))
+    if not faces:
+        return NO_WALLS
+    ends, normal, bottom, top, count, rms = zip(*faces, strict=True)
+    return Walls(
+        np.array(ends), np.array(normal), np.array(bottom), np.array(top), np.array(count, np.int32), np.array(rms)
+    )
+
+
+def _faces_of(
+    features: Features, members: IntArray, scan: IntArray, settings: BuildingSettings
+) -> Iterable[tuple[FloatArray, FloatArray, float, float, int, float]]:
+    """The borne-out stretches of one fused wall: ends, normal, bottom, top, scans, RMS."""
+    nx, ny, offset, rms, _ = fit_upright_plane(features.plane_moments[members].sum(axis=0))
+    normal = np.array([nx, ny])
+    if np.sum(features.plane_normal[members] @ normal) < 0:
+        normal, offset = -normal, -offset
+    along = np.array([-normal[1], normal[0]])
+    place = np.sort(features.plane_ends_map[members] @ along, axis=1)
+    low = place.min()
+    bins = np.floor((place - low) / CELL_M).astype(np.int64)
+    cover = np.zeros(bins.max() + 2)
+    np.add.at(cover, bins[:, 0], 1)
+    np.add.at(cover, bins[:, 1] + 1, -1)
+    borne_out = np.cumsum(cover)[:-1] >= settings.scans_min
+    for first, last in stretches(borne_out, cells_in(settings.gap_m)):
+        start, stop = low + first * CELL_M, low + (last + 1) * CELL_M
+        if stop - start < settings.length_min_m:
+            continue
+        inside = members[(place[:, 1] > start) & (place[:, 0] < stop)]
+        ends = np.stack([normal * offset + along * start, normal * offset + along * stop])
+        yield (
+            ends,
+            normal,
+            float(np.percentile(features.plane_bottom_m[inside], 10)),
+            float(np.percentile(features.plane_top_m[inside], 90)),
+            len(np.unique(scan[inside])),
+            rms,
+        )
+
+
+@numba.njit(cache=True, nogil=True)
+def _join(
+    moments: FloatArray,
+    normal: FloatArray,
+    ends: FloatArray,
+    order: IntArray,
+    cos_angle: float,
+    distance_m: float,
+    gap_m: float,
+) -> IntArray:  # pragma: no cover
+    """The fused wall of each plane, numbered from 0."""
+    count = len(order)
+    wall = np.full(count, -1, np.int64)
+    total = np.zeros((count, 6))
+    facing = np.zeros((count, 2))
+    fit = np.zeros((count, 5))  # normal x, y, offset, lowest and highest place along it
+    walls = 0
+    for position in range(count):
+        p = order[position]
+        best, nearest = -1, distance_m
+        for w in range(walls):
+            if facing[w, 0] * normal[p, 0] + facing[w, 1] * normal[p, 1] < cos_angle:
+                continue
+            nx, ny, offset = fit[w, 0], fit[w, 1], fit[w, 2]
+            far = 0.0
+            low, high = np.inf, -np.inf
+            for e in range(2):
+                far = max(far, abs(nx * ends[p, e, 0] + ny * ends[p, e, 1] - offset))
+                u = -ny * ends[p, e, 0] + nx * ends[p, e, 1]
+                low, high = min(low, u), max(high, u)
+            if far < nearest and max(low, fit[w, 3]) - min(high, fit[w, 4]) < gap_m:
+                best, nearest = w, far
+        if best < 0:
+            best = walls
+            walls += 1
+            fit[best, 3], fit[best, 4] = np.inf, -np.inf
+        wall[p] = best
+        total[best] += moments[p]
+        old = fit[best].copy()
+        nx, ny, offset, _, _ = fit_upright_plane(total[best])
+        if nx * normal[p, 0] + ny * normal[p, 1] < 0:
+            nx, ny, offset = -nx, -ny, -offset
+        facing[best, 0], facing[best, 1] = nx, ny
+        low, high = np.inf, -np.inf
+        for e in range(2):
+            u = -ny * ends[p, e, 0] + nx * ends[p, e, 1]
+            low, high = min(low, u), max(high, u)
+        if old[3] < old[4]:
+            # The direction hardly moves once a wall is long: carry its old ends over to the new one.
+            for u_old in (old[3], old[4]):
+                x = old[0] * old[2] - old[1] * u_old
+                y = old[1] * old[2] + old[0] * u_old
+                u = -ny * x + nx * y
+                low, high = min(low, u), max(high, u)
+        fit[best, 0], fit[best, 1], fit[best, 2], fit[best, 3], fit[best, 4] = nx, ny, offset, low, high
+    return wall

@@ -1,0 +1,215 @@
+"""The immobile building as faces of walls, doors and windows; the lengths that tell what belongs to a face."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from pydantic import Field
+
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.settings import StepSettings
+
+CELL_M = 0.05
+"""Edge of the cells that a wall face is told apart by."""
+AT_FACE_M = 0.06
+"""A return so close to a face may be its own, displaced by noise along the ray and by the pose's error."""
+ON_FACE_M = 0.03
+"""A return farther behind the face is within the opening: on a reveal, on the lintel's underside, or beyond."""
+FRAME_REACH_M = 0.2
+"""A jamb stands at most so far beside where cells show it."""
+
+
+class BuildingSettings(StepSettings):
+    """Fusing scans into walls and doors."""
+
+    angle_deg: float = Field(8.0, gt=0, le=45, description="Planes of one wall differ by at most this many degrees.")
+    distance_m: float = Field(0.10, gt=0, description="Planes of one wall lie at most this many metres apart.")
+    own_plane_m: float = Field(
+        0.03,
+        ge=0,
+        description="A scan's plane that lies within this many metres of a face is that face as this scan saw it; one "
+        "farther off is another thing's, such as a leaf's.",
+    )
+    gap_m: float = Field(0.6, ge=0, description="A wall has no gap longer than this many metres between its planes.")
+    scans_min: int = Field(3, ge=1, description="Fewest scans that make a wall, and that bear out each part of it.")
+    length_min_m: float = Field(0.25, ge=0, description="Shortest wall face in metres.")
+    near_m: float = Field(
+        0.35,
+        gt=0,
+        description="A return at most this many metres behind a wall's face is a leaf; deeper, it went through.",
+    )
+    range_m: float = Field(
+        12.0, gt=0, description="Rays from farther away than this many metres tell nothing of doors and windows."
+    )
+    far_m: float = Field(
+        25.0,
+        gt=0,
+        description="Rays from farther away than this many metres tell nothing of walls either, which show through doors.",
+    )
+    recess_min_m: float = Field(
+        0.016,
+        gt=0,
+        description="Least depth in metres of a closed leaf behind the wall: III.C's 2 cm, less what poses are off.",
+    )
+    door_width_min_m: float = Field(0.6, gt=0, description="Narrowest door in metres.")
+    door_width_max_m: float = Field(2.6, gt=0, description="Widest door in metres.")
+    door_height_min_m: float = Field(1.8, gt=0, description="Lowest door head in metres. III.C, condition 3.")
+    door_height_max_m: float = Field(
+        2.4, gt=0, description="Above this many metres the wall over a door is looked for."
+    )
+    reveal_m: float = Field(
+        0.3,
+        ge=0,
+        description="A door's reveals reach this many metres behind the wall's face where its lintel does not tell.",
+    )
+    pane_share_min: float = Field(
+        0.005, gt=0, le=1, description="An opening that returns this share of its rays from one sheet holds a pane."
+    )
+    pane_spread_m: float = Field(0.03, gt=0, description="Largest spread in metres of what a pane returns.")
+    agreement_min: float = Field(
+        0.6, ge=0, le=1, description="Share of a column's rays that must agree on its being a door's."
+    )
+    opaque_min: float = Field(
+        0.9, ge=0, le=1, description="Share of a closed leaf's rays that end on it; a pane lets more of them through."
+    )
+    confidence_min: float = Field(0.2, ge=0, le=1, description="What is less sure than this to be a door is none.")
+    rays_min: int = Field(6, ge=1, description="Fewest rays that decide on a column of a wall, 5 cm wide.")
+
+
+@dataclass(frozen=True)
+class Walls:
+    """Wall faces in the map: straight, upright, each seen from the side that its normal points to.
+
+    ends: (W, 2, 2) x and y, metres.
+    normal: (W, 2) unit vectors towards the room.
+    bottom_m, top_m: (W,) heights that were seen.
+    scan_count: (W,) scans that saw it.
+    rms_m: (W,) spread of the scans' samples about it.
+    """
+
+    ends: FloatArray
+    normal: FloatArray
+    bottom_m: FloatArray
+    top_m: FloatArray
+    scan_count: IntArray
+    rms_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+    def select(self, chosen: IntArray | BoolArray) -> "Walls":
+        """Some of the faces, by index or by flag."""
+        return Walls(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+    def append(self, more: "Walls") -> "Walls":
+        """These faces and more."""
+        return Walls(*(np.concatenate([getattr(w, field.name) for w in (self, more)]) for field in fields(self)))
+
+
+NO_WALLS = Walls(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, np.int32), np.zeros(0))
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Stretches of wall that rays pass through glass: what lies behind is seen through it.
+
+    ends: (N, 2, 2) x and y, on the wall's face. normal: (N, 2) towards the room.
+    bottom_m, top_m: (N,) heights between which most rays pass.
+    pane_m: (N,) how far the pane stands behind the face; NaN where it returned nothing.
+    """
+
+    ends: FloatArray
+    normal: FloatArray
+    bottom_m: FloatArray
+    top_m: FloatArray
+    pane_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+
+NO_WINDOWS = Windows(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True)
+class Doors:
+    """Doors in the map.
+
+    ends: (D, 2, 2) x and y of the two jambs, along the sill.
+    normal: (D, 2) of the wall face in which it was seen best.
+    head_m: (D,) height of the lintel's underside above the floor.
+    depth_m: (D,) depth of the leaf behind the wall's face; NaN for open doors.
+    state: (D,) uint8, see `algorithms.doors.DoorState`.
+    confidence: (D,) 0 to 1: `agreement` times `coverage`; 1 where it was crossed.
+    agreement: (D,) share of the rays between foot and head that say the same: that it is open, or closed.
+    coverage: (D,) share of its columns that are decided so by themselves, or that an open door's leaf covers.
+    lintel: (D,) share of its columns above which its wall was seen; a duct may hide that.
+    ajar: (D,) whether it is open because its leaf, which rays end on, stands aslant.
+    ray_count: (D,) rays that decided.
+    scan_count, first_scan, last_scan: (D,) the scans whose rays met it or passed it close by; -1 where none is known.
+    crossed: (D,) whether the robot drove through.
+    wall: (D,) the wall face in which it was seen best.
+    reveal_m: (D,) how far its reveals and the underside of its lintel reach behind the wall's face.
+    """
+
+    ends: FloatArray
+    normal: FloatArray
+    head_m: FloatArray
+    depth_m: FloatArray
+    state: UInt8Array
+    confidence: FloatArray
+    agreement: FloatArray
+    coverage: FloatArray
+    lintel: FloatArray
+    ajar: BoolArray
+    ray_count: IntArray
+    scan_count: IntArray
+    first_scan: IntArray
+    last_scan: IntArray
+    crossed: BoolArray
+    wall: IntArray
+    reveal_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+    def select(self, chosen: IntArray | BoolArray) -> "Doors":
+        """Some of the doors, by index or by flag."""
+        return Doors(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+
+NO_DOORS = Doors(
+    ends=np.zeros((0, 2, 2)),
+    normal=np.zeros((0, 2)),
+    head_m=np.zeros(0),
+    depth_m=np.zeros(0),
+    state=np.zeros(0, np.uint8),
+    confidence=np.zeros(0),
+    agreement=np.zeros(0),
+    coverage=np.zeros(0),
+    lintel=np.zeros(0),
+    ajar=np.zeros(0, bool),
+    ray_count=np.zeros(0, np.int32),
+    scan_count=np.zeros(0, np.int32),
+    first_scan=np.zeros(0, np.int64),
+    last_scan=np.zeros(0, np.int64),
+    crossed=np.zeros(0, bool),
+    wall=np.zeros(0, np.int32),
+    reveal_m=np.zeros(0),
+)
+
+
+def cells_in(distance_m: float) -> int:
+    """How many cells a distance is, to the nearest whole one."""
+    return round(distance_m / CELL_M)
+
+
+def stretches(flags: BoolArray, bridge: int) -> list[tuple[int, int]]:
+    """First and last index, inclusive, of the runs of True; gaps of at most `bridge` are bridged."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    runs: list[tuple[int, int]] = []
+    for first, after in edges.reshape(-1, 2):
+        if runs and first - runs[-1][1] - 1 <= bridge:
+            runs[-1] = (runs[-1][0], int(after) - 1)
+        else:
+            runs.append((int(first), int(after) - 1))
+    return runs

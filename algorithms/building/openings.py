@@ -1,0 +1,174 @@
+"""What the columns of a wall's face say of openings in it: doorways, leaves, panes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ffmap.algorithms.base.scan import BoolArray, FloatArray
+from ffmap.algorithms.building.model import CELL_M, BuildingSettings, Walls, cells_in
+from ffmap.algorithms.building.ray_evidence import (
+    FILLED,
+    FOOT_ROW,
+    SQUARES,
+    SUM,
+    THROUGH,
+    WallCells,
+    returns_at_face,
+    with_neighbours,
+)
+
+JAMB_COLUMNS = 2
+_SHEET_M = 0.02
+"""A pane's returns lie so close to its sheet."""
+REVEAL_MIN_M = 0.03
+_TOP_MARGIN_M, _LINTEL_ROWS = 0.1, 4
+"""So close below the ceiling its own returns begin; under a low one so many rows tell of the wall above a door."""
+KNEE_M = 0.5
+"""A window's sill is higher."""
+
+
+@dataclass(frozen=True)
+class DoorColumns:
+    """What a face's columns (c,) say of doors.
+
+    is_open, is_closed: whether it may be an open door's, a closed one's. has_lintel: whether wall was seen above it; a duct
+    before the wall may hide that.
+    through: share of the rays below a door's head that went through. rays: (c, 4) counts of those.
+    lintel_m: mean distance of the wall above before the face; 0 where it is hidden. depth_m: how far behind that a leaf lies.
+    """
+
+    is_open: BoolArray
+    is_closed: BoolArray
+    has_lintel: BoolArray
+    through: FloatArray
+    rays: FloatArray
+    lintel_m: FloatArray
+    depth_m: FloatArray
+
+
+def tops_m(walls: Walls, cells: WallCells, clear_m: FloatArray) -> FloatArray:
+    """(columns,) how high each column of the faces stands: up to the ceiling there, or else as high as its face was seen.
+
+    clear_m: (columns,) from the floor to the ceiling before each column; NaN where none was seen.
+    """
+    return np.where(np.isfinite(clear_m), clear_m, np.repeat(walls.top_m, np.diff(cells.first)))
+
+
+def look_for_doors(counts: FloatArray, top_m: FloatArray, settings: BuildingSettings) -> DoorColumns:
+    """Columns with nothing but wall above and, below, either nothing for the rays to hit or a recessed leaf.
+
+    counts: (c, rows, 4), see `WallCells`. top_m: (c,) how high the wall stands at each column: see `tops_m`.
+    """
+    smooth = with_neighbours(counts)
+    low, knee = FOOT_ROW, cells_in(0.6)
+    high, above = cells_in(settings.door_height_min_m), cells_in(settings.door_height_max_m)
+    top = (np.maximum(top_m - _TOP_MARGIN_M, 0.0) / CELL_M).astype(np.int64)[:, None]
+    row = np.arange(counts.shape[1])
+    above_head = smooth * ((row >= np.minimum(above, np.maximum(top - _LINTEL_ROWS, 0))) & (row < top))[..., None]
+    # What hangs behind a lintel is seen below it, and would pull its mean back.
+    lintel = (above_head * (returns_at_face(above_head) > 0)[..., None]).sum(axis=1)
+    passed_above = above_head[..., THROUGH].sum(axis=1)
+    has_lintel = (lintel[:, FILLED] >= 2) & (passed_above <= lintel[:, FILLED])
+    may_have_lintel = has_lintel | (passed_above + above_head[..., FILLED].sum(axis=1) < 2)
+    below, foot = smooth[:, low:high].sum(axis=1), smooth[:, low:knee].sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        lintel_m = np.where(has_lintel, lintel[:, SUM] / lintel[:, FILLED], 0.0)
+        mean_m = below[:, SUM] / below[:, FILLED]
+        spread_m = np.sqrt(np.maximum(below[:, SQUARES] / below[:, FILLED] - mean_m**2, 0))
+        through = below[:, THROUGH] / (below[:, THROUGH] + below[:, FILLED])
+        foot_through = foot[:, THROUGH] / (foot[:, THROUGH] + foot[:, FILLED])
+        depth_m = lintel_m - mean_m
+        foot_depth_m = lintel_m - foot[:, SUM] / foot[:, FILLED]
+    decided = below[:, THROUGH] + below[:, FILLED] >= settings.rays_min
+    is_open = decided & may_have_lintel & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)
+    is_closed = (
+        decided
+        & may_have_lintel
+        & (through < 1 - settings.agreement_min)
+        & (depth_m > settings.recess_min_m)
+        # A leaf is recessed down to the floor; below a window the wall stands flush.
+        & ~(foot_depth_m < 0.5 * settings.recess_min_m)
+        & (spread_m < 0.06)
+    )
+    return DoorColumns(is_open, is_closed, has_lintel, through, below, lintel_m, depth_m)
+
+
+def is_pane(counts: FloatArray, settings: BuildingSettings) -> bool:
+    """Whether an opening holds a pane: glass lets most rays through, but those that it returns come from one sheet.
+
+    An open doorway returns nothing, and what stands in it has some depth. (Glass returns rays that meet it straight on,
+    and dust does so elsewhere: Wang and Wang, "Detecting glass in simultaneous localisation and mapping", 2017.)
+
+    counts: (c, rows, 4) of the opening's columns; those at its jambs are not looked at.
+    """
+    jamb = min(JAMB_COLUMNS, (len(counts) - 1) // 2)
+    inner = counts[jamb : len(counts) - jamb, FOOT_ROW : cells_in(settings.door_height_min_m)]
+    sheet = find_sheet(inner, settings)
+    return sheet is not None and sheet.returns >= settings.pane_share_min * float(inner[..., THROUGH].sum())
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """The sheet that most returns from within an opening lie on.
+
+    behind_m: so far behind the face. returns: how many lie on it. columns: in how many columns.
+    """
+
+    behind_m: float
+    returns: int
+    columns: int
+
+
+def find_sheet(counts: FloatArray, settings: BuildingSettings) -> Sheet | None:
+    """The sheet in an opening's cells (c, rows, 4): what stands behind a pane, or on its sill, adds returns of other depths.
+
+    None where too few returns lie on one, or where they show in few of the columns that they might: the edge of a leaf or of
+    a reveal does so.
+    """
+    filled = counts[..., FILLED]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean_m = counts[..., SUM] / filled
+        variance = counts[..., SQUARES] / filled - mean_m**2
+    flat = (filled > 0) & (variance < settings.pane_spread_m**2)
+    if not flat.any():
+        return None
+    depth_m, weight = mean_m[flat], filled[flat]
+    order = np.argsort(depth_m)
+    depth_m, total = depth_m[order], np.concatenate([[0.0], np.cumsum(weight[order])])
+    within = total[np.searchsorted(depth_m, depth_m + _SHEET_M, "right")]
+    within -= total[np.searchsorted(depth_m, depth_m - _SHEET_M, "left")]
+    on_sheet = flat & (np.abs(mean_m - depth_m[np.argmax(within)]) <= _SHEET_M)
+    returns, columns = float(filled[on_sheet].sum()), int(on_sheet.any(axis=1).sum())
+    if returns < settings.rays_min or columns < 0.5 * min(len(counts), returns):
+        return None
+    behind_m = -float(counts[on_sheet, SUM].sum()) / returns
+    # What reaches as deep as is looked goes on beyond: a leaf that is ajar.
+    return Sheet(behind_m, int(returns), columns) if behind_m < settings.near_m - 2 * _SHEET_M else None
+
+
+def is_open_to_floor(counts: FloatArray, settings: BuildingSettings) -> bool:
+    """Whether rays pass an opening's columns (c, rows, 4) at its foot: what stands before a window may hide its sill."""
+    foot = counts[:, FOOT_ROW : cells_in(KNEE_M)].sum(axis=(0, 1))
+    return bool(
+        foot[THROUGH] >= settings.rays_min and foot[THROUGH] > settings.agreement_min * (foot[THROUGH] + foot[FILLED])
+    )
+
+
+def to_jambs(below: FloatArray, first: int, last: int, most: int) -> tuple[int, int]:
+    """An open stretch of columns, widened to the jambs: beside it rays end on the reveals or on a leaf, behind the face.
+
+    below: (columns, 4), a face's counts between the foot and the head of an opening. most: columns on each side.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        behind = below[:, SUM] / below[:, FILLED] < -REVEAL_MIN_M
+    return widened(behind, first, last, most)
+
+
+def widened(flags: BoolArray, first: int, last: int, most: int) -> tuple[int, int]:
+    """A stretch of columns with the flagged ones that follow on each side without a gap, so many at most."""
+    for _ in range(most):
+        if first > 0 and flags[first - 1]:
+            first -= 1
+        if last + 1 < len(flags) and flags[last + 1]:
+            last += 1
+    return first, last

@@ -1,0 +1,205 @@
+"""What the rays of all scans found in each cell of each wall face.
+
+The paper puts its labelled scans together and leaves it at that (Fig. 8); Nikoohemat et al. (2018) tell a wall's cells
+apart as filled, empty and occluded by the rays that passed them, which is what finds the openings here.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.segments import lengths_m
+from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, BuildingSettings, Walls
+from ffmap.algorithms.scan.summary import Features
+
+FILLED, SUM, SQUARES, THROUGH = range(4)
+_OWN_MARGIN_M = 0.2
+"""A scan's own plane of a wall holds so many metres beyond what the scan saw of it."""
+FOOT_ROW = 2
+"""The lowest row above sills, skirting boards and the floor's own returns."""
+
+
+@dataclass(frozen=True)
+class WallCells:
+    """What the rays found in each cell of each wall face: columns along it, rows from the floor up, 5 cm each.
+
+    first: (W + 1,) the column at which each wall begins. rows: how many.
+    counts: (columns, rows, 4) float32: returns near the face, the sum and the sum of squares of their distances before
+    it (metres, negative behind), rays that went through.
+    """
+
+    first: IntArray
+    rows: int
+    counts: FloatArray
+
+
+def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSettings) -> WallCells:
+    """Every ray against every wall face that looks towards its origin: what it hit there, or that it went through.
+
+    Where the scan itself has a plane so close to the face that it is of that wall (`own_plane_m`), its rays are measured
+    against its own plane: a leaf lies centimetres behind its wall, and a part of that may the pose be off.
+
+    blocks: features in any portions; the memory needed is the building's, not the recording's.
+    """
+    first = first_columns(walls)
+    rows = int(np.ceil((float(walls.top_m.max(initial=2.0)) + 0.5) / CELL_M))
+    counts = np.zeros((int(first[-1]), rows, 4), np.float32)
+    for block in blocks:
+        _trace(
+            walls.ends,
+            walls.normal,
+            first,
+            counts,
+            np.ascontiguousarray(block.origin_map, np.float64),
+            np.ascontiguousarray(block.floor_map, np.float64),
+            block.ray_starts,
+            np.ascontiguousarray(block.ray_end_map, np.float32),
+            block.ray_label,
+            block.plane_starts,
+            np.ascontiguousarray(block.plane_ends_map, np.float64),
+            np.ascontiguousarray(block.plane_normal, np.float64),
+            settings.near_m,
+            settings.range_m,
+            settings.own_plane_m,
+            float(np.cos(np.radians(settings.angle_deg))),
+        )
+    return WallCells(first, rows, counts)
+
+
+def first_columns(walls: Walls) -> IntArray:
+    """(W + 1,) the column at which each face begins, if all faces' columns are counted one after the other."""
+    return np.concatenate([[0], np.cumsum(np.ceil(lengths_m(walls.ends) / CELL_M))]).astype(np.int64)
+
+
+def returns_at_face(counts: FloatArray) -> FloatArray:
+    """(…) the returns that are a face's own, of its cells or sums of them (…, 4): none where their mean lies off it."""
+    filled, total = counts[..., FILLED].astype(np.float64), counts[..., SUM].astype(np.float64)
+    return np.where(np.abs(total) < AT_FACE_M * filled, filled, 0.0)
+
+
+def with_neighbours(counts: FloatArray) -> FloatArray:
+    """Each column with the counts of the two beside it: an emitter's lines may stand farther apart than a column is."""
+    summed = counts.copy()
+    summed[1:] += counts[:-1]
+    summed[:-1] += counts[1:]
+    return summed
+
+
+@numba.njit(cache=True, nogil=True)
+def own_plane(
+    ends: FloatArray,
+    normal: FloatArray,
+    plane_ends: FloatArray,
+    plane_normal: FloatArray,
+    first: int,
+    after: int,
+    own_plane_m: float,
+    cos_angle: float,
+) -> tuple[float, float, float, float, float]:  # pragma: no cover
+    """Normal x, y and offset of a scan's own plane of a wall face, the one that shares most with it, and the stretch of the
+    face over which it was seen; the face's own normal and offset, and no stretch, where there is none."""
+    along = ends[1] - ends[0]
+    length = np.sqrt(along[0] ** 2 + along[1] ** 2)
+    dx, dy = along[0] / length, along[1] / length
+    nx, ny, offset = normal[0], normal[1], normal[0] * ends[0, 0] + normal[1] * ends[0, 1]
+    longest, start, stop = 0.0, np.inf, -np.inf
+    for p in range(first, after):
+        px, py = plane_normal[p, 0], plane_normal[p, 1]
+        if px * normal[0] + py * normal[1] < cos_angle:
+            continue
+        x0, y0 = plane_ends[p, 0, 0] - ends[0, 0], plane_ends[p, 0, 1] - ends[0, 1]
+        x1, y1 = plane_ends[p, 1, 0] - ends[0, 0], plane_ends[p, 1, 1] - ends[0, 1]
+        along_0, along_1 = x0 * dx + y0 * dy, x1 * dx + y1 * dy
+        low, high = min(along_0, along_1), max(along_0, along_1)
+        shared = min(high, length) - max(low, 0.0)
+        if shared <= longest:
+            continue
+        # How far off it is where it lies beside the face; beyond, another wall may go on.
+        off_0, off_1 = normal[0] * x0 + normal[1] * y0, normal[0] * x1 + normal[1] * y1
+        rise = (off_1 - off_0) / (along_1 - along_0)
+        far = max(abs(off_0 + rise * (max(low, 0.0) - along_0)), abs(off_0 + rise * (min(high, length) - along_0)))
+        if far < own_plane_m:
+            longest, start, stop = shared, low, high
+            nx, ny = px, py
+            offset = px * plane_ends[p, 0, 0] + py * plane_ends[p, 0, 1]
+    return nx, ny, offset, start, stop
+
+
+@numba.njit(cache=True, nogil=True)
+def _trace(
+    ends: FloatArray,
+    normal: FloatArray,
+    first: IntArray,
+    counts: FloatArray,
+    origin: FloatArray,
+    floor: FloatArray,
+    starts: IntArray,
+    ray_end: FloatArray,
+    ray_label: UInt8Array,
+    plane_starts: IntArray,
+    plane_ends: FloatArray,
+    plane_normal: FloatArray,
+    near_m: float,
+    range_m: float,
+    own_plane_m: float,
+    cos_angle: float,
+) -> None:  # pragma: no cover
+    rows = counts.shape[1]
+    for s in range(len(origin)):
+        ox, oy, oz = origin[s, 0], origin[s, 1], origin[s, 2]
+        for w in range(len(ends)):
+            nx, ny = normal[w, 0], normal[w, 1]
+            reach = nx * (ox - ends[w, 0, 0]) + ny * (oy - ends[w, 0, 1])
+            if reach < 0.1 or reach > range_m:
+                continue
+            dx, dy = ends[w, 1, 0] - ends[w, 0, 0], ends[w, 1, 1] - ends[w, 0, 1]
+            length = np.sqrt(dx * dx + dy * dy)
+            dx, dy = dx / length, dy / length
+            nearest = min(max((ox - ends[w, 0, 0]) * dx + (oy - ends[w, 0, 1]) * dy, 0.0), length)
+            if np.hypot(ends[w, 0, 0] + dx * nearest - ox, ends[w, 0, 1] + dy * nearest - oy) > range_m:
+                continue
+            columns = first[w + 1] - first[w]
+            own_x, own_y, own_offset, start, stop = own_plane(
+                ends[w],
+                normal[w],
+                plane_ends,
+                plane_normal,
+                plane_starts[s],
+                plane_starts[s + 1],
+                own_plane_m,
+                cos_angle,
+            )
+            face_offset = normal[w, 0] * ends[w, 0, 0] + normal[w, 1] * ends[w, 0, 1]
+            for r in range(starts[s], starts[s + 1]):
+                x, y, z = np.float64(ray_end[r, 0]), np.float64(ray_end[r, 1]), np.float64(ray_end[r, 2])
+                nx, ny, offset = normal[w, 0], normal[w, 1], face_offset
+                along = (x - ends[w, 0, 0]) * dx + (y - ends[w, 0, 1]) * dy
+                if start - _OWN_MARGIN_M < along < stop + _OWN_MARGIN_M:
+                    nx, ny, offset = own_x, own_y, own_offset
+                reach = nx * ox + ny * oy - offset
+                if reach < 0.1:
+                    continue
+                side = nx * x + ny * y - offset
+                if side > 0.1:
+                    continue
+                # Floor and ceiling behind an opening are no leaf: what ended there passed the face.
+                level = ray_label[r] == Label.FLOOR or ray_label[r] == Label.CEILING
+                near = side > (-AT_FACE_M if level else -near_m)
+                if not near:
+                    t = reach / (reach - side)
+                    x, y, z = ox + t * (x - ox), oy + t * (y - oy), oz + t * (z - oz)
+                column = int(np.floor(((x - ends[w, 0, 0]) * dx + (y - ends[w, 0, 1]) * dy) / CELL_M))
+                row = int(np.floor((z - (floor[s, 0] + floor[s, 1] * x + floor[s, 2] * y)) / CELL_M))
+                if column < 0 or column >= columns or row < 0 or row >= rows:
+                    continue
+                cell = counts[first[w] + column, row]
+                if near:
+                    cell[FILLED] += 1.0
+                    cell[SUM] += side
+                    cell[SQUARES] += side * side
+                else:
+                    cell[THROUGH] += 1.0

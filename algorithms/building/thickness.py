@@ -1,0 +1,119 @@
+"""How thick the walls are: which face has the same wall's other side behind it (paper, Fig. 9a: both sides drawn)."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from pydantic import Field
+
+from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.algorithms.base.segments import lengths_m, segments
+from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.model import Doors, Walls
+from ffmap.algorithms.scan.doors import DoorState
+
+_STRETCH_MIN_M = 0.02
+"""Parts of a face that are shorter are roundings of its ends."""
+_BEYOND_FACE_M = 0.1
+"""A reveal ends at most so far beyond where its wall's other face was measured to be: faces are off by as much."""
+
+
+class WallThicknessSettings(StepSettings):
+    """Finding the other side of a wall."""
+
+    least_m: float = Field(0.03, gt=0, description="Thinnest wall in metres; two faces nearer than this are one.")
+    most_m: float = Field(0.6, gt=0, description="Thickest wall in metres: faces farther apart belong to two walls.")
+    angle_deg: float = Field(3.0, gt=0, le=20, description="The two sides of a wall are parallel to this many degrees.")
+    unseen_m: float = Field(
+        0.15, gt=0, description="Thickness in metres where no wall of the building was seen from both sides."
+    )
+
+
+@dataclass(frozen=True)
+class WallParts:
+    """The faces of `Walls`, cut where the thickness behind them changes.
+
+    wall: (P,) the face that each part belongs to. ends: (P, 2, 2) its stretch of that face.
+    thickness_m: (P,) metres, NaN where the wall's other side was not seen.
+    """
+
+    wall: IntArray
+    ends: FloatArray
+    thickness_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.wall)
+
+
+def part_walls(walls: Walls, settings: WallThicknessSettings) -> WallParts:
+    """Each face cut into stretches that have one thickness: the nearest face behind that looks the other way."""
+    wall, ends, thickness = [], [], []
+    cos_angle = np.cos(np.radians(settings.angle_deg))
+    for w, face in enumerate(segments(walls)):
+        behind = []
+        for o in np.flatnonzero(walls.normal @ face.normal < -cos_angle).tolist():
+            place, depth_m = face.place_m(walls.ends[o]), -face.before_m(walls.ends[o])
+            low, high = max(float(place.min()), 0.0), min(float(place.max()), face.length_m)
+            if high - low < _STRETCH_MIN_M:
+                continue
+            # Depth where the two overlap, for faces are parallel to some degrees only.
+            slope = (depth_m[1] - depth_m[0]) / (place[1] - place[0])
+            depth = float(depth_m[0] + slope * (0.5 * (low + high) - place[0]))
+            if settings.least_m <= depth <= settings.most_m:
+                behind.append((low, high, depth))
+        edges = np.unique([0.0, face.length_m, *(edge for low, high, _ in behind for edge in (low, high))])
+        for low, high in pairwise(edges.tolist()):
+            middle = 0.5 * (low + high)
+            wall.append(w)
+            ends.append(face.at(np.array([low, high])))
+            thickness.append(min((depth for first, last, depth in behind if first <= middle <= last), default=np.nan))
+    return WallParts(np.array(wall, np.int64), np.array(ends, float).reshape(-1, 2, 2), np.array(thickness, float))
+
+
+def face_thickness(walls: Walls, parts: WallParts) -> FloatArray:
+    """(W,) the median, by length, of what was measured along each face; NaN where the other side was not seen."""
+    thickness_m = np.empty(len(walls))
+    for w in range(len(walls)):
+        own = (parts.wall == w) & np.isfinite(parts.thickness_m)
+        thickness_m[w] = _median_by_length(parts.thickness_m[own], lengths_m(parts.ends[own]), float("nan"))
+    return thickness_m
+
+
+def usual_thickness(parts: WallParts, settings: WallThicknessSettings) -> float:
+    """The median, by length, of what was measured; `unseen_m` where nothing was."""
+    measured = np.isfinite(parts.thickness_m)
+    return _median_by_length(parts.thickness_m[measured], lengths_m(parts.ends[measured]), settings.unseen_m)
+
+
+def door_depths(doors: Doors, walls: Walls, parts: WallParts, settings: WallThicknessSettings) -> FloatArray:
+    """(D,) how far each doorway reaches behind its sill: as far as its wall is thick.
+
+    An open door tells by the underside of its lintel, which single scans measure; a wall's two faces were seen from two
+    rooms, minutes apart, and the poses' drift lies between them. A closed leaf hides it: there the open doors in the same
+    face tell, else the wall's faces, else the building's open doors, else the building's usual thickness. None reaches
+    farther beyond the wall's other face than faces are off.
+    """
+    usual_m, of_face_m = usual_thickness(parts, settings), face_thickness(walls, parts)
+    # Beyond the wall's other face goes on what hangs there as high as the lintel.
+    reveal_m = np.fmin(doors.reveal_m, of_face_m[doors.wall] + _BEYOND_FACE_M)
+    told = (doors.state == DoorState.OPEN) & (reveal_m >= settings.least_m)
+    depth_m = np.empty(len(doors))
+    for d in range(len(doors)):
+        beside = told & (doors.wall == doors.wall[d])
+        if told[d]:
+            depth_m[d] = reveal_m[d]
+        elif beside.any():
+            depth_m[d] = np.median(reveal_m[beside])
+        elif np.isfinite(of_face_m[doors.wall[d]]):
+            depth_m[d] = of_face_m[doors.wall[d]]
+        else:
+            depth_m[d] = np.median(reveal_m[told]) if told.any() else usual_m
+    return np.asarray(np.maximum(depth_m, reveal_m))
+
+
+def _median_by_length(values: FloatArray, length_m: FloatArray, otherwise: float) -> float:
+    if not len(values):
+        return otherwise
+    order = np.argsort(values)
+    covered = np.cumsum(length_m[order])
+    return float(values[order][np.searchsorted(covered, 0.5 * covered[-1])])

@@ -1,0 +1,177 @@
+"""Windows, and what was seen through them."""
+
+from dataclasses import replace
+
+import numba
+import numpy as np
+
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
+from ffmap.algorithms.base.segments import Segment, segments
+from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, BuildingSettings, Walls, Windows, cells_in, stretches
+from ffmap.algorithms.building.openings import (
+    JAMB_COLUMNS,
+    KNEE_M,
+    find_sheet,
+    is_pane,
+    look_for_doors,
+    to_jambs,
+    tops_m,
+    widened,
+)
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells, with_neighbours
+from ffmap.algorithms.scan.summary import Features
+
+_WINDOW_MIN_M = 0.3
+_SILL_COLUMNS = 4
+_EMPTY_COLUMNS, _EMPTY_SHARE = 20, 0.2
+"""So far a window goes on where so small a share returns of what returns below it."""
+_AT_PANE_M, _PASSED_SHARE = 0.02, 0.03
+"""What returns so near to a window's pane is of it where such a share of rays passes: a leaf beside it returns all."""
+_REVEAL_COLUMNS = 3
+"""A reveal that is seen at a slant hides so many columns of an opening at most."""
+
+
+def find_windows(walls: Walls, cells: WallCells, clear_m: FloatArray, settings: BuildingSettings) -> Windows:
+    """Stretches of wall that rays pass through glass: above a sill, or down to the floor where a pane shows itself.
+
+    clear_m: (columns,) from the floor to the ceiling before each column of the faces; NaN where none was seen.
+    """
+    standing_m = tops_m(walls, cells, clear_m)
+    found: list[tuple[FloatArray, FloatArray, float, float, float]] = []
+    for w in range(len(walls)):
+        counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
+        if len(counts) < 3:
+            continue
+        face = Segment.between(walls.ends[w], walls.normal[w])
+        columns = look_for_doors(counts, standing_m[cells.first[w] : cells.first[w + 1]], settings)
+        opened = stretches(columns.is_open & columns.has_lintel, 2)
+        panes = [(first, last) for first, last in opened if is_pane(counts[first : last + 1], settings)]
+        may_be, is_sill = _above_sill(counts, walls.top_m[w], settings)
+        sills = [
+            (first, last) for first, last in stretches(may_be, 4) if is_sill[first : last + 1].sum() >= _SILL_COLUMNS
+        ]
+        high = counts[:, cells_in(KNEE_M) : cells_in(settings.door_height_min_m)].sum(axis=1)
+        for first, last in panes + sills:
+            rows = counts[first : last + 1].sum(axis=0)
+            clear = np.flatnonzero(rows[:, THROUGH] > rows[:, FILLED])
+            if not len(clear):
+                continue
+            pane_m = _pane_m(counts[first : last + 1, clear[0] : clear[-1] + 1], settings)
+            first, last = _over_its_pane(high, pane_m, first, last)
+            first, last = to_jambs(high, first, last, _REVEAL_COLUMNS)
+            first, last = _over_empty_columns(counts, clear[0], clear[-1] + 1, first, last)
+            ends = face.at(CELL_M * np.array([first, last + 1]))
+            found.append((ends, face.normal, CELL_M * clear[0], CELL_M * (clear[-1] + 1), pane_m))
+    if not found:
+        return NO_WINDOWS
+    ends_of_all, normal, bottom_m, top_m, panes_m = zip(*found, strict=True)
+    return Windows(np.array(ends_of_all), np.array(normal), np.array(bottom_m), np.array(top_m), np.array(panes_m))
+
+
+def _above_sill(counts: FloatArray, top_m: float, settings: BuildingSettings) -> tuple[BoolArray, BoolArray]:
+    """Columns (c,) that rays pass above the knee and not below it, and those of them (c,) whose foot is seen to be wall.
+
+    What stands before a window hides its sill, and a window is as wide as it is all the same.
+    """
+    foot, knee, top = FOOT_ROW, cells_in(KNEE_M), int(max(top_m - 0.2, 0.0) / CELL_M)
+    below = counts[:, foot:knee].sum(axis=1)
+    near = with_neighbours(np.swapaxes(with_neighbours(counts), 0, 1)).swapaxes(0, 1)
+    clear = (near[..., THROUGH] > near[..., FILLED]) & (near[..., THROUGH] >= 0.5 * settings.rays_min)
+    passed = clear[:, knee:top].sum(axis=1) >= _WINDOW_MIN_M / CELL_M
+    may_be = passed & (below[:, THROUGH] <= 0.1 * below[:, FILLED])
+    return may_be, may_be & (below[:, FILLED] >= settings.rays_min)
+
+
+def _over_its_pane(high: FloatArray, pane_m: float, first: int, last: int) -> tuple[int, int]:
+    """A window's columns, with those beside it that return from the same pane, and are passed nevertheless by some rays.
+
+    Glass that is met straight on returns most of them.
+
+    high: (columns, 4) of the whole face, between knee and head. pane_m: how far behind the face it stands; NaN if unknown.
+    """
+    near = with_neighbours(high)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        on_pane = np.abs(-high[:, SUM] / high[:, FILLED] - pane_m) < _AT_PANE_M
+        passed = near[:, THROUGH] > _PASSED_SHARE * (near[:, THROUGH] + near[:, FILLED])
+    return widened(on_pane & passed, first, last, len(high))
+
+
+def _over_empty_columns(counts: FloatArray, bottom: int, top: int, first: int, last: int) -> tuple[int, int]:
+    """A window's columns, with those beside it that return next to nothing between its sill and its head, but do below it.
+
+    Glass that is met at a slant sends the rays elsewhere.
+
+    counts: (columns, rows, 4) of the whole face; bottom, top: the window's rows.
+    """
+    below = counts[:, FOOT_ROW:bottom, FILLED]
+    usual = below.mean(axis=1) if below.shape[1] else np.zeros(len(counts))
+    empty = counts[:, bottom:top, FILLED].mean(axis=1) < _EMPTY_SHARE * usual
+    return widened(empty, first, last, _EMPTY_COLUMNS)
+
+
+def _pane_m(counts: FloatArray, settings: BuildingSettings) -> float:
+    """How far behind the face a window's pane stands, by what it returns away from reveals, sill and head."""
+    columns, rows = (min(JAMB_COLUMNS, (size - 1) // 2) for size in counts.shape[:2])
+    inner = counts[columns : counts.shape[0] - columns, rows : counts.shape[1] - rows]
+    sheet = find_sheet(inner, settings)
+    return sheet.behind_m if sheet is not None and sheet.behind_m > 0 else float("nan")
+
+
+def seen_through(windows: Windows, features: Features) -> BoolArray:
+    """(p,) whether each plane of the scans was seen through a window: it is no wall of this building."""
+    origin = features.origin_map[features.plane_scan, :2]
+    outside = np.zeros(len(origin), bool)
+    for window in segments(windows):
+        before_m = window.before_m(origin)
+        for part in (0.0, 0.5, 1.0):
+            place = features.plane_ends_map[:, 0] + part * (
+                features.plane_ends_map[:, 1] - features.plane_ends_map[:, 0]
+            )
+            behind_m = window.before_m(place)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                crossing = origin + (before_m / (before_m - behind_m))[:, None] * (place - origin)
+            outside |= (before_m > 0) & (behind_m < -CELL_M) & window.beside(crossing)
+    return outside
+
+
+def without_rays_through(windows: Windows, features: Features) -> Features:
+    """The same scans without the rays that ended beyond a window."""
+    passed = _rays_through(
+        np.ascontiguousarray(windows.ends, np.float64),
+        np.ascontiguousarray(windows.normal, np.float64),
+        np.ascontiguousarray(features.origin_map, np.float64),
+        features.ray_starts,
+        features.ray_end_map,
+    )
+    return replace(
+        features,
+        ray_count=np.bincount(features.ray_scan[~passed], minlength=len(features.scan)),
+        ray_end_map=features.ray_end_map[~passed],
+        ray_label=features.ray_label[~passed],
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _rays_through(
+    ends: FloatArray, normal: FloatArray, origin: FloatArray, starts: IntArray, ray_end: FloatArray
+) -> BoolArray:  # pragma: no cover
+    passed = np.zeros(len(ray_end), np.bool_)
+    for w in range(len(ends)):
+        dx, dy = ends[w, 1, 0] - ends[w, 0, 0], ends[w, 1, 1] - ends[w, 0, 1]
+        length = np.sqrt(dx * dx + dy * dy)
+        dx, dy = dx / length, dy / length
+        for s in range(len(origin)):
+            ox, oy = origin[s, 0] - ends[w, 0, 0], origin[s, 1] - ends[w, 0, 1]
+            reach = normal[w, 0] * ox + normal[w, 1] * oy
+            if reach <= 0.0:
+                continue
+            for r in range(starts[s], starts[s + 1]):
+                x, y = ray_end[r, 0] - ends[w, 0, 0], ray_end[r, 1] - ends[w, 0, 1]
+                side = normal[w, 0] * x + normal[w, 1] * y
+                if side > -CELL_M:
+                    continue
+                t = reach / (reach - side)
+                u = (ox + t * (x - ox)) * dx + (oy + t * (y - oy)) * dy
+                if 0.0 < u < length:
+                    passed[r] = True
+    return passed

@@ -1,0 +1,618 @@
+"""Grid maps of the building: furniture-free, or of what was hit in a slice of space (paper, IV.C, Fig. 6 and 9)."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Literal
+
+import numba
+import numpy as np
+from pydantic import Field
+from scipy.ndimage import binary_closing, binary_dilation, binary_propagation, label
+from scipy.spatial import cKDTree
+
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.segments import Segment, segments
+from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, Doors, Walls, Windows, cells_in, stretches
+from ffmap.algorithms.building.ray_evidence import FOOT_ROW, THROUGH, WallCells, returns_at_face
+from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
+from ffmap.algorithms.building.votes import VoxelVotes, majority
+from ffmap.algorithms.scan.doors import DoorState
+from ffmap.algorithms.scan.summary import Features
+
+DoorsDrawn = Literal["open", "as-seen", "closed"]
+
+_FOOT_M, _KNEE_M = 0.15, 0.6
+"""Between these heights rays that pass a face prove an opening down to the floor: a window's sill is higher."""
+_PASSED_MIN = 6
+_PASSED_RATIO = 2.0
+_SILL_MIN_M = 0.3
+_REVEAL_MAX_M, _REVEAL_BESIDE_M = 0.6, 0.12
+_PARALLEL = 0.9
+_BLIND_M = 1.0
+"""So near to its way the robot may not see the floor."""
+_CROSSED_RAYS, _CROSSED_RATIO, _CROSSED_MIN = 5, 5, 4
+_SURELY_CELLS = 2.5
+"""A ray that ends no farther behind a cell's line may have ended at what the cell shows."""
+_LEAF_OVER_M = 0.3
+"""What was seen of an open leaf ends at most so far above its door's head."""
+_LEAF_BESIDE_M = 0.1
+_BOUND_CELLS = 2
+_GAP_MAX_M = 0.6
+"""Gaps in a face that are not so wide, and no doors, are no passages."""
+_STEP_MAX_M = 0.5
+"""Places of the robot that lie farther apart are not joined: there poses are missing."""
+
+
+class GridMapSettings(StepSettings):
+    """The furniture-free grid and its rivals (paper, IV.C, Fig. 9)."""
+
+    cell_m: float = Field(0.05, ge=0.005, le=1, description="Edge of a cell in metres. IV.C.")
+    range_m: float = Field(25.0, gt=0, description="Rays clear cells up to this many metres from the sensor. IV.C.")
+    margin_m: float = Field(1.0, ge=0, description="Unknown border in metres around what is drawn. IV.C.")
+    doors: DoorsDrawn = Field(
+        "open", description="Which doorways are free: open (all), as-seen (those that stood open), closed (none). IV.C."
+    )
+    door_margin_m: float = Field(
+        0.1, ge=0, description="A free doorway reaches this many metres beyond both sides of its wall. IV.C."
+    )
+    door_guessed_m: float = Field(
+        0.3,
+        ge=0,
+        description="Least free depth in metres behind a sill where a leaf or one-sided wall hides more. IV.C.",
+    )
+    rays_min: int = Field(
+        3, ge=1, description="Fewest returns, or cubes of wall, that bear out 5 cm of a wall's face. IV.C."
+    )
+    bridge_m: float = Field(
+        0.25, ge=0, description="Longest gap in metres that is closed in a wall between what was seen of it. IV.C."
+    )
+    floor_reach_m: float = Field(
+        1.5,
+        ge=0,
+        description="Free is what rays crossed so near to floor that was seen, in metres; it hides under tables.",
+    )
+
+
+class Cell(IntEnum):
+    """What a cell holds; the values are those of ROS' map_server images."""
+
+    OCCUPIED = 0
+    UNKNOWN = 205
+    FREE = 254
+
+
+@dataclass(frozen=True)
+class GridMap:
+    """cells: (rows, columns) uint8, see `Cell`; row 0 is the lowest y. origin: (2,) x and y of its lower left corner."""
+
+    cells: UInt8Array
+    origin: FloatArray
+    cell_m: float
+
+    def centres(self, cell: Cell) -> FloatArray:
+        """(m, 2) x and y of the middles of all cells of one kind."""
+        rows, columns = np.nonzero(self.cells == cell)
+        return np.asarray(self.origin + (np.stack([columns, rows], axis=1) + 0.5) * self.cell_m)
+
+    def cropped_to(self, other: "GridMap") -> "GridMap":
+        """The part that another map of the same cells covers; unknown where this one does not reach."""
+        column, row = np.round((self.origin - other.origin) / self.cell_m).astype(int)
+        cells = np.full_like(other.cells, Cell.UNKNOWN)
+        to_rows, from_rows = _overlap(row, self.cells.shape[0], cells.shape[0])
+        to_columns, from_columns = _overlap(column, self.cells.shape[1], cells.shape[1])
+        cells[to_rows, to_columns] = self.cells[from_rows, from_columns]
+        return GridMap(cells, other.origin, self.cell_m)
+
+
+def _overlap(shift: int, own: int, other: int) -> tuple[slice, slice]:
+    """Where an axis of `count` cells lies in another one when it is shifted, and which of its cells lie there."""
+    low, high = max(shift, 0), max(min(shift + own, other), max(shift, 0))
+    return slice(low, high), slice(low - shift, high - shift)
+
+
+@dataclass(frozen=True)
+class Immobile:
+    """What the furniture-free grid shows.
+
+    cells: what rays found of the walls, from `wall_cells.trace_rays`. votes: of all scans' labels; they reach farther.
+    """
+
+    walls: Walls
+    cells: WallCells
+    votes: VoxelVotes
+    doors: Doors
+    windows: Windows
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What makes cells free: where the robot was, and what its rays crossed.
+
+    path_map: (n, 2 or more) the robot's places. blocks: gives the features of all scans in any portions, every time anew.
+    """
+
+    path_map: FloatArray
+    blocks: Callable[[], Iterable[Features]]
+
+
+def draw_furniture_free(
+    immobile: Immobile, drive: Drive, settings: GridMapSettings, thickness: WallThicknessSettings
+) -> GridMap:
+    """Walls as thin lines, one for each side that was seen; doorways free through the whole wall (paper, Fig. 9b).
+
+    What lies between the two sides of a wall nobody saw: it stays unknown. Panes stop rays, and stay unknown too.
+    """
+    doors = immobile.doors
+    canvas = _Canvas.around([immobile.walls.ends, doors.ends, drive.path_map[:, :2]], settings)
+    standing = standing_stretches(immobile, settings).ends
+    for ends in standing:
+        canvas.draw_line(ends, Cell.OCCUPIED)
+    canvas.drop_crossed(drive, standing)
+    parts = part_walls(immobile.walls, thickness)
+    depth_m = door_depths(doors, immobile.walls, parts, thickness)
+    # Where the thickness is a guess, or a leaf hid whether it holds here, a doorway rather ends in the room behind.
+    guessed = np.isnan(face_thickness(immobile.walls, parts)[doors.wall]) | (doors.state == DoorState.CLOSED)
+    reach_m = np.where(guessed, np.maximum(depth_m, settings.door_guessed_m), depth_m)
+    margin_m, inset_m = settings.door_margin_m, settings.cell_m
+    doorways = [_doorway(doors.ends[d], doors.normal[d], reach_m[d], margin_m, inset_m) for d in range(len(doors))]
+    for doorway in doorways:
+        canvas.draw_area(doorway, Cell.UNKNOWN)
+    for d in range(len(doors)):
+        for jamb in doors.ends[d]:
+            canvas.draw_line(np.stack([jamb, jamb - depth_m[d] * doors.normal[d]]), Cell.OCCUPIED)
+    shut = np.full(len(doors), settings.doors == "closed")
+    if settings.doors == "as-seen":
+        shut = doors.state == DoorState.CLOSED
+    # Drawn when all is free: rays that passed an open door showed what is behind it.
+    leaves = [doors.ends[d] - np.nan_to_num(doors.depth_m[d]) * doors.normal[d] for d in np.flatnonzero(shut)]
+    open_doorways = [doorway for doorway, is_shut in zip(doorways, shut, strict=True) if not is_shut]
+    return canvas.freed(drive, immobile.windows, open_doorways, leaves, immobile.walls.ends)
+
+
+def draw_cells(cell_index: IntArray, windows: Windows, drive: Drive, settings: GridMapSettings) -> GridMap:
+    """A map of given occupied cells, free by the same rays as `draw_furniture_free`; it knows of no doors.
+
+    cell_index: (m, 2) column and row of each cell of `settings.cell_m`, counted from the map frame's origin.
+    """
+    places = (cell_index + 0.5) * settings.cell_m
+    canvas = _Canvas.around([places, drive.path_map[:, :2]], settings)
+    canvas.draw_points(places, Cell.OCCUPIED)
+    return canvas.freed(drive, windows, [], [], np.zeros((0, 2, 2)))
+
+
+def standing_stretches(immobile: Immobile, settings: GridMapSettings) -> Walls:
+    """The stretches of the faces that returns bear out and that reach down to the floor, as faces of their own.
+
+    Left out: what rays passed at knee height (an opening, though no door was made of it), what nothing was seen of (a
+    pillar may stand before it), the reveals of windows, below which the wall goes on, and the leaves of open doors.
+    """
+    walls, cells = immobile.walls, immobile.cells
+    voted = immobile.votes.mean_position[majority(immobile.votes.counts) == Label.WALL, :2]
+    tree = cKDTree(voted) if len(voted) else None
+    owner: list[int] = []
+    found: list[FloatArray] = []
+    for w, face in enumerate(segments(walls)):
+        stands, passed = _columns(cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64), settings)
+        middles = face.at((np.arange(len(stands)) + 0.5) * CELL_M)
+        if tree is not None:
+            stands |= tree.query_ball_point(middles, AT_FACE_M, return_length=True) >= settings.rays_min
+        none = _in_window_reveal(middles, face.normal, immobile.windows)
+        none |= passed | _of_open_leaf(middles, float(walls.top_m[w]), immobile.doors)
+        stands &= ~none
+        # A face ends at a corner, up to which it is carried on as over any other gap.
+        bridge = cells_in(settings.bridge_m)
+        for first, last in stretches(np.concatenate([[True], stands, [True]]), bridge):
+            columns = np.arange(max(first - 1, 0), min(last, len(stands)))
+            open_columns = none[columns]
+            if not stands[columns].any():
+                continue
+            for a, b in stretches(~open_columns, 0):
+                low_m, high_m = columns[a] * CELL_M, min((columns[b] + 1) * CELL_M, face.length_m)
+                owner.append(w)
+                found.append(face.at(np.array([low_m, high_m])))
+    return replace(walls.select(np.array(owner, np.int64)), ends=np.array(found).reshape(-1, 2, 2))
+
+
+def _columns(counts: FloatArray, settings: GridMapSettings) -> tuple[BoolArray, BoolArray]:
+    """(c,) whether returns bear each column of a face out, and whether rays passed it down to the floor."""
+    on = returns_at_face(counts)
+    near = np.convolve(on.sum(axis=1), np.ones(3))[1:-1]
+    low = slice(FOOT_ROW, cells_in(_KNEE_M))
+    on_low, passed_low = (
+        np.convolve(rays[:, low].sum(axis=1), np.ones(3))[1:-1] for rays in (on, counts[..., THROUGH])
+    )
+    return near >= settings.rays_min, (passed_low >= _PASSED_MIN) & (passed_low > _PASSED_RATIO * on_low)
+
+
+def _in_window_reveal(places: FloatArray, normal: FloatArray, windows: Windows) -> BoolArray:
+    """(c,) whether places (c, 2) of a face lie in the recess of a window with a sill, of whose wall it is no side."""
+    within = np.zeros(len(places), bool)
+    for window, bottom_m in zip(segments(windows), windows.bottom_m, strict=True):
+        if bottom_m < _SILL_MIN_M or abs(normal @ window.normal) > _PARALLEL:
+            continue
+        behind_m = -window.before_m(places)
+        within |= (behind_m > 0) & (behind_m < _REVEAL_MAX_M) & window.beside(places, _REVEAL_BESIDE_M)
+    return within
+
+
+def _of_open_leaf(places: FloatArray, top_m: float, doors: Doors) -> BoolArray:
+    """(c,) which places (c, 2) of a face belong to a leaf that stands open, beyond the reveal that it carries on.
+
+    A face whose every place lies within a leaf's length of a jamb, and that ends where the door does, is no wall.
+    """
+    leaf = np.zeros(len(places), bool)
+    may_be = (doors.state == DoorState.OPEN) & (top_m < doors.head_m + _LEAF_OVER_M)
+    for doorway, reveal_m in zip(segments(doors.select(may_be)), doors.reveal_m[may_be], strict=True):
+        behind_m = -doorway.before_m(places)
+        beyond = (behind_m < -_LEAF_BESIDE_M) | (behind_m > reveal_m + _LEAF_BESIDE_M)
+        reach_m = doorway.length_m + reveal_m + _LEAF_BESIDE_M
+        for jamb in doorway.at(np.array([0.0, doorway.length_m])):
+            if np.linalg.norm(places - jamb, axis=1).max() < reach_m:
+                leaf |= beyond
+    return leaf
+
+
+def _doorway(ends: FloatArray, normal: FloatArray, depth_m: float, margin_m: float, inset_m: float) -> FloatArray:
+    """(4, 2) corners of what a doorway leaves free, around its sill."""
+    sill = Segment.between(ends, normal)
+    left, right = sill.at(np.array([inset_m, sill.length_m - inset_m]))
+    front, back = margin_m * normal, -(depth_m + margin_m) * normal
+    return np.array([left + front, right + front, right + back, left + back])
+
+
+def _in_rectangle(places: FloatArray, corners: FloatArray) -> BoolArray:
+    """Which places (n, 2) lie in a rectangle, given by its corners (4, 2) in order."""
+    inside = np.ones(len(places), bool)
+    for side in (corners[1] - corners[0], corners[3] - corners[0]):
+        along = (places - corners[0]) @ side
+        inside &= (along >= 0) & (along <= side @ side)
+    return inside
+
+
+def _glazed(faces: FloatArray, windows: Windows) -> list[FloatArray]:
+    """The faces (F, 2, 2) that windows lie in."""
+    chosen = []
+    middles = windows.ends.mean(axis=1)
+    for ends in faces:
+        face = Segment.between(ends)
+        in_face = (np.abs(face.before_m(middles)) < AT_FACE_M) & face.beside(middles)
+        if (in_face & (np.abs(windows.normal @ face.along) < 1 - _PARALLEL)).any():
+            chosen.append(ends)
+    return chosen
+
+
+def _lengthened(lines: FloatArray, by_m: float) -> FloatArray:
+    """Lines (n, 2, 2), longer by so much at either end."""
+    along = lines[:, 1] - lines[:, 0]
+    along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9) * by_m
+    return np.asarray(np.stack([lines[:, 0] - along, lines[:, 1] + along], axis=1))
+
+
+class _Canvas:
+    """A grid while it is drawn."""
+
+    def __init__(self, low: FloatArray, high: FloatArray, settings: GridMapSettings) -> None:
+        self._settings = settings
+        self._cell_m = settings.cell_m
+        self._origin = np.floor(low / self._cell_m) * self._cell_m
+        columns, rows = np.maximum(np.ceil((high - self._origin) / self._cell_m).astype(int), 1)
+        self._cells = np.full((rows, columns), Cell.UNKNOWN, np.uint8)
+
+    @classmethod
+    def around(cls, places: Sequence[FloatArray], settings: GridMapSettings) -> "_Canvas":
+        """Space for places (…, 2) with the margin around; one cell where there are none."""
+        corners = np.concatenate([np.zeros((0, 2)), *(place.reshape(-1, 2) for place in places)])
+        if not len(corners):
+            return cls(np.zeros(2), np.zeros(2), settings)
+        return cls(corners.min(axis=0) - settings.margin_m, corners.max(axis=0) + settings.margin_m, settings)
+
+    def draw_points(self, places: FloatArray, cell: Cell) -> None:
+        self._set(self._index(places), cell)
+
+    def draw_line(self, ends: FloatArray, cell: Cell) -> None:
+        """Thin, and nothing passes it cell by cell."""
+        self._set(self._on_line(ends), cell)
+
+    def _on_line(self, ends: FloatArray) -> IntArray:
+        """(k, 2) one cell for each column, or each row, that the segment crosses."""
+        start, stop = (ends - self._origin) / self._cell_m
+        axis = int(abs(stop[1] - start[1]) > abs(stop[0] - start[0]))
+        low, high = sorted((start[axis], stop[axis]))
+        middles = np.arange(np.floor(low), np.floor(high) + 1) + 0.5
+        middles = np.clip(middles, low, high)
+        t = (middles - start[axis]) / (stop[axis] - start[axis]) if high > low else np.zeros(1)
+        return np.asarray(np.floor(start + t[:, None] * (stop - start)).astype(np.int64))
+
+    def draw_area(self, corners: FloatArray, cell: Cell) -> None:
+        """corners: (4, 2) of a rectangle, in order; drawn are the cells whose middle lies in it."""
+        rows, columns = self._cells.shape
+        low = np.clip(self._index(corners.min(axis=0)[None])[0], 0, [columns, rows])
+        high = np.clip(self._index(corners.max(axis=0)[None])[0] + 1, 0, [columns, rows])
+        x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
+        index = np.stack([x.ravel(), y.ravel()], axis=1)
+        inside = _in_rectangle(self._origin + (index + 0.5) * self._cell_m, corners)
+        self._set(index[inside], cell)
+
+    def freed(
+        self,
+        drive: Drive,
+        windows: Windows,
+        doorways: Sequence[FloatArray],
+        leaves: Sequence[FloatArray],
+        faces: FloatArray,
+    ) -> GridMap:
+        """The finished map: free is what rays crossed before they met something, near to floor that was seen.
+
+        Floor was seen where a ray to it ran below the knee, and counts if such cells join it to the robot's way.
+
+        doorways: (4, 2) each, free in any case; so is the robot's own way. leaves: (2, 2) each, which bar theirs.
+        faces: (F, 2, 2) of walls, if these are what is occupied: one that bounds nothing that rays crossed is hidden, as
+            the reveals of windows are, and a wall that was carried on behind a pillar.
+        """
+        occupied = self._cells.copy()
+        # Glass stops rays: what lies behind belongs to another world.
+        for ends in windows.ends:
+            self.draw_line(ends, Cell.OCCUPIED)
+        for ends in [*_glazed(faces, windows), *_lengthened(windows.ends, _GAP_MAX_M)]:
+            self._close_gaps(ends, doorways)
+        barred = self._cells == Cell.OCCUPIED
+        crossed, low = np.zeros_like(barred), np.zeros_like(barred)
+        range_cells = self._settings.range_m / self._cell_m
+        for block in drive.blocks():
+            _cross(barred, crossed, low, *self._rays(block), _low_from(block), range_cells)
+        self._cells[crossed] = Cell.FREE
+        for doorway in doorways:
+            self.draw_area(doorway, Cell.FREE)
+        crossed = self._cells == Cell.FREE
+        # Far away rays lie apart; a wall is thicker than the gaps between them that this closes.
+        crossed |= binary_closing(crossed, np.ones((3, 3))) & (self._cells == Cell.UNKNOWN)
+        if len(faces):
+            occupied[~binary_dilation(crossed, np.ones((3, 3)), iterations=_BOUND_CELLS)] = Cell.UNKNOWN
+        supported = self._joined_to(drive.path_map, binary_closing(low, np.ones((3, 3))) & crossed)
+        reach = int(self._settings.floor_reach_m / self._cell_m)
+        if reach:
+            bounded = np.zeros_like(barred)
+            for block in drive.blocks():
+                _bound(barred, supported, bounded, *self._rays(block), range_cells, 2.0 * reach)
+            bounded = (binary_closing(bounded, np.ones((3, 3))) | supported) & crossed
+            supported = binary_dilation(supported, iterations=reach, mask=bounded)
+        self._cells = np.where(supported, np.uint8(Cell.FREE), occupied)
+        path = drive.path_map[:, :2]
+        for step in np.stack([path[:-1], path[1:]], axis=1):
+            if np.linalg.norm(step[1] - step[0]) < _STEP_MAX_M:
+                self.draw_line(step, Cell.FREE)
+        self.draw_points(path, Cell.FREE)
+        for doorway in doorways:
+            self.draw_area(doorway, Cell.FREE)
+        for leaf in leaves:
+            self.draw_line(leaf, Cell.OCCUPIED)
+        return self._framed()
+
+    def _close_gaps(self, ends: FloatArray, doorways: Sequence[FloatArray]) -> None:
+        """Let no ray pass a gap in a face that nobody could: beside a pane, or where a part of one was not told.
+
+        ends: (2, 2) of a line along the face.
+        """
+        line = Segment.between(ends)
+        step_m = self._cell_m / 4
+        places = np.linspace(ends[0], ends[1], int(line.length_m / step_m) + 2)
+        across = self._cell_m * line.normal
+        stands = np.zeros(len(places), bool)
+        for side in (-across, np.zeros(2), across):
+            row, column = np.clip(self._index(places + side)[:, ::-1], 0, np.array(self._cells.shape) - 1).T
+            stands |= self._cells[row, column] == Cell.OCCUPIED
+        for first, last in stretches(~stands, 0):
+            bounded = first > 0 and last < len(places) - 1 and (last - first) * step_m < _GAP_MAX_M
+            if bounded and not any(_in_rectangle(places[first : last + 1], doorway).any() for doorway in doorways):
+                self.draw_line(places[[first - 1, last + 1]], Cell.OCCUPIED)
+
+    def _framed(self) -> GridMap:
+        """What is known, with the margin around it: faces that were hidden or passed need no space."""
+        known = self._cells != Cell.UNKNOWN
+        if not known.any():
+            return GridMap(self._cells, self._origin, self._cell_m)
+        margin = round(self._settings.margin_m / self._cell_m)
+        rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+        bottom, left = max(int(rows[0]) - margin, 0), max(int(columns[0]) - margin, 0)
+        cells = self._cells[bottom : rows[-1] + 1 + margin, left : columns[-1] + 1 + margin]
+        return GridMap(
+            np.ascontiguousarray(cells), self._origin + self._cell_m * np.array([left, bottom]), self._cell_m
+        )
+
+    def drop_crossed(self, drive: Drive, lines: FloatArray) -> None:
+        """Forget occupied cells, in runs of `_CROSSED_MIN`, that many more rays crossed below the knee than ended there.
+
+        A face knows of the rays that come from its front; what hangs in a room is passed below from both sides.
+
+        lines: (n, 2, 2) that were drawn.
+        """
+        across = np.zeros((*self._cells.shape, 2))
+        for ends in lines:
+            index = self._on_line(ends)
+            column, row = index[self._in_grid(index)].T
+            across[row, column] = Segment.between(ends).normal
+        counts = np.zeros((*self._cells.shape, 2), np.int32)
+        for block in drive.blocks():
+            _count_crossings(
+                self._cells,
+                across,
+                counts,
+                np.ascontiguousarray((block.origin_map - [*self._origin, 0.0]) / self._cell_m, np.float64),
+                block.ray_starts,
+                np.ascontiguousarray((block.ray_end_map - [*self._origin, 0.0]) / self._cell_m, np.float64),
+                _FOOT_M / self._cell_m,
+                _KNEE_M / self._cell_m,
+            )
+        ended, crossed = counts[..., 0], counts[..., 1]
+        open_cells = (crossed >= _CROSSED_RAYS) & (crossed > _CROSSED_RATIO * ended)
+        run, _ = label(open_cells, np.ones((3, 3)))
+        self._cells[open_cells & (np.bincount(run.ravel()) >= _CROSSED_MIN)[run]] = Cell.UNKNOWN
+
+    def _rays(self, block: Features) -> tuple[FloatArray, IntArray, FloatArray]:
+        """Where the rays of each scan start, in cells; the first ray of each scan; where the rays end, in cells."""
+        origin, end = (
+            (places[:, :2] - self._origin) / self._cell_m for places in (block.origin_map, block.ray_end_map)
+        )
+        return np.ascontiguousarray(origin, np.float64), block.ray_starts, np.ascontiguousarray(end, np.float64)
+
+    def _joined_to(self, path_map: FloatArray, low: BoolArray) -> BoolArray:
+        """What rays close above the floor join to the robot's way: not what lies behind a sill, seen though it may be."""
+        start = np.zeros(self._cells.shape, bool)
+        index = self._index(path_map)
+        index = index[self._in_grid(index)]
+        start[index[:, 1], index[:, 0]] = True
+        start = binary_dilation(start, iterations=int(_BLIND_M / self._cell_m)) & low
+        return np.asarray(binary_propagation(start, np.ones((3, 3)), low))
+
+    def _index(self, places: FloatArray) -> IntArray:
+        return np.asarray(np.floor((places[:, :2] - self._origin) / self._cell_m).astype(np.int64))
+
+    def _in_grid(self, index_xy: IntArray) -> BoolArray:
+        rows, columns = self._cells.shape
+        return np.asarray((index_xy >= 0).all(axis=1) & (index_xy[:, 0] < columns) & (index_xy[:, 1] < rows))
+
+    def _set(self, index_xy: IntArray, cell: Cell) -> None:
+        inside = index_xy[self._in_grid(index_xy)]
+        self._cells[inside[:, 1], inside[:, 0]] = cell
+
+
+@numba.njit(cache=True, nogil=True)
+def _count_crossings(
+    cells: UInt8Array,
+    across: FloatArray,
+    counts: IntArray,
+    origin: FloatArray,
+    starts: IntArray,
+    end: FloatArray,
+    foot: float,
+    knee: float,
+) -> None:  # pragma: no cover
+    """For each occupied cell the rays that end in it or beside it, and those that cross it; everything in cells.
+
+    A ray that runs along a line, close before it, meets its cells but does not cross it.
+
+    across: (rows, columns, 2) at right angles to the line in each cell.
+    """
+    rows, columns = cells.shape
+    for s in range(len(origin)):
+        for r in range(starts[s] + s % 2, starts[s + 1], 2):
+            step = end[r] - origin[s]
+            length = np.sqrt(step[0] * step[0] + step[1] * step[1])
+            count = int(2 * length) + 1
+            last = -1
+            for k in range(count + 1):
+                t = k / count
+                height = origin[s, 2] + t * step[2]
+                column, row = int(np.floor(origin[s, 0] + t * step[0])), int(np.floor(origin[s, 1] + t * step[1]))
+                if column < 0 or row < 0 or column >= columns or row >= rows:
+                    break
+                cell = row * columns + column
+                if cell == last or cells[row, column] != 0 or height < foot or height > knee:
+                    continue
+                last = cell
+                behind = (1 - t) * abs(step[0] * across[row, column, 0] + step[1] * across[row, column, 1])
+                if behind > _SURELY_CELLS:
+                    counts[row, column, 1] += 1
+                elif length * (1 - t) <= _SURELY_CELLS:
+                    counts[row, column, 0] += 1
+
+
+def _low_from(block: Features) -> FloatArray:
+    """(r,) the share of each ray's length from which it runs below the knee to its end on the floor; 2 where it does not."""
+    drop_m = np.repeat(block.origin_map[:, 2], block.ray_count) - block.ray_end_map[:, 2]
+    return np.where(block.ray_label == Label.FLOOR, 1.0 - _KNEE_M / np.maximum(drop_m, _KNEE_M), 2.0)
+
+
+_ENDED, _LEFT = 0, 1
+"""How the walk along a ray stops: before what bars it or at its end, or out of range or of the map."""
+
+
+@numba.njit(cache=True, nogil=True)
+def _walk(
+    barred: BoolArray, start: FloatArray, end: FloatArray, range_cells: float, found: IntArray, entered: FloatArray
+) -> tuple[int, int]:  # pragma: no cover
+    """Walk a ray cell by cell (Amanatides and Woo 1987), up to what bars it: how many cells it crosses, how it stops.
+
+    found: (k, 2) to be filled with the cells' rows and columns. entered: (k,) with the ray's length up to each.
+    """
+    rows, columns = barred.shape
+    dx, dy = end[0] - start[0], end[1] - start[1]
+    length = np.sqrt(dx * dx + dy * dy)
+    if length < 1e-6:
+        return 0, _ENDED
+    column, row = int(np.floor(start[0])), int(np.floor(start[1]))
+    step_x, step_y = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
+    t_dx = length / abs(dx) if dx != 0 else np.inf
+    t_dy = length / abs(dy) if dy != 0 else np.inf
+    t_x = (column + (dx > 0) - start[0]) * step_x * t_dx if dx != 0 else np.inf
+    t_y = (row + (dy > 0) - start[1]) * step_y * t_dy if dy != 0 else np.inf
+    at, count = 0.0, 0
+    while at <= length:
+        if at > range_cells or count == len(found) or column < 0 or row < 0 or column >= columns or row >= rows:
+            return count, _LEFT
+        if barred[row, column]:
+            break
+        found[count, 0], found[count, 1], entered[count] = row, column, at
+        count += 1
+        at = min(t_x, t_y)
+        if t_x < t_y:
+            column += step_x
+            t_x += t_dx
+        else:
+            row += step_y
+            t_y += t_dy
+    return count, _ENDED
+
+
+@numba.njit(cache=True, nogil=True)
+def _cross(
+    barred: BoolArray,
+    crossed: BoolArray,
+    low: BoolArray,
+    origin: FloatArray,
+    starts: IntArray,
+    end: FloatArray,
+    low_from: FloatArray,
+    range_cells: float,
+) -> None:  # pragma: no cover
+    """Mark what every fourth ray crosses, and where it runs close above the floor: from the share `low_from` of its length."""
+    found = np.empty((int(2 * range_cells) + 4, 2), np.int64)
+    entered = np.empty(len(found))
+    for s in range(len(origin)):
+        for r in range(starts[s] + s % 4, starts[s + 1], 4):
+            length = np.hypot(end[r, 0] - origin[s, 0], end[r, 1] - origin[s, 1])
+            count, _ = _walk(barred, origin[s], end[r], range_cells, found, entered)
+            for k in range(count):
+                crossed[found[k, 0], found[k, 1]] = True
+                if entered[k] >= low_from[r] * length:
+                    low[found[k, 0], found[k, 1]] = True
+
+
+@numba.njit(cache=True, nogil=True)
+def _bound(
+    barred: BoolArray,
+    supported: BoolArray,
+    bounded: BoolArray,
+    origin: FloatArray,
+    starts: IntArray,
+    end: FloatArray,
+    range_cells: float,
+    gap_max: float,
+) -> None:  # pragma: no cover
+    """Mark where a ray will end, or be above known floor again, within so many cells."""
+    found = np.empty((int(2 * range_cells) + 4, 2), np.int64)
+    entered = np.empty(len(found))
+    for s in range(len(origin)):
+        for r in range(starts[s] + s % 4, starts[s + 1], 4):
+            count, stop = _walk(barred, origin[s], end[r], range_cells, found, entered)
+            if not count:
+                continue
+            last = entered[count - 1] if stop == _ENDED else np.inf
+            for k in range(count - 1, -1, -1):
+                if supported[found[k, 0], found[k, 1]]:
+                    last = entered[k]
+                elif last - entered[k] <= gap_max:
+                    bounded[found[k, 0], found[k, 1]] = True

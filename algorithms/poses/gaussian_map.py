@@ -1,0 +1,89 @@
+"""Clouds of Gaussians and maps of them, and the registration of one to the other; the only file that imports small_gicp.
+
+KISS-ICP matches points to points. The rings that a lidar draws on floor and walls move with it, and so do their points:
+in a bare corridor that holds the pose back, by a metre at worst. Distributions have no such bias: a patch of floor holds
+a scan at its height and nowhere else (Segal et al. 2009; voxels of Gaussians: Koide et al. 2021, "Voxelized GICP").
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import small_gicp
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray
+
+_FOR_EVER = 2_000_000_000
+_CLEAR_CYCLE = 10
+"""Insertions from one clearing of the map to the next."""
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """One cloud registered to a map.
+
+    T_map_cloud: (4, 4); the guess where nothing matched.
+    inlier_share: share of the cloud's points that have a Gaussian.
+    information: (6, 6) of the pose, rotation before translation, for a small motion in the cloud's own frame; zeros where
+        nothing matched.
+    """
+
+    T_map_cloud: FloatArray
+    inlier_share: float
+    information: FloatArray
+
+
+class GaussianCloud:
+    """Points thinned to one in each cube, each with the covariance of its neighbourhood.
+
+    points: (n, 3) metres. resolution_m: the cube's edge. neighbours: how many points a covariance is estimated from.
+    """
+
+    def __init__(self, points: FloatArray, resolution_m: float, neighbours: int) -> None:
+        self.cloud, _ = small_gicp.preprocess_points(
+            points.astype(np.float64), downsampling_resolution=resolution_m, num_neighbors=neighbours
+        )
+
+    def __len__(self) -> int:
+        return int(self.cloud.size())
+
+    @property
+    def points(self) -> FloatArray:
+        """(m, 3) float32."""
+        return np.asarray(self.cloud.points())[:, :3].astype(np.float32)
+
+
+class GaussianMap:
+    """Voxels with one Gaussian each.
+
+    voxel_m: their edge. memory: voxels that so many insertions in a row have not met are forgotten; None keeps all.
+    """
+
+    def __init__(self, voxel_m: float, memory: int | None = None) -> None:
+        self._map = small_gicp.GaussianVoxelMap(voxel_m)
+        self._map.set_lru(horizon=_FOR_EVER if memory is None else memory, clear_cycle=_CLEAR_CYCLE)
+
+    def insert(self, cloud: GaussianCloud, T_map_cloud: FloatArray) -> None:
+        """Add a cloud where it was seen."""
+        self._map.insert(cloud.cloud, T_map_cloud)
+
+    def register(self, cloud: GaussianCloud, guess: FloatArray, distance_m: float, iterations_max: int) -> Aligned:
+        """The pose (4, 4) near a guess; points farther than `distance_m` from every Gaussian count for nothing."""
+        found = small_gicp.align(
+            self._map,
+            cloud.cloud,
+            guess,
+            max_correspondence_distance=distance_m,
+            num_threads=1,
+            max_iterations=iterations_max,
+            rotation_epsilon=1e-4,
+            translation_epsilon=2e-4,
+        )
+        if not found.num_inliers or not np.isfinite(found.T_target_source).all():
+            return Aligned(guess, 0.0, np.zeros((6, 6)))
+        return Aligned(
+            # Small errors of rounding would grow from pose to pose.
+            transforms.orthonormal(np.array(found.T_target_source)),
+            found.num_inliers / len(cloud),
+            np.array(found.H),
+        )

@@ -1,0 +1,214 @@
+"""From horizontal scans to poses by KISS-ICP (paper, IV.A, where it was BLAM); the only file that imports kiss_icp."""
+
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from kiss_icp.config import KISSConfig
+from kiss_icp.config.config import AdaptiveThresholdConfig, DataConfig, MappingConfig, RegistrationConfig
+from kiss_icp.kiss_icp import KissICP
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray, Scan
+from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.poses.refinement import Refinement, RefinementSettings, Refiner, middle_ns
+
+_LOOKED_AT = 1_000
+_STEP_MIN_NS = 5_000_000
+"""No lidar sweeps faster. Over a shorter step, the error of two poses would pass for a motion at any speed."""
+_PLACES_MIN, _SPREAD_MIN = 3, 0.5
+"""Minimum number of voxels of the map that a pose needs returns in, and their minimum spread, in voxels, in a second direction."""
+
+
+class OdometrySettings(StepSettings):
+    """KISS-ICP (Vizzo et al. 2023), in place of the paper's BLAM (IV.A)."""
+
+    voxel_m: float = Field(0.25, ge=0.01, le=5, description="Edge in metres of the local map's voxels. KISS-ICP.")
+    points_per_voxel: int = Field(5, ge=1, description="Most points that a voxel of the local map keeps. KISS-ICP.")
+    range_min_m: float = Field(
+        0.5, ge=0, description="Returns nearer than this many metres are the robot itself. KISS-ICP."
+    )
+    range_max_m: float = Field(60.0, gt=0, description="Returns farther than this many metres are left out. KISS-ICP.")
+    points_max: int = Field(
+        8_000, ge=100, description="Denser clouds are thinned evenly to at most this many returns. KISS-ICP."
+    )
+    deskew: bool = Field(True, description="Compensate the motion within a sweep where the cloud has times. KISS-ICP.")
+    threshold_initial_m: float = Field(
+        0.5, gt=0, description="First correspondence threshold in metres, before it adapts. KISS-ICP."
+    )
+    motion_min_m: float = Field(
+        0.05, gt=0, description="Deviations below this many metres do not adapt the threshold. KISS-ICP."
+    )
+    iterations_max: int = Field(300, ge=1, description="Most ICP iterations a scan. KISS-ICP.")
+    convergence: float = Field(1e-3, gt=0, description="ICP stops at a smaller step. KISS-ICP.")
+    threads: int = Field(
+        1, ge=0, le=256, description="KISS-ICP's threads; 1 is reproducible, 0 takes all cores. KISS-ICP."
+    )
+    evidence_every: int = Field(
+        10, ge=1, description="The local map and the residual are kept for one scan in this many. KISS-ICP."
+    )
+
+
+@dataclass(frozen=True)
+class Registration:
+    """One horizontal scan registered.
+
+    index: of the scan's cloud in the bag.
+    stamp_ns: the time of the pose: the middle of the sweep; where poses are not refined, the END of the sweep (KISS-ICP's
+        convention with motion compensation).
+    T_odom_sensor: (4, 4) at that time, refined; odom is the sensor's frame at the first scan.
+    keypoints_sensor: (k, 3) float32, the thinned returns that were registered, as they are seen at that time: of both
+        lidars; where poses are not refined, KISS-ICP's own of the one.
+    local_map_odom: (m, 3) float32, the local map that they were registered to, moved as the pose was refined; empty
+        but for every `evidence_every`-th scan.
+    threshold_m: KISS-ICP's adaptive correspondence threshold.
+    correction_m: how far the registration moved the constant-velocity prediction.
+    residual_m: median distance of the keypoints to the local map; NaN where that was not kept.
+    inlier_share: share of keypoints nearer to the local map than the threshold; NaN likewise.
+    refined_m: how far the refinement has moved the pose, all scans until this one together.
+    refined_inlier_share, weakest_share, refused: see `Refinement`; NaN, and False, where poses are not refined.
+    milliseconds: what registration and refinement took.
+    """
+
+    index: int
+    stamp_ns: int
+    T_odom_sensor: FloatArray
+    keypoints_sensor: FloatArray
+    local_map_odom: FloatArray
+    threshold_m: float
+    correction_m: float
+    residual_m: float
+    inlier_share: float
+    refined_m: float
+    refined_inlier_share: float
+    weakest_share: float
+    refused: bool
+    milliseconds: float
+
+
+def register_scans(
+    scans: Iterable[tuple[int, Scan, Scan | None]],
+    settings: OdometrySettings,
+    refinement: RefinementSettings,
+    T_sensor_companion: FloatArray | None = None,
+) -> Iterator[Registration]:
+    """Register scans one after another to the map that they build; yields one `Registration` for each that holds a pose.
+
+    scans: index and scan, and the scan of the other lidar, if any, that ended last before it. One whose time does not go on
+        from that of the last pose gets none.
+    T_sensor_companion: (4, 4) where that lidar sits.
+    """
+    range_m = (settings.range_min_m, settings.range_max_m)
+    refiner = Refiner(refinement, range_m, T_sensor_companion) if refinement.enabled else None
+    odometry = KissICP(
+        KISSConfig(
+            data=DataConfig(max_range=settings.range_max_m, min_range=settings.range_min_m, deskew=settings.deskew),
+            mapping=MappingConfig(voxel_size=settings.voxel_m, max_points_per_voxel=settings.points_per_voxel),
+            registration=RegistrationConfig(
+                max_num_iterations=settings.iterations_max,
+                convergence_criterion=settings.convergence,
+                max_num_threads=settings.threads,
+            ),
+            adaptive_threshold=AdaptiveThresholdConfig(
+                initial_threshold=settings.threshold_initial_m, min_motion_th=settings.motion_min_m
+            ),
+        )
+    )
+    sound = ((index, scan, other) for index, scan, other in scans if holds_a_pose(scan, settings))
+    registrable = _in_order(sound, refinement.enabled)
+    for number, (index, scan, companion) in enumerate(registrable):
+        threshold_m = float(odometry.adaptive_threshold.get_threshold())
+        keep_evidence = number % settings.evidence_every == 0
+        local_map = odometry.local_map.point_cloud() if keep_evidence else np.zeros((0, 3))
+        started = time.perf_counter()
+        T_prediction = odometry.last_pose @ odometry.last_delta
+        stride = -(-len(scan) // settings.points_max)
+        _, keypoints = odometry.register_frame(
+            scan.points_sensor[::stride].astype(np.float64), _sweep_fraction(scan)[::stride]
+        )
+        T_kiss = odometry.last_pose.copy()
+        refined = (
+            refiner.refine(scan, T_kiss, companion)
+            if refiner
+            else Refinement(
+                scan.end_ns, T_kiss, T_kiss, float("nan"), float("nan"), False, keypoints.astype(np.float32)
+            )
+        )
+        milliseconds = 1e3 * (time.perf_counter() - started)
+        residual_m, inlier_share = _residual(keypoints, local_map, T_kiss, threshold_m)
+        T_refined_kiss = refined.T_odom_sensor_end @ transforms.invert(T_kiss)
+        yield Registration(
+            index=index,
+            stamp_ns=refined.stamp_ns,
+            T_odom_sensor=refined.T_odom_sensor,
+            keypoints_sensor=refined.cloud_sensor,
+            local_map_odom=transforms.apply(T_refined_kiss, local_map).astype(np.float32),
+            threshold_m=threshold_m,
+            correction_m=float(np.linalg.norm((transforms.invert(T_prediction) @ T_kiss)[:3, 3])),
+            residual_m=residual_m,
+            inlier_share=inlier_share,
+            refined_m=float(np.linalg.norm(refined.T_odom_sensor_end[:3, 3] - T_kiss[:3, 3])),
+            refined_inlier_share=refined.inlier_share,
+            weakest_share=refined.weakest_share,
+            refused=refined.refused,
+            milliseconds=milliseconds,
+        )
+
+
+def holds_a_pose(scan: Scan, settings: OdometrySettings) -> bool:
+    """Whether a scan has returns in range at enough places, and not all in a line: KISS-ICP ends the program otherwise."""
+    # Of a sound scan some tell.
+    points = scan.points_sensor[:: max(1, len(scan) // _LOOKED_AT)].astype(np.float64)
+    range_m = np.linalg.norm(points, axis=1)
+    points = points[(range_m > settings.range_min_m) & (range_m < settings.range_max_m)]
+    places = np.unique(np.floor(points / settings.voxel_m).astype(np.int64), axis=0)
+    if len(places) < _PLACES_MIN:
+        return False
+    spread = np.linalg.svd((places - places.mean(axis=0)) / np.sqrt(len(places)), compute_uv=False)
+    return bool(spread[1] > _SPREAD_MIN)
+
+
+def _in_order(
+    scans: Iterable[tuple[int, Scan, Scan | None]], at_middle: bool
+) -> Iterator[tuple[int, Scan, Scan | None]]:
+    """The scans whose poses, of their middle or of their end, are of later and later times."""
+    last_ns: int | None = None
+    for index, scan, companion in scans:
+        stamp_ns = middle_ns(scan) if at_middle else scan.end_ns
+        if last_ns is None or stamp_ns - last_ns >= _STEP_MIN_NS:
+            last_ns = stamp_ns
+            yield index, scan, companion
+
+
+def weakness(registration: Registration, settings: RefinementSettings) -> str | None:
+    """In words, why a registration is not to be relied on; None where nothing speaks against it.
+
+    A scan slides along what does not hold it while all of its points fit: no residual shows that (Zhang, Kaess and Singh
+    2016, "On degeneracy of optimization-based state estimation problems").
+    """
+    if registration.refused:
+        return "it jumped away from the motion and was refused"
+    if registration.refined_inlier_share < settings.weak_inlier_share:
+        return f"only {registration.refined_inlier_share:.0%} of the scan fits the map"
+    if registration.weakest_share < settings.weak_share:
+        return f"nothing holds it in one direction ({registration.weakest_share:.1%} of the best one's hold)"
+    return None
+
+
+def _sweep_fraction(scan: Scan) -> FloatArray:
+    """Time of each return from 0 to 1 over the sweep; empty, which leaves motion uncompensated, without times."""
+    if scan.time_ns is None:
+        return np.zeros(0)
+    return np.asarray(scan.time_ns / max(int(scan.time_ns.max(initial=0)), 1), np.float64)
+
+
+def _residual(
+    keypoints_sensor: FloatArray, local_map_odom: FloatArray, T_odom_sensor: FloatArray, threshold_m: float
+) -> tuple[float, float]:
+    if not len(local_map_odom) or not len(keypoints_sensor):
+        return float("nan"), float("nan")
+    distance_m, _ = cKDTree(local_map_odom).query(transforms.apply(T_odom_sensor, keypoints_sensor))
+    return float(np.median(distance_m)), float(np.mean(distance_m < threshold_m))

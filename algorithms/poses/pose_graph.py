@@ -1,0 +1,269 @@
+"""Loops closed: submaps registered to one another, and a graph of their poses (paper, IV.A: the loop closure of BLAM).
+
+An odometry that registers to what it saw last drifts; one that registers to all that it ever saw jumps back to what it saw
+first, and what lies between stays off. Here stretches of the drive become submaps, each is registered to those before it
+that lie nearby, whenever they were driven, and all poses are solved for at once. A registration counts in each direction
+for as much as it holds there (the Hessian of its cost: a bare corridor holds nothing lengthwise), and a robust loss lets
+go of the false ones. The only file that imports gtsam.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import gtsam
+import numpy as np
+from pydantic import Field
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
+from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.poses.gaussian_map import Aligned, GaussianCloud, GaussianMap
+
+
+class PoseGraphSettings(StepSettings):
+    """Closing loops by a graph of submaps; in place of the loop closure of the paper's BLAM (IV.A)."""
+
+    enabled: bool = Field(True, description="Whether loops are closed once the bag has been driven through.")
+    submap_scans: int = Field(20, ge=2, description="Scans that make a submap.")
+    every_scans: int = Field(10, ge=1, description="Scans from one submap's middle to the next one's.")
+    resolution_m: float = Field(0.2, ge=0.01, le=5, description="Submaps are thinned to a point in this many metres.")
+    voxel_m: float = Field(
+        0.2,
+        ge=0.01,
+        le=5,
+        description="Edge in metres of the voxels that hold one Gaussian each; what is as thin, such as a wall, has two sides.",
+    )
+    neighbours: int = Field(12, ge=4, le=1000, description="Points that a point's covariance is estimated from.")
+    near_m: float = Field(3.0, ge=0, description="A loop joins submaps whose middles lie at most this far apart.")
+    loops_max: int = Field(6, ge=0, description="Most earlier passes, the nearest ones, that a submap is joined with.")
+    distance_m: float = Field(0.4, gt=0, description="Points farther than this many metres from a Gaussian have none.")
+    iterations_max: int = Field(30, ge=1, description="Most iterations a registration.")
+    inlier_share: float = Field(
+        0.5, ge=0, le=1, description="Submaps are joined where at least this share of one fits the other."
+    )
+    loss_scale: float = Field(
+        3.0,
+        gt=0,
+        description="A loop that is off by this many standard deviations counts half (Cauchy's loss); one that is off by "
+        "ten times as many next to nothing.",
+    )
+    rounds_max: int = Field(
+        4, ge=1, description="Most rounds of joining and solving: solved poses can bring submaps near that were not."
+    )
+
+
+@dataclass(frozen=True)
+class PoseGraph:
+    """Submaps, what joins them, and where that puts them.
+
+    T_odom_first: (4, 4) the odometry's first pose anew, by registering that scan to those after it.
+    scan: (m,) the scan in the middle of each submap, by its place among the poses.
+    T_odom_sensor: (m, 4, 4) of that scan as the graph has it; T_correction: (m, 4, 4) from its pose by the odometry to
+        that, both in the odometry's frame.
+    first, second: (e,) submaps that a registration joins.
+    offset: (e,) in standard deviations, how far the solved poses are from what the registration says.
+    inlier_share: (e,) share of the second submap that fits the first.
+    weight: (e,) how much the registration counted in the end, from 0, where too little fitted, to 1.
+    """
+
+    T_odom_first: FloatArray
+    scan: IntArray
+    T_odom_sensor: FloatArray
+    T_correction: FloatArray
+    first: IntArray
+    second: IntArray
+    offset: FloatArray
+    inlier_share: FloatArray
+    weight: FloatArray
+
+    @property
+    def is_loop(self) -> BoolArray:
+        """(e,) whether an edge joins two passes; the others join each submap with the two before it."""
+        return np.asarray(self.second - self.first > _ALONG)
+
+    def corrected(self, T_odom_sensor: FloatArray) -> FloatArray:
+        """Poses (n, 4, 4) of all scans: each as its two nearest submaps see it, blended between their middles."""
+        n, m = len(T_odom_sensor), len(self.scan)
+        T_odom_sensor = _with_first(T_odom_sensor, self.T_odom_first)
+        if m == 0:
+            return T_odom_sensor
+        place = np.interp(np.arange(n), self.scan, np.arange(m))
+        before = np.minimum(place.astype(np.int64), max(m - 2, 0))
+        after = np.minimum(before + 1, m - 1)
+        T_before = self.T_correction[before] @ T_odom_sensor
+        T_after = self.T_correction[after] @ T_odom_sensor
+        share = (place - before)[:, None]
+        turn = Rotation.from_matrix(np.swapaxes(T_before[:, :3, :3], 1, 2) @ T_after[:, :3, :3]).as_rotvec()
+        T = T_before.copy()
+        T[:, :3, :3] = T_before[:, :3, :3] @ Rotation.from_rotvec(share * turn).as_matrix()
+        T[:, :3, 3] += share * (T_after[:, :3, 3] - T_before[:, :3, 3])
+        return T
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """The second submap registered to the first."""
+
+    first: int
+    second: int
+    aligned: Aligned
+
+
+_ALONG = 2
+"""Each submap is joined with so many before it, wherever they lie: that is the way as it was driven."""
+_WAY_M, _WAY_DEG = 0.05, 0.5
+"""Standard deviations of the odometry's own motion between neighbours: of no weight but where a registration holds
+nothing, as lengthwise in a bare corridor."""
+_CLOUDS_AT_HAND = 200
+
+
+def close_loops(
+    T_odom_sensor: FloatArray, clouds_sensor: Sequence[FloatArray], settings: PoseGraphSettings
+) -> PoseGraph:
+    """Join submaps of the drive where it comes by again, and solve for their poses.
+
+    T_odom_sensor: (n, 4, 4) of each scan; clouds_sensor: (k, 3) of each, without the motion within its sweep.
+    The first submap stays where it is. A drive too short for a submap is left as it is.
+    """
+    T_odom_first = _first_again(T_odom_sensor, clouds_sensor, settings)
+    T_odom_sensor = _with_first(T_odom_sensor, T_odom_first)
+    scan = np.arange(0, len(T_odom_sensor), settings.every_scans)
+    T_start = T_odom_sensor[scan]
+
+    @lru_cache(maxsize=_CLOUDS_AT_HAND)
+    def submap(number: int) -> GaussianCloud:
+        half = settings.submap_scans // 2
+        own = range(max(0, scan[number] - half), min(len(T_odom_sensor), scan[number] + half + 1))
+        T_submap_odom = transforms.invert(T_start[number])
+        points = [transforms.apply(T_submap_odom @ T_odom_sensor[i], clouds_sensor[i]) for i in own]
+        return GaussianCloud(np.concatenate(points), settings.resolution_m, settings.neighbours)
+
+    T = T_start
+    edges: dict[tuple[int, int], _Edge] = {}
+    for _ in range(settings.rounds_max):
+        new = sorted(_pairs(T[:, :3, 3], settings) - edges.keys())
+        if not new:
+            break
+        edges |= {(e.first, e.second): e for e in _register(new, T, submap, settings)}
+        T = _solve(T_start, T, list(edges.values()), settings)
+    return _answer(T_odom_first, scan, T_start, T, [edges[pair] for pair in sorted(edges)], settings)
+
+
+def _first_again(
+    T_odom_sensor: FloatArray, clouds_sensor: Sequence[FloatArray], settings: PoseGraphSettings
+) -> FloatArray:
+    """The pose (4, 4) of the first scan by those after it.
+
+    It alone was the map that the second one was registered to, and by its pose the run's map is placed: an error of half a
+    degree there turns the whole building.
+    """
+    half = settings.submap_scans // 2
+    if len(T_odom_sensor) <= half:
+        return T_odom_sensor[0] if len(T_odom_sensor) else np.eye(4)
+    after = range(1, half + 1)
+    points = np.concatenate([transforms.apply(T_odom_sensor[i], clouds_sensor[i]) for i in after])
+    # So few scans fill voxels as fine as elsewhere too thinly to hold a turn.
+    gaussians = GaussianMap(2.0 * settings.voxel_m)
+    gaussians.insert(GaussianCloud(points, settings.resolution_m, settings.neighbours), np.eye(4))
+    first = GaussianCloud(clouds_sensor[0], settings.resolution_m, settings.neighbours)
+    aligned = gaussians.register(first, T_odom_sensor[0], settings.distance_m, settings.iterations_max)
+    return aligned.T_map_cloud if aligned.inlier_share >= settings.inlier_share else T_odom_sensor[0]
+
+
+def _with_first(T_odom_sensor: FloatArray, T_odom_first: FloatArray) -> FloatArray:
+    return np.concatenate([T_odom_first[None], T_odom_sensor[1:]]) if len(T_odom_sensor) else T_odom_sensor
+
+
+def _pairs(position: FloatArray, settings: PoseGraphSettings) -> set[tuple[int, int]]:
+    """Submaps to be joined: each with those just before it, and with the nearest of each earlier pass."""
+    pairs = {(i - back, i) for i in range(len(position)) for back in range(1, _ALONG + 1) if i >= back}
+    for i, near in enumerate(cKDTree(position).query_ball_point(position, settings.near_m) if len(position) else []):
+        passes: list[int] = []
+        earlier = np.array([j for j in near if j < i - _ALONG], np.int64)
+        for j in earlier[np.argsort(np.linalg.norm(position[earlier] - position[i], axis=1), kind="stable")].tolist():
+            if len(passes) == settings.loops_max:
+                break
+            # Neighbours on the same pass say the same thing.
+            if all(abs(j - taken) > _ALONG for taken in passes):
+                passes.append(j)
+        pairs.update((j, i) for j in passes)
+    return pairs
+
+
+def _register(
+    pairs: Sequence[tuple[int, int]],
+    T_odom_submap: FloatArray,
+    submap: Callable[[int], GaussianCloud],
+    settings: PoseGraphSettings,
+) -> list[_Edge]:
+    """Each second submap registered to its first, from where the poses have it; pairs are sorted by the first."""
+    edges: list[_Edge] = []
+    mapped, gaussians = -1, GaussianMap(settings.voxel_m)
+    for first, second in pairs:
+        if first != mapped:
+            mapped, gaussians = first, GaussianMap(settings.voxel_m)
+            gaussians.insert(submap(first), np.eye(4))
+        guess = transforms.invert(T_odom_submap[first]) @ T_odom_submap[second]
+        aligned = gaussians.register(submap(second), guess, settings.distance_m, settings.iterations_max)
+        edges.append(_Edge(first, second, aligned))
+    return edges
+
+
+def _solve(T_start: FloatArray, T_guess: FloatArray, edges: Sequence[_Edge], settings: PoseGraphSettings) -> FloatArray:
+    """Poses (m, 4, 4) that contradict the registrations least."""
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for number, T in enumerate(T_guess):
+        values.insert(number, gtsam.Pose3(T))
+    graph.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(T_start[0]), gtsam.noiseModel.Isotropic.Sigma(6, 1e-6)))
+    way = gtsam.noiseModel.Diagonal.Sigmas(np.array([np.radians(_WAY_DEG)] * 3 + [_WAY_M] * 3))
+    for number in range(1, len(T_start)):
+        T_step = transforms.invert(T_start[number - 1]) @ T_start[number]
+        graph.add(gtsam.BetweenFactorPose3(number - 1, number, gtsam.Pose3(T_step), way))
+    loss = gtsam.noiseModel.mEstimator.Cauchy.Create(settings.loss_scale)
+    for edge in edges:
+        if edge.aligned.inlier_share < settings.inlier_share:
+            continue
+        # What nothing holds must not make the graph singular: a metre and a radian are no hold.
+        held = gtsam.noiseModel.Gaussian.Information(edge.aligned.information + np.eye(6))
+        is_loop = edge.second - edge.first > _ALONG
+        noise = gtsam.noiseModel.Robust.Create(loss, held) if is_loop else held
+        T_first_second = gtsam.Pose3(edge.aligned.T_map_cloud)
+        graph.add(gtsam.BetweenFactorPose3(edge.first, edge.second, T_first_second, noise))
+    solved = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    return np.array([transforms.orthonormal(solved.atPose3(number).matrix()) for number in range(len(T_start))])
+
+
+def _answer(
+    T_odom_first: FloatArray,
+    scan: IntArray,
+    T_start: FloatArray,
+    T: FloatArray,
+    edges: Sequence[_Edge],
+    settings: PoseGraphSettings,
+) -> PoseGraph:
+    first = np.array([e.first for e in edges], np.int64)
+    second = np.array([e.second for e in edges], np.int64)
+    inlier_share = np.array([e.aligned.inlier_share for e in edges])
+    offset = np.array([_offset(e, T) for e in edges])
+    loss = np.where(second - first > _ALONG, 1.0 / (1.0 + (offset / settings.loss_scale) ** 2), 1.0)
+    return PoseGraph(
+        T_odom_first=T_odom_first,
+        scan=scan,
+        T_odom_sensor=T,
+        T_correction=T @ transforms.invert(T_start),
+        first=first,
+        second=second,
+        offset=offset,
+        inlier_share=inlier_share,
+        weight=np.where(inlier_share >= settings.inlier_share, loss, 0.0),
+    )
+
+
+def _offset(edge: _Edge, T: FloatArray) -> float:
+    """In standard deviations of the registration; along a direction that it does not hold nothing is off."""
+    T_solved = transforms.invert(T[edge.first]) @ T[edge.second]
+    off = transforms.to_twist(transforms.invert(edge.aligned.T_map_cloud) @ T_solved)
+    return float(np.sqrt(np.maximum(off @ edge.aligned.information @ off, 0.0)))

@@ -1,0 +1,235 @@
+"""Poses refined by generalised ICP: each scan, and the other lidar's beside it, registered to a map of Gaussians."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray, Scan
+from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.poses.gaussian_map import Aligned, GaussianCloud, GaussianMap
+
+_FIRST_PASSES = 3
+"""The first two scans are registered so often at least, from rest on, each time with the motion that was found."""
+_CARRIED_ON_NS = 500_000_000
+"""After a longer pause the motion before it says nothing of where the robot is."""
+
+
+class RefinementSettings(StepSettings):
+    """Registering each scan again, to a map of Gaussians (the paper's poses are BLAM's, IV.A)."""
+
+    enabled: bool = Field(True, description="Whether poses are refined; if not, they are KISS-ICP's own.")
+    voxel_m: float = Field(
+        0.2,
+        ge=0.01,
+        le=5,
+        description="Edge in metres of the voxels that hold one Gaussian each; what is as thin, such as a wall, has two sides.",
+    )
+    points_max: int = Field(6_000, ge=100, description="Denser clouds are thinned evenly to at most this many returns.")
+    resolution_m: float = Field(0.2, ge=0.01, le=5, description="Scans are thinned to a point in this many metres.")
+    neighbours: int = Field(12, ge=4, le=1000, description="Points that a point's covariance is estimated from.")
+    companion_points_max: int = Field(
+        5_000,
+        ge=0,
+        description="As many returns of the other lidar, which sees floor and ceiling, are registered with.",
+    )
+    distance_m: float = Field(0.5, gt=0, description="Points farther than this many metres from a Gaussian have none.")
+    iterations_max: int = Field(20, ge=1, description="Most iterations a registration.")
+    memory_scans: int = Field(
+        50,
+        ge=1,
+        description="What this many scans in a row have not met is forgotten: a place seen again is for the pose graph.",
+    )
+    weak_share: float = Field(
+        0.012,
+        ge=0,
+        le=1,
+        description="Registration is called weak where the direction that holds a scan least has less than this share "
+        "of the hold of the best one, as along a bare corridor.",
+    )
+    weak_inlier_share: float = Field(
+        0.4, ge=0, le=1, description="Registration is called weak where a smaller share of a scan fits the map."
+    )
+    jump_deg: float = Field(
+        3.0,
+        gt=0,
+        description="A registration that departs by more degrees than this both from the odometry's motion and from the "
+        "motion so far is refused: it fell for another place that looks like this one.",
+    )
+    jump_m: float = Field(0.15, gt=0, description="Likewise, by more metres than this.")
+    refusals_max: int = Field(
+        10,
+        ge=0,
+        description="After this many refusals in a row a registration is believed: the poses before it were wrong.",
+    )
+    passes: int = Field(
+        1,
+        ge=1,
+        le=5,
+        description="Registrations a scan, each with the motion within the sweep that the last one found; the second scan, "
+        "with which the motion becomes known, takes three at least.",
+    )
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """One scan registered again.
+
+    stamp_ns: the middle of the sweep. T_odom_sensor: (4, 4) at that time.
+    T_odom_sensor_end: (4, 4) at the end of the sweep, by the motion since the last scan.
+    inlier_share: share of the thinned scan's points that have a Gaussian; 1 for the first scan.
+    weakest_share: how well the scan holds its place in the direction in which it holds it least, as a share of how well
+        it does in the best one; near 0 in a corridor without a feature. 1 for the first scan.
+    refused: whether the registration was: it jumped. The pose is then where the odometry's motion leads.
+    cloud_sensor: (k, 3) float32, both lidars' returns that were registered, as they are seen at `stamp_ns`.
+    """
+
+    stamp_ns: int
+    T_odom_sensor: FloatArray
+    T_odom_sensor_end: FloatArray
+    inlier_share: float
+    weakest_share: float
+    refused: bool
+    cloud_sensor: FloatArray
+
+
+@dataclass(frozen=True)
+class _Registered:
+    """What is kept of a scan for the next one: its pose by KISS-ICP, at the sweep's end, and its refined one, at its middle."""
+
+    stamp_ns: int
+    T_kiss_end: FloatArray
+    T_refined: FloatArray
+    motion_per_ns: FloatArray
+
+
+def middle_ns(scan: Scan) -> int:
+    """The middle of a sweep: the time of its refined pose."""
+    return (scan.start_ns + scan.end_ns) // 2
+
+
+class Refiner:
+    """Registers scan after scan to the map that the earlier ones made.
+
+    A sweep is put together as seen from its middle, by the motion that the refined poses had. That is what holds: an
+    error of this motion bends both halves of a sweep the opposite way, and leaves the pose of its middle as it is; seen
+    from its end it would shift the sweep, and the pose with it. (The odometry's own motion is noisy where few returns hold
+    it: 3 cm and half a degree from scan to scan with 16 rings that see neither floor nor ceiling, and far more while its
+    own motion compensation feeds on that.) The first motion is found with the second scan, from rest on, and the first scan
+    put together again by it.
+
+    settings: of the refinement. range_m: returns nearer or farther than these are left out.
+    T_sensor_companion: (4, 4) where the other lidar sits, if there is one.
+    """
+
+    def __init__(
+        self, settings: RefinementSettings, range_m: tuple[float, float], T_sensor_companion: FloatArray | None = None
+    ) -> None:
+        self._settings = settings
+        self._range_m = range_m
+        self._T_sensor_companion = T_sensor_companion
+        self._map = GaussianMap(settings.voxel_m, settings.memory_scans)
+        self._last: _Registered | None = None
+        self._first: tuple[Scan, Scan | None] | None = None
+        self._refusals = 0
+
+    def refine(self, scan: Scan, T_odom_sensor_end: FloatArray, companion: Scan | None = None) -> Refinement:
+        """Register one scan, later than the last one, and beside it the last one of the other lidar that ended before it.
+
+        T_odom_sensor_end: the odometry's pose at the scan's end. Where the motion so far leads is the first guess, and where the
+            odometry's motion since the last scan does, the second.
+        """
+        stamp_ns = middle_ns(scan)
+        last = self._last
+        motion_per_ns: FloatArray = np.zeros(6)
+        if last is None:
+            source = self._put_together(scan, companion, stamp_ns, motion_per_ns)
+            T_refined, inlier_share, weakest_share, refused = T_odom_sensor_end, 1.0, 1.0, False
+            self._first = scan, companion
+        else:
+            elapsed_ns = stamp_ns - last.stamp_ns
+            T_predicted_by_odometry = last.T_refined @ transforms.invert(last.T_kiss_end) @ T_odom_sensor_end
+            motion_per_ns = last.motion_per_ns
+            expected: list[FloatArray] = [T_predicted_by_odometry]
+            if elapsed_ns < _CARRIED_ON_NS:
+                expected.insert(0, last.T_refined @ transforms.from_twist(motion_per_ns * elapsed_ns))
+            guesses = list(expected)
+            passes = self._settings.passes if self._first is None else max(self._settings.passes, _FIRST_PASSES)
+            for _ in range(passes):
+                if self._first is not None:
+                    self._start_again(*self._first, last, motion_per_ns)
+                source = self._put_together(scan, companion, stamp_ns, motion_per_ns)
+                T_refined, inlier_share, weakest_share, refused = self._register(source, guesses, expected)
+                guesses = [T_refined, *expected]
+                motion_per_ns = transforms.to_twist(transforms.invert(last.T_refined) @ T_refined) / elapsed_ns
+            self._first = None
+        self._refusals = self._refusals + 1 if refused else 0
+        self._map.insert(source, T_refined)
+        self._last = _Registered(stamp_ns, T_odom_sensor_end, T_refined, motion_per_ns)
+        T_middle_end = transforms.from_twist(motion_per_ns * (scan.end_ns - stamp_ns))
+        return Refinement(
+            stamp_ns, T_refined, T_refined @ T_middle_end, inlier_share, weakest_share, refused, source.points
+        )
+
+    def _start_again(self, scan: Scan, companion: Scan | None, first: _Registered, motion_per_ns: FloatArray) -> None:
+        """The map of the first scan alone, put together by a motion that was not known when it came."""
+        self._map = GaussianMap(self._settings.voxel_m, self._settings.memory_scans)
+        self._map.insert(self._put_together(scan, companion, first.stamp_ns, motion_per_ns), first.T_refined)
+
+    def _put_together(
+        self, scan: Scan, companion: Scan | None, stamp_ns: int, motion_per_ns: FloatArray
+    ) -> GaussianCloud:
+        """Both lidars' returns, thinned, as they are seen at a time, with their covariances."""
+        points = [self._moved(scan, self._settings.points_max, np.eye(4), stamp_ns, motion_per_ns)]
+        if companion is not None and self._T_sensor_companion is not None and self._settings.companion_points_max:
+            most = self._settings.companion_points_max
+            points.append(self._moved(companion, most, self._T_sensor_companion, stamp_ns, motion_per_ns))
+        return GaussianCloud(np.concatenate(points), self._settings.resolution_m, self._settings.neighbours)
+
+    def _register(
+        self, source: GaussianCloud, guesses: list[FloatArray], expected: list[FloatArray]
+    ) -> tuple[FloatArray, float, float, bool]:
+        """The pose (4, 4), the share of inliers, the weakest share, and whether the registration was refused.
+
+        guesses: from these one after another, until a scan fits; if it fits from none, the one from which it fits best.
+        expected: where the motion so far leads, if it can be carried on, and last where the odometry's does, which holds if
+            no registration does.
+        """
+        best: tuple[bool, Aligned] | None = None
+        for guess in guesses:
+            found = self._map.register(source, guess, self._settings.distance_m, self._settings.iterations_max)
+            jumped = found.inlier_share > 0 and all(self._is_jump(T, found.T_map_cloud) for T in expected)
+            if best is None or (jumped, -found.inlier_share) < (best[0], -best[1].inlier_share):
+                best = jumped, found
+            if not jumped and found.inlier_share >= self._settings.weak_inlier_share:
+                break
+        assert best is not None
+        jumped, found = best
+        refused = jumped and self._refusals < self._settings.refusals_max
+        hold = np.linalg.eigvalsh(found.information[3:, 3:])
+        weakest_share = float(max(hold[0], 0.0) / max(hold[2], 1e-9))
+        T_found = expected[-1] if refused or not found.inlier_share else found.T_map_cloud
+        return T_found, found.inlier_share, weakest_share, refused
+
+    def _is_jump(self, T_expected: FloatArray, T_found: FloatArray) -> bool:
+        off = transforms.to_twist(transforms.invert(T_expected) @ T_found)
+        off_deg, off_m = np.degrees(np.linalg.norm(off[:3])), np.linalg.norm(off[3:])
+        return bool(off_deg > self._settings.jump_deg or off_m > self._settings.jump_m)
+
+    def _moved(
+        self, scan: Scan, most: int, T_sensor_own: FloatArray, at_ns: int, motion_per_ns: FloatArray
+    ) -> FloatArray:
+        """At most so many returns (n, 3) of a lidar, where they are seen at a time from the sensor that is registered."""
+        stride = -(-len(scan) // most) or 1
+        points: FloatArray = scan.points_sensor[::stride].astype(np.float64)
+        range_m = np.linalg.norm(points, axis=1)
+        kept = (range_m > self._range_m[0]) & (range_m < self._range_m[1])
+        points = transforms.apply(T_sensor_own, points[kept])
+        if scan.time_ns is None:
+            return points
+        before_ns = (scan.start_ns + scan.time_ns[::stride][kept] - at_ns)[:, None]
+        turn, shift = motion_per_ns[:3] * before_ns, motion_per_ns[3:] * before_ns
+        # A turn within a sweep is small: two terms of its series leave less than a millimetre.
+        first = np.cross(turn, points)
+        return np.asarray(points + first + 0.5 * np.cross(turn, first) + shift)

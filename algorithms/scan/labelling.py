@@ -1,0 +1,313 @@
+"""From a placed scan to a label for every return, with all evidence (paper, III.C, Fig. 2)."""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from pydantic import Field
+
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan, ScanSettings, UInt8Array
+from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.base.trajectory import PlacedScan
+from ffmap.algorithms.scan.doors import DoorLines, DoorsSettings, DoorState, Openings, find_door_lines, find_openings
+from ffmap.algorithms.scan.point_lines import (
+    Floor,
+    HorizontalPlane,
+    PointLines,
+    RearrangementSettings,
+    find_ceilings,
+    find_floor,
+    make_point_lines,
+    plane_rows,
+)
+from ffmap.algorithms.scan.smoothing import SmoothingSettings
+from ffmap.algorithms.scan.vertical_structures import (
+    VerticalStructures,
+    VerticalStructuresSettings,
+    find_vertical_structures,
+)
+from ffmap.algorithms.scan.wall_planes import WallPlanes, WallPlanesSettings, grow_wall_planes
+
+_STRAY_RETURNS = 2
+"""So many returns of a ceiling do not show that a line meets it: what ends just below one scatters into it."""
+
+
+class LabellingSettings(StepSettings):
+    """From planes to labels (paper, III.C)."""
+
+    wall_distance_m: float = Field(
+        0.045,
+        gt=0,
+        le=0.5,
+        description="Returns within this many metres of any wall plane of the scan are wall. III.C.",
+    )
+    edge_m: float = Field(
+        0.01,
+        ge=-0.1,
+        le=0.1,
+        description="Along an edge a return goes to the wall though floor or ceiling is so much nearer.",
+    )
+    end_margin_m: float = Field(
+        0.15, ge=0, description="A wall plane counts this many metres beyond its outermost lines. III.C."
+    )
+    corner_m: float = Field(
+        0.6,
+        ge=0,
+        description="Two planes that end at most this many metres before they meet are completed to the corner. III.C.",
+    )
+    leaf_margin_m: float = Field(
+        0.03,
+        ge=0,
+        description="A closed leaf reaches this many metres beyond the outermost lines that showed it. III.C.",
+    )
+
+
+@dataclass(frozen=True)
+class MethodSettings:
+    """The settings of every step that labels a scan."""
+
+    scan: ScanSettings
+    smoothing: SmoothingSettings
+    rearrangement: RearrangementSettings
+    vertical_structures: VerticalStructuresSettings
+    wall_planes: WallPlanesSettings
+    doors: DoorsSettings
+    labelling: LabellingSettings
+
+
+@dataclass(frozen=True)
+class ScanLabelling:
+    """The labels of one scan and everything that led to them.
+
+    label: (n,) uint8, see `Label`, one for each return of the scan.
+    plane: (n,) int16, the wall plane that a wall or door return lies on, -1 for others.
+    height_m: (n,) float32, above the floor.
+    floor: the floor below the robot; ceilings: the planes found above, largest first, none where no ceiling is in view.
+    settings: what it was made with.
+    """
+
+    label: UInt8Array
+    plane: IntArray
+    height_m: FloatArray
+    floor: Floor
+    ceilings: tuple[HorizontalPlane, ...]
+    lines: PointLines
+    structures: VerticalStructures
+    planes: WallPlanes
+    door_lines: DoorLines
+    openings: Openings
+    settings: MethodSettings
+
+    @property
+    def ceiling_planes(self) -> FloatArray:
+        """(c, 3) height at the level frame's origin and slope along x and y of each ceiling."""
+        return plane_rows(self.ceilings)
+
+
+def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: int) -> ScanLabelling:
+    """The paper's method on one scan: III.A to III.C in order.
+
+    placed: with the returns as they are to be judged, smoothed (`smooth_ranges`) or as measured.
+
+    seed: of the scan's random numbers; made from the run's seed and the scan's index, so that no label depends on
+    which process labelled it.
+    """
+    points = placed.points_level
+    # III.A: floor by height, ceiling by RANSAC, 2n point lines.
+    floor = find_floor(points, settings.rearrangement)
+    height_m = floor.heights_above(points)
+    ceilings = find_ceilings(points, floor, settings.rearrangement, seed)
+    ceiling_planes = plane_rows(ceilings)
+    label = _label_horizontal(
+        points,
+        height_m,
+        ceiling_planes,
+        settings.rearrangement.floor_height_m,
+        settings.rearrangement.ceiling_distance_m,
+    )
+    lines = make_point_lines(
+        scan.points_sensor,
+        scan.ring,
+        scan.ring_count,
+        placed.down_sensor,
+        label != Label.CLUTTER,
+        settings.rearrangement,
+    )
+    # III.B: vertical structures, wall candidates, wall planes.
+    structures = find_vertical_structures(
+        points, height_m, lines.samples, placed.origin_level, settings.vertical_structures
+    )
+    planes = grow_wall_planes(
+        points,
+        height_m,
+        lines.samples,
+        structures,
+        ceilings,
+        floor,
+        _lines_with(label, Label.CEILING, lines.order, lines.starts),
+        placed.origin_level,
+        settings.wall_planes,
+    )
+    # III.C: doors, then a label for every return.
+    door_lines = find_door_lines(
+        points, height_m, lines, planes, structures.upmost, placed.origin_level, settings.doors
+    )
+    openings = find_openings(door_lines, planes, settings.doors)
+    plane = _label_walls(
+        points,
+        height_m,
+        label,
+        ceiling_planes,
+        planes.normal,
+        planes.offset_m,
+        completed_ends(planes.normal, planes.offset_m, planes.ends, settings.labelling),
+        settings.labelling.wall_distance_m,
+        settings.labelling.edge_m,
+    )
+    _label_leaves(points, height_m, label, plane, planes, openings, settings)
+    return ScanLabelling(
+        label, plane, height_m, floor, ceilings, lines, structures, planes, door_lines, openings, settings
+    )
+
+
+def _lines_with(label: UInt8Array, wanted: Label, order: IntArray, starts: IntArray) -> BoolArray:
+    """(L,) whether each line has returns of a label, more than some stray ones."""
+    counts = np.concatenate([[0], np.cumsum(label[order] == wanted)])
+    return np.asarray(counts[starts[1:]] - counts[starts[:-1]] > _STRAY_RETURNS)
+
+
+def completed_ends(
+    normal: FloatArray, offset_m: FloatArray, ends: FloatArray, settings: LabellingSettings
+) -> FloatArray:
+    """(K, 2) least and largest place along each plane, widened by the margin and completed to corners with others."""
+    along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
+    places = np.einsum("ked,kd->ke", ends, along)
+    low, high = places.min(axis=1), places.max(axis=1)
+    widened = np.stack([low - settings.end_margin_m, high + settings.end_margin_m], axis=1)
+    for k in range(len(normal)):
+        for other in range(len(normal)):
+            turn = normal[k, 0] * normal[other, 1] - normal[k, 1] * normal[other, 0]
+            if abs(turn) < 0.3:
+                continue
+            corner = np.linalg.solve(normal[[k, other]], offset_m[[k, other]])
+            place_k, place_other = float(corner @ along[k]), float(corner @ along[other])
+            if not low[other] - settings.corner_m < place_other < high[other] + settings.corner_m:
+                continue
+            if low[k] - settings.corner_m < place_k < low[k]:
+                widened[k, 0] = min(widened[k, 0], place_k)
+            elif high[k] < place_k < high[k] + settings.corner_m:
+                widened[k, 1] = max(widened[k, 1], place_k)
+    return widened
+
+
+def _label_leaves(
+    points: FloatArray,
+    height_m: FloatArray,
+    label: UInt8Array,
+    plane: IntArray,
+    planes: WallPlanes,
+    openings: Openings,
+    settings: MethodSettings,
+) -> None:
+    """Returns within a closed opening, on its leaf, are door, though they lie near enough to the wall to be wall."""
+    for o in np.flatnonzero(openings.state == DoorState.CLOSED):
+        k = int(openings.plane[o])
+        normal = planes.normal[k]
+        along = np.array([-normal[1], normal[0]])
+        low, high = np.sort(openings.ends[o] @ along)
+        _label_leaf(
+            points,
+            height_m,
+            label,
+            plane,
+            k,
+            normal,
+            planes.offset_m[k],
+            low - settings.labelling.leaf_margin_m,
+            high + settings.labelling.leaf_margin_m,
+            openings.head_m[o],
+            openings.depth_m[o],
+        )
+
+
+@numba.njit(cache=True, nogil=True)
+def _label_horizontal(
+    points: FloatArray, height: FloatArray, ceilings: FloatArray, floor_height_m: float, ceiling_distance_m: float
+) -> UInt8Array:  # pragma: no cover
+    label = np.zeros(len(points), np.uint8)
+    for i in range(len(points)):
+        if abs(height[i]) < floor_height_m:
+            label[i] = Label.FLOOR
+        elif height[i] > 1.0:
+            for c in range(len(ceilings)):
+                ceiling = ceilings[c, 0] + ceilings[c, 1] * points[i, 0] + ceilings[c, 2] * points[i, 1]
+                if abs(points[i, 2] - ceiling) < ceiling_distance_m:
+                    label[i] = Label.CEILING
+                    break
+    return label
+
+
+@numba.njit(cache=True, nogil=True)
+def _label_walls(
+    points: FloatArray,
+    height: FloatArray,
+    label: UInt8Array,
+    ceilings: FloatArray,
+    normal: FloatArray,
+    offset: FloatArray,
+    ends: FloatArray,
+    distance_m: float,
+    edge_m: float,
+) -> IntArray:  # pragma: no cover
+    """Every return against every plane of the scan; along an edge the nearer of wall and floor or ceiling decides."""
+    plane = np.full(len(points), -1, np.int16)
+    for i in range(len(points)):
+        nearest = distance_m
+        best = -1
+        x, y = points[i, 0], points[i, 1]
+        for k in range(len(normal)):
+            s = abs(normal[k, 0] * x + normal[k, 1] * y - offset[k])
+            if s < nearest:
+                u = -normal[k, 1] * x + normal[k, 0] * y
+                if ends[k, 0] < u < ends[k, 1]:
+                    nearest, best = s, k
+        if best < 0:
+            continue
+        inside = np.inf  # how far the return lies within the room from the floor or ceiling that claims it
+        if label[i] == Label.FLOOR:
+            inside = height[i]
+        elif label[i] == Label.CEILING:
+            for c in range(len(ceilings)):
+                below = ceilings[c, 0] + ceilings[c, 1] * x + ceilings[c, 2] * y - points[i, 2]
+                inside = below if abs(below) < abs(inside) else inside
+        if inside > nearest - edge_m:
+            label[i] = Label.WALL
+            plane[i] = best
+    return plane
+
+
+@numba.njit(cache=True, nogil=True)
+def _label_leaf(
+    points: FloatArray,
+    height: FloatArray,
+    label: UInt8Array,
+    plane: IntArray,
+    k: int,
+    normal: FloatArray,
+    offset: float,
+    low: float,
+    high: float,
+    head_m: float,
+    depth_m: float,
+) -> None:  # pragma: no cover
+    for i in range(len(points)):
+        if label[i] != Label.CLUTTER and label[i] != Label.WALL:
+            continue
+        x, y = points[i, 0], points[i, 1]
+        u = -normal[1] * x + normal[0] * y
+        if low < u < high and height[i] < head_m:
+            s = normal[0] * x + normal[1] * y - offset
+            if -depth_m - 0.05 < s < -0.5 * depth_m:
+                label[i] = Label.DOOR
+                plane[i] = k

@@ -1,0 +1,126 @@
+"""What the building needs of a scan: its wall planes, a share of its rays; small enough to keep for every scan."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.trajectory import PlacedScan
+from ffmap.algorithms.scan.labelling import ScanLabelling
+
+RAYS_PER_SCAN = 16_000
+
+
+@dataclass(frozen=True)
+class Features:
+    """Features of some scans, in the map frame; concatenating those of blocks gives those of the whole.
+
+    scan: (s,) int64, index of each scan. origin_map: (s, 3) the sensor.
+    floor_map: (s, 3) the floor that each was seen with: its height at the map's origin, its slope along x and y.
+    ray_count, plane_count: (s,) how many rows below belong to each scan, in order.
+    ray_end_map: (r, 3) float32; ray_label: (r,) uint8, the scan's label of the return.
+    plane_ends_map: (p, 2, 2); plane_normal: (p, 2) towards the sensor; plane_bottom_m, plane_top_m: (p,);
+    plane_lines: (p,); plane_moments: (p, 6) n, Σx, Σy, Σxx, Σxy, Σyy of its samples in the map.
+    """
+
+    scan: IntArray
+    origin_map: FloatArray
+    floor_map: FloatArray
+    ray_count: IntArray
+    plane_count: IntArray
+    ray_end_map: FloatArray
+    ray_label: UInt8Array
+    plane_ends_map: FloatArray
+    plane_normal: FloatArray
+    plane_bottom_m: FloatArray
+    plane_top_m: FloatArray
+    plane_lines: IntArray
+    plane_moments: FloatArray
+
+    @property
+    def ray_starts(self) -> IntArray:
+        """(s + 1,) int64: the rays of scan k are rows ray_starts[k] to ray_starts[k + 1]."""
+        return np.concatenate([[0], np.cumsum(self.ray_count)]).astype(np.int64)
+
+    @property
+    def plane_starts(self) -> IntArray:
+        """(s + 1,) int64, the same for its wall planes."""
+        return np.concatenate([[0], np.cumsum(self.plane_count)]).astype(np.int64)
+
+    @property
+    def ray_scan(self) -> IntArray:
+        """(r,) int64, the row in `scan` that each ray belongs to."""
+        return np.repeat(np.arange(len(self.scan)), self.ray_count.astype(np.int64))
+
+    @property
+    def plane_scan(self) -> IntArray:
+        """(p,) int64, the same of each wall plane."""
+        return np.repeat(np.arange(len(self.scan)), self.plane_count.astype(np.int64))
+
+
+def extract(index: int, placed: PlacedScan, labelling: ScanLabelling) -> Features:
+    """The features of one scan: every so many-th return, line by line, so that all directions stay covered."""
+    stride = max(1, -(-len(labelling.label) // RAYS_PER_SCAN))
+    chosen = labelling.lines.order[index % stride :: stride]
+    T, planes = placed.T_map_level, labelling.planes
+    slope = T[:2, :2] @ labelling.floor.slope
+    ends = np.concatenate([planes.ends, np.zeros((len(planes), 2, 1))], axis=2).reshape(-1, 3)
+    return Features(
+        scan=np.array([index]),
+        origin_map=placed.to_map(placed.origin_level[None]),
+        floor_map=np.array([[labelling.floor.height_m + T[2, 3] - slope @ T[:2, 3], *slope]]),
+        ray_count=np.array([len(chosen)]),
+        plane_count=np.array([len(planes)]),
+        ray_end_map=placed.to_map(placed.points_level[chosen]).astype(np.float32),
+        ray_label=labelling.label[chosen],
+        plane_ends_map=transforms.apply(T, ends)[:, :2].reshape(-1, 2, 2),
+        plane_normal=planes.normal @ T[:2, :2].T,
+        plane_bottom_m=planes.bottom_m,
+        plane_top_m=planes.top_m,
+        plane_lines=planes.line_count,
+        plane_moments=move_moments(planes.moments, T),
+    )
+
+
+def select_planes(features: Features, chosen: BoolArray) -> Features:
+    """The same scans with some of their planes alone; chosen: (p,)."""
+    columns = {
+        f.name: getattr(features, f.name)[chosen]
+        for f in fields(Features)
+        if f.name.startswith("plane_") and f.name != "plane_count"
+    }
+    return replace(
+        features, plane_count=np.bincount(features.plane_scan[chosen], minlength=len(features.scan)), **columns
+    )
+
+
+def without_rays(features: Features) -> Features:
+    """The wall planes of the same scans: all that faces are fused from, and little beside the rays."""
+    return replace(
+        features,
+        ray_count=np.zeros_like(features.ray_count),
+        ray_end_map=np.zeros((0, 3), np.float32),
+        ray_label=np.zeros(0, np.uint8),
+    )
+
+
+def concatenate(parts: list[Features]) -> Features:
+    """The features of several scans or blocks as one; raises ValueError of none."""
+    return Features(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Features)))
+
+
+def move_moments(moments: FloatArray, T_target_source: FloatArray) -> FloatArray:
+    """n, Σx, Σy, Σxx, Σxy, Σyy (p, 6) of the same points in another frame that differs by yaw and shift."""
+    R, t = T_target_source[:2, :2], T_target_source[:2, 3]
+    n, first = moments[:, 0], moments[:, 1:3]
+    second = moments[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
+    moved_first = first @ R.T + n[:, None] * t
+    turned = first @ R.T
+    moved_second = (
+        R @ second @ R.T
+        + turned[:, :, None] * t[None, None, :]
+        + t[None, :, None] * turned[:, None, :]
+        + n[:, None, None] * np.outer(t, t)
+    )
+    return np.concatenate([n[:, None], moved_first, moved_second.reshape(-1, 4)[:, [0, 1, 3]]], axis=1)

@@ -1,0 +1,677 @@
+"""From wall candidates to wall planes by growing (paper, III.B, Algorithm 1, Fig. 7)."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numba
+import numpy as np
+from pydantic import Field
+
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.scan.point_lines import HorizontalPlane
+from ffmap.algorithms.scan.vertical_structures import VerticalStructures
+
+_IN_LINE_RATIO, _SMALLER_IN_LINE_RATIO = 0.6, 0.8
+"""Planes are in line where that of both fits the two to so many times `similarity_m`, and the smaller of them to so many.
+
+More strictly than a candidate joins: at all of it two faces twice that far apart would become one between them. The
+smaller plane is known less well than the larger.
+"""
+_SPREADS = 1.5
+"""A candidate's moments do not hold its ends: they are taken to lie so many standard deviations from its mean.
+
+Of places strewn evenly they lie √3; fewer, so that some odd samples do not lengthen the plane.
+"""
+
+
+class WallPlanesSettings(StepSettings):
+    """Growing wall planes from candidates (paper, III.B, Algorithm 1)."""
+
+    similarity_m: float = Field(
+        0.05,
+        gt=0,
+        le=1,
+        description="σ_th: a candidate joins a plane that it is nearer to than this, in metres RMS. Alg. 1.",
+    )
+    upper_part_m: float = Field(
+        0.4,
+        gt=0,
+        description="A candidate counts with its upper this many metres, where no leaf or furniture stands before the wall. "
+        "III.B.",
+    )
+    reach_m: float = Field(
+        0.35,
+        gt=0,
+        description="A wall meets the ceiling: a candidate that ends more metres below one is refused. III.B.",
+    )
+    height_min_m: float = Field(
+        2.1, gt=0, description="Where no ceiling is in view, a wall is at least this many metres high. III.B."
+    )
+    bottom_max_m: float = Field(
+        2.2,
+        gt=0,
+        description="A wall comes down to a door's head: what ends more metres above the floor is a duct. III.B.",
+    )
+    gap_m: float = Field(0.3, gt=0, description="Largest gap in metres between neighbouring lines of a plane. Alg. 1.")
+    gap_per_range: float = Field(
+        0.15, ge=0, description="Added to the gap for each metre of range, for emitters spread apart. Alg. 1."
+    )
+    merge_gap_m: float = Field(
+        1.5,
+        ge=0,
+        description="Planes in line are one when no more metres lie between them; a breaking line is bridged. Alg. 1.",
+    )
+    lines_min: int = Field(3, ge=2, description="Fewest lines in a wall plane. Alg. 1.")
+    length_min_m: float = Field(0.15, ge=0, description="Shortest wall plane in metres; columns are walls. III.B.")
+
+
+class Growth(IntEnum):
+    """What became of a candidate in Algorithm 1."""
+
+    SEEDED = 0
+    """It started a plane."""
+    JOINED = 1
+    """It was similar to the current plane and joined it."""
+    BROKE = 2
+    """It was not similar: the current plane was closed, and this candidate became the next seed."""
+    REFUSED = 3
+    """It does not reach the ceiling and was left out."""
+
+
+class Reach(IntEnum):
+    """Whether a candidate is as high as a wall, and by what."""
+
+    LOW = 0
+    """It ends too far below the ceiling, or too low where none is in view: it is refused."""
+    CEILING = 1
+    """It ends close to a ceiling."""
+    ABOVE_CEILINGS = 2
+    """It ends above the highest ceiling in view: another is there."""
+    HEIGHT = 3
+    """No ceiling is in view, and it is high enough."""
+    TURNS_BACK = 4
+    """Its line has next to no returns of a ceiling: it may turn back below it."""
+
+
+class Membership(IntEnum):
+    """Whether a candidate is in a wall plane in the end, and why it is not."""
+
+    IN_PLANE = 0
+    REFUSED = 1
+    """It does not reach the ceiling."""
+    ALONE = 2
+    """No plane of enough lines is similar and near."""
+    FEW_LINES = 3
+    """Its plane has too few lines left once each candidate went to the nearest one."""
+    SHORT = 4
+    """Its plane is too short."""
+    ROUGH = 5
+    """Its plane's samples lie too far from it."""
+    DUCT = 6
+    """Its plane ends high above the floor in all of its lines."""
+
+
+@dataclass(frozen=True)
+class WallPlanes:
+    """The wall planes of one scan, all upright: normal · (x, y) = offset_m, in the level frame.
+
+    normal: (K, 2) unit vectors towards the sensor.
+    offset_m: (K,)
+    ends: (K, 2, 2) x and y of its two ends along the plane.
+    bottom_m, top_m: (K,) heights that its candidates span.
+    rms_m: (K,) of its candidates' samples about it.
+    line_count, point_count: (K,) candidates and samples in it.
+    moments: (K, 6) its samples' n, Σx, Σy, Σxx, Σxy, Σyy, from which planes of many scans can be fused.
+
+    The growing, one row for each candidate, in the order in which Algorithm 1 met it:
+    candidate_structure: (C,) the vertical structure, by its index in `VerticalStructures`.
+    candidate_line: (C,) its point line.
+    candidate_growth: (C,) uint8, see `Growth`.
+    candidate_plane: (C,) index of the plane that holds it in the end, -1 where none does.
+    candidate_distance_m: (C,) Θ, its distance to the plane that it was compared with; NaN where there was none.
+    candidate_reach: (C,) uint8, see `Reach`.
+    candidate_below_ceiling_m: (C,) how far it ends below the ceiling that is nearest to its end in height, negative
+        above; NaN where no ceiling is in view.
+    candidate_gap_m: (C,) horizontal distance to the candidate before it in the plane that it was compared with; NaN
+        where there was none.
+    candidate_gap_max_m: (C,) the largest such distance that would do.
+    candidate_grown: (C,) number of the plane that Algorithm 1 grew it into, before planes in line were joined and small
+        ones dropped; -1 where it was refused.
+    candidate_nearest_m: (C,) Θ to the nearest plane within reach when each candidate went to the nearest; NaN where
+        none was.
+    candidate_membership: (C,) uint8, see `Membership`.
+    """
+
+    normal: FloatArray
+    offset_m: FloatArray
+    ends: FloatArray
+    bottom_m: FloatArray
+    top_m: FloatArray
+    rms_m: FloatArray
+    line_count: IntArray
+    point_count: IntArray
+    moments: FloatArray
+    candidate_structure: IntArray
+    candidate_line: IntArray
+    candidate_growth: UInt8Array
+    candidate_plane: IntArray
+    candidate_distance_m: FloatArray
+    candidate_reach: UInt8Array
+    candidate_below_ceiling_m: FloatArray
+    candidate_gap_m: FloatArray
+    candidate_gap_max_m: FloatArray
+    candidate_grown: IntArray
+    candidate_nearest_m: FloatArray
+    candidate_membership: UInt8Array
+
+    def __len__(self) -> int:
+        return len(self.normal)
+
+
+def grow_wall_planes(
+    points_level: FloatArray,
+    height_m: FloatArray,
+    samples: IntArray,
+    structures: VerticalStructures,
+    ceilings: tuple[HorizontalPlane, ...],
+    floor: HorizontalPlane,
+    meets_ceiling: BoolArray,
+    origin_level: FloatArray,
+    settings: WallPlanesSettings,
+) -> WallPlanes:
+    """Algorithm 1, repaired.
+
+    As printed it drops the candidate after each seed, the one that breaks a plane, and the last plane; here the
+    breaking candidate seeds the next plane and the last plane is kept. Θ, which the paper leaves open, is the RMS
+    distance of the candidate's samples to the plane; Ω is the upright plane of least squares. Planes that one odd line
+    has cut are joined again, and each candidate then goes to the nearest plane of the scan.
+
+    points_level: (n, 3) metres in the scan's level frame: z against gravity, its origin on the floor below the base.
+    height_m: (n,) metres above the floor.
+    samples: (L, 200) the returns of each point line from below upwards, from `make_point_lines`.
+    structures: what stands upright in those lines.
+    ceilings: of this scan in the level frame; none where no ceiling is in view. floor: of this scan too.
+    meets_ceiling: (L,) whether each line has returns of a ceiling, but for some stray ones.
+    origin_level: (3,) metres, the sensor; planes' normals point towards it.
+    """
+    candidates, reach, below_ceiling_m = _choose_candidates(
+        points_level, samples, structures, ceilings, floor, meets_ceiling, settings
+    )
+    line = structures.line[candidates]
+    is_upmost = structures.upmost[line] == candidates
+    reaches = reach != Reach.LOW
+    moments, lowest_sample = _candidate_moments(
+        points_level,
+        height_m,
+        samples,
+        line,
+        structures.first[candidates],
+        structures.last[candidates],
+        settings.upper_part_m,
+    )
+    range_m = np.hypot(moments[:, 1] / moments[:, 0] - origin_level[0], moments[:, 2] / moments[:, 0] - origin_level[1])
+    gap_max_m = settings.gap_m + settings.gap_per_range * range_m
+    walk_part = line % 2 + 2 * ~is_upmost
+    grown, growth, distance_m, gap_m = _grow(moments, walk_part, reaches, gap_max_m, settings.similarity_m)
+    plane, nearest_m, membership = _settle(
+        grown,
+        moments,
+        reaches,
+        gap_max_m,
+        settings.similarity_m,
+        settings.merge_gap_m,
+        settings.lines_min,
+        settings.length_min_m,
+    )
+    settled = plane
+    plane = _without_ducts(settled, structures.bottom_m[candidates], settings.bottom_max_m)
+    membership[(settled >= 0) & (plane < 0)] = Membership.DUCT
+    count = int(plane.max(initial=-1)) + 1
+    total = np.zeros((count, 6))
+    np.add.at(total, plane[plane >= 0], moments[plane >= 0])
+    normal, offset_m, rms_m = _fit_all(total, np.ascontiguousarray(origin_level[:2]))
+    bottom_m = structures.bottom_m[candidates]
+    return WallPlanes(
+        normal=normal,
+        offset_m=offset_m,
+        ends=_ends(points_level, samples, line, lowest_sample, structures.last[candidates], plane, normal, offset_m),
+        bottom_m=_per_plane(np.minimum, bottom_m, plane, count, np.inf),
+        top_m=_per_plane(np.maximum, structures.top_m[candidates], plane, count, -np.inf),
+        rms_m=rms_m,
+        line_count=np.bincount(plane[plane >= 0], minlength=count).astype(np.int32),
+        point_count=total[:, 0].astype(np.int32),
+        moments=total,
+        candidate_structure=candidates.astype(np.int32),
+        candidate_line=line.astype(np.int32),
+        candidate_growth=growth,
+        candidate_plane=plane,
+        candidate_distance_m=distance_m,
+        candidate_reach=reach,
+        candidate_below_ceiling_m=below_ceiling_m,
+        candidate_gap_m=gap_m,
+        candidate_gap_max_m=gap_max_m,
+        candidate_grown=grown,
+        candidate_nearest_m=nearest_m,
+        candidate_membership=membership,
+    )
+
+
+def _choose_candidates(
+    points_level: FloatArray,
+    samples: IntArray,
+    structures: VerticalStructures,
+    ceilings: tuple[HorizontalPlane, ...],
+    floor: HorizontalPlane,
+    meets_ceiling: BoolArray,
+    settings: WallPlanesSettings,
+) -> tuple[IntArray, UInt8Array, FloatArray]:
+    """The candidates (C,) by their structure, in the order of Algorithm 1; the `Reach` of each, and metres below a ceiling.
+
+    Parameters as of `grow_wall_planes`; the last as `WallPlanes.candidate_below_ceiling_m`.
+    """
+    is_upmost = structures.upmost[structures.line] == np.arange(len(structures.line))
+    reach, below_ceiling_m = _reach_of(
+        points_level[samples[structures.line, structures.last]], structures.top_m, ceilings, floor, settings
+    )
+    # Through an opening a line shows the wall of the next room below the lintel: what ends at a ceiling is a candidate
+    # too, though it is not the up-most.
+    candidates = np.flatnonzero(is_upmost | ((reach != Reach.LOW) & (len(ceilings) > 0)))
+    # Algorithm 1 walks along the wall: emitter by emitter on one side, then on the other; up-most structures first.
+    line, upmost = structures.line[candidates], is_upmost[candidates]
+    walk = np.lexsort((line, line % 2, ~upmost))
+    candidates, line = candidates[walk], line[walk]
+    # A line that sweeps a wall ahead in a circle may turn back below the ceiling: it has next to no returns of it.
+    turns_back = (
+        ~meets_ceiling[line] & is_upmost[candidates] & (structures.top_m[candidates] > 0.5 * settings.height_min_m)
+    )
+    reach = np.where((reach[candidates] == Reach.LOW) & turns_back, Reach.TURNS_BACK, reach[candidates]).astype(
+        np.uint8
+    )
+    return candidates, reach, below_ceiling_m[candidates]
+
+
+def _reach_of(
+    top_level: FloatArray,
+    top_m: FloatArray,
+    ceilings: tuple[HorizontalPlane, ...],
+    floor: HorizontalPlane,
+    settings: WallPlanesSettings,
+) -> tuple[UInt8Array, FloatArray]:
+    """`Reach` of each structure but for lines that turn back, and how far it ends below the nearest ceiling."""
+    if not ceilings:
+        reach = np.where(top_m >= settings.height_min_m, Reach.HEIGHT, Reach.LOW)
+        return reach.astype(np.uint8), np.full(len(top_m), np.nan)
+    below_m = np.array([ceiling.height_at(top_level) - top_level[:, 2] for ceiling in ceilings])
+    nearest_m = below_m[np.abs(below_m).argmin(axis=0), np.arange(len(top_m))]
+    # Above the highest ceiling in view may be another that is not.
+    highest_m = np.max([c.height_at(top_level) - floor.height_at(top_level) for c in ceilings], axis=0)
+    reach = np.select(
+        [np.abs(nearest_m) < settings.reach_m, top_m > highest_m], [Reach.CEILING, Reach.ABOVE_CEILINGS], Reach.LOW
+    )
+    return reach.astype(np.uint8), nearest_m
+
+
+def _without_ducts(plane: IntArray, bottom_m: FloatArray, bottom_max_m: float) -> IntArray:
+    """The planes numbered anew without those that end high above the floor in all of their lines."""
+    count = int(plane.max(initial=-1)) + 1
+    is_wall = _per_plane(np.minimum, bottom_m, plane, count, np.inf) < bottom_max_m
+    number = np.append(np.where(is_wall, np.cumsum(is_wall) - 1, -1), -1)
+    return number[plane].astype(np.int32)
+
+
+def _per_plane(reduce: np.ufunc, values: FloatArray, plane: IntArray, count: int, start: float) -> FloatArray:
+    reduced = np.full(count, start)
+    reduce.at(reduced, plane[plane >= 0], values[plane >= 0])
+    return reduced
+
+
+def _ends(
+    points: FloatArray,
+    samples: IntArray,
+    line: IntArray,
+    first: IntArray,
+    last: IntArray,
+    plane: IntArray,
+    normal: FloatArray,
+    offset_m: FloatArray,
+) -> FloatArray:
+    low, high = _extents(points, samples, line, first, last, plane, normal)
+    along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
+    foot = normal * offset_m[:, None]
+    return np.stack([foot + along * low[:, None], foot + along * high[:, None]], axis=1)
+
+
+@numba.njit(cache=True, nogil=True)
+def _extents(
+    points: FloatArray,
+    samples: IntArray,
+    line: IntArray,
+    first: IntArray,
+    last: IntArray,
+    plane: IntArray,
+    normal: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
+    low = np.full(len(normal), np.inf)
+    high = np.full(len(normal), -np.inf)
+    for c in range(len(plane)):
+        k = plane[c]
+        if k < 0:
+            continue
+        for s in range(first[c], last[c] + 1):
+            i = samples[line[c], s]
+            u = -normal[k, 1] * points[i, 0] + normal[k, 0] * points[i, 1]
+            low[k] = min(low[k], u)
+            high[k] = max(high[k], u)
+    return low, high
+
+
+@numba.njit(cache=True, nogil=True)
+def _candidate_moments(
+    points: FloatArray,
+    height: FloatArray,
+    samples: IntArray,
+    line: IntArray,
+    first: IntArray,
+    last: IntArray,
+    upper_part_m: float,
+) -> tuple[FloatArray, IntArray]:  # pragma: no cover
+    """n, Σx, Σy, Σxx, Σxy, Σyy of each candidate's upper part, and that part's lowest sample."""
+    moments = np.zeros((len(line), 6))
+    lowest = np.empty(len(line), np.int32)
+    for c in range(len(line)):
+        top = height[samples[line[c], last[c]]]
+        s = last[c]
+        while s >= first[c] and (last[c] - s < 10 or height[samples[line[c], s]] > top - upper_part_m):
+            i = samples[line[c], s]
+            x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
+            moments[c, 0] += 1.0
+            moments[c, 1] += x
+            moments[c, 2] += y
+            moments[c, 3] += x * x
+            moments[c, 4] += x * y
+            moments[c, 5] += y * y
+            s -= 1
+        lowest[c] = s + 1
+    return moments, lowest
+
+
+@numba.njit(cache=True, nogil=True)
+def fit_upright_plane(m: FloatArray) -> tuple[float, float, float, float, float]:  # pragma: no cover
+    """Ω: the upright plane of least squares from moments n, Σx, Σy, Σxx, Σxy, Σyy.
+
+    Returns its normal's x and y, its offset, the RMS distance of the points and their RMS spread along it, in metres.
+    """
+    mx, my = m[1] / m[0], m[2] / m[0]
+    vxx = max(m[3] / m[0] - mx * mx, 0.0)
+    vyy = max(m[5] / m[0] - my * my, 0.0)
+    vxy = m[4] / m[0] - mx * my
+    angle = 0.5 * np.arctan2(2.0 * vxy, vxx - vyy)
+    nx, ny = -np.sin(angle), np.cos(angle)
+    mean, half = 0.5 * (vxx + vyy), np.hypot(0.5 * (vxx - vyy), vxy)
+    return nx, ny, nx * mx + ny * my, np.sqrt(max(mean - half, 0.0)), np.sqrt(mean + half)
+
+
+@numba.njit(cache=True, nogil=True)
+def _theta(m: FloatArray, nx: float, ny: float, offset: float) -> float:  # pragma: no cover
+    """Θ: RMS distance of a candidate, given by its moments, to a plane."""
+    mean_square = (nx * nx * m[3] + 2.0 * nx * ny * m[4] + ny * ny * m[5] - 2.0 * offset * (nx * m[1] + ny * m[2])) / m[
+        0
+    ] + offset * offset
+    return float(np.sqrt(max(mean_square, 0.0)))
+
+
+@numba.njit(cache=True, nogil=True)
+def _grow(
+    moments: FloatArray, side: IntArray, reaches: BoolArray, gap_max_m: FloatArray, similarity_m: float
+) -> tuple[IntArray, UInt8Array, FloatArray, FloatArray]:  # pragma: no cover
+    """Algorithm 1: each candidate's plane (-1 where it is refused), its `Growth`, Θ and the gap, both NaN for a seed.
+
+    moments: (C, 6) in the order of the walk. side: (C,) the part of the walk; no plane goes on from one to the next.
+    reaches: (C,) whether it is high enough. gap_max_m: (C,) metres.
+    """
+    count = len(moments)
+    plane = np.full(count, -1, np.int32)
+    growth = np.full(count, Growth.REFUSED, np.uint8)
+    distance = np.full(count, np.nan)
+    gap = np.full(count, np.nan)
+    current = np.zeros(6)
+    lines, number, last = 0, -1, -1
+    for c in range(count):
+        if not reaches[c]:
+            continue
+        joined = False
+        if lines > 0 and side[last] == side[c]:
+            dx = moments[c, 1] / moments[c, 0] - moments[last, 1] / moments[last, 0]
+            dy = moments[c, 2] / moments[c, 0] - moments[last, 2] / moments[last, 0]
+            if lines == 1:
+                # One line has no direction yet: the plane is that of seed and candidate together.
+                nx, ny, offset, rms, _ = fit_upright_plane(current + moments[c])
+                distance[c] = rms
+            else:
+                nx, ny, offset, _, _ = fit_upright_plane(current)
+                distance[c] = _theta(moments[c], nx, ny, offset)
+            gap[c] = np.hypot(dx, dy)
+            joined = distance[c] < similarity_m and gap[c] < gap_max_m[c]
+        if joined:
+            growth[c] = Growth.JOINED
+            current += moments[c]
+            lines += 1
+        else:
+            growth[c] = Growth.BROKE if lines > 0 and side[last] == side[c] else Growth.SEEDED
+            current = moments[c].copy()
+            lines = 1
+            number += 1
+        plane[c] = number
+        last = c
+    return plane, growth, distance, gap
+
+
+@numba.njit(cache=True, nogil=True)
+def _span(moments: FloatArray, members: BoolArray, nx: float, ny: float) -> tuple[float, float]:  # pragma: no cover
+    """Least and largest place along the plane that its members' upper parts reach, metres: mean ± `_SPREADS` × spread."""
+    low, high = np.inf, -np.inf
+    for c in range(len(moments)):
+        if members[c]:
+            m = moments[c]
+            u = (-ny * m[1] + nx * m[2]) / m[0]
+            spread = np.sqrt(max((ny * ny * m[3] - 2 * nx * ny * m[4] + nx * nx * m[5]) / m[0] - u * u, 0.0))
+            low = min(low, u - _SPREADS * spread)
+            high = max(high, u + _SPREADS * spread)
+    return low, high
+
+
+@numba.njit(cache=True, nogil=True)
+def _totals(plane: IntArray, moments: FloatArray, planes: int) -> tuple[FloatArray, IntArray]:  # pragma: no cover
+    """Of each of so many planes the summed moments (P, 6) of its candidates, and how many they are (P,)."""
+    total = np.zeros((planes, 6))
+    lines = np.zeros(planes, np.int64)
+    for c in range(len(plane)):
+        if plane[c] >= 0:
+            total[plane[c]] += moments[c]
+            lines[plane[c]] += 1
+    return total, lines
+
+
+@numba.njit(cache=True, nogil=True)
+def _join_in_line(
+    plane: IntArray,
+    moments: FloatArray,
+    total: FloatArray,
+    lines: IntArray,
+    similarity_m: float,
+    merge_gap_m: float,
+    lines_min: int,
+) -> None:  # pragma: no cover
+    """Join planes in line, largest first: a line that stood before the wall has cut it in Algorithm 1.
+
+    Changes plane (C,), and total (P, 6) and lines (P,) of `_totals`; a plane that has joined another has no lines left.
+    """
+    merged = True
+    while merged:
+        # A merge changes the sizes: go round again until nothing joins.
+        merged = False
+        by_size = np.argsort(-total[:, 0])
+        for a in range(len(total)):
+            i = by_size[a]
+            if lines[i] < lines_min:
+                continue
+            for b in range(a + 1, len(total)):
+                j = by_size[b]
+                # A single line has no direction that could be the wall's.
+                if lines[j] < 2 or not _are_in_line(plane, moments, total, i, j, similarity_m, merge_gap_m):
+                    continue
+                plane[plane == j] = i
+                total[i] += total[j]
+                lines[i] += lines[j]
+                total[j] = 0.0
+                lines[j] = 0
+                merged = True
+
+
+@numba.njit(cache=True, nogil=True)
+def _are_in_line(
+    plane: IntArray,
+    moments: FloatArray,
+    total: FloatArray,
+    larger: int,
+    smaller: int,
+    similarity_m: float,
+    merge_gap_m: float,
+) -> bool:  # pragma: no cover
+    """Whether one plane fits two, with no more than `merge_gap_m` metres between them."""
+    nx, ny, offset, rms, _ = fit_upright_plane(total[larger] + total[smaller])
+    if (
+        rms > _IN_LINE_RATIO * similarity_m
+        or _theta(total[larger], nx, ny, offset) > _IN_LINE_RATIO * similarity_m
+        or _theta(total[smaller], nx, ny, offset) > _SMALLER_IN_LINE_RATIO * similarity_m
+    ):
+        return False
+    low_i, high_i = _span(moments, plane == larger, nx, ny)
+    low_j, high_j = _span(moments, plane == smaller, nx, ny)
+    return bool(max(low_i, low_j) - min(high_i, high_j) <= merge_gap_m)
+
+
+@numba.njit(cache=True, nogil=True)
+def _assign_to_nearest(
+    plane: IntArray,
+    moments: FloatArray,
+    reaches: BoolArray,
+    gap_m: FloatArray,
+    total: FloatArray,
+    lines: IntArray,
+    similarity_m: float,
+    lines_min: int,
+) -> FloatArray:  # pragma: no cover
+    """Give every candidate to the nearest plane that has enough lines, whichever plane it was grown into; changes `plane`.
+
+    Returns Θ (C,) to the nearest of those that are beside it, metres; NaN where none is.
+    """
+    distance = np.full(len(plane), np.nan)
+    fits = np.zeros((len(total), 5))
+    for i in range(len(total)):
+        if lines[i] >= lines_min:
+            nx, ny, offset, _, _ = fit_upright_plane(total[i])
+            low, high = _span(moments, plane == i, nx, ny)
+            fits[i] = np.array([nx, ny, offset, low, high])
+    for c in range(len(plane)):
+        if not reaches[c]:
+            continue
+        best, nearest, closest = -1, similarity_m, np.inf
+        for i in range(len(total)):
+            if lines[i] < lines_min:
+                continue
+            u = (-fits[i, 1] * moments[c, 1] + fits[i, 0] * moments[c, 2]) / moments[c, 0]
+            if u < fits[i, 3] - gap_m[c] or u > fits[i, 4] + gap_m[c]:
+                continue
+            theta = _theta(moments[c], fits[i, 0], fits[i, 1], fits[i, 2])
+            closest = min(closest, theta)
+            if theta < nearest:
+                best, nearest = i, theta
+        plane[c] = best
+        distance[c] = closest if closest < np.inf else np.nan
+    return distance
+
+
+@numba.njit(cache=True, nogil=True)
+def _verdicts(
+    plane: IntArray,
+    moments: FloatArray,
+    total: FloatArray,
+    lines: IntArray,
+    similarity_m: float,
+    lines_min: int,
+    length_min_m: float,
+) -> UInt8Array:  # pragma: no cover
+    """What each plane (P,) makes of its candidates, see `Membership`: IN_PLANE where it is large and even enough."""
+    verdict = np.full(len(total), Membership.IN_PLANE, np.uint8)
+    for i in range(len(total)):
+        if lines[i] < lines_min:
+            verdict[i] = Membership.FEW_LINES
+            continue
+        nx, ny, _, rms, _ = fit_upright_plane(total[i])
+        low, high = _span(moments, plane == i, nx, ny)
+        if high - low < length_min_m:
+            verdict[i] = Membership.SHORT
+        elif rms > similarity_m:
+            verdict[i] = Membership.ROUGH
+    return verdict
+
+
+@numba.njit(cache=True, nogil=True)
+def _settle(
+    grown: IntArray,
+    moments: FloatArray,
+    reaches: BoolArray,
+    gap_m: FloatArray,
+    similarity_m: float,
+    merge_gap_m: float,
+    lines_min: int,
+    length_min_m: float,
+) -> tuple[IntArray, FloatArray, UInt8Array]:  # pragma: no cover
+    """Join planes in line, give every candidate to the nearest plane, drop what is too small, number them anew.
+
+    grown: (C,) the plane that Algorithm 1 grew each candidate into, -1 where it refused it. moments: (C, 6) of its upper
+    part. reaches: (C,) whether it is high enough. gap_m: (C,) how far beyond a plane's ends it may be of it.
+    Returns each candidate's plane, its distance to the nearest plane within reach and its `Membership`.
+    """
+    count = len(grown)
+    plane = grown.copy()
+    planes = 0
+    for c in range(count):
+        planes = max(planes, plane[c] + 1)
+    total, lines = _totals(plane, moments, planes)
+    _join_in_line(plane, moments, total, lines, similarity_m, merge_gap_m, lines_min)
+    distance = np.full(count, np.nan)
+    # Twice, for the first time moves the planes.
+    for _ in range(2):
+        distance = _assign_to_nearest(plane, moments, reaches, gap_m, total, lines, similarity_m, lines_min)
+        total, lines = _totals(plane, moments, planes)
+    verdict = _verdicts(plane, moments, total, lines, similarity_m, lines_min, length_min_m)
+    number = np.full(planes, -1, np.int32)
+    kept = 0
+    for i in range(planes):
+        if verdict[i] == Membership.IN_PLANE:
+            number[i] = kept
+            kept += 1
+    membership = np.full(count, Membership.REFUSED, np.uint8)
+    for c in range(count):
+        if plane[c] >= 0:
+            membership[c] = verdict[plane[c]]
+            plane[c] = number[plane[c]]
+        elif reaches[c]:
+            membership[c] = Membership.ALONE
+    return plane, distance, membership
+
+
+@numba.njit(cache=True, nogil=True)
+def _fit_all(total: FloatArray, origin: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:  # pragma: no cover
+    """Normals towards the sensor, offsets and RMS of planes from their moments."""
+    normal = np.empty((len(total), 2))
+    offset_m = np.empty(len(total))
+    rms_m = np.empty(len(total))
+    for k in range(len(total)):
+        nx, ny, offset, rms, _ = fit_upright_plane(total[k])
+        sign = 1.0 if nx * origin[0] + ny * origin[1] - offset > 0 else -1.0
+        normal[k, 0], normal[k, 1], offset_m[k], rms_m[k] = sign * nx, sign * ny, sign * offset, rms
+    return normal, offset_m, rms_m

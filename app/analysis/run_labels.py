@@ -1,0 +1,232 @@
+"""The labels of a run cloud by cloud, from whichever of its files has them; memory does not grow with the drive.
+
+These are the labelled bag; `labels.parquet`, which holds the labels alone, one row for each cloud that has a pose in
+`trajectory.tum`; or the recording.
+
+A return is known by its cloud's stamp and its place there: two runs on one bag are compared point by point.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.labels import NO_RETURN
+from ffmap.algorithms.base.scan import FloatArray, Scan, UInt8Array
+from ffmap.algorithms.base.trajectory import Trajectory, place_scan
+from ffmap.algorithms.scan.smoothing import SmoothingSettings, smooth_ranges
+from ffmap.app.folder.finished_run import FinishedRun
+from ffmap.app.folder.labels_file import stream_labels
+from ffmap.app.folder.names import LABELS
+from ffmap.app.record.read_back import ReadableRecording, Row, rows
+from ffmap.app.setup.inputs import Sensor, find_inputs
+from ffmap.blueprints import entities
+from ffmap.loaders.bag import open_bag
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.pointcloud2 import describe_layout, field_column
+from ffmap.loaders.rig import find_rig
+from ffmap.loaders.scans import cloud_topics, index_clouds, read_clouds
+from ffmap.loaders.trajectory_file import read_tum
+
+
+@dataclass(frozen=True, eq=False)
+class CloudLabels:
+    """The labels of one cloud.
+
+    scan: its index in the bag.
+    label_scan: (m,) by the scan alone. label: (m,) final; None where the run did not get so far.
+    points_map: (m, 3) float32 metres; NaN where nothing returned or no pose is known. None unless asked for.
+    every_place: whether there is a row for every place in the cloud, 255 where nothing returned, as in a labelled bag;
+        else one for each return, in the cloud's order, as in a recording.
+    """
+
+    scan: int
+    stamp_ns: int
+    label_scan: UInt8Array
+    label: UInt8Array | None
+    points_map: FloatArray | None
+    every_place: bool
+
+    def of_returns(self) -> "CloudLabels":
+        """With rows for the labelled returns alone."""
+        if not self.every_place:
+            return self
+        own = self.label_scan != NO_RETURN
+        return replace(
+            self,
+            label_scan=self.label_scan[own],
+            label=None if self.label is None else self.label[own],
+            points_map=None if self.points_map is None else self.points_map[own],
+            every_place=False,
+        )
+
+
+@dataclass(frozen=True)
+class LabelSource:
+    """Where a run's labels are read from; None where nothing of the run holds any."""
+
+    run: FinishedRun
+    recording: ReadableRecording | None
+
+    @property
+    def file(self) -> str | None:
+        """The file's name within the run folder."""
+        if self.run.labelled is not None:
+            return self.run.labelled.name
+        if self._alone is not None:
+            return LABELS
+        return self.run.recording.name if self.recording is not None and self.run.recording is not None else None
+
+    @property
+    def has_points(self) -> bool:
+        """Whether it tells where in the map the returns lie."""
+        if self.run.labelled is None and self._alone is not None:
+            return self.run.bag_path is not None and self.run.bag_path.exists()
+        return True
+
+    @property
+    def _alone(self) -> Path | None:
+        return self.run.file(LABELS) if self.run.trajectory is not None else None
+
+    def read(self, with_points: bool = False, first: int = 0) -> Iterator[CloudLabels]:
+        """The labels of every usable cloud, in the order of their stamps.
+
+        with_points: with the returns' places in the map. first: a scan before which none is wanted.
+        Raises InputError where the file is damaged.
+        """
+        if self.run.labelled is not None:
+            return _read_bag(self.run.labelled, self.run, with_points, first)
+        if self._alone is not None:
+            return _read_alone(self._alone, self.run, with_points and self.has_points)
+        if self.recording is not None:
+            # Of a run that did not end it is not known which scans the final stage had reached.
+            final = self.run.complete and self.recording.whole
+            return _read_recording(self.recording.path, final, with_points)
+        return iter(())
+
+    def has_labels(self) -> bool:
+        """Whether there is any cloud to read: a recording of the map alone has none."""
+        return next(self.read(), None) is not None
+
+
+def _read_bag(path: Path, run: FinishedRun, with_points: bool, first: int) -> Iterator[CloudLabels]:
+    trajectory = read_tum(run.trajectory) if with_points and run.trajectory is not None else None
+    smoothing = run.settings().smoothing if with_points else None
+    with open_bag(path) as bag:
+        topics = cloud_topics(bag)
+        if len(topics) != 1:
+            raise InputError(f"{path}: {len(topics)} topics with clouds where one belongs; run ffmap again")
+        lidar = find_rig(bag, vertical=topics[0], time_from=run.time_from).vertical
+        if lidar is None:
+            raise InputError(f"{path}: no lidar that sweeps the walls; run ffmap again")
+        for index, scan, message in read_clouds(bag, index_clouds(bag, topics[0]), first, None, lidar.decoding):
+            if not isinstance(scan, Scan):
+                continue
+            layout = describe_layout(message, topics[0])
+            label, label_scan = (
+                field_column(message, layout, name).astype(np.uint8) for name in ("label", "label_scan")
+            )
+            points = _placed(scan, trajectory, lidar.T_base_sensor, smoothing) if smoothing is not None else None
+            yield CloudLabels(index, scan.stamp_ns, label_scan, label, points, every_place=True)
+
+
+def _read_alone(path: Path, run: FinishedRun, with_points: bool) -> Iterator[CloudLabels]:
+    assert run.trajectory is not None
+    trajectory = read_tum(run.trajectory)
+    points = _bag_points(run, trajectory) if with_points else iter(())
+    following = next(points, None)
+    try:
+        for row, (scan, label, label_scan) in enumerate(stream_labels(path)):
+            while following is not None and following[0] < scan:
+                following = next(points, None)
+            own = following[1] if following is not None and following[0] == scan else None
+            yield CloudLabels(scan, int(trajectory.stamp_ns[row]), label_scan, label, own, every_place=True)
+    except (OSError, KeyError, IndexError, pa.ArrowException) as error:
+        raise InputError(f"{path}: cannot be read, or is not of this run ({error}); run ffmap again") from error
+
+
+def _bag_points(run: FinishedRun, trajectory: Trajectory) -> Iterator[tuple[int, FloatArray]]:
+    """Number and placed returns of each cloud of the run's bag."""
+    assert run.bag_path is not None
+    sensor: Sensor | None = find_inputs(run.bag_path, run.input_options).vertical
+    if sensor is None:
+        return
+    smoothing = run.settings().smoothing
+    with open_bag(run.bag_path) as bag:
+        for index, scan, _ in read_clouds(bag, sensor.index, 0, None, sensor.lidar.decoding):
+            if isinstance(scan, Scan):
+                yield index, _placed(scan, trajectory, sensor.lidar.T_base_sensor, smoothing)
+
+
+def _placed(
+    scan: Scan, trajectory: Trajectory | None, T_base_sensor: FloatArray, smoothing: SmoothingSettings
+) -> FloatArray:
+    """(cloud_size, 3) float32: the smoothed returns in the map, as far as poses reach."""
+    points = np.full((scan.cloud_size, 3), np.nan, np.float32)
+    if trajectory is not None and trajectory.covers(np.array([scan.stamp_ns])).all():
+        placed = place_scan(smooth_ranges(scan, smoothing).of(scan), trajectory, T_base_sensor)
+        points[scan.cloud_index] = placed.to_map(placed.points_level)
+    return points
+
+
+def _read_recording(path: Path, has_final: bool, with_points: bool) -> Iterator[CloudLabels]:
+    """The final stage logs the labels of scans that it changed a second time, far behind the first in the file."""
+    final = (row for row in rows(path, entities.POINTS, "class_ids") if "positions" not in row.values)
+    poses = rows(path, entities.SCAN, "translation") if with_points else iter(())
+    following, pose = next(final, None), next(poses, None)
+    for row in rows(path, entities.POINTS, entities.POINT_LABEL_SCAN):
+        while following is not None and following.scan < row.scan:
+            following = next(final, None)
+        while pose is not None and pose.scan < row.scan:
+            pose = next(poses, None)
+        label_scan = row.values[entities.POINT_LABEL_SCAN].astype(np.uint8)
+        changed = following is not None and following.scan == row.scan
+        label = following.values["class_ids"].astype(np.uint8) if changed and following is not None else label_scan
+        points = _in_map(row, pose) if with_points else None
+        yield CloudLabels(row.scan, row.stamp_ns, label_scan, label if has_final else None, points, every_place=False)
+
+
+def _in_map(row: Row, pose: Row | None) -> FloatArray:
+    positions: FloatArray = row.values["positions"].astype(np.float32)
+    if pose is None or pose.scan != row.scan:
+        return np.full_like(positions, np.nan)
+    T = transforms.from_quaternion(pose.values["translation"][0], pose.values["quaternion"][0])
+    return np.asarray(transforms.apply(T, positions), np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class LabelPair:
+    """One cloud as two runs labelled it, row by row the same returns.
+
+    b is None where the second run has no such cloud, and a where the first has none.
+    """
+
+    a: CloudLabels | None
+    b: CloudLabels | None
+
+    @property
+    def same_cloud(self) -> bool:
+        """Whether both have it, with as many returns."""
+        return self.a is not None and self.b is not None and len(self.a.label_scan) == len(self.b.label_scan)
+
+
+def pair(first: Iterator[CloudLabels], second: Iterator[CloudLabels]) -> Iterator[LabelPair]:
+    """The clouds of two runs by their stamps, which increase."""
+    a, b = next(first, None), next(second, None)
+    while a is not None and b is not None:
+        if a.stamp_ns == b.stamp_ns:
+            # A recording has rows for returns alone.
+            yield LabelPair(a, b) if a.every_place == b.every_place else LabelPair(a.of_returns(), b.of_returns())
+            a, b = next(first, None), next(second, None)
+        elif a.stamp_ns < b.stamp_ns:
+            yield LabelPair(a, None)
+            a = next(first, None)
+        else:
+            yield LabelPair(None, b)
+            b = next(second, None)
+    yield from (LabelPair(cloud, None) for cloud in chain([a] if a else [], first))
+    yield from (LabelPair(None, cloud) for cloud in chain([b] if b else [], second))

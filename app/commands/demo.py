@@ -1,0 +1,37 @@
+"""ffmap demo: a small building simulated and mapped, to see what the program does."""
+
+import time
+from pathlib import Path
+
+import typer
+
+from ffmap.app.commands import run as run_command
+from ffmap.app.commands.simulate import simulate
+from ffmap.app.folder.finished_run import open_run
+from ffmap.app.folder.names import RUN_JSON, require_writable
+from ffmap.app.own_command import own_command, view_command
+from ffmap.loaders.errors import InputError
+
+SECONDS = 16.0
+
+
+def demo(out: Path) -> None:
+    """Simulate `out`/small.bag anew, run on it into `out`/run, say where everything lies.
+
+    Raises InputError where nothing can be written there.
+    """
+    started = time.monotonic()
+    require_writable(out, "give another folder to --out")
+    bag, run = out / "small.bag", out / "run"
+    if bag.exists():
+        # A demonstration before this one has made it, if its run says so.
+        if not (run / RUN_JSON).exists() or open_run(run).bag_path != bag.resolve():
+            raise InputError(f"{bag}: is there already; remove it, or give another folder to --out")
+        bag.unlink()
+    typer.echo(f"simulating {SECONDS:.0f} s of driving in a small furnished building ...")
+    simulate(bag, "small", 3, "hdl32e", "bag", SECONDS, [], quiet=True)
+    typer.echo("labelling every scan, mapping the building, recording every intermediate ...")
+    run_command.run(run_command.Arguments(bag=bag, out=run, overwrite=True), None)
+    typer.echo(f"\ndone in {time.monotonic() - started:.0f} s. Look at every scan, step by step:\n")
+    typer.echo(f"    {view_command(run)}\n")
+    typer.echo(f"Your own bag: {own_command()} run BAG; '{own_command()} info BAG' says what it lacks, if anything.")

@@ -1,0 +1,95 @@
+"""ffmap maps: a run's grid maps against any map of the same building."""
+
+from pathlib import Path
+from typing import Any
+
+import typer
+from rich.console import Console
+
+from ffmap.algorithms.truth.maps import Alignment, align_maps, compare_with_reference, unseen_walls
+from ffmap.app.analysis.map_figures import (
+    ComparedMap,
+    ComparedMaps,
+    map_metrics,
+    maps_table,
+    read_maps,
+    walls_direction_deg,
+    write_overlays,
+)
+from ffmap.app.folder.atomic import write_json
+from ffmap.app.folder.map_files import read_map
+from ffmap.app.folder.names import (
+    RECORDING,
+    REFERENCE_JSON,
+    REFERENCE_OVERLAY,
+    REFERENCE_RECORDING,
+    RunFolder,
+    check_same_run,
+    map_file,
+    require_writable,
+)
+from ffmap.blueprints import entities
+from ffmap.loaders.errors import InputError
+
+
+def maps(run_dir: Path, reference_path: Path) -> None:
+    """Align the run's maps with the reference, compare, write the picture, the figures and the layer, print the table.
+
+    Raises InputError where the run has no maps or cannot be written, the reference is none, or it shows another building.
+    """
+    record = RunFolder(run_dir).read_json()
+    require_writable(run_dir, "the comparison is written there: change its permissions, or compare a copy")
+    own = read_maps(run_dir)
+    if entities.FURNITURE_FREE not in own:
+        raise InputError(f"{run_dir}: holds no {map_file(entities.FURNITURE_FREE)} to compare; run ffmap again")
+    reference = read_map(reference_path)
+    known = own[entities.FURNITURE_FREE]
+    alignment = align_maps(known, reference)
+    if not alignment.fits:
+        raise InputError(
+            f"{reference_path}: does not fit: at best {100 * max(alignment.share, 0):.0f} % of the map's walls lie on "
+            "walls of the reference; give a map of the same building, at its true resolution"
+        )
+    unseen = unseen_walls(known, reference, alignment)
+    compared = {
+        name: ComparedMap(grid, compare_with_reference(grid, known, reference, alignment), unseen)
+        for name, grid in own.items()
+    }
+    metrics = map_metrics(compared)
+    check_same_run(RunFolder(run_dir), record)
+    write_json(run_dir / REFERENCE_JSON, _content(reference_path, alignment, metrics))
+    write_overlays(run_dir / REFERENCE_OVERLAY, compared, "reference", walls_direction_deg(run_dir))
+    Console().print(maps_table(metrics, f"Grid maps against {reference_path.name} (Fig. 9)"))
+    x, y = alignment.shift_m
+    typer.echo(
+        f"aligned:   turned by {alignment.turn_deg:.2f}°, the map's origin at ({x:.2f}, {y:.2f}) m of the reference"
+    )
+    typer.echo(f"overlay:   {run_dir / REFERENCE_OVERLAY}")
+    if "recording_id" in record and (run_dir / RECORDING).exists():
+        _write_layer(run_dir / REFERENCE_RECORDING, record["recording_id"], compared)
+        typer.echo(f"recording: ffmap view {run_dir / REFERENCE_RECORDING} {run_dir / RECORDING}")
+
+
+def _content(reference_path: Path, alignment: Alignment, metrics: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "reference": str(reference_path.resolve()),
+        "T_reference_map": alignment.T_reference_map,
+        "share_within_10_cm": alignment.share,
+        "maps": metrics,
+    }
+
+
+def _write_layer(out: Path, recording_id: str, compared: ComparedMaps) -> None:
+    # Rerun is not needed where a run has no recording.
+    from ffmap.app.record.errors import log_overlay
+    from ffmap.app.record.stream import open_part
+    from ffmap.blueprints import maps as maps_blueprint
+    from ffmap.blueprints.run import view_of
+
+    part = out.with_name(out.name + ".part")
+    with open_part(part, recording_id) as stream:
+        layout = maps_blueprint.build(*view_of(compared[entities.FURNITURE_FREE].grid))
+        stream.send_blueprint(layout, make_active=True, make_default=True)
+        for name, one in compared.items():
+            log_overlay(stream, name, one)
+    part.replace(out)

@@ -1,0 +1,272 @@
+"""`ffmap rooms`: rooms of any system's grid map, and how well they meet rooms drawn by hand."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.algorithms.maps.area_graph import NO_DOORWAYS, AreaGraph, coarsened, find_rooms
+from ffmap.algorithms.maps.grid import Cell, GridMap
+from ffmap.algorithms.truth.rooms import RoomFigures, compare_room_images, rooms_of_image
+from ffmap.app.folder.atomic import write_json
+from ffmap.app.folder.map_files import read_image, read_map
+from ffmap.app.folder.names import METRICS, ROOMS, check_no_run_loses
+from ffmap.app.folder.room_files import topology, write_picture, write_rooms
+from ffmap.app.own_command import view_command
+from ffmap.app.setup.settings import load_settings
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.geojson import read_features
+from ffmap.loaders.text_files import read_json
+
+CELLS_MAX = 8_000_000
+"""A map with more cells around its free space is segmented with larger ones: time and memory stay bounded."""
+TOPOLOGY = "topology.json"
+PICTURE = "rooms.png"
+RECORDING = "rooms.rrd"
+FILES = (TOPOLOGY, ROOMS, PICTURE, METRICS, RECORDING)
+TRUTH_SUFFIX = "_gt_segmentation"
+IMAGES = (".png", ".pgm")
+
+RecordingWriter = Callable[[Path, AreaGraph], None]
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What the command line says."""
+
+    map_path: Path
+    resolution_m: float | None
+    out: Path | None
+    truth: Path | None
+    doors: Path | None
+    config: Path | None
+    overrides: tuple[str, ...]
+
+
+def rooms(arguments: Arguments) -> None:
+    """Segment one map, or every map of a folder that has its truth beside it; write and print what was found."""
+    if arguments.map_path.is_dir():
+        _segment_folder(arguments)
+        return
+    graph, figures = _segment(arguments, arguments.map_path, arguments.truth)
+    out = arguments.out or Path("rooms") / arguments.map_path.stem
+    console = Console(highlight=False)
+    console.print(_rooms_table(graph))
+    if figures is not None:
+        console.print(_truth_line(figures))
+    typer.echo(f"{out}: rooms.geojson, topology.json, rooms.png; look at it with: {view_command(out / RECORDING)}")
+
+
+def _segment_folder(arguments: Arguments) -> None:
+    """Every map that has rooms drawn by hand beside it, and the mean of each kind of maps."""
+    if arguments.truth is not None:
+        raise InputError(
+            "--truth: for one map; in a folder the truth of X.png is the longest fit of Y_gt_segmentation.png"
+        )
+    pairs = _pairs(arguments.map_path)
+    if not pairs:
+        raise InputError(
+            f"{arguments.map_path}: no map has rooms beside it (as office_a.png has office_a{TRUTH_SUFFIX}.png); give one map"
+        )
+    console = Console(highlight=False)
+    table = Table("map", title="Rooms against those drawn by hand, percent", title_justify="left")
+    for heading in ("true", "found", "recall", "precision", "split", "merged"):
+        table.add_column(heading, justify="right")
+    by_kind: dict[str, list[RoomFigures]] = {}
+    for path, truth in pairs:
+        _, figures = _segment(arguments, path, truth, many=True)
+        assert figures is not None
+        by_kind.setdefault(path.stem.removeprefix(truth.stem.removesuffix(TRUTH_SUFFIX)), []).append(figures)
+        table.add_row(path.stem, *_figures_cells(figures))
+    table.add_section()
+    for kind, many in by_kind.items():
+        table.add_row(
+            f"mean of {len(many)} {kind.strip('_ ') or 'plain'}",
+            str(sum(len(f.recall) for f in many)),
+            str(sum(len(f.precision) for f in many)),
+            f"{100 * np.mean([f.mean_recall for f in many]):.2f}",
+            f"{100 * np.mean([f.mean_precision for f in many]):.2f}",
+            str(sum(len(f.split) for f in many)),
+            str(sum(len(f.merged) for f in many)),
+        )
+    console.print(table)
+
+
+def _pairs(folder: Path) -> list[tuple[Path, Path]]:
+    images = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGES)
+    truths = [path for path in images if path.stem.endswith(TRUTH_SUFFIX)]
+    pairs = []
+    for path in images:
+        fits = [truth for truth in truths if path.stem.startswith(truth.stem.removesuffix(TRUTH_SUFFIX))]
+        if path not in truths and fits:
+            pairs.append((path, max(fits, key=lambda truth: len(truth.stem))))
+    return pairs
+
+
+def _segment(
+    arguments: Arguments, path: Path, truth: Path | None, many: bool = False
+) -> tuple[AreaGraph, RoomFigures | None]:
+    settings = load_settings(arguments.config, arguments.overrides).area_graph
+    out = arguments.out or Path("rooms")
+    own = out / path.stem if many or arguments.out is None else out
+    _check_out(own, path, arguments)
+    grid = read_map(path, arguments.resolution_m, takes_resolution=True)
+    if not (grid.cells == Cell.FREE).any():
+        raise InputError(
+            f"{path}: the map has no free cell; free is white (over 250) in an image, and what a YAML file's own free_thresh "
+            "says"
+        )
+    doorways = _doorways(arguments.doors) if arguments.doors is not None else NO_DOORWAYS
+    coarse = coarsened(grid, CELLS_MAX)
+    if coarse.cell_m > grid.cell_m:
+        typer.echo(
+            f"{path}: {grid.cells.shape[1]} × {grid.cells.shape[0]} cells are many; "
+            f"segmented with cells of {coarse.cell_m:g} m",
+            err=True,
+        )
+    with ThreadPoolExecutor(1) as beside:
+        # Rerun takes as long to load as a large map to segment, which mostly leaves the interpreter to others.
+        recording = beside.submit(_prepare_recording, coarse)
+        graph = find_rooms(coarse, settings, doorways)
+    if not len(graph):
+        raise InputError(
+            f"{path}: no room has {settings.room_min_m2:g} m² or more with pixels of {grid.cell_m:g} m; "
+            "is the resolution right? see --set area_graph.room_min_m2"
+        )
+    figures = None if truth is None else _compare(path, grid, coarse, graph, truth)
+    _write(own, path, coarse, graph, figures, recording.result())
+    return graph, figures
+
+
+def _check_out(out: Path, path: Path, arguments: Arguments) -> None:
+    """Raises InputError where a file would be replaced that is read, or that is not of the rooms of this map.
+
+    A folder that the user named may have the rooms of another map; one that the program chose may not.
+    """
+    written = [out / name for name in FILES]
+    read = {file.resolve() for file in (path, arguments.truth, arguments.doors, arguments.config) if file is not None}
+    for file in written:
+        check_no_run_loses(file)
+        if file.resolve() in read:
+            raise InputError(f"{file}: is read, and would be replaced; give another folder to --out")
+    there = [file for file in written if file.exists()]
+    before = _map_of(out)
+    if there and before is None:
+        raise InputError(f"{there[0]}: is there already, and not by 'ffmap rooms'; give another folder to --out")
+    if before is not None and before != str(path.resolve()) and arguments.out is None:
+        raise InputError(
+            f"{out}: has the rooms of {before} already; give another folder to --out, or the same to replace them"
+        )
+
+
+def _map_of(out: Path) -> str | None:
+    """Which map's rooms a folder has; None where it has none."""
+    try:
+        return str(read_json(out / TOPOLOGY, "")["map"])
+    except (InputError, LookupError, TypeError):
+        return None
+
+
+def _prepare_recording(grid: GridMap) -> RecordingWriter:
+    from ffmap.app.record.rooms import prepare_recording
+
+    return prepare_recording(grid)
+
+
+def _write(
+    out: Path,
+    path: Path,
+    grid: GridMap,
+    graph: AreaGraph,
+    figures: RoomFigures | None,
+    write_recording: RecordingWriter,
+) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        # First: it says whose the others are.
+        write_json(out / TOPOLOGY, {"map": str(path.resolve()), **topology(graph)})
+        write_rooms(out / ROOMS, graph)
+        write_picture(out / PICTURE, grid, graph)
+        if figures is not None:
+            write_json(out / METRICS, metrics(figures))
+        write_recording(out / RECORDING, graph)
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written ({error.strerror}); give another folder to --out") from error
+
+
+def metrics(figures: RoomFigures) -> dict[str, object]:
+    """Figures as fractions, as in a run's metrics.json."""
+    return {
+        "rooms": {
+            "true": len(figures.recall),
+            "found": len(figures.precision),
+            "recall": figures.mean_recall,
+            "precision": figures.mean_precision,
+            "split": len(figures.split),
+            "merged": len(figures.merged),
+        }
+    }
+
+
+def _compare(path: Path, grid: GridMap, coarse: GridMap, graph: AreaGraph, truth: Path) -> RoomFigures:
+    true = rooms_of_image(read_image(truth)[::-1], grid.cell_m)
+    if true.shape != grid.cells.shape:
+        raise InputError(
+            f"{truth}: has {true.shape[1]} × {true.shape[0]} pixels and {path} {grid.cells.shape[1]} × "
+            f"{grid.cells.shape[0]}; give the truth of this map"
+        )
+    return compare_room_images(true, _spread(graph.label, coarse, grid), grid.cells == Cell.FREE, grid.cell_m)
+
+
+def _spread(label: IntArray, coarse: GridMap, grid: GridMap) -> IntArray:
+    """The label of a coarsened grid, in the cells of the grid itself."""
+    factor = round(coarse.cell_m / grid.cell_m)
+    column, row = np.rint((coarse.origin - grid.origin) / grid.cell_m).astype(int)
+    fine = np.repeat(np.repeat(label, factor, axis=0), factor, axis=1)
+    whole = np.full(grid.cells.shape, -1, np.int32)
+    rows, columns = grid.cells.shape
+    fine = fine[: rows - row, : columns - column]
+    whole[row : row + len(fine), column : column + fine.shape[1]] = fine
+    return whole
+
+
+def _doorways(path: Path) -> FloatArray:
+    """Sills of a doors.geojson, without depth."""
+    features = read_features(path, "lines", "give a run's doors.geojson")
+    sills = np.array([[p[:2] for p in feature["geometry"]["coordinates"][:2]] for feature in features]).reshape(
+        -1, 2, 2
+    )
+    return np.concatenate([sills, sills[:, ::-1]], axis=1)
+
+
+def _rooms_table(graph: AreaGraph) -> Table:
+    table = Table("room", title=f"{len(graph)} rooms, {len(graph.passages)} passages", title_justify="left")
+    table.add_column("m²", justify="right")
+    table.add_column("leads to")
+    network = graph.topology()
+    for index, room in enumerate(graph.rooms):
+        neighbours = ", ".join(graph.rooms[other].name for other in sorted(network[index]))
+        table.add_row(room.name, f"{room.area_m2:.1f}", neighbours or "–")
+    return table
+
+
+def _truth_line(figures: RoomFigures) -> str:
+    true, found, recall, precision, split, merged = _figures_cells(figures)
+    return f"{found} rooms for {true} true ones: recall {recall} %, precision {precision} %; {split} split, {merged} merged"
+
+
+def _figures_cells(figures: RoomFigures) -> Sequence[str]:
+    return (
+        str(len(figures.recall)),
+        str(len(figures.precision)),
+        f"{100 * figures.mean_recall:.2f}",
+        f"{100 * figures.mean_precision:.2f}",
+        str(len(figures.split)),
+        str(len(figures.merged)),
+    )

@@ -1,0 +1,193 @@
+"""The names by which runs are compared: each setting, metric, count and time has one, short and fit for a query.
+
+The same names are columns of `ffmap runs`, of sweep.parquet (which has some more), and what --objective, --where and
+--sort take: a metric's path in metrics.json joined by underscores, by area without saying so (`wall_f1`, `doors_found`,
+`trajectory_ate_rmse_m`); a setting as --set takes it (`wall_planes.similarity_m`); a count (`doors`); `seconds`, what the run took.
+"""
+
+import difflib
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from ffmap.algorithms.base.labels import Label
+from ffmap.loaders.errors import InputError
+
+SECONDS = "seconds"
+CPU_SECONDS = "cpu_seconds"
+"""What a run on one thread kept a core busy for: unlike `seconds` it does not depend on what else went on."""
+QUALITY = "wall_f1"
+"""What runs are ranked by where nobody says."""
+
+HEADLINES = (
+    "wall_f1",
+    SECONDS,
+    "ceiling_f1",
+    "floor_f1",
+    "door_f1",
+    "clutter_f1",
+    "doors_found",
+    "doors_invented",
+    "wall_map_recall",
+    "trajectory_ate_rmse_m",
+    "walls",
+    "doors",
+)
+"""The figures that a table shows where nobody chooses; those that no run has are left out."""
+
+STEPS = (
+    "scan",
+    "odometry",
+    "refinement",
+    "pose_graph",
+    "trajectory",
+    "smoothing",
+    "rearrangement",
+    "vertical_structures",
+    "wall_planes",
+    "doors",
+    "labelling",
+    "building",
+    "standing_walls",
+    "before_walls",
+    "wall_thickness",
+    "grid_map",
+    "area_graph",
+    "rival_maps",
+    "floor_plan",
+    "relabelling",
+)
+"""The steps that have settings. Not asked of `app.settings`: with it comes the whole method, which a list need not wait for."""
+
+_WITHOUT_TRUTH = {SECONDS, CPU_SECONDS, "labelling_s_per_scan", "walls", "doors"}
+OBJECTIVES = (
+    _WITHOUT_TRUTH
+    | {f"{label.name.lower()}_{figure}" for label in Label for figure in ("precision", "recall", "f1")}
+    | {"outside_kept_as_structure", "doors_found", "doors_invented", "doors_width_error_m", "doors_state_right"}
+    | {"wall_map_precision", "wall_map_recall", "wall_map_error_m", "trajectory_ate_rmse_m"}
+)
+"""Figures of which one value is better than another."""
+
+_NOT_QUERIED = {
+    *("missing", "points", "points_scan", "maps", "statistics", "by_room", "confusion"),
+    # What precision and recall are made from.
+    *("right_m2", "wrong_m2", "missed_m2"),
+}
+"""What metrics.json alone has: areas count, not points; the run's own map does, under wall_map; names of rooms are no figures."""
+
+_RENAMED = {
+    "timings_s_total": SECONDS,
+    "timings_s_cpu": CPU_SECONDS,
+    "timings_s_labelling_per_scan": "labelling_s_per_scan",
+}
+_LESS_IS_BETTER = re.compile(
+    r"error|rmse|bias|invented|outside_kept|wrong|missed|skipped|milliseconds|_s$|_s_|seconds$"
+)
+
+
+def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested values by the names of their columns in a catalogue; what is None is left out."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        name = f"{prefix}{key}".replace(".", "_")
+        if isinstance(value, Mapping):
+            flat |= flatten(value, f"{name}_")
+        elif value is not None:
+            flat[name] = value if isinstance(value, str | bool | int | float) else str(value)
+    return flat
+
+
+def queried(metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """Of what metrics.json says, the figures by which runs are asked for: a catalogue is slower for every column."""
+    return {
+        name: queried(value) if isinstance(value, Mapping) else value
+        for name, value in metrics.items()
+        if name not in _NOT_QUERIED
+    }
+
+
+def column_name(group: str, field: str) -> str:
+    """The name of what a recording has as the property `group`:`field`; of a setting, as it is typed after --set."""
+    if group == "settings":
+        step = next((step for step in STEPS if field.startswith(f"{step}_")), None)
+        return field if step is None else f"{step}.{field.removeprefix(f'{step}_')}"
+    if group == "metrics":
+        return field.removeprefix("area_")
+    if group == "result":
+        return _RENAMED.get(field, field.removeprefix("counts_"))
+    return field
+
+
+def figures_of(record: Mapping[str, Any], metrics: Mapping[str, Any] | None) -> dict[str, float]:
+    """Every number that a run's run.json and metrics.json say of its results, by name."""
+    result = {name: record.get(name, {}) for name in ("timings_s", "counts")}
+    groups = {"result": flatten(result), "metrics": flatten(metrics or {})}
+    return {
+        column_name(group, field): float(value)
+        for group, values in groups.items()
+        for field, value in values.items()
+        if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    }
+
+
+def less_is_better(name: str) -> bool:
+    """Whether a figure is an error or a time."""
+    return _LESS_IS_BETTER.search(name) is not None
+
+
+def check_objective(name: str, with_truth: bool) -> None:
+    """Raises InputError where runs cannot be ranked by a figure of this name."""
+    if name not in OBJECTIVES:
+        close = difflib.get_close_matches(name, OBJECTIVES, n=1)
+        hint = f"did you mean {close[0]!r}? " if close else ""
+        raise InputError(
+            f"--objective: there is no figure {name!r}; {hint}choose among {', '.join(sorted(OBJECTIVES))}"
+        )
+    if not with_truth and name not in _WITHOUT_TRUTH:
+        raise InputError(
+            f"--objective {name}: it needs the truth, which a bag does not carry; choose among {', '.join(sorted(_WITHOUT_TRUTH))}"
+        )
+
+
+def short_names(settings: Iterable[str]) -> dict[str, str]:
+    """Headings for settings by their names: the part after the step where that is enough to tell them apart."""
+    names = list(settings)
+    last = [name.rpartition(".")[2] for name in names]
+    return {name: short if last.count(short) == 1 else name for name, short in zip(names, last, strict=True)}
+
+
+def format_value(value: object) -> str:
+    """A value in a table: numbers with four digits that count, nothing where there is none."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "–"
+    if isinstance(value, float) and not value.is_integer():
+        return f"{value:.4g}"
+    return f"{value:.0f}" if isinstance(value, float) else str(value)
+
+
+def pareto_front(cost: Sequence[float], quality: Sequence[float]) -> list[int]:
+    """Which of several runs no other beats in both, by rising cost: the more the better for quality, the less for cost.
+
+    Of runs that are equal in both the first is taken; runs with a NaN are passed over.
+    """
+    order = sorted(
+        (i for i in range(len(cost)) if math.isfinite(cost[i]) and math.isfinite(quality[i])),
+        key=lambda i: (cost[i], -quality[i]),
+    )
+    front: list[int] = []
+    for i in order:
+        if not front or quality[i] > quality[front[-1]]:
+            front.append(i)
+    return front
+
+
+def fit(columns: Sequence[str], width: int) -> list[str]:
+    """As many columns, from the first on, as there is room for with their whole headings; at least three."""
+    shown: list[str] = []
+    for name in columns:
+        width -= len(name) + 3
+        if width < 0 and len(shown) >= 3:
+            break
+        shown.append(name)
+    return shown

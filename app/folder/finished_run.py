@@ -1,0 +1,183 @@
+"""A run that is there already, as `evaluate`, `inspect` and `compare` read it: its record, and whatever it has of its files."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.app.folder.names import (
+    LABELLED_BAG,
+    LABELLED_FOLDER,
+    METRICS,
+    RECORDING,
+    RUN_JSON,
+    TRAJECTORY,
+    RunFolder,
+    is_held,
+)
+from ffmap.app.setup.inputs import InputOptions
+from ffmap.app.setup.settings import Settings, validate
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.pointcloud2 import TimeFrom
+from ffmap.loaders.text_files import require_regular
+
+Record = Mapping[str, Any]
+
+FROM_ODOMETRY = "odometry"
+"""What `run.json` says as to where the poses are from, unless they were given."""
+
+
+@dataclass(frozen=True)
+class FinishedRun:
+    """A run folder; complete, aborted, or killed.
+
+    record: what run.json holds; runs of other versions of the program may hold other things.
+    """
+
+    path: Path
+    record: Record
+
+    @property
+    def name(self) -> str:
+        """The folder's own name, a link followed."""
+        return self.path.resolve().name
+
+    @property
+    def complete(self) -> bool:
+        """Whether the run came to its end."""
+        return self.record.get("outcome") == "complete"
+
+    @property
+    def outcome(self) -> str:
+        """complete, aborted, running or killed: then it says that it is running, but nobody is at its folder."""
+        outcome = str(self.record.get("outcome", "unknown"))
+        return "killed" if outcome == "running" and not is_held(self.path) else outcome
+
+    @property
+    def map_origin_m(self) -> FloatArray:
+        """(3,) where the map's origin lies in the frame of the poses that were given; zeros where it is theirs.
+
+        Raises InputError where run.json is damaged.
+        """
+        origin = self.record.get("map_origin", [0.0, 0.0, 0.0])
+        if not (isinstance(origin, list) and len(origin) == 3 and all(isinstance(v, int | float) for v in origin)):
+            raise InputError(
+                f"{self.path / RUN_JSON}: map_origin is {origin!r}, not x, y and z in metres; run ffmap again"
+            )
+        return np.array(origin, float)
+
+    @cached_property
+    def labelled(self) -> Path | None:
+        """The labelled bag."""
+        bag, folder = self.path / LABELLED_BAG, self.path / LABELLED_FOLDER
+        return bag if bag.exists() else folder if (folder / "metadata.yaml").exists() else None
+
+    @cached_property
+    def recording(self) -> Path | None:
+        """The recording; it may have been cut."""
+        return self.file(RECORDING)
+
+    @property
+    def has_scans(self) -> bool:
+        """Whether its recording, if it has one, holds single scans and not the map alone."""
+        return self.part("options").get("detail") != "map"
+
+    @property
+    def has_lines(self) -> bool:
+        """Whether its recording, if it has one, holds every intermediate of single scans."""
+        return self.part("options").get("detail") not in ("map", "scans")
+
+    @property
+    def registered(self) -> bool:
+        """Whether its poses are the odometry's, whose quality the recording then holds."""
+        return bool(self.record.get("poses_from", FROM_ODOMETRY) == FROM_ODOMETRY)
+
+    @property
+    def trajectory(self) -> Path | None:
+        """T_map_base at each vertical scan's stamp."""
+        return self.file(TRAJECTORY)
+
+    @property
+    def metrics(self) -> Path | None:
+        """Figures against the truth."""
+        return self.file(METRICS)
+
+    def file(self, name: str) -> Path | None:
+        """A file of the run; None where the run has none. Raises InputError where it is no file, but a folder or a pipe."""
+        path = self.path / name
+        if not path.exists():
+            return None
+        require_regular(path, "give another run folder")
+        return path
+
+    @property
+    def bag_path(self) -> Path | None:
+        """The bag that the run was made from; it may be gone."""
+        path = self.part("bag").get("path")
+        return Path(path) if isinstance(path, str) else None
+
+    @property
+    def bag_digest(self) -> str | None:
+        """What names the bag's content."""
+        digest = self.part("bag").get("digest")
+        return digest if isinstance(digest, str) else None
+
+    def labelled_same_clouds(self, other: "FinishedRun") -> bool:
+        """Whether both labelled the very same clouds; by their times alone where one was killed before it had read all."""
+        for said in ("clouds", "stamps"):
+            own, others = (run.part("bag").get(said) or {} for run in (self, other))
+            if self.topic in own and other.topic in others:
+                return bool(own[self.topic] == others[other.topic])
+        return False
+
+    @property
+    def clouds(self) -> Mapping[str, str]:
+        """The digest of all clouds of each topic that the run read to its end, by topic."""
+        clouds = self.part("bag").get("clouds")
+        return clouds if isinstance(clouds, Mapping) else {}
+
+    @property
+    def topic(self) -> str | None:
+        """The topic of the clouds that were labelled."""
+        vertical = self.part("rig").get("vertical")
+        return str(vertical["topic"]) if isinstance(vertical, Mapping) and "topic" in vertical else None
+
+    @property
+    def input_options(self) -> InputOptions:
+        """What the user said about the bag."""
+        options = self.part("options")
+        rig = options.get("rig")
+        return InputOptions(
+            Path(rig) if rig else None, options.get("horizontal"), options.get("vertical"), self.time_from
+        )
+
+    @property
+    def time_from(self) -> TimeFrom:
+        """Where the firings' times were taken from."""
+        time_from: TimeFrom = self.part("options").get("time_from") or "auto"
+        return time_from
+
+    def settings(self) -> Settings:
+        """The settings that the run was made with; raises InputError where this version does not know them."""
+        settings = self.record.get("settings")
+        if not isinstance(settings, dict):
+            raise InputError(f"{self.path / RUN_JSON}: holds no settings; run ffmap again")
+        return validate(settings, str(self.path / RUN_JSON))
+
+    def part(self, name: str) -> Record:
+        """One mapping within the record; empty where there is none."""
+        value = self.record.get(name)
+        return value if isinstance(value, Mapping) else {}
+
+
+def open_run(path: Path) -> FinishedRun:
+    """Raises InputError where the folder is no run."""
+    if not path.exists():
+        raise InputError(f"{path}: no such folder; give a run folder that 'ffmap run' made")
+    if not path.is_dir():
+        raise InputError(f"{path}: is a file; give the run folder that holds it")
+    return FinishedRun(path, RunFolder(path).read_json())

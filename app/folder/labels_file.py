@@ -1,0 +1,116 @@
+"""labels.parquet: a run's labels without its clouds, one row for each labelled scan.
+
+Columns: `scan`, the number of the vertical cloud in the bag; `label` and `label_scan`, one uint8 for each place of the
+cloud in its own order, as in the labelled bag.
+"""
+
+import hashlib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
+import pyarrow.parquet as pq  # type: ignore[import-untyped]
+
+from ffmap.algorithms.base.scan import UInt8Array
+from ffmap.loaders.errors import InputError
+
+_SCHEMA = pa.schema([("scan", pa.int32()), ("label", pa.list_(pa.uint8())), ("label_scan", pa.list_(pa.uint8()))])
+_SCANS_AT_ONCE = 20
+
+ScanLabels = tuple[int, UInt8Array, UInt8Array]
+"""Number of a cloud, its `label` and its `label_scan`."""
+
+
+class LabelsWriter:
+    """Takes the digest of all labels that pass, and keeps them in a file where one is wanted.
+
+    Use as a context manager: the file is there, complete, at its end; after an exception nothing is left of it.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        self._digest = hashlib.sha256()
+        self._waiting: list[ScanLabels] = []
+        self._writer: pq.ParquetWriter | None = None
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all that passed: two runs with the same have the same labels, bit for bit."""
+        return self._digest.hexdigest()
+
+    def passing(self, labels: Iterable[ScanLabels]) -> Iterator[ScanLabels]:
+        """The same labels, each kept as it passes."""
+        for index, label, label_scan in labels:
+            self._digest.update(np.int64(index).tobytes() + label.tobytes() + label_scan.tobytes())
+            if self._writer is not None:
+                self._waiting.append((index, label, label_scan))
+                if len(self._waiting) == _SCANS_AT_ONCE:
+                    self._write()
+            yield index, label, label_scan
+
+    def __enter__(self) -> Self:
+        if self._path is not None:
+            self._writer = pq.ParquetWriter(self._part(self._path), _SCHEMA, compression="zstd")
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        if self._path is None or self._writer is None:
+            return
+        if kind is None and self._waiting:
+            self._write()
+        self._writer.close()
+        if kind is None:
+            self._part(self._path).replace(self._path)
+        else:
+            self._part(self._path).unlink(missing_ok=True)
+
+    def _write(self) -> None:
+        assert self._writer is not None
+        scan, label, label_scan = zip(*self._waiting, strict=True)
+        columns = [pa.array(scan, pa.int32()), _lists(label), _lists(label_scan)]
+        self._writer.write_table(pa.table(columns, schema=_SCHEMA))
+        self._waiting.clear()
+
+    @staticmethod
+    def _part(path: Path) -> Path:
+        return path.with_name(path.name + ".part")
+
+
+def _lists(arrays: tuple[UInt8Array, ...]) -> pa.Array:
+    offsets = np.concatenate([[0], np.cumsum([len(array) for array in arrays])])
+    return pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pa.array(np.concatenate(arrays), pa.uint8()))
+
+
+def read_labels(path: Path, first: int = 0, count: int | None = None) -> dict[int, tuple[UInt8Array, UInt8Array]]:
+    """`label` and `label_scan` of the clouds [first, first + count) that were labelled, by their number.
+
+    Raises InputError where the file cannot be read.
+    """
+    last = np.iinfo(np.int32).max if count is None else first + count
+    try:
+        table = pq.read_table(path, filters=[("scan", ">=", first), ("scan", "<", last)])
+        rows = {name: table.column(name).combine_chunks() for name in _SCHEMA.names}
+    except (OSError, KeyError, pa.ArrowInvalid) as error:
+        raise InputError(f"{path}: cannot be read ({error}); make the run again") from error
+    return {
+        int(scan): (_values(rows["label"], i), _values(rows["label_scan"], i))
+        for i, scan in enumerate(rows["scan"].to_numpy())
+    }
+
+
+def stream_labels(path: Path) -> Iterator[ScanLabels]:
+    """All that `LabelsWriter` wrote, in its order, some at a time.
+
+    Raises OSError, KeyError or an error of pyarrow's where the file cannot be read.
+    """
+    for batch in pq.ParquetFile(path).iter_batches(_SCANS_AT_ONCE):
+        columns = [batch.column(name) for name in _SCHEMA.names]
+        for row, scan in enumerate(columns[0].to_numpy()):
+            yield int(scan), _values(columns[1], row), _values(columns[2], row)
+
+
+def _values(lists: pa.ListArray, row: int) -> UInt8Array:
+    return np.asarray(lists[row].values.to_numpy(), np.uint8)

@@ -1,0 +1,58 @@
+"""What run.json may hold: whoever reads it can rely on the kinds of its values, whatever was done to the file."""
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, FiniteFloat, ValidationError
+
+from ffmap.loaders.errors import InputError, shortened
+
+
+class _Bag(BaseModel):
+    path: str | None = None
+    digest: str | None = None
+
+
+class _Options(BaseModel):
+    rig: str | None = None
+    horizontal: str | None = None
+    vertical: str | None = None
+    time_from: Literal["auto", "azimuth", "none"] | None = None
+    trajectory: str | None = None
+    detail: str | None = None
+
+
+class _Lidar(BaseModel):
+    topic: str
+
+
+class _Rig(BaseModel):
+    vertical: _Lidar | None = None
+
+
+class _Record(BaseModel):
+    """What is read of it again; a run that was killed early, or of another version, may lack any of it, or hold more."""
+
+    recording_id: str | None = None
+    outcome: str | None = None
+    bag: _Bag | None = None
+    options: _Options | None = None
+    rig: _Rig | None = None
+    settings: dict[str, Any] | None = None
+    settings_hash: str | None = None
+    versions: dict[str, Any] | None = None
+    counts: dict[str, Any] | None = None
+    timings_s: dict[str, FiniteFloat] | None = None
+    warnings: list[str] | None = None
+    statistics: dict[str, dict[str, Any]] | None = None
+
+
+def check_record(record: dict[str, Any], path: Path) -> dict[str, Any]:
+    """The record as it is; raises InputError that names `path` where a value is not of its kind."""
+    try:
+        _Record.model_validate(record)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(str(part) for part in first["loc"])
+        raise InputError(f"{path}: {name}: {shortened(first['msg'].lower())}; give another run folder") from None
+    return record

@@ -1,0 +1,308 @@
+"""The recording of a run as a file that grows by parts, and as a stream to a viewer.
+
+Workers and the run's own process write parts: small recordings of the same id. Their bytes are joined as they are, for
+to send their content through another stream would decompress and compress all of it again.
+"""
+
+import io
+import socket
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.chunk import RrdReader
+
+from ffmap.app.folder.figures import flatten
+from ffmap.blueprints import entities
+from ffmap.loaders.errors import InputError
+
+_STREAM_HEADER = struct.Struct("<4s8x")
+_MESSAGE_HEADER = struct.Struct("<QQ")
+_MAGIC = b"RRF2"
+_END = 0
+_FOOTER_BYTES = 32
+"""What follows the end message's own content: where that lies, and how the stream ends."""
+_OWN = "own"
+_RERUN = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
+"""As the `rerun` command does; `python -m rerun_cli` always ends with 0."""
+
+
+@contextmanager
+def open_part(path: Path, recording_id: str) -> Iterator[rr.RecordingStream]:
+    """A stream into one part of the recording; the file appears when it is complete. One at a time in a process."""
+    part = path.with_name(path.name + ".part")
+    stream = _stream(recording_id)
+    stream.save(part)
+    try:
+        yield stream
+    except BaseException:
+        stream.disconnect()
+        part.unlink(missing_ok=True)
+        raise
+    stream.disconnect()
+    part.replace(path)
+
+
+@lru_cache(maxsize=1)
+def _stream(recording_id: str) -> rr.RecordingStream:
+    """One stream serves all parts of a process: Rerun keeps some megabytes of each that there ever was."""
+    # A recording has its properties once, from the run's own process.
+    return _new_stream(recording_id, send_properties=False)
+
+
+def _new_stream(recording_id: str, send_properties: bool) -> rr.RecordingStream:
+    stream = rr.RecordingStream(
+        entities.APPLICATION_ID,
+        recording_id=recording_id,
+        send_properties=send_properties,
+        # Large chunks: fewer of them, and a quarter less time than with the default, which serves a live viewer.
+        batcher_config=rr.ChunkBatcherConfig(flush_tick=3600.0, flush_num_bytes=4 << 20, flush_num_rows=1 << 20),
+    )
+    stream.set_log_time_enabled(False)
+    return stream
+
+
+class Recording:
+    """A run's recording: what its own process logs into `stream`, and the parts that workers wrote.
+
+    While the run goes on the file is a stream without a footer, which the viewer opens at any time; `finish` gives it
+    the footer that queries need.
+    """
+
+    def __init__(
+        self,
+        path: Path | None,
+        spool: Path,
+        recording_id: str,
+        blueprint: rrb.Blueprint,
+        connect_url: str | None = None,
+    ) -> None:
+        """path: None where only a viewer is to see it. spool: a folder for this process's own parts.
+
+        connect_url: as `start_viewer` returns it. Raises ConnectionError if nothing listens there.
+        """
+        self._viewer: rr.RecordingStream | None = None
+        if connect_url is not None:
+            check_viewer(connect_url)
+            self._viewer = _new_stream(recording_id, send_properties=False)
+            self._viewer.connect_grpc(connect_url, default_blueprint=blueprint)
+        for stale in spool.glob(f"{_OWN}-*"):
+            stale.unlink()
+        self._path, self._spool, self._id = path, spool, recording_id
+        self._parts: list[Path] = []
+        self._own_count = 0
+        if path is not None:
+            path.unlink(missing_ok=True)
+        self.stream = _new_stream(recording_id, send_properties=True)
+        self._add_layout(blueprint)
+        self.stream.save(self._own)
+
+    @property
+    def _own(self) -> Path:
+        return self._spool / f"{_OWN}-{self._own_count:05d}.rrd"
+
+    def set_layout(self, blueprint: rrb.Blueprint) -> None:
+        """Replace the layout that the recording opens with."""
+        if self._viewer is not None:
+            self._viewer.send_blueprint(blueprint, make_active=False, make_default=True)
+        self._close_own()
+        self._add_layout(blueprint)
+        self.stream.save(self._own)
+
+    def _add_layout(self, blueprint: rrb.Blueprint) -> None:
+        # A part of its own: Rerun's tool refuses to join files in which a layout and data lie together.
+        with open_part(self._own, self._id) as stream:
+            stream.send_blueprint(blueprint, make_active=False, make_default=True)
+        self._append(self._own, show=False)
+        self._own_count += 1
+
+    def add(self, part: Path) -> None:
+        """Append a part that a worker wrote, after all that was logged until now."""
+        self.cut()
+        self._append(part)
+
+    def cut(self) -> None:
+        """Append what was logged until now; a kill loses at most what comes later."""
+        self._close_own()
+        self.stream.save(self._own)
+
+    def finish(self) -> None:
+        """Complete the file; nothing can be logged any more."""
+        self._close_own()
+        if self._viewer is not None:
+            self._viewer.disconnect()
+        if self._path is not None and self._parts:
+            joined = self._path.with_name(self._path.name + ".part")
+            join(self._parts, joined)
+            joined.replace(self._path)
+
+    def _close_own(self) -> None:
+        self.stream.disconnect()
+        if self._own.exists() and _content_end(self._own) is not None:
+            self._append(self._own)
+            self._own_count += 1
+
+    def _append(self, part: Path, show: bool = True) -> None:
+        self._parts.append(part)
+        if self._path is not None:
+            with self._path.open("ab") as recording:
+                _splice(part, recording)
+        if self._viewer is not None and show:
+            self._viewer.send_chunks(RrdReader(part).stream())
+            try:
+                # Without it, what was forwarded piles up in memory.
+                self._viewer.flush()
+            except RuntimeError as error:
+                # Who closes the viewer does not mean to end the run.
+                if "gRPC" not in str(error):
+                    raise
+
+
+def _splice(part: Path, recording: io.BufferedWriter) -> None:
+    """Append a part's messages without its end and footer, so that the whole reads as one unfinished stream."""
+    end = _content_end(part)
+    if end is None:
+        return
+    with part.open("rb") as source:
+        source.seek(0 if recording.tell() == 0 else _STREAM_HEADER.size)
+        recording.write(source.read(end - source.tell()))
+
+
+def _content_end(part: Path) -> int | None:
+    """Where the messages of an .rrd end; None where it has none.
+
+    The framing of Rerun 0.41: a stream header of 12 bytes, then messages, each after its kind and its length; the kind
+    0 ends the stream. Raises RuntimeError where a file is framed differently.
+    """
+    with part.open("rb") as source:
+        header = source.read(_STREAM_HEADER.size)
+        if not header:
+            return None
+        if len(header) < _STREAM_HEADER.size or _STREAM_HEADER.unpack(header)[0] != _MAGIC:
+            raise RuntimeError(f"{part}: is not framed as recordings of Rerun 0.41 are")
+        count = 0
+        while True:
+            at = source.tell()
+            message = source.read(_MESSAGE_HEADER.size)
+            if len(message) < _MESSAGE_HEADER.size:
+                raise RuntimeError(f"{part}: ends in the middle of a message")
+            kind, length = _MESSAGE_HEADER.unpack(message)
+            if kind == _END:
+                return at if count else None
+            source.seek(length, io.SEEK_CUR)
+            count += 1
+
+
+@dataclass(frozen=True)
+class WholeMessages:
+    """How far a recording can be read.
+
+    position: where its last whole message ends. complete: whether nothing follows but a whole footer, if there is one.
+    """
+
+    position: int
+    complete: bool
+    has_footer: bool
+
+
+def whole_messages(path: Path) -> WholeMessages:
+    """How far a recording can be read whose writer may have been killed, or which was cut later.
+
+    Raises InputError where it is no recording, or has no whole message.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as source:
+        header = source.read(_STREAM_HEADER.size)
+        if len(header) < _STREAM_HEADER.size or _STREAM_HEADER.unpack(header)[0] != _MAGIC:
+            raise InputError(f"{path}: is no recording of Rerun's; run ffmap again")
+        at = source.tell()
+        while True:
+            message = source.read(_MESSAGE_HEADER.size)
+            kind, length = _MESSAGE_HEADER.unpack(message) if len(message) == _MESSAGE_HEADER.size else (_END, None)
+            has_footer = kind == _END and length is not None and source.tell() + length + _FOOTER_BYTES == size
+            if kind == _END or source.tell() + length > size:
+                break
+            at = source.seek(length, io.SEEK_CUR)
+    if at == _STREAM_HEADER.size:
+        raise InputError(f"{path}: was cut before its first message; run ffmap again")
+    return WholeMessages(at, has_footer or at == size, has_footer)
+
+
+def join(parts: Sequence[Path], out: Path) -> None:
+    """One recording with one footer from all parts, none of them decompressed."""
+    command = [sys.executable, "-c", _RERUN, "rrd", "route", "-o", str(out.resolve())]
+    folders = {part.parent for part in parts}
+    assert len(folders) == 1, "relative names keep the command short"
+    done = subprocess.run(
+        [*command, *(part.name for part in parts)], cwd=folders.pop(), capture_output=True, text=True, check=False
+    )
+    if done.returncode != 0:
+        raise OSError(f"{out}: the recording's parts could not be joined: {done.stderr.strip()}")
+
+
+def start_viewer(port: int | None = None, timeout_s: float = 20.0, files: Sequence[Path] = ()) -> str:
+    """Start a viewer that listens on the loopback address only, and return the URL to connect to.
+
+    files: recordings that it opens.
+
+    `rr.spawn` listens on every interface and has no option for it. Raises RuntimeError if the viewer does not start.
+    """
+    port = port or free_port()
+    command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", "--port", str(port), "--hide-welcome-screen"]
+    command += [str(file.resolve()) for file in files]
+    viewer = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    end = time.monotonic() + timeout_s
+    listens_since: float | None = None
+    while time.monotonic() < end and viewer.poll() is None:
+        with socket.socket() as probe:
+            if listens_since is None and probe.connect_ex(("127.0.0.1", port)) == 0:
+                listens_since = time.monotonic()
+        # It listens before it opens its window, and ends where it cannot.
+        if listens_since is not None and time.monotonic() - listens_since > _OPENS_WINDOW_S:
+            return f"rerun+http://127.0.0.1:{port}/proxy"
+        time.sleep(0.05)
+    viewer.terminate()
+    raise RuntimeError("the Rerun viewer did not start; is there a display?")
+
+
+_OPENS_WINDOW_S = 1.0
+
+
+def free_port() -> int:
+    """A port of the loopback address that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def check_viewer(url: str, timeout_s: float = 5.0) -> None:
+    """Raise ConnectionError where no viewer listens; Rerun itself would wait for it for ever."""
+    address = urlsplit(url)
+    try:
+        socket.create_connection((address.hostname or "127.0.0.1", address.port or 9876), timeout_s).close()
+    except (OSError, ValueError) as error:
+        raise ConnectionError(f"no Rerun viewer at {url}: {error}") from error
+
+
+def send_properties(stream: rr.RecordingStream, name: str, values: Mapping[str, Any]) -> None:
+    """Settings, digests, versions, metrics: nested mappings become columns like `wall_planes_similarity_m`."""
+    if flat := flatten(values):
+        stream.send_property(name, rr.AnyValues(**flat))
+
+
+def write_properties(path: Path, recording_id: str, properties: Mapping[str, Mapping[str, Any]]) -> None:
+    """A recording that holds properties and nothing else."""
+    with rr.RecordingStream(entities.APPLICATION_ID, recording_id=recording_id) as stream:
+        stream.save(path)
+        for name, values in properties.items():
+            send_properties(stream, name, values)

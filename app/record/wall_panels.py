@@ -1,0 +1,80 @@
+"""Walls as upright panels, with holes where their doors and windows are: a wall drawn whole would hide what it lets through."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.algorithms.base.segments import lengths_m
+from ffmap.algorithms.building.model import Doors, Walls, Windows
+
+_BEHIND_MAX_M = 0.5
+"""Maximum distance in metres of an opening from the wall's other face, which it pierces too."""
+_ALONG_MIN = float(np.cos(np.radians(15.0)))
+"""Cosine of the angle between an opening and the wall that it pierces, at least."""
+_SLIVER_M = 0.01
+"""Narrower and lower panels are left out."""
+
+
+@dataclass(frozen=True)
+class WallPanels:
+    """Rectangles that cover walls without their openings.
+
+    ends: (P, 2, 2) x and y in the map, metres. bottom_m, top_m: (P,) heights. wall: (P,) the wall that each is a part of.
+    """
+
+    ends: FloatArray
+    bottom_m: FloatArray
+    top_m: FloatArray
+    wall: IntArray
+
+
+def wall_panels(walls: Walls, doors: Doors, windows: Windows) -> WallPanels:
+    """Cover each wall, but for the doors and windows in it and in the other face of the same wall."""
+    holes = np.concatenate([doors.ends, windows.ends])
+    low_m = np.concatenate([np.full(len(doors), -np.inf), windows.bottom_m])
+    high_m = np.concatenate([doors.head_m, windows.top_m])
+    found: list[tuple[FloatArray, float, float, int]] = []
+    for wall, (start, end) in enumerate(walls.ends):
+        length = float(np.linalg.norm(end - start))
+        if length < _SLIVER_M:
+            continue
+        along = (end - start) / length
+        pierced = _pierces(holes, start, along)
+        first, last = np.sort(((holes - start) @ along)[pierced], axis=1).T
+        cuts = np.unique(np.clip(np.concatenate([[0.0, length], first, last]), 0.0, length))
+        for left, right in pairwise(cuts.tolist()):
+            if right - left < _SLIVER_M:
+                continue
+            here = (first < (left + right) / 2) & (last > (left + right) / 2)
+            heights = (float(walls.bottom_m[wall]), float(walls.top_m[wall]))
+            for low, high in _solid(*heights, low_m[pierced][here], high_m[pierced][here]):
+                found.append((start + np.outer([left, right], along), low, high, wall))
+    return WallPanels(
+        np.array([ends for ends, *_ in found]).reshape(-1, 2, 2),
+        np.array([low for _, low, _, _ in found], np.float64),
+        np.array([high for _, _, high, _ in found], np.float64),
+        np.array([wall for *_, wall in found], np.int64),
+    )
+
+
+def _pierces(holes: FloatArray, start: FloatArray, along: FloatArray) -> IntArray:
+    """Which openings (H, 2, 2) lie along the line of a wall and close to it."""
+    width_m = np.maximum(lengths_m(holes), 1e-9)
+    cosine = np.abs((holes[:, 1] - holes[:, 0]) @ along) / width_m
+    across = np.abs((holes.mean(axis=1) - start) @ np.array([-along[1], along[0]]))
+    return np.flatnonzero((cosine > _ALONG_MIN) & (across < _BEHIND_MAX_M))
+
+
+def _solid(bottom_m: float, top_m: float, low_m: FloatArray, high_m: FloatArray) -> list[tuple[float, float]]:
+    """What is left between two heights without some openings that may overlap."""
+    left: list[tuple[float, float]] = []
+    reached = bottom_m
+    for low, high in sorted(zip(low_m.tolist(), high_m.tolist(), strict=True)):
+        if low - reached > _SLIVER_M:
+            left.append((reached, min(low, top_m)))
+        reached = max(reached, high)
+    if top_m - reached > _SLIVER_M:
+        left.append((reached, top_m))
+    return left

@@ -1,0 +1,333 @@
+"""The odometry of a bag: registered in a process of its own, for KISS-ICP holds the interpreter's lock, and cached.
+
+The key under which it is cached holds all that a pose depends on and no labelling setting, so that a sweep over labelling
+settings costs one odometry.
+"""
+
+import hashlib
+import json
+import queue
+import threading
+import traceback
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from importlib.metadata import version
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import numpy as np
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray, Scan, within_range
+from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.algorithms.poses.odometry import Registration
+from ffmap.algorithms.poses.pose_graph import PoseGraph
+from ffmap.app.run import odometry_cache
+from ffmap.app.run.odometry_cache import Arrays
+from ffmap.app.run.workers import WorkerLostError, process_context, start_as_worker
+from ffmap.app.setup.inputs import Inputs, Sensor, digest_clouds, digest_stamps, total_digest
+from ffmap.app.setup.settings import Settings
+from ffmap.loaders.bag import open_bag
+from ffmap.loaders.cloud_digest import joined
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.scans import read_digests, read_scans
+
+_PER_FILE = 50
+_WAITING = 64
+"""Results that the odometry process keeps back while the run's own process is busy."""
+_FORMAT = 9
+"""Raised whenever a change to reading or registering scans changes poses."""
+_RAGGED = ("keypoints_sensor", "local_map_odom")
+"""What each registration has another number of."""
+
+
+@dataclass(frozen=True)
+class _Read:
+    """The end of an odometry: the digest of all clouds that were read, by topic."""
+
+    clouds: dict[str, str]
+
+
+_Result = Registration | PoseGraph | _Read
+
+
+def cache_key(inputs: Inputs, sensor: Sensor, settings: Settings) -> str:
+    """What the poses depend on but for the clouds' bytes, as a name."""
+    sensors = _sensors(inputs, sensor, settings)
+    content = {
+        "format": _FORMAT,
+        "stamps": list(digest_stamps(sensors).items()),
+        "time_from": sensor.lidar.decoding.time_from,
+        "rig": [s.lidar.T_base_sensor.tolist() for s in sensors],
+        "kiss_icp": version("kiss-icp"),
+        "small_gicp": version("small_gicp"),
+        "gtsam": version("gtsam"),
+        "scan": settings.scan.model_dump(mode="json"),
+        "odometry": settings.odometry.model_dump(mode="json"),
+        "refinement": settings.refinement.model_dump(mode="json"),
+        "pose_graph": settings.pose_graph.model_dump(mode="json"),
+        "trajectory": settings.trajectory.model_dump(mode="json"),
+    }
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def name_of(inputs: Inputs, sensor: Sensor, settings: Settings, clouds: Mapping[str, str]) -> str:
+    """What the cache calls the odometry of these clouds. clouds: the digest of all clouds of each topic, by topic."""
+    topics = [s.lidar.topic for s in _sensors(inputs, sensor, settings)]
+    return odometry_cache.entry_name(
+        cache_key(inputs, sensor, settings), total_digest({topic: clouds[topic] for topic in topics})
+    )
+
+
+class Odometry:
+    """The registration of every usable horizontal scan in order, and after them the loops that were closed.
+
+    What is not cached is registered while it is iterated over, once, and cached when that has come to its end.
+    """
+
+    def __init__(self, inputs: Inputs, sensor: Sensor, settings: Settings) -> None:
+        key = cache_key(inputs, sensor, settings)
+        self.cache_warning: str | None = None
+        """What went wrong with the cache; None where nothing did. Known once all has been iterated over."""
+        cached = self._look_up(key, inputs, _sensors(inputs, sensor, settings))
+        self.from_cache = self.kept = cached is not None
+        """kept: whether it is in the cache now; known once all has been iterated over."""
+        self._source = cached if cached is not None else self._register_and_keep(key, inputs, sensor, settings)
+        self._T_sensor_base = transforms.invert(sensor.lidar.T_base_sensor)
+        self._stamps: list[int] = []
+        self._T_odom_sensor: list[FloatArray] = []
+        self.pose_graph: PoseGraph | None = None
+        """None before the end, and where loops are not to be closed."""
+        self.clouds: Mapping[str, str] = {}
+        """The digest of all clouds of each topic that was read; empty before the end."""
+
+    def __iter__(self) -> Iterator[Registration]:
+        for result in self._source:
+            match result:
+                case PoseGraph():
+                    self.pose_graph = result
+                case _Read():
+                    self.clouds = result.clouds
+                case Registration():
+                    self._stamps.append(result.stamp_ns)
+                    self._T_odom_sensor.append(result.T_odom_sensor)
+                    yield result
+
+    def __len__(self) -> int:
+        """How many scans have been registered so far."""
+        return len(self._stamps)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """T_odom_base of the scans so far; of all of them with the loops closed."""
+        T_odom_sensor = self._all_poses()
+        if self.pose_graph is not None:
+            T_odom_sensor = self.pose_graph.corrected(T_odom_sensor)
+        return Trajectory(np.array(self._stamps, np.int64), T_odom_sensor @ self._T_sensor_base)
+
+    @property
+    def before_loops(self) -> Trajectory:
+        """T_odom_base of the scans so far, as they were registered."""
+        return Trajectory(np.array(self._stamps, np.int64), self._all_poses() @ self._T_sensor_base)
+
+    def _all_poses(self) -> FloatArray:
+        return np.array(self._T_odom_sensor).reshape(-1, 4, 4)
+
+    def _look_up(self, key: str, inputs: Inputs, sensors: Sequence[Sensor]) -> Iterator[_Result] | None:
+        # The clouds are read for their digest only where there may be something to find with it.
+        if not odometry_cache.has_any(key):
+            return None
+        clouds = digest_clouds(inputs.bag_path, sensors)
+        found = odometry_cache.look_up(key, total_digest(clouds))
+        if found.damage is not None:
+            self.cache_warning = (
+                f"the odometry in the cache {odometry_cache.cache_folder()} was damaged ({found.damage}); it was thrown away "
+                "and is computed anew"
+            )
+        return None if found.files is None else _from_files(found.files, clouds)
+
+    def _register_and_keep(self, key: str, inputs: Inputs, sensor: Sensor, settings: Settings) -> Iterator[_Result]:
+        waiting: list[Registration] = []
+        with odometry_cache.Writer(key) as writer:
+            for result in _register(inputs, sensor, settings):
+                if waiting and (not isinstance(result, Registration) or len(waiting) == _PER_FILE):
+                    writer.add(_columns(waiting))
+                    waiting = []
+                match result:
+                    case Registration():
+                        waiting.append(result)
+                    case PoseGraph():
+                        writer.add({field.name: getattr(result, field.name) for field in fields(PoseGraph)})
+                    case _Read():
+                        writer.complete(total_digest(result.clouds), inputs.bag_path)
+                yield result
+        self.kept = writer.failure is None
+        if not self.kept:
+            self.cache_warning = (
+                f"the odometry cannot be kept in the cache {odometry_cache.cache_folder()} ({writer.failure}); the next run "
+                f"computes it again, unless {odometry_cache.CACHE_VARIABLE} names a folder that can be written"
+            )
+
+
+def _from_files(files: Sequence[Arrays], clouds: dict[str, str]) -> Iterator[_Result]:
+    for columns in files:
+        if "index" in columns:
+            yield from _registrations(columns)
+        else:
+            yield PoseGraph(**columns)
+    yield _Read(clouds)
+
+
+def _registrations(columns: Arrays) -> Iterator[Registration]:
+    ragged = {name: np.split(columns[name], np.cumsum(columns[f"{name}_length"])[:-1]) for name in _RAGGED}
+    for i in range(len(columns["index"])):
+        yield Registration(
+            index=int(columns["index"][i]),
+            stamp_ns=int(columns["stamp_ns"][i]),
+            T_odom_sensor=columns["T_odom_sensor"][i],
+            keypoints_sensor=ragged["keypoints_sensor"][i],
+            local_map_odom=ragged["local_map_odom"][i],
+            threshold_m=float(columns["threshold_m"][i]),
+            correction_m=float(columns["correction_m"][i]),
+            residual_m=float(columns["residual_m"][i]),
+            inlier_share=float(columns["inlier_share"][i]),
+            refined_m=float(columns["refined_m"][i]),
+            refined_inlier_share=float(columns["refined_inlier_share"][i]),
+            weakest_share=float(columns["weakest_share"][i]),
+            refused=bool(columns["refused"][i]),
+            milliseconds=float(columns["milliseconds"][i]),
+        )
+
+
+def _columns(registrations: Sequence[Registration]) -> Arrays:
+    columns = {field.name: [getattr(r, field.name) for r in registrations] for field in fields(Registration)}
+    ragged = {name: columns.pop(name) for name in _RAGGED}
+    return {
+        **{name: np.array(values) for name, values in columns.items()},
+        **{name: np.concatenate(values) for name, values in ragged.items()},
+        **{f"{name}_length": np.array([len(v) for v in values]) for name, values in ragged.items()},
+    }
+
+
+def _register(inputs: Inputs, sensor: Sensor, settings: Settings) -> Iterator[_Result]:
+    """Raises WorkerLostError where the process is killed, and what went wrong in it."""
+    context = process_context()
+    receiving, sending = context.Pipe(duplex=False)
+    process = context.Process(
+        target=_odometry_process, args=(inputs, sensor, settings, sending), name="odometry", daemon=True
+    )
+    process.start()
+    # The process alone holds the other end, so that its death ends what is read here, were it in the middle of a message.
+    sending.close()
+    try:
+        while True:
+            try:
+                result = receiving.recv()
+            except (EOFError, OSError):
+                process.join()
+                raise WorkerLostError.of("the odometry's process", process.exitcode) from None
+            if isinstance(result, InputError | MemoryError):
+                raise result
+            if isinstance(result, str):
+                raise RuntimeError(f"the odometry failed:\n{result}")
+            yield result
+            if isinstance(result, _Read):
+                return
+    finally:
+        process.kill()
+        process.join()
+        receiving.close()
+
+
+def _odometry_process(inputs: Inputs, sensor: Sensor, settings: Settings, connection: Connection) -> None:
+    start_as_worker()
+    outbox: queue.Queue[_Result | Exception | str | None] = queue.Queue(_WAITING)
+    sender = threading.Thread(target=_send, args=(outbox, connection))
+    sender.start()
+    try:
+        for result in _registered(inputs, sensor, settings):
+            outbox.put(result)
+    except (InputError, MemoryError) as error:
+        outbox.put(error)
+    except Exception:
+        outbox.put(traceback.format_exc())
+    outbox.put(None)
+    sender.join()
+
+
+def _send(outbox: "queue.Queue[_Result | Exception | str | None]", connection: Connection) -> None:
+    while (result := outbox.get()) is not None:
+        connection.send(result)
+
+
+def _registered(inputs: Inputs, sensor: Sensor, settings: Settings) -> Iterator[_Result]:
+    # Imported here: only this process needs KISS-ICP.
+    from ffmap.algorithms.poses.odometry import register_scans
+    from ffmap.algorithms.poses.pose_graph import close_loops
+
+    companion = _companion(inputs, settings)
+    T_sensor_companion = None
+    if companion is not None:
+        T_sensor_companion = transforms.invert(sensor.lidar.T_base_sensor) @ companion.lidar.T_base_sensor
+    digests: dict[str, list[bytes]] = {}
+    scans = _with_companions(inputs.bag_path, sensor, companion, settings.scan.range_max_m, digests)
+    poses: list[FloatArray] = []
+    clouds: list[FloatArray] = []
+    for registration in register_scans(scans, settings.odometry, settings.refinement, T_sensor_companion):
+        yield registration
+        poses.append(registration.T_odom_sensor)
+        clouds.append(registration.keypoints_sensor)
+    if settings.pose_graph.enabled:
+        yield close_loops(np.array(poses).reshape(-1, 4, 4), clouds, settings.pose_graph)
+    with open_bag(inputs.bag_path) as bag:
+        for read in _sensors(inputs, sensor, settings):
+            # Of the companion, what ended after the last scan was not asked for.
+            known = digests[read.lidar.topic]
+            known.extend(read_digests(bag, read.index, len(known)))
+    yield _Read({topic: joined(known).hex() for topic, known in digests.items()})
+
+
+def _companion(inputs: Inputs, settings: Settings) -> Sensor | None:
+    """The lidar whose scans are registered with the horizontal one's."""
+    wanted = settings.refinement.enabled and settings.refinement.companion_points_max > 0
+    return inputs.vertical if wanted else None
+
+
+def _sensors(inputs: Inputs, sensor: Sensor, settings: Settings) -> list[Sensor]:
+    """The lidars whose clouds decide the poses."""
+    companion = _companion(inputs, settings)
+    return [sensor] if companion is None else [sensor, companion]
+
+
+def _with_companions(
+    bag_path: Path, sensor: Sensor, companion: Sensor | None, range_max_m: float, digests: dict[str, list[bytes]]
+) -> Iterator[tuple[int, Scan, Scan | None]]:
+    """The usable scans in order; beside each the companion's last one that ended before it, once.
+
+    digests: takes those of all clouds that are read, by topic.
+    """
+    others = _usable_scans(bag_path, companion, range_max_m, digests) if companion is not None else iter(())
+    following = next(others, None)
+    for index, scan in _usable_scans(bag_path, sensor, range_max_m, digests):
+        latest: Scan | None = None
+        while following is not None and following[1].end_ns <= scan.end_ns:
+            latest = following[1]
+            following = next(others, None)
+        if latest is not None and scan.end_ns - latest.end_ns > _COMPANION_NS:
+            latest = None
+        yield index, scan, latest
+
+
+_COMPANION_NS = 200_000_000
+"""A companion's scan that ended longer ago says too little of where the sensor is now."""
+
+
+def _usable_scans(
+    bag_path: Path, sensor: Sensor, range_max_m: float, digests: dict[str, list[bytes]]
+) -> Iterator[tuple[int, Scan]]:
+    """The usable scans in order, without the returns that are too far away: a registration may fail on them."""
+    own = digests.setdefault(sensor.lidar.topic, [])
+    with open_bag(bag_path) as bag:
+        for index, scan in read_scans(bag, sensor.index, 0, None, sensor.lidar.decoding, own):
+            if isinstance(scan, Scan) and len(near := within_range(scan, range_max_m)):
+                yield index, near

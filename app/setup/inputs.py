@@ -1,0 +1,136 @@
+"""What a run reads: the bag, which lidar is which, and how their clouds become scans."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ffmap.algorithms.base.scan import Scan
+from ffmap.algorithms.scan.point_lines import LEANING_MIN_DEG
+from ffmap.loaders.bag import Bag, open_bag
+from ffmap.loaders.cloud_digest import joined
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.pointcloud2 import TimeFrom
+from ffmap.loaders.rig import Lidar, Rig, find_rig
+from ffmap.loaders.scans import (
+    CloudIndex,
+    SkippedScan,
+    clock_problem,
+    index_clouds,
+    read_digests,
+    read_scans,
+    stamp_problem,
+)
+
+_TILT_MIN_DEG = LEANING_MIN_DEG + 5.0
+"""The robot itself tilts on ramps and over sills."""
+_REASONS_READ = 50
+_NO_POSE = (
+    "its returns are too few, or all in a line, to be registered, or its times overlap those of a cloud before it"
+)
+
+
+@dataclass(frozen=True)
+class InputOptions:
+    """What the user says about the bag."""
+
+    rig_file: Path | None = None
+    horizontal: str | None = None
+    vertical: str | None = None
+    time_from: TimeFrom = "auto"
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One lidar of the bag and where its clouds lie."""
+
+    lidar: Lidar
+    index: CloudIndex
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Everything that worker processes need to read scans for themselves."""
+
+    bag_path: Path
+    container: str
+    rig: Rig
+    horizontal: Sensor | None
+    vertical: Sensor | None
+    warnings: tuple[str, ...]
+
+    def used(self, given_poses: bool) -> list[Sensor]:
+        """The lidars whose clouds a run reads. given_poses: whether it takes its poses from elsewhere."""
+        wanted = (None if given_poses else self.horizontal, self.vertical)
+        return [sensor for sensor in wanted if sensor is not None]
+
+
+def find_inputs(bag_path: Path, options: InputOptions) -> Inputs:
+    """Open a bag, find its lidars and settle how their clouds are read.
+
+    Raises InputError that names the file, topic or frame and says what to do.
+    """
+    with open_bag(bag_path) as bag:
+        rig = find_rig(bag, options.rig_file, options.horizontal, options.vertical, options.time_from)
+        horizontal = _sensor(bag, rig.horizontal) if rig.horizontal else None
+        vertical = _sensor(bag, _checked(rig.vertical)) if rig.vertical else None
+        clocks = clock_problem(horizontal.index, vertical.index) if horizontal and vertical else None
+        return Inputs(
+            bag_path=bag_path.resolve(),
+            container=bag.container,
+            rig=rig,
+            horizontal=horizontal,
+            vertical=vertical,
+            warnings=(*bag.warnings, *rig.warnings, *([clocks] if clocks else [])),
+        )
+
+
+def digest_stamps(sensors: Iterable[Sensor]) -> dict[str, str]:
+    """The digest of the times of all clouds of each sensor, by topic: known before any cloud is read."""
+    return {s.lidar.topic: joined([s.index.stamp_ns.tobytes(), s.index.message_count.tobytes()]).hex() for s in sensors}
+
+
+def digest_clouds(bag_path: Path, sensors: Iterable[Sensor]) -> dict[str, str]:
+    """The digest of all clouds of each sensor, by topic; they are read, not decoded."""
+    with open_bag(bag_path) as bag:
+        return {sensor.lidar.topic: joined(read_digests(bag, sensor.index)).hex() for sensor in sensors}
+
+
+def total_digest(clouds: Mapping[str, str]) -> str:
+    """One digest for those of several topics, in whatever order they were read."""
+    return joined(bytes.fromhex(clouds[topic]) for topic in sorted(clouds)).hex()
+
+
+def _checked(vertical: Lidar) -> Lidar:
+    """Raises InputError where the lidar to be labelled stands so upright that no line of it does."""
+    if vertical.tilt_deg < _TILT_MIN_DEG:
+        raise InputError(
+            f"{vertical.topic}: its spin axis is {vertical.tilt_deg:.0f} deg off upright, so it sweeps no wall from floor to "
+            f"ceiling (that takes {_TILT_MIN_DEG:.0f}); name another with --vertical, or tell its mount with --rig FILE"
+        )
+    return vertical
+
+
+def _sensor(bag: Bag, lidar: Lidar) -> Sensor:
+    """Raises InputError where no cloud of the lidar gives a scan, before anything of an earlier run is touched."""
+    sensor = Sensor(lidar, index_clouds(bag, lidar.topic))
+    if problem := stamp_problem(sensor.index):
+        raise InputError(f"{bag.path}: {problem}")
+    reasons: list[str] = []
+    for _, scan in read_scans(bag, sensor.index, 0, None, lidar.decoding):
+        if isinstance(scan, Scan):
+            return sensor
+        reasons.append(scan.reason)
+    reason = max(sorted(set(reasons)), key=reasons.count) if reasons else "there is none"
+    raise InputError(
+        f"{bag.path}: {lidar.topic} has no usable cloud ({reason}); name another topic, 'ffmap info {bag.path}' lists them"
+    )
+
+
+def why_skipped(bag_path: Path, sensor: Sensor, clouds: Sequence[int]) -> str:
+    """The commonest reason for which clouds of a lidar, by their numbers, give no scan; of many some tell."""
+    reasons: list[str] = []
+    with open_bag(bag_path) as bag:
+        for number in clouds[:: -(-len(clouds) // _REASONS_READ)]:
+            for _, scan in read_scans(bag, sensor.index, number, 1, sensor.lidar.decoding):
+                reasons.append(scan.reason if isinstance(scan, SkippedScan) else _NO_POSE)
+    return max(sorted(set(reasons)), key=reasons.count, default="none is there")

@@ -1,0 +1,51 @@
+"""Which files of a run folder are written."""
+
+from collections.abc import Iterable
+from enum import StrEnum
+
+from ffmap.loaders.errors import InputError
+
+
+class Output(StrEnum):
+    """What `--outputs` names; run.json, trajectory.tum and, where the truth is known, metrics.json are always written."""
+
+    RECORDING = "recording"
+    """recording.rrd and, where the truth is known, evaluation.rrd."""
+    LABELLED = "labelled"
+    """labelled.bag or labelled/: every vertical cloud again, with its labels."""
+    LABELS = "labels"
+    """labels.parquet: the labels alone, a hundredth of the labelled bag."""
+    CLOUD = "cloud"
+    """cloud.ply."""
+    MAPS = "maps"
+    """map.yaml and map.pgm, and the maps that the paper compares with."""
+    PLAN = "plan"
+    """floorplan.svg and floorplan.dxf."""
+    GEOJSON = "geojson"
+    """walls.geojson, doors.geojson, rooms.geojson, and rooms_NAME.geojson of the maps that the paper compares with."""
+
+
+RUN_OUTPUTS = (Output.RECORDING, Output.LABELLED, Output.CLOUD, Output.MAPS, Output.PLAN, Output.GEOJSON)
+"""What a single run writes."""
+SWEEP_OUTPUTS = (Output.RECORDING, Output.LABELS, Output.MAPS, Output.GEOJSON)
+"""What each run of a sweep writes: all that its figures are made from, and no cloud."""
+
+
+def parse_outputs(text: str | None, default: tuple[Output, ...]) -> tuple[Output, ...]:
+    """The names in a list like recording,maps; `default` where there is none.
+
+    Raises InputError that names what is unknown and lists what is known.
+    """
+    if text is None:
+        return default
+    return check_outputs(name.strip() for name in text.split(","))
+
+
+def check_outputs(names: Iterable[str]) -> tuple[Output, ...]:
+    """Outputs by name, each once, in the order in which they are declared; raises InputError as `parse_outputs`."""
+    known = [output.value for output in Output]
+    wanted = set(names)
+    for name in sorted(wanted):
+        if name not in known:
+            raise InputError(f"--outputs: there is no output {name!r}; choose among {','.join(known)}")
+    return tuple(output for output in Output if output in wanted)

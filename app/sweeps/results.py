@@ -1,0 +1,124 @@
+"""What came of a sweep: a table for the terminal, sweep.parquet, and the front of quality against time."""
+
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa  # type: ignore[import-untyped]
+import pyarrow.parquet as pq  # type: ignore[import-untyped]
+from rich.table import Table
+
+from ffmap.app.folder import figures
+from ffmap.app.folder.atomic import write_atomically
+from ffmap.app.sweeps.plan import Combination, Parameter
+from ffmap.app.sweeps.schedule import Run
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A combination of values, and the mean of each figure over the bags."""
+
+    combination: Combination
+    names: tuple[str, ...]
+    """Of its runs."""
+    figures: dict[str, float]
+
+
+class Results:
+    """All runs of a sweep, ranked by its objective."""
+
+    def __init__(self, runs: Sequence[Run], parameters: Sequence[Parameter], objective: str) -> None:
+        self.runs = tuple(runs)
+        self.parameters = tuple(parameter.name for parameter in parameters)
+        self.objective = objective
+        groups: dict[tuple[Any, ...], list[Run]] = {}
+        for run in runs:
+            groups.setdefault(tuple(run.combination.values()), []).append(run)
+        self.trials = tuple(_mean(group) for group in groups.values() if all(run.figures for run in group))
+        """What succeeded on every bag, in the order in which it was proposed."""
+        timed = all(figures.CPU_SECONDS in trial.figures for trial in self.trials)
+        self.cost = figures.CPU_SECONDS if timed else figures.SECONDS
+        """The time that a trial took, as well as it is known."""
+        quality = [self.quality(trial) for trial in self.trials]
+        self.front = tuple(figures.pareto_front(self._costs, quality))
+        """Places of the trials that no other beats in both the objective and time, the fastest first."""
+
+    def quality(self, trial: Trial) -> float:
+        """The objective, the more the better; NaN where it is not known."""
+        value = trial.figures.get(self.objective, float("nan"))
+        return -value if figures.less_is_better(self.objective) else value
+
+    @property
+    def _costs(self) -> list[float]:
+        return [trial.figures.get(self.cost, math.nan) for trial in self.trials]
+
+    @property
+    def ranked(self) -> list[int]:
+        """Places of the trials, best first, of those that are as good the fastest; those without the objective last."""
+        quality, costs = [self.quality(trial) for trial in self.trials], self._costs
+        return sorted(range(len(quality)), key=lambda i: (math.isnan(quality[i]), -quality[i], costs[i]))
+
+    @property
+    def headlines(self) -> list[str]:
+        """The objective and the time, then the usual figures that some trial has."""
+        usual = dict.fromkeys([self.objective, self.cost, *figures.HEADLINES])
+        return [name for name in usual if any(name in trial.figures for trial in self.trials)]
+
+    def table(self, width: int) -> Table:
+        """Best first; as many of the usual figures as fit."""
+        names = figures.short_names(self.parameters)
+        # A step's name stands above its setting's.
+        headings = {name: short.replace(".", ".\n") for name, short in names.items()}
+        taken = sum(max(map(len, heading.split("\n"))) + 3 for heading in headings.values())
+        shown = figures.fit(self.headlines, width - taken - max(len(run.job.name) for run in self.runs) - 12)
+        arrow = "least" if figures.less_is_better(self.objective) else "highest"
+        table = Table(
+            title=f"{len(self.trials)} settings by {self.objective}, {arrow} first; ● no other is better and faster",
+            title_justify="left",
+        )
+        table.add_column("")
+        for name in self.parameters:
+            table.add_column(headings[name], justify="right")
+        for name in shown:
+            table.add_column(name, justify="right")
+        table.add_column("run", no_wrap=True)
+        for place in self.ranked:
+            trial = self.trials[place]
+            table.add_row(
+                "●" if place in self.front else "",
+                *(figures.format_value(trial.combination[name]) for name in self.parameters),
+                *(figures.format_value(trial.figures.get(name)) for name in shown),
+                trial.names[0] + (f" +{len(trial.names) - 1}" if len(trial.names) > 1 else ""),
+            )
+        return table
+
+    def write(self, path: Path) -> None:
+        """One row for each run: its folder, bag, values, outcome, and every figure."""
+        on_front = {name for place in self.front for name in self.trials[place].names}
+        rows = [
+            {
+                "run": run.job.name,
+                "bag": str(run.job.bag),
+                "state": "failed" if run.failed else "complete",
+                "error": run.outcome.error if run.outcome else None,
+                "settings_hash": run.job.settings_hash,
+                "labels_digest": run.record.get("labels_digest"),
+                "git_revision": run.record.get("versions", {}).get("git_revision"),
+                "pareto": run.job.name in on_front,
+                **run.combination,
+                **run.figures,
+            }
+            for run in self.runs
+        ]
+        columns = dict.fromkeys(name for row in rows for name in row)
+        table = pa.Table.from_pylist([{name: row.get(name) for name in columns} for row in rows])
+        write_atomically(path, lambda part: pq.write_table(table, part))
+
+
+def _mean(runs: Sequence[Run]) -> Trial:
+    common = [name for name in runs[0].figures if all(name in run.figures for run in runs)]
+    means = {name: statistics.fmean(run.figures[name] for run in runs) for name in common}
+    return Trial(runs[0].combination, tuple(run.job.name for run in runs), means)

@@ -1,0 +1,199 @@
+"""What stands flat against a wall, told from the wall by the mean distance of each cell's returns before its face."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.building.face_foreground import BeforeWallsSettings, halo_at_walls, look_before_walls
+from ffmap.algorithms.building.model import CELL_M, NO_DOORS, Walls
+from ffmap.algorithms.building.ray_evidence import WallCells
+from ffmap.algorithms.building.votes import find_halo
+from tests.voting import vote
+
+CEILING_M = 2.8
+LENGTH_M = 6.0
+SETTINGS = BeforeWallsSettings()
+FACE = Walls(
+    np.array([[[0.0, 0.0], [LENGTH_M, 0.0]]]),
+    np.array([[0.0, 1.0]]),
+    np.zeros(1),
+    np.array([CEILING_M]),
+    np.array([9], np.int32),
+    np.array([0.01]),
+)
+FLAT = (0.0, 0.0)
+
+
+def relief(
+    x_m: tuple[float, float],
+    z_m: tuple[float, float],
+    depth_m: float,
+    wall_m: tuple[float, float] = FLAT,
+    outline: int = 0,
+    ceiling_m: float = CEILING_M,
+) -> np.ndarray:
+    """The cells that are covered where something stands so far before a face that leans from its wall at its ends.
+
+    outline: so many cells around it may be covered as well. ceiling_m: up to there the face returns.
+    """
+    columns, rows = round(LENGTH_M / CELL_M), 60
+    x, z = (np.arange(columns) + 0.5) * CELL_M, (np.arange(rows) + 0.5) * CELL_M
+    before_m = np.interp(x, [0, LENGTH_M], wall_m)[:, None] + np.zeros((columns, rows))
+    thing = ((x > x_m[0]) & (x < x_m[1]))[:, None] & (z > z_m[0]) & (z < z_m[1])
+    before_m = before_m + depth_m * thing + np.random.default_rng(3).normal(0, 0.003, before_m.shape)
+    counts = np.zeros((columns, rows, 4), np.float32)
+    counts[..., 0] = 40.0 * (z < ceiling_m)
+    counts[..., 1] = counts[..., 0] * before_m
+    cells = WallCells(np.array([0, columns]), rows, counts)
+    covered = look_before_walls(cells, np.full(columns, ceiling_m), SETTINGS).covered
+    around = ndimage.binary_dilation(thing, np.ones((2 * outline + 1, 2 * outline + 1)))
+    assert not covered[~around].any()
+    return np.asarray(covered[thing & (z > 0.1)])
+
+
+@pytest.mark.parametrize("wall_m", [FLAT, (-0.03, 0.05)])
+def test_the_back_of_a_shelf_is_covered_however_the_face_leans(wall_m: tuple[float, float]) -> None:
+    # A cell at its outline is told with those beside it.
+    assert relief((1.0, 2.0), (0.0, 1.6), 0.025, wall_m, outline=1).mean() > 0.98
+
+
+def test_in_a_low_room_the_last_rows_below_the_ceiling_tell_where_the_wall_is() -> None:
+    """Nothing there is higher than leaves are elsewhere."""
+    assert relief((1.0, 2.0), (0.0, 1.6), 0.025, outline=1, ceiling_m=2.2).mean() > 0.98
+    assert not relief((1.0, 2.0), (0.0, 2.2), 0.025, ceiling_m=2.2).any()
+
+
+@pytest.mark.parametrize(
+    ("x_m", "z_m", "depth_m"),
+    [
+        ((1.0, 2.0), (0.0, 1.6), 0.005),  # unevenness
+        ((1.0, 2.0), (0.9, 2.0), 0.025),  # a board that hangs on its wall
+        ((1.0, 2.0), (0.0, 2.8), 0.025),  # a pillar
+        ((1.0, 1.4), (0.0, 2.8), 0.08),  # one that the wall beside it outweighs
+        ((1.0, 5.0), (0.0, 1.2), 0.025),  # panelling
+        ((1.0, 3.0), (0.0, 0.15), 0.025),  # a skirting board
+    ],
+)
+def test_what_is_part_of_a_wall_is_not(x_m: tuple[float, float], z_m: tuple[float, float], depth_m: float) -> None:
+    assert not relief(x_m, z_m, depth_m).any()
+
+
+def test_a_wall_that_leans_is_no_relief_but_a_step_on_it_is() -> None:
+    """Poses tilt by a degree: at its foot a wall then comes 3 cm forward, all along."""
+    columns, rows = round(LENGTH_M / CELL_M), 60
+    z = (np.arange(rows) + 0.5) * CELL_M
+
+    def covered(before_m: np.ndarray) -> np.ndarray:
+        counts = np.zeros((columns, rows, 4), np.float32)
+        counts[..., 0] = 40.0 * (z < CEILING_M)
+        counts[..., 1] = counts[..., 0] * before_m
+        cells = WallCells(np.array([0, columns]), rows, counts)
+        return np.asarray(look_before_walls(cells, np.full(columns, CEILING_M), SETTINGS).covered)
+
+    noise_m = np.random.default_rng(3).normal(0, 0.003, (columns, rows))
+    lean_m = np.zeros((columns, rows))
+    lean_m[20:70] = 0.03 * (1 - z / CEILING_M)
+    assert not covered(lean_m + noise_m).any()
+    step_m = np.zeros((columns, rows))
+    step_m[20:70, z < 1.4] = 0.03
+    assert covered(step_m + noise_m)[20:70, 2:28].mean() > 0.95
+
+
+def test_a_shelf_is_one_thing_though_its_boards_hide_parts_of_its_back() -> None:
+    columns, rows = round(LENGTH_M / CELL_M), 60
+    counts = np.zeros((columns, rows, 4), np.float32)
+    counts[:, :56, 0] = 40.0
+    counts[20:40, 0:32, 1] = 40.0 * 0.03
+    counts[20:40, 10:15] = 0.0
+    cells = WallCells(np.array([0, columns]), rows, counts)
+    before = look_before_walls(cells, np.full(columns, CEILING_M), SETTINGS)
+    assert before.covered[20:40, 15:32].all()
+
+
+def sparse(low: int, high: int, depth_m: float, share: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """What is covered where two returns a cell tell of a wall, and of a thing before it in columns low to high, 1.6 m high.
+
+    share: of the thing's returns so many, spread evenly, are its own; the others are the wall's.
+    """
+    columns, rows = round(LENGTH_M / CELL_M), 60
+    generator = np.random.default_rng(5)
+    before_m = generator.normal(0, 0.01, (columns, rows, 2))
+    own = generator.uniform(size=(high - low, 32, 2)) < share
+    before_m[low:high, :32] += depth_m * own
+    counts = np.zeros((columns, rows, 4), np.float32)
+    counts[:, :56, 0] = 2.0
+    counts[:, :56, 1], counts[:, :56, 2] = before_m[:, :56].sum(axis=2), (before_m[:, :56] ** 2).sum(axis=2)
+    covered = look_before_walls(
+        WallCells(np.array([0, columns]), rows, counts), np.full(columns, CEILING_M), SETTINGS
+    ).covered
+    return covered[low + 2 : high - 2, 4:30], np.delete(covered, np.s_[low - 4 : high + 4], axis=0)
+
+
+def test_few_returns_tell_together() -> None:
+    thing, wall = sparse(40, 60, 0.025)
+    assert thing.mean() > 0.95
+    assert not wall.any()
+    # What is farther before the wall, and hides it here and there, is no sheet that stands flat against it.
+    thing, wall = sparse(40, 60, 0.08, share=0.3)
+    assert not thing.any()
+    assert not wall.any()
+
+
+def test_the_reveal_of_a_high_window_is_not_the_wall_that_relief_is_measured_from() -> None:
+    columns, rows = round(LENGTH_M / CELL_M), 60
+    counts = np.zeros((columns, rows, 4), np.float32)
+    counts[:, :56, 0] = 40.0
+    counts[40:70, 18:47, 1] = -40.0 * 0.1
+    # Curtains hide the wall beside its head.
+    counts[34:40, 43:] = counts[70:76, 43:] = 0.0
+    cells = WallCells(np.array([0, columns]), rows, counts)
+    assert not look_before_walls(cells, np.full(columns, CEILING_M), SETTINGS).covered.any()
+
+
+def test_only_the_buildings_own_walls_have_a_halo() -> None:
+    """Two cubes that scans took for wall, with a stray return beside each: on the face, and a metre before it."""
+    on, off = np.array([3.02, 0.02, 1.02]), np.array([3.02, 1.02, 1.02])
+    beside = np.array([0.0, 0.05, 0.0])
+    points = np.concatenate([np.repeat([on, off], 20, axis=0), [on + beside, off + beside]])
+    label = np.array([Label.WALL] * 40 + [Label.CLUTTER] * 2, np.uint8)
+    halo = find_halo(vote(points, label, len(Label), 0.05), 6.0)
+    stray = np.array([on + beside, off + beside])
+    clutter = np.full(2, Label.CLUTTER, np.uint8)
+    np.testing.assert_array_equal(halo.label_of(stray, clutter), [Label.WALL, Label.WALL])
+    cells = WallCells(np.array([0, 120]), 60, np.zeros((120, 60, 4), np.float32))
+    before = look_before_walls(cells, np.full(120, CEILING_M), SETTINGS)
+    np.testing.assert_array_equal(
+        halo_at_walls(halo, FACE, NO_DOORS, before, 0.12).label_of(stray, clutter), [Label.WALL, Label.CLUTTER]
+    )
+    before.covered[:] = True
+    np.testing.assert_array_equal(
+        halo_at_walls(halo, FACE, NO_DOORS, before, 0.12).label_of(stray, clutter), [Label.CLUTTER, Label.CLUTTER]
+    )
+
+
+def test_the_leaf_of_an_open_door_is_no_halo_of_its_wall() -> None:
+    """What scans took for wall next to the wall, straight before a doorway and beside it."""
+    leaf, wall = np.array([3.02, 0.08, 1.02]), np.array([4.02, 0.08, 1.02])
+    points = np.repeat([leaf, wall], 20, axis=0)
+    halo = find_halo(vote(points, np.full(40, Label.WALL, np.uint8), len(Label), 0.05), 6.0)
+    cells = WallCells(np.array([0, 120]), 60, np.zeros((120, 60, 4), np.float32))
+    before = look_before_walls(cells, np.full(120, CEILING_M), SETTINGS)
+    doors = replace(
+        NO_DOORS,
+        ends=np.array([[[2.9, 0.0], [3.8, 0.0]]]),
+        normal=np.array([[0.0, 1.0]]),
+        head_m=np.array([2.1]),
+        reveal_m=np.array([0.2]),
+    )
+    clutter = np.full(2, Label.CLUTTER, np.uint8)
+    stray = np.array([leaf, wall])
+    found = halo_at_walls(halo, FACE, doors, before, 0.12).label_of(stray, clutter)
+    np.testing.assert_array_equal(found, [Label.CLUTTER, Label.WALL])
+    # Above its head a wall goes on.
+    low = replace(doors, head_m=np.array([0.9]))
+    np.testing.assert_array_equal(
+        halo_at_walls(halo, FACE, low, before, 0.12).label_of(stray, clutter), [Label.WALL] * 2
+    )

@@ -1,0 +1,131 @@
+"""The building of all scans, from planes and rays that are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.segments import lengths_m
+from ffmap.algorithms.building.face_foreground import BeforeWallsSettings
+from ffmap.algorithms.building.face_verdicts import FaceVerdict, StandingWallsSettings
+from ffmap.algorithms.building.final_labels import RelabellingSettings
+from ffmap.algorithms.building.fusion import AllScans, Building, FusionSettings, fuse_building
+from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
+from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
+from ffmap.algorithms.building.thickness import WallThicknessSettings
+from ffmap.algorithms.building.votes import VoxelTable
+from ffmap.algorithms.building.windows import without_rays_through
+from ffmap.algorithms.maps.area_graph import AreaGraphSettings, Segmented
+from ffmap.algorithms.maps.floor_plan import FloorPlanSettings
+from ffmap.algorithms.maps.grid import Drive, GridMapSettings
+from ffmap.algorithms.maps.rivals import Rival, RivalMapsSettings
+from ffmap.algorithms.scan.doors import DoorState
+from ffmap.algorithms.scan.summary import Features
+from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms
+from tests.voting import vote
+
+SETTINGS = FusionSettings(
+    BuildingSettings(),
+    StandingWallsSettings(),
+    BeforeWallsSettings(),
+    WallThicknessSettings(),
+    GridMapSettings(),
+    AreaGraphSettings(),
+    RivalMapsSettings(),
+    FloorPlanSettings(),
+    RelabellingSettings(),
+)
+
+
+def with_planes(features: Features, walls: Walls) -> Features:
+    """Each scan has a plane of each face that it stands before."""
+    columns: dict[str, list[FloatArray]] = {name: [] for name in ("ends", "normal", "moments")}
+    count = []
+    for origin in features.origin_map[:, :2]:
+        seen = np.flatnonzero(np.sum((origin - walls.ends[:, 0]) * walls.normal, axis=1) > 0)
+        for w in seen:
+            x, y = np.linspace(*walls.ends[w], 100).T
+            columns["ends"].append(walls.ends[w])
+            columns["normal"].append(walls.normal[w])
+            columns["moments"].append(np.array([100, x.sum(), y.sum(), x @ x, x @ y, y @ y]))
+        count.append(len(seen))
+    planes = sum(count)
+    return replace(
+        features,
+        plane_count=np.array(count),
+        plane_ends_map=np.array(columns["ends"]),
+        plane_normal=np.array(columns["normal"]),
+        plane_bottom_m=np.zeros(planes),
+        plane_top_m=np.full(planes, 2.6),
+        plane_lines=np.full(planes, 20, np.int32),
+        plane_moments=np.array(columns["moments"]),
+    )
+
+
+def face(ends: list[list[float]], normal: list[float]) -> Walls:
+    one = np.ones(1)
+    return Walls(np.array([ends]), np.array([normal]), 0 * one, 2.6 * one, np.array([5], np.int32), 0.01 * one)
+
+
+def built(rooms: TwoRooms, *more: Walls) -> Building:
+    """more: faces beside the rooms' own that scans take for walls."""
+    walls = rooms.walls
+    for extra in more:
+        walls = walls.append(extra)
+    features = with_planes(rooms.scans(rays=20_000), walls)
+    # A door that the robot drove through was not closed.
+    way = features.origin_map
+    way = way[way[:, 1] < SIZE_M[1]] if rooms.closed else way
+
+    def trace(faces: Walls, settings: BuildingSettings, windows: Windows) -> WallCells:
+        return trace_rays(faces, [without_rays_through(windows, features)], settings)
+
+    scans = AllScans(
+        drive=Drive(way, lambda: [features]),
+        votes=vote(features.ray_end_map, features.ray_label, len(Label), 0.05),
+        rivals=VoxelTable(SETTINGS.grid_map.cell_m, len(Rival)).votes(),
+        trace=trace,
+    )
+    return fuse_building(scans, SETTINGS, 1)
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_two_rooms_have_their_walls_their_door_and_their_rooms(closed: bool) -> None:
+    rooms = TwoRooms(closed=closed)
+    building = built(rooms)
+    # A face goes on across the end of the wall between the rooms.
+    length_m = lengths_m(rooms.walls.ends).sum() + 2 * rooms.thickness_m
+    assert lengths_m(building.walls.ends).sum() == pytest.approx(length_m, abs=0.4)
+    assert len(building.judged.refused) == len(building.windows) == 0
+    assert building.doors.state.tolist() == [DoorState.CLOSED if closed else DoorState.OPEN]
+    np.testing.assert_allclose(np.sort(building.doors.ends[0, :, 0]), JAMBS_X, atol=0.05)
+    assert len(building.rooms) == 2
+    assert set(building.compared_rooms) == set(Segmented) - {Segmented.FURNITURE_FREE}
+    assert set(building.rivals) == set(Rival)
+    for rival in building.rivals.values():
+        assert rival.cells.shape == building.grid.cells.shape
+        np.testing.assert_array_equal(rival.origin, building.grid.origin)
+    corners = np.concatenate([shapely.get_coordinates(room.polygon) for room in building.rooms.rooms])
+    faces = shapely.union_all(shapely.linestrings(rooms.walls.ends))
+    np.testing.assert_allclose(shapely.distance(shapely.points(corners), faces), 0.0, atol=0.02)
+    assert len(building.thickness_m) == len(building.walls)
+
+
+def test_what_rays_pass_above_is_no_wall() -> None:
+    ends = [[3.0, 0.8], [3.0, 2.2]]
+    building = built(TwoRooms(more=((np.array(ends), (0.0, 1.2)),)), face(ends, [-1.0, 0.0]))
+    assert building.judged.verdict.tolist() == [FaceVerdict.ENDS_LOW]
+    np.testing.assert_allclose(building.judged.refused.ends[0, :, 0], 3.0, atol=0.01)
+    assert not np.any(np.abs(building.walls.ends[..., 0] - 3.0) < 0.5)
+
+
+def test_what_was_seen_through_a_window_is_neither_wall_nor_refused() -> None:
+    rooms = TwoRooms(glass=(0.9, 2.1))
+    house_opposite = face([[0.0, -rooms.outside_m], [3.0, -rooms.outside_m]], [0.0, 1.0])
+    building = built(rooms, house_opposite)
+    assert len(building.windows) == 1
+    for faces in (building.walls, building.judged.refused):
+        assert np.all(faces.ends[..., 1] > -0.2)

@@ -1,0 +1,380 @@
+"""The building's level surfaces: ceilings of rooms of different height, sloping ones, raised floors, ducts, false floors."""
+
+import numpy as np
+import pytest
+
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.building.face_columns import Storey
+from ffmap.algorithms.building.levels import (
+    HeightMap,
+    _median_around,
+    map_ceilings,
+    map_ducts,
+    map_false_floors,
+    map_floors_beyond,
+    map_glimpsed_ceilings,
+    map_levels,
+    map_raised_floors,
+    map_sloping_ceilings,
+    map_step_fronts,
+)
+from ffmap.algorithms.building.votes import VoxelVotes, merge
+from tests.voting import vote
+
+
+def two_rooms() -> HeightMap:
+    """Ceilings at 2.5 m where x < 3 and at 3.0 m beyond, with a lamp's returns below the lower one."""
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(0.02, 6, 0.05), np.arange(0.02, 2, 0.05)))
+    points = np.column_stack([x, y, np.where(x < 3, 2.52, 3.02)])
+    lamp = np.array([[1.02, 1.02, 2.37]])
+    portions = [vote(points, np.full(len(points), Label.CEILING, np.uint8), len(Label), 0.05) for _ in range(3)]
+    return map_ceilings(merge([*portions, vote(lamp, np.zeros(1, np.uint8), len(Label), 0.05)]))
+
+
+@pytest.mark.parametrize(
+    ("point", "label", "expected"),
+    [
+        ((1.0, 1.0, 2.51), Label.CLUTTER, Label.CEILING),
+        ((1.0, 1.0, 2.37), Label.CLUTTER, Label.CLUTTER),  # a lamp
+        ((5.0, 1.0, 2.51), Label.CLUTTER, Label.CLUTTER),  # the other room's height
+        ((5.0, 1.0, 3.03), Label.CLUTTER, Label.CEILING),
+        ((5.0, 3.0, 3.03), Label.CLUTTER, Label.CEILING),  # where the ceiling goes on
+        ((5.0, 9.0, 3.03), Label.CLUTTER, Label.CLUTTER),  # far from all that was seen
+        ((1.0, 1.0, 2.51), Label.WALL, Label.WALL),  # only clutter is doubted
+    ],
+)
+def test_clutter_at_the_ceilings_height_is_ceiling(
+    point: tuple[float, float, float], label: Label, expected: Label
+) -> None:
+    assert two_rooms().label_of(np.array([point]), np.array([label], np.uint8))[0] == expected
+
+
+def test_a_building_without_ceilings_changes_nothing() -> None:
+    label = np.zeros(1, np.uint8)
+    floor = vote(np.zeros((4, 3)), np.full(4, Label.FLOOR, np.uint8), len(Label), 0.05)
+    assert map_ceilings(floor).label_of(np.zeros((1, 3)), label)[0] == Label.CLUTTER
+    nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
+    assert map_raised_floors(nothing).label_of(np.zeros((1, 3)), label)[0] == Label.CLUTTER
+    for votes in (nothing, floor):
+        assert map_glimpsed_ceilings(votes).label_of(np.zeros((1, 3)), label)[0] == Label.CLUTTER
+    assert len(two_rooms().label_of(np.zeros((0, 3)), np.zeros(0, np.uint8))) == 0
+
+
+def lying(x: tuple[float, float], y: tuple[float, float], z: float, slope: float = 0.0) -> np.ndarray:
+    """(n, 3) points 5 cm apart on something level, or sloping along x."""
+    xs, ys = (a.ravel() for a in np.meshgrid(np.arange(x[0] + 0.02, x[1], 0.05), np.arange(y[0] + 0.02, y[1], 0.05)))
+    return np.column_stack([xs, ys, z + slope * xs])
+
+
+def votes_of(*pieces: tuple[np.ndarray, Label], scans: int = 3) -> VoxelVotes:
+    """So many scans that see each piece so."""
+    return merge([vote(p, np.full(len(p), label, np.uint8), len(Label), 0.05) for p, label in pieces] * scans)
+
+
+def raised(*pieces: tuple[np.ndarray, Label], cell_m: float = 0.1) -> HeightMap:
+    return map_raised_floors(votes_of(*pieces), cell_m)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.02])
+def test_a_platform_is_floor_and_so_is_what_stands_on_it_not(slope: float) -> None:
+    floor, platform = lying((0, 4), (0, 4), 0.01, slope), lying((4, 7), (0, 4), 0.16, slope)
+    table = lying((5, 6), (1, 2), 0.73 + slope * 5)
+    found = raised((floor, Label.FLOOR), (platform, Label.CLUTTER), (table, Label.CLUTTER))
+    clutter = np.zeros(1, np.uint8)
+    for x in (4.3, 5.5, 6.8):
+        assert found.label_of(np.array([[x, 1.5, 0.16 + slope * x]]), clutter)[0] == Label.FLOOR
+        assert found.label_of(np.array([[x, 1.5, 0.25 + slope * x]]), clutter)[0] == Label.CLUTTER
+    assert found.label_of(np.array([[5.5, 1.5, 0.73 + slope * 5]]), clutter)[0] == Label.CLUTTER
+    assert found.label_of(np.array([[2.0, 1.5, 0.16 + slope * 2]]), clutter)[0] == Label.CLUTTER
+    assert found.label_of(np.array([[5.5, 1.5, 0.16]]), np.array([Label.WALL], np.uint8))[0] == Label.WALL
+
+
+def test_a_platform_that_shows_in_lines_is_floor() -> None:
+    """At a slant, an emitter's line on it is far from the next."""
+    floor, platform = lying((0, 4), (0, 4), 0.01), lying((4, 7), (0, 4), 0.16)
+    lines = platform[np.floor(platform[:, 0] * 10).astype(int) % 4 == 0]
+    found = raised((floor, Label.FLOOR), (lines, Label.CLUTTER))
+    inner = lines[(lines[:, 0] > 4.5) & (lines[:, 0] < 6.5) & (np.abs(lines[:, 1] - 2.0) < 1.5)]
+    assert np.all(found.label_of(inner, np.zeros(len(inner), np.uint8)) == Label.FLOOR)
+
+
+def test_a_platform_that_few_returns_show_from_afar_is_floor() -> None:
+    floor, platform = lying((0, 4), (0, 4), 0.01), lying((4, 8), (0, 4), 0.16)
+    few = np.random.default_rng(3).choice(platform, 300, replace=False)
+    levels = map_levels(votes_of((floor, Label.FLOOR), (few, Label.CLUTTER)))
+    inner = few[(few[:, 0] > 4.4) & (few[:, 0] < 7.6) & (np.abs(few[:, 1] - 2.0) < 1.6)]
+    label = np.zeros(len(inner), np.uint8)
+    assert np.mean(levels[0].label_of(inner, label) == Label.FLOOR) < 0.5
+    for level in levels:
+        label = level.label_of(inner, label)
+    assert np.mean(label == Label.FLOOR) > 0.97
+
+
+@pytest.mark.parametrize("cell_m", [0.1, 0.2, 0.3])
+@pytest.mark.parametrize(
+    ("x", "y", "z"),
+    [
+        ((1.0, 2.2), (1.0, 1.8), 0.15),  # a pallet
+        ((1.0, 3.5), (1.0, 1.9), 0.15),  # a mattress
+        ((1.0, 3.5), (1.0, 3.5), 0.45),  # as high as a seat
+        ((1.0, 3.5), (1.0, 3.5), 0.04),  # a carpet
+    ],
+)
+def test_what_is_narrow_high_or_thin_is_no_floor(
+    x: tuple[float, float], y: tuple[float, float], z: float, cell_m: float
+) -> None:
+    floor = lying((0, 5), (0, 5), 0.01)
+    hidden = (floor[:, 0] > x[0]) & (floor[:, 0] < x[1]) & (floor[:, 1] > y[0]) & (floor[:, 1] < y[1])
+    found = raised((floor[~hidden], Label.FLOOR), (lying(x, y, z), Label.CLUTTER), cell_m=cell_m)
+    assert np.isnan(found.low_m).all()
+
+
+def test_a_table_whose_floor_is_seen_below_it_is_none() -> None:
+    low_table = lying((1.0, 3.5), (1.0, 3.5), 0.25)
+    found = raised((lying((0, 5), (0, 5), 0.01), Label.FLOOR), (low_table, Label.CLUTTER))
+    assert np.isnan(found.low_m).all()
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "z", "expected"),
+    [
+        ((5.0, 7.0), (0.0, 4.0), 2.82, Label.CEILING),  # of another room, seen through its doorway
+        ((5.0, 7.0), (1.0, 1.4), 2.82, Label.CLUTTER),  # a duct
+        ((5.0, 7.0), (0.0, 4.0), 1.92, Label.CLUTTER),  # a bunk
+        ((0.0, 4.0), (0.0, 4.0), 2.22, Label.CLUTTER),  # a canopy below the ceiling
+    ],
+)
+def test_a_glimpsed_ceiling_is_high_broad_and_the_highest(
+    x: tuple[float, float], y: tuple[float, float], z: float, expected: Label
+) -> None:
+    pieces = (
+        (lying((0, 7), (0, 4), 0.01), Label.FLOOR),
+        (lying((0, 4), (0, 4), 2.52), Label.CEILING),
+        (lying(x, y, z), Label.CLUTTER),
+    )
+    votes = merge([vote(p, np.full(len(p), label, np.uint8), len(Label), 0.05) for p, label in pieces] * 3)
+    point = np.array([[np.mean(x), np.mean(y), z]])
+    assert map_glimpsed_ceilings(votes).label_of(point, np.array([Label.CLUTTER], np.uint8))[0] == expected
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "expected"),
+    [
+        ((1.5, 1.9), (0.5, 3.5), Label.CLUTTER),  # a duct
+        ((1.0, 2.5), (0.0, 4.0), Label.CEILING),  # a bulkhead
+        ((4.1, 7.0), (0.0, 4.0), Label.CEILING),  # another room's, up to the wall between them
+    ],
+)
+def test_a_narrow_strip_below_a_ceiling_is_a_duct(
+    x: tuple[float, float], y: tuple[float, float], expected: Label
+) -> None:
+    high = lying((0, 4), (0, 4), 3.02)
+    beside = (high[:, 0] < x[0]) | (high[:, 0] > x[1]) | (high[:, 1] < y[0]) | (high[:, 1] > y[1])
+    low = lying(x, y, 2.72)
+    ceiling = np.concatenate([high[beside], low])
+    ducts = map_ducts(merge([vote(ceiling, np.full(len(ceiling), Label.CEILING, np.uint8), len(Label), 0.05)]))
+    as_ceiling = np.full(len(low), Label.CEILING, np.uint8)
+    assert np.all(ducts.label_of(low, as_ceiling) == expected)
+    assert np.all(ducts.label_of(high[beside], np.full(beside.sum(), Label.CEILING, np.uint8)) == Label.CEILING)
+    # What was not taken for a ceiling stays what it is.
+    assert np.all(ducts.label_of(low, np.full(len(low), Label.WALL, np.uint8)) == Label.WALL)
+
+
+def test_without_a_ceiling_there_is_no_duct() -> None:
+    nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
+    assert map_ducts(nothing).label_of(np.zeros((1, 3)), np.array([Label.CEILING], np.uint8))[0] == Label.CEILING
+
+
+def upright(x: tuple[float, float], y: float, z: tuple[float, float]) -> np.ndarray:
+    """(n, 3) points 5 cm apart on a wall along x."""
+    xs, zs = (a.ravel() for a in np.meshgrid(np.arange(x[0] + 0.02, x[1], 0.05), np.arange(z[0] + 0.02, z[1], 0.05)))
+    return np.column_stack([xs, np.full(len(xs), y), zs])
+
+
+def test_floor_that_a_ramp_carries_on_up_the_walls_of_the_next_room_is_none() -> None:
+    floor, next_room = lying((0, 6), (0, 3), 0.02), lying((0, 6), (8, 9), 0.27)
+    strip, wall = upright((0, 6), 9.98, (1.3, 1.45)), upright((0, 6), 9.98, (0.3, 2.8))
+    votes = votes_of((floor, Label.FLOOR), (next_room, Label.FLOOR), (strip, Label.FLOOR))
+    told = map_false_floors(votes)
+    floors = np.concatenate([floor, next_room])
+    assert np.all(told.label_of(floors, np.full(len(floors), Label.FLOOR, np.uint8)) == Label.FLOOR)
+    assert np.all(told.label_of(strip, np.full(len(strip), Label.FLOOR, np.uint8)) == Label.CLUTTER)
+    assert np.all(told.label_of(wall, np.full(len(wall), Label.WALL, np.uint8)) == Label.WALL)
+    # What is measured from the floor is measured from the true one.
+    ceiling = lying((0, 6), (8, 10), 2.82)
+    votes = votes_of(
+        (floor, Label.FLOOR), (next_room[:50], Label.FLOOR), (strip, Label.FLOOR), (ceiling, Label.CLUTTER)
+    )
+    label = np.zeros(len(ceiling), np.uint8)
+    for level in map_levels(votes):
+        label = level.label_of(ceiling, label)
+    assert np.mean(label == Label.CEILING) > 0.9
+
+
+def test_where_no_floor_is_broad_none_is_false() -> None:
+    nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
+    strip = votes_of((upright((0, 6), 9.98, (1.3, 1.45)), Label.FLOOR))
+    for votes in (nothing, strip):
+        assert np.isnan(map_false_floors(votes).low_m).all()
+    assert map_levels(nothing) == ()
+
+
+def attic(
+    turn_deg: float, rise: float, x: tuple[float, float] = (0.0, 3.0), y: tuple[float, float] = (0.0, 2.0)
+) -> np.ndarray:
+    """(n, 3) points on a plane that begins 1.3 m above the floor and rises along y."""
+    xs, ys = (a.ravel() for a in np.meshgrid(np.arange(x[0] + 0.02, x[1], 0.04), np.arange(y[0] + 0.02, y[1], 0.04)))
+    noise_m = np.random.default_rng(4).normal(0, 0.006, len(xs))
+    c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+    return np.column_stack([c * xs - s * ys, s * xs + c * ys, 1.3 + rise * (ys - y[0]) + noise_m])
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 35.0, 120.0])
+@pytest.mark.parametrize("rise", [0.3, 0.8, 1.4])
+def test_a_roofs_underside_is_ceiling_and_what_stands_below_it_not(turn_deg: float, rise: float) -> None:
+    roof, floor = attic(turn_deg, rise), attic(turn_deg, 0.0) - [0.0, 0.0, 1.3]
+    bed = attic(turn_deg, 0.0, (0.5, 2.5), (0.2, 1.2)) - [0.0, 0.0, 0.8]
+    votes = votes_of((floor, Label.FLOOR), (roof, Label.CLUTTER), (bed, Label.CLUTTER))
+    found = map_sloping_ceilings(votes)
+    assert np.mean(found.label_of(roof, np.zeros(len(roof), np.uint8)) == Label.CEILING) > 0.97
+    assert not np.any(found.label_of(bed, np.zeros(len(bed), np.uint8)))
+    # How high the room is, is told from it: what stands at a knee wall's foot reaches it.
+    low = attic(turn_deg, rise, (1.0, 2.0), (0.2, 0.4))
+    clear_m = Storey.of(votes, map_levels(votes)).clear_m(low[:, :2], 2.0)
+    np.testing.assert_allclose(clear_m, 1.3 + 0.3 * rise, atol=0.15 * rise + 0.05)
+    assert np.isnan(Storey.of(votes).clear_m(low[:, :2], 2.0)).all()
+
+
+@pytest.mark.parametrize(
+    ("rise", "x", "y"),
+    [
+        (0.0, (0.0, 3.0), (0.0, 2.0)),  # level: a bunk
+        (0.8, (0.0, 0.6), (0.0, 2.0)),  # as narrow as a ladder, or a leaning board
+        (2.5, (0.0, 3.0), (0.0, 2.0)),  # a wall that leans
+    ],
+)
+def test_what_is_level_narrow_or_steep_is_no_sloping_ceiling(
+    rise: float, x: tuple[float, float], y: tuple[float, float]
+) -> None:
+    floor = attic(0.0, 0.0) - [0.0, 0.0, 1.3]
+    votes = votes_of((floor, Label.FLOOR), (attic(0.0, rise, x, y), Label.CLUTTER))
+    assert np.isnan(map_sloping_ceilings(votes).low_m).all()
+
+
+@pytest.mark.parametrize(
+    ("low_m", "noise_m", "share"),
+    [
+        (0.9, 0.0, 1.0),  # a drawing board
+        (0.0, 0.08, 1.0),  # a heap
+        (0.0, 0.0, 0.1),  # what few returns show
+    ],
+)
+def test_what_is_low_rough_or_hardly_seen_is_no_sloping_ceiling(low_m: float, noise_m: float, share: float) -> None:
+    generator = np.random.default_rng(5)
+    floor = attic(0.0, 0.0) - [0.0, 0.0, 1.3]
+    slope = attic(0.0, 0.3, y=(0.0, 2.0)) - [0.0, 0.0, low_m]
+    slope[:, 2] += generator.normal(0, noise_m, len(slope))
+    slope = slope[generator.uniform(size=len(slope)) < share]
+    votes = votes_of((floor, Label.FLOOR), (slope, Label.CLUTTER))
+    assert np.isnan(map_sloping_ceilings(votes).low_m).all()
+
+
+def test_what_lies_below_something_higher_is_no_sloping_ceiling() -> None:
+    floor = attic(0.0, 0.0) - [0.0, 0.0, 1.3]
+    above = attic(0.0, 0.0) + np.array([0.0, 0.0, 2.0])
+    votes = votes_of((floor, Label.FLOOR), (attic(0.0, 0.5), Label.CLUTTER), (above, Label.CEILING))
+    assert np.isnan(map_sloping_ceilings(votes).low_m).all()
+
+
+def test_nothing_slopes_in_an_empty_building() -> None:
+    nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
+    floor = votes_of((lying((0, 4), (0, 4), 0.01), Label.FLOOR))
+    for votes in (nothing, floor):
+        assert np.isnan(map_sloping_ceilings(votes).low_m).all()
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "z", "expected"),
+    [
+        ((4.0, 8.0), (0.0, 4.0), 0.2, Label.FLOOR),
+        ((4.0, 8.0), (0.0, 4.0), 0.5, Label.CLUTTER),  # a stage: no step
+        ((4.0, 5.0), (1.0, 1.8), 0.2, Label.CLUTTER),  # a pallet
+    ],
+)
+def test_the_front_of_a_step_is_floor_and_what_stands_at_its_foot_not(
+    x: tuple[float, float], y: tuple[float, float], z: float, expected: Label
+) -> None:
+    high = lying(x, y, z)
+    low = lying((0, 8), (0, 4), 0.01)
+    low = low[(low[:, 0] < x[0]) | (low[:, 1] < y[0]) | (low[:, 1] > y[1])]
+    front = upright((1.2, 1.6), 0.0, (0.05, z))[:, [1, 0, 2]] + [x[0], 0.0, 0.0]
+    found = map_step_fronts(votes_of((low, Label.FLOOR), (high, Label.FLOOR), (front, Label.CLUTTER)))
+    assert np.all(found.label_of(front, np.zeros(len(front), np.uint8)) == expected)
+    away = front - [0.3, 0.0, 0.0]
+    above = front + np.array([0.0, 0.0, 0.3])
+    for other in (away, above):
+        assert not np.any(found.label_of(other, np.zeros(len(other), np.uint8)))
+
+
+def test_a_ramp_has_no_step() -> None:
+    low, ramp, high = lying((0, 4), (0, 4), 0.01), lying((4, 8), (0, 4), -0.4, 0.1), lying((8, 12), (0, 4), 0.4)
+    found = map_step_fronts(votes_of((low, Label.FLOOR), (ramp, Label.FLOOR), (high, Label.FLOOR)))
+    assert np.isnan(found.low_m).all()
+    nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
+    assert np.isnan(map_step_fronts(nothing).low_m).all()
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "z", "expected"),
+    [
+        ((4.5, 7.5), (1.5, 2.7), 0.03, Label.FLOOR),  # of the next room, through its doorway
+        ((4.5, 7.5), (1.5, 1.9), 0.03, Label.CLUTTER),  # a plank
+        (
+            (4.5, 7.5),
+            (1.5, 2.7),
+            0.12,
+            Label.CLUTTER,
+        ),  # a mattress, or the floor of a platform: too high to be the same
+    ],
+)
+def test_floor_goes_on_level_where_no_scan_told(
+    x: tuple[float, float], y: tuple[float, float], z: float, expected: Label
+) -> None:
+    generator = np.random.default_rng(6)
+    beyond = generator.permutation(lying(x, y, z))[:350]
+    found = map_floors_beyond(
+        merge([votes_of((lying((0, 4), (0, 4), 0.01), Label.FLOOR)), votes_of((beyond, Label.CLUTTER), scans=1)])
+    )
+    inner = beyond[(beyond[:, 0] > x[0] + 0.4) & (beyond[:, 0] < x[1] - 0.4)]
+    told = found.label_of(inner, np.zeros(len(inner), np.uint8))
+    assert np.mean(told == expected) > 0.9
+
+
+def test_single_returns_far_away_stretch_no_grid() -> None:
+    room = [(lying((0, 8), (0, 6), 0.0), Label.FLOOR), (lying((0, 8), (0, 6), 2.6), Label.CEILING)]
+    platform = [(lying((2, 6), (2, 5), 0.2), Label.CLUTTER)]
+    far = np.array([[95.0, 3.0, 0.4], [-95.0, 3.0, 20.0], [3.0, 95.0, 0.1], [3.0, -95.0, 90.0]])
+    strays = [
+        (far, Label.CLUTTER),
+        (far + np.array([0, 0, 1.0]), Label.FLOOR),
+        (far + np.array([0, 0, 2.0]), Label.CEILING),
+    ]
+    alone, among_strays = votes_of(*room, *platform), votes_of(*room, *platform, *strays)
+    points = np.concatenate([lying((-1, 9), (-1, 7), z) for z in (0.01, 0.21, 2.61)])
+    clutter = np.full(len(points), Label.CLUTTER, np.uint8)
+    for level, expected in zip(map_levels(among_strays), map_levels(alone), strict=True):
+        assert level.surface is expected.surface
+        assert level.low_m.size < 1.2 * expected.low_m.size + 500
+        differ = np.mean(level.label_of(points, clutter) != expected.label_of(points, clutter))
+        assert differ < 0.02
+
+
+def test_the_median_of_a_neighbourhood_knows_what_any_of_the_nine_does() -> None:
+    generator = np.random.default_rng(0)
+    height_m = np.where(generator.random((30, 20)) < 0.2, generator.random((30, 20)), np.nan)
+    padded = np.pad(height_m, 1, constant_values=np.nan)
+    found = _median_around(height_m)
+    for row, column in np.ndindex(height_m.shape):
+        nine = padded[row : row + 3, column : column + 3]
+        expected = np.nan if np.isnan(nine).all() else np.nanmedian(nine)
+        np.testing.assert_array_equal(found[row, column], expected)

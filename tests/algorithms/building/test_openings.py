@@ -1,0 +1,555 @@
+"""Doors, windows and what is seen through them, on hand-made walls, cells and rays."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from ffmap.algorithms.building.door_frames import place_frames
+from ffmap.algorithms.building.doors import drop_doubtful, find_doors, prove_crossed
+from ffmap.algorithms.building.model import CELL_M, NO_DOORS, NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
+from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
+from ffmap.algorithms.building.windows import find_windows, seen_through, without_rays_through
+from ffmap.algorithms.scan.doors import DoorState
+from ffmap.algorithms.scan.summary import Features
+
+FILLED, SUM, SQUARES, THROUGH = range(4)
+SETTINGS = BuildingSettings()
+WALL = Walls(
+    np.array([[[0.0, 0.0], [4.0, 0.0]]]),
+    np.array([[0.0, -1.0]]),
+    np.zeros(1),
+    np.array([2.8]),
+    np.array([9], np.int32),
+    np.array([0.01]),
+)
+WINDOW = Windows(
+    np.array([[[1.0, 0.0], [3.0, 0.0]]]), np.array([[0.0, -1.0]]), np.array([0.9]), np.array([2.0]), np.array([0.05])
+)
+
+
+def cells() -> WallCells:
+    """The wall, ten returns on its face in every cell."""
+    counts = np.zeros((80, 66, 4), np.float32)
+    counts[..., FILLED] = 10.0
+    return WallCells(np.array([0, 80]), 66, counts)
+
+
+def unknown(cells: WallCells) -> np.ndarray:
+    """No ceiling was seen before any column."""
+    return np.full(int(cells.first[-1]), np.nan)
+
+
+def recess(cells: WallCells, low_m: float, high_m: float, depth_m: float) -> None:
+    """Between x = 1.5 and 2.4 the returns of these heights lie behind the face."""
+    part = cells.counts[30:48, round(low_m / CELL_M) : round(high_m / CELL_M)]
+    part[..., SUM] = -depth_m * part[..., FILLED]
+    part[..., SQUARES] = depth_m**2 * part[..., FILLED]
+
+
+def features(origin: tuple[float, float], rays: np.ndarray, planes: np.ndarray) -> Features:
+    """One scan with rays (r, 3) and planes (p, 2, 2)."""
+    return Features(
+        scan=np.array([0]),
+        origin_map=np.array([[*origin, 1.0]]),
+        floor_map=np.zeros((1, 3)),
+        ray_count=np.array([len(rays)]),
+        plane_count=np.array([len(planes)]),
+        ray_end_map=rays.astype(np.float32),
+        ray_label=np.arange(len(rays)).astype(np.uint8),
+        plane_ends_map=planes,
+        plane_normal=np.tile([0.0, -1.0], (len(planes), 1)),
+        plane_bottom_m=np.zeros(len(planes)),
+        plane_top_m=np.full(len(planes), 2.8),
+        plane_lines=np.full(len(planes), 5),
+        plane_moments=np.zeros((len(planes), 6)),
+    )
+
+
+@pytest.mark.parametrize(("depth_m", "found"), [(0.012, 0), (0.021, 1), (0.08, 1)])
+def test_a_closed_leaf_is_recessed(depth_m: float, found: int) -> None:
+    seen = cells()
+    recess(seen, 0.0, 2.1, depth_m)
+    doors = find_doors(WALL, seen, unknown(seen), SETTINGS)
+    assert len(doors) == found
+    if found:
+        assert doors.depth_m[0] == pytest.approx(depth_m, abs=0.005)
+        np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
+
+
+def test_a_pane_above_a_flush_parapet_is_no_leaf() -> None:
+    seen = cells()
+    recess(seen, 0.7, 2.1, 0.05)
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
+
+
+def test_a_recess_up_to_the_ceiling_is_no_door() -> None:
+    seen = cells()
+    recess(seen, 0.0, 2.8, 0.05)
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
+
+
+def test_a_low_ceiling_before_a_part_of_a_wall_is_no_lintel() -> None:
+    """Its own returns come forward from the face, and what is below them seems to recede."""
+    seen = cells()
+    ceiling = seen.counts[34:76, round(2.5 / CELL_M) : round(2.6 / CELL_M)]
+    ceiling[..., SUM] = 0.05 * ceiling[..., FILLED]
+    # Above it nothing of the wall is seen from here; at its end another wall's returns come forward too.
+    seen.counts[34:76, round(2.6 / CELL_M) :] = 0.0
+    seen.counts[76:, :, SUM] = 0.025 * seen.counts[76:, :, FILLED]
+    clear_m = np.full(80, 2.8)
+    assert len(find_doors(WALL, seen, clear_m, SETTINGS)) == 1
+    clear_m[34:] = 2.5
+    assert len(find_doors(WALL, seen, clear_m, SETTINGS)) == 0
+
+
+@pytest.mark.parametrize("state", [DoorState.OPEN, DoorState.CLOSED])
+def test_a_duct_may_hide_a_lintel_if_the_wall_stands_on_both_sides(state: DoorState) -> None:
+    seen = cells()
+    seen.counts[:, round(2.05 / CELL_M) :] = 0.0
+    recess(seen, 0.0, 2.05, 0.05)
+    if state == DoorState.OPEN:
+        part = seen.counts[30:48, : round(2.05 / CELL_M)]
+        part[...], part[..., THROUGH] = 0.0, 10.0
+    clear_m = np.full(80, 2.8)
+    doors = find_doors(WALL, seen, clear_m, SETTINGS)
+    assert doors.state.tolist() == [state]
+    assert doors.lintel.tolist() == [0.0]
+    assert doors.head_m[0] == pytest.approx(2.05, abs=CELL_M)
+    # An alcove up to the ceiling is seen to be none, and a recess in a corner may be the corner.
+    high = WallCells(seen.first, seen.rows, seen.counts.copy())
+    high.counts[30:48, round(2.05 / CELL_M) : round(2.7 / CELL_M), THROUGH] = 10.0
+    assert len(find_doors(WALL, high, clear_m, SETTINGS)) == 0
+    seen.counts[48:] = 0.0
+    assert len(find_doors(WALL, seen, clear_m, SETTINGS)) == 0
+
+
+def test_a_leaf_that_stands_aslant_is_ajar() -> None:
+    def leaf(free_edge_m: float) -> Doors:
+        seen = cells()
+        depth_m = np.linspace(0.03, 0.03 + free_edge_m, 18)[:, None]
+        part = seen.counts[30:48, : round(2.1 / CELL_M)]
+        part[..., SUM], part[..., SQUARES] = -depth_m * part[..., FILLED], depth_m**2 * part[..., FILLED]
+        return find_doors(WALL, seen, unknown(seen), SETTINGS)
+
+    assert leaf(0.05).state.tolist() == [DoorState.CLOSED]
+    assert leaf(0.05).ajar.tolist() == [False]
+    ajar = leaf(0.25)
+    assert ajar.state.tolist() == [DoorState.OPEN]
+    assert ajar.ajar.tolist() == [True]
+    assert ajar.lintel.tolist() == [1.0]
+    assert np.isnan(ajar.depth_m[0])
+    np.testing.assert_allclose(ajar.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
+
+
+def test_a_deep_leaf_is_not_ajar_though_columns_at_its_jamb_hold_the_reveal_too() -> None:
+    seen = cells()
+    depth_m = np.full((18, 1), 0.2)
+    depth_m[:3] = 0.03
+    part = seen.counts[30:48, : round(2.1 / CELL_M)]
+    part[..., SUM], part[..., SQUARES] = -depth_m * part[..., FILLED], depth_m**2 * part[..., FILLED]
+    doors = find_doors(WALL, seen, unknown(seen), SETTINGS)
+    assert doors.state.tolist() == [DoorState.CLOSED]
+    np.testing.assert_allclose(doors.depth_m, 0.2, atol=0.01)
+
+
+@pytest.mark.parametrize("leaves", [1, 2])
+def test_a_leaf_ajar_is_part_of_its_doorway(leaves: int) -> None:
+    """Near its hinge it is as near to the face as a closed one, and it leaves few columns open."""
+    seen = cells()
+    rows = slice(0, round(2.1 / CELL_M))
+    depth_m = np.linspace(0.03, 0.4, 15)
+    # One leaf covers x = 1.5 to 2.25 of a doorway to 2.55, two cover 1.5 to 2.25 and 2.55 to 3.3.
+    columns = [np.arange(30, 45)] if leaves == 1 else [np.arange(30, 45), np.arange(65, 50, -1)]
+    opened = np.arange(45, 51)
+    for leaf in columns:
+        for column, behind_m in zip(leaf, depth_m, strict=True):
+            cell = seen.counts[column, rows]
+            if behind_m < SETTINGS.near_m:
+                cell[:, SUM], cell[:, SQUARES] = -10.0 * behind_m, 10.0 * behind_m**2
+            else:
+                cell[:], cell[:, THROUGH] = 0.0, 10.0
+    seen.counts[opened, rows] = np.array([0.0, 0.0, 0.0, 10.0])
+    doors = find_doors(WALL, seen, unknown(seen), SETTINGS)
+    assert doors.state.tolist() == [DoorState.OPEN]
+    np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.55 if leaves == 1 else 3.3], atol=2 * CELL_M)
+    assert doors.confidence[0] > 0.6
+
+
+def test_a_leaf_at_the_edge_of_what_is_looked_at_is_no_pane() -> None:
+    def opening(sheet_m: float) -> int:
+        """A narrow opening, of whose rays some return from behind the face."""
+        seen = cells()
+        part = seen.counts[30:36, : round(2.1 / CELL_M)]
+        part[..., THROUGH], part[..., FILLED] = 10.0, 1.0
+        part[..., SUM], part[..., SQUARES] = -sheet_m, sheet_m**2
+        return len(find_windows(WALL, seen, unknown(seen), SETTINGS))
+
+    assert opening(0.1) == 1
+    assert opening(0.34) == 0
+
+
+def test_a_door_has_its_wall_beside_it() -> None:
+    seen = cells()
+    recess(seen, 0.0, 2.1, 0.05)
+    # A cupboard's front below a board that stands out: nothing beside it is flush with the board.
+    for beside in (slice(0, 30), slice(48, 80)):
+        seen.counts[beside] = 0.0
+        seen.counts[beside, 1:36, THROUGH] = 10.0
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
+    # In a corner there is wall on one side only.
+    seen.counts[48:51] = 0.0
+    seen.counts[48:51, :, FILLED] = 10.0
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 1
+
+
+def opening(seen: WallCells) -> None:
+    """Between x = 1.5 and 2.4 rays pass up to 2.1 m."""
+    part = seen.counts[30:48, 0:42]
+    part[...], part[..., THROUGH] = 0.0, 50.0
+
+
+def test_what_hangs_behind_a_lintel_does_not_hide_its_door() -> None:
+    seen = cells()
+    opening(seen)
+    # From close by, rays under the lintel rise to a duct behind it: as many returns as from the lintel itself.
+    duct = seen.counts[30:48, 46:51]
+    duct[..., FILLED], duct[..., SUM], duct[..., SQUARES] = 20.0, -10 * 0.3, 10 * 0.3**2
+    doors = find_doors(WALL, seen, unknown(seen), SETTINGS)
+    assert doors.state.tolist() == [DoorState.OPEN]
+    np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
+
+
+def test_a_doorway_is_taken_from_the_face_that_shows_all_of_it() -> None:
+    """The nearer face, seen better, ends within the doorway."""
+    walls = Walls(
+        np.array([[[0.0, 0.0], [2.15, 0.0]], [[4.0, 0.1], [0.0, 0.1]]]),
+        np.array([[0.0, -1.0], [0.0, 1.0]]),
+        np.zeros(2),
+        np.full(2, 2.8),
+        np.full(2, 9, np.int32),
+        np.full(2, 0.01),
+    )
+    seen = cells()
+    opening(seen)
+    both = np.concatenate([3.0 * seen.counts[:43], seen.counts[::-1]])
+    doors = find_doors(walls, WallCells(np.array([0, 43, 123]), 66, both), np.full(123, np.nan), SETTINGS)
+    assert len(doors) == 1
+    np.testing.assert_allclose(np.sort(doors.ends[0, :, 0]), [1.5, 2.4], atol=2 * CELL_M)
+
+
+def test_a_window_behind_a_desk_is_no_doorway() -> None:
+    seen = cells()
+    opening(seen)
+    seen.counts[30:48, 0:14] = 0.0  # the desk hides the wall below the pane
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
+
+
+def test_floor_and_ceiling_behind_an_opening_passed_its_face() -> None:
+    rays = np.array([[2.0, 0.2, 0.0], [2.0, 0.2, 0.0], [2.0, 0.2, 0.0], [2.0, 0.0, 0.5]])
+    scan = replace(features((2.0, -0.8), rays, np.zeros((0, 2, 2))), ray_label=np.array([1, 2, 0, 1], np.uint8))
+    seen = trace_rays(WALL, [scan], SETTINGS).counts
+    # The first two crossed the face 0.2 m above the floor; the third may be a leaf's foot, the last is on the face.
+    assert seen[40, 4].tolist() == [0.0, 0.0, 0.0, 2.0]
+    assert seen[40, 0].tolist() == pytest.approx([1.0, -0.2, 0.04, 0.0])
+    assert seen[40, 10, FILLED] == 1.0
+    assert seen[..., FILLED].sum() + seen[..., THROUGH].sum() == 4.0
+
+
+@pytest.mark.parametrize(("before_m", "near", "far"), [(10.0, 1, 1), (15.0, 0, 1), (30.0, 0, 0)])
+def test_rays_count_from_so_far_as_they_tell(before_m: float, near: int, far: int) -> None:
+    scan = features((2.0, -before_m), np.array([[2.0, 0.0, 1.0]]), np.zeros((0, 2, 2)))
+    for range_m, counted in ((SETTINGS.range_m, near), (SETTINGS.far_m, far)):
+        seen = trace_rays(WALL, [scan], SETTINGS.model_copy(update={"range_m": range_m}))
+        assert seen.counts[..., FILLED].sum() == counted
+
+
+def test_an_open_door_is_found_though_its_jambs_are_hidden() -> None:
+    seen = cells()
+    opening(seen)
+    # Seen through another door: of the wall beside, only what is above shows.
+    seen.counts[:30, :42] = seen.counts[48:, :42] = 0.0
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 1
+    # Where the wall beside is seen to stand back, or to be passed, the opening is no doorway.
+    for beside in (seen.counts[:30, :42], seen.counts[48:, :42]):
+        beside[..., FILLED], beside[..., SUM] = 10.0, -10 * 0.045
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_doorway_reaches_to_the_jamb_that_its_leaf_hides(mirrored: bool) -> None:
+    """The leaf stands ajar towards the robot: near its hinge it shows before the wall, beyond that no ray comes."""
+    seen = cells()
+    opening(seen)
+    near, far = seen.counts[30:34, 0:42], seen.counts[34:42, 0:42]
+    near[..., FILLED], near[..., SUM], near[..., SQUARES], near[..., THROUGH] = 10.0, 10 * 0.05, 10 * 0.05**2, 0.0
+    far[...] = 0.0
+    if mirrored:
+        seen.counts[...] = seen.counts[::-1].copy()
+    doors = find_doors(WALL, seen, unknown(seen), SETTINGS)
+    assert doors.state.tolist() == [DoorState.OPEN]
+    expected = [1.6, 2.5] if mirrored else [1.5, 2.4]
+    np.testing.assert_allclose(np.sort(doors.ends[0, :, 0]), expected, atol=2 * CELL_M)
+    # Where that has no end, or the wall above has, nothing tells where the jamb is.
+    for rows in (slice(0, 42), slice(42, 66)):
+        doubtful = WallCells(seen.first, 66, seen.counts.copy())
+        beside = doubtful.counts[42:] if mirrored else doubtful.counts[:38]
+        beside[:, rows] = 0.0
+        assert len(find_doors(WALL, doubtful, unknown(doubtful), SETTINGS)) == 0
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_face_that_is_passed_over_all_its_length_has_no_door() -> None:
+    narrow = replace(WALL, ends=np.array([[[1.5, 0.0], [2.4, 0.0]]]))
+    seen = cells()
+    opening(seen)
+    alone = WallCells(np.array([0, 18]), 66, seen.counts[30:48].copy())
+    assert len(find_doors(narrow, alone, unknown(alone), SETTINGS)) == 0
+
+
+def test_a_wide_opening_beside_a_cupboard_is_as_wide_as_it_is() -> None:
+    seen = cells()
+    opening(seen)
+    seen.counts[48:60, 0:42] = 0.0  # behind the cupboard
+    doors = find_doors(WALL, seen, unknown(seen), SETTINGS)
+    np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
+
+
+@pytest.mark.parametrize(("behind_m", "found"), [(0.1, 1), (0.5, 0), (2.0, 1)])
+def test_an_opening_leads_somewhere(behind_m: float, found: int) -> None:
+    seen = cells()
+    opening(seen)
+    behind = replace(WALL, ends=WALL.ends + np.array([0.0, behind_m]))
+    nothing = WallCells(np.array([0, 80, 160]), 66, np.concatenate([seen.counts, np.zeros_like(seen.counts)]))
+    assert len(find_doors(WALL.append(behind), nothing, unknown(nothing), SETTINGS)) == found
+    # A cupboard in the room behind hides a part of the doorway, a leaf ajar stands aslant.
+    part = replace(behind, ends=np.array([[[1.9, behind_m], [4.0, behind_m]]]))
+    assert len(find_doors(WALL.append(part), nothing, unknown(nothing), SETTINGS)) == 1
+    turn = np.array([[np.cos(0.15), np.sin(0.15)], [-np.sin(0.15), np.cos(0.15)]])
+    aslant = replace(behind, normal=behind.normal @ turn)
+    assert len(find_doors(WALL.append(aslant), nothing, unknown(nothing), SETTINGS)) == 1
+    # The other side of the wall, or of the room, looks this way.
+    across = replace(behind, normal=-WALL.normal)
+    assert len(find_doors(WALL.append(across), nothing, unknown(nothing), SETTINGS)) == 1
+
+
+def test_where_a_window_is_there_is_no_door() -> None:
+    seen = cells()
+    opening(seen)
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 1
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS, WINDOW)) == 0
+    # Seen from the other side of its wall it is a window as well; in another wall it is another's.
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS, replace(WINDOW, normal=-WINDOW.normal))) == 0
+    assert (
+        len(find_doors(WALL, seen, unknown(seen), SETTINGS, replace(WINDOW, ends=WINDOW.ends + np.array([0.0, 0.5]))))
+        == 1
+    )
+
+
+def test_a_pane_down_to_the_floor_shows_though_more_stands_behind_it() -> None:
+    seen = cells()
+    opening(seen)
+    part = seen.counts[30:48, 0:42]
+    part[..., FILLED], part[..., SUM], part[..., SQUARES] = 2.0, -0.16, 2 * 0.08**2
+    # A cupboard stands 20 cm behind the pane, over half of it.
+    behind = part[9:, 3:]
+    behind[..., FILLED] += 4.0
+    behind[..., SUM] -= 4 * 0.28
+    behind[..., SQUARES] += 4 * 0.28**2
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
+    windows = find_windows(WALL, seen, unknown(seen), SETTINGS)
+    assert windows.pane_m.tolist() == pytest.approx([0.08], abs=0.005)
+    # What shows in two columns alone is the edge of a leaf, and the opening a door.
+    part[..., :THROUGH] = 0.0
+    part[4:6, 3:, FILLED], part[4:6, 3:, SUM], part[4:6, 3:, SQUARES] = 30.0, -30 * 0.2, 30 * 0.2**2
+    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 1
+
+
+def test_a_window_is_as_wide_as_it_is_though_its_sill_is_hidden() -> None:
+    seen = cells()
+    seen.counts[20:60, 18:44, FILLED], seen.counts[20:60, 18:44, THROUGH] = 0.0, 50.0
+    # A desk stands before most of it: no ray reaches the wall below, and none passes there.
+    seen.counts[26:56, 0:18] = 0.0
+    windows = find_windows(WALL, seen, unknown(seen), SETTINGS)
+    np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, 3.0]], atol=2 * CELL_M)
+    # Where nothing of a sill is seen, it may be a doorway that is blocked.
+    seen.counts[18:62, 0:18] = 0.0
+    assert len(find_windows(WALL, seen, unknown(seen), SETTINGS)) == 0
+
+
+def test_a_windows_pane_is_placed_by_what_it_returns() -> None:
+    seen = cells()
+    seen.counts[20:60, 18:44, FILLED], seen.counts[20:60, 18:44, THROUGH] = 0.0, 50.0
+    assert np.isnan(find_windows(WALL, seen, unknown(seen), SETTINGS).pane_m).all()
+    pane = seen.counts[20:60, 18:44]
+    pane[..., FILLED], pane[..., SUM], pane[..., SQUARES] = 1.0, -0.06, 0.06**2
+    windows = find_windows(WALL, seen, unknown(seen), SETTINGS)
+    assert windows.pane_m.tolist() == pytest.approx([0.06], abs=0.002)
+    np.testing.assert_allclose(windows.ends[0, :, 0], [1.0, 3.0], atol=2 * CELL_M)
+    np.testing.assert_allclose([windows.bottom_m[0], windows.top_m[0]], [0.9, 2.2], atol=CELL_M)
+
+
+def test_a_window_goes_on_where_its_glass_returns_nothing() -> None:
+    seen = cells()
+    seen.counts[20:60, 18:44] = 0.0
+    seen.counts[30:40, 18:44, THROUGH] = 50.0
+    np.testing.assert_allclose(
+        find_windows(WALL, seen, unknown(seen), SETTINGS).ends[:, :, 0], [[1.0, 3.0]], atol=CELL_M
+    )
+    # Where nothing returns from below either, nothing is known of it.
+    seen.counts[40:60, :18] = 0.0
+    np.testing.assert_allclose(
+        find_windows(WALL, seen, unknown(seen), SETTINGS).ends[:, :, 0], [[1.0, 2.0]], atol=2 * CELL_M
+    )
+
+
+@pytest.mark.parametrize(
+    ("depth_m", "passed", "end"),
+    [
+        (0.08, 2.0, 3.0),  # the same pane, met straight on
+        (0.08, 0.0, 2.0),  # a leaf in line with it
+        (0.14, 2.0, 2.0),  # a leaf that is ajar, behind it
+    ],
+)
+def test_a_window_goes_on_where_its_glass_returns_most_rays(depth_m: float, passed: float, end: float) -> None:
+    seen = cells()
+    pane, beside = seen.counts[20:40, 0:44], seen.counts[40:60, 0:44]
+    pane[..., FILLED], pane[..., SUM], pane[..., SQUARES], pane[..., THROUGH] = 1.0, -0.08, 0.08**2, 50.0
+    beside[..., SUM], beside[..., SQUARES], beside[..., THROUGH] = -10 * depth_m, 10 * depth_m**2, passed
+    windows = find_windows(WALL, seen, unknown(seen), SETTINGS)
+    # The reveals of what is no pane count for three columns at most.
+    np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, end]], atol=0.2)
+
+
+def test_rays_that_ended_beyond_a_window_are_left_out() -> None:
+    rays = np.array(
+        [
+            [2.0, 3.0, 1.2],  # through the window
+            [2.0, 0.02, 1.2],  # on its pane
+            [2.0, -1.0, 0.0],  # before it
+            [9.0, 3.0, 1.2],  # past its end
+        ]
+    )
+    left = without_rays_through(WINDOW, features((2.0, -2.0), rays, np.zeros((0, 2, 2))))
+    assert left.ray_label.tolist() == [1, 2, 3]
+    assert left.ray_count.tolist() == [3]
+    np.testing.assert_array_equal(left.ray_end_map, rays[1:].astype(np.float32))
+    # From the other side it is that side's window, if any.
+    behind = without_rays_through(WINDOW, features((2.0, 2.0), rays, np.zeros((0, 2, 2))))
+    assert behind.ray_label.tolist() == [0, 1, 2, 3]
+    assert without_rays_through(NO_WINDOWS, left).ray_label.tolist() == [1, 2, 3]
+
+
+def test_planes_beyond_a_window_were_seen_through_it() -> None:
+    planes = np.array(
+        [
+            [[1.0, 4.0], [3.0, 4.0]],  # the house across the street
+            [[0.0, 0.0], [4.0, 0.0]],  # the window's own wall
+            [[8.0, 1.0], [12.0, 1.0]],  # past the window
+        ]
+    )
+    scan = features((2.0, -2.0), np.zeros((0, 3)), planes)
+    assert seen_through(WINDOW, scan).tolist() == [True, False, False]
+    assert not seen_through(NO_WINDOWS, scan).any()
+    turned = replace(scan, origin_map=np.array([[2.0, 2.0, 1.0]]))
+    assert not seen_through(WINDOW, turned).any()
+
+
+@pytest.mark.parametrize(
+    ("path", "crossed"),
+    [
+        ([[2.0, -1.0], [2.0, 1.0]], True),
+        ([[1.0, -1.0], [2.6, 0.2]], True),  # at a slant, between two poses
+        ([[3.0, -1.0], [3.0, 1.0]], False),  # beside the jamb
+        ([[2.0, -1.0], [2.0, -0.1], [2.2, -1.0]], False),  # up to it and back
+        ([[2.0, -1.0]], False),
+        (np.zeros((0, 2)), False),
+    ],
+)
+def test_a_door_that_was_driven_through_is_open(path: list[list[float]], crossed: bool) -> None:
+    seen = cells()
+    recess(seen, 0.0, 2.1, 0.05)
+    closed = find_doors(WALL, seen, unknown(seen), SETTINGS)
+    assert closed.state.tolist() == [DoorState.CLOSED]
+    proven = prove_crossed(closed, np.array(path, np.float64))
+    assert proven.crossed.tolist() == [crossed]
+    assert proven.state.tolist() == [DoorState.OPEN if crossed else DoorState.CLOSED]
+    assert np.isnan(proven.depth_m[0]) == crossed
+    assert (proven.confidence[0] == 1.0) == (crossed or closed.confidence[0] == 1.0)
+    assert len(prove_crossed(NO_DOORS, np.array(path, np.float64))) == 0
+
+
+def test_what_frames_show_to_be_no_door_is_dropped() -> None:
+    closed, opened = DoorState.CLOSED, DoorState.OPEN
+    kinds = [
+        # head, scans, width, agreement, state
+        (2.05, 9, 0.9, 1.0, closed),
+        (1.70, 9, 0.9, 1.0, closed),  # a wall that leans
+        (2.53, 9, 0.9, 1.0, closed),  # up to the ceiling
+        (1.70, 9, 0.9, 1.0, opened),
+        (2.05, 1, 0.9, 1.0, closed),
+        (2.05, 0, 0.9, 1.0, opened),
+        (2.05, 9, 0.9, 0.7, closed),  # rays pass it: a pane, met straight on
+        (2.05, 9, 0.9, 0.7, opened),
+        (2.05, 9, 0.2, 1.0, opened),  # the rays left little of it
+        (2.05, 9, 0.9, 0.1, opened),  # few of its columns show it
+    ]
+    head_m, scan_count, width_m, agreement, state = (np.array(column) for column in zip(*kinds, strict=True))
+    shape = {f.name: getattr(NO_DOORS, f.name) for f in fields(Doors)}
+    doors = Doors(**{name: np.zeros((len(kinds), *v.shape[1:]), v.dtype) for name, v in shape.items()})
+    doors.ends[:, 1, 0] = width_m
+    doors = replace(doors, head_m=head_m, scan_count=scan_count, agreement=agreement, state=state.astype(np.uint8))
+    doors = replace(doors, confidence=agreement)
+    kept = drop_doubtful(doors, BuildingSettings())
+    np.testing.assert_array_equal(kept.head_m, head_m[[0, 3, 5, 7]])
+    np.testing.assert_array_equal(kept.state, [closed, opened, opened, opened])
+    assert len(drop_doubtful(NO_DOORS, BuildingSettings())) == 0
+
+
+def seen_through_a_doorway(origin: tuple[float, float], depth_m: float, generator: np.random.Generator) -> np.ndarray:
+    """(r, 3) what rays from 1 m above the floor meet: a wall 20 cm thick, its opening from x = 1.5 to 2.4 and 2.08 m high.
+
+    A leaf stands `depth_m` behind the face; without one rays go on to a wall at y = 3. Ranges scatter by 1.5 cm.
+    """
+    start = np.array([*origin, 1.0])
+    aim = np.column_stack([generator.uniform(1.2, 2.7, 40_000), np.zeros(40_000), generator.uniform(0.0, 2.7, 40_000)])
+    ray = aim - start
+    within = (aim[:, 0] > 1.5) & (aim[:, 0] < 2.4) & (aim[:, 2] < 2.08)
+    with np.errstate(divide="ignore"):
+        to_jamb = np.where(ray[:, 0] > 0, 2.4 - aim[:, 0], 1.5 - aim[:, 0]) / ray[:, 0]
+        to_head = np.where(ray[:, 2] > 0, (2.08 - aim[:, 2]) / ray[:, 2], np.inf)
+    # Metres behind the face as a share of the way to it.
+    reveal = np.minimum(to_jamb, to_head)
+    reveal = np.where(reveal * ray[:, 1] < 0.2, reveal, np.inf)
+    beyond = np.minimum(reveal, (depth_m if np.isfinite(depth_m) else 3.0) / ray[:, 1])
+    share = 1.0 + np.where(within, beyond, 0.0)
+    share += generator.normal(0.0, 0.015, len(ray)) / np.linalg.norm(ray, axis=1)
+    return start + share[:, None] * ray
+
+
+@pytest.mark.parametrize("depth_m", [np.nan, 0.04])
+def test_frames_are_placed_to_a_centimetre_though_reveals_return_too(depth_m: float) -> None:
+    """Most of what returns next to a head from below is the lintel's underside."""
+    generator = np.random.default_rng(3)
+    scans = [
+        features((x, y), seen_through_a_doorway((x, y), depth_m, generator), WALL.ends)
+        for x, y in ((1.2, -1.5), (2.9, -1.0))
+    ]
+    state = DoorState.OPEN if np.isnan(depth_m) else DoorState.CLOSED
+    door = replace(
+        NO_DOORS,
+        **{field.name: np.zeros((1, *getattr(NO_DOORS, field.name).shape[1:])) for field in fields(Doors)},
+    )
+    door = replace(
+        door,
+        ends=np.array([[[1.55, 0.0], [2.45, 0.0]]]),
+        normal=WALL.normal,
+        head_m=np.array([2.0]),
+        depth_m=np.array([depth_m]),
+        state=np.array([state], np.uint8),
+        wall=np.zeros(1, np.int32),
+    )
+    placed = place_frames(door, WALL, scans, SETTINGS)
+    np.testing.assert_allclose(placed.ends[0, :, 0], [1.5, 2.4], atol=0.012)
+    assert placed.head_m[0] == pytest.approx(2.08, abs=0.012)
+    assert placed.scan_count[0] == 2

@@ -1,0 +1,297 @@
+"""Rooms of plans that are known: turned, furnished, noisy, seen in part, and degenerate."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import shapely
+from shapely import affinity
+
+from ffmap.algorithms.maps.area_graph import AreaGraph, AreaGraphSettings, coarsened, find_rooms
+from ffmap.algorithms.maps.grid import Cell, GridMap
+from ffmap.algorithms.truth.rooms import compare_rooms
+
+CELL_M = 0.05
+SETTINGS = AreaGraphSettings()
+DOOR_M = 0.9
+WALL_M = 0.2
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Rooms and doorways; the corridor is the first room, and has a doorway to each other room."""
+
+    rooms: tuple[shapely.Polygon, ...]
+    doorways: tuple[shapely.Polygon, ...]
+
+    def turned(self, angle_deg: float) -> "Plan":
+        def turn(parts: tuple[shapely.Polygon, ...]) -> tuple[shapely.Polygon, ...]:
+            return tuple(affinity.rotate(part, angle_deg, origin=(0, 0)) for part in parts)
+
+        return Plan(turn(self.rooms), turn(self.doorways))
+
+    @property
+    def corners(self) -> np.ndarray:
+        """(D, 4, 2) as `find_rooms` takes doorways: from sill to sill along x or y."""
+        return np.array([np.asarray(doorway.exterior.coords)[[0, 3, 2, 1]] for doorway in self.doorways])
+
+
+def office(door_m: float = DOOR_M, corridor_m: float = 2.0, count: int = 3) -> Plan:
+    """A corridor along x with rooms of 4 × 5 m above and below, one doorway each."""
+    length = 4.0 * count + WALL_M * (count - 1)
+    rooms, doorways = [shapely.box(0, 0, length, corridor_m)], []
+    for i in range(count):
+        left = i * (4.0 + WALL_M)
+        middle = left + 1.5
+        rooms += [
+            shapely.box(left, corridor_m + WALL_M, left + 4, corridor_m + WALL_M + 5),
+            shapely.box(left, -WALL_M - 5, left + 4, -WALL_M),
+        ]
+        for bottom in (corridor_m, -WALL_M):
+            doorways.append(shapely.box(middle - door_m / 2, bottom, middle + door_m / 2, bottom + WALL_M))
+    return Plan(tuple(rooms), tuple(doorways))
+
+
+def draw(plan: Plan, obstacles: tuple[shapely.Geometry, ...] = (), outside: int = Cell.OCCUPIED) -> GridMap:
+    free = shapely.union_all([*(room.buffer(1e-3) for room in plan.rooms), *(d.buffer(2e-3) for d in plan.doorways)])
+    x0, y0, x1, y1 = free.bounds
+    origin = np.floor(np.array([x0, y0]) / CELL_M) * CELL_M - 0.5
+    columns, rows = np.ceil((np.array([x1, y1]) + 0.5 - origin) / CELL_M).astype(int)
+    x, y = np.meshgrid(origin[0] + CELL_M * (np.arange(columns) + 0.5), origin[1] + CELL_M * (np.arange(rows) + 0.5))
+    cells = np.full((rows, columns), Cell.OCCUPIED, np.uint8)
+    shapely.prepare(free)
+    cells[~shapely.contains_xy(free.buffer(0.12), x, y)] = outside
+    cells[shapely.contains_xy(free, x, y)] = Cell.FREE
+    cells[shapely.contains_xy(shapely.union_all(obstacles), x, y)] = Cell.OCCUPIED
+    return GridMap(cells, origin, CELL_M)
+
+
+def furniture(room: shapely.Polygon) -> list[shapely.Geometry]:
+    """A table's legs with chairs about it, a cupboard at the wall and a chest that stands free."""
+    x, y = room.bounds[:2]
+    legs = [shapely.Point(x + 1.2 + dx, y + 1.8 + dy).buffer(0.06) for dx in (0.0, 1.4) for dy in (0.0, 0.5, 0.9, 1.4)]
+    return [*legs, shapely.box(x + 2.6, y + 4.4, x + 4, y + 5), shapely.box(x + 1.4, y + 2.1, x + 2.4, y + 2.9)]
+
+
+def assert_found(graph: AreaGraph, plan: Plan, least: float = 0.96) -> None:
+    figures = compare_rooms(plan.rooms, [room.polygon for room in graph.rooms])
+    assert len(graph) == len(plan.rooms)
+    assert figures.recall.min() > least
+    assert figures.precision.min() > least
+    assert figures.split == ()
+    assert figures.merged == ()
+
+
+def assert_star(graph: AreaGraph, plan: Plan) -> None:
+    """Every room leads to the corridor and nowhere else."""
+    corridor = int(np.argmax([room.polygon.intersection(plan.rooms[0]).area for room in graph.rooms]))
+    assert sorted(passage.rooms for passage in graph.passages) == sorted(
+        (min(corridor, room), max(corridor, room)) for room in range(len(graph)) if room != corridor
+    )
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 17.0, 45.0])
+def test_every_room_of_a_plan_is_found_whole_at_any_angle(angle_deg: float) -> None:
+    plan = office().turned(angle_deg)
+    graph = find_rooms(draw(plan), SETTINGS)
+    assert_found(graph, plan)
+    assert_star(graph, plan)
+    for passage in graph.passages:
+        assert np.linalg.norm(passage.line[1] - passage.line[0]) == pytest.approx(DOOR_M, abs=3 * CELL_M)
+        assert min(shapely.Point(passage.line.mean(axis=0)).distance(d) for d in plan.doorways) < 2 * CELL_M
+        assert passage.door is None
+    assert np.diff([room.area_m2 for room in graph.rooms]).max() < 1e-6
+    assert len({room.name for room in graph.rooms}) == len(graph)
+    for index, room in enumerate(graph.rooms):
+        assert np.count_nonzero(graph.label == index) * CELL_M**2 == pytest.approx(room.area_m2, rel=0.02)
+
+
+def test_a_shifted_map_has_shifted_rooms() -> None:
+    grid = draw(office())
+    shift = np.array([12.35, -7.05])
+    here, there = find_rooms(grid, SETTINGS), find_rooms(GridMap(grid.cells, grid.origin + shift, CELL_M), SETTINGS)
+    for room, moved in zip(here.rooms, there.rooms, strict=True):
+        assert affinity.translate(room.polygon, *shift).equals_exact(moved.polygon, 1e-6)
+    np.testing.assert_allclose(here.skeleton + shift, there.skeleton, atol=1e-6)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 30.0])
+def test_furniture_parts_no_room_and_belongs_to_it(angle_deg: float) -> None:
+    plan = office()
+    pieces = [piece for room in plan.rooms[1:] for piece in furniture(room)]
+    turned = [affinity.rotate(piece, angle_deg, origin=(0, 0)) for piece in pieces]
+    graph = find_rooms(draw(plan.turned(angle_deg), tuple(turned)), SETTINGS)
+    assert_found(graph, plan.turned(angle_deg), least=0.95)
+    free_standing = shapely.union_all([p for p in turned if p.area < 0.82]).buffer(CELL_M)
+    assert shapely.contains_xy(free_standing, graph.furniture).mean() > 0.99
+    inside = shapely.union_all([room.polygon for room in graph.rooms])
+    assert shapely.contains_xy(inside, graph.furniture).all()
+
+
+def test_without_alpha_removal_furniture_parts_rooms() -> None:
+    plan = office()
+    room = plan.rooms[1]
+    # Chests side by side across the room, half a metre apart.
+    chests = tuple(shapely.box(x, room.bounds[1] + 2, x + 0.5, room.bounds[1] + 2.5) for x in np.arange(0.5, 3.6, 1.0))
+    keep = AreaGraphSettings(furniture_max_m=0, block_max_m=0)
+    assert len(find_rooms(draw(plan, chests), keep)) > len(plan.rooms)
+    assert_found(find_rooms(draw(plan, chests), SETTINGS), plan)
+
+
+def test_a_noisy_map_has_the_same_rooms() -> None:
+    plan = office()
+    grid = draw(plan)
+    rng = np.random.default_rng(5)
+    near = np.zeros(grid.cells.shape, bool)
+    walls = grid.cells == Cell.OCCUPIED
+    near[1:-1, 1:-1] = (walls[:-2, 1:-1] | walls[2:, 1:-1] | walls[1:-1, :-2] | walls[1:-1, 2:]) & ~walls[1:-1, 1:-1]
+    grid.cells[near & (rng.random(near.shape) < 0.3)] = Cell.OCCUPIED
+    grid.cells[(grid.cells == Cell.FREE) & (rng.random(near.shape) < 0.005)] = Cell.OCCUPIED
+    assert_found(find_rooms(grid, SETTINGS), plan, least=0.93)
+
+
+def test_a_corridor_as_narrow_as_a_double_door_stays_a_room() -> None:
+    plan = office(door_m=0.8, corridor_m=1.3)
+    assert_found(find_rooms(draw(plan), SETTINGS), plan)
+
+
+def test_an_opening_wider_than_w_parts_no_rooms() -> None:
+    plan = office(door_m=2.2, corridor_m=4.0)
+    assert len(find_rooms(draw(plan), SETTINGS)) == 1
+    assert_found(find_rooms(draw(plan), AreaGraphSettings(passage_max_m=2.5)), plan, least=0.93)
+
+
+def test_detected_doors_part_rooms_whatever_their_width() -> None:
+    plan = office(door_m=2.2)
+    graph = find_rooms(draw(plan), SETTINGS, plan.corners)
+    assert_found(graph, plan)
+    assert_star(graph, plan)
+    assert sorted(passage.door for passage in graph.passages) == list(range(len(plan.doorways)))
+    corridor = int(np.argmax([room.polygon.intersection(plan.rooms[0]).area for room in graph.rooms]))
+    assert graph.rooms[corridor].doors == tuple(range(len(plan.doorways)))
+    for door, pair in enumerate(graph.door_rooms):
+        assert corridor in pair
+        assert all(graph.rooms[room].polygon.distance(plan.doorways[door]) < 2 * CELL_M for room in pair)
+
+
+def test_known_doors_set_w_so_that_cupboards_part_no_corridor() -> None:
+    plan = office(corridor_m=2.6)
+    length = plan.rooms[0].bounds[2]
+    cupboards = tuple(shapely.box(6.7, bottom, 8.2, bottom + 0.65) for bottom in (0.0, 1.95))
+    grid = draw(plan, cupboards)
+    assert len(find_rooms(grid, SETTINGS)) == len(plan.rooms) + 1  # nothing but their doors tells cupboards from walls
+    path = np.column_stack([np.linspace(0.5, length - 0.5, 50), np.full(50, 1.3)])
+    assert_found(find_rooms(grid, SETTINGS, plan.corners, path_map=path), plan, least=0.95)
+
+
+def test_the_room_beyond_a_closed_door_is_told_as_unknown() -> None:
+    plan = office()
+    seen = Plan(plan.rooms[:-1], plan.doorways)
+    graph = find_rooms(draw(seen), SETTINGS, plan.corners)
+    assert len(graph) == len(seen.rooms)
+    assert [pair[1] if pair[0] >= 0 else pair[0] for pair in graph.door_rooms][-1] == -1
+    assert max(graph.door_rooms[-1]) >= 0
+
+
+def test_what_the_robot_reaches_stays_and_what_only_windows_show_goes() -> None:
+    plan = office()
+    neighbour = shapely.box(0.5, 12.4, 6, 16)  # across the street
+    window = np.array([[[1.0, 7.2], [2.6, 7.2]]])
+    street = shapely.box(1.0, 7.15, 2.6, 12.4)
+    grid = draw(Plan((*plan.rooms, neighbour, street), plan.doorways))
+    path = np.column_stack([np.linspace(0.5, 11.5, 80), np.full(80, 1.0)])
+    graph = find_rooms(grid, SETTINGS, plan.corners, window, path)
+    assert_found(graph, plan)
+    without = find_rooms(grid, SETTINGS, plan.corners, window)
+    assert any(room.polygon.intersects(neighbour) for room in without.rooms)
+
+
+def test_the_edge_of_what_was_seen_is_no_jamb() -> None:
+    plan = Plan((shapely.box(0, 0, 10, 4),), ())
+    grid = draw(plan)
+    row = slice(int(0.5 / CELL_M), int(0.5 / CELL_M) + 80)
+    # Furniture on both sides hid all but a metre of the room's middle.
+    for start, stop in ((0.0, 1.5), (2.5, 4.0)):
+        rows = slice(row.start + round(start / CELL_M), row.start + round(stop / CELL_M))
+        grid.cells[rows, 100:130] = Cell.UNKNOWN
+    path = np.column_stack([np.linspace(0.5, 9.5, 50), np.full(50, 2.0)])
+    assert len(find_rooms(grid, SETTINGS)) == 2
+    assert_found(find_rooms(grid, SETTINGS, path_map=path), plan)
+
+
+def test_what_furniture_hid_belongs_to_the_room_but_nothing_beyond_its_walls() -> None:
+    plan = Plan((shapely.box(0, 0, 6, 4),), ())
+    grid = draw(plan, outside=Cell.UNKNOWN)
+    grid.cells[10:40, 10:40] = Cell.UNKNOWN  # a corner of 1.5 × 1.5 m
+    path = np.column_stack([np.linspace(2.5, 5.5, 50), np.full(50, 3.0)])
+    room = find_rooms(grid, SETTINGS, path_map=path).rooms[0].polygon
+    assert room.intersection(plan.rooms[0]).area > 0.985 * 24
+    assert room.difference(plan.rooms[0].buffer(CELL_M)).area == pytest.approx(0, abs=1e-6)
+
+
+def test_single_rays_that_left_through_a_gap_are_no_room() -> None:
+    plan = Plan((shapely.box(0, 0, 6, 4), shapely.box(5.9, 2, 9, 2.15)), ())
+    path = np.column_stack([np.linspace(0.5, 5.5, 50), np.full(50, 3.0)])
+    graph = find_rooms(draw(plan, outside=Cell.UNKNOWN), SETTINGS, path_map=path)
+    assert len(graph) == 1
+    assert graph.rooms[0].area_m2 == pytest.approx(24, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("cells", "rooms"),
+    [
+        (np.full((40, 50), Cell.OCCUPIED, np.uint8), 0),
+        (np.full((40, 50), Cell.UNKNOWN, np.uint8), 0),
+        (np.full((1, 1), Cell.FREE, np.uint8), 0),
+        (np.full((1, 1), Cell.UNKNOWN, np.uint8), 0),
+        (np.full((1, 500), Cell.FREE, np.uint8), 1),
+        (np.full((40, 50), Cell.FREE, np.uint8), 1),
+    ],
+)
+def test_degenerate_maps(cells: np.ndarray, rooms: int) -> None:
+    grid = GridMap(cells, np.zeros(2), CELL_M)
+    doorway = np.array([[[0.2, 0.2], [0.2, 1.1], [0.4, 1.1], [0.4, 0.2]]])
+    for graph in (
+        find_rooms(grid, SETTINGS),
+        find_rooms(grid, SETTINGS, doorway),
+        find_rooms(grid, SETTINGS, path_map=np.array([[1.0, 1.0]])),
+        find_rooms(grid, SETTINGS, path_map=np.zeros((0, 2))),
+    ):
+        assert graph.label.shape == cells.shape
+        assert len(graph.passages) == 0
+    assert len(find_rooms(grid, SETTINGS)) == rooms
+    assert find_rooms(grid, SETTINGS, doorway).door_rooms[0] in ((-1, -1), (0, 0), (-1, 0), (0, -1))
+
+
+def test_a_coarsened_map_keeps_its_walls_and_its_rooms() -> None:
+    plan = office()
+    grid = draw(plan)
+    coarse = coarsened(grid, grid.cells.size // 7)
+    assert coarse.cells.size <= grid.cells.size // 7 * 1.1
+    assert coarse.cell_m > grid.cell_m
+    graph = find_rooms(coarse, SETTINGS)
+    figures = compare_rooms(plan.rooms, [room.polygon for room in graph.rooms])
+    assert len(graph) == len(plan.rooms)
+    assert figures.recall.min() > 0.8
+    assert figures.merged == ()
+    assert coarsened(grid, grid.cells.size).cell_m == grid.cell_m
+
+
+def test_the_voronoi_graph_keeps_off_the_walls() -> None:
+    plan = office()
+    graph = find_rooms(draw(plan), SETTINGS)
+    walls = shapely.union_all([room.boundary for room in plan.rooms])
+    free = shapely.union_all([*plan.rooms, *(d.buffer(0.01) for d in plan.doorways)])
+    middles = shapely.points(graph.skeleton.mean(axis=1))
+    assert len(middles) > 100
+    assert shapely.contains(free, middles).all()
+    assert shapely.distance(middles, walls.difference(shapely.union_all(plan.doorways).buffer(0.02))).min() > 0.2
+    assert len(graph.skeleton) < 0.1 * np.count_nonzero(graph.label >= 0)
+
+
+def test_an_alcove_too_small_for_a_room_joins_the_one_that_it_opens_to() -> None:
+    alcove = shapely.box(4.1, 1.6, 5.0, 2.4)
+    plan = Plan((shapely.box(0, 0, 4, 4), alcove), (shapely.box(4, 1.8, 4.1, 2.2),))
+    (room,) = find_rooms(draw(plan), SETTINGS).rooms
+    assert room.polygon.intersection(alcove).area > 0.95 * alcove.area
+    assert len(find_rooms(draw(plan), AreaGraphSettings(room_min_m2=0.3))) == 2

@@ -1,0 +1,176 @@
+"""Wall thickness and the floor plan of a building that is known."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import shapely
+
+from ffmap.algorithms.base.segments import main_direction_deg
+from ffmap.algorithms.building.model import Doors
+from ffmap.algorithms.building.thickness import (
+    WallThicknessSettings,
+    door_depths,
+    face_thickness,
+    part_walls,
+    usual_thickness,
+)
+from ffmap.algorithms.maps.floor_plan import FloorPlan, FloorPlanSettings, draw_floor_plan
+from ffmap.algorithms.maps.grid import Drive, GridMapSettings, draw_furniture_free, standing_stretches
+from ffmap.algorithms.scan.doors import DoorState
+from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms
+
+THICKNESS = WallThicknessSettings()
+
+
+def plan_of(rooms: TwoRooms) -> FloorPlan:
+    immobile, drive = rooms.build()
+    grid = draw_furniture_free(immobile, drive, GridMapSettings(), THICKNESS)
+    stretches = standing_stretches(immobile, GridMapSettings())
+    return draw_floor_plan(stretches, immobile, grid, immobile.votes, FloorPlanSettings(), THICKNESS)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 25.0, 160.0])
+def test_thickness_is_measured_where_both_sides_were_seen(turn_deg: float) -> None:
+    rooms = TwoRooms(thickness_m=0.17, turn_deg=turn_deg)
+    parts = part_walls(rooms.walls, THICKNESS)
+    thickness_m = face_thickness(rooms.walls, parts)
+    np.testing.assert_allclose(thickness_m[[3, 6]], 0.17, atol=1e-6)
+    assert np.isnan(np.delete(thickness_m, [3, 6])).all()
+    assert usual_thickness(parts, THICKNESS) == pytest.approx(0.17)
+    closed = TwoRooms(thickness_m=0.17, turn_deg=turn_deg, closed=True).doors
+    np.testing.assert_allclose(door_depths(closed, rooms.walls, parts, THICKNESS), 0.17, atol=1e-6)
+
+
+def test_lintels_tell_how_deep_doorways_are() -> None:
+    # The wall's faces were seen minutes apart: drift lies between them, and none between a lintel's edges.
+    rooms = TwoRooms(thickness_m=0.17)
+    parts = part_walls(rooms.walls, THICKNESS)
+    lintel = replace(rooms.doors, reveal_m=np.array([0.24]))
+    np.testing.assert_allclose(door_depths(lintel, rooms.walls, parts, THICKNESS), 0.24)
+    closed = TwoRooms(closed=True).doors
+    both = Doors(*(np.concatenate([getattr(d, f.name) for d in (lintel, closed)]) for f in fields(Doors)))
+    np.testing.assert_allclose(door_depths(both, rooms.walls, parts, THICKNESS), 0.24)
+    # In another face of which one side was seen too; the face's own other side comes before.
+    for wall, depth_m in ((0, 0.24), (6, 0.17)):
+        elsewhere = replace(both, wall=np.array([3, wall]))
+        assert door_depths(elsewhere, rooms.walls, parts, THICKNESS)[1] == pytest.approx(depth_m)
+
+
+def test_a_duct_behind_a_lintel_makes_no_doorway_deeper_than_its_wall() -> None:
+    rooms = TwoRooms()
+    parts = part_walls(rooms.walls, THICKNESS)
+    duct = replace(rooms.doors, reveal_m=np.full(len(rooms.doors), 0.6))
+    assert door_depths(duct, rooms.walls, parts, THICKNESS).max() < 0.31
+
+
+def test_a_face_is_cut_where_the_other_side_ends() -> None:
+    rooms = TwoRooms()
+    walls = rooms.walls.select([3, 6])
+    walls.ends[1, 1, 0] = 2.5
+    parts = part_walls(walls, THICKNESS)
+    own = parts.wall == 0
+    lengths = np.linalg.norm(parts.ends[own, 1] - parts.ends[own, 0], axis=1)
+    np.testing.assert_allclose(lengths, [2.5, 1.5])
+    np.testing.assert_array_equal(np.isnan(parts.thickness_m[own]), [False, True])
+
+
+def test_a_doorway_that_one_side_showed_is_as_deep_as_is_known() -> None:
+    for closed, depth_m in ((False, 0.2), (True, THICKNESS.unseen_m)):
+        rooms = TwoRooms(both_seen=False, closed=closed)
+        parts = part_walls(rooms.walls, THICKNESS)
+        assert np.isnan(parts.thickness_m).all()
+        np.testing.assert_allclose(door_depths(rooms.doors, rooms.walls, parts, THICKNESS), depth_m)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 37.0])
+def test_walls_are_areas_with_the_doorway_cut_out(turn_deg: float) -> None:
+    rooms = TwoRooms(turn_deg=turn_deg)
+    plan = plan_of(rooms)
+    (x, y), t, (left, right) = SIZE_M, rooms.thickness_m, JAMBS_X
+    measured = shapely.union_all(plan.walls)
+    for low, high in ((0.0, left), (right, x)):
+        part = shapely.Polygon(rooms.to_map(np.array([[low, y], [high, y], [high, y + t], [low, y + t]])))
+        assert part.difference(measured).area < 0.03 * part.area
+    doorway = shapely.Polygon(rooms.to_map(np.array([[left, y], [right, y], [right, y + t], [left, y + t]])))
+    assert shapely.union_all([*plan.walls, *plan.assumed]).intersection(doorway.buffer(-0.01)).area < 1e-6
+    assert plan.doors[0].outline.symmetric_difference(doorway).area < 0.01
+    # The outer walls were seen from within: the usual thickness is put behind them, and none before.
+    inside = shapely.Polygon(rooms.to_map(np.array([[0, 0], [x, 0], [x, y], [0, y]]))).buffer(-0.02)
+    assert shapely.union_all([*plan.walls, *plan.assumed]).intersection(inside).area < 1e-6
+    corner = shapely.Point(rooms.to_map(np.array([[-0.1, -0.1]]))[0])
+    assert shapely.union_all(plan.assumed).contains(corner)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 37.0, -30.0, 44.0, 50.0, 160.0])
+def test_the_plan_knows_how_it_lies_in_the_map(turn_deg: float) -> None:
+    assert plan_of(TwoRooms(turn_deg=turn_deg)).direction_deg == pytest.approx((turn_deg + 45) % 90 - 45, abs=1e-6)
+
+
+def test_the_main_direction_is_that_of_most_walls_not_the_mean() -> None:
+    rng = np.random.default_rng(1)
+
+    def lines(count: int, length_m: float, angle_deg: float) -> np.ndarray:
+        starts = rng.uniform(-20, 20, (count, 2))
+        spread_deg = rng.normal(angle_deg + 90 * rng.integers(0, 4, count), 0.2)
+        along = np.stack([np.cos(np.radians(spread_deg)), np.sin(np.radians(spread_deg))], axis=1)
+        return np.stack([starts, starts + length_m * along], axis=1)
+
+    wing, main = lines(30, 2.0, 71.0), lines(12, 8.0, 46.0)
+    assert main_direction_deg(np.concatenate([wing, main])) == pytest.approx(-44.0, abs=0.2)
+    assert main_direction_deg(lines(20, 3.0, 89.99)) == pytest.approx(0.0, abs=0.2)
+    assert main_direction_deg(np.zeros((0, 2, 2))) == 0.0
+    assert main_direction_deg(np.zeros((3, 2, 2))) == 0.0
+
+
+@pytest.mark.parametrize("angle_deg", [35.0, 90.0, 130.0])
+@pytest.mark.parametrize("turn_deg", [0.0, 50.0])
+def test_the_swing_of_an_open_leaf_is_found(angle_deg: float, turn_deg: float) -> None:
+    rooms = TwoRooms(leaf_deg=angle_deg, turn_deg=turn_deg)
+    door = plan_of(rooms).doors[0]
+    assert len(door.leaves) == 1
+    leaf = door.leaves[0]
+    # Hung at the western jamb on B's side, it turns counter-clockwise into B.
+    np.testing.assert_allclose(
+        rooms.to_rooms(leaf.hinge[None])[0], [JAMBS_X[0], SIZE_M[1] + rooms.thickness_m], atol=0.01
+    )
+    assert leaf.swing_deg == pytest.approx(angle_deg, abs=5.1)
+
+
+def test_no_leaf_is_made_up() -> None:
+    assert plan_of(TwoRooms()).doors[0].leaves == ()
+    closed = plan_of(TwoRooms(closed=True)).doors[0]
+    assert closed.state == DoorState.CLOSED
+    assert closed.leaves == ()
+    np.testing.assert_allclose(closed.closed[:, 1], SIZE_M[1] + 0.04)
+
+
+@pytest.mark.parametrize("seen", [4, 2])
+@pytest.mark.parametrize("turn_deg", [0.0, 25.0])
+def test_a_free_standing_column_is_its_own_outline(seen: int, turn_deg: float) -> None:
+    """Also where two of its sides were seen alone."""
+    corners = np.array([[2.6, 1.4], [3.0, 1.4], [3.0, 1.8], [2.6, 1.8], [2.6, 1.4]])
+    sides = [(corners[i : i + 2], (0.0, 2.6)) for i in range(4)]
+    normals = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]], float)
+
+    class WithColumn(TwoRooms):
+        @property
+        def faces(self):
+            own = [(corners[i : i + 2], normals[i]) for i in range(seen)]
+            return [*super().faces, *own]
+
+    rooms = WithColumn(both_seen=False, more=tuple(sides), turn_deg=turn_deg)
+    plan = plan_of(rooms)
+    assert len(plan.columns) == 1
+    true = shapely.Polygon(rooms.to_map(corners))
+    assert plan.columns[0].symmetric_difference(true).area < 0.01
+    assert shapely.union_all([*plan.walls, *plan.assumed]).intersection(plan.columns[0]).area < 1e-6
+
+
+def test_an_empty_building_has_an_empty_plan() -> None:
+    rooms = TwoRooms(both_seen=False)
+    immobile, drive = rooms.build()
+    grid = draw_furniture_free(immobile, Drive(drive.path_map, list), GridMapSettings(), THICKNESS)
+    nothing = immobile.walls.select(np.zeros(0, int))
+    plan = draw_floor_plan(nothing, immobile, grid, immobile.votes, FloorPlanSettings(), THICKNESS)
+    assert (plan.walls, plan.assumed, plan.columns) == ((), (), ())

@@ -1,0 +1,135 @@
+"""Outlines of cells, laid on the faces that bound the rooms."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import shapely
+
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.segments import turned
+from ffmap.algorithms.building.thickness import WallThicknessSettings
+from ffmap.algorithms.maps.area_graph import AreaGraph, AreaGraphSettings, doorways_of, find_rooms, sides_of
+from ffmap.algorithms.maps.grid import GridMapSettings, draw_furniture_free, standing_stretches
+from ffmap.algorithms.maps.room_outlines import Sides, lay_on_faces
+from tests.two_rooms import SIZE_M, TwoRooms
+
+CELL_M = 0.05
+L_SHAPE = np.array([[0, 0], [6, 0], [6, 2.5], [3.5, 2.5], [3.5, 5], [0, 5]], float)
+PILLAR = np.array([[1, 1], [1, 1.4], [1.4, 1.4], [1.4, 1]], float)
+
+
+def in_cells(room: shapely.Polygon) -> shapely.Polygon:
+    """What a grid makes of a room: all cells whose middle is in it or half a cell from it."""
+    low_x, low_y, high_x, high_y = np.floor(np.array(room.bounds) / CELL_M) + np.array([-2, -2, 2, 2])
+    column, row = (axis.ravel() for axis in np.meshgrid(np.arange(low_x, high_x), np.arange(low_y, high_y)))
+    inside = shapely.contains_xy(room.buffer(CELL_M / 2), (column + 0.5) * CELL_M, (row + 0.5) * CELL_M)
+    cells = shapely.union_all(shapely.box(column[inside], row[inside], column[inside] + 1, row[inside] + 1))
+    return shapely.transform(cells, lambda corners: CELL_M * corners)
+
+
+def faces_of(room: shapely.Polygon, short_m: float = 0.0) -> Sides:
+    """The faces around a room, which end `short_m` before its corners."""
+    ends, normals = [], []
+    for ring in (shapely.polygons(room.exterior).normalize().exterior.reverse(), *room.interiors):
+        hole = ring in list(room.interiors)
+        corners = shapely.get_coordinates(ring)
+        ccw = shapely.is_ccw(ring)
+        for a, b in pairwise(corners):
+            along = (b - a) / np.linalg.norm(b - a)
+            left = np.array([-along[1], along[0]])
+            ends.append([a + short_m * along, b - short_m * along])
+            normals.append(left if ccw != hole else -left)
+    return Sides(np.array(ends), np.array(normals))
+
+
+def building(rooms: TwoRooms, with_faces: bool) -> AreaGraph:
+    immobile, drive = rooms.build()
+    grid = draw_furniture_free(immobile, drive, GridMapSettings(), WallThicknessSettings())
+    faces = (standing_stretches(immobile, GridMapSettings()), *sides_of(immobile.doors), immobile.windows)
+    doorways = doorways_of(immobile.doors)
+    return find_rooms(
+        grid, AreaGraphSettings(), doorways, immobile.windows.ends, drive.path_map, faces if with_faces else ()
+    )
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 12.0, 37.0])
+def test_rooms_end_at_the_faces_of_their_walls(turn_deg: float) -> None:
+    rooms = TwoRooms(turn_deg=turn_deg, shift=(0.37, -1.21))
+    found = building(rooms, with_faces=True)
+    (x, y), t = SIZE_M, rooms.thickness_m
+    true = {
+        name: shapely.Polygon(rooms.to_map(np.array(corners, float)))
+        for name, corners in (
+            ("room 1", [(0, 0), (x, 0), (x, y), (0, y)]),
+            ("room 2", [(0, y + t), (x, y + t), (x, 2 * y), (0, 2 * y)]),
+        )
+    }
+    for room in found.rooms:
+        assert room.polygon.symmetric_difference(true[room.name]).area < 1e-3
+        assert room.area_m2 == pytest.approx(true[room.name].area, abs=1e-3)
+        assert len(room.polygon.exterior.coords) == 5
+        distance = [true[room.name].exterior.distance(shapely.Point(xy)) for xy in room.polygon.exterior.coords]
+        assert max(distance) < 1e-4
+    if turn_deg:
+        before = building(rooms, with_faces=False)
+        assert abs(before.rooms[0].area_m2 - true["room 1"].area) > 0.2
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 15.0, 40.0])
+@pytest.mark.parametrize("short_m", [0.0, 0.06])
+def test_inner_and_outer_corners_and_pillars_are_met(turn_deg: float, short_m: float) -> None:
+    room = shapely.Polygon(turned(L_SHAPE, turn_deg), [turned(PILLAR, turn_deg)])
+    (laid,) = lay_on_faces([in_cells(room)], [faces_of(room, short_m)], 2 * CELL_M)
+    assert laid.symmetric_difference(room).area < 1e-4
+    assert len(shapely.get_coordinates(laid)) == len(shapely.get_coordinates(room))
+
+
+def test_what_no_face_bounds_stays_where_it_was_without_steps() -> None:
+    room = shapely.Polygon(turned(L_SHAPE, 20.0))
+    cells, faces = in_cells(room), faces_of(room)
+    known = np.linalg.norm(faces.ends.mean(axis=1) - turned(np.array([6.0, 1.25]), 20.0), axis=1) > 0.1
+    (laid,) = lay_on_faces([cells], [Sides(faces.ends[known], faces.normal[known])], 2 * CELL_M)
+    assert laid.symmetric_difference(room).area < 2.5 * CELL_M
+    assert len(laid.exterior.coords) < 12
+    # A face that the room does not reach draws nothing to itself, nor does one that the room goes around.
+    far = Sides(np.array([[[0.0, -0.3], [6.0, -0.3]], [[1.0, 1.0], [2.0, 1.0]]]), np.array([[0.0, 1.0], [0.0, 1.0]]))
+    (same,) = lay_on_faces([shapely.Polygon(L_SHAPE)], [far], 2 * CELL_M)
+    assert same.equals(shapely.Polygon(L_SHAPE))
+
+
+def test_rooms_on_both_sides_of_a_thin_wall_do_not_overlap() -> None:
+    for thickness_m in (0.04, 0.1):
+        rooms = [shapely.box(0, 0, 4, 3), shapely.box(0, 3 + thickness_m, 4, 6)]
+        cells = [shapely.box(-0.03, -0.02, 4.02, 3.03), shapely.box(-0.01, 3.03, 4.03, 6.04)]
+        ends: FloatArray = np.concatenate([faces_of(room).ends for room in rooms])
+        normal: FloatArray = np.concatenate([faces_of(room).normal for room in rooms])
+        laid = lay_on_faces(cells, [Sides(ends, normal)], 2 * CELL_M)
+        assert laid[0].intersection(laid[1]).area < 1e-9
+        for own, true in zip(laid, rooms, strict=True):
+            assert own.symmetric_difference(true).area < 1e-3
+
+
+def test_no_room_is_lost_whatever_faces_there_are() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(150):
+        width_m, height_m, angle_deg = rng.uniform(0.5, 4.0), rng.uniform(0.4, 4.0), rng.uniform(0.0, 90.0)
+        rooms = [
+            shapely.transform(shapely.box(low, 0, low + width_m, height_m), lambda xy, by=angle_deg: turned(xy, by))
+            for low in (0.0, width_m + 0.1)
+        ]
+        count = int(rng.integers(1, 12))
+        ends = np.cumsum(rng.uniform(-2.0, 3.0, (count, 2, 2)), axis=1)
+        along = ends[:, 1] - ends[:, 0]
+        normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
+        laid = lay_on_faces(rooms, [Sides(ends, normal)], 2 * CELL_M)
+        for own, before in zip(laid, rooms, strict=True):
+            assert own.is_valid
+            assert own.area > 0.4 * before.area
+            assert before.buffer(0.3).covers(own)
+        assert laid[0].intersection(laid[1]).area < 1e-8
+    narrow = shapely.box(0, 0, 3, 0.25)
+    between = Sides(
+        np.array([[[0.0, 0.09], [3.0, 0.09]], [[3.0, 0.16], [0.0, 0.16]]]), np.array([[0.0, 1.0], [0.0, -1.0]])
+    )
+    assert lay_on_faces([narrow], [between], 2 * CELL_M)[0].equals(narrow)

@@ -1,0 +1,68 @@
+"""The floor of a scan: a plane, or two that meet at a ramp's foot or top."""
+
+import numpy as np
+import pytest
+
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.scan.point_lines import Floor, RearrangementSettings, find_ceilings, find_floor
+
+SETTINGS = RearrangementSettings()
+
+
+def ground(rise: FloatArray, count: int = 30_000, seed: int = 0) -> FloatArray:
+    """Returns (n, 3) of a floor near the sensor, the denser the nearer, 1 cm of scatter; and of boxes that stand on it.
+
+    rise: (k, 3) rows of height at the origin, slope along x, slope along y; the floor is the highest of them.
+    """
+    generator = np.random.default_rng(seed)
+    reach, heading = 0.5 + 4.0 * generator.random(count) ** 2, generator.uniform(0, 2 * np.pi, count)
+    places = np.column_stack([reach * np.cos(heading), reach * np.sin(heading)])
+    height = (rise[:, :1] + rise[:, 1:] @ places.T).max(axis=0)
+    boxes = (np.hypot(*(places - [2.0, 1.5]).T) < 0.4) | (np.hypot(*(places - [-1.5, 2.0]).T) < 0.3)
+    height[boxes] += generator.uniform(0.05, 0.24, int(boxes.sum()))
+    return np.column_stack([places, height + generator.normal(0, 0.01, count)]).astype(np.float32)
+
+
+LEVEL = np.array([[0.0, 0.0, 0.0]])
+FOOT = np.array([[0.0, 0.0, 0.0], [-0.08, 0.08, 0.0]])
+"""A ramp of 8 % that begins 1 m ahead."""
+
+
+@pytest.mark.parametrize("rise", [LEVEL, np.array([[0.02, 0.02, -0.01]])])
+def test_a_floor_that_is_a_plane_has_no_pieces(rise: FloatArray) -> None:
+    floor = find_floor(ground(rise), SETTINGS)
+    assert len(floor.pieces) == 0
+    np.testing.assert_allclose([floor.height_m, *floor.slope], rise[0], atol=0.003)
+
+
+@pytest.mark.parametrize("top", [False, True])
+@pytest.mark.parametrize("turn_deg", [0.0, 70.0, 200.0])
+def test_a_floor_bends_at_a_ramp(top: bool, turn_deg: float) -> None:
+    c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+    turned = FOOT.copy()
+    turned[:, 1:] = FOOT[:, 1:] @ np.array([[c, s], [-s, c]])
+    points = ground(turned)
+    if top:
+        clear = points[np.abs(points[:, 2] - (turned[:, :1] + turned[:, 1:] @ points[:, :2].T).max(axis=0)) < 0.04]
+        points, turned = clear * np.array([1, 1, -1], np.float32), -turned
+    floor = find_floor(points, SETTINGS)
+    assert floor.is_foot == (not top)
+    order = np.argsort(np.abs(floor.pieces[:, 1:]).sum(axis=1))
+    np.testing.assert_allclose(floor.pieces[order], turned, atol=0.012)
+    truth = turned[:, 0] + points[:, :2] @ turned[:, 1:].T
+    above_m = points[:, 2] - (truth.min(axis=1) if top else truth.max(axis=1))
+    np.testing.assert_allclose(floor.heights_above(points), above_m, atol=0.01)
+    np.testing.assert_allclose(points[:, 2] - floor.height_at(points), floor.heights_above(points), atol=1e-5)
+    # One plane through both pieces would lie centimetres off.
+    assert np.abs(points[:, 2] - Floor(floor.height_m, floor.slope, 0).height_at(points) - above_m).max() > 0.03
+
+
+def test_ceilings_follow_both_pieces_of_the_floor() -> None:
+    points = ground(FOOT, 20_000)
+    generator = np.random.default_rng(1)
+    places = generator.uniform(-3.0, 3.0, (40_000, 2))
+    truth_m = 2.6 + (FOOT[:, 0] + places @ FOOT[:, 1:].T).max(axis=1)
+    ceiling = np.column_stack([places, truth_m + generator.normal(0, 0.01, len(places))]).astype(np.float32)
+    planes = find_ceilings(np.concatenate([points, ceiling]), find_floor(points, SETTINGS), SETTINGS, 0)
+    off_m = np.min([np.abs(plane.height_at(ceiling) - truth_m) for plane in planes], axis=0)
+    assert np.mean(off_m < 0.02) > 0.97

@@ -1,0 +1,589 @@
+"""`ffmap inspect` and `ffmap compare` on real runs: what they say is what the runs' own files hold, point by point."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from rerun.chunk import RrdReader
+from rosbags.highlevel import AnyReader
+from scipy.spatial.transform import Rotation
+
+from ffmap.algorithms.base.labels import NO_RETURN
+from ffmap.algorithms.truth.runs import CLASSES, classes_of
+from ffmap.app.analysis.run_labels import LabelSource, pair
+from ffmap.app.commands import compare as compare_command
+from ffmap.app.commands import inspect as inspect_command
+from ffmap.app.folder.finished_run import open_run
+from ffmap.app.folder.names import LABELS, held, is_held
+from ffmap.app.record.read_back import readable, rows
+from ffmap.app.record.stream import whole_messages
+from ffmap.blueprints import compare as compare_blueprint
+from ffmap.blueprints import entities
+from ffmap.blueprints.entities import Fault, LineOutcome
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.simulator import SimulationSettings, simulate
+
+FFMAP = [sys.executable, "-c", "from app.cli import main; main()"]
+SCANS = 29
+SETTINGS = (
+    "smoothing.returns=9",
+    "wall_planes.similarity_m=0.002",
+    "doors.recess_min_m=0.05",
+    "relabelling.wall_distance_m=0.01",
+)
+Labels = dict[int, tuple[np.ndarray, np.ndarray]]
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+    cache = str(tmp_path_factory.mktemp("cache"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FFMAP_CACHE", cache)
+        patch.setenv("COLUMNS", "200")
+        yield dict(os.environ)
+
+
+@pytest.fixture(scope="module")
+def runs(environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The same drive run twice, with the default settings and with three others."""
+    folder = tmp_path_factory.mktemp("runs")
+    bag = folder / "drive.bag"
+    values = {"building": "small", "seed": 3, "sensor": "vlp16", "format": "bag", "duration_s": 3.0}
+    simulate(bag, SimulationSettings.model_validate(values))
+    found = {}
+    for name, settings in (("usual", ()), ("other", SETTINGS)):
+        found[name] = folder / name
+        sets = [word for setting in settings for word in ("--set", setting)]
+        done = ffmap(environment, "run", bag, "--out", found[name], *sets, "--quiet")
+        assert done.returncode == 0, done.stderr
+    return found
+
+
+@pytest.fixture(scope="module")
+def compared(runs: dict[str, Path], environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("compared")
+    done = ffmap(environment, "compare", runs["usual"], runs["other"], "--out", out)
+    assert done.returncode == 0, done.stderr
+    for word in (*(setting.partition("=")[0] for setting in SETTINGS), "labels changed", "area.wall.f1"):
+        assert word in done.stdout
+    (out / "stdout.txt").write_text(done.stdout)
+    return out
+
+
+def ffmap(environment: dict[str, str], *words: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*FFMAP, *map(str, words)], env=environment, capture_output=True, text=True, timeout=300, check=False
+    )
+
+
+def labels_of(run: Path) -> Labels:
+    """label and label_scan of every cloud of a labelled bag by its stamp, read with rosbags alone."""
+    found: Labels = {}
+    with AnyReader([run / "labelled.bag"]) as reader:
+        connections = [c for c in reader.connections if c.msgtype == "sensor_msgs/msg/PointCloud2"]
+        for connection, _, raw in reader.messages(connections):
+            message = reader.deserialize(raw, connection.msgtype)
+            stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            points = np.asarray(message.data).reshape(-1, message.point_step)
+            offset = {field.name: field.offset for field in message.fields}
+            found[stamp] = points[:, offset["label"]].copy(), points[:, offset["label_scan"]].copy()
+    return found
+
+
+def report(out: Path) -> dict[str, Any]:
+    return json.loads((out / "comparison.json").read_text())
+
+
+def compare(out: Path, *paths: Path) -> dict[str, Any]:
+    compare_command.compare(paths, out, scans=True, spawn=False, quiet=True)
+    return report(out)
+
+
+def recorded(out: Path, entity: str) -> dict[int, dict[str, Any]]:
+    return {row.scan: row.values for row in rows(out / "comparison.rrd", entity)}
+
+
+# --- compare ---
+
+
+def test_exactly_the_labels_that_differ_are_found(compared: Path, runs: dict[str, Path]) -> None:
+    a, b = labels_of(runs["usual"]), labels_of(runs["other"])
+    found = report(compared)["comparisons"][0]["labels"]
+    assert found["final"]
+    changed_points = recorded(compared, entities.CHANGED_POINTS.format("B"))
+    confusion = np.zeros((CLASSES, CLASSES), int)
+    changed = changed_scan = 0
+    for scan, stamp in enumerate(sorted(a)):
+        (label_a, scan_a), (label_b, scan_b) = a[stamp], b[stamp]
+        differs = label_a != label_b
+        row = found["scans"][scan]
+        assert (row["scan"], row["stamp_ns"]) == (scan, stamp)
+        assert row["changed"] == np.count_nonzero(differs)
+        assert row["changed_label_scan"] == np.count_nonzero(scan_a != scan_b)
+        assert row["points"] == np.count_nonzero((label_a != NO_RETURN) | (label_b != NO_RETURN))
+        # Which point changed from what to what, in the cloud's order.
+        values = changed_points[scan]
+        assert values["before"].tolist() == classes_of(label_a[differs]).tolist()
+        assert values["after"].tolist() == classes_of(label_b[differs]).tolist()
+        assert values["class_ids"].tolist() == (CLASSES * values["before"].astype(int) + values["after"]).tolist()
+        assert values["positions"].shape == (row["changed"], 3)
+        changed, changed_scan = changed + row["changed"], changed_scan + row["changed_label_scan"]
+        valid = (label_a != NO_RETURN) | (label_b != NO_RETURN)
+        np.add.at(confusion, (classes_of(label_a[valid]), classes_of(label_b[valid])), 1)
+    assert len(found["scans"]) == len(a) == SCANS
+    assert found["changed"] == changed > 500
+    assert found["changed_label_scan"] == changed_scan > 1000
+    assert found["confusion"] == confusion.tolist()
+    assert sum(found["transitions"].values()) == changed
+
+
+def test_what_became_of_labels_stands_below_the_labels_that_it_tells_of(compared: Path) -> None:
+    found = report(compared)["comparisons"][0]["labels"]
+    document = "".join(
+        chunk.to_record_batch().column("TextDocument:text")[0].as_py()[0]
+        for chunk in RrdReader(compared / "comparison.rrd").stream().filter(content=[entities.CHANGES_TEXT.format("B")])
+    )
+    for text, separator in (((compared / "stdout.txt").read_text(), "│"), (document, "|")):
+        rows = [[cell.strip() for cell in line.split(separator)[1:-1]] for line in text.splitlines()]
+        named = [row[0] for row in rows if len(row) == 2]
+        first, scans = named.index("labels changed"), named.index("labels of single scans changed")
+        parts = [name for name in named if re.match(r"↳ [a-z ]+ → [a-z]", name)]
+        assert named[first + 1 : scans] == [*parts, f"↳ most of all in scan {worst_of(found)}"]
+        assert parts == [f"↳ {name}" for name in list(found["transitions"])[: len(parts)]]
+        assert len(parts) >= 3
+        assert not named[scans + 1].startswith("↳")
+
+
+def worst_of(labels: dict[str, Any]) -> int:
+    """The scan with most changed labels."""
+    return int(max(labels["scans"], key=lambda scan: scan["changed"])["scan"])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="folders cannot be locked there")
+def test_a_run_that_was_killed_is_told_from_one_that_goes_on(runs: dict[str, Path], tmp_path: Path) -> None:
+    killed = tmp_path / "killed"
+    killed.mkdir()
+    record = json.loads((runs["other"] / "run.json").read_text())
+    (killed / "run.json").write_text(json.dumps(record | {"outcome": "running"}))
+    with held(killed):
+        assert open_run(killed).outcome == "running"
+        found = compare(tmp_path / "out", runs["usual"], killed)
+    assert "B, killed: is still running; what it has is compared" in found["warnings"]
+    assert open_run(killed).outcome == "killed"
+    found = compare(tmp_path / "out", runs["usual"], killed)
+    assert (
+        f"B, killed: was killed, 'ffmap run --resume {killed}' goes on with it; what it has is compared"
+        in found["warnings"]
+    )
+    assert [run["outcome"] for run in found["runs"]] == ["complete", "killed"]
+    # Asking does not take the folder.
+    with held(killed):
+        assert is_held(killed)
+        assert is_held(killed)
+    assert not is_held(killed)
+    assert not is_held(tmp_path / "none")
+
+
+def test_changed_points_lie_where_the_runs_saw_them(compared: Path, runs: dict[str, Path]) -> None:
+    changed = recorded(compared, entities.CHANGED_POINTS.format("B"))
+    source = LabelSource(open_run(runs["usual"]), None)
+    usual = {cloud.scan: cloud for cloud in source.read(with_points=True)}
+    b = labels_of(runs["other"])
+    for scan, stamp in enumerate(sorted(b)):
+        cloud = usual[scan]
+        assert cloud.label is not None
+        assert cloud.points_map is not None
+        np.testing.assert_allclose(changed[scan]["positions"], cloud.points_map[b[stamp][0] != cloud.label], atol=1e-5)
+
+
+def test_points_of_the_bag_lie_where_the_recording_has_them(runs: dict[str, Path], tmp_path: Path) -> None:
+    """But for tenths of a degree by which the recording's scans are turned to the floor."""
+    alone = Path(shutil.copytree(runs["usual"], tmp_path / "alone", ignore=shutil.ignore_patterns("labelled*")))
+    with readable(alone / "recording.rrd") as recording:
+        seen = {c.scan: c.points_map for c in LabelSource(open_run(alone), recording).read(with_points=True)}
+    off_m = []
+    for cloud in LabelSource(open_run(runs["usual"]), None).read(with_points=True):
+        own = cloud.of_returns().points_map
+        assert own is not None
+        off_m.append(np.linalg.norm(own - seen[cloud.scan], axis=1))
+    assert np.median(np.concatenate(off_m)) < 0.006
+    assert np.quantile(np.concatenate(off_m), 0.95) < 0.02
+
+
+def test_settings_figures_and_files_that_differ(compared: Path, runs: dict[str, Path]) -> None:
+    found = report(compared)
+    assert found["settings"] == {
+        "smoothing.returns": {"A": 11, "B": 9},
+        "wall_planes.similarity_m": {"A": 0.05, "B": 0.002},
+        "doors.recess_min_m": {"A": 0.022, "B": 0.05},
+        "relabelling.wall_distance_m": {"A": 0.04, "B": 0.01},
+    }
+    figure = found["figures"]["area.wall.f1"]
+    a, b = (json.loads((runs[name] / "metrics.json").read_text())["area"]["wall"]["f1"] for name in ("usual", "other"))
+    assert (figure["A"], figure["B"], figure["differences"]) == (a, b, [b - a])
+    pair_found = found["comparisons"][0]
+    assert pair_found["not_compared"] == {}
+    assert pair_found["trajectory"]["poses"] == SCANS
+    assert pair_found["trajectory"]["max_m"] == 0.0
+    doors = [len(json.loads((runs[name] / "doors.geojson").read_text())["features"]) for name in ("usual", "other")]
+    assert doors[1] - doors[0] == len(pair_found["doors"]["gained"]) - len(pair_found["doors"]["lost"])
+    assert pair_found["planes"]["lost"] + pair_found["planes"]["gained"] > 0
+
+
+def test_the_recording_holds_both_runs_below_their_letters(compared: Path, runs: dict[str, Path]) -> None:
+    path = compared / "comparison.rrd"
+    assert whole_messages(path).has_footer
+    assert len(RrdReader(path).recordings()) == 1
+    for letter, name in (("A", "usual"), ("B", "other")):
+        own = {row.scan: row for row in rows(runs[name] / "recording.rrd", entities.POINTS, "label_scan")}
+        below = {row.scan: row for row in rows(path, f"/{letter}{entities.POINTS}", "label_scan")}
+        assert own.keys() == below.keys() == set(range(SCANS))
+        for scan, row in own.items():
+            np.testing.assert_array_equal(row.values["label_scan"], below[scan].values["label_scan"])
+            np.testing.assert_array_equal(row.values["positions"], below[scan].values["positions"])
+    entity_paths = {chunk.entity_path for chunk in RrdReader(path).stream()}
+    assert not [p for p in entity_paths if p.startswith(entities.SCAN)]
+    for path_of in (entities.CHANGED_CUBES, entities.CHANGES_TEXT):
+        assert path_of.format("B") in entity_paths
+
+
+def test_a_run_against_its_copy_differs_nowhere(
+    compared: Path, runs: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copied = tmp_path / "copied"
+    shutil.copytree(runs["usual"], copied)
+    layout = Mock(wraps=compare_blueprint.build)
+    monkeypatch.setattr(compare_blueprint, "build", layout)
+    found = compare(tmp_path / "out", runs["usual"], copied, runs["other"])
+    # It opens on what changed most: the third run, not the copy, and there its worst scan.
+    assert layout.call_args.args[3:] == (worst_of(found["comparisons"][1]["labels"]), "C", (0, SCANS - 1))
+    assert found["runs"][0]["recording_id"] == found["runs"][1]["recording_id"]
+    assert found["settings"].keys() == {setting.partition("=")[0] for setting in SETTINGS}
+    same = found["comparisons"][0]
+    assert same["labels"]["changed"] == same["labels"]["changed_label_scan"] == 0
+    assert same["labels"]["transitions"] == {}
+    assert same["labels"]["points"] > 100_000
+    for part in ("walls", "grid", "doors", "planes"):
+        counts = {
+            name: value for name, value in same[part].items() if "lost" in name or "gained" in name or name == "altered"
+        }
+        assert counts
+        assert not any(counts.values()), counts
+    # Two runs with the same recording id are both there, and the third is compared as it is alone.
+    entity_paths = {chunk.entity_path for chunk in RrdReader(tmp_path / "out" / "comparison.rrd").stream()}
+    assert {f"/{letter}{entities.POINTS}" for letter in "ABC"} <= entity_paths
+    assert found["comparisons"][1]["labels"]["changed"] == report(compared)["comparisons"][0]["labels"]["changed"]
+
+
+def test_poses_that_differ_are_told_and_labels_compared_all_the_same(
+    compared: Path, runs: dict[str, Path], tmp_path: Path
+) -> None:
+    """As after another levelling: the second map is turned by a degree about one of its points, and shifted."""
+    moved = tmp_path / "moved"
+    shutil.copytree(runs["other"], moved)
+    poses = np.loadtxt(moved / "trajectory.tum")
+    turn = Rotation.from_euler("yz", [0.3, 1.0], degrees=True)
+    before = poses[:, 1:4].copy()
+    poses[:, 1:4] = turn.apply(before) + np.array([0.1, 0.0, 0.02])
+    poses[:, 4:] = (turn * Rotation.from_quat(poses[:, 4:])).as_quat()
+    # Stamps as they stood: a float would lose their last digits.
+    stamps = [line.split()[0] for line in (moved / "trajectory.tum").read_text().splitlines()]
+    rows_of = [
+        " ".join([stamp, *(f"{value:.9f}" for value in row[1:])]) for stamp, row in zip(stamps, poses, strict=True)
+    ]
+    (moved / "trajectory.tum").write_text("\n".join(rows_of) + "\n")
+    change, same = compare(tmp_path / "out", runs["usual"], moved)["comparisons"][0], report(compared)["comparisons"][0]
+    assert change["labels"] == same["labels"]
+    assert change["planes"] == same["planes"]
+    distance = np.linalg.norm(poses[:, 1:4] - before, axis=1)
+    assert change["trajectory"]["mean_m"] == pytest.approx(distance.mean(), abs=1e-6)
+    assert change["trajectory"]["max_m"] == pytest.approx(distance.max(), abs=1e-6)
+    assert change["trajectory"]["aligned_max_m"] < 1e-6 < 0.1 < change["trajectory"]["mean_m"]
+    drawn = recorded(tmp_path / "out", f"{entities.POSE_DISTANCE.format('B')}/as_they_stand")
+    np.testing.assert_allclose([drawn[scan]["scalars"][0] for scan in range(SCANS)], distance, atol=2e-6)
+    # Changed points lie in the first run's map, over which they are shown.
+    points = entities.CHANGED_POINTS.format("B")
+    mine, usual = recorded(tmp_path / "out", points), recorded(compared, points)
+    for scan in range(SCANS):
+        np.testing.assert_array_equal(mine[scan]["positions"], usual[scan]["positions"])
+
+
+def test_whichever_file_has_the_labels_they_are_the_same(runs: dict[str, Path], tmp_path: Path) -> None:
+    """From the recording alone, and from labels.parquet, as from the labelled bag."""
+    bag = LabelSource(open_run(runs["other"]), None)
+    without_bag = tmp_path / "recording"
+    without_bag.mkdir()
+    for name in ("run.json", "recording.rrd", "trajectory.tum"):
+        shutil.copy(runs["other"] / name, without_bag)
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    for name in ("run.json", "trajectory.tum"):
+        shutil.copy(runs["other"] / name, alone)
+    kept = sorted(labels_of(runs["other"]).items())
+    columns = {
+        "scan": pa.array(range(SCANS), pa.int32()),
+        "label": pa.array([label for _, (label, _) in kept], pa.list_(pa.uint8())),
+        "label_scan": pa.array([label_scan for _, (_, label_scan) in kept], pa.list_(pa.uint8())),
+    }
+    pq.write_table(pa.table(columns), alone / LABELS)
+    with readable(without_bag / "recording.rrd") as recording:
+        for source in (LabelSource(open_run(without_bag), recording), LabelSource(open_run(alone), None)):
+            assert source.has_labels()
+            clouds = 0
+            for found in pair(bag.read(with_points=True), source.read(with_points=True)):
+                clouds += 1
+                assert found.same_cloud
+                assert found.a is not None
+                assert found.b is not None
+                np.testing.assert_array_equal(found.a.label, found.b.label)
+                np.testing.assert_array_equal(found.a.label_scan, found.b.label_scan)
+                assert found.a.points_map is not None
+                assert found.b.points_map is not None
+                # A recording's points are rounded, and levelled by the scan's own floor.
+                returned = np.isfinite(found.a.points_map).all(axis=1)
+                assert np.linalg.norm((found.a.points_map - found.b.points_map)[returned], axis=1).max() < 0.2
+            assert clouds == SCANS
+
+
+def test_what_a_run_lacks_is_said_and_the_rest_compared(runs: dict[str, Path], tmp_path: Path) -> None:
+    cut = tmp_path / "cut"
+    cut.mkdir()
+    whole = (runs["other"] / "recording.rrd").read_bytes()
+    (cut / "recording.rrd").write_bytes(whole[: int(0.7 * len(whole))])
+    shutil.copy(runs["other"] / "run.json", cut)
+    found = compare(tmp_path / "out1", runs["usual"], cut)
+    assert any("was cut" in warning for warning in found["warnings"])
+    change = found["comparisons"][0]
+    # Of a recording that was cut it is not known which final labels are missing.
+    assert not change["labels"]["final"]
+    assert 0 < len(change["labels"]["scans"]) <= SCANS
+    assert set(change["not_compared"]) == {"trajectory", "walls", "doors", "grid"}
+    assert all("B has no" in why for why in change["not_compared"].values())
+    a, b = labels_of(runs["usual"]), labels_of(runs["other"])
+    for row in change["labels"]["scans"]:
+        stamp = row["stamp_ns"]
+        assert row["changed"] == np.count_nonzero(a[stamp][1] != b[stamp][1])
+
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    record = json.loads((runs["other"] / "run.json").read_text())
+    (bare / "run.json").write_text(json.dumps(record | {"outcome": "aborted", "settings": {"gone": {"by_m": 1}}}))
+    (bare / "recording.rrd").write_text("this is no recording")
+    found = compare(tmp_path / "out2", bare, runs["usual"])
+    assert any("aborted" in warning for warning in found["warnings"])
+    assert any("is no recording" in warning for warning in found["warnings"])
+    assert found["settings"]["gone.by_m"] == {"A": 1, "B": None}
+    assert found["comparisons"][0]["compared"] == []
+
+    foreign = tmp_path / "foreign"
+    shutil.copytree(runs["usual"], foreign)
+    (foreign / "run.json").write_text(json.dumps(record | {"bag": {"path": "/elsewhere.bag", "digest": "another"}}))
+    found = compare(tmp_path / "out3", runs["usual"], foreign)
+    assert set(found["comparisons"][0]["not_compared"].values()) == {"the runs are of different bags"}
+    assert found["figures"]["area.wall.f1"]["differences"] == [0.0]
+
+
+def test_mistakes_are_one_line_and_nothing_of_a_run_is_overwritten(
+    runs: dict[str, Path], environment: dict[str, str], tmp_path: Path
+) -> None:
+    before = {path: path.stat().st_mtime_ns for path in runs["usual"].iterdir()}
+    usual, empty = runs["usual"], tmp_path / "empty"
+    empty.mkdir()
+    done = ffmap(environment, "compare", usual, empty)
+    assert done.returncode == 2, done.stderr
+    assert "empty: is no run folder" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    for paths, out, expected in (
+        ((usual,), None, "two run folders"),
+        ((usual, tmp_path / "none"), None, "none: no such folder"),
+        ((usual, runs["other"]), usual / "recording.rrd", "recording.rrd: lies among the files of a run"),
+    ):
+        with pytest.raises(InputError, match=expected):
+            compare_command.compare(paths, out, scans=True, spawn=False, quiet=True)
+    assert {path: path.stat().st_mtime_ns for path in runs["usual"].iterdir()} == before
+
+
+# --- inspect ---
+
+
+def test_a_scan_is_labelled_again_bit_for_bit(
+    runs: dict[str, Path], environment: dict[str, str], tmp_path: Path
+) -> None:
+    out = tmp_path / "scan.rrd"
+    done = ffmap(environment, "inspect", runs["other"], "--scan", "worst", "--line", "3", "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert "have a wrong final label (label), by the truth" in done.stdout
+    assert "equal label_scan in labelled.bag" in done.stdout
+    for number in (0, 17, SCANS - 1):
+        found = inspect_command.label_again(open_run(runs["other"]), number)
+        assert found.differing == 0
+    lines = len(found.labelling.lines)
+    documents: dict[int, str] = {}
+    strips: dict[int, int] = {}
+    for chunk in RrdReader(out).stream().filter(content=[entities.WHY_LINE, entities.EXAMPLE_LINE]):
+        batch = chunk.to_record_batch()
+        if entities.LINE_TIMELINE not in batch.schema.names:
+            continue
+        for i, line in enumerate(batch.column(entities.LINE_TIMELINE).to_pylist()):
+            if chunk.entity_path == entities.WHY_LINE:
+                documents[line] = batch.column("TextDocument:text")[i].as_py()[0]
+            else:
+                strips[line] = sum(len(strip) for strip in batch.column("LineStrips3D:strips")[i].as_py())
+    assert documents.keys() == strips.keys() == set(range(lines))
+    assert all(documents[line].startswith(f"# Line {line} ") for line in documents)
+    assert set(strips.values()) <= {0, 200}
+
+
+def test_the_worst_scan_is_that_with_most_errors_or_most_changed_labels(runs: dict[str, Path], tmp_path: Path) -> None:
+    run = runs["other"]
+    verdicts = {row.scan: row.values for row in rows(run / "evaluation.rrd", entities.POINTS)}
+    red, green, blue = entities.VERDICTS[0][1]
+    right = np.uint32(red << 24 | green << 16 | blue << 8 | 255)
+    wrong = {s: np.mean(v[entities.POINT_VERDICT_COLOR] != right) for s, v in verdicts.items()}
+    worst, _ = inspect_command.find_worst(open_run(run))
+    assert worst == max(wrong, key=wrong.__getitem__)
+    without_truth = tmp_path / "run"
+    without_truth.mkdir()
+    for name in ("run.json", "labelled.bag"):
+        shutil.copy(run / name, without_truth)
+    relabelled = [
+        np.count_nonzero(label != label_scan) / np.count_nonzero(label != NO_RETURN)
+        for _, (label, label_scan) in sorted(labels_of(run).items())
+    ]
+    worst, why = inspect_command.find_worst(open_run(without_truth))
+    assert worst == int(np.argmax(relabelled))
+    assert "not those of the scan alone" in why
+
+
+def test_the_worst_scan_opens_at_its_worst_line_and_says_which_label_is_wrong(
+    runs: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = runs["other"]
+    scan, _ = inspect_command.find_worst(open_run(run))
+    red, green, blue = entities.VERDICTS[0][1]
+    right = np.uint32(red << 24 | green << 16 | blue << 8 | 255)
+    verdicts = {row.scan: row.values for row in rows(run / "evaluation.rrd", entities.POINTS)}
+    wrong = verdicts[scan][entities.POINT_VERDICT_COLOR] != right
+    label, label_scan = (own[own != NO_RETURN] for own in labels_of(run)[sorted(labels_of(run))[scan]])
+    written = Mock(wraps=inspect_command.write)
+    monkeypatch.setattr(inspect_command, "write", written)
+    inspect_command.inspect(run, "worst", None, None, tmp_path / "worst.rrd", spawn=False)
+    lines, faults, opened = (written.call_args.args[k] for k in (4, 6, 8))
+    assert faults.by_truth
+    np.testing.assert_array_equal(faults.fault > 0, wrong)
+    np.testing.assert_array_equal(faults.fault == Fault.OF_THE_SCAN, wrong & (label == label_scan))
+    np.testing.assert_array_equal(faults.fault == Fault.OF_THE_BUILDING, wrong & (label != label_scan))
+    line_of = np.empty(len(wrong), int)
+    for line in range(len(lines.lines)):
+        line_of[lines.lines.order[lines.lines.starts[line] : lines.lines.starts[line + 1]]] = line
+    counts = np.bincount(line_of[wrong], minlength=len(lines.lines))
+    assert opened == int(np.argmax(counts))
+    out = capsys.readouterr().out
+    assert f"the final label (label) of {np.count_nonzero(wrong):,} of {len(wrong):,} returns is wrong" in out
+    assert f"{np.count_nonzero(wrong & (label == label_scan)):,} that have it from the scan itself (label_scan)" in out
+    assert f"Most are in line {opened} " in out
+    assert f"{counts.max():,}." in out
+
+    # Without truth, what the building changed; a line that is asked for comes before the worst.
+    without_truth = tmp_path / "run"
+    without_truth.mkdir()
+    for name in ("run.json", "labelled.bag", "trajectory.tum"):
+        shutil.copy(run / name, without_truth)
+    inspect_command.inspect(without_truth, str(scan), 3, None, tmp_path / "numbered.rrd", spawn=False)
+    faults, opened = (written.call_args.args[k] for k in (6, 8))
+    assert not faults.by_truth
+    np.testing.assert_array_equal(faults.fault == Fault.RELABELLED, label != label_scan)
+    assert opened == 3
+    assert "is not that of the scan itself (label_scan)" in capsys.readouterr().out
+
+    # A run without final labels says that nothing is marked.
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    shutil.copy(run / "run.json", bare)
+    inspect_command.inspect(bare, str(scan), None, None, tmp_path / "bare.rrd", spawn=False)
+    assert written.call_args.args[6] is None
+    assert written.call_args.args[8] is None
+    assert "holds no final labels (label) of this scan" in capsys.readouterr().out
+
+
+def test_reasons_are_recorded_beside_candidates_and_door_lines(runs: dict[str, Path]) -> None:
+    path = runs["usual"] / "recording.rrd"
+    reasons = {row.scan: row.values for row in rows(path, entities.UPMOST, "growth")}
+    outcomes = {row.scan: row.values for row in rows(path, entities.LINES, "outcome")}
+    assert len(reasons) == SCANS
+    for scan, values in reasons.items():
+        assert len(values["labels"]) == len(values["line"])
+        taken = values["plane"] >= 0
+        assert [label.startswith("taken: ") for label in values["labels"]] == taken.tolist()
+        outcome = dict(zip(outcomes[scan]["line"].tolist(), outcomes[scan]["outcome"].tolist(), strict=True))
+        assert all(outcome[line] in (LineOutcome.WALL, LineOutcome.DOOR) for line in values["line"][taken])
+    doors = [row.values for row in rows(path, entities.DOOR_CONDITIONS, "conditions_held")]
+    for values in doors:
+        held = values["conditions_held"] == 3
+        assert [label.startswith("above a door") for label in values["labels"]] == held.tolist()
+    assert any((values["conditions_held"] == 3).any() for values in doors)
+
+
+def test_a_run_that_is_not_this_programs_is_not_passed_off_as_such(runs: dict[str, Path], tmp_path: Path) -> None:
+    """The labels of one run with the settings of the other."""
+    altered = tmp_path / "altered"
+    shutil.copytree(runs["usual"], altered)
+    shutil.copy(runs["other"] / "run.json", altered)
+    run = open_run(altered)
+    usual, other = (labels_of(runs[name]) for name in ("usual", "other"))
+    differing = [np.count_nonzero(usual[stamp][1] != other[stamp][1]) for stamp in sorted(usual)]
+    worst = int(np.argmax(differing))
+    found = inspect_command.label_again(run, worst)
+    assert found.differing == differing[worst] > 0
+    assert f"{differing[worst]:,} of" in inspect_command.agreement(run, found)
+
+
+def test_what_cannot_be_inspected_is_one_line(
+    runs: dict[str, Path], environment: dict[str, str], tmp_path: Path
+) -> None:
+    done = ffmap(environment, "inspect", runs["usual"], "--scan", SCANS)
+    assert done.returncode == 2
+    assert f"--scan {SCANS}: usual has scans 0 to {SCANS - 1}" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    out = tmp_path / "x.rrd"
+    moved = tmp_path / "moved"
+    moved.mkdir()
+    record = json.loads((runs["usual"] / "run.json").read_text())
+    bag = Path(record["bag"]["path"])
+    (moved / "run.json").write_text(json.dumps(record | {"bag": record["bag"] | {"path": str(tmp_path / "gone.bag")}}))
+    for path, scan, line, wanted in (
+        (runs["usual"], "-1", None, "has scans 0 to"),
+        (runs["usual"], "five", None, "give a scan's number, or worst"),
+        (runs["usual"], "3", 32, "has lines 0 to 31"),
+        (tmp_path / "none", "3", None, "no such folder"),
+        (tmp_path, "3", None, "is no run folder"),
+        (moved, "worst", None, "no labels of single scans"),
+        (moved, "3", None, "say with --bag where it is"),
+    ):
+        with pytest.raises(InputError, match=wanted):
+            inspect_command.inspect(path, scan, line, None, out, spawn=False)
+    for taken in (runs["usual"] / "recording.rrd", runs["other"] / "recording.rrd", runs["other"] / "reference.rrd"):
+        with pytest.raises(InputError, match="belongs to the run"):
+            inspect_command.inspect(runs["usual"], "3", None, None, taken, spawn=False)
+    assert not out.exists()
+    inspect_command.inspect(moved, "3", None, bag, out, spawn=False)
+    assert whole_messages(out).has_footer
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "expected"),
+    [(0.1 + 0.2, 0.3, "="), (0.5, 0.50004, "+4e-05"), (0.5, 0.4, "-0.1000"), (3.0, 5.0, "+2"), (None, 1.0, "–")],
+)
+def test_the_difference_of_two_figures_in_words(first: float | None, second: float | None, expected: str) -> None:
+    assert compare_command._difference(first, second) == expected

@@ -1,0 +1,295 @@
+"""`ffmap rooms` as a user meets it: maps of other systems, truth, and files that are no maps."""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+import yaml
+from PIL import Image
+from rerun.chunk import RrdReader
+
+from ffmap.app import cli
+from ffmap.app.commands import rooms as rooms_command
+from ffmap.blueprints import entities
+
+AREAS_M2 = {"left": 4.0 * 5.0, "right": 5.0 * 5.0}
+
+
+@pytest.fixture
+def ffmap(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path):
+    """Runs a command in an empty folder; returns exit code, output and errors."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "150")
+
+    def run(*words: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["ffmap", *map(str, words)])
+        try:
+            cli.main()
+            code = 0
+        except SystemExit as done:
+            code = int(done.code or 0)
+        output = capsys.readouterr()
+        return code, output.out, output.err
+
+    return run
+
+
+def two_rooms(free: int = 254, wall: int = 0, outside: int = 205) -> np.ndarray:
+    """Rooms of 4 × 5 m and 5 × 5 m with a door of 0.9 m between them, the first row of pixels uppermost."""
+    pixels = np.full((140, 220), outside, np.uint8)
+    pixels[16:124, 16:206] = wall
+    pixels[20:120, 20:100] = free
+    pixels[20:120, 102:202] = free
+    pixels[60:78, 100:102] = free
+    return pixels
+
+
+def save(path: Path, pixels: np.ndarray) -> Path:
+    Image.fromarray(pixels).save(path)
+    return path
+
+
+def save_map(folder: Path, pixels: np.ndarray, **description: object) -> Path:
+    save(folder / "map.pgm", pixels)
+    path = folder / "map.yaml"
+    values = {"image": "map.pgm", "resolution": 0.05, "origin": [-3.0, 2.0, 0.0], "negate": 0, **description}
+    path.write_text(yaml.safe_dump({"occupied_thresh": 0.65, "free_thresh": 0.25, **values}))
+    return path
+
+
+def features(out: Path) -> list[dict]:
+    return json.loads((out / "rooms.geojson").read_text())["features"]
+
+
+def assert_one_line(result: tuple[int, str, str], *words: str) -> None:
+    code, _, err = result
+    assert code == 2
+    assert len(err.strip().splitlines()) == 1, err
+    for word in words:
+        assert word in err
+
+
+def test_a_map_of_map_servers_gives_outlines_areas_and_topology_in_its_frame(
+    ffmap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    code, out, err = ffmap("rooms", save_map(tmp_path, two_rooms()), "--out", "found")
+    assert code == 0, err
+    # A command that is to be copied is not broken, however narrow the terminal.
+    assert re.search(r"view (--web )?found/rooms\.rrd$", out, re.MULTILINE)
+    assert "room 1" in out
+    assert "25.0" in out
+    right, left = features(tmp_path / "found")
+    assert right["properties"]["name"] == "room 1"
+    assert right["properties"]["neighbours"] == [left["properties"]["name"]]
+    assert right["properties"]["area"] == pytest.approx(AREAS_M2["right"], rel=0.02)
+    assert left["properties"]["area"] == pytest.approx(AREAS_M2["left"], rel=0.02)
+    # Columns 20 to 100 of 220 and rows 20 to 120 from the top of 140, from the corner (-3, 2).
+    expected = shapely.box(-3 + 1.0, 2 + 1.0, -3 + 5.0, 2 + 6.0)
+    polygon = shapely.geometry.shape(left["geometry"])
+    assert polygon.symmetric_difference(expected).area < 0.2
+    topology = json.loads((tmp_path / "found" / "topology.json").read_text())
+    (passage,) = topology["passages"]
+    assert passage["rooms"] == ["room 1", "room 2"]
+    assert passage["door"] is None
+    assert passage["width_m"] == pytest.approx(0.9, abs=0.1)
+    np.testing.assert_allclose(passage["middle"], [-3 + 5.05, 2 + 3.55], atol=0.15)
+    assert not list((tmp_path / "found").glob("*.part"))
+
+
+def test_rooms_of_another_map_of_the_same_name_are_left_alone(ffmap, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        save_map(tmp_path / name, two_rooms())
+    assert ffmap("rooms", tmp_path / "a" / "map.yaml")[0] == 0
+    before = (tmp_path / "rooms" / "map" / "rooms.geojson").stat().st_mtime_ns
+    assert_one_line(ffmap("rooms", tmp_path / "b" / "map.yaml"), "rooms/map", str(tmp_path / "a" / "map.yaml"), "--out")
+    assert (tmp_path / "rooms" / "map" / "rooms.geojson").stat().st_mtime_ns == before
+    assert ffmap("rooms", tmp_path / "a" / "map.yaml")[0] == 0
+    assert ffmap("rooms", tmp_path / "b" / "map.yaml", "--out", tmp_path / "rooms" / "map")[0] == 0
+
+
+def test_what_is_not_of_the_maps_rooms_is_left_alone(ffmap, tmp_path: Path) -> None:
+    save(tmp_path / "rooms.png", two_rooms())
+    options = ("rooms.png", "--resolution", 0.05, "--out")
+    for folder, name, content in (
+        ("thesis", "rooms.geojson", "mine"),
+        ("run", "rooms.geojson", "a run's"),
+        ("measured", "metrics.json", "mine"),
+    ):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / name).write_text(content)
+    (tmp_path / "run" / "run.json").write_text("{}")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert_one_line(ffmap("rooms", *options, "."), "rooms.png: is read")
+    assert_one_line(ffmap("rooms", *options, "thesis"), "rooms.geojson: is there already")
+    assert_one_line(ffmap("rooms", *options, "run"), "belongs to the run")
+    assert_one_line(ffmap("rooms", *options, "measured"), "metrics.json")
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    for _ in range(2):
+        assert ffmap("rooms", *options, "found")[0] == 0
+
+
+def test_the_picture_and_the_recording_show_the_rooms(ffmap, tmp_path: Path) -> None:
+    save(tmp_path / "floor.png", two_rooms())
+    assert ffmap("rooms", "floor.png", "--resolution", 0.05)[0] == 0
+    out = tmp_path / "rooms" / "floor"
+    with Image.open(out / "rooms.png") as image:
+        pixels = np.asarray(image.convert("RGB"))
+    left, right = pixels[pixels.shape[0] // 4, [pixels.shape[1] // 4, 3 * pixels.shape[1] // 4]]
+    assert np.ptp(left) > 40
+    assert np.ptp(right) > 40
+    assert np.abs(left.astype(int) - right).max() > 40
+    store = RrdReader(out / "rooms.rrd").stream().collect()
+    paths = {str(chunk.entity_path) for chunk in store.stream()}
+    parts = (entities.ROOM_FLOORS, entities.ROOM_NAMES, entities.ROOM_PASSAGES)
+    assert {*(f"{entities.ROOMS}/{part}" for part in parts), entities.ROOM_GRAPH} <= paths
+    columns: dict[str, list] = {}
+    for chunk in store.stream():
+        if str(chunk.entity_path) == entities.ROOM_GRAPH:
+            columns |= chunk.to_record_batch().to_pydict()
+    assert columns["GraphNodes:node_ids"] == [["room 1", "room 2"]]
+    ((edge,),) = columns["GraphEdges:edges"]
+    assert set(edge.values()) == {"room 1", "room 2"}
+
+
+def test_an_images_transparent_pixels_and_unknown_ones_are_no_room(ffmap, tmp_path: Path) -> None:
+    pixels = two_rooms()
+    rgba = np.dstack([pixels, pixels, pixels, np.where(np.arange(220) < 101, 255, 0) * np.ones((140, 1))])
+    Image.fromarray(rgba.astype(np.uint8)).save(tmp_path / "half.png")
+    assert ffmap("rooms", "half.png", "--resolution", 0.05, "--out", "half")[0] == 0
+    (room,) = features(tmp_path / "half")
+    assert room["properties"]["area"] == pytest.approx(AREAS_M2["left"], rel=0.02)
+    path = save_map(tmp_path, two_rooms(outside=205, wall=205))  # 205 is under Nav2's default for free
+    assert ffmap("rooms", path, "--out", "unknown")[0] == 0
+    assert len(features(tmp_path / "unknown")) == 2
+
+
+@pytest.mark.parametrize(
+    ("description", "pixels"),
+    [
+        ({"negate": 1}, two_rooms(free=0, wall=255, outside=128)),
+        ({"mode": "raw"}, two_rooms(free=0, wall=100, outside=255)),
+        ({"mode": "scale", "free_thresh": 0.4}, two_rooms(free=170)),
+        ({"negate": True, "occupied_thresh": 0.3, "free_thresh": 0.1}, two_rooms(free=10, wall=90, outside=60)),
+    ],
+)
+def test_a_yaml_files_own_thresholds_hold(ffmap, tmp_path: Path, description: dict, pixels: np.ndarray) -> None:
+    assert ffmap("rooms", save_map(tmp_path, pixels, **description), "--out", "found")[0] == 0
+    assert len(features(tmp_path / "found")) == 2
+
+
+def test_truth_gives_recall_and_precision_and_a_folder_their_means(ffmap, tmp_path: Path) -> None:
+    parted = two_rooms(free=255)
+    parted[60:78, 100:102] = 120
+    save(tmp_path / "a_gt_segmentation.png", parted)
+    save(tmp_path / "a.png", two_rooms(free=255))
+    furnished = two_rooms(free=255)
+    furnished[40:44, 40:44] = furnished[80:90, 150:160] = 0
+    save(tmp_path / "a_furnitures.png", furnished)
+    whole = two_rooms(free=255)
+    whole[20:120, 100:102] = 255
+    save(tmp_path / "b.png", whole)
+    save(tmp_path / "b_gt_segmentation.png", parted)
+    code, out, _ = ffmap("rooms", "a.png", "--resolution", 0.05, "--truth", "a_gt_segmentation.png", "--out", "one")
+    assert code == 0
+    assert "2 rooms for 2 true ones" in out
+    figures = json.loads((tmp_path / "one" / "metrics.json").read_text())["rooms"]
+    assert figures["recall"] > 0.995
+    assert figures["precision"] > 0.995
+    code, out, err = ffmap("rooms", tmp_path, "--resolution", 0.05, "--out", "many")
+    assert code == 0, err
+    merged = json.loads((tmp_path / "many" / "b" / "metrics.json").read_text())["rooms"]
+    assert (merged["true"], merged["found"], merged["merged"]) == (2, 1, 1)
+    assert merged["precision"] == pytest.approx(25 / 45, abs=0.02)
+    assert "mean of 2 plain" in out
+    assert "mean of 1 furnitures" in out
+
+
+def test_known_doors_part_rooms(ffmap, tmp_path: Path) -> None:
+    pixels = two_rooms()
+    pixels[40:98, 100:102] = 254  # an opening of 2.9 m
+    path = save_map(tmp_path, pixels)
+    assert ffmap("rooms", path, "--out", "without")[0] == 0
+    assert len(features(tmp_path / "without")) == 1
+    sill = [[-3 + 5.05, 2 + 2.1], [-3 + 5.05, 2 + 5.0]]
+    doors = {"features": [{"type": "Feature", "geometry": {"type": "LineString", "coordinates": sill}}]}
+    (tmp_path / "doors.geojson").write_text(json.dumps(doors))
+    assert ffmap("rooms", path, "--doors", "doors.geojson", "--out", "with")[0] == 0
+    assert [feature["properties"]["doors"] for feature in features(tmp_path / "with")] == [[0], [0]]
+
+
+def test_a_large_map_is_segmented_with_larger_cells(ffmap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rooms_command, "CELLS_MAX", 8_000)
+    parted = two_rooms()
+    parted[60:78, 100:102] = 0
+    save(tmp_path / "truth.png", parted)
+    path = save_map(tmp_path, two_rooms())
+    code, _, err = ffmap("rooms", path, "--truth", "truth.png", "--out", "found")
+    assert code == 0
+    assert "cells of 0.1 m" in err
+    figures = json.loads((tmp_path / "found" / "metrics.json").read_text())["rooms"]
+    assert figures["found"] == 2
+    assert figures["recall"] > 0.9
+    assert figures["precision"] > 0.97
+
+
+def test_what_is_no_map_is_told_in_one_line(ffmap, tmp_path: Path) -> None:
+    assert_one_line(ffmap("rooms", "nothing.png", "--resolution", 0.05), "nothing.png", "is not there")
+    assert_one_line(ffmap("rooms", "nothing.yaml"), "nothing.yaml", "is not there")
+    save(tmp_path / "good.png", two_rooms())
+    assert_one_line(ffmap("rooms", "good.png"), "--resolution")
+    for wrong in ("0", "-1", "nan", "inf"):
+        assert_one_line(ffmap("rooms", "good.png", "--resolution", wrong), "--resolution")
+    for name, pixels in (("black", np.zeros((9, 9), np.uint8)), ("unknown", np.full((9, 9), 205, np.uint8))):
+        assert_one_line(ffmap("rooms", save(tmp_path / f"{name}.png", pixels), "--resolution", 0.05), "no free cell")
+    one = save(tmp_path / "one.png", np.full((1, 1), 254, np.uint8))
+    assert_one_line(ffmap("rooms", one, "--resolution", 0.05), "one.png", "no room")
+    (tmp_path / "text.png").write_text("no image")
+    assert_one_line(ffmap("rooms", "text.png", "--resolution", 0.05), "text.png", "no image")
+    Image.fromarray(np.full((9, 9), 9000, np.uint16)).save(tmp_path / "deep.png")
+    assert_one_line(ffmap("rooms", "deep.png", "--resolution", 0.05), "deep.png", "8 bits")
+    whole = (tmp_path / "good.png").read_bytes()
+    (tmp_path / "cut.png").write_bytes(whole[: len(whole) // 2])
+    assert_one_line(ffmap("rooms", "cut.png", "--resolution", 0.05), "cut.png")
+    small = save(tmp_path / "small.png", np.full((9, 9), 255, np.uint8))
+    assert_one_line(ffmap("rooms", "good.png", "--resolution", 0.05, "--truth", small), "small.png", "9 × 9")
+    assert_one_line(ffmap("rooms", tmp_path, "--resolution", 0.05), "no map has rooms beside it")
+    (tmp_path / "doors.geojson").write_text("[]")
+    assert_one_line(ffmap("rooms", "good.png", "--resolution", 0.05, "--doors", "doors.geojson"), "doors.geojson")
+    (tmp_path / "file").write_text("")
+    assert_one_line(ffmap("rooms", "good.png", "--resolution", 0.05, "--out", "file"), "file", "--out")
+    assert_one_line(ffmap("rooms", "good.png", "--resolution", 0.05, "--set", "area_graph.nothing=1"), "nothing")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "word"),
+    [
+        ({"image": "nothing.pgm"}, "nothing.pgm"),
+        ({"image": 7}, "image"),
+        ({"image": "map.yaml"}, "no image"),
+        ({"resolution": [1]}, "resolution"),
+        ({"resolution": -0.05}, "resolution"),
+        ({"resolution": float("inf")}, "resolution"),
+        ({"origin": "here"}, "origin"),
+        ({"origin": [0.0, float("nan"), 0.0]}, "origin"),
+        ({"origin": [0.0, 0.0, 0.5]}, "yaw"),
+        ({"mode": "colour"}, "mode"),
+        ({"occupied_thresh": 0.1, "free_thresh": 0.6}, "free_thresh"),
+    ],
+)
+def test_a_wrong_yaml_file_is_told_in_one_line(ffmap, tmp_path: Path, wrong: dict, word: str) -> None:
+    assert_one_line(ffmap("rooms", save_map(tmp_path, two_rooms(), **wrong)), word)
+
+
+def test_a_yaml_file_that_is_none_is_told_in_one_line(ffmap, tmp_path: Path) -> None:
+    path = tmp_path / "map.yaml"
+    marker = tmp_path / "run"
+    for text in ("- a\n- b\n", "image: [\n", "", f"image: !!python/object/apply:os.mkdir ['{marker}']\n", "\x00"):
+        path.write_text(text)
+        assert_one_line(ffmap("rooms", path), "map.yaml")
+    assert not marker.exists()

@@ -1,0 +1,318 @@
+"""The run folder's files, read back with other programs' readers."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+from PIL import Image
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.algorithms.building.model import Doors, Walls
+from ffmap.algorithms.building.votes import FusedCloud
+from ffmap.algorithms.maps.grid import Cell, GridMap
+from ffmap.app.folder.atomic import write_json
+from ffmap.app.folder.map_files import read_map
+from ffmap.app.folder.writers import (
+    LabelledBagWriter,
+    write_doors,
+    write_grid,
+    write_labelled_bag,
+    write_ply,
+    write_walls,
+)
+from ffmap.loaders.bag import open_bag
+from ffmap.loaders.frames import StaticTransform
+from ffmap.loaders.rig import Rig
+from ffmap.loaders.scans import index_clouds
+from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, sweep, write_bag
+
+CONTAINERS = ["in.bag", "in_mcap", "in_sqlite3"]
+T_BASE_LIDAR = transforms.from_yaw(0.5, [0.1, 0.2, 0.3])
+RIG = Rig("base", None, None, (StaticTransform("base", "lidar", T_BASE_LIDAR),), ())
+
+
+def make_bag(path: Path, count: int = 4, **cloud_options: Any) -> Path:
+    version = 1 if path.suffix == ".bag" else 2
+    entries = []
+    for i in range(count):
+        points = sweep(seed=i)
+        points["x"][:7] = np.nan
+        stamp_ns = START_NS + i * PERIOD_NS
+        entries.append(("/vertical", stamp_ns + 5, cloud(points, stamp_ns, ros_version=version, **cloud_options)))
+    return write_bag(path, entries)
+
+
+def drive(count: int = 4) -> Trajectory:
+    stamps = START_NS + PERIOD_NS * np.arange(count)
+    return Trajectory(stamps, np.array([transforms.from_yaw(0.1 * i, [float(i), 0.0, 0.0]) for i in range(count)]))
+
+
+def read_all(path: Path) -> list[tuple[str, int, Any]]:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with AnyReader([path], default_typestore=store) as reader:
+        return [(c.topic, t, reader.deserialize(data, c.msgtype)) for c, t, data in reader.messages()]
+
+
+def points_of(message: Any) -> np.ndarray:
+    return np.asarray(message.data).reshape(message.height * message.width, message.point_step)
+
+
+class TestLabelledBag:
+    @pytest.mark.parametrize("name", CONTAINERS)
+    def test_every_cloud_again_with_its_labels(self, tmp_path: Path, name: str):
+        path = make_bag(tmp_path / name)
+        generator = np.random.default_rng(0)
+        labels = [(i, *generator.integers(0, 6, (2, 1440)).astype(np.uint8)) for i in (0, 1, 3)]
+        with open_bag(path) as bag:
+            index = index_clouds(bag, "/vertical")
+            written = write_labelled_bag(tmp_path, bag, index, RIG, drive(), iter(labels))
+        assert written.name == ("labelled.bag" if name == "in.bag" else "labelled")
+        assert not list(tmp_path.glob("*.part"))
+        if name != "in.bag":
+            suffix = ".mcap" if "mcap" in name else ".db3"
+            assert sorted(p.name for p in written.iterdir()) == [f"labelled{suffix}", "metadata.yaml"]
+
+        before = [m for topic, _, m in read_all(path) if topic == "/vertical"]
+        after = read_all(written)
+        clouds = [(t, m) for topic, t, m in after if topic == "/vertical"]
+        assert [t for t, _ in clouds] == [START_NS + 5 + i * PERIOD_NS for i in range(4)]
+        expected = {i: (label, label_scan) for i, label, label_scan in labels}
+        for i, (old, (_, new)) in enumerate(zip(before, clouds, strict=True)):
+            assert (new.header.stamp, new.header.frame_id) == (old.header.stamp, "lidar")
+            assert [f.name for f in new.fields] == [*(f.name for f in old.fields), "label", "label_scan"]
+            assert (new.fields[-2].offset, new.fields[-1].offset, new.point_step) == (22, 23, 24)
+            points = points_of(new)
+            np.testing.assert_array_equal(points[:, :22], points_of(old))
+            label, label_scan = expected.get(i, (np.full(1440, 255), np.full(1440, 255)))
+            np.testing.assert_array_equal(points[:, 22], label)
+            np.testing.assert_array_equal(points[:, 23], label_scan)
+
+    @pytest.mark.parametrize("name", CONTAINERS)
+    def test_transforms(self, tmp_path: Path, name: str):
+        with open_bag(make_bag(tmp_path / name)) as bag:
+            written = write_labelled_bag(tmp_path, bag, index_clouds(bag, "/vertical"), RIG, drive(), [])
+        messages = read_all(written)
+        (static,) = [m for topic, _, m in messages if topic == "/tf_static"]
+        mount = static.transforms[0]
+        assert (mount.header.frame_id, mount.child_frame_id) == ("base", "lidar")
+        q, t = mount.transform.rotation, mount.transform.translation
+        np.testing.assert_allclose(
+            transforms.from_quaternion([t.x, t.y, t.z], [q.x, q.y, q.z, q.w]), T_BASE_LIDAR, atol=1e-12
+        )
+        poses = [m.transforms[0] for topic, _, m in messages if topic == "/tf"]
+        assert [(p.header.frame_id, p.child_frame_id) for p in poses] == [("map", "base")] * 4
+        np.testing.assert_allclose([p.transform.translation.x for p in poses], [0, 1, 2, 3], atol=1e-12)
+        np.testing.assert_allclose([p.transform.rotation.z for p in poses], np.sin(0.05 * np.arange(4)), atol=1e-12)
+        assert poses[2].header.stamp.nanosec == 200_000_000
+
+    def test_clouds_of_rows_with_padding(self, tmp_path: Path):
+        points = sweep().reshape(90, 16)
+        path = write_bag(tmp_path / "in.bag", [("/vertical", START_NS, cloud(points, row_padding=13))])
+        label = np.arange(1440).astype(np.uint8) % 6
+        with open_bag(path) as bag:
+            index = index_clouds(bag, "/vertical")
+            written = write_labelled_bag(tmp_path, bag, index, RIG, drive(1), [(0, label, label)])
+        (new,) = [m for topic, _, m in read_all(written) if topic == "/vertical"]
+        assert (new.height, new.width, new.row_step) == (90, 16, 16 * 24)
+        np.testing.assert_array_equal(points_of(new)[:, 22], label)
+        np.testing.assert_array_equal(points_of(new)[:, :22].reshape(-1), points.reshape(-1).view(np.uint8))
+
+    def test_a_broken_cloud_stays_as_it_is_and_has_no_pose_before_its_time(self, tmp_path: Path):
+        broken = cloud(sweep(), START_NS + PERIOD_NS)
+        broken = replace(broken, data=broken.data[:100])
+        entries = [
+            ("/vertical", START_NS, cloud(sweep())),
+            ("/vertical", START_NS + 1, broken),
+            ("/vertical", START_NS + 2, cloud(sweep(), START_NS - PERIOD_NS)),
+        ]
+        with open_bag(write_bag(tmp_path / "in.bag", entries)) as bag:
+            written = write_labelled_bag(tmp_path, bag, index_clouds(bag, "/vertical"), RIG, drive(), [])
+        messages = read_all(written)
+        clouds = [m for topic, _, m in messages if topic == "/vertical"]
+        assert [m.point_step for m in clouds] == [24, 22, 24]
+        assert len([m for topic, _, m in messages if topic == "/tf"]) == 2
+
+    @pytest.mark.parametrize("name", CONTAINERS)
+    def test_what_was_there_stays_until_the_new_one_is_complete(self, tmp_path: Path, name: str):
+        bag = open_bag(make_bag(tmp_path / name))
+        index = index_clouds(bag, "/vertical")
+        written = write_labelled_bag(tmp_path, bag, index, RIG, drive(), [])
+
+        def failing():
+            yield 0, np.zeros(1440, np.uint8), np.zeros(1440, np.uint8)
+            raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            write_labelled_bag(tmp_path, bag, index, RIG, drive(), failing())
+        assert not list(tmp_path.glob("*.part"))
+        assert len(read_all(written)) == 9
+        write_labelled_bag(tmp_path, bag, index, RIG, drive(), [(0, np.ones(1440, np.uint8), np.ones(1440, np.uint8))])
+        assert points_of(read_all(written)[2][2])[0, 22] == 1
+
+    @pytest.mark.parametrize("name", CONTAINERS)
+    def test_what_a_killed_run_left_is_no_hindrance(self, tmp_path: Path, name: str):
+        if name == "in.bag":
+            (tmp_path / "labelled.bag.part").write_bytes(b"half")
+        else:
+            (tmp_path / "labelled.part" / "labelled").mkdir(parents=True)
+            (tmp_path / "labelled.part" / "labelled" / "metadata.yaml").write_text("half")
+        with open_bag(make_bag(tmp_path / name)) as bag:
+            written = write_labelled_bag(tmp_path, bag, index_clouds(bag, "/vertical"), RIG, drive(), [])
+        assert len(read_all(written)) == 9
+        assert not list(tmp_path.glob("*.part"))
+
+    def test_labels_out_of_order_are_refused(self, tmp_path: Path):
+        label = np.zeros(1440, np.uint8)
+        with open_bag(make_bag(tmp_path / "in.bag")) as bag:
+            index = index_clouds(bag, "/vertical")
+            with pytest.raises(ValueError, match="out of order"):
+                write_labelled_bag(tmp_path, bag, index, RIG, drive(), [(1, label, label), (0, label, label)])
+
+    def test_no_clouds_at_all(self, tmp_path: Path):
+        with LabelledBagWriter(tmp_path, "ros1", "/vertical", "base", []):
+            pass
+        with AnyReader([tmp_path / "labelled.bag"]) as reader:
+            assert reader.message_count == 0
+
+
+class TestPly:
+    def test_read_by_trimesh_and_by_its_header(self, tmp_path: Path):
+        generator = np.random.default_rng(0)
+        points = generator.uniform(-5, 5, (100, 3)).astype(np.float32)
+        label = generator.integers(0, 5, 100).astype(np.uint8)
+        colours = generator.integers(0, 256, (100, 3)).astype(np.uint8)
+        write_ply(tmp_path / "cloud.ply", FusedCloud(points, label), colours)
+        mesh = trimesh.load(tmp_path / "cloud.ply")
+        np.testing.assert_array_equal(mesh.vertices.astype(np.float32), points)
+        np.testing.assert_array_equal(mesh.colors[:, :3], colours)
+        header, body = (tmp_path / "cloud.ply").read_bytes().split(b"end_header\n", 1)
+        assert b"binary_little_endian" in header
+        assert b"property uchar label" in header
+        np.testing.assert_array_equal(np.frombuffer(body, np.uint8).reshape(100, 16)[:, 12], label)
+
+    def test_empty(self, tmp_path: Path):
+        write_ply(
+            tmp_path / "cloud.ply",
+            FusedCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint8)),
+            np.zeros((0, 3), np.uint8),
+        )
+        assert (tmp_path / "cloud.ply").read_bytes().endswith(b"element vertex 0\n" + _PROPERTIES)
+
+
+_PROPERTIES = (
+    b"property float x\nproperty float y\nproperty float z\nproperty uchar label\n"
+    b"property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
+)
+
+
+class TestGrid:
+    GRID = GridMap(
+        np.array([[Cell.OCCUPIED, Cell.FREE, Cell.UNKNOWN], [Cell.FREE, Cell.FREE, Cell.OCCUPIED]], np.uint8),
+        np.array([-1.5, 2.25]),
+        0.05,
+    )
+
+    def test_as_pillow_and_yaml_read_it(self, tmp_path: Path):
+        write_grid(tmp_path / "map.yaml", self.GRID)
+        description = yaml.safe_load((tmp_path / "map.yaml").read_text())
+        assert description == {
+            "image": "map.pgm",
+            "mode": "trinary",
+            "resolution": 0.05,
+            "origin": [-1.5, 2.25, 0.0],
+            "negate": 0,
+            "occupied_thresh": 0.65,
+            "free_thresh": 0.196,
+        }
+        with Image.open(tmp_path / "map.pgm") as image:
+            assert (image.format, image.mode, image.size) == ("PPM", "L", (3, 2))
+            pixels = np.asarray(image)
+        assert pixels.tolist() == [[254, 254, 0], [0, 254, 205]]
+
+    def test_the_thresholds_tell_the_three_apart_as_map_server_does(self, tmp_path: Path):
+        write_grid(tmp_path / "map.yaml", self.GRID)
+        back = read_map(tmp_path / "map.yaml")
+        np.testing.assert_array_equal(back.cells, self.GRID.cells)
+        np.testing.assert_allclose(back.origin, self.GRID.origin)
+
+
+class TestGeojson:
+    def test_doors(self, tmp_path: Path):
+        doors = Doors(
+            ends=np.array([[[0.0, 0.0], [0.9, 0.0]], [[5.0, 1.12], [5.0, 2.0]]]),
+            normal=np.array([[0.0, 1.0], [1.0, 0.0]]),
+            head_m=np.array([2.0, 2.1]),
+            depth_m=np.array([0.05, np.nan]),
+            state=np.array([0, 1], np.uint8),
+            confidence=np.array([0.9, 0.7]),
+            agreement=np.array([1.0, 0.7]),
+            coverage=np.array([0.9, 1.0]),
+            lintel=np.ones(2),
+            ajar=np.zeros(2, bool),
+            ray_count=np.array([100, 90]),
+            scan_count=np.array([3, 4]),
+            first_scan=np.array([5, 6]),
+            last_scan=np.array([9, 60]),
+            crossed=np.array([False, True]),
+            wall=np.array([0, 1]),
+            reveal_m=np.array([0.05, 0.2]),
+        )
+        write_doors(tmp_path / "doors.geojson", doors)
+        content = json.loads((tmp_path / "doors.geojson").read_text())
+        assert content["type"] == "FeatureCollection"
+        closed, opened = content["features"]
+        assert closed["type"] == "Feature"
+        assert closed["geometry"] == {"type": "LineString", "coordinates": [[0.0, 0.0], [0.9, 0.0]]}
+        assert closed["properties"] == {
+            "state": "closed",
+            "width": 0.9,
+            "height": 2.0,
+            "depth": 0.05,
+            "confidence": 0.9,
+            "crossed": False,
+            "rooms": None,
+        }
+        assert opened["properties"]["state"] == "open"
+        assert opened["properties"]["width"] == 0.88  # and not 0.8799999999999999
+        assert opened["properties"]["depth"] is None
+        write_doors(tmp_path / "doors.geojson", doors, [(0, 1), None])
+        rooms = [f["properties"]["rooms"] for f in json.loads((tmp_path / "doors.geojson").read_text())["features"]]
+        assert rooms == [[0, 1], None]
+
+    def test_walls(self, tmp_path: Path):
+        walls = Walls(
+            ends=np.array([[[0.0, 0.0], [4.0, 0.0]]]),
+            normal=np.array([[0.0, 1.0]]),
+            bottom_m=np.array([0.05]),
+            top_m=np.array([2.75]),
+            scan_count=np.array([12], np.int32),
+            rms_m=np.array([0.01]),
+        )
+        write_walls(tmp_path / "walls.geojson", walls)
+        (feature,) = json.loads((tmp_path / "walls.geojson").read_text())["features"]
+        assert feature["geometry"]["coordinates"] == [[0.0, 0.0], [4.0, 0.0]]
+        expected = {"normal": [0.0, 1.0], "bottom": 0.05, "top": 2.75, "scans": 12, "rms": 0.01}
+        assert feature["properties"] == {**expected, "thickness": None}
+        for thickness_m, written in ((0.2, 0.2), (np.nan, None)):
+            write_walls(tmp_path / "walls.geojson", walls, np.full(len(walls), thickness_m))
+            (feature,) = json.loads((tmp_path / "walls.geojson").read_text())["features"]
+            assert feature["properties"] == {**expected, "thickness": written}
+
+    def test_what_json_cannot_say_is_null(self, tmp_path: Path):
+        write_json(tmp_path / "a.json", {"a": np.float32("nan"), "b": [np.int64(3), float("inf")], "c": np.eye(2)})
+        assert json.loads((tmp_path / "a.json").read_text()) == {"a": None, "b": [3, None], "c": [[1, 0], [0, 1]]}
+        assert not (tmp_path / "a.json.part").exists()
+
+    def test_a_failure_leaves_the_earlier_file(self, tmp_path: Path):
+        write_json(tmp_path / "a.json", 1)
+        with pytest.raises(TypeError):
+            write_json(tmp_path / "a.json", object())
+        assert json.loads((tmp_path / "a.json").read_text()) == 1

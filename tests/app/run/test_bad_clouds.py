@@ -1,0 +1,88 @@
+"""Clouds that are wrong in the course of a drive cost themselves alone, and the run says which and why."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Reader, Writer
+
+from ffmap.app.cli import main
+from ffmap.loaders.bag import Message, make_typestore
+from ffmap.loaders.simulator import SimulationSettings, simulate
+from tests.loaders.bag_builder import CLOUD
+
+VERTICAL, HORIZONTAL = "/vertical_velodyne/velodyne_points", "/horizontal_velodyne/velodyne_points"
+
+
+def changed(bag: Path, path: Path, changes: dict[tuple[str, int], Callable[[Message], None]]) -> Path:
+    """The same bag with some clouds changed, by their topic and number."""
+    store = make_typestore(1)
+    numbers = {VERTICAL: 0, HORIZONTAL: 0}
+    with Reader(bag) as reader, Writer(path) as writer:
+        connections = {c.id: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in reader.connections}
+        for connection, time_ns, data in reader.messages():
+            if connection.topic in numbers:
+                change = changes.get((connection.topic, numbers[connection.topic]))
+                numbers[connection.topic] += 1
+                if change is not None:
+                    message = store.deserialize_ros1(data, CLOUD)
+                    message.data = message.data.copy()
+                    change(message)
+                    data = store.serialize_ros1(message, CLOUD)
+            writer.write(connections[connection.id], time_ns, data)
+    return path
+
+
+def empty_without_layout(message: Message) -> None:
+    message.width, message.point_step, message.row_step, message.data = 0, 0, 0, message.data[:0]
+
+
+def truncated(message: Message) -> None:
+    message.data = message.data[:100]
+
+
+def with_a_return_far_away(message: Message) -> None:
+    message.data[: 3 * 4] = np.array([0.0, 10_000.0, 0.0], np.float32).view(np.uint8)
+
+
+def all_far_away(message: Message) -> None:
+    message.data.reshape(-1, message.point_step)[:, :4] = np.array([5e5], np.float32).view(np.uint8)
+
+
+def test_clouds_that_are_wrong_cost_themselves_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    values = {"building": "small", "seed": 3, "sensor": "vlp16", "duration_s": 1.5}
+    simulate(tmp_path / "sound.bag", SimulationSettings.model_validate(values))
+    bag = changed(
+        tmp_path / "sound.bag",
+        tmp_path / "bad.bag",
+        {
+            (VERTICAL, 0): empty_without_layout,
+            (VERTICAL, 4): with_a_return_far_away,
+            (VERTICAL, 6): all_far_away,
+            (HORIZONTAL, 5): truncated,
+        },
+    )
+    monkeypatch.setenv("FFMAP_CACHE", str(tmp_path / "cache"))
+    out = tmp_path / "run"
+    words = ["run", bag, "--out", out, "--outputs", "labels,maps", "--no-evaluate", "--quiet", "--workers", "1"]
+    monkeypatch.setattr("sys.argv", ["ffmap", *map(str, words)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 0, capsys.readouterr().err
+    record = json.loads((out / "run.json").read_text())
+    counts = record["counts"]
+    assert counts["clouds"] - counts["scans"] == 2
+    assert counts["skipped"] == {"no points": 1, "no return within 100 m (scan.range_max_m)": 1}
+    assert counts["beyond_range"] == 1
+    warnings = "\n".join(record["warnings"])
+    assert "returns farther than 100 m away were left out (scan.range_max_m): 1, in 1 of" in warnings
+    assert (
+        f"1 of {counts['registrations'] + 1} horizontal clouds skipped: {HORIZONTAL}: the cloud is truncated"
+        in warnings
+    )
+    columns, rows = (int(word) for word in (out / "map.pgm").read_bytes().split(b"\n")[1].split())
+    assert columns * rows < 500 * 500

@@ -1,0 +1,40 @@
+"""A scan is turned to the map's floor, but not by a floor that bends."""
+
+import numpy as np
+import pytest
+
+from ffmap.algorithms.base.scan import FloatArray, Scan
+from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.algorithms.poses.levelling import place_and_level
+from ffmap.algorithms.scan.point_lines import find_floor
+from ffmap.algorithms.scan.smoothing import SmoothingSettings, smooth_ranges
+from ffmap.app.setup.settings import load_settings
+
+SETTINGS = load_settings(None, [])
+
+
+def scan_of(rise_m: FloatArray, places: FloatArray) -> Scan:
+    """One firing at once of a sensor in the base's origin, which stands on the floor."""
+    points = np.column_stack([places, rise_m]).astype(np.float32)
+    count = len(points)
+    return Scan(points, np.zeros(count, np.uint16), 1, None, 0, 0, np.arange(count, dtype=np.int32), count)
+
+
+@pytest.mark.parametrize(("ramp", "tilt_deg", "turned"), [(0.0, 0.4, True), (0.08, 0.0, False), (0.0, 1.5, False)])
+def test_a_scan_is_levelled_by_a_floor_that_is_a_plane(ramp: float, tilt_deg: float, turned: bool) -> None:
+    generator = np.random.default_rng(0)
+    places = generator.uniform(-3, 3, (30_000, 2))
+    # The ramp begins right ahead: one plane through its foot would slope by half as much, which passes for a tilt.
+    rise_m = ramp * np.maximum(places[:, 0] - 1.0, 0.0) + np.tan(np.radians(tilt_deg)) * places[:, 0]
+    scan = scan_of(rise_m + generator.normal(0, 0.01, len(places)), places)
+    trajectory = Trajectory(np.array([-1, 1]) * 10**9, np.tile(np.eye(4), (2, 1, 1)))
+    # These returns follow no ring.
+    ranges = smooth_ranges(scan, SmoothingSettings(returns=0))
+    rearrangement, most_deg = SETTINGS.rearrangement, SETTINGS.trajectory.level_scan_max_deg
+    level = place_and_level(scan, ranges, trajectory, np.eye(4), 0.0, np.zeros(2), rearrangement, most_deg)
+    placed, floor = level.placed, level.floor
+    np.testing.assert_allclose(floor.heights_above(placed.points_level).std(), 0.01, atol=0.002)
+    assert (np.abs(placed.points_level - scan.points_sensor).max() > 0.01) == turned
+    assert (len(floor.pieces) == 2) == (ramp > 0)
+    if turned:
+        assert np.hypot(*find_floor(placed.points_level, rearrangement).slope) < 0.001

@@ -1,0 +1,280 @@
+"""A sweep as a user meets it: on this machine, killed and started again, on a Dask cluster, and with mistakes."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pyarrow.parquet as pq
+import pytest
+from rerun.chunk import RrdReader
+
+from ffmap.app.commands.sweep import Arguments, sweep
+from ffmap.app.folder.labels_file import read_labels
+from ffmap.app.setup.outputs import SWEEP_OUTPUTS, Output
+from ffmap.blueprints import entities
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.simulator import SimulationSettings, simulate
+
+FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
+GRID = ["--grid", "labelling.wall_distance_m=0.01,0.045", "--grid", "building.scans_min=3"]
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    return {**os.environ, "FFMAP_CACHE": str(tmp_path_factory.mktemp("cache"))}
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bags") / "drive.bag"
+    values = {"building": "small", "seed": 3, "sensor": "vlp16", "format": "bag", "duration_s": 2.0}
+    simulate(path, SimulationSettings.model_validate(values))
+    return path
+
+
+def ffmap(environment: dict[str, str], *words: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*FFMAP, *map(str, words)], env=environment, capture_output=True, text=True, timeout=300, check=False
+    )
+
+
+def records(out: Path) -> dict[str, dict]:
+    return {path.parent.name: json.loads(path.read_text()) for path in out.glob("drive-*/run.json")}
+
+
+def is_writing(out: Path) -> bool:
+    """Whether a process of a sweep into this folder is left."""
+    left = [p for p in psutil.process_iter(["cmdline"]) if "sweep_run" in " ".join(p.info["cmdline"] or [])]
+    return any(str(out) in str(file.path) for p in left for file in _open_files(p))
+
+
+def _open_files(process: psutil.Process) -> list:
+    try:
+        return process.open_files()
+    except psutil.Error:
+        return []
+
+
+@pytest.fixture(scope="module")
+def killed(bag: Path, environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict, str]:
+    """A sweep that was killed after its first run and started again; what was there in between, and what it said."""
+    out = tmp_path_factory.mktemp("sweeps") / "killed"
+    command = [*FFMAP, "sweep", str(bag), *GRID, "--out", str(out), "--workers", "1"]
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    end = time.monotonic() + 200
+    while len(records(out)) < 2 and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.02)
+    assert process.poll() is None
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    while is_writing(out) and time.monotonic() < end:
+        time.sleep(0.05)
+    before = {
+        name: (out / name / "run.json").stat().st_mtime_ns
+        for name, record in records(out).items()
+        if record["outcome"] == "complete"
+    }
+    done = ffmap(environment, "sweep", bag, *GRID, "--out", out, "--workers", 1)
+    assert done.returncode == 0, done.stderr
+    return out, before, done.stdout
+
+
+def test_a_killed_sweep_repeats_no_finished_run_and_no_odometry(
+    killed: tuple[Path, dict, str], environment: dict[str, str]
+) -> None:
+    out, before, said = killed
+    after = records(out)
+    assert len(before) == 1
+    assert len(after) == 2
+    for name, changed_ns in before.items():
+        assert (out / name / "run.json").stat().st_mtime_ns == changed_ns
+    assert all(record["outcome"] == "complete" and record["odometry_cached"] for record in after.values())
+    assert len(list(Path(environment["FFMAP_CACHE"]).glob("odometry/*/complete"))) == 1
+    assert "2 of 2 runs, 1 of them were there, 0 odometries computed" in said
+
+
+def test_the_runs_have_what_a_sweep_writes(killed: tuple[Path, dict, str]) -> None:
+    out = killed[0]
+    for name, record in records(out).items():
+        names = {path.name for path in (out / name).iterdir()}
+        assert {"recording.rrd", "evaluation.rrd", "labels.parquet", "metrics.json", "map.yaml"} <= names
+        assert not {"labelled.bag", "cloud.ply", "spool"} & names
+        assert not (out / "latest").is_symlink()
+        assert record["options"]["detail"] == "map"
+        assert record["timings_s"]["cpu"] > 0
+
+
+def test_the_table_holds_every_run(killed: tuple[Path, dict, str]) -> None:
+    out = killed[0]
+    rows = pq.read_table(out / "sweep.parquet").to_pylist()
+    assert {row["labelling.wall_distance_m"] for row in rows} == {0.01, 0.045}
+    assert len({row["labels_digest"] for row in rows}) == 2
+    for row in rows:
+        metrics = json.loads((out / row["run"] / "metrics.json").read_text())
+        assert row["state"] == "complete"
+        assert row["wall_f1"] == metrics["area"]["wall"]["f1"]
+        assert row["doors"] == records(out)[row["run"]]["counts"]["doors"]
+    assert any(row["pareto"] for row in rows)
+    plan = json.loads((out / "sweep.json").read_text())
+    assert [run["error"] for run in plan["runs"]] == [None, None]
+
+
+def test_the_recording_shows_every_run(killed: tuple[Path, dict, str]) -> None:
+    out = killed[0]
+    rows = pq.read_table(out / "sweep.parquet").to_pylist()
+    reader = RrdReader(out / "sweep.rrd")
+    assert {entry.application_id for entry in reader.recordings()} == {entities.SWEEP_APPLICATION_ID}
+    chunks = [(chunk.entity_path, chunk.to_record_batch()) for chunk in reader.stream()]
+    points = {path: rows for path, rows in chunks if path.endswith("/runs")}
+    assert f"{entities.SWEEP_FRONT}/runs" in points
+    panel = f"{entities.SWEEP_PARAMETERS}/labelling_wall_distance_m/wall_f1/runs"
+    drawn = np.array(points[panel].column("Points2D:positions").to_pylist()[0])
+    values = np.array([[row["labelling.wall_distance_m"], row["wall_f1"]] for row in rows])
+    values = values[np.argsort(values[:, 0])]
+    assert drawn.shape == (2, 2)
+    # Larger values lie farther right, better ones higher.
+    assert drawn[0, 0] < drawn[1, 0]
+    assert np.sign(drawn[0, 1] - drawn[1, 1]) == np.sign(values[1, 1] - values[0, 1])
+    texts = [rows.column("TextDocument:text").to_pylist() for path, rows in chunks if path == entities.SWEEP_RUN]
+    described = [text for column in texts for cell in column for text in cell]
+    assert len(described) == 2
+    for name in records(out):
+        assert any(name in text for text in described)
+
+
+@pytest.fixture(scope="module")
+def cluster(environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a scheduler with two workers, started from the command line."""
+    pytest.importorskip("distributed")
+    scheduler_file = tmp_path_factory.mktemp("cluster") / "scheduler.json"
+    dask = Path(sys.executable).parent / "dask"
+    quiet = {"env": {**environment, "PYTHONPATH": str(Path.cwd())}, "stdout": subprocess.DEVNULL}
+    commands = (
+        ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", scheduler_file],
+        ["worker", "--scheduler-file", scheduler_file, "--nthreads", "1", "--nworkers", "2", "--no-dashboard"],
+    )
+    started = [
+        subprocess.Popen([str(dask), *map(str, command)], stderr=subprocess.DEVNULL, start_new_session=True, **quiet)
+        for command in commands
+    ]
+    try:
+        end = time.monotonic() + 60
+        while not scheduler_file.exists() and time.monotonic() < end:
+            time.sleep(0.1)
+        yield json.loads(scheduler_file.read_text())["address"]
+    finally:
+        for process in started:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+def test_a_cluster_gives_the_same_labels(
+    killed: tuple[Path, dict, str], bag: Path, environment: dict[str, str], cluster: str, tmp_path: Path
+) -> None:
+    done = ffmap(environment, "sweep", bag, *GRID, "--out", tmp_path / "out", "--scheduler", cluster)
+    assert done.returncode == 0, done.stderr
+    ours, theirs = records(killed[0]), records(tmp_path / "out")
+    assert sorted(ours) == sorted(theirs)
+    for name in ours:
+        assert ours[name]["labels_digest"] == theirs[name]["labels_digest"] != ""
+        here, there = (read_labels(out / name / "labels.parquet") for out in (killed[0], tmp_path / "out"))
+        assert list(here) == list(there)
+        assert all(np.array_equal(here[scan], there[scan]) for scan in here)
+
+
+def test_an_interrupted_sweep_leaves_no_run_on_the_cluster(
+    bag: Path, environment: dict[str, str], cluster: str, tmp_path: Path
+) -> None:
+    command = [*FFMAP, "sweep", str(bag), *GRID, "--out", str(tmp_path / "out"), "--scheduler", cluster]
+    process = subprocess.Popen(
+        command,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell starts what runs in the background with interrupts ignored, and so would be this.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    end = time.monotonic() + 100
+    while not records(tmp_path / "out") and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == 130, said
+    assert "Traceback" not in said
+    assert "the same command goes on" in said
+    assert not is_writing(tmp_path / "out")
+    left = records(tmp_path / "out")
+    assert left
+    assert all(record["outcome"] == "running" for record in left.values())
+
+
+SEEDS = ("seed=0,1",)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ({"grid": ()}, "--grid"),
+        ({"grid": ("wall_planes.similarty_m=1",)}, "wall_planes.similarity_m"),
+        ({"grid": ("wall_planes.similarity_m=0.05,-1",)}, "similarity_m = -1"),
+        ({"grid": SEEDS, "outputs": (Output.RECORDING,)}, "add labels"),
+        ({"grid": SEEDS, "random": 2, "optuna": 2}, "--random"),
+        ({"grid": SEEDS, "objective": "wall_f2"}, "wall_f1"),
+        ({"grid": SEEDS, "optuna": 2, "evaluate": False}, "truth"),
+        ({"grid": SEEDS, "out": Path("file") / "out"}, "cannot be written"),
+        ({"grid": SEEDS, "out": Path("thesis")}, "holds files that are no sweep"),
+        ({"grid": SEEDS, "out": Path("theirs")}, "holds files that are no sweep"),
+        ({"grid": SEEDS, "bags": (Path("no.bag"),)}, "no.bag"),
+        ({"grid": SEEDS, "scheduler": "tcp://127.0.0.1:9"}, "dask scheduler"),
+        ({"grid": SEEDS, "scheduler": "nonsense"}, "tcp://127.0.0.1:8786"),
+    ],
+)
+def test_mistakes_are_one_line_and_nothing_starts(
+    words: dict, expected: str, bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("ffmap.app.sweeps.cluster._CONNECT_S", 1.0)
+    Path("file").touch()
+    Path("thesis").mkdir()
+    Path("thesis/thesis.tex").touch()
+    Path("theirs").mkdir()
+    Path("theirs/sweep.json").write_text('{"experiment": 1}')
+    arguments = Arguments(**{"bags": (bag,), "out": Path("out"), "outputs": SWEEP_OUTPUTS, "quiet": True, **words})
+    with pytest.raises(InputError) as error:
+        sweep(arguments)
+    assert expected in str(error.value)
+    assert "\n" not in str(error.value)
+    assert not list(tmp_path.glob("**/run.json"))
+    assert sorted(path.name for path in Path("thesis").iterdir()) == ["thesis.tex"]
+    assert Path("theirs/sweep.json").read_text() == '{"experiment": 1}'
+
+
+def test_the_command_line_says_which_outputs_there_are(bag: Path, environment: dict[str, str], tmp_path: Path) -> None:
+    for command in ("sweep", "run"):
+        done = ffmap(environment, command, bag, "--outputs", "recording,rooms", "--out", tmp_path / "out")
+        assert done.returncode == 2
+        assert len(done.stderr.strip().splitlines()) == 1
+        assert "'rooms'" in done.stderr
+        assert "geojson" in done.stderr
+
+
+def test_without_dask_it_says_how_to_install_it(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    arguments = Arguments((bag,), SEEDS, SWEEP_OUTPUTS, out=tmp_path / "out", scheduler="tcp://127.0.0.1:9", quiet=True)
+    with pytest.raises(InputError, match=r"-m pip install distributed' .*'\.\[cluster\]'"):
+        sweep(arguments)
+
+
+def test_without_optuna_it_says_how_to_install_it(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    arguments = Arguments((bag,), SEEDS, SWEEP_OUTPUTS, out=tmp_path / "out", optuna=2, quiet=True)
+    with pytest.raises(InputError, match=r"-m pip install optuna' .*'\.\[optuna\]'"):
+        sweep(arguments)
