@@ -6,12 +6,24 @@ Each command imports what it needs when it is called: 'ffmap --help' answers at 
 import errno
 import os
 import sys
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from ffmap.app.parameters import (
+    ConfigOption,
+    HorizontalOption,
+    QuietOption,
+    RigOption,
+    RunParameters,
+    SweepParameters,
+    TimeFrom,
+    TimeFromOption,
+    VerticalOption,
+    one_for_each_core,
+    with_parameters,
+)
 from ffmap.app.setup.outputs import RUN_OUTPUTS, SWEEP_OUTPUTS, Output, parse_outputs
 from ffmap.loaders.errors import InputError
 
@@ -45,95 +57,12 @@ def _options(
     pass
 
 
-class TimeFrom(StrEnum):
-    """Where the time of each firing comes from."""
-
-    AUTO = "auto"
-    AZIMUTH = "azimuth"
-    NONE = "none"
-
-
-class DoorsOption(StrEnum):
-    """Which doorways of the furniture-free grid are free."""
-
-    OPEN = "open"
-    AS_SEEN = "as-seen"
-    CLOSED = "closed"
-
-
-class DetailOption(StrEnum):
-    """How much of each scan the recording holds."""
-
-    LINES = "lines"
-    SCANS = "scans"
-    MAP = "map"
-
-
 BagArgument = Annotated[Path, typer.Argument(help="ROS 1 .bag, ROS 2 folder, .db3 or .mcap.", show_default=False)]
-RigOption = Annotated[
-    Path | None, typer.Option("--rig", help="TOML file that says where the lidars sit; asked before /tf_static.")
-]
-HorizontalOption = Annotated[str | None, typer.Option(help="Topic of the lidar that gives the poses.")]
-VerticalOption = Annotated[str | None, typer.Option(help="Topic of the lidar that sweeps the walls.")]
-TimeFromOption = Annotated[
-    TimeFrom, typer.Option(help="Times of the firings: the cloud's own, recovered from the azimuth, or none.")
-]
-_OUTPUTS_HELP = (
-    "All that is to be written, as in recording,maps: of recording, labelled (a bag), labels (Parquet, without the clouds), "
-    "cloud, maps, plan, geojson."
-)
 
 
 @app.command()
-def run(
-    bag: Annotated[
-        Path | None, typer.Argument(help="ROS 1 .bag, ROS 2 folder, .db3 or .mcap.", show_default=False)
-    ] = None,
-    out: Annotated[Path | None, typer.Option(help="Run folder.  [default: runs/BAG-TIME-HASH]")] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run that --out holds already.")] = False,
-    config: Annotated[Path | None, typer.Option(help="Settings as TOML; see 'ffmap settings'.")] = None,
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", help="One setting, as in wall_planes.similarity_m=0.05; repeatable.")
-    ] = None,
-    rig: RigOption = None,
-    horizontal: HorizontalOption = None,
-    vertical: VerticalOption = None,
-    time_from: TimeFromOption = TimeFrom.AUTO,
-    trajectory: Annotated[
-        str | None,
-        typer.Option(help="Poses T_map_base in place of the odometry: a TUM file, or a topic of the bag."),
-    ] = None,
-    doors: Annotated[
-        DoorsOption | None,
-        typer.Option(
-            help="Doorways in map.yaml: all open, as they were seen, or closed; --set grid_map.doors.  [default: open]"
-        ),
-    ] = None,
-    detail: Annotated[
-        DetailOption, typer.Option(help="What the recording holds of each scan: everything, labels, or the map alone.")
-    ] = DetailOption.LINES,
-    spawn: Annotated[bool, typer.Option("--spawn", help="Open the Rerun viewer and follow the run live.")] = False,
-    connect: Annotated[
-        str | None, typer.Option(help="Send to a viewer that runs, as rerun+http://127.0.0.1:9876/proxy.")
-    ] = None,
-    save: Annotated[bool, typer.Option(help="Write recording.rrd.")] = True,
-    outputs: Annotated[
-        str | None, typer.Option(metavar="LIST", help=f"{_OUTPUTS_HELP}  [default: {','.join(RUN_OUTPUTS)}]")
-    ] = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Labelling processes.  [default: one for each core]")
-    ] = None,
-    evaluate_: Annotated[
-        bool, typer.Option("--evaluate/--no-evaluate", help="Where the bag carries truth, compare with it.")
-    ] = True,
-    resume: Annotated[
-        Path | None, typer.Option(help="Go on with a run folder that was killed; no other argument is needed.")
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
-    verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Where the truth is known, print all figures as tables.")
-    ] = False,
-) -> None:
+@with_parameters(RunParameters)
+def run(words: RunParameters) -> None:
     """Label every scan of a bag, map the building, record every intermediate.
 
     Examples:
@@ -148,36 +77,29 @@ def run(
     """
     from ffmap.app.run.workers import start_server
 
-    written = parse_outputs(outputs, RUN_OUTPUTS)
-    workers = workers or os.cpu_count() or 1
+    written = parse_outputs(words.outputs, RUN_OUTPUTS)
+    workers = one_for_each_core(words.workers)
     if workers > 1:
         start_server()
     from ffmap.app.commands import run as run_command
+    from ffmap.app.run.start import Arguments
 
-    run_command.run(
-        run_command.Arguments(
-            bag=bag,
-            out=out,
-            config=config,
-            overrides=(*(set_ or ()), *([f"grid_map.doors={doors.value}"] if doors else [])),
-            rig=rig,
-            horizontal=horizontal,
-            vertical=vertical,
-            time_from=time_from.value,
-            trajectory=trajectory,
-            detail=detail.value,
-            spawn=spawn,
-            connect=connect,
-            outputs=tuple(output for output in written if save or output is not Output.RECORDING),
-            workers=workers,
-            evaluate=evaluate_,
-            quiet=quiet,
-            verbose=verbose,
-            latest=True,
-            overwrite=overwrite,
-        ),
-        resume,
+    doors = [f"grid_map.doors={words.doors.value}"] if words.doors else []
+    arguments = Arguments(
+        **words.common,
+        bag=words.bag,
+        out=words.out,
+        overrides=(*(words.set_ or ()), *doors),
+        detail=words.detail.value,
+        spawn=words.spawn,
+        connect=words.connect,
+        outputs=tuple(output for output in written if words.save or output is not Output.RECORDING),
+        workers=workers,
+        verbose=words.verbose,
+        latest=True,
+        overwrite=words.overwrite,
     )
+    run_command.run(arguments, words.resume)
 
 
 @app.command()
@@ -213,7 +135,7 @@ def simulate(
             "--set", help="Any other property of the simulation, as in clutter=0.5; an unknown one lists them all."
         ),
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Make a real bag of a robot with two lidars in a generated, furnished building, with its truth.
 
@@ -276,7 +198,7 @@ def evaluate(
     from ffmap.app.analysis import evaluation
     from ffmap.app.folder.finished_run import open_run
 
-    evaluation.print_metrics(evaluation.evaluate_run(open_run(run_folder), truth, workers or os.cpu_count() or 1))
+    evaluation.print_metrics(evaluation.evaluate_run(open_run(run_folder), truth, one_for_each_core(workers)))
 
 
 @app.command()
@@ -324,7 +246,7 @@ def compare(
     ] = None,
     scans: Annotated[bool, typer.Option(help="With single scans side by side; without, the file is small.")] = True,
     spawn: Annotated[bool, typer.Option("--spawn", help="Open it in the Rerun viewer.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
+    quiet: QuietOption = False,
 ) -> None:
     """What differs between runs, and where: labels point by point, poses, walls, doors, map, settings, figures.
 
@@ -343,65 +265,8 @@ def compare(
 
 
 @app.command()
-def sweep(
-    bags: Annotated[list[Path], typer.Argument(metavar="BAG", help="ROS bags, as 'ffmap run' takes them.")],
-    grid: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=V,V",
-            help="A setting and its values, as in doors.lines_min=2,3; with --random and --optuna also a range, as in "
-            "wall_planes.similarity_m=0.02..0.08; repeatable.",
-        ),
-    ] = None,
-    random: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Try N combinations drawn at random, not all of them.")
-    ] = None,
-    optuna: Annotated[
-        int | None,
-        typer.Option(min=1, metavar="N", help="Try N combinations, each proposed by Optuna after those before."),
-    ] = None,
-    objective: Annotated[
-        str,
-        typer.Option(
-            help="The figure that runs are ranked by, and that --optuna optimises; errors and times: the less."
-        ),
-    ] = "wall_f1",
-    seed: Annotated[
-        int, typer.Option(min=0, help="Of --random and --optuna: the same seed, the same combinations.")
-    ] = 0,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder of the sweep; named again, it goes on there.  [default: runs/sweep-BAG-HASH]"),
-    ] = None,
-    config: Annotated[Path | None, typer.Option(help="Settings as TOML; see 'ffmap settings'.")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", help="One setting for all runs; repeatable.")] = None,
-    rig: RigOption = None,
-    horizontal: HorizontalOption = None,
-    vertical: VerticalOption = None,
-    time_from: TimeFromOption = TimeFrom.AUTO,
-    trajectory: Annotated[
-        str | None, typer.Option(help="Poses T_map_base in place of the odometry: a TUM file, or a topic of the bag.")
-    ] = None,
-    detail: Annotated[
-        DetailOption, typer.Option(help="What each recording holds; see 'ffmap run'.")
-    ] = DetailOption.MAP,
-    outputs: Annotated[
-        str | None, typer.Option(metavar="LIST", help=f"{_OUTPUTS_HELP}  [default: {','.join(SWEEP_OUTPUTS)}]")
-    ] = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Runs at once, one thread each.  [default: one for each core]")
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="tcp://HOST:PORT", help="Run on the Dask cluster of this scheduler; needs the extra 'cluster'."
-        ),
-    ] = None,
-    evaluate_: Annotated[
-        bool, typer.Option("--evaluate/--no-evaluate", help="Where the bags carry truth, compare with it.")
-    ] = True,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
-) -> None:
+@with_parameters(SweepParameters)
+def sweep(words: SweepParameters) -> None:
     """Try many settings: every combination a run folder, one odometry for all; a table, sweep.parquet and sweep.rrd.
 
     A sweep that was stopped goes on with the same command; finished runs are not made again.
@@ -416,31 +281,22 @@ def sweep(
     """
     from ffmap.app.commands import sweep as sweep_command
 
-    failed = sweep_command.sweep(
-        sweep_command.Arguments(
-            bags=tuple(bags),
-            grid=tuple(grid or ()),
-            random=random,
-            optuna=optuna,
-            objective=objective,
-            seed=seed,
-            out=out,
-            config=config,
-            overrides=tuple(set_ or ()),
-            rig=rig,
-            horizontal=horizontal,
-            vertical=vertical,
-            time_from=time_from.value,
-            trajectory=trajectory,
-            detail=detail.value,
-            outputs=parse_outputs(outputs, SWEEP_OUTPUTS),
-            evaluate=evaluate_,
-            scheduler=scheduler,
-            workers=workers or os.cpu_count() or 1,
-            quiet=quiet,
-        )
+    arguments = sweep_command.Arguments(
+        **words.common,
+        bags=tuple(words.bags),
+        grid=tuple(words.grid or ()),
+        random=words.random,
+        optuna=words.optuna,
+        objective=words.objective,
+        seed=words.seed,
+        out=words.out,
+        overrides=tuple(words.set_ or ()),
+        detail=words.detail.value,
+        outputs=parse_outputs(words.outputs, SWEEP_OUTPUTS),
+        scheduler=words.scheduler,
+        workers=one_for_each_core(words.workers),
     )
-    if failed:
+    if sweep_command.sweep(arguments):
         sys.exit(1)
 
 
@@ -560,7 +416,7 @@ def rooms(
         typer.Option(help="Image of the true rooms, white and parted by lines: prints recall and precision."),
     ] = None,
     doors: Annotated[Path | None, typer.Option(help="Doors that are known, as a run's doors.geojson.")] = None,
-    config: Annotated[Path | None, typer.Option(help="Settings as TOML; see 'ffmap settings'.")] = None,
+    config: ConfigOption = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="One setting, as in area_graph.passage_max_m=1.25; repeatable.")
     ] = None,

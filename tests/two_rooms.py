@@ -6,10 +6,11 @@ import numpy as np
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import BuildingSettings, Doors, Walls, Windows
 from ffmap.algorithms.building.ray_evidence import trace_rays
 from ffmap.algorithms.building.votes import VoxelTable
-from ffmap.algorithms.maps.grid import Drive, Immobile
+from ffmap.algorithms.maps.grid import Immobile
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features, concatenate
 

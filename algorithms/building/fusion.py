@@ -1,20 +1,17 @@
-"""The building from all scans: which faces stand, its walls, doors and windows, and every map of it.
+"""The building from all scans: which faces stand, its walls, doors and windows.
 
 The steps stand in modules of their own; here is their order, which matters: rays tell which faces stand, faces
 where windows are, and what was seen through those is no face of this building.
 """
 
-from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Protocol
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.door_frames import measure_reveals, place_frames
 from ffmap.algorithms.building.doors import drop_doubtful, find_doors, prove_crossed
+from ffmap.algorithms.building.drive import AllScans
 from ffmap.algorithms.building.face_alignment import AlignedFaces, align_faces
-from ffmap.algorithms.building.face_columns import Storey, column_places
+from ffmap.algorithms.building.face_columns import column_places
 from ffmap.algorithms.building.face_foreground import BeforeWalls, BeforeWallsSettings, halo_at_walls, look_before_walls
 from ffmap.algorithms.building.face_fusion import fuse_walls
 from ffmap.algorithms.building.face_verdicts import (
@@ -31,24 +28,13 @@ from ffmap.algorithms.building.face_verdicts import (
     trim_at_doorways,
 )
 from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings
-from ffmap.algorithms.building.levels import HeightMap, map_levels
+from ffmap.algorithms.building.levels import HeightMap
 from ffmap.algorithms.building.missed_walls import find_hidden_walls
 from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
 from ffmap.algorithms.building.ray_evidence import WallCells
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
-from ffmap.algorithms.building.votes import Halo, VoxelVotes, find_halo
+from ffmap.algorithms.building.votes import Halo, find_halo
 from ffmap.algorithms.building.windows import find_windows, seen_through
-from ffmap.algorithms.maps.area_graph import AreaGraph, AreaGraphSettings, Segmented, doorways_of, find_rooms, sides_of
-from ffmap.algorithms.maps.floor_plan import FloorPlan, FloorPlanSettings, draw_floor_plan
-from ffmap.algorithms.maps.grid import (
-    Drive,
-    GridMap,
-    GridMapSettings,
-    Immobile,
-    draw_furniture_free,
-    standing_stretches,
-)
-from ffmap.algorithms.maps.rivals import Rival, RivalMapsSettings, draw_rival
 from ffmap.algorithms.scan.summary import concatenate, select_planes, without_rays
 
 _STRICT_NEAR_M = 0.07
@@ -63,45 +49,7 @@ class FusionSettings:
     standing_walls: StandingWallsSettings
     before_walls: BeforeWallsSettings
     wall_thickness: WallThicknessSettings
-    grid_map: GridMapSettings
-    area_graph: AreaGraphSettings
-    rival_maps: RivalMapsSettings
-    floor_plan: FloorPlanSettings
     relabelling: RelabellingSettings
-
-
-class Trace(Protocol):
-    """Counts the rays of all scans against faces as `trace_rays` does, those that ended beyond a window left out."""
-
-    def __call__(self, faces: Walls, settings: BuildingSettings, windows: Windows, /) -> WallCells: ...
-
-
-@dataclass(frozen=True)
-class AllScans:
-    """What the scans of a drive gathered, in the map frame.
-
-    votes: cubes by the labels that scans gave. rivals: what the paper's maps are drawn from, see `RivalCounter`.
-    """
-
-    drive: Drive
-    votes: VoxelVotes
-    rivals: VoxelVotes
-    trace: Trace
-
-    @cached_property
-    def levels(self) -> tuple[HeightMap, ...]:
-        """What they show together of ceilings and floors."""
-        return map_levels(self.votes)
-
-    @cached_property
-    def storey(self) -> Storey:
-        """The building's floor and ceiling."""
-        return Storey.of(self.votes, self.levels)
-
-    @property
-    def path_map(self) -> FloatArray:
-        """(n, 2) the robot's places."""
-        return self.drive.path_map[:, :2]
 
 
 @dataclass(frozen=True)
@@ -118,12 +66,6 @@ class Building:
     halo: Halo
     levels: tuple[HeightMap, ...]
     """Its ceilings, floors and ducts, where scans took them for something else."""
-    grid: GridMap
-    rooms: AreaGraph
-    compared_rooms: Mapping[Segmented, AreaGraph]
-    """Of the maps that the paper compares with (Fig. 10), without any doors known."""
-    rivals: Mapping[Rival, GridMap]
-    plan: FloorPlan
     thickness_m: FloatArray
     """(W,) of each face's wall."""
 
@@ -133,39 +75,12 @@ class Building:
         return BuildingModel(self.walls, self.before, self.judged, self.doors, self.windows, self.levels)
 
 
-def fuse_building(scans: AllScans, settings: FusionSettings, workers: int) -> Building:
-    """Walls from all planes, doors and maps from all rays.
-
-    workers: threads that draw maps. Raises ValueError where there is no scan.
-    """
+def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
+    """Walls from all planes, doors and windows from all rays. Raises ValueError where there is no scan."""
     aligned, judged, windows = _find_faces(scans, settings)
     aligned, judged, walls = _add_hidden_walls(aligned, judged, windows, scans, settings)
     trimmed, doors, windows = _find_openings(walls, scans, settings)
     walls, judged = trimmed.walls, judged.refuse(trimmed.leaves, FaceVerdict.ENDS_LOW)
-
-    # The grid shows what lies farther away than what doors and windows are told by.
-    immobile = Immobile(walls, scans.trace(walls, _far(settings), NO_WINDOWS), scans.votes, doors, windows)
-    grid = draw_furniture_free(immobile, scans.drive, settings.grid_map, settings.wall_thickness)
-    standing = standing_stretches(immobile, settings.grid_map)
-    rooms = find_rooms(
-        grid,
-        settings.area_graph,
-        doorways_of(doors),
-        windows.ends,
-        scans.drive.path_map,
-        (standing, *sides_of(doors), windows),
-    )
-    # All maps show what the furniture-free one does: a slice catches returns far outside, through windows.
-    rivals = {rival: own.cropped_to(grid) for rival, own in _draw_rivals(windows, scans, settings, workers).items()}
-    plan = draw_floor_plan(
-        standing,
-        immobile,
-        grid,
-        scans.votes,
-        settings.floor_plan,
-        settings.wall_thickness,
-        rooms.rooms,
-    )
     before = look_before_walls(trimmed.cells, trimmed.clear_m, settings.before_walls)
     halo = find_halo(scans.votes, settings.relabelling.halo_ratio)
     return Building(
@@ -177,11 +92,6 @@ def fuse_building(scans: AllScans, settings: FusionSettings, workers: int) -> Bu
         windows=windows,
         halo=halo_at_walls(halo, walls, doors, before, settings.relabelling.halo_wall_m),
         levels=scans.levels,
-        grid=grid,
-        rooms=rooms,
-        compared_rooms=_compare_rooms(rivals[Rival.MIDDLE], scans, settings),
-        rivals=rivals,
-        plan=plan,
         thickness_m=face_thickness(walls, part_walls(walls, settings.wall_thickness)),
     )
 
@@ -235,7 +145,7 @@ def _add_hidden_walls(
 ) -> tuple[AlignedFaces, JudgedFaces, Walls]:
     """The faces with those that only all scans together show, and the walls that they make."""
     # No scan saw a plane of a hidden wall that its rays could be measured against.
-    strict = _far(settings).model_copy(update={"near_m": _STRICT_NEAR_M, "own_plane_m": 0.0})
+    strict = settings.building.for_faces().model_copy(update={"near_m": _STRICT_NEAR_M, "own_plane_m": 0.0})
     hidden = find_hidden_walls(
         scans.votes,
         scans.storey,
@@ -272,34 +182,7 @@ def _find_openings(walls: Walls, scans: AllScans, settings: FusionSettings) -> t
     return trim_at_doorways(walls, cells, doors, clear_m), doors, windows
 
 
-# --- maps ---
-
-
-def _draw_rivals(windows: Windows, scans: AllScans, settings: FusionSettings, workers: int) -> dict[Rival, GridMap]:
-    """The maps that the paper compares with, side by side."""
-
-    def draw(rival: Rival) -> GridMap:
-        return draw_rival(rival, scans.rivals, windows, scans.drive, settings.grid_map, settings.rival_maps)
-
-    with ThreadPoolExecutor(workers) as threads:
-        return dict(zip(Rival, threads.map(draw, Rival), strict=True))
-
-
-def _compare_rooms(normal: GridMap, scans: AllScans, settings: FusionSettings) -> dict[Segmented, AreaGraph]:
-    """Rooms of the normal map (Fig. 10), with and without alpha removal."""
-    path_map, as_is = scans.drive.path_map, settings.area_graph.without_alpha_removal()
-    return {
-        Segmented.NORMAL: find_rooms(normal, settings.area_graph, path_map=path_map),
-        Segmented.NORMAL_AS_IS: find_rooms(normal, as_is, path_map=path_map),
-    }
-
-
 # --- what several steps ask for ---
-
-
-def _far(settings: FusionSettings) -> BuildingSettings:
-    """For faces, which rays tell of from farther away than of doors and windows."""
-    return settings.building.model_copy(update={"range_m": settings.building.far_m})
 
 
 def _clear_m(faces: Walls, cells: WallCells, scans: AllScans, settings: FusionSettings) -> FloatArray:

@@ -74,6 +74,10 @@ class BuildingSettings(StepSettings):
     confidence_min: float = Field(0.2, ge=0, le=1, description="What is less sure than this to be a door is none.")
     rays_min: int = Field(6, ge=1, description="Fewest rays that decide on a column of a wall, 5 cm wide.")
 
+    def for_faces(self) -> "BuildingSettings":
+        """Rays tell of faces from farther away than of doors and windows."""
+        return self.model_copy(update={"range_m": self.far_m})
+
 
 @dataclass(frozen=True)
 class Walls:

@@ -1,6 +1,6 @@
 """Grid maps of the building: furniture-free, or of what was hit in a slice of space (paper, IV.C, Fig. 6 and 9)."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Literal
@@ -15,6 +15,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, Doors, Walls, Windows, cells_in, stretches
 from ffmap.algorithms.building.ray_evidence import FOOT_ROW, THROUGH, WallCells, returns_at_face
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
@@ -125,17 +126,6 @@ class Immobile:
     votes: VoxelVotes
     doors: Doors
     windows: Windows
-
-
-@dataclass(frozen=True)
-class Drive:
-    """What makes cells free: where the robot was, and what its rays crossed.
-
-    path_map: (n, 2 or more) the robot's places. blocks: gives the features of all scans in any portions, every time anew.
-    """
-
-    path_map: FloatArray
-    blocks: Callable[[], Iterable[Features]]
 
 
 def draw_furniture_free(

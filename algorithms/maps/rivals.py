@@ -11,9 +11,10 @@ from pydantic import Field
 from ffmap.algorithms.base.scan import BoolArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.base.trajectory import PlacedScan
+from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import Windows
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
-from ffmap.algorithms.maps.grid import Drive, GridMap, GridMapSettings, draw_cells
+from ffmap.algorithms.maps.grid import GridMap, GridMapSettings, draw_cells
 from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.point_lines import below_ceiling
 

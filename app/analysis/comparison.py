@@ -3,24 +3,30 @@
 Everything is a plain value or array that the recorder draws, the terminal shows and comparison.json keeps.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
+from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.maps.grid import GridMap
-from ffmap.algorithms.truth.labels import TrajectoryFigures, compare_trajectories
+from ffmap.algorithms.truth.changes import (
+    COMPARABLE,
+    TRANSITIONS,
+    ChangedPoints,
+    Changes,
+    DoorsCompared,
+    LabelChange,
+    PlaneChange,
+    ScanChange,
+    TrajectoryChange,
+)
+from ffmap.algorithms.truth.labels import compare_trajectories
 from ffmap.algorithms.truth.runs import (
-    CLASSES,
-    DoorChange,
-    GridChange,
-    WallChange,
     changed_of,
     changed_places,
     classes_of,
@@ -40,11 +46,8 @@ from ffmap.loaders.geojson import read_features
 from ffmap.loaders.text_files import read_object
 from ffmap.loaders.trajectory_file import read_tum
 
-CLASS_NAMES = (*(label.name.lower() for label in Label), "no label")
-COMPARABLE = ("labels", "planes", "trajectory", "walls", "doors", "grid")
 CUBE_M = 0.1
 """Edge of the cubes in which changed points are gathered for the map."""
-TRANSITIONS = CLASSES**2
 
 
 @dataclass(frozen=True)
@@ -71,166 +74,18 @@ class RunToCompare:
         return f"{self.letter}: {self.run.name}"
 
 
-@dataclass(frozen=True)
-class ScanChange:
-    """One scan that both runs labelled.
-
-    counts: (7, 7) points of class i in the first run and j in the second; by the final labels where both runs have them.
-    changed_scan: how many labels of the scan alone differ.
-    """
-
-    scan: int
-    stamp_ns: int
-    counts: IntArray
-    changed_scan: int
-
-    @property
-    def points(self) -> int:
-        """How many points either run labelled."""
-        return int(self.counts.sum())
-
-    @property
-    def changed(self) -> int:
-        """How many of them differ."""
-        return changed_of(self.counts)
-
-
-@dataclass(frozen=True)
-class ChangedPoints:
-    """The points of one scan whose labels differ: places in the map (c, 3), `before` and `after` (c,) classes 0 to 6."""
-
-    scan: int
-    stamp_ns: int
-    points_map: FloatArray
-    before: UInt8Array
-    after: UInt8Array
-
-    @property
-    def transition(self) -> UInt8Array:
-        """(c,) 7 × before + after."""
-        return np.asarray(self.before * CLASSES + self.after, np.uint8)
-
-
-@dataclass(frozen=True)
-class LabelChange:
-    """The labels of all scans.
-
-    final: whether the final labels were compared; else those of the scans alone, for a run did not come to its end.
-    only_a, only_b: clouds that one run labelled and the other did not. unlike: clouds whose number of points differs.
-    cubes: votes of the changed points for their transitions, by cubes of 10 cm.
-    """
-
-    final: bool
-    scans: tuple[ScanChange, ...]
-    only_a: int
-    only_b: int
-    unlike: int
-    cubes: VoxelVotes
-
-    @property
-    def confusion(self) -> IntArray:
-        """(7, 7) summed over the scans."""
-        return _sum_counts(scan.counts for scan in self.scans)
-
-    @property
-    def points(self) -> int:
-        """How many points either run labelled."""
-        return sum(s.points for s in self.scans)
-
-    @property
-    def changed(self) -> int:
-        """How many labels differ."""
-        return sum(s.changed for s in self.scans)
-
-    @property
-    def changed_scan(self) -> int:
-        """How many labels of the scans alone differ."""
-        return sum(s.changed_scan for s in self.scans)
-
-    @property
-    def worst(self) -> ScanChange | None:
-        """The scan with most changed labels; None where none changed."""
-        worst = max(self.scans, key=lambda s: s.changed, default=None)
-        return worst if worst is not None and worst.changed else None
-
-
-@dataclass(frozen=True)
-class PlaneChange:
-    """Wall planes of single scans: (s,) scans, their stamps, how many were lost and gained in each."""
-
-    scan: IntArray
-    stamp_ns: IntArray
-    lost: IntArray
-    gained: IntArray
-
-
-@dataclass(frozen=True)
-class DoorsCompared:
-    """Both runs' doors as GeoJSON features, and which are which."""
-
-    before: list[Any]
-    after: list[Any]
-    change: DoorChange
-
-    @property
-    def altered(self) -> list[tuple[int, int, str]]:
-        """Doors that both have and that differ: number in the first run, in the second, what differs."""
-        found = []
-        for i, j in enumerate(self.change.match.tolist()):
-            if j < 0:
-                continue
-            a, b = self.before[i]["properties"], self.after[j]["properties"]
-            parts = []
-            if a.get("state") != b.get("state"):
-                parts.append(f"{a.get('state')} → {b.get('state')}")
-            if abs(_number(a.get("width")) - _number(b.get("width"))) >= 0.01:
-                parts.append(f"width {_number(a.get('width')):.2f} → {_number(b.get('width')):.2f} m")
-            if parts:
-                found.append((i, j, ", ".join(parts)))
-        return found
-
-
-@dataclass(frozen=True)
-class TrajectoryChange:
-    """Poses at the same stamps: distances as they stand, and after the best rotation and shift."""
-
-    stamp_ns: IntArray
-    figures: TrajectoryFigures
-
-
-@dataclass
-class PairChange:
-    """What differs between two runs; what could not be compared is None, and `refused` says why."""
+@dataclass(kw_only=True)
+class PairChange(Changes):
+    """What differs between two runs; `refused` says why something could not be compared."""
 
     a: RunToCompare
     b: RunToCompare
-    labels: LabelChange | None = None
-    planes: PlaneChange | None = None
-    trajectory: TrajectoryChange | None = None
-    walls: WallChange | None = None
-    doors: DoorsCompared | None = None
-    grid: GridChange | None = None
     refused: dict[str, str] = field(default_factory=dict)
 
     @property
     def same_bag(self) -> bool:
         """Whether both runs are of the same bag, so that they have clouds and a map frame in common."""
         return self.a.run.labelled_same_clouds(self.b.run)
-
-    @property
-    def compared(self) -> list[str]:
-        """What was compared."""
-        return [name for name in COMPARABLE if getattr(self, name) is not None]
-
-    @property
-    def differing(self) -> list[str]:
-        """Of what has a curve over the scans, what differs in any: labels of scans alone, planes, poses."""
-        differs = {
-            "labels": self.labels is not None and self.labels.changed_scan > 0,
-            "planes": self.planes is not None and bool(self.planes.lost.any() or self.planes.gained.any()),
-            "trajectory": self.trajectory is not None and bool(self.trajectory.figures.error_unaligned_m.any()),
-        }
-        return [name for name, differ in differs.items() if differ]
 
     @property
     def reasons(self) -> dict[str, str]:
@@ -389,26 +244,6 @@ def grid_of(run: FinishedRun) -> GridMap | None:
     return read_map(path) if path is not None else None
 
 
-def name_transition(code: int) -> str:
-    """As in wall → clutter."""
-    return f"{CLASS_NAMES[code // CLASSES]} → {CLASS_NAMES[code % CLASSES]}"
-
-
-def most_frequent(changes: Sequence[LabelChange], most: int) -> list[int]:
-    """The transitions that changed most points over all comparisons, the largest first."""
-    total = _sum_counts(change.confusion for change in changes)
-    np.fill_diagonal(total, 0)
-    order = np.argsort(-total, axis=None, kind="stable")[:most]
-    return [int(code) for code in order if total.flat[code] > 0]
-
-
-def _sum_counts(counts: Iterable[IntArray]) -> IntArray:
-    total = np.zeros((CLASSES, CLASSES), np.int64)
-    for part in counts:
-        total += part
-    return total
-
-
 def _compare_poses(a: Trajectory, b: Trajectory) -> TrajectoryChange:
     stamp_ns, at_a, at_b = np.intersect1d(a.stamp_ns, b.stamp_ns, assume_unique=True, return_indices=True)
     mine, other = Trajectory(stamp_ns, a.T_map_base[at_a]), Trajectory(stamp_ns, b.T_map_base[at_b])
@@ -481,7 +316,3 @@ def _flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def _figure(value: object) -> float | None:
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
-
-
-def _number(value: object) -> float:
-    return float(value) if isinstance(value, int | float) else float("nan")

@@ -1,44 +1,20 @@
 """Which returns of a scan its run labelled wrongly, and where that came from: the scan's own labels, or the building's."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ffmap.algorithms.base.labels import Verdict
-from ffmap.algorithms.base.scan import BoolArray, IntArray, Scan, UInt8Array
+from ffmap.algorithms.base.scan import BoolArray, Scan, UInt8Array
 from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.point_lines import PointLines
 from ffmap.app.analysis.run_labels import CloudLabels
 from ffmap.app.folder.finished_run import FinishedRun
 from ffmap.app.folder.names import EVALUATION
 from ffmap.app.record.errors import VERDICT_COLORS
+from ffmap.app.record.inspection import ScanFaults
 from ffmap.app.record.line_reasons import name_of
 from ffmap.app.record.read_back import readable, rows
 from ffmap.blueprints import entities
 from ffmap.blueprints.entities import Fault
-
-
-@dataclass(frozen=True, eq=False)
-class ScanFaults:
-    """fault: (n,) `Fault` of each return. by_truth: whether the run was evaluated; else it is told what was relabelled."""
-
-    fault: UInt8Array
-    by_truth: bool
-
-    @property
-    def kinds(self) -> tuple[Fault, ...]:
-        """The faults that occur."""
-        return tuple(fault for fault in Fault if fault != Fault.NONE and (self.fault == fault).any())
-
-    def counts(self, lines: PointLines) -> IntArray:
-        """(2n,) how many returns of each point line are at fault."""
-        line = np.repeat(np.arange(len(lines)), np.diff(lines.starts))
-        return np.bincount(line[self.fault[lines.order] > 0], minlength=len(lines))
-
-    def worst_line(self, lines: PointLines) -> int | None:
-        """The line with most of them, the lowest of several; None where there is none."""
-        counts = self.counts(lines)
-        return int(counts.argmax()) if counts.any() else None
 
 
 def find_faults(

@@ -22,6 +22,7 @@ from ffmap.app.commands.simulate import simulate
 from ffmap.app.folder.names import RECORDING, RunFolder
 from ffmap.app.run.odometry_cache import CACHE_VARIABLE
 from ffmap.app.run.poses import poses_of
+from ffmap.app.run.start import Arguments
 from ffmap.app.setup.inputs import InputOptions, find_inputs
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag import open_bag
@@ -59,7 +60,7 @@ def _odometries_kept_in(folder: Path) -> Iterator[None]:
 def _bench_run(bag: Path, out: Path) -> None:
     started = time.perf_counter()
     with _peak_memory() as peak:
-        arguments = run_command.Arguments(bag=bag, out=out, workers=os.cpu_count() or 1, evaluate=False, quiet=True)
+        arguments = Arguments(bag=bag, out=out, workers=os.cpu_count() or 1, evaluate=False, quiet=True)
         run_command.run(arguments, None)
     seconds = time.perf_counter() - started
     with open_bag(bag) as opened:

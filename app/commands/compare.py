@@ -16,9 +16,8 @@ from rich.console import Console
 from rich.table import Table
 
 from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.truth.changes import CLASS_NAMES, LabelChange, most_frequent, name_transition
 from ffmap.app.analysis.comparison import (
-    CLASS_NAMES,
-    LabelChange,
     LabelComparison,
     PairChange,
     RunToCompare,
@@ -28,8 +27,6 @@ from ffmap.app.analysis.comparison import (
     figures,
     grid_of,
     labels_can_be_compared,
-    most_frequent,
-    name_transition,
 )
 from ffmap.app.analysis.run_labels import LabelSource
 from ffmap.app.commands.inspect import open_viewer
@@ -149,7 +146,7 @@ def _record(
     changes: list[PairChange] = []
     scan_of: dict[int, int] = {}
     for other in others:
-        change = PairChange(first, other)
+        change = PairChange(a=first, b=other)
         if labels_can_be_compared(change):
             progress.stage(f"{first.letter} – {other.letter}", None)
             comparing = LabelComparison(first, other)
@@ -198,9 +195,7 @@ def _record(
         progress.advance()
     parts.insert(0, _write_findings(comparison, scan_of, spool, recording_id))
     parts.insert(0, _write_layout(comparison, shown, scan_of, spool, recording_id))
-    joined = out.with_name(out.name + ".part")
-    join(parts, joined)
-    joined.replace(out)
+    join(parts, out)
     return comparison
 
 
@@ -253,7 +248,7 @@ def _write_findings(comparison: Comparison, scan_of: dict[int, int], spool: Path
                 run.letter, entities.RUN_COLORS[k % len(entities.RUN_COLORS)], _path_of(run.run), grid_of(run.run)
             )
         for change in comparison.changes:
-            recorder.log_pair(change, _pair_document(change, comparison), scan_of)
+            recorder.log_pair(change.b.letter, change, _pair_document(change, comparison), scan_of)
     return part
 
 

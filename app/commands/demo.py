@@ -10,6 +10,7 @@ from ffmap.app.commands.simulate import simulate
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.names import RUN_JSON, require_writable
 from ffmap.app.own_command import own_command, view_command
+from ffmap.app.run.start import Arguments
 from ffmap.loaders.errors import InputError
 
 SECONDS = 16.0
@@ -31,7 +32,7 @@ def demo(out: Path) -> None:
     typer.echo(f"simulating {SECONDS:.0f} s of driving in a small furnished building ...")
     simulate(bag, "small", 3, "hdl32e", "bag", SECONDS, [], quiet=True)
     typer.echo("labelling every scan, mapping the building, recording every intermediate ...")
-    run_command.run(run_command.Arguments(bag=bag, out=run, overwrite=True), None)
+    run_command.run(Arguments(bag=bag, out=run, overwrite=True), None)
     typer.echo(f"\ndone in {time.monotonic() - started:.0f} s. Look at every scan, step by step:\n")
     typer.echo(f"    {view_command(run)}\n")
     typer.echo(f"Your own bag: {own_command()} run BAG; '{own_command()} info BAG' says what it lacks, if anything.")

@@ -16,11 +16,11 @@ from ffmap.algorithms.base.scan import Scan, UInt8Array, within_range
 from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
 from ffmap.algorithms.scan.smoothing import smooth_ranges
-from ffmap.app.analysis.faults import ScanFaults, find_faults, in_words
+from ffmap.app.analysis.faults import find_faults, in_words
 from ffmap.app.analysis.run_labels import CloudLabels, LabelSource
 from ffmap.app.folder.finished_run import FinishedRun, open_run
 from ffmap.app.folder.names import EVALUATION, check_no_run_loses, make_writable
-from ffmap.app.record.inspection import write
+from ffmap.app.record.inspection import ScanFaults, write
 from ffmap.app.record.line_reasons import LineReason, explain_lines, name_of, scan_document
 from ffmap.app.record.read_back import readable, rows
 from ffmap.app.record.stream import start_viewer

@@ -1,176 +1,39 @@
-"""ffmap run: from the arguments to a finished run folder."""
+"""ffmap run: from the arguments to a finished run folder, and five lines on what came of it."""
 
-import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, replace
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ffmap.app.folder import names as run_folder
-from ffmap.app.folder.finished_run import FROM_ODOMETRY, open_run
+from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.names import METRICS, RUN_JSON, RunFolder
 from ffmap.app.own_command import view_command
 from ffmap.app.progress import Progress
-from ffmap.app.record.scans import Detail
-from ffmap.app.record.stream import check_viewer, start_viewer
-from ffmap.app.run import stages as pipeline
-from ffmap.app.run.blocks import holds_clouds_of, split_blocks
-from ffmap.app.run.disk_use import DiskCheck, check_disk
-from ffmap.app.run.poses import GivenPoses, check_lidars_meet, given_poses
-from ffmap.app.run.workers import WorkerLostError
-from ffmap.app.setup.inputs import InputOptions, Inputs, digest_clouds, digest_stamps, find_inputs
-from ffmap.app.setup.outputs import RUN_OUTPUTS, Output, check_outputs
-from ffmap.app.setup.settings import Settings, load_settings, validate
-from ffmap.app.setup.versions import versions
-from ffmap.loaders.cloud_digest import joined
-from ffmap.loaders.errors import InputError
-from ffmap.loaders.pointcloud2 import TimeFrom
+from ffmap.app.run.start import Arguments, Ready, carry_out, interruptible, make_ready, make_ready_again
+from ffmap.app.setup.inputs import Inputs
+from ffmap.app.setup.outputs import Output
 
 if TYPE_CHECKING:
     from ffmap.app.analysis import evaluation as evaluate
-
-INTERRUPTED = 130
-"""The exit code of a program that Ctrl-C has ended."""
-
-
-@dataclass(frozen=True)
-class Arguments:
-    """The command line's words; see `ffmap.app.cli.run`."""
-
-    bag: Path | None
-    out: Path | None = None
-    config: Path | None = None
-    overrides: tuple[str, ...] = ()
-    rig: Path | None = None
-    horizontal: str | None = None
-    vertical: str | None = None
-    time_from: TimeFrom = "auto"
-    trajectory: str | None = None
-    detail: str = "lines"
-    spawn: bool = False
-    connect: str | None = None
-    outputs: tuple[str, ...] = RUN_OUTPUTS
-    workers: int = 2
-    evaluate: bool = True
-    quiet: bool = False
-    verbose: bool = False
-    """Whether the figures are printed as tables too."""
-    latest: bool = False
-    """Whether `latest` beside the run folder is to point at it: not in a sweep, whose runs come in any order."""
-    overwrite: bool = False
-    """Whether a run that is in the folder already may be replaced."""
-
-
-_STORED = ("rig", "horizontal", "vertical", "time_from", "trajectory", "detail", "outputs", "evaluate")
-"""Arguments that run.json keeps, for a run that is resumed."""
 
 
 def run(arguments: Arguments, resume: Path | None) -> None:
     """Run, or go on with a run; raises InputError for what the user can mend, as where another run is at the folder."""
     with ExitStack() as stack:
-        ready = _make_ready(arguments, stack) if resume is None else _make_ready_again(arguments, resume, stack)
+        ready = make_ready(arguments, stack) if resume is None else make_ready_again(arguments, resume, stack)
         if ready is not None:
             _perform(ready, resume is not None)
 
 
-@dataclass(frozen=True)
-class _Ready:
-    """A run that can begin: all that it needs was found and checked, and no other run gets at its folder.
-
-    home: where its results are to lie in the end. record: what run.json holds at its start.
-    """
-
-    arguments: Arguments
-    settings: Settings
-    inputs: Inputs
-    given: GivenPoses | None
-    home: Path
-    folder: RunFolder
-    disk: DiskCheck
-    connect_url: str | None
-    record: dict[str, Any]
-
-
-def _make_ready(arguments: Arguments, stack: ExitStack) -> _Ready:
-    """stack: holds the run folder until it is left."""
-    if arguments.bag is None:
-        raise InputError("give a bag, or --resume with a run folder; 'ffmap run --help' has examples")
-    settings = load_settings(arguments.config, arguments.overrides)
-    inputs, given = _find(arguments, arguments.bag, settings)
-    home = arguments.out or run_folder.default_path(arguments.bag.resolve(), settings.short_hash())
-    disk = check_disk(
-        inputs, home, check_outputs(arguments.outputs), Detail(arguments.detail), run_folder.replacement_in(home)
-    )
-    folder = run_folder.create(home, arguments.overwrite, _files_read(arguments))
-    stack.enter_context(run_folder.held(home))
-    connect_url = _viewer(arguments)
-    # A replacement that was killed when only its move was left is the earlier run now.
-    run_folder.take_place_if_complete(home)
-    run_folder.clear(folder)
-    record = pipeline.first_record(inputs, settings, stored(arguments), arguments.bag, arguments.trajectory)
-    if given is not None:
-        record["map_origin"] = given.origin_m.tolist()
-    return _Ready(arguments, settings, inputs, given, home, folder, disk, connect_url, record)
-
-
-def _make_ready_again(arguments: Arguments, resume: Path, stack: ExitStack) -> _Ready | None:
-    """A run that was killed, as it was begun; None where it is complete. stack: as above."""
-    _check_resumable(arguments)
-    stack.enter_context(run_folder.held(resume))
-    folder = run_folder.unfinished(resume)
-    record = folder.read_json()
-    if record.get("outcome") == "complete":
-        typer.echo(f"{run_folder.take_place(folder).path} is complete already; nothing to resume")
-        return None
-    arguments, settings = _as_begun(arguments, resume, record)
-    assert arguments.bag is not None
-    inputs, given = _find(arguments, arguments.bag, settings)
-    disk = check_disk(inputs, resume, check_outputs(arguments.outputs), Detail(arguments.detail), folder)
-    _check_same_bag(inputs, folder, record)
-    folder.spool.mkdir(exist_ok=True)
-    return _Ready(arguments, settings, inputs, given, resume, folder, disk, _viewer(arguments), record)
-
-
-def _find(arguments: Arguments, bag: Path, settings: Settings) -> tuple[Inputs, GivenPoses | None]:
-    """The bag's lidars, and the poses that were given, if any."""
-    options = InputOptions(arguments.rig, arguments.horizontal, arguments.vertical, arguments.time_from)
-    inputs = find_inputs(bag, options)
-    given = given_poses(arguments.trajectory, inputs, settings)
-    if given is None:
-        check_lidars_meet(inputs)
-        return inputs, None
-    return replace(inputs, warnings=(*inputs.warnings, *given.warnings)), given
-
-
-def _perform(ready: _Ready, resumed: bool) -> None:
+def _perform(ready: Ready, resumed: bool) -> None:
     arguments, inputs = ready.arguments, ready.inputs
-    options = pipeline.RunOptions(
-        detail=Detail(arguments.detail),
-        outputs=check_outputs(arguments.outputs),
-        connect_url=ready.connect_url,
-        workers=arguments.workers,
-        resume=resumed,
-    )
-    with (
-        _interruptible(f"'ffmap run --resume {ready.home}' goes on with the run"),
-        Progress(arguments.quiet) as progress,
-    ):
-        progress.say(ready.disk.said)
-        for warning in (*inputs.warnings, *ready.disk.warnings):
-            progress.warn(warning)
-        trajectory = None if ready.given is None else ready.given.trajectory
-        finished = pipeline.run(inputs, trajectory, ready.settings, options, ready.folder, progress, ready.record)
-        folder = run_folder.take_place(ready.folder)
-    if arguments.latest:
-        run_folder.point_latest_at(folder.path.resolve())
+    folder, finished = carry_out(ready, resumed)
     metrics: evaluate.Metrics | None = None
     compared = False
     try:
         if arguments.evaluate and inputs.vertical is not None:
-            with _interruptible(f"the run is complete, 'ffmap evaluate {folder.path}' compares it with the truth"):
+            with interruptible(f"the run is complete, 'ffmap evaluate {folder.path}' compares it with the truth"):
                 metrics = _evaluate(folder, arguments)
         compared = True
     finally:
@@ -181,37 +44,6 @@ def _perform(ready: _Ready, resumed: bool) -> None:
 
 
 _NOT_COMPARED = "unknown: the comparison with the truth came to no end, as is told below"
-
-
-@contextmanager
-def _interruptible(how_to_go_on: str) -> Iterator[None]:
-    """End with one line that says how to go on: where the user interrupts, and where memory runs out."""
-    try:
-        yield
-    except WorkerLostError as error:
-        raise InputError(f"{error}; {how_to_go_on}") from None
-    except MemoryError:
-        raise InputError(f"memory ran out; free some, or give fewer --workers; {how_to_go_on}") from None
-    except KeyboardInterrupt:
-        # What was interrupted while it was made complains when it goes.
-        sys.unraisablehook = lambda _: None
-        typer.echo(f"ffmap: interrupted; {how_to_go_on}", err=True)
-        raise SystemExit(INTERRUPTED) from None
-
-
-def _viewer(arguments: Arguments) -> str | None:
-    """Where a viewer listens: one that is started, or the one that was named."""
-    if not arguments.spawn and arguments.connect is None:
-        return None
-    try:
-        if not arguments.spawn and arguments.connect is not None:
-            check_viewer(arguments.connect)
-            return arguments.connect
-        return start_viewer()
-    except ConnectionError as error:
-        raise InputError(f"--connect: {error}; start a viewer first, or leave --connect out") from error
-    except RuntimeError as error:
-        raise InputError(f"--spawn: {error} Leave it out: recording.rrd can be opened later") from error
 
 
 def _evaluate(folder: RunFolder, arguments: Arguments) -> "evaluate.Metrics | None":
@@ -227,74 +59,6 @@ def _evaluate(folder: RunFolder, arguments: Arguments) -> "evaluate.Metrics | No
     if arguments.verbose and not arguments.quiet:
         evaluate.print_metrics(metrics)
     return metrics
-
-
-def stored(arguments: Arguments) -> dict[str, Any]:
-    """What run.json keeps of the command line, with the digests of the rig's and the poses' file: either may be changed."""
-    values = asdict(arguments)
-    stored = {name: values[name] for name in _STORED}
-    if arguments.rig is not None:
-        stored["rig"] = str(arguments.rig.resolve())
-    if arguments.trajectory is not None and Path(arguments.trajectory).exists():
-        stored["trajectory"] = str(Path(arguments.trajectory).resolve())
-    files = {name: Path(stored[name]) for name in ("rig", "trajectory") if stored[name] is not None}
-    stored["digests"] = {name: joined([file.read_bytes()]).hex() for name, file in files.items() if file.is_file()}
-    return stored
-
-
-def _files_read(arguments: Arguments) -> list[Path]:
-    """What the user has named to be read."""
-    named = (arguments.bag, arguments.config, arguments.rig, arguments.trajectory)
-    return [Path(name) for name in named if name is not None and Path(name).exists()]
-
-
-def _check_same_bag(inputs: Inputs, folder: RunFolder, record: dict[str, Any]) -> None:
-    """Raises InputError where a run was begun with other clouds than the bag holds now, be it by one byte."""
-    used, known = inputs.used(record["poses_from"] != FROM_ODOMETRY), record["bag"].get("clouds", {})
-    same = record["bag"]["stamps"] == digest_stamps(used)
-    if same:
-        clouds = digest_clouds(inputs.bag_path, [sensor for sensor in used if sensor.lidar.topic in known])
-        same = all(clouds[topic] == digest for topic, digest in known.items())
-    if same and inputs.vertical is not None and inputs.vertical.lidar.topic not in known:
-        # Where the odometry did not take them, not all clouds were read before the last block was finished.
-        blocks = [(block, folder.block(block.number, ".npz")) for block in split_blocks(len(inputs.vertical.index))]
-        same = all(holds_clouds_of(path, block, inputs) for block, path in blocks if path.exists())
-    if not same:
-        raise InputError(f"{inputs.bag_path}: is not the bag that {folder.path} was begun with; start a new run")
-
-
-def _check_resumable(arguments: Arguments) -> None:
-    given = (arguments.bag, arguments.out, arguments.config)
-    if any(word is not None for word in given) or arguments.overrides or arguments.overwrite:
-        raise InputError(
-            "--resume goes on as the run was started: give no bag, --out, --config, --set or --overwrite with it"
-        )
-
-
-def _as_begun(arguments: Arguments, path: Path, record: dict[str, Any]) -> tuple[Arguments, Settings]:
-    """What a killed run was started with. record: what its run.json holds."""
-    try:
-        options = {name: record["options"][name] for name in (*_STORED, "digests")}
-        bag, settings = Path(record["bag"]["path"]), validate(record["settings"], str(path / run_folder.RUN_JSON))
-        if options["time_from"] not in get_args(TimeFrom):
-            raise KeyError(options["time_from"])
-        options["outputs"] = check_outputs(options["outputs"])
-        digests = options.pop("digests")
-        options["rig"] = Path(options["rig"]) if options["rig"] else None
-    except KeyError as error:
-        raise InputError(f"{path / run_folder.RUN_JSON}: lacks {error}; start a new run") from None
-    except TypeError as error:
-        raise InputError(f"{path / run_folder.RUN_JSON}: is not as ffmap wrote it ({error}); start a new run") from None
-    if not bag.exists():
-        raise InputError(f"{bag}: the run's bag is gone; bring it back, or start a new run")
-    begun, now = record.get("versions", {}), versions()
-    if any(begun.get(name) != now[name] for name in ("furniture-free-mapping", "git_revision")):
-        raise InputError(f"{path}: was begun by another version of ffmap, whose labels may differ; start a new run")
-    begun_with = replace(arguments, bag=bag, **options)
-    if stored(begun_with)["digests"] != digests:
-        files = " or ".join(str(options[name]) for name in ("rig", "trajectory") if options[name] is not None)
-        raise InputError(f"{files}: is not what {path} was begun with, or is gone; bring that back, or start a new run")
-    return begun_with, settings
 
 
 def _report(

@@ -97,7 +97,7 @@ def sweep(arguments: Arguments) -> int:
     if results.trials:
         from ffmap.app.record.sweep import write_recording
 
-        write_recording(plan.out / RECORDING, results, plan.bags[0].bag_path.name)
+        write_recording(plan.out / RECORDING, results, results.failures, plan.bags[0].bag_path.name)
     if not arguments.quiet:
         _report(plan, results, len(schedule.odometries), time.monotonic() - started)
     return sum(run.failed for run in runs)

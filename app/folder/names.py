@@ -17,6 +17,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from ffmap.app.folder.atomic import write_atomically
 from ffmap.app.folder.record import check_record
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.text_files import read_object
@@ -112,9 +113,8 @@ class RunFolder:
 
     def write_json(self, content: dict[str, Any], name: str = RUN_JSON) -> None:
         """Write a JSON file whole or not at all."""
-        part = self.path / f"{name}.part"
-        part.write_text(json.dumps(content, indent=2, ensure_ascii=False, default=str) + "\n")
-        part.replace(self.path / name)
+        text = json.dumps(content, indent=2, ensure_ascii=False, default=str) + "\n"
+        write_atomically(self.path / name, lambda part: part.write_text(text))
 
 
 def default_path(bag: Path, settings_hash: str) -> Path:

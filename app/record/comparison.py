@@ -12,19 +12,20 @@ from rerun.chunk import LazyChunkStream
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.building.votes import majority
 from ffmap.algorithms.maps.grid import GridMap
-from ffmap.app.analysis.comparison import (
+from ffmap.algorithms.truth.changes import (
     TRANSITIONS,
     ChangedPoints,
+    Changes,
     DoorsCompared,
     LabelChange,
-    PairChange,
     PlaneChange,
     TrajectoryChange,
     most_frequent,
     name_transition,
 )
+from ffmap.app.record.building import log_grid
+from ffmap.app.record.log import Log, evidence, scan_columns, set_time
 from ffmap.app.record.read_back import chunk_stream
-from ffmap.app.record.scans import Recorder, evidence, scan_columns, set_time
 from ffmap.blueprints import entities
 
 _LIFT_M = 0.05
@@ -123,14 +124,13 @@ class ComparisonRecorder:
                 ),
             )
         if grid is not None:
-            Recorder(self._stream).log_grid(letter, grid)
+            log_grid(Log(self._stream), letter, grid)
 
-    def log_pair(self, change: PairChange, text: str, scan_of: dict[int, int]) -> None:
-        """Everything that differs between two runs.
+    def log_pair(self, letter: str, change: Changes, text: str, scan_of: dict[int, int]) -> None:
+        """Everything that differs between the first run and the one of this letter.
 
         scan_of: the scan of each stamp, as far as it is known.
         """
-        letter = change.b.letter
         self._static(entities.CHANGES_TEXT.format(letter), rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
         if change.labels is not None:
             self._log_labels(letter, change.labels)

@@ -19,8 +19,10 @@ from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.truth.labels import CUBE_M, DoorFigures, FoundDoors, Tally, TrueDoors, majorities, verdicts
 from ffmap.app.analysis.map_figures import ComparedMap, ComparedMaps, false_and_missed
 from ffmap.app.folder.figures import queried
-from ffmap.app.record.scans import Recorder, evidence, log_legend, scan_columns, set_time, upright_frames
-from ffmap.app.record.stream import join, open_part
+from ffmap.app.record.log import evidence, scan_columns, set_time
+from ffmap.app.record.shapes import upright_frames
+from ffmap.app.record.stream import join, open_part, send_properties
+from ffmap.app.record.whole_run import log_legend
 from ffmap.blueprints import entities
 
 VERDICT_COLORS = np.array(
@@ -87,7 +89,7 @@ def write_layer(
         # The recording brings a layout of its own, which may be there first.
         stream.send_blueprint(blueprint, make_active=True, make_default=True)
     with open_part(own, recording_id) as stream:
-        Recorder(stream).log_properties("metrics", queried(metrics))
+        send_properties(stream, "metrics", queried(metrics))
         stream.log(entities.FIGURES, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
         log_legend(stream, entities.ERROR_LEGEND, entities.ERROR_LEGEND_ENTRIES)
         _log_curve_styles(stream)
@@ -96,9 +98,7 @@ def write_layer(
         _log_cubes(stream, tally)
         for name, compared in maps.items():
             log_overlay(stream, name, compared)
-    part = out.with_name(out.name + ".part")
-    join([layout, own, *parts], part)
-    part.replace(out)
+    join([layout, own, *parts], out)
 
 
 def _log_curve_styles(stream: rr.RecordingStream) -> None:

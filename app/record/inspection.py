@@ -1,26 +1,56 @@
 """One scan's evidence as a recording whose timeline `line` steps through its point lines."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import rerun as rr
 
-from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.poses.levelling import LevelledScan
 from ffmap.algorithms.scan.labelling import ScanLabelling
-from ffmap.app.analysis.faults import ScanFaults
+from ffmap.algorithms.scan.point_lines import PointLines
+from ffmap.app.record.curves import log_line
 from ffmap.app.record.line_reasons import LineReason, line_document
-from ffmap.app.record.scans import Detail, Recorder, upright_frames
+from ffmap.app.record.log import Log
+from ffmap.app.record.scans import log_scan
+from ffmap.app.record.shapes import upright_frames
 from ffmap.app.record.stream import join, open_part
+from ffmap.app.record.whole_run import log_static
+from ffmap.app.setup.outputs import Detail
 from ffmap.blueprints import entities
 from ffmap.blueprints import inspect as inspect_blueprint
+from ffmap.blueprints.entities import Fault
 
 _SIGHT_COLOR = (255, 255, 255, 45)
 _LIFT_M = 0.1
 """Distance in metres of a mark from its return, towards the lidar: the plane that it is in would hide it."""
 _STYLE_COLORS = {"upmost": entities.UPMOST_COLOR, "bottommost": entities.BOTTOMMOST_COLOR, "others": (120, 140, 170)}
+
+
+@dataclass(frozen=True, eq=False)
+class ScanFaults:
+    """fault: (n,) `Fault` of each return. by_truth: whether the run was evaluated; else it is told what was relabelled."""
+
+    fault: UInt8Array
+    by_truth: bool
+
+    @property
+    def kinds(self) -> tuple[Fault, ...]:
+        """The faults that occur."""
+        return tuple(fault for fault in Fault if fault != Fault.NONE and (self.fault == fault).any())
+
+    def counts(self, lines: PointLines) -> IntArray:
+        """(2n,) how many returns of each point line are at fault."""
+        line = np.repeat(np.arange(len(lines)), np.diff(lines.starts))
+        return np.bincount(line[self.fault[lines.order] > 0], minlength=len(lines))
+
+    def worst_line(self, lines: PointLines) -> int | None:
+        """The line with most of them, the lowest of several; None where there is none."""
+        counts = self.counts(lines)
+        return int(counts.argmax()) if counts.any() else None
 
 
 def write(
@@ -50,16 +80,14 @@ def write(
             make_default=True,
         )
     with open_part(content, recording_id) as stream:
-        recorder = Recorder(stream, Detail.LINES, timeless=True)
-        recorder.log_static({}, document, 0, labelling.settings.vertical_structures.slope_max)
-        recorder.log_scan(0, level, labelling, 0, {})
-        lines = _Lines(stream, recorder, placed, labelling, range_m, height_m)
+        log = Log(stream, Detail.LINES, timeless=True)
+        log_static(log, {}, document, 0, labelling.settings.vertical_structures.slope_max)
+        log_scan(log, 0, level, labelling, 0, {})
+        lines = _Lines(log, placed, labelling, range_m, height_m)
         if faults is not None:
             lines.mark(faults)
         lines.log(reasons, document)
-    part = out.with_name(out.name + ".part")
-    join([layout, content], part)
-    part.replace(out)
+    join([layout, content], out)
 
 
 def _profile_size(placed: PlacedScan, labelling: ScanLabelling) -> tuple[float, float]:
@@ -86,14 +114,13 @@ class _Lines:
 
     def __init__(
         self,
-        stream: rr.RecordingStream,
-        recorder: Recorder,
+        log: Log,
         placed: PlacedScan,
         labelling: ScanLabelling,
         range_m: float,
         height_m: float,
     ) -> None:
-        self._stream, self._recorder = stream, recorder
+        self._log, self._stream = log, log.stream
         self._points, self._labelling = placed.points_level, labelling
         self._origin = placed.origin_level
         self._range_m = np.linalg.norm(placed.points_level[:, :2] - placed.origin_level[:2], axis=1)
@@ -132,7 +159,7 @@ class _Lines:
                     media_type=rr.MediaType.MARKDOWN,
                 ),
             )
-            self._recorder.log_line(self._points, self._labelling, reason.line)
+            log_line(self._log, self._points, self._labelling, reason.line)
             self._log_sight(reason.line)
             self._log_structures(reason.line)
             self._log_planes(reason.line)

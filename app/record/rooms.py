@@ -12,7 +12,8 @@ from ffmap.algorithms.base.scan import FloatArray, UInt8Array
 from ffmap.algorithms.maps.area_graph import AreaGraph
 from ffmap.algorithms.maps.grid import GridMap
 from ffmap.app.folder.room_files import inner_point, room_color
-from ffmap.app.record.scans import Recorder, evidence
+from ffmap.app.record.building import log_grid
+from ffmap.app.record.log import Log, evidence
 from ffmap.app.record.stream import open_part
 from ffmap.blueprints import entities
 from ffmap.blueprints import rooms as rooms_blueprint
@@ -32,7 +33,7 @@ def prepare_recording(grid: GridMap) -> Callable[[Path, AreaGraph], None]:
         with open_part(path, str(uuid.uuid4())) as stream:
             stream.send_blueprint(blueprint, make_active=True, make_default=True)
             stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-            Recorder(stream).log_grid(entities.SEGMENTED, grid)
+            log_grid(Log(stream), entities.SEGMENTED, grid)
             log_rooms(stream, graph)
 
     return write

@@ -142,9 +142,7 @@ class Recording:
         if self._viewer is not None:
             self._viewer.disconnect()
         if self._path is not None and self._parts:
-            joined = self._path.with_name(self._path.name + ".part")
-            join(self._parts, joined)
-            joined.replace(self._path)
+            join(self._parts, self._path)
 
     def _close_own(self) -> None:
         self.stream.disconnect()
@@ -240,7 +238,8 @@ def whole_messages(path: Path) -> WholeMessages:
 
 def join(parts: Sequence[Path], out: Path) -> None:
     """One recording with one footer from all parts, none of them decompressed."""
-    command = [sys.executable, "-c", _RERUN, "rrd", "route", "-o", str(out.resolve())]
+    joined = out.with_name(out.name + ".part").resolve()
+    command = [sys.executable, "-c", _RERUN, "rrd", "route", "-o", str(joined)]
     folders = {part.parent for part in parts}
     assert len(folders) == 1, "relative names keep the command short"
     done = subprocess.run(
@@ -248,6 +247,7 @@ def join(parts: Sequence[Path], out: Path) -> None:
     )
     if done.returncode != 0:
         raise OSError(f"{out}: the recording's parts could not be joined: {done.stderr.strip()}")
+    joined.replace(out)
 
 
 def start_viewer(port: int | None = None, timeout_s: float = 20.0, files: Sequence[Path] = ()) -> str:

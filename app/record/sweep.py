@@ -15,7 +15,7 @@ import rerun as rr
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.app.folder import figures
-from ffmap.app.sweeps.results import Results
+from ffmap.app.folder.ranking import Ranking
 from ffmap.blueprints import entities
 from ffmap.blueprints import sweep as sweep_blueprint
 from ffmap.blueprints.entities import Panel
@@ -42,7 +42,7 @@ class Axis:
         return np.asarray((values - self.low) / (self.high - self.low))
 
 
-def write_recording(path: Path, results: Results, bag: str) -> None:
+def write_recording(path: Path, results: Ranking, failures: Sequence[str], bag: str) -> None:
     """Beside the runs, write the recording with its layout; `results` has at least one trial."""
     shown = _figures_shown(results)
     names = figures.short_names(results.parameters)
@@ -62,7 +62,7 @@ def write_recording(path: Path, results: Results, bag: str) -> None:
         stream.save(part, default_blueprint=sweep_blueprint.build(panels, title, results.ranked[0]))
         stream.set_log_time_enabled(False)
         stream.send_recording_name(f"sweep of {bag}")
-        _log_table(stream, results, bag)
+        _log_table(stream, results, failures, bag)
         numbers = {name: _figure_values(results, name) for name in {*shown, results.cost, results.objective}}
         _Drawing(stream, entities.SWEEP_FRONT, results).draw(
             numeric_axis(results.cost, numbers[results.cost]),
@@ -83,7 +83,7 @@ def write_recording(path: Path, results: Results, bag: str) -> None:
     part.replace(path)
 
 
-def _figures_shown(results: Results) -> list[str]:
+def _figures_shown(results: Ranking) -> list[str]:
     """The objective, the time, then the figures that differ most between runs, as a share of their mean."""
     spread = {}
     for name in results.headlines:
@@ -96,7 +96,7 @@ def _figures_shown(results: Results) -> list[str]:
     return list(dict.fromkeys([results.objective, results.cost, *others]))[:_FIGURES_MAX]
 
 
-def _figure_values(results: Results, name: str) -> FloatArray:
+def _figure_values(results: Ranking, name: str) -> FloatArray:
     return np.array([trial.figures.get(name, math.nan) for trial in results.trials])
 
 
@@ -140,7 +140,7 @@ def round_numbers(low: float, high: float) -> tuple[float, ...]:
 class _Drawing:
     """One panel: a frame with its ticks, a point for each run, and a ring around the one at the cursor."""
 
-    def __init__(self, stream: rr.RecordingStream, path: str, results: Results) -> None:
+    def __init__(self, stream: rr.RecordingStream, path: str, results: Ranking) -> None:
         self._stream, self._path, self._results = stream, path, results
 
     def draw(self, x_axis: Axis, x: FloatArray, y_axis: Axis, y: FloatArray, front: bool = False) -> None:
@@ -242,7 +242,7 @@ def _ring(centre: FloatArray) -> FloatArray:
     return np.asarray(centre + 11.0 * np.column_stack([np.cos(angle), np.sin(angle)]))
 
 
-def _log_table(stream: rr.RecordingStream, results: Results, bag: str) -> None:
+def _log_table(stream: rr.RecordingStream, results: Ranking, failures: Sequence[str], bag: str) -> None:
     shown = results.headlines
     names = figures.short_names(results.parameters)
     rows = [["", *names.values(), *shown, "run"], ["---"] * (len(names) + len(shown) + 2)]
@@ -251,7 +251,7 @@ def _log_table(stream: rr.RecordingStream, results: Results, bag: str) -> None:
         values = [trial.combination[name] for name in names] + [trial.figures.get(name) for name in shown]
         mark = "●" if place in results.front else ""
         rows.append([mark, *map(figures.format_value, values), ", ".join(trial.names)])
-    failed = [f"- {run.job.name}: {run.outcome.error}" for run in results.runs if run.failed and run.outcome]
+    failed = [f"- {failure}" for failure in failures]
     text = [
         f"# Sweep of {bag}",
         f"{len(results.trials)} settings, best by `{results.objective}` first. ● no other is better and faster.",
@@ -262,7 +262,7 @@ def _log_table(stream: rr.RecordingStream, results: Results, bag: str) -> None:
     stream.log(entities.SWEEP_TABLE, rr.TextDocument("\n".join(text), media_type=rr.MediaType.MARKDOWN), static=True)
 
 
-def _describe(results: Results, place: int, folder: Path) -> str:
+def _describe(results: Ranking, place: int, folder: Path) -> str:
     trial = results.trials[place]
     rank = results.ranked.index(place) + 1
     lines = [

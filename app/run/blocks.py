@@ -1,12 +1,10 @@
-"""What worker processes do: label a block of scans, and later finish it with the building's knowledge.
-
-A block's results lie in the spool as files that appear whole: its part of the recording, and an .npz of its labels,
-features and voxel votes. They are all that passes between processes, so that a killed run can go on.
-"""
+"""What worker processes do: label a block of scans, and later finish it with the building's knowledge."""
 
 import time
-from dataclasses import dataclass, fields
-from functools import cache, lru_cache
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,16 +13,31 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array, within_range
 from ffmap.algorithms.base.trajectory import PlacedScan, Trajectory
 from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings, relabel
-from ffmap.algorithms.building.votes import Halo, VoxelTable, VoxelVotes
+from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.maps.rivals import RivalCounter, RivalMapsSettings
 from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
 from ffmap.algorithms.scan.labelling import MethodSettings, label_scan
 from ffmap.algorithms.scan.point_lines import below_ceiling
 from ffmap.algorithms.scan.smoothing import SmoothedRanges, smooth_ranges
 from ffmap.algorithms.scan.summary import Features, concatenate, extract
-from ffmap.app.record.scans import Detail, Recorder
+from ffmap.app.record.log import Log
+from ffmap.app.record.scans import ScanMetrics, log_final, log_scan, log_scan_metrics, log_skipped
 from ffmap.app.record.stream import open_part
+from ffmap.app.run.spool import (
+    BlockSummary,
+    ceiling_arrays,
+    feature_arrays,
+    label_arrays,
+    load_ceilings,
+    load_halo,
+    load_labels,
+    load_summary,
+    save,
+    summary_arrays,
+    vote_arrays,
+)
 from ffmap.app.setup.inputs import Inputs, Sensor
+from ffmap.app.setup.outputs import Detail
 from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.cloud_digest import as_rows
 from ffmap.loaders.errors import InputError
@@ -82,31 +95,6 @@ class FinishJob:
     settings: RelabellingSettings
 
 
-@dataclass(frozen=True)
-class BlockSummary:
-    """What the run's own process needs to know of a labelled block.
-
-    scan: (s,) scans that were labelled; stamp_ns, T_map_base: (s,), (s, 4, 4) at their header stamps.
-    skipped: number and reason of each cloud that was not.
-    cloud_digest: (k, 16) uint8 of the bytes of every cloud of the block, skipped ones too.
-    label_counts: (256,) returns by label. milliseconds: (s, 5), see `STAGES`.
-    points_in_cloud, points_in_lines: (s,)
-    beyond_range: (s,) returns that were left out because they lie too far away.
-    """
-
-    scan: IntArray
-    stamp_ns: IntArray
-    T_map_base: FloatArray
-    skipped_scan: IntArray
-    skipped_reason: tuple[str, ...]
-    cloud_digest: UInt8Array
-    label_counts: IntArray
-    milliseconds: FloatArray
-    points_in_cloud: IntArray
-    points_in_lines: IntArray
-    beyond_range: IntArray
-
-
 def split_blocks(clouds: int) -> list[Block]:
     """The blocks that `clouds` clouds make."""
     return [
@@ -117,99 +105,107 @@ def split_blocks(clouds: int) -> list[Block]:
 
 def label_block(job: LabelJob) -> BlockSummary:
     """Label every scan of a block; write its evidence, labels, features and votes to the spool."""
-    sensor = _vertical(job.inputs)
-    skipped: list[SkippedScan] = []
-    scans: list[tuple[int, int, FloatArray]] = []
-    features: list[Features] = []
-    labels: list[UInt8Array] = []
-    ceilings: list[FloatArray] = []
-    milliseconds: list[list[float]] = []
-    sizes: list[tuple[int, int]] = []
-    beyond_range: list[int] = []
-    counts = np.zeros(256, np.int64)
-    digests: list[bytes] = []
-    table = VoxelTable(VOXEL_M, len(Label))
-    rivals = RivalCounter(job.cell_m, job.rival_maps)
-    with _open_evidence(job, ".rrd") as recorder:
-        started = time.perf_counter()
-        for index, scan in read_scans(
-            _open(job.inputs.bag_path), sensor.index, job.block.first, job.block.count, sensor.lidar.decoding, digests
-        ):
-            read = time.perf_counter()
-            if (
-                isinstance(scan, Scan)
-                and not job.trajectory.covers(np.array([scan.start_ns, scan.end_ns]), job.extrapolate_ns).all()
-            ):
-                scan = SkippedScan(index, scan.stamp_ns, "no pose at its time")
-            returns = len(scan) if isinstance(scan, Scan) else 0
-            if isinstance(scan, Scan):
-                scan = _near(index, scan, job)
-            if isinstance(scan, SkippedScan):
-                skipped.append(scan)
-                if recorder:
-                    recorder.log_skipped(scan.index, scan.stamp_ns, scan.reason)
-                started = time.perf_counter()
-                continue
-            ranges = smooth_ranges(scan, job.method.smoothing)
-            smoothed = time.perf_counter()
-            level = _place(scan, ranges, job)
-            placed = level.placed
-            was_placed = time.perf_counter()
-            labelling = label_scan(scan, placed, job.method, seed_of(job.seed, index))
-            labelled = time.perf_counter()
-            timings = {
-                "reading": 1e3 * (read - started),
-                "smoothing": 1e3 * (smoothed - read),
-                "placing": 1e3 * (was_placed - smoothed),
-                "labelling": 1e3 * (labelled - was_placed),
-            }
-            if recorder:
-                recorder.log_scan(index, level, labelling, scan.stamp_ns, timings)
-            features.append(extract(index, placed, labelling))
-            table.add(points_in_map(placed), labelling.label)
-            rivals.add(placed, labelling)
-            labels.append(full_labels(scan, labelling.label))
-            ceilings.append(labelling.ceiling_planes)
-            counts += np.bincount(labelling.label, minlength=256)
-            scans.append((index, scan.stamp_ns, job.trajectory.at(np.array([scan.stamp_ns]))[0]))
-            beyond_range.append(returns - len(scan))
-            sizes.append(
-                (scan.cloud_size, int(np.count_nonzero(~np.isin(labelling.label, (Label.FLOOR, Label.CEILING)))))
-            )
-            milliseconds.append([*timings.values(), 1e3 * (time.perf_counter() - labelled)])
-            started = time.perf_counter()
-        if recorder:
-            recorder.log_scan_metrics()
-    summary = BlockSummary(
-        scan=np.array([s[0] for s in scans], np.int64),
-        stamp_ns=np.array([s[1] for s in scans], np.int64),
-        T_map_base=np.array([s[2] for s in scans]).reshape(-1, 4, 4),
-        skipped_scan=np.array([s.index for s in skipped], np.int64),
-        skipped_reason=tuple(s.reason for s in skipped),
-        cloud_digest=as_rows(digests),
-        label_counts=counts,
-        milliseconds=np.array(milliseconds).reshape(-1, len(STAGES)),
-        points_in_cloud=np.array([s[0] for s in sizes], np.int64),
-        points_in_lines=np.array([s[1] for s in sizes], np.int64),
-        beyond_range=np.array(beyond_range, np.int64),
-    )
-    _save(
+    block = _LabelledBlock(VoxelTable(VOXEL_M, len(Label)), RivalCounter(job.cell_m, job.rival_maps))
+    with _open_evidence(job, ".rrd") as log:
+        watch = _Stopwatch()
+        for index, scan in _read(job, block.digests):
+            watch.lap("reading")
+            usable = _usable(index, scan, job)
+            if isinstance(usable, SkippedScan):
+                block.skipped.append(usable)
+                if log:
+                    log_skipped(log, usable.index, usable.stamp_ns, usable.reason)
+            else:
+                block.beyond_range.append(len(scan) - len(usable) if isinstance(scan, Scan) else 0)
+                _label(index, usable, job, block, log, watch)
+            watch = _Stopwatch()
+        if log:
+            log_scan_metrics(log, block.metrics)
+    summary = block.summary()
+    found = {} if not block.features else feature_arrays(concatenate(block.features))
+    save(
         job.path.with_suffix(".npz"),
         {
-            **{f"summary_{f.name}": np.asarray(getattr(summary, f.name)) for f in fields(BlockSummary)},
-            **_label_arrays(labels, summary.scan),
-            "ceiling_count": np.array([len(c) for c in ceilings], np.int64),
-            "ceiling_planes": np.concatenate(ceilings) if ceilings else np.zeros((0, 3)),
-            **(
-                {f"feature_{f.name}": getattr(concatenate(features), f.name) for f in fields(Features)}
-                if features
-                else {}
-            ),
-            **_vote_arrays("votes", table.votes()),
-            **_vote_arrays("rivals", rivals.votes()),
+            **summary_arrays(summary),
+            **label_arrays(block.labels, summary.scan),
+            **ceiling_arrays(block.ceilings),
+            **found,
+            **vote_arrays("votes", block.votes.votes()),
+            **vote_arrays("rivals", block.rivals.votes()),
         },
     )
     return summary
+
+
+class _Stopwatch:
+    """Milliseconds of one scan by stage, see `STAGES`."""
+
+    def __init__(self) -> None:
+        self.milliseconds: dict[str, float] = {}
+        self._since = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.milliseconds[stage] = 1e3 * (now - self._since)
+        self._since = now
+
+
+@dataclass(frozen=True)
+class _LabelledBlock:
+    """What the scans of a block come to, one after the other."""
+
+    votes: VoxelTable
+    rivals: RivalCounter
+    skipped: list[SkippedScan] = field(default_factory=list)
+    scans: list[tuple[int, int, FloatArray]] = field(default_factory=list)
+    features: list[Features] = field(default_factory=list)
+    labels: list[UInt8Array] = field(default_factory=list)
+    ceilings: list[FloatArray] = field(default_factory=list)
+    metrics: list[ScanMetrics] = field(default_factory=list)
+    milliseconds: list[list[float]] = field(default_factory=list)
+    sizes: list[tuple[int, int]] = field(default_factory=list)
+    beyond_range: list[int] = field(default_factory=list)
+    counts: IntArray = field(default_factory=lambda: np.zeros(256, np.int64))
+    digests: list[bytes] = field(default_factory=list)
+
+    def summary(self) -> BlockSummary:
+        return BlockSummary(
+            scan=np.array([s[0] for s in self.scans], np.int64),
+            stamp_ns=np.array([s[1] for s in self.scans], np.int64),
+            T_map_base=np.array([s[2] for s in self.scans]).reshape(-1, 4, 4),
+            skipped_scan=np.array([s.index for s in self.skipped], np.int64),
+            skipped_reason=tuple(s.reason for s in self.skipped),
+            cloud_digest=as_rows(self.digests),
+            label_counts=self.counts,
+            milliseconds=np.array(self.milliseconds).reshape(-1, len(STAGES)),
+            points_in_cloud=np.array([s[0] for s in self.sizes], np.int64),
+            points_in_lines=np.array([s[1] for s in self.sizes], np.int64),
+            beyond_range=np.array(self.beyond_range, np.int64),
+        )
+
+
+def _label(index: int, scan: Scan, job: LabelJob, block: _LabelledBlock, log: Log | None, watch: _Stopwatch) -> None:
+    """Label one scan, record it, and add to the block what it comes to."""
+    ranges = smooth_ranges(scan, job.method.smoothing)
+    watch.lap("smoothing")
+    level = _place(scan, ranges, job)
+    placed = level.placed
+    watch.lap("placing")
+    labelling = label_scan(scan, placed, job.method, seed_of(job.seed, index))
+    watch.lap("labelling")
+    if log:
+        block.metrics.append(log_scan(log, index, level, labelling, scan.stamp_ns, watch.milliseconds))
+    block.features.append(extract(index, placed, labelling))
+    block.votes.add(points_in_map(placed), labelling.label)
+    block.rivals.add(placed, labelling)
+    block.labels.append(full_labels(scan, labelling.label))
+    block.ceilings.append(labelling.ceiling_planes)
+    counts = np.bincount(labelling.label, minlength=256)
+    block.counts[...] += counts
+    block.scans.append((index, scan.stamp_ns, job.trajectory.at(np.array([scan.stamp_ns]))[0]))
+    block.sizes.append((scan.cloud_size, len(labelling.label) - int(counts[[Label.FLOOR, Label.CEILING]].sum())))
+    watch.lap("recording")
+    block.milliseconds.append([watch.milliseconds[stage] for stage in STAGES])
 
 
 def finish_block(job: FinishJob) -> None:
@@ -218,22 +214,13 @@ def finish_block(job: FinishJob) -> None:
     Raises InputError where they are not what was read the first time.
     """
     label_job = job.label
-    sensor = _vertical(label_job.inputs)
-    earlier = load_labels(label_job.path.with_suffix(".npz"))
-    ceilings = _load_ceilings(label_job.path.with_suffix(".npz"))
-    labels: list[UInt8Array] = []
-    numbers: list[int] = []
+    first = label_job.path.with_suffix(".npz")
+    earlier, ceilings = load_labels(first), load_ceilings(first)
+    labels: dict[int, UInt8Array] = {}
     digests: list[bytes] = []
     table = VoxelTable(VOXEL_M, len(Label))
-    with _open_evidence(label_job, FINAL_EVIDENCE) as recorder:
-        for index, scan in read_scans(
-            _open(label_job.inputs.bag_path),
-            sensor.index,
-            label_job.block.first,
-            label_job.block.count,
-            sensor.lidar.decoding,
-            digests,
-        ):
+    with _open_evidence(label_job, FINAL_EVIDENCE) as log:
+        for index, scan in _read(label_job, digests):
             if index not in earlier or isinstance(scan, SkippedScan):
                 continue
             scan = within_range(scan, label_job.method.scan.range_max_m)
@@ -249,36 +236,38 @@ def finish_block(job: FinishJob) -> None:
                 label_of_scan,
                 placed.to_map(placed.origin_level[None])[0],
                 job.building,
-                _load_halo(job.halo),
+                load_halo(job.halo),
                 job.settings,
             )
-            if recorder:
-                recorder.log_final(index, scan.stamp_ns, placed, label_of_scan, label)
+            if log:
+                log_final(log, index, scan.stamp_ns, placed, label_of_scan, label)
             table.add(points_map, label)
-            labels.append(full_labels(scan, label))
-            numbers.append(index)
-    if not np.array_equal(as_rows(digests), load_summary(label_job.path.with_suffix(".npz")).cloud_digest):
+            labels[index] = full_labels(scan, label)
+    if not np.array_equal(as_rows(digests), load_summary(first).cloud_digest):
         raise InputError(
             f"{label_job.inputs.bag_path}: changed while the run was reading it; let nothing write to it, and start a new run"
         )
-    _save(
-        label_job.path.with_suffix(".final.npz"),
-        {
-            **_label_arrays(labels, np.array(numbers, np.int64)),
-            **_vote_arrays("votes", table.votes()),
-        },
-    )
+    final = label_arrays(list(labels.values()), np.array(list(labels), np.int64))
+    save(label_job.path.with_suffix(".final.npz"), {**final, **vote_arrays("votes", table.votes())})
 
 
-def _near(index: int, scan: Scan, job: LabelJob) -> Scan | SkippedScan:
-    """The scan without the returns that are too far away to be used."""
+def _read(job: LabelJob, digests: list[bytes]) -> Iterator[tuple[int, Scan | SkippedScan]]:
+    """The block's clouds as scans; `digests` takes those of their bytes."""
+    sensor = _vertical(job.inputs)
+    bag = _open(job.inputs.bag_path)
+    return read_scans(bag, sensor.index, job.block.first, job.block.count, sensor.lidar.decoding, digests)
+
+
+def _usable(index: int, scan: Scan | SkippedScan, job: LabelJob) -> Scan | SkippedScan:
+    """The scan without the returns that are too far away, where it has a pose and any return is left."""
+    if isinstance(scan, SkippedScan):
+        return scan
+    if not job.trajectory.covers(np.array([scan.start_ns, scan.end_ns]), job.extrapolate_ns).all():
+        return SkippedScan(index, scan.stamp_ns, "no pose at its time")
     range_max_m = job.method.scan.range_max_m
     near = within_range(scan, range_max_m)
-    return (
-        near
-        if len(near)
-        else SkippedScan(index, scan.stamp_ns, f"no return within {range_max_m:g} m (scan.range_max_m)")
-    )
+    nothing = SkippedScan(index, scan.stamp_ns, f"no return within {range_max_m:g} m (scan.range_max_m)")
+    return near if len(near) else nothing
 
 
 def _place(scan: Scan, ranges: SmoothedRanges, job: LabelJob) -> LevelledScan:
@@ -301,71 +290,6 @@ def holds_clouds_of(path: Path, block: Block, inputs: Inputs) -> bool:
     return np.array_equal(load_summary(path).cloud_digest, as_rows(list(found)))
 
 
-def load_summary(path: Path) -> BlockSummary:
-    """The summary in a block's .npz."""
-    with np.load(path) as spooled:
-        values = {f.name: spooled[f"summary_{f.name}"] for f in fields(BlockSummary)}
-    values["skipped_reason"] = tuple(str(reason) for reason in values["skipped_reason"])
-    return BlockSummary(**values)
-
-
-def load_features(path: Path) -> Features | None:
-    """The features in a block's .npz; None where it holds no scan."""
-    with np.load(path) as spooled:
-        if f"feature_{fields(Features)[0].name}" not in spooled:
-            return None
-        return Features(**{f.name: spooled[f"feature_{f.name}"] for f in fields(Features)})
-
-
-def load_labels(path: Path) -> dict[int, UInt8Array]:
-    """Labels of each cloud in a block's .npz, by its number, one for each place in the cloud."""
-    with np.load(path) as spooled:
-        parts = np.split(spooled["label"], np.cumsum(spooled["label_size"])[:-1])
-        return (
-            {int(scan): part for scan, part in zip(spooled["label_scan"], parts, strict=True)}
-            if len(spooled["label_scan"])
-            else {}
-        )
-
-
-def _load_ceilings(path: Path) -> dict[int, FloatArray]:
-    """The ceiling planes (k, 3) of each scan in a block's .npz, by its number."""
-    with np.load(path) as spooled:
-        parts = np.split(spooled["ceiling_planes"], np.cumsum(spooled["ceiling_count"]))
-        return {int(scan): part for scan, part in zip(spooled["label_scan"], parts, strict=False)}
-
-
-def load_votes(path: Path) -> VoxelVotes:
-    """The voxel votes in a block's .npz, of the scans' own labels or of the final ones."""
-    return _load_votes(path, "votes")
-
-
-def load_rivals(path: Path) -> VoxelVotes:
-    """What `RivalCounter` counted of a block, from its .npz."""
-    return _load_votes(path, "rivals")
-
-
-def _load_votes(path: Path, name: str) -> VoxelVotes:
-    with np.load(path) as spooled:
-        values = {f.name: spooled[f"{name}_{f.name}"] for f in fields(VoxelVotes)}
-    return VoxelVotes(**{**values, "voxel_m": float(values["voxel_m"])})
-
-
-def _vote_arrays(name: str, votes: VoxelVotes) -> dict[str, IntArray | FloatArray]:
-    return {f"{name}_{f.name}": np.asarray(getattr(votes, f.name)) for f in fields(VoxelVotes)}
-
-
-def save_halo(path: Path, halo: Halo) -> None:
-    """Write what `FinishJob.halo` names."""
-    _save(path, {f.name: np.asarray(getattr(halo, f.name)) for f in fields(Halo)})
-
-
-@lru_cache(maxsize=1)
-def _load_halo(path: Path) -> Halo:
-    with np.load(path) as stored:
-        return Halo(stored["keys"], stored["label"], float(stored["voxel_m"]))
-
-
 def points_in_map(placed: PlacedScan) -> FloatArray:
     """(n, 3) float32."""
     T = placed.T_map_level.astype(np.float32)
@@ -377,33 +301,15 @@ def seed_of(seed: int, index: int) -> int:
     return int(np.random.SeedSequence([seed, index]).generate_state(1)[0])
 
 
-class _NoEvidence:
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, *_: object) -> None:
-        return None
-
-
-class _Evidence:
-    """A block's part of the recording and its recorder."""
-
-    def __init__(self, path: Path, recording_id: str, detail: Detail) -> None:
-        self._block = open_part(path, recording_id)
-        self._detail = detail
-
-    def __enter__(self) -> Recorder:
-        return Recorder(self._block.__enter__(), self._detail)
-
-    def __exit__(self, *error: object) -> None:
-        self._block.__exit__(*error)  # type: ignore[arg-type]
-
-
-def _open_evidence(job: LabelJob, suffix: str) -> _Evidence | _NoEvidence:
+@contextmanager
+def _open_evidence(job: LabelJob, suffix: str) -> Iterator[Log | None]:
+    """The block's part of the recording; None where it has none."""
     # A recording of the map alone has nothing of the final labels, and a file without content is none to Rerun.
     if job.detail is None or (job.detail is Detail.MAP and suffix == FINAL_EVIDENCE):
-        return _NoEvidence()
-    return _Evidence(job.path.with_suffix(suffix), job.recording_id, job.detail)
+        yield None
+        return
+    with open_part(job.path.with_suffix(suffix), job.recording_id) as stream:
+        yield Log(stream, job.detail)
 
 
 def _vertical(inputs: Inputs) -> Sensor:
@@ -416,18 +322,3 @@ def _vertical(inputs: Inputs) -> Sensor:
 def _open(path: Path) -> Bag:
     """Each worker opens the bag once."""
     return open_bag(path)
-
-
-def _label_arrays(labels: list[UInt8Array], scan: IntArray) -> dict[str, IntArray]:
-    return {
-        "label": np.concatenate(labels) if labels else np.zeros(0, np.uint8),
-        "label_size": np.array([len(label) for label in labels], np.int64),
-        "label_scan": scan,
-    }
-
-
-def _save(path: Path, arrays: dict[str, IntArray | FloatArray]) -> None:
-    part = path.with_name(path.name + ".part")
-    with part.open("wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
-    part.replace(path)

@@ -8,9 +8,8 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import Scan
 from ffmap.app.folder.names import RunFolder
-from ffmap.app.record.scans import Detail
 from ffmap.app.setup.inputs import Inputs, Sensor
-from ffmap.app.setup.outputs import Output
+from ffmap.app.setup.outputs import Detail, Output
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.scans import read_clouds

@@ -58,6 +58,17 @@ class Inputs:
     vertical: Sensor | None
     warnings: tuple[str, ...]
 
+    @property
+    def by_role(self) -> dict[str, Sensor]:
+        """The lidars that were found, by what they are for."""
+        roles = {"horizontal": self.horizontal, "vertical": self.vertical}
+        return {role: sensor for role, sensor in roles.items() if sensor is not None}
+
+    @property
+    def ring_count(self) -> int | None:
+        """Emitters of the lidar that is labelled; None where nothing is."""
+        return self.vertical.lidar.ring_count if self.vertical else None
+
     def used(self, given_poses: bool) -> list[Sensor]:
         """The lidars whose clouds a run reads. given_poses: whether it takes its poses from elsewhere."""
         wanted = (None if given_poses else self.horizontal, self.vertical)

@@ -1,9 +1,20 @@
-"""Which files of a run folder are written."""
+"""Which files of a run folder are written, and how much the recording holds of each scan."""
 
 from collections.abc import Iterable
 from enum import StrEnum
 
 from ffmap.loaders.errors import InputError
+
+
+class Detail(StrEnum):
+    """How much is logged of each scan."""
+
+    LINES = "lines"
+    """Every intermediate."""
+    SCANS = "scans"
+    """The labelled cloud, planes and doors; no lines and curves."""
+    MAP = "map"
+    """Poses, metrics and the map; nothing of the single scan."""
 
 
 class Output(StrEnum):

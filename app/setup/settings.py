@@ -21,6 +21,7 @@ from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.fusion import FusionSettings
 from ffmap.algorithms.building.model import BuildingSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
+from ffmap.algorithms.maps.all_maps import MapsSettings
 from ffmap.algorithms.maps.area_graph import AreaGraphSettings
 from ffmap.algorithms.maps.floor_plan import FloorPlanSettings
 from ffmap.algorithms.maps.grid import GridMapSettings
@@ -84,11 +85,19 @@ class Settings(StepSettings):
             standing_walls=self.standing_walls,
             before_walls=self.before_walls,
             wall_thickness=self.wall_thickness,
+            relabelling=self.relabelling,
+        )
+
+    @property
+    def maps(self) -> MapsSettings:
+        """What draws its maps."""
+        return MapsSettings(
+            building=self.building,
+            wall_thickness=self.wall_thickness,
             grid_map=self.grid_map,
             area_graph=self.area_graph,
             rival_maps=self.rival_maps,
             floor_plan=self.floor_plan,
-            relabelling=self.relabelling,
         )
 
     def flat(self) -> dict[str, Any]:

@@ -16,17 +16,17 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
-from ffmap.app.commands import run as run_command
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.names import ERROR_LOG, METRICS, RunFolder
 from ffmap.app.run.odometry import Odometry
 from ffmap.app.run.odometry_cache import CACHE_VARIABLE
+from ffmap.app.run.start import Arguments, carry_out, make_ready, stored
 from ffmap.app.run.workers import ENVIRONMENT
 from ffmap.app.setup.inputs import InputOptions, find_inputs
 from ffmap.app.setup.settings import Settings, load_settings
@@ -72,9 +72,9 @@ class Job(BaseModel):
         """Held by the process that is at it."""
         return self.out.parent / _LOCKS / (self.odometry or self.name)
 
-    def arguments(self) -> run_command.Arguments:
+    def arguments(self) -> Arguments:
         """The job as `ffmap run` knows it, on one thread."""
-        return run_command.Arguments(
+        return Arguments(
             bag=self.bag,
             out=self.out,
             overrides=self.overrides,
@@ -124,7 +124,7 @@ def _complete_record(job: Job) -> dict[str, Any] | None:
         record.get("outcome") == "complete"
         and record.get("settings_hash") == job.settings_hash
         and record.get("bag", {}).get("digest") == job.bag_digest
-        and record.get("options") == json.loads(json.dumps(run_command.stored(job.arguments())))
+        and record.get("options") == json.loads(json.dumps(stored(job.arguments())))
     )
     return record if same else None
 
@@ -205,11 +205,14 @@ def _do(job: Job) -> None:
     if job.odometry is not None:
         _register(job)
     elif _complete_record(job) is None:
-        run_command.run(job.arguments(), None)
-    elif not is_finished(job):
-        from ffmap.app.analysis.evaluation import evaluate_run
+        with ExitStack() as stack:
+            carry_out(make_ready(job.arguments(), stack), resumed=False)
+    if job.odometry is None and not is_finished(job):
+        from ffmap.app.analysis.evaluation import evaluate_run, has_truth
 
-        evaluate_run(open_run(job.out), None, 1)
+        run = open_run(job.out)
+        if has_truth(run):
+            evaluate_run(run, None, 1)
 
 
 def _register(job: Job) -> None:

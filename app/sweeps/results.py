@@ -1,9 +1,7 @@
 """What came of a sweep: a table for the terminal, sweep.parquet, and the front of quality against time."""
 
-import math
 import statistics
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,59 +11,26 @@ from rich.table import Table
 
 from ffmap.app.folder import figures
 from ffmap.app.folder.atomic import write_atomically
-from ffmap.app.sweeps.plan import Combination, Parameter
+from ffmap.app.folder.ranking import Ranking, Trial
+from ffmap.app.sweeps.plan import Parameter
 from ffmap.app.sweeps.schedule import Run
 
 
-@dataclass(frozen=True)
-class Trial:
-    """A combination of values, and the mean of each figure over the bags."""
-
-    combination: Combination
-    names: tuple[str, ...]
-    """Of its runs."""
-    figures: dict[str, float]
-
-
-class Results:
-    """All runs of a sweep, ranked by its objective."""
+class Results(Ranking):
+    """All runs of a sweep; a trial is a combination that succeeded on every bag, in the order in which it was proposed."""
 
     def __init__(self, runs: Sequence[Run], parameters: Sequence[Parameter], objective: str) -> None:
         self.runs = tuple(runs)
-        self.parameters = tuple(parameter.name for parameter in parameters)
-        self.objective = objective
         groups: dict[tuple[Any, ...], list[Run]] = {}
         for run in runs:
             groups.setdefault(tuple(run.combination.values()), []).append(run)
-        self.trials = tuple(_mean(group) for group in groups.values() if all(run.figures for run in group))
-        """What succeeded on every bag, in the order in which it was proposed."""
-        timed = all(figures.CPU_SECONDS in trial.figures for trial in self.trials)
-        self.cost = figures.CPU_SECONDS if timed else figures.SECONDS
-        """The time that a trial took, as well as it is known."""
-        quality = [self.quality(trial) for trial in self.trials]
-        self.front = tuple(figures.pareto_front(self._costs, quality))
-        """Places of the trials that no other beats in both the objective and time, the fastest first."""
-
-    def quality(self, trial: Trial) -> float:
-        """The objective, the more the better; NaN where it is not known."""
-        value = trial.figures.get(self.objective, float("nan"))
-        return -value if figures.less_is_better(self.objective) else value
+        trials = [_mean(group) for group in groups.values() if all(run.figures for run in group)]
+        super().__init__(trials, [parameter.name for parameter in parameters], objective)
 
     @property
-    def _costs(self) -> list[float]:
-        return [trial.figures.get(self.cost, math.nan) for trial in self.trials]
-
-    @property
-    def ranked(self) -> list[int]:
-        """Places of the trials, best first, of those that are as good the fastest; those without the objective last."""
-        quality, costs = [self.quality(trial) for trial in self.trials], self._costs
-        return sorted(range(len(quality)), key=lambda i: (math.isnan(quality[i]), -quality[i], costs[i]))
-
-    @property
-    def headlines(self) -> list[str]:
-        """The objective and the time, then the usual figures that some trial has."""
-        usual = dict.fromkeys([self.objective, self.cost, *figures.HEADLINES])
-        return [name for name in usual if any(name in trial.figures for trial in self.trials)]
+    def failures(self) -> list[str]:
+        """Name and error of each run that failed."""
+        return [f"{run.job.name}: {run.outcome.error}" for run in self.runs if run.failed and run.outcome]
 
     def table(self, width: int) -> Table:
         """Best first; as many of the usual figures as fit."""

@@ -7,6 +7,7 @@ import pytest
 import shapely
 
 from ffmap.algorithms.base.segments import main_direction_deg
+from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import Doors
 from ffmap.algorithms.building.thickness import (
     WallThicknessSettings,
@@ -16,7 +17,7 @@ from ffmap.algorithms.building.thickness import (
     usual_thickness,
 )
 from ffmap.algorithms.maps.floor_plan import FloorPlan, FloorPlanSettings, draw_floor_plan
-from ffmap.algorithms.maps.grid import Drive, GridMapSettings, draw_furniture_free, standing_stretches
+from ffmap.algorithms.maps.grid import GridMapSettings, draw_furniture_free, standing_stretches
 from ffmap.algorithms.scan.doors import DoorState
 from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms
 

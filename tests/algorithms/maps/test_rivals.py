@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base.trajectory import PlacedScan, place_scan
+from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import NO_WINDOWS
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
-from ffmap.algorithms.maps.grid import Cell, Drive, GridMapSettings
+from ffmap.algorithms.maps.grid import Cell, GridMapSettings
 from ffmap.algorithms.maps.rivals import Rival, RivalCounter, RivalMapsSettings, draw_rival
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
 from ffmap.algorithms.scan.summary import extract

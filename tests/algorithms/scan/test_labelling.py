@@ -12,6 +12,7 @@ from ffmap.algorithms.base.scan import Scan
 from ffmap.algorithms.base.trajectory import PlacedScan, Trajectory, place_scan
 from ffmap.algorithms.building.door_frames import measure_reveals, place_frames
 from ffmap.algorithms.building.doors import find_doors
+from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.face_foreground import BeforeWalls
 from ffmap.algorithms.building.face_fusion import fuse_walls
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES
@@ -21,7 +22,7 @@ from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.building.votes import VoxelTable, find_halo
 from ffmap.algorithms.building.windows import find_windows
-from ffmap.algorithms.maps.grid import Cell, Drive, GridMapSettings, Immobile, draw_furniture_free
+from ffmap.algorithms.maps.grid import Cell, GridMapSettings, Immobile, draw_furniture_free
 from ffmap.algorithms.poses.levelling import level_map, turn_to_floor
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan

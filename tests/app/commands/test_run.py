@@ -30,6 +30,7 @@ from ffmap.app.commands.maps import maps
 from ffmap.app.folder import names as run_folder
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.names import rooms_file
+from ffmap.app.run.start import Arguments
 from ffmap.blueprints import entities
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
@@ -184,7 +185,7 @@ def test_truth_that_cannot_be_compared_with_is_not_said_to_be_absent(
 
     monkeypatch.setenv("FFMAP_CACHE", environment["FFMAP_CACHE"])
     monkeypatch.setattr(run_command, "_evaluate", damaged)
-    arguments = run_command.Arguments(bags["bag"], tmp_path / "run", detail="map", outputs=("labels",), workers=1)
+    arguments = Arguments(bags["bag"], tmp_path / "run", detail="map", outputs=("labels",), workers=1)
     with pytest.raises(InputError, match="the truth is damaged"):
         run_command.run(arguments, None)
     lines = capsys.readouterr().out.splitlines()
@@ -697,8 +698,8 @@ def test_viewer_that_ends_is_one_line_and_no_run_goes_on(
 def test_viewer_that_ends_before_the_recording_begins_aborts_the_run(
     bags: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(run_command, "check_viewer", lambda url: None)
-    arguments = run_command.Arguments(
+    monkeypatch.setattr("ffmap.app.run.start.check_viewer", lambda url: None)
+    arguments = Arguments(
         bag=bags["bag"], out=tmp_path / "a", connect="rerun+http://127.0.0.1:1/proxy", workers=1, quiet=True
     )
     with pytest.raises(InputError, match="the viewer has ended"):

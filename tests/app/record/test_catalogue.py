@@ -19,7 +19,7 @@ from ffmap.app.commands import runs as runs_command
 from ffmap.app.record.catalogue import runs as catalogue
 from ffmap.app.record.catalogue.runs import Query, ask, find_runs
 from ffmap.app.record.catalogue.server import CatalogueServer
-from ffmap.app.record.scans import Recorder
+from ffmap.app.record.stream import send_properties
 from ffmap.blueprints import entities
 from ffmap.loaders.errors import InputError
 
@@ -31,7 +31,7 @@ def write(path: Path, recording_id: str, properties: dict[str, dict[str, Any]]) 
     with rr.RecordingStream(entities.APPLICATION_ID, recording_id=recording_id) as stream:
         stream.save(path)
         for name, values in properties.items():
-            Recorder(stream).log_properties(name, values)
+            send_properties(stream, name, values)
         stream.log("/world", rr.TextLog("something"), static=True)
 
 
@@ -325,7 +325,7 @@ def test_a_server_answers_the_same_takes_new_runs_and_ends_cleanly(
 
 
 def test_asking_for_runs_does_not_wait_for_the_method_to_load() -> None:
-    code = "import sys, app.runs_command; print('numba' in sys.modules)"
+    code = "import sys, ffmap.app.commands.runs; print('numba' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import rerun as rr
 
+from ffmap.app.record.log import set_time
 from ffmap.app.record.read_back import readable, rows
-from ffmap.app.record.scans import set_time
 from ffmap.app.record.stream import open_part
 from ffmap.loaders.errors import InputError
 

@@ -25,9 +25,14 @@ from ffmap.algorithms.poses.levelling import LevelledScan
 from ffmap.algorithms.poses.odometry import Registration
 from ffmap.algorithms.poses.pose_graph import PoseGraph
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
+from ffmap.app.record.building import log_building, log_fused_walls, log_grid, log_map_block
 from ffmap.app.record.building_reasons import explain_building
-from ffmap.app.record.scans import Detail, Recorder
-from ffmap.app.record.stream import Recording, open_part
+from ffmap.app.record.log import Log
+from ffmap.app.record.odometry import log_odometry_frame, log_pose_graph, log_registrations, log_trajectory
+from ffmap.app.record.scans import log_final, log_scan, log_scan_metrics, log_skipped
+from ffmap.app.record.stream import Recording, open_part, send_properties
+from ffmap.app.record.whole_run import log_static, log_warnings
+from ffmap.app.setup.outputs import Detail
 from ffmap.blueprints import entities
 from ffmap.blueprints import run as run_blueprint
 from tests import synthetic
@@ -51,19 +56,20 @@ def labelled() -> list[Labelled]:
 
 def write_block(path: Path, labelled: list[Labelled], first: int, count: int, detail: Detail = Detail.LINES) -> None:
     with open_part(path, "run-1") as stream:
-        recorder = Recorder(stream, detail)
-        for index in range(first, first + count):
-            _, level, labelling = labelled[index]
-            recorder.log_scan(index, level, labelling, synthetic.stamp_ns(index), {"labelling": 8.0 + index})
-        recorder.log_scan_metrics()
+        log = Log(stream, detail)
+        metrics = [
+            log_scan(log, index, *labelled[index][1:], synthetic.stamp_ns(index), {"labelling": 8.0 + index})
+            for index in range(first, first + count)
+        ]
+        log_scan_metrics(log, metrics)
 
 
 def write_run(folder: Path, labelled: list[Labelled], detail: Detail = Detail.LINES) -> Path:
     """Two blocks, joined into one recording with its statics."""
     recording = start(folder, "run-1")
-    recorder = Recorder(recording.stream, detail)
-    recorder.log_static({"vertical": synthetic.T_BASE_SENSOR}, entities.explain({}), synthetic.RINGS, 1.0)
-    recorder.log_properties("settings", {"wall_planes": {"similarity_m": 0.05}, "name": None})
+    log = Log(recording.stream, detail)
+    log_static(log, {"vertical": synthetic.T_BASE_SENSOR}, entities.explain({}), synthetic.RINGS, 1.0)
+    send_properties(log.stream, "settings", {"wall_planes": {"similarity_m": 0.05}, "name": None})
     for first in (0, 2):
         block = folder / f"{first:04d}.rrd"
         write_block(block, labelled, first, 2, detail)
@@ -202,9 +208,9 @@ def test_final_labels_win_at_the_same_scan(tmp_path, labelled):
     final[:100] = Label.OUTSIDE
     path = tmp_path / "recording.rrd"
     recording = start(tmp_path, "run-2")
-    recorder = Recorder(recording.stream)
-    recorder.log_scan(0, level, labelling, synthetic.stamp_ns(0), {})
-    recorder.log_final(0, synthetic.stamp_ns(0), level.placed, labelling.label, final)
+    log = Log(recording.stream)
+    log_scan(log, 0, level, labelling, synthetic.stamp_ns(0), {})
+    log_final(log, 0, synthetic.stamp_ns(0), level.placed, labelling.label, final)
     recording.finish()
     last = list(rows(path, entities.POINTS))[-1]
     np.testing.assert_array_equal(last["class_ids"], final)
@@ -249,8 +255,8 @@ def timelines_of(path: Path) -> set[str]:
 def test_registrations_lie_on_stamp_alone_where_there_are_no_vertical_scans(tmp_path):
     path = tmp_path / "recording.rrd"
     recording = start(tmp_path, "run-3")
-    recorder = Recorder(recording.stream)
-    recorder.log_registrations(registrations(), [None, "nothing holds it", None])
+    log = Log(recording.stream)
+    log_registrations(log, registrations(), [None, "nothing holds it", None])
     recording.finish()
     assert timelines_of(path) == {entities.STAMP_TIMELINE}
     poses = [vectors(row["translation"])[0][0] for row in rows(path, entities.ODOMETRY_SENSOR, entities.STAMP_TIMELINE)]
@@ -271,9 +277,9 @@ def test_registrations_have_the_scan_of_the_first_vertical_cloud_that_is_not_old
     # Two clouds after the first sweep and before the second; a clock that steps back; none after the last sweep.
     first, second, third = (synthetic.stamp_ns(number) for number in range(3))
     scan_stamps_ns = np.array([first, first + 1, first + 2, second, first + 3, third - 1])
-    recorder = Recorder(recording.stream, scan_stamps_ns=scan_stamps_ns)
-    recorder.log_registrations(registrations(), [None, "nothing holds it", None])
-    recorder.log_odometry_frame(np.array([second]), np.eye(4)[None])
+    log = Log(recording.stream, scan_stamps_ns=scan_stamps_ns)
+    log_registrations(log, registrations(), [None, "nothing holds it", None])
+    log_odometry_frame(log, np.array([second]), np.eye(4)[None])
     recording.finish()
     assert timelines_of(path) == {entities.STAMP_TIMELINE, entities.SCAN_TIMELINE}
     alarms = [(row["scan"], row["scalars"][0]) for row in rows(path, f"{entities.REGISTRATION}/weak")]
@@ -309,7 +315,7 @@ def test_curves_and_legends_have_names_in_words_with_their_units(recording):
 @pytest.mark.parametrize(("warnings", "text"), [([], "None."), (["no floor", "no clock"], "- no floor\n- no clock")])
 def test_warnings_of_the_whole_run_are_a_text(tmp_path, warnings, text):
     recording = start(tmp_path, "run-12")
-    Recorder(recording.stream).log_warnings(warnings)
+    log_warnings(Log(recording.stream), warnings)
     recording.finish()
     (found,) = (
         c.to_record_batch()
@@ -337,9 +343,9 @@ def test_loops_are_drawn_where_the_solved_poses_are(tmp_path):
     )
     stamps = np.array([synthetic.stamp_ns(number) for number in range(4)])
     T_map_odom = transforms.make_transform(translation=[0.0, 0.0, 2.0])
-    recorder = Recorder(recording.stream)
-    recorder.log_odometry_frame(stamps, T_map_odom @ shift)
-    recorder.log_pose_graph(graph, T_map_odom, stamps, 0.1 * np.arange(4))
+    log = Log(recording.stream)
+    log_odometry_frame(log, stamps, T_map_odom @ shift)
+    log_pose_graph(log, graph, T_map_odom, stamps, 0.1 * np.arange(4))
     recording.finish()
     frames = [vectors(r["translation"])[0] for r in rows(path, entities.ODOMETRY, entities.STAMP_TIMELINE)]
     np.testing.assert_allclose(frames, [[0.0, 0.1 * i, 2.0] for i in range(4)], atol=1e-6)
@@ -362,7 +368,7 @@ def test_loops_are_drawn_where_the_solved_poses_are(tmp_path):
 def test_building_grid_map_and_messages(tmp_path):
     path = tmp_path / "recording.rrd"
     recording = start(tmp_path, "run-4")
-    recorder = Recorder(recording.stream)
+    log = Log(recording.stream)
     walls = Walls(
         ends=np.array([[[0.0, 0.0], [4.0, 0.0]]]),
         normal=np.array([[0.0, 1.0]]),
@@ -398,7 +404,7 @@ def test_building_grid_map_and_messages(tmp_path):
     covered = np.zeros((columns, 60), bool)
     covered[2:4, 1] = True
     before = BeforeWalls(np.array([0, columns]), np.full(columns, 2.8), covered)
-    recorder.log_fused_walls(AlignedFaces(walls, replace(walls, ends=walls.ends + 0.02), np.array([[-0.02, 0.013]])))
+    log_fused_walls(log, AlignedFaces(walls, replace(walls, ends=walls.ends + 0.02), np.array([[-0.02, 0.013]])))
     attic = np.full((2, 3), np.nan)
     attic[1, 2] = 2.0
     levels = (
@@ -406,15 +412,15 @@ def test_building_grid_map_and_messages(tmp_path):
         HeightMap.level(Surface.SLOPING_CEILING, np.array([1.0, 3.0]), 0.1, attic),
     )
     judged = JudgedFaces(walls, leaf, np.array([FaceVerdict.ENDS_LOW]))
-    recorder.log_building(BuildingModel(walls, before, judged, doors, windows, levels))
+    log_building(log, BuildingModel(walls, before, judged, doors, windows, levels))
     cells = np.full((2, 3), Cell.FREE, np.uint8)
     cells[0, 0], cells[1, 2] = Cell.OCCUPIED, Cell.UNKNOWN
     grid = GridMap(cells, np.array([-1.0, 2.0]), 0.05)
-    recorder.log_grid(entities.FURNITURE_FREE, grid)
+    log_grid(log, entities.FURNITURE_FREE, grid)
     stamps = np.array([synthetic.stamp_ns(index) for index in range(3)])
-    recorder.log_trajectory(stamps, synthetic.trajectory(3).T_map_base, np.arange(3))
-    recorder.log_map_block(2, int(stamps[2]), np.ones((4, 3)), np.array([1, 2, 2, 3], np.uint8))
-    recorder.log_skipped(1, int(stamps[1]), "all returns invalid")
+    log_trajectory(log, stamps, synthetic.trajectory(3).T_map_base, np.arange(3))
+    log_map_block(log, 2, int(stamps[2]), np.ones((4, 3)), np.array([1, 2, 2, 3], np.uint8))
+    log_skipped(log, 1, int(stamps[1]), "all returns invalid")
     recording.set_layout(run_blueprint.build(32, (0.0, 0.0), 5.0))
     recording.finish()
 
@@ -457,7 +463,7 @@ def test_building_grid_map_and_messages(tmp_path):
     np.testing.assert_allclose(leaf, [[1.0, 0, 0], [1.9, 0, 0], [1.9, 0, 2.1], [1.0, 0, 2.1]], rtol=1e-6)
     opened = BuildingModel(walls, before, judged, replace(doors, state=np.ones(1, np.uint8)), windows, levels)
     with open_part(tmp_path / "open.rrd", "run-4b") as stream:
-        Recorder(stream).log_building(opened)
+        log_building(Log(stream), opened)
     drawn = {chunk.entity_path for chunk in RrdReader(tmp_path / "open.rrd").stream()}
     assert entities.DOORS in drawn
     assert entities.DOOR_LEAVES not in drawn  # an open door is its frame alone
@@ -482,9 +488,9 @@ def test_a_scan_without_returns_is_recorded_like_any_other(tmp_path, labelled):
     level = synthetic.level(empty, synthetic.trajectory(2))
     labelling = label_scan(empty, level.placed, synthetic.settings(), 0)
     with open_part(tmp_path / "block.rrd", "run-5") as stream:
-        recorder = Recorder(stream)
-        recorder.log_scan(0, *labelled[0][1:], synthetic.stamp_ns(0), {})
-        recorder.log_scan(1, level, labelling, synthetic.stamp_ns(1), {})
+        log = Log(stream)
+        log_scan(log, 0, *labelled[0][1:], synthetic.stamp_ns(0), {})
+        log_scan(log, 1, level, labelling, synthetic.stamp_ns(1), {})
     # Nothing of the scan before stays in view.
     for entity in (entities.POINTS, entities.LINES, entities.UPMOST, entities.OPENINGS):
         last = list(rows(tmp_path / "block.rrd", entity))[-1]
@@ -499,10 +505,10 @@ def test_a_block_that_fails_leaves_nothing(tmp_path):
 
 def test_what_a_kill_leaves_can_be_read_and_what_is_finished_has_its_footer(tmp_path, labelled):
     recording = start(tmp_path, "run-1")
-    Recorder(recording.stream).log_message("before the block", synthetic.stamp_ns(0))
+    Log(recording.stream).message("before the block", synthetic.stamp_ns(0))
     write_block(tmp_path / "block.rrd", labelled, 0, 2)
     recording.add(tmp_path / "block.rrd")
-    Recorder(recording.stream).log_message("after it", synthetic.stamp_ns(1))
+    Log(recording.stream).message("after it", synthetic.stamp_ns(1))
     killed = tmp_path / "killed.rrd"
     killed.write_bytes((tmp_path / "recording.rrd").read_bytes())
     recording.finish()

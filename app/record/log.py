@@ -1,0 +1,116 @@
+"""Where recorders write to, and the timelines on which it lies."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa  # type: ignore[import-untyped]
+import rerun as rr
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.app.record.shapes import rounded
+from ffmap.app.setup.outputs import Detail
+from ffmap.blueprints import entities
+
+rr.set_strict_mode(True)
+
+
+class Log:
+    """A stream, and when what is logged into it holds. Every recorder's functions take one first."""
+
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        detail: Detail = Detail.LINES,
+        timeless: bool = False,
+        scan_stamps_ns: IntArray | None = None,
+    ) -> None:
+        """timeless: what is logged of a scan holds throughout, as in a recording of one scan alone.
+
+        scan_stamps_ns: (n,) of the vertical clouds in the bag. With them, what concerns a horizontal scan also lies on the
+        timeline `scan`, at the first vertical cloud that is not older, or at the last one: there the viewer shows the same
+        as at that cloud's stamp. None where there are no vertical clouds: it lies on `stamp` alone.
+        """
+        self.stream = stream
+        self.detail = detail
+        self.timeless = timeless
+        # The highest stamp up to each cloud, for a clock may step back.
+        self._scan_reached_ns: IntArray | None = None
+        if scan_stamps_ns is not None and len(scan_stamps_ns):
+            self._scan_reached_ns = np.maximum.accumulate(scan_stamps_ns)
+
+    def at(self, stamp_ns: int, index: int | None = None) -> None:
+        """What is logged next is of this time, and of this scan."""
+        set_time(self.stream, stamp_ns, index)
+
+    def now(self, path: str, *values: rr.AsComponents) -> None:
+        """Log at the time that is set."""
+        self.stream.log(path, *values, static=self.timeless)
+
+    def message(self, text: str, stamp_ns: int, index: int | None = None) -> None:
+        """Log a warning at the scan or time that it is about."""
+        self.at(stamp_ns, index)
+        self.now(entities.MESSAGES, rr.TextLog(text, level=rr.TextLogLevel.WARN))
+
+    def static(self, path: str, *values: rr.AsComponents) -> None:
+        """Log what holds throughout."""
+        self.stream.log(path, *values, static=True)
+
+    def text(self, path: str, markdown: str) -> None:
+        """Log a text that holds throughout."""
+        self.static(path, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN))
+
+    def columns(self, path: str, stamp_ns: IntArray, columns: rr.ComponentColumnList) -> None:
+        """One row for each horizontal scan, by its stamp."""
+        if not len(stamp_ns):
+            return
+        indexes = [rr.TimeColumn(entities.STAMP_TIMELINE, timestamp=stamp_ns.astype("datetime64[ns]"))]
+        if self._scan_reached_ns is not None:
+            scan = np.searchsorted(self._scan_reached_ns, stamp_ns).clip(max=len(self._scan_reached_ns) - 1)
+            indexes.append(rr.TimeColumn(entities.SCAN_TIMELINE, sequence=scan))
+        self.stream.send_columns(path, indexes, columns)
+
+    def transforms(self, path: str, stamp_ns: IntArray, T: FloatArray) -> None:
+        """Log frames T (n, 4, 4) at the stamps of horizontal scans."""
+        columns = rr.Transform3D.columns(translation=T[:, :3, 3], quaternion=transforms.quaternion_xyzw(T))
+        self.columns(path, stamp_ns, columns)
+
+    def clouds(self, path: str, stamp_ns: IntArray, clouds: Sequence[FloatArray]) -> None:
+        """Log clouds (k, 3) at the stamps of horizontal scans."""
+        if clouds:
+            positions = rounded(np.concatenate(clouds))
+            sizes = [len(cloud) for cloud in clouds]
+            self.columns(path, stamp_ns, rr.Points3D.columns(positions=positions).partition(sizes))
+
+
+def set_time(stream: rr.RecordingStream, stamp_ns: int, index: int | None = None) -> None:
+    """What is logged next is of this time, and of this scan."""
+    stream.reset_time()
+    stream.set_time(entities.STAMP_TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
+    if index is not None:
+        stream.set_time(entities.SCAN_TIMELINE, sequence=index)
+
+
+def scan_columns(index: Sequence[int], stamp_ns: Sequence[int]) -> list[rr.TimeColumn]:
+    """Both timelines for one row a scan."""
+    return [
+        rr.TimeColumn(entities.SCAN_TIMELINE, sequence=index),
+        rr.TimeColumn(entities.STAMP_TIMELINE, timestamp=np.array(stamp_ns).astype("datetime64[ns]")),
+    ]
+
+
+def evidence(columns: Mapping[str, npt.NDArray[Any]]) -> rr.AnyValues:
+    """Arrays beside an archetype, with the same types in every process even where they are empty."""
+    typed: dict[str, Any] = {}
+    for name, values in columns.items():
+        kind = {"d": np.dtype(np.float32), "l": np.dtype(np.int32)}.get(values.dtype.char, values.dtype)
+        flat = pa.array(values.astype(kind, copy=False).ravel())
+        typed[name] = pa.FixedSizeListArray.from_arrays(flat, values.shape[1]) if values.ndim == 2 else flat
+    return rr.AnyValues(**typed)
+
+
+def columns_of(answer: object, *names: str) -> dict[str, npt.NDArray[Any]]:
+    """Some arrays of a step's answer by their names, for `evidence`."""
+    return {name: getattr(answer, name) for name in names}

@@ -1,0 +1,83 @@
+"""Arrays as Rerun draws them: rounded positions, strips, upright rectangles, colours, frames."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
+import rerun as rr
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.blueprints import entities
+
+GRID_M = 1.0 / 512.0
+"""Positions are rounded to this grid (m), finer than a sensor's resolution: the file halves."""
+POINT_RADIUS_UI = 1.5
+JUMP_M = 0.4
+"""No stroke is drawn between neighbours in a line that are farther apart."""
+SEE_THROUGH = (255, 255, 255, 90)
+"""Factor of a mesh's colours behind which points and lines can be seen."""
+
+
+def annotations(classes: Mapping[int, tuple[str, entities.Color]]) -> rr.AnnotationContext:
+    return rr.AnnotationContext(
+        [rr.AnnotationInfo(id=int(key), label=name, color=color) for key, (name, color) in classes.items()]
+    )
+
+
+def transform(T_parent_child: FloatArray) -> rr.Transform3D:
+    return rr.Transform3D(
+        translation=T_parent_child[:3, 3], quaternion=rr.Quaternion(xyzw=transforms.quaternion_xyzw(T_parent_child))
+    )
+
+
+def rounded(positions_m: FloatArray) -> FloatArray:
+    rounded: FloatArray = np.rint(positions_m.astype(np.float32) * np.float32(1.0 / GRID_M)) * np.float32(GRID_M)
+    return rounded
+
+
+def ui_radius(points: float) -> np.float32:
+    """A radius in the viewer's points, which Rerun writes as a negative number."""
+    return np.float32(-points)
+
+
+def unbroken(lines: FloatArray) -> tuple[pa.Array, IntArray]:
+    """Line strips of lines (L, n, 3), parted where a line jumps, and the line (S,) that each strip is of."""
+    count, length = lines.shape[:2]
+    points = lines.reshape(-1, 3)
+    step = points[1:] - points[:-1]
+    broken = np.ones(len(points), bool)
+    broken[1:] = np.einsum("ij,ij->i", step, step) > JUMP_M**2
+    broken[::length] = True
+    starts = np.flatnonzero(broken)
+    return strips_of(points, np.append(starts, count * length)), starts // length
+
+
+def strips_of(points: FloatArray, starts: IntArray) -> pa.Array:
+    """Ragged line strips without a Python loop: strip i is points[starts[i]:starts[i + 1]]."""
+    kind = rr.components.LineStrip3DBatch([]).as_arrow_array().type
+    inner = pa.FixedSizeListArray.from_arrays(pa.array(points.astype(np.float32).ravel()), type=kind.value_type)
+    return pa.ListArray.from_arrays(pa.array(starts, pa.int32()), inner, type=kind)
+
+
+def upright_quads(ends: FloatArray, bottom_m: FloatArray, top_m: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Vertices (4K, 3) and triangles (2K, 3) over ends (K, 2, 2) between heights (K, 2)."""
+    corners = np.empty((len(ends), 4, 3), np.float32)
+    corners[:, :2, :2], corners[:, :2, 2] = ends, bottom_m
+    corners[:, 2:, :2], corners[:, 2:, 2] = ends[:, ::-1], top_m[:, ::-1]
+    triangles = (
+        np.array([[0, 1, 2], [0, 2, 3]], np.uint32)[None] + 4 * np.arange(len(ends), dtype=np.uint32)[:, None, None]
+    )
+    return corners.reshape(-1, 3), triangles.reshape(-1, 3)
+
+
+def panel_mesh(ends: FloatArray, bottom_m: FloatArray, top_m: FloatArray, color: entities.Color) -> rr.Mesh3D:
+    """Upright rectangles that one can see through, over ends (K, 2, 2) between heights (K,)."""
+    vertices, triangles = upright_quads(ends, np.repeat(bottom_m[:, None], 2, 1), np.repeat(top_m[:, None], 2, 1))
+    return rr.Mesh3D(vertex_positions=vertices, triangle_indices=triangles, albedo_factor=(*color, SEE_THROUGH[3]))
+
+
+def upright_frames(ends: FloatArray, bottom_m: FloatArray, top_m: FloatArray) -> FloatArray:
+    """Closed outlines (K, 5, 3) over ends (K, 2, 2) between heights (K,)."""
+    corners = upright_quads(ends, np.repeat(bottom_m[:, None], 2, 1), np.repeat(top_m[:, None], 2, 1))[0]
+    return corners.reshape(-1, 4, 3)[:, [0, 1, 2, 3, 0]]

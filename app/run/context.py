@@ -1,0 +1,97 @@
+"""What every stage of a run has at hand, and what the run gathers for run.json."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+from ffmap.app.folder.names import RunFolder
+from ffmap.app.progress import Progress
+from ffmap.app.record.log import Log
+from ffmap.app.record.stream import Recording
+from ffmap.app.setup.inputs import Inputs, total_digest
+from ffmap.app.setup.outputs import RUN_OUTPUTS, Detail, Output
+from ffmap.app.setup.settings import Settings
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What is neither a setting of the method nor an input: how much is written, and where to."""
+
+    detail: Detail = Detail.LINES
+    outputs: tuple[Output, ...] = RUN_OUTPUTS
+    connect_url: str | None = None
+    workers: int = 2
+    resume: bool = False
+
+
+@dataclass
+class RunState:
+    """What a run gathers for run.json.
+
+    statistics: Table I of the paper. clouds: the digest of all clouds of each topic that was read to its end, by topic.
+    labels_digest: see `LabelsWriter.digest`; empty where nothing was labelled. topology: rooms and passages.
+    """
+
+    started: float = field(default_factory=time.perf_counter)
+    timings_s: dict[str, float] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    counts: dict[str, Any] = field(default_factory=dict)
+    statistics: dict[str, Any] = field(default_factory=dict)
+    odometry_cached: bool = False
+    clouds: dict[str, str] = field(default_factory=dict)
+    labels_digest: str = ""
+    topology: dict[str, Any] = field(default_factory=dict)
+
+    def gathered(self, record: dict[str, Any]) -> dict[str, Any]:
+        """As it stands in run.json; record: what that held at the start."""
+        total_s = time.perf_counter() - self.started
+        return {
+            "bag": self.bag_as_read(record),
+            "timings_s": {name: round(s, 3) for name, s in self.timings_s.items()} | {"total": round(total_s, 3)},
+            "counts": self.counts,
+            "statistics": self.statistics,
+            "warnings": self.warnings,
+            "odometry_cached": self.odometry_cached,
+            "labels_digest": self.labels_digest,
+            "topology": self.topology,
+        }
+
+    def bag_as_read(self, record: dict[str, Any]) -> dict[str, Any]:
+        """What run.json says of the bag: with the digest of what was read of it, once all of that is known."""
+        bag: dict[str, Any] = {**record["bag"], "clouds": self.clouds}
+        read_whole = bag["stamps"].keys() == self.clouds.keys()
+        return {**bag, "digest": total_digest(self.clouds)} if read_whole else bag
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run under way. recording, log: None where none is wanted."""
+
+    inputs: Inputs
+    settings: Settings
+    options: RunOptions
+    folder: RunFolder
+    progress: Progress
+    record: dict[str, Any]
+    recording: Recording | None
+    log: Log | None
+    state: RunState
+
+    def warn(self, text: str) -> None:
+        """Tell the user now, and again in run.json."""
+        self.state.warnings.append(text)
+        self.progress.warn(text)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Measure how long a stage takes."""
+        started = time.perf_counter()
+        yield
+        self.state.timings_s[name] = time.perf_counter() - started
+
+
+def commonest(reasons: list[str]) -> str:
+    """The commonest of the reasons why clouds were skipped."""
+    return max(sorted(set(reasons)), key=reasons.count) if reasons else "none is there"

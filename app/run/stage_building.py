@@ -1,0 +1,116 @@
+"""Stage 3 of a run: the building and its maps from all scans together, recorded and written."""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.algorithms.building.drive import AllScans, Drive
+from ffmap.algorithms.building.fusion import Building, fuse_building
+from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
+from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
+from ffmap.algorithms.building.windows import without_rays_through
+from ffmap.algorithms.maps.all_maps import Maps, draw_maps
+from ffmap.algorithms.maps.area_graph import Segmented
+from ffmap.algorithms.maps.grid import GridMap
+from ffmap.algorithms.scan.summary import Features
+from ffmap.app.folder import writers
+from ffmap.app.folder.names import DOORS, FLOOR_PLAN_DXF, FLOOR_PLAN_SVG, WALLS, map_file, rooms_file
+from ffmap.app.folder.plan_files import write_dxf, write_svg
+from ffmap.app.folder.room_files import door_rooms, topology, write_rooms
+from ffmap.app.record.building import log_building, log_fused_walls, log_grid
+from ffmap.app.record.rooms import log_areas, log_rooms
+from ffmap.app.record.whole_run import layout
+from ffmap.app.run.context import Run
+from ffmap.app.run.spool import load_features
+from ffmap.app.run.stage_scans import LabelledScans
+from ffmap.app.setup.outputs import Output
+from ffmap.blueprints import entities
+
+
+@dataclass(frozen=True)
+class BuildingAndMaps:
+    """What stage 3 comes to."""
+
+    building: Building
+    maps: Maps
+
+    @property
+    def grids(self) -> dict[str, GridMap]:
+        """Every grid map by its name, the run's own first."""
+        return {entities.FURNITURE_FREE: self.maps.grid} | {str(name): grid for name, grid in self.maps.rivals.items()}
+
+
+def build(run: Run, scans: LabelledScans, trajectory: Trajectory) -> Building:
+    """The building of all scans; it and its maps are recorded and written."""
+    run.progress.stage("building", None)
+    drive = Drive(trajectory.T_map_base[:, :3, 3], lambda: _features(run, len(scans.jobs)))
+    gathered = AllScans(drive, scans.votes, scans.rivals, lambda *asked: _trace(run, len(scans.jobs), *asked))
+    building = fuse_building(gathered, run.settings.fusion)
+    found = BuildingAndMaps(building, draw_maps(building, gathered, run.settings.maps, run.options.workers))
+    _record(run, found)
+    _write(run, found)
+    run.state.topology = topology(found.maps.rooms)
+    run.state.counts |= {
+        "walls": len(building.walls),
+        "refused_walls": len(building.judged.refused),
+        "doors": len(building.doors),
+        "rooms": len(found.maps.rooms),
+    }
+    return building
+
+
+def _trace(run: Run, blocks: int, faces: Walls, settings: BuildingSettings, windows: Windows) -> WallCells:
+    """`trace_rays` block by block, on all workers; summed in the blocks' order, so that no sum depends on the workers."""
+
+    def trace_block(number: int) -> WallCells:
+        features = _features_of(run, number)
+        if len(windows):
+            features = (without_rays_through(windows, part) for part in features)
+        return trace_rays(faces, features, settings)
+
+    cells = trace_rays(faces, [], settings)
+    with ThreadPoolExecutor(run.options.workers) as threads:
+        for part in threads.map(trace_block, range(blocks)):
+            cells.counts[...] += part.counts
+    return cells
+
+
+def _features(run: Run, blocks: int) -> Iterator[Features]:
+    for number in range(blocks):
+        yield from _features_of(run, number)
+
+
+def _features_of(run: Run, block: int) -> Iterator[Features]:
+    """The features of a block's scans; nothing where it has none."""
+    features = load_features(run.folder.block(block, ".npz"))
+    if features is not None:
+        yield features
+
+
+def _record(run: Run, found: BuildingAndMaps) -> None:
+    if run.log is None or run.recording is None:
+        return
+    log_fused_walls(run.log, found.building.aligned)
+    log_building(run.log, found.building.model)
+    for name, grid in found.grids.items():
+        log_grid(run.log, name, grid)
+    log_rooms(run.recording.stream, found.maps.rooms)
+    for segmented, graph in found.maps.compared_rooms.items():
+        log_areas(run.recording.stream, graph, f"{entities.ROOMS_COMPARED}/{segmented}")
+    run.recording.set_layout(layout(run.inputs.ring_count, run.options.detail, run.record, found.maps.grid))
+
+
+def _write(run: Run, found: BuildingAndMaps) -> None:
+    folder, outputs, building, maps = run.folder.path, run.options.outputs, found.building, found.maps
+    if Output.GEOJSON in outputs:
+        writers.write_walls(folder / WALLS, building.walls, building.thickness_m)
+        writers.write_doors(folder / DOORS, building.doors, door_rooms(maps.rooms))
+        for name, graph in ({Segmented.FURNITURE_FREE: maps.rooms} | dict(maps.compared_rooms)).items():
+            write_rooms(folder / rooms_file(name), graph)
+    if Output.PLAN in outputs:
+        write_svg(folder / FLOOR_PLAN_SVG, maps.plan, run.inputs.bag_path.name)
+        write_dxf(folder / FLOOR_PLAN_DXF, maps.plan)
+    if Output.MAPS in outputs:
+        for map_name, grid in found.grids.items():
+            writers.write_grid(folder / map_file(map_name), grid)

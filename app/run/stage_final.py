@@ -1,0 +1,77 @@
+"""Stage 4 of a run: every return's final label by the building's knowledge; labelled bag and fused cloud."""
+
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Executor, Future
+
+import numpy as np
+
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.scan import UInt8Array
+from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.algorithms.building.fusion import Building
+from ffmap.algorithms.building.votes import VoxelTable, fuse
+from ffmap.app.folder import writers
+from ffmap.app.folder.labels_file import LabelsWriter
+from ffmap.app.folder.names import CLOUD, LABELS
+from ffmap.app.record.building import log_cloud
+from ffmap.app.run.blocks import FINAL_EVIDENCE, VOXEL_M, FinishJob, LabelJob, finish_block
+from ffmap.app.run.context import Run
+from ffmap.app.run.spool import load_labels, load_votes, save_halo
+from ffmap.app.setup.outputs import Output
+from ffmap.blueprints import entities
+from ffmap.loaders.bag import open_bag
+
+
+def finish(run: Run, pool: Executor, jobs: tuple[LabelJob, ...], building: Building, trajectory: Trajectory) -> None:
+    """Final labels by the workers, while this process writes the labelled bag behind them."""
+    assert run.inputs.vertical is not None
+    run.progress.stage("final", len(jobs))
+    table = VoxelTable(VOXEL_M, len(Label))
+    outputs = run.options.outputs
+    with LabelsWriter(run.folder.path / LABELS if Output.LABELS in outputs else None) as writer:
+        labels = writer.passing(_labels(run, jobs, _submit(run, pool, jobs, building), table))
+        if Output.LABELLED in outputs:
+            with open_bag(run.inputs.bag_path) as bag:
+                index, rig = run.inputs.vertical.index, run.inputs.rig
+                writers.write_labelled_bag(run.folder.path, bag, index, rig, trajectory, labels)
+        else:
+            deque(labels, maxlen=0)
+    run.state.labels_digest = writer.digest
+    pool.shutdown()  # the workers' memory goes before the whole cloud is made
+    cloud = fuse(table.votes())
+    if Output.CLOUD in outputs:
+        colours = np.array([entities.CLASSES[label][1] for label in Label], np.uint8)
+        writers.write_ply(run.folder.path / CLOUD, cloud, colours[cloud.label])
+    if run.log:
+        log_cloud(run.log, cloud.points_map, cloud.label)
+    run.state.counts["cloud_points"] = len(cloud)
+
+
+def _submit(run: Run, pool: Executor, jobs: tuple[LabelJob, ...], building: Building) -> list[Future[None] | None]:
+    """The work on each block; None where a run that is resumed has done it."""
+    halo = run.folder.spool / "halo.npz"
+    save_halo(halo, building.halo)
+    pending: list[Future[None] | None] = []
+    for job in jobs:
+        done = job.path.with_suffix(".final.npz").exists() and run.options.resume
+        finish = FinishJob(job, building.model, halo, run.settings.relabelling)
+        pending.append(None if done else pool.submit(finish_block, finish))
+    return pending
+
+
+def _labels(
+    run: Run, jobs: tuple[LabelJob, ...], pending: list[Future[None] | None], table: VoxelTable
+) -> Iterator[tuple[int, UInt8Array, UInt8Array]]:
+    """Number, final label and the scan's own of each cloud, block by block; `table` takes the final votes."""
+    for job, future in zip(jobs, pending, strict=True):
+        if future is not None:
+            future.result()
+        final_path, evidence = job.path.with_suffix(".final.npz"), job.path.with_suffix(FINAL_EVIDENCE)
+        if run.recording is not None and evidence.exists():
+            run.recording.add(evidence)
+        table.absorb(load_votes(final_path))
+        label, label_scan = load_labels(final_path), load_labels(job.path.with_suffix(".npz"))
+        for index in sorted(label):
+            yield index, label[index], label_scan[index]
+        run.progress.advance()

@@ -1,0 +1,98 @@
+"""Stage 1 of a run: the poses, by registering the horizontal scans (paper, IV.A)."""
+
+import numpy as np
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.algorithms.poses.odometry import Registration, weakness
+from ffmap.app.record.odometry import log_odometry_frame, log_pose_graph, log_registrations
+from ffmap.app.run.context import Run
+from ffmap.app.run.odometry import Odometry
+from ffmap.app.run.odometry_cache import CACHE_VARIABLE, cache_folder
+from ffmap.app.run.poses import RunPoses, level_by_first_scans
+from ffmap.app.setup.inputs import why_skipped
+from ffmap.loaders.errors import InputError
+
+_LOGGED_AT_ONCE = 50
+
+
+def find_poses(run: Run, given: Trajectory | None) -> RunPoses:
+    """The poses in the levelled map: those that were given, or the odometry's. Raises InputError where nothing gives any."""
+    if given is not None:
+        return RunPoses(given, np.zeros(2), from_cache=False)
+    odometry, weak = _register(run)
+    if odometry.cache_warning is not None:
+        run.warn(odometry.cache_warning)
+    run.state.clouds |= odometry.clouds
+    run.state.counts |= {"registrations": len(odometry), "weak_registrations": len(weak)}
+    if weak:
+        run.warn(
+            f"registration was weak for {len(weak)} of {len(odometry)} scans (the first: {weak[0]}); poses may be off there: "
+            "see the recording's tab Odometry"
+        )
+    trajectory = odometry.trajectory
+    level = level_by_first_scans(run.inputs, trajectory, run.settings)
+    if not np.isfinite(level.floor_rms_m):
+        run.warn("no floor was found in the first seconds: the map keeps the base's own level; is the rig right?")
+    _take_loops(run, odometry, trajectory, level.T_map_odom)
+    return RunPoses(trajectory.moved(level.T_map_odom), level.floor_slope, odometry.from_cache)
+
+
+def _register(run: Run) -> tuple[Odometry, list[str]]:
+    """The odometry of the whole drive, recorded as it goes on, and why some registrations are weak."""
+    sensor = run.inputs.horizontal
+    if sensor is None:
+        raise InputError(
+            f"{run.inputs.bag_path}: no horizontal lidar gives poses; name one with --horizontal, or give a "
+            "trajectory with --trajectory"
+        )
+    run.progress.stage("odometry", len(sensor.index))
+    odometry = Odometry(run.inputs, sensor, run.settings)
+    run.state.odometry_cached = odometry.from_cache
+    if odometry.from_cache:
+        run.progress.say(
+            f"odometry: taken from the cache in {cache_folder()}; with {CACHE_VARIABLE} it is another folder"
+        )
+    registered: list[int] = []
+    waiting: list[Registration] = []
+    weak: list[str] = []
+    for registration in odometry:
+        registered.append(registration.index)
+        if len(odometry) == 1 and run.log:
+            # Until the map is level, the base's first pose is.
+            log_odometry_frame(run.log, odometry.trajectory.stamp_ns, sensor.lidar.T_base_sensor[None])
+        waiting.append(registration)
+        if len(waiting) >= _LOGGED_AT_ONCE:
+            weak += _log(run, waiting)
+            waiting = []
+        run.progress.advance()
+    weak += _log(run, waiting)
+    if not registered:
+        raise InputError(f"{run.inputs.bag_path}: {sensor.lidar.topic} has no usable cloud; 'ffmap info' tells more")
+    if unregistered := sorted(set(range(len(sensor.index))) - set(registered)):
+        why = why_skipped(run.inputs.bag_path, sensor, unregistered)
+        run.warn(f"{len(unregistered)} of {len(sensor.index)} horizontal clouds skipped: {why}")
+    return odometry, weak
+
+
+def _log(run: Run, registrations: list[Registration]) -> list[str]:
+    """Record registrations; returns why some of them are weak."""
+    why_weak = [weakness(registration, run.settings.refinement) for registration in registrations]
+    if run.log and run.recording:
+        log_registrations(run.log, registrations, why_weak)
+        run.recording.cut()
+    return [why for why in why_weak if why is not None]
+
+
+def _take_loops(run: Run, odometry: Odometry, trajectory: Trajectory, T_map_odom: FloatArray) -> None:
+    """Count the loops, and record what they did to the poses; trajectory: T_odom_base with them closed."""
+    graph, before = odometry.pose_graph, odometry.before_loops
+    if graph is not None:
+        run.state.counts["loops"] = int(np.count_nonzero(graph.is_loop & (graph.weight > 0)))
+    if run.log:
+        T_correction = trajectory.T_map_base @ transforms.invert(before.T_map_base)
+        log_odometry_frame(run.log, trajectory.stamp_ns, T_map_odom @ T_correction)
+        if graph is not None:
+            moved_m = np.linalg.norm((trajectory.T_map_base - before.T_map_base)[:, :3, 3], axis=1)
+            log_pose_graph(run.log, graph, T_map_odom, trajectory.stamp_ns, moved_m)
