@@ -32,3 +32,36 @@ def test_links_lead_somewhere(document: Path) -> None:
 def test_every_document_is_linked_from_the_first_page() -> None:
     first = (ROOT / "README.md").read_text("utf-8")
     assert not [document.name for document in DOCUMENTS[1:] if f"docs/{document.name}" not in first]
+
+
+def rows(document: str, heading: str) -> list[list[str]]:
+    """The cells of the first table below a heading."""
+    below = (ROOT / "docs" / document).read_text("utf-8").split(f"## {heading}\n", 1)[1]
+    table = re.search(r"(?:^\|.*\n)+", below, re.MULTILINE)
+    assert table
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.group().splitlines()[2:]]
+
+
+def test_each_part_of_the_paper_has_its_file() -> None:
+    table = rows("method.md", "Where each part of the paper is")
+    told = " ".join(paper for paper, _, _ in table)
+    for part in ("eq. 1", "eq. 2", "eq. 3", "Algorithm 1", "Table I", "Table II", *(f"Fig. {n}" for n in range(1, 11))):
+        assert re.search(rf"{re.escape(part)}(?![0-9I])", told), part
+    for paper, _, file in table:
+        text = (ROOT / file.strip("`")).read_text("utf-8")
+        # The file says so itself, in the paper's own numbers.
+        for number in re.findall(r"eq\. \d|Algorithm \d", paper):
+            assert number in text, f"{file} does not name {number}"
+        assert text.startswith('"""'), file
+
+
+def test_each_folder_is_told() -> None:
+    told = {folder.strip("`") for folder, _ in rows("method.md", "Where the code lies")}
+    for folder in told:
+        assert (ROOT / folder).is_dir(), folder
+    rooms = {
+        path.parent.relative_to(ROOT).as_posix()
+        for top in ("algorithms", "app")
+        for path in (ROOT / top).glob("*/*.py")
+    }
+    assert rooms <= told

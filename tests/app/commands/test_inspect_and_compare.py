@@ -34,7 +34,7 @@ from ffmap.blueprints.entities import Fault, LineOutcome
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
 
-FFMAP = [sys.executable, "-c", "from app.cli import main; main()"]
+FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
 SCANS = 29
 SETTINGS = (
     "smoothing.returns=9",

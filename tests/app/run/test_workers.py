@@ -21,7 +21,7 @@ from ffmap.app.setup.settings import Settings
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
 
-FFMAP = [sys.executable, "-c", "from app.cli import main; main()"]
+FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
 WAIT_S = 120.0
 
 
@@ -143,7 +143,7 @@ def test_odometry_that_ends_early_says_why(
 
 def test_server_that_still_imports_ends_when_its_run_has_gone() -> None:
     command = (
-        "import threading; from app.worker_server import _end_with; _end_with(-1, threading.Event()); print('is there')"
+        "import threading; from ffmap.app.run.worker_server import _end_with; _end_with(-1, threading.Event()); print('is there')"
     )
     done = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=False, timeout=WAIT_S)
     assert done.returncode == 1
