@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.trajectory import PlacedScan, Trajectory, place_scan
-from ffmap.algorithms.scan.point_lines import Floor, RearrangementSettings, find_floor
+from ffmap.algorithms.scan.floor import Floor, find_floor
+from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 from ffmap.algorithms.scan.smoothing import SmoothedRanges
 
 _VOXEL_M = 0.06

@@ -10,17 +10,11 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan, ScanSettings, UInt8Array
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.base.trajectory import PlacedScan
+from ffmap.algorithms.scan.ceiling import find_ceilings
 from ffmap.algorithms.scan.doors import DoorLines, DoorsSettings, DoorState, Openings, find_door_lines, find_openings
-from ffmap.algorithms.scan.point_lines import (
-    Floor,
-    HorizontalPlane,
-    PointLines,
-    RearrangementSettings,
-    find_ceilings,
-    find_floor,
-    make_point_lines,
-    plane_rows,
-)
+from ffmap.algorithms.scan.floor import Floor, find_floor
+from ffmap.algorithms.scan.point_lines import PointLines, make_point_lines
+from ffmap.algorithms.scan.rearrangement import HorizontalPlane, RearrangementSettings, plane_rows
 from ffmap.algorithms.scan.smoothing import SmoothingSettings
 from ffmap.algorithms.scan.vertical_structures import (
     VerticalStructures,

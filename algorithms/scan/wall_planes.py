@@ -9,7 +9,7 @@ from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.scan.point_lines import HorizontalPlane
+from ffmap.algorithms.scan.rearrangement import HorizontalPlane
 from ffmap.algorithms.scan.vertical_structures import VerticalStructures
 
 _IN_LINE_RATIO, _SMALLER_IN_LINE_RATIO = 0.6, 0.8

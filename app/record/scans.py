@@ -26,7 +26,7 @@ from ffmap.algorithms.poses.odometry import Registration
 from ffmap.algorithms.poses.pose_graph import PoseGraph
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.labelling import ScanLabelling
-from ffmap.algorithms.scan.point_lines import HorizontalPlane
+from ffmap.algorithms.scan.rearrangement import HorizontalPlane
 from ffmap.algorithms.scan.smoothing import SmoothedRanges
 from ffmap.app.record.building_reasons import explain_building
 from ffmap.app.record.line_reasons import candidate_reasons, door_reasons, line_outcomes

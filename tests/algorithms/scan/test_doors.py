@@ -16,7 +16,8 @@ from ffmap.algorithms.scan.doors import (
     find_door_lines,
     find_openings,
 )
-from ffmap.algorithms.scan.point_lines import HorizontalPlane, PointLines, RearrangementSettings, make_point_lines
+from ffmap.algorithms.scan.point_lines import PointLines, make_point_lines
+from ffmap.algorithms.scan.rearrangement import HorizontalPlane, RearrangementSettings
 from ffmap.algorithms.scan.vertical_structures import (
     VerticalStructures,
     VerticalStructuresSettings,

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.scan.point_lines import Floor, RearrangementSettings, find_ceilings, find_floor
+from ffmap.algorithms.scan.ceiling import find_ceilings
+from ffmap.algorithms.scan.floor import Floor, find_floor
+from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 
 SETTINGS = RearrangementSettings()
 

@@ -23,18 +23,12 @@ from ffmap.algorithms.building.votes import VoxelTable, find_halo
 from ffmap.algorithms.building.windows import find_windows
 from ffmap.algorithms.maps.grid import Cell, Drive, GridMapSettings, Immobile, draw_furniture_free
 from ffmap.algorithms.poses.levelling import level_map, turn_to_floor
+from ffmap.algorithms.scan.ceiling import below_ceiling, find_ceilings
 from ffmap.algorithms.scan.doors import DoorState
+from ffmap.algorithms.scan.floor import find_floor
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
-from ffmap.algorithms.scan.point_lines import (
-    LEANING_MIN_DEG,
-    SAMPLES,
-    HorizontalPlane,
-    PointLines,
-    below_ceiling,
-    find_ceilings,
-    find_floor,
-    make_point_lines,
-)
+from ffmap.algorithms.scan.point_lines import LEANING_MIN_DEG, SAMPLES, PointLines, make_point_lines
+from ffmap.algorithms.scan.rearrangement import HorizontalPlane
 from ffmap.algorithms.scan.summary import concatenate, extract, move_moments
 from tests import synthetic
 from tests.voting import vote

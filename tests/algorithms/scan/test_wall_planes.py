@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base import transforms
-from ffmap.algorithms.scan.point_lines import SAMPLES, HorizontalPlane
+from ffmap.algorithms.scan.point_lines import SAMPLES
+from ffmap.algorithms.scan.rearrangement import HorizontalPlane
 from ffmap.algorithms.scan.vertical_structures import VerticalStructures
 from ffmap.algorithms.scan.wall_planes import (
     Growth,
