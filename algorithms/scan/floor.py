@@ -182,10 +182,16 @@ def _floor_cells(
 
 
 @numba.njit(cache=True, nogil=True)
-def _heights_above_pieces(points: FloatArray, pieces: FloatArray, highest: bool) -> FloatArray:  # pragma: no cover
+def floor_height(pieces: FloatArray, is_foot: bool, x: float, y: float) -> float:  # pragma: no cover
+    """Height in metres of a floor at one place; `pieces` (2, 3) and `is_foot` as of `Floor`."""
+    first = pieces[0, 0] + pieces[0, 1] * x + pieces[0, 2] * y
+    second = pieces[1, 0] + pieces[1, 1] * x + pieces[1, 2] * y
+    return float(max(first, second) if is_foot else min(first, second))
+
+
+@numba.njit(cache=True, nogil=True)
+def _heights_above_pieces(points: FloatArray, pieces: FloatArray, is_foot: bool) -> FloatArray:  # pragma: no cover
     heights = np.empty(len(points), np.float32)
     for i in range(len(points)):
-        first = pieces[0, 0] + pieces[0, 1] * points[i, 0] + pieces[0, 2] * points[i, 1]
-        second = pieces[1, 0] + pieces[1, 1] * points[i, 0] + pieces[1, 2] * points[i, 1]
-        heights[i] = points[i, 2] - (max(first, second) if highest else min(first, second))
+        heights[i] = points[i, 2] - floor_height(pieces, is_foot, points[i, 0], points[i, 1])
     return heights

@@ -340,7 +340,8 @@ def test_an_underside_tells_how_deep_a_reveal_is() -> None:
     rays = np.concatenate([underside, leaf]).astype(np.float32)
     features = replace(
         extract(0, placed, found),
-        floor_map=np.zeros((1, 3)),
+        floor_map=np.zeros((1, 2, 3)),
+        floor_is_foot=np.zeros(1, bool),
         ray_count=np.array([len(rays)]),
         ray_end_map=rays,
         ray_label=np.zeros(len(rays), np.uint8),
@@ -485,7 +486,8 @@ def test_a_scans_own_plane_tells_of_a_wall_only_where_the_scan_saw_it(lean_deg: 
     features = replace(
         features,
         origin_map=np.array([[3.0, 0.0, 1.0]]),
-        floor_map=np.zeros((1, 3)),
+        floor_map=np.zeros((1, 2, 3)),
+        floor_is_foot=np.zeros(1, bool),
         ray_count=np.array([len(x)], np.int32),
         ray_end_map=np.column_stack([x, np.full(len(x), 2.0), np.full(len(x), 1.0)]).astype(np.float32),
         plane_count=np.array([1], np.int32),
