@@ -150,7 +150,6 @@ def turn_to_floor(
         placed,
         points_level=_move(placed.points_level, T.astype(np.float32)),
         origin_level=transforms.apply(T, placed.origin_level[None])[0],
-        spin_axis_level=turn.apply(placed.spin_axis_level),
         T_map_base=placed.T_map_level @ T @ transforms.invert(placed.T_map_level) @ placed.T_map_base,
     )
 

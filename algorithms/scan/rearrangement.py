@@ -76,6 +76,19 @@ class HorizontalPlane:
         return self.slope[None]
 
 
+@dataclass(frozen=True)
+class Returns:
+    """The returns of a scan as the steps after the floor use them.
+
+    points_level: (n, 3) metres in the scan's level frame: z against gravity, its origin on the floor below the base.
+    height_m: (n,) metres above the floor. origin_level: (3,) metres, the sensor.
+    """
+
+    points_level: FloatArray
+    height_m: FloatArray
+    origin_level: FloatArray
+
+
 def plane_rows(planes: tuple[HorizontalPlane, ...]) -> FloatArray:
     """(c, 3) height at the level frame's origin, slope along x, slope along y."""
     return np.array([[p.height_m, *p.slope] for p in planes]).reshape(-1, 3)
