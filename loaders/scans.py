@@ -10,7 +10,7 @@ from itertools import islice
 
 import numpy as np
 
-from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan, in_canonical_order
 from ffmap.loaders.bag import Bag, Message, RawMessage
 from ffmap.loaders.cloud_digest import digest_of
 from ffmap.loaders.errors import CloudError, InputError
@@ -341,7 +341,7 @@ def read_clouds(
             yield i, SkippedScan(i, int(index.stamp_ns[_right_beside(index, i)]), _stamp_reason(index, i)), message
             continue
         try:
-            scan = decode(message, decoding)
+            scan = in_canonical_order(decode(message, decoding))
         except CloudError as error:
             yield i, SkippedScan(i, stamp, str(error)), message
             continue

@@ -9,7 +9,7 @@ from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
 from ffmap.algorithms.scan.doors import DoorsSettings
 from ffmap.algorithms.scan.labelling import LabellingSettings, MethodSettings
-from ffmap.algorithms.scan.point_lines import RearrangementSettings
+from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 from ffmap.algorithms.scan.smoothing import SmoothingSettings, smooth_ranges
 from ffmap.algorithms.scan.vertical_structures import VerticalStructuresSettings
 from ffmap.algorithms.scan.wall_planes import WallPlanesSettings

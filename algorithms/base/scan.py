@@ -29,7 +29,7 @@ class ScanSettings(StepSettings):
 
 @dataclass(frozen=True)
 class Scan:
-    """The returns of one revolution, invalid points dropped; all arrays have one row a return, in the cloud's order.
+    """The returns of one revolution, invalid points dropped; all arrays have one row a return, see `in_canonical_order`.
 
     points_sensor: (n, 3) float32, metres, in the sensor's frame; z is its spin axis.
     ring: (n,) uint16, the emitter, 0 = lowest elevation about the spin axis.
@@ -63,12 +63,39 @@ def within_range(scan: Scan, range_max_m: float) -> Scan:
     """The scan without the returns that are farther from the lidar; the very same where there are none."""
     points = scan.points_sensor.astype(np.float64)
     near = np.einsum("ij,ij->i", points, points) <= range_max_m**2
-    if near.all():
-        return scan
+    return scan if near.all() else _rows(scan, near)
+
+
+def in_canonical_order(scan: Scan) -> Scan:
+    """The scan with its returns in an order that the cloud's does not change; the very same where they have it already.
+
+    Every n-th return, or a sum over them, is then the same however a driver arranges its clouds. Where the emitters fire
+    one by one, the order is that of firing. Where several fire at once, or no times are known, it is emitter by emitter
+    from the top, each in order of time or azimuth: of returns in order of firing, every n-th would be the same emitters'.
+    """
+    x, y, z = scan.points_sensor.T
+    keys: tuple[FloatArray | IntArray, FloatArray | IntArray]
+    from_top = scan.ring_count - 1 - scan.ring.astype(np.int64)
+    if scan.time_ns is None:
+        keys = from_top, np.arctan2(y, x)
+    elif 2 * np.count_nonzero(np.diff(np.sort(scan.time_ns, kind="stable"))) < len(scan) - 2:
+        keys = from_top, scan.time_ns
+    else:
+        keys = scan.time_ns, from_top
+    order = np.lexsort(keys[::-1])
+    same = [np.diff(key[order]) == 0 for key in keys]
+    if np.any(same[0] & same[1]):
+        # What a ray returned twice.
+        order = np.lexsort((z, y, x, *keys[::-1]))
+    return scan if np.array_equal(order, np.arange(len(scan))) else _rows(scan, order)
+
+
+def _rows(scan: Scan, rows: BoolArray | IntArray) -> Scan:
+    """Some of the returns, or all of them in another order."""
     return replace(
         scan,
-        points_sensor=scan.points_sensor[near],
-        ring=scan.ring[near],
-        time_ns=None if scan.time_ns is None else scan.time_ns[near],
-        cloud_index=scan.cloud_index[near],
+        points_sensor=scan.points_sensor[rows],
+        ring=scan.ring[rows],
+        time_ns=None if scan.time_ns is None else scan.time_ns[rows],
+        cloud_index=scan.cloud_index[rows],
     )

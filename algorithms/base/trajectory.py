@@ -103,7 +103,6 @@ class PlacedScan:
 
     points_level: (n, 3) float32, metres.
     origin_level: (3,) the sensor's place at the reference time.
-    spin_axis_level: (3,) unit vector, the sensor's spin axis at the reference time.
     down_sensor: (3,) unit vector, gravity in the sensor's frame at the reference time.
     T_map_level: (4, 4), a turn about z and a shift.
     T_map_base: (4, 4) at the reference time.
@@ -111,7 +110,6 @@ class PlacedScan:
 
     points_level: FloatArray
     origin_level: FloatArray
-    spin_axis_level: FloatArray
     down_sensor: FloatArray
     T_map_level: FloatArray
     T_map_base: FloatArray
@@ -147,7 +145,6 @@ def place_scan(
     return PlacedScan(
         points_level=points_level,
         origin_level=T_reference[:3, 3],
-        spin_axis_level=T_reference[:3, 2],
         down_sensor=-T_reference[2, :3],
         T_map_level=T_map_level,
         T_map_base=T_map_base[-1],

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numba
 import numpy as np
 
-from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import lengths_m, segments
 from ffmap.algorithms.building.model import (
     AT_FACE_M,
@@ -18,6 +18,7 @@ from ffmap.algorithms.building.model import (
     stretches,
 )
 from ffmap.algorithms.building.ray_evidence import own_plane
+from ffmap.algorithms.scan.floor import floor_height
 from ffmap.algorithms.scan.summary import Features
 
 _FRAME_BIN_M = 0.01
@@ -73,6 +74,7 @@ def place_frames(doors: Doors, walls: Walls, blocks: Iterable[Features], setting
             np.ascontiguousarray(block.scan, np.int64),
             np.ascontiguousarray(block.origin_map, np.float64),
             np.ascontiguousarray(block.floor_map, np.float64),
+            block.floor_is_foot,
             block.ray_starts,
             block.ray_end_map,
             block.plane_starts,
@@ -141,6 +143,7 @@ def _compare_with_frames(
     scan: IntArray,
     origin: FloatArray,
     floor: FloatArray,
+    is_foot: BoolArray,
     starts: IntArray,
     ray_end: FloatArray,
     plane_starts: IntArray,
@@ -195,7 +198,7 @@ def _compare_with_frames(
                 u = x * dx + y * dy
                 if u < -FRAME_REACH_M or u > length + FRAME_REACH_M:
                     continue
-                height = z - (floor[s, 0] + floor[s, 1] * ray_end[r, 0] + floor[s, 2] * ray_end[r, 1])
+                height = z - floor_height(floor[s], is_foot[s], ray_end[r, 0], ray_end[r, 1])
                 kind = 0 if -side < min(0.5 * depth_m[d], ON_FACE_M) else 1
                 end_m = min(max(-side, -depth_m[d]), depth_m[d])
                 if _CORNER_M < u < length - _CORNER_M and _HEAD_MIN_M < height < _HEAD_MAX_M:
@@ -233,6 +236,7 @@ def measure_reveals(doors: Doors, blocks: Iterable[Features]) -> Doors:
             doors.head_m,
             counts,
             np.ascontiguousarray(block.floor_map, np.float64),
+            block.floor_is_foot,
             block.ray_starts,
             block.ray_end_map,
         )
@@ -257,13 +261,14 @@ def _count_undersides(
     head_m: FloatArray,
     counts: IntArray,
     floor: FloatArray,
+    is_foot: BoolArray,
     starts: IntArray,
     ray_end: FloatArray,
 ) -> None:  # pragma: no cover
     bins = counts.shape[1]
     for s in range(len(floor)):
         for r in range(starts[s], starts[s + 1]):
-            height = ray_end[r, 2] - (floor[s, 0] + floor[s, 1] * ray_end[r, 0] + floor[s, 2] * ray_end[r, 1])
+            height = ray_end[r, 2] - floor_height(floor[s], is_foot[s], ray_end[r, 0], ray_end[r, 1])
             if height < _HEAD_MIN_M or height > _HEAD_MAX_M:
                 continue
             for d in range(len(ends)):

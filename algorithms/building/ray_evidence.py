@@ -11,9 +11,10 @@ import numba
 import numpy as np
 
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, BuildingSettings, Walls
+from ffmap.algorithms.scan.floor import floor_height
 from ffmap.algorithms.scan.summary import Features
 
 FILLED, SUM, SQUARES, THROUGH = range(4)
@@ -56,6 +57,7 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
             counts,
             np.ascontiguousarray(block.origin_map, np.float64),
             np.ascontiguousarray(block.floor_map, np.float64),
+            block.floor_is_foot,
             block.ray_starts,
             np.ascontiguousarray(block.ray_end_map, np.float32),
             block.ray_label,
@@ -137,6 +139,7 @@ def _trace(
     counts: FloatArray,
     origin: FloatArray,
     floor: FloatArray,
+    is_foot: BoolArray,
     starts: IntArray,
     ray_end: FloatArray,
     ray_label: UInt8Array,
@@ -193,7 +196,7 @@ def _trace(
                     t = reach / (reach - side)
                     x, y, z = ox + t * (x - ox), oy + t * (y - oy), oz + t * (z - oz)
                 column = int(np.floor(((x - ends[w, 0, 0]) * dx + (y - ends[w, 0, 1]) * dy) / CELL_M))
-                row = int(np.floor((z - (floor[s, 0] + floor[s, 1] * x + floor[s, 2] * y)) / CELL_M))
+                row = int(np.floor((z - floor_height(floor[s], is_foot[s], x, y)) / CELL_M))
                 if column < 0 or column >= columns or row < 0 or row >= rows:
                     continue
                 cell = counts[first[w] + column, row]

@@ -15,8 +15,8 @@ from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import Windows
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
 from ffmap.algorithms.maps.grid import GridMap, GridMapSettings, draw_cells
+from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.labelling import ScanLabelling
-from ffmap.algorithms.scan.point_lines import below_ceiling
 
 
 class Rival(StrEnum):

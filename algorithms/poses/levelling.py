@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.trajectory import PlacedScan, Trajectory, place_scan
-from ffmap.algorithms.scan.point_lines import Floor, RearrangementSettings, find_floor
+from ffmap.algorithms.scan.floor import Floor, find_floor
+from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 from ffmap.algorithms.scan.smoothing import SmoothedRanges
 
 _VOXEL_M = 0.06
@@ -149,7 +150,6 @@ def turn_to_floor(
         placed,
         points_level=_move(placed.points_level, T.astype(np.float32)),
         origin_level=transforms.apply(T, placed.origin_level[None])[0],
-        spin_axis_level=turn.apply(placed.spin_axis_level),
         T_map_base=placed.T_map_level @ T @ transforms.invert(placed.T_map_level) @ placed.T_map_base,
     )
 

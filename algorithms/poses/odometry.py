@@ -97,26 +97,13 @@ def register_scans(
 ) -> Iterator[Registration]:
     """Register scans one after another to the map that they build; yields one `Registration` for each that holds a pose.
 
-    scans: index and scan, and the scan of the other lidar, if any, that ended last before it. One whose time does not go on
-        from that of the last pose gets none.
-    T_sensor_companion: (4, 4) where that lidar sits.
+    scans: index, scan, and the last scan of the other lidar, if any, that ended before it. A scan that is not later than the
+        last pose gets none.
+    T_sensor_companion: (4, 4) where the other lidar sits.
     """
     range_m = (settings.range_min_m, settings.range_max_m)
     refiner = Refiner(refinement, range_m, T_sensor_companion) if refinement.enabled else None
-    odometry = KissICP(
-        KISSConfig(
-            data=DataConfig(max_range=settings.range_max_m, min_range=settings.range_min_m, deskew=settings.deskew),
-            mapping=MappingConfig(voxel_size=settings.voxel_m, max_points_per_voxel=settings.points_per_voxel),
-            registration=RegistrationConfig(
-                max_num_iterations=settings.iterations_max,
-                convergence_criterion=settings.convergence,
-                max_num_threads=settings.threads,
-            ),
-            adaptive_threshold=AdaptiveThresholdConfig(
-                initial_threshold=settings.threshold_initial_m, min_motion_th=settings.motion_min_m
-            ),
-        )
-    )
+    odometry = KissICP(_configuration(settings))
     sound = ((index, scan, other) for index, scan, other in scans if holds_a_pose(scan, settings))
     registrable = _in_order(sound, refinement.enabled)
     for number, (index, scan, companion) in enumerate(registrable):
@@ -156,6 +143,21 @@ def register_scans(
             refused=refined.refused,
             milliseconds=milliseconds,
         )
+
+
+def _configuration(settings: OdometrySettings) -> KISSConfig:
+    return KISSConfig(
+        data=DataConfig(max_range=settings.range_max_m, min_range=settings.range_min_m, deskew=settings.deskew),
+        mapping=MappingConfig(voxel_size=settings.voxel_m, max_points_per_voxel=settings.points_per_voxel),
+        registration=RegistrationConfig(
+            max_num_iterations=settings.iterations_max,
+            convergence_criterion=settings.convergence,
+            max_num_threads=settings.threads,
+        ),
+        adaptive_threshold=AdaptiveThresholdConfig(
+            initial_threshold=settings.threshold_initial_m, min_motion_th=settings.motion_min_m
+        ),
+    )
 
 
 def holds_a_pose(scan: Scan, settings: OdometrySettings) -> bool:

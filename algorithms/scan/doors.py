@@ -10,6 +10,7 @@ from pydantic import Field
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.scan.point_lines import PointLines
+from ffmap.algorithms.scan.rearrangement import Returns
 from ffmap.algorithms.scan.wall_planes import WallPlanes
 
 _AT_WALL_M = 0.05
@@ -148,13 +149,7 @@ class Openings:
 
 
 def find_door_lines(
-    points_level: FloatArray,
-    height_m: FloatArray,
-    lines: PointLines,
-    planes: WallPlanes,
-    upmost: IntArray,
-    origin_level: FloatArray,
-    settings: DoorsSettings,
+    returns: Returns, lines: PointLines, planes: WallPlanes, upmost: IntArray, settings: DoorsSettings
 ) -> DoorLines:
     """Conditions 1 to 3 for every line whose up-most structure belongs to a wall plane.
 
@@ -162,25 +157,22 @@ def find_door_lines(
     is "connected to the floor". Where the plane ends and the depression begins is the split of the line, from top to
     bottom, that parts its distances best: single returns scatter as much as a closed leaf is recessed.
 
-    points_level: (n, 3) metres in the scan's level frame: z against gravity, its origin on the floor below the base.
-    height_m: (n,) metres above the floor.
     lines: the point lines (L) of these returns.
     planes: the scan's wall planes, with the candidates that they were made from.
     upmost: (L,) index of each line's up-most vertical structure, -1 where it has none: `VerticalStructures.upmost`.
-    origin_level: (3,) metres, the sensor; on the side of each plane that its normal points to.
     """
     member = (planes.candidate_plane >= 0) & (upmost[planes.candidate_line] == planes.candidate_structure)
     line, plane = planes.candidate_line[member], planes.candidate_plane[member]
     start, depth_m, position, depression, measured = _split_lines(
-        points_level,
-        height_m,
+        returns.points_level,
+        returns.height_m,
         lines.order,
         lines.starts,
         line,
         plane,
         planes.normal,
         planes.offset_m,
-        np.ascontiguousarray(origin_level, np.float64),
+        np.ascontiguousarray(returns.origin_level, np.float64),
         settings.recess_min_m,
         settings.open_depth_m,
         settings.lintel_min_m,
@@ -189,7 +181,7 @@ def find_door_lines(
         settings.points_min,
     )
     behind = start >= 0
-    start_height_m = np.where(behind, height_m[start], np.nan)
+    start_height_m = np.where(behind, returns.height_m[start], np.nan)
     return DoorLines(
         line=line,
         plane=plane,

@@ -10,17 +10,11 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan, ScanSettings, UInt8Array
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.base.trajectory import PlacedScan
+from ffmap.algorithms.scan.ceiling import find_ceilings
 from ffmap.algorithms.scan.doors import DoorLines, DoorsSettings, DoorState, Openings, find_door_lines, find_openings
-from ffmap.algorithms.scan.point_lines import (
-    Floor,
-    HorizontalPlane,
-    PointLines,
-    RearrangementSettings,
-    find_ceilings,
-    find_floor,
-    make_point_lines,
-    plane_rows,
-)
+from ffmap.algorithms.scan.floor import Floor, find_floor
+from ffmap.algorithms.scan.point_lines import PointLines, make_point_lines
+from ffmap.algorithms.scan.rearrangement import HorizontalPlane, RearrangementSettings, Returns, plane_rows
 from ffmap.algorithms.scan.smoothing import SmoothingSettings
 from ffmap.algorithms.scan.vertical_structures import (
     VerticalStructures,
@@ -113,61 +107,42 @@ def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: i
     seed: of the scan's random numbers; made from the run's seed and the scan's index, so that no label depends on
     which process labelled it.
     """
-    points = placed.points_level
     # III.A: floor by height, ceiling by RANSAC, 2n point lines.
-    floor = find_floor(points, settings.rearrangement)
-    height_m = floor.heights_above(points)
-    ceilings = find_ceilings(points, floor, settings.rearrangement, seed)
-    ceiling_planes = plane_rows(ceilings)
+    floor = find_floor(placed.points_level, settings.rearrangement)
+    returns = Returns(placed.points_level, floor.heights_above(placed.points_level), placed.origin_level)
+    ceilings = find_ceilings(returns.points_level, floor, settings.rearrangement, seed)
     label = _label_horizontal(
-        points,
-        height_m,
-        ceiling_planes,
+        returns.points_level,
+        returns.height_m,
+        plane_rows(ceilings),
         settings.rearrangement.floor_height_m,
         settings.rearrangement.ceiling_distance_m,
     )
+    is_horizontal = label != Label.CLUTTER
     lines = make_point_lines(
-        scan.points_sensor,
-        scan.ring,
-        scan.ring_count,
-        placed.down_sensor,
-        label != Label.CLUTTER,
-        settings.rearrangement,
+        scan.points_sensor, scan.ring, scan.ring_count, placed.down_sensor, is_horizontal, settings.rearrangement
     )
     # III.B: vertical structures, wall candidates, wall planes.
-    structures = find_vertical_structures(
-        points, height_m, lines.samples, placed.origin_level, settings.vertical_structures
-    )
-    planes = grow_wall_planes(
-        points,
-        height_m,
-        lines.samples,
-        structures,
-        ceilings,
-        floor,
-        _lines_with(label, Label.CEILING, lines.order, lines.starts),
-        placed.origin_level,
-        settings.wall_planes,
-    )
+    structures = find_vertical_structures(returns, lines.samples, settings.vertical_structures)
+    meets_ceiling = _lines_with(label, Label.CEILING, lines.order, lines.starts)
+    planes = grow_wall_planes(returns, lines.samples, structures, ceilings, floor, meets_ceiling, settings.wall_planes)
     # III.C: doors, then a label for every return.
-    door_lines = find_door_lines(
-        points, height_m, lines, planes, structures.upmost, placed.origin_level, settings.doors
-    )
+    door_lines = find_door_lines(returns, lines, planes, structures.upmost, settings.doors)
     openings = find_openings(door_lines, planes, settings.doors)
     plane = _label_walls(
-        points,
-        height_m,
+        returns.points_level,
+        returns.height_m,
         label,
-        ceiling_planes,
+        plane_rows(ceilings),
         planes.normal,
         planes.offset_m,
         completed_ends(planes.normal, planes.offset_m, planes.ends, settings.labelling),
         settings.labelling.wall_distance_m,
         settings.labelling.edge_m,
     )
-    _label_leaves(points, height_m, label, plane, planes, openings, settings)
+    _label_leaves(returns, label, plane, planes, openings, settings.labelling)
     return ScanLabelling(
-        label, plane, height_m, floor, ceilings, lines, structures, planes, door_lines, openings, settings
+        label, plane, returns.height_m, floor, ceilings, lines, structures, planes, door_lines, openings, settings
     )
 
 
@@ -202,13 +177,12 @@ def completed_ends(
 
 
 def _label_leaves(
-    points: FloatArray,
-    height_m: FloatArray,
+    returns: Returns,
     label: UInt8Array,
     plane: IntArray,
     planes: WallPlanes,
     openings: Openings,
-    settings: MethodSettings,
+    settings: LabellingSettings,
 ) -> None:
     """Returns within a closed opening, on its leaf, are door, though they lie near enough to the wall to be wall."""
     for o in np.flatnonzero(openings.state == DoorState.CLOSED):
@@ -217,15 +191,15 @@ def _label_leaves(
         along = np.array([-normal[1], normal[0]])
         low, high = np.sort(openings.ends[o] @ along)
         _label_leaf(
-            points,
-            height_m,
+            returns.points_level,
+            returns.height_m,
             label,
             plane,
             k,
             normal,
             planes.offset_m[k],
-            low - settings.labelling.leaf_margin_m,
-            high + settings.labelling.leaf_margin_m,
+            low - settings.leaf_margin_m,
+            high + settings.leaf_margin_m,
             openings.head_m[o],
             openings.depth_m[o],
         )

@@ -7,6 +7,7 @@ import numpy as np
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.trajectory import PlacedScan
+from ffmap.algorithms.scan.floor import Floor
 from ffmap.algorithms.scan.labelling import ScanLabelling
 
 RAYS_PER_SCAN = 16_000
@@ -17,7 +18,8 @@ class Features:
     """Features of some scans, in the map frame; concatenating those of blocks gives those of the whole.
 
     scan: (s,) int64, index of each scan. origin_map: (s, 3) the sensor.
-    floor_map: (s, 3) the floor that each was seen with: its height at the map's origin, its slope along x and y.
+    floor_map: (s, 2, 3), floor_is_foot: (s,) bool, the floor that each was seen with, for `floor_height`: the pieces of its
+        `Floor` in the map's frame, height at the map's origin and slope along x and y; twice the same where it is a plane.
     ray_count, plane_count: (s,) how many rows below belong to each scan, in order.
     ray_end_map: (r, 3) float32; ray_label: (r,) uint8, the scan's label of the return.
     plane_ends_map: (p, 2, 2); plane_normal: (p, 2) towards the sensor; plane_bottom_m, plane_top_m: (p,);
@@ -27,6 +29,7 @@ class Features:
     scan: IntArray
     origin_map: FloatArray
     floor_map: FloatArray
+    floor_is_foot: BoolArray
     ray_count: IntArray
     plane_count: IntArray
     ray_end_map: FloatArray
@@ -64,12 +67,12 @@ def extract(index: int, placed: PlacedScan, labelling: ScanLabelling) -> Feature
     stride = max(1, -(-len(labelling.label) // RAYS_PER_SCAN))
     chosen = labelling.lines.order[index % stride :: stride]
     T, planes = placed.T_map_level, labelling.planes
-    slope = T[:2, :2] @ labelling.floor.slope
     ends = np.concatenate([planes.ends, np.zeros((len(planes), 2, 1))], axis=2).reshape(-1, 3)
     return Features(
         scan=np.array([index]),
         origin_map=placed.to_map(placed.origin_level[None]),
-        floor_map=np.array([[labelling.floor.height_m + T[2, 3] - slope @ T[:2, 3], *slope]]),
+        floor_map=_floor_map(labelling.floor, T)[None],
+        floor_is_foot=np.array([labelling.floor.is_foot]),
         ray_count=np.array([len(chosen)]),
         plane_count=np.array([len(planes)]),
         ray_end_map=placed.to_map(placed.points_level[chosen]).astype(np.float32),
@@ -80,6 +83,16 @@ def extract(index: int, placed: PlacedScan, labelling: ScanLabelling) -> Feature
         plane_top_m=planes.top_m,
         plane_lines=planes.line_count,
         plane_moments=move_moments(planes.moments, T),
+    )
+
+
+def _floor_map(floor: Floor, T_map_level: FloatArray) -> FloatArray:
+    """(2, 3) the pieces of a floor in the map's frame."""
+    pieces = floor.pieces if len(floor.pieces) else [(floor.height_m, *floor.slope)] * 2
+    slopes = [T_map_level[:2, :2] @ piece[1:] for piece in pieces]
+    shift = T_map_level[:, 3]
+    return np.array(
+        [[piece[0] + shift[2] - slope @ shift[:2], *slope] for piece, slope in zip(pieces, slopes, strict=True)]
     )
 
 

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.scan.rearrangement import Returns
 
 
 class VerticalStructuresSettings(StepSettings):
@@ -60,11 +61,7 @@ class VerticalStructures:
 
 
 def find_vertical_structures(
-    points_level: FloatArray,
-    height_m: FloatArray,
-    samples: IntArray,
-    origin_level: FloatArray,
-    settings: VerticalStructuresSettings,
+    returns: Returns, samples: IntArray, settings: VerticalStructuresSettings
 ) -> VerticalStructures:
     """The runs of at least `points_min` upright samples in each point line.
 
@@ -72,14 +69,13 @@ def find_vertical_structures(
     heights of neighbouring returns differ by millimetres, less than the range's noise, so that the printed quotient
     exceeds its threshold on a third of a near wall.
 
-    points_level: (n, 3); height_m: (n,) above the floor; samples: (L, 200) from `make_point_lines`.
-    origin_level: (3,) the sensor, from which the horizontal range is measured.
+    samples: (L, 200) from `make_point_lines`. Horizontal ranges are measured from the sensor.
     """
     difference, slope, run = _differences(
-        points_level,
+        returns.points_level,
         samples,
-        origin_level[0],
-        origin_level[1],
+        returns.origin_level[0],
+        returns.origin_level[1],
         settings.span_m,
         settings.slope_max,
         settings.jump_m,
@@ -97,8 +93,8 @@ def find_vertical_structures(
         line=line,
         first=first,
         last=last,
-        bottom_m=height_m[samples[line, first]].astype(np.float32),
-        top_m=height_m[samples[line, last]].astype(np.float32),
+        bottom_m=returns.height_m[samples[line, first]].astype(np.float32),
+        top_m=returns.height_m[samples[line, last]].astype(np.float32),
         upmost=upmost,
         bottommost=bottommost,
     )

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.scan.point_lines import HorizontalPlane
+from ffmap.algorithms.scan.rearrangement import HorizontalPlane, Returns
 from ffmap.algorithms.scan.vertical_structures import VerticalStructures
 
 _IN_LINE_RATIO, _SMALLER_IN_LINE_RATIO = 0.6, 0.8
@@ -170,14 +170,12 @@ class WallPlanes:
 
 
 def grow_wall_planes(
-    points_level: FloatArray,
-    height_m: FloatArray,
+    returns: Returns,
     samples: IntArray,
     structures: VerticalStructures,
     ceilings: tuple[HorizontalPlane, ...],
     floor: HorizontalPlane,
     meets_ceiling: BoolArray,
-    origin_level: FloatArray,
     settings: WallPlanesSettings,
 ) -> WallPlanes:
     """Algorithm 1, repaired.
@@ -187,108 +185,107 @@ def grow_wall_planes(
     distance of the candidate's samples to the plane; Ω is the upright plane of least squares. Planes that one odd line
     has cut are joined again, and each candidate then goes to the nearest plane of the scan.
 
-    points_level: (n, 3) metres in the scan's level frame: z against gravity, its origin on the floor below the base.
-    height_m: (n,) metres above the floor.
     samples: (L, 200) the returns of each point line from below upwards, from `make_point_lines`.
-    structures: what stands upright in those lines.
-    ceilings: of this scan in the level frame; none where no ceiling is in view. floor: of this scan too.
-    meets_ceiling: (L,) whether each line has returns of a ceiling, but for some stray ones.
-    origin_level: (3,) metres, the sensor; planes' normals point towards it.
+    structures: the vertical structures of those lines.
+    ceilings, floor: of this scan in the level frame; no ceilings where none is in view.
+    meets_ceiling: (L,) whether each line has more than a few stray returns of a ceiling.
     """
-    candidates, reach, below_ceiling_m = _choose_candidates(
-        points_level, samples, structures, ceilings, floor, meets_ceiling, settings
+    candidates = _choose_candidates(returns, samples, structures, ceilings, floor, meets_ceiling, settings)
+    moments, reaches = candidates.moments, candidates.reach != Reach.LOW
+    grown, growth, distance_m, gap_m = _grow(
+        moments, candidates.part, reaches, candidates.gap_max_m, settings.similarity_m
     )
-    line = structures.line[candidates]
-    is_upmost = structures.upmost[line] == candidates
-    reaches = reach != Reach.LOW
-    moments, lowest_sample = _candidate_moments(
-        points_level,
-        height_m,
-        samples,
-        line,
-        structures.first[candidates],
-        structures.last[candidates],
-        settings.upper_part_m,
-    )
-    range_m = np.hypot(moments[:, 1] / moments[:, 0] - origin_level[0], moments[:, 2] / moments[:, 0] - origin_level[1])
-    gap_max_m = settings.gap_m + settings.gap_per_range * range_m
-    walk_part = line % 2 + 2 * ~is_upmost
-    grown, growth, distance_m, gap_m = _grow(moments, walk_part, reaches, gap_max_m, settings.similarity_m)
-    plane, nearest_m, membership = _settle(
+    settled, nearest_m, membership = _settle(
         grown,
         moments,
         reaches,
-        gap_max_m,
+        candidates.gap_max_m,
         settings.similarity_m,
         settings.merge_gap_m,
         settings.lines_min,
         settings.length_min_m,
     )
-    settled = plane
-    plane = _without_ducts(settled, structures.bottom_m[candidates], settings.bottom_max_m)
+    plane = _without_ducts(settled, structures.bottom_m[candidates.structure], settings.bottom_max_m)
     membership[(settled >= 0) & (plane < 0)] = Membership.DUCT
-    count = int(plane.max(initial=-1)) + 1
-    total = np.zeros((count, 6))
-    np.add.at(total, plane[plane >= 0], moments[plane >= 0])
-    normal, offset_m, rms_m = _fit_all(total, np.ascontiguousarray(origin_level[:2]))
-    bottom_m = structures.bottom_m[candidates]
     return WallPlanes(
-        normal=normal,
-        offset_m=offset_m,
-        ends=_ends(points_level, samples, line, lowest_sample, structures.last[candidates], plane, normal, offset_m),
-        bottom_m=_per_plane(np.minimum, bottom_m, plane, count, np.inf),
-        top_m=_per_plane(np.maximum, structures.top_m[candidates], plane, count, -np.inf),
-        rms_m=rms_m,
-        line_count=np.bincount(plane[plane >= 0], minlength=count).astype(np.int32),
-        point_count=total[:, 0].astype(np.int32),
-        moments=total,
-        candidate_structure=candidates.astype(np.int32),
-        candidate_line=line.astype(np.int32),
+        *_fit_planes(returns, samples, structures, candidates, plane),
+        candidate_structure=candidates.structure.astype(np.int32),
+        candidate_line=candidates.line.astype(np.int32),
         candidate_growth=growth,
         candidate_plane=plane,
         candidate_distance_m=distance_m,
-        candidate_reach=reach,
-        candidate_below_ceiling_m=below_ceiling_m,
+        candidate_reach=candidates.reach,
+        candidate_below_ceiling_m=candidates.below_ceiling_m,
         candidate_gap_m=gap_m,
-        candidate_gap_max_m=gap_max_m,
+        candidate_gap_max_m=candidates.gap_max_m,
         candidate_grown=grown,
         candidate_nearest_m=nearest_m,
         candidate_membership=membership,
     )
 
 
+@dataclass(frozen=True)
+class _Candidates:
+    """The candidates (C,) in the order of Algorithm 1.
+
+    structure, line: the vertical structure and the point line of each. part: the part of the walk that it is in.
+    moments: (C, 6) n, Σx, Σy, Σxx, Σxy, Σyy of its upper part; lowest_sample: where that begins.
+    reach, below_ceiling_m, gap_max_m: as of `WallPlanes`.
+    """
+
+    structure: IntArray
+    line: IntArray
+    part: IntArray
+    moments: FloatArray
+    lowest_sample: IntArray
+    reach: UInt8Array
+    below_ceiling_m: FloatArray
+    gap_max_m: FloatArray
+
+
 def _choose_candidates(
-    points_level: FloatArray,
+    returns: Returns,
     samples: IntArray,
     structures: VerticalStructures,
     ceilings: tuple[HorizontalPlane, ...],
     floor: HorizontalPlane,
     meets_ceiling: BoolArray,
     settings: WallPlanesSettings,
-) -> tuple[IntArray, UInt8Array, FloatArray]:
-    """The candidates (C,) by their structure, in the order of Algorithm 1; the `Reach` of each, and metres below a ceiling.
-
-    Parameters as of `grow_wall_planes`; the last as `WallPlanes.candidate_below_ceiling_m`.
-    """
+) -> _Candidates:
+    """Up-most structures, and others that end at a ceiling; parameters as of `grow_wall_planes`."""
     is_upmost = structures.upmost[structures.line] == np.arange(len(structures.line))
-    reach, below_ceiling_m = _reach_of(
-        points_level[samples[structures.line, structures.last]], structures.top_m, ceilings, floor, settings
-    )
+    tops_level = returns.points_level[samples[structures.line, structures.last]]
+    reach, below_ceiling_m = _reach_of(tops_level, structures.top_m, ceilings, floor, settings)
     # Through an opening a line shows the wall of the next room below the lintel: what ends at a ceiling is a candidate
     # too, though it is not the up-most.
-    candidates = np.flatnonzero(is_upmost | ((reach != Reach.LOW) & (len(ceilings) > 0)))
+    chosen = np.flatnonzero(is_upmost | ((reach != Reach.LOW) & (len(ceilings) > 0)))
     # Algorithm 1 walks along the wall: emitter by emitter on one side, then on the other; up-most structures first.
-    line, upmost = structures.line[candidates], is_upmost[candidates]
-    walk = np.lexsort((line, line % 2, ~upmost))
-    candidates, line = candidates[walk], line[walk]
+    line = structures.line[chosen]
+    walk = np.lexsort((line, line % 2, ~is_upmost[chosen]))
+    chosen, line = chosen[walk], line[walk]
     # A line that sweeps a wall ahead in a circle may turn back below the ceiling: it has next to no returns of it.
-    turns_back = (
-        ~meets_ceiling[line] & is_upmost[candidates] & (structures.top_m[candidates] > 0.5 * settings.height_min_m)
+    turns_back = ~meets_ceiling[line] & is_upmost[chosen] & (structures.top_m[chosen] > 0.5 * settings.height_min_m)
+    moments, lowest_sample = _candidate_moments(
+        returns.points_level,
+        returns.height_m,
+        samples,
+        line,
+        structures.first[chosen],
+        structures.last[chosen],
+        settings.upper_part_m,
     )
-    reach = np.where((reach[candidates] == Reach.LOW) & turns_back, Reach.TURNS_BACK, reach[candidates]).astype(
-        np.uint8
+    x0, y0 = returns.origin_level[:2]
+    range_m = np.hypot(moments[:, 1] / moments[:, 0] - x0, moments[:, 2] / moments[:, 0] - y0)
+    return _Candidates(
+        structure=chosen,
+        line=line,
+        part=line % 2 + 2 * ~is_upmost[chosen],
+        moments=moments,
+        lowest_sample=lowest_sample,
+        reach=np.where((reach[chosen] == Reach.LOW) & turns_back, np.uint8(Reach.TURNS_BACK), reach[chosen]),
+        below_ceiling_m=below_ceiling_m[chosen],
+        gap_max_m=settings.gap_m + settings.gap_per_range * range_m,
     )
-    return candidates, reach, below_ceiling_m[candidates]
 
 
 def _reach_of(
@@ -326,20 +323,28 @@ def _per_plane(reduce: np.ufunc, values: FloatArray, plane: IntArray, count: int
     return reduced
 
 
-def _ends(
-    points: FloatArray,
-    samples: IntArray,
-    line: IntArray,
-    first: IntArray,
-    last: IntArray,
-    plane: IntArray,
-    normal: FloatArray,
-    offset_m: FloatArray,
-) -> FloatArray:
-    low, high = _extents(points, samples, line, first, last, plane, normal)
+def _fit_planes(
+    returns: Returns, samples: IntArray, structures: VerticalStructures, candidates: _Candidates, plane: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray, IntArray, FloatArray]:
+    """The first nine fields of `WallPlanes`, from the plane (C,) of each candidate."""
+    count = int(plane.max(initial=-1)) + 1
+    total, lines = _totals(plane, candidates.moments, count)
+    normal, offset_m, rms_m = _fit_all(total, np.ascontiguousarray(returns.origin_level[:2]))
+    last = structures.last[candidates.structure]
+    low, high = _extents(returns.points_level, samples, candidates.line, candidates.lowest_sample, last, plane, normal)
     along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
     foot = normal * offset_m[:, None]
-    return np.stack([foot + along * low[:, None], foot + along * high[:, None]], axis=1)
+    return (
+        normal,
+        offset_m,
+        np.stack([foot + along * low[:, None], foot + along * high[:, None]], axis=1),
+        _per_plane(np.minimum, structures.bottom_m[candidates.structure], plane, count, np.inf),
+        _per_plane(np.maximum, structures.top_m[candidates.structure], plane, count, -np.inf),
+        rms_m,
+        lines.astype(np.int32),
+        total[:, 0].astype(np.int32),
+        total,
+    )
 
 
 @numba.njit(cache=True, nogil=True)

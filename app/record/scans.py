@@ -14,7 +14,7 @@ from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.poses.levelling import LevelledScan
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.labelling import ScanLabelling
-from ffmap.algorithms.scan.point_lines import HorizontalPlane
+from ffmap.algorithms.scan.rearrangement import HorizontalPlane
 from ffmap.algorithms.scan.smoothing import SmoothedRanges
 from ffmap.app.record.curves import log_curves, log_line
 from ffmap.app.record.line_reasons import candidate_reasons, door_reasons, line_outcomes

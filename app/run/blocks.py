@@ -16,8 +16,8 @@ from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSet
 from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.maps.rivals import RivalCounter, RivalMapsSettings
 from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
+from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.labelling import MethodSettings, label_scan
-from ffmap.algorithms.scan.point_lines import below_ceiling
 from ffmap.algorithms.scan.smoothing import SmoothedRanges, smooth_ranges
 from ffmap.algorithms.scan.summary import Features, concatenate, extract
 from ffmap.app.record.log import Log

@@ -15,8 +15,8 @@ from ffmap.algorithms.building.levels import map_ceilings
 from ffmap.algorithms.building.model import NO_DOORS, NO_WALLS, NO_WINDOWS
 from ffmap.algorithms.building.votes import VoxelTable, find_halo
 from ffmap.algorithms.poses.levelling import place_and_level
+from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.labelling import label_scan
-from ffmap.algorithms.scan.point_lines import below_ceiling
 from ffmap.algorithms.scan.smoothing import smooth_ranges
 from ffmap.algorithms.scan.summary import extract
 from ffmap.app.run.blocks import VOXEL_M, points_in_map

@@ -31,7 +31,7 @@ from ffmap.algorithms.poses.pose_graph import PoseGraphSettings
 from ffmap.algorithms.poses.refinement import RefinementSettings
 from ffmap.algorithms.scan.doors import DoorsSettings
 from ffmap.algorithms.scan.labelling import LabellingSettings, MethodSettings
-from ffmap.algorithms.scan.point_lines import RearrangementSettings
+from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 from ffmap.algorithms.scan.smoothing import SmoothingSettings
 from ffmap.algorithms.scan.vertical_structures import VerticalStructuresSettings
 from ffmap.algorithms.scan.wall_planes import WallPlanesSettings

@@ -263,3 +263,18 @@ def test_a_cloud_without_points_may_say_anything_of_their_layout(tmp_path, point
     message.width, message.point_step, message.row_step, message.data = 0, point_step, 0, message.data[:0]
     with open_bag(write_bag(tmp_path / "a.bag", entries)) as bag:
         assert {i: s.reason for i, s in scans_of(bag, "/a") if isinstance(s, SkippedScan)} == {4: "no points"}
+
+
+@pytest.mark.parametrize("names", [("x", "y", "z", "ring", "time"), ("x", "y", "z", "ring")])
+def test_scans_have_one_order_whatever_the_clouds(tmp_path, names):
+    points = only(sweep(), *names)
+    shuffle = np.random.default_rng(0).permutation(len(points))
+    entries = [
+        ("/a", START_NS + i * PERIOD_NS, cloud(points[rows], START_NS + i * PERIOD_NS))
+        for i, rows in enumerate((np.arange(len(points)), shuffle))
+    ]
+    with open_bag(write_bag(tmp_path / "a.bag", entries)) as bag:
+        (_, scan), (_, shuffled) = scans_of(bag, "/a")
+    np.testing.assert_array_equal(shuffled.points_sensor, scan.points_sensor)
+    np.testing.assert_array_equal(shuffled.ring, scan.ring)
+    np.testing.assert_array_equal(shuffle[shuffled.cloud_index], scan.cloud_index)

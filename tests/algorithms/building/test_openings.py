@@ -52,7 +52,8 @@ def features(origin: tuple[float, float], rays: np.ndarray, planes: np.ndarray) 
     return Features(
         scan=np.array([0]),
         origin_map=np.array([[*origin, 1.0]]),
-        floor_map=np.zeros((1, 3)),
+        floor_map=np.zeros((1, 2, 3)),
+        floor_is_foot=np.zeros(1, bool),
         ray_count=np.array([len(rays)]),
         plane_count=np.array([len(planes)]),
         ray_end_map=rays.astype(np.float32),

@@ -16,7 +16,8 @@ from ffmap.algorithms.scan.doors import (
     find_door_lines,
     find_openings,
 )
-from ffmap.algorithms.scan.point_lines import HorizontalPlane, PointLines, RearrangementSettings, make_point_lines
+from ffmap.algorithms.scan.point_lines import PointLines, make_point_lines
+from ffmap.algorithms.scan.rearrangement import HorizontalPlane, RearrangementSettings, Returns
 from ffmap.algorithms.scan.vertical_structures import (
     VerticalStructures,
     VerticalStructuresSettings,
@@ -92,19 +93,18 @@ def look(profiles: dict[float, Profile], settings: DoorsSettings = DOORS, ceilin
         (height_m < 0.02) | (height_m > ceiling_m - 0.02),
         RearrangementSettings(),
     )
-    structures = find_vertical_structures(points, height_m, lines.samples, ORIGIN, VerticalStructuresSettings())
+    returns = Returns(points, height_m, ORIGIN)
+    structures = find_vertical_structures(returns, lines.samples, VerticalStructuresSettings())
     planes = grow_wall_planes(
-        points,
-        height_m,
+        returns,
         lines.samples,
         structures,
         (HorizontalPlane(ceiling_m, np.zeros(2), 1000),),
         HorizontalPlane(0.0, np.zeros(2), 1000),
         np.ones(len(lines), bool),
-        ORIGIN,
         WallPlanesSettings(),
     )
-    door_lines = find_door_lines(points, height_m, lines, planes, structures.upmost, ORIGIN, settings)
+    door_lines = find_door_lines(returns, lines, planes, structures.upmost, settings)
     (used,) = np.nonzero(np.diff(lines.starts))
     return Seen(
         points,
@@ -181,7 +181,8 @@ def test_condition_1_fails_where_the_line_belongs_to_no_wall_plane() -> None:
     assert np.count_nonzero(of_door) == 4
     assert np.all(planes.candidate_plane[of_door] == -1)
     claimed = replace(planes, candidate_plane=np.where(of_door, 0, planes.candidate_plane).astype(np.int32))
-    lines = find_door_lines(seen.points, seen.points[:, 2], seen.lines, claimed, seen.structures.upmost, ORIGIN, DOORS)
+    returns = Returns(seen.points, seen.points[:, 2], ORIGIN)
+    lines = find_door_lines(returns, seen.lines, claimed, seen.structures.upmost, DOORS)
     assert set(lines.line[lines.above_door].tolist()) == {seen.line_at[x] for x in DOOR_X_M}
     assert len(find_openings(lines, claimed, DOORS)) == 1
 

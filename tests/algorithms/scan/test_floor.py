@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.scan.point_lines import Floor, RearrangementSettings, find_ceilings, find_floor
+from ffmap.algorithms.scan.floor import Floor, find_floor
+from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 
 SETTINGS = RearrangementSettings()
 
@@ -55,14 +56,3 @@ def test_a_floor_bends_at_a_ramp(top: bool, turn_deg: float) -> None:
     np.testing.assert_allclose(points[:, 2] - floor.height_at(points), floor.heights_above(points), atol=1e-5)
     # One plane through both pieces would lie centimetres off.
     assert np.abs(points[:, 2] - Floor(floor.height_m, floor.slope, 0).height_at(points) - above_m).max() > 0.03
-
-
-def test_ceilings_follow_both_pieces_of_the_floor() -> None:
-    points = ground(FOOT, 20_000)
-    generator = np.random.default_rng(1)
-    places = generator.uniform(-3.0, 3.0, (40_000, 2))
-    truth_m = 2.6 + (FOOT[:, 0] + places @ FOOT[:, 1:].T).max(axis=1)
-    ceiling = np.column_stack([places, truth_m + generator.normal(0, 0.01, len(places))]).astype(np.float32)
-    planes = find_ceilings(np.concatenate([points, ceiling]), find_floor(points, SETTINGS), SETTINGS, 0)
-    off_m = np.min([np.abs(plane.height_at(ceiling) - truth_m) for plane in planes], axis=0)
-    assert np.mean(off_m < 0.02) > 0.97

@@ -1,14 +1,13 @@
 """The method on an analytic room: known walls, floor, ceiling, a recessed door, under noise and rigid motion."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation, Slerp
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.base.scan import Scan
+from ffmap.algorithms.base.scan import in_canonical_order
 from ffmap.algorithms.base.trajectory import PlacedScan, Trajectory, place_scan
 from ffmap.algorithms.building.door_frames import measure_reveals, place_frames
 from ffmap.algorithms.building.doors import find_doors
@@ -23,118 +22,13 @@ from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.building.votes import VoxelTable, find_halo
 from ffmap.algorithms.building.windows import find_windows
 from ffmap.algorithms.maps.grid import Cell, GridMapSettings, Immobile, draw_furniture_free
-from ffmap.algorithms.poses.levelling import level_map, turn_to_floor
+from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
-from ffmap.algorithms.scan.point_lines import (
-    LEANING_MIN_DEG,
-    SAMPLES,
-    HorizontalPlane,
-    PointLines,
-    below_ceiling,
-    find_ceilings,
-    find_floor,
-    make_point_lines,
-)
-from ffmap.algorithms.scan.summary import concatenate, extract, move_moments
+from ffmap.algorithms.scan.summary import concatenate, extract
 from tests import synthetic
+from tests.corridor import HEIGHT_M, METHOD, T_BASE_SENSOR, Hole, cast, labelled, place, pose, share
 from tests.voting import vote
-
-METHOD = synthetic.settings()
-HEIGHT_M = 2.8
-# The lidar lies on its side: its spin axis z points along the base's x, its x axis down.
-T_BASE_SENSOR = transforms.make_transform(
-    Rotation.from_matrix(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])), [0.0, 0.0, 0.8]
-)
-
-
-@dataclass(frozen=True)
-class Hole:
-    """In the wall y = 2: from x0 to x1, from foot to head; depth of the leaf behind the wall, None for an open door.
-
-    pane: the share of the rays that a pane 10 cm behind the wall returns.
-    """
-
-    x0: float = -0.5
-    x1: float = 0.4
-    foot: float = 0.0
-    head: float = 2.1
-    depth: float | None = 0.05
-    pane: float = 0.0
-
-
-def cast(
-    T_map_sensor: np.ndarray, hole: Hole | None, noise_m: float, seed: int, ceiling: bool = True
-) -> tuple[Scan, np.ndarray]:
-    """One sweep of 32 emitters in a corridor -4 < x < 6, -1.5 < y < 2, and the true label of each return."""
-    generator = np.random.default_rng(seed)
-    azimuth, elevation = np.meshgrid(
-        np.linspace(0, 2 * np.pi, 1800, endpoint=False), np.radians(np.linspace(-30, 10, 32)), indexing="ij"
-    )
-    ring = np.tile(np.arange(32, dtype=np.uint16), 1800)
-    direction_sensor = np.stack(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
-    ).reshape(-1, 3)
-    origin = T_map_sensor[:3, 3]
-    d = direction_sensor @ T_map_sensor[:3, :3].T
-    best = np.full(len(d), np.inf)
-    label = np.zeros(len(d), np.uint8)
-    planes = [
-        (2, 0.0, Label.FLOOR),
-        (0, -4.0, Label.WALL),
-        (0, 6.0, Label.WALL),
-        (1, -1.5, Label.WALL),
-        (1, 2.0, Label.WALL),
-    ]
-    if ceiling:
-        planes.append((2, HEIGHT_M, Label.CEILING))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for axis, at, code in planes:
-            t = (at - origin[axis]) / d[:, axis]
-            hit = (t > 1e-6) & (t < best)
-            if axis == 1 and at == 2.0 and hole is not None:
-                p = origin + t[:, None] * d
-                in_hole = (p[:, 0] > hole.x0) & (p[:, 0] < hole.x1) & (p[:, 2] < hole.head)
-                in_hole &= p[:, 2] > hole.foot
-                hit &= ~in_hole
-                t_pane = (at + 0.1 - origin[axis]) / d[:, axis]
-                returned = in_hole & (t_pane < best) & (t > 0) & (generator.random(len(d)) < hole.pane)
-                best[returned], label[returned] = t_pane[returned], Label.OUTSIDE
-            best[hit], label[hit] = t[hit], code
-        if hole is not None:
-            t = (2.0 + (4.0 if hole.depth is None else hole.depth) - origin[1]) / d[:, 1]
-            p = origin + t[:, None] * d
-            behind = (t > 0) & (t < best) & (p[:, 2] > 0) & (p[:, 2] < HEIGHT_M)
-            best[behind], label[behind] = t[behind], Label.CLUTTER if hole.depth is None else Label.DOOR
-    keep = np.isfinite(best) & (best < 30)
-    range_m = best[keep] + generator.normal(0, noise_m, keep.sum())
-    scan = Scan(
-        points_sensor=(direction_sensor[keep] * range_m[:, None]).astype(np.float32),
-        ring=ring[keep],
-        ring_count=32,
-        time_ns=None,
-        start_ns=0,
-        stamp_ns=0,
-        cloud_index=np.flatnonzero(keep).astype(np.int32),
-        cloud_size=len(keep),
-    )
-    return scan, label[keep]
-
-
-def pose(x: float = 0.0, yaw_rad: float = 0.0) -> np.ndarray:
-    return transforms.from_yaw(yaw_rad, [x, 0.0, 0.0])
-
-
-def place(scan: Scan, T_map_base: np.ndarray) -> PlacedScan:
-    return place_scan(scan, Trajectory(np.array([0]), T_map_base[None]), T_BASE_SENSOR)
-
-
-def labelled(
-    hole: Hole | None = None, noise_m: float = 0.015, seed: int = 1, x: float = 0.0, ceiling: bool = True
-) -> tuple[Scan, PlacedScan, np.ndarray, ScanLabelling]:
-    scan, truth = cast(pose(x) @ T_BASE_SENSOR, hole, noise_m, seed, ceiling)
-    placed = place(scan, pose(x))
-    return scan, placed, truth, label_scan(scan, placed, METHOD, seed)
 
 
 def relabelled(
@@ -157,12 +51,6 @@ def relabelled(
         halo,
         RelabellingSettings(),
     )
-
-
-def share(label: np.ndarray, truth: np.ndarray, code: int) -> tuple[float, float]:
-    """Precision and recall by points."""
-    right = np.count_nonzero((label == code) & (truth == code))
-    return right / max(np.count_nonzero(label == code), 1), right / max(np.count_nonzero(truth == code), 1)
 
 
 def test_a_bare_corridor_is_labelled_almost_without_error() -> None:
@@ -202,14 +90,29 @@ def test_without_a_ceiling_in_view_none_is_invented() -> None:
     assert not np.any(found.label == Label.CEILING)
 
 
-def test_labels_do_not_depend_on_the_order_of_returns() -> None:
-    scan, placed, _, found = labelled(Hole())
+@pytest.mark.parametrize("timed", [True, False])
+def test_labels_do_not_depend_on_the_order_of_returns(timed: bool) -> None:
+    """A scan as large as a real one, its returns, rings and times shuffled alike: to the bit the same, return by return."""
+    scan = replace(synthetic.scan(), time_ns=np.arange(32 * 2170) * 1_440 if timed else None)
     shuffle = np.random.default_rng(3).permutation(len(scan))
     shuffled = replace(
-        scan, points_sensor=scan.points_sensor[shuffle], ring=scan.ring[shuffle], cloud_index=scan.cloud_index[shuffle]
+        scan,
+        points_sensor=scan.points_sensor[shuffle],
+        ring=scan.ring[shuffle],
+        time_ns=None if scan.time_ns is None else scan.time_ns[shuffle],
+        cloud_index=scan.cloud_index[shuffle],
     )
-    other = label_scan(shuffled, replace(placed, points_level=placed.points_level[shuffle]), METHOD, 1)
-    assert np.mean(other.label == found.label[shuffle]) > 0.99
+    found = []
+    for ordered in (in_canonical_order(scan), in_canonical_order(shuffled)):
+        level = synthetic.level(ordered, synthetic.trajectory(3))
+        labelling = label_scan(ordered, level.placed, METHOD, 1)
+        by_cloud = np.argsort(ordered.cloud_index)
+        features = extract(0, level.placed, labelling)
+        found.append(
+            (labelling.label[by_cloud], labelling.plane[by_cloud], labelling.height_m[by_cloud], features.ray_end_map)
+        )
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("yaw_rad", [0.4, 1.3, -2.9])
@@ -229,24 +132,6 @@ def test_empty_and_tiny_scans_are_labelled_without_complaint() -> None:
         assert len(found.label) == count
 
 
-def test_point_lines_have_exactly_200_returns_from_below_upwards() -> None:
-    scan, _placed, _, found = labelled()
-    lines = found.lines
-    assert lines.samples.shape == (64, SAMPLES)
-    assert sorted(lines.order.tolist()) == list(range(len(scan)))
-    # Eq. 1, unfolded: the angle about the spin axis from straight down, to what single precision leaves of it.
-    down = transforms.invert(T_BASE_SENSOR)[:3, :3] @ np.array([0.0, 0.0, -1.0])
-    radial = scan.points_sensor[:, :2] / np.linalg.norm(scan.points_sensor[:, :2], axis=1, keepdims=True)
-    angle_rad = np.arccos(np.clip(radial @ down[:2], -1, 1))
-    for line in range(64):
-        own = lines.order[lines.starts[line] : lines.starts[line + 1]]
-        assert np.all(scan.ring[own] == line // 2)
-        assert np.all(np.diff(angle_rad[own]) > -1e-3)
-    full = lines.samples[lines.samples[:, 0] >= 0]
-    assert np.all(np.diff(angle_rad[full], axis=1) > -1e-3)
-    assert not np.any(np.isin(found.label[full], [Label.FLOOR, Label.CEILING]) & (found.plane[full] < 0))
-
-
 def test_equation_2_is_kept_as_printed() -> None:
     _, placed, _, found = labelled()
     points, samples = placed.points_level, found.lines.samples
@@ -258,76 +143,6 @@ def test_equation_2_is_kept_as_printed() -> None:
         ours = found.structures.difference[line, 1:]
         usable = np.isfinite(expected) & (np.abs(np.diff(p[:, 2])) > 1e-4)
         np.testing.assert_allclose(ours[usable], expected[usable], rtol=2e-2, atol=2e-2)
-
-
-def test_an_upright_spin_axis_has_no_lines() -> None:
-    scan, _, _, _ = labelled()
-
-    def lines(tilt_deg: float) -> PointLines:
-        down = np.array([np.sin(np.radians(tilt_deg)), 0.0, -np.cos(np.radians(tilt_deg))])
-        return make_point_lines(
-            scan.points_sensor, scan.ring, 32, down, np.zeros(len(scan), bool), METHOD.rearrangement
-        )
-
-    for tilt_deg in (0.0, LEANING_MIN_DEG - 0.1):
-        with pytest.raises(ValueError, match="upright"):
-            lines(tilt_deg)
-    assert len(lines(LEANING_MIN_DEG + 0.1).order) == len(scan)
-
-
-def test_floor_and_ceiling_follow_a_tilt() -> None:
-    _, placed, _, _ = labelled()
-    tilt = Rotation.from_euler("xy", [0.8, -0.6], degrees=True)
-    points = (tilt.apply(placed.points_level) + np.array([0.0, 0.0, 0.05])).astype(np.float32)
-    floor = find_floor(points, METHOD.rearrangement)
-    assert floor.height_m == pytest.approx(0.05, abs=0.01)
-    level = turn_to_floor(replace(placed, points_level=points), floor.height_m, floor.slope, np.zeros(2), 2.0)
-    again = find_floor(level.points_level, METHOD.rearrangement)
-    assert np.hypot(*again.slope) < 0.002
-    untouched = turn_to_floor(replace(placed, points_level=points), floor.height_m, floor.slope, np.zeros(2), 0.1)
-    assert untouched.points_level is points
-
-
-def test_a_ceiling_over_a_ramp_may_slope_with_it_or_be_level() -> None:
-    generator = np.random.default_rng(2)
-    xy = generator.uniform(-3, 3, (6_000, 2))
-    ramp = HorizontalPlane(0.0, np.array([0.08, 0.0]), 0)
-    for slope in (0.08, 0.0):
-        points = np.column_stack([xy, 2.8 + slope * xy[:, 0] + generator.normal(0, 0.01, len(xy))]).astype(np.float32)
-        (ceiling,) = find_ceilings(points, ramp, METHOD.rearrangement, 0)
-        assert ceiling.height_m == pytest.approx(2.8, abs=0.01)
-        np.testing.assert_allclose(ceiling.slope, [slope, 0.0], atol=0.005)
-
-
-def test_ceiling_is_independent_of_the_seed() -> None:
-    _, placed, _, _ = labelled()
-    floor = HorizontalPlane(0.0, np.zeros(2), 0)
-    found = [find_ceilings(placed.points_level, floor, METHOD.rearrangement, seed)[0].height_m for seed in range(5)]
-    assert np.ptp(found) < 0.005
-
-
-def test_the_map_is_levelled_by_floor_and_walls() -> None:
-    tilt = transforms.make_transform(Rotation.from_euler("xyz", [3.0, -2.0, 40.0], degrees=True), [5.0, 1.0, -0.3])
-    _, placed, _, _ = labelled()
-    T_odom_base = tilt @ pose()
-    level = level_map(transforms.apply(tilt, placed.points_level), T_odom_base)
-    assert level.floor_rms_m < 0.03
-    T_map_odom = level.T_map_odom
-    np.testing.assert_allclose(level.floor_slope, 0, atol=0.005)
-    np.testing.assert_allclose((T_map_odom @ T_odom_base)[:3, 3], 0, atol=0.02)
-    np.testing.assert_allclose((T_map_odom @ tilt)[2, :3], [0, 0, 1], atol=0.005)
-
-
-def test_walls_tell_which_way_is_up_where_the_floor_slopes() -> None:
-    scans = [labelled(seed=i, x=x) for i, x in enumerate(np.linspace(0.0, 1.0, 12))]
-    points = np.concatenate([placed.to_map(placed.points_level) for _, placed, _, _ in scans])
-    floor = np.concatenate([truth for _, _, truth, _ in scans]) == Label.FLOOR
-    points[floor, 2] -= 0.02 * points[floor, 1]  # the walls' normals lie along y: slopes along x they leave open
-    tilt = transforms.make_transform(Rotation.from_euler("xy", [2.0, -1.0], degrees=True), [0.0, 0.0, 0.0])
-    level = level_map(transforms.apply(tilt, points), tilt @ pose())
-    lean_deg = np.degrees(np.arccos((level.T_map_odom @ tilt)[2, 2]))
-    assert lean_deg < 0.2  # the floor's normal is off by 1.15 degrees
-    np.testing.assert_allclose(level.floor_slope, [0.0, -0.02], atol=0.004)
 
 
 def test_an_underside_tells_how_deep_a_reveal_is() -> None:
@@ -347,39 +162,13 @@ def test_an_underside_tells_how_deep_a_reveal_is() -> None:
     rays = np.concatenate([underside, leaf]).astype(np.float32)
     features = replace(
         extract(0, placed, found),
-        floor_map=np.zeros((1, 3)),
+        floor_map=np.zeros((1, 2, 3)),
+        floor_is_foot=np.zeros(1, bool),
         ray_count=np.array([len(rays)]),
         ray_end_map=rays,
         ray_label=np.zeros(len(rays), np.uint8),
     )
     assert measure_reveals(door, [features]).reveal_m[0] == pytest.approx(0.18, abs=0.025)
-
-
-def test_poses_between_stamps_are_scipys() -> None:
-    generator = np.random.default_rng(0)
-    turns = Rotation.from_rotvec(np.cumsum(generator.normal(0, 0.1, (8, 3)), axis=0))
-    T = np.stack([transforms.make_transform(r, [i, 2 * i, 0]) for i, r in enumerate(turns)])
-    stamps = 1_700_000_000_000_000_000 + np.arange(8) * 100_000_000
-    trajectory = Trajectory(stamps, T)
-    times = stamps[0] + generator.integers(0, 700_000_000, 50)
-    expected = Slerp((stamps - stamps[0]) * 1e-9, turns)((times - stamps[0]) * 1e-9)
-    ours = trajectory.at(times)
-    assert np.max((Rotation.from_matrix(ours[:, :3, :3]).inv() * expected).magnitude()) < 1e-6
-    np.testing.assert_allclose(ours[:, 0, 3], (times - stamps[0]) / 1e8, atol=1e-6)
-    with pytest.raises(ValueError, match="increase"):
-        Trajectory(stamps[::-1], T)
-
-
-def test_moments_move_with_their_points() -> None:
-    xy = np.random.default_rng(1).normal(size=(40, 2))
-
-    def moments(p: np.ndarray) -> np.ndarray:
-        x, y = p[:, 0], p[:, 1]
-        return np.array([[len(p), x.sum(), y.sum(), (x * x).sum(), (x * y).sum(), (y * y).sum()]])
-
-    T = transforms.from_yaw(0.7, [3.0, -4.0, 0.0])
-    moved = transforms.apply(T, np.column_stack([xy, np.zeros(40)]))[:, :2]
-    np.testing.assert_allclose(move_moments(moments(xy), T), moments(moved), rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -492,7 +281,8 @@ def test_a_scans_own_plane_tells_of_a_wall_only_where_the_scan_saw_it(lean_deg: 
     features = replace(
         features,
         origin_map=np.array([[3.0, 0.0, 1.0]]),
-        floor_map=np.zeros((1, 3)),
+        floor_map=np.zeros((1, 2, 3)),
+        floor_is_foot=np.zeros(1, bool),
         ray_count=np.array([len(x)], np.int32),
         ray_end_map=np.column_stack([x, np.full(len(x), 2.0), np.full(len(x), 1.0)]).astype(np.float32),
         plane_count=np.array([1], np.int32),
@@ -530,19 +320,3 @@ def test_the_floor_is_found_wherever_the_robot_has_climbed() -> None:
     np.testing.assert_allclose(placed.to_map(placed.points_level)[truth == Label.FLOOR, 2], 0.6, atol=0.1)
     features = extract(0, placed, found)
     np.testing.assert_allclose(features.floor_map[0] @ [1.0, 1.0, 0.0], 0.6, atol=0.02)
-
-
-def test_a_duct_below_the_ceiling_is_no_ceiling_of_its_own_and_a_lower_room_has_one() -> None:
-    generator = np.random.default_rng(3)
-    floor = HorizontalPlane(0.0, np.zeros(2), 0)
-
-    def returns(count: int, low: tuple[float, float], high: tuple[float, float], height_m: float) -> np.ndarray:
-        return np.column_stack([generator.uniform(low, high, (count, 2)), generator.normal(height_m, 0.005, count)])
-
-    ceiling = returns(12_000, (-3, -3), (3, 3), 2.8)
-    duct = returns(4_000, (-3, 1.0), (3, 1.4), 2.45)
-    lower = returns(4_000, (3, -3), (5, 1), 2.45)
-    with_duct = find_ceilings(np.concatenate([ceiling, duct]).astype(np.float32), floor, METHOD.rearrangement, 0)
-    assert [round(c.height_m, 1) for c in with_duct] == [2.8]
-    with_room = find_ceilings(np.concatenate([ceiling, lower]).astype(np.float32), floor, METHOD.rearrangement, 0)
-    assert sorted(round(c.height_m, 2) for c in with_room) == [2.45, 2.8]

@@ -15,8 +15,10 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import Scan
 from ffmap.algorithms.base.trajectory import Trajectory, place_scan
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
+from ffmap.algorithms.scan.ceiling import find_ceilings
+from ffmap.algorithms.scan.floor import find_floor
 from ffmap.algorithms.scan.labelling import label_scan
-from ffmap.algorithms.scan.point_lines import HorizontalPlane, RearrangementSettings, find_ceilings, find_floor
+from ffmap.algorithms.scan.rearrangement import HorizontalPlane, RearrangementSettings
 from tests import synthetic
 from tests.voting import vote
 

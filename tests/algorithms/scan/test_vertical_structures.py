@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.scan.point_lines import SAMPLES
+from ffmap.algorithms.scan.rearrangement import Returns
 from ffmap.algorithms.scan.vertical_structures import (
     VerticalStructures,
     VerticalStructuresSettings,
@@ -32,7 +33,7 @@ def points_of(lines: Sequence[np.ndarray]) -> np.ndarray:
 def find(
     points: np.ndarray, samples: np.ndarray, settings: VerticalStructuresSettings = SETTINGS
 ) -> VerticalStructures:
-    return find_vertical_structures(points, points[:, 2].copy(), samples, ORIGIN, settings)
+    return find_vertical_structures(Returns(points, points[:, 2].copy(), ORIGIN), samples, settings)
 
 
 def find_in(lines: Sequence[np.ndarray], settings: VerticalStructuresSettings = SETTINGS) -> VerticalStructures:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base import transforms
-from ffmap.algorithms.scan.point_lines import SAMPLES, HorizontalPlane
+from ffmap.algorithms.scan.point_lines import SAMPLES
+from ffmap.algorithms.scan.rearrangement import HorizontalPlane, Returns
 from ffmap.algorithms.scan.vertical_structures import VerticalStructures
 from ffmap.algorithms.scan.wall_planes import (
     Growth,
@@ -85,14 +86,12 @@ def grow(
         bottommost=upmost,
     )
     return grow_wall_planes(
-        points.astype(np.float32),
-        height_m,
+        Returns(points.astype(np.float32), height_m, origin),
         samples,
         structures,
         ceilings,
         FLOOR,
         np.ones(line_count, bool),
-        origin,
         settings,
     )
 

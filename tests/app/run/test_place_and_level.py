@@ -6,7 +6,7 @@ import pytest
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.poses.levelling import place_and_level
-from ffmap.algorithms.scan.point_lines import find_floor
+from ffmap.algorithms.scan.floor import find_floor
 from ffmap.algorithms.scan.smoothing import SmoothingSettings, smooth_ranges
 from ffmap.app.setup.settings import load_settings
 

@@ -1,0 +1,118 @@
+"""The ceilings of a scan: the largest planes parallel to its floor, by RANSAC (paper, III.A)."""
+
+import numba
+import numpy as np
+from scipy.ndimage import binary_erosion
+
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.scan.rearrangement import HEIGHT_BIN_M, HorizontalPlane, RearrangementSettings, refine_plane
+
+_CEILING_HEIGHT_MAX_M = 50.0
+"""No ceiling is higher; a damaged return may be."""
+_CEILING_POINTS = 8_000
+_LEVEL_SLOPE = 0.01
+"""A floor whose slope is less is level as far as ceilings go."""
+_BREADTH_CELL_M = 0.2
+_BREADTH_CELLS_MAX = 4_000_000
+_BREADTH_INNER_MIN = 4
+
+
+def find_ceilings(
+    points_level: FloatArray, floor: HorizontalPlane, settings: RearrangementSettings, seed: int
+) -> tuple[HorizontalPlane, ...]:
+    """The ceilings by RANSAC: the biggest planes parallel to the floor or level, high above it and well supported.
+
+    A plane parallel to a given one has one unknown, its height, so one return makes a hypothesis. The largest is the
+    ceiling. A further one is taken only where it can be no duct or lamp: above the largest, or as broad as a room.
+
+    points_level: (n, 3); seed: of the hypotheses.
+    """
+    height_m = floor.heights_above(points_level)
+    high = np.flatnonzero((height_m > settings.ceiling_height_min_m) & (height_m < _CEILING_HEIGHT_MAX_M))
+    # A plane needs no more returns than these to be found and placed to a millimetre.
+    stride = max(1, len(high) // _CEILING_POINTS)
+    high = high[::stride]
+    points = points_level[high]
+    # Heights above planes parallel to the floor, and above level ones where the floor is a ramp.
+    slopes = [*floor.slopes]
+    if all(np.hypot(*slope) >= _LEVEL_SLOPE for slope in slopes):
+        slopes.append(np.zeros(2))
+    parallel = [points[:, 2] - floor.height_m - points[:, :2] @ slope for slope in slopes]
+    generator = np.random.default_rng(seed)
+    ceilings: list[HorizontalPlane] = []
+    for _ in range(settings.ceilings_max + 1):
+        share = settings.ceiling_further_min if ceilings else settings.ceiling_support_min
+        support_min = max(30, int(share * len(points_level) / stride))
+        if len(points) < support_min or len(ceilings) == settings.ceilings_max:
+            break
+        found = [_ransac_height(heights, settings, generator) for heights in parallel]
+        best = int(np.argmax([support for _, support in found]))
+        heights, (centre_m, support) = parallel[best], found[best]
+        if support < support_min:
+            break
+        on_plane = np.abs(heights - centre_m) < settings.ceiling_distance_m
+        if not ceilings or _is_further_ceiling(points[on_plane], floor.height_m + centre_m, ceilings[0], support):
+            ceilings.append(
+                refine_plane(points, floor.height_m + centre_m, slopes[best], settings.ceiling_distance_m, 0.03, 20.0)
+            )
+        # What touches a plane that was tried is not tried again.
+        rest = np.abs(heights - centre_m) > 1.5 * settings.ceiling_distance_m
+        parallel, points = [heights[rest] for heights in parallel], points[rest]
+    return tuple(ceilings)
+
+
+def below_ceiling(points_level: FloatArray, planes: FloatArray) -> FloatArray:
+    """How far (n,) float32 points (n, 3) lie below the ceiling nearest in height, negative above; planes as `plane_rows`.
+
+    Infinite where there is no ceiling.
+    """
+    return np.asarray(_below(points_level, np.ascontiguousarray(planes, np.float64)))
+
+
+def _ransac_height(
+    heights_m: FloatArray, settings: RearrangementSettings, generator: np.random.Generator
+) -> tuple[float, int]:
+    """The best of the hypotheses, as the mean height of its returns, and how many they are."""
+    lowest = float(heights_m.min())
+    histogram = np.bincount(((heights_m - lowest) / HEIGHT_BIN_M).astype(np.int64))
+    cumulative = np.concatenate([[0], np.cumsum(histogram)])
+    hypotheses = heights_m[generator.integers(0, len(heights_m), settings.ceiling_iterations)]
+    bins = ((hypotheses - lowest) / HEIGHT_BIN_M).astype(np.int64)
+    reach = max(1, round(settings.ceiling_distance_m / HEIGHT_BIN_M))
+    supports = cumulative[np.minimum(bins + reach + 1, len(histogram))] - cumulative[np.maximum(bins - reach, 0)]
+    best_m = float(hypotheses[np.argmax(supports)])
+    inliers = heights_m[np.abs(heights_m - best_m) < settings.ceiling_distance_m]
+    return float(inliers.mean()), len(inliers)
+
+
+def _is_further_ceiling(points: FloatArray, height_m: float, largest: HorizontalPlane, support: int) -> bool:
+    if height_m > largest.height_m:
+        return True
+    return support > 0.2 * largest.support and _is_broad(points)
+
+
+def _is_broad(points: FloatArray) -> bool:
+    """Whether most of the ground that returns of one height cover is a metre wide: a duct's underside is not.
+
+    The walls that reach that height are but lines on this ground.
+    """
+    cell = np.floor(points[:, :2] / _BREADTH_CELL_M).astype(np.int64)
+    cell -= cell.min(axis=0) - 1
+    covered = np.zeros(cell.max(axis=0) + 2, bool)
+    if covered.size > _BREADTH_CELLS_MAX:
+        return False
+    covered[cell[:, 0], cell[:, 1]] = True
+    # A duct of 40 cm, and the wall beside it, cover up to four cells across.
+    inner = binary_erosion(covered, np.ones((5, 5), bool))
+    return bool(inner.sum() >= _BREADTH_INNER_MIN)
+
+
+@numba.njit(cache=True, nogil=True)
+def _below(points: FloatArray, planes: FloatArray) -> FloatArray:  # pragma: no cover
+    below = np.full(len(points), np.inf, np.float32)
+    for i in range(len(points)):
+        for c in range(len(planes)):
+            b = planes[c, 0] + planes[c, 1] * points[i, 0] + planes[c, 2] * points[i, 1] - points[i, 2]
+            if abs(b) < abs(below[i]):
+                below[i] = b
+    return below

@@ -1,0 +1,197 @@
+"""The floor of a scan: a plane near the map's floor or, at a ramp's foot or top, the two planes that meet there (paper, III.A)."""
+
+from dataclasses import dataclass, field
+
+import numba
+import numpy as np
+
+from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.algorithms.scan.rearrangement import HEIGHT_BIN_M, HorizontalPlane, RearrangementSettings, refine_plane
+
+_FLOOR_CELL_M = 0.2
+_FLOOR_RANGE_M = 6.0
+_FLOOR_CELL_RETURNS = 3
+_ON_FLOOR_M = 0.012
+"""A cell of the floor lies so close to its plane."""
+_BEND_CELLS_MIN = 40
+_BEND_SHARE = 0.07
+"""A floor bends where two planes hold so much larger a share of its cells than one does, and each of them as many."""
+_BEND_HYPOTHESES = 128
+_BEND_REFINEMENTS = 5
+
+
+@dataclass(frozen=True)
+class Floor(HorizontalPlane):
+    """The floor of a scan: the one plane that fits it best and, where it bends, as a ramp's foot and top do, its two pieces.
+
+    pieces: (2, 3) height at the level frame's origin, slope along x, slope along y of each piece, the larger one first; none
+    (0, 3) where the floor is a plane.
+    is_foot: whether the higher of the two pieces is the floor, as at a ramp's foot; at its top the lower one is.
+    """
+
+    pieces: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    is_foot: bool = False
+
+    def height_at(self, points_level: FloatArray) -> FloatArray:
+        """Height (m,) of the floor at the x and y of points (m, 2 or more)."""
+        if not len(self.pieces):
+            return super().height_at(points_level)
+        heights = self.pieces[:, :1] + self.pieces[:, 1:] @ points_level[:, :2].T
+        return np.asarray(heights.max(axis=0) if self.is_foot else heights.min(axis=0))
+
+    def heights_above(self, points_level: FloatArray) -> FloatArray:
+        """Heights (n,) float32 of points (n, 3) above the floor, in metres."""
+        if not len(self.pieces):
+            return super().heights_above(points_level)
+        return np.asarray(_heights_above_pieces(points_level, self.pieces, self.is_foot))
+
+    @property
+    def slopes(self) -> FloatArray:
+        """(k, 2) of the plane, or of each piece."""
+        return self.pieces[:, 1:] if len(self.pieces) else super().slopes
+
+
+def find_floor(points_level: FloatArray, settings: RearrangementSettings) -> Floor:
+    """The floor below the robot, near the map's (paper: "we can straightforward locate where the floor is").
+
+    The height that holds most returns within `floor_search_m` of the map's floor, refined to a plane by least squares
+    over its returns, so that drift, a sloping floor or a tilted mount do not cut it; to two planes where it bends. Falls
+    back to the map's floor where too few returns are near it.
+    """
+    # A third of the returns place the plane as well, to a fraction of a millimetre.
+    points_level = np.ascontiguousarray(points_level[::3])
+    histogram = _low_histogram(points_level, settings.floor_search_m, HEIGHT_BIN_M)
+    width = max(1, round(settings.floor_height_m / HEIGHT_BIN_M))
+    counts = np.convolve(histogram, np.ones(width), mode="same")
+    mode = int(np.argmax(counts))
+    if counts[mode] < 20:
+        return Floor(0.0, np.zeros(2), 0)
+    height_m = -settings.floor_search_m + (mode + 0.5) * HEIGHT_BIN_M
+    plane = refine_plane(points_level, height_m, np.zeros(2), settings.floor_height_m, settings.floor_slope_max, 10.0)
+    return Floor(plane.height_m, plane.slope, plane.support, *_bend(points_level, plane, settings))
+
+
+def _bend(points_level: FloatArray, plane: HorizontalPlane, settings: RearrangementSettings) -> tuple[FloatArray, bool]:
+    """The pieces of a floor that is rather two planes than one, and whether the higher of them is the floor; see `Floor`.
+
+    By the consensus of small cells of the ground, each with the height at which most of its returns lie: returns crowd
+    near the sensor, and least squares over all of them would lay one slanting plane through both pieces.
+    """
+    none = np.zeros((0, 3)), False
+    cells = _floor_cells(points_level, plane.height_m, plane.slope, settings.floor_search_m)
+    rise_m = cells[:, 2]
+    on_plane = np.count_nonzero(np.abs(rise_m) < _ON_FLOOR_M)
+    more = int(_BEND_SHARE * len(cells)) + 1
+    if len(cells) < _BEND_CELLS_MIN or len(cells) - on_plane < more:
+        return none
+    A = np.column_stack([np.ones(len(cells)), cells[:, :2]])
+    first = _consensus_plane(A, rise_m, plane.slope, settings.floor_slope_max)
+    left = np.abs(A @ first - rise_m) > _ON_FLOOR_M
+    if np.count_nonzero(left) < more:
+        return none
+    second = _consensus_plane(A[left], rise_m[left], plane.slope, settings.floor_slope_max)
+    bends = [_joined(A, rise_m, np.stack([first, second]), is_foot) for is_foot in (True, False)]
+    is_foot = bool(bends[0][1].sum() >= bends[1][1].sum())
+    pieces, held = bends[0 if is_foot else 1]
+    steepest = np.hypot(*(pieces[:, 1:] + plane.slope).T).max()
+    if held.sum() < on_plane + more or held.min() < more or steepest > settings.floor_slope_max:
+        return none
+    return pieces + np.array([plane.height_m, *plane.slope]), is_foot
+
+
+def _joined(A: FloatArray, rise_m: FloatArray, pieces: FloatArray, is_foot: bool) -> tuple[FloatArray, IntArray]:
+    """Two planes (2, 3) fitted each to the cells on its own side of where they meet, and how many (2,) lie on each."""
+    held: IntArray = np.zeros(2, np.int64)
+    for _ in range(_BEND_REFINEMENTS):
+        heights = A @ pieces.T
+        own = heights.argmax(axis=1) if is_foot else heights.argmin(axis=1)
+        near = np.abs(heights[np.arange(len(A)), own] - rise_m) < _ON_FLOOR_M
+        held[:] = np.bincount(own[near], minlength=2)
+        if held.min() < 3:
+            break
+        parts = (near & (own == 0), near & (own == 1))
+        pieces = np.asarray([np.linalg.lstsq(A[part], rise_m[part], rcond=None)[0] for part in parts])
+    return pieces, held
+
+
+def _consensus_plane(A: FloatArray, rise_m: FloatArray, slope: FloatArray, slope_max: float) -> FloatArray:
+    """Rise at the origin and slope (3,) of the plane that most cells lie on; of cells with rows 1, x, y (m, 3).
+
+    slope: what the rise is counted from; both together are at most `slope_max`.
+    """
+    generator = np.random.default_rng(0)
+    best: FloatArray = np.zeros(3)
+    most = -1
+    triples = generator.integers(0, len(A), (_BEND_HYPOTHESES, 3))
+    corners = A[triples]
+    spanned = np.abs(np.linalg.det(corners)) > _FLOOR_CELL_M
+    hypotheses = np.linalg.solve(corners[spanned], rise_m[triples[spanned]][..., None])[..., 0]
+    hypotheses = hypotheses[np.hypot(*(hypotheses[:, 1:] + slope).T) <= slope_max]
+    if len(hypotheses):
+        counts = np.count_nonzero(np.abs(hypotheses @ A.T - rise_m) < _ON_FLOOR_M, axis=1)
+        best, most = hypotheses[np.argmax(counts)], int(counts.max())
+    for _ in range(2):
+        near = np.abs(A @ best - rise_m) < _ON_FLOOR_M
+        if most < 3 or np.linalg.matrix_rank(A[near]) < 3:
+            break
+        best = np.linalg.lstsq(A[near], rise_m[near], rcond=None)[0]
+    return np.asarray(best)
+
+
+@numba.njit(cache=True, nogil=True)
+def _low_histogram(points: FloatArray, search_m: float, bin_m: float) -> IntArray:  # pragma: no cover
+    histogram = np.zeros(int(np.ceil(2 * search_m / bin_m)), np.int64)
+    for i in range(len(points)):
+        z = points[i, 2]
+        if abs(z) < search_m and points[i, 0] ** 2 + points[i, 1] ** 2 < 36.0:
+            histogram[min(int((z + search_m) / bin_m), len(histogram) - 1)] += 1
+    return histogram
+
+
+@numba.njit(cache=True, nogil=True)
+def _floor_cells(
+    points: FloatArray, height_m: float, slope: FloatArray, search_m: float
+) -> FloatArray:  # pragma: no cover
+    """(m, 3) x, y and rise above a plane, where most of its returns lie, of each cell of the ground that has enough."""
+    cells, bins = int(2 * _FLOOR_RANGE_M / _FLOOR_CELL_M), int(2 * search_m / HEIGHT_BIN_M)
+    counts = np.zeros((cells * cells, bins), np.int32)
+    for i in range(len(points)):
+        x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
+        rise = points[i, 2] - (height_m + slope[0] * x + slope[1] * y)
+        if abs(x) < _FLOOR_RANGE_M and abs(y) < _FLOOR_RANGE_M and abs(rise) < search_m:
+            column, row = int((x + _FLOOR_RANGE_M) / _FLOOR_CELL_M), int((y + _FLOOR_RANGE_M) / _FLOOR_CELL_M)
+            counts[column * cells + row, min(int((rise + search_m) / HEIGHT_BIN_M), bins - 1)] += 1
+    found = np.empty((cells * cells, 3))
+    m = 0
+    for cell in range(cells * cells):
+        best, most = 1, 0
+        for b in range(1, bins - 1):
+            near = counts[cell, b - 1] + counts[cell, b] + counts[cell, b + 1]
+            if near > most:
+                best, most = b, near
+        if most >= _FLOOR_CELL_RETURNS:
+            total, weighted = 0, 0
+            for b in range(max(best - 3, 0), min(best + 4, bins)):
+                total += counts[cell, b]
+                weighted += counts[cell, b] * b
+            found[m, 0] = (cell // cells + 0.5) * _FLOOR_CELL_M - _FLOOR_RANGE_M
+            found[m, 1] = (cell % cells + 0.5) * _FLOOR_CELL_M - _FLOOR_RANGE_M
+            found[m, 2] = (weighted / total + 0.5) * HEIGHT_BIN_M - search_m
+            m += 1
+    return found[:m]
+
+
+@numba.njit(cache=True, nogil=True)
+def floor_height(pieces: FloatArray, is_foot: bool, x: float, y: float) -> float:  # pragma: no cover
+    """Height in metres of a floor at one place; `pieces` (2, 3) and `is_foot` as of `Floor`."""
+    first = pieces[0, 0] + pieces[0, 1] * x + pieces[0, 2] * y
+    second = pieces[1, 0] + pieces[1, 1] * x + pieces[1, 2] * y
+    return float(max(first, second) if is_foot else min(first, second))
+
+
+@numba.njit(cache=True, nogil=True)
+def _heights_above_pieces(points: FloatArray, pieces: FloatArray, is_foot: bool) -> FloatArray:  # pragma: no cover
+    heights = np.empty(len(points), np.float32)
+    for i in range(len(points)):
+        heights[i] = points[i, 2] - floor_height(pieces, is_foot, points[i, 0], points[i, 1])
+    return heights

@@ -1,0 +1,46 @@
+"""What a scan hands to the building."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.scan.floor import Floor, floor_height
+from ffmap.algorithms.scan.labelling import label_scan
+from ffmap.algorithms.scan.summary import extract, move_moments
+from tests import synthetic
+
+PIECES = np.array([[0.02, 0.01, 0.0], [-0.08, 0.08, 0.02]])
+PLANE = Floor(0.03, np.array([0.02, -0.01]), 100)
+
+
+@pytest.mark.parametrize(
+    "floor",
+    [PLANE, replace(PLANE, pieces=PIECES, is_foot=True), replace(PLANE, pieces=PIECES, is_foot=False)],
+    ids=["plane", "ramp's foot", "ramp's top"],
+)
+def test_the_floor_has_its_height_at_every_place_of_the_map(floor: Floor) -> None:
+    scan = synthetic.scan(firings=400)
+    placed = synthetic.level(scan, synthetic.trajectory(2)).placed
+    labelling = replace(label_scan(scan, placed, synthetic.settings(), 0), floor=floor)
+    T_map_level = transforms.from_yaw(0.7, [5.0, -2.0, 0.4])
+    features = extract(0, replace(placed, T_map_level=T_map_level), labelling)
+    places_level = np.random.default_rng(0).uniform(-4, 4, (50, 3))
+    places_level[:, 2] = floor.height_at(places_level)
+    places_map = transforms.apply(T_map_level, places_level)
+    found_m = [floor_height(features.floor_map[0], features.floor_is_foot[0], x, y) for x, y, _ in places_map]
+    np.testing.assert_allclose(found_m, places_map[:, 2], atol=1e-9)
+
+
+def test_moments_move_with_their_points() -> None:
+    xy = np.random.default_rng(1).normal(size=(40, 2))
+
+    def moments(p: FloatArray) -> FloatArray:
+        x, y = p[:, 0], p[:, 1]
+        return np.array([[len(p), x.sum(), y.sum(), (x * x).sum(), (x * y).sum(), (y * y).sum()]])
+
+    T = transforms.from_yaw(0.7, [3.0, -4.0, 0.0])
+    moved = transforms.apply(T, np.column_stack([xy, np.zeros(40)]))[:, :2]
+    np.testing.assert_allclose(move_moments(moments(xy), T), moments(moved), rtol=1e-9)
