@@ -195,7 +195,7 @@ def join_times(name: str, parts: Sequence[npt.NDArray[Any]], offset_ns: Sequence
 
 
 def _finite(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    return values[np.isfinite(values)]
+    return np.asarray(values[np.isfinite(values)])
 
 
 def azimuth_times(points_sensor: FloatArray, ring: IntArray, period_ns: int) -> IntArray:

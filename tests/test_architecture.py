@@ -45,7 +45,11 @@ def test_the_linter_finds_what_a_folder_may_not_import(folder: str) -> None:
     planted = "".join(f"def f{i}() -> None:\n    import {module}.part\n" for i, module in enumerate(banned))
     ruff = [sys.executable, "-m", "ruff", "check", "--select", "TID251", "--output-format", "concise"]
     told = subprocess.run(
-        [*ruff, "--stdin-filename", f"{folder}/planted.py", "-"], input=planted, cwd=ROOT, text=True, capture_output=True
+        [*ruff, "--stdin-filename", f"{folder}/planted.py", "-"],
+        input=planted,
+        cwd=ROOT,
+        text=True,
+        capture_output=True,
     )
     assert re.findall(r"TID251 `([\w.]+)` is banned", told.stdout) == list(banned), told
 
