@@ -7,8 +7,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from ffmap.blueprints import entities
-from ffmap.blueprints.maps import from_above, until_now
-from ffmap.blueprints.timeline import time_panel
+from ffmap.blueprints.views import Part, aslant, behind_the_robot, from_above, layout, opening_at, space, until_now
 
 _LEGEND_SHARE = 0.4
 """Width left for the legends of curves, as a share of the curves' own: their views are narrow."""
@@ -50,109 +49,88 @@ def build(
     last one that curves show; None where that is not known.
     """
     first, *others = runs
-    tabs: list[rrb.Container | rrb.View] = [_differences(first, other, centre_m, extent_m, scans) for other in others]
+    above = from_above(centre_m, extent_m)
+    tabs: list[Part] = [_differences(first, other, above, scans) for other in others]
     if any(run.scans or run.map_points for run in runs):
         tabs.append(_side_by_side(runs, centre_m, extent_m))
     tabs.append(rrb.TextDocumentView(origin=entities.RUNS_TEXT, name="Runs, settings, figures"))
-    return rrb.Blueprint(
-        rrb.Tabs(*tabs, active_tab=next((k for k, other in enumerate(others) if other.letter == most_changed), 0)),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        time_panel(entities.SCAN_TIMELINE, scan),
-        auto_views=False,
-        auto_layout=False,
-    )
+    active = next((k for k, other in enumerate(others) if other.letter == most_changed), 0)
+    return layout(rrb.Tabs(*tabs, active_tab=active), opening_at(entities.SCAN_TIMELINE, scan))
 
 
 def _differences(
-    first: ComparedRun,
-    other: ComparedRun,
-    centre_m: tuple[float, float],
-    extent_m: float,
-    scans: tuple[int, int] | None,
+    first: ComparedRun, other: ComparedRun, above: rrb.EyeControls3D, scans: tuple[int, int] | None
 ) -> rrb.Container:
-    letter = other.letter
-    text = rrb.TextDocumentView(origin=entities.CHANGES_TEXT.format(letter), name=f"What differs: {other.title}")
-    name = f"{letter} against {first.letter}"
-    above = from_above(centre_m, extent_m)
-    grid = f"{entities.GRID}/{first.letter}"
-    where = [
-        rrb.Spatial3DView(
-            origin="/",
-            contents=[grid, entities.CHANGED_CUBES.format(letter)],
-            name=f"Where labels changed, {first.letter} → {letter}, over the map of {first.letter}",
-            eye_controls=above,
-            line_grid=rrb.LineGrid3D(visible=False),
-        )
-    ] * ("labels" in other.compared)
-    where += [
-        rrb.Spatial3DView(
-            origin="/",
-            contents=[
-                grid,
-                f"{entities.CHANGED_WALLS.format(letter)}/**",
-                f"{entities.CHANGED_DOORS.format(letter)}/**",
-                f"{entities.CHANGED_CELLS.format(letter)}/**",
-                f"{entities.PATHS}/{first.letter}",
-                f"{entities.PATHS}/{letter}",
-            ],
-            name="Walls, doors, map cells: lost red, gained green, altered yellow; lines: the robot's ways",
-            eye_controls=above,
-            line_grid=rrb.LineGrid3D(visible=False),
-        )
-    ] * bool(other.compared & {"walls", "doors", "grid", "trajectory"})
-    backdrop = first if first.scans or not other.scans else other
-    when: list[rrb.Container | rrb.View] = []
-    if "labels" in other.compared:
-        when += [
-            rrb.Spatial3DView(
-                origin=backdrop.path(entities.SCAN) if backdrop.scans else "/",
-                # Without the scans' returns the map is what the changed ones are seen against.
-                contents=[
-                    backdrop.path(entities.POINTS) if backdrop.scans else grid,
-                    entities.CHANGED_POINTS.format(letter),
-                ],
-                name=f"This scan: its changed points, {first.letter} → {letter}",
-                overrides={
-                    backdrop.path(entities.POINTS): rr.Points3D.from_fields(
-                        colors=entities.BACKDROP_COLOR, radii=rr.Radius.ui_points(1.0)
-                    )
-                }
-                if backdrop.scans
-                else None,
-                eye_controls=_behind_the_robot() if backdrop.scans else above,
-                line_grid=rrb.LineGrid3D(visible=False),
-            ),
-            rrb.TimeSeriesView(
-                origin=entities.CHANGED_PERCENT.format(letter),
-                name="Changed labels in each scan, percent, in the colours of the points",
-                plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
-                axis_x=_beside_legend(scans),
-            ),
-        ]
-    # What differs comes first: a line along zero tells nothing.
-    by_scan = sorted(
-        (
-            ("trajectory", entities.POSE_DISTANCE, "Distance of the poses, metres"),
-            ("planes", entities.CHANGED_PLANES, "Wall planes lost and gained"),
-            ("labels", entities.CHANGED_PERCENT_SCAN, "Changed labels of single scans, percent"),
-        ),
-        key=lambda curve: curve[0] not in other.differing,
+    """What differs between two runs: where, when, and in words."""
+    columns = [rrb.Vertical(*part) for part in (_where(first, other, above), _when(first, other, above, scans)) if part]
+    text = rrb.TextDocumentView(origin=entities.CHANGES_TEXT.format(other.letter), name=f"What differs: {other.title}")
+    return rrb.Horizontal(
+        *columns,
+        text,
+        column_shares=[3] * len(columns) + [2.4],
+        name=f"{other.letter} against {first.letter}",
     )
-    curves = [
-        rrb.TimeSeriesView(
-            origin=path.format(letter),
-            name=title,
-            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
-            axis_x=_beside_legend(scans),
-        )
-        for what, path, title in by_scan
-        if what in other.compared
-    ]
-    if curves:
-        when.append(rrb.Tabs(*curves, active_tab=0))
-    columns: list[rrb.Container | rrb.View] = [rrb.Vertical(*part) for part in (where, when) if part]
-    return rrb.Horizontal(*columns, text, column_shares=[3] * len(columns) + [2.4], name=name)
+
+
+def _where(first: ComparedRun, other: ComparedRun, above: rrb.EyeControls3D) -> list[Part]:
+    letter, grid = other.letter, f"{entities.GRID}/{first.letter}"
+    views: list[Part] = []
+    if "labels" in other.compared:
+        name = f"Where labels changed, {first.letter} → {letter}, over the map of {first.letter}"
+        views.append(space(name, [grid, entities.CHANGED_CUBES.format(letter)], above, origin="/"))
+    if other.compared & {"walls", "doors", "grid", "trajectory"}:
+        contents = [
+            grid,
+            f"{entities.CHANGED_WALLS.format(letter)}/**",
+            f"{entities.CHANGED_DOORS.format(letter)}/**",
+            f"{entities.CHANGED_CELLS.format(letter)}/**",
+            f"{entities.PATHS}/{first.letter}",
+            f"{entities.PATHS}/{letter}",
+        ]
+        name = "Walls, doors, map cells: lost red, gained green, altered yellow; lines: the robot's ways"
+        views.append(space(name, contents, above, origin="/"))
+    return views
+
+
+def _when(
+    first: ComparedRun, other: ComparedRun, above: rrb.EyeControls3D, scans: tuple[int, int] | None
+) -> list[Part]:
+    views: list[Part] = []
+    if "labels" in other.compared:
+        percent = "Changed labels in each scan, percent, in the colours of the points"
+        views = [_changed_points(first, other, above), _curve(entities.CHANGED_PERCENT, other, percent, scans)]
+    curves = (
+        ("trajectory", entities.POSE_DISTANCE, "Distance of the poses, metres"),
+        ("planes", entities.CHANGED_PLANES, "Wall planes lost and gained"),
+        ("labels", entities.CHANGED_PERCENT_SCAN, "Changed labels of single scans, percent"),
+    )
+    # What differs comes first: a line along zero tells nothing.
+    by_interest = sorted(curves, key=lambda curve: curve[0] not in other.differing)
+    shown = [_curve(path, other, title, scans) for what, path, title in by_interest if what in other.compared]
+    return [*views, rrb.Tabs(*shown, active_tab=0)] if shown else views
+
+
+def _changed_points(first: ComparedRun, other: ComparedRun, above: rrb.EyeControls3D) -> rrb.Spatial3DView:
+    """The changed returns before the scan's others, or before the map where the recordings have no scans."""
+    name = f"This scan: its changed points, {first.letter} → {other.letter}"
+    changed = entities.CHANGED_POINTS.format(other.letter)
+    backdrop = first if first.scans or not other.scans else other
+    if not backdrop.scans:
+        return space(name, [f"{entities.GRID}/{first.letter}", changed], above, origin="/")
+    points = backdrop.path(entities.POINTS)
+    faint = rr.Points3D.from_fields(colors=entities.BACKDROP_COLOR, radii=rr.Radius.ui_points(1.0))
+    return space(
+        name, [points, changed], behind_the_robot(), origin=backdrop.path(entities.SCAN), overrides={points: faint}
+    )
+
+
+def _curve(path: str, run: ComparedRun, title: str, scans: tuple[int, int] | None) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin=path.format(run.letter),
+        name=title,
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+        axis_x=_beside_legend(scans),
+    )
 
 
 def _beside_legend(scans: tuple[int, int] | None) -> rrb.archetypes.TimeAxis | None:
@@ -166,38 +144,20 @@ def _beside_legend(scans: tuple[int, int] | None) -> rrb.archetypes.TimeAxis | N
 
 
 def _side_by_side(runs: Sequence[ComparedRun], centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
-    x, y = centre_m
-    return rrb.Horizontal(
-        *(
-            rrb.Vertical(
-                *_scan_views(run),
-                rrb.Spatial3DView(
-                    origin=run.path(entities.WORLD),
-                    contents=[
-                        run.path(path)
-                        for path in (
-                            entities.MAP_POINTS,
-                            entities.TRAJECTORY,
-                            f"{entities.BASE}/**",
-                            entities.WALLS,
-                            entities.DOORS,
-                            entities.WINDOWS,
-                        )
-                    ],
-                    name=f"{run.title}: growing map",
-                    overrides={
-                        run.path(entities.MAP_POINTS): until_now(),
-                        run.path(entities.TRAJECTORY): until_now(),
-                    },
-                    eye_controls=rrb.EyeControls3D(
-                        position=(x - 0.3 * extent_m, y - 0.65 * extent_m, 0.65 * extent_m), look_target=(x, y, 0.0)
-                    ),
-                    line_grid=rrb.LineGrid3D(visible=False),
-                ),
-            )
-            for run in runs
-        ),
-        name="Side by side",
+    eye = aslant(centre_m, extent_m, (-0.3, -0.65, 0.65))
+    columns = [rrb.Vertical(*_scan_views(run), _growing_map(run, eye)) for run in runs]
+    return rrb.Horizontal(*columns, name="Side by side")
+
+
+def _growing_map(run: ComparedRun, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
+    base = f"{entities.BASE}/**"
+    shown = (entities.MAP_POINTS, entities.TRAJECTORY, base, entities.WALLS, entities.DOORS, entities.WINDOWS)
+    return space(
+        f"{run.title}: growing map",
+        [run.path(path) for path in shown],
+        eye,
+        origin=run.path(entities.WORLD),
+        overrides={run.path(path): until_now() for path in (entities.MAP_POINTS, entities.TRAJECTORY)},
     )
 
 
@@ -205,23 +165,17 @@ def _scan_views(run: ComparedRun) -> list[rrb.View]:
     if not run.scans:
         return []
     return [
-        rrb.Spatial3DView(
+        space(
+            f"{run.title}: labelled scan",
+            [run.path(entities.POINTS), run.path(entities.OPENINGS)],
+            behind_the_robot(),
             origin=run.path(entities.SCAN),
-            contents=[run.path(entities.POINTS), run.path(entities.OPENINGS)],
-            name=f"{run.title}: labelled scan",
-            eye_controls=_behind_the_robot(),
-            line_grid=rrb.LineGrid3D(visible=False),
         ),
-        rrb.Spatial3DView(
+        space(
+            f"{run.letter}: wall candidates, planes, doors (rest the pointer on one: why)",
+            [run.path(entities.UPMOST), run.path(entities.PLANES), run.path(f"{entities.SCAN_DOORS}/**")],
+            behind_the_robot(),
             origin=run.path(entities.SCAN),
-            contents=[run.path(entities.UPMOST), run.path(entities.PLANES), run.path("/scan/doors/**")],
-            name=f"{run.letter}: wall candidates, planes, doors (rest the pointer on one: why)",
             overrides={run.path(entities.OPENINGS): rr.LineStrips3D.from_fields(show_labels=False)},
-            eye_controls=_behind_the_robot(),
-            line_grid=rrb.LineGrid3D(visible=False),
         ),
     ]
-
-
-def _behind_the_robot() -> rrb.EyeControls3D:
-    return rrb.EyeControls3D(position=(-4.8, -3.9, 4.3), look_target=(0.2, 0.0, 1.1))

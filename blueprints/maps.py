@@ -4,6 +4,7 @@ import rerun.blueprint as rrb
 
 from ffmap.algorithms.maps.rivals import Rival
 from ffmap.blueprints import entities
+from ffmap.blueprints.views import following, from_above, layout, space, until_now
 
 _NAMES = {
     entities.FURNITURE_FREE: "Furniture-free (Fig. 9b): wall black, free white, unseen gray",
@@ -16,14 +17,7 @@ _NAMES = {
 
 def build(centre_m: tuple[float, float] = (0.0, 0.0), extent_m: float = 20.0) -> rrb.Blueprint:
     """The layout of a run's maps against a reference; centre_m, extent_m: middle and size of what is shown."""
-    return rrb.Blueprint(
-        tab(centre_m, extent_m, compared=True),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=entities.SCAN_TIMELINE, play_state="following"),
-        auto_views=False,
-        auto_layout=False,
-    )
+    return layout(tab(centre_m, extent_m, compared=True), following(entities.SCAN_TIMELINE))
 
 
 def tab(centre_m: tuple[float, float], extent_m: float, compared: bool) -> rrb.Container:
@@ -42,28 +36,5 @@ def tab(centre_m: tuple[float, float], extent_m: float, compared: bool) -> rrb.C
 def _map(
     name: str, title: str, centre_m: tuple[float, float], extent_m: float, overlay: list[str]
 ) -> rrb.Spatial3DView:
-    return rrb.Spatial3DView(
-        origin=entities.WORLD,
-        contents=[f"{entities.GRID}/{name}", entities.TRAJECTORY, f"{entities.BASE}/**", *overlay],
-        name=title,
-        overrides={entities.TRAJECTORY: until_now()},
-        eye_controls=from_above(centre_m, extent_m),
-        line_grid=rrb.LineGrid3D(visible=False),
-    )
-
-
-def from_above(centre_m: tuple[float, float], extent_m: float) -> rrb.EyeControls3D:
-    """An eye that looks down on so much of the map."""
-    return rrb.EyeControls3D(position=(*centre_m, extent_m), look_target=(*centre_m, 0.0), eye_up=(0.0, 1.0, 0.0))
-
-
-def until_now() -> rrb.VisibleTimeRanges:
-    """Everything from the beginning up to the time cursor."""
-    return rrb.VisibleTimeRanges(
-        [
-            rrb.VisibleTimeRange(
-                timeline, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
-            )
-            for timeline in (entities.SCAN_TIMELINE, entities.STAMP_TIMELINE)
-        ]
-    )
+    contents = [f"{entities.GRID}/{name}", entities.TRAJECTORY, f"{entities.BASE}/**", *overlay]
+    return space(title, contents, from_above(centre_m, extent_m), overrides={entities.TRAJECTORY: until_now()})

@@ -6,7 +6,7 @@ from rerun.blueprint import archetypes
 from ffmap.algorithms.maps.area_graph import Segmented
 from ffmap.algorithms.maps.rivals import Rival
 from ffmap.blueprints import entities
-from ffmap.blueprints.maps import from_above
+from ffmap.blueprints.views import from_above, layout, space
 
 _PARTS = (entities.ROOM_FLOORS, entities.ROOM_OUTLINES, entities.ROOM_NAMES, entities.ROOM_PASSAGES)
 _COMPARED = {
@@ -20,14 +20,7 @@ def build(centre_m: tuple[float, float], extent_m: float, grid: str = entities.S
 
     centre_m, extent_m: middle and size of what is shown. grid: name of the map.
     """
-    return rrb.Blueprint(
-        tab(centre_m, extent_m, grid),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="hidden"),
-        auto_views=False,
-        auto_layout=False,
-    )
+    return layout(tab(centre_m, extent_m, grid), rrb.TimePanel(state="hidden"))
 
 
 def tab(
@@ -54,13 +47,8 @@ def tab(
 
 
 def _areas(root: str, grid: str, name: str, centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
-    return rrb.Spatial3DView(
-        origin=entities.WORLD,
-        contents=[f"{entities.GRID}/{grid}", *(f"{root}/{part}" for part in _PARTS)],
-        name=name,
-        eye_controls=from_above(centre_m, extent_m),
-        line_grid=rrb.LineGrid3D(visible=False),
-    )
+    contents = [f"{entities.GRID}/{grid}", *(f"{root}/{part}" for part in _PARTS)]
+    return space(name, contents, from_above(centre_m, extent_m))
 
 
 def _topology(centre_m: tuple[float, float], extent_m: float) -> rrb.GraphView:
@@ -79,15 +67,8 @@ def _topology(centre_m: tuple[float, float], extent_m: float) -> rrb.GraphView:
 
 
 def _voronoi(centre_m: tuple[float, float], extent_m: float, grid: str) -> rrb.Spatial3DView:
-    return rrb.Spatial3DView(
-        origin=entities.WORLD,
-        contents=[
-            f"{entities.GRID}/{grid}",
-            entities.ROOM_VORONOI,
-            entities.ROOM_TOPOLOGY,
-            entities.ROOM_FURNITURE,
-        ],
-        name="Voronoi graph (blue), topology (violet), what was taken for furniture (orange)",
-        eye_controls=from_above(centre_m, extent_m),
-        line_grid=rrb.LineGrid3D(visible=False),
+    return space(
+        "Voronoi graph (blue), topology (violet), what was taken for furniture (orange)",
+        [f"{entities.GRID}/{grid}", entities.ROOM_VORONOI, entities.ROOM_TOPOLOGY, entities.ROOM_FURNITURE],
+        from_above(centre_m, extent_m),
     )

@@ -7,9 +7,9 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 
 from ffmap.algorithms.base.labels import Verdict
 from ffmap.algorithms.maps.grid import GridMap
-from ffmap.blueprints import entities, legend, maps, rooms
+from ffmap.blueprints import entities, legend, maps, rooms, views
 from ffmap.blueprints.entities import CurveSheet
-from ffmap.blueprints.maps import from_above, until_now
+from ffmap.blueprints.views import Part, aslant, following, from_above, until_now
 
 
 def build(
@@ -29,12 +29,12 @@ def build(
     recording has anything of single scans. several: whether it is to hold for several runs, with the list to choose from.
     """
     readme = rrb.TextDocumentView(origin=entities.README, name="Read me")
-    about: list[rrb.Container | rrb.View] = [_metrics(), readme]
+    about: list[Part] = [_metrics(), readme]
     if ring_count is None:
         only = legend.above(_glance(), _poses(None, registered), "Odometry" if registered else "Trajectory as given")
-        return _blueprint([only, _warnings(), readme], entities.STAMP_TIMELINE, several)
-    poses = _poses(_aslant(centre_m, extent_m), registered)
-    tabs: list[rrb.Container | rrb.View] = [
+        return _tabs([only, _warnings(), readme], entities.STAMP_TIMELINE, several)
+    poses = _poses(aslant(centre_m, extent_m), registered)
+    tabs: list[Part] = [
         _building(centre_m, extent_m, first=not scans),
         maps.tab(centre_m, extent_m, evaluated),
         rooms.tab(centre_m, extent_m, compared=True),
@@ -55,7 +55,7 @@ def build(
         tabs = [overview, *method, *tabs, poses]
     errors = _evaluation(centre_m, extent_m, scans, evaluated)
     tabs = [errors, *tabs, *about] if evaluated else [*tabs, about[0], errors, *about[1:]]
-    return _blueprint(tabs, entities.SCAN_TIMELINE, several)
+    return _tabs(tabs, entities.SCAN_TIMELINE, several)
 
 
 def view_of(*grids: GridMap | None) -> tuple[tuple[float, float], float]:
@@ -69,16 +69,8 @@ def view_of(*grids: GridMap | None) -> tuple[tuple[float, float], float]:
     return (float(x), float(y)), float(np.max(high - low))
 
 
-def _blueprint(tabs: list[rrb.Container | rrb.View], timeline: str, several: bool) -> rrb.Blueprint:
-    return rrb.Blueprint(
-        rrb.Tabs(*tabs, active_tab=0),
-        rrb.BlueprintPanel(state="expanded" if several else "collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        # A finished recording opens at its end, where the map is whole; a live one stays at the newest scan.
-        rrb.TimePanel(state="collapsed", timeline=timeline, play_state="following"),
-        auto_views=False,
-        auto_layout=False,
-    )
+def _tabs(tabs: list[Part], timeline: str, several: bool) -> rrb.Blueprint:
+    return views.layout(rrb.Tabs(*tabs, active_tab=0), following(timeline), recordings=several)
 
 
 def _label_legend() -> rrb.View:
@@ -112,15 +104,7 @@ def _planes() -> rrb.Spatial3DView:
 def _scan_view(
     name: str, contents: list[str], override: tuple[str, rrb.VisualizableArchetype | rrb.Visualizer] | None = None
 ) -> rrb.Spatial3DView:
-    return rrb.Spatial3DView(
-        origin=entities.SCAN,
-        contents=contents,
-        name=name,
-        overrides=dict([override]) if override else None,
-        # From behind the robot, right of it and above.
-        eye_controls=rrb.EyeControls3D(position=(-4.8, -3.9, 4.3), look_target=(0.2, 0.0, 1.1)),
-        line_grid=rrb.LineGrid3D(visible=False),
-    )
+    return views.space(name, contents, views.behind_the_robot(), entities.SCAN, dict([override]) if override else None)
 
 
 def _curves(ring_count: int, name: str = "Forward differences of all lines (eq. 2, Fig. 5b)") -> rrb.Spatial2DView:
@@ -133,10 +117,9 @@ def _curves(ring_count: int, name: str = "Forward differences of all lines (eq. 
 
 
 def _map(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
-    x, y = centre_m
-    return rrb.Spatial3DView(
-        origin=entities.WORLD,
-        contents=[
+    return views.space(
+        "Map up to the time cursor (ceiling hidden)",
+        [
             entities.MAP_POINTS,
             entities.TRAJECTORY,
             f"{entities.BASE}/**",
@@ -146,41 +129,28 @@ def _map(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
             entities.WINDOWS,
             entities.REFUSED_WALLS,
         ],
-        name="Map up to the time cursor (ceiling hidden)",
-        overrides={
-            entities.MAP_POINTS: until_now(),
-            entities.TRAJECTORY: until_now(),
-        },
-        eye_controls=rrb.EyeControls3D(
-            position=(x - 0.35 * extent_m, y - 0.8 * extent_m, 0.85 * extent_m), look_target=(x, y, 0.0)
-        ),
-        line_grid=rrb.LineGrid3D(visible=False),
+        aslant(centre_m, extent_m, (-0.35, -0.8, 0.85)),
+        overrides={entities.MAP_POINTS: until_now(), entities.TRAJECTORY: until_now()},
     )
 
 
 def _grid(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
-    return rrb.Spatial3DView(
-        origin=entities.WORLD,
-        contents=[
-            f"{entities.GRID}/{entities.FURNITURE_FREE}",
-            entities.DOOR_SILLS,
-            entities.TRAJECTORY,
-            f"{entities.BASE}/**",
-        ],
-        name="Grid map: wall black, free white, unseen gray; doors blue",
+    grid = f"{entities.GRID}/{entities.FURNITURE_FREE}"
+    return views.space(
+        "Grid map: wall black, free white, unseen gray; doors blue",
+        [grid, entities.DOOR_SILLS, entities.TRAJECTORY, f"{entities.BASE}/**"],
+        from_above(centre_m, extent_m),
         overrides={entities.TRAJECTORY: until_now()},
-        eye_controls=from_above(centre_m, extent_m),
-        line_grid=rrb.LineGrid3D(visible=False),
     )
 
 
 def _evaluation(centre_m: tuple[float, float], extent_m: float, scans: bool, evaluated: bool) -> rrb.Container:
     """What is wrong, and the figures; where these may not be there, a text that says where they are comes first."""
     figures = rrb.TextDocumentView(origin=entities.FIGURES, name="Figures")
-    errors: list[rrb.Container | rrb.View] = [_errors_on_map(centre_m, extent_m)]
+    errors: list[Part] = [_errors_on_map(centre_m, extent_m)]
     if scans:
         errors.append(_errors_in_scan())
-    parts: list[rrb.Container | rrb.View] = [
+    parts: list[Part] = [
         legend.view(entities.ERROR_LEGEND, len(entities.ERROR_LEGEND_ENTRIES), "Colours of what is wrong"),
         rrb.Horizontal(*errors, column_shares=[4, 3][: len(errors)]),
     ]
@@ -198,37 +168,25 @@ def _errors_on_map(centre_m: tuple[float, float], extent_m: float) -> rrb.Contai
     plan = [entities.TRUTH_WALLS, entities.TRUTH_DOOR_SILLS, entities.INVENTED_DOORS]
     space = [entities.TRUTH_WALLS, entities.TRUTH_DOORS, entities.INVENTED_DOORS]
     trajectory = [entities.TRAJECTORY, f"{entities.BASE}/**"]
+    above_and_in_space = rrb.Tabs(
+        views.space(
+            "What is wrong, from above",
+            [*plan, f"{entities.PLAN_ERRORS}/**", *trajectory],
+            eye,
+            overrides={entities.TRAJECTORY: until_now()},
+        ),
+        views.space(
+            "The same in space",
+            [*space, f"{entities.ERRORS}/**", *trajectory],
+            aslant(centre_m, extent_m),
+            overrides={entities.TRAJECTORY: until_now()},
+        ),
+        active_tab=0,
+    )
+    grid, overlay = (f"{path}/{entities.FURNITURE_FREE}" for path in (entities.GRID, entities.OVERLAYS))
     return rrb.Vertical(
-        rrb.Tabs(
-            rrb.Spatial3DView(
-                origin=entities.WORLD,
-                contents=[*plan, f"{entities.PLAN_ERRORS}/**", *trajectory],
-                name="What is wrong, from above",
-                overrides={entities.TRAJECTORY: until_now()},
-                eye_controls=eye,
-                line_grid=rrb.LineGrid3D(visible=False),
-            ),
-            rrb.Spatial3DView(
-                origin=entities.WORLD,
-                contents=[*space, f"{entities.ERRORS}/**", *trajectory],
-                name="The same in space",
-                overrides={entities.TRAJECTORY: until_now()},
-                eye_controls=_aslant(centre_m, extent_m),
-                line_grid=rrb.LineGrid3D(visible=False),
-            ),
-            active_tab=0,
-        ),
-        rrb.Spatial3DView(
-            origin=entities.WORLD,
-            contents=[
-                *plan,
-                f"{entities.GRID}/{entities.FURNITURE_FREE}",
-                f"{entities.OVERLAYS}/{entities.FURNITURE_FREE}/**",
-            ],
-            name="Grid map: right cells green, false red, missed orange",
-            eye_controls=eye,
-            line_grid=rrb.LineGrid3D(visible=False),
-        ),
+        above_and_in_space,
+        views.space("Grid map: right cells green, false red, missed orange", [*plan, grid, f"{overlay}/**"], eye),
     )
 
 
@@ -291,19 +249,12 @@ def _method(ring_count: int) -> rrb.Container:
     )
 
 
-def _aslant(centre_m: tuple[float, float], extent_m: float) -> rrb.EyeControls3D:
-    """Aslant from above, the whole building in view."""
-    x, y = centre_m
-    position = (x - 0.25 * extent_m, y - 0.7 * extent_m, 0.95 * extent_m)
-    return rrb.EyeControls3D(position=position, look_target=(x, y, 0.0))
-
-
 def _building(centre_m: tuple[float, float], extent_m: float, first: bool) -> rrb.Container:
     """first: it is the first tab, which says what it shows."""
     content = rrb.Horizontal(
-        rrb.Spatial3DView(
-            origin=entities.WORLD,
-            contents=[
+        views.space(
+            "Fused cloud, walls and doors (ceiling hidden)",
+            [
                 entities.CLOUD,
                 entities.WALLS,
                 entities.DOORS,
@@ -314,14 +265,12 @@ def _building(centre_m: tuple[float, float], extent_m: float, first: bool) -> rr
                 entities.AGAINST_WALLS,
                 f"{entities.LEVELS}/**",
             ],
-            name="Fused cloud, walls and doors (ceiling hidden)",
+            aslant(centre_m, extent_m),
             overrides={
                 entities.DOORS: rr.LineStrips3D.from_fields(show_labels=True),
                 # They hide what lies below; a click on their eye shows them.
                 **{f"{entities.LEVELS}/{ceiling}": rrb.EntityBehavior(visible=False) for ceiling in entities.CEILINGS},
             },
-            eye_controls=_aslant(centre_m, extent_m),
-            line_grid=rrb.LineGrid3D(visible=False),
         ),
         rrb.Vertical(
             _grid(centre_m, extent_m),
@@ -333,7 +282,7 @@ def _building(centre_m: tuple[float, float], extent_m: float, first: bool) -> rr
     return legend.above(strip, content, "Building")
 
 
-def _poses(eye: rrb.EyeControls3D | None, registered: bool) -> rrb.Container | rrb.View:
+def _poses(eye: rrb.EyeControls3D | None, registered: bool) -> Part:
     """eye: None where nothing says how large the place is."""
     given = rrb.Spatial3DView(
         origin=entities.WORLD,

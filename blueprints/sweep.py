@@ -6,7 +6,7 @@ import rerun.blueprint as rrb
 
 from ffmap.blueprints import entities
 from ffmap.blueprints.entities import Panel
-from ffmap.blueprints.timeline import time_panel
+from ffmap.blueprints.views import layout, opening_at
 
 
 def build(panels: Mapping[str, Sequence[tuple[str, str]]], front: str, best: int) -> rrb.Blueprint:
@@ -29,14 +29,7 @@ def build(panels: Mapping[str, Sequence[tuple[str, str]]], front: str, best: int
         rrb.Vertical(*rows), _run_at_cursor(), column_shares=[4, 1], name="Every figure against every parameter"
     )
     table = rrb.TextDocumentView(origin=entities.SWEEP_TABLE, name="All runs, best first")
-    return rrb.Blueprint(
-        rrb.Tabs(overview, parameters, table, active_tab=0),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        time_panel(entities.RUN_TIMELINE, best),
-        auto_views=False,
-        auto_layout=False,
-    )
+    return layout(rrb.Tabs(overview, parameters, table, active_tab=0), opening_at(entities.RUN_TIMELINE, best))
 
 
 def _run_at_cursor() -> rrb.TextDocumentView:

@@ -1,4 +1,9 @@
-"""When each point was fired: from the cloud's time field whatever its unit and reference, or from the azimuth."""
+"""When each point was fired: from the cloud's time field whatever its unit and reference, or from the azimuth.
+
+Neither the field's name nor its type tells its unit: `time` is in seconds (Velodyne), or in milliseconds, microseconds or
+nanoseconds as FAST-LIO's `timestamp_unit` lists them; `t` (Ouster) and `offset_time` (Livox) are nanoseconds. A sweep takes
+about 0.1 s, which leaves one unit.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,8 +19,14 @@ TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "offset_time", "timeoffset
 """Names under which drivers store times: Velodyne `time`, Ouster `t`, Hesai and RoboSense `timestamp`, Livox
 `offset_time`."""
 
+_NANOSECOND_NAMES = ("t", "offset_time", "time_stamp")
+"""Integers under these names (Ouster, Livox, Nebula) are nanoseconds where the values do not tell."""
 _LONGEST_SWEEP_NS = 2_000_000_000
 _SHORTEST_SWEEP_NS = 5_000_000
+_PERIODS_MAX = 5
+"""Times that span more revolutions are in another unit, such as ticks of 100 ns."""
+_PART_SHARE = 10
+"""By how much the times in one message of a revolution may span more or less than the time to the next message."""
 _CLOCK_MAX_NS = 2.0**63
 _UNITS_NS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 
@@ -93,11 +104,15 @@ def _exact_ns(value: Any, unit_ns: int) -> int:  # noqa: ANN401 - a NumPy scalar
     return whole * unit_ns + round((float(value) - whole) * unit_ns)
 
 
-def find_time_field(name: str, samples: Sequence[tuple[npt.NDArray[Any], int]]) -> TimeField | None:
+def find_time_field(
+    name: str, samples: Sequence[tuple[npt.NDArray[Any], int]], period_ns: int | None = None
+) -> TimeField | None:
     """Unit and reference of the field's values, from clouds all over the bag: (values of valid points, stamp in ns).
 
-    A sweep takes between 5 ms and 2 s, which leaves one unit; where all are too small to tell, the type's usual one.
-    None where the field is not filled.
+    period_ns: how long a revolution takes; None where that is not known.
+
+    A sweep takes between 5 ms and 2 s, which leaves one unit; where all are too short to tell, the usual one of floats (by
+    their size) and of some names. None where the field is not filled or its unit cannot be told.
     """
     samples = [(values, stamp_ns) for values, stamp_ns in samples if len(values) and 0 < _span(values) < np.inf]
     if not samples:
@@ -105,11 +120,16 @@ def find_time_field(name: str, samples: Sequence[tuple[npt.NDArray[Any], int]]) 
     spans = [_span(values) for values, _ in samples]
     # Clouds with few returns span little, and the times of one in many may be absurd.
     span = float(np.percentile(spans, 75, method="lower"))
-    dtype = next(values.dtype for values, _ in samples)
+    whole = np.issubdtype(samples[0][0].dtype, np.integer)
     units = [unit for unit, ns in _UNITS_NS.items() if _SHORTEST_SWEEP_NS <= span * ns <= _LONGEST_SWEEP_NS]
-    whole = np.issubdtype(dtype, np.integer)
-    # Integers never count seconds; a double that counts from 1970 shows its unit by its size.
-    unit = next((u for u in units if not (whole and u == "s")), None) or _usual_unit(samples, whole)
+    # Integers never count seconds.
+    unit = next((u for u in units if not (whole and u == "s")), None)
+    if unit is None:
+        unit = _unit_of_integers(name, span) if whole else _unit_by_size(samples)
+    elif period_ns and span * _UNITS_NS[unit] > _PERIODS_MAX * period_ns:
+        unit = None
+    if unit is None:
+        return None
     unit_ns = _UNITS_NS[unit]
     offsets_ns = []
     for values, stamp_ns in samples:
@@ -131,11 +151,51 @@ def _span(values: npt.NDArray[Any]) -> float:
     return float(values.max() - values.min())
 
 
-def _usual_unit(samples: Sequence[tuple[npt.NDArray[Any], int]], whole: bool) -> str:
-    largest = float(np.median([np.abs(values.astype(np.float64)).max() for values, _ in samples]))
-    if largest > 1e8 and not whole:
-        return "ns" if largest > 1e17 else "us" if largest > 1e14 else "ms" if largest > 1e11 else "s"
-    return "ns" if whole else "s"
+def _unit_of_integers(name: str, span: float) -> str | None:
+    # Too long in every unit, they are refused cloud by cloud.
+    return "ns" if name.lower() in _NANOSECOND_NAMES or span > _LONGEST_SWEEP_NS else None
+
+
+def _unit_by_size(samples: Sequence[tuple[npt.NDArray[Any], int]]) -> str:
+    """Of floats: one that counts from 1970 shows its unit by its size, others are seconds."""
+    largest = float(np.median([np.abs(values).max() for values, _ in samples]))
+    return next((unit for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)) if largest > least), "s")
+
+
+def join_times(name: str, parts: Sequence[npt.NDArray[Any]], offset_ns: Sequence[int]) -> list[npt.NDArray[Any]]:
+    """Times of the messages that make up one revolution, counted from one start, in the parts' own type.
+
+    parts: the values (n,) of each message. offset_ns: each message's stamp, from the first one's.
+
+    Values that go on from message to message stay. Those that begin anew in each are counted from the first stamp, in
+    seconds, or as integers in nanoseconds: a message lasts until the next, which tells their unit. Where it does not, or the
+    field is not filled, each message's stamp is the time of its points.
+
+    Raises CloudError where the integers are too short for a revolution's nanoseconds.
+    """
+    filled = [(_finite(part), offset) for part, offset in zip(parts, offset_ns, strict=True) if len(_finite(part))]
+    if len(filled) < 2:
+        return list(parts)
+    first = np.array([float(values.min()) for values, _ in filled])
+    span = float(np.median([_span(values) for values, _ in filled]))
+    if np.median(np.diff(first)) > span / 2:
+        return list(parts)
+    step_ns = float(np.median(np.diff([offset for _, offset in filled])))
+    unit_ns = next((ns for ns in _UNITS_NS.values() if step_ns / _PART_SHARE < span * ns < step_ns * _PART_SHARE), 0)
+    dtype = parts[0].dtype
+    if not np.issubdtype(dtype, np.integer):
+        return [
+            (part * (unit_ns / 1e9) + offset * 1e-9).astype(dtype)
+            for part, offset in zip(parts, offset_ns, strict=True)
+        ]
+    joined = [part.astype(np.int64) * unit_ns + offset for part, offset in zip(parts, offset_ns, strict=True)]
+    if max(int(times.max()) for times in joined if len(times)) > np.iinfo(dtype).max:
+        raise CloudError(f"field {name} is too short an integer for the times of a revolution in nanoseconds")
+    return [times.astype(dtype) for times in joined]
+
+
+def _finite(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    return np.asarray(values[np.isfinite(values)])
 
 
 def azimuth_times(points_sensor: FloatArray, ring: IntArray, period_ns: int) -> IntArray:

@@ -253,7 +253,7 @@ def _time_words(decoding: CloudDecoding) -> str:
         return "not used"
     if time is None:
         name = decoding.layout.time_field
-        return f"none (field {name} is not filled)" if name else "none"
+        return f"none (field {name} is not filled, or its unit cannot be told)" if name else "none"
     meant = {
         "stamp": "relative to the stamp",
         "epoch": "absolute",

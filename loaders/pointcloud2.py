@@ -18,7 +18,7 @@ from ffmap.algorithms.base.labels import NO_RETURN
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array
 from ffmap.loaders.bag import Message
 from ffmap.loaders.errors import CloudError
-from ffmap.loaders.firing_times import TIME_NAMES, TimeField, azimuth_times, find_time_field
+from ffmap.loaders.firing_times import TIME_NAMES, TimeField, azimuth_times, find_time_field, join_times
 from ffmap.loaders.rings import RingModel, RingSample, estimate_rings
 
 TimeFrom = Literal["auto", "azimuth", "none"]
@@ -253,7 +253,8 @@ def settle_decoding(
     time = None
     if layout.time_field:
         kind = layout.dtype(layout.time_field).kind
-        time = find_time_field(layout.time_field, [sample for sample in time_samples if sample[0].dtype.kind == kind])
+        alike = [sample for sample in time_samples if sample[0].dtype.kind == kind]
+        time = find_time_field(layout.time_field, alike, period_ns)
     return CloudDecoding(layout, estimate_rings(ring_samples), time, time_from, period_ns)
 
 
@@ -395,32 +396,34 @@ def encode_labelled(message: Message, label: UInt8Array, label_scan: UInt8Array)
 def merge_clouds(messages: Sequence[Message]) -> Message:
     """One cloud of several that belong to one revolution, in order; stamp and header of the first.
 
-    A field `time` (float32, seconds from the first stamp) is appended unless the clouds carry times: then each cloud's
-    own stamp is the time of its points. Times relative to a message's stamp are made relative to the first one's.
+    Their field of times becomes one of the whole revolution (`join_times`). Where they have none, a field `time` (float32,
+    seconds from the first stamp) is appended: each cloud's own stamp is the time of its points.
     """
     # A part without points may say anything of their layout.
     first = replace(next((m for m in messages if m.width * m.height), messages[0]), header=messages[0].header)
     layout = describe_layout(first, "")
     blocks = list(_point_blocks(messages, layout))
-    own_time = next((f for f in layout.fields if f.name == layout.time_field), None)
-    if own_time is None:
-        step = layout.point_step + 4
-        data = np.empty((sum(len(block) for block, _ in blocks), step), np.uint8)
-        at = 0
-        for block, offset_ns in blocks:
-            data[at : at + len(block), : layout.point_step] = block
-            seconds = np.array([offset_ns * 1e-9], ">f4" if layout.big_endian else "<f4")
-            data[at : at + len(block), layout.point_step :] = seconds.view(np.uint8)
-            at += len(block)
-        added = [replace(first.fields[0], name="time", offset=layout.point_step, datatype=7, count=1)]
+    step, fields = layout.point_step, list(first.fields)
+    data = np.concatenate([block for block, _ in blocks])
+    if layout.time_field:
+        place = next(field.offset for field in layout.fields if field.name == layout.time_field)
+        dtype = layout.dtype(layout.time_field)
+        columns = slice(place, place + dtype.itemsize)
+        parts = [np.ascontiguousarray(block[:, columns]).view(dtype)[:, 0] for block, _ in blocks]
+        times = np.concatenate(join_times(layout.time_field, parts, [offset_ns for _, offset_ns in blocks]))
     else:
-        step, added = layout.point_step, []
-        data = np.concatenate([_shifted(block, offset_ns, own_time, layout) for block, offset_ns in blocks])
+        dtype = np.dtype(">f4" if layout.big_endian else "<f4")
+        columns = slice(step, step + dtype.itemsize)
+        fields.append(replace(fields[0], name="time", offset=step, datatype=7, count=1))
+        data = np.pad(data, ((0, 0), (0, dtype.itemsize)))
+        step += dtype.itemsize
+        times = np.repeat([offset_ns * 1e-9 for _, offset_ns in blocks], [len(block) for block, _ in blocks])
+    data[:, columns] = times.astype(dtype)[:, None].view(np.uint8)
     return replace(
         first,
         height=1,
         width=len(data),
-        fields=[*first.fields, *added],
+        fields=fields,
         point_step=step,
         row_step=len(data) * step,
         data=data.reshape(-1),
@@ -439,18 +442,3 @@ def _point_blocks(messages: Sequence[Message], layout: CloudLayout) -> Iterator[
         data = np.ascontiguousarray(message.data)
         points = np.ndarray(shape, np.uint8, data.data, strides=(row_step, found.point_step, 1))
         yield points.reshape(-1, found.point_step), stamp_ns(message) - start_ns
-
-
-def _shifted(block: UInt8Array, offset_ns: int, field: CloudField, layout: CloudLayout) -> UInt8Array:
-    """The block with its times counted from the revolution's first stamp; absolute times stay."""
-    dtype = np.dtype((">" if layout.big_endian else "<") + field.datatype)
-    columns = slice(field.offset, field.offset + dtype.itemsize)
-    values = np.ascontiguousarray(block[:, columns]).view(dtype).reshape(-1)
-    whole = np.issubdtype(dtype, np.integer)
-    limit = 2e9 if whole else 2.0
-    if not len(values) or not np.abs(values.astype(np.float64)).max() < limit:
-        return block
-    shifted = block.copy()
-    moved = values.astype(np.float64) + (offset_ns if whole else offset_ns * 1e-9)
-    shifted[:, columns] = moved.astype(dtype).view(np.uint8).reshape(len(block), dtype.itemsize)
-    return shifted

@@ -179,8 +179,8 @@ def find_rig(
     for role, lidar in roles.items():
         if not lidar.decoding.timed:
             warnings.append(
-                f"{lidar.topic} ({role}): no times in its points; motion compensation is off; --time-from azimuth "
-                "recovers them, but must not be used where the clouds are compensated already"
+                f"{lidar.topic} ({role}): its points have no times, or none whose unit can be told; motion compensation is "
+                "off; --time-from azimuth recovers them, but must not be used where the clouds are compensated already"
             )
         if lidar.decoding.rings.source == "bins":
             warnings.append(f"{lidar.topic} ({role}): no ring field, and the elevations tell no rings apart")

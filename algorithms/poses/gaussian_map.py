@@ -8,7 +8,7 @@ a scan at its height and nowhere else (Segal et al. 2009; voxels of Gaussians: K
 from dataclasses import dataclass
 
 import numpy as np
-import small_gicp
+import small_gicp  # noqa: TID251 - its one place
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray

@@ -5,9 +5,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from kiss_icp.config import KISSConfig
-from kiss_icp.config.config import AdaptiveThresholdConfig, DataConfig, MappingConfig, RegistrationConfig
-from kiss_icp.kiss_icp import KissICP
+from kiss_icp.config import KISSConfig  # noqa: TID251 - its one place
+from kiss_icp.config.config import AdaptiveThresholdConfig, DataConfig, MappingConfig, RegistrationConfig  # noqa: TID251 - its one place
+from kiss_icp.kiss_icp import KissICP  # noqa: TID251 - its one place
 from pydantic import Field
 from scipy.spatial import cKDTree
 

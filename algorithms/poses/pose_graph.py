@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-import gtsam
+import gtsam  # noqa: TID251 - its one place
 import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree

@@ -41,7 +41,7 @@ def connect(address: str, needed: list[Path], folder: Path) -> Iterator[Cluster]
     Raises InputError in seconds where Dask is not installed, no scheduler answers, or a worker cannot do the work.
     """
     try:
-        import distributed
+        import distributed  # noqa: TID251 - its one place
     except ImportError:
         raise InputError(
             f"--scheduler: Dask is not installed; '{pip_command('distributed')}' installs it (in a checkout, pip install "
@@ -73,7 +73,7 @@ def connect(address: str, needed: list[Path], folder: Path) -> Iterator[Cluster]
 
 async def _knock(address: str) -> None:
     """Raises OSError or ValueError where nobody speaks Dask's protocol."""
-    from distributed.comm.core import connect as reach
+    from distributed.comm.core import connect as reach  # noqa: TID251 - its one place
 
     comm = await reach(address, timeout=_CONNECT_S)  # type: ignore[no-untyped-call]
     await comm.close()

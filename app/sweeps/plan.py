@@ -200,9 +200,9 @@ class Study:
         Raises InputError where Optuna is not installed.
         """
         try:
-            import optuna
-            from optuna.storages import JournalStorage
-            from optuna.storages.journal import JournalFileBackend
+            import optuna  # noqa: TID251 - its one place
+            from optuna.storages import JournalStorage  # noqa: TID251 - its one place
+            from optuna.storages.journal import JournalFileBackend  # noqa: TID251 - its one place
         except ImportError:
             raise InputError(
                 f"--optuna: Optuna is not installed; '{pip_command('optuna')}' installs it (in a checkout, pip install "

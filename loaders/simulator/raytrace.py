@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from embreex import rtcore_scene
-from embreex.mesh_construction import TriangleMesh
+from embreex import rtcore_scene  # noqa: TID251 - its one place
+from embreex.mesh_construction import TriangleMesh  # noqa: TID251 - its one place
 
 from ffmap.algorithms.base.labels import NO_RETURN, Truth
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array

@@ -57,6 +57,14 @@ def test_poor_clouds_go_by_the_usual_unit():
     assert find_time_field("time", [(np.array([0.0, 0.001], np.float32), START_NS)]).unit == "s"
 
 
+def test_integers_whose_unit_cannot_be_told_are_no_times():
+    short = [(np.array([0, 3000], np.uint32), START_NS)]
+    assert find_time_field("time", short) is None
+    ticks_of_100_ns = [(np.arange(0, 1_000_000, 1000, dtype=np.uint32), START_NS)]
+    assert find_time_field("time", ticks_of_100_ns, period_ns=100_000_000) is None
+    assert find_time_field("time", ticks_of_100_ns, period_ns=1_000_000_000).unit == "us"
+
+
 def test_times_longer_than_a_sweep_are_an_error():
     field = find_time_field("time", [(np.linspace(0, 0.1, 100, dtype=np.float32), START_NS)])
     with pytest.raises(CloudError, match=r"span 900\.0 s"):

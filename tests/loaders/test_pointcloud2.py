@@ -223,16 +223,55 @@ def test_parts_of_a_revolution_are_joined_with_their_stamps_as_times(big):
     assert scan.stamp_ns == START_NS
 
 
-def test_parts_that_carry_times_keep_them():
-    points = sweep(columns=100)
+OWN_CLOCK_NS = 1_234_567_000_000
+PART_TIMES = {
+    "seconds": ("time", "f4", 10**9, "part", "s"),
+    "milliseconds": ("time", "f4", 10**6, "part", "s"),
+    "float nanoseconds": ("timestamp", "f8", 1, "part", "s"),
+    "integer nanoseconds": ("t", "u4", 1, "part", "ns"),
+    "integer microseconds": ("time", "u4", 10**3, "part", "ns"),
+    "absolute seconds": ("timestamp", "f8", 10**9, "epoch", "s"),
+    "from the revolution's start, microseconds": ("time", "u4", 10**3, "revolution", "us"),
+    "own clock, microseconds": ("timestamp", "u4", 10**3, "own clock", "us"),
+}
+
+
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize("name", PART_TIMES)
+def test_parts_of_a_revolution_keep_their_times_whatever_the_unit(name, big):
+    field, kind, unit_ns, reference, unit = PART_TIMES[name]
+    points = sweep(columns=900)
+    true_ns = np.arange(len(points)) // 16 * 111_111
+    stored = np.zeros(len(points), point_dtype([("x", "f4"), ("y", "f4"), ("z", "f4"), (field, kind)], big))
+    for axis in "xyz":
+        stored[axis] = points[axis]
     parts = []
-    for i, part in enumerate(np.split(points.copy(), 50)):
-        offset = part["time"][0]
-        part["time"] -= offset
-        parts.append(cloud(part, START_NS + round(float(offset) * 1e9)))
-        assert part["time"].max() < 0.01, i
-    scan = read(merge_clouds(parts))
-    assert np.abs(scan.time_ns - points["time"].astype(np.float64) * 1e9).max() < 100
+    for place in np.split(np.arange(len(points)), 75):
+        start_ns = {"part": -true_ns[place[0]], "epoch": START_NS, "own clock": OWN_CLOCK_NS, "revolution": 0}[
+            reference
+        ]
+        since_ns = start_ns + true_ns[place]
+        stored[field][place] = since_ns // unit_ns if kind == "u4" else since_ns / unit_ns
+        parts.append(cloud(stored[place], START_NS + int(true_ns[place[0]])))
+    message = merge_clouds(parts)
+    assert settle_decoding([message], "/points").time.unit == unit
+    assert np.abs(read(message).time_ns - true_ns).max() <= 1000
+
+
+def test_parts_whose_times_tell_no_unit_are_timed_by_their_stamps():
+    """Whole milliseconds are the same within a part; a field that is not filled is 0."""
+    points = sweep()
+    for kind, value, unit in (("u4", 7, "ns"), ("f4", 0.0, "s")):
+        stored = np.zeros(len(points), point_dtype([("x", "f4"), ("y", "f4"), ("z", "f4"), ("time", kind)]))
+        for axis in "xyz":
+            stored[axis] = points[axis]
+        stored["time"] = value
+        message = merge_clouds([cloud(part, START_NS + i * 1_111_111) for i, part in enumerate(np.split(stored, 90))])
+        assert settle_decoding([message], "/points").time.unit == unit
+        assert np.abs(read(message).time_ns - np.repeat(np.arange(90) * 1_111_111, 16)).max() <= 10
+    short = stored.astype(point_dtype([("x", "f4"), ("y", "f4"), ("z", "f4"), ("time", "u2")]))
+    with pytest.raises(CloudError, match="field time is too short an integer"):
+        merge_clouds([cloud(part, START_NS + i * 1_111_111) for i, part in enumerate(np.split(short, 90))])
 
 
 def test_layout_says_what_is_there():

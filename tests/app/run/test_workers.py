@@ -2,7 +2,7 @@
 
 import multiprocessing as mp
 import os
-import pickle
+import pickle  # noqa: TID251 - of objects that the test made
 import signal
 import subprocess
 import sys
