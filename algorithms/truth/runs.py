@@ -13,7 +13,7 @@ from ffmap.algorithms.base.labels import NO_RETURN, Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.maps.grid import Cell, GridMap
-from ffmap.algorithms.truth.labels import match_doors
+from ffmap.algorithms.truth.doors import match_doors, match_nearest
 
 CLASSES = len(Label) + 1
 """The labels, and last what has none."""
@@ -155,12 +155,8 @@ def match_planes(
     cosine = normal_a @ normal_b.T
     distance = np.abs(offset_a_m[:, None] - offset_b_m)
     possible = (cosine >= np.cos(np.radians(PLANE_DIRECTION_DEG))) & (distance <= PLANE_DISTANCE_M)
-    taken_a, taken_b = np.zeros(len(normal_a), bool), np.zeros(len(normal_b), bool)
-    pairs = np.argwhere(possible)
-    for i, j in pairs[np.argsort(distance[possible], kind="stable")]:
-        if not taken_a[i] and not taken_b[j]:
-            taken_a[i] = taken_b[j] = True
-    return int(np.count_nonzero(~taken_a)), int(np.count_nonzero(~taken_b))
+    matched = int(np.count_nonzero(match_nearest(distance, possible) >= 0))
+    return len(normal_a) - matched, len(normal_b) - matched
 
 
 def _uncovered(ends: FloatArray, others: FloatArray) -> FloatArray:

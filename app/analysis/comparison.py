@@ -15,7 +15,7 @@ from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
 from ffmap.algorithms.maps.grid import GridMap
-from ffmap.algorithms.truth.labels import TrajectoryFigures, compare_trajectories
+from ffmap.algorithms.truth.poses import TrajectoryFigures, compare_trajectories
 from ffmap.algorithms.truth.runs import (
     CLASSES,
     DoorChange,
