@@ -15,12 +15,15 @@ from pydantic import Field, ValidationError
 from ffmap.algorithms.base.scan import ScanSettings
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.base.trajectory import TrajectorySettings
+from ffmap.algorithms.building.door_frames import DoorFramesSettings
 from ffmap.algorithms.building.face_foreground import BeforeWallsSettings
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.fusion import FusionSettings
 from ffmap.algorithms.building.model import BuildingSettings
+from ffmap.algorithms.building.openings import OpeningsSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
+from ffmap.algorithms.building.windows import WindowsSettings
 from ffmap.algorithms.maps.area_graph import AreaGraphSettings
 from ffmap.algorithms.maps.floor_plan import FloorPlanSettings
 from ffmap.algorithms.maps.grid import GridMapSettings
@@ -56,6 +59,9 @@ class Settings(StepSettings):
     building: BuildingSettings = BuildingSettings()
     standing_walls: StandingWallsSettings = StandingWallsSettings()
     before_walls: BeforeWallsSettings = BeforeWallsSettings()
+    openings: OpeningsSettings = OpeningsSettings()
+    windows: WindowsSettings = WindowsSettings()
+    door_frames: DoorFramesSettings = DoorFramesSettings()
     wall_thickness: WallThicknessSettings = WallThicknessSettings()
     grid_map: GridMapSettings = GridMapSettings()
     area_graph: AreaGraphSettings = AreaGraphSettings()
@@ -83,6 +89,9 @@ class Settings(StepSettings):
             building=self.building,
             standing_walls=self.standing_walls,
             before_walls=self.before_walls,
+            openings=self.openings,
+            windows=self.windows,
+            door_frames=self.door_frames,
             wall_thickness=self.wall_thickness,
             grid_map=self.grid_map,
             area_graph=self.area_graph,
