@@ -19,7 +19,7 @@ from ffmap.algorithms.building.model import (
     Walls,
     stretches,
 )
-from ffmap.algorithms.building.ray_evidence import OwnPlane, Rays, own_plane
+from ffmap.algorithms.building.ray_evidence import OwnPlane, Rays, floor_m, own_plane
 from ffmap.algorithms.scan.summary import Features
 
 _BIN_M = 0.01
@@ -188,7 +188,7 @@ def _compare_with_frames(
 ) -> None:  # pragma: no cover
     ends, head_m, depth_m, wall_ends, wall_normal = frames
     jamb_cost_m, jamb_rays, head_cost_m, head_rays, scans = evidence
-    origin, floor, starts, ray_end = rays.origin, rays.floor, rays.starts, rays.end
+    origin, starts, ray_end = rays.origin, rays.starts, rays.end
     jamb_reach_m, corner_m = lengths.jamb_reach_m, lengths.corner_m
     for d in range(len(ends)):
         dx, dy = ends[d, 1, 0] - ends[d, 0, 0], ends[d, 1, 1] - ends[d, 0, 1]
@@ -227,7 +227,7 @@ def _compare_with_frames(
                 u = x * dx + y * dy
                 if u < -jamb_reach_m or u > length + jamb_reach_m:
                     continue
-                height = z - (floor[s, 0] + floor[s, 1] * ray_end[r, 0] + floor[s, 2] * ray_end[r, 1])
+                height = z - floor_m(rays, s, ray_end[r, 0], ray_end[r, 1])
                 kind = 0 if -side < min(0.5 * depth_m[d], ON_FACE_M) else 1
                 end_m = min(max(-side, -depth_m[d]), depth_m[d])
                 if corner_m < u < length - corner_m and lengths.head_min_m < height < lengths.head_max_m:
@@ -286,10 +286,10 @@ def _count_undersides(
     lengths: _Lengths,
 ) -> None:  # pragma: no cover
     bins, corner_m = counts.shape[1], lengths.corner_m
-    floor, starts, ray_end = rays.floor, rays.starts, rays.end
-    for s in range(len(floor)):
+    starts, ray_end = rays.starts, rays.end
+    for s in range(len(starts) - 1):
         for r in range(starts[s], starts[s + 1]):
-            height = ray_end[r, 2] - (floor[s, 0] + floor[s, 1] * ray_end[r, 0] + floor[s, 2] * ray_end[r, 1])
+            height = ray_end[r, 2] - floor_m(rays, s, ray_end[r, 0], ray_end[r, 1])
             if height < lengths.head_min_m or height > lengths.head_max_m:
                 continue
             for d in range(len(ends)):

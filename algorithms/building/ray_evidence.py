@@ -107,6 +107,12 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
     return WallCells(first, rows, counts)
 
 
+@numba.njit(cache=True, nogil=True)
+def floor_m(rays: Rays, scan: int, x: float, y: float) -> float:  # pragma: no cover
+    """How high in the map the floor lies at a place, metres, as a scan saw it."""
+    return float(rays.floor[scan, 0] + rays.floor[scan, 1] * x + rays.floor[scan, 2] * y)
+
+
 def first_columns(walls: Walls) -> IntArray:
     """(W + 1,) the column at which each face begins, if all faces' columns are counted one after the other."""
     return np.concatenate([[0], np.cumsum(np.ceil(lengths_m(walls.ends) / CELL_M))]).astype(np.int64)
@@ -179,7 +185,7 @@ def _trace(
     own: OwnPlane,
 ) -> None:  # pragma: no cover
     rows = counts.shape[1]
-    origin, floor, starts, ray_end = rays.origin, rays.floor, rays.starts, rays.end
+    origin, starts, ray_end = rays.origin, rays.starts, rays.end
     for s in range(len(origin)):
         ox, oy, oz = origin[s, 0], origin[s, 1], origin[s, 2]
         for w in range(len(ends)):
@@ -215,7 +221,7 @@ def _trace(
                     t = reach / (reach - side)
                     x, y, z = ox + t * (x - ox), oy + t * (y - oy), oz + t * (z - oz)
                 column = int(np.floor(((x - ends[w, 0, 0]) * dx + (y - ends[w, 0, 1]) * dy) / CELL_M))
-                row = int(np.floor((z - (floor[s, 0] + floor[s, 1] * x + floor[s, 2] * y)) / CELL_M))
+                row = int(np.floor((z - floor_m(rays, s, x, y)) / CELL_M))
                 if column < 0 or column >= columns or row < 0 or row >= rows:
                     continue
                 cell = counts[first[w] + column, row]
