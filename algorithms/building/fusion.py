@@ -39,7 +39,15 @@ from ffmap.algorithms.building.ray_evidence import WallCells
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
 from ffmap.algorithms.building.votes import Halo, VoxelVotes, find_halo
 from ffmap.algorithms.building.windows import WindowsSettings, find_windows, seen_through
-from ffmap.algorithms.maps.area_graph import AreaGraph, AreaGraphSettings, Segmented, doorways_of, find_rooms, sides_of
+from ffmap.algorithms.maps.area_graph import (
+    AreaGraph,
+    AreaGraphSettings,
+    Bounds,
+    Segmented,
+    doorways_of,
+    find_rooms,
+    sides_of,
+)
 from ffmap.algorithms.maps.floor_plan import FloorPlan, FloorPlanSettings, draw_floor_plan
 from ffmap.algorithms.maps.grid import (
     Drive,
@@ -50,6 +58,7 @@ from ffmap.algorithms.maps.grid import (
     standing_stretches,
 )
 from ffmap.algorithms.maps.rivals import Rival, RivalMapsSettings, draw_rival
+from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings
 from ffmap.algorithms.scan.summary import concatenate, select_planes, without_rays
 
 _STRICT_NEAR_M = 0.07
@@ -69,6 +78,7 @@ class FusionSettings:
     wall_thickness: WallThicknessSettings
     grid_map: GridMapSettings
     area_graph: AreaGraphSettings
+    room_outlines: RoomOutlinesSettings
     rival_maps: RivalMapsSettings
     floor_plan: FloorPlanSettings
     relabelling: RelabellingSettings
@@ -162,7 +172,7 @@ def fuse_building(scans: AllScans, settings: FusionSettings, workers: int) -> Bu
         doorways_of(doors),
         windows.ends,
         scans.drive.path_map,
-        (standing, *sides_of(doors), windows),
+        Bounds((standing, *sides_of(doors), windows), settings.room_outlines),
     )
     # All maps show what the furniture-free one does: a slice catches returns far outside, through windows.
     rivals = {rival: own.cropped_to(grid) for rival, own in _draw_rivals(windows, scans, settings, workers).items()}

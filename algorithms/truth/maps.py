@@ -19,8 +19,6 @@ from ffmap.algorithms.truth.tally import CUBE_M, Tally, majorities
 
 WALL_TOLERANCE_M = 0.10
 """An occupied cell is right within this distance of a true face, and a true cell found within it of an occupied one."""
-_WALL_RETURNS = 3
-_STEP_M = 0.02
 
 
 class Agreement(IntEnum):
@@ -73,8 +71,7 @@ def compare_wall_map(faces: FloatArray, cubes: VoxelVotes, grid: GridMap) -> Wal
 
     A true cell is a 5 cm cell that a face runs through and that holds at least 3 returns of walls.
     """
-    rows, columns = np.nonzero(grid.cells == Cell.OCCUPIED)
-    occupied = grid.origin + (np.stack([columns, rows], axis=1) + 0.5) * grid.cell_m
+    occupied = grid.centres(Cell.OCCUPIED)
     cells = _seen_cells(faces, cubes)
     true_cells = (cells + 0.5) * CUBE_M
     if len(occupied) and len(true_cells):
@@ -103,7 +100,7 @@ def _seen_cells(faces: FloatArray, cubes: VoxelVotes) -> IntArray:
         return np.zeros((0, 2), np.int64)
     returns = np.add.reduceat(cubes.counts[:, Truth.WALL], first, dtype=np.int64)
     cells = np.unique(np.concatenate([cells_along(face, CUBE_M) for face in faces]), axis=0)
-    seen: IntArray = cells[np.isin(pack_column(cells), column[returns >= _WALL_RETURNS])]
+    seen: IntArray = cells[np.isin(pack_column(cells), column[returns >= 3])]
     return seen
 
 
@@ -183,8 +180,7 @@ def overlay(grid: GridMap, figures: WallMapFigures, unseen: FloatArray) -> UInt8
         (figures.occupied[figures.right], Agreement.BOTH),
         (figures.occupied[~figures.right], Agreement.ONLY_MAP),
     ):
-        index = np.floor((places - grid.origin) / grid.cell_m).astype(int)
-        inside = (index >= 0).all(axis=1) & (index < np.array(cells.shape[::-1])).all(axis=1)
+        index, inside = grid.index(places)
         cells[index[inside, 1], index[inside, 0]] = agreement
     return cells
 
@@ -195,17 +191,16 @@ def blocked_doors(grid: GridMap, ends: FloatArray, depth_m: FloatArray) -> BoolA
     ends: (D, 2, 2) the jambs, along the sill in the middle of the wall. depth_m: (D,) the wall's thickness. Looked at is
     what lies between the jambs, one cell beyond the wall on either side.
     """
-    blocked = np.ones(len(ends), bool)
+    blocked, step_m = np.ones(len(ends), bool), 0.02
     for d, (left, right) in enumerate(ends):
         width_m = float(np.linalg.norm(right - left))
         along = (right - left) / max(width_m, 1e-9)
         across = np.array([-along[1], along[0]])
         half_m = 0.5 * depth_m[d] + grid.cell_m
-        u = np.arange(0.5 * _STEP_M, width_m, _STEP_M)
-        v = np.linspace(-half_m, half_m, 2 * int(np.ceil(half_m / _STEP_M)) + 1)
+        u = np.arange(0.5 * step_m, width_m, step_m)
+        v = np.linspace(-half_m, half_m, 2 * int(np.ceil(half_m / step_m)) + 1)
         places = left + u[:, None, None] * along + v[None, :, None] * across
-        index = np.floor((places - grid.origin) / grid.cell_m).astype(int)
-        inside = (index >= 0).all(axis=2) & (index < np.array(grid.cells.shape[::-1])).all(axis=2)
+        index, inside = grid.index(places)
         free = np.zeros(inside.shape, bool)
         free[inside] = grid.cells[index[inside][:, 1], index[inside][:, 0]] == Cell.FREE
         region = label(free)[0]

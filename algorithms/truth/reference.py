@@ -10,16 +10,25 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.truth.maps import WALL_TOLERANCE_M, WallMapFigures
 
-_COARSE_M = 0.2
-_COARSE_CELLS_MAX = 400
-_TURN_DEG = 2.0
-_SIGMA_CELLS = 1.5
-_CANDIDATES = 12
-_POINTS_MAX = 4_000
-_ROUNDS = 40
-_FITS_MIN = 0.6
-"""Another building's walls that are laid over each other as well as can be agree by less."""
-_SEEN_M = 0.15
+
+@dataclass(frozen=True)
+class _Search:
+    """How the alignment is searched. Lengths in metres.
+
+    coarse_m, cells_max: cells of the correlation, and the maximum number of them along a side. turn_deg: step of the turns.
+    blur_cells: of the reference. candidates: number of turns that are refined. points_max: of the map. rounds: of refinement.
+    """
+
+    coarse_m: float = 0.2
+    cells_max: int = 400
+    turn_deg: float = 2.0
+    blur_cells: float = 1.5
+    candidates: int = 12
+    points_max: int = 4_000
+    rounds: int = 40
+
+
+_SEARCH = _Search()
 
 
 @dataclass(frozen=True)
@@ -34,8 +43,8 @@ class Alignment:
 
     @property
     def fits(self) -> bool:
-        """Whether the two show the same building."""
-        return self.share >= _FITS_MIN
+        """Whether the two show the same building; the walls of two buildings never agree by as much."""
+        return self.share >= 0.6
 
     @property
     def turn_deg(self) -> float:
@@ -63,8 +72,8 @@ def align_maps(grid: GridMap, reference: GridMap) -> Alignment:
     if not len(source) or not len(target):
         return Alignment(np.eye(3), 0.0)
     generator = np.random.default_rng(0)
-    if len(source) > _POINTS_MAX:
-        source = generator.choice(source, _POINTS_MAX, replace=False)
+    if len(source) > _SEARCH.points_max:
+        source = generator.choice(source, _SEARCH.points_max, replace=False)
     tree = cKDTree(target)
     best = Alignment(np.eye(3), -1.0)
     for T in _coarse(source, target):
@@ -91,15 +100,15 @@ def _coarse(source: FloatArray, target: FloatArray) -> list[FloatArray]:
     centre = source.mean(axis=0)
     reach = float(np.linalg.norm(source - centre, axis=1).max())
     size = max(float(np.ptp(target, axis=0).max()), 2 * reach)
-    cell_m = max(_COARSE_M, size / _COARSE_CELLS_MAX)
+    cell_m = max(_SEARCH.coarse_m, size / _SEARCH.cells_max)
     low = target.min(axis=0) - 2 * cell_m
     shape = (np.ceil((np.ptp(target, axis=0) + 4 * cell_m) / cell_m)).astype(int) + 1
     hit = np.zeros(shape, bool)
     hit[tuple(np.floor((target - low) / cell_m).astype(int).T)] = True
-    near = np.exp(-0.5 * (distance_transform_edt(~hit) / _SIGMA_CELLS) ** 2)
+    near = np.exp(-0.5 * (distance_transform_edt(~hit) / _SEARCH.blur_cells) ** 2)
     half = int(np.ceil(reach / cell_m)) + 1
     found: list[tuple[float, FloatArray]] = []
-    for turn in np.radians(np.arange(0.0, 360.0, _TURN_DEG)):
+    for turn in np.radians(np.arange(0.0, 360.0, _SEARCH.turn_deg)):
         R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
         index = np.floor(((source - centre) @ R.T) / cell_m).astype(int) + half
         kernel = np.zeros((2 * half + 1, 2 * half + 1))
@@ -112,12 +121,12 @@ def _coarse(source: FloatArray, target: FloatArray) -> list[FloatArray]:
         T[:2, :2], T[:2, 2] = R, middle - R @ centre
         found.append((float(score[peak]), T))
     found.sort(key=lambda candidate: -candidate[0])
-    return [T for _, T in found[:_CANDIDATES]]
+    return [T for _, T in found[: _SEARCH.candidates]]
 
 
 def _refine(T: FloatArray, source: FloatArray, target: FloatArray, tree: cKDTree) -> FloatArray:
     """Closest points with weights that forget what lies far off, ever nearer."""
-    for reach_m in np.geomspace(1.0, 2 * WALL_TOLERANCE_M, _ROUNDS):
+    for reach_m in np.geomspace(1.0, 2 * WALL_TOLERANCE_M, _SEARCH.rounds):
         moved = source @ T[:2, :2].T + T[:2, 2]
         distance, nearest = tree.query(moved)
         weight = np.where(distance < reach_m, (1 - (distance / reach_m) ** 2) ** 2, 0.0)
@@ -153,11 +162,10 @@ def unseen_walls(known: GridMap, reference: GridMap, alignment: Alignment) -> Fl
 
 
 def _near_known(places: FloatArray, known: GridMap) -> BoolArray:
-    reach = max(1, round(_SEEN_M / known.cell_m))
+    """(n,) whether places (n, 2) lie within 15 cm of what a map knows."""
+    reach = max(1, round(0.15 / known.cell_m))
     near = binary_dilation(known.cells != Cell.UNKNOWN, np.ones((3, 3)), iterations=reach)
-    index = np.floor((places - known.origin) / known.cell_m).astype(int)
-    rows, columns = near.shape
-    inside = (index >= 0).all(axis=1) & (index[:, 0] < columns) & (index[:, 1] < rows)
+    index, inside = known.index(places)
     found = np.zeros(len(places), bool)
     found[inside] = near[index[inside, 1], index[inside, 0]]
     return found

@@ -28,6 +28,7 @@ from ffmap.algorithms.maps.area_graph import AreaGraphSettings
 from ffmap.algorithms.maps.floor_plan import FloorPlanSettings
 from ffmap.algorithms.maps.grid import GridMapSettings
 from ffmap.algorithms.maps.rivals import RivalMapsSettings
+from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings
 from ffmap.algorithms.poses.odometry import OdometrySettings
 from ffmap.algorithms.poses.pose_graph import PoseGraphSettings
 from ffmap.algorithms.poses.refinement import RefinementSettings
@@ -65,6 +66,7 @@ class Settings(StepSettings):
     wall_thickness: WallThicknessSettings = WallThicknessSettings()
     grid_map: GridMapSettings = GridMapSettings()
     area_graph: AreaGraphSettings = AreaGraphSettings()
+    room_outlines: RoomOutlinesSettings = RoomOutlinesSettings()
     rival_maps: RivalMapsSettings = RivalMapsSettings()
     floor_plan: FloorPlanSettings = FloorPlanSettings()
     relabelling: RelabellingSettings = RelabellingSettings()
@@ -95,6 +97,7 @@ class Settings(StepSettings):
             wall_thickness=self.wall_thickness,
             grid_map=self.grid_map,
             area_graph=self.area_graph,
+            room_outlines=self.room_outlines,
             rival_maps=self.rival_maps,
             floor_plan=self.floor_plan,
             relabelling=self.relabelling,

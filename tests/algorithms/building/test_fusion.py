@@ -24,6 +24,7 @@ from ffmap.algorithms.maps.area_graph import AreaGraphSettings, Segmented
 from ffmap.algorithms.maps.floor_plan import FloorPlanSettings
 from ffmap.algorithms.maps.grid import Drive, GridMapSettings
 from ffmap.algorithms.maps.rivals import Rival, RivalMapsSettings
+from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features
 from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms
@@ -39,6 +40,7 @@ SETTINGS = FusionSettings(
     WallThicknessSettings(),
     GridMapSettings(),
     AreaGraphSettings(),
+    RoomOutlinesSettings(),
     RivalMapsSettings(),
     FloorPlanSettings(),
     RelabellingSettings(),
