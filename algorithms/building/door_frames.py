@@ -2,51 +2,123 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numba
 import numpy as np
+from pydantic import Field
 
-from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
+from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.base.segments import lengths_m, segments
+from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.model import (
     AT_FACE_M,
-    FRAME_REACH_M,
     ON_FACE_M,
     BuildingSettings,
     Doors,
     Walls,
     stretches,
 )
-from ffmap.algorithms.building.ray_evidence import own_plane
-from ffmap.algorithms.scan.floor import floor_height
+from ffmap.algorithms.building.ray_evidence import OwnPlane, Rays, floor_m, own_plane
 from ffmap.algorithms.scan.summary import Features
 
-_FRAME_BIN_M = 0.01
-_FRAME_BINS = 1 + round(2 * FRAME_REACH_M / _FRAME_BIN_M)
-"""Places that a jamb may have, from FRAME_REACH_M within its door to as far beyond it."""
-_HEAD_BINS = 100
-_HEAD_MIN_M = 1.7
-_HEAD_MAX_M = _HEAD_MIN_M + _HEAD_BINS * _FRAME_BIN_M
-"""Above the floor; no head is looked for elsewhere."""
-_REACH_MIN_M, _REACH_MAX_M = 0.3, 6.0
-"""Scans from so far before the face tell of a frame: nearer ones meet it aslant, and farther ones with few rays."""
-_CORNER_M = 0.15
-"""So near to a jamb rays tell nothing of the head, and so near to the head nothing of a jamb."""
-_FOOT_M = 0.2
-"""Below it sills, stops and thresholds stand in the doorway."""
-_AT_HEAD_M = 0.08
-"""Rays that end so near to a door's head may have met its lintel's underside."""
-_BEYOND_M = 0.1
-"""Of an open door's rays it does not matter how much farther behind the face they ended."""
-_FRAME_RAYS = 30
-"""Fewest rays on the face, and behind it, that move a jamb or a head."""
-_REVEAL_BIN_M = 0.01
-_REVEAL_MAX_M = 0.7
-_UNDERSIDE_PARTS = 8
-"""A lintel's underside shows over most of so many parts of the door's width; the edge of a leaf that is ajar does not."""
+_BIN_M = 0.01
+"""The places that an edge of an opening may have lie this far apart."""
 
 
-def place_frames(doors: Doors, walls: Walls, blocks: Iterable[Features], settings: BuildingSettings) -> Doors:
+class DoorFramesSettings(StepSettings):
+    """Measuring doors' jambs, heads and reveals to a centimetre."""
+
+    jamb_reach_m: float = Field(
+        0.2, gt=0, le=1, description="Maximum distance (m) of a jamb from where the cells of the wall's face show it."
+    )
+    head_min_m: float = Field(1.7, gt=0, description="Minimum height above the floor (m) of a door's head.")
+    head_max_m: float = Field(2.7, gt=0, description="Maximum height above the floor (m) of a door's head.")
+    from_m: float = Field(
+        0.3, gt=0, description="Minimum distance (m) of a scan before the face: nearer ones meet the frame aslant."
+    )
+    to_m: float = Field(
+        6.0, gt=0, description="Maximum distance (m) of a scan before the face: farther ones have few rays there."
+    )
+    corner_m: float = Field(
+        0.15,
+        ge=0,
+        description="Closer to a jamb (m) rays tell nothing of the head; closer to the head, nothing of a jamb.",
+    )
+    foot_m: float = Field(
+        0.2, ge=0, description="Lower above the floor (m) sills, stops and thresholds stand in the doorway."
+    )
+    underside_m: float = Field(
+        0.08,
+        gt=0,
+        description="Maximum distance (m) from a door's head of rays that may end on its lintel's underside.",
+    )
+    behind_max_m: float = Field(
+        0.1,
+        gt=0,
+        description="Behind the face (m) beyond which it does not matter where a ray through the opening ended.",
+    )
+    rays_min: int = Field(30, ge=1, description="Minimum rays on the face, and behind it, that place a jamb or a head.")
+    reveal_max_m: float = Field(0.7, gt=0, le=5, description="Maximum depth (m) of a door's reveals.")
+
+
+class _Lengths(NamedTuple):
+    """The lengths of `DoorFramesSettings` that compiled code asks for, metres."""
+
+    jamb_reach_m: float
+    head_min_m: float
+    head_max_m: float
+    from_m: float
+    to_m: float
+    corner_m: float
+    foot_m: float
+    underside_m: float
+
+    @classmethod
+    def of(cls, settings: DoorFramesSettings) -> "_Lengths":
+        return cls(*(getattr(settings, name) for name in cls._fields))
+
+
+class _Frames(NamedTuple):
+    """Doors for compiled code: see `Doors`, and the ends and normal of the face of each one's wall."""
+
+    ends: FloatArray
+    head_m: FloatArray
+    depth_m: FloatArray
+    wall_ends: FloatArray
+    wall_normal: FloatArray
+
+
+class _Evidence(NamedTuple):
+    """What rays tell of the edges of D openings.
+
+    jamb_cost_m, head_cost_m: (D, 2, bins), (D, bins) by how much rays end off where they would with the edge in each bin.
+    jamb_rays, head_rays: (D, 2, 2), (D, 2) rays that ended on the face, and behind it.
+    scans: (D, 3) the number of scans that tell of the door, the first and the last.
+    """
+
+    jamb_cost_m: FloatArray
+    jamb_rays: IntArray
+    head_cost_m: FloatArray
+    head_rays: IntArray
+    scans: IntArray
+
+    @classmethod
+    def none(cls, doors: int, settings: DoorFramesSettings) -> "_Evidence":
+        jamb_bins = 1 + round(2 * settings.jamb_reach_m / _BIN_M)
+        head_bins = round((settings.head_max_m - settings.head_min_m) / _BIN_M)
+        return cls(
+            np.zeros((doors, 2, jamb_bins)),
+            np.zeros((doors, 2, 2), np.int64),
+            np.zeros((doors, head_bins)),
+            np.zeros((doors, 2), np.int64),
+            np.tile(np.array([0, -1, -1], np.int64), (doors, 1)),
+        )
+
+
+def place_frames(
+    doors: Doors, walls: Walls, blocks: Iterable[Features], building: BuildingSettings, settings: DoorFramesSettings
+) -> Doors:
     """The doors with jambs and head where the rays tell them to a centimetre, and with the scans that saw these.
 
     Beyond a jamb or the head rays end on the wall's face, within they pass it or end on the leaf behind, or on the reveal or
@@ -54,56 +126,38 @@ def place_frames(doors: Doors, walls: Walls, blocks: Iterable[Features], setting
 
     walls: those that `doors.wall` counts.
     """
-    jamb_cost_m, jamb_rays = np.zeros((len(doors), 2, _FRAME_BINS)), np.zeros((len(doors), 2, 2), np.int64)
-    head_cost_m, head_rays = np.zeros((len(doors), _HEAD_BINS)), np.zeros((len(doors), 2), np.int64)
-    scans = np.zeros((len(doors), 3), np.int64)
-    scans[:, 1:] = -1
-    depth_m = np.where(np.isfinite(doors.depth_m), np.minimum(doors.depth_m, _BEYOND_M), _BEYOND_M)
+    evidence = _Evidence.none(len(doors), settings)
+    frames = _Frames(
+        np.ascontiguousarray(doors.ends, np.float64),
+        np.ascontiguousarray(doors.head_m, np.float64),
+        np.fmin(doors.depth_m, settings.behind_max_m),
+        np.ascontiguousarray(walls.ends[doors.wall], np.float64),
+        np.ascontiguousarray(walls.normal[doors.wall], np.float64),
+    )
+    lengths, own = _Lengths.of(settings), OwnPlane.of(building)
     for block in blocks:
-        _compare_with_frames(
-            np.ascontiguousarray(doors.ends, np.float64),
-            np.ascontiguousarray(doors.head_m, np.float64),
-            depth_m,
-            np.ascontiguousarray(walls.ends[doors.wall], np.float64),
-            np.ascontiguousarray(walls.normal[doors.wall], np.float64),
-            jamb_cost_m,
-            jamb_rays,
-            head_cost_m,
-            head_rays,
-            scans,
-            np.ascontiguousarray(block.scan, np.int64),
-            np.ascontiguousarray(block.origin_map, np.float64),
-            np.ascontiguousarray(block.floor_map, np.float64),
-            block.floor_is_foot,
-            block.ray_starts,
-            block.ray_end_map,
-            block.plane_starts,
-            np.ascontiguousarray(block.plane_ends_map, np.float64),
-            np.ascontiguousarray(block.plane_normal, np.float64),
-            settings.own_plane_m,
-            float(np.cos(np.radians(settings.angle_deg))),
-        )
+        _compare_with_frames(frames, evidence, np.asarray(block.scan, np.int64), Rays.of(block), own, lengths)
     ends, head_m = doors.ends.copy(), doors.head_m.copy()
     for d, doorway in enumerate(segments(doors)):
         for side, outwards in ((0, -1.0), (1, 1.0)):
-            edge_m = _edge_m(jamb_cost_m[d, side], jamb_rays[d, side])
+            edge_m = _edge_m(evidence.jamb_cost_m[d, side], evidence.jamb_rays[d, side], settings.rays_min)
             if edge_m is not None:
-                ends[d, side] += outwards * doorway.along * (edge_m - FRAME_REACH_M)
-        edge_m = _edge_m(head_cost_m[d], head_rays[d])
-        head_m[d] = doors.head_m[d] if edge_m is None else _HEAD_MIN_M + edge_m
-    count, first, last = scans.T
+                ends[d, side] += outwards * doorway.along * (edge_m - settings.jamb_reach_m)
+        edge_m = _edge_m(evidence.head_cost_m[d], evidence.head_rays[d], settings.rays_min)
+        head_m[d] = doors.head_m[d] if edge_m is None else settings.head_min_m + edge_m
+    count, first, last = evidence.scans.T
     return replace(doors, ends=ends, head_m=head_m, scan_count=count.astype(np.int32), first_scan=first, last_scan=last)
 
 
-def _edge_m(cost_m: FloatArray, rays: IntArray) -> float | None:
+def _edge_m(cost_m: FloatArray, rays: IntArray, rays_min: int) -> float | None:
     """How far from the first bin an opening's edge lies, where rays contradict it least; None where too few tell.
 
     cost_m: (bins,) by how much rays end off where they would with the edge there, from within the opening outwards, 1 cm each.
     rays: (2,) how many of them ended on the face, and behind it.
     """
-    if rays.min() < _FRAME_RAYS:
+    if rays.min() < rays_min:
         return None
-    return float(np.argmin(cost_m)) * _FRAME_BIN_M
+    return float(np.argmin(cost_m)) * _BIN_M
 
 
 @numba.njit(cache=True, nogil=True)
@@ -119,7 +173,7 @@ def _add_costs(
     each behind that. end_m: how far behind the face it ended; depth_m: where it would within the opening.
     """
     for k in range(len(cost_m)):
-        inside_m = first_m + k * _FRAME_BIN_M - place_m
+        inside_m = first_m + k * _BIN_M - place_m
         off_m = abs(end_m)
         if inside_m > 0.0:
             off_m = depth_m - end_m
@@ -130,28 +184,12 @@ def _add_costs(
 
 @numba.njit(cache=True, nogil=True)
 def _compare_with_frames(
-    ends: FloatArray,
-    head_m: FloatArray,
-    depth_m: FloatArray,
-    wall_ends: FloatArray,
-    wall_normal: FloatArray,
-    jamb_cost_m: FloatArray,
-    jamb_rays: IntArray,
-    head_cost_m: FloatArray,
-    head_rays: IntArray,
-    scans: IntArray,
-    scan: IntArray,
-    origin: FloatArray,
-    floor: FloatArray,
-    is_foot: BoolArray,
-    starts: IntArray,
-    ray_end: FloatArray,
-    plane_starts: IntArray,
-    plane_ends: FloatArray,
-    plane_normal: FloatArray,
-    own_plane_m: float,
-    cos_angle: float,
+    frames: _Frames, evidence: _Evidence, scan: IntArray, rays: Rays, own: OwnPlane, lengths: _Lengths
 ) -> None:  # pragma: no cover
+    ends, head_m, depth_m, wall_ends, wall_normal = frames
+    jamb_cost_m, jamb_rays, head_cost_m, head_rays, scans = evidence
+    origin, starts, ray_end = rays.origin, rays.starts, rays.end
+    jamb_reach_m, corner_m = lengths.jamb_reach_m, lengths.corner_m
     for d in range(len(ends)):
         dx, dy = ends[d, 1, 0] - ends[d, 0, 0], ends[d, 1, 1] - ends[d, 0, 1]
         length = np.sqrt(dx * dx + dy * dy)
@@ -161,21 +199,12 @@ def _compare_with_frames(
             reach = wall_normal[d, 0] * ox + wall_normal[d, 1] * oy
             # Seen at a slant, a leaf's recess shifts where rays pass the face.
             if (
-                reach < _REACH_MIN_M
-                or reach > _REACH_MAX_M
+                reach < lengths.from_m
+                or reach > lengths.to_m
                 or abs(ox * dx + oy * dy - 0.5 * length) > 2.0 * reach + 0.5 * length
             ):
                 continue
-            nx, ny, offset, start, stop = own_plane(
-                wall_ends[d],
-                wall_normal[d],
-                plane_ends,
-                plane_normal,
-                plane_starts[s],
-                plane_starts[s + 1],
-                own_plane_m,
-                cos_angle,
-            )
+            nx, ny, offset, start, stop = own_plane(wall_ends[d], wall_normal[d], rays, s, own)
             middle = (
                 (ends[d, 0, 0] - wall_ends[d, 0, 0]) * dx + (ends[d, 0, 1] - wall_ends[d, 0, 1]) * dy + 0.5 * length
             )
@@ -184,7 +213,7 @@ def _compare_with_frames(
                 offset = nx * wall_ends[d, 0, 0] + ny * wall_ends[d, 0, 1]
             offset -= nx * ends[d, 0, 0] + ny * ends[d, 0, 1]
             reach = nx * ox + ny * oy - offset
-            if reach < _REACH_MIN_M:
+            if reach < lengths.from_m:
                 continue
             saw = False
             for r in range(starts[s], starts[s + 1]):
@@ -196,60 +225,53 @@ def _compare_with_frames(
                 t = reach / (reach - side)
                 x, y, z = ox + t * (x - ox), oy + t * (y - oy), origin[s, 2] + t * (ray_end[r, 2] - origin[s, 2])
                 u = x * dx + y * dy
-                if u < -FRAME_REACH_M or u > length + FRAME_REACH_M:
+                if u < -jamb_reach_m or u > length + jamb_reach_m:
                     continue
-                height = z - floor_height(floor[s], is_foot[s], ray_end[r, 0], ray_end[r, 1])
+                height = z - floor_m(rays, s, ray_end[r, 0], ray_end[r, 1])
                 kind = 0 if -side < min(0.5 * depth_m[d], ON_FACE_M) else 1
                 end_m = min(max(-side, -depth_m[d]), depth_m[d])
-                if _CORNER_M < u < length - _CORNER_M and _HEAD_MIN_M < height < _HEAD_MAX_M:
+                if corner_m < u < length - corner_m and lengths.head_min_m < height < lengths.head_max_m:
                     head_rays[d, kind] += 1
-                    _add_costs(head_cost_m[d], _HEAD_MIN_M, height, (z - origin[s, 2]) / reach, end_m, depth_m[d])
-                if height < _FOOT_M or height > head_m[d] - _CORNER_M:
+                    rise = (z - origin[s, 2]) / reach
+                    _add_costs(head_cost_m[d], lengths.head_min_m, height, rise, end_m, depth_m[d])
+                if height < lengths.foot_m or height > head_m[d] - corner_m:
                     continue
                 saw = True
                 sideways = (u - (ox * dx + oy * dy)) / reach
-                if u < FRAME_REACH_M:
+                if u < jamb_reach_m:
                     jamb_rays[d, 0, kind] += 1
-                    _add_costs(jamb_cost_m[d, 0], -FRAME_REACH_M, -u, -sideways, end_m, depth_m[d])
-                if u > length - FRAME_REACH_M:
+                    _add_costs(jamb_cost_m[d, 0], -jamb_reach_m, -u, -sideways, end_m, depth_m[d])
+                if u > length - jamb_reach_m:
                     jamb_rays[d, 1, kind] += 1
-                    _add_costs(jamb_cost_m[d, 1], -FRAME_REACH_M, u - length, sideways, end_m, depth_m[d])
+                    _add_costs(jamb_cost_m[d, 1], -jamb_reach_m, u - length, sideways, end_m, depth_m[d])
             if saw:
                 scans[d, 0] += 1
                 scans[d, 1] = scan[s] if scans[d, 1] < 0 else scans[d, 1]
                 scans[d, 2] = scan[s]
 
 
-def measure_reveals(doors: Doors, blocks: Iterable[Features]) -> Doors:
+def measure_reveals(doors: Doors, blocks: Iterable[Features], settings: DoorFramesSettings) -> Doors:
     """The doors with the depth of their reveals, by the returns of the underside of each lintel.
 
     Nothing else hangs in a doorway at the height of its head; the leaf's edge stands beside a jamb, which is left out.
     """
-    bins = int(_REVEAL_MAX_M / _REVEAL_BIN_M)
-    counts = np.zeros((len(doors), bins, _UNDERSIDE_PARTS), np.int64)
+    # The underside shows over most of eight parts of the door's width; the edge of a leaf that is ajar does not.
+    counts = np.zeros((len(doors), int(settings.reveal_max_m / _BIN_M), 8), np.int64)
     length_m = lengths_m(doors.ends)
     for block in blocks:
         _count_undersides(
-            doors.ends,
-            doors.normal,
-            length_m,
-            doors.head_m,
-            counts,
-            np.ascontiguousarray(block.floor_map, np.float64),
-            block.floor_is_foot,
-            block.ray_starts,
-            block.ray_end_map,
+            doors.ends, doors.normal, length_m, doors.head_m, counts, Rays.of(block), _Lengths.of(settings)
         )
     reveal_m = doors.reveal_m.copy()
     for d in range(len(doors)):
         # Behind the face by as far as returns follow each other without a gap, over most of the width: a leaf's upper edge
         # that is ajar is narrow. They scatter about the end, which is where half as many return as before.
-        enough = np.count_nonzero(counts[d], axis=1) > 0.5 * _UNDERSIDE_PARTS
+        enough = np.count_nonzero(counts[d], axis=1) > 0.5 * counts.shape[2]
         runs = stretches(enough, 4)
-        if runs and runs[0][0] * _REVEAL_BIN_M <= 0.1:
+        if runs and runs[0][0] * _BIN_M <= 0.1:
             returns = np.convolve(counts[d].sum(axis=1), np.ones(3), "same")[: runs[0][1] + 1]
             usual = np.median(returns[len(returns) // 2 :])
-            reveal_m[d] = (np.flatnonzero(returns > 0.5 * usual)[-1] + 1) * _REVEAL_BIN_M
+            reveal_m[d] = (np.flatnonzero(returns > 0.5 * usual)[-1] + 1) * _BIN_M
     return replace(doors, reveal_m=reveal_m)
 
 
@@ -260,25 +282,24 @@ def _count_undersides(
     length_m: FloatArray,
     head_m: FloatArray,
     counts: IntArray,
-    floor: FloatArray,
-    is_foot: BoolArray,
-    starts: IntArray,
-    ray_end: FloatArray,
+    rays: Rays,
+    lengths: _Lengths,
 ) -> None:  # pragma: no cover
-    bins = counts.shape[1]
-    for s in range(len(floor)):
+    bins, corner_m = counts.shape[1], lengths.corner_m
+    starts, ray_end = rays.starts, rays.end
+    for s in range(len(starts) - 1):
         for r in range(starts[s], starts[s + 1]):
-            height = ray_end[r, 2] - floor_height(floor[s], is_foot[s], ray_end[r, 0], ray_end[r, 1])
-            if height < _HEAD_MIN_M or height > _HEAD_MAX_M:
+            height = ray_end[r, 2] - floor_m(rays, s, ray_end[r, 0], ray_end[r, 1])
+            if height < lengths.head_min_m or height > lengths.head_max_m:
                 continue
             for d in range(len(ends)):
-                if abs(height - head_m[d]) > _AT_HEAD_M:
+                if abs(height - head_m[d]) > lengths.underside_m:
                     continue
                 x, y = ray_end[r, 0] - ends[d, 0, 0], ray_end[r, 1] - ends[d, 0, 1]
                 behind = -(normal[d, 0] * x + normal[d, 1] * y)
-                if behind < 0.0 or behind >= bins * _REVEAL_BIN_M:
+                if behind < 0.0 or behind >= bins * _BIN_M:
                     continue
                 u = ((ends[d, 1, 0] - ends[d, 0, 0]) * x + (ends[d, 1, 1] - ends[d, 0, 1]) * y) / length_m[d]
-                inner = (u - _CORNER_M) / (length_m[d] - 2 * _CORNER_M)
+                inner = (u - corner_m) / (length_m[d] - 2 * corner_m)
                 if 0.0 <= inner < 1.0:
-                    counts[d, int(behind / _REVEAL_BIN_M), int(inner * counts.shape[2])] += 1
+                    counts[d, int(behind / _BIN_M), int(inner * counts.shape[2])] += 1

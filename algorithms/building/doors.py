@@ -10,7 +10,6 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import Segment, lengths_m, segments
 from ffmap.algorithms.building.model import (
     CELL_M,
-    FRAME_REACH_M,
     NO_DOORS,
     NO_WINDOWS,
     ON_FACE_M,
@@ -22,8 +21,9 @@ from ffmap.algorithms.building.model import (
     stretches,
 )
 from ffmap.algorithms.building.openings import (
-    REVEAL_MIN_M,
     DoorColumns,
+    OpeningRules,
+    OpeningsSettings,
     is_open_to_floor,
     is_pane,
     look_for_doors,
@@ -34,23 +34,9 @@ from ffmap.algorithms.building.openings import (
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells
 from ffmap.algorithms.scan.doors import DoorState
 
-_BESIDE_COLUMNS = 8
-_JAMB_WALL_COLUMNS = 2
-"""Of so many columns beside a door at least so many show its wall, on one side of it."""
-_HIDDEN_JAMBS = 0.5
-"""Where fewer of them are seen, nothing is known of an open doorway's jambs."""
-_NEXT_WALL_M, _LEADS_M = 0.2, 0.9
-_PARALLEL_DEG, _HIDDEN_SHARE = 5.0, 0.8
-"""Another wall that faces the same way, so close behind an opening and all of it, leaves no room that it could lead to."""
-_LEAF_COLUMNS = 30
-"""A leaf that is ajar, or the closed one of two, covers at most so many columns beside the open ones."""
-_HEAD_SLACK_M = 0.05
-_AJAR_M = 0.1
-"""A leaf whose free edge is so far from its frame stands open."""
-
 
 def find_doors(
-    walls: Walls, cells: WallCells, clear_m: FloatArray, settings: BuildingSettings, windows: Windows = NO_WINDOWS
+    walls: Walls, cells: WallCells, clear_m: FloatArray, rules: OpeningRules, windows: Windows = NO_WINDOWS
 ) -> Doors:
     """Doors: columns with wall above and, below, either nothing for the rays to hit or a recessed leaf.
 
@@ -63,8 +49,8 @@ def find_doors(
     found: list[_Door] = []
     top_m = tops_m(walls, cells, clear_m)
     for w in range(len(walls)):
-        for door in _doors_in(w, walls, cells, top_m[cells.first[w] : cells.first[w + 1]], settings):
-            if _leads_somewhere(door, walls) and not _is_glazed(door, windows):
+        for door in _doors_in(w, walls, cells, top_m[cells.first[w] : cells.first[w + 1]], rules):
+            if _leads_somewhere(door, walls, rules.openings) and not _is_glazed(door, windows, rules.openings):
                 found.append(door)
     # Where a face ends within an opening, the other face may show all of it.
     found.sort(key=lambda door: (door.is_cut, -door.agreement * door.coverage * door.ray_count))
@@ -96,7 +82,7 @@ def find_doors(
         last_scan=np.full(len(kept), -1, np.int64),
         crossed=np.zeros(len(kept), bool),
         wall=np.array([d.wall for d in kept], np.int32),
-        reveal_m=np.full(len(kept), settings.reveal_m),
+        reveal_m=np.full(len(kept), rules.building.reveal_m),
     )
 
 
@@ -119,23 +105,24 @@ class _Door:
     """Whether it reaches the end of its face: that may not be its jamb."""
 
 
-def _doors_in(w: int, walls: Walls, cells: WallCells, top_m: FloatArray, settings: BuildingSettings) -> Iterable[_Door]:
+def _doors_in(w: int, walls: Walls, cells: WallCells, top_m: FloatArray, rules: OpeningRules) -> Iterable[_Door]:
     """The openings of one face; top_m: (c,) how high each of its columns stands."""
     counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
     if len(counts) < 3:
         return
-    found = look_for_doors(counts, top_m, settings)
+    settings, openings = rules.building, rules.openings
+    found = look_for_doors(counts, top_m, rules)
     low, high = FOOT_ROW, cells_in(settings.door_height_min_m)
     face = Segment.between(walls.ends[w], walls.normal[w])
     for seen_as, flags in ((DoorState.OPEN, found.is_open), (DoorState.CLOSED, found.is_closed)):
         for first, last in stretches(flags, 2):
             if seen_as == DoorState.OPEN:
                 opening = counts[first : last + 1]
-                if is_pane(opening, settings) or not is_open_to_floor(opening, settings):
+                if is_pane(opening, rules) or not is_open_to_floor(opening, rules):
                     continue
-                first, last = to_jambs(counts[:, low:high].sum(axis=1), first, last, _LEAF_COLUMNS)
+                first, last = to_jambs(counts[:, low:high].sum(axis=1), first, last, openings.leaf_max_m)
                 if (last + 1 - first) * CELL_M < settings.door_width_min_m:
-                    first, last = _over_what_its_leaf_hides(found, first, last, settings)
+                    first, last = _over_what_its_leaf_hides(found, first, last, rules)
             width_m = (last + 1 - first) * CELL_M
             # Smoothing and the cells' own width blur each side by up to a column.
             if not settings.door_width_min_m <= width_m + CELL_M or width_m > settings.door_width_max_m:
@@ -143,12 +130,12 @@ def _doors_in(w: int, walls: Walls, cells: WallCells, top_m: FloatArray, setting
             columns = slice(first, last + 1)
             lintel_m = float(np.mean(found.lintel_m[columns]))
             depth_m = float("nan") if seen_as == DoorState.OPEN else float(np.nanmedian(found.depth_m[columns]))
-            jambs = _count_jambs(counts, first, last, lintel_m, depth_m, settings)
+            jambs = _count_jambs(counts, first, last, lintel_m, depth_m, rules)
             lintel = float(np.mean(found.has_lintel[columns]))
             if jambs < (1 if lintel > 0.5 else 2):
                 continue
             agree = found.through[columns] if seen_as == DoorState.OPEN else 1 - found.through[columns]
-            is_ajar = seen_as == DoorState.CLOSED and _is_ajar(found.depth_m[columns])
+            is_ajar = seen_as == DoorState.CLOSED and _is_ajar(found.depth_m[columns], openings.ajar_m)
             state = DoorState.OPEN if is_ajar else seen_as
             yield _Door(
                 ends=face.at(CELL_M * np.array([first, last + 1])),
@@ -167,9 +154,7 @@ def _doors_in(w: int, walls: Walls, cells: WallCells, top_m: FloatArray, setting
             )
 
 
-def _over_what_its_leaf_hides(
-    columns: DoorColumns, first: int, last: int, settings: BuildingSettings
-) -> tuple[int, int]:
+def _over_what_its_leaf_hides(columns: DoorColumns, first: int, last: int, rules: OpeningRules) -> tuple[int, int]:
     """The columns of an opening too narrow for a door, with those on one side of it that its leaf hides, up to its jamb.
 
     A leaf that stands ajar towards the robot lets no ray come to them, or stands before the wall itself beside its hinge;
@@ -177,11 +162,12 @@ def _over_what_its_leaf_hides(
 
     columns: of the whole face; first, last: the opening's.
     """
+    settings, most = rules.building, cells_in(rules.openings.leaf_max_m)
     on, passed = columns.rays[:, FILLED], columns.rays[:, THROUGH]
     unseen = on + passed < settings.rays_min
     hidden = columns.has_lintel & (unseen | (columns.depth_m < -settings.recess_min_m))
     stands = ~hidden & (on >= settings.rays_min) & (passed < on)
-    before, behind = widened(hidden, first, first, _LEAF_COLUMNS)[0], widened(hidden, last, last, _LEAF_COLUMNS)[1]
+    before, behind = widened(hidden, first, first, most)[0], widened(hidden, last, last, most)[1]
     on_left = 0 < before < first and bool(stands[before - 1])
     on_right = last < behind < len(hidden) - 1 and bool(stands[behind + 1])
     if on_left == on_right:
@@ -189,7 +175,7 @@ def _over_what_its_leaf_hides(
     return (before, last) if on_left else (first, behind)
 
 
-def _leads_somewhere(door: "_Door", walls: Walls) -> bool:
+def _leads_somewhere(door: _Door, walls: Walls, settings: OpeningsSettings) -> bool:
     """Whether an opening has room behind it: below a duct, and beside a cupboard under it, the next wall is close.
 
     What hides a part of it, or stands aslant, may be its own leaf ajar, or what the room behind it is furnished with.
@@ -198,35 +184,35 @@ def _leads_somewhere(door: "_Door", walls: Walls) -> bool:
         return True
     width_m = float(np.linalg.norm(door.ends[1] - door.ends[0]))
     for face in segments(walls):
-        parallel = door.normal @ face.normal > np.cos(np.radians(_PARALLEL_DEG))
-        close = _NEXT_WALL_M < face.before_m(door.ends.mean(axis=0)) < _LEADS_M
-        if parallel and close and face.shared_m(door.ends) > _HIDDEN_SHARE * width_m:
+        parallel = door.normal @ face.normal > np.cos(np.radians(settings.next_wall_deg))
+        close = settings.next_wall_min_m < face.before_m(door.ends.mean(axis=0)) < settings.next_wall_max_m
+        if parallel and close and face.shared_m(door.ends) > settings.next_wall_share * width_m:
             return False
     return True
 
 
-def _is_glazed(door: "_Door", windows: Windows) -> bool:
+def _is_glazed(door: _Door, windows: Windows, settings: OpeningsSettings) -> bool:
     """Whether most of an opening is a window's, of whichever of its wall's faces."""
     opening = Segment.between(door.ends, door.normal)
     for ends, normal in zip(windows.ends, windows.normal, strict=True):
-        near = np.abs(opening.before_m(ends)).max() < FRAME_REACH_M and abs(door.normal @ normal) > 0.8
+        near = np.abs(opening.before_m(ends)).max() < settings.glazed_m and abs(door.normal @ normal) > 0.8
         if near and opening.shared_m(ends) > 0.5 * opening.length_m:
             return True
     return False
 
 
-def _is_ajar(depth_m: FloatArray) -> bool:
-    """Whether a leaf, so far (c,) behind the wall at each column, stands aslant: its free edge is away from the frame."""
+def _is_ajar(depth_m: FloatArray, ajar_m: float) -> bool:
+    """Whether a leaf, of which depth_m (c,) is how far behind the wall each column lies, stands aslant."""
     known = np.flatnonzero(np.isfinite(depth_m))
     if len(known) < 3:
         return False
     # Columns at the jambs hold returns of the reveals as well: the median of the slopes between all pairs (Theil and Sen).
     slope = float(stats.theilslopes(depth_m[known], known).slope)
-    return bool(abs(slope) * len(depth_m) > _AJAR_M)
+    return bool(abs(slope) * len(depth_m) > ajar_m)
 
 
 def _count_jambs(
-    counts: FloatArray, first: int, last: int, lintel_m: float, depth_m: float, settings: BuildingSettings
+    counts: FloatArray, first: int, last: int, lintel_m: float, depth_m: float, rules: OpeningRules
 ) -> int:
     """On how many sides the wall above an opening stands beside it too: on one at least, on both where its lintel is hidden.
 
@@ -236,17 +222,20 @@ def _count_jambs(
     counts: (columns, rows, 4) of the whole face; first, last: the opening's columns. lintel_m: the wall above before the
     face. depth_m: the leaf behind that; NaN of an open door.
     """
-    low, high = FOOT_ROW, cells_in(settings.door_height_min_m)
-    below = counts[:, low:high].sum(axis=1)
+    settings, openings = rules.building, rules.openings
+    below = counts[:, FOOT_ROW : cells_in(settings.door_height_min_m)].sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         behind_m = lintel_m - below[:, SUM] / below[:, FILLED]
     seen = below[:, FILLED] + below[:, THROUGH] >= settings.rays_min
     stands = (below[:, FILLED] >= settings.rays_min) & (below[:, THROUGH] < below[:, FILLED])
     flush = stands & (np.abs(behind_m) < (0.5 * depth_m if np.isfinite(depth_m) else ON_FACE_M))
-    sides = slice(max(first - _BESIDE_COLUMNS, 0), first), slice(last + 1, last + 1 + _BESIDE_COLUMNS)
+    reach = cells_in(openings.beside_m)
+    sides = slice(max(first - reach, 0), first), slice(last + 1, last + 1 + reach)
     beside = np.concatenate([seen[side] for side in sides])
-    hidden = not np.isfinite(depth_m) and len(beside) > 0 and beside.mean() < _HIDDEN_JAMBS
-    return 1 if hidden else sum(int(np.count_nonzero(flush[side]) >= _JAMB_WALL_COLUMNS) for side in sides)
+    hidden = not np.isfinite(depth_m) and len(beside) > 0 and beside.mean() < 0.5
+    return (
+        1 if hidden else sum(int(np.count_nonzero(flush[side]) >= cells_in(openings.beside_wall_m)) for side in sides)
+    )
 
 
 def _head_m(counts: FloatArray, state: DoorState, lintel_m: float, settings: BuildingSettings) -> float:
@@ -256,7 +245,7 @@ def _head_m(counts: FloatArray, state: DoorState, lintel_m: float, settings: Bui
         depth_m = lintel_m - rows[:, SUM] / rows[:, FILLED]
         if state == DoorState.OPEN:
             # A ray that ends on the lintel's underside passes the face lower than it ends.
-            wall = (rows[:, FILLED] > rows[:, THROUGH]) & (depth_m < REVEAL_MIN_M)
+            wall = (rows[:, FILLED] > rows[:, THROUGH]) & (depth_m < ON_FACE_M)
         else:
             wall = depth_m < 0.5 * settings.recess_min_m
     start = cells_in(settings.door_height_min_m - 0.1)
@@ -281,7 +270,7 @@ def drop_doubtful(doors: Doors, settings: BuildingSettings) -> Doors:
     """
     width_m = lengths_m(doors.ends)
     narrow = width_m < settings.door_width_min_m - CELL_M
-    lowest_m, highest_m = settings.door_height_min_m - _HEAD_SLACK_M, settings.door_height_max_m + _HEAD_SLACK_M
+    lowest_m, highest_m = settings.door_height_min_m - CELL_M, settings.door_height_max_m + CELL_M
     doubtful = (
         (doors.scan_count < settings.scans_min)
         | (doors.head_m < lowest_m)

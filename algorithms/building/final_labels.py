@@ -9,6 +9,7 @@ from pydantic import Field
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.segments import Faces
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_foreground import BeforeWalls
 from ffmap.algorithms.building.face_verdicts import JudgedFaces
@@ -17,89 +18,103 @@ from ffmap.algorithms.building.model import CELL_M, Doors, Walls, Windows
 from ffmap.algorithms.building.votes import Halo
 from ffmap.algorithms.scan.doors import DoorState
 
-_GRAZING = 0.2
-"""Sine of the angle between a ray and a face below which where they cross says nothing."""
-
-_ANOTHER_CEILING_M = 0.06
-"""A ceiling that hangs so much lower than what is known of the ceiling before a wall is another room's.
-
-What is known comes from cubes of all scans' returns, which lie as far apart as poses drift and returns scatter.
-"""
-
-_OWN_MAX_M, _OWN_BIN_M, _OWN_RETURNS = 0.06, 0.002, 20
-"""A scan shows a face so far off at most, to so much, where so many of its returns tell."""
-_OWN_FROM_M, _OWN_TO_M = 0.08, 0.7
-"""Its foot and its top are told by what returned between these distances from floor, or ceiling."""
-
-_LEAF_HANGS_M, _AT_LEAF_M = 0.03, 0.012
-"""Over so much of a reveal, at its end, a return so far within the frame is the leaf's."""
-
-_AT_DOOR_M = 1.0
-"""What is farther before or behind a door's face has nothing to do with that door: leaves and reveals are nearer."""
-_OTHER_FACE_M = 0.5
-"""A doorway opens every face that stands at most so far from the door's: that of its wall's other side too."""
-_LINTEL_M = 0.3
-"""What lies within a wall so far above a door's head is its lintel's underside: the head is known to a cell or two."""
-
-_FACE_GOES_ON_M, _REFUSED_GOES_ON_M = 0.1, 0.2
-"""A face counts so far above the highest that was seen of it; a refused one, which no ceiling ends, farther."""
-_SCAN_DOOR_RATIO = 2.0
-"""What a scan called door, where the building has none, is wall up to so many wall distances from a face: it is recessed."""
-
-_ALONG_X, _ALONG_Y, _START, _NORMAL_X, _NORMAL_Y, _OFFSET, _LENGTH = range(7)
-"""The columns of `_frames`."""
-
 
 class RelabellingSettings(StepSettings):
     """What the building's walls and doors change in a scan's labels."""
 
     wall_distance_m: float = Field(
-        0.04, gt=0, description="Clutter within this many metres of a fused wall face becomes wall."
+        0.04, gt=0, description="Maximum distance (m) from a wall's face of clutter that becomes wall."
     )
     body_m: float = Field(
         0.07,
         ge=0,
-        description="Clutter at most this many metres behind a face that the sensor looks at is within the wall: its scatter.",
+        description="Maximum distance (m) behind a face that the sensor looks at of clutter that is the wall's scatter.",
+    )
+    face_above_m: float = Field(
+        0.1, ge=0, description="A face counts this far (m) above the highest that was seen of it."
     )
     leaf_distance_m: float = Field(
-        0.1, gt=0, description="A return at most this many metres behind a closed leaf is its scatter."
+        0.1, gt=0, description="Maximum distance (m) behind a closed leaf of a return that is its scatter."
     )
-    margin_m: float = Field(
-        0.05, ge=0, description="A wall face, or a window, counts this many metres beyond its ends."
-    )
+    margin_m: float = Field(0.05, ge=0, description="A wall's face, or a window, counts this far (m) beyond its ends.")
     at_reveal_m: float = Field(
-        0.035, ge=0, description="A reveal or the underside of a lintel is known to this many metres."
+        0.035, ge=0, description="Maximum distance (m) of a return from the reveal or lintel that it is part of."
     )
     opening_m: float = Field(
-        0.015, ge=0, description="This many metres within the frame of an open door no wall stands."
+        0.015, ge=0, description="Distance (m) from the frame of an open door beyond which no wall stands in it."
+    )
+    at_door_m: float = Field(
+        1.0,
+        gt=0,
+        description="Farther (m) before or behind a door's face nothing belongs to the door: leaves are nearer.",
+    )
+    other_face_m: float = Field(
+        0.5, gt=0, description="Maximum distance (m) from a door's face of other faces that its doorway opens too."
+    )
+    lintel_m: float = Field(
+        0.3, ge=0, description="Maximum height (m) above a door's head of returns that are the underside of its lintel."
+    )
+    leaf_hangs_m: float = Field(
+        0.03, ge=0, description="Width (m) at a reveal's end where the leaf of an open door hangs."
+    )
+    at_leaf_m: float = Field(
+        0.012, ge=0, description="The same as at_reveal_m there: what is farther from it is the leaf."
+    )
+    scan_door_ratio: float = Field(
+        2.0, ge=0, description="What a scan calls door is recessed: it becomes wall up to this many wall distances."
     )
     refused_m: float = Field(
         0.06,
         ge=0,
-        description="What a scan calls wall at most this many metres off a refused face is clutter, or outside.",
+        description="Maximum distance (m) from a refused face of what a scan calls wall and is clutter, or outside.",
     )
-    pane_m: float = Field(0.0, ge=0, description="More than this many metres behind a pane a return is outside.")
+    refused_above_m: float = Field(
+        0.2, ge=0, description="The same as face_above_m of a refused face, which no ceiling ends."
+    )
+    pane_m: float = Field(0.0, ge=0, description="Distance (m) behind a pane beyond which a return is outside.")
     behind_glass_m: float = Field(
         0.12,
         gt=0,
         description="The same behind a window's wall, where the pane returned nothing and its place is not known.",
     )
     forget_m: float = Field(
-        0.2, gt=0, description="A wall return farther than this many metres from every fused face becomes clutter."
+        0.2, gt=0, description="Distance (m) from every wall's face beyond which what a scan calls wall is clutter."
     )
     edge_m: float = Field(
         0.06,
         ge=0,
         le=0.2,
-        description="So near both to a wall and to floor or ceiling a return is of the one that its ray meets first.",
+        description="Maximum distance (m) both from a wall and from floor or ceiling of a return that is of the one that its "
+        "ray meets first.",
     )
+    another_ceiling_m: float = Field(
+        0.06,
+        ge=0,
+        description="A ceiling this far (m) below the one before a wall is another room's: poses drift, returns scatter.",
+    )
+    grazing_sine: float = Field(
+        0.2,
+        ge=0,
+        lt=1,
+        description="Sine of the angle between a ray and a face below which the place where they cross says nothing.",
+    )
+    own_max_m: float = Field(
+        0.06,
+        gt=0,
+        description="Maximum distance (m) of a face from where a scan itself shows it: poses are off by less.",
+    )
+    own_from_m: float = Field(
+        0.08, ge=0, description="Distance (m) from floor and ceiling from which returns tell where a scan shows a face."
+    )
+    own_to_m: float = Field(0.7, gt=0, description="Distance (m) from floor and ceiling up to which they do.")
+    own_returns_min: int = Field(20, ge=1, description="Minimum returns that tell where a scan shows a face.")
     floor_scatter_m: float = Field(
-        0.015, ge=0, description="A floor seen level lies within this many metres of where its plane is."
+        0.015, ge=0, description="Maximum height (m) above the floor of returns of the floor itself, seen level."
     )
     range_scatter_m: float = Field(
         0.02,
         ge=0,
-        description="A return is off by at most this many metres along its ray, which lifts it off a floor seen steeply.",
+        description="Maximum error (m) of a return along its ray, which lifts it off a floor that is seen steeply.",
     )
     halo_ratio: float = Field(
         10.0,
@@ -107,7 +122,7 @@ class RelabellingSettings(StepSettings):
         description="Clutter with fewer than one in this many votes of the floor, ceiling or wall beside it is its scatter.",
     )
     halo_wall_m: float = Field(
-        0.12, gt=0, description="So near one of the building's faces clutter may be a wall's scatter."
+        0.12, gt=0, description="Maximum distance (m) from a face of clutter that may be the wall's scatter."
     )
 
 
@@ -132,14 +147,35 @@ class BuildingModel:
     levels: tuple[HeightMap, ...]
 
 
+class _Lines(NamedTuple):
+    """Faces, sills or other lines (k,) seen from above: direction, place of the first end along it, normal, offset, length."""
+
+    along_x: FloatArray
+    along_y: FloatArray
+    start: FloatArray
+    normal_x: FloatArray
+    normal_y: FloatArray
+    offset: FloatArray
+    length: FloatArray
+
+    @classmethod
+    def of(cls, faces: Faces) -> "_Lines":
+        along = faces.ends[:, 1] - faces.ends[:, 0]
+        length = np.linalg.norm(along, axis=1)
+        along = along / np.maximum(length, 1e-9)[:, None]
+        start = np.sum(along * faces.ends[:, 0], axis=1)
+        offset = np.sum(faces.normal * faces.ends[:, 0], axis=1)
+        return cls(*(np.ascontiguousarray(a) for a in (*along.T, start, *faces.normal.T, offset, length)))
+
+
 class _Faces(NamedTuple):
     """Wall faces for compiled code.
 
-    frame: (W, 7) of `_frames`. top_m: (W,) highest that was seen. first: (W + 1,) the column at which each begins.
+    lines: the W faces. top_m: (W,) highest that was seen. first: (W + 1,) the column at which each begins.
     clear_m: (columns,) from the floor to the ceiling before it. covered: (columns, rows) whether something stands there.
     """
 
-    frame: FloatArray
+    lines: _Lines
     top_m: FloatArray
     first: IntArray
     clear_m: FloatArray
@@ -147,34 +183,34 @@ class _Faces(NamedTuple):
 
 
 class _Refused(NamedTuple):
-    """Refused faces: frame (R, 7) of `_frames`, top_m (R,), and the label (R,) of their returns."""
+    """Refused faces: their lines, top_m (R,), and the label (R,) of their returns."""
 
-    frame: FloatArray
+    lines: _Lines
     top_m: FloatArray
     label: UInt8Array
 
 
 class _Doorways(NamedTuple):
-    """Doors: frame (D, 7) of `_frames`, head_m (D,) above the floor, reveal_m (D,) how deep the reveals are.
+    """Doors: the lines of their sills, head_m (D,) above the floor, reveal_m (D,) how deep the reveals are.
 
     depth_m: (D,) of the closed leaf behind the wall's face; minus infinity where the door is open.
     """
 
-    frame: FloatArray
+    lines: _Lines
     head_m: FloatArray
     depth_m: FloatArray
     reveal_m: FloatArray
 
 
 class _Panes(NamedTuple):
-    """Windows: frame (N, 7) of `_frames`, and how far behind their face what returns is outside, beyond_m (N,)."""
+    """Windows: their lines, and how far behind their face what returns is outside, beyond_m (N,)."""
 
-    frame: FloatArray
+    lines: _Lines
     beyond_m: FloatArray
 
 
-class _Lengths(NamedTuple):
-    """The lengths of `RelabellingSettings` that compiled code asks for, metres."""
+class _Rules(NamedTuple):
+    """What compiled code asks for of `RelabellingSettings`."""
 
     wall_distance_m: float
     body_m: float
@@ -187,6 +223,20 @@ class _Lengths(NamedTuple):
     edge_m: float
     floor_scatter_m: float
     range_scatter_m: float
+    face_above_m: float
+    refused_above_m: float
+    at_door_m: float
+    other_face_m: float
+    lintel_m: float
+    leaf_hangs_m: float
+    at_leaf_m: float
+    scan_door_ratio: float
+    another_ceiling_m: float
+    grazing_sine: float
+    own_max_m: float
+    own_from_m: float
+    own_to_m: float
+    own_returns_min: int
 
 
 class _Return(NamedTuple):
@@ -249,97 +299,94 @@ def relabel(
             below_ceiling_m,
             corrected(first, points_map, label_scan),
             np.ascontiguousarray(origin_map, np.float64),
-            _Faces(_frames(walls.ends, walls.normal), walls.top_m, before.first, before.clear_m, before.covered),
-            _Refused(_frames(refused.ends, refused.normal), refused.top_m, building.judged.refused_label),
+            _Faces(_Lines.of(walls), walls.top_m, before.first, before.clear_m, before.covered),
+            _Refused(_Lines.of(refused), refused.top_m, building.judged.refused_label),
             _Doorways(
-                _frames(doors.ends, doors.normal),
+                _Lines.of(doors),
                 doors.head_m,
                 np.where(doors.state == DoorState.CLOSED, doors.depth_m, -np.inf),
                 doors.reveal_m,
             ),
             _Panes(
-                _frames(windows.ends, windows.normal),
+                _Lines.of(windows),
                 np.where(np.isfinite(windows.pane_m), windows.pane_m + settings.pane_m, settings.behind_glass_m),
             ),
-            _Lengths(*(getattr(settings, name) for name in _Lengths._fields)),
+            _Rules(*(getattr(settings, name) for name in _Rules._fields)),
         )
     )
     return corrected(last, points_map, halo.label_of(points_map, label))
 
 
-def _frames(ends: FloatArray, normal: FloatArray) -> FloatArray:
-    """(k, 7) for each segment: direction x y, its first end's place along it, normal x y, offset, length."""
-    along = ends[:, 1] - ends[:, 0]
-    length = np.linalg.norm(along, axis=1, keepdims=True)
-    along = along / np.maximum(length, 1e-9)
-    start = np.sum(along * ends[:, 0], axis=1, keepdims=True)
-    offset = np.sum(normal * ends[:, 0], axis=1, keepdims=True)
-    return np.ascontiguousarray(np.concatenate([along, start, normal, offset, length], axis=1))
-
-
 @numba.njit(cache=True, nogil=True)
-def _before(frame: FloatArray, k: int, x: float, y: float) -> float:  # pragma: no cover
+def _before(lines: _Lines, k: int, x: float, y: float) -> float:  # pragma: no cover
     """How far before the k-th segment's line a place is, metres; negative behind it."""
-    return float(frame[k, _NORMAL_X] * x + frame[k, _NORMAL_Y] * y - frame[k, _OFFSET])
+    return float(lines.normal_x[k] * x + lines.normal_y[k] * y - lines.offset[k])
 
 
 @numba.njit(cache=True, nogil=True)
-def _is_before(frame: FloatArray, k: int, origin: FloatArray) -> bool:  # pragma: no cover
+def _is_before(lines: _Lines, k: int, origin: FloatArray) -> bool:  # pragma: no cover
     """Whether the sensor looks at the k-th face."""
-    return bool(frame[k, _NORMAL_X] * origin[0] + frame[k, _NORMAL_Y] * origin[1] > frame[k, _OFFSET])
+    return bool(lines.normal_x[k] * origin[0] + lines.normal_y[k] * origin[1] > lines.offset[k])
 
 
 @numba.njit(cache=True, nogil=True)
-def _along(frame: FloatArray, k: int, x: float, y: float) -> float:  # pragma: no cover
+def _along(lines: _Lines, k: int, x: float, y: float) -> float:  # pragma: no cover
     """How far along the k-th segment from its first end a place is, metres."""
-    return float(frame[k, _ALONG_X] * x + frame[k, _ALONG_Y] * y - frame[k, _START])
+    return float(lines.along_x[k] * x + lines.along_y[k] * y - lines.start[k])
 
 
 @numba.njit(cache=True, nogil=True)
 def _crossing(
-    frame: FloatArray, k: int, behind_m: float, x: float, y: float, origin: FloatArray
+    lines: _Lines, k: int, behind_m: float, x: float, y: float, origin: FloatArray, grazing_sine: float
 ) -> tuple[float, float]:  # pragma: no cover
-    """Where a ray crosses the k-th face, or the plane so far behind it: the share of the ray's length, the place along it.
+    """Where a ray crosses the k-th face, or the plane `behind_m` behind it: the share of the ray's length, the place along it.
 
     NaN where the ray does not come from before the face, or runs along it, so that the crossing says nothing.
     """
-    before = _before(frame, k, origin[0], origin[1]) + behind_m
-    approach = before - (_before(frame, k, x, y) + behind_m)
-    if before <= 0.0 or approach < _GRAZING * np.hypot(x - origin[0], y - origin[1]):
+    before = _before(lines, k, origin[0], origin[1]) + behind_m
+    approach = before - (_before(lines, k, x, y) + behind_m)
+    if before <= 0.0 or approach < grazing_sine * np.hypot(x - origin[0], y - origin[1]):
         return np.nan, np.nan
     share = before / approach
     cx, cy = origin[0] + share * (x - origin[0]), origin[1] + share * (y - origin[1])
-    return share, _along(frame, k, cx, cy)
+    return share, _along(lines, k, cx, cy)
 
 
 @numba.njit(cache=True, nogil=True)
 def _own_places(
-    points: FloatArray, height: FloatArray, below_ceiling: FloatArray, label_scan: UInt8Array, frame: FloatArray
+    points: FloatArray,
+    height: FloatArray,
+    below_ceiling: FloatArray,
+    label_scan: UInt8Array,
+    lines: _Lines,
+    rules: _Rules,
 ) -> FloatArray:  # pragma: no cover
     """(W, 2) how far before each face the scan itself shows its foot, and its top; 0 where it shows neither.
 
     A pose may be off by a centimetre, and its upright by tenths of a degree, which is as much at the ceiling.
     """
-    bins = int(2.0 * _OWN_MAX_M / _OWN_BIN_M)
-    counts = np.zeros((len(frame), 2, bins), np.int64)
+    bin_m, most_m = 0.002, rules.own_max_m
+    bins = int(2.0 * most_m / bin_m)
+    faces = len(lines.length)
+    counts = np.zeros((faces, 2, bins), np.int64)
     for i in range(len(points)):
         if label_scan[i] != Label.WALL:
             continue
-        at_foot = _OWN_FROM_M < height[i] < _OWN_TO_M
-        if not at_foot and not _OWN_FROM_M < below_ceiling[i] < _OWN_TO_M:
+        at_foot = rules.own_from_m < height[i] < rules.own_to_m
+        if not at_foot and not rules.own_from_m < below_ceiling[i] < rules.own_to_m:
             continue
-        for w in range(len(frame)):
-            s = _before(frame, w, points[i, 0], points[i, 1])
-            u = _along(frame, w, points[i, 0], points[i, 1])
-            if abs(s) < _OWN_MAX_M and _OWN_MAX_M < u < frame[w, _LENGTH] - _OWN_MAX_M:
-                counts[w, 0 if at_foot else 1, min(int((s + _OWN_MAX_M) / _OWN_BIN_M), bins - 1)] += 1
-    own_m = np.full((len(frame), 2), np.nan)
-    for w in range(len(frame)):
+        for w in range(faces):
+            s = _before(lines, w, points[i, 0], points[i, 1])
+            u = _along(lines, w, points[i, 0], points[i, 1])
+            if abs(s) < most_m and most_m < u < lines.length[w] - most_m:
+                counts[w, 0 if at_foot else 1, min(int((s + most_m) / bin_m), bins - 1)] += 1
+    own_m = np.full((faces, 2), np.nan)
+    for w in range(faces):
         for end in range(2):
             total = counts[w, end].sum()
-            if total >= _OWN_RETURNS:
+            if total >= rules.own_returns_min:
                 middle = np.searchsorted(np.cumsum(counts[w, end]), 0.5 * total)
-                own_m[w, end] = (middle + 0.5) * _OWN_BIN_M - _OWN_MAX_M
+                own_m[w, end] = (middle + 0.5) * bin_m - most_m
         for end in range(2):
             if np.isnan(own_m[w, end]):
                 own_m[w, end] = 0.0 if np.isnan(own_m[w, 1 - end]) else own_m[w, 1 - end]
@@ -348,24 +395,24 @@ def _own_places(
 
 @numba.njit(cache=True, nogil=True)
 def _through_window(
-    at: _Return, origin: FloatArray, panes: _Panes, lengths: _Lengths
+    at: _Return, origin: FloatArray, panes: _Panes, rules: _Rules
 ) -> tuple[bool, bool]:  # pragma: no cover
     """Whether a ray reached its return through a window; and whether that is on a window's sill, head or reveal."""
     on_reveal = False
-    for g in range(len(panes.frame)):
-        s = _before(panes.frame, g, at.x, at.y)
+    for g in range(len(panes.lines.length)):
+        s = _before(panes.lines, g, at.x, at.y)
         if s > -panes.beyond_m[g]:
             # Between a window's face and its pane there is nothing but the sill, the head and the reveals.
-            if s < lengths.wall_distance_m:
-                u = _along(panes.frame, g, at.x, at.y)
-                on_reveal = on_reveal or -lengths.margin_m < u < panes.frame[g, _LENGTH] + lengths.margin_m
+            if s < rules.wall_distance_m:
+                u = _along(panes.lines, g, at.x, at.y)
+                on_reveal = on_reveal or -rules.margin_m < u < panes.lines.length[g] + rules.margin_m
             continue
-        reach = _before(panes.frame, g, origin[0], origin[1])
+        reach = _before(panes.lines, g, origin[0], origin[1])
         if reach < 0.0:
             continue
         t = reach / (reach - s)
         cx, cy = origin[0] + t * (at.x - origin[0]), origin[1] + t * (at.y - origin[1])
-        if -lengths.margin_m < _along(panes.frame, g, cx, cy) < panes.frame[g, _LENGTH] + lengths.margin_m:
+        if -rules.margin_m < _along(panes.lines, g, cx, cy) < panes.lines.length[g] + rules.margin_m:
             return True, on_reveal
     return False, on_reveal
 
@@ -378,7 +425,7 @@ def _at_edge(
     faces: _Faces,
     own_m: FloatArray,
     doorways: _Doorways,
-    edge_m: float,
+    rules: _Rules,
 ) -> np.int64 | Label:  # pragma: no cover
     """The label of a floor, ceiling or wall return near floor or ceiling, by which of them and the walls its ray meets first.
 
@@ -387,28 +434,29 @@ def _at_edge(
 
     label: as numba holds members, for a function that returns both. own_m: from `_own_places`.
     """
+    edge_m = rules.edge_m
     near_floor, near_a_ceiling = abs(at.height_m) < edge_m, abs(at.below_ceiling_m) < edge_m
-    for d in range(len(doorways.frame)):
+    for d in range(len(doorways.lines.length)):
         # A closed leaf stands on the floor, behind its wall's face.
         depth_m = doorways.depth_m[d]
-        if near_floor and depth_m >= 0.0 and abs(_before(doorways.frame, d, at.x, at.y) + depth_m) < edge_m:
-            share, u = _crossing(doorways.frame, d, depth_m, at.x, at.y, origin)
-            if 0.0 < u < doorways.frame[d, _LENGTH]:
+        if near_floor and depth_m >= 0.0 and abs(_before(doorways.lines, d, at.x, at.y) + depth_m) < edge_m:
+            share, u = _crossing(doorways.lines, d, depth_m, at.x, at.y, origin, rules.grazing_sine)
+            if 0.0 < u < doorways.lines.length[d]:
                 return Label.DOOR if at.height_m + (share - 1.0) * (at.z - origin[2]) > 0.0 else Label.FLOOR
     missed = False
-    for w in range(len(faces.frame)):
+    for w in range(len(faces.lines.length)):
         before_m = own_m[w, 0 if near_floor else 1]
-        if abs(_before(faces.frame, w, at.x, at.y) - before_m) > edge_m:
+        if abs(_before(faces.lines, w, at.x, at.y) - before_m) > edge_m:
             continue
-        share, u = _crossing(faces.frame, w, -before_m, at.x, at.y, origin)
-        if not 0.0 <= u <= faces.frame[w, _LENGTH]:
+        share, u = _crossing(faces.lines, w, -before_m, at.x, at.y, origin, rules.grazing_sine)
+        if not 0.0 <= u <= faces.lines.length[w]:
             continue
         rise = (share - 1.0) * (at.z - origin[2])
         cx, cy = origin[0] + share * (at.x - origin[0]), origin[1] + share * (at.y - origin[1])
-        if _is_in_doorway(cx, cy, at.height_m + rise, doorways):
+        if _is_in_doorway(cx, cy, at.height_m + rise, doorways, rules.other_face_m):
             continue
         column = min(int(u / CELL_M), faces.first[w + 1] - faces.first[w] - 1)
-        is_other_rooms = at.height_m < faces.clear_m[faces.first[w] + column] - _ANOTHER_CEILING_M
+        is_other_rooms = at.height_m < faces.clear_m[faces.first[w] + column] - rules.another_ceiling_m
         near_ceiling = near_a_ceiling and not is_other_rooms
         if (not near_floor or at.height_m + rise > 0.0) and (not near_ceiling or at.below_ceiling_m - rise > 0.0):
             return Label.WALL
@@ -419,12 +467,14 @@ def _at_edge(
 
 
 @numba.njit(cache=True, nogil=True)
-def _is_in_doorway(x: float, y: float, height_m: float, doorways: _Doorways) -> bool:  # pragma: no cover
-    """Whether a place, so high above the floor, on a face of some wall is between the jambs of one of its doors."""
-    for d in range(len(doorways.frame)):
+def _is_in_doorway(
+    x: float, y: float, height_m: float, doorways: _Doorways, other_face_m: float
+) -> bool:  # pragma: no cover
+    """Whether a place at this height above the floor, on a face of some wall, is between the jambs of one of its doors."""
+    for d in range(len(doorways.lines.length)):
         if (
-            0.0 < _along(doorways.frame, d, x, y) < doorways.frame[d, _LENGTH]
-            and abs(_before(doorways.frame, d, x, y)) < _OTHER_FACE_M
+            0.0 < _along(doorways.lines, d, x, y) < doorways.lines.length[d]
+            and abs(_before(doorways.lines, d, x, y)) < other_face_m
             and height_m < doorways.head_m[d]
         ):
             return True
@@ -432,31 +482,31 @@ def _is_in_doorway(x: float, y: float, height_m: float, doorways: _Doorways) -> 
 
 
 @numba.njit(cache=True, nogil=True)
-def _is_above_floor(at: _Return, origin: FloatArray, lengths: _Lengths) -> bool:  # pragma: no cover
+def _is_above_floor(at: _Return, origin: FloatArray, rules: _Rules) -> bool:  # pragma: no cover
     """Whether a floor return is too high to be the floor's scatter.
 
     A ray that comes in level ends on the floor, or far before it: what stands there has a foot.
     """
     fall = origin[2] - at.z
     steepness = abs(fall) / np.sqrt((at.x - origin[0]) ** 2 + (at.y - origin[1]) ** 2 + fall**2)
-    return bool(at.height_m > lengths.floor_scatter_m + lengths.range_scatter_m * steepness)
+    return bool(at.height_m > rules.floor_scatter_m + rules.range_scatter_m * steepness)
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True)  # a call for each return would hand over all arrays
-def _at_door(at: _Return, origin: FloatArray, doorways: _Doorways, lengths: _Lengths) -> _AtDoor:  # pragma: no cover
+def _at_door(at: _Return, origin: FloatArray, doorways: _Doorways, rules: _Rules) -> _AtDoor:  # pragma: no cover
     """What a return is to the building's doors; once it is a leaf's, nothing else is asked."""
     on_reveal = False
     in_opening = False
     in_doorway = False
-    for d in range(len(doorways.frame)):
-        s = _before(doorways.frame, d, at.x, at.y)
-        if abs(s) > _AT_DOOR_M:
+    for d in range(len(doorways.lines.length)):
+        s = _before(doorways.lines, d, at.x, at.y)
+        if abs(s) > rules.at_door_m:
             continue
-        u, length = _along(doorways.frame, d, at.x, at.y), doorways.frame[d, _LENGTH]
+        u, length = _along(doorways.lines, d, at.x, at.y), doorways.lines.length[d]
         depth_m, head_m, reveal_m = doorways.depth_m[d], doorways.head_m[d], doorways.reveal_m[d]
         # Between the jambs of a closed door there is nothing but its leaf, its handle, and their scatter.
-        if -depth_m - lengths.leaf_distance_m < s < lengths.wall_distance_m:
-            share, at_leaf = _crossing(doorways.frame, d, depth_m, at.x, at.y, origin)
+        if -depth_m - rules.leaf_distance_m < s < rules.wall_distance_m:
+            share, at_leaf = _crossing(doorways.lines, d, depth_m, at.x, at.y, origin, rules.grazing_sine)
             rise = (share - 1.0) * (at.z - origin[2])
             if np.isnan(share):
                 at_leaf, rise = u, 0.0
@@ -464,25 +514,25 @@ def _at_door(at: _Return, origin: FloatArray, doorways: _Doorways, lengths: _Len
                 return _AtDoor(True, on_reveal, in_opening, in_doorway)
         in_opening = in_opening or (
             depth_m < 0.0
-            and lengths.opening_m < u < length - lengths.opening_m
-            and at.height_m < head_m - lengths.opening_m
-            and -reveal_m - lengths.margin_m < s < lengths.margin_m
+            and rules.opening_m < u < length - rules.opening_m
+            and at.height_m < head_m - rules.opening_m
+            and -reveal_m - rules.margin_m < s < rules.margin_m
         )
-        in_doorway = in_doorway or (-lengths.margin_m < u < length + lengths.margin_m and at.height_m < head_m)
+        in_doorway = in_doorway or (-rules.margin_m < u < length + rules.margin_m and at.height_m < head_m)
         # Beside the frame the wall is as deep as its other face scatters.
-        deep_m = reveal_m if 0.0 < u < length else reveal_m + lengths.wall_distance_m
-        if -deep_m < s < lengths.wall_distance_m and -lengths.wall_distance_m < u < length + lengths.wall_distance_m:
+        deep_m = reveal_m if 0.0 < u < length else reveal_m + rules.wall_distance_m
+        if -deep_m < s < rules.wall_distance_m and -rules.wall_distance_m < u < length + rules.wall_distance_m:
             # At the reveal's end an open leaf hangs, as thick as the reveal's scatter is wide.
-            inner_m = _AT_LEAF_M if s < _LEAF_HANGS_M - reveal_m else lengths.at_reveal_m
+            inner_m = rules.at_leaf_m if s < rules.leaf_hangs_m - reveal_m else rules.at_reveal_m
             at_jamb = u < inner_m or u > length - inner_m
-            at_head = head_m - lengths.at_reveal_m < at.height_m < head_m + _LINTEL_M
+            at_head = head_m - rules.at_reveal_m < at.height_m < head_m + rules.lintel_m
             on_reveal = on_reveal or at_head or (at_jamb and at.height_m < head_m)
     return _AtDoor(False, on_reveal, in_opening, in_doorway)
 
 
 @numba.njit(cache=True, nogil=True)
 def _nearest_face(
-    at: _Return, origin: FloatArray, faces: _Faces, lengths: _Lengths
+    at: _Return, origin: FloatArray, faces: _Faces, rules: _Rules
 ) -> tuple[float, bool, bool]:  # pragma: no cover
     """Metres to the nearest face, infinite without one; whether something stands against that; whether any has it within.
 
@@ -491,13 +541,13 @@ def _nearest_face(
     nearest_m = np.inf
     is_covered = False
     is_within = False
-    for w in range(len(faces.frame)):
-        s = _before(faces.frame, w, at.x, at.y)
-        in_body = -lengths.body_m < s < 0.0 and _is_before(faces.frame, w, origin)
+    for w in range(len(faces.lines.length)):
+        s = _before(faces.lines, w, at.x, at.y)
+        in_body = -rules.body_m < s < 0.0 and _is_before(faces.lines, w, origin)
         if abs(s) < nearest_m or in_body:
-            u = _along(faces.frame, w, at.x, at.y)
-            beside = -lengths.margin_m < u < faces.frame[w, _LENGTH] + lengths.margin_m
-            if beside and at.height_m < faces.top_m[w] + _FACE_GOES_ON_M:
+            u = _along(faces.lines, w, at.x, at.y)
+            beside = -rules.margin_m < u < faces.lines.length[w] + rules.margin_m
+            if beside and at.height_m < faces.top_m[w] + rules.face_above_m:
                 if abs(s) < nearest_m:
                     nearest_m = abs(s)
                     column = min(max(int(u / CELL_M), 0), faces.first[w + 1] - faces.first[w] - 1)
@@ -508,13 +558,13 @@ def _nearest_face(
 
 
 @numba.njit(cache=True, nogil=True)
-def _label_of_refused(at: _Return, refused: _Refused, lengths: _Lengths) -> int:  # pragma: no cover
+def _label_of_refused(at: _Return, refused: _Refused, rules: _Rules) -> int:  # pragma: no cover
     """The label of the first refused face that a return lies on, -1 where it lies on none."""
-    for f in range(len(refused.frame)):
-        if abs(_before(refused.frame, f, at.x, at.y)) < lengths.refused_m:
-            u = _along(refused.frame, f, at.x, at.y)
-            beside = -lengths.margin_m < u < refused.frame[f, _LENGTH] + lengths.margin_m
-            if beside and at.height_m < refused.top_m[f] + _REFUSED_GOES_ON_M:
+    for f in range(len(refused.lines.length)):
+        if abs(_before(refused.lines, f, at.x, at.y)) < rules.refused_m:
+            u = _along(refused.lines, f, at.x, at.y)
+            beside = -rules.margin_m < u < refused.lines.length[f] + rules.margin_m
+            if beside and at.height_m < refused.top_m[f] + rules.refused_above_m:
                 return int(refused.label[f])
     return -1
 
@@ -530,11 +580,11 @@ def _relabel(
     refused: _Refused,
     doorways: _Doorways,
     panes: _Panes,
-    lengths: _Lengths,
+    rules: _Rules,
 ) -> UInt8Array:  # pragma: no cover
     """The final labels (n,) before halo and levels are asked: return by return the first answer that decides."""
     label = label_scan.copy()
-    own_m = _own_places(points, height, below_ceiling, label_scan, faces.frame)
+    own_m = _own_places(points, height, below_ceiling, label_scan, faces.lines, rules)
     for i in range(len(points)):
         at = _Return(
             np.float64(points[i, 0]),
@@ -543,18 +593,18 @@ def _relabel(
             np.float64(height[i]),
             np.float64(below_ceiling[i]),
         )
-        is_outside, on_reveal = _through_window(at, origin, panes, lengths)
+        is_outside, on_reveal = _through_window(at, origin, panes, rules)
         if is_outside:
             label[i] = Label.OUTSIDE
             continue
         if label[i] == Label.FLOOR or label[i] == Label.CEILING or label[i] == Label.WALL:
-            if abs(at.height_m) < lengths.edge_m or abs(at.below_ceiling_m) < lengths.edge_m:
-                label[i] = _at_edge(np.int64(label[i]), at, origin, faces, own_m, doorways, lengths.edge_m)
-            if label[i] == Label.FLOOR and _is_above_floor(at, origin, lengths):
+            if abs(at.height_m) < rules.edge_m or abs(at.below_ceiling_m) < rules.edge_m:
+                label[i] = _at_edge(np.int64(label[i]), at, origin, faces, own_m, doorways, rules)
+            if label[i] == Label.FLOOR and _is_above_floor(at, origin, rules):
                 label[i] = Label.CLUTTER
             if label[i] != Label.WALL:
                 continue
-        door = _at_door(at, origin, doorways, lengths)
+        door = _at_door(at, origin, doorways, rules)
         if door.on_leaf:
             label[i] = Label.DOOR
             continue
@@ -563,22 +613,22 @@ def _relabel(
             # A face goes on over its doors, but no wall stands in an open one.
             label[i] = Label.CLUTTER
             continue
-        nearest_m, is_covered, is_within = _nearest_face(at, origin, faces, lengths)
-        if is_covered and nearest_m < lengths.forget_m and not on_reveal:
+        nearest_m, is_covered, is_within = _nearest_face(at, origin, faces, rules)
+        if is_covered and nearest_m < rules.forget_m and not on_reveal:
             label[i] = Label.CLUTTER
             continue
         is_wall, is_door = label[i] == Label.WALL, label[i] == Label.DOOR
-        if nearest_m > lengths.wall_distance_m and (is_wall or is_door) and not on_reveal:
-            of_refused = _label_of_refused(at, refused, lengths)
+        if nearest_m > rules.wall_distance_m and (is_wall or is_door) and not on_reveal:
+            of_refused = _label_of_refused(at, refused, rules)
             if of_refused >= 0:
                 label[i] = of_refused
                 continue
         is_scatter = is_within and not door.in_doorway
-        if label[i] == Label.CLUTTER and (on_reveal or nearest_m < lengths.wall_distance_m or is_scatter):
+        if label[i] == Label.CLUTTER and (on_reveal or nearest_m < rules.wall_distance_m or is_scatter):
             label[i] = Label.WALL
-        elif is_wall and nearest_m > lengths.forget_m:
+        elif is_wall and nearest_m > rules.forget_m:
             label[i] = Label.CLUTTER
         elif is_door:
-            is_faces = nearest_m < _SCAN_DOOR_RATIO * lengths.wall_distance_m
+            is_faces = nearest_m < rules.scan_door_ratio * rules.wall_distance_m
             label[i] = Label.WALL if is_faces else Label.CLUTTER
     return label

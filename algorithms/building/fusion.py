@@ -7,7 +7,7 @@ where windows are, and what was seen through those is no face of this building.
 from dataclasses import dataclass, replace
 
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.building.door_frames import measure_reveals, place_frames
+from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
 from ffmap.algorithms.building.doors import drop_doubtful, find_doors, prove_crossed
 from ffmap.algorithms.building.drive import AllScans
 from ffmap.algorithms.building.face_alignment import AlignedFaces, align_faces
@@ -31,10 +31,11 @@ from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSet
 from ffmap.algorithms.building.levels import HeightMap
 from ffmap.algorithms.building.missed_walls import find_hidden_walls
 from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
+from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
 from ffmap.algorithms.building.votes import Halo, find_halo
-from ffmap.algorithms.building.windows import find_windows, seen_through
+from ffmap.algorithms.building.windows import WindowsSettings, find_windows, seen_through
 from ffmap.algorithms.scan.summary import concatenate, select_planes, without_rays
 
 _STRICT_NEAR_M = 0.07
@@ -48,8 +49,16 @@ class FusionSettings:
     building: BuildingSettings
     standing_walls: StandingWallsSettings
     before_walls: BeforeWallsSettings
+    openings: OpeningsSettings
+    windows: WindowsSettings
+    door_frames: DoorFramesSettings
     wall_thickness: WallThicknessSettings
     relabelling: RelabellingSettings
+
+    @property
+    def opening_rules(self) -> OpeningRules:
+        """By what doors and windows are told."""
+        return OpeningRules(self.building, self.openings)
 
 
 @dataclass(frozen=True)
@@ -108,7 +117,8 @@ def _find_faces(scans: AllScans, settings: FusionSettings) -> tuple[AlignedFaces
     aligned = _align(fuse_walls(planes, settings.building), scans, settings)
     judged = _judge(aligned, scans, settings)
     cells = scans.trace(judged.walls, settings.building, NO_WINDOWS)
-    windows = find_windows(judged.walls, cells, _clear_m(judged.walls, cells, scans, settings), settings.building)
+    clear_m = _clear_m(judged.walls, cells, scans, settings)
+    windows = find_windows(judged.walls, cells, clear_m, settings.opening_rules, settings.windows)
     outside = seen_through(windows, planes)
     if outside.any():
         aligned = _align(fuse_walls(select_planes(planes, ~outside), settings.building), scans, settings)
@@ -169,14 +179,14 @@ def _find_openings(walls: Walls, scans: AllScans, settings: FusionSettings) -> t
     """Doors and windows, and the walls' faces as the doors' reveals end them."""
     cells = scans.trace(walls, settings.building, NO_WINDOWS)
     clear_m = _clear_m(walls, cells, scans, settings)
-    windows = find_windows(walls, cells, clear_m, settings.building)
+    windows = find_windows(walls, cells, clear_m, settings.opening_rules, settings.windows)
     # What a window lets pass is no door's.
     without_glass = scans.trace(walls, settings.building, windows) if len(windows) else cells
-    doors = find_doors(walls, without_glass, clear_m, settings.building, windows)
-    doors = place_frames(doors, walls, scans.drive.blocks(), settings.building)
+    doors = find_doors(walls, without_glass, clear_m, settings.opening_rules, windows)
+    doors = place_frames(doors, walls, scans.drive.blocks(), settings.building, settings.door_frames)
     doors = drop_doubtful(doors, settings.building)
     doors = prove_crossed(doors, scans.path_map)
-    doors = measure_reveals(doors, scans.drive.blocks())
+    doors = measure_reveals(doors, scans.drive.blocks(), settings.door_frames)
     parts = part_walls(walls, settings.wall_thickness)
     doors = replace(doors, reveal_m=door_depths(doors, walls, parts, settings.wall_thickness))
     return trim_at_doorways(walls, cells, doors, clear_m), doors, windows

@@ -11,11 +11,9 @@ from ffmap.algorithms.base.settings import StepSettings
 CELL_M = 0.05
 """Edge of the cells that a wall face is told apart by."""
 AT_FACE_M = 0.06
-"""A return so close to a face may be its own, displaced by noise along the ray and by the pose's error."""
+"""A return closer to a face may be its own, displaced by noise along the ray and by the pose's error."""
 ON_FACE_M = 0.03
 """A return farther behind the face is within the opening: on a reveal, on the lintel's underside, or beyond."""
-FRAME_REACH_M = 0.2
-"""A jamb stands at most so far beside where cells show it."""
 
 
 class BuildingSettings(StepSettings):
@@ -28,6 +26,9 @@ class BuildingSettings(StepSettings):
         ge=0,
         description="A scan's plane that lies within this many metres of a face is that face as this scan saw it; one "
         "farther off is another thing's, such as a leaf's.",
+    )
+    own_plane_margin_m: float = Field(
+        0.2, ge=0, description="A scan's own plane of a wall holds this far (m) beyond what the scan saw of it."
     )
     gap_m: float = Field(0.6, ge=0, description="A wall has no gap longer than this many metres between its planes.")
     scans_min: int = Field(3, ge=1, description="Fewest scans that make a wall, and that bear out each part of it.")

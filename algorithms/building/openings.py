@@ -3,9 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
+from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
-from ffmap.algorithms.building.model import CELL_M, BuildingSettings, Walls, cells_in
+from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, BuildingSettings, Walls, cells_in
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,
     FOOT_ROW,
@@ -17,14 +19,54 @@ from ffmap.algorithms.building.ray_evidence import (
     with_neighbours,
 )
 
-JAMB_COLUMNS = 2
-_SHEET_M = 0.02
-"""A pane's returns lie so close to its sheet."""
-REVEAL_MIN_M = 0.03
-_TOP_MARGIN_M, _LINTEL_ROWS = 0.1, 4
-"""So close below the ceiling its own returns begin; under a low one so many rows tell of the wall above a door."""
-KNEE_M = 0.5
-"""A window's sill is higher."""
+
+class OpeningsSettings(StepSettings):
+    """Telling doors and windows from the cells of a wall's face."""
+
+    knee_m: float = Field(
+        0.5, gt=0, description="Maximum height above the floor (m) of a doorway's foot; windows' sills are higher."
+    )
+    jamb_m: float = Field(
+        0.1,
+        ge=0,
+        description="Width (m) beside a jamb in which returns may be of its reveal: it tells nothing of panes.",
+    )
+    sheet_m: float = Field(0.02, gt=0, description="Maximum distance (m) of a pane's returns from the pane.")
+    below_ceiling_m: float = Field(
+        0.1, ge=0, description="Height (m) below the ceiling in which returns may be the ceiling's."
+    )
+    lintel_m: float = Field(
+        0.2, gt=0, description="Minimum height (m) of the wall below a low ceiling that tells of the wall above a door."
+    )
+    beside_m: float = Field(0.4, gt=0, description="Width (m) beside a door in which its wall has to stand.")
+    beside_wall_m: float = Field(0.1, gt=0, description="Minimum width (m) of the wall that is seen there.")
+    next_wall_min_m: float = Field(
+        0.2, ge=0, description="Minimum distance (m) behind an opening of a wall that leaves no room to lead to."
+    )
+    next_wall_max_m: float = Field(
+        0.9, gt=0, description="Maximum distance (m) of that wall: a room behind a door is deeper."
+    )
+    next_wall_deg: float = Field(5.0, gt=0, le=45, description="Maximum angle (degrees) of that wall to the opening.")
+    next_wall_share: float = Field(
+        0.8, gt=0, le=1, description="Minimum share of the opening's width that such a wall covers."
+    )
+    leaf_max_m: float = Field(
+        1.5, ge=0, description="Maximum width (m) that a leaf hides beside the open part of its doorway."
+    )
+    glazed_m: float = Field(
+        0.2, gt=0, description="Maximum distance (m) of an opening from a window's face for it to be the window's."
+    )
+    ajar_m: float = Field(
+        0.1, gt=0, description="Minimum distance (m) of a leaf's free edge from its frame for the door to stand open."
+    )
+
+
+@dataclass(frozen=True)
+class OpeningRules:
+    """By what doors and windows are told."""
+
+    building: BuildingSettings
+    openings: OpeningsSettings
 
 
 @dataclass(frozen=True)
@@ -54,17 +96,20 @@ def tops_m(walls: Walls, cells: WallCells, clear_m: FloatArray) -> FloatArray:
     return np.where(np.isfinite(clear_m), clear_m, np.repeat(walls.top_m, np.diff(cells.first)))
 
 
-def look_for_doors(counts: FloatArray, top_m: FloatArray, settings: BuildingSettings) -> DoorColumns:
+def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -> DoorColumns:
     """Columns with nothing but wall above and, below, either nothing for the rays to hit or a recessed leaf.
 
     counts: (c, rows, 4), see `WallCells`. top_m: (c,) how high the wall stands at each column: see `tops_m`.
     """
+    settings, openings = rules.building, rules.openings
     smooth = with_neighbours(counts)
     low, knee = FOOT_ROW, cells_in(0.6)
     high, above = cells_in(settings.door_height_min_m), cells_in(settings.door_height_max_m)
-    top = (np.maximum(top_m - _TOP_MARGIN_M, 0.0) / CELL_M).astype(np.int64)[:, None]
+    top = (np.maximum(top_m - openings.below_ceiling_m, 0.0) / CELL_M).astype(np.int64)[:, None]
     row = np.arange(counts.shape[1])
-    above_head = smooth * ((row >= np.minimum(above, np.maximum(top - _LINTEL_ROWS, 0))) & (row < top))[..., None]
+    above_head = (
+        smooth * ((row >= np.minimum(above, np.maximum(top - cells_in(openings.lintel_m), 0))) & (row < top))[..., None]
+    )
     # What hangs behind a lintel is seen below it, and would pull its mean back.
     lintel = (above_head * (returns_at_face(above_head) > 0)[..., None]).sum(axis=1)
     passed_above = above_head[..., THROUGH].sum(axis=1)
@@ -93,7 +138,7 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, settings: BuildingSett
     return DoorColumns(is_open, is_closed, has_lintel, through, below, lintel_m, depth_m)
 
 
-def is_pane(counts: FloatArray, settings: BuildingSettings) -> bool:
+def is_pane(counts: FloatArray, rules: OpeningRules) -> bool:
     """Whether an opening holds a pane: glass lets most rays through, but those that it returns come from one sheet.
 
     An open doorway returns nothing, and what stands in it has some depth. (Glass returns rays that meet it straight on,
@@ -101,9 +146,10 @@ def is_pane(counts: FloatArray, settings: BuildingSettings) -> bool:
 
     counts: (c, rows, 4) of the opening's columns; those at its jambs are not looked at.
     """
-    jamb = min(JAMB_COLUMNS, (len(counts) - 1) // 2)
+    settings = rules.building
+    jamb = min(cells_in(rules.openings.jamb_m), (len(counts) - 1) // 2)
     inner = counts[jamb : len(counts) - jamb, FOOT_ROW : cells_in(settings.door_height_min_m)]
-    sheet = find_sheet(inner, settings)
+    sheet = find_sheet(inner, rules)
     return sheet is not None and sheet.returns >= settings.pane_share_min * float(inner[..., THROUGH].sum())
 
 
@@ -111,7 +157,7 @@ def is_pane(counts: FloatArray, settings: BuildingSettings) -> bool:
 class Sheet:
     """The sheet that most returns from within an opening lie on.
 
-    behind_m: so far behind the face. returns: how many lie on it. columns: in how many columns.
+    behind_m: its distance behind the face. returns: how many lie on it. columns: in how many columns.
     """
 
     behind_m: float
@@ -119,12 +165,13 @@ class Sheet:
     columns: int
 
 
-def find_sheet(counts: FloatArray, settings: BuildingSettings) -> Sheet | None:
+def find_sheet(counts: FloatArray, rules: OpeningRules) -> Sheet | None:
     """The sheet in an opening's cells (c, rows, 4): what stands behind a pane, or on its sill, adds returns of other depths.
 
     None where too few returns lie on one, or where they show in few of the columns that they might: the edge of a leaf or of
     a reveal does so.
     """
+    settings, sheet_m = rules.building, rules.openings.sheet_m
     filled = counts[..., FILLED]
     with np.errstate(invalid="ignore", divide="ignore"):
         mean_m = counts[..., SUM] / filled
@@ -135,37 +182,36 @@ def find_sheet(counts: FloatArray, settings: BuildingSettings) -> Sheet | None:
     depth_m, weight = mean_m[flat], filled[flat]
     order = np.argsort(depth_m)
     depth_m, total = depth_m[order], np.concatenate([[0.0], np.cumsum(weight[order])])
-    within = total[np.searchsorted(depth_m, depth_m + _SHEET_M, "right")]
-    within -= total[np.searchsorted(depth_m, depth_m - _SHEET_M, "left")]
-    on_sheet = flat & (np.abs(mean_m - depth_m[np.argmax(within)]) <= _SHEET_M)
+    within = total[np.searchsorted(depth_m, depth_m + sheet_m, "right")]
+    within -= total[np.searchsorted(depth_m, depth_m - sheet_m, "left")]
+    on_sheet = flat & (np.abs(mean_m - depth_m[np.argmax(within)]) <= sheet_m)
     returns, columns = float(filled[on_sheet].sum()), int(on_sheet.any(axis=1).sum())
     if returns < settings.rays_min or columns < 0.5 * min(len(counts), returns):
         return None
     behind_m = -float(counts[on_sheet, SUM].sum()) / returns
     # What reaches as deep as is looked goes on beyond: a leaf that is ajar.
-    return Sheet(behind_m, int(returns), columns) if behind_m < settings.near_m - 2 * _SHEET_M else None
+    return Sheet(behind_m, int(returns), columns) if behind_m < settings.near_m - 2 * sheet_m else None
 
 
-def is_open_to_floor(counts: FloatArray, settings: BuildingSettings) -> bool:
+def is_open_to_floor(counts: FloatArray, rules: OpeningRules) -> bool:
     """Whether rays pass an opening's columns (c, rows, 4) at its foot: what stands before a window may hide its sill."""
-    foot = counts[:, FOOT_ROW : cells_in(KNEE_M)].sum(axis=(0, 1))
-    return bool(
-        foot[THROUGH] >= settings.rays_min and foot[THROUGH] > settings.agreement_min * (foot[THROUGH] + foot[FILLED])
-    )
+    foot = counts[:, FOOT_ROW : cells_in(rules.openings.knee_m)].sum(axis=(0, 1))
+    share_min = rules.building.agreement_min
+    return bool(foot[THROUGH] >= rules.building.rays_min and foot[THROUGH] > share_min * (foot[THROUGH] + foot[FILLED]))
 
 
-def to_jambs(below: FloatArray, first: int, last: int, most: int) -> tuple[int, int]:
+def to_jambs(below: FloatArray, first: int, last: int, most_m: float) -> tuple[int, int]:
     """An open stretch of columns, widened to the jambs: beside it rays end on the reveals or on a leaf, behind the face.
 
-    below: (columns, 4), a face's counts between the foot and the head of an opening. most: columns on each side.
+    below: (columns, 4), a face's counts between the foot and the head of an opening. most_m: on each side.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
-        behind = below[:, SUM] / below[:, FILLED] < -REVEAL_MIN_M
-    return widened(behind, first, last, most)
+        behind = below[:, SUM] / below[:, FILLED] < -ON_FACE_M
+    return widened(behind, first, last, cells_in(most_m))
 
 
 def widened(flags: BoolArray, first: int, last: int, most: int) -> tuple[int, int]:
-    """A stretch of columns with the flagged ones that follow on each side without a gap, so many at most."""
+    """A stretch of columns with the flagged ones, at most `most`, that follow on each side without a gap."""
     for _ in range(most):
         if first > 0 and flags[first - 1]:
             first -= 1

@@ -6,6 +6,7 @@ apart as filled, empty and occluded by the rays that passed them, which is what 
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -18,8 +19,7 @@ from ffmap.algorithms.scan.floor import floor_height
 from ffmap.algorithms.scan.summary import Features
 
 FILLED, SUM, SQUARES, THROUGH = range(4)
-_OWN_MARGIN_M = 0.2
-"""A scan's own plane of a wall holds so many metres beyond what the scan saw of it."""
+"""What `WallCells.counts` holds of each cell."""
 FOOT_ROW = 2
 """The lowest row above sills, skirting boards and the floor's own returns."""
 
@@ -36,6 +36,53 @@ class WallCells:
     first: IntArray
     rows: int
     counts: FloatArray
+
+
+class Rays(NamedTuple):
+    """The scans of a block for compiled code, as `Features` holds them, in the map frame."""
+
+    origin: FloatArray
+    floor: FloatArray
+    floor_is_foot: BoolArray
+    starts: IntArray
+    end: FloatArray
+    label: UInt8Array
+    plane_starts: IntArray
+    plane_ends: FloatArray
+    plane_normal: FloatArray
+
+    @classmethod
+    def of(cls, block: Features) -> "Rays":
+        """Those of a block, laid out in memory as compiled code expects it."""
+        return cls(
+            np.ascontiguousarray(block.origin_map, np.float64),
+            np.ascontiguousarray(block.floor_map, np.float64),
+            block.floor_is_foot,
+            block.ray_starts,
+            np.ascontiguousarray(block.ray_end_map, np.float32),
+            block.ray_label,
+            block.plane_starts,
+            np.ascontiguousarray(block.plane_ends_map, np.float64),
+            np.ascontiguousarray(block.plane_normal, np.float64),
+        )
+
+
+class OwnPlane(NamedTuple):
+    """What makes a plane of a scan its own view of a face.
+
+    distance_m: its maximum distance from the face. cos_angle: of the maximum angle between the two. margin_m: how far
+    beyond what the scan saw of it the plane holds.
+    """
+
+    distance_m: float
+    cos_angle: float
+    margin_m: float
+
+    @classmethod
+    def of(cls, settings: BuildingSettings) -> "OwnPlane":
+        """As the settings say."""
+        cos_angle = float(np.cos(np.radians(settings.angle_deg)))
+        return cls(settings.own_plane_m, cos_angle, settings.own_plane_margin_m)
 
 
 def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSettings) -> WallCells:
@@ -55,21 +102,18 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
             walls.normal,
             first,
             counts,
-            np.ascontiguousarray(block.origin_map, np.float64),
-            np.ascontiguousarray(block.floor_map, np.float64),
-            block.floor_is_foot,
-            block.ray_starts,
-            np.ascontiguousarray(block.ray_end_map, np.float32),
-            block.ray_label,
-            block.plane_starts,
-            np.ascontiguousarray(block.plane_ends_map, np.float64),
-            np.ascontiguousarray(block.plane_normal, np.float64),
+            Rays.of(block),
             settings.near_m,
             settings.range_m,
-            settings.own_plane_m,
-            float(np.cos(np.radians(settings.angle_deg))),
+            OwnPlane.of(settings),
         )
     return WallCells(first, rows, counts)
+
+
+@numba.njit(cache=True, nogil=True)
+def floor_m(rays: Rays, scan: int, x: float, y: float) -> float:  # pragma: no cover
+    """Height of the floor at a place in the map (m), as a scan saw it."""
+    return float(floor_height(rays.floor[scan], rays.floor_is_foot[scan], x, y))
 
 
 def first_columns(walls: Walls) -> IntArray:
@@ -95,26 +139,27 @@ def with_neighbours(counts: FloatArray) -> FloatArray:
 def own_plane(
     ends: FloatArray,
     normal: FloatArray,
-    plane_ends: FloatArray,
-    plane_normal: FloatArray,
-    first: int,
-    after: int,
-    own_plane_m: float,
-    cos_angle: float,
+    rays: Rays,
+    scan: int,
+    rules: OwnPlane,
 ) -> tuple[float, float, float, float, float]:  # pragma: no cover
-    """Normal x, y and offset of a scan's own plane of a wall face, the one that shares most with it, and the stretch of the
-    face over which it was seen; the face's own normal and offset, and no stretch, where there is none."""
+    """Normal x, y and offset of a scan's own plane of a wall face, and the stretch of the face over which it was seen.
+
+    Of several planes the one that shares most with the face; the face's own normal and offset, and no stretch, where there
+    is none.
+    """
     along = ends[1] - ends[0]
     length = np.sqrt(along[0] ** 2 + along[1] ** 2)
     dx, dy = along[0] / length, along[1] / length
     nx, ny, offset = normal[0], normal[1], normal[0] * ends[0, 0] + normal[1] * ends[0, 1]
     longest, start, stop = 0.0, np.inf, -np.inf
-    for p in range(first, after):
-        px, py = plane_normal[p, 0], plane_normal[p, 1]
-        if px * normal[0] + py * normal[1] < cos_angle:
+    for p in range(rays.plane_starts[scan], rays.plane_starts[scan + 1]):
+        px, py = rays.plane_normal[p, 0], rays.plane_normal[p, 1]
+        if px * normal[0] + py * normal[1] < rules.cos_angle:
             continue
-        x0, y0 = plane_ends[p, 0, 0] - ends[0, 0], plane_ends[p, 0, 1] - ends[0, 1]
-        x1, y1 = plane_ends[p, 1, 0] - ends[0, 0], plane_ends[p, 1, 1] - ends[0, 1]
+        plane_ends = rays.plane_ends[p]
+        x0, y0 = plane_ends[0, 0] - ends[0, 0], plane_ends[0, 1] - ends[0, 1]
+        x1, y1 = plane_ends[1, 0] - ends[0, 0], plane_ends[1, 1] - ends[0, 1]
         along_0, along_1 = x0 * dx + y0 * dy, x1 * dx + y1 * dy
         low, high = min(along_0, along_1), max(along_0, along_1)
         shared = min(high, length) - max(low, 0.0)
@@ -124,10 +169,10 @@ def own_plane(
         off_0, off_1 = normal[0] * x0 + normal[1] * y0, normal[0] * x1 + normal[1] * y1
         rise = (off_1 - off_0) / (along_1 - along_0)
         far = max(abs(off_0 + rise * (max(low, 0.0) - along_0)), abs(off_0 + rise * (min(high, length) - along_0)))
-        if far < own_plane_m:
+        if far < rules.distance_m:
             longest, start, stop = shared, low, high
             nx, ny = px, py
-            offset = px * plane_ends[p, 0, 0] + py * plane_ends[p, 0, 1]
+            offset = px * plane_ends[0, 0] + py * plane_ends[0, 1]
     return nx, ny, offset, start, stop
 
 
@@ -137,21 +182,13 @@ def _trace(
     normal: FloatArray,
     first: IntArray,
     counts: FloatArray,
-    origin: FloatArray,
-    floor: FloatArray,
-    is_foot: BoolArray,
-    starts: IntArray,
-    ray_end: FloatArray,
-    ray_label: UInt8Array,
-    plane_starts: IntArray,
-    plane_ends: FloatArray,
-    plane_normal: FloatArray,
+    rays: Rays,
     near_m: float,
     range_m: float,
-    own_plane_m: float,
-    cos_angle: float,
+    own: OwnPlane,
 ) -> None:  # pragma: no cover
     rows = counts.shape[1]
+    origin, starts, ray_end = rays.origin, rays.starts, rays.end
     for s in range(len(origin)):
         ox, oy, oz = origin[s, 0], origin[s, 1], origin[s, 2]
         for w in range(len(ends)):
@@ -166,22 +203,13 @@ def _trace(
             if np.hypot(ends[w, 0, 0] + dx * nearest - ox, ends[w, 0, 1] + dy * nearest - oy) > range_m:
                 continue
             columns = first[w + 1] - first[w]
-            own_x, own_y, own_offset, start, stop = own_plane(
-                ends[w],
-                normal[w],
-                plane_ends,
-                plane_normal,
-                plane_starts[s],
-                plane_starts[s + 1],
-                own_plane_m,
-                cos_angle,
-            )
+            own_x, own_y, own_offset, start, stop = own_plane(ends[w], normal[w], rays, s, own)
             face_offset = normal[w, 0] * ends[w, 0, 0] + normal[w, 1] * ends[w, 0, 1]
             for r in range(starts[s], starts[s + 1]):
                 x, y, z = np.float64(ray_end[r, 0]), np.float64(ray_end[r, 1]), np.float64(ray_end[r, 2])
                 nx, ny, offset = normal[w, 0], normal[w, 1], face_offset
                 along = (x - ends[w, 0, 0]) * dx + (y - ends[w, 0, 1]) * dy
-                if start - _OWN_MARGIN_M < along < stop + _OWN_MARGIN_M:
+                if start - own.margin_m < along < stop + own.margin_m:
                     nx, ny, offset = own_x, own_y, own_offset
                 reach = nx * ox + ny * oy - offset
                 if reach < 0.1:
@@ -190,13 +218,13 @@ def _trace(
                 if side > 0.1:
                     continue
                 # Floor and ceiling behind an opening are no leaf: what ended there passed the face.
-                level = ray_label[r] == Label.FLOOR or ray_label[r] == Label.CEILING
+                level = rays.label[r] == Label.FLOOR or rays.label[r] == Label.CEILING
                 near = side > (-AT_FACE_M if level else -near_m)
                 if not near:
                     t = reach / (reach - side)
                     x, y, z = ox + t * (x - ox), oy + t * (y - oy), oz + t * (z - oz)
                 column = int(np.floor(((x - ends[w, 0, 0]) * dx + (y - ends[w, 0, 1]) * dy) / CELL_M))
-                row = int(np.floor((z - floor_height(floor[s], is_foot[s], x, y)) / CELL_M))
+                row = int(np.floor((z - floor_m(rays, s, x, y)) / CELL_M))
                 if column < 0 or column >= columns or row < 0 or row >= rows:
                     continue
                 cell = counts[first[w] + column, row]

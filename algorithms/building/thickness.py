@@ -12,11 +12,6 @@ from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.model import Doors, Walls
 from ffmap.algorithms.scan.doors import DoorState
 
-_STRETCH_MIN_M = 0.02
-"""Parts of a face that are shorter are roundings of its ends."""
-_BEYOND_FACE_M = 0.1
-"""A reveal ends at most so far beyond where its wall's other face was measured to be: faces are off by as much."""
-
 
 class WallThicknessSettings(StepSettings):
     """Finding the other side of a wall."""
@@ -26,6 +21,11 @@ class WallThicknessSettings(StepSettings):
     angle_deg: float = Field(3.0, gt=0, le=20, description="The two sides of a wall are parallel to this many degrees.")
     unseen_m: float = Field(
         0.15, gt=0, description="Thickness in metres where no wall of the building was seen from both sides."
+    )
+    beyond_face_m: float = Field(
+        0.1,
+        ge=0,
+        description="Maximum distance (m) of a reveal's end beyond its wall's other face: faces are off by this.",
     )
 
 
@@ -54,7 +54,7 @@ def part_walls(walls: Walls, settings: WallThicknessSettings) -> WallParts:
         for o in np.flatnonzero(walls.normal @ face.normal < -cos_angle).tolist():
             place, depth_m = face.place_m(walls.ends[o]), -face.before_m(walls.ends[o])
             low, high = max(float(place.min()), 0.0), min(float(place.max()), face.length_m)
-            if high - low < _STRETCH_MIN_M:
+            if high - low < 0.02:  # the rounding of a face's ends
                 continue
             # Depth where the two overlap, for faces are parallel to some degrees only.
             slope = (depth_m[1] - depth_m[0]) / (place[1] - place[0])
@@ -95,7 +95,7 @@ def door_depths(doors: Doors, walls: Walls, parts: WallParts, settings: WallThic
     """
     usual_m, of_face_m = usual_thickness(parts, settings), face_thickness(walls, parts)
     # Beyond the wall's other face goes on what hangs there as high as the lintel.
-    reveal_m = np.fmin(doors.reveal_m, of_face_m[doors.wall] + _BEYOND_FACE_M)
+    reveal_m = np.fmin(doors.reveal_m, of_face_m[doors.wall] + settings.beyond_face_m)
     told = (doors.state == DoorState.OPEN) & (reveal_m >= settings.least_m)
     depth_m = np.empty(len(doors))
     for d in range(len(doors)):

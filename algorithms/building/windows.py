@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numba
 import numpy as np
+from pydantic import Field
 
-from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
+from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
-from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, BuildingSettings, Walls, Windows, cells_in, stretches
+from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, Walls, Windows, cells_in, stretches
 from ffmap.algorithms.building.openings import (
-    JAMB_COLUMNS,
-    KNEE_M,
+    OpeningRules,
     find_sheet,
     is_pane,
     look_for_doors,
@@ -18,20 +19,35 @@ from ffmap.algorithms.building.openings import (
     tops_m,
     widened,
 )
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells, with_neighbours
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, Rays, WallCells, with_neighbours
 from ffmap.algorithms.scan.summary import Features
 
-_WINDOW_MIN_M = 0.3
-_SILL_COLUMNS = 4
-_EMPTY_COLUMNS, _EMPTY_SHARE = 20, 0.2
-"""So far a window goes on where so small a share returns of what returns below it."""
-_AT_PANE_M, _PASSED_SHARE = 0.02, 0.03
-"""What returns so near to a window's pane is of it where such a share of rays passes: a leaf beside it returns all."""
-_REVEAL_COLUMNS = 3
-"""A reveal that is seen at a slant hides so many columns of an opening at most."""
+
+class WindowsSettings(StepSettings):
+    """Finding windows in the faces of walls."""
+
+    height_min_m: float = Field(0.3, gt=0, description="Minimum height (m) of a window above a sill.")
+    sill_min_m: float = Field(0.2, gt=0, description="Minimum width (m) of the wall that is seen below its sill.")
+    empty_max_m: float = Field(
+        1.0, ge=0, description="Maximum width (m) by which a window goes on beside it where next to nothing returns."
+    )
+    empty_share: float = Field(
+        0.2, ge=0, le=1, description="Maximum share of the returns below the sill that return there."
+    )
+    at_pane_m: float = Field(
+        0.02, gt=0, description="Maximum distance (m) from the pane of the returns that widen a window."
+    )
+    passed_share: float = Field(
+        0.03, ge=0, le=1, description="Minimum share of rays that pass there: a leaf beside a window returns all."
+    )
+    reveal_hides_m: float = Field(
+        0.15, ge=0, description="Maximum width (m) of an opening that its reveal hides, seen at a slant."
+    )
 
 
-def find_windows(walls: Walls, cells: WallCells, clear_m: FloatArray, settings: BuildingSettings) -> Windows:
+def find_windows(
+    walls: Walls, cells: WallCells, clear_m: FloatArray, rules: OpeningRules, settings: WindowsSettings
+) -> Windows:
     """Stretches of wall that rays pass through glass: above a sill, or down to the floor where a pane shows itself.
 
     clear_m: (columns,) from the floor to the ceiling before each column of the faces; NaN where none was seen.
@@ -43,23 +59,22 @@ def find_windows(walls: Walls, cells: WallCells, clear_m: FloatArray, settings: 
         if len(counts) < 3:
             continue
         face = Segment.between(walls.ends[w], walls.normal[w])
-        columns = look_for_doors(counts, standing_m[cells.first[w] : cells.first[w + 1]], settings)
+        columns = look_for_doors(counts, standing_m[cells.first[w] : cells.first[w + 1]], rules)
         opened = stretches(columns.is_open & columns.has_lintel, 2)
-        panes = [(first, last) for first, last in opened if is_pane(counts[first : last + 1], settings)]
-        may_be, is_sill = _above_sill(counts, walls.top_m[w], settings)
-        sills = [
-            (first, last) for first, last in stretches(may_be, 4) if is_sill[first : last + 1].sum() >= _SILL_COLUMNS
-        ]
-        high = counts[:, cells_in(KNEE_M) : cells_in(settings.door_height_min_m)].sum(axis=1)
+        panes = [(first, last) for first, last in opened if is_pane(counts[first : last + 1], rules)]
+        may_be, is_sill = _above_sill(counts, walls.top_m[w], rules, settings)
+        sill_min = cells_in(settings.sill_min_m)
+        sills = [(first, last) for first, last in stretches(may_be, 4) if is_sill[first : last + 1].sum() >= sill_min]
+        high = counts[:, cells_in(rules.openings.knee_m) : cells_in(rules.building.door_height_min_m)].sum(axis=1)
         for first, last in panes + sills:
             rows = counts[first : last + 1].sum(axis=0)
             clear = np.flatnonzero(rows[:, THROUGH] > rows[:, FILLED])
             if not len(clear):
                 continue
-            pane_m = _pane_m(counts[first : last + 1, clear[0] : clear[-1] + 1], settings)
-            first, last = _over_its_pane(high, pane_m, first, last)
-            first, last = to_jambs(high, first, last, _REVEAL_COLUMNS)
-            first, last = _over_empty_columns(counts, clear[0], clear[-1] + 1, first, last)
+            pane_m = _pane_m(counts[first : last + 1, clear[0] : clear[-1] + 1], rules)
+            first, last = _over_its_pane(high, pane_m, first, last, settings)
+            first, last = to_jambs(high, first, last, settings.reveal_hides_m)
+            first, last = _over_empty_columns(counts[:, : clear[-1] + 1], clear[0], first, last, settings)
             ends = face.at(CELL_M * np.array([first, last + 1]))
             found.append((ends, face.normal, CELL_M * clear[0], CELL_M * (clear[-1] + 1), pane_m))
     if not found:
@@ -68,21 +83,25 @@ def find_windows(walls: Walls, cells: WallCells, clear_m: FloatArray, settings: 
     return Windows(np.array(ends_of_all), np.array(normal), np.array(bottom_m), np.array(top_m), np.array(panes_m))
 
 
-def _above_sill(counts: FloatArray, top_m: float, settings: BuildingSettings) -> tuple[BoolArray, BoolArray]:
+def _above_sill(
+    counts: FloatArray, top_m: float, rules: OpeningRules, settings: WindowsSettings
+) -> tuple[BoolArray, BoolArray]:
     """Columns (c,) that rays pass above the knee and not below it, and those of them (c,) whose foot is seen to be wall.
 
     What stands before a window hides its sill, and a window is as wide as it is all the same.
     """
-    foot, knee, top = FOOT_ROW, cells_in(KNEE_M), int(max(top_m - 0.2, 0.0) / CELL_M)
+    foot, knee, top = FOOT_ROW, cells_in(rules.openings.knee_m), int(max(top_m - 0.2, 0.0) / CELL_M)
     below = counts[:, foot:knee].sum(axis=1)
     near = with_neighbours(np.swapaxes(with_neighbours(counts), 0, 1)).swapaxes(0, 1)
-    clear = (near[..., THROUGH] > near[..., FILLED]) & (near[..., THROUGH] >= 0.5 * settings.rays_min)
-    passed = clear[:, knee:top].sum(axis=1) >= _WINDOW_MIN_M / CELL_M
+    clear = (near[..., THROUGH] > near[..., FILLED]) & (near[..., THROUGH] >= 0.5 * rules.building.rays_min)
+    passed = clear[:, knee:top].sum(axis=1) >= settings.height_min_m / CELL_M
     may_be = passed & (below[:, THROUGH] <= 0.1 * below[:, FILLED])
-    return may_be, may_be & (below[:, FILLED] >= settings.rays_min)
+    return may_be, may_be & (below[:, FILLED] >= rules.building.rays_min)
 
 
-def _over_its_pane(high: FloatArray, pane_m: float, first: int, last: int) -> tuple[int, int]:
+def _over_its_pane(
+    high: FloatArray, pane_m: float, first: int, last: int, settings: WindowsSettings
+) -> tuple[int, int]:
     """A window's columns, with those beside it that return from the same pane, and are passed nevertheless by some rays.
 
     Glass that is met straight on returns most of them.
@@ -91,29 +110,31 @@ def _over_its_pane(high: FloatArray, pane_m: float, first: int, last: int) -> tu
     """
     near = with_neighbours(high)
     with np.errstate(invalid="ignore", divide="ignore"):
-        on_pane = np.abs(-high[:, SUM] / high[:, FILLED] - pane_m) < _AT_PANE_M
-        passed = near[:, THROUGH] > _PASSED_SHARE * (near[:, THROUGH] + near[:, FILLED])
+        on_pane = np.abs(-high[:, SUM] / high[:, FILLED] - pane_m) < settings.at_pane_m
+        passed = near[:, THROUGH] > settings.passed_share * (near[:, THROUGH] + near[:, FILLED])
     return widened(on_pane & passed, first, last, len(high))
 
 
-def _over_empty_columns(counts: FloatArray, bottom: int, top: int, first: int, last: int) -> tuple[int, int]:
+def _over_empty_columns(
+    counts: FloatArray, bottom: int, first: int, last: int, settings: WindowsSettings
+) -> tuple[int, int]:
     """A window's columns, with those beside it that return next to nothing between its sill and its head, but do below it.
 
     Glass that is met at a slant sends the rays elsewhere.
 
-    counts: (columns, rows, 4) of the whole face; bottom, top: the window's rows.
+    counts: (columns, rows, 4) of the whole face, up to the window's head; bottom: the window's lowest row.
     """
     below = counts[:, FOOT_ROW:bottom, FILLED]
     usual = below.mean(axis=1) if below.shape[1] else np.zeros(len(counts))
-    empty = counts[:, bottom:top, FILLED].mean(axis=1) < _EMPTY_SHARE * usual
-    return widened(empty, first, last, _EMPTY_COLUMNS)
+    empty = counts[:, bottom:, FILLED].mean(axis=1) < settings.empty_share * usual
+    return widened(empty, first, last, cells_in(settings.empty_max_m))
 
 
-def _pane_m(counts: FloatArray, settings: BuildingSettings) -> float:
+def _pane_m(counts: FloatArray, rules: OpeningRules) -> float:
     """How far behind the face a window's pane stands, by what it returns away from reveals, sill and head."""
-    columns, rows = (min(JAMB_COLUMNS, (size - 1) // 2) for size in counts.shape[:2])
+    columns, rows = (min(cells_in(rules.openings.jamb_m), (size - 1) // 2) for size in counts.shape[:2])
     inner = counts[columns : counts.shape[0] - columns, rows : counts.shape[1] - rows]
-    sheet = find_sheet(inner, settings)
+    sheet = find_sheet(inner, rules)
     return sheet.behind_m if sheet is not None and sheet.behind_m > 0 else float("nan")
 
 
@@ -139,9 +160,7 @@ def without_rays_through(windows: Windows, features: Features) -> Features:
     passed = _rays_through(
         np.ascontiguousarray(windows.ends, np.float64),
         np.ascontiguousarray(windows.normal, np.float64),
-        np.ascontiguousarray(features.origin_map, np.float64),
-        features.ray_starts,
-        features.ray_end_map,
+        Rays.of(features),
     )
     return replace(
         features,
@@ -152,9 +171,8 @@ def without_rays_through(windows: Windows, features: Features) -> Features:
 
 
 @numba.njit(cache=True, nogil=True)
-def _rays_through(
-    ends: FloatArray, normal: FloatArray, origin: FloatArray, starts: IntArray, ray_end: FloatArray
-) -> BoolArray:  # pragma: no cover
+def _rays_through(ends: FloatArray, normal: FloatArray, rays: Rays) -> BoolArray:  # pragma: no cover
+    origin, starts, ray_end = rays.origin, rays.starts, rays.end
     passed = np.zeros(len(ray_end), np.bool_)
     for w in range(len(ends)):
         dx, dy = ends[w, 1, 0] - ends[w, 0, 0], ends[w, 1, 1] - ends[w, 0, 1]

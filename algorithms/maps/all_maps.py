@@ -8,10 +8,19 @@ from ffmap.algorithms.building.drive import AllScans
 from ffmap.algorithms.building.fusion import Building
 from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings, Windows
 from ffmap.algorithms.building.thickness import WallThicknessSettings
-from ffmap.algorithms.maps.area_graph import AreaGraph, AreaGraphSettings, Segmented, doorways_of, find_rooms, sides_of
+from ffmap.algorithms.maps.area_graph import (
+    AreaGraph,
+    AreaGraphSettings,
+    Bounds,
+    Segmented,
+    doorways_of,
+    find_rooms,
+    sides_of,
+)
 from ffmap.algorithms.maps.floor_plan import FloorPlan, FloorPlanSettings, draw_floor_plan
 from ffmap.algorithms.maps.grid import GridMap, GridMapSettings, Immobile, draw_furniture_free, standing_stretches
 from ffmap.algorithms.maps.rivals import Rival, RivalMapsSettings, draw_rival
+from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings
 
 
 @dataclass(frozen=True)
@@ -22,6 +31,7 @@ class MapsSettings:
     wall_thickness: WallThicknessSettings
     grid_map: GridMapSettings
     area_graph: AreaGraphSettings
+    room_outlines: RoomOutlinesSettings
     rival_maps: RivalMapsSettings
     floor_plan: FloorPlanSettings
 
@@ -49,8 +59,8 @@ def draw_maps(building: Building, scans: AllScans, settings: MapsSettings, worke
     immobile = Immobile(building.walls, cells, scans.votes, doors, windows)
     grid = draw_furniture_free(immobile, scans.drive, settings.grid_map, settings.wall_thickness)
     standing = standing_stretches(immobile, settings.grid_map)
-    sides = (standing, *sides_of(doors), windows)
-    rooms = find_rooms(grid, settings.area_graph, doorways_of(doors), windows.ends, scans.drive.path_map, sides)
+    bounds = Bounds((standing, *sides_of(doors), windows), settings.room_outlines)
+    rooms = find_rooms(grid, settings.area_graph, doorways_of(doors), windows.ends, scans.drive.path_map, bounds)
     rivals = _draw_rivals(windows, scans, settings, workers)
     # All maps show what the furniture-free one does: a slice catches returns far outside, through windows.
     rivals = {rival: own.cropped_to(grid) for rival, own in rivals.items()}

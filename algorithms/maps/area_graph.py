@@ -28,25 +28,13 @@ from ffmap.algorithms.base.segments import Faces, lengths_m
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.model import Doors
 from ffmap.algorithms.maps.grid import Cell, GridMap
-from ffmap.algorithms.maps.room_outlines import Sides, lay_on_faces
+from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings, Sides, lay_on_faces
 
 NO_DOORWAYS: FloatArray = np.zeros((0, 4, 2))
 NO_LINES: FloatArray = np.zeros((0, 2, 2))
 _EIGHT = np.ones((3, 3), bool)
-_WAYS = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if (down, right) != (0, 0)]
-_BESIDE_M = 0.4
-"""A room begins at most so far beside a doorway."""
 _MARGIN = 10
 """Cells around the free ones that stay in view."""
-_SITE_M = 0.25
-"""Edges of the Voronoi graph lie at least so far from the obstacles."""
-_BEAM_M = 0.15
-"""No room is narrower than twice this: what is, are rays that left through a gap."""
-_JAMB_M = 0.1
-"""A doorway is closed so far into both jambs, whose place is not known better."""
-
-_AT_FACE_CELLS = 2.0
-"""Maximum distance of an outline's edge from the face that it is drawn by, in cells."""
 
 
 class Segmented(StrEnum):
@@ -64,29 +52,45 @@ class AreaGraphSettings(StepSettings):
     passage_max_m: float = Field(
         1.9,
         gt=0,
-        description="w: openings of this many metres or wider part no rooms. IV.D, where the paper uses 1.9 m.",
+        description="w: minimum width (m) of an opening that parts no rooms. IV.D, where the paper uses 1.9 m.",
     )
     passage_ratio: float = Field(
         0.7,
         gt=0,
         le=1,
-        description="An opening parts two rooms if it is at most this share as wide as the narrower one.",
+        description="Maximum width of an opening that parts two rooms, as a share of the narrower one's.",
     )
     furniture_max_m: float = Field(
         1.2,
         ge=0,
-        description="What stands free and is at most this many metres across is furniture (alpha removal); 0: none. IV.D.",
+        description="Maximum length (m) of what stands free and is furniture (alpha removal); 0: none. IV.D.",
     )
     block_max_m: float = Field(
         2.0,
         ge=0,
-        description="The same for compact blocks, as tables and cupboards, which are no walls by their shape; 0: none.",
+        description="The same of compact blocks, such as tables and cupboards, which are no walls by their shape; 0: none.",
     )
     block_fill_min: float = Field(
-        0.25, gt=0, le=0.78, description="Compact is what covers this share of the square of its length or more."
+        0.25, gt=0, le=0.78, description="Minimum share of the square of its length that a compact block covers."
     )
     room_min_m2: float = Field(
-        1.0, ge=0, description="Areas of fewer square metres join the one that they open to, or are dropped."
+        1.0,
+        ge=0,
+        description="Minimum area (m²) of a room; smaller ones join the one that they open to, or are dropped.",
+    )
+    beam_m: float = Field(
+        0.15,
+        ge=0,
+        description="Half the width (m) of the narrowest room: what is narrower are rays that left through a gap.",
+    )
+    jamb_m: float = Field(
+        0.1, ge=0, description="A doorway is closed this far (m) into both jambs, whose place is not known better."
+    )
+    beside_door_m: float = Field(
+        0.4, gt=0, description="Maximum distance (m) of a room from the doorway that leads into it."
+    )
+    skeleton_m: float = Field(
+        0.25, ge=0, description="Minimum distance (m) of the drawn Voronoi graph's edges from the obstacles."
     )
 
     def without_alpha_removal(self) -> "AreaGraphSettings":
@@ -152,13 +156,21 @@ class AreaGraph:
         return graph
 
 
+@dataclass(frozen=True)
+class Bounds:
+    """The faces of walls, doors and windows that rooms' outlines are laid on where they run along them."""
+
+    faces: Sequence[Faces]
+    settings: RoomOutlinesSettings
+
+
 def find_rooms(
     grid: GridMap,
     settings: AreaGraphSettings,
     doorways: FloatArray = NO_DOORWAYS,
     windows: FloatArray = NO_LINES,
     path_map: FloatArray | None = None,
-    faces: Sequence[Faces] = (),
+    bounds: Bounds | None = None,
 ) -> AreaGraph:
     """The Area Graph of a grid map.
 
@@ -166,11 +178,11 @@ def find_rooms(
     the grid, they part rooms whatever their width, and belong to none. windows: (W, 2, 2), through which no room is
     reached. path_map: (n, 2 or more) the robot's places, for a map that was made on the way: rooms that no passage
     joins to them are dropped, the edge of what was seen is no jamb, and what something hid within a room is part of it.
-    None for a map whose making is unknown. faces: of walls, doors and windows; outlines that run along them lie on them.
+    None for a map whose making is unknown. bounds: faces that outlines are laid on.
     """
     view = _View.of(grid)
     free = view.cells == Cell.FREE
-    closed = view.drawn(_across(doorways, grid.cell_m)) | view.drawn(windows)
+    closed = view.drawn(_across(doorways, grid.cell_m, settings.jamb_m)) | view.drawn(windows)
     furniture = _furniture(~free | closed, grid.cell_m, settings)
     open_cells = (free | furniture) & ~closed
     walls = ~free if path_map is None else (view.cells == Cell.OCCUPIED) | closed
@@ -178,16 +190,35 @@ def find_rooms(
     if len(doorways):
         settings = settings.model_copy(update={"passage_max_m": min(settings.passage_max_m, _door_width(doorways))})
     label = _areas(open_cells, distance, nearest, walls, grid.cell_m, settings)
-    sides = np.array([_sides(label, view, doorway) for doorway in doorways], np.int32).reshape(-1, 2)
+    count = int(label.max(initial=0)) + 1
+    sides = np.array([_sides(label, view, doorway, settings.beside_door_m) for doorway in doorways], np.int32).reshape(
+        -1, 2
+    )
     openings = _openings(label, view)
     if path_map is not None:
-        label = _without_beams(label, _BEAM_M / grid.cell_m)
+        label = _without_beams(label, settings.beam_m / grid.cell_m)
         label = _reached(label, sides, [pair for pair, _ in openings], view.at(path_map[:, :2]))
         label = _reaching_on(label, walls & ~furniture)
         label = _with_niches(label, closed, settings.block_max_m / grid.cell_m)
     reach_m = 0.0 if path_map is None else grid.cell_m / 2  # such a map's walls run along the middle of their cells
-    removed, skeleton = view.centres(furniture & ~free), _voronoi(label, distance, nearest, view)
-    return _described(label, sides, openings, doorways, removed, skeleton, view, reach_m, faces)
+    removed, skeleton = view.centres(furniture & ~free), _voronoi(label, distance, nearest, view, settings.skeleton_m)
+    numbers = np.flatnonzero(np.bincount(label.ravel()))
+    numbers = numbers[numbers > 0]
+    outlines = _outlines(label, numbers, view, reach_m)
+    if bounds is not None:
+        outlines = lay_on_faces(outlines, bounds.faces, grid.cell_m, bounds.settings)
+    index, outlines = _by_size(numbers, outlines, count)
+    door_rooms = tuple((int(a), int(b)) for a, b in index[sides])
+    return AreaGraph(
+        rooms=_rooms(outlines, door_rooms),
+        passages=_passages(index, door_rooms, openings, doorways),
+        label=view.whole(index[label]),
+        origin=grid.origin,
+        cell_m=grid.cell_m,
+        door_rooms=door_rooms,
+        furniture=removed,
+        skeleton=skeleton,
+    )
 
 
 def _door_width(doorways: FloatArray) -> float:
@@ -207,7 +238,7 @@ def sides_of(doors: Doors) -> tuple[Faces, Faces]:
 
 
 def coarsened(grid: GridMap, cells_max: int) -> GridMap:
-    """The grid around its free cells, with cells so large that no more than so many are left.
+    """The grid around its free cells, with cells so large that at most `cells_max` are left.
 
     A large cell is occupied if any of its cells is, and else free if any is: no wall opens, and no room is lost.
     """
@@ -266,17 +297,25 @@ class _View:
             drawn[self.at(np.linspace(start, end, steps))] = True
         return drawn
 
+    def whole(self, index: IntArray) -> IntArray:
+        """(rows, columns) int32 of the grid: an image of the view in its place; -1 around it."""
+        whole = np.full(self.grid.cells.shape, -1, np.int32)
+        row, column = self.first
+        inner = index[1:-1, 1:-1]
+        whole[row + 1 : row + 1 + inner.shape[0], column + 1 : column + 1 + inner.shape[1]] = inner
+        return whole
+
     def centres(self, chosen: BoolArray) -> FloatArray:
         """(n, 2) x and y of the middles of cells."""
         row, column = np.nonzero(chosen)
         return self.origin + self.grid.cell_m * (np.column_stack([column, row]) + 0.5)
 
 
-def _across(doorways: FloatArray, cell_m: float) -> FloatArray:
+def _across(doorways: FloatArray, cell_m: float, jamb_m: float) -> FloatArray:
     """Lines (n, 2, 2) from jamb to jamb and a little into both, over the whole depth of each doorway."""
     lines: list[FloatArray] = [NO_LINES]
     for a, b, b_back, a_back in doorways:
-        along = (b - a) / max(float(np.linalg.norm(b - a)), 1e-9) * _JAMB_M
+        along = (b - a) / max(float(np.linalg.norm(b - a)), 1e-9) * jamb_m
         depth = np.linspace(0, 1, int(np.ceil(4 * np.linalg.norm(a_back - a) / cell_m)) + 1)[:, None]
         lines.append(np.stack([a - along + depth * (a_back - a), b + along + depth * (b_back - b)], axis=1))
     return np.concatenate(lines)
@@ -403,7 +442,7 @@ def _near_wall(site: IntArray, walls: BoolArray) -> bool:
     return bool(walls[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].any())
 
 
-def _sides(label: IntArray, view: _View, doorway: FloatArray) -> tuple[int, int]:
+def _sides(label: IntArray, view: _View, doorway: FloatArray, beside_m: float) -> tuple[int, int]:
     """The areas in front of a doorway's sill and behind it; 0 for none."""
     a, b, b_back, a_back = doorway
     along = (b - a) / max(float(np.linalg.norm(b - a)), 1e-9)
@@ -413,7 +452,7 @@ def _sides(label: IntArray, view: _View, doorway: FloatArray) -> tuple[int, int]
         outwards = -outwards
     found = []
     for start, end, direction in ((a, b, outwards), (a_back, b_back, -outwards)):
-        steps = np.arange(1.0, _BESIDE_M / view.grid.cell_m) * view.grid.cell_m
+        steps = np.arange(1.0, beside_m / view.grid.cell_m) * view.grid.cell_m
         places = start + np.linspace(0.2, 0.8, 7)[:, None] * (end - start)
         areas = label[view.at((places[:, None] + steps[:, None] * direction).reshape(-1, 2))]
         found.append(int(np.bincount(areas[areas > 0]).argmax()) if (areas > 0).any() else 0)
@@ -456,7 +495,7 @@ def _reached(
 
 
 def _without_beams(label: IntArray, radius: float) -> IntArray:
-    """Areas without what no disc of so many cells reaches: single rays that left through a gap."""
+    """Areas without what no disc of this radius (cells) reaches: single rays that left through a gap."""
     core = ndimage.distance_transform_edt(label > 0) > radius
     near = ndimage.distance_transform_edt(~core) <= radius + 1
     return np.where(near, label, 0)
@@ -468,7 +507,8 @@ def _reaching_on(label: IntArray, walls: BoolArray) -> IntArray:
     Three of the eight ways have to end in the area, so that the inside of walls and cupboards is none of it.
     """
     known = (label > 0) | walls
-    ends = np.stack([_met(np.where(known, label, -1), known, down, right) for down, right in _WAYS])
+    ways = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if (down, right) != (0, 0)]
+    ends = np.stack([_met(np.where(known, label, -1), known, down, right) for down, right in ways])
     area = ends.max(axis=0)
     seen = ends == area
     inside = (seen | (ends == 0)).all(axis=0) & (seen.sum(axis=0) >= 3) & (area > 0) & ~known
@@ -497,7 +537,7 @@ def _met(value: IntArray, known: BoolArray, down: int, right: int) -> IntArray:
 
 
 def _with_niches(label: IntArray, closed: BoolArray, size: float) -> IntArray:
-    """Areas with the blocks that stand at their walls: notches of the convex hull, at most so many cells long.
+    """Areas with the blocks that stand at their walls: notches of the convex hull, at most `size` cells long.
 
     A notch that touches another area or a doorway is the wall between them; what two areas claim is neither's.
     """
@@ -519,27 +559,31 @@ def _with_niches(label: IntArray, closed: BoolArray, size: float) -> IntArray:
     return np.where(claims > 1, 0, filled)
 
 
-def _described(
-    label: IntArray,
-    sides: IntArray,
-    openings: Sequence[tuple[tuple[int, int], FloatArray]],
-    doorways: FloatArray,
-    furniture: FloatArray,
-    skeleton: FloatArray,
-    view: _View,
-    reach_m: float,
-    faces: Sequence[Faces],
-) -> AreaGraph:
-    """Areas renumbered by size, outlined and named; passages between those that are left."""
-    numbers = np.flatnonzero(np.bincount(label.ravel()))
-    numbers = numbers[numbers > 0]
-    outlines = lay_on_faces(_outlines(label, numbers, view, reach_m), faces, _AT_FACE_CELLS * view.grid.cell_m)
+def _by_size(
+    numbers: IntArray, outlines: Sequence[shapely.Polygon], count: int
+) -> tuple[IntArray, list[shapely.Polygon]]:
+    """The index (count,) of each label's room, -1 where none is left, and the outlines (k,) of labels (k,) by size."""
     # Rounded, so that rooms of equal size keep their order wherever the map lies.
     places = np.round([(-area.area, *area.centroid.coords[0]) for area in outlines], 6).reshape(-1, 3)
     order = np.lexsort(places.T[::-1])
-    index = np.full(int(label.max(initial=0)) + 1, -1, np.int32)
+    index = np.full(count, -1, np.int32)
     index[numbers[order]] = np.arange(len(order))
-    door_rooms = tuple((int(a), int(b)) for a, b in index[sides])
+    return index, [outlines[i] for i in order]
+
+
+def _rooms(outlines: Sequence[shapely.Polygon], door_rooms: Sequence[tuple[int, int]]) -> tuple[Room, ...]:
+    """The rooms with their names and their doors."""
+    doors = [tuple(door for door, pair in enumerate(door_rooms) if room in pair) for room in range(len(outlines))]
+    return tuple(Room(f"room {i + 1}", area, float(area.area), doors[i]) for i, area in enumerate(outlines))
+
+
+def _passages(
+    index: IntArray,
+    door_rooms: Sequence[tuple[int, int]],
+    openings: Sequence[tuple[tuple[int, int], FloatArray]],
+    doorways: FloatArray,
+) -> tuple[Passage, ...]:
+    """Doors between two rooms, and the openings between them that are none of these doors; index: see `_by_size`."""
     passages = [
         Passage((min(pair), max(pair)), doorways[door, :2], door)
         for door, pair in enumerate(door_rooms)
@@ -550,29 +594,7 @@ def _described(
         a, b = sorted(int(i) for i in index[list(pair)])
         if a >= 0 and not ((a, b) in by_door and _same_place(by_door[a, b], line)):
             passages.append(Passage((a, b), line, None))
-    doors: list[list[int]] = [[] for _ in outlines]
-    for door, pair in enumerate(door_rooms):
-        for room in {*pair} - {-1}:
-            doors[room].append(door)
-    rooms = tuple(
-        Room(f"room {place + 1}", outlines[i], float(outlines[i].area), tuple(doors[place]))
-        for place, i in enumerate(order)
-    )
-    whole = np.full(view.grid.cells.shape, -1, np.int32)
-    if rooms:
-        row, column = view.first
-        inner = index[label[1:-1, 1:-1]]
-        whole[row + 1 : row + 1 + inner.shape[0], column + 1 : column + 1 + inner.shape[1]] = inner
-    return AreaGraph(
-        rooms=rooms,
-        passages=tuple(passages),
-        label=whole,
-        origin=view.grid.origin,
-        cell_m=view.grid.cell_m,
-        door_rooms=door_rooms,
-        furniture=furniture,
-        skeleton=skeleton,
-    )
+    return tuple(passages)
 
 
 def _same_place(line: FloatArray, other: FloatArray) -> bool:
@@ -613,9 +635,9 @@ def _largest(area: shapely.Geometry) -> shapely.Polygon:
     return max(shapely.get_parts(area), key=shapely.area)
 
 
-def _voronoi(label: IntArray, distance: FloatArray, nearest: IntArray, view: _View) -> FloatArray:
+def _voronoi(label: IntArray, distance: FloatArray, nearest: IntArray, view: _View, far_m: float) -> FloatArray:
     """(s, 2, 2) edges between cells whose nearest obstacles lie far apart, as seen from there, and far away."""
-    far = (label > 0) & (distance * view.grid.cell_m > _SITE_M)
+    far = (label > 0) & (distance * view.grid.cell_m > far_m)
     edges = []
     for down, right in ((1, 0), (0, 1)):
         low = np.s_[: label.shape[0] - down, : label.shape[1] - right]

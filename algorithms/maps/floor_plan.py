@@ -26,32 +26,39 @@ from ffmap.algorithms.building.votes import VoxelVotes, majority
 from ffmap.algorithms.maps.grid import Cell, GridMap, Immobile
 from ffmap.algorithms.scan.doors import DoorState
 
-_MEET_M = 0.12
-"""Ends of two faces so near to each other make a corner."""
-_DRAWN_SHARE = 0.5
-_TIDY_M = 0.02
-_SLIVER_M2 = 0.004
-_LEAF_LOW_M, _LEAF_HIGH_M = 0.4, 1.8
-_LEAF_BIN_M = 0.1
-_LEAF_ANGLES_DEG = np.arange(20.0, 176.0, 5.0)
-_LEAF_THICKNESS_M = 0.05
-_HINGE_LEFT_OUT_M = 0.15
-_WALL_MARGIN_M = 0.1
-
 
 class FloorPlanSettings(StepSettings):
     """The vector floor plan."""
 
     column_max_m: float = Field(
-        1.2, gt=0, description="What stands free, has a corner and is at most this many metres wide is a column."
+        1.2, gt=0, description="Maximum width (m) of a column: what stands free and has a corner."
     )
-    piece_min_m: float = Field(
-        0.5, ge=0, description="A piece of wall that stands alone and is shorter, in metres, is left out."
+    piece_min_m: float = Field(0.5, ge=0, description="Minimum length (m) of a piece of wall that stands alone.")
+    corner_m: float = Field(0.12, ge=0, description="Maximum distance (m) of two faces' ends that make a corner.")
+    drawn_share: float = Field(
+        0.5, ge=0, le=1, description="Minimum share of a stretch of wall that the grid map shows for it to be drawn."
     )
+    tidy_m: float = Field(0.02, ge=0, description="Half the width (m) of gaps between walls that are closed.")
+    sliver_m2: float = Field(0.004, ge=0, description="Minimum area (m²) of a piece of wall.")
+    double_door_m: float = Field(1.25, gt=0, description="Maximum width (m) of a doorway with one leaf.")
     leaf_share_min: float = Field(
-        0.6, gt=0, le=1, description="Share of an open leaf's area that has to be seen for its door to get a swing."
+        0.6, gt=0, le=1, description="Minimum share of an open leaf's area that is seen for its door to get a swing."
     )
-    double_door_m: float = Field(1.25, gt=0, description="A wider doorway has two leaves.")
+    leaf_low_m: float = Field(
+        0.4, ge=0, description="Minimum height above the floor (m) at which leaves are looked for."
+    )
+    leaf_high_m: float = Field(
+        1.8, gt=0, description="Maximum height above the floor (m) at which leaves are looked for."
+    )
+    leaf_min_deg: float = Field(20.0, ge=0, le=180, description="Minimum angle (degrees) of an open leaf to its sill.")
+    leaf_max_deg: float = Field(175.0, ge=0, le=180, description="Maximum angle (degrees) of an open leaf to its sill.")
+    leaf_thickness_m: float = Field(0.05, gt=0, description="Maximum distance (m) of a leaf's returns from its middle.")
+    hinge_m: float = Field(0.15, ge=0, description="Distance (m) from the hinge within which nothing tells of a leaf.")
+    wall_margin_m: float = Field(
+        0.1,
+        ge=0,
+        description="Distance (m) from the wall's face within which returns may be the wall's and tell of no leaf.",
+    )
 
 
 class RoomOnPlan(Protocol):
@@ -124,13 +131,13 @@ def draw_floor_plan(
     stretches: `grid_map.standing_stretches`. grid: the furniture-free one; what it does not show is not drawn. votes: of
     all scans, in which the leaves of open doors are looked for.
     """
-    stretches = stretches.select(_shown(stretches, grid))
+    stretches = stretches.select(_shown(stretches, grid, settings.drawn_share))
     doors = immobile.doors
     of_walls = part_walls(immobile.walls, thickness)
     depth_m = door_depths(doors, immobile.walls, of_walls, thickness)
     parts = part_walls(stretches, thickness)
     usual_m = usual_thickness(parts, thickness)
-    assumed_m = _assumed_thickness(stretches, doors, depth_m, usual_m)
+    assumed_m = _assumed_thickness(stretches, doors, depth_m, usual_m, settings.corner_m)
     # A doorway is cut out of the wall as it is drawn, where both faces of that were seen.
     drawn_m = face_thickness(immobile.walls, of_walls)[doors.wall]
     cut_m = np.where(np.isfinite(drawn_m), drawn_m, depth_m)
@@ -140,15 +147,17 @@ def draw_floor_plan(
         _quad(ends, normal, 0.0, _thickness_at(ends, parts, stretches, usual_m))
         for ends, normal in zip(immobile.windows.ends, immobile.windows.normal, strict=True)
     ]
-    cuts = shapely.union_all([*(o.buffer(_TIDY_M / 2, join_style="mitre") for o in outlines), *windows, *columns])
+    cuts = shapely.union_all(
+        [*(o.buffer(settings.tidy_m / 2, join_style="mitre") for o in outlines), *windows, *columns]
+    )
     in_wall = ~in_column & ~_fragments(stretches, settings)
-    solid = _bodies(stretches, parts, assumed_m, in_wall[parts.wall] & np.isfinite(parts.thickness_m))
-    assumed = _bodies(stretches, parts, assumed_m, in_wall[parts.wall] & ~np.isfinite(parts.thickness_m))
+    solid = _bodies(stretches, parts, assumed_m, in_wall[parts.wall] & np.isfinite(parts.thickness_m), settings)
+    assumed = _bodies(stretches, parts, assumed_m, in_wall[parts.wall] & ~np.isfinite(parts.thickness_m), settings)
     solid = solid.difference(cuts)
     assumed = assumed.difference(cuts).difference(solid)
     return FloorPlan(
-        walls=tuple(_polygons(solid)),
-        assumed=tuple(_polygons(assumed)),
+        walls=tuple(_polygons(solid, settings.sliver_m2)),
+        assumed=tuple(_polygons(assumed, settings.sliver_m2)),
         columns=tuple(columns),
         doors=tuple(
             PlanDoor(
@@ -168,7 +177,7 @@ def draw_floor_plan(
     )
 
 
-def _shown(stretches: Walls, grid: GridMap) -> BoolArray:
+def _shown(stretches: Walls, grid: GridMap, share_min: float) -> BoolArray:
     """(W,) whether the grid shows most of each stretch; it leaves out what bounds no free space."""
     shown = np.zeros(len(stretches), bool)
     near = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
@@ -177,46 +186,56 @@ def _shown(stretches: Walls, grid: GridMap) -> BoolArray:
         places = ends[0] + np.linspace(0, 1, count)[:, None] * (ends[1] - ends[0])
         index = np.floor((places - grid.origin) / grid.cell_m).astype(int)[:, None] + near
         index = np.clip(index, 0, np.array(grid.cells.shape[::-1]) - 1)
-        shown[w] = (grid.cells[index[..., 1], index[..., 0]] == Cell.OCCUPIED).any(axis=1).mean() >= _DRAWN_SHARE
+        shown[w] = (grid.cells[index[..., 1], index[..., 0]] == Cell.OCCUPIED).any(axis=1).mean() >= share_min
     return shown
 
 
-def _assumed_thickness(stretches: Walls, doors: Doors, depth_m: FloatArray, usual_m: float) -> FloatArray:
+def _assumed_thickness(
+    stretches: Walls, doors: Doors, depth_m: FloatArray, usual_m: float, near_m: float
+) -> FloatArray:
     """(W,) how thick the wall behind each stretch is taken for where one side was seen: as its doorways are deep."""
     assumed_m = np.full(len(stretches), usual_m)
     for w, (start, normal) in enumerate(zip(stretches.ends[:, 0], stretches.normal, strict=True)):
         off_m = np.abs((doors.ends - start) @ normal).max(axis=1)
-        own = (off_m < _MEET_M) & (doors.normal @ normal > 0.5)
+        own = (off_m < near_m) & (doors.normal @ normal > 0.5)
         if own.any():
             assumed_m[w] = np.median(depth_m[own])
     return assumed_m
 
 
-def _bodies(stretches: Walls, parts: WallParts, assumed_m: FloatArray, chosen: BoolArray) -> BaseGeometry:
+def _bodies(
+    stretches: Walls, parts: WallParts, assumed_m: FloatArray, chosen: BoolArray, settings: FloorPlanSettings
+) -> BaseGeometry:
     """The union of the areas behind some parts of the faces, carried on around the corners of rooms."""
-    bodies = []
+    bodies, tidy_m = [], settings.tidy_m
     for p in np.flatnonzero(chosen):
         w = int(parts.wall[p])
         depth_m = float(parts.thickness_m[p]) if np.isfinite(parts.thickness_m[p]) else float(assumed_m[w])
         ends = parts.ends[p].copy()
         along = (ends[1] - ends[0]) / max(float(np.linalg.norm(ends[1] - ends[0])), 1e-9)
         for end, outwards in ((0, -along), (1, along)):
-            corner = _corner_thickness(ends[end], outwards, w, stretches, parts, assumed_m)
+            corner = _corner_thickness(ends[end], outwards, w, stretches, parts, assumed_m, settings.corner_m)
             ends[end] = ends[end] + corner * outwards
         bodies.append(_quad(ends, stretches.normal[w], 0.0, depth_m))
     joined = shapely.union_all(bodies)
-    return joined.buffer(_TIDY_M, join_style="mitre").buffer(-_TIDY_M, join_style="mitre").simplify(1e-3)
+    return joined.buffer(tidy_m, join_style="mitre").buffer(-tidy_m, join_style="mitre").simplify(1e-3)
 
 
 def _corner_thickness(
-    end: FloatArray, outwards: FloatArray, w: int, stretches: Walls, parts: WallParts, assumed_m: FloatArray
+    end: FloatArray,
+    outwards: FloatArray,
+    w: int,
+    stretches: Walls,
+    parts: WallParts,
+    assumed_m: FloatArray,
+    near_m: float,
 ) -> float:
     """How far a wall goes on beyond the end of its face: through the wall that it meets at a room's inner corner."""
     for o in range(len(stretches)):
         # The other face looks back along this one: both bound the same room.
         if o == w or stretches.normal[o] @ outwards > -0.5:
             continue
-        if np.linalg.norm(stretches.ends[o] - end, axis=1).min() < _MEET_M:
+        if np.linalg.norm(stretches.ends[o] - end, axis=1).min() < near_m:
             own = parts.thickness_m[parts.wall == o]
             return float(np.nanmedian(own)) if np.isfinite(own).any() else float(assumed_m[o])
     return 0.0
@@ -240,7 +259,7 @@ def _columns(stretches: Walls, settings: FloorPlanSettings) -> tuple[list[shapel
     in_column = np.zeros(len(stretches), bool)
     if not len(stretches):
         return [], in_column
-    group = _groups(stretches, _MEET_M)
+    group = _groups(stretches, settings.corner_m)
     columns = []
     for g in np.unique(group):
         members = np.flatnonzero(group == g)
@@ -292,23 +311,23 @@ def _find_leaves(
     label, position = majority(votes.counts), votes.mean_position
     near = np.linalg.norm(position[:, :2] - sill.mean(axis=0), axis=1) < 1.5 * width_m + depth_m
     standing = near & (label != Label.FLOOR) & (label != Label.CEILING)
-    standing &= (position[:, 2] > _LEAF_LOW_M) & (position[:, 2] < _LEAF_HIGH_M)
+    standing &= (position[:, 2] > settings.leaf_low_m) & (position[:, 2] < settings.leaf_high_m)
     points = position[standing]
     found: list[tuple[int, Leaf]] = []
     for jamb in (0, 1):
         candidates = []
         for side in (0.0, depth_m):
             hinge = sill[jamb] - side * normal
-            for angle in _LEAF_ANGLES_DEG:
+            for angle in np.arange(settings.leaf_min_deg, settings.leaf_max_deg + 1.0, 5.0):
                 # Turning towards the front is counter-clockwise at one jamb and clockwise at the other.
                 towards = sill[1 - jamb] - sill[jamb]
                 front = float(np.sign(towards[0] * normal[1] - towards[1] * normal[0]))
                 swing = float(angle) * front * (1.0 if side == 0.0 else -1.0)
                 direction = turned(towards / width_m, swing)
-                start_m = _clear_of_wall(abs(float(direction @ normal)))
+                start_m = _clear_of_wall(abs(float(direction @ normal)), settings)
                 if start_m > 0.5 * length_m:
                     continue
-                share = _covered(points, hinge, direction, start_m, length_m)
+                share = _covered(points, hinge, direction, start_m, length_m, settings)
                 candidates.append((share, Leaf(hinge, hinge + length_m * direction, swing, share)))
         if not candidates:
             continue
@@ -320,28 +339,36 @@ def _find_leaves(
     return tuple(leaf for _, leaf in found)
 
 
-def _clear_of_wall(slope: float) -> float:
-    """So far from its hinge a leaf is clear of the wall's own returns; slope: sine of its angle with the wall."""
-    return max(_WALL_MARGIN_M / max(slope, 1e-9), _HINGE_LEFT_OUT_M)
+def _clear_of_wall(slope: float, settings: FloorPlanSettings) -> float:
+    """The distance from its hinge at which a leaf is clear of the wall's own returns; slope: sine of its angle with the wall."""
+    return max(settings.wall_margin_m / max(slope, 1e-9), settings.hinge_m)
 
 
-def _covered(points: FloatArray, hinge: FloatArray, direction: FloatArray, start_m: float, length_m: float) -> float:
+def _covered(
+    points: FloatArray,
+    hinge: FloatArray,
+    direction: FloatArray,
+    start_m: float,
+    length_m: float,
+    settings: FloorPlanSettings,
+) -> float:
     """Share of the 10 cm cells of an upright panel, between two distances from its hinge, that hold returns."""
+    cell_m, low_m = 0.1, settings.leaf_low_m
     relative = points[:, :2] - hinge
     along = relative @ direction
     across = np.abs(relative[:, 0] * direction[1] - relative[:, 1] * direction[0])
-    on = (across < _LEAF_THICKNESS_M) & (along > start_m) & (along < length_m)
-    columns = max(int((length_m - start_m) / _LEAF_BIN_M), 1)
-    rows = int((_LEAF_HIGH_M - _LEAF_LOW_M) / _LEAF_BIN_M)
-    column = np.minimum(((along[on] - start_m) / _LEAF_BIN_M).astype(int), columns - 1)
-    row = np.minimum(((points[on, 2] - _LEAF_LOW_M) / _LEAF_BIN_M).astype(int), rows - 1)
+    on = (across < settings.leaf_thickness_m) & (along > start_m) & (along < length_m)
+    columns = max(int((length_m - start_m) / cell_m), 1)
+    rows = int((settings.leaf_high_m - low_m) / cell_m)
+    column = np.minimum(((along[on] - start_m) / cell_m).astype(int), columns - 1)
+    row = np.minimum(((points[on, 2] - low_m) / cell_m).astype(int), rows - 1)
     return len(np.unique(column * rows + row)) / (columns * rows)
 
 
 def _quad(ends: FloatArray, normal: FloatArray, front_m: float, back_m: float) -> shapely.Polygon:
-    """From so far before a stretch of a face to so far behind it."""
+    """From `front_m` before a stretch of a face to `back_m` behind it."""
     return shapely.Polygon(np.concatenate([ends + front_m * normal, ends[::-1] - back_m * normal]))
 
 
-def _polygons(area: BaseGeometry) -> Iterable[shapely.Polygon]:
-    return (p for p in getattr(area, "geoms", [area]) if p.geom_type == "Polygon" and p.area > _SLIVER_M2)
+def _polygons(area: BaseGeometry, min_m2: float) -> Iterable[shapely.Polygon]:
+    return (p for p in getattr(area, "geoms", [area]) if p.geom_type == "Polygon" and p.area > min_m2)

@@ -25,55 +25,81 @@ from ffmap.algorithms.scan.summary import Features
 
 DoorsDrawn = Literal["open", "as-seen", "closed"]
 
-_FOOT_M, _KNEE_M = 0.15, 0.6
-"""Between these heights rays that pass a face prove an opening down to the floor: a window's sill is higher."""
-_PASSED_MIN = 6
-_PASSED_RATIO = 2.0
-_SILL_MIN_M = 0.3
-_REVEAL_MAX_M, _REVEAL_BESIDE_M = 0.6, 0.12
-_PARALLEL = 0.9
-_BLIND_M = 1.0
-"""So near to its way the robot may not see the floor."""
-_CROSSED_RAYS, _CROSSED_RATIO, _CROSSED_MIN = 5, 5, 4
-_SURELY_CELLS = 2.5
-"""A ray that ends no farther behind a cell's line may have ended at what the cell shows."""
-_LEAF_OVER_M = 0.3
-"""What was seen of an open leaf ends at most so far above its door's head."""
-_LEAF_BESIDE_M = 0.1
-_BOUND_CELLS = 2
-_GAP_MAX_M = 0.6
-"""Gaps in a face that are not so wide, and no doors, are no passages."""
-_STEP_MAX_M = 0.5
-"""Places of the robot that lie farther apart are not joined: there poses are missing."""
-
 
 class GridMapSettings(StepSettings):
     """The furniture-free grid and its rivals (paper, IV.C, Fig. 9)."""
 
-    cell_m: float = Field(0.05, ge=0.005, le=1, description="Edge of a cell in metres. IV.C.")
-    range_m: float = Field(25.0, gt=0, description="Rays clear cells up to this many metres from the sensor. IV.C.")
-    margin_m: float = Field(1.0, ge=0, description="Unknown border in metres around what is drawn. IV.C.")
+    cell_m: float = Field(0.05, ge=0.005, le=1, description="Edge of a cell (m). IV.C.")
+    range_m: float = Field(25.0, gt=0, description="Maximum distance (m) from the sensor that rays make free. IV.C.")
+    margin_m: float = Field(1.0, ge=0, description="Width (m) of the unknown border around what is drawn. IV.C.")
     doors: DoorsDrawn = Field(
         "open", description="Which doorways are free: open (all), as-seen (those that stood open), closed (none). IV.C."
     )
     door_margin_m: float = Field(
-        0.1, ge=0, description="A free doorway reaches this many metres beyond both sides of its wall. IV.C."
+        0.1, ge=0, description="A free doorway reaches this far (m) beyond both sides of its wall. IV.C."
     )
     door_guessed_m: float = Field(
         0.3,
         ge=0,
-        description="Least free depth in metres behind a sill where a leaf or one-sided wall hides more. IV.C.",
+        description="Minimum free depth (m) behind a sill where a leaf or a wall seen from one side hides more. IV.C.",
     )
     rays_min: int = Field(
-        3, ge=1, description="Fewest returns, or cubes of wall, that bear out 5 cm of a wall's face. IV.C."
+        3, ge=1, description="Minimum returns, or cubes of wall, that bear out 5 cm of a wall's face. IV.C."
     )
     bridge_m: float = Field(
-        0.25, ge=0, description="Longest gap in metres that is closed in a wall between what was seen of it. IV.C."
+        0.25, ge=0, description="Maximum gap (m) that is closed in a wall between what was seen of it. IV.C."
+    )
+    gap_max_m: float = Field(
+        0.6, ge=0, description="Maximum width (m) of a gap beside or in a window's wall that is no passage."
     )
     floor_reach_m: float = Field(
         1.5,
         ge=0,
-        description="Free is what rays crossed so near to floor that was seen, in metres; it hides under tables.",
+        description="Maximum distance (m) of what rays crossed from floor that was seen: floor hides under tables.",
+    )
+    foot_m: float = Field(0.15, ge=0, description="Minimum height above the floor (m) of rays that prove an opening.")
+    knee_m: float = Field(
+        0.6,
+        gt=0,
+        description="Maximum height above the floor (m) of rays that prove an opening: a window's sill is higher.",
+    )
+    passed_min: int = Field(
+        6, ge=1, description="Minimum rays that pass a wall's face at that height where it is open."
+    )
+    passed_ratio: float = Field(2.0, ge=0, description="Minimum number of rays that pass there for each that ends.")
+    crossed_min: int = Field(
+        5, ge=1, description="Minimum rays at that height that cross a cell for it not to be occupied."
+    )
+    crossed_ratio: float = Field(
+        5.0, ge=0, description="Minimum number of rays that cross such a cell for each that ends."
+    )
+    crossed_cells: int = Field(4, ge=1, description="Minimum number of such cells side by side.")
+    ends_cells: float = Field(
+        2.5, gt=0, description="Maximum distance (cells) of a ray's end from a cell that it may have ended at."
+    )
+    sill_min_m: float = Field(0.3, ge=0, description="Minimum height above the floor (m) of a window's sill.")
+    recess_max_m: float = Field(
+        0.6, ge=0, description="Maximum depth (m) of a window's recess, whose sides are no walls."
+    )
+    recess_beside_m: float = Field(0.12, ge=0, description="Maximum distance (m) of its sides from the window's ends.")
+    leaf_above_m: float = Field(
+        0.3, ge=0, description="Maximum height (m) above its door's head of what was seen of an open leaf."
+    )
+    leaf_beside_m: float = Field(
+        0.1,
+        ge=0,
+        description="Maximum distance (m) from the doorway of the reveal that an open leaf's face goes on over.",
+    )
+    bounds_cells: int = Field(
+        2, ge=1, description="Maximum distance (cells) from what rays crossed of a wall's cell that is drawn."
+    )
+    blind_m: float = Field(
+        1.0, ge=0, description="Maximum distance (m) from its way at which the robot may not see the floor."
+    )
+    step_max_m: float = Field(
+        0.5,
+        gt=0,
+        description="Maximum distance (m) of two places of the robot that its way joins: farther, poses are missing.",
     )
 
 
@@ -98,6 +124,11 @@ class GridMap:
         rows, columns = np.nonzero(self.cells == cell)
         return np.asarray(self.origin + (np.stack([columns, rows], axis=1) + 0.5) * self.cell_m)
 
+    def index(self, places: FloatArray) -> tuple[IntArray, BoolArray]:
+        """Column and row (…, 2) of the cell that each place (…, 2) lies in, and whether (…,) the map reaches there."""
+        index = np.floor((places - self.origin) / self.cell_m).astype(np.int64)
+        return index, np.asarray(((index >= 0) & (index < self.cells.shape[::-1])).all(axis=-1))
+
     def cropped_to(self, other: "GridMap") -> "GridMap":
         """The part that another map of the same cells covers; unknown where this one does not reach."""
         column, row = np.round((self.origin - other.origin) / self.cell_m).astype(int)
@@ -109,7 +140,7 @@ class GridMap:
 
 
 def _overlap(shift: int, own: int, other: int) -> tuple[slice, slice]:
-    """Where an axis of `count` cells lies in another one when it is shifted, and which of its cells lie there."""
+    """Where an axis of `own` cells lies in another one when it is shifted, and which of its cells lie there."""
     low, high = max(shift, 0), max(min(shift + own, other), max(shift, 0))
     return slice(low, high), slice(low - shift, high - shift)
 
@@ -189,8 +220,8 @@ def standing_stretches(immobile: Immobile, settings: GridMapSettings) -> Walls:
         middles = face.at((np.arange(len(stands)) + 0.5) * CELL_M)
         if tree is not None:
             stands |= tree.query_ball_point(middles, AT_FACE_M, return_length=True) >= settings.rays_min
-        none = _in_window_reveal(middles, face.normal, immobile.windows)
-        none |= passed | _of_open_leaf(middles, float(walls.top_m[w]), immobile.doors)
+        none = _in_window_reveal(middles, face.normal, immobile.windows, settings)
+        none |= passed | _of_open_leaf(middles, float(walls.top_m[w]), immobile.doors, settings)
         stands &= ~none
         # A face ends at a corner, up to which it is carried on as over any other gap.
         bridge = cells_in(settings.bridge_m)
@@ -210,35 +241,37 @@ def _columns(counts: FloatArray, settings: GridMapSettings) -> tuple[BoolArray, 
     """(c,) whether returns bear each column of a face out, and whether rays passed it down to the floor."""
     on = returns_at_face(counts)
     near = np.convolve(on.sum(axis=1), np.ones(3))[1:-1]
-    low = slice(FOOT_ROW, cells_in(_KNEE_M))
+    low = slice(FOOT_ROW, cells_in(settings.knee_m))
     on_low, passed_low = (
         np.convolve(rays[:, low].sum(axis=1), np.ones(3))[1:-1] for rays in (on, counts[..., THROUGH])
     )
-    return near >= settings.rays_min, (passed_low >= _PASSED_MIN) & (passed_low > _PASSED_RATIO * on_low)
+    return near >= settings.rays_min, (passed_low >= settings.passed_min) & (
+        passed_low > settings.passed_ratio * on_low
+    )
 
 
-def _in_window_reveal(places: FloatArray, normal: FloatArray, windows: Windows) -> BoolArray:
+def _in_window_reveal(places: FloatArray, normal: FloatArray, windows: Windows, settings: GridMapSettings) -> BoolArray:
     """(c,) whether places (c, 2) of a face lie in the recess of a window with a sill, of whose wall it is no side."""
     within = np.zeros(len(places), bool)
     for window, bottom_m in zip(segments(windows), windows.bottom_m, strict=True):
-        if bottom_m < _SILL_MIN_M or abs(normal @ window.normal) > _PARALLEL:
+        if bottom_m < settings.sill_min_m or abs(normal @ window.normal) > 0.9:  # parallel, to 26°
             continue
         behind_m = -window.before_m(places)
-        within |= (behind_m > 0) & (behind_m < _REVEAL_MAX_M) & window.beside(places, _REVEAL_BESIDE_M)
+        within |= (behind_m > 0) & (behind_m < settings.recess_max_m) & window.beside(places, settings.recess_beside_m)
     return within
 
 
-def _of_open_leaf(places: FloatArray, top_m: float, doors: Doors) -> BoolArray:
+def _of_open_leaf(places: FloatArray, top_m: float, doors: Doors, settings: GridMapSettings) -> BoolArray:
     """(c,) which places (c, 2) of a face belong to a leaf that stands open, beyond the reveal that it carries on.
 
     A face whose every place lies within a leaf's length of a jamb, and that ends where the door does, is no wall.
     """
     leaf = np.zeros(len(places), bool)
-    may_be = (doors.state == DoorState.OPEN) & (top_m < doors.head_m + _LEAF_OVER_M)
+    may_be = (doors.state == DoorState.OPEN) & (top_m < doors.head_m + settings.leaf_above_m)
     for doorway, reveal_m in zip(segments(doors.select(may_be)), doors.reveal_m[may_be], strict=True):
         behind_m = -doorway.before_m(places)
-        beyond = (behind_m < -_LEAF_BESIDE_M) | (behind_m > reveal_m + _LEAF_BESIDE_M)
-        reach_m = doorway.length_m + reveal_m + _LEAF_BESIDE_M
+        beyond = (behind_m < -settings.leaf_beside_m) | (behind_m > reveal_m + settings.leaf_beside_m)
+        reach_m = doorway.length_m + reveal_m + settings.leaf_beside_m
         for jamb in doorway.at(np.array([0.0, doorway.length_m])):
             if np.linalg.norm(places - jamb, axis=1).max() < reach_m:
                 leaf |= beyond
@@ -269,13 +302,13 @@ def _glazed(faces: FloatArray, windows: Windows) -> list[FloatArray]:
     for ends in faces:
         face = Segment.between(ends)
         in_face = (np.abs(face.before_m(middles)) < AT_FACE_M) & face.beside(middles)
-        if (in_face & (np.abs(windows.normal @ face.along) < 1 - _PARALLEL)).any():
+        if (in_face & (np.abs(windows.normal @ face.along) < 0.1)).any():
             chosen.append(ends)
     return chosen
 
 
 def _lengthened(lines: FloatArray, by_m: float) -> FloatArray:
-    """Lines (n, 2, 2), longer by so much at either end."""
+    """Lines (n, 2, 2), longer by `by_m` at either end."""
     along = lines[:, 1] - lines[:, 0]
     along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9) * by_m
     return np.asarray(np.stack([lines[:, 0] - along, lines[:, 1] + along], axis=1))
@@ -346,13 +379,13 @@ class _Canvas:
         # Glass stops rays: what lies behind belongs to another world.
         for ends in windows.ends:
             self.draw_line(ends, Cell.OCCUPIED)
-        for ends in [*_glazed(faces, windows), *_lengthened(windows.ends, _GAP_MAX_M)]:
+        for ends in [*_glazed(faces, windows), *_lengthened(windows.ends, self._settings.gap_max_m)]:
             self._close_gaps(ends, doorways)
         barred = self._cells == Cell.OCCUPIED
         crossed, low = np.zeros_like(barred), np.zeros_like(barred)
         range_cells = self._settings.range_m / self._cell_m
         for block in drive.blocks():
-            _cross(barred, crossed, low, *self._rays(block), _low_from(block), range_cells)
+            _cross(barred, crossed, low, *self._rays(block), _low_from(block, self._settings.knee_m), range_cells)
         self._cells[crossed] = Cell.FREE
         for doorway in doorways:
             self.draw_area(doorway, Cell.FREE)
@@ -360,7 +393,7 @@ class _Canvas:
         # Far away rays lie apart; a wall is thicker than the gaps between them that this closes.
         crossed |= binary_closing(crossed, np.ones((3, 3))) & (self._cells == Cell.UNKNOWN)
         if len(faces):
-            occupied[~binary_dilation(crossed, np.ones((3, 3)), iterations=_BOUND_CELLS)] = Cell.UNKNOWN
+            occupied[~binary_dilation(crossed, np.ones((3, 3)), iterations=self._settings.bounds_cells)] = Cell.UNKNOWN
         supported = self._joined_to(drive.path_map, binary_closing(low, np.ones((3, 3))) & crossed)
         reach = int(self._settings.floor_reach_m / self._cell_m)
         if reach:
@@ -372,7 +405,7 @@ class _Canvas:
         self._cells = np.where(supported, np.uint8(Cell.FREE), occupied)
         path = drive.path_map[:, :2]
         for step in np.stack([path[:-1], path[1:]], axis=1):
-            if np.linalg.norm(step[1] - step[0]) < _STEP_MAX_M:
+            if np.linalg.norm(step[1] - step[0]) < self._settings.step_max_m:
                 self.draw_line(step, Cell.FREE)
         self.draw_points(path, Cell.FREE)
         for doorway in doorways:
@@ -395,7 +428,7 @@ class _Canvas:
             row, column = np.clip(self._index(places + side)[:, ::-1], 0, np.array(self._cells.shape) - 1).T
             stands |= self._cells[row, column] == Cell.OCCUPIED
         for first, last in stretches(~stands, 0):
-            bounded = first > 0 and last < len(places) - 1 and (last - first) * step_m < _GAP_MAX_M
+            bounded = first > 0 and last < len(places) - 1 and (last - first) * step_m < self._settings.gap_max_m
             if bounded and not any(_in_rectangle(places[first : last + 1], doorway).any() for doorway in doorways):
                 self.draw_line(places[[first - 1, last + 1]], Cell.OCCUPIED)
 
@@ -413,7 +446,7 @@ class _Canvas:
         )
 
     def drop_crossed(self, drive: Drive, lines: FloatArray) -> None:
-        """Forget occupied cells, in runs of `_CROSSED_MIN`, that many more rays crossed below the knee than ended there.
+        """Forget occupied cells, several side by side, that many more rays crossed below the knee than ended there.
 
         A face knows of the rays that come from its front; what hangs in a room is passed below from both sides.
 
@@ -433,13 +466,15 @@ class _Canvas:
                 np.ascontiguousarray((block.origin_map - [*self._origin, 0.0]) / self._cell_m, np.float64),
                 block.ray_starts,
                 np.ascontiguousarray((block.ray_end_map - [*self._origin, 0.0]) / self._cell_m, np.float64),
-                _FOOT_M / self._cell_m,
-                _KNEE_M / self._cell_m,
+                self._settings.foot_m / self._cell_m,
+                self._settings.knee_m / self._cell_m,
+                self._settings.ends_cells,
             )
         ended, crossed = counts[..., 0], counts[..., 1]
-        open_cells = (crossed >= _CROSSED_RAYS) & (crossed > _CROSSED_RATIO * ended)
+        settings = self._settings
+        open_cells = (crossed >= settings.crossed_min) & (crossed > settings.crossed_ratio * ended)
         run, _ = label(open_cells, np.ones((3, 3)))
-        self._cells[open_cells & (np.bincount(run.ravel()) >= _CROSSED_MIN)[run]] = Cell.UNKNOWN
+        self._cells[open_cells & (np.bincount(run.ravel()) >= settings.crossed_cells)[run]] = Cell.UNKNOWN
 
     def _rays(self, block: Features) -> tuple[FloatArray, IntArray, FloatArray]:
         """Where the rays of each scan start, in cells; the first ray of each scan; where the rays end, in cells."""
@@ -454,7 +489,7 @@ class _Canvas:
         index = self._index(path_map)
         index = index[self._in_grid(index)]
         start[index[:, 1], index[:, 0]] = True
-        start = binary_dilation(start, iterations=int(_BLIND_M / self._cell_m)) & low
+        start = binary_dilation(start, iterations=int(self._settings.blind_m / self._cell_m)) & low
         return np.asarray(binary_propagation(start, np.ones((3, 3)), low))
 
     def _index(self, places: FloatArray) -> IntArray:
@@ -479,6 +514,7 @@ def _count_crossings(
     end: FloatArray,
     foot: float,
     knee: float,
+    ends_cells: float,
 ) -> None:  # pragma: no cover
     """For each occupied cell the rays that end in it or beside it, and those that cross it; everything in cells.
 
@@ -504,27 +540,24 @@ def _count_crossings(
                     continue
                 last = cell
                 behind = (1 - t) * abs(step[0] * across[row, column, 0] + step[1] * across[row, column, 1])
-                if behind > _SURELY_CELLS:
+                if behind > ends_cells:
                     counts[row, column, 1] += 1
-                elif length * (1 - t) <= _SURELY_CELLS:
+                elif length * (1 - t) <= ends_cells:
                     counts[row, column, 0] += 1
 
 
-def _low_from(block: Features) -> FloatArray:
+def _low_from(block: Features, knee_m: float) -> FloatArray:
     """(r,) the share of each ray's length from which it runs below the knee to its end on the floor; 2 where it does not."""
     drop_m = np.repeat(block.origin_map[:, 2], block.ray_count) - block.ray_end_map[:, 2]
-    return np.where(block.ray_label == Label.FLOOR, 1.0 - _KNEE_M / np.maximum(drop_m, _KNEE_M), 2.0)
-
-
-_ENDED, _LEFT = 0, 1
-"""How the walk along a ray stops: before what bars it or at its end, or out of range or of the map."""
+    return np.where(block.ray_label == Label.FLOOR, 1.0 - knee_m / np.maximum(drop_m, knee_m), 2.0)
 
 
 @numba.njit(cache=True, nogil=True)
 def _walk(
     barred: BoolArray, start: FloatArray, end: FloatArray, range_cells: float, found: IntArray, entered: FloatArray
-) -> tuple[int, int]:  # pragma: no cover
-    """Walk a ray cell by cell (Amanatides and Woo 1987), up to what bars it: how many cells it crosses, how it stops.
+) -> tuple[int, bool]:  # pragma: no cover
+    """Walk a ray cell by cell (Amanatides and Woo 1987), up to what bars it: the number of cells that it crosses, and whether
+    it ends there; otherwise it leaves the map, or its range.
 
     found: (k, 2) to be filled with the cells' rows and columns. entered: (k,) with the ray's length up to each.
     """
@@ -532,7 +565,7 @@ def _walk(
     dx, dy = end[0] - start[0], end[1] - start[1]
     length = np.sqrt(dx * dx + dy * dy)
     if length < 1e-6:
-        return 0, _ENDED
+        return 0, True
     column, row = int(np.floor(start[0])), int(np.floor(start[1]))
     step_x, step_y = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
     t_dx = length / abs(dx) if dx != 0 else np.inf
@@ -542,7 +575,7 @@ def _walk(
     at, count = 0.0, 0
     while at <= length:
         if at > range_cells or count == len(found) or column < 0 or row < 0 or column >= columns or row >= rows:
-            return count, _LEFT
+            return count, False
         if barred[row, column]:
             break
         found[count, 0], found[count, 1], entered[count] = row, column, at
@@ -554,7 +587,7 @@ def _walk(
         else:
             row += step_y
             t_y += t_dy
-    return count, _ENDED
+    return count, True
 
 
 @numba.njit(cache=True, nogil=True)
@@ -592,15 +625,15 @@ def _bound(
     range_cells: float,
     gap_max: float,
 ) -> None:  # pragma: no cover
-    """Mark where a ray will end, or be above known floor again, within so many cells."""
+    """Mark where a ray will end, or be above known floor again, within `gap_max` cells."""
     found = np.empty((int(2 * range_cells) + 4, 2), np.int64)
     entered = np.empty(len(found))
     for s in range(len(origin)):
         for r in range(starts[s] + s % 4, starts[s + 1], 4):
-            count, stop = _walk(barred, origin[s], end[r], range_cells, found, entered)
+            count, ends = _walk(barred, origin[s], end[r], range_cells, found, entered)
             if not count:
                 continue
-            last = entered[count - 1] if stop == _ENDED else np.inf
+            last = entered[count - 1] if ends else np.inf
             for k in range(count - 1, -1, -1):
                 if supported[found[k, 0], found[k, 1]]:
                     last = entered[k]

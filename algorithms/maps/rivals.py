@@ -35,11 +35,9 @@ class Rival(StrEnum):
 class RivalMapsSettings(StepSettings):
     """The maps that the paper compares with (paper, IV.C, Fig. 9c and 9d; Fig. 6)."""
 
-    below_ceiling_m: float = Field(
-        0.5, ge=0, description="The upper slice begins this many metres under the ceiling. IV.C."
-    )
-    slice_m: float = Field(0.1, gt=0, description="Thickness in metres of both slices. IV.C.")
-    hits_min: int = Field(3, ge=1, description="Fewest returns that occupy a cell. IV.C.")
+    below_ceiling_m: float = Field(0.5, ge=0, description="Distance (m) of the upper slice below the ceiling. IV.C.")
+    slice_m: float = Field(0.1, gt=0, description="Thickness (m) of both slices. IV.C.")
+    hits_min: int = Field(3, ge=1, description="Minimum returns that occupy a cell. IV.C.")
 
 
 class RivalCounter:

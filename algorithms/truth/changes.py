@@ -9,7 +9,7 @@ import numpy as np
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.building.votes import VoxelVotes
-from ffmap.algorithms.truth.labels import TrajectoryFigures
+from ffmap.algorithms.truth.poses import TrajectoryFigures
 from ffmap.algorithms.truth.runs import CLASSES, DoorChange, GridChange, WallChange, changed_of
 
 CLASS_NAMES = (*(label.name.lower() for label in Label), "no label")

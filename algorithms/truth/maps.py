@@ -1,27 +1,24 @@
-"""Grid maps against another map of the same building, and against its doors (paper, IV.C, Fig. 9e)."""
+"""Grid maps against the truth: wall cells right, false and missed, doorways blocked (paper, IV.C, Fig. 9e)."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
+import numba
 import numpy as np
-from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt, label
+from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
-from ffmap.algorithms.base.scan import BoolArray, FloatArray, UInt8Array
+from ffmap.algorithms.base.labels import Truth
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.building.votes import VoxelVotes, columns_of, pack_column
 from ffmap.algorithms.maps.grid import Cell, GridMap
-from ffmap.algorithms.truth.labels import WALL_TOLERANCE_M, WallMapFigures
+from ffmap.algorithms.truth.doors import squared_distance
+from ffmap.algorithms.truth.labels import ratio
+from ffmap.algorithms.truth.tally import CUBE_M, Tally, majorities
 
-_COARSE_M = 0.2
-_COARSE_CELLS_MAX = 400
-_TURN_DEG = 2.0
-_SIGMA_CELLS = 1.5
-_CANDIDATES = 12
-_POINTS_MAX = 4_000
-_ROUNDS = 40
-_FITS_MIN = 0.6
-"""Another building's walls that are laid over each other as well as can be agree by less."""
-_SEEN_M = 0.15
-_STEP_M = 0.02
+WALL_TOLERANCE_M = 0.10
+"""An occupied cell is right within this distance of a true face, and a true cell found within it of an occupied one."""
 
 
 class Agreement(IntEnum):
@@ -38,144 +35,137 @@ class Agreement(IntEnum):
 
 
 @dataclass(frozen=True)
-class Alignment:
-    """T_reference_map: (3, 3) the rigid motion that lays the map over the reference.
+class WallMapFigures:
+    """The map's occupied cells against the true wall faces.
 
-    share: of the map's occupied cells that then lie within 10 cm of one of the reference's.
+    occupied: (m, 2) centres of the occupied cells. distance_m: (m,) to the nearest true face (infinite without any).
+    true_cells: (k, 2) centres of the true cells. covered: (k,) bool, whether an occupied cell lies near each.
     """
 
-    T_reference_map: FloatArray
-    share: float
+    occupied: FloatArray
+    distance_m: FloatArray
+    true_cells: FloatArray
+    covered: BoolArray
 
     @property
-    def fits(self) -> bool:
-        """Whether the two show the same building."""
-        return self.share >= _FITS_MIN
+    def right(self) -> BoolArray:
+        """(m,) whether each occupied cell lies near a true face."""
+        return self.distance_m <= WALL_TOLERANCE_M + 1e-9
 
     @property
-    def turn_deg(self) -> float:
-        return float(np.degrees(np.arctan2(self.T_reference_map[1, 0], self.T_reference_map[0, 0])))
+    def precision(self) -> float:
+        return ratio(int(np.count_nonzero(self.right)), len(self.right))
 
     @property
-    def shift_m(self) -> FloatArray:
-        """(2,) where the map's origin lies in the reference."""
-        return np.asarray(self.T_reference_map[:2, 2])
+    def recall(self) -> float:
+        return ratio(int(np.count_nonzero(self.covered)), len(self.covered))
 
-    def to_map(self, places_reference: FloatArray) -> FloatArray:
-        """Places (n, 2) of the reference in the map's frame."""
-        R, t = self.T_reference_map[:2, :2], self.T_reference_map[:2, 2]
-        return np.asarray((places_reference - t) @ R)
+    @property
+    def error_m(self) -> float:
+        """Mean distance of the right cells; NaN without any."""
+        return float(self.distance_m[self.right].mean()) if self.right.any() else float("nan")
 
 
-def align_maps(grid: GridMap, reference: GridMap) -> Alignment:
-    """The turn and shift, from wherever, that lay a map over another; neither scale nor mirror image.
+def compare_wall_map(faces: FloatArray, cubes: VoxelVotes, grid: GridMap) -> WallMapFigures:
+    """Occupied cells against true wall faces (F, 2, 2), both in the map's frame.
 
-    Every turn in steps of 2° is tried with every shift at once, by correlation with the blurred reference (Chen and
-    Defrise, 1994); the best are refined by iterative closest points (Besl and McKay, 1992) with Tukey's weights, and the
-    one with most cells within 10 cm stands.
+    A true cell is a 5 cm cell that a face runs through and that holds at least 3 returns of walls.
     """
-    source, target = wall_cells(grid), wall_cells(reference)
-    if not len(source) or not len(target):
-        return Alignment(np.eye(3), 0.0)
-    generator = np.random.default_rng(0)
-    if len(source) > _POINTS_MAX:
-        source = generator.choice(source, _POINTS_MAX, replace=False)
-    tree = cKDTree(target)
-    best = Alignment(np.eye(3), -1.0)
-    for T in _coarse(source, target):
-        T = _refine(T, source, target, tree)
-        share = float(np.mean(tree.query(source @ T[:2, :2].T + T[:2, 2])[0] <= WALL_TOLERANCE_M))
-        if share > best.share:
-            best = Alignment(T, share)
-    return best
-
-
-def wall_cells(grid: GridMap) -> FloatArray:
-    """(m, 2) the middles of the occupied cells that are not inside others: a thick wall's faces, a thin wall's all."""
-    occupied = grid.cells == Cell.OCCUPIED
-    inner = binary_erosion(occupied, border_value=1)
-    outline = GridMap(np.where(occupied & ~inner, Cell.OCCUPIED, Cell.UNKNOWN), grid.origin, grid.cell_m)
-    return outline.centres(Cell.OCCUPIED)
-
-
-def _coarse(source: FloatArray, target: FloatArray) -> list[FloatArray]:
-    """The best motions (3, 3) of the correlation, one for each turn, best first."""
-    # A second to import, which every process would wait for.
-    from scipy.signal import fftconvolve
-
-    centre = source.mean(axis=0)
-    reach = float(np.linalg.norm(source - centre, axis=1).max())
-    size = max(float(np.ptp(target, axis=0).max()), 2 * reach)
-    cell_m = max(_COARSE_M, size / _COARSE_CELLS_MAX)
-    low = target.min(axis=0) - 2 * cell_m
-    shape = (np.ceil((np.ptp(target, axis=0) + 4 * cell_m) / cell_m)).astype(int) + 1
-    hit = np.zeros(shape, bool)
-    hit[tuple(np.floor((target - low) / cell_m).astype(int).T)] = True
-    near = np.exp(-0.5 * (distance_transform_edt(~hit) / _SIGMA_CELLS) ** 2)
-    half = int(np.ceil(reach / cell_m)) + 1
-    found: list[tuple[float, FloatArray]] = []
-    for turn in np.radians(np.arange(0.0, 360.0, _TURN_DEG)):
-        R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-        index = np.floor(((source - centre) @ R.T) / cell_m).astype(int) + half
-        kernel = np.zeros((2 * half + 1, 2 * half + 1))
-        np.add.at(kernel, tuple(index.T), 1.0)
-        score = fftconvolve(near, np.minimum(kernel, 3.0)[::-1, ::-1], mode="full")
-        peak = np.unravel_index(int(np.argmax(score)), score.shape)
-        # Index k of the full correlation lays the kernel's middle on cell k - half.
-        middle = low + (np.array(peak) - half + 0.5) * cell_m
-        T = np.eye(3)
-        T[:2, :2], T[:2, 2] = R, middle - R @ centre
-        found.append((float(score[peak]), T))
-    found.sort(key=lambda candidate: -candidate[0])
-    return [T for _, T in found[:_CANDIDATES]]
-
-
-def _refine(T: FloatArray, source: FloatArray, target: FloatArray, tree: cKDTree) -> FloatArray:
-    """Closest points with weights that forget what lies far off, ever nearer."""
-    for reach_m in np.geomspace(1.0, 2 * WALL_TOLERANCE_M, _ROUNDS):
-        moved = source @ T[:2, :2].T + T[:2, 2]
-        distance, nearest = tree.query(moved)
-        weight = np.where(distance < reach_m, (1 - (distance / reach_m) ** 2) ** 2, 0.0)
-        if np.count_nonzero(weight) < 3:
-            return T
-        a, b = np.average(moved, axis=0, weights=weight), np.average(target[nearest], axis=0, weights=weight)
-        U, _, Vt = np.linalg.svd(((target[nearest] - b) * weight[:, None]).T @ (moved - a))
-        step = np.eye(3)
-        step[:2, :2] = U @ np.diag([1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
-        step[:2, 2] = b - step[:2, :2] @ a
-        T = step @ T
-    return T
-
-
-def compare_with_reference(grid: GridMap, known: GridMap, reference: GridMap, alignment: Alignment) -> WallMapFigures:
-    """A map's occupied cells against those of a reference, in the map's frame.
-
-    known: the map that says what was seen at all: of the reference's walls only those beside its free or occupied cells
-    can be missed. A cell is right within 10 cm of a wall of the reference.
-    """
-    walls = alignment.to_map(wall_cells(reference))
     occupied = grid.centres(Cell.OCCUPIED)
-    seen = _near_known(walls, known)
-    distance = cKDTree(walls).query(occupied)[0] if len(walls) else np.full(len(occupied), np.inf)
-    nearest = cKDTree(occupied).query(walls[seen])[0] if len(occupied) else np.full(int(seen.sum()), np.inf)
-    return WallMapFigures(occupied, distance, walls[seen], nearest <= WALL_TOLERANCE_M + 1e-9)
+    cells = _seen_cells(faces, cubes)
+    true_cells = (cells + 0.5) * CUBE_M
+    if len(occupied) and len(true_cells):
+        nearest = cKDTree(occupied).query(true_cells)[0]
+        covered = nearest <= WALL_TOLERANCE_M + 1e-9
+    else:
+        covered = np.zeros(len(true_cells), bool)
+    distance = _distance_to_segments(occupied, np.ascontiguousarray(faces, np.float64))
+    return WallMapFigures(occupied, distance, true_cells, covered)
 
 
-def unseen_walls(known: GridMap, reference: GridMap, alignment: Alignment) -> FloatArray:
-    """(m, 2) the reference's walls, in the map's frame, of which the map knows nothing."""
-    walls = alignment.to_map(wall_cells(reference))
-    return walls[~_near_known(walls, known)]
+@numba.njit(cache=True, nogil=True)
+def _distance_to_segments(points: FloatArray, segments: FloatArray) -> FloatArray:  # pragma: no cover
+    distance = np.full(len(points), np.inf)
+    for i in range(len(points)):
+        for k in range(len(segments)):
+            distance[i] = min(distance[i], squared_distance(points[i, 0], points[i, 1], segments[k]))
+    root: FloatArray = np.sqrt(distance)
+    return root
 
 
-def _near_known(places: FloatArray, known: GridMap) -> BoolArray:
-    reach = max(1, round(_SEEN_M / known.cell_m))
-    near = binary_dilation(known.cells != Cell.UNKNOWN, np.ones((3, 3)), iterations=reach)
-    index = np.floor((places - known.origin) / known.cell_m).astype(int)
-    rows, columns = near.shape
-    inside = (index >= 0).all(axis=1) & (index[:, 0] < columns) & (index[:, 1] < rows)
-    found = np.zeros(len(places), bool)
-    found[inside] = near[index[inside, 1], index[inside, 0]]
-    return found
+def _seen_cells(faces: FloatArray, cubes: VoxelVotes) -> IntArray:
+    """(k, 2) int64: the cells that faces run through and that hold enough returns of walls."""
+    column, first = np.unique(columns_of(cubes.keys), return_index=True)
+    if not len(column) or not len(faces):
+        return np.zeros((0, 2), np.int64)
+    returns = np.add.reduceat(cubes.counts[:, Truth.WALL], first, dtype=np.int64)
+    cells = np.unique(np.concatenate([cells_along(face, CUBE_M) for face in faces]), axis=0)
+    seen: IntArray = cells[np.isin(pack_column(cells), column[returns >= 3])]
+    return seen
+
+
+def cells_along(segment: FloatArray, cell_m: float) -> IntArray:
+    """(k, 2) int64: the cells of a grid that a segment (2, 2) runs through."""
+    start, along = segment[0] * (1.0 / cell_m), (segment[1] - segment[0]) * (1.0 / cell_m)
+    crossings = [np.array([0.0, 1.0])]
+    for axis in range(2):
+        if along[axis] != 0:
+            low, high = sorted((start[axis], start[axis] + along[axis]))
+            crossings.append((np.arange(np.ceil(low), np.floor(high) + 1) - start[axis]) / along[axis])
+    t = np.unique(np.clip(np.concatenate(crossings), 0.0, 1.0))
+    middle = (t[:-1] + t[1:]) / 2
+    cells: IntArray = np.unique(np.floor(start + middle[:, None] * along).astype(np.int64), axis=0)
+    return cells
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedMap:
+    """A map with its figures.
+
+    unseen: (m, 2) walls of what it was compared with that count nowhere. blocked: which doors that were passed are
+    blocked in it; None where no doors are known. cabinets: how many of its false cells are cabinets as high as the room.
+    """
+
+    grid: GridMap
+    figures: WallMapFigures
+    unseen: FloatArray
+    blocked: BoolArray | None = None
+    cabinets: int | None = None
+
+    @property
+    def agreement(self) -> UInt8Array:
+        return overlay(self.grid, self.figures, self.unseen)
+
+
+ComparedMaps = Mapping[str, ComparedMap]
+
+
+def compare_with_truth(
+    maps: Mapping[str, GridMap], faces: FloatArray, tally: Tally, door_ends: FloatArray, wall_m: FloatArray
+) -> ComparedMaps:
+    """faces: (F, 2, 2) true walls. door_ends: (D, 2, 2) jambs of the doors passed; wall_m: (D,) how thick their walls are."""
+    cubes = tally.cubes
+    cabinets = cubes.mean_position[majorities(cubes)[0] == Truth.FULL_HEIGHT_CABINET, :2]
+    compared = {}
+    for name, grid in maps.items():
+        figures = compare_wall_map(faces, cubes, grid)
+        false = figures.occupied[~figures.right]
+        near = cKDTree(cabinets).query(false)[0] <= WALL_TOLERANCE_M if len(cabinets) and len(false) else np.zeros(0)
+        compared[name] = ComparedMap(
+            grid, figures, np.zeros((0, 2)), blocked_doors(grid, door_ends, wall_m), int(np.count_nonzero(near))
+        )
+    return compared
+
+
+def false_and_missed(one: ComparedMap) -> Sequence[tuple[Agreement, FloatArray]]:
+    """What an overlay draws over the map: each agreement with its places (m, 2)."""
+    figures = one.figures
+    return [
+        (Agreement.NOT_SEEN, one.unseen),
+        (Agreement.BOTH, figures.occupied[figures.right]),
+        (Agreement.ONLY_REFERENCE, figures.true_cells[~figures.covered]),
+        (Agreement.ONLY_MAP, figures.occupied[~figures.right]),
+    ]
 
 
 def overlay(grid: GridMap, figures: WallMapFigures, unseen: FloatArray) -> UInt8Array:
@@ -190,8 +180,7 @@ def overlay(grid: GridMap, figures: WallMapFigures, unseen: FloatArray) -> UInt8
         (figures.occupied[figures.right], Agreement.BOTH),
         (figures.occupied[~figures.right], Agreement.ONLY_MAP),
     ):
-        index = np.floor((places - grid.origin) / grid.cell_m).astype(int)
-        inside = (index >= 0).all(axis=1) & (index < np.array(cells.shape[::-1])).all(axis=1)
+        index, inside = grid.index(places)
         cells[index[inside, 1], index[inside, 0]] = agreement
     return cells
 
@@ -202,17 +191,16 @@ def blocked_doors(grid: GridMap, ends: FloatArray, depth_m: FloatArray) -> BoolA
     ends: (D, 2, 2) the jambs, along the sill in the middle of the wall. depth_m: (D,) the wall's thickness. Looked at is
     what lies between the jambs, one cell beyond the wall on either side.
     """
-    blocked = np.ones(len(ends), bool)
+    blocked, step_m = np.ones(len(ends), bool), 0.02
     for d, (left, right) in enumerate(ends):
         width_m = float(np.linalg.norm(right - left))
         along = (right - left) / max(width_m, 1e-9)
         across = np.array([-along[1], along[0]])
         half_m = 0.5 * depth_m[d] + grid.cell_m
-        u = np.arange(0.5 * _STEP_M, width_m, _STEP_M)
-        v = np.linspace(-half_m, half_m, 2 * int(np.ceil(half_m / _STEP_M)) + 1)
+        u = np.arange(0.5 * step_m, width_m, step_m)
+        v = np.linspace(-half_m, half_m, 2 * int(np.ceil(half_m / step_m)) + 1)
         places = left + u[:, None, None] * along + v[None, :, None] * across
-        index = np.floor((places - grid.origin) / grid.cell_m).astype(int)
-        inside = (index >= 0).all(axis=2) & (index < np.array(grid.cells.shape[::-1])).all(axis=2)
+        index, inside = grid.index(places)
         free = np.zeros(inside.shape, bool)
         free[inside] = grid.cells[index[inside][:, 1], index[inside][:, 0]] == Cell.FREE
         region = label(free)[0]

@@ -9,12 +9,6 @@ from scipy import ndimage
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 
-ENTERED_M = 1.0
-"""A room is entered where the robot's way leads through so many metres of it."""
-TRUE_ROOM_MIN_M2 = 0.5
-_TOUCH_M = 0.3
-_MERGED_MIN_M2 = 1.0
-
 
 @dataclass(frozen=True, eq=False)
 class RoomFigures:
@@ -22,8 +16,8 @@ class RoomFigures:
 
     recall: (T,) largest overlap with one found room / own area. precision: (F,) largest overlap with one true room / own
     area. counted: (T,) true rooms that the mean recall is over.
-    split: true rooms in which two or more found rooms that touch one another lie for the most part.
-    merged: pairs of true rooms whose mapped part lies for the most part in the same found room.
+    split: true rooms in which two or more found rooms that touch one another (within 0.3 m) lie for the most part.
+    merged: pairs of true rooms whose mapped part lies for the most part, 1 m² or more, in the same found room.
     """
 
     recall: FloatArray
@@ -48,14 +42,15 @@ def compare_rooms(
 ) -> RoomFigures:
     """Outlines in metres of one frame.
 
-    path_map: (n, 2 or more) the robot's places; the recall is counted over the rooms that it entered, over all without.
+    path_map: (n, 2 or more) the robot's places; the recall is counted over the rooms in which 1 m of its way or more lies,
+        over all without.
     """
     overlap = np.array([[t.intersection(f).area for f in found] for t in true]).reshape(len(true), len(found))
     counted = np.ones(len(true), bool)
     if path_map is not None:
         path = shapely.linestrings(path_map[:, :2]) if len(path_map) > 1 else shapely.LineString()
-        counted = np.array([path.intersection(t).length >= ENTERED_M for t in true], bool)
-    touching = np.array([[a.distance(b) <= _TOUCH_M for a in found] for b in found], bool)
+        counted = np.array([path.intersection(t).length >= 1.0 for t in true], bool)
+    touching = np.array([[a.distance(b) <= 0.3 for a in found] for b in found], bool)
     return _figures(
         overlap,
         np.array([t.area for t in true]),
@@ -88,7 +83,7 @@ def rooms_of_image(pixels: IntArray, cell_m: float) -> IntArray:
     """
     label, count = ndimage.label(pixels > 250)
     size_m2 = np.bincount(label.ravel(), minlength=count + 1) * cell_m**2
-    kept = np.flatnonzero(size_m2 >= TRUE_ROOM_MIN_M2 - 1e-9)
+    kept = np.flatnonzero(size_m2 >= 0.5 - 1e-9)
     number = np.full(count + 1, -1)
     number[kept[kept > 0]] = np.arange(np.count_nonzero(kept))
     return np.asarray(number[label])
@@ -105,7 +100,7 @@ def _figures(
     mostly_in = overlap > 0.5 * found_m2
     split = [int(t) for t, own in enumerate(mostly_in) if (np.triu(touching[np.ix_(own, own)], 1)).any()]
     mapped = overlap.sum(axis=1, keepdims=True)
-    holds = (overlap > 0.5 * mapped) & (overlap >= _MERGED_MIN_M2)
+    holds = (overlap > 0.5 * mapped) & (overlap >= 1.0)
     merged = {
         (int(a), int(b)) for own in holds.T for a, b in np.argwhere(np.triu(np.outer(own, own), 1))
     }  # fmt: skip

@@ -9,23 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ffmap.algorithms.base.labels import NO_RETURN, Label
+from ffmap.algorithms.base.labels import NO_RETURN
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m
+from ffmap.algorithms.building.model import stretches
 from ffmap.algorithms.maps.grid import Cell, GridMap
-from ffmap.algorithms.truth.labels import match_doors
+from ffmap.algorithms.truth.doors import match_doors, match_nearest
+from ffmap.algorithms.truth.labels import UNLABELLED
 
-CLASSES = len(Label) + 1
+CLASSES = UNLABELLED + 1
 """The labels, and last what has none."""
-UNLABELLED = len(Label)
-
-WALL_DISTANCE_M = 0.1
-WALL_DIRECTION_DEG = 10.0
-WALL_STEP_M = 0.05
-WALL_PIECE_MIN_M = 0.1
-"""Shorter pieces are ends of walls that moved by less than two cells of the map."""
-PLANE_DISTANCE_M = 0.05
-PLANE_DIRECTION_DEG = 5.0
 
 
 def classes_of(label: UInt8Array) -> UInt8Array:
@@ -154,51 +147,42 @@ def match_planes(
         return len(normal_a), len(normal_b)
     cosine = normal_a @ normal_b.T
     distance = np.abs(offset_a_m[:, None] - offset_b_m)
-    possible = (cosine >= np.cos(np.radians(PLANE_DIRECTION_DEG))) & (distance <= PLANE_DISTANCE_M)
-    taken_a, taken_b = np.zeros(len(normal_a), bool), np.zeros(len(normal_b), bool)
-    pairs = np.argwhere(possible)
-    for i, j in pairs[np.argsort(distance[possible], kind="stable")]:
-        if not taken_a[i] and not taken_b[j]:
-            taken_a[i] = taken_b[j] = True
-    return int(np.count_nonzero(~taken_a)), int(np.count_nonzero(~taken_b))
+    possible = (cosine >= np.cos(np.radians(5.0))) & (distance <= 0.05)
+    matched = int(np.count_nonzero(match_nearest(distance, possible) >= 0))
+    return len(normal_a) - matched, len(normal_b) - matched
 
 
 def _uncovered(ends: FloatArray, others: FloatArray) -> FloatArray:
     """(n, 2, 2) pieces of faces along which none of the others runs."""
-    places, direction = _sampled(others)
+    step_m = 0.05
+    places, direction = _sampled(others, step_m)
     tree = cKDTree(places) if len(places) else None
     pieces: list[FloatArray] = []
     for start, end in ends:
-        count = max(1, round(float(np.linalg.norm(end - start)) / WALL_STEP_M))
+        count = max(1, round(float(np.linalg.norm(end - start)) / step_m))
         along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
         middles = start + (end - start) * ((np.arange(count) + 0.5) / count)[:, None]
         covered = np.zeros(count, bool)
         if tree is not None:
-            for k, near in enumerate(tree.query_ball_point(middles, WALL_DISTANCE_M)):
+            for k, near in enumerate(tree.query_ball_point(middles, 0.1)):
                 cosine = np.abs(direction[near] @ along)
-                covered[k] = bool(np.any(cosine >= np.cos(np.radians(WALL_DIRECTION_DEG))))
-        for first, stop in _runs(~covered):
-            piece = start + (end - start) * np.array([[first / count], [stop / count]])
-            if np.linalg.norm(piece[1] - piece[0]) >= WALL_PIECE_MIN_M:
+                covered[k] = bool(np.any(cosine >= np.cos(np.radians(10.0))))
+        for first, last in stretches(~covered, 0):
+            piece = start + (end - start) * np.array([[first / count], [(last + 1) / count]])
+            if np.linalg.norm(piece[1] - piece[0]) >= 0.1:  # shorter ones are ends that moved by less than two cells
                 pieces.append(piece)
     return np.array(pieces).reshape(-1, 2, 2)
 
 
-def _sampled(ends: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Places along faces, closer than they may lie apart, and the direction of the face of each."""
+def _sampled(ends: FloatArray, step_m: float) -> tuple[FloatArray, FloatArray]:
+    """Places along faces, at most half a step apart, and the direction of the face of each."""
     places, directions = [np.zeros((0, 2))], [np.zeros((0, 2))]
     for start, end in ends:
         length_m = float(np.linalg.norm(end - start))
-        part = np.linspace(0, 1, max(2, int(np.ceil(length_m / (0.5 * WALL_STEP_M))) + 1))[:, None]
+        part = np.linspace(0, 1, max(2, int(np.ceil(length_m / (0.5 * step_m))) + 1))[:, None]
         places.append(start + (end - start) * part)
         directions.append(np.tile((end - start) / max(length_m, 1e-9), (len(part), 1)))
     return np.concatenate(places), np.concatenate(directions)
-
-
-def _runs(held: BoolArray) -> list[tuple[int, int]]:
-    """[first, stop) of every run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], held.astype(np.int8), [0]])))
-    return [(int(first), int(stop)) for first, stop in edges.reshape(-1, 2)]
 
 
 def _first_cell(grid: GridMap) -> IntArray:

@@ -25,7 +25,7 @@ from ffmap.algorithms.truth.changes import (
     ScanChange,
     TrajectoryChange,
 )
-from ffmap.algorithms.truth.labels import compare_trajectories
+from ffmap.algorithms.truth.poses import compare_trajectories
 from ffmap.algorithms.truth.runs import (
     changed_of,
     changed_places,

@@ -48,27 +48,13 @@ from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.trajectory import Trajectory, place_scan
 from ffmap.algorithms.maps.area_graph import Segmented
 from ffmap.algorithms.scan.doors import DoorState
-from ffmap.algorithms.truth.labels import (
-    CUBE_M,
-    DOOR_RETURNS,
-    UNLABELLED,
-    Counter,
-    DoorFigures,
-    FoundDoors,
-    Tally,
-    TrajectoryFigures,
-    TrueDoors,
-    class_figures,
-    compare_doors,
-    compare_trajectories,
-    confusion_by_area,
-    outside_kept,
-    rms,
-)
+from ffmap.algorithms.truth.doors import DOOR_RETURNS, DoorFigures, FoundDoors, TrueDoors, compare_doors
+from ffmap.algorithms.truth.labels import UNLABELLED, class_figures, outside_kept
+from ffmap.algorithms.truth.maps import ComparedMaps, compare_with_truth
+from ffmap.algorithms.truth.poses import TrajectoryFigures, compare_trajectories, rms
 from ffmap.algorithms.truth.rooms import RoomFigures, compare_rooms
+from ffmap.algorithms.truth.tally import CUBE_M, Counter, Tally, confusion_by_area
 from ffmap.app.analysis.map_figures import (
-    ComparedMaps,
-    compare_with_truth,
     map_metrics,
     maps_table,
     read_maps,

@@ -9,15 +9,12 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from rich.table import Table
-from scipy.spatial import cKDTree
 
-from ffmap.algorithms.base.labels import Truth
-from ffmap.algorithms.base.scan import BoolArray, FloatArray, UInt8Array
+from ffmap.algorithms.base.scan import FloatArray, UInt8Array
 from ffmap.algorithms.base.segments import main_direction_deg, turned
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.maps.rivals import Rival
-from ffmap.algorithms.truth.labels import WALL_TOLERANCE_M, Tally, WallMapFigures, compare_wall_map, majorities
-from ffmap.algorithms.truth.maps import Agreement, blocked_doors, overlay
+from ffmap.algorithms.truth.maps import WALL_TOLERANCE_M, Agreement, ComparedMaps
 from ffmap.app.folder.atomic import write_atomically
 from ffmap.app.folder.map_files import read_map
 from ffmap.app.folder.names import WALLS, map_file
@@ -59,48 +56,9 @@ _BARS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 _DEFAULT_WALL_M = 0.2
 
 
-@dataclass(frozen=True, eq=False)
-class ComparedMap:
-    """A map with its figures.
-
-    unseen: (m, 2) walls of what it was compared with that count nowhere. blocked: which doors that were passed are
-    blocked in it; None where no doors are known. cabinets: how many of its false cells are cabinets as high as the room.
-    """
-
-    grid: GridMap
-    figures: WallMapFigures
-    unseen: FloatArray
-    blocked: BoolArray | None = None
-    cabinets: int | None = None
-
-    @property
-    def agreement(self) -> UInt8Array:
-        return overlay(self.grid, self.figures, self.unseen)
-
-
-ComparedMaps = Mapping[str, ComparedMap]
-
-
 def read_maps(run_dir: Path) -> dict[str, GridMap]:
     """The maps that a run folder holds, by name."""
     return {str(name): read_map(run_dir / map_file(name)) for name in TITLES if (run_dir / map_file(name)).exists()}
-
-
-def compare_with_truth(
-    maps: Mapping[str, GridMap], faces: FloatArray, tally: Tally, door_ends: FloatArray, wall_m: FloatArray
-) -> ComparedMaps:
-    """faces: (F, 2, 2) true walls. door_ends: (D, 2, 2) jambs of the doors passed; wall_m: (D,) how thick their walls are."""
-    cubes = tally.cubes
-    cabinets = cubes.mean_position[majorities(cubes)[0] == Truth.FULL_HEIGHT_CABINET, :2]
-    compared = {}
-    for name, grid in maps.items():
-        figures = compare_wall_map(faces, cubes, grid)
-        false = figures.occupied[~figures.right]
-        near = cKDTree(cabinets).query(false)[0] <= WALL_TOLERANCE_M if len(cabinets) and len(false) else np.zeros(0)
-        compared[name] = ComparedMap(
-            grid, figures, np.zeros((0, 2)), blocked_doors(grid, door_ends, wall_m), int(np.count_nonzero(near))
-        )
-    return compared
 
 
 def wall_thickness_of_doors(building: Mapping[str, Any]) -> FloatArray:
@@ -306,14 +264,3 @@ def _font(size_px: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 def _number(value: float | None, scale: float) -> str:
     return "–" if value is None or np.isnan(value) else f"{scale * value:.2f}"
-
-
-def false_and_missed(one: ComparedMap) -> Sequence[tuple[Agreement, FloatArray]]:
-    """What an overlay draws over the map: each agreement with its places (m, 2)."""
-    figures = one.figures
-    return [
-        (Agreement.NOT_SEEN, one.unseen),
-        (Agreement.BOTH, figures.occupied[figures.right]),
-        (Agreement.ONLY_REFERENCE, figures.true_cells[~figures.covered]),
-        (Agreement.ONLY_MAP, figures.occupied[~figures.right]),
-    ]

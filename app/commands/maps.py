@@ -6,10 +6,9 @@ from typing import Any
 import typer
 from rich.console import Console
 
-from ffmap.algorithms.truth.maps import Alignment, align_maps, compare_with_reference, unseen_walls
+from ffmap.algorithms.truth.maps import ComparedMap, ComparedMaps
+from ffmap.algorithms.truth.reference import Alignment, align_maps, compare_with_reference, unseen_walls
 from ffmap.app.analysis.map_figures import (
-    ComparedMap,
-    ComparedMaps,
     map_metrics,
     maps_table,
     read_maps,

@@ -16,8 +16,10 @@ from ffmap.algorithms.base.labels import Verdict
 from ffmap.algorithms.base.scan import FloatArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.scan.doors import DoorState
-from ffmap.algorithms.truth.labels import CUBE_M, DoorFigures, FoundDoors, Tally, TrueDoors, majorities, verdicts
-from ffmap.app.analysis.map_figures import ComparedMap, ComparedMaps, false_and_missed
+from ffmap.algorithms.truth.doors import DoorFigures, FoundDoors, TrueDoors
+from ffmap.algorithms.truth.labels import verdicts
+from ffmap.algorithms.truth.maps import ComparedMap, ComparedMaps, false_and_missed
+from ffmap.algorithms.truth.tally import CUBE_M, Tally, majorities
 from ffmap.app.folder.figures import queried
 from ffmap.app.record.log import evidence, scan_columns, set_time
 from ffmap.app.record.shapes import upright_frames

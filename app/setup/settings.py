@@ -7,25 +7,30 @@ import math
 import reprlib
 import tomllib
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import Field, ValidationError
 
 from ffmap.algorithms.base.scan import ScanSettings
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.base.trajectory import TrajectorySettings
+from ffmap.algorithms.building.door_frames import DoorFramesSettings
 from ffmap.algorithms.building.face_foreground import BeforeWallsSettings
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.fusion import FusionSettings
 from ffmap.algorithms.building.model import BuildingSettings
+from ffmap.algorithms.building.openings import OpeningsSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
+from ffmap.algorithms.building.windows import WindowsSettings
 from ffmap.algorithms.maps.all_maps import MapsSettings
 from ffmap.algorithms.maps.area_graph import AreaGraphSettings
 from ffmap.algorithms.maps.floor_plan import FloorPlanSettings
 from ffmap.algorithms.maps.grid import GridMapSettings
 from ffmap.algorithms.maps.rivals import RivalMapsSettings
+from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings
 from ffmap.algorithms.poses.odometry import OdometrySettings
 from ffmap.algorithms.poses.pose_graph import PoseGraphSettings
 from ffmap.algorithms.poses.refinement import RefinementSettings
@@ -37,6 +42,8 @@ from ffmap.algorithms.scan.vertical_structures import VerticalStructuresSettings
 from ffmap.algorithms.scan.wall_planes import WallPlanesSettings
 from ffmap.loaders.errors import InputError, shortened
 from ffmap.loaders.text_files import SETTINGS_LINE_MAX, read_toml
+
+Steps = TypeVar("Steps", MethodSettings, FusionSettings, MapsSettings)
 
 
 class Settings(StepSettings):
@@ -57,9 +64,13 @@ class Settings(StepSettings):
     building: BuildingSettings = BuildingSettings()
     standing_walls: StandingWallsSettings = StandingWallsSettings()
     before_walls: BeforeWallsSettings = BeforeWallsSettings()
+    openings: OpeningsSettings = OpeningsSettings()
+    windows: WindowsSettings = WindowsSettings()
+    door_frames: DoorFramesSettings = DoorFramesSettings()
     wall_thickness: WallThicknessSettings = WallThicknessSettings()
     grid_map: GridMapSettings = GridMapSettings()
     area_graph: AreaGraphSettings = AreaGraphSettings()
+    room_outlines: RoomOutlinesSettings = RoomOutlinesSettings()
     rival_maps: RivalMapsSettings = RivalMapsSettings()
     floor_plan: FloorPlanSettings = FloorPlanSettings()
     relabelling: RelabellingSettings = RelabellingSettings()
@@ -67,38 +78,21 @@ class Settings(StepSettings):
     @property
     def method(self) -> MethodSettings:
         """What labels a single scan."""
-        return MethodSettings(
-            self.scan,
-            self.smoothing,
-            self.rearrangement,
-            self.vertical_structures,
-            self.wall_planes,
-            self.doors,
-            self.labelling,
-        )
+        return self._of(MethodSettings)
 
     @property
     def fusion(self) -> FusionSettings:
         """What makes the building of all scans."""
-        return FusionSettings(
-            building=self.building,
-            standing_walls=self.standing_walls,
-            before_walls=self.before_walls,
-            wall_thickness=self.wall_thickness,
-            relabelling=self.relabelling,
-        )
+        return self._of(FusionSettings)
 
     @property
     def maps(self) -> MapsSettings:
         """What draws its maps."""
-        return MapsSettings(
-            building=self.building,
-            wall_thickness=self.wall_thickness,
-            grid_map=self.grid_map,
-            area_graph=self.area_graph,
-            rival_maps=self.rival_maps,
-            floor_plan=self.floor_plan,
-        )
+        return self._of(MapsSettings)
+
+    def _of(self, steps: type[Steps]) -> Steps:
+        """The settings of several steps, which a dataclass names."""
+        return steps(**{step.name: getattr(self, step.name) for step in fields(steps)})
 
     def flat(self) -> dict[str, Any]:
         """Every setting by its dotted name."""

@@ -8,16 +8,18 @@ import pytest
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengths_m
+from ffmap.algorithms.building.door_frames import DoorFramesSettings
 from ffmap.algorithms.building.drive import AllScans, Drive
 from ffmap.algorithms.building.face_foreground import BeforeWallsSettings
 from ffmap.algorithms.building.face_verdicts import FaceVerdict, StandingWallsSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.fusion import Building, FusionSettings, fuse_building
 from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
+from ffmap.algorithms.building.openings import OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.building.votes import VoxelTable
-from ffmap.algorithms.building.windows import without_rays_through
+from ffmap.algorithms.building.windows import WindowsSettings, without_rays_through
 from ffmap.algorithms.maps.grid import GridMapSettings
 from ffmap.algorithms.maps.rivals import Rival
 from ffmap.algorithms.scan.doors import DoorState
@@ -29,6 +31,9 @@ SETTINGS = FusionSettings(
     BuildingSettings(),
     StandingWallsSettings(),
     BeforeWallsSettings(),
+    OpeningsSettings(),
+    WindowsSettings(),
+    DoorFramesSettings(),
     WallThicknessSettings(),
     RelabellingSettings(),
 )

@@ -5,16 +5,18 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from ffmap.algorithms.building.door_frames import place_frames
+from ffmap.algorithms.building.door_frames import DoorFramesSettings, place_frames
 from ffmap.algorithms.building.doors import drop_doubtful, find_doors, prove_crossed
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
+from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
-from ffmap.algorithms.building.windows import find_windows, seen_through, without_rays_through
+from ffmap.algorithms.building.windows import WindowsSettings, find_windows, seen_through, without_rays_through
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features
 
 FILLED, SUM, SQUARES, THROUGH = range(4)
 SETTINGS = BuildingSettings()
+RULES = OpeningRules(SETTINGS, OpeningsSettings())
 WALL = Walls(
     np.array([[[0.0, 0.0], [4.0, 0.0]]]),
     np.array([[0.0, -1.0]]),
@@ -71,7 +73,7 @@ def features(origin: tuple[float, float], rays: np.ndarray, planes: np.ndarray) 
 def test_a_closed_leaf_is_recessed(depth_m: float, found: int) -> None:
     seen = cells()
     recess(seen, 0.0, 2.1, depth_m)
-    doors = find_doors(WALL, seen, unknown(seen), SETTINGS)
+    doors = find_doors(WALL, seen, unknown(seen), RULES)
     assert len(doors) == found
     if found:
         assert doors.depth_m[0] == pytest.approx(depth_m, abs=0.005)
@@ -81,13 +83,13 @@ def test_a_closed_leaf_is_recessed(depth_m: float, found: int) -> None:
 def test_a_pane_above_a_flush_parapet_is_no_leaf() -> None:
     seen = cells()
     recess(seen, 0.7, 2.1, 0.05)
-    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
+    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 0
 
 
 def test_a_recess_up_to_the_ceiling_is_no_door() -> None:
     seen = cells()
     recess(seen, 0.0, 2.8, 0.05)
-    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
+    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 0
 
 
 def test_a_low_ceiling_before_a_part_of_a_wall_is_no_lintel() -> None:
@@ -99,9 +101,9 @@ def test_a_low_ceiling_before_a_part_of_a_wall_is_no_lintel() -> None:
     seen.counts[34:76, round(2.6 / CELL_M) :] = 0.0
     seen.counts[76:, :, SUM] = 0.025 * seen.counts[76:, :, FILLED]
     clear_m = np.full(80, 2.8)
-    assert len(find_doors(WALL, seen, clear_m, SETTINGS)) == 1
+    assert len(find_doors(WALL, seen, clear_m, RULES)) == 1
     clear_m[34:] = 2.5
-    assert len(find_doors(WALL, seen, clear_m, SETTINGS)) == 0
+    assert len(find_doors(WALL, seen, clear_m, RULES)) == 0
 
 
 @pytest.mark.parametrize("state", [DoorState.OPEN, DoorState.CLOSED])
@@ -113,16 +115,16 @@ def test_a_duct_may_hide_a_lintel_if_the_wall_stands_on_both_sides(state: DoorSt
         part = seen.counts[30:48, : round(2.05 / CELL_M)]
         part[...], part[..., THROUGH] = 0.0, 10.0
     clear_m = np.full(80, 2.8)
-    doors = find_doors(WALL, seen, clear_m, SETTINGS)
+    doors = find_doors(WALL, seen, clear_m, RULES)
     assert doors.state.tolist() == [state]
     assert doors.lintel.tolist() == [0.0]
     assert doors.head_m[0] == pytest.approx(2.05, abs=CELL_M)
     # An alcove up to the ceiling is seen to be none, and a recess in a corner may be the corner.
     high = WallCells(seen.first, seen.rows, seen.counts.copy())
     high.counts[30:48, round(2.05 / CELL_M) : round(2.7 / CELL_M), THROUGH] = 10.0
-    assert len(find_doors(WALL, high, clear_m, SETTINGS)) == 0
+    assert len(find_doors(WALL, high, clear_m, RULES)) == 0
     seen.counts[48:] = 0.0
-    assert len(find_doors(WALL, seen, clear_m, SETTINGS)) == 0
+    assert len(find_doors(WALL, seen, clear_m, RULES)) == 0
 
 
 def test_a_leaf_that_stands_aslant_is_ajar() -> None:
@@ -131,7 +133,7 @@ def test_a_leaf_that_stands_aslant_is_ajar() -> None:
         depth_m = np.linspace(0.03, 0.03 + free_edge_m, 18)[:, None]
         part = seen.counts[30:48, : round(2.1 / CELL_M)]
         part[..., SUM], part[..., SQUARES] = -depth_m * part[..., FILLED], depth_m**2 * part[..., FILLED]
-        return find_doors(WALL, seen, unknown(seen), SETTINGS)
+        return find_doors(WALL, seen, unknown(seen), RULES)
 
     assert leaf(0.05).state.tolist() == [DoorState.CLOSED]
     assert leaf(0.05).ajar.tolist() == [False]
@@ -149,7 +151,7 @@ def test_a_deep_leaf_is_not_ajar_though_columns_at_its_jamb_hold_the_reveal_too(
     depth_m[:3] = 0.03
     part = seen.counts[30:48, : round(2.1 / CELL_M)]
     part[..., SUM], part[..., SQUARES] = -depth_m * part[..., FILLED], depth_m**2 * part[..., FILLED]
-    doors = find_doors(WALL, seen, unknown(seen), SETTINGS)
+    doors = find_doors(WALL, seen, unknown(seen), RULES)
     assert doors.state.tolist() == [DoorState.CLOSED]
     np.testing.assert_allclose(doors.depth_m, 0.2, atol=0.01)
 
@@ -171,7 +173,7 @@ def test_a_leaf_ajar_is_part_of_its_doorway(leaves: int) -> None:
             else:
                 cell[:], cell[:, THROUGH] = 0.0, 10.0
     seen.counts[opened, rows] = np.array([0.0, 0.0, 0.0, 10.0])
-    doors = find_doors(WALL, seen, unknown(seen), SETTINGS)
+    doors = find_doors(WALL, seen, unknown(seen), RULES)
     assert doors.state.tolist() == [DoorState.OPEN]
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.55 if leaves == 1 else 3.3], atol=2 * CELL_M)
     assert doors.confidence[0] > 0.6
@@ -184,7 +186,7 @@ def test_a_leaf_at_the_edge_of_what_is_looked_at_is_no_pane() -> None:
         part = seen.counts[30:36, : round(2.1 / CELL_M)]
         part[..., THROUGH], part[..., FILLED] = 10.0, 1.0
         part[..., SUM], part[..., SQUARES] = -sheet_m, sheet_m**2
-        return len(find_windows(WALL, seen, unknown(seen), SETTINGS))
+        return len(find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings()))
 
     assert opening(0.1) == 1
     assert opening(0.34) == 0
@@ -197,11 +199,11 @@ def test_a_door_has_its_wall_beside_it() -> None:
     for beside in (slice(0, 30), slice(48, 80)):
         seen.counts[beside] = 0.0
         seen.counts[beside, 1:36, THROUGH] = 10.0
-    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
+    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 0
     # In a corner there is wall on one side only.
     seen.counts[48:51] = 0.0
     seen.counts[48:51, :, FILLED] = 10.0
-    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 1
+    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 1
 
 
 def opening(seen: WallCells) -> None:
@@ -216,7 +218,7 @@ def test_what_hangs_behind_a_lintel_does_not_hide_its_door() -> None:
     # From close by, rays under the lintel rise to a duct behind it: as many returns as from the lintel itself.
     duct = seen.counts[30:48, 46:51]
     duct[..., FILLED], duct[..., SUM], duct[..., SQUARES] = 20.0, -10 * 0.3, 10 * 0.3**2
-    doors = find_doors(WALL, seen, unknown(seen), SETTINGS)
+    doors = find_doors(WALL, seen, unknown(seen), RULES)
     assert doors.state.tolist() == [DoorState.OPEN]
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
 
@@ -234,7 +236,7 @@ def test_a_doorway_is_taken_from_the_face_that_shows_all_of_it() -> None:
     seen = cells()
     opening(seen)
     both = np.concatenate([3.0 * seen.counts[:43], seen.counts[::-1]])
-    doors = find_doors(walls, WallCells(np.array([0, 43, 123]), 66, both), np.full(123, np.nan), SETTINGS)
+    doors = find_doors(walls, WallCells(np.array([0, 43, 123]), 66, both), np.full(123, np.nan), RULES)
     assert len(doors) == 1
     np.testing.assert_allclose(np.sort(doors.ends[0, :, 0]), [1.5, 2.4], atol=2 * CELL_M)
 
@@ -243,7 +245,7 @@ def test_a_window_behind_a_desk_is_no_doorway() -> None:
     seen = cells()
     opening(seen)
     seen.counts[30:48, 0:14] = 0.0  # the desk hides the wall below the pane
-    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
+    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 0
 
 
 def test_floor_and_ceiling_behind_an_opening_passed_its_face() -> None:
@@ -270,11 +272,11 @@ def test_an_open_door_is_found_though_its_jambs_are_hidden() -> None:
     opening(seen)
     # Seen through another door: of the wall beside, only what is above shows.
     seen.counts[:30, :42] = seen.counts[48:, :42] = 0.0
-    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 1
+    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 1
     # Where the wall beside is seen to stand back, or to be passed, the opening is no doorway.
     for beside in (seen.counts[:30, :42], seen.counts[48:, :42]):
         beside[..., FILLED], beside[..., SUM] = 10.0, -10 * 0.045
-    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
+    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 0
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -287,7 +289,7 @@ def test_a_doorway_reaches_to_the_jamb_that_its_leaf_hides(mirrored: bool) -> No
     far[...] = 0.0
     if mirrored:
         seen.counts[...] = seen.counts[::-1].copy()
-    doors = find_doors(WALL, seen, unknown(seen), SETTINGS)
+    doors = find_doors(WALL, seen, unknown(seen), RULES)
     assert doors.state.tolist() == [DoorState.OPEN]
     expected = [1.6, 2.5] if mirrored else [1.5, 2.4]
     np.testing.assert_allclose(np.sort(doors.ends[0, :, 0]), expected, atol=2 * CELL_M)
@@ -296,7 +298,7 @@ def test_a_doorway_reaches_to_the_jamb_that_its_leaf_hides(mirrored: bool) -> No
         doubtful = WallCells(seen.first, 66, seen.counts.copy())
         beside = doubtful.counts[42:] if mirrored else doubtful.counts[:38]
         beside[:, rows] = 0.0
-        assert len(find_doors(WALL, doubtful, unknown(doubtful), SETTINGS)) == 0
+        assert len(find_doors(WALL, doubtful, unknown(doubtful), RULES)) == 0
 
 
 @pytest.mark.filterwarnings("error")
@@ -305,14 +307,14 @@ def test_a_face_that_is_passed_over_all_its_length_has_no_door() -> None:
     seen = cells()
     opening(seen)
     alone = WallCells(np.array([0, 18]), 66, seen.counts[30:48].copy())
-    assert len(find_doors(narrow, alone, unknown(alone), SETTINGS)) == 0
+    assert len(find_doors(narrow, alone, unknown(alone), RULES)) == 0
 
 
 def test_a_wide_opening_beside_a_cupboard_is_as_wide_as_it_is() -> None:
     seen = cells()
     opening(seen)
     seen.counts[48:60, 0:42] = 0.0  # behind the cupboard
-    doors = find_doors(WALL, seen, unknown(seen), SETTINGS)
+    doors = find_doors(WALL, seen, unknown(seen), RULES)
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
 
 
@@ -322,28 +324,27 @@ def test_an_opening_leads_somewhere(behind_m: float, found: int) -> None:
     opening(seen)
     behind = replace(WALL, ends=WALL.ends + np.array([0.0, behind_m]))
     nothing = WallCells(np.array([0, 80, 160]), 66, np.concatenate([seen.counts, np.zeros_like(seen.counts)]))
-    assert len(find_doors(WALL.append(behind), nothing, unknown(nothing), SETTINGS)) == found
+    assert len(find_doors(WALL.append(behind), nothing, unknown(nothing), RULES)) == found
     # A cupboard in the room behind hides a part of the doorway, a leaf ajar stands aslant.
     part = replace(behind, ends=np.array([[[1.9, behind_m], [4.0, behind_m]]]))
-    assert len(find_doors(WALL.append(part), nothing, unknown(nothing), SETTINGS)) == 1
+    assert len(find_doors(WALL.append(part), nothing, unknown(nothing), RULES)) == 1
     turn = np.array([[np.cos(0.15), np.sin(0.15)], [-np.sin(0.15), np.cos(0.15)]])
     aslant = replace(behind, normal=behind.normal @ turn)
-    assert len(find_doors(WALL.append(aslant), nothing, unknown(nothing), SETTINGS)) == 1
+    assert len(find_doors(WALL.append(aslant), nothing, unknown(nothing), RULES)) == 1
     # The other side of the wall, or of the room, looks this way.
     across = replace(behind, normal=-WALL.normal)
-    assert len(find_doors(WALL.append(across), nothing, unknown(nothing), SETTINGS)) == 1
+    assert len(find_doors(WALL.append(across), nothing, unknown(nothing), RULES)) == 1
 
 
 def test_where_a_window_is_there_is_no_door() -> None:
     seen = cells()
     opening(seen)
-    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 1
-    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS, WINDOW)) == 0
+    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 1
+    assert len(find_doors(WALL, seen, unknown(seen), RULES, WINDOW)) == 0
     # Seen from the other side of its wall it is a window as well; in another wall it is another's.
-    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS, replace(WINDOW, normal=-WINDOW.normal))) == 0
+    assert len(find_doors(WALL, seen, unknown(seen), RULES, replace(WINDOW, normal=-WINDOW.normal))) == 0
     assert (
-        len(find_doors(WALL, seen, unknown(seen), SETTINGS, replace(WINDOW, ends=WINDOW.ends + np.array([0.0, 0.5]))))
-        == 1
+        len(find_doors(WALL, seen, unknown(seen), RULES, replace(WINDOW, ends=WINDOW.ends + np.array([0.0, 0.5])))) == 1
     )
 
 
@@ -357,13 +358,13 @@ def test_a_pane_down_to_the_floor_shows_though_more_stands_behind_it() -> None:
     behind[..., FILLED] += 4.0
     behind[..., SUM] -= 4 * 0.28
     behind[..., SQUARES] += 4 * 0.28**2
-    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 0
-    windows = find_windows(WALL, seen, unknown(seen), SETTINGS)
+    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 0
+    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
     assert windows.pane_m.tolist() == pytest.approx([0.08], abs=0.005)
     # What shows in two columns alone is the edge of a leaf, and the opening a door.
     part[..., :THROUGH] = 0.0
     part[4:6, 3:, FILLED], part[4:6, 3:, SUM], part[4:6, 3:, SQUARES] = 30.0, -30 * 0.2, 30 * 0.2**2
-    assert len(find_doors(WALL, seen, unknown(seen), SETTINGS)) == 1
+    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 1
 
 
 def test_a_window_is_as_wide_as_it_is_though_its_sill_is_hidden() -> None:
@@ -371,20 +372,20 @@ def test_a_window_is_as_wide_as_it_is_though_its_sill_is_hidden() -> None:
     seen.counts[20:60, 18:44, FILLED], seen.counts[20:60, 18:44, THROUGH] = 0.0, 50.0
     # A desk stands before most of it: no ray reaches the wall below, and none passes there.
     seen.counts[26:56, 0:18] = 0.0
-    windows = find_windows(WALL, seen, unknown(seen), SETTINGS)
+    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
     np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, 3.0]], atol=2 * CELL_M)
     # Where nothing of a sill is seen, it may be a doorway that is blocked.
     seen.counts[18:62, 0:18] = 0.0
-    assert len(find_windows(WALL, seen, unknown(seen), SETTINGS)) == 0
+    assert len(find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())) == 0
 
 
 def test_a_windows_pane_is_placed_by_what_it_returns() -> None:
     seen = cells()
     seen.counts[20:60, 18:44, FILLED], seen.counts[20:60, 18:44, THROUGH] = 0.0, 50.0
-    assert np.isnan(find_windows(WALL, seen, unknown(seen), SETTINGS).pane_m).all()
+    assert np.isnan(find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings()).pane_m).all()
     pane = seen.counts[20:60, 18:44]
     pane[..., FILLED], pane[..., SUM], pane[..., SQUARES] = 1.0, -0.06, 0.06**2
-    windows = find_windows(WALL, seen, unknown(seen), SETTINGS)
+    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
     assert windows.pane_m.tolist() == pytest.approx([0.06], abs=0.002)
     np.testing.assert_allclose(windows.ends[0, :, 0], [1.0, 3.0], atol=2 * CELL_M)
     np.testing.assert_allclose([windows.bottom_m[0], windows.top_m[0]], [0.9, 2.2], atol=CELL_M)
@@ -395,12 +396,12 @@ def test_a_window_goes_on_where_its_glass_returns_nothing() -> None:
     seen.counts[20:60, 18:44] = 0.0
     seen.counts[30:40, 18:44, THROUGH] = 50.0
     np.testing.assert_allclose(
-        find_windows(WALL, seen, unknown(seen), SETTINGS).ends[:, :, 0], [[1.0, 3.0]], atol=CELL_M
+        find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings()).ends[:, :, 0], [[1.0, 3.0]], atol=CELL_M
     )
     # Where nothing returns from below either, nothing is known of it.
     seen.counts[40:60, :18] = 0.0
     np.testing.assert_allclose(
-        find_windows(WALL, seen, unknown(seen), SETTINGS).ends[:, :, 0], [[1.0, 2.0]], atol=2 * CELL_M
+        find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings()).ends[:, :, 0], [[1.0, 2.0]], atol=2 * CELL_M
     )
 
 
@@ -417,7 +418,7 @@ def test_a_window_goes_on_where_its_glass_returns_most_rays(depth_m: float, pass
     pane, beside = seen.counts[20:40, 0:44], seen.counts[40:60, 0:44]
     pane[..., FILLED], pane[..., SUM], pane[..., SQUARES], pane[..., THROUGH] = 1.0, -0.08, 0.08**2, 50.0
     beside[..., SUM], beside[..., SQUARES], beside[..., THROUGH] = -10 * depth_m, 10 * depth_m**2, passed
-    windows = find_windows(WALL, seen, unknown(seen), SETTINGS)
+    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
     # The reveals of what is no pane count for three columns at most.
     np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, end]], atol=0.2)
 
@@ -470,7 +471,7 @@ def test_planes_beyond_a_window_were_seen_through_it() -> None:
 def test_a_door_that_was_driven_through_is_open(path: list[list[float]], crossed: bool) -> None:
     seen = cells()
     recess(seen, 0.0, 2.1, 0.05)
-    closed = find_doors(WALL, seen, unknown(seen), SETTINGS)
+    closed = find_doors(WALL, seen, unknown(seen), RULES)
     assert closed.state.tolist() == [DoorState.CLOSED]
     proven = prove_crossed(closed, np.array(path, np.float64))
     assert proven.crossed.tolist() == [crossed]
@@ -550,7 +551,7 @@ def test_frames_are_placed_to_a_centimetre_though_reveals_return_too(depth_m: fl
         state=np.array([state], np.uint8),
         wall=np.zeros(1, np.int32),
     )
-    placed = place_frames(door, WALL, scans, SETTINGS)
+    placed = place_frames(door, WALL, scans, SETTINGS, DoorFramesSettings())
     np.testing.assert_allclose(placed.ends[0, :, 0], [1.5, 2.4], atol=0.012)
     assert placed.head_m[0] == pytest.approx(2.08, abs=0.012)
     assert placed.scan_count[0] == 2

@@ -12,6 +12,7 @@ from ffmap.algorithms.maps.area_graph import AreaGraphSettings, Segmented
 from ffmap.algorithms.maps.floor_plan import FloorPlanSettings
 from ffmap.algorithms.maps.grid import GridMapSettings
 from ffmap.algorithms.maps.rivals import Rival, RivalMapsSettings
+from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings
 from tests.algorithms.building.test_fusion import SETTINGS, driven
 from tests.two_rooms import TwoRooms
 
@@ -20,6 +21,7 @@ MAPS = MapsSettings(
     WallThicknessSettings(),
     GridMapSettings(),
     AreaGraphSettings(),
+    RoomOutlinesSettings(),
     RivalMapsSettings(),
     FloorPlanSettings(),
 )

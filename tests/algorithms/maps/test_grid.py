@@ -20,8 +20,7 @@ from ffmap.algorithms.maps.grid import (
     draw_furniture_free,
     standing_stretches,
 )
-from ffmap.algorithms.truth.labels import WALL_TOLERANCE_M
-from ffmap.algorithms.truth.maps import blocked_doors
+from ffmap.algorithms.truth.maps import WALL_TOLERANCE_M, blocked_doors
 from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms, without
 
 SETTINGS, THICKNESS = GridMapSettings(), WallThicknessSettings()

@@ -9,7 +9,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import in_canonical_order
 from ffmap.algorithms.base.trajectory import PlacedScan, Trajectory, place_scan
-from ffmap.algorithms.building.door_frames import measure_reveals, place_frames
+from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
 from ffmap.algorithms.building.doors import find_doors
 from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.face_foreground import BeforeWalls
@@ -17,10 +17,11 @@ from ffmap.algorithms.building.face_fusion import fuse_walls
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES
 from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings, relabel
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, BuildingSettings, Doors, Walls, Windows
+from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.building.votes import VoxelTable, find_halo
-from ffmap.algorithms.building.windows import find_windows
+from ffmap.algorithms.building.windows import WindowsSettings, find_windows
 from ffmap.algorithms.maps.grid import Cell, GridMapSettings, Immobile, draw_furniture_free
 from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.doors import DoorState
@@ -168,7 +169,7 @@ def test_an_underside_tells_how_deep_a_reveal_is() -> None:
         ray_end_map=rays,
         ray_label=np.zeros(len(rays), np.uint8),
     )
-    assert measure_reveals(door, [features]).reveal_m[0] == pytest.approx(0.18, abs=0.025)
+    assert measure_reveals(door, [features], DoorFramesSettings()).reveal_m[0] == pytest.approx(0.18, abs=0.025)
 
 
 @pytest.mark.parametrize(
@@ -189,15 +190,16 @@ def test_glass_is_told_from_open_doors(hole: Hole | None, doors: int, windows: i
     settings = BuildingSettings()
     walls = fuse_walls(features, settings)
     cells = trace_rays(walls, [features], settings)
-    assert len(find_doors(walls, cells, np.full(int(cells.first[-1]), np.nan), settings)) == doors
-    found = find_windows(walls, cells, np.full(int(cells.first[-1]), np.nan), settings)
+    rules = OpeningRules(settings, OpeningsSettings())
+    assert len(find_doors(walls, cells, np.full(int(cells.first[-1]), np.nan), rules)) == doors
+    found = find_windows(walls, cells, np.full(int(cells.first[-1]), np.nan), rules, WindowsSettings())
     assert len(found) == windows
     if hole is not None and windows:
         np.testing.assert_allclose(np.sort(found.ends[0, :, 0]), [hole.x0, hole.x1], atol=0.12)
         np.testing.assert_allclose(found.ends[0, :, 1], 2.0, atol=0.02)
         # What lies beyond is outside.
         _, placed, _, labelling = scans[14][1:]
-        doors = find_doors(walls, cells, np.full(int(cells.first[-1]), np.nan), settings)
+        doors = find_doors(walls, cells, np.full(int(cells.first[-1]), np.nan), rules)
         points, final = relabelled(placed, labelling, walls, doors, found)
         assert np.mean(final[points[:, 1] > 2.5] == Label.OUTSIDE) > 0.99
         assert not np.any(final[points[:, 1] < 2.1] == Label.OUTSIDE)
@@ -218,7 +220,8 @@ def test_slits_beside_a_mullion_that_returns_more_are_no_window() -> None:
     counts[19:31, 20:40, 0], counts[19:31, 20:40, 3] = 0.0, 20.0
     counts[24:26, 20:40, 0], counts[24:26, 20:40, 3] = 1000.0, 0.0
     cells = WallCells(np.array([0, 60]), 66, counts)
-    assert len(find_windows(walls, cells, np.full(int(cells.first[-1]), np.nan), BuildingSettings())) == 0
+    rules = OpeningRules(BuildingSettings(), OpeningsSettings())
+    assert len(find_windows(walls, cells, np.full(int(cells.first[-1]), np.nan), rules, WindowsSettings())) == 0
 
 
 @pytest.mark.parametrize("depth", [0.05, None])
@@ -231,22 +234,23 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
     offsets = {tuple(np.round(n * (n @ e[0]), 1) + 0.0) for n, e in zip(walls.normal, walls.ends, strict=True)}
     assert {(0.0, 2.0), (0.0, -1.5)} <= offsets
     cells = trace_rays(walls, [features], settings)
-    doors = find_doors(walls, cells, np.full(int(cells.first[-1]), np.nan), settings)
+    rules = OpeningRules(settings, OpeningsSettings())
+    doors = find_doors(walls, cells, np.full(int(cells.first[-1]), np.nan), rules)
     assert len(doors) == 1
     assert doors.state[0] == (DoorState.OPEN if depth is None else DoorState.CLOSED)
     np.testing.assert_allclose(doors.ends[0].mean(axis=0), [-0.05, 2.0], atol=0.1)
     assert np.linalg.norm(doors.ends[0, 1] - doors.ends[0, 0]) == pytest.approx(0.9, abs=0.15)
     assert doors.head_m[0] == pytest.approx(2.1, abs=0.04)
-    exact = place_frames(doors, walls, [features], settings)
+    exact = place_frames(doors, walls, [features], settings, DoorFramesSettings())
     np.testing.assert_allclose(np.sort(exact.ends[0, :, 0]), [hole.x0, hole.x1], atol=0.02)
     np.testing.assert_allclose(exact.ends[0, :, 1], doors.ends[0, :, 1], atol=0.01)
     assert exact.head_m[0] == pytest.approx(2.1, abs=0.02)
     # However wrong the head was before.
-    far_off = place_frames(replace(doors, head_m=np.array([2.4])), walls, [features], settings)
+    far_off = place_frames(replace(doors, head_m=np.array([2.4])), walls, [features], settings, DoorFramesSettings())
     assert far_off.head_m[0] == exact.head_m[0]
     # The wall has no thickness here: its lintel's underside is but the edge's scatter.
-    assert measure_reveals(doors, [features]).reveal_m[0] < 0.1
-    windows = find_windows(walls, cells, np.full(int(cells.first[-1]), np.nan), settings)
+    assert measure_reveals(doors, [features], DoorFramesSettings()).reveal_m[0] < 0.1
+    windows = find_windows(walls, cells, np.full(int(cells.first[-1]), np.nan), rules, WindowsSettings())
     assert len(windows) == 0
 
     if depth is not None:

@@ -13,7 +13,7 @@ from ffmap.algorithms.base.labels import Label, Truth
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.scan.doors import DoorState
-from ffmap.algorithms.truth.labels import CUBE_M
+from ffmap.algorithms.truth.tally import CUBE_M
 from ffmap.app.analysis import evaluation as evaluate
 from ffmap.app.analysis.evaluation import (
     PAPER_STATISTICS,

@@ -10,13 +10,11 @@ from PIL import Image
 
 from ffmap.algorithms.base.segments import turned
 from ffmap.algorithms.maps.grid import Cell, GridMap
-from ffmap.algorithms.truth.labels import WallMapFigures
-from ffmap.algorithms.truth.maps import Agreement
+from ffmap.algorithms.truth.maps import Agreement, ComparedMap, WallMapFigures
 from ffmap.app import cli
 from ffmap.app.analysis import map_figures
 from ffmap.app.analysis.map_figures import (
     TITLES,
-    ComparedMap,
     map_metrics,
     maps_table,
     walls_direction_deg,
@@ -26,7 +24,7 @@ from ffmap.app.folder.atomic import write_geojson
 from ffmap.app.folder.names import REFERENCE_JSON, REFERENCE_OVERLAY, WALLS, map_file
 from ffmap.app.folder.writers import write_grid
 from ffmap.loaders.errors import InputError
-from tests.algorithms.truth.test_maps import OTHER, PLAN, moved, raster
+from tests.algorithms.truth.test_reference import OTHER, PLAN, moved, raster
 
 
 @pytest.fixture(scope="module")
