@@ -10,7 +10,7 @@ from pydantic import Field
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.face_foreground import BeforeWalls
+from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import JudgedFaces
 from ffmap.algorithms.building.levels import HeightMap, corrected
 from ffmap.algorithms.building.model import CELL_M, Doors, Walls, Windows
@@ -125,7 +125,7 @@ class BuildingModel:
     """
 
     walls: Walls
-    before: BeforeWalls
+    before: Foreground
     judged: JudgedFaces
     doors: Doors
     windows: Windows

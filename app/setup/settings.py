@@ -15,10 +15,14 @@ from pydantic import Field, ValidationError
 from ffmap.algorithms.base.scan import ScanSettings
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.base.trajectory import TrajectorySettings
-from ffmap.algorithms.building.face_foreground import BeforeWallsSettings
+from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
+from ffmap.algorithms.building.face_columns import FaceColumnsSettings
+from ffmap.algorithms.building.face_foreground import ForegroundSettings
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.fusion import FusionSettings
+from ffmap.algorithms.building.levels import LevelsSettings
+from ffmap.algorithms.building.missed_walls import MissedWallsSettings
 from ffmap.algorithms.building.model import BuildingSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.maps.all_maps import MapsSettings
@@ -55,8 +59,12 @@ class Settings(StepSettings):
     doors: DoorsSettings = DoorsSettings()
     labelling: LabellingSettings = LabellingSettings()
     building: BuildingSettings = BuildingSettings()
+    levels: LevelsSettings = LevelsSettings()
+    face_columns: FaceColumnsSettings = FaceColumnsSettings()
+    face_alignment: FaceAlignmentSettings = FaceAlignmentSettings()
     standing_walls: StandingWallsSettings = StandingWallsSettings()
-    before_walls: BeforeWallsSettings = BeforeWallsSettings()
+    missed_walls: MissedWallsSettings = MissedWallsSettings()
+    before_walls: ForegroundSettings = ForegroundSettings()
     wall_thickness: WallThicknessSettings = WallThicknessSettings()
     grid_map: GridMapSettings = GridMapSettings()
     area_graph: AreaGraphSettings = AreaGraphSettings()
@@ -82,7 +90,11 @@ class Settings(StepSettings):
         """What makes the building of all scans."""
         return FusionSettings(
             building=self.building,
+            levels=self.levels,
+            face_columns=self.face_columns,
+            face_alignment=self.face_alignment,
             standing_walls=self.standing_walls,
+            missed_walls=self.missed_walls,
             before_walls=self.before_walls,
             wall_thickness=self.wall_thickness,
             relabelling=self.relabelling,

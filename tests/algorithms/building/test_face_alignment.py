@@ -5,18 +5,18 @@ import pytest
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.building.face_alignment import AlignedFaces, align_faces
+from ffmap.algorithms.building.face_alignment import AlignedFaces, FaceAlignmentSettings, align_faces
 from ffmap.algorithms.building.face_columns import Storey
+from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.model import NO_WALLS, Walls
 from ffmap.algorithms.building.votes import VoxelVotes
 from tests.voting import vote
 
-ABOVE_DOOR_M = 2.12
 TURNS = [0.0, 31.0, 90.0, 203.0]
 
 
 def aligned_by(walls: Walls, votes: VoxelVotes) -> AlignedFaces:
-    return align_faces(walls, votes, Storey.of(votes), ABOVE_DOOR_M, 2.0)
+    return align_faces(walls, votes, Storey.of(votes, (), 3), StandingWallsSettings(), FaceAlignmentSettings())
 
 
 def turned(places: FloatArray, turn_deg: float) -> FloatArray:

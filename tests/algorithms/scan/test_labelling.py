@@ -13,7 +13,7 @@ from ffmap.algorithms.base.trajectory import PlacedScan, Trajectory, place_scan
 from ffmap.algorithms.building.door_frames import measure_reveals, place_frames
 from ffmap.algorithms.building.doors import find_doors
 from ffmap.algorithms.building.drive import Drive
-from ffmap.algorithms.building.face_foreground import BeforeWalls
+from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_fusion import fuse_walls
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES
 from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings, relabel
@@ -146,7 +146,7 @@ def relabelled(
     origin = placed.to_map(placed.origin_level[None])[0]
     columns = np.ceil(np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1) / CELL_M)
     first = np.concatenate([[0], np.cumsum(columns)]).astype(np.int64)
-    before = BeforeWalls(first, np.full(first[-1], HEIGHT_M), np.zeros((first[-1], 60), bool))
+    before = Foreground(first, np.full(first[-1], HEIGHT_M), np.zeros((first[-1], 60), bool))
     return points, relabel(
         points,
         found.height_m,

@@ -142,9 +142,7 @@ def test_odometry_that_ends_early_says_why(
 
 
 def test_server_that_still_imports_ends_when_its_run_has_gone() -> None:
-    command = (
-        "import threading; from ffmap.app.run.worker_server import _end_with; _end_with(-1, threading.Event()); print('is there')"
-    )
+    command = "import threading; from ffmap.app.run.worker_server import _end_with; _end_with(-1, threading.Event()); print('is there')"
     done = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=False, timeout=WAIT_S)
     assert done.returncode == 1
     assert "is there" not in done.stdout
