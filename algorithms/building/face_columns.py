@@ -122,11 +122,13 @@ class TracedFaces:
     """Wall faces and what is known of each of their columns.
 
     cells: what rays found. clear_m: (columns,) from the floor to the ceiling before each; NaN where no ceiling was seen.
+    ground_m: (columns,) map z of the floor before each.
     """
 
     walls: Walls
     cells: WallCells
     clear_m: FloatArray
+    ground_m: FloatArray
 
     def __len__(self) -> int:
         return len(self.walls)
@@ -134,7 +136,8 @@ class TracedFaces:
     @classmethod
     def of(cls, walls: Walls, cells: WallCells, storey: Storey, ceiling_near_m: float) -> "TracedFaces":
         """ceiling_near_m: maximum distance of a column's ceiling."""
-        return cls(walls, cells, storey.clear_m(column_places(walls, cells.first), ceiling_near_m))
+        places = column_places(walls, cells.first)
+        return cls(walls, cells, storey.clear_m(places, ceiling_near_m), storey.ground_m(places))
 
     def columns(self, w: int) -> slice:
         """The columns of one face."""
@@ -157,7 +160,7 @@ class TracedFaces:
         columns = np.concatenate([np.zeros(0, np.int64), *parts])
         starts = np.concatenate([[0], np.cumsum([after - first for _, first, after in stretches])]).astype(np.int64)
         cells = replace(self.cells, first=starts, counts=self.cells.counts[columns])
-        return TracedFaces(self.cut(stretches), cells, self.clear_m[columns])
+        return TracedFaces(self.cut(stretches), cells, self.clear_m[columns], self.ground_m[columns])
 
     def visited(self, path_map: FloatArray, robot_m: float) -> BoolArray:
         """(columns,) where the robot drove: its places (n, 2) are closer than `robot_m`."""

@@ -14,7 +14,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import segments
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.face_columns import TracedFaces, above_doors_m, column_places
+from ffmap.algorithms.building.face_columns import Storey, TracedFaces, above_doors_m, column_places
 from ffmap.algorithms.building.model import CELL_M, Doors, Walls, cells_in
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH
 from ffmap.algorithms.building.votes import Halo
@@ -93,15 +93,17 @@ class Foreground:
 
     first: (W + 1,) the column at which each face begins.
     clear_m: (columns,) metres from the floor to the ceiling before each column; NaN where none was seen.
+    ground_m: (columns,) map z of the floor before each column.
     covered: (columns, rows) whether something stands flat against the wall there.
     """
 
     first: IntArray
     clear_m: FloatArray
+    ground_m: FloatArray
     covered: BoolArray
 
 
-NO_FOREGROUND = Foreground(np.zeros(1, np.int64), np.zeros(0), np.zeros((0, 1), bool))
+NO_FOREGROUND = Foreground(np.zeros(1, np.int64), np.zeros(0), np.zeros(0), np.zeros((0, 1), bool))
 
 
 def find_foreground(faces: TracedFaces, settings: ForegroundSettings) -> Foreground:
@@ -111,7 +113,7 @@ def find_foreground(faces: TracedFaces, settings: ForegroundSettings) -> Foregro
         own = faces.columns(w)
         relief_m = _relief_m(faces.cells.counts[own], faces.clear_m[own], settings)
         covered[own] = _standing_patches(relief_m, faces.clear_m[own], settings)
-    return Foreground(faces.cells.first, faces.clear_m, covered)
+    return Foreground(faces.cells.first, faces.clear_m, faces.ground_m, covered)
 
 
 def _heights_m(rows: int) -> FloatArray:
@@ -229,13 +231,20 @@ def _mean_and_scatter_m(counts: FloatArray, size: tuple[int, int], returns_min: 
 
 
 def covered_places(walls: Walls, foreground: Foreground) -> FloatArray:
-    """(n, 3) the middles of the covered cells, on their faces, metres above the floor."""
+    """(n, 3) the middles of the covered cells, on their faces, in the map frame."""
     column, row = np.nonzero(foreground.covered)
-    return np.column_stack([column_places(walls, foreground.first, 0.0)[column], (row + 0.5) * CELL_M])
+    z = foreground.ground_m[column] + (row + 0.5) * CELL_M
+    return np.column_stack([column_places(walls, foreground.first, 0.0)[column], z])
 
 
 def halo_at_walls(
-    halo: Halo, walls: Walls, doors: Doors, foreground: Foreground, near_m: float, settings: ForegroundSettings
+    halo: Halo,
+    walls: Walls,
+    doors: Doors,
+    foreground: Foreground,
+    storey: Storey,
+    near_m: float,
+    settings: ForegroundSettings,
 ) -> Halo:
     """The halo without that of "walls" which the building does not have: ducts, leaves, cupboards that scans took for walls.
 
@@ -244,7 +253,7 @@ def halo_at_walls(
     """
     is_wall = halo.label == Label.WALL
     centre = halo.centres
-    height_m = centre[:, 2]
+    height_m = centre[:, 2] - storey.ground_m(centre[:, :2])
     at_face = np.zeros(len(halo.keys), bool)
     for w, face in enumerate(segments(walls)):
         near = (np.abs(face.before_m(centre)) < near_m) & face.beside(centre, near_m)

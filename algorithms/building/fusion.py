@@ -90,7 +90,9 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
         judged=judged,
         doors=doors,
         windows=windows,
-        halo=halo_at_walls(halo, walls, doors, before, settings.relabelling.halo_wall_m, settings.before_walls),
+        halo=halo_at_walls(
+            halo, walls, doors, before, scans.storey, settings.relabelling.halo_wall_m, settings.before_walls
+        ),
         levels=scans.levels,
         thickness_m=face_thickness(walls, part_walls(walls, settings.wall_thickness)),
     )

@@ -214,7 +214,7 @@ class _Search:
         self._close_before_wall = _before_a_face(walls, known, standing.pillar_depth_m)
         self._free = np.isfinite(faces.clear_m) & ~faces.visited(returns.path_map, standing.robot_m)
         self._columns = count_columns(faces, standing.above_door_m, settings.columns)
-        self._undersides = _undersides(returns.votes, settings.missed)
+        self._undersides = _undersides(returns, settings.missed.underside_min_m)
 
     def walls_in(self, w: int) -> Iterator[_Proven]:
         """The stretches of a candidate that are walls."""
@@ -333,10 +333,11 @@ class _Search:
         return None
 
 
-def _undersides(votes: VoxelVotes, settings: MissedWallsSettings) -> FloatArray:
-    """(m, 3) the cubes that may be of a duct's underside: no wall's, higher than heads."""
-    position = votes.mean_position[majority(votes.counts) != Label.WALL]
-    return np.asarray(position[position[:, 2] > settings.underside_min_m])
+def _undersides(returns: AllReturns, height_min_m: float) -> FloatArray:
+    """(m, 3) x, y and height above the floor of the cubes that may be of a duct's underside: no wall's, higher than heads."""
+    position = returns.votes.mean_position[majority(returns.votes.counts) != Label.WALL]
+    position[:, 2] -= returns.storey.ground_m(position[:, :2])
+    return np.asarray(position[position[:, 2] > height_min_m])
 
 
 def _cut_out(walls: Walls, ducts: list[_Duct], length_min_m: float) -> tuple[Walls, Walls]:

@@ -7,8 +7,14 @@ import pytest
 from scipy import ndimage
 
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.building.face_columns import TracedFaces
-from ffmap.algorithms.building.face_foreground import Foreground, ForegroundSettings, find_foreground, halo_at_walls
+from ffmap.algorithms.building.face_columns import Storey, TracedFaces
+from ffmap.algorithms.building.face_foreground import (
+    Foreground,
+    ForegroundSettings,
+    covered_places,
+    find_foreground,
+    halo_at_walls,
+)
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, Walls
 from ffmap.algorithms.building.ray_evidence import WallCells
 from ffmap.algorithms.building.votes import find_halo
@@ -26,13 +32,14 @@ FACE = Walls(
     np.array([0.01]),
 )
 FLAT = (0.0, 0.0)
+GROUND = Storey(np.zeros((9, 3)), np.zeros((0, 3)))
 
 
 def foreground(counts: np.ndarray, ceiling_m: float = CEILING_M) -> Foreground:
     """Of the one face, with counts (c, rows, 4) of its cells."""
     columns, rows = counts.shape[:2]
     cells = WallCells(np.array([0, columns]), rows, counts)
-    return find_foreground(TracedFaces(FACE, cells, np.full(columns, ceiling_m)), SETTINGS)
+    return find_foreground(TracedFaces(FACE, cells, np.full(columns, ceiling_m), np.zeros(columns)), SETTINGS)
 
 
 def relief(
@@ -167,12 +174,12 @@ def test_only_the_buildings_own_walls_have_a_halo() -> None:
     np.testing.assert_array_equal(halo.label_of(stray, clutter), [Label.WALL, Label.WALL])
     before = foreground(np.zeros((120, 60, 4), np.float32))
     np.testing.assert_array_equal(
-        halo_at_walls(halo, FACE, NO_DOORS, before, 0.12, SETTINGS).label_of(stray, clutter),
+        halo_at_walls(halo, FACE, NO_DOORS, before, GROUND, 0.12, SETTINGS).label_of(stray, clutter),
         [Label.WALL, Label.CLUTTER],
     )
     before.covered[:] = True
     np.testing.assert_array_equal(
-        halo_at_walls(halo, FACE, NO_DOORS, before, 0.12, SETTINGS).label_of(stray, clutter),
+        halo_at_walls(halo, FACE, NO_DOORS, before, GROUND, 0.12, SETTINGS).label_of(stray, clutter),
         [Label.CLUTTER, Label.CLUTTER],
     )
 
@@ -192,10 +199,34 @@ def test_the_leaf_of_an_open_door_is_no_halo_of_its_wall() -> None:
     )
     clutter = np.full(2, Label.CLUTTER, np.uint8)
     stray = np.array([leaf, wall])
-    found = halo_at_walls(halo, FACE, doors, before, 0.12, SETTINGS).label_of(stray, clutter)
+    found = halo_at_walls(halo, FACE, doors, before, GROUND, 0.12, SETTINGS).label_of(stray, clutter)
     np.testing.assert_array_equal(found, [Label.CLUTTER, Label.WALL])
     # Above its head a wall goes on.
     low = replace(doors, head_m=np.array([0.9]))
     np.testing.assert_array_equal(
-        halo_at_walls(halo, FACE, low, before, 0.12, SETTINGS).label_of(stray, clutter), [Label.WALL] * 2
+        halo_at_walls(halo, FACE, low, before, GROUND, 0.12, SETTINGS).label_of(stray, clutter), [Label.WALL] * 2
     )
+
+
+def test_on_a_raised_floor_heights_are_measured_from_it() -> None:
+    """A leaf covers its wall up to 1 m above a floor that a ramp has raised by 0.6 m; a doorway's head is 0.9 m above it."""
+    low, high = np.array([3.02, 0.02, 1.42]), np.array([3.02, 0.02, 1.82])
+    leaf, lintel = np.array([5.02, 0.08, 1.42]), np.array([5.02, 0.08, 1.82])
+    places = np.array([low, high, leaf, lintel])
+    halo = find_halo(vote(np.repeat(places, 20, axis=0), np.full(80, Label.WALL, np.uint8), len(Label), 0.05), 6.0)
+    raised = Storey(np.column_stack([np.linspace(0, LENGTH_M, 50), np.zeros(50), np.full(50, 0.6)]), np.zeros((0, 3)))
+    before = replace(foreground(np.zeros((120, 60, 4), np.float32)), ground_m=np.full(120, 0.6))
+    before.covered[:80, : round(1.0 / CELL_M)] = True
+    door = replace(
+        NO_DOORS,
+        ends=np.array([[[4.5, 0.0], [5.4, 0.0]]]),
+        normal=np.array([[0.0, 1.0]]),
+        head_m=np.array([0.9]),
+        reveal_m=np.array([0.2]),
+    )
+    found = halo_at_walls(halo, FACE, door, before, raised, 0.12, SETTINGS)
+    clutter = np.full(4, Label.CLUTTER, np.uint8)
+    np.testing.assert_array_equal(
+        found.label_of(places, clutter), [Label.CLUTTER, Label.WALL, Label.CLUTTER, Label.WALL]
+    )
+    assert covered_places(FACE, before)[:, 2].max() == pytest.approx(0.6 + 1.0 - 0.5 * CELL_M)

@@ -30,7 +30,7 @@ from ffmap.algorithms.building.missed_walls import (
 )
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, NO_WALLS, BuildingSettings, Walls
 from ffmap.algorithms.building.ray_evidence import WallCells
-from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
+from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, majority
 from tests.voting import vote
 
 CEILING_M = 2.8
@@ -71,7 +71,9 @@ def pass_rays(cells: WallCells, columns: slice, low_m: float, high_m: float) -> 
 
 
 def judged_faces(walls: Walls, cells: WallCells, clear_m: np.ndarray, path_map: np.ndarray) -> JudgedFaces:
-    return judge_faces(TracedFaces(walls, cells, clear_m), path_map, BuildingSettings(), COLUMNS, SETTINGS)
+    return judge_faces(
+        TracedFaces(walls, cells, clear_m, np.zeros(len(clear_m))), path_map, BuildingSettings(), COLUMNS, SETTINGS
+    )
 
 
 def judge(cells: WallCells, path_y: float = 1.0) -> tuple[list[list[float]], list[FaceVerdict]]:
@@ -170,7 +172,7 @@ def test_what_rays_end_on_from_foot_to_ceiling_shows_whole():
     hidden.counts[:, 42:] = 0.0  # nobody looked above
     cells = WallCells(np.array([0, 8, 16, 24]), 66, np.concatenate([c.counts for c in (whole, leaf, hidden)]))
     assert shows_whole(
-        TracedFaces(faces(*[((0, 0), (0.4, 0))] * 3), cells, np.full(24, CEILING_M)), SETTINGS
+        TracedFaces(faces(*[((0, 0), (0.4, 0))] * 3), cells, np.full(24, CEILING_M), np.zeros(24)), SETTINGS
     ).tolist() == [True, False, False]
 
 
@@ -222,9 +224,9 @@ def test_in_a_low_room_a_doorway_cuts_no_wall(ceiling_m: float, head_m: float):
 
 def test_nothing_shows_whole_of_no_faces_and_below_no_ceiling():
     none = WallCells(np.zeros(1, np.int64), 66, np.zeros((0, 66, 4), np.float32))
-    assert shows_whole(TracedFaces(NO_WALLS, none, np.zeros(0)), SETTINGS).tolist() == []
+    assert shows_whole(TracedFaces(NO_WALLS, none, np.zeros(0), np.zeros(0)), SETTINGS).tolist() == []
     assert shows_whole(
-        TracedFaces(faces(((0, 0), (0.4, 0))), cells_of(0.4), np.full(8, np.nan)), SETTINGS
+        TracedFaces(faces(((0, 0), (0.4, 0))), cells_of(0.4), np.full(8, np.nan), np.zeros(8)), SETTINGS
     ).tolist() == [False]
 
 
@@ -416,6 +418,17 @@ def test_a_wall_that_shows_below_a_duct_alone_is_found_and_what_hangs_before_it_
     assert len(missed(room_with_a_duct((2.55, 3.0)), seen_m=2.0)) == 0
 
 
+def test_on_a_raised_floor_a_ducts_underside_is_as_high_above_it() -> None:
+    votes = room_with_a_duct((2.55, 3.0))
+    table = VoxelTable(0.05, len(Label))
+    for code in Label:
+        own = majority(votes.counts) == code
+        points = np.repeat(votes.mean_position[own] + [0.0, 0.0, 0.5], 3, axis=0)
+        table.add(points, np.full(len(points), code, np.uint8))
+    found = search(table.votes(), seen_m=2.0, known=faces(((2.55, 0.0), (2.55, 3.0))))
+    assert (len(found.walls), len(found.ducts)) == (1, 1)
+
+
 def test_what_is_left_of_a_ducts_front_goes_with_it_where_it_is_too_short_for_a_face():
     found = search(room_with_a_duct((2.55, 3.0)), seen_m=2.0, known=faces(((2.55, 0.35), (2.55, 3.0))))
     across = [np.sort(w.ends[np.abs(w.normal[:, 0]) > 0.9][:, :, 1], axis=1) for w in (found.ducts, found.known)]
@@ -541,7 +554,7 @@ def test_a_reveal_ends_with_its_wall_unless_a_wall_goes_on_from_it(goes_on: bool
         head_m=np.array([2.05]),
         reveal_m=np.array([0.2]),
     )
-    trimmed = trim_at_doorways(TracedFaces(face, cells, np.full(30, CEILING_M)), door, SETTINGS)
+    trimmed = trim_at_doorways(TracedFaces(face, cells, np.full(30, CEILING_M), np.zeros(30)), door, SETTINGS)
     assert int(trimmed.faces.cells.first[-1]) == len(trimmed.faces.cells.counts)
     if goes_on:
         np.testing.assert_allclose(trimmed.faces.walls.ends, face.ends)
@@ -563,7 +576,7 @@ def test_of_a_face_that_two_doorways_would_cut_away_something_is_left() -> None:
         head_m=np.array([2.05, 2.05]),
         reveal_m=np.array([0.2, 0.2]),
     )
-    trimmed = trim_at_doorways(TracedFaces(face, cells, np.full(30, CEILING_M)), doors, SETTINGS)
+    trimmed = trim_at_doorways(TracedFaces(face, cells, np.full(30, CEILING_M), np.zeros(30)), doors, SETTINGS)
     ends = trimmed.faces.walls.ends[0, :, 1]
     np.testing.assert_allclose(ends[0] - ends[1], 2 * CELL_M)
     assert trimmed.faces.cells.first.tolist() == [0, 2]
@@ -582,13 +595,15 @@ def test_a_last_column_that_is_next_to_nothing_is_not_what_is_left() -> None:
         head_m=np.array([2.05]),
         reveal_m=np.array([0.06]),
     )
-    trimmed = trim_at_doorways(TracedFaces(face, cells, np.full(7, CEILING_M)), door, SETTINGS)
+    trimmed = trim_at_doorways(TracedFaces(face, cells, np.full(7, CEILING_M), np.zeros(7)), door, SETTINGS)
     assert np.linalg.norm(trimmed.faces.walls.ends[0, 1] - trimmed.faces.walls.ends[0, 0]) > 0.04
 
 
 def test_faces_far_from_doors_and_no_faces_stay_as_they_are() -> None:
     face, cells = faces(((3.0, 0.5), (3.0, -1.0))), cells_of(1.5)
-    trimmed = trim_at_doorways(TracedFaces(face, cells, np.full(30, CEILING_M)), NO_DOORS, SETTINGS)
+    trimmed = trim_at_doorways(TracedFaces(face, cells, np.full(30, CEILING_M), np.zeros(30)), NO_DOORS, SETTINGS)
     np.testing.assert_array_equal(trimmed.faces.walls.ends, face.ends)
     nothing = WallCells(np.zeros(1, np.int64), 66, np.zeros((0, 66, 4), np.float32))
-    assert len(trim_at_doorways(TracedFaces(NO_WALLS, nothing, np.zeros(0)), NO_DOORS, SETTINGS).faces) == 0
+    assert (
+        len(trim_at_doorways(TracedFaces(NO_WALLS, nothing, np.zeros(0), np.zeros(0)), NO_DOORS, SETTINGS).faces) == 0
+    )

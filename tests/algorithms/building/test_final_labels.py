@@ -61,7 +61,7 @@ def before(walls: Walls, ceiling_m: float = 2.8, covered: bool = False) -> Foreg
     """A room of one height before all faces, in which something or nothing stands against them."""
     length_m = np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1)
     first = np.concatenate([[0], np.cumsum(np.ceil(length_m / CELL_M))]).astype(np.int64)
-    return Foreground(first, np.full(first[-1], ceiling_m), np.full((first[-1], 60), covered))
+    return Foreground(first, np.full(first[-1], ceiling_m), np.zeros(first[-1]), np.full((first[-1], 60), covered))
 
 
 def final(point: tuple[float, float, float], label: Label, **building: Any) -> Label:

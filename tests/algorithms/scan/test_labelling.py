@@ -146,7 +146,7 @@ def relabelled(
     origin = placed.to_map(placed.origin_level[None])[0]
     columns = np.ceil(np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1) / CELL_M)
     first = np.concatenate([[0], np.cumsum(columns)]).astype(np.int64)
-    before = Foreground(first, np.full(first[-1], HEIGHT_M), np.zeros((first[-1], 60), bool))
+    before = Foreground(first, np.full(first[-1], HEIGHT_M), np.zeros(first[-1]), np.zeros((first[-1], 60), bool))
     return points, relabel(
         points,
         found.height_m,

@@ -403,7 +403,7 @@ def test_building_grid_map_and_messages(tmp_path):
     columns = round(float(np.linalg.norm(walls.ends[0, 1] - walls.ends[0, 0])) / 0.05)
     covered = np.zeros((columns, 60), bool)
     covered[2:4, 1] = True
-    before = Foreground(np.array([0, columns]), np.full(columns, 2.8), covered)
+    before = Foreground(np.array([0, columns]), np.full(columns, 2.8), np.zeros(columns), covered)
     log_fused_walls(log, AlignedFaces(walls, replace(walls, ends=walls.ends + 0.02), np.array([[-0.02, 0.013]])))
     attic = np.full((2, 3), np.nan)
     attic[1, 2] = 2.0
