@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 from pydantic import Field
@@ -27,8 +28,11 @@ from ffmap.algorithms.building.face_columns import (
 from ffmap.algorithms.building.face_verdicts import ACROSS, SAME_WAY, StandingWallsSettings, wall_directions
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls, cells_in
 from ffmap.algorithms.building.openings import widened
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH
 from ffmap.algorithms.building.votes import VoxelVotes, majority
+
+_TRACED_TO_M = 5.0
+"""Height up to which rays are counted against candidates, of whose tops nothing is known yet."""
 
 
 class MissedWallsSettings(StepSettings):
@@ -132,12 +136,9 @@ class _Duct:
 
 @dataclass(frozen=True)
 class _Proven:
-    """A stretch of a candidate, first column and the one after the last, that is a wall, and what hangs before it."""
+    """A stretch of a candidate that is a wall: as a single face, and what hangs before it."""
 
-    candidate: int
-    first: int
-    after: int
-    ceiling_m: float
+    wall: Walls
     duct: _Duct | None
 
 
@@ -156,8 +157,7 @@ def find_missed_walls(walls: Walls, refused: Walls, returns: AllReturns, setting
     faces = returns.trace(candidates)
     search = _Search(walls, faces, returns, settings)
     proven = [stretch for w in range(len(faces)) for stretch in search.walls_in(w)]
-    missed = faces.cut([(p.candidate, p.first, p.after) for p in proven])
-    missed = replace(missed, top_m=np.array([p.ceiling_m for p in proven]))
+    missed = reduce(Walls.append, [p.wall for p in proven], NO_WALLS)
     ducts = [p.duct for p in proven if p.duct is not None]
     return MissedWalls(missed, *_cut_out(walls, ducts, settings.building.length_min_m))
 
@@ -173,12 +173,13 @@ def _candidates(votes: VoxelVotes, walls: Walls, refused: Walls, settings: Searc
     ends = np.array([e for e, _ in found])
     normal = np.array([n for _, n in found])
     both = Walls(
-        np.concatenate([ends, ends[:, ::-1]]),
-        np.concatenate([normal, -normal]),
-        np.zeros(2 * len(found)),
-        np.full(2 * len(found), 5.0),
-        np.ones(2 * len(found), np.int32),
-        np.zeros(2 * len(found)),
+        ends=np.concatenate([ends, ends[:, ::-1]]),
+        normal=np.concatenate([normal, -normal]),
+        bottom_m=np.zeros(2 * len(found)),
+        top_m=np.full(2 * len(found), _TRACED_TO_M),
+        scan_count=np.zeros(2 * len(found), np.int32),
+        rms_m=np.full(2 * len(found), np.nan),
+        sample_count=np.zeros(2 * len(found), np.int64),
     )
     return both.select(
         ~_before_a_face(both, walls, standing.noise_m) & ~_faces_a_face(both, walls, standing.pillar_depth_m)
@@ -235,7 +236,21 @@ class _Search:
             ):
                 # Beside it a window may go on, of which not more than the sill is seen.
                 first, last = widened(told.sill, first, after - 1, cells_in(settings.missed.window_max_m))
-                yield _Proven(w, first, last + 1, ceiling_m, duct)
+                wall = self._faces.cut([(w, first, last + 1)])
+                yield _Proven(self._as_seen(wall, all_counts[first : last + 1], ceiling_m), duct)
+
+    def _as_seen(self, wall: Walls, counts: FloatArray, ceiling_m: float) -> Walls:
+        """A single face with what it rests on: the returns in its columns (c, rows, 4), up to the ceiling."""
+        returns, total, squares = counts[..., :THROUGH].sum(axis=0, dtype=np.float64).T
+        seen = np.flatnonzero(returns >= self._settings.standing.stray_rays)
+        spread_m2 = squares.sum() / returns.sum() - (total.sum() / returns.sum()) ** 2
+        return replace(
+            wall,
+            bottom_m=np.array([seen[0] * CELL_M]),
+            top_m=np.array([min((seen[-1] + 1) * CELL_M, ceiling_m)]),
+            rms_m=np.array([np.sqrt(max(spread_m2, 0.0))]),
+            sample_count=np.array([returns.sum()], np.int64),
+        )
 
     def _tell(self, w: int) -> _Told:
         """What the columns of a candidate are."""

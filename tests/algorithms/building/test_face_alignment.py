@@ -46,7 +46,8 @@ def face(turn_deg: float, start: float, stop: float, off_start_m: float, off_sto
     ends = turned(np.array([[start, off_start_m], [stop, off_stop_m]]), turn_deg)
     along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     one = np.ones(1)
-    return Walls(ends[None], np.array([[-along[1], along[0]]]), 0 * one, 2.7 * one, np.array([3], np.int32), 0.01 * one)
+    normal = np.array([[-along[1], along[0]]])
+    return Walls(ends[None], normal, 0 * one, 2.7 * one, np.array([3], np.int32), 0.01 * one, np.array([900]))
 
 
 def off_m(walls: Walls, turn_deg: float) -> FloatArray:

@@ -30,6 +30,7 @@ FACE = Walls(
     np.array([CEILING_M]),
     np.array([9], np.int32),
     np.array([0.01]),
+    np.array([900]),
 )
 FLAT = (0.0, 0.0)
 GROUND = Storey(np.zeros((9, 3)), np.zeros((0, 3)))

@@ -53,6 +53,7 @@ def faces(*ends: tuple[tuple[float, float], tuple[float, float]]) -> Walls:
         np.full(count, CEILING_M),
         np.full(count, 9, np.int32),
         np.full(count, 0.01),
+        np.full(count, 900),
     )
 
 
@@ -343,6 +344,7 @@ def search(
             own = slice(int(first[w]), int(first[w + 1]))
             on = bool(np.all(np.abs(candidates.ends[w, :, 0] - 3.0) < 0.03)) and candidates.normal[w, 0] < -0.9
             counts[own, :56, FILLED if on else THROUGH] = rays
+            counts[own, :56, SQUARES] = rays * 0.01**2 * on
             if on and passed_above_m is not None:
                 above = slice(int(passed_above_m / CELL_M), 56)
                 counts[own, above, FILLED], counts[own, above, THROUGH] = 0.0, 3.0
@@ -375,7 +377,17 @@ def test_a_wall_that_no_scan_alone_told_is_found():
     np.testing.assert_allclose(walls.ends[0, :, 0], 3.0, atol=0.02)
     np.testing.assert_allclose(np.sort(walls.ends[0, :, 1]), [0.5, 2.0], atol=0.1)
     np.testing.assert_allclose(walls.normal[0], [-1.0, 0.0], atol=0.02)
-    assert walls.top_m[0] == pytest.approx(CEILING_M, abs=0.03)
+    assert walls.top_m[0] == pytest.approx(CEILING_M, abs=0.06)
+
+
+def test_a_missed_wall_says_what_it_rests_on() -> None:
+    """No scan saw a plane of it; three rays end on each of its cells, and it is seen from 0.5 m to 2.5 m."""
+    walls = missed(room(), unseen_m=0.5, seen_m=2.5)
+    assert walls.scan_count.tolist() == [0]
+    assert walls.bottom_m[0] == pytest.approx(0.5, abs=CELL_M)
+    assert walls.top_m[0] == pytest.approx(2.5, abs=CELL_M)
+    assert walls.sample_count[0] == pytest.approx(3 * (1.5 / CELL_M) * (2.0 / CELL_M), rel=0.1)
+    assert walls.rms_m[0] == pytest.approx(0.01, abs=1e-6)
 
 
 def test_a_pillar_before_a_wall_shows_from_floor_to_ceiling():

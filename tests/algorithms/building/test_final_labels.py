@@ -30,6 +30,7 @@ def face(x0: float = 0.0, x1: float = 4.0, y: float = 0.0, top_m: float = 2.8) -
         np.array([top_m]),
         np.array([9], np.int32),
         np.array([0.01]),
+        np.array([900]),
     )
 
 

@@ -69,7 +69,9 @@ def with_planes(features: Features, walls: Walls) -> Features:
 
 def face(ends: list[list[float]], normal: list[float]) -> Walls:
     one = np.ones(1)
-    return Walls(np.array([ends]), np.array([normal]), 0 * one, 2.6 * one, np.array([5], np.int32), 0.01 * one)
+    return Walls(
+        np.array([ends]), np.array([normal]), 0 * one, 2.6 * one, np.array([5], np.int32), 0.01 * one, 900 * one
+    )
 
 
 def driven(rooms: TwoRooms, *more: Walls) -> AllScans:

@@ -422,6 +422,7 @@ def test_slits_beside_a_mullion_that_returns_more_are_no_window() -> None:
         np.array([2.8]),
         np.array([9], np.int32),
         np.array([0.01]),
+        np.array([900]),
     )
     counts = np.zeros((60, 66, 4), np.float32)
     counts[:, :, 0] = 10.0
@@ -510,6 +511,7 @@ def test_a_scans_own_plane_tells_of_a_wall_only_where_the_scan_saw_it(lean_deg: 
         np.full(1, 2.8),
         np.ones(1, np.int32),
         np.zeros(1),
+        np.array([900]),
     )
     cells = trace_rays(wall, [features], BuildingSettings())
     filled, total = cells.counts[..., 0].sum(axis=1), cells.counts[..., 1].sum(axis=1)

@@ -376,6 +376,7 @@ def test_building_grid_map_and_messages(tmp_path):
         top_m=np.full(1, 2.8),
         scan_count=np.array([7]),
         rms_m=np.array([0.01]),
+        sample_count=np.array([900]),
     )
     doors = Doors(
         ends=np.array([[[1.0, 0.0], [1.9, 0.0]]]),
