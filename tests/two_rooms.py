@@ -156,7 +156,13 @@ class TwoRooms:
         normal = np.array([self.to_map(n[None])[0] - origin[0] for _, n in self.faces])
         count = len(ends)
         return Walls(
-            ends, normal, np.zeros(count), np.full(count, 2.6), np.full(count, 5, np.int32), np.full(count, 0.01)
+            ends,
+            normal,
+            np.zeros(count),
+            np.full(count, 2.6),
+            np.full(count, 5, np.int32),
+            np.full(count, 0.01),
+            np.full(count, 900),
         )
 
     @property

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.face_columns import Storey
-from ffmap.algorithms.building.levels import HeightMap, map_levels
+from ffmap.algorithms.building.levels import HeightMap, LevelsSettings, map_levels
 from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
 from ffmap.algorithms.building.ray_evidence import WallCells
 from ffmap.algorithms.building.votes import VoxelVotes
@@ -42,16 +42,17 @@ class AllScans:
     votes: VoxelVotes
     rivals: VoxelVotes
     trace: Trace
+    levels_settings: LevelsSettings
 
     @cached_property
     def levels(self) -> tuple[HeightMap, ...]:
         """The ceilings and floors that they show together."""
-        return map_levels(self.votes)
+        return map_levels(self.votes, self.levels_settings)
 
     @cached_property
     def storey(self) -> Storey:
         """The building's floor and ceiling."""
-        return Storey.of(self.votes, self.levels)
+        return Storey.of(self.votes, self.levels, self.levels_settings.votes_min)
 
     @property
     def path_map(self) -> FloatArray:

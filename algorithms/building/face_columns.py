@@ -5,45 +5,79 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import ndimage
+from pydantic import Field
 from scipy.spatial import cKDTree
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import Segment, segments
+from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.levels import HeightMap, corrected
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, Walls, stretches
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, WallCells, returns_at_face
+from ffmap.algorithms.building.ray_evidence import (
+    FILLED,
+    FOOT_ROW,
+    THROUGH,
+    WallCells,
+    returns_at_face,
+    with_neighbours,
+)
 from ffmap.algorithms.building.votes import VoxelVotes, majority
 
-_FOOT_M, SILL_M, _HIP_M = 0.15, 0.7, 1.8
-"""Between foot and hip rays that pass a face prove an opening, or that nothing stands there. No window has a lower sill."""
-_CEILING_MARGIN_M = 0.08
-"""Rows so close below a ceiling hold its own returns."""
-_CROWN_M = 0.2
-"""No window reaches so close to where these begin."""
-_LEAST_ABOVE_M = 0.25
-_ROW_RAYS, _OPEN_RATIO = 3, 10.0
-"""A row of a column is open where so many rays pass, and so many for each that ends there."""
-SMOOTH_COLUMNS = 1
-_AGREED_VOTES = 3
-_ROOM_M, _ROOM_BESIDE_M, _ROOM_CUBES = (0.3, 3.0), 0.5, 10
-"""Between these distances before a wall of this building, and so far beside it, so many cubes of floor or ceiling are seen."""
+CEILING_MARGIN_M = 0.08
+"""Rows this close below a ceiling hold its own returns: their scatter, and the row that it lies in."""
+LOW_ROOM_M = 0.25
+"""In a room lower than its doors and shelves are elsewhere, this much below the ceiling nothing but walls stands."""
+SILL_M = 0.7
+"""No window has a lower sill."""
+
+
+class FaceColumnsSettings(StepSettings):
+    """What rays tell of wall faces, column by column, and of the room before them."""
+
+    foot_m: float = Field(
+        0.15,
+        ge=0,
+        description="Height above the floor (m) from which rays tell of a column; below are skirting boards.",
+    )
+    hip_m: float = Field(
+        1.8,
+        gt=0,
+        description="Height above the floor (m) up to which rays that pass a face prove an opening; door heads are higher.",
+    )
+    crown_m: float = Field(
+        0.2, gt=0, description="Height (m) of the part of a wall close below the ceiling that no window reaches."
+    )
+    row_rays_min: int = Field(3, ge=1, description="Minimum number of rays that pass an open row of a column.")
+    row_open_ratio: float = Field(
+        10.0, gt=0, description="A row of a column is open if more rays than this pass for each that ends there."
+    )
+    room_from_m: float = Field(0.3, ge=0, description="Minimum distance (m) before a face at which its room is seen.")
+    room_to_m: float = Field(3.0, gt=0, description="Maximum distance (m) before a face at which its room is seen.")
+    room_beside_m: float = Field(
+        0.5, ge=0, description="Maximum distance (m) beyond a face's ends at which its room is seen."
+    )
+    room_cubes_min: int = Field(
+        10, ge=1, description="Minimum number of cubes of floor or ceiling that prove a room before a face."
+    )
 
 
 @dataclass(frozen=True)
 class Storey:
-    """The cubes that are floor (n, 3), and ceiling (m, 3): scans agree on that, or the building's level surfaces tell."""
+    """The cubes that are floor (n, 3) and ceiling (m, 3), by the scans' votes or by the building's level surfaces."""
 
     floor: FloatArray
     ceiling: FloatArray
 
     @classmethod
-    def of(cls, votes: VoxelVotes, levels: Sequence[HeightMap] = ()) -> "Storey":
-        """Of the labels that scans gave, and of the surfaces that are told from all of them."""
+    def of(cls, votes: VoxelVotes, levels: Sequence[HeightMap], votes_min: int) -> "Storey":
+        """From the labels that scans gave, and the surfaces that all of them show.
+
+        votes_min: minimum number of votes at which a scan's label counts.
+        """
         by_scans = majority(votes.counts)
         label = corrected(levels, votes.mean_position, by_scans)
-        agreed = (label != by_scans) | votes.seen(_AGREED_VOTES)
+        agreed = (label != by_scans) | votes.seen(votes_min)
         label = np.where(agreed, label, Label.CLUTTER)
         return cls(votes.mean_position[label == Label.FLOOR], votes.mean_position[label == Label.CEILING])
 
@@ -57,9 +91,9 @@ class Storey:
         return cKDTree(self.floor[:, :2]), cKDTree(self.ceiling[:, :2])
 
     def clear_m(self, places: FloatArray, near_m: float) -> FloatArray:
-        """(k,) metres from the floor to the ceiling near each place (k, 2); NaN where no ceiling was seen so near.
+        """(k,) metres from the floor to the ceiling near each place (k, 2); NaN where none was seen within `near_m`.
 
-        The higher ones of the nearest cubes of ceiling count, for ducts and lamps hang below it.
+        The higher ones of the nearest cubes of ceiling count, because ducts and lamps hang below it.
         """
         if len(self.ceiling) < 10 or not len(places):
             return np.full(len(places), np.nan)
@@ -68,14 +102,14 @@ class Storey:
         return np.where(distance[:, 0] < near_m, top - self.ground_m(places), np.nan)
 
     def ground_m(self, places: FloatArray) -> FloatArray:
-        """(k,) how high in the map the floor is near each place (k, 2); 0 where none was seen at all."""
+        """(k,) map z of the floor near each place (k, 2); 0 where no floor was seen at all."""
         if len(self.floor) < 5 or not len(places):
             return np.zeros(len(places))
         return np.asarray(np.median(self.floor[self._trees[0].query(places, k=5)[1], 2], axis=1))
 
 
 def column_places(walls: Walls, first: IntArray, before_m: float = 0.2) -> FloatArray:
-    """(columns, 2) x and y so many metres before the middle of each column of the faces; first: see `WallCells`."""
+    """(columns, 2) x and y of places before the middle of each column of the faces; first: see `WallCells`."""
     places = np.zeros((int(first[-1]), 2))
     for w, face in enumerate(segments(walls)):
         middles = face.at((np.arange(first[w + 1] - first[w]) + 0.5) * CELL_M)
@@ -84,9 +118,64 @@ def column_places(walls: Walls, first: IntArray, before_m: float = 0.2) -> Float
 
 
 @dataclass(frozen=True)
+class TracedFaces:
+    """Wall faces and what is known of each of their columns.
+
+    cells: what rays found. clear_m: (columns,) from the floor to the ceiling before each; NaN where no ceiling was seen.
+    ground_m: (columns,) map z of the floor before each.
+    """
+
+    walls: Walls
+    cells: WallCells
+    clear_m: FloatArray
+    ground_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.walls)
+
+    @classmethod
+    def of(cls, walls: Walls, cells: WallCells, storey: Storey, ceiling_near_m: float) -> "TracedFaces":
+        """ceiling_near_m: maximum distance of a column's ceiling."""
+        places = column_places(walls, cells.first)
+        return cls(walls, cells, storey.clear_m(places, ceiling_near_m), storey.ground_m(places))
+
+    def columns(self, w: int) -> slice:
+        """The columns of one face."""
+        return slice(int(self.cells.first[w]), int(self.cells.first[w + 1]))
+
+    def cut(self, stretches: list[tuple[int, int, int]]) -> Walls:
+        """Stretches of faces, each a face, its first column and the one after the last, as faces of their own."""
+        if not stretches:
+            return NO_WALLS
+        ends = np.empty((len(stretches), 2, 2))
+        for i, (w, first, after) in enumerate(stretches):
+            face, columns = Segment.between(self.walls.ends[w], self.walls.normal[w]), self.columns(w)
+            whole = after == columns.stop - columns.start
+            ends[i] = face.at(np.array([first * CELL_M, face.length_m if whole else after * CELL_M]))
+        return replace(self.walls.select(np.array([s[0] for s in stretches])), ends=ends)
+
+    def part(self, stretches: list[tuple[int, int, int]]) -> "TracedFaces":
+        """The same as `cut`, with what is known of the columns."""
+        parts = [self.cells.first[w] + np.arange(first, after) for w, first, after in stretches]
+        columns = np.concatenate([np.zeros(0, np.int64), *parts])
+        starts = np.concatenate([[0], np.cumsum([after - first for _, first, after in stretches])]).astype(np.int64)
+        cells = replace(self.cells, first=starts, counts=self.cells.counts[columns])
+        return TracedFaces(self.cut(stretches), cells, self.clear_m[columns], self.ground_m[columns])
+
+    def visited(self, path_map: FloatArray, robot_m: float) -> BoolArray:
+        """(columns,) where the robot drove: its places (n, 2) are closer than `robot_m`."""
+        places = column_places(self.walls, self.cells.first, 0.0)
+        if not len(places) or not len(path_map):
+            return np.zeros(len(places), bool)
+        return np.asarray(cKDTree(path_map).query(places)[0] < robot_m)
+
+
+@dataclass(frozen=True)
 class Columns:
-    """Rays on and past each column (c,) of the faces, told with the columns beside it: above doors, close below the ceiling,
-    between foot and hip, below windows' sills. upper_open_rows: above doors, those that almost all rays pass.
+    """How many rays end on each column (c,) of the faces, and how many pass it, counted with the columns beside it.
+
+    upper: above doors. crown: close below the ceiling. lower: between foot and hip. sill: below windows' sills.
+    upper_open_rows: how many rows above doors almost all rays pass.
     """
 
     upper_on: FloatArray
@@ -105,109 +194,80 @@ class Columns:
 
 
 def above_doors_m(clear_m: FloatArray, above_door_m: float) -> FloatArray:
-    """(k,) from which height on nothing but walls stands: above leaves and cupboards, and in low rooms, whose doors and
-    shelves are lower, the last 25 cm.
+    """(k,) height above which nothing but walls stands: above leaves and cupboards, and in low rooms the last 25 cm.
 
     clear_m: (k,) from the floor to the ceiling; NaN where none was seen.
     """
-    return np.asarray(np.fmin(above_door_m, clear_m - _LEAST_ABOVE_M))
+    return np.asarray(np.fmin(above_door_m, clear_m - LOW_ROOM_M))
 
 
-def count_columns(cells: WallCells, clear_m: FloatArray, above_door_m: float) -> Columns:
-    """What the rays found of each column of the faces.
-
-    clear_m: (columns,) from the floor to the ceiling before each; NaN where none was seen. above_door_m: where the wall above
-    doors begins.
-    """
+def count_columns(faces: TracedFaces, above_door_m: float, settings: FaceColumnsSettings) -> Columns:
+    """What the rays found of each column of the faces; above_door_m: height at which the wall above doors begins."""
+    cells = faces.cells
     on, passed = on_and_passed(cells.counts)
     height = (np.arange(cells.rows) + 0.5) * CELL_M
-    top = np.where(np.isfinite(clear_m), clear_m, np.inf) - _CEILING_MARGIN_M
-    upper = (height > above_doors_m(clear_m, above_door_m)[:, None]) & (height < top[:, None])
-    crown = upper & (height > top[:, None] - _CROWN_M)
-    lower = (height > _FOOT_M) & (height < _HIP_M)
-    sill = (height > _FOOT_M) & (height < SILL_M)
-    upper_on, upper_passed = _smooth(on * upper, cells), _smooth(passed * upper, cells)
-    is_open = (upper_passed >= _ROW_RAYS) & (upper_passed > _OPEN_RATIO * upper_on)
+    top = np.where(np.isfinite(faces.clear_m), faces.clear_m, np.inf) - CEILING_MARGIN_M
+    upper = (height > above_doors_m(faces.clear_m, above_door_m)[:, None]) & (height < top[:, None])
+    crown = upper & (height > top[:, None] - settings.crown_m)
+    lower = (height > settings.foot_m) & (height < settings.hip_m)
+    sill = (height > settings.foot_m) & (height < SILL_M)
+    upper_on, upper_passed = _with_neighbours(on * upper, cells), _with_neighbours(passed * upper, cells)
+    is_open = (upper_passed >= settings.row_rays_min) & (upper_passed > settings.row_open_ratio * upper_on)
     return Columns(
         upper_on.sum(axis=1),
         upper_passed.sum(axis=1),
         np.count_nonzero(is_open, axis=1),
-        _smooth((on * crown).sum(axis=1), cells),
-        _smooth((passed * crown).sum(axis=1), cells),
-        _smooth(on[:, lower].sum(axis=1), cells),
-        _smooth(passed[:, lower].sum(axis=1), cells),
-        _smooth(on[:, sill].sum(axis=1), cells),
-        _smooth(passed[:, sill].sum(axis=1), cells),
+        _with_neighbours((on * crown).sum(axis=1), cells),
+        _with_neighbours((passed * crown).sum(axis=1), cells),
+        _with_neighbours(on[:, lower].sum(axis=1), cells),
+        _with_neighbours(passed[:, lower].sum(axis=1), cells),
+        _with_neighbours(on[:, sill].sum(axis=1), cells),
+        _with_neighbours(passed[:, sill].sum(axis=1), cells),
     )
 
 
-def visited_columns(walls: Walls, cells: WallCells, path_map: FloatArray, robot_m: float) -> BoolArray:
-    """(columns,) whether the robot drove where each column stands."""
-    places = column_places(walls, cells.first, 0.0)
-    if not len(places) or not len(path_map):
-        return np.zeros(len(places), bool)
-    return np.asarray(cKDTree(path_map).query(places)[0] < robot_m)
-
-
-def _smooth(values: FloatArray, cells: WallCells) -> FloatArray:
-    """The values (c, …) of each column with those beside it on the same face."""
-    smooth = np.zeros_like(values)
-    for first, last in zip(cells.first[:-1], cells.first[1:], strict=True):
-        if last > first:
-            smooth[first:last] = ndimage.convolve1d(
-                values[first:last], np.ones(2 * SMOOTH_COLUMNS + 1), axis=0, mode="constant"
-            )
-    return smooth
+def _with_neighbours(values: FloatArray, cells: WallCells) -> FloatArray:
+    """The values (c, …) of each column and those beside it on the same face, summed."""
+    faces = zip(cells.first[:-1], cells.first[1:], strict=True)
+    parts = [with_neighbours(values[first:last]) for first, last in faces]
+    return np.concatenate(parts) if parts else values
 
 
 def rows_on_and_passed(counts: FloatArray, clear_m: float) -> tuple[FloatArray, FloatArray]:
-    """How many rays ended on columns (c, rows, 4), and how many did not, in each row between foot and ceiling."""
-    rows = slice(FOOT_ROW, int((clear_m - _CEILING_MARGIN_M) / CELL_M))
+    """How many rays end on columns (c, rows, 4), and how many do not, in each row between foot and ceiling."""
+    rows = slice(FOOT_ROW, int((clear_m - CEILING_MARGIN_M) / CELL_M))
     return on_and_passed(counts[:, rows].sum(axis=0, dtype=np.float64))
 
 
 def on_and_passed(counts: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How many rays ended on cells, or sums of them (…, 4), and how many did not."""
+    """How many rays end on cells, or sums of cells (…, 4), and how many do not."""
     on = returns_at_face(counts)
     return on, counts[..., THROUGH] + counts[..., FILLED] - on
 
 
 def median_m(values_m: FloatArray) -> float:
-    """The median of those that are known; NaN where none is."""
+    """The median of the known values; NaN where none is known."""
     known = values_m[np.isfinite(values_m)]
     return float(np.median(known)) if len(known) else float("nan")
 
 
-def room_before(faces: Walls, storey: Storey) -> BoolArray:
-    """(W,) whether floor or ceiling is seen before a face: what is seen through a window, another house's front, has neither."""
+def room_before(faces: Walls, storey: Storey, settings: FaceColumnsSettings) -> BoolArray:
+    """(W,) whether floor or ceiling is seen before a face; another house's front, through a window, has neither."""
     cubes = np.zeros(len(faces), np.int64)
     for w, face in enumerate(segments(faces)):
         before_m = face.before_m(storey.both)
-        beside = face.beside(storey.both, _ROOM_BESIDE_M)
-        cubes[w] = np.count_nonzero(beside & (before_m > _ROOM_M[0]) & (before_m < _ROOM_M[1]))
-    return np.asarray(cubes >= _ROOM_CUBES)
-
-
-def cut_faces(walls: Walls, cells: WallCells, stretches: list[tuple[int, int, int]]) -> Walls:
-    """Stretches of faces, in columns, as faces of their own."""
-    if not stretches:
-        return NO_WALLS
-    owner = np.array([s[0] for s in stretches])
-    ends = np.empty((len(stretches), 2, 2))
-    for i, (w, first, after) in enumerate(stretches):
-        face = Segment.between(walls.ends[w], walls.normal[w])
-        whole = after == cells.first[w + 1] - cells.first[w]
-        ends[i] = face.at(np.array([first * CELL_M, face.length_m if whole else after * CELL_M]))
-    return replace(walls.select(owner), ends=ends)
+        beside = face.beside(storey.both, settings.room_beside_m)
+        cubes[w] = np.count_nonzero(beside & (before_m > settings.room_from_m) & (before_m < settings.room_to_m))
+    return np.asarray(cubes >= settings.room_cubes_min)
 
 
 def runs(flags: BoolArray) -> list[tuple[int, int]]:
-    """First index, and the one after the last, of the runs of True."""
+    """First index, and the one after the last, of each run of True."""
     return [(first, last + 1) for first, last in stretches(flags, 0)]
 
 
 def long_runs(flags: BoolArray, length: int, bridge: int) -> BoolArray:
-    """The flags with short gaps closed, and of these the runs of at least so many."""
+    """The flags with gaps of at most `bridge` closed, and of these the runs of at least `length`."""
     long = np.zeros(len(flags), bool)
     for first, last in stretches(flags, bridge):
         long[first : last + 1] = last + 1 - first >= length

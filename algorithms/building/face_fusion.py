@@ -1,6 +1,7 @@
 """Wall faces from the wall planes of all scans."""
 
 from collections.abc import Iterable
+from functools import reduce
 
 import numba
 import numpy as np
@@ -32,22 +33,16 @@ def fuse_walls(features: Features, settings: BuildingSettings) -> Walls:
         settings.distance_m,
         settings.gap_m,
     )
-    scan = features.plane_scan
-    faces: list[tuple[FloatArray, FloatArray, float, float, int, float]] = []
-    for w in range(int(wall.max(initial=-1)) + 1):
-        faces.extend(_faces_of(features, np.flatnonzero(wall == w), scan, settings))
-    if not faces:
-        return NO_WALLS
-    ends, normal, bottom, top, count, rms = zip(*faces, strict=True)
-    return Walls(
-        np.array(ends), np.array(normal), np.array(bottom), np.array(top), np.array(count, np.int32), np.array(rms)
-    )
+    found = [
+        face
+        for w in range(int(wall.max(initial=-1)) + 1)
+        for face in _faces_of(features, np.flatnonzero(wall == w), settings)
+    ]
+    return reduce(Walls.append, found, NO_WALLS)
 
 
-def _faces_of(
-    features: Features, members: IntArray, scan: IntArray, settings: BuildingSettings
-) -> Iterable[tuple[FloatArray, FloatArray, float, float, int, float]]:
-    """The borne-out stretches of one fused wall: ends, normal, bottom, top, scans, RMS."""
+def _faces_of(features: Features, members: IntArray, settings: BuildingSettings) -> Iterable[Walls]:
+    """The stretches of one fused wall that enough scans saw, each a single face; members: its planes."""
     nx, ny, offset, rms, _ = fit_upright_plane(features.plane_moments[members].sum(axis=0))
     normal = np.array([nx, ny])
     if np.sum(features.plane_normal[members] @ normal) < 0:
@@ -59,20 +54,20 @@ def _faces_of(
     cover = np.zeros(bins.max() + 2)
     np.add.at(cover, bins[:, 0], 1)
     np.add.at(cover, bins[:, 1] + 1, -1)
-    borne_out = np.cumsum(cover)[:-1] >= settings.scans_min
-    for first, last in stretches(borne_out, cells_in(settings.gap_m)):
+    enough = np.cumsum(cover)[:-1] >= settings.scans_min
+    for first, last in stretches(enough, cells_in(settings.gap_m)):
         start, stop = low + first * CELL_M, low + (last + 1) * CELL_M
         if stop - start < settings.length_min_m:
             continue
         inside = members[(place[:, 1] > start) & (place[:, 0] < stop)]
-        ends = np.stack([normal * offset + along * start, normal * offset + along * stop])
-        yield (
-            ends,
-            normal,
-            float(np.percentile(features.plane_bottom_m[inside], 10)),
-            float(np.percentile(features.plane_top_m[inside], 90)),
-            len(np.unique(scan[inside])),
-            rms,
+        yield Walls(
+            ends=np.stack([normal * offset + along * start, normal * offset + along * stop])[None],
+            normal=normal[None],
+            bottom_m=np.percentile(features.plane_bottom_m[inside], [10]),
+            top_m=np.percentile(features.plane_top_m[inside], [90]),
+            scan_count=np.array([len(np.unique(features.plane_scan[inside]))], np.int32),
+            rms_m=np.array([rms]),
+            sample_count=np.array([features.plane_moments[inside, 0].sum()], np.int64),
         )
 
 

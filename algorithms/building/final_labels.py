@@ -11,7 +11,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import Faces
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.face_foreground import BeforeWalls
+from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import JudgedFaces
 from ffmap.algorithms.building.levels import HeightMap, corrected
 from ffmap.algorithms.building.model import CELL_M, Doors, Walls, Windows
@@ -140,7 +140,7 @@ class BuildingModel:
     """
 
     walls: Walls
-    before: BeforeWalls
+    before: Foreground
     judged: JudgedFaces
     doors: Doors
     windows: Windows

@@ -1,63 +1,123 @@
-"""The walls that no single scan could tell: returns of all scans in line, where rays end up to the ceiling, or to a duct."""
+"""The walls that every single scan missed: returns of all scans in line, where rays end up to the ceiling, or to a duct."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
+from pydantic import Field
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
+from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import (
     SILL_M,
-    SMOOTH_COLUMNS,
     Columns,
+    FaceColumnsSettings,
     Storey,
-    column_places,
+    TracedFaces,
     count_columns,
-    cut_faces,
     long_runs,
     median_m,
     on_and_passed,
     room_before,
     rows_on_and_passed,
     runs,
-    visited_columns,
 )
-from ffmap.algorithms.building.face_verdicts import (
-    ACROSS,
-    BEFORE_M,
-    FURNITURE_M,
-    NOISE_M,
-    SAME_WAY,
-    SCATTERED_RAYS,
-    StandingWallsSettings,
-    wall_directions,
-)
-from ffmap.algorithms.building.model import CELL_M, NO_WALLS, Walls, cells_in
+from ffmap.algorithms.building.face_verdicts import ACROSS, SAME_WAY, StandingWallsSettings, wall_directions
+from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls, cells_in
 from ffmap.algorithms.building.openings import widened
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, WallCells
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH
 from ffmap.algorithms.building.votes import VoxelVotes, majority
 
-_AT_CORNER_M = 0.15
-_WINDOW_COLUMNS = 60
-"""A window is at most so many columns wide."""
-_PILLAR_SHARE = 0.8
-_BELOW_CEILING_M, _ABOVE_HEADS_M = 0.35, 2.25
-"""What is seen neither so close below the ceiling nor so far up is a leaf, or the reveal of a window."""
-_UNDERSIDE_MIN_M, _UNDERSIDE_NEAR_M, _UNDERSIDE_CELL_M = 1.8, 0.15, 0.1
-"""No duct's underside is lower; so near is it to where its wall ends. It shows in most of the cells of so many metres."""
-_DUCT_DEPTH_M, _DUCT_SHARE, _BELOW_DUCT_MIN_M = (0.3, 0.8), 0.7, 0.8
-"""How deep ducts are; over how much of a wall below one it hangs, and shows; how long such a wall is at least, in metres."""
-_EXPLAINED_M = 0.08
-"""What lies so close to a face, and so far beyond its ends, is its own."""
+_TRACED_TO_M = 5.0
+"""Height up to which rays are counted against candidates, of whose tops nothing is known yet."""
+
+
+class MissedWallsSettings(StepSettings):
+    """Walls that every single scan missed; `standing_walls.hidden_*` tells what proves one."""
+
+    near_m: float = Field(
+        0.07,
+        gt=0,
+        description="Maximum distance (m) of a missed wall's returns behind its face; farther, a ray has passed it: nothing "
+        "stands ajar behind it.",
+    )
+    explained_m: float = Field(
+        0.08, gt=0, description="Maximum distance (m) from a known face, and beyond its ends, of its own returns."
+    )
+    corner_m: float = Field(
+        0.15, gt=0, description="Distance (m) from a corner within which a wall's returns pass for the other wall's."
+    )
+    window_max_m: float = Field(
+        3.0, gt=0, description="Maximum length (m) over which a window goes on beside a missed wall."
+    )
+    pillar_share: float = Field(
+        0.8,
+        ge=0,
+        le=1,
+        description="A pillar before a wall shows in more than this share of the rows up to the ceiling.",
+    )
+    below_ceiling_m: float = Field(
+        0.35, gt=0, description="A wall shows at least up to this (m) below the ceiling, or above heads."
+    )
+    above_heads_m: float = Field(
+        2.25,
+        gt=0,
+        description="Height above the floor (m): what shows up to here is a wall, however high the room; a leaf or the reveal "
+        "of a window is lower.",
+    )
+    underside_min_m: float = Field(1.8, gt=0, description="Minimum height above the floor (m) of a duct's underside.")
+    underside_near_m: float = Field(
+        0.15,
+        gt=0,
+        description="Maximum height difference (m) between a duct's underside and the top of the wall below.",
+    )
+    underside_cell_m: float = Field(
+        0.1, gt=0, description="Edge of the cells (m) that a duct's underside is counted in."
+    )
+    duct_depth_min_m: float = Field(0.3, gt=0, description="Minimum depth (m) of a duct before its wall.")
+    duct_depth_max_m: float = Field(0.8, gt=0, description="Maximum depth (m) of a duct before its wall.")
+    duct_share_min: float = Field(
+        0.7,
+        gt=0,
+        le=1,
+        description="Minimum share of a wall that a duct hangs before, and of the cells in which its underside shows.",
+    )
+    duct_length_min_m: float = Field(0.8, gt=0, description="Minimum length (m) of a wall below a duct.")
 
 
 @dataclass(frozen=True)
-class HiddenWalls:
-    """Walls that no single scan could tell, and what hung before some of them.
+class SearchSettings:
+    """What the search for missed walls is set by."""
 
-    walls: the hidden ones. known: the known faces, without what hangs before a hidden wall. ducts: that.
+    building: BuildingSettings
+    standing: StandingWallsSettings
+    columns: FaceColumnsSettings
+    missed: MissedWallsSettings
+
+
+@dataclass(frozen=True)
+class AllReturns:
+    """What all scans show together.
+
+    votes: of all scans; storey: their floor and ceiling. path_map: (n, 2) the robot's places: where it was stands no wall.
+    trace: counts rays against faces; a return more than some centimetres behind a face counts as passed, and rays through
+    windows do not count.
+    """
+
+    votes: VoxelVotes
+    storey: Storey
+    path_map: FloatArray
+    trace: Callable[[Walls], TracedFaces]
+
+
+@dataclass(frozen=True)
+class MissedWalls:
+    """Walls that every single scan missed, and what hung before some of them.
+
+    walls: the missed ones. known: the known faces, without what hangs before a missed wall. ducts: that.
     """
 
     walls: Walls
@@ -65,88 +125,65 @@ class HiddenWalls:
     ducts: Walls
 
 
-def find_hidden_walls(
-    votes: VoxelVotes,
-    storey: Storey,
-    walls: Walls,
-    refused: Walls,
-    path_map: FloatArray,
-    trace: Callable[[Walls], WallCells],
-    length_min_m: float,
-    settings: StandingWallsSettings,
-) -> HiddenWalls:
-    """Walls that scans saw too little of for a plane: returns of all scans that stand in line with the building's walls.
+@dataclass(frozen=True)
+class _Duct:
+    """A stretch of a known face, from where to where along it, that hangs before a wall as a duct's front."""
 
-    Upright columns of returns that belong to no face are looked through for straight lines in the directions that the
-    walls have; a line is a wall where rays end on it up to the ceiling and next to none passes, or up to the underside of a
-    duct that hides it above. They stand where they were looked for: to a few centimetres.
+    face: int
+    low_m: float
+    high_m: float
 
-    votes: of all scans; storey: their floor and ceiling. walls, refused: the faces that explain what returned at them.
-    path_map: (n, 2) the robot's places: where it was stands no wall. trace: counts rays against faces; a return more than
-    some centimetres behind a face counts as passed, and rays through windows do not count.
+
+@dataclass(frozen=True)
+class _Proven:
+    """A stretch of a candidate that is a wall: as a single face, and what hangs before it."""
+
+    wall: Walls
+    duct: _Duct | None
+
+
+def find_missed_walls(walls: Walls, refused: Walls, returns: AllReturns, settings: SearchSettings) -> MissedWalls:
+    """Walls of which scans saw too little for a plane: returns of all scans that stand in line with the building's walls.
+
+    Upright columns of returns that belong to no face are searched for straight lines in the directions that the walls have; a
+    line is a wall where rays end on it up to the ceiling and hardly any passes, or up to the underside of a duct that hides
+    it above. They stand where they were looked for: to a few centimetres.
+
+    walls, refused: the faces that explain what returned at them.
     """
-    both = _candidates(votes, walls, refused, settings)
-    if not len(both):
-        return HiddenWalls(NO_WALLS, walls, NO_WALLS)
-    before, close_before = (_before_a_face(both, walls, depth_m) for depth_m in (FURNITURE_M, BEFORE_M))
-    backs = replace(both, normal=-both.normal)
-    cells = trace(both)
-    clear_m = storey.clear_m(column_places(both, cells.first), settings.ceiling_near_m)
-    free = np.isfinite(clear_m) & ~visited_columns(both, cells, path_map, settings.robot_m)
-    columns = count_columns(cells, clear_m, settings.above_door_m)
-    kept: list[tuple[int, int, int]] = []
-    top_m: list[float] = []
-    ducts: list[tuple[int, float, float]] = []
-    undersides = _undersides(votes)
-    for w in range(len(both)):
-        own = slice(int(cells.first[w]), int(cells.first[w + 1]))
-        rays = columns.part(own)
-        may_be = free[own] & ~_crossed_by(walls, both, w, own.stop - own.start)
-        # Between a cupboard and a duct, and over a table, rays pass to the room behind; through a window they leave the building.
-        may_have_window = not before[w] and bool(_has_sill(rays, settings).any())
-        is_outer = may_have_window and not room_before(backs.select(np.array([w])), storey)[0]
-        told = _tell_columns(rays, may_be, is_outer, settings)
-        for first, after in _stretches(told, cells.counts[own], settings):
-            counts, ceiling_m = cells.counts[own][first:after], median_m(clear_m[own][first:after])
-            face = cut_faces(both, cells, [(w, first, after)])
-            length_m = (after - first) * CELL_M + _to_corners_m(face, walls)
-            duct = _duct_before(face, counts, walls, undersides)
-            if (
-                length_m >= length_min_m
-                and _is_proven(
-                    rays.part(slice(first, after)), told.part(slice(first, after)), duct is not None, settings
-                )
-                and (duct is not None or _reaches_ceiling(counts, ceiling_m, told.window[first:after], close_before[w]))
-                and room_before(face, storey)[0]
-            ):
-                if duct is not None:
-                    ducts.append(duct)
-                # Beside it a window may go on, of which not more than the sill is seen.
-                first, last = widened(told.sill, first, after - 1, _WINDOW_COLUMNS)
-                kept.append((w, first, last + 1))
-                top_m.append(ceiling_m)
-    hidden = cut_faces(both, cells, kept)
-    return HiddenWalls(replace(hidden, top_m=np.array(top_m)), *_cut_out(walls, ducts, length_min_m))
+    candidates = _candidates(returns.votes, walls, refused, settings)
+    if not len(candidates):
+        return MissedWalls(NO_WALLS, walls, NO_WALLS)
+    faces = returns.trace(candidates)
+    search = _Search(walls, faces, returns, settings)
+    proven = [stretch for w in range(len(faces)) for stretch in search.walls_in(w)]
+    missed = reduce(Walls.append, [p.wall for p in proven], NO_WALLS)
+    ducts = [p.duct for p in proven if p.duct is not None]
+    return MissedWalls(missed, *_cut_out(walls, ducts, settings.building.length_min_m))
 
 
-def _candidates(votes: VoxelVotes, walls: Walls, refused: Walls, settings: StandingWallsSettings) -> Walls:
+def _candidates(votes: VoxelVotes, walls: Walls, refused: Walls, settings: SearchSettings) -> Walls:
     """Lines of unexplained returns as faces; which side each is seen from is not known yet, so both are tried."""
-    place, weight = _unexplained_columns(votes, walls, refused)
-    found = _straight_lines(place, weight, wall_directions(walls), settings)
+    standing = settings.standing
+    place, weight = _unexplained_columns(votes, walls, refused, settings.missed.explained_m)
+    found = _straight_lines(place, weight, wall_directions(walls, standing.direction_share_min), standing)
     found += _pillar_sides(place, weight, walls, settings)
     if not found:
         return NO_WALLS
     ends = np.array([e for e, _ in found])
     normal = np.array([n for _, n in found])
     both = Walls(
-        np.concatenate([ends, ends[:, ::-1]]),
-        np.concatenate([normal, -normal]),
-        np.zeros(2 * len(found)),
-        np.full(2 * len(found), 5.0),
-        np.ones(2 * len(found), np.int32),
-        np.zeros(2 * len(found)),
+        ends=np.concatenate([ends, ends[:, ::-1]]),
+        normal=np.concatenate([normal, -normal]),
+        bottom_m=np.zeros(2 * len(found)),
+        top_m=np.full(2 * len(found), _TRACED_TO_M),
+        scan_count=np.zeros(2 * len(found), np.int32),
+        rms_m=np.full(2 * len(found), np.nan),
+        sample_count=np.zeros(2 * len(found), np.int64),
     )
-    return both.select(~_before_a_face(both, walls, NOISE_M) & ~_faces_a_face(both, walls, BEFORE_M))
+    return both.select(
+        ~_before_a_face(both, walls, standing.noise_m) & ~_faces_a_face(both, walls, standing.pillar_depth_m)
+    )
 
 
 @dataclass(frozen=True)
@@ -166,116 +203,169 @@ class _Told:
         return _Told(self.proven[columns], self.window[columns], self.sill[columns], self.contradicted[columns])
 
 
-def _tell_columns(columns: Columns, may_be: BoolArray, is_outer: bool, settings: StandingWallsSettings) -> _Told:
-    """Tell a candidate's columns; may_be: (c,) where a wall may stand. is_outer: whether nothing of the building is known
-    behind it, so that it may have windows.
-    """
-    passed_max = settings.hidden_passed_max
-    on, passed = columns.upper_on + columns.lower_on, columns.upper_passed + columns.lower_passed
-    solid = (
-        (on > 0)
-        & (passed <= passed_max * on)
-        & (columns.lower_passed <= passed_max * columns.lower_on + SCATTERED_RAYS)
-        & (columns.upper_passed <= 0.5 * columns.upper_on)
-    )
-    sill = may_be & is_outer & _has_sill(columns, settings)
-    window = sill & (columns.upper_on > SCATTERED_RAYS) & (columns.crown_passed <= 0.5 * columns.crown_on)
-    proven = (solid & may_be) | window
-    return _Told(proven, window, sill, ~may_be | ((passed > 2 * SCATTERED_RAYS) & ~proven))
+class _Search:
+    """Which stretches of candidates are walls."""
 
+    def __init__(self, known: Walls, faces: TracedFaces, returns: AllReturns, settings: SearchSettings) -> None:
+        """known: the faces that are known. faces: the candidates."""
+        self._known, self._faces, self._storey, self._settings = known, faces, returns.storey, settings
+        standing = settings.standing
+        walls = faces.walls
+        self._before_wall = _before_a_face(walls, known, standing.furniture_depth_m)
+        self._close_before_wall = _before_a_face(walls, known, standing.pillar_depth_m)
+        self._free = np.isfinite(faces.clear_m) & ~faces.visited(returns.path_map, standing.robot_m)
+        self._columns = count_columns(faces, standing.above_door_m, settings.columns)
+        self._undersides = _undersides(returns, settings.missed.underside_min_m)
 
-def _has_sill(columns: Columns, settings: StandingWallsSettings) -> BoolArray:
-    """(c,) whether rays end on the columns, and next to none passes, up to where windows' sills are."""
-    return np.asarray(columns.sill_passed + SCATTERED_RAYS < settings.hidden_passed_max * columns.sill_on)
+    def walls_in(self, w: int) -> Iterator[_Proven]:
+        """The stretches of a candidate that are walls."""
+        own, settings = self._faces.columns(w), self._settings
+        rays, all_counts = self._columns.part(own), self._faces.cells.counts[own]
+        told = self._tell(w)
+        for first, after in self._stretches(told, all_counts):
+            stretch = slice(first, after)
+            counts, ceiling_m = all_counts[stretch], median_m(self._faces.clear_m[own][stretch])
+            face = self._faces.cut([(w, first, after)])
+            duct = self._duct_before(face, counts)
+            length_m = (after - first) * CELL_M + _to_corners_m(face, self._known, settings.missed.corner_m)
+            if (
+                length_m >= settings.building.length_min_m
+                and self._is_proven(rays.part(stretch), told.part(stretch), duct is not None)
+                and (duct is not None or self._reaches_ceiling(w, counts, ceiling_m, told.window[stretch]))
+                and room_before(face, self._storey, settings.columns)[0]
+            ):
+                # Beside it a window may go on, of which not more than the sill is seen.
+                first, last = widened(told.sill, first, after - 1, cells_in(settings.missed.window_max_m))
+                wall = self._faces.cut([(w, first, last + 1)])
+                yield _Proven(self._as_seen(wall, all_counts[first : last + 1], ceiling_m), duct)
 
+    def _as_seen(self, wall: Walls, counts: FloatArray, ceiling_m: float) -> Walls:
+        """A single face with what it rests on: the returns in its columns (c, rows, 4), up to the ceiling."""
+        returns, total, squares = counts[..., :THROUGH].sum(axis=0, dtype=np.float64).T
+        seen = np.flatnonzero(returns >= self._settings.standing.stray_rays)
+        spread_m2 = squares.sum() / returns.sum() - (total.sum() / returns.sum()) ** 2
+        return replace(
+            wall,
+            bottom_m=np.array([seen[0] * CELL_M]),
+            top_m=np.array([min((seen[-1] + 1) * CELL_M, ceiling_m)]),
+            rms_m=np.array([np.sqrt(max(spread_m2, 0.0))]),
+            sample_count=np.array([returns.sum()], np.int64),
+        )
 
-def _stretches(told: _Told, counts: FloatArray, settings: StandingWallsSettings) -> Iterator[tuple[int, int]]:
-    """First column, and the one after the last, of what may be one wall; counts: (c, rows, 4)."""
-    returned = np.any(counts[..., FILLED] > 0, axis=1)
-    on, passed = (rays.sum(axis=1) for rays in on_and_passed(counts))
-    bridged = long_runs(told.proven, 1, bridge=cells_in(settings.hidden_gap_m)) & ~told.contradicted
-    for first, after in runs(bridged):
-        # Columns were told with those beside them: what has no returns itself is too much, and a pillar's outer columns lack.
-        own = np.flatnonzero(returned[first:after])
-        if len(own):
-            begin, last = widened(on > passed, first + int(own[0]), first + int(own[-1]), SMOOTH_COLUMNS)
-            yield begin, last + 1
+    def _tell(self, w: int) -> _Told:
+        """What the columns of a candidate are."""
+        own, standing = self._faces.columns(w), self._settings.standing
+        columns, candidate = self._columns.part(own), self._faces.walls.select(np.array([w]))
+        may_be = self._free[own] & ~_crossed_by(self._known, self._faces.walls, w, own.stop - own.start)
+        has_sill = columns.sill_passed + standing.stray_rays < standing.hidden_passed_max * columns.sill_on
+        # Between a cupboard and a duct, and over a table, rays pass to the room behind; through a window they leave the building.
+        back = replace(candidate, normal=-candidate.normal)
+        is_outer = not self._before_wall[w] and bool(has_sill.any())
+        is_outer = is_outer and not room_before(back, self._storey, self._settings.columns)[0]
+        passed_max, stray = standing.hidden_passed_max, standing.stray_rays
+        on, passed = columns.upper_on + columns.lower_on, columns.upper_passed + columns.lower_passed
+        solid = (
+            (on > 0)
+            & (passed <= passed_max * on)
+            & (columns.lower_passed <= passed_max * columns.lower_on + stray)
+            & (columns.upper_passed <= 0.5 * columns.upper_on)
+        )
+        sill = may_be & is_outer & has_sill
+        window = sill & (columns.upper_on > stray) & (columns.crown_passed <= 0.5 * columns.crown_on)
+        proven = (solid & may_be) | window
+        return _Told(proven, window, sill, ~may_be | ((passed > 2 * stray) & ~proven))
 
+    def _stretches(self, told: _Told, counts: FloatArray) -> Iterator[tuple[int, int]]:
+        """First column, and the one after the last, of what may be one wall; counts: (c, rows, 4)."""
+        returned = np.any(counts[..., FILLED] > 0, axis=1)
+        on, passed = (rays.sum(axis=1) for rays in on_and_passed(counts))
+        gap = cells_in(self._settings.standing.hidden_gap_m)
+        for first, after in runs(long_runs(told.proven, 1, bridge=gap) & ~told.contradicted):
+            # Columns are counted with those beside them: a column without returns is too much, a pillar's outer ones lack.
+            own = np.flatnonzero(returned[first:after])
+            if len(own):
+                begin, last = widened(on > passed, first + int(own[0]), first + int(own[-1]), 1)
+                yield begin, last + 1
 
-def _is_proven(columns: Columns, told: _Told, below_duct: bool, settings: StandingWallsSettings) -> bool:
-    """Whether most columns of a stretch are proven, most are seen above doors unless a duct hides them, and by returns enough."""
-    returns = float((columns.upper_on + columns.lower_on).sum()) / (2 * SMOOTH_COLUMNS + 1)
-    seen_above, proven = np.mean(columns.upper_on > 0), np.mean(told.proven)
-    return bool((seen_above > 0.5 or below_duct) and proven > 0.5 and returns >= settings.hidden_returns_min)
+    def _is_proven(self, columns: Columns, told: _Told, below_duct: bool) -> bool:
+        """Whether most columns of a stretch are proven, by enough returns, and seen above doors unless a duct hides them."""
+        # Each return is counted in its column and in the two beside it.
+        returns = float((columns.upper_on + columns.lower_on).sum()) / 3
+        seen_above, proven = np.mean(columns.upper_on > 0), np.mean(told.proven)
+        enough = returns >= self._settings.standing.hidden_returns_min
+        return bool((seen_above > 0.5 or below_duct) and proven > 0.5 and enough)
 
+    def _reaches_ceiling(self, w: int, counts: FloatArray, ceiling_m: float, window: BoolArray) -> bool:
+        """Whether a stretch of a candidate is wall all the way up.
 
-def _reaches_ceiling(counts: FloatArray, ceiling_m: float, window: BoolArray, is_before: bool) -> bool:
-    """Whether a stretch of columns is wall all the way up.
+        counts: (c, rows, 4) of the stretch. window: (c,) which of its columns may be a window's.
+        """
+        missed = self._settings.missed
+        on, passed = rows_on_and_passed(counts, ceiling_m)
+        seen = np.flatnonzero(on >= self._settings.standing.stray_rays)
+        highest_m = min(ceiling_m - missed.below_ceiling_m, missed.above_heads_m)
+        if not len(seen) or (FOOT_ROW + seen[-1] + 1) * CELL_M <= highest_m:
+            return False
+        # A pillar shows from floor to ceiling; what else stands or hangs before a wall does not.
+        if self._close_before_wall[w] and float(np.mean(on > passed)) <= missed.pillar_share:
+            return False
+        # A duct's underside and the ceiling next to it are rows of returns, with nothing between them and the floor.
+        below_sill = slice(0, cells_in(SILL_M) - FOOT_ROW)
+        is_window = np.mean(window) > 0.5 and np.all(on[below_sill] >= passed[below_sill])
+        return bool(is_window or np.count_nonzero(on > passed) > np.count_nonzero(passed > on))
 
-    counts: (c, rows, 4). window: (c,) which columns may be a window's. is_before: whether it stands close before a known wall.
-    """
-    on, passed = rows_on_and_passed(counts, ceiling_m)
-    seen = np.flatnonzero(on >= SCATTERED_RAYS)
-    if not len(seen) or (FOOT_ROW + seen[-1] + 1) * CELL_M <= min(ceiling_m - _BELOW_CEILING_M, _ABOVE_HEADS_M):
-        return False
-    # A pillar shows from floor to ceiling; what else stands or hangs before a wall does not.
-    if is_before and float(np.mean(on > passed)) <= _PILLAR_SHARE:
-        return False
-    # A duct's underside and the ceiling next to it are rows of returns, with nothing between them and the floor.
-    below_sill = slice(0, cells_in(SILL_M) - FOOT_ROW)
-    is_window = np.mean(window) > 0.5 and np.all(on[below_sill] >= passed[below_sill])
-    return bool(is_window or np.count_nonzero(on > passed) > np.count_nonzero(passed > on))
+    def _duct_before(self, face: Walls, counts: FloatArray) -> _Duct | None:
+        """The known face that hangs before a stretch as a duct's front; None where none does.
 
+        A duct's underside joins the one to the other, as high as the wall was seen; a lintel's is no deeper than a wall.
 
-def _undersides(votes: VoxelVotes) -> FloatArray:
-    """(m, 3) the cubes that may be of a duct's underside: no wall's, higher than heads."""
-    position = votes.mean_position[majority(votes.counts) != Label.WALL]
-    return np.asarray(position[position[:, 2] > _UNDERSIDE_MIN_M])
-
-
-def _duct_before(
-    face: Walls, counts: FloatArray, walls: Walls, undersides: FloatArray
-) -> tuple[int, float, float] | None:
-    """The known face that hangs before a stretch as a duct's front, and from where to where; None where none does.
-
-    A duct's underside joins the one to the other, as high as the wall was seen; a lintel's is no deeper than a wall is thick.
-
-    face: of one stretch. counts: (c, rows, 4) of its columns. undersides: (m, 3), see `_undersides`.
-    """
-    own = next(segments(face))
-    on, passed = rows_on_and_passed(counts, _UNDERSIDE_MIN_M)
-    if own.length_m < _BELOW_DUCT_MIN_M or not np.all(on > passed):
+        face: of one stretch. counts: (c, rows, 4) of its columns.
+        """
+        missed, noise_m = self._settings.missed, self._settings.standing.noise_m
+        wall = next(segments(face))
+        on, passed = rows_on_and_passed(counts, missed.underside_min_m)
+        if wall.length_m < missed.duct_length_min_m or not np.all(on > passed):
+            return None
+        seen = np.flatnonzero(counts[..., FILLED].sum(axis=0) >= self._settings.standing.stray_rays)
+        if not len(seen):
+            return None
+        top_m = (seen[-1] + 1) * CELL_M
+        undersides = self._undersides[np.abs(self._undersides[:, 2] - top_m) < missed.underside_near_m]
+        for w, front in enumerate(segments(self._known)):
+            depth_m = float(wall.before_m(front.at(np.array([0.5 * front.length_m])))[0])
+            is_deep = missed.duct_depth_min_m < depth_m < missed.duct_depth_max_m
+            if front.normal @ wall.normal < SAME_WAY or not is_deep:
+                continue
+            if wall.shared_m(self._known.ends[w]) < missed.duct_share_min * wall.length_m:
+                continue
+            place_m, before_m = wall.place_m(undersides), wall.before_m(undersides)
+            between = (place_m > 0) & (place_m < wall.length_m) & (before_m > noise_m) & (before_m < depth_m)
+            cells = np.stack([place_m[between], before_m[between]], axis=1) // missed.underside_cell_m
+            whole = wall.length_m * (depth_m - noise_m) / missed.underside_cell_m**2
+            if len(np.unique(cells, axis=0)) >= missed.duct_share_min * whole:
+                low_m, high_m = np.sort(front.place_m(face.ends[0]))
+                return _Duct(w, max(float(low_m), 0.0), min(float(high_m), front.length_m))
         return None
-    seen = np.flatnonzero(counts[..., FILLED].sum(axis=0) >= SCATTERED_RAYS)
-    if not len(seen):
-        return None
-    undersides = undersides[np.abs(undersides[:, 2] - (seen[-1] + 1) * CELL_M) < _UNDERSIDE_NEAR_M]
-    for w, front in enumerate(segments(walls)):
-        depth_m = float(own.before_m(front.at(np.array([0.5 * front.length_m])))[0])
-        if front.normal @ own.normal < SAME_WAY or not _DUCT_DEPTH_M[0] < depth_m < _DUCT_DEPTH_M[1]:
-            continue
-        if own.shared_m(walls.ends[w]) < _DUCT_SHARE * own.length_m:
-            continue
-        place_m, before_m = own.place_m(undersides), own.before_m(undersides)
-        between = (place_m > 0) & (place_m < own.length_m) & (before_m > NOISE_M) & (before_m < depth_m)
-        cells = np.stack([place_m[between], before_m[between]], axis=1) // _UNDERSIDE_CELL_M
-        whole = own.length_m * (depth_m - NOISE_M) / _UNDERSIDE_CELL_M**2
-        if len(np.unique(cells, axis=0)) >= _DUCT_SHARE * whole:
-            low_m, high_m = np.sort(front.place_m(face.ends[0]))
-            return w, max(float(low_m), 0.0), min(float(high_m), front.length_m)
-    return None
 
 
-def _cut_out(walls: Walls, ducts: list[tuple[int, float, float]], length_min_m: float) -> tuple[Walls, Walls]:
-    """The faces without some stretches, each of a face and from where to where along it; and what was cut out of them.
+def _undersides(returns: AllReturns, height_min_m: float) -> FloatArray:
+    """(m, 3) x, y and height above the floor of the cubes that may be of a duct's underside: no wall's, higher than heads."""
+    position = returns.votes.mean_position[majority(returns.votes.counts) != Label.WALL]
+    position[:, 2] -= returns.storey.ground_m(position[:, :2])
+    return np.asarray(position[position[:, 2] > height_min_m])
+
+
+def _cut_out(walls: Walls, ducts: list[_Duct], length_min_m: float) -> tuple[Walls, Walls]:
+    """The faces without the ducts' stretches, and what was cut out of them.
 
     A rest that is too short for a face is cut with the stretch beside it.
     """
-    rest, cut = walls.select(~np.isin(np.arange(len(walls)), [w for w, _, _ in ducts])), NO_WALLS
-    for w in sorted({w for w, _, _ in ducts}):
+    with_duct = sorted({duct.face for duct in ducts})
+    rest, cut = walls.select(~np.isin(np.arange(len(walls)), with_duct)), NO_WALLS
+    for w in with_duct:
         own, face = walls.select(np.array([w])), Segment.between(walls.ends[w], walls.normal[w])
         reached_m, cut_from_m = 0.0, 0.0
-        taken = sorted((low_m, high_m) for front, low_m, high_m in ducts if front == w)
+        taken = sorted((duct.low_m, duct.high_m) for duct in ducts if duct.face == w)
         for low_m, high_m in [*taken, (face.length_m, face.length_m)]:
             if low_m - reached_m >= length_min_m:
                 rest = rest.append(_part(own, face, reached_m, low_m))
@@ -293,17 +383,17 @@ def _part(own: Walls, face: Segment, low_m: float, high_m: float) -> Walls:
     return replace(own, ends=face.at(np.array([low_m, high_m]))[None])
 
 
-def _to_corners_m(face: Walls, walls: Walls) -> float:
-    """By how much a single face is longer up to known faces that end at its ends: close to these its returns pass for theirs."""
+def _to_corners_m(face: Walls, walls: Walls, near_m: float) -> float:
+    """Length by which a single face is longer up to known faces that end near its ends: there its returns pass for theirs."""
     ends = walls.ends[np.abs(walls.normal @ face.normal[0]) < ACROSS].reshape(-1, 2)
     if not len(ends):
         return 0.0
     nearest_m = np.linalg.norm(face.ends[0][:, None] - ends, axis=2).min(axis=1)
-    return float(nearest_m[nearest_m < _AT_CORNER_M].sum())
+    return float(nearest_m[nearest_m < near_m].sum())
 
 
 def _crossed_by(walls: Walls, candidates: Walls, w: int, count: int) -> BoolArray:
-    """(count,) the columns of one candidate at which it crosses a known face: beyond it another wall goes on, or a reveal."""
+    """(count,) the columns of one candidate at which it crosses a known face; beyond it another wall, or a reveal, goes on."""
     crossed = np.zeros(count, bool)
     candidate = Segment.between(candidates.ends[w], candidates.normal[w])
     for face in segments(walls):
@@ -317,7 +407,7 @@ def _crossed_by(walls: Walls, candidates: Walls, w: int, count: int) -> BoolArra
 
 
 def _before_a_face(candidates: Walls, walls: Walls, before_m: float) -> BoolArray:
-    """(k,) whether a known face that looks the same way lies so close behind each candidate, or before it."""
+    """(k,) whether a known face that looks the same way lies closer than `before_m` behind each candidate, or before it."""
     before = np.zeros(len(candidates), bool)
     middle = candidates.ends.mean(axis=1)
     for face in segments(walls):
@@ -327,7 +417,7 @@ def _before_a_face(candidates: Walls, walls: Walls, before_m: float) -> BoolArra
 
 
 def _faces_a_face(candidates: Walls, walls: Walls, apart_m: float) -> BoolArray:
-    """(k,) whether a known face looks at each candidate from so near: nobody sees the one from before the other."""
+    """(k,) whether a known face closer than `apart_m` looks at each candidate: between the two nobody can stand."""
     faces = np.zeros(len(candidates), bool)
     middle = candidates.ends.mean(axis=1)
     for face in segments(walls):
@@ -337,15 +427,16 @@ def _faces_a_face(candidates: Walls, walls: Walls, apart_m: float) -> BoolArray:
     return faces
 
 
-def _unexplained_columns(votes: VoxelVotes, walls: Walls, refused: Walls) -> tuple[FloatArray, FloatArray]:
-    """Upright columns of cubes that no face explains: x and y (m, 2), and how many cubes stand in each (m,)."""
+def _unexplained_columns(
+    votes: VoxelVotes, walls: Walls, refused: Walls, explained_m: float
+) -> tuple[FloatArray, FloatArray]:
+    """Upright columns of cubes that no face explains: x and y (m, 2), and the number of cubes in each (m,)."""
     label = majority(votes.counts)
     unexplained = ((label == Label.CLUTTER) | (label == Label.WALL)) & (votes.counts.max(axis=1, initial=0) > 0)
     position, count = votes.mean_position[unexplained], votes.point_count[unexplained]
     free = np.ones(len(position), bool)
-    for faces in (walls, refused):
-        for face in segments(faces):
-            free &= ~((np.abs(face.before_m(position)) < _EXPLAINED_M) & face.beside(position, _EXPLAINED_M))
+    for face in segments(walls.append(refused)):
+        free &= ~((np.abs(face.before_m(position)) < explained_m) & face.beside(position, explained_m))
     position, count = position[free], count[free]
     cell = np.floor(position[:, :2] / CELL_M).astype(np.int64)
     _, column = np.unique(cell, axis=0, return_inverse=True)
@@ -396,29 +487,30 @@ def _straight_lines(
 
 
 def _pillar_sides(
-    place: FloatArray, weight: FloatArray, walls: Walls, settings: StandingWallsSettings
+    place: FloatArray, weight: FloatArray, walls: Walls, settings: SearchSettings
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """The sides of what stands before a known face and is a known face itself: ends (2, 2) and normal (2,).
+    """The sides between two known faces one before the other, as a pillar has: ends (2, 2) and normal (2,).
 
-    A pillar's side is short, and most of it lies so close to either face that it passes for their own.
+    A pillar's side is short, and most of its returns lie so close to either face that they pass for that face's.
 
     place: (m, 2) of the columns, weight: (m,).
     """
+    standing = settings.standing
     found: list[tuple[FloatArray, FloatArray]] = []
     faces = list(segments(walls))
     for back in faces:
         before_m, place_m = back.before_m(place), back.place_m(place)
         for front in faces:
             depth_m = float(back.before_m(front.at(np.array([0.5 * front.length_m])))[0])
-            if front.normal @ back.normal < SAME_WAY or not NOISE_M < depth_m < FURNITURE_M:
+            if front.normal @ back.normal < SAME_WAY or not standing.noise_m < depth_m < standing.furniture_depth_m:
                 continue
             for end_m in back.place_m(front.at(np.array([0.0, front.length_m]))):
-                near = (before_m > 0) & (before_m < depth_m) & (np.abs(place_m - end_m) < _AT_CORNER_M)
+                near = (before_m > 0) & (before_m < depth_m) & (np.abs(place_m - end_m) < settings.missed.corner_m)
                 if not 0 < end_m < back.length_m or not near.any():
                     continue
                 off_m = np.abs(place_m[near][:, None] - place_m[near])
-                strength = (off_m < settings.hidden_distance_m) @ weight[near]
-                side = off_m[np.argmax(strength)] < settings.hidden_distance_m
+                strength = (off_m < standing.hidden_distance_m) @ weight[near]
+                side = off_m[np.argmax(strength)] < standing.hidden_distance_m
                 foot = back.at(np.array([np.average(place_m[near][side], weights=weight[near][side])]))[0]
                 found.append((np.stack([foot, foot + depth_m * back.normal]), back.along))
     return found

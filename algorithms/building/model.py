@@ -86,9 +86,10 @@ class Walls:
 
     ends: (W, 2, 2) x and y, metres.
     normal: (W, 2) unit vectors towards the room.
-    bottom_m, top_m: (W,) heights that were seen.
-    scan_count: (W,) scans that saw it.
-    rms_m: (W,) spread of the scans' samples about it.
+    bottom_m, top_m: (W,) heights above the floor between which it was seen.
+    scan_count: (W,) scans that saw a plane of it; 0 for one that only the returns of all scans together show.
+    rms_m: (W,) spread about it of the planes' samples, or of the returns.
+    sample_count: (W,) how many of these it rests on.
     """
 
     ends: FloatArray
@@ -97,6 +98,7 @@ class Walls:
     top_m: FloatArray
     scan_count: IntArray
     rms_m: FloatArray
+    sample_count: IntArray
 
     def __len__(self) -> int:
         return len(self.ends)
@@ -110,7 +112,15 @@ class Walls:
         return Walls(*(np.concatenate([getattr(w, field.name) for w in (self, more)]) for field in fields(self)))
 
 
-NO_WALLS = Walls(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, np.int32), np.zeros(0))
+NO_WALLS = Walls(
+    ends=np.zeros((0, 2, 2)),
+    normal=np.zeros((0, 2)),
+    bottom_m=np.zeros(0),
+    top_m=np.zeros(0),
+    scan_count=np.zeros(0, np.int32),
+    rms_m=np.zeros(0),
+    sample_count=np.zeros(0, np.int64),
+)
 
 
 @dataclass(frozen=True)

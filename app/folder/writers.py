@@ -106,6 +106,7 @@ def write_walls(path: Path, walls: Walls, thickness_m: FloatArray | None = None)
                     "top": _millimetres(walls.top_m[i]),
                     "scans": walls.scan_count[i],
                     "rms": walls.rms_m[i],
+                    "samples": walls.sample_count[i],
                     "thickness": _millimetres(thickness_m[i]) if thickness_m is not None else None,
                 },
             )

@@ -45,7 +45,13 @@ def build(run: Run, scans: LabelledScans, trajectory: Trajectory) -> Building:
     """The building of all scans; it and its maps are recorded and written."""
     run.progress.stage("building", None)
     drive = Drive(trajectory.T_map_base[:, :3, 3], lambda: _features(run, len(scans.jobs)))
-    gathered = AllScans(drive, scans.votes, scans.rivals, lambda *asked: _trace(run, len(scans.jobs), *asked))
+    gathered = AllScans(
+        drive,
+        scans.votes,
+        scans.rivals,
+        lambda *asked: _trace(run, len(scans.jobs), *asked),
+        run.settings.levels,
+    )
     building = fuse_building(gathered, run.settings.fusion)
     found = BuildingAndMaps(building, draw_maps(building, gathered, run.settings.maps, run.options.workers))
     _record(run, found)

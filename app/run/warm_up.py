@@ -8,10 +8,10 @@ import numpy as np
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import Scan
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.algorithms.building.face_foreground import NOTHING_BEFORE
+from ffmap.algorithms.building.face_foreground import NO_FOREGROUND
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES
 from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings, relabel
-from ffmap.algorithms.building.levels import map_ceilings
+from ffmap.algorithms.building.levels import LevelsSettings, map_ceilings
 from ffmap.algorithms.building.model import NO_DOORS, NO_WALLS, NO_WINDOWS
 from ffmap.algorithms.building.votes import VoxelTable, find_halo
 from ffmap.algorithms.poses.levelling import place_and_level
@@ -48,7 +48,9 @@ def warm_up() -> None:
         below_ceiling(placed.points_level, labelling.ceiling_planes),
         labelling.label,
         placed.to_map(placed.origin_level[None])[0],
-        BuildingModel(NO_WALLS, NOTHING_BEFORE, NO_JUDGED_FACES, NO_DOORS, NO_WINDOWS, (map_ceilings(votes),)),
+        BuildingModel(
+            NO_WALLS, NO_FOREGROUND, NO_JUDGED_FACES, NO_DOORS, NO_WINDOWS, (map_ceilings(votes, LevelsSettings()),)
+        ),
         find_halo(votes, 6.0),
         RelabellingSettings(),
     )

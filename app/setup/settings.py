@@ -17,10 +17,14 @@ from ffmap.algorithms.base.scan import ScanSettings
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.base.trajectory import TrajectorySettings
 from ffmap.algorithms.building.door_frames import DoorFramesSettings
-from ffmap.algorithms.building.face_foreground import BeforeWallsSettings
+from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
+from ffmap.algorithms.building.face_columns import FaceColumnsSettings
+from ffmap.algorithms.building.face_foreground import ForegroundSettings
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.fusion import FusionSettings
+from ffmap.algorithms.building.levels import LevelsSettings
+from ffmap.algorithms.building.missed_walls import MissedWallsSettings
 from ffmap.algorithms.building.model import BuildingSettings
 from ffmap.algorithms.building.openings import OpeningsSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
@@ -62,8 +66,12 @@ class Settings(StepSettings):
     doors: DoorsSettings = DoorsSettings()
     labelling: LabellingSettings = LabellingSettings()
     building: BuildingSettings = BuildingSettings()
+    levels: LevelsSettings = LevelsSettings()
+    face_columns: FaceColumnsSettings = FaceColumnsSettings()
+    face_alignment: FaceAlignmentSettings = FaceAlignmentSettings()
     standing_walls: StandingWallsSettings = StandingWallsSettings()
-    before_walls: BeforeWallsSettings = BeforeWallsSettings()
+    missed_walls: MissedWallsSettings = MissedWallsSettings()
+    before_walls: ForegroundSettings = ForegroundSettings()
     openings: OpeningsSettings = OpeningsSettings()
     windows: WindowsSettings = WindowsSettings()
     door_frames: DoorFramesSettings = DoorFramesSettings()

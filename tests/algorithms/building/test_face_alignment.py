@@ -5,18 +5,18 @@ import pytest
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.building.face_alignment import AlignedFaces, align_faces
+from ffmap.algorithms.building.face_alignment import AlignedFaces, FaceAlignmentSettings, align_faces
 from ffmap.algorithms.building.face_columns import Storey
+from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.model import NO_WALLS, Walls
 from ffmap.algorithms.building.votes import VoxelVotes
 from tests.voting import vote
 
-ABOVE_DOOR_M = 2.12
 TURNS = [0.0, 31.0, 90.0, 203.0]
 
 
 def aligned_by(walls: Walls, votes: VoxelVotes) -> AlignedFaces:
-    return align_faces(walls, votes, Storey.of(votes), ABOVE_DOOR_M, 2.0)
+    return align_faces(walls, votes, Storey.of(votes, (), 3), StandingWallsSettings(), FaceAlignmentSettings())
 
 
 def turned(places: FloatArray, turn_deg: float) -> FloatArray:
@@ -46,7 +46,8 @@ def face(turn_deg: float, start: float, stop: float, off_start_m: float, off_sto
     ends = turned(np.array([[start, off_start_m], [stop, off_stop_m]]), turn_deg)
     along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     one = np.ones(1)
-    return Walls(ends[None], np.array([[-along[1], along[0]]]), 0 * one, 2.7 * one, np.array([3], np.int32), 0.01 * one)
+    normal = np.array([[-along[1], along[0]]])
+    return Walls(ends[None], normal, 0 * one, 2.7 * one, np.array([3], np.int32), 0.01 * one, np.array([900]))
 
 
 def off_m(walls: Walls, turn_deg: float) -> FloatArray:

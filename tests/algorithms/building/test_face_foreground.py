@@ -7,7 +7,14 @@ import pytest
 from scipy import ndimage
 
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.building.face_foreground import BeforeWallsSettings, halo_at_walls, look_before_walls
+from ffmap.algorithms.building.face_columns import Storey, TracedFaces
+from ffmap.algorithms.building.face_foreground import (
+    Foreground,
+    ForegroundSettings,
+    covered_places,
+    find_foreground,
+    halo_at_walls,
+)
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, Walls
 from ffmap.algorithms.building.ray_evidence import WallCells
 from ffmap.algorithms.building.votes import find_halo
@@ -15,7 +22,7 @@ from tests.voting import vote
 
 CEILING_M = 2.8
 LENGTH_M = 6.0
-SETTINGS = BeforeWallsSettings()
+SETTINGS = ForegroundSettings()
 FACE = Walls(
     np.array([[[0.0, 0.0], [LENGTH_M, 0.0]]]),
     np.array([[0.0, 1.0]]),
@@ -23,8 +30,17 @@ FACE = Walls(
     np.array([CEILING_M]),
     np.array([9], np.int32),
     np.array([0.01]),
+    np.array([900]),
 )
 FLAT = (0.0, 0.0)
+GROUND = Storey(np.zeros((9, 3)), np.zeros((0, 3)))
+
+
+def foreground(counts: np.ndarray, ceiling_m: float = CEILING_M) -> Foreground:
+    """Of the one face, with counts (c, rows, 4) of its cells."""
+    columns, rows = counts.shape[:2]
+    cells = WallCells(np.array([0, columns]), rows, counts)
+    return find_foreground(TracedFaces(FACE, cells, np.full(columns, ceiling_m), np.zeros(columns)), SETTINGS)
 
 
 def relief(
@@ -47,8 +63,7 @@ def relief(
     counts = np.zeros((columns, rows, 4), np.float32)
     counts[..., 0] = 40.0 * (z < ceiling_m)
     counts[..., 1] = counts[..., 0] * before_m
-    cells = WallCells(np.array([0, columns]), rows, counts)
-    covered = look_before_walls(cells, np.full(columns, ceiling_m), SETTINGS).covered
+    covered = foreground(counts, ceiling_m).covered
     around = ndimage.binary_dilation(thing, np.ones((2 * outline + 1, 2 * outline + 1)))
     assert not covered[~around].any()
     return np.asarray(covered[thing & (z > 0.1)])
@@ -90,8 +105,7 @@ def test_a_wall_that_leans_is_no_relief_but_a_step_on_it_is() -> None:
         counts = np.zeros((columns, rows, 4), np.float32)
         counts[..., 0] = 40.0 * (z < CEILING_M)
         counts[..., 1] = counts[..., 0] * before_m
-        cells = WallCells(np.array([0, columns]), rows, counts)
-        return np.asarray(look_before_walls(cells, np.full(columns, CEILING_M), SETTINGS).covered)
+        return np.asarray(foreground(counts).covered)
 
     noise_m = np.random.default_rng(3).normal(0, 0.003, (columns, rows))
     lean_m = np.zeros((columns, rows))
@@ -108,8 +122,7 @@ def test_a_shelf_is_one_thing_though_its_boards_hide_parts_of_its_back() -> None
     counts[:, :56, 0] = 40.0
     counts[20:40, 0:32, 1] = 40.0 * 0.03
     counts[20:40, 10:15] = 0.0
-    cells = WallCells(np.array([0, columns]), rows, counts)
-    before = look_before_walls(cells, np.full(columns, CEILING_M), SETTINGS)
+    before = foreground(counts)
     assert before.covered[20:40, 15:32].all()
 
 
@@ -126,9 +139,7 @@ def sparse(low: int, high: int, depth_m: float, share: float = 1.0) -> tuple[np.
     counts = np.zeros((columns, rows, 4), np.float32)
     counts[:, :56, 0] = 2.0
     counts[:, :56, 1], counts[:, :56, 2] = before_m[:, :56].sum(axis=2), (before_m[:, :56] ** 2).sum(axis=2)
-    covered = look_before_walls(
-        WallCells(np.array([0, columns]), rows, counts), np.full(columns, CEILING_M), SETTINGS
-    ).covered
+    covered = foreground(counts).covered
     return covered[low + 2 : high - 2, 4:30], np.delete(covered, np.s_[low - 4 : high + 4], axis=0)
 
 
@@ -149,8 +160,7 @@ def test_the_reveal_of_a_high_window_is_not_the_wall_that_relief_is_measured_fro
     counts[40:70, 18:47, 1] = -40.0 * 0.1
     # Curtains hide the wall beside its head.
     counts[34:40, 43:] = counts[70:76, 43:] = 0.0
-    cells = WallCells(np.array([0, columns]), rows, counts)
-    assert not look_before_walls(cells, np.full(columns, CEILING_M), SETTINGS).covered.any()
+    assert not foreground(counts).covered.any()
 
 
 def test_only_the_buildings_own_walls_have_a_halo() -> None:
@@ -163,14 +173,15 @@ def test_only_the_buildings_own_walls_have_a_halo() -> None:
     stray = np.array([on + beside, off + beside])
     clutter = np.full(2, Label.CLUTTER, np.uint8)
     np.testing.assert_array_equal(halo.label_of(stray, clutter), [Label.WALL, Label.WALL])
-    cells = WallCells(np.array([0, 120]), 60, np.zeros((120, 60, 4), np.float32))
-    before = look_before_walls(cells, np.full(120, CEILING_M), SETTINGS)
+    before = foreground(np.zeros((120, 60, 4), np.float32))
     np.testing.assert_array_equal(
-        halo_at_walls(halo, FACE, NO_DOORS, before, 0.12).label_of(stray, clutter), [Label.WALL, Label.CLUTTER]
+        halo_at_walls(halo, FACE, NO_DOORS, before, GROUND, 0.12, SETTINGS).label_of(stray, clutter),
+        [Label.WALL, Label.CLUTTER],
     )
     before.covered[:] = True
     np.testing.assert_array_equal(
-        halo_at_walls(halo, FACE, NO_DOORS, before, 0.12).label_of(stray, clutter), [Label.CLUTTER, Label.CLUTTER]
+        halo_at_walls(halo, FACE, NO_DOORS, before, GROUND, 0.12, SETTINGS).label_of(stray, clutter),
+        [Label.CLUTTER, Label.CLUTTER],
     )
 
 
@@ -179,8 +190,7 @@ def test_the_leaf_of_an_open_door_is_no_halo_of_its_wall() -> None:
     leaf, wall = np.array([3.02, 0.08, 1.02]), np.array([4.02, 0.08, 1.02])
     points = np.repeat([leaf, wall], 20, axis=0)
     halo = find_halo(vote(points, np.full(40, Label.WALL, np.uint8), len(Label), 0.05), 6.0)
-    cells = WallCells(np.array([0, 120]), 60, np.zeros((120, 60, 4), np.float32))
-    before = look_before_walls(cells, np.full(120, CEILING_M), SETTINGS)
+    before = foreground(np.zeros((120, 60, 4), np.float32))
     doors = replace(
         NO_DOORS,
         ends=np.array([[[2.9, 0.0], [3.8, 0.0]]]),
@@ -190,10 +200,34 @@ def test_the_leaf_of_an_open_door_is_no_halo_of_its_wall() -> None:
     )
     clutter = np.full(2, Label.CLUTTER, np.uint8)
     stray = np.array([leaf, wall])
-    found = halo_at_walls(halo, FACE, doors, before, 0.12).label_of(stray, clutter)
+    found = halo_at_walls(halo, FACE, doors, before, GROUND, 0.12, SETTINGS).label_of(stray, clutter)
     np.testing.assert_array_equal(found, [Label.CLUTTER, Label.WALL])
     # Above its head a wall goes on.
     low = replace(doors, head_m=np.array([0.9]))
     np.testing.assert_array_equal(
-        halo_at_walls(halo, FACE, low, before, 0.12).label_of(stray, clutter), [Label.WALL] * 2
+        halo_at_walls(halo, FACE, low, before, GROUND, 0.12, SETTINGS).label_of(stray, clutter), [Label.WALL] * 2
     )
+
+
+def test_on_a_raised_floor_heights_are_measured_from_it() -> None:
+    """A leaf covers its wall up to 1 m above a floor that a ramp has raised by 0.6 m; a doorway's head is 0.9 m above it."""
+    low, high = np.array([3.02, 0.02, 1.42]), np.array([3.02, 0.02, 1.82])
+    leaf, lintel = np.array([5.02, 0.08, 1.42]), np.array([5.02, 0.08, 1.82])
+    places = np.array([low, high, leaf, lintel])
+    halo = find_halo(vote(np.repeat(places, 20, axis=0), np.full(80, Label.WALL, np.uint8), len(Label), 0.05), 6.0)
+    raised = Storey(np.column_stack([np.linspace(0, LENGTH_M, 50), np.zeros(50), np.full(50, 0.6)]), np.zeros((0, 3)))
+    before = replace(foreground(np.zeros((120, 60, 4), np.float32)), ground_m=np.full(120, 0.6))
+    before.covered[:80, : round(1.0 / CELL_M)] = True
+    door = replace(
+        NO_DOORS,
+        ends=np.array([[[4.5, 0.0], [5.4, 0.0]]]),
+        normal=np.array([[0.0, 1.0]]),
+        head_m=np.array([0.9]),
+        reveal_m=np.array([0.2]),
+    )
+    found = halo_at_walls(halo, FACE, door, before, raised, 0.12, SETTINGS)
+    clutter = np.full(4, Label.CLUTTER, np.uint8)
+    np.testing.assert_array_equal(
+        found.label_of(places, clutter), [Label.CLUTTER, Label.WALL, Label.CLUTTER, Label.WALL]
+    )
+    assert covered_places(FACE, before)[:, 2].max() == pytest.approx(0.6 + 1.0 - 0.5 * CELL_M)

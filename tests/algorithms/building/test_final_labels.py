@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.building.face_foreground import NOTHING_BEFORE, BeforeWalls
+from ffmap.algorithms.building.face_foreground import NO_FOREGROUND, Foreground
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
 from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings, relabel
 from ffmap.algorithms.building.levels import HeightMap, Surface
@@ -30,6 +30,7 @@ def face(x0: float = 0.0, x1: float = 4.0, y: float = 0.0, top_m: float = 2.8) -
         np.array([top_m]),
         np.array([9], np.int32),
         np.array([0.01]),
+        np.array([900]),
     )
 
 
@@ -57,11 +58,11 @@ def window(pane_m: float) -> Windows:
     )
 
 
-def before(walls: Walls, ceiling_m: float = 2.8, covered: bool = False) -> BeforeWalls:
+def before(walls: Walls, ceiling_m: float = 2.8, covered: bool = False) -> Foreground:
     """A room of one height before all faces, in which something or nothing stands against them."""
     length_m = np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1)
     first = np.concatenate([[0], np.cumsum(np.ceil(length_m / CELL_M))]).astype(np.int64)
-    return BeforeWalls(first, np.full(first[-1], ceiling_m), np.full((first[-1], 60), covered))
+    return Foreground(first, np.full(first[-1], ceiling_m), np.zeros(first[-1]), np.full((first[-1], 60), covered))
 
 
 def final(point: tuple[float, float, float], label: Label, **building: Any) -> Label:
@@ -351,7 +352,7 @@ def test_nothing_is_relabelled_where_there_is_nothing() -> None:
         np.zeros(0),
         np.zeros(0, np.uint8),
         SENSOR,
-        BuildingModel(NO_WALLS, NOTHING_BEFORE, NO_JUDGED_FACES, NO_DOORS, NO_WINDOWS, ()),
+        BuildingModel(NO_WALLS, NO_FOREGROUND, NO_JUDGED_FACES, NO_DOORS, NO_WINDOWS, ()),
         NO_HALO,
         SETTINGS,
     )

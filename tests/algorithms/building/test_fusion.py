@@ -10,10 +10,14 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building.door_frames import DoorFramesSettings
 from ffmap.algorithms.building.drive import AllScans, Drive
-from ffmap.algorithms.building.face_foreground import BeforeWallsSettings
+from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
+from ffmap.algorithms.building.face_columns import FaceColumnsSettings
+from ffmap.algorithms.building.face_foreground import ForegroundSettings
 from ffmap.algorithms.building.face_verdicts import FaceVerdict, StandingWallsSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.fusion import Building, FusionSettings, fuse_building
+from ffmap.algorithms.building.levels import LevelsSettings
+from ffmap.algorithms.building.missed_walls import MissedWallsSettings
 from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
 from ffmap.algorithms.building.openings import OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
@@ -29,8 +33,12 @@ from tests.voting import vote
 
 SETTINGS = FusionSettings(
     BuildingSettings(),
+    LevelsSettings(),
+    FaceColumnsSettings(),
+    FaceAlignmentSettings(),
     StandingWallsSettings(),
-    BeforeWallsSettings(),
+    MissedWallsSettings(),
+    ForegroundSettings(),
     OpeningsSettings(),
     WindowsSettings(),
     DoorFramesSettings(),
@@ -66,7 +74,9 @@ def with_planes(features: Features, walls: Walls) -> Features:
 
 def face(ends: list[list[float]], normal: list[float]) -> Walls:
     one = np.ones(1)
-    return Walls(np.array([ends]), np.array([normal]), 0 * one, 2.6 * one, np.array([5], np.int32), 0.01 * one)
+    return Walls(
+        np.array([ends]), np.array([normal]), 0 * one, 2.6 * one, np.array([5], np.int32), 0.01 * one, 900 * one
+    )
 
 
 def driven(rooms: TwoRooms, *more: Walls) -> AllScans:
@@ -87,6 +97,7 @@ def driven(rooms: TwoRooms, *more: Walls) -> AllScans:
         votes=vote(features.ray_end_map, features.ray_label, len(Label), 0.05),
         rivals=VoxelTable(GridMapSettings().cell_m, len(Rival)).votes(),
         trace=trace,
+        levels_settings=SETTINGS.levels,
     )
 
 

@@ -7,6 +7,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.levels import (
     HeightMap,
+    LevelsSettings,
     _median_around,
     map_ceilings,
     map_ducts,
@@ -21,6 +22,8 @@ from ffmap.algorithms.building.levels import (
 from ffmap.algorithms.building.votes import VoxelVotes, merge
 from tests.voting import vote
 
+SETTINGS = LevelsSettings()
+
 
 def two_rooms() -> HeightMap:
     """Ceilings at 2.5 m where x < 3 and at 3.0 m beyond, with a lamp's returns below the lower one."""
@@ -28,7 +31,7 @@ def two_rooms() -> HeightMap:
     points = np.column_stack([x, y, np.where(x < 3, 2.52, 3.02)])
     lamp = np.array([[1.02, 1.02, 2.37]])
     portions = [vote(points, np.full(len(points), Label.CEILING, np.uint8), len(Label), 0.05) for _ in range(3)]
-    return map_ceilings(merge([*portions, vote(lamp, np.zeros(1, np.uint8), len(Label), 0.05)]))
+    return map_ceilings(merge([*portions, vote(lamp, np.zeros(1, np.uint8), len(Label), 0.05)]), SETTINGS)
 
 
 @pytest.mark.parametrize(
@@ -52,11 +55,11 @@ def test_clutter_at_the_ceilings_height_is_ceiling(
 def test_a_building_without_ceilings_changes_nothing() -> None:
     label = np.zeros(1, np.uint8)
     floor = vote(np.zeros((4, 3)), np.full(4, Label.FLOOR, np.uint8), len(Label), 0.05)
-    assert map_ceilings(floor).label_of(np.zeros((1, 3)), label)[0] == Label.CLUTTER
+    assert map_ceilings(floor, SETTINGS).label_of(np.zeros((1, 3)), label)[0] == Label.CLUTTER
     nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
-    assert map_raised_floors(nothing).label_of(np.zeros((1, 3)), label)[0] == Label.CLUTTER
+    assert map_raised_floors(nothing, SETTINGS, 0.1).label_of(np.zeros((1, 3)), label)[0] == Label.CLUTTER
     for votes in (nothing, floor):
-        assert map_glimpsed_ceilings(votes).label_of(np.zeros((1, 3)), label)[0] == Label.CLUTTER
+        assert map_glimpsed_ceilings(votes, SETTINGS).label_of(np.zeros((1, 3)), label)[0] == Label.CLUTTER
     assert len(two_rooms().label_of(np.zeros((0, 3)), np.zeros(0, np.uint8))) == 0
 
 
@@ -72,7 +75,7 @@ def votes_of(*pieces: tuple[np.ndarray, Label], scans: int = 3) -> VoxelVotes:
 
 
 def raised(*pieces: tuple[np.ndarray, Label], cell_m: float = 0.1) -> HeightMap:
-    return map_raised_floors(votes_of(*pieces), cell_m)
+    return map_raised_floors(votes_of(*pieces), SETTINGS, cell_m)
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.02])
@@ -101,7 +104,7 @@ def test_a_platform_that_shows_in_lines_is_floor() -> None:
 def test_a_platform_that_few_returns_show_from_afar_is_floor() -> None:
     floor, platform = lying((0, 4), (0, 4), 0.01), lying((4, 8), (0, 4), 0.16)
     few = np.random.default_rng(3).choice(platform, 300, replace=False)
-    levels = map_levels(votes_of((floor, Label.FLOOR), (few, Label.CLUTTER)))
+    levels = map_levels(votes_of((floor, Label.FLOOR), (few, Label.CLUTTER)), SETTINGS)
     inner = few[(few[:, 0] > 4.4) & (few[:, 0] < 7.6) & (np.abs(few[:, 1] - 2.0) < 1.6)]
     label = np.zeros(len(inner), np.uint8)
     assert np.mean(levels[0].label_of(inner, label) == Label.FLOOR) < 0.5
@@ -154,7 +157,7 @@ def test_a_glimpsed_ceiling_is_high_broad_and_the_highest(
     )
     votes = merge([vote(p, np.full(len(p), label, np.uint8), len(Label), 0.05) for p, label in pieces] * 3)
     point = np.array([[np.mean(x), np.mean(y), z]])
-    assert map_glimpsed_ceilings(votes).label_of(point, np.array([Label.CLUTTER], np.uint8))[0] == expected
+    assert map_glimpsed_ceilings(votes, SETTINGS).label_of(point, np.array([Label.CLUTTER], np.uint8))[0] == expected
 
 
 @pytest.mark.parametrize(
@@ -172,7 +175,9 @@ def test_a_narrow_strip_below_a_ceiling_is_a_duct(
     beside = (high[:, 0] < x[0]) | (high[:, 0] > x[1]) | (high[:, 1] < y[0]) | (high[:, 1] > y[1])
     low = lying(x, y, 2.72)
     ceiling = np.concatenate([high[beside], low])
-    ducts = map_ducts(merge([vote(ceiling, np.full(len(ceiling), Label.CEILING, np.uint8), len(Label), 0.05)]))
+    ducts = map_ducts(
+        merge([vote(ceiling, np.full(len(ceiling), Label.CEILING, np.uint8), len(Label), 0.05)]), SETTINGS
+    )
     as_ceiling = np.full(len(low), Label.CEILING, np.uint8)
     assert np.all(ducts.label_of(low, as_ceiling) == expected)
     assert np.all(ducts.label_of(high[beside], np.full(beside.sum(), Label.CEILING, np.uint8)) == Label.CEILING)
@@ -182,7 +187,9 @@ def test_a_narrow_strip_below_a_ceiling_is_a_duct(
 
 def test_without_a_ceiling_there_is_no_duct() -> None:
     nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
-    assert map_ducts(nothing).label_of(np.zeros((1, 3)), np.array([Label.CEILING], np.uint8))[0] == Label.CEILING
+    assert (
+        map_ducts(nothing, SETTINGS).label_of(np.zeros((1, 3)), np.array([Label.CEILING], np.uint8))[0] == Label.CEILING
+    )
 
 
 def upright(x: tuple[float, float], y: float, z: tuple[float, float]) -> np.ndarray:
@@ -195,7 +202,7 @@ def test_floor_that_a_ramp_carries_on_up_the_walls_of_the_next_room_is_none() ->
     floor, next_room = lying((0, 6), (0, 3), 0.02), lying((0, 6), (8, 9), 0.27)
     strip, wall = upright((0, 6), 9.98, (1.3, 1.45)), upright((0, 6), 9.98, (0.3, 2.8))
     votes = votes_of((floor, Label.FLOOR), (next_room, Label.FLOOR), (strip, Label.FLOOR))
-    told = map_false_floors(votes)
+    told = map_false_floors(votes, SETTINGS)
     floors = np.concatenate([floor, next_room])
     assert np.all(told.label_of(floors, np.full(len(floors), Label.FLOOR, np.uint8)) == Label.FLOOR)
     assert np.all(told.label_of(strip, np.full(len(strip), Label.FLOOR, np.uint8)) == Label.CLUTTER)
@@ -206,7 +213,7 @@ def test_floor_that_a_ramp_carries_on_up_the_walls_of_the_next_room_is_none() ->
         (floor, Label.FLOOR), (next_room[:50], Label.FLOOR), (strip, Label.FLOOR), (ceiling, Label.CLUTTER)
     )
     label = np.zeros(len(ceiling), np.uint8)
-    for level in map_levels(votes):
+    for level in map_levels(votes, SETTINGS):
         label = level.label_of(ceiling, label)
     assert np.mean(label == Label.CEILING) > 0.9
 
@@ -215,8 +222,8 @@ def test_where_no_floor_is_broad_none_is_false() -> None:
     nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
     strip = votes_of((upright((0, 6), 9.98, (1.3, 1.45)), Label.FLOOR))
     for votes in (nothing, strip):
-        assert np.isnan(map_false_floors(votes).low_m).all()
-    assert map_levels(nothing) == ()
+        assert np.isnan(map_false_floors(votes, SETTINGS).low_m).all()
+    assert map_levels(nothing, SETTINGS) == ()
 
 
 def attic(
@@ -235,14 +242,14 @@ def test_a_roofs_underside_is_ceiling_and_what_stands_below_it_not(turn_deg: flo
     roof, floor = attic(turn_deg, rise), attic(turn_deg, 0.0) - [0.0, 0.0, 1.3]
     bed = attic(turn_deg, 0.0, (0.5, 2.5), (0.2, 1.2)) - [0.0, 0.0, 0.8]
     votes = votes_of((floor, Label.FLOOR), (roof, Label.CLUTTER), (bed, Label.CLUTTER))
-    found = map_sloping_ceilings(votes)
+    found = map_sloping_ceilings(votes, SETTINGS)
     assert np.mean(found.label_of(roof, np.zeros(len(roof), np.uint8)) == Label.CEILING) > 0.97
     assert not np.any(found.label_of(bed, np.zeros(len(bed), np.uint8)))
     # How high the room is, is told from it: what stands at a knee wall's foot reaches it.
     low = attic(turn_deg, rise, (1.0, 2.0), (0.2, 0.4))
-    clear_m = Storey.of(votes, map_levels(votes)).clear_m(low[:, :2], 2.0)
+    clear_m = Storey.of(votes, map_levels(votes, SETTINGS), 3).clear_m(low[:, :2], 2.0)
     np.testing.assert_allclose(clear_m, 1.3 + 0.3 * rise, atol=0.15 * rise + 0.05)
-    assert np.isnan(Storey.of(votes).clear_m(low[:, :2], 2.0)).all()
+    assert np.isnan(Storey.of(votes, (), 3).clear_m(low[:, :2], 2.0)).all()
 
 
 @pytest.mark.parametrize(
@@ -258,7 +265,7 @@ def test_what_is_level_narrow_or_steep_is_no_sloping_ceiling(
 ) -> None:
     floor = attic(0.0, 0.0) - [0.0, 0.0, 1.3]
     votes = votes_of((floor, Label.FLOOR), (attic(0.0, rise, x, y), Label.CLUTTER))
-    assert np.isnan(map_sloping_ceilings(votes).low_m).all()
+    assert np.isnan(map_sloping_ceilings(votes, SETTINGS).low_m).all()
 
 
 @pytest.mark.parametrize(
@@ -276,21 +283,21 @@ def test_what_is_low_rough_or_hardly_seen_is_no_sloping_ceiling(low_m: float, no
     slope[:, 2] += generator.normal(0, noise_m, len(slope))
     slope = slope[generator.uniform(size=len(slope)) < share]
     votes = votes_of((floor, Label.FLOOR), (slope, Label.CLUTTER))
-    assert np.isnan(map_sloping_ceilings(votes).low_m).all()
+    assert np.isnan(map_sloping_ceilings(votes, SETTINGS).low_m).all()
 
 
 def test_what_lies_below_something_higher_is_no_sloping_ceiling() -> None:
     floor = attic(0.0, 0.0) - [0.0, 0.0, 1.3]
     above = attic(0.0, 0.0) + np.array([0.0, 0.0, 2.0])
     votes = votes_of((floor, Label.FLOOR), (attic(0.0, 0.5), Label.CLUTTER), (above, Label.CEILING))
-    assert np.isnan(map_sloping_ceilings(votes).low_m).all()
+    assert np.isnan(map_sloping_ceilings(votes, SETTINGS).low_m).all()
 
 
 def test_nothing_slopes_in_an_empty_building() -> None:
     nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
     floor = votes_of((lying((0, 4), (0, 4), 0.01), Label.FLOOR))
     for votes in (nothing, floor):
-        assert np.isnan(map_sloping_ceilings(votes).low_m).all()
+        assert np.isnan(map_sloping_ceilings(votes, SETTINGS).low_m).all()
 
 
 @pytest.mark.parametrize(
@@ -308,7 +315,7 @@ def test_the_front_of_a_step_is_floor_and_what_stands_at_its_foot_not(
     low = lying((0, 8), (0, 4), 0.01)
     low = low[(low[:, 0] < x[0]) | (low[:, 1] < y[0]) | (low[:, 1] > y[1])]
     front = upright((1.2, 1.6), 0.0, (0.05, z))[:, [1, 0, 2]] + [x[0], 0.0, 0.0]
-    found = map_step_fronts(votes_of((low, Label.FLOOR), (high, Label.FLOOR), (front, Label.CLUTTER)))
+    found = map_step_fronts(votes_of((low, Label.FLOOR), (high, Label.FLOOR), (front, Label.CLUTTER)), SETTINGS)
     assert np.all(found.label_of(front, np.zeros(len(front), np.uint8)) == expected)
     away = front - [0.3, 0.0, 0.0]
     above = front + np.array([0.0, 0.0, 0.3])
@@ -318,10 +325,10 @@ def test_the_front_of_a_step_is_floor_and_what_stands_at_its_foot_not(
 
 def test_a_ramp_has_no_step() -> None:
     low, ramp, high = lying((0, 4), (0, 4), 0.01), lying((4, 8), (0, 4), -0.4, 0.1), lying((8, 12), (0, 4), 0.4)
-    found = map_step_fronts(votes_of((low, Label.FLOOR), (ramp, Label.FLOOR), (high, Label.FLOOR)))
+    found = map_step_fronts(votes_of((low, Label.FLOOR), (ramp, Label.FLOOR), (high, Label.FLOOR)), SETTINGS)
     assert np.isnan(found.low_m).all()
     nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
-    assert np.isnan(map_step_fronts(nothing).low_m).all()
+    assert np.isnan(map_step_fronts(nothing, SETTINGS).low_m).all()
 
 
 @pytest.mark.parametrize(
@@ -343,7 +350,8 @@ def test_floor_goes_on_level_where_no_scan_told(
     generator = np.random.default_rng(6)
     beyond = generator.permutation(lying(x, y, z))[:350]
     found = map_floors_beyond(
-        merge([votes_of((lying((0, 4), (0, 4), 0.01), Label.FLOOR)), votes_of((beyond, Label.CLUTTER), scans=1)])
+        merge([votes_of((lying((0, 4), (0, 4), 0.01), Label.FLOOR)), votes_of((beyond, Label.CLUTTER), scans=1)]),
+        SETTINGS,
     )
     inner = beyond[(beyond[:, 0] > x[0] + 0.4) & (beyond[:, 0] < x[1] - 0.4)]
     told = found.label_of(inner, np.zeros(len(inner), np.uint8))
@@ -362,7 +370,7 @@ def test_single_returns_far_away_stretch_no_grid() -> None:
     alone, among_strays = votes_of(*room, *platform), votes_of(*room, *platform, *strays)
     points = np.concatenate([lying((-1, 9), (-1, 7), z) for z in (0.01, 0.21, 2.61)])
     clutter = np.full(len(points), Label.CLUTTER, np.uint8)
-    for level, expected in zip(map_levels(among_strays), map_levels(alone), strict=True):
+    for level, expected in zip(map_levels(among_strays, SETTINGS), map_levels(alone, SETTINGS), strict=True):
         assert level.surface is expected.surface
         assert level.low_m.size < 1.2 * expected.low_m.size + 500
         differ = np.mean(level.label_of(points, clutter) != expected.label_of(points, clutter))

@@ -24,6 +24,7 @@ WALL = Walls(
     np.array([2.8]),
     np.array([9], np.int32),
     np.array([0.01]),
+    np.array([900]),
 )
 WINDOW = Windows(
     np.array([[[1.0, 0.0], [3.0, 0.0]]]), np.array([[0.0, -1.0]]), np.array([0.9]), np.array([2.0]), np.array([0.05])
@@ -232,6 +233,7 @@ def test_a_doorway_is_taken_from_the_face_that_shows_all_of_it() -> None:
         np.full(2, 2.8),
         np.full(2, 9, np.int32),
         np.full(2, 0.01),
+        np.full(2, 900),
     )
     seen = cells()
     opening(seen)

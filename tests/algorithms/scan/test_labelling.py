@@ -12,7 +12,7 @@ from ffmap.algorithms.base.trajectory import PlacedScan, Trajectory, place_scan
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
 from ffmap.algorithms.building.doors import find_doors
 from ffmap.algorithms.building.drive import Drive
-from ffmap.algorithms.building.face_foreground import BeforeWalls
+from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_fusion import fuse_walls
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES
 from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings, relabel
@@ -41,7 +41,7 @@ def relabelled(
     origin = placed.to_map(placed.origin_level[None])[0]
     columns = np.ceil(np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1) / CELL_M)
     first = np.concatenate([[0], np.cumsum(columns)]).astype(np.int64)
-    before = BeforeWalls(first, np.full(first[-1], HEIGHT_M), np.zeros((first[-1], 60), bool))
+    before = Foreground(first, np.full(first[-1], HEIGHT_M), np.zeros(first[-1]), np.zeros((first[-1], 60), bool))
     return points, relabel(
         points,
         found.height_m,
@@ -213,6 +213,7 @@ def test_slits_beside_a_mullion_that_returns_more_are_no_window() -> None:
         np.array([2.8]),
         np.array([9], np.int32),
         np.array([0.01]),
+        np.array([900]),
     )
     counts = np.zeros((60, 66, 4), np.float32)
     counts[:, :, 0] = 10.0
@@ -304,6 +305,7 @@ def test_a_scans_own_plane_tells_of_a_wall_only_where_the_scan_saw_it(lean_deg: 
         np.full(1, 2.8),
         np.ones(1, np.int32),
         np.zeros(1),
+        np.array([900]),
     )
     cells = trace_rays(wall, [features], BuildingSettings())
     filled, total = cells.counts[..., 0].sum(axis=1), cells.counts[..., 1].sum(axis=1)

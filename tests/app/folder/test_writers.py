@@ -295,11 +295,12 @@ class TestGeojson:
             top_m=np.array([2.75]),
             scan_count=np.array([12], np.int32),
             rms_m=np.array([0.01]),
+            sample_count=np.array([900]),
         )
         write_walls(tmp_path / "walls.geojson", walls)
         (feature,) = json.loads((tmp_path / "walls.geojson").read_text())["features"]
         assert feature["geometry"]["coordinates"] == [[0.0, 0.0], [4.0, 0.0]]
-        expected = {"normal": [0.0, 1.0], "bottom": 0.05, "top": 2.75, "scans": 12, "rms": 0.01}
+        expected = {"normal": [0.0, 1.0], "bottom": 0.05, "top": 2.75, "scans": 12, "rms": 0.01, "samples": 900}
         assert feature["properties"] == {**expected, "thickness": None}
         for thickness_m, written in ((0.2, 0.2), (np.nan, None)):
             write_walls(tmp_path / "walls.geojson", walls, np.full(len(walls), thickness_m))

@@ -15,7 +15,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import Scan
 from ffmap.algorithms.building.face_alignment import AlignedFaces
-from ffmap.algorithms.building.face_foreground import BeforeWalls
+from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.levels import HeightMap, Surface
@@ -376,6 +376,7 @@ def test_building_grid_map_and_messages(tmp_path):
         top_m=np.full(1, 2.8),
         scan_count=np.array([7]),
         rms_m=np.array([0.01]),
+        sample_count=np.array([900]),
     )
     doors = Doors(
         ends=np.array([[[1.0, 0.0], [1.9, 0.0]]]),
@@ -403,13 +404,13 @@ def test_building_grid_map_and_messages(tmp_path):
     columns = round(float(np.linalg.norm(walls.ends[0, 1] - walls.ends[0, 0])) / 0.05)
     covered = np.zeros((columns, 60), bool)
     covered[2:4, 1] = True
-    before = BeforeWalls(np.array([0, columns]), np.full(columns, 2.8), covered)
+    before = Foreground(np.array([0, columns]), np.full(columns, 2.8), np.zeros(columns), covered)
     log_fused_walls(log, AlignedFaces(walls, replace(walls, ends=walls.ends + 0.02), np.array([[-0.02, 0.013]])))
     attic = np.full((2, 3), np.nan)
     attic[1, 2] = 2.0
     levels = (
         HeightMap(Surface.FALSE_FLOOR, np.zeros(2), 0.1, attic - 1.8, attic + np.inf),
-        HeightMap.level(Surface.SLOPING_CEILING, np.array([1.0, 3.0]), 0.1, attic),
+        HeightMap(Surface.SLOPING_CEILING, np.array([1.0, 3.0]), 0.1, attic - 0.04, attic + 0.04),
     )
     judged = JudgedFaces(walls, leaf, np.array([FaceVerdict.ENDS_LOW]))
     log_building(log, BuildingModel(walls, before, judged, doors, windows, levels))

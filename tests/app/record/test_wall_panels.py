@@ -17,6 +17,7 @@ def walls(*ends: tuple[tuple[float, float], tuple[float, float]], top_m: float =
         top_m=np.full(count, top_m),
         scan_count=np.ones(count, np.int64),
         rms_m=np.zeros(count),
+        sample_count=np.ones(count, np.int64),
     )
 
 
