@@ -1,0 +1,57 @@
+"""A drive of 25 s through a furnished office: how good labels, doors, map and rooms are stays within a point of what it was."""
+
+import json
+from typing import Any
+
+import pytest
+
+from ffmap.app.commands import run as run_command
+from ffmap.app.run.start import Arguments
+from ffmap.loaders.simulator import SimulationSettings, simulate
+
+
+@pytest.fixture(scope="module")
+def metrics(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    folder = tmp_path_factory.mktemp("quality")
+    bag = folder / "office.bag"
+    simulate(bag, SimulationSettings(building="office", seed=1, duration_s=25.0))
+    run_command.run(Arguments(bag=bag, out=folder / "run", outputs=("maps", "geojson"), quiet=True, workers=1), None)
+    return json.loads((folder / "run" / "metrics.json").read_text())
+
+
+def figure(metrics: Any, path: str) -> float:
+    for key in path.split("."):
+        metrics = metrics[key]
+    return float(metrics)
+
+
+@pytest.mark.parametrize(
+    ("path", "minimum"),
+    [
+        ("area.wall.f1", 0.98),
+        ("area.floor.f1", 0.985),
+        ("area.ceiling.f1", 0.985),
+        ("area.door.f1", 0.975),
+        ("area.clutter.f1", 0.945),
+        ("doors.found", 1.0),
+        ("maps.furniture_free.precision_without_cabinets", 0.985),
+        ("maps.furniture_free.recall", 0.975),
+        ("rooms.recall", 0.95),
+        ("rooms.precision", 0.95),
+    ],
+)
+def test_is_at_least(metrics: Any, path: str, minimum: float) -> None:
+    assert figure(metrics, path) >= minimum
+
+
+@pytest.mark.parametrize(
+    ("path", "maximum"),
+    [
+        ("doors.invented", 0.0),
+        ("doors.width_error_m", 0.01),
+        ("maps.furniture_free.blocked", 0.0),
+        ("trajectory.ate_rmse_m", 0.015),
+    ],
+)
+def test_is_at_most(metrics: Any, path: str, maximum: float) -> None:
+    assert figure(metrics, path) <= maximum
