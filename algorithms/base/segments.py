@@ -9,11 +9,6 @@ from scipy.ndimage import gaussian_filter1d
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 
-_BIN_DEG = 0.05
-_SIGMA_DEG = 1.0
-_OWN_DEG = 3.0
-"""Lines that are so little askew from the main direction have a say in where exactly it is."""
-
 
 class Faces(Protocol):
     """Walls, doors or windows: ends (k, 2, 2) x and y in metres, normal (k, 2) unit vectors."""
@@ -83,13 +78,14 @@ def main_direction_deg(ends: FloatArray) -> float:
     length_m = lengths_m(ends)
     if not length_m.sum() > 0:
         return 0.0
+    bin_deg, sigma_deg, askew_max_deg = 0.05, 1.0, 3.0
     angle_deg = np.degrees(np.arctan2(along[:, 1], along[:, 0])) % 90.0
-    bins = round(90.0 / _BIN_DEG)
-    count = np.bincount((angle_deg / _BIN_DEG).astype(int) % bins, length_m, bins)
-    peak_deg = (int(np.argmax(gaussian_filter1d(count, _SIGMA_DEG / _BIN_DEG, mode="wrap"))) + 0.5) * _BIN_DEG
+    bins = round(90.0 / bin_deg)
+    count = np.bincount((angle_deg / bin_deg).astype(int) % bins, length_m, bins)
+    peak_deg = (int(np.argmax(gaussian_filter1d(count, sigma_deg / bin_deg, mode="wrap"))) + 0.5) * bin_deg
     askew_deg = (angle_deg - peak_deg + 45.0) % 90.0 - 45.0
-    own = np.abs(askew_deg) < _OWN_DEG
-    direction_deg = peak_deg + float(np.average(askew_deg[own], weights=length_m[own]))
+    near = np.abs(askew_deg) < askew_max_deg
+    direction_deg = peak_deg + float(np.average(askew_deg[near], weights=length_m[near]))
     return (direction_deg + 45.0) % 90.0 - 45.0
 
 

@@ -13,10 +13,6 @@ import small_gicp  # noqa: TID251 - its one place
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
 
-_FOR_EVER = 2_000_000_000
-_CLEAR_CYCLE = 10
-"""Insertions from one clearing of the map to the next."""
-
 
 @dataclass(frozen=True)
 class Aligned:
@@ -56,12 +52,12 @@ class GaussianCloud:
 class GaussianMap:
     """Voxels with one Gaussian each.
 
-    voxel_m: their edge. memory: voxels that so many insertions in a row have not met are forgotten; None keeps all.
+    voxel_m: their edge. memory: number of insertions in a row after which a voxel without points is forgotten; None keeps all.
     """
 
     def __init__(self, voxel_m: float, memory: int | None = None) -> None:
         self._map = small_gicp.GaussianVoxelMap(voxel_m)
-        self._map.set_lru(horizon=_FOR_EVER if memory is None else memory, clear_cycle=_CLEAR_CYCLE)
+        self._map.set_lru(horizon=2_000_000_000 if memory is None else memory, clear_cycle=10)
 
     def insert(self, cloud: GaussianCloud, T_map_cloud: FloatArray) -> None:
         """Add a cloud where it was seen."""

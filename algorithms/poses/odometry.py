@@ -16,11 +16,8 @@ from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.poses.refinement import Refinement, RefinementSettings, Refiner, middle_ns
 
-_LOOKED_AT = 1_000
 _STEP_MIN_NS = 5_000_000
 """No lidar sweeps faster. Over a shorter step, the error of two poses would pass for a motion at any speed."""
-_PLACES_MIN, _SPREAD_MIN = 3, 0.5
-"""Minimum number of voxels of the map that a pose needs returns in, and their minimum spread, in voxels, in a second direction."""
 
 
 class OdometrySettings(StepSettings):
@@ -162,15 +159,15 @@ def _configuration(settings: OdometrySettings) -> KISSConfig:
 
 def holds_a_pose(scan: Scan, settings: OdometrySettings) -> bool:
     """Whether a scan has returns in range at enough places, and not all in a line: KISS-ICP ends the program otherwise."""
-    # Of a sound scan some tell.
-    points = scan.points_sensor[:: max(1, len(scan) // _LOOKED_AT)].astype(np.float64)
+    # Of a sound scan, a thousand returns show it.
+    points = scan.points_sensor[:: max(1, len(scan) // 1_000)].astype(np.float64)
     range_m = np.linalg.norm(points, axis=1)
     points = points[(range_m > settings.range_min_m) & (range_m < settings.range_max_m)]
     places = np.unique(np.floor(points / settings.voxel_m).astype(np.int64), axis=0)
-    if len(places) < _PLACES_MIN:
+    if len(places) < 3:
         return False
     spread = np.linalg.svd((places - places.mean(axis=0)) / np.sqrt(len(places)), compute_uv=False)
-    return bool(spread[1] > _SPREAD_MIN)
+    return bool(spread[1] > 0.5)  # voxels, in a second direction
 
 
 def _in_order(

@@ -22,6 +22,9 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.poses.gaussian_map import Aligned, GaussianCloud, GaussianMap
 
+_ALONG = 2
+"""Each submap is joined with this many before it, wherever they lie: that is the way as it was driven."""
+
 
 class PoseGraphSettings(StepSettings):
     """Closing loops by a graph of submaps; in place of the loop closure of the paper's BLAM (IV.A)."""
@@ -112,14 +115,6 @@ class _Edge:
     aligned: Aligned
 
 
-_ALONG = 2
-"""Each submap is joined with so many before it, wherever they lie: that is the way as it was driven."""
-_WAY_M, _WAY_DEG = 0.05, 0.5
-"""Standard deviations of the odometry's own motion between neighbours: of no weight but where a registration holds
-nothing, as lengthwise in a bare corridor."""
-_CLOUDS_AT_HAND = 200
-
-
 def close_loops(
     T_odom_sensor: FloatArray, clouds_sensor: Sequence[FloatArray], settings: PoseGraphSettings
 ) -> PoseGraph:
@@ -133,7 +128,7 @@ def close_loops(
     scan = np.arange(0, len(T_odom_sensor), settings.every_scans)
     T_start = T_odom_sensor[scan]
 
-    @lru_cache(maxsize=_CLOUDS_AT_HAND)
+    @lru_cache(maxsize=200)
     def submap(number: int) -> GaussianCloud:
         half = settings.submap_scans // 2
         own = range(max(0, scan[number] - half), min(len(T_odom_sensor), scan[number] + half + 1))
@@ -218,7 +213,8 @@ def _solve(T_start: FloatArray, T_guess: FloatArray, edges: Sequence[_Edge], set
     for number, T in enumerate(T_guess):
         values.insert(number, gtsam.Pose3(T))
     graph.add(gtsam.PriorFactorPose3(0, gtsam.Pose3(T_start[0]), gtsam.noiseModel.Isotropic.Sigma(6, 1e-6)))
-    way = gtsam.noiseModel.Diagonal.Sigmas(np.array([np.radians(_WAY_DEG)] * 3 + [_WAY_M] * 3))
+    # The odometry's own motion, by half a degree and 5 cm: of weight only where a registration holds nothing.
+    way = gtsam.noiseModel.Diagonal.Sigmas(np.array([np.radians(0.5)] * 3 + [0.05] * 3))
     for number in range(1, len(T_start)):
         T_step = transforms.invert(T_start[number - 1]) @ T_start[number]
         graph.add(gtsam.BetweenFactorPose3(number - 1, number, gtsam.Pose3(T_step), way))
@@ -226,7 +222,7 @@ def _solve(T_start: FloatArray, T_guess: FloatArray, edges: Sequence[_Edge], set
     for edge in edges:
         if edge.aligned.inlier_share < settings.inlier_share:
             continue
-        # What nothing holds must not make the graph singular: a metre and a radian are no hold.
+        # A direction without hold must not make the graph singular: a standard deviation of a metre and a radian is none.
         held = gtsam.noiseModel.Gaussian.Information(edge.aligned.information + np.eye(6))
         is_loop = edge.second - edge.first > _ALONG
         noise = gtsam.noiseModel.Robust.Create(loss, held) if is_loop else held

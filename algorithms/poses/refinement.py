@@ -10,9 +10,7 @@ from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.poses.gaussian_map import Aligned, GaussianCloud, GaussianMap
 
-_FIRST_PASSES = 3
-"""The first two scans are registered so often at least, from rest on, each time with the motion that was found."""
-_CARRIED_ON_NS = 500_000_000
+_PAUSE_MAX_NS = 500_000_000
 """After a longer pause the motion before it says nothing of where the robot is."""
 
 
@@ -152,10 +150,11 @@ class Refiner:
             T_predicted_by_odometry = last.T_refined @ transforms.invert(last.T_kiss_end) @ T_odom_sensor_end
             motion_per_ns = last.motion_per_ns
             expected: list[FloatArray] = [T_predicted_by_odometry]
-            if elapsed_ns < _CARRIED_ON_NS:
+            if elapsed_ns < _PAUSE_MAX_NS:
                 expected.insert(0, last.T_refined @ transforms.from_twist(motion_per_ns * elapsed_ns))
             guesses = list(expected)
-            passes = self._settings.passes if self._first is None else max(self._settings.passes, _FIRST_PASSES)
+            # The second scan is registered from rest on, then with the motion that was found.
+            passes = self._settings.passes if self._first is None else max(self._settings.passes, 3)
             for _ in range(passes):
                 if self._first is not None:
                     self._start_again(*self._first, last, motion_per_ns)

@@ -7,15 +7,6 @@ from scipy.ndimage import binary_erosion
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.scan.rearrangement import HEIGHT_BIN_M, HorizontalPlane, RearrangementSettings, refine_plane
 
-_CEILING_HEIGHT_MAX_M = 50.0
-"""No ceiling is higher; a damaged return may be."""
-_CEILING_POINTS = 8_000
-_LEVEL_SLOPE = 0.01
-"""A floor whose slope is less is level as far as ceilings go."""
-_BREADTH_CELL_M = 0.2
-_BREADTH_CELLS_MAX = 4_000_000
-_BREADTH_INNER_MIN = 4
-
 
 def find_ceilings(
     points_level: FloatArray, floor: HorizontalPlane, settings: RearrangementSettings, seed: int
@@ -28,14 +19,14 @@ def find_ceilings(
     points_level: (n, 3); seed: of the hypotheses.
     """
     height_m = floor.heights_above(points_level)
-    high = np.flatnonzero((height_m > settings.ceiling_height_min_m) & (height_m < _CEILING_HEIGHT_MAX_M))
-    # A plane needs no more returns than these to be found and placed to a millimetre.
-    stride = max(1, len(high) // _CEILING_POINTS)
+    high = np.flatnonzero((height_m > settings.ceiling_height_min_m) & (height_m < settings.ceiling_height_max_m))
+    # 8000 returns find a plane and place it to a millimetre.
+    stride = max(1, len(high) // 8_000)
     high = high[::stride]
     points = points_level[high]
-    # Heights above planes parallel to the floor, and above level ones where the floor is a ramp.
+    # Heights above planes parallel to the floor, and above level ones where the floor slopes by more than a hundredth.
     slopes = [*floor.slopes]
-    if all(np.hypot(*slope) >= _LEVEL_SLOPE for slope in slopes):
+    if all(np.hypot(*slope) >= 0.01 for slope in slopes):
         slopes.append(np.zeros(2))
     parallel = [points[:, 2] - floor.height_m - points[:, :2] @ slope for slope in slopes]
     generator = np.random.default_rng(seed)
@@ -92,19 +83,19 @@ def _is_further_ceiling(points: FloatArray, height_m: float, largest: Horizontal
 
 
 def _is_broad(points: FloatArray) -> bool:
-    """Whether most of the ground that returns of one height cover is a metre wide: a duct's underside is not.
+    """Whether the ground below returns of one height is a metre wide somewhere: below a duct it is not.
 
-    The walls that reach that height are but lines on this ground.
+    The walls that reach that height are only lines on this ground.
     """
-    cell = np.floor(points[:, :2] / _BREADTH_CELL_M).astype(np.int64)
+    cell = np.floor(points[:, :2] / 0.2).astype(np.int64)
     cell -= cell.min(axis=0) - 1
-    covered = np.zeros(cell.max(axis=0) + 2, bool)
-    if covered.size > _BREADTH_CELLS_MAX:
+    size = cell.max(axis=0) + 2
+    if size.prod() > 4_000_000:  # damaged returns
         return False
+    covered = np.zeros(size, bool)
     covered[cell[:, 0], cell[:, 1]] = True
     # A duct of 40 cm, and the wall beside it, cover up to four cells across.
-    inner = binary_erosion(covered, np.ones((5, 5), bool))
-    return bool(inner.sum() >= _BREADTH_INNER_MIN)
+    return bool(binary_erosion(covered, np.ones((5, 5), bool)).sum() >= 4)
 
 
 @numba.njit(cache=True, nogil=True)

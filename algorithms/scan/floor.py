@@ -8,17 +8,6 @@ import numpy as np
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.scan.rearrangement import HEIGHT_BIN_M, HorizontalPlane, RearrangementSettings, refine_plane
 
-_FLOOR_CELL_M = 0.2
-_FLOOR_RANGE_M = 6.0
-_FLOOR_CELL_RETURNS = 3
-_ON_FLOOR_M = 0.012
-"""A cell of the floor lies so close to its plane."""
-_BEND_CELLS_MIN = 40
-_BEND_SHARE = 0.07
-"""A floor bends where two planes hold so much larger a share of its cells than one does, and each of them as many."""
-_BEND_HYPOTHESES = 128
-_BEND_REFINEMENTS = 5
-
 
 @dataclass(frozen=True)
 class Floor(HorizontalPlane):
@@ -78,19 +67,28 @@ def _bend(points_level: FloatArray, plane: HorizontalPlane, settings: Rearrangem
     near the sensor, and least squares over all of them would lay one slanting plane through both pieces.
     """
     none = np.zeros((0, 3)), False
-    cells = _floor_cells(points_level, plane.height_m, plane.slope, settings.floor_search_m)
+    cells = _floor_cells(
+        points_level,
+        plane.height_m,
+        plane.slope,
+        settings.floor_search_m,
+        settings.floor_cell_m,
+        settings.floor_range_m,
+    )
     rise_m = cells[:, 2]
-    on_plane = np.count_nonzero(np.abs(rise_m) < _ON_FLOOR_M)
-    more = int(_BEND_SHARE * len(cells)) + 1
-    if len(cells) < _BEND_CELLS_MIN or len(cells) - on_plane < more:
+    on_plane = np.count_nonzero(np.abs(rise_m) < settings.bend_distance_m)
+    more = int(settings.bend_share_min * len(cells)) + 1
+    # Fewer cells do not tell two planes from one.
+    if len(cells) < 40 or len(cells) - on_plane < more:
         return none
     A = np.column_stack([np.ones(len(cells)), cells[:, :2]])
-    first = _consensus_plane(A, rise_m, plane.slope, settings.floor_slope_max)
-    left = np.abs(A @ first - rise_m) > _ON_FLOOR_M
+    first = _consensus_plane(A, rise_m, plane.slope, settings)
+    left = np.abs(A @ first - rise_m) > settings.bend_distance_m
     if np.count_nonzero(left) < more:
         return none
-    second = _consensus_plane(A[left], rise_m[left], plane.slope, settings.floor_slope_max)
-    bends = [_joined(A, rise_m, np.stack([first, second]), is_foot) for is_foot in (True, False)]
+    second = _consensus_plane(A[left], rise_m[left], plane.slope, settings)
+    pair, distance_m = np.stack([first, second]), settings.bend_distance_m
+    bends = [_joined(A, rise_m, pair, is_foot, distance_m) for is_foot in (True, False)]
     is_foot = bool(bends[0][1].sum() >= bends[1][1].sum())
     pieces, held = bends[0 if is_foot else 1]
     steepest = np.hypot(*(pieces[:, 1:] + plane.slope).T).max()
@@ -99,39 +97,43 @@ def _bend(points_level: FloatArray, plane: HorizontalPlane, settings: Rearrangem
     return pieces + np.array([plane.height_m, *plane.slope]), is_foot
 
 
-def _joined(A: FloatArray, rise_m: FloatArray, pieces: FloatArray, is_foot: bool) -> tuple[FloatArray, IntArray]:
+def _joined(
+    A: FloatArray, rise_m: FloatArray, pieces: FloatArray, is_foot: bool, distance_m: float
+) -> tuple[FloatArray, IntArray]:
     """Two planes (2, 3) fitted each to the cells on its own side of where they meet, and how many (2,) lie on each."""
     held: IntArray = np.zeros(2, np.int64)
-    for _ in range(_BEND_REFINEMENTS):
+    for _ in range(5):
         heights = A @ pieces.T
-        own = heights.argmax(axis=1) if is_foot else heights.argmin(axis=1)
-        near = np.abs(heights[np.arange(len(A)), own] - rise_m) < _ON_FLOOR_M
-        held[:] = np.bincount(own[near], minlength=2)
+        piece = heights.argmax(axis=1) if is_foot else heights.argmin(axis=1)
+        near = np.abs(heights[np.arange(len(A)), piece] - rise_m) < distance_m
+        held[:] = np.bincount(piece[near], minlength=2)
         if held.min() < 3:
             break
-        parts = (near & (own == 0), near & (own == 1))
+        parts = (near & (piece == 0), near & (piece == 1))
         pieces = np.asarray([np.linalg.lstsq(A[part], rise_m[part], rcond=None)[0] for part in parts])
     return pieces, held
 
 
-def _consensus_plane(A: FloatArray, rise_m: FloatArray, slope: FloatArray, slope_max: float) -> FloatArray:
+def _consensus_plane(
+    A: FloatArray, rise_m: FloatArray, slope: FloatArray, settings: RearrangementSettings
+) -> FloatArray:
     """Rise at the origin and slope (3,) of the plane that most cells lie on; of cells with rows 1, x, y (m, 3).
 
-    slope: what the rise is counted from; both together are at most `slope_max`.
+    slope: of the plane that the rise is counted from; both together are at most `floor_slope_max`.
     """
     generator = np.random.default_rng(0)
     best: FloatArray = np.zeros(3)
     most = -1
-    triples = generator.integers(0, len(A), (_BEND_HYPOTHESES, 3))
+    triples = generator.integers(0, len(A), (128, 3))
     corners = A[triples]
-    spanned = np.abs(np.linalg.det(corners)) > _FLOOR_CELL_M
+    spanned = np.abs(np.linalg.det(corners)) > settings.floor_cell_m
     hypotheses = np.linalg.solve(corners[spanned], rise_m[triples[spanned]][..., None])[..., 0]
-    hypotheses = hypotheses[np.hypot(*(hypotheses[:, 1:] + slope).T) <= slope_max]
+    hypotheses = hypotheses[np.hypot(*(hypotheses[:, 1:] + slope).T) <= settings.floor_slope_max]
     if len(hypotheses):
-        counts = np.count_nonzero(np.abs(hypotheses @ A.T - rise_m) < _ON_FLOOR_M, axis=1)
+        counts = np.count_nonzero(np.abs(hypotheses @ A.T - rise_m) < settings.bend_distance_m, axis=1)
         best, most = hypotheses[np.argmax(counts)], int(counts.max())
     for _ in range(2):
-        near = np.abs(A @ best - rise_m) < _ON_FLOOR_M
+        near = np.abs(A @ best - rise_m) < settings.bend_distance_m
         if most < 3 or np.linalg.matrix_rank(A[near]) < 3:
             break
         best = np.linalg.lstsq(A[near], rise_m[near], rcond=None)[0]
@@ -150,16 +152,16 @@ def _low_histogram(points: FloatArray, search_m: float, bin_m: float) -> IntArra
 
 @numba.njit(cache=True, nogil=True)
 def _floor_cells(
-    points: FloatArray, height_m: float, slope: FloatArray, search_m: float
+    points: FloatArray, height_m: float, slope: FloatArray, search_m: float, cell_m: float, range_m: float
 ) -> FloatArray:  # pragma: no cover
     """(m, 3) x, y and rise above a plane, where most of its returns lie, of each cell of the ground that has enough."""
-    cells, bins = int(2 * _FLOOR_RANGE_M / _FLOOR_CELL_M), int(2 * search_m / HEIGHT_BIN_M)
+    cells, bins = int(2 * range_m / cell_m), int(2 * search_m / HEIGHT_BIN_M)
     counts = np.zeros((cells * cells, bins), np.int32)
     for i in range(len(points)):
         x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
         rise = points[i, 2] - (height_m + slope[0] * x + slope[1] * y)
-        if abs(x) < _FLOOR_RANGE_M and abs(y) < _FLOOR_RANGE_M and abs(rise) < search_m:
-            column, row = int((x + _FLOOR_RANGE_M) / _FLOOR_CELL_M), int((y + _FLOOR_RANGE_M) / _FLOOR_CELL_M)
+        if abs(x) < range_m and abs(y) < range_m and abs(rise) < search_m:
+            column, row = int((x + range_m) / cell_m), int((y + range_m) / cell_m)
             counts[column * cells + row, min(int((rise + search_m) / HEIGHT_BIN_M), bins - 1)] += 1
     found = np.empty((cells * cells, 3))
     m = 0
@@ -169,13 +171,13 @@ def _floor_cells(
             near = counts[cell, b - 1] + counts[cell, b] + counts[cell, b + 1]
             if near > most:
                 best, most = b, near
-        if most >= _FLOOR_CELL_RETURNS:
+        if most >= 3:
             total, weighted = 0, 0
             for b in range(max(best - 3, 0), min(best + 4, bins)):
                 total += counts[cell, b]
                 weighted += counts[cell, b] * b
-            found[m, 0] = (cell // cells + 0.5) * _FLOOR_CELL_M - _FLOOR_RANGE_M
-            found[m, 1] = (cell % cells + 0.5) * _FLOOR_CELL_M - _FLOOR_RANGE_M
+            found[m, 0] = (cell // cells + 0.5) * cell_m - range_m
+            found[m, 1] = (cell % cells + 0.5) * cell_m - range_m
             found[m, 2] = (weighted / total + 0.5) * HEIGHT_BIN_M - search_m
             m += 1
     return found[:m]

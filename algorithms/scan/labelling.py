@@ -23,9 +23,6 @@ from ffmap.algorithms.scan.vertical_structures import (
 )
 from ffmap.algorithms.scan.wall_planes import WallPlanes, WallPlanesSettings, grow_wall_planes
 
-_STRAY_RETURNS = 2
-"""So many returns of a ceiling do not show that a line meets it: what ends just below one scatters into it."""
-
 
 class LabellingSettings(StepSettings):
     """From planes to labels (paper, III.C)."""
@@ -147,9 +144,9 @@ def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: i
 
 
 def _lines_with(label: UInt8Array, wanted: Label, order: IntArray, starts: IntArray) -> BoolArray:
-    """(L,) whether each line has returns of a label, more than some stray ones."""
+    """(L,) whether each line has more than two returns of a label: what ends just below a ceiling scatters into it."""
     counts = np.concatenate([[0], np.cumsum(label[order] == wanted)])
-    return np.asarray(counts[starts[1:]] - counts[starts[:-1]] > _STRAY_RETURNS)
+    return np.asarray(counts[starts[1:]] - counts[starts[:-1]] > 2)
 
 
 def completed_ends(

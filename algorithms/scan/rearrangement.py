@@ -1,4 +1,4 @@
-"""What the floor, the ceilings and the point lines share (paper, III.A): their settings, and the plane that is nearly level."""
+"""What the floor, the ceilings and the point lines have in common (paper, III.A): settings, nearly level planes, returns."""
 
 from dataclasses import dataclass
 
@@ -25,6 +25,25 @@ class RearrangementSettings(StepSettings):
     floor_slope_max: float = Field(
         0.09, ge=0, le=0.5, description="Steepest floor in metres a metre; 0 keeps the map's level. III.A."
     )
+    floor_cell_m: float = Field(
+        0.2,
+        gt=0.01,
+        le=2,
+        description="Edge in metres of the cells of ground whose heights tell whether a floor bends.",
+    )
+    floor_range_m: float = Field(
+        6.0, gt=0, le=50, description="Maximum distance in metres from the robot of the ground that tells it."
+    )
+    bend_distance_m: float = Field(
+        0.012, gt=0, le=0.5, description="Maximum distance in metres of a cell's height from the plane that it lies on."
+    )
+    bend_share_min: float = Field(
+        0.07,
+        gt=0,
+        le=1,
+        description="A floor bends where two planes hold a share of the cells that is larger by at least this than one "
+        "plane's, and each of them holds at least this share.",
+    )
     ceiling_distance_m: float = Field(
         0.03,
         gt=0,
@@ -33,6 +52,9 @@ class RearrangementSettings(StepSettings):
     )
     ceiling_height_min_m: float = Field(
         2.1, gt=0, description="Lowest height in metres above the floor at which a ceiling is believed. III.A."
+    )
+    ceiling_height_max_m: float = Field(
+        50.0, gt=0, description="Maximum height in metres above the floor of a ceiling; a damaged return may be higher."
     )
     ceiling_support_min: float = Field(
         0.02, ge=0, le=1, description="Smallest share of the scan's returns that makes a ceiling. III.A."
