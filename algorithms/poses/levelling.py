@@ -17,14 +17,6 @@ from ffmap.algorithms.scan.floor import Floor, find_floor
 from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 from ffmap.algorithms.scan.smoothing import SmoothedRanges
 
-_VOXEL_M = 0.06
-_NEIGHBOURS = 30
-_FLAT_M, _BROAD_M = 0.02, 0.05
-"""RMS extents of a patch whose normal is worth something: across it, and along its narrower side."""
-_PATCHES_MIN = 200
-_FLOOR_WEIGHT = 0.02
-"""Of the floor's normal against the walls', which leave the lean along a single direction of walls open."""
-
 
 @dataclass(frozen=True)
 class Level:
@@ -69,25 +61,27 @@ def _up_by_walls(points: FloatArray, up: FloatArray) -> FloatArray:
     z = up
     for limit_deg in (8.0, 4.0, 2.0):
         walls = normals[np.abs(normals @ z) < np.sin(np.radians(limit_deg))]
-        if len(walls) < _PATCHES_MIN:
+        if len(walls) < 200:
             return up
-        spread = walls.T @ walls / len(walls) + _FLOOR_WEIGHT * (np.eye(3) - np.outer(up, up))
+        # The floor's normal weighs little: it decides only the lean along a single direction of walls, which they leave open.
+        spread = walls.T @ walls / len(walls) + 0.02 * (np.eye(3) - np.outer(up, up))
         z = np.linalg.eigh(spread)[1][:, 0]
         z = z if z @ up > 0 else -z
     return np.asarray(z)
 
 
 def _patch_normals(points: FloatArray) -> FloatArray:
-    """(m, 3) unit normals of the flat patches among points, one for each cube that holds some."""
-    cube, row = np.unique(np.floor(points / _VOXEL_M).astype(np.int64), axis=0, return_inverse=True)
-    if len(cube) < _NEIGHBOURS:
+    """(m, 3) unit normals of the flat patches among points, one for each cube of 6 cm that holds some."""
+    neighbours, thickness_max_m, breadth_min_m = 30, 0.02, 0.05
+    cube, row = np.unique(np.floor(points / 0.06).astype(np.int64), axis=0, return_inverse=True)
+    if len(cube) < neighbours:
         return np.zeros((0, 3))
     count = np.bincount(row.ravel())
     centre = np.stack([np.bincount(row.ravel(), points[:, axis]) / count for axis in range(3)], axis=1)
-    patch = centre[cKDTree(centre).query(centre, k=_NEIGHBOURS)[1]]
+    patch = centre[cKDTree(centre).query(centre, k=neighbours)[1]]
     centred = patch - patch.mean(axis=1, keepdims=True)
-    variance, direction = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred) / _NEIGHBOURS)
-    flat = (variance[:, 0] < _FLAT_M**2) & (variance[:, 1] > _BROAD_M**2)
+    variance, direction = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred) / neighbours)
+    flat = (variance[:, 0] < thickness_max_m**2) & (variance[:, 1] > breadth_min_m**2)
     return np.asarray(direction[flat, :, 0])
 
 

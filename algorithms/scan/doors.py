@@ -13,53 +13,52 @@ from ffmap.algorithms.scan.point_lines import PointLines
 from ffmap.algorithms.scan.rearrangement import Returns
 from ffmap.algorithms.scan.wall_planes import WallPlanes
 
-_AT_WALL_M = 0.05
-"""A line begins at its uppermost return that is so near its plane: what is higher is ceiling, or another thing."""
-_DEPTHS_COUNTED = 2.0
-"""Behind the plane a return counts so many times `open_depth_m` at most when the split is looked for.
-
-A few far ones behind an open door weigh no more than a leaf's many then.
-"""
-_DEPTH_MAX_M = 0.5
-"""The same once the split is found, when depths are measured."""
-_ABOVE_MIN = 3
-"""Besides the returns that must lie behind the plane, a line needs so many more: those of the wall above."""
-_ON_PLANE_RATIO = 0.25
-"""What lies less than this part of the least recess behind the plane is on it, not behind."""
-_ABOVE_OFF_RATIO, _ABOVE_OFF_M = 0.5, 0.01
-"""The wall above may be off its plane by this part of the least recess and a centimetre, which the plane itself is off."""
-
 
 class DoorsSettings(StepSettings):
     """The paper's door conditions (III.C) and the openings made of them."""
 
     recess_min_m: float = Field(
-        0.022, gt=0, description="Least depth in metres of what lies behind the wall plane. III.C, condition 2."
+        0.022,
+        gt=0,
+        description="Minimum depth (m) of a door below its wall plane: less is the plane's own error. III.C, condition 2.",
     )
-    open_depth_m: float = Field(0.15, gt=0, description="Deeper than this many metres a door stands open. III.C.")
+    open_depth_m: float = Field(0.15, gt=0, description="Depth (m) beyond which a door stands open. III.C.")
     height_min_m: float = Field(
-        1.8, gt=0, description="Least height in metres above the floor at which the door begins. III.C, condition 3."
+        1.8, gt=0, description="Minimum height above the floor (m) at which a door begins. III.C, condition 3."
     )
-    height_max_m: float = Field(2.6, gt=0, description="Largest height in metres at which a door begins. III.C.")
+    height_max_m: float = Field(
+        2.6, gt=0, description="Maximum height above the floor (m) at which a door begins. III.C."
+    )
     lintel_min_m: float = Field(
-        0.06, ge=0, description="Least height in metres of wall above a door. III.C, condition 1."
+        0.06, ge=0, description="Minimum height (m) of the wall above a door. III.C, condition 1."
+    )
+    wall_distance_m: float = Field(
+        0.05,
+        gt=0,
+        description="Maximum distance (m) from the plane of the uppermost return of the wall in a line; what is higher is "
+        "ceiling or another thing. III.C.",
     )
     before_m: float = Field(
         0.08,
         gt=0,
-        description="Returns more metres before the plane hide the wall and say nothing. III.C, condition 2.",
+        description="Distance before the plane (m) beyond which a return hides the wall and is left out. III.C, condition 2.",
+    )
+    depth_max_m: float = Field(
+        0.5,
+        gt=0,
+        description="Maximum depth (m) that a return counts with: a few far ones seen through an open door would decide. III.C.",
     )
     exceptions_max: float = Field(
         0.15,
         ge=0,
         lt=1,
-        description="Share of returns below the start that may lie on the plane: noise, a handle. III.C.",
+        description="Maximum share of returns on the plane below the start: noise, a handle. III.C.",
     )
-    points_min: int = Field(12, ge=1, description="Fewest returns behind the plane in a line. III.C, condition 2.")
-    lines_min: int = Field(2, ge=1, description="Fewest neighbouring lines in an opening. III.C.")
-    gap_m: float = Field(
-        0.35, gt=0, description="Largest gap in metres between neighbouring lines of an opening. III.C."
+    points_min: int = Field(
+        12, ge=1, description="Minimum number of returns behind the plane in a line. III.C, condition 2."
     )
+    lines_min: int = Field(2, ge=1, description="Minimum number of neighbouring lines in an opening. III.C.")
+    gap_m: float = Field(0.35, gt=0, description="Maximum gap (m) between neighbouring lines of an opening. III.C.")
 
 
 class DoorState(IntEnum):
@@ -73,11 +72,11 @@ class Depression(IntEnum):
     FEW_RETURNS = 0
     """The line has too few returns at its plane and behind it."""
     NONE = 1
-    """Nowhere does what lies below recede from what lies above by the least recess."""
+    """Nowhere do the returns below lie behind those above by the minimum depth."""
     ABOVE_OFF_PLANE = 2
-    """What lies above the split does not stand on the plane."""
+    """The returns above the split do not lie on the plane."""
     SHALLOW = 3
-    """What lies below the split is less behind the plane than the least recess."""
+    """The returns below the split lie less than the minimum depth behind the plane."""
     EXCEPTIONS = 4
     """Too many returns below the split lie on the plane."""
     HELD = 5
@@ -173,8 +172,15 @@ def find_door_lines(
         planes.normal,
         planes.offset_m,
         np.ascontiguousarray(returns.origin_level, np.float64),
+        settings.wall_distance_m,
         settings.recess_min_m,
-        settings.open_depth_m,
+        # The wall above may be off its plane by half of a recess, and by a centimetre that the plane itself is off.
+        0.5 * settings.recess_min_m + 0.01,
+        # What lies a quarter of a recess behind the plane is on it.
+        0.25 * settings.recess_min_m,
+        # A few far returns behind an open door weigh no more than a leaf's many when the split is looked for.
+        2.0 * settings.open_depth_m,
+        settings.depth_max_m,
         settings.lintel_min_m,
         settings.before_m,
         settings.exceptions_max,
@@ -249,8 +255,12 @@ def _split_lines(
     normal: FloatArray,
     offset: FloatArray,
     origin: FloatArray,
+    wall_distance_m: float,
     recess_min_m: float,
-    open_depth_m: float,
+    above_off_max_m: float,
+    on_plane_m: float,
+    split_depth_max_m: float,
+    depth_max_m: float,
     lintel_min_m: float,
     before_m: float,
     exceptions_max: float,
@@ -272,7 +282,7 @@ def _split_lines(
         first, last = starts[line[d]], starts[line[d] + 1]
         # From the top down: where the line first lies on its plane, the wall begins.
         top = last - 1
-        while top >= first and abs(nx * points[order[top], 0] + ny * points[order[top], 1] - off) > _AT_WALL_M:
+        while top >= first and abs(nx * points[order[top], 0] + ny * points[order[top], 1] - off) > wall_distance_m:
             top -= 1
         # From there to the line's lower end: what stands before the plane is skipped, for it hides the wall.
         total, weight = 0.0, 0.0
@@ -280,9 +290,9 @@ def _split_lines(
             i = order[j]
             s = nx * points[i, 0] + ny * points[i, 1] - off
             if s < before_m:
-                total += max(s, -_DEPTHS_COUNTED * open_depth_m)
+                total += max(s, -split_depth_max_m)
                 weight += 1.0
-        if weight < points_min + _ABOVE_MIN:
+        if weight < points_min + 3:  # of the wall above
             continue
         depression[d] = Depression.NONE
         best, best_j = 0.0, -1
@@ -292,7 +302,7 @@ def _split_lines(
             s = nx * points[i, 0] + ny * points[i, 1] - off
             if s >= before_m:
                 continue
-            above_sum += max(s, -_DEPTHS_COUNTED * open_depth_m)
+            above_sum += max(s, -split_depth_max_m)
             above_n += 1.0
             below_n = weight - above_n
             if below_n < points_min:
@@ -315,12 +325,12 @@ def _split_lines(
             if s >= before_m:
                 continue
             if j >= best_j:
-                above += max(s, -_DEPTH_MAX_M)
+                above += max(s, -depth_max_m)
                 above_n += 1.0
                 continue
-            below += max(s, -_DEPTH_MAX_M)
+            below += max(s, -depth_max_m)
             below_n += 1.0
-            if s > -_ON_PLANE_RATIO * recess_min_m:
+            if s > -on_plane_m:
                 on_plane += 1.0
             # Where the ray passed through the plane.
             t = reach / max(reach - s, 1e-6)
@@ -328,7 +338,7 @@ def _split_lines(
             y += origin[1] + t * (points[i, 1] - origin[1])
             crossings += 1.0
         measured[d, 1], measured[d, 2], measured[d, 3] = above / above_n, below / below_n, on_plane / below_n
-        if abs(above / above_n) > _ABOVE_OFF_RATIO * recess_min_m + _ABOVE_OFF_M:
+        if abs(above / above_n) > above_off_max_m:
             depression[d] = Depression.ABOVE_OFF_PLANE
             continue
         if below / below_n > -recess_min_m:

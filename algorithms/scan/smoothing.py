@@ -17,19 +17,9 @@ from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan
 from ffmap.algorithms.base.settings import StepSettings
 
 _RETURNS_MIN = 5
-"""Fewer returns show no facet."""
-_SCATTER_MIN_M, _SCATTER_MAX_M = 0.002, 0.06
-"""No range is taken to be better: sensors count in steps as large. Nor worse: what scatters more is no surface."""
-_NEAREST_M = 1e-3
-"""A return at the sensor itself has no direction; it stays there."""
+"""Minimum number of returns of a facet: fewer show no surface."""
 _STEP_MAX_RAD = 0.04
-"""Farther apart on their ring no two returns are neighbours."""
-_JUMP_SCATTERS, _GRAZING = 6.0, 0.03
-"""Neighbours on one surface differ in range by so many times the scatter, and so large a share of the range: grazing rays."""
-_SPREAD_MIN = 1e-12
-"""Returns of one turn, but for rounding, show no slope."""
-_NORMAL = 0.6745
-"""The median of what is normally distributed, without its signs, in standard deviations."""
+"""Maximum angle between neighbouring returns of a ring."""
 
 
 class SmoothingSettings(StepSettings):
@@ -87,7 +77,8 @@ def smooth_ranges(scan: Scan, settings: SmoothingSettings) -> SmoothedRanges:
     turn = turns(points, 0.0)
     order, starts = sort_by_angle(scan.ring.astype(np.int32), turn, scan.ring_count, -np.pi)
     range_m, turn = _along_rings(points, turn, order)
-    scatter_m = min(max(_scatter(range_m, turn, starts), _SCATTER_MIN_M), _SCATTER_MAX_M)
+    # Sensors count in steps of millimetres; what scatters by more than some centimetres is no surface.
+    scatter_m = min(max(_scatter(range_m, turn, starts), 0.002), 0.06)
     smooth_m = _smooth(
         range_m,
         turn,
@@ -110,7 +101,8 @@ def _along_rings(
     for j in range(len(order)):
         i = order[j]
         x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
-        range_m[j] = max(np.sqrt(x * x + y * y + z * z), _NEAREST_M)
+        # A return at the sensor itself has no direction and stays there.
+        range_m[j] = max(np.sqrt(x * x + y * y + z * z), 1e-3)
         sorted_turn[j] = turn[i]
     return range_m, sorted_turn
 
@@ -147,7 +139,8 @@ def _scatter(range_m: FloatArray, turn: FloatArray, starts: IntArray) -> float: 
                 second[m] = abs(range_m[before] - 2.0 * range_m[at] + range_m[after])
                 m += 1
             before, at = at, after
-    return np.median(second[:m]) / (_NORMAL * np.sqrt(6.0)) if m else 0.0
+    # The median of a normal distribution's absolute value is 0.6745 σ; a second difference has variance 6 σ².
+    return np.median(second[:m]) / (0.6745 * np.sqrt(6.0)) if m else 0.0
 
 
 @numba.njit(cache=True, nogil=True)
@@ -174,16 +167,17 @@ def _smooth(
         first = starts[r]
         while first < starts[r + 1]:
             stop = first + 1
+            # Neighbours on one surface differ in range by some scatters, and more where rays graze it.
             while (
                 stop < starts[r + 1]
                 and turn[stop] - turn[stop - 1] < _STEP_MAX_RAD
-                and abs(range_m[stop] - range_m[stop - 1]) < _JUMP_SCATTERS * scatter_m + _GRAZING * range_m[stop]
+                and abs(range_m[stop] - range_m[stop - 1]) < 6.0 * scatter_m + 0.03 * range_m[stop]
             ):
                 stop += 1
             lefts = stop - first
             for k in range(lefts):
                 left[k] = first + k
-            # What no facet of so many returns fits, a shorter one may.
+            # A shorter facet may fit where a longer one does not.
             n = min(returns, stop - first)
             while n >= _RETURNS_MIN and lefts > 0:
                 begin, end = max(first, left[0] - n + 1), min(stop, left[lefts - 1] + n)
@@ -244,7 +238,8 @@ def _fit_facets(
         middle_m = range_m[s + n // 2]
         spread = n * t2 - t1 * t1
         residual_m[s] = np.inf
-        if spread > _SPREAD_MIN * n * t2 and (n <= _RETURNS_MIN or (turn[j] - turn[s]) * middle_m < facet_max_m):
+        # Returns of one angle, but for rounding, show no slope.
+        if spread > 1e-12 * n * t2 and (n <= _RETURNS_MIN or (turn[j] - turn[s]) * middle_m < facet_max_m):
             b = (n * tq - t1 * q1) / spread
             a = (q1 - b * t1) / n
             level[s], slope[s] = q0 + a - b * t0, b

@@ -12,16 +12,10 @@ from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.scan.rearrangement import HorizontalPlane, Returns
 from ffmap.algorithms.scan.vertical_structures import VerticalStructures
 
-_IN_LINE_RATIO, _SMALLER_IN_LINE_RATIO = 0.6, 0.8
-"""Planes are in line where that of both fits the two to so many times `similarity_m`, and the smaller of them to so many.
-
-More strictly than a candidate joins: at all of it two faces twice that far apart would become one between them. The
-smaller plane is known less well than the larger.
-"""
 _SPREADS = 1.5
-"""A candidate's moments do not hold its ends: they are taken to lie so many standard deviations from its mean.
+"""Distance of a candidate's ends from its mean, in standard deviations; its moments do not hold them.
 
-Of places strewn evenly they lie √3; fewer, so that some odd samples do not lengthen the plane.
+For evenly spread samples it is √3; less, so that a few odd samples do not lengthen the plane.
 """
 
 
@@ -32,38 +26,37 @@ class WallPlanesSettings(StepSettings):
         0.05,
         gt=0,
         le=1,
-        description="σ_th: a candidate joins a plane that it is nearer to than this, in metres RMS. Alg. 1.",
+        description="σ_th: maximum RMS distance (m) of a candidate from the plane that it joins. Alg. 1.",
     )
     upper_part_m: float = Field(
         0.4,
         gt=0,
-        description="A candidate counts with its upper this many metres, where no leaf or furniture stands before the wall. "
-        "III.B.",
+        description="Height (m) of the upper part of a candidate that is fitted: no leaf or furniture stands before it. III.B.",
     )
     reach_m: float = Field(
         0.35,
         gt=0,
-        description="A wall meets the ceiling: a candidate that ends more metres below one is refused. III.B.",
+        description="Maximum distance (m) below a ceiling at which a candidate ends: walls meet the ceiling. III.B.",
     )
     height_min_m: float = Field(
-        2.1, gt=0, description="Where no ceiling is in view, a wall is at least this many metres high. III.B."
+        2.1, gt=0, description="Minimum height (m) of a wall where no ceiling is in view. III.B."
     )
     bottom_max_m: float = Field(
         2.2,
         gt=0,
-        description="A wall comes down to a door's head: what ends more metres above the floor is a duct. III.B.",
+        description="Maximum height above the floor (m) of a wall's lower edge, above a door; what ends higher is a duct. III.B.",
     )
-    gap_m: float = Field(0.3, gt=0, description="Largest gap in metres between neighbouring lines of a plane. Alg. 1.")
+    gap_m: float = Field(0.3, gt=0, description="Maximum gap (m) between neighbouring lines of a plane. Alg. 1.")
     gap_per_range: float = Field(
         0.15, ge=0, description="Added to the gap for each metre of range, for emitters spread apart. Alg. 1."
     )
     merge_gap_m: float = Field(
         1.5,
         ge=0,
-        description="Planes in line are one when no more metres lie between them; a breaking line is bridged. Alg. 1.",
+        description="Maximum gap (m) between planes in line that are joined: a line that broke the plane is bridged. Alg. 1.",
     )
-    lines_min: int = Field(3, ge=2, description="Fewest lines in a wall plane. Alg. 1.")
-    length_min_m: float = Field(0.15, ge=0, description="Shortest wall plane in metres; columns are walls. III.B.")
+    lines_min: int = Field(3, ge=2, description="Minimum number of lines in a wall plane. Alg. 1.")
+    length_min_m: float = Field(0.15, ge=0, description="Minimum length (m) of a wall plane; columns are walls. III.B.")
 
 
 class Growth(IntEnum):
@@ -488,7 +481,7 @@ def _span(moments: FloatArray, members: BoolArray, nx: float, ny: float) -> tupl
 
 @numba.njit(cache=True, nogil=True)
 def _totals(plane: IntArray, moments: FloatArray, planes: int) -> tuple[FloatArray, IntArray]:  # pragma: no cover
-    """Of each of so many planes the summed moments (P, 6) of its candidates, and how many they are (P,)."""
+    """The summed moments (P, 6) of the candidates of each plane, and how many they are (P,)."""
     total = np.zeros((planes, 6))
     lines = np.zeros(planes, np.int64)
     for c in range(len(plane)):
@@ -546,10 +539,12 @@ def _are_in_line(
 ) -> bool:  # pragma: no cover
     """Whether one plane fits two, with no more than `merge_gap_m` metres between them."""
     nx, ny, offset, rms, _ = fit_upright_plane(total[larger] + total[smaller])
+    # Stricter than where a candidate joins: two faces twice `similarity_m` apart would become one between them. The smaller
+    # plane is known less well than the larger.
     if (
-        rms > _IN_LINE_RATIO * similarity_m
-        or _theta(total[larger], nx, ny, offset) > _IN_LINE_RATIO * similarity_m
-        or _theta(total[smaller], nx, ny, offset) > _SMALLER_IN_LINE_RATIO * similarity_m
+        rms > 0.6 * similarity_m
+        or _theta(total[larger], nx, ny, offset) > 0.6 * similarity_m
+        or _theta(total[smaller], nx, ny, offset) > 0.8 * similarity_m
     ):
         return False
     low_i, high_i = _span(moments, plane == larger, nx, ny)
