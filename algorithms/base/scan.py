@@ -22,8 +22,7 @@ class ScanSettings(StepSettings):
         100.0,
         gt=0,
         le=150,
-        description="Maximum distance in metres from the lidar; returns farther away are left out: indoors they are errors, "
-        "and grids would have to reach as far.",
+        description="Maximum distance (m) of a return from the lidar: indoors, farther ones are errors.",
     )
 
 

@@ -1,4 +1,4 @@
-"""Upright faces seen from above: where places lie along one, and how far before it."""
+"""Upright faces seen from above: places along and before them, where rays cross them; and runs of flags along them."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -49,16 +49,16 @@ class Segment:
         return np.asarray((points[..., :2] - self.start) @ self.normal)
 
     def at(self, place_m: FloatArray) -> FloatArray:
-        """(k, 2) the points on it so far (k,) from its first end."""
+        """(k, 2) the points on it at these distances (k,) from its first end."""
         return np.asarray(self.start + place_m[:, None] * self.along)
 
     def beside(self, points: FloatArray, margin_m: float = 0.0) -> BoolArray:
-        """(…,) whether points lie between its ends, or at most so far beyond them."""
+        """(…,) whether points lie between its ends, or at most `margin_m` beyond them."""
         place_m = self.place_m(points)
         return np.asarray((place_m > -margin_m) & (place_m < self.length_m + margin_m))
 
     def shared_m(self, ends: FloatArray) -> float:
-        """Over how much of it another face with these ends (2, 2) lies beside it; negative where they do not meet."""
+        """The length over which another face with these ends (2, 2) lies beside it; negative where they do not meet."""
         low, high = np.sort(self.place_m(ends))
         return float(min(high, self.length_m) - max(low, 0.0))
 
@@ -99,3 +99,15 @@ def segments(faces: Faces) -> Iterator[Segment]:
     """Each of the faces by itself."""
     for ends, normal in zip(faces.ends, faces.normal, strict=True):
         yield Segment.between(ends, normal)
+
+
+def stretches(flags: BoolArray, bridge: int = 0) -> list[tuple[int, int]]:
+    """First and last index, inclusive, of the runs of True; gaps of at most `bridge` are bridged."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    runs: list[tuple[int, int]] = []
+    for first, after in edges.reshape(-1, 2).tolist():
+        if runs and first - runs[-1][1] - 1 <= bridge:
+            runs[-1] = (runs[-1][0], after - 1)
+        else:
+            runs.append((first, after - 1))
+    return runs

@@ -16,7 +16,7 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan
 from ffmap.algorithms.base.settings import StepSettings
 
 KNOTS = 17
-"""Poses that one sweep is given; between them a firing's pose is interpolated linearly (6 ms apart at 10 Hz)."""
+"""Number of poses in a sweep, 6 ms apart at 10 Hz; between them a firing's pose is interpolated linearly."""
 
 
 class TrajectorySettings(StepSettings):
@@ -26,16 +26,16 @@ class TrajectorySettings(StepSettings):
         8.0,
         gt=0,
         le=60,
-        description="The map is levelled by the walls and the floor that the first this many seconds show.",
+        description="Duration (s) from the start whose walls and floor level the map.",
     )
     level_scan_max_deg: float = Field(
         1.0,
         ge=0,
         le=10,
-        description="A scan is turned by at most this many degrees to make its floor lie as the map's does; 0 turns none.",
+        description="Maximum angle (degrees) by which a scan is turned to give its floor the slope of the map's; 0 turns none.",
     )
     extrapolate_s: float = Field(
-        0.3, ge=0, description="A vertical scan may lie this many seconds outside the odometry; farther, it is skipped."
+        0.3, ge=0, description="Maximum time (s) of a vertical scan before or after the odometry; others are skipped."
     )
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.segments import stretches as stretches
 from ffmap.algorithms.base.settings import StepSettings
 
 CELL_M = 0.05
@@ -216,15 +217,3 @@ NO_DOORS = Doors(
 def cells_in(distance_m: float) -> int:
     """How many cells a distance is, to the nearest whole one."""
     return round(distance_m / CELL_M)
-
-
-def stretches(flags: BoolArray, bridge: int) -> list[tuple[int, int]]:
-    """First and last index, inclusive, of the runs of True; gaps of at most `bridge` are bridged."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    runs: list[tuple[int, int]] = []
-    for first, after in edges.reshape(-1, 2):
-        if runs and first - runs[-1][1] - 1 <= bridge:
-            runs[-1] = (runs[-1][0], int(after) - 1)
-        else:
-            runs.append((int(first), int(after) - 1))
-    return runs

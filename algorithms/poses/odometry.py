@@ -17,35 +17,35 @@ from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.poses.refinement import Refinement, RefinementSettings, Refiner, middle_ns
 
 _STEP_MIN_NS = 5_000_000
-"""No lidar sweeps faster. Over a shorter step, the error of two poses would pass for a motion at any speed."""
+"""Minimum time between two poses: no lidar sweeps faster, and over less time their errors would look like fast motion."""
 
 
 class OdometrySettings(StepSettings):
     """KISS-ICP (Vizzo et al. 2023), in place of the paper's BLAM (IV.A)."""
 
-    voxel_m: float = Field(0.25, ge=0.01, le=5, description="Edge in metres of the local map's voxels. KISS-ICP.")
-    points_per_voxel: int = Field(5, ge=1, description="Most points that a voxel of the local map keeps. KISS-ICP.")
-    range_min_m: float = Field(
-        0.5, ge=0, description="Returns nearer than this many metres are the robot itself. KISS-ICP."
+    voxel_m: float = Field(0.25, ge=0.01, le=5, description="Edge (m) of the local map's voxels. KISS-ICP.")
+    points_per_voxel: int = Field(
+        5, ge=1, description="Maximum number of points in a voxel of the local map. KISS-ICP."
     )
-    range_max_m: float = Field(60.0, gt=0, description="Returns farther than this many metres are left out. KISS-ICP.")
+    range_min_m: float = Field(
+        0.5, ge=0, description="Minimum range (m): nearer returns are the robot itself. KISS-ICP."
+    )
+    range_max_m: float = Field(60.0, gt=0, description="Maximum range (m) of the returns that are used. KISS-ICP.")
     points_max: int = Field(
-        8_000, ge=100, description="Denser clouds are thinned evenly to at most this many returns. KISS-ICP."
+        8_000, ge=100, description="Maximum number of returns; denser clouds are thinned evenly. KISS-ICP."
     )
     deskew: bool = Field(True, description="Compensate the motion within a sweep where the cloud has times. KISS-ICP.")
     threshold_initial_m: float = Field(
-        0.5, gt=0, description="First correspondence threshold in metres, before it adapts. KISS-ICP."
+        0.5, gt=0, description="First correspondence threshold (m), before it adapts. KISS-ICP."
     )
-    motion_min_m: float = Field(
-        0.05, gt=0, description="Deviations below this many metres do not adapt the threshold. KISS-ICP."
-    )
-    iterations_max: int = Field(300, ge=1, description="Most ICP iterations a scan. KISS-ICP.")
+    motion_min_m: float = Field(0.05, gt=0, description="Minimum deviation (m) that adapts the threshold. KISS-ICP.")
+    iterations_max: int = Field(300, ge=1, description="Maximum number of ICP iterations for a scan. KISS-ICP.")
     convergence: float = Field(1e-3, gt=0, description="ICP stops at a smaller step. KISS-ICP.")
     threads: int = Field(
         1, ge=0, le=256, description="KISS-ICP's threads; 1 is reproducible, 0 takes all cores. KISS-ICP."
     )
     evidence_every: int = Field(
-        10, ge=1, description="The local map and the residual are kept for one scan in this many. KISS-ICP."
+        10, ge=1, description="The local map and the residual are kept for every n-th scan. KISS-ICP."
     )
 
 

@@ -30,31 +30,40 @@ class PoseGraphSettings(StepSettings):
     """Closing loops by a graph of submaps; in place of the loop closure of the paper's BLAM (IV.A)."""
 
     enabled: bool = Field(True, description="Whether loops are closed once the bag has been driven through.")
-    submap_scans: int = Field(20, ge=2, description="Scans that make a submap.")
+    submap_scans: int = Field(20, ge=2, description="Number of scans in a submap.")
     every_scans: int = Field(10, ge=1, description="Scans from one submap's middle to the next one's.")
-    resolution_m: float = Field(0.2, ge=0.01, le=5, description="Submaps are thinned to a point in this many metres.")
+    resolution_m: float = Field(
+        0.2, ge=0.01, le=5, description="Edge (m) of the cubes to one point each of which submaps are thinned."
+    )
     voxel_m: float = Field(
         0.2,
         ge=0.01,
         le=5,
-        description="Edge in metres of the voxels that hold one Gaussian each; what is as thin, such as a wall, has two sides.",
+        description="Edge (m) of the voxels of one Gaussian each: larger ones would blend the two sides of a wall.",
     )
-    neighbours: int = Field(12, ge=4, le=1000, description="Points that a point's covariance is estimated from.")
-    near_m: float = Field(3.0, ge=0, description="A loop joins submaps whose middles lie at most this far apart.")
-    loops_max: int = Field(6, ge=0, description="Most earlier passes, the nearest ones, that a submap is joined with.")
-    distance_m: float = Field(0.4, gt=0, description="Points farther than this many metres from a Gaussian have none.")
-    iterations_max: int = Field(30, ge=1, description="Most iterations a registration.")
+    neighbours: int = Field(
+        12, ge=4, le=1000, description="Number of neighbours that a point's covariance is estimated from."
+    )
+    near_m: float = Field(
+        3.0, ge=0, description="Maximum distance (m) between the middles of submaps that a loop joins."
+    )
+    loops_max: int = Field(
+        6, ge=0, description="Maximum number of earlier passes, the nearest ones, that a submap is joined with."
+    )
+    distance_m: float = Field(0.4, gt=0, description="Maximum distance (m) of a point from its Gaussian.")
+    iterations_max: int = Field(30, ge=1, description="Maximum number of iterations of a registration.")
     inlier_share: float = Field(
-        0.5, ge=0, le=1, description="Submaps are joined where at least this share of one fits the other."
+        0.5, ge=0, le=1, description="Minimum share of a submap that fits the one that it is joined with."
     )
     loss_scale: float = Field(
         3.0,
         gt=0,
-        description="A loop that is off by this many standard deviations counts half (Cauchy's loss); one that is off by "
-        "ten times as many next to nothing.",
+        description="Error of a loop, in standard deviations, at which it counts half (Cauchy's loss).",
     )
     rounds_max: int = Field(
-        4, ge=1, description="Most rounds of joining and solving: solved poses can bring submaps near that were not."
+        4,
+        ge=1,
+        description="Maximum number of rounds of joining and solving: solved poses can bring further submaps near each other.",
     )
 
 
@@ -160,7 +169,7 @@ def _first_again(
         return T_odom_sensor[0] if len(T_odom_sensor) else np.eye(4)
     after = range(1, half + 1)
     points = np.concatenate([transforms.apply(T_odom_sensor[i], clouds_sensor[i]) for i in after])
-    # So few scans fill voxels as fine as elsewhere too thinly to hold a turn.
+    # Few scans need larger voxels than elsewhere to hold a turn.
     gaussians = GaussianMap(2.0 * settings.voxel_m)
     gaussians.insert(GaussianCloud(points, settings.resolution_m, settings.neighbours), np.eye(4))
     first = GaussianCloud(clouds_sensor[0], settings.resolution_m, settings.neighbours)

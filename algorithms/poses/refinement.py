@@ -22,51 +22,60 @@ class RefinementSettings(StepSettings):
         0.2,
         ge=0.01,
         le=5,
-        description="Edge in metres of the voxels that hold one Gaussian each; what is as thin, such as a wall, has two sides.",
+        description="Edge (m) of the voxels of one Gaussian each: larger ones would blend the two sides of a wall.",
     )
-    points_max: int = Field(6_000, ge=100, description="Denser clouds are thinned evenly to at most this many returns.")
-    resolution_m: float = Field(0.2, ge=0.01, le=5, description="Scans are thinned to a point in this many metres.")
-    neighbours: int = Field(12, ge=4, le=1000, description="Points that a point's covariance is estimated from.")
+    points_max: int = Field(
+        6_000, ge=100, description="Maximum number of returns of a scan; denser clouds are thinned evenly."
+    )
+    resolution_m: float = Field(
+        0.2, ge=0.01, le=5, description="Edge (m) of the cubes to one point each of which scans are thinned."
+    )
+    neighbours: int = Field(
+        12, ge=4, le=1000, description="Number of neighbours that a point's covariance is estimated from."
+    )
     companion_points_max: int = Field(
         5_000,
         ge=0,
-        description="As many returns of the other lidar, which sees floor and ceiling, are registered with.",
+        description="Maximum number of returns of the other lidar, which sees floor and ceiling; they are registered together.",
     )
-    distance_m: float = Field(0.5, gt=0, description="Points farther than this many metres from a Gaussian have none.")
-    iterations_max: int = Field(20, ge=1, description="Most iterations a registration.")
+    distance_m: float = Field(0.5, gt=0, description="Maximum distance (m) of a point from its Gaussian.")
+    iterations_max: int = Field(20, ge=1, description="Maximum number of iterations of a registration.")
     memory_scans: int = Field(
         50,
         ge=1,
-        description="What this many scans in a row have not met is forgotten: a place seen again is for the pose graph.",
+        description="Number of scans after which a voxel without points is forgotten; the pose graph joins places seen again.",
     )
     weak_share: float = Field(
         0.012,
         ge=0,
         le=1,
-        description="Registration is called weak where the direction that holds a scan least has less than this share "
-        "of the hold of the best one, as along a bare corridor.",
+        description="Minimum information in a scan's weakest direction, as a share of that in its strongest; less, as along a bare "
+        "corridor, and the registration is called weak.",
     )
     weak_inlier_share: float = Field(
-        0.4, ge=0, le=1, description="Registration is called weak where a smaller share of a scan fits the map."
+        0.4,
+        ge=0,
+        le=1,
+        description="Minimum share of a scan that fits the map; with less, the registration is called weak.",
     )
     jump_deg: float = Field(
         3.0,
         gt=0,
-        description="A registration that departs by more degrees than this both from the odometry's motion and from the "
-        "motion so far is refused: it fell for another place that looks like this one.",
+        description="Maximum difference (degrees) of a registration from the odometry's motion or from the motion so far; one that "
+        "differs more from both is refused: it matched another place that looks like this one.",
     )
-    jump_m: float = Field(0.15, gt=0, description="Likewise, by more metres than this.")
+    jump_m: float = Field(0.15, gt=0, description="The same in metres.")
     refusals_max: int = Field(
         10,
         ge=0,
-        description="After this many refusals in a row a registration is believed: the poses before it were wrong.",
+        description="Number of refusals in a row after which a registration is accepted: the poses before it were wrong.",
     )
     passes: int = Field(
         1,
         ge=1,
         le=5,
-        description="Registrations a scan, each with the motion within the sweep that the last one found; the second scan, "
-        "with which the motion becomes known, takes three at least.",
+        description="Registrations of a scan, each with the motion in the sweep that the last one found; the second scan, "
+        "with which the motion becomes known, has at least three.",
     )
 
 
@@ -219,7 +228,7 @@ class Refiner:
     def _moved(
         self, scan: Scan, most: int, T_sensor_own: FloatArray, at_ns: int, motion_per_ns: FloatArray
     ) -> FloatArray:
-        """At most so many returns (n, 3) of a lidar, where they are seen at a time from the sensor that is registered."""
+        """At most `most` returns (n, 3) of a lidar, as seen at a time from the sensor that is registered."""
         stride = -(-len(scan) // most) or 1
         points: FloatArray = scan.points_sensor[::stride].astype(np.float64)
         range_m = np.linalg.norm(points, axis=1)

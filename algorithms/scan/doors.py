@@ -90,7 +90,7 @@ class DoorLines:
     behind: (D,) bool, condition 2: from some point downwards all of its returns lie behind the plane.
     start_height_m: (D,) height above the floor of the return at which that begins; NaN where condition 2 failed.
     high_enough: (D,) bool, condition 3: it begins at least the door's minimum height above the floor.
-    depth_m: (D,) mean distance behind the plane below the start, at most 0.5 a return; NaN where condition 2 failed.
+    depth_m: (D,) mean distance behind the plane below the start, `depth_max_m` at most a return; NaN where condition 2 failed.
     state: (D,) uint8, see `DoorState`; has a meaning where all three conditions held.
     position: (D, 2) x and y on the plane where the line passes below the start.
 

@@ -31,26 +31,26 @@ class LabellingSettings(StepSettings):
         0.045,
         gt=0,
         le=0.5,
-        description="Returns within this many metres of any wall plane of the scan are wall. III.C.",
+        description="Maximum distance (m) of a wall's return from a wall plane of the scan. III.C.",
     )
     edge_m: float = Field(
         0.01,
         ge=-0.1,
         le=0.1,
-        description="Along an edge a return goes to the wall though floor or ceiling is so much nearer.",
+        description="Along an edge a return goes to the wall unless floor or ceiling is nearer by more than this (m).",
     )
     end_margin_m: float = Field(
-        0.15, ge=0, description="A wall plane counts this many metres beyond its outermost lines. III.C."
+        0.15, ge=0, description="How far (m) a wall plane reaches beyond its outermost lines. III.C."
     )
     corner_m: float = Field(
         0.6,
         ge=0,
-        description="Two planes that end at most this many metres before they meet are completed to the corner. III.C.",
+        description="Maximum gap (m) between the end of a plane and its corner with another, to which it is completed. III.C.",
     )
     leaf_margin_m: float = Field(
         0.03,
         ge=0,
-        description="A closed leaf reaches this many metres beyond the outermost lines that showed it. III.C.",
+        description="How far (m) a closed leaf reaches beyond the outermost lines that showed it. III.C.",
     )
 
 
@@ -99,7 +99,7 @@ class ScanLabelling:
 def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: int) -> ScanLabelling:
     """The paper's method on one scan: III.A to III.C in order.
 
-    placed: with the returns as they are to be judged, smoothed (`smooth_ranges`) or as measured.
+    placed: the returns that are labelled, smoothed (`smooth_ranges`) or as measured.
 
     seed: of the scan's random numbers; made from the run's seed and the scan's index, so that no label depends on
     which process labelled it.
@@ -152,7 +152,7 @@ def _lines_with(label: UInt8Array, wanted: Label, order: IntArray, starts: IntAr
 def completed_ends(
     normal: FloatArray, offset_m: FloatArray, ends: FloatArray, settings: LabellingSettings
 ) -> FloatArray:
-    """(K, 2) least and largest place along each plane, widened by the margin and completed to corners with others."""
+    """(K, 2) minimum and maximum place along each plane, widened by the margin and completed to corners with others."""
     along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
     places = np.einsum("ked,kd->ke", ends, along)
     low, high = places.min(axis=1), places.max(axis=1)

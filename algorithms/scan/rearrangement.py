@@ -17,13 +17,16 @@ class RearrangementSettings(StepSettings):
     """Floor, ceiling and point lines (paper, III.A)."""
 
     floor_height_m: float = Field(
-        0.045, gt=0, le=0.5, description="Half thickness in metres of the height filter that takes the floor. III.A."
+        0.045,
+        gt=0,
+        le=0.5,
+        description="Maximum distance (m) of a floor return from the floor: the paper's height filter. III.A.",
     )
     floor_search_m: float = Field(
-        0.25, gt=0, le=2.0, description="The floor is looked for this many metres above and below the map's. III.A."
+        0.25, gt=0, le=2.0, description="Maximum height (m) of the floor above or below the map's. III.A."
     )
     floor_slope_max: float = Field(
-        0.09, ge=0, le=0.5, description="Steepest floor in metres a metre; 0 keeps the map's level. III.A."
+        0.09, ge=0, le=0.5, description="Maximum slope of the floor (m per m); 0 keeps it level. III.A."
     )
     floor_cell_m: float = Field(
         0.2,
@@ -48,26 +51,31 @@ class RearrangementSettings(StepSettings):
         0.03,
         gt=0,
         le=0.5,
-        description="Returns at most this many metres below or above a ceiling plane are ceiling. III.A.",
+        description="Maximum distance (m) of a ceiling return from a ceiling plane. III.A.",
     )
     ceiling_height_min_m: float = Field(
-        2.1, gt=0, description="Lowest height in metres above the floor at which a ceiling is believed. III.A."
+        2.1, gt=0, description="Minimum height (m) of a ceiling above the floor. III.A."
     )
     ceiling_height_max_m: float = Field(
         50.0, gt=0, description="Maximum height in metres above the floor of a ceiling; a damaged return may be higher."
     )
     ceiling_support_min: float = Field(
-        0.02, ge=0, le=1, description="Smallest share of the scan's returns that makes a ceiling. III.A."
+        0.02, ge=0, le=1, description="Minimum share of the scan's returns on a ceiling. III.A."
     )
     ceiling_further_min: float = Field(
-        0.004, ge=0, le=1, description="The same share for a further ceiling, seen through a door. III.A."
+        0.004, ge=0, le=1, description="The same for a further ceiling, seen through a door. III.A."
     )
-    ceiling_iterations: int = Field(500, ge=1, le=100_000, description="RANSAC's hypotheses for each ceiling. III.A.")
+    ceiling_iterations: int = Field(
+        500, ge=1, le=100_000, description="Number of RANSAC hypotheses for each ceiling. III.A."
+    )
     ceilings_max: int = Field(
-        3, ge=1, le=10, description="Most ceilings in one scan; rooms seen through doors have their own. III.A."
+        3,
+        ge=1,
+        le=10,
+        description="Maximum number of ceilings in a scan; rooms seen through doors have their own. III.A.",
     )
     line_points_min: int = Field(
-        20, ge=2, description="Fewest returns, floor and ceiling left out, that make a point line. III.A."
+        20, ge=2, description="Minimum number of returns in a point line, floor and ceiling left out. III.A."
     )
 
 

@@ -29,20 +29,20 @@ class SmoothingSettings(StepSettings):
         11,
         ge=0,
         le=101,
-        description="Most returns, one after the other on a ring, that make a facet; fewer than 5: none is smoothed.",
+        description="Maximum number of successive returns of a ring in a facet; below 5, nothing is smoothed.",
     )
     facet_max_m: float = Field(
-        0.2, gt=0, description="A facet of more than 5 returns is at most this many metres wide, across its rays."
+        0.2, gt=0, description="Maximum width (m) of a facet of more than 5 returns, across its rays."
     )
     residual_max: float = Field(
         1.4,
         gt=0,
-        description="Returns on a facet are off it by at most this many times the scan's scatter (root mean square).",
+        description="Maximum RMS distance of returns from their facet, in multiples of the scan's scatter.",
     )
     correction_max: float = Field(
         3.5,
         gt=0,
-        description="A return farther off its facet than this many times the scan's scatter stays where it is.",
+        description="Maximum distance by which a return is moved, in multiples of the scan's scatter; one farther off stays.",
     )
 
 

@@ -11,6 +11,7 @@ from ffmap.algorithms.scan.floor import Floor
 from ffmap.algorithms.scan.labelling import ScanLabelling
 
 RAYS_PER_SCAN = 16_000
+"""Maximum number of rays that are kept of a scan."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Features:
 
 
 def extract(index: int, placed: PlacedScan, labelling: ScanLabelling) -> Features:
-    """The features of one scan: every so many-th return, line by line, so that all directions stay covered."""
+    """The features of one scan: every n-th return, line by line, so that all directions stay covered."""
     stride = max(1, -(-len(labelling.label) // RAYS_PER_SCAN))
     chosen = labelling.lines.order[index % stride :: stride]
     T, planes = placed.T_map_level, labelling.planes

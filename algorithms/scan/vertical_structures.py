@@ -17,21 +17,23 @@ class VerticalStructuresSettings(StepSettings):
     slope_max: float = Field(
         1.0,
         gt=0,
-        description="Largest change of horizontal range, in metres a metre of height, that is upright. Eq. 2.",
+        description="Maximum change of horizontal range with height (m per m) of an upright line. Eq. 2.",
     )
     span_m: float = Field(
         0.2,
         gt=0,
         le=2,
-        description="Length in metres over which the deciding slope is taken; eq. 2's neighbours lie millimetres apart, "
-        "where noise decides. III.B.",
+        description="Length (m) over which the slope is measured; the neighbours of eq. 2 lie millimetres apart, where noise "
+        "decides. III.B.",
     )
     jump_m: float = Field(
         0.12,
         gt=0,
-        description="A step in horizontal range, in metres between neighbours, that ends a structure. III.B.",
+        description="Maximum step (m) in horizontal range between neighbours of one structure. III.B.",
     )
-    points_min: int = Field(10, ge=2, le=200, description="Fewest neighbouring samples in a structure. III.B.")
+    points_min: int = Field(
+        10, ge=2, le=200, description="Minimum number of neighbouring samples in a structure. III.B."
+    )
 
 
 @dataclass(frozen=True)
