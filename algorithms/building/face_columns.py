@@ -13,7 +13,7 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.levels import HeightMap, corrected
-from ffmap.algorithms.building.model import CELL_M, NO_WALLS, Walls, stretches
+from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls, stretches
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,
     FOOT_ROW,
@@ -39,11 +39,6 @@ class FaceColumnsSettings(StepSettings):
         0.15,
         ge=0,
         description="Height above the floor (m) from which rays tell of a column; below are skirting boards.",
-    )
-    hip_m: float = Field(
-        1.8,
-        gt=0,
-        description="Height above the floor (m) up to which rays that pass a face prove an opening; door heads are higher.",
     )
     crown_m: float = Field(
         0.2, gt=0, description="Height (m) of the part of a wall close below the ceiling that no window reaches."
@@ -174,8 +169,8 @@ class TracedFaces:
 class Columns:
     """How many rays end on each column (c,) of the faces, and how many pass it, counted with the columns beside it.
 
-    upper: above doors. crown: close below the ceiling. lower: between foot and hip. sill: below windows' sills.
-    upper_open_rows: how many rows above doors almost all rays pass.
+    upper: above doors. crown: close below the ceiling. lower: between the foot and doors' heads. sill: between the foot and
+    windows' sills. upper_open_rows: how many rows above doors almost all rays pass.
     """
 
     upper_on: FloatArray
@@ -201,7 +196,9 @@ def above_doors_m(clear_m: FloatArray, above_door_m: float) -> FloatArray:
     return np.asarray(np.fmin(above_door_m, clear_m - LOW_ROOM_M))
 
 
-def count_columns(faces: TracedFaces, above_door_m: float, settings: FaceColumnsSettings) -> Columns:
+def count_columns(
+    faces: TracedFaces, above_door_m: float, building: BuildingSettings, settings: FaceColumnsSettings
+) -> Columns:
     """What the rays found of each column of the faces; above_door_m: height at which the wall above doors begins."""
     cells = faces.cells
     on, passed = on_and_passed(cells.counts)
@@ -209,7 +206,7 @@ def count_columns(faces: TracedFaces, above_door_m: float, settings: FaceColumns
     top = np.where(np.isfinite(faces.clear_m), faces.clear_m, np.inf) - CEILING_MARGIN_M
     upper = (height > above_doors_m(faces.clear_m, above_door_m)[:, None]) & (height < top[:, None])
     crown = upper & (height > top[:, None] - settings.crown_m)
-    lower = (height > settings.foot_m) & (height < settings.hip_m)
+    lower = (height > settings.foot_m) & (height < building.door_height_min_m)
     sill = (height > settings.foot_m) & (height < SILL_M)
     upper_on, upper_passed = _with_neighbours(on * upper, cells), _with_neighbours(passed * upper, cells)
     is_open = (upper_passed >= settings.row_rays_min) & (upper_passed > settings.row_open_ratio * upper_on)

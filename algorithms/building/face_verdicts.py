@@ -241,7 +241,7 @@ def judge_faces(
 
     path_map: (n, 2) the robot's places.
     """
-    columns = count_columns(faces, settings.above_door_m, column_settings)
+    columns = count_columns(faces, settings.above_door_m, building, column_settings)
     flags = _ColumnFlags.of(faces, columns, path_map, building.rays_min, settings)
     stands_before = _before_longer(faces.walls, settings)
     kept: list[tuple[int, int, int]] = []

@@ -82,11 +82,6 @@ class LevelsSettings(StepSettings):
     raised_width_m: float = Field(
         1.2, gt=0, description="Minimum diameter (m) of a disc within a platform; furniture so low is narrower."
     )
-    raised_coarse_cell_m: float = Field(
-        0.2,
-        gt=0,
-        description="Edge of the cells (m) in which platforms are looked for again: far away, returns are far apart.",
-    )
     beyond_cell_m: float = Field(
         0.3, gt=0, description="Edge of the cells (m) in which floor beyond what scans found is looked for."
     )
@@ -192,7 +187,8 @@ def map_levels(votes: VoxelVotes, settings: LevelsSettings) -> tuple[HeightMap, 
     false_floors = map_false_floors(votes, settings)
     votes = _corrected_votes(votes, false_floors)
     ceilings = [find(votes, settings) for find in (map_ceilings, map_glimpsed_ceilings, map_sloping_ceilings)]
-    raised = [map_raised_floors(votes, settings, cell) for cell in (settings.cell_m, settings.raised_coarse_cell_m)]
+    # Far away, returns are far apart.
+    raised = [map_raised_floors(votes, settings, cell_m) for cell_m in (settings.cell_m, 2 * settings.cell_m)]
     with_raised = reduce(_corrected_votes, raised, votes)
     floors = (*raised, map_floors_beyond(with_raised, settings), map_step_fronts(with_raised, settings))
     levels = (false_floors, *ceilings, *floors, map_ducts(votes, settings))

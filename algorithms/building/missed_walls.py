@@ -68,7 +68,6 @@ class MissedWallsSettings(StepSettings):
         description="Height above the floor (m): what shows up to here is a wall, however high the room; a leaf or the reveal "
         "of a window is lower.",
     )
-    underside_min_m: float = Field(1.8, gt=0, description="Minimum height above the floor (m) of a duct's underside.")
     underside_near_m: float = Field(
         0.15,
         gt=0,
@@ -214,8 +213,8 @@ class _Search:
         self._before_wall = _before_a_face(walls, known, standing.furniture_depth_m)
         self._close_before_wall = _before_a_face(walls, known, standing.pillar_depth_m)
         self._free = np.isfinite(faces.clear_m) & ~faces.visited(returns.path_map, standing.robot_m)
-        self._columns = count_columns(faces, standing.above_door_m, settings.columns)
-        self._undersides = _undersides(returns, settings.missed.underside_min_m)
+        self._columns = count_columns(faces, standing.above_door_m, settings.building, settings.columns)
+        self._undersides = _undersides(returns, settings.building.door_height_min_m)
 
     def walls_in(self, w: int) -> Iterator[_Proven]:
         """The stretches of a candidate that are walls."""
@@ -323,7 +322,7 @@ class _Search:
         """
         missed, noise_m = self._settings.missed, self._settings.standing.noise_m
         wall = next(segments(face))
-        on, passed = rows_on_and_passed(counts, missed.underside_min_m)
+        on, passed = rows_on_and_passed(counts, self._settings.building.door_height_min_m)
         if wall.length_m < missed.duct_length_min_m or not np.all(on > passed):
             return None
         seen = np.flatnonzero(counts[..., FILLED].sum(axis=0) >= self._settings.standing.stray_rays)
