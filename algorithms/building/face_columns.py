@@ -28,8 +28,6 @@ CEILING_MARGIN_M = 0.08
 """Rows this close below a ceiling hold its own returns: their scatter, and the row that it lies in."""
 LOW_ROOM_M = 0.25
 """In a room lower than its doors and shelves are elsewhere, this much below the ceiling nothing but walls stands."""
-SILL_M = 0.7
-"""No window has a lower sill."""
 
 
 class FaceColumnsSettings(StepSettings):
@@ -207,7 +205,7 @@ def count_columns(
     upper = (height > above_doors_m(faces.clear_m, above_door_m)[:, None]) & (height < top[:, None])
     crown = upper & (height > top[:, None] - settings.crown_m)
     lower = (height > settings.foot_m) & (height < building.door_height_min_m)
-    sill = (height > settings.foot_m) & (height < SILL_M)
+    sill = (height > settings.foot_m) & (height < building.knee_m)
     upper_on, upper_passed = _with_neighbours(on * upper, cells), _with_neighbours(passed * upper, cells)
     is_open = (upper_passed >= settings.row_rays_min) & (upper_passed > settings.row_open_ratio * upper_on)
     return Columns(

@@ -12,7 +12,6 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import (
-    SILL_M,
     Columns,
     FaceColumnsSettings,
     Storey,
@@ -309,7 +308,7 @@ class _Search:
         if self._close_before_wall[w] and float(np.mean(on > passed)) <= missed.pillar_share:
             return False
         # A duct's underside and the ceiling next to it are rows of returns, with nothing between them and the floor.
-        below_sill = slice(0, cells_in(SILL_M) - FOOT_ROW)
+        below_sill = slice(0, cells_in(self._settings.building.knee_m) - FOOT_ROW)
         is_window = np.mean(window) > 0.5 and np.all(on[below_sill] >= passed[below_sill])
         return bool(is_window or np.count_nonzero(on > passed) > np.count_nonzero(passed > on))
 
