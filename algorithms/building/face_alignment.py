@@ -28,12 +28,8 @@ class FaceAlignmentSettings(StepSettings):
 
     reach_m: float = Field(0.05, gt=0, description="Maximum distance (m) that the ends of a face are tried to move.")
     step_m: float = Field(0.005, gt=0, description="Step (m) in which they are tried.")
-    at_line_m: float = Field(
-        0.0125, gt=0, description="Maximum distance (m) of a return from a line that it votes for."
-    )
-    kept_m: float = Field(
-        0.02, gt=0, description="Maximum distance (m) from the line with most votes of what it is then fitted to."
-    )
+    at_line_m: float = Field(0.0125, gt=0, description="Maximum distance (m) of a return from a line it votes for.")
+    kept_m: float = Field(0.02, gt=0, description="Maximum distance (m) from that line of what it is fitted to.")
     end_m: float = Field(0.03, ge=0, description="Distance (m) from a face's ends within which other faces return.")
     above_share_min: float = Field(
         0.6,
@@ -43,7 +39,7 @@ class FaceAlignmentSettings(StepSettings):
         "furniture stands there.",
     )
     rival_share_min: float = Field(
-        0.5, ge=0, le=1, description="A line with this share of the most votes may be the wall's."
+        0.5, ge=0, le=1, description="A line with this share of the most votes may be the wall."
     )
     columns_min: int = Field(3, ge=2, description="Minimum number of columns that tell where a face lies.")
     spread_share_min: float = Field(

@@ -255,7 +255,7 @@ def test_a_face_that_reached_a_corner_is_not_carried_on_to_another():
 
 def test_the_ceiling_over_a_place_is_known_where_it_was_seen():
     floor = np.stack(np.meshgrid(np.arange(0.0, 4.0, 0.05), np.arange(0.0, 2.0, 0.05), [0.0]), axis=-1).reshape(-1, 3)
-    storey = Storey(floor, floor + [0.0, 0.0, CEILING_M])
+    storey = Storey(floor, floor + np.array([0.0, 0.0, CEILING_M]))
     heights = storey.clear_m(np.array([[1.0, 1.0], [60.0, 1.0]]), 2.0)
     assert heights[0] == pytest.approx(CEILING_M, abs=0.02)
     assert np.isnan(heights[1])

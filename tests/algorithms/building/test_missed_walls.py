@@ -8,9 +8,7 @@ import pytest
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.segments import Segment
 from ffmap.algorithms.building.face_columns import FaceColumnsSettings, Storey, TracedFaces
-from ffmap.algorithms.building.face_verdicts import (
-    StandingWallsSettings,
-)
+from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.missed_walls import (
     AllReturns,
     MissedWalls,
