@@ -28,12 +28,8 @@ class FaceAlignmentSettings(StepSettings):
 
     reach_m: float = Field(0.05, gt=0, description="Maximum distance (m) that the ends of a face are tried to move.")
     step_m: float = Field(0.005, gt=0, description="Step (m) in which they are tried.")
-    at_line_m: float = Field(
-        0.0125, gt=0, description="Maximum distance (m) of a return from a line that it votes for."
-    )
-    kept_m: float = Field(
-        0.02, gt=0, description="Maximum distance (m) from the line with most votes of what it is then fitted to."
-    )
+    at_line_m: float = Field(0.0125, gt=0, description="Maximum distance (m) of a return from a line it votes for.")
+    kept_m: float = Field(0.02, gt=0, description="Maximum distance (m) from that line of what it is fitted to.")
     end_m: float = Field(0.03, ge=0, description="Distance (m) from a face's ends within which other faces return.")
     above_share_min: float = Field(
         0.6,
@@ -42,14 +38,9 @@ class FaceAlignmentSettings(StepSettings):
         description="Where the wall above doors returned from more than this share of a face's columns, nothing below counts: "
         "furniture stands there.",
     )
-    column_share_min: float = Field(
-        0.5, ge=0, le=1, description="A column is on a line if more than this share of its returns is."
-    )
     rival_share_min: float = Field(
-        0.5, ge=0, le=1, description="A line with this share of the most votes may be the wall's."
+        0.5, ge=0, le=1, description="A line with this share of the most votes may be the wall."
     )
-    shorter_columns_max: int = Field(1, ge=0, description="A line shorter by at most this many columns is as long.")
-    rounds: int = Field(3, ge=0, description="Number of times that the line is fitted to what lies close to it.")
     columns_min: int = Field(3, ge=2, description="Minimum number of columns that tell where a face lies.")
     spread_share_min: float = Field(
         0.5, ge=0, le=1, description="Minimum share of a face that the columns that tell where it lies spread over."
@@ -142,8 +133,8 @@ def _move_m(face: Segment, cubes: _Cubes, above_m: FloatArray, settings: FaceAli
     weight = cubes.returns / np.bincount(column, cubes.returns)[column]
     share, before_m = face.place_m(cubes.mean_map) / face.length_m, face.before_m(cubes.mean_map)
     votes = _line_votes(column, before_m, weight, columns, settings)
-    move_m = votes.most_voted_m() if shows_above else votes.longest_m(settings)
-    for _ in range(settings.rounds):
+    move_m = votes.most_voted_m() if shows_above else votes.longest_m(settings.rival_share_min)
+    for _ in range(3):
         close = np.abs(before_m - _line_m(share, move_m)) < settings.kept_m
         fitted_m = _least_squares_m(share[close], before_m[close], weight[close])
         if not np.all(np.abs(fitted_m) < settings.reach_m + settings.kept_m):
@@ -165,16 +156,16 @@ class _LineVotes:
         excluded = np.zeros(len(votes), bool) if among is None else ~among
         return np.asarray(self.ends_m[np.lexsort((np.abs(self.ends_m).sum(axis=1), -votes.round(6), excluded))[0]])
 
-    def longest_m(self, settings: FaceAlignmentSettings) -> FloatArray:
-        """(2,) the longest line of those with about half as many votes as any; of equally long ones that with most votes.
+    def longest_m(self, share_min: float) -> FloatArray:
+        """(2,) the longest line of those with this share of the most votes; of equally long ones that with most.
 
         A leaf or a shelf may be broader than what is seen of its wall, but the wall shows on both sides of it.
         """
         votes, columns = self.of_columns.sum(axis=1), self.of_columns.shape[1]
-        on = self.of_columns > settings.column_share_min
+        on = self.of_columns > 0.5
         extent = np.where(on.any(axis=1), columns - on.argmax(axis=1) - on[:, ::-1].argmax(axis=1), 0)
-        extent[votes < settings.rival_share_min * votes.max()] = 0
-        return self.most_voted_m(extent >= extent.max() - settings.shorter_columns_max)
+        extent[votes < share_min * votes.max()] = 0
+        return self.most_voted_m(extent >= extent.max() - 1)
 
 
 def _line_votes(

@@ -13,7 +13,7 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.levels import HeightMap, corrected
-from ffmap.algorithms.building.model import CELL_M, NO_WALLS, Walls, stretches
+from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls, stretches
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,
     FOOT_ROW,
@@ -28,38 +28,21 @@ CEILING_MARGIN_M = 0.08
 """Rows this close below a ceiling hold its own returns: their scatter, and the row that it lies in."""
 LOW_ROOM_M = 0.25
 """In a room lower than its doors and shelves are elsewhere, this much below the ceiling nothing but walls stands."""
-SILL_M = 0.7
-"""No window has a lower sill."""
 
 
 class FaceColumnsSettings(StepSettings):
     """What rays tell of wall faces, column by column, and of the room before them."""
 
-    foot_m: float = Field(
-        0.15,
-        ge=0,
-        description="Height above the floor (m) from which rays tell of a column; below are skirting boards.",
-    )
-    hip_m: float = Field(
-        1.8,
-        gt=0,
-        description="Height above the floor (m) up to which rays that pass a face prove an opening; door heads are higher.",
-    )
-    crown_m: float = Field(
-        0.2, gt=0, description="Height (m) of the part of a wall close below the ceiling that no window reaches."
-    )
+    foot_m: float = Field(0.15, ge=0, description="Minimum height (m) of rays that count; below are skirting boards.")
+    crown_m: float = Field(0.2, gt=0, description="Height (m) of the wall below the ceiling that no window reaches.")
     row_rays_min: int = Field(3, ge=1, description="Minimum number of rays that pass an open row of a column.")
     row_open_ratio: float = Field(
-        10.0, gt=0, description="A row of a column is open if more rays than this pass for each that ends there."
+        10.0, gt=0, description="Minimum rays that pass an open row for each that ends there."
     )
     room_from_m: float = Field(0.3, ge=0, description="Minimum distance (m) before a face at which its room is seen.")
     room_to_m: float = Field(3.0, gt=0, description="Maximum distance (m) before a face at which its room is seen.")
-    room_beside_m: float = Field(
-        0.5, ge=0, description="Maximum distance (m) beyond a face's ends at which its room is seen."
-    )
-    room_cubes_min: int = Field(
-        10, ge=1, description="Minimum number of cubes of floor or ceiling that prove a room before a face."
-    )
+    room_beside_m: float = Field(0.5, ge=0, description="Maximum distance (m) beyond a face's ends of its room.")
+    room_cubes_min: int = Field(10, ge=1, description="Minimum cubes of floor or ceiling that prove a room.")
 
 
 @dataclass(frozen=True)
@@ -174,8 +157,8 @@ class TracedFaces:
 class Columns:
     """How many rays end on each column (c,) of the faces, and how many pass it, counted with the columns beside it.
 
-    upper: above doors. crown: close below the ceiling. lower: between foot and hip. sill: below windows' sills.
-    upper_open_rows: how many rows above doors almost all rays pass.
+    upper: above doors. crown: close below the ceiling. lower: between the foot and doors' heads. sill: between the foot and
+    windows' sills. upper_open_rows: how many rows above doors almost all rays pass.
     """
 
     upper_on: FloatArray
@@ -201,7 +184,9 @@ def above_doors_m(clear_m: FloatArray, above_door_m: float) -> FloatArray:
     return np.asarray(np.fmin(above_door_m, clear_m - LOW_ROOM_M))
 
 
-def count_columns(faces: TracedFaces, above_door_m: float, settings: FaceColumnsSettings) -> Columns:
+def count_columns(
+    faces: TracedFaces, above_door_m: float, building: BuildingSettings, settings: FaceColumnsSettings
+) -> Columns:
     """What the rays found of each column of the faces; above_door_m: height at which the wall above doors begins."""
     cells = faces.cells
     on, passed = on_and_passed(cells.counts)
@@ -209,8 +194,8 @@ def count_columns(faces: TracedFaces, above_door_m: float, settings: FaceColumns
     top = np.where(np.isfinite(faces.clear_m), faces.clear_m, np.inf) - CEILING_MARGIN_M
     upper = (height > above_doors_m(faces.clear_m, above_door_m)[:, None]) & (height < top[:, None])
     crown = upper & (height > top[:, None] - settings.crown_m)
-    lower = (height > settings.foot_m) & (height < settings.hip_m)
-    sill = (height > settings.foot_m) & (height < SILL_M)
+    lower = (height > settings.foot_m) & (height < building.door_height_min_m)
+    sill = (height > settings.foot_m) & (height < building.knee_m)
     upper_on, upper_passed = _with_neighbours(on * upper, cells), _with_neighbours(passed * upper, cells)
     is_open = (upper_passed >= settings.row_rays_min) & (upper_passed > settings.row_open_ratio * upper_on)
     return Columns(

@@ -23,24 +23,16 @@ from ffmap.algorithms.building.votes import Halo
 class ForegroundSettings(StepSettings):
     """Relief before walls: what many scans together show to stand before a face."""
 
-    relief_m: float = Field(
-        0.010, gt=0, description="What returns on average more than this (m) before a wall's face is not the wall."
-    )
-    edge_share: float = Field(
-        0.6, gt=0, le=1, description="A patch of relief extends to where it has this share of `relief_m`."
-    )
+    relief_m: float = Field(0.010, gt=0, description="Minimum mean distance (m) before a wall's face of relief.")
+    edge_share: float = Field(0.6, gt=0, le=1, description="A patch of relief ends below this share of `relief_m`.")
     above_m: float = Field(
         2.12,
         gt=0,
         description="Height above the floor (m) from which, to the ceiling, the wall itself is seen; in lower rooms the last "
         "25 cm.",
     )
-    wall_columns: int = Field(
-        11, ge=1, description="Number of columns over which the distance of the wall above is averaged."
-    )
-    reveal_m: float = Field(
-        0.03, gt=0, description="Depth (m) behind the wall around it from which a cell is a window's reveal."
-    )
+    wall_columns: int = Field(11, ge=1, description="Columns over which the wall above is averaged.")
+    reveal_m: float = Field(0.03, gt=0, description="Minimum depth (m) of a window's reveal behind the wall around it.")
     front_percent: float = Field(
         75.0,
         gt=0,
@@ -58,33 +50,25 @@ class ForegroundSettings(StepSettings):
     )
     lean_rows_min: int = Field(20, ge=3, description="Minimum number of rows that tell that a wall leans.")
     lean_rms_max_m: float = Field(
-        0.003, gt=0, description="Maximum RMS distance (m) of a leaning wall's rows from a straight line."
+        0.003, gt=0, description="Maximum RMS distance (m) of a leaning wall's rows from a line."
     )
     lean_max: float = Field(0.02, gt=0, description="Maximum lean of a wall, in metres per metre of height.")
     gap_max_m: float = Field(
-        0.5, ge=0, description="Maximum height (m) of a gap in relief without returns: a board hides a shelf's back."
+        0.5, ge=0, description="Maximum height (m) of a gap in relief: a board hides a shelf's back."
     )
     foot_max_m: float = Field(
         0.3,
         gt=0,
         description="Relief that does not come down to this height above the floor (m) hangs on its wall and is wall.",
     )
-    extent_min_m: float = Field(
-        0.4, gt=0, description="Minimum height and width (m) of relief; what is smaller is wall."
-    )
+    extent_min_m: float = Field(0.4, gt=0, description="Minimum height and width (m) of relief.")
     extent_max_m: float = Field(3.0, gt=0, description="Maximum width (m) of relief; what is wider is panelling, wall.")
     below_ceiling_m: float = Field(
         0.2, ge=0, description="Relief that comes closer to the ceiling than this (m) is wall: a pillar, a corner."
     )
-    end_m: float = Field(
-        0.1, ge=0, description="Distance (m) from a face's end within which another wall's returns interfere."
-    )
-    leaf_m: float = Field(
-        1.0, ge=0, description="Maximum distance (m) before and behind a doorway of its open leaf, which is no wall."
-    )
-    leaf_off_m: float = Field(
-        0.03, ge=0, description="Minimum distance (m) of an open leaf from the wall that its doorway is in."
-    )
+    end_m: float = Field(0.1, ge=0, description="Distance (m) from a face's end where other walls return.")
+    leaf_m: float = Field(1.0, ge=0, description="Maximum distance (m) of an open leaf from its doorway.")
+    leaf_off_m: float = Field(0.03, ge=0, description="Minimum distance (m) of an open leaf from its wall.")
 
 
 @dataclass(frozen=True)

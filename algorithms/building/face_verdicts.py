@@ -57,22 +57,16 @@ class StandingWallsSettings(StepSettings):
         description="A column is no wall's if more rays than this pass below the ceiling for each that ends there.",
     )
     hollow_ratio: float = Field(
-        4.0, gt=0, description="A column is open below if more rays than this pass for each that ends there."
+        4.0, gt=0, description="Minimum rays that pass a column open below for each that ends there."
     )
     open_above_m: float = Field(
         0.3,
         gt=0,
         description="A wall is not open over this much (m) of its height above doors, though it be seen there.",
     )
-    opening_max_m: float = Field(
-        2.6, gt=0, description="Maximum length (m) of an opening below a lintel; longer, it is a duct."
-    )
-    jamb_share_min: float = Field(
-        0.1, ge=0, le=1, description="Minimum share of a lintel's face with wall below it; a duct has less."
-    )
-    cut_min_m: float = Field(
-        0.3, gt=0, description="Minimum length (m) of a stretch that is cut out of a face because rays pass above it."
-    )
+    opening_max_m: float = Field(2.6, gt=0, description="Maximum length (m) below a lintel; longer, it is a duct.")
+    jamb_share_min: float = Field(0.1, ge=0, le=1, description="Minimum share of a lintel's face with wall below it.")
+    cut_min_m: float = Field(0.3, gt=0, description="Minimum length (m) cut out of a face that rays pass above.")
     rest_min_m: float = Field(
         0.5,
         ge=0,
@@ -84,13 +78,9 @@ class StandingWallsSettings(StepSettings):
         ge=0,
         description="Distance (m) on both sides of a high window within which its wall shows; some rays pass its edges.",
     )
-    corner_m: float = Field(
-        0.7,
-        ge=0,
-        description="Maximum distance (m) over which a face is extended to the corner with another.",
-    )
+    corner_m: float = Field(0.7, ge=0, description="Maximum distance (m) that a face is extended to a corner.")
     corner_reached_m: float = Field(
-        0.1, ge=0, description="A face that ends less than this (m) behind a corner ends there."
+        0.1, ge=0, description="A face that ends up to this (m) behind a corner ends there."
     )
     scans_few: int = Field(
         10,
@@ -105,44 +95,30 @@ class StandingWallsSettings(StepSettings):
         description="Minimum share of the faces' total length that makes a direction one of the walls'.",
     )
     leaning_angle_min_deg: float = Field(
-        4.0, ge=0, description="Minimum angle (degrees) between a wall and a leaf that leans on it."
+        4.0, ge=0, description="Minimum angle (degrees) between a wall and a leaning leaf."
     )
     leaning_angle_max_deg: float = Field(
-        20.0, gt=0, description="Maximum angle (degrees) between a wall and a leaf that leans on it."
+        20.0, gt=0, description="Maximum angle (degrees) between a wall and a leaning leaf."
     )
     leaning_distance_m: float = Field(
         0.1, gt=0, description="Maximum distance (m) between a wall and the middle of a leaf that leans on it."
     )
-    leaning_share_min: float = Field(
-        0.9, ge=0, le=1, description="Minimum share of a leaning leaf that lies beside its wall."
-    )
+    leaning_share_min: float = Field(0.9, ge=0, le=1, description="Minimum share of a leaning leaf beside its wall.")
     leaning_scans_ratio: float = Field(
         2.5, gt=0, description="A wall is seen by more scans than this for each that sees the leaf that leans on it."
     )
-    jamb_m: float = Field(
-        0.15, gt=0, description="Maximum distance (m) between a door's jamb and the face of its reveal."
-    )
+    jamb_m: float = Field(0.15, gt=0, description="Maximum distance (m) between a jamb and its reveal's face.")
     reveal_goes_on_share: float = Field(
         0.95,
         gt=0,
         le=1,
         description="A reveal's face goes on as a wall if rays end on this share of the rows beyond it.",
     )
-    stray_rays: int = Field(
-        2, ge=1, description="Rays fewer than this in a row or column may be stray, and tell nothing."
-    )
-    noise_m: float = Field(
-        0.1, gt=0, description="Maximum distance (m) before a wall's face of its noise, boards and rails."
-    )
-    pillar_depth_m: float = Field(
-        0.5, gt=0, description="Maximum distance (m) before a wall's face at which a pillar's front stands."
-    )
-    furniture_depth_m: float = Field(
-        0.9, gt=0, description="Maximum depth (m) of furniture that stands against a wall."
-    )
-    hidden_distance_m: float = Field(
-        0.04, gt=0, description="Half thickness (m) of the returns of a wall that scans missed."
-    )
+    stray_rays: int = Field(2, ge=1, description="Fewer rays than this in a row or column may be stray.")
+    noise_m: float = Field(0.1, gt=0, description="Maximum distance (m) before a face of its noise and boards.")
+    pillar_depth_m: float = Field(0.5, gt=0, description="Maximum distance (m) of a pillar's front before its wall.")
+    furniture_depth_m: float = Field(0.9, gt=0, description="Maximum depth (m) of furniture that stands at a wall.")
+    hidden_distance_m: float = Field(0.04, gt=0, description="Half thickness (m) of a missed wall's returns.")
     hidden_passed_max: float = Field(
         0.2,
         ge=0,
@@ -151,14 +127,8 @@ class StandingWallsSettings(StepSettings):
     )
     hidden_returns_min: int = Field(20, ge=1, description="Minimum number of returns that prove a missed wall.")
     hidden_gap_m: float = Field(0.6, ge=0, description="Maximum gap (m) within a missed wall.")
-    robot_m: float = Field(
-        0.25,
-        ge=0,
-        description="No wall stands closer (m) to where the robot drove; a lamp may hang above it.",
-    )
-    ceiling_near_m: float = Field(
-        2.0, gt=0, description="Maximum horizontal distance (m) at which a wall's ceiling is looked for."
-    )
+    robot_m: float = Field(0.25, ge=0, description="Minimum distance (m) of a wall from where the robot drove.")
+    ceiling_near_m: float = Field(2.0, gt=0, description="Maximum horizontal distance (m) of a wall's ceiling.")
 
 
 class FaceVerdict(IntEnum):
@@ -241,7 +211,7 @@ def judge_faces(
 
     path_map: (n, 2) the robot's places.
     """
-    columns = count_columns(faces, settings.above_door_m, column_settings)
+    columns = count_columns(faces, settings.above_door_m, building, column_settings)
     flags = _ColumnFlags.of(faces, columns, path_map, building.rays_min, settings)
     stands_before = _before_longer(faces.walls, settings)
     kept: list[tuple[int, int, int]] = []

@@ -25,21 +25,11 @@ stretch a grid by all that lies between."""
 class LevelsSettings(StepSettings):
     """Floors, ceilings and ducts that only all scans together show."""
 
-    cell_m: float = Field(
-        0.1, gt=0, description="Edge of the cells (m) in which surfaces are looked for, unless another is given."
-    )
+    cell_m: float = Field(0.1, gt=0, description="Edge of the cells (m) where no other is given.")
     votes_min: int = Field(3, ge=1, description="Minimum number of votes at which a cube's label is taken as known.")
-    margin_m: float = Field(
-        0.04, gt=0, description="Half thickness (m) of a level surface: poses drift and returns scatter."
-    )
-    flat_m: float = Field(
-        0.03,
-        gt=0,
-        description="A cell is level if it differs from the median of those around it by less than this (m).",
-    )
-    seen_floor_width_m: float = Field(
-        0.3, gt=0, description="Minimum diameter (m) of a disc within seen floor that proves it to be floor."
-    )
+    margin_m: float = Field(0.04, gt=0, description="Half thickness (m) of a level surface: drift and scatter.")
+    flat_m: float = Field(0.03, gt=0, description="Maximum height difference (m) of a level cell from its neighbours.")
+    seen_floor_width_m: float = Field(0.3, gt=0, description="Minimum diameter (m) of a disc that proves floor.")
     false_floor_min_m: float = Field(
         0.2,
         gt=0,
@@ -49,25 +39,17 @@ class LevelsSettings(StepSettings):
     ceiling_reach_m: float = Field(
         1.5, ge=0, description="Maximum distance (m) over which a ceiling goes on level beyond where it was seen."
     )
-    overhead_min_m: float = Field(
-        2.2, gt=0, description="Minimum height (m) above the floor of a ceiling that no scan found."
-    )
+    overhead_min_m: float = Field(2.2, gt=0, description="Minimum height (m) above the floor of a glimpsed ceiling.")
     overhead_width_m: float = Field(
-        0.8, gt=0, description="Minimum diameter (m) of a disc within a ceiling; ducts and lamps are narrower."
+        0.8, gt=0, description="Minimum diameter (m) of a disc in a ceiling; ducts are narrower."
     )
-    overhead_gap_m: float = Field(
-        0.3, ge=0, description="Minimum distance (m) between a known ceiling and one that no scan found."
-    )
+    overhead_gap_m: float = Field(0.3, ge=0, description="Minimum distance (m) of it from a known ceiling.")
     slope_min: float = Field(0.15, gt=0, description="Minimum rise per metre of a sloping ceiling.")
     slope_max: float = Field(1.8, gt=0, description="Maximum rise per metre of a sloping ceiling; steeper is a wall.")
-    slope_bottom_m: float = Field(
-        1.0, gt=0, description="Minimum height (m) above the floor of a sloping ceiling; tables are lower."
-    )
+    slope_bottom_m: float = Field(1.0, gt=0, description="Minimum height (m) above the floor of a sloping ceiling.")
     slope_window_cells: int = Field(5, ge=3, description="Edge, in cells, of the window that a plane is fitted to.")
     slope_share_min: float = Field(0.6, gt=0, le=1, description="Minimum share of a window's cells that hold returns.")
-    slope_rms_max_m: float = Field(
-        0.025, gt=0, description="Maximum RMS distance (m) of a window's returns from its plane."
-    )
+    slope_rms_max_m: float = Field(0.025, gt=0, description="Maximum RMS distance (m) of returns from their plane.")
     slope_reach_m: float = Field(
         0.25,
         ge=0,
@@ -79,33 +61,18 @@ class LevelsSettings(StepSettings):
     raised_max_m: float = Field(
         0.30, gt=0, description="Maximum height (m) of a step or platform above the floor beside it; seats are higher."
     )
-    raised_width_m: float = Field(
-        1.2, gt=0, description="Minimum diameter (m) of a disc within a platform; furniture so low is narrower."
-    )
-    raised_coarse_cell_m: float = Field(
-        0.2,
-        gt=0,
-        description="Edge of the cells (m) in which platforms are looked for again: far away, returns are far apart.",
-    )
-    beyond_cell_m: float = Field(
-        0.3, gt=0, description="Edge of the cells (m) in which floor beyond what scans found is looked for."
-    )
-    beyond_level_m: float = Field(
-        0.05, gt=0, description="Maximum height difference (m) between such floor and the nearest known floor."
-    )
+    raised_width_m: float = Field(1.2, gt=0, description="Minimum diameter (m) of a disc in a platform.")
+    beyond_cell_m: float = Field(0.3, gt=0, description="Edge of the cells (m) for floor beyond what scans found.")
+    beyond_level_m: float = Field(0.05, gt=0, description="Maximum height difference (m) of it from the nearest floor.")
     beyond_width_m: float = Field(0.9, gt=0, description="Minimum diameter (m) of a disc within such floor.")
     step_min_m: float = Field(0.08, gt=0, description="Minimum height (m) of a step between two floors.")
     step_max_m: float = Field(0.32, gt=0, description="Maximum height (m) of a step between two floors.")
     step_window_cells: int = Field(
-        5, ge=3, description="Edge, in cells, of the window within which a floor ends at another in a step."
+        5, ge=3, description="Edge (cells) of the window within which floors meet in a step."
     )
-    duct_drop_m: float = Field(
-        0.08, gt=0, description="Minimum distance (m) of a duct's underside below the ceiling beside it."
-    )
+    duct_drop_m: float = Field(0.08, gt=0, description="Minimum distance (m) of a duct below the ceiling beside it.")
     duct_beside_m: float = Field(0.4, gt=0, description="Maximum distance (m) to the ceiling beside a duct.")
-    ceiling_edge_m: float = Field(
-        0.3, ge=0, description="Width (m) of a ceiling's edge, where another one begins behind a wall."
-    )
+    ceiling_edge_m: float = Field(0.3, ge=0, description="Width (m) of a ceiling's edge, where another may begin.")
 
 
 class Surface(StrEnum):
@@ -192,7 +159,8 @@ def map_levels(votes: VoxelVotes, settings: LevelsSettings) -> tuple[HeightMap, 
     false_floors = map_false_floors(votes, settings)
     votes = _corrected_votes(votes, false_floors)
     ceilings = [find(votes, settings) for find in (map_ceilings, map_glimpsed_ceilings, map_sloping_ceilings)]
-    raised = [map_raised_floors(votes, settings, cell) for cell in (settings.cell_m, settings.raised_coarse_cell_m)]
+    # Far away, returns are far apart.
+    raised = [map_raised_floors(votes, settings, cell_m) for cell_m in (settings.cell_m, 2 * settings.cell_m)]
     with_raised = reduce(_corrected_votes, raised, votes)
     floors = (*raised, map_floors_beyond(with_raised, settings), map_step_fronts(with_raised, settings))
     levels = (false_floors, *ceilings, *floors, map_ducts(votes, settings))

@@ -12,7 +12,6 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import (
-    SILL_M,
     Columns,
     FaceColumnsSettings,
     Storey,
@@ -44,15 +43,11 @@ class MissedWallsSettings(StepSettings):
         description="Maximum distance (m) of a missed wall's returns behind its face; farther, a ray has passed it: nothing "
         "stands ajar behind it.",
     )
-    explained_m: float = Field(
-        0.08, gt=0, description="Maximum distance (m) from a known face, and beyond its ends, of its own returns."
-    )
+    explained_m: float = Field(0.08, gt=0, description="Maximum distance (m) from a known face of its own returns.")
     corner_m: float = Field(
-        0.15, gt=0, description="Distance (m) from a corner within which a wall's returns pass for the other wall's."
+        0.15, gt=0, description="Distance (m) from a corner where returns pass for the other wall's."
     )
-    window_max_m: float = Field(
-        3.0, gt=0, description="Maximum length (m) over which a window goes on beside a missed wall."
-    )
+    window_max_m: float = Field(3.0, gt=0, description="Maximum length (m) of a window that goes on from a wall.")
     pillar_share: float = Field(
         0.8,
         ge=0,
@@ -60,7 +55,7 @@ class MissedWallsSettings(StepSettings):
         description="A pillar before a wall shows in more than this share of the rows up to the ceiling.",
     )
     below_ceiling_m: float = Field(
-        0.35, gt=0, description="A wall shows at least up to this (m) below the ceiling, or above heads."
+        0.35, gt=0, description="A wall shows up to this (m) below the ceiling, or above heads."
     )
     above_heads_m: float = Field(
         2.25,
@@ -68,15 +63,12 @@ class MissedWallsSettings(StepSettings):
         description="Height above the floor (m): what shows up to here is a wall, however high the room; a leaf or the reveal "
         "of a window is lower.",
     )
-    underside_min_m: float = Field(1.8, gt=0, description="Minimum height above the floor (m) of a duct's underside.")
     underside_near_m: float = Field(
         0.15,
         gt=0,
         description="Maximum height difference (m) between a duct's underside and the top of the wall below.",
     )
-    underside_cell_m: float = Field(
-        0.1, gt=0, description="Edge of the cells (m) that a duct's underside is counted in."
-    )
+    underside_cell_m: float = Field(0.1, gt=0, description="Edge of the cells (m) that count a duct's underside.")
     duct_depth_min_m: float = Field(0.3, gt=0, description="Minimum depth (m) of a duct before its wall.")
     duct_depth_max_m: float = Field(0.8, gt=0, description="Maximum depth (m) of a duct before its wall.")
     duct_share_min: float = Field(
@@ -187,7 +179,7 @@ def _candidates(votes: VoxelVotes, walls: Walls, refused: Walls, settings: Searc
 
 
 @dataclass(frozen=True)
-class _Told:
+class _ColumnStates:
     """What the columns (c,) of a candidate are.
 
     proven: wall from floor to ceiling, or up to a window's sill and above its head. window: of these, what may be a window's.
@@ -199,8 +191,8 @@ class _Told:
     sill: BoolArray
     contradicted: BoolArray
 
-    def part(self, columns: slice) -> "_Told":
-        return _Told(self.proven[columns], self.window[columns], self.sill[columns], self.contradicted[columns])
+    def part(self, columns: slice) -> "_ColumnStates":
+        return _ColumnStates(self.proven[columns], self.window[columns], self.sill[columns], self.contradicted[columns])
 
 
 class _Search:
@@ -214,15 +206,15 @@ class _Search:
         self._before_wall = _before_a_face(walls, known, standing.furniture_depth_m)
         self._close_before_wall = _before_a_face(walls, known, standing.pillar_depth_m)
         self._free = np.isfinite(faces.clear_m) & ~faces.visited(returns.path_map, standing.robot_m)
-        self._columns = count_columns(faces, standing.above_door_m, settings.columns)
-        self._undersides = _undersides(returns, settings.missed.underside_min_m)
+        self._columns = count_columns(faces, standing.above_door_m, settings.building, settings.columns)
+        self._undersides = _undersides(returns, settings.building.door_height_min_m)
 
     def walls_in(self, w: int) -> Iterator[_Proven]:
         """The stretches of a candidate that are walls."""
         own, settings = self._faces.columns(w), self._settings
         rays, all_counts = self._columns.part(own), self._faces.cells.counts[own]
-        told = self._tell(w)
-        for first, after in self._stretches(told, all_counts):
+        states = self._states(w)
+        for first, after in self._stretches(states, all_counts):
             stretch = slice(first, after)
             counts, ceiling_m = all_counts[stretch], median_m(self._faces.clear_m[own][stretch])
             face = self._faces.cut([(w, first, after)])
@@ -230,12 +222,12 @@ class _Search:
             length_m = (after - first) * CELL_M + _to_corners_m(face, self._known, settings.missed.corner_m)
             if (
                 length_m >= settings.building.length_min_m
-                and self._is_proven(rays.part(stretch), told.part(stretch), duct is not None)
-                and (duct is not None or self._reaches_ceiling(w, counts, ceiling_m, told.window[stretch]))
+                and self._is_proven(rays.part(stretch), states.part(stretch), duct is not None)
+                and (duct is not None or self._reaches_ceiling(w, counts, ceiling_m, states.window[stretch]))
                 and room_before(face, self._storey, settings.columns)[0]
             ):
                 # Beside it a window may go on, of which not more than the sill is seen.
-                first, last = widened(told.sill, first, after - 1, cells_in(settings.missed.window_max_m))
+                first, last = widened(states.sill, first, after - 1, cells_in(settings.missed.window_max_m))
                 wall = self._faces.cut([(w, first, last + 1)])
                 yield _Proven(self._as_seen(wall, all_counts[first : last + 1], ceiling_m), duct)
 
@@ -252,7 +244,7 @@ class _Search:
             sample_count=np.array([returns.sum()], np.int64),
         )
 
-    def _tell(self, w: int) -> _Told:
+    def _states(self, w: int) -> _ColumnStates:
         """What the columns of a candidate are."""
         own, standing = self._faces.columns(w), self._settings.standing
         columns, candidate = self._columns.part(own), self._faces.walls.select(np.array([w]))
@@ -273,25 +265,25 @@ class _Search:
         sill = may_be & is_outer & has_sill
         window = sill & (columns.upper_on > stray) & (columns.crown_passed <= 0.5 * columns.crown_on)
         proven = (solid & may_be) | window
-        return _Told(proven, window, sill, ~may_be | ((passed > 2 * stray) & ~proven))
+        return _ColumnStates(proven, window, sill, ~may_be | ((passed > 2 * stray) & ~proven))
 
-    def _stretches(self, told: _Told, counts: FloatArray) -> Iterator[tuple[int, int]]:
+    def _stretches(self, states: _ColumnStates, counts: FloatArray) -> Iterator[tuple[int, int]]:
         """First column, and the one after the last, of what may be one wall; counts: (c, rows, 4)."""
         returned = np.any(counts[..., FILLED] > 0, axis=1)
         on, passed = (rays.sum(axis=1) for rays in on_and_passed(counts))
         gap = cells_in(self._settings.standing.hidden_gap_m)
-        for first, after in runs(long_runs(told.proven, 1, bridge=gap) & ~told.contradicted):
+        for first, after in runs(long_runs(states.proven, 1, bridge=gap) & ~states.contradicted):
             # Columns are counted with those beside them: a column without returns is too much, a pillar's outer ones lack.
             own = np.flatnonzero(returned[first:after])
             if len(own):
                 begin, last = widened(on > passed, first + int(own[0]), first + int(own[-1]), 1)
                 yield begin, last + 1
 
-    def _is_proven(self, columns: Columns, told: _Told, below_duct: bool) -> bool:
+    def _is_proven(self, columns: Columns, states: _ColumnStates, below_duct: bool) -> bool:
         """Whether most columns of a stretch are proven, by enough returns, and seen above doors unless a duct hides them."""
         # Each return is counted in its column and in the two beside it.
         returns = float((columns.upper_on + columns.lower_on).sum()) / 3
-        seen_above, proven = np.mean(columns.upper_on > 0), np.mean(told.proven)
+        seen_above, proven = np.mean(columns.upper_on > 0), np.mean(states.proven)
         enough = returns >= self._settings.standing.hidden_returns_min
         return bool((seen_above > 0.5 or below_duct) and proven > 0.5 and enough)
 
@@ -310,7 +302,7 @@ class _Search:
         if self._close_before_wall[w] and float(np.mean(on > passed)) <= missed.pillar_share:
             return False
         # A duct's underside and the ceiling next to it are rows of returns, with nothing between them and the floor.
-        below_sill = slice(0, cells_in(SILL_M) - FOOT_ROW)
+        below_sill = slice(0, cells_in(self._settings.building.knee_m) - FOOT_ROW)
         is_window = np.mean(window) > 0.5 and np.all(on[below_sill] >= passed[below_sill])
         return bool(is_window or np.count_nonzero(on > passed) > np.count_nonzero(passed > on))
 
@@ -323,7 +315,7 @@ class _Search:
         """
         missed, noise_m = self._settings.missed, self._settings.standing.noise_m
         wall = next(segments(face))
-        on, passed = rows_on_and_passed(counts, missed.underside_min_m)
+        on, passed = rows_on_and_passed(counts, self._settings.building.door_height_min_m)
         if wall.length_m < missed.duct_length_min_m or not np.all(on > passed):
             return None
         seen = np.flatnonzero(counts[..., FILLED].sum(axis=0) >= self._settings.standing.stray_rays)

@@ -55,6 +55,11 @@ class BuildingSettings(StepSettings):
     door_width_min_m: float = Field(0.6, gt=0, description="Narrowest door in metres.")
     door_width_max_m: float = Field(2.6, gt=0, description="Widest door in metres.")
     door_height_min_m: float = Field(1.8, gt=0, description="Lowest door head in metres. III.C, condition 3.")
+    knee_m: float = Field(
+        0.6,
+        gt=0,
+        description="Height above the floor (m) up to which rays that pass a wall prove a doorway: a window's sill is higher.",
+    )
     door_height_max_m: float = Field(
         2.4, gt=0, description="Above this many metres the wall over a door is looked for."
     )

@@ -23,9 +23,6 @@ from ffmap.algorithms.building.ray_evidence import (
 class OpeningsSettings(StepSettings):
     """Telling doors and windows from the cells of a wall's face."""
 
-    knee_m: float = Field(
-        0.5, gt=0, description="Maximum height above the floor (m) of a doorway's foot; windows' sills are higher."
-    )
     jamb_m: float = Field(
         0.1,
         ge=0,
@@ -103,7 +100,7 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
     """
     settings, openings = rules.building, rules.openings
     smooth = with_neighbours(counts)
-    low, knee = FOOT_ROW, cells_in(0.6)
+    low, knee = FOOT_ROW, cells_in(settings.knee_m)
     high, above = cells_in(settings.door_height_min_m), cells_in(settings.door_height_max_m)
     top = (np.maximum(top_m - openings.below_ceiling_m, 0.0) / CELL_M).astype(np.int64)[:, None]
     row = np.arange(counts.shape[1])
@@ -195,7 +192,7 @@ def find_sheet(counts: FloatArray, rules: OpeningRules) -> Sheet | None:
 
 def is_open_to_floor(counts: FloatArray, rules: OpeningRules) -> bool:
     """Whether rays pass an opening's columns (c, rows, 4) at its foot: what stands before a window may hide its sill."""
-    foot = counts[:, FOOT_ROW : cells_in(rules.openings.knee_m)].sum(axis=(0, 1))
+    foot = counts[:, FOOT_ROW : cells_in(rules.building.knee_m)].sum(axis=(0, 1))
     share_min = rules.building.agreement_min
     return bool(foot[THROUGH] >= rules.building.rays_min and foot[THROUGH] > share_min * (foot[THROUGH] + foot[FILLED]))
 

@@ -53,7 +53,7 @@ class VoxelVotes:
         return (self.cube_index + within) * self.voxel_m
 
     def seen(self, votes_min: int = 1) -> BoolArray:
-        """(m,) whether any one code has so many votes."""
+        """(m,) whether some code has at least `votes_min` votes."""
         return np.asarray(self.counts.max(axis=1, initial=0) >= votes_min)
 
 
@@ -186,11 +186,11 @@ def fuse(votes: VoxelVotes) -> FusedCloud:
 
 
 def find_halo(votes: VoxelVotes, ratio: float) -> Halo:
-    """Where clutter is too thin beside a surface to be a thing of its own.
+    """Where clutter beside a surface has too few returns to be an object.
 
-    The returns of a surface scatter, and a few of them end up a cube away from all others, in one scan or another. A
-    cube that holds, or shares a face with one that holds, `ratio` times as many votes for floor, ceiling or wall as it
-    has for clutter is within that surface's halo; a thing that stands against a wall has more returns than that.
+    The returns of a surface scatter, and in some scans a few of them lie a cube away from all others. A cube that holds, or
+    shares a face with one that holds, `ratio` times as many votes for floor, ceiling or wall as it has for clutter is within
+    that surface's halo; an object that stands against a wall has more returns than that.
     """
     surfaces = votes.counts[:, [Label.FLOOR, Label.CEILING, Label.WALL]].astype(np.int64)
     strength = surfaces.max(axis=1, initial=0)

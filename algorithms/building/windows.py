@@ -65,7 +65,7 @@ def find_windows(
         may_be, is_sill = _above_sill(counts, walls.top_m[w], rules, settings)
         sill_min = cells_in(settings.sill_min_m)
         sills = [(first, last) for first, last in stretches(may_be, 4) if is_sill[first : last + 1].sum() >= sill_min]
-        high = counts[:, cells_in(rules.openings.knee_m) : cells_in(rules.building.door_height_min_m)].sum(axis=1)
+        high = counts[:, cells_in(rules.building.knee_m) : cells_in(rules.building.door_height_min_m)].sum(axis=1)
         for first, last in panes + sills:
             rows = counts[first : last + 1].sum(axis=0)
             clear = np.flatnonzero(rows[:, THROUGH] > rows[:, FILLED])
@@ -90,7 +90,7 @@ def _above_sill(
 
     What stands before a window hides its sill, and a window is as wide as it is all the same.
     """
-    foot, knee, top = FOOT_ROW, cells_in(rules.openings.knee_m), int(max(top_m - 0.2, 0.0) / CELL_M)
+    foot, knee, top = FOOT_ROW, cells_in(rules.building.knee_m), int(max(top_m - 0.2, 0.0) / CELL_M)
     below = counts[:, foot:knee].sum(axis=1)
     near = with_neighbours(np.swapaxes(with_neighbours(counts), 0, 1)).swapaxes(0, 1)
     clear = (near[..., THROUGH] > near[..., FILLED]) & (near[..., THROUGH] >= 0.5 * rules.building.rays_min)

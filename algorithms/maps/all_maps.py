@@ -53,12 +53,12 @@ class Maps:
 
 def draw_maps(building: Building, scans: AllScans, settings: MapsSettings, workers: int) -> Maps:
     """workers: number of threads that draw."""
-    doors, windows = building.doors, building.windows
+    doors, windows, knee_m = building.doors, building.windows, settings.building.knee_m
     # The grid shows what lies farther away than what doors and windows are told by.
     cells = scans.trace(building.walls, settings.building.for_faces(), NO_WINDOWS)
     immobile = Immobile(building.walls, cells, scans.votes, doors, windows)
-    grid = draw_furniture_free(immobile, scans.drive, settings.grid_map, settings.wall_thickness)
-    standing = standing_stretches(immobile, settings.grid_map)
+    grid = draw_furniture_free(immobile, scans.drive, settings.grid_map, settings.wall_thickness, knee_m)
+    standing = standing_stretches(immobile, settings.grid_map, knee_m)
     bounds = Bounds((standing, *sides_of(doors), windows), settings.room_outlines)
     rooms = find_rooms(grid, settings.area_graph, doorways_of(doors), windows.ends, scans.drive.path_map, bounds)
     rivals = _draw_rivals(windows, scans, settings, workers)
@@ -72,9 +72,10 @@ def draw_maps(building: Building, scans: AllScans, settings: MapsSettings, worke
 
 def _draw_rivals(windows: Windows, scans: AllScans, settings: MapsSettings, workers: int) -> dict[Rival, GridMap]:
     """The maps that the paper compares with, side by side."""
+    knee_m = settings.building.knee_m
 
     def draw(rival: Rival) -> GridMap:
-        return draw_rival(rival, scans.rivals, windows, scans.drive, settings.grid_map, settings.rival_maps)
+        return draw_rival(rival, scans.rivals, windows, scans.drive, settings.grid_map, settings.rival_maps, knee_m)
 
     with ThreadPoolExecutor(workers) as threads:
         return dict(zip(Rival, threads.map(draw, Rival), strict=True))

@@ -58,11 +58,6 @@ class GridMapSettings(StepSettings):
         description="Maximum distance (m) of what rays crossed from floor that was seen: floor hides under tables.",
     )
     foot_m: float = Field(0.15, ge=0, description="Minimum height above the floor (m) of rays that prove an opening.")
-    knee_m: float = Field(
-        0.6,
-        gt=0,
-        description="Maximum height above the floor (m) of rays that prove an opening: a window's sill is higher.",
-    )
     passed_min: int = Field(
         6, ge=1, description="Minimum rays that pass a wall's face at that height where it is open."
     )
@@ -160,15 +155,17 @@ class Immobile:
 
 
 def draw_furniture_free(
-    immobile: Immobile, drive: Drive, settings: GridMapSettings, thickness: WallThicknessSettings
+    immobile: Immobile, drive: Drive, settings: GridMapSettings, thickness: WallThicknessSettings, knee_m: float
 ) -> GridMap:
     """Walls as thin lines, one for each side that was seen; doorways free through the whole wall (paper, Fig. 9b).
 
     What lies between the two sides of a wall nobody saw: it stays unknown. Panes stop rays, and stay unknown too.
+
+    knee_m: `BuildingSettings.knee_m`, here and below.
     """
     doors = immobile.doors
-    canvas = _Canvas.around([immobile.walls.ends, doors.ends, drive.path_map[:, :2]], settings)
-    standing = standing_stretches(immobile, settings).ends
+    canvas = _Canvas.around([immobile.walls.ends, doors.ends, drive.path_map[:, :2]], settings, knee_m)
+    standing = standing_stretches(immobile, settings, knee_m).ends
     for ends in standing:
         canvas.draw_line(ends, Cell.OCCUPIED)
     canvas.drop_crossed(drive, standing)
@@ -193,18 +190,20 @@ def draw_furniture_free(
     return canvas.freed(drive, immobile.windows, open_doorways, leaves, immobile.walls.ends)
 
 
-def draw_cells(cell_index: IntArray, windows: Windows, drive: Drive, settings: GridMapSettings) -> GridMap:
+def draw_cells(
+    cell_index: IntArray, windows: Windows, drive: Drive, settings: GridMapSettings, knee_m: float
+) -> GridMap:
     """A map of given occupied cells, free by the same rays as `draw_furniture_free`; it knows of no doors.
 
     cell_index: (m, 2) column and row of each cell of `settings.cell_m`, counted from the map frame's origin.
     """
     places = (cell_index + 0.5) * settings.cell_m
-    canvas = _Canvas.around([places, drive.path_map[:, :2]], settings)
+    canvas = _Canvas.around([places, drive.path_map[:, :2]], settings, knee_m)
     canvas.draw_points(places, Cell.OCCUPIED)
     return canvas.freed(drive, windows, [], [], np.zeros((0, 2, 2)))
 
 
-def standing_stretches(immobile: Immobile, settings: GridMapSettings) -> Walls:
+def standing_stretches(immobile: Immobile, settings: GridMapSettings, knee_m: float) -> Walls:
     """The stretches of the faces that returns bear out and that reach down to the floor, as faces of their own.
 
     Left out: what rays passed at knee height (an opening, though no door was made of it), what nothing was seen of (a
@@ -216,7 +215,9 @@ def standing_stretches(immobile: Immobile, settings: GridMapSettings) -> Walls:
     owner: list[int] = []
     found: list[FloatArray] = []
     for w, face in enumerate(segments(walls)):
-        stands, passed = _columns(cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64), settings)
+        stands, passed = _columns(
+            cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64), settings, knee_m
+        )
         middles = face.at((np.arange(len(stands)) + 0.5) * CELL_M)
         if tree is not None:
             stands |= tree.query_ball_point(middles, AT_FACE_M, return_length=True) >= settings.rays_min
@@ -237,11 +238,11 @@ def standing_stretches(immobile: Immobile, settings: GridMapSettings) -> Walls:
     return replace(walls.select(np.array(owner, np.int64)), ends=np.array(found).reshape(-1, 2, 2))
 
 
-def _columns(counts: FloatArray, settings: GridMapSettings) -> tuple[BoolArray, BoolArray]:
+def _columns(counts: FloatArray, settings: GridMapSettings, knee_m: float) -> tuple[BoolArray, BoolArray]:
     """(c,) whether returns bear each column of a face out, and whether rays passed it down to the floor."""
     on = returns_at_face(counts)
     near = np.convolve(on.sum(axis=1), np.ones(3))[1:-1]
-    low = slice(FOOT_ROW, cells_in(settings.knee_m))
+    low = slice(FOOT_ROW, cells_in(knee_m))
     on_low, passed_low = (
         np.convolve(rays[:, low].sum(axis=1), np.ones(3))[1:-1] for rays in (on, counts[..., THROUGH])
     )
@@ -317,20 +318,20 @@ def _lengthened(lines: FloatArray, by_m: float) -> FloatArray:
 class _Canvas:
     """A grid while it is drawn."""
 
-    def __init__(self, low: FloatArray, high: FloatArray, settings: GridMapSettings) -> None:
-        self._settings = settings
+    def __init__(self, low: FloatArray, high: FloatArray, settings: GridMapSettings, knee_m: float) -> None:
+        self._settings, self._knee_m = settings, knee_m
         self._cell_m = settings.cell_m
         self._origin = np.floor(low / self._cell_m) * self._cell_m
         columns, rows = np.maximum(np.ceil((high - self._origin) / self._cell_m).astype(int), 1)
         self._cells = np.full((rows, columns), Cell.UNKNOWN, np.uint8)
 
     @classmethod
-    def around(cls, places: Sequence[FloatArray], settings: GridMapSettings) -> "_Canvas":
+    def around(cls, places: Sequence[FloatArray], settings: GridMapSettings, knee_m: float) -> "_Canvas":
         """Space for places (…, 2) with the margin around; one cell where there are none."""
         corners = np.concatenate([np.zeros((0, 2)), *(place.reshape(-1, 2) for place in places)])
         if not len(corners):
-            return cls(np.zeros(2), np.zeros(2), settings)
-        return cls(corners.min(axis=0) - settings.margin_m, corners.max(axis=0) + settings.margin_m, settings)
+            return cls(np.zeros(2), np.zeros(2), settings, knee_m)
+        return cls(corners.min(axis=0) - settings.margin_m, corners.max(axis=0) + settings.margin_m, settings, knee_m)
 
     def draw_points(self, places: FloatArray, cell: Cell) -> None:
         self._set(self._index(places), cell)
@@ -385,7 +386,7 @@ class _Canvas:
         crossed, low = np.zeros_like(barred), np.zeros_like(barred)
         range_cells = self._settings.range_m / self._cell_m
         for block in drive.blocks():
-            _cross(barred, crossed, low, *self._rays(block), _low_from(block, self._settings.knee_m), range_cells)
+            _cross(barred, crossed, low, *self._rays(block), _low_from(block, self._knee_m), range_cells)
         self._cells[crossed] = Cell.FREE
         for doorway in doorways:
             self.draw_area(doorway, Cell.FREE)
@@ -467,7 +468,7 @@ class _Canvas:
                 block.ray_starts,
                 np.ascontiguousarray((block.ray_end_map - [*self._origin, 0.0]) / self._cell_m, np.float64),
                 self._settings.foot_m / self._cell_m,
-                self._settings.knee_m / self._cell_m,
+                self._knee_m / self._cell_m,
                 self._settings.ends_cells,
             )
         ended, crossed = counts[..., 0], counts[..., 1]

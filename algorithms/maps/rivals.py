@@ -79,10 +79,11 @@ def draw_rival(
     drive: Drive,
     grid: GridMapSettings,
     settings: RivalMapsSettings,
+    knee_m: float,
 ) -> GridMap:
     """One of the maps as a grid, drawn like the furniture-free one but for what is occupied.
 
     votes: sums of `RivalCounter.votes`. windows: behind them nothing is free; the paper removed that by hand.
     """
     occupied = votes.counts[:, list(Rival).index(rival)] >= settings.hits_min
-    return draw_cells(votes.cube_index[occupied, :2], windows, drive, grid)
+    return draw_cells(votes.cube_index[occupied, :2], windows, drive, grid, knee_m)

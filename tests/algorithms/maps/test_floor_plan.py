@@ -8,7 +8,7 @@ import shapely
 
 from ffmap.algorithms.base.segments import main_direction_deg
 from ffmap.algorithms.building.drive import Drive
-from ffmap.algorithms.building.model import Doors
+from ffmap.algorithms.building.model import BuildingSettings, Doors
 from ffmap.algorithms.building.thickness import (
     WallThicknessSettings,
     door_depths,
@@ -21,13 +21,14 @@ from ffmap.algorithms.maps.grid import GridMapSettings, draw_furniture_free, sta
 from ffmap.algorithms.scan.doors import DoorState
 from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms
 
+KNEE_M = BuildingSettings().knee_m
 THICKNESS = WallThicknessSettings()
 
 
 def plan_of(rooms: TwoRooms) -> FloorPlan:
     immobile, drive = rooms.build()
-    grid = draw_furniture_free(immobile, drive, GridMapSettings(), THICKNESS)
-    stretches = standing_stretches(immobile, GridMapSettings())
+    grid = draw_furniture_free(immobile, drive, GridMapSettings(), THICKNESS, KNEE_M)
+    stretches = standing_stretches(immobile, GridMapSettings(), KNEE_M)
     return draw_floor_plan(stretches, immobile, grid, immobile.votes, FloorPlanSettings(), THICKNESS)
 
 
@@ -171,7 +172,7 @@ def test_a_free_standing_column_is_its_own_outline(seen: int, turn_deg: float) -
 def test_an_empty_building_has_an_empty_plan() -> None:
     rooms = TwoRooms(both_seen=False)
     immobile, drive = rooms.build()
-    grid = draw_furniture_free(immobile, Drive(drive.path_map, list), GridMapSettings(), THICKNESS)
+    grid = draw_furniture_free(immobile, Drive(drive.path_map, list), GridMapSettings(), THICKNESS, KNEE_M)
     nothing = immobile.walls.select(np.zeros(0, int))
     plan = draw_floor_plan(nothing, immobile, grid, immobile.votes, FloorPlanSettings(), THICKNESS)
     assert (plan.walls, plan.assumed, plan.columns) == ((), (), ())

@@ -23,12 +23,13 @@ from ffmap.algorithms.maps.grid import (
 from ffmap.algorithms.truth.maps import WALL_TOLERANCE_M, blocked_doors
 from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms, without
 
+KNEE_M = BuildingSettings().knee_m
 SETTINGS, THICKNESS = GridMapSettings(), WallThicknessSettings()
 TURNS = [0.0, 17.0, 45.0, 101.0]
 
 
 def drawn(rooms: TwoRooms, settings: GridMapSettings = SETTINGS) -> GridMap:
-    return draw_furniture_free(*rooms.build(), settings, THICKNESS)
+    return draw_furniture_free(*rooms.build(), settings, THICKNESS, KNEE_M)
 
 
 def at(grid: GridMap, rooms: TwoRooms, places: FloatArray) -> FloatArray:
@@ -96,11 +97,11 @@ def test_what_an_open_door_showed_is_free_though_the_door_is_to_be_drawn_closed(
 def test_an_opening_that_no_door_was_made_of_is_not_walled_up() -> None:
     rooms = TwoRooms()
     immobile, drive = rooms.build(without(rooms.doors))
-    grid = draw_furniture_free(immobile, drive, SETTINGS, THICKNESS)
+    grid = draw_furniture_free(immobile, drive, SETTINGS, THICKNESS, KNEE_M)
     assert (at(grid, rooms, across_the_door(rooms)) == Cell.FREE).all()
     closed = TwoRooms(closed=True)
     immobile, drive = closed.build(without(closed.doors))
-    grid = draw_furniture_free(immobile, drive, SETTINGS, THICKNESS)
+    grid = draw_furniture_free(immobile, drive, SETTINGS, THICKNESS, KNEE_M)
     assert Cell.OCCUPIED in at(grid, closed, across_the_door(closed))
 
 
@@ -115,7 +116,7 @@ def test_a_wall_is_not_carried_on_behind_a_pillar() -> None:
 def test_glass_stops_rays_and_stays_unknown() -> None:
     rooms = TwoRooms(glass=(0.0, 2.1), both_seen=False)
     behind = np.column_stack([np.linspace(1.2, 1.8, 5), np.full(5, -0.6)])
-    known = draw_furniture_free(*rooms.build(windows=rooms.window), SETTINGS, THICKNESS)
+    known = draw_furniture_free(*rooms.build(windows=rooms.window), SETTINGS, THICKNESS, KNEE_M)
     assert (at(known, rooms, behind) == Cell.UNKNOWN).all()
     assert (at(known, rooms, np.column_stack([np.linspace(1.2, 1.8, 5), np.full(5, 0.01)])) == Cell.UNKNOWN).all()
     assert (at(drawn(rooms), rooms, behind) == Cell.FREE).all()
@@ -126,7 +127,9 @@ def test_no_ray_passes_a_gap_beside_a_pane_that_nobody_could(told_m: float, expe
     rooms = TwoRooms(glass=(0.0, 2.1), both_seen=False)
     along = rooms.window.ends[0, 1] - rooms.window.ends[0, 0]
     ends = rooms.window.ends[0, 0] + np.array([[0.0], [told_m]]) * along
-    grid = draw_furniture_free(*rooms.build(windows=replace(rooms.window, ends=ends[None])), SETTINGS, THICKNESS)
+    grid = draw_furniture_free(
+        *rooms.build(windows=replace(rooms.window, ends=ends[None])), SETTINGS, THICKNESS, KNEE_M
+    )
     gap_x = np.linspace(1.0 + told_m + 0.1, 1.8, 5)
     assert expected in at(grid, rooms, np.column_stack([gap_x, np.full(5, -0.4)]))
     assert (Cell.FREE in at(grid, rooms, np.column_stack([gap_x, np.full(5, -0.4)]))) == (expected == Cell.FREE)
@@ -144,7 +147,7 @@ def test_the_reveals_of_a_window_are_no_walls_but_its_sill_is() -> None:
     with_window = replace(immobile, walls=walls, cells=cells)
     last = walls.ends[-1]
     for known, expected in ((with_window, False), (replace(with_window, windows=rooms.build()[0].windows), True)):
-        stretches = standing_stretches(known, SETTINGS).ends
+        stretches = standing_stretches(known, SETTINGS, KNEE_M).ends
         assert any(np.allclose(np.sort(ends[:, 0]), last[:, 0], atol=0.01) for ends in stretches) == expected
         southern = [ends for ends in stretches if np.allclose(ends[:, 1], 0.0)]
         assert sum(np.linalg.norm(ends[1] - ends[0]) for ends in southern) > 3.9
@@ -158,7 +161,7 @@ def test_free_is_only_what_lies_near_to_floor_that_was_seen() -> None:
     label[features.ray_end_map[:, 0] > 1.5] = 0
     dark = features.__class__(**{**features.__dict__, "ray_label": label})
     near = GridMapSettings(floor_reach_m=0.5)
-    grid = draw_furniture_free(immobile, Drive(drive.path_map[:1], lambda: [dark]), near, THICKNESS)
+    grid = draw_furniture_free(immobile, Drive(drive.path_map[:1], lambda: [dark]), near, THICKNESS, KNEE_M)
     assert (at(grid, rooms, np.array([[1.0, 1.0], [1.8, 1.0]])) == Cell.FREE).all()
     # From 3.3 m away rays to the floor at 1.5 m run below the knee from 2.4 m on.
     assert (at(grid, rooms, np.array([[3.1, 1.0], [3.5, 1.0]])) == Cell.UNKNOWN).all()
@@ -173,11 +176,11 @@ def test_floor_beyond_a_sill_is_not_free_though_it_was_seen() -> None:
     settings = GridMapSettings(floor_reach_m=0.5, margin_m=8.0)
     seen = np.concatenate([block.ray_end_map[block.ray_label == Label.FLOOR] for block in drive.blocks()])
     assert np.count_nonzero(seen[:, 1] < -3.0) > 20
-    free = draw_furniture_free(unknown, drive, settings, THICKNESS).centres(Cell.FREE)
+    free = draw_furniture_free(unknown, drive, settings, THICKNESS, KNEE_M).centres(Cell.FREE)
     assert free[:, 1].min() > -0.6
     assert np.count_nonzero(free[:, 1] > 0) * settings.cell_m**2 > 11.0
     # A pane that is known stops rays in every map.
-    rival = draw_cells(np.zeros((0, 2), int), rooms.window, drive, settings).centres(Cell.FREE)
+    rival = draw_cells(np.zeros((0, 2), int), rooms.window, drive, settings, KNEE_M).centres(Cell.FREE)
     assert rival[(rival[:, 0] > 1.2) & (rival[:, 0] < 1.8), 1].min() > -0.1
 
 
@@ -197,7 +200,7 @@ def test_what_rays_leave_through_a_window_that_was_not_told_is_not_free() -> Non
         ray_label=features.ray_label[~sky],
     )
     drive = replace(drive, blocks=lambda: [open_air])
-    grid = draw_furniture_free(unknown, drive, GridMapSettings(margin_m=8.0), THICKNESS)
+    grid = draw_furniture_free(unknown, drive, GridMapSettings(margin_m=8.0), THICKNESS, KNEE_M)
     free = grid.centres(Cell.FREE)
     assert free[:, 1].min() > -0.35  # the reveals are 30 cm deep
     assert (at(grid, rooms, np.column_stack([np.linspace(0.2, 3.8, 9), np.full(9, 0.1)])) == Cell.FREE).all()
@@ -215,11 +218,11 @@ def with_face(rooms: TwoRooms, ends: list[list[float]], normal: list[float], top
 def test_what_rays_pass_below_from_behind_is_no_wall() -> None:
     beam = ([[1.0, 2.2], [2.0, 2.2]], [0.0, 1.0])
     rooms = TwoRooms(both_seen=False, more=((np.array(beam[0]), (2.3, 2.6)),))
-    grid = draw_furniture_free(*with_face(rooms, *beam, 2.6), SETTINGS, THICKNESS)
+    grid = draw_furniture_free(*with_face(rooms, *beam, 2.6), SETTINGS, THICKNESS, KNEE_M)
     places = np.column_stack([np.linspace(1.1, 1.9, 9), np.full(9, 2.21)])
     assert (at(grid, rooms, places) == Cell.FREE).all()
     screen = TwoRooms(both_seen=False, more=((np.array(beam[0]), (0.0, 2.6)),))
-    grid = draw_furniture_free(*with_face(screen, *beam, 2.6), SETTINGS, THICKNESS)
+    grid = draw_furniture_free(*with_face(screen, *beam, 2.6), SETTINGS, THICKNESS, KNEE_M)
     assert (at(grid, screen, places) == Cell.OCCUPIED).all()
 
 
@@ -248,7 +251,7 @@ def test_rays_along_a_beam_that_end_beyond_it_do_not_hold_it() -> None:
     immobile, drive = with_face(rooms, *beam, 2.6)
     with_it = looked_along(rooms, drive, np.array([0.6, 2.215]), np.array([[3.4, 2.215], [3.5, 2.215]]), 60_000)
     places = np.column_stack([np.linspace(1.1, 1.9, 9), np.full(9, 2.21)])
-    grid = draw_furniture_free(immobile, with_it, SETTINGS, THICKNESS)
+    grid = draw_furniture_free(immobile, with_it, SETTINGS, THICKNESS, KNEE_M)
     assert (at(grid, rooms, places) == Cell.FREE).all()
 
 
@@ -260,9 +263,9 @@ def test_rays_along_a_wall_do_not_cross_it(turn_deg: float) -> None:
     immobile, drive = rooms.build()
     with_it = looked_along(rooms, drive, np.array([0.1, 2.985]), np.array([[0.5, 2.985], [1.3, 2.985]]), 80)
     wall = np.column_stack([np.linspace(0.3, 1.2, 40), np.full(40, 3.0)])
-    expected = at(draw_furniture_free(immobile, drive, SETTINGS, THICKNESS), rooms, wall)
+    expected = at(draw_furniture_free(immobile, drive, SETTINGS, THICKNESS, KNEE_M), rooms, wall)
     assert (expected == Cell.OCCUPIED).mean() > 0.8  # of a slanted line some places lie in a cell beside it
-    grid = draw_furniture_free(immobile, with_it, SETTINGS, THICKNESS)
+    grid = draw_furniture_free(immobile, with_it, SETTINGS, THICKNESS, KNEE_M)
     np.testing.assert_array_equal(at(grid, rooms, wall), expected)
 
 
@@ -271,13 +274,15 @@ def test_the_leaf_of_an_open_door_is_no_wall_but_its_reveal_is() -> None:
     face = ([[JAMBS_X[0], y - 0.2], [JAMBS_X[0], y + 0.7]], [1.0, 0.0])
     rooms = TwoRooms(leaf_deg=90.0)
     immobile, _ = with_face(rooms, *face, 2.05)
-    stretches = standing_stretches(immobile, SETTINGS).ends
+    stretches = standing_stretches(immobile, SETTINGS, KNEE_M).ends
     along = [ends for ends in stretches if np.allclose(ends[:, 0], JAMBS_X[0])]
     assert along
     assert max(float(ends[:, 1].max()) for ends in along) < y + 0.2
     # A wall there reaches the ceiling.
     partition, _ = with_face(rooms, *face, 2.6)
-    along = [ends for ends in standing_stretches(partition, SETTINGS).ends if np.allclose(ends[:, 0], JAMBS_X[0])]
+    along = [
+        ends for ends in standing_stretches(partition, SETTINGS, KNEE_M).ends if np.allclose(ends[:, 0], JAMBS_X[0])
+    ]
     assert max(float(ends[:, 1].max()) for ends in along) > y + 0.6
 
 
@@ -304,15 +309,17 @@ def test_nothing_gives_an_unknown_map() -> None:
         immobile.doors,
         immobile.windows,
     )
-    grid = draw_furniture_free(nothing, Drive(np.zeros((0, 3)), list), SETTINGS, THICKNESS)
+    grid = draw_furniture_free(nothing, Drive(np.zeros((0, 3)), list), SETTINGS, THICKNESS, KNEE_M)
     assert (grid.cells == Cell.UNKNOWN).all()
-    empty = draw_cells(np.zeros((0, 2), int), NO_WINDOWS, Drive(np.zeros((0, 3)), list), SETTINGS)
+    empty = draw_cells(np.zeros((0, 2), int), NO_WINDOWS, Drive(np.zeros((0, 3)), list), SETTINGS, KNEE_M)
     assert (empty.cells == Cell.UNKNOWN).all()
 
 
 def test_faces_that_are_not_shown_need_no_space() -> None:
     rooms = TwoRooms()
-    grid = draw_furniture_free(*with_face(rooms, [[1.0, 30.0], [2.0, 30.0]], [0.0, -1.0], 2.6), SETTINGS, THICKNESS)
+    grid = draw_furniture_free(
+        *with_face(rooms, [[1.0, 30.0], [2.0, 30.0]], [0.0, -1.0], 2.6), SETTINGS, THICKNESS, KNEE_M
+    )
     plain = drawn(rooms)
     np.testing.assert_allclose(grid.origin, plain.origin)
     rows, columns = plain.cells.shape
@@ -326,7 +333,7 @@ def test_faces_that_are_not_shown_need_no_space() -> None:
 def test_given_cells_are_occupied_and_the_rest_is_freed_by_the_same_rays() -> None:
     rooms = TwoRooms(both_seen=False)
     _, drive = rooms.build()
-    grid = draw_cells(np.array([[20, 20], [70, 10], [-10, 70]]), NO_WINDOWS, drive, SETTINGS)
+    grid = draw_cells(np.array([[20, 20], [70, 10], [-10, 70]]), NO_WINDOWS, drive, SETTINGS, KNEE_M)
     occupied = grid.centres(Cell.OCCUPIED)
     np.testing.assert_allclose(np.sort(occupied, axis=0), [[-0.475, 0.525], [1.025, 1.025], [3.525, 3.525]], atol=1e-6)
     assert (at(grid, rooms, np.array([[2.0, 0.7], [0.5, 2.5]])) == Cell.FREE).all()

@@ -8,12 +8,14 @@ import shapely
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import turned
+from ffmap.algorithms.building.model import BuildingSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.maps.area_graph import AreaGraph, AreaGraphSettings, Bounds, doorways_of, find_rooms, sides_of
 from ffmap.algorithms.maps.grid import GridMapSettings, draw_furniture_free, standing_stretches
 from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings, Sides, lay_on_faces
 from tests.two_rooms import SIZE_M, TwoRooms
 
+KNEE_M = BuildingSettings().knee_m
 CELL_M = 0.05
 OUTLINES = RoomOutlinesSettings()
 L_SHAPE = np.array([[0, 0], [6, 0], [6, 2.5], [3.5, 2.5], [3.5, 5], [0, 5]], float)
@@ -46,8 +48,8 @@ def faces_of(room: shapely.Polygon, short_m: float = 0.0) -> Sides:
 
 def building(rooms: TwoRooms, with_faces: bool) -> AreaGraph:
     immobile, drive = rooms.build()
-    grid = draw_furniture_free(immobile, drive, GridMapSettings(), WallThicknessSettings())
-    faces = (standing_stretches(immobile, GridMapSettings()), *sides_of(immobile.doors), immobile.windows)
+    grid = draw_furniture_free(immobile, drive, GridMapSettings(), WallThicknessSettings(), KNEE_M)
+    faces = (standing_stretches(immobile, GridMapSettings(), KNEE_M), *sides_of(immobile.doors), immobile.windows)
     bounds = Bounds(faces, OUTLINES) if with_faces else None
     doorways = doorways_of(immobile.doors)
     return find_rooms(grid, AreaGraphSettings(), doorways, immobile.windows.ends, drive.path_map, bounds)

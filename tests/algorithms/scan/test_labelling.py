@@ -31,6 +31,8 @@ from tests import synthetic
 from tests.corridor import HEIGHT_M, METHOD, T_BASE_SENSOR, Hole, cast, labelled, place, pose, share
 from tests.voting import vote
 
+KNEE_M = BuildingSettings().knee_m
+
 
 def relabelled(
     placed: PlacedScan, found: ScanLabelling, walls: Walls, doors: Doors, windows: Windows
@@ -263,7 +265,7 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
 
     drive = Drive(np.array([[-1.0, 0.0], [1.5, 0.0]]), lambda: [features])
     immobile = Immobile(walls, cells, VoxelTable(0.05, len(Label)).votes(), doors, windows)
-    grid = draw_furniture_free(immobile, drive, GridMapSettings(), WallThicknessSettings())
+    grid = draw_furniture_free(immobile, drive, GridMapSettings(), WallThicknessSettings(), KNEE_M)
 
     def at(x: float, y: float) -> int:
         column, row = np.floor((np.array([x, y]) - grid.origin) / grid.cell_m).astype(int)

@@ -1,0 +1,274 @@
+"""Walls that every single scan missed: found of the returns of all scans, by hand-made rays."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.segments import Segment
+from ffmap.algorithms.building.face_columns import FaceColumnsSettings, Storey, TracedFaces
+from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
+from ffmap.algorithms.building.missed_walls import (
+    AllReturns,
+    MissedWalls,
+    MissedWallsSettings,
+    SearchSettings,
+    find_missed_walls,
+)
+from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls
+from ffmap.algorithms.building.ray_evidence import WallCells
+from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, majority
+from tests.faces import CEILING_M, faces
+from tests.voting import vote
+
+SETTINGS = StandingWallsSettings()
+COLUMNS = FaceColumnsSettings()
+SEARCH = SearchSettings(BuildingSettings(), SETTINGS, COLUMNS, MissedWallsSettings())
+FILLED, SUM, SQUARES, THROUGH = range(4)
+
+
+def room(
+    wall: bool = True,
+    height_m: float = CEILING_M,
+    seed: int = 0,
+    from_x: float = -1.0,
+    to_x: float = 5.0,
+    from_y: float = 0.5,
+    to_y: float = 2.0,
+) -> VoxelVotes:
+    """Floor and ceiling of a room, a known wall at y = 0, and clutter on the plane x = 3 from `from_y` to `to_y`."""
+    generator = np.random.default_rng(seed)
+
+    def spread(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float], count: int) -> np.ndarray:
+        low, high = np.array([x, y, z]).T
+        return generator.uniform(low, high, (count, 3)) + generator.normal(0, 0.01, (count, 3))
+
+    parts = [
+        (spread((from_x, to_x), (0, 3), (0, 0), 40_000), Label.FLOOR),
+        (spread((from_x, to_x), (0, 3), (CEILING_M, CEILING_M), 40_000), Label.CEILING),
+        (spread((-1, 5), (0, 0), (0, CEILING_M), 9_000), Label.WALL),
+    ]
+    if wall:
+        parts.append((spread((3, 3), (from_y, to_y), (0, height_m), 4_000), Label.CLUTTER))
+    points = np.concatenate([p for p, _ in parts])
+    label = np.concatenate([np.full(len(p), code, np.uint8) for p, code in parts])
+    return vote(points, label, len(Label), 0.05)
+
+
+def search(
+    votes: VoxelVotes,
+    passed_above_m: float | None = None,
+    path_x: float = 0.0,
+    hip_m: float = 0.0,
+    known: Walls | None = None,
+    unseen_m: float = 0.0,
+    seen_m: float = CEILING_M,
+    window_m: tuple[float, float] | None = None,
+    window_from_y: float = 0.0,
+    from_y: float = 0.5,
+    rays: float = 3.0,
+) -> MissedWalls:
+    """What is found; so many rays a cell end on every candidate that lies on x = 3, seen from smaller x, and pass the others.
+
+    hip_m: from there to a door's head a few rays pass. unseen_m, seen_m: below and above there no ray comes.
+    window_m: between these heights rays pass, from `window_from_y` on. known: a wall beside it. from_y: where the face begins.
+    """
+
+    storey = Storey.of(votes, (), 3)
+
+    def trace(candidates: Walls) -> TracedFaces:
+        columns = [int(np.ceil(np.linalg.norm(e[1] - e[0]) / CELL_M)) for e in candidates.ends]
+        first = np.concatenate([[0], np.cumsum(columns)]).astype(np.int64)
+        counts = np.zeros((int(first[-1]), 60, 4), np.float32)
+        for w in range(len(candidates)):
+            own = slice(int(first[w]), int(first[w + 1]))
+            on = bool(np.all(np.abs(candidates.ends[w, :, 0] - 3.0) < 0.03)) and candidates.normal[w, 0] < -0.9
+            counts[own, :56, FILLED if on else THROUGH] = rays
+            counts[own, :56, SQUARES] = rays * 0.01**2 * on
+            if on and passed_above_m is not None:
+                above = slice(int(passed_above_m / CELL_M), 56)
+                counts[own, above, FILLED], counts[own, above, THROUGH] = 0.0, 3.0
+            if on and hip_m:
+                between = slice(int(hip_m / CELL_M), int(2.1 / CELL_M))
+                counts[own, between, FILLED], counts[own, between, THROUGH] = 0.0, 0.1
+            y = Segment.between(candidates.ends[w]).at((np.arange(columns[w]) + 0.5) * CELL_M)[:, 1]
+            if on and window_m is not None:
+                pane = counts[own, round(window_m[0] / CELL_M) : round(window_m[1] / CELL_M)]
+                pane[y > window_from_y] = np.array([0.0, 0.0, 0.0, 3.0])
+            counts[own, : int(unseen_m / CELL_M)] = 0.0
+            counts[own, int(seen_m / CELL_M) :] = 0.0
+            if on:
+                counts[own][(y < from_y) | (y > 2.0)] = 0.0
+        return TracedFaces.of(candidates, WallCells(first, 60, counts), storey, SETTINGS.ceiling_near_m)
+
+    others = faces(((-1, 0), (5, 0)))
+    others = others if known is None else others.append(known)
+    path = np.column_stack([np.full(50, path_x), np.linspace(0.2, 2.8, 50)])
+    return find_missed_walls(others, NO_WALLS, AllReturns(votes, storey, path, trace), SEARCH)
+
+
+def missed(votes: VoxelVotes, **seen: Any) -> Walls:
+    return search(votes, **seen).walls
+
+
+def test_a_wall_that_no_scan_alone_told_is_found():
+    walls = missed(room())
+    assert len(walls) == 1
+    np.testing.assert_allclose(walls.ends[0, :, 0], 3.0, atol=0.02)
+    np.testing.assert_allclose(np.sort(walls.ends[0, :, 1]), [0.5, 2.0], atol=0.1)
+    np.testing.assert_allclose(walls.normal[0], [-1.0, 0.0], atol=0.02)
+    assert walls.top_m[0] == pytest.approx(CEILING_M, abs=0.06)
+
+
+def test_a_missed_wall_says_what_it_rests_on() -> None:
+    """No scan saw a plane of it; three rays end on each of its cells, and it is seen from 0.5 m to 2.5 m."""
+    walls = missed(room(), unseen_m=0.5, seen_m=2.5)
+    assert walls.scan_count.tolist() == [0]
+    assert walls.bottom_m[0] == pytest.approx(0.5, abs=CELL_M)
+    assert walls.top_m[0] == pytest.approx(2.5, abs=CELL_M)
+    assert walls.sample_count[0] == pytest.approx(3 * (1.5 / CELL_M) * (2.0 / CELL_M), rel=0.1)
+    assert walls.rms_m[0] == pytest.approx(0.01, abs=1e-6)
+
+
+def test_a_pillar_before_a_wall_shows_from_floor_to_ceiling():
+    behind = faces(((3.2, 0), (3.2, 3)))
+    assert len(missed(room(), known=behind)) == 1
+    # A bench, and a duct above it.
+    assert len(missed(room(), hip_m=0.6)) == 0
+    assert len(missed(room(), hip_m=0.6, known=behind)) == 0
+    # What furniture hides may be wall, but for what stands before one.
+    assert len(missed(room(), unseen_m=1.2)) == 1
+    assert len(missed(room(), unseen_m=1.2, known=behind)) == 0
+
+
+def room_with_a_duct(underside_x: tuple[float, float]) -> VoxelVotes:
+    """The room whose wall shows up to 2 m, and what hangs level before it."""
+    votes = room(height_m=2.0)
+    x, y = np.meshgrid(np.arange(*underside_x, 0.02), np.arange(0.5, 2.0, 0.02))
+    points = np.stack([x.ravel(), y.ravel(), np.full(x.size, 2.02)], axis=1)
+    table = VoxelTable(0.05, len(Label))
+    table.absorb(votes)
+    table.add(points.astype(np.float32), np.full(len(points), Label.CLUTTER, np.uint8))
+    return table.votes()
+
+
+def test_a_wall_that_shows_below_a_duct_alone_is_found_and_what_hangs_before_it_is_no_wall():
+    """The duct's front goes on as a cupboard's, from y = 2.2 m to 3 m."""
+    front = faces(((2.55, 0.0), (2.55, 3.0)))
+    found = search(room_with_a_duct((2.55, 3.0)), seen_m=2.0, known=front)
+    assert len(found.walls) == 1
+    np.testing.assert_allclose(found.walls.ends[0, :, 0], 3.0, atol=0.02)
+    np.testing.assert_allclose(np.sort(found.ducts.ends[0, :, 1]), [0.5, 2.0], atol=0.1)
+    beside = found.known.ends[np.abs(found.known.normal[:, 0]) > 0.9]
+    np.testing.assert_allclose(np.sort(beside[:, :, 1], axis=1), [[0.0, 0.5], [2.0, 3.0]], atol=0.1)
+    # What hangs as deep as a wall is thick is a lintel: behind the doorway stands a cupboard, or another room's wall.
+    lintel = search(room_with_a_duct((2.55, 2.7)), seen_m=2.0, known=front)
+    assert (len(lintel.walls), len(lintel.ducts), len(lintel.known)) == (0, 0, 2)
+    # Less than two returns a row show nothing.
+    assert len(missed(room_with_a_duct((2.55, 3.0)), seen_m=2.0, known=front, rays=0.04)) == 0
+    # Without a front it is a shelf.
+    assert len(missed(room_with_a_duct((2.55, 3.0)), seen_m=2.0)) == 0
+
+
+def test_on_a_raised_floor_a_ducts_underside_is_as_high_above_it() -> None:
+    votes = room_with_a_duct((2.55, 3.0))
+    table = VoxelTable(0.05, len(Label))
+    for code in Label:
+        own = majority(votes.counts) == code
+        points = np.repeat(votes.mean_position[own] + [0.0, 0.0, 0.5], 3, axis=0)
+        table.add(points, np.full(len(points), code, np.uint8))
+    found = search(table.votes(), seen_m=2.0, known=faces(((2.55, 0.0), (2.55, 3.0))))
+    assert (len(found.walls), len(found.ducts)) == (1, 1)
+
+
+def test_what_is_left_of_a_ducts_front_goes_with_it_where_it_is_too_short_for_a_face():
+    found = search(room_with_a_duct((2.55, 3.0)), seen_m=2.0, known=faces(((2.55, 0.35), (2.55, 3.0))))
+    across = [np.sort(w.ends[np.abs(w.normal[:, 0]) > 0.9][:, :, 1], axis=1) for w in (found.ducts, found.known)]
+    np.testing.assert_allclose(across[0], [[0.35, 2.0]], atol=0.1)
+    np.testing.assert_allclose(across[0][0, 0], 0.35)
+    np.testing.assert_allclose(across[1], [[2.0, 3.0]], atol=0.1)
+
+
+def test_what_is_seen_no_higher_than_heads_are_is_a_leaf_or_a_reveal():
+    assert len(missed(room(), seen_m=2.2)) == 0
+    assert len(missed(room(), seen_m=2.35)) == 1  # through a doorway, from afar
+
+
+def test_a_missed_wall_may_have_a_window():
+    outer = room(to_x=3.0)
+    assert len(missed(outer, window_m=(0.9, 2.1))) == 1
+    assert len(missed(outer, window_m=(0.3, 2.1))) == 0  # a bench, and a duct above it
+    assert len(missed(outer, window_m=(SEARCH.building.knee_m, 2.1))) == 1  # sills begin at the knee, as for doors
+    assert len(missed(room(), window_m=(0.9, 2.1))) == 0  # a table in the room, and a lamp above it
+
+
+def test_a_window_goes_on_from_a_missed_wall_over_its_sill():
+    """Through a doorway, next to nothing of the wall above it is seen."""
+
+    def with_window(foot_m: float) -> Walls:
+        return missed(room(to_x=3.0), window_from_y=1.0, window_m=(foot_m, CEILING_M))
+
+    np.testing.assert_allclose(np.sort(with_window(0.9).ends[0, :, 1]), [0.5, 2.0], atol=0.11)
+    np.testing.assert_allclose(np.sort(with_window(0.3).ends[0, :, 1]), [0.5, 1.0], atol=0.11)
+
+
+def test_a_cupboard_and_a_duct_above_it_are_no_wall_with_a_window():
+    """Between them rays pass to the wall behind."""
+    assert len(missed(room(to_x=3.0), window_m=(0.9, 2.5), known=faces(((3.6, 0), (3.6, 3))))) == 0
+
+
+def test_a_window_may_reach_close_to_the_ceiling():
+    assert len(missed(room(to_x=3.0), window_m=(0.9, 2.5))) == 1
+    assert len(missed(room(to_x=3.0), window_m=(0.9, 2.75))) == 0  # a partition
+
+
+def test_a_pillars_side_is_as_long_as_to_the_corner_with_its_front():
+    """Close to the front its returns pass for the front's."""
+    front = ((3.02, 0.4), (3.35, 0.4))
+    assert len(missed(room(to_y=0.66))) == 0
+    assert len(missed(room(to_y=0.66), known=faces(front))) == 1
+
+
+def test_a_pillar_has_sides_however_little_it_stands_before_its_wall():
+    """Most of a side lies so close to the wall, or to the pillar's front, that its returns pass for theirs."""
+    found = missed(room(from_y=0.02, to_y=0.24), from_y=0.0, known=faces(((2.95, 0.26), (3.4, 0.26))))
+    np.testing.assert_allclose(found.ends[0, :, 0], 3.0, atol=0.01)
+    np.testing.assert_allclose(np.sort(found.ends[0, :, 1]), [0.0, 0.26], atol=0.06)
+
+
+def test_a_pillar_may_be_as_narrow_as_a_wall_is_short():
+    """Columns are told with those beside them, which rays pass; its own outer ones count all the same."""
+    table = room(from_y=0.7, to_y=1.5)
+    found = missed(table, from_y=0.7, window_m=(0.0, CEILING_M), window_from_y=0.93)
+    np.testing.assert_allclose(np.sort(found.ends[0, :, 1]), [0.7, 0.93], atol=0.06)
+    assert len(missed(table, from_y=0.7, window_m=(0.0, CEILING_M), window_from_y=0.82)) == 0
+
+
+def test_before_a_wall_of_this_building_floor_or_ceiling_is_seen():
+    """Through windows another house's front shows, as high as the ceiling, which ends there."""
+    assert len(missed(room(from_x=2.0))) == 1
+    assert len(missed(room(from_x=2.9))) == 0
+
+
+def test_a_missed_wall_ends_at_a_wall_that_it_crosses():
+    walls = missed(room(), known=faces(((2.0, 1.2), (4.0, 1.2))))
+    along = np.sort(walls.ends[:, :, 1], axis=1)
+    np.testing.assert_allclose(along[np.argsort(along[:, 0])], [[0.5, 1.2], [1.2, 2.0]], atol=0.1)
+    # What is left beyond is as short as a window's reveal.
+    walls = missed(room(), known=faces(((2.0, 1.8), (4.0, 1.8))))
+    np.testing.assert_allclose(np.sort(walls.ends[:, :, 1]), [[0.5, 1.8]], atol=0.1)
+
+
+def test_between_two_walls_that_look_at_each_other_there_is_room():
+    assert len(missed(room(), known=faces(((2.8, 3), (2.8, 0))))) == 0
+    assert len(missed(room(), known=faces(((2.0, 3), (2.0, 0))))) == 1
+
+
+def test_furniture_lower_than_the_ceiling_is_no_missed_wall():
+    assert len(missed(room(height_m=1.9), passed_above_m=1.9)) == 0
+
+
+def test_no_wall_is_found_where_the_robot_drove_or_nothing_stands():
+    assert len(missed(room(), path_x=3.05)) == 0
+    assert len(missed(room(wall=False))) == 0
