@@ -17,7 +17,6 @@ from ffmap.algorithms.building.model import Doors, Walls
 from ffmap.algorithms.building.thickness import (
     WallParts,
     WallThicknessSettings,
-    door_depths,
     face_thickness,
     part_walls,
     usual_thickness,
@@ -134,13 +133,12 @@ def draw_floor_plan(
     stretches = stretches.select(_shown(stretches, grid, settings.drawn_share))
     doors = immobile.doors
     of_walls = part_walls(immobile.walls, thickness)
-    depth_m = door_depths(doors, immobile.walls, of_walls, thickness)
     parts = part_walls(stretches, thickness)
-    usual_m = usual_thickness(parts, thickness)
-    assumed_m = _assumed_thickness(stretches, doors, depth_m, usual_m, settings.corner_m)
+    usual_m = usual_thickness(parts, thickness.unseen_m)
+    assumed_m = _assumed_thickness(stretches, doors, usual_m, settings.corner_m)
     # A doorway is cut out of the wall as it is drawn, where both faces of that were seen.
     drawn_m = face_thickness(immobile.walls, of_walls)[doors.wall]
-    cut_m = np.where(np.isfinite(drawn_m), drawn_m, depth_m)
+    cut_m = np.where(np.isfinite(drawn_m), drawn_m, doors.reveal_m)
     columns, in_column = _columns(stretches, settings)
     outlines = [_quad(doors.ends[d], doors.normal[d], 0.0, float(cut_m[d])) for d in range(len(doors))]
     windows = [
@@ -165,7 +163,7 @@ def draw_floor_plan(
                 sill=doors.ends[d],
                 closed=doors.ends[d] - np.nan_to_num(doors.depth_m[d]) * doors.normal[d],
                 state=DoorState(int(doors.state[d])),
-                leaves=_find_leaves(doors.ends[d], doors.normal[d], float(depth_m[d]), votes, settings)
+                leaves=_find_leaves(doors.ends[d], doors.normal[d], float(doors.reveal_m[d]), votes, settings)
                 if doors.state[d] == DoorState.OPEN
                 else (),
             )
@@ -190,16 +188,14 @@ def _shown(stretches: Walls, grid: GridMap, share_min: float) -> BoolArray:
     return shown
 
 
-def _assumed_thickness(
-    stretches: Walls, doors: Doors, depth_m: FloatArray, usual_m: float, near_m: float
-) -> FloatArray:
+def _assumed_thickness(stretches: Walls, doors: Doors, usual_m: float, near_m: float) -> FloatArray:
     """(W,) how thick the wall behind each stretch is taken for where one side was seen: as its doorways are deep."""
     assumed_m = np.full(len(stretches), usual_m)
     for w, (start, normal) in enumerate(zip(stretches.ends[:, 0], stretches.normal, strict=True)):
         off_m = np.abs((doors.ends - start) @ normal).max(axis=1)
         own = (off_m < near_m) & (doors.normal @ normal > 0.5)
         if own.any():
-            assumed_m[w] = np.median(depth_m[own])
+            assumed_m[w] = np.median(doors.reveal_m[own])
     return assumed_m
 
 

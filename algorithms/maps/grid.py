@@ -17,7 +17,7 @@ from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, Doors, Walls, Windows, cells_in, stretches
 from ffmap.algorithms.building.ray_evidence import FOOT_ROW, THROUGH, WallCells, returns_at_face
-from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
+from ffmap.algorithms.building.thickness import WallThicknessSettings, face_thickness, part_walls
 from ffmap.algorithms.building.votes import VoxelVotes, majority
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features
@@ -183,17 +183,16 @@ def draw_furniture_free(
         canvas.draw_line(ends, Cell.OCCUPIED)
     canvas.drop_crossed(drive, standing)
     parts = part_walls(immobile.walls, thickness)
-    depth_m = door_depths(doors, immobile.walls, parts, thickness)
     # Where the thickness is a guess, or a leaf hid whether it holds here, a doorway rather ends in the room behind.
     guessed = np.isnan(face_thickness(immobile.walls, parts)[doors.wall]) | (doors.state == DoorState.CLOSED)
-    reach_m = np.where(guessed, np.maximum(depth_m, settings.door_guessed_m), depth_m)
+    reach_m = np.where(guessed, np.maximum(doors.reveal_m, settings.door_guessed_m), doors.reveal_m)
     margin_m, inset_m = settings.door_margin_m, settings.cell_m
     doorways = [_doorway(doors.ends[d], doors.normal[d], reach_m[d], margin_m, inset_m) for d in range(len(doors))]
     for doorway in doorways:
         canvas.draw_area(doorway, Cell.UNKNOWN)
     for d in range(len(doors)):
         for jamb in doors.ends[d]:
-            canvas.draw_line(np.stack([jamb, jamb - depth_m[d] * doors.normal[d]]), Cell.OCCUPIED)
+            canvas.draw_line(np.stack([jamb, jamb - doors.reveal_m[d] * doors.normal[d]]), Cell.OCCUPIED)
     shut = np.full(len(doors), settings.doors == "closed")
     if settings.doors == "as-seen":
         shut = doors.state == DoorState.CLOSED
