@@ -180,7 +180,7 @@ def fuse_building(scans: AllScans, settings: FusionSettings, workers: int) -> Bu
         standing,
         immobile,
         grid,
-        scans.votes,
+        scans.storey,
         settings.floor_plan,
         settings.wall_thickness,
         rooms.rooms,

@@ -13,6 +13,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import lengths_m, main_direction_deg, turned
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.model import Doors, Walls
 from ffmap.algorithms.building.thickness import (
     WallParts,
@@ -120,15 +121,15 @@ def draw_floor_plan(
     stretches: Walls,
     immobile: Immobile,
     grid: GridMap,
-    votes: VoxelVotes,
+    storey: Storey,
     settings: FloorPlanSettings,
     thickness: WallThicknessSettings,
     rooms: Sequence[RoomOnPlan] = (),
 ) -> FloorPlan:
     """The plan of a building.
 
-    stretches: `grid_map.standing_stretches`. grid: the furniture-free one; what it does not show is not drawn. votes: of
-    all scans, in which the leaves of open doors are looked for.
+    stretches: `grid_map.standing_stretches`. grid: the furniture-free one; what it does not show is not drawn.
+    storey: the floor that open leaves stand on.
     """
     stretches = stretches.select(_shown(stretches, grid, settings.drawn_share))
     doors = immobile.doors
@@ -140,6 +141,7 @@ def draw_floor_plan(
     drawn_m = face_thickness(immobile.walls, of_walls)[doors.wall]
     cut_m = np.where(np.isfinite(drawn_m), drawn_m, doors.reveal_m)
     columns, in_column = _columns(stretches, settings)
+    upright = _upright(immobile.votes, storey, settings)
     outlines = [_quad(doors.ends[d], doors.normal[d], 0.0, float(cut_m[d])) for d in range(len(doors))]
     windows = [
         _quad(ends, normal, 0.0, _thickness_at(ends, parts, stretches, usual_m))
@@ -163,7 +165,7 @@ def draw_floor_plan(
                 sill=doors.ends[d],
                 closed=doors.ends[d] - np.nan_to_num(doors.depth_m[d]) * doors.normal[d],
                 state=DoorState(int(doors.state[d])),
-                leaves=_find_leaves(doors.ends[d], doors.normal[d], float(doors.reveal_m[d]), votes, settings)
+                leaves=_find_leaves(doors.ends[d], doors.normal[d], float(doors.reveal_m[d]), upright, settings)
                 if doors.state[d] == DoorState.OPEN
                 else (),
             )
@@ -294,8 +296,17 @@ def _groups(stretches: Walls, apart_m: float) -> IntArray:
     return group
 
 
+def _upright(votes: VoxelVotes, storey: Storey, settings: FloorPlanSettings) -> FloatArray:
+    """(n, 3) x, y and the height above the floor of the cubes that may be of leaves: neither floor nor ceiling."""
+    label = majority(votes.counts)
+    places = votes.mean_position[(label != Label.FLOOR) & (label != Label.CEILING)]
+    height_m = places[:, 2] - storey.ground_m(places[:, :2])
+    between = (height_m > settings.leaf_low_m) & (height_m < settings.leaf_high_m)
+    return np.column_stack([places[between, :2], height_m[between]])
+
+
 def _find_leaves(
-    sill: FloatArray, normal: FloatArray, depth_m: float, votes: VoxelVotes, settings: FloorPlanSettings
+    sill: FloatArray, normal: FloatArray, depth_m: float, upright: FloatArray, settings: FloorPlanSettings
 ) -> tuple[Leaf, ...]:
     """The leaves of an open door, by what stands upright from one of its jambs, as long as the doorway is wide.
 
@@ -304,11 +315,7 @@ def _find_leaves(
     width_m = float(np.linalg.norm(sill[1] - sill[0]))
     double = width_m > settings.double_door_m
     length_m = width_m / 2 if double else width_m
-    label, position = majority(votes.counts), votes.mean_position
-    near = np.linalg.norm(position[:, :2] - sill.mean(axis=0), axis=1) < 1.5 * width_m + depth_m
-    standing = near & (label != Label.FLOOR) & (label != Label.CEILING)
-    standing &= (position[:, 2] > settings.leaf_low_m) & (position[:, 2] < settings.leaf_high_m)
-    points = position[standing]
+    points = upright[np.linalg.norm(upright[:, :2] - sill.mean(axis=0), axis=1) < 1.5 * width_m + depth_m]
     found: list[tuple[int, Leaf]] = []
     for jamb in (0, 1):
         candidates = []

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 import shapely
 
+from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import main_direction_deg
+from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.model import Doors
 from ffmap.algorithms.building.thickness import (
     WallThicknessSettings,
@@ -16,6 +18,7 @@ from ffmap.algorithms.building.thickness import (
     part_walls,
     usual_thickness,
 )
+from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.maps.floor_plan import FloorPlan, FloorPlanSettings, draw_floor_plan
 from ffmap.algorithms.maps.grid import Drive, GridMapSettings, draw_furniture_free, standing_stretches
 from ffmap.algorithms.scan.doors import DoorState
@@ -25,11 +28,16 @@ THICKNESS = WallThicknessSettings()
 UNKNOWN_M = 0.3
 
 
-def plan_of(rooms: TwoRooms) -> FloorPlan:
+def plan_of(rooms: TwoRooms, floor_m: float = 0.0) -> FloorPlan:
+    """The plan of two rooms whose floor lies at a height in the map."""
     immobile, drive = rooms.build()
+    table = VoxelTable(0.05, len(Label))
+    features = rooms.scans()
+    table.add(features.ray_end_map + np.float32([0.0, 0.0, floor_m]), features.ray_label)
+    immobile = replace(immobile, votes=table.votes())
     grid = draw_furniture_free(immobile, drive, GridMapSettings(), THICKNESS)
     stretches = standing_stretches(immobile, GridMapSettings())
-    return draw_floor_plan(stretches, immobile, grid, immobile.votes, FloorPlanSettings(), THICKNESS)
+    return draw_floor_plan(stretches, immobile, grid, Storey.of(immobile.votes), FloorPlanSettings(), THICKNESS)
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 25.0, 160.0])
@@ -162,6 +170,14 @@ def test_the_swing_of_an_open_leaf_is_found(angle_deg: float, turn_deg: float) -
     assert leaf.swing_deg == pytest.approx(angle_deg, abs=5.1)
 
 
+def test_a_leaf_stands_on_its_own_floor() -> None:
+    """A metre lower than the map's origin, as at the foot of a ramp."""
+    rooms = TwoRooms(leaf_deg=70.0)
+    level, low = plan_of(rooms).doors[0], plan_of(rooms, -1.0).doors[0]
+    assert len(low.leaves) == 1
+    assert low.leaves[0].swing_deg == level.leaves[0].swing_deg
+
+
 def test_no_leaf_is_made_up() -> None:
     assert plan_of(TwoRooms()).doors[0].leaves == ()
     closed = plan_of(TwoRooms(closed=True)).doors[0]
@@ -197,5 +213,5 @@ def test_an_empty_building_has_an_empty_plan() -> None:
     immobile, drive = rooms.build()
     grid = draw_furniture_free(immobile, Drive(drive.path_map, list), GridMapSettings(), THICKNESS)
     nothing = immobile.walls.select(np.zeros(0, int))
-    plan = draw_floor_plan(nothing, immobile, grid, immobile.votes, FloorPlanSettings(), THICKNESS)
+    plan = draw_floor_plan(nothing, immobile, grid, Storey.of(immobile.votes), FloorPlanSettings(), THICKNESS)
     assert (plan.walls, plan.assumed, plan.columns) == ((), (), ())
