@@ -186,7 +186,7 @@ class TwoRooms:
             last_scan=np.array([5]),
             crossed=np.array([False]),
             wall=np.array([3], np.int32),
-            reveal_m=np.array([0.04 if self.closed else self.thickness_m]),
+            reveal_m=np.array([self.thickness_m]),
         )
 
     def build(self, doors: Doors | None = None, windows: Windows | None = None) -> tuple[Immobile, Drive]:

@@ -82,7 +82,7 @@ def find_doors(
         last_scan=np.full(len(kept), -1, np.int64),
         crossed=np.zeros(len(kept), bool),
         wall=np.array([d.wall for d in kept], np.int32),
-        reveal_m=np.full(len(kept), rules.building.reveal_m),
+        reveal_m=np.full(len(kept), np.nan),
     )
 
 

@@ -534,22 +534,25 @@ def _at_door(at: _Return, origin: FloatArray, doorways: _Doorways, rules: _Rules
 def _nearest_face(
     at: _Return, origin: FloatArray, faces: _Faces, rules: _Rules
 ) -> tuple[float, bool, bool]:  # pragma: no cover
-    """Metres to the nearest face, infinite without one; whether something stands against that; whether any has it within.
+    """Metres to the nearest face, infinite without one; whether something stands against the wall; whether a wall has it within.
 
-    Within a wall's body, behind a face that the sensor looks at, is what scatters.
+    What stands against the wall is told by the nearest face that the ray could end on or before: a thin wall's other side is
+    as close, but in another room. Within a wall's body, behind a face that the sensor looks at, is what scatters.
     """
-    nearest_m = np.inf
+    nearest_m, nearest_seen_m = np.inf, rules.forget_m
     is_covered = False
     is_within = False
     for w in range(len(faces.lines.length)):
         s = _before(faces.lines, w, at.x, at.y)
-        in_body = -rules.body_m < s < 0.0 and _is_before(faces.lines, w, origin)
-        if abs(s) < nearest_m or in_body:
+        could_see = s > 0.0 or _is_before(faces.lines, w, origin)
+        in_body = -rules.body_m < s < 0.0 and could_see
+        if abs(s) < nearest_m or in_body or (could_see and abs(s) < nearest_seen_m):
             u = _along(faces.lines, w, at.x, at.y)
             beside = -rules.margin_m < u < faces.lines.length[w] + rules.margin_m
             if beside and at.height_m < faces.top_m[w] + rules.face_above_m:
-                if abs(s) < nearest_m:
-                    nearest_m = abs(s)
+                nearest_m = min(nearest_m, abs(s))
+                if could_see and abs(s) < nearest_seen_m:
+                    nearest_seen_m = abs(s)
                     column = min(max(int(u / CELL_M), 0), faces.first[w + 1] - faces.first[w] - 1)
                     row = min(max(int(at.height_m / CELL_M), 0), faces.covered.shape[1] - 1)
                     is_covered = faces.covered[faces.first[w] + column, row]
@@ -614,7 +617,7 @@ def _relabel(
             label[i] = Label.CLUTTER
             continue
         nearest_m, is_covered, is_within = _nearest_face(at, origin, faces, rules)
-        if is_covered and nearest_m < rules.forget_m and not on_reveal:
+        if is_covered and not on_reveal:
             label[i] = Label.CLUTTER
             continue
         is_wall, is_door = label[i] == Label.WALL, label[i] == Label.DOOR

@@ -182,7 +182,8 @@ def _find_openings(walls: Walls, scans: AllScans, settings: FusionSettings) -> t
     doors = prove_crossed(doors, scans.path_map)
     doors = measure_reveals(doors, scans.drive.blocks(), settings.door_frames)
     parts = part_walls(walls, settings.wall_thickness)
-    doors = replace(doors, reveal_m=door_depths(doors, walls, parts, settings.wall_thickness))
+    depth_m = door_depths(doors, walls, parts, settings.wall_thickness, settings.building.reveal_m)
+    doors = replace(doors, reveal_m=depth_m)
     return trim_at_doorways(faces, doors, settings.standing_walls), doors, windows
 
 

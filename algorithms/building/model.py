@@ -66,7 +66,7 @@ class BuildingSettings(StepSettings):
     reveal_m: float = Field(
         0.3,
         ge=0,
-        description="A door's reveals reach this many metres behind the wall's face where its lintel does not tell.",
+        description="Depth (m) of a door's reveals where neither a lintel nor a wall of the building tells.",
     )
     pane_share_min: float = Field(
         0.005, gt=0, le=1, description="An opening that returns this share of its rays from one sheet holds a pane."
@@ -169,7 +169,7 @@ class Doors:
     scan_count, first_scan, last_scan: (D,) the scans whose rays met it or passed it close by; -1 where none is known.
     crossed: (D,) whether the robot drove through.
     wall: (D,) the wall face in which it was seen best.
-    reveal_m: (D,) how far its reveals and the underside of its lintel reach behind the wall's face.
+    reveal_m: (D,) how far its reveals and the underside of its lintel reach behind the wall's face; NaN where unknown.
     """
 
     ends: FloatArray

@@ -79,36 +79,34 @@ def face_thickness(walls: Walls, parts: WallParts) -> FloatArray:
     return thickness_m
 
 
-def usual_thickness(parts: WallParts, settings: WallThicknessSettings) -> float:
-    """The median, by length, of what was measured; `unseen_m` where nothing was."""
+def usual_thickness(parts: WallParts, unknown_m: float) -> float:
+    """The median, by length, of what was measured; `unknown_m` where nothing was."""
     measured = np.isfinite(parts.thickness_m)
-    return _median_by_length(parts.thickness_m[measured], lengths_m(parts.ends[measured]), settings.unseen_m)
+    return _median_by_length(parts.thickness_m[measured], lengths_m(parts.ends[measured]), unknown_m)
 
 
-def door_depths(doors: Doors, walls: Walls, parts: WallParts, settings: WallThicknessSettings) -> FloatArray:
+def door_depths(
+    doors: Doors, walls: Walls, parts: WallParts, settings: WallThicknessSettings, unknown_m: float
+) -> FloatArray:
     """(D,) how far each doorway reaches behind its sill: as far as its wall is thick.
 
     An open door tells by the underside of its lintel, which single scans measure; a wall's two faces were seen from two
     rooms, minutes apart, and the poses' drift lies between them. A closed leaf hides it: there the open doors in the same
     face tell, else the wall's faces, else the building's open doors, else the building's usual thickness. None reaches
     farther beyond the wall's other face than faces are off.
+
+    doors: their `reveal_m` is a measurement, or NaN. unknown_m: the depth where nothing of the building tells.
     """
-    usual_m, of_face_m = usual_thickness(parts, settings), face_thickness(walls, parts)
+    usual_m, thickness_m = usual_thickness(parts, unknown_m), face_thickness(walls, parts)[doors.wall]
     # Beyond the wall's other face goes on what hangs there as high as the lintel.
-    reveal_m = np.fmin(doors.reveal_m, of_face_m[doors.wall] + settings.beyond_face_m)
+    most_m = np.where(np.isfinite(thickness_m), thickness_m + settings.beyond_face_m, np.inf)
+    reveal_m = np.minimum(doors.reveal_m, most_m)
     told = (doors.state == DoorState.OPEN) & (reveal_m >= settings.least_m)
-    depth_m = np.empty(len(doors))
-    for d in range(len(doors)):
-        beside = told & (doors.wall == doors.wall[d])
-        if told[d]:
-            depth_m[d] = reveal_m[d]
-        elif beside.any():
-            depth_m[d] = np.median(reveal_m[beside])
-        elif np.isfinite(of_face_m[doors.wall[d]]):
-            depth_m[d] = of_face_m[doors.wall[d]]
-        else:
-            depth_m[d] = np.median(reveal_m[told]) if told.any() else usual_m
-    return np.asarray(np.maximum(depth_m, reveal_m))
+    depth_m = np.where(np.isfinite(thickness_m), thickness_m, np.median(reveal_m[told]) if told.any() else usual_m)
+    for wall in np.unique(doors.wall[told]):
+        own = doors.wall == wall
+        depth_m[own] = np.median(reveal_m[told & own])
+    return np.where(told, reveal_m, np.fmax(depth_m, reveal_m))
 
 
 def _median_by_length(values: FloatArray, length_m: FloatArray, otherwise: float) -> float:

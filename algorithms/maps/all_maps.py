@@ -65,7 +65,7 @@ def draw_maps(building: Building, scans: AllScans, settings: MapsSettings, worke
     # All maps show what the furniture-free one does: a slice catches returns far outside, through windows.
     rivals = {rival: own.cropped_to(grid) for rival, own in rivals.items()}
     plan = draw_floor_plan(
-        standing, immobile, grid, scans.votes, settings.floor_plan, settings.wall_thickness, rooms.rooms
+        standing, immobile, grid, scans.storey, settings.floor_plan, settings.wall_thickness, rooms.rooms
     )
     return Maps(grid, rooms, rivals, _compare_rooms(rivals[Rival.MIDDLE], scans, settings), plan)
 

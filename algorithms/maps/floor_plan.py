@@ -13,11 +13,11 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import lengths_m, main_direction_deg, turned
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.model import Doors, Walls
 from ffmap.algorithms.building.thickness import (
     WallParts,
     WallThicknessSettings,
-    door_depths,
     face_thickness,
     part_walls,
     usual_thickness,
@@ -121,27 +121,27 @@ def draw_floor_plan(
     stretches: Walls,
     immobile: Immobile,
     grid: GridMap,
-    votes: VoxelVotes,
+    storey: Storey,
     settings: FloorPlanSettings,
     thickness: WallThicknessSettings,
     rooms: Sequence[RoomOnPlan] = (),
 ) -> FloorPlan:
     """The plan of a building.
 
-    stretches: `grid_map.standing_stretches`. grid: the furniture-free one; what it does not show is not drawn. votes: of
-    all scans, in which the leaves of open doors are looked for.
+    stretches: `grid_map.standing_stretches`. grid: the furniture-free one; what it does not show is not drawn.
+    storey: the floor that open leaves stand on.
     """
     stretches = stretches.select(_shown(stretches, grid, settings.drawn_share))
     doors = immobile.doors
     of_walls = part_walls(immobile.walls, thickness)
-    depth_m = door_depths(doors, immobile.walls, of_walls, thickness)
     parts = part_walls(stretches, thickness)
-    usual_m = usual_thickness(parts, thickness)
-    assumed_m = _assumed_thickness(stretches, doors, depth_m, usual_m, settings.corner_m)
+    usual_m = usual_thickness(parts, thickness.unseen_m)
+    assumed_m = _assumed_thickness(stretches, doors, usual_m, settings.corner_m)
     # A doorway is cut out of the wall as it is drawn, where both faces of that were seen.
     drawn_m = face_thickness(immobile.walls, of_walls)[doors.wall]
-    cut_m = np.where(np.isfinite(drawn_m), drawn_m, depth_m)
+    cut_m = np.where(np.isfinite(drawn_m), drawn_m, doors.reveal_m)
     columns, in_column = _columns(stretches, settings)
+    upright = _upright(immobile.votes, storey, settings)
     outlines = [_quad(doors.ends[d], doors.normal[d], 0.0, float(cut_m[d])) for d in range(len(doors))]
     windows = [
         _quad(ends, normal, 0.0, _thickness_at(ends, parts, stretches, usual_m))
@@ -165,7 +165,7 @@ def draw_floor_plan(
                 sill=doors.ends[d],
                 closed=doors.ends[d] - np.nan_to_num(doors.depth_m[d]) * doors.normal[d],
                 state=DoorState(int(doors.state[d])),
-                leaves=_find_leaves(doors.ends[d], doors.normal[d], float(depth_m[d]), votes, settings)
+                leaves=_find_leaves(doors.ends[d], doors.normal[d], float(doors.reveal_m[d]), upright, settings)
                 if doors.state[d] == DoorState.OPEN
                 else (),
             )
@@ -190,16 +190,14 @@ def _shown(stretches: Walls, grid: GridMap, share_min: float) -> BoolArray:
     return shown
 
 
-def _assumed_thickness(
-    stretches: Walls, doors: Doors, depth_m: FloatArray, usual_m: float, near_m: float
-) -> FloatArray:
+def _assumed_thickness(stretches: Walls, doors: Doors, usual_m: float, near_m: float) -> FloatArray:
     """(W,) how thick the wall behind each stretch is taken for where one side was seen: as its doorways are deep."""
     assumed_m = np.full(len(stretches), usual_m)
     for w, (start, normal) in enumerate(zip(stretches.ends[:, 0], stretches.normal, strict=True)):
         off_m = np.abs((doors.ends - start) @ normal).max(axis=1)
         own = (off_m < near_m) & (doors.normal @ normal > 0.5)
         if own.any():
-            assumed_m[w] = np.median(depth_m[own])
+            assumed_m[w] = np.median(doors.reveal_m[own])
     return assumed_m
 
 
@@ -298,8 +296,17 @@ def _groups(stretches: Walls, apart_m: float) -> IntArray:
     return group
 
 
+def _upright(votes: VoxelVotes, storey: Storey, settings: FloorPlanSettings) -> FloatArray:
+    """(n, 3) x, y and the height above the floor of the cubes that may be of leaves: neither floor nor ceiling."""
+    label = majority(votes.counts)
+    places = votes.mean_position[(label != Label.FLOOR) & (label != Label.CEILING)]
+    height_m = places[:, 2] - storey.ground_m(places[:, :2])
+    between = (height_m > settings.leaf_low_m) & (height_m < settings.leaf_high_m)
+    return np.column_stack([places[between, :2], height_m[between]])
+
+
 def _find_leaves(
-    sill: FloatArray, normal: FloatArray, depth_m: float, votes: VoxelVotes, settings: FloorPlanSettings
+    sill: FloatArray, normal: FloatArray, depth_m: float, upright: FloatArray, settings: FloorPlanSettings
 ) -> tuple[Leaf, ...]:
     """The leaves of an open door, by what stands upright from one of its jambs, as long as the doorway is wide.
 
@@ -308,11 +315,7 @@ def _find_leaves(
     width_m = float(np.linalg.norm(sill[1] - sill[0]))
     double = width_m > settings.double_door_m
     length_m = width_m / 2 if double else width_m
-    label, position = majority(votes.counts), votes.mean_position
-    near = np.linalg.norm(position[:, :2] - sill.mean(axis=0), axis=1) < 1.5 * width_m + depth_m
-    standing = near & (label != Label.FLOOR) & (label != Label.CEILING)
-    standing &= (position[:, 2] > settings.leaf_low_m) & (position[:, 2] < settings.leaf_high_m)
-    points = position[standing]
+    points = upright[np.linalg.norm(upright[:, :2] - sill.mean(axis=0), axis=1) < 1.5 * width_m + depth_m]
     found: list[tuple[int, Leaf]] = []
     for jamb in (0, 1):
         candidates = []

@@ -17,8 +17,8 @@ from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, Doors, Walls, Windows, cells_in, stretches
-from ffmap.algorithms.building.ray_evidence import FOOT_ROW, THROUGH, WallCells, returns_at_face
-from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
+from ffmap.algorithms.building.ray_evidence import FOOT_ROW, THROUGH, Rays, WallCells, floor_m, returns_at_face
+from ffmap.algorithms.building.thickness import WallThicknessSettings, face_thickness, part_walls
 from ffmap.algorithms.building.votes import VoxelVotes, majority
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features
@@ -170,17 +170,16 @@ def draw_furniture_free(
         canvas.draw_line(ends, Cell.OCCUPIED)
     canvas.drop_crossed(drive, standing)
     parts = part_walls(immobile.walls, thickness)
-    depth_m = door_depths(doors, immobile.walls, parts, thickness)
     # Where the thickness is a guess, or a leaf hid whether it holds here, a doorway rather ends in the room behind.
     guessed = np.isnan(face_thickness(immobile.walls, parts)[doors.wall]) | (doors.state == DoorState.CLOSED)
-    reach_m = np.where(guessed, np.maximum(depth_m, settings.door_guessed_m), depth_m)
+    reach_m = np.where(guessed, np.maximum(doors.reveal_m, settings.door_guessed_m), doors.reveal_m)
     margin_m, inset_m = settings.door_margin_m, settings.cell_m
     doorways = [_doorway(doors.ends[d], doors.normal[d], reach_m[d], margin_m, inset_m) for d in range(len(doors))]
     for doorway in doorways:
         canvas.draw_area(doorway, Cell.UNKNOWN)
     for d in range(len(doors)):
         for jamb in doors.ends[d]:
-            canvas.draw_line(np.stack([jamb, jamb - depth_m[d] * doors.normal[d]]), Cell.OCCUPIED)
+            canvas.draw_line(np.stack([jamb, jamb - doors.reveal_m[d] * doors.normal[d]]), Cell.OCCUPIED)
     shut = np.full(len(doors), settings.doors == "closed")
     if settings.doors == "as-seen":
         shut = doors.state == DoorState.CLOSED
@@ -464,11 +463,9 @@ class _Canvas:
                 self._cells,
                 across,
                 counts,
-                np.ascontiguousarray((block.origin_map - [*self._origin, 0.0]) / self._cell_m, np.float64),
-                block.ray_starts,
-                np.ascontiguousarray((block.ray_end_map - [*self._origin, 0.0]) / self._cell_m, np.float64),
-                self._settings.foot_m / self._cell_m,
-                self._knee_m / self._cell_m,
+                *self._rays(block),
+                _heights_above_floor(Rays.of(block)),
+                (self._settings.foot_m, self._knee_m),
                 self._settings.ends_cells,
             )
         ended, crossed = counts[..., 0], counts[..., 1]
@@ -513,15 +510,16 @@ def _count_crossings(
     origin: FloatArray,
     starts: IntArray,
     end: FloatArray,
-    foot: float,
-    knee: float,
+    height_m: FloatArray,
+    between_m: tuple[float, float],
     ends_cells: float,
 ) -> None:  # pragma: no cover
-    """For each occupied cell the rays that end in it or beside it, and those that cross it; everything in cells.
+    """For each occupied cell the rays that end in it or beside it, and those that cross it; in cells, but for heights.
 
     A ray that runs along a line, close before it, meets its cells but does not cross it.
 
-    across: (rows, columns, 2) at right angles to the line in each cell.
+    across: (rows, columns, 2) at right angles to the line in each cell. height_m: from `_heights_above_floor`; between_m:
+    the heights above the floor at which a crossing counts.
     """
     rows, columns = cells.shape
     for s in range(len(origin)):
@@ -532,12 +530,12 @@ def _count_crossings(
             last = -1
             for k in range(count + 1):
                 t = k / count
-                height = origin[s, 2] + t * step[2]
+                height = height_m[r, 0] + t * (height_m[r, 1] - height_m[r, 0])
                 column, row = int(np.floor(origin[s, 0] + t * step[0])), int(np.floor(origin[s, 1] + t * step[1]))
                 if column < 0 or row < 0 or column >= columns or row >= rows:
                     break
                 cell = row * columns + column
-                if cell == last or cells[row, column] != 0 or height < foot or height > knee:
+                if cell == last or cells[row, column] != 0 or height < between_m[0] or height > between_m[1]:
                     continue
                 last = cell
                 behind = (1 - t) * abs(step[0] * across[row, column, 0] + step[1] * across[row, column, 1])
@@ -547,9 +545,22 @@ def _count_crossings(
                     counts[row, column, 0] += 1
 
 
+@numba.njit(cache=True, nogil=True)
+def _heights_above_floor(rays: Rays) -> FloatArray:  # pragma: no cover
+    """(r, 2) metres above the floor, as its scan saw that, at which each ray begins and ends."""
+    height_m = np.empty((len(rays.end), 2))
+    for s in range(len(rays.origin)):
+        begin_m = rays.origin[s, 2] - floor_m(rays, s, rays.origin[s, 0], rays.origin[s, 1])
+        for r in range(rays.starts[s], rays.starts[s + 1]):
+            x, y = np.float64(rays.end[r, 0]), np.float64(rays.end[r, 1])
+            height_m[r, 0], height_m[r, 1] = begin_m, rays.end[r, 2] - floor_m(rays, s, x, y)
+    return height_m
+
+
 def _low_from(block: Features, knee_m: float) -> FloatArray:
     """(r,) the share of each ray's length from which it runs below the knee to its end on the floor; 2 where it does not."""
-    drop_m = np.repeat(block.origin_map[:, 2], block.ray_count) - block.ray_end_map[:, 2]
+    height_m = _heights_above_floor(Rays.of(block))
+    drop_m = height_m[:, 0] - height_m[:, 1]
     return np.where(block.ray_label == Label.FLOOR, 1.0 - knee_m / np.maximum(drop_m, knee_m), 2.0)
 
 

@@ -58,11 +58,12 @@ def window(pane_m: float) -> Windows:
     )
 
 
-def before(walls: Walls, ceiling_m: float = 2.8, covered: bool = False) -> Foreground:
-    """A room of one height before all faces, in which something or nothing stands against them."""
+def before(walls: Walls, ceiling_m: float = 2.8, covered: bool | tuple[bool, ...] = False) -> Foreground:
+    """A room of one height before all faces, in which something or nothing stands against all, or each, of them."""
     length_m = np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1)
     first = np.concatenate([[0], np.cumsum(np.ceil(length_m / CELL_M))]).astype(np.int64)
-    return Foreground(first, np.full(first[-1], ceiling_m), np.zeros(first[-1]), np.full((first[-1], 60), covered))
+    stands = np.repeat(np.broadcast_to(covered, len(walls)), np.diff(first))
+    return Foreground(first, np.full(first[-1], ceiling_m), np.zeros(first[-1]), np.tile(stands[:, None], 60))
 
 
 def final(point: tuple[float, float, float], label: Label, **building: Any) -> Label:
@@ -79,7 +80,7 @@ def final_of(
     windows: Windows = NO_WINDOWS,
     sensor: np.ndarray = SENSOR,
     ceiling_m: float = 2.8,
-    covered: bool = False,
+    covered: bool | tuple[bool, ...] = False,
     verdict: FaceVerdict = FaceVerdict.ENDS_LOW,
     levels: tuple[HeightMap, ...] = (),
 ) -> np.ndarray:
@@ -357,3 +358,10 @@ def test_nothing_is_relabelled_where_there_is_nothing() -> None:
         SETTINGS,
     )
     assert len(nothing) == 0
+
+
+@pytest.mark.parametrize(("covered", "expected"), [((False, True), Label.WALL), ((True, False), Label.CLUTTER)])
+def test_what_stands_in_the_other_room_is_not_before_a_thin_wall(covered: tuple[bool, bool], expected: Label) -> None:
+    """Of a wall 8 cm thick a return 5 cm behind its face is closer to the face of the room behind it."""
+    other_side = replace(face(y=0.08), normal=np.array([[0.0, 1.0]]))
+    assert final((2.0, 0.05, 1.0), Label.WALL, walls=face().append(other_side), covered=covered) == expected

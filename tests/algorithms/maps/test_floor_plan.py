@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 import shapely
 
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import main_direction_deg
 from ffmap.algorithms.building.drive import Drive
+from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.model import BuildingSettings, Doors
 from ffmap.algorithms.building.thickness import (
     WallThicknessSettings,
@@ -16,6 +19,7 @@ from ffmap.algorithms.building.thickness import (
     part_walls,
     usual_thickness,
 )
+from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.maps.floor_plan import FloorPlan, FloorPlanSettings, draw_floor_plan
 from ffmap.algorithms.maps.grid import GridMapSettings, draw_furniture_free, standing_stretches
 from ffmap.algorithms.scan.doors import DoorState
@@ -23,13 +27,19 @@ from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms
 
 KNEE_M = BuildingSettings().knee_m
 THICKNESS = WallThicknessSettings()
+UNKNOWN_M = 0.3
 
 
-def plan_of(rooms: TwoRooms) -> FloorPlan:
+def plan_of(rooms: TwoRooms, floor_m: float = 0.0) -> FloorPlan:
+    """The plan of two rooms whose floor lies at a height in the map."""
     immobile, drive = rooms.build()
+    table = VoxelTable(0.05, len(Label))
+    features = rooms.scans()
+    table.add(features.ray_end_map + np.float32([0.0, 0.0, floor_m]), features.ray_label)
+    immobile = replace(immobile, votes=table.votes())
     grid = draw_furniture_free(immobile, drive, GridMapSettings(), THICKNESS, KNEE_M)
     stretches = standing_stretches(immobile, GridMapSettings(), KNEE_M)
-    return draw_floor_plan(stretches, immobile, grid, immobile.votes, FloorPlanSettings(), THICKNESS)
+    return draw_floor_plan(stretches, immobile, grid, Storey.of(immobile.votes, (), 3), FloorPlanSettings(), THICKNESS)
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 25.0, 160.0])
@@ -39,31 +49,56 @@ def test_thickness_is_measured_where_both_sides_were_seen(turn_deg: float) -> No
     thickness_m = face_thickness(rooms.walls, parts)
     np.testing.assert_allclose(thickness_m[[3, 6]], 0.17, atol=1e-6)
     assert np.isnan(np.delete(thickness_m, [3, 6])).all()
-    assert usual_thickness(parts, THICKNESS) == pytest.approx(0.17)
-    closed = TwoRooms(thickness_m=0.17, turn_deg=turn_deg, closed=True).doors
-    np.testing.assert_allclose(door_depths(closed, rooms.walls, parts, THICKNESS), 0.17, atol=1e-6)
+    assert usual_thickness(parts, THICKNESS.unseen_m) == pytest.approx(0.17)
+    closed = hidden(TwoRooms(thickness_m=0.17, turn_deg=turn_deg, closed=True).doors)
+    np.testing.assert_allclose(depths(closed, rooms), 0.17, atol=1e-6)
+
+
+def hidden(doors: Doors) -> Doors:
+    """Doors whose lintels tell nothing."""
+    return replace(doors, reveal_m=np.full(len(doors), np.nan))
+
+
+def together(*doors: Doors) -> Doors:
+    return Doors(*(np.concatenate([getattr(d, f.name) for d in doors]) for f in fields(Doors)))
+
+
+def depths(doors: Doors, rooms: TwoRooms) -> FloatArray:
+    return door_depths(doors, rooms.walls, part_walls(rooms.walls, THICKNESS), THICKNESS, UNKNOWN_M)
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_walls_measured_thickness_comes_before_a_default(closed: bool) -> None:
+    """A doorway in a wall of 12 cm is 12 cm deep, and no deeper, where its lintel tells nothing."""
+    rooms = TwoRooms(thickness_m=0.12, closed=closed)
+    np.testing.assert_allclose(depths(hidden(rooms.doors), rooms), 0.12, atol=1e-6)
+
+
+def test_doors_of_unknown_depth_tell_nothing_of_others() -> None:
+    rooms = TwoRooms(both_seen=False)
+    known, unknown = replace(rooms.doors, reveal_m=np.array([0.17])), hidden(rooms.doors)
+    three = together(known, unknown, replace(unknown, wall=np.array([0])))
+    np.testing.assert_allclose(depths(three, rooms), 0.17)
+    np.testing.assert_allclose(depths(unknown, rooms), UNKNOWN_M)
 
 
 def test_lintels_tell_how_deep_doorways_are() -> None:
     # The wall's faces were seen minutes apart: drift lies between them, and none between a lintel's edges.
     rooms = TwoRooms(thickness_m=0.17)
-    parts = part_walls(rooms.walls, THICKNESS)
     lintel = replace(rooms.doors, reveal_m=np.array([0.24]))
-    np.testing.assert_allclose(door_depths(lintel, rooms.walls, parts, THICKNESS), 0.24)
-    closed = TwoRooms(closed=True).doors
-    both = Doors(*(np.concatenate([getattr(d, f.name) for d in (lintel, closed)]) for f in fields(Doors)))
-    np.testing.assert_allclose(door_depths(both, rooms.walls, parts, THICKNESS), 0.24)
+    np.testing.assert_allclose(depths(lintel, rooms), 0.24)
+    both = together(lintel, hidden(TwoRooms(closed=True).doors))
+    np.testing.assert_allclose(depths(both, rooms), 0.24)
     # In another face of which one side was seen too; the face's own other side comes before.
     for wall, depth_m in ((0, 0.24), (6, 0.17)):
         elsewhere = replace(both, wall=np.array([3, wall]))
-        assert door_depths(elsewhere, rooms.walls, parts, THICKNESS)[1] == pytest.approx(depth_m)
+        assert depths(elsewhere, rooms)[1] == pytest.approx(depth_m)
 
 
 def test_a_duct_behind_a_lintel_makes_no_doorway_deeper_than_its_wall() -> None:
     rooms = TwoRooms()
-    parts = part_walls(rooms.walls, THICKNESS)
     duct = replace(rooms.doors, reveal_m=np.full(len(rooms.doors), 0.6))
-    assert door_depths(duct, rooms.walls, parts, THICKNESS).max() < 0.31
+    assert depths(duct, rooms).max() < 0.31
 
 
 def test_a_face_is_cut_where_the_other_side_ends() -> None:
@@ -78,11 +113,9 @@ def test_a_face_is_cut_where_the_other_side_ends() -> None:
 
 
 def test_a_doorway_that_one_side_showed_is_as_deep_as_is_known() -> None:
-    for closed, depth_m in ((False, 0.2), (True, THICKNESS.unseen_m)):
-        rooms = TwoRooms(both_seen=False, closed=closed)
-        parts = part_walls(rooms.walls, THICKNESS)
-        assert np.isnan(parts.thickness_m).all()
-        np.testing.assert_allclose(door_depths(rooms.doors, rooms.walls, parts, THICKNESS), depth_m)
+    rooms = TwoRooms(both_seen=False)
+    assert np.isnan(part_walls(rooms.walls, THICKNESS).thickness_m).all()
+    np.testing.assert_allclose(depths(rooms.doors, rooms), rooms.thickness_m)
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 37.0])
@@ -139,6 +172,14 @@ def test_the_swing_of_an_open_leaf_is_found(angle_deg: float, turn_deg: float) -
     assert leaf.swing_deg == pytest.approx(angle_deg, abs=5.1)
 
 
+def test_a_leaf_stands_on_its_own_floor() -> None:
+    """A metre lower than the map's origin, as at the foot of a ramp."""
+    rooms = TwoRooms(leaf_deg=70.0)
+    level, low = plan_of(rooms).doors[0], plan_of(rooms, -1.0).doors[0]
+    assert len(low.leaves) == 1
+    assert low.leaves[0].swing_deg == level.leaves[0].swing_deg
+
+
 def test_no_leaf_is_made_up() -> None:
     assert plan_of(TwoRooms()).doors[0].leaves == ()
     closed = plan_of(TwoRooms(closed=True)).doors[0]
@@ -174,5 +215,5 @@ def test_an_empty_building_has_an_empty_plan() -> None:
     immobile, drive = rooms.build()
     grid = draw_furniture_free(immobile, Drive(drive.path_map, list), GridMapSettings(), THICKNESS, KNEE_M)
     nothing = immobile.walls.select(np.zeros(0, int))
-    plan = draw_floor_plan(nothing, immobile, grid, immobile.votes, FloorPlanSettings(), THICKNESS)
+    plan = draw_floor_plan(nothing, immobile, grid, Storey.of(immobile.votes, (), 3), FloorPlanSettings(), THICKNESS)
     assert (plan.walls, plan.assumed, plan.columns) == ((), (), ())

@@ -226,6 +226,38 @@ def test_what_rays_pass_below_from_behind_is_no_wall() -> None:
     assert (at(grid, screen, places) == Cell.OCCUPIED).all()
 
 
+def lifted(drive: Drive, floor: FloatArray) -> Drive:
+    """The same drive on another floor: its height at the map's origin, its slope along x and y."""
+
+    def on_floor(places: FloatArray) -> FloatArray:
+        return np.column_stack([places[:, :2], places[:, 2] + floor[0] + places[:, :2] @ floor[1:]])
+
+    blocks = [
+        replace(
+            block,
+            origin_map=on_floor(block.origin_map),
+            ray_end_map=on_floor(block.ray_end_map).astype(np.float32),
+            floor_map=np.tile(floor, (len(block.scan), 1)),
+        )
+        for block in drive.blocks()
+    ]
+    return replace(drive, blocks=lambda: blocks)
+
+
+@pytest.mark.parametrize("floor", [[1.2, 0.0, 0.0], [-0.3, 0.0, 0.0], [0.1, 0.06, -0.04]], ids=["up", "down", "slope"])
+def test_heights_are_those_above_the_floor(floor: list[float]) -> None:
+    """Whether rays cross a cell below the knee, and run close to the floor, does not depend on how high that lies."""
+    beam = ([[1.0, 2.2], [2.0, 2.2]], [0.0, 1.0])
+    rooms = TwoRooms(both_seen=False, more=((np.array(beam[0]), (2.3, 2.6)),))
+    immobile, drive = with_face(rooms, *beam, 2.6)
+    level = draw_furniture_free(immobile, drive, SETTINGS, THICKNESS)
+    other = draw_furniture_free(immobile, lifted(drive, np.array(floor)), SETTINGS, THICKNESS)
+    assert level.cells.shape == other.cells.shape
+    assert np.mean(level.cells != other.cells) < 1e-3
+    places = np.column_stack([np.linspace(1.1, 1.9, 9), np.full(9, 2.21)])
+    assert (at(other, rooms, places) == Cell.FREE).all()
+
+
 def looked_along(rooms: TwoRooms, drive: Drive, origin: np.ndarray, ends: np.ndarray, count: int) -> Drive:
     """The drive and one scan more, of so many rays at the height of a shin, that end between two places."""
     features = next(iter(drive.blocks()))
