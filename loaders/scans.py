@@ -115,7 +115,7 @@ def stamp_problem(index: CloudIndex) -> str | None:
 
 
 def clock_problem(index: CloudIndex, other: CloudIndex) -> str | None:
-    """What speaks against the clocks of two lidars being one; None where nothing does."""
+    """Why two lidars cannot have stamped their clouds by one clock; None where they may have."""
     if min(len(index), len(other)) < 2 or stamp_problem(index) or stamp_problem(other):
         return None
     ahead_ns = other.lead_ns - index.lead_ns

@@ -53,7 +53,7 @@ class BagWriter:
         if out.exists():
             raise InputError(f"{out}: exists already; remove it or choose another name")
         self._out = out
-        # A name that nobody else has a file of: what is there is removed.
+        # A name of this process alone: whatever is left there is removed.
         self._part = out.with_name(f"{out.name}.{os.getpid()}.part")
         self._stack = ExitStack()
         self._connections: dict[str, Any] = {}
