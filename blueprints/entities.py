@@ -59,7 +59,7 @@ BUILDING_REASONS = "/world/building/reasons"
 REFUSALS = {
     FaceVerdict.ENDS_LOW: "rays pass above it, below the ceiling (a leaf, a cupboard)",
     FaceVerdict.HANGS: "rays pass below it (a duct, a beam)",
-    FaceVerdict.ALONE: "few scans saw it, it runs along and across no others, and does not reach the ceiling (a thing's side)",
+    FaceVerdict.ALONE: "few scans saw it, no wall is parallel or square to it, it ends below the ceiling (a side of furniture)",
     FaceVerdict.LEANS: "it stands at an angle to a wall, close to it (a leaf open against its wall)",
     FaceVerdict.OUTSIDE: "neither floor nor ceiling was seen before it (another house's front, through a window)",
 }
@@ -164,7 +164,7 @@ REGISTRATION = "/metrics/registration"
 
 POINT_LABEL_SCAN = "label_scan"
 POINT_CORRECTION = "range_correction_mm"
-"""int8: how many millimetres farther than measured a return lies, at most 127 either way, on the facet its neighbours show."""
+"""int8, mm: by how much the range on the facet that the neighbours show is longer than the measured one; -127 to 127."""
 POINT_VERDICT_COLOR = "verdict_color"
 POINT_RADIUS_UPRIGHT = "radius_without_floor_and_ceiling"
 CANDIDATE_PLANE_COLOR = "plane_color"
@@ -239,7 +239,7 @@ FAULT_CLASSES: dict[int, tuple[str, Color]] = {
     Fault.OF_THE_BUILDING: ("wrong, as the building changed it", (255, 180, 205)),
     Fault.RELABELLED: ("changed by the building", (0, 235, 235)),
 }
-"""Their colours are those of no class, and of nothing else that is drawn beside them."""
+"""Colours that nothing else in the view has."""
 AGREEMENTS: dict[int, tuple[str, Color]] = {
     Agreement.NOTHING: ("unknown", (205, 205, 205)),
     Agreement.FREE: ("free", (255, 255, 255)),
@@ -270,7 +270,7 @@ TRANSITION_COLORS: tuple[Color, ...] = (
     (50, 225, 225),
     (255, 120, 190),
 )
-"""From one label to another: the changes that befell most points take these in turn."""
+"""The most frequent changes from one label to another take these in turn."""
 OTHER_TRANSITION_COLOR: Color = (170, 170, 170)
 RUN_COLORS: tuple[Color, ...] = ((0, 214, 255), (255, 170, 0), (190, 120, 255), (60, 220, 120), (255, 120, 190))
 FRAME_COLOR: Color = (70, 74, 82)
@@ -468,7 +468,7 @@ The two tabs beside this one, **Figures** and **What is wrong, and where**, are 
 What they show is in `evaluation.rrd` beside it: open both files, or `ffmap view RUN`, which does so.
 
 `ffmap run` writes that file if the bag carries the truth, and `ffmap evaluate RUN` does so later; `--truth FILE` takes the
-truth from elsewhere. Of a real building there is none, as a rule.
+truth from elsewhere. Real buildings usually have none.
 """
 
 _COLOR_WORDS = ("yellow", "gray", "red", "green", "blue", "magenta")

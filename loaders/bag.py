@@ -180,7 +180,7 @@ def _open_folder(folder: Path, warnings: list[str]) -> tuple[Container, list[Rea
     files = _data_files(folder)
     for entry in folder.iterdir():
         if entry.exists() and not entry.is_dir():
-            require_regular(entry, _WAYS_OUT)  # a pipe, in whatever order it is read, would be waited for
+            require_regular(entry, _WAYS_OUT)  # opening a pipe would block
     if (folder / "metadata.yaml").exists():
         reader = Ros2Reader(folder)
         try:

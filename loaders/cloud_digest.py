@@ -1,4 +1,4 @@
-"""What the bytes of a bag's clouds are known by, so that two bags that differ anywhere in what is used are told apart.
+"""Digests of a bag's clouds: two bags have the same ones only if every byte that is used is the same.
 
 XXH3 of 128 bits is as fast as memory is read, and clouds that differ by accident do not share it. It is no protection
 against somebody who makes two clouds alike on purpose.

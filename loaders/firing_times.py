@@ -16,8 +16,7 @@ from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.loaders.errors import CloudError
 
 TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "offset_time", "timeoffset", "time_offset", "relative_time")
-"""Names under which drivers store times: Velodyne `time`, Ouster `t`, Hesai and RoboSense `timestamp`, Livox
-`offset_time`."""
+"""Names that drivers give to times: Velodyne `time`, Ouster `t`, Hesai and RoboSense `timestamp`, Livox `offset_time`."""
 
 _NANOSECOND_NAMES = ("t", "offset_time", "time_stamp")
 """Integers under these names (Ouster, Livox, Nebula) are nanoseconds where the values do not tell."""

@@ -27,7 +27,7 @@ class StaticTransform:
 
 
 class FrameTree:
-    """Frames by their parents. Of two transforms to one child the later holds; one that would close a loop is left."""
+    """Frames by their parents. Of two transforms to one child the later holds; one that would close a loop is left out."""
 
     def __init__(self, edges: Iterable[StaticTransform]) -> None:
         self._by_child: dict[str, StaticTransform] = {}

@@ -21,7 +21,7 @@ _POINT = np.dtype(
     }
 )
 _FLOAT32, _UINT16 = 7, 4
-# The decoder subtracts the stamps of packets, and takes none at 0 for a missing one.
+# Added to the packets' times: the decoder takes a stamp of 0 for a missing one.
 _ANY_TIME_S = 1000.0
 
 

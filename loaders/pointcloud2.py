@@ -28,9 +28,9 @@ _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: 
 _UINT8 = 2
 _LABEL_FIELDS = ("label", "label_scan")
 _SPANS_MAX = 2.0
-"""A cloud whose times span this many sweeps and more is stamped wrongly: they would lie among those of the clouds after it."""
+"""Maximum span of a cloud's times, in sweeps: longer ones overlap the next clouds, so that the times must be wrong."""
 _NUMBER_MAX = 2.0**31
-"""No ring has so high a number, whatever the type of its field."""
+"""Higher numbers are not rings, and do not fit into integers."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class CloudLayout:
 class CloudDecoding:
     """How the clouds of one topic become scans, the same for all of them.
 
-    time: the field of times as it turned out to be meant; None where there is none or it is not filled.
+    time: the field of times, its unit and reference; None where there is none, or it tells none.
     time_from: "auto" (the field), "azimuth" (recovered from the direction of each point), "none".
     period_ns: time of a revolution, from the stamps; None where fewer than two clouds are there.
     """

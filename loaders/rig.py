@@ -3,44 +3,25 @@
 Names do not tell: in one public data set `vertical_velodyne` scans the walls, in another it drives the odometry. The
 lidar whose spin axis is nearest to gravity drives odometry (the "horizontal" lidar: it scans horizontally), the one
 whose spin axis is nearest to level is labelled (the "vertical" lidar).
-
-Where the bag has no transforms, a rig file says where the lidars are:
-
-    base = "base_link"                        # the frame of the trajectory; x forward, z up
-
-    [[lidar]]
-    topic = "/horizontal/velodyne_points"     # topic or frame, or both
-    frame = "velodyne_h"
-    role = "horizontal"                       # optional: "horizontal" or "vertical"
-    translation = [0.12, 0.01, 0.568]         # where the lidar is in base, metres
-    quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]    # how it is turned there, T_base_lidar, or
-    rpy_deg = [0.0, 0.0, -90.0]               # roll, pitch, yaw about base's fixed axes x, y, z
-
-A lidar without translation and rotation takes them from the bag's transforms.
 """
 
-import difflib
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.loaders.bag import Bag
 from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.frames import FrameTree, StaticTransform, read_frame_tree
 from ffmap.loaders.pointcloud2 import CloudDecoding, CloudLayout, TimeFrom, decode, settle_decoding
+from ffmap.loaders.rig_file import RigEntry, RigFile, Role, read_rig_file
 from ffmap.loaders.scans import cloud_hint, cloud_topics, index_clouds, sample_messages
-from ffmap.loaders.text_files import read_toml
-
-Role = Literal["horizontal", "vertical"]
 
 _SAMPLES = 8
 _UPRIGHT_DEG = 45.0
-_LEVEL_WITHIN_DEG = 5.0
+_EQUAL_WITHIN_DEG = 5.0
 """Lidars whose axes differ by less are equally upright: the one that sees more is taken."""
 _SECTORS = 36
 _REACH_MAX_M = 100.0
@@ -76,7 +57,7 @@ class Lidar:
     @property
     def tilt_deg(self) -> float:
         """Angle between its spin axis and the base's z axis, 0 to 90°."""
-        return float(np.degrees(np.arccos(np.clip(abs(self.T_base_sensor[2, 2]), 0.0, 1.0))))
+        return _tilt_deg(self.T_base_sensor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,25 +84,6 @@ class Rig:
 
 
 @dataclass(frozen=True, eq=False)
-class RigEntry:
-    """A lidar of a rig file; T_base_sensor is None where the bag's transforms are to tell."""
-
-    topic: str | None
-    frame: str | None
-    role: Role | None
-    T_base_sensor: FloatArray | None
-
-
-@dataclass(frozen=True, eq=False)
-class RigFile:
-    """A rig file, as the module's docstring describes it."""
-
-    path: Path
-    base: str | None
-    lidars: tuple[RigEntry, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class _Candidate:
     """A topic that could be one of the rig's lidars."""
 
@@ -140,9 +102,18 @@ class _Candidate:
         rings = self.decoding.rings.source in ("field", "row", "column")
         return self.sectors >= 0.5, self.decoding.time is not None, rings, self.points
 
+    @property
+    def tilt_deg(self) -> float:
+        """As of the lidar; 0 where its place is unknown."""
+        return 0.0 if self.T_base_sensor is None else _tilt_deg(self.T_base_sensor)
+
     def lidar(self, reasons: str) -> Lidar:
         T = self.T_base_sensor if self.T_base_sensor is not None else np.eye(4)
         return Lidar(self.topic, self.frame_id, T, self.decoding, self.points, reasons)
+
+
+def _tilt_deg(T_base_sensor: FloatArray) -> float:
+    return float(np.degrees(np.arccos(np.clip(abs(T_base_sensor[2, 2]), 0.0, 1.0))))
 
 
 def find_rig(
@@ -229,7 +200,7 @@ def _candidates(bag: Bag, topics: list[str], time_from: TimeFrom, warnings: list
 
 
 def _look(messages: list[Any], decoding: CloudDecoding) -> tuple[int, float]:
-    """Valid points a cloud, and which share of the directions about the spin axis has any."""
+    """Median number of valid points of a cloud, and the share of directions about the spin axis that have any."""
     counts, seen = [], np.zeros(_SECTORS, bool)
     for message in messages:
         try:
@@ -254,7 +225,7 @@ def _chosen(asked: dict[Role, str], described: RigFile | None) -> set[str]:
 
 
 def _one_a_frame(bag: Bag, candidates: list[_Candidate], chosen: set[str], warnings: list[str]) -> list[_Candidate]:
-    """Of several clouds of one sensor (dual returns, filtered copies) the best; depth cameras only for want of lidars."""
+    """Of several clouds of one sensor (dual returns, filtered copies) the best; depth cameras only where there is no lidar."""
     best: dict[str, _Candidate] = {}
     for candidate in candidates:
         known = best.get(candidate.frame_id)
@@ -317,7 +288,7 @@ def _place(
 
 
 def _check_reach(source: Path, candidates: list[_Candidate], base: str) -> None:
-    """Raises InputError where a lidar is farther from the base than any robot is long: places would lose their millimetres."""
+    """Raises InputError where a lidar is farther from the base than any robot is long: float32 would lose the millimetres."""
     for candidate in candidates:
         away_m = 0.0 if candidate.T_base_sensor is None else float(np.linalg.norm(candidate.T_base_sensor[:3, 3]))
         if away_m > _REACH_MAX_M:
@@ -361,38 +332,42 @@ def _roles(candidates: list[_Candidate], asked: dict[Role, str], warnings: list[
         if given and role not in roles:
             roles[role] = given.lidar("the rig file gives it this role")
     taken = {lidar.topic for lidar in roles.values()}
-    free = [(c, c.lidar("").tilt_deg) for c in candidates if c.topic not in taken]
+    free = [c for c in candidates if c.topic not in taken]
     if len(candidates) == 1:
         _roles_of_one(candidates[0], roles, warnings)
         return roles
     if "horizontal" not in roles and free:
-        upright = min(tilt for _, tilt in free)
-        near = [c for c, tilt in free if tilt <= upright + _LEVEL_WITHIN_DEG]
-        chosen = max(near, key=lambda c: c.worth)
-        tilt = chosen.lidar("").tilt_deg
-        more = " and sees the most" if len(near) > 1 else ""
-        roles["horizontal"] = chosen.lidar(f"its spin axis is nearest to gravity ({tilt:.1f} deg off){more}")
-        free = [(c, tilt) for c, tilt in free if c is not chosen]
-        if tilt > _UPRIGHT_DEG:
+        chosen, reasons = _most_aligned(free, {c.topic: c.tilt_deg for c in free}, "gravity")
+        roles["horizontal"] = chosen.lidar(reasons)
+        free.remove(chosen)
+        if chosen.tilt_deg > _UPRIGHT_DEG:
             warnings.append(f"{chosen.topic}: no lidar stands upright; odometry has to do with one that does not")
     if "vertical" not in roles:
-        lying = [(c, tilt) for c, tilt in free if tilt > _UPRIGHT_DEG]
+        lying = [c for c in free if c.tilt_deg > _UPRIGHT_DEG]
         if lying:
-            level = max(tilt for _, tilt in lying)
-            near = [c for c, tilt in lying if tilt >= level - _LEVEL_WITHIN_DEG]
-            chosen = max(near, key=lambda c: c.worth)
-            more = " and sees the most" if len(near) > 1 else ""
-            off = 90.0 - chosen.lidar("").tilt_deg
-            roles["vertical"] = chosen.lidar(f"its spin axis is nearest to level ({off:.1f} deg off){more}")
+            chosen, reasons = _most_aligned(lying, {c.topic: 90.0 - c.tilt_deg for c in lying}, "level")
+            roles["vertical"] = chosen.lidar(reasons)
         else:
             warnings.append(
-                "nothing to label: no lidar's spin axis lies level; --vertical TOPIC names one all the same"
+                "nothing to label: no lidar's spin axis lies level; --vertical TOPIC names one nevertheless"
             )
     return roles
 
 
+def _most_aligned(candidates: list[_Candidate], off_deg: dict[str, float], direction: str) -> tuple[_Candidate, str]:
+    """The candidate whose spin axis is nearest to a direction, and in words why; of equals the one that sees most.
+
+    off_deg: angle between each candidate's spin axis and the direction, by topic.
+    """
+    smallest_deg = min(off_deg.values())
+    equal = [c for c in candidates if off_deg[c.topic] <= smallest_deg + _EQUAL_WITHIN_DEG]
+    chosen = max(equal, key=lambda c: c.worth)
+    more = " and sees the most" if len(equal) > 1 else ""
+    return chosen, f"its spin axis is nearest to {direction} ({off_deg[chosen.topic]:.1f} deg off){more}"
+
+
 def _roles_of_one(only: _Candidate, roles: dict[Role, Lidar], warnings: list[str]) -> None:
-    tilt = only.lidar("").tilt_deg
+    tilt = only.tilt_deg
     if "vertical" in roles and "horizontal" not in roles:
         roles["horizontal"] = only.lidar("the only lidar: it drives odometry too")
     elif "vertical" not in roles and "horizontal" not in roles and tilt > _UPRIGHT_DEG:
@@ -404,69 +379,6 @@ def _roles_of_one(only: _Candidate, roles: dict[Role, Lidar], warnings: list[str
         warnings.append(
             "nothing to label: the bag has one lidar only, and it stands upright or its mount is unknown; --rig FILE tells it"
         )
-
-
-def read_rig_file(path: Path) -> RigFile:
-    """A rig file. Raises InputError that names the file and the key."""
-    content = read_toml(path, "give a rig file to --rig, as README.md shows one")
-    _check_keys(path, content, ("base", "lidar"), "")
-    lidars = content.get("lidar", [])
-    if not isinstance(lidars, list) or not lidars or not all(isinstance(entry, dict) for entry in lidars):
-        raise InputError(f"{path}: no [[lidar]] in the rig file; give one for each lidar, with topic or frame")
-    base = content.get("base")
-    if base is not None and not isinstance(base, str):
-        raise InputError(f"{path}: base must be the name of a frame")
-    entries = tuple(_rig_entry(path, entry, i + 1) for i, entry in enumerate(lidars))
-    if base is None and any(entry.T_base_sensor is not None for entry in entries):
-        base = "base_link"
-    return RigFile(path, base.removeprefix("/") if base else None, entries)
-
-
-_KEYS = ("topic", "frame", "role", "translation", "quaternion_xyzw", "rpy_deg")
-
-
-def _rig_entry(path: Path, entry: dict[str, Any], number: int) -> RigEntry:
-    where = f"[[lidar]] {number}: "
-    _check_keys(path, entry, _KEYS, where)
-    topic, frame, role = entry.get("topic"), entry.get("frame"), entry.get("role")
-    for key, value in (("topic", topic), ("frame", frame)):
-        if value is not None and not isinstance(value, str):
-            raise InputError(f"{path}: {where}{key} must be a name")
-    if topic is None and frame is None:
-        raise InputError(f"{path}: {where}neither topic nor frame says which lidar is meant; give one")
-    if role not in (None, "horizontal", "vertical"):
-        raise InputError(f'{path}: {where}role {role!r} must be "horizontal" or "vertical"')
-    if "quaternion_xyzw" in entry and "rpy_deg" in entry:
-        raise InputError(f"{path}: {where}give quaternion_xyzw or rpy_deg, not both")
-    if not {"translation", "quaternion_xyzw", "rpy_deg"} & set(entry):
-        T = None
-    else:
-        translation = _numbers(path, entry, "translation", 3, [0.0, 0.0, 0.0], where)
-        if "rpy_deg" in entry:
-            angles = _numbers(path, entry, "rpy_deg", 3, [0.0, 0.0, 0.0], where)
-            T = transforms.make_transform(Rotation.from_euler("xyz", angles, degrees=True), translation)
-        else:
-            quaternion = _numbers(path, entry, "quaternion_xyzw", 4, [0.0, 0.0, 0.0, 1.0], where)
-            if abs(float(np.linalg.norm(quaternion)) - 1.0) > 0.05:
-                raise InputError(f"{path}: {where}quaternion_xyzw has not the length 1; give x y z w")
-            T = transforms.from_quaternion(translation, quaternion)
-    return RigEntry(topic, frame.removeprefix("/") if frame else None, role, T)
-
-
-def _numbers(path: Path, entry: dict[str, Any], key: str, count: int, default: list[float], where: str) -> list[float]:
-    values = entry.get(key, default)
-    sound = isinstance(values, list) and len(values) == count
-    if not sound or not all(isinstance(v, int | float) and np.isfinite(v) for v in values):
-        raise InputError(f"{path}: {where}{key} must be {count} numbers")
-    return [float(v) for v in values]
-
-
-def _check_keys(path: Path, content: dict[str, Any], known: tuple[str, ...], where: str) -> None:
-    for key in content:
-        if key not in known:
-            close = difflib.get_close_matches(key, known, n=1)
-            hint = f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
-            raise InputError(f"{path}: {where}unknown key {key}; {hint}")
 
 
 def _is_entry_of(entry: RigEntry, candidate: _Candidate) -> bool:

@@ -26,11 +26,11 @@ _PART_NS = 4_000_000
 _LEAD_POINTS = 32
 _OUTLIER_PERIODS = 10
 _LOOK_AHEAD = 1000
-"""Number of clouds that tell whether a leap of the stamps is their clock's or one cloud's."""
+"""Number of following clouds that decide whether the clock was set or one stamp is wrong."""
 _STRETCH_MIN = 3
-"""Fewer clouds, between two leaps of the stamps, have wrong ones."""
+"""Minimum number of clouds between two leaps of the stamps; fewer are stamped wrongly."""
 _APART_NS = 1_000_000_000
-"""Between a cloud's stamp and its being recorded less time than this passes."""
+"""Maximum delay between a cloud's stamp and its recording."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,7 @@ def stamp_problem(index: CloudIndex) -> str | None:
     if len(index) < 2 or np.count_nonzero(index.usable) > 1:
         return None
     same = not np.any(np.diff(index.stamp_ns))
-    what = f"have the same stamp, {index.stamp_ns[0] / 1e9:.3f} s" if same else "have stamps that go on from no other's"
+    what = f"have the same stamp, {index.stamp_ns[0] / 1e9:.3f} s" if same else "have stamps that do not increase"
     return (
         f"{index.topic}: all {len(index)} clouds {what}, so that nothing tells when they were taken; record them with a driver "
         "that stamps them"
@@ -115,7 +115,7 @@ def stamp_problem(index: CloudIndex) -> str | None:
 
 
 def clock_problem(index: CloudIndex, other: CloudIndex) -> str | None:
-    """What speaks against the clocks of two lidars being one; None where nothing does."""
+    """Why two lidars cannot have stamped their clouds by one clock; None where they may have."""
     if min(len(index), len(other)) < 2 or stamp_problem(index) or stamp_problem(other):
         return None
     ahead_ns = other.lead_ns - index.lead_ns
@@ -214,7 +214,7 @@ def _revolutions(bag: Bag, topic: str, stamps: IntArray) -> IntArray:
     direction = 1.0 if np.nanmedian(steps) > 0 else -1.0
     phase = np.maximum.accumulate(np.concatenate([[0.0], np.nancumsum(direction * steps)]))
     turn = np.floor(phase / (2 * np.pi) + 1e-9).astype(np.int64)
-    # A pause longer than half a revolution ends the cloud, wherever the azimuth goes on.
+    # A pause longer than half a revolution ends the cloud, whatever the azimuth.
     turns = max(float(phase[-1]) / (2 * np.pi), 1.0)
     period = float(np.sum(np.minimum(np.diff(stamps), 10 * _PART_NS))) / turns
     begins = (np.diff(turn) > 0) | (np.diff(stamps) > period / 2)

@@ -1,7 +1,6 @@
 """Text files that users give: read whole, of a bounded size, as TOML, YAML or JSON.
 
-What is no regular file is refused before it is opened: a pipe would be waited for without end, and a device such as
-/dev/zero has none.
+What is no regular file is refused before it is opened: reading a pipe blocks, and a device such as /dev/zero never ends.
 """
 
 import json

@@ -15,6 +15,7 @@ from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.loaders.bag import Bag, Message
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.frames import TF_TYPES, FrameTree, edge_of, pose_matrix
+from ffmap.loaders.pointcloud2 import stamp_ns
 from ffmap.loaders.text_files import read_text
 
 _ORDER = "stamp x y z qx qy qz qw"
@@ -49,7 +50,8 @@ def read_tum(path: Path) -> Trajectory:
     if not poses:
         raise InputError(f"{path}: no poses in the file; give a TUM file ({_ORDER})")
     values = np.array(poses)
-    return Trajectory(np.array(stamps, np.int64), _matrices(values[:, :3], values[:, 3:]))
+    T_map_base = [transforms.from_quaternion(pose[:3], pose[3:]) for pose in values]
+    return Trajectory(np.array(stamps, np.int64), np.array(T_map_base))
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
@@ -72,7 +74,7 @@ def _seconds(stamp_ns: int) -> str:
 def _nanoseconds(seconds: str) -> int:
     """Seconds as text to nanoseconds, digits beyond the ninth rounded; raises OverflowError beyond 64 bits."""
     stamp = Decimal(seconds)
-    # An integer of as many digits as the exponent says may take for ever to make.
+    # The exponent may ask for more digits than memory holds.
     if stamp.adjusted() > _DIGITS_MAX:
         raise OverflowError(seconds)
     nanoseconds = int((stamp * 1_000_000_000).to_integral_value())
@@ -82,11 +84,7 @@ def _nanoseconds(seconds: str) -> int:
 
 
 _DIGITS_MAX = 10
-"""A stamp in seconds has as many at most: 64 bits of nanoseconds end in the year 2262."""
-
-
-def _matrices(positions: FloatArray, quaternions: FloatArray) -> FloatArray:
-    return np.array([transforms.from_quaternion(p, q) for p, q in zip(positions, quaternions, strict=True)])
+"""Maximum exponent of a stamp in seconds: 64 bits of nanoseconds end in the year 2262."""
 
 
 def read_pose_topic(bag: Bag, topic: str, base_frame: str | None, static: FrameTree | None = None) -> Trajectory:
@@ -117,7 +115,7 @@ def read_pose_topic(bag: Bag, topic: str, base_frame: str | None, static: FrameT
         child = child or str(getattr(message, "child_frame_id", "")).removeprefix("/")
         T = _pose_of(message, found.msgtype)
         if T is not None:
-            poses.append((_stamp_ns(message), T))
+            poses.append((stamp_ns(message), T))
     trajectory = _trajectory(poses, bag, found.name)
     if base_frame is None or child in ("", base_frame):
         return trajectory
@@ -159,7 +157,7 @@ def _follow_tf(bag: Bag, topic: str, base_frame: str, static: FrameTree) -> Traj
                 continue
             parent, poses = by_child.setdefault(edge.child, (edge.parent, []))
             if parent == edge.parent:
-                poses.append((_stamp_ns(stamped), edge.T_parent_child))
+                poses.append((stamp_ns(stamped), edge.T_parent_child))
     for edge in static.edges:
         by_child.setdefault(edge.child, (edge.parent, [(0, edge.T_parent_child)]))
     chain: list[Trajectory] = []
@@ -181,14 +179,10 @@ def _follow_tf(bag: Bag, topic: str, base_frame: str, static: FrameTree) -> Traj
 def _trajectory(poses: Iterable[tuple[int, FloatArray]], bag: Bag, topic: str) -> Trajectory:
     stamps: list[int] = []
     kept: list[FloatArray] = []
-    for stamp_ns, T in poses:
-        if not stamps or stamp_ns > stamps[-1]:
-            stamps.append(stamp_ns)
+    for stamp, T in poses:
+        if not stamps or stamp > stamps[-1]:
+            stamps.append(stamp)
             kept.append(T)
     if not kept:
         raise InputError(f"{bag.path.name}: {topic} has no sound pose; name another topic")
     return Trajectory(np.array(stamps, np.int64), np.array(kept))
-
-
-def _stamp_ns(message: Message) -> int:
-    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)

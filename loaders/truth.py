@@ -1,4 +1,4 @@
-"""What a bag knows of the true building, poses and classes: simulated bags do. Nothing but the evaluation reads it."""
+"""The truth that simulated bags carry: building, poses and classes. Only the evaluation reads it."""
 
 import json
 from collections.abc import Iterator

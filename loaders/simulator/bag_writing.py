@@ -19,10 +19,10 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
+from ffmap.loaders.bag import make_typestore
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator.raytrace import Sweep
 from ffmap.loaders.simulator.sensors import Lidar
@@ -53,7 +53,7 @@ class BagWriter:
         if out.exists():
             raise InputError(f"{out}: exists already; remove it or choose another name")
         self._out = out
-        # A name that nobody else has a file of: what is there is removed.
+        # A name of this process alone: whatever is left there is removed.
         self._part = out.with_name(f"{out.name}.{os.getpid()}.part")
         self._stack = ExitStack()
         self._connections: dict[str, Any] = {}
@@ -67,12 +67,10 @@ class BagWriter:
 
     def _open(self, container: Container) -> None:
         if container == "bag":
-            self._types = get_typestore(Stores.ROS1_NOETIC)
-            text = "geometry_msgs/TransformStamped[] transforms"
-            self._types.register(get_types_from_msg(text, "tf2_msgs/msg/TFMessage"))
+            self._types = make_typestore(1)
             self._writer: Any = self._stack.enter_context(rosbag1.Writer(self._part))
             return
-        self._types = get_typestore(Stores.ROS2_HUMBLE)
+        self._types = make_typestore(2)
         plugin = rosbag2.StoragePlugin.MCAP if container == "mcap" else rosbag2.StoragePlugin.SQLITE3
         # The folder's name becomes the name of the file inside it, so it gets its right name at once, one level down.
         self._part.mkdir()

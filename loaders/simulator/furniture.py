@@ -256,7 +256,7 @@ def _in_room(room: Room, wall: FloatArray, rng: np.random.Generator) -> Spot:
 def _hang_lamps(room: Room, mesh: MeshBuilder, rng: np.random.Generator) -> None:
     """Rows of long lamps, flush with the ceiling or hung from it."""
     drop = float(rng.choice([0.0, 0.0, rng.uniform(0.1, 0.4)]))
-    wall = max(edges(room.interior), key=lambda e: float(np.linalg.norm(e[1] - e[0])))
+    wall = _longest_wall(room)
     along = float(np.arctan2(*(wall[1] - wall[0])[::-1]))
     top = room.ceiling_m - drop
     for x, y in _grid(room, along, 2.2):
@@ -265,6 +265,10 @@ def _hang_lamps(room: Room, mesh: MeshBuilder, rng: np.random.Generator) -> None
         if drop:
             for end in (-0.5, 0.5):
                 mesh.box(spot, (end, end + 0.01), (0.0, 0.01), (top, room.ceiling_m), Truth.CLUTTER, 0.4)
+
+
+def _longest_wall(room: Room) -> FloatArray:
+    return max(edges(room.interior), key=lambda ends: float(np.linalg.norm(ends[1] - ends[0])))
 
 
 def _grid(room: Room, along: float, pitch: float) -> FloatArray:
@@ -282,7 +286,7 @@ def _hang_duct(room: Room, clutter: float, mesh: MeshBuilder, rng: np.random.Gen
     """A duct or pipes along a wall under the ceiling."""
     if rng.random() > {"corridor": 0.5, "lab": 0.9, "store": 0.5}.get(room.kind, 0.2) * (0.3 + clutter):
         return
-    wall = max(edges(room.interior), key=lambda e: float(np.linalg.norm(e[1] - e[0])))
+    wall = _longest_wall(room)
     length = float(np.linalg.norm(wall[1] - wall[0]))
     spot = spot_on(wall, length / 2)
     out, half = float(rng.uniform(0.25, 0.5)), length / 2 - 0.05

@@ -23,7 +23,7 @@ ROBOT_RADIUS_M = 0.3
 """Nothing stands nearer than this to the path of the base."""
 
 _END_M = 0.9
-"""How near the robot drives to the corridor's ends."""
+"""Minimum distance of the robot from the corridor's ends."""
 _WEAVE_M = 0.08
 _ROUNDING_M = 0.6
 _SHARPEST_CURVE_RAD = 2.6
@@ -78,7 +78,7 @@ def draw_ways(plan: Plan, rng: np.random.Generator) -> Ways:
 
 
 def _weave(line: shapely.LineString, rng: np.random.Generator) -> FloatArray:
-    """Along a line with its bends, a few centimetres to either side."""
+    """Along a line with its bends, shifted by a few centimetres to either side."""
     places = [*np.arange(_END_M, line.length - _END_M - 1.5, 3.0), line.length - _END_M]
     bends = [line.project(shapely.Point(p)) for p in line.coords[1:-1]]
     places = sorted([p for p in places if all(abs(p - bend) > 1.0 for bend in bends)] + bends)

@@ -16,7 +16,7 @@ from ffmap.loaders.simulator.settings import SimulationSettings
 
 _CLEAR_OF_BEND_M = 1.4
 _JAMB_M = 0.5
-"""Least wall beside a doorway, from the neighbouring wall's centre line."""
+"""Minimum width of wall beside a doorway, from the neighbouring wall's centre line."""
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ _PANE_TRANSMITS = 0.8
 
 @dataclass(frozen=True)
 class Walker:
-    """A person who walks to and fro between two places (3,) of the map; an upright cylinder with a head.
+    """A person who walks back and forth between two places (3,) of the map; an upright cylinder with a head.
 
     phase: where along the way and back at time 0, from 0 to 1.
     """
@@ -161,7 +161,7 @@ class World:
 
 
 def _pane_returns(cosine: FloatArray) -> FloatArray:
-    """Chance that a pane itself returns: nearly always straight on, seldom else (dust)."""
+    """Chance that a pane itself returns: likely at right angles, otherwise rare (dust)."""
     return np.asarray(0.02 + 0.6 * np.clip((cosine - 0.985) / 0.015, 0.0, 1.0))
 
 
@@ -218,7 +218,7 @@ def scan(
 def _mixed(distance_m: FloatArray, share: float, rng: np.random.Generator) -> FloatArray:
     """Ranges (columns, rings) where beams that straddle an edge measure something between its two sides.
 
-    The truth of such a point stays that of the surface in the beam's middle.
+    The point keeps the truth of the surface in the beam's middle.
     """
     with np.errstate(invalid="ignore"):
         step = np.roll(distance_m, 1, axis=0) - distance_m

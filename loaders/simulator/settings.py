@@ -30,13 +30,17 @@ class SimulationSettings(BaseModel):
     wall_thickness_m: float | None = Field(
         None, ge=0.1, le=0.5, description="thickness of inner walls in metres; drawn if not given"
     )
-    recess_min_m: float = Field(0.03, ge=0, le=0.1, description="closed leaf behind the corridor's wall face: least")
-    recess_max_m: float = Field(0.06, ge=0, le=0.1, description="closed leaf behind the corridor's wall face: most")
+    recess_min_m: float = Field(
+        0.03, ge=0, le=0.1, description="minimum recess of a closed leaf behind the corridor's wall face, metres"
+    )
+    recess_max_m: float = Field(
+        0.06, ge=0, le=0.1, description="maximum recess of a closed leaf behind the corridor's wall face, metres"
+    )
     closed_share: float = Field(0.4, ge=0, le=1, description="share of doors that are closed")
     double_share: float = Field(0.12, ge=0, le=1, description="share of doors with two leaves")
     clutter: float = Field(0.5, ge=0, le=1, description="furniture, from empty (0) to crammed (1)")
     glass: float = Field(0.5, ge=0, le=1, description="share of glass in outer walls, and of glazed partitions inside")
-    walking_people: int = Field(0, ge=0, le=20, description="people who walk to and fro in the corridor")
+    walking_people: int = Field(0, ge=0, le=20, description="people who walk back and forth in the corridor")
     floor_slope_deg: float = Field(0.0, ge=0, le=2, description="slope of the whole floor, degrees")
     ramp_rise_m: float = Field(0.0, ge=0, le=1, description="rise of a ramp halfway along the corridor, metres")
     door_sills_m: float = Field(0.0, ge=0, le=0.03, description="height of the sills in doorways, metres")

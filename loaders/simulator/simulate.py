@@ -32,7 +32,7 @@ EPOCH_NS = 1_700_000_000_000_000_000
 """When every simulated drive begins."""
 
 _CLEARANCE_M = 0.15
-"""What furniture keeps from the robot's own radius."""
+"""Distance between furniture and the robot."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def _walkers(
     plan: Plan, terrain: Terrain, avoid: BaseGeometry, settings: SimulationSettings, T_map_plan: FloatArray,
     rng: np.random.Generator,
 ) -> tuple[Walker, ...]:  # fmt: skip
-    """People who walk to and fro where nothing stands in their way and the robot does not drive."""
+    """People who walk back and forth where nothing stands in their way and the robot does not drive."""
     space = plan.free.difference(avoid).buffer(-0.25)
     x0, y0, x1, y1 = space.bounds
     walkers: list[Walker] = []

@@ -19,7 +19,7 @@ from ffmap.app.setup.settings import as_toml, load_settings
 from ffmap.loaders.bag import make_typestore, open_bag
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.info import describe_bag
-from ffmap.loaders.rig import read_rig_file
+from ffmap.loaders.rig_file import read_rig_file
 from ffmap.loaders.scans import read_clouds
 from ffmap.loaders.trajectory_file import read_pose_topic, read_tum, write_tum
 from ffmap.loaders.truth import BUILDING_TOPIC, read_truth

@@ -11,18 +11,20 @@ SILL = {"type": "LineString", "coordinates": [[0.0, 0.0], [1.0, 0.0]]}
 OUTLINE = {"type": "Polygon", "coordinates": [[[0, 0], [1, 0], [1, 1], [0, 0]]]}
 
 
-def check(geometry: Any, **properties: Any) -> None:
-    check_features(
-        {"features": [{"geometry": geometry, "properties": properties}]}, "building", "truth", "make it again"
-    )
+def check(geometry: Any, **properties: Any) -> list[dict[str, Any]]:
+    content = {"features": [{"geometry": geometry, "properties": properties}]}
+    return check_features(content, "building", "truth", "make it again")
 
 
 def test_what_a_building_has() -> None:
-    check(SILL, kind="wall", height=2.5)
-    check(OUTLINE, kind="wall")
-    check(SILL, kind="door", state="open", leaves=[[[0, 0], [0, 1]]], wall_thickness=0.1)
-    check(OUTLINE, kind="room", name="office")
-    check(SILL, kind="something else", colour="red")
+    for geometry, properties in (
+        (SILL, {"kind": "wall", "height": 2.5}),
+        (OUTLINE, {"kind": "wall"}),
+        (SILL, {"kind": "door", "state": "open", "leaves": [[[0, 0], [0, 1]]], "wall_thickness": 0.1}),
+        (OUTLINE, {"kind": "room", "name": "office"}),
+        (SILL, {"kind": "something else", "colour": "red"}),
+    ):
+        assert check(geometry, **properties) == [{"geometry": geometry, "properties": properties}]
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.errors import InputError
-from ffmap.loaders.rig import find_rig, read_rig_file
+from ffmap.loaders.rig import find_rig
+from ffmap.loaders.rig_file import read_rig_file
 from tests.loaders.bag_builder import (
     PERIOD_NS,
     START_NS,

@@ -13,7 +13,7 @@ from ffmap.app.folder.map_files import read_image, read_map
 from ffmap.app.setup.settings import load_settings
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.errors import InputError
-from ffmap.loaders.rig import read_rig_file
+from ffmap.loaders.rig_file import read_rig_file
 from ffmap.loaders.text_files import read_json, read_text, read_toml, read_yaml
 from ffmap.loaders.trajectory_file import read_tum
 

@@ -1,0 +1,110 @@
+"""The rig file, in which a user says where the lidars sit if the bag has no transforms.
+
+    base = "base_link"                        # the frame of the trajectory; x forward, z up
+
+    [[lidar]]
+    topic = "/horizontal/velodyne_points"     # topic or frame, or both
+    frame = "velodyne_h"
+    role = "horizontal"                       # optional: "horizontal" or "vertical"
+    translation = [0.12, 0.01, 0.568]         # where the lidar is in base, metres
+    quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]    # how it is turned there, T_base_lidar, or
+    rpy_deg = [0.0, 0.0, -90.0]               # roll, pitch, yaw about base's fixed axes x, y, z
+
+A lidar without translation and rotation takes them from the bag's transforms.
+"""
+
+import difflib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.text_files import read_toml
+
+Role = Literal["horizontal", "vertical"]
+
+_KEYS = ("topic", "frame", "role", "translation", "quaternion_xyzw", "rpy_deg")
+
+
+@dataclass(frozen=True, eq=False)
+class RigEntry:
+    """A lidar of a rig file; T_base_sensor is None where the bag's transforms are to tell."""
+
+    topic: str | None
+    frame: str | None
+    role: Role | None
+    T_base_sensor: FloatArray | None
+
+
+@dataclass(frozen=True, eq=False)
+class RigFile:
+    """A rig file, as the module's docstring describes it."""
+
+    path: Path
+    base: str | None
+    lidars: tuple[RigEntry, ...]
+
+
+def read_rig_file(path: Path) -> RigFile:
+    """A rig file. Raises InputError that names the file and the key."""
+    content = read_toml(path, "give a rig file to --rig, as README.md shows one")
+    _check_keys(path, content, ("base", "lidar"), "")
+    lidars = content.get("lidar", [])
+    if not isinstance(lidars, list) or not lidars or not all(isinstance(entry, dict) for entry in lidars):
+        raise InputError(f"{path}: no [[lidar]] in the rig file; give one for each lidar, with topic or frame")
+    base = content.get("base")
+    if base is not None and not isinstance(base, str):
+        raise InputError(f"{path}: base must be the name of a frame")
+    entries = tuple(_rig_entry(path, entry, i + 1) for i, entry in enumerate(lidars))
+    if base is None and any(entry.T_base_sensor is not None for entry in entries):
+        base = "base_link"
+    return RigFile(path, base.removeprefix("/") if base else None, entries)
+
+
+def _rig_entry(path: Path, entry: dict[str, Any], number: int) -> RigEntry:
+    where = f"[[lidar]] {number}: "
+    _check_keys(path, entry, _KEYS, where)
+    topic, frame, role = entry.get("topic"), entry.get("frame"), entry.get("role")
+    for key, value in (("topic", topic), ("frame", frame)):
+        if value is not None and not isinstance(value, str):
+            raise InputError(f"{path}: {where}{key} must be a name")
+    if topic is None and frame is None:
+        raise InputError(f"{path}: {where}neither topic nor frame says which lidar is meant; give one")
+    if role not in (None, "horizontal", "vertical"):
+        raise InputError(f'{path}: {where}role {role!r} must be "horizontal" or "vertical"')
+    if "quaternion_xyzw" in entry and "rpy_deg" in entry:
+        raise InputError(f"{path}: {where}give quaternion_xyzw or rpy_deg, not both")
+    if not {"translation", "quaternion_xyzw", "rpy_deg"} & set(entry):
+        T = None
+    else:
+        translation = _numbers(path, entry, "translation", 3, [0.0, 0.0, 0.0], where)
+        if "rpy_deg" in entry:
+            angles = _numbers(path, entry, "rpy_deg", 3, [0.0, 0.0, 0.0], where)
+            T = transforms.make_transform(Rotation.from_euler("xyz", angles, degrees=True), translation)
+        else:
+            quaternion = _numbers(path, entry, "quaternion_xyzw", 4, [0.0, 0.0, 0.0, 1.0], where)
+            if abs(float(np.linalg.norm(quaternion)) - 1.0) > 0.05:
+                raise InputError(f"{path}: {where}quaternion_xyzw has not the length 1; give x y z w")
+            T = transforms.from_quaternion(translation, quaternion)
+    return RigEntry(topic, frame.removeprefix("/") if frame else None, role, T)
+
+
+def _numbers(path: Path, entry: dict[str, Any], key: str, count: int, default: list[float], where: str) -> list[float]:
+    values = entry.get(key, default)
+    sound = isinstance(values, list) and len(values) == count
+    if not sound or not all(isinstance(v, int | float) and np.isfinite(v) for v in values):
+        raise InputError(f"{path}: {where}{key} must be {count} numbers")
+    return [float(v) for v in values]
+
+
+def _check_keys(path: Path, content: dict[str, Any], known: tuple[str, ...], where: str) -> None:
+    for key in content:
+        if key not in known:
+            close = difflib.get_close_matches(key, known, n=1)
+            hint = f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}"
+            raise InputError(f"{path}: {where}unknown key {key}; {hint}")
