@@ -24,7 +24,7 @@ from ffmap.app.parameters import (
     one_for_each_core,
     with_parameters,
 )
-from ffmap.app.setup.outputs import RUN_OUTPUTS, SWEEP_OUTPUTS, Output, parse_outputs
+from ffmap.app.setup.outputs import RUN_OUTPUTS, Output, parse_outputs
 from ffmap.loaders.errors import InputError
 
 app = typer.Typer(
@@ -86,15 +86,19 @@ def run(words: RunParameters) -> None:
 
     doors = [f"grid_map.doors={words.doors.value}"] if words.doors else []
     arguments = Arguments(
-        **words.common,
         bag=words.bag,
         out=words.out,
+        config=words.config,
         overrides=(*(words.set_ or ()), *doors),
+        bag_options=words.bag_options,
+        trajectory=words.trajectory,
         detail=words.detail.value,
         spawn=words.spawn,
         connect=words.connect,
         outputs=tuple(output for output in written if words.save or output is not Output.RECORDING),
         workers=workers,
+        evaluate=words.evaluate,
+        quiet=words.quiet,
         verbose=words.verbose,
         latest=True,
         overwrite=words.overwrite,
@@ -195,10 +199,11 @@ def evaluate(
     for name, given in (("--set", set_), ("--quick", quick), ("--seeds", seeds), ("--out", out)):
         if given:
             raise InputError(f"{name}: goes with --suite alone; a finished run is evaluated as it was made")
-    from ffmap.app.analysis import evaluation
+    from ffmap.app.analysis.evaluation import evaluate_run
+    from ffmap.app.analysis.metrics_tables import print_metrics
     from ffmap.app.folder.finished_run import open_run
 
-    evaluation.print_metrics(evaluation.evaluate_run(open_run(run_folder), truth, one_for_each_core(workers)))
+    print_metrics(evaluate_run(open_run(run_folder), truth, one_for_each_core(workers)))
 
 
 @app.command()
@@ -281,22 +286,7 @@ def sweep(words: SweepParameters) -> None:
     """
     from ffmap.app.commands import sweep as sweep_command
 
-    arguments = sweep_command.Arguments(
-        **words.common,
-        bags=tuple(words.bags),
-        grid=tuple(words.grid or ()),
-        random=words.random,
-        optuna=words.optuna,
-        objective=words.objective,
-        seed=words.seed,
-        out=words.out,
-        overrides=tuple(words.set_ or ()),
-        detail=words.detail.value,
-        outputs=parse_outputs(words.outputs, SWEEP_OUTPUTS),
-        scheduler=words.scheduler,
-        workers=one_for_each_core(words.workers),
-    )
-    if sweep_command.sweep(arguments):
+    if sweep_command.sweep(words):
         sys.exit(1)
 
 

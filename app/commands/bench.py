@@ -16,7 +16,7 @@ from ffmap.algorithms.base.scan import FloatArray, Scan, within_range
 from ffmap.algorithms.base.trajectory import PlacedScan, place_scan
 from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.algorithms.scan.smoothing import smooth_ranges
-from ffmap.app.analysis.evaluation import PAPER_STATISTICS
+from ffmap.app.analysis.metrics_tables import PAPER_STATISTICS
 from ffmap.app.commands import run as run_command
 from ffmap.app.commands.simulate import simulate
 from ffmap.app.folder.names import RECORDING, RunFolder

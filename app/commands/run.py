@@ -15,7 +15,7 @@ from ffmap.app.setup.inputs import Inputs
 from ffmap.app.setup.outputs import Output
 
 if TYPE_CHECKING:
-    from ffmap.app.analysis import evaluation as evaluate
+    from ffmap.app.analysis.metrics_tables import Metrics
 
 
 def run(arguments: Arguments, resume: Path | None) -> None:
@@ -29,7 +29,7 @@ def run(arguments: Arguments, resume: Path | None) -> None:
 def _perform(ready: Ready, resumed: bool) -> None:
     arguments, inputs = ready.arguments, ready.inputs
     folder, finished = carry_out(ready, resumed)
-    metrics: evaluate.Metrics | None = None
+    metrics: Metrics | None = None
     compared = False
     try:
         if arguments.evaluate and inputs.vertical is not None:
@@ -46,18 +46,19 @@ def _perform(ready: Ready, resumed: bool) -> None:
 _NOT_COMPARED = "unknown: the comparison with the truth came to no end, as is told below"
 
 
-def _evaluate(folder: RunFolder, arguments: Arguments) -> "evaluate.Metrics | None":
+def _evaluate(folder: RunFolder, arguments: Arguments) -> "Metrics | None":
     """The figures against the truth; None where the bag carries none."""
-    from ffmap.app.analysis import evaluation as evaluate
+    from ffmap.app.analysis.evaluation import evaluate_run, has_truth
+    from ffmap.app.analysis.metrics_tables import print_metrics
 
     finished = open_run(folder.path)
-    if not evaluate.has_truth(finished):
+    if not has_truth(finished):
         return None
     with Progress(arguments.quiet) as progress:
         progress.stage("evaluation", None)
-        metrics = evaluate.evaluate_run(finished, None, arguments.workers)
+        metrics = evaluate_run(finished, None, arguments.workers)
     if arguments.verbose and not arguments.quiet:
-        evaluate.print_metrics(metrics)
+        print_metrics(metrics)
     return metrics
 
 
@@ -93,11 +94,11 @@ def _made(inputs: Inputs, record: dict[str, Any]) -> str:
     )
 
 
-def _quality(folder: RunFolder, inputs: Inputs, arguments: Arguments, metrics: "evaluate.Metrics | None") -> str:
+def _quality(folder: RunFolder, inputs: Inputs, arguments: Arguments, metrics: "Metrics | None") -> str:
     if metrics is not None:
-        from ffmap.app.analysis import evaluation as evaluate
+        from ffmap.app.analysis.metrics_tables import in_one_line
 
-        return f"{evaluate.in_one_line(metrics)}; all figures in {folder.path / METRICS}" + (
+        return f"{in_one_line(metrics)}; all figures in {folder.path / METRICS}" + (
             "" if arguments.verbose else ", -v prints them"
         )
     if inputs.vertical is None:

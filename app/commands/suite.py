@@ -24,7 +24,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from ffmap.app.analysis.evaluation import PAPER, Metrics
+from ffmap.app.analysis.metrics_tables import PAPER, Metrics
 from ffmap.app.folder.atomic import write_json
 from ffmap.app.folder.names import METRICS, RUN_JSON, require_writable
 from ffmap.app.progress import Progress

@@ -28,10 +28,9 @@ from ffmap.app.run.odometry import Odometry
 from ffmap.app.run.odometry_cache import CACHE_VARIABLE
 from ffmap.app.run.start import Arguments, carry_out, make_ready, stored
 from ffmap.app.run.workers import ENVIRONMENT
-from ffmap.app.setup.inputs import InputOptions, find_inputs
+from ffmap.app.setup.inputs import find_inputs
 from ffmap.app.setup.settings import Settings, load_settings
 from ffmap.loaders.errors import InputError
-from ffmap.loaders.pointcloud2 import TimeFrom
 
 _LOCKS = ".locks"
 _USERS_MISTAKE = 2
@@ -42,25 +41,20 @@ class Job(BaseModel):
 
     model_config = ConfigDict(frozen=True)
 
-    bag: Path
+    arguments: Arguments
+    """Of the run; for the odometry alone its folder is not touched."""
     bag_digest: str
-    out: Path
-    """The run's folder; not touched for the odometry alone."""
-    overrides: tuple[str, ...]
-    """Settings that differ from the defaults, as --set takes them."""
     settings_hash: str
-    rig: Path | None = None
-    horizontal: str | None = None
-    vertical: str | None = None
-    time_from: TimeFrom = "auto"
-    trajectory: str | None = None
-    detail: str = "map"
-    outputs: tuple[str, ...] = ()
-    evaluate: bool = False
     cache: Path
     """Folder that takes the place of the user's cache folder."""
     odometry: str | None = None
     """The name of the odometry to compute, as the cache knows it; None for a run."""
+
+    @property
+    def out(self) -> Path:
+        """The run's folder."""
+        assert self.arguments.out is not None
+        return self.arguments.out
 
     @property
     def name(self) -> str:
@@ -71,25 +65,6 @@ class Job(BaseModel):
     def lock(self) -> Path:
         """Held by the process that is at it."""
         return self.out.parent / _LOCKS / (self.odometry or self.name)
-
-    def arguments(self) -> Arguments:
-        """The job as `ffmap run` knows it, on one thread."""
-        return Arguments(
-            bag=self.bag,
-            out=self.out,
-            overrides=self.overrides,
-            rig=self.rig,
-            horizontal=self.horizontal,
-            vertical=self.vertical,
-            time_from=self.time_from,
-            trajectory=self.trajectory,
-            detail=self.detail,
-            outputs=self.outputs,
-            workers=1,
-            evaluate=self.evaluate,
-            quiet=True,
-            overwrite=True,
-        )
 
 
 class Outcome(BaseModel):
@@ -111,7 +86,7 @@ def overrides_of(settings: Settings) -> tuple[str, ...]:
 def is_finished(job: Job) -> bool:
     """Whether the run's folder holds just this run, complete and evaluated."""
     record = _complete_record(job)
-    return record is not None and (not job.evaluate or (job.out / METRICS).exists())
+    return record is not None and (not job.arguments.evaluate or (job.out / METRICS).exists())
 
 
 def _complete_record(job: Job) -> dict[str, Any] | None:
@@ -124,7 +99,7 @@ def _complete_record(job: Job) -> dict[str, Any] | None:
         record.get("outcome") == "complete"
         and record.get("settings_hash") == job.settings_hash
         and record.get("bag", {}).get("digest") == job.bag_digest
-        and record.get("options") == json.loads(json.dumps(stored(job.arguments())))
+        and record.get("options") == json.loads(json.dumps(stored(job.arguments)))
     )
     return record if same else None
 
@@ -206,7 +181,7 @@ def _do(job: Job) -> None:
         _register(job)
     elif _complete_record(job) is None:
         with ExitStack() as stack:
-            carry_out(make_ready(job.arguments(), stack), resumed=False)
+            carry_out(make_ready(job.arguments, stack), resumed=False)
     if job.odometry is None and not is_finished(job):
         from ffmap.app.analysis.evaluation import evaluate_run, has_truth
 
@@ -217,11 +192,12 @@ def _do(job: Job) -> None:
 
 def _register(job: Job) -> None:
     """Leave the bag's odometry in the cache."""
-    inputs = find_inputs(job.bag, InputOptions(job.rig, job.horizontal, job.vertical, job.time_from))
-    settings = load_settings(None, job.overrides)
+    assert job.arguments.bag is not None
+    inputs = find_inputs(job.arguments.bag, job.arguments.bag_options)
+    settings = load_settings(None, job.arguments.overrides)
     if inputs.horizontal is None:
         raise InputError(
-            f"{job.bag}: no horizontal lidar gives poses; name one with --horizontal, or give --trajectory"
+            f"{inputs.bag_path}: no horizontal lidar gives poses; name one with --horizontal, or give --trajectory"
         )
     odometry = Odometry(inputs, inputs.horizontal, settings)
     deque(odometry, maxlen=0)

@@ -30,7 +30,7 @@ class Results(Ranking):
     @property
     def failures(self) -> list[str]:
         """Name and error of each run that failed."""
-        return [f"{run.job.name}: {run.outcome.error}" for run in self.runs if run.failed and run.outcome]
+        return [f"{run.job.name}: {run.error}" for run in self.runs if run.error is not None]
 
     def table(self, width: int) -> Table:
         """Best first; as many of the usual figures as fit."""
@@ -66,9 +66,9 @@ class Results(Ranking):
         rows = [
             {
                 "run": run.job.name,
-                "bag": str(run.job.bag),
-                "state": "failed" if run.failed else "complete",
-                "error": run.outcome.error if run.outcome else None,
+                "bag": str(run.job.arguments.bag),
+                "state": "failed" if run.error is not None else "complete",
+                "error": run.error,
                 "settings_hash": run.job.settings_hash,
                 "labels_digest": run.record.get("labels_digest"),
                 "git_revision": run.record.get("versions", {}).get("git_revision"),

@@ -30,9 +30,9 @@ class Run:
     record: dict[str, Any] = field(default_factory=dict)
 
     @property
-    def failed(self) -> bool:
-        """Whether it was tried in vain."""
-        return self.outcome is not None and self.outcome.error is not None
+    def error(self) -> str | None:
+        """What went wrong; None where nothing did, as yet."""
+        return self.outcome.error if self.outcome is not None else None
 
     def end(self, outcome: Outcome) -> None:
         """Take what came of it, from its folder."""

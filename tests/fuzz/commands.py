@@ -31,7 +31,7 @@ def look_over_bag(path: Path, options: InputOptions | None = None) -> None:
     options = options or InputOptions()
     found: list[Inputs] = []
     steps: list[Callable[[], object]] = [
-        lambda: describe_bag(path, options.rig_file, time_from=options.time_from),
+        lambda: describe_bag(path, options.rig, time_from=options.time_from),
         lambda: found.append(find_inputs(path, options)),
         lambda: _read_all(found[0]) if found else None,
         lambda: _read_rest(path),
@@ -106,7 +106,7 @@ def look_over_packets(folder: Path, packets: list[bytes], stamps_ns: list[int]) 
 
 def look_over_rig(path: Path, bag: Path) -> None:
     read_rig_file(path)
-    look_over_bag(bag, InputOptions(rig_file=path))
+    look_over_bag(bag, InputOptions(rig=path))
 
 
 def look_over_trajectory(path: Path) -> None:

@@ -36,7 +36,7 @@ from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
 
 UPRIGHT_TOPIC = "/horizontal_velodyne/velodyne_points"
-FFMAP = [sys.executable, "-c", "from app.cli import main; main()"]
+FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
 FILES = [
     "recording.rrd",
     "evaluation.rrd",

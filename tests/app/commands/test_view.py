@@ -18,7 +18,7 @@ from ffmap.app.commands.view import files_of, view
 from ffmap.blueprints import entities
 from ffmap.loaders.errors import InputError
 
-FFMAP = [sys.executable, "-c", "from app.cli import main; main()"]
+FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
 
 
 def make_run(folder: Path, *files: str, recording_id: str = "") -> Path:

@@ -21,7 +21,7 @@ from ffmap.app.setup.settings import Settings
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
 
-FFMAP = [sys.executable, "-c", "from app.cli import main; main()"]
+FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
 WAIT_S = 120.0
 
 
