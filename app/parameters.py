@@ -159,6 +159,33 @@ class SweepParameters(_HowToRun):
     ] = None
 
 
+@dataclass(frozen=True, kw_only=True)
+class RoomsParameters:
+    """Of `ffmap rooms`."""
+
+    map_path: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MAP",
+            help="map_server's .yaml, or an image: .png or .pgm; or a folder of them.",
+            show_default=False,
+        ),
+    ]
+    resolution: Annotated[
+        float | None, typer.Option(help="Edge of a pixel in metres; needed for an image without YAML.")
+    ] = None
+    out: Annotated[Path | None, typer.Option(help="Folder for what is written.  [default: rooms/<map>]")] = None
+    truth: Annotated[
+        Path | None,
+        typer.Option(help="Image of the true rooms, white and parted by lines: prints recall and precision."),
+    ] = None
+    doors: Annotated[Path | None, typer.Option(help="Doors that are known, as a run's doors.geojson.")] = None
+    config: ConfigOption = None
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="One setting, as in area_graph.passage_max_m=1.25; repeatable.")
+    ] = None
+
+
 P = TypeVar("P")
 
 

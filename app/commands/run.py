@@ -1,5 +1,6 @@
 """ffmap run: from the arguments to a finished run folder, and five lines on what came of it."""
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,22 +29,27 @@ def run(arguments: Arguments, resume: Path | None) -> None:
 
 def _perform(ready: Ready, resumed: bool) -> None:
     arguments, inputs = ready.arguments, ready.inputs
-    folder, finished = carry_out(ready, resumed)
-    metrics: Metrics | None = None
-    compared = False
+    folder, record = carry_out(ready, resumed)
+    quality = "unknown: the comparison with the truth came to no end, as is told below"
     try:
+        metrics = None
         if arguments.evaluate and inputs.vertical is not None:
             with interruptible(f"the run is complete, 'ffmap evaluate {folder.path}' compares it with the truth"):
                 metrics = _evaluate(folder, arguments)
-        compared = True
+        quality = _quality(folder, inputs, arguments, metrics)
     finally:
         # The run is complete, whatever becomes of its comparison with the truth.
         if not arguments.quiet:
-            quality = _quality(folder, inputs, arguments, metrics) if compared else _NOT_COMPARED
-            _report(folder, inputs, finished, arguments, quality)
-
-
-_NOT_COMPARED = "unknown: the comparison with the truth came to no end, as is told below"
+            recorded = Output.RECORDING in arguments.outputs
+            lines = {
+                "made": _made(inputs, record),
+                "quality": quality,
+                "results": str(folder.path),
+                "look": view_command(folder.path) if recorded else "no recording was asked for",
+                "warnings": _warnings(folder, record["warnings"]),
+            }
+            for name, text in lines.items():
+                typer.echo(f"{name + ':':<10} {text}")
 
 
 def _evaluate(folder: RunFolder, arguments: Arguments) -> "Metrics | None":
@@ -60,25 +66,6 @@ def _evaluate(folder: RunFolder, arguments: Arguments) -> "Metrics | None":
     if arguments.verbose and not arguments.quiet:
         print_metrics(metrics)
     return metrics
-
-
-def _report(
-    folder: RunFolder,
-    inputs: Inputs,
-    record: dict[str, Any],
-    arguments: Arguments,
-    quality: str,
-) -> None:
-    """What a person wants to know of a finished run, in five lines; all else is in its files."""
-    lines = {
-        "made": _made(inputs, record),
-        "quality": quality,
-        "results": str(folder.path),
-        "look": view_command(folder.path) if Output.RECORDING in arguments.outputs else "no recording was asked for",
-        "warnings": _warnings(folder, record),
-    }
-    for name, text in lines.items():
-        typer.echo(f"{name + ':':<10} {text}")
 
 
 def _made(inputs: Inputs, record: dict[str, Any]) -> str:
@@ -108,10 +95,7 @@ def _quality(folder: RunFolder, inputs: Inputs, arguments: Arguments, metrics: "
     return f"unknown: the bag carries no truth; 'ffmap evaluate {folder.path} --truth FILE' compares with another's"
 
 
-def _warnings(folder: RunFolder, record: dict[str, Any]) -> str:
-    warnings = record["warnings"]
-    if not warnings:
-        return "none"
-    if len(warnings) == 1:
-        return f"1, {warnings[0]}"
+def _warnings(folder: RunFolder, warnings: Sequence[str]) -> str:
+    if len(warnings) < 2:
+        return f"1, {warnings[0]}" if warnings else "none"
     return f"{len(warnings)}, all in {folder.path / RUN_JSON}; the first: {warnings[0]}"

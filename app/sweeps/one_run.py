@@ -18,7 +18,6 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
@@ -85,23 +84,20 @@ def overrides_of(settings: Settings) -> tuple[str, ...]:
 
 def is_finished(job: Job) -> bool:
     """Whether the run's folder holds just this run, complete and evaluated."""
-    record = _complete_record(job)
-    return record is not None and (not job.arguments.evaluate or (job.out / METRICS).exists())
+    return _is_complete(job) and (not job.arguments.evaluate or (job.out / METRICS).exists())
 
 
-def _complete_record(job: Job) -> dict[str, Any] | None:
-    """run.json of the run's folder, where it is this run and complete."""
+def _is_complete(job: Job) -> bool:
     try:
         record = RunFolder(job.out).read_json()
     except InputError:
-        return None
-    same = (
+        return False
+    return (
         record.get("outcome") == "complete"
         and record.get("settings_hash") == job.settings_hash
         and record.get("bag", {}).get("digest") == job.bag_digest
         and record.get("options") == json.loads(json.dumps(stored(job.arguments)))
     )
-    return record if same else None
 
 
 _children: dict[subprocess.Popen[bytes], Path] = {}
@@ -123,10 +119,9 @@ def perform(job: Job) -> Outcome:
         _children[process] = job.out.parent
         try:
             assert process.stdin is not None
-            process.stdin.write(job.model_dump_json().encode() + b"\n")
-            process.stdin.flush()
-            code = process.wait()
-        except BrokenPipeError:
+            with suppress(BrokenPipeError):
+                process.stdin.write(job.model_dump_json().encode() + b"\n")
+                process.stdin.flush()
             code = process.wait()
         finally:
             del _children[process]
@@ -134,13 +129,12 @@ def perform(job: Job) -> Outcome:
             process.communicate()
         stderr.seek(0)
         said = stderr.read().decode(errors="replace").strip().splitlines()
-    seconds = time.monotonic() - started
-    if code == 0:
-        return Outcome(seconds=seconds)
+    error = None
     if code < 0:
-        reason = f"ended by {signal.Signals(-code).name}" + (" (out of memory?)" if code == -signal.SIGKILL else "")
-        return Outcome(seconds=seconds, error=reason)
-    return Outcome(seconds=seconds, error=said[-1] if said else f"ended with exit code {code}")
+        error = f"ended by {signal.Signals(-code).name}" + (" (out of memory?)" if code == -signal.SIGKILL else "")
+    elif code > 0:
+        error = said[-1] if said else f"ended with exit code {code}"
+    return Outcome(seconds=time.monotonic() - started, error=error)
 
 
 def stop_all(folder: Path) -> None:
@@ -179,7 +173,7 @@ def main() -> None:
 def _do(job: Job) -> None:
     if job.odometry is not None:
         _register(job)
-    elif _complete_record(job) is None:
+    elif not _is_complete(job):
         with ExitStack() as stack:
             carry_out(make_ready(job.arguments, stack), resumed=False)
     if job.odometry is None and not is_finished(job):

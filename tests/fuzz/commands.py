@@ -12,6 +12,7 @@ from ffmap.app.commands import compare as compare_command
 from ffmap.app.commands import rooms as rooms_command
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.map_files import read_map
+from ffmap.app.parameters import RoomsParameters
 from ffmap.app.record.catalogue import runs as catalogue
 from ffmap.app.record.catalogue.runs import Query
 from ffmap.app.setup.inputs import InputOptions, Inputs, find_inputs
@@ -118,7 +119,7 @@ def look_over_trajectory(path: Path) -> None:
 
 def look_over_map(path: Path, out: Path) -> None:
     read_map(path)
-    rooms_command.rooms(rooms_command.Arguments(path, None, out, None, None, None, ()))
+    rooms_command.rooms(RoomsParameters(map_path=path, out=out))
 
 
 def look_over_settings(config: Path | None, words: tuple[str, ...]) -> None:
