@@ -12,10 +12,10 @@ from typing import Annotated, Any
 import typer
 
 from ffmap.app.parameters import (
-    ConfigOption,
     HorizontalOption,
     QuietOption,
     RigOption,
+    RoomsParameters,
     RunParameters,
     SweepParameters,
     TimeFrom,
@@ -24,7 +24,7 @@ from ffmap.app.parameters import (
     one_for_each_core,
     with_parameters,
 )
-from ffmap.app.setup.outputs import RUN_OUTPUTS, SWEEP_OUTPUTS, Output, parse_outputs
+from ffmap.app.setup.outputs import RUN_OUTPUTS, Output, parse_outputs
 from ffmap.loaders.errors import InputError
 
 app = typer.Typer(
@@ -85,15 +85,19 @@ def run(words: RunParameters) -> None:
 
     doors = [f"grid_map.doors={words.doors.value}"] if words.doors else []
     arguments = Arguments(
-        **words.common,
         bag=words.bag,
         out=words.out,
+        config=words.config,
         overrides=(*(words.set_ or ()), *doors),
+        bag_options=words.bag_options,
+        trajectory=words.trajectory,
         detail=words.detail.value,
         spawn=words.spawn,
         connect=words.connect,
         outputs=tuple(output for output in written if words.save or output is not Output.RECORDING),
         workers=workers,
+        evaluate=words.evaluate,
+        quiet=words.quiet,
         verbose=words.verbose,
         latest=True,
         overwrite=words.overwrite,
@@ -146,7 +150,8 @@ def simulate(
     """
     from ffmap.app.commands import simulate as simulate_command
 
-    simulate_command.simulate(out, building, seed, sensor, format_, duration, set_ or [], quiet)
+    values = {"building": building, "seed": seed, "sensor": sensor, "format": format_, "duration_s": duration}
+    simulate_command.simulate(out, values, set_ or [], quiet)
 
 
 @app.command()
@@ -194,10 +199,11 @@ def evaluate(
     for name, given in (("--set", set_), ("--quick", quick), ("--seeds", seeds), ("--out", out)):
         if given:
             raise InputError(f"{name}: goes with --suite alone; a finished run is evaluated as it was made")
-    from ffmap.app.analysis import evaluation
+    from ffmap.app.analysis.evaluation import evaluate_run
+    from ffmap.app.analysis.metrics_tables import print_metrics
     from ffmap.app.folder.finished_run import open_run
 
-    evaluation.print_metrics(evaluation.evaluate_run(open_run(run_folder), truth, one_for_each_core(workers)))
+    print_metrics(evaluate_run(open_run(run_folder), truth, one_for_each_core(workers)))
 
 
 @app.command()
@@ -280,22 +286,7 @@ def sweep(words: SweepParameters) -> None:
     """
     from ffmap.app.commands import sweep as sweep_command
 
-    arguments = sweep_command.Arguments(
-        **words.common,
-        bags=tuple(words.bags),
-        grid=tuple(words.grid or ()),
-        random=words.random,
-        optuna=words.optuna,
-        objective=words.objective,
-        seed=words.seed,
-        out=words.out,
-        overrides=tuple(words.set_ or ()),
-        detail=words.detail.value,
-        outputs=parse_outputs(words.outputs, SWEEP_OUTPUTS),
-        scheduler=words.scheduler,
-        workers=one_for_each_core(words.workers),
-    )
-    if sweep_command.sweep(arguments):
+    if sweep_command.sweep(words):
         sys.exit(1)
 
 
@@ -324,8 +315,6 @@ def runs(
     trajectory_ate_rmse_m), counts (walls, doors) and seconds, what a run took.
 
     Examples:
-
-        ffmap runs
 
         ffmap runs runs/sweep-drive-1a2b3c4d --where "wall_f1 > 0.98 and doors.lines_min = 2" --sort seconds
 
@@ -385,9 +374,7 @@ def serve(
     listens on a port that only this machine reaches: whoever can start programs here can change the list there (not the
     runs), and register recordings that you may read, until you end it.
 
-    Examples:
-
-        ffmap serve
+    Example:
 
         ffmap serve /data/runs --host 0.0.0.0
     """
@@ -397,29 +384,8 @@ def serve(
 
 
 @app.command()
-def rooms(
-    map_path: Annotated[
-        Path,
-        typer.Argument(
-            metavar="MAP",
-            help="map_server's .yaml, or an image: .png or .pgm; or a folder of them.",
-            show_default=False,
-        ),
-    ],
-    resolution: Annotated[
-        float | None, typer.Option(help="Edge of a pixel in metres; needed for an image without YAML.")
-    ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for what is written.  [default: rooms/<map>]")] = None,
-    truth: Annotated[
-        Path | None,
-        typer.Option(help="Image of the true rooms, white and parted by lines: prints recall and precision."),
-    ] = None,
-    doors: Annotated[Path | None, typer.Option(help="Doors that are known, as a run's doors.geojson.")] = None,
-    config: ConfigOption = None,
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", help="One setting, as in area_graph.passage_max_m=1.25; repeatable.")
-    ] = None,
-) -> None:
+@with_parameters(RoomsParameters)
+def rooms(words: RoomsParameters) -> None:
     """Rooms of any system's grid map, furniture and all: outlines, areas, and which room leads to which.
 
     Writes rooms.geojson, topology.json, rooms.png and rooms.rrd. Free is white (over 250) in an image; a YAML file has
@@ -437,7 +403,7 @@ def rooms(
     """
     from ffmap.app.commands import rooms as rooms_command
 
-    rooms_command.rooms(rooms_command.Arguments(map_path, resolution, out, truth, doors, config, tuple(set_ or ())))
+    rooms_command.rooms(words)
 
 
 @app.command()
@@ -467,12 +433,6 @@ def cache(
     """What the cache of odometries holds: registering a bag's scans is the slowest step, so it is kept for later runs.
 
     The environment variable FFMAP_CACHE names another folder for it.
-
-    Examples:
-
-        ffmap cache
-
-        ffmap cache --clear
     """
     from ffmap.app.commands import cache as cache_command
 
@@ -521,46 +481,26 @@ def demo(
     demo_command.demo(out)
 
 
-def _set_environment() -> None:
-    """For numpy here, and for the worker processes."""
-    from ffmap.app.run.workers import ENVIRONMENT
-
-    for name, value in ENVIRONMENT.items():
-        os.environ.setdefault(name, value)
-
-
 def main() -> None:
     """Entry point: the user's mistakes are one line and exit code 2, ours a traceback."""
-    _set_environment()
+    from ffmap.app.run.workers import ENVIRONMENT
+
+    # For numpy here, and for the worker processes.
+    os.environ.update(ENVIRONMENT | os.environ)
     try:
         # Not standalone: Typer's own way to tell of a mistake takes five lines, and it says nothing of an interruption.
         code = app(standalone_mode=False, prog_name="ffmap")
     except _OptionError as error:
         sys.exit(_tell_of_options(error))
-    except InputError as error:
-        typer.echo(f"ffmap: {error}", err=True)
-        sys.exit(2)
-    except MemoryError:
-        typer.echo("ffmap: memory ran out; free some, or give fewer --workers, and start again", err=True)
-        sys.exit(2)
     except BrokenPipeError:
         # The reader of our output has gone, as with | head.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
-    except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-            if error.errno not in _NOT_ALLOWED or error.filename is None:
-                raise
-            typer.echo(
-                f"ffmap: {error.filename}: cannot be read or written ({error.strerror}); change its permissions, or choose "
-                "another place",
-                err=True,
-            )
-            sys.exit(2)
-        typer.echo(
-            "ffmap: no space is left on the disk; free some, then go on with 'ffmap run --resume DIR', or start again",
-            err=True,
-        )
+    except (InputError, MemoryError, OSError) as error:
+        said = _in_one_line(error)
+        if said is None:
+            raise
+        typer.echo(f"ffmap: {said}", err=True)
         sys.exit(2)
     except KeyboardInterrupt:
         code = _INTERRUPTED
@@ -569,8 +509,21 @@ def main() -> None:
     sys.exit(code or 0)
 
 
+def _in_one_line(error: InputError | MemoryError | OSError) -> str | None:
+    """What the user can do; None where the error is ours."""
+    if isinstance(error, MemoryError):
+        return "memory ran out; free some, or give fewer --workers, and start again"
+    if not isinstance(error, OSError):
+        return str(error)
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return "no space is left on the disk; free some, then go on with 'ffmap run --resume DIR', or start again"
+    if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR) and error.filename is not None:
+        reason = f"cannot be read or written ({error.strerror})"
+        return f"{error.filename}: {reason}; change its permissions, or choose another place"
+    return None
+
+
 _INTERRUPTED = 130
-_NOT_ALLOWED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR)
 _OptionError: type[Exception] = next(kind for kind in typer.BadParameter.__mro__ if kind.__name__ == "ClickException")
 """What Typer raises for words that it does not understand. Where it takes this from depends on its version."""
 

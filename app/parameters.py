@@ -6,11 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, TypeVar, get_type_hints
 
 import typer
 
 from ffmap.app.setup.outputs import RUN_OUTPUTS, SWEEP_OUTPUTS, Detail
+
+if TYPE_CHECKING:
+    from ffmap.app.setup.inputs import InputOptions
 
 
 class TimeFrom(StrEnum):
@@ -66,10 +69,12 @@ class _HowToRun:
     quiet: QuietOption = False
 
     @property
-    def common(self) -> dict[str, Any]:
-        """As the arguments of a run or of a sweep name them."""
-        names = ("config", "rig", "horizontal", "vertical", "trajectory", "evaluate", "quiet")
-        return {name: getattr(self, name) for name in names} | {"time_from": self.time_from.value}
+    def bag_options(self) -> "InputOptions":
+        """What is said of the bag."""
+        # Here: with it come the loaders, which '--help' need not wait for.
+        from ffmap.app.setup.inputs import InputOptions
+
+        return InputOptions(self.rig, self.horizontal, self.vertical, self.time_from.value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,6 +156,33 @@ class SweepParameters(_HowToRun):
         typer.Option(
             metavar="tcp://HOST:PORT", help="Run on the Dask cluster of this scheduler; needs the extra 'cluster'."
         ),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoomsParameters:
+    """Of `ffmap rooms`."""
+
+    map_path: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MAP",
+            help="map_server's .yaml, or an image: .png or .pgm; or a folder of them.",
+            show_default=False,
+        ),
+    ]
+    resolution: Annotated[
+        float | None, typer.Option(help="Edge of a pixel in metres; needed for an image without YAML.")
+    ] = None
+    out: Annotated[Path | None, typer.Option(help="Folder for what is written.  [default: rooms/<map>]")] = None
+    truth: Annotated[
+        Path | None,
+        typer.Option(help="Image of the true rooms, white and parted by lines: prints recall and precision."),
+    ] = None
+    doors: Annotated[Path | None, typer.Option(help="Doors that are known, as a run's doors.geojson.")] = None
+    config: ConfigOption = None
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="One setting, as in area_graph.passage_max_m=1.25; repeatable.")
     ] = None
 
 

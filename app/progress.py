@@ -75,12 +75,3 @@ class Progress:
             self._console.print(f"{self._name}: {time.monotonic() - self._started:.1f} s", markup=False)
         self._bars.stop_task(self._task)
         self._task = None
-
-
-_WIDTH = 120
-
-
-def table_console() -> Console:
-    """Standard output for a table, which stays whole where nobody's terminal says how wide it is."""
-    console = Console()
-    return console if console.is_terminal else Console(width=max(console.width, _WIDTH))

@@ -1,10 +1,13 @@
 """GeoJSON that a run wrote, or a user gives in its place: features of one kind of geometry, checked as they are read."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_validator
 
+from ffmap.algorithms.base.scan import FloatArray
 from ffmap.loaders.errors import InputError, shortened
 from ffmap.loaders.text_files import read_json
 
@@ -102,3 +105,9 @@ def check_features(content: object, of: Kind, where: str, advice: str) -> list[d
                 f"{where}: is no GeoJSON of {of}: feature {number}: {place}: {shortened(first['msg'].lower())}; {advice}"
             ) from None
     return features
+
+
+def segments(features: Sequence[Any]) -> FloatArray:
+    """(n, 2, 2) x and y of the first two positions of each LineString."""
+    ends = [[position[:2] for position in feature["geometry"]["coordinates"][:2]] for feature in features]
+    return np.array(ends, float).reshape(-1, 2, 2)

@@ -36,18 +36,20 @@ from ffmap.algorithms.truth.runs import (
     match_planes,
     transitions,
 )
-from ffmap.app.analysis.run_labels import LabelSource, pair
+from ffmap.app.analysis.run_labels import LabelSource, pair, side_by_side
 from ffmap.app.folder.finished_run import FinishedRun
 from ffmap.app.folder.map_files import read_map
 from ffmap.app.folder.names import DOORS, TRAJECTORY, WALLS, map_file
 from ffmap.app.record.read_back import ReadableRecording, Row, rows
 from ffmap.blueprints import entities
-from ffmap.loaders.geojson import read_features
+from ffmap.loaders.geojson import read_features, segments
 from ffmap.loaders.text_files import read_object
 from ffmap.loaders.trajectory_file import read_tum
 
 CUBE_M = 0.1
 """Edge of the cubes in which changed points are gathered for the map."""
+_AGAIN = "run ffmap again"
+_OTHER_BAG = "the runs are of different bags"
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,21 @@ class PairChange(Changes):
         return {", ".join(name for name in self.refused if self.refused[name] == why): why for why in reasons}
 
 
+@dataclass(frozen=True)
+class Comparison:
+    """The first run against each of the others, and what was to be said on the way.
+
+    settings, provenance: what is not the same in all runs. figures: all that any run has. Each has one value a run.
+    """
+
+    runs: tuple[RunToCompare, ...]
+    changes: tuple[PairChange, ...]
+    settings: dict[str, list[Any]]
+    provenance: dict[str, list[Any]]
+    figures: dict[str, list[float | None]]
+    warnings: tuple[str, ...]
+
+
 def differing_settings(runs: Sequence[FinishedRun]) -> dict[str, list[Any]]:
     """The settings that are not the same in all runs, by their dotted names; None where a run has no such setting."""
     return _differing([_flatten(run.part("settings")) for run in runs])
@@ -108,7 +125,7 @@ def differing_provenance(runs: Sequence[FinishedRun]) -> dict[str, list[Any]]:
                 "bag": run.part("bag").get("path"),
                 "bag digest": run.bag_digest,
                 "poses from": run.record.get("poses_from"),
-                **{f"option {k}": v for k, v in _flatten(run.part("options")).items()},
+                **_flatten(run.part("options"), "option "),
                 **{f"version of {k}": v for k, v in run.part("versions").items()},
             }
             for run in runs
@@ -124,16 +141,12 @@ def figures(runs: Sequence[FinishedRun]) -> dict[str, list[float | None]]:
         tables.append(
             {
                 **_flatten({k: v for k, v in metrics.items() if k not in ("truth", "statistics")}),
-                **{f"counts.{k}": v for k, v in _flatten(run.part("counts")).items()},
-                **{f"seconds.{k}": v for k, v in _flatten(run.part("timings_s")).items()},
+                **_flatten(run.part("counts"), "counts."),
+                **_flatten(run.part("timings_s"), "seconds."),
             }
         )
-    names = dict.fromkeys(name for table in tables for name in table)
-    return {
-        name: [_figure(table.get(name)) for table in tables]
-        for name in names
-        if any(_figure(table.get(name)) is not None for table in tables)
-    }
+    rows = {name: list(map(_figure, values)) for name, values in _by_name(tables).items()}
+    return {name: row for name, row in rows.items() if any(figure is not None for figure in row)}
 
 
 class LabelComparison:
@@ -191,32 +204,30 @@ class LabelComparison:
 
 def compare_files(change: PairChange) -> None:
     """Compare all but the labels, as far as both runs have the files; what cannot be is noted in `refused`."""
-    a, b = change.a, change.b
     if not change.same_bag:
-        reason = "the runs are of different bags"
-        change.refused |= dict.fromkeys(COMPARABLE, reason)
+        change.refused |= dict.fromkeys(COMPARABLE, _OTHER_BAG)
         return
-    if _both(change, "trajectory", a.run.trajectory, b.run.trajectory, TRAJECTORY):
-        assert a.run.trajectory is not None
-        assert b.run.trajectory is not None
-        change.trajectory = _compare_poses(read_tum(a.run.trajectory), read_tum(b.run.trajectory))
-        if not len(change.trajectory.stamp_ns):
-            change.trajectory = None
+    if paths := _of_both(change, "trajectory", TRAJECTORY):
+        poses = _compare_poses(*map(read_tum, paths))
+        if len(poses.stamp_ns):
+            change.trajectory = poses
+        else:
             change.refused["trajectory"] = "the runs have no pose in common"
-    if paths := _pair_of(change, "walls", WALLS):
-        change.walls = compare_walls(*(_segments(read_features(path, "lines", _AGAIN)) for path in paths))
-    if paths := _pair_of(change, "doors", DOORS):
+    if paths := _of_both(change, "walls", WALLS):
+        change.walls = compare_walls(*(segments(read_features(path, "lines", _AGAIN)) for path in paths))
+    if paths := _of_both(change, "doors", DOORS):
         before, after = (read_features(path, "doors", _AGAIN) for path in paths)
-        change.doors = DoorsCompared(before, after, compare_doors(_segments(before), _segments(after)))
-    if paths := _pair_of(change, "grid", map_file(entities.FURNITURE_FREE)):
+        change.doors = DoorsCompared(before, after, compare_doors(segments(before), segments(after)))
+    if paths := _of_both(change, "grid", map_file(entities.FURNITURE_FREE)):
         try:
-            change.grid = compare_grids(*(read_map(path) for path in paths))
+            change.grid = compare_grids(*map(read_map, paths))
         except ValueError as error:
             change.refused["grid"] = str(error)
-    if a.recording is None or b.recording is None:
-        change.refused["planes"] = _lacks(change, a.recording, b.recording, "recording")
+    recordings = [run.recording.path for run in (change.a, change.b) if run.recording is not None]
+    if len(recordings) < 2:
+        change.refused["planes"] = _lacks([r for r in (change.a, change.b) if r.recording is None], "recording")
     else:
-        change.planes = _compare_planes(a.recording.path, b.recording.path)
+        change.planes = _compare_planes(*recordings)
         if change.planes is None:
             change.refused["planes"] = "a recording has no wall planes of single scans"
 
@@ -224,18 +235,14 @@ def compare_files(change: PairChange) -> None:
 def labels_can_be_compared(change: PairChange) -> bool:
     """Whether both runs have labels of the same clouds; else `refused` says why not."""
     a, b = change.a, change.b
-    reason = ""
+    lacking = [run.letter for run in (a, b) if run.labels_from is None]
     if not change.same_bag:
-        reason = "the runs are of different bags"
+        change.refused["labels"] = _OTHER_BAG
     elif a.run.topic != b.run.topic:
-        reason = f"{a.letter} labelled {a.run.topic}, {b.letter} {b.run.topic}"
-    else:
-        lacking = [r.letter for r in (a, b) if r.labels_from is None]
-        if lacking:
-            reason = f"{' and '.join(lacking)} has neither a labelled bag nor scans in a recording"
-    if reason:
-        change.refused["labels"] = reason
-    return not reason
+        change.refused["labels"] = f"{a.letter} labelled {a.run.topic}, {b.letter} {b.run.topic}"
+    elif lacking:
+        change.refused["labels"] = f"{' and '.join(lacking)} has neither a labelled bag nor scans in a recording"
+    return "labels" not in change.refused
 
 
 def grid_of(run: FinishedRun) -> GridMap | None:
@@ -250,22 +257,17 @@ def _compare_poses(a: Trajectory, b: Trajectory) -> TrajectoryChange:
     return TrajectoryChange(stamp_ns, compare_trajectories(other, mine))
 
 
-def _compare_planes(a: Path, b: Path) -> PlaneChange | None:
+def _compare_planes(path_a: Path, path_b: Path) -> PlaneChange | None:
     """Scan by scan, as far as both recordings go; a scan without planes has no row."""
     found: list[tuple[int, int, int, int]] = []
-    first, second = rows(a, entities.PLANES, "normal"), rows(b, entities.PLANES, "normal")
-    row_a, row_b = next(first, None), next(second, None)
-    while row_a is not None and row_b is not None:
-        if row_a.scan == row_b.scan:
-            lost, gained = match_planes(*_planes(row_a), *_planes(row_b))
-            found.append((row_a.scan, row_a.stamp_ns, lost, gained))
-            row_a, row_b = next(first, None), next(second, None)
-        elif row_a.scan < row_b.scan:
-            found.append((row_a.scan, row_a.stamp_ns, len(row_a.values["normal"]), 0))
-            row_a = next(first, None)
-        else:
-            found.append((row_b.scan, row_b.stamp_ns, 0, len(row_b.values["normal"])))
-            row_b = next(second, None)
+    first, second = (rows(path, entities.PLANES, "normal") for path in (path_a, path_b))
+    for a, b in side_by_side(first, second, lambda row: row.scan, to_the_end=False):
+        row = a or b
+        assert row is not None
+        lost, gained = (0 if own is None else len(own.values["normal"]) for own in (a, b))
+        if a is not None and b is not None:
+            lost, gained = match_planes(*_planes(a), *_planes(b))
+        found.append((row.scan, row.stamp_ns, lost, gained))
     return PlaneChange(*np.array(found, np.int64).T) if found else None
 
 
@@ -273,35 +275,26 @@ def _planes(row: Row) -> tuple[FloatArray, FloatArray]:
     return row.values["normal"], row.values["offset_m"]
 
 
-def _pair_of(change: PairChange, what: str, name: str) -> tuple[Path, Path] | None:
+def _of_both(change: PairChange, what: str, name: str) -> tuple[Path, Path] | None:
+    """A file of both runs; None where one has none, and `refused` says so."""
     first, second = change.a.run.file(name), change.b.run.file(name)
-    return (first, second) if _both(change, what, first, second, name) and first and second else None
-
-
-def _both(change: PairChange, what: str, first: Path | None, second: Path | None, name: str) -> bool:
     if first is not None and second is not None:
-        return True
-    change.refused[what] = _lacks(change, first, second, name)
-    return False
+        return first, second
+    change.refused[what] = _lacks([run for run in (change.a, change.b) if run.run.file(name) is None], name)
+    return None
 
 
-def _lacks(change: PairChange, first: object, second: object, name: str) -> str:
-    lacking = [r.letter for r, file in ((change.a, first), (change.b, second)) if file is None]
-    return f"{' and '.join(lacking)} {'have' if len(lacking) > 1 else 'has'} no {name}"
+def _lacks(runs: Sequence[RunToCompare], name: str) -> str:
+    return f"{' and '.join(run.letter for run in runs)} {'have' if len(runs) > 1 else 'has'} no {name}"
 
 
-_AGAIN = "run ffmap again"
-
-
-def _segments(features: Sequence[Any]) -> FloatArray:
-    """(n, 2, 2) ends of LineStrings."""
-    return np.array([[p[:2] for p in f["geometry"]["coordinates"][:2]] for f in features], float).reshape(-1, 2, 2)
+def _by_name(tables: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    names = dict.fromkeys(name for table in tables for name in table)
+    return {name: [table.get(name) for table in tables] for name in names}
 
 
 def _differing(tables: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
-    names = dict.fromkeys(name for table in tables for name in table)
-    values = {name: [table.get(name) for table in tables] for name in names}
-    return {name: row for name, row in values.items() if any(value != row[0] for value in row)}
+    return {name: row for name, row in _by_name(tables).items() if any(value != row[0] for value in row)}
 
 
 def _flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -6,10 +6,10 @@ These are the labelled bag; `labels.parquet`, which holds the labels alone, one 
 A return is known by its cloud's stamp and its place there: two runs on one bag are compared point by point.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from itertools import chain
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
@@ -25,10 +25,10 @@ from ffmap.app.folder.names import LABELS
 from ffmap.app.record.read_back import ReadableRecording, Row, rows
 from ffmap.app.setup.inputs import Sensor, find_inputs
 from ffmap.blueprints import entities
-from ffmap.loaders.bag import open_bag
+from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.pointcloud2 import describe_layout, field_column
-from ffmap.loaders.rig import find_rig
+from ffmap.loaders.rig import Lidar, find_rig
 from ffmap.loaders.scans import cloud_topics, index_clouds, read_clouds
 from ffmap.loaders.trajectory_file import read_tum
 
@@ -117,21 +117,27 @@ def _read_bag(path: Path, run: FinishedRun, with_points: bool, first: int) -> It
     trajectory = read_tum(run.trajectory) if with_points and run.trajectory is not None else None
     smoothing = run.settings().smoothing if with_points else None
     with open_bag(path) as bag:
-        topics = cloud_topics(bag)
-        if len(topics) != 1:
-            raise InputError(f"{path}: {len(topics)} topics with clouds where one belongs; run ffmap again")
-        lidar = find_rig(bag, vertical=topics[0], time_from=run.time_from).vertical
-        if lidar is None:
-            raise InputError(f"{path}: no lidar that sweeps the walls; run ffmap again")
-        for index, scan, message in read_clouds(bag, index_clouds(bag, topics[0]), first, None, lidar.decoding):
+        lidar = labelled_lidar(bag, run)
+        for index, scan, message in read_clouds(bag, index_clouds(bag, lidar.topic), first, None, lidar.decoding):
             if not isinstance(scan, Scan):
                 continue
-            layout = describe_layout(message, topics[0])
+            layout = describe_layout(message, lidar.topic)
             label, label_scan = (
                 field_column(message, layout, name).astype(np.uint8) for name in ("label", "label_scan")
             )
             points = _placed(scan, trajectory, lidar.T_base_sensor, smoothing) if smoothing is not None else None
             yield CloudLabels(index, scan.stamp_ns, label_scan, label, points, every_place=True)
+
+
+def labelled_lidar(bag: Bag, run: FinishedRun) -> Lidar:
+    """The lidar of a run's labelled bag, read as the run read its own bag; raises InputError where it is no such bag."""
+    topics = cloud_topics(bag)
+    if len(topics) != 1:
+        raise InputError(f"{bag.path}: {len(topics)} topics with clouds where one belongs; run ffmap again")
+    lidar = find_rig(bag, vertical=topics[0], time_from=run.time_from).vertical
+    if lidar is None:
+        raise InputError(f"{bag.path}: no lidar that sweeps the walls; run ffmap again")
+    return lidar
 
 
 def _read_alone(path: Path, run: FinishedRun, with_points: bool) -> Iterator[CloudLabels]:
@@ -216,17 +222,26 @@ class LabelPair:
 
 def pair(first: Iterator[CloudLabels], second: Iterator[CloudLabels]) -> Iterator[LabelPair]:
     """The clouds of two runs by their stamps, which increase."""
-    a, b = next(first, None), next(second, None)
-    while a is not None and b is not None:
-        if a.stamp_ns == b.stamp_ns:
+    for a, b in side_by_side(first, second, lambda cloud: cloud.stamp_ns):
+        if a is not None and b is not None and a.every_place != b.every_place:
             # A recording has rows for returns alone.
-            yield LabelPair(a, b) if a.every_place == b.every_place else LabelPair(a.of_returns(), b.of_returns())
-            a, b = next(first, None), next(second, None)
-        elif a.stamp_ns < b.stamp_ns:
-            yield LabelPair(a, None)
-            a = next(first, None)
-        else:
-            yield LabelPair(None, b)
-            b = next(second, None)
-    yield from (LabelPair(cloud, None) for cloud in chain([a] if a else [], first))
-    yield from (LabelPair(None, cloud) for cloud in chain([b] if b else [], second))
+            a, b = a.of_returns(), b.of_returns()
+        yield LabelPair(a, b)
+
+
+T = TypeVar("T")
+
+
+def side_by_side(
+    first: Iterator[T], second: Iterator[T], key: Callable[[T], int], to_the_end: bool = True
+) -> Iterator[tuple[T | None, T | None]]:
+    """What has the same key, which increases, together; None beside what the other lacks.
+
+    to_the_end: of both; else until either of them ends.
+    """
+    a, b = next(first, None), next(second, None)
+    while (a is not None or b is not None) if to_the_end else (a is not None and b is not None):
+        takes_a = a is not None and (b is None or key(a) <= key(b))
+        takes_b = b is not None and (a is None or key(b) <= key(a))
+        yield (a if takes_a else None), (b if takes_b else None)
+        a, b = (next(first, None) if takes_a else a), (next(second, None) if takes_b else b)

@@ -16,7 +16,7 @@ from ffmap.algorithms.base.scan import FloatArray, Scan, within_range
 from ffmap.algorithms.base.trajectory import PlacedScan, place_scan
 from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.algorithms.scan.smoothing import smooth_ranges
-from ffmap.app.analysis.evaluation import PAPER_STATISTICS
+from ffmap.app.analysis.metrics_tables import PAPER_STATISTICS
 from ffmap.app.commands import run as run_command
 from ffmap.app.commands.simulate import simulate
 from ffmap.app.folder.names import RECORDING, RunFolder
@@ -38,7 +38,7 @@ def bench(bag: Path | None, duration_s: float) -> None:
         if bag is None:
             bag = Path(folder) / "office.bag"
             typer.echo(f"simulating {duration_s:.0f} s in building 'office' ...")
-            simulate(bag, "office", 1, "hdl32e", "bag", duration_s, [], quiet=True)
+            simulate(bag, {"building": "office", "seed": 1, "duration_s": duration_s})
         _bench_run(bag, Path(folder) / "run")
         _bench_labelling(bag)
 
@@ -46,15 +46,13 @@ def bench(bag: Path | None, duration_s: float) -> None:
 @contextmanager
 def _odometries_kept_in(folder: Path) -> Iterator[None]:
     """Meanwhile an empty cache: an odometry from the user's would make the run look faster than it is."""
-    before = os.environ.get(CACHE_VARIABLE)
+    before = {name: value for name, value in os.environ.items() if name == CACHE_VARIABLE}
     os.environ[CACHE_VARIABLE] = str(folder)
     try:
         yield
     finally:
-        if before is None:
-            del os.environ[CACHE_VARIABLE]
-        else:
-            os.environ[CACHE_VARIABLE] = before
+        del os.environ[CACHE_VARIABLE]
+        os.environ.update(before)
 
 
 def _bench_run(bag: Path, out: Path) -> None:
@@ -93,26 +91,20 @@ def _bench_labelling(bag: Path) -> None:
     scans = _placed_scans(bag, settings)
     for index, scan, placed in scans[:5]:
         label_scan(scan, placed, settings.method, index)
-    milliseconds = []
-    for index, scan, placed in scans:
+    times_ms: FloatArray = np.empty(len(scans))
+    for k, (index, scan, placed) in enumerate(scans):
         started = time.perf_counter()
         smooth_ranges(scan, settings.smoothing)
         label_scan(scan, placed, settings.method, index)
-        milliseconds.append(1e3 * (time.perf_counter() - started))
+        times_ms[k] = 1e3 * (time.perf_counter() - started)
     points = np.mean([len(scan) for _, scan, _ in scans])
-    times: FloatArray = np.array(milliseconds)
     typer.echo(f"labelling: {len(scans)} scans of {points:,.0f} points, smoothed and labelled, one thread, warm")
+    mean, deviation, low, high = PAPER_STATISTICS["milliseconds_per_cloud"]
     typer.echo(
-        f"  median {np.median(times):.1f} ms, mean {times.mean():.1f}, standard deviation {times.std():.1f}, "
-        f"min {times.min():.1f}, max {times.max():.1f} "
-        f"({_of_the_paper()})"
+        f"  median {np.median(times_ms):.1f} ms, mean {times_ms.mean():.1f}, standard deviation {times_ms.std():.1f}, "
+        f"min {times_ms.min():.1f}, max {times_ms.max():.1f} (paper: mean {mean}, standard deviation {deviation}, "
+        f"min {low}, max {high} for {PAPER_STATISTICS['points_in_cloud'][0]:,} points)"
     )
-
-
-def _of_the_paper() -> str:
-    mean, deviation, least, most = PAPER_STATISTICS["milliseconds_per_cloud"]
-    points = PAPER_STATISTICS["points_in_cloud"][0]
-    return f"paper: mean {mean}, standard deviation {deviation}, min {least}, max {most} for {points:,} points"
 
 
 def _placed_scans(bag: Path, settings: Settings) -> list[tuple[int, Scan, PlacedScan]]:

@@ -5,8 +5,8 @@ from datetime import datetime
 import typer
 from rich.table import Table
 
-from ffmap.app.progress import table_console
 from ffmap.app.run import odometry_cache
+from ffmap.app.tables import table_console
 
 
 def cache(clear: bool) -> None:

@@ -30,7 +30,7 @@ def demo(out: Path) -> None:
             raise InputError(f"{bag}: is there already; remove it, or give another folder to --out")
         bag.unlink()
     typer.echo(f"simulating {SECONDS:.0f} s of driving in a small furnished building ...")
-    simulate(bag, "small", 3, "hdl32e", "bag", SECONDS, [], quiet=True)
+    simulate(bag, {"building": "small", "seed": 3, "duration_s": SECONDS})
     typer.echo("labelling every scan, mapping the building, recording every intermediate ...")
     run_command.run(Arguments(bag=bag, out=run, overwrite=True), None)
     typer.echo(f"\ndone in {time.monotonic() - started:.0f} s. Look at every scan, step by step:\n")

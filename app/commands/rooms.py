@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +18,11 @@ from ffmap.app.folder.map_files import read_image, read_map
 from ffmap.app.folder.names import METRICS, ROOMS, check_no_run_loses
 from ffmap.app.folder.room_files import topology, write_picture, write_rooms
 from ffmap.app.own_command import view_command
+from ffmap.app.parameters import RoomsParameters
 from ffmap.app.setup.settings import load_settings
+from ffmap.app.tables import make_table
 from ffmap.loaders.errors import InputError
-from ffmap.loaders.geojson import read_features
+from ffmap.loaders.geojson import read_features, segments
 from ffmap.loaders.text_files import read_json
 
 CELLS_MAX = 8_000_000
@@ -36,26 +37,13 @@ IMAGES = (".png", ".pgm")
 RecordingWriter = Callable[[Path, AreaGraph], None]
 
 
-@dataclass(frozen=True)
-class Arguments:
-    """What the command line says."""
-
-    map_path: Path
-    resolution_m: float | None
-    out: Path | None
-    truth: Path | None
-    doors: Path | None
-    config: Path | None
-    overrides: tuple[str, ...]
-
-
-def rooms(arguments: Arguments) -> None:
+def rooms(words: RoomsParameters) -> None:
     """Segment one map, or every map of a folder that has its truth beside it; write and print what was found."""
-    if arguments.map_path.is_dir():
-        _segment_folder(arguments)
+    if words.map_path.is_dir():
+        _segment_folder(words)
         return
-    graph, figures = _segment(arguments, arguments.map_path, arguments.truth)
-    out = arguments.out or Path("rooms") / arguments.map_path.stem
+    graph, figures = _segment(words, words.map_path, words.truth)
+    out = words.out or Path("rooms") / words.map_path.stem
     console = Console(highlight=False)
     console.print(_rooms_table(graph))
     if figures is not None:
@@ -63,39 +51,30 @@ def rooms(arguments: Arguments) -> None:
     typer.echo(f"{out}: rooms.geojson, topology.json, rooms.png; look at it with: {view_command(out / RECORDING)}")
 
 
-def _segment_folder(arguments: Arguments) -> None:
+def _segment_folder(words: RoomsParameters) -> None:
     """Every map that has rooms drawn by hand beside it, and the mean of each kind of maps."""
-    if arguments.truth is not None:
+    if words.truth is not None:
         raise InputError(
             "--truth: for one map; in a folder the truth of X.png is the longest fit of Y_gt_segmentation.png"
         )
-    pairs = _pairs(arguments.map_path)
+    pairs = _pairs(words.map_path)
     if not pairs:
         raise InputError(
-            f"{arguments.map_path}: no map has rooms beside it (as office_a.png has office_a{TRUTH_SUFFIX}.png); give one map"
+            f"{words.map_path}: no map has rooms beside it (as office_a.png has office_a{TRUTH_SUFFIX}.png); give one map"
         )
-    console = Console(highlight=False)
-    table = Table("map", title="Rooms against those drawn by hand, percent", title_justify="left")
-    for heading in ("true", "found", "recall", "precision", "split", "merged"):
-        table.add_column(heading, justify="right")
+    rows: list[list[str]] = []
     by_kind: dict[str, list[RoomFigures]] = {}
     for path, truth in pairs:
-        _, figures = _segment(arguments, path, truth, many=True)
+        _, figures = _segment(words, path, truth, many=True)
         assert figures is not None
         by_kind.setdefault(path.stem.removeprefix(truth.stem.removesuffix(TRUTH_SUFFIX)), []).append(figures)
-        table.add_row(path.stem, *_figures_cells(figures))
+        rows.append([path.stem, *_cells([figures])])
+    headings = ("map", "true", "found", "recall", "precision", "split", "merged")
+    table = make_table("Rooms against those drawn by hand, percent", headings, rows)
     table.add_section()
     for kind, many in by_kind.items():
-        table.add_row(
-            f"mean of {len(many)} {kind.strip('_ ') or 'plain'}",
-            str(sum(len(f.recall) for f in many)),
-            str(sum(len(f.precision) for f in many)),
-            f"{100 * np.mean([f.mean_recall for f in many]):.2f}",
-            f"{100 * np.mean([f.mean_precision for f in many]):.2f}",
-            str(sum(len(f.split) for f in many)),
-            str(sum(len(f.merged) for f in many)),
-        )
-    console.print(table)
+        table.add_row(f"mean of {len(many)} {kind.strip('_ ') or 'plain'}", *_cells(many))
+    Console(highlight=False).print(table)
 
 
 def _pairs(folder: Path) -> list[tuple[Path, Path]]:
@@ -110,19 +89,19 @@ def _pairs(folder: Path) -> list[tuple[Path, Path]]:
 
 
 def _segment(
-    arguments: Arguments, path: Path, truth: Path | None, many: bool = False
+    words: RoomsParameters, path: Path, truth: Path | None, many: bool = False
 ) -> tuple[AreaGraph, RoomFigures | None]:
-    settings = load_settings(arguments.config, arguments.overrides).area_graph
-    out = arguments.out or Path("rooms")
-    own = out / path.stem if many or arguments.out is None else out
-    _check_out(own, path, arguments)
-    grid = read_map(path, arguments.resolution_m, takes_resolution=True)
+    settings = load_settings(words.config, words.set_ or ()).area_graph
+    out = words.out or Path("rooms")
+    own = out / path.stem if many or words.out is None else out
+    _check_out(own, path, words)
+    grid = read_map(path, words.resolution, takes_resolution=True)
     if not (grid.cells == Cell.FREE).any():
         raise InputError(
             f"{path}: the map has no free cell; free is white (over 250) in an image, and what a YAML file's own free_thresh "
             "says"
         )
-    doorways = _doorways(arguments.doors) if arguments.doors is not None else NO_DOORWAYS
+    doorways = _doorways(words.doors) if words.doors is not None else NO_DOORWAYS
     coarse = coarsened(grid, CELLS_MAX)
     if coarse.cell_m > grid.cell_m:
         typer.echo(
@@ -144,13 +123,13 @@ def _segment(
     return graph, figures
 
 
-def _check_out(out: Path, path: Path, arguments: Arguments) -> None:
+def _check_out(out: Path, path: Path, words: RoomsParameters) -> None:
     """Raises InputError where a file would be replaced that is read, or that is not of the rooms of this map.
 
     A folder that the user named may have the rooms of another map; one that the program chose may not.
     """
     written = [out / name for name in FILES]
-    read = {file.resolve() for file in (path, arguments.truth, arguments.doors, arguments.config) if file is not None}
+    read = {file.resolve() for file in (path, words.truth, words.doors, words.config) if file is not None}
     for file in written:
         check_no_run_loses(file)
         if file.resolve() in read:
@@ -159,7 +138,7 @@ def _check_out(out: Path, path: Path, arguments: Arguments) -> None:
     before = _map_of(out)
     if there and before is None:
         raise InputError(f"{there[0]}: is there already, and not by 'ffmap rooms'; give another folder to --out")
-    if before is not None and before != str(path.resolve()) and arguments.out is None:
+    if before is not None and before != str(path.resolve()) and words.out is None:
         raise InputError(
             f"{out}: has the rooms of {before} already; give another folder to --out, or the same to replace them"
         )
@@ -194,24 +173,26 @@ def _write(
         write_rooms(out / ROOMS, graph)
         write_picture(out / PICTURE, grid, graph)
         if figures is not None:
-            write_json(out / METRICS, metrics(figures))
+            write_json(out / METRICS, {"rooms": _figures([figures])})
         write_recording(out / RECORDING, graph)
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror}); give another folder to --out") from error
 
 
-def metrics(figures: RoomFigures) -> dict[str, object]:
-    """Figures as fractions, as in a run's metrics.json."""
+def _figures(of_maps: Sequence[RoomFigures]) -> dict[str, float]:
+    """Sums of counts and means of fractions over several maps, named as in a run's metrics.json."""
     return {
-        "rooms": {
-            "true": len(figures.recall),
-            "found": len(figures.precision),
-            "recall": figures.mean_recall,
-            "precision": figures.mean_precision,
-            "split": len(figures.split),
-            "merged": len(figures.merged),
-        }
+        "true": sum(len(one.recall) for one in of_maps),
+        "found": sum(len(one.precision) for one in of_maps),
+        "recall": float(np.mean([one.mean_recall for one in of_maps])),
+        "precision": float(np.mean([one.mean_precision for one in of_maps])),
+        "split": sum(len(one.split) for one in of_maps),
+        "merged": sum(len(one.merged) for one in of_maps),
     }
+
+
+def _cells(of_maps: Sequence[RoomFigures]) -> list[str]:
+    return [str(v) if isinstance(v, int) else f"{100 * v:.2f}" for v in _figures(of_maps).values()]
 
 
 def _compare(path: Path, grid: GridMap, coarse: GridMap, graph: AreaGraph, truth: Path) -> RoomFigures:
@@ -239,34 +220,19 @@ def _spread(label: IntArray, coarse: GridMap, grid: GridMap) -> IntArray:
 def _doorways(path: Path) -> FloatArray:
     """Sills of a doors.geojson, without depth."""
     features = read_features(path, "lines", "give a run's doors.geojson")
-    sills = np.array([[p[:2] for p in feature["geometry"]["coordinates"][:2]] for feature in features]).reshape(
-        -1, 2, 2
-    )
+    sills = segments(features)
     return np.concatenate([sills, sills[:, ::-1]], axis=1)
 
 
 def _rooms_table(graph: AreaGraph) -> Table:
-    table = Table("room", title=f"{len(graph)} rooms, {len(graph.passages)} passages", title_justify="left")
-    table.add_column("m²", justify="right")
-    table.add_column("leads to")
-    network = graph.topology()
+    network, rows = graph.topology(), []
     for index, room in enumerate(graph.rooms):
         neighbours = ", ".join(graph.rooms[other].name for other in sorted(network[index]))
-        table.add_row(room.name, f"{room.area_m2:.1f}", neighbours or "–")
-    return table
+        rows.append((room.name, f"{room.area_m2:.1f}", neighbours or "–"))
+    title = f"{len(graph)} rooms, {len(graph.passages)} passages"
+    return make_table(title, ("room", "m²", "leads to"), rows, left=(0, 2))
 
 
 def _truth_line(figures: RoomFigures) -> str:
-    true, found, recall, precision, split, merged = _figures_cells(figures)
+    true, found, recall, precision, split, merged = _cells([figures])
     return f"{found} rooms for {true} true ones: recall {recall} %, precision {precision} %; {split} split, {merged} merged"
-
-
-def _figures_cells(figures: RoomFigures) -> Sequence[str]:
-    return (
-        str(len(figures.recall)),
-        str(len(figures.precision)),
-        f"{100 * figures.mean_recall:.2f}",
-        f"{100 * figures.mean_precision:.2f}",
-        str(len(figures.split)),
-        str(len(figures.merged)),
-    )

@@ -1,5 +1,6 @@
 """ffmap run: from the arguments to a finished run folder, and five lines on what came of it."""
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,7 @@ from ffmap.app.setup.inputs import Inputs
 from ffmap.app.setup.outputs import Output
 
 if TYPE_CHECKING:
-    from ffmap.app.analysis import evaluation as evaluate
+    from ffmap.app.analysis.metrics_tables import Metrics
 
 
 def run(arguments: Arguments, resume: Path | None) -> None:
@@ -28,56 +29,43 @@ def run(arguments: Arguments, resume: Path | None) -> None:
 
 def _perform(ready: Ready, resumed: bool) -> None:
     arguments, inputs = ready.arguments, ready.inputs
-    folder, finished = carry_out(ready, resumed)
-    metrics: evaluate.Metrics | None = None
-    compared = False
+    folder, record = carry_out(ready, resumed)
+    quality = "unknown: the comparison with the truth came to no end, as is told below"
     try:
+        metrics = None
         if arguments.evaluate and inputs.vertical is not None:
             with interruptible(f"the run is complete, 'ffmap evaluate {folder.path}' compares it with the truth"):
                 metrics = _evaluate(folder, arguments)
-        compared = True
+        quality = _quality(folder, inputs, arguments, metrics)
     finally:
         # The run is complete, whatever becomes of its comparison with the truth.
         if not arguments.quiet:
-            quality = _quality(folder, inputs, arguments, metrics) if compared else _NOT_COMPARED
-            _report(folder, inputs, finished, arguments, quality)
+            recorded = Output.RECORDING in arguments.outputs
+            lines = {
+                "made": _made(inputs, record),
+                "quality": quality,
+                "results": str(folder.path),
+                "look": view_command(folder.path) if recorded else "no recording was asked for",
+                "warnings": _warnings(folder, record["warnings"]),
+            }
+            for name, text in lines.items():
+                typer.echo(f"{name + ':':<10} {text}")
 
 
-_NOT_COMPARED = "unknown: the comparison with the truth came to no end, as is told below"
-
-
-def _evaluate(folder: RunFolder, arguments: Arguments) -> "evaluate.Metrics | None":
+def _evaluate(folder: RunFolder, arguments: Arguments) -> "Metrics | None":
     """The figures against the truth; None where the bag carries none."""
-    from ffmap.app.analysis import evaluation as evaluate
+    from ffmap.app.analysis.evaluation import evaluate_run, has_truth
+    from ffmap.app.analysis.metrics_tables import print_metrics
 
     finished = open_run(folder.path)
-    if not evaluate.has_truth(finished):
+    if not has_truth(finished):
         return None
     with Progress(arguments.quiet) as progress:
         progress.stage("evaluation", None)
-        metrics = evaluate.evaluate_run(finished, None, arguments.workers)
+        metrics = evaluate_run(finished, None, arguments.workers)
     if arguments.verbose and not arguments.quiet:
-        evaluate.print_metrics(metrics)
+        print_metrics(metrics)
     return metrics
-
-
-def _report(
-    folder: RunFolder,
-    inputs: Inputs,
-    record: dict[str, Any],
-    arguments: Arguments,
-    quality: str,
-) -> None:
-    """What a person wants to know of a finished run, in five lines; all else is in its files."""
-    lines = {
-        "made": _made(inputs, record),
-        "quality": quality,
-        "results": str(folder.path),
-        "look": view_command(folder.path) if Output.RECORDING in arguments.outputs else "no recording was asked for",
-        "warnings": _warnings(folder, record),
-    }
-    for name, text in lines.items():
-        typer.echo(f"{name + ':':<10} {text}")
 
 
 def _made(inputs: Inputs, record: dict[str, Any]) -> str:
@@ -93,11 +81,11 @@ def _made(inputs: Inputs, record: dict[str, Any]) -> str:
     )
 
 
-def _quality(folder: RunFolder, inputs: Inputs, arguments: Arguments, metrics: "evaluate.Metrics | None") -> str:
+def _quality(folder: RunFolder, inputs: Inputs, arguments: Arguments, metrics: "Metrics | None") -> str:
     if metrics is not None:
-        from ffmap.app.analysis import evaluation as evaluate
+        from ffmap.app.analysis.metrics_tables import in_one_line
 
-        return f"{evaluate.in_one_line(metrics)}; all figures in {folder.path / METRICS}" + (
+        return f"{in_one_line(metrics)}; all figures in {folder.path / METRICS}" + (
             "" if arguments.verbose else ", -v prints them"
         )
     if inputs.vertical is None:
@@ -107,10 +95,7 @@ def _quality(folder: RunFolder, inputs: Inputs, arguments: Arguments, metrics: "
     return f"unknown: the bag carries no truth; 'ffmap evaluate {folder.path} --truth FILE' compares with another's"
 
 
-def _warnings(folder: RunFolder, record: dict[str, Any]) -> str:
-    warnings = record["warnings"]
-    if not warnings:
-        return "none"
-    if len(warnings) == 1:
-        return f"1, {warnings[0]}"
+def _warnings(folder: RunFolder, warnings: Sequence[str]) -> str:
+    if len(warnings) < 2:
+        return f"1, {warnings[0]}" if warnings else "none"
     return f"{len(warnings)}, all in {folder.path / RUN_JSON}; the first: {warnings[0]}"

@@ -1,8 +1,8 @@
 """ffmap simulate: a real bag of a generated building."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 from pydantic import ValidationError
@@ -11,48 +11,19 @@ from ffmap.app.progress import Progress
 from ffmap.app.setup.settings import parse_value
 from ffmap.loaders.errors import InputError
 
-
-def simulate(
-    out: Path,
-    building: str,
-    seed: int,
-    sensor: str,
-    container: str,
-    duration_s: float,
-    overrides: Sequence[str],
-    quiet: bool,
-) -> None:
-    """Simulate and say what came of it; raises InputError for a value that does not fit."""
-    # Embree is loaded by nothing else.
+if TYPE_CHECKING:
     from ffmap.loaders.simulator import SimulationSettings
+
+
+def simulate(out: Path, values: Mapping[str, Any], overrides: Sequence[str] = (), quiet: bool = True) -> None:
+    """Simulate and say what came of it; raises InputError for a value that does not fit.
+
+    values: properties of the simulation. overrides: more of them, as --set takes them.
+    """
+    # Embree is loaded by nothing else.
     from ffmap.loaders.simulator import simulate as write_bag
 
-    values: dict[str, Any] = {
-        "building": building,
-        "seed": seed,
-        "sensor": sensor,
-        "format": container,
-        "duration_s": duration_s,
-    }
-    for override in overrides:
-        name, equals, text = override.partition("=")
-        if not equals:
-            raise InputError(f"--set {override}: write it as name=value, as in clutter=0.5")
-        values[name.strip()] = parse_value(text.strip())
-    try:
-        settings = SimulationSettings.model_validate(values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        name = ".".join(str(part) for part in first["loc"])
-        if first["type"] == "extra_forbidden":
-            known = ", ".join(SimulationSettings.model_fields)
-            raise InputError(f"simulate: there is no property {name!r}; the properties are {known}") from None
-        meant = SimulationSettings.model_fields[name].description if name in SimulationSettings.model_fields else None
-        raise InputError(
-            f"simulate: {name} = {first['input']!r}: {first['msg']}"
-            + (f" ({meant})" if meant else "")
-            + "; give another value"
-        ) from None
+    settings = _settings(dict(values), overrides)
     with Progress(quiet) as progress:
         progress.stage("simulate", 100)
         done = 0
@@ -65,4 +36,24 @@ def simulate(
 
         write_bag(out, settings, report)
     if not quiet:
-        typer.echo(f"{out}: {duration_s:.0f} s in building {building!r}, seed {seed}; run 'ffmap run {out}'")
+        drive = f"{settings.duration_s:.0f} s in building {settings.building!r}, seed {settings.seed}"
+        typer.echo(f"{out}: {drive}; run 'ffmap run {out}'")
+
+
+def _settings(values: dict[str, Any], overrides: Sequence[str]) -> "SimulationSettings":
+    from ffmap.loaders.simulator import SimulationSettings
+
+    for override in overrides:
+        name, equals, text = override.partition("=")
+        if not equals:
+            raise InputError(f"--set {override}: write it as name=value, as in clutter=0.5")
+        values[name.strip()] = parse_value(text.strip())
+    try:
+        return SimulationSettings.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+    name, known = ".".join(str(part) for part in first["loc"]), SimulationSettings.model_fields
+    if first["type"] == "extra_forbidden":
+        raise InputError(f"simulate: there is no property {name!r}; the properties are {', '.join(known)}")
+    meant = f" ({known[name].description})" if name in known and known[name].description else ""
+    raise InputError(f"simulate: {name} = {first['input']!r}: {first['msg']}{meant}; give another value")

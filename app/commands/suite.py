@@ -21,15 +21,16 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
-from ffmap.app.analysis.evaluation import PAPER, Metrics
+from ffmap.app.analysis.metrics_tables import PAPER, Metrics
 from ffmap.app.folder.atomic import write_json
+from ffmap.app.folder.figures import less_is_better
 from ffmap.app.folder.names import METRICS, RUN_JSON, require_writable
 from ffmap.app.progress import Progress
 from ffmap.app.run.odometry_cache import cache_folder
 from ffmap.app.setup.settings import load_settings
+from ffmap.app.tables import make_table, table_console
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.text_files import read_json
 
@@ -42,49 +43,48 @@ REPORTED_SEEDS = (1001, 1002)
 CODE = ("algorithms", "loaders", "app")
 
 
-@dataclass(frozen=True)
-class Case:
-    """One kind of building and drive: what `ffmap simulate --set` takes."""
-
-    name: str
-    simulation: Mapping[str, Any]
-
-
-CASES = (
-    Case("office", {"building": "office"}),
-    Case("crammed office", {"building": "office", "clutter": 1.0, "walking_people": 3, "glass": 0.2}),
-    Case("empty, VLP-16", {"building": "office", "clutter": 0.0, "sensor": "vlp16", "wall_thickness_m": 0.1}),
-    Case(
-        "odd angles, glass",
-        {"building": "angled", "glass": 0.9, "recess_min_m": 0.02, "recess_max_m": 0.08, "mount_tilt_deg": 5.0},
-    ),
-    Case("high, OS1-16", {"building": "ell", "ceiling_m": 4.0, "wall_thickness_m": 0.35, "sensor": "os1-16"}),
-    Case(
-        "low, fast, swaying",
-        {"building": "ell", "ceiling_m": 2.5, "double_share": 0.5, "speed_mps": 1.0, "sway_deg": 1.0},
-    ),
-    Case("hall, ramp", {"building": "lab", "ramp_rise_m": 0.3, "walking_people": 4}),
-    Case(
-        "slope, sills, step",
-        {"building": "angled", "floor_slope_deg": 1.0, "door_sills_m": 0.02, "step_m": 0.15, "clutter": 0.8},
-    ),
-)
-LONG_CASES = (Case("office, 150 s", {"building": "office"}), Case("ell, 150 s", {"building": "ell"}))
+Simulation = Mapping[str, Any]
+"""What `ffmap simulate --set` takes."""
+CASES: dict[str, Simulation] = {
+    "office": {"building": "office"},
+    "crammed office": {"building": "office", "clutter": 1.0, "walking_people": 3, "glass": 0.2},
+    "empty, VLP-16": {"building": "office", "clutter": 0.0, "sensor": "vlp16", "wall_thickness_m": 0.1},
+    "odd angles, glass": {
+        "building": "angled",
+        "glass": 0.9,
+        "mount_tilt_deg": 5.0,
+        "recess_min_m": 0.02,
+        "recess_max_m": 0.08,
+    },
+    "high, OS1-16": {"building": "ell", "ceiling_m": 4.0, "wall_thickness_m": 0.35, "sensor": "os1-16"},
+    "low, fast, swaying": {"building": "ell", "ceiling_m": 2.5, "double_share": 0.5, "speed_mps": 1.0, "sway_deg": 1.0},
+    "hall, ramp": {"building": "lab", "ramp_rise_m": 0.3, "walking_people": 4},
+    "slope, sills, step": {
+        "building": "angled",
+        "floor_slope_deg": 1.0,
+        "door_sills_m": 0.02,
+        "step_m": 0.15,
+        "clutter": 0.8,
+    },
+}
+"""Kinds of buildings and drives."""
+LONG_CASES: dict[str, Simulation] = {"office, 150 s": {"building": "office"}, "ell, 150 s": {"building": "ell"}}
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of `metrics.json` in a table.
-
-    path: its keys; fractions become percent, metres centimetres, lists their length.
-    """
+    """A figure of `metrics.json` in a table. path: its keys."""
 
     heading: str
     path: tuple[str, ...]
-    less_is_better: bool = False
+
+    @property
+    def less_is_better(self) -> bool:
+        """Whether the largest is the worst."""
+        return less_is_better(self.path[-1]) or self.path[-1] in ("blocked", "split", "merged")
 
     def of(self, metrics: Metrics) -> float | None:
-        """The figure, fractions and metres times 100; None where the run has none."""
+        """Fractions as percent, metres as centimetres, lists as their length; None where the run has none."""
         value: Any = metrics
         for key in self.path:
             value = value.get(key) if isinstance(value, Mapping) else None
@@ -93,60 +93,40 @@ class Figure:
         return None if value is None else 100.0 * float(value)
 
 
-def _label_figures(*labels: str) -> tuple[Figure, ...]:
-    return tuple(
+def _figures(section: str, **names: str) -> list[Figure]:
+    """section: keys joined by dots. names: of its figures by their headings, in which _ is a space."""
+    return [Figure(heading.replace("_", " "), (*section.split("."), name)) for heading, name in names.items()]
+
+
+def _label_figures(*labels: str) -> list[Figure]:
+    return [
         Figure(heading, ("area", label, name))
         for label in labels
         for heading, name in ((f"{label} P", "precision"), ("R", "recall"), ("F1", "f1"))
-    )
+    ]
 
 
-TABLES: tuple[tuple[str, tuple[Figure, ...]], ...] = (
-    ("Labels by area, percent (Table II)", _label_figures("wall", "ceiling", "floor")),
-    (
-        "Labels by area, percent",
-        (
-            *_label_figures("door", "clutter"),
-            Figure("outside kept", ("area", "outside_kept_as_structure"), less_is_better=True),
-        ),
-    ),
-    (
-        "Doors, trajectory, percent and centimetres",
-        (
-            Figure("found", ("doors", "found")),
-            Figure("invented", ("doors", "invented"), less_is_better=True),
-            Figure("width cm", ("doors", "width_error_m"), less_is_better=True),
-            Figure("state", ("doors", "state_right")),
-            Figure("ATE cm", ("trajectory", "ate_rmse_m"), less_is_better=True),
-        ),
-    ),
-    (
-        "Wall cells of the furniture-free grid, and of slices below the ceiling (c) and in the middle (m), percent",
-        (
-            Figure("P", ("maps", "furniture_free", "precision")),
-            Figure("no cabinets", ("maps", "furniture_free", "precision_without_cabinets")),
-            Figure("R", ("maps", "furniture_free", "recall")),
-            Figure("off cm", ("maps", "furniture_free", "error_m"), less_is_better=True),
-            Figure("blocked", ("maps", "furniture_free", "blocked"), less_is_better=True),
-            Figure("c P", ("maps", "below_ceiling", "precision")),
-            Figure("c R", ("maps", "below_ceiling", "recall")),
-            Figure("c blocked", ("maps", "below_ceiling", "blocked"), less_is_better=True),
-            Figure("m P", ("maps", "middle", "precision")),
-            Figure("m R", ("maps", "middle", "recall")),
-            Figure("m blocked", ("maps", "middle", "blocked"), less_is_better=True),
-        ),
-    ),
-    (
-        "Rooms: percent, and how many were split or merged",
-        (
-            Figure("recall", ("rooms", "recall")),
-            Figure("precision", ("rooms", "precision")),
-            Figure("recall of all", ("rooms", "recall_of_all")),
-            Figure("split", ("rooms", "split"), less_is_better=True),
-            Figure("merged", ("rooms", "merged"), less_is_better=True),
-        ),
-    ),
-)
+TABLES = {
+    "Labels by area, percent (Table II)": _label_figures("wall", "ceiling", "floor"),
+    "Labels by area, percent": [
+        *_label_figures("door", "clutter"),
+        *_figures("area", outside_kept="outside_kept_as_structure"),
+    ],
+    "Doors, trajectory, percent and centimetres": [
+        *_figures("doors", found="found", invented="invented", width_cm="width_error_m", state="state_right"),
+        *_figures("trajectory", ATE_cm="ate_rmse_m"),
+    ],
+    "Wall cells of the furniture-free grid, and of slices below the ceiling (c) and in the middle (m), percent": [
+        *_figures("maps.furniture_free", P="precision", no_cabinets="precision_without_cabinets", R="recall"),
+        *_figures("maps.furniture_free", off_cm="error_m", blocked="blocked"),
+        *_figures("maps.below_ceiling", c_P="precision", c_R="recall", c_blocked="blocked"),
+        *_figures("maps.middle", m_P="precision", m_R="recall", m_blocked="blocked"),
+    ],
+    "Rooms: percent, and how many were split or merged": [
+        *_figures("rooms", recall="recall", precision="precision", recall_of_all="recall_of_all"),
+        *_figures("rooms", split="split", merged="merged"),
+    ],
+}
 
 
 @dataclass(frozen=True)
@@ -175,8 +155,8 @@ def run_suite(
     """
     settings = load_settings(None, overrides)
     duration_s = QUICK_S if quick else DURATION_S
-    jobs = [(case, seed, duration_s) for case in CASES for seed in (seeds[:1] if quick else seeds)]
-    jobs += [] if quick else [(case, seeds[0], LONG_S) for case in LONG_CASES]
+    jobs = [(case, seed, duration_s) for case in CASES.items() for seed in (seeds[:1] if quick else seeds)]
+    jobs += [] if quick else [(case, seeds[0], LONG_S) for case in LONG_CASES.items()]
     at_once = min(at_once or os.cpu_count() or 1, len(jobs))
     drives: list[Drive] = []
     started = time.monotonic()
@@ -185,9 +165,9 @@ def run_suite(
     _check_replaceable(out)
     _check_space(out.parent, at_once)
 
-    def drive_through(job: tuple[Case, int, float]) -> Drive:
-        case, seed, duration_s = job
-        simulation = {**case.simulation, "seed": seed, "duration_s": duration_s}
+    def drive_through(job: tuple[tuple[str, Simulation], int, float]) -> Drive:
+        (case, simulation), seed, duration_s = job
+        simulation = {**simulation, "seed": seed, "duration_s": duration_s}
         return _drive(case, seed, simulation, overrides, settings.short_hash(), out.parent)
 
     with Progress(quiet) as progress, ThreadPoolExecutor(at_once) as pool:
@@ -203,14 +183,13 @@ def run_suite(
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
-    console = Console(width=max(Console().width, _WIDTH))
+    console = table_console()
     for table in format_suite(drives):
         console.print(table)
     failed = sum(drive.metrics is None for drive in drives)
     console.print(
         f"{len(drives) - failed} of {len(drives)} drives, {sum(drive.cached for drive in drives)} from the cache, "
-        f"in {(time.monotonic() - started) / 60:.1f} minutes: {out}",
-        highlight=False,
+        f"in {(time.monotonic() - started) / 60:.1f} minutes: {out}"
     )
     return failed
 
@@ -229,13 +208,13 @@ def parse_seeds(text: str | None) -> tuple[int, ...]:
 
 
 def _drive(
-    case: Case, seed: int, simulation: Mapping[str, Any], overrides: Sequence[str], settings_hash: str, folder: Path
+    case: str, seed: int, simulation: Simulation, overrides: Sequence[str], settings_hash: str, folder: Path
 ) -> Drive:
     """Simulate, run, evaluate and delete one drive, or take its figures from the cache."""
     key = json.dumps({"simulation": simulation, "settings": settings_hash, "code": code_digest()}, sort_keys=True)
     cached = cache_folder().parent / "suite" / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.json"
     with suppress(OSError, ValueError):
-        return Drive(case.name, seed, json.loads(cached.read_text()), cached=True)
+        return Drive(case, seed, json.loads(cached.read_text()), cached=True)
     started = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="suite-", dir=folder) as work:
         bag, run = Path(work) / "drive.bag", Path(work) / "run"
@@ -248,13 +227,13 @@ def _drive(
         ):
             done = subprocess.run([*_FFMAP, *command], capture_output=True, text=True, check=False)
             if done.returncode:
-                return Drive(case.name, seed, None, (done.stderr.strip().splitlines() or ["no reason given"])[-1])
+                return Drive(case, seed, None, (done.stderr.strip().splitlines() or ["no reason given"])[-1])
         metrics: Metrics = json.loads((run / METRICS).read_text())
         record = json.loads((run / RUN_JSON).read_text())
         metrics["run"] = {name: record[name] for name in ("timings_s", "counts")}
     cached.parent.mkdir(parents=True, exist_ok=True)
     write_json(cached, metrics)
-    return Drive(case.name, seed, metrics, seconds=time.monotonic() - started)
+    return Drive(case, seed, metrics, seconds=time.monotonic() - started)
 
 
 _FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
@@ -277,10 +256,7 @@ def _write(out: Path, drives: Iterable[Drive], overrides: Sequence[str], setting
             "settings_hash": settings_hash,
             "overrides": list(overrides),
             "code": code_digest(),
-            "drives": [
-                {"case": d.case, "seed": d.seed, "seconds": d.seconds, "error": d.error, "metrics": d.metrics}
-                for d in drives
-            ],
+            "drives": [{name: value for name, value in vars(drive).items() if name != "cached"} for drive in drives],
         },
     )
 
@@ -297,21 +273,19 @@ def _check_replaceable(out: Path) -> None:
 
 def format_suite(drives: Sequence[Drive]) -> list[Table]:
     """One line a building: the mean over its seeds and half their spread; then mean and worst of the buildings."""
-    return [_table(title, figures, drives) for title, figures in TABLES]
+    return [_table(title, figures, drives) for title, figures in TABLES.items()]
 
 
 def _table(title: str, figures: Sequence[Figure], drives: Sequence[Drive]) -> Table:
-    table = Table(title=title, title_justify="left", padding=(0, 1, 0, 0))
-    table.add_column("building", no_wrap=True)
-    for figure in figures:
-        table.add_column(figure.heading, justify="right", no_wrap=True)
-    means: list[list[float]] = [[] for _ in figures]
+    rows, means = [], [[] for _ in figures]  # type: tuple[list[list[str]], list[list[float]]]
     for case in dict.fromkeys(drive.case for drive in drives):
         own = [drive.metrics for drive in drives if drive.case == case and drive.metrics is not None]
         columns = [[v for metrics in own if (v := figure.of(metrics)) is not None] for figure in figures]
-        table.add_row(case, *map(_cell, columns))
+        rows.append([case, *map(_cell, columns)])
         for mean, values in zip(means, columns, strict=True):
             mean.extend([statistics.fmean(values)] if values else [])
+    headings = ("building", *(figure.heading for figure in figures))
+    table = make_table(title, headings, rows, no_wrap=True, padding=(0, 1, 0, 0))
     table.add_section()
     table.add_row("mean", *(_cell([statistics.fmean(mean)] if mean else []) for mean in means))
     worst = [max if figure.less_is_better else min for figure in figures]
@@ -348,5 +322,3 @@ def _check_space(folder: Path, at_once: int) -> None:
 
 _NEEDED_BYTES = 9_000_000_000
 """Of one drive: the bag of a long one, the bag with labels, and the run's spool."""
-_WIDTH = 120
-"""Where nobody's terminal says how wide it is, the tables stay whole."""

@@ -36,6 +36,9 @@ _OWN = "own"
 _RERUN = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
 """As the `rerun` command does; `python -m rerun_cli` always ends with 0."""
 
+Stream = rr.RecordingStream
+"""For those outside this room who pass one on."""
+
 
 @contextmanager
 def open_part(path: Path, recording_id: str) -> Iterator[rr.RecordingStream]:

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -40,10 +40,7 @@ class Arguments:
     out: Path | None = None
     config: Path | None = None
     overrides: tuple[str, ...] = ()
-    rig: Path | None = None
-    horizontal: str | None = None
-    vertical: str | None = None
-    time_from: TimeFrom = "auto"
+    bag_options: InputOptions = field(default_factory=InputOptions)
     trajectory: str | None = None
     detail: str = "lines"
     spawn: bool = False
@@ -60,7 +57,8 @@ class Arguments:
     """Whether a run that is in the folder already may be replaced."""
 
 
-_STORED = ("rig", "horizontal", "vertical", "time_from", "trajectory", "detail", "outputs", "evaluate")
+_OF_THE_BAG = tuple(option.name for option in fields(InputOptions))
+_STORED = (*_OF_THE_BAG, "trajectory", "detail", "outputs", "evaluate")
 """Arguments that run.json keeps, for a run that is resumed."""
 
 
@@ -124,8 +122,7 @@ def make_ready_again(arguments: Arguments, resume: Path, stack: ExitStack) -> Re
 
 def _find(arguments: Arguments, bag: Path, settings: Settings) -> tuple[Inputs, GivenPoses | None]:
     """The bag's lidars, and the poses that were given, if any."""
-    options = InputOptions(arguments.rig, arguments.horizontal, arguments.vertical, arguments.time_from)
-    inputs = find_inputs(bag, options)
+    inputs = find_inputs(bag, arguments.bag_options)
     given = given_poses(arguments.trajectory, inputs, settings)
     if given is None:
         check_lidars_meet(inputs)
@@ -191,10 +188,10 @@ def _viewer(arguments: Arguments) -> str | None:
 
 def stored(arguments: Arguments) -> dict[str, Any]:
     """What run.json keeps of the command line, with the digests of the rig's and the poses' file: either may be changed."""
-    values = asdict(arguments)
+    values = asdict(arguments) | asdict(arguments.bag_options)
     stored = {name: values[name] for name in _STORED}
-    if arguments.rig is not None:
-        stored["rig"] = str(arguments.rig.resolve())
+    if stored["rig"] is not None:
+        stored["rig"] = str(stored["rig"].resolve())
     if arguments.trajectory is not None and Path(arguments.trajectory).exists():
         stored["trajectory"] = str(Path(arguments.trajectory).resolve())
     files = {name: Path(stored[name]) for name in ("rig", "trajectory") if stored[name] is not None}
@@ -204,7 +201,7 @@ def stored(arguments: Arguments) -> dict[str, Any]:
 
 def _files_read(arguments: Arguments) -> list[Path]:
     """What the user has named to be read."""
-    named = (arguments.bag, arguments.config, arguments.rig, arguments.trajectory)
+    named = (arguments.bag, arguments.config, arguments.bag_options.rig, arguments.trajectory)
     return [Path(name) for name in named if name is not None and Path(name).exists()]
 
 
@@ -250,8 +247,10 @@ def _as_begun(arguments: Arguments, path: Path, record: dict[str, Any]) -> tuple
     begun, now = record.get("versions", {}), versions()
     if any(begun.get(name) != now[name] for name in ("furniture-free-mapping", "git_revision")):
         raise InputError(f"{path}: was begun by another version of ffmap, whose labels may differ; start a new run")
-    begun_with = replace(arguments, bag=bag, **options)
+    bag_options = InputOptions(**{name: options.pop(name) for name in _OF_THE_BAG})
+    begun_with = replace(arguments, bag=bag, bag_options=bag_options, **options)
     if stored(begun_with)["digests"] != digests:
-        files = " or ".join(str(options[name]) for name in ("rig", "trajectory") if options[name] is not None)
+        named = (bag_options.rig, begun_with.trajectory)
+        files = " or ".join(str(file) for file in named if file is not None)
         raise InputError(f"{files}: is not what {path} was begun with, or is gone; bring that back, or start a new run")
     return begun_with, settings

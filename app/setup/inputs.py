@@ -33,10 +33,14 @@ _NO_POSE = (
 class InputOptions:
     """What the user says about the bag."""
 
-    rig_file: Path | None = None
+    rig: Path | None = None
     horizontal: str | None = None
     vertical: str | None = None
     time_from: TimeFrom = "auto"
+
+    def find_rig(self, bag: Bag) -> Rig:
+        """The lidars of an open bag; raises InputError where they cannot be told."""
+        return find_rig(bag, self.rig, self.horizontal, self.vertical, self.time_from)
 
 
 @dataclass(frozen=True)
@@ -81,7 +85,7 @@ def find_inputs(bag_path: Path, options: InputOptions) -> Inputs:
     Raises InputError that names the file, topic or frame and says what to do.
     """
     with open_bag(bag_path) as bag:
-        rig = find_rig(bag, options.rig_file, options.horizontal, options.vertical, options.time_from)
+        rig = options.find_rig(bag)
         horizontal = _sensor(bag, rig.horizontal) if rig.horizontal else None
         vertical = _sensor(bag, _checked(rig.vertical)) if rig.vertical else None
         clocks = clock_problem(horizontal.index, vertical.index) if horizontal and vertical else None

@@ -1,6 +1,7 @@
 """Runs of a sweep on a Dask cluster: its own scheduler, workers and executor; imported only where one is named."""
 
 import asyncio
+import os
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -30,7 +31,7 @@ class Cluster:
 
     def all_see(self, path: Path) -> bool:
         """Whether every worker has this file."""
-        return all(self._client.run(path_exists, str(path)).values())
+        return all(self._client.run(os.path.exists, str(path)).values())
 
 
 @contextmanager
@@ -91,12 +92,12 @@ def _check(client: Any, cluster: Cluster, address: str, needed: list[Path]) -> N
             f"--scheduler {address}: a worker cannot import furniture-free-mapping ({type(error).__name__}: {error}); "
             "start the workers in an environment that has it"
         ) from None
-    own = versions()
-    for worker, theirs in found.items():
-        if any(theirs.get(name) != own[name] for name in _PROGRAM):
+    own = " ".join(versions()[name] for name in _PROGRAM)
+    for worker, of_worker in found.items():
+        theirs = " ".join(of_worker.get(name, "") for name in _PROGRAM)
+        if theirs != own:
             raise InputError(
-                f"--scheduler {address}: worker {worker} has another version of the program "
-                f"({' '.join(theirs.get(name, '') for name in _PROGRAM)}; here {' '.join(own[name] for name in _PROGRAM)}); "
+                f"--scheduler {address}: worker {worker} has another version of the program ({theirs}; here {own}); "
                 "install the same on all"
             )
     for path in needed:
@@ -105,8 +106,3 @@ def _check(client: Any, cluster: Cluster, address: str, needed: list[Path]) -> N
                 f"--scheduler {address}: a worker does not see {path}; bags and --out have to lie where all workers "
                 "reach them under the same path"
             )
-
-
-def path_exists(path: str) -> bool:
-    """What a worker is asked for."""
-    return Path(path).exists()

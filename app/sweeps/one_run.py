@@ -18,7 +18,6 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
@@ -28,10 +27,9 @@ from ffmap.app.run.odometry import Odometry
 from ffmap.app.run.odometry_cache import CACHE_VARIABLE
 from ffmap.app.run.start import Arguments, carry_out, make_ready, stored
 from ffmap.app.run.workers import ENVIRONMENT
-from ffmap.app.setup.inputs import InputOptions, find_inputs
+from ffmap.app.setup.inputs import find_inputs
 from ffmap.app.setup.settings import Settings, load_settings
 from ffmap.loaders.errors import InputError
-from ffmap.loaders.pointcloud2 import TimeFrom
 
 _LOCKS = ".locks"
 _USERS_MISTAKE = 2
@@ -42,25 +40,20 @@ class Job(BaseModel):
 
     model_config = ConfigDict(frozen=True)
 
-    bag: Path
+    arguments: Arguments
+    """Of the run; for the odometry alone its folder is not touched."""
     bag_digest: str
-    out: Path
-    """The run's folder; not touched for the odometry alone."""
-    overrides: tuple[str, ...]
-    """Settings that differ from the defaults, as --set takes them."""
     settings_hash: str
-    rig: Path | None = None
-    horizontal: str | None = None
-    vertical: str | None = None
-    time_from: TimeFrom = "auto"
-    trajectory: str | None = None
-    detail: str = "map"
-    outputs: tuple[str, ...] = ()
-    evaluate: bool = False
     cache: Path
     """Folder that takes the place of the user's cache folder."""
     odometry: str | None = None
     """The name of the odometry to compute, as the cache knows it; None for a run."""
+
+    @property
+    def out(self) -> Path:
+        """The run's folder."""
+        assert self.arguments.out is not None
+        return self.arguments.out
 
     @property
     def name(self) -> str:
@@ -71,25 +64,6 @@ class Job(BaseModel):
     def lock(self) -> Path:
         """Held by the process that is at it."""
         return self.out.parent / _LOCKS / (self.odometry or self.name)
-
-    def arguments(self) -> Arguments:
-        """The job as `ffmap run` knows it, on one thread."""
-        return Arguments(
-            bag=self.bag,
-            out=self.out,
-            overrides=self.overrides,
-            rig=self.rig,
-            horizontal=self.horizontal,
-            vertical=self.vertical,
-            time_from=self.time_from,
-            trajectory=self.trajectory,
-            detail=self.detail,
-            outputs=self.outputs,
-            workers=1,
-            evaluate=self.evaluate,
-            quiet=True,
-            overwrite=True,
-        )
 
 
 class Outcome(BaseModel):
@@ -110,23 +84,20 @@ def overrides_of(settings: Settings) -> tuple[str, ...]:
 
 def is_finished(job: Job) -> bool:
     """Whether the run's folder holds just this run, complete and evaluated."""
-    record = _complete_record(job)
-    return record is not None and (not job.evaluate or (job.out / METRICS).exists())
+    return _is_complete(job) and (not job.arguments.evaluate or (job.out / METRICS).exists())
 
 
-def _complete_record(job: Job) -> dict[str, Any] | None:
-    """run.json of the run's folder, where it is this run and complete."""
+def _is_complete(job: Job) -> bool:
     try:
         record = RunFolder(job.out).read_json()
     except InputError:
-        return None
-    same = (
+        return False
+    return (
         record.get("outcome") == "complete"
         and record.get("settings_hash") == job.settings_hash
         and record.get("bag", {}).get("digest") == job.bag_digest
-        and record.get("options") == json.loads(json.dumps(stored(job.arguments())))
+        and record.get("options") == json.loads(json.dumps(stored(job.arguments)))
     )
-    return record if same else None
 
 
 _children: dict[subprocess.Popen[bytes], Path] = {}
@@ -148,10 +119,9 @@ def perform(job: Job) -> Outcome:
         _children[process] = job.out.parent
         try:
             assert process.stdin is not None
-            process.stdin.write(job.model_dump_json().encode() + b"\n")
-            process.stdin.flush()
-            code = process.wait()
-        except BrokenPipeError:
+            with suppress(BrokenPipeError):
+                process.stdin.write(job.model_dump_json().encode() + b"\n")
+                process.stdin.flush()
             code = process.wait()
         finally:
             del _children[process]
@@ -159,13 +129,12 @@ def perform(job: Job) -> Outcome:
             process.communicate()
         stderr.seek(0)
         said = stderr.read().decode(errors="replace").strip().splitlines()
-    seconds = time.monotonic() - started
-    if code == 0:
-        return Outcome(seconds=seconds)
+    error = None
     if code < 0:
-        reason = f"ended by {signal.Signals(-code).name}" + (" (out of memory?)" if code == -signal.SIGKILL else "")
-        return Outcome(seconds=seconds, error=reason)
-    return Outcome(seconds=seconds, error=said[-1] if said else f"ended with exit code {code}")
+        error = f"ended by {signal.Signals(-code).name}" + (" (out of memory?)" if code == -signal.SIGKILL else "")
+    elif code > 0:
+        error = said[-1] if said else f"ended with exit code {code}"
+    return Outcome(seconds=time.monotonic() - started, error=error)
 
 
 def stop_all(folder: Path) -> None:
@@ -204,9 +173,9 @@ def main() -> None:
 def _do(job: Job) -> None:
     if job.odometry is not None:
         _register(job)
-    elif _complete_record(job) is None:
+    elif not _is_complete(job):
         with ExitStack() as stack:
-            carry_out(make_ready(job.arguments(), stack), resumed=False)
+            carry_out(make_ready(job.arguments, stack), resumed=False)
     if job.odometry is None and not is_finished(job):
         from ffmap.app.analysis.evaluation import evaluate_run, has_truth
 
@@ -217,11 +186,12 @@ def _do(job: Job) -> None:
 
 def _register(job: Job) -> None:
     """Leave the bag's odometry in the cache."""
-    inputs = find_inputs(job.bag, InputOptions(job.rig, job.horizontal, job.vertical, job.time_from))
-    settings = load_settings(None, job.overrides)
+    assert job.arguments.bag is not None
+    inputs = find_inputs(job.arguments.bag, job.arguments.bag_options)
+    settings = load_settings(None, job.arguments.overrides)
     if inputs.horizontal is None:
         raise InputError(
-            f"{job.bag}: no horizontal lidar gives poses; name one with --horizontal, or give --trajectory"
+            f"{inputs.bag_path}: no horizontal lidar gives poses; name one with --horizontal, or give --trajectory"
         )
     odometry = Odometry(inputs, inputs.horizontal, settings)
     deque(odometry, maxlen=0)

@@ -4,7 +4,7 @@ import itertools
 import math
 import warnings
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -20,7 +20,7 @@ Combination = Mapping[str, Any]
 """A value for each parameter, by the setting's dotted name."""
 
 _DIGITS = 4
-"""Values drawn from a range have so many digits: nobody wants to read more."""
+"""Number of digits of a value that is drawn from a range."""
 
 
 @dataclass(frozen=True)
@@ -106,10 +106,9 @@ def apply(base: Settings, combination: Combination) -> Settings:
 
 
 class Search(Protocol):
-    """Where the combinations of a sweep come from."""
+    """Where the combinations of a sweep come from. total: how many there will be."""
 
     total: int
-    """How many there will be."""
 
     def next(self) -> Combination | None:
         """One more; None where there is none."""
@@ -121,18 +120,17 @@ class Search(Protocol):
 
 
 class Listed:
-    """Combinations that are known beforehand."""
+    """A `Search` among combinations that are known beforehand."""
 
     def __init__(self, combinations: Sequence[Combination]) -> None:
         self.total = len(combinations)
-        self._left = deque(combinations)
+        self._left = iter(combinations)
 
     def next(self) -> Combination | None:
-        """See `Search`."""
-        return self._left.popleft() if self._left else None
+        return next(self._left, None)
 
     def tell(self, combination: Combination, value: float | None) -> None:
-        """Changes nothing: what comes is known."""
+        pass
 
 
 def grid_of(parameters: Sequence[Parameter]) -> Listed:
@@ -142,37 +140,23 @@ def grid_of(parameters: Sequence[Parameter]) -> Listed:
 
 
 def random_of(parameters: Sequence[Parameter], count: int, seed: int) -> Listed:
-    """So many different combinations, drawn evenly; all of them where there are no more."""
+    """`count` different combinations, drawn evenly; all of them where there are no more."""
     rng = np.random.default_rng(seed)
-    if all(isinstance(p, Choice) for p in parameters):
-        sizes = [len(p.values) for p in parameters if isinstance(p, Choice)]
+    choices = [p.values for p in parameters if isinstance(p, Choice)]
+    if len(choices) == len(parameters):
+        sizes = list(map(len, choices))
         chosen = rng.choice(math.prod(sizes), min(count, math.prod(sizes)), replace=False)
         places = zip(*(axis.tolist() for axis in np.unravel_index(chosen, sizes)), strict=True)
-        return Listed(
-            [
-                _named(
-                    parameters, [p.values[i] for p, i in zip(parameters, place, strict=True) if isinstance(p, Choice)]
-                )
-                for place in places
-            ]
-        )
+        drawn = ([values[i] for values, i in zip(choices, place, strict=True)] for place in places)
+        return Listed([_named(parameters, values) for values in drawn])
+    different: dict[tuple[Any, ...], Combination] = {}
     # Whole numbers may run out of different ones.
-    drawn = itertools.islice(_drawn(parameters, rng), 100 * count)
-    return Listed(list(itertools.islice(_different(drawn), count)))
-
-
-def _different(combinations: Iterator[Combination]) -> Iterator[Combination]:
-    seen: set[tuple[tuple[str, Any], ...]] = set()
-    for combination in combinations:
-        key = tuple(combination.items())
-        if key not in seen:
-            seen.add(key)
-            yield combination
-
-
-def _drawn(parameters: Sequence[Parameter], rng: np.random.Generator) -> Iterator[Combination]:
-    while True:
-        yield _named(parameters, [_draw(parameter, rng) for parameter in parameters])
+    for _ in range(100 * count):
+        values = [_draw(parameter, rng) for parameter in parameters]
+        different.setdefault(tuple(values), _named(parameters, values))
+        if len(different) == count:
+            break
+    return Listed(list(different.values()))
 
 
 def _draw(parameter: Parameter, rng: np.random.Generator) -> Any:  # noqa: ANN401 - a setting's value
@@ -192,7 +176,7 @@ def _named(parameters: Sequence[Parameter], values: Sequence[Any]) -> Combinatio
 
 
 class Study:
-    """Combinations that Optuna's TPE proposes, each learning from those before; kept in a file, and gone on with."""
+    """A `Search` by Optuna's TPE, which learns from the combinations before; kept in a file, and gone on with."""
 
     def __init__(self, parameters: Sequence[Parameter], count: int, seed: int, objective: str, path: Path) -> None:
         """path: a file that may hold studies of other objectives and parameters too.
@@ -229,7 +213,6 @@ class Study:
         self._asked = 0
 
     def next(self) -> Combination | None:
-        """See `Search`."""
         if self._asked == self.total:
             return None
         self._asked += 1
@@ -246,12 +229,9 @@ class Study:
         return combination
 
     def tell(self, combination: Combination, value: float | None) -> None:
-        """See `Search`."""
         number = self._numbers[tuple(combination.values())].pop()
-        if value is None:
-            self._study.tell(number, state=self._failed, skip_if_finished=True)
-        else:
-            self._study.tell(number, value, skip_if_finished=True)
+        state = self._failed if value is None else None
+        self._study.tell(number, value, state=state, skip_if_finished=True)
 
 
 def _suggest(trial: Any, parameter: Parameter) -> Any:  # noqa: ANN401 - optuna.Trial; a setting's value

@@ -14,6 +14,7 @@ from ffmap.app.folder.atomic import write_atomically
 from ffmap.app.folder.ranking import Ranking, Trial
 from ffmap.app.sweeps.plan import Parameter
 from ffmap.app.sweeps.schedule import Run
+from ffmap.app.tables import make_table
 
 
 class Results(Ranking):
@@ -30,7 +31,7 @@ class Results(Ranking):
     @property
     def failures(self) -> list[str]:
         """Name and error of each run that failed."""
-        return [f"{run.job.name}: {run.outcome.error}" for run in self.runs if run.failed and run.outcome]
+        return [f"{run.job.name}: {run.error}" for run in self.runs if run.error is not None]
 
     def table(self, width: int) -> Table:
         """Best first; as many of the usual figures as fit."""
@@ -40,24 +41,17 @@ class Results(Ranking):
         taken = sum(max(map(len, heading.split("\n"))) + 3 for heading in headings.values())
         shown = figures.fit(self.headlines, width - taken - max(len(run.job.name) for run in self.runs) - 12)
         arrow = "least" if figures.less_is_better(self.objective) else "highest"
-        table = Table(
-            title=f"{len(self.trials)} settings by {self.objective}, {arrow} first; ● no other is better and faster",
-            title_justify="left",
-        )
-        table.add_column("")
-        for name in self.parameters:
-            table.add_column(headings[name], justify="right")
-        for name in shown:
-            table.add_column(name, justify="right")
-        table.add_column("run", no_wrap=True)
+        rows = []
         for place in self.ranked:
             trial = self.trials[place]
-            table.add_row(
-                "●" if place in self.front else "",
-                *(figures.format_value(trial.combination[name]) for name in self.parameters),
-                *(figures.format_value(trial.figures.get(name)) for name in shown),
-                trial.names[0] + (f" +{len(trial.names) - 1}" if len(trial.names) > 1 else ""),
-            )
+            values = [trial.combination[name] for name in self.parameters]
+            more = f" +{len(trial.names) - 1}" if len(trial.names) > 1 else ""
+            cells = map(figures.format_value, (*values, *(trial.figures.get(name) for name in shown)))
+            rows.append(["●" if place in self.front else "", *cells, trial.names[0] + more])
+        title = f"{len(self.trials)} settings by {self.objective}, {arrow} first; ● no other is better and faster"
+        columns = ("", *headings.values(), *shown, "run")
+        table = make_table(title, columns, rows, left=(0, len(columns) - 1))
+        table.columns[-1].no_wrap = True
         return table
 
     def write(self, path: Path) -> None:
@@ -66,9 +60,9 @@ class Results(Ranking):
         rows = [
             {
                 "run": run.job.name,
-                "bag": str(run.job.bag),
-                "state": "failed" if run.failed else "complete",
-                "error": run.outcome.error if run.outcome else None,
+                "bag": str(run.job.arguments.bag),
+                "state": "failed" if run.error is not None else "complete",
+                "error": run.error,
                 "settings_hash": run.job.settings_hash,
                 "labels_digest": run.record.get("labels_digest"),
                 "git_revision": run.record.get("versions", {}).get("git_revision"),
@@ -78,8 +72,9 @@ class Results(Ranking):
             }
             for run in self.runs
         ]
+        # Of all rows: the first may lack figures.
         columns = dict.fromkeys(name for row in rows for name in row)
-        table = pa.Table.from_pylist([{name: row.get(name) for name in columns} for row in rows])
+        table = pa.Table.from_pylist([dict.fromkeys(columns) | row for row in rows])
         write_atomically(path, lambda part: pq.write_table(table, part))
 
 

@@ -4,7 +4,6 @@ import statistics
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from ffmap.app.folder import figures
@@ -17,22 +16,24 @@ from ffmap.loaders.text_files import read_object
 
 @dataclass(eq=False)
 class Run:
-    """One run of the sweep: what it is to do, and what came of it."""
+    """One run of the sweep: what it is to do, and what came of it.
+
+    odometry: the name of the one that it needs, as the cache knows it; None where the poses are given. reused: whether the
+    run was finished before.
+    """
 
     job: Job
     combination: Combination
     odometry: str | None
-    """The name of the odometry that it needs, as the cache knows it; None where the poses are given."""
     outcome: Outcome | None = None
     reused: bool = False
-    """Whether it was finished before."""
     figures: dict[str, float] = field(default_factory=dict)
     record: dict[str, Any] = field(default_factory=dict)
 
     @property
-    def failed(self) -> bool:
-        """Whether it was tried in vain."""
-        return self.outcome is not None and self.outcome.error is not None
+    def error(self) -> str | None:
+        """What went wrong; None where nothing did, as yet."""
+        return self.outcome.error if self.outcome is not None else None
 
     def end(self, outcome: Outcome) -> None:
         """Take what came of it, from its folder."""
@@ -54,12 +55,13 @@ class Schedule:
         objective: str,
         on_end: Callable[[Run], None],
     ) -> None:
-        """runs_of: the runs of a combination, one for each bag. on_end: called with every run that has ended."""
+        """runs_of: the runs of a combination, one for each bag. on_end: called with every run that has ended.
+
+        runs: all that were proposed until now, by their names. odometries: those computed here; None while it goes on.
+        """
         self._search, self._runs_of, self._objective, self._on_end = search, runs_of, objective, on_end
         self.runs: dict[str, Run] = {}
-        """All that were proposed until now, by their names, in that order."""
         self.odometries: dict[str, Outcome | None] = {}
-        """Those that were computed here, by their names; None while it goes on."""
         self._waiting: list[Run] = []
         self._running: dict[Future[Outcome], Run | str] = {}
         self._untold: list[tuple[Combination, list[Run]]] = []
@@ -99,7 +101,7 @@ class Schedule:
                 continue
             if is_finished(run.job):
                 run.reused = True
-                self._take(run, Outcome(seconds=0.0))
+                self._take(run, _THERE)
             else:
                 self._waiting.append(run)
         self._tell()
@@ -109,7 +111,7 @@ class Schedule:
         """A run whose odometry is there, or an odometry that nobody computes yet; None where all has to wait."""
         for run in list(self._waiting):
             key = run.odometry
-            if key is not None and key not in self.odometries and not is_complete(_cached_at(run.job, key)):
+            if key is not None and key not in self.odometries and not is_complete(run.job.cache / "odometry" / key):
                 self.odometries[key] = None
                 return key, run.job.model_copy(update={"odometry": key})
             outcome = self.odometries.get(key, _THERE) if key is not None else _THERE
@@ -145,7 +147,3 @@ class Schedule:
 
 
 _THERE = Outcome(seconds=0.0)
-
-
-def _cached_at(job: Job, key: str) -> Path:
-    return job.cache / "odometry" / key

@@ -12,6 +12,7 @@ from ffmap.app.commands import compare as compare_command
 from ffmap.app.commands import rooms as rooms_command
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.map_files import read_map
+from ffmap.app.parameters import RoomsParameters
 from ffmap.app.record.catalogue import runs as catalogue
 from ffmap.app.record.catalogue.runs import Query
 from ffmap.app.setup.inputs import InputOptions, Inputs, find_inputs
@@ -31,7 +32,7 @@ def look_over_bag(path: Path, options: InputOptions | None = None) -> None:
     options = options or InputOptions()
     found: list[Inputs] = []
     steps: list[Callable[[], object]] = [
-        lambda: describe_bag(path, options.rig_file, time_from=options.time_from),
+        lambda: describe_bag(path, options.rig, time_from=options.time_from),
         lambda: found.append(find_inputs(path, options)),
         lambda: _read_all(found[0]) if found else None,
         lambda: _read_rest(path),
@@ -106,7 +107,7 @@ def look_over_packets(folder: Path, packets: list[bytes], stamps_ns: list[int]) 
 
 def look_over_rig(path: Path, bag: Path) -> None:
     read_rig_file(path)
-    look_over_bag(bag, InputOptions(rig_file=path))
+    look_over_bag(bag, InputOptions(rig=path))
 
 
 def look_over_trajectory(path: Path) -> None:
@@ -118,7 +119,7 @@ def look_over_trajectory(path: Path) -> None:
 
 def look_over_map(path: Path, out: Path) -> None:
     read_map(path)
-    rooms_command.rooms(rooms_command.Arguments(path, None, out, None, None, None, ()))
+    rooms_command.rooms(RoomsParameters(map_path=path, out=out))
 
 
 def look_over_settings(config: Path | None, words: tuple[str, ...]) -> None:

@@ -14,18 +14,10 @@ from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.truth.tally import CUBE_M
-from ffmap.app.analysis import evaluation as evaluate
-from ffmap.app.analysis.evaluation import (
-    PAPER_STATISTICS,
-    evaluate_run,
-    format_metrics,
-    has_truth,
-    in_one_line,
-    print_metrics,
-    read_building,
-    read_doors,
-)
+from ffmap.app.analysis import counting
+from ffmap.app.analysis.evaluation import evaluate_run, has_truth, read_building, read_doors
 from ffmap.app.analysis.map_figures import TITLES
+from ffmap.app.analysis.metrics_tables import PAPER_STATISTICS, format_metrics, in_one_line, print_metrics
 from ffmap.app.folder.atomic import write_geojson, write_json
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.labels_file import LabelsWriter
@@ -301,7 +293,7 @@ def test_tables_cut_no_word_on_a_narrow_terminal(capsys: pytest.CaptureFixture[s
 def test_other_containers_and_two_processes_count_the_same(
     tmp_path: Path, name: str, run: tuple[Path, dict[str, Any]], monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(evaluate, "CLOUDS_A_SHARE", 2)
+    monkeypatch.setattr(counting, "CLOUDS_A_SHARE", 2)
     bag_path, classes = make_truth_bag(tmp_path / name)
     made = make_run(tmp_path / "run", bag_path, classes)
     metrics = evaluate_run(open_run(made), workers=2 if name == "in_mcap" else 1)

@@ -21,6 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base.labels import NO_RETURN
 from ffmap.algorithms.truth.runs import CLASSES, classes_of
+from ffmap.app.analysis import inspection
+from ffmap.app.analysis.comparison_report import difference_of
 from ffmap.app.analysis.run_labels import LabelSource, pair
 from ffmap.app.commands import compare as compare_command
 from ffmap.app.commands import inspect as inspect_command
@@ -426,7 +428,7 @@ def test_a_scan_is_labelled_again_bit_for_bit(
     assert "have a wrong final label (label), by the truth" in done.stdout
     assert "equal label_scan in labelled.bag" in done.stdout
     for number in (0, 17, SCANS - 1):
-        found = inspect_command.label_again(open_run(runs["other"]), number)
+        found = inspection.label_again(open_run(runs["other"]), number)
         assert found.differing == 0
     lines = len(found.labelling.lines)
     documents: dict[int, str] = {}
@@ -451,7 +453,7 @@ def test_the_worst_scan_is_that_with_most_errors_or_most_changed_labels(runs: di
     red, green, blue = entities.VERDICTS[0][1]
     right = np.uint32(red << 24 | green << 16 | blue << 8 | 255)
     wrong = {s: np.mean(v[entities.POINT_VERDICT_COLOR] != right) for s, v in verdicts.items()}
-    worst, _ = inspect_command.find_worst(open_run(run))
+    worst, _ = inspection.find_worst(open_run(run))
     assert worst == max(wrong, key=wrong.__getitem__)
     without_truth = tmp_path / "run"
     without_truth.mkdir()
@@ -461,7 +463,7 @@ def test_the_worst_scan_is_that_with_most_errors_or_most_changed_labels(runs: di
         np.count_nonzero(label != label_scan) / np.count_nonzero(label != NO_RETURN)
         for _, (label, label_scan) in sorted(labels_of(run).items())
     ]
-    worst, why = inspect_command.find_worst(open_run(without_truth))
+    worst, why = inspection.find_worst(open_run(without_truth))
     assert worst == int(np.argmax(relabelled))
     assert "not those of the scan alone" in why
 
@@ -470,7 +472,7 @@ def test_the_worst_scan_opens_at_its_worst_line_and_says_which_label_is_wrong(
     runs: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = runs["other"]
-    scan, _ = inspect_command.find_worst(open_run(run))
+    scan, _ = inspection.find_worst(open_run(run))
     red, green, blue = entities.VERDICTS[0][1]
     right = np.uint32(red << 24 | green << 16 | blue << 8 | 255)
     verdicts = {row.scan: row.values for row in rows(run / "evaluation.rrd", entities.POINTS)}
@@ -544,9 +546,9 @@ def test_a_run_that_is_not_this_programs_is_not_passed_off_as_such(runs: dict[st
     usual, other = (labels_of(runs[name]) for name in ("usual", "other"))
     differing = [np.count_nonzero(usual[stamp][1] != other[stamp][1]) for stamp in sorted(usual)]
     worst = int(np.argmax(differing))
-    found = inspect_command.label_again(run, worst)
+    found = inspection.label_again(run, worst)
     assert found.differing == differing[worst] > 0
-    assert f"{differing[worst]:,} of" in inspect_command.agreement(run, found)
+    assert f"{differing[worst]:,} of" in inspection.agreement(run, found)
 
 
 def test_what_cannot_be_inspected_is_one_line(
@@ -586,4 +588,4 @@ def test_what_cannot_be_inspected_is_one_line(
     [(0.1 + 0.2, 0.3, "="), (0.5, 0.50004, "+4e-05"), (0.5, 0.4, "-0.1000"), (3.0, 5.0, "+2"), (None, 1.0, "–")],
 )
 def test_the_difference_of_two_figures_in_words(first: float | None, second: float | None, expected: str) -> None:
-    assert compare_command._difference(first, second) == expected
+    assert difference_of(first, second) == expected

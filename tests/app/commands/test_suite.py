@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from ffmap.app.commands import suite
-from ffmap.app.commands.suite import Case, Drive, format_suite, parse_seeds, run_suite
+from ffmap.app.commands.suite import Drive, format_suite, parse_seeds, run_suite
 from ffmap.loaders.errors import InputError
 
 
@@ -50,7 +50,7 @@ def test_a_drive_is_simulated_run_evaluated_deleted_and_cached(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("FFMAP_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(suite, "CASES", (Case("small", {"building": "small", "sensor": "vlp16"}),))
+    monkeypatch.setattr(suite, "CASES", {"small": {"building": "small", "sensor": "vlp16"}})
     monkeypatch.setattr(suite, "QUICK_S", 2.0)
     out = tmp_path / "results" / "suite.json"
     assert run_suite(out, (3,), True, [], quiet=True) == 0
@@ -68,7 +68,7 @@ def test_a_drive_that_fails_is_told_and_stops_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("FFMAP_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(suite, "CASES", (Case("none", {"building": "castle"}),))
+    monkeypatch.setattr(suite, "CASES", {"none": {"building": "castle"}})
     assert run_suite(tmp_path / "suite.json", (3,), True, []) == 1
     told = capsys.readouterr()
     assert "castle" in told.err
@@ -85,14 +85,14 @@ def test_file_that_no_suite_wrote_is_left_alone(content: str, tmp_path: Path) ->
 
 
 def test_earlier_results_stay_until_the_suite_is_complete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(suite, "CASES", (Case("one", {}), Case("two", {})))
+    monkeypatch.setattr(suite, "CASES", {"one": {}, "two": {}})
     out = tmp_path / "suite.json"
     out.write_text('{"drives": []}')
 
-    def drive(case: Case, seed: int, *_: object) -> suite.Drive:
-        if case.name == "two":
+    def drive(case: str, seed: int, *_: object) -> suite.Drive:
+        if case == "two":
             raise KeyboardInterrupt
-        return suite.Drive(case.name, seed, {})
+        return suite.Drive(case, seed, {})
 
     monkeypatch.setattr(suite, "_drive", drive)
     with pytest.raises(KeyboardInterrupt):

@@ -10,8 +10,7 @@ from rerun.chunk import RrdReader
 
 from ffmap.algorithms.poses.levelling import LevelledScan
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
-from ffmap.app.analysis.faults import ScanFaults
-from ffmap.app.record.inspection import write
+from ffmap.app.record.inspection import ScanFaults, write
 from ffmap.app.record.line_reasons import explain_lines
 from ffmap.blueprints import entities
 from ffmap.blueprints.entities import Fault

@@ -5,11 +5,14 @@ import threading
 import time
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from ffmap.app.run.start import Arguments
+from ffmap.app.setup.inputs import InputOptions
 from ffmap.app.sweeps import schedule as sweep_schedule
 from ffmap.app.sweeps.one_run import Job, Outcome, is_finished
 from ffmap.app.sweeps.plan import Choice, Listed
@@ -34,7 +37,7 @@ class Machine:
             self.at_once += 1
             self.most_at_once = max(self.most_at_once, self.at_once)
             if job.odometry is None:
-                assert (job.cache / "odometry" / f"poses-{job.bag}" / "complete").exists()
+                assert (job.cache / "odometry" / f"poses-{job.arguments.bag}" / "complete").exists()
         time.sleep(0.01)
         with self._lock:
             self.at_once -= 1
@@ -51,26 +54,24 @@ class Machine:
 
 
 def write_run(job: Job) -> None:
-    from ffmap.app.commands.run import stored
+    from ffmap.app.run.start import stored
 
     job.out.mkdir(parents=True)
     record = {
         "outcome": "complete",
         "settings_hash": job.settings_hash,
         "bag": {"digest": job.bag_digest},
-        "options": stored(job.arguments()),
+        "options": stored(job.arguments),
         "timings_s": {"total": 3.0},
-        "counts": {"doors": 4 if job.bag.name == "a" else 6},
+        "counts": {"doors": 4 if job.arguments.bag.name == "a" else 6},
     }
     (job.out / "run.json").write_text(json.dumps(record))
 
 
 def run_of(folder: Path, bag: str, value: int, given: bool = False) -> Run:
     job = Job(
-        bag=Path(bag),
+        arguments=Arguments(bag=Path(bag), out=folder / f"{bag}-{value}", overrides=(f"seed={value}",), evaluate=False),
         bag_digest=f"digest of {bag}",
-        out=folder / f"{bag}-{value}",
-        overrides=(f"seed={value}",),
         settings_hash=str(value),
         cache=folder,
     )
@@ -126,14 +127,15 @@ def test_what_is_there_is_not_done_again(tmp_path: Path, monkeypatch: pytest.Mon
         {"outcome": "running"},
         {"settings_hash": "other"},
         {"bag": {"digest": "other"}},
-        {"options": {"detail": "lines"}},
+        {"options": {"detail": "map"}},
     ],
 )
 def test_only_the_very_run_counts_as_finished(change: dict[str, Any], tmp_path: Path) -> None:
     job = run_of(tmp_path, "a", 1).job
     write_run(job)
     assert is_finished(job)
-    assert not is_finished(job.model_copy(update={"evaluate": True}))
+    evaluated = replace(job.arguments, evaluate=True)
+    assert not is_finished(job.model_copy(update={"arguments": evaluated}))
     record = json.loads((job.out / "run.json").read_text())
     (job.out / "run.json").write_text(json.dumps({**record, **change}))
     assert not is_finished(job)
@@ -143,7 +145,9 @@ def test_only_the_very_run_counts_as_finished(change: dict[str, Any], tmp_path: 
 def test_run_that_was_made_with_another_file_is_not_finished(name: str, tmp_path: Path) -> None:
     file = tmp_path / "file.txt"
     file.write_text("earlier")
-    job = run_of(tmp_path, "a", 1).job.model_copy(update={name: file if name == "rig" else str(file)})
+    job = run_of(tmp_path, "a", 1).job
+    changed = {"bag_options": InputOptions(rig=file)} if name == "rig" else {"trajectory": str(file)}
+    job = job.model_copy(update={"arguments": replace(job.arguments, **changed)})
     write_run(job)
     assert is_finished(job)
     file.write_text("changed")
@@ -159,14 +163,14 @@ def test_one_failed_run_does_not_stop_the_others(tmp_path: Path, monkeypatch: py
     again = Machine()
     schedule, _ = swept(tmp_path, again, monkeypatch, [0, 1, 2])
     assert again.done == ["a-1"]
-    assert not any(run.failed for run in schedule.runs.values())
+    assert not any(run.error for run in schedule.runs.values())
 
 
 def test_without_its_odometry_no_run_is_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     machine = Machine({"poses-a": "no horizontal cloud"})
     schedule, _ = swept(tmp_path, machine, monkeypatch, list(range(5)), slots=1)
     assert sorted(machine.done) == ["b-0", "b-1", "b-2", "b-3", "b-4", "poses-a", "poses-b"]
-    failed = [run for run in schedule.runs.values() if run.failed]
+    failed = [run for run in schedule.runs.values() if run.error]
     assert [run.job.name for run in failed] == [f"a-{value}" for value in range(5)]
     assert "no horizontal cloud" in failed[0].outcome.error
 
@@ -197,4 +201,4 @@ def test_what_a_cluster_loses_has_failed(tmp_path: Path, monkeypatch: pytest.Mon
 
     schedule, _ = swept(tmp_path, Losing(), monkeypatch, [0, 1])
     assert "the worker is gone" in schedule.runs["b-1"].outcome.error
-    assert sum(run.failed for run in schedule.runs.values()) == 1
+    assert sum(run.error is not None for run in schedule.runs.values()) == 1

@@ -15,9 +15,9 @@ import pyarrow.parquet as pq
 import pytest
 from rerun.chunk import RrdReader
 
-from ffmap.app.commands.sweep import Arguments, sweep
+from ffmap.app.commands.sweep import sweep
 from ffmap.app.folder.labels_file import read_labels
-from ffmap.app.setup.outputs import SWEEP_OUTPUTS, Output
+from ffmap.app.parameters import SweepParameters
 from ffmap.blueprints import entities
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
@@ -216,23 +216,23 @@ def test_an_interrupted_sweep_leaves_no_run_on_the_cluster(
     assert all(record["outcome"] == "running" for record in left.values())
 
 
-SEEDS = ("seed=0,1",)
+SEEDS = ["seed=0,1"]
 
 
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ({"grid": ()}, "--grid"),
-        ({"grid": ("wall_planes.similarty_m=1",)}, "wall_planes.similarity_m"),
-        ({"grid": ("wall_planes.similarity_m=0.05,-1",)}, "similarity_m = -1"),
-        ({"grid": SEEDS, "outputs": (Output.RECORDING,)}, "add labels"),
+        ({"grid": []}, "--grid"),
+        ({"grid": ["wall_planes.similarty_m=1"]}, "wall_planes.similarity_m"),
+        ({"grid": ["wall_planes.similarity_m=0.05,-1"]}, "similarity_m = -1"),
+        ({"grid": SEEDS, "outputs": "recording"}, "add labels"),
         ({"grid": SEEDS, "random": 2, "optuna": 2}, "--random"),
         ({"grid": SEEDS, "objective": "wall_f2"}, "wall_f1"),
         ({"grid": SEEDS, "optuna": 2, "evaluate": False}, "truth"),
         ({"grid": SEEDS, "out": Path("file") / "out"}, "cannot be written"),
         ({"grid": SEEDS, "out": Path("thesis")}, "holds files that are no sweep"),
         ({"grid": SEEDS, "out": Path("theirs")}, "holds files that are no sweep"),
-        ({"grid": SEEDS, "bags": (Path("no.bag"),)}, "no.bag"),
+        ({"grid": SEEDS, "bags": [Path("no.bag")]}, "no.bag"),
         ({"grid": SEEDS, "scheduler": "tcp://127.0.0.1:9"}, "dask scheduler"),
         ({"grid": SEEDS, "scheduler": "nonsense"}, "tcp://127.0.0.1:8786"),
     ],
@@ -247,7 +247,7 @@ def test_mistakes_are_one_line_and_nothing_starts(
     Path("thesis/thesis.tex").touch()
     Path("theirs").mkdir()
     Path("theirs/sweep.json").write_text('{"experiment": 1}')
-    arguments = Arguments(**{"bags": (bag,), "out": Path("out"), "outputs": SWEEP_OUTPUTS, "quiet": True, **words})
+    arguments = SweepParameters(**{"bags": [bag], "out": Path("out"), "quiet": True, **words})
     with pytest.raises(InputError) as error:
         sweep(arguments)
     assert expected in str(error.value)
@@ -268,13 +268,13 @@ def test_the_command_line_says_which_outputs_there_are(bag: Path, environment: d
 
 def test_without_dask_it_says_how_to_install_it(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    arguments = Arguments((bag,), SEEDS, SWEEP_OUTPUTS, out=tmp_path / "out", scheduler="tcp://127.0.0.1:9", quiet=True)
+    arguments = SweepParameters(bags=[bag], grid=SEEDS, out=tmp_path / "out", scheduler="tcp://127.0.0.1:9", quiet=True)
     with pytest.raises(InputError, match=r"-m pip install distributed' .*'\.\[cluster\]'"):
         sweep(arguments)
 
 
 def test_without_optuna_it_says_how_to_install_it(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "optuna", None)
-    arguments = Arguments((bag,), SEEDS, SWEEP_OUTPUTS, out=tmp_path / "out", optuna=2, quiet=True)
+    arguments = SweepParameters(bags=[bag], grid=SEEDS, out=tmp_path / "out", optuna=2, quiet=True)
     with pytest.raises(InputError, match=r"-m pip install optuna' .*'\.\[optuna\]'"):
         sweep(arguments)

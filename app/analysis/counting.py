@@ -1,0 +1,184 @@
+"""The labels of a run counted against the truth, cloud by cloud, in processes side by side."""
+
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from ffmap.algorithms.base.labels import NO_RETURN
+from ffmap.algorithms.base.scan import UInt8Array
+from ffmap.algorithms.base.trajectory import Trajectory, place_scan
+from ffmap.algorithms.truth.doors import TrueDoors
+from ffmap.algorithms.truth.tally import Counter, Tally
+from ffmap.app.folder.labels_file import read_labels
+from ffmap.app.run.workers import make_pool
+from ffmap.loaders.bag import Bag, open_bag
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.pointcloud2 import describe_layout, field_column
+from ffmap.loaders.rig import Lidar
+from ffmap.loaders.scans import CloudIndex, SkippedScan, index_clouds, read_clouds
+from ffmap.loaders.truth import TruthClasses, read_truth
+
+CLOUDS_A_SHARE = 100
+"""For fewer clouds than this a process more costs more than it saves; with many more, its cubes fill the memory."""
+_MARGIN_NS = 200_000_000
+"""The first and the last sweep may stand a little outside the true poses."""
+
+
+@dataclass(frozen=True)
+class LabelledClouds:
+    """Where a run's vertical clouds and their labels are read.
+
+    bag: the labelled bag, or the one that the run was made from. labels: labels.parquet; None where the clouds have them.
+    """
+
+    bag: Path
+    lidar: Lidar
+    labels: Path | None = None
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A second layer of the recording `recording_id`, whose parts lie in `spool`."""
+
+    spool: Path
+    recording_id: str
+
+
+@dataclass(frozen=True, eq=False)
+class Counted:
+    """All clouds of a run. without_truth: how many were left out. parts: of the layer, in order."""
+
+    tally: Tally
+    without_truth: int
+    parts: tuple[Path, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Share:
+    """What is counted at a time: clouds [first, first + count) of the run's."""
+
+    clouds: LabelledClouds
+    truth_bag: Path
+    doors: TrueDoors
+    first: int
+    count: int
+    layer: Layer | None
+
+    @property
+    def part(self) -> Path:
+        """The share's part of the layer."""
+        assert self.layer is not None
+        return self.layer.spool / f"scans-{self.first:06d}.rrd"
+
+
+@dataclass(frozen=True, eq=False)
+class _Bags:
+    """What is counted and what it is compared with, both open."""
+
+    clouds: Bag
+    index: CloudIndex
+    trajectory: Trajectory
+    classes: TruthClasses
+
+    @staticmethod
+    def read(clouds: Bag, true_bag: Bag, topic: str) -> "_Bags":
+        truth = read_truth(true_bag)
+        assert truth is not None
+        assert truth.trajectory is not None
+        assert truth.classes is not None
+        return _Bags(clouds, index_clouds(clouds, topic), truth.trajectory, truth.classes)
+
+
+def count_run(
+    clouds: LabelledClouds, truth_bag: Path, doors: TrueDoors, workers: int, layer: Layer | None = None
+) -> Counted:
+    """Count all clouds of a run. layer: where the errors of each scan are recorded; None for nowhere."""
+    topic = clouds.lidar.topic
+    total, without_truth = Counter(doors), 0
+    with ExitStack() as stack:
+        bag = stack.enter_context(open_bag(clouds.bag))
+        count = len(index_clouds(bag, topic))
+        edges = np.linspace(0, count, max(1, count // CLOUDS_A_SHARE) + 1).astype(int).tolist()
+        shares = [_Share(clouds, truth_bag, doors, first, last - first, layer) for first, last in pairwise(edges)]
+        processes = min(workers, len(shares))
+        if processes == 1:
+            bags = _Bags.read(bag, stack.enter_context(open_bag(truth_bag)), topic)
+            counted: Iterable[tuple[Tally, int]] = (_count(share, bags) for share in shares)
+        else:
+            counted = stack.enter_context(make_pool(processes)).map(_count_in_worker, shares)
+        for tally, missing in counted:
+            total.absorb(tally)
+            without_truth += missing
+    parts = tuple(share.part for share in shares if layer is not None and share.part.exists())
+    return Counted(total.tally(), without_truth, parts)
+
+
+def _count_in_worker(share: _Share) -> tuple[Tally, int]:
+    return _count(share, _opened(share.clouds.bag, share.truth_bag, share.clouds.lidar.topic))
+
+
+@cache
+def _opened(clouds: Path, truth_bag: Path, topic: str) -> _Bags:
+    """Each worker opens the bags once; it lives as long as one evaluation."""
+    return _Bags.read(open_bag(clouds), open_bag(truth_bag), topic)
+
+
+def _count(share: _Share, bags: _Bags) -> tuple[Tally, int]:
+    if share.layer is None:
+        return _count_clouds(share, bags, lambda *_: None)
+    # Rerun is not needed where a run has no recording.
+    from ffmap.app.record.errors import ScanErrors
+    from ffmap.app.record.stream import open_part
+
+    with open_part(share.part, share.layer.recording_id) as stream:
+        errors = ScanErrors(stream)
+        counted = _count_clouds(share, bags, errors.log)
+        errors.finish()
+    return counted
+
+
+def _count_clouds(
+    share: _Share, bags: _Bags, log: Callable[[int, int, UInt8Array, UInt8Array], None]
+) -> tuple[Tally, int]:
+    """log: called with each counted scan's number, stamp, truth and label."""
+    counter = Counter(share.doors)
+    without_truth = 0
+    lidar, labels = share.clouds.lidar, share.clouds.labels
+    stored = read_labels(labels, share.first, share.count) if labels is not None else None
+    for number, scan, message in read_clouds(bags.clouds, bags.index, share.first, share.count, lidar.decoding):
+        if isinstance(scan, SkippedScan) or message is None:
+            counter.skip()
+            continue
+        classes = bags.classes.at(scan.stamp_ns)
+        if classes is None or not bags.trajectory.covers(np.array([scan.start_ns]), _MARGIN_NS)[0]:
+            without_truth += 1
+            continue
+        if len(classes) != scan.cloud_size:
+            raise InputError(
+                f"{share.truth_bag}: {len(classes)} true classes for a cloud of {scan.cloud_size} points; "
+                "give the bag that the run was made from as --truth"
+            )
+        if stored is None:
+            layout = describe_layout(message, lidar.topic)
+            full = tuple(field_column(message, layout, name) for name in ("label", "label_scan"))
+        else:
+            # What was not labelled has no row.
+            full = stored.get(number) or (np.full(scan.cloud_size, NO_RETURN, np.uint8),) * 2
+        label, label_scan = (values[scan.cloud_index].astype(np.uint8) for values in full)
+        truth = classes[scan.cloud_index]
+        # As measured, at the true poses: where a return is counted does not depend on what was made of it.
+        placed = place_scan(scan, bags.trajectory, lidar.T_base_sensor)
+        counter.add(
+            placed.to_map(placed.points_level),
+            placed.to_map(placed.origin_level[None])[0],
+            truth,
+            label,
+            label_scan,
+        )
+        log(number, scan.stamp_ns, truth, label)
+    return counter.tally(), without_truth

@@ -1,0 +1,232 @@
+"""One scan of a finished run, labelled again with all evidence, and what is wrong with its labels."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ffmap.algorithms.base.labels import Verdict
+from ffmap.algorithms.base.scan import BoolArray, Scan, UInt8Array, within_range
+from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
+from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
+from ffmap.algorithms.scan.point_lines import PointLines
+from ffmap.algorithms.scan.smoothing import smooth_ranges
+from ffmap.app.analysis.run_labels import CloudLabels, LabelSource
+from ffmap.app.folder.finished_run import FinishedRun
+from ffmap.app.folder.names import EVALUATION
+from ffmap.app.record.errors import VERDICT_COLORS
+from ffmap.app.record.inspection import ScanFaults
+from ffmap.app.record.line_reasons import name_of
+from ffmap.app.record.read_back import readable, rows
+from ffmap.app.run.blocks import seed_of
+from ffmap.app.run.poses import given_poses, poses_of
+from ffmap.app.setup.inputs import Inputs, digest_clouds, digest_stamps, find_inputs
+from ffmap.app.setup.versions import git_revision
+from ffmap.blueprints import entities
+from ffmap.blueprints.entities import Fault
+from ffmap.loaders.bag import open_bag
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.pointcloud2 import full_labels
+from ffmap.loaders.scans import SkippedScan, read_scans
+
+
+@dataclass(frozen=True, eq=False)
+class InspectedScan:
+    """A scan of a run, labelled again by the functions and settings of the run.
+
+    labelling: with all evidence. differing: how many returns the run itself had labelled otherwise; None where its files
+    do not tell. compared_with: the file that told. faults: what is wrong with its final labels; None where they do not tell.
+    """
+
+    index: int
+    scan: Scan
+    level: LevelledScan
+    labelling: ScanLabelling
+    differing: int | None
+    compared_with: str | None
+    faults: ScanFaults | None
+
+
+def label_again(run: FinishedRun, number: int, bag: Path | None = None) -> InspectedScan:
+    """Label one scan of a run as the run did: same bag, poses, settings and random numbers.
+
+    bag: where the run's bag lies now; None for where it was.
+    Raises InputError where the bag has gone or is another, the scan is out of range, or it was skipped.
+    """
+    bag_path = bag or run.bag_path
+    if bag_path is None or not bag_path.exists():
+        raise InputError(
+            f"{bag_path or run.path}: the run's bag is not there, and a scan is labelled again from it; say with --bag "
+            "where it is"
+        )
+    settings = run.settings()
+    inputs = find_inputs(bag_path, run.input_options)
+    _check_same_clouds(run, inputs)
+    vertical = inputs.vertical
+    if vertical is None:
+        raise InputError(f"{run.path}: its bag has no lidar that sweeps the walls, so no scan was labelled")
+    if not 0 <= number < len(vertical.index):
+        raise InputError(f"--scan {number}: {run.name} has scans 0 to {len(vertical.index) - 1}")
+    with open_bag(bag_path) as opened:
+        _, scan = next(read_scans(opened, vertical.index, number, 1, vertical.lidar.decoding))
+    if isinstance(scan, SkippedScan):
+        raise InputError(f"--scan {number}: was skipped ({scan.reason}); give another scan")
+    scan = within_range(scan, settings.scan.range_max_m)
+    trajectory = run.part("options").get("trajectory")
+    poses = poses_of(inputs, given_poses(trajectory, inputs, settings), settings)
+    margin_ns = int(settings.trajectory.extrapolate_s * 1e9)
+    if not poses.trajectory.covers(np.array([scan.start_ns, scan.end_ns]), margin_ns).all():
+        raise InputError(f"--scan {number}: was skipped (no pose at its time); give another scan")
+    level = place_and_level(
+        scan,
+        smooth_ranges(scan, settings.smoothing),
+        poses.trajectory,
+        vertical.lidar.T_base_sensor,
+        poses.base_height_m,
+        poses.floor_slope,
+        settings.rearrangement,
+        settings.trajectory.level_scan_max_deg,
+    )
+    labelling = label_scan(scan, level.placed, settings.method, seed_of(settings.seed, number))
+    recorded, file = _recorded_labels(run, number, scan.stamp_ns)
+    differing = None if recorded is None else _differing(recorded, scan, labelling.label)
+    faults = _find_faults(run, number, scan, labelling, recorded)
+    return InspectedScan(number, scan, level, labelling, differing, file, faults)
+
+
+def _check_same_clouds(run: FinishedRun, inputs: Inputs) -> None:
+    """Raises InputError where the bag is not what the run was made from, be it by one byte.
+
+    Of a run that was killed before it had read all clouds, their times alone are known.
+    """
+    told = run.clouds or run.part("bag").get("stamps", {})
+    sensors = [sensor for sensor in inputs.used(False) if sensor.lidar.topic in told]
+    if told != (digest_clouds(inputs.bag_path, sensors) if run.clouds else digest_stamps(sensors)):
+        raise InputError(f"{inputs.bag_path}: is not the bag that {run.path} was made from; give that one with --bag")
+
+
+@contextmanager
+def _labels_of(run: FinishedRun) -> Iterator[LabelSource]:
+    """Where the run's labels are read; the recording is opened where no labelled bag has them."""
+    with ExitStack() as stack:
+        in_recording = run.recording if run.labelled is None else None
+        yield LabelSource(run, stack.enter_context(readable(in_recording)) if in_recording is not None else None)
+
+
+def _recorded_labels(run: FinishedRun, number: int, stamp_ns: int) -> tuple[CloudLabels | None, str | None]:
+    """What the run's files say of one cloud, and which file did; None where none does."""
+    with _labels_of(run) as source:
+        return next((cloud for cloud in source.read(first=number) if cloud.stamp_ns == stamp_ns), None), source.file
+
+
+def _differing(recorded: CloudLabels, scan: Scan, label: UInt8Array) -> int:
+    """How many returns the run had labelled otherwise."""
+    own = full_labels(scan, label) if recorded.every_place else label
+    if len(own) != len(recorded.label_scan):
+        return max(len(own), len(recorded.label_scan))
+    return int(np.count_nonzero(own != recorded.label_scan))
+
+
+def find_worst(run: FinishedRun) -> tuple[int, str]:
+    """The scan with the largest error where the run was evaluated, else with the most final labels unlike its own.
+
+    Returns its number and why. Raises InputError where the run's files tell neither.
+    """
+    errors = run.file(EVALUATION)
+    if errors is not None:
+        percent: dict[int, float] = {}
+        with readable(errors) as recording:
+            for row in rows(recording.path, f"{entities.SCAN_ERRORS}/**", "scalars"):
+                percent[row.scan] = percent.get(row.scan, 0.0) + float(row.values["scalars"][0])
+        if percent:
+            worst = max(percent, key=lambda scan: (percent[scan], -scan))
+            return worst, f"{percent[worst]:.1f} % of its points have a wrong final label (`label`), by the truth"
+    with _labels_of(run) as source:
+        share = {
+            cloud.scan: float(np.mean(cloud.label != cloud.label_scan))
+            for cloud in (c.of_returns() for c in source.read())
+            if cloud.label is not None and len(cloud.label)
+        }
+    if not share:
+        raise InputError(f"{run.path}: holds no labels of single scans to find the worst by; name one, as in --scan 17")
+    worst = max(share, key=lambda scan: (share[scan], -scan))
+    unlike = "of its final labels (`label`) are not those of the scan alone (`label_scan`)"
+    return worst, f"{100 * share[worst]:.1f} % {unlike}"
+
+
+def agreement(run: FinishedRun, inspected: InspectedScan) -> str:
+    """Whether the labels are the run's own, in a sentence."""
+    total = len(inspected.labelling.label)
+    if inspected.differing is None:
+        return f"Labelled again; {run.name} holds no labels of this scan to compare with."
+    if not inspected.differing:
+        return f"Labelled again: all {total:,} labels equal label_scan in {inspected.compared_with}."
+    made, now = run.part("versions").get("git_revision") or "unknown", git_revision() or "unknown"
+    return (
+        f"**Labelled again, {inspected.differing:,} of {total:,} labels are not those of {inspected.compared_with}:** what "
+        f"follows tells of this program (revision {now}), not of the run's (revision {made})."
+    )
+
+
+def _find_faults(
+    run: FinishedRun, number: int, scan: Scan, labelling: ScanLabelling, recorded: CloudLabels | None
+) -> ScanFaults | None:
+    """What is wrong with a scan's final labels; None where the run's files do not tell.
+
+    recorded: its labels by the run's files.
+    """
+    final = _final(recorded, scan)
+    if final is None:
+        return None
+    own = final == labelling.label
+    wrong = _wrong(run, number)
+    if wrong is None or len(wrong) != len(scan):
+        return ScanFaults(np.where(own, Fault.NONE, Fault.RELABELLED).astype(np.uint8), by_truth=False)
+    fault = np.where(own, Fault.OF_THE_SCAN, Fault.OF_THE_BUILDING)
+    return ScanFaults(np.where(wrong, fault, Fault.NONE).astype(np.uint8), by_truth=True)
+
+
+def _final(recorded: CloudLabels | None, scan: Scan) -> UInt8Array | None:
+    """(n,) the final label of each return; None where the run has none."""
+    if recorded is None or recorded.label is None:
+        return None
+    label = recorded.label[scan.cloud_index] if recorded.every_place else recorded.label
+    return label if len(label) == len(scan) else None
+
+
+def _wrong(run: FinishedRun, number: int) -> BoolArray | None:
+    """(n,) whether the evaluation found each return's final label wrong; None where the scan was not evaluated."""
+    errors = run.file(EVALUATION)
+    if errors is None:
+        return None
+    with readable(errors) as recording:
+        for row in rows(recording.path, entities.POINTS, entities.POINT_VERDICT_COLOR):
+            if row.scan == number:
+                return np.asarray(row.values[entities.POINT_VERDICT_COLOR] != VERDICT_COLORS[Verdict.RIGHT])
+    return None
+
+
+def faults_in_words(faults: ScanFaults | None, lines: PointLines) -> str:
+    """What is marked, by which of the two labels, and where most of it is."""
+    if faults is None:
+        return "Nothing is marked: the run holds no final labels (`label`) of this scan; told is of `label_scan`."
+    total = len(faults.fault)
+    count = {fault: int(np.count_nonzero(faults.fault == fault)) for fault in Fault}
+    if faults.by_truth:
+        wrong = count[Fault.OF_THE_SCAN] + count[Fault.OF_THE_BUILDING]
+        text = (
+            f"**By the truth the final label (`label`) of {wrong:,} of {total:,} returns is wrong.** "
+            f"Marked in cyan are {count[Fault.OF_THE_SCAN]:,} that have it from the scan itself (`label_scan`), and why is told "
+            f"line by line; in pink {count[Fault.OF_THE_BUILDING]:,} to which the building of all scans gave another one."
+        )
+    else:
+        text = (
+            f"The truth is not known. **Marked in cyan are {count[Fault.RELABELLED]:,} of {total:,} returns whose final label "
+            "(`label`) is not that of the scan itself (`label_scan`)**, of which is told line by line."
+        )
+    worst = faults.worst_line(lines)
+    if worst is None:
+        return text
+    return f"{text} Most are in {name_of(worst)}: {int(faults.counts(lines)[worst]):,}."
