@@ -237,7 +237,7 @@ def lifted(drive: Drive, floor: FloatArray) -> Drive:
             block,
             origin_map=on_floor(block.origin_map),
             ray_end_map=on_floor(block.ray_end_map).astype(np.float32),
-            floor_map=np.tile(floor, (len(block.scan), 1)),
+            floor_map=np.tile(floor, (len(block.scan), 2, 1)),
         )
         for block in drive.blocks()
     ]
@@ -250,8 +250,8 @@ def test_heights_are_those_above_the_floor(floor: list[float]) -> None:
     beam = ([[1.0, 2.2], [2.0, 2.2]], [0.0, 1.0])
     rooms = TwoRooms(both_seen=False, more=((np.array(beam[0]), (2.3, 2.6)),))
     immobile, drive = with_face(rooms, *beam, 2.6)
-    level = draw_furniture_free(immobile, drive, SETTINGS, THICKNESS)
-    other = draw_furniture_free(immobile, lifted(drive, np.array(floor)), SETTINGS, THICKNESS)
+    level = draw_furniture_free(immobile, drive, SETTINGS, THICKNESS, KNEE_M)
+    other = draw_furniture_free(immobile, lifted(drive, np.array(floor)), SETTINGS, THICKNESS, KNEE_M)
     assert level.cells.shape == other.cells.shape
     assert np.mean(level.cells != other.cells) < 1e-3
     places = np.column_stack([np.linspace(1.1, 1.9, 9), np.full(9, 2.21)])
