@@ -189,9 +189,9 @@ def _read_recording(path: Path, has_final: bool, with_points: bool) -> Iterator[
             following = next(final, None)
         while pose is not None and pose.scan < row.scan:
             pose = next(poses, None)
-        label_scan = row.values[entities.POINT_LABEL_SCAN].astype(np.uint8)
-        changed = following is not None and following.scan == row.scan
-        label = following.values["class_ids"].astype(np.uint8) if changed and following is not None else label_scan
+        label = label_scan = row.values[entities.POINT_LABEL_SCAN].astype(np.uint8)
+        if following is not None and following.scan == row.scan:
+            label = following.values["class_ids"].astype(np.uint8)
         points = _in_map(row, pose) if with_points else None
         yield CloudLabels(row.scan, row.stamp_ns, label_scan, label if has_final else None, points, every_place=False)
 

@@ -40,8 +40,7 @@ def describe(found: BagInfo) -> list[str]:
     if found.transforms:
         lines += ["", "transforms", *(f"  {edge.parent} -> {edge.child}" for edge in found.transforms)]
     for title, texts in (("missing", found.missing), ("warnings", found.warnings)):
-        if texts:
-            lines += ["", title, *(f"  {text}" for text in texts)]
+        lines += ["", title, *(f"  {text}" for text in texts)] if texts else []
     return lines
 
 
@@ -50,13 +49,12 @@ def _describe_cloud(cloud: CloudInfo) -> list[str]:
         return [f"problem: {cloud.problem}"]
     layout = cloud.decoding.layout
     valid, places = cloud.points
-    fields = " ".join(field.name for field in layout.fields) or "none"
     lines = [
         f"frame: {cloud.frame_id or 'none'}",
         f"clouds: {cloud.cloud_count}" + (f" at {cloud.rate_hz:.2f} Hz" if cloud.rate_hz is not None else ""),
         f"points: {valid} valid of {places} (medians of several clouds); the first has {layout.height} x {layout.width}, "
         f"{'organised' if layout.organised else 'unorganised'}, {layout.point_step} bytes each",
-        f"fields: {fields}",
+        f"fields: {' '.join(field.name for field in layout.fields) or 'none'}",
         f"rings: {cloud.rings}",
         f"times: {cloud.times}",
     ]

@@ -1,13 +1,12 @@
 """ffmap maps: a run's grid maps against any map of the same building."""
 
 from pathlib import Path
-from typing import Any
 
 import typer
 from rich.console import Console
 
 from ffmap.algorithms.truth.maps import ComparedMap, ComparedMaps
-from ffmap.algorithms.truth.reference import Alignment, align_maps, compare_with_reference, unseen_walls
+from ffmap.algorithms.truth.reference import align_maps, compare_with_reference, unseen_walls
 from ffmap.app.analysis.map_figures import (
     map_metrics,
     maps_table,
@@ -56,7 +55,13 @@ def maps(run_dir: Path, reference_path: Path) -> None:
     }
     metrics = map_metrics(compared)
     check_same_run(RunFolder(run_dir), record)
-    write_json(run_dir / REFERENCE_JSON, _content(reference_path, alignment, metrics))
+    content = {
+        "reference": str(reference_path.resolve()),
+        "T_reference_map": alignment.T_reference_map,
+        "share_within_10_cm": alignment.share,
+        "maps": metrics,
+    }
+    write_json(run_dir / REFERENCE_JSON, content)
     write_overlays(run_dir / REFERENCE_OVERLAY, compared, "reference", walls_direction_deg(run_dir))
     Console().print(maps_table(metrics, f"Grid maps against {reference_path.name} (Fig. 9)"))
     x, y = alignment.shift_m
@@ -67,15 +72,6 @@ def maps(run_dir: Path, reference_path: Path) -> None:
     if "recording_id" in record and (run_dir / RECORDING).exists():
         _write_layer(run_dir / REFERENCE_RECORDING, record["recording_id"], compared)
         typer.echo(f"recording: ffmap view {run_dir / REFERENCE_RECORDING} {run_dir / RECORDING}")
-
-
-def _content(reference_path: Path, alignment: Alignment, metrics: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "reference": str(reference_path.resolve()),
-        "T_reference_map": alignment.T_reference_map,
-        "share_within_10_cm": alignment.share,
-        "maps": metrics,
-    }
 
 
 def _write_layer(out: Path, recording_id: str, compared: ComparedMaps) -> None:
