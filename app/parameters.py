@@ -70,7 +70,6 @@ class _HowToRun:
 
     @property
     def bag_options(self) -> "InputOptions":
-        """What is said of the bag."""
         # Here: with it come the loaders, which '--help' need not wait for.
         from ffmap.app.setup.inputs import InputOptions
 

@@ -67,12 +67,10 @@ class RunToCompare:
 
     @property
     def labels(self) -> LabelSource:
-        """Where its labels are read from."""
         return LabelSource(self.run, self.recording)
 
     @property
     def title(self) -> str:
-        """Letter and name."""
         return f"{self.letter}: {self.run.name}"
 
 
@@ -190,7 +188,6 @@ class LabelComparison:
             yield changed
 
     def result(self) -> LabelChange:
-        """What was counted."""
         counts = (self._only_a, self._only_b, self._unlike)
         return LabelChange(self._final, tuple(self._scans), *counts, self._cubes.votes())
 

@@ -18,7 +18,6 @@ def info(bag: Path, rig: Path | None, horizontal: str | None, vertical: str | No
 
 
 def describe(found: BagInfo) -> list[str]:
-    """The lines that `info` prints."""
     lines = [
         f"{found.path}: {found.container}, ROS {found.ros_version}, {found.size_bytes / 1e6:.1f} MB, {found.duration_s:.1f} s",
         "",
