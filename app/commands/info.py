@@ -1,19 +1,20 @@
 """ffmap info: what a bag holds and what it is good for, on the terminal."""
 
+from dataclasses import astuple
 from pathlib import Path
 
 import typer
 
+from ffmap.app.setup.inputs import InputOptions
 from ffmap.loaders.info import BagInfo, CloudInfo, describe_bag
-from ffmap.loaders.pointcloud2 import TimeFrom
 
 _REASONS = 3
 """Maximum number of reasons told for which clouds give no scan."""
 
 
-def info(bag: Path, rig: Path | None, horizontal: str | None, vertical: str | None, time_from: TimeFrom) -> None:
+def info(bag: Path, options: InputOptions) -> None:
     """Print a bag's description, a line for each fact, so that it can be searched and compared."""
-    for line in describe(describe_bag(bag, rig, horizontal, vertical, time_from)):
+    for line in describe(describe_bag(bag, *astuple(options))):
         typer.echo(line)
 
 
