@@ -14,7 +14,7 @@ from ffmap.algorithms.base.scan import FloatArray, UInt8Array
 from ffmap.algorithms.base.segments import main_direction_deg, turned
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.maps.rivals import Rival
-from ffmap.algorithms.truth.maps import Agreement, ComparedMap, ComparedMaps, WallMapFigures
+from ffmap.algorithms.truth.maps import WALL_TOLERANCE_M, Agreement, ComparedMap, ComparedMaps, WallMapFigures
 from ffmap.app.folder.atomic import write_atomically
 from ffmap.app.folder.map_files import read_map
 from ffmap.app.folder.names import WALLS, map_file
