@@ -80,7 +80,7 @@ def run(words: RunParameters) -> None:
     from ffmap.app.commands import run as run_command
     from ffmap.app.run.start import Arguments
 
-    doors = [f"grid_map.doors={words.doors.value}"] if words.doors else []
+    doors = [f"grid_map.doors={words.doors}"] if words.doors else []
     arguments = Arguments(
         bag=words.bag,
         out=words.out,

@@ -4,9 +4,8 @@ import inspect
 import os
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, field, fields
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_type_hints
 
 import typer
 
@@ -16,22 +15,6 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
     from ffmap.app.setup.inputs import InputOptions
-
-
-class TimeFrom(StrEnum):
-    """Where the time of each firing comes from."""
-
-    AUTO = "auto"
-    AZIMUTH = "azimuth"
-    NONE = "none"
-
-
-class Doorways(StrEnum):
-    """Which doorways of the furniture-free grid are free."""
-
-    OPEN = "open"
-    AS_SEEN = "as-seen"
-    CLOSED = "closed"
 
 
 _OUTPUTS_HELP = (
@@ -50,14 +33,6 @@ def _argument(default: Any = MISSING, show_default: bool = False, **options: Any
     return field(default=default, metadata={"parameter": typer.Argument(show_default=show_default, **options)})
 
 
-def _quiet() -> Any:  # noqa: ANN401
-    return _option(False, "--quiet", "-q", help="Print nothing but errors.")
-
-
-def _spawn() -> Any:  # noqa: ANN401
-    return _option(False, "--spawn", help="Open it in the Rerun viewer.")
-
-
 @dataclass(frozen=True, kw_only=True)
 class _OfTheBag:
     """What is said of a bag."""
@@ -65,8 +40,8 @@ class _OfTheBag:
     rig: Path | None = _option(None, help="TOML file that says where the lidars sit; asked before /tf_static.")
     horizontal: str | None = _option(None, help="Topic of the lidar that gives the poses.")
     vertical: str | None = _option(None, help="Topic of the lidar that sweeps the walls.")
-    time_from: TimeFrom = _option(
-        TimeFrom.AUTO, help="Times of the firings: the cloud's own, recovered from the azimuth, or none."
+    time_from: Literal["auto", "azimuth", "none"] = _option(
+        "auto", help="Times of the firings: the cloud's own, recovered from the azimuth, or none."
     )
 
     @property
@@ -74,7 +49,7 @@ class _OfTheBag:
         # Here: with it come the loaders, which '--help' need not wait for.
         from ffmap.app.setup.inputs import InputOptions
 
-        return InputOptions(self.rig, self.horizontal, self.vertical, self.time_from.value)
+        return InputOptions(self.rig, self.horizontal, self.vertical, self.time_from)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +69,7 @@ class _HowToRun(_OfTheBag):
         None, help="Poses T_map_base in place of the odometry: a TUM file, or a topic of the bag."
     )
     evaluate: bool = _option(True, help="Where a bag carries truth, compare with it.")
-    quiet: bool = _quiet()
+    quiet: bool = _option(False, "--quiet", "-q", help="Print nothing but errors.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +77,7 @@ class RunParameters(_HowToRun):
     bag: Path | None = _argument(None, help="ROS 1 .bag, ROS 2 folder, .db3 or .mcap.")
     out: Path | None = _option(None, help="Run folder.  [default: runs/BAG-TIME-HASH]")
     overwrite: bool = _option(False, "--overwrite", help="Replace the run that --out holds already.")
-    doors: Doorways | None = _option(
+    doors: Literal["open", "as-seen", "closed"] | None = _option(
         None,
         help="Doorways in map.yaml: all open, as they were seen, or closed; --set grid_map.doors.  [default: open]",
     )
@@ -172,7 +147,7 @@ class InspectParameters:
     )
     bag: Path | None = _option(None, help="Where the run's bag lies now, if it was moved.")
     out: Path | None = _option(None, "--out", "-o", help="Recording.  [default: RUN/inspect-SCAN.rrd]")
-    spawn: bool = _spawn()
+    spawn: bool = _option(False, "--spawn", help="Open it in the Rerun viewer.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,8 +161,8 @@ class CompareParameters:
         "[default: comparison-RUN-RUN]",
     )
     scans: bool = _option(True, help="With single scans side by side; without, the file is small.")
-    spawn: bool = _spawn()
-    quiet: bool = _quiet()
+    spawn: bool = _option(False, "--spawn", help="Open it in the Rerun viewer.")
+    quiet: bool = _option(False, "--quiet", "-q", help="Print nothing but errors.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,7 +210,7 @@ class SimulateParameters:
     set_: list[str] | None = _option(
         None, "--set", help="Any other property of the simulation, as in clutter=0.5; an unknown one lists them all."
     )
-    quiet: bool = _quiet()
+    quiet: bool = _option(False, "--quiet", "-q", help="Print nothing but errors.")
 
 
 P = TypeVar("P", bound="DataclassInstance")

@@ -65,7 +65,7 @@ from ffmap.loaders.bag import open_bag
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.geojson import read_features, segments
 from ffmap.loaders.trajectory_file import read_tum
-from ffmap.loaders.truth import BUILDING_TOPIC, CLASSES_TOPIC, POSE_TOPIC, read_truth
+from ffmap.loaders.truth import BUILDING_TOPIC, CLASSES_TOPIC, POSE_TOPIC, carries_truth, read_truth
 from ffmap.loaders.truth import Truth as BagTruth
 
 TRUTH_SUFFIXES = (".tum", ".txt")
@@ -164,10 +164,7 @@ def _write_layer(run: FinishedRun, layer: Layer, comparison: Comparison, tally: 
 def has_truth(run: FinishedRun) -> bool:
     """Whether the bag of a run is still there and carries the truth."""
     path = _bag_of(run)
-    if not path.exists():
-        return False
-    with open_bag(path) as bag:
-        return POSE_TOPIC in bag.topics and bag.topics[POSE_TOPIC].count > 0
+    return path.exists() and carries_truth(path)
 
 
 def compare_run(
