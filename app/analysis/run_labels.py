@@ -56,13 +56,8 @@ class CloudLabels:
         if not self.every_place:
             return self
         own = self.label_scan != NO_RETURN
-        return replace(
-            self,
-            label_scan=self.label_scan[own],
-            label=None if self.label is None else self.label[own],
-            points_map=None if self.points_map is None else self.points_map[own],
-            every_place=False,
-        )
+        label, points = (None if values is None else values[own] for values in (self.label, self.points_map))
+        return replace(self, label_scan=self.label_scan[own], label=label, points_map=points, every_place=False)
 
 
 @dataclass(frozen=True)
