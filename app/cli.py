@@ -12,15 +12,15 @@ from typing import Annotated, Any
 import typer
 
 from ffmap.app.parameters import (
-    HorizontalOption,
-    QuietOption,
-    RigOption,
+    CompareParameters,
+    EvaluateParameters,
+    InfoParameters,
+    InspectParameters,
     RoomsParameters,
     RunParameters,
+    RunsParameters,
+    SimulateParameters,
     SweepParameters,
-    TimeFrom,
-    TimeFromOption,
-    VerticalOption,
     one_for_each_core,
     with_parameters,
 )
@@ -56,9 +56,6 @@ def _options(
     pass
 
 
-BagArgument = Annotated[Path, typer.Argument(help="ROS 1 .bag, ROS 2 folder, .db3 or .mcap.", show_default=False)]
-
-
 @app.command()
 @with_parameters(RunParameters)
 def run(words: RunParameters) -> None:
@@ -83,7 +80,7 @@ def run(words: RunParameters) -> None:
     from ffmap.app.commands import run as run_command
     from ffmap.app.run.start import Arguments
 
-    doors = [f"grid_map.doors={words.doors.value}"] if words.doors else []
+    doors = [f"grid_map.doors={words.doors}"] if words.doors else []
     arguments = Arguments(
         bag=words.bag,
         out=words.out,
@@ -106,13 +103,8 @@ def run(words: RunParameters) -> None:
 
 
 @app.command()
-def info(
-    bag: BagArgument,
-    rig: RigOption = None,
-    horizontal: HorizontalOption = None,
-    vertical: VerticalOption = None,
-    time_from: TimeFromOption = TimeFrom.AUTO,
-) -> None:
+@with_parameters(InfoParameters)
+def info(words: InfoParameters) -> None:
     """What a bag holds: topics, rates, layouts, times, frames, the lidars' roles and why, gaps, what is missing.
 
     Example:
@@ -121,25 +113,12 @@ def info(
     """
     from ffmap.app.commands import info as info_command
 
-    info_command.info(bag, rig, horizontal, vertical, time_from.value)
+    info_command.info(words.bag, words.bag_options)
 
 
 @app.command()
-def simulate(
-    out: Annotated[Path, typer.Argument(help="Bag to write: a file (bag), or a folder (mcap, db3).")],
-    building: Annotated[str, typer.Option(help="Kind of building: small, office, ell, angled or lab.")] = "office",
-    seed: Annotated[int, typer.Option(min=0, help="Another building, other furniture, another drive.")] = 0,
-    sensor: Annotated[str, typer.Option(help="hdl32e, vlp16 or os1-16.")] = "hdl32e",
-    format_: Annotated[str, typer.Option("--format", help="bag (ROS 1), mcap or db3 (ROS 2).")] = "bag",
-    duration: Annotated[float, typer.Option(min=1.0, help="Seconds of driving.")] = 60.0,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", help="Any other property of the simulation, as in clutter=0.5; an unknown one lists them all."
-        ),
-    ] = None,
-    quiet: QuietOption = False,
-) -> None:
+@with_parameters(SimulateParameters)
+def simulate(words: SimulateParameters) -> None:
     """Make a real bag of a robot with two lidars in a generated, furnished building, with its truth.
 
     Examples:
@@ -150,33 +129,14 @@ def simulate(
     """
     from ffmap.app.commands import simulate as simulate_command
 
-    values = {"building": building, "seed": seed, "sensor": sensor, "format": format_, "duration_s": duration}
-    simulate_command.simulate(out, values, set_ or [], quiet)
+    values = {name: getattr(words, name) for name in ("building", "seed", "sensor")}
+    values |= {"format": words.format_, "duration_s": words.duration}
+    simulate_command.simulate(words.out, values, words.set_ or (), words.quiet)
 
 
 @app.command()
-def evaluate(
-    run_folder: Annotated[Path | None, typer.Argument(metavar="[RUN]", help="Run folder.", show_default=False)] = None,
-    truth: Annotated[
-        Path | None,
-        typer.Option(help="Bag with the truth, or a TUM file of the true poses alone.  [default: the run's own bag]"),
-    ] = None,
-    suite: Annotated[
-        bool, typer.Option("--suite", help="Simulate, run and evaluate buildings of many kinds, one line each.")
-    ] = False,
-    quick: Annotated[bool, typer.Option("--quick", help="With --suite: one seed a building, short drives.")] = False,
-    seeds: Annotated[
-        str | None, typer.Option(help="With --suite: seeds, as in 1001,1002; 1 and 2 are those to tune on.")
-    ] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", help="With --suite: one setting of the runs.")] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="With --suite: where all figures are written.  [default: runs/suite.json]")
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(min=1, help="Processes; with --suite: drives at a time.  [default: one for each core]"),
-    ] = None,
-) -> None:
+@with_parameters(EvaluateParameters)
+def evaluate(words: EvaluateParameters) -> None:
     """Compare a run with the truth: labels by area, doors, map, trajectory; writes metrics.json.
 
     Examples:
@@ -187,41 +147,29 @@ def evaluate(
 
         ffmap evaluate --suite --seeds 1,2 --set building.scans_min=5 --out runs/tuning.json
     """
-    if suite:
+    if words.suite:
         from ffmap.app.commands.suite import parse_seeds, run_suite
 
-        if run_folder is not None or truth is not None:
+        if words.run_folder is not None or words.truth is not None:
             raise InputError("--suite makes its own bags and runs: give no run folder and no --truth with it")
-        file = out or Path("runs/suite.json")
-        sys.exit(1 if run_suite(file, parse_seeds(seeds), quick, set_ or [], at_once=workers) else 0)
-    if run_folder is None:
+        file, seeds = words.out or Path("runs/suite.json"), parse_seeds(words.seeds)
+        sys.exit(1 if run_suite(file, seeds, words.quick, words.set_ or [], at_once=words.workers) else 0)
+    if words.run_folder is None:
         raise InputError("give a run folder, or --suite; 'ffmap evaluate --help' has examples")
-    for name, given in (("--set", set_), ("--quick", quick), ("--seeds", seeds), ("--out", out)):
-        if given:
-            raise InputError(f"{name}: goes with --suite alone; a finished run is evaluated as it was made")
+    for name in ("set_", "quick", "seeds", "out"):
+        if getattr(words, name):
+            option = f"--{name.rstrip('_')}"
+            raise InputError(f"{option}: goes with --suite alone; a finished run is evaluated as it was made")
     from ffmap.app.analysis.evaluation import evaluate_run
     from ffmap.app.analysis.metrics_tables import print_metrics
     from ffmap.app.folder.finished_run import open_run
 
-    print_metrics(evaluate_run(open_run(run_folder), truth, one_for_each_core(workers)))
+    print_metrics(evaluate_run(open_run(words.run_folder), words.truth, one_for_each_core(words.workers)))
 
 
 @app.command()
-def inspect(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.", show_default=False)],
-    scan: Annotated[
-        str, typer.Option(help="The scan's number, or 'worst': with most wrong final labels, or most changed ones.")
-    ],
-    line: Annotated[
-        int | None,
-        typer.Option(
-            help="A point line, 2 × emitter + side: open there, and print its reasons.  [default: that with most wrong labels]"
-        ),
-    ] = None,
-    bag: Annotated[Path | None, typer.Option(help="Where the run's bag lies now, if it was moved.")] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Recording.  [default: RUN/inspect-SCAN.rrd]")] = None,
-    spawn: Annotated[bool, typer.Option("--spawn", help="Open it in the Rerun viewer.")] = False,
-) -> None:
+@with_parameters(InspectParameters)
+def inspect(words: InspectParameters) -> None:
     """One scan, line by line: what was measured, what each line became, and in words why.
 
     The scan is labelled again from its bag exactly as the run did, and checked against the run's own labels.
@@ -234,25 +182,12 @@ def inspect(
     """
     from ffmap.app.commands import inspect as inspect_command
 
-    inspect_command.inspect(run_folder, scan, line, bag, out, spawn)
+    inspect_command.inspect(words.run_folder, words.scan, words.line, words.bag, words.out, words.spawn)
 
 
 @app.command()
-def compare(
-    run_folders: Annotated[list[Path], typer.Argument(metavar="RUN", help="Run folders.", show_default=False)],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            help="Folder for comparison.rrd and comparison.json, or the recording's name (.rrd).  "
-            "[default: comparison-RUN-RUN]",
-        ),
-    ] = None,
-    scans: Annotated[bool, typer.Option(help="With single scans side by side; without, the file is small.")] = True,
-    spawn: Annotated[bool, typer.Option("--spawn", help="Open it in the Rerun viewer.")] = False,
-    quiet: QuietOption = False,
-) -> None:
+@with_parameters(CompareParameters)
+def compare(words: CompareParameters) -> None:
     """What differs between runs, and where: labels point by point, poses, walls, doors, map, settings, figures.
 
     The first run is the one that the others are compared with. Whatever the runs have is compared; what cannot be is
@@ -266,7 +201,7 @@ def compare(
     """
     from ffmap.app.commands import compare as compare_command
 
-    compare_command.compare(run_folders, out, scans, spawn, quiet)
+    compare_command.compare(words.run_folders, words.out, words.scans, words.spawn, words.quiet)
 
 
 @app.command()
@@ -291,24 +226,8 @@ def sweep(words: SweepParameters) -> None:
 
 
 @app.command()
-def runs(
-    place: Annotated[
-        str,
-        typer.Argument(metavar="DIR|URL", help="Folder with runs, or a catalogue server, as 'ffmap serve' prints it."),
-    ] = "runs",
-    where: Annotated[
-        str | None, typer.Option(metavar="SQL", help='Only runs of which this is true, as in "wall_f1 > 0.98".')
-    ] = None,
-    sort: Annotated[
-        str | None, typer.Option(metavar="COLUMN", help="Best first for a metric, least first for anything else.")
-    ] = None,
-    reverse: Annotated[bool, typer.Option("--reverse", help="With --sort: the other way round.")] = False,
-    columns: Annotated[
-        str | None,
-        typer.Option(metavar="LIST", help="Columns to show, as in wall_f1,doors_found; 'all' lists their names."),
-    ] = None,
-    dataset: Annotated[str | None, typer.Option(help="With a server: which of its datasets.  [default: runs]")] = None,
-) -> None:
+@with_parameters(RunsParameters)
+def runs(words: RunsParameters) -> None:
     """All runs with the settings in which they differ and their figures; asked of Rerun's catalogue.
 
     Columns are settings by their names (wall_planes.similarity_m), metrics (wall_f1, doors_found,
@@ -323,7 +242,8 @@ def runs(
     from ffmap.app.commands import runs as runs_command
     from ffmap.app.record.catalogue.runs import Query
 
-    runs_command.runs(place, Query(where, sort, reverse), columns, dataset)
+    query = Query(words.where, words.sort, words.reverse)
+    runs_command.runs(words.place, query, words.columns, words.dataset)
 
 
 @app.command()

@@ -14,7 +14,7 @@ class Progress:
     """Progress on standard error; use as a context manager."""
 
     def __init__(self, quiet: bool = False, estimate_s: float = 30.0) -> None:
-        """estimate_s: the time left is estimated from the steps of so many seconds; slow steps need more of them."""
+        """estimate_s: the time left is estimated from the steps of the last seconds; slow steps need more of them."""
         self._console = Console(stderr=True, quiet=quiet, highlight=False)
         self._bars = Bars(
             TextColumn("{task.description:<10}"),
@@ -39,7 +39,7 @@ class Progress:
         self._bars.stop()
 
     def stage(self, name: str, total: int | None) -> None:
-        """Begin a stage of so many steps; None where they are not known."""
+        """Begin a stage. total: number of its steps; None where it is not known."""
         self._end_stage(True)
         self._name, self._started = name, time.monotonic()
         self._task = self._bars.add_task(name, total=total)
@@ -65,7 +65,6 @@ class Progress:
         self._console.print(f"warning: {text}", style="yellow", markup=False, soft_wrap=True)
 
     def say(self, text: str) -> None:
-        """A line above the bar."""
         self._console.print(text, markup=False, soft_wrap=True)
 
     def _end_stage(self, done: bool) -> None:

@@ -33,12 +33,10 @@ def make_table(
 
 
 def markdown_table(headings: Sequence[str], rows: Iterable[Iterable[str]]) -> list[str]:
-    """The lines of a table."""
     return [f"| {' | '.join(row)} |" for row in (headings, ["---"] * len(headings), *rows)]
 
 
 def in_markdown(tables: Iterable[Table]) -> str:
-    """Tables below their titles."""
     parts = []
     for table in tables:
         rows = zip(*([str(cell) for cell in column.cells] for column in table.columns), strict=True)

@@ -3,13 +3,14 @@
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ffmap.algorithms.base.scan import UInt8Array
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.loaders.bag import Bag
+from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.geojson import check_features
 from ffmap.loaders.pointcloud2 import describe_layout, field_column, stamp_ns
@@ -65,6 +66,12 @@ class TruthClasses:
             message = self._bag.deserialize(raw)
             layout = describe_layout(message, CLASSES_TOPIC, needed=("truth",))
             yield stamp_ns(message), field_column(message, layout, "truth").astype(np.uint8)
+
+
+def carries_truth(path: Path) -> bool:
+    """Whether a bag has true poses."""
+    with open_bag(path) as bag:
+        return POSE_TOPIC in bag.topics and bag.topics[POSE_TOPIC].count > 0
 
 
 def read_truth(bag: Bag) -> Truth | None:

@@ -67,12 +67,10 @@ class RunToCompare:
 
     @property
     def labels(self) -> LabelSource:
-        """Where its labels are read from."""
         return LabelSource(self.run, self.recording)
 
     @property
     def title(self) -> str:
-        """Letter and name."""
         return f"{self.letter}: {self.run.name}"
 
 
@@ -174,32 +172,24 @@ class LabelComparison:
                 self._unlike += 1
                 continue
             a, b = clouds.a, clouds.b
-            by_scan = transitions(a.label_scan, b.label_scan)
-            label_a, label_b, counts = a.label_scan, b.label_scan, by_scan
-            if a.label is not None and b.label is not None:
-                label_a, label_b, counts = a.label, b.label, transitions(a.label, b.label)
-            else:
+            label_a, label_b = a.label, b.label
+            if label_a is None or label_b is None:
                 self._final = False
-            self._scans.append(ScanChange(a.scan, a.stamp_ns, counts, changed_of(by_scan)))
+                label_a, label_b = a.label_scan, b.label_scan
+            changed_scan = changed_of(transitions(a.label_scan, b.label_scan))
+            self._scans.append(ScanChange(a.scan, a.stamp_ns, transitions(label_a, label_b), changed_scan))
             places = changed_places(label_a, label_b)
             points = a.points_map if a.points_map is not None else b.points_map
             at = points[places] if points is not None else np.full((len(places), 3), np.nan, np.float32)
             placed = np.isfinite(at).all(axis=1)
-            changed = ChangedPoints(
-                a.scan,
-                a.stamp_ns,
-                at[placed],
-                classes_of(label_a[places[placed]]),
-                classes_of(label_b[places[placed]]),
-            )
+            before, after = (classes_of(label[places[placed]]) for label in (label_a, label_b))
+            changed = ChangedPoints(a.scan, a.stamp_ns, at[placed], before, after)
             self._cubes.add(changed.points_map, changed.transition)
             yield changed
 
     def result(self) -> LabelChange:
-        """What was counted."""
-        return LabelChange(
-            self._final, tuple(self._scans), self._only_a, self._only_b, self._unlike, self._cubes.votes()
-        )
+        counts = (self._only_a, self._only_b, self._unlike)
+        return LabelChange(self._final, tuple(self._scans), *counts, self._cubes.votes())
 
 
 def compare_files(change: PairChange) -> None:

@@ -237,7 +237,6 @@ def _share(part: int, whole: int) -> str:
 
 
 def text_of(value: object) -> str:
-    """A setting in a table."""
     return "–" if value is None else str(value)
 
 

@@ -71,7 +71,6 @@ class _Share:
 
     @property
     def part(self) -> Path:
-        """The share's part of the layer."""
         assert self.layer is not None
         return self.layer.spool / f"scans-{self.first:06d}.rrd"
 

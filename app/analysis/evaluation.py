@@ -50,32 +50,13 @@ from ffmap.algorithms.truth.maps import ComparedMaps, compare_with_truth
 from ffmap.algorithms.truth.poses import TrajectoryFigures, compare_trajectories, rms
 from ffmap.algorithms.truth.rooms import RoomFigures, compare_rooms
 from ffmap.algorithms.truth.tally import CUBE_M, Tally, confusion_by_area
+from ffmap.app.analysis import map_figures
 from ffmap.app.analysis.counting import LabelledClouds, Layer, count_run
-from ffmap.app.analysis.map_figures import (
-    map_metrics,
-    read_maps,
-    wall_thickness_of_doors,
-    walls_direction_deg,
-    write_overlays,
-)
 from ffmap.app.analysis.metrics_tables import Metrics, format_metrics
 from ffmap.app.analysis.run_labels import labelled_lidar
+from ffmap.app.folder import names as run_names
 from ffmap.app.folder.atomic import write_json
 from ffmap.app.folder.finished_run import FinishedRun
-from ffmap.app.folder.names import (
-    DOORS,
-    EVALUATION,
-    LABELS,
-    METRICS,
-    OVERLAY,
-    RUN_JSON,
-    TRAJECTORY,
-    RunFolder,
-    check_same_run,
-    map_file,
-    require_writable,
-    rooms_file,
-)
 from ffmap.app.folder.room_files import outlines
 from ffmap.app.tables import in_markdown
 from ffmap.blueprints import entities
@@ -84,7 +65,7 @@ from ffmap.loaders.bag import open_bag
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.geojson import read_features, segments
 from ffmap.loaders.trajectory_file import read_tum
-from ffmap.loaders.truth import BUILDING_TOPIC, CLASSES_TOPIC, POSE_TOPIC, read_truth
+from ffmap.loaders.truth import BUILDING_TOPIC, CLASSES_TOPIC, POSE_TOPIC, carries_truth, read_truth
 from ffmap.loaders.truth import Truth as BagTruth
 
 TRUTH_SUFFIXES = (".tum", ".txt")
@@ -119,7 +100,7 @@ def evaluate_run(run: FinishedRun, truth_bag: Path | None = None, workers: int =
     Raises InputError where the run does not say which bag it was made from, or the bag has no truth, where run and truth
     have nothing in common, and where nothing can be written into the run folder.
     """
-    require_writable(run.path, "the figures are written there: change its permissions, or evaluate a copy")
+    run_names.require_writable(run.path, "the figures are written there: change its permissions, or evaluate a copy")
     truth_path = truth_bag if truth_bag is not None else _bag_of(run)
     with _opened_truth(truth_path) as truth, tempfile.TemporaryDirectory(prefix="evaluation-", dir=run.path) as spool:
         if truth is None or truth.trajectory is None:
@@ -130,10 +111,12 @@ def evaluate_run(run: FinishedRun, truth_bag: Path | None = None, workers: int =
         recorded = run.recording is not None and "recording_id" in run.record
         layer = Layer(Path(spool), run.record["recording_id"]) if recorded else None
         comparison = compare_run(run, truth_path, truth, workers, layer)
-        check_same_run(RunFolder(run.path), run.record)
-        write_json(run.path / METRICS, comparison.metrics)
+        run_names.check_same_run(run_names.RunFolder(run.path), run.record)
+        write_json(run.path / run_names.METRICS, comparison.metrics)
         if comparison.maps:
-            write_overlays(run.path / OVERLAY, comparison.maps, "truth", walls_direction_deg(run.path))
+            map_figures.write_overlays(
+                run.path / run_names.OVERLAY, comparison.maps, "truth", map_figures.walls_direction_deg(run.path)
+            )
         if layer is not None and comparison.tally is not None:
             _write_layer(run, layer, comparison, comparison.tally)
     return comparison.metrics
@@ -163,7 +146,7 @@ def _write_layer(run: FinishedRun, layer: Layer, comparison: Comparison, tally: 
         lines=run.has_lines,
     )
     write_layer(
-        run.path / EVALUATION,
+        run.path / run_names.EVALUATION,
         list(comparison.parts),
         layer.spool,
         layer.recording_id,
@@ -181,10 +164,7 @@ def _write_layer(run: FinishedRun, layer: Layer, comparison: Comparison, tally: 
 def has_truth(run: FinishedRun) -> bool:
     """Whether the bag of a run is still there and carries the truth."""
     path = _bag_of(run)
-    if not path.exists():
-        return False
-    with open_bag(path) as bag:
-        return POSE_TOPIC in bag.topics and bag.topics[POSE_TOPIC].count > 0
+    return path.exists() and carries_truth(path)
 
 
 def compare_run(
@@ -221,16 +201,16 @@ def compare_run(
         "points_scan": _label_metrics(tally.confusion_points_scan, None),
     }
     comparison = Comparison(metrics, faces, doors, tally, counted.parts, clouds.lidar.ring_count)
-    if building is not None and (doors_path := run.file(DOORS)) is not None:
+    if building is not None and (doors_path := run.file(run_names.DOORS)) is not None:
         found_doors = read_doors(doors_path)
         door_figures = compare_doors(doors, tally.door_returns, found_doors)
         metrics["doors"] = _door_metrics(door_figures)
         comparison = replace(comparison, compared_doors=(found_doors, door_figures))
-    if building is not None and (maps := read_maps(run.path)):
+    if building is not None and (maps := map_figures.read_maps(run.path)):
         passed = tally.door_returns >= DOOR_RETURNS
-        wall_m = wall_thickness_of_doors(building)
+        wall_m = map_figures.wall_thickness_of_doors(building)
         compared = compare_with_truth(maps, faces, tally, doors.ends[passed], wall_m[passed])
-        metrics["maps"] = map_metrics(compared)
+        metrics["maps"] = map_figures.map_metrics(compared)
         if entities.FURNITURE_FREE in compared:
             metrics["wall_map"] = metrics["maps"][entities.FURNITURE_FREE]
         comparison = replace(comparison, maps=compared)
@@ -263,10 +243,10 @@ def _missing(run: FinishedRun, truth: BagTruth) -> Iterator[str]:
         yield "labels, doors, maps and rooms: the truth has poses alone"
         return
     if run.trajectory is None:
-        yield f"trajectory: {_lacks(run, TRAJECTORY, None)}"
+        yield f"trajectory: {_lacks(run, run_names.TRAJECTORY, None)}"
     if truth.classes is None:
         yield f"labels, doors and maps: the truth has no {CLASSES_TOPIC}"
-    elif run.labelled is None and run.file(LABELS) is None:
+    elif run.labelled is None and run.file(run_names.LABELS) is None:
         yield f"labels, doors and maps: {_lacks(run, 'labelled clouds', 'labelled')}"
     if truth.building is None:
         yield f"doors, maps and rooms: the truth has no {BUILDING_TOPIC}"
@@ -275,9 +255,9 @@ def _missing(run: FinishedRun, truth: BagTruth) -> Iterator[str]:
         yield "doors, maps and rooms: the map's origin lies elsewhere than that of its poses (run.json: map_origin)"
         return
     for what, name, output in (
-        ("doors", DOORS, "geojson"),
-        ("rooms", rooms_file(Segmented.FURNITURE_FREE), "geojson"),
-        ("maps", map_file(entities.FURNITURE_FREE), "maps"),
+        ("doors", run_names.DOORS, "geojson"),
+        ("rooms", run_names.rooms_file(Segmented.FURNITURE_FREE), "geojson"),
+        ("maps", run_names.map_file(entities.FURNITURE_FREE), "maps"),
     ):
         if run.file(name) is None:
             yield f"{what}: {_lacks(run, name, output)}"
@@ -293,7 +273,7 @@ def _clouds_of(run: FinishedRun) -> LabelledClouds | None:
     if run.labelled is not None:
         with open_bag(run.labelled) as bag:
             return LabelledClouds(run.labelled, labelled_lidar(bag, run))
-    labels = run.file(LABELS)
+    labels = run.file(run_names.LABELS)
     if labels is None:
         return None
     path = _bag_of(run)
@@ -305,7 +285,7 @@ def _clouds_of(run: FinishedRun) -> LabelledClouds | None:
 
 def _rooms_of_maps(run: FinishedRun, building: Mapping[str, Any], true_trajectory: Trajectory) -> Metrics:
     """The rooms of the run's own map, and in short those of the maps that the paper compares with."""
-    files = {name: path for name in Segmented if (path := run.file(rooms_file(name))) is not None}
+    files = {name: path for name in Segmented if (path := run.file(run_names.rooms_file(name))) is not None}
     compared = {name: _compare_rooms(path, building, true_trajectory) for name, path in files.items()}
     if Segmented.FURNITURE_FREE not in compared:
         return {}
@@ -346,10 +326,10 @@ def read_building(building: Mapping[str, Any] | None) -> tuple[TrueDoors, FloatA
 
 def _compare_rooms(path: Path, building: Mapping[str, Any], true_trajectory: Trajectory) -> Metrics:
     true = [feature for feature in building["features"] if feature["properties"]["kind"] == "room"]
-    names = [feature["properties"].get("name", str(i)) for i, feature in enumerate(true)]
+    rooms = [feature["properties"].get("name", str(i)) for i, feature in enumerate(true)]
     way = true_trajectory.T_map_base[:, :3, 3]
     found = read_features(path, "outlines", "give the folder of a run of ffmap")
-    return _room_metrics(compare_rooms(outlines(true), outlines(found), way), names)
+    return _room_metrics(compare_rooms(outlines(true), outlines(found), way), rooms)
 
 
 def read_doors(path: Path) -> FoundDoors:
@@ -445,5 +425,5 @@ def _state(name: str) -> DoorState:
 def _bag_of(run: FinishedRun) -> Path:
     """The bag that a run was made from; it may be gone."""
     if run.bag_path is None:
-        raise InputError(f"{run.path / RUN_JSON}: it does not say which bag was run; give --truth BAG")
+        raise InputError(f"{run.path / run_names.RUN_JSON}: it does not say which bag was run; give --truth BAG")
     return run.bag_path

@@ -14,12 +14,13 @@ from ffmap.algorithms.base.scan import FloatArray, UInt8Array
 from ffmap.algorithms.base.segments import main_direction_deg, turned
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.maps.rivals import Rival
-from ffmap.algorithms.truth.maps import WALL_TOLERANCE_M, Agreement, ComparedMaps
+from ffmap.algorithms.truth.maps import WALL_TOLERANCE_M, Agreement, ComparedMap, ComparedMaps, WallMapFigures
 from ffmap.app.folder.atomic import write_atomically
 from ffmap.app.folder.map_files import read_map
 from ffmap.app.folder.names import WALLS, map_file
+from ffmap.app.tables import make_table
 from ffmap.blueprints import entities
-from ffmap.loaders.geojson import read_features
+from ffmap.loaders.geojson import read_features, segments
 
 TITLES = {
     entities.FURNITURE_FREE: "furniture-free",
@@ -69,66 +70,53 @@ def wall_thickness_of_doors(building: Mapping[str, Any]) -> FloatArray:
 
 def map_metrics(compared: ComparedMaps) -> dict[str, Any]:
     """Figures by map as fractions and metres, for metrics.json."""
-    metrics: dict[str, Any] = {}
-    for name, one in compared.items():
-        figures, false = one.figures, int(np.count_nonzero(~one.figures.right))
-        metrics[name] = {
-            "precision": figures.precision,
-            "recall": figures.recall,
-            "error_m": figures.error_m,
-            "true_cells": len(figures.true_cells),
-            "occupied_cells": len(figures.occupied),
-            "false_cells": false,
-        }
-        if one.cabinets is not None:
-            counted = len(figures.occupied) - one.cabinets
-            right = len(figures.occupied) - false
-            metrics[name] |= {
-                "false_cells_of_cabinets": one.cabinets,
-                "precision_without_cabinets": right / counted if counted else float("nan"),
-            }
-        if one.blocked is not None:
-            blocked = int(np.count_nonzero(one.blocked))
-            metrics[name] |= {
-                "doors_passed": len(one.blocked),
-                "doors_blocked": blocked,
-                "blocked": blocked / len(one.blocked) if len(one.blocked) else float("nan"),
-            }
+    return {name: _metrics(one) for name, one in compared.items()}
+
+
+def _metrics(one: ComparedMap) -> dict[str, Any]:
+    figures, right = one.figures, int(np.count_nonzero(one.figures.right))
+    occupied = len(figures.occupied)
+    metrics: dict[str, Any] = {
+        "precision": figures.precision,
+        "recall": figures.recall,
+        "error_m": figures.error_m,
+        "true_cells": len(figures.true_cells),
+        "occupied_cells": occupied,
+        "false_cells": occupied - right,
+    }
+    if one.cabinets is not None:
+        counted = occupied - one.cabinets
+        metrics["false_cells_of_cabinets"] = one.cabinets
+        metrics["precision_without_cabinets"] = right / counted if counted else float("nan")
+    if one.blocked is not None:
+        metrics["doors_passed"] = len(one.blocked)
+        metrics["doors_blocked"] = int(np.count_nonzero(one.blocked))
+        metrics["blocked"] = float(one.blocked.mean()) if len(one.blocked) else float("nan")
     return metrics
 
 
 def maps_table(metrics: Mapping[str, Any], title: str) -> Table:
     """What `map_metrics` says, one line a map."""
-    table = Table(title=title, title_justify="left", padding=(0, 1, 0, 0))
     with_doors = any("doors_blocked" in own for own in metrics.values())
     headings = ["map", "precision %", "recall %", "error cm"]
     headings += ["doors blocked", "no cabinets %"] if with_doors else []
-    # No name is cut where the terminal is narrow: they are folded between words, none of which is longer than this.
-    longest = max(len(word) for name in metrics for word in TITLES[name].split())
-    for heading in headings:
-        first = heading == "map"
-        table.add_column(
-            heading, justify="left" if first else "right", overflow="fold", min_width=longest if first else None
-        )
+    rows = []
     for name, own in metrics.items():
-        row = [TITLES[name], _number(own["precision"], 100), _number(own["recall"], 100), _number(own["error_m"], 100)]
+        row = [TITLES[name], *(_hundredfold(own[figure]) for figure in ("precision", "recall", "error_m"))]
         if with_doors:
-            row += [
-                f"{own['doors_blocked']} of {own['doors_passed']}",
-                _number(own["precision_without_cabinets"], 100),
-            ]
-        table.add_row(*row)
+            blocked = f"{own['doors_blocked']} of {own['doors_passed']}"
+            row += [blocked, _hundredfold(own["precision_without_cabinets"])]
+        rows.append(row)
+    table = make_table(title, headings, rows, padding=(0, 1, 0, 0))
+    # No name is cut where the terminal is narrow: they are folded between words, none of which is longer than this.
+    table.columns[0].min_width = max(len(word) for name in metrics for word in TITLES[name].split())
     return table
 
 
 def walls_direction_deg(run_dir: Path) -> float:
     """The direction of most walls that a run found, as its plan is turned by; 0 where it has no file of walls."""
     path = run_dir / WALLS
-    if not path.exists():
-        return 0.0
-    features = read_features(path, "lines", "run ffmap again")
-    ends = np.array([feature["geometry"]["coordinates"] for feature in features], float).reshape(-1, 2, 2)
-    return main_direction_deg(ends)
+    return main_direction_deg(segments(read_features(path, "lines", "run ffmap again"))) if path.exists() else 0.0
 
 
 def write_overlays(path: Path, compared: ComparedMaps, compared_with: str, direction_deg: float) -> None:
@@ -141,8 +129,7 @@ def write_overlays(path: Path, compared: ComparedMaps, compared_with: str, direc
     shown = {name: one.agreement for name, one in compared.items()}
     found = set(np.unique(np.concatenate([agreement.ravel() for agreement in shown.values()])).tolist())
     pictures = [
-        _picture(window, one.grid, shown[name], TITLES[name], map_metrics({name: one})[name])
-        for name, one in compared.items()
+        _picture(window.draw(one.grid, shown[name]), TITLES[name], one.figures) for name, one in compared.items()
     ]
     pictures.append(_legend(compared_with, [agreement for agreement in _MEANINGS if agreement in found], window))
     width, height = (max(getattr(picture, side) for picture in pictures) for side in ("width", "height"))
@@ -212,14 +199,9 @@ def _columns(count: int, width: int, height: int) -> int:
     return 1 + int(np.argmin([abs(math.log(shape / _SHEET_SHAPE)) for shape in shapes]))
 
 
-def _picture(
-    window: _Window, grid: GridMap, agreement: UInt8Array, title: str, metrics: Mapping[str, Any]
-) -> Image.Image:
-    drawn = window.draw(grid, agreement)
-    figures = (
-        f"precision {_number(metrics['precision'], 100)} %   recall {_number(metrics['recall'], 100)} %   "
-        f"error {_number(metrics['error_m'], 100)} cm"
-    )
+def _picture(drawn: Image.Image, title: str, compared: WallMapFigures) -> Image.Image:
+    precision, recall, error = map(_hundredfold, (compared.precision, compared.recall, compared.error_m))
+    figures = f"precision {precision} %   recall {recall} %   error {error} cm"
     width = max(drawn.width + 2, int(_font(_TEXT_PX).getlength(figures)) + 1)
     picture = Image.new("RGB", (width, drawn.height + 2 + _HEAD_PX), "white")
     draw = ImageDraw.Draw(picture)
@@ -238,13 +220,9 @@ def _legend(compared_with: str, agreements: Sequence[Agreement], window: _Window
     row_px = _TEXT_PX + 22
     bar_m = max((m for m in _BARS_M if m * window.pixels_per_m <= _PICTURE_PX / 3), default=_BARS_M[0])
     bar_px = round(bar_m * window.pixels_per_m)
-    texts = [
-        _font(_TITLE_PX).getlength(title),
-        *(_font(_TEXT_PX).getlength(line) + 2 * _TEXT_PX for line in [rule, *lines]),
-    ]
-    legend = Image.new(
-        "RGB", (int(max([bar_px + 4 * _TEXT_PX, *texts])) + 1, _HEAD_PX + row_px * (len(lines) + 2)), "white"
-    )
+    texts_px = [_font(_TEXT_PX).getlength(line) + 2 * _TEXT_PX for line in [rule, *lines]]
+    width_px = max(bar_px + 4 * _TEXT_PX, _font(_TITLE_PX).getlength(title), *texts_px)
+    legend = Image.new("RGB", (int(width_px) + 1, _HEAD_PX + row_px * (len(lines) + 2)), "white")
     draw = ImageDraw.Draw(legend)
     draw.text((0, 0), title, fill="black", font=_font(_TITLE_PX))
     draw.text((0, _TITLE_PX + 14), rule, fill="black", font=_font(_TEXT_PX))
@@ -262,5 +240,6 @@ def _font(size_px: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size_px)
 
 
-def _number(value: float | None, scale: float) -> str:
-    return "–" if value is None or np.isnan(value) else f"{scale * value:.2f}"
+def _hundredfold(value: float | None) -> str:
+    """A fraction in percent, metres in centimetres."""
+    return "–" if value is None or np.isnan(value) else f"{100 * value:.2f}"

@@ -56,13 +56,8 @@ class CloudLabels:
         if not self.every_place:
             return self
         own = self.label_scan != NO_RETURN
-        return replace(
-            self,
-            label_scan=self.label_scan[own],
-            label=None if self.label is None else self.label[own],
-            points_map=None if self.points_map is None else self.points_map[own],
-            every_place=False,
-        )
+        label, points = (None if values is None else values[own] for values in (self.label, self.points_map))
+        return replace(self, label_scan=self.label_scan[own], label=label, points_map=points, every_place=False)
 
 
 @dataclass(frozen=True)
@@ -189,9 +184,9 @@ def _read_recording(path: Path, has_final: bool, with_points: bool) -> Iterator[
             following = next(final, None)
         while pose is not None and pose.scan < row.scan:
             pose = next(poses, None)
-        label_scan = row.values[entities.POINT_LABEL_SCAN].astype(np.uint8)
-        changed = following is not None and following.scan == row.scan
-        label = following.values["class_ids"].astype(np.uint8) if changed and following is not None else label_scan
+        label = label_scan = row.values[entities.POINT_LABEL_SCAN].astype(np.uint8)
+        if following is not None and following.scan == row.scan:
+            label = following.values["class_ids"].astype(np.uint8)
         points = _in_map(row, pose) if with_points else None
         yield CloudLabels(row.scan, row.stamp_ns, label_scan, label if has_final else None, points, every_place=False)
 

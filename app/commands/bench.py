@@ -81,8 +81,7 @@ def _bench_run(bag: Path, out: Path) -> None:
 
 def _cloud_bytes(bag: Path) -> int:
     """22 bytes for each place of the lidars' clouds."""
-    inputs = find_inputs(bag, InputOptions())
-    sensors = [sensor for sensor in (inputs.horizontal, inputs.vertical) if sensor is not None]
+    sensors = find_inputs(bag, InputOptions()).used(given_poses=False)
     return sum(22 * sensor.lidar.points_per_cloud * len(sensor.index) for sensor in sensors)
 
 

@@ -3,10 +3,11 @@
 from datetime import datetime
 
 import typer
-from rich.table import Table
 
 from ffmap.app.run import odometry_cache
-from ffmap.app.tables import table_console
+from ffmap.app.tables import make_table, table_console
+
+_UNKNOWN = "(kept by an earlier version)"
 
 
 def cache(clear: bool) -> None:
@@ -17,12 +18,15 @@ def cache(clear: bool) -> None:
         typer.echo(f"{odometry_cache.cache_folder()}: removed {total}")
         return
     if found:
-        table = Table("last used", "bag")
-        table.add_column("size", justify="right")
-        for entry in found:
-            used = f"{datetime.fromtimestamp(entry.used_s):%Y-%m-%d %H:%M}"
-            table.add_row(used, entry.bag or "(kept by an earlier version)", _megabytes(entry.size_bytes))
-        table_console().print(table)
+        rows = (
+            (
+                f"{datetime.fromtimestamp(entry.used_s):%Y-%m-%d %H:%M}",
+                entry.bag or _UNKNOWN,
+                _megabytes(entry.size_bytes),
+            )
+            for entry in found
+        )
+        table_console().print(make_table(None, ("last used", "bag", "size"), rows, left=(0, 1)))
     typer.echo(
         f"{odometry_cache.cache_folder()}: {total}; above {_megabytes(odometry_cache.LIMIT_BYTES)} what was not used for "
         "longest goes. Remove all: ffmap cache --clear"

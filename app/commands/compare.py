@@ -13,6 +13,7 @@ import typer
 from rich.console import Console
 
 from ffmap.algorithms.base.scan import FloatArray
+from ffmap.app.analysis import comparison_report as report
 from ffmap.app.analysis.comparison import (
     Comparison,
     LabelComparison,
@@ -24,17 +25,6 @@ from ffmap.app.analysis.comparison import (
     figures,
     grid_of,
     labels_can_be_compared,
-)
-from ffmap.app.analysis.comparison_report import (
-    MOVED_M,
-    as_json,
-    difference_of,
-    figure_of,
-    headlines,
-    pair_document,
-    runs_document,
-    summary,
-    text_of,
 )
 from ffmap.app.analysis.run_labels import LabelSource
 from ffmap.app.commands.inspect import open_viewer
@@ -73,7 +63,7 @@ def compare(paths: Sequence[Path], out: Path | None, scans: bool, spawn: bool, q
         raise InputError(f"{len(paths)} runs are too many to look at; give at most {len(string.ascii_uppercase)}")
     found = [open_run(path) for path in paths]
     recording = _target(found, out)
-    report = recording.with_suffix(".json")
+    figures_file = recording.with_suffix(".json")
     with ExitStack() as stack, Progress(quiet) as progress:
         spool = stack.enter_context(tempfile.TemporaryDirectory(prefix="comparison-", dir=recording.parent))
         warnings: list[str] = []
@@ -85,10 +75,10 @@ def compare(paths: Sequence[Path], out: Path | None, scans: bool, spawn: bool, q
         parts = _Parts(Path(spool), scans)
         comparison = _compare(runs, warnings, parts, progress)
         _write_recording(comparison, parts, recording, progress)
-    write_json(report, as_json(comparison))
+    write_json(figures_file, report.as_json(comparison))
     if not quiet:
         _print(comparison)
-        typer.echo(f"figures:   {report}")
+        typer.echo(f"figures:   {figures_file}")
         typer.echo(f"recording: {recording}  (open it: ffmap view {recording})")
     if spawn:
         open_viewer(recording)
@@ -214,7 +204,7 @@ def _most_changed(changes: Sequence[PairChange], scan_of: dict[int, int]) -> tup
         if change.trajectory is not None:
             moved = change.trajectory.figures.error_unaligned_m
             k = int(np.argmax(moved))
-            if moved[k] > MOVED_M:
+            if moved[k] > report.MOVED_M:
                 by_poses.append((float(moved[k]), change.b.letter, scan_of.get(int(change.trajectory.stamp_ns[k]))))
     found = by_labels or by_poses
     return max(found, key=lambda candidate: candidate[0])[1:] if found else (None, None)
@@ -225,7 +215,7 @@ def _write_findings(comparison: Comparison, parts: _Parts) -> None:
         stream.send_recording_name(" – ".join(run.run.name for run in comparison.runs))
         style = TransitionStyle.of([c.labels for c in comparison.changes if c.labels is not None])
         recorder = ComparisonRecorder(stream, style)
-        recorder.log_common(runs_document(comparison))
+        recorder.log_common(report.runs_document(comparison))
         # Only runs of the same bag have a map frame in common.
         apart = {change.b.letter for change in comparison.changes if not change.same_bag}
         for k, run in enumerate(comparison.runs):
@@ -233,7 +223,7 @@ def _write_findings(comparison: Comparison, parts: _Parts) -> None:
                 color = entities.RUN_COLORS[k % len(entities.RUN_COLORS)]
                 recorder.log_run(run.letter, color, _path_of(run.run), grid_of(run.run))
         for change in comparison.changes:
-            recorder.log_pair(change.b.letter, change, pair_document(change, comparison), parts.scan_of)
+            recorder.log_pair(change.b.letter, change, report.pair_document(change, comparison), parts.scan_of)
 
 
 def _path_of(run: FinishedRun) -> FloatArray | None:
@@ -249,7 +239,7 @@ def _print(comparison: Comparison) -> None:
         rows.append([run.letter, str(run.run.path), run.run.outcome, run.labels_from or "–", bag.name if bag else "–"])
     console.print(make_table("Runs", ("", "folder", "outcome", "labels from", "bag"), rows, left=range(5)))
     if comparison.settings:
-        rows = [[name, *map(text_of, values)] for name, values in comparison.settings.items()]
+        rows = [[name, *map(report.text_of, values)] for name, values in comparison.settings.items()]
         headings = ("setting", *letters)
         console.print(make_table("Settings that differ", headings, rows, left=range(len(headings))))
     else:
@@ -257,10 +247,10 @@ def _print(comparison: Comparison) -> None:
     for change in comparison.changes:
         refused = [(f"{what}: not compared", why) for what, why in change.reasons.items()]
         title = f"{change.b.letter} against {first}"
-        console.print(make_table(title, ("", ""), [*summary(change), *refused], left=(0, 1), show_header=False))
+        console.print(make_table(title, ("", ""), [*report.summary(change), *refused], left=(0, 1), show_header=False))
     rows = [
-        [name, *map(figure_of, values), *(difference_of(values[0], value) for value in values[1:])]
-        for name, values in headlines(comparison).items()
+        [name, *map(report.figure_of, values), *(report.difference_of(values[0], value) for value in values[1:])]
+        for name, values in report.headlines(comparison).items()
     ]
     if rows:
         console.print(make_table("Figures", ("figure", *letters, *(f"{other} − {first}" for other in others)), rows))

@@ -1,24 +1,24 @@
 """ffmap info: what a bag holds and what it is good for, on the terminal."""
 
+from dataclasses import astuple
 from pathlib import Path
 
 import typer
 
+from ffmap.app.setup.inputs import InputOptions
 from ffmap.loaders.info import BagInfo, CloudInfo, describe_bag
-from ffmap.loaders.pointcloud2 import TimeFrom
 
 _REASONS = 3
 """Maximum number of reasons told for which clouds give no scan."""
 
 
-def info(bag: Path, rig: Path | None, horizontal: str | None, vertical: str | None, time_from: TimeFrom) -> None:
+def info(bag: Path, options: InputOptions) -> None:
     """Print a bag's description, a line for each fact, so that it can be searched and compared."""
-    for line in describe(describe_bag(bag, rig, horizontal, vertical, time_from)):
+    for line in describe(describe_bag(bag, *astuple(options))):
         typer.echo(line)
 
 
 def describe(found: BagInfo) -> list[str]:
-    """The lines that `info` prints."""
     lines = [
         f"{found.path}: {found.container}, ROS {found.ros_version}, {found.size_bytes / 1e6:.1f} MB, {found.duration_s:.1f} s",
         "",
@@ -40,8 +40,7 @@ def describe(found: BagInfo) -> list[str]:
     if found.transforms:
         lines += ["", "transforms", *(f"  {edge.parent} -> {edge.child}" for edge in found.transforms)]
     for title, texts in (("missing", found.missing), ("warnings", found.warnings)):
-        if texts:
-            lines += ["", title, *(f"  {text}" for text in texts)]
+        lines += ["", title, *(f"  {text}" for text in texts)] if texts else []
     return lines
 
 
@@ -50,13 +49,12 @@ def _describe_cloud(cloud: CloudInfo) -> list[str]:
         return [f"problem: {cloud.problem}"]
     layout = cloud.decoding.layout
     valid, places = cloud.points
-    fields = " ".join(field.name for field in layout.fields) or "none"
     lines = [
         f"frame: {cloud.frame_id or 'none'}",
         f"clouds: {cloud.cloud_count}" + (f" at {cloud.rate_hz:.2f} Hz" if cloud.rate_hz is not None else ""),
         f"points: {valid} valid of {places} (medians of several clouds); the first has {layout.height} x {layout.width}, "
         f"{'organised' if layout.organised else 'unorganised'}, {layout.point_step} bytes each",
-        f"fields: {fields}",
+        f"fields: {' '.join(field.name for field in layout.fields) or 'none'}",
         f"rings: {cloud.rings}",
         f"times: {cloud.times}",
     ]

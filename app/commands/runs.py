@@ -17,6 +17,7 @@ from ffmap.app.folder import figures
 from ffmap.app.record.catalogue import runs as catalogue
 from ffmap.app.record.catalogue.runs import Answer, Catalogue, Query
 from ffmap.app.record.catalogue.server import LOOPBACK
+from ffmap.app.tables import make_table
 from ffmap.loaders.errors import InputError
 
 _ALL = "all"
@@ -58,12 +59,13 @@ def _show(answer: Answer, query: Query, columns: str | None, place: str) -> None
     chosen = _chosen(answer, columns, query, known)
     cells = {name: [_cell(name, value) for value in answer.table.column(name).to_pylist()] for name in chosen}
     console, shown = Console(), chosen
-    if console.is_terminal:
-        room = console.width - _frame(names, console.width)
-        shown = chosen if columns is not None else _fit(cells, room)
-    else:
+    if not console.is_terminal:
         # Nobody's screen limits it: each run is one whole line, for whatever reads them.
         console = Console(width=_WHOLE)
+    elif columns is None:
+        # The names take at most half a screen, with the table's edges.
+        longest = max(map(len, names), default=0)
+        shown = _fit(cells, console.width - min(longest, console.width // 2) - 4)
     console.print(_table(names, {name: cells[name] for name in shown}, console))
     where = f", where {query.where}" if query.where else ""
     typer.echo(f"{_count(len(names))} in {parent}{where}")
@@ -71,11 +73,6 @@ def _show(answer: Answer, query: Query, columns: str | None, place: str) -> None
         typer.echo(
             f"no room for settings that differ: {', '.join(left_out)}; choose with --columns, or pipe the table to a file"
         )
-
-
-def _frame(names: Sequence[str], width: int) -> int:
-    """How many characters the runs' names take with the table's edges, at most half a screen."""
-    return min(max(map(len, names), default=0), width // 2) + 4
 
 
 def _fit(cells: Mapping[str, Sequence[str]], room: int) -> list[str]:
@@ -106,11 +103,10 @@ def _count(runs: int) -> str:
 def _run_names(answer: Answer, place: str) -> tuple[list[str], str]:
     """Each run's folder within the one that was named, or that a server's have in common; and that folder."""
     folders = answer.table.column(catalogue.RUN).to_pylist()
+    parent = said = place
     if "://" in place and folders:
-        common = os.path.commonpath(folders) if len(folders) > 1 else str(Path(folders[0]).parent)
-        parent, said = common, f"{common} at {place}"
-    else:
-        parent = said = place
+        parent = os.path.commonpath(folders) if len(folders) > 1 else str(Path(folders[0]).parent)
+        said = f"{parent} at {place}"
     names = [os.path.relpath(folder, parent) for folder in folders]
     return [Path(folder).name if name == "." else name for name, folder in zip(names, folders, strict=True)], said
 
@@ -121,11 +117,9 @@ def _chosen(answer: Answer, columns: str | None, query: Query, known: Sequence[s
         return [_known_column(name.strip(), known) for name in columns.split(",")]
     # What is sorted by is to be seen.
     first = [] if query.sort is None else [_known_column(query.sort, known)]
-    usual = [name for name in figures.HEADLINES if name in known]
-    there = [name for name in usual if answer.table.column(name).null_count < answer.table.num_rows]
-    details = [
-        name for name in _DETAILS if len(set(answer.table.column(name).to_pylist() if name in known else [])) > 1
-    ]
+    values = {name: set(answer.table.column(name).to_pylist()) for name in known}
+    there = [name for name in figures.HEADLINES if values.get(name, {None}) != {None}]
+    details = [name for name in _DETAILS if len(values.get(name, ())) > 1]
     before = [name for name in (figures.QUALITY, figures.SECONDS) if name in there]
     return list(dict.fromkeys([*first, *before, *answer.differing, *details, *there]))
 
@@ -139,13 +133,9 @@ def _known_column(name: str, known: Sequence[str]) -> str:
 
 def _table(names: Sequence[str], cells: Mapping[str, Sequence[str]], console: Console) -> Table:
     """Rows of text; on a terminal headings are broken, and names that are longer than half a screen."""
-    narrow = console.is_terminal
-    table = Table()
-    table.add_column("run", overflow="fold", max_width=console.width // 2 if narrow else None)
-    for name in cells:
-        table.add_column(_heading(name) if narrow else name, justify="right", overflow="fold")
-    for row in zip(names, *cells.values(), strict=True):
-        table.add_row(*map(escape, row))
+    headings = ("run", *(_heading(name) if console.is_terminal else name for name in cells))
+    table = make_table(None, headings, (map(escape, row) for row in zip(names, *cells.values(), strict=True)))
+    table.columns[0].max_width = console.width // 2 if console.is_terminal else None
     return table
 
 

@@ -154,9 +154,10 @@ def run_suite(
     quick: one seed, short drives, no long ones. at_once: drives under way at a time, each one core's work; None for one a core.
     """
     settings = load_settings(None, overrides)
-    duration_s = QUICK_S if quick else DURATION_S
-    jobs = [(case, seed, duration_s) for case in CASES.items() for seed in (seeds[:1] if quick else seeds)]
-    jobs += [] if quick else [(case, seeds[0], LONG_S) for case in LONG_CASES.items()]
+    seeds, duration_s = (seeds[:1], QUICK_S) if quick else (seeds, DURATION_S)
+    jobs = [(case, {**own, "seed": seed, "duration_s": duration_s}) for case, own in CASES.items() for seed in seeds]
+    if not quick:
+        jobs += [(case, {**own, "seed": seeds[0], "duration_s": LONG_S}) for case, own in LONG_CASES.items()]
     at_once = min(at_once or os.cpu_count() or 1, len(jobs))
     drives: list[Drive] = []
     started = time.monotonic()
@@ -164,20 +165,15 @@ def run_suite(
     part = out.with_name(f"{out.name}.part")
     _check_replaceable(out)
     _check_space(out.parent, at_once)
-
-    def drive_through(job: tuple[tuple[str, Simulation], int, float]) -> Drive:
-        (case, simulation), seed, duration_s = job
-        simulation = {**simulation, "seed": seed, "duration_s": duration_s}
-        return _drive(case, seed, simulation, overrides, settings.short_hash(), out.parent)
-
+    hashed = settings.short_hash()
     with Progress(quiet) as progress, ThreadPoolExecutor(at_once) as pool:
         progress.stage("suite", len(jobs))
         try:
-            for drive in pool.map(drive_through, jobs):
+            for drive in pool.map(lambda job: _drive(job[0], job[1], overrides, hashed, out.parent), jobs):
                 if drive.metrics is None:
                     progress.warn(f"{drive.case}, seed {drive.seed}: {drive.error}")
                 drives.append(drive)
-                _write(part, drives, overrides, settings.short_hash())
+                _write(part, drives, overrides, hashed)
                 progress.advance()
             part.replace(out)
         except BaseException:
@@ -207,14 +203,12 @@ def parse_seeds(text: str | None) -> tuple[int, ...]:
     return seeds
 
 
-def _drive(
-    case: str, seed: int, simulation: Simulation, overrides: Sequence[str], settings_hash: str, folder: Path
-) -> Drive:
+def _drive(case: str, simulation: Simulation, overrides: Sequence[str], settings_hash: str, folder: Path) -> Drive:
     """Simulate, run, evaluate and delete one drive, or take its figures from the cache."""
     key = json.dumps({"simulation": simulation, "settings": settings_hash, "code": code_digest()}, sort_keys=True)
     cached = cache_folder().parent / "suite" / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.json"
     with suppress(OSError, ValueError):
-        return Drive(case, seed, json.loads(cached.read_text()), cached=True)
+        return Drive(case, simulation["seed"], json.loads(cached.read_text()), cached=True)
     started = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="suite-", dir=folder) as work:
         bag, run = Path(work) / "drive.bag", Path(work) / "run"
@@ -227,13 +221,15 @@ def _drive(
         ):
             done = subprocess.run([*_FFMAP, *command], capture_output=True, text=True, check=False)
             if done.returncode:
-                return Drive(case, seed, None, (done.stderr.strip().splitlines() or ["no reason given"])[-1])
+                return Drive(
+                    case, simulation["seed"], None, (done.stderr.strip().splitlines() or ["no reason given"])[-1]
+                )
         metrics: Metrics = json.loads((run / METRICS).read_text())
         record = json.loads((run / RUN_JSON).read_text())
         metrics["run"] = {name: record[name] for name in ("timings_s", "counts")}
     cached.parent.mkdir(parents=True, exist_ok=True)
     write_json(cached, metrics)
-    return Drive(case, seed, metrics, seconds=time.monotonic() - started)
+    return Drive(case, simulation["seed"], metrics, seconds=time.monotonic() - started)
 
 
 _FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]

@@ -50,7 +50,6 @@ def sweep(words: SweepParameters) -> int:
 
 
 def _perform(plan: Sweep, search: Search) -> Schedule:
-    """All runs, with what the user sees meanwhile."""
     objective, total = plan.words.objective, search.total * len(plan.bags)
     with (
         workers_of(plan) as (executor, slots, cache),
@@ -73,7 +72,6 @@ class _Teller:
         self._ended, self._worked, self._started = 0, 0, time.monotonic()
 
     def tell(self, run: Run) -> None:
-        """A run has ended."""
         assert run.outcome is not None
         self._ended += 1
         if run.reused:

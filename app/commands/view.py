@@ -21,12 +21,12 @@ from ffmap.app.folder.finished_run import FinishedRun, open_run
 from ffmap.app.folder.map_files import read_map
 from ffmap.app.folder.names import EVALUATION, RECORDING, RUN_JSON, map_file
 from ffmap.app.own_command import has_display, own_command
+from ffmap.app.record.catalogue.server import LOOPBACK
 from ffmap.app.record.stream import free_port, open_part
 from ffmap.blueprints import entities
 from ffmap.blueprints import run as run_blueprint
 from ffmap.loaders.errors import InputError
 
-LOOPBACK = "127.0.0.1"
 _RERUN = (sys.executable, "-m", "rerun")
 
 
@@ -60,9 +60,13 @@ def _open(files: Sequence[Path], places: Sequence[Path]) -> None:
     except KeyboardInterrupt:
         return
     if done.returncode:
-        said = done.stderr.decode(errors="replace").strip().splitlines()
-        reason = said[-1] if said else f"exit code {done.returncode}"
+        reason = _reason(done.stderr, done.returncode)
         raise InputError(f"the Rerun viewer did not start ({reason}); {_elsewhere(places)}")
+
+
+def _reason(stderr: bytes, code: int) -> str:
+    """The last line of what a program said."""
+    return (stderr.decode(errors="replace").strip().splitlines() or [f"exit code {code}"])[-1]
 
 
 def _elsewhere(places: Sequence[Path]) -> str:
@@ -84,26 +88,15 @@ def _serve(files: Sequence[Path]) -> None:
     data_port, page_port = free_port(), free_port()
     # All that is sent waits in memory for a browser to come, and beyond the limit the oldest would be lost.
     megabytes = 1024 + 4 * sum(file.stat().st_size for file in files) // 1_000_000
-    command = [
-        *_RERUN,
-        "--serve-web",
-        "--bind",
-        LOOPBACK,
-        "--port",
-        str(data_port),
-        "--web-viewer-port",
-        str(page_port),
-    ]
-    command += ["--server-memory-limit", f"{megabytes}MB", *map(str, files)]
+    ports = ["--bind", LOOPBACK, "--port", str(data_port), "--web-viewer-port", str(page_port)]
+    command = [*_RERUN, "--serve-web", *ports, "--server-memory-limit", f"{megabytes}MB", *map(str, files)]
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     with tempfile.TemporaryFile() as log, subprocess.Popen(command, stdout=log, stderr=log) as server:
         try:
             while not (_listens(data_port) and _listens(page_port)):
                 if server.poll() is not None:
                     log.seek(0)
-                    said = log.read().decode(errors="replace").strip().splitlines()
-                    reason = said[-1] if said else f"exit code {server.returncode}"
-                    raise InputError(f"Rerun's web viewer did not start ({reason})")
+                    raise InputError(f"Rerun's web viewer did not start ({_reason(log.read(), server.returncode)})")
                 time.sleep(0.05)
             source = quote(f"rerun+http://{LOOPBACK}:{data_port}/proxy", safe="")
             tunnel = " ".join(f"-L {port}:{LOOPBACK}:{port}" for port in (page_port, data_port))

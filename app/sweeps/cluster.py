@@ -30,7 +30,6 @@ class Cluster:
         return sum(self._client.nthreads().values())
 
     def all_see(self, path: Path) -> bool:
-        """Whether every worker has this file."""
         return all(self._client.run(os.path.exists, str(path)).values())
 
 

@@ -51,13 +51,11 @@ class Job(BaseModel):
 
     @property
     def out(self) -> Path:
-        """The run's folder."""
         assert self.arguments.out is not None
         return self.arguments.out
 
     @property
     def name(self) -> str:
-        """What a person calls it."""
         return self.out.name
 
     @property
@@ -145,7 +143,6 @@ def stop_all(folder: Path) -> None:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """With all that it started."""
     with suppress(ProcessLookupError):
         if sys.platform == "win32":
             process.kill()

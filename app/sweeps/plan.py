@@ -41,7 +41,6 @@ class Range:
 
     @property
     def whole(self) -> bool:
-        """Whether both ends are whole numbers."""
         return isinstance(self.low, int) and isinstance(self.high, int)
 
 

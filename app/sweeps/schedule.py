@@ -36,7 +36,6 @@ class Run:
         return self.outcome.error if self.outcome is not None else None
 
     def end(self, outcome: Outcome) -> None:
-        """Take what came of it, from its folder."""
         self.outcome = outcome
         if outcome.error is None:
             self.record = RunFolder(self.job.out).read_json()

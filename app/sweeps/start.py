@@ -23,10 +23,9 @@ from ffmap.app.sweeps import plan
 from ffmap.app.sweeps.one_run import Job, overrides_of, stop_all
 from ffmap.app.sweeps.plan import Combination, Parameter, Search, Study
 from ffmap.app.sweeps.schedule import Run
-from ffmap.loaders.bag import open_bag
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.text_files import read_json
-from ffmap.loaders.truth import POSE_TOPIC
+from ffmap.loaders.truth import carries_truth
 
 _MARK = ".shared"
 
@@ -103,7 +102,7 @@ def make_ready(words: SweepParameters) -> Sweep:
         if inputs.horizontal is None and words.trajectory is None:
             raise InputError(f"{inputs.bag_path}: no horizontal lidar gives poses; give --horizontal or --trajectory")
     outputs = parse_outputs(words.outputs, SWEEP_OUTPUTS)
-    truth = words.evaluate and all(_has_truth(inputs) for inputs in bags)
+    truth = words.evaluate and all(carries_truth(inputs.bag_path) for inputs in bags)
     if truth and not {Output.LABELS, Output.LABELLED} & set(outputs):
         raise InputError("--outputs: without labels or labelled no run can be compared with the truth; add labels")
     figures.check_objective(words.objective, truth or words.optuna is None)
@@ -112,11 +111,6 @@ def make_ready(words: SweepParameters) -> Sweep:
     out = (words.out or _default_out(words, outputs, clouds, base)).resolve()
     _create(out)
     return Sweep(words, base, parameters, outputs, bags, truth, clouds, out)
-
-
-def _has_truth(inputs: Inputs) -> bool:
-    with open_bag(inputs.bag_path) as bag:
-        return POSE_TOPIC in bag.topics and bag.topics[POSE_TOPIC].count > 0
 
 
 def _default_out(

@@ -356,6 +356,9 @@ def test_whichever_file_has_the_labels_they_are_the_same(runs: dict[str, Path], 
                 returned = np.isfinite(found.a.points_map).all(axis=1)
                 assert np.linalg.norm((found.a.points_map - found.b.points_map)[returned], axis=1).max() < 0.2
             assert clouds == SCANS
+    # A scan that is labelled again is compared with them, too.
+    again = inspection.label_again(open_run(alone), 3)
+    assert (again.differing, again.compared_with) == (0, LABELS)
 
 
 def test_what_a_run_lacks_is_said_and_the_rest_compared(runs: dict[str, Path], tmp_path: Path) -> None:

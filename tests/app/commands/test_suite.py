@@ -89,10 +89,10 @@ def test_earlier_results_stay_until_the_suite_is_complete(tmp_path: Path, monkey
     out = tmp_path / "suite.json"
     out.write_text('{"drives": []}')
 
-    def drive(case: str, seed: int, *_: object) -> suite.Drive:
+    def drive(case: str, simulation: suite.Simulation, *_: object) -> suite.Drive:
         if case == "two":
             raise KeyboardInterrupt
-        return suite.Drive(case, seed, {})
+        return suite.Drive(case, simulation["seed"], {})
 
     monkeypatch.setattr(suite, "_drive", drive)
     with pytest.raises(KeyboardInterrupt):
