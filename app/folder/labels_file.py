@@ -6,6 +6,7 @@ cloud in its own order, as in the labelled bag.
 
 import hashlib
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -15,6 +16,7 @@ import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 
 from ffmap.algorithms.base.scan import UInt8Array
+from ffmap.app.folder.atomic import written_whole
 from ffmap.loaders.errors import InputError
 
 _SCHEMA = pa.schema([("scan", pa.int32()), ("label", pa.list_(pa.uint8())), ("label_scan", pa.list_(pa.uint8()))])
@@ -35,6 +37,7 @@ class LabelsWriter:
         self._digest = hashlib.sha256()
         self._waiting: list[ScanLabels] = []
         self._writer: pq.ParquetWriter | None = None
+        self._stack = ExitStack()
 
     @property
     def digest(self) -> str:
@@ -53,19 +56,14 @@ class LabelsWriter:
 
     def __enter__(self) -> Self:
         if self._path is not None:
-            self._writer = pq.ParquetWriter(self._part(self._path), _SCHEMA, compression="zstd")
+            part = self._stack.enter_context(written_whole(self._path))
+            self._writer = self._stack.enter_context(pq.ParquetWriter(part, _SCHEMA, compression="zstd"))
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
-        if self._path is None or self._writer is None:
-            return
         if kind is None and self._waiting:
             self._write()
-        self._writer.close()
-        if kind is None:
-            self._part(self._path).replace(self._path)
-        else:
-            self._part(self._path).unlink(missing_ok=True)
+        self._stack.__exit__(kind, error, tb)
 
     def _write(self) -> None:
         assert self._writer is not None
@@ -73,10 +71,6 @@ class LabelsWriter:
         columns = [pa.array(scan, pa.int32()), _lists(label), _lists(label_scan)]
         self._writer.write_table(pa.table(columns, schema=_SCHEMA))
         self._waiting.clear()
-
-    @staticmethod
-    def _part(path: Path) -> Path:
-        return path.with_name(path.name + ".part")
 
 
 def _lists(arrays: tuple[UInt8Array, ...]) -> pa.Array:

@@ -17,7 +17,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from ffmap.app.folder.atomic import write_atomically
+from ffmap.app.folder.atomic import write_text
 from ffmap.app.folder.record import check_record
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.text_files import read_object
@@ -113,8 +113,7 @@ class RunFolder:
 
     def write_json(self, content: dict[str, Any], name: str = RUN_JSON) -> None:
         """Write a JSON file whole or not at all."""
-        text = json.dumps(content, indent=2, ensure_ascii=False, default=str) + "\n"
-        write_atomically(self.path / name, lambda part: part.write_text(text))
+        write_text(self.path / name, json.dumps(content, indent=2, ensure_ascii=False, default=str) + "\n")
 
 
 def default_path(bag: Path, settings_hash: str) -> Path:

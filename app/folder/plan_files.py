@@ -18,7 +18,7 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import turned
 from ffmap.algorithms.maps.floor_plan import FloorPlan, Leaf, PlanDoor
 from ffmap.algorithms.scan.doors import DoorState
-from ffmap.app.folder.atomic import write_atomically
+from ffmap.app.folder.atomic import write_text, written_whole
 
 MM_PER_M = 10.0
 """The SVG is drawn at a scale of 1:100."""
@@ -106,8 +106,7 @@ def write_svg(path: Path, plan: FloorPlan, title: str) -> None:
     _draw_foot(_group(svg, "foot"), title, plan.direction_deg, width, height - foot)
     _draw_legend(_group(svg, "legend"), legend, columns, height - foot + _FOOT_HEAD_MM)
     ElementTree.indent(svg)
-    text = ElementTree.tostring(svg, encoding="unicode", xml_declaration=True)
-    write_atomically(path, lambda part: part.write_text(text + "\n", "utf-8"))
+    write_text(path, ElementTree.tostring(svg, encoding="unicode", xml_declaration=True) + "\n")
 
 
 def _extent(plan: FloorPlan) -> tuple[FloatArray, FloatArray]:
@@ -342,7 +341,8 @@ def write_dxf(path: Path, plan: FloorPlan) -> None:
             x, y = place - turned(np.array([0.0, below_m]), plan.direction_deg)
             text.set_placement((x, y), align=TextEntityAlignment.MIDDLE_CENTER)
     _look_square(document, plan)
-    write_atomically(path, lambda part: document.saveas(part))
+    with written_whole(path) as part:
+        document.saveas(part)
 
 
 def _look_square(document: Drawing, plan: FloorPlan) -> None:

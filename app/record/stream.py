@@ -22,6 +22,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
+from ffmap.app.folder.atomic import written_whole
 from ffmap.app.folder.figures import flatten
 from ffmap.blueprints import entities
 from ffmap.loaders.errors import InputError
@@ -41,19 +42,26 @@ Stream = rr.RecordingStream
 
 
 @contextmanager
-def open_part(path: Path, recording_id: str) -> Iterator[rr.RecordingStream]:
-    """A stream into one part of the recording; the file appears when it is complete. One at a time in a process."""
-    part = path.with_name(path.name + ".part")
-    stream = _stream(recording_id)
-    stream.save(part)
-    try:
-        yield stream
-    except BaseException:
-        stream.disconnect()
-        part.unlink(missing_ok=True)
-        raise
-    stream.disconnect()
-    part.replace(path)
+def open_part(path: Path, recording_id: str, layout: rrb.Blueprint | None = None) -> Iterator[rr.RecordingStream]:
+    """A stream into one part of the recording; the file appears when it is complete. One at a time in a process.
+
+    layout: how it opens, for a recording of one part alone: files in which a layout and data lie together cannot be joined.
+    """
+    with written_whole(path) as part:
+        stream = _stream(recording_id)
+        stream.save(part)
+        try:
+            if layout is not None:
+                stream.send_blueprint(layout, make_active=True, make_default=True)
+            yield stream
+        finally:
+            stream.disconnect()
+
+
+def write_layout(path: Path, recording_id: str, layout: rrb.Blueprint) -> None:
+    """A part that holds a layout and nothing else."""
+    with open_part(path, recording_id, layout):
+        pass
 
 
 @lru_cache(maxsize=1)
@@ -189,7 +197,7 @@ def _content_end(part: Path) -> int | None:
         header = source.read(_STREAM_HEADER.size)
         if not header:
             return None
-        if len(header) < _STREAM_HEADER.size or _STREAM_HEADER.unpack(header)[0] != _MAGIC:
+        if not _is_header(header):
             raise RuntimeError(f"{part}: is not framed as recordings of Rerun 0.41 are")
         count = 0
         while True:
@@ -202,6 +210,10 @@ def _content_end(part: Path) -> int | None:
                 return at if count else None
             source.seek(length, io.SEEK_CUR)
             count += 1
+
+
+def _is_header(data: bytes) -> bool:
+    return len(data) == _STREAM_HEADER.size and _STREAM_HEADER.unpack(data)[0] == _MAGIC
 
 
 @dataclass(frozen=True)
@@ -223,8 +235,7 @@ def whole_messages(path: Path) -> WholeMessages:
     """
     size = path.stat().st_size
     with path.open("rb") as source:
-        header = source.read(_STREAM_HEADER.size)
-        if len(header) < _STREAM_HEADER.size or _STREAM_HEADER.unpack(header)[0] != _MAGIC:
+        if not _is_header(source.read(_STREAM_HEADER.size)):
             raise InputError(f"{path}: is no recording of Rerun's; run ffmap again")
         at = source.tell()
         while True:
@@ -241,16 +252,13 @@ def whole_messages(path: Path) -> WholeMessages:
 
 def join(parts: Sequence[Path], out: Path) -> None:
     """One recording with one footer from all parts, none of them decompressed."""
-    joined = out.with_name(out.name + ".part").resolve()
-    command = [sys.executable, "-c", _RERUN, "rrd", "route", "-o", str(joined)]
-    folders = {part.parent for part in parts}
-    assert len(folders) == 1, "relative names keep the command short"
-    done = subprocess.run(
-        [*command, *(part.name for part in parts)], cwd=folders.pop(), capture_output=True, text=True, check=False
-    )
-    if done.returncode != 0:
-        raise OSError(f"{out}: the recording's parts could not be joined: {done.stderr.strip()}")
-    joined.replace(out)
+    (folder,) = {part.parent for part in parts}  # relative names keep the command short
+    with written_whole(out) as joined:
+        command = [sys.executable, "-c", _RERUN, "rrd", "route", "-o", str(joined.resolve())]
+        command += [part.name for part in parts]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            raise OSError(f"{out}: the recording's parts could not be joined: {done.stderr.strip()}")
 
 
 def start_viewer(port: int | None = None, timeout_s: float = 20.0, files: Sequence[Path] = ()) -> str:

@@ -23,18 +23,19 @@ from ffmap.algorithms.scan.summary import Features, concatenate, extract
 from ffmap.app.record.log import Log
 from ffmap.app.record.scans import ScanMetrics, log_final, log_scan, log_scan_metrics, log_skipped
 from ffmap.app.record.stream import open_part
+from ffmap.app.run.arrays import pack, pack_ragged
 from ffmap.app.run.spool import (
+    FEATURES,
+    RIVALS,
+    SCAN_CEILINGS,
+    SCAN_LABELS,
+    SUMMARY,
+    VOTES,
     BlockSummary,
-    ceiling_arrays,
-    feature_arrays,
-    label_arrays,
-    load_ceilings,
+    load,
+    load_by_scan,
     load_halo,
-    load_labels,
-    load_summary,
     save,
-    summary_arrays,
-    vote_arrays,
 )
 from ffmap.app.setup.inputs import Inputs, Sensor
 from ffmap.app.setup.outputs import Detail
@@ -91,7 +92,7 @@ class FinishJob:
     label: LabelJob
     building: BuildingModel
     halo: Path
-    """A file that `save_halo` wrote: it grows with the building, and each worker reads it once."""
+    """The halo's file in the spool: it grows with the building, and each worker reads it once."""
     settings: RelabellingSettings
 
 
@@ -122,16 +123,16 @@ def label_block(job: LabelJob) -> BlockSummary:
         if log:
             log_scan_metrics(log, block.metrics)
     summary = block.summary()
-    found = {} if not block.features else feature_arrays(concatenate(block.features))
     save(
         job.path.with_suffix(".npz"),
         {
-            **summary_arrays(summary),
-            **label_arrays(block.labels, summary.scan),
-            **ceiling_arrays(block.ceilings),
-            **found,
-            **vote_arrays("votes", block.votes.votes()),
-            **vote_arrays("rivals", block.rivals.votes()),
+            **pack(summary, SUMMARY),
+            "scan": summary.scan,
+            **pack_ragged(SCAN_LABELS, block.labels),
+            **pack_ragged(SCAN_CEILINGS, block.ceilings),
+            **(pack(concatenate(block.features), FEATURES) if block.features else {}),
+            **pack(block.votes.votes(), VOTES),
+            **pack(block.rivals.votes(), RIVALS),
         },
     )
     return summary
@@ -215,7 +216,7 @@ def finish_block(job: FinishJob) -> None:
     """
     label_job = job.label
     first = label_job.path.with_suffix(".npz")
-    earlier, ceilings = load_labels(first), load_ceilings(first)
+    earlier, ceilings = load_by_scan(first, SCAN_LABELS), load_by_scan(first, SCAN_CEILINGS)
     labels: dict[int, UInt8Array] = {}
     digests: list[bytes] = []
     table = VoxelTable(VOXEL_M, len(Label))
@@ -243,12 +244,12 @@ def finish_block(job: FinishJob) -> None:
                 log_final(log, index, scan.stamp_ns, placed, label_of_scan, label)
             table.add(points_map, label)
             labels[index] = full_labels(scan, label)
-    if not np.array_equal(as_rows(digests), load_summary(first).cloud_digest):
+    if not np.array_equal(as_rows(digests), load(BlockSummary, first, SUMMARY).cloud_digest):
         raise InputError(
             f"{label_job.inputs.bag_path}: changed while the run was reading it; let nothing write to it, and start a new run"
         )
-    final = label_arrays(list(labels.values()), np.array(list(labels), np.int64))
-    save(label_job.path.with_suffix(".final.npz"), {**final, **vote_arrays("votes", table.votes())})
+    final = {"scan": np.array(list(labels), np.int64), **pack_ragged(SCAN_LABELS, list(labels.values()))}
+    save(label_job.path.with_suffix(".final.npz"), {**final, **pack(table.votes(), VOTES)})
 
 
 def _read(job: LabelJob, digests: list[bytes]) -> Iterator[tuple[int, Scan | SkippedScan]]:
@@ -287,7 +288,7 @@ def _place(scan: Scan, ranges: SmoothedRanges, job: LabelJob) -> LevelledScan:
 def holds_clouds_of(path: Path, block: Block, inputs: Inputs) -> bool:
     """Whether a block's .npz was made from the very clouds that the bag holds now, byte by byte."""
     found = read_digests(_open(inputs.bag_path), _vertical(inputs).index, block.first, block.count)
-    return np.array_equal(load_summary(path).cloud_digest, as_rows(list(found)))
+    return np.array_equal(load(BlockSummary, path, SUMMARY).cloud_digest, as_rows(list(found)))
 
 
 def points_in_map(placed: PlacedScan) -> FloatArray:

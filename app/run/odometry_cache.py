@@ -11,15 +11,16 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import xxhash
+
+from ffmap.app.run.arrays import Arrays
 
 CACHE_VARIABLE = "FFMAP_CACHE"
 """The environment variable that names the folder of the cache, before anything else does."""
@@ -33,9 +34,6 @@ _ABANDONED_S = 24 * 3600.0
 """Age in seconds at which an unfinished part is taken for that of a run that was killed."""
 _IN_USE_S = 60.0
 """Time in seconds after its last use in which another run may still read an entry."""
-
-Arrays = Mapping[str, Any]
-"""Named arrays."""
 
 
 def cache_folder() -> Path:

@@ -101,9 +101,9 @@ def _record(run: Run, found: BuildingAndMaps) -> None:
     log_building(run.log, found.building.model)
     for name, grid in found.grids.items():
         log_grid(run.log, name, grid)
-    log_rooms(run.recording.stream, found.maps.rooms)
+    log_rooms(run.log, found.maps.rooms)
     for segmented, graph in found.maps.compared_rooms.items():
-        log_areas(run.recording.stream, graph, f"{entities.ROOMS_COMPARED}/{segmented}")
+        log_areas(run.log, graph, f"{entities.ROOMS_COMPARED}/{segmented}")
     run.recording.set_layout(layout(run.inputs.ring_count, run.options.detail, run.record, found.maps.grid))
 
 

@@ -10,14 +10,15 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import UInt8Array
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.building.fusion import Building
-from ffmap.algorithms.building.votes import VoxelTable, fuse
+from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, fuse
 from ffmap.app.folder import writers
 from ffmap.app.folder.labels_file import LabelsWriter
 from ffmap.app.folder.names import CLOUD, LABELS
 from ffmap.app.record.building import log_cloud
+from ffmap.app.run.arrays import pack
 from ffmap.app.run.blocks import FINAL_EVIDENCE, VOXEL_M, FinishJob, LabelJob, finish_block
 from ffmap.app.run.context import Run
-from ffmap.app.run.spool import load_labels, load_votes, save_halo
+from ffmap.app.run.spool import SCAN_LABELS, VOTES, load, load_by_scan, save
 from ffmap.app.setup.outputs import Output
 from ffmap.blueprints import entities
 from ffmap.loaders.bag import open_bag
@@ -51,7 +52,7 @@ def finish(run: Run, pool: Executor, jobs: tuple[LabelJob, ...], building: Build
 def _submit(run: Run, pool: Executor, jobs: tuple[LabelJob, ...], building: Building) -> list[Future[None] | None]:
     """The work on each block; None where a run that is resumed has done it."""
     halo = run.folder.spool / "halo.npz"
-    save_halo(halo, building.halo)
+    save(halo, pack(building.halo))
     pending: list[Future[None] | None] = []
     for job in jobs:
         done = job.path.with_suffix(".final.npz").exists() and run.options.resume
@@ -70,8 +71,8 @@ def _labels(
         final_path, evidence = job.path.with_suffix(".final.npz"), job.path.with_suffix(FINAL_EVIDENCE)
         if run.recording is not None and evidence.exists():
             run.recording.add(evidence)
-        table.absorb(load_votes(final_path))
-        label, label_scan = load_labels(final_path), load_labels(job.path.with_suffix(".npz"))
+        table.absorb(load(VoxelVotes, final_path, VOTES))
+        label, label_scan = (load_by_scan(path, SCAN_LABELS) for path in (final_path, job.path.with_suffix(".npz")))
         for index in sorted(label):
             yield index, label[index], label_scan[index]
         run.progress.advance()

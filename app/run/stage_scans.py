@@ -17,7 +17,7 @@ from ffmap.app.record.odometry import log_trajectory
 from ffmap.app.run.blocks import STAGES, VOXEL_M, Block, LabelJob, label_block, split_blocks
 from ffmap.app.run.context import Run, commonest
 from ffmap.app.run.poses import RunPoses
-from ffmap.app.run.spool import BlockSummary, load_rivals, load_summary, load_votes
+from ffmap.app.run.spool import RIVALS, SUMMARY, VOTES, BlockSummary, load
 from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.errors import InputError
 
@@ -49,9 +49,9 @@ def label_scans(run: Run, pool: Executor, poses: RunPoses) -> LabelledScans:
     last_T_map_base: FloatArray | None = None
     for block, summary in _in_order(run, pool, jobs):
         path = run.folder.block(block.number, ".npz")
-        own_votes = load_votes(path)
+        own_votes = load(VoxelVotes, path, VOTES)
         new = votes.absorb(own_votes)
-        rivals.absorb(load_rivals(path))
+        rivals.absorb(load(VoxelVotes, path, RIVALS))
         _tell_skipped(run, summary, sum(len(earlier.skipped_reason) for earlier in summaries))
         if run.log and run.recording and len(summary.scan):
             run.recording.add(path.with_suffix(".rrd"))
@@ -77,7 +77,7 @@ def _in_order(run: Run, pool: Executor, jobs: tuple[LabelJob, ...]) -> Iterator[
         finished = job.path.with_suffix(".npz")
         has_evidence = job.detail is None or job.path.with_suffix(".rrd").exists()
         done = run.options.resume and finished.exists() and has_evidence
-        running.append((job.block, load_summary(finished) if done else pool.submit(label_block, job)))
+        running.append((job.block, load(BlockSummary, finished, SUMMARY) if done else pool.submit(label_block, job)))
     while running:
         block, summary = running.popleft()
         yield block, summary if isinstance(summary, BlockSummary) else summary.result()
