@@ -213,7 +213,7 @@ def _structure_role(labelling: ScanLabelling, structure: int) -> str:
 class _Candidate:
     """What was measured of one wall candidate, and why it was taken or refused."""
 
-    def __init__(self, labelling: ScanLabelling, c: int) -> None:
+    def __init__(self, labelling: ScanLabelling, c: int | np.integer) -> None:
         planes = labelling.planes
         self._planes, self._settings = planes, labelling.settings.wall_planes
         self.structure, self._plane = planes.candidate_structure[c], planes.candidate_plane[c]
@@ -346,7 +346,7 @@ class _Candidate:
 class _DoorLine:
     """What was measured of one line of a wall plane below its lintel, and why it is above a door or not."""
 
-    def __init__(self, labelling: ScanLabelling, d: int) -> None:
+    def __init__(self, labelling: ScanLabelling, d: int | np.integer) -> None:
         doors, openings = labelling.door_lines, labelling.openings
         self._settings = labelling.settings.doors
         self._plane, self._behind, self._high_enough = doors.plane[d], doors.behind[d], doors.high_enough[d]

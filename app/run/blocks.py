@@ -12,12 +12,12 @@ import numpy as np
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array, within_range
 from ffmap.algorithms.base.trajectory import PlacedScan, Trajectory
-from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings, relabel
+from ffmap.algorithms.building.final_labels import BuildingModel, relabel
 from ffmap.algorithms.building.votes import VoxelTable
-from ffmap.algorithms.maps.rivals import RivalCounter, RivalMapsSettings
+from ffmap.algorithms.maps.rivals import RivalCounter
 from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
 from ffmap.algorithms.scan.ceiling import below_ceiling
-from ffmap.algorithms.scan.labelling import MethodSettings, label_scan
+from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.algorithms.scan.smoothing import SmoothedRanges, smooth_ranges
 from ffmap.algorithms.scan.summary import Features, concatenate, extract
 from ffmap.app.record.log import Log
@@ -39,6 +39,7 @@ from ffmap.app.run.spool import (
 )
 from ffmap.app.setup.inputs import Inputs, Sensor
 from ffmap.app.setup.outputs import Detail
+from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.cloud_digest import as_rows
 from ffmap.loaders.errors import InputError
@@ -72,13 +73,7 @@ class LabelJob:
     """How high the base stands above the floor."""
     floor_slope: FloatArray
     """(2,) of the map's floor, metres up for each metre along x and y."""
-    extrapolate_ns: int
-    level_scan_max_deg: float
-    method: MethodSettings
-    rival_maps: RivalMapsSettings
-    cell_m: float
-    """Edge of the grid maps' cells."""
-    seed: int
+    settings: Settings
     recording_id: str
     detail: Detail | None
     path: Path
@@ -93,7 +88,6 @@ class FinishJob:
     building: BuildingModel
     halo: Path
     """The halo's file in the spool: it grows with the building, and each worker reads it once."""
-    settings: RelabellingSettings
 
 
 def split_blocks(clouds: int) -> list[Block]:
@@ -106,7 +100,9 @@ def split_blocks(clouds: int) -> list[Block]:
 
 def label_block(job: LabelJob) -> BlockSummary:
     """Label every scan of a block; write its evidence, labels, features and votes to the spool."""
-    block = _LabelledBlock(VoxelTable(VOXEL_M, len(Label)), RivalCounter(job.cell_m, job.rival_maps))
+    block = _LabelledBlock(
+        VoxelTable(VOXEL_M, len(Label)), RivalCounter(job.settings.grid_map.cell_m, job.settings.rival_maps)
+    )
     with _open_evidence(job, ".rrd") as log:
         watch = _Stopwatch()
         for index, scan in _read(job, block.digests):
@@ -187,12 +183,12 @@ class _LabelledBlock:
 
 def _label(index: int, scan: Scan, job: LabelJob, block: _LabelledBlock, log: Log | None, watch: _Stopwatch) -> None:
     """Label one scan, record it, and add to the block what it comes to."""
-    ranges = smooth_ranges(scan, job.method.smoothing)
+    ranges = smooth_ranges(scan, job.settings.smoothing)
     watch.lap("smoothing")
     level = _place(scan, ranges, job)
     placed = level.placed
     watch.lap("placing")
-    labelling = label_scan(scan, placed, job.method, seed_of(job.seed, index))
+    labelling = label_scan(scan, placed, job.settings.method, seed_of(job.settings.seed, index))
     watch.lap("labelling")
     if log:
         block.metrics.append(log_scan(log, index, level, labelling, scan.stamp_ns, watch.milliseconds))
@@ -224,8 +220,8 @@ def finish_block(job: FinishJob) -> None:
         for index, scan in _read(label_job, digests):
             if index not in earlier or isinstance(scan, SkippedScan):
                 continue
-            scan = within_range(scan, label_job.method.scan.range_max_m)
-            level = _place(scan, smooth_ranges(scan, label_job.method.smoothing), label_job)
+            scan = within_range(scan, label_job.settings.scan.range_max_m)
+            level = _place(scan, smooth_ranges(scan, label_job.settings.smoothing), label_job)
             placed = level.placed
             points_map = points_in_map(placed)
             label_of_scan = earlier[index][scan.cloud_index]
@@ -238,7 +234,7 @@ def finish_block(job: FinishJob) -> None:
                 placed.to_map(placed.origin_level[None])[0],
                 job.building,
                 load_halo(job.halo),
-                job.settings,
+                label_job.settings.relabelling,
             )
             if log:
                 log_final(log, index, scan.stamp_ns, placed, label_of_scan, label)
@@ -263,9 +259,10 @@ def _usable(index: int, scan: Scan | SkippedScan, job: LabelJob) -> Scan | Skipp
     """The scan without the returns that are too far away, where it has a pose and any return is left."""
     if isinstance(scan, SkippedScan):
         return scan
-    if not job.trajectory.covers(np.array([scan.start_ns, scan.end_ns]), job.extrapolate_ns).all():
+    extrapolate_ns = int(job.settings.trajectory.extrapolate_s * 1e9)
+    if not job.trajectory.covers(np.array([scan.start_ns, scan.end_ns]), extrapolate_ns).all():
         return SkippedScan(index, scan.stamp_ns, "no pose at its time")
-    range_max_m = job.method.scan.range_max_m
+    range_max_m = job.settings.scan.range_max_m
     near = within_range(scan, range_max_m)
     nothing = SkippedScan(index, scan.stamp_ns, f"no return within {range_max_m:g} m (scan.range_max_m)")
     return near if len(near) else nothing
@@ -280,8 +277,8 @@ def _place(scan: Scan, ranges: SmoothedRanges, job: LabelJob) -> LevelledScan:
         T_base_sensor,
         job.base_height_m,
         job.floor_slope,
-        job.method.rearrangement,
-        job.level_scan_max_deg,
+        job.settings.rearrangement,
+        job.settings.trajectory.level_scan_max_deg,
     )
 
 

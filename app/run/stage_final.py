@@ -56,7 +56,7 @@ def _submit(run: Run, pool: Executor, jobs: tuple[LabelJob, ...], building: Buil
     pending: list[Future[None] | None] = []
     for job in jobs:
         done = job.path.with_suffix(".final.npz").exists() and run.options.resume
-        finish = FinishJob(job, building.model, halo, run.settings.relabelling)
+        finish = FinishJob(job, building.model, halo)
         pending.append(None if done else pool.submit(finish_block, finish))
     return pending
 
