@@ -179,11 +179,8 @@ def _draw_foot(foot: ElementTree.Element, title: str, direction_deg: float, widt
     _add(foot, "path", class_="frame", d=f"M4,{top:.2f} L{width - 4:.2f},{top:.2f}")
     _add(foot, "text", f"{title} · scale 1:100 · metres", class_="title", x=6, y=f"{top + 6:.2f}")
     for metre in range(5):
-        fill, place = (
-            "fill:#ffffff" if metre % 2 else "fill:#2b2f36",
-            {"x": 6 + metre * MM_PER_M, "y": f"{top + 13:.2f}"},
-        )
-        _add(foot, "rect", class_="frame", **place, width=MM_PER_M, height=1.6, style=fill)
+        left, style = 6 + metre * MM_PER_M, "fill:#ffffff" if metre % 2 else "fill:#2b2f36"
+        _add(foot, "rect", class_="frame", x=left, y=f"{top + 13:.2f}", width=MM_PER_M, height=1.6, style=style)
     for metre in range(6):
         _add(foot, "text", f"{metre}", class_="middle", x=6 + metre * MM_PER_M, y=f"{top + 18.5:.2f}")
     _add(foot, "text", "m", x=6 + 5 * MM_PER_M + 2, y=f"{top + 18.5:.2f}")

@@ -6,6 +6,7 @@ at length, line by line.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.scan.doors import Depression, DoorState
 from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.wall_planes import Growth, Membership, Reach
+from ffmap.app.record.shapes import table
 from ffmap.blueprints.entities import LINE_OUTCOMES, LineOutcome
 
 
@@ -81,7 +83,7 @@ def line_document(labelling: ScanLabelling, reason: LineReason, note: str = "") 
     outcome = LINE_OUTCOMES[reason.outcome][0]
     parts = [f"# {name_of(reason.line).capitalize()}: {outcome}", "", reason.verdict, ""]
     parts += [note, ""] if note else []
-    parts += _check_table(reason.checks)
+    parts.append(_check_table(reason.checks))
     structures = labelling.structures
     own = np.flatnonzero(structures.line == reason.line).tolist()
     if own:
@@ -106,43 +108,31 @@ def scan_document(
     marked: how many returns of each line are marked; None where that is not known.
     """
     planes, openings = labelling.planes, labelling.openings
-    plane_m, opening_m = lengths_m(planes.ends), lengths_m(openings.ends)
     heights = [f"{c.height_m - labelling.floor.height_m:.2f} m" for c in labelling.ceilings]
-    parts = [f"# {title}", "", *(f"{note}\n" for note in notes)]
-    parts += [
-        f"Ceilings at {', '.join(heights)} above the floor." if heights else "No ceiling is in view.",
-        "",
-        "| lines | what became of them |",
-        "|---|---|",
+    found = f"Ceilings at {', '.join(heights)} above the floor." if heights else "No ceiling is in view."
+    counts = [
+        (sum(reason.outcome == outcome for reason in reasons), name) for outcome, (name, _) in LINE_OUTCOMES.items()
     ]
-    for outcome, (name, _) in LINE_OUTCOMES.items():
-        parts.append(f"| {sum(reason.outcome == outcome for reason in reasons)} | {name} |")
+    parts = [f"# {title}", "", *(f"{note}\n" for note in notes), found, ""]
+    parts.append(table(("lines", "what became of them"), counts))
     if len(planes):
-        parts += ["", "## Wall planes", "| plane | lines | length | RMS | heights |", "|---|---|---|---|---|"]
-        parts += [
-            f"| {k} | {planes.line_count[k]} | {plane_m[k]:.2f} m "
-            f"| {_cm(planes.rms_m[k])} | {planes.bottom_m[k]:.2f}–{planes.top_m[k]:.2f} m |"
-            for k in range(len(planes))
-        ]
+        rows: list[tuple[Any, ...]] = []
+        for k, length_m in enumerate(lengths_m(planes.ends)):
+            reach = f"{planes.bottom_m[k]:.2f}–{planes.top_m[k]:.2f} m"
+            rows.append((k, planes.line_count[k], f"{length_m:.2f} m", _cm(planes.rms_m[k]), reach))
+        parts += ["", "## Wall planes", table(("plane", "lines", "length", "RMS", "heights"), rows)]
     if len(openings):
-        parts += ["", "## Openings", "| opening | plane | state | width in view | depth | head | lines |"]
-        parts += ["|---|---|---|---|---|---|---|"]
-        parts += [
-            f"| {o} | {openings.plane[o]} | {DoorState(openings.state[o]).name.lower()} "
-            f"| {opening_m[o]:.2f} m | {_cm(openings.depth_m[o])} "
-            f"| {openings.head_m[o]:.2f} m | {openings.line_count[o]} |"
-            for o in range(len(openings))
-        ]
-    column = "" if marked is None else " marked |"
-    parts += [
-        "",
-        "## Lines (2 × emitter + side)",
-        f"| line |{column} outcome | why |",
-        "|---" * (3 + bool(column)) + "|",
-    ]
-    for r in reasons:
-        marks = "" if marked is None else f" {marked[r.line]} |"
-        parts.append(f"| {r.line} |{marks} {LINE_OUTCOMES[r.outcome][0]} | {r.short} |")
+        rows = []
+        for o, width_m in enumerate(lengths_m(openings.ends)):
+            state, size = DoorState(openings.state[o]).name.lower(), (f"{width_m:.2f} m", _cm(openings.depth_m[o]))
+            rows.append((o, openings.plane[o], state, *size, f"{openings.head_m[o]:.2f} m", openings.line_count[o]))
+        headings = "opening", "plane", "state", "width in view", "depth", "head", "lines"
+        parts += ["", "## Openings", table(headings, rows)]
+    columns: dict[str, list[Any]] = {"line": [r.line for r in reasons]}
+    if marked is not None:
+        columns["marked"] = [marked[r.line] for r in reasons]
+    columns |= {"outcome": [LINE_OUTCOMES[r.outcome][0] for r in reasons], "why": [r.short for r in reasons]}
+    parts += ["", "## Lines (2 × emitter + side)", table(list(columns), zip(*columns.values(), strict=True))]
     return "\n".join(parts)
 
 
@@ -415,13 +405,10 @@ class _DoorLine:
 # --- words ---
 
 
-def _check_table(checks: Iterable[Check]) -> list[str]:
+def _check_table(checks: Iterable[Check]) -> str:
     answers = {True: "yes", False: "**no**", None: "–"}
-    return [
-        "| held | condition | measured | needed |",
-        "|---|---|---|---|",
-        *(f"| {answers[c.held]} | {c.condition} | {c.measured} | {c.needed} |" for c in checks),
-    ]
+    rows = [(answers[c.held], c.condition, c.measured, c.needed) for c in checks]
+    return table(("held", "condition", "measured", "needed"), rows)
 
 
 def _longest_run(held: BoolArray) -> int:

@@ -48,12 +48,7 @@ class ScanMetrics:
 
 
 def log_scan(
-    log: Log,
-    index: int,
-    level: LevelledScan,
-    labelling: ScanLabelling,
-    stamp_ns: int,
-    timings_ms: Mapping[str, float],
+    log: Log, index: int, level: LevelledScan, labelling: ScanLabelling, stamp_ns: int, timings_ms: Mapping[str, float]
 ) -> ScanMetrics:
     """One labelled scan with its evidence, as much as the detail asks for; returns what `log_scan_metrics` takes."""
     placed, ranges = level.placed, level.ranges
@@ -188,9 +183,7 @@ def _log_lines(log: Log, positions: FloatArray, labelling: ScanLabelling) -> Non
     strips, owner = unbroken(positions[samples[present]])
     line = present[owner]
     log.now(
-        entities.LINES,
-        rr.LineStrips3D(strips, class_ids=outcome[line]),
-        evidence(line=line, outcome=outcome[line]),
+        entities.LINES, rr.LineStrips3D(strips, class_ids=outcome[line]), evidence(line=line, outcome=outcome[line])
     )
 
 

@@ -1,6 +1,6 @@
 """Arrays as Rerun draws them: rounded positions, strips, upright rectangles, colours, frames."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +27,12 @@ SEE_THROUGH = (255, 255, 255, 90)
 
 def markdown(text: str) -> rr.TextDocument:
     return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+
+
+def table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A table in Markdown."""
+    lines = ["|" + "|".join(f" {cell} " if cell != "" else " " for cell in row) + "|" for row in (headings, *rows)]
+    return "\n".join([lines[0], "|---" * len(headings) + "|", *lines[1:]])
 
 
 def annotations(classes: Mapping[int, tuple[str, entities.Color]]) -> rr.AnnotationContext:

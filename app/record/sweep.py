@@ -18,7 +18,7 @@ from ffmap.app.folder import figures
 from ffmap.app.folder.atomic import written_whole
 from ffmap.app.folder.ranking import Ranking
 from ffmap.app.record.log import Log
-from ffmap.app.record.shapes import markdown, strips_2d, ui_radius, words
+from ffmap.app.record.shapes import markdown, strips_2d, table, ui_radius, words
 from ffmap.blueprints import entities
 from ffmap.blueprints import sweep as sweep_blueprint
 from ffmap.blueprints.entities import Panel
@@ -207,7 +207,7 @@ def _ring(centre: FloatArray) -> FloatArray:
 
 def _table(results: Ranking, failures: Sequence[str], bag: str) -> str:
     shown, names = results.headlines, figures.short_names(results.parameters)
-    rows = [["", *names.values(), *shown, "run"], ["---"] * (len(names) + len(shown) + 2)]
+    rows = []
     for place in results.ranked:
         trial = results.trials[place]
         values = [trial.combination[name] for name in names] + [trial.figures.get(name) for name in shown]
@@ -217,7 +217,7 @@ def _table(results: Ranking, failures: Sequence[str], bag: str) -> str:
         f"# Sweep of {bag}",
         f"{len(results.trials)} settings, best by `{results.objective}` first. ● no other is better and faster.",
         "",
-        *("| " + " | ".join(row) + " |" for row in rows),
+        table(["", *names.values(), *shown, "run"], rows),
         *(["", "## Failed", *(f"- {failure}" for failure in failures)] if failures else []),
     ]
     return "\n".join(text)
@@ -230,13 +230,9 @@ def _describe(results: Ranking, place: int, folder: Path) -> str:
         f"# Run {place}",
         f"Rank {results.ranked.index(place) + 1} of {len(results.trials)} by `{results.objective}`{on_front}",
         "",
-        "| setting | value |",
-        "|---|---|",
-        *(f"| {name} | **{figures.format_value(value)}** |" for name, value in trial.combination.items()),
+        table(("setting", "value"), ((k, f"**{figures.format_value(v)}**") for k, v in trial.combination.items())),
         "",
-        "| figure | value |",
-        "|---|---|",
-        *(f"| {name} | {figures.format_value(trial.figures.get(name))} |" for name in results.headlines),
+        table(("figure", "value"), ((k, figures.format_value(trial.figures.get(k))) for k in results.headlines)),
         "",
         *(f"`ffmap view {folder / name}`" for name in trial.names),
     ]

@@ -116,15 +116,16 @@ class Odometry:
     @property
     def trajectory(self) -> Trajectory:
         """T_odom_base of the scans so far; of all of them with the loops closed."""
-        T_odom_sensor = self._all_poses()
-        if self.pose_graph is not None:
-            T_odom_sensor = self.pose_graph.corrected(T_odom_sensor)
-        return Trajectory(np.array(self._stamps, np.int64), T_odom_sensor @ self._T_sensor_base)
+        before = self._all_poses()
+        return self._of_base(before if self.pose_graph is None else self.pose_graph.corrected(before))
 
     @property
     def before_loops(self) -> Trajectory:
         """T_odom_base of the scans so far, as they were registered."""
-        return Trajectory(np.array(self._stamps, np.int64), self._all_poses() @ self._T_sensor_base)
+        return self._of_base(self._all_poses())
+
+    def _of_base(self, T_odom_sensor: FloatArray) -> Trajectory:
+        return Trajectory(np.array(self._stamps, np.int64), T_odom_sensor @ self._T_sensor_base)
 
     def _all_poses(self) -> FloatArray:
         return np.array(self._T_odom_sensor).reshape(-1, 4, 4)

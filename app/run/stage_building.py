@@ -46,11 +46,7 @@ def build(run: Run, scans: LabelledScans, trajectory: Trajectory) -> Building:
     run.progress.stage("building", None)
     drive = Drive(trajectory.T_map_base[:, :3, 3], lambda: _features(run, len(scans.jobs)))
     gathered = AllScans(
-        drive,
-        scans.votes,
-        scans.rivals,
-        lambda *asked: _trace(run, len(scans.jobs), *asked),
-        run.settings.levels,
+        drive, scans.votes, scans.rivals, lambda *asked: _trace(run, len(scans.jobs), *asked), run.settings.levels
     )
     building = fuse_building(gathered, run.settings.fusion)
     found = BuildingAndMaps(building, draw_maps(building, gathered, run.settings.maps, run.options.workers))

@@ -30,14 +30,13 @@ def finish(run: Run, pool: Executor, jobs: tuple[LabelJob, ...], building: Build
     run.progress.stage("final", len(jobs))
     table = VoxelTable(VOXEL_M, len(Label))
     outputs = run.options.outputs
-    with LabelsWriter(run.folder.path / LABELS if Output.LABELS in outputs else None) as writer:
-        labels = writer.passing(_labels(run, jobs, _submit(run, pool, jobs, building), table))
-        if Output.LABELLED in outputs:
-            with open_bag(run.inputs.bag_path) as bag:
-                index, rig = run.inputs.vertical.index, run.inputs.rig
-                writers.write_labelled_bag(run.folder.path, bag, index, rig, trajectory, labels)
-        else:
-            deque(labels, maxlen=0)
+    writer = LabelsWriter(run.folder.path / LABELS if Output.LABELS in outputs else None)
+    labels = writer.passing(_labels(run, jobs, _submit(run, pool, jobs, building), table))
+    if Output.LABELLED in outputs:
+        with open_bag(run.inputs.bag_path) as bag:
+            index, rig = run.inputs.vertical.index, run.inputs.rig
+            writers.write_labelled_bag(run.folder.path, bag, index, rig, trajectory, labels)
+    deque(labels, maxlen=0)
     run.state.labels_digest = writer.digest
     pool.shutdown()  # the workers' memory goes before the whole cloud is made
     cloud = fuse(table.votes())

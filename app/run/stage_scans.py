@@ -15,9 +15,10 @@ from ffmap.algorithms.maps.rivals import Rival
 from ffmap.app.record.building import log_map_block
 from ffmap.app.record.odometry import log_trajectory
 from ffmap.app.run.blocks import STAGES, VOXEL_M, Block, LabelJob, label_block, split_blocks
-from ffmap.app.run.context import Run, commonest
+from ffmap.app.run.context import Run
 from ffmap.app.run.poses import RunPoses
 from ffmap.app.run.spool import RIVALS, SUMMARY, VOTES, BlockSummary, load
+from ffmap.app.setup.inputs import commonest
 from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.errors import InputError
 
