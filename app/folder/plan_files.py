@@ -209,17 +209,16 @@ class _LegendEntry:
 
 def _legend(plan: FloorPlan) -> list[_LegendEntry]:
     """What occurs on the plan, and nothing else."""
-    closed = any(door.state == DoorState.CLOSED for door in plan.doors)
-    swings = any(door.leaves for door in plan.doors)
-    unseen = any(door.state != DoorState.CLOSED and not door.leaves for door in plan.doors)
+    closed = [door.state == DoorState.CLOSED for door in plan.doors]
+    unseen = [not shut and not door.leaves for shut, door in zip(closed, plan.doors, strict=True)]
     entries = [
         (plan.walls, _LegendEntry("wall, both sides seen", _block("wall"))),
         (plan.assumed, _LegendEntry("wall, one side seen, its thickness assumed", _block("assumed"))),
         (plan.columns, _LegendEntry("column", _block("column"))),
         (plan.windows, _LegendEntry("window", _window_symbol)),
-        (closed, _LegendEntry("closed door", _in_wall("leaf"))),
-        (swings, _LegendEntry("open door, its leaf as it stood", _swing_symbol)),
-        (unseen, _LegendEntry("open doorway, no leaf seen", _in_wall("unknown"))),
+        (any(closed), _LegendEntry("closed door", _in_wall("leaf"))),
+        (any(door.leaves for door in plan.doors), _LegendEntry("open door, its leaf as it stood", _swing_symbol)),
+        (any(unseen), _LegendEntry("open doorway, no leaf seen", _in_wall("unknown"))),
         (plan.rooms, _LegendEntry("room as far as seen; colours tell rooms apart", _room_symbol)),
     ]
     return [entry for occurs, entry in entries if occurs]

@@ -23,20 +23,9 @@ from ffmap.algorithms.scan.summary import Features, concatenate, extract
 from ffmap.app.record.log import Log
 from ffmap.app.record.scans import ScanMetrics, log_final, log_scan, log_scan_metrics, log_skipped
 from ffmap.app.record.stream import open_part
+from ffmap.app.run import spool
 from ffmap.app.run.arrays import pack, pack_ragged
-from ffmap.app.run.spool import (
-    FEATURES,
-    RIVALS,
-    SCAN_CEILINGS,
-    SCAN_LABELS,
-    SUMMARY,
-    VOTES,
-    BlockSummary,
-    load,
-    load_by_scan,
-    load_halo,
-    save,
-)
+from ffmap.app.run.spool import BlockSummary
 from ffmap.app.setup.inputs import Inputs, Sensor
 from ffmap.app.setup.outputs import Detail
 from ffmap.app.setup.settings import Settings
@@ -119,16 +108,16 @@ def label_block(job: LabelJob) -> BlockSummary:
         if log:
             log_scan_metrics(log, block.metrics)
     summary = block.summary()
-    save(
+    spool.save(
         job.path.with_suffix(".npz"),
         {
-            **pack(summary, SUMMARY),
+            **pack(summary, spool.SUMMARY),
             "scan": summary.scan,
-            **pack_ragged(SCAN_LABELS, block.labels),
-            **pack_ragged(SCAN_CEILINGS, block.ceilings),
-            **(pack(concatenate(block.features), FEATURES) if block.features else {}),
-            **pack(block.votes.votes(), VOTES),
-            **pack(block.rivals.votes(), RIVALS),
+            **pack_ragged(spool.SCAN_LABELS, block.labels),
+            **pack_ragged(spool.SCAN_CEILINGS, block.ceilings),
+            **(pack(concatenate(block.features), spool.FEATURES) if block.features else {}),
+            **pack(block.votes.votes(), spool.VOTES),
+            **pack(block.rivals.votes(), spool.RIVALS),
         },
     )
     return summary
@@ -212,7 +201,7 @@ def finish_block(job: FinishJob) -> None:
     """
     label_job = job.label
     first = label_job.path.with_suffix(".npz")
-    earlier, ceilings = load_by_scan(first, SCAN_LABELS), load_by_scan(first, SCAN_CEILINGS)
+    earlier, ceilings = spool.load_by_scan(first, spool.SCAN_LABELS), spool.load_by_scan(first, spool.SCAN_CEILINGS)
     labels: dict[int, UInt8Array] = {}
     digests: list[bytes] = []
     table = VoxelTable(VOXEL_M, len(Label))
@@ -233,19 +222,19 @@ def finish_block(job: FinishJob) -> None:
                 label_of_scan,
                 placed.to_map(placed.origin_level[None])[0],
                 job.building,
-                load_halo(job.halo),
+                spool.load_halo(job.halo),
                 label_job.settings.relabelling,
             )
             if log:
                 log_final(log, index, scan.stamp_ns, placed, label_of_scan, label)
             table.add(points_map, label)
             labels[index] = full_labels(scan, label)
-    if not np.array_equal(as_rows(digests), load(BlockSummary, first, SUMMARY).cloud_digest):
+    if not np.array_equal(as_rows(digests), spool.load(BlockSummary, first, spool.SUMMARY).cloud_digest):
         raise InputError(
             f"{label_job.inputs.bag_path}: changed while the run was reading it; let nothing write to it, and start a new run"
         )
-    final = {"scan": np.array(list(labels), np.int64), **pack_ragged(SCAN_LABELS, list(labels.values()))}
-    save(label_job.path.with_suffix(".final.npz"), {**final, **pack(table.votes(), VOTES)})
+    final = {"scan": np.array(list(labels), np.int64), **pack_ragged(spool.SCAN_LABELS, list(labels.values()))}
+    spool.save(label_job.path.with_suffix(".final.npz"), {**final, **pack(table.votes(), spool.VOTES)})
 
 
 def _read(job: LabelJob, digests: list[bytes]) -> Iterator[tuple[int, Scan | SkippedScan]]:
@@ -285,7 +274,7 @@ def _place(scan: Scan, ranges: SmoothedRanges, job: LabelJob) -> LevelledScan:
 def holds_clouds_of(path: Path, block: Block, inputs: Inputs) -> bool:
     """Whether a block's .npz was made from the very clouds that the bag holds now, byte by byte."""
     found = read_digests(_open(inputs.bag_path), _vertical(inputs).index, block.first, block.count)
-    return np.array_equal(load(BlockSummary, path, SUMMARY).cloud_digest, as_rows(list(found)))
+    return np.array_equal(spool.load(BlockSummary, path, spool.SUMMARY).cloud_digest, as_rows(list(found)))
 
 
 def points_in_map(placed: PlacedScan) -> FloatArray:

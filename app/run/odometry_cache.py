@@ -11,7 +11,8 @@ import re
 import shutil
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -139,11 +140,9 @@ class Writer:
         self.failure: str | None = None
 
     def __enter__(self) -> Self:
-        try:
+        with self._noting_failure():
             shutil.rmtree(self._part, ignore_errors=True)
             self._part.mkdir(parents=True)
-        except OSError as error:
-            self.failure = str(error.strerror or error)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
@@ -163,24 +162,25 @@ class Writer:
         if self.failure is not None:
             return
         path = cache_folder() / entry_name(self._key, content)
-        try:
+        with self._noting_failure():
             _remove(path)
             self._part.replace(path)
-        except OSError as error:
-            self.failure = str(error.strerror or error)
-            return
         _remove_parts(older_than_s=_ABANDONED_S)
         _keep_below(LIMIT_BYTES)
 
     def _write(self, name: str, data: bytes) -> None:
         if self.failure is not None:
             return
+        with self._noting_failure(), (self._part / name).open("wb") as file:
+            file.write(data)
+            file.flush()
+            # What is named complete must be on the disk, should the power go.
+            os.fsync(file.fileno())
+
+    @contextmanager
+    def _noting_failure(self) -> Iterator[None]:
         try:
-            with (self._part / name).open("wb") as file:
-                file.write(data)
-                file.flush()
-                # What is named complete must be on the disk, should the power go.
-                os.fsync(file.fileno())
+            yield
         except OSError as error:
             self.failure = str(error.strerror or error)
 
