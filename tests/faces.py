@@ -1,13 +1,19 @@
-"""Wall faces as tests need them."""
+"""Wall faces and openings as tests need them."""
+
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 
-from ffmap.algorithms.building.model import Walls
+from ffmap.algorithms.building.model import Doors, Walls, Windows
 
 CEILING_M = 2.8
 
 
-def faces(*ends: tuple[tuple[float, float], tuple[float, float]]) -> Walls:
+Ends = tuple[tuple[float, float], tuple[float, float]]
+
+
+def faces(*ends: Ends) -> Walls:
     """Faces whose normals lie to the left of the way from their first end to their second."""
     segments = np.array(ends, np.float64)
     along = segments[:, 1] - segments[:, 0]
@@ -22,3 +28,16 @@ def faces(*ends: tuple[tuple[float, float], tuple[float, float]]) -> Walls:
         np.full(count, 0.01),
         np.full(count, 900),
     )
+
+
+def doors(*ends: Ends, head_m: float = 2.1, **columns: Any) -> Doors:
+    """Doors of which all is 0 that is not given."""
+    nothing = {field.name: np.zeros(len(ends)) for field in fields(Doors)}
+    given = {name: np.array(values) for name, values in columns.items()}
+    heads = np.full(len(ends), head_m)
+    return Doors(**nothing | {"ends": np.array(ends), "head_m": heads} | given)
+
+
+def window(*ends: tuple[float, float]) -> Windows:
+    """A window between 0.9 and 2.2 m, its pane 10 cm behind the face."""
+    return Windows(np.array([ends]), np.array([[0.0, 1.0]]), np.array([0.9]), np.array([2.2]), np.array([0.1]))

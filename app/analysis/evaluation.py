@@ -134,7 +134,7 @@ def _opened_truth(path: Path) -> Iterator[BagTruth | None]:
 
 def _write_layer(run: FinishedRun, layer: Layer, comparison: Comparison, tally: Tally) -> None:
     # Rerun is not needed where a run has no recording.
-    from ffmap.app.record.errors import write_layer
+    from ffmap.app.record.errors import MapErrors, write_layer
 
     own = comparison.maps.get(entities.FURNITURE_FREE)
     layout = run_blueprint.build(
@@ -145,20 +145,16 @@ def _write_layer(run: FinishedRun, layer: Layer, comparison: Comparison, tally: 
         registered=run.registered,
         lines=run.has_lines,
     )
-    write_layer(
-        run.path / run_names.EVALUATION,
-        list(comparison.parts),
-        layer.spool,
-        layer.recording_id,
-        layout,
-        comparison.metrics,
-        in_markdown(format_metrics(comparison.metrics)),
-        tally,
-        comparison.faces,
-        comparison.doors,
-        comparison.compared_doors,
-        comparison.maps,
+    errors = MapErrors(
+        metrics=comparison.metrics,
+        text=in_markdown(format_metrics(comparison.metrics)),
+        tally=tally,
+        faces=comparison.faces,
+        doors=comparison.doors,
+        compared_doors=comparison.compared_doors,
+        maps=comparison.maps,
     )
+    write_layer(run.path / run_names.EVALUATION, layer.spool, comparison.parts, layer.recording_id, layout, errors)
 
 
 def has_truth(run: FinishedRun) -> bool:

@@ -15,7 +15,7 @@ from ffmap.algorithms.base.segments import main_direction_deg, turned
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.maps.rivals import Rival
 from ffmap.algorithms.truth.maps import WALL_TOLERANCE_M, Agreement, ComparedMap, ComparedMaps, WallMapFigures
-from ffmap.app.folder.atomic import write_atomically
+from ffmap.app.folder.atomic import written_whole
 from ffmap.app.folder.map_files import read_map
 from ffmap.app.folder.names import WALLS, map_file
 from ffmap.app.tables import make_table
@@ -139,7 +139,8 @@ def write_overlays(path: Path, compared: ComparedMaps, compared_with: str, direc
     for place, picture in enumerate(pictures):
         row, column = divmod(place, columns)
         sheet.paste(picture, (_GAP + column * (width + _GAP), _GAP + row * (height + _GAP)))
-    write_atomically(path, lambda part: sheet.save(part, format="PNG"))
+    with written_whole(path) as part:
+        sheet.save(part, format="PNG")
 
 
 @dataclass(frozen=True)

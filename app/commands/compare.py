@@ -34,7 +34,7 @@ from ffmap.app.folder.names import check_no_run_loses, require_writable
 from ffmap.app.progress import Progress
 from ffmap.app.record.comparison import ComparisonRecorder, TransitionStyle, log_changed_points, write_rerooted
 from ffmap.app.record.read_back import readable, rows
-from ffmap.app.record.stream import Stream, join, open_part
+from ffmap.app.record.stream import Stream, join, open_part, write_layout
 from ffmap.app.tables import make_table
 from ffmap.blueprints import compare as compare_blueprint
 from ffmap.blueprints import entities
@@ -187,9 +187,8 @@ def _write_layout(comparison: Comparison, shown: Sequence[ComparedRun], parts: _
     letter, scan = _most_changed(comparison.changes, parts.scan_of)
     numbers = parts.scan_of.values()
     scans = (min(numbers), max(numbers)) if numbers else None
-    with parts.open("layout.rrd") as stream:
-        layout = compare_blueprint.build(shown, centre_m, extent_m, scan, letter, scans)
-        stream.send_blueprint(layout, make_active=True, make_default=True)
+    layout = compare_blueprint.build(shown, centre_m, extent_m, scan, letter, scans)
+    write_layout(parts.spool / "layout.rrd", parts.recording_id, layout)
 
 
 def _most_changed(changes: Sequence[PairChange], scan_of: dict[int, int]) -> tuple[str | None, int | None]:

@@ -12,7 +12,7 @@ from rich.console import Console
 from ffmap.app.analysis.inspection import agreement, faults_in_words, find_worst, label_again
 from ffmap.app.folder.finished_run import FinishedRun, open_run
 from ffmap.app.folder.names import check_no_run_loses, require_writable
-from ffmap.app.record.inspection import write
+from ffmap.app.record.inspection import ExplainedScan, write
 from ffmap.app.record.line_reasons import LineReason, explain_lines, name_of, scan_document
 from ffmap.app.record.stream import start_viewer
 from ffmap.app.tables import make_table
@@ -48,7 +48,8 @@ def inspect(run_path: Path, wanted: str, line: int | None, bag: Path | None, out
     document = scan_document(f"Scan {number} of {run.name}", notes, labelling, reasons, counts)
     opened = line if line is not None or faults is None else faults.worst_line(labelling.lines)
     with tempfile.TemporaryDirectory(prefix="ffmap-inspect-") as spool:
-        write(target, Path(spool), str(uuid.uuid4()), inspected.level, labelling, reasons, faults, document, opened)
+        explained = ExplainedScan(inspected.level, labelling, reasons, faults, document, opened)
+        write(target, Path(spool), str(uuid.uuid4()), explained)
     for note in notes:
         typer.echo(_PLAIN.sub("", note))
     if line is None:

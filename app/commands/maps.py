@@ -64,14 +64,12 @@ def maps(run_dir: Path, reference_path: Path) -> None:
 def _write_layer(out: Path, recording_id: str, compared: ComparedMaps) -> None:
     # Rerun is not needed where a run has no recording.
     from ffmap.app.record.errors import log_overlay
+    from ffmap.app.record.log import Log
     from ffmap.app.record.stream import open_part
     from ffmap.blueprints import maps as maps_blueprint
     from ffmap.blueprints.run import view_of
 
-    part = out.with_name(out.name + ".part")
-    with open_part(part, recording_id) as stream:
-        layout = maps_blueprint.build(*view_of(compared[entities.FURNITURE_FREE].grid))
-        stream.send_blueprint(layout, make_active=True, make_default=True)
+    layout = maps_blueprint.build(*view_of(compared[entities.FURNITURE_FREE].grid))
+    with open_part(out, recording_id, layout) as stream:
         for name, one in compared.items():
-            log_overlay(stream, name, one)
-    part.replace(out)
+            log_overlay(Log(stream), name, one)

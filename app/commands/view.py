@@ -146,8 +146,7 @@ def write_common_layout(runs: Sequence[FinishedRun], folder: Path) -> list[Path]
                 f"{run.path}: is a copy of another of these runs, which the viewer cannot tell apart; leave it out"
             )
         written[identity] = folder / f"{number}.rrd"
-        with open_part(written[identity], identity) as stream:
-            stream.send_blueprint(layout, make_active=True, make_default=True)
+        with open_part(written[identity], identity, layout) as stream:
             stream.send_recording_name(run.name)
     return list(written.values())
 

@@ -2,24 +2,38 @@
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 
-def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill NAME.part, then give it its name; an earlier file stays until then."""
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """NAME.part to fill, which gets its name at the end of the context; an earlier file stays until then.
+
+    After an exception nothing is left of it.
+    """
     part = path.with_name(path.name + ".part")
-    write(part)
-    part.replace(path)
+    try:
+        yield part
+        part.replace(path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def write_text(path: Path, text: str) -> None:
+    """A text in UTF-8."""
+    with written_whole(path) as part:
+        part.write_text(text, "utf-8")
 
 
 def write_json(path: Path, content: object) -> None:
     """Readable JSON; numbers that are not finite become null, arrays lists."""
-    text = json.dumps(_plain(content), indent=1, ensure_ascii=False, allow_nan=False)
-    write_atomically(path, lambda part: part.write_text(text + "\n", "utf-8"))
+    write_text(path, json.dumps(_plain(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def write_geojson(path: Path, features: Sequence[dict[str, Any]]) -> None:

@@ -21,50 +21,25 @@ QUALITY = "wall_f1"
 """What runs are ranked by where nobody says."""
 
 HEADLINES = (
-    "wall_f1",
-    SECONDS,
-    "ceiling_f1",
-    "floor_f1",
-    "door_f1",
-    "clutter_f1",
-    "doors_found",
-    "doors_invented",
-    "wall_map_recall",
-    "trajectory_ate_rmse_m",
-    "walls",
-    "doors",
+    *("wall_f1", SECONDS, "ceiling_f1", "floor_f1", "door_f1", "clutter_f1", "doors_found", "doors_invented"),
+    *("wall_map_recall", "trajectory_ate_rmse_m", "walls", "doors"),
 )
 """The figures that a table shows where nobody chooses; those that no run has are left out."""
 
 STEPS = (
-    "scan",
-    "odometry",
-    "refinement",
-    "pose_graph",
-    "trajectory",
-    "smoothing",
-    "rearrangement",
-    "vertical_structures",
-    "wall_planes",
-    "doors",
-    "labelling",
-    "building",
-    "levels",
-    "face_columns",
-    "face_alignment",
-    "standing_walls",
-    "missed_walls",
-    "before_walls",
-    "openings",
-    "windows",
-    "door_frames",
-    "wall_thickness",
-    "grid_map",
-    "area_graph",
-    "room_outlines",
-    "rival_maps",
-    "floor_plan",
-    "relabelling",
+    *(
+        "scan",
+        "odometry",
+        "refinement",
+        "pose_graph",
+        "trajectory",
+        "smoothing",
+        "rearrangement",
+        "vertical_structures",
+    ),
+    *("wall_planes", "doors", "labelling", "building", "levels", "face_columns", "face_alignment", "standing_walls"),
+    *("missed_walls", "before_walls", "openings", "windows", "door_frames", "wall_thickness", "grid_map", "area_graph"),
+    *("room_outlines", "rival_maps", "floor_plan", "relabelling"),
 )
 """The steps that have settings. Not asked of `app.settings`: with it comes the whole method, which a list need not wait for."""
 
@@ -153,9 +128,8 @@ def check_objective(name: str, with_truth: bool) -> None:
             f"--objective: there is no figure {name!r}; {hint}choose among {', '.join(sorted(OBJECTIVES))}"
         )
     if not with_truth and name not in _WITHOUT_TRUTH:
-        raise InputError(
-            f"--objective {name}: it needs the truth, which a bag does not carry; choose among {', '.join(sorted(_WITHOUT_TRUTH))}"
-        )
+        known = ", ".join(sorted(_WITHOUT_TRUTH))
+        raise InputError(f"--objective {name}: it needs the truth, which a bag does not carry; choose among {known}")
 
 
 def short_names(settings: Iterable[str]) -> dict[str, str]:

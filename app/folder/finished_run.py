@@ -65,9 +65,8 @@ class FinishedRun:
         """
         origin = self.record.get("map_origin", [0.0, 0.0, 0.0])
         if not (isinstance(origin, list) and len(origin) == 3 and all(isinstance(v, int | float) for v in origin)):
-            raise InputError(
-                f"{self.path / RUN_JSON}: map_origin is {origin!r}, not x, y and z in metres; run ffmap again"
-            )
+            wrong = f"map_origin is {origin!r}, not x, y and z in metres"
+            raise InputError(f"{self.path / RUN_JSON}: {wrong}; run ffmap again")
         return np.array(origin, float)
 
     @cached_property
@@ -137,8 +136,7 @@ class FinishedRun:
     @property
     def clouds(self) -> Mapping[str, str]:
         """The digest of all clouds of each topic that the run read to its end, by topic."""
-        clouds = self.part("bag").get("clouds")
-        return clouds if isinstance(clouds, Mapping) else {}
+        return self.part("bag").get("clouds") or {}
 
     @property
     def topic(self) -> str | None:

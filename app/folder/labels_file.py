@@ -5,16 +5,16 @@ cloud in its own order, as in the labelled bag.
 """
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 
 from ffmap.algorithms.base.scan import UInt8Array
+from ffmap.app.folder.atomic import written_whole
 from ffmap.loaders.errors import InputError
 
 _SCHEMA = pa.schema([("scan", pa.int32()), ("label", pa.list_(pa.uint8())), ("label_scan", pa.list_(pa.uint8()))])
@@ -25,16 +25,11 @@ ScanLabels = tuple[int, UInt8Array, UInt8Array]
 
 
 class LabelsWriter:
-    """Takes the digest of all labels that pass, and keeps them in a file where one is wanted.
-
-    Use as a context manager: the file is there, complete, at its end; after an exception nothing is left of it.
-    """
+    """Takes the digest of all labels that pass, and keeps them in a file where one is wanted."""
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
         self._digest = hashlib.sha256()
-        self._waiting: list[ScanLabels] = []
-        self._writer: pq.ParquetWriter | None = None
 
     @property
     def digest(self) -> str:
@@ -42,41 +37,28 @@ class LabelsWriter:
         return self._digest.hexdigest()
 
     def passing(self, labels: Iterable[ScanLabels]) -> Iterator[ScanLabels]:
-        """The same labels, each kept as it passes."""
-        for index, label, label_scan in labels:
-            self._digest.update(np.int64(index).tobytes() + label.tobytes() + label_scan.tobytes())
-            if self._writer is not None:
-                self._waiting.append((index, label, label_scan))
-                if len(self._waiting) == _SCANS_AT_ONCE:
-                    self._write()
-            yield index, label, label_scan
+        """The same labels, each kept as it passes; the file is there, complete, when the last has passed, and else not at all."""
+        with ExitStack() as stack:
+            writer: pq.ParquetWriter | None = None
+            if self._path is not None:
+                part = stack.enter_context(written_whole(self._path))
+                writer = stack.enter_context(pq.ParquetWriter(part, _SCHEMA, compression="zstd"))
+            waiting: list[ScanLabels] = []
+            for index, label, label_scan in labels:
+                self._digest.update(np.int64(index).tobytes() + label.tobytes() + label_scan.tobytes())
+                if writer is not None:
+                    waiting.append((index, label, label_scan))
+                    if len(waiting) == _SCANS_AT_ONCE:
+                        writer.write_table(_table(waiting))
+                        waiting = []
+                yield index, label, label_scan
+            if writer is not None and waiting:
+                writer.write_table(_table(waiting))
 
-    def __enter__(self) -> Self:
-        if self._path is not None:
-            self._writer = pq.ParquetWriter(self._part(self._path), _SCHEMA, compression="zstd")
-        return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
-        if self._path is None or self._writer is None:
-            return
-        if kind is None and self._waiting:
-            self._write()
-        self._writer.close()
-        if kind is None:
-            self._part(self._path).replace(self._path)
-        else:
-            self._part(self._path).unlink(missing_ok=True)
-
-    def _write(self) -> None:
-        assert self._writer is not None
-        scan, label, label_scan = zip(*self._waiting, strict=True)
-        columns = [pa.array(scan, pa.int32()), _lists(label), _lists(label_scan)]
-        self._writer.write_table(pa.table(columns, schema=_SCHEMA))
-        self._waiting.clear()
-
-    @staticmethod
-    def _part(path: Path) -> Path:
-        return path.with_name(path.name + ".part")
+def _table(labels: Sequence[ScanLabels]) -> pa.Table:
+    scan, label, label_scan = zip(*labels, strict=True)
+    return pa.table([pa.array(scan, pa.int32()), _lists(label), _lists(label_scan)], schema=_SCHEMA)
 
 
 def _lists(arrays: tuple[UInt8Array, ...]) -> pa.Array:

@@ -48,10 +48,8 @@ def read_map(path: Path, resolution_m: float | None = None, takes_resolution: bo
     Raises InputError where it is no map.
     """
     if resolution_m is not None and not RESOLUTION_MIN_M <= resolution_m <= RESOLUTION_MAX_M:
-        raise InputError(
-            f"--resolution {resolution_m:g}: give the edge of a pixel in metres, as in 0.05; {RESOLUTION_MAX_M:g} at most, for "
-            "larger pixels show no door"
-        )
+        most = f"{RESOLUTION_MAX_M:g} at most, for larger pixels show no door"
+        raise InputError(f"--resolution {resolution_m:g}: give the edge of a pixel in metres, as in 0.05; {most}")
     if path.suffix.lower() in (".yaml", ".yml"):
         description = _read_description(path)
         pixels = read_image(path.parent / description.image, f"{path}: its image ")
@@ -61,14 +59,11 @@ def read_map(path: Path, resolution_m: float | None = None, takes_resolution: bo
     if path.suffix.lower() not in IMAGES:
         raise InputError(f"{path}: is no map; give map_server's YAML file, or an image ({', '.join(IMAGES)})")
     if resolution_m is None:
-        how = "map_server's YAML file that names it" + (
-            ", or --resolution METRES of a pixel" if takes_resolution else ""
-        )
-        raise InputError(f"{path}: an image has no scale; give {how}")
+        how = ", or --resolution METRES of a pixel" if takes_resolution else ""
+        raise InputError(f"{path}: an image has no scale; give map_server's YAML file that names it{how}")
     pixels = read_image(path)
-    cells = np.full(pixels.shape, Cell.UNKNOWN, np.uint8)
-    cells[pixels >= WHITE_MIN] = Cell.FREE
-    cells[pixels <= BLACK_MAX] = Cell.OCCUPIED
+    cells = np.select([pixels >= WHITE_MIN, pixels <= BLACK_MAX], [Cell.FREE, Cell.OCCUPIED], Cell.UNKNOWN)
+    cells = cells.astype(np.uint8)
     return GridMap(np.ascontiguousarray(cells[::-1]), np.zeros(2), resolution_m)
 
 
@@ -94,18 +89,16 @@ def read_image(path: Path, what: str = "") -> UInt8Array:
 def _grey(path: Path, what: str) -> UInt8Array:
     with Image.open(path) as image:
         if image.width * image.height > PIXELS_MAX:
-            raise InputError(
-                f"{what}{path} has {image.width} × {image.height} pixels, more than {PIXELS_MAX:,}; give a part of it"
-            )
+            size = f"{image.width} × {image.height} pixels, more than {PIXELS_MAX:,}"
+            raise InputError(f"{what}{path} has {size}; give a part of it")
         if image.mode in ("I", "I;16", "F"):
             raise InputError(f"{what}{path} has more than 8 bits a pixel; save it with 8 bits")
         if "A" in image.getbands() or "transparency" in image.info:
             rgba = image.convert("RGBA")
-            if np.asarray(rgba.getchannel("A")).min(initial=255) == 255:  # nothing is transparent
-                return np.asarray(image.convert("L"))
-            ground = Image.new("RGBA", image.size, (int(Cell.UNKNOWN),) * 3)
-            ground.alpha_composite(rgba)
-            return np.asarray(ground.convert("L"))
+            if np.asarray(rgba.getchannel("A")).min(initial=255) < 255:  # something is transparent
+                ground = Image.new("RGBA", image.size, (int(Cell.UNKNOWN),) * 3)
+                ground.alpha_composite(rgba)
+                return np.asarray(ground.convert("L"))
         return np.asarray(image.convert("L"))
 
 

@@ -17,7 +17,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from ffmap.app.folder.atomic import write_atomically
+from ffmap.app.folder.atomic import write_text
 from ffmap.app.folder.record import check_record
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.text_files import read_object
@@ -76,17 +76,11 @@ def file_names() -> frozenset[str]:
     from ffmap.algorithms.maps.rivals import Rival
     from ffmap.blueprints.entities import FURNITURE_FREE
 
-    maps = [map_file(name) for name in (FURNITURE_FREE, *Rival)]
-    return frozenset(
-        (
-            *(RUN_JSON, RECORDING, EVALUATION, TRAJECTORY, CLOUD, LABELLED_BAG, LABELLED_FOLDER, LABELS, METRICS),
-            *(WALLS, DOORS, FLOOR_PLAN_SVG, FLOOR_PLAN_DXF, OVERLAY, SPOOL, ERROR_LOG),
-            *(REFERENCE_OVERLAY, REFERENCE_JSON, REFERENCE_RECORDING),
-            *(rooms_file(name) for name in Segmented),
-            *maps,
-            *(str(Path(name).with_suffix(".pgm")) for name in maps),
-        )
-    )
+    names = {RUN_JSON, RECORDING, EVALUATION, TRAJECTORY, CLOUD, LABELLED_BAG, LABELLED_FOLDER, LABELS, METRICS}
+    names |= {WALLS, DOORS, FLOOR_PLAN_SVG, FLOOR_PLAN_DXF, OVERLAY, SPOOL, ERROR_LOG}
+    names |= {REFERENCE_OVERLAY, REFERENCE_JSON, REFERENCE_RECORDING, *(rooms_file(name) for name in Segmented)}
+    maps = {map_file(name) for name in (FURNITURE_FREE, *Rival)}
+    return frozenset(names | maps | {str(Path(name).with_suffix(".pgm")) for name in maps})
 
 
 @dataclass(frozen=True)
@@ -113,8 +107,7 @@ class RunFolder:
 
     def write_json(self, content: dict[str, Any], name: str = RUN_JSON) -> None:
         """Write a JSON file whole or not at all."""
-        text = json.dumps(content, indent=2, ensure_ascii=False, default=str) + "\n"
-        write_atomically(self.path / name, lambda part: part.write_text(text))
+        write_text(self.path / name, json.dumps(content, indent=2, ensure_ascii=False, default=str) + "\n")
 
 
 def default_path(bag: Path, settings_hash: str) -> Path:
@@ -132,10 +125,7 @@ def create(path: Path, overwrite: bool = False, inputs: Iterable[Path] = ()) -> 
     is anything but a run, and where the folder cannot be written.
     """
     try:
-        if path.resolve().name == REPLACEMENT:
-            raise InputError(
-                f"{path}: is where a run lies until it replaces another; give the folder around it to --out"
-            )
+        _check_no_replacement(path, "--out")
         if path.exists() and not path.is_dir():
             raise InputError(f"{path}: is a file; give a folder to --out")
         if path.is_dir() and any(path.iterdir()) and not (path / RUN_JSON).exists():
@@ -149,6 +139,13 @@ def create(path: Path, overwrite: bool = False, inputs: Iterable[Path] = ()) -> 
     return RunFolder(path / REPLACEMENT if replaces else path)
 
 
+def _check_no_replacement(path: Path, option: str) -> None:
+    if path.resolve().name == REPLACEMENT:
+        raise InputError(
+            f"{path}: is where a run lies until it replaces another; give the folder around it to {option}"
+        )
+
+
 def _check_replaceable(folder: RunFolder, overwrite: bool, inputs: Iterable[Path]) -> None:
     path = folder.path
     if folder.read_json().get("program") != PROGRAM:
@@ -157,11 +154,9 @@ def _check_replaceable(folder: RunFolder, overwrite: bool, inputs: Iterable[Path
         raise InputError(
             f"{path}: holds {_state(folder)}; give another folder to --out, or replace it with --overwrite"
         )
+    own = {path.resolve() / name for name in file_names()}
     for read in inputs:
-        inside = (
-            read.resolve().relative_to(path.resolve()).parts if read.resolve().is_relative_to(path.resolve()) else ()
-        )
-        if inside and inside[0] in file_names():
+        if own & {read.resolve(), *read.resolve().parents}:
             raise InputError(
                 f"{read}: is read, and belongs to the run that --overwrite replaces; give another folder to --out"
             )
@@ -183,10 +178,7 @@ def unfinished(path: Path) -> RunFolder:
 
     Raises InputError where that folder within is given itself.
     """
-    if path.resolve().name == REPLACEMENT:
-        raise InputError(
-            f"{path}: is where a run lies until it replaces another; give the folder around it to --resume"
-        )
+    _check_no_replacement(path, "--resume")
     return RunFolder(path / REPLACEMENT) if (path / REPLACEMENT / RUN_JSON).exists() else RunFolder(path)
 
 

@@ -18,13 +18,13 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import turned
 from ffmap.algorithms.maps.floor_plan import FloorPlan, Leaf, PlanDoor
 from ffmap.algorithms.scan.doors import DoorState
-from ffmap.app.folder.atomic import write_atomically
+from ffmap.app.folder.atomic import write_text, written_whole
 
 MM_PER_M = 10.0
 """The SVG is drawn at a scale of 1:100."""
 _MARGIN_M = 1.0
 _WIDTH_MIN_M = 16.5
-"""So wide are the scale bar and the map's axes, and two columns of the legend."""
+"""Width in metres that the scale bar, the map's axes and two columns of the legend take."""
 _FOOT_HEAD_MM = 31.0
 _LEGEND_ROW_MM, _LEGEND_COLUMN_MM = 5.5, 78.0
 _SYMBOL_MM = (9.0, 3.0)
@@ -47,15 +47,7 @@ text { font-family: Helvetica, Arial, sans-serif; font-size: 3px; fill: #2b2f36;
 .middle { text-anchor: middle; }
 """
 
-LAYERS = {
-    "WALLS": 7,
-    "WALLS_ONE_SIDE_SEEN": 8,
-    "COLUMNS": 7,
-    "DOORS": 5,
-    "WINDOWS": 4,
-    "ROOMS": 3,
-    "ROOM_NAMES": 3,
-}
+LAYERS = {"WALLS": 7, "WALLS_ONE_SIDE_SEEN": 8, "COLUMNS": 7, "DOORS": 5, "WINDOWS": 4, "ROOMS": 3, "ROOM_NAMES": 3}
 """Layers of the DXF file with their colours (AutoCAD's colour index)."""
 
 
@@ -71,19 +63,15 @@ def write_svg(path: Path, plan: FloorPlan, title: str) -> None:
     columns = int((width - 6) / _LEGEND_COLUMN_MM)
     foot = _FOOT_HEAD_MM + _LEGEND_ROW_MM * math.ceil(len(legend) / columns)
     height = MM_PER_M * (float(high[1] - low[1]) + 2 * _MARGIN_M) + foot
-    svg = ElementTree.Element(
-        "svg",
-        {
-            "xmlns": "http://www.w3.org/2000/svg",
-            "width": f"{width:.1f}mm",
-            "height": f"{height:.1f}mm",
-            "viewBox": f"0 0 {width:.2f} {height:.2f}",
-        },
-    )
-    ElementTree.SubElement(svg, "title").text = title
-    ElementTree.SubElement(svg, "style").text = _STYLE
-    _add_hatch(svg)
-    ElementTree.SubElement(svg, "rect", {"width": f"{width:.2f}", "height": f"{height:.2f}", "fill": "white"})
+    size = {"width": f"{width:.1f}mm", "height": f"{height:.1f}mm", "viewBox": f"0 0 {width:.2f} {height:.2f}"}
+    svg = ElementTree.Element("svg", {"xmlns": "http://www.w3.org/2000/svg", **size})
+    _add(svg, "title", title)
+    _add(svg, "style", _STYLE)
+    units = {"patternUnits": "userSpaceOnUse", "patternTransform": "rotate(45)"}
+    hatch = _add(_add(svg, "defs"), "pattern", id="hatch", width=1, height=1, **units)
+    _add(hatch, "rect", width=1, height=1, fill="#c9ccd2")
+    _add(hatch, "rect", width=0.35, height=1, fill="#7d838d")
+    _add(svg, "rect", width=f"{width:.2f}", height=f"{height:.2f}", fill="white")
     for i, room in enumerate(plan.rooms):
         sheet.area(_group(svg, "rooms"), "room", room.polygon, fill=_ROOM_FILLS[i % len(_ROOM_FILLS)])
     for kind, polygons in (("assumed", plan.assumed), ("wall", plan.walls), ("column", plan.columns)):
@@ -106,8 +94,7 @@ def write_svg(path: Path, plan: FloorPlan, title: str) -> None:
     _draw_foot(_group(svg, "foot"), title, plan.direction_deg, width, height - foot)
     _draw_legend(_group(svg, "legend"), legend, columns, height - foot + _FOOT_HEAD_MM)
     ElementTree.indent(svg)
-    text = ElementTree.tostring(svg, encoding="unicode", xml_declaration=True)
-    write_atomically(path, lambda part: part.write_text(text + "\n", "utf-8"))
+    write_text(path, ElementTree.tostring(svg, encoding="unicode", xml_declaration=True) + "\n")
 
 
 def _extent(plan: FloorPlan) -> tuple[FloatArray, FloatArray]:
@@ -135,12 +122,10 @@ class _Sheet:
     def area(self, parent: ElementTree.Element, kind: str, polygon: shapely.Polygon, fill: str | None = None) -> None:
         rings = [polygon.exterior, *polygon.interiors]
         path = " ".join("M" + " L".join(self._words(xy) for xy in ring.coords[:-1]) + " Z" for ring in rings)
-        extra = {"fill": fill} if fill else {}
-        ElementTree.SubElement(parent, "path", {"class": kind, "d": path, **extra})
+        _add(parent, "path", class_=kind, d=path, **({"fill": fill} if fill else {}))
 
     def line(self, parent: ElementTree.Element, kind: str, ends: FloatArray) -> None:
-        path = "M" + " L".join(self._words(xy) for xy in ends)
-        ElementTree.SubElement(parent, "path", {"class": kind, "d": path})
+        _add(parent, "path", class_=kind, d="M" + " L".join(self._words(xy) for xy in ends))
 
     def arc(self, parent: ElementTree.Element, centre: FloatArray, start: FloatArray, swing_deg: float) -> None:
         """From `start` around `centre` by an angle, counter-clockwise in the map."""
@@ -149,14 +134,13 @@ class _Sheet:
         # On paper y points down, which turns the sense around.
         sweep = 0 if swing_deg > 0 else 1
         path = f"M{self._words(start)} A{radius:.2f} {radius:.2f} 0 0 {sweep} {self._words(end)}"
-        ElementTree.SubElement(parent, "path", {"class": "swing", "d": path})
+        _add(parent, "path", class_="swing", d=path)
 
     def text(
         self, parent: ElementTree.Element, kind: str, words: str, xy: Sequence[float], below_mm: float = 0.0
     ) -> None:
         x, y = self.place(xy)
-        place = {"x": f"{x:.2f}", "y": f"{y + below_mm:.2f}"}
-        ElementTree.SubElement(parent, "text", {"class": kind, **place}).text = words
+        _add(parent, "text", words, class_=kind, x=f"{x:.2f}", y=f"{y + below_mm:.2f}")
 
     def _words(self, xy: Sequence[float] | FloatArray) -> str:
         x, y = self.place(xy)
@@ -166,23 +150,6 @@ class _Sheet:
 def _group(svg: ElementTree.Element, name: str) -> ElementTree.Element:
     found = svg.find(f"g[@id='{name}']")
     return found if found is not None else ElementTree.SubElement(svg, "g", {"id": name})
-
-
-def _add_hatch(svg: ElementTree.Element) -> None:
-    defs = ElementTree.SubElement(svg, "defs")
-    pattern = ElementTree.SubElement(
-        defs,
-        "pattern",
-        {
-            "id": "hatch",
-            "width": "1",
-            "height": "1",
-            "patternUnits": "userSpaceOnUse",
-            "patternTransform": "rotate(45)",
-        },
-    )
-    ElementTree.SubElement(pattern, "rect", {"width": "1", "height": "1", "fill": "#c9ccd2"})
-    ElementTree.SubElement(pattern, "rect", {"width": "0.35", "height": "1", "fill": "#7d838d"})
 
 
 def _draw_door(sheet: _Sheet, group: ElementTree.Element, door: PlanDoor) -> None:
@@ -212,11 +179,8 @@ def _draw_foot(foot: ElementTree.Element, title: str, direction_deg: float, widt
     _add(foot, "path", class_="frame", d=f"M4,{top:.2f} L{width - 4:.2f},{top:.2f}")
     _add(foot, "text", f"{title} · scale 1:100 · metres", class_="title", x=6, y=f"{top + 6:.2f}")
     for metre in range(5):
-        fill = "#2b2f36" if metre % 2 == 0 else "#ffffff"
-        left = 6 + metre * MM_PER_M
-        _add(
-            foot, "rect", class_="frame", x=left, y=f"{top + 13:.2f}", width=MM_PER_M, height=1.6, style=f"fill:{fill}"
-        )
+        left, style = 6 + metre * MM_PER_M, "fill:#ffffff" if metre % 2 else "fill:#2b2f36"
+        _add(foot, "rect", class_="frame", x=left, y=f"{top + 13:.2f}", width=MM_PER_M, height=1.6, style=style)
     for metre in range(6):
         _add(foot, "text", f"{metre}", class_="middle", x=6 + metre * MM_PER_M, y=f"{top + 18.5:.2f}")
     _add(foot, "text", "m", x=6 + 5 * MM_PER_M + 2, y=f"{top + 18.5:.2f}")
@@ -245,17 +209,16 @@ class _LegendEntry:
 
 def _legend(plan: FloorPlan) -> list[_LegendEntry]:
     """What occurs on the plan, and nothing else."""
-    closed = any(door.state == DoorState.CLOSED for door in plan.doors)
-    swings = any(door.leaves for door in plan.doors)
-    unseen = any(door.state != DoorState.CLOSED and not door.leaves for door in plan.doors)
+    closed = [door.state == DoorState.CLOSED for door in plan.doors]
+    unseen = [not shut and not door.leaves for shut, door in zip(closed, plan.doors, strict=True)]
     entries = [
         (plan.walls, _LegendEntry("wall, both sides seen", _block("wall"))),
         (plan.assumed, _LegendEntry("wall, one side seen, its thickness assumed", _block("assumed"))),
         (plan.columns, _LegendEntry("column", _block("column"))),
         (plan.windows, _LegendEntry("window", _window_symbol)),
-        (closed, _LegendEntry("closed door", _in_wall("leaf"))),
-        (swings, _LegendEntry("open door, its leaf as it stood", _swing_symbol)),
-        (unseen, _LegendEntry("open doorway, no leaf seen", _in_wall("unknown"))),
+        (any(closed), _LegendEntry("closed door", _in_wall("leaf"))),
+        (any(door.leaves for door in plan.doors), _LegendEntry("open door, its leaf as it stood", _swing_symbol)),
+        (any(unseen), _LegendEntry("open doorway, no leaf seen", _in_wall("unknown"))),
         (plan.rooms, _LegendEntry("room as far as seen; colours tell rooms apart", _room_symbol)),
     ]
     return [entry for occurs, entry in entries if occurs]
@@ -279,8 +242,7 @@ def _in_wall(kind: str) -> Callable[[ElementTree.Element, float, float], None]:
     """A doorway between two ends of wall, with a line of this kind across."""
 
     def draw(group: ElementTree.Element, x: float, y: float) -> None:
-        for left in (x, x + 7.5):
-            _add(group, "rect", class_="wall", x=left, y=f"{y + 0.5:.2f}", width=1.5, height=2)
+        _wall_ends(group, x, y)
         _add(group, "path", class_=kind, d=f"M{x + 1.5:.2f},{y + 1.5:.2f} L{x + 7.5:.2f},{y + 1.5:.2f}")
 
     return draw
@@ -293,9 +255,13 @@ def _swing_symbol(group: ElementTree.Element, x: float, y: float) -> None:
     _add(group, "path", class_="swing", d=f"M{x + 5:.2f},{y + 2:.2f} A3.5 3.5 0 0 0 {x + 1.5:.2f},{y - 1.5:.2f}")
 
 
-def _window_symbol(group: ElementTree.Element, x: float, y: float) -> None:
+def _wall_ends(group: ElementTree.Element, x: float, y: float) -> None:
     for left in (x, x + 7.5):
         _add(group, "rect", class_="wall", x=left, y=f"{y + 0.5:.2f}", width=1.5, height=2)
+
+
+def _window_symbol(group: ElementTree.Element, x: float, y: float) -> None:
+    _wall_ends(group, x, y)
     _add(group, "rect", class_="window", x=x + 1.5, y=f"{y + 0.5:.2f}", width=6, height=2)
     _add(group, "path", class_="pane", d=f"M{x + 1.5:.2f},{y + 1.5:.2f} L{x + 7.5:.2f},{y + 1.5:.2f}")
 
@@ -305,9 +271,12 @@ def _room_symbol(group: ElementTree.Element, x: float, y: float) -> None:
         _add(group, "rect", class_="room", x=left, y=f"{y:.2f}", width=3, height=_SYMBOL_MM[1], fill=fill)
 
 
-def _add(parent: ElementTree.Element, tag: str, words: str | None = None, **attributes: str | float) -> None:
-    values = {name.rstrip("_"): str(value) for name, value in attributes.items()}
-    ElementTree.SubElement(parent, tag, values).text = words
+def _add(
+    parent: ElementTree.Element, tag: str, words: str | None = None, **attributes: str | float
+) -> ElementTree.Element:
+    added = ElementTree.SubElement(parent, tag, {name.rstrip("_"): str(value) for name, value in attributes.items()})
+    added.text = words
+    return added
 
 
 def write_dxf(path: Path, plan: FloorPlan) -> None:
@@ -342,7 +311,8 @@ def write_dxf(path: Path, plan: FloorPlan) -> None:
             x, y = place - turned(np.array([0.0, below_m]), plan.direction_deg)
             text.set_placement((x, y), align=TextEntityAlignment.MIDDLE_CENTER)
     _look_square(document, plan)
-    write_atomically(path, lambda part: document.saveas(part))
+    with written_whole(path) as part:
+        document.saveas(part)
 
 
 def _look_square(document: Drawing, plan: FloorPlan) -> None:

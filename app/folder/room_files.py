@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ffmap.algorithms.maps.area_graph import AreaGraph, Room
 from ffmap.algorithms.maps.grid import GridMap
-from ffmap.app.folder.atomic import write_atomically, write_geojson
+from ffmap.app.folder.atomic import write_geojson, written_whole
 from ffmap.blueprints import entities
 
 _PICTURE_PX = 1600
@@ -111,7 +111,8 @@ def write_picture(path: Path, grid: GridMap, graph: AreaGraph) -> None:
     for room in graph.rooms:
         size = float(np.clip(0.16 * np.sqrt(room.area_m2) * pixels_per_m, 9, 26))
         _write_name(draw, at(inner_point(room)), room, size)
-    write_atomically(path, lambda part: image.save(part, "PNG"))
+    with written_whole(path) as part:
+        image.save(part, "PNG")
 
 
 def _write_name(draw: ImageDraw.ImageDraw, middle: tuple[float, float], room: Room, size: float) -> None:

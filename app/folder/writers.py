@@ -4,7 +4,7 @@ import shutil
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 import yaml
@@ -17,12 +17,13 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import NO_RETURN
 from ffmap.algorithms.base.scan import FloatArray, UInt8Array
+from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.building.model import Doors, Walls
 from ffmap.algorithms.building.votes import FusedCloud
 from ffmap.algorithms.maps.grid import GridMap
 from ffmap.algorithms.scan.doors import DoorState
-from ffmap.app.folder.atomic import write_atomically, write_geojson
+from ffmap.app.folder.atomic import write_geojson, write_text, written_whole
 from ffmap.app.folder.names import LABELLED_BAG, LABELLED_FOLDER
 from ffmap.loaders.bag import Bag, Container, Message, make_typestore
 from ffmap.loaders.errors import CloudError
@@ -44,31 +45,23 @@ def write_ply(path: Path, cloud: FusedCloud, colours: UInt8Array) -> None:
 
     colours: (m, 3) uint8, one row a point.
     """
-    vertex = np.zeros(
-        len(cloud),
-        [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("label", "u1"), ("red", "u1"), ("green", "u1"), ("blue", "u1")],
-    )
-    for axis, name in enumerate("xyz"):
-        vertex[name] = cloud.points_map[:, axis]
-    vertex["label"] = cloud.label
-    for channel, name in enumerate(("red", "green", "blue")):
-        vertex[name] = colours[:, channel]
-    kinds = {"<f4": "float", "|u1": "uchar"}
+    axes, channels = ("x", "y", "z"), ("label", "red", "green", "blue")
+    vertex = np.zeros(len(cloud), [(name, "<f4") for name in axes] + [(name, "u1") for name in channels])
+    for name, values in zip(axes + channels, (*cloud.points_map.T, cloud.label, *colours.T), strict=True):
+        vertex[name] = values
     header = [
         "ply",
         "format binary_little_endian 1.0",
         "comment fused semantic cloud, metres in the map frame",
         f"element vertex {len(cloud)}",
-        *(f"property {kinds[vertex.dtype[name].str]} {name}" for name in vertex.dtype.names or ()),
+        *(f"property float {name}" for name in axes),
+        *(f"property uchar {name}" for name in channels),
         "end_header\n",
     ]
 
-    def write(part: Path) -> None:
-        with part.open("wb") as file:
-            file.write("\n".join(header).encode())
-            vertex.tofile(file)
-
-    write_atomically(path, write)
+    with written_whole(path) as part, part.open("wb") as file:
+        file.write("\n".join(header).encode())
+        vertex.tofile(file)
 
 
 def write_grid(path: Path, grid: GridMap) -> None:
@@ -85,9 +78,9 @@ def write_grid(path: Path, grid: GridMap) -> None:
         "occupied_thresh": 0.65,
         "free_thresh": FREE_THRESHOLD,
     }
-    text = yaml.safe_dump(description, sort_keys=False, default_flow_style=None)
-    write_atomically(image, lambda part: part.write_bytes(f"P5\n{columns} {rows}\n255\n".encode() + pixels))
-    write_atomically(path, lambda part: part.write_text(text, "utf-8"))
+    with written_whole(image) as part:
+        part.write_bytes(f"P5\n{columns} {rows}\n255\n".encode() + pixels)
+    write_text(path, yaml.safe_dump(description, sort_keys=False, default_flow_style=None))
 
 
 def write_walls(path: Path, walls: Walls, thickness_m: FloatArray | None = None) -> None:
@@ -95,24 +88,19 @@ def write_walls(path: Path, walls: Walls, thickness_m: FloatArray | None = None)
 
     thickness_m: (W,) of each face's wall, NaN where its other side was not seen; None where nobody asked.
     """
-    write_geojson(
-        path,
-        [
-            _line_feature(
-                ends,
-                {
-                    "normal": walls.normal[i],
-                    "bottom": _millimetres(walls.bottom_m[i]),
-                    "top": _millimetres(walls.top_m[i]),
-                    "scans": walls.scan_count[i],
-                    "rms": walls.rms_m[i],
-                    "samples": walls.sample_count[i],
-                    "thickness": _millimetres(thickness_m[i]) if thickness_m is not None else None,
-                },
-            )
-            for i, ends in enumerate(walls.ends)
-        ],
-    )
+    properties = [
+        {
+            "normal": walls.normal[i],
+            "bottom": _millimetres(walls.bottom_m[i]),
+            "top": _millimetres(walls.top_m[i]),
+            "scans": walls.scan_count[i],
+            "rms": walls.rms_m[i],
+            "samples": walls.sample_count[i],
+            "thickness": _millimetres(thickness_m[i]) if thickness_m is not None else None,
+        }
+        for i in range(len(walls))
+    ]
+    _write_lines(path, walls.ends, properties)
 
 
 def write_doors(path: Path, doors: Doors, rooms: Sequence[Sequence[str | None] | None] | None = None) -> None:
@@ -120,24 +108,29 @@ def write_doors(path: Path, doors: Doors, rooms: Sequence[Sequence[str | None] |
 
     rooms: names of the two rooms that each door joins, None for one that was not mapped.
     """
-    write_geojson(
-        path,
-        [
-            _line_feature(
-                ends,
-                {
-                    "state": DoorState(int(doors.state[i])).name.lower(),
-                    "width": _millimetres(np.linalg.norm(ends[1] - ends[0])),
-                    "height": _millimetres(doors.head_m[i]),
-                    "depth": _millimetres(doors.depth_m[i]),
-                    "confidence": doors.confidence[i],
-                    "crossed": bool(doors.crossed[i]),
-                    "rooms": rooms[i] if rooms is not None else None,
-                },
-            )
-            for i, ends in enumerate(doors.ends)
-        ],
-    )
+    properties = [
+        {
+            "state": DoorState(int(doors.state[i])).name.lower(),
+            "width": _millimetres(width_m),
+            "height": _millimetres(doors.head_m[i]),
+            "depth": _millimetres(doors.depth_m[i]),
+            "confidence": doors.confidence[i],
+            "crossed": bool(doors.crossed[i]),
+            "rooms": rooms[i] if rooms is not None else None,
+        }
+        for i, width_m in enumerate(lengths_m(doors.ends))
+    ]
+    _write_lines(path, doors.ends, properties)
+
+
+def _millimetres(length_m: np.floating[Any]) -> float:
+    """What is written of a length: no more digits than it is good for."""
+    return round(float(length_m), 3)
+
+
+def _write_lines(path: Path, ends: FloatArray, properties: Sequence[dict[str, object]]) -> None:
+    lines = [{"type": "LineString", "coordinates": line} for line in ends]
+    write_geojson(path, [{"properties": p, "geometry": line} for p, line in zip(properties, lines, strict=True)])
 
 
 def write_labelled_bag(
@@ -198,28 +191,61 @@ class LabelledBagWriter:
         base_frame: str,
         static_transforms: Iterable[StaticTransform],
     ) -> None:
-        self._sink: _Ros1Sink | _Ros2Sink
-        self._sink = _Ros1Sink(run_dir) if container == "ros1" else _Ros2Sink(run_dir, container)
-        self.path = self._sink.path
-        self._store = make_typestore(self._sink.ros_version)
+        self._container, self._ros_version = container, 1 if container == "ros1" else 2
+        name = LABELLED_BAG if container == "ros1" else LABELLED_FOLDER
+        self.path, self._part = run_dir / name, run_dir / f"{name}.part"
+        self._store = make_typestore(1 if container == "ros1" else 2)
         self._topic = topic
         self._base_frame = base_frame
         self._static = list(static_transforms)
         self._connections: dict[str, Connection] = {}
 
     def __enter__(self) -> Self:
-        self._sink.open()
-        self._connections = {
-            topic: self._sink.connect(topic, msgtype, latched=topic == "/tf_static")
-            for topic, msgtype in (("/tf_static", TF), ("/tf", TF), (self._topic, CLOUD))
-        }
+        self._remove_part()
+        self._writer = self._open()
+        for topic, msgtype in (("/tf_static", TF), ("/tf", TF), (self._topic, CLOUD)):
+            latched = topic == "/tf_static"
+            how = (
+                {"latching": int(latched)} if self._ros_version == 1 else {"offered_qos_profiles": [_LATCHED] * latched}
+            )
+            self._connections[topic] = self._writer.add_connection(topic, msgtype, typestore=self._store, **how)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
-        if kind is None:
-            self._sink.finish()
+        if kind is not None:
+            self._writer.abort()
+            self._remove_part()
+            return
+        self._writer.close()
+        if self._ros_version == 1:
+            self._part.replace(self.path)
         else:
-            self._sink.abort()
+            shutil.rmtree(self.path, ignore_errors=True)
+            (self._part / LABELLED_FOLDER).replace(self.path)
+            self._part.rmdir()
+
+    def _open(self) -> Ros1Writer | Ros2Writer:
+        if self._ros_version == 1:
+            ros1 = Ros1Writer(self._part)
+            ros1.open()
+            return ros1
+        storage = StoragePlugin.MCAP if self._container == "mcap" else StoragePlugin.SQLITE3
+        # By way of labelled.part/labelled/, for a bag's files are named after the folder they are made in; version 8 is
+        # what the most releases of ROS 2 read.
+        writer = Ros2Writer(self._part / LABELLED_FOLDER, version=8, storage_plugin=storage)
+        writer.open()
+        if isinstance(writer.storage, Sqlite3Writer):
+            # Large pages suit large messages; the file has no name before it is complete, so no journal is needed.
+            writer.storage.conn.executescript(
+                "PRAGMA journal_mode=OFF; PRAGMA synchronous=OFF; PRAGMA page_size=65536; VACUUM;"
+            )
+        return writer
+
+    def _remove_part(self) -> None:
+        if self._part.is_dir():
+            shutil.rmtree(self._part, ignore_errors=True)
+        else:
+            self._part.unlink(missing_ok=True)
 
     def write(self, log_time_ns: int, cloud: Message, T_map_base: FloatArray | None) -> None:
         """Append a labelled PointCloud2, and the pose at its stamp where there is one."""
@@ -237,7 +263,7 @@ class LabelledBagWriter:
         types = self._store.types
         seconds, nanoseconds = divmod(stamp_ns(cloud), 1_000_000_000)
         stamp = types["builtin_interfaces/msg/Time"](seconds, nanoseconds)
-        sequence = (0,) if self._sink.ros_version == 1 else ()
+        sequence = (0,) if self._ros_version == 1 else ()
         messages = []
         for transform in framed:
             x, y, z, w = (float(q) for q in transforms.quaternion_xyzw(transform.T_parent_child))
@@ -254,79 +280,8 @@ class LabelledBagWriter:
         self._write(topic, log_time_ns, types[TF](messages), TF)
 
     def _write(self, topic: str, log_time_ns: int, message: Message, msgtype: str) -> None:
-        serialize = self._store.serialize_ros1 if self._sink.ros_version == 1 else self._store.serialize_cdr
-        self._sink.write(self._connections[topic], log_time_ns, serialize(message, msgtype))
-
-
-class _Ros1Sink:
-    """labelled.bag by way of labelled.bag.part."""
-
-    ros_version: Literal[1] = 1
-
-    def __init__(self, run_dir: Path) -> None:
-        self.path = run_dir / LABELLED_BAG
-        self._part = run_dir / f"{LABELLED_BAG}.part"
-
-    def open(self) -> None:
-        self._part.unlink(missing_ok=True)
-        self._writer = Ros1Writer(self._part)
-        self._writer.open()
-
-    def connect(self, topic: str, msgtype: str, latched: bool) -> Connection:
-        store = make_typestore(self.ros_version)
-        return self._writer.add_connection(topic, msgtype, typestore=store, latching=int(latched))
-
-    def write(self, connection: Connection, log_time_ns: int, data: bytes | memoryview) -> None:
-        self._writer.write(connection, log_time_ns, data)
-
-    def finish(self) -> None:
-        self._writer.close()
-        self._part.replace(self.path)
-
-    def abort(self) -> None:
-        self._writer.abort()
-        self._part.unlink(missing_ok=True)
-
-
-class _Ros2Sink:
-    """labelled/ by way of labelled.part/labelled/, for a bag's files are named after the folder they are made in."""
-
-    ros_version: Literal[2] = 2
-
-    def __init__(self, run_dir: Path, container: Container) -> None:
-        self.path = run_dir / LABELLED_FOLDER
-        self._part = run_dir / f"{LABELLED_FOLDER}.part"
-        self._storage = StoragePlugin.MCAP if container == "mcap" else StoragePlugin.SQLITE3
-
-    def open(self) -> None:
-        shutil.rmtree(self._part, ignore_errors=True)
-        # Version 8 is what the most releases of ROS 2 read.
-        self._writer = Ros2Writer(self._part / LABELLED_FOLDER, version=8, storage_plugin=self._storage)
-        self._writer.open()
-        if isinstance(self._writer.storage, Sqlite3Writer):
-            # Large pages suit large messages; the file has no name before it is complete, so no journal is needed.
-            self._writer.storage.conn.executescript(
-                "PRAGMA journal_mode=OFF; PRAGMA synchronous=OFF; PRAGMA page_size=65536; VACUUM;"
-            )
-
-    def connect(self, topic: str, msgtype: str, latched: bool) -> Connection:
-        store = make_typestore(self.ros_version)
-        return self._writer.add_connection(
-            topic, msgtype, typestore=store, offered_qos_profiles=[_LATCHED] if latched else []
-        )
-
-    def write(self, connection: Connection, log_time_ns: int, data: bytes | memoryview) -> None:
-        self._writer.write(connection, log_time_ns, data)
-
-    def finish(self) -> None:
-        self._writer.close()
-        shutil.rmtree(self.path, ignore_errors=True)
-        (self._part / LABELLED_FOLDER).replace(self.path)
-        self._part.rmdir()
-
-    def abort(self) -> None:
-        self._writer.abort()
-        shutil.rmtree(self._part, ignore_errors=True)
+        serialize = self._store.serialize_ros1 if self._ros_version == 1 else self._store.serialize_cdr
+        self._writer.write(self._connections[topic], log_time_ns, serialize(message, msgtype))
 
 
 _FOREVER = QosTime(9223372036, 854775807)
@@ -341,12 +296,3 @@ _LATCHED = Qos(
     liveliness_lease_duration=_FOREVER,
     avoid_ros_namespace_conventions=False,
 )
-
-
-def _millimetres(length_m: np.floating[Any]) -> float:
-    """What is written of a length: no more digits than it is good for."""
-    return round(float(length_m), 3)
-
-
-def _line_feature(ends: FloatArray, properties: dict[str, object]) -> dict[str, Any]:
-    return {"properties": properties, "geometry": {"type": "LineString", "coordinates": ends}}

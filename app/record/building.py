@@ -18,8 +18,8 @@ from ffmap.algorithms.building.model import CELL_M, Doors, Windows
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.app.record.building_reasons import explain_building
-from ffmap.app.record.log import Log, columns_of, evidence
-from ffmap.app.record.shapes import panel_mesh, rounded, ui_radius, upright_frames
+from ffmap.app.record.log import Log, evidence
+from ffmap.app.record.shapes import at_height, panel_mesh, rounded, strips, ui_radius, upright_frames
 from ffmap.app.record.wall_panels import wall_panels
 from ffmap.blueprints import entities
 
@@ -34,22 +34,16 @@ def log_map_block(log: Log, index: int, stamp_ns: int, points_map: FloatArray, l
 
 def log_fused_walls(log: Log, aligned: AlignedFaces) -> None:
     """Where each face was before it was laid along the returns of all scans."""
-    if len(aligned.fused):
-        log.static(
-            entities.FUSED_WALLS,
-            rr.LineStrips3D(
-                np.pad(aligned.fused.ends, ((0, 0), (0, 0), (0, 1))).astype(np.float32),
-                colors=entities.FUSED_WALL_COLOR,
-                radii=rr.Radius.ui_points(1.0),
-                labels=[
-                    f"before it was laid along all returns ({scans} scans): its ends then moved {100 * a:+.1f} and "
-                    f"{100 * b:+.1f} cm towards the room"
-                    for scans, (a, b) in zip(aligned.fused.scan_count, aligned.moved_m, strict=True)
-                ],
-                show_labels=False,
-            ),
-            evidence({"moved_m": aligned.moved_m, "scan_count": aligned.fused.scan_count}),
-        )
+    fused = aligned.fused
+    if not len(fused):
+        return
+    labels = [
+        f"before it was laid along all returns ({scans} scans): its ends then moved {100 * a:+.1f} and {100 * b:+.1f} cm "
+        "towards the room"
+        for scans, (a, b) in zip(fused.scan_count, aligned.moved_m, strict=True)
+    ]
+    lines = strips(at_height(fused.ends, 0.0), entities.FUSED_WALL_COLOR, 1.0, labels, show_labels=False)
+    log.static(entities.FUSED_WALLS, lines, evidence(moved_m=aligned.moved_m, scan_count=fused.scan_count))
 
 
 def log_building(log: Log, building: BuildingModel) -> None:
@@ -69,7 +63,7 @@ def _log_walls(log: Log, building: BuildingModel) -> None:
         log.static(
             entities.WALLS,
             panel_mesh(panels.ends, panels.bottom_m, panels.top_m, entities.CLASSES[Label.WALL][1]),
-            evidence({"wall_of_panel": panels.wall} | columns_of(walls, "scan_count", "rms_m")),
+            evidence(walls, "scan_count", "rms_m", wall_of_panel=panels.wall),
         )
     if before.covered.any():
         log.static(
@@ -87,16 +81,12 @@ def _log_walls(log: Log, building: BuildingModel) -> None:
 def _log_refused(log: Log, judged: JudgedFaces) -> None:
     faces = judged.refused
     if len(faces):
+        frames = upright_frames(faces.ends, faces.bottom_m, faces.top_m)
+        labels = [f"no wall: {entities.REFUSALS[verdict]}" for verdict in judged.verdict]
         log.static(
             entities.REFUSED_WALLS,
-            rr.LineStrips3D(
-                upright_frames(faces.ends, faces.bottom_m, faces.top_m),
-                colors=entities.REFUSED_WALL_COLOR,
-                radii=rr.Radius.ui_points(1.5),
-                labels=[f"no wall: {entities.REFUSALS[verdict]}" for verdict in judged.verdict],
-                show_labels=False,
-            ),
-            evidence({"verdict": judged.verdict, "scan_count": faces.scan_count}),
+            strips(frames, entities.REFUSED_WALL_COLOR, 1.5, labels, show_labels=False),
+            evidence(verdict=judged.verdict, scan_count=faces.scan_count),
         )
 
 
@@ -104,26 +94,16 @@ def _log_doors(log: Log, doors: Doors) -> None:
     if not len(doors):
         return
     color = entities.CLASSES[Label.DOOR][1]
-    sills = np.pad(doors.ends, ((0, 0), (0, 0), (0, 1))).astype(np.float32)
-    log.static(entities.DOOR_SILLS, rr.LineStrips3D(sills, radii=ui_radius(3.0), colors=color))
+    log.static(entities.DOOR_SILLS, strips(at_height(doors.ends, 0.0), color, 3.0))
     labels = [
         f"{DoorState(state).name.lower()} door, {width:.2f} m, {confidence:.0%}"
         for state, width, confidence in zip(doors.state, lengths_m(doors.ends), doors.confidence, strict=True)
     ]
+    columns = ("state", "confidence", "agreement", "coverage", "lintel", "scan_count", "depth_m", "ajar", "crossed")
     log.static(
         entities.DOORS,
-        rr.LineStrips3D(
-            upright_frames(doors.ends, np.zeros(len(doors)), doors.head_m),
-            colors=color,
-            radii=rr.Radius.ui_points(3.0),
-            labels=labels,
-            show_labels=False,
-        ),
-        evidence(
-            columns_of(doors, "state", "confidence", "agreement", "coverage", "lintel", "scan_count", "depth_m")
-            | {"ajar": doors.ajar.astype(np.uint8), "crossed": doors.crossed.astype(np.uint8)}
-            | {"ray_count": doors.ray_count}
-        ),
+        strips(upright_frames(doors.ends, np.zeros(len(doors)), doors.head_m), color, 3.0, labels, show_labels=False),
+        evidence(doors, *columns, "ray_count"),
     )
     # An open door is its frame; a closed one has a leaf.
     closed = doors.select(doors.state == DoorState.CLOSED)
@@ -133,16 +113,9 @@ def _log_doors(log: Log, doors: Doors) -> None:
 
 def _log_windows(log: Log, windows: Windows) -> None:
     if len(windows):
-        log.static(
-            entities.WINDOWS,
-            rr.LineStrips3D(
-                upright_frames(windows.ends, windows.bottom_m, windows.top_m),
-                colors=entities.CLASSES[Label.OUTSIDE][1],
-                radii=rr.Radius.ui_points(1.5),
-                labels=["window"] * len(windows),
-                show_labels=False,
-            ),
-        )
+        frames = upright_frames(windows.ends, windows.bottom_m, windows.top_m)
+        color, labels = entities.CLASSES[Label.OUTSIDE][1], ["window"] * len(windows)
+        log.static(entities.WINDOWS, strips(frames, color, 1.5, labels, show_labels=False))
 
 
 def _log_levels(log: Log, levels: Sequence[HeightMap]) -> None:
@@ -166,7 +139,7 @@ def _log_levels(log: Log, levels: Sequence[HeightMap]) -> None:
                 labels=surface.replace("_", " "),
                 show_labels=False,
             ),
-            evidence({"low_m": low_m, "high_m": high_m}),
+            evidence(low_m=low_m, high_m=high_m),
         )
 
 
@@ -198,8 +171,5 @@ def _log_split(log: Log, path: str, ceiling_path: str, points_map: FloatArray, l
     ceiling = label == Label.CEILING
     positions = rounded(points_map)
     for own_path, own in ((path, ~ceiling), (ceiling_path, ceiling)):
-        log.stream.log(
-            own_path,
-            rr.Points3D(positions[own], class_ids=label[own], radii=ui_radius(MAP_RADIUS_UI)),
-            static=static,
-        )
+        points = rr.Points3D(positions[own], class_ids=label[own], radii=ui_radius(MAP_RADIUS_UI))
+        log.stream.log(own_path, points, static=static)

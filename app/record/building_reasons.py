@@ -2,10 +2,13 @@
 
 import numpy as np
 
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.levels import HeightMap, Surface
 from ffmap.algorithms.building.model import CELL_M, Doors, Windows
 from ffmap.algorithms.scan.doors import DoorState
+from ffmap.app.record.shapes import table
 from ffmap.blueprints import entities
 
 _DOORS = """\
@@ -15,14 +18,6 @@ A door has wall above it; below, a ray either goes on (open) or ends on a leaf t
 Confidence = share of its rays that agree × share of its columns (5 cm) that are decided so by themselves, or that an open
 door's leaf covers; a door that the robot drove through is open for sure.
 
-| door | width | confidence | what held | scans | at x, y (m) |
-|---|---|---|---|---|---|
-"""
-_REFUSED = """
-## Faces that are no walls
-
-| at x, y (m) | length | why | seen on scans |
-|---|---|---|---|
 """
 _AGAINST = """
 ## What stands against walls
@@ -30,49 +25,37 @@ _AGAINST = """
 {area_m2:.1f} m² of wall faces are covered: there the mean of all scans' returns lies before the wall above, from the floor up
 but not to the ceiling. That is clutter, though single scans take it for the wall.
 """
-_WINDOWS = """
-## Windows
-
-| at x, y (m) | width | from – to height | pane |
-|---|---|---|---|
-"""
-
-
-_LEVELS = """
-## Level surfaces
-
-Told from all scans, where single ones took them for something else.
-
-| what | area | between heights in the map |
-|---|---|---|
-"""
 
 
 def explain_building(building: BuildingModel) -> str:
     """Markdown: what the building's doors, refused faces, windows and what stands against walls were judged by."""
     before, judged, doors, windows = building.before, building.judged, building.doors, building.windows
-    parts = [_DOORS + ("\n".join(_door(doors, d) for d in range(len(doors))) or "| none | | | | | |")]
+    headings = "door", "width", "confidence", "what held", "scans", "at x, y (m)"
+    rows = [_door(doors, d) for d in range(len(doors))] or [("none", "", "", "", "", "")]
+    parts = [_DOORS + table(headings, rows)]
     if len(judged.refused):
-        faces = judged.refused
+        faces, length_m = judged.refused, lengths_m(judged.refused.ends)
+        refusals = [
+            (_place(faces.ends[f]), f"{length_m[f]:.2f} m", entities.REFUSALS[verdict], faces.scan_count[f])
+            for f, verdict in enumerate(judged.verdict)
+        ]
         parts.append(
-            _REFUSED
-            + "\n".join(
-                f"| {_place(faces.ends[f])} | {_length_m(faces.ends[f]):.2f} m | {entities.REFUSALS[judged.verdict[f]]} "
-                f"| {faces.scan_count[f]} |"
-                for f in range(len(faces))
-            )
+            "\n## Faces that are no walls\n\n" + table(("at x, y (m)", "length", "why", "seen on scans"), refusals)
         )
     if before.covered.any():
-        area_m2 = np.count_nonzero(before.covered) * CELL_M**2
-        parts.append(_AGAINST.format(area_m2=area_m2))
+        parts.append(_AGAINST.format(area_m2=np.count_nonzero(before.covered) * CELL_M**2))
     if len(windows):
-        parts.append(_WINDOWS + "\n".join(_window(windows, w) for w in range(len(windows))))
+        headings_of_windows = "at x, y (m)", "width", "from – to height", "pane"
+        panes = [_window(windows, w) for w in range(len(windows))]
+        parts.append("\n## Windows\n\n" + table(headings_of_windows, panes))
     if building.levels:
-        parts.append(_LEVELS + "\n".join(_level(level) for level in building.levels))
+        told = "\n## Level surfaces\n\nTold from all scans, where single ones took them for something else.\n\n"
+        surfaces = [_level(level) for level in building.levels]
+        parts.append(told + table(("what", "area", "between heights in the map"), surfaces))
     return "\n".join(parts)
 
 
-def _door(doors: Doors, d: int) -> str:
+def _door(doors: Doors, d: int) -> tuple[str, ...]:
     state = DoorState(int(doors.state[d]))
     held = [f"{doors.agreement[d]:.0%} of {doors.ray_count[d]:,} rays in {doors.coverage[d]:.0%} of its columns"]
     if doors.crossed[d]:
@@ -83,34 +66,26 @@ def _door(doors: Doors, d: int) -> str:
         held.append("its leaf stands aslant")
     held.append(f"head at {doors.head_m[d]:.2f} m, wall seen above {doors.lintel[d]:.0%} of it")
     scans = f"{doors.scan_count[d]} from {doors.first_scan[d]} to {doors.last_scan[d]}" if doors.scan_count[d] else "–"
-    return (
-        f"| {d} {state.name.lower()} | {_length_m(doors.ends[d]):.2f} m | {doors.confidence[d]:.0%} | {'; '.join(held)} "
-        f"| {scans} | {_place(doors.ends[d])} |"
-    )
+    name, width = f"{d} {state.name.lower()}", f"{lengths_m(doors.ends)[d]:.2f} m"
+    return name, width, f"{doors.confidence[d]:.0%}", "; ".join(held), scans, _place(doors.ends[d])
 
 
-def _window(windows: Windows, w: int) -> str:
+def _window(windows: Windows, w: int) -> tuple[str, ...]:
     pane_m = windows.pane_m[w]
     pane = f"{100 * pane_m:.0f} cm behind the face" if np.isfinite(pane_m) else "returned nothing"
-    return (
-        f"| {_place(windows.ends[w])} | {_length_m(windows.ends[w]):.2f} m "
-        f"| {windows.bottom_m[w]:.2f} – {windows.top_m[w]:.2f} m | {pane} |"
-    )
+    heights = f"{windows.bottom_m[w]:.2f} – {windows.top_m[w]:.2f} m"
+    return _place(windows.ends[w]), f"{lengths_m(windows.ends)[w]:.2f} m", heights, pane
 
 
-def _level(level: HeightMap) -> str:
+def _level(level: HeightMap) -> tuple[str, ...]:
     name = level.surface.replace("_", " ")
     if not np.isfinite(level.high_m).any():
-        return f"| {name}, if scans saw any | | from {np.nanmin(level.low_m):.2f} m up |"
+        return f"{name}, if scans saw any", "", f"from {np.nanmin(level.low_m):.2f} m up"
     area_m2 = np.count_nonzero(level.known) * level.cell_m**2
     cells = f" (cells of {level.cell_m:.1f} m)" if level.surface == Surface.RAISED_FLOOR else ""
-    return f"| {name}{cells} | {area_m2:.1f} m² | {np.nanmin(level.low_m):.2f} – {np.nanmax(level.high_m):.2f} m |"
+    return f"{name}{cells}", f"{area_m2:.1f} m²", f"{np.nanmin(level.low_m):.2f} – {np.nanmax(level.high_m):.2f} m"
 
 
-def _place(ends: np.ndarray) -> str:
+def _place(ends: FloatArray) -> str:
     x, y = ends.mean(axis=0)
     return f"{x:.2f}, {y:.2f}"
-
-
-def _length_m(ends: np.ndarray) -> float:
-    return float(np.linalg.norm(ends[1] - ends[0]))

@@ -6,8 +6,8 @@ import rerun as rr
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.vertical_structures import VerticalStructures
-from ffmap.app.record.log import Log, columns_of, evidence
-from ffmap.app.record.shapes import rounded, ui_radius, unbroken
+from ffmap.app.record.log import Log, evidence
+from ffmap.app.record.shapes import rounded, ui_radius, unbroken, words
 from ffmap.blueprints import entities
 from ffmap.blueprints.entities import CurveSheet
 
@@ -25,27 +25,17 @@ def log_curve_sheet(log: Log, sheet: CurveSheet, slope_max: float) -> None:
     """Frames, thresholds, titles and styles, which never change."""
     cells = sheet.cells
     half = sheet.CELL_HEIGHT / 2
-    small = np.column_stack([cells[:, 0], cells[:, 1] - half])
-    boxes = np.concatenate(
-        [
-            [[0, 0, sheet.WIDTH, sheet.EXAMPLE_HEIGHT]],
-            np.column_stack([small, np.full((len(cells), 2), [sheet.SAMPLES, sheet.CELL_HEIGHT])]),
-        ]
+    large = [[0, 0, sheet.WIDTH, sheet.EXAMPLE_HEIGHT]]
+    small = np.column_stack([cells - [0, half], np.full((len(cells), 2), [sheet.SAMPLES, sheet.CELL_HEIGHT])])
+    boxes = np.concatenate([large, small])
+    frames = rr.Boxes2D(
+        array=boxes, array_format=rr.Box2DFormat.XYWH, colors=entities.FRAME_COLOR, radii=ui_radius(0.5)
     )
-    log.static(
-        entities.CURVE_FRAMES,
-        rr.Boxes2D(
-            array=boxes,
-            array_format=rr.Box2DFormat.XYWH,
-            colors=entities.FRAME_COLOR,
-            radii=rr.Radius.ui_points(0.5),
-        ),
-    )
+    log.static(entities.CURVE_FRAMES, frames)
     middles = np.concatenate([[[0, sheet.EXAMPLE_HEIGHT / 2]], cells])
-    widths = np.array([sheet.WIDTH] + [sheet.SAMPLES] * len(cells))
     reach = slope_max / sheet.LIMIT * np.array([sheet.EXAMPLE_HEIGHT / 2] + [half] * len(cells))
     thresholds = np.empty((2, len(middles), 2, 2), np.float32)
-    thresholds[..., 0, 0], thresholds[..., 1, 0] = middles[:, 0], middles[:, 0] + widths
+    thresholds[..., 0, 0], thresholds[..., 1, 0] = middles[:, 0], middles[:, 0] + boxes[:, 2]
     thresholds[0, ..., 1], thresholds[1, ..., 1] = (middles[:, 1:] + sign * reach[:, None] for sign in (-1, 1))
     log.static(
         entities.CURVE_THRESHOLDS,
@@ -56,38 +46,22 @@ def log_curve_sheet(log: Log, sheet: CurveSheet, slope_max: float) -> None:
             draw_order=40.0,
         ),
     )
-    _log_titles(log, sheet, slope_max)
-    for path, radius_ui, color in _CURVE_STYLES:
-        log.static(
-            path,
-            # The thresholds lie on the curves of eq. 2, the rest on both.
-            rr.LineStrips2D.from_fields(
-                radii=rr.Radius.ui_points(radius_ui),
-                colors=color,
-                draw_order=30.0 if color == entities.CURVE_COLOR else 50.0,
-            ),
-        )
-    log.static(entities.CURVE_EXAMPLE_STRUCTURES, rr.Boxes2D.from_fields(radii=rr.Radius.ui_points(1.5)))
-
-
-def _log_titles(log: Log, sheet: CurveSheet, slope_max: float) -> None:
-    titles = [
-        f"One line, foot left, top right: eq. 2 blue, slope that decides white, threshold ±{slope_max:g} red",
-        f"Side 0, emitters 0 to {sheet.ring_count - 1}, each from -{sheet.LIMIT:g} to {sheet.LIMIT:g}; "
+    titles = {
+        0.0: f"One line, foot left, top right: eq. 2 blue, slope that decides white, threshold ±{slope_max:g} red",
+        sheet.side_top(
+            0
+        ): f"Side 0, emitters 0 to {sheet.ring_count - 1}, each from -{sheet.LIMIT:g} to {sheet.LIMIT:g}; "
         "up-most green, bottom-most orange",
-        f"Side 1, emitters 0 to {sheet.ring_count - 1}",
-    ]
-    tops = [0.0, sheet.side_top(0), sheet.side_top(1)] if sheet.ring_count else [0.0]
-    log.static(
-        entities.CURVE_TEXTS,
-        rr.Points2D(
-            [(sheet.WIDTH / 2, top - sheet.TITLE_HEIGHT) for top in tops],
-            labels=titles[: len(tops)],
-            show_labels=True,
-            colors=entities.TEXT_COLOR,
-            radii=0.0,
-        ),
-    )
+        sheet.side_top(1): f"Side 1, emitters 0 to {sheet.ring_count - 1}",
+    }
+    tops = list(titles) if sheet.ring_count else [0.0]
+    places = [(sheet.WIDTH / 2, top - sheet.TITLE_HEIGHT) for top in tops]
+    log.static(entities.CURVE_TEXTS, words(places, [titles[top] for top in tops]))
+    for path, radius_ui, color in _CURVE_STYLES:
+        # The thresholds lie on the curves of eq. 2, the rest on both.
+        order = 30.0 if color == entities.CURVE_COLOR else 50.0
+        log.static(path, rr.LineStrips2D.from_fields(radii=ui_radius(radius_ui), colors=color, draw_order=order))
+    log.static(entities.CURVE_EXAMPLE_STRUCTURES, rr.Boxes2D.from_fields(radii=ui_radius(1.5)))
 
 
 def log_curves(log: Log, labelling: ScanLabelling) -> None:
@@ -97,14 +71,12 @@ def log_curves(log: Log, labelling: ScanLabelling) -> None:
     log.now(
         entities.STRUCTURES,
         evidence(
-            {
-                "difference": _float16(structures.difference),
-                "slope": _float16(structures.slope),
-                **columns_of(structures, "line", "first", "last", "bottom_m", "top_m", "upmost", "bottommost"),
-            }
+            structures,
+            *("line", "first", "last", "bottom_m", "top_m", "upmost", "bottommost"),
+            difference=_float16(structures.difference),
+            slope=_float16(structures.slope),
         ),
     )
-
     sheet = CurveSheet(len(samples) // 2)
     cells = sheet.cells
     present = np.flatnonzero(samples[:, 0] >= 0)
@@ -159,7 +131,7 @@ def _log_structures_of(log: Log, structures: VerticalStructures, line: int, step
     log.stream.log(
         entities.CURVE_EXAMPLE_STRUCTURES,
         rr.Boxes2D(array=boxes, array_format=rr.Box2DFormat.XYWH, colors=colors),
-        evidence({"line": np.array([line]), "first": structures.first[own], "last": structures.last[own]}),
+        evidence(line=np.array([line]), first=structures.first[own], last=structures.last[own]),
     )
     # At heights of their own, and away from the ends: else they would hide one another, or be cut.
     named = [(upmost, "up-most: wall candidate", entities.UPMOST_COLOR, 0.58)] if upmost >= 0 else []
@@ -170,16 +142,9 @@ def _log_structures_of(log: Log, structures: VerticalStructures, line: int, step
         x = (structures.first[structure] + structures.last[structure]) / 2 * step
         return float(np.clip(x, 0.15 * sheet.WIDTH, 0.85 * sheet.WIDTH))
 
-    log.stream.log(
-        entities.CURVE_EXAMPLE_TEXTS,
-        rr.Points2D(
-            [(middle(s), height * sheet.EXAMPLE_HEIGHT) for s, _, _, height in named],
-            labels=[name for _, name, _, _ in named],
-            colors=[color for _, _, color, _ in named],
-            show_labels=True,
-            radii=0.0,
-        ),
-    )
+    places = [(middle(s), height * sheet.EXAMPLE_HEIGHT) for s, _, _, height in named]
+    texts, colors_of_texts = [name for _, name, _, _ in named], [color for _, _, color, _ in named]
+    log.stream.log(entities.CURVE_EXAMPLE_TEXTS, words(places, texts, colors_of_texts))
 
 
 def _float16(values: FloatArray) -> FloatArray:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
+from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.poses.levelling import LevelledScan
@@ -16,8 +17,8 @@ from ffmap.app.record.curves import log_line
 from ffmap.app.record.line_reasons import LineReason, line_document
 from ffmap.app.record.log import Log
 from ffmap.app.record.scans import log_scan
-from ffmap.app.record.shapes import upright_frames
-from ffmap.app.record.stream import join, open_part
+from ffmap.app.record.shapes import annotations, markdown, strips_2d, ui_radius, upright_frames, words
+from ffmap.app.record.stream import join, open_part, write_layout
 from ffmap.app.record.whole_run import log_static
 from ffmap.app.setup.outputs import Detail
 from ffmap.blueprints import entities
@@ -53,40 +54,35 @@ class ScanFaults:
         return int(counts.argmax()) if counts.any() else None
 
 
-def write(
-    out: Path,
-    spool: Path,
-    recording_id: str,
-    level: LevelledScan,
-    labelling: ScanLabelling,
-    reasons: Sequence[LineReason],
-    faults: ScanFaults | None,
-    document: str,
-    line: int | None,
-) -> None:
-    """Write the recording of one scan.
+@dataclass(frozen=True)
+class ExplainedScan:
+    """One scan with all that is to be told of it.
 
-    spool: a folder for its parts. faults: what is marked. document: on the whole scan, in Markdown. line: the one to open at.
+    faults: what is marked; None where nothing is known to be wrong. document: on the whole scan, in Markdown. line: the one
+    that the recording opens at.
     """
-    placed = level.placed
+
+    level: LevelledScan
+    labelling: ScanLabelling
+    reasons: Sequence[LineReason]
+    faults: ScanFaults | None
+    document: str
+    line: int | None
+
+
+def write(out: Path, spool: Path, recording_id: str, scan: ExplainedScan) -> None:
+    """Write the recording of one scan. spool: a folder for its parts."""
     layout, content = spool / "layout.rrd", spool / "content.rrd"
-    range_m, height_m = _profile_size(placed, labelling)
-    with open_part(layout, recording_id) as stream:
-        stream.send_blueprint(
-            inspect_blueprint.build(
-                (range_m, height_m), line, faults.kinds if faults is not None else (), _middle(placed, labelling, line)
-            ),
-            make_active=True,
-            make_default=True,
-        )
+    placed, labelling = scan.level.placed, scan.labelling
+    size_m = _profile_size(placed, labelling)
+    kinds = scan.faults.kinds if scan.faults is not None else ()
+    middle = _middle(placed, labelling, scan.line)
+    write_layout(layout, recording_id, inspect_blueprint.build(size_m, scan.line, kinds, middle))
     with open_part(content, recording_id) as stream:
         log = Log(stream, Detail.LINES, timeless=True)
-        log_static(log, {}, document, 0, labelling.settings.vertical_structures.slope_max)
-        log_scan(log, 0, level, labelling, 0, {})
-        lines = _Lines(log, placed, labelling, range_m, height_m)
-        if faults is not None:
-            lines.mark(faults)
-        lines.log(reasons, document)
+        log_static(log, {}, scan.document, 0, labelling.settings.vertical_structures.slope_max)
+        log_scan(log, 0, scan.level, labelling, 0, {})
+        _Lines(log, scan, *size_m).log()
     join([layout, content], out)
 
 
@@ -112,137 +108,82 @@ def _middle(placed: PlacedScan, labelling: ScanLabelling, line: int | None) -> t
 class _Lines:
     """Logs every line at its own place on the timeline `line`."""
 
-    def __init__(
-        self,
-        log: Log,
-        placed: PlacedScan,
-        labelling: ScanLabelling,
-        range_m: float,
-        height_m: float,
-    ) -> None:
-        self._log, self._stream = log, log.stream
-        self._points, self._labelling = placed.points_level, labelling
-        self._origin = placed.origin_level
+    def __init__(self, log: Log, scan: ExplainedScan, range_m: float, height_m: float) -> None:
+        placed = scan.level.placed
+        self._log, self._scan, self._labelling = log, scan, scan.labelling
+        self._points, self._origin = placed.points_level, placed.origin_level
+        self._floor_m = scan.labelling.floor.height_m
         self._range_m = np.linalg.norm(placed.points_level[:, :2] - placed.origin_level[:2], axis=1)
-        self._faults: ScanFaults | None = None
-        self._log_styles(range_m, height_m)
+        self._log_styles()
+        self._log_sheet(range_m, height_m)
+        if scan.faults is not None:
+            self._mark(scan.faults)
 
-    def mark(self, faults: ScanFaults) -> None:
-        """Let the returns stand out whose final labels are wrong, in the scan and in each line."""
-        self._faults = faults
-        marked = np.flatnonzero(faults.fault)
-        rays = self._points[marked] - self._origin
-        drawn = self._points[marked] - _LIFT_M * rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), _LIFT_M)
-        classes = rr.AnnotationContext(
-            [
-                rr.AnnotationInfo(id=int(k), label=name, color=color)
-                for k, (name, color) in entities.FAULT_CLASSES.items()
-            ]
-        )
-        for path in (entities.FAULTS, entities.PROFILE_FAULTS):
-            self._stream.log(path, classes, static=True)
-        self._stream.log(
-            entities.FAULTS,
-            rr.Points3D(drawn.astype(np.float32), class_ids=faults.fault[marked], radii=rr.Radius.ui_points(3.5)),
-            static=True,
-        )
-
-    def log(self, reasons: Sequence[LineReason], document: str) -> None:
-        self._stream.log(entities.WHY_SCAN, rr.TextDocument(document, media_type=rr.MediaType.MARKDOWN), static=True)
-        for reason in reasons:
-            self._stream.reset_time()
-            self._stream.set_time(entities.LINE_TIMELINE, sequence=reason.line)
-            self._stream.log(
-                entities.WHY_LINE,
-                rr.TextDocument(
-                    line_document(self._labelling, reason, self._log_faults(reason.line)),
-                    media_type=rr.MediaType.MARKDOWN,
-                ),
-            )
+    def log(self) -> None:
+        self._log.text(entities.WHY_SCAN, self._scan.document)
+        for reason in self._scan.reasons:
+            self._log.stream.reset_time()
+            self._log.stream.set_time(entities.LINE_TIMELINE, sequence=reason.line)
+            document = line_document(self._labelling, reason, self._log_faults(reason.line))
+            self._here(entities.WHY_LINE, markdown(document))
             log_line(self._log, self._points, self._labelling, reason.line)
             self._log_sight(reason.line)
             self._log_structures(reason.line)
             self._log_planes(reason.line)
             self._log_door(reason.line)
 
-    def _log_styles(self, range_m: float, height_m: float) -> None:
+    def _here(self, path: str, *values: rr.AsComponents) -> None:
+        self._log.stream.log(path, *values)
+
+    def _log_styles(self) -> None:
         for name, color in _STYLE_COLORS.items():
-            self._stream.log(
-                f"{entities.LINE_STRUCTURES}/{name}",
-                rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(4.0), colors=color),
-                static=True,
-            )
-            self._stream.log(
-                f"{entities.PROFILE_STRUCTURES}/{name}",
-                rr.LineStrips2D.from_fields(radii=rr.Radius.ui_points(3.0), colors=color, draw_order=20.0),
-                static=True,
-            )
+            in_space = rr.LineStrips3D.from_fields(radii=ui_radius(4.0), colors=color)
+            self._log.static(f"{entities.LINE_STRUCTURES}/{name}", in_space)
+            in_profile = rr.LineStrips2D.from_fields(radii=ui_radius(3.0), colors=color, draw_order=20.0)
+            self._log.static(f"{entities.PROFILE_STRUCTURES}/{name}", in_profile)
         for path, color, radius_ui in (
             (entities.LINE_GROWING, entities.GROWING_COLOR, 2.5),
-            (entities.LINE_PLANE, entities.CLASSES[3][1], 2.0),
-            (entities.LINE_DOOR, entities.CLASSES[4][1], 3.0),
+            (entities.LINE_PLANE, entities.CLASSES[Label.WALL][1], 2.0),
+            (entities.LINE_DOOR, entities.CLASSES[Label.DOOR][1], 3.0),
         ):
-            self._stream.log(
-                path,
-                rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(radius_ui), colors=color, show_labels=True),
-                static=True,
-            )
-        self._stream.log(
-            entities.PROFILE_SAMPLES,
-            rr.Points2D.from_fields(radii=rr.Radius.ui_points(2.0), draw_order=30.0),
-            static=True,
-        )
-        floor_m, top_m = 0.0, height_m
-        names = ["floor"] + [
-            f"ceiling {c.height_m - self._labelling.floor.height_m:.2f} m" for c in self._labelling.ceilings
-        ]
-        heights = [floor_m] + [c.height_m - self._labelling.floor.height_m for c in self._labelling.ceilings]
-        shown = [(name, height) for name, height in zip(names, heights, strict=True) if height < top_m]
-        colors = [entities.CLASSES[1][1] if name == "floor" else entities.CLASSES[2][1] for name, _ in shown]
-        self._stream.log(
-            entities.PROFILE_LEVELS,
-            rr.LineStrips2D(
-                [[(0.0, -height), (range_m, -height)] for _, height in shown],
-                colors=colors,
-                radii=rr.Radius.ui_points(1.0),
-                labels=[name for name, _ in shown],
-                show_labels=True,
-                draw_order=10.0,
-            ),
-            static=True,
-        )
+            style = rr.LineStrips3D.from_fields(radii=ui_radius(radius_ui), colors=color, show_labels=True)
+            self._log.static(path, style)
+        self._log.static(entities.PROFILE_SAMPLES, rr.Points2D.from_fields(radii=ui_radius(2.0), draw_order=30.0))
+
+    def _log_sheet(self, range_m: float, height_m: float) -> None:
+        """Floor and ceilings in the profiles, and their scale."""
+        levels = [("floor", 0.0, entities.CLASSES[Label.FLOOR][1])]
+        for ceiling in self._labelling.ceilings:
+            above_m = ceiling.height_m - self._floor_m
+            levels.append((f"ceiling {above_m:.2f} m", above_m, entities.CLASSES[Label.CEILING][1]))
+        names, heights, colors = zip(*(level for level in levels if level[1] < height_m), strict=True)
+        lines = [[(0.0, -height), (range_m, -height)] for height in heights]
+        self._log.static(entities.PROFILE_LEVELS, strips_2d(lines, colors, 1.0, 10.0, names))
         ticks = np.arange(1.0, range_m, 1.0)
-        self._stream.log(
-            f"{entities.PROFILE_LEVELS}/ticks",
-            rr.Points2D(
-                np.column_stack([ticks, np.full(len(ticks), 0.25)]),
-                labels=[f"{tick:g} m" for tick in ticks],
-                show_labels=True,
-                colors=entities.TEXT_COLOR,
-                radii=0.0,
-            ),
-            static=True,
-        )
+        places = np.column_stack([ticks, np.full(len(ticks), 0.25)])
+        self._log.static(f"{entities.PROFILE_LEVELS}/ticks", words(places, [f"{tick:g} m" for tick in ticks]))
+
+    def _mark(self, faults: ScanFaults) -> None:
+        """Let the returns stand out whose final labels are wrong."""
+        marked = np.flatnonzero(faults.fault)
+        rays = self._points[marked] - self._origin
+        drawn = self._points[marked] - _LIFT_M * rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), _LIFT_M)
+        for path in (entities.FAULTS, entities.PROFILE_FAULTS):
+            self._log.static(path, annotations(entities.FAULT_CLASSES))
+        points = rr.Points3D(drawn.astype(np.float32), class_ids=faults.fault[marked], radii=ui_radius(3.5))
+        self._log.static(entities.FAULTS, points)
 
     def _log_sight(self, line: int) -> None:
         """The rays from the lidar to the line as a sheet: of the line alone one would see a few bright pixels."""
         samples = self._labelling.lines.samples[line]
         ends = self._points[samples[samples >= 0]]
         fan = [(0, i, i + 1) for i in range(1, len(ends))]
-        self._stream.log(
-            entities.LINE_SIGHT,
-            rr.Mesh3D(
-                vertex_positions=np.vstack([self._origin, ends]).astype(np.float32),
-                triangle_indices=fan,
-                albedo_factor=_SIGHT_COLOR,
-            )
-            if fan
-            else rr.Clear(recursive=False),
-        )
+        corners = np.vstack([self._origin, ends]).astype(np.float32)
+        sheet = rr.Mesh3D(vertex_positions=corners, triangle_indices=fan, albedo_factor=_SIGHT_COLOR)
+        self._here(entities.LINE_SIGHT, sheet if fan else rr.Clear(recursive=False))
 
     def _log_structures(self, line: int) -> None:
         structures, samples = self._labelling.structures, self._labelling.lines.samples[line]
-        present = samples[0] >= 0
         own = np.flatnonzero(structures.line == line)
         upmost, bottommost = structures.upmost[line], structures.bottommost[line]
         roles = {
@@ -252,40 +193,29 @@ class _Lines:
         }
         for name, chosen in roles.items():
             spans = [samples[structures.first[s] : structures.last[s] + 1] for s in chosen]
-            self._stream.log(
-                f"{entities.LINE_STRUCTURES}/{name}", rr.LineStrips3D([self._points[span] for span in spans])
-            )
-            self._stream.log(
-                f"{entities.PROFILE_STRUCTURES}/{name}", rr.LineStrips2D([self._profile(span) for span in spans])
-            )
-        shown = samples if present else samples[:0]
-        self._stream.log(
-            entities.PROFILE_SAMPLES, rr.Points2D(self._profile(shown), class_ids=self._labelling.label[shown])
-        )
+            in_space, in_profile = [self._points[span] for span in spans], [self._profile(span) for span in spans]
+            self._here(f"{entities.LINE_STRUCTURES}/{name}", rr.LineStrips3D(in_space))
+            self._here(f"{entities.PROFILE_STRUCTURES}/{name}", rr.LineStrips2D(in_profile))
+        shown = samples[samples >= 0]
+        points = rr.Points2D(self._profile(shown), class_ids=self._labelling.label[shown])
+        self._here(entities.PROFILE_SAMPLES, points)
 
     def _log_faults(self, line: int) -> str:
         """Mark what is wrong in one line's profile, and give it in words."""
-        if self._faults is None:
+        if self._scan.faults is None:
             return ""
         lines = self._labelling.lines
         own = lines.order[lines.starts[line] : lines.starts[line + 1]]
-        fault = self._faults.fault[own]
-        marked = own[fault > 0]
-        self._stream.log(
-            entities.PROFILE_FAULTS,
-            rr.Points2D(
-                self._profile(marked), class_ids=fault[fault > 0], radii=rr.Radius.ui_points(5.0), draw_order=25.0
-            ),
-        )
-        kinds = [
-            f"{np.count_nonzero(fault == k)} {name}"
-            for k, (name, _) in entities.FAULT_CLASSES.items()
-            if (fault == k).any()
-        ]
+        fault = self._scan.faults.fault[own]
+        wrong = fault > 0
+        points = rr.Points2D(self._profile(own[wrong]), class_ids=fault[wrong], radii=ui_radius(5.0), draw_order=25.0)
+        self._here(entities.PROFILE_FAULTS, points)
+        counts = {name: np.count_nonzero(fault == kind) for kind, (name, _) in entities.FAULT_CLASSES.items()}
+        kinds = [f"{count} {name}" for name, count in counts.items() if count]
         return f"**Final labels of its {len(own)} returns: {', '.join(kinds)}.**" if kinds else ""
 
     def _log_planes(self, line: int) -> None:
-        """The plane that was growing when the line's candidate came, by its lines so far; and the one it is in."""
+        """The plane that was growing when the line's candidate came, by its lines until then; and the one it is in."""
         planes, structures = self._labelling.planes, self._labelling.structures
         growing: list[FloatArray] = []
         growing_names: list[str] = []
@@ -295,51 +225,33 @@ class _Lines:
             before = np.flatnonzero(planes.candidate_grown[:c] >= 0)
             if not np.isnan(planes.candidate_distance_m[c]) and len(before):
                 peers = before[planes.candidate_grown[before] == planes.candidate_grown[before[-1]]]
-                for peer in peers:
-                    own = planes.candidate_structure[peer]
-                    span = self._labelling.lines.samples[
-                        structures.line[own], structures.first[own] : structures.last[own] + 1
-                    ]
-                    growing.append(self._points[span])
-                    last = peer == peers[-1]
-                    growing_names.append(
-                        f"the growing plane, {100 * planes.candidate_distance_m[c]:.1f} cm away" if last else ""
-                    )
+                for s in planes.candidate_structure[peers]:
+                    span = slice(structures.first[s], structures.last[s] + 1)
+                    growing.append(self._points[self._labelling.lines.samples[structures.line[s], span]])
+                away = f"the growing plane, {100 * planes.candidate_distance_m[c]:.1f} cm away"
+                growing_names += [""] * (len(peers) - 1) + [away]
             plane = planes.candidate_plane[c]
             if plane >= 0:
-                floor_m = np.array([self._labelling.floor.height_m])
-                ends = planes.ends[[plane]]
-                outlines.append(
-                    upright_frames(ends, floor_m + planes.bottom_m[plane], floor_m + planes.top_m[plane])[0]
-                )
+                heights = (self._floor_m + h[[plane]] for h in (planes.bottom_m, planes.top_m))
+                outlines.append(upright_frames(planes.ends[[plane]], *heights)[0])
                 names.append(f"plane {plane}, {100 * planes.candidate_nearest_m[c]:.1f} cm away")
-        self._stream.log(entities.LINE_GROWING, rr.LineStrips3D(growing, labels=growing_names))
-        self._stream.log(entities.LINE_PLANE, rr.LineStrips3D(outlines, labels=names))
+        self._here(entities.LINE_GROWING, rr.LineStrips3D(growing, labels=growing_names))
+        self._here(entities.LINE_PLANE, rr.LineStrips3D(outlines, labels=names))
 
     def _log_door(self, line: int) -> None:
         """Where the line passes below the height at which the depression begins."""
         doors = self._labelling.door_lines
         own = np.flatnonzero((doors.line == line) & doors.behind)
-        strips, marks = [], []
+        posts, marks, reach_m = [], [], float(self._range_m.max())
         for d in own:
-            floor_m = self._labelling.floor.height_m
-            foot = np.array([*doors.position[d], floor_m])
-            strips.append(np.stack([foot, foot + np.array([0.0, 0.0, doors.start_height_m[d]])]))
-            marks.append([[0.0, -doors.start_height_m[d]], [float(self._range_m.max()), -doors.start_height_m[d]]])
-        self._stream.log(
-            entities.LINE_DOOR,
-            rr.LineStrips3D(strips, labels=[f"{100 * doors.depth_m[d]:.0f} cm deep below here" for d in own]),
-        )
-        self._stream.log(
-            entities.PROFILE_DOOR,
-            rr.LineStrips2D(
-                marks,
-                colors=entities.CLASSES[4][1],
-                radii=rr.Radius.ui_points(1.0),
-                labels=[f"what lies behind begins {doors.start_height_m[d]:.2f} m high" for d in own],
-                show_labels=True,
-            ),
-        )
+            start_m = doors.start_height_m[d]
+            posts.append([[*doors.position[d], self._floor_m], [*doors.position[d], self._floor_m + start_m]])
+            marks.append([[0.0, -start_m], [reach_m, -start_m]])
+        labels = [f"{100 * doors.depth_m[d]:.0f} cm deep below here" for d in own]
+        self._here(entities.LINE_DOOR, rr.LineStrips3D(posts, labels=labels))
+        labels = [f"what lies behind begins {doors.start_height_m[d]:.2f} m high" for d in own]
+        color = entities.CLASSES[Label.DOOR][1]
+        self._here(entities.PROFILE_DOOR, strips_2d(marks, color, 1.0, labels=labels))
 
     def _profile(self, returns: IntArray) -> FloatArray:
         """(k, 2) horizontal range and height downwards, as images have it."""

@@ -6,13 +6,16 @@ at length, line by line.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray
+from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.scan.doors import Depression, DoorState
 from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.wall_planes import Growth, Membership, Reach
+from ffmap.app.record.shapes import table
 from ffmap.blueprints.entities import LINE_OUTCOMES, LineOutcome
 
 
@@ -56,12 +59,12 @@ def line_outcomes(labelling: ScanLabelling) -> list[LineOutcome]:
 
 def candidate_reasons(labelling: ScanLabelling) -> list[str]:
     """Why each wall candidate was taken or refused, in half a line each."""
-    return [_candidate_short(labelling, c) for c in range(len(labelling.planes.candidate_line))]
+    return [_Candidate(labelling, c).short() for c in range(len(labelling.planes.candidate_line))]
 
 
 def door_reasons(labelling: ScanLabelling) -> list[str]:
     """Which conditions of a door held for each line that belongs to a wall plane, in half a line each."""
-    return [_door_short(labelling, d) for d in range(len(labelling.door_lines.line))]
+    return [_DoorLine(labelling, d).short() for d in range(len(labelling.door_lines.line))]
 
 
 def explain_lines(labelling: ScanLabelling) -> list[LineReason]:
@@ -80,7 +83,7 @@ def line_document(labelling: ScanLabelling, reason: LineReason, note: str = "") 
     outcome = LINE_OUTCOMES[reason.outcome][0]
     parts = [f"# {name_of(reason.line).capitalize()}: {outcome}", "", reason.verdict, ""]
     parts += [note, ""] if note else []
-    parts += _check_table(reason.checks)
+    parts.append(_check_table(reason.checks))
     structures = labelling.structures
     own = np.flatnonzero(structures.line == reason.line).tolist()
     if own:
@@ -106,38 +109,30 @@ def scan_document(
     """
     planes, openings = labelling.planes, labelling.openings
     heights = [f"{c.height_m - labelling.floor.height_m:.2f} m" for c in labelling.ceilings]
-    parts = [f"# {title}", "", *(f"{note}\n" for note in notes)]
-    parts += [
-        f"Ceilings at {', '.join(heights)} above the floor." if heights else "No ceiling is in view.",
-        "",
-        "| lines | what became of them |",
-        "|---|---|",
+    found = f"Ceilings at {', '.join(heights)} above the floor." if heights else "No ceiling is in view."
+    counts = [
+        (sum(reason.outcome == outcome for reason in reasons), name) for outcome, (name, _) in LINE_OUTCOMES.items()
     ]
-    for outcome, (name, _) in LINE_OUTCOMES.items():
-        parts.append(f"| {sum(reason.outcome == outcome for reason in reasons)} | {name} |")
+    parts = [f"# {title}", "", *(f"{note}\n" for note in notes), found, ""]
+    parts.append(table(("lines", "what became of them"), counts))
     if len(planes):
-        parts += ["", "## Wall planes", "| plane | lines | length | RMS | heights |", "|---|---|---|---|---|"]
-        parts += [
-            f"| {k} | {planes.line_count[k]} | {np.linalg.norm(planes.ends[k, 1] - planes.ends[k, 0]):.2f} m "
-            f"| {_cm(planes.rms_m[k])} | {planes.bottom_m[k]:.2f}–{planes.top_m[k]:.2f} m |"
-            for k in range(len(planes))
-        ]
+        rows: list[tuple[Any, ...]] = []
+        for k, length_m in enumerate(lengths_m(planes.ends)):
+            reach = f"{planes.bottom_m[k]:.2f}–{planes.top_m[k]:.2f} m"
+            rows.append((k, planes.line_count[k], f"{length_m:.2f} m", _cm(planes.rms_m[k]), reach))
+        parts += ["", "## Wall planes", table(("plane", "lines", "length", "RMS", "heights"), rows)]
     if len(openings):
-        parts += ["", "## Openings", "| opening | plane | state | width in view | depth | head | lines |"]
-        parts += ["|---|---|---|---|---|---|---|"]
-        parts += [
-            f"| {o} | {openings.plane[o]} | {_state(openings.state[o])} "
-            f"| {np.linalg.norm(openings.ends[o, 1] - openings.ends[o, 0]):.2f} m | {_cm(openings.depth_m[o])} "
-            f"| {openings.head_m[o]:.2f} m | {openings.line_count[o]} |"
-            for o in range(len(openings))
-        ]
-    parts += ["", "## Lines (2 × emitter + side)"]
-    if marked is None:
-        parts += ["| line | outcome | why |", "|---|---|---|"]
-        parts += [f"| {r.line} | {LINE_OUTCOMES[r.outcome][0]} | {r.short} |" for r in reasons]
-    else:
-        parts += ["| line | marked | outcome | why |", "|---|---|---|---|"]
-        parts += [f"| {r.line} | {marked[r.line]} | {LINE_OUTCOMES[r.outcome][0]} | {r.short} |" for r in reasons]
+        rows = []
+        for o, width_m in enumerate(lengths_m(openings.ends)):
+            state, size = DoorState(openings.state[o]).name.lower(), (f"{width_m:.2f} m", _cm(openings.depth_m[o]))
+            rows.append((o, openings.plane[o], state, *size, f"{openings.head_m[o]:.2f} m", openings.line_count[o]))
+        headings = "opening", "plane", "state", "width in view", "depth", "head", "lines"
+        parts += ["", "## Openings", table(headings, rows)]
+    columns: dict[str, list[Any]] = {"line": [r.line for r in reasons]}
+    if marked is not None:
+        columns["marked"] = [marked[r.line] for r in reasons]
+    columns |= {"outcome": [LINE_OUTCOMES[r.outcome][0] for r in reasons], "why": [r.short for r in reasons]}
+    parts += ["", "## Lines (2 × emitter + side)", table(list(columns), zip(*columns.values(), strict=True))]
     return "\n".join(parts)
 
 
@@ -147,344 +142,278 @@ def scan_document(
 def _explain(labelling: ScanLabelling, line: int, outcome: LineOutcome) -> LineReason:
     settings = labelling.settings
     lines, structures, planes = labelling.lines, labelling.structures, labelling.planes
-    returns = int(lines.starts[line + 1] - lines.starts[line])
+    returns = f"{lines.starts[line + 1] - lines.starts[line]} returns in all"
     has_samples = bool(lines.samples[line, 0] >= 0)
     points_min = settings.rearrangement.line_points_min
-    checks = [
-        Check(
-            "III.A: returns but floor, ceiling",
-            f"{returns} returns in all",
-            f"at least {points_min} left",
-            has_samples,
-        )
-    ]
+    checks = [Check("III.A: returns but floor, ceiling", returns, f"at least {points_min} left", has_samples)]
     if not has_samples:
         short = f"fewer than {points_min} returns are neither floor nor ceiling"
         return LineReason(line, outcome, short, f"No point line: {short}.", tuple(checks))
     longest = _longest_run(structures.upright[line])
     own = np.flatnonzero(structures.line == line)
     run_min = settings.vertical_structures.points_min
-    checks.append(
-        Check(
-            "III.B, eq. 2: upright samples",
-            f"{_count(len(own), 'structure')}, longest run {longest}",
-            f"≥ {run_min} within ±{settings.vertical_structures.slope_max:g}",
-            len(own) > 0,
-        )
-    )
+    found = f"{_count(len(own), 'structure')}, longest run {longest}"
+    needed = f"≥ {run_min} within ±{settings.vertical_structures.slope_max:g}"
+    checks.append(Check("III.B, eq. 2: upright samples", found, needed, len(own) > 0))
     if not len(own):
-        cut = longest >= run_min
-        short = (
-            f"its upright samples are cut by jumps in range, no {run_min} of them lie together"
-            if cut
-            else f"at most {longest} neighbouring samples stand upright, {run_min} make a structure"
-        )
+        short = f"at most {longest} neighbouring samples stand upright, {run_min} make a structure"
+        if longest >= run_min:
+            short = f"its upright samples are cut by jumps in range, no {run_min} of them lie together"
         return LineReason(line, outcome, short, f"No vertical structure: {short}.", tuple(checks))
-    candidates = np.flatnonzero(planes.candidate_line == line).tolist()
-    upmost = [c for c in candidates if planes.candidate_structure[c] == structures.upmost[line]]
-    further = [c for c in candidates if c not in upmost]
-    verdict = [f"Its up-most structure is the wall candidate. {_candidate_sentences(labelling, c)}" for c in upmost]
+    candidates = [_Candidate(labelling, c) for c in np.flatnonzero(planes.candidate_line == line)]
+    upmost = [candidate for candidate in candidates if candidate.structure == structures.upmost[line]]
+    further = [candidate for candidate in candidates if candidate not in upmost]
+    verdict = [f"Its up-most structure is the wall candidate. {candidate.sentences()}" for candidate in upmost]
     verdict += [
-        f"A lower structure ends at a ceiling too, as the wall of a next room does below a lintel. "
-        f"{_candidate_sentences(labelling, c)}"
-        for c in further
+        "A lower structure ends at a ceiling too, as the wall of a next room does below a lintel. "
+        f"{candidate.sentences()}"
+        for candidate in further
     ]
-    for c in candidates:
-        checks += _candidate_checks(labelling, c, "" if c in upmost else " (lower)")
-    short = "; ".join(_candidate_short(labelling, c) for c in candidates)
-    door = np.flatnonzero(labelling.door_lines.line == line)
-    if len(door):
-        checks += _door_checks(labelling, int(door[0]))
-        verdict.append(_door_sentence(labelling, int(door[0])))
+    for candidate in candidates:
+        checks += candidate.checks("" if candidate in upmost else " (lower)")
+    short = "; ".join(candidate.short() for candidate in candidates)
+    door_lines = np.flatnonzero(labelling.door_lines.line == line)
+    if len(door_lines):
+        door = _DoorLine(labelling, door_lines[0])
+        checks += door.checks()
+        verdict.append(f"**Door:** {door.short()}.")
         if outcome == LineOutcome.DOOR:
-            short += "; " + _door_short(labelling, int(door[0]))
+            short += f"; {door.short()}"
     else:
         checks.append(Check("III.C, door 1: in a wall plane", "the up-most is in none", "in one", False))
     return LineReason(line, outcome, short, "\n\n".join(verdict), tuple(checks))
 
 
 def _structure_role(labelling: ScanLabelling, structure: int) -> str:
-    structures, planes = labelling.structures, labelling.planes
+    structures = labelling.structures
     line = structures.line[structure]
     roles = []
     if structures.upmost[line] == structure:
         roles.append("up-most: the wall candidate")
     if structures.bottommost[line] == structure:
         roles.append("bottom-most (kept for comparison, Fig. 6b)")
-    for c in np.flatnonzero(planes.candidate_structure == structure):
-        roles.append(_candidate_short(labelling, int(c)))
+    candidates = np.flatnonzero(labelling.planes.candidate_structure == structure)
+    roles += [_Candidate(labelling, c).short() for c in candidates]
     return "; ".join(roles) or "between the others; not a candidate"
 
 
 # --- a wall candidate ---
 
 
-def _candidate_short(labelling: ScanLabelling, c: int) -> str:
-    planes = labelling.planes
-    plane = planes.candidate_plane[c]
-    if plane >= 0:
-        return f"taken: plane {plane}, {_cm(planes.candidate_nearest_m[c])} off; {_growth_short(labelling, c)}"
-    return f"refused: {_refusal(labelling, c)}"
+class _Candidate:
+    """What was measured of one wall candidate, and why it was taken or refused."""
 
+    def __init__(self, labelling: ScanLabelling, c: int | np.integer) -> None:
+        planes = labelling.planes
+        self._planes, self._settings = planes, labelling.settings.wall_planes
+        self.structure, self._plane = planes.candidate_structure[c], planes.candidate_plane[c]
+        self._grown, self._growth = planes.candidate_grown[c], planes.candidate_growth[c]
+        self._reach, self._membership = planes.candidate_reach[c], planes.candidate_membership[c]
+        self._distance_m, self._nearest_m = planes.candidate_distance_m[c], planes.candidate_nearest_m[c]
+        self._gap_m, self._gap_max_m = planes.candidate_gap_m[c], planes.candidate_gap_max_m[c]
+        self._below_m = planes.candidate_below_ceiling_m[c]
+        self._bottom_m = labelling.structures.bottom_m[self.structure]
+        self._top_m = labelling.structures.top_m[self.structure]
 
-def _growth_short(labelling: ScanLabelling, c: int) -> str:
-    planes = labelling.planes
-    match planes.candidate_growth[c]:
-        case Growth.JOINED:
-            return f"joined at {_cm(planes.candidate_distance_m[c])}"
-        case Growth.BROKE:
-            return f"broke the plane before it ({_break(labelling, c)})"
-        case Growth.SEEDED:
-            return "began a plane"
-    return "was left out of the growing"
+    def short(self) -> str:
+        if self._plane < 0:
+            return f"refused: {self._refusal()}"
+        growth = "was left out of the growing"
+        match self._growth:
+            case Growth.JOINED:
+                growth = f"joined at {_cm(self._distance_m)}"
+            case Growth.BROKE:
+                growth = f"broke the plane before it ({self._break()})"
+            case Growth.SEEDED:
+                growth = "began a plane"
+        return f"taken: plane {self._plane}, {_cm(self._nearest_m)} off; {growth}"
 
-
-def _break(labelling: ScanLabelling, c: int) -> str:
-    """By what a candidate was not similar to the growing plane."""
-    planes, settings = labelling.planes, labelling.settings.wall_planes
-    parts = []
-    if not planes.candidate_distance_m[c] < settings.similarity_m:
-        parts.append(f"{_cm(planes.candidate_distance_m[c])} from it")
-    if not planes.candidate_gap_m[c] < planes.candidate_gap_max_m[c]:
-        parts.append(f"{_cm(planes.candidate_gap_m[c])} beyond its last line")
-    return ", ".join(parts)
-
-
-def _refusal(labelling: ScanLabelling, c: int) -> str:
-    planes, settings = labelling.planes, labelling.settings.wall_planes
-    grown = planes.candidate_grown[c]
-    nearest_m = planes.candidate_nearest_m[c]
-    match planes.candidate_membership[c]:
-        case Membership.REFUSED:
-            below_m = planes.candidate_below_ceiling_m[c]
-            if np.isnan(below_m):
-                top_m = labelling.structures.top_m[planes.candidate_structure[c]]
-                return f"ends {top_m:.2f} m high, a wall without a ceiling in view at least {settings.height_min_m:g} m"
-            return f"ends {_cm(below_m)} below the ceiling, a wall at most {_cm(settings.reach_m)}"
-        case Membership.ALONE:
-            peers = int(np.count_nonzero(planes.candidate_grown == grown))
-            own = f"it grew into a plane of {_count(peers, 'line')}"
-            if np.isnan(nearest_m):
-                return f"{own}, {settings.lines_min} make a wall, and no other plane is within reach"
-            return f"{own}; the nearest plane is {_cm(nearest_m)} away, similar is below {_cm(settings.similarity_m)}"
-        case Membership.FEW_LINES:
-            return f"fewer than {settings.lines_min} lines are left in its plane, the others went to nearer ones"
-        case Membership.SHORT:
-            return f"its plane is shorter than {_cm(settings.length_min_m)}"
-        case Membership.ROUGH:
-            return f"its plane's samples lie more than {_cm(settings.similarity_m)} RMS off it"
-        case Membership.DUCT:
-            bottom_m = labelling.structures.bottom_m[planes.candidate_structure[c]]
-            return (
-                f"its plane ends more than {settings.bottom_max_m:g} m above the floor in all of its lines (here "
-                f"{bottom_m:.2f} m): a duct or a beam"
+    def sentences(self) -> str:
+        end = f"**Refused:** {self._refusal()}."
+        if self._plane >= 0:
+            end = (
+                f"**Taken:** once planes in line were joined, plane {self._plane} ({self._planes.line_count[self._plane]} "
+                f"lines, RMS {_cm(self._planes.rms_m[self._plane])}) is the nearest, {_cm(self._nearest_m)} away."
             )
-    return "it is in no plane"
+        return " ".join(sentence for sentence in (self._reach_sentence(), self._growth_sentence(), end) if sentence)
 
-
-def _reach_sentence(labelling: ScanLabelling, c: int) -> str:
-    planes, settings = labelling.planes, labelling.settings.wall_planes
-    below_m = planes.candidate_below_ceiling_m[c]
-    top_m = labelling.structures.top_m[planes.candidate_structure[c]]
-    match planes.candidate_reach[c]:
-        case Reach.CEILING:
-            side = "below" if below_m >= 0 else "above"
-            return f"It reaches the ceiling: it ends {_cm(abs(below_m))} {side} it."
-        case Reach.ABOVE_CEILINGS:
-            return f"It ends {top_m:.2f} m high, above the highest ceiling in view: another must be there."
-        case Reach.HEIGHT:
-            return f"No ceiling is in view; it ends {top_m:.2f} m high, which is high enough."
-        case Reach.TURNS_BACK:
-            return (
-                f"It ends {top_m:.2f} m high, but its line has next to no returns of a ceiling: it may turn back below one, "
-                "so it counts."
+    def checks(self, which: str) -> list[Check]:
+        """which: the candidate, where its line has several, as the end of a condition."""
+        similar, lines_min = f"< {_cm(self._settings.similarity_m)}", self._settings.lines_min
+        reaches = bool(self._reach != Reach.LOW)
+        measured, needed = f"ends {_cm(self._below_m)} below", f"≤ {_cm(self._settings.reach_m)}"
+        if np.isnan(self._below_m):
+            measured, needed = f"{self._top_m:.2f} m high", f"≥ {self._settings.height_min_m:g} m"
+        checks = [Check(f"III.B: reaches the ceiling{which}", measured, needed, reaches)]
+        if not np.isnan(self._distance_m):
+            near = bool(self._distance_m < self._settings.similarity_m)
+            checks.append(
+                Check(f"Alg. 1: Θ to the growing plane{which}", f"{_cm(self._distance_m)} RMS", similar, near)
             )
-    if np.isnan(below_m):
-        return f"No ceiling is in view, and it ends only {top_m:.2f} m high (a wall: {settings.height_min_m:g} m)."
-    return (
-        f"It does not reach the ceiling: it ends {_cm(below_m)} below it (a wall: at most {_cm(settings.reach_m)}). "
-        "What ends so low is furniture, a board or a window's sill."
-    )
+            near, needed = bool(self._gap_m < self._gap_max_m), f"< {_cm(self._gap_max_m)}"
+            checks.append(Check(f"Alg. 1: distance to its last line{which}", _cm(self._gap_m), needed, near))
+        if reaches:
+            nearest = "none within reach" if np.isnan(self._nearest_m) else f"nearest {_cm(self._nearest_m)} away"
+            needed, taken = f"{similar}, ≥ {lines_min} lines", bool(self._plane >= 0)
+            checks.append(Check(f"Alg. 1: in a wall plane in the end{which}", nearest, needed, taken))
+        return checks
 
+    def _break(self) -> str:
+        """By what it was not similar to the growing plane."""
+        parts = []
+        if not self._distance_m < self._settings.similarity_m:
+            parts.append(f"{_cm(self._distance_m)} from it")
+        if not self._gap_m < self._gap_max_m:
+            parts.append(f"{_cm(self._gap_m)} beyond its last line")
+        return ", ".join(parts)
 
-def _growth_sentence(labelling: ScanLabelling, c: int) -> str:
-    planes, settings = labelling.planes, labelling.settings.wall_planes
-    match planes.candidate_growth[c]:
-        case Growth.SEEDED:
-            return "As the first candidate of its side it began a plane."
-        case Growth.JOINED:
-            return (
-                f"It joined the plane that was growing: {_cm(planes.candidate_distance_m[c])} RMS from it (below "
-                f"{_cm(settings.similarity_m)}), {_cm(planes.candidate_gap_m[c])} from its last line (below "
-                f"{_cm(planes.candidate_gap_max_m[c])})."
-            )
-        case Growth.BROKE:
-            return f"It broke the plane that was growing ({_break(labelling, c)}) and began the next."
-    return ""
+    def _refusal(self) -> str:
+        settings = self._settings
+        match self._membership:
+            case Membership.REFUSED if np.isnan(self._below_m):
+                wall = f"a wall without a ceiling in view at least {settings.height_min_m:g} m"
+                return f"ends {self._top_m:.2f} m high, {wall}"
+            case Membership.REFUSED:
+                return f"ends {_cm(self._below_m)} below the ceiling, a wall at most {_cm(settings.reach_m)}"
+            case Membership.ALONE:
+                peers = int(np.count_nonzero(self._planes.candidate_grown == self._grown))
+                own = f"it grew into a plane of {_count(peers, 'line')}"
+                if np.isnan(self._nearest_m):
+                    return f"{own}, {settings.lines_min} make a wall, and no other plane is within reach"
+                similar = f"similar is below {_cm(settings.similarity_m)}"
+                return f"{own}; the nearest plane is {_cm(self._nearest_m)} away, {similar}"
+            case Membership.FEW_LINES:
+                return f"fewer than {settings.lines_min} lines are left in its plane, the others went to nearer ones"
+            case Membership.SHORT:
+                return f"its plane is shorter than {_cm(settings.length_min_m)}"
+            case Membership.ROUGH:
+                return f"its plane's samples lie more than {_cm(settings.similarity_m)} RMS off it"
+            case Membership.DUCT:
+                return (
+                    f"its plane ends more than {settings.bottom_max_m:g} m above the floor in all of its lines (here "
+                    f"{self._bottom_m:.2f} m): a duct or a beam"
+                )
+        return "it is in no plane"
 
-
-def _candidate_sentences(labelling: ScanLabelling, c: int) -> str:
-    planes = labelling.planes
-    plane = planes.candidate_plane[c]
-    if plane >= 0:
-        end = (
-            f"**Taken:** once planes in line were joined, plane {plane} ({planes.line_count[plane]} lines, RMS "
-            f"{_cm(planes.rms_m[plane])}) is the nearest, {_cm(planes.candidate_nearest_m[c])} away."
+    def _reach_sentence(self) -> str:
+        ends = f"ends {self._top_m:.2f} m high"
+        match self._reach:
+            case Reach.CEILING:
+                side = "below" if self._below_m >= 0 else "above"
+                return f"It reaches the ceiling: it ends {_cm(abs(self._below_m))} {side} it."
+            case Reach.ABOVE_CEILINGS:
+                return f"It {ends}, above the highest ceiling in view: another must be there."
+            case Reach.HEIGHT:
+                return f"No ceiling is in view; it {ends}, which is high enough."
+            case Reach.TURNS_BACK:
+                return f"It {ends}, but its line has next to no returns of a ceiling: it may turn back below one, so it counts."
+        if np.isnan(self._below_m):
+            wall = f"(a wall: {self._settings.height_min_m:g} m)"
+            return f"No ceiling is in view, and it ends only {self._top_m:.2f} m high {wall}."
+        return (
+            f"It does not reach the ceiling: it ends {_cm(self._below_m)} below it (a wall: at most "
+            f"{_cm(self._settings.reach_m)}). What ends so low is furniture, a board or a window's sill."
         )
-    else:
-        end = f"**Refused:** {_refusal(labelling, c)}."
-    sentences = [_reach_sentence(labelling, c), _growth_sentence(labelling, c), end]
-    return " ".join(sentence for sentence in sentences if sentence)
 
-
-def _candidate_checks(labelling: ScanLabelling, c: int, which: str) -> list[Check]:
-    planes, settings = labelling.planes, labelling.settings.wall_planes
-    below_m, distance_m = planes.candidate_below_ceiling_m[c], planes.candidate_distance_m[c]
-    top_m = labelling.structures.top_m[planes.candidate_structure[c]]
-    checks = [
-        Check(
-            f"III.B: reaches the ceiling{which}",
-            f"{top_m:.2f} m high" if np.isnan(below_m) else f"ends {_cm(below_m)} below",
-            f"≥ {settings.height_min_m:g} m" if np.isnan(below_m) else f"≤ {_cm(settings.reach_m)}",
-            bool(planes.candidate_reach[c] != Reach.LOW),
-        )
-    ]
-    if not np.isnan(distance_m):
-        checks += [
-            Check(
-                f"Alg. 1: Θ to the growing plane{which}",
-                f"{_cm(distance_m)} RMS",
-                f"< {_cm(settings.similarity_m)}",
-                bool(distance_m < settings.similarity_m),
-            ),
-            Check(
-                f"Alg. 1: distance to its last line{which}",
-                _cm(planes.candidate_gap_m[c]),
-                f"< {_cm(planes.candidate_gap_max_m[c])}",
-                bool(planes.candidate_gap_m[c] < planes.candidate_gap_max_m[c]),
-            ),
-        ]
-    if planes.candidate_reach[c] != Reach.LOW:
-        nearest_m = planes.candidate_nearest_m[c]
-        checks.append(
-            Check(
-                f"Alg. 1: in a wall plane in the end{which}",
-                "none within reach" if np.isnan(nearest_m) else f"nearest {_cm(nearest_m)} away",
-                f"< {_cm(settings.similarity_m)}, ≥ {settings.lines_min} lines",
-                bool(planes.candidate_plane[c] >= 0),
-            )
-        )
-    return checks
+    def _growth_sentence(self) -> str:
+        match self._growth:
+            case Growth.SEEDED:
+                return "As the first candidate of its side it began a plane."
+            case Growth.JOINED:
+                return (
+                    f"It joined the plane that was growing: {_cm(self._distance_m)} RMS from it (below "
+                    f"{_cm(self._settings.similarity_m)}), {_cm(self._gap_m)} from its last line (below "
+                    f"{_cm(self._gap_max_m)})."
+                )
+            case Growth.BROKE:
+                return f"It broke the plane that was growing ({self._break()}) and began the next."
+        return ""
 
 
 # --- a door ---
 
 
-def _door_short(labelling: ScanLabelling, d: int) -> str:
-    doors, settings = labelling.door_lines, labelling.settings.doors
-    if not doors.behind[d]:
-        return f"no door: {_no_depression(labelling, d)}"
-    start_m = doors.start_height_m[d]
-    if not doors.high_enough[d]:
-        return (
-            f"no door: what lies {_cm(doors.depth_m[d])} behind begins {start_m:.2f} m high, a door "
-            f"{settings.height_min_m:g}–{settings.height_max_m:g} m"
-        )
-    state = _state(doors.state[d])
-    opening = labelling.openings.door_line_opening[d]
-    part = f"part of opening {opening}" if opening >= 0 else f"alone, {settings.lines_min} lines make an opening"
-    return f"above a door, {state}: {_cm(doors.depth_m[d])} deep below {start_m:.2f} m; {part}"
+class _DoorLine:
+    """What was measured of one line of a wall plane below its lintel, and why it is above a door or not."""
 
+    def __init__(self, labelling: ScanLabelling, d: int | np.integer) -> None:
+        doors, openings = labelling.door_lines, labelling.openings
+        self._settings = labelling.settings.doors
+        self._plane, self._behind, self._high_enough = doors.plane[d], doors.behind[d], doors.high_enough[d]
+        self._depression, self._on_plane_share = doors.depression[d], doors.on_plane_share[d]
+        self._recess_m, self._above_m, self._below_m = doors.recess_m[d], doors.above_m[d], doors.below_m[d]
+        self._start_m, self._depth_m = doors.start_height_m[d], doors.depth_m[d]
+        self._state = DoorState(doors.state[d]).name.lower()
+        self._opening = openings.door_line_opening[d]
+        self._lines = int(openings.line_count[self._opening]) if self._opening >= 0 else 0
 
-def _no_depression(labelling: ScanLabelling, d: int) -> str:
-    doors, settings = labelling.door_lines, labelling.settings.doors
-    match doors.depression[d]:
-        case Depression.FEW_RETURNS:
-            return "too few returns lie at the plane and behind it"
-        case Depression.NONE:
-            if np.isnan(doors.recess_m[d]):
-                return "the line is too short below the lintel"
-            return f"nothing recedes by {_cm(settings.recess_min_m)}, at most {_cm(doors.recess_m[d])}"
-        case Depression.ABOVE_OFF_PLANE:
-            return f"what lies above the recess is {_cm(abs(doors.above_m[d]))} off the plane itself"
-        case Depression.SHALLOW:
-            return f"what recedes is {_cm(-doors.below_m[d])} behind the plane, less than {_cm(settings.recess_min_m)}"
-        case Depression.EXCEPTIONS:
+    def short(self) -> str:
+        settings = self._settings
+        if not self._behind:
+            return f"no door: {self._no_depression()}"
+        if not self._high_enough:
             return (
-                f"{doors.on_plane_share[d]:.0%} of the returns below lie on the plane, at most "
-                f"{settings.exceptions_max:.0%} may"
+                f"no door: what lies {_cm(self._depth_m)} behind begins {self._start_m:.2f} m high, a door "
+                f"{settings.height_min_m:g}–{settings.height_max_m:g} m"
             )
-    return "nothing lies behind the plane"
+        part = (
+            f"part of opening {self._opening}" if self._lines else f"alone, {settings.lines_min} lines make an opening"
+        )
+        return f"above a door, {self._state}: {_cm(self._depth_m)} deep below {self._start_m:.2f} m; {part}"
 
+    def checks(self) -> list[Check]:
+        settings = self._settings
+        below = "–" if np.isnan(self._recess_m) else f"recedes by {_cm(self._recess_m)}"
+        if not np.isnan(self._below_m):
+            below = f"{_cm(-self._below_m)} behind, {self._on_plane_share:.0%} on it"
+        needed = f"≥ {_cm(settings.recess_min_m)}, ≤ {settings.exceptions_max:.0%}"
+        checks = [
+            Check("III.C, door 1: in a wall plane", f"plane {self._plane}", "in one", True),
+            Check("III.C, door 2: all below lies behind", below, needed, bool(self._behind)),
+        ]
+        if not self._behind:
+            return [*checks, Check("III.C, door 3: high enough", "–", "needs condition 2", None)]
+        begins, heights = f"begins {self._start_m:.2f} m high", f"{settings.height_min_m:g}–{settings.height_max_m:g} m"
+        deep, open_m = f"{_cm(self._depth_m)} deep: {self._state}", f"open > {_cm(settings.open_depth_m)}"
+        lines = f"opening {self._opening}: {_count(self._lines, 'line')}" if self._lines else "in no opening"
+        return [
+            *checks,
+            Check("III.C, door 3: high enough", begins, heights, bool(self._high_enough)),
+            Check("III.C: open or closed", deep, open_m, None),
+            Check("neighbouring lines show it too", lines, f"≥ {settings.lines_min} lines", self._lines > 0),
+        ]
 
-def _door_sentence(labelling: ScanLabelling, d: int) -> str:
-    sentence = _door_short(labelling, d)
-    return f"**Door:** {sentence}."
-
-
-def _door_checks(labelling: ScanLabelling, d: int) -> list[Check]:
-    doors, settings = labelling.door_lines, labelling.settings.doors
-    checks = [
-        Check("III.C, door 1: in a wall plane", f"plane {doors.plane[d]}", "in one", True),
-        Check(
-            "III.C, door 2: all below lies behind",
-            f"{_cm(-doors.below_m[d])} behind, {doors.on_plane_share[d]:.0%} on it"
-            if not np.isnan(doors.below_m[d])
-            else "–"
-            if np.isnan(doors.recess_m[d])
-            else f"recedes by {_cm(doors.recess_m[d])}",
-            f"≥ {_cm(settings.recess_min_m)}, ≤ {settings.exceptions_max:.0%}",
-            bool(doors.behind[d]),
-        ),
-    ]
-    if not doors.behind[d]:
-        checks.append(Check("III.C, door 3: high enough", "–", "needs condition 2", None))
-        return checks
-    opening = labelling.openings.door_line_opening[d]
-    return [
-        *checks,
-        Check(
-            "III.C, door 3: high enough",
-            f"begins {doors.start_height_m[d]:.2f} m high",
-            f"{settings.height_min_m:g}–{settings.height_max_m:g} m",
-            bool(doors.high_enough[d]),
-        ),
-        Check(
-            "III.C: open or closed",
-            f"{_cm(doors.depth_m[d])} deep: {_state(doors.state[d])}",
-            f"open > {_cm(settings.open_depth_m)}",
-            None,
-        ),
-        Check(
-            "neighbouring lines show it too",
-            f"opening {opening}: {_count(int(labelling.openings.line_count[opening]), 'line')}"
-            if opening >= 0
-            else "in no opening",
-            f"≥ {settings.lines_min} lines",
-            bool(opening >= 0),
-        ),
-    ]
+    def _no_depression(self) -> str:
+        recess_min = _cm(self._settings.recess_min_m)
+        match self._depression:
+            case Depression.FEW_RETURNS:
+                return "too few returns lie at the plane and behind it"
+            case Depression.NONE if np.isnan(self._recess_m):
+                return "the line is too short below the lintel"
+            case Depression.NONE:
+                return f"nothing recedes by {recess_min}, at most {_cm(self._recess_m)}"
+            case Depression.ABOVE_OFF_PLANE:
+                return f"what lies above the recess is {_cm(abs(self._above_m))} off the plane itself"
+            case Depression.SHALLOW:
+                return f"what recedes is {_cm(-self._below_m)} behind the plane, less than {recess_min}"
+            case Depression.EXCEPTIONS:
+                share = f"{self._on_plane_share:.0%} of the returns below lie on the plane"
+                return f"{share}, at most {self._settings.exceptions_max:.0%} may"
+        return "nothing lies behind the plane"
 
 
 # --- words ---
 
 
-def _check_table(checks: Iterable[Check]) -> list[str]:
+def _check_table(checks: Iterable[Check]) -> str:
     answers = {True: "yes", False: "**no**", None: "–"}
-    return [
-        "| held | condition | measured | needed |",
-        "|---|---|---|---|",
-        *(f"| {answers[c.held]} | {c.condition} | {c.measured} | {c.needed} |" for c in checks),
-    ]
+    rows = [(answers[c.held], c.condition, c.measured, c.needed) for c in checks]
+    return table(("held", "condition", "measured", "needed"), rows)
 
 
 def _longest_run(held: BoolArray) -> int:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], held.astype(np.int8), [0]])))
     return int((edges[1::2] - edges[::2]).max(initial=0))
-
-
-def _state(state: int) -> str:
-    return DoorState(state).name.lower()
 
 
 def _count(number: int, noun: str) -> str:

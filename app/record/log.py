@@ -1,6 +1,6 @@
 """Where recorders write to, and the timelines on which it lies."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ import rerun as rr
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, IntArray
-from ffmap.app.record.shapes import rounded
+from ffmap.app.record.shapes import markdown, rounded
 from ffmap.app.setup.outputs import Detail
 from ffmap.blueprints import entities
 
@@ -43,7 +43,10 @@ class Log:
 
     def at(self, stamp_ns: int, index: int | None = None) -> None:
         """What is logged next is of this time, and of this scan."""
-        set_time(self.stream, stamp_ns, index)
+        self.stream.reset_time()
+        self.stream.set_time(entities.STAMP_TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
+        if index is not None:
+            self.stream.set_time(entities.SCAN_TIMELINE, sequence=index)
 
     def now(self, path: str, *values: rr.AsComponents) -> None:
         """Log at the time that is set."""
@@ -58,9 +61,17 @@ class Log:
         """Log what holds throughout."""
         self.stream.log(path, *values, static=True)
 
-    def text(self, path: str, markdown: str) -> None:
-        """Log a text that holds throughout."""
-        self.static(path, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN))
+    def text(self, path: str, text: str) -> None:
+        """Log Markdown that holds throughout."""
+        self.static(path, markdown(text))
+
+    def curve_style(self, path: str, name: str, color: entities.Color) -> None:
+        """How a curve is drawn, and what its legend says."""
+        self.static(path, rr.SeriesLines(colors=color, names=name, widths=1.5))
+
+    def curve(self, path: str, indexes: Sequence[rr.TimeColumn], values: npt.ArrayLike) -> None:
+        """Values of a curve, one for each place on the timelines."""
+        self.stream.send_columns(path, indexes, rr.Scalars.columns(scalars=values))
 
     def columns(self, path: str, stamp_ns: IntArray, columns: rr.ComponentColumnList) -> None:
         """One row for each horizontal scan, by its stamp."""
@@ -85,14 +96,6 @@ class Log:
             self.columns(path, stamp_ns, rr.Points3D.columns(positions=positions).partition(sizes))
 
 
-def set_time(stream: rr.RecordingStream, stamp_ns: int, index: int | None = None) -> None:
-    """What is logged next is of this time, and of this scan."""
-    stream.reset_time()
-    stream.set_time(entities.STAMP_TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
-    if index is not None:
-        stream.set_time(entities.SCAN_TIMELINE, sequence=index)
-
-
 def scan_columns(index: Sequence[int], stamp_ns: Sequence[int]) -> list[rr.TimeColumn]:
     """Both timelines for one row a scan."""
     return [
@@ -101,16 +104,18 @@ def scan_columns(index: Sequence[int], stamp_ns: Sequence[int]) -> list[rr.TimeC
     ]
 
 
-def evidence(columns: Mapping[str, npt.NDArray[Any]]) -> rr.AnyValues:
-    """Arrays beside an archetype, with the same types in every process even where they are empty."""
+def evidence(answer: object = None, *names: str, **columns: npt.NDArray[Any]) -> rr.AnyValues:
+    """Arrays beside an archetype, with the same types in every process even where they are empty.
+
+    answer, names: a step's answer, and those of its fields that are taken under their own names.
+    """
     typed: dict[str, Any] = {}
-    for name, values in columns.items():
-        kind = {"d": np.dtype(np.float32), "l": np.dtype(np.int32)}.get(values.dtype.char, values.dtype)
+    for name, values in ({name: getattr(answer, name) for name in names} | columns).items():
+        kind = _KINDS.get(values.dtype.char, values.dtype)
         flat = pa.array(values.astype(kind, copy=False).ravel())
         typed[name] = pa.FixedSizeListArray.from_arrays(flat, values.shape[1]) if values.ndim == 2 else flat
     return rr.AnyValues(**typed)
 
 
-def columns_of(answer: object, *names: str) -> dict[str, npt.NDArray[Any]]:
-    """Some arrays of a step's answer by their names, for `evidence`."""
-    return {name: getattr(answer, name) for name in names}
+_KINDS = {"d": np.dtype(np.float32), "l": np.dtype(np.int32), "?": np.dtype(np.uint8)}
+"""As what arrays of 64-bit numbers and of truth values are recorded, by the characters that numpy has for these."""

@@ -13,6 +13,12 @@ from ffmap.app.record.log import Log
 from ffmap.app.setup.outputs import Detail
 from ffmap.blueprints import entities
 
+_QUALITY = (
+    *("threshold_m", "correction_m", "residual_m", "inlier_share", "refined_m", "refined_inlier_share"),
+    *("weakest_share", "milliseconds"),
+)
+"""Figures of a registration that are drawn as curves."""
+
 
 def log_trajectory(
     log: Log,
@@ -76,37 +82,19 @@ def log_registrations(log: Log, registrations: Sequence[Registration], weak: Seq
     log.transforms(entities.ODOMETRY_SENSOR, stamp_ns, np.array([r.T_odom_sensor for r in registrations]))
     if log.detail is not Detail.MAP:
         log.clouds(entities.KEYPOINTS, stamp_ns, [r.keypoints_sensor for r in registrations])
-        mapped = np.array([len(r.local_map_odom) > 0 for r in registrations])
-        log.clouds(
-            entities.LOCAL_MAP, stamp_ns[mapped], [r.local_map_odom for r in registrations if len(r.local_map_odom)]
-        )
+        mapped = [r for r in registrations if len(r.local_map_odom)]
+        log.clouds(entities.LOCAL_MAP, np.array([r.stamp_ns for r in mapped]), [r.local_map_odom for r in mapped])
     alarms = [(r, why) for r, why in zip(registrations, weak, strict=True) if why is not None]
     if alarms:
-        log.columns(
-            entities.WEAK_REGISTRATION,
-            np.array([r.stamp_ns for r, _ in alarms]),
-            rr.Points3D.columns(positions=np.array([r.T_odom_sensor[:3, 3] for r, _ in alarms], np.float32)),
-        )
-        log.columns(
-            entities.MESSAGES,
-            np.array([r.stamp_ns for r, _ in alarms]),
-            rr.TextLog.columns(
-                text=[f"registration {r.index} is weak: {why}" for r, why in alarms],
-                level=[rr.TextLogLevel.WARN] * len(alarms),
-            ),
-        )
-    quality = {
-        "threshold_m": [r.threshold_m for r in registrations],
-        "correction_m": [r.correction_m for r in registrations],
-        "residual_m": [r.residual_m for r in registrations],
-        "inlier_share": [r.inlier_share for r in registrations],
-        "refined_m": [r.refined_m for r in registrations],
-        "refined_inlier_share": [r.refined_inlier_share for r in registrations],
-        "weakest_share": [r.weakest_share for r in registrations],
-        "keypoint_count": [len(r.keypoints_sensor) for r in registrations],
-        "milliseconds": [r.milliseconds for r in registrations],
-    }
-    quality["weak"] = [float(why is not None) for why in weak]
+        alarm_ns = np.array([r.stamp_ns for r, _ in alarms])
+        places = np.array([r.T_odom_sensor[:3, 3] for r, _ in alarms], np.float32)
+        log.columns(entities.WEAK_REGISTRATION, alarm_ns, rr.Points3D.columns(positions=places))
+        texts = [f"registration {r.index} is weak: {why}" for r, why in alarms]
+        levels = [rr.TextLogLevel.WARN] * len(alarms)
+        log.columns(entities.MESSAGES, alarm_ns, rr.TextLog.columns(text=texts, level=levels))
+    quality = {name: [getattr(r, name) for r in registrations] for name in _QUALITY}
+    quality["keypoint_count"] = [len(r.keypoints_sensor) for r in registrations]
+    quality["weak"] = [why is not None for why in weak]
     for name, values in quality.items():
         scalars = np.array(values, np.float64)
         known = np.isfinite(scalars)

@@ -18,7 +18,7 @@ from ffmap.algorithms.scan.rearrangement import HorizontalPlane
 from ffmap.algorithms.scan.smoothing import SmoothedRanges
 from ffmap.app.record.curves import log_curves, log_line
 from ffmap.app.record.line_reasons import candidate_reasons, door_reasons, line_outcomes
-from ffmap.app.record.log import Log, columns_of, evidence, scan_columns
+from ffmap.app.record.log import Log, evidence, scan_columns
 from ffmap.app.record.shapes import (
     POINT_RADIUS_UI,
     SEE_THROUGH,
@@ -48,12 +48,7 @@ class ScanMetrics:
 
 
 def log_scan(
-    log: Log,
-    index: int,
-    level: LevelledScan,
-    labelling: ScanLabelling,
-    stamp_ns: int,
-    timings_ms: Mapping[str, float],
+    log: Log, index: int, level: LevelledScan, labelling: ScanLabelling, stamp_ns: int, timings_ms: Mapping[str, float]
 ) -> ScanMetrics:
     """One labelled scan with its evidence, as much as the detail asks for; returns what `log_scan_metrics` takes."""
     placed, ranges = level.placed, level.ranges
@@ -83,8 +78,7 @@ def log_scan_metrics(log: Log, metrics: Sequence[ScanMetrics]) -> None:
         return
     indexes = scan_columns([scan.index for scan in metrics], [scan.stamp_ns for scan in metrics])
     for path in metrics[0].values:
-        columns = rr.Scalars.columns(scalars=[scan.values[path] for scan in metrics])
-        log.stream.send_columns(path, indexes=indexes, columns=columns)
+        log.curve(path, indexes, [scan.values[path] for scan in metrics])
 
 
 def log_skipped(log: Log, index: int, stamp_ns: int, reason: str) -> None:
@@ -106,7 +100,7 @@ def log_final(
     log.now(
         entities.RELABELLED,
         rr.Points3D(rounded(placed.points_level[changed]), class_ids=label[changed]),
-        evidence({entities.POINT_LABEL_SCAN: label_scan[changed]}),
+        evidence(**{entities.POINT_LABEL_SCAN: label_scan[changed]}),
     )
 
 
@@ -117,7 +111,7 @@ def _log_points(log: Log, positions: FloatArray, ranges: SmoothedRanges, labelli
         entities.POINTS,
         rr.Points3D(positions, class_ids=labelling.label),
         evidence(
-            {
+            **{
                 entities.POINT_LABEL_SCAN: labelling.label,
                 entities.POINT_CORRECTION: np.clip(np.rint(1e3 * ranges.correction_m), -127, 127).astype(np.int8),
                 entities.POINT_RADIUS_UPRIGHT: np.where(horizontal, np.float32(0), ui_radius(POINT_RADIUS_UI)),
@@ -132,9 +126,8 @@ def _log_planes(log: Log, labelling: ScanLabelling) -> None:
         log.now(entities.PLANES, rr.Clear(recursive=False))
         return
     floor_m = labelling.floor.height_at(planes.ends.reshape(-1, 2)).reshape(-1, 2)
-    vertices, triangles = upright_quads(
-        planes.ends, floor_m + planes.bottom_m[:, None], floor_m + planes.top_m[:, None]
-    )
+    bottom_m, top_m = floor_m + planes.bottom_m[:, None], floor_m + planes.top_m[:, None]
+    vertices, triangles = upright_quads(planes.ends, bottom_m, top_m)
     colors = np.array([_plane_color(plane) for plane in range(len(planes))], np.uint8)
     log.now(
         entities.PLANES,
@@ -144,7 +137,7 @@ def _log_planes(log: Log, labelling: ScanLabelling) -> None:
             vertex_colors=np.repeat(colors, 4, axis=0),
             albedo_factor=SEE_THROUGH,
         ),
-        evidence(columns_of(planes, "normal", "offset_m", "rms_m", "line_count", "point_count")),
+        evidence(planes, "normal", "offset_m", "rms_m", "line_count", "point_count"),
     )
 
 
@@ -159,7 +152,7 @@ def _log_openings(log: Log, labelling: ScanLabelling) -> None:
     log.now(
         entities.OPENINGS,
         rr.LineStrips3D(upright_frames(openings.ends, floor_m, floor_m + openings.head_m), labels=labels),
-        evidence(columns_of(openings, "plane", "head_m", "depth_m", "state", "line_count")),
+        evidence(openings, "plane", "head_m", "depth_m", "state", "line_count"),
     )
 
 
@@ -176,11 +169,9 @@ def _log_horizontal(log: Log, positions: FloatArray, labelling: ScanLabelling) -
             path,
             rr.LineStrips3D([_lift(outline, plane) for plane in planes] if len(outline) else []),
             evidence(
-                {
-                    "height_m": np.array([plane.height_m for plane in planes]),
-                    "slope": np.array([plane.slope for plane in planes]).reshape(-1, 2),
-                    "support": np.array([plane.support for plane in planes], np.int32),
-                }
+                height_m=np.array([plane.height_m for plane in planes]),
+                slope=np.array([plane.slope for plane in planes]).reshape(-1, 2),
+                support=np.array([plane.support for plane in planes], np.int32),
             ),
         )
 
@@ -192,9 +183,7 @@ def _log_lines(log: Log, positions: FloatArray, labelling: ScanLabelling) -> Non
     strips, owner = unbroken(positions[samples[present]])
     line = present[owner]
     log.now(
-        entities.LINES,
-        rr.LineStrips3D(strips, class_ids=outcome[line]),
-        evidence({"line": line, "outcome": outcome[line]}),
+        entities.LINES, rr.LineStrips3D(strips, class_ids=outcome[line]), evidence(line=line, outcome=outcome[line])
     )
 
 
@@ -216,7 +205,7 @@ def _log_candidates(log: Log, positions: FloatArray, labelling: ScanLabelling) -
         log.now(
             path,
             rr.LineStrips3D(_spans(positions, labelling.lines.samples, line, first, last), labels=reasons),
-            evidence({"line": line, "first": first, "last": last} | more),
+            evidence(line=line, first=first, last=last, **more),
         )
 
 
@@ -229,12 +218,11 @@ def _log_door_lines(log: Log, labelling: ScanLabelling) -> None:
     log.now(
         entities.DOOR_CONDITIONS,
         rr.Points3D(rounded(np.column_stack([doors.position, top_m])), class_ids=held, labels=door_reasons(labelling)),
-        evidence(columns_of(doors, "line", "plane", "start_height_m", "depth_m", "state") | {"conditions_held": held}),
+        evidence(doors, "line", "plane", "start_height_m", "depth_m", "state", conditions_held=held),
     )
     below = np.empty((np.count_nonzero(above), 2, 3), np.float32)
     below[:, :, :2] = doors.position[above, None]
-    below[:, 0, 2] = floor_m[above]
-    below[:, 1, 2] = floor_m[above] + doors.start_height_m[above]
+    below[:, :, 2] = floor_m[above, None] + np.outer(doors.start_height_m[above], [0, 1])
     log.now(entities.DOOR_LINES, rr.LineStrips3D(below))
 
 

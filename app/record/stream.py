@@ -22,6 +22,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
+from ffmap.app.folder.atomic import written_whole
 from ffmap.app.folder.figures import flatten
 from ffmap.blueprints import entities
 from ffmap.loaders.errors import InputError
@@ -33,6 +34,7 @@ _END = 0
 _FOOTER_BYTES = 32
 """What follows the end message's own content: where that lies, and how the stream ends."""
 _OWN = "own"
+_OPENS_WINDOW_S = 1.0
 _RERUN = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
 """As the `rerun` command does; `python -m rerun_cli` always ends with 0."""
 
@@ -41,19 +43,26 @@ Stream = rr.RecordingStream
 
 
 @contextmanager
-def open_part(path: Path, recording_id: str) -> Iterator[rr.RecordingStream]:
-    """A stream into one part of the recording; the file appears when it is complete. One at a time in a process."""
-    part = path.with_name(path.name + ".part")
-    stream = _stream(recording_id)
-    stream.save(part)
-    try:
-        yield stream
-    except BaseException:
-        stream.disconnect()
-        part.unlink(missing_ok=True)
-        raise
-    stream.disconnect()
-    part.replace(path)
+def open_part(path: Path, recording_id: str, layout: rrb.Blueprint | None = None) -> Iterator[rr.RecordingStream]:
+    """A stream into one part of the recording; the file appears when it is complete. One at a time in a process.
+
+    layout: how it opens, for a recording of one part alone: files in which a layout and data lie together cannot be joined.
+    """
+    with written_whole(path) as part:
+        stream = _stream(recording_id)
+        stream.save(part)
+        try:
+            if layout is not None:
+                stream.send_blueprint(layout, make_active=True, make_default=True)
+            yield stream
+        finally:
+            stream.disconnect()
+
+
+def write_layout(path: Path, recording_id: str, layout: rrb.Blueprint) -> None:
+    """A part that holds a layout and nothing else."""
+    with open_part(path, recording_id, layout):
+        pass
 
 
 @lru_cache(maxsize=1)
@@ -180,28 +189,15 @@ def _splice(part: Path, recording: io.BufferedWriter) -> None:
 
 
 def _content_end(part: Path) -> int | None:
-    """Where the messages of an .rrd end; None where it has none.
-
-    The framing of Rerun 0.41: a stream header of 12 bytes, then messages, each after its kind and its length; the kind
-    0 ends the stream. Raises RuntimeError where a file is framed differently.
-    """
-    with part.open("rb") as source:
-        header = source.read(_STREAM_HEADER.size)
-        if not header:
-            return None
-        if len(header) < _STREAM_HEADER.size or _STREAM_HEADER.unpack(header)[0] != _MAGIC:
-            raise RuntimeError(f"{part}: is not framed as recordings of Rerun 0.41 are")
-        count = 0
-        while True:
-            at = source.tell()
-            message = source.read(_MESSAGE_HEADER.size)
-            if len(message) < _MESSAGE_HEADER.size:
-                raise RuntimeError(f"{part}: ends in the middle of a message")
-            kind, length = _MESSAGE_HEADER.unpack(message)
-            if kind == _END:
-                return at if count else None
-            source.seek(length, io.SEEK_CUR)
-            count += 1
+    """Where the messages of a part end; None where it has none. Raises RuntimeError where it is not framed as in Rerun 0.41."""
+    if not part.stat().st_size:
+        return None
+    found = _read_framing(part)
+    if found is None:
+        raise RuntimeError(f"{part}: is not framed as recordings of Rerun 0.41 are")
+    if not found.has_footer:
+        raise RuntimeError(f"{part}: ends in the middle of a message")
+    return found.position if found.position > _STREAM_HEADER.size else None
 
 
 @dataclass(frozen=True)
@@ -221,36 +217,43 @@ def whole_messages(path: Path) -> WholeMessages:
 
     Raises InputError where it is no recording, or has no whole message.
     """
+    found = _read_framing(path)
+    if found is None:
+        raise InputError(f"{path}: is no recording of Rerun's; run ffmap again")
+    if found.position == _STREAM_HEADER.size:
+        raise InputError(f"{path}: was cut before its first message; run ffmap again")
+    return found
+
+
+def _read_framing(path: Path) -> WholeMessages | None:
+    """A stream header of 12 bytes, then messages, each after its kind and its length; the kind 0 ends the stream.
+
+    None where there is no such header.
+    """
     size = path.stat().st_size
     with path.open("rb") as source:
         header = source.read(_STREAM_HEADER.size)
         if len(header) < _STREAM_HEADER.size or _STREAM_HEADER.unpack(header)[0] != _MAGIC:
-            raise InputError(f"{path}: is no recording of Rerun's; run ffmap again")
+            return None
         at = source.tell()
         while True:
             message = source.read(_MESSAGE_HEADER.size)
             kind, length = _MESSAGE_HEADER.unpack(message) if len(message) == _MESSAGE_HEADER.size else (_END, None)
             has_footer = kind == _END and length is not None and source.tell() + length + _FOOTER_BYTES == size
             if kind == _END or source.tell() + length > size:
-                break
+                return WholeMessages(at, has_footer or at == size, has_footer)
             at = source.seek(length, io.SEEK_CUR)
-    if at == _STREAM_HEADER.size:
-        raise InputError(f"{path}: was cut before its first message; run ffmap again")
-    return WholeMessages(at, has_footer or at == size, has_footer)
 
 
 def join(parts: Sequence[Path], out: Path) -> None:
     """One recording with one footer from all parts, none of them decompressed."""
-    joined = out.with_name(out.name + ".part").resolve()
-    command = [sys.executable, "-c", _RERUN, "rrd", "route", "-o", str(joined)]
-    folders = {part.parent for part in parts}
-    assert len(folders) == 1, "relative names keep the command short"
-    done = subprocess.run(
-        [*command, *(part.name for part in parts)], cwd=folders.pop(), capture_output=True, text=True, check=False
-    )
-    if done.returncode != 0:
-        raise OSError(f"{out}: the recording's parts could not be joined: {done.stderr.strip()}")
-    joined.replace(out)
+    (folder,) = {part.parent for part in parts}  # relative names keep the command short
+    with written_whole(out) as joined:
+        command = [sys.executable, "-c", _RERUN, "rrd", "route", "-o", str(joined.resolve())]
+        command += [part.name for part in parts]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            raise OSError(f"{out}: the recording's parts could not be joined: {done.stderr.strip()}")
 
 
 def start_viewer(port: int | None = None, timeout_s: float = 20.0, files: Sequence[Path] = ()) -> str:
@@ -276,9 +279,6 @@ def start_viewer(port: int | None = None, timeout_s: float = 20.0, files: Sequen
         time.sleep(0.05)
     viewer.terminate()
     raise RuntimeError("the Rerun viewer did not start; is there a display?")
-
-
-_OPENS_WINDOW_S = 1.0
 
 
 def free_port() -> int:

@@ -15,7 +15,10 @@ import rerun as rr
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.app.folder import figures
+from ffmap.app.folder.atomic import written_whole
 from ffmap.app.folder.ranking import Ranking
+from ffmap.app.record.log import Log
+from ffmap.app.record.shapes import markdown, strips_2d, table, ui_radius, words
 from ffmap.blueprints import entities
 from ffmap.blueprints import sweep as sweep_blueprint
 from ffmap.blueprints.entities import Panel
@@ -57,30 +60,23 @@ def write_recording(path: Path, results: Ranking, failures: Sequence[str], bag: 
         for parameter in results.parameters
     }
     title = f"{results.objective} against {results.cost}; green: best; orange: no other is better and faster"
-    part = path.with_name(path.name + ".part")
-    with rr.RecordingStream(entities.SWEEP_APPLICATION_ID) as stream:
+    numbers = {name: _figure_values(results, name) for name in {*shown, results.cost, results.objective}}
+    axes = {name: numeric_axis(name, values) for name, values in numbers.items()}
+    with written_whole(path) as part, rr.RecordingStream(entities.SWEEP_APPLICATION_ID) as stream:
         stream.save(part, default_blueprint=sweep_blueprint.build(panels, title, results.ranked[0]))
         stream.set_log_time_enabled(False)
         stream.send_recording_name(f"sweep of {bag}")
-        _log_table(stream, results, failures, bag)
-        numbers = {name: _figure_values(results, name) for name in {*shown, results.cost, results.objective}}
-        _Drawing(stream, entities.SWEEP_FRONT, results).draw(
-            numeric_axis(results.cost, numbers[results.cost]),
-            numbers[results.cost],
-            numeric_axis(results.objective, numbers[results.objective]),
-            numbers[results.objective],
-            front=True,
-        )
+        log = Log(stream)
+        log.text(entities.SWEEP_TABLE, _table(results, failures, bag))
+        drawing, cost, objective = _Drawing(log, results), results.cost, results.objective
+        drawing.draw(entities.SWEEP_FRONT, axes[cost], numbers[cost], axes[objective], numbers[objective], front=True)
         for parameter, heading in names.items():
             axis, values = parameter_axis(heading, [trial.combination[parameter] for trial in results.trials])
             for (panel, _), name in zip(panels[heading], shown, strict=True):
-                drawing = _Drawing(stream, panel, results)
-                drawing.draw(axis, values, numeric_axis(name, numbers[name]), numbers[name])
+                drawing.draw(panel, axis, values, axes[name], numbers[name])
         for place in range(len(results.trials)):
             stream.set_time(entities.RUN_TIMELINE, sequence=place)
-            text = rr.TextDocument(_describe(results, place, path.parent), media_type=rr.MediaType.MARKDOWN)
-            stream.log(entities.SWEEP_RUN, text)
-    part.replace(path)
+            log.now(entities.SWEEP_RUN, markdown(_describe(results, place, path.parent)))
 
 
 def _figures_shown(results: Ranking) -> list[str]:
@@ -121,9 +117,8 @@ def parameter_axis(name: str, values: Sequence[Any]) -> tuple[Axis, FloatArray]:
         return axis, numbers
     kinds = sorted({str(value) for value in values})
     ticks = tuple(map(float, range(len(kinds))))
-    return Axis(name, 0.0, ticks[-1], ticks, tuple(kinds)), np.array(
-        [kinds.index(str(value)) for value in values], float
-    )
+    places = np.array([kinds.index(str(value)) for value in values], float)
+    return Axis(name, 0.0, ticks[-1], ticks, tuple(kinds)), places
 
 
 def round_numbers(low: float, high: float) -> tuple[float, ...]:
@@ -138,67 +133,49 @@ def round_numbers(low: float, high: float) -> tuple[float, ...]:
 
 
 class _Drawing:
-    """One panel: a frame with its ticks, a point for each run, and a ring around the one at the cursor."""
+    """Panels, each a frame with its ticks, a point for each run, and a ring around the one at the cursor."""
 
-    def __init__(self, stream: rr.RecordingStream, path: str, results: Ranking) -> None:
-        self._stream, self._path, self._results = stream, path, results
+    def __init__(self, log: Log, results: Ranking) -> None:
+        self._log, self._results = log, results
+        self._colors = np.full((len(results.trials), 3), entities.RUN_COLOR, np.uint8)
+        self._colors[list(results.front)] = entities.FRONT_COLOR
+        self._colors[results.ranked[0]] = entities.BEST_COLOR
+        names = figures.short_names(results.parameters)
+        self._labels = [
+            ", ".join(f"{names[name]} {figures.format_value(v)}" for name, v in trial.combination.items())
+            for trial in results.trials
+        ]
 
-    def draw(self, x_axis: Axis, x: FloatArray, y_axis: Axis, y: FloatArray, front: bool = False) -> None:
+    def draw(self, path: str, x_axis: Axis, x: FloatArray, y_axis: Axis, y: FloatArray, front: bool = False) -> None:
         """x, y: (n,) of the trials; those with a NaN are left out. front: whether to join the front's trials by a line."""
         points = np.column_stack([_across(x_axis.place(x)), _upwards(y_axis.place(y))]).astype(np.float32)
         known = np.asarray(np.isfinite(points).all(axis=1))
-        self._frame(x_axis, y_axis)
-        ranked, on_front = self._results.ranked, set(self._results.front)
-        colors = np.array(
-            [
-                entities.BEST_COLOR
-                if place == ranked[0]
-                else entities.FRONT_COLOR
-                if place in on_front
-                else entities.RUN_COLOR
-                for place in range(len(points))
-            ],
-            np.uint8,
-        )
+        self._frame(path, x_axis, y_axis)
         if front:
-            self._line("front", points[list(self._results.front)], entities.FRONT_COLOR)
+            line = points[list(self._results.front)]
+            self._log.static(f"{path}/front", strips_2d([line], entities.FRONT_COLOR, 1.5, 10.0))
         else:
             places = np.unique(points[known, 0])
             means = [points[known & (points[:, 0] == place), 1].mean() for place in places]
-            self._line("means", np.column_stack([places, means]), entities.MEAN_COLOR)
-        names = figures.short_names(self._results.parameters)
-        labels = [
-            ", ".join(f"{names[name]} {figures.format_value(v)}" for name, v in trial.combination.items())
-            for trial in self._results.trials
-        ]
-        self._stream.log(
-            f"{self._path}/runs",
+            line = np.column_stack([places, means])
+            self._log.static(f"{path}/means", strips_2d([line], entities.MEAN_COLOR, 1.5, 10.0))
+        self._log.static(
+            f"{path}/runs",
             rr.Points2D(
                 points[known],
-                colors=colors[known],
-                radii=rr.Radius.ui_points(5.0),
-                labels=[label for label, shown in zip(labels, known, strict=True) if shown],
+                colors=self._colors[known],
+                radii=ui_radius(5.0),
+                labels=[self._labels[place] for place in np.flatnonzero(known)],
                 show_labels=False,
                 draw_order=20.0,
             ),
-            static=True,
         )
         for place, point in enumerate(points):
-            self._stream.set_time(entities.RUN_TIMELINE, sequence=place)
+            self._log.stream.set_time(entities.RUN_TIMELINE, sequence=place)
             ring = _ring(point) if known[place] else np.zeros((0, 2))
-            self._stream.log(
-                f"{self._path}/cursor",
-                rr.LineStrips2D([ring], colors=(255, 255, 255), radii=rr.Radius.ui_points(1.5), draw_order=30.0),
-            )
+            self._log.now(f"{path}/cursor", strips_2d([ring], (255, 255, 255), 1.5, 30.0))
 
-    def _line(self, name: str, points: FloatArray, color: entities.Color) -> None:
-        self._stream.log(
-            f"{self._path}/{name}",
-            rr.LineStrips2D([points], colors=color, radii=rr.Radius.ui_points(1.5), draw_order=10.0),
-            static=True,
-        )
-
-    def _frame(self, x_axis: Axis, y_axis: Axis) -> None:
+    def _frame(self, path: str, x_axis: Axis, y_axis: Axis) -> None:
         x = _across(x_axis.place(np.array(x_axis.ticks)))
         y = _upwards(y_axis.place(np.array(y_axis.ticks)))
         lines = [
@@ -206,27 +183,13 @@ class _Drawing:
             *(np.array([[0, at], [Panel.WIDTH, at]]) for at in y),
             np.array([[0, 0], [Panel.WIDTH, 0], [Panel.WIDTH, Panel.HEIGHT], [0, Panel.HEIGHT], [0, 0]]),
         ]
-        self._stream.log(
-            f"{self._path}/frame",
-            rr.LineStrips2D(lines, colors=entities.FRAME_COLOR, radii=rr.Radius.ui_points(0.5), draw_order=0.0),
-            static=True,
-        )
+        self._log.static(f"{path}/frame", strips_2d(lines, entities.FRAME_COLOR, 0.5, 0.0))
         places = [
             *((at, Panel.HEIGHT + 2) for at in x),
             *((-0.55 * Panel.MARGIN_LEFT, at - 12) for at in y),
             (Panel.WIDTH / 2, Panel.HEIGHT + 28),
         ]
-        self._stream.log(
-            f"{self._path}/texts",
-            rr.Points2D(
-                places,
-                labels=[*x_axis.texts, *y_axis.texts, x_axis.name],
-                show_labels=True,
-                colors=entities.TEXT_COLOR,
-                radii=0.0,
-            ),
-            static=True,
-        )
+        self._log.static(f"{path}/texts", words(places, [*x_axis.texts, *y_axis.texts, x_axis.name]))
 
 
 def _across(share: FloatArray) -> FloatArray:
@@ -242,41 +205,34 @@ def _ring(centre: FloatArray) -> FloatArray:
     return np.asarray(centre + 11.0 * np.column_stack([np.cos(angle), np.sin(angle)]))
 
 
-def _log_table(stream: rr.RecordingStream, results: Ranking, failures: Sequence[str], bag: str) -> None:
-    shown = results.headlines
-    names = figures.short_names(results.parameters)
-    rows = [["", *names.values(), *shown, "run"], ["---"] * (len(names) + len(shown) + 2)]
+def _table(results: Ranking, failures: Sequence[str], bag: str) -> str:
+    shown, names = results.headlines, figures.short_names(results.parameters)
+    rows = []
     for place in results.ranked:
         trial = results.trials[place]
         values = [trial.combination[name] for name in names] + [trial.figures.get(name) for name in shown]
         mark = "●" if place in results.front else ""
         rows.append([mark, *map(figures.format_value, values), ", ".join(trial.names)])
-    failed = [f"- {failure}" for failure in failures]
     text = [
         f"# Sweep of {bag}",
         f"{len(results.trials)} settings, best by `{results.objective}` first. ● no other is better and faster.",
         "",
-        *("| " + " | ".join(row) + " |" for row in rows),
-        *(["", "## Failed", *failed] if failed else []),
+        table(["", *names.values(), *shown, "run"], rows),
+        *(["", "## Failed", *(f"- {failure}" for failure in failures)] if failures else []),
     ]
-    stream.log(entities.SWEEP_TABLE, rr.TextDocument("\n".join(text), media_type=rr.MediaType.MARKDOWN), static=True)
+    return "\n".join(text)
 
 
 def _describe(results: Ranking, place: int, folder: Path) -> str:
     trial = results.trials[place]
-    rank = results.ranked.index(place) + 1
+    on_front = ", on the front: no other is better and faster." if place in results.front else "."
     lines = [
         f"# Run {place}",
-        f"Rank {rank} of {len(results.trials)} by `{results.objective}`"
-        + (", on the front: no other is better and faster." if place in results.front else "."),
+        f"Rank {results.ranked.index(place) + 1} of {len(results.trials)} by `{results.objective}`{on_front}",
         "",
-        "| setting | value |",
-        "|---|---|",
-        *(f"| {name} | **{figures.format_value(value)}** |" for name, value in trial.combination.items()),
+        table(("setting", "value"), ((k, f"**{figures.format_value(v)}**") for k, v in trial.combination.items())),
         "",
-        "| figure | value |",
-        "|---|---|",
-        *(f"| {name} | {figures.format_value(trial.figures.get(name))} |" for name in results.headlines),
+        table(("figure", "value"), ((k, figures.format_value(trial.figures.get(k))) for k in results.headlines)),
         "",
         *(f"`ffmap view {folder / name}`" for name in trial.names),
     ]

@@ -13,7 +13,7 @@ from ffmap.algorithms.maps.grid import GridMap
 from ffmap.app.folder.finished_run import FROM_ODOMETRY
 from ffmap.app.record.curves import log_curve_sheet
 from ffmap.app.record.log import Log
-from ffmap.app.record.shapes import POINT_RADIUS_UI, annotations, transform
+from ffmap.app.record.shapes import POINT_RADIUS_UI, annotations, transform, ui_radius, words
 from ffmap.app.setup.outputs import Detail
 from ffmap.blueprints import entities
 from ffmap.blueprints import run as run_blueprint
@@ -61,21 +61,21 @@ def log_static(
     log.text(entities.README, readme)
     log.text(entities.GLANCE, entities.glance(labelled=ring_count is not None, scans=log.detail is not Detail.MAP))
     log.text(entities.EVALUATION_HELP, entities.EVALUATION_HELP_TEXT)
-    log_legend(log.stream, entities.LABEL_LEGEND, entities.LABEL_LEGEND_ENTRIES)
+    log_legend(log, entities.LABEL_LEGEND, entities.LABEL_LEGEND_ENTRIES)
     log.static(entities.BASE, rr.TransformAxes3D(0.6))
     for role, T_base_sensor in sensors.items():
         log.static(f"{entities.BASE}/{role}", transform(T_base_sensor), rr.TransformAxes3D(0.3))
     for archetype, styles in ((rr.Points3D, _POINT_STYLES), (rr.LineStrips3D, _LINE_STYLES)):
         for path, radius_ui, color in styles:
-            log.static(path, archetype.from_fields(radii=rr.Radius.ui_points(radius_ui), colors=color))
+            log.static(path, archetype.from_fields(radii=ui_radius(radius_ui), colors=color))
     # Their labels are whole sentences: they show where the pointer rests.
     log.static(entities.UPMOST, rr.LineStrips3D.from_fields(show_labels=False))
     log.static(entities.DOOR_CONDITIONS, rr.Points3D.from_fields(show_labels=False))
     for label in Label:
         name, color = entities.CLASSES[label]
-        log.static(f"{entities.LABEL_COUNTS}/{name}", rr.SeriesLines(colors=color, names=name, widths=1.5))
+        log.curve_style(f"{entities.LABEL_COUNTS}/{name}", name, color)
     for path, (name, color) in entities.SERIES.items():
-        log.static(path, rr.SeriesLines(colors=color, names=name, widths=1.5))
+        log.curve_style(path, name, color)
     if ring_count is not None and slope_max is not None and log.detail is Detail.LINES:
         log_curve_sheet(log, CurveSheet(ring_count), slope_max)
 
@@ -101,20 +101,10 @@ def log_warnings(log: Log, warnings: Sequence[str]) -> None:
     log.text(entities.WARNINGS, "\n".join(f"- {warning}" for warning in warnings) or "None.")
 
 
-def log_legend(stream: rr.RecordingStream, path: str, entries: Sequence[tuple[str, entities.Color]]) -> None:
+def log_legend(log: Log, path: str, entries: Sequence[tuple[str, entities.Color]]) -> None:
     """Names side by side, each below a dot in its colour, as `blueprints.legend` shows them."""
     across = Legend.STEP * (np.arange(len(entries)) + 0.5)
-    dots = rr.Points2D(
-        np.column_stack([across, np.zeros(len(entries))]),
-        colors=[color for _, color in entries],
-        radii=rr.Radius.ui_points(Legend.DOT_UI),
-    )
-    names = rr.Points2D(
-        np.column_stack([across, np.full(len(entries), Legend.NAMES_BELOW)]),
-        colors=entities.TEXT_COLOR,
-        radii=0.0,
-        labels=[name for name, _ in entries],
-        show_labels=True,
-    )
-    stream.log(f"{path}/dots", dots, static=True)
-    stream.log(f"{path}/names", names, static=True)
+    names, colors = zip(*entries, strict=True)
+    dots = np.column_stack([across, np.zeros(len(entries))])
+    log.static(f"{path}/dots", rr.Points2D(dots, colors=colors, radii=ui_radius(Legend.DOT_UI)))
+    log.static(f"{path}/names", words(dots + np.array([0.0, Legend.NAMES_BELOW]), names))

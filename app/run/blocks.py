@@ -12,32 +12,23 @@ import numpy as np
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array, within_range
 from ffmap.algorithms.base.trajectory import PlacedScan, Trajectory
-from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings, relabel
+from ffmap.algorithms.building.final_labels import BuildingModel, relabel
 from ffmap.algorithms.building.votes import VoxelTable
-from ffmap.algorithms.maps.rivals import RivalCounter, RivalMapsSettings
+from ffmap.algorithms.maps.rivals import RivalCounter
 from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
 from ffmap.algorithms.scan.ceiling import below_ceiling
-from ffmap.algorithms.scan.labelling import MethodSettings, label_scan
+from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.algorithms.scan.smoothing import SmoothedRanges, smooth_ranges
 from ffmap.algorithms.scan.summary import Features, concatenate, extract
 from ffmap.app.record.log import Log
 from ffmap.app.record.scans import ScanMetrics, log_final, log_scan, log_scan_metrics, log_skipped
 from ffmap.app.record.stream import open_part
-from ffmap.app.run.spool import (
-    BlockSummary,
-    ceiling_arrays,
-    feature_arrays,
-    label_arrays,
-    load_ceilings,
-    load_halo,
-    load_labels,
-    load_summary,
-    save,
-    summary_arrays,
-    vote_arrays,
-)
+from ffmap.app.run import spool
+from ffmap.app.run.arrays import pack, pack_ragged
+from ffmap.app.run.spool import BlockSummary
 from ffmap.app.setup.inputs import Inputs, Sensor
 from ffmap.app.setup.outputs import Detail
+from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.cloud_digest import as_rows
 from ffmap.loaders.errors import InputError
@@ -71,13 +62,7 @@ class LabelJob:
     """How high the base stands above the floor."""
     floor_slope: FloatArray
     """(2,) of the map's floor, metres up for each metre along x and y."""
-    extrapolate_ns: int
-    level_scan_max_deg: float
-    method: MethodSettings
-    rival_maps: RivalMapsSettings
-    cell_m: float
-    """Edge of the grid maps' cells."""
-    seed: int
+    settings: Settings
     recording_id: str
     detail: Detail | None
     path: Path
@@ -91,8 +76,7 @@ class FinishJob:
     label: LabelJob
     building: BuildingModel
     halo: Path
-    """A file that `save_halo` wrote: it grows with the building, and each worker reads it once."""
-    settings: RelabellingSettings
+    """The halo's file in the spool: it grows with the building, and each worker reads it once."""
 
 
 def split_blocks(clouds: int) -> list[Block]:
@@ -105,7 +89,9 @@ def split_blocks(clouds: int) -> list[Block]:
 
 def label_block(job: LabelJob) -> BlockSummary:
     """Label every scan of a block; write its evidence, labels, features and votes to the spool."""
-    block = _LabelledBlock(VoxelTable(VOXEL_M, len(Label)), RivalCounter(job.cell_m, job.rival_maps))
+    block = _LabelledBlock(
+        VoxelTable(VOXEL_M, len(Label)), RivalCounter(job.settings.grid_map.cell_m, job.settings.rival_maps)
+    )
     with _open_evidence(job, ".rrd") as log:
         watch = _Stopwatch()
         for index, scan in _read(job, block.digests):
@@ -122,16 +108,16 @@ def label_block(job: LabelJob) -> BlockSummary:
         if log:
             log_scan_metrics(log, block.metrics)
     summary = block.summary()
-    found = {} if not block.features else feature_arrays(concatenate(block.features))
-    save(
+    spool.save(
         job.path.with_suffix(".npz"),
         {
-            **summary_arrays(summary),
-            **label_arrays(block.labels, summary.scan),
-            **ceiling_arrays(block.ceilings),
-            **found,
-            **vote_arrays("votes", block.votes.votes()),
-            **vote_arrays("rivals", block.rivals.votes()),
+            **pack(summary, spool.SUMMARY),
+            "scan": summary.scan,
+            **pack_ragged(spool.SCAN_LABELS, block.labels),
+            **pack_ragged(spool.SCAN_CEILINGS, block.ceilings),
+            **(pack(concatenate(block.features), spool.FEATURES) if block.features else {}),
+            **pack(block.votes.votes(), spool.VOTES),
+            **pack(block.rivals.votes(), spool.RIVALS),
         },
     )
     return summary
@@ -186,12 +172,12 @@ class _LabelledBlock:
 
 def _label(index: int, scan: Scan, job: LabelJob, block: _LabelledBlock, log: Log | None, watch: _Stopwatch) -> None:
     """Label one scan, record it, and add to the block what it comes to."""
-    ranges = smooth_ranges(scan, job.method.smoothing)
+    ranges = smooth_ranges(scan, job.settings.smoothing)
     watch.lap("smoothing")
     level = _place(scan, ranges, job)
     placed = level.placed
     watch.lap("placing")
-    labelling = label_scan(scan, placed, job.method, seed_of(job.seed, index))
+    labelling = label_scan(scan, placed, job.settings.method, seed_of(job.settings.seed, index))
     watch.lap("labelling")
     if log:
         block.metrics.append(log_scan(log, index, level, labelling, scan.stamp_ns, watch.milliseconds))
@@ -215,7 +201,7 @@ def finish_block(job: FinishJob) -> None:
     """
     label_job = job.label
     first = label_job.path.with_suffix(".npz")
-    earlier, ceilings = load_labels(first), load_ceilings(first)
+    earlier, ceilings = spool.load_by_scan(first, spool.SCAN_LABELS), spool.load_by_scan(first, spool.SCAN_CEILINGS)
     labels: dict[int, UInt8Array] = {}
     digests: list[bytes] = []
     table = VoxelTable(VOXEL_M, len(Label))
@@ -223,8 +209,8 @@ def finish_block(job: FinishJob) -> None:
         for index, scan in _read(label_job, digests):
             if index not in earlier or isinstance(scan, SkippedScan):
                 continue
-            scan = within_range(scan, label_job.method.scan.range_max_m)
-            level = _place(scan, smooth_ranges(scan, label_job.method.smoothing), label_job)
+            scan = within_range(scan, label_job.settings.scan.range_max_m)
+            level = _place(scan, smooth_ranges(scan, label_job.settings.smoothing), label_job)
             placed = level.placed
             points_map = points_in_map(placed)
             label_of_scan = earlier[index][scan.cloud_index]
@@ -236,19 +222,19 @@ def finish_block(job: FinishJob) -> None:
                 label_of_scan,
                 placed.to_map(placed.origin_level[None])[0],
                 job.building,
-                load_halo(job.halo),
-                job.settings,
+                spool.load_halo(job.halo),
+                label_job.settings.relabelling,
             )
             if log:
                 log_final(log, index, scan.stamp_ns, placed, label_of_scan, label)
             table.add(points_map, label)
             labels[index] = full_labels(scan, label)
-    if not np.array_equal(as_rows(digests), load_summary(first).cloud_digest):
+    if not np.array_equal(as_rows(digests), spool.load(BlockSummary, first, spool.SUMMARY).cloud_digest):
         raise InputError(
             f"{label_job.inputs.bag_path}: changed while the run was reading it; let nothing write to it, and start a new run"
         )
-    final = label_arrays(list(labels.values()), np.array(list(labels), np.int64))
-    save(label_job.path.with_suffix(".final.npz"), {**final, **vote_arrays("votes", table.votes())})
+    final = {"scan": np.array(list(labels), np.int64), **pack_ragged(spool.SCAN_LABELS, list(labels.values()))}
+    spool.save(label_job.path.with_suffix(".final.npz"), {**final, **pack(table.votes(), spool.VOTES)})
 
 
 def _read(job: LabelJob, digests: list[bytes]) -> Iterator[tuple[int, Scan | SkippedScan]]:
@@ -262,9 +248,10 @@ def _usable(index: int, scan: Scan | SkippedScan, job: LabelJob) -> Scan | Skipp
     """The scan without the returns that are too far away, where it has a pose and any return is left."""
     if isinstance(scan, SkippedScan):
         return scan
-    if not job.trajectory.covers(np.array([scan.start_ns, scan.end_ns]), job.extrapolate_ns).all():
+    extrapolate_ns = int(job.settings.trajectory.extrapolate_s * 1e9)
+    if not job.trajectory.covers(np.array([scan.start_ns, scan.end_ns]), extrapolate_ns).all():
         return SkippedScan(index, scan.stamp_ns, "no pose at its time")
-    range_max_m = job.method.scan.range_max_m
+    range_max_m = job.settings.scan.range_max_m
     near = within_range(scan, range_max_m)
     nothing = SkippedScan(index, scan.stamp_ns, f"no return within {range_max_m:g} m (scan.range_max_m)")
     return near if len(near) else nothing
@@ -279,15 +266,15 @@ def _place(scan: Scan, ranges: SmoothedRanges, job: LabelJob) -> LevelledScan:
         T_base_sensor,
         job.base_height_m,
         job.floor_slope,
-        job.method.rearrangement,
-        job.level_scan_max_deg,
+        job.settings.rearrangement,
+        job.settings.trajectory.level_scan_max_deg,
     )
 
 
 def holds_clouds_of(path: Path, block: Block, inputs: Inputs) -> bool:
     """Whether a block's .npz was made from the very clouds that the bag holds now, byte by byte."""
     found = read_digests(_open(inputs.bag_path), _vertical(inputs).index, block.first, block.count)
-    return np.array_equal(load_summary(path).cloud_digest, as_rows(list(found)))
+    return np.array_equal(spool.load(BlockSummary, path, spool.SUMMARY).cloud_digest, as_rows(list(found)))
 
 
 def points_in_map(placed: PlacedScan) -> FloatArray:

@@ -47,15 +47,11 @@ class RunState:
     def gathered(self, record: dict[str, Any]) -> dict[str, Any]:
         """As it stands in run.json; record: what that held at the start."""
         total_s = time.perf_counter() - self.started
+        told = ("counts", "statistics", "warnings", "odometry_cached", "labels_digest", "topology")
         return {
             "bag": self.bag_as_read(record),
-            "timings_s": {name: round(s, 3) for name, s in self.timings_s.items()} | {"total": round(total_s, 3)},
-            "counts": self.counts,
-            "statistics": self.statistics,
-            "warnings": self.warnings,
-            "odometry_cached": self.odometry_cached,
-            "labels_digest": self.labels_digest,
-            "topology": self.topology,
+            "timings_s": {name: round(s, 3) for name, s in (self.timings_s | {"total": total_s}).items()},
+            **{name: getattr(self, name) for name in told},
         }
 
     def bag_as_read(self, record: dict[str, Any]) -> dict[str, Any]:
@@ -90,8 +86,3 @@ class Run:
         started = time.perf_counter()
         yield
         self.state.timings_s[name] = time.perf_counter() - started
-
-
-def commonest(reasons: list[str]) -> str:
-    """The commonest of the reasons why clouds were skipped."""
-    return max(sorted(set(reasons)), key=reasons.count) if reasons else "none is there"

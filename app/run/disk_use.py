@@ -109,9 +109,8 @@ def check_disk(
     """
     use = estimate(inputs, outputs, detail)
     if use is None:
-        return DiskCheck(
-            "disk: what the run will write cannot be foreseen: no cloud that was tried of all over the bag is sound"
-        )
+        unsound = "no cloud that was tried of all over the bag is sound"
+        return DiskCheck(f"disk: what the run will write cannot be foreseen: {unsound}")
     free = shutil.disk_usage(next(place for place in (out, *out.resolve().parents) if place.exists())).free
     if resumed is not None:
         free += sum(file.stat().st_size for file in resumed.path.rglob("*") if file.is_file())

@@ -10,7 +10,7 @@ import queue
 import threading
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from importlib.metadata import version
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -23,7 +23,7 @@ from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.poses.odometry import Registration
 from ffmap.algorithms.poses.pose_graph import PoseGraph
 from ffmap.app.run import odometry_cache
-from ffmap.app.run.odometry_cache import Arrays
+from ffmap.app.run.arrays import Arrays, pack, pack_rows, unpack, unpack_rows
 from ffmap.app.run.workers import WorkerLostError, process_context, start_as_worker
 from ffmap.app.setup.inputs import Inputs, Sensor, digest_clouds, digest_stamps, total_digest
 from ffmap.app.setup.settings import Settings
@@ -62,11 +62,7 @@ def cache_key(inputs: Inputs, sensor: Sensor, settings: Settings) -> str:
         "kiss_icp": version("kiss-icp"),
         "small_gicp": version("small_gicp"),
         "gtsam": version("gtsam"),
-        "scan": settings.scan.model_dump(mode="json"),
-        "odometry": settings.odometry.model_dump(mode="json"),
-        "refinement": settings.refinement.model_dump(mode="json"),
-        "pose_graph": settings.pose_graph.model_dump(mode="json"),
-        "trajectory": settings.trajectory.model_dump(mode="json"),
+        **settings.model_dump(mode="json", include={"scan", "odometry", "refinement", "pose_graph", "trajectory"}),
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
 
@@ -120,15 +116,16 @@ class Odometry:
     @property
     def trajectory(self) -> Trajectory:
         """T_odom_base of the scans so far; of all of them with the loops closed."""
-        T_odom_sensor = self._all_poses()
-        if self.pose_graph is not None:
-            T_odom_sensor = self.pose_graph.corrected(T_odom_sensor)
-        return Trajectory(np.array(self._stamps, np.int64), T_odom_sensor @ self._T_sensor_base)
+        before = self._all_poses()
+        return self._of_base(before if self.pose_graph is None else self.pose_graph.corrected(before))
 
     @property
     def before_loops(self) -> Trajectory:
         """T_odom_base of the scans so far, as they were registered."""
-        return Trajectory(np.array(self._stamps, np.int64), self._all_poses() @ self._T_sensor_base)
+        return self._of_base(self._all_poses())
+
+    def _of_base(self, T_odom_sensor: FloatArray) -> Trajectory:
+        return Trajectory(np.array(self._stamps, np.int64), T_odom_sensor @ self._T_sensor_base)
 
     def _all_poses(self) -> FloatArray:
         return np.array(self._T_odom_sensor).reshape(-1, 4, 4)
@@ -151,13 +148,13 @@ class Odometry:
         with odometry_cache.Writer(key) as writer:
             for result in _register(inputs, sensor, settings):
                 if waiting and (not isinstance(result, Registration) or len(waiting) == _PER_FILE):
-                    writer.add(_columns(waiting))
+                    writer.add(pack_rows(waiting, _RAGGED))
                     waiting = []
                 match result:
                     case Registration():
                         waiting.append(result)
                     case PoseGraph():
-                        writer.add({field.name: getattr(result, field.name) for field in fields(PoseGraph)})
+                        writer.add(pack(result))
                     case _Read():
                         writer.complete(total_digest(result.clouds), inputs.bag_path)
                 yield result
@@ -172,41 +169,10 @@ class Odometry:
 def _from_files(files: Sequence[Arrays], clouds: dict[str, str]) -> Iterator[_Result]:
     for columns in files:
         if "index" in columns:
-            yield from _registrations(columns)
+            yield from unpack_rows(Registration, columns, _RAGGED)
         else:
-            yield PoseGraph(**columns)
+            yield unpack(PoseGraph, columns)
     yield _Read(clouds)
-
-
-def _registrations(columns: Arrays) -> Iterator[Registration]:
-    ragged = {name: np.split(columns[name], np.cumsum(columns[f"{name}_length"])[:-1]) for name in _RAGGED}
-    for i in range(len(columns["index"])):
-        yield Registration(
-            index=int(columns["index"][i]),
-            stamp_ns=int(columns["stamp_ns"][i]),
-            T_odom_sensor=columns["T_odom_sensor"][i],
-            keypoints_sensor=ragged["keypoints_sensor"][i],
-            local_map_odom=ragged["local_map_odom"][i],
-            threshold_m=float(columns["threshold_m"][i]),
-            correction_m=float(columns["correction_m"][i]),
-            residual_m=float(columns["residual_m"][i]),
-            inlier_share=float(columns["inlier_share"][i]),
-            refined_m=float(columns["refined_m"][i]),
-            refined_inlier_share=float(columns["refined_inlier_share"][i]),
-            weakest_share=float(columns["weakest_share"][i]),
-            refused=bool(columns["refused"][i]),
-            milliseconds=float(columns["milliseconds"][i]),
-        )
-
-
-def _columns(registrations: Sequence[Registration]) -> Arrays:
-    columns = {field.name: [getattr(r, field.name) for r in registrations] for field in fields(Registration)}
-    ragged = {name: columns.pop(name) for name in _RAGGED}
-    return {
-        **{name: np.array(values) for name, values in columns.items()},
-        **{name: np.concatenate(values) for name, values in ragged.items()},
-        **{f"{name}_length": np.array([len(v) for v in values]) for name, values in ragged.items()},
-    }
 
 
 def _register(inputs: Inputs, sensor: Sensor, settings: Settings) -> Iterator[_Result]:

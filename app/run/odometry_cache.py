@@ -11,15 +11,17 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import xxhash
+
+from ffmap.app.run.arrays import Arrays
 
 CACHE_VARIABLE = "FFMAP_CACHE"
 """The environment variable that names the folder of the cache, before anything else does."""
@@ -33,9 +35,6 @@ _ABANDONED_S = 24 * 3600.0
 """Age in seconds at which an unfinished part is taken for that of a run that was killed."""
 _IN_USE_S = 60.0
 """Time in seconds after its last use in which another run may still read an entry."""
-
-Arrays = Mapping[str, Any]
-"""Named arrays."""
 
 
 def cache_folder() -> Path:
@@ -141,11 +140,9 @@ class Writer:
         self.failure: str | None = None
 
     def __enter__(self) -> Self:
-        try:
+        with self._noting_failure():
             shutil.rmtree(self._part, ignore_errors=True)
             self._part.mkdir(parents=True)
-        except OSError as error:
-            self.failure = str(error.strerror or error)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
@@ -165,24 +162,25 @@ class Writer:
         if self.failure is not None:
             return
         path = cache_folder() / entry_name(self._key, content)
-        try:
+        with self._noting_failure():
             _remove(path)
             self._part.replace(path)
-        except OSError as error:
-            self.failure = str(error.strerror or error)
-            return
         _remove_parts(older_than_s=_ABANDONED_S)
         _keep_below(LIMIT_BYTES)
 
     def _write(self, name: str, data: bytes) -> None:
         if self.failure is not None:
             return
+        with self._noting_failure(), (self._part / name).open("wb") as file:
+            file.write(data)
+            file.flush()
+            # What is named complete must be on the disk, should the power go.
+            os.fsync(file.fileno())
+
+    @contextmanager
+    def _noting_failure(self) -> Iterator[None]:
         try:
-            with (self._part / name).open("wb") as file:
-                file.write(data)
-                file.flush()
-                # What is named complete must be on the disk, should the power go.
-                os.fsync(file.fileno())
+            yield
         except OSError as error:
             self.failure = str(error.strerror or error)
 

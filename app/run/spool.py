@@ -3,21 +3,28 @@
 They are all that passes between processes, so that a killed run can go on.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
-from ffmap.algorithms.building.votes import Halo, VoxelVotes
+from ffmap.algorithms.building.votes import Halo
 from ffmap.algorithms.scan.summary import Features
-from ffmap.app.folder.atomic import write_atomically
+from ffmap.app.folder.atomic import written_whole
+from ffmap.app.run.arrays import Arrays, unpack, unpack_ragged
 
-Arrays = Mapping[str, npt.NDArray[Any]]
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+    _T = TypeVar("_T", bound=DataclassInstance)
+
+SUMMARY, FEATURES, VOTES, RIVALS = "summary_", "feature_", "votes_", "rivals_"
+"""What the names of the arrays begin with: of `BlockSummary`, `Features`, and twice `VoxelVotes`, that of `RivalCounter` last."""
+SCAN_LABELS, SCAN_CEILINGS = "label", "ceiling"
+"""By scan: labels, one for each place in the cloud, and ceiling planes (k, 3); `scan` has the numbers."""
 
 
 @dataclass(frozen=True)
@@ -45,103 +52,31 @@ class BlockSummary:
     beyond_range: IntArray
 
 
-def summary_arrays(summary: BlockSummary) -> Arrays:
-    """As `load_summary` reads it."""
-    return {f"summary_{f.name}": np.asarray(getattr(summary, f.name)) for f in fields(BlockSummary)}
-
-
-def load_summary(path: Path) -> BlockSummary:
-    """The summary in a block's .npz."""
+def load(kind: "type[_T]", path: Path, prefix: str) -> "_T":
+    """What a block's .npz holds of a dataclass, see `pack`."""
     with np.load(path) as spooled:
-        values = {f.name: spooled[f"summary_{f.name}"] for f in fields(BlockSummary)}
-    values["skipped_reason"] = tuple(str(reason) for reason in values["skipped_reason"])
-    return BlockSummary(**values)
+        return unpack(kind, spooled, prefix)
 
 
 def load_features(path: Path) -> Features | None:
     """The features in a block's .npz; None where it holds no scan."""
     with np.load(path) as spooled:
-        if f"feature_{fields(Features)[0].name}" not in spooled:
-            return None
-        return Features(**{f.name: spooled[f"feature_{f.name}"] for f in fields(Features)})
+        return unpack(Features, spooled, FEATURES) if f"{FEATURES}scan" in spooled else None
 
 
-def load_labels(path: Path) -> dict[int, UInt8Array]:
-    """Labels of each cloud in a block's .npz, by its number, one for each place in the cloud."""
+def load_by_scan(path: Path, name: str) -> dict[int, Any]:
+    """Arrays of single scans in a block's .npz, by the scans' numbers: see `SCAN_LABELS` and `SCAN_CEILINGS`."""
     with np.load(path) as spooled:
-        parts = np.split(spooled["label"], np.cumsum(spooled["label_size"])[:-1])
-        return (
-            {int(scan): part for scan, part in zip(spooled["label_scan"], parts, strict=True)}
-            if len(spooled["label_scan"])
-            else {}
-        )
-
-
-def load_ceilings(path: Path) -> dict[int, FloatArray]:
-    """The ceiling planes (k, 3) of each scan in a block's .npz, by its number."""
-    with np.load(path) as spooled:
-        parts = np.split(spooled["ceiling_planes"], np.cumsum(spooled["ceiling_count"]))
-        return {int(scan): part for scan, part in zip(spooled["label_scan"], parts, strict=False)}
-
-
-def load_votes(path: Path) -> VoxelVotes:
-    """The voxel votes in a block's .npz, of the scans' own labels or of the final ones."""
-    return _load_votes(path, "votes")
-
-
-def load_rivals(path: Path) -> VoxelVotes:
-    """What `RivalCounter` counted of a block, from its .npz."""
-    return _load_votes(path, "rivals")
-
-
-def _load_votes(path: Path, name: str) -> VoxelVotes:
-    with np.load(path) as spooled:
-        values = {f.name: spooled[f"{name}_{f.name}"] for f in fields(VoxelVotes)}
-    return VoxelVotes(**{**values, "voxel_m": float(values["voxel_m"])})
-
-
-def vote_arrays(name: str, votes: VoxelVotes) -> Arrays:
-    """As `load_votes` and `load_rivals` read them."""
-    return {f"{name}_{f.name}": np.asarray(getattr(votes, f.name)) for f in fields(VoxelVotes)}
-
-
-def save_halo(path: Path, halo: Halo) -> None:
-    """Write what `FinishJob.halo` names."""
-    save(path, {f.name: np.asarray(getattr(halo, f.name)) for f in fields(Halo)})
+        return dict(zip(spooled["scan"].tolist(), unpack_ragged(name, spooled), strict=True))
 
 
 @lru_cache(maxsize=1)
 def load_halo(path: Path) -> Halo:
-    """Read what `save_halo` wrote; once in a process."""
-    with np.load(path) as stored:
-        return Halo(stored["keys"], stored["label"], float(stored["voxel_m"]))
-
-
-def label_arrays(labels: Sequence[UInt8Array], scan: IntArray) -> Arrays:
-    """As `load_labels` reads them: the labels of each cloud, and the clouds' numbers."""
-    return {
-        "label": np.concatenate([np.zeros(0, np.uint8), *labels]),
-        "label_size": np.array([len(label) for label in labels], np.int64),
-        "label_scan": scan,
-    }
-
-
-def ceiling_arrays(ceilings: Sequence[FloatArray]) -> Arrays:
-    """As `load_ceilings` reads them: the ceiling planes (k, 3) of each scan."""
-    count = np.array([len(planes) for planes in ceilings], np.int64)
-    return {"ceiling_count": count, "ceiling_planes": np.concatenate([np.zeros((0, 3)), *ceilings])}
-
-
-def feature_arrays(features: Features) -> Arrays:
-    """As `load_features` reads them."""
-    return {f"feature_{f.name}": getattr(features, f.name) for f in fields(Features)}
+    """What `save` wrote of the halo; read once in a process."""
+    return load(Halo, path, "")
 
 
 def save(path: Path, arrays: Arrays) -> None:
     """Write a file of the spool."""
-
-    def write(part: Path) -> None:
-        with part.open("wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]
-
-    write_atomically(path, write)
+    with written_whole(path) as part, part.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]

@@ -46,11 +46,7 @@ def build(run: Run, scans: LabelledScans, trajectory: Trajectory) -> Building:
     run.progress.stage("building", None)
     drive = Drive(trajectory.T_map_base[:, :3, 3], lambda: _features(run, len(scans.jobs)))
     gathered = AllScans(
-        drive,
-        scans.votes,
-        scans.rivals,
-        lambda *asked: _trace(run, len(scans.jobs), *asked),
-        run.settings.levels,
+        drive, scans.votes, scans.rivals, lambda *asked: _trace(run, len(scans.jobs), *asked), run.settings.levels
     )
     building = fuse_building(gathered, run.settings.fusion)
     found = BuildingAndMaps(building, draw_maps(building, gathered, run.settings.maps, run.options.workers))
@@ -101,9 +97,9 @@ def _record(run: Run, found: BuildingAndMaps) -> None:
     log_building(run.log, found.building.model)
     for name, grid in found.grids.items():
         log_grid(run.log, name, grid)
-    log_rooms(run.recording.stream, found.maps.rooms)
+    log_rooms(run.log, found.maps.rooms)
     for segmented, graph in found.maps.compared_rooms.items():
-        log_areas(run.recording.stream, graph, f"{entities.ROOMS_COMPARED}/{segmented}")
+        log_areas(run.log, graph, f"{entities.ROOMS_COMPARED}/{segmented}")
     run.recording.set_layout(layout(run.inputs.ring_count, run.options.detail, run.record, found.maps.grid))
 
 

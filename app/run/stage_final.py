@@ -10,14 +10,15 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import UInt8Array
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.building.fusion import Building
-from ffmap.algorithms.building.votes import VoxelTable, fuse
+from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, fuse
 from ffmap.app.folder import writers
 from ffmap.app.folder.labels_file import LabelsWriter
 from ffmap.app.folder.names import CLOUD, LABELS
 from ffmap.app.record.building import log_cloud
+from ffmap.app.run.arrays import pack
 from ffmap.app.run.blocks import FINAL_EVIDENCE, VOXEL_M, FinishJob, LabelJob, finish_block
 from ffmap.app.run.context import Run
-from ffmap.app.run.spool import load_labels, load_votes, save_halo
+from ffmap.app.run.spool import SCAN_LABELS, VOTES, load, load_by_scan, save
 from ffmap.app.setup.outputs import Output
 from ffmap.blueprints import entities
 from ffmap.loaders.bag import open_bag
@@ -29,14 +30,13 @@ def finish(run: Run, pool: Executor, jobs: tuple[LabelJob, ...], building: Build
     run.progress.stage("final", len(jobs))
     table = VoxelTable(VOXEL_M, len(Label))
     outputs = run.options.outputs
-    with LabelsWriter(run.folder.path / LABELS if Output.LABELS in outputs else None) as writer:
-        labels = writer.passing(_labels(run, jobs, _submit(run, pool, jobs, building), table))
-        if Output.LABELLED in outputs:
-            with open_bag(run.inputs.bag_path) as bag:
-                index, rig = run.inputs.vertical.index, run.inputs.rig
-                writers.write_labelled_bag(run.folder.path, bag, index, rig, trajectory, labels)
-        else:
-            deque(labels, maxlen=0)
+    writer = LabelsWriter(run.folder.path / LABELS if Output.LABELS in outputs else None)
+    labels = writer.passing(_labels(run, jobs, _submit(run, pool, jobs, building), table))
+    if Output.LABELLED in outputs:
+        with open_bag(run.inputs.bag_path) as bag:
+            index, rig = run.inputs.vertical.index, run.inputs.rig
+            writers.write_labelled_bag(run.folder.path, bag, index, rig, trajectory, labels)
+    deque(labels, maxlen=0)
     run.state.labels_digest = writer.digest
     pool.shutdown()  # the workers' memory goes before the whole cloud is made
     cloud = fuse(table.votes())
@@ -51,11 +51,11 @@ def finish(run: Run, pool: Executor, jobs: tuple[LabelJob, ...], building: Build
 def _submit(run: Run, pool: Executor, jobs: tuple[LabelJob, ...], building: Building) -> list[Future[None] | None]:
     """The work on each block; None where a run that is resumed has done it."""
     halo = run.folder.spool / "halo.npz"
-    save_halo(halo, building.halo)
+    save(halo, pack(building.halo))
     pending: list[Future[None] | None] = []
     for job in jobs:
         done = job.path.with_suffix(".final.npz").exists() and run.options.resume
-        finish = FinishJob(job, building.model, halo, run.settings.relabelling)
+        finish = FinishJob(job, building.model, halo)
         pending.append(None if done else pool.submit(finish_block, finish))
     return pending
 
@@ -70,8 +70,8 @@ def _labels(
         final_path, evidence = job.path.with_suffix(".final.npz"), job.path.with_suffix(FINAL_EVIDENCE)
         if run.recording is not None and evidence.exists():
             run.recording.add(evidence)
-        table.absorb(load_votes(final_path))
-        label, label_scan = load_labels(final_path), load_labels(job.path.with_suffix(".npz"))
+        table.absorb(load(VoxelVotes, final_path, VOTES))
+        label, label_scan = (load_by_scan(path, SCAN_LABELS) for path in (final_path, job.path.with_suffix(".npz")))
         for index in sorted(label):
             yield index, label[index], label_scan[index]
         run.progress.advance()

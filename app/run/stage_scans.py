@@ -15,9 +15,10 @@ from ffmap.algorithms.maps.rivals import Rival
 from ffmap.app.record.building import log_map_block
 from ffmap.app.record.odometry import log_trajectory
 from ffmap.app.run.blocks import STAGES, VOXEL_M, Block, LabelJob, label_block, split_blocks
-from ffmap.app.run.context import Run, commonest
+from ffmap.app.run.context import Run
 from ffmap.app.run.poses import RunPoses
-from ffmap.app.run.spool import BlockSummary, load_rivals, load_summary, load_votes
+from ffmap.app.run.spool import RIVALS, SUMMARY, VOTES, BlockSummary, load
+from ffmap.app.setup.inputs import commonest
 from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.errors import InputError
 
@@ -49,9 +50,9 @@ def label_scans(run: Run, pool: Executor, poses: RunPoses) -> LabelledScans:
     last_T_map_base: FloatArray | None = None
     for block, summary in _in_order(run, pool, jobs):
         path = run.folder.block(block.number, ".npz")
-        own_votes = load_votes(path)
+        own_votes = load(VoxelVotes, path, VOTES)
         new = votes.absorb(own_votes)
-        rivals.absorb(load_rivals(path))
+        rivals.absorb(load(VoxelVotes, path, RIVALS))
         _tell_skipped(run, summary, sum(len(earlier.skipped_reason) for earlier in summaries))
         if run.log and run.recording and len(summary.scan):
             run.recording.add(path.with_suffix(".rrd"))
@@ -77,7 +78,7 @@ def _in_order(run: Run, pool: Executor, jobs: tuple[LabelJob, ...]) -> Iterator[
         finished = job.path.with_suffix(".npz")
         has_evidence = job.detail is None or job.path.with_suffix(".rrd").exists()
         done = run.options.resume and finished.exists() and has_evidence
-        running.append((job.block, load_summary(finished) if done else pool.submit(label_block, job)))
+        running.append((job.block, load(BlockSummary, finished, SUMMARY) if done else pool.submit(label_block, job)))
     while running:
         block, summary = running.popleft()
         yield block, summary if isinstance(summary, BlockSummary) else summary.result()
@@ -87,7 +88,7 @@ def _job(run: Run, block: Block, poses: RunPoses) -> LabelJob:
     """Only the poses near the block travel to the worker."""
     assert run.inputs.vertical is not None
     stamps = run.inputs.vertical.index.stamp_ns[block.first : block.first + block.count]
-    trajectory, settings = poses.trajectory, run.settings
+    trajectory = poses.trajectory
     first = max(0, int(np.searchsorted(trajectory.stamp_ns, stamps.min() - 1_000_000_000)) - 2)
     last = int(np.searchsorted(trajectory.stamp_ns, stamps.max() + 1_000_000_000)) + 2
     return LabelJob(
@@ -96,12 +97,7 @@ def _job(run: Run, block: Block, poses: RunPoses) -> LabelJob:
         trajectory=Trajectory(trajectory.stamp_ns[first:last], trajectory.T_map_base[first:last]),
         base_height_m=poses.base_height_m,
         floor_slope=poses.floor_slope,
-        extrapolate_ns=int(settings.trajectory.extrapolate_s * 1e9),
-        level_scan_max_deg=settings.trajectory.level_scan_max_deg,
-        method=settings.method,
-        rival_maps=settings.rival_maps,
-        cell_m=settings.grid_map.cell_m,
-        seed=settings.seed,
+        settings=run.settings,
         recording_id=run.record["recording_id"],
         detail=run.options.detail if run.log else None,
         path=run.folder.block(block.number, ""),
@@ -135,15 +131,9 @@ def _summarise(run: Run, blocks: list[Block], summaries: list[BlockSummary]) -> 
         by_stage = dict(zip(STAGES, milliseconds.T, strict=True))
         for name, own in by_stage.items():
             state.timings_s[f"{name}_per_scan"] = float(np.median(own)) / 1e3
-        in_cloud, in_lines = (
-            np.concatenate([getattr(summary, name) for summary in summaries]).astype(np.float64)
-            for name in ("points_in_cloud", "points_in_lines")
-        )
-        state.statistics = {
-            "milliseconds_per_cloud": _spread(by_stage["smoothing"] + by_stage["labelling"]),
-            "points_in_cloud": _spread(in_cloud),
-            "points_in_lines": _spread(in_lines),
-        }
+        state.statistics = {"milliseconds_per_cloud": _spread(by_stage["smoothing"] + by_stage["labelling"])}
+        for name in ("points_in_cloud", "points_in_lines"):
+            state.statistics[name] = _spread(np.concatenate([getattr(s, name) for s in summaries]).astype(np.float64))
     if reasons:
         state.warnings.append(f"{len(reasons)} vertical clouds skipped: {commonest(reasons)}")
     beyond = np.concatenate([summary.beyond_range for summary in summaries])

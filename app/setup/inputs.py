@@ -135,10 +135,8 @@ def _sensor(bag: Bag, lidar: Lidar) -> Sensor:
         if isinstance(scan, Scan):
             return sensor
         reasons.append(scan.reason)
-    reason = max(sorted(set(reasons)), key=reasons.count) if reasons else "there is none"
-    raise InputError(
-        f"{bag.path}: {lidar.topic} has no usable cloud ({reason}); name another topic, 'ffmap info {bag.path}' lists them"
-    )
+    why = f"{lidar.topic} has no usable cloud ({commonest(reasons)})"
+    raise InputError(f"{bag.path}: {why}; name another topic, 'ffmap info {bag.path}' lists them")
 
 
 def why_skipped(bag_path: Path, sensor: Sensor, clouds: Sequence[int]) -> str:
@@ -148,4 +146,9 @@ def why_skipped(bag_path: Path, sensor: Sensor, clouds: Sequence[int]) -> str:
         for number in clouds[:: -(-len(clouds) // _REASONS_READ)]:
             for _, scan in read_scans(bag, sensor.index, number, 1, sensor.lidar.decoding):
                 reasons.append(scan.reason if isinstance(scan, SkippedScan) else _NO_POSE)
-    return max(sorted(set(reasons)), key=reasons.count, default="none is there")
+    return commonest(reasons)
+
+
+def commonest(reasons: Sequence[str]) -> str:
+    """The commonest of the reasons why clouds were skipped, the first by the alphabet of several."""
+    return max(sorted(set(reasons)), key=list(reasons).count, default="there is none")

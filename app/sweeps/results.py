@@ -10,7 +10,7 @@ import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from rich.table import Table
 
 from ffmap.app.folder import figures
-from ffmap.app.folder.atomic import write_atomically
+from ffmap.app.folder.atomic import written_whole
 from ffmap.app.folder.ranking import Ranking, Trial
 from ffmap.app.sweeps.plan import Parameter
 from ffmap.app.sweeps.schedule import Run
@@ -75,7 +75,8 @@ class Results(Ranking):
         # Of all rows: the first may lack figures.
         columns = dict.fromkeys(name for row in rows for name in row)
         table = pa.Table.from_pylist([dict.fromkeys(columns) | row for row in rows])
-        write_atomically(path, lambda part: pq.write_table(table, part))
+        with written_whole(path) as part:
+            pq.write_table(table, part)
 
 
 def _mean(runs: Sequence[Run]) -> Trial:

@@ -51,20 +51,23 @@ def read_only(server_url: str, host: str, port: int) -> Iterator[str]:
     thread.start()
     try:
         try:
-            door = asyncio.run_coroutine_threadsafe(_open(server, f"{address}:{port}"), loop).result()
+            opening = _open(server, f"{address}:{port}")
+            door, channel, bound = asyncio.run_coroutine_threadsafe(opening, loop).result()
         except RuntimeError as error:
             raise InputError(f"{host}:{port}: no server can listen there; choose another --host or --port") from error
         try:
-            yield f"{scheme}://{address}:{door.port}"
+            yield f"{scheme}://{address}:{bound}"
         finally:
-            asyncio.run_coroutine_threadsafe(door.close(), loop).result()
+            asyncio.run_coroutine_threadsafe(door.stop(_GRACE_S), loop).result()
+            asyncio.run_coroutine_threadsafe(channel.close(), loop).result()
     finally:
         loop.call_soon_threadsafe(loop.stop)
         thread.join()
         loop.close()
 
 
-async def _open(server: str, address: str) -> "_Door":
+async def _open(server: str, address: str) -> tuple[grpc.aio.Server, grpc.aio.Channel, int]:
+    """The door, its channel to the server, and the port that it listens at."""
     channel = grpc.aio.insecure_channel(server, options=_OPTIONS)
     door = grpc.aio.server(handlers=[_Handler(channel)], options=_OPTIONS)
     try:
@@ -73,16 +76,7 @@ async def _open(server: str, address: str) -> "_Door":
     except BaseException:
         await channel.close()
         raise
-    return _Door(door, channel, bound)
-
-
-class _Door:
-    def __init__(self, server: grpc.aio.Server, channel: grpc.aio.Channel, port: int) -> None:
-        self._server, self._channel, self.port = server, channel, port
-
-    async def close(self) -> None:
-        await self._server.stop(_GRACE_S)
-        await self._channel.close()
+    return door, channel, bound
 
 
 class _Handler(grpc.GenericRpcHandler):  # type: ignore[misc]

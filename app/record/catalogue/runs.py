@@ -96,19 +96,15 @@ class Catalogue:
             recordings[folder] = folder / RECORDING if there else self._stand_in(folder, identity, record)
         refused = self._register([recordings[folder] for folder in new.values()], "base")
         for identity, folder in new.items():
-            reason = refused.get(recordings[folder])
-            if reason is None:
-                self.taken[identity] = folder
+            if reason := refused.get(recordings[folder]):
+                damaged = f"{folder}: {RECORDING} is damaged ({reason}); make the run again"
+                self.left_out[folder] = _no_end(folder) or damaged
             else:
-                self.left_out[folder] = (
-                    _no_end(folder) or f"{folder}: {RECORDING} is damaged ({reason}); make the run again"
-                )
+                self.taken[identity] = folder
         self._add_figures()
         for folder, identity in copies.items():
-            if identity in self.taken:
-                self.left_out[folder] = (
-                    f"{folder}: has the recording id of {self.taken[identity]}, of which it is a copy"
-                )
+            if first := self.taken.get(identity):
+                self.left_out[folder] = f"{folder}: has the recording id of {first}, of which it is a copy"
         if whole := [folder for folder, identity in copies.items() if identity not in self.taken]:
             self.add(whole)
 
@@ -210,9 +206,8 @@ def connect(url: str, name: str | None) -> DatasetEntry:
         raise InputError(f"{url}: no catalogue answers there ({reason}); 'ffmap serve DIR' starts one") from None
     wanted = name or (DATASET if DATASET in names or len(names) != 1 else names[0])
     if wanted not in names:
-        raise InputError(
-            f"{url}: has no dataset {wanted!r}; choose one with --dataset: {', '.join(names) or 'it has none'}"
-        )
+        known = ", ".join(names) or "it has none"
+        raise InputError(f"{url}: has no dataset {wanted!r}; choose one with --dataset: {known}")
     return client.get_dataset(wanted)
 
 
@@ -252,9 +247,8 @@ def ask(dataset: DatasetEntry, query: Query) -> Answer:
         if name is None:
             raise InputError(f"--sort {query.sort}: {unknown(query.sort, list(columns))}")
         more_is_better = name in figures.OBJECTIVES and not figures.less_is_better(name)
-        segments = segments.sort(
-            _value(columns[name]).sort(ascending=more_is_better == query.reverse, nulls_first=False)
-        )
+        by = _value(columns[name])
+        segments = segments.sort(by.sort(ascending=more_is_better == query.reverse, nulls_first=False))
     else:
         segments = segments.sort(_value(_URLS).sort(ascending=True))
     found = segments.to_arrow_table()
@@ -296,10 +290,9 @@ def _filtered(runs: pa.Table, said: str, columns: Mapping[str, str]) -> pa.Table
         if missing is not None:
             raise InputError(f"--where {said}: {unknown(missing.group(1).strip(chr(34)), list(columns))}") from None
         reason = re.sub(r"^DataFusion error: ", "", text.splitlines()[0])
-        raise InputError(
-            f'--where {shortened(said)}: has no answer ({shortened(reason)}); write it as SQL, as in "wall_f1 > 0.98 and '
-            'doors = 4"'
-        ) from None
+        example = '"wall_f1 > 0.98 and doors = 4"'
+        said, reason = shortened(said), shortened(reason)
+        raise InputError(f"--where {said}: has no answer ({reason}); write it as SQL, as in {example}") from None
 
 
 def known_as(name: str, known: Iterable[str]) -> str | None:
@@ -311,11 +304,9 @@ def unknown(name: str, known: Sequence[str]) -> str:
     """What to say of a column that is not there."""
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     usual = [figure for figure in figures.HEADLINES if figure in known]
-    return (
-        f"there is no column {name!r}; "
-        + (f"did you mean {close[0]!r}? " if close else "")
-        + f"There are {', '.join(usual) or 'no figures'} and {len(known) - len(usual)} more; --columns all lists them"
-    )
+    meant = f"did you mean {close[0]!r}? " if close else ""
+    there = f"There are {', '.join(usual) or 'no figures'} and {len(known) - len(usual)} more"
+    return f"there is no column {name!r}; {meant}{there}; --columns all lists them"
 
 
 def _in_their_words(condition: str, columns: Mapping[str, str]) -> str:

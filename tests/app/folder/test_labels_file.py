@@ -20,8 +20,8 @@ def made(seed: int, scans: int = 45) -> list[ScanLabels]:
 
 
 def written(path: Path | None, labels: list[ScanLabels]) -> str:
-    with LabelsWriter(path) as writer:
-        assert len(list(writer.passing(labels))) == len(labels)
+    writer = LabelsWriter(path)
+    assert len(list(writer.passing(labels))) == len(labels)
     return writer.digest
 
 
@@ -58,8 +58,8 @@ def test_nothing_is_left_of_a_run_that_failed(tmp_path: Path) -> None:
         yield from made(3)[:25]
         raise RuntimeError("the disk is full")
 
-    with pytest.raises(RuntimeError, match="disk"), LabelsWriter(tmp_path / "labels.parquet") as writer:
-        list(writer.passing(failing()))
+    with pytest.raises(RuntimeError, match="disk"):
+        list(LabelsWriter(tmp_path / "labels.parquet").passing(failing()))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -15,7 +15,6 @@ from rosbags.typesys import Stores, get_typestore
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.algorithms.building.model import Doors, Walls
 from ffmap.algorithms.building.votes import FusedCloud
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.app.folder.atomic import write_json
@@ -32,6 +31,7 @@ from ffmap.loaders.bag import open_bag
 from ffmap.loaders.frames import StaticTransform
 from ffmap.loaders.rig import Rig
 from ffmap.loaders.scans import index_clouds
+from tests.faces import doors, faces
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, sweep, write_bag
 
 CONTAINERS = ["in.bag", "in_mcap", "in_sqlite3"]
@@ -246,26 +246,16 @@ class TestGrid:
 
 class TestGeojson:
     def test_doors(self, tmp_path: Path):
-        doors = Doors(
-            ends=np.array([[[0.0, 0.0], [0.9, 0.0]], [[5.0, 1.12], [5.0, 2.0]]]),
-            normal=np.array([[0.0, 1.0], [1.0, 0.0]]),
-            head_m=np.array([2.0, 2.1]),
-            depth_m=np.array([0.05, np.nan]),
-            state=np.array([0, 1], np.uint8),
-            confidence=np.array([0.9, 0.7]),
-            agreement=np.array([1.0, 0.7]),
-            coverage=np.array([0.9, 1.0]),
-            lintel=np.ones(2),
-            ajar=np.zeros(2, bool),
-            ray_count=np.array([100, 90]),
-            scan_count=np.array([3, 4]),
-            first_scan=np.array([5, 6]),
-            last_scan=np.array([9, 60]),
-            crossed=np.array([False, True]),
-            wall=np.array([0, 1]),
-            reveal_m=np.array([0.05, 0.2]),
+        found = doors(
+            ((0.0, 0.0), (0.9, 0.0)),
+            ((5.0, 1.12), (5.0, 2.0)),
+            head_m=2.0,
+            depth_m=[0.05, np.nan],
+            state=[0, 1],
+            confidence=[0.9, 0.7],
+            crossed=[False, True],
         )
-        write_doors(tmp_path / "doors.geojson", doors)
+        write_doors(tmp_path / "doors.geojson", found)
         content = json.loads((tmp_path / "doors.geojson").read_text())
         assert content["type"] == "FeatureCollection"
         closed, opened = content["features"]
@@ -283,24 +273,16 @@ class TestGeojson:
         assert opened["properties"]["state"] == "open"
         assert opened["properties"]["width"] == 0.88  # and not 0.8799999999999999
         assert opened["properties"]["depth"] is None
-        write_doors(tmp_path / "doors.geojson", doors, [(0, 1), None])
+        write_doors(tmp_path / "doors.geojson", found, [(0, 1), None])
         rooms = [f["properties"]["rooms"] for f in json.loads((tmp_path / "doors.geojson").read_text())["features"]]
         assert rooms == [[0, 1], None]
 
     def test_walls(self, tmp_path: Path):
-        walls = Walls(
-            ends=np.array([[[0.0, 0.0], [4.0, 0.0]]]),
-            normal=np.array([[0.0, 1.0]]),
-            bottom_m=np.array([0.05]),
-            top_m=np.array([2.75]),
-            scan_count=np.array([12], np.int32),
-            rms_m=np.array([0.01]),
-            sample_count=np.array([900]),
-        )
+        walls = replace(faces(((0.0, 0.0), (4.0, 0.0))), bottom_m=np.array([0.05]), top_m=np.array([2.75]))
         write_walls(tmp_path / "walls.geojson", walls)
         (feature,) = json.loads((tmp_path / "walls.geojson").read_text())["features"]
         assert feature["geometry"]["coordinates"] == [[0.0, 0.0], [4.0, 0.0]]
-        expected = {"normal": [0.0, 1.0], "bottom": 0.05, "top": 2.75, "scans": 12, "rms": 0.01, "samples": 900}
+        expected = {"normal": [0.0, 1.0], "bottom": 0.05, "top": 2.75, "scans": 9, "rms": 0.01, "samples": 900}
         assert feature["properties"] == {**expected, "thickness": None}
         for thickness_m, written in ((0.2, 0.2), (np.nan, None)):
             write_walls(tmp_path / "walls.geojson", walls, np.full(len(walls), thickness_m))

@@ -10,7 +10,7 @@ from rerun.chunk import RrdReader
 
 from ffmap.algorithms.poses.levelling import LevelledScan
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
-from ffmap.app.record.inspection import ScanFaults, write
+from ffmap.app.record.inspection import ExplainedScan, ScanFaults, write
 from ffmap.app.record.line_reasons import explain_lines
 from ffmap.blueprints import entities
 from ffmap.blueprints.entities import Fault
@@ -38,7 +38,8 @@ def by_line(path: Path, entity: str, component: str) -> dict[int, Any]:
 def test_each_line_has_its_place_on_the_timeline(settings: dict[str, float], tmp_path: Path) -> None:
     level, labelling = scan_of(settings)
     path = tmp_path / "inspect.rrd"
-    write(path, tmp_path, "inspect-1", level, labelling, explain_lines(labelling), None, "# Scan", line=5)
+    explained = ExplainedScan(level, labelling, explain_lines(labelling), None, "# Scan", line=5)
+    write(path, tmp_path, "inspect-1", explained)
     lines = set(range(2 * synthetic.RINGS))
     strips = "LineStrips3D:strips"
     upmost = by_line(path, f"{entities.LINE_STRUCTURES}/upmost", strips)
@@ -82,7 +83,8 @@ def test_what_is_labelled_wrongly_is_marked_in_the_scan_and_in_each_line(tmp_pat
     fault[quiet] = Fault.NONE
     path = tmp_path / "inspect.rrd"
     faults = ScanFaults(fault, by_truth=True)
-    write(path, tmp_path, "inspect-2", level, labelling, explain_lines(labelling), faults, "# Scan", line=5)
+    explained = ExplainedScan(level, labelling, explain_lines(labelling), faults, "# Scan", line=5)
+    write(path, tmp_path, "inspect-2", explained)
     (batch,) = (
         batch
         for chunk in RrdReader(path).stream().filter(content=entities.FAULTS)

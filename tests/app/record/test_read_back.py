@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from ffmap.app.record.log import set_time
+from ffmap.app.record.log import Log
 from ffmap.app.record.read_back import readable, rows
 from ffmap.app.record.stream import open_part
 from ffmap.loaders.errors import InputError
@@ -21,7 +21,7 @@ def recording(tmp_path: Path) -> Path:
     with open_part(path, "cut-1") as stream:
         stream.log("/scan/points", rr.Points3D.from_fields(radii=1.0), static=True)
         for scan in range(ROWS):
-            set_time(stream, 1_000_000_000 + scan, scan)
+            Log(stream).at(1_000_000_000 + scan, scan)
             stream.log("/scan/points", rr.Points3D(np.full((scan, 3), scan, np.float32)))
             stream.flush()
     return path

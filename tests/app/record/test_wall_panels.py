@@ -1,33 +1,14 @@
 """Walls are drawn with holes where one can go or see through them."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ffmap.algorithms.building.model import NO_WINDOWS, Doors, Walls, Windows
 from ffmap.app.record.wall_panels import wall_panels
+from tests.faces import doors, faces, window
 
 NO_DOORS = Doors(np.zeros((0, 2, 2)), np.zeros((0, 2)), *(np.zeros(0) for _ in range(15)))  # type: ignore[arg-type]
-
-
-def walls(*ends: tuple[tuple[float, float], tuple[float, float]], top_m: float = 2.8) -> Walls:
-    count = len(ends)
-    return Walls(
-        ends=np.array(ends),
-        normal=np.tile([0.0, 1.0], (count, 1)),
-        bottom_m=np.zeros(count),
-        top_m=np.full(count, top_m),
-        scan_count=np.ones(count, np.int64),
-        rms_m=np.zeros(count),
-        sample_count=np.ones(count, np.int64),
-    )
-
-
-def doors(*ends: tuple[tuple[float, float], tuple[float, float]], head_m: float = 2.1) -> Doors:
-    empty = {name: np.zeros(len(ends)) for name in Doors.__dataclass_fields__}
-    return Doors(**empty | {"ends": np.array(ends), "head_m": np.full(len(ends), head_m)})
-
-
-def window(*ends: tuple[float, float]) -> Windows:
-    return Windows(np.array([ends]), np.array([[0.0, 1.0]]), np.array([0.9]), np.array([2.2]), np.array([0.1]))
 
 
 def rectangles(walls: Walls, doors: Doors, windows: Windows = NO_WINDOWS) -> list[tuple[float, ...]]:
@@ -38,11 +19,11 @@ def rectangles(walls: Walls, doors: Doors, windows: Windows = NO_WINDOWS) -> lis
 
 
 def test_a_wall_without_openings_is_one_panel():
-    assert rectangles(walls(((0, 0), (4, 0))), NO_DOORS) == [(0, 4, 0, 2.8)]
+    assert rectangles(faces(((0, 0), (4, 0))), NO_DOORS) == [(0, 4, 0, 2.8)]
 
 
 def test_a_door_is_left_out_up_to_its_head_and_a_window_between_its_heights():
-    found = rectangles(walls(((0, 0), (4, 0))), doors(((1.9, 0), (1.0, 0))), window((2.5, 0), (3.5, 0)))
+    found = rectangles(faces(((0, 0), (4, 0))), doors(((1.9, 0), (1.0, 0))), window((2.5, 0), (3.5, 0)))
     assert found == [
         (0, 1, 0, 2.8),
         (1, 1.9, 2.1, 2.8),
@@ -54,15 +35,15 @@ def test_a_door_is_left_out_up_to_its_head_and_a_window_between_its_heights():
 
 
 def test_a_door_pierces_both_faces_of_its_wall_whichever_way_they_run_and_no_other_wall():
-    both = walls(((0, 0), (4, 0)), ((4, -0.2), (0, -0.2)), ((0, 2), (4, 2)))
+    both = faces(((0, 0), (4, 0)), ((4, -0.2), (0, -0.2)), ((0, 2), (4, 2)))
     panels = wall_panels(both, doors(((1, 0), (2, 0))), NO_WINDOWS)
     assert np.bincount(panels.wall).tolist() == [3, 3, 1]
-    across = wall_panels(walls(((1.5, -2), (1.5, 2))), doors(((1, 0), (2, 0))), NO_WINDOWS)
+    across = wall_panels(faces(((1.5, -2), (1.5, 2))), doors(((1, 0), (2, 0))), NO_WINDOWS)
     assert len(across.wall) == 1
 
 
 def test_openings_may_overlap_reach_over_an_end_or_up_to_the_ceiling():
-    wall = walls(((0, 0), (3, 0)))
+    wall = faces(((0, 0), (3, 0)))
     overlapping = rectangles(wall, doors(((1, 0), (2, 0)), ((1.5, 0), (2.5, 0))))
     assert overlapping == [(0, 1, 0, 2.8), (1, 1.5, 2.1, 2.8), (1.5, 2, 2.1, 2.8), (2, 2.5, 2.1, 2.8), (2.5, 3, 0, 2.8)]
     assert rectangles(wall, doors(((-1, 0), (1, 0)))) == [(0, 1, 2.1, 2.8), (1, 3, 0, 2.8)]
@@ -74,4 +55,5 @@ def test_openings_may_overlap_reach_over_an_end_or_up_to_the_ceiling():
 
 
 def test_without_walls_or_with_one_of_no_length_there_are_no_panels():
-    assert wall_panels(walls(((1, 1), (1, 1))), doors(((1, 0), (2, 0))), NO_WINDOWS).ends.shape == (0, 2, 2)
+    none = replace(faces(((1, 1), (2, 1))), ends=np.ones((1, 2, 2)))
+    assert wall_panels(none, doors(((1, 0), (2, 0))), NO_WINDOWS).ends.shape == (0, 2, 2)

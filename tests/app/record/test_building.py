@@ -1,0 +1,126 @@
+"""The building is drawn as it was found, and says why."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ffmap.algorithms.building.face_alignment import AlignedFaces
+from ffmap.algorithms.building.face_foreground import Foreground
+from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
+from ffmap.algorithms.building.final_labels import BuildingModel
+from ffmap.algorithms.building.levels import HeightMap, Surface
+from ffmap.algorithms.maps.grid import Cell, GridMap
+from ffmap.app.record.building import log_building, log_fused_walls, log_grid, log_map_block
+from ffmap.app.record.building_reasons import explain_building
+from ffmap.app.record.log import Log
+from ffmap.app.record.odometry import log_trajectory
+from ffmap.app.record.scans import log_skipped
+from ffmap.app.record.stream import open_part
+from ffmap.blueprints import entities
+from ffmap.blueprints import run as run_blueprint
+from tests import synthetic
+from tests.app.record.recordings import rows, start, static, vectors
+from tests.faces import doors, faces, window
+
+WALLS = faces(((0.0, 0.0), (4.0, 0.0)))
+DOOR = doors(
+    ((1.0, 0.0), (1.9, 0.0)),
+    **{"depth_m": [0.05], "confidence": [0.9], "agreement": [1.0], "coverage": [0.9], "lintel": [0.75]},
+    **{"ajar": [False], "ray_count": [50], "scan_count": [3], "first_scan": [5], "last_scan": [9], "crossed": [False]},
+)
+
+
+def building() -> BuildingModel:
+    """A wall with a closed door and a window, a leaf that was refused, and level surfaces."""
+    columns = 80
+    covered = np.zeros((columns, 60), bool)
+    covered[2:4, 1] = True
+    before = Foreground(np.array([0, columns]), np.full(columns, 2.8), np.zeros(columns), covered)
+    attic = np.full((2, 3), np.nan)
+    attic[1, 2] = 2.0
+    levels = (
+        HeightMap(Surface.FALSE_FLOOR, np.zeros(2), 0.1, attic - 1.8, attic + np.inf),
+        HeightMap(Surface.SLOPING_CEILING, np.array([1.0, 3.0]), 0.1, attic - 0.04, attic + 0.04),
+    )
+    judged = JudgedFaces(WALLS, faces(((1.0, 0.0), (1.0, 0.9))), np.array([FaceVerdict.ENDS_LOW]))
+    return BuildingModel(WALLS, before, judged, DOOR, window((2.5, 0.0), (3.5, 0.0)), levels)
+
+
+def recorded(folder: Path, model: BuildingModel) -> dict[str, dict[str, Any]]:
+    with open_part(folder / "building.rrd", "run-4") as stream:
+        log_building(Log(stream), model)
+    return static(folder / "building.rrd")
+
+
+def test_walls_doors_and_windows_are_drawn_where_they_are(tmp_path):
+    found = recorded(tmp_path, building())
+    assert "closed door, 0.90 m, 90%" in str(found[entities.DOORS]["labels"])
+    assert "no wall: rays pass above it" in str(found[entities.REFUSED_WALLS]["labels"])
+    against = vectors(found[entities.AGAINST_WALLS]["positions"][0])
+    np.testing.assert_allclose(against, [[0.125, 0, 0.075], [0.175, 0, 0.075]], atol=1e-6)
+    outline = vectors(found[entities.WINDOWS]["strips"][0][0])
+    np.testing.assert_allclose(outline[:3], [[2.5, 0, 0.9], [3.5, 0, 0.9], [3.5, 0, 2.2]], rtol=1e-6)
+    panels = vectors(found[entities.WALLS]["vertex_positions"][0]).reshape(-1, 4, 3)
+    in_door = (panels.mean(axis=1)[:, 0] > 1.0) & (panels.mean(axis=1)[:, 0] < 1.9)
+    assert panels[in_door, :, 2].min() >= 2.0999  # only what is above its head
+    leaf = vectors(found[entities.DOOR_LEAVES]["vertex_positions"][0])
+    np.testing.assert_allclose(leaf, [[1.0, 0, 0], [1.9, 0, 0], [1.9, 0, 2.1], [1.0, 0, 2.1]], rtol=1e-6)
+    sloping = found[f"{entities.LEVELS}/{Surface.SLOPING_CEILING}"]
+    np.testing.assert_allclose(vectors(sloping["centers"][0]), [[1.25, 3.15, 2.0]], rtol=1e-6)
+    np.testing.assert_allclose(sloping["high_m"][0], [2.04], rtol=1e-6)
+    assert f"{entities.LEVELS}/{Surface.FALSE_FLOOR}" not in found
+
+
+def test_an_open_door_is_its_frame_alone(tmp_path):
+    found = recorded(tmp_path, replace(building(), doors=replace(DOOR, state=np.ones(1, np.uint8))))
+    assert entities.DOORS in found
+    assert entities.DOOR_LEAVES not in found
+
+
+def test_the_building_says_why(tmp_path):
+    reasons = recorded(tmp_path, building())[entities.BUILDING_REASONS]["text"][0][0]
+    for words in (
+        "100% of 50 rays in 90% of its columns; leaf 5.0 cm behind the wall",
+        "head at 2.10 m, wall seen above 75% of it",
+        "3 from 5 to 9",
+        "rays pass above it",
+        "10 cm behind the face",
+        "| sloping ceiling | 0.0 m² | 1.96 – 2.04 m |",
+        "| false floor, if scans saw any | | from 0.20 m up |",
+    ):
+        assert words in reasons
+    assert "aslant" not in reasons
+    ajar = replace(building(), judged=NO_JUDGED_FACES, doors=replace(DOOR, ajar=np.array([True])), levels=())
+    assert "its leaf stands aslant" in explain_building(ajar)
+
+
+def test_faces_are_drawn_as_they_were_before_they_were_laid_along_all_returns(tmp_path):
+    moved = AlignedFaces(WALLS, replace(WALLS, ends=WALLS.ends + 0.02), np.array([[-0.02, 0.013]]))
+    with open_part(tmp_path / "faces.rrd", "run-4") as stream:
+        log_fused_walls(Log(stream), moved)
+    found = static(tmp_path / "faces.rrd")[entities.FUSED_WALLS]
+    assert "its ends then moved -2.0 and +1.3 cm" in str(found["labels"])
+    np.testing.assert_allclose(found["moved_m"][0], [[-0.02, 0.013]], rtol=1e-6)
+
+
+def test_map_trajectory_and_messages(tmp_path):
+    path = tmp_path / "recording.rrd"
+    recording = start(tmp_path, "run-4")
+    log = Log(recording.stream)
+    cells = np.full((2, 3), Cell.FREE, np.uint8)
+    cells[0, 0], cells[1, 2] = Cell.OCCUPIED, Cell.UNKNOWN
+    log_grid(log, entities.FURNITURE_FREE, GridMap(cells, np.array([-1.0, 2.0]), 0.05))
+    stamps = np.array([synthetic.stamp_ns(index) for index in range(3)])
+    log_trajectory(log, stamps, synthetic.trajectory(3).T_map_base, np.arange(3))
+    log_map_block(log, 2, int(stamps[2]), np.ones((4, 3)), np.array([1, 2, 2, 3], np.uint8))
+    log_skipped(log, 1, int(stamps[1]), "all returns invalid")
+    recording.set_layout(run_blueprint.build(32, (0.0, 0.0), 5.0))
+    recording.finish()
+    image = static(path)[f"{entities.GRID}/{entities.FURNITURE_FREE}"]["data"][0][0]
+    assert list(bytes(image)) == [0, 0, 255, 100, 0, 0]  # the uppermost row first
+    steps = [vectors(row["strips"][0]) for row in rows(path, entities.TRAJECTORY)]
+    np.testing.assert_allclose(steps[2], [[0.05, 0.0, 0.0], [0.1, 0.0, 0.0]], atol=1e-6)
+    assert [len(row["class_ids"]) for row in rows(path, entities.MAP_CEILING)] == [2]
+    assert "scan 1 skipped: all returns invalid" in str(list(rows(path, entities.MESSAGES)))

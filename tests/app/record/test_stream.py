@@ -1,0 +1,82 @@
+"""Parts are joined as they are, and what a kill leaves can be read."""
+
+import socket
+
+import numpy as np
+import pytest
+import rerun as rr
+from rerun.chunk import RrdReader
+
+from ffmap.app.record.log import Log
+from ffmap.app.record.stream import Recording, open_part
+from ffmap.blueprints import entities
+from ffmap.blueprints import run as run_blueprint
+from tests import synthetic
+from tests.app.record.recordings import rows, start, write_block
+
+
+def test_forwarding_keeps_every_chunk(recording):
+    kept = {chunk.id for chunk in RrdReader(recording).stream()}
+    for block in recording.parent.glob("????.rrd"):
+        assert {chunk.id for chunk in RrdReader(block).stream()} <= kept
+
+
+def test_the_file_holds_properties_classes_blueprint_and_footer(recording):
+    assert [entry.recording_id for entry in RrdReader(recording).recordings()] == ["run-1"]
+    assert len(RrdReader(recording).blueprints()) == 1
+    RrdReader(recording).store()  # fails without a footer
+    static = RrdReader(recording).stream().filter(is_static=True).collect()
+    columns = {field.name: chunk for chunk in static.stream() for field in chunk.to_record_batch().schema}
+    assert columns["wall_planes_similarity_m"].to_record_batch()["wall_planes_similarity_m"].to_pylist() == [[0.05]]
+    assert any(name.startswith("AnnotationContext") for name in columns)
+    assert any("TextDocument" in name for name in columns)
+
+
+def test_a_block_that_fails_leaves_nothing(tmp_path):
+    with pytest.raises(KeyError), open_part(tmp_path / "block.rrd", "run-6"):
+        raise KeyError("a worker's error")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_kill_leaves_can_be_read_and_what_is_finished_has_its_footer(tmp_path, labelled):
+    recording = start(tmp_path, "run-1")
+    Log(recording.stream).message("before the block", synthetic.stamp_ns(0))
+    write_block(tmp_path / "block.rrd", labelled, 0, 2)
+    recording.add(tmp_path / "block.rrd")
+    Log(recording.stream).message("after it", synthetic.stamp_ns(1))
+    killed = tmp_path / "killed.rrd"
+    killed.write_bytes((tmp_path / "recording.rrd").read_bytes())
+    recording.finish()
+
+    with pytest.warns(rr.error_utils.RerunWarning, match="no footer"):
+        left = {chunk.entity_path for chunk in RrdReader(killed).stream()}
+    assert {entities.POINTS, entities.MESSAGES} <= left
+    finished = RrdReader(tmp_path / "recording.rrd")
+    assert [entry.recording_id for entry in finished.recordings()] == ["run-1"]
+    assert len(finished.blueprints()) == 1
+    messages = [row["text"] for row in rows(tmp_path / "recording.rrd", entities.MESSAGES, entities.STAMP_TIMELINE)]
+    assert [str(text[0]) for text in messages] == ["before the block", "after it"]
+    assert sum(chunk.entity_path == entities.POINTS for chunk in finished.store().stream()) == 1
+
+
+def test_a_file_that_is_no_recording_is_not_appended(tmp_path):
+    recording = start(tmp_path, "run-10")
+    (tmp_path / "block.rrd").write_bytes(b"not a recording at all")
+    with pytest.raises(RuntimeError, match="is not framed"):
+        recording.add(tmp_path / "block.rrd")
+
+
+def test_a_wrong_shape_is_an_error(tmp_path):
+    with (
+        pytest.raises(ValueError, match=r"(?i)expected|shape|length|size"),
+        open_part(tmp_path / "block.rrd", "run-7") as stream,
+    ):
+        stream.log("/points", rr.Points3D(np.zeros((3, 4))))
+
+
+def test_a_viewer_that_is_not_there_is_an_error_and_not_a_wait(tmp_path):
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        url = f"rerun+http://127.0.0.1:{probe.getsockname()[1]}/proxy"
+    with pytest.raises(ConnectionError, match="no Rerun viewer"):
+        Recording(tmp_path / "run.rrd", tmp_path, "run-8", run_blueprint.build(), url)
