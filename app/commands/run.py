@@ -24,12 +24,12 @@ def run(arguments: Arguments, resume: Path | None) -> None:
     with ExitStack() as stack:
         ready = make_ready(arguments, stack) if resume is None else make_ready_again(arguments, resume, stack)
         if ready is not None:
-            _perform(ready, resume is not None)
+            _perform(ready)
 
 
-def _perform(ready: Ready, resumed: bool) -> None:
+def _perform(ready: Ready) -> None:
     arguments, inputs = ready.arguments, ready.inputs
-    folder, record = carry_out(ready, resumed)
+    folder, record = carry_out(ready)
     quality = "unknown: the comparison with the truth came to no end, as is told below"
     try:
         metrics = None

@@ -14,7 +14,7 @@ from ffmap.loaders.errors import InputError
 from ffmap.loaders.text_files import read_yaml, require_regular
 
 WHITE_MIN = 251
-"""Without a YAML file, what is at least so bright is free: map_server writes 254, drawings 255."""
+"""Minimum grey value of what is free, without a YAML file: map_server writes 254, drawings 255."""
 BLACK_MAX = 100
 IMAGES = (".png", ".pgm", ".pbm", ".ppm", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff", ".gif", ".webp")
 RESOLUTION_MAX_M = 1.0

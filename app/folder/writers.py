@@ -124,7 +124,7 @@ def write_doors(path: Path, doors: Doors, rooms: Sequence[Sequence[str | None] |
 
 
 def _millimetres(length_m: np.floating[Any]) -> float:
-    """What is written of a length: no more digits than it is good for."""
+    """A length in metres, rounded to millimetres: it is known no better."""
     return round(float(length_m), 3)
 
 

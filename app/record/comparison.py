@@ -44,7 +44,7 @@ _SCANS = (
 
 @dataclass(frozen=True)
 class TransitionStyle:
-    """Colours of the transitions that befell most points."""
+    """Colours of the transitions from one label to another that most points made."""
 
     codes: tuple[int, ...]
 

@@ -312,7 +312,7 @@ class _Candidate:
             return f"No ceiling is in view, and it ends only {self._top_m:.2f} m high {wall}."
         return (
             f"It does not reach the ceiling: it ends {_cm(self._below_m)} below it (a wall: at most "
-            f"{_cm(self._settings.reach_m)}). What ends so low is furniture, a board or a window's sill."
+            f"{_cm(self._settings.reach_m)}). What ends lower is furniture, a board or a window's sill."
         )
 
     def _growth_sentence(self) -> str:

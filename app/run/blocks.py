@@ -216,7 +216,7 @@ def finish_block(job: FinishJob) -> None:
             label_of_scan = earlier[index][scan.cloud_index]
             label = relabel(
                 points_map,
-                # A map's height drifts; a door's head is so high above the floor that it was seen with.
+                # Above the floor that this scan sees: the map's own height drifts.
                 level.floor.heights_above(placed.points_level),
                 below_ceiling(placed.points_level, ceilings[index]),
                 label_of_scan,

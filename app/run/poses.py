@@ -108,9 +108,7 @@ def check_lidars_meet(inputs: Inputs) -> None:
     """Raises InputError where no cloud of the vertical lidar lies in the time of the horizontal one, which gives its poses."""
     if inputs.horizontal is None or inputs.vertical is None:
         return
-    horizontal, vertical = (
-        sensor.index.stamp_ns[sensor.index.usable] for sensor in (inputs.horizontal, inputs.vertical)
-    )
+    horizontal, vertical = (s.index.stamp_ns[s.index.usable] for s in (inputs.horizontal, inputs.vertical))
     within = (vertical >= horizontal[0] - _MARGIN_NS) & (vertical <= horizontal[-1] + _MARGIN_NS)
     if not within.any():
         problem = clock_problem(inputs.horizontal.index, inputs.vertical.index)
@@ -154,9 +152,9 @@ def _check_plausible(name: str, poses: Trajectory) -> None:
 def _check_upright(name: str, level: Level, inputs: Inputs) -> None:
     lean_deg = float(np.degrees(np.arccos(np.clip(level.T_map_odom[2, 2], -1.0, 1.0))))
     if lean_deg > _LEAN_MAX_DEG:
+        wrong = f"its z axis leans {lean_deg:.0f} deg off the upright that walls and floor show"
         raise InputError(
-            f"--trajectory {name}: its z axis leans {lean_deg:.0f} deg off the upright that walls and floor show; give poses of "
-            f"{inputs.rig.base_frame} in a frame whose z points up"
+            f"--trajectory {name}: {wrong}; give poses of {inputs.rig.base_frame} in a frame whose z points up"
         )
 
 
@@ -166,9 +164,9 @@ def _read_all_poses(name: str, inputs: Inputs) -> Trajectory:
     with open_bag(inputs.bag_path) as bag:
         if name in bag.topics:
             return read_pose_topic(bag, name, inputs.rig.base_frame, inputs.rig.tree)
+    path = inputs.bag_path
     raise InputError(
-        f"--trajectory {name}: is neither a file nor a topic of {inputs.bag_path}; "
-        f"'ffmap info {inputs.bag_path}' lists the topics"
+        f"--trajectory {name}: is neither a file nor a topic of {path}; 'ffmap info {path}' lists the topics"
     )
 
 
@@ -194,8 +192,7 @@ def level_by_first_scans(inputs: Inputs, odometry: Trajectory, settings: Setting
             scan = within_range(scan, settings.scan.range_max_m)
             # As measured: planes of thousands of returns need no smoothing, and no labelling setting moves a pose.
             placed = place_scan(scan, odometry, sensor.lidar.T_base_sensor)
-            stride = max(1, len(scan) // _LEVEL_POINTS)
-            points.append(points_in_map(placed)[::stride])
+            points.append(points_in_map(placed)[:: max(1, len(scan) // _LEVEL_POINTS)])
     return level_map(np.concatenate(points) if points else np.zeros((0, 3)), odometry.T_map_base[0], settings.seed)
 
 

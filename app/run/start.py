@@ -76,7 +76,7 @@ class Ready:
     home: Path
     folder: RunFolder
     disk: DiskCheck
-    connect_url: str | None
+    options: RunOptions
     record: dict[str, Any]
 
 
@@ -87,19 +87,18 @@ def make_ready(arguments: Arguments, stack: ExitStack) -> Ready:
     settings = load_settings(arguments.config, arguments.overrides)
     inputs, given = _find(arguments, arguments.bag, settings)
     home = arguments.out or run_folder.default_path(arguments.bag.resolve(), settings.short_hash())
-    disk = check_disk(
-        inputs, home, check_outputs(arguments.outputs), Detail(arguments.detail), run_folder.replacement_in(home)
-    )
+    options = _options(arguments)
+    disk = check_disk(inputs, home, options.outputs, options.detail, run_folder.replacement_in(home))
     folder = run_folder.create(home, arguments.overwrite, _files_read(arguments))
     stack.enter_context(run_folder.held(home))
-    connect_url = _viewer(arguments)
+    options = replace(options, connect_url=_viewer(arguments))
     # A replacement that was killed when only its move was left is the earlier run now.
     run_folder.take_place_if_complete(home)
     run_folder.clear(folder)
     record = stages.first_record(inputs, settings, stored(arguments), arguments.trajectory)
     if given is not None:
         record["map_origin"] = given.origin_m.tolist()
-    return Ready(arguments, settings, inputs, given, home, folder, disk, connect_url, record)
+    return Ready(arguments, settings, inputs, given, home, folder, disk, options, record)
 
 
 def make_ready_again(arguments: Arguments, resume: Path, stack: ExitStack) -> Ready | None:
@@ -114,10 +113,17 @@ def make_ready_again(arguments: Arguments, resume: Path, stack: ExitStack) -> Re
     arguments, settings = _as_begun(arguments, resume, record)
     assert arguments.bag is not None
     inputs, given = _find(arguments, arguments.bag, settings)
-    disk = check_disk(inputs, resume, check_outputs(arguments.outputs), Detail(arguments.detail), folder)
+    options = replace(_options(arguments), resume=True)
+    disk = check_disk(inputs, resume, options.outputs, options.detail, folder)
     _check_same_bag(inputs, folder, record)
     folder.spool.mkdir(exist_ok=True)
-    return Ready(arguments, settings, inputs, given, resume, folder, disk, _viewer(arguments), record)
+    options = replace(options, connect_url=_viewer(arguments))
+    return Ready(arguments, settings, inputs, given, resume, folder, disk, options, record)
+
+
+def _options(arguments: Arguments) -> RunOptions:
+    outputs = check_outputs(arguments.outputs)
+    return RunOptions(detail=Detail(arguments.detail), outputs=outputs, workers=arguments.workers)
 
 
 def _find(arguments: Arguments, bag: Path, settings: Settings) -> tuple[Inputs, GivenPoses | None]:
@@ -130,25 +136,16 @@ def _find(arguments: Arguments, bag: Path, settings: Settings) -> tuple[Inputs, 
     return replace(inputs, warnings=(*inputs.warnings, *given.warnings)), given
 
 
-def carry_out(ready: Ready, resumed: bool) -> tuple[RunFolder, dict[str, Any]]:
+def carry_out(ready: Ready) -> tuple[RunFolder, dict[str, Any]]:
     """Run all stages; returns the run's folder in its place, and what its run.json holds."""
     arguments, inputs = ready.arguments, ready.inputs
-    options = RunOptions(
-        detail=Detail(arguments.detail),
-        outputs=check_outputs(arguments.outputs),
-        connect_url=ready.connect_url,
-        workers=arguments.workers,
-        resume=resumed,
-    )
-    with (
-        interruptible(f"'ffmap run --resume {ready.home}' goes on with the run"),
-        Progress(arguments.quiet) as progress,
-    ):
+    how_to_go_on = f"'ffmap run --resume {ready.home}' goes on with the run"
+    with interruptible(how_to_go_on), Progress(arguments.quiet) as progress:
         progress.say(ready.disk.said)
         for warning in (*inputs.warnings, *ready.disk.warnings):
             progress.warn(warning)
         trajectory = None if ready.given is None else ready.given.trajectory
-        record = stages.run(inputs, trajectory, ready.settings, options, ready.folder, progress, ready.record)
+        record = stages.run(inputs, trajectory, ready.settings, ready.options, ready.folder, progress, ready.record)
         folder = run_folder.take_place(ready.folder)
     if arguments.latest:
         run_folder.point_latest_at(folder.path.resolve())

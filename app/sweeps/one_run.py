@@ -172,7 +172,7 @@ def _do(job: Job) -> None:
         _register(job)
     elif not _is_complete(job):
         with ExitStack() as stack:
-            carry_out(make_ready(job.arguments, stack), resumed=False)
+            carry_out(make_ready(job.arguments, stack))
     if job.odometry is None and not is_finished(job):
         from ffmap.app.analysis.evaluation import evaluate_run, has_truth
 

@@ -7,7 +7,6 @@ from contextlib import suppress
 from ffmap.loaders.errors import InputError
 
 LOOPBACK = "127.0.0.1"
-_END_S = 5.0
 
 
 class CatalogueServer:
