@@ -19,7 +19,7 @@ from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSet
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, BuildingSettings, Doors, Walls, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
-from ffmap.algorithms.building.thickness import WallThicknessSettings
+from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, part_walls
 from ffmap.algorithms.building.votes import VoxelTable, find_halo
 from ffmap.algorithms.building.windows import WindowsSettings, find_windows
 from ffmap.algorithms.maps.grid import Cell, GridMapSettings, Immobile, draw_furniture_free
@@ -263,9 +263,12 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
         assert precision > 0.9
         assert recall > 0.9
 
+    thickness = WallThicknessSettings()
+    depth_m = door_depths(doors, walls, part_walls(walls, thickness), thickness, settings.reveal_m)
+    doors = replace(doors, reveal_m=depth_m)
     drive = Drive(np.array([[-1.0, 0.0], [1.5, 0.0]]), lambda: [features])
     immobile = Immobile(walls, cells, VoxelTable(0.05, len(Label)).votes(), doors, windows)
-    grid = draw_furniture_free(immobile, drive, GridMapSettings(), WallThicknessSettings(), KNEE_M)
+    grid = draw_furniture_free(immobile, drive, GridMapSettings(), thickness, KNEE_M)
 
     def at(x: float, y: float) -> int:
         column, row = np.floor((np.array([x, y]) - grid.origin) / grid.cell_m).astype(int)
