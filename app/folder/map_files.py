@@ -1,21 +1,25 @@
-"""Grid maps of other systems: map_server's YAML with its image, or the image alone."""
+"""Grid maps as files: map_server's YAML with its image, written and read; of other systems, the image alone."""
 
 import warnings
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import yaml
 from PIL import Image
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ffmap.algorithms.base.scan import UInt8Array
 from ffmap.algorithms.maps.grid import Cell, GridMap
+from ffmap.app.folder.atomic import write_text, written_whole
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.text_files import read_yaml, require_regular
 
 WHITE_MIN = 251
 """Minimum grey value of what is free, without a YAML file: map_server writes 254, drawings 255."""
 BLACK_MAX = 100
+FREE_THRESHOLD = 0.196
+"""Nav2 reads a pixel p as free below it: (255 − 205) / 255 = 0.1961 has to stay unknown, so its usual 0.25 will not do."""
 IMAGES = (".png", ".pgm", ".pbm", ".ppm", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff", ".gif", ".webp")
 RESOLUTION_MAX_M = 1.0
 RESOLUTION_MIN_M = 1e-4
@@ -37,6 +41,25 @@ class MapDescription(BaseModel):
     occupied_thresh: float = Field(0.65, ge=0, le=1)
     free_thresh: float = Field(0.25, ge=0, le=1)
     mode: Literal["trinary", "scale", "raw"] = "trinary"
+
+
+def write_grid(path: Path, grid: GridMap) -> None:
+    """`path` (…/NAME.yaml) and NAME.pgm beside it, as Nav2's map_server reads them; the image's first row is the top."""
+    image = path.with_suffix(".pgm")
+    rows, columns = grid.cells.shape
+    pixels = np.ascontiguousarray(grid.cells[::-1], np.uint8).tobytes()
+    description = {
+        "image": image.name,
+        "mode": "trinary",
+        "resolution": float(grid.cell_m),
+        "origin": [float(grid.origin[0]), float(grid.origin[1]), 0.0],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": FREE_THRESHOLD,
+    }
+    with written_whole(image) as part:
+        part.write_bytes(f"P5\n{columns} {rows}\n255\n".encode() + pixels)
+    write_text(path, yaml.safe_dump(description, sort_keys=False, default_flow_style=None))
 
 
 def read_map(path: Path, resolution_m: float | None = None, takes_resolution: bool = False) -> GridMap:

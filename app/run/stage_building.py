@@ -14,10 +14,11 @@ from ffmap.algorithms.maps.all_maps import Maps, draw_maps
 from ffmap.algorithms.maps.area_graph import Segmented
 from ffmap.algorithms.maps.grid import GridMap
 from ffmap.algorithms.scan.summary import Features
-from ffmap.app.folder import writers
+from ffmap.app.folder.map_files import write_grid
 from ffmap.app.folder.names import DOORS, FLOOR_PLAN_DXF, FLOOR_PLAN_SVG, WALLS, map_file, rooms_file
 from ffmap.app.folder.plan_files import write_dxf, write_svg
 from ffmap.app.folder.room_files import door_rooms, topology, write_rooms
+from ffmap.app.folder.walls_and_doors import write_doors, write_walls
 from ffmap.app.record.building import log_building, log_fused_walls, log_grid
 from ffmap.app.record.rooms import log_areas, log_rooms
 from ffmap.app.record.whole_run import layout
@@ -106,8 +107,8 @@ def _record(run: Run, found: BuildingAndMaps) -> None:
 def _write(run: Run, found: BuildingAndMaps) -> None:
     folder, outputs, building, maps = run.folder.path, run.options.outputs, found.building, found.maps
     if Output.GEOJSON in outputs:
-        writers.write_walls(folder / WALLS, building.walls, building.thickness_m)
-        writers.write_doors(folder / DOORS, building.doors, door_rooms(maps.rooms))
+        write_walls(folder / WALLS, building.walls, building.thickness_m)
+        write_doors(folder / DOORS, building.doors, door_rooms(maps.rooms))
         for name, graph in ({Segmented.FURNITURE_FREE: maps.rooms} | dict(maps.compared_rooms)).items():
             write_rooms(folder / rooms_file(name), graph)
     if Output.PLAN in outputs:
@@ -115,4 +116,4 @@ def _write(run: Run, found: BuildingAndMaps) -> None:
         write_dxf(folder / FLOOR_PLAN_DXF, maps.plan)
     if Output.MAPS in outputs:
         for map_name, grid in found.grids.items():
-            writers.write_grid(folder / map_file(map_name), grid)
+            write_grid(folder / map_file(map_name), grid)

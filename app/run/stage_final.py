@@ -11,7 +11,8 @@ from ffmap.algorithms.base.scan import UInt8Array
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.building.fusion import Building
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, fuse
-from ffmap.app.folder import writers
+from ffmap.app.folder.cloud_file import write_ply
+from ffmap.app.folder.labelled_bag import write_labelled_bag
 from ffmap.app.folder.labels_file import LabelsWriter
 from ffmap.app.folder.names import CLOUD, LABELS
 from ffmap.app.record.building import log_cloud
@@ -35,14 +36,14 @@ def finish(run: Run, pool: Executor, jobs: tuple[LabelJob, ...], building: Build
     if Output.LABELLED in outputs:
         with open_bag(run.inputs.bag_path) as bag:
             index, rig = run.inputs.vertical.index, run.inputs.rig
-            writers.write_labelled_bag(run.folder.path, bag, index, rig, trajectory, labels)
+            write_labelled_bag(run.folder.path, bag, index, rig, trajectory, labels)
     deque(labels, maxlen=0)
     run.state.labels_digest = writer.digest
     pool.shutdown()  # the workers' memory goes before the whole cloud is made
     cloud = fuse(table.votes())
     if Output.CLOUD in outputs:
         colours = np.array([entities.CLASSES[label][1] for label in Label], np.uint8)
-        writers.write_ply(run.folder.path / CLOUD, cloud, colours[cloud.label])
+        write_ply(run.folder.path / CLOUD, cloud, colours[cloud.label])
     if run.log:
         log_cloud(run.log, cloud.points_map, cloud.label)
     run.state.counts["cloud_points"] = len(cloud)

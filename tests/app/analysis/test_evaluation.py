@@ -20,8 +20,9 @@ from ffmap.app.analysis.map_figures import TITLES
 from ffmap.app.analysis.metrics_tables import PAPER_STATISTICS, format_metrics, in_one_line, print_metrics
 from ffmap.app.folder.atomic import write_geojson, write_json
 from ffmap.app.folder.finished_run import open_run
+from ffmap.app.folder.labelled_bag import write_labelled_bag
 from ffmap.app.folder.labels_file import LabelsWriter
-from ffmap.app.folder.writers import write_grid, write_labelled_bag
+from ffmap.app.folder.map_files import write_grid
 from ffmap.loaders.bag import make_typestore, open_bag
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.frames import StaticTransform

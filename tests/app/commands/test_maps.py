@@ -21,8 +21,8 @@ from ffmap.app.analysis.map_figures import (
     write_overlays,
 )
 from ffmap.app.folder.atomic import write_geojson
+from ffmap.app.folder.map_files import write_grid
 from ffmap.app.folder.names import REFERENCE_JSON, REFERENCE_OVERLAY, WALLS, map_file
-from ffmap.app.folder.writers import write_grid
 from ffmap.loaders.errors import InputError
 from tests.algorithms.truth.test_reference import OTHER, PLAN, moved, raster
 

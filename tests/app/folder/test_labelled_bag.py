@@ -1,37 +1,21 @@
-"""The run folder's files, read back with other programs' readers."""
+"""The labelled bag, read back with rosbags and beside its source."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
-import yaml
-from PIL import Image
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.algorithms.building.votes import FusedCloud
-from ffmap.algorithms.maps.grid import Cell, GridMap
-from ffmap.app.folder.atomic import write_json
-from ffmap.app.folder.map_files import read_map
-from ffmap.app.folder.writers import (
-    LabelledBagWriter,
-    write_doors,
-    write_grid,
-    write_labelled_bag,
-    write_ply,
-    write_walls,
-)
+from ffmap.app.folder.labelled_bag import LabelledBagWriter, write_labelled_bag
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.frames import StaticTransform
 from ffmap.loaders.rig import Rig
 from ffmap.loaders.scans import index_clouds
-from tests.faces import doors, faces
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, sweep, write_bag
 
 CONTAINERS = ["in.bag", "in_mcap", "in_sqlite3"]
@@ -181,121 +165,3 @@ class TestLabelledBag:
             pass
         with AnyReader([tmp_path / "labelled.bag"]) as reader:
             assert reader.message_count == 0
-
-
-class TestPly:
-    def test_read_by_trimesh_and_by_its_header(self, tmp_path: Path):
-        generator = np.random.default_rng(0)
-        points = generator.uniform(-5, 5, (100, 3)).astype(np.float32)
-        label = generator.integers(0, 5, 100).astype(np.uint8)
-        colours = generator.integers(0, 256, (100, 3)).astype(np.uint8)
-        write_ply(tmp_path / "cloud.ply", FusedCloud(points, label), colours)
-        mesh = trimesh.load(tmp_path / "cloud.ply")
-        np.testing.assert_array_equal(mesh.vertices.astype(np.float32), points)
-        np.testing.assert_array_equal(mesh.colors[:, :3], colours)
-        header, body = (tmp_path / "cloud.ply").read_bytes().split(b"end_header\n", 1)
-        assert b"binary_little_endian" in header
-        assert b"property uchar label" in header
-        np.testing.assert_array_equal(np.frombuffer(body, np.uint8).reshape(100, 16)[:, 12], label)
-
-    def test_empty(self, tmp_path: Path):
-        write_ply(
-            tmp_path / "cloud.ply",
-            FusedCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.uint8)),
-            np.zeros((0, 3), np.uint8),
-        )
-        assert (tmp_path / "cloud.ply").read_bytes().endswith(b"element vertex 0\n" + _PROPERTIES)
-
-
-_PROPERTIES = (
-    b"property float x\nproperty float y\nproperty float z\nproperty uchar label\n"
-    b"property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
-)
-
-
-class TestGrid:
-    GRID = GridMap(
-        np.array([[Cell.OCCUPIED, Cell.FREE, Cell.UNKNOWN], [Cell.FREE, Cell.FREE, Cell.OCCUPIED]], np.uint8),
-        np.array([-1.5, 2.25]),
-        0.05,
-    )
-
-    def test_as_pillow_and_yaml_read_it(self, tmp_path: Path):
-        write_grid(tmp_path / "map.yaml", self.GRID)
-        description = yaml.safe_load((tmp_path / "map.yaml").read_text())
-        assert description == {
-            "image": "map.pgm",
-            "mode": "trinary",
-            "resolution": 0.05,
-            "origin": [-1.5, 2.25, 0.0],
-            "negate": 0,
-            "occupied_thresh": 0.65,
-            "free_thresh": 0.196,
-        }
-        with Image.open(tmp_path / "map.pgm") as image:
-            assert (image.format, image.mode, image.size) == ("PPM", "L", (3, 2))
-            pixels = np.asarray(image)
-        assert pixels.tolist() == [[254, 254, 0], [0, 254, 205]]
-
-    def test_the_thresholds_tell_the_three_apart_as_map_server_does(self, tmp_path: Path):
-        write_grid(tmp_path / "map.yaml", self.GRID)
-        back = read_map(tmp_path / "map.yaml")
-        np.testing.assert_array_equal(back.cells, self.GRID.cells)
-        np.testing.assert_allclose(back.origin, self.GRID.origin)
-
-
-class TestGeojson:
-    def test_doors(self, tmp_path: Path):
-        found = doors(
-            ((0.0, 0.0), (0.9, 0.0)),
-            ((5.0, 1.12), (5.0, 2.0)),
-            head_m=2.0,
-            depth_m=[0.05, np.nan],
-            state=[0, 1],
-            confidence=[0.9, 0.7],
-            crossed=[False, True],
-        )
-        write_doors(tmp_path / "doors.geojson", found)
-        content = json.loads((tmp_path / "doors.geojson").read_text())
-        assert content["type"] == "FeatureCollection"
-        closed, opened = content["features"]
-        assert closed["type"] == "Feature"
-        assert closed["geometry"] == {"type": "LineString", "coordinates": [[0.0, 0.0], [0.9, 0.0]]}
-        assert closed["properties"] == {
-            "state": "closed",
-            "width": 0.9,
-            "height": 2.0,
-            "depth": 0.05,
-            "confidence": 0.9,
-            "crossed": False,
-            "rooms": None,
-        }
-        assert opened["properties"]["state"] == "open"
-        assert opened["properties"]["width"] == 0.88  # and not 0.8799999999999999
-        assert opened["properties"]["depth"] is None
-        write_doors(tmp_path / "doors.geojson", found, [(0, 1), None])
-        rooms = [f["properties"]["rooms"] for f in json.loads((tmp_path / "doors.geojson").read_text())["features"]]
-        assert rooms == [[0, 1], None]
-
-    def test_walls(self, tmp_path: Path):
-        walls = replace(faces(((0.0, 0.0), (4.0, 0.0))), bottom_m=np.array([0.05]), top_m=np.array([2.75]))
-        write_walls(tmp_path / "walls.geojson", walls)
-        (feature,) = json.loads((tmp_path / "walls.geojson").read_text())["features"]
-        assert feature["geometry"]["coordinates"] == [[0.0, 0.0], [4.0, 0.0]]
-        expected = {"normal": [0.0, 1.0], "bottom": 0.05, "top": 2.75, "scans": 9, "rms": 0.01, "samples": 900}
-        assert feature["properties"] == {**expected, "thickness": None}
-        for thickness_m, written in ((0.2, 0.2), (np.nan, None)):
-            write_walls(tmp_path / "walls.geojson", walls, np.full(len(walls), thickness_m))
-            (feature,) = json.loads((tmp_path / "walls.geojson").read_text())["features"]
-            assert feature["properties"] == {**expected, "thickness": written}
-
-    def test_what_json_cannot_say_is_null(self, tmp_path: Path):
-        write_json(tmp_path / "a.json", {"a": np.float32("nan"), "b": [np.int64(3), float("inf")], "c": np.eye(2)})
-        assert json.loads((tmp_path / "a.json").read_text()) == {"a": None, "b": [3, None], "c": [[1, 0], [0, 1]]}
-        assert not (tmp_path / "a.json.part").exists()
-
-    def test_a_failure_leaves_the_earlier_file(self, tmp_path: Path):
-        write_json(tmp_path / "a.json", 1)
-        with pytest.raises(TypeError):
-            write_json(tmp_path / "a.json", object())
-        assert json.loads((tmp_path / "a.json").read_text()) == 1

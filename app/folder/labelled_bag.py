@@ -1,13 +1,12 @@
-"""The files of a run folder. Each is written as NAME.part and renamed, so that a file that is there is complete."""
+"""labelled.bag or labelled/: every vertical cloud again, with its labels, and the poses."""
 
 import shutil
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
-import yaml
 from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
@@ -17,13 +16,7 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import NO_RETURN
 from ffmap.algorithms.base.scan import FloatArray, UInt8Array
-from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.algorithms.building.model import Doors, Walls
-from ffmap.algorithms.building.votes import FusedCloud
-from ffmap.algorithms.maps.grid import GridMap
-from ffmap.algorithms.scan.doors import DoorState
-from ffmap.app.folder.atomic import write_geojson, write_text, written_whole
 from ffmap.app.folder.names import LABELLED_BAG, LABELLED_FOLDER
 from ffmap.loaders.bag import Bag, Container, Message, make_typestore
 from ffmap.loaders.errors import CloudError
@@ -35,102 +28,6 @@ from ffmap.loaders.scans import CloudIndex, read_messages
 MAP_FRAME = "map"
 CLOUD = "sensor_msgs/msg/PointCloud2"
 TF = "tf2_msgs/msg/TFMessage"
-
-FREE_THRESHOLD = 0.196
-"""Nav2 reads a pixel p as free below it: (255 − 205) / 255 = 0.1961 has to stay unknown, so its usual 0.25 will not do."""
-
-
-def write_ply(path: Path, cloud: FusedCloud, colours: UInt8Array) -> None:
-    """Binary little-endian PLY: x y z (metres, map frame), label, red green blue.
-
-    colours: (m, 3) uint8, one row a point.
-    """
-    axes, channels = ("x", "y", "z"), ("label", "red", "green", "blue")
-    vertex = np.zeros(len(cloud), [(name, "<f4") for name in axes] + [(name, "u1") for name in channels])
-    for name, values in zip(axes + channels, (*cloud.points_map.T, cloud.label, *colours.T), strict=True):
-        vertex[name] = values
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        "comment fused semantic cloud, metres in the map frame",
-        f"element vertex {len(cloud)}",
-        *(f"property float {name}" for name in axes),
-        *(f"property uchar {name}" for name in channels),
-        "end_header\n",
-    ]
-
-    with written_whole(path) as part, part.open("wb") as file:
-        file.write("\n".join(header).encode())
-        vertex.tofile(file)
-
-
-def write_grid(path: Path, grid: GridMap) -> None:
-    """`path` (…/NAME.yaml) and NAME.pgm beside it, as Nav2's map_server reads them; the image's first row is the top."""
-    image = path.with_suffix(".pgm")
-    rows, columns = grid.cells.shape
-    pixels = np.ascontiguousarray(grid.cells[::-1], np.uint8).tobytes()
-    description = {
-        "image": image.name,
-        "mode": "trinary",
-        "resolution": float(grid.cell_m),
-        "origin": [float(grid.origin[0]), float(grid.origin[1]), 0.0],
-        "negate": 0,
-        "occupied_thresh": 0.65,
-        "free_thresh": FREE_THRESHOLD,
-    }
-    with written_whole(image) as part:
-        part.write_bytes(f"P5\n{columns} {rows}\n255\n".encode() + pixels)
-    write_text(path, yaml.safe_dump(description, sort_keys=False, default_flow_style=None))
-
-
-def write_walls(path: Path, walls: Walls, thickness_m: FloatArray | None = None) -> None:
-    """Wall faces as LineStrings in metres of the map frame; heights, thickness and spread in metres.
-
-    thickness_m: (W,) of each face's wall, NaN where its other side was not seen; None where nobody asked.
-    """
-    properties = [
-        {
-            "normal": walls.normal[i],
-            "bottom": _millimetres(walls.bottom_m[i]),
-            "top": _millimetres(walls.top_m[i]),
-            "scans": walls.scan_count[i],
-            "rms": walls.rms_m[i],
-            "samples": walls.sample_count[i],
-            "thickness": _millimetres(thickness_m[i]) if thickness_m is not None else None,
-        }
-        for i in range(len(walls))
-    ]
-    _write_lines(path, walls.ends, properties)
-
-
-def write_doors(path: Path, doors: Doors, rooms: Sequence[Sequence[str | None] | None] | None = None) -> None:
-    """Doors as LineStrings along the sill between the jambs, in metres of the map frame.
-
-    rooms: names of the two rooms that each door joins, None for one that was not mapped.
-    """
-    properties = [
-        {
-            "state": DoorState(int(doors.state[i])).name.lower(),
-            "width": _millimetres(width_m),
-            "height": _millimetres(doors.head_m[i]),
-            "depth": _millimetres(doors.depth_m[i]),
-            "confidence": doors.confidence[i],
-            "crossed": bool(doors.crossed[i]),
-            "rooms": rooms[i] if rooms is not None else None,
-        }
-        for i, width_m in enumerate(lengths_m(doors.ends))
-    ]
-    _write_lines(path, doors.ends, properties)
-
-
-def _millimetres(length_m: np.floating[Any]) -> float:
-    """A length in metres, rounded to millimetres: it is known no better."""
-    return round(float(length_m), 3)
-
-
-def _write_lines(path: Path, ends: FloatArray, properties: Sequence[dict[str, object]]) -> None:
-    lines = [{"type": "LineString", "coordinates": line} for line in ends]
-    write_geojson(path, [{"properties": p, "geometry": line} for p, line in zip(properties, lines, strict=True)])
 
 
 def write_labelled_bag(

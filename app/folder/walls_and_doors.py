@@ -1,0 +1,63 @@
+"""walls.geojson and doors.geojson."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.segments import lengths_m
+from ffmap.algorithms.building.model import Doors, Walls
+from ffmap.algorithms.scan.doors import DoorState
+from ffmap.app.folder.atomic import write_geojson
+
+
+def write_walls(path: Path, walls: Walls, thickness_m: FloatArray | None = None) -> None:
+    """Wall faces as LineStrings in metres of the map frame; heights, thickness and spread in metres.
+
+    thickness_m: (W,) of each face's wall, NaN where its other side was not seen; None where nobody asked.
+    """
+    properties = [
+        {
+            "normal": walls.normal[i],
+            "bottom": _millimetres(walls.bottom_m[i]),
+            "top": _millimetres(walls.top_m[i]),
+            "scans": walls.scan_count[i],
+            "rms": walls.rms_m[i],
+            "samples": walls.sample_count[i],
+            "thickness": _millimetres(thickness_m[i]) if thickness_m is not None else None,
+        }
+        for i in range(len(walls))
+    ]
+    _write_lines(path, walls.ends, properties)
+
+
+def write_doors(path: Path, doors: Doors, rooms: Sequence[Sequence[str | None] | None] | None = None) -> None:
+    """Doors as LineStrings along the sill between the jambs, in metres of the map frame.
+
+    rooms: names of the two rooms that each door joins, None for one that was not mapped.
+    """
+    properties = [
+        {
+            "state": DoorState(int(doors.state[i])).name.lower(),
+            "width": _millimetres(width_m),
+            "height": _millimetres(doors.head_m[i]),
+            "depth": _millimetres(doors.depth_m[i]),
+            "confidence": doors.confidence[i],
+            "crossed": bool(doors.crossed[i]),
+            "rooms": rooms[i] if rooms is not None else None,
+        }
+        for i, width_m in enumerate(lengths_m(doors.ends))
+    ]
+    _write_lines(path, doors.ends, properties)
+
+
+def _millimetres(length_m: np.floating[Any]) -> float:
+    """A length in metres, rounded to millimetres: it is known no better."""
+    return round(float(length_m), 3)
+
+
+def _write_lines(path: Path, ends: FloatArray, properties: Sequence[dict[str, object]]) -> None:
+    lines = [{"type": "LineString", "coordinates": line} for line in ends]
+    write_geojson(path, [{"properties": p, "geometry": line} for p, line in zip(properties, lines, strict=True)])
