@@ -137,6 +137,7 @@ class TwoRooms:
             origin_map=np.array([[*self.to_map(place[None])[0], 1.0]]),
             floor_map=np.zeros((1, 2, 3)),
             floor_is_foot=np.zeros(1, bool),
+            floor_reach_m=np.full(1, 6.0),
             ray_count=np.array([rays]),
             plane_count=np.array([0]),
             ray_end_map=np.column_stack([ends_xy, 1.0 + slope * reach]).astype(np.float32),

@@ -56,7 +56,7 @@ class BuildingSettings(StepSettings):
     door_width_max_m: float = Field(2.6, gt=0, description="Widest door in metres.")
     door_height_min_m: float = Field(1.8, gt=0, description="Lowest door head in metres. III.C, condition 3.")
     knee_m: float = Field(
-        0.6,
+        0.7,
         gt=0,
         description="Height above the floor (m) up to which rays that pass a wall prove a doorway: a window's sill is higher.",
     )

@@ -44,6 +44,7 @@ class Rays(NamedTuple):
     origin: FloatArray
     floor: FloatArray
     floor_is_foot: BoolArray
+    floor_reach_m: FloatArray
     starts: IntArray
     end: FloatArray
     label: UInt8Array
@@ -58,6 +59,7 @@ class Rays(NamedTuple):
             np.ascontiguousarray(block.origin_map, np.float64),
             np.ascontiguousarray(block.floor_map, np.float64),
             block.floor_is_foot,
+            block.floor_reach_m,
             block.ray_starts,
             np.ascontiguousarray(block.ray_end_map, np.float32),
             block.ray_label,
@@ -112,8 +114,16 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
 
 @numba.njit(cache=True, nogil=True)
 def floor_m(rays: Rays, scan: int, x: float, y: float) -> float:  # pragma: no cover
-    """Height of the floor at a place in the map (m), as a scan saw it."""
-    return float(floor_height(rays.floor[scan], rays.floor_is_foot[scan], x, y))
+    """Height of the floor at a place in the map (m), as a scan saw it.
+
+    A ramp ends: beyond where the pieces of a floor that bends were seen, it goes on level.
+    """
+    pieces = rays.floor[scan]
+    if pieces[0, 0] != pieces[1, 0] or pieces[0, 1] != pieces[1, 1] or pieces[0, 2] != pieces[1, 2]:
+        dx, dy = x - rays.origin[scan, 0], y - rays.origin[scan, 1]
+        share = min(1.0, rays.floor_reach_m[scan] / max(np.sqrt(dx * dx + dy * dy), 1e-9))
+        x, y = rays.origin[scan, 0] + share * dx, rays.origin[scan, 1] + share * dy
+    return float(floor_height(pieces, rays.floor_is_foot[scan], x, y))
 
 
 def first_columns(walls: Walls) -> IntArray:

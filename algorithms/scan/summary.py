@@ -21,6 +21,7 @@ class Features:
     scan: (s,) int64, index of each scan. origin_map: (s, 3) the sensor.
     floor_map: (s, 2, 3), floor_is_foot: (s,) bool, the floor that each was seen with, for `floor_height`: the pieces of its
         `Floor` in the map's frame, height at the map's origin and slope along x and y; twice the same where it is a plane.
+    floor_reach_m: (s,) distance from the sensor up to which the pieces were looked for.
     ray_count, plane_count: (s,) how many rows below belong to each scan, in order.
     ray_end_map: (r, 3) float32; ray_label: (r,) uint8, the scan's label of the return.
     plane_ends_map: (p, 2, 2); plane_normal: (p, 2) towards the sensor; plane_bottom_m, plane_top_m: (p,);
@@ -31,6 +32,7 @@ class Features:
     origin_map: FloatArray
     floor_map: FloatArray
     floor_is_foot: BoolArray
+    floor_reach_m: FloatArray
     ray_count: IntArray
     plane_count: IntArray
     ray_end_map: FloatArray
@@ -74,6 +76,7 @@ def extract(index: int, placed: PlacedScan, labelling: ScanLabelling) -> Feature
         origin_map=placed.to_map(placed.origin_level[None]),
         floor_map=_floor_map(labelling.floor, T)[None],
         floor_is_foot=np.array([labelling.floor.is_foot]),
+        floor_reach_m=np.array([labelling.settings.rearrangement.floor_range_m]),
         ray_count=np.array([len(chosen)]),
         plane_count=np.array([len(planes)]),
         ray_end_map=placed.to_map(placed.points_level[chosen]).astype(np.float32),

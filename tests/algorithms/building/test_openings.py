@@ -9,7 +9,7 @@ from ffmap.algorithms.building.door_frames import DoorFramesSettings, place_fram
 from ffmap.algorithms.building.doors import drop_doubtful, find_doors, prove_crossed
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
-from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
+from ffmap.algorithms.building.ray_evidence import Rays, WallCells, floor_m, trace_rays
 from ffmap.algorithms.building.windows import WindowsSettings, find_windows, seen_through, without_rays_through
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features
@@ -57,6 +57,7 @@ def features(origin: tuple[float, float], rays: np.ndarray, planes: np.ndarray) 
         origin_map=np.array([[*origin, 1.0]]),
         floor_map=np.zeros((1, 2, 3)),
         floor_is_foot=np.zeros(1, bool),
+        floor_reach_m=np.full(1, 6.0),
         ray_count=np.array([len(rays)]),
         plane_count=np.array([len(planes)]),
         ray_end_map=rays.astype(np.float32),
@@ -557,3 +558,12 @@ def test_frames_are_placed_to_a_centimetre_though_reveals_return_too(depth_m: fl
     np.testing.assert_allclose(placed.ends[0, :, 0], [1.5, 2.4], atol=0.012)
     assert placed.head_m[0] == pytest.approx(2.08, abs=0.012)
     assert placed.scan_count[0] == 2
+
+
+@pytest.mark.parametrize(("x", "height_m"), [(4.0, 0.4), (6.0, 0.6), (20.0, 0.6), (-20.0, 0.0)])
+def test_a_ramp_ends_where_it_was_seen(x: float, height_m: float) -> None:
+    """A floor that rises by a tenth from x = 0 on, seen up to 6 m away."""
+    seen = features((0.0, 0.0), np.ones((1, 3)), WALL.ends)
+    pieces = np.array([[[0.0, 0.0, 0.0], [0.0, 0.1, 0.0]]])
+    rays = Rays.of(replace(seen, floor_map=pieces, floor_is_foot=np.ones(1, bool)))
+    assert floor_m(rays, 0, x, 0.0) == pytest.approx(height_m)

@@ -268,6 +268,7 @@ def looked_along(rooms: TwoRooms, drive: Drive, origin: np.ndarray, ends: np.nda
         origin_map=np.array([[*rooms.to_map(origin[None])[0], 0.3]]),
         floor_map=np.zeros((1, 2, 3)),
         floor_is_foot=np.zeros(1, bool),
+        floor_reach_m=np.full(1, 6.0),
         ray_count=np.array([count]),
         plane_count=np.array([0]),
         ray_end_map=np.column_stack([ray_end, np.full(count, 0.3)]).astype(np.float32),
