@@ -137,11 +137,7 @@ def with_neighbours(counts: FloatArray) -> FloatArray:
 
 @numba.njit(cache=True, nogil=True)
 def own_plane(
-    ends: FloatArray,
-    normal: FloatArray,
-    rays: Rays,
-    scan: int,
-    rules: OwnPlane,
+    ends: FloatArray, normal: FloatArray, rays: Rays, scan: int, rules: OwnPlane
 ) -> tuple[float, float, float, float, float]:  # pragma: no cover
     """Normal x, y and offset of a scan's own plane of a wall face, and the stretch of the face over which it was seen.
 
