@@ -1,9 +1,8 @@
 """Fused wall faces laid along the returns of all scans.
 
-A face that is fused from planes of scans is right to millimetres over a long wall. But of a pillar's side a scan sees few
-lines, and its plane may be off by their scatter over its length, or run from the pillar on to the wall behind. Over all scans
-the cubes of space hold enough returns to say where the surface is: its columns vote for lines that pass near both ends of the
-face (Hough, US patent 3,069,654; here in distances before the ends).
+Of a short face, as a pillar's side, a scan sees few lines, and its plane may be off by their scatter. Over all scans the cubes
+of space hold enough returns to say where the surface is: its columns vote for lines that pass near both ends of the face
+(Hough, US patent 3,069,654; here in distances before the ends).
 """
 
 from dataclasses import dataclass, replace
@@ -92,8 +91,6 @@ def align_faces(
     """Each face where its columns return from, if that is at most 7 cm from where it was; others as they were.
 
     That is where most of them do; of a face that does not show above doors, where the longest surface does.
-
-    votes: of the labels that scans gave; storey: the floor and the ceiling among them.
     """
     cubes = _Cubes.of(votes)
     ends, normal, moved_m = walls.ends.copy(), walls.normal.copy(), np.zeros((len(walls), 2))

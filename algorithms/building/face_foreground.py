@@ -71,8 +71,7 @@ NO_FOREGROUND = Foreground(np.zeros(1, np.int64), np.zeros(0), np.zeros(0), np.z
 def find_foreground(faces: TracedFaces, settings: ForegroundSettings) -> Foreground:
     """What stands flat against the faces."""
     covered = np.zeros(faces.cells.counts.shape[:2], bool)
-    for w in range(len(faces)):
-        own = faces.columns(w)
+    for own in map(faces.columns, range(len(faces))):
         relief_m = _relief_m(faces.cells.counts[own], faces.clear_m[own], settings)
         covered[own] = _standing_patches(relief_m, faces.clear_m[own], settings)
     return Foreground(faces.cells.first, faces.clear_m, faces.ground_m, covered)
@@ -210,10 +209,8 @@ def halo_at_walls(
 ) -> Halo:
     """The halo without that of "walls" which the building does not have: ducts, leaves, cupboards that scans took for walls.
 
-    They lie farther than `near_m` metres from every face, or stand before one. And straight before and behind a doorway hangs
-    its leaf.
+    They lie farther than `near_m` from every face, or stand before one, or before or behind a doorway, as its leaf does.
     """
-    is_wall = halo.label == Label.WALL
     centre = halo.centres
     height_m = centre[:, 2] - storey.ground_m(centre[:, :2])
     at_face = np.zeros(len(halo.keys), bool)
@@ -228,5 +225,5 @@ def halo_at_walls(
         within_wall = (before_m > -reveal_m - settings.leaf_off_m) & (before_m < settings.leaf_off_m)
         between_jambs = doorway.beside(centre) & (height_m < head_m)
         at_face &= ~(between_jambs & (np.abs(before_m) < settings.leaf_m) & ~within_wall)
-    kept = ~is_wall | at_face
+    kept = (halo.label != Label.WALL) | at_face
     return Halo(halo.keys[kept], halo.label[kept], halo.voxel_m)

@@ -153,7 +153,7 @@ else:  # compiled code takes named tuples
 
 
 class _Return(NamedTuple):
-    """One return: its place in the map, its height above the floor and how far it is below the scan's ceiling, metres."""
+    """One return: its place in the map, its height above the floor and below the scan's ceiling, metres."""
 
     x: float
     y: float
@@ -393,9 +393,7 @@ def _is_above_floor(at: _Return, origin: FloatArray, rules: _Rules) -> bool:  # 
 @numba.njit(cache=True, nogil=True, forceinline=True)  # a call for each return would hand over all arrays
 def _at_door(at: _Return, origin: FloatArray, doorways: _Doorways, rules: _Rules) -> _AtDoor:  # pragma: no cover
     """What a return is to the building's doors; once it is a leaf's, nothing else is asked."""
-    on_reveal = False
-    in_opening = False
-    in_doorway = False
+    on_reveal = in_opening = in_doorway = False
     for d in range(len(doorways.lines.length)):
         s = _before(doorways.lines, d, at.x, at.y)
         if abs(s) > rules.at_door_m:
@@ -438,8 +436,7 @@ def _nearest_face(
     as close, but in another room. Within a wall's body, behind a face that the sensor looks at, is what scatters.
     """
     nearest_m, nearest_seen_m = np.inf, rules.forget_m
-    is_covered = False
-    is_within = False
+    is_covered = is_within = False
     for w in range(len(faces.lines.length)):
         s = _before(faces.lines, w, at.x, at.y)
         could_see = s > 0.0 or _is_before(faces.lines, w, origin)

@@ -75,9 +75,8 @@ class SearchSettings:
 class AllReturns:
     """What all scans show together.
 
-    votes: of all scans; storey: their floor and ceiling. path_map: (n, 2) the robot's places: where it was stands no wall.
-    trace: counts rays against faces; a return more than some centimetres behind a face counts as passed, and rays through
-    windows do not count.
+    path_map: (n, 2) the robot's places. trace: counts rays against faces, without those through windows; a return more than some
+    centimetres behind a face counts as passed.
     """
 
     votes: VoxelVotes
@@ -90,7 +89,7 @@ class AllReturns:
 class MissedWalls:
     """Walls that every single scan missed, and what hung before some of them.
 
-    walls: the missed ones. known: the known faces, without what hangs before a missed wall. ducts: that.
+    known: the known faces, without what hangs before a missed wall. ducts: that.
     """
 
     walls: Walls
@@ -118,11 +117,8 @@ class _Proven:
 def find_missed_walls(walls: Walls, refused: Walls, returns: AllReturns, settings: SearchSettings) -> MissedWalls:
     """Walls of which scans saw too little for a plane: returns of all scans that stand in line with the building's walls.
 
-    Upright columns of returns that belong to no face are searched for straight lines in the directions that the walls have; a
-    line is a wall where rays end on it up to the ceiling and hardly any passes, or up to the underside of a duct that hides
-    it above. They stand where they were looked for: to a few centimetres.
-
-    walls, refused: the faces that explain what returned at them.
+    Columns of returns that belong to no face, walls or refused, are searched for lines in the walls' directions; a line is a wall
+    where rays end on it up to the ceiling, or to the underside of a duct, and hardly any passes.
     """
     candidates = _candidates(returns.votes, walls, refused, settings)
     if not len(candidates):
@@ -177,7 +173,7 @@ class _Search:
     """Which stretches of candidates are walls."""
 
     def __init__(self, known: Walls, faces: TracedFaces, returns: AllReturns, settings: SearchSettings) -> None:
-        """known: the faces that are known. faces: the candidates."""
+        """known: the known faces; faces: the candidates."""
         self._known, self._faces, self._storey, self._settings = known, faces, returns.storey, settings
         standing = settings.standing
         walls = faces.walls
@@ -452,9 +448,7 @@ def _pillar_sides(
 ) -> list[tuple[FloatArray, FloatArray]]:
     """The sides between two known faces one before the other, as a pillar has: ends (2, 2) and normal (2,).
 
-    A pillar's side is short, and most of its returns lie so close to either face that they pass for that face's.
-
-    place: (m, 2) of the columns, weight: (m,).
+    Such a side is short, and most of its returns pass for those of either face.
     """
     standing = settings.standing
     found: list[tuple[FloatArray, FloatArray]] = []

@@ -43,7 +43,7 @@ class BuildingSettings(StepSettings):
     pane_share_min: float = Field(0.005, gt=0, le=1, description="Minimum share of its rays that a pane returns.")
     pane_spread_m: float = Field(0.03, gt=0, description="Largest spread in metres of what a pane returns.")
     agreement_min: float = Field(0.6, ge=0, le=1, description="Minimum share of a column's rays that agree on a door.")
-    opaque_min: float = Field(0.9, ge=0, le=1, description="Minimum share of rays that end on a closed leaf: no pane.")
+    opaque_min: float = Field(0.9, ge=0, le=1, description="Minimum share of rays that a leaf, unlike a pane, stops.")
     confidence_min: float = Field(0.2, ge=0, le=1, description="Minimum confidence of a door.")
     rays_min: int = Field(6, ge=1, description="Fewest rays that decide on a column of a wall, 5 cm wide.")
 

@@ -1,7 +1,6 @@
 """From labelled points to cubes of space: every cube counts how often it was seen as what (paper, Fig. 8).
 
-Both the fused cloud and the figures by area rest on these votes. They add up to the same sum in whatever order and in
-whatever portions the scans come, and grow with the building, not with time.
+They add up to the same sum in whatever order and portions the scans come, and grow with the building, not with time.
 """
 
 from dataclasses import dataclass
@@ -177,11 +176,10 @@ def fuse(votes: VoxelVotes) -> FusedCloud:
 
 
 def find_halo(votes: VoxelVotes, ratio: float) -> Halo:
-    """Where clutter beside a surface has too few returns to be an object.
+    """Where clutter beside a surface has too few returns to be an object, and is that surface's scatter.
 
-    The returns of a surface scatter, and in some scans a few of them lie a cube away from all others. A cube that holds, or
-    shares a face with one that holds, `ratio` times as many votes for floor, ceiling or wall as it has for clutter is within
-    that surface's halo; an object that stands against a wall has more returns than that.
+    A cube is in a surface's halo where it, or a cube that shares a face with it, has at least `ratio` votes for floor, ceiling or
+    wall for each that it has for clutter itself.
     """
     surfaces = votes.counts[:, [Label.FLOOR, Label.CEILING, Label.WALL]].astype(np.int64)
     strength = surfaces.max(axis=1, initial=0)

@@ -43,7 +43,7 @@ def find_windows(
     clear_m: (columns,) from the floor to the ceiling before each column of the faces; NaN where none was seen.
     """
     standing_m = tops_m(walls, cells, clear_m)
-    found: list[tuple[FloatArray, FloatArray, float, float, float]] = []
+    windows = NO_WINDOWS
     for w in range(len(walls)):
         counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
         if len(counts) < 3:
@@ -66,11 +66,9 @@ def find_windows(
             first, last = to_jambs(high, first, last, settings.reveal_hides_m)
             first, last = _over_empty_columns(counts[:, : clear[-1] + 1], clear[0], first, last, settings)
             ends = face.at(CELL_M * np.array([first, last + 1]))
-            found.append((ends, face.normal, CELL_M * clear[0], CELL_M * (clear[-1] + 1), pane_m))
-    if not found:
-        return NO_WINDOWS
-    ends_of_all, normal, bottom_m, top_m, panes_m = zip(*found, strict=True)
-    return Windows(np.array(ends_of_all), np.array(normal), np.array(bottom_m), np.array(top_m), np.array(panes_m))
+            between_m = CELL_M * clear[[0]], CELL_M * (clear[[-1]] + 1)
+            windows = windows.append(Windows(ends[None], face.normal[None], *between_m, np.array([pane_m])))
+    return windows
 
 
 def _above_sill(
@@ -92,9 +90,7 @@ def _above_sill(
 def _over_its_pane(
     high: FloatArray, pane_m: float, first: int, last: int, settings: WindowsSettings
 ) -> tuple[int, int]:
-    """A window's columns, with those beside it that return from the same pane, and are passed nevertheless by some rays.
-
-    Glass that is met straight on returns most of them.
+    """A window's columns, with those beside it that return from the same pane: glass that is met straight on returns most rays.
 
     high: (columns, 4) of the whole face, between knee and head. pane_m: how far behind the face it stands; NaN if unknown.
     """
@@ -108,9 +104,7 @@ def _over_its_pane(
 def _over_empty_columns(
     counts: FloatArray, bottom: int, first: int, last: int, settings: WindowsSettings
 ) -> tuple[int, int]:
-    """A window's columns, with those beside it that return next to nothing between its sill and its head, but do below it.
-
-    Glass that is met at a slant sends the rays elsewhere.
+    """A window's columns, with those beside it that return only below its sill: glass met at a slant sends rays elsewhere.
 
     counts: (columns, rows, 4) of the whole face, up to the window's head; bottom: the window's lowest row.
     """
@@ -132,12 +126,11 @@ def seen_through(windows: Windows, features: Features) -> BoolArray:
     """(p,) whether each plane of the scans was seen through a window: it is no wall of this building."""
     origin = features.origin_map[features.plane_scan, :2]
     outside = np.zeros(len(origin), bool)
+    start, along = features.plane_ends_map[:, 0], np.diff(features.plane_ends_map, axis=1)[:, 0]
     for window in segments(windows):
         before_m = window.before_m(origin)
         for part in (0.0, 0.5, 1.0):
-            place = features.plane_ends_map[:, 0] + part * (
-                features.plane_ends_map[:, 1] - features.plane_ends_map[:, 0]
-            )
+            place = start + part * along
             behind_m = window.before_m(place)
             with np.errstate(divide="ignore", invalid="ignore"):
                 crossing = origin + (before_m / (before_m - behind_m))[:, None] * (place - origin)
