@@ -11,14 +11,7 @@ from pydantic import Field
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.base.segments import lengths_m, segments
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.model import (
-    AT_FACE_M,
-    ON_FACE_M,
-    BuildingSettings,
-    Doors,
-    Walls,
-    stretches,
-)
+from ffmap.algorithms.building.model import AT_FACE_M, ON_FACE_M, BuildingSettings, Doors, Walls, stretches
 from ffmap.algorithms.building.ray_evidence import OwnPlane, Rays, floor_m, own_plane
 from ffmap.algorithms.scan.summary import Features
 
@@ -29,36 +22,16 @@ _BIN_M = 0.01
 class DoorFramesSettings(StepSettings):
     """Measuring doors' jambs, heads and reveals to a centimetre."""
 
-    jamb_reach_m: float = Field(
-        0.2, gt=0, le=1, description="Maximum distance (m) of a jamb from where the cells of the wall's face show it."
-    )
+    jamb_reach_m: float = Field(0.2, gt=0, le=1, description="Maximum distance (m) of a jamb from where cells show it.")
     head_min_m: float = Field(1.7, gt=0, description="Minimum height above the floor (m) of a door's head.")
     head_max_m: float = Field(2.7, gt=0, description="Maximum height above the floor (m) of a door's head.")
-    from_m: float = Field(
-        0.3, gt=0, description="Minimum distance (m) of a scan before the face: nearer ones meet the frame aslant."
-    )
-    to_m: float = Field(
-        6.0, gt=0, description="Maximum distance (m) of a scan before the face: farther ones have few rays there."
-    )
-    corner_m: float = Field(
-        0.15,
-        ge=0,
-        description="Closer to a jamb (m) rays tell nothing of the head; closer to the head, nothing of a jamb.",
-    )
-    foot_m: float = Field(
-        0.2, ge=0, description="Lower above the floor (m) sills, stops and thresholds stand in the doorway."
-    )
-    underside_m: float = Field(
-        0.08,
-        gt=0,
-        description="Maximum distance (m) from a door's head of rays that may end on its lintel's underside.",
-    )
-    behind_max_m: float = Field(
-        0.1,
-        gt=0,
-        description="Behind the face (m) beyond which it does not matter where a ray through the opening ended.",
-    )
-    rays_min: int = Field(30, ge=1, description="Minimum rays on the face, and behind it, that place a jamb or a head.")
+    from_m: float = Field(0.3, gt=0, description="Minimum distance (m) of a scan; nearer, rays meet frames aslant.")
+    to_m: float = Field(6.0, gt=0, description="Maximum distance (m) of a scan: farther ones have few rays there.")
+    corner_m: float = Field(0.15, ge=0, description="Distance (m) from a frame's corner where rays tell nothing.")
+    foot_m: float = Field(0.2, ge=0, description="Height (m) up to which sills and stops stand in the doorway.")
+    underside_m: float = Field(0.08, gt=0, description="Maximum distance (m) from the head of rays that end below it.")
+    behind_max_m: float = Field(0.1, gt=0, description="Depth (m) behind the face where a ray's end no longer matters.")
+    rays_min: int = Field(30, ge=1, description="Minimum rays on the face, and behind it, that place an edge.")
     reveal_max_m: float = Field(0.7, gt=0, le=5, description="Maximum depth (m) of a door's reveals.")
 
 
@@ -92,7 +65,8 @@ class _Frames(NamedTuple):
 class _Evidence(NamedTuple):
     """What rays tell of the edges of D openings.
 
-    jamb_cost_m, head_cost_m: (D, 2, bins), (D, bins) by how much rays end off where they would with the edge in each bin.
+    jamb_cost_m, head_cost_m: (D, 2, bins), (D, bins) by how much rays end off where they would with the edge in each bin, from
+    within the opening outwards.
     jamb_rays, head_rays: (D, 2, 2), (D, 2) rays that ended on the face, and behind it.
     scans: (D, 3) the number of scans that tell of the door, the first and the last.
     """
@@ -150,14 +124,8 @@ def place_frames(
 
 
 def _edge_m(cost_m: FloatArray, rays: IntArray, rays_min: int) -> float | None:
-    """How far from the first bin an opening's edge lies, where rays contradict it least; None where too few tell.
-
-    cost_m: (bins,) by how much rays end off where they would with the edge there, from within the opening outwards, 1 cm each.
-    rays: (2,) how many of them ended on the face, and behind it.
-    """
-    if rays.min() < rays_min:
-        return None
-    return float(np.argmin(cost_m)) * _BIN_M
+    """Distance from the first bin at which rays contradict an opening's edge least; None where too few tell: see `_Evidence`."""
+    return float(np.argmin(cost_m)) * _BIN_M if rays.min() >= rays_min else None
 
 
 @numba.njit(cache=True, nogil=True)
@@ -198,17 +166,12 @@ def _compare_with_frames(
             ox, oy = origin[s, 0] - ends[d, 0, 0], origin[s, 1] - ends[d, 0, 1]
             reach = wall_normal[d, 0] * ox + wall_normal[d, 1] * oy
             # Seen at a slant, a leaf's recess shifts where rays pass the face.
-            if (
-                reach < lengths.from_m
-                or reach > lengths.to_m
-                or abs(ox * dx + oy * dy - 0.5 * length) > 2.0 * reach + 0.5 * length
-            ):
+            aslant = abs(ox * dx + oy * dy - 0.5 * length) > 2.0 * reach + 0.5 * length
+            if aslant or reach < lengths.from_m or reach > lengths.to_m:
                 continue
             nx, ny, offset, start, stop = own_plane(wall_ends[d], wall_normal[d], rays, s, own)
-            middle = (
-                (ends[d, 0, 0] - wall_ends[d, 0, 0]) * dx + (ends[d, 0, 1] - wall_ends[d, 0, 1]) * dy + 0.5 * length
-            )
-            if not start < middle < stop:
+            wx, wy = ends[d, 0, 0] - wall_ends[d, 0, 0], ends[d, 0, 1] - wall_ends[d, 0, 1]
+            if not start < wx * dx + wy * dy + 0.5 * length < stop:
                 nx, ny = wall_normal[d, 0], wall_normal[d, 1]
                 offset = nx * wall_ends[d, 0, 0] + ny * wall_ends[d, 0, 1]
             offset -= nx * ends[d, 0, 0] + ny * ends[d, 0, 1]
@@ -257,15 +220,13 @@ def measure_reveals(doors: Doors, blocks: Iterable[Features], settings: DoorFram
     """
     # The underside shows over most of eight parts of the door's width; the edge of a leaf that is ajar does not.
     counts = np.zeros((len(doors), int(settings.reveal_max_m / _BIN_M), 8), np.int64)
-    length_m = lengths_m(doors.ends)
+    length_m, lengths = lengths_m(doors.ends), _Lengths.of(settings)
     for block in blocks:
-        _count_undersides(
-            doors.ends, doors.normal, length_m, doors.head_m, counts, Rays.of(block), _Lengths.of(settings)
-        )
+        _count_undersides(doors.ends, doors.normal, length_m, doors.head_m, counts, Rays.of(block), lengths)
     reveal_m = doors.reveal_m.copy()
     for d in range(len(doors)):
-        # Behind the face by as far as returns follow each other without a gap, over most of the width: a leaf's upper edge
-        # that is ajar is narrow. They scatter about the end, which is where half as many return as before.
+        # As deep as returns follow each other without a gap, over most of the width: the upper edge of a leaf that is ajar is
+        # narrow. They scatter about the end, which is where half as many return as before.
         enough = np.count_nonzero(counts[d], axis=1) > 0.5 * counts.shape[2]
         runs = stretches(enough, 4)
         if runs and runs[0][0] * _BIN_M <= 0.1:

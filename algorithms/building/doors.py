@@ -1,7 +1,8 @@
 """Doors of the building, by the rays of all scans."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -46,66 +47,33 @@ def find_doors(
     cells: without the rays through the windows, for what is seen through glass tells nothing of this building's doors.
     clear_m: (columns,) from the floor to the ceiling before each column of the faces; NaN where none was seen.
     """
-    found: list[_Door] = []
+    found: list[_Seen] = []
     top_m = tops_m(walls, cells, clear_m)
     for w in range(len(walls)):
-        for door in _doors_in(w, walls, cells, top_m[cells.first[w] : cells.first[w + 1]], rules):
-            if _leads_somewhere(door, walls, rules.openings) and not _is_glazed(door, windows, rules.openings):
-                found.append(door)
+        for seen in _doors_in(w, walls, cells, top_m[cells.first[w] : cells.first[w + 1]], rules):
+            if _leads_somewhere(seen.door, walls, rules.openings) and not _is_glazed(
+                seen.door, windows, rules.openings
+            ):
+                found.append(seen)
     # Where a face ends within an opening, the other face may show all of it.
-    found.sort(key=lambda door: (door.is_cut, -door.agreement * door.coverage * door.ray_count))
-    kept: list[_Door] = []
-    for door in found:
-        middle = door.ends.mean(axis=0)
-        if all(
-            np.linalg.norm(middle - other.ends.mean(axis=0)) > 0.6 or abs(door.normal @ other.normal) < 0.8
-            for other in kept
-        ):
-            kept.append(door)
-    if not kept:
-        return NO_DOORS
-    agreement, coverage = np.array([d.agreement for d in kept]), np.array([d.coverage for d in kept])
-    return Doors(
-        ends=np.array([d.ends for d in kept]),
-        normal=np.array([d.normal for d in kept]),
-        head_m=np.array([d.head_m for d in kept]),
-        depth_m=np.array([d.depth_m for d in kept]),
-        state=np.array([d.state for d in kept], np.uint8),
-        confidence=agreement * coverage,
-        agreement=agreement,
-        coverage=coverage,
-        lintel=np.array([d.lintel for d in kept]),
-        ajar=np.array([d.ajar for d in kept]),
-        ray_count=np.array([d.ray_count for d in kept], np.int32),
-        scan_count=np.zeros(len(kept), np.int32),
-        first_scan=np.full(len(kept), -1, np.int64),
-        last_scan=np.full(len(kept), -1, np.int64),
-        crossed=np.zeros(len(kept), bool),
-        wall=np.array([d.wall for d in kept], np.int32),
-        reveal_m=np.full(len(kept), np.nan),
-    )
+    found.sort(key=lambda seen: (seen.is_cut, -seen.door.confidence[0] * seen.door.ray_count[0]))
+    doors = NO_DOORS
+    for seen in found:
+        apart_m = np.linalg.norm(seen.door.ends.mean(axis=1) - doors.ends.mean(axis=1), axis=1)
+        across = np.abs(doors.normal @ seen.door.normal[0]) < 0.8
+        if np.all((apart_m > 0.6) | across):
+            doors = doors.append(seen.door)
+    return doors
 
 
-@dataclass(frozen=True)
-class _Door:
-    """One of `Doors`, as one face shows it."""
+class _Seen(NamedTuple):
+    """A single door as one face shows it, and whether it reaches that face's end, which may not be its jamb."""
 
-    ends: FloatArray
-    normal: FloatArray
-    head_m: float
-    depth_m: float
-    state: DoorState
-    agreement: float
-    coverage: float
-    lintel: float
-    ajar: bool
-    ray_count: int
-    wall: int
+    door: Doors
     is_cut: bool
-    """Whether it reaches the end of its face: that may not be its jamb."""
 
 
-def _doors_in(w: int, walls: Walls, cells: WallCells, top_m: FloatArray, rules: OpeningRules) -> Iterable[_Door]:
+def _doors_in(w: int, walls: Walls, cells: WallCells, top_m: FloatArray, rules: OpeningRules) -> Iterable[_Seen]:
     """The openings of one face; top_m: (c,) how high each of its columns stands."""
     counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
     if len(counts) < 3:
@@ -137,30 +105,36 @@ def _doors_in(w: int, walls: Walls, cells: WallCells, top_m: FloatArray, rules: 
             agree = found.through[columns] if seen_as == DoorState.OPEN else 1 - found.through[columns]
             is_ajar = seen_as == DoorState.CLOSED and _is_ajar(found.depth_m[columns], openings.ajar_m)
             state = DoorState.OPEN if is_ajar else seen_as
-            yield _Door(
-                ends=face.at(CELL_M * np.array([first, last + 1])),
-                normal=face.normal,
-                head_m=_head_m(counts[columns], state, lintel_m, settings),
-                depth_m=float("nan") if is_ajar else depth_m,
-                state=state,
-                agreement=float(np.nanmean(agree[flags[columns]])),
-                # The columns of a doorway that its leaf, ajar, covers bear it out as well.
-                coverage=float(np.mean((flags | found.is_closed)[columns])),
-                lintel=lintel,
-                ajar=is_ajar,
-                ray_count=int(found.rays[columns][:, [FILLED, THROUGH]].sum() / 3),
-                wall=w,
-                is_cut=first == 0 or last == len(counts) - 1,
+            agreement = np.array([np.nanmean(agree[flags[columns]])])
+            # The columns of a doorway that its leaf, ajar, covers bear it out as well.
+            coverage = np.array([np.mean((flags | found.is_closed)[columns])])
+            door = Doors(
+                ends=face.at(CELL_M * np.array([first, last + 1]))[None],
+                normal=face.normal[None],
+                head_m=np.array([_head_m(counts[columns], state, lintel_m, settings)]),
+                depth_m=np.array([np.nan if is_ajar else depth_m]),
+                state=np.array([state], np.uint8),
+                confidence=agreement * coverage,
+                agreement=agreement,
+                coverage=coverage,
+                lintel=np.array([lintel]),
+                ajar=np.array([is_ajar]),
+                ray_count=np.array([found.rays[columns][:, [FILLED, THROUGH]].sum() / 3], np.int32),
+                scan_count=np.zeros(1, np.int32),
+                first_scan=np.full(1, -1),
+                last_scan=np.full(1, -1),
+                crossed=np.zeros(1, bool),
+                wall=np.array([w], np.int32),
+                reveal_m=np.full(1, np.nan),
             )
+            yield _Seen(door, first == 0 or last == len(counts) - 1)
 
 
 def _over_what_its_leaf_hides(columns: DoorColumns, first: int, last: int, rules: OpeningRules) -> tuple[int, int]:
     """The columns of an opening too narrow for a door, with those on one side of it that its leaf hides, up to its jamb.
 
-    A leaf that stands ajar towards the robot lets no ray come to them, or stands before the wall itself beside its hinge;
-    above it the wall goes on, and beyond it.
-
-    columns: of the whole face; first, last: the opening's.
+    A leaf ajar towards the robot lets no ray come to them, or stands before the wall beside its hinge; above and beyond it the
+    wall goes on. columns: of the whole face; first, last: the opening's.
     """
     settings, most = rules.building, cells_in(rules.openings.leaf_max_m)
     on, passed = columns.rays[:, FILLED], columns.rays[:, THROUGH]
@@ -175,27 +149,27 @@ def _over_what_its_leaf_hides(columns: DoorColumns, first: int, last: int, rules
     return (before, last) if on_left else (first, behind)
 
 
-def _leads_somewhere(door: _Door, walls: Walls, settings: OpeningsSettings) -> bool:
+def _leads_somewhere(door: Doors, walls: Walls, settings: OpeningsSettings) -> bool:
     """Whether an opening has room behind it: below a duct, and beside a cupboard under it, the next wall is close.
 
     What hides a part of it, or stands aslant, may be its own leaf ajar, or what the room behind it is furnished with.
     """
-    if door.state == DoorState.CLOSED:
+    if door.state[0] == DoorState.CLOSED:
         return True
-    width_m = float(np.linalg.norm(door.ends[1] - door.ends[0]))
+    ends, width_m = door.ends[0], float(np.linalg.norm(door.ends[0, 1] - door.ends[0, 0]))
     for face in segments(walls):
-        parallel = door.normal @ face.normal > np.cos(np.radians(settings.next_wall_deg))
-        close = settings.next_wall_min_m < face.before_m(door.ends.mean(axis=0)) < settings.next_wall_max_m
-        if parallel and close and face.shared_m(door.ends) > settings.next_wall_share * width_m:
+        parallel = door.normal[0] @ face.normal > np.cos(np.radians(settings.next_wall_deg))
+        close = settings.next_wall_min_m < face.before_m(ends.mean(axis=0)) < settings.next_wall_max_m
+        if parallel and close and face.shared_m(ends) > settings.next_wall_share * width_m:
             return False
     return True
 
 
-def _is_glazed(door: _Door, windows: Windows, settings: OpeningsSettings) -> bool:
+def _is_glazed(door: Doors, windows: Windows, settings: OpeningsSettings) -> bool:
     """Whether most of an opening is a window's, of whichever of its wall's faces."""
-    opening = Segment.between(door.ends, door.normal)
+    opening = next(segments(door))
     for ends, normal in zip(windows.ends, windows.normal, strict=True):
-        near = np.abs(opening.before_m(ends)).max() < settings.glazed_m and abs(door.normal @ normal) > 0.8
+        near = np.abs(opening.before_m(ends)).max() < settings.glazed_m and abs(opening.normal @ normal) > 0.8
         if near and opening.shared_m(ends) > 0.5 * opening.length_m:
             return True
     return False
@@ -207,8 +181,7 @@ def _is_ajar(depth_m: FloatArray, ajar_m: float) -> bool:
     if len(known) < 3:
         return False
     # Columns at the jambs hold returns of the reveals as well: the median of the slopes between all pairs (Theil and Sen).
-    slope = float(stats.theilslopes(depth_m[known], known).slope)
-    return bool(abs(slope) * len(depth_m) > ajar_m)
+    return bool(abs(stats.theilslopes(depth_m[known], known).slope) * len(depth_m) > ajar_m)
 
 
 def _count_jambs(
@@ -216,11 +189,11 @@ def _count_jambs(
 ) -> int:
     """On how many sides the wall above an opening stands beside it too: on one at least, on both where its lintel is hidden.
 
-    A leaf is recessed behind the wall beside it, not only behind what is above: so is a cupboard's front below a board, and
-    a wall that leans. Beside an open doorway that is seen through another one, things may hide the wall.
+    A cupboard's front below a board is recessed behind what is above alone, a leaf behind the wall beside it, too. Beside an
+    open doorway that is seen through another one, things may hide the wall.
 
-    counts: (columns, rows, 4) of the whole face; first, last: the opening's columns. lintel_m: the wall above before the
-    face. depth_m: the leaf behind that; NaN of an open door.
+    counts: (columns, rows, 4) of the whole face; first, last: the opening's columns. lintel_m: how far before the face the
+    wall above lies; depth_m: how far behind that the leaf does, NaN of an open door.
     """
     settings, openings = rules.building, rules.openings
     below = counts[:, FOOT_ROW : cells_in(settings.door_height_min_m)].sum(axis=1)
@@ -233,9 +206,8 @@ def _count_jambs(
     sides = slice(max(first - reach, 0), first), slice(last + 1, last + 1 + reach)
     beside = np.concatenate([seen[side] for side in sides])
     hidden = not np.isfinite(depth_m) and len(beside) > 0 and beside.mean() < 0.5
-    return (
-        1 if hidden else sum(int(np.count_nonzero(flush[side]) >= cells_in(openings.beside_wall_m)) for side in sides)
-    )
+    wall_min = cells_in(openings.beside_wall_m)
+    return 1 if hidden else sum(int(np.count_nonzero(flush[side]) >= wall_min) for side in sides)
 
 
 def _head_m(counts: FloatArray, state: DoorState, lintel_m: float, settings: BuildingSettings) -> float:
@@ -248,12 +220,11 @@ def _head_m(counts: FloatArray, state: DoorState, lintel_m: float, settings: Bui
             wall = (rows[:, FILLED] > rows[:, THROUGH]) & (depth_m < ON_FACE_M)
         else:
             wall = depth_m < 0.5 * settings.recess_min_m
-    start = cells_in(settings.door_height_min_m - 0.1)
-    stop = min(cells_in(settings.door_height_max_m + 0.3), len(rows))
-    for row in range(start, stop):
-        if wall[row] and rows[row, FILLED] > 0:
-            # The head lies somewhere in the row below, which is partly wall.
-            return (row - 0.5) * CELL_M
+    start, stop = cells_in(settings.door_height_min_m - 0.1), cells_in(settings.door_height_max_m + 0.3)
+    above = np.flatnonzero((wall & (rows[:, FILLED] > 0))[start:stop])
+    if len(above):
+        # The head lies somewhere in the row below, which is partly wall.
+        return (start + int(above[0]) - 0.5) * CELL_M
     # A duct hides the lintel: the head is as high as rays came.
     came = np.flatnonzero(rows[:stop, FILLED] + rows[:stop, THROUGH] > 0)
     return max(settings.door_height_min_m, (int(came[-1]) + 1) * CELL_M if len(came) else 0.0)
@@ -265,11 +236,8 @@ def drop_doubtful(doors: Doors, settings: BuildingSettings) -> Doors:
     A leaf's recess of centimetres shows from nearby only: at least `scans_min` scans have to have seen it so. A leaf is
     set back by a step, as high as doors are; a wall that the poses' tilt leans back comes forward little by little, and
     its "head" is far too low or high. And no ray passes a leaf.
-
-    doors: from `place_frames`.
     """
     width_m = lengths_m(doors.ends)
-    narrow = width_m < settings.door_width_min_m - CELL_M
     lowest_m, highest_m = settings.door_height_min_m - CELL_M, settings.door_height_max_m + CELL_M
     doubtful = (
         (doors.scan_count < settings.scans_min)
@@ -277,7 +245,7 @@ def drop_doubtful(doors: Doors, settings: BuildingSettings) -> Doors:
         | (doors.head_m > highest_m)
         | (doors.agreement < settings.opaque_min)
     )
-    unsure = narrow | (doors.confidence < settings.confidence_min)
+    unsure = (width_m < settings.door_width_min_m - CELL_M) | (doors.confidence < settings.confidence_min)
     return doors.select(~unsure & ~(doubtful & (doors.state == DoorState.CLOSED)))
 
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.face_columns import Storey
@@ -13,11 +12,8 @@ from ffmap.algorithms.building.ray_evidence import WallCells
 from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.scan.summary import Features
 
-
-class Trace(Protocol):
-    """Counts the rays of all scans against faces as `trace_rays` does, without those that ended beyond a window."""
-
-    def __call__(self, faces: Walls, settings: BuildingSettings, windows: Windows, /) -> WallCells: ...
+Trace = Callable[[Walls, BuildingSettings, Windows], WallCells]
+"""Counts the rays of all scans against faces as `trace_rays` does, without those that ended beyond a window."""
 
 
 @dataclass(frozen=True)

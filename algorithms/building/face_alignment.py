@@ -1,9 +1,8 @@
 """Fused wall faces laid along the returns of all scans.
 
-A face that is fused from planes of scans is right to millimetres over a long wall. But of a pillar's side a scan sees few
-lines, and its plane may be off by their scatter over its length, or run from the pillar on to the wall behind. Over all scans
-the cubes of space hold enough returns to say where the surface is: its columns vote for lines that pass near both ends of the
-face (Hough, US patent 3,069,654; here in distances before the ends).
+Of a short face, as a pillar's side, a scan sees few lines, and its plane may be off by their scatter. Over all scans the cubes
+of space hold enough returns to say where the surface is: its columns vote for lines that pass near both ends of the face
+(Hough, US patent 3,069,654; here in distances before the ends).
 """
 
 from dataclasses import dataclass, replace
@@ -35,16 +34,11 @@ class FaceAlignmentSettings(StepSettings):
         0.6,
         ge=0,
         le=1,
-        description="Where the wall above doors returned from more than this share of a face's columns, nothing below counts: "
-        "furniture stands there.",
+        description="Where more than this share of columns shows above doors, nothing below counts: furniture stands there.",
     )
-    rival_share_min: float = Field(
-        0.5, ge=0, le=1, description="A line with this share of the most votes may be the wall."
-    )
+    rival_share_min: float = Field(0.5, ge=0, le=1, description="Minimum share of the most votes for another line.")
     columns_min: int = Field(3, ge=2, description="Minimum number of columns that tell where a face lies.")
-    spread_share_min: float = Field(
-        0.5, ge=0, le=1, description="Minimum share of a face that the columns that tell where it lies spread over."
-    )
+    spread_share_min: float = Field(0.5, ge=0, le=1, description="Minimum share of a face over which they spread.")
 
 
 @dataclass(frozen=True)
@@ -97,8 +91,6 @@ def align_faces(
     """Each face where its columns return from, if that is at most 7 cm from where it was; others as they were.
 
     That is where most of them do; of a face that does not show above doors, where the longest surface does.
-
-    votes: of the labels that scans gave; storey: the floor and the ceiling among them.
     """
     cubes = _Cubes.of(votes)
     ends, normal, moved_m = walls.ends.copy(), walls.normal.copy(), np.zeros((len(walls), 2))

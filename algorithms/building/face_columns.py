@@ -1,7 +1,7 @@
 """The columns of wall faces: where they are, how high the room is before them, and what rays found of each."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,7 +13,7 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.levels import HeightMap, corrected
-from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls, stretches
+from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Rows, Walls, stretches
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,
     FOOT_ROW,
@@ -36,9 +36,7 @@ class FaceColumnsSettings(StepSettings):
     foot_m: float = Field(0.15, ge=0, description="Minimum height (m) of rays that count; below are skirting boards.")
     crown_m: float = Field(0.2, gt=0, description="Height (m) of the wall below the ceiling that no window reaches.")
     row_rays_min: int = Field(3, ge=1, description="Minimum number of rays that pass an open row of a column.")
-    row_open_ratio: float = Field(
-        10.0, gt=0, description="Minimum rays that pass an open row for each that ends there."
-    )
+    row_open_ratio: float = Field(10.0, gt=0, description="Minimum rays that pass an open row for each that ends.")
     room_from_m: float = Field(0.3, ge=0, description="Minimum distance (m) before a face at which its room is seen.")
     room_to_m: float = Field(3.0, gt=0, description="Maximum distance (m) before a face at which its room is seen.")
     room_beside_m: float = Field(0.5, ge=0, description="Maximum distance (m) beyond a face's ends of its room.")
@@ -154,7 +152,7 @@ class TracedFaces:
 
 
 @dataclass(frozen=True)
-class Columns:
+class Columns(Rows):
     """How many rays end on each column (c,) of the faces, and how many pass it, counted with the columns beside it.
 
     upper: above doors. crown: close below the ceiling. lower: between the foot and doors' heads. sill: between the foot and
@@ -170,10 +168,6 @@ class Columns:
     lower_passed: FloatArray
     sill_on: FloatArray
     sill_passed: FloatArray
-
-    def part(self, columns: slice) -> "Columns":
-        """Some of the columns."""
-        return Columns(*(getattr(self, field.name)[columns] for field in fields(self)))
 
 
 def above_doors_m(clear_m: FloatArray, above_door_m: float) -> FloatArray:

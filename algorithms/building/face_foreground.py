@@ -25,47 +25,25 @@ class ForegroundSettings(StepSettings):
 
     relief_m: float = Field(0.010, gt=0, description="Minimum mean distance (m) before a wall's face of relief.")
     edge_share: float = Field(0.6, gt=0, le=1, description="A patch of relief ends below this share of `relief_m`.")
-    above_m: float = Field(
-        2.12,
-        gt=0,
-        description="Height above the floor (m) from which, to the ceiling, the wall itself is seen; in lower rooms the last "
-        "25 cm.",
-    )
+    above_m: float = Field(2.12, gt=0, description="Height (m) above which walls alone are seen, but for low rooms.")
     wall_columns: int = Field(11, ge=1, description="Columns over which the wall above is averaged.")
     reveal_m: float = Field(0.03, gt=0, description="Minimum depth (m) of a window's reveal behind the wall around it.")
-    front_percent: float = Field(
-        75.0,
-        gt=0,
-        lt=100,
-        description="Percentile of the cells' distances that is taken for the wall around a reveal.",
-    )
+    front_percent: float = Field(75.0, gt=0, lt=100, description="Percentile of distances: the wall around a reveal.")
     returns_min: int = Field(8, ge=1, description="Minimum number of returns that tell a distance before the face.")
-    together_max: int = Field(
-        7, ge=1, description="Maximum edge, in cells, of the window that is averaged where cells returned too little."
-    )
+    together_max: int = Field(7, ge=1, description="Maximum edge (cells) of windows averaged over sparse returns.")
     scatter_max: float = Field(
         2.0,
         gt=0,
         description="A window whose scatter is more than this many times the wall's own holds several surfaces.",
     )
     lean_rows_min: int = Field(20, ge=3, description="Minimum number of rows that tell that a wall leans.")
-    lean_rms_max_m: float = Field(
-        0.003, gt=0, description="Maximum RMS distance (m) of a leaning wall's rows from a line."
-    )
+    lean_rms_max_m: float = Field(0.003, gt=0, description="Maximum RMS distance (m) of leaning rows from a line.")
     lean_max: float = Field(0.02, gt=0, description="Maximum lean of a wall, in metres per metre of height.")
-    gap_max_m: float = Field(
-        0.5, ge=0, description="Maximum height (m) of a gap in relief: a board hides a shelf's back."
-    )
-    foot_max_m: float = Field(
-        0.3,
-        gt=0,
-        description="Relief that does not come down to this height above the floor (m) hangs on its wall and is wall.",
-    )
+    gap_max_m: float = Field(0.5, ge=0, description="Maximum height (m) of a gap in relief: boards hide backs.")
+    foot_max_m: float = Field(0.3, gt=0, description="Maximum height (m) at which relief begins; higher, it is wall.")
     extent_min_m: float = Field(0.4, gt=0, description="Minimum height and width (m) of relief.")
     extent_max_m: float = Field(3.0, gt=0, description="Maximum width (m) of relief; what is wider is panelling, wall.")
-    below_ceiling_m: float = Field(
-        0.2, ge=0, description="Relief that comes closer to the ceiling than this (m) is wall: a pillar, a corner."
-    )
+    below_ceiling_m: float = Field(0.2, ge=0, description="Relief this close (m) to the ceiling is wall: a pillar.")
     end_m: float = Field(0.1, ge=0, description="Distance (m) from a face's end where other walls return.")
     leaf_m: float = Field(1.0, ge=0, description="Maximum distance (m) of an open leaf from its doorway.")
     leaf_off_m: float = Field(0.03, ge=0, description="Minimum distance (m) of an open leaf from its wall.")
@@ -93,8 +71,7 @@ NO_FOREGROUND = Foreground(np.zeros(1, np.int64), np.zeros(0), np.zeros(0), np.z
 def find_foreground(faces: TracedFaces, settings: ForegroundSettings) -> Foreground:
     """What stands flat against the faces."""
     covered = np.zeros(faces.cells.counts.shape[:2], bool)
-    for w in range(len(faces)):
-        own = faces.columns(w)
+    for own in map(faces.columns, range(len(faces))):
         relief_m = _relief_m(faces.cells.counts[own], faces.clear_m[own], settings)
         covered[own] = _standing_patches(relief_m, faces.clear_m[own], settings)
     return Foreground(faces.cells.first, faces.clear_m, faces.ground_m, covered)
@@ -232,10 +209,8 @@ def halo_at_walls(
 ) -> Halo:
     """The halo without that of "walls" which the building does not have: ducts, leaves, cupboards that scans took for walls.
 
-    They lie farther than `near_m` metres from every face, or stand before one. And straight before and behind a doorway hangs
-    its leaf.
+    They lie farther than `near_m` from every face, or stand before one, or before or behind a doorway, as its leaf does.
     """
-    is_wall = halo.label == Label.WALL
     centre = halo.centres
     height_m = centre[:, 2] - storey.ground_m(centre[:, :2])
     at_face = np.zeros(len(halo.keys), bool)
@@ -250,5 +225,5 @@ def halo_at_walls(
         within_wall = (before_m > -reveal_m - settings.leaf_off_m) & (before_m < settings.leaf_off_m)
         between_jambs = doorway.beside(centre) & (height_m < head_m)
         at_face &= ~(between_jambs & (np.abs(before_m) < settings.leaf_m) & ~within_wall)
-    kept = ~is_wall | at_face
+    kept = (halo.label != Label.WALL) | at_face
     return Halo(halo.keys[kept], halo.label[kept], halo.voxel_m)

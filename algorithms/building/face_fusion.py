@@ -19,26 +19,17 @@ def fuse_walls(features: Features, settings: BuildingSettings) -> Walls:
     The planes join largest first, each the wall face of the same side that it fits; moments add up, so that a wall's
     place is the least-squares one over all its scans. A part that fewer than `scans_min` scans bear out is dropped,
     and a wall with a long gap becomes two.
-
-    features: the planes of all scans; their rays are not looked at.
     """
     length_m = lengths_m(features.plane_ends_map)
     largest_first = np.argsort(-length_m * features.plane_lines, kind="stable")
-    wall = _join(
-        np.ascontiguousarray(features.plane_moments, np.float64),
-        np.ascontiguousarray(features.plane_normal, np.float64),
-        np.ascontiguousarray(features.plane_ends_map, np.float64),
-        largest_first,
-        float(np.cos(np.radians(settings.angle_deg))),
-        settings.distance_m,
-        settings.gap_m,
+    moments, normal, ends = (
+        np.ascontiguousarray(values, np.float64)
+        for values in (features.plane_moments, features.plane_normal, features.plane_ends_map)
     )
-    found = [
-        face
-        for w in range(int(wall.max(initial=-1)) + 1)
-        for face in _faces_of(features, np.flatnonzero(wall == w), settings)
-    ]
-    return reduce(Walls.append, found, NO_WALLS)
+    cos_angle = float(np.cos(np.radians(settings.angle_deg)))
+    wall = _join(moments, normal, ends, largest_first, cos_angle, settings.distance_m, settings.gap_m)
+    members = (np.flatnonzero(wall == w) for w in range(int(wall.max(initial=-1)) + 1))
+    return reduce(Walls.append, (face for own in members for face in _faces_of(features, own, settings)), NO_WALLS)
 
 
 def _faces_of(features: Features, members: IntArray, settings: BuildingSettings) -> Iterable[Walls]:

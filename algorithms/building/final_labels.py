@@ -1,7 +1,8 @@
 """From the building back to the scans: the final label of every return."""
 
+from collections import namedtuple
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numba
 import numpy as np
@@ -22,121 +23,57 @@ from ffmap.algorithms.scan.doors import DoorState
 class RelabellingSettings(StepSettings):
     """What the building's walls and doors change in a scan's labels."""
 
-    wall_distance_m: float = Field(
-        0.04, gt=0, description="Maximum distance (m) from a wall's face of clutter that becomes wall."
-    )
-    body_m: float = Field(
-        0.07,
-        ge=0,
-        description="Maximum distance (m) behind a face that the sensor looks at of clutter that is the wall's scatter.",
-    )
-    face_above_m: float = Field(
-        0.1, ge=0, description="A face counts this far (m) above the highest that was seen of it."
-    )
-    leaf_distance_m: float = Field(
-        0.1, gt=0, description="Maximum distance (m) behind a closed leaf of a return that is its scatter."
-    )
-    margin_m: float = Field(0.05, ge=0, description="A wall's face, or a window, counts this far (m) beyond its ends.")
-    at_reveal_m: float = Field(
-        0.035, ge=0, description="Maximum distance (m) of a return from the reveal or lintel that it is part of."
-    )
-    opening_m: float = Field(
-        0.015, ge=0, description="Distance (m) from the frame of an open door beyond which no wall stands in it."
-    )
-    at_door_m: float = Field(
-        1.0,
-        gt=0,
-        description="Farther (m) before or behind a door's face nothing belongs to the door: leaves are nearer.",
-    )
-    other_face_m: float = Field(
-        0.5, gt=0, description="Maximum distance (m) from a door's face of other faces that its doorway opens too."
-    )
-    lintel_m: float = Field(
-        0.3, ge=0, description="Maximum height (m) above a door's head of returns that are the underside of its lintel."
-    )
-    leaf_hangs_m: float = Field(
-        0.03, ge=0, description="Width (m) at a reveal's end where the leaf of an open door hangs."
-    )
-    at_leaf_m: float = Field(
-        0.012, ge=0, description="The same as at_reveal_m there: what is farther from it is the leaf."
-    )
+    wall_distance_m: float = Field(0.04, gt=0, description="Maximum distance (m) from a face of clutter that is wall.")
+    body_m: float = Field(0.07, ge=0, description="Maximum distance (m) of scatter behind a face that the sensor sees.")
+    face_above_m: float = Field(0.1, ge=0, description="Height (m) that a face counts beyond the highest seen of it.")
+    leaf_distance_m: float = Field(0.1, gt=0, description="Maximum distance (m) behind a closed leaf of its scatter.")
+    margin_m: float = Field(0.05, ge=0, description="Distance (m) that a face or a window counts beyond its ends.")
+    at_reveal_m: float = Field(0.035, ge=0, description="Maximum distance (m) of returns from their reveal or lintel.")
+    opening_m: float = Field(0.015, ge=0, description="Distance (m) from an open door's frame where no wall stands.")
+    at_door_m: float = Field(1.0, gt=0, description="Maximum distance (m) from a door's face of what is the door's.")
+    other_face_m: float = Field(0.5, gt=0, description="Maximum distance (m) from a door of other faces that it opens.")
+    lintel_m: float = Field(0.3, ge=0, description="Maximum height (m) above a door's head of its lintel's underside.")
+    leaf_hangs_m: float = Field(0.03, ge=0, description="Width (m) at a reveal's end where an open leaf hangs.")
+    at_leaf_m: float = Field(0.012, ge=0, description="The same as at_reveal_m where the leaf hangs.")
     scan_door_ratio: float = Field(
-        2.0, ge=0, description="What a scan calls door is recessed: it becomes wall up to this many wall distances."
-    )
-    refused_m: float = Field(
-        0.06,
+        2.0,
         ge=0,
-        description="Maximum distance (m) from a refused face of what a scan calls wall and is clutter, or outside.",
+        description="What a scan calls door is wall up to this many wall distances from a face: it is recessed.",
     )
-    refused_above_m: float = Field(
-        0.2, ge=0, description="The same as face_above_m of a refused face, which no ceiling ends."
-    )
+    refused_m: float = Field(0.06, ge=0, description="Maximum distance (m) from a refused face of its returns.")
+    refused_above_m: float = Field(0.2, ge=0, description="The same as face_above_m of a refused face.")
     pane_m: float = Field(0.0, ge=0, description="Distance (m) behind a pane beyond which a return is outside.")
-    behind_glass_m: float = Field(
-        0.12,
-        gt=0,
-        description="The same behind a window's wall, where the pane returned nothing and its place is not known.",
-    )
-    forget_m: float = Field(
-        0.2, gt=0, description="Distance (m) from every wall's face beyond which what a scan calls wall is clutter."
-    )
+    behind_glass_m: float = Field(0.12, gt=0, description="The same behind a window's face, if its pane is unknown.")
+    forget_m: float = Field(0.2, gt=0, description="Distance (m) from all faces beyond which a scan's wall is clutter.")
     edge_m: float = Field(
         0.06,
         ge=0,
         le=0.2,
-        description="Maximum distance (m) both from a wall and from floor or ceiling of a return that is of the one that its "
-        "ray meets first.",
+        description="Closer (m) both to a wall and to floor or ceiling, a return is of the one that its ray meets first.",
     )
-    another_ceiling_m: float = Field(
-        0.06,
-        ge=0,
-        description="A ceiling this far (m) below the one before a wall is another room's: poses drift, returns scatter.",
-    )
-    grazing_sine: float = Field(
-        0.2,
-        ge=0,
-        lt=1,
-        description="Sine of the angle between a ray and a face below which the place where they cross says nothing.",
-    )
-    own_max_m: float = Field(
-        0.06,
-        gt=0,
-        description="Maximum distance (m) of a face from where a scan itself shows it: poses are off by less.",
-    )
-    own_from_m: float = Field(
-        0.08, ge=0, description="Distance (m) from floor and ceiling from which returns tell where a scan shows a face."
-    )
+    another_ceiling_m: float = Field(0.06, ge=0, description="A ceiling this far (m) below a wall's is another room's.")
+    grazing_sine: float = Field(0.2, ge=0, lt=1, description="Minimum sine of a ray's angle to a face it crosses.")
+    own_max_m: float = Field(0.06, gt=0, description="Maximum distance (m) of a face from where one scan shows it.")
+    own_from_m: float = Field(0.08, ge=0, description="Distance (m) from floor and ceiling from which returns show it.")
     own_to_m: float = Field(0.7, gt=0, description="Distance (m) from floor and ceiling up to which they do.")
     own_returns_min: int = Field(20, ge=1, description="Minimum returns that tell where a scan shows a face.")
-    floor_scatter_m: float = Field(
-        0.015, ge=0, description="Maximum height (m) above the floor of returns of the floor itself, seen level."
-    )
-    range_scatter_m: float = Field(
-        0.02,
-        ge=0,
-        description="Maximum error (m) of a return along its ray, which lifts it off a floor that is seen steeply.",
-    )
+    floor_scatter_m: float = Field(0.015, ge=0, description="Maximum height (m) of the floor's returns, seen level.")
+    range_scatter_m: float = Field(0.02, ge=0, description="Maximum error (m) of a return along its ray.")
     halo_ratio: float = Field(
         10.0,
         ge=1,
-        description="Clutter with fewer than one in this many votes of the floor, ceiling or wall beside it is its scatter.",
+        description="Clutter with fewer than one in this many votes of the surface beside it is its scatter.",
     )
-    halo_wall_m: float = Field(
-        0.12, gt=0, description="Maximum distance (m) from a face of clutter that may be the wall's scatter."
-    )
+    halo_wall_m: float = Field(0.12, gt=0, description="Maximum distance (m) of a wall's scatter from its face.")
 
 
 @dataclass(frozen=True)
 class BuildingModel:
     """What the building tells each scan's returns, in the map frame.
 
-    walls: the faces that stand.
-    before: what is before each of them: how high the ceiling hangs, and where something stands flat against it.
+    walls: the faces that stand. before: how high the ceiling hangs before each, and where something stands flat against it.
     judged: with the faces that were refused, whose returns are clutter, or outside. Its own `walls` are not asked.
-    doors: closed ones with their leaf, open ones with nothing between their jambs.
-    windows: stretches of wall; what lies beyond their panes is outside.
-    levels: what lies at known heights, applied one after the other: what is no floor though scans took it for that, which
-        is asked before the faces are; ceilings and raised floors; ducts, which turn what scans took for ceiling into clutter.
+    levels: what lies at known heights, applied one after the other; false floors are asked before the faces are.
     """
 
     walls: Walls
@@ -209,38 +146,14 @@ class _Panes(NamedTuple):
     beyond_m: FloatArray
 
 
-class _Rules(NamedTuple):
-    """What compiled code asks for of `RelabellingSettings`."""
-
-    wall_distance_m: float
-    body_m: float
-    leaf_distance_m: float
-    margin_m: float
-    at_reveal_m: float
-    opening_m: float
-    refused_m: float
-    forget_m: float
-    edge_m: float
-    floor_scatter_m: float
-    range_scatter_m: float
-    face_above_m: float
-    refused_above_m: float
-    at_door_m: float
-    other_face_m: float
-    lintel_m: float
-    leaf_hangs_m: float
-    at_leaf_m: float
-    scan_door_ratio: float
-    another_ceiling_m: float
-    grazing_sine: float
-    own_max_m: float
-    own_from_m: float
-    own_to_m: float
-    own_returns_min: int
+if TYPE_CHECKING:
+    _Rules = RelabellingSettings
+else:  # compiled code takes named tuples
+    _Rules = namedtuple("_Rules", RelabellingSettings.model_fields)
 
 
 class _Return(NamedTuple):
-    """One return: its place in the map, its height above the floor and how far it is below the scan's ceiling, metres."""
+    """One return: its place in the map, its height above the floor and below the scan's ceiling, metres."""
 
     x: float
     y: float
@@ -274,21 +187,14 @@ def relabel(
 ) -> UInt8Array:
     """The final labels (n,): what many scans agree on overrules what one scan saw.
 
-    A return in a closed doorway is door; wall and door only stand where the building has them; clutter on a wall
-    face or on a door's reveals or lintel is wall; what a ray reached through a window is outside; clutter that is but the
-    scatter of a surface is that surface's, and at the height of the building's ceiling or of a raised floor it is that;
-    what scans took for ceiling and is a duct is clutter.
-
-    points_map: (n, 3) metres in the map frame.
-    height_m: (n,) metres above the floor that the scan saw, which doors' heads are measured from too.
-    below_ceiling_m: (n,) metres below the scan's ceiling, infinite without one.
-    label_scan: (n,) uint8, see `Label`, of the scan alone; it is not changed.
-    origin_map: (3,) the sensor in the map frame, where all rays begin.
-    building: what all scans together found.
-    halo: the cubes in which clutter is a surface's scatter; asked before the building's levels.
+    points_map: (n, 3). height_m: (n,) above the floor that the scan saw, which doors' heads are measured from too.
+    below_ceiling_m: (n,) below the scan's ceiling, infinite without one. label_scan: (n,) of the scan alone; not changed.
+    origin_map: (3,) the sensor. halo: the cubes in which clutter is a surface's scatter; asked before the building's levels.
     """
-    walls, doors, windows, refused = building.walls, building.doors, building.windows, building.judged.refused
-    before = building.before
+    walls, before, refused = building.walls, building.before, building.judged.refused
+    doors, windows = building.doors, building.windows
+    leaf_m = np.where(doors.state == DoorState.CLOSED, doors.depth_m, -np.inf)
+    beyond_m = np.where(np.isfinite(windows.pane_m), windows.pane_m + settings.pane_m, settings.behind_glass_m)
     # What a scan took for floor on a wall is to be asked about like anything else there.
     first = [level for level in building.levels if level.surface.taken_for == Label.FLOOR]
     last = [level for level in building.levels if level.surface.taken_for != Label.FLOOR]
@@ -301,17 +207,9 @@ def relabel(
             np.ascontiguousarray(origin_map, np.float64),
             _Faces(_Lines.of(walls), walls.top_m, before.first, before.clear_m, before.covered),
             _Refused(_Lines.of(refused), refused.top_m, building.judged.refused_label),
-            _Doorways(
-                _Lines.of(doors),
-                doors.head_m,
-                np.where(doors.state == DoorState.CLOSED, doors.depth_m, -np.inf),
-                doors.reveal_m,
-            ),
-            _Panes(
-                _Lines.of(windows),
-                np.where(np.isfinite(windows.pane_m), windows.pane_m + settings.pane_m, settings.behind_glass_m),
-            ),
-            _Rules(*(getattr(settings, name) for name in _Rules._fields)),
+            _Doorways(_Lines.of(doors), doors.head_m, leaf_m, doors.reveal_m),
+            _Panes(_Lines.of(windows), beyond_m),
+            _Rules(**settings.model_dump()),
         )
     )
     return corrected(last, points_map, halo.label_of(points_map, label))
@@ -495,9 +393,7 @@ def _is_above_floor(at: _Return, origin: FloatArray, rules: _Rules) -> bool:  # 
 @numba.njit(cache=True, nogil=True, forceinline=True)  # a call for each return would hand over all arrays
 def _at_door(at: _Return, origin: FloatArray, doorways: _Doorways, rules: _Rules) -> _AtDoor:  # pragma: no cover
     """What a return is to the building's doors; once it is a leaf's, nothing else is asked."""
-    on_reveal = False
-    in_opening = False
-    in_doorway = False
+    on_reveal = in_opening = in_doorway = False
     for d in range(len(doorways.lines.length)):
         s = _before(doorways.lines, d, at.x, at.y)
         if abs(s) > rules.at_door_m:
@@ -540,8 +436,7 @@ def _nearest_face(
     as close, but in another room. Within a wall's body, behind a face that the sensor looks at, is what scatters.
     """
     nearest_m, nearest_seen_m = np.inf, rules.forget_m
-    is_covered = False
-    is_within = False
+    is_covered = is_within = False
     for w in range(len(faces.lines.length)):
         s = _before(faces.lines, w, at.x, at.y)
         could_see = s > 0.0 or _is_before(faces.lines, w, origin)

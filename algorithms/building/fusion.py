@@ -1,7 +1,7 @@
 """The building from all scans: which faces stand, its walls, doors and windows.
 
-The steps stand in modules of their own; here is their order, which matters: rays tell which faces stand, faces
-where windows are, and what was seen through those is no face of this building.
+The order of the steps matters: rays tell which faces stand, faces where windows are, and what was seen through those is no
+face of this building.
 """
 
 from dataclasses import dataclass, replace
@@ -63,10 +63,13 @@ class FusionSettings:
 
 @dataclass(frozen=True)
 class Building:
-    """All that is made of all scans together."""
+    """All that is made of all scans together.
+
+    aligned: the faces before any was judged, and those found of all scans' returns together. thickness_m: (W,) of the walls.
+    levels: its ceilings, floors and ducts, where scans took them for something else.
+    """
 
     aligned: AlignedFaces
-    """The faces that scans' planes make, before any was judged, and those found of all scans' returns together."""
     walls: Walls
     before: Foreground
     judged: JudgedFaces
@@ -74,9 +77,7 @@ class Building:
     windows: Windows
     halo: Halo
     levels: tuple[HeightMap, ...]
-    """Its ceilings, floors and ducts, where scans took them for something else."""
     thickness_m: FloatArray
-    """(W,) of each face's wall."""
 
     @property
     def model(self) -> BuildingModel:
@@ -91,20 +92,11 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     trimmed, doors, windows = _find_openings(walls, scans, settings)
     walls, judged = trimmed.faces.walls, judged.refuse(trimmed.leaves, FaceVerdict.ENDS_LOW)
     before = find_foreground(trimmed.faces, settings.before_walls)
+    thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
     halo = find_halo(scans.votes, settings.relabelling.halo_ratio)
-    return Building(
-        aligned=aligned,
-        walls=walls,
-        before=before,
-        judged=judged,
-        doors=doors,
-        windows=windows,
-        halo=halo_at_walls(
-            halo, walls, doors, before, scans.storey, settings.relabelling.halo_wall_m, settings.before_walls
-        ),
-        levels=scans.levels,
-        thickness_m=face_thickness(walls, part_walls(walls, settings.wall_thickness)),
-    )
+    near_m = settings.relabelling.halo_wall_m
+    halo = halo_at_walls(halo, walls, doors, before, scans.storey, near_m, settings.before_walls)
+    return Building(aligned, walls, before, judged, doors, windows, halo, scans.levels, thickness_m)
 
 
 # --- faces ---

@@ -30,19 +30,11 @@ class LevelsSettings(StepSettings):
     margin_m: float = Field(0.04, gt=0, description="Half thickness (m) of a level surface: drift and scatter.")
     flat_m: float = Field(0.03, gt=0, description="Maximum height difference (m) of a level cell from its neighbours.")
     seen_floor_width_m: float = Field(0.3, gt=0, description="Minimum diameter (m) of a disc that proves floor.")
-    false_floor_min_m: float = Field(
-        0.2,
-        gt=0,
-        description="What scans took for floor higher than this (m) above the nearest proven floor is clutter.",
-    )
+    false_floor_min_m: float = Field(0.2, gt=0, description="Minimum height (m) of false floor above proven floor.")
     ceiling_cell_m: float = Field(0.25, gt=0, description="Edge of the cells (m) of the ceilings that scans found.")
-    ceiling_reach_m: float = Field(
-        1.5, ge=0, description="Maximum distance (m) over which a ceiling goes on level beyond where it was seen."
-    )
+    ceiling_reach_m: float = Field(1.5, ge=0, description="Distance (m) a ceiling goes on beyond where it was seen.")
     overhead_min_m: float = Field(2.2, gt=0, description="Minimum height (m) above the floor of a glimpsed ceiling.")
-    overhead_width_m: float = Field(
-        0.8, gt=0, description="Minimum diameter (m) of a disc in a ceiling; ducts are narrower."
-    )
+    overhead_width_m: float = Field(0.8, gt=0, description="Minimum diameter (m) of a disc in it; ducts are narrower.")
     overhead_gap_m: float = Field(0.3, ge=0, description="Minimum distance (m) of it from a known ceiling.")
     slope_min: float = Field(0.15, gt=0, description="Minimum rise per metre of a sloping ceiling.")
     slope_max: float = Field(1.8, gt=0, description="Maximum rise per metre of a sloping ceiling; steeper is a wall.")
@@ -50,64 +42,41 @@ class LevelsSettings(StepSettings):
     slope_window_cells: int = Field(5, ge=3, description="Edge, in cells, of the window that a plane is fitted to.")
     slope_share_min: float = Field(0.6, gt=0, le=1, description="Minimum share of a window's cells that hold returns.")
     slope_rms_max_m: float = Field(0.025, gt=0, description="Maximum RMS distance (m) of returns from their plane.")
-    slope_reach_m: float = Field(
-        0.25,
-        ge=0,
-        description="Distance (m) over which a sloping ceiling goes on beyond the windows, up to its walls.",
-    )
-    raised_min_m: float = Field(
-        0.06, gt=0, description="Minimum height (m) of a step or platform above the floor beside it; carpets are lower."
-    )
-    raised_max_m: float = Field(
-        0.30, gt=0, description="Maximum height (m) of a step or platform above the floor beside it; seats are higher."
-    )
+    slope_reach_m: float = Field(0.25, ge=0, description="Distance (m) such a ceiling goes on beyond the windows.")
+    raised_min_m: float = Field(0.06, gt=0, description="Minimum height (m) of a step or platform; carpets are lower.")
+    raised_max_m: float = Field(0.30, gt=0, description="Maximum height (m) of a step or platform; seats are higher.")
     raised_width_m: float = Field(1.2, gt=0, description="Minimum diameter (m) of a disc in a platform.")
     beyond_cell_m: float = Field(0.3, gt=0, description="Edge of the cells (m) for floor beyond what scans found.")
     beyond_level_m: float = Field(0.05, gt=0, description="Maximum height difference (m) of it from the nearest floor.")
     beyond_width_m: float = Field(0.9, gt=0, description="Minimum diameter (m) of a disc within such floor.")
     step_min_m: float = Field(0.08, gt=0, description="Minimum height (m) of a step between two floors.")
     step_max_m: float = Field(0.32, gt=0, description="Maximum height (m) of a step between two floors.")
-    step_window_cells: int = Field(
-        5, ge=3, description="Edge (cells) of the window within which floors meet in a step."
-    )
+    step_window_cells: int = Field(5, ge=3, description="Edge (cells) of the window in which floors meet in a step.")
     duct_drop_m: float = Field(0.08, gt=0, description="Minimum distance (m) of a duct below the ceiling beside it.")
     duct_beside_m: float = Field(0.4, gt=0, description="Maximum distance (m) to the ceiling beside a duct.")
     ceiling_edge_m: float = Field(0.3, ge=0, description="Width (m) of a ceiling's edge, where another may begin.")
 
 
 class Surface(StrEnum):
-    """What a height map is of."""
+    """What a height map is of; label: what lies there, taken_for: what scans took it for."""
 
-    FALSE_FLOOR = "false_floor"
-    CEILING = "ceiling"
-    GLIMPSED_CEILING = "glimpsed_ceiling"
-    SLOPING_CEILING = "sloping_ceiling"
-    RAISED_FLOOR = "raised_floor"
-    FLOOR_BEYOND = "floor_beyond"
-    STEP_FRONT = "step_front"
-    DUCT = "duct"
+    label: Label
+    taken_for: Label
 
-    @property
-    def label(self) -> Label:
-        """What lies there."""
-        return _LABELS[self][0]
+    def __new__(cls, name: str, label: Label, taken_for: Label) -> "Surface":
+        """A member with its two labels."""
+        surface = str.__new__(cls, name)
+        surface._value_, surface.label, surface.taken_for = name, label, taken_for
+        return surface
 
-    @property
-    def taken_for(self) -> Label:
-        """What scans took it for."""
-        return _LABELS[self][1]
-
-
-_LABELS = {
-    Surface.FALSE_FLOOR: (Label.CLUTTER, Label.FLOOR),
-    Surface.CEILING: (Label.CEILING, Label.CLUTTER),
-    Surface.GLIMPSED_CEILING: (Label.CEILING, Label.CLUTTER),
-    Surface.SLOPING_CEILING: (Label.CEILING, Label.CLUTTER),
-    Surface.RAISED_FLOOR: (Label.FLOOR, Label.CLUTTER),
-    Surface.FLOOR_BEYOND: (Label.FLOOR, Label.CLUTTER),
-    Surface.STEP_FRONT: (Label.FLOOR, Label.CLUTTER),
-    Surface.DUCT: (Label.CLUTTER, Label.CEILING),
-}
+    FALSE_FLOOR = "false_floor", Label.CLUTTER, Label.FLOOR
+    CEILING = "ceiling", Label.CEILING, Label.CLUTTER
+    GLIMPSED_CEILING = "glimpsed_ceiling", Label.CEILING, Label.CLUTTER
+    SLOPING_CEILING = "sloping_ceiling", Label.CEILING, Label.CLUTTER
+    RAISED_FLOOR = "raised_floor", Label.FLOOR, Label.CLUTTER
+    FLOOR_BEYOND = "floor_beyond", Label.FLOOR, Label.CLUTTER
+    STEP_FRONT = "step_front", Label.FLOOR, Label.CLUTTER
+    DUCT = "duct", Label.CLUTTER, Label.CEILING
 
 
 @dataclass(frozen=True)
@@ -193,7 +162,9 @@ class _Grid:
 
     @classmethod
     def around(cls, position: FloatArray, cell_m: float, margin_m: float) -> "_Grid":
-        """Holds positions (n, 3), at least one, except single ones far from all others."""
+        """Holds positions (n, 3), except single ones far from all others."""
+        if not len(position):
+            return cls(np.zeros(2), (1, 1), cell_m)
         corner = position[:, :2].min(axis=0) - margin_m
         among = _among_others(position)
         kept = position[among, :2] if among.any() else position[:, :2]
@@ -235,10 +206,10 @@ class _Grid:
         return highest
 
     def ground_m(self, floor: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Height of the floor's positions (m, 3), at least one, in each cell or the nearest with any; cells to that one."""
+        """Height of the floor's positions (m, 3) in each cell or the nearest with any, NaN without floor; cells to that one."""
         floor_m = self.heights(floor)
-        away, nearest = ndimage.distance_transform_edt(np.isnan(floor_m), return_indices=True)
-        return floor_m[tuple(nearest)], away
+        away, nearest = _nearest(np.isfinite(floor_m))
+        return floor_m[nearest], away
 
     def above_m(self, position: FloatArray, ground_m: FloatArray) -> FloatArray:
         """(n,) heights of positions (n, 3) above the ground (rows, columns) in their cells."""
@@ -262,8 +233,12 @@ def _among_others(position: FloatArray) -> BoolArray:
     return np.asarray(ndimage.maximum_filter(counts, 3)[tuple(tile.T)] >= _TILE_CUBES)
 
 
-def _nothing(surface: Surface) -> HeightMap:
-    return HeightMap(surface, np.zeros(2), 1.0, np.zeros((0, 0)), np.zeros((0, 0)))
+def _nearest(known: BoolArray) -> tuple[FloatArray, tuple[IntArray, ...]]:
+    """Cells to the nearest known cell, and its row and column; infinity, and each cell itself, where none is known."""
+    if not known.any():
+        return np.full(known.shape, np.inf), tuple(np.indices(known.shape))
+    away, nearest = ndimage.distance_transform_edt(~known, return_indices=True)
+    return away, tuple(nearest)
 
 
 def _closed(mask: BoolArray, size: int = 3) -> BoolArray:
@@ -298,20 +273,16 @@ def _median_around(height_m: FloatArray) -> FloatArray:
 def map_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     """The ceilings that scans found: in each cell the median height of its cubes, around them the nearest cell's."""
     position = votes.mean_position[(majority(votes.counts) == Label.CEILING) & votes.seen(settings.votes_min)]
-    if not len(position):
-        return _nothing(Surface.CEILING)
     grid = _Grid.around(position, settings.ceiling_cell_m, settings.ceiling_reach_m)
     median_m = grid.heights(position)
-    away, nearest = ndimage.distance_transform_edt(np.isnan(median_m), return_indices=True)
-    height_m = np.where(away * grid.cell_m <= settings.ceiling_reach_m, median_m[tuple(nearest)], np.nan)
+    away, nearest = _nearest(np.isfinite(median_m))
+    height_m = np.where(away * grid.cell_m <= settings.ceiling_reach_m, median_m[nearest], np.nan)
     return grid.level(Surface.CEILING, height_m, settings.margin_m)
 
 
-def _heights_above_floor(votes: VoxelVotes, settings: LevelsSettings) -> tuple[_Grid, FloatArray] | None:
-    """A grid over all cubes, and their heights (m,) above the floor; None where no floor is known."""
+def _heights_above_floor(votes: VoxelVotes, settings: LevelsSettings) -> tuple[_Grid, FloatArray]:
+    """A grid over all cubes, and their heights (m,) above the floor; NaN where no floor is known."""
     floor = votes.seen(settings.votes_min) & (majority(votes.counts) == Label.FLOOR)
-    if not floor.any():
-        return None
     position = votes.mean_position
     grid = _Grid.around(position, settings.cell_m, settings.ceiling_reach_m)
     return grid, grid.above_m(position, grid.ground_m(position[floor])[0])
@@ -322,14 +293,11 @@ def map_glimpsed_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> Height
 
     A scan finds the ceiling above it; to it, what is higher or lower is clutter.
     """
-    found = _heights_above_floor(votes, settings)
-    if found is None:
-        return _nothing(Surface.GLIMPSED_CEILING)
-    grid, above_m = found
+    grid, above_m = _heights_above_floor(votes, settings)
     label, position = majority(votes.counts), votes.mean_position
     highest_m = grid.heights(position[(label == Label.CLUTTER) & (above_m > settings.overhead_min_m)], 1.0)
     known = votes.seen(settings.votes_min) & (label == Label.CEILING)
-    away = ndimage.distance_transform_edt(np.isnan(grid.heights(position[known])))
+    away, _ = _nearest(np.isfinite(grid.heights(position[known])))
     highest_m[away * grid.cell_m < settings.overhead_gap_m] = np.nan
     around_m = _median_around(highest_m)
     level = np.abs(highest_m - around_m) < settings.flat_m
@@ -339,10 +307,7 @@ def map_glimpsed_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> Height
 
 def map_sloping_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     """The undersides of roofs and stairs: the highest there is, in one plane that rises, and too broad for furniture."""
-    found = _heights_above_floor(votes, settings)
-    if found is None:
-        return _nothing(Surface.SLOPING_CEILING)
-    grid, above_m = found
+    grid, above_m = _heights_above_floor(votes, settings)
     overhead = votes.seen() & (majority(votes.counts) != Label.FLOOR) & (above_m > settings.slope_bottom_m)
     highest = grid.highest(votes.mean_position[overhead])
     mean, slope, rms_m, known = _planes_around(highest, settings.slope_window_cells)
@@ -351,11 +316,9 @@ def map_sloping_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> HeightM
     fits = (rms_m < settings.slope_rms_max_m) & (known >= settings.slope_share_min) & np.isfinite(highest[..., 2])
     plane = rising & fits
     sloping = grid.broad(_closed(plane), settings.overhead_width_m) & plane
-    if not sloping.any():
-        return _nothing(Surface.SLOPING_CEILING)
-    away, nearest = ndimage.distance_transform_edt(~sloping, return_indices=True)
+    away, nearest = _nearest(sloping)
     centre = grid.origin + (np.indices(grid.shape)[::-1].transpose(1, 2, 0) + 0.5) * grid.cell_m
-    mean, slope = mean[tuple(nearest)], slope[tuple(nearest)]
+    mean, slope = mean[nearest], slope[nearest]
     height_m = mean[..., 2] + ((centre - mean[..., :2]) * slope).sum(axis=2)
     height_m[away * grid.cell_m > settings.slope_reach_m] = np.nan
     within_cell_m = 0.5 * grid.cell_m * np.abs(slope).sum(axis=2)
@@ -397,8 +360,6 @@ def map_ducts(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     A scan that sees both rooms cannot tell the one from the other.
     """
     ceiling = votes.mean_position[(majority(votes.counts) == Label.CEILING) & votes.seen()]
-    if not len(ceiling):
-        return _nothing(Surface.DUCT)
     grid = _Grid.around(ceiling, settings.cell_m, settings.ceiling_reach_m)
     lowest_m, usual_m = grid.heights(ceiling, 0.0), grid.heights(ceiling)
     beside_cells = 2 * round(settings.duct_beside_m / grid.cell_m) + 1
@@ -406,8 +367,8 @@ def map_ducts(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     steep = _range_around(lowest_m, 3) > 2.0 * settings.flat_m
     broad = grid.broad(_closed(np.isfinite(lowest_m) & ~steep) & ~steep, settings.overhead_width_m)
     # The edge of a ceiling, along a wall behind which another ceiling begins, is steep.
-    away, nearest = ndimage.distance_transform_edt(~broad, return_indices=True)
-    off_m = np.abs(lowest_m - lowest_m[tuple(nearest)])
+    away, nearest = _nearest(broad)
+    off_m = np.abs(lowest_m - lowest_m[nearest])
     ceilings = (away <= round(settings.ceiling_edge_m / grid.cell_m)) & (off_m < settings.margin_m)
     return grid.level(Surface.DUCT, np.where(hangs & ~ceilings, lowest_m, np.nan), settings.margin_m)
 
@@ -421,37 +382,28 @@ def map_false_floors(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     A scan extends the plane of its floor as far as it sees; from a ramp that leads up the walls of the next room.
     """
     floor = votes.mean_position[(majority(votes.counts) == Label.FLOOR) & votes.seen()]
-    if not len(floor):
-        return _nothing(Surface.FALSE_FLOOR)
     grid = _Grid.around(floor, settings.cell_m, settings.ceiling_reach_m)
     height_m = grid.heights(floor)
     known = np.isfinite(height_m)
     broad = grid.broad(_closed(known), settings.seen_floor_width_m) & known
-    if not broad.any():
-        return _nothing(Surface.FALSE_FLOOR)
-    nearest = ndimage.distance_transform_edt(~broad, return_distances=False, return_indices=True)
-    low_m = height_m[tuple(nearest)] + settings.false_floor_min_m
+    _, nearest = _nearest(broad)
+    low_m = np.where(broad, height_m, np.nan)[nearest] + settings.false_floor_min_m
     return HeightMap(Surface.FALSE_FLOOR, grid.origin, grid.cell_m, low_m, np.full(grid.shape, np.inf))
 
 
 def map_raised_floors(votes: VoxelVotes, settings: LevelsSettings, cell_m: float) -> HeightMap:
     """Steps and platforms: level, somewhat above the floor around them, and too broad for furniture (paper, V: uneven floors).
 
-    A scan knows the floor that it stands on; to it, what is higher is clutter. Here the lowest return of each cell decides:
-    beneath and beside furniture the floor shows.
-
-    cell_m: edge of the cells; with larger ones fewer returns are enough.
+    The lowest return of each cell decides: beneath and beside furniture the floor shows. Larger cells need fewer returns.
     """
-    between_m = (settings.raised_min_m, settings.raised_max_m)
+    between_m = settings.raised_min_m, settings.raised_max_m
     return _map_floors(votes, settings, Surface.RAISED_FLOOR, cell_m, between_m, settings.raised_width_m)
 
 
 def map_floors_beyond(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     """Where the floor goes on level though no scan found it: seen from afar, through a doorway, or from a ramp."""
-    between_m = (-settings.beyond_level_m, settings.beyond_level_m)
-    return _map_floors(
-        votes, settings, Surface.FLOOR_BEYOND, settings.beyond_cell_m, between_m, settings.beyond_width_m
-    )
+    cell_m, level_m, width_m = settings.beyond_cell_m, settings.beyond_level_m, settings.beyond_width_m
+    return _map_floors(votes, settings, Surface.FLOOR_BEYOND, cell_m, (-level_m, level_m), width_m)
 
 
 def _map_floors(
@@ -466,8 +418,6 @@ def _map_floors(
     label, position = majority(votes.counts), votes.mean_position
     floor = votes.seen(settings.votes_min) & (label == Label.FLOOR)
     low = votes.seen() & ((label == Label.FLOOR) | (label == Label.CLUTTER))
-    if not floor.any():
-        return _nothing(surface)
     grid = _Grid.around(position[low], cell_m, settings.ceiling_reach_m)
     ground_m, away = grid.ground_m(position[floor])
     low &= grid.above_m(position, ground_m) > min(between_m[0], -settings.margin_m)
@@ -487,8 +437,6 @@ def map_step_fronts(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     votes: with the raised floors.
     """
     floor = votes.mean_position[(majority(votes.counts) == Label.FLOOR) & votes.seen()]
-    if not len(floor):
-        return _nothing(Surface.STEP_FRONT)
     grid = _Grid.around(floor, settings.cell_m, settings.ceiling_reach_m)
     floor_m = grid.heights(floor)
     steep = _range_around(floor_m, 3) > settings.step_min_m

@@ -25,7 +25,7 @@ from ffmap.algorithms.building.face_columns import (
     runs,
 )
 from ffmap.algorithms.building.face_verdicts import ACROSS, SAME_WAY, StandingWallsSettings, wall_directions
-from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls, cells_in
+from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Rows, Walls, cells_in
 from ffmap.algorithms.building.openings import widened
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH
 from ffmap.algorithms.building.votes import VoxelVotes, majority
@@ -40,34 +40,15 @@ class MissedWallsSettings(StepSettings):
     near_m: float = Field(
         0.07,
         gt=0,
-        description="Maximum distance (m) of a missed wall's returns behind its face; farther, a ray has passed it: nothing "
-        "stands ajar behind it.",
+        description="Maximum distance (m) behind a face of its returns; a ray that ended farther has passed it.",
     )
     explained_m: float = Field(0.08, gt=0, description="Maximum distance (m) from a known face of its own returns.")
-    corner_m: float = Field(
-        0.15, gt=0, description="Distance (m) from a corner where returns pass for the other wall's."
-    )
+    corner_m: float = Field(0.15, gt=0, description="Distance (m) from a corner where returns pass for the other's.")
     window_max_m: float = Field(3.0, gt=0, description="Maximum length (m) of a window that goes on from a wall.")
-    pillar_share: float = Field(
-        0.8,
-        ge=0,
-        le=1,
-        description="A pillar before a wall shows in more than this share of the rows up to the ceiling.",
-    )
-    below_ceiling_m: float = Field(
-        0.35, gt=0, description="A wall shows up to this (m) below the ceiling, or above heads."
-    )
-    above_heads_m: float = Field(
-        2.25,
-        gt=0,
-        description="Height above the floor (m): what shows up to here is a wall, however high the room; a leaf or the reveal "
-        "of a window is lower.",
-    )
-    underside_near_m: float = Field(
-        0.15,
-        gt=0,
-        description="Maximum height difference (m) between a duct's underside and the top of the wall below.",
-    )
+    pillar_share: float = Field(0.8, ge=0, le=1, description="Minimum share of rows in which a pillar shows.")
+    below_ceiling_m: float = Field(0.35, gt=0, description="Distance (m) below the ceiling up to which a wall shows.")
+    above_heads_m: float = Field(2.25, gt=0, description="Height (m) up to which any wall shows; leaves are lower.")
+    underside_near_m: float = Field(0.15, gt=0, description="Maximum height (m) of a duct's underside over its wall.")
     underside_cell_m: float = Field(0.1, gt=0, description="Edge of the cells (m) that count a duct's underside.")
     duct_depth_min_m: float = Field(0.3, gt=0, description="Minimum depth (m) of a duct before its wall.")
     duct_depth_max_m: float = Field(0.8, gt=0, description="Maximum depth (m) of a duct before its wall.")
@@ -94,9 +75,8 @@ class SearchSettings:
 class AllReturns:
     """What all scans show together.
 
-    votes: of all scans; storey: their floor and ceiling. path_map: (n, 2) the robot's places: where it was stands no wall.
-    trace: counts rays against faces; a return more than some centimetres behind a face counts as passed, and rays through
-    windows do not count.
+    path_map: (n, 2) the robot's places. trace: counts rays against faces, without those through windows; a return more than some
+    centimetres behind a face counts as passed.
     """
 
     votes: VoxelVotes
@@ -109,7 +89,7 @@ class AllReturns:
 class MissedWalls:
     """Walls that every single scan missed, and what hung before some of them.
 
-    walls: the missed ones. known: the known faces, without what hangs before a missed wall. ducts: that.
+    known: the known faces, without what hangs before a missed wall. ducts: that.
     """
 
     walls: Walls
@@ -137,11 +117,8 @@ class _Proven:
 def find_missed_walls(walls: Walls, refused: Walls, returns: AllReturns, settings: SearchSettings) -> MissedWalls:
     """Walls of which scans saw too little for a plane: returns of all scans that stand in line with the building's walls.
 
-    Upright columns of returns that belong to no face are searched for straight lines in the directions that the walls have; a
-    line is a wall where rays end on it up to the ceiling and hardly any passes, or up to the underside of a duct that hides
-    it above. They stand where they were looked for: to a few centimetres.
-
-    walls, refused: the faces that explain what returned at them.
+    Columns of returns that belong to no face, walls or refused, are searched for lines in the walls' directions; a line is a wall
+    where rays end on it up to the ceiling, or to the underside of a duct, and hardly any passes.
     """
     candidates = _candidates(returns.votes, walls, refused, settings)
     if not len(candidates):
@@ -173,13 +150,13 @@ def _candidates(votes: VoxelVotes, walls: Walls, refused: Walls, settings: Searc
         rms_m=np.full(2 * len(found), np.nan),
         sample_count=np.zeros(2 * len(found), np.int64),
     )
-    return both.select(
-        ~_before_a_face(both, walls, standing.noise_m) & ~_faces_a_face(both, walls, standing.pillar_depth_m)
-    )
+    # Between a candidate and a close face that looks at it nobody can stand.
+    faced = _near_a_face(both, walls, 0.0, standing.pillar_depth_m, opposite=True)
+    return both.select(~faced & ~_near_a_face(both, walls, -standing.noise_m, standing.noise_m))
 
 
 @dataclass(frozen=True)
-class _ColumnStates:
+class _ColumnStates(Rows):
     """What the columns (c,) of a candidate are.
 
     proven: wall from floor to ceiling, or up to a window's sill and above its head. window: of these, what may be a window's.
@@ -191,20 +168,18 @@ class _ColumnStates:
     sill: BoolArray
     contradicted: BoolArray
 
-    def part(self, columns: slice) -> "_ColumnStates":
-        return _ColumnStates(self.proven[columns], self.window[columns], self.sill[columns], self.contradicted[columns])
-
 
 class _Search:
     """Which stretches of candidates are walls."""
 
     def __init__(self, known: Walls, faces: TracedFaces, returns: AllReturns, settings: SearchSettings) -> None:
-        """known: the faces that are known. faces: the candidates."""
+        """known: the known faces; faces: the candidates."""
         self._known, self._faces, self._storey, self._settings = known, faces, returns.storey, settings
         standing = settings.standing
         walls = faces.walls
-        self._before_wall = _before_a_face(walls, known, standing.furniture_depth_m)
-        self._close_before_wall = _before_a_face(walls, known, standing.pillar_depth_m)
+        furniture_m, pillar_m = standing.furniture_depth_m, standing.pillar_depth_m
+        self._before_wall = _near_a_face(walls, known, -furniture_m, furniture_m)
+        self._close_before_wall = _near_a_face(walls, known, -pillar_m, pillar_m)
         self._free = np.isfinite(faces.clear_m) & ~faces.visited(returns.path_map, standing.robot_m)
         self._columns = count_columns(faces, standing.above_door_m, settings.building, settings.columns)
         self._undersides = _undersides(returns, settings.building.door_height_min_m)
@@ -212,7 +187,7 @@ class _Search:
     def walls_in(self, w: int) -> Iterator[_Proven]:
         """The stretches of a candidate that are walls."""
         own, settings = self._faces.columns(w), self._settings
-        rays, all_counts = self._columns.part(own), self._faces.cells.counts[own]
+        rays, all_counts = self._columns.select(own), self._faces.cells.counts[own]
         states = self._states(w)
         for first, after in self._stretches(states, all_counts):
             stretch = slice(first, after)
@@ -222,7 +197,7 @@ class _Search:
             length_m = (after - first) * CELL_M + _to_corners_m(face, self._known, settings.missed.corner_m)
             if (
                 length_m >= settings.building.length_min_m
-                and self._is_proven(rays.part(stretch), states.part(stretch), duct is not None)
+                and self._is_proven(rays.select(stretch), states.select(stretch), duct is not None)
                 and (duct is not None or self._reaches_ceiling(w, counts, ceiling_m, states.window[stretch]))
                 and room_before(face, self._storey, settings.columns)[0]
             ):
@@ -247,7 +222,7 @@ class _Search:
     def _states(self, w: int) -> _ColumnStates:
         """What the columns of a candidate are."""
         own, standing = self._faces.columns(w), self._settings.standing
-        columns, candidate = self._columns.part(own), self._faces.walls.select(np.array([w]))
+        columns, candidate = self._columns.select(own), self._faces.walls.select(np.array([w]))
         may_be = self._free[own] & ~_crossed_by(self._known, self._faces.walls, w, own.stop - own.start)
         has_sill = columns.sill_passed + standing.stray_rays < standing.hidden_passed_max * columns.sill_on
         # Between a cupboard and a duct, and over a table, rays pass to the room behind; through a window they leave the building.
@@ -398,25 +373,15 @@ def _crossed_by(walls: Walls, candidates: Walls, w: int, count: int) -> BoolArra
     return crossed
 
 
-def _before_a_face(candidates: Walls, walls: Walls, before_m: float) -> BoolArray:
-    """(k,) whether a known face that looks the same way lies closer than `before_m` behind each candidate, or before it."""
-    before = np.zeros(len(candidates), bool)
+def _near_a_face(candidates: Walls, walls: Walls, above_m: float, below_m: float, opposite: bool = False) -> BoolArray:
+    """(k,) whether each candidate lies between two distances before a known face that looks the same way, or the opposite."""
+    near = np.zeros(len(candidates), bool)
     middle = candidates.ends.mean(axis=1)
     for face in segments(walls):
-        same_way = candidates.normal @ face.normal > SAME_WAY
-        before |= same_way & face.beside(middle) & (np.abs(face.before_m(middle)) < before_m)
-    return before
-
-
-def _faces_a_face(candidates: Walls, walls: Walls, apart_m: float) -> BoolArray:
-    """(k,) whether a known face closer than `apart_m` looks at each candidate: between the two nobody can stand."""
-    faces = np.zeros(len(candidates), bool)
-    middle = candidates.ends.mean(axis=1)
-    for face in segments(walls):
-        distance_m = face.before_m(middle)
-        opposite = candidates.normal @ face.normal < -SAME_WAY
-        faces |= opposite & face.beside(middle) & (distance_m > 0) & (distance_m < apart_m)
-    return faces
+        before_m = face.before_m(middle)
+        looks = (-candidates.normal if opposite else candidates.normal) @ face.normal > SAME_WAY
+        near |= looks & face.beside(middle) & (before_m > above_m) & (before_m < below_m)
+    return near
 
 
 def _unexplained_columns(
@@ -483,9 +448,7 @@ def _pillar_sides(
 ) -> list[tuple[FloatArray, FloatArray]]:
     """The sides between two known faces one before the other, as a pillar has: ends (2, 2) and normal (2,).
 
-    A pillar's side is short, and most of its returns lie so close to either face that they pass for that face's.
-
-    place: (m, 2) of the columns, weight: (m,).
+    Such a side is short, and most of its returns pass for those of either face.
     """
     standing = settings.standing
     found: list[tuple[FloatArray, FloatArray]] = []

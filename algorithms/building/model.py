@@ -1,6 +1,7 @@
 """The immobile building as faces of walls, doors and windows; the lengths that tell what belongs to a face."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from typing import Self
 
 import numpy as np
 from pydantic import Field
@@ -22,63 +23,28 @@ class BuildingSettings(StepSettings):
 
     angle_deg: float = Field(8.0, gt=0, le=45, description="Planes of one wall differ by at most this many degrees.")
     distance_m: float = Field(0.10, gt=0, description="Planes of one wall lie at most this many metres apart.")
-    own_plane_m: float = Field(
-        0.03,
-        ge=0,
-        description="A scan's plane that lies within this many metres of a face is that face as this scan saw it; one "
-        "farther off is another thing's, such as a leaf's.",
-    )
-    own_plane_margin_m: float = Field(
-        0.2, ge=0, description="A scan's own plane of a wall holds this far (m) beyond what the scan saw of it."
-    )
+    own_plane_m: float = Field(0.03, ge=0, description="Maximum distance (m) from a face of a scan's own plane of it.")
+    own_plane_margin_m: float = Field(0.2, ge=0, description="Distance (m) it holds beyond what the scan saw of it.")
     gap_m: float = Field(0.6, ge=0, description="A wall has no gap longer than this many metres between its planes.")
     scans_min: int = Field(3, ge=1, description="Fewest scans that make a wall, and that bear out each part of it.")
     length_min_m: float = Field(0.25, ge=0, description="Shortest wall face in metres.")
     near_m: float = Field(
-        0.35,
-        gt=0,
-        description="A return at most this many metres behind a wall's face is a leaf; deeper, it went through.",
+        0.35, gt=0, description="A return at most this far (m) behind a wall's face is a leaf; deeper, it went through."
     )
-    range_m: float = Field(
-        12.0, gt=0, description="Rays from farther away than this many metres tell nothing of doors and windows."
-    )
-    far_m: float = Field(
-        25.0,
-        gt=0,
-        description="Rays from farther away than this many metres tell nothing of walls either, which show through doors.",
-    )
-    recess_min_m: float = Field(
-        0.016,
-        gt=0,
-        description="Least depth in metres of a closed leaf behind the wall: III.C's 2 cm, less what poses are off.",
-    )
+    range_m: float = Field(12.0, gt=0, description="Rays from farther (m) tell nothing of doors and windows.")
+    far_m: float = Field(25.0, gt=0, description="Rays from farther (m) tell nothing of walls, seen through doors.")
+    recess_min_m: float = Field(0.016, gt=0, description="Minimum depth (m) of a closed leaf: III.C less pose errors.")
     door_width_min_m: float = Field(0.6, gt=0, description="Narrowest door in metres.")
     door_width_max_m: float = Field(2.6, gt=0, description="Widest door in metres.")
     door_height_min_m: float = Field(1.8, gt=0, description="Lowest door head in metres. III.C, condition 3.")
-    knee_m: float = Field(
-        0.7,
-        gt=0,
-        description="Height above the floor (m) up to which rays that pass a wall prove a doorway: a window's sill is higher.",
-    )
-    door_height_max_m: float = Field(
-        2.4, gt=0, description="Above this many metres the wall over a door is looked for."
-    )
-    reveal_m: float = Field(
-        0.3,
-        ge=0,
-        description="Depth (m) of a door's reveals where neither a lintel nor a wall of the building tells.",
-    )
-    pane_share_min: float = Field(
-        0.005, gt=0, le=1, description="An opening that returns this share of its rays from one sheet holds a pane."
-    )
+    knee_m: float = Field(0.7, gt=0, description="Rays that pass a wall lower (m) prove a doorway: sills are higher.")
+    door_height_max_m: float = Field(2.4, gt=0, description="Height (m) above which wall over a door is looked for.")
+    reveal_m: float = Field(0.3, ge=0, description="Depth (m) of a door's reveals where nothing of the building tells.")
+    pane_share_min: float = Field(0.005, gt=0, le=1, description="Minimum share of its rays that a pane returns.")
     pane_spread_m: float = Field(0.03, gt=0, description="Largest spread in metres of what a pane returns.")
-    agreement_min: float = Field(
-        0.6, ge=0, le=1, description="Share of a column's rays that must agree on its being a door's."
-    )
-    opaque_min: float = Field(
-        0.9, ge=0, le=1, description="Share of a closed leaf's rays that end on it; a pane lets more of them through."
-    )
-    confidence_min: float = Field(0.2, ge=0, le=1, description="What is less sure than this to be a door is none.")
+    agreement_min: float = Field(0.6, ge=0, le=1, description="Minimum share of a column's rays that agree on a door.")
+    opaque_min: float = Field(0.9, ge=0, le=1, description="Minimum share of rays that a leaf, unlike a pane, stops.")
+    confidence_min: float = Field(0.2, ge=0, le=1, description="Minimum confidence of a door.")
     rays_min: int = Field(6, ge=1, description="Fewest rays that decide on a column of a wall, 5 cm wide.")
 
     def for_faces(self) -> "BuildingSettings":
@@ -87,7 +53,24 @@ class BuildingSettings(StepSettings):
 
 
 @dataclass(frozen=True)
-class Walls:
+class Rows:
+    """Things of one kind: each field is an array with a row for each of them."""
+
+    def __len__(self) -> int:
+        return len(getattr(self, fields(self)[0].name))
+
+    def select(self, chosen: IntArray | BoolArray | slice) -> Self:
+        """Some of them, by index, by flag or in a row."""
+        return replace(self, **{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
+
+    def append(self, more: Self) -> Self:
+        """These and more."""
+        rows = {f.name: np.concatenate([getattr(self, f.name), getattr(more, f.name)]) for f in fields(self)}
+        return replace(self, **rows)
+
+
+@dataclass(frozen=True)
+class Walls(Rows):
     """Wall faces in the map: straight, upright, each seen from the side that its normal points to.
 
     ends: (W, 2, 2) x and y, metres.
@@ -106,17 +89,6 @@ class Walls:
     rms_m: FloatArray
     sample_count: IntArray
 
-    def __len__(self) -> int:
-        return len(self.ends)
-
-    def select(self, chosen: IntArray | BoolArray) -> "Walls":
-        """Some of the faces, by index or by flag."""
-        return Walls(*(getattr(self, field.name)[chosen] for field in fields(self)))
-
-    def append(self, more: "Walls") -> "Walls":
-        """These faces and more."""
-        return Walls(*(np.concatenate([getattr(w, field.name) for w in (self, more)]) for field in fields(self)))
-
 
 NO_WALLS = Walls(
     ends=np.zeros((0, 2, 2)),
@@ -130,7 +102,7 @@ NO_WALLS = Walls(
 
 
 @dataclass(frozen=True)
-class Windows:
+class Windows(Rows):
     """Stretches of wall that rays pass through glass: what lies behind is seen through it.
 
     ends: (N, 2, 2) x and y, on the wall's face. normal: (N, 2) towards the room.
@@ -144,15 +116,12 @@ class Windows:
     top_m: FloatArray
     pane_m: FloatArray
 
-    def __len__(self) -> int:
-        return len(self.ends)
-
 
 NO_WINDOWS = Windows(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 @dataclass(frozen=True)
-class Doors:
+class Doors(Rows):
     """Doors in the map.
 
     ends: (D, 2, 2) x and y of the two jambs, along the sill.
@@ -189,13 +158,6 @@ class Doors:
     crossed: BoolArray
     wall: IntArray
     reveal_m: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.ends)
-
-    def select(self, chosen: IntArray | BoolArray) -> "Doors":
-        """Some of the doors, by index or by flag."""
-        return Doors(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
 
 NO_DOORS = Doors(

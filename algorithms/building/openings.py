@@ -23,39 +23,19 @@ from ffmap.algorithms.building.ray_evidence import (
 class OpeningsSettings(StepSettings):
     """Telling doors and windows from the cells of a wall's face."""
 
-    jamb_m: float = Field(
-        0.1,
-        ge=0,
-        description="Width (m) beside a jamb in which returns may be of its reveal: it tells nothing of panes.",
-    )
+    jamb_m: float = Field(0.1, ge=0, description="Width (m) beside a jamb where returns may be its reveal's.")
     sheet_m: float = Field(0.02, gt=0, description="Maximum distance (m) of a pane's returns from the pane.")
-    below_ceiling_m: float = Field(
-        0.1, ge=0, description="Height (m) below the ceiling in which returns may be the ceiling's."
-    )
-    lintel_m: float = Field(
-        0.2, gt=0, description="Minimum height (m) of the wall below a low ceiling that tells of the wall above a door."
-    )
+    below_ceiling_m: float = Field(0.1, ge=0, description="Height (m) below the ceiling of its own returns.")
+    lintel_m: float = Field(0.2, gt=0, description="Minimum height (m) of wall below a low ceiling to be a lintel.")
     beside_m: float = Field(0.4, gt=0, description="Width (m) beside a door in which its wall has to stand.")
     beside_wall_m: float = Field(0.1, gt=0, description="Minimum width (m) of the wall that is seen there.")
-    next_wall_min_m: float = Field(
-        0.2, ge=0, description="Minimum distance (m) behind an opening of a wall that leaves no room to lead to."
-    )
-    next_wall_max_m: float = Field(
-        0.9, gt=0, description="Maximum distance (m) of that wall: a room behind a door is deeper."
-    )
+    next_wall_min_m: float = Field(0.2, ge=0, description="Minimum distance (m) of a wall that leaves no room behind.")
+    next_wall_max_m: float = Field(0.9, gt=0, description="Maximum distance (m) of that wall: rooms are deeper.")
     next_wall_deg: float = Field(5.0, gt=0, le=45, description="Maximum angle (degrees) of that wall to the opening.")
-    next_wall_share: float = Field(
-        0.8, gt=0, le=1, description="Minimum share of the opening's width that such a wall covers."
-    )
-    leaf_max_m: float = Field(
-        1.5, ge=0, description="Maximum width (m) that a leaf hides beside the open part of its doorway."
-    )
-    glazed_m: float = Field(
-        0.2, gt=0, description="Maximum distance (m) of an opening from a window's face for it to be the window's."
-    )
-    ajar_m: float = Field(
-        0.1, gt=0, description="Minimum distance (m) of a leaf's free edge from its frame for the door to stand open."
-    )
+    next_wall_share: float = Field(0.8, gt=0, le=1, description="Minimum share of an opening that such a wall covers.")
+    leaf_max_m: float = Field(1.5, ge=0, description="Maximum width (m) a leaf hides beside its doorway's open part.")
+    glazed_m: float = Field(0.2, gt=0, description="Maximum distance (m) of a window's openings from its face.")
+    ajar_m: float = Field(0.1, gt=0, description="Minimum distance (m) of an open leaf's free edge from its frame.")
 
 
 @dataclass(frozen=True)
@@ -104,9 +84,8 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
     high, above = cells_in(settings.door_height_min_m), cells_in(settings.door_height_max_m)
     top = (np.maximum(top_m - openings.below_ceiling_m, 0.0) / CELL_M).astype(np.int64)[:, None]
     row = np.arange(counts.shape[1])
-    above_head = (
-        smooth * ((row >= np.minimum(above, np.maximum(top - cells_in(openings.lintel_m), 0))) & (row < top))[..., None]
-    )
+    lowest = np.minimum(above, np.maximum(top - cells_in(openings.lintel_m), 0))
+    above_head = smooth * ((row >= lowest) & (row < top))[..., None]
     # What hangs behind a lintel is seen below it, and would pull its mean back.
     lintel = (above_head * (returns_at_face(above_head) > 0)[..., None]).sum(axis=1)
     passed_above = above_head[..., THROUGH].sum(axis=1)
@@ -121,25 +100,19 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
         foot_through = foot[:, THROUGH] / (foot[:, THROUGH] + foot[:, FILLED])
         depth_m = lintel_m - mean_m
         foot_depth_m = lintel_m - foot[:, SUM] / foot[:, FILLED]
-    decided = below[:, THROUGH] + below[:, FILLED] >= settings.rays_min
-    is_open = decided & may_have_lintel & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)
-    is_closed = (
-        decided
-        & may_have_lintel
-        & (through < 1 - settings.agreement_min)
-        & (depth_m > settings.recess_min_m)
-        # A leaf is recessed down to the floor; below a window the wall stands flush.
-        & ~(foot_depth_m < 0.5 * settings.recess_min_m)
-        & (spread_m < 0.06)
-    )
+    may_be = may_have_lintel & (below[:, THROUGH] + below[:, FILLED] >= settings.rays_min)
+    is_open = may_be & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)
+    # A leaf is recessed down to the floor; below a window the wall stands flush.
+    recessed = (depth_m > settings.recess_min_m) & ~(foot_depth_m < 0.5 * settings.recess_min_m)
+    is_closed = may_be & recessed & (through < 1 - settings.agreement_min) & (spread_m < 0.06)
     return DoorColumns(is_open, is_closed, has_lintel, through, below, lintel_m, depth_m)
 
 
 def is_pane(counts: FloatArray, rules: OpeningRules) -> bool:
     """Whether an opening holds a pane: glass lets most rays through, but those that it returns come from one sheet.
 
-    An open doorway returns nothing, and what stands in it has some depth. (Glass returns rays that meet it straight on,
-    and dust does so elsewhere: Wang and Wang, "Detecting glass in simultaneous localisation and mapping", 2017.)
+    An open doorway returns nothing, and what stands in it has some depth (Wang and Wang, "Detecting glass in simultaneous
+    localisation and mapping", 2017).
 
     counts: (c, rows, 4) of the opening's columns; those at its jambs are not looked at.
     """
@@ -152,14 +125,10 @@ def is_pane(counts: FloatArray, rules: OpeningRules) -> bool:
 
 @dataclass(frozen=True)
 class Sheet:
-    """The sheet that most returns from within an opening lie on.
-
-    behind_m: its distance behind the face. returns: how many lie on it. columns: in how many columns.
-    """
+    """The sheet that most returns from within an opening lie on: how many, and its distance behind the face."""
 
     behind_m: float
     returns: int
-    columns: int
 
 
 def find_sheet(counts: FloatArray, rules: OpeningRules) -> Sheet | None:
@@ -187,7 +156,7 @@ def find_sheet(counts: FloatArray, rules: OpeningRules) -> Sheet | None:
         return None
     behind_m = -float(counts[on_sheet, SUM].sum()) / returns
     # What reaches as deep as is looked goes on beyond: a leaf that is ajar.
-    return Sheet(behind_m, int(returns), columns) if behind_m < settings.near_m - 2 * sheet_m else None
+    return Sheet(behind_m, int(returns)) if behind_m < settings.near_m - 2 * sheet_m else None
 
 
 def is_open_to_floor(counts: FloatArray, rules: OpeningRules) -> bool:

@@ -1,7 +1,6 @@
 """What the rays of all scans found in each cell of each wall face.
 
-The paper puts its labelled scans together and leaves it at that (Fig. 8); Nikoohemat et al. (2018) tell a wall's cells
-apart as filled, empty and occluded by the rays that passed them, which is what finds the openings here.
+Nikoohemat et al. (2018) tell a wall's cells apart as filled, empty and occluded by the rays that passed them.
 """
 
 from collections.abc import Iterable
@@ -70,11 +69,7 @@ class Rays(NamedTuple):
 
 
 class OwnPlane(NamedTuple):
-    """What makes a plane of a scan its own view of a face.
-
-    distance_m: its maximum distance from the face. cos_angle: of the maximum angle between the two. margin_m: how far
-    beyond what the scan saw of it the plane holds.
-    """
+    """What makes a plane of a scan its own view of a face; see `BuildingSettings`. cos_angle: of `angle_deg`."""
 
     distance_m: float
     cos_angle: float
@@ -90,25 +85,15 @@ class OwnPlane(NamedTuple):
 def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSettings) -> WallCells:
     """Every ray against every wall face that looks towards its origin: what it hit there, or that it went through.
 
-    Where the scan itself has a plane so close to the face that it is of that wall (`own_plane_m`), its rays are measured
-    against its own plane: a leaf lies centimetres behind its wall, and a part of that may the pose be off.
-
-    blocks: features in any portions; the memory needed is the building's, not the recording's.
+    Where the scan itself has a plane of that wall (`own_plane_m`), its rays are measured against that: a leaf lies centimetres
+    behind its wall, and the pose may be off by a part of that. blocks: features in any portions.
     """
     first = first_columns(walls)
     rows = int(np.ceil((float(walls.top_m.max(initial=2.0)) + 0.5) / CELL_M))
     counts = np.zeros((int(first[-1]), rows, 4), np.float32)
+    own = OwnPlane.of(settings)
     for block in blocks:
-        _trace(
-            walls.ends,
-            walls.normal,
-            first,
-            counts,
-            Rays.of(block),
-            settings.near_m,
-            settings.range_m,
-            OwnPlane.of(settings),
-        )
+        _trace(walls.ends, walls.normal, first, counts, Rays.of(block), settings.near_m, settings.range_m, own)
     return WallCells(first, rows, counts)
 
 
@@ -147,16 +132,11 @@ def with_neighbours(counts: FloatArray) -> FloatArray:
 
 @numba.njit(cache=True, nogil=True)
 def own_plane(
-    ends: FloatArray,
-    normal: FloatArray,
-    rays: Rays,
-    scan: int,
-    rules: OwnPlane,
+    ends: FloatArray, normal: FloatArray, rays: Rays, scan: int, rules: OwnPlane
 ) -> tuple[float, float, float, float, float]:  # pragma: no cover
     """Normal x, y and offset of a scan's own plane of a wall face, and the stretch of the face over which it was seen.
 
-    Of several planes the one that shares most with the face; the face's own normal and offset, and no stretch, where there
-    is none.
+    Of several planes the one that shares most with the face; the face itself, and no stretch, where there is none.
     """
     along = ends[1] - ends[0]
     length = np.sqrt(along[0] ** 2 + along[1] ** 2)

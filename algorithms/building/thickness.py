@@ -19,14 +19,8 @@ class WallThicknessSettings(StepSettings):
     least_m: float = Field(0.03, gt=0, description="Thinnest wall in metres; two faces nearer than this are one.")
     most_m: float = Field(0.6, gt=0, description="Thickest wall in metres: faces farther apart belong to two walls.")
     angle_deg: float = Field(3.0, gt=0, le=20, description="The two sides of a wall are parallel to this many degrees.")
-    unseen_m: float = Field(
-        0.15, gt=0, description="Thickness in metres where no wall of the building was seen from both sides."
-    )
-    beyond_face_m: float = Field(
-        0.1,
-        ge=0,
-        description="Maximum distance (m) of a reveal's end beyond its wall's other face: faces are off by this.",
-    )
+    unseen_m: float = Field(0.15, gt=0, description="Thickness (m) where no wall was seen from both sides.")
+    beyond_face_m: float = Field(0.1, ge=0, description="Maximum distance (m) of reveals beyond the other face.")
 
 
 @dataclass(frozen=True)
@@ -40,9 +34,6 @@ class WallParts:
     wall: IntArray
     ends: FloatArray
     thickness_m: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.wall)
 
 
 def part_walls(walls: Walls, settings: WallThicknessSettings) -> WallParts:
@@ -90,10 +81,9 @@ def door_depths(
 ) -> FloatArray:
     """(D,) how far each doorway reaches behind its sill: as far as its wall is thick.
 
-    An open door tells by the underside of its lintel, which single scans measure; a wall's two faces were seen from two
-    rooms, minutes apart, and the poses' drift lies between them. A closed leaf hides it: there the open doors in the same
-    face tell, else the wall's faces, else the building's open doors, else the building's usual thickness. None reaches
-    farther beyond the wall's other face than faces are off.
+    Of an open door the lintel's underside tells, which single scans measure, rather than the wall's two faces, between which
+    lies the poses' drift. A closed leaf hides it: there the open doors in the same face tell, else the wall's faces, else
+    the building's open doors, else its usual thickness.
 
     doors: their `reveal_m` is a measurement, or NaN. unknown_m: the depth where nothing of the building tells.
     """

@@ -1,10 +1,8 @@
 """From labelled points to cubes of space: every cube counts how often it was seen as what (paper, Fig. 8).
 
-Both the fused cloud and the figures by area rest on these votes. They add up to the same sum in whatever order and in
-whatever portions the scans come, and grow with the building, not with time.
+They add up to the same sum in whatever order and portions the scans come, and grow with the building, not with time.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
@@ -156,21 +154,13 @@ class VoxelTable:
             self._grow()
 
     def _grow(self) -> None:
-        capacity = 2 * len(self._keys)
-        self._keys = _enlarged(self._keys, capacity)
-        self._counts = _enlarged(self._counts, capacity)
-        self._position_sum = _enlarged(self._position_sum, capacity)
-        self._point_count = _enlarged(self._point_count, capacity)
-        self._row_of_slot = np.full(2 * capacity, _EMPTY)
+        """Double the table."""
+        self._keys, self._counts, self._position_sum, self._point_count = (
+            np.concatenate([rows, np.zeros_like(rows)])
+            for rows in (self._keys, self._counts, self._position_sum, self._point_count)
+        )
+        self._row_of_slot = np.full(2 * len(self._keys), _EMPTY)
         _rehash(self._keys, self._size, self._row_of_slot)
-
-
-def merge(portions: Sequence[VoxelVotes]) -> VoxelVotes:
-    """The sum of at least one portion."""
-    table = VoxelTable(portions[0].voxel_m, portions[0].counts.shape[1])
-    for portion in portions:
-        table.absorb(portion)
-    return table.votes()
 
 
 def majority(counts: IntArray) -> UInt8Array:
@@ -186,11 +176,10 @@ def fuse(votes: VoxelVotes) -> FusedCloud:
 
 
 def find_halo(votes: VoxelVotes, ratio: float) -> Halo:
-    """Where clutter beside a surface has too few returns to be an object.
+    """Where clutter beside a surface has too few returns to be an object, and is that surface's scatter.
 
-    The returns of a surface scatter, and in some scans a few of them lie a cube away from all others. A cube that holds, or
-    shares a face with one that holds, `ratio` times as many votes for floor, ceiling or wall as it has for clutter is within
-    that surface's halo; an object that stands against a wall has more returns than that.
+    A cube is in a surface's halo where it, or a cube that shares a face with it, has at least `ratio` votes for floor, ceiling or
+    wall for each that it has for clutter itself.
     """
     surfaces = votes.counts[:, [Label.FLOOR, Label.CEILING, Label.WALL]].astype(np.int64)
     strength = surfaces.max(axis=1, initial=0)
@@ -224,12 +213,6 @@ def _unpack(keys: IntArray) -> IntArray:
     """The indexes (m, 3) of cubes with keys (m,)."""
     mask = (1 << AXIS_BITS) - 1
     return np.asarray(np.stack([keys >> 2 * AXIS_BITS, (keys >> AXIS_BITS) & mask, keys & mask], axis=1) - AXIS_OFFSET)
-
-
-def _enlarged(rows: IntArray, capacity: int) -> IntArray:
-    enlarged = np.zeros((capacity, *rows.shape[1:]), rows.dtype)
-    enlarged[: len(rows)] = rows
-    return enlarged
 
 
 @numba.njit(cache=True, nogil=True)

@@ -28,21 +28,11 @@ class WindowsSettings(StepSettings):
 
     height_min_m: float = Field(0.3, gt=0, description="Minimum height (m) of a window above a sill.")
     sill_min_m: float = Field(0.2, gt=0, description="Minimum width (m) of the wall that is seen below its sill.")
-    empty_max_m: float = Field(
-        1.0, ge=0, description="Maximum width (m) by which a window goes on beside it where next to nothing returns."
-    )
-    empty_share: float = Field(
-        0.2, ge=0, le=1, description="Maximum share of the returns below the sill that return there."
-    )
-    at_pane_m: float = Field(
-        0.02, gt=0, description="Maximum distance (m) from the pane of the returns that widen a window."
-    )
-    passed_share: float = Field(
-        0.03, ge=0, le=1, description="Minimum share of rays that pass there: a leaf beside a window returns all."
-    )
-    reveal_hides_m: float = Field(
-        0.15, ge=0, description="Maximum width (m) of an opening that its reveal hides, seen at a slant."
-    )
+    empty_max_m: float = Field(1.0, ge=0, description="Maximum width (m) beside a window that hardly returns.")
+    empty_share: float = Field(0.2, ge=0, le=1, description="Maximum share of the sill's returns that return there.")
+    at_pane_m: float = Field(0.02, gt=0, description="Maximum distance (m) from a pane of what widens it.")
+    passed_share: float = Field(0.03, ge=0, le=1, description="Minimum share of rays that pass there; leaves stop all.")
+    reveal_hides_m: float = Field(0.15, ge=0, description="Maximum width (m) of an opening that its reveal hides.")
 
 
 def find_windows(
@@ -53,7 +43,7 @@ def find_windows(
     clear_m: (columns,) from the floor to the ceiling before each column of the faces; NaN where none was seen.
     """
     standing_m = tops_m(walls, cells, clear_m)
-    found: list[tuple[FloatArray, FloatArray, float, float, float]] = []
+    windows = NO_WINDOWS
     for w in range(len(walls)):
         counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
         if len(counts) < 3:
@@ -76,11 +66,9 @@ def find_windows(
             first, last = to_jambs(high, first, last, settings.reveal_hides_m)
             first, last = _over_empty_columns(counts[:, : clear[-1] + 1], clear[0], first, last, settings)
             ends = face.at(CELL_M * np.array([first, last + 1]))
-            found.append((ends, face.normal, CELL_M * clear[0], CELL_M * (clear[-1] + 1), pane_m))
-    if not found:
-        return NO_WINDOWS
-    ends_of_all, normal, bottom_m, top_m, panes_m = zip(*found, strict=True)
-    return Windows(np.array(ends_of_all), np.array(normal), np.array(bottom_m), np.array(top_m), np.array(panes_m))
+            between_m = CELL_M * clear[[0]], CELL_M * (clear[[-1]] + 1)
+            windows = windows.append(Windows(ends[None], face.normal[None], *between_m, np.array([pane_m])))
+    return windows
 
 
 def _above_sill(
@@ -102,9 +90,7 @@ def _above_sill(
 def _over_its_pane(
     high: FloatArray, pane_m: float, first: int, last: int, settings: WindowsSettings
 ) -> tuple[int, int]:
-    """A window's columns, with those beside it that return from the same pane, and are passed nevertheless by some rays.
-
-    Glass that is met straight on returns most of them.
+    """A window's columns, with those beside it that return from the same pane: glass that is met straight on returns most rays.
 
     high: (columns, 4) of the whole face, between knee and head. pane_m: how far behind the face it stands; NaN if unknown.
     """
@@ -118,9 +104,7 @@ def _over_its_pane(
 def _over_empty_columns(
     counts: FloatArray, bottom: int, first: int, last: int, settings: WindowsSettings
 ) -> tuple[int, int]:
-    """A window's columns, with those beside it that return next to nothing between its sill and its head, but do below it.
-
-    Glass that is met at a slant sends the rays elsewhere.
+    """A window's columns, with those beside it that return only below its sill: glass met at a slant sends rays elsewhere.
 
     counts: (columns, rows, 4) of the whole face, up to the window's head; bottom: the window's lowest row.
     """
@@ -142,12 +126,11 @@ def seen_through(windows: Windows, features: Features) -> BoolArray:
     """(p,) whether each plane of the scans was seen through a window: it is no wall of this building."""
     origin = features.origin_map[features.plane_scan, :2]
     outside = np.zeros(len(origin), bool)
+    start, along = features.plane_ends_map[:, 0], np.diff(features.plane_ends_map, axis=1)[:, 0]
     for window in segments(windows):
         before_m = window.before_m(origin)
         for part in (0.0, 0.5, 1.0):
-            place = features.plane_ends_map[:, 0] + part * (
-                features.plane_ends_map[:, 1] - features.plane_ends_map[:, 0]
-            )
+            place = start + part * along
             behind_m = window.before_m(place)
             with np.errstate(divide="ignore", invalid="ignore"):
                 crossing = origin + (before_m / (before_m - behind_m))[:, None] * (place - origin)

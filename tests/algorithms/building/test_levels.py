@@ -19,8 +19,8 @@ from ffmap.algorithms.building.levels import (
     map_sloping_ceilings,
     map_step_fronts,
 )
-from ffmap.algorithms.building.votes import VoxelVotes, merge
-from tests.voting import vote
+from ffmap.algorithms.building.votes import VoxelVotes
+from tests.voting import merge, vote
 
 SETTINGS = LevelsSettings()
 

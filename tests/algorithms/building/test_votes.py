@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, find_halo, fuse, majority, merge
-from tests.voting import vote
+from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, find_halo, fuse, majority
+from tests.voting import merge, vote
 
 EDGE_M = 0.05
 
