@@ -18,12 +18,7 @@ UInt8Array = npt.NDArray[np.uint8]
 class ScanSettings(StepSettings):
     """Which returns of a scan are used."""
 
-    range_max_m: float = Field(
-        100.0,
-        gt=0,
-        le=150,
-        description="Maximum distance (m) of a return from the lidar: indoors, farther ones are errors.",
-    )
+    range_max_m: float = Field(100.0, gt=0, le=150, description="Maximum range (m) of a return: farther are errors.")
 
 
 @dataclass(frozen=True)

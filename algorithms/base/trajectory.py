@@ -15,28 +15,17 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan
 from ffmap.algorithms.base.settings import StepSettings
 
-KNOTS = 17
-"""Number of poses in a sweep, 6 ms apart at 10 Hz; between them a firing's pose is interpolated linearly."""
+KNOTS = 17  # number of poses in a sweep, 6 ms apart at 10 Hz; between them a firing's pose is interpolated linearly
 
 
 class TrajectorySettings(StepSettings):
     """Placing scans and levelling the map (paper, IV.C and V)."""
 
-    level_s: float = Field(
-        8.0,
-        gt=0,
-        le=60,
-        description="Duration (s) from the start whose walls and floor level the map.",
-    )
+    level_s: float = Field(8.0, gt=0, le=60, description="Duration (s) from the start that levels the map.")
     level_scan_max_deg: float = Field(
-        1.0,
-        ge=0,
-        le=10,
-        description="Maximum angle (degrees) by which a scan is turned to give its floor the slope of the map's; 0 turns none.",
+        1.0, ge=0, le=10, description="Maximum turn (degrees) of a scan to the map's floor."
     )
-    extrapolate_s: float = Field(
-        0.3, ge=0, description="Maximum time (s) of a vertical scan before or after the odometry; others are skipped."
-    )
+    extrapolate_s: float = Field(0.3, ge=0, description="Maximum time (s) of a scan before or after the odometry.")
 
 
 @dataclass(frozen=True)

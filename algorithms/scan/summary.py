@@ -10,8 +10,7 @@ from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.scan.floor import Floor
 from ffmap.algorithms.scan.labelling import ScanLabelling
 
-RAYS_PER_SCAN = 16_000
-"""Maximum number of rays that are kept of a scan."""
+RAYS_PER_SCAN = 16_000  # maximum number of rays that are kept of a scan
 
 
 @dataclass(frozen=True)

@@ -22,87 +22,53 @@ For evenly spread samples it is √3; less, so that a few odd samples do not len
 class WallPlanesSettings(StepSettings):
     """Growing wall planes from candidates (paper, III.B, Algorithm 1)."""
 
-    similarity_m: float = Field(
-        0.05,
-        gt=0,
-        le=1,
-        description="σ_th: maximum RMS distance (m) of a candidate from the plane that it joins. Alg. 1.",
-    )
+    similarity_m: float = Field(0.05, gt=0, le=1, description="σ_th: maximum RMS distance (m) from the plane. Alg. 1.")
     upper_part_m: float = Field(
         0.4,
         gt=0,
-        description="Height (m) of the upper part of a candidate that is fitted: no leaf or furniture stands before it. III.B.",
+        description="Height (m) of a candidate's upper part, which is fitted: nothing stands before it. III.B.",
     )
-    reach_m: float = Field(
-        0.35,
-        gt=0,
-        description="Maximum distance (m) below a ceiling at which a candidate ends: walls meet the ceiling. III.B.",
-    )
-    height_min_m: float = Field(
-        2.1, gt=0, description="Minimum height (m) of a wall where no ceiling is in view. III.B."
-    )
+    reach_m: float = Field(0.35, gt=0, description="Maximum distance (m) of a wall's top below a ceiling. III.B.")
+    height_min_m: float = Field(2.1, gt=0, description="Minimum height (m) of a wall where no ceiling is seen. III.B.")
     bottom_max_m: float = Field(
-        2.2,
-        gt=0,
-        description="Maximum height above the floor (m) of a wall's lower edge, above a door; what ends higher is a duct. III.B.",
+        2.2, gt=0, description="Maximum height (m) of a wall's lower edge; what ends higher is a duct. III.B."
     )
     gap_m: float = Field(0.3, gt=0, description="Maximum gap (m) between neighbouring lines of a plane. Alg. 1.")
-    gap_per_range: float = Field(
-        0.15, ge=0, description="Added to the gap for each metre of range, for emitters spread apart. Alg. 1."
-    )
-    merge_gap_m: float = Field(
-        1.5,
-        ge=0,
-        description="Maximum gap (m) between planes in line that are joined: a line that broke the plane is bridged. Alg. 1.",
-    )
+    gap_per_range: float = Field(0.15, ge=0, description="Added to the gap for each metre of range. Alg. 1.")
+    merge_gap_m: float = Field(1.5, ge=0, description="Maximum gap (m) between planes in line that are joined. Alg. 1.")
     lines_min: int = Field(3, ge=2, description="Minimum number of lines in a wall plane. Alg. 1.")
-    length_min_m: float = Field(0.15, ge=0, description="Minimum length (m) of a wall plane; columns are walls. III.B.")
+    length_min_m: float = Field(0.15, ge=0, description="Minimum length (m) of a wall plane. III.B.")
 
 
 class Growth(IntEnum):
     """What became of a candidate in Algorithm 1."""
 
-    SEEDED = 0
-    """It started a plane."""
-    JOINED = 1
-    """It was similar to the current plane and joined it."""
-    BROKE = 2
-    """It was not similar: the current plane was closed, and this candidate became the next seed."""
-    REFUSED = 3
-    """It does not reach the ceiling and was left out."""
+    SEEDED = 0  # it started a plane
+    JOINED = 1  # it was similar to the current plane and joined it
+    BROKE = 2  # it was not similar: the current plane was closed, and this candidate became the next seed
+    REFUSED = 3  # it does not reach the ceiling and was left out
 
 
 class Reach(IntEnum):
     """Whether a candidate is as high as a wall, and by what."""
 
-    LOW = 0
-    """It ends too far below the ceiling, or too low where none is in view: it is refused."""
-    CEILING = 1
-    """It ends close to a ceiling."""
-    ABOVE_CEILINGS = 2
-    """It ends above the highest ceiling in view: another is there."""
-    HEIGHT = 3
-    """No ceiling is in view, and it is high enough."""
-    TURNS_BACK = 4
-    """Its line has next to no returns of a ceiling: it may turn back below it."""
+    LOW = 0  # it ends too far below the ceiling, or too low where none is in view: it is refused
+    CEILING = 1  # it ends close to a ceiling
+    ABOVE_CEILINGS = 2  # it ends above the highest ceiling in view: another is there
+    HEIGHT = 3  # no ceiling is in view, and it is high enough
+    TURNS_BACK = 4  # its line has next to no returns of a ceiling: it may turn back below it
 
 
 class Membership(IntEnum):
     """Whether a candidate is in a wall plane in the end, and why it is not."""
 
     IN_PLANE = 0
-    REFUSED = 1
-    """It does not reach the ceiling."""
-    ALONE = 2
-    """No plane of enough lines is similar and near."""
-    FEW_LINES = 3
-    """Its plane has too few lines left once each candidate went to the nearest one."""
-    SHORT = 4
-    """Its plane is too short."""
-    ROUGH = 5
-    """Its plane's samples lie too far from it."""
-    DUCT = 6
-    """Its plane ends high above the floor in all of its lines."""
+    REFUSED = 1  # it does not reach the ceiling
+    ALONE = 2  # no plane of enough lines is similar and near
+    FEW_LINES = 3  # its plane has too few lines left once each candidate went to the nearest one
+    SHORT = 4  # its plane is too short
+    ROUGH = 5  # its plane's samples lie too far from it
+    DUCT = 6  # its plane ends high above the floor in all of its lines
 
 
 @dataclass(frozen=True)

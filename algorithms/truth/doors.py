@@ -151,12 +151,7 @@ def door_edges(doors: TrueDoors) -> tuple[FloatArray, FloatArray, IntArray]:
 
 @numba.njit(cache=True, nogil=True)
 def count_near(
-    points: FloatArray,
-    origin: FloatArray,
-    panels: FloatArray,
-    heights: FloatArray,
-    owner: IntArray,
-    returns: IntArray,
+    points: FloatArray, origin: FloatArray, panels: FloatArray, heights: FloatArray, owner: IntArray, returns: IntArray
 ) -> None:  # pragma: no cover
     """Count each return once for each door that has a panel within `DOOR_NEAR_M` of it."""
     first = 0

@@ -7,8 +7,7 @@ import numpy as np
 from ffmap.algorithms.base.labels import Label, Truth, Verdict
 from ffmap.algorithms.base.scan import IntArray, UInt8Array
 
-UNLABELLED = len(Label)
-"""The last column of a confusion matrix: a return of a labelled scan that has no label."""
+UNLABELLED = len(Label)  # the last column of a confusion matrix: a return of a labelled scan that has no label
 
 STRUCTURE = (Label.FLOOR, Label.CEILING, Label.WALL, Label.DOOR)
 

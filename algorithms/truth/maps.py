@@ -26,12 +26,10 @@ class Agreement(IntEnum):
 
     NOTHING = 0
     FREE = 1
-    BOTH = 2
-    """Wall in both."""
+    BOTH = 2  # wall in both
     ONLY_MAP = 3
     ONLY_REFERENCE = 4
-    NOT_SEEN = 5
-    """Wall of the reference where the map knows nothing."""
+    NOT_SEEN = 5  # wall of the reference where the map knows nothing
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,7 @@ from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.truth.doors import match_doors, match_nearest
 from ffmap.algorithms.truth.labels import UNLABELLED
 
-CLASSES = UNLABELLED + 1
-"""The labels, and last what has none."""
+CLASSES = UNLABELLED + 1  # the labels, and last what has none
 
 
 def classes_of(label: UInt8Array) -> UInt8Array:
