@@ -18,7 +18,9 @@ UInt8Array = npt.NDArray[np.uint8]
 class ScanSettings(StepSettings):
     """Which returns of a scan are used."""
 
-    range_max_m: float = Field(100.0, gt=0, le=150, description="Maximum range (m) of a return: farther are errors.")
+    range_max_m: float = Field(
+        100.0, gt=0, le=150, description="Maximum range (m): farther returns are errors indoors."
+    )
 
 
 @dataclass(frozen=True)

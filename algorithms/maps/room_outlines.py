@@ -63,9 +63,9 @@ def lay_on_faces(
     for outline in outlines:
         near = np.sort(tree.query(outline.buffer(2 * reach_m), predicate="intersects"))
         laid_one = _laid(outline, [bounds[b] for b in near], reach_m, settings)
-        own = _largest(shapely.set_precision(laid_one, _PRECISION_M))
+        own = largest(shapely.set_precision(laid_one, _PRECISION_M))
         others = shapely.union_all([other for other in laid if other.intersects(own)], grid_size=_PRECISION_M)
-        laid.append(_largest(shapely.difference(own, others, grid_size=_PRECISION_M)))
+        laid.append(largest(shapely.difference(own, others, grid_size=_PRECISION_M)))
     return laid
 
 
@@ -124,7 +124,7 @@ def _laid(
         return outline
     area = shapely.union_all([outline, *before]).difference(shapely.union_all(behind))
     tidy = area.buffer(settings.tidy_m, join_style="mitre").buffer(-2 * settings.tidy_m, join_style="mitre")
-    room = _largest(tidy.buffer(settings.tidy_m, join_style="mitre"))
+    room = largest(tidy.buffer(settings.tidy_m, join_style="mitre"))
     if room.area < settings.kept_share * outline.area:
         return outline
     return _without_steps(room, lines, settings.step_share * reach_m)
@@ -177,5 +177,6 @@ def _ring_without_steps(ring: shapely.LinearRing, on_faces: BaseGeometry, tolera
     return np.concatenate(parts)
 
 
-def _largest(area: BaseGeometry) -> shapely.Polygon:
+def largest(area: BaseGeometry) -> shapely.Polygon:
+    """The largest part of an area."""
     return max(shapely.get_parts(area), key=shapely.area)

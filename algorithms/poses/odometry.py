@@ -102,13 +102,9 @@ def register_scans(
             scan.points_sensor[::stride].astype(np.float64), _sweep_fraction(scan)[::stride]
         )
         T_kiss = odometry.last_pose.copy()
-        refined = (
-            refiner.refine(scan, T_kiss, companion)
-            if refiner
-            else Refinement(
-                scan.end_ns, T_kiss, T_kiss, float("nan"), float("nan"), False, keypoints.astype(np.float32)
-            )
-        )
+        nan, kept = float("nan"), keypoints.astype(np.float32)
+        unrefined = Refinement(scan.end_ns, T_kiss, T_kiss, nan, nan, False, kept)
+        refined = refiner.refine(scan, T_kiss, companion) if refiner else unrefined
         milliseconds = 1e3 * (time.perf_counter() - started)
         residual_m, inlier_share = _residual(keypoints, local_map, T_kiss, threshold_m)
         T_refined_kiss = refined.T_odom_sensor_end @ transforms.invert(T_kiss)

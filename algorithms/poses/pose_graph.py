@@ -1,10 +1,8 @@
 """Loops closed: submaps registered to one another, and a graph of their poses (paper, IV.A: the loop closure of BLAM).
 
-An odometry that registers to what it saw last drifts; one that registers to all that it ever saw jumps back to what it saw
-first, and what lies between stays off. Here stretches of the drive become submaps, each is registered to those before it
-that lie nearby, whenever they were driven, and all poses are solved for at once. A registration counts in each direction
-for as much as it holds there (the Hessian of its cost: a bare corridor holds nothing lengthwise), and a robust loss lets
-go of the false ones. The only file that imports gtsam.
+An odometry that registers to what it saw last drifts. Here stretches of the drive become submaps, each is registered to
+those before it that lie nearby, and all poses are solved for at once. A registration counts in each direction for as much
+as it holds there (the Hessian of its cost), and a robust loss lets go of the false ones. The only file that imports gtsam.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +13,6 @@ import gtsam  # noqa: TID251 - its one place
 import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
@@ -83,12 +80,7 @@ class PoseGraph:
         after = np.minimum(before + 1, m - 1)
         T_before = self.T_correction[before] @ T_odom_sensor
         T_after = self.T_correction[after] @ T_odom_sensor
-        share = (place - before)[:, None]
-        turn = Rotation.from_matrix(np.swapaxes(T_before[:, :3, :3], 1, 2) @ T_after[:, :3, :3]).as_rotvec()
-        T = T_before.copy()
-        T[:, :3, :3] = T_before[:, :3, :3] @ Rotation.from_rotvec(share * turn).as_matrix()
-        T[:, :3, 3] += share * (T_after[:, :3, 3] - T_before[:, :3, 3])
-        return T
+        return transforms.interpolated(T_before, T_after, place - before)
 
 
 @dataclass(frozen=True)

@@ -26,13 +26,10 @@ class RefinementSettings(StepSettings):
     iterations_max: int = Field(20, ge=1, description="Maximum number of iterations of a registration.")
     memory_scans: int = Field(50, ge=1, description="Number of scans after which a voxel without points is forgotten.")
     weak_share: float = Field(
-        0.012,
-        ge=0,
-        le=1,
-        description="Minimum information in a scan's weakest direction, as a share of that in its strongest.",
+        0.012, ge=0, le=1, description="Minimum information in the weakest direction, as a share of the strongest's."
     )
     weak_inlier_share: float = Field(0.4, ge=0, le=1, description="Minimum share of a scan that fits the map.")
-    jump_deg: float = Field(3.0, gt=0, description="Maximum angle (degrees) from the predicted motion.")
+    jump_deg: float = Field(3.0, gt=0, description="Maximum angle (degrees) of a pose from every predicted motion.")
     jump_m: float = Field(0.15, gt=0, description="The same in metres.")
     refusals_max: int = Field(10, ge=0, description="Number of refusals in a row after which a jump is accepted.")
     passes: int = Field(1, ge=1, le=5, description="Registrations of a scan, each with the motion that the last found.")
@@ -78,12 +75,10 @@ def middle_ns(scan: Scan) -> int:
 class Refiner:
     """Registers scan after scan to the map that the earlier ones made.
 
-    A sweep is put together as seen from its middle, by the motion that the refined poses had. That is what holds: an
-    error of this motion bends both halves of a sweep the opposite way, and leaves the pose of its middle as it is; seen
-    from its end it would shift the sweep, and the pose with it. (The odometry's own motion is noisy where few returns hold
-    it: 3 cm and half a degree from scan to scan with 16 rings that see neither floor nor ceiling, and far more while its
-    own motion compensation feeds on that.) The first motion is found with the second scan, from rest on, and the first scan
-    put together again by it.
+    A sweep is put together as seen from its middle, by the motion that the refined poses had: an error of this motion then
+    bends both halves of a sweep the opposite way and leaves the pose as it is. (The odometry's own motion is noisy where
+    few returns hold it.) The first motion is found with the second scan, from rest on, and the first scan put together
+    again by it.
 
     settings: of the refinement. range_m: returns nearer or farther than these are left out.
     T_sensor_companion: (4, 4) where the other lidar sits, if there is one.

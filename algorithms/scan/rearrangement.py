@@ -15,14 +15,20 @@ HEIGHT_BIN_M = 0.01  # width of the bins in which heights are counted: finer tha
 class RearrangementSettings(StepSettings):
     """Floor, ceiling and point lines (paper, III.A)."""
 
-    floor_height_m: float = Field(0.045, gt=0, le=0.5, description="Maximum distance (m) from the floor. III.A.")
-    floor_search_m: float = Field(0.25, gt=0, le=2.0, description="Maximum distance (m) from the map's. III.A.")
+    floor_height_m: float = Field(
+        0.045, gt=0, le=0.5, description="Maximum distance (m) of a return from the floor. III.A."
+    )
+    floor_search_m: float = Field(
+        0.25, gt=0, le=2.0, description="Maximum distance (m) of a floor from the map's. III.A."
+    )
     floor_slope_max: float = Field(0.09, ge=0, le=0.5, description="Maximum slope of the floor; 0: level. III.A.")
     floor_cell_m: float = Field(0.2, gt=0.01, le=2, description="Edge (m) of the cells of ground that tell of a bend.")
     floor_range_m: float = Field(6.0, gt=0, le=50, description="Maximum distance (m) from the robot of that ground.")
     bend_distance_m: float = Field(0.012, gt=0, le=0.5, description="Maximum distance (m) of a cell from its plane.")
     bend_share_min: float = Field(0.07, gt=0, le=1, description="Minimum share of cells that a second plane adds.")
-    ceiling_distance_m: float = Field(0.03, gt=0, le=0.5, description="Maximum distance (m) from a ceiling. III.A.")
+    ceiling_distance_m: float = Field(
+        0.03, gt=0, le=0.5, description="Maximum distance (m) of a return from a ceiling."
+    )
     ceiling_height_min_m: float = Field(2.1, gt=0, description="Minimum height (m) of a ceiling over the floor. III.A.")
     ceiling_height_max_m: float = Field(50.0, gt=0, description="Maximum height (m) of a ceiling over the floor.")
     ceiling_support_min: float = Field(0.02, ge=0, le=1, description="Minimum share of returns on a ceiling. III.A.")

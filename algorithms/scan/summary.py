@@ -128,7 +128,6 @@ def move_moments(moments: FloatArray, T_target_source: FloatArray) -> FloatArray
     R, t = T_target_source[:2, :2], T_target_source[:2, 3]
     n, first = moments[:, 0], moments[:, 1:3]
     second = moments[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
-    moved_first = first @ R.T + n[:, None] * t
     turned = first @ R.T
     moved_second = (
         R @ second @ R.T
@@ -136,4 +135,4 @@ def move_moments(moments: FloatArray, T_target_source: FloatArray) -> FloatArray
         + t[None, :, None] * turned[:, None, :]
         + n[:, None, None] * np.outer(t, t)
     )
-    return np.concatenate([n[:, None], moved_first, moved_second.reshape(-1, 4)[:, [0, 1, 3]]], axis=1)
+    return np.concatenate([n[:, None], turned + n[:, None] * t, moved_second.reshape(-1, 4)[:, [0, 1, 3]]], axis=1)

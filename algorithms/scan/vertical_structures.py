@@ -59,14 +59,9 @@ def find_vertical_structures(
 
     samples: (L, 200) from `make_point_lines`. Horizontal ranges are measured from the sensor.
     """
+    x0, y0 = returns.origin_level[:2]
     difference, slope, run = _differences(
-        returns.points_level,
-        samples,
-        returns.origin_level[0],
-        returns.origin_level[1],
-        settings.span_m,
-        settings.slope_max,
-        settings.jump_m,
+        returns.points_level, samples, x0, y0, settings.span_m, settings.slope_max, settings.jump_m
     )
     line, first, last = _runs(run, settings.points_min)
     upmost = np.full(len(samples), -1, np.int32)
