@@ -2,8 +2,7 @@
 
 from enum import IntEnum
 
-NO_RETURN = 255
-"""The label of a place in the cloud where the sensor returned nothing (NaN or zero)."""
+NO_RETURN = 255  # the label of a place in the cloud where the sensor returned nothing (NaN or zero)
 
 
 class Label(IntEnum):
@@ -12,8 +11,7 @@ class Label(IntEnum):
     CEILING = 2
     WALL = 3
     DOOR = 4
-    OUTSIDE = 5
-    """Seen through glass, or mirrored."""
+    OUTSIDE = 5  # seen through glass, or mirrored
 
 
 class Truth(IntEnum):

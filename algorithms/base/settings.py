@@ -4,8 +4,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, field_validator
 
-NUMBER_MAX = 2**31 - 1
-"""Compiled code counts with 32 bits."""
+NUMBER_MAX = 2**31 - 1  # compiled code counts with 32 bits
 
 
 class StepSettings(BaseModel):

@@ -9,34 +9,22 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 from pydantic import Field
-from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan
 from ffmap.algorithms.base.settings import StepSettings
 
-KNOTS = 17
-"""Number of poses in a sweep, 6 ms apart at 10 Hz; between them a firing's pose is interpolated linearly."""
+KNOTS = 17  # number of poses in a sweep, 6 ms apart at 10 Hz; between them a firing's pose is interpolated linearly
 
 
 class TrajectorySettings(StepSettings):
     """Placing scans and levelling the map (paper, IV.C and V)."""
 
-    level_s: float = Field(
-        8.0,
-        gt=0,
-        le=60,
-        description="Duration (s) from the start whose walls and floor level the map.",
-    )
+    level_s: float = Field(8.0, gt=0, le=60, description="Duration (s) from the start that levels the map.")
     level_scan_max_deg: float = Field(
-        1.0,
-        ge=0,
-        le=10,
-        description="Maximum angle (degrees) by which a scan is turned to give its floor the slope of the map's; 0 turns none.",
+        1.0, ge=0, le=10, description="Maximum angle (degrees) by which a scan is turned to the map's floor; 0: none."
     )
-    extrapolate_s: float = Field(
-        0.3, ge=0, description="Maximum time (s) of a vertical scan before or after the odometry; others are skipped."
-    )
+    extrapolate_s: float = Field(0.3, ge=0, description="Maximum time (s) of a scan before or after the odometry.")
 
 
 @dataclass(frozen=True)
@@ -79,15 +67,7 @@ class Trajectory:
         before = after - 1
         span = (self.stamp_ns[after] - self.stamp_ns[before]).astype(np.float64)
         fraction = (stamps - self.stamp_ns[before]) / span
-        T_before, T_after = self.T_map_base[before], self.T_map_base[after]
-        T = np.broadcast_to(np.eye(4), (len(stamps), 4, 4)).copy()
-        step = (
-            Rotation.from_matrix(np.swapaxes(T_before[:, :3, :3], 1, 2) @ T_after[:, :3, :3]).as_rotvec()
-            * fraction[:, None]
-        )
-        T[:, :3, :3] = T_before[:, :3, :3] @ Rotation.from_rotvec(step).as_matrix()
-        T[:, :3, 3] = T_before[:, :3, 3] + fraction[:, None] * (T_after[:, :3, 3] - T_before[:, :3, 3])
-        return T
+        return transforms.interpolated(self.T_map_base[before], self.T_map_base[after], fraction)
 
     def moved(self, T_new_map: FloatArray) -> "Trajectory":
         """The same trajectory seen from another map frame."""

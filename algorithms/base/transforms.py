@@ -53,6 +53,15 @@ def from_yaw(yaw_rad: float, translation: FloatArray | list[float]) -> FloatArra
     return make_transform(Rotation.from_euler("z", yaw_rad), translation)
 
 
+def interpolated(T_before: FloatArray, T_after: FloatArray, fraction: FloatArray) -> FloatArray:
+    """Poses (n, 4, 4) a fraction (n,) of the way from one to another: positions linearly, rotations by slerp."""
+    turn = Rotation.from_matrix(np.swapaxes(T_before[:, :3, :3], 1, 2) @ T_after[:, :3, :3]).as_rotvec()
+    T = T_before.copy()
+    T[:, :3, :3] = T_before[:, :3, :3] @ Rotation.from_rotvec(fraction[:, None] * turn).as_matrix()
+    T[:, :3, 3] += fraction[:, None] * (T_after[:, :3, 3] - T_before[:, :3, 3])
+    return T
+
+
 def orthonormal(T: FloatArray) -> FloatArray:
     """The transform (4, 4) whose rotation is the nearest one to T's."""
     U, _, Vt = np.linalg.svd(T[:3, :3])

@@ -1,11 +1,9 @@
 """Rooms, passages and topology of a grid map: the Area Graph (paper, IV.D, Fig. 10).
 
-The Area Graph of Hou, Yuan and Schwertfeger (2019, the paper's [5]) closes every opening that a disc of diameter w cannot
-pass and cuts the Voronoi diagram there. Here the same is read from the distance to the nearest obstacle: its watershed
-basins are what the Voronoi diagram's edges part, the saddle between two basins is the critical point of an opening, and
-twice its value the opening's width (Thrun 1998). Two basins are two rooms where the opening is narrower than w and
-markedly narrower than both of them; so a narrow corridor stays a room although doors are as wide, and w is a limit
-instead of a width that has to be tuned. Where doors were detected, their doorways part the rooms.
+The Area Graph (Hou, Yuan and Schwertfeger 2019, the paper's [5]) cuts the Voronoi diagram at openings that a disc of
+diameter w cannot pass. Here watershed basins of the distance to the nearest obstacle stand for its areas, the saddle
+between two basins for the critical point of an opening (Thrun 1998). Two basins are two rooms where the opening is narrower
+than w and markedly narrower than both: a narrow corridor stays a room. Where doors were detected, they part the rooms.
 """
 
 import math
@@ -28,70 +26,41 @@ from ffmap.algorithms.base.segments import Faces, lengths_m
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.model import Doors
 from ffmap.algorithms.maps.grid import Cell, GridMap
-from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings, Sides, lay_on_faces
+from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings, Sides, largest, lay_on_faces
 
 NO_DOORWAYS: FloatArray = np.zeros((0, 4, 2))
 NO_LINES: FloatArray = np.zeros((0, 2, 2))
 _EIGHT = np.ones((3, 3), bool)
-_MARGIN = 10
-"""Cells around the free ones that stay in view."""
+_MARGIN = 10  # cells around the free ones that stay in view
 
 
 class Segmented(StrEnum):
     """The three that the paper compares (Fig. 10)."""
 
     FURNITURE_FREE = "furniture_free"
-    NORMAL = "normal"
-    """A slice halfway up with its furniture, of which alpha removal takes away what it knows."""
+    NORMAL = "normal"  # a slice halfway up with its furniture, of which alpha removal takes away what it knows
     NORMAL_AS_IS = "normal_without_alpha_removal"
 
 
 class AreaGraphSettings(StepSettings):
     """Rooms of a grid map (paper, IV.D, Fig. 10)."""
 
-    passage_max_m: float = Field(
-        1.9,
-        gt=0,
-        description="w: minimum width (m) of an opening that parts no rooms. IV.D, where the paper uses 1.9 m.",
-    )
-    passage_ratio: float = Field(
-        0.7,
-        gt=0,
-        le=1,
-        description="Maximum width of an opening that parts two rooms, as a share of the narrower one's.",
-    )
+    passage_max_m: float = Field(1.9, gt=0, description="w: minimum width (m) of an opening that parts no rooms. IV.D.")
+    passage_ratio: float = Field(0.7, gt=0, le=1, description="Maximum width of an opening as a share of the room's.")
     furniture_max_m: float = Field(
-        1.2,
-        ge=0,
-        description="Maximum length (m) of what stands free and is furniture (alpha removal); 0: none. IV.D.",
+        1.2, ge=0, description="Maximum length (m) of free-standing furniture (alpha removal); 0: none. IV.D."
     )
-    block_max_m: float = Field(
-        2.0,
-        ge=0,
-        description="The same of compact blocks, such as tables and cupboards, which are no walls by their shape; 0: none.",
-    )
-    block_fill_min: float = Field(
-        0.25, gt=0, le=0.78, description="Minimum share of the square of its length that a compact block covers."
-    )
-    room_min_m2: float = Field(
-        1.0,
-        ge=0,
-        description="Minimum area (m²) of a room; smaller ones join the one that they open to, or are dropped.",
-    )
+    block_max_m: float = Field(2.0, ge=0, description="The same of compact blocks, tables and cupboards; 0: none.")
+    block_fill_min: float = Field(0.25, gt=0, le=0.78, description="Minimum share of its square that a block covers.")
+    room_min_m2: float = Field(1.0, ge=0, description="Minimum area (m²) of a room; smaller ones join their neighbour.")
     beam_m: float = Field(
         0.15,
         ge=0,
         description="Half the width (m) of the narrowest room: what is narrower are rays that left through a gap.",
     )
-    jamb_m: float = Field(
-        0.1, ge=0, description="A doorway is closed this far (m) into both jambs, whose place is not known better."
-    )
-    beside_door_m: float = Field(
-        0.4, gt=0, description="Maximum distance (m) of a room from the doorway that leads into it."
-    )
-    skeleton_m: float = Field(
-        0.25, ge=0, description="Minimum distance (m) of the drawn Voronoi graph's edges from the obstacles."
-    )
+    jamb_m: float = Field(0.1, ge=0, description="A doorway is closed this far (m) into both jambs.")
+    beside_door_m: float = Field(0.4, gt=0, description="Maximum distance (m) of a room from its doorway.")
+    skeleton_m: float = Field(0.25, ge=0, description="Minimum distance (m) of the drawn Voronoi graph from obstacles.")
 
     def without_alpha_removal(self) -> "AreaGraphSettings":
         """The same, but all furniture stays."""
@@ -188,12 +157,13 @@ def find_rooms(
     walls = ~free if path_map is None else (view.cells == Cell.OCCUPIED) | closed
     distance, nearest = _to_nearest_obstacle(open_cells)
     if len(doorways):
-        settings = settings.model_copy(update={"passage_max_m": min(settings.passage_max_m, _door_width(doorways))})
+        # Where doors are known: what they usually measure, and 0.1 m.
+        door_width_m = float(np.median(lengths_m(doorways))) + 0.1
+        settings = settings.model_copy(update={"passage_max_m": min(settings.passage_max_m, door_width_m)})
     label = _areas(open_cells, distance, nearest, walls, grid.cell_m, settings)
     count = int(label.max(initial=0)) + 1
-    sides = np.array([_sides(label, view, doorway, settings.beside_door_m) for doorway in doorways], np.int32).reshape(
-        -1, 2
-    )
+    beside_m = settings.beside_door_m
+    sides = np.array([_sides(label, view, doorway, beside_m) for doorway in doorways], np.int32).reshape(-1, 2)
     openings = _openings(label, view)
     if path_map is not None:
         label = _without_beams(label, settings.beam_m / grid.cell_m)
@@ -221,11 +191,6 @@ def find_rooms(
     )
 
 
-def _door_width(doorways: FloatArray) -> float:
-    """The w of the Area Graph where doors are known: what they usually measure, and 0.1 m."""
-    return float(np.median(lengths_m(doorways))) + 0.1
-
-
 def doorways_of(doors: Doors) -> FloatArray:
     """(D, 4, 2) the openings of doors through their walls, for `find_rooms`: the sill, then the far side."""
     behind = doors.ends - doors.normal[:, None] * doors.reveal_m[:, None, None]
@@ -242,15 +207,12 @@ def coarsened(grid: GridMap, cells_max: int) -> GridMap:
 
     A large cell is occupied if any of its cells is, and else free if any is: no wall opens, and no room is lost.
     """
-    rows = np.flatnonzero((grid.cells == Cell.FREE).any(axis=1))
-    columns = np.flatnonzero((grid.cells == Cell.FREE).any(axis=0))
-    if not len(rows):
+    around = _around_free(grid)
+    if around is None:
         return grid
-    first = np.maximum([rows[0] - _MARGIN, columns[0] - _MARGIN], 0)
-    stop = np.minimum([rows[-1] + 1 + _MARGIN, columns[-1] + 1 + _MARGIN], grid.cells.shape)
-    factor = int(np.ceil(np.sqrt(np.prod((stop - first).astype(float)) / cells_max)))
-    part = grid.cells[first[0] : stop[0], first[1] : stop[1]]
-    origin = grid.origin + grid.cell_m * first[::-1]
+    part = grid.cells[around]
+    factor = int(np.ceil(np.sqrt(part.size / cells_max)))
+    origin = grid.origin + grid.cell_m * np.array([around[1].start, around[0].start])
     if factor > 1:
         tiled = np.pad(part, [(0, -part.shape[0] % factor), (0, -part.shape[1] % factor)], constant_values=Cell.UNKNOWN)
         tiles = tiled.reshape(tiled.shape[0] // factor, factor, tiled.shape[1] // factor, factor)
@@ -258,6 +220,17 @@ def coarsened(grid: GridMap, cells_max: int) -> GridMap:
         free = (tiles == Cell.FREE).any(axis=(1, 3))
         part = np.select([occupied, free], [Cell.OCCUPIED, Cell.FREE], Cell.UNKNOWN).astype(np.uint8)
     return GridMap(part, origin, grid.cell_m * factor)
+
+
+def _around_free(grid: GridMap) -> tuple[slice, slice] | None:
+    """The rows and columns around a grid's free cells; None where it has none."""
+    free = grid.cells == Cell.FREE
+    rows, columns = np.flatnonzero(free.any(axis=1)), np.flatnonzero(free.any(axis=0))
+    if not len(rows):
+        return None
+    low, high = (max(int(axis[0]) - _MARGIN, 0) for axis in (rows, columns)), (rows[-1], columns[-1])
+    row, column = (slice(a, int(b) + 1 + _MARGIN) for a, b in zip(low, high, strict=True))
+    return row, column
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,13 +243,11 @@ class _View:
 
     @staticmethod
     def of(grid: GridMap) -> "_View":
-        free = grid.cells == Cell.FREE
-        rows, columns = np.flatnonzero(free.any(axis=1)), np.flatnonzero(free.any(axis=0))
-        if not len(rows):
+        around = _around_free(grid)
+        if around is None:
             return _View(grid, np.full((1, 1), Cell.UNKNOWN, np.uint8), (0, 0))
-        row, column = max(int(rows[0]) - _MARGIN, 0), max(int(columns[0]) - _MARGIN, 0)
-        part = grid.cells[row : rows[-1] + 1 + _MARGIN, column : columns[-1] + 1 + _MARGIN]
-        return _View(grid, np.pad(part, 1, constant_values=Cell.UNKNOWN), (row - 1, column - 1))
+        cells = np.pad(grid.cells[around], 1, constant_values=Cell.UNKNOWN)
+        return _View(grid, cells, (around[0].start - 1, around[1].start - 1))
 
     @property
     def origin(self) -> FloatArray:
@@ -618,21 +589,17 @@ def _outlines(label: IntArray, numbers: IntArray, view: _View, reach_m: float) -
     cellwise = [shapely.union_all(shapely.box(*np.array(own).T)) for own in boxes]
     if not cellwise:
         return []
-    outlines = [_largest(area) for area in shapely.coverage_simplify(cellwise, 1.0)]
+    outlines = [largest(area) for area in shapely.coverage_simplify(cellwise, 1.0)]
     if reach_m > 0:
         reach = reach_m / view.grid.cell_m
         tree = shapely.STRtree(outlines)
         outlines = [
-            _largest(area.buffer(reach, join_style="mitre").difference(
+            largest(area.buffer(reach, join_style="mitre").difference(
                 shapely.union_all([outlines[j] for j in tree.query(area.buffer(reach)) if j != i])
             ))
             for i, area in enumerate(outlines)
         ]  # fmt: skip
     return [shapely.transform(area, lambda corners: view.origin + view.grid.cell_m * corners) for area in outlines]
-
-
-def _largest(area: shapely.Geometry) -> shapely.Polygon:
-    return max(shapely.get_parts(area), key=shapely.area)
 
 
 def _voronoi(label: IntArray, distance: FloatArray, nearest: IntArray, view: _View, far_m: float) -> FloatArray:

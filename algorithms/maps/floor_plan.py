@@ -30,34 +30,22 @@ from ffmap.algorithms.scan.doors import DoorState
 class FloorPlanSettings(StepSettings):
     """The vector floor plan."""
 
-    column_max_m: float = Field(
-        1.2, gt=0, description="Maximum width (m) of a column: what stands free and has a corner."
-    )
+    column_max_m: float = Field(1.2, gt=0, description="Maximum width (m) of a column, which stands free.")
     piece_min_m: float = Field(0.5, ge=0, description="Minimum length (m) of a piece of wall that stands alone.")
     corner_m: float = Field(0.12, ge=0, description="Maximum distance (m) of two faces' ends that make a corner.")
-    drawn_share: float = Field(
-        0.5, ge=0, le=1, description="Minimum share of a stretch of wall that the grid map shows for it to be drawn."
-    )
+    drawn_share: float = Field(0.5, ge=0, le=1, description="Minimum share of a stretch of wall that the map shows.")
     tidy_m: float = Field(0.02, ge=0, description="Half the width (m) of gaps between walls that are closed.")
     sliver_m2: float = Field(0.004, ge=0, description="Minimum area (m²) of a piece of wall.")
     double_door_m: float = Field(1.25, gt=0, description="Maximum width (m) of a doorway with one leaf.")
-    leaf_share_min: float = Field(
-        0.6, gt=0, le=1, description="Minimum share of an open leaf's area that is seen for its door to get a swing."
-    )
-    leaf_low_m: float = Field(
-        0.4, ge=0, description="Minimum height above the floor (m) at which leaves are looked for."
-    )
-    leaf_high_m: float = Field(
-        1.8, gt=0, description="Maximum height above the floor (m) at which leaves are looked for."
-    )
+    leaf_share_min: float = Field(0.6, gt=0, le=1, description="Minimum share of an open leaf's area that is seen.")
+    leaf_low_m: float = Field(0.4, ge=0, description="Minimum height (m) above the floor of what is taken for leaves.")
+    leaf_high_m: float = Field(1.8, gt=0, description="Maximum height (m) above the floor of what is taken for leaves.")
     leaf_min_deg: float = Field(20.0, ge=0, le=180, description="Minimum angle (degrees) of an open leaf to its sill.")
     leaf_max_deg: float = Field(175.0, ge=0, le=180, description="Maximum angle (degrees) of an open leaf to its sill.")
     leaf_thickness_m: float = Field(0.05, gt=0, description="Maximum distance (m) of a leaf's returns from its middle.")
     hinge_m: float = Field(0.15, ge=0, description="Distance (m) from the hinge within which nothing tells of a leaf.")
     wall_margin_m: float = Field(
-        0.1,
-        ge=0,
-        description="Distance (m) from the wall's face within which returns may be the wall's and tell of no leaf.",
+        0.1, ge=0, description="Distance (m) from the wall within which returns may be its own."
     )
 
 
@@ -142,9 +130,9 @@ def draw_floor_plan(
     cut_m = np.where(np.isfinite(drawn_m), drawn_m, doors.reveal_m)
     columns, in_column = _columns(stretches, settings)
     upright = _upright(immobile.votes, storey, settings)
-    outlines = [_quad(doors.ends[d], doors.normal[d], 0.0, float(cut_m[d])) for d in range(len(doors))]
+    outlines = [_quad(doors.ends[d], doors.normal[d], float(cut_m[d])) for d in range(len(doors))]
     windows = [
-        _quad(ends, normal, 0.0, _thickness_at(ends, parts, stretches, usual_m))
+        _quad(ends, normal, _thickness_at(ends, parts, stretches, usual_m))
         for ends, normal in zip(immobile.windows.ends, immobile.windows.normal, strict=True)
     ]
     cuts = shapely.union_all(
@@ -214,7 +202,7 @@ def _bodies(
         for end, outwards in ((0, -along), (1, along)):
             corner = _corner_thickness(ends[end], outwards, w, stretches, parts, assumed_m, settings.corner_m)
             ends[end] = ends[end] + corner * outwards
-        bodies.append(_quad(ends, stretches.normal[w], 0.0, depth_m))
+        bodies.append(_quad(ends, stretches.normal[w], depth_m))
     joined = shapely.union_all(bodies)
     return joined.buffer(tidy_m, join_style="mitre").buffer(-tidy_m, join_style="mitre").simplify(1e-3)
 
@@ -327,10 +315,11 @@ def _find_leaves(
                 front = float(np.sign(towards[0] * normal[1] - towards[1] * normal[0]))
                 swing = float(angle) * front * (1.0 if side == 0.0 else -1.0)
                 direction = turned(towards / width_m, swing)
-                start_m = _clear_of_wall(abs(float(direction @ normal)), settings)
+                # From there on a leaf is clear of the wall's own returns.
+                start_m = max(settings.wall_margin_m / max(abs(float(direction @ normal)), 1e-9), settings.hinge_m)
                 if start_m > 0.5 * length_m:
                     continue
-                share = _covered(points, hinge, direction, start_m, length_m, settings)
+                share = _covered(points - np.append(hinge, 0.0), direction, start_m, length_m, settings)
                 candidates.append((share, Leaf(hinge, hinge + length_m * direction, swing, share)))
         if not candidates:
             continue
@@ -342,24 +331,13 @@ def _find_leaves(
     return tuple(leaf for _, leaf in found)
 
 
-def _clear_of_wall(slope: float, settings: FloorPlanSettings) -> float:
-    """The distance from its hinge at which a leaf is clear of the wall's own returns; slope: sine of its angle with the wall."""
-    return max(settings.wall_margin_m / max(slope, 1e-9), settings.hinge_m)
-
-
 def _covered(
-    points: FloatArray,
-    hinge: FloatArray,
-    direction: FloatArray,
-    start_m: float,
-    length_m: float,
-    settings: FloorPlanSettings,
+    points: FloatArray, direction: FloatArray, start_m: float, length_m: float, settings: FloorPlanSettings
 ) -> float:
-    """Share of the 10 cm cells of an upright panel, between two distances from its hinge, that hold returns."""
+    """Share of the 10 cm cells of an upright panel, between two distances from its hinge, that hold points seen from there."""
     cell_m, low_m = 0.1, settings.leaf_low_m
-    relative = points[:, :2] - hinge
-    along = relative @ direction
-    across = np.abs(relative[:, 0] * direction[1] - relative[:, 1] * direction[0])
+    along = points[:, :2] @ direction
+    across = np.abs(points[:, 0] * direction[1] - points[:, 1] * direction[0])
     on = (across < settings.leaf_thickness_m) & (along > start_m) & (along < length_m)
     columns = max(int((length_m - start_m) / cell_m), 1)
     rows = int((settings.leaf_high_m - low_m) / cell_m)
@@ -368,9 +346,9 @@ def _covered(
     return len(np.unique(column * rows + row)) / (columns * rows)
 
 
-def _quad(ends: FloatArray, normal: FloatArray, front_m: float, back_m: float) -> shapely.Polygon:
-    """From `front_m` before a stretch of a face to `back_m` behind it."""
-    return shapely.Polygon(np.concatenate([ends + front_m * normal, ends[::-1] - back_m * normal]))
+def _quad(ends: FloatArray, normal: FloatArray, depth_m: float) -> shapely.Polygon:
+    """What lies behind a stretch of a face."""
+    return shapely.Polygon(np.concatenate([ends, ends[::-1] - depth_m * normal]))
 
 
 def _polygons(area: BaseGeometry, min_m2: float) -> Iterable[shapely.Polygon]:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numba
 import numpy as np
@@ -32,65 +32,29 @@ class GridMapSettings(StepSettings):
     cell_m: float = Field(0.05, ge=0.005, le=1, description="Edge of a cell (m). IV.C.")
     range_m: float = Field(25.0, gt=0, description="Maximum distance (m) from the sensor that rays make free. IV.C.")
     margin_m: float = Field(1.0, ge=0, description="Width (m) of the unknown border around what is drawn. IV.C.")
-    doors: DoorsDrawn = Field(
-        "open", description="Which doorways are free: open (all), as-seen (those that stood open), closed (none). IV.C."
-    )
-    door_margin_m: float = Field(
-        0.1, ge=0, description="A free doorway reaches this far (m) beyond both sides of its wall. IV.C."
-    )
-    door_guessed_m: float = Field(
-        0.3,
-        ge=0,
-        description="Minimum free depth (m) behind a sill where a leaf or a wall seen from one side hides more. IV.C.",
-    )
-    rays_min: int = Field(
-        3, ge=1, description="Minimum returns, or cubes of wall, that bear out 5 cm of a wall's face. IV.C."
-    )
-    bridge_m: float = Field(
-        0.25, ge=0, description="Maximum gap (m) that is closed in a wall between what was seen of it. IV.C."
-    )
-    gap_max_m: float = Field(
-        0.6, ge=0, description="Maximum width (m) of a gap beside or in a window's wall that is no passage."
-    )
-    floor_reach_m: float = Field(
-        1.5,
-        ge=0,
-        description="Maximum distance (m) of what rays crossed from floor that was seen: floor hides under tables.",
-    )
-    foot_m: float = Field(0.15, ge=0, description="Minimum height above the floor (m) of rays that prove an opening.")
-    passed_min: int = Field(
-        6, ge=1, description="Minimum rays that pass a wall's face at that height where it is open."
-    )
+    doors: DoorsDrawn = Field("open", description="Which doorways are free: all, those that stood open, none. IV.C.")
+    door_margin_m: float = Field(0.1, ge=0, description="A free doorway reaches this far (m) beyond its wall. IV.C.")
+    door_guessed_m: float = Field(0.3, ge=0, description="Minimum free depth (m) of a doorway of unknown depth. IV.C.")
+    rays_min: int = Field(3, ge=1, description="Minimum returns, or cubes of wall, that bear out 5 cm of a face. IV.C.")
+    bridge_m: float = Field(0.25, ge=0, description="Maximum gap (m) of a wall that is closed. IV.C.")
+    gap_max_m: float = Field(0.6, ge=0, description="Maximum width (m) of a gap by a window that is no passage.")
+    floor_reach_m: float = Field(1.5, ge=0, description="Maximum distance (m) of free cells from floor that was seen.")
+    foot_m: float = Field(0.15, ge=0, description="Minimum height (m) above the floor of rays that prove an opening.")
+    passed_min: int = Field(6, ge=1, description="Minimum rays that pass a wall's face low down where it is open.")
     passed_ratio: float = Field(2.0, ge=0, description="Minimum number of rays that pass there for each that ends.")
-    crossed_min: int = Field(
-        5, ge=1, description="Minimum rays at that height that cross a cell for it not to be occupied."
-    )
-    crossed_ratio: float = Field(
-        5.0, ge=0, description="Minimum number of rays that cross such a cell for each that ends."
-    )
+    crossed_min: int = Field(5, ge=1, description="Minimum rays that cross a cell low down for it not to be occupied.")
+    crossed_ratio: float = Field(5.0, ge=0, description="Minimum number of rays that cross it for each that ends.")
     crossed_cells: int = Field(4, ge=1, description="Minimum number of such cells side by side.")
-    ends_cells: float = Field(
-        2.5, gt=0, description="Maximum distance (cells) of a ray's end from a cell that it may have ended at."
-    )
-    sill_min_m: float = Field(0.3, ge=0, description="Minimum height above the floor (m) of a window's sill.")
+    ends_cells: float = Field(2.5, gt=0, description="Maximum distance (cells) of a ray's end from its cell.")
+    sill_min_m: float = Field(0.3, ge=0, description="Minimum height (m) of a window's sill above the floor.")
     recess_max_m: float = Field(
-        0.6, ge=0, description="Maximum depth (m) of a window's recess, whose sides are no walls."
+        0.6, ge=0, description="Maximum depth (m) of a window's recess; its sides are no walls."
     )
     recess_beside_m: float = Field(0.12, ge=0, description="Maximum distance (m) of its sides from the window's ends.")
-    leaf_above_m: float = Field(
-        0.3, ge=0, description="Maximum height (m) above its door's head of what was seen of an open leaf."
-    )
-    leaf_beside_m: float = Field(
-        0.1,
-        ge=0,
-        description="Maximum distance (m) from the doorway of the reveal that an open leaf's face goes on over.",
-    )
-    bounds_cells: int = Field(
-        2, ge=1, description="Maximum distance (cells) from what rays crossed of a wall's cell that is drawn."
-    )
-    blind_m: float = Field(
-        1.0, ge=0, description="Maximum distance (m) from its way at which the robot may not see the floor."
-    )
+    leaf_above_m: float = Field(0.3, ge=0, description="Maximum height (m) of an open leaf above its door's head.")
+    leaf_beside_m: float = Field(0.1, ge=0, description="Maximum distance (m) of a reveal's face from its doorway.")
+    bounds_cells: int = Field(2, ge=1, description="Maximum distance (cells) of a wall from what rays crossed.")
+    blind_m: float = Field(1.0, ge=0, description="Maximum distance (m) from its way at which the robot sees no floor.")
     step_max_m: float = Field(
         0.5,
         gt=0,
@@ -116,7 +80,11 @@ class GridMap:
 
     def centres(self, cell: Cell) -> FloatArray:
         """(m, 2) x and y of the middles of all cells of one kind."""
-        rows, columns = np.nonzero(self.cells == cell)
+        return self.middles(self.cells == cell)
+
+    def middles(self, chosen: BoolArray) -> FloatArray:
+        """(m, 2) x and y of the middles of chosen cells."""
+        rows, columns = np.nonzero(chosen)
         return np.asarray(self.origin + (np.stack([columns, rows], axis=1) + 0.5) * self.cell_m)
 
     def index(self, places: FloatArray) -> tuple[IntArray, BoolArray]:
@@ -138,6 +106,14 @@ def _overlap(shift: int, own: int, other: int) -> tuple[slice, slice]:
     """Where an axis of `own` cells lies in another one when it is shifted, and which of its cells lie there."""
     low, high = max(shift, 0), max(min(shift + own, other), max(shift, 0))
     return slice(low, high), slice(low - shift, high - shift)
+
+
+class _CellRays(NamedTuple):
+    """Rays in cells of a grid: where those of each scan start (s, 2), the first of each scan (s + 1,), their ends (r, 2)."""
+
+    origin: FloatArray
+    starts: IntArray
+    end: FloatArray
 
 
 @dataclass(frozen=True)
@@ -385,7 +361,7 @@ class _Canvas:
         crossed, low = np.zeros_like(barred), np.zeros_like(barred)
         range_cells = self._settings.range_m / self._cell_m
         for block in drive.blocks():
-            _cross(barred, crossed, low, *self._rays(block), _low_from(block, self._knee_m), range_cells)
+            _cross(barred, crossed, low, self._rays(block), _low_from(block, self._knee_m), range_cells)
         self._cells[crossed] = Cell.FREE
         for doorway in doorways:
             self.draw_area(doorway, Cell.FREE)
@@ -399,7 +375,7 @@ class _Canvas:
         if reach:
             bounded = np.zeros_like(barred)
             for block in drive.blocks():
-                _bound(barred, supported, bounded, *self._rays(block), range_cells, 2.0 * reach)
+                _bound(barred, supported, bounded, self._rays(block), range_cells, 2.0 * reach)
             bounded = (binary_closing(bounded, np.ones((3, 3))) | supported) & crossed
             supported = binary_dilation(supported, iterations=reach, mask=bounded)
         self._cells = np.where(supported, np.uint8(Cell.FREE), occupied)
@@ -459,14 +435,10 @@ class _Canvas:
             across[row, column] = Segment.between(ends).normal
         counts = np.zeros((*self._cells.shape, 2), np.int32)
         for block in drive.blocks():
+            height_m = _heights_above_floor(Rays.of(block))
+            between_m = (self._settings.foot_m, self._knee_m)
             _count_crossings(
-                self._cells,
-                across,
-                counts,
-                *self._rays(block),
-                _heights_above_floor(Rays.of(block)),
-                (self._settings.foot_m, self._knee_m),
-                self._settings.ends_cells,
+                self._cells, across, counts, self._rays(block), height_m, between_m, self._settings.ends_cells
             )
         ended, crossed = counts[..., 0], counts[..., 1]
         settings = self._settings
@@ -474,12 +446,11 @@ class _Canvas:
         run, _ = label(open_cells, np.ones((3, 3)))
         self._cells[open_cells & (np.bincount(run.ravel()) >= settings.crossed_cells)[run]] = Cell.UNKNOWN
 
-    def _rays(self, block: Features) -> tuple[FloatArray, IntArray, FloatArray]:
-        """Where the rays of each scan start, in cells; the first ray of each scan; where the rays end, in cells."""
-        origin, end = (
-            (places[:, :2] - self._origin) / self._cell_m for places in (block.origin_map, block.ray_end_map)
+    def _rays(self, block: Features) -> _CellRays:
+        origin, end = ((p[:, :2] - self._origin) / self._cell_m for p in (block.origin_map, block.ray_end_map))
+        return _CellRays(
+            np.ascontiguousarray(origin, np.float64), block.ray_starts, np.ascontiguousarray(end, np.float64)
         )
-        return np.ascontiguousarray(origin, np.float64), block.ray_starts, np.ascontiguousarray(end, np.float64)
 
     def _joined_to(self, path_map: FloatArray, low: BoolArray) -> BoolArray:
         """What rays close above the floor join to the robot's way: not what lies behind a sill, seen though it may be."""
@@ -507,9 +478,7 @@ def _count_crossings(
     cells: UInt8Array,
     across: FloatArray,
     counts: IntArray,
-    origin: FloatArray,
-    starts: IntArray,
-    end: FloatArray,
+    rays: _CellRays,
     height_m: FloatArray,
     between_m: tuple[float, float],
     ends_cells: float,
@@ -522,6 +491,7 @@ def _count_crossings(
     the heights above the floor at which a crossing counts.
     """
     rows, columns = cells.shape
+    origin, starts, end = rays
     for s in range(len(origin)):
         for r in range(starts[s] + s % 2, starts[s + 1], 2):
             step = end[r] - origin[s]
@@ -604,18 +574,12 @@ def _walk(
 
 @numba.njit(cache=True, nogil=True)
 def _cross(
-    barred: BoolArray,
-    crossed: BoolArray,
-    low: BoolArray,
-    origin: FloatArray,
-    starts: IntArray,
-    end: FloatArray,
-    low_from: FloatArray,
-    range_cells: float,
+    barred: BoolArray, crossed: BoolArray, low: BoolArray, rays: _CellRays, low_from: FloatArray, range_cells: float
 ) -> None:  # pragma: no cover
     """Mark what every fourth ray crosses, and where it runs close above the floor: from the share `low_from` of its length."""
     found = np.empty((int(2 * range_cells) + 4, 2), np.int64)
     entered = np.empty(len(found))
+    origin, starts, end = rays
     for s in range(len(origin)):
         for r in range(starts[s] + s % 4, starts[s + 1], 4):
             length = np.hypot(end[r, 0] - origin[s, 0], end[r, 1] - origin[s, 1])
@@ -628,18 +592,12 @@ def _cross(
 
 @numba.njit(cache=True, nogil=True)
 def _bound(
-    barred: BoolArray,
-    supported: BoolArray,
-    bounded: BoolArray,
-    origin: FloatArray,
-    starts: IntArray,
-    end: FloatArray,
-    range_cells: float,
-    gap_max: float,
+    barred: BoolArray, supported: BoolArray, bounded: BoolArray, rays: _CellRays, range_cells: float, gap_max: float
 ) -> None:  # pragma: no cover
     """Mark where a ray will end, or be above known floor again, within `gap_max` cells."""
     found = np.empty((int(2 * range_cells) + 4, 2), np.int64)
     entered = np.empty(len(found))
+    origin, starts, end = rays
     for s in range(len(origin)):
         for r in range(starts[s] + s % 4, starts[s + 1], 4):
             count, ends = _walk(barred, origin[s], end[r], range_cells, found, entered)

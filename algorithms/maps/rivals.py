@@ -22,14 +22,10 @@ from ffmap.algorithms.scan.labelling import ScanLabelling
 class Rival(StrEnum):
     """The maps beside the furniture-free one, in the order of the votes' codes."""
 
-    BELOW_CEILING = "below_ceiling"
-    """A slice close under the ceiling (Fig. 9c)."""
-    MIDDLE = "middle"
-    """A slice halfway up, as of a 2-D lidar: the normal map (Fig. 9d)."""
-    UPMOST = "upmost"
-    """The highest vertical structure of each point line (Fig. 6a)."""
-    BOTTOMMOST = "bottommost"
-    """The lowest (Fig. 6b)."""
+    BELOW_CEILING = "below_ceiling"  # a slice close under the ceiling (Fig. 9c)
+    MIDDLE = "middle"  # a slice halfway up, as of a 2-D lidar: the normal map (Fig. 9d)
+    UPMOST = "upmost"  # the highest vertical structure of each point line (Fig. 6a)
+    BOTTOMMOST = "bottommost"  # the lowest (Fig. 6b)
 
 
 class RivalMapsSettings(StepSettings):

@@ -20,25 +20,13 @@ _PRECISION_M = 1e-6
 class RoomOutlinesSettings(StepSettings):
     """Laying rooms' outlines on the faces that bound them."""
 
-    at_face_cells: float = Field(
-        2.0, ge=0, description="Maximum distance (cells) of an outline's edge from the face that it is laid on."
-    )
-    corner_m: float = Field(
-        0.15,
-        ge=0,
-        description="Maximum distance (m) of two faces' ends from where their lines cross, for a corner there.",
-    )
-    corner_sine: float = Field(
-        0.3, gt=0, le=1, description="Minimum sine of the angle between two faces that make a corner."
-    )
+    at_face_cells: float = Field(2.0, ge=0, description="Maximum distance (cells) of an edge from its face.")
+    corner_m: float = Field(0.15, ge=0, description="Maximum distance (m) of faces' ends from where their lines cross.")
+    corner_sine: float = Field(0.3, gt=0, le=1, description="Minimum sine of the angle between two faces of a corner.")
     run_min_m: float = Field(0.15, ge=0, description="Minimum length (m) of a face that an outline is laid on.")
     tidy_m: float = Field(0.04, ge=0, description="Half the width (m) of notches and spurs that are left out.")
-    kept_share: float = Field(
-        0.5, gt=0, le=1, description="Minimum share of a room's area that the faces which bound it leave."
-    )
-    step_share: float = Field(
-        0.6, ge=0, le=1, description="Height of the steps of cells that are smoothed, as a share of at_face_cells."
-    )
+    kept_share: float = Field(0.5, gt=0, le=1, description="Minimum share of a room's area that its faces leave.")
+    step_share: float = Field(0.6, ge=0, le=1, description="Height of smoothed steps, as a share of at_face_cells.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +63,9 @@ def lay_on_faces(
     for outline in outlines:
         near = np.sort(tree.query(outline.buffer(2 * reach_m), predicate="intersects"))
         laid_one = _laid(outline, [bounds[b] for b in near], reach_m, settings)
-        own = _largest(shapely.set_precision(laid_one, _PRECISION_M))
+        own = largest(shapely.set_precision(laid_one, _PRECISION_M))
         others = shapely.union_all([other for other in laid if other.intersects(own)], grid_size=_PRECISION_M)
-        laid.append(_largest(shapely.difference(own, others, grid_size=_PRECISION_M)))
+        laid.append(largest(shapely.difference(own, others, grid_size=_PRECISION_M)))
     return laid
 
 
@@ -136,7 +124,7 @@ def _laid(
         return outline
     area = shapely.union_all([outline, *before]).difference(shapely.union_all(behind))
     tidy = area.buffer(settings.tidy_m, join_style="mitre").buffer(-2 * settings.tidy_m, join_style="mitre")
-    room = _largest(tidy.buffer(settings.tidy_m, join_style="mitre"))
+    room = largest(tidy.buffer(settings.tidy_m, join_style="mitre"))
     if room.area < settings.kept_share * outline.area:
         return outline
     return _without_steps(room, lines, settings.step_share * reach_m)
@@ -189,5 +177,6 @@ def _ring_without_steps(ring: shapely.LinearRing, on_faces: BaseGeometry, tolera
     return np.concatenate(parts)
 
 
-def _largest(area: BaseGeometry) -> shapely.Polygon:
+def largest(area: BaseGeometry) -> shapely.Polygon:
+    """The largest part of an area."""
     return max(shapely.get_parts(area), key=shapely.area)

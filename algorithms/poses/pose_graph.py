@@ -1,10 +1,8 @@
 """Loops closed: submaps registered to one another, and a graph of their poses (paper, IV.A: the loop closure of BLAM).
 
-An odometry that registers to what it saw last drifts; one that registers to all that it ever saw jumps back to what it saw
-first, and what lies between stays off. Here stretches of the drive become submaps, each is registered to those before it
-that lie nearby, whenever they were driven, and all poses are solved for at once. A registration counts in each direction
-for as much as it holds there (the Hessian of its cost: a bare corridor holds nothing lengthwise), and a robust loss lets
-go of the false ones. The only file that imports gtsam.
+An odometry that registers to what it saw last drifts. Here stretches of the drive become submaps, each is registered to
+those before it that lie nearby, and all poses are solved for at once. A registration counts in each direction for as much
+as it holds there (the Hessian of its cost), and a robust loss lets go of the false ones. The only file that imports gtsam.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,15 +13,13 @@ import gtsam  # noqa: TID251 - its one place
 import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.poses.gaussian_map import Aligned, GaussianCloud, GaussianMap
 
-_ALONG = 2
-"""Each submap is joined with this many before it, wherever they lie: that is the way as it was driven."""
+_ALONG = 2  # each submap is joined with this many before it, wherever they lie: that is the way as it was driven
 
 
 class PoseGraphSettings(StepSettings):
@@ -32,39 +28,16 @@ class PoseGraphSettings(StepSettings):
     enabled: bool = Field(True, description="Whether loops are closed once the bag has been driven through.")
     submap_scans: int = Field(20, ge=2, description="Number of scans in a submap.")
     every_scans: int = Field(10, ge=1, description="Scans from one submap's middle to the next one's.")
-    resolution_m: float = Field(
-        0.2, ge=0.01, le=5, description="Edge (m) of the cubes to one point each of which submaps are thinned."
-    )
-    voxel_m: float = Field(
-        0.2,
-        ge=0.01,
-        le=5,
-        description="Edge (m) of the voxels of one Gaussian each: larger ones would blend the two sides of a wall.",
-    )
-    neighbours: int = Field(
-        12, ge=4, le=1000, description="Number of neighbours that a point's covariance is estimated from."
-    )
-    near_m: float = Field(
-        3.0, ge=0, description="Maximum distance (m) between the middles of submaps that a loop joins."
-    )
-    loops_max: int = Field(
-        6, ge=0, description="Maximum number of earlier passes, the nearest ones, that a submap is joined with."
-    )
+    resolution_m: float = Field(0.2, ge=0.01, le=5, description="Edge (m) of the cubes that submaps are thinned by.")
+    voxel_m: float = Field(0.2, ge=0.01, le=5, description="Edge (m) of a Gaussian's voxel: larger ones blend faces.")
+    neighbours: int = Field(12, ge=4, le=1000, description="Number of neighbours that a covariance is estimated from.")
+    near_m: float = Field(3.0, ge=0, description="Maximum distance (m) between the middles of submaps in a loop.")
+    loops_max: int = Field(6, ge=0, description="Maximum number of earlier passes that a submap is joined with.")
     distance_m: float = Field(0.4, gt=0, description="Maximum distance (m) of a point from its Gaussian.")
     iterations_max: int = Field(30, ge=1, description="Maximum number of iterations of a registration.")
-    inlier_share: float = Field(
-        0.5, ge=0, le=1, description="Minimum share of a submap that fits the one that it is joined with."
-    )
-    loss_scale: float = Field(
-        3.0,
-        gt=0,
-        description="Error of a loop, in standard deviations, at which it counts half (Cauchy's loss).",
-    )
-    rounds_max: int = Field(
-        4,
-        ge=1,
-        description="Maximum number of rounds of joining and solving: solved poses can bring further submaps near each other.",
-    )
+    inlier_share: float = Field(0.5, ge=0, le=1, description="Minimum share of a submap that fits its partner.")
+    loss_scale: float = Field(3.0, gt=0, description="Error (standard deviations) that counts half: Cauchy's loss.")
+    rounds_max: int = Field(4, ge=1, description="Maximum number of rounds of joining and solving.")
 
 
 @dataclass(frozen=True)
@@ -107,12 +80,7 @@ class PoseGraph:
         after = np.minimum(before + 1, m - 1)
         T_before = self.T_correction[before] @ T_odom_sensor
         T_after = self.T_correction[after] @ T_odom_sensor
-        share = (place - before)[:, None]
-        turn = Rotation.from_matrix(np.swapaxes(T_before[:, :3, :3], 1, 2) @ T_after[:, :3, :3]).as_rotvec()
-        T = T_before.copy()
-        T[:, :3, :3] = T_before[:, :3, :3] @ Rotation.from_rotvec(share * turn).as_matrix()
-        T[:, :3, 3] += share * (T_after[:, :3, 3] - T_before[:, :3, 3])
-        return T
+        return transforms.interpolated(T_before, T_after, place - before)
 
 
 @dataclass(frozen=True)

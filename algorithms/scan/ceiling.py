@@ -18,8 +18,8 @@ def find_ceilings(
 
     points_level: (n, 3); seed: of the hypotheses.
     """
-    height_m = floor.heights_above(points_level)
-    high = np.flatnonzero((height_m > settings.ceiling_height_min_m) & (height_m < settings.ceiling_height_max_m))
+    above_m = floor.heights_above(points_level)
+    high = np.flatnonzero((above_m > settings.ceiling_height_min_m) & (above_m < settings.ceiling_height_max_m))
     # 8000 returns find a plane and place it to a millimetre.
     stride = max(1, len(high) // 8_000)
     high = high[::stride]
@@ -42,10 +42,13 @@ def find_ceilings(
         if support < support_min:
             break
         on_plane = np.abs(heights - centre_m) < settings.ceiling_distance_m
-        if not ceilings or _is_further_ceiling(points[on_plane], floor.height_m + centre_m, ceilings[0], support):
-            ceilings.append(
-                refine_plane(points, floor.height_m + centre_m, slopes[best], settings.ceiling_distance_m, 0.03, 20.0)
-            )
+        height_m = floor.height_m + centre_m
+        if (
+            not ceilings
+            or height_m > ceilings[0].height_m
+            or (support > 0.2 * ceilings[0].support and _is_broad(points[on_plane]))
+        ):
+            ceilings.append(refine_plane(points, height_m, slopes[best], settings.ceiling_distance_m, 0.03, 20.0))
         # What touches a plane that was tried is not tried again.
         rest = np.abs(heights - centre_m) > 1.5 * settings.ceiling_distance_m
         parallel, points = [heights[rest] for heights in parallel], points[rest]
@@ -74,12 +77,6 @@ def _ransac_height(
     best_m = float(hypotheses[np.argmax(supports)])
     inliers = heights_m[np.abs(heights_m - best_m) < settings.ceiling_distance_m]
     return float(inliers.mean()), len(inliers)
-
-
-def _is_further_ceiling(points: FloatArray, height_m: float, largest: HorizontalPlane, support: int) -> bool:
-    if height_m > largest.height_m:
-        return True
-    return support > 0.2 * largest.support and _is_broad(points)
 
 
 def _is_broad(points: FloatArray) -> bool:

@@ -17,46 +17,24 @@ from ffmap.algorithms.scan.wall_planes import WallPlanes
 class DoorsSettings(StepSettings):
     """The paper's door conditions (III.C) and the openings made of them."""
 
-    recess_min_m: float = Field(
-        0.022,
-        gt=0,
-        description="Minimum depth (m) of a door below its wall plane: less is the plane's own error. III.C, condition 2.",
-    )
+    recess_min_m: float = Field(0.022, gt=0, description="Minimum depth (m) of a door below its plane. III.C.")
     open_depth_m: float = Field(0.15, gt=0, description="Depth (m) beyond which a door stands open. III.C.")
-    height_min_m: float = Field(
-        1.8, gt=0, description="Minimum height above the floor (m) at which a door begins. III.C, condition 3."
-    )
-    height_max_m: float = Field(
-        2.6, gt=0, description="Maximum height above the floor (m) at which a door begins. III.C."
-    )
-    lintel_min_m: float = Field(
-        0.06, ge=0, description="Minimum height (m) of the wall above a door. III.C, condition 1."
-    )
+    height_min_m: float = Field(1.8, gt=0, description="Minimum height (m) at which a door begins. III.C, condition 3.")
+    height_max_m: float = Field(2.6, gt=0, description="Maximum height (m) at which a door begins. III.C.")
+    lintel_min_m: float = Field(0.06, ge=0, description="Minimum height (m) of the wall above a door. III.C.")
     wall_distance_m: float = Field(
-        0.05,
-        gt=0,
-        description="Maximum distance (m) from the plane of the uppermost return of the wall in a line; what is higher is "
-        "ceiling or another thing. III.C.",
+        0.05, gt=0, description="Maximum distance (m) of the wall's uppermost return from its plane. III.C."
     )
     before_m: float = Field(
-        0.08,
-        gt=0,
-        description="Distance before the plane (m) beyond which a return hides the wall and is left out. III.C, condition 2.",
+        0.08, gt=0, description="Distance (m) before the plane beyond which a return hides the wall. III.C."
     )
     depth_max_m: float = Field(
-        0.5,
-        gt=0,
-        description="Maximum depth (m) that a return counts with: a few far ones seen through an open door would decide. III.C.",
+        0.5, gt=0, description="Maximum depth (m) that a return counts with: a few far ones would decide. III.C."
     )
     exceptions_max: float = Field(
-        0.15,
-        ge=0,
-        lt=1,
-        description="Maximum share of returns on the plane below the start: noise, a handle. III.C.",
+        0.15, ge=0, lt=1, description="Maximum share of a door's returns on the plane. III.C."
     )
-    points_min: int = Field(
-        12, ge=1, description="Minimum number of returns behind the plane in a line. III.C, condition 2."
-    )
+    points_min: int = Field(12, ge=1, description="Minimum returns behind the plane in a line. III.C, condition 2.")
     lines_min: int = Field(2, ge=1, description="Minimum number of neighbouring lines in an opening. III.C.")
     gap_m: float = Field(0.35, gt=0, description="Maximum gap (m) between neighbouring lines of an opening. III.C.")
 
@@ -69,16 +47,11 @@ class DoorState(IntEnum):
 class Depression(IntEnum):
     """Whether condition 2 held, and what it failed by; tried in this order."""
 
-    FEW_RETURNS = 0
-    """The line has too few returns at its plane and behind it."""
-    NONE = 1
-    """Nowhere do the returns below lie behind those above by the minimum depth."""
-    ABOVE_OFF_PLANE = 2
-    """The returns above the split do not lie on the plane."""
-    SHALLOW = 3
-    """The returns below the split lie less than the minimum depth behind the plane."""
-    EXCEPTIONS = 4
-    """Too many returns below the split lie on the plane."""
+    FEW_RETURNS = 0  # the line has too few returns at its plane and behind it
+    NONE = 1  # nowhere do the returns below lie behind those above by the minimum depth
+    ABOVE_OFF_PLANE = 2  # the returns above the split do not lie on the plane
+    SHALLOW = 3  # the returns below the split lie less than the minimum depth behind the plane
+    EXCEPTIONS = 4  # too many returns below the split lie on the plane
     HELD = 5
 
 
@@ -218,19 +191,8 @@ def find_openings(door_lines: DoorLines, planes: WallPlanes, settings: DoorsSett
     door_line_opening = np.full(len(door_lines.line), -1, np.int32)
     for opening, group in enumerate(groups):
         door_line_opening[chosen[group]] = opening
-    if not groups:
-        none = np.zeros(0)
-        return Openings(
-            none.astype(np.int32),
-            np.zeros((0, 2, 2)),
-            none,
-            none,
-            none.astype(np.uint8),
-            none.astype(np.int32),
-            door_line_opening,
-        )
-    first = np.array([g[0] for g in groups])
-    low_high = np.array([[place_m[g[0]], place_m[g[-1]]] for g in groups])
+    first = np.array([g[0] for g in groups], np.intp)
+    low_high = np.array([[place_m[g[0]], place_m[g[-1]]] for g in groups]).reshape(-1, 2)
     owner = plane[first]
     foot = planes.normal[owner] * planes.offset_m[owner][:, None]
     return Openings(

@@ -67,14 +67,8 @@ def _bend(points_level: FloatArray, plane: HorizontalPlane, settings: Rearrangem
     near the sensor, and least squares over all of them would lay one slanting plane through both pieces.
     """
     none = np.zeros((0, 3)), False
-    cells = _floor_cells(
-        points_level,
-        plane.height_m,
-        plane.slope,
-        settings.floor_search_m,
-        settings.floor_cell_m,
-        settings.floor_range_m,
-    )
+    search_m, cell_m, range_m = settings.floor_search_m, settings.floor_cell_m, settings.floor_range_m
+    cells = _floor_cells(points_level, plane.height_m, plane.slope, search_m, cell_m, range_m)
     rise_m = cells[:, 2]
     on_plane = np.count_nonzero(np.abs(rise_m) < settings.bend_distance_m)
     more = int(settings.bend_share_min * len(cells)) + 1

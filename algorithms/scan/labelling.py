@@ -27,31 +27,16 @@ from ffmap.algorithms.scan.wall_planes import WallPlanes, WallPlanesSettings, gr
 class LabellingSettings(StepSettings):
     """From planes to labels (paper, III.C)."""
 
-    wall_distance_m: float = Field(
-        0.045,
-        gt=0,
-        le=0.5,
-        description="Maximum distance (m) of a wall's return from a wall plane of the scan. III.C.",
-    )
+    wall_distance_m: float = Field(0.045, gt=0, le=0.5, description="Maximum distance (m) of a return from a wall.")
     edge_m: float = Field(
         0.01,
         ge=-0.1,
         le=0.1,
         description="Along an edge a return goes to the wall unless floor or ceiling is nearer by more than this (m).",
     )
-    end_margin_m: float = Field(
-        0.15, ge=0, description="How far (m) a wall plane reaches beyond its outermost lines. III.C."
-    )
-    corner_m: float = Field(
-        0.6,
-        ge=0,
-        description="Maximum gap (m) between the end of a plane and its corner with another, to which it is completed. III.C.",
-    )
-    leaf_margin_m: float = Field(
-        0.03,
-        ge=0,
-        description="How far (m) a closed leaf reaches beyond the outermost lines that showed it. III.C.",
-    )
+    end_margin_m: float = Field(0.15, ge=0, description="How far (m) a plane reaches beyond its outer lines. III.C.")
+    corner_m: float = Field(0.6, ge=0, description="Maximum gap (m) between a plane's end and its corner. III.C.")
+    leaf_margin_m: float = Field(0.03, ge=0, description="How far (m) a closed leaf reaches beyond its lines. III.C.")
 
 
 @dataclass(frozen=True)
@@ -108,13 +93,8 @@ def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: i
     floor = find_floor(placed.points_level, settings.rearrangement)
     returns = Returns(placed.points_level, floor.heights_above(placed.points_level), placed.origin_level)
     ceilings = find_ceilings(returns.points_level, floor, settings.rearrangement, seed)
-    label = _label_horizontal(
-        returns.points_level,
-        returns.height_m,
-        plane_rows(ceilings),
-        settings.rearrangement.floor_height_m,
-        settings.rearrangement.ceiling_distance_m,
-    )
+    floor_m, ceiling_m = settings.rearrangement.floor_height_m, settings.rearrangement.ceiling_distance_m
+    label = _label_horizontal(returns.points_level, returns.height_m, plane_rows(ceilings), floor_m, ceiling_m)
     is_horizontal = label != Label.CLUTTER
     lines = make_point_lines(
         scan.points_sensor, scan.ring, scan.ring_count, placed.down_sensor, is_horizontal, settings.rearrangement
@@ -137,7 +117,7 @@ def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: i
         settings.labelling.wall_distance_m,
         settings.labelling.edge_m,
     )
-    _label_leaves(returns, label, plane, planes, openings, settings.labelling)
+    _label_leaves(returns, label, plane, planes, openings, settings.labelling.leaf_margin_m)
     return ScanLabelling(
         label, plane, returns.height_m, floor, ceilings, lines, structures, planes, door_lines, openings, settings
     )
@@ -174,32 +154,19 @@ def completed_ends(
 
 
 def _label_leaves(
-    returns: Returns,
-    label: UInt8Array,
-    plane: IntArray,
-    planes: WallPlanes,
-    openings: Openings,
-    settings: LabellingSettings,
+    returns: Returns, label: UInt8Array, plane: IntArray, planes: WallPlanes, openings: Openings, margin_m: float
 ) -> None:
     """Returns within a closed opening, on its leaf, are door, though they lie near enough to the wall to be wall."""
     for o in np.flatnonzero(openings.state == DoorState.CLOSED):
-        k = int(openings.plane[o])
-        normal = planes.normal[k]
-        along = np.array([-normal[1], normal[0]])
-        low, high = np.sort(openings.ends[o] @ along)
-        _label_leaf(
-            returns.points_level,
-            returns.height_m,
-            label,
-            plane,
-            k,
-            normal,
-            planes.offset_m[k],
-            low - settings.leaf_margin_m,
-            high + settings.leaf_margin_m,
-            openings.head_m[o],
-            openings.depth_m[o],
-        )
+        (nx, ny), offset_m = planes.normal[openings.plane[o]], planes.offset_m[openings.plane[o]]
+        low, high = np.sort(openings.ends[o] @ np.array([-ny, nx]))
+        may_be = ((label == Label.CLUTTER) | (label == Label.WALL)) & (returns.height_m < openings.head_m[o])
+        rows = np.flatnonzero(may_be)
+        x, y, _ = returns.points_level[rows].T
+        u, s = -ny * x + nx * y, nx * x + ny * y - offset_m
+        on_leaf = (u > low - margin_m) & (u < high + margin_m)
+        on_leaf &= (s > -openings.depth_m[o] - 0.05) & (s < -0.5 * openings.depth_m[o])
+        label[rows[on_leaf]], plane[rows[on_leaf]] = Label.DOOR, openings.plane[o]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -256,29 +223,3 @@ def _label_walls(
             label[i] = Label.WALL
             plane[i] = best
     return plane
-
-
-@numba.njit(cache=True, nogil=True)
-def _label_leaf(
-    points: FloatArray,
-    height: FloatArray,
-    label: UInt8Array,
-    plane: IntArray,
-    k: int,
-    normal: FloatArray,
-    offset: float,
-    low: float,
-    high: float,
-    head_m: float,
-    depth_m: float,
-) -> None:  # pragma: no cover
-    for i in range(len(points)):
-        if label[i] != Label.CLUTTER and label[i] != Label.WALL:
-            continue
-        x, y = points[i, 0], points[i, 1]
-        u = -normal[1] * x + normal[0] * y
-        if low < u < high and height[i] < head_m:
-            s = normal[0] * x + normal[1] * y - offset
-            if -depth_m - 0.05 < s < -0.5 * depth_m:
-                label[i] = Label.DOOR
-                plane[i] = k

@@ -11,8 +11,7 @@ from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 
 SAMPLES = 200
 """Returns in a resampled point line (paper, III.A: "exactly 200 points")."""
-LEANING_MIN_DEG = 15.0
-"""A lidar whose spin axis is less far off upright has no line that stands upright."""
+LEANING_MIN_DEG = 15.0  # a lidar whose spin axis is less far off upright has no line that stands upright
 
 
 @dataclass(frozen=True)

@@ -16,34 +16,17 @@ from ffmap.algorithms.base.rings import sort_by_angle, turns
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan
 from ffmap.algorithms.base.settings import StepSettings
 
-_RETURNS_MIN = 5
-"""Minimum number of returns of a facet: fewer show no surface."""
-_STEP_MAX_RAD = 0.04
-"""Maximum angle between neighbouring returns of a ring."""
+_RETURNS_MIN = 5  # minimum number of returns of a facet: fewer show no surface
+_STEP_MAX_RAD = 0.04  # maximum angle between neighbouring returns of a ring
 
 
 class SmoothingSettings(StepSettings):
     """Ranges smoothed by their neighbours on the same ring, before anything is decided."""
 
-    returns: int = Field(
-        11,
-        ge=0,
-        le=101,
-        description="Maximum number of successive returns of a ring in a facet; below 5, nothing is smoothed.",
-    )
-    facet_max_m: float = Field(
-        0.2, gt=0, description="Maximum width (m) of a facet of more than 5 returns, across its rays."
-    )
-    residual_max: float = Field(
-        1.4,
-        gt=0,
-        description="Maximum RMS distance of returns from their facet, in multiples of the scan's scatter.",
-    )
-    correction_max: float = Field(
-        3.5,
-        gt=0,
-        description="Maximum distance by which a return is moved, in multiples of the scan's scatter; one farther off stays.",
-    )
+    returns: int = Field(11, ge=0, le=101, description="Maximum number of returns of a ring in a facet; below 5, none.")
+    facet_max_m: float = Field(0.2, gt=0, description="Maximum width (m) of a facet of more than 5 returns.")
+    residual_max: float = Field(1.4, gt=0, description="Maximum RMS distance of returns from their facet, in scatters.")
+    correction_max: float = Field(3.5, gt=0, description="Maximum distance that a return is moved, in scatters.")
 
 
 @dataclass(frozen=True)
@@ -76,50 +59,19 @@ def smooth_ranges(scan: Scan, settings: SmoothingSettings) -> SmoothedRanges:
         return SmoothedRanges(points, np.zeros(len(points), np.float32), np.nan)
     turn = turns(points, 0.0)
     order, starts = sort_by_angle(scan.ring.astype(np.int32), turn, scan.ring_count, -np.pi)
-    range_m, turn = _along_rings(points, turn, order)
+    x, y, z = points[order].astype(np.float64).T
+    # A return at the sensor itself has no direction and stays there.
+    range_m, turn = np.maximum(np.sqrt(x * x + y * y + z * z), 1e-3), turn[order].astype(np.float64)
     # Sensors count in steps of millimetres; what scatters by more than some centimetres is no surface.
     scatter_m = min(max(_scatter(range_m, turn, starts), 0.002), 0.06)
+    residual_max_m, correction_max_m = settings.residual_max * scatter_m, settings.correction_max * scatter_m
     smooth_m = _smooth(
-        range_m,
-        turn,
-        starts,
-        settings.returns,
-        settings.facet_max_m,
-        scatter_m,
-        settings.residual_max * scatter_m,
-        settings.correction_max * scatter_m,
+        range_m, turn, starts, settings.returns, settings.facet_max_m, scatter_m, residual_max_m, correction_max_m
     )
-    return SmoothedRanges(*_moved(points, order, range_m, smooth_m), scatter_m)
-
-
-@numba.njit(cache=True, nogil=True)
-def _along_rings(
-    points: FloatArray, turn: FloatArray, order: IntArray
-) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
-    """Range and turn (n,) float64 of the returns in the order of their rings."""
-    range_m, sorted_turn = np.empty(len(order)), np.empty(len(order))
-    for j in range(len(order)):
-        i = order[j]
-        x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
-        # A return at the sensor itself has no direction and stays there.
-        range_m[j] = max(np.sqrt(x * x + y * y + z * z), 1e-3)
-        sorted_turn[j] = turn[i]
-    return range_m, sorted_turn
-
-
-@numba.njit(cache=True, nogil=True)
-def _moved(
-    points: FloatArray, order: IntArray, range_m: FloatArray, smooth_m: FloatArray
-) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
-    """The returns (n, 3) at their smoothed ranges, and by how much (n,) they moved."""
     moved, correction_m = np.empty_like(points), np.empty(len(points), np.float32)
-    for j in range(len(order)):
-        i = order[j]
-        share = np.float32(smooth_m[j] / range_m[j])
-        for axis in range(3):
-            moved[i, axis] = points[i, axis] * share
-        correction_m[i] = smooth_m[j] - range_m[j]
-    return moved, correction_m
+    moved[order] = points[order] * (smooth_m / range_m).astype(np.float32)[:, None]
+    correction_m[order] = smooth_m - range_m
+    return SmoothedRanges(moved, correction_m, scatter_m)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -10,8 +10,7 @@ from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.scan.floor import Floor
 from ffmap.algorithms.scan.labelling import ScanLabelling
 
-RAYS_PER_SCAN = 16_000
-"""Maximum number of rays that are kept of a scan."""
+RAYS_PER_SCAN = 16_000  # maximum number of rays that are kept of a scan
 
 
 @dataclass(frozen=True)
@@ -132,7 +131,6 @@ def move_moments(moments: FloatArray, T_target_source: FloatArray) -> FloatArray
     R, t = T_target_source[:2, :2], T_target_source[:2, 3]
     n, first = moments[:, 0], moments[:, 1:3]
     second = moments[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
-    moved_first = first @ R.T + n[:, None] * t
     turned = first @ R.T
     moved_second = (
         R @ second @ R.T
@@ -140,4 +138,4 @@ def move_moments(moments: FloatArray, T_target_source: FloatArray) -> FloatArray
         + t[None, :, None] * turned[:, None, :]
         + n[:, None, None] * np.outer(t, t)
     )
-    return np.concatenate([n[:, None], moved_first, moved_second.reshape(-1, 4)[:, [0, 1, 3]]], axis=1)
+    return np.concatenate([n[:, None], turned + n[:, None] * t, moved_second.reshape(-1, 4)[:, [0, 1, 3]]], axis=1)

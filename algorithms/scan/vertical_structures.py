@@ -14,26 +14,12 @@ from ffmap.algorithms.scan.rearrangement import Returns
 class VerticalStructuresSettings(StepSettings):
     """Upright runs in the point lines (paper, III.B, eq. 2)."""
 
-    slope_max: float = Field(
-        1.0,
-        gt=0,
-        description="Maximum change of horizontal range with height (m per m) of an upright line. Eq. 2.",
-    )
+    slope_max: float = Field(1.0, gt=0, description="Maximum change of range with height (m per m). Eq. 2.")
     span_m: float = Field(
-        0.2,
-        gt=0,
-        le=2,
-        description="Length (m) over which the slope is measured; the neighbours of eq. 2 lie millimetres apart, where noise "
-        "decides. III.B.",
+        0.2, gt=0, le=2, description="Length (m) over which the slope is measured: over less, noise decides. III.B."
     )
-    jump_m: float = Field(
-        0.12,
-        gt=0,
-        description="Maximum step (m) in horizontal range between neighbours of one structure. III.B.",
-    )
-    points_min: int = Field(
-        10, ge=2, le=200, description="Minimum number of neighbouring samples in a structure. III.B."
-    )
+    jump_m: float = Field(0.12, gt=0, description="Maximum step (m) in range between neighbours of a structure. III.B.")
+    points_min: int = Field(10, ge=2, le=200, description="Minimum number of samples in a structure. III.B.")
 
 
 @dataclass(frozen=True)
@@ -73,14 +59,9 @@ def find_vertical_structures(
 
     samples: (L, 200) from `make_point_lines`. Horizontal ranges are measured from the sensor.
     """
+    x0, y0 = returns.origin_level[:2]
     difference, slope, run = _differences(
-        returns.points_level,
-        samples,
-        returns.origin_level[0],
-        returns.origin_level[1],
-        settings.span_m,
-        settings.slope_max,
-        settings.jump_m,
+        returns.points_level, samples, x0, y0, settings.span_m, settings.slope_max, settings.jump_m
     )
     line, first, last = _runs(run, settings.points_min)
     upmost = np.full(len(samples), -1, np.int32)

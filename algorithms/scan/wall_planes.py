@@ -22,87 +22,51 @@ For evenly spread samples it is √3; less, so that a few odd samples do not len
 class WallPlanesSettings(StepSettings):
     """Growing wall planes from candidates (paper, III.B, Algorithm 1)."""
 
-    similarity_m: float = Field(
-        0.05,
-        gt=0,
-        le=1,
-        description="σ_th: maximum RMS distance (m) of a candidate from the plane that it joins. Alg. 1.",
-    )
+    similarity_m: float = Field(0.05, gt=0, le=1, description="σ_th: maximum RMS distance (m) from the plane. Alg. 1.")
     upper_part_m: float = Field(
-        0.4,
-        gt=0,
-        description="Height (m) of the upper part of a candidate that is fitted: no leaf or furniture stands before it. III.B.",
+        0.4, gt=0, description="Height (m) of a candidate's upper part, which alone is fitted: nothing hides it. III.B."
     )
-    reach_m: float = Field(
-        0.35,
-        gt=0,
-        description="Maximum distance (m) below a ceiling at which a candidate ends: walls meet the ceiling. III.B.",
-    )
-    height_min_m: float = Field(
-        2.1, gt=0, description="Minimum height (m) of a wall where no ceiling is in view. III.B."
-    )
+    reach_m: float = Field(0.35, gt=0, description="Maximum distance (m) of a wall's top below a ceiling. III.B.")
+    height_min_m: float = Field(2.1, gt=0, description="Minimum height (m) of a wall where no ceiling is seen. III.B.")
     bottom_max_m: float = Field(
-        2.2,
-        gt=0,
-        description="Maximum height above the floor (m) of a wall's lower edge, above a door; what ends higher is a duct. III.B.",
+        2.2, gt=0, description="Maximum height (m) of a wall's lower edge; what ends higher is a duct. III.B."
     )
     gap_m: float = Field(0.3, gt=0, description="Maximum gap (m) between neighbouring lines of a plane. Alg. 1.")
-    gap_per_range: float = Field(
-        0.15, ge=0, description="Added to the gap for each metre of range, for emitters spread apart. Alg. 1."
-    )
-    merge_gap_m: float = Field(
-        1.5,
-        ge=0,
-        description="Maximum gap (m) between planes in line that are joined: a line that broke the plane is bridged. Alg. 1.",
-    )
+    gap_per_range: float = Field(0.15, ge=0, description="Added to the gap for each metre of range. Alg. 1.")
+    merge_gap_m: float = Field(1.5, ge=0, description="Maximum gap (m) between planes in line that are joined. Alg. 1.")
     lines_min: int = Field(3, ge=2, description="Minimum number of lines in a wall plane. Alg. 1.")
-    length_min_m: float = Field(0.15, ge=0, description="Minimum length (m) of a wall plane; columns are walls. III.B.")
+    length_min_m: float = Field(0.15, ge=0, description="Minimum length (m) of a wall plane. III.B.")
 
 
 class Growth(IntEnum):
     """What became of a candidate in Algorithm 1."""
 
-    SEEDED = 0
-    """It started a plane."""
-    JOINED = 1
-    """It was similar to the current plane and joined it."""
-    BROKE = 2
-    """It was not similar: the current plane was closed, and this candidate became the next seed."""
-    REFUSED = 3
-    """It does not reach the ceiling and was left out."""
+    SEEDED = 0  # it started a plane
+    JOINED = 1  # it was similar to the current plane and joined it
+    BROKE = 2  # it was not similar: the current plane was closed, and this candidate became the next seed
+    REFUSED = 3  # it does not reach the ceiling and was left out
 
 
 class Reach(IntEnum):
     """Whether a candidate is as high as a wall, and by what."""
 
-    LOW = 0
-    """It ends too far below the ceiling, or too low where none is in view: it is refused."""
-    CEILING = 1
-    """It ends close to a ceiling."""
-    ABOVE_CEILINGS = 2
-    """It ends above the highest ceiling in view: another is there."""
-    HEIGHT = 3
-    """No ceiling is in view, and it is high enough."""
-    TURNS_BACK = 4
-    """Its line has next to no returns of a ceiling: it may turn back below it."""
+    LOW = 0  # it ends too far below the ceiling, or too low where none is in view: it is refused
+    CEILING = 1  # it ends close to a ceiling
+    ABOVE_CEILINGS = 2  # it ends above the highest ceiling in view: another is there
+    HEIGHT = 3  # no ceiling is in view, and it is high enough
+    TURNS_BACK = 4  # its line has next to no returns of a ceiling: it may turn back below it
 
 
 class Membership(IntEnum):
     """Whether a candidate is in a wall plane in the end, and why it is not."""
 
     IN_PLANE = 0
-    REFUSED = 1
-    """It does not reach the ceiling."""
-    ALONE = 2
-    """No plane of enough lines is similar and near."""
-    FEW_LINES = 3
-    """Its plane has too few lines left once each candidate went to the nearest one."""
-    SHORT = 4
-    """Its plane is too short."""
-    ROUGH = 5
-    """Its plane's samples lie too far from it."""
-    DUCT = 6
-    """Its plane ends high above the floor in all of its lines."""
+    REFUSED = 1  # it does not reach the ceiling
+    ALONE = 2  # no plane of enough lines is similar and near
+    FEW_LINES = 3  # its plane has too few lines left once each candidate went to the nearest one
+    SHORT = 4  # its plane is too short
+    ROUGH = 5  # its plane's samples lie too far from it
+    DUCT = 6  # its plane ends high above the floor in all of its lines
 
 
 @dataclass(frozen=True)
@@ -188,22 +152,14 @@ def grow_wall_planes(
     grown, growth, distance_m, gap_m = _grow(
         moments, candidates.part, reaches, candidates.gap_max_m, settings.similarity_m
     )
-    settled, nearest_m, membership = _settle(
-        grown,
-        moments,
-        reaches,
-        candidates.gap_max_m,
-        settings.similarity_m,
-        settings.merge_gap_m,
-        settings.lines_min,
-        settings.length_min_m,
-    )
-    plane = _without_ducts(settled, structures.bottom_m[candidates.structure], settings.bottom_max_m)
+    settled, nearest_m, membership = _settle(grown, moments, reaches, candidates.gap_max_m, settings)
+    bottom_m = _per_plane(np.minimum, structures.bottom_m[candidates.structure], settled, np.inf)
+    plane = _renumbered(settled, bottom_m < settings.bottom_max_m)
     membership[(settled >= 0) & (plane < 0)] = Membership.DUCT
     return WallPlanes(
         *_fit_planes(returns, samples, structures, candidates, plane),
         candidate_structure=candidates.structure.astype(np.int32),
-        candidate_line=candidates.line.astype(np.int32),
+        candidate_line=candidates.upper[:, 0].astype(np.int32),
         candidate_growth=growth,
         candidate_plane=plane,
         candidate_distance_m=distance_m,
@@ -221,16 +177,16 @@ def grow_wall_planes(
 class _Candidates:
     """The candidates (C,) in the order of Algorithm 1.
 
-    structure, line: the vertical structure and the point line of each. part: the part of the walk that it is in.
-    moments: (C, 6) n, Σx, Σy, Σxx, Σxy, Σyy of its upper part; lowest_sample: where that begins.
+    structure: the vertical structure of each. part: the part of the walk that it is in.
+    upper: (C, 3) its point line, and its upper part's lowest and highest sample. moments: (C, 6) n, Σx, Σy, Σxx, Σxy, Σyy of
+        that part.
     reach, below_ceiling_m, gap_max_m: as of `WallPlanes`.
     """
 
     structure: IntArray
-    line: IntArray
     part: IntArray
+    upper: IntArray
     moments: FloatArray
-    lowest_sample: IntArray
     reach: UInt8Array
     below_ceiling_m: FloatArray
     gap_max_m: FloatArray
@@ -258,23 +214,15 @@ def _choose_candidates(
     chosen, line = chosen[walk], line[walk]
     # A line that sweeps a wall ahead in a circle may turn back below the ceiling: it has next to no returns of it.
     turns_back = ~meets_ceiling[line] & is_upmost[chosen] & (structures.top_m[chosen] > 0.5 * settings.height_min_m)
-    moments, lowest_sample = _candidate_moments(
-        returns.points_level,
-        returns.height_m,
-        samples,
-        line,
-        structures.first[chosen],
-        structures.last[chosen],
-        settings.upper_part_m,
-    )
+    spans = np.stack([line, structures.first[chosen], structures.last[chosen]], axis=1)
+    moments, upper = _upper_parts(returns.points_level, returns.height_m, samples, spans, settings.upper_part_m)
     x0, y0 = returns.origin_level[:2]
     range_m = np.hypot(moments[:, 1] / moments[:, 0] - x0, moments[:, 2] / moments[:, 0] - y0)
     return _Candidates(
         structure=chosen,
-        line=line,
         part=line % 2 + 2 * ~is_upmost[chosen],
+        upper=upper,
         moments=moments,
-        lowest_sample=lowest_sample,
         reach=np.where((reach[chosen] == Reach.LOW) & turns_back, np.uint8(Reach.TURNS_BACK), reach[chosen]),
         below_ceiling_m=below_ceiling_m[chosen],
         gap_max_m=settings.gap_m + settings.gap_per_range * range_m,
@@ -302,16 +250,13 @@ def _reach_of(
     return reach.astype(np.uint8), nearest_m
 
 
-def _without_ducts(plane: IntArray, bottom_m: FloatArray, bottom_max_m: float) -> IntArray:
-    """The planes numbered anew without those that end high above the floor in all of their lines."""
-    count = int(plane.max(initial=-1)) + 1
-    is_wall = _per_plane(np.minimum, bottom_m, plane, count, np.inf) < bottom_max_m
-    number = np.append(np.where(is_wall, np.cumsum(is_wall) - 1, -1), -1)
-    return number[plane].astype(np.int32)
+def _renumbered(plane: IntArray, kept: BoolArray) -> IntArray:
+    """The plane (C,) of each candidate by its number among those planes (P,) that are kept, -1 for others."""
+    return np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)[plane].astype(np.int32)
 
 
-def _per_plane(reduce: np.ufunc, values: FloatArray, plane: IntArray, count: int, start: float) -> FloatArray:
-    reduced = np.full(count, start)
+def _per_plane(reduce: np.ufunc, values: FloatArray, plane: IntArray, start: float) -> FloatArray:
+    reduced = np.full(int(plane.max(initial=-1)) + 1, start)
     reduce.at(reduced, plane[plane >= 0], values[plane >= 0])
     return reduced
 
@@ -323,16 +268,15 @@ def _fit_planes(
     count = int(plane.max(initial=-1)) + 1
     total, lines = _totals(plane, candidates.moments, count)
     normal, offset_m, rms_m = _fit_all(total, np.ascontiguousarray(returns.origin_level[:2]))
-    last = structures.last[candidates.structure]
-    low, high = _extents(returns.points_level, samples, candidates.line, candidates.lowest_sample, last, plane, normal)
+    low, high = _extents(returns.points_level, samples, candidates.upper, plane, normal)
     along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
     foot = normal * offset_m[:, None]
     return (
         normal,
         offset_m,
         np.stack([foot + along * low[:, None], foot + along * high[:, None]], axis=1),
-        _per_plane(np.minimum, structures.bottom_m[candidates.structure], plane, count, np.inf),
-        _per_plane(np.maximum, structures.top_m[candidates.structure], plane, count, -np.inf),
+        _per_plane(np.minimum, structures.bottom_m[candidates.structure], plane, np.inf),
+        _per_plane(np.maximum, structures.top_m[candidates.structure], plane, -np.inf),
         rms_m,
         lines.astype(np.int32),
         total[:, 0].astype(np.int32),
@@ -342,13 +286,7 @@ def _fit_planes(
 
 @numba.njit(cache=True, nogil=True)
 def _extents(
-    points: FloatArray,
-    samples: IntArray,
-    line: IntArray,
-    first: IntArray,
-    last: IntArray,
-    plane: IntArray,
-    normal: FloatArray,
+    points: FloatArray, samples: IntArray, upper: IntArray, plane: IntArray, normal: FloatArray
 ) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
     low = np.full(len(normal), np.inf)
     high = np.full(len(normal), -np.inf)
@@ -356,8 +294,8 @@ def _extents(
         k = plane[c]
         if k < 0:
             continue
-        for s in range(first[c], last[c] + 1):
-            i = samples[line[c], s]
+        for s in range(upper[c, 1], upper[c, 2] + 1):
+            i = samples[upper[c, 0], s]
             u = -normal[k, 1] * points[i, 0] + normal[k, 0] * points[i, 1]
             low[k] = min(low[k], u)
             high[k] = max(high[k], u)
@@ -365,23 +303,21 @@ def _extents(
 
 
 @numba.njit(cache=True, nogil=True)
-def _candidate_moments(
-    points: FloatArray,
-    height: FloatArray,
-    samples: IntArray,
-    line: IntArray,
-    first: IntArray,
-    last: IntArray,
-    upper_part_m: float,
+def _upper_parts(
+    points: FloatArray, height: FloatArray, samples: IntArray, spans: IntArray, upper_part_m: float
 ) -> tuple[FloatArray, IntArray]:  # pragma: no cover
-    """n, Σx, Σy, Σxx, Σxy, Σyy of each candidate's upper part, and that part's lowest sample."""
-    moments = np.zeros((len(line), 6))
-    lowest = np.empty(len(line), np.int32)
-    for c in range(len(line)):
-        top = height[samples[line[c], last[c]]]
-        s = last[c]
-        while s >= first[c] and (last[c] - s < 10 or height[samples[line[c], s]] > top - upper_part_m):
-            i = samples[line[c], s]
+    """n, Σx, Σy, Σxx, Σxy, Σyy of each candidate's upper part, and that part's line, lowest and highest sample.
+
+    spans: (C, 3) line, first and last sample of each candidate.
+    """
+    moments = np.zeros((len(spans), 6))
+    upper = spans.copy()
+    for c in range(len(spans)):
+        line, first, last = spans[c, 0], spans[c, 1], spans[c, 2]
+        top = height[samples[line, last]]
+        s = last
+        while s >= first and (last - s < 10 or height[samples[line, s]] > top - upper_part_m):
+            i = samples[line, s]
             x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
             moments[c, 0] += 1.0
             moments[c, 1] += x
@@ -390,8 +326,8 @@ def _candidate_moments(
             moments[c, 4] += x * y
             moments[c, 5] += y * y
             s -= 1
-        lowest[c] = s + 1
-    return moments, lowest
+        upper[c, 1] = s + 1
+    return moments, upper
 
 
 @numba.njit(cache=True, nogil=True)
@@ -517,7 +453,7 @@ def _join_in_line(
             for b in range(a + 1, len(total)):
                 j = by_size[b]
                 # A single line has no direction that could be the wall's.
-                if lines[j] < 2 or not _are_in_line(plane, moments, total, i, j, similarity_m, merge_gap_m):
+                if lines[j] < 2 or not _are_in_line(plane, moments, total, (i, j), similarity_m, merge_gap_m):
                     continue
                 plane[plane == j] = i
                 total[i] += total[j]
@@ -529,15 +465,10 @@ def _join_in_line(
 
 @numba.njit(cache=True, nogil=True)
 def _are_in_line(
-    plane: IntArray,
-    moments: FloatArray,
-    total: FloatArray,
-    larger: int,
-    smaller: int,
-    similarity_m: float,
-    merge_gap_m: float,
+    plane: IntArray, moments: FloatArray, total: FloatArray, pair: tuple[int, int], similarity_m: float, gap_m: float
 ) -> bool:  # pragma: no cover
-    """Whether one plane fits two, with no more than `merge_gap_m` metres between them."""
+    """Whether one plane fits two, with no more than `gap_m` metres between them; the larger comes first."""
+    larger, smaller = pair
     nx, ny, offset, rms, _ = fit_upright_plane(total[larger] + total[smaller])
     # Stricter than where a candidate joins: two faces twice `similarity_m` apart would become one between them. The smaller
     # plane is known less well than the larger.
@@ -549,42 +480,43 @@ def _are_in_line(
         return False
     low_i, high_i = _span(moments, plane == larger, nx, ny)
     low_j, high_j = _span(moments, plane == smaller, nx, ny)
-    return bool(max(low_i, low_j) - min(high_i, high_j) <= merge_gap_m)
+    return bool(max(low_i, low_j) - min(high_i, high_j) <= gap_m)
+
+
+@numba.njit(cache=True, nogil=True)
+def _fits(
+    plane: IntArray, moments: FloatArray, total: FloatArray, lines: IntArray, lines_min: int
+) -> FloatArray:  # pragma: no cover
+    """(P, 6) normal, offset, RMS distance and both ends along it; one with too few lines begins at infinity."""
+    fits = np.zeros((len(total), 6))
+    fits[:, 4] = np.inf
+    for i in range(len(total)):
+        if lines[i] >= lines_min:
+            nx, ny, offset, rms, _ = fit_upright_plane(total[i])
+            low, high = _span(moments, plane == i, nx, ny)
+            fits[i] = np.array([nx, ny, offset, rms, low, high])
+    return fits
 
 
 @numba.njit(cache=True, nogil=True)
 def _assign_to_nearest(
-    plane: IntArray,
-    moments: FloatArray,
-    reaches: BoolArray,
-    gap_m: FloatArray,
-    total: FloatArray,
-    lines: IntArray,
-    similarity_m: float,
-    lines_min: int,
+    plane: IntArray, moments: FloatArray, reaches: BoolArray, gap_m: FloatArray, fits: FloatArray, similarity_m: float
 ) -> FloatArray:  # pragma: no cover
     """Give every candidate to the nearest plane that has enough lines, whichever plane it was grown into; changes `plane`.
 
     Returns Θ (C,) to the nearest of those that are beside it, metres; NaN where none is.
     """
     distance = np.full(len(plane), np.nan)
-    fits = np.zeros((len(total), 5))
-    for i in range(len(total)):
-        if lines[i] >= lines_min:
-            nx, ny, offset, _, _ = fit_upright_plane(total[i])
-            low, high = _span(moments, plane == i, nx, ny)
-            fits[i] = np.array([nx, ny, offset, low, high])
     for c in range(len(plane)):
         if not reaches[c]:
             continue
         best, nearest, closest = -1, similarity_m, np.inf
-        for i in range(len(total)):
-            if lines[i] < lines_min:
+        for i in range(len(fits)):
+            nx, ny = fits[i, 0], fits[i, 1]
+            u = (-ny * moments[c, 1] + nx * moments[c, 2]) / moments[c, 0]
+            if u < fits[i, 4] - gap_m[c] or u > fits[i, 5] + gap_m[c]:
                 continue
-            u = (-fits[i, 1] * moments[c, 1] + fits[i, 0] * moments[c, 2]) / moments[c, 0]
-            if u < fits[i, 3] - gap_m[c] or u > fits[i, 4] + gap_m[c]:
-                continue
-            theta = _theta(moments[c], fits[i, 0], fits[i, 1], fits[i, 2])
+            theta = _theta(moments[c], nx, ny, fits[i, 2])
             closest = min(closest, theta)
             if theta < nearest:
                 best, nearest = i, theta
@@ -593,75 +525,30 @@ def _assign_to_nearest(
     return distance
 
 
-@numba.njit(cache=True, nogil=True)
-def _verdicts(
-    plane: IntArray,
-    moments: FloatArray,
-    total: FloatArray,
-    lines: IntArray,
-    similarity_m: float,
-    lines_min: int,
-    length_min_m: float,
-) -> UInt8Array:  # pragma: no cover
-    """What each plane (P,) makes of its candidates, see `Membership`: IN_PLANE where it is large and even enough."""
-    verdict = np.full(len(total), Membership.IN_PLANE, np.uint8)
-    for i in range(len(total)):
-        if lines[i] < lines_min:
-            verdict[i] = Membership.FEW_LINES
-            continue
-        nx, ny, _, rms, _ = fit_upright_plane(total[i])
-        low, high = _span(moments, plane == i, nx, ny)
-        if high - low < length_min_m:
-            verdict[i] = Membership.SHORT
-        elif rms > similarity_m:
-            verdict[i] = Membership.ROUGH
-    return verdict
-
-
-@numba.njit(cache=True, nogil=True)
 def _settle(
-    grown: IntArray,
-    moments: FloatArray,
-    reaches: BoolArray,
-    gap_m: FloatArray,
-    similarity_m: float,
-    merge_gap_m: float,
-    lines_min: int,
-    length_min_m: float,
-) -> tuple[IntArray, FloatArray, UInt8Array]:  # pragma: no cover
+    grown: IntArray, moments: FloatArray, reaches: BoolArray, gap_m: FloatArray, settings: WallPlanesSettings
+) -> tuple[IntArray, FloatArray, UInt8Array]:
     """Join planes in line, give every candidate to the nearest plane, drop what is too small, number them anew.
 
     grown: (C,) the plane that Algorithm 1 grew each candidate into, -1 where it refused it. moments: (C, 6) of its upper
     part. reaches: (C,) whether it is high enough. gap_m: (C,) how far beyond a plane's ends it may be of it.
     Returns each candidate's plane, its distance to the nearest plane within reach and its `Membership`.
     """
-    count = len(grown)
-    plane = grown.copy()
-    planes = 0
-    for c in range(count):
-        planes = max(planes, plane[c] + 1)
+    plane, similarity_m, lines_min = grown.copy(), settings.similarity_m, settings.lines_min
+    planes = int(grown.max(initial=-1)) + 1
     total, lines = _totals(plane, moments, planes)
-    _join_in_line(plane, moments, total, lines, similarity_m, merge_gap_m, lines_min)
-    distance = np.full(count, np.nan)
+    _join_in_line(plane, moments, total, lines, similarity_m, settings.merge_gap_m, lines_min)
     # Twice, for the first time moves the planes.
     for _ in range(2):
-        distance = _assign_to_nearest(plane, moments, reaches, gap_m, total, lines, similarity_m, lines_min)
+        fits = _fits(plane, moments, total, lines, lines_min)
+        distance = _assign_to_nearest(plane, moments, reaches, gap_m, fits, similarity_m)
         total, lines = _totals(plane, moments, planes)
-    verdict = _verdicts(plane, moments, total, lines, similarity_m, lines_min, length_min_m)
-    number = np.full(planes, -1, np.int32)
-    kept = 0
-    for i in range(planes):
-        if verdict[i] == Membership.IN_PLANE:
-            number[i] = kept
-            kept += 1
-    membership = np.full(count, Membership.REFUSED, np.uint8)
-    for c in range(count):
-        if plane[c] >= 0:
-            membership[c] = verdict[plane[c]]
-            plane[c] = number[plane[c]]
-        elif reaches[c]:
-            membership[c] = Membership.ALONE
-    return plane, distance, membership
+    fits = _fits(plane, moments, total, lines, lines_min)
+    fails = [lines < lines_min, fits[:, 5] - fits[:, 4] < settings.length_min_m, fits[:, 3] > similarity_m]
+    reasons = [Membership.FEW_LINES, Membership.SHORT, Membership.ROUGH]
+    verdict = np.append(np.select(fails, reasons, Membership.IN_PLANE), Membership.ALONE)
+    membership = np.where((plane < 0) & ~reaches, Membership.REFUSED, verdict[plane]).astype(np.uint8)
+    return _renumbered(plane, verdict[:-1] == Membership.IN_PLANE), distance, membership
 
 
 @numba.njit(cache=True, nogil=True)

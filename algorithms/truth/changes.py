@@ -186,10 +186,7 @@ def most_frequent(changes: Sequence[LabelChange], most: int) -> list[int]:
 
 def sum_counts(counts: Iterable[IntArray]) -> IntArray:
     """(7, 7) counts of transitions summed."""
-    total = np.zeros((CLASSES, CLASSES), np.int64)
-    for part in counts:
-        total += part
-    return total
+    return sum(counts, np.zeros((CLASSES, CLASSES), np.int64))
 
 
 def _number(value: object) -> float:

@@ -133,12 +133,8 @@ def door_edges(doors: TrueDoors) -> tuple[FloatArray, FloatArray, IntArray]:
     """
     panels, heights, owner = [], [], []
     for door, (ends, head_m, leaves) in enumerate(zip(doors.ends, doors.head_m, doors.leaves, strict=True)):
-        for panel, bottom_m in (
-            (np.stack([ends[0], ends[0]]), 0.0),
-            (np.stack([ends[1], ends[1]]), 0.0),
-            (ends, head_m),
-            *((leaf, 0.0) for leaf in leaves),
-        ):
+        jambs = ends[:, None].repeat(2, axis=1)  # without width
+        for panel, bottom_m in ((jambs[0], 0.0), (jambs[1], 0.0), (ends, head_m), *((leaf, 0.0) for leaf in leaves)):
             panels.append(panel)
             heights.append((bottom_m, head_m))
             owner.append(door)
@@ -151,12 +147,7 @@ def door_edges(doors: TrueDoors) -> tuple[FloatArray, FloatArray, IntArray]:
 
 @numba.njit(cache=True, nogil=True)
 def count_near(
-    points: FloatArray,
-    origin: FloatArray,
-    panels: FloatArray,
-    heights: FloatArray,
-    owner: IntArray,
-    returns: IntArray,
+    points: FloatArray, origin: FloatArray, panels: FloatArray, heights: FloatArray, owner: IntArray, returns: IntArray
 ) -> None:  # pragma: no cover
     """Count each return once for each door that has a panel within `DOOR_NEAR_M` of it."""
     first = 0

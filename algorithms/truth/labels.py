@@ -7,8 +7,7 @@ import numpy as np
 from ffmap.algorithms.base.labels import Label, Truth, Verdict
 from ffmap.algorithms.base.scan import IntArray, UInt8Array
 
-UNLABELLED = len(Label)
-"""The last column of a confusion matrix: a return of a labelled scan that has no label."""
+UNLABELLED = len(Label)  # the last column of a confusion matrix: a return of a labelled scan that has no label
 
 STRUCTURE = (Label.FLOOR, Label.CEILING, Label.WALL, Label.DOOR)
 
@@ -78,19 +77,14 @@ def _tabulate_verdicts() -> UInt8Array:
             alone[truth, label] = 1
             # Wrong is what is a false positive of its label or a false negative of its truth.
             figures = class_figures(alone).values()
-            if not any(f.false_positives or f.false_negatives for f in figures):
-                continue
-            table[truth, label] = (
-                Verdict.FALSE_WALL
-                if label == Label.WALL
-                else Verdict.MISSED_WALL
-                if truth == Truth.WALL
-                else Verdict.FALSE_DOOR
-                if label == Label.DOOR
-                else Verdict.MISSED_DOOR
-                if truth == Truth.DOOR
-                else Verdict.OTHER
-            )
+            if any(f.false_positives or f.false_negatives for f in figures):
+                reasons = (
+                    (label == Label.WALL, Verdict.FALSE_WALL),
+                    (truth == Truth.WALL, Verdict.MISSED_WALL),
+                    (label == Label.DOOR, Verdict.FALSE_DOOR),
+                    (truth == Truth.DOOR, Verdict.MISSED_DOOR),
+                )
+                table[truth, label] = next((verdict for holds, verdict in reasons if holds), Verdict.OTHER)
     return table
 
 

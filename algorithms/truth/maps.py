@@ -26,12 +26,10 @@ class Agreement(IntEnum):
 
     NOTHING = 0
     FREE = 1
-    BOTH = 2
-    """Wall in both."""
+    BOTH = 2  # wall in both
     ONLY_MAP = 3
     ONLY_REFERENCE = 4
-    NOT_SEEN = 5
-    """Wall of the reference where the map knows nothing."""
+    NOT_SEEN = 5  # wall of the reference where the map knows nothing
 
 
 @dataclass(frozen=True)
@@ -157,13 +155,12 @@ def compare_with_truth(
     return compared
 
 
-def false_and_missed(one: ComparedMap) -> Sequence[tuple[Agreement, FloatArray]]:
-    """What an overlay draws over the map: each agreement with its places (m, 2)."""
-    figures = one.figures
+def false_and_missed(figures: WallMapFigures, unseen: FloatArray) -> Sequence[tuple[Agreement, FloatArray]]:
+    """What an overlay draws over the map, the later above: each agreement with its places (m, 2)."""
     return [
-        (Agreement.NOT_SEEN, one.unseen),
-        (Agreement.BOTH, figures.occupied[figures.right]),
+        (Agreement.NOT_SEEN, unseen),
         (Agreement.ONLY_REFERENCE, figures.true_cells[~figures.covered]),
+        (Agreement.BOTH, figures.occupied[figures.right]),
         (Agreement.ONLY_MAP, figures.occupied[~figures.right]),
     ]
 
@@ -174,12 +171,7 @@ def overlay(grid: GridMap, figures: WallMapFigures, unseen: FloatArray) -> UInt8
     unseen: (m, 2) walls of what it is compared with that count nowhere.
     """
     cells = np.where(grid.cells == Cell.FREE, Agreement.FREE, Agreement.NOTHING).astype(np.uint8)
-    for places, agreement in (
-        (unseen, Agreement.NOT_SEEN),
-        (figures.true_cells[~figures.covered], Agreement.ONLY_REFERENCE),
-        (figures.occupied[figures.right], Agreement.BOTH),
-        (figures.occupied[~figures.right], Agreement.ONLY_MAP),
-    ):
+    for agreement, places in false_and_missed(figures, unseen):
         index, inside = grid.index(places)
         cells[index[inside, 1], index[inside, 0]] = agreement
     return cells

@@ -9,8 +9,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.base.trajectory import Trajectory
 
-RELATIVE_M = 1.0
-"""Length of true path over which the relative error of a trajectory is taken."""
+RELATIVE_M = 1.0  # length of true path over which the relative error of a trajectory is taken
 
 
 @dataclass(frozen=True)

@@ -12,26 +12,6 @@ from ffmap.algorithms.truth.maps import WALL_TOLERANCE_M, WallMapFigures
 
 
 @dataclass(frozen=True)
-class _Search:
-    """How the alignment is searched. Lengths in metres.
-
-    coarse_m, cells_max: cells of the correlation, and the maximum number of them along a side. turn_deg: step of the turns.
-    blur_cells: of the reference. candidates: number of turns that are refined. points_max: of the map. rounds: of refinement.
-    """
-
-    coarse_m: float = 0.2
-    cells_max: int = 400
-    turn_deg: float = 2.0
-    blur_cells: float = 1.5
-    candidates: int = 12
-    points_max: int = 4_000
-    rounds: int = 40
-
-
-_SEARCH = _Search()
-
-
-@dataclass(frozen=True)
 class Alignment:
     """T_reference_map: (3, 3) the rigid motion that lays the map over the reference.
 
@@ -71,9 +51,9 @@ def align_maps(grid: GridMap, reference: GridMap) -> Alignment:
     source, target = wall_cells(grid), wall_cells(reference)
     if not len(source) or not len(target):
         return Alignment(np.eye(3), 0.0)
-    generator = np.random.default_rng(0)
-    if len(source) > _SEARCH.points_max:
-        source = generator.choice(source, _SEARCH.points_max, replace=False)
+    points_max = 4_000
+    if len(source) > points_max:
+        source = np.random.default_rng(0).choice(source, points_max, replace=False)
     tree = cKDTree(target)
     best = Alignment(np.eye(3), -1.0)
     for T in _coarse(source, target):
@@ -88,8 +68,7 @@ def wall_cells(grid: GridMap) -> FloatArray:
     """(m, 2) the middles of the occupied cells that are not inside others: a thick wall's faces, a thin wall's all."""
     occupied = grid.cells == Cell.OCCUPIED
     inner = binary_erosion(occupied, border_value=1)
-    outline = GridMap(np.where(occupied & ~inner, Cell.OCCUPIED, Cell.UNKNOWN), grid.origin, grid.cell_m)
-    return outline.centres(Cell.OCCUPIED)
+    return grid.middles(occupied & ~inner)
 
 
 def _coarse(source: FloatArray, target: FloatArray) -> list[FloatArray]:
@@ -97,18 +76,19 @@ def _coarse(source: FloatArray, target: FloatArray) -> list[FloatArray]:
     # A second to import, which every process would wait for.
     from scipy.signal import fftconvolve
 
+    cell_min_m, cells_max, turn_step_deg, blur_cells, best_max = 0.2, 400, 2.0, 1.5, 12
     centre = source.mean(axis=0)
     reach = float(np.linalg.norm(source - centre, axis=1).max())
     size = max(float(np.ptp(target, axis=0).max()), 2 * reach)
-    cell_m = max(_SEARCH.coarse_m, size / _SEARCH.cells_max)
+    cell_m = max(cell_min_m, size / cells_max)
     low = target.min(axis=0) - 2 * cell_m
     shape = (np.ceil((np.ptp(target, axis=0) + 4 * cell_m) / cell_m)).astype(int) + 1
     hit = np.zeros(shape, bool)
     hit[tuple(np.floor((target - low) / cell_m).astype(int).T)] = True
-    near = np.exp(-0.5 * (distance_transform_edt(~hit) / _SEARCH.blur_cells) ** 2)
+    near = np.exp(-0.5 * (distance_transform_edt(~hit) / blur_cells) ** 2)
     half = int(np.ceil(reach / cell_m)) + 1
     found: list[tuple[float, FloatArray]] = []
-    for turn in np.radians(np.arange(0.0, 360.0, _SEARCH.turn_deg)):
+    for turn in np.radians(np.arange(0.0, 360.0, turn_step_deg)):
         R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
         index = np.floor(((source - centre) @ R.T) / cell_m).astype(int) + half
         kernel = np.zeros((2 * half + 1, 2 * half + 1))
@@ -121,12 +101,12 @@ def _coarse(source: FloatArray, target: FloatArray) -> list[FloatArray]:
         T[:2, :2], T[:2, 2] = R, middle - R @ centre
         found.append((float(score[peak]), T))
     found.sort(key=lambda candidate: -candidate[0])
-    return [T for _, T in found[: _SEARCH.candidates]]
+    return [T for _, T in found[:best_max]]
 
 
 def _refine(T: FloatArray, source: FloatArray, target: FloatArray, tree: cKDTree) -> FloatArray:
     """Closest points with weights that forget what lies far off, ever nearer."""
-    for reach_m in np.geomspace(1.0, 2 * WALL_TOLERANCE_M, _SEARCH.rounds):
+    for reach_m in np.geomspace(1.0, 2 * WALL_TOLERANCE_M, 40):
         moved = source @ T[:2, :2].T + T[:2, 2]
         distance, nearest = tree.query(moved)
         weight = np.where(distance < reach_m, (1 - (distance / reach_m) ** 2) ** 2, 0.0)

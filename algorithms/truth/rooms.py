@@ -51,13 +51,8 @@ def compare_rooms(
         path = shapely.linestrings(path_map[:, :2]) if len(path_map) > 1 else shapely.LineString()
         counted = np.array([path.intersection(t).length >= 1.0 for t in true], bool)
     touching = np.array([[a.distance(b) <= 0.3 for a in found] for b in found], bool)
-    return _figures(
-        overlap,
-        np.array([t.area for t in true]),
-        np.array([f.area for f in found]),
-        counted,
-        touching.reshape(len(found), len(found)),
-    )
+    true_m2, found_m2 = np.array([t.area for t in true]), np.array([f.area for f in found])
+    return _figures(overlap, true_m2, found_m2, counted, touching.reshape(len(found), len(found)))
 
 
 def compare_room_images(true_label: IntArray, found_label: IntArray, free: BoolArray, cell_m: float) -> RoomFigures:
@@ -65,15 +60,9 @@ def compare_room_images(true_label: IntArray, found_label: IntArray, free: BoolA
     t, f = true_label[free] + 1, found_label[free] + 1
     rows, columns = int(true_label.max(initial=-1)) + 2, int(found_label.max(initial=-1)) + 2
     counts = np.bincount(t.astype(np.int64) * columns + f, minlength=rows * columns).reshape(rows, columns)
-    areas = counts * cell_m**2
-    found = columns - 1
-    return _figures(
-        areas[1:, 1:],
-        areas[1:].sum(axis=1),
-        areas[:, 1:].sum(axis=0),
-        np.ones(rows - 1, bool),
-        np.ones((found, found), bool),
-    )
+    areas, found = counts * cell_m**2, columns - 1
+    counted, touching = np.ones(rows - 1, bool), np.ones((found, found), bool)
+    return _figures(areas[1:, 1:], areas[1:].sum(axis=1), areas[:, 1:].sum(axis=0), counted, touching)
 
 
 def rooms_of_image(pixels: IntArray, cell_m: float) -> IntArray:
@@ -101,7 +90,5 @@ def _figures(
     split = [int(t) for t, own in enumerate(mostly_in) if (np.triu(touching[np.ix_(own, own)], 1)).any()]
     mapped = overlap.sum(axis=1, keepdims=True)
     holds = (overlap > 0.5 * mapped) & (overlap >= 1.0)
-    merged = {
-        (int(a), int(b)) for own in holds.T for a, b in np.argwhere(np.triu(np.outer(own, own), 1))
-    }  # fmt: skip
+    merged = {(int(a), int(b)) for own in holds.T for a, b in np.argwhere(np.triu(np.outer(own, own), 1))}
     return RoomFigures(recall, precision, counted, tuple(split), tuple(sorted(merged)))

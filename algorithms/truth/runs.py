@@ -10,15 +10,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ffmap.algorithms.base.labels import NO_RETURN
-from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building.model import stretches
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.truth.doors import match_doors, match_nearest
 from ffmap.algorithms.truth.labels import UNLABELLED
 
-CLASSES = UNLABELLED + 1
-"""The labels, and last what has none."""
+CLASSES = UNLABELLED + 1  # the labels, and last what has none
 
 
 def classes_of(label: UInt8Array) -> UInt8Array:
@@ -42,11 +41,6 @@ def transitions(label_a: UInt8Array, label_b: UInt8Array) -> IntArray:
 def changed_of(counts: IntArray) -> int:
     """How many points of a `transitions` matrix changed."""
     return int(counts.sum() - np.trace(counts))
-
-
-def changed_places(label_a: UInt8Array, label_b: UInt8Array) -> IntArray:
-    """The places (c,) of the points whose labels differ."""
-    return np.flatnonzero(label_a != label_b)
 
 
 @dataclass(frozen=True)
@@ -124,12 +118,17 @@ def compare_grids(a: GridMap, b: GridMap) -> GridChange:
     """Cells by their place in the map. Raises ValueError where they differ in size."""
     if not np.isclose(a.cell_m, b.cell_m):
         raise ValueError(f"cells of {a.cell_m:g} m against cells of {b.cell_m:g} m")
-    cells_a, cells_b = _common(a, b)
+    # Both over the smallest rectangle that holds both.
+    firsts = np.array([np.rint(grid.origin / grid.cell_m) for grid in (a, b)]).astype(np.int64)
+    low = firsts.min(axis=0)
+    stops = firsts + np.array([a.cells.shape, b.cells.shape])[:, ::-1]
+    columns, rows = stops.max(axis=0) - low
+    frame = GridMap(np.full((rows, columns), Cell.UNKNOWN, np.uint8), low * a.cell_m, a.cell_m)
+    cells_a, cells_b = (grid.cropped_to(frame).cells for grid in (a, b))
     occupied_a, occupied_b = cells_a == Cell.OCCUPIED, cells_b == Cell.OCCUPIED
-    origin = np.minimum(_first_cell(a), _first_cell(b)) * a.cell_m
     return GridChange(
-        _centres(occupied_a & ~occupied_b, origin, a.cell_m),
-        _centres(occupied_b & ~occupied_a, origin, a.cell_m),
+        frame.middles(occupied_a & ~occupied_b),
+        frame.middles(occupied_b & ~occupied_a),
         int(np.count_nonzero(occupied_a & occupied_b)),
         int(np.count_nonzero((cells_b == Cell.FREE) & (cells_a != Cell.FREE))),
         int(np.count_nonzero((cells_a == Cell.FREE) & (cells_b != Cell.FREE))),
@@ -183,28 +182,3 @@ def _sampled(ends: FloatArray, step_m: float) -> tuple[FloatArray, FloatArray]:
         places.append(start + (end - start) * part)
         directions.append(np.tile((end - start) / max(length_m, 1e-9), (len(part), 1)))
     return np.concatenate(places), np.concatenate(directions)
-
-
-def _first_cell(grid: GridMap) -> IntArray:
-    """(2,) column and row, counted from the map's origin, of a grid's first cell."""
-    return np.asarray(np.rint(grid.origin / grid.cell_m), np.int64)
-
-
-def _common(a: GridMap, b: GridMap) -> tuple[UInt8Array, UInt8Array]:
-    """Both grids' cells over the smallest rectangle that holds both; unknown where a grid does not reach."""
-    firsts = [_first_cell(grid) for grid in (a, b)]
-    sizes = [np.array(grid.cells.shape[::-1]) for grid in (a, b)]
-    low = np.min(firsts, axis=0)
-    columns, rows = np.max([first + size for first, size in zip(firsts, sizes, strict=True)], axis=0) - low
-    placed = []
-    for grid, first, size in zip((a, b), firsts, sizes, strict=True):
-        cells = np.full((rows, columns), Cell.UNKNOWN, np.uint8)
-        x, y = first - low
-        cells[y : y + size[1], x : x + size[0]] = grid.cells
-        placed.append(cells)
-    return placed[0], placed[1]
-
-
-def _centres(chosen: BoolArray, origin: FloatArray, cell_m: float) -> FloatArray:
-    rows, columns = np.nonzero(chosen)
-    return np.asarray(origin + (np.stack([columns, rows], axis=1) + 0.5) * cell_m)

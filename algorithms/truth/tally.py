@@ -14,8 +14,7 @@ from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, majority
 from ffmap.algorithms.truth.doors import TrueDoors, count_near, door_edges
 from ffmap.algorithms.truth.labels import UNLABELLED
 
-CUBE_M = 0.05
-"""Edge of the cubes that area is counted in, and of the wall map's true cells."""
+CUBE_M = 0.05  # edge of the cubes that area is counted in, and of the wall map's true cells
 
 _TRUTHS, _LABELS = len(Truth), UNLABELLED + 1
 

@@ -28,7 +28,6 @@ from ffmap.algorithms.truth.changes import (
 from ffmap.algorithms.truth.poses import compare_trajectories
 from ffmap.algorithms.truth.runs import (
     changed_of,
-    changed_places,
     classes_of,
     compare_doors,
     compare_grids,
@@ -178,7 +177,7 @@ class LabelComparison:
                 label_a, label_b = a.label_scan, b.label_scan
             changed_scan = changed_of(transitions(a.label_scan, b.label_scan))
             self._scans.append(ScanChange(a.scan, a.stamp_ns, transitions(label_a, label_b), changed_scan))
-            places = changed_places(label_a, label_b)
+            places = np.flatnonzero(label_a != label_b)
             points = a.points_map if a.points_map is not None else b.points_map
             at = points[places] if points is not None else np.full((len(places), 3), np.nan, np.float32)
             placed = np.isfinite(at).all(axis=1)

@@ -141,7 +141,7 @@ def _log_cubes(log: Log, tally: Tally) -> None:
 
 def log_overlay(log: Log, name: str, compared: ComparedMap) -> None:
     """A map against what it was compared with: an entity for what agrees, what is false and what is missed."""
-    for agreement, places in false_and_missed(compared):
+    for agreement, places in false_and_missed(compared.figures, compared.unseen):
         title, color = entities.AGREEMENTS[agreement]
         points = rr.Points3D(at_height(places, 2 * _LIFT_M), colors=color, radii=0.9 * compared.grid.cell_m)
         log.static(f"{entities.OVERLAYS}/{name}/{title.replace(' ', '_')}", points)

@@ -10,7 +10,6 @@ from ffmap.algorithms.truth.runs import (
     CLASSES,
     UNLABELLED,
     changed_of,
-    changed_places,
     classes_of,
     compare_doors,
     compare_grids,
@@ -42,7 +41,6 @@ def test_labels_are_counted_point_by_point() -> None:
             row, column = (int(classes_of(np.array([label], np.uint8))[0]) for label in (before, after))
             assert counts[row, column] == (0 if before == after == NO_RETURN else wanted)
     assert changed_of(counts) == sum(1 for x, y in zip(a, b, strict=True) if x != y)
-    assert changed_places(a, b).tolist() == [i for i, (x, y) in enumerate(zip(a, b, strict=True)) if x != y]
     assert np.array_equal(transitions(b, a), counts.T)
     order = np.random.default_rng(3).permutation(len(a))
     assert np.array_equal(transitions(a[order], b[order]), counts)
