@@ -9,8 +9,7 @@ import rerun.blueprint as rrb
 from ffmap.blueprints import entities
 from ffmap.blueprints.views import Part, aslant, behind_the_robot, from_above, layout, opening_at, space, until_now
 
-_LEGEND_SHARE = 0.4
-"""Width left for the legends of curves, as a share of the curves' own: their views are narrow."""
+_LEGEND_SHARE = 0.4  # Width left for the legends of curves, as a share of the curves' own: their views are narrow
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,7 @@ from ffmap.loaders.recovery import RecoveredMcapReader, RecoveredRos1Reader
 from ffmap.loaders.text_files import require_regular
 
 Container = Literal["ros1", "sqlite3", "mcap"]
-Message: TypeAlias = Any
-"""A message as an object of rosbags: its attributes are the fields of the ROS message."""
+Message: TypeAlias = Any  # A message as an object of rosbags: its attributes are the fields of the ROS message
 _T = TypeVar("_T")
 
 _MAGIC: Mapping[bytes, Container] = {
@@ -98,9 +97,7 @@ class Bag:
         self, topics: Collection[str], start_ns: int | None = None, stop_ns: int | None = None
     ) -> Iterator[RawMessage]:
         """Messages of these topics in the order of their log time, from `start_ns` until before `stop_ns`.
-
-        Raises InputError where the file turns out to be damaged.
-        """
+        Raises InputError where the file turns out to be damaged."""
 
         def read(reader: Reader) -> Iterator[RawMessage]:
             wanted = [c for c in reader.connections if c.topic in topics]
@@ -158,10 +155,8 @@ class Bag:
 
 def open_bag(path: Path) -> Bag:
     """Open a ROS 1 .bag, a ROS 2 folder (sqlite3 or MCAP, with metadata.yaml or without), a bare .db3 or .mcap.
-
-    A ROS 1 or MCAP file that was cut, or whose recorder was killed, is opened up to the cut, with a warning.
-    Raises InputError where there is no such file, it is no bag, or nothing of it can be read.
-    """
+    A ROS 1 or MCAP file that was cut, or whose recorder was killed, is opened up to the cut, with a warning. Raises
+    InputError where there is no such file, it is no bag, or nothing of it can be read."""
     warnings: list[str] = []
     try:
         if path.is_dir():

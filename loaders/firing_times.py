@@ -22,8 +22,7 @@ _NANOSECOND_NAMES = ("t", "offset_time", "time_stamp")
 """Integers under these names (Ouster, Livox, Nebula) are nanoseconds where the values do not tell."""
 _LONGEST_SWEEP_NS = 2_000_000_000
 _SHORTEST_SWEEP_NS = 5_000_000
-_PERIODS_MAX = 5
-"""Times that span more revolutions are in another unit, such as ticks of 100 ns."""
+_PERIODS_MAX = 5  # Times that span more revolutions are in another unit, such as ticks of 100 ns
 _PART_SHARE = 10
 """By how much the times in one message of a revolution may span more or less than the time to the next message."""
 _CLOCK_MAX_NS = 2.0**63
@@ -49,9 +48,7 @@ class TimeField:
 
     def nanoseconds(self, values: npt.NDArray[Any], stamp_ns: int) -> tuple[IntArray, int]:
         """Nanoseconds (n,) int64 from the first of these firings, and that firing's absolute time.
-
-        Raises CloudError where the times span longer than a sweep can take, or lie farther than that from the stamp.
-        """
+        Raises CloudError where the times span longer than a sweep can take, or lie farther than that from the stamp."""
         if not len(values):
             return np.zeros(0, np.int64), stamp_ns
         first = values.min()

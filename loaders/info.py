@@ -27,8 +27,7 @@ from ffmap.loaders.truth import BUILDING_TOPIC, CLASSES_TOPIC, POSE_TOPIC
 
 _SAMPLES = 8
 _GAP_PERIODS = 2.5
-_READ_MAX = 400
-"""Maximum number of a lidar's clouds that are read to the last point: more would take minutes."""
+_READ_MAX = 400  # Maximum number of a lidar's clouds that are read to the last point: more would take minutes
 
 
 @dataclass(frozen=True)
@@ -119,9 +118,7 @@ def describe_bag(
     time_from: TimeFrom = "auto",
 ) -> BagInfo:
     """Look a bag over; the options are those of `find_rig`.
-
-    Raises InputError where the bag cannot be opened, or does not fit what is said of it.
-    """
+    Raises InputError where the bag cannot be opened, or does not fit what is said of it."""
     with open_bag(path) as bag:
         indexes = {topic: index_clouds(bag, topic) for topic in cloud_topics(bag)}
         clouds = tuple(_describe_cloud(bag, index, time_from) for index in indexes.values())

@@ -19,11 +19,9 @@ from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 Reader = Ros1Reader | Ros2Reader | McapReader | Sqlite3Reader
-Head = tuple[int, bytes]
-"""Log time in nanoseconds; the message's first bytes."""
+Head = tuple[int, bytes]  # Log time in nanoseconds; the message's first bytes
 
-_ROS1_RECORD_BYTES = 96
-"""More than a message record's own header takes."""
+_ROS1_RECORD_BYTES = 96  # More than a message record's own header takes
 
 
 def read_heads(reader: Reader, connections: Collection[Connection], size: int) -> Iterator[Head]:

@@ -159,8 +159,7 @@ def _read_ros1_record(stream: IO[bytes], position: int, end: int) -> _Ros1Record
 class RecoveredMcapReader(McapReader):
     """An MCAP file without summary: cut, or its recorder was killed. Whole messages before the cut are kept."""
 
-    _tail: tuple[int, str] | None = None
-    """Where the content of the last, cut chunk begins, and its compression."""
+    _tail: tuple[int, str] | None = None  # Where the content of the last, cut chunk begins, and its compression
 
     def _open(self) -> None:
         assert self.bio

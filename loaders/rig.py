@@ -21,21 +21,15 @@ from ffmap.loaders.scans import cloud_hint, cloud_topics, index_clouds, sample_m
 
 _SAMPLES = 8
 _UPRIGHT_DEG = 45.0
-_EQUAL_WITHIN_DEG = 5.0
-"""Lidars whose axes differ by less are equally upright: the one that sees more is taken."""
+_EQUAL_WITHIN_DEG = 5.0  # Lidars whose axes differ by less are equally upright: the one that sees more is taken
 _SECTORS = 36
 _REACH_MAX_M = 100.0
 
 
 @dataclass(frozen=True, eq=False)
 class Lidar:
-    """A lidar of the rig.
-
-    T_base_sensor: (4, 4).
-    decoding: how its clouds become scans; for `read_scans`.
-    points_per_cloud: valid points, the median of some clouds.
-    reasons: why it has its role, one line.
-    """
+    """A lidar of the rig. T_base_sensor: (4, 4). decoding: how its clouds become scans; for `read_scans`.
+    points_per_cloud: valid points, the median of some clouds. reasons: why it has its role, one line."""
 
     topic: str
     frame_id: str
@@ -356,9 +350,7 @@ def _roles(candidates: list[_Candidate], asked: dict[Role, str], warnings: list[
 
 def _most_aligned(candidates: list[_Candidate], off_deg: dict[str, float], direction: str) -> tuple[_Candidate, str]:
     """The candidate whose spin axis is nearest to a direction, and in words why; of equals the one that sees most.
-
-    off_deg: angle between each candidate's spin axis and the direction, by topic.
-    """
+    off_deg: angle between each candidate's spin axis and the direction, by topic."""
     smallest_deg = min(off_deg.values())
     equal = [c for c in candidates if off_deg[c.topic] <= smallest_deg + _EQUAL_WITHIN_DEG]
     chosen = max(equal, key=lambda c: c.worth)

@@ -19,10 +19,8 @@ RingSource = Literal["field", "row", "column", "elevation", "bins"]
 _MOST_RINGS = 512
 _STANDARD_COUNTS = (8, 16, 32, 40, 64, 80, 128)
 _BIN_DEG = 0.01
-_SWAP_DEG = 0.2
-"""Neighbouring rings whose elevations differ by less may be out of order by noise alone."""
-_NEAR_M = 1.0
-"""Nearer returns are left out of the estimate: the emitters' offset from the origin turns their elevation."""
+_SWAP_DEG = 0.2  # Neighbouring rings whose elevations differ by less may be out of order by noise alone
+_NEAR_M = 1.0  # Nearer returns are left out of the estimate: the emitters' offset from the origin turns their elevation
 
 
 @dataclass(frozen=True, eq=False)

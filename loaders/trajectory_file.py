@@ -23,9 +23,7 @@ _ORDER = "stamp x y z qx qy qz qw"
 
 def read_tum(path: Path) -> Trajectory:
     """A TUM file: one pose a line, "stamp x y z qx qy qz qw", stamps in seconds; # begins a comment.
-
-    Raises InputError that names the line.
-    """
+    Raises InputError that names the line."""
     text = read_text(path, "give a TUM file")
     stamps: list[int] = []
     poses: list[list[float]] = []
@@ -83,8 +81,7 @@ def _nanoseconds(seconds: str) -> int:
     return nanoseconds
 
 
-_DIGITS_MAX = 10
-"""Maximum exponent of a stamp in seconds: 64 bits of nanoseconds end in the year 2262."""
+_DIGITS_MAX = 10  # Maximum exponent of a stamp in seconds: 64 bits of nanoseconds end in the year 2262
 
 
 def read_pose_topic(bag: Bag, topic: str, base_frame: str | None, static: FrameTree | None = None) -> Trajectory:

@@ -19,15 +19,12 @@ from ffmap.loaders.simulator.settings import SimulationSettings
 
 POSE_RATE_HZ = 100
 REST_S = 1.0
-ROBOT_RADIUS_M = 0.3
-"""Nothing stands nearer than this to the path of the base."""
+ROBOT_RADIUS_M = 0.3  # Nothing stands nearer than this to the path of the base
 
-_END_M = 0.9
-"""Minimum distance of the robot from the corridor's ends."""
+_END_M = 0.9  # Minimum distance of the robot from the corridor's ends
 _WEAVE_M = 0.08
 _ROUNDING_M = 0.6
-_SHARPEST_CURVE_RAD = 2.6
-"""Sharper turns are made on the spot."""
+_SHARPEST_CURVE_RAD = 2.6  # Sharper turns are made on the spot
 _STEP_M = 0.01
 _SMOOTHING_S = 0.25
 
@@ -35,9 +32,7 @@ _SMOOTHING_S = 0.25
 @dataclass(frozen=True)
 class Visit:
     """A detour from the corridor through an open door and back.
-
-    along_m: where it leaves the corridor's middle. tour: (n, 2) once around the room. peek: (m, 2) in and out again.
-    """
+    along_m: where it leaves the corridor's middle. tour: (n, 2) once around the room. peek: (m, 2) in and out again."""
 
     along_m: float
     tour: FloatArray
@@ -119,9 +114,7 @@ def _is_clear(route: FloatArray, free: BaseGeometry) -> bool:
 
 def choose_route(ways: Ways, settings: SimulationSettings) -> FloatArray:
     """The whole corridor, with as many visits as the time allows; then back with the visits left over, and so on.
-
-    (n, 2) polyline in the plan, long enough for the drive.
-    """
+    (n, 2) polyline in the plan, long enough for the drive."""
     budget_m = settings.speed_mps * (settings.duration_s - REST_S)
     radius = settings.speed_mps / settings.turn_radps
     chosen: list[tuple[float, FloatArray]] = []
@@ -205,9 +198,7 @@ def _cross(a: FloatArray, b: FloatArray) -> float:
 
 def drive(route: FloatArray, end_s: float, settings: SimulationSettings, rng: np.random.Generator) -> Trajectory:
     """T_plan_base from 0 to `end_s` at POSE_RATE_HZ, stamps from 0; level floor, at rest for the first second.
-
-    Poses between two stamps are meant to be interpolated linearly: the truth is then exact.
-    """
+    Poses between two stamps are meant to be interpolated linearly: the truth is then exact."""
     place, turned = _follow(route, settings.speed_mps / settings.turn_radps)
     angle, progress = turned.T
     time_s = np.arange(round(end_s * POSE_RATE_HZ) + 2) / POSE_RATE_HZ

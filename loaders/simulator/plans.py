@@ -15,8 +15,7 @@ from ffmap.loaders.simulator.mesh import Spot
 from ffmap.loaders.simulator.settings import SimulationSettings
 
 _CLEAR_OF_BEND_M = 1.4
-_JAMB_M = 0.5
-"""Minimum width of wall beside a doorway, from the neighbouring wall's centre line."""
+_JAMB_M = 0.5  # Minimum width of wall beside a doorway, from the neighbouring wall's centre line
 
 
 @dataclass(frozen=True)
@@ -79,9 +78,7 @@ angle, one that ends in a hall with columns, and three or four rooms for a demon
 
 def draw_plan(settings: SimulationSettings, rng: np.random.Generator) -> Plan:
     """The named building.
-
-    Raises InputError where there is no building of that name.
-    """
+    Raises InputError where there is no building of that name."""
     if settings.building not in BUILDINGS:
         close = get_close_matches(settings.building, BUILDINGS, 1)
         hint = f"did you mean '{close[0]}'? There" if close else "there"
@@ -156,10 +153,8 @@ def _cuts(
     line: FloatArray, lab_m: tuple[float, ...], reach_m: float, skew_m: float, rng: np.random.Generator
 ) -> FloatArray:
     """Where walls between rooms meet the corridor, in metres along its centre line; both ends included.
-
     reach_m: how far the rooms reach from the centre line, to its left if positive; inside a bend they have less space.
-    A gentle bend has a wall at its corner; in a sharp one a room goes around it.
-    """
+    A gentle bend has a wall at its corner; in a sharp one a room goes around it."""
     legs = np.diff(line, axis=0)
     corners = np.append(0.0, np.cumsum(np.linalg.norm(legs, axis=1)))
     turns = np.diff(np.unwrap(np.arctan2(legs[:, 1], legs[:, 0])))

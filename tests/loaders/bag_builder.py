@@ -17,8 +17,7 @@ CLOUD = "sensor_msgs/msg/PointCloud2"
 _CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 VELODYNE = [("x", "f4"), ("y", "f4"), ("z", "f4"), ("intensity", "f4"), ("ring", "u2"), ("time", "f4")]
 
-Entry = tuple[str, int, Any]
-"""Topic, log time, message."""
+Entry = tuple[str, int, Any]  # Topic, log time, message
 
 
 def header(types: dict[str, Any], stamp_ns: int, frame: str) -> Any:
