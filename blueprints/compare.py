@@ -64,10 +64,7 @@ def _differences(
     columns = [rrb.Vertical(*part) for part in (_where(first, other, above), _when(first, other, above, scans)) if part]
     text = rrb.TextDocumentView(origin=entities.CHANGES_TEXT.format(other.letter), name=f"What differs: {other.title}")
     return rrb.Horizontal(
-        *columns,
-        text,
-        column_shares=[3] * len(columns) + [2.4],
-        name=f"{other.letter} against {first.letter}",
+        *columns, text, column_shares=[3] * len(columns) + [2.4], name=f"{other.letter} against {first.letter}"
     )
 
 

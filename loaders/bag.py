@@ -30,11 +30,7 @@ Container = Literal["ros1", "sqlite3", "mcap"]
 Message: TypeAlias = Any  # A message as an object of rosbags: its attributes are the fields of the ROS message
 _T = TypeVar("_T")
 
-_MAGIC: Mapping[bytes, Container] = {
-    b"#ROSBAG V": "ros1",
-    b"\x89MCAP0\r\n": "mcap",
-    b"SQLite format 3\0": "sqlite3",
-}
+_MAGIC: Mapping[bytes, Container] = {b"#ROSBAG V": "ros1", b"\x89MCAP0\r\n": "mcap", b"SQLite format 3\0": "sqlite3"}
 _WAYS_OUT = "give a ROS 1 .bag, a ROS 2 bag folder, an .mcap or a .db3"
 
 

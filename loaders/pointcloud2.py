@@ -374,11 +374,7 @@ def encode_labelled(message: Message, label: UInt8Array, label_scan: UInt8Array)
         replace(field, name=name, offset=step + i, datatype=_UINT8, count=1) for i, name in enumerate(_LABEL_FIELDS)
     ]
     return replace(
-        message,
-        fields=[*kept, *added],
-        point_step=step + 2,
-        row_step=width * (step + 2),
-        data=labelled.reshape(-1),
+        message, fields=[*kept, *added], point_step=step + 2, row_step=width * (step + 2), data=labelled.reshape(-1)
     )
 
 

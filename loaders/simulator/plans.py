@@ -93,7 +93,7 @@ def draw_plan(settings: SimulationSettings, rng: np.random.Generator) -> Plan:
     podium = _place_podium(rooms, doors) if settings.step_m else None
     return Plan(
         tuple(rooms), tuple(doors), tuple(windows), tuple(columns), thickness, outer, outline.corridor, podium,
-        settings.step_m, settings.door_sills_m,
+        settings.step_m, settings.door_sills_m
     )  # fmt: skip
 
 
@@ -226,7 +226,7 @@ def _place_doors(
 
 def _cut_door(
     front: Room, back: Room, ends: FloatArray, between_m: FloatArray, thickness: float,
-    settings: SimulationSettings, rng: np.random.Generator,
+    settings: SimulationSettings, rng: np.random.Generator
 ) -> Door | None:  # fmt: skip
     """A doorway somewhere on a stretch of wall; None where there is no place."""
     leaves = 2 if rng.random() < settings.double_share else 1
@@ -238,7 +238,7 @@ def _cut_door(
     recess = float(rng.uniform(settings.recess_min_m, max(settings.recess_min_m, settings.recess_max_m)))
     return Door(
         spot_on(ends, float(rng.uniform(low, high))), width, 0.0, top, (-thickness / 2, thickness / 2),
-        (front.name, back.name), 0.0, leaves, int(rng.choice([-1, 1])), recess,
+        (front.name, back.name), 0.0, leaves, int(rng.choice([-1, 1])), recess
     )  # fmt: skip
 
 
@@ -260,7 +260,7 @@ def _hang(door: Door, closed: bool, rooms: list[Room], settings: SimulationSetti
 
 def _place_windows(
     rooms: list[Room], doors: list[Door], thickness: float, outer: float, settings: SimulationSettings,
-    rng: np.random.Generator,
+    rng: np.random.Generator
 ) -> list[Window]:  # fmt: skip
     """Windows in rows in the outer walls, and glazed partitions beside doors."""
     windows = []

@@ -100,7 +100,7 @@ class World:
         count = len(origins)
         hits = Hits(
             np.full(count, np.inf, np.float32), np.ones(count, np.float32), np.zeros(count, np.float32),
-            np.full(count, NO_RETURN, np.uint8),
+            np.full(count, NO_RETURN, np.uint8)
         )  # fmt: skip
         rays = np.arange(count)
         travelled, transmitted = np.zeros(count, np.float32), np.ones(count, np.float32)
@@ -163,7 +163,7 @@ def _pane_mirrors(cosine: FloatArray) -> FloatArray:
 
 def scan(
     world: World, lidar: Lidar, trajectory: Trajectory, sweep: int, settings: SimulationSettings,
-    ring_bias_m: FloatArray,
+    ring_bias_m: FloatArray
 ) -> Sweep:  # fmt: skip
     """One revolution, every firing from the pose of its own time.
     trajectory: T_map_base, stamps from the horizontal lidar's first sweep. ring_bias_m: (rings,) range offsets. Its
@@ -200,7 +200,7 @@ def scan(
     truth = np.where(seen, hits.truth, np.uint8(NO_RETURN))
     return Sweep(
         points[order], measured[order], intensity[order], ring[order], firing_ns.ravel()[order].astype(np.int64),
-        truth[order], start_ns, start_ns + round(lidar.period_ns),
+        truth[order], start_ns, start_ns + round(lidar.period_ns)
     )  # fmt: skip
 
 

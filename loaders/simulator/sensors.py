@@ -106,7 +106,7 @@ def mount_lidars(settings: SimulationSettings, rng: np.random.Generator) -> tupl
     names = {
         "velodyne": ("/horizontal_velodyne/velodyne_points", "horizontal_velodyne",
                      "/vertical_velodyne/velodyne_points", "vertical_velodyne"),
-        "ouster": ("/os1_cloud_node1/points", "sensor1/os_sensor", "/os1_cloud_node2/points", "sensor2/os_sensor"),
+        "ouster": ("/os1_cloud_node1/points", "sensor1/os_sensor", "/os1_cloud_node2/points", "sensor2/os_sensor")
     }[model.layout]  # fmt: skip
     return (
         Lidar("horizontal", names[0], names[1], model, upright, nominal_ns * 1.0007, 0),

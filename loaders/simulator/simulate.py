@@ -110,7 +110,7 @@ def draw_scene(settings: SimulationSettings) -> Scene:
 
 def _walkers(
     plan: Plan, terrain: Terrain, avoid: BaseGeometry, settings: SimulationSettings, T_map_plan: FloatArray,
-    rng: np.random.Generator,
+    rng: np.random.Generator
 ) -> tuple[Walker, ...]:  # fmt: skip
     """People who walk back and forth where nothing stands in their way and the robot does not drive."""
     space = plan.free.difference(avoid).buffer(-0.25)
@@ -158,7 +158,7 @@ def simulate(
     return SimulationReport(
         path=out, building=settings.building, rooms=len(scene.plan.rooms), doors=len(scene.plan.doors),
         triangles=len(scene.mesh), clouds=clouds, points=points,
-        size_bytes=sum(file.stat().st_size for file in files), duration_s=settings.duration_s,
+        size_bytes=sum(file.stat().st_size for file in files), duration_s=settings.duration_s
     )  # fmt: skip
 
 

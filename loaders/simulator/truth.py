@@ -31,7 +31,7 @@ def building_truth(plan: Plan, T_map_plan: FloatArray) -> dict[str, Any]:
                 width=round(door.width_m, 4), height=round(door.top_m, 4),
                 recess=round(door.recess_m, 4) if door.closed else None,
                 leaf="double" if door.leaves == 2 else "single", angle_deg=round(door.angle_deg, 1),
-                wall_thickness=round(plan.wall_thickness_m, 4), rooms=list(door.rooms),
+                wall_thickness=round(plan.wall_thickness_m, 4), rooms=list(door.rooms)
             )
         )  # fmt: skip
     for room in plan.rooms:

@@ -46,11 +46,7 @@ def point_dtype(fields: Sequence[tuple[str, str]], big: bool = False, gap: int =
 
 
 def cloud(
-    points: np.ndarray,
-    stamp_ns: int = START_NS,
-    frame: str = "lidar",
-    ros_version: int = 1,
-    row_padding: int = 0,
+    points: np.ndarray, stamp_ns: int = START_NS, frame: str = "lidar", ros_version: int = 1, row_padding: int = 0
 ) -> Any:
     """A PointCloud2 of a structured array, (n,) or (height, width)."""
     types = make_typestore(ros_version).types
