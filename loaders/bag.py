@@ -1,7 +1,6 @@
 """Bags of ROS 1 and ROS 2 behind one interface, read message by message.
 
-Every process opens the bag for itself; all readers find a log time without reading what comes before it.
-"""
+Every process opens the bag for itself; all readers find a log time without reading what comes before it."""
 
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -60,8 +59,7 @@ class Bag:
     topics: by name; those without messages too.
     start_ns, end_ns: log times of the first and the last message; None where there is none.
     warnings: what a user must know about how the bag was opened.
-    typestore: every message type of the bag, to make and to serialise messages.
-    """
+    typestore: every message type of the bag, to make and to serialise messages."""
 
     def __init__(self, path: Path, container: Container, readers: list[Reader], warnings: list[str]) -> None:
         self.path = path

@@ -59,8 +59,7 @@ class CloudInfo:
         stamp that give no scan do not, and how many they are, the commonest first.
     points: valid points and all places of a cloud, medians.
     decoding: how the clouds are read, with layout, rings and times; None where they cannot be, and `problem` says why.
-    rings, times: the same in words.
-    """
+    rings, times: the same in words."""
 
     topic: str
     packets: bool
@@ -86,8 +85,7 @@ class BagInfo:
     start_ns, end_ns: log times; None for an empty bag.
     frames, transforms: what /tf_static (or the unchanging part of /tf) says.
     rig: lidars with their roles and the reasons; None where they cannot be told, and `rig_problem` says why.
-    missing: what the bag lacks and what that means, one line each.
-    """
+    missing: what the bag lacks and what that means, one line each."""
 
     path: Path
     container: Container

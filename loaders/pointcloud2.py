@@ -1,8 +1,7 @@
 """sensor_msgs/PointCloud2 to scans and back: any field order, padding, byte order and numeric type, organised or not.
 
 How a topic's clouds are read (`CloudDecoding`) is settled once, from clouds all over the bag: a single cloud may be too
-poor to tell the unit of its times or how many rings there are.
-"""
+poor to tell the unit of its times or how many rings there are."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -74,8 +73,7 @@ class CloudDecoding:
 
     time: the field of times, its unit and reference; None where there is none, or it tells none.
     time_from: "auto" (the field), "azimuth" (recovered from the direction of each point), "none".
-    period_ns: time of a revolution, from the stamps; None where fewer than two clouds are there.
-    """
+    period_ns: time of a revolution, from the stamps; None where fewer than two clouds are there."""
 
     layout: CloudLayout
     rings: RingModel

@@ -2,8 +2,7 @@
 
 Names do not tell: in one public data set `vertical_velodyne` scans the walls, in another it drives the odometry. The
 lidar whose spin axis is nearest to gravity drives odometry (the "horizontal" lidar: it scans horizontally), the one
-whose spin axis is nearest to level is labelled (the "vertical" lidar).
-"""
+whose spin axis is nearest to level is labelled (the "vertical" lidar)."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -62,8 +61,7 @@ class Rig:
     horizontal: drives odometry; None where the bag has none.
     vertical: is labelled; None where there is nothing to label.
     static_transforms: all that are known, for the results' /tf_static.
-    warnings: what a user must know about the choice.
-    """
+    warnings: what a user must know about the choice."""
 
     base_frame: str
     horizontal: Lidar | None
@@ -122,10 +120,8 @@ def find_rig(
     rig_file: where the lidars sit; None to ask the bag's transforms.
     horizontal, vertical: topics that are to have these roles; None to decide by the spin axes. One topic may have both.
     time_from: where the firings' times come from.
-
     Raises InputError: no clouds, an unknown topic or frame, several lidars and no transforms that join them, a rig file
-    that is not understood.
-    """
+    that is not understood."""
     warnings: list[str] = []
     described = read_rig_file(rig_file) if rig_file else None
     asked = {role: _cloud_topic(bag, name, role) for role, name in _asked(horizontal, vertical)}

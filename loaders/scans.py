@@ -1,8 +1,7 @@
 """From a bag's messages to scans: one cloud a revolution, numbered over the whole bag, read in any slice.
 
 Some recordings hold one PointCloud2 for each UDP packet, some 75 a revolution (Cartographer's backpack): these are
-gathered, a new cloud beginning where the azimuth comes round.
-"""
+gathered, a new cloud beginning where the azimuth comes round."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -38,8 +37,7 @@ class CloudIndex:
     message_count: (m,) int64, messages a revolution; 1 unless the topic has one for each packet.
     earlier: (m,) int64, messages of the topic with the very same log time that come before the revolution's first.
     usable: (m,) bool, False where the stamp repeats or jumps back behind that of an earlier cloud, or jumps ahead of
-        most that follow.
-    """
+        most that follow."""
 
     topic: str
     log_time_ns: IntArray

@@ -1,7 +1,6 @@
 """Text files that users give: read whole, of a bounded size, as TOML, YAML or JSON.
 
-What is no regular file is refused before it is opened: reading a pipe blocks, and a device such as /dev/zero never ends.
-"""
+What is no regular file is refused before it is opened: reading a pipe blocks, and a device such as /dev/zero never ends."""
 
 import json
 import stat

@@ -1,8 +1,7 @@
 """A floor of a building as a plan: rooms, walls with thickness, doors, windows and columns; and its mesh.
 
 Plan frame: metres, the corridor starts at the origin and runs along x, z = 0 is the floor. Rooms partition the floor by
-the walls' centre lines; what the rooms leave of the floor's footprint is wall, so both faces of every wall are real.
-"""
+the walls' centre lines; what the rooms leave of the floor's footprint is wall, so both faces of every wall are real."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

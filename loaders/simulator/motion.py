@@ -1,8 +1,7 @@
 """The robot's drive: along the corridor and back, in and out of rooms through open doors, swaying a little.
 
 A route is a polyline with rounded corners. Progress along it is counted in metres of `hypot(ds, r dθ)` with
-r = speed / turn rate, so that a steady progress keeps both the speed and the turn rate below their limits.
-"""
+r = speed / turn rate, so that a steady progress keeps both the speed and the turn rate below their limits."""
 
 from dataclasses import dataclass
 

@@ -24,8 +24,7 @@ class Outline:
 
     corridor: (n, 2) centre line. width_m: clear width of the corridor. depth_m: of the rooms on its left and right.
     skew_m: how far the walls between rooms lean along the corridor. lab_m: widths of rooms that are labs, left first.
-    hall_m: depth of a hall across the corridor's end, 0 for none.
-    """
+    hall_m: depth of a hall across the corridor's end, 0 for none."""
 
     corridor: FloatArray
     width_m: float

@@ -20,8 +20,7 @@ class SensorModel:
     columns: firings of each emitter a revolution. rate_hz: revolutions a second.
     column_ns: nanoseconds that all emitters take, one after the other, before the next column.
     noise_m: sigma of a range at right angles. max_range_m: of a white wall at right angles.
-    layout: of its driver's PointCloud2.
-    """
+    layout: of its driver's PointCloud2."""
 
     name: Sensor
     elevation_deg: tuple[float, ...]
