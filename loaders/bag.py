@@ -81,6 +81,11 @@ class Bag:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
         self.close()
 
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last message."""
+        return 0.0 if self.start_ns is None or self.end_ns is None else (self.end_ns - self.start_ns) / 1e9
+
     def close(self) -> None:
         """Close the files; messages cannot be read afterwards."""
         for reader in self._readers:

@@ -56,11 +56,6 @@ class CloudLayout:
     ring_field: str | None
     time_field: str | None
 
-    @property
-    def organised(self) -> bool:
-        """Whether the cloud has rows and columns."""
-        return self.height > 1
-
     def dtype(self, name: str) -> np.dtype[Any]:
         """How the values of a field are stored."""
         order = ">" if self.big_endian else "<"
