@@ -7,7 +7,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from ffmap.blueprints import entities
-from ffmap.blueprints.views import Part, aslant, behind_the_robot, from_above, layout, opening_at, space, until_now
+from ffmap.blueprints.views import Part, aslant, behind_the_robot, from_above, layout, opening_at, space
 
 _LEGEND_SHARE = 0.4  # Width left for the legends of curves, as a share of the curves' own: their views are narrow
 
@@ -151,7 +151,6 @@ def _growing_map(run: ComparedRun, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
         [run.path(path) for path in shown],
         eye,
         origin=run.path(entities.WORLD),
-        overrides={run.path(path): until_now() for path in (entities.MAP_POINTS, entities.TRAJECTORY)},
     )
 
 

@@ -245,15 +245,9 @@ LOST_COLOR: Color = (240, 70, 70)
 GAINED_COLOR: Color = (60, 220, 120)
 BACKDROP_COLOR: Color = (86, 90, 98)
 TRANSITION_COLORS: tuple[Color, ...] = (
-    (255, 80, 80),
-    (70, 160, 255),
-    (255, 200, 40),
-    (190, 110, 255),
-    (60, 220, 120),
-    (255, 130, 30),
-    (50, 225, 225),
-    (255, 120, 190),
-)
+    (255, 80, 80), (70, 160, 255), (255, 200, 40), (190, 110, 255),
+    (60, 220, 120), (255, 130, 30), (50, 225, 225), (255, 120, 190),
+)  # fmt: skip
 """The most frequent changes from one label to another take these in turn."""
 OTHER_TRANSITION_COLOR: Color = (170, 170, 170)
 RUN_COLORS: tuple[Color, ...] = ((0, 214, 255), (255, 170, 0), (190, 120, 255), (60, 220, 120), (255, 120, 190))
@@ -288,15 +282,9 @@ ERROR_LEGEND_ENTRIES: tuple[tuple[str, Color], ...] = (
 )
 
 PLANE_COLORS: tuple[Color, ...] = (
-    (31, 186, 140),
-    (214, 110, 40),
-    (126, 118, 220),
-    (231, 60, 148),
-    (122, 186, 40),
-    (240, 190, 30),
-    (90, 170, 240),
-    (170, 110, 70),
-)
+    (31, 186, 140), (214, 110, 40), (126, 118, 220), (231, 60, 148),
+    (122, 186, 40), (240, 190, 30), (90, 170, 240), (170, 110, 70),
+)  # fmt: skip
 """Wall planes take these in turn."""
 REFUSED_CANDIDATE_COLOR: Color = (110, 110, 110)
 FUSED_WALL_COLOR: Color = (190, 190, 190)

@@ -4,7 +4,7 @@ import rerun.blueprint as rrb
 
 from ffmap.algorithms.maps.rivals import Rival
 from ffmap.blueprints import entities
-from ffmap.blueprints.views import following, from_above, layout, space, until_now
+from ffmap.blueprints.views import following, from_above, layout, space
 
 _NAMES = {
     entities.FURNITURE_FREE: "Furniture-free (Fig. 9b): wall black, free white, unseen gray",
@@ -35,4 +35,4 @@ def _map(
     name: str, title: str, centre_m: tuple[float, float], extent_m: float, overlay: list[str]
 ) -> rrb.Spatial3DView:
     contents = [f"{entities.GRID}/{name}", entities.TRAJECTORY, f"{entities.BASE}/**", *overlay]
-    return space(title, contents, from_above(centre_m, extent_m), overrides={entities.TRAJECTORY: until_now()})
+    return space(title, contents, from_above(centre_m, extent_m))

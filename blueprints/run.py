@@ -88,7 +88,7 @@ def _lines() -> rrb.Spatial3DView:
     return _scan_view(
         "Point lines and wall planes; white: the line drawn large",
         [f"{entities.LINES}/**", entities.PLANES, entities.OPENINGS],
-        (entities.OPENINGS, rr.LineStrips3D.from_fields(show_labels=False)),
+        views.WITHOUT_NAMES,
     )
 
 
@@ -96,7 +96,7 @@ def _planes() -> rrb.Spatial3DView:
     return _scan_view(
         "Wall planes and doors of the scan",
         [entities.PLANES, entities.OPENINGS],
-        (entities.OPENINGS, rr.LineStrips3D.from_fields(show_labels=False)),
+        views.WITHOUT_NAMES,
     )
 
 
@@ -129,7 +129,6 @@ def _map(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
             entities.REFUSED_WALLS,
         ],
         aslant(centre_m, extent_m, (-0.35, -0.8, 0.85)),
-        overrides={entities.MAP_POINTS: until_now(), entities.TRAJECTORY: until_now()},
     )
 
 
@@ -139,7 +138,6 @@ def _grid(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
         "Grid map: wall black, free white, unseen gray; doors blue",
         [grid, entities.DOOR_SILLS, entities.TRAJECTORY, f"{entities.BASE}/**"],
         from_above(centre_m, extent_m),
-        overrides={entities.TRAJECTORY: until_now()},
     )
 
 
@@ -172,13 +170,11 @@ def _errors_on_map(centre_m: tuple[float, float], extent_m: float) -> rrb.Contai
             "What is wrong, from above",
             [*plan, f"{entities.PLAN_ERRORS}/**", *trajectory],
             eye,
-            overrides={entities.TRAJECTORY: until_now()},
         ),
         views.space(
             "The same in space",
             [*space, f"{entities.ERRORS}/**", *trajectory],
             aslant(centre_m, extent_m),
-            overrides={entities.TRAJECTORY: until_now()},
         ),
         active_tab=0,
     )

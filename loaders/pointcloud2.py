@@ -177,10 +177,14 @@ def field_column(message: Message, layout: CloudLayout, name: str) -> npt.NDArra
     if 0 in shape:
         # Without points, nothing that the message says of their size has to be true.
         return np.zeros(0, layout.dtype(name))
-    row_step = max(int(message.row_step), layout.width * layout.point_step)
-    data = np.ascontiguousarray(message.data)
-    cloud = np.ndarray(shape, point_dtype(layout), data.data, strides=(row_step, layout.point_step))
-    return cloud[name].reshape(-1)
+    return _rows(message, shape, point_dtype(layout))[name].reshape(-1)
+
+
+def _rows(message: Message, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    """The message's points (height, width) or their bytes (height, width, point_step), without what pads the rows."""
+    step = int(message.point_step)
+    strides = (max(int(message.row_step), shape[1] * step), step, 1)[: len(shape)]
+    return np.ndarray(shape, dtype, np.ascontiguousarray(message.data).data, strides=strides)
 
 
 def _valid_points(message: Message, layout: CloudLayout) -> tuple[FloatArray, IntArray]:
@@ -199,9 +203,7 @@ def _compact(x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray, I
     for i in range(len(x)):
         finite = np.isfinite(x[i]) and np.isfinite(y[i]) and np.isfinite(z[i])
         if finite and (x[i] != 0 or y[i] != 0 or z[i] != 0):
-            points[n, 0] = x[i]
-            points[n, 1] = y[i]
-            points[n, 2] = z[i]
+            points[n, 0], points[n, 1], points[n, 2] = x[i], y[i], z[i]
             index[n] = i
             n += 1
     return points[:n].copy(), index[:n].copy()
@@ -355,10 +357,7 @@ def encode_labelled(message: Message, label: UInt8Array, label_scan: UInt8Array)
         raise ValueError(f"{len(label)} and {len(label_scan)} labels for a cloud of {height} x {width}")
     labelled = np.empty((height, width, step + 2), np.uint8)
     if height * width:
-        row_step = max(int(message.row_step), width * step)
-        data = np.ascontiguousarray(message.data)
-        points = np.ndarray((height, width, step), np.uint8, data.data, strides=(row_step, step, 1))
-        labelled[:, :, :step] = points
+        labelled[:, :, :step] = _rows(message, (height, width, step), np.uint8)
         labelled[:, :, step] = np.reshape(label, (height, width))
         labelled[:, :, step + 1] = np.reshape(label_scan, (height, width))
     kept = [field for field in message.fields if field.name not in _LABEL_FIELDS]
@@ -413,8 +412,5 @@ def _point_blocks(messages: Sequence[Message], layout: CloudLayout) -> Iterator[
         found = describe_layout(message, layout.topic)
         if found.point_step != layout.point_step or found.fields != layout.fields:
             continue
-        shape = (found.height, found.width, found.point_step)
-        row_step = max(int(message.row_step), found.width * found.point_step)
-        data = np.ascontiguousarray(message.data)
-        points = np.ndarray(shape, np.uint8, data.data, strides=(row_step, found.point_step, 1))
+        points = _rows(message, (found.height, found.width, found.point_step), np.uint8)
         yield points.reshape(-1, found.point_step), stamp_ns(message) - start_ns

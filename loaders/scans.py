@@ -297,10 +297,8 @@ def _to_cloud(bag: Bag, group: Sequence[RawMessage], packets: PacketDecoder | No
         if packets:
             return packets.to_cloud(messages[0])
         return messages[0] if len(messages) == 1 else merge_clouds(messages)
-    except CloudError as error:
-        return error
     except InputError as error:
-        return CloudError(str(error))
+        return error if isinstance(error, CloudError) else CloudError(str(error))
 
 
 def read_clouds(

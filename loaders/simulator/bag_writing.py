@@ -79,9 +79,6 @@ class BagWriter:
         if kind is None:
             inner = self._part / self._out.name
             (inner if self._part.is_dir() else self._part).rename(self._out)
-        self._clear()
-
-    def _clear(self) -> None:
         if self._part.is_dir():
             shutil.rmtree(self._part)
         else:

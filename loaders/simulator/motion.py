@@ -4,6 +4,7 @@ A route is a polyline with rounded corners. Progress along it is counted in metr
 r = speed / turn rate, so that a steady progress keeps both the speed and the turn rate below their limits."""
 
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 import shapely
@@ -141,13 +142,9 @@ def _leg(ways: Ways, chosen: list[tuple[float, FloatArray]], forward: bool) -> F
     stops = [(ways.line.project(shapely.Point(place)), place[None]) for place in ways.corridor]
     # A place beside a detour would make the robot go back and forth.
     stops = [stop for stop in stops if all(abs(stop[0] - along) > 0.7 for along, _ in chosen)]
-    points = np.vstack([polyline for _, polyline in sorted(stops + chosen, key=_along, reverse=not forward)])
+    points = np.vstack([polyline for _, polyline in sorted(stops + chosen, key=itemgetter(0), reverse=not forward)])
     moved = np.linalg.norm(np.diff(points, axis=0), axis=1) > 0.05
     return np.asarray(points[np.append(True, moved)])
-
-
-def _along(stop: tuple[float, FloatArray]) -> float:
-    return stop[0]
 
 
 def _cost(route: FloatArray, radius: float) -> float:
@@ -166,7 +163,8 @@ def _follow(route: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
     for i in range(len(legs)):
         turn, rounding = 0.0, 0.0
         if i + 1 < len(legs):
-            turn = float(np.arctan2(_cross(along[i], along[i + 1]), along[i] @ along[i + 1]))
+            (x, y), (next_x, next_y) = along[i], along[i + 1]
+            turn = float(np.arctan2(x * next_y - y * next_x, along[i] @ along[i + 1]))
             if abs(turn) < _SHARPEST_CURVE_RAD:
                 rounding = min(_ROUNDING_M * abs(np.tan(turn / 2)), 0.45 * lengths[i], 0.45 * lengths[i + 1])
         end = route[i + 1] - rounding * along[i]
@@ -189,10 +187,6 @@ def _follow(route: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
     place, angle = np.concatenate(places), np.concatenate(headings)
     step = np.hypot(np.linalg.norm(np.diff(place, axis=0), axis=1), radius * np.abs(np.diff(angle)))
     return place, np.stack([angle, np.append(0.0, np.cumsum(step))], 1)
-
-
-def _cross(a: FloatArray, b: FloatArray) -> float:
-    return float(a[0] * b[1] - a[1] * b[0])
 
 
 def drive(route: FloatArray, end_s: float, settings: SimulationSettings, rng: np.random.Generator) -> Trajectory:
