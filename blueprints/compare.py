@@ -7,10 +7,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from ffmap.blueprints import entities
-from ffmap.blueprints.views import Part, aslant, behind_the_robot, from_above, layout, opening_at, space, until_now
+from ffmap.blueprints.views import Part, aslant, behind_the_robot, from_above, layout, opening_at, space
 
-_LEGEND_SHARE = 0.4
-"""Width left for the legends of curves, as a share of the curves' own: their views are narrow."""
+_LEGEND_SHARE = 0.4  # Width left for the legends of curves, as a share of the curves' own: their views are narrow
 
 
 @dataclass(frozen=True)
@@ -19,8 +18,7 @@ class ComparedRun:
 
     letter: its entities lie below it. scans: whether single scans are there. map_points: whether its growing map is.
     compared: what was compared with the first run: labels, planes, trajectory, walls, doors, grid. differing: of labels,
-    planes and trajectory, what differs.
-    """
+    planes and trajectory, what differs."""
 
     letter: str
     title: str
@@ -46,8 +44,7 @@ def build(
 
     centre_m, extent_m: middle and size of what the maps show. scan: the one to open at; None for the first.
     most_changed: letter of the run whose tab is open at first; None for the first. scans: number of the first and of the
-    last one that curves show; None where that is not known.
-    """
+    last one that curves show; None where that is not known."""
     first, *others = runs
     above = from_above(centre_m, extent_m)
     tabs: list[Part] = [_differences(first, other, above, scans) for other in others]
@@ -65,10 +62,7 @@ def _differences(
     columns = [rrb.Vertical(*part) for part in (_where(first, other, above), _when(first, other, above, scans)) if part]
     text = rrb.TextDocumentView(origin=entities.CHANGES_TEXT.format(other.letter), name=f"What differs: {other.title}")
     return rrb.Horizontal(
-        *columns,
-        text,
-        column_shares=[3] * len(columns) + [2.4],
-        name=f"{other.letter} against {first.letter}",
+        *columns, text, column_shares=[3] * len(columns) + [2.4], name=f"{other.letter} against {first.letter}"
     )
 
 
@@ -157,7 +151,6 @@ def _growing_map(run: ComparedRun, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
         [run.path(path) for path in shown],
         eye,
         origin=run.path(entities.WORLD),
-        overrides={run.path(path): until_now() for path in (entities.MAP_POINTS, entities.TRAJECTORY)},
     )
 
 

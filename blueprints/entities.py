@@ -15,18 +15,13 @@ from ffmap.algorithms.truth.maps import Agreement
 
 APPLICATION_ID = "furniture_free_mapping"
 
-SCAN_TIMELINE = "scan"
-"""Index of the vertical cloud in the bag, skipped ones counted."""
-STAMP_TIMELINE = "stamp"
-"""Header stamp, nanoseconds since 1970."""
+SCAN_TIMELINE = "scan"  # Index of the vertical cloud in the bag, skipped ones counted
+STAMP_TIMELINE = "stamp"  # Header stamp, nanoseconds since 1970
 
 README = "/readme"
-GLANCE = "/glance"
-"""What the first tab shows, in a few words."""
-MESSAGES = "/messages"
-"""Of single scans: why one was skipped, or its registration is weak."""
-WARNINGS = "/warnings"
-"""Of the whole run."""
+GLANCE = "/glance"  # What the first tab shows, in a few words
+MESSAGES = "/messages"  # Of single scans: why one was skipped, or its registration is weak
+WARNINGS = "/warnings"  # Of the whole run
 LABEL_LEGEND = "/legend/labels"
 ERROR_LEGEND = "/legend/errors"
 
@@ -66,10 +61,8 @@ REFUSALS = {
 CLOUD = "/world/building/cloud"
 CLOUD_CEILING = "/world/building/ceiling"
 GRID = "/world/grid"
-FURNITURE_FREE = "furniture_free"
-"""Name of the grid that the run is about; the paper's rivals lie beside it."""
-SEGMENTED = "segmented"
-"""Name of a grid of another system's, of which only the rooms are wanted."""
+FURNITURE_FREE = "furniture_free"  # Name of the grid that the run is about; the paper's rivals lie beside it
+SEGMENTED = "segmented"  # Name of a grid of another system's, of which only the rooms are wanted
 ROOMS = "/world/rooms"
 ROOM_FLOORS, ROOM_OUTLINES, ROOM_NAMES, ROOM_PASSAGES = "floors", "outlines", "names", "passages"
 """What lies below `ROOMS`, and below each of `ROOMS_COMPARED`."""
@@ -81,8 +74,7 @@ ROOMS_COMPARED = "/world/rooms_compared"
 ROOM_GRAPH = "/rooms/graph"
 GRAPH_UNITS_PER_M = 25.0
 """The graph's view writes names in its own units: rooms have to lie as far apart as they are long."""
-OVERLAYS = "/world/overlay"
-"""Below it, for each grid by name, what is right and wrong of it."""
+OVERLAYS = "/world/overlay"  # Below it, for each grid by name, what is right and wrong of it
 
 SCAN = "/scan"
 POINTS = "/scan/points"
@@ -114,8 +106,7 @@ CURVE_EXAMPLE_TEXTS = "/scan/curves/example_texts"
 
 TRUTH_WALLS = "/world/truth/walls"
 TRUTH_DOORS = "/world/truth/doors"
-TRUTH_DOOR_SILLS = "/world/truth/door_sills"
-"""The same doors laid flat: seen from above, upright frames would be slabs."""
+TRUTH_DOOR_SILLS = "/world/truth/door_sills"  # The same doors laid flat: seen from above, upright frames would be slabs
 ERRORS = "/world/errors/space"
 PLAN_ERRORS = "/world/errors/plan"
 INVENTED_DOORS = "/world/errors/invented_doors"
@@ -123,8 +114,7 @@ FIGURES = "/evaluation/figures"
 EVALUATION_HELP = "/evaluation/help"
 SCAN_ERRORS = "/metrics/errors"
 
-CHANGED_POINTS = "/changes/{}/points"
-"""Of the comparison of the first run with this one; its letter is to be filled in."""
+CHANGED_POINTS = "/changes/{}/points"  # Of the comparison of the first run with this one; its letter is to be filled in
 CHANGED_CUBES = "/changes/{}/cubes"
 CHANGED_PERCENT = "/changes/{}/percent"
 CHANGED_PERCENT_SCAN = "/changes/{}/percent_of_single_scans"
@@ -135,11 +125,9 @@ CHANGED_CELLS = "/changes/{}/building/cells"
 POSE_DISTANCE = "/changes/{}/pose_distance_m"
 CHANGES_TEXT = "/changes/{}/text"
 RUNS_TEXT = "/changes/runs"
-PATHS = "/paths"
-"""Below it the trajectory of each run, by its letter."""
+PATHS = "/paths"  # Below it the trajectory of each run, by its letter
 
-LINE_TIMELINE = "line"
-"""Of a recording of one scan: point line 2 × emitter + side."""
+LINE_TIMELINE = "line"  # Of a recording of one scan: point line 2 × emitter + side
 WHY_LINE = "/why/line"
 WHY_SCAN = "/why/scan"
 LINE_SIGHT = "/scan/line/sight"
@@ -147,8 +135,7 @@ LINE_STRUCTURES = "/scan/line/structures"
 LINE_GROWING = "/scan/line/growing_plane"
 LINE_PLANE = "/scan/line/plane"
 LINE_DOOR = "/scan/line/door"
-FAULTS = "/scan/faults"
-"""The returns of an inspected scan that are labelled wrongly."""
+FAULTS = "/scan/faults"  # The returns of an inspected scan that are labelled wrongly
 PROFILE = "/profile"
 PROFILE_SAMPLES = "/profile/samples"
 PROFILE_STRUCTURES = "/profile/structures"
@@ -226,12 +213,9 @@ class Fault(IntEnum):
     """What is wrong with a return's final label, as an inspected scan shows it."""
 
     NONE = 0
-    OF_THE_SCAN = 1
-    """Wrong, and the scan by itself had said the same."""
-    OF_THE_BUILDING = 2
-    """Wrong, and the scan by itself had said something else."""
-    RELABELLED = 3
-    """Another than the scan's own; which of them is right is not known."""
+    OF_THE_SCAN = 1  # Wrong, and the scan by itself had said the same
+    OF_THE_BUILDING = 2  # Wrong, and the scan by itself had said something else
+    RELABELLED = 3  # Another than the scan's own; which of them is right is not known
 
 
 FAULT_CLASSES: dict[int, tuple[str, Color]] = {
@@ -261,15 +245,9 @@ LOST_COLOR: Color = (240, 70, 70)
 GAINED_COLOR: Color = (60, 220, 120)
 BACKDROP_COLOR: Color = (86, 90, 98)
 TRANSITION_COLORS: tuple[Color, ...] = (
-    (255, 80, 80),
-    (70, 160, 255),
-    (255, 200, 40),
-    (190, 110, 255),
-    (60, 220, 120),
-    (255, 130, 30),
-    (50, 225, 225),
-    (255, 120, 190),
-)
+    (255, 80, 80), (70, 160, 255), (255, 200, 40), (190, 110, 255),
+    (60, 220, 120), (255, 130, 30), (50, 225, 225), (255, 120, 190),
+)  # fmt: skip
 """The most frequent changes from one label to another take these in turn."""
 OTHER_TRANSITION_COLOR: Color = (170, 170, 170)
 RUN_COLORS: tuple[Color, ...] = ((0, 214, 255), (255, 170, 0), (190, 120, 255), (60, 220, 120), (255, 120, 190))
@@ -304,15 +282,9 @@ ERROR_LEGEND_ENTRIES: tuple[tuple[str, Color], ...] = (
 )
 
 PLANE_COLORS: tuple[Color, ...] = (
-    (31, 186, 140),
-    (214, 110, 40),
-    (126, 118, 220),
-    (231, 60, 148),
-    (122, 186, 40),
-    (240, 190, 30),
-    (90, 170, 240),
-    (170, 110, 70),
-)
+    (31, 186, 140), (214, 110, 40), (126, 118, 220), (231, 60, 148),
+    (122, 186, 40), (240, 190, 30), (90, 170, 240), (170, 110, 70),
+)  # fmt: skip
 """Wall planes take these in turn."""
 REFUSED_CANDIDATE_COLOR: Color = (110, 110, 110)
 FUSED_WALL_COLOR: Color = (190, 190, 190)
@@ -354,10 +326,8 @@ class Legend:
 
 class CurveSheet:
     """Where the difference curves are drawn, in units of one sample to the right and downwards.
-
     On top one line's curve as in Fig. 5b; below it one small cell for every line: first the lines of side 0, emitter by
-    emitter, then those of side 1.
-    """
+    emitter, then those of side 1."""
 
     SAMPLES = 200
     COLUMNS = 8
@@ -365,8 +335,7 @@ class CurveSheet:
     CELL_HEIGHT = 80
     GAP_Y = 12
     SIDE_GAP = 130
-    LIMIT = 4.0
-    """Differences beyond ±4 are drawn at ±4."""
+    LIMIT = 4.0  # Differences beyond ±4 are drawn at ±4
     WIDTH = COLUMNS * (SAMPLES + GAP_X) - GAP_X
     EXAMPLE_HEIGHT = 420
     TITLE_HEIGHT = 72
@@ -476,9 +445,7 @@ _COLOR_WORDS = ("yellow", "gray", "red", "green", "blue", "magenta")
 
 def explain(record: Mapping[str, Any]) -> str:
     """The recording explained to a stranger, in Markdown.
-
-    record: what `run.json` holds at the start; what is missing there is left out.
-    """
+    record: what `run.json` holds at the start; what is missing there is left out."""
     rig = record.get("rig", {})
     tasks = {"horizontal": "gives the poses", "vertical": "sweeps walls and ceiling and is labelled"}
     lidars = [f"The {role} one, `{rig[role]['topic']}`, {task}." for role, task in tasks.items() if role in rig]
@@ -508,10 +475,8 @@ def explain(record: Mapping[str, Any]) -> str:
 
 # --- a sweep's recording ---
 
-SWEEP_APPLICATION_ID = "furniture_free_mapping_sweep"
-"""Another kind of recording than a run's: its layout is its own."""
-RUN_TIMELINE = "run"
-"""Number of a combination of settings, in the order in which they were proposed."""
+SWEEP_APPLICATION_ID = "furniture_free_mapping_sweep"  # Another kind of recording than a run's: its layout is its own
+RUN_TIMELINE = "run"  # Number of a combination of settings, in the order in which they were proposed
 
 SWEEP_TABLE = "/sweep/table"
 SWEEP_RUN = "/sweep/run"
@@ -533,5 +498,4 @@ class Panel:
     MARGIN_RIGHT = 30.0
     MARGIN_TOP = 26.0
     MARGIN_BOTTOM = 62.0
-    INSET = 24.0
-    """Between the frame and the outermost points."""
+    INSET = 24.0  # Between the frame and the outermost points

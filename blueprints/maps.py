@@ -4,7 +4,7 @@ import rerun.blueprint as rrb
 
 from ffmap.algorithms.maps.rivals import Rival
 from ffmap.blueprints import entities
-from ffmap.blueprints.views import following, from_above, layout, space, until_now
+from ffmap.blueprints.views import following, from_above, layout, space
 
 _NAMES = {
     entities.FURNITURE_FREE: "Furniture-free (Fig. 9b): wall black, free white, unseen gray",
@@ -22,9 +22,7 @@ def build(centre_m: tuple[float, float] = (0.0, 0.0), extent_m: float = 20.0) ->
 
 def tab(centre_m: tuple[float, float], extent_m: float, compared: bool) -> rrb.Container:
     """All maps of a run.
-
-    compared: the recording has what they were compared with, which is laid over the furniture-free map beside it.
-    """
+    compared: the recording has what they were compared with, which is laid over the furniture-free map beside it."""
     views = [_map(name, title, centre_m, extent_m, []) for name, title in _NAMES.items()]
     if compared:
         overlay = [f"{entities.OVERLAYS}/{entities.FURNITURE_FREE}/**"]
@@ -37,4 +35,4 @@ def _map(
     name: str, title: str, centre_m: tuple[float, float], extent_m: float, overlay: list[str]
 ) -> rrb.Spatial3DView:
     contents = [f"{entities.GRID}/{name}", entities.TRAJECTORY, f"{entities.BASE}/**", *overlay]
-    return space(title, contents, from_above(centre_m, extent_m), overrides={entities.TRAJECTORY: until_now()})
+    return space(title, contents, from_above(centre_m, extent_m))

@@ -26,8 +26,7 @@ def build(
 
     ring_count: emitters of the vertical lidar, None where there is nothing to label. centre_m, extent_m: middle and size
     of what the map views show. evaluated: with the errors that `evaluation.rrd` adds, first of all. scans: whether the
-    recording has anything of single scans. several: whether it is to hold for several runs, with the list to choose from.
-    """
+    recording has anything of single scans. several: whether it is to hold for several runs, with the list to choose from."""
     readme = rrb.TextDocumentView(origin=entities.README, name="Read me")
     about: list[Part] = [_metrics(), readme]
     if ring_count is None:
@@ -89,7 +88,7 @@ def _lines() -> rrb.Spatial3DView:
     return _scan_view(
         "Point lines and wall planes; white: the line drawn large",
         [f"{entities.LINES}/**", entities.PLANES, entities.OPENINGS],
-        (entities.OPENINGS, rr.LineStrips3D.from_fields(show_labels=False)),
+        views.WITHOUT_NAMES,
     )
 
 
@@ -97,7 +96,7 @@ def _planes() -> rrb.Spatial3DView:
     return _scan_view(
         "Wall planes and doors of the scan",
         [entities.PLANES, entities.OPENINGS],
-        (entities.OPENINGS, rr.LineStrips3D.from_fields(show_labels=False)),
+        views.WITHOUT_NAMES,
     )
 
 
@@ -130,7 +129,6 @@ def _map(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
             entities.REFUSED_WALLS,
         ],
         aslant(centre_m, extent_m, (-0.35, -0.8, 0.85)),
-        overrides={entities.MAP_POINTS: until_now(), entities.TRAJECTORY: until_now()},
     )
 
 
@@ -140,7 +138,6 @@ def _grid(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
         "Grid map: wall black, free white, unseen gray; doors blue",
         [grid, entities.DOOR_SILLS, entities.TRAJECTORY, f"{entities.BASE}/**"],
         from_above(centre_m, extent_m),
-        overrides={entities.TRAJECTORY: until_now()},
     )
 
 
@@ -173,13 +170,11 @@ def _errors_on_map(centre_m: tuple[float, float], extent_m: float) -> rrb.Contai
             "What is wrong, from above",
             [*plan, f"{entities.PLAN_ERRORS}/**", *trajectory],
             eye,
-            overrides={entities.TRAJECTORY: until_now()},
         ),
         views.space(
             "The same in space",
             [*space, f"{entities.ERRORS}/**", *trajectory],
             aslant(centre_m, extent_m),
-            overrides={entities.TRAJECTORY: until_now()},
         ),
         active_tab=0,
     )

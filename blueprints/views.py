@@ -3,11 +3,13 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import rerun as rr
 import rerun.blueprint as rrb
 
 from ffmap.blueprints import entities
 
 Part = rrb.Container | rrb.View
+WITHOUT_NAMES = (entities.OPENINGS, rr.LineStrips3D.from_fields(show_labels=False))  # An override for doors in view
 
 
 def layout(root: Part, time: rrb.TimePanel, recordings: bool = False) -> rrb.Blueprint:
@@ -29,9 +31,7 @@ def following(timeline: str) -> rrb.TimePanel:
 
 def opening_at(timeline: str, number: int | None) -> rrb.TimePanel:
     """A timeline of numbers that opens at its start, or at one of them.
-
-    A layout cannot place the time cursor; it can play a selection, and one of a single number stays there.
-    """
+    A layout cannot place the time cursor; it can play a selection, and one of a single number stays there."""
     if number is None:
         return rrb.TimePanel(state="collapsed", timeline=timeline, play_state="paused")
     return rrb.TimePanel(
@@ -50,12 +50,16 @@ def space(
     origin: str = entities.WORLD,
     overrides: Mapping[Any, Any] | None = None,
 ) -> rrb.Spatial3DView:
-    """A view in space; eye: None where nothing says how large the place is."""
+    """A view in space; eye: None where nothing says how large the place is. Of trajectory and growing map it shows all up
+    to the time cursor."""
+    growing: dict[Any, Any] = {
+        path: until_now() for path in contents if path.endswith((entities.TRAJECTORY, entities.MAP_POINTS))
+    }
     return rrb.Spatial3DView(
         origin=origin,
         contents=list(contents),
         name=name,
-        overrides=overrides,
+        overrides={**growing, **(overrides or {})},
         eye_controls=eye,
         line_grid=rrb.LineGrid3D(visible=False),
     )

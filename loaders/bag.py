@@ -1,7 +1,6 @@
 """Bags of ROS 1 and ROS 2 behind one interface, read message by message.
 
-Every process opens the bag for itself; all readers find a log time without reading what comes before it.
-"""
+Every process opens the bag for itself; all readers find a log time without reading what comes before it."""
 
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -27,15 +26,10 @@ from ffmap.loaders.recovery import RecoveredMcapReader, RecoveredRos1Reader
 from ffmap.loaders.text_files import require_regular
 
 Container = Literal["ros1", "sqlite3", "mcap"]
-Message: TypeAlias = Any
-"""A message as an object of rosbags: its attributes are the fields of the ROS message."""
+Message: TypeAlias = Any  # A message as an object of rosbags: its attributes are the fields of the ROS message
 _T = TypeVar("_T")
 
-_MAGIC: Mapping[bytes, Container] = {
-    b"#ROSBAG V": "ros1",
-    b"\x89MCAP0\r\n": "mcap",
-    b"SQLite format 3\0": "sqlite3",
-}
+_MAGIC: Mapping[bytes, Container] = {b"#ROSBAG V": "ros1", b"\x89MCAP0\r\n": "mcap", b"SQLite format 3\0": "sqlite3"}
 _WAYS_OUT = "give a ROS 1 .bag, a ROS 2 bag folder, an .mcap or a .db3"
 
 
@@ -65,8 +59,7 @@ class Bag:
     topics: by name; those without messages too.
     start_ns, end_ns: log times of the first and the last message; None where there is none.
     warnings: what a user must know about how the bag was opened.
-    typestore: every message type of the bag, to make and to serialise messages.
-    """
+    typestore: every message type of the bag, to make and to serialise messages."""
 
     def __init__(self, path: Path, container: Container, readers: list[Reader], warnings: list[str]) -> None:
         self.path = path
@@ -88,6 +81,11 @@ class Bag:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
         self.close()
 
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last message."""
+        return 0.0 if self.start_ns is None or self.end_ns is None else (self.end_ns - self.start_ns) / 1e9
+
     def close(self) -> None:
         """Close the files; messages cannot be read afterwards."""
         for reader in self._readers:
@@ -98,9 +96,7 @@ class Bag:
         self, topics: Collection[str], start_ns: int | None = None, stop_ns: int | None = None
     ) -> Iterator[RawMessage]:
         """Messages of these topics in the order of their log time, from `start_ns` until before `stop_ns`.
-
-        Raises InputError where the file turns out to be damaged.
-        """
+        Raises InputError where the file turns out to be damaged."""
 
         def read(reader: Reader) -> Iterator[RawMessage]:
             wanted = [c for c in reader.connections if c.topic in topics]
@@ -158,10 +154,8 @@ class Bag:
 
 def open_bag(path: Path) -> Bag:
     """Open a ROS 1 .bag, a ROS 2 folder (sqlite3 or MCAP, with metadata.yaml or without), a bare .db3 or .mcap.
-
-    A ROS 1 or MCAP file that was cut, or whose recorder was killed, is opened up to the cut, with a warning.
-    Raises InputError where there is no such file, it is no bag, or nothing of it can be read.
-    """
+    A ROS 1 or MCAP file that was cut, or whose recorder was killed, is opened up to the cut, with a warning. Raises
+    InputError where there is no such file, it is no bag, or nothing of it can be read."""
     warnings: list[str] = []
     try:
         if path.is_dir():

@@ -84,9 +84,7 @@ def read_frame_tree(bag: Bag, needed: Iterable[str]) -> FrameTree:
 
 def edges_of(message: Message) -> Iterator[StaticTransform]:
     """The transforms of one TFMessage; those without a rotation or with NaN are left out."""
-    for stamped in message.transforms:
-        if edge := edge_of(stamped):
-            yield edge
+    return filter(None, map(edge_of, message.transforms))
 
 
 def edge_of(stamped: Message) -> StaticTransform | None:

@@ -1,15 +1,16 @@
 """Everything that `ffmap info` says about a bag: what is in it, what it is good for, what is missing."""
 
 from collections import Counter
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ffmap.loaders.bag import Bag, Container, Message, open_bag
+from ffmap.loaders.bag import Bag, Message, open_bag
 from ffmap.loaders.errors import CloudError, InputError
-from ffmap.loaders.frames import FrameTree, StaticTransform, read_frame_tree
+from ffmap.loaders.frames import FrameTree, read_frame_tree
 from ffmap.loaders.packets import PACKET_TYPE
 from ffmap.loaders.pointcloud2 import CloudDecoding, TimeFrom, decode, settle_decoding
 from ffmap.loaders.rig import Rig, find_rig
@@ -27,88 +28,51 @@ from ffmap.loaders.truth import BUILDING_TOPIC, CLASSES_TOPIC, POSE_TOPIC
 
 _SAMPLES = 8
 _GAP_PERIODS = 2.5
-_READ_MAX = 400
-"""Maximum number of a lidar's clouds that are read to the last point: more would take minutes."""
-
-
-@dataclass(frozen=True)
-class TopicInfo:
-    """rate_hz: messages by the bag's length; None for fewer than two."""
-
-    name: str
-    msgtype: str
-    count: int
-    rate_hz: float | None
-
-
-@dataclass(frozen=True)
-class Gap:
-    """A pause between two clouds; start_ns is the stamp of the last one before it."""
-
-    start_ns: int
-    duration_ns: int
+_READ_MAX = 400  # Maximum number of a lidar's clouds that are read to the last point: more would take minutes
 
 
 @dataclass(frozen=True, eq=False)
 class CloudInfo:
     """A topic with clouds.
 
-    frame_id: with the bag's own spelling but for a leading slash; empty where no cloud can be read.
-    cloud_count: revolutions; messages_per_cloud is above 1 where each message is a packet's worth.
-    unusable_count: clouds whose stamps repeat or jump.
+    packets: whether they are raw packets. points: valid points and all places of a cloud, medians.
     read_count: clouds from all over the bag that were read to the last point; bad_clouds: why those of them with a right
         stamp that give no scan do not, and how many they are, the commonest first.
-    points: valid points and all places of a cloud, medians.
-    decoding: how the clouds are read, with layout, rings and times; None where they cannot be, and `problem` says why.
-    rings, times: the same in words.
-    """
+    decoding: how the clouds are read; None where they cannot be, and `problem` says why."""
 
-    topic: str
+    index: CloudIndex
     packets: bool
-    frame_id: str
-    cloud_count: int
-    messages_per_cloud: float
-    rate_hz: float | None
     points: tuple[int, int]
-    unusable_count: int
     read_count: int
     bad_clouds: tuple[tuple[str, int], ...]
-    gaps: tuple[Gap, ...]
     decoding: CloudDecoding | None
-    rings: str
-    times: str
     problem: str | None
+
+    @property
+    def gaps(self) -> list[tuple[int, int]]:
+        """Pauses between two clouds: stamp of the last one before it, and how long it is, in nanoseconds."""
+        stamps = self.index.stamp_ns[self.index.usable]
+        steps = np.diff(stamps)
+        places = np.flatnonzero(steps > _GAP_PERIODS * (self.index.period_ns or np.inf))
+        return [(int(stamps[i]), int(steps[i])) for i in places]
 
 
 @dataclass(frozen=True, eq=False)
 class BagInfo:
-    """A bag as `ffmap info` prints it.
+    """A bag, closed, as `ffmap info` prints it.
 
-    start_ns, end_ns: log times; None for an empty bag.
-    frames, transforms: what /tf_static (or the unchanging part of /tf) says.
+    tree: what /tf_static (or the unchanging part of /tf) says.
     rig: lidars with their roles and the reasons; None where they cannot be told, and `rig_problem` says why.
-    missing: what the bag lacks and what that means, one line each.
-    """
+    missing: what the bag lacks and what that means, one line each."""
 
-    path: Path
-    container: Container
-    ros_version: int
+    bag: Bag
     size_bytes: int
-    start_ns: int | None
-    end_ns: int | None
-    topics: tuple[TopicInfo, ...]
     clouds: tuple[CloudInfo, ...]
-    frames: tuple[str, ...]
-    transforms: tuple[StaticTransform, ...]
+    tree: FrameTree
     rig: Rig | None
     rig_problem: str | None
     missing: tuple[str, ...]
     warnings: tuple[str, ...]
-
-    @property
-    def duration_s(self) -> float:
-        """From the first to the last message."""
-        return 0.0 if self.start_ns is None or self.end_ns is None else (self.end_ns - self.start_ns) / 1e9
 
 
 def describe_bag(
@@ -119,13 +83,10 @@ def describe_bag(
     time_from: TimeFrom = "auto",
 ) -> BagInfo:
     """Look a bag over; the options are those of `find_rig`.
-
-    Raises InputError where the bag cannot be opened, or does not fit what is said of it.
-    """
+    Raises InputError where the bag cannot be opened, or does not fit what is said of it."""
     with open_bag(path) as bag:
-        indexes = {topic: index_clouds(bag, topic) for topic in cloud_topics(bag)}
-        clouds = tuple(_describe_cloud(bag, index, time_from) for index in indexes.values())
-        tree = read_frame_tree(bag, {cloud.frame_id for cloud in clouds if cloud.frame_id})
+        clouds = tuple(_describe_cloud(bag, topic, time_from) for topic in cloud_topics(bag))
+        tree = read_frame_tree(bag, {c.decoding.layout.frame_id for c in clouds if c.decoding} - {""})
         rig, problem = None, None
         try:
             rig = find_rig(bag, rig_file, horizontal, vertical, time_from)
@@ -134,41 +95,21 @@ def describe_bag(
             if any(word is not None for word in (rig_file, horizontal, vertical)):
                 raise
             problem = str(error)
-        return BagInfo(
-            path=path,
-            container=bag.container,
-            ros_version=bag.ros_version,
-            size_bytes=sum(p.stat().st_size for p in path.iterdir()) if path.is_dir() else path.stat().st_size,
-            start_ns=bag.start_ns,
-            end_ns=bag.end_ns,
-            topics=_topics(bag),
-            clouds=clouds,
-            frames=tuple(tree.frames),
-            transforms=tree.edges,
-            rig=rig,
-            rig_problem=problem,
-            missing=tuple(_missing(bag, clouds, tree, rig)),
-            warnings=(*bag.warnings, *(rig.warnings if rig else ()), *_clock_warnings(rig, indexes)),
-        )
+        size = sum(p.stat().st_size for p in path.iterdir()) if path.is_dir() else path.stat().st_size
+        warnings = (*bag.warnings, *(rig.warnings if rig else ()), *_clock_warnings(rig, clouds))
+        return BagInfo(bag, size, clouds, tree, rig, problem, tuple(_missing(bag, clouds, tree, rig)), warnings)
 
 
-def _clock_warnings(rig: Rig | None, indexes: dict[str, CloudIndex]) -> tuple[str, ...]:
+def _clock_warnings(rig: Rig | None, clouds: Sequence[CloudInfo]) -> list[str]:
     if rig is None or rig.horizontal is None or rig.vertical is None:
-        return ()
+        return []
+    indexes = {cloud.index.topic: cloud.index for cloud in clouds}
     problem = clock_problem(indexes[rig.horizontal.topic], indexes[rig.vertical.topic])
-    return () if problem is None else (problem,)
+    return [problem] if problem else []
 
 
-def _topics(bag: Bag) -> tuple[TopicInfo, ...]:
-    seconds = 0.0 if bag.start_ns is None or bag.end_ns is None else (bag.end_ns - bag.start_ns) / 1e9
-    return tuple(
-        TopicInfo(t.name, t.msgtype, t.count, (t.count - 1) / seconds if t.count > 1 and seconds > 0 else None)
-        for t in bag.topics.values()
-    )
-
-
-def _describe_cloud(bag: Bag, index: CloudIndex, time_from: TimeFrom) -> CloudInfo:
-    topic = index.topic
+def _describe_cloud(bag: Bag, topic: str, time_from: TimeFrom) -> CloudInfo:
+    index = index_clouds(bag, topic)
     messages = sample_messages(bag, index, _SAMPLES)
     decoding, problem = None, stamp_problem(index)
     try:
@@ -177,25 +118,9 @@ def _describe_cloud(bag: Bag, index: CloudIndex, time_from: TimeFrom) -> CloudIn
         problem = str(error)
     counts = _point_counts(messages, decoding) if decoding else []
     read_count, bad_clouds = _bad_clouds(bag, index, decoding) if decoding else (0, ())
-    period_ns = index.period_ns
     valid, places = np.median(counts, axis=0).astype(int).tolist() if counts else (0, 0)
-    return CloudInfo(
-        topic=topic,
-        packets=bag.topics[topic].msgtype == PACKET_TYPE,
-        frame_id=decoding.layout.frame_id if decoding else "",
-        cloud_count=len(index),
-        messages_per_cloud=float(np.median(index.message_count)) if len(index) else 0.0,
-        rate_hz=1e9 / period_ns if period_ns else None,
-        points=(valid, places),
-        unusable_count=int(np.count_nonzero(~index.usable)),
-        read_count=read_count,
-        bad_clouds=bad_clouds,
-        gaps=_gaps(index),
-        decoding=decoding,
-        rings=_ring_words(decoding) if decoding else "",
-        times=_time_words(decoding) if decoding else "",
-        problem=problem,
-    )
+    packets = bag.topics[topic].msgtype == PACKET_TYPE
+    return CloudInfo(index, packets, (valid, places), read_count, bad_clouds, decoding, problem)
 
 
 def _point_counts(messages: list[Message], decoding: CloudDecoding) -> list[tuple[int, int]]:
@@ -222,16 +147,8 @@ def _bad_clouds(bag: Bag, index: CloudIndex, decoding: CloudDecoding) -> tuple[i
     return read_count, tuple(reasons.most_common())
 
 
-def _gaps(index: CloudIndex) -> tuple[Gap, ...]:
-    stamps = index.stamp_ns[index.usable]
-    steps = np.diff(stamps)
-    if not index.period_ns:
-        return ()
-    places = np.flatnonzero(steps > _GAP_PERIODS * index.period_ns)
-    return tuple(Gap(int(stamps[i]), int(steps[i])) for i in places)
-
-
-def _ring_words(decoding: CloudDecoding) -> str:
+def ring_words(decoding: CloudDecoding) -> str:
+    """How many rings there are, at which elevations, and where they come from."""
     rings = decoding.rings
     seen = rings.elevation_deg[np.isfinite(rings.elevation_deg)]
     span = f", {seen[0]:+.1f} to {seen[-1]:+.1f} deg" if len(seen) else ""
@@ -245,7 +162,8 @@ def _ring_words(decoding: CloudDecoding) -> str:
     return f"{rings.count} rings{span} ({source})"
 
 
-def _time_words(decoding: CloudDecoding) -> str:
+def time_words(decoding: CloudDecoding) -> str:
+    """Where the times of the firings come from."""
     time = decoding.time
     if decoding.time_from == "azimuth":
         return "recovered from the azimuth"
@@ -263,27 +181,23 @@ def _time_words(decoding: CloudDecoding) -> str:
 
 
 def _missing(bag: Bag, clouds: tuple[CloudInfo, ...], tree: FrameTree, rig: Rig | None) -> list[str]:
-    lines = []
     if bag.start_ns is None:
         return ["messages: the bag is empty"]
+    lines = []
     if not clouds:
         lines.append("clouds: without sensor_msgs/PointCloud2 or velodyne_msgs/VelodyneScan there is nothing to do")
     for cloud in clouds:
-        if cloud.decoding is None:
-            continue
-        if cloud.decoding.rings.source not in ("field", "row", "column"):
-            lines.append(f"rings on {cloud.topic}: {cloud.rings}")
-        if cloud.decoding.time is None:
+        decoding, topic = cloud.decoding, cloud.index.topic
+        if decoding and decoding.rings.source not in ("field", "row", "column"):
+            lines.append(f"rings on {topic}: {ring_words(decoding)}")
+        if decoding and decoding.time is None:
             lines.append(
-                f"times on {cloud.topic}: motion compensation is off; --time-from azimuth recovers them unless the "
-                "clouds are compensated already"
+                f"times on {topic}: motion compensation is off; --time-from azimuth recovers them unless the clouds are "
+                "compensated already"
             )
     if clouds and not tree.edges:
-        lines.append(
-            "transforms: one lidar needs none"
-            if len(clouds) == 1
-            else "transforms: several lidars need --rig FILE.toml"
-        )
+        needed = "one lidar needs none" if len(clouds) == 1 else "several lidars need --rig FILE.toml"
+        lines.append(f"transforms: {needed}")
     if rig and rig.vertical is None:
         lines.append("a vertical lidar: there is a trajectory and a recording, and nothing to label")
     if not any(name in bag.topics for name in (POSE_TOPIC, CLASSES_TOPIC, BUILDING_TOPIC)):

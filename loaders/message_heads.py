@@ -1,8 +1,7 @@
 """The first bytes of every message of a topic, without reading the rest.
 
 A cloud is 1.5 MB, its header 40 bytes: to know all stamps of a bag, only the headers are read where the container lets
-one seek. Where it does not (compressed chunks), the messages are read and cut.
-"""
+one seek. Where it does not (compressed chunks), the messages are read and cut."""
 
 import os
 import struct
@@ -19,11 +18,9 @@ from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 Reader = Ros1Reader | Ros2Reader | McapReader | Sqlite3Reader
-Head = tuple[int, bytes]
-"""Log time in nanoseconds; the message's first bytes."""
+Head = tuple[int, bytes]  # Log time in nanoseconds; the message's first bytes
 
-_ROS1_RECORD_BYTES = 96
-"""More than a message record's own header takes."""
+_ROS1_RECORD_BYTES = 96  # More than a message record's own header takes
 
 
 def read_heads(reader: Reader, connections: Collection[Connection], size: int) -> Iterator[Head]:

@@ -12,14 +12,8 @@ from ffmap.loaders.errors import CloudError
 
 PACKET_TYPE = "velodyne_msgs/msg/VelodyneScan"
 
-_POINT = np.dtype(
-    {
-        "names": ["x", "y", "z", "intensity", "ring", "time"],
-        "formats": ["<f4", "<f4", "<f4", "<f4", "<u2", "<f4"],
-        "offsets": [0, 4, 8, 12, 16, 18],
-        "itemsize": 22,
-    }
-)
+_FORMATS = {"x": "<f4", "y": "<f4", "z": "<f4", "intensity": "<f4", "ring": "<u2", "time": "<f4"}
+_POINT = np.dtype(list(_FORMATS.items()))
 _FLOAT32, _UINT16 = 7, 4
 # Added to the packets' times: the decoder takes a stamp of 0 for a missing one.
 _ANY_TIME_S = 1000.0
@@ -41,9 +35,7 @@ class PacketDecoder:
 
     def to_cloud(self, scan: Message) -> Message:
         """The returns of one revolution as a PointCloud2: x y z intensity ring time, time in seconds from the stamp.
-
-        Raises CloudError where the packets are of no sensor that velodyne-decoder knows.
-        """
+        Raises CloudError where the packets are of no sensor that velodyne-decoder knows."""
         stamp = scan.header.stamp
         packets = velodyne_decoder.PacketVector()
         for packet in scan.packets:
@@ -59,18 +51,12 @@ class PacketDecoder:
                     "and record its PointCloud2"
                 ) from error
             points = np.zeros(len(decoded), _POINT)
-            for name in ("x", "y", "z", "intensity", "ring"):
-                points[name] = decoded[name]
+            points[["x", "y", "z", "intensity", "ring"]] = decoded[["x", "y", "z", "intensity", "ring"]]
             points["time"] = decoded["time"] + np.float32(float(start.host) - _ANY_TIME_S)
         field = self._types["sensor_msgs/msg/PointField"]
         fields = [
-            field(
-                name=name,
-                offset=_POINT.fields[name][1],  # type: ignore[index]
-                datatype=_UINT16 if name == "ring" else _FLOAT32,
-                count=1,
-            )
-            for name in _POINT.names or ()
+            field(name, offset, _UINT16 if name == "ring" else _FLOAT32, 1)
+            for name, (_, offset, *_) in (_POINT.fields or {}).items()
         ]
         return self._types["sensor_msgs/msg/PointCloud2"](
             header=scan.header,

@@ -1,8 +1,7 @@
 """sensor_msgs/PointCloud2 to scans and back: any field order, padding, byte order and numeric type, organised or not.
 
 How a topic's clouds are read (`CloudDecoding`) is settled once, from clouds all over the bag: a single cloud may be too
-poor to tell the unit of its times or how many rings there are.
-"""
+poor to tell the unit of its times or how many rings there are."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -29,8 +28,7 @@ _UINT8 = 2
 _LABEL_FIELDS = ("label", "label_scan")
 _SPANS_MAX = 2.0
 """Maximum span of a cloud's times, in sweeps: longer ones overlap the next clouds, so that the times must be wrong."""
-_NUMBER_MAX = 2.0**31
-"""Higher numbers are not rings, and do not fit into integers."""
+_NUMBER_MAX = 2.0**31  # Higher numbers are not rings, and do not fit into integers
 
 
 @dataclass(frozen=True)
@@ -46,9 +44,7 @@ class CloudField:
 @dataclass(frozen=True)
 class CloudLayout:
     """What a cloud message says about its points.
-
-    ring_field, time_field: the names of the fields that hold them; None where there is none.
-    """
+    ring_field, time_field: the names of the fields that hold them; None where there is none."""
 
     topic: str
     frame_id: str
@@ -59,11 +55,6 @@ class CloudLayout:
     width: int
     ring_field: str | None
     time_field: str | None
-
-    @property
-    def organised(self) -> bool:
-        """Whether the cloud has rows and columns."""
-        return self.height > 1
 
     def dtype(self, name: str) -> np.dtype[Any]:
         """How the values of a field are stored."""
@@ -77,8 +68,7 @@ class CloudDecoding:
 
     time: the field of times, its unit and reference; None where there is none, or it tells none.
     time_from: "auto" (the field), "azimuth" (recovered from the direction of each point), "none".
-    period_ns: time of a revolution, from the stamps; None where fewer than two clouds are there.
-    """
+    period_ns: time of a revolution, from the stamps; None where fewer than two clouds are there."""
 
     layout: CloudLayout
     rings: RingModel
@@ -187,10 +177,14 @@ def field_column(message: Message, layout: CloudLayout, name: str) -> npt.NDArra
     if 0 in shape:
         # Without points, nothing that the message says of their size has to be true.
         return np.zeros(0, layout.dtype(name))
-    row_step = max(int(message.row_step), layout.width * layout.point_step)
-    data = np.ascontiguousarray(message.data)
-    cloud = np.ndarray(shape, point_dtype(layout), data.data, strides=(row_step, layout.point_step))
-    return cloud[name].reshape(-1)
+    return _rows(message, shape, point_dtype(layout))[name].reshape(-1)
+
+
+def _rows(message: Message, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    """The message's points (height, width) or their bytes (height, width, point_step), without what pads the rows."""
+    step = int(message.point_step)
+    strides = (max(int(message.row_step), shape[1] * step), step, 1)[: len(shape)]
+    return np.ndarray(shape, dtype, np.ascontiguousarray(message.data).data, strides=strides)
 
 
 def _valid_points(message: Message, layout: CloudLayout) -> tuple[FloatArray, IntArray]:
@@ -209,9 +203,7 @@ def _compact(x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray, I
     for i in range(len(x)):
         finite = np.isfinite(x[i]) and np.isfinite(y[i]) and np.isfinite(z[i])
         if finite and (x[i] != 0 or y[i] != 0 or z[i] != 0):
-            points[n, 0] = x[i]
-            points[n, 1] = y[i]
-            points[n, 2] = z[i]
+            points[n, 0], points[n, 1], points[n, 2] = x[i], y[i], z[i]
             index[n] = i
             n += 1
     return points[:n].copy(), index[:n].copy()
@@ -226,9 +218,7 @@ def settle_decoding(
     messages: Sequence[Message], topic: str, time_from: TimeFrom = "auto", period_ns: int | None = None
 ) -> CloudDecoding:
     """How the clouds of a topic are to be read, from some of them, best from all over the bag.
-
-    Raises CloudError where none of them is sound.
-    """
+    Raises CloudError where none of them is sound."""
     layouts, ring_samples, time_samples = [], [], []
     failure: CloudError | None = None
     for message in messages:
@@ -269,9 +259,7 @@ def _ring_numbers(message: Message, layout: CloudLayout, index: IntArray) -> Int
 
 def _numbers(message: Message, layout: CloudLayout, rings: RingModel, index: IntArray) -> IntArray | None:
     """What tells the ring of each valid point (n,), as the topic's other clouds have it; None where elevations tell it.
-
-    Raises CloudError where this cloud has it not, or has numbers that those have not.
-    """
+    Raises CloudError where this cloud has it not, or has numbers that those have not."""
     match rings.source:
         case "field":
             if not layout.ring_field:
@@ -295,9 +283,7 @@ def _numbers(message: Message, layout: CloudLayout, rings: RingModel, index: Int
 
 def decode(message: Message, decoding: CloudDecoding) -> Scan:
     """The cloud as a scan: invalid points dropped, ring and time aligned with what is left.
-
-    A scan without any valid point is returned empty. Raises CloudError where the message contradicts itself.
-    """
+    A scan without any valid point is returned empty. Raises CloudError where the message contradicts itself."""
     layout = describe_layout(message, decoding.layout.topic)
     points, index = _valid_points(message, layout)
     ring = decoding.rings.rings(points, _numbers(message, layout, decoding.rings, index))
@@ -364,19 +350,14 @@ def full_labels(scan: Scan, label: UInt8Array) -> UInt8Array:
 
 def encode_labelled(message: Message, label: UInt8Array, label_scan: UInt8Array) -> Message:
     """The same cloud with two uint8 fields more, `label` and `label_scan`, at the end of each point.
-
-    label, label_scan: (height x width,) in the cloud's order; see `full_labels`.
-    Stamp, points, their order and the other fields stay as they are; padding at the end of rows goes.
-    """
+    label, label_scan: (height x width,) in the cloud's order; see `full_labels`. Stamp, points, their order and the
+    other fields stay as they are; padding at the end of rows goes."""
     height, width, step = int(message.height), int(message.width), int(message.point_step)
     if not len(label) == len(label_scan) == height * width:
         raise ValueError(f"{len(label)} and {len(label_scan)} labels for a cloud of {height} x {width}")
     labelled = np.empty((height, width, step + 2), np.uint8)
     if height * width:
-        row_step = max(int(message.row_step), width * step)
-        data = np.ascontiguousarray(message.data)
-        points = np.ndarray((height, width, step), np.uint8, data.data, strides=(row_step, step, 1))
-        labelled[:, :, :step] = points
+        labelled[:, :, :step] = _rows(message, (height, width, step), np.uint8)
         labelled[:, :, step] = np.reshape(label, (height, width))
         labelled[:, :, step + 1] = np.reshape(label_scan, (height, width))
     kept = [field for field in message.fields if field.name not in _LABEL_FIELDS]
@@ -385,20 +366,14 @@ def encode_labelled(message: Message, label: UInt8Array, label_scan: UInt8Array)
         replace(field, name=name, offset=step + i, datatype=_UINT8, count=1) for i, name in enumerate(_LABEL_FIELDS)
     ]
     return replace(
-        message,
-        fields=[*kept, *added],
-        point_step=step + 2,
-        row_step=width * (step + 2),
-        data=labelled.reshape(-1),
+        message, fields=[*kept, *added], point_step=step + 2, row_step=width * (step + 2), data=labelled.reshape(-1)
     )
 
 
 def merge_clouds(messages: Sequence[Message]) -> Message:
     """One cloud of several that belong to one revolution, in order; stamp and header of the first.
-
-    Their field of times becomes one of the whole revolution (`join_times`). Where they have none, a field `time` (float32,
-    seconds from the first stamp) is appended: each cloud's own stamp is the time of its points.
-    """
+    Their field of times becomes one of the whole revolution (`join_times`). Where they have none, a field `time`
+    (float32, seconds from the first stamp) is appended: each cloud's own stamp is the time of its points."""
     # A part without points may say anything of their layout.
     first = replace(next((m for m in messages if m.width * m.height), messages[0]), header=messages[0].header)
     layout = describe_layout(first, "")
@@ -437,8 +412,5 @@ def _point_blocks(messages: Sequence[Message], layout: CloudLayout) -> Iterator[
         found = describe_layout(message, layout.topic)
         if found.point_step != layout.point_step or found.fields != layout.fields:
             continue
-        shape = (found.height, found.width, found.point_step)
-        row_step = max(int(message.row_step), found.width * found.point_step)
-        data = np.ascontiguousarray(message.data)
-        points = np.ndarray(shape, np.uint8, data.data, strides=(row_step, found.point_step, 1))
+        points = _rows(message, (found.height, found.width, found.point_step), np.uint8)
         yield points.reshape(-1, found.point_step), stamp_ns(message) - start_ns

@@ -1,7 +1,6 @@
 """Readers for bags that were cut: the index that the file lost is rebuilt from its records, the points stay on disk.
 
-Both are rosbags' own readers with another way to open: what follows the index is theirs.
-"""
+Both are rosbags' own readers with another way to open: what follows the index is theirs."""
 
 import bz2
 import heapq
@@ -159,8 +158,7 @@ def _read_ros1_record(stream: IO[bytes], position: int, end: int) -> _Ros1Record
 class RecoveredMcapReader(McapReader):
     """An MCAP file without summary: cut, or its recorder was killed. Whole messages before the cut are kept."""
 
-    _tail: tuple[int, str] | None = None
-    """Where the content of the last, cut chunk begins, and its compression."""
+    _tail: tuple[int, str] | None = None  # Where the content of the last, cut chunk begins, and its compression
 
     def _open(self) -> None:
         assert self.bio

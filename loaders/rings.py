@@ -1,8 +1,7 @@
 """Which emitter fired each point: from the cloud's ring field, its rows, or the elevation angles.
 
 Drivers number rings upwards (Velodyne), downwards (Ouster) or in firing order; here ring 0 is always the lowest. The
-model is made once, from clouds all over the bag, and serves every scan, so that rings do not change their numbers.
-"""
+model is made once, from clouds all over the bag, and serves every scan, so that rings do not change their numbers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,10 +18,8 @@ RingSource = Literal["field", "row", "column", "elevation", "bins"]
 _MOST_RINGS = 512
 _STANDARD_COUNTS = (8, 16, 32, 40, 64, 80, 128)
 _BIN_DEG = 0.01
-_SWAP_DEG = 0.2
-"""Neighbouring rings whose elevations differ by less may be out of order by noise alone."""
-_NEAR_M = 1.0
-"""Nearer returns are left out of the estimate: the emitters' offset from the origin turns their elevation."""
+_SWAP_DEG = 0.2  # Neighbouring rings whose elevations differ by less may be out of order by noise alone
+_NEAR_M = 1.0  # Nearer returns are left out of the estimate: the emitters' offset from the origin turns their elevation
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +30,7 @@ class RingModel:
         elevation angle), or "bins" (no clusters to be found: slices of equal elevation, good for odometry only).
     elevation_deg: (count,) float64, each ring's elevation, ascending; NaN where it returned nothing.
     lookup: (values,) uint16, from the field's value, the row or the column to the ring; empty for elevations.
-    edge_tan: (count - 1,) float64, tangents of the elevations between the rings; empty but for elevations.
-    """
+    edge_tan: (count - 1,) float64, tangents of the elevations between the rings; empty but for elevations."""
 
     source: RingSource
     elevation_deg: FloatArray

@@ -1,7 +1,6 @@
 """Text files that users give: read whole, of a bounded size, as TOML, YAML or JSON.
 
-What is no regular file is refused before it is opened: reading a pipe blocks, and a device such as /dev/zero never ends.
-"""
+What is no regular file is refused before it is opened: reading a pipe blocks, and a device such as /dev/zero never ends."""
 
 import json
 import stat
@@ -14,8 +13,7 @@ import yaml
 
 from ffmap.loaders.errors import InputError, shortened
 
-TEXT_BYTES_MAX = 64 << 20
-"""A trajectory of 100 hours at 10 Hz has 40 MB."""
+TEXT_BYTES_MAX = 64 << 20  # A trajectory of 100 hours at 10 Hz has 40 MB
 SETTINGS_BYTES_MAX = 64 << 10
 """Of a file that a person writes: all settings with their descriptions have 18 kB; YAML of 100 kB takes a second."""
 SETTINGS_LINE_MAX = 1000
@@ -23,10 +21,8 @@ SETTINGS_LINE_MAX = 1000
 
 
 def require_regular(path: Path, advice: str, what: str = "") -> None:
-    """Raises InputError where `path` is not there, or is a folder, a pipe or a device.
-
-    advice: what the user can do; the end of the error's line. what: its beginning, where the path alone says too little.
-    """
+    """Raises InputError where `path` is not there, or is a folder, a pipe or a device. advice: what the user can do;
+    the end of the error's line. what: its beginning, where the path alone says too little."""
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
@@ -44,11 +40,8 @@ def _kind(mode: int) -> str:
 
 
 def read_text(path: Path, advice: str, bytes_max: int = TEXT_BYTES_MAX) -> str:
-    """The text of a UTF-8 file.
-
-    advice: what the user can do, as "give a TUM file"; it ends the one line of every InputError.
-    Raises InputError where it is no file of text, cannot be read, or has more than `bytes_max` bytes.
-    """
+    """The text of a UTF-8 file. advice: what the user can do, as "give a TUM file"; it ends the one line of every
+    InputError. Raises InputError where it is no file of text, cannot be read, or has more than `bytes_max` bytes."""
     require_regular(path, advice)
     try:
         if path.stat().st_size > bytes_max:

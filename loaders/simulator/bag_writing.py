@@ -11,14 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 from rosbags import rosbag1, rosbag2
-from rosbags.interfaces import (
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
@@ -37,17 +30,15 @@ _OUSTER = [("x", 0, _FLOAT32), ("y", 4, _FLOAT32), ("z", 8, _FLOAT32), ("intensi
 _LATCHED = (
     Qos(
         QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, QosTime(0, 0), QosTime(0, 0),
-        QosLiveliness.AUTOMATIC, QosTime(0, 0), False,
+        QosLiveliness.AUTOMATIC, QosTime(0, 0), False
     ),
 )  # fmt: skip
 
 
 class BagWriter:
     """Messages of a drive into one of the containers, in the order in which they are given.
-
-    Written under another name; `close` gives it its own, leaving by an exception removes it.
-    Raises InputError where the place is taken or cannot be written.
-    """
+    Written under another name; `close` gives it its own, leaving by an exception removes it. Raises InputError where
+    the place is taken or cannot be written."""
 
     def __init__(self, out: Path, container: Container) -> None:
         if out.exists():
@@ -88,9 +79,6 @@ class BagWriter:
         if kind is None:
             inner = self._part / self._out.name
             (inner if self._part.is_dir() else self._part).rename(self._out)
-        self._clear()
-
-    def _clear(self) -> None:
         if self._part.is_dir():
             shutil.rmtree(self._part)
         else:
@@ -131,7 +119,7 @@ class BagWriter:
         width, step = len(rows) // height, rows.dtype.itemsize
         return self._new(
             "sensor_msgs/msg/PointCloud2", self._header(stamp_ns, frame_id), height, width, described, False, step,
-            step * width, rows.view(np.uint8), height == 1,
+            step * width, rows.view(np.uint8), height == 1
         )  # fmt: skip
 
     def cloud(self, lidar: Lidar, sweep: Sweep, epoch_ns: int) -> Any:  # noqa: ANN401
@@ -161,7 +149,7 @@ class BagWriter:
         stamped = [
             self._new(
                 "geometry_msgs/msg/TransformStamped", self._header(stamp_ns, base_frame), child,
-                self._new("geometry_msgs/msg/Transform", self._vector(T), self._quaternion(T)),
+                self._new("geometry_msgs/msg/Transform", self._vector(T), self._quaternion(T))
             )
             for child, T in T_base_child.items()
         ]  # fmt: skip
@@ -176,7 +164,7 @@ class BagWriter:
             "nav_msgs/msg/Odometry", self._header(stamp_ns, "map"), base_frame,
             self._new("geometry_msgs/msg/PoseWithCovariance", pose, np.zeros(36)),
             self._new("geometry_msgs/msg/TwistWithCovariance", self._new("geometry_msgs/msg/Twist", zero, zero),
-                      np.zeros(36)),
+                      np.zeros(36))
         )  # fmt: skip
 
     def text(self, text: str) -> Any:  # noqa: ANN401

@@ -74,7 +74,7 @@ class MeshBuilder:
 
     def box(
         self, spot: Spot, x: tuple[float, float], y: tuple[float, float], z: tuple[float, float],
-        truth: Truth, reflectivity: float,
+        truth: Truth, reflectivity: float
     ) -> None:  # fmt: skip
         """A box whose sides run along the spot's axes."""
         corners = np.array([[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]])
@@ -96,7 +96,7 @@ class MeshBuilder:
 
     def tube(
         self, start: FloatArray | list[float], end: FloatArray | list[float], radius: float | tuple[float, float], truth: Truth,
-        reflectivity: float, sides: int = 10,
+        reflectivity: float, sides: int = 10
     ) -> None:  # fmt: skip
         """A closed cylinder or truncated cone between two points (3,)."""
         base, top = np.asarray(start, float), np.asarray(end, float)
@@ -115,14 +115,14 @@ class MeshBuilder:
 
     def blob(
         self, centre: FloatArray, radii: FloatArray, truth: Truth, reflectivity: float,
-        rng: np.random.Generator | None = None, rows: int = 6, columns: int = 9,
+        rng: np.random.Generator | None = None, rows: int = 6, columns: int = 9
     ) -> None:  # fmt: skip
         """An ellipsoid; bumpy with `rng`."""
         theta = np.linspace(0, np.pi, rows + 1)
         phi = np.linspace(0, 2 * np.pi, columns + 1)
         grid = np.stack(
             [np.outer(np.sin(theta), np.cos(phi)), np.outer(np.sin(theta), np.sin(phi)),
-             np.outer(np.cos(theta), np.ones_like(phi))], -1,
+             np.outer(np.cos(theta), np.ones_like(phi))], -1
         )  # fmt: skip
         if rng is not None:
             bumps = rng.uniform(0.75, 1.1, grid.shape[:2])

@@ -1,10 +1,10 @@
 """The robot's drive: along the corridor and back, in and out of rooms through open doors, swaying a little.
 
 A route is a polyline with rounded corners. Progress along it is counted in metres of `hypot(ds, r dθ)` with
-r = speed / turn rate, so that a steady progress keeps both the speed and the turn rate below their limits.
-"""
+r = speed / turn rate, so that a steady progress keeps both the speed and the turn rate below their limits."""
 
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 import shapely
@@ -19,15 +19,12 @@ from ffmap.loaders.simulator.settings import SimulationSettings
 
 POSE_RATE_HZ = 100
 REST_S = 1.0
-ROBOT_RADIUS_M = 0.3
-"""Nothing stands nearer than this to the path of the base."""
+ROBOT_RADIUS_M = 0.3  # Nothing stands nearer than this to the path of the base
 
-_END_M = 0.9
-"""Minimum distance of the robot from the corridor's ends."""
+_END_M = 0.9  # Minimum distance of the robot from the corridor's ends
 _WEAVE_M = 0.08
 _ROUNDING_M = 0.6
-_SHARPEST_CURVE_RAD = 2.6
-"""Sharper turns are made on the spot."""
+_SHARPEST_CURVE_RAD = 2.6  # Sharper turns are made on the spot
 _STEP_M = 0.01
 _SMOOTHING_S = 0.25
 
@@ -35,9 +32,7 @@ _SMOOTHING_S = 0.25
 @dataclass(frozen=True)
 class Visit:
     """A detour from the corridor through an open door and back.
-
-    along_m: where it leaves the corridor's middle. tour: (n, 2) once around the room. peek: (m, 2) in and out again.
-    """
+    along_m: where it leaves the corridor's middle. tour: (n, 2) once around the room. peek: (m, 2) in and out again."""
 
     along_m: float
     tour: FloatArray
@@ -119,9 +114,7 @@ def _is_clear(route: FloatArray, free: BaseGeometry) -> bool:
 
 def choose_route(ways: Ways, settings: SimulationSettings) -> FloatArray:
     """The whole corridor, with as many visits as the time allows; then back with the visits left over, and so on.
-
-    (n, 2) polyline in the plan, long enough for the drive.
-    """
+    (n, 2) polyline in the plan, long enough for the drive."""
     budget_m = settings.speed_mps * (settings.duration_s - REST_S)
     radius = settings.speed_mps / settings.turn_radps
     chosen: list[tuple[float, FloatArray]] = []
@@ -149,13 +142,9 @@ def _leg(ways: Ways, chosen: list[tuple[float, FloatArray]], forward: bool) -> F
     stops = [(ways.line.project(shapely.Point(place)), place[None]) for place in ways.corridor]
     # A place beside a detour would make the robot go back and forth.
     stops = [stop for stop in stops if all(abs(stop[0] - along) > 0.7 for along, _ in chosen)]
-    points = np.vstack([polyline for _, polyline in sorted(stops + chosen, key=_along, reverse=not forward)])
+    points = np.vstack([polyline for _, polyline in sorted(stops + chosen, key=itemgetter(0), reverse=not forward)])
     moved = np.linalg.norm(np.diff(points, axis=0), axis=1) > 0.05
     return np.asarray(points[np.append(True, moved)])
-
-
-def _along(stop: tuple[float, FloatArray]) -> float:
-    return stop[0]
 
 
 def _cost(route: FloatArray, radius: float) -> float:
@@ -174,7 +163,8 @@ def _follow(route: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
     for i in range(len(legs)):
         turn, rounding = 0.0, 0.0
         if i + 1 < len(legs):
-            turn = float(np.arctan2(_cross(along[i], along[i + 1]), along[i] @ along[i + 1]))
+            (x, y), (next_x, next_y) = along[i], along[i + 1]
+            turn = float(np.arctan2(x * next_y - y * next_x, along[i] @ along[i + 1]))
             if abs(turn) < _SHARPEST_CURVE_RAD:
                 rounding = min(_ROUNDING_M * abs(np.tan(turn / 2)), 0.45 * lengths[i], 0.45 * lengths[i + 1])
         end = route[i + 1] - rounding * along[i]
@@ -199,15 +189,9 @@ def _follow(route: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
     return place, np.stack([angle, np.append(0.0, np.cumsum(step))], 1)
 
 
-def _cross(a: FloatArray, b: FloatArray) -> float:
-    return float(a[0] * b[1] - a[1] * b[0])
-
-
 def drive(route: FloatArray, end_s: float, settings: SimulationSettings, rng: np.random.Generator) -> Trajectory:
     """T_plan_base from 0 to `end_s` at POSE_RATE_HZ, stamps from 0; level floor, at rest for the first second.
-
-    Poses between two stamps are meant to be interpolated linearly: the truth is then exact.
-    """
+    Poses between two stamps are meant to be interpolated linearly: the truth is then exact."""
     place, turned = _follow(route, settings.speed_mps / settings.turn_radps)
     angle, progress = turned.T
     time_s = np.arange(round(end_s * POSE_RATE_HZ) + 2) / POSE_RATE_HZ

@@ -15,8 +15,7 @@ from ffmap.loaders.simulator.mesh import Spot
 from ffmap.loaders.simulator.settings import SimulationSettings
 
 _CLEAR_OF_BEND_M = 1.4
-_JAMB_M = 0.5
-"""Minimum width of wall beside a doorway, from the neighbouring wall's centre line."""
+_JAMB_M = 0.5  # Minimum width of wall beside a doorway, from the neighbouring wall's centre line
 
 
 @dataclass(frozen=True)
@@ -25,8 +24,7 @@ class Outline:
 
     corridor: (n, 2) centre line. width_m: clear width of the corridor. depth_m: of the rooms on its left and right.
     skew_m: how far the walls between rooms lean along the corridor. lab_m: widths of rooms that are labs, left first.
-    hall_m: depth of a hall across the corridor's end, 0 for none.
-    """
+    hall_m: depth of a hall across the corridor's end, 0 for none."""
 
     corridor: FloatArray
     width_m: float
@@ -79,9 +77,7 @@ angle, one that ends in a hall with columns, and three or four rooms for a demon
 
 def draw_plan(settings: SimulationSettings, rng: np.random.Generator) -> Plan:
     """The named building.
-
-    Raises InputError where there is no building of that name.
-    """
+    Raises InputError where there is no building of that name."""
     if settings.building not in BUILDINGS:
         close = get_close_matches(settings.building, BUILDINGS, 1)
         hint = f"did you mean '{close[0]}'? There" if close else "there"
@@ -96,7 +92,7 @@ def draw_plan(settings: SimulationSettings, rng: np.random.Generator) -> Plan:
     podium = _place_podium(rooms, doors) if settings.step_m else None
     return Plan(
         tuple(rooms), tuple(doors), tuple(windows), tuple(columns), thickness, outer, outline.corridor, podium,
-        settings.step_m, settings.door_sills_m,
+        settings.step_m, settings.door_sills_m
     )  # fmt: skip
 
 
@@ -156,10 +152,8 @@ def _cuts(
     line: FloatArray, lab_m: tuple[float, ...], reach_m: float, skew_m: float, rng: np.random.Generator
 ) -> FloatArray:
     """Where walls between rooms meet the corridor, in metres along its centre line; both ends included.
-
     reach_m: how far the rooms reach from the centre line, to its left if positive; inside a bend they have less space.
-    A gentle bend has a wall at its corner; in a sharp one a room goes around it.
-    """
+    A gentle bend has a wall at its corner; in a sharp one a room goes around it."""
     legs = np.diff(line, axis=0)
     corners = np.append(0.0, np.cumsum(np.linalg.norm(legs, axis=1)))
     turns = np.diff(np.unwrap(np.arctan2(legs[:, 1], legs[:, 0])))
@@ -231,7 +225,7 @@ def _place_doors(
 
 def _cut_door(
     front: Room, back: Room, ends: FloatArray, between_m: FloatArray, thickness: float,
-    settings: SimulationSettings, rng: np.random.Generator,
+    settings: SimulationSettings, rng: np.random.Generator
 ) -> Door | None:  # fmt: skip
     """A doorway somewhere on a stretch of wall; None where there is no place."""
     leaves = 2 if rng.random() < settings.double_share else 1
@@ -243,7 +237,7 @@ def _cut_door(
     recess = float(rng.uniform(settings.recess_min_m, max(settings.recess_min_m, settings.recess_max_m)))
     return Door(
         spot_on(ends, float(rng.uniform(low, high))), width, 0.0, top, (-thickness / 2, thickness / 2),
-        (front.name, back.name), 0.0, leaves, int(rng.choice([-1, 1])), recess,
+        (front.name, back.name), 0.0, leaves, int(rng.choice([-1, 1])), recess
     )  # fmt: skip
 
 
@@ -265,7 +259,7 @@ def _hang(door: Door, closed: bool, rooms: list[Room], settings: SimulationSetti
 
 def _place_windows(
     rooms: list[Room], doors: list[Door], thickness: float, outer: float, settings: SimulationSettings,
-    rng: np.random.Generator,
+    rng: np.random.Generator
 ) -> list[Window]:  # fmt: skip
     """Windows in rows in the outer walls, and glazed partitions beside doors."""
     windows = []

@@ -13,22 +13,16 @@ from ffmap.loaders.simulator.mesh import Mesh
 from ffmap.loaders.simulator.sensors import Lidar
 from ffmap.loaders.simulator.settings import SimulationSettings
 
-_PASSES = 3
-"""How many panes a ray may meet."""
-_RETURN_STRENGTH = 30.0
-"""Signal over the detector's threshold of a white wall at right angles, 10 m away."""
-_MIXED_STEP_M = 0.7
-"""Beyond this a detector tells the two echoes of an edge apart."""
-_PANE_TRANSMITS = 0.8
-"""Share of the signal that is left after a pane, there and back."""
+_PASSES = 3  # How many panes a ray may meet
+_RETURN_STRENGTH = 30.0  # Signal over the detector's threshold of a white wall at right angles, 10 m away
+_MIXED_STEP_M = 0.7  # Beyond this a detector tells the two echoes of an edge apart
+_PANE_TRANSMITS = 0.8  # Share of the signal that is left after a pane, there and back
 
 
 @dataclass(frozen=True)
 class Walker:
     """A person who walks back and forth between two places (3,) of the map; an upright cylinder with a head.
-
-    phase: where along the way and back at time 0, from 0 to 1.
-    """
+    phase: where along the way and back at time 0, from 0 to 1."""
 
     start: FloatArray
     end: FloatArray
@@ -74,11 +68,8 @@ class Hits:
 @dataclass(frozen=True)
 class Sweep:
     """One revolution as the sensor reports it, in firing order (Velodyne) or ring by ring (Ouster).
-
     Velodyne: returns only. Ouster: (rings · columns) places, zeros where nothing returned, truth NO_RETURN there.
-
-    points_sensor: (n, 3) float32 metres. time_ns: (n,) from the sweep's start. stamp_ns: its start; end_ns: its end.
-    """
+    points_sensor: (n, 3) float32 metres. time_ns: (n,) from the sweep's start. stamp_ns: its start; end_ns: its end."""
 
     points_sensor: FloatArray
     range_m: FloatArray
@@ -109,7 +100,7 @@ class World:
         count = len(origins)
         hits = Hits(
             np.full(count, np.inf, np.float32), np.ones(count, np.float32), np.zeros(count, np.float32),
-            np.full(count, NO_RETURN, np.uint8),
+            np.full(count, NO_RETURN, np.uint8)
         )  # fmt: skip
         rays = np.arange(count)
         travelled, transmitted = np.zeros(count, np.float32), np.ones(count, np.float32)
@@ -172,13 +163,11 @@ def _pane_mirrors(cosine: FloatArray) -> FloatArray:
 
 def scan(
     world: World, lidar: Lidar, trajectory: Trajectory, sweep: int, settings: SimulationSettings,
-    ring_bias_m: FloatArray,
+    ring_bias_m: FloatArray
 ) -> Sweep:  # fmt: skip
     """One revolution, every firing from the pose of its own time.
-
-    trajectory: T_map_base, stamps from the horizontal lidar's first sweep. ring_bias_m: (rings,) range offsets.
-    Its chances depend on the seed, the lidar and the sweep alone.
-    """
+    trajectory: T_map_base, stamps from the horizontal lidar's first sweep. ring_bias_m: (rings,) range offsets. Its
+    chances depend on the seed, the lidar and the sweep alone."""
     model = lidar.model
     rng = np.random.default_rng([settings.seed, 71, lidar.role == "vertical", sweep])
     start_ns = lidar.sweep_start_ns(sweep)
@@ -211,15 +200,13 @@ def scan(
     truth = np.where(seen, hits.truth, np.uint8(NO_RETURN))
     return Sweep(
         points[order], measured[order], intensity[order], ring[order], firing_ns.ravel()[order].astype(np.int64),
-        truth[order], start_ns, start_ns + round(lidar.period_ns),
+        truth[order], start_ns, start_ns + round(lidar.period_ns)
     )  # fmt: skip
 
 
 def _mixed(distance_m: FloatArray, share: float, rng: np.random.Generator) -> FloatArray:
     """Ranges (columns, rings) where beams that straddle an edge measure something between its two sides.
-
-    The point keeps the truth of the surface in the beam's middle.
-    """
+    The point keeps the truth of the surface in the beam's middle."""
     with np.errstate(invalid="ignore"):
         step = np.roll(distance_m, 1, axis=0) - distance_m
     edge = np.flatnonzero((np.abs(step) > 0.05) & (np.abs(step) < _MIXED_STEP_M))

@@ -20,8 +20,7 @@ class SensorModel:
     columns: firings of each emitter a revolution. rate_hz: revolutions a second.
     column_ns: nanoseconds that all emitters take, one after the other, before the next column.
     noise_m: sigma of a range at right angles. max_range_m: of a white wall at right angles.
-    layout: of its driver's PointCloud2.
-    """
+    layout: of its driver's PointCloud2."""
 
     name: Sensor
     elevation_deg: tuple[float, ...]
@@ -79,10 +78,8 @@ SENSORS: dict[Sensor, SensorModel] = {
 @dataclass(frozen=True)
 class Lidar:
     """One of the robot's two lidars.
-
     role: horizontal = spin axis upright (odometry), vertical = spin axis forward (sweeps floor, walls and ceiling).
-    period_ns: of a revolution; the two differ. phase_ns: its first sweep's start after the horizontal one's.
-    """
+    period_ns: of a revolution; the two differ. phase_ns: its first sweep's start after the horizontal one's."""
 
     role: Literal["horizontal", "vertical"]
     topic: str
@@ -108,7 +105,7 @@ def mount_lidars(settings: SimulationSettings, rng: np.random.Generator) -> tupl
     names = {
         "velodyne": ("/horizontal_velodyne/velodyne_points", "horizontal_velodyne",
                      "/vertical_velodyne/velodyne_points", "vertical_velodyne"),
-        "ouster": ("/os1_cloud_node1/points", "sensor1/os_sensor", "/os1_cloud_node2/points", "sensor2/os_sensor"),
+        "ouster": ("/os1_cloud_node1/points", "sensor1/os_sensor", "/os1_cloud_node2/points", "sensor2/os_sensor")
     }[model.layout]  # fmt: skip
     return (
         Lidar("horizontal", names[0], names[1], model, upright, nominal_ns * 1.0007, 0),

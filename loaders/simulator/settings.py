@@ -18,7 +18,7 @@ class SimulationSettings(BaseModel):
     sensor: Sensor = Field("hdl32e", description="the model of both lidars")
     format: Container = Field("bag", description="ROS 1 bag, or ROS 2 folder with MCAP (mcap) or SQLite (db3) inside")
     duration_s: float = Field(
-        60.0, gt=0.3, le=3600, description="length of the drive in seconds; the first one at rest"
+        60.0, gt=0.3, le=3600, description="length of the drive (s); at rest for the first second"
     )
     workers: int = Field(2, ge=1, description="threads that trace rays; the bag does not depend on it")
 
@@ -28,14 +28,10 @@ class SimulationSettings(BaseModel):
 
     ceiling_m: float | None = Field(None, ge=2.4, le=4.0, description="ceiling height in metres; drawn if not given")
     wall_thickness_m: float | None = Field(
-        None, ge=0.1, le=0.5, description="thickness of inner walls in metres; drawn if not given"
+        None, ge=0.1, le=0.5, description="thickness of inner walls (m); drawn if not given"
     )
-    recess_min_m: float = Field(
-        0.03, ge=0, le=0.1, description="minimum recess of a closed leaf behind the corridor's wall face, metres"
-    )
-    recess_max_m: float = Field(
-        0.06, ge=0, le=0.1, description="maximum recess of a closed leaf behind the corridor's wall face, metres"
-    )
+    recess_min_m: float = Field(0.03, ge=0, le=0.1, description="minimum recess of a closed leaf behind its wall (m)")
+    recess_max_m: float = Field(0.06, ge=0, le=0.1, description="maximum recess of a closed leaf behind its wall (m)")
     closed_share: float = Field(0.4, ge=0, le=1, description="share of doors that are closed")
     double_share: float = Field(0.12, ge=0, le=1, description="share of doors with two leaves")
     clutter: float = Field(0.5, ge=0, le=1, description="furniture, from empty (0) to crammed (1)")
@@ -46,18 +42,11 @@ class SimulationSettings(BaseModel):
     door_sills_m: float = Field(0.0, ge=0, le=0.03, description="height of the sills in doorways, metres")
     step_m: float = Field(0.0, ge=0, le=0.3, description="height of a podium in one room, metres")
 
-    mount_tilt_deg: float = Field(
-        0.0,
-        ge=-15,
-        le=15,
-        description="how far the vertical lidar's spin axis points down, degrees (told in /tf_static)",
-    )
-    noise_m: float | None = Field(
-        None, ge=0, le=0.1, description="range noise, sigma in metres; the sensor's if not given"
-    )
+    mount_tilt_deg: float = Field(0.0, ge=-15, le=15, description="how far the vertical spin axis points down, degrees")
+    noise_m: float | None = Field(None, ge=0, le=0.1, description="range noise, sigma (m); the sensor's if not given")
     ring_bias_m: float = Field(0.003, ge=0, le=0.05, description="range offset of each emitter, sigma in metres")
     mixed_share: float = Field(
-        0.2, ge=0, le=1, description="share of firings at an edge that measure between the near and the far surface"
+        0.2, ge=0, le=1, description="share of firings at an edge that measure between both surfaces"
     )
     dropout: float = Field(0.002, ge=0, le=0.5, description="share of firings lost for no reason")
     min_range_m: float = Field(0.6, ge=0.1, le=2, description="nearest return, metres")

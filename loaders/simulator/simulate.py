@@ -28,11 +28,9 @@ from ffmap.loaders.simulator.terrain import Terrain, draw_terrain
 from ffmap.loaders.simulator.truth import building_truth
 
 BASE_FRAME = "base_link"
-EPOCH_NS = 1_700_000_000_000_000_000
-"""When every simulated drive begins."""
+EPOCH_NS = 1_700_000_000_000_000_000  # When every simulated drive begins
 
-_CLEARANCE_M = 0.15
-"""Distance between furniture and the robot."""
+_CLEARANCE_M = 0.15  # Distance between furniture and the robot
 
 
 @dataclass(frozen=True)
@@ -52,11 +50,8 @@ class SimulationReport:
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything there is before the first ray.
-
-    mesh, trajectory (T_map_base, stamps from the first horizontal sweep) and truth (GeoJSON) are in the map's frame.
-    furniture: the floor it covers, in the plan's frame.
-    """
+    """Everything there is before the first ray. mesh, trajectory (T_map_base, stamps from the first horizontal sweep)
+    and truth (GeoJSON) are in the map's frame. furniture: the floor it covers, in the plan's frame."""
 
     plan: Plan
     mesh: Mesh
@@ -80,9 +75,7 @@ class _Job:
 
 def draw_scene(settings: SimulationSettings) -> Scene:
     """Building, furniture, people, lidars and drive, all from the settings and their seed.
-
-    Raises InputError where there is no building of the name.
-    """
+    Raises InputError where there is no building of the name."""
     # A stream for each part, so that one more door does not move every chair.
     plan_rng, structure_rng, furniture_rng, outside_rng, drive_rng, sensor_rng = (
         np.random.default_rng([settings.seed, part]) for part in range(6)
@@ -117,7 +110,7 @@ def draw_scene(settings: SimulationSettings) -> Scene:
 
 def _walkers(
     plan: Plan, terrain: Terrain, avoid: BaseGeometry, settings: SimulationSettings, T_map_plan: FloatArray,
-    rng: np.random.Generator,
+    rng: np.random.Generator
 ) -> tuple[Walker, ...]:  # fmt: skip
     """People who walk back and forth where nothing stands in their way and the robot does not drive."""
     space = plan.free.difference(avoid).buffer(-0.25)
@@ -138,11 +131,8 @@ def _walkers(
 def simulate(
     out: Path, settings: SimulationSettings, progress: Callable[[float], None] | None = None
 ) -> SimulationReport:
-    """Write the bag of one drive at `out`: a file (bag) or a folder (mcap, db3).
-
-    progress: called with the share that is done, 0 to 1.
-    Raises InputError where there is no such building, or `out` exists or cannot be written.
-    """
+    """Write the bag of one drive at `out`: a file (bag) or a folder (mcap, db3). progress: called with the share that
+    is done, 0 to 1. Raises InputError where there is no such building, or `out` exists or cannot be written."""
     clouds: dict[str, int] = {}
     points: dict[str, int] = {}
     with BagWriter(out, settings.format) as writer:
@@ -168,7 +158,7 @@ def simulate(
     return SimulationReport(
         path=out, building=settings.building, rooms=len(scene.plan.rooms), doors=len(scene.plan.doors),
         triangles=len(scene.mesh), clouds=clouds, points=points,
-        size_bytes=sum(file.stat().st_size for file in files), duration_s=settings.duration_s,
+        size_bytes=sum(file.stat().st_size for file in files), duration_s=settings.duration_s
     )  # fmt: skip
 
 

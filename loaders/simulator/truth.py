@@ -16,8 +16,7 @@ def building_truth(plan: Plan, T_map_plan: FloatArray) -> dict[str, Any]:
     door: LineString along the sill between the jambs; state, width, height, recess (of a closed leaf behind the first
     room's wall face), leaf (single or double), angle_deg, wall_thickness, rooms.
     room: Polygon up to the walls' faces; name, area, ceiling.
-    glass: LineString of a pane; bottom, height.
-    """
+    glass: LineString of a pane; bottom, height."""
 
     def line(ends: FloatArray) -> dict[str, Any]:
         return {"type": "LineString", "coordinates": _in_map(ends, T_map_plan)}
@@ -31,7 +30,7 @@ def building_truth(plan: Plan, T_map_plan: FloatArray) -> dict[str, Any]:
                 width=round(door.width_m, 4), height=round(door.top_m, 4),
                 recess=round(door.recess_m, 4) if door.closed else None,
                 leaf="double" if door.leaves == 2 else "single", angle_deg=round(door.angle_deg, 1),
-                wall_thickness=round(plan.wall_thickness_m, 4), rooms=list(door.rooms),
+                wall_thickness=round(plan.wall_thickness_m, 4), rooms=list(door.rooms)
             )
         )  # fmt: skip
     for room in plan.rooms:

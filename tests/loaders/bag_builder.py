@@ -17,8 +17,7 @@ CLOUD = "sensor_msgs/msg/PointCloud2"
 _CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 VELODYNE = [("x", "f4"), ("y", "f4"), ("z", "f4"), ("intensity", "f4"), ("ring", "u2"), ("time", "f4")]
 
-Entry = tuple[str, int, Any]
-"""Topic, log time, message."""
+Entry = tuple[str, int, Any]  # Topic, log time, message
 
 
 def header(types: dict[str, Any], stamp_ns: int, frame: str) -> Any:
@@ -47,11 +46,7 @@ def point_dtype(fields: Sequence[tuple[str, str]], big: bool = False, gap: int =
 
 
 def cloud(
-    points: np.ndarray,
-    stamp_ns: int = START_NS,
-    frame: str = "lidar",
-    ros_version: int = 1,
-    row_padding: int = 0,
+    points: np.ndarray, stamp_ns: int = START_NS, frame: str = "lidar", ros_version: int = 1, row_padding: int = 0
 ) -> Any:
     """A PointCloud2 of a structured array, (n,) or (height, width)."""
     types = make_typestore(ros_version).types

@@ -1,7 +1,7 @@
 """What a bag is said to hold and to lack."""
 
 from ffmap.app.commands.info import describe
-from ffmap.loaders.info import describe_bag
+from ffmap.loaders.info import describe_bag, ring_words, time_words
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, clouds, only, sweep, tf_message, write_bag
 
 
@@ -16,14 +16,14 @@ def test_a_whole_rig(tmp_path):
         ),
     ]
     info = describe_bag(write_bag(tmp_path / "a.bag", sorted(entries, key=lambda entry: entry[1])))
-    assert (info.container, info.ros_version, info.duration_s > 0.5) == ("ros1", 1, True)
-    assert {t.name: t.count for t in info.topics} == {"/h/points": 6, "/v/points": 6, "/tf_static": 1}
-    assert info.frames == ("base", "h", "v")
+    assert (info.bag.container, info.bag.ros_version, info.bag.duration_s > 0.5) == ("ros1", 1, True)
+    assert {t.name: t.count for t in info.bag.topics.values()} == {"/h/points": 6, "/v/points": 6, "/tf_static": 1}
+    assert info.tree.frames == ["base", "h", "v"]
     assert (info.rig.horizontal.topic, info.rig.vertical.topic) == ("/h/points", "/v/points")
     found = info.clouds[0]
-    assert (found.topic, found.frame_id, found.cloud_count, found.rate_hz) == ("/h/points", "h", 6, 10.0)
-    assert found.rings == "16 rings, -15.0 to +15.0 deg (from field ring)"
-    assert found.times == "field time in s, relative to the stamp, a sweep spans 98.9 ms"
+    assert (found.index.topic, found.decoding.layout.frame_id, len(found.index)) == ("/h/points", "h", 6)
+    assert ring_words(found.decoding) == "16 rings, -15.0 to +15.0 deg (from field ring)"
+    assert time_words(found.decoding) == "field time in s, relative to the stamp, a sweep spans 98.9 ms"
     assert found.points == (1440, 1440)
     assert info.missing == ("truth: no figures can be computed",)
     assert info.rig_problem is None
@@ -38,7 +38,7 @@ def test_what_is_missing_is_said(tmp_path):
     info = describe_bag(write_bag(tmp_path / "a.bag", entries))
     assert info.rig is None
     assert "--rig" in info.rig_problem
-    assert [(g.start_ns, g.duration_ns) for g in info.clouds[0].gaps] == [(START_NS + 4 * PERIOD_NS, 16 * PERIOD_NS)]
+    assert info.clouds[0].gaps == [(START_NS + 4 * PERIOD_NS, 16 * PERIOD_NS)]
     text = " ".join(info.missing)
     for part in ("rings on /a", "times on /b", "transforms: several lidars need --rig", "truth"):
         assert part in text
@@ -53,7 +53,7 @@ def test_an_empty_bag_and_a_broken_cloud(tmp_path):
     info = describe_bag(write_bag(tmp_path / "broken.bag", [("/a", START_NS, broken)]))
     assert "truncated" in info.clouds[0].problem
     assert info.clouds[0].points == (0, 0)
-    assert info.duration_s == 0.0
+    assert info.bag.duration_s == 0.0
 
 
 def test_bad_clouds_are_counted_and_clocks_apart_are_named(tmp_path):

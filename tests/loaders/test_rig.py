@@ -8,17 +8,7 @@ from ffmap.loaders.bag import open_bag
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.rig import find_rig
 from ffmap.loaders.rig_file import read_rig_file
-from tests.loaders.bag_builder import (
-    PERIOD_NS,
-    START_NS,
-    cloud,
-    clouds,
-    odometry,
-    only,
-    sweep,
-    tf_message,
-    write_bag,
-)
+from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, clouds, odometry, only, sweep, tf_message, write_bag
 
 UPRIGHT = [0.0, 0.0, -0.7071067811865476, 0.7071067811865476]
 LYING = [0.5, 0.5, 0.5, 0.5]

@@ -16,17 +16,7 @@ from ffmap.loaders.scans import (
     sample_messages,
     stamp_problem,
 )
-from tests.loaders.bag_builder import (
-    PERIOD_NS,
-    START_NS,
-    cloud,
-    clouds,
-    header,
-    odometry,
-    only,
-    sweep,
-    write_bag,
-)
+from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, clouds, header, odometry, only, sweep, write_bag
 
 NAMES = ["a.bag", "lz4.bag", "a_db3", "a_mcap"]
 
