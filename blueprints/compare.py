@@ -18,7 +18,8 @@ class ComparedRun:
 
     letter: its entities lie below it. scans: whether single scans are there. map_points: whether its growing map is.
     compared: what was compared with the first run: labels, planes, trajectory, walls, doors, grid. differing: of labels,
-    planes and trajectory, what differs."""
+    planes and trajectory, what differs.
+    """
 
     letter: str
     title: str
@@ -44,7 +45,8 @@ def build(
 
     centre_m, extent_m: middle and size of what the maps show. scan: the one to open at; None for the first.
     most_changed: letter of the run whose tab is open at first; None for the first. scans: number of the first and of the
-    last one that curves show; None where that is not known."""
+    last one that curves show; None where that is not known.
+    """
     first, *others = runs
     above = from_above(centre_m, extent_m)
     tabs: list[Part] = [_differences(first, other, above, scans) for other in others]

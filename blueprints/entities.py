@@ -327,7 +327,8 @@ class Legend:
 class CurveSheet:
     """Where the difference curves are drawn, in units of one sample to the right and downwards.
     On top one line's curve as in Fig. 5b; below it one small cell for every line: first the lines of side 0, emitter by
-    emitter, then those of side 1."""
+    emitter, then those of side 1.
+    """
 
     SAMPLES = 200
     COLUMNS = 8
@@ -445,7 +446,8 @@ _COLOR_WORDS = ("yellow", "gray", "red", "green", "blue", "magenta")
 
 def explain(record: Mapping[str, Any]) -> str:
     """The recording explained to a stranger, in Markdown.
-    record: what `run.json` holds at the start; what is missing there is left out."""
+    record: what `run.json` holds at the start; what is missing there is left out.
+    """
     rig = record.get("rig", {})
     tasks = {"horizontal": "gives the poses", "vertical": "sweeps walls and ceiling and is labelled"}
     lidars = [f"The {role} one, `{rig[role]['topic']}`, {task}." for role, task in tasks.items() if role in rig]

@@ -25,7 +25,8 @@ def build(
 ) -> rrb.Blueprint:
     """The layout of a recording of one scan.
     profile_m: largest horizontal range and height that the profile shows. line: the line to open at; None for the
-    first. faults: those that are marked. look_at_m: what to look at, in the level frame; None for the whole scan."""
+    first. faults: those that are marked. look_at_m: what to look at, in the level frame; None for the whole scan.
+    """
     range_m, height_m = profile_m
     seen = rrb.Vertical(
         _line_in_its_scan(range_m, faults, look_at_m),

@@ -17,7 +17,8 @@ _COMPARED = {
 
 def build(centre_m: tuple[float, float], extent_m: float, grid: str = entities.SEGMENTED) -> rrb.Blueprint:
     """The layout of a recording that holds one segmented map.
-    centre_m, extent_m: middle and size of what is shown. grid: name of the map."""
+    centre_m, extent_m: middle and size of what is shown. grid: name of the map.
+    """
     return layout(tab(centre_m, extent_m, grid), rrb.TimePanel(state="hidden"))
 
 
@@ -25,7 +26,8 @@ def tab(
     centre_m: tuple[float, float], extent_m: float, grid: str = entities.FURNITURE_FREE, compared: bool = False
 ) -> rrb.Container:
     """Rooms and their graph, as a part of a larger layout. compared: the recording has the rooms of the normal map too,
-    with and without alpha removal, which then stand beside."""
+    with and without alpha removal, which then stand beside.
+    """
     evidence = [_topology(centre_m, extent_m), _voronoi(centre_m, extent_m, grid)]
     title = "Rooms and their areas; passages red"
     if not compared:

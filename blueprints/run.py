@@ -26,7 +26,8 @@ def build(
 
     ring_count: emitters of the vertical lidar, None where there is nothing to label. centre_m, extent_m: middle and size
     of what the map views show. evaluated: with the errors that `evaluation.rrd` adds, first of all. scans: whether the
-    recording has anything of single scans. several: whether it is to hold for several runs, with the list to choose from."""
+    recording has anything of single scans. several: whether it is to hold for several runs, with the list to choose from.
+    """
     readme = rrb.TextDocumentView(origin=entities.README, name="Read me")
     about: list[Part] = [_metrics(), readme]
     if ring_count is None:

@@ -11,7 +11,8 @@ from ffmap.blueprints.views import layout, opening_at
 
 def build(panels: Mapping[str, Sequence[tuple[str, str]]], front: str, best: int) -> rrb.Blueprint:
     """The layout of a sweep's recording. panels: for each parameter its panels' entity paths and what they show. front:
-    what the Pareto panel shows. best: the run to open at."""
+    what the Pareto panel shows. best: the run to open at.
+    """
     rows = [
         rrb.Horizontal(*(_panel(path, title) for path, title in shown), name=parameter)
         for parameter, shown in panels.items()

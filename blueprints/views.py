@@ -31,7 +31,8 @@ def following(timeline: str) -> rrb.TimePanel:
 
 def opening_at(timeline: str, number: int | None) -> rrb.TimePanel:
     """A timeline of numbers that opens at its start, or at one of them.
-    A layout cannot place the time cursor; it can play a selection, and one of a single number stays there."""
+    A layout cannot place the time cursor; it can play a selection, and one of a single number stays there.
+    """
     if number is None:
         return rrb.TimePanel(state="collapsed", timeline=timeline, play_state="paused")
     return rrb.TimePanel(
@@ -51,7 +52,8 @@ def space(
     overrides: Mapping[Any, Any] | None = None,
 ) -> rrb.Spatial3DView:
     """A view in space; eye: None where nothing says how large the place is. Of trajectory and growing map it shows all up
-    to the time cursor."""
+    to the time cursor.
+    """
     growing: dict[Any, Any] = {
         path: until_now() for path in contents if path.endswith((entities.TRAJECTORY, entities.MAP_POINTS))
     }

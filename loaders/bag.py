@@ -1,6 +1,7 @@
 """Bags of ROS 1 and ROS 2 behind one interface, read message by message.
 
-Every process opens the bag for itself; all readers find a log time without reading what comes before it."""
+Every process opens the bag for itself; all readers find a log time without reading what comes before it.
+"""
 
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -59,7 +60,8 @@ class Bag:
     topics: by name; those without messages too.
     start_ns, end_ns: log times of the first and the last message; None where there is none.
     warnings: what a user must know about how the bag was opened.
-    typestore: every message type of the bag, to make and to serialise messages."""
+    typestore: every message type of the bag, to make and to serialise messages.
+    """
 
     def __init__(self, path: Path, container: Container, readers: list[Reader], warnings: list[str]) -> None:
         self.path = path
@@ -96,7 +98,8 @@ class Bag:
         self, topics: Collection[str], start_ns: int | None = None, stop_ns: int | None = None
     ) -> Iterator[RawMessage]:
         """Messages of these topics in the order of their log time, from `start_ns` until before `stop_ns`.
-        Raises InputError where the file turns out to be damaged."""
+        Raises InputError where the file turns out to be damaged.
+        """
 
         def read(reader: Reader) -> Iterator[RawMessage]:
             wanted = [c for c in reader.connections if c.topic in topics]
@@ -155,7 +158,8 @@ class Bag:
 def open_bag(path: Path) -> Bag:
     """Open a ROS 1 .bag, a ROS 2 folder (sqlite3 or MCAP, with metadata.yaml or without), a bare .db3 or .mcap.
     A ROS 1 or MCAP file that was cut, or whose recorder was killed, is opened up to the cut, with a warning. Raises
-    InputError where there is no such file, it is no bag, or nothing of it can be read."""
+    InputError where there is no such file, it is no bag, or nothing of it can be read.
+    """
     warnings: list[str] = []
     try:
         if path.is_dir():

@@ -1,7 +1,8 @@
 """Digests of a bag's clouds: two bags have the same ones only if every byte that is used is the same.
 
 XXH3 of 128 bits is as fast as memory is read, and clouds that differ by accident do not share it. It is no protection
-against somebody who makes two clouds alike on purpose."""
+against somebody who makes two clouds alike on purpose.
+"""
 
 from collections.abc import Iterable, Sequence
 

@@ -2,7 +2,8 @@
 
 Neither the field's name nor its type tells its unit: `time` is in seconds (Velodyne), or in milliseconds, microseconds or
 nanoseconds as FAST-LIO's `timestamp_unit` lists them; `t` (Ouster) and `offset_time` (Livox) are nanoseconds. A sweep takes
-about 0.1 s, which leaves one unit."""
+about 0.1 s, which leaves one unit.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -37,7 +38,8 @@ class TimeField:
     unit: "s", "ms", "us" or "ns".
     reference: "stamp" (relative to the header's stamp, before or after it), "epoch" (absolute, on the stamps' clock),
         "own clock" (absolute on the sensor's clock: the header's stamp is taken for the sweep's first firing).
-    span_ns: from the first to the last firing in the clouds that were looked at, the median."""
+    span_ns: from the first to the last firing in the clouds that were looked at, the median.
+    """
 
     name: str
     unit: str
@@ -46,7 +48,8 @@ class TimeField:
 
     def nanoseconds(self, values: npt.NDArray[Any], stamp_ns: int) -> tuple[IntArray, int]:
         """Nanoseconds (n,) int64 from the first of these firings, and that firing's absolute time.
-        Raises CloudError where the times span longer than a sweep can take, or lie farther than that from the stamp."""
+        Raises CloudError where the times span longer than a sweep can take, or lie farther than that from the stamp.
+        """
         if not len(values):
             return np.zeros(0, np.int64), stamp_ns
         first = values.min()
@@ -105,7 +108,8 @@ def find_time_field(
 
     period_ns: how long a revolution takes; None where that is not known.
     A sweep takes between 5 ms and 2 s, which leaves one unit; where all are too short to tell, the usual one of floats (by
-    their size) and of some names. None where the field is not filled or its unit cannot be told."""
+    their size) and of some names. None where the field is not filled or its unit cannot be told.
+    """
     samples = [(values, stamp_ns) for values, stamp_ns in samples if len(values) and 0 < _span(values) < np.inf]
     if not samples:
         return None
@@ -161,7 +165,8 @@ def join_times(name: str, parts: Sequence[npt.NDArray[Any]], offset_ns: Sequence
     Values that go on from message to message stay. Those that begin anew in each are counted from the first stamp, in
     seconds, or as integers in nanoseconds: a message lasts until the next, which tells their unit. Where it does not, or the
     field is not filled, each message's stamp is the time of its points.
-    Raises CloudError where the integers are too short for a revolution's nanoseconds."""
+    Raises CloudError where the integers are too short for a revolution's nanoseconds.
+    """
     filled = [(_finite(part), offset) for part, offset in zip(parts, offset_ns, strict=True) if len(_finite(part))]
     if len(filled) < 2:
         return list(parts)
@@ -193,7 +198,8 @@ def azimuth_times(points_sensor: FloatArray, ring: IntArray, period_ns: int) -> 
     points_sensor: (n, 3) in the cloud's order; ring: (n,).
     period_ns: how long a revolution takes.
     The spin's direction is that in which the azimuth grows from point to point of a ring; the sweep begins at the
-    cloud's first point. Where the order tells no direction, the sensor is taken to spin clockwise from behind."""
+    cloud's first point. Where the order tells no direction, the sensor is taken to spin clockwise from behind.
+    """
     if not len(points_sensor):
         return np.zeros(0, np.int64)
     azimuth = np.arctan2(points_sensor[:, 1], points_sensor[:, 0]).astype(np.float64)

@@ -38,7 +38,8 @@ class CloudInfo:
     packets: whether they are raw packets. points: valid points and all places of a cloud, medians.
     read_count: clouds from all over the bag that were read to the last point; bad_clouds: why those of them with a right
         stamp that give no scan do not, and how many they are, the commonest first.
-    decoding: how the clouds are read; None where they cannot be, and `problem` says why."""
+    decoding: how the clouds are read; None where they cannot be, and `problem` says why.
+    """
 
     index: CloudIndex
     packets: bool
@@ -63,7 +64,8 @@ class BagInfo:
 
     tree: what /tf_static (or the unchanging part of /tf) says.
     rig: lidars with their roles and the reasons; None where they cannot be told, and `rig_problem` says why.
-    missing: what the bag lacks and what that means, one line each."""
+    missing: what the bag lacks and what that means, one line each.
+    """
 
     bag: Bag
     size_bytes: int
@@ -83,7 +85,8 @@ def describe_bag(
     time_from: TimeFrom = "auto",
 ) -> BagInfo:
     """Look a bag over; the options are those of `find_rig`.
-    Raises InputError where the bag cannot be opened, or does not fit what is said of it."""
+    Raises InputError where the bag cannot be opened, or does not fit what is said of it.
+    """
     with open_bag(path) as bag:
         clouds = tuple(_describe_cloud(bag, topic, time_from) for topic in cloud_topics(bag))
         tree = read_frame_tree(bag, {c.decoding.layout.frame_id for c in clouds if c.decoding} - {""})

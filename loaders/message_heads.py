@@ -1,7 +1,8 @@
 """The first bytes of every message of a topic, without reading the rest.
 
 A cloud is 1.5 MB, its header 40 bytes: to know all stamps of a bag, only the headers are read where the container lets
-one seek. Where it does not (compressed chunks), the messages are read and cut."""
+one seek. Where it does not (compressed chunks), the messages are read and cut.
+"""
 
 import os
 import struct

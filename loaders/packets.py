@@ -1,5 +1,6 @@
 """Raw Velodyne packets (velodyne_msgs/VelodyneScan, one message a revolution) to clouds as the Velodyne driver lays
-them out."""
+them out.
+"""
 
 from typing import Any
 
@@ -35,7 +36,8 @@ class PacketDecoder:
 
     def to_cloud(self, scan: Message) -> Message:
         """The returns of one revolution as a PointCloud2: x y z intensity ring time, time in seconds from the stamp.
-        Raises CloudError where the packets are of no sensor that velodyne-decoder knows."""
+        Raises CloudError where the packets are of no sensor that velodyne-decoder knows.
+        """
         stamp = scan.header.stamp
         packets = velodyne_decoder.PacketVector()
         for packet in scan.packets:

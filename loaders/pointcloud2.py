@@ -1,7 +1,8 @@
 """sensor_msgs/PointCloud2 to scans and back: any field order, padding, byte order and numeric type, organised or not.
 
 How a topic's clouds are read (`CloudDecoding`) is settled once, from clouds all over the bag: a single cloud may be too
-poor to tell the unit of its times or how many rings there are."""
+poor to tell the unit of its times or how many rings there are.
+"""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -44,7 +45,8 @@ class CloudField:
 @dataclass(frozen=True)
 class CloudLayout:
     """What a cloud message says about its points.
-    ring_field, time_field: the names of the fields that hold them; None where there is none."""
+    ring_field, time_field: the names of the fields that hold them; None where there is none.
+    """
 
     topic: str
     frame_id: str
@@ -68,7 +70,8 @@ class CloudDecoding:
 
     time: the field of times, its unit and reference; None where there is none, or it tells none.
     time_from: "auto" (the field), "azimuth" (recovered from the direction of each point), "none".
-    period_ns: time of a revolution, from the stamps; None where fewer than two clouds are there."""
+    period_ns: time of a revolution, from the stamps; None where fewer than two clouds are there.
+    """
 
     layout: CloudLayout
     rings: RingModel
@@ -218,7 +221,8 @@ def settle_decoding(
     messages: Sequence[Message], topic: str, time_from: TimeFrom = "auto", period_ns: int | None = None
 ) -> CloudDecoding:
     """How the clouds of a topic are to be read, from some of them, best from all over the bag.
-    Raises CloudError where none of them is sound."""
+    Raises CloudError where none of them is sound.
+    """
     layouts, ring_samples, time_samples = [], [], []
     failure: CloudError | None = None
     for message in messages:
@@ -259,7 +263,8 @@ def _ring_numbers(message: Message, layout: CloudLayout, index: IntArray) -> Int
 
 def _numbers(message: Message, layout: CloudLayout, rings: RingModel, index: IntArray) -> IntArray | None:
     """What tells the ring of each valid point (n,), as the topic's other clouds have it; None where elevations tell it.
-    Raises CloudError where this cloud has it not, or has numbers that those have not."""
+    Raises CloudError where this cloud has it not, or has numbers that those have not.
+    """
     match rings.source:
         case "field":
             if not layout.ring_field:
@@ -283,7 +288,8 @@ def _numbers(message: Message, layout: CloudLayout, rings: RingModel, index: Int
 
 def decode(message: Message, decoding: CloudDecoding) -> Scan:
     """The cloud as a scan: invalid points dropped, ring and time aligned with what is left.
-    A scan without any valid point is returned empty. Raises CloudError where the message contradicts itself."""
+    A scan without any valid point is returned empty. Raises CloudError where the message contradicts itself.
+    """
     layout = describe_layout(message, decoding.layout.topic)
     points, index = _valid_points(message, layout)
     ring = decoding.rings.rings(points, _numbers(message, layout, decoding.rings, index))
@@ -351,7 +357,8 @@ def full_labels(scan: Scan, label: UInt8Array) -> UInt8Array:
 def encode_labelled(message: Message, label: UInt8Array, label_scan: UInt8Array) -> Message:
     """The same cloud with two uint8 fields more, `label` and `label_scan`, at the end of each point.
     label, label_scan: (height x width,) in the cloud's order; see `full_labels`. Stamp, points, their order and the
-    other fields stay as they are; padding at the end of rows goes."""
+    other fields stay as they are; padding at the end of rows goes.
+    """
     height, width, step = int(message.height), int(message.width), int(message.point_step)
     if not len(label) == len(label_scan) == height * width:
         raise ValueError(f"{len(label)} and {len(label_scan)} labels for a cloud of {height} x {width}")
@@ -373,7 +380,8 @@ def encode_labelled(message: Message, label: UInt8Array, label_scan: UInt8Array)
 def merge_clouds(messages: Sequence[Message]) -> Message:
     """One cloud of several that belong to one revolution, in order; stamp and header of the first.
     Their field of times becomes one of the whole revolution (`join_times`). Where they have none, a field `time`
-    (float32, seconds from the first stamp) is appended: each cloud's own stamp is the time of its points."""
+    (float32, seconds from the first stamp) is appended: each cloud's own stamp is the time of its points.
+    """
     # A part without points may say anything of their layout.
     first = replace(next((m for m in messages if m.width * m.height), messages[0]), header=messages[0].header)
     layout = describe_layout(first, "")

@@ -1,6 +1,7 @@
 """Readers for bags that were cut: the index that the file lost is rebuilt from its records, the points stay on disk.
 
-Both are rosbags' own readers with another way to open: what follows the index is theirs."""
+Both are rosbags' own readers with another way to open: what follows the index is theirs.
+"""
 
 import bz2
 import heapq

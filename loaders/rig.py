@@ -2,7 +2,8 @@
 
 Names do not tell: in one public data set `vertical_velodyne` scans the walls, in another it drives the odometry. The
 lidar whose spin axis is nearest to gravity drives odometry (the "horizontal" lidar: it scans horizontally), the one
-whose spin axis is nearest to level is labelled (the "vertical" lidar)."""
+whose spin axis is nearest to level is labelled (the "vertical" lidar).
+"""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,7 +29,8 @@ _REACH_MAX_M = 100.0
 @dataclass(frozen=True, eq=False)
 class Lidar:
     """A lidar of the rig. T_base_sensor: (4, 4). decoding: how its clouds become scans; for `read_scans`.
-    points_per_cloud: valid points, the median of some clouds. reasons: why it has its role, one line."""
+    points_per_cloud: valid points, the median of some clouds. reasons: why it has its role, one line.
+    """
 
     topic: str
     frame_id: str
@@ -61,7 +63,8 @@ class Rig:
     horizontal: drives odometry; None where the bag has none.
     vertical: is labelled; None where there is nothing to label.
     static_transforms: all that are known, for the results' /tf_static.
-    warnings: what a user must know about the choice."""
+    warnings: what a user must know about the choice.
+    """
 
     base_frame: str
     horizontal: Lidar | None
@@ -121,7 +124,8 @@ def find_rig(
     horizontal, vertical: topics that are to have these roles; None to decide by the spin axes. One topic may have both.
     time_from: where the firings' times come from.
     Raises InputError: no clouds, an unknown topic or frame, several lidars and no transforms that join them, a rig file
-    that is not understood."""
+    that is not understood.
+    """
     warnings: list[str] = []
     described = read_rig_file(rig_file) if rig_file else None
     asked = {role: _cloud_topic(bag, name, role) for role, name in _asked(horizontal, vertical)}
@@ -346,7 +350,8 @@ def _roles(candidates: list[_Candidate], asked: dict[Role, str], warnings: list[
 
 def _most_aligned(candidates: list[_Candidate], off_deg: dict[str, float], direction: str) -> tuple[_Candidate, str]:
     """The candidate whose spin axis is nearest to a direction, and in words why; of equals the one that sees most.
-    off_deg: angle between each candidate's spin axis and the direction, by topic."""
+    off_deg: angle between each candidate's spin axis and the direction, by topic.
+    """
     smallest_deg = min(off_deg.values())
     equal = [c for c in candidates if off_deg[c.topic] <= smallest_deg + _EQUAL_WITHIN_DEG]
     chosen = max(equal, key=lambda c: c.worth)

@@ -10,7 +10,8 @@
     quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]    # how it is turned there, T_base_lidar, or
     rpy_deg = [0.0, 0.0, -90.0]               # roll, pitch, yaw about base's fixed axes x, y, z
 
-A lidar without translation and rotation takes them from the bag's transforms."""
+A lidar without translation and rotation takes them from the bag's transforms.
+"""
 
 import difflib
 from dataclasses import dataclass

@@ -1,7 +1,8 @@
 """Which emitter fired each point: from the cloud's ring field, its rows, or the elevation angles.
 
 Drivers number rings upwards (Velodyne), downwards (Ouster) or in firing order; here ring 0 is always the lowest. The
-model is made once, from clouds all over the bag, and serves every scan, so that rings do not change their numbers."""
+model is made once, from clouds all over the bag, and serves every scan, so that rings do not change their numbers.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,7 +31,8 @@ class RingModel:
         elevation angle), or "bins" (no clusters to be found: slices of equal elevation, good for odometry only).
     elevation_deg: (count,) float64, each ring's elevation, ascending; NaN where it returned nothing.
     lookup: (values,) uint16, from the field's value, the row or the column to the ring; empty for elevations.
-    edge_tan: (count - 1,) float64, tangents of the elevations between the rings; empty but for elevations."""
+    edge_tan: (count - 1,) float64, tangents of the elevations between the rings; empty but for elevations.
+    """
 
     source: RingSource
     elevation_deg: FloatArray

@@ -1,7 +1,8 @@
 """From a bag's messages to scans: one cloud a revolution, numbered over the whole bag, read in any slice.
 
 Some recordings hold one PointCloud2 for each UDP packet, some 75 a revolution (Cartographer's backpack): these are
-gathered, a new cloud beginning where the azimuth comes round."""
+gathered, a new cloud beginning where the azimuth comes round.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -37,7 +38,8 @@ class CloudIndex:
     message_count: (m,) int64, messages a revolution; 1 unless the topic has one for each packet.
     earlier: (m,) int64, messages of the topic with the very same log time that come before the revolution's first.
     usable: (m,) bool, False where the stamp repeats or jumps back behind that of an earlier cloud, or jumps ahead of
-        most that follow."""
+        most that follow.
+    """
 
     topic: str
     log_time_ns: IntArray
@@ -64,7 +66,8 @@ class CloudIndex:
 @dataclass(frozen=True)
 class SkippedScan:
     """A cloud that gives no scan, and why. stamp_ns: its stamp; where that is wrong, the one beside it that is right: a
-    day ahead would stretch a recording's time."""
+    day ahead would stretch a recording's time.
+    """
 
     index: int
     stamp_ns: int
@@ -154,7 +157,8 @@ def _stamps(bag: Bag, topic: str) -> tuple[IntArray, IntArray]:
 
 def _are_parts(stamps: IntArray, log_time_ns: IntArray) -> bool:
     """Whether the messages of a topic come so fast that they are parts of revolutions.
-    Where most stamps repeat, the times at which they were recorded tell: a bag may hold every message twice."""
+    Where most stamps repeat, the times at which they were recorded tell: a bag may hold every message twice.
+    """
     if len(stamps) < 20:
         return False
     repeat = np.mean(np.diff(stamps) == 0) >= 0.5
@@ -185,7 +189,8 @@ def _usable(stamps: IntArray, log_time_ns: IntArray) -> BoolArray:
 
 def _in_short_stretches(stamps: IntArray, log_time_ns: IntArray, leap_ns: float) -> BoolArray:
     """Clouds (m,) before or after a leap of the stamps in which no time passed, with too few clouds beside them.
-    The first cloud of a driver that has no time yet is stamped 0, say. A pause is no leap: time passed."""
+    The first cloud of a driver that has no time yet is stamped 0, say. A pause is no leap: time passed.
+    """
     steps = np.diff(stamps)
     leaps = (steps > leap_ns) & (2 * np.diff(log_time_ns) < steps)
     stretch = np.concatenate([[0], np.cumsum(leaps)])[: len(stamps)]
@@ -235,7 +240,8 @@ def _azimuths(bag: Bag, topic: str) -> FloatArray:
 
 def _first_layout(bag: Bag, topic: str) -> tuple[int, CloudLayout] | None:
     """Where in a message the points begin, and their layout, by the first message with points; None where none is
-    sound. Header and fields are alike in every message."""
+    sound. Header and fields are alike in every message.
+    """
     for raw in bag.messages([topic]):
         try:
             message = bag.deserialize(raw)
@@ -262,7 +268,8 @@ def read_messages(
 ) -> Iterator[tuple[int, Message]]:
     """Clouds [first, first + count) as PointCloud2 messages, packets and partial clouds joined to whole revolutions.
     A CloudError in place of the message says that it cannot be made one. digests: takes the digest of each cloud's
-    bytes as it is read."""
+    bytes as it is read.
+    """
     packets = PacketDecoder(index.topic, bag.typestore) if bag.topics[index.topic].msgtype == PACKET_TYPE else None
     for i, group in _gathered(bag, index, first, count):
         if digests is not None:
@@ -311,7 +318,8 @@ def read_clouds(
 ) -> Iterator[tuple[int, Scan | SkippedScan, Message | None]]:
     """Clouds [first, first + count): number in the bag, scan, and the PointCloud2 that it was made from.
     The message is None only where it could not be read at all. A cloud without a valid point, one that contradicts
-    itself and one whose stamp does not go on from those before are SkippedScans. digests: as in `read_messages`."""
+    itself and one whose stamp does not go on from those before are SkippedScans. digests: as in `read_messages`.
+    """
     for i, message in read_messages(bag, index, first, count, digests):
         stamp = int(index.stamp_ns[i])
         if isinstance(message, CloudError):

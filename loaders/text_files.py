@@ -1,6 +1,7 @@
 """Text files that users give: read whole, of a bounded size, as TOML, YAML or JSON.
 
-What is no regular file is refused before it is opened: reading a pipe blocks, and a device such as /dev/zero never ends."""
+What is no regular file is refused before it is opened: reading a pipe blocks, and a device such as /dev/zero never ends.
+"""
 
 import json
 import stat
@@ -22,7 +23,8 @@ SETTINGS_LINE_MAX = 1000
 
 def require_regular(path: Path, advice: str, what: str = "") -> None:
     """Raises InputError where `path` is not there, or is a folder, a pipe or a device. advice: what the user can do;
-    the end of the error's line. what: its beginning, where the path alone says too little."""
+    the end of the error's line. what: its beginning, where the path alone says too little.
+    """
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
@@ -41,7 +43,8 @@ def _kind(mode: int) -> str:
 
 def read_text(path: Path, advice: str, bytes_max: int = TEXT_BYTES_MAX) -> str:
     """The text of a UTF-8 file. advice: what the user can do, as "give a TUM file"; it ends the one line of every
-    InputError. Raises InputError where it is no file of text, cannot be read, or has more than `bytes_max` bytes."""
+    InputError. Raises InputError where it is no file of text, cannot be read, or has more than `bytes_max` bytes.
+    """
     require_regular(path, advice)
     try:
         if path.stat().st_size > bytes_max:

@@ -1,6 +1,7 @@
 """Trajectories from outside: TUM files (as evo reads them), and poses that a bag carries.
 
-Stamps are nanoseconds since 1970 in 19 digits: they are read and written as integers, for a double keeps only 16."""
+Stamps are nanoseconds since 1970 in 19 digits: they are read and written as integers, for a double keeps only 16.
+"""
 
 from collections.abc import Iterable
 from decimal import Decimal, InvalidOperation
@@ -22,7 +23,8 @@ _ORDER = "stamp x y z qx qy qz qw"
 
 def read_tum(path: Path) -> Trajectory:
     """A TUM file: one pose a line, "stamp x y z qx qy qz qw", stamps in seconds; # begins a comment.
-    Raises InputError that names the line."""
+    Raises InputError that names the line.
+    """
     text = read_text(path, "give a TUM file")
     stamps: list[int] = []
     poses: list[list[float]] = []
@@ -91,7 +93,8 @@ def read_pose_topic(bag: Bag, topic: str, base_frame: str | None, static: FrameT
     base_frame: the frame whose poses are wanted; None to take the topic's poses as they are.
     static: joins the frame that the topic's poses are of with `base_frame`; needed only where the two differ.
     Poses without a rotation, with NaN, or with a stamp that does not go on from the last are left out.
-    Raises InputError where the topic is unknown, of another type or without poses, or no transform joins the frames."""
+    Raises InputError where the topic is unknown, of another type or without poses, or no transform joins the frames.
+    """
     found = bag.topic(topic)
     if found.msgtype in TF_TYPES:
         if base_frame is None:

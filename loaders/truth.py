@@ -25,7 +25,8 @@ BUILDING_TOPIC = "/truth/building"
 @dataclass(frozen=True, eq=False)
 class Truth:
     """A bag's truth; what the bag lacks is None. trajectory: T_map_base. building: GeoJSON FeatureCollection of walls,
-    doors and rooms, metres in the map frame. classes: the true class of every point of the vertical clouds."""
+    doors and rooms, metres in the map frame. classes: the true class of every point of the vertical clouds.
+    """
 
     trajectory: Trajectory | None
     building: dict[str, Any] | None
@@ -45,7 +46,8 @@ class TruthClasses:
 
     def at(self, stamp: int) -> UInt8Array | None:
         """Classes (points of the cloud,) uint8 in the cloud's order; None where the bag has none for this stamp.
-        Raises CloudError where the message has no field `truth`."""
+        Raises CloudError where the message has no field `truth`.
+        """
         log_time_ns = self._log_time_ns.get(stamp)
         if log_time_ns is None:
             return None
@@ -70,7 +72,8 @@ def carries_truth(path: Path) -> bool:
 
 def read_truth(bag: Bag) -> Truth | None:
     """The bag's truth; None where it carries none. The bag must stay open while classes are read.
-    Raises InputError where the truth is damaged."""
+    Raises InputError where the truth is damaged.
+    """
     has = {
         name for name in (POSE_TOPIC, CLASSES_TOPIC, BUILDING_TOPIC) if name in bag.topics and bag.topics[name].count
     }

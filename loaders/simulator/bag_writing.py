@@ -1,5 +1,6 @@
 """ROS 1 bags and ROS 2 folders through rosbags: the messages of a simulated drive, written under a name of their own
-until they are complete."""
+until they are complete.
+"""
 
 import os
 import shutil
@@ -38,7 +39,8 @@ _LATCHED = (
 class BagWriter:
     """Messages of a drive into one of the containers, in the order in which they are given.
     Written under another name; `close` gives it its own, leaving by an exception removes it. Raises InputError where
-    the place is taken or cannot be written."""
+    the place is taken or cannot be written.
+    """
 
     def __init__(self, out: Path, container: Container) -> None:
         if out.exists():

@@ -1,7 +1,8 @@
 """A floor of a building as a plan: rooms, walls with thickness, doors, windows and columns; and its mesh.
 
 Plan frame: metres, the corridor starts at the origin and runs along x, z = 0 is the floor. Rooms partition the floor by
-the walls' centre lines; what the rooms leave of the floor's footprint is wall, so both faces of every wall are real."""
+the walls' centre lines; what the rooms leave of the floor's footprint is wall, so both faces of every wall are real.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -58,7 +59,8 @@ class Opening:
 @dataclass(frozen=True)
 class Door(Opening):
     """rooms: in front (the corridor, where there is one) and behind. angle_deg: 0 closed, 90 open, 170 against the
-    wall. recess_m: how far a closed leaf stands behind the front face. hinge: -1 or 1, the jamb of a single leaf."""
+    wall. recess_m: how far a closed leaf stands behind the front face. hinge: -1 or 1, the jamb of a single leaf.
+    """
 
     rooms: tuple[str, str]
     angle_deg: float

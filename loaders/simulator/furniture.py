@@ -20,7 +20,8 @@ Build = Callable[[MeshBuilder, Spot, Size, float, np.random.Generator], None]
 @dataclass(frozen=True)
 class Piece:
     """width, depth: ranges in metres. at_wall: stands with its back to a wall. kinds: of rooms. weight: how often.
-    height: what it covers above the floor, to keep boards off cupboards and windows off cabinets."""
+    height: what it covers above the floor, to keep boards off cupboards and windows off cabinets.
+    """
 
     build: Build
     width: tuple[float, float]
@@ -189,7 +190,8 @@ def furnish(
     plan: Plan, path: BaseGeometry, clutter: float, mesh: MeshBuilder, rng: np.random.Generator
 ) -> BaseGeometry:
     """Furniture in every room, `clutter` from 0 to 1 as dense as it fits; returns the floor it covers.
-    path: what must stay clear, in the plan."""
+    path: what must stay clear, in the plan.
+    """
     doorways = [door.spot.rectangle(-d, d, door.depth[0] - 0.95, door.depth[1] + 0.3)
                 for door in plan.doors if (d := door.width_m / 2 + 0.12)]  # fmt: skip
     leaves = [leaf.buffer(0.03) for door in plan.doors for leaf in door.leaf_areas()]

@@ -1,7 +1,8 @@
 """The robot's drive: along the corridor and back, in and out of rooms through open doors, swaying a little.
 
 A route is a polyline with rounded corners. Progress along it is counted in metres of `hypot(ds, r dθ)` with
-r = speed / turn rate, so that a steady progress keeps both the speed and the turn rate below their limits."""
+r = speed / turn rate, so that a steady progress keeps both the speed and the turn rate below their limits.
+"""
 
 from dataclasses import dataclass
 from operator import itemgetter
@@ -32,7 +33,8 @@ _SMOOTHING_S = 0.25
 @dataclass(frozen=True)
 class Visit:
     """A detour from the corridor through an open door and back.
-    along_m: where it leaves the corridor's middle. tour: (n, 2) once around the room. peek: (m, 2) in and out again."""
+    along_m: where it leaves the corridor's middle. tour: (n, 2) once around the room. peek: (m, 2) in and out again.
+    """
 
     along_m: float
     tour: FloatArray
@@ -114,7 +116,8 @@ def _is_clear(route: FloatArray, free: BaseGeometry) -> bool:
 
 def choose_route(ways: Ways, settings: SimulationSettings) -> FloatArray:
     """The whole corridor, with as many visits as the time allows; then back with the visits left over, and so on.
-    (n, 2) polyline in the plan, long enough for the drive."""
+    (n, 2) polyline in the plan, long enough for the drive.
+    """
     budget_m = settings.speed_mps * (settings.duration_s - REST_S)
     radius = settings.speed_mps / settings.turn_radps
     chosen: list[tuple[float, FloatArray]] = []
@@ -191,7 +194,8 @@ def _follow(route: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
 
 def drive(route: FloatArray, end_s: float, settings: SimulationSettings, rng: np.random.Generator) -> Trajectory:
     """T_plan_base from 0 to `end_s` at POSE_RATE_HZ, stamps from 0; level floor, at rest for the first second.
-    Poses between two stamps are meant to be interpolated linearly: the truth is then exact."""
+    Poses between two stamps are meant to be interpolated linearly: the truth is then exact.
+    """
     place, turned = _follow(route, settings.speed_mps / settings.turn_radps)
     angle, progress = turned.T
     time_s = np.arange(round(end_s * POSE_RATE_HZ) + 2) / POSE_RATE_HZ

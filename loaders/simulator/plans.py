@@ -24,7 +24,8 @@ class Outline:
 
     corridor: (n, 2) centre line. width_m: clear width of the corridor. depth_m: of the rooms on its left and right.
     skew_m: how far the walls between rooms lean along the corridor. lab_m: widths of rooms that are labs, left first.
-    hall_m: depth of a hall across the corridor's end, 0 for none."""
+    hall_m: depth of a hall across the corridor's end, 0 for none.
+    """
 
     corridor: FloatArray
     width_m: float
@@ -77,7 +78,8 @@ angle, one that ends in a hall with columns, and three or four rooms for a demon
 
 def draw_plan(settings: SimulationSettings, rng: np.random.Generator) -> Plan:
     """The named building.
-    Raises InputError where there is no building of that name."""
+    Raises InputError where there is no building of that name.
+    """
     if settings.building not in BUILDINGS:
         close = get_close_matches(settings.building, BUILDINGS, 1)
         hint = f"did you mean '{close[0]}'? There" if close else "there"
@@ -153,7 +155,8 @@ def _cuts(
 ) -> FloatArray:
     """Where walls between rooms meet the corridor, in metres along its centre line; both ends included.
     reach_m: how far the rooms reach from the centre line, to its left if positive; inside a bend they have less space.
-    A gentle bend has a wall at its corner; in a sharp one a room goes around it."""
+    A gentle bend has a wall at its corner; in a sharp one a room goes around it.
+    """
     legs = np.diff(line, axis=0)
     corners = np.append(0.0, np.cumsum(np.linalg.norm(legs, axis=1)))
     turns = np.diff(np.unwrap(np.arctan2(legs[:, 1], legs[:, 0])))

@@ -22,7 +22,8 @@ _PANE_TRANSMITS = 0.8  # Share of the signal that is left after a pane, there an
 @dataclass(frozen=True)
 class Walker:
     """A person who walks back and forth between two places (3,) of the map; an upright cylinder with a head.
-    phase: where along the way and back at time 0, from 0 to 1."""
+    phase: where along the way and back at time 0, from 0 to 1.
+    """
 
     start: FloatArray
     end: FloatArray
@@ -57,7 +58,8 @@ class Walker:
 @dataclass(frozen=True)
 class Hits:
     """What each ray met. distance_m: along the ray as the sensor counts it, inf for nothing; cosine: of incidence;
-    signal: reflectivity times what panes let through; truth: what was hit, OUTSIDE behind or in a pane."""
+    signal: reflectivity times what panes let through; truth: what was hit, OUTSIDE behind or in a pane.
+    """
 
     distance_m: FloatArray
     cosine: FloatArray
@@ -69,7 +71,8 @@ class Hits:
 class Sweep:
     """One revolution as the sensor reports it, in firing order (Velodyne) or ring by ring (Ouster).
     Velodyne: returns only. Ouster: (rings · columns) places, zeros where nothing returned, truth NO_RETURN there.
-    points_sensor: (n, 3) float32 metres. time_ns: (n,) from the sweep's start. stamp_ns: its start; end_ns: its end."""
+    points_sensor: (n, 3) float32 metres. time_ns: (n,) from the sweep's start. stamp_ns: its start; end_ns: its end.
+    """
 
     points_sensor: FloatArray
     range_m: FloatArray
@@ -167,7 +170,8 @@ def scan(
 ) -> Sweep:  # fmt: skip
     """One revolution, every firing from the pose of its own time.
     trajectory: T_map_base, stamps from the horizontal lidar's first sweep. ring_bias_m: (rings,) range offsets. Its
-    chances depend on the seed, the lidar and the sweep alone."""
+    chances depend on the seed, the lidar and the sweep alone.
+    """
     model = lidar.model
     rng = np.random.default_rng([settings.seed, 71, lidar.role == "vertical", sweep])
     start_ns = lidar.sweep_start_ns(sweep)
@@ -206,7 +210,8 @@ def scan(
 
 def _mixed(distance_m: FloatArray, share: float, rng: np.random.Generator) -> FloatArray:
     """Ranges (columns, rings) where beams that straddle an edge measure something between its two sides.
-    The point keeps the truth of the surface in the beam's middle."""
+    The point keeps the truth of the surface in the beam's middle.
+    """
     with np.errstate(invalid="ignore"):
         step = np.roll(distance_m, 1, axis=0) - distance_m
     edge = np.flatnonzero((np.abs(step) > 0.05) & (np.abs(step) < _MIXED_STEP_M))

@@ -20,7 +20,8 @@ class SensorModel:
     columns: firings of each emitter a revolution. rate_hz: revolutions a second.
     column_ns: nanoseconds that all emitters take, one after the other, before the next column.
     noise_m: sigma of a range at right angles. max_range_m: of a white wall at right angles.
-    layout: of its driver's PointCloud2."""
+    layout: of its driver's PointCloud2.
+    """
 
     name: Sensor
     elevation_deg: tuple[float, ...]
@@ -39,7 +40,8 @@ class SensorModel:
     @property
     def firing_order(self) -> IntArray:
         """(rings,) the ring of each firing of a column: Velodynes fire the lower and upper half in turns, Ousters all
-        at once, the uppermost first in their rows."""
+        at once, the uppermost first in their rows.
+        """
         if self.layout == "ouster":
             return np.arange(self.rings)[::-1]
         return np.arange(self.rings).reshape(2, -1).T.ravel()
@@ -79,7 +81,8 @@ SENSORS: dict[Sensor, SensorModel] = {
 class Lidar:
     """One of the robot's two lidars.
     role: horizontal = spin axis upright (odometry), vertical = spin axis forward (sweeps floor, walls and ceiling).
-    period_ns: of a revolution; the two differ. phase_ns: its first sweep's start after the horizontal one's."""
+    period_ns: of a revolution; the two differ. phase_ns: its first sweep's start after the horizontal one's.
+    """
 
     role: Literal["horizontal", "vertical"]
     topic: str

@@ -51,7 +51,8 @@ class SimulationReport:
 @dataclass(frozen=True)
 class Scene:
     """Everything there is before the first ray. mesh, trajectory (T_map_base, stamps from the first horizontal sweep)
-    and truth (GeoJSON) are in the map's frame. furniture: the floor it covers, in the plan's frame."""
+    and truth (GeoJSON) are in the map's frame. furniture: the floor it covers, in the plan's frame.
+    """
 
     plan: Plan
     mesh: Mesh
@@ -75,7 +76,8 @@ class _Job:
 
 def draw_scene(settings: SimulationSettings) -> Scene:
     """Building, furniture, people, lidars and drive, all from the settings and their seed.
-    Raises InputError where there is no building of the name."""
+    Raises InputError where there is no building of the name.
+    """
     # A stream for each part, so that one more door does not move every chair.
     plan_rng, structure_rng, furniture_rng, outside_rng, drive_rng, sensor_rng = (
         np.random.default_rng([settings.seed, part]) for part in range(6)
@@ -132,7 +134,8 @@ def simulate(
     out: Path, settings: SimulationSettings, progress: Callable[[float], None] | None = None
 ) -> SimulationReport:
     """Write the bag of one drive at `out`: a file (bag) or a folder (mcap, db3). progress: called with the share that
-    is done, 0 to 1. Raises InputError where there is no such building, or `out` exists or cannot be written."""
+    is done, 0 to 1. Raises InputError where there is no such building, or `out` exists or cannot be written.
+    """
     clouds: dict[str, int] = {}
     points: dict[str, int] = {}
     with BagWriter(out, settings.format) as writer:

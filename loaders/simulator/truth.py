@@ -16,7 +16,8 @@ def building_truth(plan: Plan, T_map_plan: FloatArray) -> dict[str, Any]:
     door: LineString along the sill between the jambs; state, width, height, recess (of a closed leaf behind the first
     room's wall face), leaf (single or double), angle_deg, wall_thickness, rooms.
     room: Polygon up to the walls' faces; name, area, ceiling.
-    glass: LineString of a pane; bottom, height."""
+    glass: LineString of a pane; bottom, height.
+    """
 
     def line(ends: FloatArray) -> dict[str, Any]:
         return {"type": "LineString", "coordinates": _in_map(ends, T_map_plan)}
