@@ -326,6 +326,7 @@ class Legend:
 
 class CurveSheet:
     """Where the difference curves are drawn, in units of one sample to the right and downwards.
+
     On top one line's curve as in Fig. 5b; below it one small cell for every line: first the lines of side 0, emitter by
     emitter, then those of side 1.
     """
@@ -446,6 +447,7 @@ _COLOR_WORDS = ("yellow", "gray", "red", "green", "blue", "magenta")
 
 def explain(record: Mapping[str, Any]) -> str:
     """The recording explained to a stranger, in Markdown.
+
     record: what `run.json` holds at the start; what is missing there is left out.
     """
     rig = record.get("rig", {})

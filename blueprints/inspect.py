@@ -24,6 +24,7 @@ def build(
     look_at_m: tuple[float, float, float] | None = None,
 ) -> rrb.Blueprint:
     """The layout of a recording of one scan.
+
     profile_m: largest horizontal range and height that the profile shows. line: the line to open at; None for the
     first. faults: those that are marked. look_at_m: what to look at, in the level frame; None for the whole scan.
     """

@@ -22,6 +22,7 @@ def build(centre_m: tuple[float, float] = (0.0, 0.0), extent_m: float = 20.0) ->
 
 def tab(centre_m: tuple[float, float], extent_m: float, compared: bool) -> rrb.Container:
     """All maps of a run.
+
     compared: the recording has what they were compared with, which is laid over the furniture-free map beside it.
     """
     views = [_map(name, title, centre_m, extent_m, []) for name, title in _NAMES.items()]

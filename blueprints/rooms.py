@@ -17,6 +17,7 @@ _COMPARED = {
 
 def build(centre_m: tuple[float, float], extent_m: float, grid: str = entities.SEGMENTED) -> rrb.Blueprint:
     """The layout of a recording that holds one segmented map.
+
     centre_m, extent_m: middle and size of what is shown. grid: name of the map.
     """
     return layout(tab(centre_m, extent_m, grid), rrb.TimePanel(state="hidden"))

@@ -31,6 +31,7 @@ def following(timeline: str) -> rrb.TimePanel:
 
 def opening_at(timeline: str, number: int | None) -> rrb.TimePanel:
     """A timeline of numbers that opens at its start, or at one of them.
+
     A layout cannot place the time cursor; it can play a selection, and one of a single number stays there.
     """
     if number is None:

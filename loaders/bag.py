@@ -98,6 +98,7 @@ class Bag:
         self, topics: Collection[str], start_ns: int | None = None, stop_ns: int | None = None
     ) -> Iterator[RawMessage]:
         """Messages of these topics in the order of their log time, from `start_ns` until before `stop_ns`.
+
         Raises InputError where the file turns out to be damaged.
         """
 
@@ -157,6 +158,7 @@ class Bag:
 
 def open_bag(path: Path) -> Bag:
     """Open a ROS 1 .bag, a ROS 2 folder (sqlite3 or MCAP, with metadata.yaml or without), a bare .db3 or .mcap.
+
     A ROS 1 or MCAP file that was cut, or whose recorder was killed, is opened up to the cut, with a warning. Raises
     InputError where there is no such file, it is no bag, or nothing of it can be read.
     """

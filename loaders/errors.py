@@ -5,6 +5,7 @@ import re
 
 class InputError(Exception):
     """One line that names the file, topic or setting, says what is wrong with it and what to do.
+
     Line breaks and other control characters in what files and users say do not break it, nor reach the terminal.
     """
 

@@ -48,6 +48,7 @@ class TimeField:
 
     def nanoseconds(self, values: npt.NDArray[Any], stamp_ns: int) -> tuple[IntArray, int]:
         """Nanoseconds (n,) int64 from the first of these firings, and that firing's absolute time.
+
         Raises CloudError where the times span longer than a sweep can take, or lie farther than that from the stamp.
         """
         if not len(values):

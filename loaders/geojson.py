@@ -84,6 +84,7 @@ _FEATURES: dict[Kind, type[BaseModel]] = {
 
 def read_features(path: Path, of: Kind, advice: str) -> list[dict[str, Any]]:
     """The features of a FeatureCollection as dictionaries; doors are lines that have a width and a state.
+
     advice: what the user can do; the end of the error's line. Raises InputError where the file is no such GeoJSON.
     """
     return check_features(read_json(path, advice), of, str(path), advice)

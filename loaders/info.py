@@ -85,6 +85,7 @@ def describe_bag(
     time_from: TimeFrom = "auto",
 ) -> BagInfo:
     """Look a bag over; the options are those of `find_rig`.
+
     Raises InputError where the bag cannot be opened, or does not fit what is said of it.
     """
     with open_bag(path) as bag:

@@ -36,6 +36,7 @@ class PacketDecoder:
 
     def to_cloud(self, scan: Message) -> Message:
         """The returns of one revolution as a PointCloud2: x y z intensity ring time, time in seconds from the stamp.
+
         Raises CloudError where the packets are of no sensor that velodyne-decoder knows.
         """
         stamp = scan.header.stamp

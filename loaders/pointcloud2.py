@@ -45,6 +45,7 @@ class CloudField:
 @dataclass(frozen=True)
 class CloudLayout:
     """What a cloud message says about its points.
+
     ring_field, time_field: the names of the fields that hold them; None where there is none.
     """
 
@@ -221,6 +222,7 @@ def settle_decoding(
     messages: Sequence[Message], topic: str, time_from: TimeFrom = "auto", period_ns: int | None = None
 ) -> CloudDecoding:
     """How the clouds of a topic are to be read, from some of them, best from all over the bag.
+
     Raises CloudError where none of them is sound.
     """
     layouts, ring_samples, time_samples = [], [], []
@@ -263,6 +265,7 @@ def _ring_numbers(message: Message, layout: CloudLayout, index: IntArray) -> Int
 
 def _numbers(message: Message, layout: CloudLayout, rings: RingModel, index: IntArray) -> IntArray | None:
     """What tells the ring of each valid point (n,), as the topic's other clouds have it; None where elevations tell it.
+
     Raises CloudError where this cloud has it not, or has numbers that those have not.
     """
     match rings.source:
@@ -288,6 +291,7 @@ def _numbers(message: Message, layout: CloudLayout, rings: RingModel, index: Int
 
 def decode(message: Message, decoding: CloudDecoding) -> Scan:
     """The cloud as a scan: invalid points dropped, ring and time aligned with what is left.
+
     A scan without any valid point is returned empty. Raises CloudError where the message contradicts itself.
     """
     layout = describe_layout(message, decoding.layout.topic)
@@ -356,6 +360,7 @@ def full_labels(scan: Scan, label: UInt8Array) -> UInt8Array:
 
 def encode_labelled(message: Message, label: UInt8Array, label_scan: UInt8Array) -> Message:
     """The same cloud with two uint8 fields more, `label` and `label_scan`, at the end of each point.
+
     label, label_scan: (height x width,) in the cloud's order; see `full_labels`. Stamp, points, their order and the
     other fields stay as they are; padding at the end of rows goes.
     """
@@ -379,6 +384,7 @@ def encode_labelled(message: Message, label: UInt8Array, label_scan: UInt8Array)
 
 def merge_clouds(messages: Sequence[Message]) -> Message:
     """One cloud of several that belong to one revolution, in order; stamp and header of the first.
+
     Their field of times becomes one of the whole revolution (`join_times`). Where they have none, a field `time`
     (float32, seconds from the first stamp) is appended: each cloud's own stamp is the time of its points.
     """

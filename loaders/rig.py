@@ -29,6 +29,7 @@ _REACH_MAX_M = 100.0
 @dataclass(frozen=True, eq=False)
 class Lidar:
     """A lidar of the rig. T_base_sensor: (4, 4). decoding: how its clouds become scans; for `read_scans`.
+
     points_per_cloud: valid points, the median of some clouds. reasons: why it has its role, one line.
     """
 
@@ -350,6 +351,7 @@ def _roles(candidates: list[_Candidate], asked: dict[Role, str], warnings: list[
 
 def _most_aligned(candidates: list[_Candidate], off_deg: dict[str, float], direction: str) -> tuple[_Candidate, str]:
     """The candidate whose spin axis is nearest to a direction, and in words why; of equals the one that sees most.
+
     off_deg: angle between each candidate's spin axis and the direction, by topic.
     """
     smallest_deg = min(off_deg.values())

@@ -157,6 +157,7 @@ def _stamps(bag: Bag, topic: str) -> tuple[IntArray, IntArray]:
 
 def _are_parts(stamps: IntArray, log_time_ns: IntArray) -> bool:
     """Whether the messages of a topic come so fast that they are parts of revolutions.
+
     Where most stamps repeat, the times at which they were recorded tell: a bag may hold every message twice.
     """
     if len(stamps) < 20:
@@ -189,6 +190,7 @@ def _usable(stamps: IntArray, log_time_ns: IntArray) -> BoolArray:
 
 def _in_short_stretches(stamps: IntArray, log_time_ns: IntArray, leap_ns: float) -> BoolArray:
     """Clouds (m,) before or after a leap of the stamps in which no time passed, with too few clouds beside them.
+
     The first cloud of a driver that has no time yet is stamped 0, say. A pause is no leap: time passed.
     """
     steps = np.diff(stamps)
@@ -267,6 +269,7 @@ def read_messages(
     bag: Bag, index: CloudIndex, first: int = 0, count: int | None = None, digests: list[bytes] | None = None
 ) -> Iterator[tuple[int, Message]]:
     """Clouds [first, first + count) as PointCloud2 messages, packets and partial clouds joined to whole revolutions.
+
     A CloudError in place of the message says that it cannot be made one. digests: takes the digest of each cloud's
     bytes as it is read.
     """
@@ -317,6 +320,7 @@ def read_clouds(
     digests: list[bytes] | None = None,
 ) -> Iterator[tuple[int, Scan | SkippedScan, Message | None]]:
     """Clouds [first, first + count): number in the bag, scan, and the PointCloud2 that it was made from.
+
     The message is None only where it could not be read at all. A cloud without a valid point, one that contradicts
     itself and one whose stamp does not go on from those before are SkippedScans. digests: as in `read_messages`.
     """

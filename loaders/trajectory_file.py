@@ -23,6 +23,7 @@ _ORDER = "stamp x y z qx qy qz qw"
 
 def read_tum(path: Path) -> Trajectory:
     """A TUM file: one pose a line, "stamp x y z qx qy qz qw", stamps in seconds; # begins a comment.
+
     Raises InputError that names the line.
     """
     text = read_text(path, "give a TUM file")

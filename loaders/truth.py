@@ -46,6 +46,7 @@ class TruthClasses:
 
     def at(self, stamp: int) -> UInt8Array | None:
         """Classes (points of the cloud,) uint8 in the cloud's order; None where the bag has none for this stamp.
+
         Raises CloudError where the message has no field `truth`.
         """
         log_time_ns = self._log_time_ns.get(stamp)
@@ -72,6 +73,7 @@ def carries_truth(path: Path) -> bool:
 
 def read_truth(bag: Bag) -> Truth | None:
     """The bag's truth; None where it carries none. The bag must stay open while classes are read.
+
     Raises InputError where the truth is damaged.
     """
     has = {

@@ -38,6 +38,7 @@ _LATCHED = (
 
 class BagWriter:
     """Messages of a drive into one of the containers, in the order in which they are given.
+
     Written under another name; `close` gives it its own, leaving by an exception removes it. Raises InputError where
     the place is taken or cannot be written.
     """

@@ -20,6 +20,7 @@ Build = Callable[[MeshBuilder, Spot, Size, float, np.random.Generator], None]
 @dataclass(frozen=True)
 class Piece:
     """width, depth: ranges in metres. at_wall: stands with its back to a wall. kinds: of rooms. weight: how often.
+
     height: what it covers above the floor, to keep boards off cupboards and windows off cabinets.
     """
 
@@ -190,6 +191,7 @@ def furnish(
     plan: Plan, path: BaseGeometry, clutter: float, mesh: MeshBuilder, rng: np.random.Generator
 ) -> BaseGeometry:
     """Furniture in every room, `clutter` from 0 to 1 as dense as it fits; returns the floor it covers.
+
     path: what must stay clear, in the plan.
     """
     doorways = [door.spot.rectangle(-d, d, door.depth[0] - 0.95, door.depth[1] + 0.3)

@@ -33,6 +33,7 @@ _SMOOTHING_S = 0.25
 @dataclass(frozen=True)
 class Visit:
     """A detour from the corridor through an open door and back.
+
     along_m: where it leaves the corridor's middle. tour: (n, 2) once around the room. peek: (m, 2) in and out again.
     """
 
@@ -116,6 +117,7 @@ def _is_clear(route: FloatArray, free: BaseGeometry) -> bool:
 
 def choose_route(ways: Ways, settings: SimulationSettings) -> FloatArray:
     """The whole corridor, with as many visits as the time allows; then back with the visits left over, and so on.
+
     (n, 2) polyline in the plan, long enough for the drive.
     """
     budget_m = settings.speed_mps * (settings.duration_s - REST_S)
@@ -194,6 +196,7 @@ def _follow(route: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
 
 def drive(route: FloatArray, end_s: float, settings: SimulationSettings, rng: np.random.Generator) -> Trajectory:
     """T_plan_base from 0 to `end_s` at POSE_RATE_HZ, stamps from 0; level floor, at rest for the first second.
+
     Poses between two stamps are meant to be interpolated linearly: the truth is then exact.
     """
     place, turned = _follow(route, settings.speed_mps / settings.turn_radps)

@@ -78,6 +78,7 @@ angle, one that ends in a hall with columns, and three or four rooms for a demon
 
 def draw_plan(settings: SimulationSettings, rng: np.random.Generator) -> Plan:
     """The named building.
+
     Raises InputError where there is no building of that name.
     """
     if settings.building not in BUILDINGS:
@@ -154,6 +155,7 @@ def _cuts(
     line: FloatArray, lab_m: tuple[float, ...], reach_m: float, skew_m: float, rng: np.random.Generator
 ) -> FloatArray:
     """Where walls between rooms meet the corridor, in metres along its centre line; both ends included.
+
     reach_m: how far the rooms reach from the centre line, to its left if positive; inside a bend they have less space.
     A gentle bend has a wall at its corner; in a sharp one a room goes around it.
     """

@@ -22,6 +22,7 @@ _PANE_TRANSMITS = 0.8  # Share of the signal that is left after a pane, there an
 @dataclass(frozen=True)
 class Walker:
     """A person who walks back and forth between two places (3,) of the map; an upright cylinder with a head.
+
     phase: where along the way and back at time 0, from 0 to 1.
     """
 
@@ -70,6 +71,7 @@ class Hits:
 @dataclass(frozen=True)
 class Sweep:
     """One revolution as the sensor reports it, in firing order (Velodyne) or ring by ring (Ouster).
+
     Velodyne: returns only. Ouster: (rings · columns) places, zeros where nothing returned, truth NO_RETURN there.
     points_sensor: (n, 3) float32 metres. time_ns: (n,) from the sweep's start. stamp_ns: its start; end_ns: its end.
     """
@@ -169,6 +171,7 @@ def scan(
     ring_bias_m: FloatArray
 ) -> Sweep:  # fmt: skip
     """One revolution, every firing from the pose of its own time.
+
     trajectory: T_map_base, stamps from the horizontal lidar's first sweep. ring_bias_m: (rings,) range offsets. Its
     chances depend on the seed, the lidar and the sweep alone.
     """
@@ -210,6 +213,7 @@ def scan(
 
 def _mixed(distance_m: FloatArray, share: float, rng: np.random.Generator) -> FloatArray:
     """Ranges (columns, rings) where beams that straddle an edge measure something between its two sides.
+
     The point keeps the truth of the surface in the beam's middle.
     """
     with np.errstate(invalid="ignore"):

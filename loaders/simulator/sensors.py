@@ -80,6 +80,7 @@ SENSORS: dict[Sensor, SensorModel] = {
 @dataclass(frozen=True)
 class Lidar:
     """One of the robot's two lidars.
+
     role: horizontal = spin axis upright (odometry), vertical = spin axis forward (sweeps floor, walls and ceiling).
     period_ns: of a revolution; the two differ. phase_ns: its first sweep's start after the horizontal one's.
     """

@@ -76,6 +76,7 @@ class _Job:
 
 def draw_scene(settings: SimulationSettings) -> Scene:
     """Building, furniture, people, lidars and drive, all from the settings and their seed.
+
     Raises InputError where there is no building of the name.
     """
     # A stream for each part, so that one more door does not move every chair.

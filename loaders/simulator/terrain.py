@@ -17,6 +17,7 @@ _FACET_M = 0.6
 @dataclass(frozen=True)
 class Terrain:
     """The floor's height over the plan; walls stay upright, ceilings follow the floor.
+
     gradient: (2,) of the slope. ramp_x_m: where the ramp starts and ends along the plan's x.
     """
 
