@@ -365,16 +365,14 @@ def test_labels_beside_the_runs_own_bag_count_the_same(tmp_path: Path, run: tupl
         for number, message in read_messages(bag, index):
             layout = describe_layout(message, "/vertical")
             rows.append((number, *(field_column(message, layout, name).copy() for name in ("label", "label_scan"))))
-    with LabelsWriter(made / "labels.parquet") as writer:
-        list(writer.passing(rows))
+    list(LabelsWriter(made / "labels.parquet").passing(rows))
     (made / "labelled.bag").unlink()
     options = {"vertical": "/vertical"}  # what the user did not say need not be there
     write_json(made / "run.json", {"bag": {"path": str(bag_path)}, "options": options})
     metrics = evaluate_run(open_run(made), workers=1)
     for section in ("scans", "area", "area_scan", "points", "points_scan", "doors", "wall_map"):
         assert json.dumps(metrics[section]) == json.dumps(run[1][section])
-    with LabelsWriter(made / "labels.parquet") as writer:
-        list(writer.passing(rows[1:]))
+    list(LabelsWriter(made / "labels.parquet").passing(rows[1:]))
     # What has no row was skipped by the run: left out, and said so, as where the labelled bag has no label.
     fewer = evaluate_run(open_run(made), workers=1)
     assert fewer["scans"] == metrics["scans"] | {"counted": 5, "skipped": 1}

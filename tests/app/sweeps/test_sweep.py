@@ -258,8 +258,8 @@ def test_mistakes_are_one_line_and_nothing_starts(
 
 
 def test_the_command_line_says_which_outputs_there_are(bag: Path, environment: dict[str, str], tmp_path: Path) -> None:
-    for command in ("sweep", "run"):
-        done = ffmap(environment, command, bag, "--outputs", "recording,rooms", "--out", tmp_path / "out")
+    for command in (("sweep", bag, "--grid", "doors.lines_min=2,3"), ("run", bag)):
+        done = ffmap(environment, *command, "--outputs", "recording,rooms", "--out", tmp_path / "out")
         assert done.returncode == 2
         assert len(done.stderr.strip().splitlines()) == 1
         assert "'rooms'" in done.stderr
