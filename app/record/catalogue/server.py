@@ -51,7 +51,7 @@ class CatalogueServer:
             raise InputError(f"{LOOPBACK}: Rerun's server does not start; 'python -m rerun server' says why")
 
 
-_SOON_S = 2.0
+_SOON_S = 0.5
 
 
 def main() -> None:
