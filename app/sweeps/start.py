@@ -88,6 +88,7 @@ class Sweep:
 
 def make_ready(words: SweepParameters) -> Sweep:
     """Check everything, make the folder; raises InputError before anything starts where something is wrong."""
+    outputs = parse_outputs(words.outputs, SWEEP_OUTPUTS)
     base = load_settings(words.config, words.set_ or ())
     if words.random is not None and words.optuna is not None:
         raise InputError("--random and --optuna: choose one of them")
@@ -101,7 +102,6 @@ def make_ready(words: SweepParameters) -> Sweep:
             raise InputError(f"{inputs.bag_path}: has no lidar that sweeps the walls; there is nothing to label")
         if inputs.horizontal is None and words.trajectory is None:
             raise InputError(f"{inputs.bag_path}: no horizontal lidar gives poses; give --horizontal or --trajectory")
-    outputs = parse_outputs(words.outputs, SWEEP_OUTPUTS)
     truth = words.evaluate and all(carries_truth(inputs.bag_path) for inputs in bags)
     if truth and not {Output.LABELS, Output.LABELLED} & set(outputs):
         raise InputError("--outputs: without labels or labelled no run can be compared with the truth; add labels")
