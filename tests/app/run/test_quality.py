@@ -15,7 +15,9 @@ def metrics(tmp_path_factory: pytest.TempPathFactory) -> Any:
     folder = tmp_path_factory.mktemp("quality")
     bag = folder / "office.bag"
     simulate(bag, SimulationSettings(building="office", seed=1, duration_s=25.0))
-    run_command.run(Arguments(bag=bag, out=folder / "run", outputs=("labels", "maps", "geojson"), quiet=True, workers=1), None)
+    run_command.run(
+        Arguments(bag=bag, out=folder / "run", outputs=("labels", "maps", "geojson"), quiet=True, workers=1), None
+    )
     return json.loads((folder / "run" / "metrics.json").read_text())
 
 
