@@ -19,7 +19,10 @@ class ScanSettings(StepSettings):
     """Which returns of a scan are used."""
 
     range_max_m: float = Field(
-        100.0, gt=0, le=150, description="Maximum range (m): farther returns are errors indoors."
+        100.0,
+        gt=0,
+        le=150,
+        description="Maximum distance (m) of a return from the lidar: indoors, farther ones are errors.",
     )
 
 

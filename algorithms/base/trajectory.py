@@ -20,11 +20,18 @@ KNOTS = 17  # number of poses in a sweep, 6 ms apart at 10 Hz; between them a fi
 class TrajectorySettings(StepSettings):
     """Placing scans and levelling the map (paper, IV.C and V)."""
 
-    level_s: float = Field(8.0, gt=0, le=60, description="Duration (s) from the start that levels the map.")
-    level_scan_max_deg: float = Field(
-        1.0, ge=0, le=10, description="Maximum angle (degrees) by which a scan is turned to the map's floor; 0: none."
+    level_s: float = Field(
+        8.0, gt=0, le=60, description="Duration (s) from the start whose walls and floor level the map."
     )
-    extrapolate_s: float = Field(0.3, ge=0, description="Maximum time (s) of a scan before or after the odometry.")
+    level_scan_max_deg: float = Field(
+        1.0,
+        ge=0,
+        le=10,
+        description="Maximum angle (degrees) by which a scan is turned to give its floor the slope of the map's; 0 turns none.",
+    )
+    extrapolate_s: float = Field(
+        0.3, ge=0, description="Maximum time (s) of a vertical scan before or after the odometry; others are skipped."
+    )
 
 
 @dataclass(frozen=True)

@@ -22,16 +22,36 @@ _BIN_M = 0.01
 class DoorFramesSettings(StepSettings):
     """Measuring doors' jambs, heads and reveals to a centimetre."""
 
-    jamb_reach_m: float = Field(0.2, gt=0, le=1, description="Maximum distance (m) of a jamb from where cells show it.")
+    jamb_reach_m: float = Field(
+        0.2, gt=0, le=1, description="Maximum distance (m) of a jamb from where the cells of the wall's face show it."
+    )
     head_min_m: float = Field(1.7, gt=0, description="Minimum height above the floor (m) of a door's head.")
     head_max_m: float = Field(2.7, gt=0, description="Maximum height above the floor (m) of a door's head.")
-    from_m: float = Field(0.3, gt=0, description="Minimum distance (m) of a scan; nearer, rays meet frames aslant.")
-    to_m: float = Field(6.0, gt=0, description="Maximum distance (m) of a scan: farther ones have few rays there.")
-    corner_m: float = Field(0.15, ge=0, description="Distance (m) from a frame's corner where rays tell nothing.")
-    foot_m: float = Field(0.2, ge=0, description="Height (m) up to which sills and stops stand in the doorway.")
-    underside_m: float = Field(0.08, gt=0, description="Maximum distance (m) from the head of rays that end below it.")
-    behind_max_m: float = Field(0.1, gt=0, description="Depth (m) behind the face where a ray's end no longer matters.")
-    rays_min: int = Field(30, ge=1, description="Minimum rays on the face, and behind it, that place an edge.")
+    from_m: float = Field(
+        0.3, gt=0, description="Minimum distance (m) of a scan before the face: nearer ones meet the frame aslant."
+    )
+    to_m: float = Field(
+        6.0, gt=0, description="Maximum distance (m) of a scan before the face: farther ones have few rays there."
+    )
+    corner_m: float = Field(
+        0.15,
+        ge=0,
+        description="Closer to a jamb (m) rays tell nothing of the head; closer to the head, nothing of a jamb.",
+    )
+    foot_m: float = Field(
+        0.2, ge=0, description="Lower above the floor (m) sills, stops and thresholds stand in the doorway."
+    )
+    underside_m: float = Field(
+        0.08,
+        gt=0,
+        description="Maximum distance (m) from a door's head of rays that may end on its lintel's underside.",
+    )
+    behind_max_m: float = Field(
+        0.1,
+        gt=0,
+        description="Behind the face (m) beyond which it does not matter where a ray through the opening ended.",
+    )
+    rays_min: int = Field(30, ge=1, description="Minimum rays on the face, and behind it, that place a jamb or a head.")
     reveal_max_m: float = Field(0.7, gt=0, le=5, description="Maximum depth (m) of a door's reveals.")
 
 

@@ -34,11 +34,16 @@ class FaceAlignmentSettings(StepSettings):
         0.6,
         ge=0,
         le=1,
-        description="Where more than this share of columns shows above doors, nothing below counts: furniture stands there.",
+        description="Where the wall above doors returned from more than this share of a face's columns, nothing below "
+        "counts: furniture stands there.",
     )
-    rival_share_min: float = Field(0.5, ge=0, le=1, description="Minimum share of the most votes for another line.")
+    rival_share_min: float = Field(
+        0.5, ge=0, le=1, description="A line with this share of the most votes may be the wall."
+    )
     columns_min: int = Field(3, ge=2, description="Minimum number of columns that tell where a face lies.")
-    spread_share_min: float = Field(0.5, ge=0, le=1, description="Minimum share of a face over which they spread.")
+    spread_share_min: float = Field(
+        0.5, ge=0, le=1, description="Minimum share of a face that the columns that tell where it lies spread over."
+    )
 
 
 @dataclass(frozen=True)

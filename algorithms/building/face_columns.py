@@ -36,7 +36,9 @@ class FaceColumnsSettings(StepSettings):
     foot_m: float = Field(0.15, ge=0, description="Minimum height (m) of rays that count; below are skirting boards.")
     crown_m: float = Field(0.2, gt=0, description="Height (m) of the wall below the ceiling that no window reaches.")
     row_rays_min: int = Field(3, ge=1, description="Minimum number of rays that pass an open row of a column.")
-    row_open_ratio: float = Field(10.0, gt=0, description="Minimum rays that pass an open row for each that ends.")
+    row_open_ratio: float = Field(
+        10.0, gt=0, description="Minimum rays that pass an open row for each that ends there."
+    )
     room_from_m: float = Field(0.3, ge=0, description="Minimum distance (m) before a face at which its room is seen.")
     room_to_m: float = Field(3.0, gt=0, description="Maximum distance (m) before a face at which its room is seen.")
     room_beside_m: float = Field(0.5, ge=0, description="Maximum distance (m) beyond a face's ends of its room.")

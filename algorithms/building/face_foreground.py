@@ -25,25 +25,44 @@ class ForegroundSettings(StepSettings):
 
     relief_m: float = Field(0.010, gt=0, description="Minimum mean distance (m) before a wall's face of relief.")
     edge_share: float = Field(0.6, gt=0, le=1, description="A patch of relief ends below this share of `relief_m`.")
-    above_m: float = Field(2.12, gt=0, description="Height (m) above which walls alone are seen, but for low rooms.")
+    above_m: float = Field(
+        2.12,
+        gt=0,
+        description="Height above the floor (m) from which, to the ceiling, the wall itself is seen; in lower rooms the last "
+        "25 cm.",
+    )
     wall_columns: int = Field(11, ge=1, description="Columns over which the wall above is averaged.")
     reveal_m: float = Field(0.03, gt=0, description="Minimum depth (m) of a window's reveal behind the wall around it.")
-    front_percent: float = Field(75.0, gt=0, lt=100, description="Percentile of distances: the wall around a reveal.")
+    front_percent: float = Field(
+        75.0, gt=0, lt=100, description="Percentile of the cells' distances that is taken for the wall around a reveal."
+    )
     returns_min: int = Field(8, ge=1, description="Minimum number of returns that tell a distance before the face.")
-    together_max: int = Field(7, ge=1, description="Maximum edge (cells) of windows averaged over sparse returns.")
+    together_max: int = Field(
+        7, ge=1, description="Maximum edge, in cells, of the window that is averaged where cells returned too little."
+    )
     scatter_max: float = Field(
         2.0,
         gt=0,
         description="A window whose scatter is more than this many times the wall's own holds several surfaces.",
     )
     lean_rows_min: int = Field(20, ge=3, description="Minimum number of rows that tell that a wall leans.")
-    lean_rms_max_m: float = Field(0.003, gt=0, description="Maximum RMS distance (m) of leaning rows from a line.")
+    lean_rms_max_m: float = Field(
+        0.003, gt=0, description="Maximum RMS distance (m) of a leaning wall's rows from a line."
+    )
     lean_max: float = Field(0.02, gt=0, description="Maximum lean of a wall, in metres per metre of height.")
-    gap_max_m: float = Field(0.5, ge=0, description="Maximum height (m) of a gap in relief: boards hide backs.")
-    foot_max_m: float = Field(0.3, gt=0, description="Maximum height (m) at which relief begins; higher, it is wall.")
+    gap_max_m: float = Field(
+        0.5, ge=0, description="Maximum height (m) of a gap in relief: a board hides a shelf's back."
+    )
+    foot_max_m: float = Field(
+        0.3,
+        gt=0,
+        description="Relief that does not come down to this height above the floor (m) hangs on its wall and is wall.",
+    )
     extent_min_m: float = Field(0.4, gt=0, description="Minimum height and width (m) of relief.")
     extent_max_m: float = Field(3.0, gt=0, description="Maximum width (m) of relief; what is wider is panelling, wall.")
-    below_ceiling_m: float = Field(0.2, ge=0, description="Relief this close (m) to the ceiling is wall: a pillar.")
+    below_ceiling_m: float = Field(
+        0.2, ge=0, description="Relief that comes closer to the ceiling than this (m) is wall: a pillar, a corner."
+    )
     end_m: float = Field(0.1, ge=0, description="Distance (m) from a face's end where other walls return.")
     leaf_m: float = Field(1.0, ge=0, description="Maximum distance (m) of an open leaf from its doorway.")
     leaf_off_m: float = Field(0.03, ge=0, description="Minimum distance (m) of an open leaf from its wall.")

@@ -45,34 +45,86 @@ _KEPT_COLUMNS = 2
 class StandingWallsSettings(StepSettings):
     """Telling walls from what only looks like one, and finding those that scans saw too little of."""
 
-    above_door_m: float = Field(2.12, gt=0, description="Height (m) above which walls alone stand, but for low rooms.")
-    passed_ratio: float = Field(2.0, gt=0, description="Maximum rays that pass a wall's column for each that ends.")
-    hollow_ratio: float = Field(4.0, gt=0, description="Minimum rays that pass below a column for each that ends.")
-    open_above_m: float = Field(0.3, gt=0, description="Maximum height (m) above doors over which a wall is open.")
+    above_door_m: float = Field(
+        2.12,
+        gt=0,
+        description="Height above the floor (m), over leaves and cupboards, above which a wall still stands; in lower rooms "
+        "the last 25 cm below the ceiling.",
+    )
+    passed_ratio: float = Field(
+        2.0,
+        gt=0,
+        description="A column is no wall's if more rays than this pass below the ceiling for each that ends there.",
+    )
+    hollow_ratio: float = Field(
+        4.0, gt=0, description="Minimum rays that pass a column open below for each that ends there."
+    )
+    open_above_m: float = Field(
+        0.3,
+        gt=0,
+        description="A wall is not open over this much (m) of its height above doors, though it be seen there.",
+    )
     opening_max_m: float = Field(2.6, gt=0, description="Maximum length (m) below a lintel; longer, it is a duct.")
     jamb_share_min: float = Field(0.1, ge=0, le=1, description="Minimum share of a lintel's face with wall below it.")
     cut_min_m: float = Field(0.3, gt=0, description="Minimum length (m) cut out of a face that rays pass above.")
-    rest_min_m: float = Field(0.5, ge=0, description="Minimum length (m) of wall beside a leaf; a reveal is shorter.")
-    window_frame_m: float = Field(0.6, ge=0, description="Distance (m) from a high window within which its wall shows.")
-    corner_m: float = Field(0.7, ge=0, description="Maximum distance (m) that a face is extended to a corner.")
-    corner_reached_m: float = Field(0.1, ge=0, description="Distance (m) behind a corner up to which a face ends.")
-    scans_few: int = Field(10, ge=0, description="Fewer scans do not prove a face that runs along no others.")
-    direction_share_min: float = Field(
-        0.04, ge=0, le=1, description="Minimum share of the faces' length of a direction."
+    rest_min_m: float = Field(
+        0.5,
+        ge=0,
+        description="Minimum length (m) of the wall that is left of a face beside a leaf or a cupboard; shorter, it is a "
+        "reveal or the leaf's hinge.",
     )
-    leaning_angle_min_deg: float = Field(4.0, ge=0, description="Minimum angle (degrees) of a leaf to its wall.")
-    leaning_angle_max_deg: float = Field(20.0, gt=0, description="Maximum angle (degrees) of a leaf to its wall.")
-    leaning_distance_m: float = Field(0.1, gt=0, description="Maximum distance (m) of a leaf's middle from its wall.")
+    window_frame_m: float = Field(
+        0.6,
+        ge=0,
+        description="Distance (m) on both sides of a high window within which its wall shows; some rays pass its edges.",
+    )
+    corner_m: float = Field(0.7, ge=0, description="Maximum distance (m) that a face is extended to a corner.")
+    corner_reached_m: float = Field(
+        0.1, ge=0, description="A face that ends up to this (m) behind a corner ends there."
+    )
+    scans_few: int = Field(
+        10,
+        ge=0,
+        description="A face that fewer scans saw, that runs along and across no others, and that does not show from foot to "
+        "ceiling, is no wall's.",
+    )
+    direction_share_min: float = Field(
+        0.04,
+        ge=0,
+        le=1,
+        description="Minimum share of the faces' total length that makes a direction one of the walls'.",
+    )
+    leaning_angle_min_deg: float = Field(
+        4.0, ge=0, description="Minimum angle (degrees) between a wall and a leaning leaf."
+    )
+    leaning_angle_max_deg: float = Field(
+        20.0, gt=0, description="Maximum angle (degrees) between a wall and a leaning leaf."
+    )
+    leaning_distance_m: float = Field(
+        0.1, gt=0, description="Maximum distance (m) between a wall and the middle of a leaf that leans on it."
+    )
     leaning_share_min: float = Field(0.9, ge=0, le=1, description="Minimum share of a leaning leaf beside its wall.")
-    leaning_scans_ratio: float = Field(2.5, gt=0, description="Minimum scans of a wall for each of its leaf.")
+    leaning_scans_ratio: float = Field(
+        2.5, gt=0, description="A wall is seen by more scans than this for each that sees the leaf that leans on it."
+    )
     jamb_m: float = Field(0.15, gt=0, description="Maximum distance (m) between a jamb and its reveal's face.")
-    reveal_goes_on_share: float = Field(0.95, gt=0, le=1, description="Minimum share of rows that continue a reveal.")
+    reveal_goes_on_share: float = Field(
+        0.95,
+        gt=0,
+        le=1,
+        description="A reveal's face goes on as a wall if rays end on this share of the rows beyond it.",
+    )
     stray_rays: int = Field(2, ge=1, description="Fewer rays than this in a row or column may be stray.")
     noise_m: float = Field(0.1, gt=0, description="Maximum distance (m) before a face of its noise and boards.")
     pillar_depth_m: float = Field(0.5, gt=0, description="Maximum distance (m) of a pillar's front before its wall.")
     furniture_depth_m: float = Field(0.9, gt=0, description="Maximum depth (m) of furniture that stands at a wall.")
     hidden_distance_m: float = Field(0.04, gt=0, description="Half thickness (m) of a missed wall's returns.")
-    hidden_passed_max: float = Field(0.2, ge=0, lt=1, description="Maximum share of rays that pass a missed wall.")
+    hidden_passed_max: float = Field(
+        0.2,
+        ge=0,
+        lt=1,
+        description="Maximum share of a missed wall's rays that pass it, because of scatter and of the poses' errors.",
+    )
     hidden_returns_min: int = Field(20, ge=1, description="Minimum number of returns that prove a missed wall.")
     hidden_gap_m: float = Field(0.6, ge=0, description="Maximum gap (m) within a missed wall.")
     robot_m: float = Field(0.25, ge=0, description="Minimum distance (m) of a wall from where the robot drove.")

@@ -23,48 +23,110 @@ from ffmap.algorithms.scan.doors import DoorState
 class RelabellingSettings(StepSettings):
     """What the building's walls and doors change in a scan's labels."""
 
-    wall_distance_m: float = Field(0.04, gt=0, description="Maximum distance (m) from a face of clutter that is wall.")
-    body_m: float = Field(0.07, ge=0, description="Maximum distance (m) of scatter behind a face that the sensor sees.")
-    face_above_m: float = Field(0.1, ge=0, description="Height (m) that a face counts beyond the highest seen of it.")
-    leaf_distance_m: float = Field(0.1, gt=0, description="Maximum distance (m) behind a closed leaf of its scatter.")
-    margin_m: float = Field(0.05, ge=0, description="Distance (m) that a face or a window counts beyond its ends.")
-    at_reveal_m: float = Field(0.035, ge=0, description="Maximum distance (m) of returns from their reveal or lintel.")
-    opening_m: float = Field(0.015, ge=0, description="Distance (m) from an open door's frame where no wall stands.")
-    at_door_m: float = Field(1.0, gt=0, description="Maximum distance (m) from a door's face of what is the door's.")
-    other_face_m: float = Field(0.5, gt=0, description="Maximum distance (m) from a door of other faces that it opens.")
-    lintel_m: float = Field(0.3, ge=0, description="Maximum height (m) above a door's head of its lintel's underside.")
-    leaf_hangs_m: float = Field(0.03, ge=0, description="Width (m) at a reveal's end where an open leaf hangs.")
-    at_leaf_m: float = Field(0.012, ge=0, description="The same as at_reveal_m where the leaf hangs.")
+    wall_distance_m: float = Field(
+        0.04, gt=0, description="Maximum distance (m) from a wall's face of clutter that becomes wall."
+    )
+    body_m: float = Field(
+        0.07,
+        ge=0,
+        description="Maximum distance (m) behind a face that the sensor looks at of clutter that is the wall's scatter.",
+    )
+    face_above_m: float = Field(
+        0.1, ge=0, description="A face counts this far (m) above the highest that was seen of it."
+    )
+    leaf_distance_m: float = Field(
+        0.1, gt=0, description="Maximum distance (m) behind a closed leaf of a return that is its scatter."
+    )
+    margin_m: float = Field(0.05, ge=0, description="A wall's face, or a window, counts this far (m) beyond its ends.")
+    at_reveal_m: float = Field(
+        0.035, ge=0, description="Maximum distance (m) of a return from the reveal or lintel that it is part of."
+    )
+    opening_m: float = Field(
+        0.015, ge=0, description="Distance (m) from the frame of an open door beyond which no wall stands in it."
+    )
+    at_door_m: float = Field(
+        1.0,
+        gt=0,
+        description="Farther (m) before or behind a door's face nothing belongs to the door: leaves are nearer.",
+    )
+    other_face_m: float = Field(
+        0.5, gt=0, description="Maximum distance (m) from a door's face of other faces that its doorway opens too."
+    )
+    lintel_m: float = Field(
+        0.3, ge=0, description="Maximum height (m) above a door's head of returns that are the underside of its lintel."
+    )
+    leaf_hangs_m: float = Field(
+        0.03, ge=0, description="Width (m) at a reveal's end where the leaf of an open door hangs."
+    )
+    at_leaf_m: float = Field(
+        0.012, ge=0, description="The same as at_reveal_m there: what is farther from it is the leaf."
+    )
     scan_door_ratio: float = Field(
         2.0,
         ge=0,
         description="What a scan calls door is wall up to this many wall distances from a face: it is recessed.",
     )
-    refused_m: float = Field(0.06, ge=0, description="Maximum distance (m) from a refused face of its returns.")
-    refused_above_m: float = Field(0.2, ge=0, description="The same as face_above_m of a refused face.")
+    refused_m: float = Field(
+        0.06,
+        ge=0,
+        description="Maximum distance (m) from a refused face of what a scan calls wall and is clutter, or outside.",
+    )
+    refused_above_m: float = Field(
+        0.2, ge=0, description="The same as face_above_m of a refused face, which no ceiling ends."
+    )
     pane_m: float = Field(0.0, ge=0, description="Distance (m) behind a pane beyond which a return is outside.")
-    behind_glass_m: float = Field(0.12, gt=0, description="The same behind a window's face, if its pane is unknown.")
-    forget_m: float = Field(0.2, gt=0, description="Distance (m) from all faces beyond which a scan's wall is clutter.")
+    behind_glass_m: float = Field(
+        0.12,
+        gt=0,
+        description="The same behind a window's wall, where the pane returned nothing and its place is not known.",
+    )
+    forget_m: float = Field(
+        0.2, gt=0, description="Distance (m) from every wall's face beyond which what a scan calls wall is clutter."
+    )
     edge_m: float = Field(
         0.06,
         ge=0,
         le=0.2,
-        description="Closer (m) both to a wall and to floor or ceiling, a return is of the one that its ray meets first.",
+        description="Maximum distance (m) both from a wall and from floor or ceiling of a return that is of the one that its "
+        "ray meets first.",
     )
-    another_ceiling_m: float = Field(0.06, ge=0, description="A ceiling this far (m) below a wall's is another room's.")
-    grazing_sine: float = Field(0.2, ge=0, lt=1, description="Minimum sine of a ray's angle to a face it crosses.")
-    own_max_m: float = Field(0.06, gt=0, description="Maximum distance (m) of a face from where one scan shows it.")
-    own_from_m: float = Field(0.08, ge=0, description="Distance (m) from floor and ceiling from which returns show it.")
+    another_ceiling_m: float = Field(
+        0.06,
+        ge=0,
+        description="A ceiling this far (m) below the one before a wall is another room's: poses drift, returns scatter.",
+    )
+    grazing_sine: float = Field(
+        0.2,
+        ge=0,
+        lt=1,
+        description="Sine of the angle between a ray and a face below which the place where they cross says nothing.",
+    )
+    own_max_m: float = Field(
+        0.06,
+        gt=0,
+        description="Maximum distance (m) of a face from where a scan itself shows it: poses are off by less.",
+    )
+    own_from_m: float = Field(
+        0.08, ge=0, description="Distance (m) from floor and ceiling from which returns tell where a scan shows a face."
+    )
     own_to_m: float = Field(0.7, gt=0, description="Distance (m) from floor and ceiling up to which they do.")
     own_returns_min: int = Field(20, ge=1, description="Minimum returns that tell where a scan shows a face.")
-    floor_scatter_m: float = Field(0.015, ge=0, description="Maximum height (m) of the floor's returns, seen level.")
-    range_scatter_m: float = Field(0.02, ge=0, description="Maximum error (m) of a return along its ray.")
+    floor_scatter_m: float = Field(
+        0.015, ge=0, description="Maximum height (m) above the floor of returns of the floor itself, seen level."
+    )
+    range_scatter_m: float = Field(
+        0.02,
+        ge=0,
+        description="Maximum error (m) of a return along its ray, which lifts it off a floor that is seen steeply.",
+    )
     halo_ratio: float = Field(
         10.0,
         ge=1,
         description="Clutter with fewer than one in this many votes of the surface beside it is its scatter.",
     )
-    halo_wall_m: float = Field(0.12, gt=0, description="Maximum distance (m) of a wall's scatter from its face.")
+    halo_wall_m: float = Field(
+        0.12, gt=0, description="Maximum distance (m) from a face of clutter that may be the wall's scatter."
+    )
 
 
 @dataclass(frozen=True)

@@ -40,15 +40,34 @@ class MissedWallsSettings(StepSettings):
     near_m: float = Field(
         0.07,
         gt=0,
-        description="Maximum distance (m) behind a face of its returns; a ray that ended farther has passed it.",
+        description="Maximum distance (m) of a missed wall's returns behind its face; farther, a ray has passed it: nothing "
+        "stands ajar behind it.",
     )
     explained_m: float = Field(0.08, gt=0, description="Maximum distance (m) from a known face of its own returns.")
-    corner_m: float = Field(0.15, gt=0, description="Distance (m) from a corner where returns pass for the other's.")
+    corner_m: float = Field(
+        0.15, gt=0, description="Distance (m) from a corner where returns pass for the other wall's."
+    )
     window_max_m: float = Field(3.0, gt=0, description="Maximum length (m) of a window that goes on from a wall.")
-    pillar_share: float = Field(0.8, ge=0, le=1, description="Minimum share of rows in which a pillar shows.")
-    below_ceiling_m: float = Field(0.35, gt=0, description="Distance (m) below the ceiling up to which a wall shows.")
-    above_heads_m: float = Field(2.25, gt=0, description="Height (m) up to which any wall shows; leaves are lower.")
-    underside_near_m: float = Field(0.15, gt=0, description="Maximum height (m) of a duct's underside over its wall.")
+    pillar_share: float = Field(
+        0.8,
+        ge=0,
+        le=1,
+        description="A pillar before a wall shows in more than this share of the rows up to the ceiling.",
+    )
+    below_ceiling_m: float = Field(
+        0.35, gt=0, description="A wall shows up to this (m) below the ceiling, or above heads."
+    )
+    above_heads_m: float = Field(
+        2.25,
+        gt=0,
+        description="Height above the floor (m): what shows up to here is a wall, however high the room; a leaf or the "
+        "reveal of a window is lower.",
+    )
+    underside_near_m: float = Field(
+        0.15,
+        gt=0,
+        description="Maximum height difference (m) between a duct's underside and the top of the wall below.",
+    )
     underside_cell_m: float = Field(0.1, gt=0, description="Edge of the cells (m) that count a duct's underside.")
     duct_depth_min_m: float = Field(0.3, gt=0, description="Minimum depth (m) of a duct before its wall.")
     duct_depth_max_m: float = Field(0.8, gt=0, description="Maximum depth (m) of a duct before its wall.")

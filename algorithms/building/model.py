@@ -24,7 +24,9 @@ class BuildingSettings(StepSettings):
     angle_deg: float = Field(8.0, gt=0, le=45, description="Planes of one wall differ by at most this many degrees.")
     distance_m: float = Field(0.10, gt=0, description="Planes of one wall lie at most this many metres apart.")
     own_plane_m: float = Field(0.03, ge=0, description="Maximum distance (m) from a face of a scan's own plane of it.")
-    own_plane_margin_m: float = Field(0.2, ge=0, description="Distance (m) it holds beyond what the scan saw of it.")
+    own_plane_margin_m: float = Field(
+        0.2, ge=0, description="A scan's own plane of a wall holds this far (m) beyond what the scan saw of it."
+    )
     gap_m: float = Field(0.6, ge=0, description="A wall has no gap longer than this many metres between its planes.")
     scans_min: int = Field(3, ge=1, description="Fewest scans that make a wall, and that bear out each part of it.")
     length_min_m: float = Field(0.25, ge=0, description="Shortest wall face in metres.")
@@ -33,18 +35,34 @@ class BuildingSettings(StepSettings):
     )
     range_m: float = Field(12.0, gt=0, description="Rays from farther (m) tell nothing of doors and windows.")
     far_m: float = Field(25.0, gt=0, description="Rays from farther (m) tell nothing of walls, seen through doors.")
-    recess_min_m: float = Field(0.016, gt=0, description="Minimum depth (m) of a closed leaf: III.C less pose errors.")
+    recess_min_m: float = Field(
+        0.016,
+        gt=0,
+        description="Least depth in metres of a closed leaf behind the wall: III.C's 2 cm, less what poses are off.",
+    )
     door_width_min_m: float = Field(0.6, gt=0, description="Narrowest door in metres.")
     door_width_max_m: float = Field(2.6, gt=0, description="Widest door in metres.")
     door_height_min_m: float = Field(1.8, gt=0, description="Lowest door head in metres. III.C, condition 3.")
-    knee_m: float = Field(0.7, gt=0, description="Rays that pass a wall lower (m) prove a doorway: sills are higher.")
+    knee_m: float = Field(
+        0.7,
+        gt=0,
+        description="Height above the floor (m) up to which rays that pass a wall prove a doorway: a window's sill is higher.",
+    )
     door_height_max_m: float = Field(2.4, gt=0, description="Height (m) above which wall over a door is looked for.")
-    reveal_m: float = Field(0.3, ge=0, description="Depth (m) of a door's reveals where nothing of the building tells.")
-    pane_share_min: float = Field(0.005, gt=0, le=1, description="Minimum share of its rays that a pane returns.")
+    reveal_m: float = Field(
+        0.3, ge=0, description="Depth (m) of a door's reveals where neither a lintel nor a wall of the building tells."
+    )
+    pane_share_min: float = Field(
+        0.005, gt=0, le=1, description="An opening that returns this share of its rays from one sheet holds a pane."
+    )
     pane_spread_m: float = Field(0.03, gt=0, description="Largest spread in metres of what a pane returns.")
-    agreement_min: float = Field(0.6, ge=0, le=1, description="Minimum share of a column's rays that agree on a door.")
-    opaque_min: float = Field(0.9, ge=0, le=1, description="Minimum share of rays that a leaf, unlike a pane, stops.")
-    confidence_min: float = Field(0.2, ge=0, le=1, description="Minimum confidence of a door.")
+    agreement_min: float = Field(
+        0.6, ge=0, le=1, description="Share of a column's rays that must agree on its being a door's."
+    )
+    opaque_min: float = Field(
+        0.9, ge=0, le=1, description="Share of a closed leaf's rays that end on it; a pane lets more of them through."
+    )
+    confidence_min: float = Field(0.2, ge=0, le=1, description="What is less sure than this to be a door is none.")
     rays_min: int = Field(6, ge=1, description="Fewest rays that decide on a column of a wall, 5 cm wide.")
 
     def for_faces(self) -> "BuildingSettings":

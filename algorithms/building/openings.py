@@ -23,19 +23,39 @@ from ffmap.algorithms.building.ray_evidence import (
 class OpeningsSettings(StepSettings):
     """Telling doors and windows from the cells of a wall's face."""
 
-    jamb_m: float = Field(0.1, ge=0, description="Width (m) beside a jamb where returns may be its reveal's.")
+    jamb_m: float = Field(
+        0.1,
+        ge=0,
+        description="Width (m) beside a jamb in which returns may be of its reveal: it tells nothing of panes.",
+    )
     sheet_m: float = Field(0.02, gt=0, description="Maximum distance (m) of a pane's returns from the pane.")
-    below_ceiling_m: float = Field(0.1, ge=0, description="Height (m) below the ceiling of its own returns.")
-    lintel_m: float = Field(0.2, gt=0, description="Minimum height (m) of wall below a low ceiling to be a lintel.")
+    below_ceiling_m: float = Field(
+        0.1, ge=0, description="Height (m) below the ceiling in which returns may be the ceiling's."
+    )
+    lintel_m: float = Field(
+        0.2, gt=0, description="Minimum height (m) of the wall below a low ceiling that tells of the wall above a door."
+    )
     beside_m: float = Field(0.4, gt=0, description="Width (m) beside a door in which its wall has to stand.")
     beside_wall_m: float = Field(0.1, gt=0, description="Minimum width (m) of the wall that is seen there.")
-    next_wall_min_m: float = Field(0.2, ge=0, description="Minimum distance (m) of a wall that leaves no room behind.")
-    next_wall_max_m: float = Field(0.9, gt=0, description="Maximum distance (m) of that wall: rooms are deeper.")
+    next_wall_min_m: float = Field(
+        0.2, ge=0, description="Minimum distance (m) behind an opening of a wall that leaves no room to lead to."
+    )
+    next_wall_max_m: float = Field(
+        0.9, gt=0, description="Maximum distance (m) of that wall: a room behind a door is deeper."
+    )
     next_wall_deg: float = Field(5.0, gt=0, le=45, description="Maximum angle (degrees) of that wall to the opening.")
-    next_wall_share: float = Field(0.8, gt=0, le=1, description="Minimum share of an opening that such a wall covers.")
-    leaf_max_m: float = Field(1.5, ge=0, description="Maximum width (m) a leaf hides beside its doorway's open part.")
-    glazed_m: float = Field(0.2, gt=0, description="Maximum distance (m) of a window's openings from its face.")
-    ajar_m: float = Field(0.1, gt=0, description="Minimum distance (m) of an open leaf's free edge from its frame.")
+    next_wall_share: float = Field(
+        0.8, gt=0, le=1, description="Minimum share of the opening's width that such a wall covers."
+    )
+    leaf_max_m: float = Field(
+        1.5, ge=0, description="Maximum width (m) that a leaf hides beside the open part of its doorway."
+    )
+    glazed_m: float = Field(
+        0.2, gt=0, description="Maximum distance (m) of an opening from a window's face for it to be the window's."
+    )
+    ajar_m: float = Field(
+        0.1, gt=0, description="Minimum distance (m) of a leaf's free edge from its frame for the door to stand open."
+    )
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,14 @@ class WallThicknessSettings(StepSettings):
     least_m: float = Field(0.03, gt=0, description="Thinnest wall in metres; two faces nearer than this are one.")
     most_m: float = Field(0.6, gt=0, description="Thickest wall in metres: faces farther apart belong to two walls.")
     angle_deg: float = Field(3.0, gt=0, le=20, description="The two sides of a wall are parallel to this many degrees.")
-    unseen_m: float = Field(0.15, gt=0, description="Thickness (m) where no wall was seen from both sides.")
-    beyond_face_m: float = Field(0.1, ge=0, description="Maximum distance (m) of reveals beyond the other face.")
+    unseen_m: float = Field(
+        0.15, gt=0, description="Thickness in metres where no wall of the building was seen from both sides."
+    )
+    beyond_face_m: float = Field(
+        0.1,
+        ge=0,
+        description="Maximum distance (m) of a reveal's end beyond its wall's other face: faces are off by this.",
+    )
 
 
 @dataclass(frozen=True)

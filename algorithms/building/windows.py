@@ -28,11 +28,21 @@ class WindowsSettings(StepSettings):
 
     height_min_m: float = Field(0.3, gt=0, description="Minimum height (m) of a window above a sill.")
     sill_min_m: float = Field(0.2, gt=0, description="Minimum width (m) of the wall that is seen below its sill.")
-    empty_max_m: float = Field(1.0, ge=0, description="Maximum width (m) beside a window that hardly returns.")
-    empty_share: float = Field(0.2, ge=0, le=1, description="Maximum share of the sill's returns that return there.")
-    at_pane_m: float = Field(0.02, gt=0, description="Maximum distance (m) from a pane of what widens it.")
-    passed_share: float = Field(0.03, ge=0, le=1, description="Minimum share of rays that pass there; leaves stop all.")
-    reveal_hides_m: float = Field(0.15, ge=0, description="Maximum width (m) of an opening that its reveal hides.")
+    empty_max_m: float = Field(
+        1.0, ge=0, description="Maximum width (m) by which a window goes on beside it where next to nothing returns."
+    )
+    empty_share: float = Field(
+        0.2, ge=0, le=1, description="Maximum share of the returns below the sill that return there."
+    )
+    at_pane_m: float = Field(
+        0.02, gt=0, description="Maximum distance (m) from the pane of the returns that widen a window."
+    )
+    passed_share: float = Field(
+        0.03, ge=0, le=1, description="Minimum share of rays that pass there: a leaf beside a window returns all."
+    )
+    reveal_hides_m: float = Field(
+        0.15, ge=0, description="Maximum width (m) of an opening that its reveal hides, seen at a slant."
+    )
 
 
 def find_windows(

@@ -45,22 +45,47 @@ class Segmented(StrEnum):
 class AreaGraphSettings(StepSettings):
     """Rooms of a grid map (paper, IV.D, Fig. 10)."""
 
-    passage_max_m: float = Field(1.9, gt=0, description="w: minimum width (m) of an opening that parts no rooms. IV.D.")
-    passage_ratio: float = Field(0.7, gt=0, le=1, description="Maximum width of an opening as a share of the room's.")
-    furniture_max_m: float = Field(
-        1.2, ge=0, description="Maximum length (m) of free-standing furniture (alpha removal); 0: none. IV.D."
+    passage_max_m: float = Field(
+        1.9,
+        gt=0,
+        description="w: minimum width (m) of an opening that parts no rooms. IV.D, where the paper uses 1.9 m.",
     )
-    block_max_m: float = Field(2.0, ge=0, description="The same of compact blocks, tables and cupboards; 0: none.")
-    block_fill_min: float = Field(0.25, gt=0, le=0.78, description="Minimum share of its square that a block covers.")
-    room_min_m2: float = Field(1.0, ge=0, description="Minimum area (m²) of a room; smaller ones join their neighbour.")
+    passage_ratio: float = Field(
+        0.7,
+        gt=0,
+        le=1,
+        description="Maximum width of an opening that parts two rooms, as a share of the narrower one's.",
+    )
+    furniture_max_m: float = Field(
+        1.2, ge=0, description="Maximum length (m) of what stands free and is furniture (alpha removal); 0: none. IV.D."
+    )
+    block_max_m: float = Field(
+        2.0,
+        ge=0,
+        description="The same of compact blocks, such as tables and cupboards, which are no walls by their shape; 0: none.",
+    )
+    block_fill_min: float = Field(
+        0.25, gt=0, le=0.78, description="Minimum share of the square of its length that a compact block covers."
+    )
+    room_min_m2: float = Field(
+        1.0,
+        ge=0,
+        description="Minimum area (m²) of a room; smaller ones join the one that they open to, or are dropped.",
+    )
     beam_m: float = Field(
         0.15,
         ge=0,
         description="Half the width (m) of the narrowest room: what is narrower are rays that left through a gap.",
     )
-    jamb_m: float = Field(0.1, ge=0, description="A doorway is closed this far (m) into both jambs.")
-    beside_door_m: float = Field(0.4, gt=0, description="Maximum distance (m) of a room from its doorway.")
-    skeleton_m: float = Field(0.25, ge=0, description="Minimum distance (m) of the drawn Voronoi graph from obstacles.")
+    jamb_m: float = Field(
+        0.1, ge=0, description="A doorway is closed this far (m) into both jambs, whose place is not known better."
+    )
+    beside_door_m: float = Field(
+        0.4, gt=0, description="Maximum distance (m) of a room from the doorway that leads into it."
+    )
+    skeleton_m: float = Field(
+        0.25, ge=0, description="Minimum distance (m) of the drawn Voronoi graph's edges from the obstacles."
+    )
 
     def without_alpha_removal(self) -> "AreaGraphSettings":
         """The same, but all furniture stays."""

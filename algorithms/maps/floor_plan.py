@@ -30,22 +30,34 @@ from ffmap.algorithms.scan.doors import DoorState
 class FloorPlanSettings(StepSettings):
     """The vector floor plan."""
 
-    column_max_m: float = Field(1.2, gt=0, description="Maximum width (m) of a column, which stands free.")
+    column_max_m: float = Field(
+        1.2, gt=0, description="Maximum width (m) of a column: what stands free and has a corner."
+    )
     piece_min_m: float = Field(0.5, ge=0, description="Minimum length (m) of a piece of wall that stands alone.")
     corner_m: float = Field(0.12, ge=0, description="Maximum distance (m) of two faces' ends that make a corner.")
-    drawn_share: float = Field(0.5, ge=0, le=1, description="Minimum share of a stretch of wall that the map shows.")
+    drawn_share: float = Field(
+        0.5, ge=0, le=1, description="Minimum share of a stretch of wall that the grid map shows for it to be drawn."
+    )
     tidy_m: float = Field(0.02, ge=0, description="Half the width (m) of gaps between walls that are closed.")
     sliver_m2: float = Field(0.004, ge=0, description="Minimum area (m²) of a piece of wall.")
     double_door_m: float = Field(1.25, gt=0, description="Maximum width (m) of a doorway with one leaf.")
-    leaf_share_min: float = Field(0.6, gt=0, le=1, description="Minimum share of an open leaf's area that is seen.")
-    leaf_low_m: float = Field(0.4, ge=0, description="Minimum height (m) above the floor of what is taken for leaves.")
-    leaf_high_m: float = Field(1.8, gt=0, description="Maximum height (m) above the floor of what is taken for leaves.")
+    leaf_share_min: float = Field(
+        0.6, gt=0, le=1, description="Minimum share of an open leaf's area that is seen for its door to get a swing."
+    )
+    leaf_low_m: float = Field(
+        0.4, ge=0, description="Minimum height above the floor (m) at which leaves are looked for."
+    )
+    leaf_high_m: float = Field(
+        1.8, gt=0, description="Maximum height above the floor (m) at which leaves are looked for."
+    )
     leaf_min_deg: float = Field(20.0, ge=0, le=180, description="Minimum angle (degrees) of an open leaf to its sill.")
     leaf_max_deg: float = Field(175.0, ge=0, le=180, description="Maximum angle (degrees) of an open leaf to its sill.")
     leaf_thickness_m: float = Field(0.05, gt=0, description="Maximum distance (m) of a leaf's returns from its middle.")
     hinge_m: float = Field(0.15, ge=0, description="Distance (m) from the hinge within which nothing tells of a leaf.")
     wall_margin_m: float = Field(
-        0.1, ge=0, description="Distance (m) from the wall within which returns may be its own."
+        0.1,
+        ge=0,
+        description="Distance (m) from the wall's face within which returns may be the wall's and tell of no leaf.",
     )
 
 

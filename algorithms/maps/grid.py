@@ -32,29 +32,65 @@ class GridMapSettings(StepSettings):
     cell_m: float = Field(0.05, ge=0.005, le=1, description="Edge of a cell (m). IV.C.")
     range_m: float = Field(25.0, gt=0, description="Maximum distance (m) from the sensor that rays make free. IV.C.")
     margin_m: float = Field(1.0, ge=0, description="Width (m) of the unknown border around what is drawn. IV.C.")
-    doors: DoorsDrawn = Field("open", description="Which doorways are free: all, those that stood open, none. IV.C.")
-    door_margin_m: float = Field(0.1, ge=0, description="A free doorway reaches this far (m) beyond its wall. IV.C.")
-    door_guessed_m: float = Field(0.3, ge=0, description="Minimum free depth (m) of a doorway of unknown depth. IV.C.")
-    rays_min: int = Field(3, ge=1, description="Minimum returns, or cubes of wall, that bear out 5 cm of a face. IV.C.")
-    bridge_m: float = Field(0.25, ge=0, description="Maximum gap (m) of a wall that is closed. IV.C.")
-    gap_max_m: float = Field(0.6, ge=0, description="Maximum width (m) of a gap by a window that is no passage.")
-    floor_reach_m: float = Field(1.5, ge=0, description="Maximum distance (m) of free cells from floor that was seen.")
+    doors: DoorsDrawn = Field(
+        "open", description="Which doorways are free: open (all), as-seen (those that stood open), closed (none). IV.C."
+    )
+    door_margin_m: float = Field(
+        0.1, ge=0, description="A free doorway reaches this far (m) beyond both sides of its wall. IV.C."
+    )
+    door_guessed_m: float = Field(
+        0.3,
+        ge=0,
+        description="Minimum free depth (m) behind a sill where a leaf or a wall seen from one side hides more. IV.C.",
+    )
+    rays_min: int = Field(
+        3, ge=1, description="Minimum returns, or cubes of wall, that bear out 5 cm of a wall's face. IV.C."
+    )
+    bridge_m: float = Field(
+        0.25, ge=0, description="Maximum gap (m) that is closed in a wall between what was seen of it. IV.C."
+    )
+    gap_max_m: float = Field(
+        0.6, ge=0, description="Maximum width (m) of a gap beside or in a window's wall that is no passage."
+    )
+    floor_reach_m: float = Field(
+        1.5,
+        ge=0,
+        description="Maximum distance (m) of what rays crossed from floor that was seen: floor hides under tables.",
+    )
     foot_m: float = Field(0.15, ge=0, description="Minimum height (m) above the floor of rays that prove an opening.")
-    passed_min: int = Field(6, ge=1, description="Minimum rays that pass a wall's face low down where it is open.")
+    passed_min: int = Field(
+        6, ge=1, description="Minimum rays that pass a wall's face at that height where it is open."
+    )
     passed_ratio: float = Field(2.0, ge=0, description="Minimum number of rays that pass there for each that ends.")
-    crossed_min: int = Field(5, ge=1, description="Minimum rays that cross a cell low down for it not to be occupied.")
-    crossed_ratio: float = Field(5.0, ge=0, description="Minimum number of rays that cross it for each that ends.")
+    crossed_min: int = Field(
+        5, ge=1, description="Minimum rays at that height that cross a cell for it not to be occupied."
+    )
+    crossed_ratio: float = Field(
+        5.0, ge=0, description="Minimum number of rays that cross such a cell for each that ends."
+    )
     crossed_cells: int = Field(4, ge=1, description="Minimum number of such cells side by side.")
-    ends_cells: float = Field(2.5, gt=0, description="Maximum distance (cells) of a ray's end from its cell.")
+    ends_cells: float = Field(
+        2.5, gt=0, description="Maximum distance (cells) of a ray's end from a cell that it may have ended at."
+    )
     sill_min_m: float = Field(0.3, ge=0, description="Minimum height (m) of a window's sill above the floor.")
     recess_max_m: float = Field(
-        0.6, ge=0, description="Maximum depth (m) of a window's recess; its sides are no walls."
+        0.6, ge=0, description="Maximum depth (m) of a window's recess, whose sides are no walls."
     )
     recess_beside_m: float = Field(0.12, ge=0, description="Maximum distance (m) of its sides from the window's ends.")
-    leaf_above_m: float = Field(0.3, ge=0, description="Maximum height (m) of an open leaf above its door's head.")
-    leaf_beside_m: float = Field(0.1, ge=0, description="Maximum distance (m) of a reveal's face from its doorway.")
-    bounds_cells: int = Field(2, ge=1, description="Maximum distance (cells) of a wall from what rays crossed.")
-    blind_m: float = Field(1.0, ge=0, description="Maximum distance (m) from its way at which the robot sees no floor.")
+    leaf_above_m: float = Field(
+        0.3, ge=0, description="Maximum height (m) above its door's head of what was seen of an open leaf."
+    )
+    leaf_beside_m: float = Field(
+        0.1,
+        ge=0,
+        description="Maximum distance (m) from the doorway of the reveal that an open leaf's face goes on over.",
+    )
+    bounds_cells: int = Field(
+        2, ge=1, description="Maximum distance (cells) from what rays crossed of a wall's cell that is drawn."
+    )
+    blind_m: float = Field(
+        1.0, ge=0, description="Maximum distance (m) from its way at which the robot may not see the floor."
+    )
     step_max_m: float = Field(
         0.5,
         gt=0,

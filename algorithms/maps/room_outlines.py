@@ -20,13 +20,25 @@ _PRECISION_M = 1e-6
 class RoomOutlinesSettings(StepSettings):
     """Laying rooms' outlines on the faces that bound them."""
 
-    at_face_cells: float = Field(2.0, ge=0, description="Maximum distance (cells) of an edge from its face.")
-    corner_m: float = Field(0.15, ge=0, description="Maximum distance (m) of faces' ends from where their lines cross.")
-    corner_sine: float = Field(0.3, gt=0, le=1, description="Minimum sine of the angle between two faces of a corner.")
+    at_face_cells: float = Field(
+        2.0, ge=0, description="Maximum distance (cells) of an outline's edge from the face that it is laid on."
+    )
+    corner_m: float = Field(
+        0.15,
+        ge=0,
+        description="Maximum distance (m) of two faces' ends from where their lines cross, for a corner there.",
+    )
+    corner_sine: float = Field(
+        0.3, gt=0, le=1, description="Minimum sine of the angle between two faces that make a corner."
+    )
     run_min_m: float = Field(0.15, ge=0, description="Minimum length (m) of a face that an outline is laid on.")
     tidy_m: float = Field(0.04, ge=0, description="Half the width (m) of notches and spurs that are left out.")
-    kept_share: float = Field(0.5, gt=0, le=1, description="Minimum share of a room's area that its faces leave.")
-    step_share: float = Field(0.6, ge=0, le=1, description="Height of smoothed steps, as a share of at_face_cells.")
+    kept_share: float = Field(
+        0.5, gt=0, le=1, description="Minimum share of a room's area that the faces which bound it leave."
+    )
+    step_share: float = Field(
+        0.6, ge=0, le=1, description="Height of the steps of cells that are smoothed, as a share of at_face_cells."
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,17 +24,29 @@ class OdometrySettings(StepSettings):
     """KISS-ICP (Vizzo et al. 2023), in place of the paper's BLAM (IV.A)."""
 
     voxel_m: float = Field(0.25, ge=0.01, le=5, description="Edge (m) of the local map's voxels. KISS-ICP.")
-    points_per_voxel: int = Field(5, ge=1, description="Maximum number of points in a voxel of the map. KISS-ICP.")
-    range_min_m: float = Field(0.5, ge=0, description="Minimum range (m): nearer is the robot itself. KISS-ICP.")
+    points_per_voxel: int = Field(
+        5, ge=1, description="Maximum number of points in a voxel of the local map. KISS-ICP."
+    )
+    range_min_m: float = Field(
+        0.5, ge=0, description="Minimum range (m): nearer returns are the robot itself. KISS-ICP."
+    )
     range_max_m: float = Field(60.0, gt=0, description="Maximum range (m) of the returns that are used. KISS-ICP.")
-    points_max: int = Field(8_000, ge=100, description="Maximum number of returns; more are thinned. KISS-ICP.")
-    deskew: bool = Field(True, description="Whether the motion within a sweep is compensated. KISS-ICP.")
-    threshold_initial_m: float = Field(0.5, gt=0, description="First correspondence threshold (m). KISS-ICP.")
+    points_max: int = Field(
+        8_000, ge=100, description="Maximum number of returns; denser clouds are thinned evenly. KISS-ICP."
+    )
+    deskew: bool = Field(True, description="Compensate the motion within a sweep where the cloud has times. KISS-ICP.")
+    threshold_initial_m: float = Field(
+        0.5, gt=0, description="First correspondence threshold (m), before it adapts. KISS-ICP."
+    )
     motion_min_m: float = Field(0.05, gt=0, description="Minimum deviation (m) that adapts the threshold. KISS-ICP.")
     iterations_max: int = Field(300, ge=1, description="Maximum number of ICP iterations for a scan. KISS-ICP.")
     convergence: float = Field(1e-3, gt=0, description="ICP stops at a smaller step. KISS-ICP.")
-    threads: int = Field(1, ge=0, le=256, description="Number of threads; 1 is reproducible, 0: all cores. KISS-ICP.")
-    evidence_every: int = Field(10, ge=1, description="Map and residual are kept for every n-th scan. KISS-ICP.")
+    threads: int = Field(
+        1, ge=0, le=256, description="KISS-ICP's threads; 1 is reproducible, 0 takes all cores. KISS-ICP."
+    )
+    evidence_every: int = Field(
+        10, ge=1, description="The local map and the residual are kept for every n-th scan. KISS-ICP."
+    )
 
 
 @dataclass(frozen=True)

@@ -28,16 +28,37 @@ class PoseGraphSettings(StepSettings):
     enabled: bool = Field(True, description="Whether loops are closed once the bag has been driven through.")
     submap_scans: int = Field(20, ge=2, description="Number of scans in a submap.")
     every_scans: int = Field(10, ge=1, description="Scans from one submap's middle to the next one's.")
-    resolution_m: float = Field(0.2, ge=0.01, le=5, description="Edge (m) of the cubes that submaps are thinned by.")
-    voxel_m: float = Field(0.2, ge=0.01, le=5, description="Edge (m) of a Gaussian's voxel: larger ones blend faces.")
-    neighbours: int = Field(12, ge=4, le=1000, description="Number of neighbours that a covariance is estimated from.")
-    near_m: float = Field(3.0, ge=0, description="Maximum distance (m) between the middles of submaps in a loop.")
-    loops_max: int = Field(6, ge=0, description="Maximum number of earlier passes that a submap is joined with.")
+    resolution_m: float = Field(
+        0.2, ge=0.01, le=5, description="Edge (m) of the cubes to one point each of which submaps are thinned."
+    )
+    voxel_m: float = Field(
+        0.2,
+        ge=0.01,
+        le=5,
+        description="Edge (m) of the voxels of one Gaussian each: larger ones would blend the two sides of a wall.",
+    )
+    neighbours: int = Field(
+        12, ge=4, le=1000, description="Number of neighbours that a point's covariance is estimated from."
+    )
+    near_m: float = Field(
+        3.0, ge=0, description="Maximum distance (m) between the middles of submaps that a loop joins."
+    )
+    loops_max: int = Field(
+        6, ge=0, description="Maximum number of earlier passes, the nearest ones, that a submap is joined with."
+    )
     distance_m: float = Field(0.4, gt=0, description="Maximum distance (m) of a point from its Gaussian.")
     iterations_max: int = Field(30, ge=1, description="Maximum number of iterations of a registration.")
-    inlier_share: float = Field(0.5, ge=0, le=1, description="Minimum share of a submap that fits its partner.")
-    loss_scale: float = Field(3.0, gt=0, description="Error (standard deviations) that counts half: Cauchy's loss.")
-    rounds_max: int = Field(4, ge=1, description="Maximum number of rounds of joining and solving.")
+    inlier_share: float = Field(
+        0.5, ge=0, le=1, description="Minimum share of a submap that fits the one that it is joined with."
+    )
+    loss_scale: float = Field(
+        3.0, gt=0, description="Error of a loop, in standard deviations, at which it counts half (Cauchy's loss)."
+    )
+    rounds_max: int = Field(
+        4,
+        ge=1,
+        description="Maximum number of rounds of joining and solving: solved poses can bring further submaps near each other.",
+    )
 
 
 @dataclass(frozen=True)

@@ -17,22 +17,65 @@ class RefinementSettings(StepSettings):
     """Registering each scan again, to a map of Gaussians (the paper's poses are BLAM's, IV.A)."""
 
     enabled: bool = Field(True, description="Whether poses are refined; if not, they are KISS-ICP's own.")
-    voxel_m: float = Field(0.2, ge=0.01, le=5, description="Edge (m) of a Gaussian's voxel: larger ones blend faces.")
-    points_max: int = Field(6_000, ge=100, description="Maximum number of returns; denser clouds are thinned.")
-    resolution_m: float = Field(0.2, ge=0.01, le=5, description="Edge (m) of the cubes that scans are thinned by.")
-    neighbours: int = Field(12, ge=4, le=1000, description="Number of neighbours that a covariance is estimated from.")
-    companion_points_max: int = Field(5_000, ge=0, description="Maximum number of returns of the other lidar.")
+    voxel_m: float = Field(
+        0.2,
+        ge=0.01,
+        le=5,
+        description="Edge (m) of the voxels of one Gaussian each: larger ones would blend the two sides of a wall.",
+    )
+    points_max: int = Field(
+        6_000, ge=100, description="Maximum number of returns of a scan; denser clouds are thinned evenly."
+    )
+    resolution_m: float = Field(
+        0.2, ge=0.01, le=5, description="Edge (m) of the cubes to one point each of which scans are thinned."
+    )
+    neighbours: int = Field(
+        12, ge=4, le=1000, description="Number of neighbours that a point's covariance is estimated from."
+    )
+    companion_points_max: int = Field(
+        5_000,
+        ge=0,
+        description="Maximum number of returns of the other lidar, which sees floor and ceiling; they are registered together.",
+    )
     distance_m: float = Field(0.5, gt=0, description="Maximum distance (m) of a point from its Gaussian.")
     iterations_max: int = Field(20, ge=1, description="Maximum number of iterations of a registration.")
-    memory_scans: int = Field(50, ge=1, description="Number of scans after which a voxel without points is forgotten.")
-    weak_share: float = Field(
-        0.012, ge=0, le=1, description="Minimum information in the weakest direction, as a share of the strongest's."
+    memory_scans: int = Field(
+        50,
+        ge=1,
+        description="Number of scans after which a voxel without points is forgotten; the pose graph joins places seen again.",
     )
-    weak_inlier_share: float = Field(0.4, ge=0, le=1, description="Minimum share of a scan that fits the map.")
-    jump_deg: float = Field(3.0, gt=0, description="Maximum angle (degrees) of a pose from every predicted motion.")
+    weak_share: float = Field(
+        0.012,
+        ge=0,
+        le=1,
+        description="Minimum information in a scan's weakest direction, as a share of that in its strongest; less, as along "
+        "a bare corridor, and the registration is called weak.",
+    )
+    weak_inlier_share: float = Field(
+        0.4,
+        ge=0,
+        le=1,
+        description="Minimum share of a scan that fits the map; with less, the registration is called weak.",
+    )
+    jump_deg: float = Field(
+        3.0,
+        gt=0,
+        description="Maximum difference (degrees) of a registration from the odometry's motion or from the motion so far; "
+        "one that differs more from both is refused: it matched another place that looks like this one.",
+    )
     jump_m: float = Field(0.15, gt=0, description="The same in metres.")
-    refusals_max: int = Field(10, ge=0, description="Number of refusals in a row after which a jump is accepted.")
-    passes: int = Field(1, ge=1, le=5, description="Registrations of a scan, each with the motion that the last found.")
+    refusals_max: int = Field(
+        10,
+        ge=0,
+        description="Number of refusals in a row after which a registration is accepted: the poses before it were wrong.",
+    )
+    passes: int = Field(
+        1,
+        ge=1,
+        le=5,
+        description="Registrations of a scan, each with the motion in the sweep that the last one found; the second scan, "
+        "with which the motion becomes known, has at least three.",
+    )
 
 
 @dataclass(frozen=True)

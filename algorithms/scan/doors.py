@@ -17,24 +17,44 @@ from ffmap.algorithms.scan.wall_planes import WallPlanes
 class DoorsSettings(StepSettings):
     """The paper's door conditions (III.C) and the openings made of them."""
 
-    recess_min_m: float = Field(0.022, gt=0, description="Minimum depth (m) of a door below its plane. III.C.")
+    recess_min_m: float = Field(
+        0.022,
+        gt=0,
+        description="Minimum depth (m) of a door below its wall plane: less is the plane's own error. III.C, condition 2.",
+    )
     open_depth_m: float = Field(0.15, gt=0, description="Depth (m) beyond which a door stands open. III.C.")
-    height_min_m: float = Field(1.8, gt=0, description="Minimum height (m) at which a door begins. III.C, condition 3.")
-    height_max_m: float = Field(2.6, gt=0, description="Maximum height (m) at which a door begins. III.C.")
-    lintel_min_m: float = Field(0.06, ge=0, description="Minimum height (m) of the wall above a door. III.C.")
+    height_min_m: float = Field(
+        1.8, gt=0, description="Minimum height above the floor (m) at which a door begins. III.C, condition 3."
+    )
+    height_max_m: float = Field(
+        2.6, gt=0, description="Maximum height above the floor (m) at which a door begins. III.C."
+    )
+    lintel_min_m: float = Field(
+        0.06, ge=0, description="Minimum height (m) of the wall above a door. III.C, condition 1."
+    )
     wall_distance_m: float = Field(
-        0.05, gt=0, description="Maximum distance (m) of the wall's uppermost return from its plane. III.C."
+        0.05,
+        gt=0,
+        description="Maximum distance (m) from the plane of the uppermost return of the wall in a line; what is higher is "
+        "ceiling or another thing. III.C.",
     )
     before_m: float = Field(
-        0.08, gt=0, description="Distance (m) before the plane beyond which a return hides the wall. III.C."
+        0.08,
+        gt=0,
+        description="Distance before the plane (m) beyond which a return hides the wall and is left out. III.C, condition 2.",
     )
     depth_max_m: float = Field(
-        0.5, gt=0, description="Maximum depth (m) that a return counts with: a few far ones would decide. III.C."
+        0.5,
+        gt=0,
+        description="Maximum depth (m) that a return counts with: a few far ones seen through an open door would decide. "
+        "III.C.",
     )
     exceptions_max: float = Field(
-        0.15, ge=0, lt=1, description="Maximum share of a door's returns on the plane. III.C."
+        0.15, ge=0, lt=1, description="Maximum share of returns on the plane below the start: noise, a handle. III.C."
     )
-    points_min: int = Field(12, ge=1, description="Minimum returns behind the plane in a line. III.C, condition 2.")
+    points_min: int = Field(
+        12, ge=1, description="Minimum number of returns behind the plane in a line. III.C, condition 2."
+    )
     lines_min: int = Field(2, ge=1, description="Minimum number of neighbouring lines in an opening. III.C.")
     gap_m: float = Field(0.35, gt=0, description="Maximum gap (m) between neighbouring lines of an opening. III.C.")
 

@@ -27,16 +27,26 @@ from ffmap.algorithms.scan.wall_planes import WallPlanes, WallPlanesSettings, gr
 class LabellingSettings(StepSettings):
     """From planes to labels (paper, III.C)."""
 
-    wall_distance_m: float = Field(0.045, gt=0, le=0.5, description="Maximum distance (m) of a return from a wall.")
+    wall_distance_m: float = Field(
+        0.045, gt=0, le=0.5, description="Maximum distance (m) of a wall's return from a wall plane of the scan. III.C."
+    )
     edge_m: float = Field(
         0.01,
         ge=-0.1,
         le=0.1,
         description="Along an edge a return goes to the wall unless floor or ceiling is nearer by more than this (m).",
     )
-    end_margin_m: float = Field(0.15, ge=0, description="How far (m) a plane reaches beyond its outer lines. III.C.")
-    corner_m: float = Field(0.6, ge=0, description="Maximum gap (m) between a plane's end and its corner. III.C.")
-    leaf_margin_m: float = Field(0.03, ge=0, description="How far (m) a closed leaf reaches beyond its lines. III.C.")
+    end_margin_m: float = Field(
+        0.15, ge=0, description="How far (m) a wall plane reaches beyond its outermost lines. III.C."
+    )
+    corner_m: float = Field(
+        0.6,
+        ge=0,
+        description="Maximum gap (m) between the end of a plane and its corner with another, to which it is completed. III.C.",
+    )
+    leaf_margin_m: float = Field(
+        0.03, ge=0, description="How far (m) a closed leaf reaches beyond the outermost lines that showed it. III.C."
+    )
 
 
 @dataclass(frozen=True)

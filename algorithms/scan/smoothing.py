@@ -23,10 +23,23 @@ _STEP_MAX_RAD = 0.04  # maximum angle between neighbouring returns of a ring
 class SmoothingSettings(StepSettings):
     """Ranges smoothed by their neighbours on the same ring, before anything is decided."""
 
-    returns: int = Field(11, ge=0, le=101, description="Maximum number of returns of a ring in a facet; below 5, none.")
-    facet_max_m: float = Field(0.2, gt=0, description="Maximum width (m) of a facet of more than 5 returns.")
-    residual_max: float = Field(1.4, gt=0, description="Maximum RMS distance of returns from their facet, in scatters.")
-    correction_max: float = Field(3.5, gt=0, description="Maximum distance that a return is moved, in scatters.")
+    returns: int = Field(
+        11,
+        ge=0,
+        le=101,
+        description="Maximum number of successive returns of a ring in a facet; below 5, nothing is smoothed.",
+    )
+    facet_max_m: float = Field(
+        0.2, gt=0, description="Maximum width (m) of a facet of more than 5 returns, across its rays."
+    )
+    residual_max: float = Field(
+        1.4, gt=0, description="Maximum RMS distance of returns from their facet, in multiples of the scan's scatter."
+    )
+    correction_max: float = Field(
+        3.5,
+        gt=0,
+        description="Maximum distance by which a return is moved, in multiples of the scan's scatter; one farther off stays.",
+    )
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,22 @@ from ffmap.algorithms.scan.rearrangement import Returns
 class VerticalStructuresSettings(StepSettings):
     """Upright runs in the point lines (paper, III.B, eq. 2)."""
 
-    slope_max: float = Field(1.0, gt=0, description="Maximum change of range with height (m per m). Eq. 2.")
-    span_m: float = Field(
-        0.2, gt=0, le=2, description="Length (m) over which the slope is measured: over less, noise decides. III.B."
+    slope_max: float = Field(
+        1.0, gt=0, description="Maximum change of horizontal range with height (m per m) of an upright line. Eq. 2."
     )
-    jump_m: float = Field(0.12, gt=0, description="Maximum step (m) in range between neighbours of a structure. III.B.")
-    points_min: int = Field(10, ge=2, le=200, description="Minimum number of samples in a structure. III.B.")
+    span_m: float = Field(
+        0.2,
+        gt=0,
+        le=2,
+        description="Length (m) over which the slope is measured; the neighbours of eq. 2 lie millimetres apart, where noise "
+        "decides. III.B.",
+    )
+    jump_m: float = Field(
+        0.12, gt=0, description="Maximum step (m) in horizontal range between neighbours of one structure. III.B."
+    )
+    points_min: int = Field(
+        10, ge=2, le=200, description="Minimum number of neighbouring samples in a structure. III.B."
+    )
 
 
 @dataclass(frozen=True)

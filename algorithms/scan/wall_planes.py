@@ -22,20 +22,42 @@ For evenly spread samples it is √3; less, so that a few odd samples do not len
 class WallPlanesSettings(StepSettings):
     """Growing wall planes from candidates (paper, III.B, Algorithm 1)."""
 
-    similarity_m: float = Field(0.05, gt=0, le=1, description="σ_th: maximum RMS distance (m) from the plane. Alg. 1.")
-    upper_part_m: float = Field(
-        0.4, gt=0, description="Height (m) of a candidate's upper part, which alone is fitted: nothing hides it. III.B."
+    similarity_m: float = Field(
+        0.05,
+        gt=0,
+        le=1,
+        description="σ_th: maximum RMS distance (m) of a candidate from the plane that it joins. Alg. 1.",
     )
-    reach_m: float = Field(0.35, gt=0, description="Maximum distance (m) of a wall's top below a ceiling. III.B.")
-    height_min_m: float = Field(2.1, gt=0, description="Minimum height (m) of a wall where no ceiling is seen. III.B.")
+    upper_part_m: float = Field(
+        0.4,
+        gt=0,
+        description="Height (m) of the upper part of a candidate that is fitted: no leaf or furniture stands before it. III.B.",
+    )
+    reach_m: float = Field(
+        0.35,
+        gt=0,
+        description="Maximum distance (m) below a ceiling at which a candidate ends: walls meet the ceiling. III.B.",
+    )
+    height_min_m: float = Field(
+        2.1, gt=0, description="Minimum height (m) of a wall where no ceiling is in view. III.B."
+    )
     bottom_max_m: float = Field(
-        2.2, gt=0, description="Maximum height (m) of a wall's lower edge; what ends higher is a duct. III.B."
+        2.2,
+        gt=0,
+        description="Maximum height above the floor (m) of a wall's lower edge, above a door; what ends higher is a duct. "
+        "III.B.",
     )
     gap_m: float = Field(0.3, gt=0, description="Maximum gap (m) between neighbouring lines of a plane. Alg. 1.")
-    gap_per_range: float = Field(0.15, ge=0, description="Added to the gap for each metre of range. Alg. 1.")
-    merge_gap_m: float = Field(1.5, ge=0, description="Maximum gap (m) between planes in line that are joined. Alg. 1.")
+    gap_per_range: float = Field(
+        0.15, ge=0, description="Added to the gap for each metre of range, for emitters spread apart. Alg. 1."
+    )
+    merge_gap_m: float = Field(
+        1.5,
+        ge=0,
+        description="Maximum gap (m) between planes in line that are joined: a line that broke the plane is bridged. Alg. 1.",
+    )
     lines_min: int = Field(3, ge=2, description="Minimum number of lines in a wall plane. Alg. 1.")
-    length_min_m: float = Field(0.15, ge=0, description="Minimum length (m) of a wall plane. III.B.")
+    length_min_m: float = Field(0.15, ge=0, description="Minimum length (m) of a wall plane; columns are walls. III.B.")
 
 
 class Growth(IntEnum):
