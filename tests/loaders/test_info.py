@@ -25,6 +25,7 @@ def test_a_whole_rig(tmp_path):
     assert ring_words(found.decoding) == "16 rings, -15.0 to +15.0 deg (from field ring)"
     assert time_words(found.decoding) == "field time in s, relative to the stamp, a sweep spans 98.9 ms"
     assert found.points == (1440, 1440)
+    assert describe(info).count("  clouds: 6 at 10.00 Hz") == 2
     assert info.missing == ("truth: no figures can be computed",)
     assert info.rig_problem is None
 
