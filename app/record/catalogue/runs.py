@@ -149,7 +149,10 @@ class Catalogue:
             results = list(self.dataset.register(list(by_uri), layer_name=layer).iter_results())
             added = [result.segment_id for result in results if result.segment_id is not None]
             self.dataset.segment_table().to_arrow_table()
-        except Exception as error:  # DataFusion raises nothing more special where its server ends
+        except Exception as error:
+            # Where its server ends, DataFusion raises the bare class itself.
+            if type(error) is not Exception and not isinstance(error, ValueError | RuntimeError | OSError):
+                raise
             if self._server.ended():
                 self._restart()
             elif added:
