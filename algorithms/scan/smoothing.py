@@ -72,19 +72,42 @@ def smooth_ranges(scan: Scan, settings: SmoothingSettings) -> SmoothedRanges:
         return SmoothedRanges(points, np.zeros(len(points), np.float32), np.nan)
     turn = turns(points, 0.0)
     order, starts = sort_by_angle(scan.ring.astype(np.int32), turn, scan.ring_count, -np.pi)
-    x, y, z = points[order].astype(np.float64).T
-    # A return at the sensor itself has no direction and stays there.
-    range_m, turn = np.maximum(np.sqrt(x * x + y * y + z * z), 1e-3), turn[order].astype(np.float64)
+    range_m, turn = _along_rings(points, turn, order)
     # Sensors count in steps of millimetres; what scatters by more than some centimetres is no surface.
     scatter_m = min(max(_scatter(range_m, turn, starts), 0.002), 0.06)
     residual_max_m, correction_max_m = settings.residual_max * scatter_m, settings.correction_max * scatter_m
     smooth_m = _smooth(
         range_m, turn, starts, settings.returns, settings.facet_max_m, scatter_m, residual_max_m, correction_max_m
     )
+    return SmoothedRanges(*_moved(points, order, range_m, smooth_m), scatter_m)
+
+
+# Compiled: as array arithmetic, both take 2.3 ms a scan of 70,000 returns, a quarter of all that labelling takes.
+@numba.njit(cache=True, nogil=True)
+def _along_rings(
+    points: FloatArray, turn: FloatArray, order: IntArray
+) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
+    """Range and turn (n,) float64 of the returns in the order of their rings."""
+    range_m, sorted_turn = np.empty(len(order)), np.empty(len(order))
+    for j, i in enumerate(order):
+        x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
+        # A return at the sensor itself has no direction and stays there.
+        range_m[j], sorted_turn[j] = max(np.sqrt(x * x + y * y + z * z), 1e-3), turn[i]
+    return range_m, sorted_turn
+
+
+@numba.njit(cache=True, nogil=True)
+def _moved(
+    points: FloatArray, order: IntArray, range_m: FloatArray, smooth_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
+    """The returns (n, 3) at their smoothed ranges, and by how much (n,) they moved."""
     moved, correction_m = np.empty_like(points), np.empty(len(points), np.float32)
-    moved[order] = points[order] * (smooth_m / range_m).astype(np.float32)[:, None]
-    correction_m[order] = smooth_m - range_m
-    return SmoothedRanges(moved, correction_m, scatter_m)
+    for j, i in enumerate(order):
+        share = np.float32(smooth_m[j] / range_m[j])
+        for axis in range(3):
+            moved[i, axis] = points[i, axis] * share
+        correction_m[i] = smooth_m[j] - range_m[j]
+    return moved, correction_m
 
 
 @numba.njit(cache=True, nogil=True)
