@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
 
-import networkx as nx
 import numpy as np
 import shapely
 from pydantic import Field
 from scipy import ndimage
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import pdist, squareform
 from skimage.morphology import convex_hull_image, local_maxima
 from skimage.segmentation import watershed
@@ -142,12 +143,10 @@ class AreaGraph:
     def __len__(self) -> int:
         return len(self.rooms)
 
-    def topology(self) -> "nx.MultiGraph[int]":
-        """Rooms as nodes, passages as edges."""
-        graph: nx.MultiGraph[int] = nx.MultiGraph()
-        graph.add_nodes_from(range(len(self.rooms)))
-        graph.add_edges_from((*passage.rooms, {"door": passage.door}) for passage in self.passages)
-        return graph
+    def neighbours(self, room: int) -> list[str]:
+        """The names of the rooms that passages join to this one, the largest first."""
+        beside = {other for passage in self.passages if room in passage.rooms for other in passage.rooms} - {room}
+        return [self.rooms[other].name for other in sorted(beside)]
 
 
 @dataclass(frozen=True)
@@ -482,12 +481,10 @@ def _reached(
     label: IntArray, sides: IntArray, openings: Sequence[tuple[int, int]], path: tuple[IntArray, IntArray]
 ) -> IntArray:
     """Only the areas that the robot entered, and what passages join to them."""
-    graph: nx.Graph[int] = nx.Graph()
-    graph.add_edges_from((int(a), int(b)) for a, b in [*sides, *openings] if a > 0 and b > 0)
-    entered = set(np.unique(label[path]).tolist()) - {0}
-    graph.add_nodes_from(entered)
-    reached = entered.union(*(nx.node_connected_component(graph, area) for area in entered))
-    return np.where(np.isin(label, list(reached)), label, 0)
+    areas = int(label.max(initial=0)) + 1
+    pairs = np.array([pair for pair in [*sides.tolist(), *openings] if min(pair) > 0], np.int64).reshape(-1, 2)
+    _, part = connected_components(csr_array((np.ones(len(pairs)), pairs.T), (areas, areas)), directed=False)
+    return np.where(np.isin(part, part[label[path]])[label], label, 0)
 
 
 def _without_beams(label: IntArray, radius: float) -> IntArray:

@@ -1,6 +1,7 @@
 """A trajectory against the true one (paper, IV.B): absolute and relative errors."""
 
 from dataclasses import dataclass
+from warnings import catch_warnings
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -64,12 +65,9 @@ def compare_trajectories(found: Trajectory, true: Trajectory) -> TrajectoryFigur
 def align(positions_source: FloatArray, positions_target: FloatArray) -> FloatArray:
     """T_target_source (4, 4) that brings positions (n, 3) nearest to their partners (Umeyama 1991, without scale)."""
     centre_source, centre_target = positions_source.mean(axis=0), positions_target.mean(axis=0)
-    U, _, Vt = np.linalg.svd((positions_target - centre_target).T @ (positions_source - centre_source))
-    sign = np.diag([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
-    T = np.eye(4)
-    T[:3, :3] = U @ sign @ Vt
-    T[:3, 3] = centre_target - T[:3, :3] @ centre_source
-    return T
+    with catch_warnings(action="ignore", category=UserWarning):  # the turn about a straight path is free
+        turn, _ = Rotation.align_vectors(positions_target - centre_target, positions_source - centre_source)
+    return transforms.make_transform(turn, centre_target - turn.apply(centre_source))
 
 
 def rms(values: FloatArray) -> float:

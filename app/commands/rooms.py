@@ -225,10 +225,10 @@ def _doorways(path: Path) -> FloatArray:
 
 
 def _rooms_table(graph: AreaGraph) -> Table:
-    network, rows = graph.topology(), []
-    for index, room in enumerate(graph.rooms):
-        neighbours = ", ".join(graph.rooms[other].name for other in sorted(network[index]))
-        rows.append((room.name, f"{room.area_m2:.1f}", neighbours or "–"))
+    rows = [
+        (room.name, f"{room.area_m2:.1f}", ", ".join(graph.neighbours(index)) or "–")
+        for index, room in enumerate(graph.rooms)
+    ]
     title = f"{len(graph)} rooms, {len(graph.passages)} passages"
     return make_table(title, ("room", "m²", "leads to"), rows, left=(0, 2))
 

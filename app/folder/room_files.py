@@ -21,7 +21,6 @@ _TRANSPARENCY = 0.35
 
 def write_rooms(path: Path, graph: AreaGraph) -> None:
     """Rooms as Polygons in metres of the map frame, with name, area, doors (ids in doors.geojson) and neighbours."""
-    network = graph.topology()
     write_geojson(
         path,
         [
@@ -30,7 +29,7 @@ def write_rooms(path: Path, graph: AreaGraph) -> None:
                     "name": room.name,
                     "area": round(room.area_m2, 3),
                     "doors": room.doors,
-                    "neighbours": [graph.rooms[other].name for other in sorted(network[index])],
+                    "neighbours": graph.neighbours(index),
                 },
                 "geometry": shapely.geometry.mapping(room.polygon),
             }
