@@ -65,10 +65,10 @@ def main() -> int:
         return 0
     before = json.loads(options.file.read_text())
     differing = [
-        f"{drive}: {name} {before[drive].get(name)} → {value}"
+        f"{drive}: {name} {before.get(drive, {}).get(name)} → {value}"
         for drive, values in now.items()
         for name, value in values.items()
-        if before[drive].get(name) != value
+        if before.get(drive, {}).get(name) != value
     ]
     print("\n".join(differing) or f"{len(now)} drives, {len(FILES) + 1} digests each: all equal")
     return 1 if differing else 0

@@ -2,8 +2,9 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
+import numba
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
@@ -61,6 +62,55 @@ class Segment:
         """The length over which another face with these ends (2, 2) lies beside it; negative where they do not meet."""
         low, high = np.sort(self.place_m(ends))
         return float(min(high, self.length_m) - max(low, 0.0))
+
+
+class Lines(NamedTuple):
+    """Faces (k,) for compiled code: direction, place of the first end along it, normal, offset along that, and length."""
+
+    along_x: FloatArray
+    along_y: FloatArray
+    start: FloatArray
+    normal_x: FloatArray
+    normal_y: FloatArray
+    offset: FloatArray
+    length: FloatArray
+
+    @classmethod
+    def of(cls, faces: Faces) -> "Lines":
+        length = lengths_m(faces.ends)
+        along = (faces.ends[:, 1] - faces.ends[:, 0]) / np.maximum(length, 1e-9)[:, None]
+        start = np.sum(along * faces.ends[:, 0], axis=1)
+        offset = np.sum(faces.normal * faces.ends[:, 0], axis=1)
+        return cls(*(np.ascontiguousarray(a) for a in (*along.T, start, *faces.normal.T, offset, length)))
+
+
+@numba.njit(cache=True, nogil=True)
+def before_line(lines: Lines, k: int, x: float, y: float) -> float:  # pragma: no cover
+    """How far before the k-th face a place is, metres; negative behind it."""
+    return float(lines.normal_x[k] * x + lines.normal_y[k] * y - lines.offset[k])
+
+
+@numba.njit(cache=True, nogil=True)
+def along_line(lines: Lines, k: int, x: float, y: float) -> float:  # pragma: no cover
+    """How far along the k-th face from its first end a place is, metres."""
+    return float(lines.along_x[k] * x + lines.along_y[k] * y - lines.start[k])
+
+
+@numba.njit(cache=True, nogil=True)
+def crossing(
+    lines: Lines, k: int, behind_m: float, x: float, y: float, origin: FloatArray, grazing_sine: float
+) -> tuple[float, float]:  # pragma: no cover
+    """Where a ray crosses the k-th face, or the plane `behind_m` behind it: the share of the ray's length, the place along it.
+
+    x, y: the ray's end. NaN where the ray does not come from before the face, or meets it at an angle of a smaller sine than
+    `grazing_sine`, so that the crossing says nothing.
+    """
+    before = before_line(lines, k, origin[0], origin[1]) + behind_m
+    approach = before - (before_line(lines, k, x, y) + behind_m)
+    if before <= 0.0 or approach <= 0.0 or approach < grazing_sine * np.hypot(x - origin[0], y - origin[1]):
+        return np.nan, np.nan
+    share = before / approach
+    return share, along_line(lines, k, origin[0] + share * (x - origin[0]), origin[1] + share * (y - origin[1]))
 
 
 def lengths_m(ends: FloatArray) -> FloatArray:

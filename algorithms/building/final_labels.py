@@ -10,7 +10,7 @@ from pydantic import Field
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
-from ffmap.algorithms.base.segments import Faces
+from ffmap.algorithms.base.segments import Lines, along_line, before_line, crossing
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import JudgedFaces
@@ -146,27 +146,6 @@ class BuildingModel:
     levels: tuple[HeightMap, ...]
 
 
-class _Lines(NamedTuple):
-    """Faces, sills or other lines (k,) seen from above: direction, place of the first end along it, normal, offset, length."""
-
-    along_x: FloatArray
-    along_y: FloatArray
-    start: FloatArray
-    normal_x: FloatArray
-    normal_y: FloatArray
-    offset: FloatArray
-    length: FloatArray
-
-    @classmethod
-    def of(cls, faces: Faces) -> "_Lines":
-        along = faces.ends[:, 1] - faces.ends[:, 0]
-        length = np.linalg.norm(along, axis=1)
-        along = along / np.maximum(length, 1e-9)[:, None]
-        start = np.sum(along * faces.ends[:, 0], axis=1)
-        offset = np.sum(faces.normal * faces.ends[:, 0], axis=1)
-        return cls(*(np.ascontiguousarray(a) for a in (*along.T, start, *faces.normal.T, offset, length)))
-
-
 class _Faces(NamedTuple):
     """Wall faces for compiled code.
 
@@ -174,7 +153,7 @@ class _Faces(NamedTuple):
     clear_m: (columns,) from the floor to the ceiling before it. covered: (columns, rows) whether something stands there.
     """
 
-    lines: _Lines
+    lines: Lines
     top_m: FloatArray
     first: IntArray
     clear_m: FloatArray
@@ -184,7 +163,7 @@ class _Faces(NamedTuple):
 class _Refused(NamedTuple):
     """Refused faces: their lines, top_m (R,), and the label (R,) of their returns."""
 
-    lines: _Lines
+    lines: Lines
     top_m: FloatArray
     label: UInt8Array
 
@@ -195,7 +174,7 @@ class _Doorways(NamedTuple):
     depth_m: (D,) of the closed leaf behind the wall's face; minus infinity where the door is open.
     """
 
-    lines: _Lines
+    lines: Lines
     head_m: FloatArray
     depth_m: FloatArray
     reveal_m: FloatArray
@@ -204,7 +183,7 @@ class _Doorways(NamedTuple):
 class _Panes(NamedTuple):
     """Windows: their lines, and how far behind their face what returns is outside, beyond_m (N,)."""
 
-    lines: _Lines
+    lines: Lines
     beyond_m: FloatArray
 
 
@@ -267,49 +246,14 @@ def relabel(
             below_ceiling_m,
             corrected(first, points_map, label_scan),
             np.ascontiguousarray(origin_map, np.float64),
-            _Faces(_Lines.of(walls), walls.top_m, before.first, before.clear_m, before.covered),
-            _Refused(_Lines.of(refused), refused.top_m, building.judged.refused_label),
-            _Doorways(_Lines.of(doors), doors.head_m, leaf_m, doors.reveal_m),
-            _Panes(_Lines.of(windows), beyond_m),
+            _Faces(Lines.of(walls), walls.top_m, before.first, before.clear_m, before.covered),
+            _Refused(Lines.of(refused), refused.top_m, building.judged.refused_label),
+            _Doorways(Lines.of(doors), doors.head_m, leaf_m, doors.reveal_m),
+            _Panes(Lines.of(windows), beyond_m),
             _Rules(**settings.model_dump()),
         )
     )
     return corrected(last, points_map, halo.label_of(points_map, label))
-
-
-@numba.njit(cache=True, nogil=True)
-def _before(lines: _Lines, k: int, x: float, y: float) -> float:  # pragma: no cover
-    """How far before the k-th segment's line a place is, metres; negative behind it."""
-    return float(lines.normal_x[k] * x + lines.normal_y[k] * y - lines.offset[k])
-
-
-@numba.njit(cache=True, nogil=True)
-def _is_before(lines: _Lines, k: int, origin: FloatArray) -> bool:  # pragma: no cover
-    """Whether the sensor looks at the k-th face."""
-    return bool(lines.normal_x[k] * origin[0] + lines.normal_y[k] * origin[1] > lines.offset[k])
-
-
-@numba.njit(cache=True, nogil=True)
-def _along(lines: _Lines, k: int, x: float, y: float) -> float:  # pragma: no cover
-    """How far along the k-th segment from its first end a place is, metres."""
-    return float(lines.along_x[k] * x + lines.along_y[k] * y - lines.start[k])
-
-
-@numba.njit(cache=True, nogil=True)
-def _crossing(
-    lines: _Lines, k: int, behind_m: float, x: float, y: float, origin: FloatArray, grazing_sine: float
-) -> tuple[float, float]:  # pragma: no cover
-    """Where a ray crosses the k-th face, or the plane `behind_m` behind it: the share of the ray's length, the place along it.
-
-    NaN where the ray does not come from before the face, or runs along it, so that the crossing says nothing.
-    """
-    before = _before(lines, k, origin[0], origin[1]) + behind_m
-    approach = before - (_before(lines, k, x, y) + behind_m)
-    if before <= 0.0 or approach < grazing_sine * np.hypot(x - origin[0], y - origin[1]):
-        return np.nan, np.nan
-    share = before / approach
-    cx, cy = origin[0] + share * (x - origin[0]), origin[1] + share * (y - origin[1])
-    return share, _along(lines, k, cx, cy)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -318,7 +262,7 @@ def _own_places(
     height: FloatArray,
     below_ceiling: FloatArray,
     label_scan: UInt8Array,
-    lines: _Lines,
+    lines: Lines,
     rules: _Rules,
 ) -> FloatArray:  # pragma: no cover
     """(W, 2) how far before each face the scan itself shows its foot, and its top; 0 where it shows neither.
@@ -336,8 +280,8 @@ def _own_places(
         if not at_foot and not rules.own_from_m < below_ceiling[i] < rules.own_to_m:
             continue
         for w in range(faces):
-            s = _before(lines, w, points[i, 0], points[i, 1])
-            u = _along(lines, w, points[i, 0], points[i, 1])
+            s = before_line(lines, w, points[i, 0], points[i, 1])
+            u = along_line(lines, w, points[i, 0], points[i, 1])
             if abs(s) < most_m and most_m < u < lines.length[w] - most_m:
                 counts[w, 0 if at_foot else 1, min(int((s + most_m) / bin_m), bins - 1)] += 1
     own_m = np.full((faces, 2), np.nan)
@@ -360,19 +304,15 @@ def _through_window(
     """Whether a ray reached its return through a window; and whether that is on a window's sill, head or reveal."""
     on_reveal = False
     for g in range(len(panes.lines.length)):
-        s = _before(panes.lines, g, at.x, at.y)
+        s = before_line(panes.lines, g, at.x, at.y)
         if s > -panes.beyond_m[g]:
             # Between a window's face and its pane there is nothing but the sill, the head and the reveals.
             if s < rules.wall_distance_m:
-                u = _along(panes.lines, g, at.x, at.y)
+                u = along_line(panes.lines, g, at.x, at.y)
                 on_reveal = on_reveal or -rules.margin_m < u < panes.lines.length[g] + rules.margin_m
             continue
-        reach = _before(panes.lines, g, origin[0], origin[1])
-        if reach < 0.0:
-            continue
-        t = reach / (reach - s)
-        cx, cy = origin[0] + t * (at.x - origin[0]), origin[1] + t * (at.y - origin[1])
-        if -rules.margin_m < _along(panes.lines, g, cx, cy) < panes.lines.length[g] + rules.margin_m:
+        _, u = crossing(panes.lines, g, 0.0, at.x, at.y, origin, 0.0)
+        if -rules.margin_m < u < panes.lines.length[g] + rules.margin_m:
             return True, on_reveal
     return False, on_reveal
 
@@ -399,16 +339,16 @@ def _at_edge(
     for d in range(len(doorways.lines.length)):
         # A closed leaf stands on the floor, behind its wall's face.
         depth_m = doorways.depth_m[d]
-        if near_floor and depth_m >= 0.0 and abs(_before(doorways.lines, d, at.x, at.y) + depth_m) < edge_m:
-            share, u = _crossing(doorways.lines, d, depth_m, at.x, at.y, origin, rules.grazing_sine)
+        if near_floor and depth_m >= 0.0 and abs(before_line(doorways.lines, d, at.x, at.y) + depth_m) < edge_m:
+            share, u = crossing(doorways.lines, d, depth_m, at.x, at.y, origin, rules.grazing_sine)
             if 0.0 < u < doorways.lines.length[d]:
                 return Label.DOOR if at.height_m + (share - 1.0) * (at.z - origin[2]) > 0.0 else Label.FLOOR
     missed = False
     for w in range(len(faces.lines.length)):
         before_m = own_m[w, 0 if near_floor else 1]
-        if abs(_before(faces.lines, w, at.x, at.y) - before_m) > edge_m:
+        if abs(before_line(faces.lines, w, at.x, at.y) - before_m) > edge_m:
             continue
-        share, u = _crossing(faces.lines, w, -before_m, at.x, at.y, origin, rules.grazing_sine)
+        share, u = crossing(faces.lines, w, -before_m, at.x, at.y, origin, rules.grazing_sine)
         if not 0.0 <= u <= faces.lines.length[w]:
             continue
         rise = (share - 1.0) * (at.z - origin[2])
@@ -433,8 +373,8 @@ def _is_in_doorway(
     """Whether a place at this height above the floor, on a face of some wall, is between the jambs of one of its doors."""
     for d in range(len(doorways.lines.length)):
         if (
-            0.0 < _along(doorways.lines, d, x, y) < doorways.lines.length[d]
-            and abs(_before(doorways.lines, d, x, y)) < other_face_m
+            0.0 < along_line(doorways.lines, d, x, y) < doorways.lines.length[d]
+            and abs(before_line(doorways.lines, d, x, y)) < other_face_m
             and height_m < doorways.head_m[d]
         ):
             return True
@@ -457,14 +397,14 @@ def _at_door(at: _Return, origin: FloatArray, doorways: _Doorways, rules: _Rules
     """What a return is to the building's doors; once it is a leaf's, nothing else is asked."""
     on_reveal = in_opening = in_doorway = False
     for d in range(len(doorways.lines.length)):
-        s = _before(doorways.lines, d, at.x, at.y)
+        s = before_line(doorways.lines, d, at.x, at.y)
         if abs(s) > rules.at_door_m:
             continue
-        u, length = _along(doorways.lines, d, at.x, at.y), doorways.lines.length[d]
+        u, length = along_line(doorways.lines, d, at.x, at.y), doorways.lines.length[d]
         depth_m, head_m, reveal_m = doorways.depth_m[d], doorways.head_m[d], doorways.reveal_m[d]
         # Between the jambs of a closed door there is nothing but its leaf, its handle, and their scatter.
         if -depth_m - rules.leaf_distance_m < s < rules.wall_distance_m:
-            share, at_leaf = _crossing(doorways.lines, d, depth_m, at.x, at.y, origin, rules.grazing_sine)
+            share, at_leaf = crossing(doorways.lines, d, depth_m, at.x, at.y, origin, rules.grazing_sine)
             rise = (share - 1.0) * (at.z - origin[2])
             if np.isnan(share):
                 at_leaf, rise = u, 0.0
@@ -500,11 +440,11 @@ def _nearest_face(
     nearest_m, nearest_seen_m = np.inf, rules.forget_m
     is_covered = is_within = False
     for w in range(len(faces.lines.length)):
-        s = _before(faces.lines, w, at.x, at.y)
-        could_see = s > 0.0 or _is_before(faces.lines, w, origin)
+        s = before_line(faces.lines, w, at.x, at.y)
+        could_see = s > 0.0 or before_line(faces.lines, w, origin[0], origin[1]) > 0.0
         in_body = -rules.body_m < s < 0.0 and could_see
         if abs(s) < nearest_m or in_body or (could_see and abs(s) < nearest_seen_m):
-            u = _along(faces.lines, w, at.x, at.y)
+            u = along_line(faces.lines, w, at.x, at.y)
             beside = -rules.margin_m < u < faces.lines.length[w] + rules.margin_m
             if beside and at.height_m < faces.top_m[w] + rules.face_above_m:
                 nearest_m = min(nearest_m, abs(s))
@@ -521,8 +461,8 @@ def _nearest_face(
 def _label_of_refused(at: _Return, refused: _Refused, rules: _Rules) -> int:  # pragma: no cover
     """The label of the first refused face that a return lies on, -1 where it lies on none."""
     for f in range(len(refused.lines.length)):
-        if abs(_before(refused.lines, f, at.x, at.y)) < rules.refused_m:
-            u = _along(refused.lines, f, at.x, at.y)
+        if abs(before_line(refused.lines, f, at.x, at.y)) < rules.refused_m:
+            u = along_line(refused.lines, f, at.x, at.y)
             beside = -rules.margin_m < u < refused.lines.length[f] + rules.margin_m
             if beside and at.height_m < refused.top_m[f] + rules.refused_above_m:
                 return int(refused.label[f])

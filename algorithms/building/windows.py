@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
-from ffmap.algorithms.base.segments import Segment, segments
+from ffmap.algorithms.base.segments import Lines, Segment, before_line, crossing, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, Walls, Windows, cells_in, stretches
 from ffmap.algorithms.building.openings import (
@@ -150,11 +150,7 @@ def seen_through(windows: Windows, features: Features) -> BoolArray:
 
 def without_rays_through(windows: Windows, features: Features) -> Features:
     """The same scans without the rays that ended beyond a window."""
-    passed = _rays_through(
-        np.ascontiguousarray(windows.ends, np.float64),
-        np.ascontiguousarray(windows.normal, np.float64),
-        Rays.of(features),
-    )
+    passed = _rays_through(Lines.of(windows), Rays.of(features))
     return replace(
         features,
         ray_count=np.bincount(features.ray_scan[~passed], minlength=len(features.scan)),
@@ -164,25 +160,15 @@ def without_rays_through(windows: Windows, features: Features) -> Features:
 
 
 @numba.njit(cache=True, nogil=True)
-def _rays_through(ends: FloatArray, normal: FloatArray, rays: Rays) -> BoolArray:  # pragma: no cover
-    origin, starts, ray_end = rays.origin, rays.starts, rays.end
-    passed = np.zeros(len(ray_end), np.bool_)
-    for w in range(len(ends)):
-        dx, dy = ends[w, 1, 0] - ends[w, 0, 0], ends[w, 1, 1] - ends[w, 0, 1]
-        length = np.sqrt(dx * dx + dy * dy)
-        dx, dy = dx / length, dy / length
-        for s in range(len(origin)):
-            ox, oy = origin[s, 0] - ends[w, 0, 0], origin[s, 1] - ends[w, 0, 1]
-            reach = normal[w, 0] * ox + normal[w, 1] * oy
-            if reach <= 0.0:
+def _rays_through(panes: Lines, rays: Rays) -> BoolArray:  # pragma: no cover
+    passed = np.zeros(len(rays.end), np.bool_)
+    for w in range(len(panes.length)):
+        for s in range(len(rays.origin)):
+            if before_line(panes, w, rays.origin[s, 0], rays.origin[s, 1]) <= 0.0:
                 continue
-            for r in range(starts[s], starts[s + 1]):
-                x, y = ray_end[r, 0] - ends[w, 0, 0], ray_end[r, 1] - ends[w, 0, 1]
-                side = normal[w, 0] * x + normal[w, 1] * y
-                if side > -CELL_M:
-                    continue
-                t = reach / (reach - side)
-                u = (ox + t * (x - ox)) * dx + (oy + t * (y - oy)) * dy
-                if 0.0 < u < length:
-                    passed[r] = True
+            for r in range(rays.starts[s], rays.starts[s + 1]):
+                x, y = np.float64(rays.end[r, 0]), np.float64(rays.end[r, 1])
+                if before_line(panes, w, x, y) <= -CELL_M:
+                    _, u = crossing(panes, w, 0.0, x, y, rays.origin[s], 0.0)
+                    passed[r] |= 0.0 < u < panes.length[w]
     return passed
