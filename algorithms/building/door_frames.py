@@ -1,8 +1,9 @@
 """Where doors' jambs, heads and reveals are, to a centimetre."""
 
+from collections import namedtuple
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numba
 import numpy as np
@@ -55,21 +56,10 @@ class DoorFramesSettings(StepSettings):
     reveal_max_m: float = Field(0.7, gt=0, le=5, description="Maximum depth (m) of a door's reveals.")
 
 
-class _Lengths(NamedTuple):
-    """The lengths of `DoorFramesSettings` that compiled code asks for, metres."""
-
-    jamb_reach_m: float
-    head_min_m: float
-    head_max_m: float
-    from_m: float
-    to_m: float
-    corner_m: float
-    foot_m: float
-    underside_m: float
-
-    @classmethod
-    def of(cls, settings: DoorFramesSettings) -> "_Lengths":
-        return cls(*(getattr(settings, name) for name in cls._fields))
+if TYPE_CHECKING:
+    _Rules = DoorFramesSettings
+else:  # compiled code takes named tuples
+    _Rules = namedtuple("_Rules", DoorFramesSettings.model_fields)
 
 
 class _Frames(NamedTuple):
@@ -128,9 +118,9 @@ def place_frames(
         np.ascontiguousarray(walls.ends[doors.wall], np.float64),
         np.ascontiguousarray(walls.normal[doors.wall], np.float64),
     )
-    lengths, own = _Lengths.of(settings), OwnPlane.of(building)
+    rules, own = _Rules(**settings.model_dump()), OwnPlane.of(building)
     for block in blocks:
-        _compare_with_frames(frames, evidence, np.asarray(block.scan, np.int64), Rays.of(block), own, lengths)
+        _compare_with_frames(frames, evidence, np.asarray(block.scan, np.int64), Rays.of(block), own, rules)
     ends, head_m = doors.ends.copy(), doors.head_m.copy()
     for d, doorway in enumerate(segments(doors)):
         for side, outwards in ((0, -1.0), (1, 1.0)):
@@ -172,12 +162,12 @@ def _add_costs(
 
 @numba.njit(cache=True, nogil=True)
 def _compare_with_frames(
-    frames: _Frames, evidence: _Evidence, scan: IntArray, rays: Rays, own: OwnPlane, lengths: _Lengths
+    frames: _Frames, evidence: _Evidence, scan: IntArray, rays: Rays, own: OwnPlane, rules: _Rules
 ) -> None:  # pragma: no cover
     ends, head_m, depth_m, wall_ends, wall_normal = frames
     jamb_cost_m, jamb_rays, head_cost_m, head_rays, scans = evidence
     origin, starts, ray_end = rays.origin, rays.starts, rays.end
-    jamb_reach_m, corner_m = lengths.jamb_reach_m, lengths.corner_m
+    jamb_reach_m, corner_m = rules.jamb_reach_m, rules.corner_m
     for d in range(len(ends)):
         dx, dy = ends[d, 1, 0] - ends[d, 0, 0], ends[d, 1, 1] - ends[d, 0, 1]
         length = np.sqrt(dx * dx + dy * dy)
@@ -187,7 +177,7 @@ def _compare_with_frames(
             reach = wall_normal[d, 0] * ox + wall_normal[d, 1] * oy
             # Seen at a slant, a leaf's recess shifts where rays pass the face.
             aslant = abs(ox * dx + oy * dy - 0.5 * length) > 2.0 * reach + 0.5 * length
-            if aslant or reach < lengths.from_m or reach > lengths.to_m:
+            if aslant or reach < rules.from_m or reach > rules.to_m:
                 continue
             nx, ny, offset, start, stop = own_plane(wall_ends[d], wall_normal[d], rays, s, own)
             wx, wy = ends[d, 0, 0] - wall_ends[d, 0, 0], ends[d, 0, 1] - wall_ends[d, 0, 1]
@@ -196,7 +186,7 @@ def _compare_with_frames(
                 offset = nx * wall_ends[d, 0, 0] + ny * wall_ends[d, 0, 1]
             offset -= nx * ends[d, 0, 0] + ny * ends[d, 0, 1]
             reach = nx * ox + ny * oy - offset
-            if reach < lengths.from_m:
+            if reach < rules.from_m:
                 continue
             saw = False
             for r in range(starts[s], starts[s + 1]):
@@ -213,11 +203,11 @@ def _compare_with_frames(
                 height = z - floor_m(rays, s, ray_end[r, 0], ray_end[r, 1])
                 kind = 0 if -side < min(0.5 * depth_m[d], ON_FACE_M) else 1
                 end_m = min(max(-side, -depth_m[d]), depth_m[d])
-                if corner_m < u < length - corner_m and lengths.head_min_m < height < lengths.head_max_m:
+                if corner_m < u < length - corner_m and rules.head_min_m < height < rules.head_max_m:
                     head_rays[d, kind] += 1
                     rise = (z - origin[s, 2]) / reach
-                    _add_costs(head_cost_m[d], lengths.head_min_m, height, rise, end_m, depth_m[d])
-                if height < lengths.foot_m or height > head_m[d] - corner_m:
+                    _add_costs(head_cost_m[d], rules.head_min_m, height, rise, end_m, depth_m[d])
+                if height < rules.foot_m or height > head_m[d] - corner_m:
                     continue
                 saw = True
                 sideways = (u - (ox * dx + oy * dy)) / reach
@@ -240,9 +230,9 @@ def measure_reveals(doors: Doors, blocks: Iterable[Features], settings: DoorFram
     """
     # The underside shows over most of eight parts of the door's width; the edge of a leaf that is ajar does not.
     counts = np.zeros((len(doors), int(settings.reveal_max_m / _BIN_M), 8), np.int64)
-    length_m, lengths = lengths_m(doors.ends), _Lengths.of(settings)
+    length_m, rules = lengths_m(doors.ends), _Rules(**settings.model_dump())
     for block in blocks:
-        _count_undersides(doors.ends, doors.normal, length_m, doors.head_m, counts, Rays.of(block), lengths)
+        _count_undersides(doors.ends, doors.normal, length_m, doors.head_m, counts, Rays.of(block), rules)
     reveal_m = doors.reveal_m.copy()
     for d in range(len(doors)):
         # As deep as returns follow each other without a gap, over most of the width: the upper edge of a leaf that is ajar is
@@ -264,17 +254,17 @@ def _count_undersides(
     head_m: FloatArray,
     counts: IntArray,
     rays: Rays,
-    lengths: _Lengths,
+    rules: _Rules,
 ) -> None:  # pragma: no cover
-    bins, corner_m = counts.shape[1], lengths.corner_m
+    bins, corner_m = counts.shape[1], rules.corner_m
     starts, ray_end = rays.starts, rays.end
     for s in range(len(starts) - 1):
         for r in range(starts[s], starts[s + 1]):
             height = ray_end[r, 2] - floor_m(rays, s, ray_end[r, 0], ray_end[r, 1])
-            if height < lengths.head_min_m or height > lengths.head_max_m:
+            if height < rules.head_min_m or height > rules.head_max_m:
                 continue
             for d in range(len(ends)):
-                if abs(height - head_m[d]) > lengths.underside_m:
+                if abs(height - head_m[d]) > rules.underside_m:
                     continue
                 x, y = ray_end[r, 0] - ends[d, 0, 0], ray_end[r, 1] - ends[d, 0, 1]
                 behind = -(normal[d, 0] * x + normal[d, 1] * y)

@@ -25,12 +25,6 @@ class ForegroundSettings(StepSettings):
 
     relief_m: float = Field(0.010, gt=0, description="Minimum mean distance (m) before a wall's face of relief.")
     edge_share: float = Field(0.6, gt=0, le=1, description="A patch of relief ends below this share of `relief_m`.")
-    above_m: float = Field(
-        2.12,
-        gt=0,
-        description="Height above the floor (m) from which, to the ceiling, the wall itself is seen; in lower rooms the last "
-        "25 cm.",
-    )
     wall_columns: int = Field(11, ge=1, description="Columns over which the wall above is averaged.")
     reveal_m: float = Field(0.03, gt=0, description="Minimum depth (m) of a window's reveal behind the wall around it.")
     front_percent: float = Field(
@@ -87,11 +81,12 @@ class Foreground:
 NO_FOREGROUND = Foreground(np.zeros(1, np.int64), np.zeros(0), np.zeros(0), np.zeros((0, 1), bool))
 
 
-def find_foreground(faces: TracedFaces, settings: ForegroundSettings) -> Foreground:
-    """What stands flat against the faces."""
+def find_foreground(faces: TracedFaces, above_door_m: float, settings: ForegroundSettings) -> Foreground:
+    """What stands flat against the faces; above_door_m: height above which, up to the ceiling, the wall itself is seen."""
+    above_m = above_doors_m(faces.clear_m, above_door_m)
     covered = np.zeros(faces.cells.counts.shape[:2], bool)
     for own in map(faces.columns, range(len(faces))):
-        relief_m = _relief_m(faces.cells.counts[own], faces.clear_m[own], settings)
+        relief_m = _relief_m(faces.cells.counts[own], faces.clear_m[own], above_m[own], settings)
         covered[own] = _standing_patches(relief_m, faces.clear_m[own], settings)
     return Foreground(faces.cells.first, faces.clear_m, faces.ground_m, covered)
 
@@ -101,15 +96,15 @@ def _heights_m(rows: int) -> FloatArray:
     return (np.arange(rows) + 0.5) * CELL_M
 
 
-def _relief_m(counts: FloatArray, clear_m: FloatArray, settings: ForegroundSettings) -> FloatArray:
+def _relief_m(counts: FloatArray, clear_m: FloatArray, above_m: FloatArray, settings: ForegroundSettings) -> FloatArray:
     """(c, rows) mean distance of each cell's returns before the wall; NaN where too few returned.
 
-    counts: (c, rows, 4), see `WallCells`.
+    counts: (c, rows, 4), see `WallCells`. above_m: (c,) height above which nothing stands before the wall.
     """
     height_m = _heights_m(counts.shape[1])
     below_ceiling = height_m < np.where(np.isfinite(clear_m), clear_m, np.inf)[:, None] - 2 * CELL_M
     # A face that is fitted over many metres may be off its wall by more than the relief: the wall above tells.
-    above = (height_m > above_doors_m(clear_m, settings.above_m)[:, None]) & below_ceiling
+    above = (height_m > above_m[:, None]) & below_ceiling
     wall = (counts[..., :THROUGH] * (above & ~_reveals(counts, above, settings))[..., None]).sum(axis=1, keepdims=True)
     wall_m, _ = _mean_and_scatter_m(wall, (settings.wall_columns, 1), settings.returns_min)
     usual_m = _scatter_m(wall)

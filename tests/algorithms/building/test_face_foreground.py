@@ -40,7 +40,7 @@ def foreground(counts: np.ndarray, ceiling_m: float = CEILING_M) -> Foreground:
     """Of the one face, with counts (c, rows, 4) of its cells."""
     columns, rows = counts.shape[:2]
     cells = WallCells(np.array([0, columns]), rows, counts)
-    return find_foreground(TracedFaces(FACE, cells, np.full(columns, ceiling_m), np.zeros(columns)), SETTINGS)
+    return find_foreground(TracedFaces(FACE, cells, np.full(columns, ceiling_m), np.zeros(columns)), 2.12, SETTINGS)
 
 
 def relief(
