@@ -21,6 +21,8 @@ FILLED, SUM, SQUARES, THROUGH = range(4)
 """What `WallCells.counts` holds of each cell."""
 FOOT_ROW = 2
 """The lowest row above sills, skirting boards and the floor's own returns."""
+_SECTORS = 512
+"""Directions about a sensor, by which rays are given to the few faces that they may meet."""
 
 
 @dataclass(frozen=True)
@@ -167,6 +169,52 @@ def own_plane(
 
 
 @numba.njit(cache=True, nogil=True)
+def _looks_at(origin: FloatArray, ends: FloatArray, normal: FloatArray, range_m: float) -> bool:  # pragma: no cover
+    """Whether a face is seen from its front side, from at most `range_m` away."""
+    ox, oy = origin[0] - ends[0, 0], origin[1] - ends[0, 1]
+    reach = normal[0] * ox + normal[1] * oy
+    if reach < 0.1 or reach > range_m:
+        return False
+    dx, dy = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1]
+    length = np.sqrt(dx * dx + dy * dy)
+    nearest = min(max((ox * dx + oy * dy) / length, 0.0), length)
+    return bool(np.hypot(dx / length * nearest - ox, dy / length * nearest - oy) <= range_m)
+
+
+@numba.njit(cache=True, nogil=True)
+def _sector(x: float, y: float) -> int:  # pragma: no cover
+    """The sector, of `_SECTORS` about the sensor, in which a direction lies."""
+    return min(int((np.arctan2(y, x) + np.pi) * (_SECTORS / (2.0 * np.pi))), _SECTORS - 1)
+
+
+@numba.njit(cache=True, nogil=True)
+def _sectors(
+    origin: FloatArray, ends: FloatArray, normal: FloatArray, plane: FloatArray, near_m: float
+) -> tuple[int, int]:  # pragma: no cover
+    """The first sector in which a ray may meet a face, or end close to it, and how many there are from there on.
+
+    plane: (5,) the scan's own view of the face, from `own_plane`.
+    """
+    reach = normal[0] * (origin[0] - ends[0, 0]) + normal[1] * (origin[1] - ends[0, 1])
+    middle = np.arctan2(0.5 * (ends[0, 1] + ends[1, 1]) - origin[1], 0.5 * (ends[0, 0] + ends[1, 0]) - origin[0])
+    low, high = 0.0, 0.0
+    cos_angle = normal[0] * plane[0] + normal[1] * plane[1]
+    for end in range(2):
+        x, y = ends[end, 0], ends[end, 1]
+        # The scan's own plane meets the upright of the face's end here.
+        off = (plane[2] - plane[0] * x - plane[1] * y) / cos_angle
+        for before in (min(off, 0.0) - near_m - 0.1, max(off, 0.0) + 0.2):
+            if before > reach - 0.1:
+                return 0, _SECTORS
+            angle = np.arctan2(y + before * normal[1] - origin[1], x + before * normal[0] - origin[0]) - middle
+            angle -= 2.0 * np.pi * np.floor(angle / (2.0 * np.pi) + 0.5)
+            low, high = min(low, angle), max(high, angle)
+    width = _SECTORS / (2.0 * np.pi)
+    first = int(np.floor((middle + low + np.pi) * width)) - 1
+    return first % _SECTORS, min(int(np.floor((middle + high + np.pi) * width)) + 2 - first, _SECTORS)
+
+
+@numba.njit(cache=True, nogil=True)
 def _trace(
     ends: FloatArray,
     normal: FloatArray,
@@ -177,35 +225,40 @@ def _trace(
     range_m: float,
     own: OwnPlane,
 ) -> None:  # pragma: no cover
-    rows = counts.shape[1]
+    faces, rows = len(ends), counts.shape[1]
     origin, starts, ray_end = rays.origin, rays.starts, rays.end
+    along = np.empty((faces, 2))
+    for w in range(faces):
+        dx, dy = ends[w, 1, 0] - ends[w, 0, 0], ends[w, 1, 1] - ends[w, 0, 1]
+        length = np.sqrt(dx * dx + dy * dy)
+        along[w, 0], along[w, 1] = dx / length, dy / length
+    planes = np.empty((faces, 5))
+    in_sector, met = np.empty((_SECTORS, faces), np.int32), np.zeros(_SECTORS, np.int32)
     for s in range(len(origin)):
         ox, oy, oz = origin[s, 0], origin[s, 1], origin[s, 2]
-        for w in range(len(ends)):
-            nx, ny = normal[w, 0], normal[w, 1]
-            reach = nx * (ox - ends[w, 0, 0]) + ny * (oy - ends[w, 0, 1])
-            if reach < 0.1 or reach > range_m:
+        met[:] = 0
+        for w in range(faces):
+            if not _looks_at(origin[s], ends[w], normal[w], range_m):
                 continue
-            dx, dy = ends[w, 1, 0] - ends[w, 0, 0], ends[w, 1, 1] - ends[w, 0, 1]
-            length = np.sqrt(dx * dx + dy * dy)
-            dx, dy = dx / length, dy / length
-            nearest = min(max((ox - ends[w, 0, 0]) * dx + (oy - ends[w, 0, 1]) * dy, 0.0), length)
-            if np.hypot(ends[w, 0, 0] + dx * nearest - ox, ends[w, 0, 1] + dy * nearest - oy) > range_m:
-                continue
-            columns = first[w + 1] - first[w]
-            own_x, own_y, own_offset, start, stop = own_plane(ends[w], normal[w], rays, s, own)
-            face_offset = normal[w, 0] * ends[w, 0, 0] + normal[w, 1] * ends[w, 0, 1]
-            for r in range(starts[s], starts[s + 1]):
+            planes[w] = own_plane(ends[w], normal[w], rays, s, own)
+            sector, sectors = _sectors(origin[s], ends[w], normal[w], planes[w], near_m)
+            for k in range(sector, sector + sectors):
+                in_sector[k % _SECTORS, met[k % _SECTORS]] = w
+                met[k % _SECTORS] += 1
+        for r in range(starts[s], starts[s + 1]):
+            sector = _sector(ray_end[r, 0] - ox, ray_end[r, 1] - oy)
+            for k in range(met[sector]):
+                w = in_sector[sector, k]
                 x, y, z = np.float64(ray_end[r, 0]), np.float64(ray_end[r, 1]), np.float64(ray_end[r, 2])
-                nx, ny, offset = normal[w, 0], normal[w, 1], face_offset
-                along = (x - ends[w, 0, 0]) * dx + (y - ends[w, 0, 1]) * dy
-                if start - own.margin_m < along < stop + own.margin_m:
-                    nx, ny, offset = own_x, own_y, own_offset
+                dx, dy = along[w, 0], along[w, 1]
+                nx, ny = normal[w, 0], normal[w, 1]
+                offset = nx * ends[w, 0, 0] + ny * ends[w, 0, 1]
+                place = (x - ends[w, 0, 0]) * dx + (y - ends[w, 0, 1]) * dy
+                if planes[w, 3] - own.margin_m < place < planes[w, 4] + own.margin_m:
+                    nx, ny, offset = planes[w, 0], planes[w, 1], planes[w, 2]
                 reach = nx * ox + ny * oy - offset
-                if reach < 0.1:
-                    continue
                 side = nx * x + ny * y - offset
-                if side > 0.1:
+                if reach < 0.1 or side > 0.1:
                     continue
                 # Floor and ceiling behind an opening are no leaf: what ended there passed the face.
                 level = rays.label[r] == Label.FLOOR or rays.label[r] == Label.CEILING
@@ -213,9 +266,12 @@ def _trace(
                 if not near:
                     t = reach / (reach - side)
                     x, y, z = ox + t * (x - ox), oy + t * (y - oy), oz + t * (z - oz)
-                column = int(np.floor(((x - ends[w, 0, 0]) * dx + (y - ends[w, 0, 1]) * dy) / CELL_M))
+                    place = (x - ends[w, 0, 0]) * dx + (y - ends[w, 0, 1]) * dy
+                column = int(np.floor(place / CELL_M))
+                if column < 0 or column >= first[w + 1] - first[w]:
+                    continue
                 row = int(np.floor((z - floor_m(rays, s, x, y)) / CELL_M))
-                if column < 0 or column >= columns or row < 0 or row >= rows:
+                if row < 0 or row >= rows:
                     continue
                 cell = counts[first[w] + column, row]
                 if near:

@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.segments import segments
+from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, BuildingSettings, Walls
+from ffmap.algorithms.building.ray_evidence import FILLED, SUM, THROUGH, OwnPlane, Rays, own_plane, trace_rays
+from ffmap.algorithms.scan.summary import Features
+
+SETTINGS = BuildingSettings()
+
+
+def scattered(seed: int, faces: int = 30, scans: int = 4, rays: int = 3_000) -> tuple[Walls, Features]:
+    """Faces that lie anywhere in a hall of 16 m, seen from any side, near and far, and rays that end anywhere in it."""
+    generator = np.random.default_rng(seed)
+    start, angle = generator.uniform(-8, 8, (faces, 2)), generator.uniform(-np.pi, np.pi, faces)
+    along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    ends = np.stack([start, start + generator.uniform(0.3, 9, faces)[:, None] * along], axis=1)
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    walls = Walls(
+        ends, normal, np.zeros(faces), np.full(faces, 2.5), np.full(faces, 9), np.full(faces, 0.01), np.full(faces, 99)
+    )
+    # Some of the faces have planes of the scans' own, turned and shifted a little.
+    planes = faces // 2 * scans
+    of_face = np.tile(np.arange(faces // 2), scans)
+    turn = generator.uniform(-0.1, 0.1, planes)
+    plane_along = along[of_face] * np.cos(turn)[:, None] + normal[of_face] * np.sin(turn)[:, None]
+    plane_start = ends[of_face, 0] + generator.uniform(-0.02, 0.02, (planes, 2))
+    plane_ends = np.stack([plane_start, plane_start + generator.uniform(0.2, 3, planes)[:, None] * plane_along], axis=1)
+    end = np.column_stack([generator.uniform(-10, 10, (scans * rays, 2)), generator.uniform(-0.1, 2.6, scans * rays)])
+    features = Features(
+        scan=np.arange(scans),
+        origin_map=np.column_stack([generator.uniform(-6, 6, (scans, 2)), np.full(scans, 1.2)]),
+        floor_map=np.zeros((scans, 2, 3)),
+        floor_is_foot=np.zeros(scans, bool),
+        floor_reach_m=np.full(scans, 6.0),
+        ray_count=np.full(scans, rays),
+        plane_count=np.full(scans, faces // 2),
+        ray_end_map=end.astype(np.float32),
+        ray_label=generator.choice([Label.CLUTTER, Label.FLOOR, Label.WALL], scans * rays).astype(np.uint8),
+        plane_ends_map=plane_ends,
+        plane_normal=np.stack([-plane_along[..., 1], plane_along[..., 0]], axis=1),
+        plane_bottom_m=np.zeros(planes),
+        plane_top_m=np.full(planes, 2.5),
+        plane_lines=np.full(planes, 5),
+        plane_moments=np.zeros((planes, 6)),
+    )
+    return walls, features
+
+
+@pytest.mark.parametrize("own_plane_m", [0.0, 0.03, 0.1])
+@pytest.mark.parametrize("seed", range(5))
+def test_each_face_counts_the_rays_that_meet_it(seed: int, own_plane_m: float) -> None:
+    walls, features = scattered(seed)
+    settings = SETTINGS.model_copy(update={"own_plane_m": own_plane_m})
+    cells = trace_rays(walls, [features], settings)
+    rays, own = Rays.of(features), OwnPlane.of(settings)
+    origin, end = features.origin_map[features.ray_scan], features.ray_end_map.astype(np.float64)
+    level = np.isin(features.ray_label, [Label.FLOOR, Label.CEILING])
+    for w, face in enumerate(segments(walls)):
+        planes = np.array([own_plane(walls.ends[w], face.normal, rays, s, own) for s in range(len(features.scan))])
+        nx, ny, offset, low, high = planes[features.ray_scan].T
+        place_m = face.place_m(end)
+        by_plane = (place_m > low - own.margin_m) & (place_m < high + own.margin_m)
+        reach_m = np.where(by_plane, nx * origin[:, 0] + ny * origin[:, 1] - offset, face.before_m(origin))
+        side_m = np.where(by_plane, nx * end[:, 0] + ny * end[:, 1] - offset, face.before_m(end))
+        nearest = face.at(np.clip(face.place_m(origin), 0.0, face.length_m))
+        in_range = np.linalg.norm(nearest - origin[:, :2], axis=1) <= settings.range_m
+        near = side_m > np.where(level, -AT_FACE_M, -settings.near_m)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossing = origin + (reach_m / (reach_m - side_m))[:, None] * (end - origin)
+        at = np.where(near[:, None], end, crossing)
+        column, row = (np.floor(v / CELL_M) for v in (face.place_m(at), at[:, 2]))
+        met = in_range & (face.before_m(origin) >= 0.1) & (reach_m >= 0.1) & (side_m <= 0.1)
+        met &= (column >= 0) & (column < cells.first[w + 1] - cells.first[w]) & (row >= 0) & (row < cells.rows)
+        counts = cells.counts[cells.first[w] : cells.first[w + 1]]
+        assert counts[..., FILLED].sum() == np.count_nonzero(met & near)
+        assert counts[..., THROUGH].sum() == np.count_nonzero(met & ~near)
+        np.testing.assert_allclose(counts[..., SUM].sum(), side_m[met & near].sum(), atol=1e-3)
