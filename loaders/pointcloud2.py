@@ -5,7 +5,7 @@ poor to tell the unit of its times or how many rings there are.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Literal
@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numba
 import numpy as np
 import numpy.typing as npt
+from rosbags.typesys.store import Typestore
 
 from ffmap.algorithms.base.labels import NO_RETURN
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array
@@ -354,6 +355,25 @@ def encode_labelled(message: Message, label: UInt8Array, label_scan: UInt8Array)
     )
 
 
+def make_cloud(typestore: Typestore, header: Message, points: npt.NDArray[np.void]) -> Message:
+    """A PointCloud2 of structured points (height, width), with the fields, offsets and bytes of their type."""
+    codes = {np.dtype(kind): code for code, kind in _DATATYPES.items()}
+    kinds: Mapping[str, Any] = points.dtype.fields or {}
+    field = typestore.types["sensor_msgs/msg/PointField"]
+    (height, width), step = points.shape, points.dtype.itemsize
+    return typestore.types["sensor_msgs/msg/PointCloud2"](
+        header=header,
+        height=height,
+        width=width,
+        fields=[field(name, kinds[name][1], codes[kinds[name][0]], 1) for name in points.dtype.names or ()],
+        is_bigendian=False,
+        point_step=step,
+        row_step=step * width,
+        data=points.reshape(-1).view(np.uint8),
+        is_dense=height == 1,
+    )
+
+
 def merge_clouds(messages: Sequence[Message]) -> Message:
     """One cloud of several that belong to one revolution, in order; stamp and header of the first.
 
@@ -367,18 +387,15 @@ def merge_clouds(messages: Sequence[Message]) -> Message:
     step, fields = layout.point_step, list(first.fields)
     data = np.concatenate([block for block, _ in blocks])
     if layout.time_field:
-        dtype, place = (layout.point.fields or {})[layout.time_field][:2]
-        columns = slice(place, place + dtype.itemsize)
-        parts = [np.ascontiguousarray(block[:, columns]).view(dtype)[:, 0] for block, _ in blocks]
+        parts = [block.view(layout.point)[:, 0][layout.time_field] for block, _ in blocks]
         times = np.concatenate(join_times(layout.time_field, parts, [offset_ns for _, offset_ns in blocks]))
+        data.view(layout.point)[:, 0][layout.time_field] = times
     else:
         dtype = np.dtype(">f4" if first.is_bigendian else "<f4")
-        columns = slice(step, step + dtype.itemsize)
         fields.append(replace(fields[0], name="time", offset=step, datatype=7, count=1))
-        data = np.pad(data, ((0, 0), (0, dtype.itemsize)))
-        step += dtype.itemsize
         times = np.repeat([offset_ns * 1e-9 for _, offset_ns in blocks], [len(block) for block, _ in blocks])
-    data[:, columns] = times.astype(dtype)[:, None].view(np.uint8)
+        data = np.hstack([data, times.astype(dtype)[:, None].view(np.uint8)])
+        step += dtype.itemsize
     return replace(
         first,
         height=1,

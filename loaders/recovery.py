@@ -215,10 +215,9 @@ class RecoveredMcapReader(McapReader):
                 self._add_record(stream, op, inner_position, inner_size, inner_counts, times_ns)
         counts.update(inner_counts)
         if self._tail is None:
-            place = (position - _RECORD_HEAD, size + _RECORD_HEAD, {}, 0)
-            self.chunks.append(
-                storage_mcap.ChunkInfo(start_ns, end_ns, *place, compression, stored_size, plain_size, inner_counts)
-            )
+            start, length = position - _RECORD_HEAD, size + _RECORD_HEAD
+            sizes = (stored_size, plain_size, inner_counts)
+            self.chunks.append(storage_mcap.ChunkInfo(start_ns, end_ns, start, length, {}, 0, compression, *sizes))
 
     def _add_record(
         self, stream: IO[bytes], op: int, position: int, size: int, counts: Counter[int], times_ns: list[int]
@@ -287,12 +286,8 @@ def _partial(make_decompressor: Callable[[], Any]) -> Callable[[bytes], bytes]:
     return decompress
 
 
-def _plain(data: bytes) -> bytes:
-    return data
-
-
 _PARTIAL: dict[str, Callable[[bytes], bytes]] = {
-    "": _plain,
+    "": decompressors["none"],
     "none": decompressors["none"],
     "bz2": _partial(bz2.BZ2Decompressor),
     "lz4": _partial(lz4.frame.LZ4FrameDecompressor),

@@ -49,7 +49,8 @@ class RingModel:
             return self.lookup[np.clip(number, 0, len(self.lookup) - 1)]
         x, y, z = points_sensor.T.astype(np.float64)
         with np.errstate(divide="ignore"):  # on the spin axis
-            return np.searchsorted(self.edge_tan, z / np.hypot(x, y)).astype(np.uint16)
+            rings: IntArray = np.searchsorted(self.edge_tan, z / np.hypot(x, y)).astype(np.uint16)
+        return rings
 
 
 @dataclass(frozen=True)
