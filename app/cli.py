@@ -4,27 +4,26 @@ Each command imports what it needs when it is called: 'ffmap --help' answers at 
 """
 
 import errno
+import inspect
 import os
 import sys
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
 from ffmap.app.parameters import (
-    CompareParameters,
-    EvaluateParameters,
-    InfoParameters,
-    InspectParameters,
+    OUTPUTS_HELP,
+    HowToRun,
+    OfTheBag,
     RoomsParameters,
-    RunParameters,
-    RunsParameters,
-    SimulateParameters,
     SweepParameters,
+    argument,
     one_for_each_core,
-    with_parameters,
+    option,
 )
-from ffmap.app.setup.outputs import RUN_OUTPUTS, Output, parse_outputs
+from ffmap.app.setup.outputs import RUN_OUTPUTS, Detail, Output, parse_outputs
 from ffmap.loaders.errors import InputError
 
 app = typer.Typer(
@@ -56,9 +55,25 @@ def _options(
     pass
 
 
-@app.command()
-@with_parameters(RunParameters)
-def run(words: RunParameters) -> None:
+def _command(kind: type) -> type:
+    """A command of its own name: its fields are what Typer reads, its docstring the help, and calling it does the work."""
+    made: Any = dataclass(frozen=True, kw_only=True)(kind)
+
+    def command(**words: object) -> None:
+        made(**words)()
+
+    parameters = inspect.signature(made).parameters
+    hints = {one.name: Annotated[one.type, one.metadata["parameter"]] for one in fields(made)}
+    command.__doc__, command.__annotations__ = kind.__doc__, hints
+    command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [parameters[name].replace(annotation=hint) for name, hint in hints.items()]
+    )
+    app.command(kind.__name__.lower())(command)
+    return kind
+
+
+@_command
+class Run(HowToRun):
     """Label every scan of a bag, map the building, record every intermediate.
 
     Examples:
@@ -71,54 +86,76 @@ def run(words: RunParameters) -> None:
 
         ffmap run --resume runs/a
     """
-    from ffmap.app.run.workers import start_server
 
-    written = parse_outputs(words.outputs, RUN_OUTPUTS)
-    workers = one_for_each_core(words.workers)
-    if workers > 1:
-        start_server()
-    from ffmap.app.commands import run as run_command
-    from ffmap.app.run.start import Arguments
-
-    doors = [f"grid_map.doors={words.doors}"] if words.doors else []
-    arguments = Arguments(
-        bag=words.bag,
-        out=words.out,
-        config=words.config,
-        overrides=(*(words.set_ or ()), *doors),
-        bag_options=words.bag_options,
-        trajectory=words.trajectory,
-        detail=words.detail.value,
-        spawn=words.spawn,
-        connect=words.connect,
-        outputs=tuple(output for output in written if words.save or output is not Output.RECORDING),
-        workers=workers,
-        evaluate=words.evaluate,
-        quiet=words.quiet,
-        verbose=words.verbose,
-        latest=True,
-        overwrite=words.overwrite,
+    bag: Path | None = argument(None, help="ROS 1 .bag, ROS 2 folder, .db3 or .mcap.")
+    out: Path | None = option(None, help="Run folder.  [default: runs/BAG-TIME-HASH]")
+    overwrite: bool = option(False, "--overwrite", help="Replace the run that --out holds already.")
+    doors: Literal["open", "as-seen", "closed"] | None = option(
+        None,
+        help="Doorways in map.yaml: all open, as they were seen, or closed; --set grid_map.doors.  [default: open]",
     )
-    run_command.run(arguments, words.resume)
+    detail: Detail = option(
+        Detail.LINES, help="What the recording holds of each scan: everything, labels, or the map alone."
+    )
+    spawn: bool = option(False, "--spawn", help="Open the Rerun viewer and follow the run live.")
+    connect: str | None = option(None, help="Send to a viewer that runs, as rerun+http://127.0.0.1:9876/proxy.")
+    save: bool = option(True, help="Write recording.rrd.")
+    outputs: str | None = option(None, metavar="LIST", help=f"{OUTPUTS_HELP}  [default: {','.join(RUN_OUTPUTS)}]")
+    workers: int | None = option(None, min=1, help="Labelling processes.  [default: one for each core]")
+    resume: Path | None = option(None, help="Go on with a run folder that was killed; no other argument is needed.")
+    verbose: bool = option(False, "--verbose", "-v", help="Where the truth is known, print all figures as tables.")
+
+    def __call__(self) -> None:
+        from ffmap.app.run.workers import start_server
+
+        written = parse_outputs(self.outputs, RUN_OUTPUTS)
+        workers = one_for_each_core(self.workers)
+        if workers > 1:
+            start_server()
+        from ffmap.app.commands.run import run
+        from ffmap.app.run.start import Arguments
+
+        doors = [f"grid_map.doors={self.doors}"] if self.doors else []
+        arguments = Arguments(
+            bag=self.bag,
+            out=self.out,
+            config=self.config,
+            overrides=(*(self.set_ or ()), *doors),
+            bag_options=self.bag_options,
+            trajectory=self.trajectory,
+            detail=self.detail.value,
+            spawn=self.spawn,
+            connect=self.connect,
+            outputs=tuple(output for output in written if self.save or output is not Output.RECORDING),
+            workers=workers,
+            evaluate=self.evaluate,
+            quiet=self.quiet,
+            verbose=self.verbose,
+            latest=True,
+            overwrite=self.overwrite,
+        )
+        run(arguments, self.resume)
 
 
-@app.command()
-@with_parameters(InfoParameters)
-def info(words: InfoParameters) -> None:
+@_command
+class Info(OfTheBag):
     """What a bag holds: topics, rates, layouts, times, frames, the lidars' roles and why, gaps, what is missing.
 
     Example:
 
         ffmap info drive.bag
     """
-    from ffmap.app.commands import info as info_command
 
-    info_command.info(words.bag, words.bag_options)
+    bag: Path = argument(help="ROS 1 .bag, ROS 2 folder, .db3 or .mcap.")
+
+    def __call__(self) -> None:
+        from ffmap.app.commands.info import info
+
+        info(self.bag, self.bag_options)
 
 
-@app.command()
-@with_parameters(SimulateParameters)
-def simulate(words: SimulateParameters) -> None:
+@_command
+class Simulate:
     """Make a real bag of a robot with two lidars in a generated, furnished building, with its truth.
 
     Examples:
@@ -127,16 +164,28 @@ def simulate(words: SimulateParameters) -> None:
 
         ffmap simulate angled --building angled --sensor vlp16 --format mcap
     """
-    from ffmap.app.commands import simulate as simulate_command
 
-    values = {name: getattr(words, name) for name in ("building", "seed", "sensor")}
-    values |= {"format": words.format_, "duration_s": words.duration}
-    simulate_command.simulate(words.out, values, words.set_ or (), words.quiet)
+    out: Path = argument(help="Bag to write: a file (bag), or a folder (mcap, db3).")
+    building: str = option("office", help="Kind of building: small, office, ell, angled or lab.")
+    seed: int = option(0, min=0, help="Another building, other furniture, another drive.")
+    sensor: str = option("hdl32e", help="hdl32e, vlp16 or os1-16.")
+    format_: str = option("bag", "--format", help="bag (ROS 1), mcap or db3 (ROS 2).")
+    duration: float = option(60.0, min=1.0, help="Seconds of driving.")
+    set_: list[str] | None = option(
+        None, "--set", help="Any other property of the simulation, as in clutter=0.5; an unknown one lists them all."
+    )
+    quiet: bool = option(False, "--quiet", "-q", help="Print nothing but errors.")
+
+    def __call__(self) -> None:
+        from ffmap.app.commands.simulate import simulate
+
+        values = {name: getattr(self, name) for name in ("building", "seed", "sensor")}
+        values |= {"format": self.format_, "duration_s": self.duration}
+        simulate(self.out, values, self.set_ or (), self.quiet)
 
 
-@app.command()
-@with_parameters(EvaluateParameters)
-def evaluate(words: EvaluateParameters) -> None:
+@_command
+class Evaluate:
     """Compare a run with the truth: labels by area, doors, map, trajectory; writes metrics.json.
 
     Examples:
@@ -147,29 +196,43 @@ def evaluate(words: EvaluateParameters) -> None:
 
         ffmap evaluate --suite --seeds 1,2 --set building.scans_min=5 --out runs/tuning.json
     """
-    if words.suite:
-        from ffmap.app.commands.suite import parse_seeds, run_suite
 
-        if words.run_folder is not None or words.truth is not None:
-            raise InputError("--suite makes its own bags and runs: give no run folder and no --truth with it")
-        file, seeds = words.out or Path("runs/suite.json"), parse_seeds(words.seeds)
-        sys.exit(1 if run_suite(file, seeds, words.quick, words.set_ or [], at_once=words.workers) else 0)
-    if words.run_folder is None:
-        raise InputError("give a run folder, or --suite; 'ffmap evaluate --help' has examples")
-    for name in ("set_", "quick", "seeds", "out"):
-        if getattr(words, name):
-            option = f"--{name.rstrip('_')}"
-            raise InputError(f"{option}: goes with --suite alone; a finished run is evaluated as it was made")
-    from ffmap.app.analysis.evaluation import evaluate_run
-    from ffmap.app.analysis.metrics_tables import print_metrics
-    from ffmap.app.folder.finished_run import open_run
+    run_folder: Path | None = argument(None, metavar="[RUN]", help="Run folder.")
+    truth: Path | None = option(
+        None, help="Bag with the truth, or a TUM file of the true poses alone.  [default: the run's own bag]"
+    )
+    suite: bool = option(False, "--suite", help="Simulate, run and evaluate buildings of many kinds, one line each.")
+    quick: bool = option(False, "--quick", help="With --suite: one seed a building, short drives.")
+    seeds: str | None = option(None, help="With --suite: seeds, as in 1001,1002; 1 and 2 are those to tune on.")
+    set_: list[str] | None = option(None, "--set", help="With --suite: one setting of the runs.")
+    out: Path | None = option(None, help="With --suite: where all figures are written.  [default: runs/suite.json]")
+    workers: int | None = option(
+        None, min=1, help="Processes; with --suite: drives at a time.  [default: one for each core]"
+    )
 
-    print_metrics(evaluate_run(open_run(words.run_folder), words.truth, one_for_each_core(words.workers)))
+    def __call__(self) -> None:
+        if self.suite:
+            from ffmap.app.commands.suite import parse_seeds, run_suite
+
+            if self.run_folder is not None or self.truth is not None:
+                raise InputError("--suite makes its own bags and runs: give no run folder and no --truth with it")
+            file, seeds = self.out or Path("runs/suite.json"), parse_seeds(self.seeds)
+            sys.exit(1 if run_suite(file, seeds, self.quick, self.set_ or [], at_once=self.workers) else 0)
+        if self.run_folder is None:
+            raise InputError("give a run folder, or --suite; 'ffmap evaluate --help' has examples")
+        for name in ("set_", "quick", "seeds", "out"):
+            if getattr(self, name):
+                option = f"--{name.rstrip('_')}"
+                raise InputError(f"{option}: goes with --suite alone; a finished run is evaluated as it was made")
+        from ffmap.app.analysis.evaluation import evaluate_run
+        from ffmap.app.analysis.metrics_tables import print_metrics
+        from ffmap.app.folder.finished_run import open_run
+
+        print_metrics(evaluate_run(open_run(self.run_folder), self.truth, one_for_each_core(self.workers)))
 
 
-@app.command()
-@with_parameters(InspectParameters)
-def inspect(words: InspectParameters) -> None:
+@_command
+class Inspect:
     """One scan, line by line: what was measured, what each line became, and in words why.
 
     The scan is labelled again from its bag exactly as the run did, and checked against the run's own labels.
@@ -180,14 +243,25 @@ def inspect(words: InspectParameters) -> None:
 
         ffmap inspect runs/a --scan 120 --line 37 --spawn
     """
-    from ffmap.app.commands import inspect as inspect_command
 
-    inspect_command.inspect(words.run_folder, words.scan, words.line, words.bag, words.out, words.spawn)
+    run_folder: Path = argument(metavar="RUN", help="Run folder.")
+    scan: str = option(help="The scan's number, or 'worst': with most wrong final labels, or most changed ones.")
+    line: int | None = option(
+        None,
+        help="A point line, 2 × emitter + side: open there, and print its reasons.  [default: that with most wrong labels]",
+    )
+    bag: Path | None = option(None, help="Where the run's bag lies now, if it was moved.")
+    out: Path | None = option(None, "--out", "-o", help="Recording.  [default: RUN/inspect-SCAN.rrd]")
+    spawn: bool = option(False, "--spawn", help="Open it in the Rerun viewer.")
+
+    def __call__(self) -> None:
+        from ffmap.app.commands.inspect import inspect
+
+        inspect(self.run_folder, self.scan, self.line, self.bag, self.out, self.spawn)
 
 
-@app.command()
-@with_parameters(CompareParameters)
-def compare(words: CompareParameters) -> None:
+@_command
+class Compare:
     """What differs between runs, and where: labels point by point, poses, walls, doors, map, settings, figures.
 
     The first run is the one that the others are compared with. Whatever the runs have is compared; what cannot be is
@@ -199,14 +273,27 @@ def compare(words: CompareParameters) -> None:
 
         ffmap compare runs/a runs/b runs/c -o comparisons/walls --spawn
     """
-    from ffmap.app.commands import compare as compare_command
 
-    compare_command.compare(words.run_folders, words.out, words.scans, words.spawn, words.quiet)
+    run_folders: list[Path] = argument(metavar="RUN", help="Run folders.")
+    out: Path | None = option(
+        None,
+        "--out",
+        "-o",
+        help="Folder for comparison.rrd and comparison.json, or the recording's name (.rrd).  "
+        "[default: comparison-RUN-RUN]",
+    )
+    scans: bool = option(True, help="With single scans side by side; without, the file is small.")
+    spawn: bool = option(False, "--spawn", help="Open it in the Rerun viewer.")
+    quiet: bool = option(False, "--quiet", "-q", help="Print nothing but errors.")
+
+    def __call__(self) -> None:
+        from ffmap.app.commands.compare import compare
+
+        compare(self.run_folders, self.out, self.scans, self.spawn, self.quiet)
 
 
-@app.command()
-@with_parameters(SweepParameters)
-def sweep(words: SweepParameters) -> None:
+@_command
+class Sweep(SweepParameters):
     """Try many settings: every combination a run folder, one odometry for all; a table, sweep.parquet and sweep.rrd.
 
     A sweep that was stopped goes on with the same command; finished runs are not made again.
@@ -219,15 +306,16 @@ def sweep(words: SweepParameters) -> None:
 
         ffmap sweep drive.bag --grid seed=0,1,2,3 --scheduler tcp://127.0.0.1:8786
     """
-    from ffmap.app.commands import sweep as sweep_command
 
-    if sweep_command.sweep(words):
-        sys.exit(1)
+    def __call__(self) -> None:
+        from ffmap.app.commands.sweep import sweep
+
+        if sweep(self):
+            sys.exit(1)
 
 
-@app.command()
-@with_parameters(RunsParameters)
-def runs(words: RunsParameters) -> None:
+@_command
+class Runs:
     """All runs with the settings in which they differ and their figures; asked of Rerun's catalogue.
 
     Columns are settings by their names (wall_planes.similarity_m), metrics (wall_f1, doors_found,
@@ -239,24 +327,31 @@ def runs(words: RunsParameters) -> None:
 
         ffmap runs rerun+http://127.0.0.1:51234 --columns started,wall_f1,door_f1 --sort wall_f1
     """
-    from ffmap.app.commands import runs as runs_command
-    from ffmap.app.record.catalogue.runs import Query
 
-    query = Query(words.where, words.sort, words.reverse)
-    runs_command.runs(words.place, query, words.columns, words.dataset)
+    place: str = argument(
+        "runs",
+        show_default=True,
+        metavar="DIR|URL",
+        help="Folder with runs, or a catalogue server, as 'ffmap serve' prints it.",
+    )
+    where: str | None = option(None, metavar="SQL", help='Only runs of which this is true, as in "wall_f1 > 0.98".')
+    sort: str | None = option(None, metavar="COLUMN", help="Best first for a metric, least first for anything else.")
+    reverse: bool = option(False, "--reverse", help="With --sort: the other way round.")
+    columns: str | None = option(
+        None, metavar="LIST", help="Columns to show, as in wall_f1,doors_found; 'all' lists their names."
+    )
+    dataset: str | None = option(None, help="With a server: which of its datasets.  [default: runs]")
+
+    def __call__(self) -> None:
+        from ffmap.app.commands.runs import runs
+        from ffmap.app.record.catalogue.runs import Query
+
+        query = Query(self.where, self.sort, self.reverse)
+        runs(self.place, query, self.columns, self.dataset)
 
 
-@app.command()
-def view(
-    places: Annotated[
-        list[Path],
-        typer.Argument(metavar="RUN", help="Run folders, sweep folders, recordings (.rrd).", show_default=False),
-    ],
-    web: Annotated[
-        bool,
-        typer.Option("--web", help="Serve them to a browser on this machine instead, as where there is no display."),
-    ] = False,
-) -> None:
+@_command
+class View:
     """Open runs in the Rerun viewer with the layout that fits them: errors first, where the truth is known.
 
     Several runs have one layout and a list to choose from; side by side they are in what 'ffmap compare' writes.
@@ -271,23 +366,20 @@ def view(
 
         ffmap view --web runs/latest
     """
-    from ffmap.app.commands import view as view_command
 
-    view_command.view(places, web)
+    places: list[Path] = argument(metavar="RUN", help="Run folders, sweep folders, recordings (.rrd).")
+    web: bool = option(
+        False, "--web", help="Serve them to a browser on this machine instead, as where there is no display."
+    )
+
+    def __call__(self) -> None:
+        from ffmap.app.commands.view import view
+
+        view(self.places, self.web)
 
 
-@app.command()
-def serve(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with runs.")] = Path("runs"),
-    host: Annotated[
-        str,
-        typer.Option(
-            help="Address to listen on; 0.0.0.0 lets every machine on the network read all recordings, settings and paths, "
-            "without a password and unencrypted."
-        ),
-    ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 for any that is free.")] = 51234,
-) -> None:
+@_command
+class Serve:
     """Serve a folder of runs as a Rerun catalogue, to 'ffmap runs URL', to the viewer and to Python; Ctrl-C ends it.
 
     Runs that are finished meanwhile are added. Clients can read, and change nothing. Behind this address Rerun's own server
@@ -298,14 +390,23 @@ def serve(
 
         ffmap serve /data/runs --host 0.0.0.0
     """
-    from ffmap.app.commands import runs as runs_command
 
-    runs_command.serve(folder, host, port)
+    folder: Path = argument(Path("runs"), show_default=True, metavar="DIR", help="Folder with runs.")
+    host: str = option(
+        "127.0.0.1",
+        help="Address to listen on; 0.0.0.0 lets every machine on the network read all recordings, settings and paths, "
+        "without a password and unencrypted.",
+    )
+    port: int = option(51234, min=0, max=65535, help="Port to listen on; 0 for any that is free.")
+
+    def __call__(self) -> None:
+        from ffmap.app.commands.runs import serve
+
+        serve(self.folder, self.host, self.port)
 
 
-@app.command()
-@with_parameters(RoomsParameters)
-def rooms(words: RoomsParameters) -> None:
+@_command
+class Rooms(RoomsParameters):
     """Rooms of any system's grid map, furniture and all: outlines, areas, and which room leads to which.
 
     Writes rooms.geojson, topology.json, rooms.png and rooms.rrd. Free is white (over 250) in an image; a YAML file has
@@ -321,18 +422,15 @@ def rooms(words: RoomsParameters) -> None:
 
         ffmap rooms slam.yaml --set area_graph.furniture_max_m=0 --set area_graph.block_max_m=0
     """
-    from ffmap.app.commands import rooms as rooms_command
 
-    rooms_command.rooms(words)
+    def __call__(self) -> None:
+        from ffmap.app.commands.rooms import rooms
+
+        rooms(self)
 
 
-@app.command()
-def maps(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.", show_default=False)],
-    reference: Annotated[
-        Path, typer.Option(help="YAML file of another map of the building, as map_server reads it.", show_default=False)
-    ],
-) -> None:
+@_command
+class Maps:
     """Lay a run's maps over any other map of the building: alignment, figures, a picture (Fig. 9e), a recording.
 
     The reference may lie anywhere and be turned by any angle; its resolution must be true.
@@ -341,64 +439,77 @@ def maps(
 
         ffmap maps runs/latest --reference floor3/map.yaml
     """
-    from ffmap.app.commands import maps as maps_command
 
-    maps_command.maps(run_folder, reference)
+    run_folder: Path = argument(metavar="RUN", help="Run folder.")
+    reference: Path = option(help="YAML file of another map of the building, as map_server reads it.")
+
+    def __call__(self) -> None:
+        from ffmap.app.commands.maps import maps
+
+        maps(self.run_folder, self.reference)
 
 
-@app.command()
-def cache(
-    clear: Annotated[bool, typer.Option("--clear", help="Remove all that it holds.")] = False,
-) -> None:
+@_command
+class Cache:
     """What the cache of odometries holds: registering a bag's scans is the slowest step, so it is kept for later runs.
 
     The environment variable FFMAP_CACHE names another folder for it.
     """
-    from ffmap.app.commands import cache as cache_command
 
-    cache_command.cache(clear)
+    clear: bool = option(False, "--clear", help="Remove all that it holds.")
+
+    def __call__(self) -> None:
+        from ffmap.app.commands.cache import cache
+
+        cache(self.clear)
 
 
-@app.command()
-def settings(
-    config: Annotated[Path | None, typer.Option(help="Settings to show in place of the defaults.")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", help="One setting, as in doors.recess_min_m=0.03.")] = None,
-) -> None:
+@_command
+class Settings:
     """Every setting with its value, unit, meaning and place in the paper, as a TOML file for --config.
 
     Example:
 
         ffmap settings > mine.toml
     """
-    from ffmap.app.setup.settings import as_toml, load_settings
 
-    typer.echo(as_toml(load_settings(config, set_ or [])), nl=False)
+    config: Path | None = option(None, help="Settings to show in place of the defaults.")
+    set_: list[str] | None = option(None, "--set", help="One setting, as in doors.recess_min_m=0.03.")
+
+    def __call__(self) -> None:
+        from ffmap.app.setup.settings import as_toml, load_settings
+
+        typer.echo(as_toml(load_settings(self.config, self.set_ or [])), nl=False)
 
 
-@app.command()
-def bench(
-    bag: Annotated[Path | None, typer.Argument(help="Bag to measure with.  [default: one is simulated]")] = None,
-    duration: Annotated[float, typer.Option(min=5.0, help="Seconds of the simulated bag.")] = 60.0,
-) -> None:
+@_command
+class Bench:
     """Measure this machine: labelling in ms a scan on one thread, and a whole run against real time.
 
     Example:
 
         ffmap bench drive.bag
     """
-    from ffmap.app.commands import bench as bench_command
 
-    bench_command.bench(bag, duration)
+    bag: Path | None = argument(None, help="Bag to measure with.  [default: one is simulated]")
+    duration: float = option(60.0, min=5.0, help="Seconds of the simulated bag.")
+
+    def __call__(self) -> None:
+        from ffmap.app.commands.bench import bench
+
+        bench(self.bag, self.duration)
 
 
-@app.command()
-def demo(
-    out: Annotated[Path, typer.Option(help="Folder for the demonstration's bag and run.")] = Path("demo"),
-) -> None:
+@_command
+class Demo:
     """Simulate a small furnished building, run the program on it, and say how to look at the result."""
-    from ffmap.app.commands import demo as demo_command
 
-    demo_command.demo(out)
+    out: Path = option(Path("demo"), help="Folder for the demonstration's bag and run.")
+
+    def __call__(self) -> None:
+        from ffmap.app.commands.demo import demo
+
+        demo(self.out)
 
 
 def main() -> None:

@@ -7,8 +7,8 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 
 from ffmap.algorithms.base.labels import Verdict
 from ffmap.algorithms.maps.grid import GridMap
-from ffmap.blueprints import entities, legend, maps, rooms, views
-from ffmap.blueprints.entities import CurveSheet
+from ffmap.blueprints import entities, maps, rooms, views
+from ffmap.blueprints.entities import CurveSheet, Legend
 from ffmap.blueprints.views import Part, aslant, following, from_above, until_now
 
 
@@ -31,7 +31,7 @@ def build(
     readme = rrb.TextDocumentView(origin=entities.README, name="Read me")
     about: list[Part] = [_metrics(), readme]
     if ring_count is None:
-        only = legend.above(_glance(), _poses(None, registered), "Odometry" if registered else "Trajectory as given")
+        only = _below_legend(_glance(), _poses(None, registered), "Odometry" if registered else "Trajectory as given")
         return _tabs([only, _warnings(), readme], entities.STAMP_TIMELINE, several)
     poses = _poses(aslant(centre_m, extent_m), registered)
     tabs: list[Part] = [
@@ -43,10 +43,15 @@ def build(
         # The map alone: its tabs without the scan's views, which would be empty.
         tabs += [_map(centre_m, extent_m), poses]
     else:
-        how = [_lines(), _curves(ring_count)] if lines else [_planes()]
+        planes = [entities.PLANES, entities.OPENINGS]
+        how: list[Part] = [_scan_view("Wall planes and doors of the scan", planes, views.WITHOUT_NAMES)]
+        if lines:
+            title = "Point lines and wall planes; white: the line drawn large"
+            how = [_scan_view(title, [f"{entities.LINES}/**", *planes], views.WITHOUT_NAMES), _curves(ring_count)]
+        scan = _scan_view("Labelled scan", [entities.POINTS, entities.OPENINGS])
         overview = rrb.Vertical(
             rrb.Horizontal(_label_legend(), _glance()),
-            rrb.Horizontal(_scan(), _map(centre_m, extent_m), column_shares=[1, 1]),
+            rrb.Horizontal(scan, _map(centre_m, extent_m), column_shares=[1, 1]),
             rrb.Horizontal(*how, _grid(centre_m, extent_m), column_shares=[1, 1.25, 1] if lines else [1, 1]),
             row_shares=[1, 5, 5],
             name="At a glance",
@@ -74,31 +79,24 @@ def _tabs(tabs: list[Part], timeline: str, several: bool) -> rrb.Blueprint:
 
 
 def _label_legend() -> rrb.View:
-    return legend.view(entities.LABEL_LEGEND, len(entities.LABEL_LEGEND_ENTRIES), "Colours of the labels")
+    return _legend(entities.LABEL_LEGEND, len(entities.LABEL_LEGEND_ENTRIES), "Colours of the labels")
+
+
+def _legend(origin: str, entries: int, name: str) -> rrb.Spatial2DView:
+    """A strip that explains colours; entries: how many names `origin` has."""
+    return rrb.Spatial2DView(
+        origin=origin,
+        name=name,
+        visual_bounds=rrb.VisualBounds2D(x_range=[0, entries * Legend.STEP], y_range=[-Legend.ABOVE, Legend.BELOW]),
+    )
+
+
+def _below_legend(strip: Part, content: Part, name: str) -> rrb.Container:
+    return rrb.Vertical(strip, content, row_shares=[1, 12], name=name)
 
 
 def _glance() -> rrb.View:
     return rrb.TextDocumentView(origin=entities.GLANCE, name="What this shows")
-
-
-def _scan() -> rrb.Spatial3DView:
-    return _scan_view("Labelled scan", [entities.POINTS, entities.OPENINGS])
-
-
-def _lines() -> rrb.Spatial3DView:
-    return _scan_view(
-        "Point lines and wall planes; white: the line drawn large",
-        [f"{entities.LINES}/**", entities.PLANES, entities.OPENINGS],
-        views.WITHOUT_NAMES,
-    )
-
-
-def _planes() -> rrb.Spatial3DView:
-    return _scan_view(
-        "Wall planes and doors of the scan",
-        [entities.PLANES, entities.OPENINGS],
-        views.WITHOUT_NAMES,
-    )
 
 
 def _scan_view(
@@ -149,7 +147,7 @@ def _evaluation(centre_m: tuple[float, float], extent_m: float, scans: bool, eva
     if scans:
         errors.append(_errors_in_scan())
     parts: list[Part] = [
-        legend.view(entities.ERROR_LEGEND, len(entities.ERROR_LEGEND_ENTRIES), "Colours of what is wrong"),
+        _legend(entities.ERROR_LEGEND, len(entities.ERROR_LEGEND_ENTRIES), "Colours of what is wrong"),
         rrb.Horizontal(*errors, column_shares=[4, 3][: len(errors)]),
     ]
     if scans:
@@ -275,7 +273,7 @@ def _building(centre_m: tuple[float, float], extent_m: float, first: bool) -> rr
         column_shares=[3, 2],
     )
     strip = rrb.Horizontal(_label_legend(), _glance()) if first else _label_legend()
-    return legend.above(strip, content, "Building")
+    return _below_legend(strip, content, "Building")
 
 
 def _poses(eye: rrb.EyeControls3D | None, registered: bool) -> Part:

@@ -102,23 +102,15 @@ class Bag:
         Raises InputError where the file turns out to be damaged.
         """
 
-        def read(reader: Reader) -> Iterator[RawMessage]:
-            wanted = [c for c in reader.connections if c.topic in topics]
-            if not wanted:
-                return
+        def read(reader: Reader, wanted: list[Connection]) -> Iterator[RawMessage]:
             for connection, time_ns, data in reader.messages(wanted, start_ns, stop_ns):
                 yield RawMessage(connection.topic, time_ns, data)
 
-        return self._join(read, lambda message: message.log_time_ns)
+        return self._join(topics, read, lambda message: message.log_time_ns)
 
     def heads(self, topic: str, size: int) -> Iterator[tuple[int, bytes]]:
         """Log time and first `size` bytes of each message of a topic, in the order of `messages`, but much cheaper."""
-
-        def read(reader: Reader) -> Iterator[tuple[int, bytes]]:
-            wanted = [c for c in reader.connections if c.topic == topic]
-            return read_heads(reader, wanted, size) if wanted else iter(())
-
-        return self._join(read, lambda head: head[0])
+        return self._join([topic], lambda reader, wanted: read_heads(reader, wanted, size), lambda head: head[0])
 
     def deserialize(self, raw: RawMessage) -> Message:
         """The message as an object; its arrays are views of `raw.data`. Raises InputError where it is damaged."""
@@ -141,8 +133,14 @@ class Bag:
         known = ", ".join(sorted(self.topics)) or "none"
         raise InputError(f"{self.path.name}: no topic {name}; the bag has: {known}")
 
-    def _join(self, read: Callable[[Reader], Iterator[_T]], time_ns: Callable[[_T], int]) -> Iterator[_T]:
-        parts = [read(reader) for reader in self._readers]
+    def _join(
+        self,
+        topics: Collection[str],
+        read: Callable[[Reader, list[Connection]], Iterator[_T]],
+        time_ns: Callable[[_T], int],
+    ) -> Iterator[_T]:
+        wanted = [[c for c in reader.connections if c.topic in topics] for reader in self._readers]
+        parts = [read(reader, own) for reader, own in zip(self._readers, wanted, strict=True) if own]
         joined = (item for part in parts for item in part) if self._in_turn else merge(*parts, key=time_ns)
         while True:
             try:

@@ -64,13 +64,9 @@ class TimeField:
                 f"the times in field {self.name} are as large as {float(first):.3g} {self.unit}: no clock's"
             )
         time_ns = _scaled(values, first, _UNITS_NS[self.unit])
-        match self.reference:
-            case "stamp":
-                start_ns = stamp_ns + _exact_ns(first, _UNITS_NS[self.unit])
-            case "epoch":
-                start_ns = _exact_ns(first, _UNITS_NS[self.unit])
-            case _:
-                start_ns = stamp_ns
+        start_ns = stamp_ns
+        if self.reference != "own clock":
+            start_ns = _exact_ns(first, _UNITS_NS[self.unit]) + (stamp_ns if self.reference == "stamp" else 0)
         if abs(start_ns - stamp_ns) > _LONGEST_SWEEP_NS:
             raise CloudError(
                 f"the times in field {self.name} begin {_told(abs(start_ns - stamp_ns) / 1e9)} s "
@@ -122,18 +118,17 @@ def find_time_field(
     # Integers never count seconds.
     unit = next((u for u in units if not (whole and u == "s")), None)
     if unit is None:
-        unit = _unit_of_integers(name, span) if whole else _unit_by_size(samples)
+        # Integers too long in every unit are refused cloud by cloud.
+        nanoseconds = "ns" if name.lower() in _NANOSECOND_NAMES or span > _LONGEST_SWEEP_NS else None
+        unit = nanoseconds if whole else _unit_by_size(samples)
     elif period_ns and span * _UNITS_NS[unit] > _PERIODS_MAX * period_ns:
         unit = None
     if unit is None:
         return None
     unit_ns = _UNITS_NS[unit]
-    offsets_ns = []
-    for values, stamp_ns in samples:
-        # To the microsecond, as floats: what an absurd time is as an integer is none.
-        first_ns = float(values.min()) * unit_ns
-        offsets_ns.append((abs(first_ns), abs(first_ns - stamp_ns)))
-    relative, epoch = np.median(offsets_ns, axis=0)
+    # To the microsecond, as floats: what an absurd time is as an integer is none.
+    firsts = [(float(values.min()) * unit_ns, stamp_ns) for values, stamp_ns in samples]
+    relative, epoch = np.median([(abs(first), abs(first - stamp_ns)) for first, stamp_ns in firsts], axis=0)
     reference: TimeReference = "own clock"
     if relative <= _LONGEST_SWEEP_NS:
         reference = "stamp"
@@ -146,11 +141,6 @@ def _span(values: npt.NDArray[Any]) -> float:
     if np.issubdtype(values.dtype, np.integer):
         return float(int(values.max()) - int(values.min()))
     return float(values.max() - values.min())
-
-
-def _unit_of_integers(name: str, span: float) -> str | None:
-    # Too long in every unit, they are refused cloud by cloud.
-    return "ns" if name.lower() in _NANOSECOND_NAMES or span > _LONGEST_SWEEP_NS else None
 
 
 def _unit_by_size(samples: Sequence[tuple[npt.NDArray[Any], int]]) -> str:

@@ -72,10 +72,9 @@ class FrameTree:
 def read_frame_tree(bag: Bag, needed: Iterable[str]) -> FrameTree:
     """The transforms on /tf_static; where they do not join all `needed` frames, those of /tf that never change too."""
     needed = list(needed)
-    latched = [t for t, name in _tf_topics(bag) if name == "tf_static"]
+    latched, moving = _tf_topics(bag, "tf_static"), _tf_topics(bag, "tf")
     fixed = [edge for raw in bag.messages(latched) for edge in edges_of(bag.deserialize(raw))] if latched else []
     tree = FrameTree(fixed)
-    moving = [t for t, name in _tf_topics(bag) if name == "tf"]
     joined = len({tree.root(frame)[0] for frame in needed}) <= 1 and set(needed) <= set(tree.frames)
     if joined or not moving:
         return tree
@@ -104,8 +103,10 @@ def pose_matrix(translation: Message, rotation: Message) -> FloatArray | None:
     return transforms.from_quaternion(position, quaternion)
 
 
-def _tf_topics(bag: Bag) -> list[tuple[str, str]]:
-    return [(t.name, t.name.rsplit("/", 1)[-1]) for t in bag.topics.values() if t.msgtype in TF_TYPES and t.count]
+def _tf_topics(bag: Bag, name: str) -> list[str]:
+    """Topics of that name, in whatever namespace."""
+    own = [topic for topic in bag.topics.values() if topic.msgtype in TF_TYPES and topic.count]
+    return [topic.name for topic in own if topic.name.rsplit("/", 1)[-1] == name]
 
 
 def _unchanging(bag: Bag, topics: list[str]) -> list[StaticTransform]:

@@ -10,12 +10,14 @@ from rosbags.typesys.store import Typestore
 
 from ffmap.loaders.bag import Message
 from ffmap.loaders.errors import CloudError
+from ffmap.loaders.pointcloud2 import make_cloud
 
 PACKET_TYPE = "velodyne_msgs/msg/VelodyneScan"
 
-_FORMATS = {"x": "<f4", "y": "<f4", "z": "<f4", "intensity": "<f4", "ring": "<u2", "time": "<f4"}
-_POINT = np.dtype(list(_FORMATS.items()))
-_FLOAT32, _UINT16 = 7, 4
+VELODYNE_POINT = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")]
+)
+"""A point as the Velodyne driver lays it out."""
 # Added to the packets' times: the decoder takes a stamp of 0 for a missing one.
 _ANY_TIME_S = 1000.0
 
@@ -25,14 +27,8 @@ class PacketDecoder:
 
     def __init__(self, topic: str, typestore: Typestore) -> None:
         self._topic = topic
-        self._types = typestore.types
+        self._typestore = typestore
         self._decoder: Any = velodyne_decoder.ScanDecoder(velodyne_decoder.Config(timestamp_first_packet=True))
-
-    @property
-    def model(self) -> str:
-        """The sensor's model, such as "VLP16"; empty before the first scan."""
-        model = self._decoder.model_id
-        return "" if model is None else str(model).rsplit(".", 1)[-1]
 
     def to_cloud(self, scan: Message) -> Message:
         """The returns of one revolution as a PointCloud2: x y z intensity ring time, time in seconds from the stamp.
@@ -44,7 +40,7 @@ class PacketDecoder:
         for packet in scan.packets:
             since_s = (packet.stamp.sec - stamp.sec) + 1e-9 * (int(packet.stamp.nanosec) - int(stamp.nanosec))
             packets.append(velodyne_decoder.VelodynePacket(_ANY_TIME_S + since_s, packet.data.tolist()))
-        points = np.zeros(0, _POINT)
+        points = np.zeros(0, VELODYNE_POINT)
         if len(scan.packets):
             try:
                 start, decoded = self._decoder.decode(packets, as_pcl_structs=True)
@@ -53,22 +49,7 @@ class PacketDecoder:
                     f"{self._topic}: the packets cannot be decoded ({error}); decode them with the sensor's own driver "
                     "and record its PointCloud2"
                 ) from error
-            points = np.zeros(len(decoded), _POINT)
+            points = np.zeros(len(decoded), VELODYNE_POINT)
             points[["x", "y", "z", "intensity", "ring"]] = decoded[["x", "y", "z", "intensity", "ring"]]
             points["time"] = decoded["time"] + np.float32(float(start.host) - _ANY_TIME_S)
-        field = self._types["sensor_msgs/msg/PointField"]
-        fields = [
-            field(name, offset, _UINT16 if name == "ring" else _FLOAT32, 1)
-            for name, (_, offset, *_) in (_POINT.fields or {}).items()
-        ]
-        return self._types["sensor_msgs/msg/PointCloud2"](
-            header=scan.header,
-            height=1,
-            width=len(points),
-            fields=fields,
-            is_bigendian=False,
-            point_step=_POINT.itemsize,
-            row_step=_POINT.itemsize * len(points),
-            data=points.view(np.uint8).reshape(-1),
-            is_dense=True,
-        )
+        return make_cloud(self._typestore, scan.header, points[None])

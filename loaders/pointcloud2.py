@@ -5,7 +5,7 @@ poor to tell the unit of its times or how many rings there are.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Literal
@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numba
 import numpy as np
 import numpy.typing as npt
+from rosbags.typesys.store import Typestore
 
 from ffmap.algorithms.base.labels import NO_RETURN
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array
@@ -33,36 +34,21 @@ _NUMBER_MAX = 2.0**31  # Higher numbers are not rings, and do not fit into integ
 
 
 @dataclass(frozen=True)
-class CloudField:
-    """A field of a cloud's points; `datatype` as NumPy writes it, such as "f4"."""
-
-    name: str
-    datatype: str
-    offset: int
-    count: int
-
-
-@dataclass(frozen=True)
 class CloudLayout:
     """What a cloud message says about its points.
 
+    point: the structured type of one point, with the fields' names, offsets and byte order. point_step: its bytes.
     ring_field, time_field: the names of the fields that hold them; None where there is none.
     """
 
     topic: str
     frame_id: str
-    fields: tuple[CloudField, ...]
+    point: np.dtype[np.void]
     point_step: int
-    big_endian: bool
     height: int
     width: int
     ring_field: str | None
     time_field: str | None
-
-    def dtype(self, name: str) -> np.dtype[Any]:
-        """How the values of a field are stored."""
-        order = ">" if self.big_endian else "<"
-        return next(np.dtype(order + field.datatype) for field in self.fields if field.name == name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +77,7 @@ def describe_layout(message: Message, topic: str, needed: tuple[str, ...] = ("x"
     layout = _layout(
         topic,
         message.header.frame_id.removeprefix("/"),
-        tuple((f.name, int(f.offset), int(f.datatype), int(f.count)) for f in message.fields),
+        tuple((f.name, int(f.offset), int(f.datatype)) for f in message.fields),
         int(message.point_step),
         bool(message.is_bigendian),
         int(message.height),
@@ -119,36 +105,38 @@ def describe_layout(message: Message, topic: str, needed: tuple[str, ...] = ("x"
 def _layout(
     topic: str,
     frame_id: str,
-    fields: tuple[tuple[str, int, int, int], ...],
+    fields: tuple[tuple[str, int, int], ...],
     point_step: int,
     big_endian: bool,
     height: int,
     width: int,
     needed: tuple[str, ...],
 ) -> CloudLayout:
-    known: dict[str, CloudField] = {}
-    for name, offset, datatype, count in fields:
+    known: dict[str, tuple[np.dtype[Any], int]] = {}
+    for name, offset, datatype in fields:
         if datatype not in _DATATYPES:
             raise CloudError(f"{topic}: field {name} has the unknown datatype {datatype}; choose another topic")
-        field = CloudField(name, _DATATYPES[datatype], offset, max(count, 1))
-        size = np.dtype(field.datatype).itemsize
-        if height * width and offset + size > point_step:
+        dtype = np.dtype(_DATATYPES[datatype]).newbyteorder(">" if big_endian else "<")
+        end = offset + dtype.itemsize
+        if height * width and end > point_step:
             raise CloudError(
-                f"{topic}: field {name} ends at byte {offset + size}, beyond point_step {point_step}; the driver that "
+                f"{topic}: field {name} ends at byte {end}, beyond point_step {point_step}; the driver that "
                 "wrote the cloud is at fault, choose another topic"
             )
-        known.setdefault(name, field)
+        known.setdefault(name, (dtype, offset))
     if missing := [name for name in needed if name not in known]:
         raise CloudError(
             f"{topic}: no field {' '.join(missing)} among {' '.join(known) or 'none'}; choose a topic that has "
             f"{' '.join(needed)}"
         )
+    formats, offsets = zip(*known.values(), strict=True)
+    # Without points, nothing that the message says of their size has to be true.
+    size = max(point_step, *(offset + dtype.itemsize for dtype, offset in known.values()))
     return CloudLayout(
         topic=topic,
         frame_id=frame_id,
-        fields=tuple(known.values()),
+        point=np.dtype({"names": list(known), "formats": formats, "offsets": offsets, "itemsize": size}),
         point_step=point_step,
-        big_endian=big_endian,
         height=height,
         width=width,
         ring_field=_first_of(RING_NAMES, known),
@@ -156,32 +144,17 @@ def _layout(
     )
 
 
-def _first_of(names: Sequence[str], fields: dict[str, CloudField]) -> str | None:
-    by_lower = {name.lower(): name for name in reversed(fields)}
+def _first_of(names: Sequence[str], fields: Iterable[str]) -> str | None:
+    by_lower = {name.lower(): name for name in reversed(list(fields))}
     return next((by_lower[name] for name in names if name in by_lower), None)
-
-
-@lru_cache(maxsize=64)
-def point_dtype(layout: CloudLayout) -> np.dtype[np.void]:
-    """The structured type of one point."""
-    order = ">" if layout.big_endian else "<"
-    return np.dtype(
-        {
-            "names": [f.name for f in layout.fields],
-            "formats": [order + f.datatype for f in layout.fields],
-            "offsets": [f.offset for f in layout.fields],
-            "itemsize": layout.point_step,
-        }
-    )
 
 
 def field_column(message: Message, layout: CloudLayout, name: str) -> npt.NDArray[Any]:
     """One field of every point (height x width,), row by row."""
     shape = (layout.height, layout.width)
     if 0 in shape:
-        # Without points, nothing that the message says of their size has to be true.
-        return np.zeros(0, layout.dtype(name))
-    return _rows(message, shape, point_dtype(layout))[name].reshape(-1)
+        return np.zeros(0, layout.point[name])
+    return _rows(message, shape, layout.point)[name].reshape(-1)
 
 
 def _rows(message: Message, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
@@ -244,11 +217,11 @@ def settle_decoding(
             time_samples.append((field_column(message, layout, layout.time_field)[index], stamp_ns(message)))
     if not layouts:
         raise failure or CloudError(f"{topic}: no cloud to read; choose another topic")
-    usual = Counter(found.fields for found in layouts)
-    layout = max(layouts, key=lambda found: (usual[found.fields], found.height * found.width))
+    usual = Counter(str(found.point.fields) for found in layouts)
+    layout = max(layouts, key=lambda found: (usual[str(found.point.fields)], found.height * found.width))
     time = None
     if layout.time_field:
-        kind = layout.dtype(layout.time_field).kind
+        kind = layout.point[layout.time_field].kind
         alike = [sample for sample in time_samples if sample[0].dtype.kind == kind]
         time = find_time_field(layout.time_field, alike, period_ns)
     return CloudDecoding(layout, estimate_rings(ring_samples), time, time_from, period_ns)
@@ -321,7 +294,7 @@ def _times(
     stamp: int,
 ) -> tuple[IntArray | None, int]:
     if decoding.time_from == "auto" and decoding.time and layout.time_field == decoding.time.name:
-        if layout.dtype(layout.time_field).kind != decoding.layout.dtype(layout.time_field).kind:
+        if layout.point[layout.time_field].kind != decoding.layout.point[layout.time_field].kind:
             raise CloudError(
                 f"{layout.topic}: field {layout.time_field} is of another type than in the topic's other clouds"
             )
@@ -382,6 +355,25 @@ def encode_labelled(message: Message, label: UInt8Array, label_scan: UInt8Array)
     )
 
 
+def make_cloud(typestore: Typestore, header: Message, points: npt.NDArray[np.void]) -> Message:
+    """A PointCloud2 of structured points (height, width), with the fields, offsets and bytes of their type."""
+    codes = {np.dtype(kind): code for code, kind in _DATATYPES.items()}
+    kinds: Mapping[str, Any] = points.dtype.fields or {}
+    field = typestore.types["sensor_msgs/msg/PointField"]
+    (height, width), step = points.shape, points.dtype.itemsize
+    return typestore.types["sensor_msgs/msg/PointCloud2"](
+        header=header,
+        height=height,
+        width=width,
+        fields=[field(name, kinds[name][1], codes[kinds[name][0]], 1) for name in points.dtype.names or ()],
+        is_bigendian=False,
+        point_step=step,
+        row_step=step * width,
+        data=points.reshape(-1).view(np.uint8),
+        is_dense=height == 1,
+    )
+
+
 def merge_clouds(messages: Sequence[Message]) -> Message:
     """One cloud of several that belong to one revolution, in order; stamp and header of the first.
 
@@ -395,19 +387,15 @@ def merge_clouds(messages: Sequence[Message]) -> Message:
     step, fields = layout.point_step, list(first.fields)
     data = np.concatenate([block for block, _ in blocks])
     if layout.time_field:
-        place = next(field.offset for field in layout.fields if field.name == layout.time_field)
-        dtype = layout.dtype(layout.time_field)
-        columns = slice(place, place + dtype.itemsize)
-        parts = [np.ascontiguousarray(block[:, columns]).view(dtype)[:, 0] for block, _ in blocks]
+        parts = [block.view(layout.point)[:, 0][layout.time_field] for block, _ in blocks]
         times = np.concatenate(join_times(layout.time_field, parts, [offset_ns for _, offset_ns in blocks]))
+        data.view(layout.point)[:, 0][layout.time_field] = times
     else:
-        dtype = np.dtype(">f4" if layout.big_endian else "<f4")
-        columns = slice(step, step + dtype.itemsize)
+        dtype = np.dtype(">f4" if first.is_bigendian else "<f4")
         fields.append(replace(fields[0], name="time", offset=step, datatype=7, count=1))
-        data = np.pad(data, ((0, 0), (0, dtype.itemsize)))
-        step += dtype.itemsize
         times = np.repeat([offset_ns * 1e-9 for _, offset_ns in blocks], [len(block) for block, _ in blocks])
-    data[:, columns] = times.astype(dtype)[:, None].view(np.uint8)
+        data = np.hstack([data, times.astype(dtype)[:, None].view(np.uint8)])
+        step += dtype.itemsize
     return replace(
         first,
         height=1,
@@ -424,7 +412,7 @@ def _point_blocks(messages: Sequence[Message], layout: CloudLayout) -> Iterator[
     start_ns = stamp_ns(messages[0])
     for message in messages:
         found = describe_layout(message, layout.topic)
-        if found.point_step != layout.point_step or found.fields != layout.fields:
+        if found.point_step != layout.point_step or found.point != layout.point:
             continue
         points = _rows(message, (found.height, found.width, found.point_step), np.uint8)
         yield points.reshape(-1, found.point_step), stamp_ns(message) - start_ns

@@ -10,17 +10,11 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Generator, Iterator
 from io import BytesIO
 from operator import itemgetter
-from typing import IO, Any, NamedTuple
+from typing import IO, Any, BinaryIO, NamedTuple, cast
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
-from rosbags.interfaces import (
-    Connection,
-    ConnectionExtRosbag1,
-    ConnectionExtRosbag2,
-    MessageDefinition,
-    MessageDefinitionFormat,
-)
+from rosbags.interfaces import Connection
 from rosbags.rosbag1.reader import (
     Chunk,
     ChunkInfo,
@@ -30,16 +24,15 @@ from rosbags.rosbag1.reader import (
     ReaderError,
     RecordType,
     decompressors,
-    normalize,
 )
 from rosbags.rosbag2 import ReaderError as Reader2Error
 from rosbags.rosbag2 import storage_mcap
 from rosbags.rosbag2.storage_mcap import McapReader
-from rosbags.typesys.msg import normalize_msgtype
 
 _PIECE = 1 << 16
 _LONGEST_HEADER = 1 << 20
 _NEVER_NS = 2**63 - 1
+_RECORD_HEAD = 9  # Bytes of an MCAP record's opcode and size
 
 
 class _Ros1Record(NamedTuple):
@@ -73,7 +66,7 @@ class RecoveredRos1Reader(Reader):
                     # A killed recorder leaves its last chunk with size 0: it is whatever follows.
                     position = record.data_position + record.data_size if record.data_size else file_end
                 case RecordType.CONNECTION:
-                    self._add_connection(connections, record, file)
+                    self._add_connection(connections, position, file)
                     position = record.data_position + record.data_size
                 case _:
                     position = record.data_position + record.data_size
@@ -108,7 +101,7 @@ class RecoveredRos1Reader(Reader):
         while (inner := _read_ros1_record(stream, position, end)) and inner.data_position + inner.data_size <= end:
             match inner.header.get_uint8("op"):
                 case RecordType.CONNECTION:
-                    self._add_connection(connections, inner, stream)
+                    self._add_connection(connections, position, stream)
                 case RecordType.MSGDATA:
                     key, time_ns = inner.header.get_uint32("conn"), inner.header.get_time("time")
                     indexes[key].append(IndexData(time_ns, chunk_position, position - start))
@@ -119,23 +112,17 @@ class RecoveredRos1Reader(Reader):
         if times_ns:
             self.chunk_infos.append(ChunkInfo(chunk_position, min(times_ns), max(times_ns) + 1, dict(counts)))
 
-    def _add_connection(self, connections: dict[int, Connection], record: _Ros1Record, stream: IO[bytes]) -> None:
-        key = record.header.get_uint32("conn")
-        stream.seek(record.data_position)
-        data = stream.read(record.data_size)
-        if key in connections or len(data) < record.data_size:
-            return
-        info = Header.read(BytesIO(len(data).to_bytes(4, "little") + data))
-        connections[key] = Connection(
-            key,
-            normalize(record.header.get_string("topic")),
-            normalize_msgtype(info.get_string("type")),
-            MessageDefinition(MessageDefinitionFormat.MSG, info.get_string("message_definition")),
-            info.get_string("md5sum"),
-            0,
-            ConnectionExtRosbag1(info.get_string("callerid") if "callerid" in info else None, None),
-            self,
-        )
+    def _add_connection(self, connections: dict[int, Connection], position: int, stream: IO[bytes]) -> None:
+        """By rosbags' own parser, of the record at `position`, which may lie in a chunk; a cut one is left out."""
+        file, self.bio = self.bio, cast("BinaryIO", stream)
+        try:
+            stream.seek(position)
+            connection = self.read_connection()
+            connections.setdefault(connection.id, connection)
+        except ReaderError:
+            pass
+        finally:
+            self.bio = file
 
 
 def _read_ros1_record(stream: IO[bytes], position: int, end: int) -> _Ros1Record | None:
@@ -160,6 +147,7 @@ class RecoveredMcapReader(McapReader):
     """An MCAP file without summary: cut, or its recorder was killed. Whole messages before the cut are kept."""
 
     _tail: tuple[int, str] | None = None  # Where the content of the last, cut chunk begins, and its compression
+    _definitions = b""  # The records of schemas and channels
 
     def _open(self) -> None:
         assert self.bio
@@ -182,6 +170,7 @@ class RecoveredMcapReader(McapReader):
             if position + size > file_end:
                 break
             self.data_end = position + size
+        self._read_definitions()
         self.connections = [c._replace(msgcount=counts[c.id]) for c in self.connections]
         count = counts.total()
         self.metadata = self.metadata._replace(
@@ -190,6 +179,13 @@ class RecoveredMcapReader(McapReader):
             end_time=times_ns[1] + 1 if count else 0,
             message_count=count,
         )
+
+    def _read_definitions(self) -> None:
+        """By rosbags' own parser, for which the records of schemas and channels are a summary without anything else."""
+        file, data_end = self.bio, self.data_end
+        self.bio, self.data_end = BytesIO(self._definitions + bytes([_FOOTER])), 0
+        self.read_index()
+        self.bio, self.data_end = file, data_end
 
     def _add_chunk(
         self, file: IO[bytes], position: int, size: int, file_end: int, counts: Counter[int], times_ns: list[int]
@@ -219,11 +215,9 @@ class RecoveredMcapReader(McapReader):
                 self._add_record(stream, op, inner_position, inner_size, inner_counts, times_ns)
         counts.update(inner_counts)
         if self._tail is None:
-            self.chunks.append(
-                storage_mcap.ChunkInfo(
-                    start_ns, end_ns, position - 9, size + 9, {}, 0, compression, stored_size, plain_size, inner_counts
-                )
-            )
+            start, length = position - _RECORD_HEAD, size + _RECORD_HEAD
+            sizes = (stored_size, plain_size, inner_counts)
+            self.chunks.append(storage_mcap.ChunkInfo(start_ns, end_ns, start, length, {}, 0, compression, *sizes))
 
     def _add_record(
         self, stream: IO[bytes], op: int, position: int, size: int, counts: Counter[int], times_ns: list[int]
@@ -233,32 +227,9 @@ class RecoveredMcapReader(McapReader):
             key, _, time_ns = struct.unpack("<HIQ", stream.read(14))
             counts[key] += 1
             times_ns[:] = min(times_ns[0], time_ns), max(times_ns[1], time_ns)
-        elif op == _SCHEMA:
-            record = BytesIO(stream.read(size))
-            (key,) = struct.unpack("<H", record.read(2))
-            name, encoding, text = (storage_mcap.read_string(record) for _ in range(3))
-            self.schemas[key] = storage_mcap.Schema(key, name, encoding, text)
-        elif op == _CHANNEL:
-            record = BytesIO(stream.read(size))
-            key, schema_key = struct.unpack("<HH", record.read(4))
-            topic, encoding = (storage_mcap.read_string(record) for _ in range(2))
-            metadata = storage_mcap.read_bytes(record)
-            schema = self.schemas.get(schema_key)
-            if key in self.channels or schema is None:
-                return
-            self.channels[key] = storage_mcap.Channel(key, schema.name, topic, encoding, metadata)
-            self.connections.append(
-                Connection(
-                    key,
-                    topic,
-                    schema.name,
-                    storage_mcap.get_msgdef(schema),
-                    "",
-                    0,
-                    ConnectionExtRosbag2(encoding, storage_mcap.get_qos(metadata)),
-                    self,
-                )
-            )
+        elif op in (_SCHEMA, _CHANNEL):
+            stream.seek(position - _RECORD_HEAD)
+            self._definitions += stream.read(_RECORD_HEAD + size)
 
     def messages(
         self, connections: Collection[Connection], start: int | None = None, stop: int | None = None
@@ -291,13 +262,13 @@ _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x02, 0x03, 0x04, 0x05
 
 def _mcap_records(stream: IO[bytes], position: int, end: int) -> Iterator[tuple[int, int, int]]:
     """Opcode, place and size of each record's content; the last may run beyond `end`."""
-    while position + 9 <= end:
+    while position + _RECORD_HEAD <= end:
         stream.seek(position)
-        op, size = struct.unpack("<BQ", stream.read(9))
+        op, size = struct.unpack("<BQ", stream.read(_RECORD_HEAD))
         if op == 0:
             return
-        yield op, position + 9, size
-        position += 9 + size
+        yield op, position + _RECORD_HEAD, size
+        position += _RECORD_HEAD + size
 
 
 def _partial(make_decompressor: Callable[[], Any]) -> Callable[[bytes], bytes]:
@@ -315,12 +286,8 @@ def _partial(make_decompressor: Callable[[], Any]) -> Callable[[bytes], bytes]:
     return decompress
 
 
-def _plain(data: bytes) -> bytes:
-    return data
-
-
 _PARTIAL: dict[str, Callable[[bytes], bytes]] = {
-    "": _plain,
+    "": decompressors["none"],
     "none": decompressors["none"],
     "bz2": _partial(bz2.BZ2Decompressor),
     "lz4": _partial(lz4.frame.LZ4FrameDecompressor),

@@ -5,7 +5,7 @@ lidar whose spin axis is nearest to gravity drives odometry (the "horizontal" li
 whose spin axis is nearest to level is labelled (the "vertical" lidar).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.loaders.bag import Bag
 from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.frames import FrameTree, StaticTransform, read_frame_tree
-from ffmap.loaders.pointcloud2 import CloudDecoding, CloudLayout, TimeFrom, decode, settle_decoding
+from ffmap.loaders.pointcloud2 import CloudDecoding, TimeFrom, decode, settle_decoding
 from ffmap.loaders.rig_file import RigEntry, RigFile, Role, read_rig_file
 from ffmap.loaders.scans import cloud_hint, cloud_topics, index_clouds, sample_messages
 
@@ -44,11 +44,6 @@ class Lidar:
     def ring_count(self) -> int:
         """How many emitters it has."""
         return self.decoding.rings.count
-
-    @property
-    def layout(self) -> CloudLayout:
-        """What its clouds' points carry."""
-        return self.decoding.layout
 
     @property
     def tilt_deg(self) -> float:
@@ -90,7 +85,7 @@ class _Candidate:
     points: int
     sectors: float
     role: Role | None = None
-    T_base_sensor: FloatArray | None = None
+    T_base_sensor: FloatArray = field(default_factory=lambda: np.eye(4))
 
     @property
     def worth(self) -> tuple[bool, bool, bool, int]:
@@ -101,11 +96,10 @@ class _Candidate:
     @property
     def tilt_deg(self) -> float:
         """As of the lidar; 0 where its place is unknown."""
-        return 0.0 if self.T_base_sensor is None else _tilt_deg(self.T_base_sensor)
+        return _tilt_deg(self.T_base_sensor)
 
     def lidar(self, reasons: str) -> Lidar:
-        T = self.T_base_sensor if self.T_base_sensor is not None else np.eye(4)
-        return Lidar(self.topic, self.frame_id, T, self.decoding, self.points, reasons)
+        return Lidar(self.topic, self.frame_id, self.T_base_sensor, self.decoding, self.points, reasons)
 
 
 def _tilt_deg(T_base_sensor: FloatArray) -> float:
@@ -129,7 +123,8 @@ def find_rig(
     """
     warnings: list[str] = []
     described = read_rig_file(rig_file) if rig_file else None
-    asked = {role: _cloud_topic(bag, name, role) for role, name in _asked(horizontal, vertical)}
+    named: dict[Role, str | None] = {"horizontal": horizontal, "vertical": vertical}
+    asked = {role: _cloud_topic(bag, name, role) for role, name in named.items() if name is not None}
     topics = cloud_topics(bag)
     if not topics:
         raise _no_clouds(bag)
@@ -151,11 +146,6 @@ def find_rig(
         if lidar.decoding.rings.source == "bins":
             warnings.append(f"{lidar.topic} ({role}): no ring field, and the elevations tell no rings apart")
     return Rig(base, roles.get("horizontal"), roles.get("vertical"), edges, tuple(warnings))
-
-
-def _asked(horizontal: str | None, vertical: str | None) -> list[tuple[Role, str]]:
-    both: list[tuple[Role, str | None]] = [("horizontal", horizontal), ("vertical", vertical)]
-    return [(role, name) for role, name in both if name is not None]
 
 
 def _cloud_topic(bag: Bag, name: str, role: str) -> str:
@@ -285,7 +275,7 @@ def _place(
 def _check_reach(source: Path, candidates: list[_Candidate], base: str) -> None:
     """Raises InputError where a lidar is farther from the base than any robot is long: float32 would lose the millimetres."""
     for candidate in candidates:
-        away_m = 0.0 if candidate.T_base_sensor is None else float(np.linalg.norm(candidate.T_base_sensor[:3, 3]))
+        away_m = float(np.linalg.norm(candidate.T_base_sensor[:3, 3]))
         if away_m > _REACH_MAX_M:
             raise InputError(
                 f"{source}: puts {candidate.frame_id} ({candidate.topic}) {away_m:.6g} m away from {base}, which no robot "
@@ -296,8 +286,7 @@ def _check_reach(source: Path, candidates: list[_Candidate], base: str) -> None:
 def _place_by_file(
     candidates: list[_Candidate], described: RigFile, tree: FrameTree
 ) -> tuple[list[_Candidate], str, tuple[StaticTransform, ...]]:
-    frames = [f for f in [described.base] if f] or [tree.root(candidates[0].frame_id)[0]]
-    base = frames[0]
+    base = described.base or tree.root(candidates[0].frame_id)[0]
     placed, edges = [], {edge.child: edge for edge in tree.edges}
     for candidate in candidates:
         entry = next((e for e in described.lidars if _is_entry_of(e, candidate)), None)

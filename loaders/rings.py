@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numba
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
@@ -48,7 +47,10 @@ class RingModel:
         """Ring (n,) uint16 of points (n, 3); `number` is the field's value, the row or the column of each."""
         if number is not None:
             return self.lookup[np.clip(number, 0, len(self.lookup) - 1)]
-        return _ring_of_elevation(points_sensor, self.edge_tan)
+        x, y, z = points_sensor.T.astype(np.float64)
+        with np.errstate(divide="ignore"):  # on the spin axis
+            rings: IntArray = np.searchsorted(self.edge_tan, z / np.hypot(x, y)).astype(np.uint16)
+        return rings
 
 
 @dataclass(frozen=True)
@@ -185,21 +187,3 @@ def _share_near(elevation: FloatArray, centres: FloatArray) -> float:
     gaps = np.diff(centres)
     spacing = np.minimum(np.append(gaps, gaps[-1]), np.append(gaps[0], gaps))
     return float(np.mean(np.abs(elevation - centres[nearest]) < spacing[nearest] / 4))
-
-
-@numba.njit(cache=True, nogil=True)
-def _ring_of_elevation(points: FloatArray, edge_tan: FloatArray) -> IntArray:  # pragma: no cover
-    rings = np.empty(len(points), np.uint16)
-    for i in range(len(points)):
-        x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
-        # np.searchsorted on z / hypot(x, y), without the division that the spin axis would not allow.
-        distance = np.sqrt(x * x + y * y)
-        low, high = 0, len(edge_tan)
-        while low < high:
-            middle = (low + high) // 2
-            if z > edge_tan[middle] * distance:
-                low = middle + 1
-            else:
-                high = middle
-        rings[i] = low
-    return rings

@@ -15,7 +15,7 @@ from ffmap.loaders.bag import Bag, Message, RawMessage
 from ffmap.loaders.cloud_digest import digest_of
 from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.packets import PACKET_TYPE, PacketDecoder
-from ffmap.loaders.pointcloud2 import CloudDecoding, CloudLayout, decode, describe_layout, merge_clouds, point_dtype
+from ffmap.loaders.pointcloud2 import CloudDecoding, CloudLayout, decode, describe_layout, merge_clouds
 
 CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 CLOUD_TYPES = (CLOUD_TYPE, PACKET_TYPE)
@@ -257,7 +257,7 @@ def _first_layout(bag: Bag, topic: str) -> tuple[int, CloudLayout] | None:
 
 
 def _lead_azimuths(heads: list[bytes], layout: CloudLayout) -> FloatArray:
-    points = np.frombuffer(b"".join(heads), point_dtype(layout)).reshape(-1, _LEAD_POINTS)
+    points = np.frombuffer(b"".join(heads), layout.point).reshape(-1, _LEAD_POINTS)
     x, y = points["x"].astype(np.float64), points["y"].astype(np.float64)
     valid = np.isfinite(x) & np.isfinite(y) & ((x != 0) | (y != 0))
     row = np.arange(len(points))

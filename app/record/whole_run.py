@@ -102,7 +102,7 @@ def log_warnings(log: Log, warnings: Sequence[str]) -> None:
 
 
 def log_legend(log: Log, path: str, entries: Sequence[tuple[str, entities.Color]]) -> None:
-    """Names side by side, each below a dot in its colour, as `blueprints.legend` shows them."""
+    """Names side by side, each below a dot in its colour, as `blueprints.run` shows them."""
     across = Legend.STEP * (np.arange(len(entries)) + 0.5)
     names, colors = zip(*entries, strict=True)
     dots = np.column_stack([across, np.zeros(len(entries))])

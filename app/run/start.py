@@ -34,7 +34,7 @@ INTERRUPTED = 130
 
 @dataclass(frozen=True)
 class Arguments:
-    """The command line's words; see `ffmap.app.cli.run`."""
+    """The command line's words; see `ffmap.app.cli.Run`."""
 
     bag: Path | None
     out: Path | None = None

@@ -18,16 +18,21 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.loaders.bag import make_typestore
 from ffmap.loaders.errors import InputError
+from ffmap.loaders.packets import VELODYNE_POINT
+from ffmap.loaders.pointcloud2 import make_cloud
 from ffmap.loaders.simulator.raytrace import Sweep
 from ffmap.loaders.simulator.sensors import Lidar
 from ffmap.loaders.simulator.settings import Container
 
-_FLOAT32, _UINT32, _UINT16, _UINT8 = 7, 6, 4, 2
-_NUMPY_TYPE = {_FLOAT32: "<f4", _UINT32: "<u4", _UINT16: "<u2", _UINT8: "u1"}
-_VELODYNE = [("x", 0, _FLOAT32), ("y", 4, _FLOAT32), ("z", 8, _FLOAT32), ("intensity", 12, _FLOAT32),
-             ("ring", 16, _UINT16), ("time", 18, _FLOAT32)]  # fmt: skip
-_OUSTER = [("x", 0, _FLOAT32), ("y", 4, _FLOAT32), ("z", 8, _FLOAT32), ("intensity", 16, _FLOAT32), ("t", 20, _UINT32),
-           ("reflectivity", 24, _UINT16), ("ring", 26, _UINT8), ("noise", 28, _UINT16), ("range", 32, _UINT32)]  # fmt: skip
+_OUSTER_POINT = np.dtype(
+    {
+        "names": ["x", "y", "z", "intensity", "t", "reflectivity", "ring", "noise", "range"],
+        "formats": ["<f4", "<f4", "<f4", "<f4", "<u4", "<u2", "u1", "<u2", "<u4"],
+        "offsets": [0, 4, 8, 16, 20, 24, 26, 28, 32],
+        "itemsize": 48,
+    }
+)
+_TRUTH_POINT = np.dtype([("truth", "u1")])
 _LATCHED = (
     Qos(
         QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, QosTime(0, 0), QosTime(0, 0),
@@ -62,9 +67,11 @@ class BagWriter:
     def _open(self, container: Container) -> None:
         if container == "bag":
             self._types = make_typestore(1)
+            self._serialize: Any = self._types.serialize_ros1
             self._writer: Any = self._stack.enter_context(rosbag1.Writer(self._part))
             return
         self._types = make_typestore(2)
+        self._serialize = self._types.serialize_cdr
         plugin = rosbag2.StoragePlugin.MCAP if container == "mcap" else rosbag2.StoragePlugin.SQLITE3
         # The folder's name becomes the name of the file inside it, so it gets its right name at once, one level down.
         self._part.mkdir()
@@ -97,10 +104,7 @@ class BagWriter:
             self._connections[topic] = self._writer.add_connection(
                 topic, message.__msgtype__, typestore=self._types, **options
             )
-        serialize = (
-            self._types.serialize_ros1 if isinstance(self._writer, rosbag1.Writer) else self._types.serialize_cdr
-        )
-        self._writer.write(self._connections[topic], log_time_ns, serialize(message, message.__msgtype__))
+        self._writer.write(self._connections[topic], log_time_ns, self._serialize(message, message.__msgtype__))
 
     def _new(self, name: str, *values: Any) -> Any:  # noqa: ANN401
         return self._types.types[name](*values)
@@ -110,42 +114,27 @@ class BagWriter:
         counter = (0,) if isinstance(self._writer, rosbag1.Writer) else ()
         return self._new("std_msgs/msg/Header", *counter, stamp, frame_id)
 
-    def _cloud(
-        self,
-        stamp_ns: int,
-        frame_id: str,
-        fields: list[tuple[str, int, int]],
-        rows: Any,  # noqa: ANN401
-        height: int,
-    ) -> Any:  # noqa: ANN401
-        described = [self._new("sensor_msgs/msg/PointField", n, offset, kind, 1) for n, offset, kind in fields]
-        width, step = len(rows) // height, rows.dtype.itemsize
-        return self._new(
-            "sensor_msgs/msg/PointCloud2", self._header(stamp_ns, frame_id), height, width, described, False, step,
-            step * width, rows.view(np.uint8), height == 1
-        )  # fmt: skip
+    def _cloud(self, lidar: Lidar, stamp_ns: int, points: Any) -> Any:  # noqa: ANN401
+        height = 1 if lidar.model.layout == "velodyne" else lidar.model.rings
+        return make_cloud(self._types, self._header(stamp_ns, lidar.frame_id), points.reshape(height, -1))
 
     def cloud(self, lidar: Lidar, sweep: Sweep, epoch_ns: int) -> Any:  # noqa: ANN401
         """The sweep as the lidar's driver publishes it."""
-        fields, height = (_VELODYNE, 1) if lidar.model.layout == "velodyne" else (_OUSTER, lidar.model.rings)
-        rows = _rows(fields, len(sweep.range_m))
-        rows["x"], rows["y"], rows["z"] = sweep.points_sensor.T
-        rows["intensity"] = sweep.intensity
-        if lidar.model.layout == "velodyne":
-            rows["ring"], rows["time"] = sweep.ring, sweep.time_ns / 1e9
+        velodyne = lidar.model.layout == "velodyne"
+        points = np.zeros(len(sweep.range_m), VELODYNE_POINT if velodyne else _OUSTER_POINT)
+        points["x"], points["y"], points["z"] = sweep.points_sensor.T
+        points["intensity"] = sweep.intensity
+        if velodyne:
+            points["ring"], points["time"] = sweep.ring, sweep.time_ns / 1e9
         else:
-            rows["ring"] = lidar.model.rings - 1 - sweep.ring  # Ouster counts from the top
-            rows["t"], rows["reflectivity"] = sweep.time_ns, sweep.intensity
-            rows["range"] = np.round(sweep.range_m * 1000.0)
-        return self._cloud(epoch_ns + sweep.stamp_ns, lidar.frame_id, fields, rows, height)
+            points["ring"] = lidar.model.rings - 1 - sweep.ring  # Ouster counts from the top
+            points["t"], points["reflectivity"] = sweep.time_ns, sweep.intensity
+            points["range"] = np.round(sweep.range_m * 1000.0)
+        return self._cloud(lidar, epoch_ns + sweep.stamp_ns, points)
 
     def classes(self, lidar: Lidar, sweep: Sweep, epoch_ns: int) -> Any:  # noqa: ANN401
         """The truth of every place of the same cloud."""
-        fields = [("truth", 0, _UINT8)]
-        rows = _rows(fields, len(sweep.truth))
-        rows["truth"] = sweep.truth
-        height = 1 if lidar.model.layout == "velodyne" else lidar.model.rings
-        return self._cloud(epoch_ns + sweep.stamp_ns, lidar.frame_id, fields, rows, height)
+        return self._cloud(lidar, epoch_ns + sweep.stamp_ns, sweep.truth.view(_TRUTH_POINT))
 
     def static_transforms(self, base_frame: str, T_base_child: Mapping[str, FloatArray], stamp_ns: int) -> Any:  # noqa: ANN401
         """A TFMessage."""
@@ -179,13 +168,3 @@ class BagWriter:
     def _quaternion(self, T: FloatArray) -> Any:  # noqa: ANN401
         quaternion = transforms.quaternion_xyzw(T)
         return self._new("geometry_msgs/msg/Quaternion", *(float(v) for v in quaternion))
-
-
-def _rows(fields: list[tuple[str, int, int]], count: int) -> Any:  # noqa: ANN401
-    """Zeros (count,) of the structured type that the fields describe."""
-    names, offsets, kinds = zip(*fields, strict=True)
-    last = np.dtype(_NUMPY_TYPE[kinds[-1]]).itemsize
-    # Ouster's points are aligned to 16 bytes, Velodyne's are not aligned at all.
-    size = offsets[-1] + last if "t" not in names else 48
-    formats = [_NUMPY_TYPE[kind] for kind in kinds]
-    return np.zeros(count, np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size}))

@@ -277,7 +277,10 @@ def test_parts_whose_times_tell_no_unit_are_timed_by_their_stamps():
 def test_layout_says_what_is_there():
     layout = describe_layout(cloud(sweep().reshape(16, -1), frame="/lidar"), "/points")
     assert (layout.frame_id, layout.ring_field, layout.time_field, layout.height > 1) == ("lidar", "ring", "time", True)
-    assert [(f.name, f.datatype, f.offset) for f in layout.fields][-2:] == [("ring", "u2", 16), ("time", "f4", 18)]
+    assert [(name, *layout.point.fields[name]) for name in layout.point.names][-2:] == [
+        ("ring", np.dtype("<u2"), 16),
+        ("time", np.dtype("<f4"), 18),
+    ]
 
 
 def test_a_cloud_unlike_the_others_of_its_topic_gives_no_scan():
