@@ -38,7 +38,7 @@ from ffmap.algorithms.truth.runs import (
 from ffmap.app.analysis.run_labels import LabelSource, pair, side_by_side
 from ffmap.app.folder.finished_run import FinishedRun
 from ffmap.app.folder.map_files import read_map
-from ffmap.app.folder.names import DOORS, TRAJECTORY, WALLS, map_file
+from ffmap.app.folder.names import DOORS, METRICS, TRAJECTORY, WALLS, map_file
 from ffmap.app.record.read_back import ReadableRecording, Row, rows
 from ffmap.blueprints import entities
 from ffmap.loaders.geojson import read_features, segments
@@ -120,7 +120,7 @@ def differing_provenance(runs: Sequence[FinishedRun]) -> dict[str, list[Any]]:
             {
                 "outcome": run.outcome,
                 "bag": run.part("bag").get("path"),
-                "bag digest": run.bag_digest,
+                "bag digest": run.part("bag").get("digest"),
                 "poses from": run.record.get("poses_from"),
                 **_flatten(run.part("options"), "option "),
                 **{f"version of {k}": v for k, v in run.part("versions").items()},
@@ -134,7 +134,8 @@ def figures(runs: Sequence[FinishedRun]) -> dict[str, list[float | None]]:
     """Every figure of metrics.json, and counts and timings of run.json, one value a run; None where a run lacks it."""
     tables = []
     for run in runs:
-        metrics = read_object(run.metrics, "run ffmap evaluate again") if run.metrics is not None else {}
+        path = run.file(METRICS)
+        metrics = read_object(path, "run ffmap evaluate again") if path is not None else {}
         tables.append(
             {
                 **_flatten({k: v for k, v in metrics.items() if k not in ("truth", "statistics")}),
@@ -162,15 +163,14 @@ class LabelComparison:
         """The changed points of every scan that both runs have; none changed: no points."""
         first = self._a.read(with_points=self._points_of_a)
         second = self._b.read(with_points=not self._points_of_a)
-        for clouds in pair(first, second):
-            if clouds.a is None or clouds.b is None:
-                self._only_a += clouds.b is None
-                self._only_b += clouds.a is None
+        for a, b in pair(first, second):
+            if a is None or b is None:
+                self._only_a += b is None
+                self._only_b += a is None
                 continue
-            if not clouds.same_cloud:
+            if len(a.label_scan) != len(b.label_scan):
                 self._unlike += 1
                 continue
-            a, b = clouds.a, clouds.b
             label_a, label_b = a.label, b.label
             if label_a is None or label_b is None:
                 self._final = False

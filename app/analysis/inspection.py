@@ -134,26 +134,23 @@ def find_worst(run: FinishedRun) -> tuple[int, str]:
 
     Returns its number and why. Raises InputError where the run's files tell neither.
     """
+    percent: dict[int, float] = {}
     errors = run.file(EVALUATION)
     if errors is not None:
-        percent: dict[int, float] = {}
         with readable(errors) as recording:
             for row in rows(recording.path, f"{entities.SCAN_ERRORS}/**", "scalars"):
                 percent[row.scan] = percent.get(row.scan, 0.0) + float(row.values["scalars"][0])
-        if percent:
-            worst = max(percent, key=lambda scan: (percent[scan], -scan))
-            return worst, f"{percent[worst]:.1f} % of its points have a wrong final label (`label`), by the truth"
-    with _labels_of(run) as source:
-        share = {
-            cloud.scan: float(np.mean(cloud.label != cloud.label_scan))
-            for cloud in (c.of_returns() for c in source.read())
-            if cloud.label is not None and len(cloud.label)
-        }
-    if not share:
+    why = "of its points have a wrong final label (`label`), by the truth"
+    if not percent:
+        with _labels_of(run) as source:
+            for cloud in (cloud.of_returns() for cloud in source.read()):
+                if cloud.label is not None and len(cloud.label):
+                    percent[cloud.scan] = 100 * float(np.mean(cloud.label != cloud.label_scan))
+        why = "of its final labels (`label`) are not those of the scan alone (`label_scan`)"
+    if not percent:
         raise InputError(f"{run.path}: holds no labels of single scans to find the worst by; name one, as in --scan 17")
-    worst = max(share, key=lambda scan: (share[scan], -scan))
-    unlike = "of its final labels (`label`) are not those of the scan alone (`label_scan`)"
-    return worst, f"{100 * share[worst]:.1f} % {unlike}"
+    worst = max(percent, key=lambda scan: (percent[scan], -scan))
+    return worst, f"{percent[worst]:.1f} % {why}"
 
 
 def agreement(run: FinishedRun, inspected: InspectedScan) -> str:

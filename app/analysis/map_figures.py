@@ -102,10 +102,10 @@ def maps_table(metrics: Mapping[str, Any], title: str) -> Table:
     headings += ["doors blocked", "no cabinets %"] if with_doors else []
     rows = []
     for name, own in metrics.items():
-        row = [TITLES[name], *(_hundredfold(own[figure]) for figure in ("precision", "recall", "error_m"))]
+        row = [TITLES[name], *(hundredfold(own[figure]) for figure in ("precision", "recall", "error_m"))]
         if with_doors:
             blocked = f"{own['doors_blocked']} of {own['doors_passed']}"
-            row += [blocked, _hundredfold(own["precision_without_cabinets"])]
+            row += [blocked, hundredfold(own["precision_without_cabinets"])]
         rows.append(row)
     table = make_table(title, headings, rows, padding=(0, 1, 0, 0))
     # No name is cut where the terminal is narrow: they are folded between words, none of which is longer than this.
@@ -201,7 +201,7 @@ def _columns(count: int, width: int, height: int) -> int:
 
 
 def _picture(drawn: Image.Image, title: str, compared: WallMapFigures) -> Image.Image:
-    precision, recall, error = map(_hundredfold, (compared.precision, compared.recall, compared.error_m))
+    precision, recall, error = map(hundredfold, (compared.precision, compared.recall, compared.error_m))
     figures = f"precision {precision} %   recall {recall} %   error {error} cm"
     width = max(drawn.width + 2, int(_font(_TEXT_PX).getlength(figures)) + 1)
     picture = Image.new("RGB", (width, drawn.height + 2 + _HEAD_PX), "white")
@@ -241,6 +241,6 @@ def _font(size_px: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size_px)
 
 
-def _hundredfold(value: float | None) -> str:
+def hundredfold(value: float | None) -> str:
     """A fraction in percent, metres in centimetres."""
     return "–" if value is None or np.isnan(value) else f"{100 * value:.2f}"

@@ -103,10 +103,6 @@ class LabelSource:
             return _read_recording(self.recording.path, final, with_points)
         return iter(())
 
-    def has_labels(self) -> bool:
-        """Whether there is any cloud to read: a recording of the map alone has none."""
-        return next(self.read(), None) is not None
-
 
 def _read_bag(path: Path, run: FinishedRun, with_points: bool, first: int) -> Iterator[CloudLabels]:
     trajectory = read_tum(run.trajectory) if with_points and run.trajectory is not None else None
@@ -199,29 +195,15 @@ def _in_map(row: Row, pose: Row | None) -> FloatArray:
     return np.asarray(transforms.apply(T, positions), np.float32)
 
 
-@dataclass(frozen=True, eq=False)
-class LabelPair:
-    """One cloud as two runs labelled it, row by row the same returns.
-
-    b is None where the second run has no such cloud, and a where the first has none.
-    """
-
-    a: CloudLabels | None
-    b: CloudLabels | None
-
-    @property
-    def same_cloud(self) -> bool:
-        """Whether both have it, with as many returns."""
-        return self.a is not None and self.b is not None and len(self.a.label_scan) == len(self.b.label_scan)
-
-
-def pair(first: Iterator[CloudLabels], second: Iterator[CloudLabels]) -> Iterator[LabelPair]:
-    """The clouds of two runs by their stamps, which increase."""
+def pair(
+    first: Iterator[CloudLabels], second: Iterator[CloudLabels]
+) -> Iterator[tuple[CloudLabels | None, CloudLabels | None]]:
+    """The clouds of two runs by their stamps, which increase, row by row the same returns; None where a run has no such."""
     for a, b in side_by_side(first, second, lambda cloud: cloud.stamp_ns):
         if a is not None and b is not None and a.every_place != b.every_place:
             # A recording has rows for returns alone.
             a, b = a.of_returns(), b.of_returns()
-        yield LabelPair(a, b)
+        yield a, b
 
 
 T = TypeVar("T")

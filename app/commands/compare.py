@@ -3,8 +3,8 @@
 import string
 import tempfile
 import uuid
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,7 +12,6 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from ffmap.algorithms.base.scan import FloatArray
 from ffmap.app.analysis import comparison_report as report
 from ffmap.app.analysis.comparison import (
     Comparison,
@@ -112,7 +111,8 @@ def _readable(letter: str, run: FinishedRun, stack: ExitStack, warnings: list[st
     if recording is not None and recording.warning is not None:
         warnings.append(f"{letter}: {recording.warning}")
     source = LabelSource(run, recording)
-    return RunToCompare(letter, run, recording, source.file if source.has_labels() else None)
+    # A recording of the map alone has no labels.
+    return RunToCompare(letter, run, recording, source.file if next(source.read(), None) is not None else None)
 
 
 @dataclass(frozen=True)
@@ -125,11 +125,9 @@ class _Parts:
     written: list[Path] = field(default_factory=list)
     scan_of: dict[int, int] = field(default_factory=dict)
 
-    @contextmanager
-    def open(self, name: str) -> Iterator[Stream]:
+    def open(self, name: str) -> AbstractContextManager[Stream]:
         """A new part; it belongs to the recording once it is added to those that are written."""
-        with open_part(self.spool / name, self.recording_id) as stream:
-            yield stream
+        return open_part(self.spool / name, self.recording_id)
 
 
 def _compare(runs: Sequence[RunToCompare], warnings: Sequence[str], parts: _Parts, progress: Progress) -> Comparison:
@@ -220,13 +218,11 @@ def _write_findings(comparison: Comparison, parts: _Parts) -> None:
         for k, run in enumerate(comparison.runs):
             if run.letter not in apart:
                 color = entities.RUN_COLORS[k % len(entities.RUN_COLORS)]
-                recorder.log_run(run.letter, color, _path_of(run.run), grid_of(run.run))
+                poses = run.run.trajectory
+                path = read_tum(poses).T_map_base[:, :3, 3] if poses is not None else None
+                recorder.log_run(run.letter, color, path, grid_of(run.run))
         for change in comparison.changes:
             recorder.log_pair(change.b.letter, change, report.pair_document(change, comparison), parts.scan_of)
-
-
-def _path_of(run: FinishedRun) -> FloatArray | None:
-    return read_tum(run.trajectory).T_map_base[:, :3, 3] if run.trajectory is not None else None
 
 
 def _print(comparison: Comparison) -> None:

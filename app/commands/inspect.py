@@ -78,9 +78,9 @@ def _number(wanted: str) -> int:
 
 def _target(run: FinishedRun, out: Path | None, number: int) -> Path:
     """Where the recording is written; never over what a run made."""
-    path = run.path / f"inspect-{number}.rrd" if out is None else out
+    path = out or run.path
     if path.is_dir():
-        path = path / f"inspect-{number}.rrd"
+        path /= f"inspect-{number}.rrd"
     if path.suffix != ".rrd":
         raise InputError(f"{path}: a recording's name ends in .rrd; give another to --out")
     check_no_run_loses(path)

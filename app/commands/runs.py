@@ -65,7 +65,8 @@ def _show(answer: Answer, query: Query, columns: str | None, place: str) -> None
     elif columns is None:
         # The names take at most half a screen, with the table's edges.
         longest = max(map(len, names), default=0)
-        shown = _fit(cells, console.width - min(longest, console.width // 2) - 4)
+        widths = {name: max(map(len, (*_heading(name).split("\n"), *cells[name]))) for name in chosen}
+        shown = figures.fit(widths, console.width - min(longest, console.width // 2) - 4)
     console.print(_table(names, {name: cells[name] for name in shown}, console))
     where = f", where {query.where}" if query.where else ""
     typer.echo(f"{_count(len(names))} in {parent}{where}")
@@ -73,17 +74,6 @@ def _show(answer: Answer, query: Query, columns: str | None, place: str) -> None
         typer.echo(
             f"no room for settings that differ: {', '.join(left_out)}; choose with --columns, or pipe the table to a file"
         )
-
-
-def _fit(cells: Mapping[str, Sequence[str]], room: int) -> list[str]:
-    """As many columns, from the first on, as there is room for."""
-    shown: list[str] = []
-    for name, values in cells.items():
-        room -= max(map(len, (*_heading(name).split("\n"), *values))) + 3
-        if room < 0:
-            break
-        shown.append(name)
-    return shown
 
 
 def _heading(name: str) -> str:

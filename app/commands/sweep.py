@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import typer
 
 from ffmap.app.folder import figures
-from ffmap.app.folder.names import PROGRAM, RunFolder
-from ffmap.app.folder.sweep_files import RECORDING, SWEEP_JSON, TABLE
+from ffmap.app.folder.atomic import write_json
+from ffmap.app.folder.names import PROGRAM, SweepFile
 from ffmap.app.parameters import SweepParameters
 from ffmap.app.progress import Progress
 from ffmap.app.setup.inputs import total_digest
@@ -27,7 +27,7 @@ def sweep(words: SweepParameters) -> int:
     Raises InputError before anything starts where a setting, a bag, the folder or the scheduler is wrong.
     """
     plan = make_ready(words)
-    if not (plan.out / SWEEP_JSON).exists():
+    if not (plan.out / SweepFile.JSON).exists():
         _write_json(plan, [])
     search = plan.search()
     started = time.monotonic()
@@ -38,12 +38,12 @@ def sweep(words: SweepParameters) -> int:
         raise SystemExit(130) from None
     runs = list(schedule.runs.values())
     results = Results(runs, plan.parameters, words.objective)
-    results.write(plan.out / TABLE)
+    results.write(plan.out / SweepFile.TABLE)
     _write_json(plan, runs)
     if results.trials:
         from ffmap.app.record.sweep import write_recording
 
-        write_recording(plan.out / RECORDING, results, results.failures, plan.bags[0].bag_path.name)
+        write_recording(plan.out / SweepFile.RECORDING, results, results.failures, plan.bags[0].bag_path.name)
     if not words.quiet:
         _report(plan, results, len(schedule.odometries), time.monotonic() - started)
     return len(results.failures)
@@ -109,7 +109,7 @@ def _write_json(plan: Sweep, runs: Sequence[Run]) -> None:
         "settings": plan.base.model_dump(mode="json"),
         "runs": [{"run": run.job.name, "values": dict(run.combination), "error": run.error} for run in runs],
     }
-    RunFolder(plan.out).write_json(content, SWEEP_JSON)
+    write_json(plan.out / SweepFile.JSON, content)
 
 
 def _report(plan: Sweep, results: Results, odometries: int, seconds: float) -> None:
@@ -124,9 +124,9 @@ def _report(plan: Sweep, results: Results, odometries: int, seconds: float) -> N
         f"{odometries} odometries computed, in {seconds:.0f} s"
     )
     typer.echo(f"results:   {plan.out}  (query them: ffmap runs {plan.out})")
-    typer.echo(f"table:     {plan.out / TABLE}")
+    typer.echo(f"table:     {plan.out / SweepFile.TABLE}")
     if results.trials:
-        typer.echo(f"recording: {plan.out / RECORDING}  (open it: ffmap view {plan.out})")
+        typer.echo(f"recording: {plan.out / SweepFile.RECORDING}  (open it: ffmap view {plan.out})")
     others = {str(run.record.get("versions", {}).get("git_revision")) for run in runs if run.reused}
     others -= {versions()["git_revision"]}
     if others:

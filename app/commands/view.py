@@ -16,10 +16,9 @@ from urllib.parse import quote
 import psutil
 import typer
 
-from ffmap.app.folder import sweep_files
 from ffmap.app.folder.finished_run import FinishedRun, open_run
 from ffmap.app.folder.map_files import read_map
-from ffmap.app.folder.names import EVALUATION, RECORDING, RUN_JSON, map_file
+from ffmap.app.folder.names import EVALUATION, RECORDING, RUN_JSON, SweepFile, map_file
 from ffmap.app.own_command import has_display, own_command
 from ffmap.app.record.catalogue.server import LOOPBACK
 from ffmap.app.record.stream import free_port, open_part
@@ -159,8 +158,8 @@ def files_of(place: Path) -> list[Path]:
         return [place]
     if not place.exists():
         raise InputError(f"{place}: no such folder or file; give a run's folder, a sweep's, or a .rrd")
-    if (place / sweep_files.RECORDING).exists():
-        return [place / sweep_files.RECORDING]
+    if (place / SweepFile.RECORDING).exists():
+        return [place / SweepFile.RECORDING]
     if not (place / RUN_JSON).exists():
         raise InputError(f"{place}: is no run and no sweep; 'ffmap runs DIR' lists those in a folder")
     files = [place / name for name in (RECORDING, EVALUATION) if (place / name).exists()]

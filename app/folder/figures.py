@@ -27,19 +27,10 @@ HEADLINES = (
 """The figures that a table shows where nobody chooses; those that no run has are left out."""
 
 STEPS = (
-    *(
-        "scan",
-        "odometry",
-        "refinement",
-        "pose_graph",
-        "trajectory",
-        "smoothing",
-        "rearrangement",
-        "vertical_structures",
-    ),
-    *("wall_planes", "doors", "labelling", "building", "levels", "face_columns", "face_alignment", "standing_walls"),
-    *("missed_walls", "before_walls", "openings", "windows", "door_frames", "wall_thickness", "grid_map", "area_graph"),
-    *("room_outlines", "rival_maps", "floor_plan", "relabelling"),
+    *("scan", "odometry", "refinement", "pose_graph", "trajectory", "smoothing", "rearrangement"),
+    *("vertical_structures", "wall_planes", "doors", "labelling", "building", "levels", "face_columns"),
+    *("face_alignment", "standing_walls", "missed_walls", "before_walls", "openings", "windows", "door_frames"),
+    *("wall_thickness", "grid_map", "area_graph", "room_outlines", "rival_maps", "floor_plan", "relabelling"),
 )
 """The steps that have settings. Not asked of `app.settings`: with it comes the whole method, which a list need not wait for."""
 
@@ -164,12 +155,12 @@ def pareto_front(cost: Sequence[float], quality: Sequence[float]) -> list[int]:
     return front
 
 
-def fit(columns: Sequence[str], width: int) -> list[str]:
-    """As many columns, from the first on, as there is room for with their whole headings; at least three."""
+def fit(widths: Mapping[str, int], room: int, least: int = 0) -> list[str]:
+    """As many columns, from the first on, as there is room for with their edges; `least` whatever the room."""
     shown: list[str] = []
-    for name in columns:
-        width -= len(name) + 3
-        if width < 0 and len(shown) >= 3:
+    for name, width in widths.items():
+        room -= width + 3
+        if room < 0 and len(shown) >= least:
             break
         shown.append(name)
     return shown

@@ -12,7 +12,6 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.app.folder.names import (
     LABELLED_BAG,
     LABELLED_FOLDER,
-    METRICS,
     RECORDING,
     RUN_JSON,
     TRAJECTORY,
@@ -100,11 +99,6 @@ class FinishedRun:
         """T_map_base at each vertical scan's stamp."""
         return self.file(TRAJECTORY)
 
-    @property
-    def metrics(self) -> Path | None:
-        """Figures against the truth."""
-        return self.file(METRICS)
-
     def file(self, name: str) -> Path | None:
         """A file of the run; None where the run has none. Raises InputError where it is no file, but a folder or a pipe."""
         path = self.path / name
@@ -117,13 +111,7 @@ class FinishedRun:
     def bag_path(self) -> Path | None:
         """The bag that the run was made from; it may be gone."""
         path = self.part("bag").get("path")
-        return Path(path) if isinstance(path, str) else None
-
-    @property
-    def bag_digest(self) -> str | None:
-        """What names the bag's content."""
-        digest = self.part("bag").get("digest")
-        return digest if isinstance(digest, str) else None
+        return Path(path) if path is not None else None
 
     def labelled_same_clouds(self, other: "FinishedRun") -> bool:
         """Whether both labelled the very same clouds; by their times alone where one was killed before it had read all."""
@@ -142,7 +130,7 @@ class FinishedRun:
     def topic(self) -> str | None:
         """The topic of the clouds that were labelled."""
         vertical = self.part("rig").get("vertical")
-        return str(vertical["topic"]) if isinstance(vertical, Mapping) and "topic" in vertical else None
+        return str(vertical["topic"]) if vertical is not None else None
 
     @property
     def input_options(self) -> InputOptions:
@@ -162,14 +150,13 @@ class FinishedRun:
     def settings(self) -> Settings:
         """The settings that the run was made with; raises InputError where this version does not know them."""
         settings = self.record.get("settings")
-        if not isinstance(settings, dict):
+        if settings is None:
             raise InputError(f"{self.path / RUN_JSON}: holds no settings; run ffmap again")
         return validate(settings, str(self.path / RUN_JSON))
 
     def part(self, name: str) -> Record:
         """One mapping within the record; empty where there is none."""
-        value = self.record.get(name)
-        return value if isinstance(value, Mapping) else {}
+        return self.record.get(name) or {}
 
 
 def open_run(path: Path) -> FinishedRun:

@@ -74,13 +74,9 @@ def read_labels(path: Path, first: int = 0, count: int | None = None) -> dict[in
     last = np.iinfo(np.int32).max if count is None else first + count
     try:
         table = pq.read_table(path, filters=[("scan", ">=", first), ("scan", "<", last)])
-        rows = {name: table.column(name).combine_chunks() for name in _SCHEMA.names}
+        return {scan: (own, of_scan) for batch in table.to_batches() for scan, own, of_scan in _rows(batch)}
     except (OSError, KeyError, pa.ArrowInvalid) as error:
         raise InputError(f"{path}: cannot be read ({error}); make the run again") from error
-    return {
-        int(scan): (_values(rows["label"], i), _values(rows["label_scan"], i))
-        for i, scan in enumerate(rows["scan"].to_numpy())
-    }
 
 
 def stream_labels(path: Path) -> Iterator[ScanLabels]:
@@ -89,10 +85,10 @@ def stream_labels(path: Path) -> Iterator[ScanLabels]:
     Raises OSError, KeyError or an error of pyarrow's where the file cannot be read.
     """
     for batch in pq.ParquetFile(path).iter_batches(_SCANS_AT_ONCE):
-        columns = [batch.column(name) for name in _SCHEMA.names]
-        for row, scan in enumerate(columns[0].to_numpy()):
-            yield int(scan), _values(columns[1], row), _values(columns[2], row)
+        yield from _rows(batch)
 
 
-def _values(lists: pa.ListArray, row: int) -> UInt8Array:
-    return np.asarray(lists[row].values.to_numpy(), np.uint8)
+def _rows(batch: pa.RecordBatch) -> Iterator[ScanLabels]:
+    for scan, *labels in zip(*(batch.column(name) for name in _SCHEMA.names), strict=True):
+        label, label_scan = (np.asarray(values.values.to_numpy(), np.uint8) for values in labels)
+        yield scan.as_py(), label, label_scan

@@ -4,7 +4,6 @@ An earlier run is replaced only once the new one is complete: until then that li
 is ever removed but files that runs write.
 """
 
-import json
 import os
 import re
 import sys
@@ -13,11 +12,12 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
+from enum import StrEnum
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from ffmap.app.folder.atomic import write_text
+from ffmap.app.folder.atomic import write_json
 from ffmap.app.folder.record import check_record
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.text_files import read_object
@@ -46,6 +46,16 @@ REPLACEMENT = ".replacement"
 """Within the folder of an earlier run: the run that takes its place when it is complete."""
 PROGRAM = "furniture-free-mapping"
 """What run.json says that it was written by."""
+
+
+class SweepFile(StrEnum):
+    """In a sweep's folder, beside its runs."""
+
+    JSON = "sweep.json"
+    TABLE = "sweep.parquet"
+    RECORDING = "sweep.rrd"
+    STUDY = "optuna.journal"
+
 
 _WITHIN = re.compile(
     rf"{LABELLED_FOLDER}|metadata\.yaml|{LABELLED_FOLDER}(_\d+)?\.(db3|mcap)"
@@ -105,9 +115,9 @@ class RunFolder:
             raise InputError(f"{self.path}: is no run folder (it has no {RUN_JSON}); give one that 'ffmap run' made")
         return check_record(read_object(path, "give another run folder"), path)
 
-    def write_json(self, content: dict[str, Any], name: str = RUN_JSON) -> None:
-        """Write a JSON file whole or not at all."""
-        write_text(self.path / name, json.dumps(content, indent=2, ensure_ascii=False, default=str) + "\n")
+    def write_json(self, content: dict[str, Any]) -> None:
+        """run.json, whole or not at all."""
+        write_json(self.path / RUN_JSON, content)
 
 
 def default_path(bag: Path, settings_hash: str) -> Path:
@@ -248,68 +258,60 @@ def _remove(path: Path) -> None:
 
 
 @contextmanager
-def held(path: Path) -> Iterator[None]:
-    """Keep every other run out of a run folder, for as long as the context lasts.
+def held(path: Path, patience_s: float = 0.15) -> Iterator[bool]:
+    """Keep every other run out of a run folder, or from some file, for as long as the context lasts.
 
-    The system itself lets go of the folder when the process ends, however that happens, and nothing is left behind. Where
-    folders cannot be locked, as on some network drives, none is. Raises InputError where another run is at it.
+    The system itself lets go of it when the process ends, however that happens, and nothing is left behind. Where it
+    cannot be locked, as on some network drives, nobody is kept out; yields whether anybody is.
+
+    patience_s: who asks whether the folder is held holds it for a moment. Raises InputError where another run is at it.
     """
-    if sys.platform == "win32":
-        yield
-        return
-    import fcntl
-
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+        descriptor = os.open(path, os.O_RDONLY)
     except OSError:
         # What is wrong with it is said by whoever reads it or writes there.
-        yield
+        yield False
         return
     try:
-        # Who asks whether the folder is held holds it for a moment.
-        for last in (False, False, False, True):
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                if last:
-                    raise InputError(
-                        f"{path}: another run is writing there; wait for its end, or give another folder to --out"
-                    ) from None
-                time.sleep(0.05)
-            except OSError:
-                break
-            else:
-                break
-        yield
+        yield _lock(descriptor, path, patience_s)
     finally:
         os.close(descriptor)
+
+
+def _lock(descriptor: int, path: Path, patience_s: float) -> bool:
+    if sys.platform == "win32":
+        return False
+    import fcntl
+
+    until_s = time.monotonic() + patience_s
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() >= until_s:
+                raise InputError(
+                    f"{path}: another run is writing there; wait for its end, or give another folder to --out"
+                ) from None
+            time.sleep(0.05)
+        except OSError:
+            return False
+        else:
+            return True
+
+
+def is_held(path: Path) -> bool:
+    """Whether a run is at a folder now, see `held`; where folders cannot be locked, nobody knows, and one may be."""
+    try:
+        with held(path) as locked:
+            return path.exists() and not locked
+    except InputError:
+        return True
 
 
 def check_same_run(folder: RunFolder, record: Mapping[str, Any]) -> None:
     """Raises InputError where another run has taken the folder since `record` was read: nothing of this one belongs there."""
     if folder.read_json().get("recording_id") != record.get("recording_id"):
         raise InputError(f"{folder.path}: another run has taken this one's place meanwhile; start again")
-
-
-def is_held(path: Path) -> bool:
-    """Whether a run is at a folder now, see `held`; where folders cannot be locked, nobody knows, and one may be."""
-    if sys.platform == "win32":
-        return True
-    import fcntl
-
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-    except OSError:
-        return False
-    try:
-        # Shared, so that others who ask at the same time do not take each other for a run.
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:
-        return True
-    else:
-        return False
-    finally:
-        os.close(descriptor)
 
 
 def check_no_run_loses(path: Path, option: str = "--out") -> None:

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -199,46 +198,42 @@ def _draw_foot(foot: ElementTree.Element, title: str, direction_deg: float, widt
     _add(foot, "text", f"turned by {by_deg}° to draw walls square", x=95, y=f"{top + 19:.2f}")
 
 
-@dataclass(frozen=True)
-class _LegendEntry:
-    """words: what it means. draw: puts an example into a group, with its upper left corner at x, y, `_SYMBOL_MM` large."""
-
-    words: str
-    draw: Callable[[ElementTree.Element, float, float], None]
+_Symbol = Callable[[ElementTree.Element, float, float], None]
+"""Puts an example into a group of the legend, with its upper left corner at x, y, `_SYMBOL_MM` large."""
 
 
-def _legend(plan: FloorPlan) -> list[_LegendEntry]:
-    """What occurs on the plan, and nothing else."""
+def _legend(plan: FloorPlan) -> list[tuple[str, _Symbol]]:
+    """What occurs on the plan, and nothing else: in words, and how it is drawn."""
     closed = [door.state == DoorState.CLOSED for door in plan.doors]
     unseen = [not shut and not door.leaves for shut, door in zip(closed, plan.doors, strict=True)]
     entries = [
-        (plan.walls, _LegendEntry("wall, both sides seen", _block("wall"))),
-        (plan.assumed, _LegendEntry("wall, one side seen, its thickness assumed", _block("assumed"))),
-        (plan.columns, _LegendEntry("column", _block("column"))),
-        (plan.windows, _LegendEntry("window", _window_symbol)),
-        (any(closed), _LegendEntry("closed door", _in_wall("leaf"))),
-        (any(door.leaves for door in plan.doors), _LegendEntry("open door, its leaf as it stood", _swing_symbol)),
-        (any(unseen), _LegendEntry("open doorway, no leaf seen", _in_wall("unknown"))),
-        (plan.rooms, _LegendEntry("room as far as seen; colours tell rooms apart", _room_symbol)),
+        (plan.walls, "wall, both sides seen", _block("wall")),
+        (plan.assumed, "wall, one side seen, its thickness assumed", _block("assumed")),
+        (plan.columns, "column", _block("column")),
+        (plan.windows, "window", _window_symbol),
+        (any(closed), "closed door", _in_wall("leaf")),
+        (any(door.leaves for door in plan.doors), "open door, its leaf as it stood", _swing_symbol),
+        (any(unseen), "open doorway, no leaf seen", _in_wall("unknown")),
+        (plan.rooms, "room as far as seen; colours tell rooms apart", _room_symbol),
     ]
-    return [entry for occurs, entry in entries if occurs]
+    return [(words, draw) for occurs, words, draw in entries if occurs]
 
 
-def _draw_legend(group: ElementTree.Element, legend: Sequence[_LegendEntry], columns: int, top: float) -> None:
-    for place, entry in enumerate(legend):
+def _draw_legend(group: ElementTree.Element, legend: Sequence[tuple[str, _Symbol]], columns: int, top: float) -> None:
+    for place, (words, draw) in enumerate(legend):
         x, y = 6 + _LEGEND_COLUMN_MM * (place % columns), top + _LEGEND_ROW_MM * (place // columns) - 4
-        entry.draw(group, x, y)
-        _add(group, "text", entry.words, x=x + _SYMBOL_MM[0] + 3, y=f"{y + 2.6:.2f}")
+        draw(group, x, y)
+        _add(group, "text", words, x=x + _SYMBOL_MM[0] + 3, y=f"{y + 2.6:.2f}")
 
 
-def _block(kind: str) -> Callable[[ElementTree.Element, float, float], None]:
+def _block(kind: str) -> _Symbol:
     def draw(group: ElementTree.Element, x: float, y: float) -> None:
         _add(group, "rect", class_=kind, x=x, y=f"{y:.2f}", width=_SYMBOL_MM[0], height=_SYMBOL_MM[1])
 
     return draw
 
 
-def _in_wall(kind: str) -> Callable[[ElementTree.Element, float, float], None]:
+def _in_wall(kind: str) -> _Symbol:
     """A doorway between two ends of wall, with a line of this kind across."""
 
     def draw(group: ElementTree.Element, x: float, y: float) -> None:

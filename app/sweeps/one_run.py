@@ -6,6 +6,7 @@ waited for rather than made twice.
 """
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -15,14 +16,13 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
 from ffmap.app.folder.finished_run import open_run
-from ffmap.app.folder.names import ERROR_LOG, METRICS, RunFolder
+from ffmap.app.folder.names import ERROR_LOG, METRICS, RunFolder, held
 from ffmap.app.run.odometry import Odometry
 from ffmap.app.run.odometry_cache import CACHE_VARIABLE
 from ffmap.app.run.start import Arguments, carry_out, make_ready, stored
@@ -155,7 +155,9 @@ def main() -> None:
     job = Job.model_validate_json(sys.stdin.buffer.readline())
     threading.Thread(target=_end_with_the_other_side, daemon=True).start()
     try:
-        with _alone(job.lock):
+        job.lock.parent.mkdir(parents=True, exist_ok=True)
+        job.lock.touch()
+        with held(job.lock, patience_s=math.inf):
             _do(job)
     except InputError as error:
         sys.stderr.write(f"{error}\n")
@@ -205,17 +207,3 @@ def _end_with_the_other_side() -> None:
     if sys.platform != "win32":
         os.killpg(0, signal.SIGKILL)
     os._exit(1)
-
-
-@contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Wait until no other process holds the lock; the system lets go of it when its holder ends, however that happens."""
-    if sys.platform == "win32":
-        yield
-        return
-    import fcntl
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield

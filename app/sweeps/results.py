@@ -39,7 +39,8 @@ class Results(Ranking):
         # A step's name stands above its setting's.
         headings = {name: short.replace(".", ".\n") for name, short in names.items()}
         taken = sum(max(map(len, heading.split("\n"))) + 3 for heading in headings.values())
-        shown = figures.fit(self.headlines, width - taken - max(len(run.job.name) for run in self.runs) - 12)
+        room = width - taken - max(len(run.job.name) for run in self.runs) - 12
+        shown = figures.fit({name: len(name) for name in self.headlines}, room, least=3)
         arrow = "least" if figures.less_is_better(self.objective) else "highest"
         rows = []
         for place in self.ranked:

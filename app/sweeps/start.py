@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ffmap.app.folder import figures
-from ffmap.app.folder.names import PROGRAM, require_writable
-from ffmap.app.folder.sweep_files import STUDY, SWEEP_JSON
+from ffmap.app.folder.names import PROGRAM, SweepFile, require_writable
 from ffmap.app.parameters import SweepParameters, one_for_each_core
 from ffmap.app.run.odometry import name_of
 from ffmap.app.run.odometry_cache import cache_folder
@@ -51,7 +50,7 @@ class Sweep:
         """Where the combinations come from; raises InputError where Optuna is wanted and not installed."""
         words = self.words
         if words.optuna is not None:
-            return Study(self.parameters, words.optuna, words.seed, words.objective, self.out / STUDY)
+            return Study(self.parameters, words.optuna, words.seed, words.objective, self.out / SweepFile.STUDY)
         if words.random is not None:
             return plan.random_of(self.parameters, words.random, words.seed)
         return plan.grid_of(self.parameters)
@@ -133,7 +132,7 @@ def _create(out: Path) -> None:
 
 def _is_sweep(folder: Path) -> bool:
     try:
-        return bool(read_json(folder / SWEEP_JSON, "")["program"] == PROGRAM)
+        return bool(read_json(folder / SweepFile.JSON, "")["program"] == PROGRAM)
     except (InputError, LookupError, TypeError):
         return False
 
@@ -160,7 +159,7 @@ def workers_of(sweep: Sweep) -> Iterator[tuple[Executor, Callable[[], int], Path
     from ffmap.app.sweeps.cluster import connect
 
     # A worker sees the folder if it sees what lies in it.
-    needed = [sweep.out / SWEEP_JSON, *(inputs.bag_path for inputs in sweep.bags)]
+    needed = [sweep.out / SweepFile.JSON, *(inputs.bag_path for inputs in sweep.bags)]
     with connect(scheduler, needed, sweep.out) as cluster:
         shared = _can_write(own) and cluster.all_see(own / _MARK)
         yield cluster.executor, lambda: cluster.slots, own if shared else sweep.out

@@ -15,7 +15,8 @@ from shapely.geometry.base import BaseGeometry
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.loaders.simulator.bag_writing import BagWriter
+from ffmap.loaders.frames import StaticTransform
+from ffmap.loaders.simulator.bag_writing import DriveWriter
 from ffmap.loaders.simulator.building import Plan, build_structure
 from ffmap.loaders.simulator.furniture import build_outside, furnish
 from ffmap.loaders.simulator.mesh import Mesh, MeshBuilder
@@ -139,11 +140,11 @@ def simulate(
     """
     clouds: dict[str, int] = {}
     points: dict[str, int] = {}
-    with BagWriter(out, settings.format) as writer:
+    with DriveWriter(out, settings.format) as writer:
         scene = draw_scene(settings)
         world = World(scene.mesh, scene.walkers)
-        frames = {lidar.frame_id: lidar.T_base_sensor for lidar in scene.lidars}
-        writer.write("/tf_static", writer.static_transforms(BASE_FRAME, frames, EPOCH_NS), EPOCH_NS, latched=True)
+        frames = [StaticTransform(BASE_FRAME, lidar.frame_id, lidar.T_base_sensor) for lidar in scene.lidars]
+        writer.write("/tf_static", writer.transforms(EPOCH_NS, frames), EPOCH_NS, latched=True)
         writer.write("/truth/building", writer.text(json.dumps(scene.truth)), EPOCH_NS, latched=True)
         written = 0
         jobs = _jobs(scene.lidars, settings)
@@ -166,7 +167,7 @@ def simulate(
     )  # fmt: skip
 
 
-def _write_poses(writer: BagWriter, trajectory: Trajectory, first: int, until_ns: int) -> int:
+def _write_poses(writer: DriveWriter, trajectory: Trajectory, first: int, until_ns: int) -> int:
     """The poses from number `first` up to a time; returns the number of the next."""
     following = int(np.searchsorted(trajectory.stamp_ns, until_ns, side="right"))
     for i in range(first, following):

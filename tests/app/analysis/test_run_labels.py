@@ -29,24 +29,19 @@ def test_clouds_meet_by_their_stamps(
     first: list[int], second: list[int], both: list[int], only_first: list[int], only_second: list[int]
 ) -> None:
     found = list(pair(map(cloud, first), map(cloud, second)))
-    assert [p.a.stamp_ns for p in found if p.a and p.b] == both
-    assert [p.a.stamp_ns for p in found if p.a and not p.b] == only_first
-    assert [p.b.stamp_ns for p in found if p.b and not p.a] == only_second
-    for met in found:
-        assert met.same_cloud == (met.a is not None and met.b is not None)
-        if met.a and met.b:
-            assert met.a.stamp_ns == met.b.stamp_ns
+    assert [(a.stamp_ns, b.stamp_ns) for a, b in found if a and b] == [(stamp, stamp) for stamp in both]
+    assert [a.stamp_ns for a, b in found if a and not b] == only_first
+    assert [b.stamp_ns for a, b in found if b and not a] == only_second
 
 
 def test_a_recordings_rows_are_the_labelled_bags_without_its_empty_places() -> None:
-    (met,) = pair(iter([cloud(100)]), iter([cloud(100, every_place=False)]))
-    assert met.same_cloud
-    assert met.a is not None
-    assert met.b is not None
-    assert met.a.label_scan.tolist() == met.b.label_scan.tolist() == [1, 3, 4, 0]
-    assert met.a.points_map is not None
-    assert met.a.points_map[:, 0].tolist() == [0.0, 6.0, 9.0, 15.0]
+    ((a, b),) = pair(iter([cloud(100)]), iter([cloud(100, every_place=False)]))
+    assert a is not None
+    assert b is not None
+    assert a.label_scan.tolist() == b.label_scan.tolist() == [1, 3, 4, 0]
+    assert a.points_map is not None
+    assert a.points_map[:, 0].tolist() == [0.0, 6.0, 9.0, 15.0]
     # Where both have every place, nothing is left out.
-    (met,) = pair(iter([cloud(100)]), iter([cloud(100)]))
-    assert met.a is not None
-    assert len(met.a.label_scan) == 6
+    ((a, b),) = pair(iter([cloud(100)]), iter([cloud(100)]))
+    assert a is not None
+    assert len(a.label_scan) == 6

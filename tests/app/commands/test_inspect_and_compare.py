@@ -341,20 +341,18 @@ def test_whichever_file_has_the_labels_they_are_the_same(runs: dict[str, Path], 
     pq.write_table(pa.table(columns), alone / LABELS)
     with readable(without_bag / "recording.rrd") as recording:
         for source in (LabelSource(open_run(without_bag), recording), LabelSource(open_run(alone), None)):
-            assert source.has_labels()
             clouds = 0
-            for found in pair(bag.read(with_points=True), source.read(with_points=True)):
+            for a, b in pair(bag.read(with_points=True), source.read(with_points=True)):
                 clouds += 1
-                assert found.same_cloud
-                assert found.a is not None
-                assert found.b is not None
-                np.testing.assert_array_equal(found.a.label, found.b.label)
-                np.testing.assert_array_equal(found.a.label_scan, found.b.label_scan)
-                assert found.a.points_map is not None
-                assert found.b.points_map is not None
+                assert a is not None
+                assert b is not None
+                np.testing.assert_array_equal(a.label, b.label)
+                np.testing.assert_array_equal(a.label_scan, b.label_scan)
+                assert a.points_map is not None
+                assert b.points_map is not None
                 # A recording's points are rounded, and levelled by the scan's own floor.
-                returned = np.isfinite(found.a.points_map).all(axis=1)
-                assert np.linalg.norm((found.a.points_map - found.b.points_map)[returned], axis=1).max() < 0.2
+                returned = np.isfinite(a.points_map).all(axis=1)
+                assert np.linalg.norm((a.points_map - b.points_map)[returned], axis=1).max() < 0.2
             assert clouds == SCANS
     # A scan that is labelled again is compared with them, too.
     again = inspection.label_again(open_run(alone), 3)

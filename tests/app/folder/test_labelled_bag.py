@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.app.folder.labelled_bag import LabelledBagWriter, write_labelled_bag
+from ffmap.app.folder.labelled_bag import write_labelled_bag
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.frames import StaticTransform
 from ffmap.loaders.rig import Rig
@@ -159,9 +159,3 @@ class TestLabelledBag:
             index = index_clouds(bag, "/vertical")
             with pytest.raises(ValueError, match="out of order"):
                 write_labelled_bag(tmp_path, bag, index, RIG, drive(), [(1, label, label), (0, label, label)])
-
-    def test_no_clouds_at_all(self, tmp_path: Path):
-        with LabelledBagWriter(tmp_path, "ros1", "/vertical", "base", []):
-            pass
-        with AnyReader([tmp_path / "labelled.bag"]) as reader:
-            assert reader.message_count == 0

@@ -64,6 +64,6 @@ class TestGeojson:
 
     def test_a_failure_leaves_the_earlier_file(self, tmp_path: Path):
         write_json(tmp_path / "a.json", 1)
-        with pytest.raises(TypeError):
+        with pytest.raises(AttributeError):
             write_json(tmp_path / "a.json", object())
         assert json.loads((tmp_path / "a.json").read_text()) == 1
