@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -131,14 +131,11 @@ def _count(share: _Share, bags: _Bags) -> tuple[Tally, int]:
     if share.layer is None:
         return _count_clouds(share, bags, lambda *_: None)
     # Rerun is not needed where a run has no recording.
-    from ffmap.app.record.errors import ScanErrors
-    from ffmap.app.record.stream import open_part
+    from ffmap.app.record.errors import log_scan_errors
+    from ffmap.app.record.log import open_log
 
-    with open_part(share.part, share.layer.recording_id) as stream:
-        errors = ScanErrors(stream)
-        counted = _count_clouds(share, bags, errors.log)
-        errors.finish()
-    return counted
+    with open_log(share.part, share.layer.recording_id) as log:
+        return _count_clouds(share, bags, partial(log_scan_errors, log))
 
 
 def _count_clouds(

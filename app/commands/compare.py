@@ -32,8 +32,9 @@ from ffmap.app.folder.finished_run import FinishedRun, open_run
 from ffmap.app.folder.names import check_no_run_loses, require_writable
 from ffmap.app.progress import Progress
 from ffmap.app.record.comparison import ComparisonRecorder, TransitionStyle, log_changed_points, write_rerooted
+from ffmap.app.record.log import Log, open_log
 from ffmap.app.record.read_back import readable, rows
-from ffmap.app.record.stream import Stream, join, open_part, write_layout
+from ffmap.app.record.stream import join, write_layout
 from ffmap.app.tables import make_table
 from ffmap.blueprints import compare as compare_blueprint
 from ffmap.blueprints import entities
@@ -125,9 +126,9 @@ class _Parts:
     written: list[Path] = field(default_factory=list)
     scan_of: dict[int, int] = field(default_factory=dict)
 
-    def open(self, name: str) -> AbstractContextManager[Stream]:
+    def open(self, name: str) -> AbstractContextManager[Log]:
         """A new part; it belongs to the recording once it is added to those that are written."""
-        return open_part(self.spool / name, self.recording_id)
+        return open_log(self.spool / name, self.recording_id)
 
 
 def _compare(runs: Sequence[RunToCompare], warnings: Sequence[str], parts: _Parts, progress: Progress) -> Comparison:
@@ -149,9 +150,9 @@ def _compare(runs: Sequence[RunToCompare], warnings: Sequence[str], parts: _Part
 
 def _compare_labels(change: PairChange, parts: _Parts, progress: Progress) -> None:
     comparing, name = LabelComparison(change.a, change.b), f"changes-{change.b.letter}.rrd"
-    with parts.open(name) as stream:
+    with parts.open(name) as log:
         for changed in comparing:
-            log_changed_points(stream, change.b.letter, changed)
+            log_changed_points(log, change.b.letter, changed)
             parts.scan_of[changed.stamp_ns] = changed.scan
             progress.advance()
     labels = comparing.result()
@@ -208,10 +209,10 @@ def _most_changed(changes: Sequence[PairChange], scan_of: dict[int, int]) -> tup
 
 
 def _write_findings(comparison: Comparison, parts: _Parts) -> None:
-    with parts.open("findings.rrd") as stream:
-        stream.send_recording_name(" – ".join(run.run.name for run in comparison.runs))
+    with parts.open("findings.rrd") as log:
+        log.stream.send_recording_name(" – ".join(run.run.name for run in comparison.runs))
         style = TransitionStyle.of([c.labels for c in comparison.changes if c.labels is not None])
-        recorder = ComparisonRecorder(stream, style)
+        recorder = ComparisonRecorder(log, style)
         recorder.log_common(report.runs_document(comparison))
         # Only runs of the same bag have a map frame in common.
         apart = {change.b.letter for change in comparison.changes if not change.same_bag}

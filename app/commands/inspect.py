@@ -1,7 +1,6 @@
 """ffmap inspect: one scan of a finished run, labelled again with all evidence, line by line."""
 
 import re
-import tempfile
 import uuid
 from collections.abc import Sequence
 from pathlib import Path
@@ -47,9 +46,8 @@ def inspect(run_path: Path, wanted: str, line: int | None, bag: Path | None, out
     counts = faults.counts(labelling.lines).tolist() if faults is not None else None
     document = scan_document(f"Scan {number} of {run.name}", notes, labelling, reasons, counts)
     opened = line if line is not None or faults is None else faults.worst_line(labelling.lines)
-    with tempfile.TemporaryDirectory(prefix="ffmap-inspect-") as spool:
-        explained = ExplainedScan(inspected.level, labelling, reasons, faults, document, opened)
-        write(target, Path(spool), str(uuid.uuid4()), explained)
+    explained = ExplainedScan(inspected.level, labelling, reasons, faults, document, opened)
+    write(target, str(uuid.uuid4()), explained)
     for note in notes:
         typer.echo(_PLAIN.sub("", note))
     if line is None:

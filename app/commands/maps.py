@@ -64,12 +64,11 @@ def maps(run_dir: Path, reference_path: Path) -> None:
 def _write_layer(out: Path, recording_id: str, compared: ComparedMaps) -> None:
     # Rerun is not needed where a run has no recording.
     from ffmap.app.record.errors import log_overlay
-    from ffmap.app.record.log import Log
-    from ffmap.app.record.stream import open_part
+    from ffmap.app.record.log import open_log
     from ffmap.blueprints import maps as maps_blueprint
     from ffmap.blueprints.run import view_of
 
     layout = maps_blueprint.build(*view_of(compared[entities.FURNITURE_FREE].grid))
-    with open_part(out, recording_id, layout) as stream:
+    with open_log(out, recording_id, layout=layout) as log:
         for name, one in compared.items():
-            log_overlay(Log(stream), name, one)
+            log_overlay(log, name, one)

@@ -23,7 +23,7 @@ from ffmap.algorithms.truth.changes import (
     name_transition,
 )
 from ffmap.app.record.building import log_grid
-from ffmap.app.record.log import Log, evidence, scan_columns
+from ffmap.app.record.log import Log, evidence, times
 from ffmap.app.record.read_back import chunk_stream
 from ffmap.app.record.shapes import annotations, at_height, strips, ui_radius
 from ffmap.blueprints import entities
@@ -77,9 +77,8 @@ def write_rerooted(source: Path, letter: str, out: Path, recording_id: str, scan
     return passed > 0
 
 
-def log_changed_points(stream: rr.RecordingStream, letter: str, changed: ChangedPoints) -> None:
+def log_changed_points(log: Log, letter: str, changed: ChangedPoints) -> None:
     """The points of one scan whose labels differ; their class ids are 7 × before + after."""
-    log = Log(stream)
     log.at(changed.stamp_ns, changed.scan)
     log.now(
         entities.CHANGED_POINTS.format(letter),
@@ -91,8 +90,8 @@ def log_changed_points(stream: rr.RecordingStream, letter: str, changed: Changed
 class ComparisonRecorder:
     """Logs what was found once all scans have been compared."""
 
-    def __init__(self, stream: rr.RecordingStream, style: TransitionStyle) -> None:
-        self._log, self._style = Log(stream), style
+    def __init__(self, log: Log, style: TransitionStyle) -> None:
+        self._log, self._style = log, style
 
     def log_common(self, text: str) -> None:
         """The runs in words, and the colours of what changed."""
@@ -139,7 +138,7 @@ class ComparisonRecorder:
         self._log.static(entities.CHANGED_CUBES.format(letter), drawn)
         if not change.scans:
             return
-        indexes = scan_columns([s.scan for s in change.scans], [s.stamp_ns for s in change.scans])
+        indexes = times([s.stamp_ns for s in change.scans], [s.scan for s in change.scans])
         counts = np.array([s.counts for s in change.scans]).reshape(len(change.scans), -1)
         points = np.maximum(counts.sum(axis=1), 1)
         path = entities.CHANGED_PERCENT.format(letter)
@@ -152,7 +151,7 @@ class ComparisonRecorder:
         self._log_curve(f"{path}/all", indexes, 100.0 * changed_scan / points, "label_scan", _WHITE)
 
     def _log_planes(self, letter: str, change: PlaneChange) -> None:
-        indexes = scan_columns(change.scan.tolist(), change.stamp_ns.tolist())
+        indexes = times(change.stamp_ns, change.scan)
         path = entities.CHANGED_PLANES.format(letter)
         self._log_curve(f"{path}/lost", indexes, change.lost.astype(float), "lost", entities.LOST_COLOR)
         self._log_curve(f"{path}/gained", indexes, change.gained.astype(float), "gained", entities.GAINED_COLOR)
@@ -162,7 +161,7 @@ class ComparisonRecorder:
         stamps = change.stamp_ns[known].tolist()
         if not stamps:
             return
-        indexes = scan_columns([scan_of[stamp] for stamp in stamps], stamps)
+        indexes = times(stamps, [scan_of[stamp] for stamp in stamps])
         path = entities.POSE_DISTANCE.format(letter)
         for name, values, color in (
             ("as they stand", change.figures.error_unaligned_m, _WHITE),

@@ -103,7 +103,7 @@ def log_line(log: Log, points_level: FloatArray, labelling: ScanLabelling, line:
     structures, sheet = labelling.structures, CurveSheet(len(labelling.lines) // 2)
     present = labelling.lines.samples[line, 0] >= 0
     strips, _ = unbroken(rounded(points_level[labelling.lines.samples[[line] if present else []]]))
-    log.stream.log(entities.EXAMPLE_LINE, rr.LineStrips3D(strips))
+    log.now(entities.EXAMPLE_LINE, rr.LineStrips3D(strips))
     middle, scale = sheet.EXAMPLE_HEIGHT / 2, sheet.EXAMPLE_HEIGHT / 2 / sheet.LIMIT
     step = sheet.WIDTH / (sheet.SAMPLES - 1)
     x = np.arange(sheet.SAMPLES) * step
@@ -112,7 +112,7 @@ def log_line(log: Log, points_level: FloatArray, labelling: ScanLabelling, line:
         (entities.CURVE_EXAMPLE_SLOPE, structures.slope),
     ):
         y = middle - scale * _clamped(values[line], sheet.LIMIT)
-        log.stream.log(path, rr.LineStrips2D(np.stack([x, y], axis=1, dtype=np.float32)[None] if present else []))
+        log.now(path, rr.LineStrips2D(np.stack([x, y], axis=1, dtype=np.float32)[None] if present else []))
     _log_structures_of(log, structures, line, step)
 
 
@@ -128,7 +128,7 @@ def _log_structures_of(log: Log, structures: VerticalStructures, line: int, step
     colors = np.full((len(own), 3), entities.FRAME_COLOR, np.uint8)
     colors[own == bottommost] = entities.BOTTOMMOST_COLOR
     colors[own == upmost] = entities.UPMOST_COLOR
-    log.stream.log(
+    log.now(
         entities.CURVE_EXAMPLE_STRUCTURES,
         rr.Boxes2D(array=boxes, array_format=rr.Box2DFormat.XYWH, colors=colors),
         evidence(line=np.array([line]), first=structures.first[own], last=structures.last[own]),
@@ -144,7 +144,7 @@ def _log_structures_of(log: Log, structures: VerticalStructures, line: int, step
 
     places = [(middle(s), height * sheet.EXAMPLE_HEIGHT) for s, _, _, height in named]
     texts, colors_of_texts = [name for _, name, _, _ in named], [color for _, _, color, _ in named]
-    log.stream.log(entities.CURVE_EXAMPLE_TEXTS, words(places, texts, colors_of_texts))
+    log.now(entities.CURVE_EXAMPLE_TEXTS, words(places, texts, colors_of_texts))
 
 
 def _float16(values: FloatArray) -> FloatArray:

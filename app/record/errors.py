@@ -22,9 +22,9 @@ from ffmap.algorithms.truth.labels import verdicts
 from ffmap.algorithms.truth.maps import ComparedMap, ComparedMaps, false_and_missed
 from ffmap.algorithms.truth.tally import CUBE_M, Tally, majorities
 from ffmap.app.folder.figures import queried
-from ffmap.app.record.log import Log, evidence, scan_columns
+from ffmap.app.record.log import Log, evidence, open_log
 from ffmap.app.record.shapes import at_height, strips, ui_radius, upright_frames
-from ffmap.app.record.stream import join, open_part, send_properties, write_layout
+from ffmap.app.record.stream import join, send_properties, write_layout
 from ffmap.app.record.whole_run import log_legend
 from ffmap.blueprints import entities
 
@@ -39,30 +39,13 @@ _LIFT_M = 0.03
 """Height in metres of outlines above the grid, which would hide them."""
 
 
-class ScanErrors:
-    """Collects scans' errors and logs them; one for each part of the layer."""
-
-    def __init__(self, stream: rr.RecordingStream) -> None:
-        self._log = Log(stream)
-        self._index: list[int] = []
-        self._stamp_ns: list[int] = []
-        self._percent: list[FloatArray] = []
-
-    def log(self, index: int, stamp_ns: int, truth: UInt8Array, label: UInt8Array) -> None:
-        """The points of one scan, in the order of its recorded ones."""
-        verdict = verdicts(truth, label)
-        self._log.at(stamp_ns, index)
-        self._log.now(entities.POINTS, evidence(**{entities.POINT_VERDICT_COLOR: VERDICT_COLORS[verdict]}))
-        self._index.append(index)
-        self._stamp_ns.append(stamp_ns)
-        self._percent.append(100.0 * np.bincount(verdict, minlength=len(Verdict)) / max(len(verdict), 1))
-
-    def finish(self) -> None:
-        """The share of each kind of error in each scan, as curves."""
-        if self._index:
-            indexes, percent = scan_columns(self._index, self._stamp_ns), np.array(self._percent)
-            for verdict in _ERRORS:
-                self._log.curve(entities.scan_error(verdict), indexes, percent[:, verdict])
+def log_scan_errors(log: Log, index: int, stamp_ns: int, truth: UInt8Array, label: UInt8Array) -> None:
+    """The points of one scan, in the order of its recorded ones; the share of each kind of error is gathered."""
+    verdict = verdicts(truth, label)
+    log.at(stamp_ns, index)
+    log.now(entities.POINTS, evidence(**{entities.POINT_VERDICT_COLOR: VERDICT_COLORS[verdict]}))
+    percent = 100.0 * np.bincount(verdict, minlength=len(Verdict)) / max(len(verdict), 1)
+    log.gather(index, stamp_ns, {entities.scan_error(error): percent[error] for error in _ERRORS})
 
 
 @dataclass(frozen=True)
@@ -85,13 +68,12 @@ class MapErrors:
 def write_layer(
     out: Path, spool: Path, parts: Sequence[Path], recording_id: str, blueprint: rrb.Blueprint, errors: MapErrors
 ) -> None:
-    """Join the scans' parts with what is wrong on the map. parts: of `ScanErrors`, in `spool`."""
+    """Join the scans' parts with what is wrong on the map. parts: with the scans' errors, in `spool`."""
     layout, own = spool / "layout.rrd", spool / "map.rrd"
     # The recording brings a layout of its own, which may be there first.
     write_layout(layout, recording_id, blueprint)
-    with open_part(own, recording_id) as stream:
-        send_properties(stream, "metrics", queried(errors.metrics))
-        log = Log(stream)
+    with open_log(own, recording_id) as log:
+        send_properties(log.stream, "metrics", queried(errors.metrics))
         log.text(entities.FIGURES, errors.text)
         log_legend(log, entities.ERROR_LEGEND, entities.ERROR_LEGEND_ENTRIES)
         for verdict in _ERRORS:

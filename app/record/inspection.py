@@ -15,12 +15,10 @@ from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.point_lines import PointLines
 from ffmap.app.record.curves import log_line
 from ffmap.app.record.line_reasons import LineReason, line_document
-from ffmap.app.record.log import Log
+from ffmap.app.record.log import Log, open_log
 from ffmap.app.record.scans import log_scan
 from ffmap.app.record.shapes import annotations, markdown, strips_2d, ui_radius, upright_frames, words
-from ffmap.app.record.stream import join, open_part, write_layout
 from ffmap.app.record.whole_run import log_static
-from ffmap.app.setup.outputs import Detail
 from ffmap.blueprints import entities
 from ffmap.blueprints import inspect as inspect_blueprint
 from ffmap.blueprints.entities import Fault
@@ -70,20 +68,16 @@ class ExplainedScan:
     line: int | None
 
 
-def write(out: Path, spool: Path, recording_id: str, scan: ExplainedScan) -> None:
-    """Write the recording of one scan. spool: a folder for its parts."""
-    layout, content = spool / "layout.rrd", spool / "content.rrd"
+def write(out: Path, recording_id: str, scan: ExplainedScan) -> None:
+    """Write the recording of one scan."""
     placed, labelling = scan.level.placed, scan.labelling
     size_m = _profile_size(placed, labelling)
     kinds = scan.faults.kinds if scan.faults is not None else ()
     middle = _middle(placed, labelling, scan.line)
-    write_layout(layout, recording_id, inspect_blueprint.build(size_m, scan.line, kinds, middle))
-    with open_part(content, recording_id) as stream:
-        log = Log(stream, Detail.LINES, timeless=True)
+    with open_log(out, recording_id, layout=inspect_blueprint.build(size_m, scan.line, kinds, middle)) as log:
         log_static(log, {}, scan.document, 0, labelling.settings.vertical_structures.slope_max)
-        log_scan(log, 0, scan.level, labelling, 0, {})
+        log_scan(Log(log.stream, timeless=True), 0, scan.level, labelling, 0, {})
         _Lines(log, scan, *size_m).log()
-    join([layout, content], out)
 
 
 def _profile_size(placed: PlacedScan, labelling: ScanLabelling) -> tuple[float, float]:
@@ -125,15 +119,12 @@ class _Lines:
             self._log.stream.reset_time()
             self._log.stream.set_time(entities.LINE_TIMELINE, sequence=reason.line)
             document = line_document(self._labelling, reason, self._log_faults(reason.line))
-            self._here(entities.WHY_LINE, markdown(document))
+            self._log.now(entities.WHY_LINE, markdown(document))
             log_line(self._log, self._points, self._labelling, reason.line)
             self._log_sight(reason.line)
             self._log_structures(reason.line)
             self._log_planes(reason.line)
             self._log_door(reason.line)
-
-    def _here(self, path: str, *values: rr.AsComponents) -> None:
-        self._log.stream.log(path, *values)
 
     def _log_styles(self) -> None:
         for name, color in _STYLE_COLORS.items():
@@ -180,7 +171,7 @@ class _Lines:
         fan = [(0, i, i + 1) for i in range(1, len(ends))]
         corners = np.vstack([self._origin, ends]).astype(np.float32)
         sheet = rr.Mesh3D(vertex_positions=corners, triangle_indices=fan, albedo_factor=_SIGHT_COLOR)
-        self._here(entities.LINE_SIGHT, sheet if fan else rr.Clear(recursive=False))
+        self._log.now(entities.LINE_SIGHT, sheet if fan else rr.Clear(recursive=False))
 
     def _log_structures(self, line: int) -> None:
         structures, samples = self._labelling.structures, self._labelling.lines.samples[line]
@@ -194,11 +185,11 @@ class _Lines:
         for name, chosen in roles.items():
             spans = [samples[structures.first[s] : structures.last[s] + 1] for s in chosen]
             in_space, in_profile = [self._points[span] for span in spans], [self._profile(span) for span in spans]
-            self._here(f"{entities.LINE_STRUCTURES}/{name}", rr.LineStrips3D(in_space))
-            self._here(f"{entities.PROFILE_STRUCTURES}/{name}", rr.LineStrips2D(in_profile))
+            self._log.now(f"{entities.LINE_STRUCTURES}/{name}", rr.LineStrips3D(in_space))
+            self._log.now(f"{entities.PROFILE_STRUCTURES}/{name}", rr.LineStrips2D(in_profile))
         shown = samples[samples >= 0]
         points = rr.Points2D(self._profile(shown), class_ids=self._labelling.label[shown])
-        self._here(entities.PROFILE_SAMPLES, points)
+        self._log.now(entities.PROFILE_SAMPLES, points)
 
     def _log_faults(self, line: int) -> str:
         """Mark what is wrong in one line's profile, and give it in words."""
@@ -209,7 +200,7 @@ class _Lines:
         fault = self._scan.faults.fault[own]
         wrong = fault > 0
         points = rr.Points2D(self._profile(own[wrong]), class_ids=fault[wrong], radii=ui_radius(5.0), draw_order=25.0)
-        self._here(entities.PROFILE_FAULTS, points)
+        self._log.now(entities.PROFILE_FAULTS, points)
         counts = {name: np.count_nonzero(fault == kind) for kind, (name, _) in entities.FAULT_CLASSES.items()}
         kinds = [f"{count} {name}" for name, count in counts.items() if count]
         return f"**Final labels of its {len(own)} returns: {', '.join(kinds)}.**" if kinds else ""
@@ -235,8 +226,8 @@ class _Lines:
                 heights = (self._floor_m + h[[plane]] for h in (planes.bottom_m, planes.top_m))
                 outlines.append(upright_frames(planes.ends[[plane]], *heights)[0])
                 names.append(f"plane {plane}, {100 * planes.candidate_nearest_m[c]:.1f} cm away")
-        self._here(entities.LINE_GROWING, rr.LineStrips3D(growing, labels=growing_names))
-        self._here(entities.LINE_PLANE, rr.LineStrips3D(outlines, labels=names))
+        self._log.now(entities.LINE_GROWING, rr.LineStrips3D(growing, labels=growing_names))
+        self._log.now(entities.LINE_PLANE, rr.LineStrips3D(outlines, labels=names))
 
     def _log_door(self, line: int) -> None:
         """Where the line passes below the height at which the depression begins."""
@@ -248,10 +239,10 @@ class _Lines:
             posts.append([[*doors.position[d], self._floor_m], [*doors.position[d], self._floor_m + start_m]])
             marks.append([[0.0, -start_m], [reach_m, -start_m]])
         labels = [f"{100 * doors.depth_m[d]:.0f} cm deep below here" for d in own]
-        self._here(entities.LINE_DOOR, rr.LineStrips3D(posts, labels=labels))
+        self._log.now(entities.LINE_DOOR, rr.LineStrips3D(posts, labels=labels))
         labels = [f"what lies behind begins {doors.start_height_m[d]:.2f} m high" for d in own]
         color = entities.CLASSES[Label.DOOR][1]
-        self._here(entities.PROFILE_DOOR, strips_2d(marks, color, 1.0, labels=labels))
+        self._log.now(entities.PROFILE_DOOR, strips_2d(marks, color, 1.0, labels=labels))
 
     def _profile(self, returns: IntArray) -> FloatArray:
         """(k, 2) horizontal range and height downwards, as images have it."""

@@ -1,16 +1,20 @@
 """Where recorders write to, and the timelines on which it lies."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa  # type: ignore[import-untyped]
 import rerun as rr
+import rerun.blueprint as rrb
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.app.record.shapes import markdown, rounded
+from ffmap.app.record.stream import open_part
 from ffmap.app.setup.outputs import Detail
 from ffmap.blueprints import entities
 
@@ -36,6 +40,7 @@ class Log:
         self.stream = stream
         self.detail = detail
         self.timeless = timeless
+        self._gathered: list[tuple[int, int, Mapping[str, float]]] = []
         # The highest stamp up to each cloud, for a clock may step back.
         self._scan_reached_ns: IntArray | None = None
         if scan_stamps_ns is not None and len(scan_stamps_ns):
@@ -73,15 +78,26 @@ class Log:
         """Values of a curve, one for each place on the timelines."""
         self.stream.send_columns(path, indexes, rr.Scalars.columns(scalars=values))
 
+    def gather(self, index: int, stamp_ns: int, values: Mapping[str, float]) -> None:
+        """Keep the values of curves at one scan, by path, for `write_gathered`: one by one they cost as much as the cloud."""
+        self._gathered.append((index, stamp_ns, values))
+
+    def write_gathered(self) -> None:
+        """Log all values that were gathered."""
+        if self._gathered:
+            index, stamp_ns, values = zip(*self._gathered, strict=True)
+            for path in values[0]:
+                self.curve(path, times(stamp_ns, index), [of_scan[path] for of_scan in values])
+            self._gathered = []
+
     def columns(self, path: str, stamp_ns: IntArray, columns: rr.ComponentColumnList) -> None:
         """One row for each horizontal scan, by its stamp."""
         if not len(stamp_ns):
             return
-        indexes = [rr.TimeColumn(entities.STAMP_TIMELINE, timestamp=stamp_ns.astype("datetime64[ns]"))]
+        scan = None
         if self._scan_reached_ns is not None:
             scan = np.searchsorted(self._scan_reached_ns, stamp_ns).clip(max=len(self._scan_reached_ns) - 1)
-            indexes.append(rr.TimeColumn(entities.SCAN_TIMELINE, sequence=scan))
-        self.stream.send_columns(path, indexes, columns)
+        self.stream.send_columns(path, times(stamp_ns, scan), columns)
 
     def transforms(self, path: str, stamp_ns: IntArray, T: FloatArray) -> None:
         """Log frames T (n, 4, 4) at the stamps of horizontal scans."""
@@ -96,12 +112,23 @@ class Log:
             self.columns(path, stamp_ns, rr.Points3D.columns(positions=positions).partition(sizes))
 
 
-def scan_columns(index: Sequence[int], stamp_ns: Sequence[int]) -> list[rr.TimeColumn]:
-    """Both timelines for one row a scan."""
-    return [
-        rr.TimeColumn(entities.SCAN_TIMELINE, sequence=index),
-        rr.TimeColumn(entities.STAMP_TIMELINE, timestamp=np.array(stamp_ns).astype("datetime64[ns]")),
-    ]
+@contextmanager
+def open_log(
+    path: Path, recording_id: str, detail: Detail = Detail.LINES, layout: rrb.Blueprint | None = None
+) -> Iterator[Log]:
+    """A log into one part of a recording, see `open_part`; what it gathered is written at its end."""
+    with open_part(path, recording_id, layout) as stream:
+        log = Log(stream, detail)
+        yield log
+        log.write_gathered()
+
+
+def times(stamp_ns: npt.ArrayLike, index: Iterable[int] | None = None) -> list[rr.TimeColumn]:
+    """The places of rows on `stamp`; with the scans that they are of, on `scan` too."""
+    columns = [rr.TimeColumn(entities.STAMP_TIMELINE, timestamp=np.asarray(stamp_ns).astype("datetime64[ns]"))]
+    if index is not None:
+        columns.append(rr.TimeColumn(entities.SCAN_TIMELINE, sequence=index))
+    return columns
 
 
 def evidence(answer: object = None, *names: str, **columns: npt.NDArray[Any]) -> rr.AnyValues:

@@ -9,7 +9,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.poses.odometry import Registration
 from ffmap.algorithms.poses.pose_graph import PoseGraph
-from ffmap.app.record.log import Log
+from ffmap.app.record.log import Log, times
 from ffmap.app.setup.outputs import Detail
 from ffmap.blueprints import entities
 
@@ -35,10 +35,7 @@ def log_trajectory(
     xyz = T_map_base[:, :3, 3]
     before = xyz[:1] if previous_T_map_base is None else previous_T_map_base[None, :3, 3]
     steps = np.stack([np.concatenate([before, xyz[:-1]]), xyz], axis=1).astype(np.float32)
-    indexes = [rr.TimeColumn(entities.STAMP_TIMELINE, timestamp=stamp_ns.astype("datetime64[ns]"))]
-    if index is not None:
-        indexes.append(rr.TimeColumn(entities.SCAN_TIMELINE, sequence=index))
-    log.stream.send_columns(entities.TRAJECTORY, indexes, rr.LineStrips3D.columns(strips=steps))
+    log.stream.send_columns(entities.TRAJECTORY, times(stamp_ns, index), rr.LineStrips3D.columns(strips=steps))
 
 
 def log_odometry_frame(log: Log, stamp_ns: IntArray, T_map_odom: FloatArray) -> None:

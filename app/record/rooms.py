@@ -13,9 +13,8 @@ from ffmap.algorithms.maps.area_graph import AreaGraph
 from ffmap.algorithms.maps.grid import GridMap
 from ffmap.app.folder.room_files import inner_point, room_color
 from ffmap.app.record.building import log_grid
-from ffmap.app.record.log import Log, evidence
+from ffmap.app.record.log import Log, evidence, open_log
 from ffmap.app.record.shapes import at_height, strips, ui_radius
-from ffmap.app.record.stream import open_part
 from ffmap.blueprints import entities
 from ffmap.blueprints import rooms as rooms_blueprint
 from ffmap.blueprints.run import view_of
@@ -29,8 +28,7 @@ def prepare_recording(grid: GridMap) -> Callable[[Path, AreaGraph], None]:
     blueprint = rooms_blueprint.build(*view_of(grid))
 
     def write(path: Path, graph: AreaGraph) -> None:
-        with open_part(path, str(uuid.uuid4()), blueprint) as stream:
-            log = Log(stream)
+        with open_log(path, str(uuid.uuid4()), layout=blueprint) as log:
             log.static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
             log_grid(log, entities.SEGMENTED, grid)
             log_rooms(log, graph)

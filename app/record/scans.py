@@ -1,7 +1,6 @@
 """One labelled scan with its evidence."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
@@ -18,7 +17,7 @@ from ffmap.algorithms.scan.rearrangement import HorizontalPlane
 from ffmap.algorithms.scan.smoothing import SmoothedRanges
 from ffmap.app.record.curves import log_curves, log_line
 from ffmap.app.record.line_reasons import candidate_reasons, door_reasons, line_outcomes
-from ffmap.app.record.log import Log, evidence, scan_columns
+from ffmap.app.record.log import Log, evidence
 from ffmap.app.record.shapes import (
     POINT_RADIUS_UI,
     SEE_THROUGH,
@@ -38,19 +37,10 @@ _SPAN_STEP = 5
 """Candidates are drawn through every n-th sample only, for a recording holds those of every scan."""
 
 
-@dataclass(frozen=True)
-class ScanMetrics:
-    """The curves' values at one scan, by entity path."""
-
-    index: int
-    stamp_ns: int
-    values: Mapping[str, float]
-
-
 def log_scan(
     log: Log, index: int, level: LevelledScan, labelling: ScanLabelling, stamp_ns: int, timings_ms: Mapping[str, float]
-) -> ScanMetrics:
-    """One labelled scan with its evidence, as much as the detail asks for; returns what `log_scan_metrics` takes."""
+) -> None:
+    """One labelled scan with its evidence, as much as the detail asks for; its metrics are gathered."""
     placed, ranges = level.placed, level.ranges
     if not log.timeless:
         log.at(stamp_ns, index)
@@ -69,16 +59,8 @@ def log_scan(
             log_curves(log, labelling)
             if not log.timeless:
                 log_line(log, placed.points_level, labelling, _example_line(labelling))
-    return ScanMetrics(index, stamp_ns, _metrics(ranges, labelling, timings_ms))
-
-
-def log_scan_metrics(log: Log, metrics: Sequence[ScanMetrics]) -> None:
-    """The metrics of several scans at once: one by one they cost as much as the cloud."""
-    if not metrics:
-        return
-    indexes = scan_columns([scan.index for scan in metrics], [scan.stamp_ns for scan in metrics])
-    for path in metrics[0].values:
-        log.curve(path, indexes, [scan.values[path] for scan in metrics])
+    if not log.timeless:
+        log.gather(index, stamp_ns, _metrics(ranges, labelling, timings_ms))
 
 
 def log_skipped(log: Log, index: int, stamp_ns: int, reason: str) -> None:

@@ -38,9 +38,6 @@ _OPENS_WINDOW_S = 1.0
 _RERUN = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
 """As the `rerun` command does; `python -m rerun_cli` always ends with 0."""
 
-Stream = rr.RecordingStream
-"""For those outside this room who pass one on."""
-
 
 @contextmanager
 def open_part(path: Path, recording_id: str, layout: rrb.Blueprint | None = None) -> Iterator[rr.RecordingStream]:

@@ -20,9 +20,8 @@ from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.algorithms.scan.smoothing import SmoothedRanges, smooth_ranges
 from ffmap.algorithms.scan.summary import Features, concatenate, extract
-from ffmap.app.record.log import Log
-from ffmap.app.record.scans import ScanMetrics, log_final, log_scan, log_scan_metrics, log_skipped
-from ffmap.app.record.stream import open_part
+from ffmap.app.record.log import Log, open_log
+from ffmap.app.record.scans import log_final, log_scan, log_skipped
 from ffmap.app.run import spool
 from ffmap.app.run.arrays import pack, pack_ragged
 from ffmap.app.run.spool import BlockSummary
@@ -105,8 +104,6 @@ def label_block(job: LabelJob) -> BlockSummary:
                 block.beyond_range.append(len(scan) - len(usable) if isinstance(scan, Scan) else 0)
                 _label(index, usable, job, block, log, watch)
             watch = _Stopwatch()
-        if log:
-            log_scan_metrics(log, block.metrics)
     summary = block.summary()
     spool.save(
         job.path.with_suffix(".npz"),
@@ -147,7 +144,6 @@ class _LabelledBlock:
     features: list[Features] = field(default_factory=list)
     labels: list[UInt8Array] = field(default_factory=list)
     ceilings: list[FloatArray] = field(default_factory=list)
-    metrics: list[ScanMetrics] = field(default_factory=list)
     milliseconds: list[list[float]] = field(default_factory=list)
     sizes: list[tuple[int, int]] = field(default_factory=list)
     beyond_range: list[int] = field(default_factory=list)
@@ -180,7 +176,7 @@ def _label(index: int, scan: Scan, job: LabelJob, block: _LabelledBlock, log: Lo
     labelling = label_scan(scan, placed, job.settings.method, seed_of(job.settings.seed, index))
     watch.lap("labelling")
     if log:
-        block.metrics.append(log_scan(log, index, level, labelling, scan.stamp_ns, watch.milliseconds))
+        log_scan(log, index, level, labelling, scan.stamp_ns, watch.milliseconds)
     block.features.append(extract(index, placed, labelling))
     block.votes.add(points_in_map(placed), labelling.label)
     block.rivals.add(placed, labelling)
@@ -295,8 +291,8 @@ def _open_evidence(job: LabelJob, suffix: str) -> Iterator[Log | None]:
     if job.detail is None or (job.detail is Detail.MAP and suffix == FINAL_EVIDENCE):
         yield None
         return
-    with open_part(job.path.with_suffix(suffix), job.recording_id) as stream:
-        yield Log(stream, job.detail)
+    with open_log(job.path.with_suffix(suffix), job.recording_id, job.detail) as log:
+        yield log
 
 
 def _vertical(inputs: Inputs) -> Sensor:

@@ -10,9 +10,9 @@ from rerun.chunk import RrdReader
 from ffmap.algorithms.base.scan import Scan
 from ffmap.algorithms.poses.levelling import LevelledScan
 from ffmap.algorithms.scan.labelling import ScanLabelling
-from ffmap.app.record.log import Log
-from ffmap.app.record.scans import log_scan, log_scan_metrics
-from ffmap.app.record.stream import Recording, open_part, send_properties
+from ffmap.app.record.log import Log, open_log
+from ffmap.app.record.scans import log_scan
+from ffmap.app.record.stream import Recording, send_properties
 from ffmap.app.record.whole_run import log_static
 from ffmap.app.setup.outputs import Detail
 from ffmap.blueprints import entities
@@ -24,13 +24,9 @@ Labelled = tuple[Scan, LevelledScan, ScanLabelling]
 
 
 def write_block(path: Path, labelled: list[Labelled], first: int, count: int, detail: Detail = Detail.LINES) -> None:
-    with open_part(path, "run-1") as stream:
-        log = Log(stream, detail)
-        metrics = [
+    with open_log(path, "run-1", detail) as log:
+        for index in range(first, first + count):
             log_scan(log, index, *labelled[index][1:], synthetic.stamp_ns(index), {"labelling": 8.0 + index})
-            for index in range(first, first + count)
-        ]
-        log_scan_metrics(log, metrics)
 
 
 def write_run(folder: Path, labelled: list[Labelled], detail: Detail = Detail.LINES) -> Path:

@@ -39,7 +39,7 @@ def test_each_line_has_its_place_on_the_timeline(settings: dict[str, float], tmp
     level, labelling = scan_of(settings)
     path = tmp_path / "inspect.rrd"
     explained = ExplainedScan(level, labelling, explain_lines(labelling), None, "# Scan", line=5)
-    write(path, tmp_path, "inspect-1", explained)
+    write(path, "inspect-1", explained)
     lines = set(range(2 * synthetic.RINGS))
     strips = "LineStrips3D:strips"
     upmost = by_line(path, f"{entities.LINE_STRUCTURES}/upmost", strips)
@@ -84,7 +84,7 @@ def test_what_is_labelled_wrongly_is_marked_in_the_scan_and_in_each_line(tmp_pat
     path = tmp_path / "inspect.rrd"
     faults = ScanFaults(fault, by_truth=True)
     explained = ExplainedScan(level, labelling, explain_lines(labelling), faults, "# Scan", line=5)
-    write(path, tmp_path, "inspect-2", explained)
+    write(path, "inspect-2", explained)
     (batch,) = (
         batch
         for chunk in RrdReader(path).stream().filter(content=entities.FAULTS)
