@@ -207,25 +207,25 @@ class _Candidate:
         planes = labelling.planes
         self._planes, self._settings = planes, labelling.settings.wall_planes
         self.structure, self._plane = planes.candidate_structure[c], planes.candidate_plane[c]
-        self._grown, self._growth = planes.candidate_grown[c], planes.candidate_growth[c]
-        self._reach, self._membership = planes.candidate_reach[c], planes.candidate_membership[c]
+        self._grown, self._growth = planes.candidate_grown[c], Growth(planes.candidate_growth[c])
+        self._reach, self._membership = Reach(planes.candidate_reach[c]), Membership(planes.candidate_membership[c])
         self._distance_m, self._nearest_m = planes.candidate_distance_m[c], planes.candidate_nearest_m[c]
         self._gap_m, self._gap_max_m = planes.candidate_gap_m[c], planes.candidate_gap_max_m[c]
         self._below_m = planes.candidate_below_ceiling_m[c]
         self._bottom_m = labelling.structures.bottom_m[self.structure]
         self._top_m = labelling.structures.top_m[self.structure]
+        self._ends = f"ends {self._top_m:.2f} m high"
+        self._sees_ceiling = not np.isnan(self._below_m)
 
     def short(self) -> str:
         if self._plane < 0:
             return f"refused: {self._refusal()}"
-        growth = "was left out of the growing"
-        match self._growth:
-            case Growth.JOINED:
-                growth = f"joined at {_cm(self._distance_m)}"
-            case Growth.BROKE:
-                growth = f"broke the plane before it ({self._break()})"
-            case Growth.SEEDED:
-                growth = "began a plane"
+        growth = {
+            Growth.SEEDED: "began a plane",
+            Growth.JOINED: f"joined at {_cm(self._distance_m)}",
+            Growth.BROKE: f"broke the plane before it ({self._break()})",
+            Growth.REFUSED: "was left out of the growing",
+        }[self._growth]
         return f"taken: plane {self._plane}, {_cm(self._nearest_m)} off; {growth}"
 
     def sentences(self) -> str:
@@ -241,9 +241,9 @@ class _Candidate:
         """which: the candidate, where its line has several, as the end of a condition."""
         similar, lines_min = f"< {_cm(self._settings.similarity_m)}", self._settings.lines_min
         reaches = bool(self._reach != Reach.LOW)
-        measured, needed = f"ends {_cm(self._below_m)} below", f"≤ {_cm(self._settings.reach_m)}"
-        if np.isnan(self._below_m):
-            measured, needed = f"{self._top_m:.2f} m high", f"≥ {self._settings.height_min_m:g} m"
+        measured, needed = f"{self._top_m:.2f} m high", f"≥ {self._settings.height_min_m:g} m"
+        if self._sees_ceiling:
+            measured, needed = f"ends {_cm(self._below_m)} below", f"≤ {_cm(self._settings.reach_m)}"
         checks = [Check(f"III.B: reaches the ceiling{which}", measured, needed, reaches)]
         if not np.isnan(self._distance_m):
             near = bool(self._distance_m < self._settings.similarity_m)
@@ -269,65 +269,52 @@ class _Candidate:
 
     def _refusal(self) -> str:
         settings = self._settings
-        match self._membership:
-            case Membership.REFUSED if np.isnan(self._below_m):
-                wall = f"a wall without a ceiling in view at least {settings.height_min_m:g} m"
-                return f"ends {self._top_m:.2f} m high, {wall}"
-            case Membership.REFUSED:
-                return f"ends {_cm(self._below_m)} below the ceiling, a wall at most {_cm(settings.reach_m)}"
-            case Membership.ALONE:
-                peers = int(np.count_nonzero(self._planes.candidate_grown == self._grown))
-                own = f"it grew into a plane of {_count(peers, 'line')}"
-                if np.isnan(self._nearest_m):
-                    return f"{own}, {settings.lines_min} make a wall, and no other plane is within reach"
-                similar = f"similar is below {_cm(settings.similarity_m)}"
-                return f"{own}; the nearest plane is {_cm(self._nearest_m)} away, {similar}"
-            case Membership.FEW_LINES:
-                return f"fewer than {settings.lines_min} lines are left in its plane, the others went to nearer ones"
-            case Membership.SHORT:
-                return f"its plane is shorter than {_cm(settings.length_min_m)}"
-            case Membership.ROUGH:
-                return f"its plane's samples lie more than {_cm(settings.similarity_m)} RMS off it"
-            case Membership.DUCT:
-                return (
-                    f"its plane ends more than {settings.bottom_max_m:g} m above the floor in all of its lines (here "
-                    f"{self._bottom_m:.2f} m): a duct or a beam"
-                )
-        return "it is in no plane"
+        low = f"{self._ends}, a wall without a ceiling in view at least {settings.height_min_m:g} m"
+        if self._sees_ceiling:
+            low = f"ends {_cm(self._below_m)} below the ceiling, a wall at most {_cm(settings.reach_m)}"
+        return {
+            Membership.REFUSED: low,
+            Membership.ALONE: self._alone(),
+            Membership.FEW_LINES: f"fewer than {settings.lines_min} lines are left in its plane, the others went to nearer ones",
+            Membership.SHORT: f"its plane is shorter than {_cm(settings.length_min_m)}",
+            Membership.ROUGH: f"its plane's samples lie more than {_cm(settings.similarity_m)} RMS off it",
+            Membership.DUCT: f"its plane ends more than {settings.bottom_max_m:g} m above the floor in all of its lines (here "
+            f"{self._bottom_m:.2f} m): a duct or a beam",
+        }[self._membership]
+
+    def _alone(self) -> str:
+        peers = int(np.count_nonzero(self._planes.candidate_grown == self._grown))
+        own = f"it grew into a plane of {_count(peers, 'line')}"
+        if np.isnan(self._nearest_m):
+            return f"{own}, {self._settings.lines_min} make a wall, and no other plane is within reach"
+        similar = f"similar is below {_cm(self._settings.similarity_m)}"
+        return f"{own}; the nearest plane is {_cm(self._nearest_m)} away, {similar}"
 
     def _reach_sentence(self) -> str:
-        ends = f"ends {self._top_m:.2f} m high"
-        match self._reach:
-            case Reach.CEILING:
-                side = "below" if self._below_m >= 0 else "above"
-                return f"It reaches the ceiling: it ends {_cm(abs(self._below_m))} {side} it."
-            case Reach.ABOVE_CEILINGS:
-                return f"It {ends}, above the highest ceiling in view: another must be there."
-            case Reach.HEIGHT:
-                return f"No ceiling is in view; it {ends}, which is high enough."
-            case Reach.TURNS_BACK:
-                return f"It {ends}, but its line has next to no returns of a ceiling: it may turn back below one, so it counts."
-        if np.isnan(self._below_m):
-            wall = f"(a wall: {self._settings.height_min_m:g} m)"
-            return f"No ceiling is in view, and it ends only {self._top_m:.2f} m high {wall}."
-        return (
-            f"It does not reach the ceiling: it ends {_cm(self._below_m)} below it (a wall: at most "
-            f"{_cm(self._settings.reach_m)}). What ends lower is furniture, a board or a window's sill."
-        )
+        side, settings = "below" if self._below_m >= 0 else "above", self._settings
+        low = f"No ceiling is in view, and it ends only {self._top_m:.2f} m high (a wall: {settings.height_min_m:g} m)."
+        if self._sees_ceiling:
+            low = (
+                f"It does not reach the ceiling: it ends {_cm(self._below_m)} below it (a wall: at most "
+                f"{_cm(settings.reach_m)}). What ends lower is furniture, a board or a window's sill."
+            )
+        return {
+            Reach.CEILING: f"It reaches the ceiling: it ends {_cm(abs(self._below_m))} {side} it.",
+            Reach.ABOVE_CEILINGS: f"It {self._ends}, above the highest ceiling in view: another must be there.",
+            Reach.HEIGHT: f"No ceiling is in view; it {self._ends}, which is high enough.",
+            Reach.TURNS_BACK: f"It {self._ends}, but its line has next to no returns of a ceiling: it may turn back below one, "
+            "so it counts.",
+            Reach.LOW: low,
+        }[self._reach]
 
     def _growth_sentence(self) -> str:
-        match self._growth:
-            case Growth.SEEDED:
-                return "As the first candidate of its side it began a plane."
-            case Growth.JOINED:
-                return (
-                    f"It joined the plane that was growing: {_cm(self._distance_m)} RMS from it (below "
-                    f"{_cm(self._settings.similarity_m)}), {_cm(self._gap_m)} from its last line (below "
-                    f"{_cm(self._gap_max_m)})."
-                )
-            case Growth.BROKE:
-                return f"It broke the plane that was growing ({self._break()}) and began the next."
-        return ""
+        return {
+            Growth.SEEDED: "As the first candidate of its side it began a plane.",
+            Growth.JOINED: f"It joined the plane that was growing: {_cm(self._distance_m)} RMS from it (below "
+            f"{_cm(self._settings.similarity_m)}), {_cm(self._gap_m)} from its last line (below {_cm(self._gap_max_m)}).",
+            Growth.BROKE: f"It broke the plane that was growing ({self._break()}) and began the next.",
+            Growth.REFUSED: "",
+        }[self._growth]
 
 
 # --- a door ---
@@ -340,7 +327,7 @@ class _DoorLine:
         doors, openings = labelling.door_lines, labelling.openings
         self._settings = labelling.settings.doors
         self._plane, self._behind, self._high_enough = doors.plane[d], doors.behind[d], doors.high_enough[d]
-        self._depression, self._on_plane_share = doors.depression[d], doors.on_plane_share[d]
+        self._depression, self._on_plane_share = Depression(doors.depression[d]), doors.on_plane_share[d]
         self._recess_m, self._above_m, self._below_m = doors.recess_m[d], doors.above_m[d], doors.below_m[d]
         self._start_m, self._depth_m = doors.start_height_m[d], doors.depth_m[d]
         self._state = DoorState(doors.state[d]).name.lower()
@@ -385,21 +372,16 @@ class _DoorLine:
 
     def _no_depression(self) -> str:
         recess_min = _cm(self._settings.recess_min_m)
-        match self._depression:
-            case Depression.FEW_RETURNS:
-                return "too few returns lie at the plane and behind it"
-            case Depression.NONE if np.isnan(self._recess_m):
-                return "the line is too short below the lintel"
-            case Depression.NONE:
-                return f"nothing recedes by {recess_min}, at most {_cm(self._recess_m)}"
-            case Depression.ABOVE_OFF_PLANE:
-                return f"what lies above the recess is {_cm(abs(self._above_m))} off the plane itself"
-            case Depression.SHALLOW:
-                return f"what recedes is {_cm(-self._below_m)} behind the plane, less than {recess_min}"
-            case Depression.EXCEPTIONS:
-                share = f"{self._on_plane_share:.0%} of the returns below lie on the plane"
-                return f"{share}, at most {self._settings.exceptions_max:.0%} may"
-        return "nothing lies behind the plane"
+        level = f"nothing recedes by {recess_min}, at most {_cm(self._recess_m)}"
+        return {
+            Depression.FEW_RETURNS: "too few returns lie at the plane and behind it",
+            Depression.NONE: "the line is too short below the lintel" if np.isnan(self._recess_m) else level,
+            Depression.ABOVE_OFF_PLANE: f"what lies above the recess is {_cm(abs(self._above_m))} off the plane itself",
+            Depression.SHALLOW: f"what recedes is {_cm(-self._below_m)} behind the plane, less than {recess_min}",
+            Depression.EXCEPTIONS: f"{self._on_plane_share:.0%} of the returns below lie on the plane, at most "
+            f"{self._settings.exceptions_max:.0%} may",
+            Depression.HELD: "nothing lies behind the plane",
+        }[self._depression]
 
 
 # --- words ---
