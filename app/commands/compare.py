@@ -31,7 +31,7 @@ from ffmap.app.folder.atomic import write_json
 from ffmap.app.folder.finished_run import FinishedRun, open_run
 from ffmap.app.folder.names import check_no_run_loses, require_writable
 from ffmap.app.progress import Progress
-from ffmap.app.record.comparison import ComparisonRecorder, TransitionStyle, log_changed_points, write_rerooted
+from ffmap.app.record.comparison import ComparisonRecorder, log_changed_points, write_rerooted
 from ffmap.app.record.log import Log, open_log
 from ffmap.app.record.read_back import readable, rows
 from ffmap.app.record.stream import join, write_layout
@@ -211,8 +211,7 @@ def _most_changed(changes: Sequence[PairChange], scan_of: dict[int, int]) -> tup
 def _write_findings(comparison: Comparison, parts: _Parts) -> None:
     with parts.open("findings.rrd") as log:
         log.stream.send_recording_name(" – ".join(run.run.name for run in comparison.runs))
-        style = TransitionStyle.of([c.labels for c in comparison.changes if c.labels is not None])
-        recorder = ComparisonRecorder(log, style)
+        recorder = ComparisonRecorder(log, [c.labels for c in comparison.changes if c.labels is not None])
         recorder.log_common(report.runs_document(comparison))
         # Only runs of the same bag have a map frame in common.
         apart = {change.b.letter for change in comparison.changes if not change.same_bag}

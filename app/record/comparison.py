@@ -1,7 +1,6 @@
 """A comparison as one recording: the runs re-rooted below their letters, and what differs in the map's frame."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -42,24 +41,6 @@ _SCANS = (
 )
 
 
-@dataclass(frozen=True)
-class TransitionStyle:
-    """Colours of the transitions from one label to another that most points made."""
-
-    codes: tuple[int, ...]
-
-    @staticmethod
-    def of(changes: Sequence[LabelChange]) -> "TransitionStyle":
-        """The same colours in every comparison of a recording."""
-        return TransitionStyle(tuple(most_frequent(changes, len(entities.TRANSITION_COLORS))))
-
-    def color(self, code: int) -> entities.Color:
-        """The transition's own colour, or that of all the rest."""
-        if code in self.codes:
-            return entities.TRANSITION_COLORS[self.codes.index(code)]
-        return entities.OTHER_TRANSITION_COLOR
-
-
 def write_rerooted(source: Path, letter: str, out: Path, recording_id: str, scans: bool) -> bool:
     """A run's recording below its letter, chunk by chunk; False where it has nothing to show.
 
@@ -90,14 +71,18 @@ def log_changed_points(log: Log, letter: str, changed: ChangedPoints) -> None:
 class ComparisonRecorder:
     """Logs what was found once all scans have been compared."""
 
-    def __init__(self, log: Log, style: TransitionStyle) -> None:
-        self._log, self._style = log, style
+    def __init__(self, log: Log, changes: Sequence[LabelChange]) -> None:
+        """changes: of all pairs, for a transition from one label to another has the same colour in each."""
+        self._log = log
+        frequent = most_frequent(changes, len(entities.TRANSITION_COLORS))
+        self._colors = dict(zip(frequent, entities.TRANSITION_COLORS, strict=False))
 
     def log_common(self, text: str) -> None:
         """The runs in words, and the colours of what changed."""
         self._log.static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         self._log.text(entities.RUNS_TEXT, text)
-        classes = {code: (name_transition(code), self._style.color(code)) for code in range(TRANSITIONS)}
+        rest = entities.OTHER_TRANSITION_COLOR
+        classes = {code: (name_transition(code), self._colors.get(code, rest)) for code in range(TRANSITIONS)}
         self._log.static("/changes", annotations(classes))
 
     def log_run(self, letter: str, color: entities.Color, path_m: FloatArray | None, grid: GridMap | None) -> None:
@@ -142,8 +127,7 @@ class ComparisonRecorder:
         counts = np.array([s.counts for s in change.scans]).reshape(len(change.scans), -1)
         points = np.maximum(counts.sum(axis=1), 1)
         path = entities.CHANGED_PERCENT.format(letter)
-        for rank, code in enumerate(self._style.codes):
-            color = self._style.color(code)
+        for rank, (code, color) in enumerate(self._colors.items()):
             self._log_curve(f"{path}/{rank}", indexes, 100.0 * counts[:, code] / points, name_transition(code), color)
         changed, changed_scan = np.array([(s.changed, s.changed_scan) for s in change.scans]).T
         self._log_curve(f"{path}/all", indexes, 100.0 * changed / points, "all", _WHITE)

@@ -34,7 +34,7 @@ _END = 0
 _FOOTER_BYTES = 32
 """What follows the end message's own content: where that lies, and how the stream ends."""
 _OWN = "own"
-_OPENS_WINDOW_S = 1.0
+_STARTS_S, _OPENS_WINDOW_S = 20.0, 1.0
 _RERUN = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
 """As the `rerun` command does; `python -m rerun_cli` always ends with 0."""
 
@@ -253,18 +253,18 @@ def join(parts: Sequence[Path], out: Path) -> None:
             raise OSError(f"{out}: the recording's parts could not be joined: {done.stderr.strip()}")
 
 
-def start_viewer(port: int | None = None, timeout_s: float = 20.0, files: Sequence[Path] = ()) -> str:
+def start_viewer(files: Sequence[Path] = ()) -> str:
     """Start a viewer that listens on the loopback address only, and return the URL to connect to.
 
     files: recordings that it opens.
 
     `rr.spawn` listens on every interface and has no option for it. Raises RuntimeError if the viewer does not start.
     """
-    port = port or free_port()
+    port = free_port()
     command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", "--port", str(port), "--hide-welcome-screen"]
     command += [str(file.resolve()) for file in files]
     viewer = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
-    end = time.monotonic() + timeout_s
+    end = time.monotonic() + _STARTS_S
     listens_since: float | None = None
     while time.monotonic() < end and viewer.poll() is None:
         with socket.socket() as probe:

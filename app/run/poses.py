@@ -42,12 +42,10 @@ class RunPoses:
     """What a run placed its scans with.
 
     trajectory: T_map_base. floor_slope: (2,) of the map's floor, metres up for each metre along x and y.
-    from_cache: whether the odometry was cached.
     """
 
     trajectory: Trajectory
     floor_slope: FloatArray
-    from_cache: bool
 
     @property
     def base_height_m(self) -> float:
@@ -203,7 +201,7 @@ def poses_of(inputs: Inputs, given: GivenPoses | None, settings: Settings) -> Ru
     Raises InputError where no lidar gives poses.
     """
     if given is not None:
-        return RunPoses(given.trajectory, np.zeros(2), from_cache=False)
+        return RunPoses(given.trajectory, np.zeros(2))
     sensor = inputs.horizontal
     if sensor is None:
         raise InputError(f"{inputs.bag_path}: no horizontal lidar gives poses; the run needs its trajectory")
@@ -213,4 +211,4 @@ def poses_of(inputs: Inputs, given: GivenPoses | None, settings: Settings) -> Ru
         raise InputError(f"{inputs.bag_path}: {sensor.lidar.topic} has no usable cloud; 'ffmap info' tells more")
     trajectory = odometry.trajectory
     level = level_by_first_scans(inputs, trajectory, settings)
-    return RunPoses(trajectory.moved(level.T_map_odom), level.floor_slope, odometry.from_cache)
+    return RunPoses(trajectory.moved(level.T_map_odom), level.floor_slope)

@@ -58,10 +58,10 @@ def load(kind: "type[_T]", path: Path, prefix: str) -> "_T":
         return unpack(kind, spooled, prefix)
 
 
-def load_features(path: Path) -> Features | None:
-    """The features in a block's .npz; None where it holds no scan."""
+def load_features(path: Path) -> list[Features]:
+    """The features of all scans in a block's .npz; nothing where it holds no scan."""
     with np.load(path) as spooled:
-        return unpack(Features, spooled, FEATURES) if f"{FEATURES}scan" in spooled else None
+        return [unpack(Features, spooled, FEATURES)] if f"{FEATURES}scan" in spooled else []
 
 
 def load_by_scan(path: Path, name: str) -> dict[int, Any]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.building.drive import AllScans, Drive
@@ -29,19 +28,6 @@ from ffmap.app.setup.outputs import Output
 from ffmap.blueprints import entities
 
 
-@dataclass(frozen=True)
-class BuildingAndMaps:
-    """What stage 3 comes to."""
-
-    building: Building
-    maps: Maps
-
-    @property
-    def grids(self) -> dict[str, GridMap]:
-        """Every grid map by its name, the run's own first."""
-        return {entities.FURNITURE_FREE: self.maps.grid} | {str(name): grid for name, grid in self.maps.rivals.items()}
-
-
 def build(run: Run, scans: LabelledScans, trajectory: Trajectory) -> Building:
     """The building of all scans; it and its maps are recorded and written."""
     run.progress.stage("building", None)
@@ -50,15 +36,15 @@ def build(run: Run, scans: LabelledScans, trajectory: Trajectory) -> Building:
         drive, scans.votes, scans.rivals, lambda *asked: _trace(run, len(scans.jobs), *asked), run.settings.levels
     )
     building = fuse_building(gathered, run.settings.fusion)
-    found = BuildingAndMaps(building, draw_maps(building, gathered, run.settings.maps, run.options.workers))
-    _record(run, found)
-    _write(run, found)
-    run.state.topology = topology(found.maps.rooms)
+    maps = draw_maps(building, gathered, run.settings.maps, run.options.workers)
+    _record(run, building, maps)
+    _write(run, building, maps)
+    run.state.topology = topology(maps.rooms)
     run.state.counts |= {
         "walls": len(building.walls),
         "refused_walls": len(building.judged.refused),
         "doors": len(building.doors),
-        "rooms": len(found.maps.rooms),
+        "rooms": len(maps.rooms),
     }
     return building
 
@@ -67,9 +53,9 @@ def _trace(run: Run, blocks: int, faces: Walls, settings: BuildingSettings, wind
     """`trace_rays` block by block, on all workers; summed in the blocks' order, so that no sum depends on the workers."""
 
     def trace_block(number: int) -> WallCells:
-        features = _features_of(run, number)
+        features = load_features(run.folder.block(number, ".npz"))
         if len(windows):
-            features = (without_rays_through(windows, part) for part in features)
+            features = [without_rays_through(windows, part) for part in features]
         return trace_rays(faces, features, settings)
 
     cells = trace_rays(faces, [], settings)
@@ -81,31 +67,29 @@ def _trace(run: Run, blocks: int, faces: Walls, settings: BuildingSettings, wind
 
 def _features(run: Run, blocks: int) -> Iterator[Features]:
     for number in range(blocks):
-        yield from _features_of(run, number)
+        yield from load_features(run.folder.block(number, ".npz"))
 
 
-def _features_of(run: Run, block: int) -> Iterator[Features]:
-    """The features of a block's scans; nothing where it has none."""
-    features = load_features(run.folder.block(block, ".npz"))
-    if features is not None:
-        yield features
+def _grids(maps: Maps) -> dict[str, GridMap]:
+    """Every grid map by its name, the run's own first."""
+    return {entities.FURNITURE_FREE: maps.grid} | {str(name): grid for name, grid in maps.rivals.items()}
 
 
-def _record(run: Run, found: BuildingAndMaps) -> None:
+def _record(run: Run, building: Building, maps: Maps) -> None:
     if run.log is None or run.recording is None:
         return
-    log_fused_walls(run.log, found.building.aligned)
-    log_building(run.log, found.building.model)
-    for name, grid in found.grids.items():
+    log_fused_walls(run.log, building.aligned)
+    log_building(run.log, building.model)
+    for name, grid in _grids(maps).items():
         log_grid(run.log, name, grid)
-    log_rooms(run.log, found.maps.rooms)
-    for segmented, graph in found.maps.compared_rooms.items():
+    log_rooms(run.log, maps.rooms)
+    for segmented, graph in maps.compared_rooms.items():
         log_areas(run.log, graph, f"{entities.ROOMS_COMPARED}/{segmented}")
-    run.recording.set_layout(layout(run.inputs.ring_count, run.options.detail, run.record, found.maps.grid))
+    run.recording.set_layout(layout(run.inputs.ring_count, run.options.detail, run.record, maps.grid))
 
 
-def _write(run: Run, found: BuildingAndMaps) -> None:
-    folder, outputs, building, maps = run.folder.path, run.options.outputs, found.building, found.maps
+def _write(run: Run, building: Building, maps: Maps) -> None:
+    folder, outputs = run.folder.path, run.options.outputs
     if Output.GEOJSON in outputs:
         write_walls(folder / WALLS, building.walls, building.thickness_m)
         write_doors(folder / DOORS, building.doors, door_rooms(maps.rooms))
@@ -115,5 +99,5 @@ def _write(run: Run, found: BuildingAndMaps) -> None:
         write_svg(folder / FLOOR_PLAN_SVG, maps.plan, run.inputs.bag_path.name)
         write_dxf(folder / FLOOR_PLAN_DXF, maps.plan)
     if Output.MAPS in outputs:
-        for map_name, grid in found.grids.items():
+        for map_name, grid in _grids(maps).items():
             write_grid(folder / map_file(map_name), grid)

@@ -20,7 +20,7 @@ _LOGGED_AT_ONCE = 50
 def find_poses(run: Run, given: Trajectory | None) -> RunPoses:
     """The poses in the levelled map: those that were given, or the odometry's. Raises InputError where nothing gives any."""
     if given is not None:
-        return RunPoses(given, np.zeros(2), from_cache=False)
+        return RunPoses(given, np.zeros(2))
     odometry, weak = _register(run)
     if odometry.cache_warning is not None:
         run.warn(odometry.cache_warning)
@@ -36,7 +36,7 @@ def find_poses(run: Run, given: Trajectory | None) -> RunPoses:
     if not np.isfinite(level.floor_rms_m):
         run.warn("no floor was found in the first seconds: the map keeps the base's own level; is the rig right?")
     _take_loops(run, odometry, trajectory, level.T_map_odom)
-    return RunPoses(trajectory.moved(level.T_map_odom), level.floor_slope, odometry.from_cache)
+    return RunPoses(trajectory.moved(level.T_map_odom), level.floor_slope)
 
 
 def _register(run: Run) -> tuple[Odometry, list[str]]:

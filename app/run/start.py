@@ -170,13 +170,12 @@ def interruptible(how_to_go_on: str) -> Iterator[None]:
 
 def _viewer(arguments: Arguments) -> str | None:
     """Where a viewer listens: one that is started, or the one that was named."""
-    if not arguments.spawn and arguments.connect is None:
-        return None
     try:
-        if not arguments.spawn and arguments.connect is not None:
+        if arguments.spawn:
+            return start_viewer()
+        if arguments.connect is not None:
             check_viewer(arguments.connect)
-            return arguments.connect
-        return start_viewer()
+        return arguments.connect
     except ConnectionError as error:
         raise InputError(f"--connect: {error}; start a viewer first, or leave --connect out") from error
     except RuntimeError as error:
