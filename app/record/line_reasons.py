@@ -229,8 +229,9 @@ class _Candidate:
         return f"taken: plane {self._plane}, {_cm(self._nearest_m)} off; {growth}"
 
     def sentences(self) -> str:
-        end = f"**Refused:** {self._refusal()}."
-        if self._plane >= 0:
+        if self._plane < 0:
+            end = f"**Refused:** {self._refusal()}."
+        else:
             end = (
                 f"**Taken:** once planes in line were joined, plane {self._plane} ({self._planes.line_count[self._plane]} "
                 f"lines, RMS {_cm(self._planes.rms_m[self._plane])}) is the nearest, {_cm(self._nearest_m)} away."
