@@ -482,7 +482,7 @@ def test_the_worst_scan_opens_at_its_worst_line_and_says_which_label_is_wrong(
     written = Mock(wraps=inspect_command.write)
     monkeypatch.setattr(inspect_command, "write", written)
     inspect_command.inspect(run, "worst", None, None, tmp_path / "worst.rrd", spawn=False)
-    explained = written.call_args.args[3]
+    explained = written.call_args.args[2]
     lines, faults, opened = explained.labelling, explained.faults, explained.line
     assert faults is not None
     assert faults.by_truth
@@ -506,7 +506,7 @@ def test_the_worst_scan_opens_at_its_worst_line_and_says_which_label_is_wrong(
     for name in ("run.json", "labelled.bag", "trajectory.tum"):
         shutil.copy(run / name, without_truth)
     inspect_command.inspect(without_truth, str(scan), 3, None, tmp_path / "numbered.rrd", spawn=False)
-    faults, opened = written.call_args.args[3].faults, written.call_args.args[3].line
+    faults, opened = written.call_args.args[2].faults, written.call_args.args[2].line
     assert not faults.by_truth
     np.testing.assert_array_equal(faults.fault == Fault.RELABELLED, label != label_scan)
     assert opened == 3
@@ -517,8 +517,8 @@ def test_the_worst_scan_opens_at_its_worst_line_and_says_which_label_is_wrong(
     bare.mkdir()
     shutil.copy(run / "run.json", bare)
     inspect_command.inspect(bare, str(scan), None, None, tmp_path / "bare.rrd", spawn=False)
-    assert written.call_args.args[3].faults is None
-    assert written.call_args.args[3].line is None
+    assert written.call_args.args[2].faults is None
+    assert written.call_args.args[2].line is None
     assert "holds no final labels (label) of this scan" in capsys.readouterr().out
 
 
