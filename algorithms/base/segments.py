@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numba
 import numpy as np
@@ -64,41 +64,33 @@ class Segment:
         return float(min(high, self.length_m) - max(low, 0.0))
 
 
-class Lines(NamedTuple):
-    """Faces (k,) for compiled code: direction, place of the first end along it, normal, offset along that, and length."""
-
-    along_x: FloatArray
-    along_y: FloatArray
-    start: FloatArray
-    normal_x: FloatArray
-    normal_y: FloatArray
-    offset: FloatArray
-    length: FloatArray
-
-    @classmethod
-    def of(cls, faces: Faces) -> "Lines":
-        length = lengths_m(faces.ends)
-        along = (faces.ends[:, 1] - faces.ends[:, 0]) / np.maximum(length, 1e-9)[:, None]
-        start = np.sum(along * faces.ends[:, 0], axis=1)
-        offset = np.sum(faces.normal * faces.ends[:, 0], axis=1)
-        return cls(*(np.ascontiguousarray(a) for a in (*along.T, start, *faces.normal.T, offset, length)))
+ALONG_X, ALONG_Y, START, NORMAL_X, NORMAL_Y, OFFSET, LENGTH = range(7)
+"""The columns of `lines_of`."""
 
 
-@numba.njit(cache=True, nogil=True)
-def before_line(lines: Lines, k: int, x: float, y: float) -> float:  # pragma: no cover
+def lines_of(faces: Faces) -> FloatArray:
+    """(k, 7) for compiled code: direction, place of the first end along it, normal, offset along that, and length."""
+    length = lengths_m(faces.ends)[:, None]
+    along = (faces.ends[:, 1] - faces.ends[:, 0]) / np.maximum(length, 1e-9)
+    start, offset = (np.sum(axis * faces.ends[:, 0], axis=1, keepdims=True) for axis in (along, faces.normal))
+    return np.ascontiguousarray(np.concatenate([along, start, faces.normal, offset, length], axis=1), np.float64)
+
+
+@numba.njit(cache=True, nogil=True, forceinline=True)
+def before_line(lines: FloatArray, k: int, x: float, y: float) -> float:  # pragma: no cover
     """How far before the k-th face a place is, metres; negative behind it."""
-    return float(lines.normal_x[k] * x + lines.normal_y[k] * y - lines.offset[k])
+    return float(lines[k, NORMAL_X] * x + lines[k, NORMAL_Y] * y - lines[k, OFFSET])
 
 
-@numba.njit(cache=True, nogil=True)
-def along_line(lines: Lines, k: int, x: float, y: float) -> float:  # pragma: no cover
+@numba.njit(cache=True, nogil=True, forceinline=True)
+def along_line(lines: FloatArray, k: int, x: float, y: float) -> float:  # pragma: no cover
     """How far along the k-th face from its first end a place is, metres."""
-    return float(lines.along_x[k] * x + lines.along_y[k] * y - lines.start[k])
+    return float(lines[k, ALONG_X] * x + lines[k, ALONG_Y] * y - lines[k, START])
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, forceinline=True)
 def crossing(
-    lines: Lines, k: int, behind_m: float, x: float, y: float, origin: FloatArray, grazing_sine: float
+    lines: FloatArray, k: int, behind_m: float, x: float, y: float, origin: FloatArray, grazing_sine: float
 ) -> tuple[float, float]:  # pragma: no cover
     """Where a ray crosses the k-th face, or the plane `behind_m` behind it: the share of the ray's length, the place along it.
 

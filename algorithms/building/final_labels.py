@@ -9,8 +9,22 @@ import numpy as np
 from pydantic import Field
 
 from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.plan_index import SECTORS, cell_at, enter, index_near, sector_of, sectors_around
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
-from ffmap.algorithms.base.segments import Lines, along_line, before_line, crossing
+from ffmap.algorithms.base.segments import (
+    ALONG_X,
+    ALONG_Y,
+    LENGTH,
+    NORMAL_X,
+    NORMAL_Y,
+    OFFSET,
+    START,
+    Faces,
+    along_line,
+    before_line,
+    crossing,
+    lines_of,
+)
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import JudgedFaces
@@ -97,7 +111,7 @@ class RelabellingSettings(StepSettings):
     )
     grazing_sine: float = Field(
         0.2,
-        ge=0,
+        gt=0,
         lt=1,
         description="Sine of the angle between a ray and a face below which the place where they cross says nothing.",
     )
@@ -146,45 +160,18 @@ class BuildingModel:
     levels: tuple[HeightMap, ...]
 
 
-class _Faces(NamedTuple):
-    """Wall faces for compiled code.
-
-    lines: the W faces. top_m: (W,) highest that was seen. first: (W + 1,) the column at which each begins.
-    clear_m: (columns,) from the floor to the ceiling before it. covered: (columns, rows) whether something stands there.
-    """
-
-    lines: Lines
-    top_m: FloatArray
-    first: IntArray
-    clear_m: FloatArray
-    covered: BoolArray
+TOP, REFUSED_AS = 7, 8
+"""Beside those of `lines_of`, columns of faces and refused faces: the highest that was seen, and the label of their returns."""
+HEAD, LEAF, REVEAL = 7, 8, 9
+"""The same of doorways: the head's height above the floor, how far the closed leaf is behind the wall's face (minus infinity
+where the door is open), and how deep the reveals are."""
+BEYOND = 7
+"""The same of panes: how far behind their face what returns is outside."""
 
 
-class _Refused(NamedTuple):
-    """Refused faces: their lines, top_m (R,), and the label (R,) of their returns."""
-
-    lines: Lines
-    top_m: FloatArray
-    label: UInt8Array
-
-
-class _Doorways(NamedTuple):
-    """Doors: the lines of their sills, head_m (D,) above the floor, reveal_m (D,) how deep the reveals are.
-
-    depth_m: (D,) of the closed leaf behind the wall's face; minus infinity where the door is open.
-    """
-
-    lines: Lines
-    head_m: FloatArray
-    depth_m: FloatArray
-    reveal_m: FloatArray
-
-
-class _Panes(NamedTuple):
-    """Windows: their lines, and how far behind their face what returns is outside, beyond_m (N,)."""
-
-    lines: Lines
-    beyond_m: FloatArray
+def _table(faces: Faces, *columns: FloatArray | UInt8Array) -> FloatArray:
+    """Lines of faces and more of their columns."""
+    return np.ascontiguousarray(np.column_stack([lines_of(faces), *columns]))
 
 
 if TYPE_CHECKING:
@@ -216,44 +203,84 @@ class _AtDoor(NamedTuple):
     in_doorway: bool
 
 
-def relabel(
-    points_map: FloatArray,
-    height_m: FloatArray,
-    below_ceiling_m: FloatArray,
-    label_scan: UInt8Array,
-    origin_map: FloatArray,
-    building: BuildingModel,
-    halo: Halo,
-    settings: RelabellingSettings,
-) -> UInt8Array:
-    """The final labels (n,): what many scans agree on overrules what one scan saw.
+@dataclass(frozen=True)
+class Relabelling:
+    """A building as the returns of scans are asked about it: tables for compiled code, and what is near each place.
 
-    points_map: (n, 3). height_m: (n,) above the floor that the scan saw, which doors' heads are measured from too.
-    below_ceiling_m: (n,) below the scan's ceiling, infinite without one. label_scan: (n,) of the scan alone; not changed.
-    origin_map: (3,) the sensor. halo: the cubes in which clutter is a surface's scatter; asked before the building's levels.
+    faces, refused, doorways, panes: a row for each, see `TOP`, `HEAD` and `BEYOND`; with an index of `index_near` each.
+    before: what is before the faces, by their columns.
+    false_floors: what a scan took for floor on a wall, which is to be asked about like anything else there.
+    levels: what lies at known heights, asked last; halo: the cubes in which clutter is a surface's scatter, before these.
     """
-    walls, before, refused = building.walls, building.before, building.judged.refused
-    doors, windows = building.doors, building.windows
-    leaf_m = np.where(doors.state == DoorState.CLOSED, doors.depth_m, -np.inf)
-    beyond_m = np.where(np.isfinite(windows.pane_m), windows.pane_m + settings.pane_m, settings.behind_glass_m)
-    # What a scan took for floor on a wall is to be asked about like anything else there.
-    first = [level for level in building.levels if level.surface.taken_for == Label.FLOOR]
-    last = [level for level in building.levels if level.surface.taken_for != Label.FLOOR]
-    label = np.asarray(
-        _relabel(
+
+    faces: tuple[FloatArray, IntArray]
+    refused: tuple[FloatArray, IntArray]
+    doorways: tuple[FloatArray, IntArray]
+    panes: tuple[FloatArray, IntArray]
+    before: Foreground
+    rules: "_Rules"
+    false_floors: tuple[HeightMap, ...]
+    levels: tuple[HeightMap, ...]
+    halo: Halo
+
+    @classmethod
+    def of(cls, building: BuildingModel, halo: Halo, settings: RelabellingSettings) -> "Relabelling":
+        """By the settings, which say how far each part of the building reaches."""
+        walls, refused, doors, windows = building.walls, building.judged.refused, building.doors, building.windows
+        leaf_m = np.where(doors.state == DoorState.CLOSED, doors.depth_m, -np.inf)
+        beyond_m = np.where(np.isfinite(windows.pane_m), windows.pane_m + settings.pane_m, settings.behind_glass_m)
+        # A ray that ends this close to a face or a leaf may cross it so far away, if it comes in as level as is asked about.
+        at_face_m = max(settings.forget_m, settings.body_m, settings.scan_door_ratio * settings.wall_distance_m)
+        face_m = max(at_face_m, (settings.edge_m + settings.own_max_m) / settings.grazing_sine)
+        off_leaf_m = settings.leaf_distance_m + settings.wall_distance_m + np.max(leaf_m, initial=0.0)
+        door_m = settings.at_door_m + max(settings.other_face_m, off_leaf_m / settings.grazing_sine)
+        pane_m = max(settings.wall_distance_m, float(beyond_m.max(initial=0.0)))
+        margin_m = max(settings.margin_m, settings.wall_distance_m)
+        return cls(
+            (_table(walls, walls.top_m), index_near(walls, face_m + margin_m)),
+            (
+                _table(refused, refused.top_m, building.judged.refused_label),
+                index_near(refused, settings.refused_m + margin_m),
+            ),
+            (_table(doors, doors.head_m, leaf_m, doors.reveal_m), index_near(doors, door_m + margin_m)),
+            (_table(windows, beyond_m), index_near(windows, pane_m + margin_m)),
+            building.before,
+            _Rules(**settings.model_dump()),
+            tuple(level for level in building.levels if level.surface.taken_for == Label.FLOOR),
+            tuple(level for level in building.levels if level.surface.taken_for != Label.FLOOR),
+            halo,
+        )
+
+    def labels(
+        self,
+        points_map: FloatArray,
+        height_m: FloatArray,
+        below_ceiling_m: FloatArray,
+        label_scan: UInt8Array,
+        origin_map: FloatArray,
+    ) -> UInt8Array:
+        """The final labels (n,): what many scans agree on overrules what one scan saw.
+
+        points_map: (n, 3). height_m: (n,) above the floor that the scan saw, which doors' heads are measured from too.
+        below_ceiling_m: (n,) below the scan's ceiling, infinite without one. label_scan: (n,) of the scan alone; not changed.
+        origin_map: (3,) the sensor.
+        """
+        label = _relabel(
             points_map,
             height_m,
             below_ceiling_m,
-            corrected(first, points_map, label_scan),
+            corrected(self.false_floors, points_map, label_scan),
             np.ascontiguousarray(origin_map, np.float64),
-            _Faces(Lines.of(walls), walls.top_m, before.first, before.clear_m, before.covered),
-            _Refused(Lines.of(refused), refused.top_m, building.judged.refused_label),
-            _Doorways(Lines.of(doors), doors.head_m, leaf_m, doors.reveal_m),
-            _Panes(Lines.of(windows), beyond_m),
-            _Rules(**settings.model_dump()),
+            *self.faces,
+            self.before.first,
+            self.before.clear_m,
+            self.before.covered,
+            *self.refused,
+            *self.doorways,
+            *self.panes,
+            self.rules,
         )
-    )
-    return corrected(last, points_map, halo.label_of(points_map, label))
+        return corrected(self.levels, points_map, self.halo.label_of(points_map, np.asarray(label)))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -262,7 +289,8 @@ def _own_places(
     height: FloatArray,
     below_ceiling: FloatArray,
     label_scan: UInt8Array,
-    lines: Lines,
+    faces: FloatArray,
+    near_faces: IntArray,
     rules: _Rules,
 ) -> FloatArray:  # pragma: no cover
     """(W, 2) how far before each face the scan itself shows its foot, and its top; 0 where it shows neither.
@@ -271,21 +299,22 @@ def _own_places(
     """
     bin_m, most_m = 0.002, rules.own_max_m
     bins = int(2.0 * most_m / bin_m)
-    faces = len(lines.length)
-    counts = np.zeros((faces, 2, bins), np.int64)
+    counts = np.zeros((len(faces), 2, bins), np.int64)
     for i in range(len(points)):
         if label_scan[i] != Label.WALL:
             continue
         at_foot = rules.own_from_m < height[i] < rules.own_to_m
         if not at_foot and not rules.own_from_m < below_ceiling[i] < rules.own_to_m:
             continue
-        for w in range(faces):
-            s = before_line(lines, w, points[i, 0], points[i, 1])
-            u = along_line(lines, w, points[i, 0], points[i, 1])
-            if abs(s) < most_m and most_m < u < lines.length[w] - most_m:
+        p = cell_at(near_faces, points[i, 0], points[i, 1])
+        for k in range(near_faces[p], near_faces[p + 1]):
+            w = near_faces[k]
+            s = before_line(faces, w, points[i, 0], points[i, 1])
+            u = along_line(faces, w, points[i, 0], points[i, 1])
+            if abs(s) < most_m and most_m < u < faces[w, LENGTH] - most_m:
                 counts[w, 0 if at_foot else 1, min(int((s + most_m) / bin_m), bins - 1)] += 1
-    own_m = np.full((faces, 2), np.nan)
-    for w in range(faces):
+    own_m = np.full((len(faces), 2), np.nan)
+    for w in range(len(faces)):
         for end in range(2):
             total = counts[w, end].sum()
             if total >= rules.own_returns_min:
@@ -298,33 +327,63 @@ def _own_places(
 
 
 @numba.njit(cache=True, nogil=True)
-def _through_window(
-    at: _Return, origin: FloatArray, panes: _Panes, rules: _Rules
-) -> tuple[bool, bool]:  # pragma: no cover
-    """Whether a ray reached its return through a window; and whether that is on a window's sill, head or reveal."""
-    on_reveal = False
-    for g in range(len(panes.lines.length)):
-        s = before_line(panes.lines, g, at.x, at.y)
-        if s > -panes.beyond_m[g]:
-            # Between a window's face and its pane there is nothing but the sill, the head and the reveals.
-            if s < rules.wall_distance_m:
-                u = along_line(panes.lines, g, at.x, at.y)
-                on_reveal = on_reveal or -rules.margin_m < u < panes.lines.length[g] + rules.margin_m
-            continue
-        _, u = crossing(panes.lines, g, 0.0, at.x, at.y, origin, 0.0)
-        if -rules.margin_m < u < panes.lines.length[g] + rules.margin_m:
-            return True, on_reveal
-    return False, on_reveal
+def _panes_by_sector(
+    origin: FloatArray, panes: FloatArray, rules: _Rules
+) -> tuple[IntArray, IntArray]:  # pragma: no cover
+    """The panes (SECTORS, N) that the sensor may look through in each direction, and how many there are (SECTORS,)."""
+    in_sector, count = np.empty((SECTORS, len(panes)), np.int32), np.zeros(SECTORS, np.int64)
+    corners = np.empty((2, 2))
+    for g in range(len(panes)):
+        if before_line(panes, g, origin[0], origin[1]) > 0.0:
+            for k in range(2):
+                along = panes[g, START] + (panes[g, LENGTH] + rules.margin_m if k else -rules.margin_m)
+                across = panes[g, OFFSET]
+                corners[k, 0] = across * panes[g, NORMAL_X] + along * panes[g, ALONG_X] - origin[0]
+                corners[k, 1] = across * panes[g, NORMAL_Y] + along * panes[g, ALONG_Y] - origin[1]
+            enter(g, *sectors_around(corners), in_sector, count)
+    return in_sector, count
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, forceinline=True)
+def _is_outside(
+    at: _Return, origin: FloatArray, panes: FloatArray, in_sector: IntArray, count: IntArray, rules: _Rules
+) -> bool:  # pragma: no cover
+    """Whether a ray reached its return through a window; in_sector, count: from `_panes_by_sector`."""
+    sector = sector_of(at.x - origin[0], at.y - origin[1])
+    for k in range(count[sector]):
+        g = in_sector[sector, k]
+        if before_line(panes, g, at.x, at.y) <= -panes[g, BEYOND]:
+            _, u = crossing(panes, g, 0.0, at.x, at.y, origin, 0.0)
+            if -rules.margin_m < u < panes[g, LENGTH] + rules.margin_m:
+                return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True, forceinline=True)
+def _on_window_reveal(at: _Return, panes: FloatArray, near_panes: IntArray, rules: _Rules) -> bool:  # pragma: no cover
+    """Whether a return lies between a window's face and its pane, where there is nothing but sill, head and reveals."""
+    p = cell_at(near_panes, at.x, at.y)
+    for k in range(near_panes[p], near_panes[p + 1]):
+        g = near_panes[k]
+        if -panes[g, BEYOND] < before_line(panes, g, at.x, at.y) < rules.wall_distance_m:
+            u = along_line(panes, g, at.x, at.y)
+            if -rules.margin_m < u < panes[g, LENGTH] + rules.margin_m:
+                return True
+    return False
+
+
+@numba.njit(cache=True, nogil=True, forceinline=True)
 def _at_edge(
     label: np.int64,
     at: _Return,
     origin: FloatArray,
-    faces: _Faces,
+    faces: FloatArray,
+    near_faces: IntArray,
+    first: IntArray,
+    clear_m: FloatArray,
     own_m: FloatArray,
-    doorways: _Doorways,
+    doorways: FloatArray,
+    near_doorways: IntArray,
     rules: _Rules,
 ) -> np.int64 | Label:  # pragma: no cover
     """The label of a floor, ceiling or wall return near floor or ceiling, by which of them and the walls its ray meets first.
@@ -336,27 +395,31 @@ def _at_edge(
     """
     edge_m = rules.edge_m
     near_floor, near_a_ceiling = abs(at.height_m) < edge_m, abs(at.below_ceiling_m) < edge_m
-    for d in range(len(doorways.lines.length)):
+    p = cell_at(near_doorways, at.x, at.y)
+    for k in range(near_doorways[p], near_doorways[p + 1]):
         # A closed leaf stands on the floor, behind its wall's face.
-        depth_m = doorways.depth_m[d]
-        if near_floor and depth_m >= 0.0 and abs(before_line(doorways.lines, d, at.x, at.y) + depth_m) < edge_m:
-            share, u = crossing(doorways.lines, d, depth_m, at.x, at.y, origin, rules.grazing_sine)
-            if 0.0 < u < doorways.lines.length[d]:
+        d = near_doorways[k]
+        depth_m = doorways[d, LEAF]
+        if near_floor and depth_m >= 0.0 and abs(before_line(doorways, d, at.x, at.y) + depth_m) < edge_m:
+            share, u = crossing(doorways, d, depth_m, at.x, at.y, origin, rules.grazing_sine)
+            if 0.0 < u < doorways[d, LENGTH]:
                 return Label.DOOR if at.height_m + (share - 1.0) * (at.z - origin[2]) > 0.0 else Label.FLOOR
     missed = False
-    for w in range(len(faces.lines.length)):
+    p = cell_at(near_faces, at.x, at.y)
+    for k in range(near_faces[p], near_faces[p + 1]):
+        w = near_faces[k]
         before_m = own_m[w, 0 if near_floor else 1]
-        if abs(before_line(faces.lines, w, at.x, at.y) - before_m) > edge_m:
+        if abs(before_line(faces, w, at.x, at.y) - before_m) > edge_m:
             continue
-        share, u = crossing(faces.lines, w, -before_m, at.x, at.y, origin, rules.grazing_sine)
-        if not 0.0 <= u <= faces.lines.length[w]:
+        share, u = crossing(faces, w, -before_m, at.x, at.y, origin, rules.grazing_sine)
+        if not 0.0 <= u <= faces[w, LENGTH]:
             continue
         rise = (share - 1.0) * (at.z - origin[2])
         cx, cy = origin[0] + share * (at.x - origin[0]), origin[1] + share * (at.y - origin[1])
-        if _is_in_doorway(cx, cy, at.height_m + rise, doorways, rules.other_face_m):
+        if _is_in_doorway(cx, cy, at.height_m + rise, doorways, near_doorways, rules.other_face_m):
             continue
-        column = min(int(u / CELL_M), faces.first[w + 1] - faces.first[w] - 1)
-        is_other_rooms = at.height_m < faces.clear_m[faces.first[w] + column] - rules.another_ceiling_m
+        column = min(int(u / CELL_M), first[w + 1] - first[w] - 1)
+        is_other_rooms = at.height_m < clear_m[first[w] + column] - rules.another_ceiling_m
         near_ceiling = near_a_ceiling and not is_other_rooms
         if (not near_floor or at.height_m + rise > 0.0) and (not near_ceiling or at.below_ceiling_m - rise > 0.0):
             return Label.WALL
@@ -368,20 +431,22 @@ def _at_edge(
 
 @numba.njit(cache=True, nogil=True)
 def _is_in_doorway(
-    x: float, y: float, height_m: float, doorways: _Doorways, other_face_m: float
+    x: float, y: float, height_m: float, doorways: FloatArray, near_doorways: IntArray, other_face_m: float
 ) -> bool:  # pragma: no cover
     """Whether a place at this height above the floor, on a face of some wall, is between the jambs of one of its doors."""
-    for d in range(len(doorways.lines.length)):
+    p = cell_at(near_doorways, x, y)
+    for k in range(near_doorways[p], near_doorways[p + 1]):
+        d = near_doorways[k]
         if (
-            0.0 < along_line(doorways.lines, d, x, y) < doorways.lines.length[d]
-            and abs(before_line(doorways.lines, d, x, y)) < other_face_m
-            and height_m < doorways.head_m[d]
+            0.0 < along_line(doorways, d, x, y) < doorways[d, LENGTH]
+            and abs(before_line(doorways, d, x, y)) < other_face_m
+            and height_m < doorways[d, HEAD]
         ):
             return True
     return False
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, forceinline=True)
 def _is_above_floor(at: _Return, origin: FloatArray, rules: _Rules) -> bool:  # pragma: no cover
     """Whether a floor return is too high to be the floor's scatter.
 
@@ -393,18 +458,22 @@ def _is_above_floor(at: _Return, origin: FloatArray, rules: _Rules) -> bool:  # 
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True)  # a call for each return would hand over all arrays
-def _at_door(at: _Return, origin: FloatArray, doorways: _Doorways, rules: _Rules) -> _AtDoor:  # pragma: no cover
+def _at_door(
+    at: _Return, origin: FloatArray, doorways: FloatArray, near_doorways: IntArray, rules: _Rules
+) -> _AtDoor:  # pragma: no cover
     """What a return is to the building's doors; once it is a leaf's, nothing else is asked."""
     on_reveal = in_opening = in_doorway = False
-    for d in range(len(doorways.lines.length)):
-        s = before_line(doorways.lines, d, at.x, at.y)
+    p = cell_at(near_doorways, at.x, at.y)
+    for k in range(near_doorways[p], near_doorways[p + 1]):
+        d = near_doorways[k]
+        s = before_line(doorways, d, at.x, at.y)
         if abs(s) > rules.at_door_m:
             continue
-        u, length = along_line(doorways.lines, d, at.x, at.y), doorways.lines.length[d]
-        depth_m, head_m, reveal_m = doorways.depth_m[d], doorways.head_m[d], doorways.reveal_m[d]
+        u, length = along_line(doorways, d, at.x, at.y), doorways[d, LENGTH]
+        depth_m, head_m, reveal_m = doorways[d, LEAF], doorways[d, HEAD], doorways[d, REVEAL]
         # Between the jambs of a closed door there is nothing but its leaf, its handle, and their scatter.
         if -depth_m - rules.leaf_distance_m < s < rules.wall_distance_m:
-            share, at_leaf = crossing(doorways.lines, d, depth_m, at.x, at.y, origin, rules.grazing_sine)
+            share, at_leaf = crossing(doorways, d, depth_m, at.x, at.y, origin, rules.grazing_sine)
             rise = (share - 1.0) * (at.z - origin[2])
             if np.isnan(share):
                 at_leaf, rise = u, 0.0
@@ -428,9 +497,15 @@ def _at_door(at: _Return, origin: FloatArray, doorways: _Doorways, rules: _Rules
     return _AtDoor(False, on_reveal, in_opening, in_doorway)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, forceinline=True)
 def _nearest_face(
-    at: _Return, origin: FloatArray, faces: _Faces, rules: _Rules
+    at: _Return,
+    origin: FloatArray,
+    faces: FloatArray,
+    near_faces: IntArray,
+    first: IntArray,
+    covered: BoolArray,
+    rules: _Rules,
 ) -> tuple[float, bool, bool]:  # pragma: no cover
     """Metres to the nearest face, infinite without one; whether something stands against the wall; whether a wall has it within.
 
@@ -439,33 +514,39 @@ def _nearest_face(
     """
     nearest_m, nearest_seen_m = np.inf, rules.forget_m
     is_covered = is_within = False
-    for w in range(len(faces.lines.length)):
-        s = before_line(faces.lines, w, at.x, at.y)
-        could_see = s > 0.0 or before_line(faces.lines, w, origin[0], origin[1]) > 0.0
+    p = cell_at(near_faces, at.x, at.y)
+    for k in range(near_faces[p], near_faces[p + 1]):
+        w = near_faces[k]
+        s = before_line(faces, w, at.x, at.y)
+        could_see = s > 0.0 or before_line(faces, w, origin[0], origin[1]) > 0.0
         in_body = -rules.body_m < s < 0.0 and could_see
         if abs(s) < nearest_m or in_body or (could_see and abs(s) < nearest_seen_m):
-            u = along_line(faces.lines, w, at.x, at.y)
-            beside = -rules.margin_m < u < faces.lines.length[w] + rules.margin_m
-            if beside and at.height_m < faces.top_m[w] + rules.face_above_m:
+            u = along_line(faces, w, at.x, at.y)
+            beside = -rules.margin_m < u < faces[w, LENGTH] + rules.margin_m
+            if beside and at.height_m < faces[w, TOP] + rules.face_above_m:
                 nearest_m = min(nearest_m, abs(s))
                 if could_see and abs(s) < nearest_seen_m:
                     nearest_seen_m = abs(s)
-                    column = min(max(int(u / CELL_M), 0), faces.first[w + 1] - faces.first[w] - 1)
-                    row = min(max(int(at.height_m / CELL_M), 0), faces.covered.shape[1] - 1)
-                    is_covered = faces.covered[faces.first[w] + column, row]
+                    column = min(max(int(u / CELL_M), 0), first[w + 1] - first[w] - 1)
+                    row = min(max(int(at.height_m / CELL_M), 0), covered.shape[1] - 1)
+                    is_covered = covered[first[w] + column, row]
                 is_within = is_within or in_body
     return nearest_m, is_covered, is_within
 
 
-@numba.njit(cache=True, nogil=True)
-def _label_of_refused(at: _Return, refused: _Refused, rules: _Rules) -> int:  # pragma: no cover
+@numba.njit(cache=True, nogil=True, forceinline=True)
+def _label_of_refused(
+    at: _Return, refused: FloatArray, near_refused: IntArray, rules: _Rules
+) -> int:  # pragma: no cover
     """The label of the first refused face that a return lies on, -1 where it lies on none."""
-    for f in range(len(refused.lines.length)):
-        if abs(before_line(refused.lines, f, at.x, at.y)) < rules.refused_m:
-            u = along_line(refused.lines, f, at.x, at.y)
-            beside = -rules.margin_m < u < refused.lines.length[f] + rules.margin_m
-            if beside and at.height_m < refused.top_m[f] + rules.refused_above_m:
-                return int(refused.label[f])
+    p = cell_at(near_refused, at.x, at.y)
+    for k in range(near_refused[p], near_refused[p + 1]):
+        f = near_refused[k]
+        if abs(before_line(refused, f, at.x, at.y)) < rules.refused_m:
+            u = along_line(refused, f, at.x, at.y)
+            beside = -rules.margin_m < u < refused[f, LENGTH] + rules.margin_m
+            if beside and at.height_m < refused[f, TOP] + rules.refused_above_m:
+                return int(refused[f, REFUSED_AS])
     return -1
 
 
@@ -476,15 +557,24 @@ def _relabel(
     below_ceiling: FloatArray,
     label_scan: UInt8Array,
     origin: FloatArray,
-    faces: _Faces,
-    refused: _Refused,
-    doorways: _Doorways,
-    panes: _Panes,
+    faces: FloatArray,
+    near_faces: IntArray,
+    first: IntArray,
+    clear_m: FloatArray,
+    covered: BoolArray,
+    refused: FloatArray,
+    near_refused: IntArray,
+    doorways: FloatArray,
+    near_doorways: IntArray,
+    panes: FloatArray,
+    near_panes: IntArray,
     rules: _Rules,
 ) -> UInt8Array:  # pragma: no cover
     """The final labels (n,) before halo and levels are asked: return by return the first answer that decides."""
     label = label_scan.copy()
-    own_m = _own_places(points, height, below_ceiling, label_scan, faces.lines, rules)
+    own_m = _own_places(points, height, below_ceiling, label_scan, faces, near_faces, rules)
+    in_sector, pane_count = _panes_by_sector(origin, panes, rules)
+    has_panes = pane_count.any()
     for i in range(len(points)):
         at = _Return(
             np.float64(points[i, 0]),
@@ -493,33 +583,44 @@ def _relabel(
             np.float64(height[i]),
             np.float64(below_ceiling[i]),
         )
-        is_outside, on_reveal = _through_window(at, origin, panes, rules)
-        if is_outside:
+        if has_panes and _is_outside(at, origin, panes, in_sector, pane_count, rules):
             label[i] = Label.OUTSIDE
             continue
         if label[i] == Label.FLOOR or label[i] == Label.CEILING or label[i] == Label.WALL:
             if abs(at.height_m) < rules.edge_m or abs(at.below_ceiling_m) < rules.edge_m:
-                label[i] = _at_edge(np.int64(label[i]), at, origin, faces, own_m, doorways, rules)
+                label[i] = _at_edge(
+                    np.int64(label[i]),
+                    at,
+                    origin,
+                    faces,
+                    near_faces,
+                    first,
+                    clear_m,
+                    own_m,
+                    doorways,
+                    near_doorways,
+                    rules,
+                )
             if label[i] == Label.FLOOR and _is_above_floor(at, origin, rules):
                 label[i] = Label.CLUTTER
             if label[i] != Label.WALL:
                 continue
-        door = _at_door(at, origin, doorways, rules)
+        door = _at_door(at, origin, doorways, near_doorways, rules)
         if door.on_leaf:
             label[i] = Label.DOOR
             continue
-        on_reveal = on_reveal or door.on_reveal
+        on_reveal = door.on_reveal or _on_window_reveal(at, panes, near_panes, rules)
         if door.in_opening and not on_reveal:
             # A face goes on over its doors, but no wall stands in an open one.
             label[i] = Label.CLUTTER
             continue
-        nearest_m, is_covered, is_within = _nearest_face(at, origin, faces, rules)
+        nearest_m, is_covered, is_within = _nearest_face(at, origin, faces, near_faces, first, covered, rules)
         if is_covered and not on_reveal:
             label[i] = Label.CLUTTER
             continue
         is_wall, is_door = label[i] == Label.WALL, label[i] == Label.DOOR
         if nearest_m > rules.wall_distance_m and (is_wall or is_door) and not on_reveal:
-            of_refused = _label_of_refused(at, refused, rules)
+            of_refused = _label_of_refused(at, refused, near_refused, rules)
             if of_refused >= 0:
                 label[i] = of_refused
                 continue

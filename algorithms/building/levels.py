@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import reduce
 
+import numba
 import numpy as np
 from pydantic import Field
 from scipy import ndimage
@@ -122,16 +123,36 @@ class HeightMap:
 
     def label_of(self, points_map: FloatArray, label: UInt8Array) -> UInt8Array:
         """The labels (n,) of points (n, 3); what scans took for something else at these heights gets the surface's label."""
-        wrong = np.flatnonzero(label == self.surface.taken_for)
-        rows, columns = self.low_m.shape
-        cell = np.floor((points_map[wrong, :2] - self.origin) / self.cell_m).astype(np.int64)
-        inside = (cell >= 0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
-        wrong, cell = wrong[inside], cell[inside]
-        of_cell, height_m = (cell[:, 1], cell[:, 0]), points_map[wrong, 2]
-        on_it = (height_m > self.low_m[of_cell]) & (height_m < self.high_m[of_cell])
-        corrected = label.copy()
-        corrected[wrong[on_it]] = self.surface.label
-        return corrected
+        surface = self.surface
+        return np.asarray(
+            _label_between(
+                points_map, label, surface.taken_for, surface.label, self.origin, self.cell_m, self.low_m, self.high_m
+            )
+        )
+
+
+@numba.njit(cache=True, nogil=True)
+def _label_between(
+    points: FloatArray,
+    label: UInt8Array,
+    taken_for: int,
+    wanted: int,
+    origin: FloatArray,
+    cell_m: float,
+    low_m: FloatArray,
+    high_m: FloatArray,
+) -> UInt8Array:  # pragma: no cover
+    """The labels (n,) of points (n, 3) with `wanted` in place of `taken_for` between two heights of their cells."""
+    corrected = label.copy()
+    rows, columns = low_m.shape
+    for i in range(len(points)):
+        if label[i] == taken_for:
+            column, row = np.floor((points[i, 0] - origin[0]) / cell_m), np.floor((points[i, 1] - origin[1]) / cell_m)
+            if 0 <= column < columns and 0 <= row < rows:
+                cell = int(row), int(column)
+                if low_m[cell] < points[i, 2] < high_m[cell]:
+                    corrected[i] = wanted
+    return corrected
 
 
 def corrected(levels: Iterable[HeightMap], points_map: FloatArray, label: UInt8Array) -> UInt8Array:

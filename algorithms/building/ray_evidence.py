@@ -11,6 +11,7 @@ import numba
 import numpy as np
 
 from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.plan_index import SECTORS, enter, sector_of, sectors_around
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, BuildingSettings, Walls
@@ -21,8 +22,6 @@ FILLED, SUM, SQUARES, THROUGH = range(4)
 """What `WallCells.counts` holds of each cell."""
 FOOT_ROW = 2
 """The lowest row above sills, skirting boards and the floor's own returns."""
-_SECTORS = 512
-"""Directions about a sensor, by which rays are given to the few faces that they may meet."""
 
 
 @dataclass(frozen=True)
@@ -182,12 +181,6 @@ def _looks_at(origin: FloatArray, ends: FloatArray, normal: FloatArray, range_m:
 
 
 @numba.njit(cache=True, nogil=True)
-def _sector(x: float, y: float) -> int:  # pragma: no cover
-    """The sector, of `_SECTORS` about the sensor, in which a direction lies."""
-    return min(int((np.arctan2(y, x) + np.pi) * (_SECTORS / (2.0 * np.pi))), _SECTORS - 1)
-
-
-@numba.njit(cache=True, nogil=True)
 def _sectors(
     origin: FloatArray, ends: FloatArray, normal: FloatArray, plane: FloatArray, near_m: float
 ) -> tuple[int, int]:  # pragma: no cover
@@ -196,22 +189,17 @@ def _sectors(
     plane: (5,) the scan's own view of the face, from `own_plane`.
     """
     reach = normal[0] * (origin[0] - ends[0, 0]) + normal[1] * (origin[1] - ends[0, 1])
-    middle = np.arctan2(0.5 * (ends[0, 1] + ends[1, 1]) - origin[1], 0.5 * (ends[0, 0] + ends[1, 0]) - origin[0])
-    low, high = 0.0, 0.0
     cos_angle = normal[0] * plane[0] + normal[1] * plane[1]
-    for end in range(2):
-        x, y = ends[end, 0], ends[end, 1]
+    corners = np.empty((4, 2))
+    for k in range(4):
+        x, y = ends[k // 2, 0], ends[k // 2, 1]
         # The scan's own plane meets the upright of the face's end here.
         off = (plane[2] - plane[0] * x - plane[1] * y) / cos_angle
-        for before in (min(off, 0.0) - near_m - 0.1, max(off, 0.0) + 0.2):
-            if before > reach - 0.1:
-                return 0, _SECTORS
-            angle = np.arctan2(y + before * normal[1] - origin[1], x + before * normal[0] - origin[0]) - middle
-            angle -= 2.0 * np.pi * np.floor(angle / (2.0 * np.pi) + 0.5)
-            low, high = min(low, angle), max(high, angle)
-    width = _SECTORS / (2.0 * np.pi)
-    first = int(np.floor((middle + low + np.pi) * width)) - 1
-    return first % _SECTORS, min(int(np.floor((middle + high + np.pi) * width)) + 2 - first, _SECTORS)
+        before = max(off, 0.0) + 0.2 if k % 2 else min(off, 0.0) - near_m - 0.1
+        if before > reach - 0.1:
+            return 0, SECTORS
+        corners[k, 0], corners[k, 1] = x + before * normal[0] - origin[0], y + before * normal[1] - origin[1]
+    return sectors_around(corners)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -233,7 +221,7 @@ def _trace(
         length = np.sqrt(dx * dx + dy * dy)
         along[w, 0], along[w, 1] = dx / length, dy / length
     planes = np.empty((faces, 5))
-    in_sector, met = np.empty((_SECTORS, faces), np.int32), np.zeros(_SECTORS, np.int32)
+    in_sector, met = np.empty((SECTORS, faces), np.int32), np.zeros(SECTORS, np.int64)
     for s in range(len(origin)):
         ox, oy, oz = origin[s, 0], origin[s, 1], origin[s, 2]
         met[:] = 0
@@ -241,12 +229,9 @@ def _trace(
             if not _looks_at(origin[s], ends[w], normal[w], range_m):
                 continue
             planes[w] = own_plane(ends[w], normal[w], rays, s, own)
-            sector, sectors = _sectors(origin[s], ends[w], normal[w], planes[w], near_m)
-            for k in range(sector, sector + sectors):
-                in_sector[k % _SECTORS, met[k % _SECTORS]] = w
-                met[k % _SECTORS] += 1
+            enter(w, *_sectors(origin[s], ends[w], normal[w], planes[w], near_m), in_sector, met)
         for r in range(starts[s], starts[s + 1]):
-            sector = _sector(ray_end[r, 0] - ox, ray_end[r, 1] - oy)
+            sector = sector_of(ray_end[r, 0] - ox, ray_end[r, 1] - oy)
             for k in range(met[sector]):
                 w = in_sector[sector, k]
                 x, y, z = np.float64(ray_end[r, 0]), np.float64(ray_end[r, 1]), np.float64(ray_end[r, 2])

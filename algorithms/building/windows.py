@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
-from ffmap.algorithms.base.segments import Lines, Segment, before_line, crossing, segments
+from ffmap.algorithms.base.segments import LENGTH, Segment, before_line, crossing, lines_of, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, Walls, Windows, cells_in, stretches
 from ffmap.algorithms.building.openings import (
@@ -150,7 +150,7 @@ def seen_through(windows: Windows, features: Features) -> BoolArray:
 
 def without_rays_through(windows: Windows, features: Features) -> Features:
     """The same scans without the rays that ended beyond a window."""
-    passed = _rays_through(Lines.of(windows), Rays.of(features))
+    passed = _rays_through(lines_of(windows), Rays.of(features))
     return replace(
         features,
         ray_count=np.bincount(features.ray_scan[~passed], minlength=len(features.scan)),
@@ -160,9 +160,9 @@ def without_rays_through(windows: Windows, features: Features) -> Features:
 
 
 @numba.njit(cache=True, nogil=True)
-def _rays_through(panes: Lines, rays: Rays) -> BoolArray:  # pragma: no cover
+def _rays_through(panes: FloatArray, rays: Rays) -> BoolArray:  # pragma: no cover
     passed = np.zeros(len(rays.end), np.bool_)
-    for w in range(len(panes.length)):
+    for w in range(len(panes)):
         for s in range(len(rays.origin)):
             if before_line(panes, w, rays.origin[s, 0], rays.origin[s, 1]) <= 0.0:
                 continue
@@ -170,5 +170,5 @@ def _rays_through(panes: Lines, rays: Rays) -> BoolArray:  # pragma: no cover
                 x, y = np.float64(rays.end[r, 0]), np.float64(rays.end[r, 1])
                 if before_line(panes, w, x, y) <= -CELL_M:
                     _, u = crossing(panes, w, 0.0, x, y, rays.origin[s], 0.0)
-                    passed[r] |= 0.0 < u < panes.length[w]
+                    passed[r] |= 0.0 < u < panes[w, LENGTH]
     return passed

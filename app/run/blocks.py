@@ -12,7 +12,7 @@ import numpy as np
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array, within_range
 from ffmap.algorithms.base.trajectory import PlacedScan, Trajectory
-from ffmap.algorithms.building.final_labels import BuildingModel, relabel
+from ffmap.algorithms.building.final_labels import BuildingModel, Relabelling
 from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.maps.rivals import RivalCounter
 from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
@@ -201,6 +201,7 @@ def finish_block(job: FinishJob) -> None:
     labels: dict[int, UInt8Array] = {}
     digests: list[bytes] = []
     table = VoxelTable(VOXEL_M, len(Label))
+    relabelling = Relabelling.of(job.building, spool.load_halo(job.halo), label_job.settings.relabelling)
     with _open_evidence(label_job, FINAL_EVIDENCE) as log:
         for index, scan in _read(label_job, digests):
             if index not in earlier or isinstance(scan, SkippedScan):
@@ -210,16 +211,13 @@ def finish_block(job: FinishJob) -> None:
             placed = level.placed
             points_map = points_in_map(placed)
             label_of_scan = earlier[index][scan.cloud_index]
-            label = relabel(
+            label = relabelling.labels(
                 points_map,
                 # Above the floor that this scan sees: the map's own height drifts.
                 level.floor.heights_above(placed.points_level),
                 below_ceiling(placed.points_level, ceilings[index]),
                 label_of_scan,
                 placed.to_map(placed.origin_level[None])[0],
-                job.building,
-                spool.load_halo(job.halo),
-                label_job.settings.relabelling,
             )
             if log:
                 log_final(log, index, scan.stamp_ns, placed, label_of_scan, label)

@@ -10,7 +10,7 @@ from ffmap.algorithms.base.scan import Scan
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.building.face_foreground import NO_FOREGROUND
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES
-from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings, relabel
+from ffmap.algorithms.building.final_labels import BuildingModel, Relabelling, RelabellingSettings
 from ffmap.algorithms.building.levels import LevelsSettings, map_ceilings
 from ffmap.algorithms.building.model import NO_DOORS, NO_WALLS, NO_WINDOWS
 from ffmap.algorithms.building.votes import VoxelTable, find_halo
@@ -42,17 +42,15 @@ def warm_up() -> None:
     table.add(points_map, labelling.label)
     votes = table.votes()
     table.absorb(votes)
-    relabel(
+    building = BuildingModel(
+        NO_WALLS, NO_FOREGROUND, NO_JUDGED_FACES, NO_DOORS, NO_WINDOWS, (map_ceilings(votes, LevelsSettings()),)
+    )
+    Relabelling.of(building, find_halo(votes, 6.0), RelabellingSettings()).labels(
         points_map,
         level.floor.heights_above(placed.points_level),
         below_ceiling(placed.points_level, labelling.ceiling_planes),
         labelling.label,
         placed.to_map(placed.origin_level[None])[0],
-        BuildingModel(
-            NO_WALLS, NO_FOREGROUND, NO_JUDGED_FACES, NO_DOORS, NO_WINDOWS, (map_ceilings(votes, LevelsSettings()),)
-        ),
-        find_halo(votes, 6.0),
-        RelabellingSettings(),
     )
 
 

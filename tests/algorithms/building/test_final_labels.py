@@ -9,7 +9,7 @@ import pytest
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.building.face_foreground import NO_FOREGROUND, Foreground
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
-from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings, relabel
+from ffmap.algorithms.building.final_labels import BuildingModel, Relabelling, RelabellingSettings
 from ffmap.algorithms.building.levels import HeightMap, Surface
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, NO_WALLS, NO_WINDOWS, Doors, Walls, Windows
 from ffmap.algorithms.building.votes import find_halo
@@ -86,12 +86,7 @@ def final_of(
 ) -> np.ndarray:
     """The final labels of returns (n, 3); the scan's ceiling hangs at 2.8 m, that before the walls at `ceiling_m`."""
     height_m = points[:, 2].astype(np.float64)
-    return relabel(
-        points,
-        height_m,
-        2.8 - height_m,
-        label,
-        sensor,
+    return Relabelling.of(
         BuildingModel(
             walls,
             before(walls, ceiling_m, covered),
@@ -102,7 +97,7 @@ def final_of(
         ),
         NO_HALO,
         SETTINGS,
-    )
+    ).labels(points, height_m, 2.8 - height_m, label, sensor)
 
 
 @pytest.mark.parametrize(
@@ -331,32 +326,18 @@ def test_labels_hold_under_rigid_motion() -> None:
             walls, doors, windows = (
                 replace(part, ends=moved(part.ends), normal=part.normal @ turn.T) for part in (walls, doors, windows)
             )
-        return relabel(
-            at,
-            points[:, 2],
-            2.8 - points[:, 2],
-            label,
-            sensor,
-            BuildingModel(walls, before(walls), NO_JUDGED_FACES, doors, windows, ()),
-            NO_HALO,
-            SETTINGS,
-        )
+        return Relabelling.of(
+            BuildingModel(walls, before(walls), NO_JUDGED_FACES, doors, windows, ()), NO_HALO, SETTINGS
+        ).labels(at, points[:, 2], 2.8 - points[:, 2], label, sensor)
 
     assert np.count_nonzero(relabelled(False) != label) > 500
     np.testing.assert_array_equal(relabelled(True), relabelled(False))
 
 
 def test_nothing_is_relabelled_where_there_is_nothing() -> None:
-    nothing = relabel(
-        np.zeros((0, 3)),
-        np.zeros(0),
-        np.zeros(0),
-        np.zeros(0, np.uint8),
-        SENSOR,
-        BuildingModel(NO_WALLS, NO_FOREGROUND, NO_JUDGED_FACES, NO_DOORS, NO_WINDOWS, ()),
-        NO_HALO,
-        SETTINGS,
-    )
+    nothing = Relabelling.of(
+        BuildingModel(NO_WALLS, NO_FOREGROUND, NO_JUDGED_FACES, NO_DOORS, NO_WINDOWS, ()), NO_HALO, SETTINGS
+    ).labels(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0, np.uint8), SENSOR)
     assert len(nothing) == 0
 
 

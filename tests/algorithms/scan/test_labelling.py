@@ -15,7 +15,7 @@ from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_fusion import fuse_walls
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES
-from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings, relabel
+from ffmap.algorithms.building.final_labels import BuildingModel, Relabelling, RelabellingSettings
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, BuildingSettings, Doors, Walls, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
@@ -44,16 +44,9 @@ def relabelled(
     columns = np.ceil(np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1) / CELL_M)
     first = np.concatenate([[0], np.cumsum(columns)]).astype(np.int64)
     before = Foreground(first, np.full(first[-1], HEIGHT_M), np.zeros(first[-1]), np.zeros((first[-1], 60), bool))
-    return points, relabel(
-        points,
-        found.height_m,
-        below_ceiling(placed.points_level, found.ceiling_planes),
-        found.label,
-        origin,
-        BuildingModel(walls, before, NO_JUDGED_FACES, doors, windows, ()),
-        halo,
-        RelabellingSettings(),
-    )
+    return points, Relabelling.of(
+        BuildingModel(walls, before, NO_JUDGED_FACES, doors, windows, ()), halo, RelabellingSettings()
+    ).labels(points, found.height_m, below_ceiling(placed.points_level, found.ceiling_planes), found.label, origin)
 
 
 def test_a_bare_corridor_is_labelled_almost_without_error() -> None:

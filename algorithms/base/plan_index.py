@@ -1,0 +1,98 @@
+"""Which faces are near a place of the plan, and which lie in a direction: so that a return, or a ray, asks about few of them."""
+
+import numba
+import numpy as np
+
+from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.algorithms.base.segments import Faces
+
+SECTORS = 512  # directions about a sensor that rays are sorted into
+_CELL_M = 0.5  # edge of the cells of the plan
+
+
+_HEADER = 4  # what an index holds before the cells' lists: its first column and row, its numbers of columns and rows
+
+
+def index_near(faces: Faces, reach_m: float) -> IntArray:
+    """For each cell of the plan the faces that are at most `reach_m` away from any place in it, ascending, as one array.
+
+    It is read by `cell_at`: where `p = cell_at(index, x, y)`, the faces near x, y are `index[index[p]:index[p + 1]]`. One
+    array, because compiled code counts references of each array that it takes out of a tuple, which costs more than the
+    question that it asks.
+    """
+    ends = np.ascontiguousarray(faces.ends, np.float64)
+    if not len(ends):
+        return np.array([0, 0, 0, 0, _HEADER + 2, _HEADER + 2], np.int64)
+    first = np.floor((ends.min(axis=(0, 1)) - reach_m) / _CELL_M).astype(np.int64)
+    shape = np.floor((ends.max(axis=(0, 1)) + reach_m) / _CELL_M).astype(np.int64) + 1 - first
+    count = np.zeros(int(shape.prod()), np.int64)
+    _list_near(ends, reach_m, first, shape, count, np.zeros(0, np.int64))
+    starts = _HEADER + len(count) + 2 + np.concatenate([[0], np.cumsum(count)])
+    # The last cell stands for all places beyond the grid, and has none.
+    index = np.concatenate([first, shape, starts, starts[-1:], np.empty(int(count.sum()), np.int64)])
+    _list_near(ends, reach_m, first, shape, starts[:-1].copy(), index)
+    return index
+
+
+@numba.njit(cache=True, nogil=True)
+def _list_near(
+    ends: FloatArray, reach_m: float, first: IntArray, shape: IntArray, place: IntArray, index: IntArray
+) -> None:  # pragma: no cover
+    """Put each face where its cells' lists are to go on, and move these places on; only move them if `index` is empty."""
+    far_m = reach_m + _CELL_M * np.sqrt(0.5)
+    for k in range(len(ends)):
+        x, y = ends[k, 0, 0] - first[0] * _CELL_M, ends[k, 0, 1] - first[1] * _CELL_M
+        dx, dy = ends[k, 1, 0] - ends[k, 0, 0], ends[k, 1, 1] - ends[k, 0, 1]
+        square = max(dx * dx + dy * dy, 1e-12)
+        left, right = min(x, x + dx) - far_m, max(x, x + dx) + far_m
+        low, high = min(y, y + dy) - far_m, max(y, y + dy) + far_m
+        for row in range(max(int(low / _CELL_M), 0), min(int(high / _CELL_M) + 1, shape[1])):
+            for column in range(max(int(left / _CELL_M), 0), min(int(right / _CELL_M) + 1, shape[0])):
+                cx, cy = (column + 0.5) * _CELL_M - x, (row + 0.5) * _CELL_M - y
+                share = min(max((cx * dx + cy * dy) / square, 0.0), 1.0)
+                if np.hypot(cx - share * dx, cy - share * dy) <= far_m:
+                    cell = row * shape[0] + column
+                    if len(index):
+                        index[place[cell]] = k
+                    place[cell] += 1
+
+
+@numba.njit(cache=True, nogil=True, forceinline=True)
+def cell_at(index: IntArray, x: float, y: float) -> int:  # pragma: no cover
+    """Where an index from `index_near` says which of its faces are near a place."""
+    column, row = int(np.floor(x / _CELL_M)) - index[0], int(np.floor(y / _CELL_M)) - index[1]
+    if column < 0 or row < 0 or column >= index[2] or row >= index[3]:
+        return int(_HEADER + index[2] * index[3])
+    return int(_HEADER + row * index[2] + column)
+
+
+@numba.njit(cache=True, nogil=True, forceinline=True)
+def sector_of(x: float, y: float) -> int:  # pragma: no cover
+    """The sector, of `SECTORS` about a sensor, in which the direction (x, y) lies."""
+    return min(int((np.arctan2(y, x) + np.pi) * (SECTORS / (2.0 * np.pi))), SECTORS - 1)
+
+
+@numba.njit(cache=True, nogil=True)
+def sectors_around(points: FloatArray) -> tuple[int, int]:  # pragma: no cover
+    """The first sector that the shape around points (n, 2), as seen from (0, 0), may reach into, and how many do.
+
+    From where it is seen the shape must be less than half a turn wide.
+    """
+    middle = np.arctan2(points[:, 1].mean(), points[:, 0].mean())
+    low, high = 0.0, 0.0
+    for k in range(len(points)):
+        angle = np.arctan2(points[k, 1], points[k, 0]) - middle
+        angle -= 2.0 * np.pi * np.floor(angle / (2.0 * np.pi) + 0.5)
+        low, high = min(low, angle), max(high, angle)
+    width = SECTORS / (2.0 * np.pi)
+    first = int(np.floor((middle + low + np.pi) * width)) - 1
+    return first % SECTORS, min(int(np.floor((middle + high + np.pi) * width)) + 2 - first, SECTORS)
+
+
+@numba.njit(cache=True, nogil=True)
+def enter(face: int, first: int, sectors: int, faces: IntArray, count: IntArray) -> None:  # pragma: no cover
+    """Add a face to the lists of its sectors: faces (SECTORS, n), count (SECTORS,)."""
+    for k in range(first, first + sectors):
+        sector = k % SECTORS
+        faces[sector, count[sector]] = face
+        count[sector] += 1
