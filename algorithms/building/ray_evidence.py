@@ -191,8 +191,12 @@ def _sectors(
     reach = normal[0] * (origin[0] - ends[0, 0]) + normal[1] * (origin[1] - ends[0, 1])
     cos_angle = normal[0] * plane[0] + normal[1] * plane[1]
     corners = np.empty((4, 2))
+    dx, dy = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1]
+    length = np.sqrt(dx * dx + dy * dy)
     for k in range(4):
-        x, y = ends[k // 2, 0], ends[k // 2, 1]
+        # The last column may reach beyond the face's end.
+        share = 1.0 + CELL_M / length if k // 2 else 0.0
+        x, y = ends[0, 0] + share * dx, ends[0, 1] + share * dy
         # The scan's own plane meets the upright of the face's end here.
         off = (plane[2] - plane[0] * x - plane[1] * y) / cos_angle
         before = max(off, 0.0) + 0.2 if k % 2 else min(off, 0.0) - near_m - 0.1

@@ -28,9 +28,13 @@ def scattered(seed: int, faces: int = 30, scans: int = 4, rays: int = 3_000) -> 
     plane_start = ends[of_face, 0] + generator.uniform(-0.02, 0.02, (planes, 2))
     plane_ends = np.stack([plane_start, plane_start + generator.uniform(0.2, 3, planes)[:, None] * plane_along], axis=1)
     end = np.column_stack([generator.uniform(-10, 10, (scans * rays, 2)), generator.uniform(-0.1, 2.6, scans * rays)])
+    # The sensor comes close to where faces end, and many rays end there.
+    near = ends[generator.integers(0, faces, scans), 1]
+    origin = near + generator.uniform(0.5, 2.0, (scans, 1)) * normal[generator.integers(0, faces, scans)]
+    end[::2, :2] = np.repeat(near, rays // 2, axis=0) + generator.normal(0.0, 0.05, (len(end[::2]), 2))
     features = Features(
         scan=np.arange(scans),
-        origin_map=np.column_stack([generator.uniform(-6, 6, (scans, 2)), np.full(scans, 1.2)]),
+        origin_map=np.column_stack([origin, np.full(scans, 1.2)]),
         floor_map=np.zeros((scans, 2, 3)),
         floor_is_foot=np.zeros(scans, bool),
         floor_reach_m=np.full(scans, 6.0),
