@@ -29,9 +29,9 @@ def scattered(seed: int, faces: int = 30, scans: int = 4, rays: int = 3_000) -> 
     plane_ends = np.stack([plane_start, plane_start + generator.uniform(0.2, 3, planes)[:, None] * plane_along], axis=1)
     end = np.column_stack([generator.uniform(-10, 10, (scans * rays, 2)), generator.uniform(-0.1, 2.6, scans * rays)])
     # The sensor comes close to where faces end, and many rays end there.
-    near = ends[generator.integers(0, faces, scans), 1]
-    origin = near + generator.uniform(0.5, 2.0, (scans, 1)) * normal[generator.integers(0, faces, scans)]
-    end[::2, :2] = np.repeat(near, rays // 2, axis=0) + generator.normal(0.0, 0.05, (len(end[::2]), 2))
+    seen = generator.integers(0, faces, scans)
+    near, origin = ends[seen, 1], ends[seen, 1] + generator.uniform(0.5, 2.0, (scans, 1)) * normal[seen]
+    end[::2, :2] = np.repeat(near, rays // 2, axis=0) + generator.normal(0.0, 0.03, (len(end[::2]), 2))
     features = Features(
         scan=np.arange(scans),
         origin_map=np.column_stack([origin, np.full(scans, 1.2)]),
@@ -52,11 +52,11 @@ def scattered(seed: int, faces: int = 30, scans: int = 4, rays: int = 3_000) -> 
     return walls, features
 
 
-@pytest.mark.parametrize("own_plane_m", [0.0, 0.03, 0.1])
+@pytest.mark.parametrize(("own_plane_m", "near_m"), [(0.0, 0.07), (0.03, 0.35), (0.1, 0.35)])
 @pytest.mark.parametrize("seed", range(5))
-def test_each_face_counts_the_rays_that_meet_it(seed: int, own_plane_m: float) -> None:
+def test_each_face_counts_the_rays_that_meet_it(seed: int, own_plane_m: float, near_m: float) -> None:
     walls, features = scattered(seed)
-    settings = SETTINGS.model_copy(update={"own_plane_m": own_plane_m})
+    settings = SETTINGS.model_copy(update={"own_plane_m": own_plane_m, "near_m": near_m})
     cells = trace_rays(walls, [features], settings)
     rays, own = Rays.of(features), OwnPlane.of(settings)
     origin, end = features.origin_map[features.ray_scan], features.ray_end_map.astype(np.float64)
