@@ -324,10 +324,13 @@ def _check_span(time_ns: IntArray, time: TimeField, period_ns: int | None) -> No
         )
 
 
-def full_labels(scan: Scan, label: UInt8Array) -> UInt8Array:
-    """Labels (cloud_size,) of every place in the cloud, from those (n,) of its returns; 255 where nothing returned."""
-    labels = np.full(scan.cloud_size, NO_RETURN, np.uint8)
-    labels[scan.cloud_index] = label
+def full_labels(cloud_size: int, cloud_index: IntArray, label: UInt8Array) -> UInt8Array:
+    """Labels (cloud_size,) of every place in a cloud, from those (n,) of its returns; 255 where nothing returned.
+
+    cloud_index: (n,) their places, see `Scan`.
+    """
+    labels = np.full(cloud_size, NO_RETURN, np.uint8)
+    labels[cloud_index] = label
     return labels
 
 

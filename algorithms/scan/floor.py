@@ -32,7 +32,12 @@ class Floor(HorizontalPlane):
         """Heights (n,) float32 of points (n, 3) above the floor, in metres."""
         if not len(self.pieces):
             return super().heights_above(points_level)
-        return np.asarray(_heights_above_pieces(points_level, self.pieces, self.is_foot))
+        return np.asarray(heights_above_pieces(points_level, self.pieces, self.is_foot))
+
+    @property
+    def both_pieces(self) -> FloatArray:
+        """(2, 3) the pieces, for `floor_height`; twice the same where the floor is a plane."""
+        return self.pieces if len(self.pieces) else np.array([(self.height_m, *self.slope)] * 2)
 
     @property
     def slopes(self) -> FloatArray:
@@ -186,7 +191,8 @@ def floor_height(pieces: FloatArray, is_foot: bool, x: float, y: float) -> float
 
 
 @numba.njit(cache=True, nogil=True)
-def _heights_above_pieces(points: FloatArray, pieces: FloatArray, is_foot: bool) -> FloatArray:  # pragma: no cover
+def heights_above_pieces(points: FloatArray, pieces: FloatArray, is_foot: bool) -> FloatArray:  # pragma: no cover
+    """Heights (n,) float32 of points (n, 3) above a floor, in metres; parameters as of `floor_height`."""
     heights = np.empty(len(points), np.float32)
     for i in range(len(points)):
         heights[i] = points[i, 2] - floor_height(pieces, is_foot, points[i, 0], points[i, 1])

@@ -91,7 +91,7 @@ def extract(index: int, placed: PlacedScan, labelling: ScanLabelling) -> Feature
 
 def _floor_map(floor: Floor, T_map_level: FloatArray) -> FloatArray:
     """(2, 3) the pieces of a floor in the map's frame."""
-    pieces = floor.pieces if len(floor.pieces) else [(floor.height_m, *floor.slope)] * 2
+    pieces = floor.both_pieces
     slopes = [T_map_level[:2, :2] @ piece[1:] for piece in pieces]
     shift = T_map_level[:, 3]
     return np.array(

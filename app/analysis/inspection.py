@@ -123,7 +123,7 @@ def _recorded_labels(run: FinishedRun, number: int, stamp_ns: int) -> tuple[Clou
 
 def _differing(recorded: CloudLabels, scan: Scan, label: UInt8Array) -> int:
     """How many returns the run had labelled otherwise."""
-    own = full_labels(scan, label) if recorded.every_place else label
+    own = full_labels(scan.cloud_size, scan.cloud_index, label) if recorded.every_place else label
     if len(own) != len(recorded.label_scan):
         return max(len(own), len(recorded.label_scan))
     return int(np.count_nonzero(own != recorded.label_scan))

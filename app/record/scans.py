@@ -9,7 +9,6 @@ import rerun as rr
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m
-from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.poses.levelling import LevelledScan
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.labelling import ScanLabelling
@@ -70,7 +69,7 @@ def log_skipped(log: Log, index: int, stamp_ns: int, reason: str) -> None:
 
 
 def log_final(
-    log: Log, index: int, stamp_ns: int, placed: PlacedScan, label_scan: UInt8Array, label: UInt8Array
+    log: Log, index: int, stamp_ns: int, points_level: FloatArray, label_scan: UInt8Array, label: UInt8Array
 ) -> None:
     """The labels of the final stage: where any differs from the scan's own, the later `class_ids` win."""
     if log.detail is Detail.MAP:
@@ -81,7 +80,7 @@ def log_final(
         log.now(entities.POINTS, rr.Points3D.from_fields(class_ids=label))
     log.now(
         entities.RELABELLED,
-        rr.Points3D(rounded(placed.points_level[changed]), class_ids=label[changed]),
+        rr.Points3D(rounded(points_level[changed]), class_ids=label[changed]),
         evidence(**{entities.POINT_LABEL_SCAN: label_scan[changed]}),
     )
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array, within_range
 from ffmap.algorithms.base.trajectory import PlacedScan, Trajectory
@@ -17,6 +18,7 @@ from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.maps.rivals import RivalCounter
 from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
 from ffmap.algorithms.scan.ceiling import below_ceiling
+from ffmap.algorithms.scan.floor import heights_above_pieces
 from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.algorithms.scan.smoothing import SmoothedRanges, smooth_ranges
 from ffmap.algorithms.scan.summary import Features, concatenate, extract
@@ -24,14 +26,12 @@ from ffmap.app.record.log import Log, open_log
 from ffmap.app.record.scans import log_final, log_scan, log_skipped
 from ffmap.app.run import spool
 from ffmap.app.run.arrays import pack, pack_ragged
-from ffmap.app.run.spool import BlockSummary
+from ffmap.app.run.spool import BlockSummary, SpooledScan
 from ffmap.app.setup.inputs import Inputs, Sensor
 from ffmap.app.setup.outputs import Detail
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.cloud_digest import as_rows
-from ffmap.loaders.errors import InputError
-from ffmap.loaders.pointcloud2 import full_labels
 from ffmap.loaders.scans import SkippedScan, read_digests, read_scans
 
 VOXEL_M = 0.05
@@ -109,9 +109,7 @@ def label_block(job: LabelJob) -> BlockSummary:
         job.path.with_suffix(".npz"),
         {
             **pack(summary, spool.SUMMARY),
-            "scan": summary.scan,
-            **pack_ragged(spool.SCAN_LABELS, block.labels),
-            **pack_ragged(spool.SCAN_CEILINGS, block.ceilings),
+            **spool.pack_scans(block.spooled),
             **(pack(concatenate(block.features), spool.FEATURES) if block.features else {}),
             **pack(block.votes.votes(), spool.VOTES),
             **pack(block.rivals.votes(), spool.RIVALS),
@@ -142,8 +140,7 @@ class _LabelledBlock:
     skipped: list[SkippedScan] = field(default_factory=list)
     scans: list[tuple[int, int, FloatArray]] = field(default_factory=list)
     features: list[Features] = field(default_factory=list)
-    labels: list[UInt8Array] = field(default_factory=list)
-    ceilings: list[FloatArray] = field(default_factory=list)
+    spooled: list[SpooledScan] = field(default_factory=list)
     milliseconds: list[list[float]] = field(default_factory=list)
     sizes: list[tuple[int, int]] = field(default_factory=list)
     beyond_range: list[int] = field(default_factory=list)
@@ -180,8 +177,7 @@ def _label(index: int, scan: Scan, job: LabelJob, block: _LabelledBlock, log: Lo
     block.features.append(extract(index, placed, labelling))
     block.votes.add(points_in_map(placed), labelling.label)
     block.rivals.add(placed, labelling)
-    block.labels.append(full_labels(scan, labelling.label))
-    block.ceilings.append(labelling.ceiling_planes)
+    block.spooled.append(SpooledScan.of(index, scan, placed, labelling))
     counts = np.bincount(labelling.label, minlength=256)
     block.counts[...] += counts
     block.scans.append((index, scan.stamp_ns, job.trajectory.at(np.array([scan.stamp_ns]))[0]))
@@ -191,44 +187,32 @@ def _label(index: int, scan: Scan, job: LabelJob, block: _LabelledBlock, log: Lo
 
 
 def finish_block(job: FinishJob) -> None:
-    """Read a block's scans a second time and give every return its final label; write labels and votes to the spool.
-
-    Raises InputError where they are not what was read the first time.
-    """
-    label_job = job.label
-    first = label_job.path.with_suffix(".npz")
-    earlier, ceilings = spool.load_by_scan(first, spool.SCAN_LABELS), spool.load_by_scan(first, spool.SCAN_CEILINGS)
-    labels: dict[int, UInt8Array] = {}
-    digests: list[bytes] = []
+    """Give every return of a block its final label, from where the spool says that it lies; write labels and votes to it."""
+    scans = spool.load_scans(job.label.path.with_suffix(".npz"))
+    relabelling = Relabelling.of(job.building, spool.load_halo(job.halo), job.label.settings.relabelling)
+    labels: list[tuple[UInt8Array, UInt8Array]] = []
     table = VoxelTable(VOXEL_M, len(Label))
-    relabelling = Relabelling.of(job.building, spool.load_halo(job.halo), label_job.settings.relabelling)
-    with _open_evidence(label_job, FINAL_EVIDENCE) as log:
-        for index, scan in _read(label_job, digests):
-            if index not in earlier or isinstance(scan, SkippedScan):
-                continue
-            scan = within_range(scan, label_job.settings.scan.range_max_m)
-            level = _place(scan, smooth_ranges(scan, label_job.settings.smoothing), label_job)
-            placed = level.placed
-            points_map = points_in_map(placed)
-            label_of_scan = earlier[index][scan.cloud_index]
+    with _open_evidence(job.label, FINAL_EVIDENCE) as log:
+        for scan in scans:
+            points_level, points_map = scan.points_level, in_map(scan.T_map_level, scan.points_level)
             label = relabelling.labels(
                 points_map,
                 # Above the floor that this scan sees: the map's own height drifts.
-                level.floor.heights_above(placed.points_level),
-                below_ceiling(placed.points_level, ceilings[index]),
-                label_of_scan,
-                placed.to_map(placed.origin_level[None])[0],
+                heights_above_pieces(points_level, scan.floor, scan.floor_is_foot),
+                below_ceiling(points_level, scan.ceiling),
+                scan.label_scan,
+                transforms.apply(scan.T_map_level, scan.origin_level[None])[0],
             )
             if log:
-                log_final(log, index, scan.stamp_ns, placed, label_of_scan, label)
+                log_final(log, scan.scan, scan.stamp_ns, points_level, scan.label_scan, label)
             table.add(points_map, label)
-            labels[index] = full_labels(scan, label)
-    if not np.array_equal(as_rows(digests), spool.load(BlockSummary, first, spool.SUMMARY).cloud_digest):
-        raise InputError(
-            f"{label_job.inputs.bag_path}: changed while the run was reading it; let nothing write to it, and start a new run"
-        )
-    final = {"scan": np.array(list(labels), np.int64), **pack_ragged(spool.SCAN_LABELS, list(labels.values()))}
-    spool.save(label_job.path.with_suffix(".final.npz"), {**final, **pack(table.votes(), spool.VOTES)})
+            labels.append((scan.in_cloud(label), scan.in_cloud(scan.label_scan)))
+    final = {
+        "scan": np.array([scan.scan for scan in scans], np.int64),
+        **pack_ragged(spool.LABEL, [label for label, _ in labels]),
+        **pack_ragged(spool.LABEL_SCAN, [label_scan for _, label_scan in labels]),
+    }
+    spool.save(job.label.path.with_suffix(".final.npz"), {**final, **pack(table.votes(), spool.VOTES)})
 
 
 def _read(job: LabelJob, digests: list[bytes]) -> Iterator[tuple[int, Scan | SkippedScan]]:
@@ -273,8 +257,13 @@ def holds_clouds_of(path: Path, block: Block, inputs: Inputs) -> bool:
 
 def points_in_map(placed: PlacedScan) -> FloatArray:
     """(n, 3) float32."""
-    T = placed.T_map_level.astype(np.float32)
-    return np.asarray(placed.points_level @ T[:3, :3].T + T[:3, 3])
+    return in_map(placed.T_map_level, placed.points_level)
+
+
+def in_map(T_map_level: FloatArray, points_level: FloatArray) -> FloatArray:
+    """(n, 3) float32."""
+    T = T_map_level.astype(np.float32)
+    return np.asarray(points_level @ T[:3, :3].T + T[:3, 3])
 
 
 def seed_of(seed: int, index: int) -> int:

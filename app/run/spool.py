@@ -3,18 +3,22 @@
 They are all that passes between processes, so that a killed run can go on.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array
+from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.building.votes import Halo
+from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.summary import Features
 from ffmap.app.folder.atomic import written_whole
-from ffmap.app.run.arrays import Arrays, unpack, unpack_ragged
+from ffmap.app.run.arrays import Arrays, pack_rows, unpack, unpack_ragged, unpack_rows
+from ffmap.loaders.pointcloud2 import full_labels
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -23,8 +27,65 @@ if TYPE_CHECKING:
 
 SUMMARY, FEATURES, VOTES, RIVALS = "summary_", "feature_", "votes_", "rivals_"
 """What the names of the arrays begin with: of `BlockSummary`, `Features`, and twice `VoxelVotes`, that of `RivalCounter` last."""
-SCAN_LABELS, SCAN_CEILINGS = "label", "ceiling"
-"""By scan: labels, one for each place in the cloud, and ceiling planes (k, 3); `scan` has the numbers."""
+LABEL, LABEL_SCAN = "label", "label_scan"
+"""By scan: final labels and the scan's own, one for each place in the cloud; `scan` has the numbers."""
+_GRID_M = 0.001
+_RAGGED = ("ceiling", "point", "cloud_index", "label_scan")
+"""What each `SpooledScan` has another number of."""
+
+
+@dataclass(frozen=True)
+class SpooledScan:
+    """What the final labels of a scan are found from: its returns where it placed them, on a grid of a millimetre.
+
+    scan: its number. stamp_ns: of its header. cloud_size: places in its cloud.
+    T_map_level: (4, 4). origin_level: (3,) the sensor.
+    floor: (2, 3), floor_is_foot: as `floor_height` takes them. ceiling: (c, 3), see `plane_rows`. All in the level frame.
+    point: (n, 3) int16, in multiples of grid_m, which is more than a millimetre where a return is farther than 32 m.
+    cloud_index: (n,) int32, the place of each return in the cloud. label_scan: (n,) uint8.
+    """
+
+    scan: int
+    stamp_ns: int
+    cloud_size: int
+    T_map_level: FloatArray
+    origin_level: FloatArray
+    floor: FloatArray
+    floor_is_foot: bool
+    ceiling: FloatArray
+    grid_m: float
+    point: IntArray
+    cloud_index: IntArray
+    label_scan: UInt8Array
+
+    @classmethod
+    def of(cls, index: int, scan: Scan, placed: PlacedScan, labelling: ScanLabelling) -> "SpooledScan":
+        """A scan as it was labelled."""
+        farthest_m = float(np.abs(placed.points_level).max(initial=0.0))
+        grid_m = max(_GRID_M, farthest_m / np.iinfo(np.int16).max)
+        return cls(
+            scan=index,
+            stamp_ns=scan.stamp_ns,
+            cloud_size=scan.cloud_size,
+            T_map_level=placed.T_map_level,
+            origin_level=placed.origin_level,
+            floor=labelling.floor.both_pieces,
+            floor_is_foot=labelling.floor.is_foot,
+            ceiling=labelling.ceiling_planes,
+            grid_m=grid_m,
+            point=np.rint(placed.points_level * np.float32(1.0 / grid_m)).astype(np.int16),
+            cloud_index=scan.cloud_index.astype(np.int32),
+            label_scan=labelling.label,
+        )
+
+    @property
+    def points_level(self) -> FloatArray:
+        """(n, 3) float32, metres."""
+        return np.asarray(self.point * np.float32(self.grid_m))
+
+    def in_cloud(self, label: UInt8Array) -> UInt8Array:
+        """(cloud_size,) labels (n,) of its returns by their places in the cloud."""
+        return full_labels(self.cloud_size, self.cloud_index, label)
 
 
 @dataclass(frozen=True)
@@ -64,10 +125,22 @@ def load_features(path: Path) -> list[Features]:
         return [unpack(Features, spooled, FEATURES)] if f"{FEATURES}scan" in spooled else []
 
 
-def load_by_scan(path: Path, name: str) -> dict[int, Any]:
-    """Arrays of single scans in a block's .npz, by the scans' numbers: see `SCAN_LABELS` and `SCAN_CEILINGS`."""
+def pack_scans(scans: Sequence[SpooledScan]) -> Arrays:
+    """Scans as a block's .npz holds them."""
+    return pack_rows(scans, _RAGGED) if scans else {}
+
+
+def load_scans(path: Path) -> list[SpooledScan]:
+    """The scans of a block's .npz, in the order of time."""
     with np.load(path) as spooled:
-        return dict(zip(spooled["scan"].tolist(), unpack_ragged(name, spooled), strict=True))
+        return unpack_rows(SpooledScan, spooled, _RAGGED) if "scan" in spooled else []
+
+
+def load_labels(path: Path) -> Iterator[tuple[int, UInt8Array, UInt8Array]]:
+    """Number, final label and the scan's own of the clouds in a block's final .npz, in the order of time."""
+    with np.load(path) as spooled:
+        labels = (unpack_ragged(name, spooled) for name in (LABEL, LABEL_SCAN))
+        yield from zip(spooled["scan"].tolist(), *labels, strict=True)
 
 
 @lru_cache(maxsize=1)

@@ -182,7 +182,7 @@ def test_labels_are_appended_and_nothing_else_changes(padding, height, big):
     message = cloud(points.reshape(height, -1), row_padding=padding if height > 1 else 0)
     scan = read(message)
     label = (np.arange(len(scan)) % 6).astype(np.uint8)
-    full = full_labels(scan, label)
+    full = full_labels(scan.cloud_size, scan.cloud_index, label)
     labelled = encode_labelled(message, full, 5 - np.minimum(full, 5))
     assert full[5] == 255
     assert labelled.header == message.header

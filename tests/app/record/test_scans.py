@@ -108,7 +108,7 @@ def test_final_labels_win_at_the_same_scan(tmp_path, labelled):
     recording = start(tmp_path, "run-2")
     log = Log(recording.stream)
     log_scan(log, 0, level, labelling, synthetic.stamp_ns(0), {})
-    log_final(log, 0, synthetic.stamp_ns(0), level.placed, labelling.label, final)
+    log_final(log, 0, synthetic.stamp_ns(0), level.placed.points_level, labelling.label, final)
     recording.finish()
     last = list(rows(path, entities.POINTS))[-1]
     np.testing.assert_array_equal(last["class_ids"], final)
