@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numba
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field
@@ -60,9 +61,17 @@ class Scan:
 
 def within_range(scan: Scan, range_max_m: float) -> Scan:
     """The scan without the returns that are farther from the lidar; the very same where there are none."""
-    points = scan.points_sensor.astype(np.float64)
-    near = np.einsum("ij,ij->i", points, points) <= range_max_m**2
+    near = _nearer(scan.points_sensor, range_max_m)
     return scan if near.all() else _rows(scan, near)
+
+
+@numba.njit(cache=True, nogil=True)
+def _nearer(points: FloatArray, range_max_m: float) -> BoolArray:  # pragma: no cover
+    near = np.empty(len(points), np.bool_)
+    for i in range(len(points)):
+        x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
+        near[i] = x * x + y * y + z * z <= range_max_m * range_max_m
+    return near
 
 
 def in_canonical_order(scan: Scan) -> Scan:
@@ -72,21 +81,45 @@ def in_canonical_order(scan: Scan) -> Scan:
     one by one, the order is that of firing. Where several fire at once, or no times are known, it is emitter by emitter
     from the top, each in order of time or azimuth: of returns in order of firing, every n-th would be the same emitters'.
     """
-    x, y, z = scan.points_sensor.T
-    keys: tuple[FloatArray | IntArray, FloatArray | IntArray]
     from_top = scan.ring_count - 1 - scan.ring.astype(np.int64)
+    keys: tuple[FloatArray | IntArray, FloatArray | IntArray]
+    x, y, z = scan.points_sensor.T
     if scan.time_ns is None:
         keys = from_top, np.arctan2(y, x)
-    elif 2 * np.count_nonzero(np.diff(np.sort(scan.time_ns, kind="stable"))) < len(scan) - 2:
-        keys = from_top, scan.time_ns
     else:
-        keys = scan.time_ns, from_top
+        in_time, times = _times_in_order(scan.time_ns)
+        if not in_time:
+            times = 1 + int(np.count_nonzero(np.diff(np.sort(scan.time_ns, kind="stable"))))
+        several_fire = 2 * (times - 1) < len(scan) - 2
+        keys = (from_top, scan.time_ns) if several_fire else (scan.time_ns, from_top)
+    if _in_order(*keys):
+        return scan
     order = np.lexsort(keys[::-1])
     same = [np.diff(key[order]) == 0 for key in keys]
     if np.any(same[0] & same[1]):
         # What a ray returned twice.
         order = np.lexsort((z, y, x, *keys[::-1]))
     return scan if np.array_equal(order, np.arange(len(scan))) else _rows(scan, order)
+
+
+@numba.njit(cache=True, nogil=True)
+def _times_in_order(time_ns: IntArray) -> tuple[bool, int]:  # pragma: no cover
+    """Whether firings are in the order of their times, and if so how many times there are."""
+    times = 1
+    for i in range(1, len(time_ns)):
+        if time_ns[i] < time_ns[i - 1]:
+            return False, 0
+        times += time_ns[i] > time_ns[i - 1]
+    return True, times
+
+
+@numba.njit(cache=True, nogil=True)
+def _in_order(first: IntArray, second: FloatArray | IntArray) -> bool:  # pragma: no cover
+    """Whether rows increase by their first key, and by the second where the first is the same; none twice."""
+    for i in range(1, len(first)):
+        if first[i] < first[i - 1] or (first[i] == first[i - 1] and second[i] <= second[i - 1]):
+            return False
+    return True
 
 
 def _rows(scan: Scan, rows: BoolArray | IntArray) -> Scan:

@@ -32,7 +32,10 @@ class OdometrySettings(StepSettings):
     )
     range_max_m: float = Field(60.0, gt=0, description="Maximum range (m) of the returns that are used. KISS-ICP.")
     points_max: int = Field(
-        8_000, ge=100, description="Maximum number of returns; denser clouds are thinned evenly. KISS-ICP."
+        4_000,
+        ge=100,
+        description="Maximum number of returns; denser clouds are thinned evenly: the refinement only starts from this pose. "
+        "KISS-ICP.",
     )
     deskew: bool = Field(True, description="Compensate the motion within a sweep where the cloud has times. KISS-ICP.")
     threshold_initial_m: float = Field(
@@ -40,7 +43,7 @@ class OdometrySettings(StepSettings):
     )
     motion_min_m: float = Field(0.05, gt=0, description="Minimum deviation (m) that adapts the threshold. KISS-ICP.")
     iterations_max: int = Field(300, ge=1, description="Maximum number of ICP iterations for a scan. KISS-ICP.")
-    convergence: float = Field(1e-3, gt=0, description="ICP stops at a smaller step. KISS-ICP.")
+    convergence: float = Field(3e-3, gt=0, description="ICP stops at a smaller step (m and rad). KISS-ICP.")
     threads: int = Field(
         1, ge=0, le=256, description="KISS-ICP's threads; 1 is reproducible, 0 takes all cores. KISS-ICP."
     )
@@ -159,7 +162,9 @@ def holds_a_pose(scan: Scan, settings: OdometrySettings) -> bool:
     points = scan.points_sensor[:: max(1, len(scan) // 1_000)].astype(np.float64)
     range_m = np.linalg.norm(points, axis=1)
     points = points[(range_m > settings.range_min_m) & (range_m < settings.range_max_m)]
-    places = np.unique(np.floor(points / settings.voxel_m).astype(np.int64), axis=0)
+    voxels = np.floor(points / settings.voxel_m).astype(np.int64)
+    _, first = np.unique(voxels @ [1 << 42, 1 << 21, 1], return_index=True)
+    places = voxels[first]
     if len(places) < 3:
         return False
     spread = np.linalg.svd((places - places.mean(axis=0)) / np.sqrt(len(places)), compute_uv=False)
