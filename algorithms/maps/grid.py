@@ -21,7 +21,6 @@ from ffmap.algorithms.building.ray_evidence import FOOT_ROW, THROUGH, Rays, Wall
 from ffmap.algorithms.building.thickness import WallThicknessSettings, face_thickness, part_walls
 from ffmap.algorithms.building.votes import VoxelVotes, majority
 from ffmap.algorithms.scan.doors import DoorState
-from ffmap.algorithms.scan.summary import Features
 
 DoorsDrawn = Literal["open", "as-seen", "closed"]
 
@@ -144,12 +143,12 @@ def _overlap(shift: int, own: int, other: int) -> tuple[slice, slice]:
     return slice(low, high), slice(low - shift, high - shift)
 
 
-class _CellRays(NamedTuple):
-    """Rays in cells of a grid: where those of each scan start (s, 2), the first of each scan (s + 1,), their ends (r, 2)."""
+class _Frame(NamedTuple):
+    """Where the grid's cells lie: x and y of its first corner, and their edge, metres."""
 
-    origin: FloatArray
-    starts: IntArray
-    end: FloatArray
+    x: float
+    y: float
+    cell_m: float
 
 
 @dataclass(frozen=True)
@@ -401,7 +400,7 @@ class _Canvas:
         crossed, low = np.zeros_like(barred), np.zeros_like(barred)
         range_cells = self._settings.range_m / self._cell_m
         for block in drive.blocks():
-            _cross(barred, crossed, low, self._rays(block), _low_from(block, self._knee_m), range_cells)
+            _cross(barred, crossed, low, Rays.of(block), self._frame, self._knee_m, range_cells)
         self._cells[crossed] = Cell.FREE
         for doorway in doorways:
             self.draw_area(doorway, Cell.FREE)
@@ -415,7 +414,7 @@ class _Canvas:
         if reach:
             bounded = np.zeros_like(barred)
             for block in drive.blocks():
-                _bound(barred, supported, bounded, self._rays(block), range_cells, 2.0 * reach)
+                _bound(barred, supported, bounded, Rays.of(block), self._frame, range_cells, 2.0 * reach)
             bounded = (binary_closing(bounded, np.ones((3, 3))) | supported) & crossed
             supported = binary_dilation(supported, iterations=reach, mask=bounded)
         self._cells = np.where(supported, np.uint8(Cell.FREE), occupied)
@@ -474,11 +473,10 @@ class _Canvas:
             column, row = index[self._in_grid(index)].T
             across[row, column] = Segment.between(ends).normal
         counts = np.zeros((*self._cells.shape, 2), np.int32)
+        between_m = (self._settings.foot_m, self._knee_m)
         for block in drive.blocks():
-            height_m = _heights_above_floor(Rays.of(block))
-            between_m = (self._settings.foot_m, self._knee_m)
             _count_crossings(
-                self._cells, across, counts, self._rays(block), height_m, between_m, self._settings.ends_cells
+                self._cells, across, counts, Rays.of(block), self._frame, between_m, self._settings.ends_cells
             )
         ended, crossed = counts[..., 0], counts[..., 1]
         settings = self._settings
@@ -486,11 +484,9 @@ class _Canvas:
         run, _ = label(open_cells, np.ones((3, 3)))
         self._cells[open_cells & (np.bincount(run.ravel()) >= settings.crossed_cells)[run]] = Cell.UNKNOWN
 
-    def _rays(self, block: Features) -> _CellRays:
-        origin, end = ((p[:, :2] - self._origin) / self._cell_m for p in (block.origin_map, block.ray_end_map))
-        return _CellRays(
-            np.ascontiguousarray(origin, np.float64), block.ray_starts, np.ascontiguousarray(end, np.float64)
-        )
+    @property
+    def _frame(self) -> _Frame:
+        return _Frame(float(self._origin[0]), float(self._origin[1]), self._cell_m)
 
     def _joined_to(self, path_map: FloatArray, low: BoolArray) -> BoolArray:
         """What rays close above the floor join to the robot's way: not what lies behind a sill, seen though it may be."""
@@ -518,8 +514,8 @@ def _count_crossings(
     cells: UInt8Array,
     across: FloatArray,
     counts: IntArray,
-    rays: _CellRays,
-    height_m: FloatArray,
+    rays: Rays,
+    frame: _Frame,
     between_m: tuple[float, float],
     ends_cells: float,
 ) -> None:  # pragma: no cover
@@ -527,28 +523,31 @@ def _count_crossings(
 
     A ray that runs along a line, close before it, meets its cells but does not cross it.
 
-    across: (rows, columns, 2) at right angles to the line in each cell. height_m: from `_heights_above_floor`; between_m:
-    the heights above the floor at which a crossing counts.
+    across: (rows, columns, 2) at right angles to the line in each cell. between_m: the heights above the floor, as its scan saw
+    that, at which a crossing counts.
     """
     rows, columns = cells.shape
-    origin, starts, end = rays
+    origin, starts, end = rays.origin, rays.starts, rays.end
     for s in range(len(origin)):
+        x0, y0 = (origin[s, 0] - frame.x) / frame.cell_m, (origin[s, 1] - frame.y) / frame.cell_m
+        begin_m = origin[s, 2] - floor_m(rays, s, origin[s, 0], origin[s, 1])
         for r in range(starts[s] + s % 2, starts[s + 1], 2):
-            step = end[r] - origin[s]
-            length = np.sqrt(step[0] * step[0] + step[1] * step[1])
+            dx, dy = (end[r, 0] - frame.x) / frame.cell_m - x0, (end[r, 1] - frame.y) / frame.cell_m - y0
+            end_m = end[r, 2] - floor_m(rays, s, np.float64(end[r, 0]), np.float64(end[r, 1]))
+            length = np.sqrt(dx * dx + dy * dy)
             count = int(2 * length) + 1
             last = -1
             for k in range(count + 1):
                 t = k / count
-                height = height_m[r, 0] + t * (height_m[r, 1] - height_m[r, 0])
-                column, row = int(np.floor(origin[s, 0] + t * step[0])), int(np.floor(origin[s, 1] + t * step[1]))
+                height = begin_m + t * (end_m - begin_m)
+                column, row = int(np.floor(x0 + t * dx)), int(np.floor(y0 + t * dy))
                 if column < 0 or row < 0 or column >= columns or row >= rows:
                     break
                 cell = row * columns + column
                 if cell == last or cells[row, column] != 0 or height < between_m[0] or height > between_m[1]:
                     continue
                 last = cell
-                behind = (1 - t) * abs(step[0] * across[row, column, 0] + step[1] * across[row, column, 1])
+                behind = (1 - t) * abs(dx * across[row, column, 0] + dy * across[row, column, 1])
                 if behind > ends_cells:
                     counts[row, column, 1] += 1
                 elif length * (1 - t) <= ends_cells:
@@ -556,44 +555,32 @@ def _count_crossings(
 
 
 @numba.njit(cache=True, nogil=True)
-def _heights_above_floor(rays: Rays) -> FloatArray:  # pragma: no cover
-    """(r, 2) metres above the floor, as its scan saw that, at which each ray begins and ends."""
-    height_m = np.empty((len(rays.end), 2))
-    for s in range(len(rays.origin)):
-        begin_m = rays.origin[s, 2] - floor_m(rays, s, rays.origin[s, 0], rays.origin[s, 1])
-        for r in range(rays.starts[s], rays.starts[s + 1]):
-            x, y = np.float64(rays.end[r, 0]), np.float64(rays.end[r, 1])
-            height_m[r, 0], height_m[r, 1] = begin_m, rays.end[r, 2] - floor_m(rays, s, x, y)
-    return height_m
-
-
-def _low_from(block: Features, knee_m: float) -> FloatArray:
-    """(r,) the share of each ray's length from which it runs below the knee to its end on the floor; 2 where it does not."""
-    height_m = _heights_above_floor(Rays.of(block))
-    drop_m = height_m[:, 0] - height_m[:, 1]
-    return np.where(block.ray_label == Label.FLOOR, 1.0 - knee_m / np.maximum(drop_m, knee_m), 2.0)
-
-
-@numba.njit(cache=True, nogil=True)
 def _walk(
-    barred: BoolArray, start: FloatArray, end: FloatArray, range_cells: float, found: IntArray, entered: FloatArray
+    barred: BoolArray,
+    x: float,
+    y: float,
+    dx: float,
+    dy: float,
+    range_cells: float,
+    found: IntArray,
+    entered: FloatArray,
 ) -> tuple[int, bool]:  # pragma: no cover
     """Walk a ray cell by cell (Amanatides and Woo 1987), up to what bars it: the number of cells that it crosses, and whether
     it ends there; otherwise it leaves the map, or its range.
 
-    found: (k, 2) to be filled with the cells' rows and columns. entered: (k,) with the ray's length up to each.
+    x, y: where it begins; dx, dy: from there to its end; in cells. found: (k, 2) to be filled with the cells' rows and columns.
+    entered: (k,) with the ray's length up to each.
     """
     rows, columns = barred.shape
-    dx, dy = end[0] - start[0], end[1] - start[1]
     length = np.sqrt(dx * dx + dy * dy)
     if length < 1e-6:
         return 0, True
-    column, row = int(np.floor(start[0])), int(np.floor(start[1]))
+    column, row = int(np.floor(x)), int(np.floor(y))
     step_x, step_y = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
     t_dx = length / abs(dx) if dx != 0 else np.inf
     t_dy = length / abs(dy) if dy != 0 else np.inf
-    t_x = (column + (dx > 0) - start[0]) * step_x * t_dx if dx != 0 else np.inf
-    t_y = (row + (dy > 0) - start[1]) * step_y * t_dy if dy != 0 else np.inf
+    t_x = (column + (dx > 0) - x) * step_x * t_dx if dx != 0 else np.inf
+    t_y = (row + (dy > 0) - y) * step_y * t_dy if dy != 0 else np.inf
     at, count = 0.0, 0
     while at <= length:
         if at > range_cells or count == len(found) or column < 0 or row < 0 or column >= columns or row >= rows:
@@ -614,33 +601,53 @@ def _walk(
 
 @numba.njit(cache=True, nogil=True)
 def _cross(
-    barred: BoolArray, crossed: BoolArray, low: BoolArray, rays: _CellRays, low_from: FloatArray, range_cells: float
+    barred: BoolArray,
+    crossed: BoolArray,
+    low: BoolArray,
+    rays: Rays,
+    frame: _Frame,
+    knee_m: float,
+    range_cells: float,
 ) -> None:  # pragma: no cover
-    """Mark what every fourth ray crosses, and where it runs close above the floor: from the share `low_from` of its length."""
+    """Mark what every fourth ray crosses, and where it runs below the knee to its end on the floor."""
     found = np.empty((int(2 * range_cells) + 4, 2), np.int64)
     entered = np.empty(len(found))
-    origin, starts, end = rays
+    origin, starts, end, label = rays.origin, rays.starts, rays.end, rays.label
     for s in range(len(origin)):
+        x, y = (origin[s, 0] - frame.x) / frame.cell_m, (origin[s, 1] - frame.y) / frame.cell_m
+        begin_m = origin[s, 2] - floor_m(rays, s, origin[s, 0], origin[s, 1])
         for r in range(starts[s] + s % 4, starts[s + 1], 4):
-            length = np.hypot(end[r, 0] - origin[s, 0], end[r, 1] - origin[s, 1])
-            count, _ = _walk(barred, origin[s], end[r], range_cells, found, entered)
+            dx, dy = (end[r, 0] - frame.x) / frame.cell_m - x, (end[r, 1] - frame.y) / frame.cell_m - y
+            low_from = np.inf
+            if label[r] == Label.FLOOR:
+                drop_m = begin_m - (end[r, 2] - floor_m(rays, s, np.float64(end[r, 0]), np.float64(end[r, 1])))
+                low_from = (1.0 - knee_m / max(drop_m, knee_m)) * np.sqrt(dx * dx + dy * dy)
+            count, _ = _walk(barred, x, y, dx, dy, range_cells, found, entered)
             for k in range(count):
                 crossed[found[k, 0], found[k, 1]] = True
-                if entered[k] >= low_from[r] * length:
+                if entered[k] >= low_from:
                     low[found[k, 0], found[k, 1]] = True
 
 
 @numba.njit(cache=True, nogil=True)
 def _bound(
-    barred: BoolArray, supported: BoolArray, bounded: BoolArray, rays: _CellRays, range_cells: float, gap_max: float
+    barred: BoolArray,
+    supported: BoolArray,
+    bounded: BoolArray,
+    rays: Rays,
+    frame: _Frame,
+    range_cells: float,
+    gap_max: float,
 ) -> None:  # pragma: no cover
     """Mark where a ray will end, or be above known floor again, within `gap_max` cells."""
     found = np.empty((int(2 * range_cells) + 4, 2), np.int64)
     entered = np.empty(len(found))
-    origin, starts, end = rays
+    origin, starts, end = rays.origin, rays.starts, rays.end
     for s in range(len(origin)):
+        x, y = (origin[s, 0] - frame.x) / frame.cell_m, (origin[s, 1] - frame.y) / frame.cell_m
         for r in range(starts[s] + s % 4, starts[s + 1], 4):
-            count, ends = _walk(barred, origin[s], end[r], range_cells, found, entered)
+            dx, dy = (end[r, 0] - frame.x) / frame.cell_m - x, (end[r, 1] - frame.y) / frame.cell_m - y
+            count, ends = _walk(barred, x, y, dx, dy, range_cells, found, entered)
             if not count:
                 continue
             last = entered[count - 1] if ends else np.inf

@@ -59,7 +59,7 @@ class SweepFile(StrEnum):
 
 _WITHIN = re.compile(
     rf"{LABELLED_FOLDER}|metadata\.yaml|{LABELLED_FOLDER}(_\d+)?\.(db3|mcap)"
-    r"|(\d{5}(\.final)?|own-\d{5}|halo)\.(npz|rrd)(\.part)?"
+    r"|(\d{5}(\.final)?|own-\d{5}|halo)\.(arrow|rrd)(\.part)?"
 )
 """What runs write into the folders within their own: the files of a labelled ROS 2 bag and of the spool."""
 

@@ -1,4 +1,4 @@
-"""Dataclasses of arrays and numbers as named arrays, as .npz files hold them, and back."""
+"""Dataclasses of arrays and numbers as named arrays, as files hold them, and back."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields

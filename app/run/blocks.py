@@ -106,7 +106,7 @@ def label_block(job: LabelJob) -> BlockSummary:
             watch = _Stopwatch()
     summary = block.summary()
     spool.save(
-        job.path.with_suffix(".npz"),
+        job.path.with_suffix(".arrow"),
         {
             **pack(summary, spool.SUMMARY),
             **spool.pack_scans(block.spooled),
@@ -188,7 +188,7 @@ def _label(index: int, scan: Scan, job: LabelJob, block: _LabelledBlock, log: Lo
 
 def finish_block(job: FinishJob) -> None:
     """Give every return of a block its final label, from where the spool says that it lies; write labels and votes to it."""
-    scans = spool.load_scans(job.label.path.with_suffix(".npz"))
+    scans = spool.load_scans(job.label.path.with_suffix(".arrow"))
     relabelling = Relabelling.of(job.building, spool.load_halo(job.halo), job.label.settings.relabelling)
     labels: list[tuple[UInt8Array, UInt8Array]] = []
     table = VoxelTable(VOXEL_M, len(Label))
@@ -212,7 +212,7 @@ def finish_block(job: FinishJob) -> None:
         **pack_ragged(spool.LABEL, [label for label, _ in labels]),
         **pack_ragged(spool.LABEL_SCAN, [label_scan for _, label_scan in labels]),
     }
-    spool.save(job.label.path.with_suffix(".final.npz"), {**final, **pack(table.votes(), spool.VOTES)})
+    spool.save(job.label.path.with_suffix(".final.arrow"), {**final, **pack(table.votes(), spool.VOTES)})
 
 
 def _read(job: LabelJob, digests: list[bytes]) -> Iterator[tuple[int, Scan | SkippedScan]]:
@@ -250,7 +250,7 @@ def _place(scan: Scan, ranges: SmoothedRanges, job: LabelJob) -> LevelledScan:
 
 
 def holds_clouds_of(path: Path, block: Block, inputs: Inputs) -> bool:
-    """Whether a block's .npz was made from the very clouds that the bag holds now, byte by byte."""
+    """Whether a block's file was made from the very clouds that the bag holds now, byte by byte."""
     found = read_digests(_open(inputs.bag_path), _vertical(inputs).index, block.first, block.count)
     return np.array_equal(spool.load(BlockSummary, path, spool.SUMMARY).cloud_digest, as_rows(list(found)))
 

@@ -18,6 +18,7 @@ from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.summary import Features
 from ffmap.app.folder.atomic import written_whole
 from ffmap.app.run.arrays import Arrays, pack_rows, unpack, unpack_ragged, unpack_rows
+from ffmap.app.run.arrays_file import map_arrays, write_arrays
 from ffmap.loaders.pointcloud2 import full_labels
 
 if TYPE_CHECKING:
@@ -114,33 +115,32 @@ class BlockSummary:
 
 
 def load(kind: "type[_T]", path: Path, prefix: str) -> "_T":
-    """What a block's .npz holds of a dataclass, see `pack`."""
-    with np.load(path) as spooled:
-        return unpack(kind, spooled, prefix)
+    """What a block's file holds of a dataclass, see `pack`."""
+    return unpack(kind, map_arrays(path), prefix)
 
 
 def load_features(path: Path) -> list[Features]:
-    """The features of all scans in a block's .npz; nothing where it holds no scan."""
-    with np.load(path) as spooled:
-        return [unpack(Features, spooled, FEATURES)] if f"{FEATURES}scan" in spooled else []
+    """The features of all scans in a block's file; nothing where it holds no scan."""
+    spooled = map_arrays(path)
+    return [unpack(Features, spooled, FEATURES)] if f"{FEATURES}scan" in spooled else []
 
 
 def pack_scans(scans: Sequence[SpooledScan]) -> Arrays:
-    """Scans as a block's .npz holds them."""
+    """Scans as a block's file holds them."""
     return pack_rows(scans, _RAGGED) if scans else {}
 
 
 def load_scans(path: Path) -> list[SpooledScan]:
-    """The scans of a block's .npz, in the order of time."""
-    with np.load(path) as spooled:
-        return unpack_rows(SpooledScan, spooled, _RAGGED) if "scan" in spooled else []
+    """The scans of a block's file, in the order of time."""
+    spooled = map_arrays(path)
+    return unpack_rows(SpooledScan, spooled, _RAGGED) if "scan" in spooled else []
 
 
 def load_labels(path: Path) -> Iterator[tuple[int, UInt8Array, UInt8Array]]:
-    """Number, final label and the scan's own of the clouds in a block's final .npz, in the order of time."""
-    with np.load(path) as spooled:
-        labels = (unpack_ragged(name, spooled) for name in (LABEL, LABEL_SCAN))
-        yield from zip(spooled["scan"].tolist(), *labels, strict=True)
+    """Number, final label and the scan's own of the clouds in a block's final file, in the order of time."""
+    spooled = map_arrays(path)
+    labels = (unpack_ragged(name, spooled) for name in (LABEL, LABEL_SCAN))
+    yield from zip(spooled["scan"].tolist(), *labels, strict=True)
 
 
 @lru_cache(maxsize=1)
@@ -151,5 +151,5 @@ def load_halo(path: Path) -> Halo:
 
 def save(path: Path, arrays: Arrays) -> None:
     """Write a file of the spool."""
-    with written_whole(path) as part, part.open("wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
+    with written_whole(path) as part:
+        write_arrays(part, arrays)

@@ -53,7 +53,7 @@ def _trace(run: Run, blocks: int, faces: Walls, settings: BuildingSettings, wind
     """`trace_rays` block by block, on all workers; summed in the blocks' order, so that no sum depends on the workers."""
 
     def trace_block(number: int) -> WallCells:
-        features = load_features(run.folder.block(number, ".npz"))
+        features = load_features(run.folder.block(number, ".arrow"))
         if len(windows):
             features = [without_rays_through(windows, part) for part in features]
         return trace_rays(faces, features, settings)
@@ -67,7 +67,7 @@ def _trace(run: Run, blocks: int, faces: Walls, settings: BuildingSettings, wind
 
 def _features(run: Run, blocks: int) -> Iterator[Features]:
     for number in range(blocks):
-        yield from load_features(run.folder.block(number, ".npz"))
+        yield from load_features(run.folder.block(number, ".arrow"))
 
 
 def _grids(maps: Maps) -> dict[str, GridMap]:

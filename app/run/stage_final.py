@@ -37,7 +37,7 @@ def finish(run: Run, pool: Executor, jobs: tuple[LabelJob, ...], building: Build
         with open_bag(run.inputs.bag_path) as bag:
             index, rig = run.inputs.vertical.index, run.inputs.rig
             digests = np.concatenate(
-                [load(BlockSummary, job.path.with_suffix(".npz"), SUMMARY).cloud_digest for job in jobs]
+                [load(BlockSummary, job.path.with_suffix(".arrow"), SUMMARY).cloud_digest for job in jobs]
             )
             write_labelled_bag(run.folder.path, bag, index, rig, trajectory, labels, digests)
     deque(labels, maxlen=0)
@@ -54,11 +54,11 @@ def finish(run: Run, pool: Executor, jobs: tuple[LabelJob, ...], building: Build
 
 def _submit(run: Run, pool: Executor, jobs: tuple[LabelJob, ...], building: Building) -> list[Future[None] | None]:
     """The work on each block; None where a run that is resumed has done it."""
-    halo = run.folder.spool / "halo.npz"
+    halo = run.folder.spool / "halo.arrow"
     save(halo, pack(building.halo))
     pending: list[Future[None] | None] = []
     for job in jobs:
-        done = job.path.with_suffix(".final.npz").exists() and run.options.resume
+        done = job.path.with_suffix(".final.arrow").exists() and run.options.resume
         finish = FinishJob(job, building.model, halo)
         pending.append(None if done else pool.submit(finish_block, finish))
     return pending
@@ -71,7 +71,7 @@ def _labels(
     for job, future in zip(jobs, pending, strict=True):
         if future is not None:
             future.result()
-        final_path, evidence = job.path.with_suffix(".final.npz"), job.path.with_suffix(FINAL_EVIDENCE)
+        final_path, evidence = job.path.with_suffix(".final.arrow"), job.path.with_suffix(FINAL_EVIDENCE)
         if run.recording is not None and evidence.exists():
             run.recording.add(evidence)
         table.absorb(load(VoxelVotes, final_path, VOTES))

@@ -49,7 +49,7 @@ def label_scans(run: Run, pool: Executor, poses: RunPoses) -> LabelledScans:
     summaries: list[BlockSummary] = []
     last_T_map_base: FloatArray | None = None
     for block, summary in _in_order(run, pool, jobs):
-        path = run.folder.block(block.number, ".npz")
+        path = run.folder.block(block.number, ".arrow")
         own_votes = load(VoxelVotes, path, VOTES)
         new = votes.absorb(own_votes)
         rivals.absorb(load(VoxelVotes, path, RIVALS))
@@ -75,7 +75,7 @@ def _in_order(run: Run, pool: Executor, jobs: tuple[LabelJob, ...]) -> Iterator[
     """The blocks as they are finished, in the order of time, so that the recording grows in it."""
     running: deque[tuple[Block, Future[BlockSummary] | BlockSummary]] = deque()
     for job in jobs:
-        finished = job.path.with_suffix(".npz")
+        finished = job.path.with_suffix(".arrow")
         has_evidence = job.detail is None or job.path.with_suffix(".rrd").exists()
         done = run.options.resume and finished.exists() and has_evidence
         running.append((job.block, load(BlockSummary, finished, SUMMARY) if done else pool.submit(label_block, job)))

@@ -210,7 +210,7 @@ def _check_same_bag(inputs: Inputs, folder: RunFolder, record: dict[str, Any]) -
         same = all(clouds[topic] == digest for topic, digest in known.items())
     if same and inputs.vertical is not None and inputs.vertical.lidar.topic not in known:
         # Where the odometry did not take them, not all clouds were read before the last block was finished.
-        blocks = [(block, folder.block(block.number, ".npz")) for block in split_blocks(len(inputs.vertical.index))]
+        blocks = [(block, folder.block(block.number, ".arrow")) for block in split_blocks(len(inputs.vertical.index))]
         same = all(holds_clouds_of(path, block, inputs) for block, path in blocks if path.exists())
     if not same:
         raise InputError(f"{inputs.bag_path}: is not the bag that {folder.path} was begun with; start a new run")

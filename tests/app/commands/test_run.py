@@ -343,7 +343,7 @@ def test_killed_run_is_resumed_with_the_same_labels(
         start_new_session=True,
     )
     end = time.monotonic() + 120
-    while not list(out.glob("spool/*.npz")) and process.poll() is None and time.monotonic() < end:
+    while not list(out.glob("spool/*.arrow")) and process.poll() is None and time.monotonic() < end:
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
@@ -379,7 +379,7 @@ def test_resumed_run_knows_clouds_that_the_odometry_did_not_take(
         start_new_session=True,
     )
     end = time.monotonic() + 120
-    while not (out / "spool" / "00000.npz").exists() and process.poll() is None and time.monotonic() < end:
+    while not (out / "spool" / "00000.arrow").exists() and process.poll() is None and time.monotonic() < end:
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
@@ -618,7 +618,7 @@ def test_earlier_run_stays_until_the_new_one_is_complete(
         start_new_session=True,
     )
     end = time.monotonic() + 120
-    while not list(copy.glob("*/spool/*.npz")) and process.poll() is None and time.monotonic() < end:
+    while not list(copy.glob("*/spool/*.arrow")) and process.poll() is None and time.monotonic() < end:
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
