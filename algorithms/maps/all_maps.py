@@ -1,7 +1,7 @@
 """Every map of the building: the furniture-free grid, its rooms, the floor plan, and the maps that the paper compares with."""
 
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 
 from ffmap.algorithms.building.drive import AllScans
@@ -57,11 +57,15 @@ def draw_maps(building: Building, scans: AllScans, settings: MapsSettings, worke
     # The grid shows what lies farther away than what doors and windows are told by.
     cells = scans.trace(building.walls, settings.building.for_faces(), NO_WINDOWS)
     immobile = Immobile(building.walls, cells, scans.votes, doors, windows)
-    grid = draw_furniture_free(immobile, scans.drive, settings.grid_map, settings.wall_thickness, knee_m)
+    with ThreadPoolExecutor(workers) as threads:
+        drawn = threads.submit(
+            draw_furniture_free, immobile, scans.drive, settings.grid_map, settings.wall_thickness, knee_m
+        )
+        rivals = _draw_rivals(windows, scans, settings, threads)
+        grid = drawn.result()
     standing = standing_stretches(immobile, settings.grid_map, knee_m)
     bounds = Bounds((standing, *sides_of(doors), windows), settings.room_outlines)
     rooms = find_rooms(grid, settings.area_graph, doorways_of(doors), windows.ends, scans.drive.path_map, bounds)
-    rivals = _draw_rivals(windows, scans, settings, workers)
     # All maps show what the furniture-free one does: a slice catches returns far outside, through windows.
     rivals = {rival: own.cropped_to(grid) for rival, own in rivals.items()}
     plan = draw_floor_plan(
@@ -70,15 +74,14 @@ def draw_maps(building: Building, scans: AllScans, settings: MapsSettings, worke
     return Maps(grid, rooms, rivals, _compare_rooms(rivals[Rival.MIDDLE], scans, settings), plan)
 
 
-def _draw_rivals(windows: Windows, scans: AllScans, settings: MapsSettings, workers: int) -> dict[Rival, GridMap]:
+def _draw_rivals(windows: Windows, scans: AllScans, settings: MapsSettings, threads: Executor) -> dict[Rival, GridMap]:
     """The maps that the paper compares with, side by side."""
     knee_m = settings.building.knee_m
 
     def draw(rival: Rival) -> GridMap:
         return draw_rival(rival, scans.rivals, windows, scans.drive, settings.grid_map, settings.rival_maps, knee_m)
 
-    with ThreadPoolExecutor(workers) as threads:
-        return dict(zip(Rival, threads.map(draw, Rival), strict=True))
+    return dict(zip(Rival, threads.map(draw, Rival), strict=True))
 
 
 def _compare_rooms(normal: GridMap, scans: AllScans, settings: MapsSettings) -> dict[Segmented, AreaGraph]:
