@@ -32,6 +32,7 @@ from ffmap.app.setup.outputs import Detail
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.cloud_digest import as_rows
+from ffmap.loaders.pointcloud2 import full_labels
 from ffmap.loaders.scans import SkippedScan, read_digests, read_scans
 
 VOXEL_M = 0.05
@@ -190,29 +191,27 @@ def finish_block(job: FinishJob) -> None:
     """Give every return of a block its final label, from where the spool says that it lies; write labels and votes to it."""
     scans = spool.load_scans(job.label.path.with_suffix(".arrow"))
     relabelling = Relabelling.of(job.building, spool.load_halo(job.halo), job.label.settings.relabelling)
-    labels: list[tuple[UInt8Array, UInt8Array]] = []
+    labels: list[UInt8Array] = []
     table = VoxelTable(VOXEL_M, len(Label))
     with _open_evidence(job.label, FINAL_EVIDENCE) as log:
         for scan in scans:
             points_level, points_map = scan.points_level, in_map(scan.T_map_level, scan.points_level)
+            cloud_index = scan.cloud_index
+            label_scan = scan.label_cloud[cloud_index]
             label = relabelling.labels(
                 points_map,
                 # Above the floor that this scan sees: the map's own height drifts.
                 heights_above_pieces(points_level, scan.floor, scan.floor_is_foot),
                 below_ceiling(points_level, scan.ceiling),
-                scan.label_scan,
+                label_scan,
                 transforms.apply(scan.T_map_level, scan.origin_level[None])[0],
             )
             if log:
-                log_final(log, scan.scan, scan.stamp_ns, points_level, scan.label_scan, label)
+                log_final(log, scan.scan, scan.stamp_ns, points_level, label_scan, label)
             table.add(points_map, label)
-            labels.append((scan.in_cloud(label), scan.in_cloud(scan.label_scan)))
-    final = {
-        "scan": np.array([scan.scan for scan in scans], np.int64),
-        **pack_ragged(spool.LABEL, [label for label, _ in labels]),
-        **pack_ragged(spool.LABEL_SCAN, [label_scan for _, label_scan in labels]),
-    }
-    spool.save(job.label.path.with_suffix(".final.arrow"), {**final, **pack(table.votes(), spool.VOTES)})
+            labels.append(full_labels(len(scan.label_cloud), cloud_index, label))
+    final = {**pack_ragged(spool.LABEL, labels), **pack(table.votes(), spool.VOTES)}
+    spool.save(job.label.path.with_suffix(".final.arrow"), final)
 
 
 def _read(job: LabelJob, digests: list[bytes]) -> Iterator[tuple[int, Scan | SkippedScan]]:

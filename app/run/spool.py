@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from ffmap.algorithms.base.labels import NO_RETURN
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array
 from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.building.votes import Halo
@@ -28,10 +29,10 @@ if TYPE_CHECKING:
 
 SUMMARY, FEATURES, VOTES, RIVALS = "summary_", "feature_", "votes_", "rivals_"
 """What the names of the arrays begin with: of `BlockSummary`, `Features`, and twice `VoxelVotes`, that of `RivalCounter` last."""
-LABEL, LABEL_SCAN = "label", "label_scan"
-"""By scan: final labels and the scan's own, one for each place in the cloud; `scan` has the numbers."""
+LABEL = "label"
+"""By scan, in the order of time: the final labels, one for each place in the cloud."""
 _GRID_M = 0.001
-_RAGGED = ("ceiling", "point", "cloud_index", "label_scan")
+_RAGGED = ("ceiling", "point", "place", "label_cloud")
 """What each `SpooledScan` has another number of."""
 
 
@@ -39,16 +40,16 @@ _RAGGED = ("ceiling", "point", "cloud_index", "label_scan")
 class SpooledScan:
     """What the final labels of a scan are found from: its returns where it placed them, on a grid of a millimetre.
 
-    scan: its number. stamp_ns: of its header. cloud_size: places in its cloud.
+    scan: its number. stamp_ns: of its header.
     T_map_level: (4, 4). origin_level: (3,) the sensor.
     floor: (2, 3), floor_is_foot: as `floor_height` takes them. ceiling: (c, 3), see `plane_rows`. All in the level frame.
     point: (n, 3) int16, in multiples of grid_m, which is more than a millimetre where a return is farther than 32 m.
-    cloud_index: (n,) int32, the place of each return in the cloud. label_scan: (n,) uint8.
+    place: (n,) int32, of each return in the cloud; empty where they have the cloud's order.
+    label_cloud: (cloud_size,) uint8, the scan's own label of each place in the cloud, see `full_labels`.
     """
 
     scan: int
     stamp_ns: int
-    cloud_size: int
     T_map_level: FloatArray
     origin_level: FloatArray
     floor: FloatArray
@@ -56,8 +57,8 @@ class SpooledScan:
     ceiling: FloatArray
     grid_m: float
     point: IntArray
-    cloud_index: IntArray
-    label_scan: UInt8Array
+    place: IntArray
+    label_cloud: UInt8Array
 
     @classmethod
     def of(cls, index: int, scan: Scan, placed: PlacedScan, labelling: ScanLabelling) -> "SpooledScan":
@@ -67,7 +68,6 @@ class SpooledScan:
         return cls(
             scan=index,
             stamp_ns=scan.stamp_ns,
-            cloud_size=scan.cloud_size,
             T_map_level=placed.T_map_level,
             origin_level=placed.origin_level,
             floor=labelling.floor.both_pieces,
@@ -75,8 +75,8 @@ class SpooledScan:
             ceiling=labelling.ceiling_planes,
             grid_m=grid_m,
             point=np.rint(placed.points_level * np.float32(1.0 / grid_m)).astype(np.int16),
-            cloud_index=scan.cloud_index.astype(np.int32),
-            label_scan=labelling.label,
+            place=scan.cloud_index[:0] if np.all(np.diff(scan.cloud_index) > 0) else scan.cloud_index,
+            label_cloud=full_labels(scan.cloud_size, scan.cloud_index, labelling.label),
         )
 
     @property
@@ -84,9 +84,10 @@ class SpooledScan:
         """(n, 3) float32, metres."""
         return np.asarray(self.point * np.float32(self.grid_m))
 
-    def in_cloud(self, label: UInt8Array) -> UInt8Array:
-        """(cloud_size,) labels (n,) of its returns by their places in the cloud."""
-        return full_labels(self.cloud_size, self.cloud_index, label)
+    @property
+    def cloud_index(self) -> IntArray:
+        """(n,) the place of each return in the cloud."""
+        return self.place if len(self.place) else np.flatnonzero(self.label_cloud != NO_RETURN)
 
 
 @dataclass(frozen=True)
@@ -136,11 +137,10 @@ def load_scans(path: Path) -> list[SpooledScan]:
     return unpack_rows(SpooledScan, spooled, _RAGGED) if "scan" in spooled else []
 
 
-def load_labels(path: Path) -> Iterator[tuple[int, UInt8Array, UInt8Array]]:
-    """Number, final label and the scan's own of the clouds in a block's final file, in the order of time."""
-    spooled = map_arrays(path)
-    labels = (unpack_ragged(name, spooled) for name in (LABEL, LABEL_SCAN))
-    yield from zip(spooled["scan"].tolist(), *labels, strict=True)
+def load_labels(path: Path, final: Path) -> Iterator[tuple[int, UInt8Array, UInt8Array]]:
+    """Number, final label and the scan's own of the clouds in a block's two files, in the order of time."""
+    for scan, label in zip(load_scans(path), unpack_ragged(LABEL, map_arrays(final)), strict=True):
+        yield scan.scan, label, scan.label_cloud
 
 
 @lru_cache(maxsize=1)

@@ -75,5 +75,5 @@ def _labels(
         if run.recording is not None and evidence.exists():
             run.recording.add(evidence)
         table.absorb(load(VoxelVotes, final_path, VOTES))
-        yield from load_labels(final_path)
+        yield from load_labels(job.path.with_suffix(".arrow"), final_path)
         run.progress.advance()
