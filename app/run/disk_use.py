@@ -21,7 +21,7 @@ _RECORDING = {Detail.LINES: (130e3, 9.7), Detail.SCANS: (50e3, 7.5), Detail.MAP:
 """Bytes of the recording for each scan, and for each of its returns more."""
 _TOLD_ONCE = 1e6
 """Bytes of the recording for its layouts and explanations, however long the drive."""
-_SPOOL = (245e3, 9.8)
+_SPOOL = (250e3, 9.7)
 """The same of what lies in the spool beside the recording's parts."""
 _REGISTRATION = 45e3
 """Bytes of the recording for each scan of a drive that is not labelled."""
