@@ -114,9 +114,9 @@ def _moved(
 def _scatter(range_m: FloatArray, turn: FloatArray, starts: IntArray) -> float:  # pragma: no cover
     """From second differences of neighbours, most of which lie on smooth surfaces; their median knows no edges.
 
-    Of what a ray returned the first counts. The median is that of bins of a tenth of a millimetre, up to 0.4 m.
+    Of what a ray returned the first counts. The median is that of bins of a hundredth of a millimetre, up to 0.4 m.
     """
-    bin_m, counts = 1e-4, np.zeros(4096, np.int64)
+    bin_m, counts = 1e-5, np.zeros(40_000, np.int32)
     for r in range(len(starts) - 1):
         before, at = -1, -1
         for after in range(starts[r], starts[r + 1]):
