@@ -8,8 +8,6 @@ from ffmap.algorithms.base.segments import Faces
 
 SECTORS = 512  # directions about a sensor that rays are sorted into
 _CELL_M = 0.5  # edge of the cells of the plan
-
-
 _HEADER = 4  # what an index holds before the cells' lists: its first column and row, its numbers of columns and rows
 
 

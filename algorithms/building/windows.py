@@ -161,14 +161,15 @@ def without_rays_through(windows: Windows, features: Features) -> Features:
 
 @numba.njit(cache=True, nogil=True)
 def _rays_through(panes: FloatArray, rays: Rays) -> BoolArray:  # pragma: no cover
-    passed = np.zeros(len(rays.end), np.bool_)
+    origin, starts, end = rays.origin, rays.starts, rays.end
+    passed = np.zeros(len(end), np.bool_)
     for w in range(len(panes)):
-        for s in range(len(rays.origin)):
-            if before_line(panes, w, rays.origin[s, 0], rays.origin[s, 1]) <= 0.0:
+        for s in range(len(origin)):
+            if before_line(panes, w, origin[s, 0], origin[s, 1]) <= 0.0:
                 continue
-            for r in range(rays.starts[s], rays.starts[s + 1]):
-                x, y = np.float64(rays.end[r, 0]), np.float64(rays.end[r, 1])
+            for r in range(starts[s], starts[s + 1]):
+                x, y = np.float64(end[r, 0]), np.float64(end[r, 1])
                 if before_line(panes, w, x, y) <= -CELL_M:
-                    _, u = crossing(panes, w, 0.0, x, y, rays.origin[s], 0.0)
+                    _, u = crossing(panes, w, 0.0, x, y, origin[s], 0.0)
                     passed[r] |= 0.0 < u < panes[w, LENGTH]
     return passed

@@ -11,7 +11,7 @@ from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.app.folder.names import LABELLED_BAG, LABELLED_FOLDER
 from ffmap.loaders.bag import Bag, Message
 from ffmap.loaders.bag_writer import BagWriter
-from ffmap.loaders.cloud_digest import as_rows
+from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.frames import StaticTransform
 from ffmap.loaders.pointcloud2 import describe_layout, encode_labelled, stamp_ns
@@ -28,13 +28,13 @@ def write_labelled_bag(
     rig: Rig,
     trajectory: Trajectory,
     labels: Iterable[tuple[int, UInt8Array, UInt8Array]],
-    cloud_digest: UInt8Array | None = None,
+    clouds: str | None = None,
 ) -> Path:
     """Every vertical cloud of the bag again, with its labels, as `labelled.bag` (ROS 1) or `labelled/` (ROS 2).
 
     index: the vertical clouds. trajectory: T_map_base. labels: in the bag's order, for each labelled scan its number,
     `label` and `label_scan`, both (height x width,); the points of clouds that are not among them get 255.
-    cloud_digest: (clouds, 16) of the bytes that were labelled, where known. Raises InputError where the bag holds others now.
+    clouds: digest of the bytes of all clouds that were labelled, where known. Raises InputError where the bag holds others now.
     """
     labelled, static = iter(labels), rig.static_transforms
     digests: list[bytes] = []
@@ -60,7 +60,7 @@ def write_labelled_bag(
                 pose = StaticTransform("map", rig.base_frame, trajectory.at(index.stamp_ns[i : i + 1])[0])
                 writer.write("/tf", writer.transforms(stamp, [pose]), log_time_ns)
             writer.write(index.topic, _labelled(message, index.topic, label, label_scan), log_time_ns)
-        if cloud_digest is not None and not np.array_equal(as_rows(digests), cloud_digest):
+        if clouds is not None and joined(digests).hex() != clouds:
             raise InputError(
                 f"{bag.path}: changed while the run was reading it; let nothing write to it, and start a new run"
             )

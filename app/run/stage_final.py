@@ -19,7 +19,7 @@ from ffmap.app.record.building import log_cloud
 from ffmap.app.run.arrays import pack
 from ffmap.app.run.blocks import FINAL_EVIDENCE, VOXEL_M, FinishJob, LabelJob, finish_block
 from ffmap.app.run.context import Run
-from ffmap.app.run.spool import SUMMARY, VOTES, BlockSummary, load, load_labels, save
+from ffmap.app.run.spool import VOTES, load, load_labels, save
 from ffmap.app.setup.outputs import Output
 from ffmap.blueprints import entities
 from ffmap.loaders.bag import open_bag
@@ -36,10 +36,7 @@ def finish(run: Run, pool: Executor, jobs: tuple[LabelJob, ...], building: Build
     if Output.LABELLED in outputs:
         with open_bag(run.inputs.bag_path) as bag:
             index, rig = run.inputs.vertical.index, run.inputs.rig
-            digests = np.concatenate(
-                [load(BlockSummary, job.path.with_suffix(".arrow"), SUMMARY).cloud_digest for job in jobs]
-            )
-            write_labelled_bag(run.folder.path, bag, index, rig, trajectory, labels, digests)
+            write_labelled_bag(run.folder.path, bag, index, rig, trajectory, labels, run.state.clouds[index.topic])
     deque(labels, maxlen=0)
     run.state.labels_digest = writer.digest
     pool.shutdown()  # the workers' memory goes before the whole cloud is made

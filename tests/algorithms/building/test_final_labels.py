@@ -1,12 +1,14 @@
 """What the building changes in a scan's labels: one wall along y = 0, looked at from y < 0, one return at a time."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.plan_index import index_near
+from ffmap.algorithms.building import final_labels
 from ffmap.algorithms.building.face_foreground import NO_FOREGROUND, Foreground
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
 from ffmap.algorithms.building.final_labels import BuildingModel, Relabelling, RelabellingSettings
@@ -346,3 +348,37 @@ def test_what_stands_in_the_other_room_is_not_before_a_thin_wall(covered: tuple[
     """Of a wall 8 cm thick a return 5 cm behind its face is closer to the face of the room behind it."""
     other_side = replace(face(y=0.08), normal=np.array([[0.0, 1.0]]))
     assert final((2.0, 0.05, 1.0), Label.WALL, walls=face().append(other_side), covered=covered) == expected
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_returns_ask_about_every_part_of_the_building_that_they_may_belong_to(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same labels as where every return asks about all faces, doors and windows."""
+    generator = np.random.default_rng(seed)
+
+    def scattered(count: int) -> tuple[np.ndarray, np.ndarray]:
+        start, angle = generator.uniform(-6, 6, (count, 1, 2)), generator.uniform(-np.pi, np.pi, count)
+        along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        length_m = generator.uniform(0.6, 3.0, (count, 1, 1))
+        return start + np.array([[[0.0], [1.0]]]) * length_m * along[:, None], np.stack([-along[:, 1], along[:, 0]], 1)
+
+    def many(one: Any, count: int) -> Any:
+        ends, normal = scattered(count)
+        rows = {f.name: np.repeat(getattr(one, f.name), count, axis=0) for f in fields(one)}
+        return replace(one, **rows | {"ends": ends, "normal": normal})
+
+    walls, refused = many(face(), 12), many(face(), 4)
+    doors = many(door(0.04), 3).append(many(door(float("nan")), 3))
+    windows = many(window(0.05), 3)
+    near = np.concatenate([part.ends.reshape(-1, 2) for part in (walls, refused, doors, windows)])
+    xy = near[generator.integers(0, len(near), 20_000)] + generator.normal(0.0, 0.6, (20_000, 2))
+    points = np.column_stack([xy, generator.uniform(0.0, 2.8, 20_000)]).astype(np.float32)
+    # Many lie on the floor and below the ceiling, where rays decide.
+    points[::4, 2], points[1::4, 2] = generator.normal(0.0, 0.02, 5_000), 2.8 + generator.normal(0.0, 0.02, 5_000)
+    label = generator.integers(0, 5, 20_000).astype(np.uint8)
+    building: dict[str, Any] = {"walls": walls, "refused": refused, "doors": doors, "windows": windows}
+    found = final_of(points, label, sensor=np.array([0.3, 0.2, 1.0]), **building)
+    monkeypatch.setattr(final_labels, "index_near", lambda faces, _: index_near(faces, 100.0))
+    np.testing.assert_array_equal(found, final_of(points, label, sensor=np.array([0.3, 0.2, 1.0]), **building))
+    assert np.count_nonzero(found != label) > 5_000

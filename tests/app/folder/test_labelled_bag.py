@@ -13,9 +13,11 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.app.folder.labelled_bag import write_labelled_bag
 from ffmap.loaders.bag import open_bag
+from ffmap.loaders.cloud_digest import joined
+from ffmap.loaders.errors import InputError
 from ffmap.loaders.frames import StaticTransform
 from ffmap.loaders.rig import Rig
-from ffmap.loaders.scans import index_clouds
+from ffmap.loaders.scans import index_clouds, read_digests
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, sweep, write_bag
 
 CONTAINERS = ["in.bag", "in_mcap", "in_sqlite3"]
@@ -78,6 +80,17 @@ class TestLabelledBag:
             label, label_scan = expected.get(i, (np.full(1440, 255), np.full(1440, 255)))
             np.testing.assert_array_equal(points[:, 22], label)
             np.testing.assert_array_equal(points[:, 23], label_scan)
+
+    @pytest.mark.parametrize("name", CONTAINERS)
+    def test_clouds_that_changed_since_they_were_labelled_are_refused(self, tmp_path: Path, name: str):
+        with open_bag(make_bag(tmp_path / name)) as bag:
+            index = index_clouds(bag, "/vertical")
+            labelled = joined(read_digests(bag, index)).hex()
+            write_labelled_bag(tmp_path, bag, index, RIG, drive(), [], labelled).rename(tmp_path / "kept")
+            before = sorted(p.name for p in tmp_path.iterdir())
+            with pytest.raises(InputError, match="changed while the run was reading it"):
+                write_labelled_bag(tmp_path, bag, index, RIG, drive(), [], labelled[::-1])
+        assert sorted(p.name for p in tmp_path.iterdir()) == before
 
     @pytest.mark.parametrize("name", CONTAINERS)
     def test_transforms(self, tmp_path: Path, name: str):
