@@ -4,7 +4,7 @@ import numba
 import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray, IntArray
-from ffmap.algorithms.base.segments import Faces
+from ffmap.algorithms.base.segments import LENGTH, Faces, along_line, before_line, lines_of
 
 SECTORS = 512  # directions about a sensor that rays are sorted into
 _CELL_M = 0.5  # edge of the cells of the plan
@@ -62,6 +62,34 @@ def cell_at(index: IntArray, x: float, y: float) -> int:  # pragma: no cover
     if column < 0 or row < 0 or column >= index[2] or row >= index[3]:
         return int(_HEADER + index[2] * index[3])
     return int(_HEADER + row * index[2] + column)
+
+
+def pairs_near(faces: Faces, points: FloatArray, reach_m: float) -> tuple[IntArray, IntArray]:
+    """Point and face (p,), for each of the points (n, 2 or 3) and each face that it lies at: less than `reach_m` before or
+    behind it, and less than that beyond its ends."""
+    index = index_near(faces, 2.0 * reach_m)
+    return _pairs_near(np.ascontiguousarray(points, np.float64), lines_of(faces), index, reach_m)
+
+
+@numba.njit(cache=True, nogil=True)
+def _pairs_near(
+    points: FloatArray, lines: FloatArray, index: IntArray, reach_m: float
+) -> tuple[IntArray, IntArray]:  # pragma: no cover
+    point, face = np.empty(64, np.int64), np.empty(64, np.int64)
+    count = 0
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        cell = cell_at(index, x, y)
+        for place in range(index[cell], index[cell + 1]):
+            k = index[place]
+            if abs(before_line(lines, k, x, y)) < reach_m:
+                along = along_line(lines, k, x, y)
+                if -reach_m < along < lines[k, LENGTH] + reach_m:
+                    if count == len(point):
+                        point, face = np.concatenate((point, point)), np.concatenate((face, face))
+                    point[count], face[count] = i, k
+                    count += 1
+    return point[:count], face[:count]
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True)

@@ -1,19 +1,48 @@
 """What all scans of a drive gathered, as the building and its maps are made of it."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+
+import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.levels import HeightMap, LevelsSettings, map_levels
 from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
-from ffmap.algorithms.building.ray_evidence import WallCells
+from ffmap.algorithms.building.ray_evidence import WallCells, first_columns, rows_of
 from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.scan.summary import Features
 
 Trace = Callable[[Walls, BuildingSettings, Windows], WallCells]
 """Counts the rays of all scans against faces as `trace_rays` does, without those that ended beyond a window."""
+
+
+class TraceOnce:
+    """Counts the rays of all scans against the faces alone that were not asked for before.
+
+    What rays found of a face depends on no other face, and most faces are the same from one step to the next.
+    """
+
+    def __init__(self, trace: Trace) -> None:
+        self._trace = trace
+        self._known: dict[tuple[str, bytes], dict[bytes, FloatArray]] = {}
+
+    def __call__(self, walls: Walls, settings: BuildingSettings, windows: Windows) -> WallCells:
+        """As `trace_rays` counts them."""
+        through = b"".join(getattr(windows, field.name).tobytes() for field in fields(windows))
+        known = self._known.setdefault((settings.model_dump_json(), through), {})
+        rows = rows_of(walls)
+        keys = [ends.tobytes() + normal.tobytes() for ends, normal in zip(walls.ends, walls.normal, strict=True)]
+        new = np.array([key not in known or known[key].shape[1] < rows for key in keys], bool)
+        if new.any():
+            # As high as the highest face that is asked for, which may be another.
+            asked = replace(walls, top_m=np.full(len(walls), walls.top_m.max())).select(new)
+            cells = self._trace(asked, settings, windows)
+            for own, key in enumerate(np.array(keys, object)[new]):
+                known[key] = cells.counts[cells.first[own] : cells.first[own + 1]]
+        nothing = np.zeros((0, rows, 4), np.float32)
+        return WallCells(first_columns(walls), rows, np.concatenate([nothing, *(known[key][:, :rows] for key in keys)]))
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from ffmap.algorithms.building.face_columns import Storey, above_doors_m, column
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.model import CELL_M, Walls
 from ffmap.algorithms.building.ray_evidence import first_columns
-from ffmap.algorithms.building.votes import VoxelVotes, majority
+from ffmap.algorithms.building.votes import VoxelVotes
 
 
 class FaceAlignmentSettings(StepSettings):
@@ -72,7 +72,7 @@ class _Cubes:
 
     @classmethod
     def of(cls, votes: VoxelVotes) -> "_Cubes":
-        label = majority(votes.counts)
+        label = votes.label
         mean_map = votes.mean_position
         chosen = np.flatnonzero((label != Label.FLOOR) & (label != Label.CEILING))
         chosen = chosen[np.argsort(mean_map[chosen, 0], kind="stable")]

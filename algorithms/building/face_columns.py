@@ -22,7 +22,7 @@ from ffmap.algorithms.building.ray_evidence import (
     returns_at_face,
     with_neighbours,
 )
-from ffmap.algorithms.building.votes import VoxelVotes, majority
+from ffmap.algorithms.building.votes import VoxelVotes
 
 CEILING_MARGIN_M = 0.08
 """Rows this close below a ceiling hold its own returns: their scatter, and the row that it lies in."""
@@ -58,7 +58,7 @@ class Storey:
 
         votes_min: minimum number of votes at which a scan's label counts.
         """
-        by_scans = majority(votes.counts)
+        by_scans = votes.label
         label = corrected(levels, votes.mean_position, by_scans)
         agreed = (label != by_scans) | votes.seen(votes_min)
         label = np.where(agreed, label, Label.CLUTTER)

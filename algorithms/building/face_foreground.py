@@ -11,8 +11,9 @@ from pydantic import Field
 from scipy import ndimage
 
 from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
-from ffmap.algorithms.base.segments import segments
+from ffmap.algorithms.base.segments import ALONG_X, ALONG_Y, START, lines_of, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import Storey, TracedFaces, above_doors_m, column_places
 from ffmap.algorithms.building.model import CELL_M, Doors, Walls, cells_in
@@ -225,19 +226,22 @@ def halo_at_walls(
 
     They lie farther than `near_m` from every face, or stand before one, or before or behind a doorway, as its leaf does.
     """
-    centre = halo.centres
+    of_wall = np.flatnonzero(halo.label == Label.WALL)
+    centre = halo.centres[of_wall]
     height_m = centre[:, 2] - storey.ground_m(centre[:, :2])
-    at_face = np.zeros(len(halo.keys), bool)
-    for w, face in enumerate(segments(walls)):
-        near = (np.abs(face.before_m(centre)) < near_m) & face.beside(centre, near_m)
-        own = foreground.covered[foreground.first[w] : foreground.first[w + 1]]
-        column = np.clip((face.place_m(centre[near]) / CELL_M).astype(np.int64), 0, own.shape[0] - 1)
-        row = np.clip((height_m[near] / CELL_M).astype(np.int64), 0, own.shape[1] - 1)
-        at_face[near] |= ~own[column, row]
+    cube, face = pairs_near(walls, centre, near_m)
+    lines = lines_of(walls)[face]
+    along_m = (lines[:, [ALONG_X, ALONG_Y]] * centre[cube, :2]).sum(axis=1) - lines[:, START]
+    columns = np.diff(foreground.first)[face]
+    column = foreground.first[face] + np.clip((along_m / CELL_M).astype(np.int64), 0, columns - 1)
+    row = np.clip((height_m[cube] / CELL_M).astype(np.int64), 0, foreground.covered.shape[1] - 1)
+    at_face = np.zeros(len(centre), bool)
+    at_face[cube[~foreground.covered[column, row]]] = True
     for doorway, reveal_m, head_m in zip(segments(doors), doors.reveal_m, doors.head_m, strict=True):
         before_m = doorway.before_m(centre)
         within_wall = (before_m > -reveal_m - settings.leaf_off_m) & (before_m < settings.leaf_off_m)
         between_jambs = doorway.beside(centre) & (height_m < head_m)
         at_face &= ~(between_jambs & (np.abs(before_m) < settings.leaf_m) & ~within_wall)
-    kept = (halo.label != Label.WALL) | at_face
+    kept = np.ones(len(halo.keys), bool)
+    kept[of_wall] = at_face
     return Halo(halo.keys[kept], halo.label[kept], halo.voxel_m)

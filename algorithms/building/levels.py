@@ -16,7 +16,7 @@ from scipy import ndimage
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.votes import VoxelVotes, majority
+from ffmap.algorithms.building.votes import VoxelVotes
 
 _TILE_M, _TILE_CUBES = 10.0, 5
 """Positions in a square of this edge (m) that holds fewer, with the squares around it, are single errors: one far away would
@@ -175,7 +175,7 @@ def map_levels(votes: VoxelVotes, settings: LevelsSettings) -> tuple[HeightMap, 
 
 def _corrected_votes(votes: VoxelVotes, level: HeightMap) -> VoxelVotes:
     """The votes, corrected where scans took something else for what lies there."""
-    label = majority(votes.counts)
+    label = votes.label
     wrong = level.label_of(votes.mean_position, label) != label
     counts = votes.counts.copy()
     counts[wrong, level.surface.label] += counts[wrong, level.surface.taken_for]
@@ -309,7 +309,7 @@ def _median_around(height_m: FloatArray) -> FloatArray:
 
 def map_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     """The ceilings that scans found: in each cell the median height of its cubes, around them the nearest cell's."""
-    position = votes.mean_position[(majority(votes.counts) == Label.CEILING) & votes.seen(settings.votes_min)]
+    position = votes.mean_position[(votes.label == Label.CEILING) & votes.seen(settings.votes_min)]
     grid = _Grid.around(position, settings.ceiling_cell_m, settings.ceiling_reach_m)
     median_m = grid.heights(position)
     away, nearest = _nearest(np.isfinite(median_m))
@@ -319,7 +319,7 @@ def map_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
 
 def _heights_above_floor(votes: VoxelVotes, settings: LevelsSettings) -> tuple[_Grid, FloatArray]:
     """A grid over all cubes, and their heights (m,) above the floor; NaN where no floor is known."""
-    floor = votes.seen(settings.votes_min) & (majority(votes.counts) == Label.FLOOR)
+    floor = votes.seen(settings.votes_min) & (votes.label == Label.FLOOR)
     position = votes.mean_position
     grid = _Grid.around(position, settings.cell_m, settings.ceiling_reach_m)
     return grid, grid.above_m(position, grid.ground_m(position[floor])[0])
@@ -331,7 +331,7 @@ def map_glimpsed_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> Height
     A scan finds the ceiling above it; to it, what is higher or lower is clutter.
     """
     grid, above_m = _heights_above_floor(votes, settings)
-    label, position = majority(votes.counts), votes.mean_position
+    label, position = votes.label, votes.mean_position
     highest_m = grid.heights(position[(label == Label.CLUTTER) & (above_m > settings.overhead_min_m)], 1.0)
     known = votes.seen(settings.votes_min) & (label == Label.CEILING)
     away, _ = _nearest(np.isfinite(grid.heights(position[known])))
@@ -345,7 +345,7 @@ def map_glimpsed_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> Height
 def map_sloping_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     """The undersides of roofs and stairs: the highest there is, in one plane that rises, and too broad for furniture."""
     grid, above_m = _heights_above_floor(votes, settings)
-    overhead = votes.seen() & (majority(votes.counts) != Label.FLOOR) & (above_m > settings.slope_bottom_m)
+    overhead = votes.seen() & (votes.label != Label.FLOOR) & (above_m > settings.slope_bottom_m)
     highest = grid.highest(votes.mean_position[overhead])
     mean, slope, rms_m, known = _planes_around(highest, settings.slope_window_cells)
     steepness = np.linalg.norm(slope, axis=2)
@@ -396,7 +396,7 @@ def map_ducts(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
 
     A scan that sees both rooms cannot tell the one from the other.
     """
-    ceiling = votes.mean_position[(majority(votes.counts) == Label.CEILING) & votes.seen()]
+    ceiling = votes.mean_position[(votes.label == Label.CEILING) & votes.seen()]
     grid = _Grid.around(ceiling, settings.cell_m, settings.ceiling_reach_m)
     lowest_m, usual_m = grid.heights(ceiling, 0.0), grid.heights(ceiling)
     beside_cells = 2 * round(settings.duct_beside_m / grid.cell_m) + 1
@@ -418,7 +418,7 @@ def map_false_floors(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
 
     A scan extends the plane of its floor as far as it sees; from a ramp that leads up the walls of the next room.
     """
-    floor = votes.mean_position[(majority(votes.counts) == Label.FLOOR) & votes.seen()]
+    floor = votes.mean_position[(votes.label == Label.FLOOR) & votes.seen()]
     grid = _Grid.around(floor, settings.cell_m, settings.ceiling_reach_m)
     height_m = grid.heights(floor)
     known = np.isfinite(height_m)
@@ -452,7 +452,7 @@ def _map_floors(
     width_m: float,
 ) -> HeightMap:
     """The lowest returns of cells without floor, where they are level, broad, and between two heights above the nearest floor."""
-    label, position = majority(votes.counts), votes.mean_position
+    label, position = votes.label, votes.mean_position
     floor = votes.seen(settings.votes_min) & (label == Label.FLOOR)
     low = votes.seen() & ((label == Label.FLOOR) | (label == Label.CLUTTER))
     grid = _Grid.around(position[low], cell_m, settings.ceiling_reach_m)
@@ -473,7 +473,7 @@ def map_step_fronts(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
 
     votes: with the raised floors.
     """
-    floor = votes.mean_position[(majority(votes.counts) == Label.FLOOR) & votes.seen()]
+    floor = votes.mean_position[(votes.label == Label.FLOOR) & votes.seen()]
     grid = _Grid.around(floor, settings.cell_m, settings.ceiling_reach_m)
     floor_m = grid.heights(floor)
     steep = _range_around(floor_m, 3) > settings.step_min_m

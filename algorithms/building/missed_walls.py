@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.base.settings import StepSettings
@@ -28,7 +29,7 @@ from ffmap.algorithms.building.face_verdicts import ACROSS, SAME_WAY, StandingWa
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Rows, Walls, cells_in
 from ffmap.algorithms.building.openings import widened
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH
-from ffmap.algorithms.building.votes import VoxelVotes, majority
+from ffmap.algorithms.building.votes import VoxelVotes
 
 _TRACED_TO_M = 5.0
 """Height up to which rays are counted against candidates, of whose tops nothing is known yet."""
@@ -336,7 +337,7 @@ class _Search:
 
 def _undersides(returns: AllReturns, height_min_m: float) -> FloatArray:
     """(m, 3) x, y and height above the floor of the cubes that may be of a duct's underside: no wall's, higher than heads."""
-    position = returns.votes.mean_position[majority(returns.votes.counts) != Label.WALL]
+    position = returns.votes.mean_position[returns.votes.label != Label.WALL]
     position[:, 2] -= returns.storey.ground_m(position[:, :2])
     return np.asarray(position[position[:, 2] > height_min_m])
 
@@ -407,12 +408,11 @@ def _unexplained_columns(
     votes: VoxelVotes, walls: Walls, refused: Walls, explained_m: float
 ) -> tuple[FloatArray, FloatArray]:
     """Upright columns of cubes that no face explains: x and y (m, 2), and the number of cubes in each (m,)."""
-    label = majority(votes.counts)
+    label = votes.label
     unexplained = ((label == Label.CLUTTER) | (label == Label.WALL)) & (votes.counts.max(axis=1, initial=0) > 0)
     position, count = votes.mean_position[unexplained], votes.point_count[unexplained]
     free = np.ones(len(position), bool)
-    for face in segments(walls.append(refused)):
-        free &= ~((np.abs(face.before_m(position)) < explained_m) & face.beside(position, explained_m))
+    free[pairs_near(walls.append(refused), position, explained_m)[0]] = False
     position, count = position[free], count[free]
     cell = np.floor(position[:, :2] / CELL_M).astype(np.int64)
     _, column = np.unique(cell, axis=0, return_inverse=True)

@@ -90,7 +90,7 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
     behind its wall, and the pose may be off by a part of that. blocks: features in any portions.
     """
     first = first_columns(walls)
-    rows = int(np.ceil((float(walls.top_m.max(initial=2.0)) + 0.5) / CELL_M))
+    rows = rows_of(walls)
     counts = np.zeros((int(first[-1]), rows, 4), np.float32)
     own = OwnPlane.of(settings)
     for block in blocks:
@@ -115,6 +115,11 @@ def floor_m(rays: Rays, scan: int, x: float, y: float) -> float:  # pragma: no c
 def first_columns(walls: Walls) -> IntArray:
     """(W + 1,) the column at which each face begins, if all faces' columns are counted one after the other."""
     return np.concatenate([[0], np.cumsum(np.ceil(lengths_m(walls.ends) / CELL_M))]).astype(np.int64)
+
+
+def rows_of(walls: Walls) -> int:
+    """How many rows of cells there are for some faces: half a metre more than the highest of them needs."""
+    return int(np.ceil((float(walls.top_m.max(initial=2.0)) + 0.5) / CELL_M))
 
 
 def returns_at_face(counts: FloatArray) -> FloatArray:

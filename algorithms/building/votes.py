@@ -4,6 +4,7 @@ They add up to the same sum in whatever order and portions the scans come, and g
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba
 import numpy as np
@@ -44,11 +45,18 @@ class VoxelVotes:
         """(m, 3) int64: cube i spans i·voxel_m to (i + 1)·voxel_m on each axis."""
         return _unpack(self.keys)
 
-    @property
+    @cached_property
+    def label(self) -> UInt8Array:
+        """(m,) the code with most votes in each cube, see `majority`."""
+        return majority(self.counts)
+
+    @cached_property
     def mean_position(self) -> FloatArray:
         """(m, 3) float64 in metres: the mean of each cube's points."""
         within = self.position_sum / (SUBDIVISIONS * self.point_count[:, None])
-        return (self.cube_index + within) * self.voxel_m
+        mean: FloatArray = (self.cube_index + within) * self.voxel_m
+        mean.flags.writeable = False  # many share it
+        return mean
 
     def seen(self, votes_min: int = 1) -> BoolArray:
         """(m,) whether some code has at least `votes_min` votes."""
@@ -170,7 +178,7 @@ def majority(counts: IntArray) -> UInt8Array:
 
 def fuse(votes: VoxelVotes) -> FusedCloud:
     """One point a cube: the mean of its points and their most frequent label; what lies outside is removed."""
-    label = majority(votes.counts)
+    label = votes.label
     kept = votes.seen() & (label != Label.OUTSIDE)
     return FusedCloud(votes.mean_position[kept].astype(np.float32), label[kept])
 

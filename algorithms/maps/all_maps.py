@@ -1,12 +1,11 @@
 """Every map of the building: the furniture-free grid, its rooms, the floor plan, and the maps that the paper compares with."""
 
 from collections.abc import Mapping
-from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 
 from ffmap.algorithms.building.drive import AllScans
 from ffmap.algorithms.building.fusion import Building
-from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings, Windows
+from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.maps.area_graph import (
     AreaGraph,
@@ -18,8 +17,15 @@ from ffmap.algorithms.maps.area_graph import (
     sides_of,
 )
 from ffmap.algorithms.maps.floor_plan import FloorPlan, FloorPlanSettings, draw_floor_plan
-from ffmap.algorithms.maps.grid import GridMap, GridMapSettings, Immobile, draw_furniture_free, standing_stretches
-from ffmap.algorithms.maps.rivals import Rival, RivalMapsSettings, draw_rival
+from ffmap.algorithms.maps.grid import (
+    GridMap,
+    GridMapSettings,
+    Immobile,
+    draft_furniture_free,
+    draw_free,
+    standing_stretches,
+)
+from ffmap.algorithms.maps.rivals import Rival, RivalMapsSettings, draft_rival
 from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings
 
 
@@ -57,31 +63,19 @@ def draw_maps(building: Building, scans: AllScans, settings: MapsSettings, worke
     # The grid shows what lies farther away than what doors and windows are told by.
     cells = scans.trace(building.walls, settings.building.for_faces(), NO_WINDOWS)
     immobile = Immobile(building.walls, cells, scans.votes, doors, windows)
-    with ThreadPoolExecutor(workers) as threads:
-        drawn = threads.submit(
-            draw_furniture_free, immobile, scans.drive, settings.grid_map, settings.wall_thickness, knee_m
-        )
-        rivals = _draw_rivals(windows, scans, settings, threads)
-        grid = drawn.result()
+    drafts = [draft_furniture_free(immobile, scans.drive, settings.grid_map, settings.wall_thickness, knee_m)]
+    for rival in Rival:
+        drafts.append(draft_rival(rival, scans.rivals, windows, scans.drive, settings.grid_map, settings.rival_maps))
+    grid, *drawn = draw_free(drafts, scans.drive, settings.grid_map, knee_m, workers)
     standing = standing_stretches(immobile, settings.grid_map, knee_m)
     bounds = Bounds((standing, *sides_of(doors), windows), settings.room_outlines)
     rooms = find_rooms(grid, settings.area_graph, doorways_of(doors), windows.ends, scans.drive.path_map, bounds)
     # All maps show what the furniture-free one does: a slice catches returns far outside, through windows.
-    rivals = {rival: own.cropped_to(grid) for rival, own in rivals.items()}
+    rivals = {rival: own.cropped_to(grid) for rival, own in zip(Rival, drawn, strict=True)}
     plan = draw_floor_plan(
         standing, immobile, grid, scans.storey, settings.floor_plan, settings.wall_thickness, rooms.rooms
     )
     return Maps(grid, rooms, rivals, _compare_rooms(rivals[Rival.MIDDLE], scans, settings), plan)
-
-
-def _draw_rivals(windows: Windows, scans: AllScans, settings: MapsSettings, threads: Executor) -> dict[Rival, GridMap]:
-    """The maps that the paper compares with, side by side."""
-    knee_m = settings.building.knee_m
-
-    def draw(rival: Rival) -> GridMap:
-        return draw_rival(rival, scans.rivals, windows, scans.drive, settings.grid_map, settings.rival_maps, knee_m)
-
-    return dict(zip(Rival, threads.map(draw, Rival), strict=True))
 
 
 def _compare_rooms(normal: GridMap, scans: AllScans, settings: MapsSettings) -> dict[Segmented, AreaGraph]:

@@ -22,7 +22,7 @@ from ffmap.algorithms.building.thickness import (
     part_walls,
     usual_thickness,
 )
-from ffmap.algorithms.building.votes import VoxelVotes, majority
+from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.maps.grid import Cell, GridMap, Immobile
 from ffmap.algorithms.scan.doors import DoorState
 
@@ -298,7 +298,7 @@ def _groups(stretches: Walls, apart_m: float) -> IntArray:
 
 def _upright(votes: VoxelVotes, storey: Storey, settings: FloorPlanSettings) -> FloatArray:
     """(n, 3) x, y and the height above the floor of the cubes that may be of leaves: neither floor nor ceiling."""
-    label = majority(votes.counts)
+    label = votes.label
     places = votes.mean_position[(label != Label.FLOOR) & (label != Label.CEILING)]
     height_m = places[:, 2] - storey.ground_m(places[:, :2])
     between = (height_m > settings.leaf_low_m) & (height_m < settings.leaf_high_m)

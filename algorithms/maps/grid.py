@@ -1,8 +1,11 @@
 """Grid maps of the building: furniture-free, or of what was hit in a slice of space (paper, IV.C, Fig. 6 and 9)."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from itertools import islice
 from typing import Literal, NamedTuple
 
 import numba
@@ -19,7 +22,7 @@ from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, Doors, Walls, Windows, cells_in, stretches
 from ffmap.algorithms.building.ray_evidence import FOOT_ROW, THROUGH, Rays, WallCells, floor_m, returns_at_face
 from ffmap.algorithms.building.thickness import WallThicknessSettings, face_thickness, part_walls
-from ffmap.algorithms.building.votes import VoxelVotes, majority
+from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.scan.doors import DoorState
 
 DoorsDrawn = Literal["open", "as-seen", "closed"]
@@ -165,9 +168,25 @@ class Immobile:
     windows: Windows
 
 
-def draw_furniture_free(
+@dataclass(frozen=True)
+class Draft:
+    """A map of which is drawn what is occupied, and not yet what is free.
+
+    canvas: what is drawn. windows: behind them nothing is free. doorways: (4, 2) each, free in any case. leaves: (2, 2) each,
+    which bar theirs. faces: (F, 2, 2) of walls, if these are what is occupied: one that bounds nothing that rays crossed is
+    hidden, as the reveals of windows are, and a wall that was carried on behind a pillar.
+    """
+
+    canvas: "_Canvas"
+    windows: Windows
+    doorways: Sequence[FloatArray] = ()
+    leaves: Sequence[FloatArray] = ()
+    faces: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))
+
+
+def draft_furniture_free(
     immobile: Immobile, drive: Drive, settings: GridMapSettings, thickness: WallThicknessSettings, knee_m: float
-) -> GridMap:
+) -> Draft:
     """Walls as thin lines, one for each side that was seen; doorways free through the whole wall (paper, Fig. 9b).
 
     What lies between the two sides of a wall nobody saw: it stays unknown. Panes stop rays, and stay unknown too.
@@ -175,11 +194,11 @@ def draw_furniture_free(
     knee_m: `BuildingSettings.knee_m`, here and below.
     """
     doors = immobile.doors
-    canvas = _Canvas.around([immobile.walls.ends, doors.ends, drive.path_map[:, :2]], settings, knee_m)
+    canvas = _Canvas.around([immobile.walls.ends, doors.ends, drive.path_map[:, :2]], settings)
     standing = standing_stretches(immobile, settings, knee_m).ends
     for ends in standing:
         canvas.draw_line(ends, Cell.OCCUPIED)
-    canvas.drop_crossed(drive, standing)
+    canvas.drop_crossed(drive, standing, knee_m)
     parts = part_walls(immobile.walls, thickness)
     # Where the thickness is a guess, or a leaf hid whether it holds here, a doorway rather ends in the room behind.
     guessed = np.isnan(face_thickness(immobile.walls, parts)[doors.wall]) | (doors.state == DoorState.CLOSED)
@@ -197,20 +216,67 @@ def draw_furniture_free(
     # Drawn when all is free: rays that passed an open door showed what is behind it.
     leaves = [doors.ends[d] - np.nan_to_num(doors.depth_m[d]) * doors.normal[d] for d in np.flatnonzero(shut)]
     open_doorways = [doorway for doorway, is_shut in zip(doorways, shut, strict=True) if not is_shut]
-    return canvas.freed(drive, immobile.windows, open_doorways, leaves, immobile.walls.ends)
+    return Draft(canvas, immobile.windows, open_doorways, leaves, immobile.walls.ends)
 
 
-def draw_cells(
-    cell_index: IntArray, windows: Windows, drive: Drive, settings: GridMapSettings, knee_m: float
-) -> GridMap:
-    """A map of given occupied cells, free by the same rays as `draw_furniture_free`; it knows of no doors.
+def draft_cells(cell_index: IntArray, windows: Windows, drive: Drive, settings: GridMapSettings) -> Draft:
+    """A map of given occupied cells; it knows of no doors.
 
     cell_index: (m, 2) column and row of each cell of `settings.cell_m`, counted from the map frame's origin.
     """
     places = (cell_index + 0.5) * settings.cell_m
-    canvas = _Canvas.around([places, drive.path_map[:, :2]], settings, knee_m)
+    canvas = _Canvas.around([places, drive.path_map[:, :2]], settings)
     canvas.draw_points(places, Cell.OCCUPIED)
-    return canvas.freed(drive, windows, [], [], np.zeros((0, 2, 2)))
+    return Draft(canvas, windows)
+
+
+def draw_free(
+    drafts: Sequence[Draft], drive: Drive, settings: GridMapSettings, knee_m: float, workers: int = 1
+) -> list[GridMap]:
+    """The finished maps: free is what rays crossed before they met something, near to floor that was seen.
+
+    Floor was seen where a ray to it ran below the knee, and counts if such cells join it to the robot's way.
+
+    All maps in one walk along each ray, of which they are layers: each has a bit in every cell. At most 8 drafts.
+    workers: number of threads.
+    """
+    layers = [_Layer(draft, settings) for draft in drafts]
+    low, high = (np.array(ends) for ends in zip(*(layer.spanned for layer in layers), strict=True))
+    first, shape = low.min(axis=0), (high.max(axis=0) - low.min(axis=0))[::-1]
+    x, y = first * settings.cell_m
+    frame = _Frame(float(x), float(y), settings.cell_m)
+    # The rows and columns of each layer's own canvas; what lies beyond stops its rays.
+    edges = np.column_stack([low - first, high - first])[:, [1, 3, 0, 2]]
+    own = [(np.uint8(1 << m), slice(*edge[:2]), slice(*edge[2:])) for m, edge in enumerate(edges)]
+    barred = np.full(shape, (1 << len(layers)) - 1, np.uint8)
+    for layer, (bit, rows, columns) in zip(layers, own, strict=True):
+        barred[rows, columns] &= np.where(layer.barred, ~np.uint8(0), ~bit)
+
+    def walked(walk: Callable[[Rays, UInt8Array], None]) -> UInt8Array:
+        """(2, rows, columns) what any ray marked."""
+
+        def walk_share(worker: int) -> UInt8Array:
+            marked = np.zeros((2, *shape), np.uint8)
+            for block in islice(drive.blocks(), worker, None, workers):
+                walk(Rays.of(block), marked)
+            return marked
+
+        with ThreadPoolExecutor(workers) as threads:
+            return np.asarray(np.bitwise_or.reduce(list(threads.map(walk_share, range(workers)))))
+
+    range_cells, gap_max = settings.range_m / settings.cell_m, 2.0 * _cells_reached(settings)
+    marked = walked(lambda rays, marked: _cross(barred, len(layers), marked, rays, frame, knee_m, range_cells))
+    supported = np.zeros(shape, np.uint8)
+    for layer, (bit, rows, columns) in zip(layers, own, strict=True):
+        crossed, ran_low = marked[:, rows, columns] & bit != 0
+        layer.see(crossed, ran_low, drive.path_map)
+        supported[rows, columns] |= np.where(layer.supported, bit, np.uint8(0))
+    marked = walked(lambda rays, marked: _bound(barred, edges, supported, marked, rays, frame, range_cells, gap_max))
+    path = drive.path_map[:, :2]
+    return [
+        layer.finished(marked[0, rows, columns] & bit != 0, path)
+        for layer, (bit, rows, columns) in zip(layers, own, strict=True)
+    ]
 
 
 def standing_stretches(immobile: Immobile, settings: GridMapSettings, knee_m: float) -> Walls:
@@ -220,7 +286,7 @@ def standing_stretches(immobile: Immobile, settings: GridMapSettings, knee_m: fl
     pillar may stand before it), the reveals of windows, below which the wall goes on, and the leaves of open doors.
     """
     walls, cells = immobile.walls, immobile.cells
-    voted = immobile.votes.mean_position[majority(immobile.votes.counts) == Label.WALL, :2]
+    voted = immobile.votes.mean_position[immobile.votes.label == Label.WALL, :2]
     tree = cKDTree(voted) if len(voted) else None
     owner: list[int] = []
     found: list[FloatArray] = []
@@ -329,23 +395,78 @@ def _lengthened(lines: FloatArray, by_m: float) -> FloatArray:
     return np.asarray(np.stack([lines[:, 0] - along, lines[:, 1] + along], axis=1))
 
 
+class _Layer:
+    """One of the maps that are drawn together."""
+
+    def __init__(self, draft: Draft, settings: GridMapSettings) -> None:
+        self._draft, self._settings = draft, settings
+        canvas = self._canvas = deepcopy(draft.canvas)
+        # Glass stops rays: what lies behind belongs to another world.
+        for ends in draft.windows.ends:
+            canvas.draw_line(ends, Cell.OCCUPIED)
+        gap_max_m = settings.gap_max_m
+        for ends in [*_glazed(draft.faces, draft.windows), *_lengthened(draft.windows.ends, gap_max_m)]:
+            canvas.close_gaps(ends, draft.doorways)
+        self.spanned = canvas.first, canvas.first + canvas.cells.shape[::-1]
+        self.barred = canvas.cells == Cell.OCCUPIED
+        self.crossed = self.supported = np.zeros_like(self.barred)
+
+    def see(self, crossed: BoolArray, low: BoolArray, path_map: FloatArray) -> None:
+        """Find the floor that was seen. crossed: by rays; low: by rays that ran below the knee to the floor."""
+        canvas = self._canvas
+        canvas.cells[crossed] = Cell.FREE
+        for doorway in self._draft.doorways:
+            canvas.draw_area(doorway, Cell.FREE)
+        crossed = canvas.cells == Cell.FREE
+        # Far away rays lie apart; a wall is thicker than the gaps between them that this closes.
+        self.crossed = crossed | (binary_closing(crossed, np.ones((3, 3))) & (canvas.cells == Cell.UNKNOWN))
+        self.supported = canvas.joined_to(path_map, binary_closing(low, np.ones((3, 3))) & self.crossed)
+
+    def finished(self, bounded: BoolArray, path: FloatArray) -> GridMap:
+        """bounded: where rays came close to their end, or over known floor again. path: (n, 2) the robot's places."""
+        draft, settings, supported = self._draft, self._settings, self.supported
+        if reach := _cells_reached(settings):
+            near = (binary_closing(bounded, np.ones((3, 3))) | supported) & self.crossed
+            supported = binary_dilation(supported, iterations=reach, mask=near)
+        canvas = deepcopy(draft.canvas)
+        if len(draft.faces):
+            visible = binary_dilation(self.crossed, np.ones((3, 3)), iterations=settings.bounds_cells)
+            canvas.cells[~visible] = Cell.UNKNOWN
+        canvas.cells[supported] = Cell.FREE
+        for step in np.stack([path[:-1], path[1:]], axis=1):
+            if np.linalg.norm(step[1] - step[0]) < settings.step_max_m:
+                canvas.draw_line(step, Cell.FREE)
+        canvas.draw_points(path, Cell.FREE)
+        for doorway in draft.doorways:
+            canvas.draw_area(doorway, Cell.FREE)
+        for leaf in draft.leaves:
+            canvas.draw_line(leaf, Cell.OCCUPIED)
+        return canvas.framed()
+
+
+def _cells_reached(settings: GridMapSettings) -> int:
+    """How many cells `floor_reach_m` spans."""
+    return int(settings.floor_reach_m / settings.cell_m)
+
+
 class _Canvas:
     """A grid while it is drawn."""
 
-    def __init__(self, low: FloatArray, high: FloatArray, settings: GridMapSettings, knee_m: float) -> None:
-        self._settings, self._knee_m = settings, knee_m
+    def __init__(self, low: FloatArray, high: FloatArray, settings: GridMapSettings) -> None:
+        self._settings = settings
         self._cell_m = settings.cell_m
-        self._origin = np.floor(low / self._cell_m) * self._cell_m
+        self.first = np.floor(low / self._cell_m).astype(np.int64)
+        self._origin = self.first * self._cell_m
         columns, rows = np.maximum(np.ceil((high - self._origin) / self._cell_m).astype(int), 1)
-        self._cells = np.full((rows, columns), Cell.UNKNOWN, np.uint8)
+        self.cells = np.full((rows, columns), Cell.UNKNOWN, np.uint8)
 
     @classmethod
-    def around(cls, places: Sequence[FloatArray], settings: GridMapSettings, knee_m: float) -> "_Canvas":
+    def around(cls, places: Sequence[FloatArray], settings: GridMapSettings) -> "_Canvas":
         """Space for places (…, 2) with the margin around; one cell where there are none."""
         corners = np.concatenate([np.zeros((0, 2)), *(place.reshape(-1, 2) for place in places)])
         if not len(corners):
-            return cls(np.zeros(2), np.zeros(2), settings, knee_m)
-        return cls(corners.min(axis=0) - settings.margin_m, corners.max(axis=0) + settings.margin_m, settings, knee_m)
+            return cls(np.zeros(2), np.zeros(2), settings)
+        return cls(corners.min(axis=0) - settings.margin_m, corners.max(axis=0) + settings.margin_m, settings)
 
     def draw_points(self, places: FloatArray, cell: Cell) -> None:
         self._set(self._index(places), cell)
@@ -366,7 +487,7 @@ class _Canvas:
 
     def draw_area(self, corners: FloatArray, cell: Cell) -> None:
         """corners: (4, 2) of a rectangle, in order; drawn are the cells whose middle lies in it."""
-        rows, columns = self._cells.shape
+        rows, columns = self.cells.shape
         low = np.clip(self._index(corners.min(axis=0)[None])[0], 0, [columns, rows])
         high = np.clip(self._index(corners.max(axis=0)[None])[0] + 1, 0, [columns, rows])
         x, y = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
@@ -374,62 +495,7 @@ class _Canvas:
         inside = _in_rectangle(self._origin + (index + 0.5) * self._cell_m, corners)
         self._set(index[inside], cell)
 
-    def freed(
-        self,
-        drive: Drive,
-        windows: Windows,
-        doorways: Sequence[FloatArray],
-        leaves: Sequence[FloatArray],
-        faces: FloatArray,
-    ) -> GridMap:
-        """The finished map: free is what rays crossed before they met something, near to floor that was seen.
-
-        Floor was seen where a ray to it ran below the knee, and counts if such cells join it to the robot's way.
-
-        doorways: (4, 2) each, free in any case; so is the robot's own way. leaves: (2, 2) each, which bar theirs.
-        faces: (F, 2, 2) of walls, if these are what is occupied: one that bounds nothing that rays crossed is hidden, as
-            the reveals of windows are, and a wall that was carried on behind a pillar.
-        """
-        occupied = self._cells.copy()
-        # Glass stops rays: what lies behind belongs to another world.
-        for ends in windows.ends:
-            self.draw_line(ends, Cell.OCCUPIED)
-        for ends in [*_glazed(faces, windows), *_lengthened(windows.ends, self._settings.gap_max_m)]:
-            self._close_gaps(ends, doorways)
-        barred = self._cells == Cell.OCCUPIED
-        crossed, low = np.zeros_like(barred), np.zeros_like(barred)
-        range_cells = self._settings.range_m / self._cell_m
-        for block in drive.blocks():
-            _cross(barred, crossed, low, Rays.of(block), self._frame, self._knee_m, range_cells)
-        self._cells[crossed] = Cell.FREE
-        for doorway in doorways:
-            self.draw_area(doorway, Cell.FREE)
-        crossed = self._cells == Cell.FREE
-        # Far away rays lie apart; a wall is thicker than the gaps between them that this closes.
-        crossed |= binary_closing(crossed, np.ones((3, 3))) & (self._cells == Cell.UNKNOWN)
-        if len(faces):
-            occupied[~binary_dilation(crossed, np.ones((3, 3)), iterations=self._settings.bounds_cells)] = Cell.UNKNOWN
-        supported = self._joined_to(drive.path_map, binary_closing(low, np.ones((3, 3))) & crossed)
-        reach = int(self._settings.floor_reach_m / self._cell_m)
-        if reach:
-            bounded = np.zeros_like(barred)
-            for block in drive.blocks():
-                _bound(barred, supported, bounded, Rays.of(block), self._frame, range_cells, 2.0 * reach)
-            bounded = (binary_closing(bounded, np.ones((3, 3))) | supported) & crossed
-            supported = binary_dilation(supported, iterations=reach, mask=bounded)
-        self._cells = np.where(supported, np.uint8(Cell.FREE), occupied)
-        path = drive.path_map[:, :2]
-        for step in np.stack([path[:-1], path[1:]], axis=1):
-            if np.linalg.norm(step[1] - step[0]) < self._settings.step_max_m:
-                self.draw_line(step, Cell.FREE)
-        self.draw_points(path, Cell.FREE)
-        for doorway in doorways:
-            self.draw_area(doorway, Cell.FREE)
-        for leaf in leaves:
-            self.draw_line(leaf, Cell.OCCUPIED)
-        return self._framed()
-
-    def _close_gaps(self, ends: FloatArray, doorways: Sequence[FloatArray]) -> None:
+    def close_gaps(self, ends: FloatArray, doorways: Sequence[FloatArray]) -> None:
         """Let no ray pass a gap in a face that nobody could: beside a pane, or where a part of one was not told.
 
         ends: (2, 2) of a line along the face.
@@ -440,57 +506,58 @@ class _Canvas:
         across = self._cell_m * line.normal
         stands = np.zeros(len(places), bool)
         for side in (-across, np.zeros(2), across):
-            row, column = np.clip(self._index(places + side)[:, ::-1], 0, np.array(self._cells.shape) - 1).T
-            stands |= self._cells[row, column] == Cell.OCCUPIED
+            row, column = np.clip(self._index(places + side)[:, ::-1], 0, np.array(self.cells.shape) - 1).T
+            stands |= self.cells[row, column] == Cell.OCCUPIED
         for first, last in stretches(~stands, 0):
             bounded = first > 0 and last < len(places) - 1 and (last - first) * step_m < self._settings.gap_max_m
             if bounded and not any(_in_rectangle(places[first : last + 1], doorway).any() for doorway in doorways):
                 self.draw_line(places[[first - 1, last + 1]], Cell.OCCUPIED)
 
-    def _framed(self) -> GridMap:
+    def framed(self) -> GridMap:
         """What is known, with the margin around it: faces that were hidden or passed need no space."""
-        known = self._cells != Cell.UNKNOWN
+        known = self.cells != Cell.UNKNOWN
         if not known.any():
-            return GridMap(self._cells, self._origin, self._cell_m)
+            return GridMap(self.cells, self._origin, self._cell_m)
         margin = round(self._settings.margin_m / self._cell_m)
         rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
         bottom, left = max(int(rows[0]) - margin, 0), max(int(columns[0]) - margin, 0)
-        cells = self._cells[bottom : rows[-1] + 1 + margin, left : columns[-1] + 1 + margin]
+        cells = self.cells[bottom : rows[-1] + 1 + margin, left : columns[-1] + 1 + margin]
         return GridMap(
             np.ascontiguousarray(cells), self._origin + self._cell_m * np.array([left, bottom]), self._cell_m
         )
 
-    def drop_crossed(self, drive: Drive, lines: FloatArray) -> None:
+    def drop_crossed(self, drive: Drive, lines: FloatArray, knee_m: float) -> None:
         """Forget occupied cells, several side by side, that many more rays crossed below the knee than ended there.
 
         A face knows of the rays that come from its front; what hangs in a room is passed below from both sides.
 
         lines: (n, 2, 2) that were drawn.
         """
-        across = np.zeros((*self._cells.shape, 2))
+        across = np.zeros((*self.cells.shape, 2))
         for ends in lines:
             index = self._on_line(ends)
             column, row = index[self._in_grid(index)].T
             across[row, column] = Segment.between(ends).normal
-        counts = np.zeros((*self._cells.shape, 2), np.int32)
-        between_m = (self._settings.foot_m, self._knee_m)
+        counts = np.zeros((*self.cells.shape, 2), np.int32)
+        between_m = (self._settings.foot_m, knee_m)
         for block in drive.blocks():
             _count_crossings(
-                self._cells, across, counts, Rays.of(block), self._frame, between_m, self._settings.ends_cells
+                self.cells, across, counts, Rays.of(block), self.frame, between_m, self._settings.ends_cells
             )
         ended, crossed = counts[..., 0], counts[..., 1]
         settings = self._settings
         open_cells = (crossed >= settings.crossed_min) & (crossed > settings.crossed_ratio * ended)
         run, _ = label(open_cells, np.ones((3, 3)))
-        self._cells[open_cells & (np.bincount(run.ravel()) >= settings.crossed_cells)[run]] = Cell.UNKNOWN
+        self.cells[open_cells & (np.bincount(run.ravel()) >= settings.crossed_cells)[run]] = Cell.UNKNOWN
 
     @property
-    def _frame(self) -> _Frame:
+    def frame(self) -> _Frame:
+        """Where its cells lie."""
         return _Frame(float(self._origin[0]), float(self._origin[1]), self._cell_m)
 
-    def _joined_to(self, path_map: FloatArray, low: BoolArray) -> BoolArray:
+    def joined_to(self, path_map: FloatArray, low: BoolArray) -> BoolArray:
         """What rays close above the floor join to the robot's way: not what lies behind a sill, seen though it may be."""
-        start = np.zeros(self._cells.shape, bool)
+        start = np.zeros(self.cells.shape, bool)
         index = self._index(path_map)
         index = index[self._in_grid(index)]
         start[index[:, 1], index[:, 0]] = True
@@ -501,12 +568,12 @@ class _Canvas:
         return np.asarray(np.floor((places[:, :2] - self._origin) / self._cell_m).astype(np.int64))
 
     def _in_grid(self, index_xy: IntArray) -> BoolArray:
-        rows, columns = self._cells.shape
+        rows, columns = self.cells.shape
         return np.asarray((index_xy >= 0).all(axis=1) & (index_xy[:, 0] < columns) & (index_xy[:, 1] < rows))
 
     def _set(self, index_xy: IntArray, cell: Cell) -> None:
         inside = index_xy[self._in_grid(index_xy)]
-        self._cells[inside[:, 1], inside[:, 0]] = cell
+        self.cells[inside[:, 1], inside[:, 0]] = cell
 
 
 @numba.njit(cache=True, nogil=True)
@@ -556,7 +623,8 @@ def _count_crossings(
 
 @numba.njit(cache=True, nogil=True)
 def _walk(
-    barred: BoolArray,
+    barred: UInt8Array,
+    layers: int,
     x: float,
     y: float,
     dx: float,
@@ -564,30 +632,34 @@ def _walk(
     range_cells: float,
     found: IntArray,
     entered: FloatArray,
-) -> tuple[int, bool]:  # pragma: no cover
-    """Walk a ray cell by cell (Amanatides and Woo 1987), up to what bars it: the number of cells that it crosses, and whether
-    it ends there; otherwise it leaves the map, or its range.
+    going: UInt8Array,
+) -> tuple[int, int, bool]:  # pragma: no cover
+    """Walk a ray cell by cell (Amanatides and Woo 1987), up to what bars it in all layers: the number of cells that it crosses,
+    the layers, as bits, in which nothing barred it, and whether it came to its end in those rather than to that of the map, or of
+    its range.
 
     x, y: where it begins; dx, dy: from there to its end; in cells. found: (k, 2) to be filled with the cells' rows and columns.
-    entered: (k,) with the ray's length up to each.
+    entered: (k,) with the ray's length up to each; going: (k,) with the layers, as bits, in which nothing has barred it so far.
+    They hold one cell more, where the last of the layers is barred.
     """
     rows, columns = barred.shape
     length = np.sqrt(dx * dx + dy * dy)
     if length < 1e-6:
-        return 0, True
+        return 0, 0, True
     column, row = int(np.floor(x)), int(np.floor(y))
     step_x, step_y = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
     t_dx = length / abs(dx) if dx != 0 else np.inf
     t_dy = length / abs(dy) if dy != 0 else np.inf
     t_x = (column + (dx > 0) - x) * step_x * t_dx if dx != 0 else np.inf
     t_y = (row + (dy > 0) - y) * step_y * t_dy if dy != 0 else np.inf
-    at, count = 0.0, 0
+    at, count, left = 0.0, 0, (1 << layers) - 1
     while at <= length:
         if at > range_cells or count == len(found) or column < 0 or row < 0 or column >= columns or row >= rows:
-            return count, False
-        if barred[row, column]:
+            return count, left, False
+        left &= ~int(barred[row, column])
+        found[count, 0], found[count, 1], entered[count], going[count] = row, column, at, left
+        if left == 0:
             break
-        found[count, 0], found[count, 1], entered[count] = row, column, at
         count += 1
         at = min(t_x, t_y)
         if t_x < t_y:
@@ -596,22 +668,23 @@ def _walk(
         else:
             row += step_y
             t_y += t_dy
-    return count, True
+    return count, left, True
 
 
 @numba.njit(cache=True, nogil=True)
 def _cross(
-    barred: BoolArray,
-    crossed: BoolArray,
-    low: BoolArray,
+    barred: UInt8Array,
+    layers: int,
+    marked: UInt8Array,
     rays: Rays,
     frame: _Frame,
     knee_m: float,
     range_cells: float,
 ) -> None:  # pragma: no cover
-    """Mark what every fourth ray crosses, and where it runs below the knee to its end on the floor."""
+    """Mark (2, rows, columns) what every fourth ray crosses, and where it runs below the knee to its end on the floor."""
     found = np.empty((int(2 * range_cells) + 4, 2), np.int64)
-    entered = np.empty(len(found))
+    entered, going = np.empty(len(found)), np.empty(len(found), np.uint8)
+    crossed, low = marked[0], marked[1]
     origin, starts, end, label = rays.origin, rays.starts, rays.end, rays.label
     for s in range(len(origin)):
         x, y = (origin[s, 0] - frame.x) / frame.cell_m, (origin[s, 1] - frame.y) / frame.cell_m
@@ -622,37 +695,51 @@ def _cross(
             if label[r] == Label.FLOOR:
                 drop_m = begin_m - (end[r, 2] - floor_m(rays, s, np.float64(end[r, 0]), np.float64(end[r, 1])))
                 low_from = (1.0 - knee_m / max(drop_m, knee_m)) * np.sqrt(dx * dx + dy * dy)
-            count, _ = _walk(barred, x, y, dx, dy, range_cells, found, entered)
+            count, _, _ = _walk(barred, layers, x, y, dx, dy, range_cells, found, entered, going)
             for k in range(count):
-                crossed[found[k, 0], found[k, 1]] = True
+                crossed[found[k, 0], found[k, 1]] |= going[k]
                 if entered[k] >= low_from:
-                    low[found[k, 0], found[k, 1]] = True
+                    low[found[k, 0], found[k, 1]] |= going[k]
 
 
 @numba.njit(cache=True, nogil=True)
 def _bound(
-    barred: BoolArray,
-    supported: BoolArray,
-    bounded: BoolArray,
+    barred: UInt8Array,
+    edges: IntArray,
+    supported: UInt8Array,
+    marked: UInt8Array,
     rays: Rays,
     frame: _Frame,
     range_cells: float,
     gap_max: float,
 ) -> None:  # pragma: no cover
-    """Mark where a ray will end, or be above known floor again, within `gap_max` cells."""
+    """Mark (the first of 2, rows, columns) where a ray will end, or be above known floor again, within `gap_max` cells.
+
+    edges: (layers, 4) the first and the last row and column, exclusive, of each layer's own canvas.
+    """
     found = np.empty((int(2 * range_cells) + 4, 2), np.int64)
-    entered = np.empty(len(found))
+    entered, going = np.empty(len(found)), np.empty(len(found), np.uint8)
+    bounded, layers = marked[0], len(edges)
     origin, starts, end = rays.origin, rays.starts, rays.end
     for s in range(len(origin)):
         x, y = (origin[s, 0] - frame.x) / frame.cell_m, (origin[s, 1] - frame.y) / frame.cell_m
         for r in range(starts[s] + s % 4, starts[s + 1], 4):
             dx, dy = (end[r, 0] - frame.x) / frame.cell_m - x, (end[r, 1] - frame.y) / frame.cell_m - y
-            count, ends = _walk(barred, x, y, dx, dy, range_cells, found, entered)
-            if not count:
-                continue
-            last = entered[count - 1] if ends else np.inf
-            for k in range(count - 1, -1, -1):
-                if supported[found[k, 0], found[k, 1]]:
-                    last = entered[k]
-                elif last - entered[k] <= gap_max:
-                    bounded[found[k, 0], found[k, 1]] = True
+            count, left, whole = _walk(barred, layers, x, y, dx, dy, range_cells, found, entered, going)
+            for layer in range(layers):
+                bit = np.uint8(1 << layer)
+                own = count
+                while own and not going[own - 1] & bit:
+                    own -= 1
+                if not own:
+                    continue
+                row, column = found[own, 0], found[own, 1]
+                top, bottom, start, stop = edges[layer]
+                # Beyond its canvas a layer's rays go on, though they are followed no farther.
+                ends = whole if left & bit else top <= row < bottom and start <= column < stop
+                last = entered[own - 1] if ends else np.inf
+                for k in range(own - 1, -1, -1):
+                    if supported[found[k, 0], found[k, 1]] & bit:
+                        last = entered[k]
+                    elif last - entered[k] <= gap_max:
+                        bounded[found[k, 0], found[k, 1]] |= bit

@@ -14,7 +14,7 @@ from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import Windows
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
-from ffmap.algorithms.maps.grid import GridMap, GridMapSettings, draw_cells
+from ffmap.algorithms.maps.grid import Draft, GridMapSettings, draft_cells
 from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.labelling import ScanLabelling
 
@@ -68,18 +68,17 @@ class RivalCounter:
         return self._table.votes()
 
 
-def draw_rival(
+def draft_rival(
     rival: Rival,
     votes: VoxelVotes,
     windows: Windows,
     drive: Drive,
     grid: GridMapSettings,
     settings: RivalMapsSettings,
-    knee_m: float,
-) -> GridMap:
-    """One of the maps as a grid, drawn like the furniture-free one but for what is occupied.
+) -> Draft:
+    """One of the maps as a grid, to be drawn like the furniture-free one but for what is occupied.
 
     votes: sums of `RivalCounter.votes`. windows: behind them nothing is free; the paper removed that by hand.
     """
     occupied = votes.counts[:, list(Rival).index(rival)] >= settings.hits_min
-    return draw_cells(votes.cube_index[occupied, :2], windows, drive, grid, knee_m)
+    return draft_cells(votes.cube_index[occupied, :2], windows, drive, grid)

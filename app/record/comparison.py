@@ -8,7 +8,6 @@ import numpy as np
 import rerun as rr
 
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.building.votes import majority
 from ffmap.algorithms.maps.grid import GridMap
 from ffmap.algorithms.truth.changes import (
     TRANSITIONS,
@@ -117,9 +116,7 @@ class ComparisonRecorder:
     def _log_labels(self, letter: str, change: LabelChange) -> None:
         self._log.static(entities.CHANGED_POINTS.format(letter), rr.Points3D.from_fields(radii=ui_radius(2.5)))
         cubes = change.cubes
-        drawn = rr.Points3D(
-            cubes.mean_position.astype(np.float32), class_ids=majority(cubes.counts), radii=ui_radius(2.5)
-        )
+        drawn = rr.Points3D(cubes.mean_position.astype(np.float32), class_ids=cubes.label, radii=ui_radius(2.5))
         self._log.static(entities.CHANGED_CUBES.format(letter), drawn)
         if not change.scans:
             return

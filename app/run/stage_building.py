@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.algorithms.building.drive import AllScans, Drive
+from ffmap.algorithms.building.drive import AllScans, Drive, TraceOnce
 from ffmap.algorithms.building.fusion import Building, fuse_building
 from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
@@ -32,9 +32,8 @@ def build(run: Run, scans: LabelledScans, trajectory: Trajectory) -> Building:
     """The building of all scans; it and its maps are recorded and written."""
     run.progress.stage("building", None)
     drive = Drive(trajectory.T_map_base[:, :3, 3], lambda: _features(run, len(scans.jobs)))
-    gathered = AllScans(
-        drive, scans.votes, scans.rivals, lambda *asked: _trace(run, len(scans.jobs), *asked), run.settings.levels
-    )
+    trace = TraceOnce(lambda *asked: _trace(run, len(scans.jobs), *asked))
+    gathered = AllScans(drive, scans.votes, scans.rivals, trace, run.settings.levels)
     building = fuse_building(gathered, run.settings.fusion)
     maps = draw_maps(building, gathered, run.settings.maps, run.options.workers)
     _record(run, building, maps)

@@ -21,8 +21,9 @@ from ffmap.algorithms.building.thickness import (
 )
 from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.maps.floor_plan import FloorPlan, FloorPlanSettings, draw_floor_plan
-from ffmap.algorithms.maps.grid import GridMapSettings, draw_furniture_free, standing_stretches
+from ffmap.algorithms.maps.grid import GridMapSettings, standing_stretches
 from ffmap.algorithms.scan.doors import DoorState
+from tests.drawing import draw_furniture_free
 from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms
 
 KNEE_M = BuildingSettings().knee_m

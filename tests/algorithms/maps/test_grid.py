@@ -16,11 +16,10 @@ from ffmap.algorithms.maps.grid import (
     GridMap,
     GridMapSettings,
     Immobile,
-    draw_cells,
-    draw_furniture_free,
     standing_stretches,
 )
 from ffmap.algorithms.truth.maps import WALL_TOLERANCE_M, blocked_doors
+from tests.drawing import draw_cells, draw_furniture_free
 from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms, without
 
 KNEE_M = BuildingSettings().knee_m

@@ -9,8 +9,8 @@ from ffmap.algorithms.base.trajectory import PlacedScan, place_scan
 from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
-from ffmap.algorithms.maps.grid import Cell, GridMapSettings
-from ffmap.algorithms.maps.rivals import Rival, RivalCounter, RivalMapsSettings, draw_rival
+from ffmap.algorithms.maps.grid import Cell, GridMapSettings, draw_free
+from ffmap.algorithms.maps.rivals import Rival, RivalCounter, RivalMapsSettings, draft_rival
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
 from ffmap.algorithms.scan.summary import extract
 from tests import synthetic
@@ -99,7 +99,12 @@ def test_rivals_are_drawn_and_freed_by_rays(scans):
     blocks = [extract(i, *scan) for i, scan in enumerate(scans)]
     drive = Drive(np.array([placed.origin_level for placed, _ in scans]), lambda: blocks)
     for rival in Rival:
-        grid = draw_rival(rival, counted(scans), NO_WINDOWS, drive, GridMapSettings(), SETTINGS, KNEE_M)
+        (grid,) = draw_free(
+            [draft_rival(rival, counted(scans), NO_WINDOWS, drive, GridMapSettings(), SETTINGS)],
+            drive,
+            GridMapSettings(),
+            KNEE_M,
+        )
         np.testing.assert_allclose(
             np.sort(grid.centres(Cell.OCCUPIED), axis=0).mean(axis=0),
             cells_of(counted(scans), rival).mean(axis=0),

@@ -11,8 +11,9 @@ from ffmap.algorithms.base.segments import turned
 from ffmap.algorithms.building.model import BuildingSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.maps.area_graph import AreaGraph, AreaGraphSettings, Bounds, doorways_of, find_rooms, sides_of
-from ffmap.algorithms.maps.grid import GridMapSettings, draw_furniture_free, standing_stretches
+from ffmap.algorithms.maps.grid import GridMapSettings, standing_stretches
 from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings, Sides, lay_on_faces
+from tests.drawing import draw_furniture_free
 from tests.two_rooms import SIZE_M, TwoRooms
 
 KNEE_M = BuildingSettings().knee_m

@@ -22,13 +22,14 @@ from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, part_walls
 from ffmap.algorithms.building.votes import VoxelTable, find_halo
 from ffmap.algorithms.building.windows import WindowsSettings, find_windows
-from ffmap.algorithms.maps.grid import Cell, GridMapSettings, Immobile, draw_furniture_free
+from ffmap.algorithms.maps.grid import Cell, GridMapSettings, Immobile
 from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
 from ffmap.algorithms.scan.summary import concatenate, extract
 from tests import synthetic
 from tests.corridor import HEIGHT_M, METHOD, T_BASE_SENSOR, Hole, cast, labelled, place, pose, share
+from tests.drawing import draw_furniture_free
 from tests.voting import vote
 
 KNEE_M = BuildingSettings().knee_m
