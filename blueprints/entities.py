@@ -150,8 +150,8 @@ RANGES = "/metrics/ranges"
 REGISTRATION = "/metrics/registration"
 
 POINT_LABEL_SCAN = "label_scan"
-POINT_CORRECTION = "range_correction_mm"
-"""int8, mm: by how much the range on the facet that the neighbours show is longer than the measured one; -127 to 127."""
+POINT_ALONE = "measured_alone"
+"""Whether a return lies on no facet that its neighbours show: its range stays as measured."""
 POINT_VERDICT_COLOR = "verdict_color"
 POINT_RADIUS_UPRIGHT = "radius_without_floor_and_ceiling"
 CANDIDATE_PLANE_COLOR = "plane_color"
@@ -408,8 +408,8 @@ What was registered of a horizontal sweep has the `scan` of the first vertical c
 the robot and x ahead; its transform places it in the map.
 
 ## Where the values are
-`/scan/points` are where their neighbours on the same ring show the surface; `range_correction_mm` says how much farther
-from the sensor that is than measured. They have `label_scan`, the label by this scan alone, and `class_ids`, the final
+`/scan/points` are where their neighbours on the same ring show the surface; those that are `measured_alone` lie on no
+surface that neighbours show, and stay. They have `label_scan`, the label by this scan alone, and `class_ids`, the final
 one; `/scan/relabelled` holds those where they differ. `/scan/structures` has `difference`, eq. 2 as printed, and `slope`,
 the one over a longer span that decides: one row a line (2 × emitter + side) of 200 samples from below upwards; and each
 structure's line, first and last sample. Planes, candidates and doors carry their parameters beside what is drawn.

@@ -6,12 +6,14 @@ import rerun as rr
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.vertical_structures import VerticalStructures
-from ffmap.app.record.log import Log, evidence
+from ffmap.app.record.log import Log, arrays
 from ffmap.app.record.shapes import rounded, ui_radius, unbroken, words
 from ffmap.blueprints import entities
 from ffmap.blueprints.entities import CurveSheet
 
 FLOAT16_MAX = 65504.0
+_CURVE_STEP = 2
+"""The small curves are drawn through every second sample, for a recording holds those of every scan."""
 _CURVE_STYLES: tuple[tuple[str, float, entities.Color], ...] = (
     (entities.CURVE_DIFFERENCES, 0.5, entities.CURVE_COLOR),
     (entities.CURVE_UPMOST, 1.5, entities.UPMOST_COLOR),
@@ -61,6 +63,7 @@ def log_curve_sheet(log: Log, sheet: CurveSheet, slope_max: float) -> None:
         # The thresholds lie on the curves of eq. 2, the rest on both.
         order = 30.0 if color == entities.CURVE_COLOR else 50.0
         log.static(path, rr.LineStrips2D.from_fields(radii=ui_radius(radius_ui), colors=color, draw_order=order))
+    log.static(entities.CURVE_EXAMPLE_TEXTS, rr.Points2D.from_fields(show_labels=True, radii=0.0))
     log.static(entities.CURVE_EXAMPLE_STRUCTURES, rr.Boxes2D.from_fields(radii=ui_radius(1.5)))
 
 
@@ -68,23 +71,19 @@ def log_curves(log: Log, labelling: ScanLabelling) -> None:
     """Eq. 2 for every line: its values, the deciding slope's, and both drawn."""
     structures, samples = labelling.structures, labelling.lines.samples
     # Not as tensors, whose union type few readers of tables know.
-    log.now(
-        entities.STRUCTURES,
-        evidence(
-            structures,
-            *("line", "first", "last", "bottom_m", "top_m", "upmost", "bottommost"),
-            difference=_float16(structures.difference),
-            slope=_float16(structures.slope),
-        ),
-    )
+    kept = "line", "first", "last", "bottom_m", "top_m", "upmost", "bottommost"
+    curves_of_lines = {"difference": _float16(structures.difference), "slope": _float16(structures.slope)}
+    log.row(entities.STRUCTURES, evidence=arrays(structures, *kept, **curves_of_lines))
     sheet = CurveSheet(len(samples) // 2)
     cells = sheet.cells
     present = np.flatnonzero(samples[:, 0] >= 0)
-    curves = np.empty((len(present), sheet.SAMPLES, 2), np.float32)
-    curves[..., 0] = cells[present, :1] + np.arange(sheet.SAMPLES, dtype=np.float32)
+    shown = np.arange(0, sheet.SAMPLES, _CURVE_STEP)
+    curves = np.empty((len(present), len(shown), 2), np.float32)
+    curves[..., 0] = cells[present, :1] + shown
     scale = sheet.CELL_HEIGHT / 2 / sheet.LIMIT
-    curves[..., 1] = np.rint(cells[present, 1:] - scale * _clamped(structures.difference[present], sheet.LIMIT))
-    log.now(entities.CURVE_DIFFERENCES, rr.LineStrips2D(curves))
+    drawn = _clamped(structures.difference[present][:, shown], sheet.LIMIT)
+    curves[..., 1] = np.rint(cells[present, 1:] - scale * drawn)
+    log.row(entities.CURVE_DIFFERENCES, rr.LineStrips2D, strips=curves)
     for path, chosen, offset in (
         (entities.CURVE_UPMOST, structures.upmost, sheet.CELL_HEIGHT * 0.36),
         (entities.CURVE_BOTTOMMOST, structures.bottommost, sheet.CELL_HEIGHT * 0.46),
@@ -95,7 +94,7 @@ def log_curves(log: Log, labelling: ScanLabelling) -> None:
         bars[:, 0, 0] = cells[line, 0] + structures.first[own]
         bars[:, 1, 0] = cells[line, 0] + structures.last[own]
         bars[..., 1] = cells[line, 1:] + offset
-        log.now(path, rr.LineStrips2D(bars))
+        log.row(path, rr.LineStrips2D, strips=bars)
 
 
 def log_line(log: Log, points_level: FloatArray, labelling: ScanLabelling, line: int) -> None:
@@ -103,7 +102,7 @@ def log_line(log: Log, points_level: FloatArray, labelling: ScanLabelling, line:
     structures, sheet = labelling.structures, CurveSheet(len(labelling.lines) // 2)
     present = labelling.lines.samples[line, 0] >= 0
     strips, _ = unbroken(rounded(points_level[labelling.lines.samples[[line] if present else []]]))
-    log.now(entities.EXAMPLE_LINE, rr.LineStrips3D(strips))
+    log.row(entities.EXAMPLE_LINE, rr.LineStrips3D, strips=strips)
     middle, scale = sheet.EXAMPLE_HEIGHT / 2, sheet.EXAMPLE_HEIGHT / 2 / sheet.LIMIT
     step = sheet.WIDTH / (sheet.SAMPLES - 1)
     x = np.arange(sheet.SAMPLES) * step
@@ -112,7 +111,8 @@ def log_line(log: Log, points_level: FloatArray, labelling: ScanLabelling, line:
         (entities.CURVE_EXAMPLE_SLOPE, structures.slope),
     ):
         y = middle - scale * _clamped(values[line], sheet.LIMIT)
-        log.now(path, rr.LineStrips2D(np.stack([x, y], axis=1, dtype=np.float32)[None] if present else []))
+        curve = np.stack([x, y], axis=1, dtype=np.float32)[None]
+        log.row(path, rr.LineStrips2D, strips=curve if present else curve[:0])
     _log_structures_of(log, structures, line, step)
 
 
@@ -120,18 +120,22 @@ def _log_structures_of(log: Log, structures: VerticalStructures, line: int, step
     """The runs of a line that eq. 2 found, as boxes behind its curve; the up-most and the bottom-most named."""
     sheet = CurveSheet
     own = np.flatnonzero(structures.line == line)
-    boxes = np.zeros((len(own), 4), np.float32)
-    boxes[:, 0] = structures.first[own] * step
-    boxes[:, 2] = (structures.last[own] - structures.first[own]) * step
-    boxes[:, 3] = sheet.EXAMPLE_HEIGHT
+    half_sizes = np.full((len(own), 2), sheet.EXAMPLE_HEIGHT / 2, np.float32)
+    half_sizes[:, 0] = (structures.last[own] - structures.first[own]) * step / 2
+    centers = half_sizes.copy()
+    centers[:, 0] += structures.first[own] * step
     upmost, bottommost = structures.upmost[line], structures.bottommost[line]
     colors = np.full((len(own), 3), entities.FRAME_COLOR, np.uint8)
     colors[own == bottommost] = entities.BOTTOMMOST_COLOR
     colors[own == upmost] = entities.UPMOST_COLOR
-    log.now(
+    evidence = {"line": np.array([line]), "first": structures.first[own], "last": structures.last[own]}
+    log.row(
         entities.CURVE_EXAMPLE_STRUCTURES,
-        rr.Boxes2D(array=boxes, array_format=rr.Box2DFormat.XYWH, colors=colors),
-        evidence(line=np.array([line]), first=structures.first[own], last=structures.last[own]),
+        rr.Boxes2D,
+        evidence,
+        half_sizes=half_sizes,
+        centers=centers,
+        colors=colors,
     )
     # At heights of their own, and away from the ends: else they would hide one another, or be cut.
     named = [(upmost, "up-most: wall candidate", entities.UPMOST_COLOR, 0.58)] if upmost >= 0 else []
@@ -143,8 +147,13 @@ def _log_structures_of(log: Log, structures: VerticalStructures, line: int, step
         return float(np.clip(x, 0.15 * sheet.WIDTH, 0.85 * sheet.WIDTH))
 
     places = [(middle(s), height * sheet.EXAMPLE_HEIGHT) for s, _, _, height in named]
-    texts, colors_of_texts = [name for _, name, _, _ in named], [color for _, _, color, _ in named]
-    log.now(entities.CURVE_EXAMPLE_TEXTS, words(places, texts, colors_of_texts))
+    log.row(
+        entities.CURVE_EXAMPLE_TEXTS,
+        rr.Points2D,
+        positions=np.array(places, np.float32).reshape(-1, 2),
+        labels=[name for _, name, _, _ in named],
+        colors=np.array([color for _, _, color, _ in named], np.uint8).reshape(-1, 3),
+    )
 
 
 def _float16(values: FloatArray) -> FloatArray:

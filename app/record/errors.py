@@ -22,7 +22,7 @@ from ffmap.algorithms.truth.labels import verdicts
 from ffmap.algorithms.truth.maps import ComparedMap, ComparedMaps, false_and_missed
 from ffmap.algorithms.truth.tally import CUBE_M, Tally, majorities
 from ffmap.app.folder.figures import queried
-from ffmap.app.record.log import Log, evidence, open_log
+from ffmap.app.record.log import Log, open_log
 from ffmap.app.record.shapes import at_height, strips, ui_radius, upright_frames
 from ffmap.app.record.stream import join, send_properties, write_layout
 from ffmap.app.record.whole_run import log_legend
@@ -40,12 +40,13 @@ _LIFT_M = 0.03
 
 
 def log_scan_errors(log: Log, index: int, stamp_ns: int, truth: UInt8Array, label: UInt8Array) -> None:
-    """The points of one scan, in the order of its recorded ones; the share of each kind of error is gathered."""
+    """The points of one scan, in the order of its recorded ones; and the share of each kind of error."""
     verdict = verdicts(truth, label)
     log.at(stamp_ns, index)
-    log.now(entities.POINTS, evidence(**{entities.POINT_VERDICT_COLOR: VERDICT_COLORS[verdict]}))
+    log.row(entities.POINTS, evidence={entities.POINT_VERDICT_COLOR: VERDICT_COLORS[verdict]})
     percent = 100.0 * np.bincount(verdict, minlength=len(Verdict)) / max(len(verdict), 1)
-    log.gather(index, stamp_ns, {entities.scan_error(error): percent[error] for error in _ERRORS})
+    for error in _ERRORS:
+        log.row(entities.scan_error(error), rr.Scalars, scalars=percent[[error]])
 
 
 @dataclass(frozen=True)

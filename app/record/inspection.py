@@ -76,7 +76,9 @@ def write(out: Path, recording_id: str, scan: ExplainedScan) -> None:
     middle = _middle(placed, labelling, scan.line)
     with open_log(out, recording_id, layout=inspect_blueprint.build(size_m, scan.line, kinds, middle)) as log:
         log_static(log, {}, scan.document, 0, labelling.settings.vertical_structures.slope_max)
-        log_scan(Log(log.stream, timeless=True), 0, scan.level, labelling, 0, {})
+        throughout = Log(log.stream, timeless=True)
+        log_scan(throughout, 0, scan.level, labelling, 0, {})
+        throughout.write_rows()
         _Lines(log, scan, *size_m).log()
 
 
@@ -116,8 +118,7 @@ class _Lines:
     def log(self) -> None:
         self._log.text(entities.WHY_SCAN, self._scan.document)
         for reason in self._scan.reasons:
-            self._log.stream.reset_time()
-            self._log.stream.set_time(entities.LINE_TIMELINE, sequence=reason.line)
+            self._log.at_line(reason.line)
             document = line_document(self._labelling, reason, self._log_faults(reason.line))
             self._log.now(entities.WHY_LINE, markdown(document))
             log_line(self._log, self._points, self._labelling, reason.line)

@@ -220,13 +220,7 @@ class _Candidate:
     def short(self) -> str:
         if self._plane < 0:
             return f"refused: {self._refusal()}"
-        growth = {
-            Growth.SEEDED: "began a plane",
-            Growth.JOINED: f"joined at {_cm(self._distance_m)}",
-            Growth.BROKE: f"broke the plane before it ({self._break()})",
-            Growth.REFUSED: "was left out of the growing",
-        }[self._growth]
-        return f"taken: plane {self._plane}, {_cm(self._nearest_m)} off; {growth}"
+        return f"taken: plane {self._plane}, {_cm(self._nearest_m)} off; {self._growth_short()}"
 
     def sentences(self) -> str:
         if self._plane < 0:
@@ -268,20 +262,38 @@ class _Candidate:
             parts.append(f"{_cm(self._gap_m)} beyond its last line")
         return ", ".join(parts)
 
+    def _growth_short(self) -> str:
+        match self._growth:
+            case Growth.SEEDED:
+                return "began a plane"
+            case Growth.JOINED:
+                return f"joined at {_cm(self._distance_m)}"
+            case Growth.BROKE:
+                return f"broke the plane before it ({self._break()})"
+            case Growth.REFUSED:
+                return "was left out of the growing"
+
     def _refusal(self) -> str:
         settings = self._settings
-        low = f"{self._ends}, a wall without a ceiling in view at least {settings.height_min_m:g} m"
-        if self._sees_ceiling:
-            low = f"ends {_cm(self._below_m)} below the ceiling, a wall at most {_cm(settings.reach_m)}"
-        return {
-            Membership.REFUSED: low,
-            Membership.ALONE: self._alone(),
-            Membership.FEW_LINES: f"fewer than {settings.lines_min} lines are left in its plane, the others went to nearer ones",
-            Membership.SHORT: f"its plane is shorter than {_cm(settings.length_min_m)}",
-            Membership.ROUGH: f"its plane's samples lie more than {_cm(settings.similarity_m)} RMS off it",
-            Membership.DUCT: f"its plane ends more than {settings.bottom_max_m:g} m above the floor in all of its lines (here "
-            f"{self._bottom_m:.2f} m): a duct or a beam",
-        }[self._membership]
+        match self._membership:
+            case Membership.REFUSED if self._sees_ceiling:
+                return f"ends {_cm(self._below_m)} below the ceiling, a wall at most {_cm(settings.reach_m)}"
+            case Membership.REFUSED:
+                return f"{self._ends}, a wall without a ceiling in view at least {settings.height_min_m:g} m"
+            case Membership.ALONE:
+                return self._alone()
+            case Membership.FEW_LINES:
+                return f"fewer than {settings.lines_min} lines are left in its plane, the others went to nearer ones"
+            case Membership.SHORT:
+                return f"its plane is shorter than {_cm(settings.length_min_m)}"
+            case Membership.ROUGH:
+                return f"its plane's samples lie more than {_cm(settings.similarity_m)} RMS off it"
+            case Membership.DUCT:
+                return (
+                    f"its plane ends more than {settings.bottom_max_m:g} m above the floor in all of its lines (here "
+                    f"{self._bottom_m:.2f} m): a duct or a beam"
+                )
+        raise ValueError(f"a candidate that is {self._membership.name} was not refused")
 
     def _alone(self) -> str:
         peers = int(np.count_nonzero(self._planes.candidate_grown == self._grown))
@@ -373,16 +385,22 @@ class _DoorLine:
 
     def _no_depression(self) -> str:
         recess_min = _cm(self._settings.recess_min_m)
-        level = f"nothing recedes by {recess_min}, at most {_cm(self._recess_m)}"
-        return {
-            Depression.FEW_RETURNS: "too few returns lie at the plane and behind it",
-            Depression.NONE: "the line is too short below the lintel" if np.isnan(self._recess_m) else level,
-            Depression.ABOVE_OFF_PLANE: f"what lies above the recess is {_cm(abs(self._above_m))} off the plane itself",
-            Depression.SHALLOW: f"what recedes is {_cm(-self._below_m)} behind the plane, less than {recess_min}",
-            Depression.EXCEPTIONS: f"{self._on_plane_share:.0%} of the returns below lie on the plane, at most "
-            f"{self._settings.exceptions_max:.0%} may",
-            Depression.HELD: "nothing lies behind the plane",
-        }[self._depression]
+        match self._depression:
+            case Depression.FEW_RETURNS:
+                return "too few returns lie at the plane and behind it"
+            case Depression.NONE if np.isnan(self._recess_m):
+                return "the line is too short below the lintel"
+            case Depression.NONE:
+                return f"nothing recedes by {recess_min}, at most {_cm(self._recess_m)}"
+            case Depression.ABOVE_OFF_PLANE:
+                return f"what lies above the recess is {_cm(abs(self._above_m))} off the plane itself"
+            case Depression.SHALLOW:
+                return f"what recedes is {_cm(-self._below_m)} behind the plane, less than {recess_min}"
+            case Depression.EXCEPTIONS:
+                exceptions_max = f"{self._settings.exceptions_max:.0%}"
+                return f"{self._on_plane_share:.0%} of the returns below lie on the plane, at most {exceptions_max} may"
+            case Depression.HELD:
+                return "nothing lies behind the plane"
 
 
 # --- words ---

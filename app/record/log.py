@@ -3,22 +3,26 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa  # type: ignore[import-untyped]
 import rerun as rr
 import rerun.blueprint as rrb
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.app.record.rows import Rows, Time, Values, typed
 from ffmap.app.record.shapes import markdown, rounded
 from ffmap.app.record.stream import open_part
 from ffmap.app.setup.outputs import Detail
 from ffmap.blueprints import entities
 
 rr.set_strict_mode(True)
+
+_TIMES_TOGETHER = 10
+"""Number of scans whose rows are sent together: some megabytes, and a fraction of the cost."""
 
 
 class Log:
@@ -40,7 +44,7 @@ class Log:
         self.stream = stream
         self.detail = detail
         self.timeless = timeless
-        self._gathered: list[tuple[int, int, Mapping[str, float]]] = []
+        self._rows, self._time, self._times = Rows(), Time(), 0
         # The highest stamp up to each cloud, for a clock may step back.
         self._scan_reached_ns: IntArray | None = None
         if scan_stamps_ns is not None and len(scan_stamps_ns):
@@ -50,8 +54,41 @@ class Log:
         """What is logged next is of this time, and of this scan."""
         self.stream.reset_time()
         self.stream.set_time(entities.STAMP_TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
+        time: Time = ((entities.STAMP_TIMELINE, stamp_ns),)
         if index is not None:
             self.stream.set_time(entities.SCAN_TIMELINE, sequence=index)
+            time += ((entities.SCAN_TIMELINE, index),)
+        self._go_to(time)
+
+    def at_line(self, line: int) -> None:
+        """What is logged next is of this line of the one scan that there is."""
+        self.stream.reset_time()
+        self.stream.set_time(entities.LINE_TIMELINE, sequence=line)
+        self._go_to(((entities.LINE_TIMELINE, line),))
+
+    def _go_to(self, time: Time) -> None:
+        self._time = time
+        self._times += 1
+        if self._times > _TIMES_TOGETHER:
+            self.write_rows()
+
+    def row(
+        self,
+        path: str,
+        archetype: Any = None,  # noqa: ANN401 - Rerun's archetypes have no common type
+        evidence: Mapping[str, npt.NDArray[Any]] = MappingProxyType({}),
+        **components: Values,
+    ) -> None:
+        """Keep what is of the time that is set, for `write_rows`: one by one, rows cost three times as much.
+
+        Each row of an entity has the same components. archetype: what they are of; evidence: arrays beside them.
+        """
+        self._rows.add(path, () if self.timeless else self._time, archetype, components, evidence)
+
+    def write_rows(self) -> None:
+        """Log all rows that were kept."""
+        self._rows.send(self.stream)
+        self._times = 0
 
     def now(self, path: str, *values: rr.AsComponents) -> None:
         """Log at the time that is set."""
@@ -77,18 +114,6 @@ class Log:
     def curve(self, path: str, indexes: Sequence[rr.TimeColumn], values: npt.ArrayLike) -> None:
         """Values of a curve, one for each place on the timelines."""
         self.stream.send_columns(path, indexes, rr.Scalars.columns(scalars=values))
-
-    def gather(self, index: int, stamp_ns: int, values: Mapping[str, float]) -> None:
-        """Keep the values of curves at one scan, by path, for `write_gathered`: one by one they cost as much as the cloud."""
-        self._gathered.append((index, stamp_ns, values))
-
-    def write_gathered(self) -> None:
-        """Log all values that were gathered."""
-        if self._gathered:
-            index, stamp_ns, values = zip(*self._gathered, strict=True)
-            for path in values[0]:
-                self.curve(path, times(stamp_ns, index), [of_scan[path] for of_scan in values])
-            self._gathered = []
 
     def columns(self, path: str, stamp_ns: IntArray, columns: rr.ComponentColumnList) -> None:
         """One row for each horizontal scan, by its stamp."""
@@ -116,11 +141,11 @@ class Log:
 def open_log(
     path: Path, recording_id: str, detail: Detail = Detail.LINES, layout: rrb.Blueprint | None = None
 ) -> Iterator[Log]:
-    """A log into one part of a recording, see `open_part`; what it gathered is written at its end."""
+    """A log into one part of a recording, see `open_part`; rows that it keeps are written at its end."""
     with open_part(path, recording_id, layout) as stream:
         log = Log(stream, detail)
         yield log
-        log.write_gathered()
+        log.write_rows()
 
 
 def times(stamp_ns: npt.ArrayLike, index: Iterable[int] | None = None) -> list[rr.TimeColumn]:
@@ -132,17 +157,13 @@ def times(stamp_ns: npt.ArrayLike, index: Iterable[int] | None = None) -> list[r
 
 
 def evidence(answer: object = None, *names: str, **columns: npt.NDArray[Any]) -> rr.AnyValues:
-    """Arrays beside an archetype, with the same types in every process even where they are empty.
+    """Arrays beside an archetype, see `arrays`."""
+    return rr.AnyValues(**{name: typed(values) for name, values in arrays(answer, *names, **columns).items()})
+
+
+def arrays(answer: object = None, *names: str, **columns: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
+    """Arrays by their names.
 
     answer, names: a step's answer, and those of its fields that are taken under their own names.
     """
-    typed: dict[str, Any] = {}
-    for name, values in ({name: getattr(answer, name) for name in names} | columns).items():
-        kind = _KINDS.get(values.dtype.char, values.dtype)
-        flat = pa.array(values.astype(kind, copy=False).ravel())
-        typed[name] = pa.FixedSizeListArray.from_arrays(flat, values.shape[1]) if values.ndim == 2 else flat
-    return rr.AnyValues(**typed)
-
-
-_KINDS = {"d": np.dtype(np.float32), "l": np.dtype(np.int32), "?": np.dtype(np.uint8)}
-"""As what arrays of 64-bit numbers and of truth values are recorded, by the characters that numpy has for these."""
+    return {name: getattr(answer, name) for name in names} | columns

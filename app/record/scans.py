@@ -1,11 +1,14 @@
 """One labelled scan with its evidence."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa  # type: ignore[import-untyped]
 import rerun as rr
 
+from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m
@@ -16,13 +19,12 @@ from ffmap.algorithms.scan.rearrangement import HorizontalPlane
 from ffmap.algorithms.scan.smoothing import SmoothedRanges
 from ffmap.app.record.curves import log_curves, log_line
 from ffmap.app.record.line_reasons import candidate_reasons, door_reasons, line_outcomes
-from ffmap.app.record.log import Log, evidence
+from ffmap.app.record.log import Log, arrays
 from ffmap.app.record.shapes import (
     POINT_RADIUS_UI,
     SEE_THROUGH,
     rounded,
     strips_of,
-    transform,
     ui_radius,
     unbroken,
     upright_frames,
@@ -32,8 +34,8 @@ from ffmap.app.setup.outputs import Detail
 from ffmap.blueprints import entities
 from ffmap.blueprints.entities import CurveSheet
 
-_SPAN_STEP = 5
-"""Candidates are drawn through every n-th sample only, for a recording holds those of every scan."""
+_LINE_STEP, _SPAN_STEP = 3, 8
+"""Point lines and candidates are drawn through every n-th sample only, for a recording holds those of every scan."""
 
 
 def log_scan(
@@ -43,8 +45,8 @@ def log_scan(
     placed, ranges = level.placed, level.ranges
     if not log.timeless:
         log.at(stamp_ns, index)
-    log.now(entities.BASE, transform(placed.T_map_base))
-    log.now(entities.SCAN, transform(placed.T_map_level))
+    _log_frame(log, entities.BASE, placed.T_map_base)
+    _log_frame(log, entities.SCAN, placed.T_map_level)
     if log.detail is not Detail.MAP:
         positions = rounded(placed.points_level)
         _log_points(log, positions, ranges, labelling)
@@ -59,7 +61,8 @@ def log_scan(
             if not log.timeless:
                 log_line(log, placed.points_level, labelling, _example_line(labelling))
     if not log.timeless:
-        log.gather(index, stamp_ns, _metrics(ranges, labelling, timings_ms))
+        for path, value in _metrics(ranges, labelling, timings_ms).items():
+            log.row(path, rr.Scalars, scalars=np.array([value]))
 
 
 def log_skipped(log: Log, index: int, stamp_ns: int, reason: str) -> None:
@@ -77,48 +80,49 @@ def log_final(
     log.at(stamp_ns, index)
     changed = label != label_scan
     if changed.any():
-        log.now(entities.POINTS, rr.Points3D.from_fields(class_ids=label))
-    log.now(
+        log.row(entities.POINTS, rr.Points3D, class_ids=label)
+    log.row(
         entities.RELABELLED,
-        rr.Points3D(rounded(points_level[changed]), class_ids=label[changed]),
-        evidence(**{entities.POINT_LABEL_SCAN: label_scan[changed]}),
+        rr.Points3D,
+        {entities.POINT_LABEL_SCAN: label_scan[changed]},
+        positions=rounded(points_level[changed]),
+        class_ids=label[changed],
     )
+
+
+def _log_frame(log: Log, path: str, T_parent_child: FloatArray) -> None:
+    quaternion = transforms.quaternion_xyzw(T_parent_child)[None]
+    log.row(path, rr.Transform3D, translation=T_parent_child[None, :3, 3], quaternion=quaternion)
 
 
 def _log_points(log: Log, positions: FloatArray, ranges: SmoothedRanges, labelling: ScanLabelling) -> None:
     # Fig. 3 is the same cloud with other radii: a second one would cost a third of the file.
     horizontal = (labelling.label == Label.FLOOR) | (labelling.label == Label.CEILING)
-    log.now(
-        entities.POINTS,
-        rr.Points3D(positions, class_ids=labelling.label),
-        evidence(
-            **{
-                entities.POINT_LABEL_SCAN: labelling.label,
-                entities.POINT_CORRECTION: np.clip(np.rint(1e3 * ranges.correction_m), -127, 127).astype(np.int8),
-                entities.POINT_RADIUS_UPRIGHT: np.where(horizontal, np.float32(0), ui_radius(POINT_RADIUS_UI)),
-            }
-        ),
-    )
+    evidence = {
+        entities.POINT_LABEL_SCAN: labelling.label,
+        entities.POINT_ALONE: ranges.correction_m == 0,
+        entities.POINT_RADIUS_UPRIGHT: np.where(horizontal, np.float32(0), ui_radius(POINT_RADIUS_UI)),
+    }
+    log.row(entities.POINTS, rr.Points3D, evidence, positions=positions, class_ids=labelling.label)
 
 
 def _log_planes(log: Log, labelling: ScanLabelling) -> None:
     planes = labelling.planes
     if not len(planes):
-        log.now(entities.PLANES, rr.Clear(recursive=False))
+        log.row(entities.PLANES, rr.Clear, is_recursive=[False])
         return
     floor_m = labelling.floor.height_at(planes.ends.reshape(-1, 2)).reshape(-1, 2)
     bottom_m, top_m = floor_m + planes.bottom_m[:, None], floor_m + planes.top_m[:, None]
     vertices, triangles = upright_quads(planes.ends, bottom_m, top_m)
     colors = np.array([_plane_color(plane) for plane in range(len(planes))], np.uint8)
-    log.now(
+    log.row(
         entities.PLANES,
-        rr.Mesh3D(
-            vertex_positions=vertices,
-            triangle_indices=triangles,
-            vertex_colors=np.repeat(colors, 4, axis=0),
-            albedo_factor=SEE_THROUGH,
-        ),
-        evidence(planes, "normal", "offset_m", "rms_m", "line_count", "point_count"),
+        rr.Mesh3D,
+        arrays(planes, "normal", "offset_m", "rms_m", "line_count", "point_count"),
+        vertex_positions=vertices,
+        triangle_indices=triangles,
+        vertex_colors=np.repeat(colors, 4, axis=0),
+        albedo_factor=[SEE_THROUGH],
     )
 
 
@@ -130,10 +134,12 @@ def _log_openings(log: Log, labelling: ScanLabelling) -> None:
         f"{DoorState(state).name.lower()} door, {width:.2f} m in view, {depth:.2f} m deep"
         for state, width, depth in zip(openings.state, widths_m, openings.depth_m, strict=True)
     ]
-    log.now(
+    log.row(
         entities.OPENINGS,
-        rr.LineStrips3D(upright_frames(openings.ends, floor_m, floor_m + openings.head_m), labels=labels),
-        evidence(openings, "plane", "head_m", "depth_m", "state", "line_count"),
+        rr.LineStrips3D,
+        arrays(openings, "plane", "head_m", "depth_m", "state", "line_count"),
+        strips=upright_frames(openings.ends, floor_m, floor_m + openings.head_m),
+        labels=labels,
     )
 
 
@@ -146,26 +152,23 @@ def _log_horizontal(log: Log, positions: FloatArray, labelling: ScanLabelling) -
         (entities.CEILING, labelling.ceilings, Label.CEILING),
     ):
         outline = _outline(positions[label == own, :2])
-        log.now(
-            path,
-            rr.LineStrips3D([_lift(outline, plane) for plane in planes] if len(outline) else []),
-            evidence(
-                height_m=np.array([plane.height_m for plane in planes]),
-                slope=np.array([plane.slope for plane in planes]).reshape(-1, 2),
-                support=np.array([plane.support for plane in planes], np.int32),
-            ),
-        )
+        evidence: dict[str, npt.NDArray[Any]] = {
+            "height_m": np.array([plane.height_m for plane in planes]),
+            "slope": np.array([plane.slope for plane in planes]).reshape(-1, 2),
+            "support": np.array([plane.support for plane in planes], np.int32),
+        }
+        outlines = [_lift(outline, plane) for plane in planes] if len(outline) else []
+        log.row(path, rr.LineStrips3D, evidence, strips=np.array(outlines, np.float32).reshape(-1, 5, 3))
 
 
 def _log_lines(log: Log, positions: FloatArray, labelling: ScanLabelling) -> None:
     samples = labelling.lines.samples
     present = np.flatnonzero(samples[:, 0] >= 0).astype(np.int32)
     outcome = np.array(line_outcomes(labelling), np.uint8)
-    strips, owner = unbroken(positions[samples[present]])
+    strips, owner = unbroken(positions[samples[present, ::_LINE_STEP]])
     line = present[owner]
-    log.now(
-        entities.LINES, rr.LineStrips3D(strips, class_ids=outcome[line]), evidence(line=line, outcome=outcome[line])
-    )
+    evidence = arrays(line=line, outcome=outcome[line])
+    log.row(entities.LINES, rr.LineStrips3D, evidence, strips=strips, class_ids=outcome[line])
 
 
 def _log_candidates(log: Log, positions: FloatArray, labelling: ScanLabelling) -> None:
@@ -178,16 +181,13 @@ def _log_candidates(log: Log, positions: FloatArray, labelling: ScanLabelling) -
         "distance_m": planes.candidate_distance_m.astype(np.float32),
         entities.CANDIDATE_PLANE_COLOR: plane_colors @ np.array([1 << 24, 1 << 16, 1 << 8], np.uint32) + np.uint32(255),
     }
-    for path, chosen, more, reasons in (
-        (entities.UPMOST, planes.candidate_structure, growth, candidate_reasons(labelling)),
-        (entities.BOTTOMMOST, structures.bottommost[structures.bottommost >= 0], {}, None),
+    for path, chosen, more, labels in (
+        (entities.UPMOST, planes.candidate_structure, growth, {"labels": candidate_reasons(labelling)}),
+        (entities.BOTTOMMOST, structures.bottommost[structures.bottommost >= 0], {}, {}),
     ):
         line, first, last = structures.line[chosen], structures.first[chosen], structures.last[chosen]
-        log.now(
-            path,
-            rr.LineStrips3D(_spans(positions, labelling.lines.samples, line, first, last), labels=reasons),
-            evidence(line=line, first=first, last=last, **more),
-        )
+        strips = _spans(positions, labelling.lines.samples, line, first, last)
+        log.row(path, rr.LineStrips3D, {"line": line, "first": first, "last": last, **more}, strips=strips, **labels)
 
 
 def _log_door_lines(log: Log, labelling: ScanLabelling) -> None:
@@ -196,15 +196,18 @@ def _log_door_lines(log: Log, labelling: ScanLabelling) -> None:
     floor_m = np.full(len(doors.line), labelling.floor.height_m)
     top_m = structures.top_m[structures.upmost[doors.line]] + floor_m
     held = 1 + doors.behind.astype(np.uint8) + above
-    log.now(
+    log.row(
         entities.DOOR_CONDITIONS,
-        rr.Points3D(rounded(np.column_stack([doors.position, top_m])), class_ids=held, labels=door_reasons(labelling)),
-        evidence(doors, "line", "plane", "start_height_m", "depth_m", "state", conditions_held=held),
+        rr.Points3D,
+        arrays(doors, "line", "plane", "start_height_m", "depth_m", "state", conditions_held=held),
+        positions=rounded(np.column_stack([doors.position, top_m])),
+        class_ids=held,
+        labels=door_reasons(labelling),
     )
     below = np.empty((np.count_nonzero(above), 2, 3), np.float32)
     below[:, :, :2] = doors.position[above, None]
     below[:, :, 2] = floor_m[above, None] + np.outer(doors.start_height_m[above], [0, 1])
-    log.now(entities.DOOR_LINES, rr.LineStrips3D(below))
+    log.row(entities.DOOR_LINES, rr.LineStrips3D, strips=below)
 
 
 def _metrics(ranges: SmoothedRanges, labelling: ScanLabelling, timings_ms: Mapping[str, float]) -> dict[str, float]:

@@ -16,7 +16,7 @@ Colors = entities.Color | Sequence[entities.Color] | UInt8Array
 """One for all, or one each."""
 Labels = str | Sequence[str] | None
 
-GRID_M = 1.0 / 512.0
+GRID_M = 1.0 / 256.0
 """Positions are rounded to this grid (m), finer than a sensor's resolution: the file halves."""
 POINT_RADIUS_UI = 1.5
 JUMP_M = 0.4
@@ -97,10 +97,17 @@ def unbroken(lines: FloatArray) -> tuple[pa.Array, IntArray]:
 
 
 def strips_of(points: FloatArray, starts: IntArray) -> pa.Array:
-    """Ragged line strips without a Python loop: strip i is points[starts[i]:starts[i + 1]]."""
-    kind = rr.components.LineStrip3DBatch([]).as_arrow_array().type
+    """Ragged line strips without a Python loop: strip i is points[starts[i]:starts[i + 1]]; points: (n, 2 or 3)."""
+    kind = _STRIPS[points.shape[1]]
     inner = pa.FixedSizeListArray.from_arrays(pa.array(points.astype(np.float32).ravel()), type=kind.value_type)
     return pa.ListArray.from_arrays(pa.array(starts, pa.int32()), inner, type=kind)
+
+
+_STRIPS = {
+    2: rr.components.LineStrip2DBatch([]).as_arrow_array().type,
+    3: rr.components.LineStrip3DBatch([]).as_arrow_array().type,
+}
+"""The Arrow type of line strips by their points' number of coordinates."""
 
 
 def upright_quads(ends: FloatArray, bottom_m: FloatArray, top_m: FloatArray) -> tuple[FloatArray, IntArray]:
