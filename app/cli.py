@@ -484,20 +484,43 @@ class Settings:
 
 @_command
 class Bench:
-    """Measure this machine: labelling in ms a scan on one thread, and a whole run against real time.
+    """Measure this machine: what each stage of a run takes beside its floor, and a whole run against real time.
 
-    Example:
+    The floor is what the same machine needs for what no program could leave out, as reading a bag's bytes. Before what is
+    measured there is one run that is not, so that all code is compiled.
+
+    Examples:
 
         ffmap bench drive.bag
+
+        ffmap bench drive.bag --runs 5 --json bench.json
+
+        ffmap bench drive.bag --repeat 10
+
+        ffmap bench --duration 20 --runs 3 --against HEAD~3
     """
 
     bag: Path | None = argument(None, help="Bag to measure with.  [default: one is simulated]")
     duration: float = option(60.0, min=5.0, help="Seconds of the simulated bag.")
+    runs: int = option(1, min=1, metavar="K", help="Measure K times, and tell the medians.")
+    repeat: int = option(
+        1,
+        min=1,
+        metavar="N",
+        help="Also run a bag of N times the length, to see whether memory stays flat. Each time the robot is carried back to "
+        "the start, where no odometry could follow: the poses are those of the drive itself, given as --trajectory.",
+    )
+    against: str | None = option(
+        None, metavar="REV", help="Compare with another git revision of this program's checkout, run by run in turn."
+    )
+    json: Path | None = option(
+        None, metavar="FILE", help="Write the figures as JSON; - prints them in place of tables."
+    )
 
     def __call__(self) -> None:
         from ffmap.app.commands.bench import bench
 
-        bench(self.bag, self.duration)
+        bench(self.bag, self.duration, self.runs, self.repeat, self.against, self.json)
 
 
 @_command

@@ -46,6 +46,11 @@ class TimeField:
     reference: TimeReference
     span_ns: int
 
+    @property
+    def unit_ns(self) -> int:
+        """Nanoseconds of one unit."""
+        return _UNITS_NS[self.unit]
+
     def nanoseconds(self, values: npt.NDArray[Any], stamp_ns: int) -> tuple[IntArray, int]:
         """Nanoseconds (n,) int64 from the first of these firings, and that firing's absolute time.
 
@@ -54,19 +59,19 @@ class TimeField:
         if not len(values):
             return np.zeros(0, np.int64), stamp_ns
         first = values.min()
-        span_s = _span(values) * _UNITS_NS[self.unit] / 1e9
+        span_s = _span(values) * self.unit_ns / 1e9
         if not np.isfinite(span_s):
             raise CloudError(f"the times in field {self.name} are not all numbers")
         if span_s > _LONGEST_SWEEP_NS / 1e9:
             raise CloudError(f"the times in field {self.name} span {_told(span_s)} s, longer than any sweep")
-        if not abs(float(first)) * _UNITS_NS[self.unit] < _CLOCK_MAX_NS:
+        if not abs(float(first)) * self.unit_ns < _CLOCK_MAX_NS:
             raise CloudError(
                 f"the times in field {self.name} are as large as {float(first):.3g} {self.unit}: no clock's"
             )
-        time_ns = _scaled(values, first, _UNITS_NS[self.unit])
+        time_ns = _scaled(values, first, self.unit_ns)
         start_ns = stamp_ns
         if self.reference != "own clock":
-            start_ns = _exact_ns(first, _UNITS_NS[self.unit]) + (stamp_ns if self.reference == "stamp" else 0)
+            start_ns = _exact_ns(first, self.unit_ns) + (stamp_ns if self.reference == "stamp" else 0)
         if abs(start_ns - stamp_ns) > _LONGEST_SWEEP_NS:
             raise CloudError(
                 f"the times in field {self.name} begin {_told(abs(start_ns - stamp_ns) / 1e9)} s "
