@@ -5,8 +5,6 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 
-_BINS = 256
-
 
 @numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def turns(points: FloatArray, down_rad: float) -> FloatArray:  # pragma: no cover
@@ -35,35 +33,49 @@ def turns(points: FloatArray, down_rad: float) -> FloatArray:  # pragma: no cove
 
 
 @numba.njit(cache=True, nogil=True)
-def sort_by_angle(
-    group: IntArray, angle_rad: FloatArray, groups: int, lowest_rad: float
-) -> tuple[IntArray, IntArray]:  # pragma: no cover
+def sort_by_angle(group: IntArray, angle_rad: FloatArray, groups: int) -> tuple[IntArray, IntArray]:  # pragma: no cover
     """order (n,) int32 and starts (groups + 1,) int32: order[starts[g]:starts[g + 1]] is group g by increasing angle.
 
-    A counting sort by group and angle, made exact by an insertion pass: linear in any order of the input.
+    Returns come in the order of firing, and so does each group go round, one way or the other: it is turned about, and begun
+    at its lowest angle. Only a group that does not go round once is sorted.
 
-    group: (n,) from 0; angle_rad: (n,) from `lowest_rad` to π.
+    group: (n,) from 0; angle_rad: (n,).
     """
     count = len(group)
-    bins_a_rad = np.float32(_BINS / (np.pi - lowest_rad))
-    key = np.empty(count, np.int32)
-    offsets = np.zeros(groups * _BINS + 1, np.int32)
+    starts = np.zeros(groups + 1, np.int32)
     for i in range(count):
-        key[i] = group[i] * _BINS + min(int((angle_rad[i] - np.float32(lowest_rad)) * bins_a_rad), _BINS - 1)
-        offsets[key[i] + 1] += 1
-    for k in range(groups * _BINS):
-        offsets[k + 1] += offsets[k]
-    starts = offsets[::_BINS].copy()
-    order = np.empty(count, np.int32)
-    for i in range(count):
-        order[offsets[key[i]]] = i
-        offsets[key[i]] += 1
+        starts[group[i] + 1] += 1
     for g in range(groups):
-        for j in range(starts[g] + 1, starts[g + 1]):
-            moving = order[j]
-            steps = 0
-            while j - steps > starts[g] and angle_rad[order[j - steps - 1]] > angle_rad[moving]:
-                order[j - steps] = order[j - steps - 1]
-                steps += 1
-            order[j - steps] = moving
+        starts[g + 1] += starts[g]
+    order, place, own = np.empty(count, np.int32), starts[:-1].copy(), np.empty(count, np.int32)
+    for i in range(count):
+        order[place[group[i]]] = i
+        place[group[i]] += 1
+    for g in range(groups):
+        first, size = starts[g], starts[g + 1] - starts[g]
+        if size < 2:
+            continue
+        rises, falls, lowest, highest = 0, 0, 0, 0
+        last = angle_rad[order[first + size - 1]]
+        for j in range(size):
+            this = angle_rad[order[first + j]]
+            if this > last:
+                rises, highest = rises + 1, j
+            elif this < last:
+                falls, lowest = falls + 1, j
+            last = this
+        if falls == 1 and rises == size - 1:
+            if lowest > 0:
+                own[:size] = order[first : first + size]
+                order[first : first + size - lowest] = own[lowest:size]
+                order[first + size - lowest : first + size] = own[:lowest]
+        elif rises == 1 and falls == size - 1:
+            own[:size] = order[first : first + size]
+            for k in range(size):
+                order[first + k] = own[(highest - 1 - k) % size]
+        else:
+            own[:size] = order[first : first + size]
+            by_angle = np.argsort(angle_rad[own[:size]], kind="mergesort")
+            for k in range(size):
+                order[first + k] = own[by_angle[k]]
     return order, starts

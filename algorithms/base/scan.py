@@ -58,6 +58,11 @@ class Scan:
         """Time of the last firing."""
         return self.start_ns + (int(self.time_ns.max()) if self.time_ns is not None and len(self) else 0)
 
+    @property
+    def reference_ns(self) -> int:
+        """The middle of the sweep, whose pose stands for the whole scan's."""
+        return (self.start_ns + self.end_ns) // 2
+
 
 def within_range(scan: Scan, range_max_m: float) -> Scan:
     """The scan without the returns that are farther from the lidar; the very same where there are none."""

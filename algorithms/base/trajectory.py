@@ -76,6 +76,10 @@ class Trajectory:
         fraction = (stamps - self.stamp_ns[before]) / span
         return transforms.interpolated(self.T_map_base[before], self.T_map_base[after], fraction)
 
+    def part(self, first: int, last: int) -> "Trajectory":
+        """The poses from one up to another, by their places."""
+        return Trajectory(self.stamp_ns[first:last], self.T_map_base[first:last])
+
     def moved(self, T_new_map: FloatArray) -> "Trajectory":
         """The same trajectory seen from another map frame."""
         return Trajectory(self.stamp_ns, T_new_map @ self.T_map_base)
@@ -116,13 +120,9 @@ def place_scan(
     base_height_m: how high the base stands above the floor, wherever that lies; None for a floor at height 0.
     """
     duration_ns = scan.end_ns - scan.start_ns
-    reference_ns = scan.start_ns + duration_ns // 2
     knots_ns = scan.start_ns + np.linspace(0, duration_ns, KNOTS).astype(np.int64)
-    T_map_base = trajectory.at(np.append(knots_ns, reference_ns))
-    T_map_level = transforms.from_yaw(
-        transforms.yaw_of(T_map_base[-1]),
-        [*T_map_base[-1, :2, 3], 0.0 if base_height_m is None else T_map_base[-1, 2, 3] - base_height_m],
-    )
+    T_map_base = trajectory.at(np.append(knots_ns, scan.reference_ns))
+    T_map_level = level_frame(T_map_base[-1], base_height_m)
     T_level_sensor = transforms.invert(T_map_level) @ T_map_base @ T_base_sensor
     time_ns = scan.time_ns if scan.time_ns is not None else np.zeros(0, np.int64)
     points_level = _place(
@@ -138,22 +138,27 @@ def place_scan(
     )
 
 
+def level_frame(T_map_base: FloatArray, base_height_m: float | None) -> FloatArray:
+    """T_map_level (4, 4) of a scan with this pose (4, 4) at its reference time; base_height_m: as for `place_scan`."""
+    x, y, z = T_map_base[:3, 3]
+    floor_m = 0.0 if base_height_m is None else z - base_height_m
+    return transforms.from_yaw(transforms.yaw_of(T_map_base), [x, y, floor_m])
+
+
 @numba.njit(cache=True, nogil=True)
 def _place(points: FloatArray, time_ns: IntArray, duration_ns: float, T: FloatArray) -> FloatArray:  # pragma: no cover
     placed = np.empty((len(points), 3), np.float32)
     timed = len(time_ns) == len(points)
     last = len(T) - 1
+    per_ns = last / duration_ns
+    step = T[1:] - T[:-1]
     for i in range(len(points)):
-        position = (time_ns[i] / duration_ns) * last if timed else 0.0
+        position = time_ns[i] * per_ns if timed else 0.0
         k = min(max(int(position), 0), last - 1)
-        b = np.float64(position - k)
-        a = 1.0 - b
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        b = position - k
+        x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
         for row in range(3):
-            placed[i, row] = (
-                (a * T[k, row, 0] + b * T[k + 1, row, 0]) * x
-                + (a * T[k, row, 1] + b * T[k + 1, row, 1]) * y
-                + (a * T[k, row, 2] + b * T[k + 1, row, 2]) * z
-                + (a * T[k, row, 3] + b * T[k + 1, row, 3])
-            )
+            at_knot = T[k, row, 0] * x + T[k, row, 1] * y + T[k, row, 2] * z + T[k, row, 3]
+            on = step[k, row, 0] * x + step[k, row, 1] * y + step[k, row, 2] * z + step[k, row, 3]
+            placed[i, row] = at_knot + b * on
     return placed

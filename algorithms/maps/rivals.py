@@ -3,14 +3,14 @@
 What they need of a scan is counted by cells of the ground as soon as it is labelled, so that it grows with the building.
 """
 
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 from pydantic import Field
 
-from ffmap.algorithms.base.scan import BoolArray, IntArray
+from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import Windows
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
@@ -36,32 +36,47 @@ class RivalMapsSettings(StepSettings):
     hits_min: int = Field(3, ge=1, description="Minimum returns that occupy a cell. IV.C.")
 
 
+@dataclass(frozen=True)
+class RivalReturns:
+    """What the rivals need of a scan.
+
+    row: (k,) int32, returns of the scan, as often as each counts. rival: (k,) uint8, for which, by its place in `Rival`.
+    """
+
+    row: IntArray
+    rival: UInt8Array
+
+    @classmethod
+    def of(cls, points_level: FloatArray, labelling: ScanLabelling, settings: RivalMapsSettings) -> "RivalReturns":
+        """Those of a scan with these returns (n, 3). A slice needs a ceiling: a scan that saw none has none."""
+        below_m = below_ceiling(points_level, labelling.ceiling_planes)
+        upper_m, slice_m = settings.below_ceiling_m, settings.slice_m
+        structures, samples = labelling.structures, labelling.lines.samples
+        rows: dict[Rival, IntArray] = {
+            Rival.BELOW_CEILING: np.flatnonzero((below_m > upper_m) & (below_m < upper_m + slice_m)),
+            # Halfway up a return is as far from the floor as from the ceiling.
+            Rival.MIDDLE: np.flatnonzero(np.abs(labelling.height_m - below_m) < slice_m),
+        }
+        sample = np.arange(samples.shape[1])
+        for rival, structure in ((Rival.UPMOST, structures.upmost), (Rival.BOTTOMMOST, structures.bottommost)):
+            chosen = structure[structure >= 0]
+            first, last = structures.first[chosen], structures.last[chosen]
+            rows[rival] = samples[structures.line[chosen]][(sample >= first[:, None]) & (sample <= last[:, None])]
+        codes = [np.full(len(rows[rival]), code, np.uint8) for code, rival in enumerate(Rival)]
+        return cls(np.concatenate([rows[rival] for rival in Rival]).astype(np.int32), np.concatenate(codes))
+
+
 class RivalCounter:
     """Counts returns by cell for each rival; one for each block of scans, whose votes add up."""
 
-    def __init__(self, cell_m: float, settings: RivalMapsSettings) -> None:
-        self._settings = settings
+    def __init__(self, cell_m: float) -> None:
         self._table = VoxelTable(cell_m, len(Rival))
 
-    def add(self, placed: PlacedScan, labelling: ScanLabelling) -> None:
-        """Count one scan. A slice needs a ceiling: a scan that saw none has none."""
-        below_m = below_ceiling(placed.points_level, labelling.ceiling_planes)
-        upper_m, slice_m = self._settings.below_ceiling_m, self._settings.slice_m
-        self._count(Rival.BELOW_CEILING, placed, (below_m > upper_m) & (below_m < upper_m + slice_m))
-        # Halfway up a return is as far from the floor as from the ceiling.
-        self._count(Rival.MIDDLE, placed, np.abs(labelling.height_m - below_m) < slice_m)
-        structures = labelling.structures
-        for rival, chosen in ((Rival.UPMOST, structures.upmost), (Rival.BOTTOMMOST, structures.bottommost)):
-            chosen = chosen[chosen >= 0]
-            first, last = structures.first[chosen], structures.last[chosen]
-            sample = np.arange(labelling.lines.samples.shape[1])
-            within = (sample >= first[:, None]) & (sample <= last[:, None])
-            self._count(rival, placed, labelling.lines.samples[structures.line[chosen]][within])
-
-    def _count(self, rival: Rival, placed: PlacedScan, chosen: BoolArray | IntArray) -> None:
-        points = np.asarray(placed.to_map(placed.points_level[chosen]))
-        flat = np.pad(points[:, :2], ((0, 0), (0, 1)))
-        self._table.add(flat, np.full(len(flat), list(Rival).index(rival), np.uint8))
+    def add(self, points_map: FloatArray, returns: RivalReturns) -> None:
+        """Count one scan with its returns at points_map (n, 3)."""
+        flat = np.zeros((len(returns.row), 3), points_map.dtype)
+        flat[:, :2] = points_map[returns.row, :2]
+        self._table.add(flat, returns.rival)
 
     def votes(self) -> VoxelVotes:
         """Returns by cell (its cube with index 0 along z) and rival, so far."""

@@ -4,7 +4,7 @@ import numba
 import numpy as np
 from scipy.ndimage import binary_erosion
 
-from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.scan.rearrangement import HEIGHT_BIN_M, HorizontalPlane, RearrangementSettings, refine_plane
 
 
@@ -19,16 +19,15 @@ def find_ceilings(
     points_level: (n, 3); seed: of the hypotheses.
     """
     above_m = floor.heights_above(points_level)
-    high = np.flatnonzero((above_m > settings.ceiling_height_min_m) & (above_m < settings.ceiling_height_max_m))
     # 8000 returns find a plane and place it to a millimetre.
-    stride = max(1, len(high) // 8_000)
-    high = high[::stride]
-    points = points_level[high]
+    points, stride = _thinned(
+        points_level, above_m, settings.ceiling_height_min_m, settings.ceiling_height_max_m, 8_000
+    )
     # Heights above planes parallel to the floor, and above level ones where the floor slopes by more than a hundredth.
     slopes = [*floor.slopes]
     if all(np.hypot(*slope) >= 0.01 for slope in slopes):
         slopes.append(np.zeros(2))
-    parallel = [points[:, 2] - floor.height_m - points[:, :2] @ slope for slope in slopes]
+    parallel = [_heights_above(points, floor.height_m, slope) for slope in slopes]
     generator = np.random.default_rng(seed)
     ceilings: list[HorizontalPlane] = []
     for _ in range(settings.ceilings_max + 1):
@@ -67,16 +66,9 @@ def _ransac_height(
     heights_m: FloatArray, settings: RearrangementSettings, generator: np.random.Generator
 ) -> tuple[float, int]:
     """The best of the hypotheses, as the mean height of its returns, and how many they are."""
-    lowest = float(heights_m.min())
-    histogram = np.bincount(((heights_m - lowest) / HEIGHT_BIN_M).astype(np.int64))
-    cumulative = np.concatenate([[0], np.cumsum(histogram)])
-    hypotheses = heights_m[generator.integers(0, len(heights_m), settings.ceiling_iterations)]
-    bins = ((hypotheses - lowest) / HEIGHT_BIN_M).astype(np.int64)
-    reach = max(1, round(settings.ceiling_distance_m / HEIGHT_BIN_M))
-    supports = cumulative[np.minimum(bins + reach + 1, len(histogram))] - cumulative[np.maximum(bins - reach, 0)]
-    best_m = float(hypotheses[np.argmax(supports)])
-    inliers = heights_m[np.abs(heights_m - best_m) < settings.ceiling_distance_m]
-    return float(inliers.mean()), len(inliers)
+    chosen = generator.integers(0, len(heights_m), settings.ceiling_iterations)
+    mean_m, count = _best_height(heights_m, chosen, settings.ceiling_distance_m, HEIGHT_BIN_M)
+    return float(mean_m), int(count)
 
 
 def _is_broad(points: FloatArray) -> bool:
@@ -93,6 +85,58 @@ def _is_broad(points: FloatArray) -> bool:
     covered[cell[:, 0], cell[:, 1]] = True
     # A duct of 40 cm, and the wall beside it, cover up to four cells across.
     return bool(binary_erosion(covered, np.ones((5, 5), bool)).sum() >= 4)
+
+
+@numba.njit(cache=True, nogil=True)
+def _thinned(
+    points: FloatArray, above_m: FloatArray, low_m: float, high_m: float, most: int
+) -> tuple[FloatArray, int]:  # pragma: no cover
+    """Every n-th of the points between two heights, (k, 3) float64, and n: not many more than `most`."""
+    count = 0
+    for i in range(len(points)):
+        count += low_m < above_m[i] < high_m
+    stride = max(1, count // most)
+    kept = np.empty(((count + stride - 1) // stride, 3))
+    place = 0
+    for i in range(len(points)):
+        if low_m < above_m[i] < high_m:
+            if place % stride == 0:
+                kept[place // stride] = points[i]
+            place += 1
+    return kept, stride
+
+
+@numba.njit(cache=True, nogil=True)
+def _heights_above(points: FloatArray, height_m: float, slope: FloatArray) -> FloatArray:  # pragma: no cover
+    heights = np.empty(len(points))
+    for i in range(len(points)):
+        heights[i] = points[i, 2] - height_m - slope[0] * points[i, 0] - slope[1] * points[i, 1]
+    return heights
+
+
+@numba.njit(cache=True, nogil=True)
+def _best_height(
+    heights_m: FloatArray, chosen: IntArray, distance_m: float, bin_m: float
+) -> tuple[float, int]:  # pragma: no cover
+    """Of the heights that are chosen as hypotheses the one near which most lie: the mean of these, and how many they are."""
+    lowest, highest = heights_m.min(), heights_m.max()
+    histogram = np.zeros(int((highest - lowest) / bin_m) + 2, np.int64)
+    for height in heights_m:
+        histogram[int((height - lowest) / bin_m) + 1] += 1
+    cumulative = np.cumsum(histogram)
+    reach, last = max(1, round(distance_m / bin_m)), len(histogram) - 1
+    best_m, most = 0.0, -1
+    for row in chosen:
+        cell = int((heights_m[row] - lowest) / bin_m)
+        support = cumulative[min(cell + reach + 1, last)] - cumulative[max(cell - reach, 0)]
+        if support > most:
+            best_m, most = heights_m[row], support
+    total, count = 0.0, 0
+    for height in heights_m:
+        if abs(height - best_m) < distance_m:
+            total += height
+            count += 1
+    return total / count, count
 
 
 @numba.njit(cache=True, nogil=True)

@@ -91,16 +91,19 @@ class ScanLabelling:
         return plane_rows(self.ceilings)
 
 
-def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: int) -> ScanLabelling:
+def label_scan(
+    scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: int, floor: Floor | None = None
+) -> ScanLabelling:
     """The paper's method on one scan: III.A to III.C in order.
 
-    placed: the returns that are labelled, smoothed (`smooth_ranges`) or as measured.
+    placed: the returns that are labelled, smoothed (`smooth_ranges`) or as measured. floor: below them, where levelling has found
+    it; None where it is to be found.
 
     seed: of the scan's random numbers; made from the run's seed and the scan's index, so that no label depends on
     which process labelled it.
     """
     # III.A: floor by height, ceiling by RANSAC, 2n point lines.
-    floor = find_floor(placed.points_level, settings.rearrangement)
+    floor = floor or find_floor(placed.points_level, settings.rearrangement)
     returns = Returns(placed.points_level, floor.heights_above(placed.points_level), placed.origin_level)
     ceilings = find_ceilings(returns.points_level, floor, settings.rearrangement, seed)
     floor_m, ceiling_m = settings.rearrangement.floor_height_m, settings.rearrangement.ceiling_distance_m
@@ -111,7 +114,7 @@ def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: i
     )
     # III.B: vertical structures, wall candidates, wall planes.
     structures = find_vertical_structures(returns, lines.samples, settings.vertical_structures)
-    meets_ceiling = _lines_with(label, Label.CEILING, lines.order, lines.starts)
+    meets_ceiling = _lines_with(label, int(Label.CEILING), lines.order, lines.starts)
     planes = grow_wall_planes(returns, lines.samples, structures, ceilings, floor, meets_ceiling, settings.wall_planes)
     # III.C: doors, then a label for every return.
     door_lines = find_door_lines(returns, lines, planes, structures.upmost, settings.doors)
@@ -133,10 +136,16 @@ def label_scan(scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: i
     )
 
 
-def _lines_with(label: UInt8Array, wanted: Label, order: IntArray, starts: IntArray) -> BoolArray:
+@numba.njit(cache=True, nogil=True)
+def _lines_with(label: UInt8Array, wanted: int, order: IntArray, starts: IntArray) -> BoolArray:  # pragma: no cover
     """(L,) whether each line has more than two returns of a label: what ends just below a ceiling scatters into it."""
-    counts = np.concatenate([[0], np.cumsum(label[order] == wanted)])
-    return np.asarray(counts[starts[1:]] - counts[starts[:-1]] > 2)
+    found = np.zeros(len(starts) - 1, np.bool_)
+    for line in range(len(found)):
+        count = 0
+        for j in range(starts[line], starts[line + 1]):
+            count += label[order[j]] == wanted
+        found[line] = count > 2
+    return found
 
 
 def completed_ends(

@@ -57,7 +57,7 @@ def make_point_lines(
         raise ValueError("the spin axis is upright: this lidar sweeps no wall from floor to ceiling")
     down_rad = float(np.arctan2(down_sensor[1], down_sensor[0]))
     line, angle_rad = _lines(points_sensor, ring, down_rad)
-    order, starts = sort_by_angle(line, angle_rad, 2 * ring_count, 0.0)
+    order, starts = sort_by_angle(line, angle_rad, 2 * ring_count)
     samples = _resample(order, starts, is_horizontal, settings.line_points_min)
     return PointLines(order, starts, samples)
 

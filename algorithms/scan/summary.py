@@ -7,7 +7,6 @@ import numpy as np
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.trajectory import PlacedScan
-from ffmap.algorithms.scan.floor import Floor
 from ffmap.algorithms.scan.labelling import ScanLabelling
 
 RAYS_PER_SCAN = 16_000  # maximum number of rays that are kept of a scan
@@ -43,6 +42,22 @@ class Features:
     plane_lines: IntArray
     plane_moments: FloatArray
 
+    def moved(self, T: FloatArray) -> "Features":
+        """The same but for its rays with each scan moved by its own T (s, 4, 4), a turn about z and a shift."""
+        ends = np.concatenate([self.plane_ends_map, np.zeros((*self.plane_ends_map.shape[:2], 1))], axis=2)
+        planes = self.plane_starts
+        columns = {name: getattr(self, name).copy() for name in _MOVED}
+        for s in range(len(self.scan)):
+            plane = slice(planes[s], planes[s + 1])
+            columns["origin_map"][s] = transforms.apply(T[s], self.origin_map[s, None])[0]
+            columns["floor_map"][s] = _move_pieces(self.floor_map[s], T[s])
+            columns["plane_ends_map"][plane] = transforms.apply(T[s], ends[plane].reshape(-1, 3))[:, :2].reshape(
+                -1, 2, 2
+            )
+            columns["plane_normal"][plane] = self.plane_normal[plane] @ T[s, :2, :2].T
+            columns["plane_moments"][plane] = move_moments(self.plane_moments[plane], T[s])
+        return replace(self, **columns)
+
     @property
     def ray_starts(self) -> IntArray:
         """(s + 1,) int64: the rays of scan k are rows ray_starts[k] to ray_starts[k + 1]."""
@@ -65,15 +80,17 @@ class Features:
 
 
 def extract(index: int, placed: PlacedScan, labelling: ScanLabelling) -> Features:
-    """The features of one scan: every n-th return, line by line, so that all directions stay covered."""
-    stride = max(1, -(-len(labelling.label) // RAYS_PER_SCAN))
-    chosen = labelling.lines.order[index % stride :: stride]
+    """The features of one scan: every n-th return, line by line, so that all directions stay covered.
+
+    In the map frame of `placed`, or as if that were the level frame, where it is the identity.
+    """
+    chosen = ray_rows(index, labelling)
     T, planes = placed.T_map_level, labelling.planes
     ends = np.concatenate([planes.ends, np.zeros((len(planes), 2, 1))], axis=2).reshape(-1, 3)
     return Features(
         scan=np.array([index]),
         origin_map=placed.to_map(placed.origin_level[None]),
-        floor_map=_floor_map(labelling.floor, T)[None],
+        floor_map=_move_pieces(labelling.floor.both_pieces, T)[None],
         floor_is_foot=np.array([labelling.floor.is_foot]),
         floor_reach_m=np.array([labelling.settings.rearrangement.floor_range_m]),
         ray_count=np.array([len(chosen)]),
@@ -89,14 +106,20 @@ def extract(index: int, placed: PlacedScan, labelling: ScanLabelling) -> Feature
     )
 
 
-def _floor_map(floor: Floor, T_map_level: FloatArray) -> FloatArray:
-    """(2, 3) the pieces of a floor in the map's frame."""
-    pieces = floor.both_pieces
-    slopes = [T_map_level[:2, :2] @ piece[1:] for piece in pieces]
-    shift = T_map_level[:, 3]
-    return np.array(
-        [[piece[0] + shift[2] - slope @ shift[:2], *slope] for piece, slope in zip(pieces, slopes, strict=True)]
-    )
+def ray_rows(index: int, labelling: ScanLabelling) -> IntArray:
+    """The returns of a scan whose rays are kept: every n-th, line by line."""
+    stride = max(1, -(-len(labelling.label) // RAYS_PER_SCAN))
+    return labelling.lines.order[index % stride :: stride]
+
+
+_MOVED = ("origin_map", "floor_map", "plane_ends_map", "plane_normal", "plane_moments")
+"""The features that depend on where their scan lies."""
+
+
+def _move_pieces(pieces: FloatArray, T: FloatArray) -> FloatArray:
+    """(2, 3) the pieces of a floor, height at the origin and slope, in a frame that differs by yaw and shift."""
+    slope = pieces[:, 1:] @ T[:2, :2].T
+    return np.column_stack([pieces[:, 0] + T[2, 3] - slope @ T[:2, 3], slope])
 
 
 def select_planes(features: Features, chosen: BoolArray) -> Features:
@@ -118,6 +141,16 @@ def without_rays(features: Features) -> Features:
         ray_count=np.zeros_like(features.ray_count),
         ray_end_map=np.zeros((0, 3), np.float32),
         ray_label=np.zeros(0, np.uint8),
+    )
+
+
+def with_rays(features: Features, ends_map: list[FloatArray], labels: list[UInt8Array]) -> Features:
+    """The same scans with these rays, by scan: ends (r, 3) and labels (r,)."""
+    return replace(
+        features,
+        ray_count=np.array([len(end) for end in ends_map], np.int64),
+        ray_end_map=np.concatenate(ends_map),
+        ray_label=np.concatenate(labels),
     )
 
 

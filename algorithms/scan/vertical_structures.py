@@ -10,6 +10,8 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.scan.rearrangement import Returns
 
+_STEEPEST, _LYING = 14.0, 20.0  # the highest slope that is told, and what stands for all beyond it
+
 
 class VerticalStructuresSettings(StepSettings):
     """Upright runs in the point lines (paper, III.B, eq. 2)."""
@@ -104,6 +106,7 @@ def _differences(
     run = np.zeros((lines, count), np.int32)
     rho = np.empty(count)
     z = np.empty(count)
+    sums = np.zeros((count + 1, 5))
     for line in range(lines):
         if samples[line, 0] < 0:
             continue
@@ -122,7 +125,7 @@ def _differences(
                 if abs(d_rho) > max(jump_m, slope_max * abs(d_z)):
                     break
                 piece_last += 1
-            _slopes(rho, z, piece_first, piece_last, span_m, slope[line])
+            _slopes(rho, z, piece_first, piece_last, span_m, slope[line], sums)
             for j in range(piece_first, piece_last + 1):
                 if abs(slope[line, j]) < slope_max:
                     run[line, j] = piece
@@ -133,44 +136,47 @@ def _differences(
 
 @numba.njit(cache=True, nogil=True)
 def _slopes(
-    rho: FloatArray, z: FloatArray, first: int, last: int, span_m: float, slope: FloatArray
+    rho: FloatArray, z: FloatArray, first: int, last: int, span_m: float, slope: FloatArray, sums: FloatArray
 ) -> None:  # pragma: no cover
-    """Δρ/Δz of the line's principal direction about each sample of one piece, over at least the span."""
+    """Δρ/Δz of the line's principal direction about each sample of one piece, over at least the span.
+
+    sums: (samples + 1, 5), whose first row is 0; room for the running sums.
+    """
     if last - first < 2:
         return
-    n = last - first + 2
-    s_r, s_z, s_rr, s_rz, s_zz = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     for j in range(first, last + 1):
         k = j - first
         r, h = rho[j] - rho[first], z[j] - z[first]
-        s_r[k + 1] = s_r[k] + r
-        s_z[k + 1] = s_z[k] + h
-        s_rr[k + 1] = s_rr[k] + r * r
-        s_rz[k + 1] = s_rz[k] + r * h
-        s_zz[k + 1] = s_zz[k] + h * h
-    low, high = first, first
+        sums[k + 1, 0] = sums[k, 0] + r
+        sums[k + 1, 1] = sums[k, 1] + h
+        sums[k + 1, 2] = sums[k, 2] + r * r
+        sums[k + 1, 3] = sums[k, 3] + r * h
+        sums[k + 1, 4] = sums[k, 4] + h * h
+    low, high, span, half = first, first, span_m * span_m, 0.25 * span_m * span_m
     for j in range(first, last + 1):
         # The window is as centred as the piece allows; both of its ends only ever move up.
-        while high < last and (high < j or _apart(rho, z, j, high) < 0.5 * span_m):
+        while high < last and (high < j or _apart_squared(rho, z, j, high) < half):
             high += 1
-        while low < j and _apart(rho, z, low, high) > span_m and _apart(rho, z, low, j) > 0.5 * span_m:
+        while low < j and _apart_squared(rho, z, low, high) > span and _apart_squared(rho, z, low, j) > half:
             low += 1
         a, b = low - first, high - first + 1
         m = b - a
         if m < 3:
             continue
-        mean_r, mean_z = (s_r[b] - s_r[a]) / m, (s_z[b] - s_z[a]) / m
-        v_rr = (s_rr[b] - s_rr[a]) / m - mean_r * mean_r
-        v_zz = (s_zz[b] - s_zz[a]) / m - mean_z * mean_z
-        v_rz = (s_rz[b] - s_rz[a]) / m - mean_r * mean_z
-        # Principal axis of the 2 × 2 covariance: twice its angle from the vertical.
-        angle = 0.5 * np.arctan2(2.0 * v_rz, v_zz - v_rr)
-        slope[j] = np.float32(np.tan(angle)) if abs(angle) < 1.5 else np.float32(np.copysign(20.0, angle))
+        share = 1.0 / m
+        mean_r, mean_z = (sums[b, 0] - sums[a, 0]) * share, (sums[b, 1] - sums[a, 1]) * share
+        v_rr = (sums[b, 2] - sums[a, 2]) * share - mean_r * mean_r
+        v_rz = (sums[b, 3] - sums[a, 3]) * share - mean_r * mean_z
+        v_zz = (sums[b, 4] - sums[a, 4]) * share - mean_z * mean_z
+        # The principal axis of the 2 × 2 covariance; twice its angle from the vertical has the tangent 2 v_rz / (v_zz - v_rr).
+        upright = np.sqrt(4.0 * v_rz * v_rz + (v_zz - v_rr) ** 2) + (v_zz - v_rr)
+        lies = upright <= 0.0 or 2.0 * abs(v_rz) > _STEEPEST * upright
+        slope[j] = np.float32(np.copysign(_LYING, v_rz) if lies else 2.0 * v_rz / upright)
 
 
 @numba.njit(cache=True, nogil=True)
-def _apart(rho: FloatArray, z: FloatArray, i: int, j: int) -> float:  # pragma: no cover
-    return float(np.sqrt((rho[i] - rho[j]) ** 2 + (z[i] - z[j]) ** 2))
+def _apart_squared(rho: FloatArray, z: FloatArray, i: int, j: int) -> float:  # pragma: no cover
+    return float((rho[i] - rho[j]) ** 2 + (z[i] - z[j]) ** 2)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -77,19 +77,19 @@ def label_again(run: FinishedRun, number: int, bag: Path | None = None) -> Inspe
     trajectory = run.part("options").get("trajectory")
     poses = poses_of(inputs, given_poses(trajectory, inputs, settings), settings)
     margin_ns = int(settings.trajectory.extrapolate_s * 1e9)
-    if not poses.trajectory.covers(np.array([scan.start_ns, scan.end_ns]), margin_ns).all():
+    if not poses.registered.covers(np.array([scan.start_ns, scan.end_ns]), margin_ns).all():
         raise InputError(f"--scan {number}: was skipped (no pose at its time); give another scan")
     level = place_and_level(
         scan,
         smooth_ranges(scan, settings.smoothing),
-        poses.trajectory,
+        poses.registered,
         vertical.lidar.T_base_sensor,
         poses.base_height_m,
         poses.floor_slope,
         settings.rearrangement,
         settings.trajectory.level_scan_max_deg,
     )
-    labelling = label_scan(scan, level.placed, settings.method, seed_of(settings.seed, number))
+    labelling = label_scan(scan, level.placed, settings.method, seed_of(settings.seed, number), level.floor)
     recorded, file = _recorded_labels(run, number, scan.stamp_ns)
     differing = None if recorded is None else _differing(recorded, scan, labelling.label)
     faults = _find_faults(run, number, scan, labelling, recorded)

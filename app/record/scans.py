@@ -19,7 +19,7 @@ from ffmap.algorithms.scan.rearrangement import HorizontalPlane
 from ffmap.algorithms.scan.smoothing import SmoothedRanges
 from ffmap.app.record.curves import log_curves, log_line
 from ffmap.app.record.line_reasons import candidate_reasons, door_reasons, line_outcomes
-from ffmap.app.record.log import Log, arrays
+from ffmap.app.record.log import Log, arrays, times
 from ffmap.app.record.shapes import (
     POINT_RADIUS_UI,
     SEE_THROUGH,
@@ -63,6 +63,15 @@ def log_scan(
     if not log.timeless:
         for path, value in _metrics(ranges, labelling, timings_ms).items():
             log.row(path, rr.Scalars, scalars=np.array([value]))
+
+
+def log_frames(
+    log: Log, stamp_ns: IntArray, index: IntArray, T_map_level: FloatArray, T_level_base: FloatArray
+) -> None:
+    """Where scans lie when all poses are final, all (n, 4, 4); before, each was logged where it was labelled."""
+    for path, T in ((entities.BASE, T_map_level @ T_level_base), (entities.SCAN, T_map_level)):
+        columns = rr.Transform3D.columns(translation=T[:, :3, 3], quaternion=transforms.quaternion_xyzw(T))
+        log.stream.send_columns(path, times(stamp_ns, index), columns)
 
 
 def log_skipped(log: Log, index: int, stamp_ns: int, reason: str) -> None:

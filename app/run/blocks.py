@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
@@ -15,13 +15,13 @@ from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array, w
 from ffmap.algorithms.base.trajectory import PlacedScan, Trajectory
 from ffmap.algorithms.building.final_labels import BuildingModel, Relabelling
 from ffmap.algorithms.building.votes import VoxelTable
-from ffmap.algorithms.maps.rivals import RivalCounter
+from ffmap.algorithms.maps.rivals import RivalCounter, RivalReturns
 from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
 from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.floor import heights_above_pieces
 from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.algorithms.scan.smoothing import SmoothedRanges, smooth_ranges
-from ffmap.algorithms.scan.summary import Features, concatenate, extract
+from ffmap.algorithms.scan.summary import Features, concatenate, extract, with_rays, without_rays
 from ffmap.app.record.log import Log, open_log
 from ffmap.app.record.scans import log_final, log_scan, log_skipped
 from ffmap.app.run import spool
@@ -70,10 +70,19 @@ class LabelJob:
 
 
 @dataclass(frozen=True)
+class PlaceJob:
+    """What a worker needs to place a labelled block in the map."""
+
+    label: LabelJob
+    T_map_level: FloatArray
+    """(s, 4, 4) of the scans that were labelled."""
+
+
+@dataclass(frozen=True)
 class FinishJob:
     """What a worker needs to finish a block."""
 
-    label: LabelJob
+    placed: PlaceJob
     building: BuildingModel
     halo: Path
     """The halo's file in the spool: it grows with the building, and each worker reads it once."""
@@ -88,10 +97,8 @@ def split_blocks(clouds: int) -> list[Block]:
 
 
 def label_block(job: LabelJob) -> BlockSummary:
-    """Label every scan of a block; write its evidence, labels, features and votes to the spool."""
-    block = _LabelledBlock(
-        VoxelTable(VOXEL_M, len(Label)), RivalCounter(job.settings.grid_map.cell_m, job.settings.rival_maps)
-    )
+    """Label every scan of a block; write its evidence, labels and features to the spool."""
+    block = _LabelledBlock()
     with _open_evidence(job, ".rrd") as log:
         watch = _Stopwatch()
         for index, scan in _read(job, block.digests):
@@ -112,8 +119,6 @@ def label_block(job: LabelJob) -> BlockSummary:
             **pack(summary, spool.SUMMARY),
             **spool.pack_scans(block.spooled),
             **(pack(concatenate(block.features), spool.FEATURES) if block.features else {}),
-            **pack(block.votes.votes(), spool.VOTES),
-            **pack(block.rivals.votes(), spool.RIVALS),
         },
     )
     return summary
@@ -136,10 +141,8 @@ class _Stopwatch:
 class _LabelledBlock:
     """What the scans of a block come to, one after the other."""
 
-    votes: VoxelTable
-    rivals: RivalCounter
     skipped: list[SkippedScan] = field(default_factory=list)
-    scans: list[tuple[int, int, FloatArray]] = field(default_factory=list)
+    scans: list[tuple[int, int, int, FloatArray]] = field(default_factory=list)
     features: list[Features] = field(default_factory=list)
     spooled: list[SpooledScan] = field(default_factory=list)
     milliseconds: list[list[float]] = field(default_factory=list)
@@ -152,7 +155,8 @@ class _LabelledBlock:
         return BlockSummary(
             scan=np.array([s[0] for s in self.scans], np.int64),
             stamp_ns=np.array([s[1] for s in self.scans], np.int64),
-            T_map_base=np.array([s[2] for s in self.scans]).reshape(-1, 4, 4),
+            reference_ns=np.array([s[2] for s in self.scans], np.int64),
+            T_level_base=np.array([s[3] for s in self.scans]).reshape(-1, 4, 4),
             skipped_scan=np.array([s.index for s in self.skipped], np.int64),
             skipped_reason=tuple(s.reason for s in self.skipped),
             cloud_digest=as_rows(self.digests),
@@ -171,32 +175,51 @@ def _label(index: int, scan: Scan, job: LabelJob, block: _LabelledBlock, log: Lo
     level = _place(scan, ranges, job)
     placed = level.placed
     watch.lap("placing")
-    labelling = label_scan(scan, placed, job.settings.method, seed_of(job.settings.seed, index))
+    labelling = label_scan(scan, placed, job.settings.method, seed_of(job.settings.seed, index), level.floor)
     watch.lap("labelling")
     if log:
         log_scan(log, index, level, labelling, scan.stamp_ns, watch.milliseconds)
-    block.features.append(extract(index, placed, labelling))
-    block.votes.add(points_in_map(placed), labelling.label)
-    block.rivals.add(placed, labelling)
-    block.spooled.append(SpooledScan.of(index, scan, placed, labelling))
+    block.features.append(without_rays(extract(index, replace(placed, T_map_level=np.eye(4)), labelling)))
+    rivals = RivalReturns.of(placed.points_level, labelling, job.settings.rival_maps)
+    block.spooled.append(SpooledScan.of(index, scan, placed, labelling, rivals))
     counts = np.bincount(labelling.label, minlength=256)
     block.counts[...] += counts
-    block.scans.append((index, scan.stamp_ns, job.trajectory.at(np.array([scan.stamp_ns]))[0]))
+    T_level_base = transforms.invert(placed.T_map_level) @ placed.T_map_base
+    block.scans.append((index, scan.stamp_ns, scan.reference_ns, T_level_base))
     block.sizes.append((scan.cloud_size, len(labelling.label) - int(counts[[Label.FLOOR, Label.CEILING]].sum())))
     watch.lap("recording")
     block.milliseconds.append([watch.milliseconds[stage] for stage in STAGES])
 
 
+def place_block(job: PlaceJob) -> None:
+    """Move each scan of a labelled block to its place in the map; write features and votes there to the spool."""
+    labelled = job.label.path.with_suffix(".arrow")
+    votes, rivals = VoxelTable(VOXEL_M, len(Label)), RivalCounter(job.label.settings.grid_map.cell_m)
+    ends_map: list[FloatArray] = []
+    ray_labels: list[UInt8Array] = []
+    for scan, T_map_level in zip(spool.load_scans(labelled), job.T_map_level, strict=True):
+        points_map, label = in_map(T_map_level, scan.points_level), scan.label
+        votes.add(points_map, label)
+        rivals.add(points_map, scan.rivals)
+        ends_map.append(points_map[scan.ray])
+        ray_labels.append(label[scan.ray])
+    placed = {**pack(votes.votes(), spool.VOTES), **pack(rivals.votes(), spool.RIVALS)}
+    for features in spool.load_features(labelled):
+        placed |= pack(with_rays(features.moved(job.T_map_level), ends_map, ray_labels), spool.FEATURES)
+    spool.save(job.label.path.with_suffix(spool.PLACED), placed)
+
+
 def finish_block(job: FinishJob) -> None:
     """Give every return of a block its final label, from where the spool says that it lies; write labels and votes to it."""
-    scans = spool.load_scans(job.label.path.with_suffix(".arrow"))
-    relabelling = Relabelling.of(job.building, spool.load_halo(job.halo), job.label.settings.relabelling)
+    own = job.placed.label
+    scans = spool.load_scans(own.path.with_suffix(".arrow"))
+    relabelling = Relabelling.of(job.building, spool.load_halo(job.halo), own.settings.relabelling)
     labels: list[UInt8Array] = []
     table = VoxelTable(VOXEL_M, len(Label))
-    with _open_evidence(job.label, FINAL_EVIDENCE) as log:
-        for scan in scans:
-            points_level, points_map = scan.points_level, in_map(scan.T_map_level, scan.points_level)
-            cloud_index = scan.cloud_index
+    with _open_evidence(own, FINAL_EVIDENCE) as log:
+        for scan, T_map_level in zip(scans, job.placed.T_map_level, strict=True):
+            points_level, cloud_index = scan.points_level, scan.cloud_index
+            points_map = in_map(T_map_level, points_level)
             label_scan = scan.label_cloud[cloud_index]
             label = relabelling.labels(
                 points_map,
@@ -204,14 +227,14 @@ def finish_block(job: FinishJob) -> None:
                 heights_above_pieces(points_level, scan.floor, scan.floor_is_foot),
                 below_ceiling(points_level, scan.ceiling),
                 label_scan,
-                transforms.apply(scan.T_map_level, scan.origin_level[None])[0],
+                transforms.apply(T_map_level, scan.origin_level[None])[0],
             )
             if log:
                 log_final(log, scan.scan, scan.stamp_ns, points_level, label_scan, label)
             table.add(points_map, label)
             labels.append(full_labels(len(scan.label_cloud), cloud_index, label))
     final = {**pack_ragged(spool.LABEL, labels), **pack(table.votes(), spool.VOTES)}
-    spool.save(job.label.path.with_suffix(".final.arrow"), final)
+    spool.save(own.path.with_suffix(spool.FINAL), final)
 
 
 def _read(job: LabelJob, digests: list[bytes]) -> Iterator[tuple[int, Scan | SkippedScan]]:

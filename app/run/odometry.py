@@ -116,19 +116,20 @@ class Odometry:
     @property
     def trajectory(self) -> Trajectory:
         """T_odom_base of the scans so far; of all of them with the loops closed."""
-        before = self._all_poses()
-        return self._of_base(before if self.pose_graph is None else self.pose_graph.corrected(before))
+        if self.pose_graph is None:
+            return self.registered()
+        poses = self.pose_graph.corrected(np.array(self._T_odom_sensor).reshape(-1, 4, 4))
+        return Trajectory(np.array(self._stamps, np.int64), poses @ self._T_sensor_base)
 
     @property
-    def before_loops(self) -> Trajectory:
-        """T_odom_base of the scans so far, as they were registered."""
-        return self._of_base(self._all_poses())
+    def stamp_ns(self) -> Sequence[int]:
+        """Of the scans so far."""
+        return self._stamps
 
-    def _of_base(self, T_odom_sensor: FloatArray) -> Trajectory:
-        return Trajectory(np.array(self._stamps, np.int64), T_odom_sensor @ self._T_sensor_base)
-
-    def _all_poses(self) -> FloatArray:
-        return np.array(self._T_odom_sensor).reshape(-1, 4, 4)
+    def registered(self, first: int = 0, last: int | None = None) -> Trajectory:
+        """T_odom_base of the scans so far as they were registered, or of those from `first` up to `last`."""
+        poses = np.array(self._T_odom_sensor[first:last]).reshape(-1, 4, 4)
+        return Trajectory(np.array(self._stamps[first:last], np.int64), poses @ self._T_sensor_base)
 
     def _look_up(self, key: str, inputs: Inputs, sensors: Sequence[Sensor]) -> Iterator[_Result] | None:
         # The clouds are read for their digest only where there may be something to find with it.

@@ -1,6 +1,8 @@
 """The poses of a run: its map's frame from the first sweeps, and all of it made again for one that is finished."""
 
+from bisect import bisect_left
 from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,23 +36,55 @@ _GAP_S = 1.0
 """Time without poses from which on a robot may have done anything between them."""
 _COORDINATE_MAX_M = 1e8
 _MARGIN_NS = 1_000_000_000
-"""Time before and after the bag's own in which poses from outside count."""
+"""Time before and after the bag's own, or a scan's, in which poses count."""
 
 
 @dataclass(frozen=True)
 class RunPoses:
     """What a run placed its scans with.
 
-    trajectory: T_map_base. floor_slope: (2,) of the map's floor, metres up for each metre along x and y.
+    trajectory: T_map_base. registered: the same before loops were closed, by which each scan is labelled: what it owes to
+    its poses is the motion within its sweep. floor_slope: (2,) of the map's floor, metres up for each metre along x and y.
     """
 
     trajectory: Trajectory
+    registered: Trajectory
     floor_slope: FloatArray
 
     @property
     def base_height_m(self) -> float:
         """How high the base stands above the floor."""
-        return float(self.trajectory.T_map_base[0, 2, 3])
+        return float(self.registered.T_map_base[0, 2, 3])
+
+    @property
+    def known(self) -> "KnownPoses":
+        """What scans are labelled with, all of it."""
+        return KnownPoses(self.registered.stamp_ns, self.registered.part, self.floor_slope, complete=True)
+
+
+@dataclass(frozen=True)
+class KnownPoses:
+    """The poses that scans are labelled with, while they become known.
+
+    stamp_ns: of those that are known, increasing. part: T_map_base of those from one up to another. floor_slope: see
+    `RunPoses`. complete: whether there will be no more.
+    """
+
+    stamp_ns: Sequence[int] | IntArray
+    part: Callable[[int, int], Trajectory]
+    floor_slope: FloatArray
+    complete: bool = False
+
+    @property
+    def base_height_m(self) -> float:
+        """How high the base stands above the floor."""
+        return float(self.part(0, 1).T_map_base[0, 2, 3])
+
+    def around(self, stamp_ns: IntArray) -> Trajectory | None:
+        """The poses about some scans; None while more of them may become known."""
+        first = max(0, bisect_left(self.stamp_ns, int(stamp_ns.min()) - _MARGIN_NS) - 2)
+        last = bisect_left(self.stamp_ns, int(stamp_ns.max()) + _MARGIN_NS) + 2
+        return self.part(first, last) if self.complete or last <= len(self.stamp_ns) else None
 
 
 @dataclass(frozen=True)
@@ -168,10 +202,15 @@ def _read_all_poses(name: str, inputs: Inputs) -> Trajectory:
     )
 
 
+def shows_level(stamp_ns: Sequence[int], settings: Settings) -> bool:
+    """Whether the scans that were registered are all that the map is levelled by."""
+    return len(stamp_ns) > 1 and stamp_ns[-1] - stamp_ns[0] >= int(settings.trajectory.level_s * 1e9)
+
+
 def level_by_first_scans(inputs: Inputs, odometry: Trajectory, settings: Settings) -> Level:
     """The map's frame from what some of the first sweeps saw of walls and floor.
 
-    odometry: T_odom_base.
+    odometry: T_odom_base as it was registered.
     """
     elapsed_ns = odometry.stamp_ns - odometry.stamp_ns[0]
     first_poses = int(np.searchsorted(elapsed_ns, int(settings.trajectory.level_s * 1e9))) + 1
@@ -201,7 +240,7 @@ def poses_of(inputs: Inputs, given: GivenPoses | None, settings: Settings) -> Ru
     Raises InputError where no lidar gives poses.
     """
     if given is not None:
-        return RunPoses(given.trajectory, np.zeros(2))
+        return RunPoses(given.trajectory, given.trajectory, np.zeros(2))
     sensor = inputs.horizontal
     if sensor is None:
         raise InputError(f"{inputs.bag_path}: no horizontal lidar gives poses; the run needs its trajectory")
@@ -209,6 +248,11 @@ def poses_of(inputs: Inputs, given: GivenPoses | None, settings: Settings) -> Ru
     deque(odometry, maxlen=0)
     if not len(odometry):
         raise InputError(f"{inputs.bag_path}: {sensor.lidar.topic} has no usable cloud; 'ffmap info' tells more")
-    trajectory = odometry.trajectory
-    level = level_by_first_scans(inputs, trajectory, settings)
-    return RunPoses(trajectory.moved(level.T_map_odom), level.floor_slope)
+    level = level_by_first_scans(inputs, odometry.registered(), settings)
+    return levelled(odometry, level)
+
+
+def levelled(odometry: Odometry, level: Level) -> RunPoses:
+    """The poses of an odometry that has come to its end, in the levelled map."""
+    registered, trajectory = (poses.moved(level.T_map_odom) for poses in (odometry.registered(), odometry.trajectory))
+    return RunPoses(trajectory, registered, level.floor_slope)

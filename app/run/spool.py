@@ -15,8 +15,9 @@ from ffmap.algorithms.base.labels import NO_RETURN
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array
 from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.building.votes import Halo
+from ffmap.algorithms.maps.rivals import RivalReturns
 from ffmap.algorithms.scan.labelling import ScanLabelling
-from ffmap.algorithms.scan.summary import Features
+from ffmap.algorithms.scan.summary import Features, ray_rows
 from ffmap.app.folder.atomic import written_whole
 from ffmap.app.run.arrays import Arrays, pack_rows, unpack, unpack_ragged, unpack_rows
 from ffmap.app.run.arrays_file import map_arrays, write_arrays
@@ -29,28 +30,33 @@ if TYPE_CHECKING:
 
 SUMMARY, FEATURES, VOTES, RIVALS = "summary_", "feature_", "votes_", "rivals_"
 """What the names of the arrays begin with: of `BlockSummary`, `Features`, and twice `VoxelVotes`, that of `RivalCounter` last."""
+PLACED = ".placed.arrow"
+"""How the file of a block ends that holds what depends on where its scans lie in the map."""
+FINAL = ".final.arrow"
+"""How the file of a block ends that holds its final labels."""
 LABEL = "label"
 """By scan, in the order of time: the final labels, one for each place in the cloud."""
 _GRID_M = 0.001
-_RAGGED = ("ceiling", "point", "place", "label_cloud")
+_RAGGED = ("ceiling", "point", "place", "label_cloud", "ray", "rival_row", "rival")
 """What each `SpooledScan` has another number of."""
 
 
 @dataclass(frozen=True)
 class SpooledScan:
-    """What the final labels of a scan are found from: its returns where it placed them, on a grid of a millimetre.
+    """What is left of a scan when it is labelled: its returns where it placed them, on a grid of a millimetre.
 
-    scan: its number. stamp_ns: of its header.
-    T_map_level: (4, 4). origin_level: (3,) the sensor.
+    Nothing of it depends on where the scan lies in the map, which is known when the last loop is closed.
+
+    scan: its number. stamp_ns: of its header. origin_level: (3,) the sensor.
     floor: (2, 3), floor_is_foot: as `floor_height` takes them. ceiling: (c, 3), see `plane_rows`. All in the level frame.
     point: (n, 3) int16, in multiples of grid_m, which is more than a millimetre where a return is farther than 32 m.
     place: (n,) int32, of each return in the cloud; empty where they have the cloud's order.
     label_cloud: (cloud_size,) uint8, the scan's own label of each place in the cloud, see `full_labels`.
+    ray: (r,) int32, see `ray_rows`. rival_row, rival: see `RivalReturns`.
     """
 
     scan: int
     stamp_ns: int
-    T_map_level: FloatArray
     origin_level: FloatArray
     floor: FloatArray
     floor_is_foot: bool
@@ -59,16 +65,20 @@ class SpooledScan:
     point: IntArray
     place: IntArray
     label_cloud: UInt8Array
+    ray: IntArray
+    rival_row: IntArray
+    rival: UInt8Array
 
     @classmethod
-    def of(cls, index: int, scan: Scan, placed: PlacedScan, labelling: ScanLabelling) -> "SpooledScan":
+    def of(
+        cls, index: int, scan: Scan, placed: PlacedScan, labelling: ScanLabelling, rivals: RivalReturns
+    ) -> "SpooledScan":
         """A scan as it was labelled."""
         farthest_m = float(np.abs(placed.points_level).max(initial=0.0))
         grid_m = max(_GRID_M, farthest_m / np.iinfo(np.int16).max)
         return cls(
             scan=index,
             stamp_ns=scan.stamp_ns,
-            T_map_level=placed.T_map_level,
             origin_level=placed.origin_level,
             floor=labelling.floor.both_pieces,
             floor_is_foot=labelling.floor.is_foot,
@@ -77,6 +87,9 @@ class SpooledScan:
             point=np.rint(placed.points_level * np.float32(1.0 / grid_m)).astype(np.int16),
             place=scan.cloud_index[:0] if np.all(np.diff(scan.cloud_index) > 0) else scan.cloud_index,
             label_cloud=full_labels(scan.cloud_size, scan.cloud_index, labelling.label),
+            ray=ray_rows(index, labelling),
+            rival_row=rivals.row,
+            rival=rivals.rival,
         )
 
     @property
@@ -89,12 +102,23 @@ class SpooledScan:
         """(n,) the place of each return in the cloud."""
         return self.place if len(self.place) else np.flatnonzero(self.label_cloud != NO_RETURN)
 
+    @property
+    def label(self) -> UInt8Array:
+        """(n,) the scan's own label of each return."""
+        return self.label_cloud[self.cloud_index]
+
+    @property
+    def rivals(self) -> RivalReturns:
+        """What counts for the rivals of the map."""
+        return RivalReturns(self.rival_row, self.rival)
+
 
 @dataclass(frozen=True)
 class BlockSummary:
     """What the run's own process needs to know of a labelled block.
 
-    scan: (s,) scans that were labelled; stamp_ns, T_map_base: (s,), (s, 4, 4) at their header stamps.
+    scan: (s,) scans that were labelled; stamp_ns: (s,) of their headers.
+    reference_ns: (s,) the middle of each sweep; T_level_base: (s, 4, 4) the base there, once the scan is level.
     skipped: number and reason of each cloud that was not.
     cloud_digest: (k, 16) uint8 of the bytes of every cloud of the block, skipped ones too.
     label_counts: (256,) returns by label. milliseconds: (s, 5), see `STAGES`.
@@ -104,7 +128,8 @@ class BlockSummary:
 
     scan: IntArray
     stamp_ns: IntArray
-    T_map_base: FloatArray
+    reference_ns: IntArray
+    T_level_base: FloatArray
     skipped_scan: IntArray
     skipped_reason: tuple[str, ...]
     cloud_digest: UInt8Array

@@ -22,7 +22,7 @@ from ffmap.app.record.building import log_building, log_fused_walls, log_grid
 from ffmap.app.record.rooms import log_areas, log_rooms
 from ffmap.app.record.whole_run import layout
 from ffmap.app.run.context import Run
-from ffmap.app.run.spool import load_features
+from ffmap.app.run.spool import PLACED, load_features
 from ffmap.app.run.stage_scans import LabelledScans
 from ffmap.app.setup.outputs import Output
 from ffmap.blueprints import entities
@@ -52,7 +52,7 @@ def _trace(run: Run, blocks: int, faces: Walls, settings: BuildingSettings, wind
     """`trace_rays` block by block, on all workers; summed in the blocks' order, so that no sum depends on the workers."""
 
     def trace_block(number: int) -> WallCells:
-        features = load_features(run.folder.block(number, ".arrow"))
+        features = load_features(run.folder.block(number, PLACED))
         if len(windows):
             features = [without_rays_through(windows, part) for part in features]
         return trace_rays(faces, features, settings)
@@ -66,7 +66,7 @@ def _trace(run: Run, blocks: int, faces: Walls, settings: BuildingSettings, wind
 
 def _features(run: Run, blocks: int) -> Iterator[Features]:
     for number in range(blocks):
-        yield from load_features(run.folder.block(number, ".arrow"))
+        yield from load_features(run.folder.block(number, PLACED))
 
 
 def _grids(maps: Maps) -> dict[str, GridMap]:

@@ -17,15 +17,15 @@ from ffmap.app.folder.labels_file import LabelsWriter
 from ffmap.app.folder.names import CLOUD, LABELS
 from ffmap.app.record.building import log_cloud
 from ffmap.app.run.arrays import pack
-from ffmap.app.run.blocks import FINAL_EVIDENCE, VOXEL_M, FinishJob, LabelJob, finish_block
+from ffmap.app.run.blocks import FINAL_EVIDENCE, VOXEL_M, FinishJob, PlaceJob, finish_block
 from ffmap.app.run.context import Run
-from ffmap.app.run.spool import VOTES, load, load_labels, save
+from ffmap.app.run.spool import FINAL, VOTES, load, load_labels, save
 from ffmap.app.setup.outputs import Output
 from ffmap.blueprints import entities
 from ffmap.loaders.bag import open_bag
 
 
-def finish(run: Run, pool: Executor, jobs: tuple[LabelJob, ...], building: Building, trajectory: Trajectory) -> None:
+def finish(run: Run, pool: Executor, jobs: tuple[PlaceJob, ...], building: Building, trajectory: Trajectory) -> None:
     """Final labels by the workers, while this process writes the labelled bag behind them."""
     assert run.inputs.vertical is not None
     run.progress.stage("final", len(jobs))
@@ -49,28 +49,29 @@ def finish(run: Run, pool: Executor, jobs: tuple[LabelJob, ...], building: Build
     run.state.counts["cloud_points"] = len(cloud)
 
 
-def _submit(run: Run, pool: Executor, jobs: tuple[LabelJob, ...], building: Building) -> list[Future[None] | None]:
+def _submit(run: Run, pool: Executor, jobs: tuple[PlaceJob, ...], building: Building) -> list[Future[None] | None]:
     """The work on each block; None where a run that is resumed has done it."""
     halo = run.folder.spool / "halo.arrow"
     save(halo, pack(building.halo))
     pending: list[Future[None] | None] = []
     for job in jobs:
-        done = job.path.with_suffix(".final.arrow").exists() and run.options.resume
+        done = job.label.path.with_suffix(FINAL).exists() and run.options.resume
         finish = FinishJob(job, building.model, halo)
         pending.append(None if done else pool.submit(finish_block, finish))
     return pending
 
 
 def _labels(
-    run: Run, jobs: tuple[LabelJob, ...], pending: list[Future[None] | None], table: VoxelTable
+    run: Run, jobs: tuple[PlaceJob, ...], pending: list[Future[None] | None], table: VoxelTable
 ) -> Iterator[tuple[int, UInt8Array, UInt8Array]]:
     """Number, final label and the scan's own of each cloud, block by block; `table` takes the final votes."""
     for job, future in zip(jobs, pending, strict=True):
         if future is not None:
             future.result()
-        final_path, evidence = job.path.with_suffix(".final.arrow"), job.path.with_suffix(FINAL_EVIDENCE)
+        path = job.label.path
+        final_path, evidence = path.with_suffix(FINAL), path.with_suffix(FINAL_EVIDENCE)
         if run.recording is not None and evidence.exists():
             run.recording.add(evidence)
         table.absorb(load(VoxelVotes, final_path, VOTES))
-        yield from load_labels(job.path.with_suffix(".arrow"), final_path)
+        yield from load_labels(path.with_suffix(".arrow"), final_path)
         run.progress.advance()

@@ -1,27 +1,32 @@
-"""Stage 1 of a run: the poses, by registering the horizontal scans (paper, IV.A)."""
+"""Stage 1 of a run: the poses, by registering the horizontal scans (paper, IV.A); scans whose poses are known are labelled."""
 
 import numpy as np
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.algorithms.poses.levelling import Level
 from ffmap.algorithms.poses.odometry import Registration, weakness
 from ffmap.app.record.odometry import log_odometry_frame, log_pose_graph, log_registrations
 from ffmap.app.run.context import Run
 from ffmap.app.run.odometry import Odometry
 from ffmap.app.run.odometry_cache import CACHE_VARIABLE, cache_folder
-from ffmap.app.run.poses import RunPoses, level_by_first_scans
+from ffmap.app.run.poses import KnownPoses, RunPoses, level_by_first_scans, levelled, shows_level
+from ffmap.app.run.stage_scans import Labeller
 from ffmap.app.setup.inputs import why_skipped
 from ffmap.loaders.errors import InputError
 
 _LOGGED_AT_ONCE = 50
 
 
-def find_poses(run: Run, given: Trajectory | None) -> RunPoses:
-    """The poses in the levelled map: those that were given, or the odometry's. Raises InputError where nothing gives any."""
+def find_poses(run: Run, given: Trajectory | None, labeller: Labeller | None) -> RunPoses:
+    """The poses in the levelled map: those that were given, or the odometry's. Raises InputError where nothing gives any.
+
+    labeller: goes on with the scans whose poses are known while others are still registered; None where none is labelled.
+    """
     if given is not None:
-        return RunPoses(given, np.zeros(2))
-    odometry, weak = _register(run)
+        return RunPoses(given, given, np.zeros(2))
+    odometry, level, weak = _register(run, labeller)
     if odometry.cache_warning is not None:
         run.warn(odometry.cache_warning)
     run.state.clouds |= odometry.clouds
@@ -31,16 +36,14 @@ def find_poses(run: Run, given: Trajectory | None) -> RunPoses:
             f"registration was weak for {len(weak)} of {len(odometry)} scans (the first: {weak[0]}); poses may be off there: "
             "see the recording's tab Odometry"
         )
-    trajectory = odometry.trajectory
-    level = level_by_first_scans(run.inputs, trajectory, run.settings)
     if not np.isfinite(level.floor_rms_m):
         run.warn("no floor was found in the first seconds: the map keeps the base's own level; is the rig right?")
-    _take_loops(run, odometry, trajectory, level.T_map_odom)
-    return RunPoses(trajectory.moved(level.T_map_odom), level.floor_slope)
+    _take_loops(run, odometry, level.T_map_odom)
+    return levelled(odometry, level)
 
 
-def _register(run: Run) -> tuple[Odometry, list[str]]:
-    """The odometry of the whole drive, recorded as it goes on, and why some registrations are weak."""
+def _register(run: Run, labeller: Labeller | None) -> tuple[Odometry, Level, list[str]]:
+    """The odometry of the whole drive, recorded as it goes on, the map's level, and why some registrations are weak."""
     sensor = run.inputs.horizontal
     if sensor is None:
         raise InputError(
@@ -57,23 +60,39 @@ def _register(run: Run) -> tuple[Odometry, list[str]]:
     registered: list[int] = []
     waiting: list[Registration] = []
     weak: list[str] = []
+    level: Level | None = None
     for registration in odometry:
         registered.append(registration.index)
         if len(odometry) == 1 and run.log:
             # Until the map is level, the base's first pose is.
-            log_odometry_frame(run.log, odometry.trajectory.stamp_ns, sensor.lidar.T_base_sensor[None])
+            log_odometry_frame(run.log, odometry.registered().stamp_ns, sensor.lidar.T_base_sensor[None])
         waiting.append(registration)
         if len(waiting) >= _LOGGED_AT_ONCE:
             weak += _log(run, waiting)
             waiting = []
         run.progress.advance()
+        if level is None and shows_level(odometry.stamp_ns, run.settings):
+            level = level_by_first_scans(run.inputs, odometry.registered(), run.settings)
+        if level is not None and labeller is not None:
+            labeller.go_on(_known(odometry, level))
     weak += _log(run, waiting)
     if not registered:
         raise InputError(f"{run.inputs.bag_path}: {sensor.lidar.topic} has no usable cloud; 'ffmap info' tells more")
     if unregistered := sorted(set(range(len(sensor.index))) - set(registered)):
         why = why_skipped(run.inputs.bag_path, sensor, unregistered)
         run.warn(f"{len(unregistered)} of {len(sensor.index)} horizontal clouds skipped: {why}")
-    return odometry, weak
+    if level is None:
+        level = level_by_first_scans(run.inputs, odometry.registered(), run.settings)
+    return odometry, level, weak
+
+
+def _known(odometry: Odometry, level: Level) -> KnownPoses:
+    """What has been registered so far, in the levelled map."""
+
+    def part(first: int, last: int) -> Trajectory:
+        return odometry.registered(first, last).moved(level.T_map_odom)
+
+    return KnownPoses(odometry.stamp_ns, part, level.floor_slope)
 
 
 def _log(run: Run, registrations: list[Registration]) -> list[str]:
@@ -85,9 +104,9 @@ def _log(run: Run, registrations: list[Registration]) -> list[str]:
     return [why for why in why_weak if why is not None]
 
 
-def _take_loops(run: Run, odometry: Odometry, trajectory: Trajectory, T_map_odom: FloatArray) -> None:
-    """Count the loops, and record what they did to the poses; trajectory: T_odom_base with them closed."""
-    graph, before = odometry.pose_graph, odometry.before_loops
+def _take_loops(run: Run, odometry: Odometry, T_map_odom: FloatArray) -> None:
+    """Count the loops, and record what they did to the poses."""
+    graph, before, trajectory = odometry.pose_graph, odometry.registered(), odometry.trajectory
     if graph is not None:
         run.state.counts["loops"] = int(np.count_nonzero(graph.is_loop & (graph.weight > 0)))
     if run.log:

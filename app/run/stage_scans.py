@@ -1,7 +1,10 @@
-"""Stage 2 of a run: every scan is labelled, block by block, by the worker processes (paper, III)."""
+"""Stage 2 of a run: every scan is labelled, block by block, by the worker processes (paper, III), and placed in the map.
+
+A scan's labels owe nothing to where it lies in the map: they are found while others are still registered, and the scan moves
+as one when the last loop is closed.
+"""
 
 from collections import deque
-from collections.abc import Iterator
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 
@@ -9,15 +12,16 @@ import numpy as np
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray
-from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.algorithms.base.trajectory import Trajectory, level_frame
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, majority
 from ffmap.algorithms.maps.rivals import Rival
 from ffmap.app.record.building import log_map_block
 from ffmap.app.record.odometry import log_trajectory
-from ffmap.app.run.blocks import STAGES, VOXEL_M, Block, LabelJob, label_block, split_blocks
+from ffmap.app.record.scans import log_frames
+from ffmap.app.run.blocks import STAGES, VOXEL_M, Block, LabelJob, PlaceJob, label_block, place_block, split_blocks
 from ffmap.app.run.context import Run
-from ffmap.app.run.poses import RunPoses
-from ffmap.app.run.spool import RIVALS, SUMMARY, VOTES, BlockSummary, load
+from ffmap.app.run.poses import KnownPoses, RunPoses
+from ffmap.app.run.spool import FINAL, PLACED, RIVALS, SUMMARY, VOTES, BlockSummary, load
 from ffmap.app.setup.inputs import commonest
 from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.errors import InputError
@@ -33,75 +37,121 @@ class LabelledScans:
     votes: what the scans' own labels say of each cube of the map. rivals: what the paper's other maps are drawn from.
     """
 
-    jobs: tuple[LabelJob, ...]
+    jobs: tuple[PlaceJob, ...]
     stamps_ns: IntArray
     votes: VoxelVotes
     rivals: VoxelVotes
 
 
-def label_scans(run: Run, pool: Executor, poses: RunPoses) -> LabelledScans:
-    """Label every scan that the trajectory covers. Raises InputError where none can be labelled."""
-    assert run.inputs.vertical is not None
-    blocks = split_blocks(len(run.inputs.vertical.index))
-    run.progress.stage("scans", len(blocks) or None)
-    jobs = tuple(_job(run, block, poses) for block in blocks)
-    votes, rivals = VoxelTable(VOXEL_M, len(Label)), VoxelTable(run.settings.grid_map.cell_m, len(Rival))
-    summaries: list[BlockSummary] = []
-    last_T_map_base: FloatArray | None = None
-    for block, summary in _in_order(run, pool, jobs):
-        path = run.folder.block(block.number, ".arrow")
-        own_votes = load(VoxelVotes, path, VOTES)
-        new = votes.absorb(own_votes)
-        rivals.absorb(load(VoxelVotes, path, RIVALS))
-        _tell_skipped(run, summary, sum(len(earlier.skipped_reason) for earlier in summaries))
-        if run.log and run.recording and len(summary.scan):
-            run.recording.add(path.with_suffix(".rrd"))
-            log_trajectory(run.log, summary.stamp_ns, summary.T_map_base, summary.scan, last_T_map_base)
-            last_T_map_base = summary.T_map_base[-1]
-            points, label = own_votes.mean_position[new].astype(np.float32), majority(own_votes.counts[new])
-            log_map_block(run.log, int(summary.scan[-1]), int(summary.stamp_ns[-1]), points, label)
-        summaries.append(summary)
-        run.progress.advance()
-    _summarise(run, blocks, summaries)
-    stamps_ns = np.concatenate([np.zeros(0, np.int64), *(summary.stamp_ns for summary in summaries)])
-    if not len(stamps_ns):
-        why = commonest([reason for summary in summaries for reason in summary.skipped_reason])
-        topic = run.inputs.vertical.lidar.topic
-        raise InputError(f"{run.inputs.bag_path}: {topic} has no usable cloud ({why}); 'ffmap info' tells more")
-    return LabelledScans(jobs, stamps_ns, votes.votes(), rivals.votes())
+class Labeller:
+    """Labels the scans of a run block by block, each as soon as its poses are known, and places them when all are final."""
 
+    def __init__(self, run: Run, pool: Executor) -> None:
+        assert run.inputs.vertical is not None
+        self._run, self._pool, self._index = run, pool, run.inputs.vertical.index
+        self._blocks = split_blocks(len(self._index))
+        self._jobs: list[LabelJob] = []
+        self._running: deque[Future[BlockSummary] | BlockSummary] = deque()
+        self._summaries: list[BlockSummary] = []
 
-def _in_order(run: Run, pool: Executor, jobs: tuple[LabelJob, ...]) -> Iterator[tuple[Block, BlockSummary]]:
-    """The blocks as they are finished, in the order of time, so that the recording grows in it."""
-    running: deque[tuple[Block, Future[BlockSummary] | BlockSummary]] = deque()
-    for job in jobs:
-        finished = job.path.with_suffix(".arrow")
-        has_evidence = job.detail is None or job.path.with_suffix(".rrd").exists()
-        done = run.options.resume and finished.exists() and has_evidence
-        running.append((job.block, load(BlockSummary, finished, SUMMARY) if done else pool.submit(label_block, job)))
-    while running:
-        block, summary = running.popleft()
-        yield block, summary if isinstance(summary, BlockSummary) else summary.result()
+    def go_on(self, poses: KnownPoses) -> None:
+        """Have blocks labelled whose poses are known, and record those that are labelled, in the order of time."""
+        self._submit(poses)
+        while self._running and (isinstance(self._running[0], BlockSummary) or self._running[0].done()):
+            self._take()
 
+    def finish(self, poses: RunPoses) -> LabelledScans:
+        """Label what is left, and place all scans. Raises InputError where none could be labelled."""
+        run = self._run
+        run.progress.stage("scans", 2 * len(self._blocks) or None)
+        self._submit(poses.known)
+        for _ in self._summaries:
+            run.progress.advance()
+        while self._running:
+            self._take()
+            run.progress.advance()
+        _summarise(run, self._blocks, self._summaries)
+        stamps_ns = np.concatenate([np.zeros(0, np.int64), *(summary.stamp_ns for summary in self._summaries)])
+        if not len(stamps_ns):
+            why = commonest([reason for summary in self._summaries for reason in summary.skipped_reason])
+            raise InputError(
+                f"{run.inputs.bag_path}: {self._index.topic} has no usable cloud ({why}); 'ffmap info' tells more"
+            )
+        votes, rivals = VoxelTable(VOXEL_M, len(Label)), VoxelTable(run.settings.grid_map.cell_m, len(Rival))
+        jobs = tuple(self._place_job(*labelled, poses) for labelled in zip(self._jobs, self._summaries, strict=True))
+        placing = [self._place(job) for job in jobs]
+        last_T_map_base: FloatArray | None = None
+        for job, summary, placed in zip(jobs, self._summaries, placing, strict=True):
+            if placed is not None:
+                placed.result()
+            path = job.label.path.with_suffix(PLACED)
+            own_votes = load(VoxelVotes, path, VOTES)
+            new = votes.absorb(own_votes)
+            rivals.absorb(load(VoxelVotes, path, RIVALS))
+            if run.log and len(summary.scan):
+                T_map_base = poses.trajectory.at(summary.stamp_ns)
+                log_trajectory(run.log, summary.stamp_ns, T_map_base, summary.scan, last_T_map_base)
+                last_T_map_base = T_map_base[-1]
+                log_frames(run.log, summary.stamp_ns, summary.scan, job.T_map_level, summary.T_level_base)
+                points, label = own_votes.mean_position[new].astype(np.float32), majority(own_votes.counts[new])
+                log_map_block(run.log, int(summary.scan[-1]), int(summary.stamp_ns[-1]), points, label)
+            run.progress.advance()
+        if run.recording is not None:
+            run.recording.cut()
+        return LabelledScans(jobs, stamps_ns, votes.votes(), rivals.votes())
 
-def _job(run: Run, block: Block, poses: RunPoses) -> LabelJob:
-    """Only the poses near the block travel to the worker."""
-    assert run.inputs.vertical is not None
-    stamps = run.inputs.vertical.index.stamp_ns[block.first : block.first + block.count]
-    trajectory = poses.trajectory
-    first = max(0, int(np.searchsorted(trajectory.stamp_ns, stamps.min() - 1_000_000_000)) - 2)
-    last = int(np.searchsorted(trajectory.stamp_ns, stamps.max() + 1_000_000_000)) + 2
-    return LabelJob(
-        block=block,
-        inputs=run.inputs,
-        trajectory=Trajectory(trajectory.stamp_ns[first:last], trajectory.T_map_base[first:last]),
-        base_height_m=poses.base_height_m,
-        floor_slope=poses.floor_slope,
-        settings=run.settings,
-        recording_id=run.record["recording_id"],
-        detail=run.options.detail if run.log else None,
-        path=run.folder.block(block.number, ""),
-    )
+    def _submit(self, poses: KnownPoses) -> None:
+        """Hand out the blocks whose poses are known; what a run that is resumed has labelled is not labelled again."""
+        # Before all clouds were registered nothing told whether they are still the same.
+        may_be_done = self._run.options.resume and (poses.complete or bool(self._run.record["bag"].get("clouds")))
+        while len(self._jobs) < len(self._blocks):
+            block = self._blocks[len(self._jobs)]
+            trajectory = poses.around(self._index.stamp_ns[block.first : block.first + block.count])
+            if trajectory is None:
+                return
+            job = self._label_job(block, trajectory, poses)
+            self._jobs.append(job)
+            labelled = job.path.with_suffix(".arrow")
+            has_evidence = job.detail is None or job.path.with_suffix(".rrd").exists()
+            if may_be_done and labelled.exists() and has_evidence:
+                self._running.append(load(BlockSummary, labelled, SUMMARY))
+            else:
+                for later in (PLACED, FINAL):
+                    job.path.with_suffix(later).unlink(missing_ok=True)
+                self._running.append(self._pool.submit(label_block, job))
+
+    def _take(self) -> None:
+        """Wait for the first block that is being labelled, and record it."""
+        run, running = self._run, self._running.popleft()
+        summary = running if isinstance(running, BlockSummary) else running.result()
+        _tell_skipped(run, summary, sum(len(earlier.skipped_reason) for earlier in self._summaries))
+        if run.recording and len(summary.scan):
+            run.recording.add(self._jobs[len(self._summaries)].path.with_suffix(".rrd"))
+        self._summaries.append(summary)
+
+    def _place(self, job: PlaceJob) -> Future[None] | None:
+        """The work on a block; None where a run that is resumed has done it."""
+        done = self._run.options.resume and job.label.path.with_suffix(PLACED).exists()
+        return None if done else self._pool.submit(place_block, job)
+
+    def _label_job(self, block: Block, trajectory: Trajectory, poses: KnownPoses) -> LabelJob:
+        run = self._run
+        return LabelJob(
+            block=block,
+            inputs=run.inputs,
+            trajectory=trajectory,
+            base_height_m=poses.base_height_m,
+            floor_slope=poses.floor_slope,
+            settings=run.settings,
+            recording_id=run.record["recording_id"],
+            detail=run.options.detail if run.log else None,
+            path=run.folder.block(block.number, ""),
+        )
+
+    def _place_job(self, job: LabelJob, summary: BlockSummary, poses: RunPoses) -> PlaceJob:
+        T_map_base = poses.trajectory.at(summary.reference_ns)
+        T_map_level = np.array([level_frame(T, poses.base_height_m) for T in T_map_base]).reshape(-1, 4, 4)
+        return PlaceJob(job, T_map_level)
 
 
 def _tell_skipped(run: Run, summary: BlockSummary, told: int) -> None:

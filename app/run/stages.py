@@ -1,6 +1,7 @@
 """A run from beginning to end: odometry, scans, building, final.
 
-Scans are labelled once all poses are final: the last loop of a drive may move the first scan.
+Scans are labelled while others are still registered, and placed in the map once all poses are final: the last loop of a drive
+may move the first scan.
 """
 
 import shutil
@@ -22,7 +23,7 @@ from ffmap.app.run.context import Run, RunOptions, RunState
 from ffmap.app.run.stage_building import build
 from ffmap.app.run.stage_final import finish
 from ffmap.app.run.stage_odometry import find_poses
-from ffmap.app.run.stage_scans import label_scans
+from ffmap.app.run.stage_scans import Labeller
 from ffmap.app.run.workers import make_pool
 from ffmap.app.setup.inputs import Inputs, digest_stamps
 from ffmap.app.setup.outputs import Output
@@ -83,15 +84,16 @@ def _run_stages(run: Run, given: Trajectory | None) -> None:
     _log_start(run)
     with make_pool(run.options.workers) as pool:
         try:
+            labeller = None if run.inputs.vertical is None else Labeller(run, pool)
             with run.stage("odometry"):
-                poses = find_poses(run, given)
+                poses = find_poses(run, given, labeller)
             # Before any scan is labelled with these poses, so that a run that is resumed knows what they were made from.
             run.folder.write_json({**run.record, "bag": run.state.bag_as_read(run.record), "outcome": "running"})
-            if run.inputs.vertical is None:
+            if labeller is None:
                 _keep_trajectory(run, poses.trajectory)
                 return
             with run.stage("scans"):
-                scans = label_scans(run, pool, poses)
+                scans = labeller.finish(poses)
             _write_trajectory(run, poses.trajectory, scans.stamps_ns)
             with run.stage("building"):
                 building = build(run, scans, poses.trajectory)

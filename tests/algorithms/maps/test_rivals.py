@@ -10,7 +10,7 @@ from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
 from ffmap.algorithms.maps.grid import Cell, GridMapSettings, draw_free
-from ffmap.algorithms.maps.rivals import Rival, RivalCounter, RivalMapsSettings, draft_rival
+from ffmap.algorithms.maps.rivals import Rival, RivalCounter, RivalMapsSettings, RivalReturns, draft_rival
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
 from ffmap.algorithms.scan.summary import extract
 from tests import synthetic
@@ -32,9 +32,10 @@ def scans() -> list[tuple[PlacedScan, ScanLabelling]]:
 
 
 def counted(scans: list[tuple[PlacedScan, ScanLabelling]]) -> VoxelVotes:
-    counter = RivalCounter(CELL_M, SETTINGS)
+    counter = RivalCounter(CELL_M)
     for placed, labelling in scans:
-        counter.add(placed, labelling)
+        points_map = placed.to_map(placed.points_level)
+        counter.add(points_map, RivalReturns.of(placed.points_level, labelling, SETTINGS))
     return counter.votes()
 
 

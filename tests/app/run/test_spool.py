@@ -9,6 +9,7 @@ import pytest
 from ffmap.algorithms.base.labels import NO_RETURN
 from ffmap.algorithms.base.scan import Scan
 from ffmap.algorithms.base.trajectory import PlacedScan
+from ffmap.algorithms.maps.rivals import RivalMapsSettings, RivalReturns
 from ffmap.algorithms.scan.floor import heights_above_pieces
 from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.app.run import spool
@@ -20,7 +21,8 @@ SCAN, PLACED, _, LABELLING = labelled()
 
 def kept(tmp_path: Path, scan: Scan, placed: PlacedScan, labelling: ScanLabelling) -> SpooledScan:
     """The second of two scans, written and read back."""
-    scans = [SpooledScan.of(index, scan, placed, labelling) for index in (6, 7)]
+    rivals = RivalReturns.of(placed.points_level, labelling, RivalMapsSettings())
+    scans = [SpooledScan.of(index, scan, placed, labelling, rivals) for index in (6, 7)]
     spool.save(tmp_path / "block.arrow", spool.pack_scans(scans))
     found = spool.load_scans(tmp_path / "block.arrow")
     assert [one.scan for one in found] == [6, 7]
@@ -42,7 +44,10 @@ def test_a_scan_comes_back_to_half_a_millimetre(tmp_path: Path, order: str) -> N
     np.testing.assert_array_equal(found.ceiling, LABELLING.ceiling_planes)
     height_m = heights_above_pieces(found.points_level, found.floor, found.floor_is_foot)
     np.testing.assert_allclose(height_m, LABELLING.height_m, atol=0.001)
-    np.testing.assert_array_equal(found.T_map_level, PLACED.T_map_level)
+    np.testing.assert_array_equal(found.label, LABELLING.label)
+    rivals = RivalReturns.of(PLACED.points_level, LABELLING, RivalMapsSettings())
+    np.testing.assert_array_equal(found.rivals.row, rivals.row)
+    np.testing.assert_array_equal(found.rivals.rival, rivals.rival)
     np.testing.assert_array_equal(found.origin_level, PLACED.origin_level)
 
 
