@@ -85,6 +85,8 @@ class Run(HowToRun):
         ffmap run drive.bag --rig rig.toml --trajectory poses.tum
 
         ffmap run --resume runs/a
+
+        ffmap run day.mcap --scheduler tcp://127.0.0.1:8786
     """
 
     bag: Path | None = argument(None, help="ROS 1 .bag, ROS 2 folder, .db3 or .mcap.")
@@ -102,6 +104,11 @@ class Run(HowToRun):
     save: bool = option(True, help="Write recording.rrd.")
     outputs: str | None = option(None, metavar="LIST", help=f"{OUTPUTS_HELP}  [default: {','.join(RUN_OUTPUTS)}]")
     workers: int | None = option(None, min=1, help="Labelling processes.  [default: one for each core]")
+    scheduler: str | None = option(
+        None,
+        metavar="tcp://HOST:PORT",
+        help="Label on the Dask cluster of this scheduler, by blocks of time; needs the extra 'cluster'.",
+    )
     resume: Path | None = option(None, help="Go on with a run folder that was killed; no other argument is needed.")
     verbose: bool = option(False, "--verbose", "-v", help="Where the truth is known, print all figures as tables.")
 
@@ -128,6 +135,7 @@ class Run(HowToRun):
             connect=self.connect,
             outputs=tuple(output for output in written if self.save or output is not Output.RECORDING),
             workers=workers,
+            scheduler=self.scheduler,
             evaluate=self.evaluate,
             quiet=self.quiet,
             verbose=self.verbose,

@@ -9,6 +9,7 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -34,6 +35,7 @@ _END = 0
 _FOOTER_BYTES = 32
 """What follows the end message's own content: where that lies, and how the stream ends."""
 _OWN = "own"
+_one_at_a_time = threading.RLock()
 _STARTS_S, _OPENS_WINDOW_S = 20.0, 1.0
 _RERUN = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
 """As the `rerun` command does; `python -m rerun_cli` always ends with 0."""
@@ -41,11 +43,11 @@ _RERUN = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
 
 @contextmanager
 def open_part(path: Path, recording_id: str, layout: rrb.Blueprint | None = None) -> Iterator[rr.RecordingStream]:
-    """A stream into one part of the recording; the file appears when it is complete. One at a time in a process.
+    """A stream into one part of the recording; the file appears when it is complete. One at a time in a process: others wait.
 
     layout: how it opens, for a recording of one part alone: files in which a layout and data lie together cannot be joined.
     """
-    with written_whole(path) as part:
+    with _one_at_a_time, written_whole(path) as part:
         stream = _stream(recording_id)
         stream.save(part)
         try:

@@ -1,5 +1,6 @@
 """What worker processes do: label a block of scans, and later finish it with the building's knowledge."""
 
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -310,7 +311,11 @@ def _vertical(inputs: Inputs) -> Sensor:
     return inputs.vertical
 
 
-@cache
 def _open(path: Path) -> Bag:
-    """Each worker opens the bag once."""
+    """Each worker opens the bag once, and each of its threads, where a cluster's has several."""
+    return _open_in_thread(path, threading.get_ident())
+
+
+@cache
+def _open_in_thread(path: Path, _thread: int) -> Bag:
     return open_bag(path)

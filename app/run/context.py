@@ -23,6 +23,8 @@ class RunOptions:
     outputs: tuple[Output, ...] = RUN_OUTPUTS
     connect_url: str | None = None
     workers: int = 2
+    scheduler: str | None = None
+    """The address of a Dask cluster that labels in place of processes here."""
     resume: bool = False
 
 

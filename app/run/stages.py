@@ -7,7 +7,9 @@ may move the first scan.
 import shutil
 import time
 import uuid
-from contextlib import suppress
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from ffmap.algorithms.base.scan import IntArray
@@ -82,7 +84,7 @@ def run(
 
 def _run_stages(run: Run, given: Trajectory | None) -> None:
     _log_start(run)
-    with make_pool(run.options.workers) as pool:
+    with _pool(run) as pool:
         try:
             labeller = None if run.inputs.vertical is None else Labeller(run, pool)
             with run.stage("odometry"):
@@ -104,6 +106,20 @@ def _run_stages(run: Run, given: Trajectory | None) -> None:
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+@contextmanager
+def _pool(run: Run) -> Iterator[Executor]:
+    """Who labels: processes here, or those of a cluster."""
+    if run.options.scheduler is None:
+        with make_pool(run.options.workers) as pool:
+            yield pool
+        return
+    from ffmap.app.run.cluster import connect
+
+    with connect(run.options.scheduler, [run.inputs.bag_path, run.folder.path]) as cluster:
+        run.progress.say(f"cluster: {cluster.slots} blocks of scans at once")
+        yield cluster.executor
 
 
 def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[str, Any]) -> Recording | None:

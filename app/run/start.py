@@ -47,6 +47,8 @@ class Arguments:
     connect: str | None = None
     outputs: tuple[str, ...] = RUN_OUTPUTS
     workers: int = 2
+    scheduler: str | None = None
+    """The address of a Dask cluster."""
     evaluate: bool = True
     quiet: bool = False
     verbose: bool = False
@@ -87,6 +89,9 @@ def make_ready(arguments: Arguments, stack: ExitStack) -> Ready:
     settings = load_settings(arguments.config, arguments.overrides)
     inputs, given = _find(arguments, arguments.bag, settings)
     home = arguments.out or run_folder.default_path(arguments.bag.resolve(), settings.short_hash())
+    if arguments.scheduler is not None:
+        # The processes of a cluster work in other folders.
+        inputs, home = replace(inputs, bag_path=inputs.bag_path.resolve()), home.resolve()
     options = _options(arguments)
     disk = check_disk(inputs, home, options.outputs, options.detail, run_folder.replacement_in(home))
     folder = run_folder.create(home, arguments.overwrite, _files_read(arguments))
@@ -104,6 +109,7 @@ def make_ready(arguments: Arguments, stack: ExitStack) -> Ready:
 def make_ready_again(arguments: Arguments, resume: Path, stack: ExitStack) -> Ready | None:
     """A run that was killed, as it was begun; None where it is complete. stack: as above."""
     _check_resumable(arguments)
+    resume = resume if arguments.scheduler is None else resume.resolve()
     stack.enter_context(run_folder.held(resume))
     folder = run_folder.unfinished(resume)
     record = folder.read_json()
@@ -113,6 +119,8 @@ def make_ready_again(arguments: Arguments, resume: Path, stack: ExitStack) -> Re
     arguments, settings = _as_begun(arguments, resume, record)
     assert arguments.bag is not None
     inputs, given = _find(arguments, arguments.bag, settings)
+    if arguments.scheduler is not None:
+        inputs = replace(inputs, bag_path=inputs.bag_path.resolve())
     options = replace(_options(arguments), resume=True)
     disk = check_disk(inputs, resume, options.outputs, options.detail, folder)
     _check_same_bag(inputs, folder, record)
@@ -123,7 +131,9 @@ def make_ready_again(arguments: Arguments, resume: Path, stack: ExitStack) -> Re
 
 def _options(arguments: Arguments) -> RunOptions:
     outputs = check_outputs(arguments.outputs)
-    return RunOptions(detail=Detail(arguments.detail), outputs=outputs, workers=arguments.workers)
+    return RunOptions(
+        detail=Detail(arguments.detail), outputs=outputs, workers=arguments.workers, scheduler=arguments.scheduler
+    )
 
 
 def _find(arguments: Arguments, bag: Path, settings: Settings) -> tuple[Inputs, GivenPoses | None]:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from ffmap.app.folder import figures
@@ -156,11 +157,11 @@ def workers_of(sweep: Sweep) -> Iterator[tuple[Executor, Callable[[], int], Path
             executor.shutdown(wait=False, cancel_futures=True)
             stop_all(sweep.out)
         return
-    from ffmap.app.sweeps.cluster import connect
+    from ffmap.app.run.cluster import connect
 
     # A worker sees the folder if it sees what lies in it.
     needed = [sweep.out / SweepFile.JSON, *(inputs.bag_path for inputs in sweep.bags)]
-    with connect(scheduler, needed, sweep.out) as cluster:
+    with connect(scheduler, needed, partial(stop_all, sweep.out)) as cluster:
         shared = _can_write(own) and cluster.all_see(own / _MARK)
         yield cluster.executor, lambda: cluster.slots, own if shared else sweep.out
 

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -149,32 +148,6 @@ def test_the_recording_shows_every_run(killed: tuple[Path, dict, str]) -> None:
         assert any(name in text for text in described)
 
 
-@pytest.fixture(scope="module")
-def cluster(environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """The address of a scheduler with two workers, started from the command line."""
-    pytest.importorskip("distributed")
-    scheduler_file = tmp_path_factory.mktemp("cluster") / "scheduler.json"
-    dask = Path(sys.executable).parent / "dask"
-    quiet = {"env": {**environment, "PYTHONPATH": str(Path.cwd())}, "stdout": subprocess.DEVNULL}
-    commands = (
-        ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", scheduler_file],
-        ["worker", "--scheduler-file", scheduler_file, "--nthreads", "1", "--nworkers", "2", "--no-dashboard"],
-    )
-    started = [
-        subprocess.Popen([str(dask), *map(str, command)], stderr=subprocess.DEVNULL, start_new_session=True, **quiet)
-        for command in commands
-    ]
-    try:
-        end = time.monotonic() + 60
-        while not scheduler_file.exists() and time.monotonic() < end:
-            time.sleep(0.1)
-        yield json.loads(scheduler_file.read_text())["address"]
-    finally:
-        for process in started:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-
-
 def test_a_cluster_gives_the_same_labels(
     killed: tuple[Path, dict, str], bag: Path, environment: dict[str, str], cluster: str, tmp_path: Path
 ) -> None:
@@ -241,7 +214,7 @@ def test_mistakes_are_one_line_and_nothing_starts(
     words: dict, expected: str, bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("ffmap.app.sweeps.cluster._CONNECT_S", 1.0)
+    monkeypatch.setattr("ffmap.app.run.cluster._CONNECT_S", 1.0)
     Path("file").touch()
     Path("thesis").mkdir()
     Path("thesis/thesis.tex").touch()

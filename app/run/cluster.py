@@ -1,32 +1,45 @@
-"""Runs of a sweep on a Dask cluster: its own scheduler, workers and executor; imported only where one is named."""
+"""Work on a Dask cluster: its scheduler, workers and executor; imported only where one is named."""
 
 import asyncio
 import os
-from collections.abc import Iterator
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Executor, Future
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from ffmap.app.own_command import pip_command
 from ffmap.app.setup.versions import versions
-from ffmap.app.sweeps.one_run import stop_all
 from ffmap.loaders.errors import InputError
 
 _CONNECT_S = 5.0
 _PROGRAM = ("furniture-free-mapping", "git_revision")
 
 
+class _Remote(Executor):
+    """Dask's executor, which may be told to cancel what has not begun as those of the standard library are."""
+
+    def __init__(self, client: Any) -> None:  # noqa: ANN401 - distributed.Client
+        self._executor = client.get_executor(pure=False)
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:  # noqa: ANN401
+        future: Future[Any] = self._executor.submit(fn, *args, **kwargs)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self._executor.shutdown(wait=wait and not cancel_futures)
+
+
 class Cluster:
-    """A cluster whose workers were seen to have the program, the bags and the sweep's folder."""
+    """A cluster whose workers were seen to have the program and all files that they need."""
 
     def __init__(self, client: Any) -> None:  # noqa: ANN401 - distributed.Client
         self._client = client
-        self.executor: Executor = client.get_executor(pure=False)
+        self.executor: Executor = _Remote(client)
 
     @property
     def slots(self) -> int:
-        """How many runs it takes at once: one for each thread of each worker that is there now."""
+        """How many jobs it takes at once: one for each thread of each worker that is there now."""
         return sum(self._client.nthreads().values())
 
     def all_see(self, path: Path) -> bool:
@@ -34,11 +47,12 @@ class Cluster:
 
 
 @contextmanager
-def connect(address: str, needed: list[Path], folder: Path) -> Iterator[Cluster]:
-    """The cluster at a scheduler's address, if all its workers can do the sweep's runs.
+def connect(address: str, needed: list[Path], stop: Callable[[], None] | None = None) -> Iterator[Cluster]:
+    """The cluster at a scheduler's address, if all its workers can do the work.
 
-    needed: files that every worker has to see under the same path. folder: of the sweep, whose runs end with it.
-    Raises InputError in seconds where Dask is not installed, no scheduler answers, or a worker cannot do the work.
+    needed: files that every worker has to see under the same path. stop: called on every worker where the work ends early.
+    Raises InputError in seconds where Dask is not installed, no scheduler answers, or a worker cannot do the work; and where
+    the cluster loses a part of it.
     """
     try:
         import distributed  # noqa: TID251 - its one place
@@ -62,10 +76,15 @@ def connect(address: str, needed: list[Path], folder: Path) -> Iterator[Cluster]
         _check(client, cluster, address, needed)
         try:
             yield cluster
-        except BaseException:
+        except BaseException as error:
             # Dask takes back what has not begun; what has would go on to its end.
             cluster.executor.shutdown(wait=False)
-            client.run(stop_all, folder, on_error="ignore")
+            if stop is not None:
+                client.run(stop, on_error="ignore")
+            if isinstance(error, distributed.KilledWorker | CancelledError):
+                raise InputError(
+                    f"--scheduler {address}: lost its workers, most likely because memory ran out"
+                ) from None
             raise
     finally:
         client.close(timeout=_CONNECT_S)

@@ -1,0 +1,38 @@
+"""A Dask cluster for whoever asks for one."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a scheduler with two workers, started from the command line."""
+    pytest.importorskip("distributed")
+    scheduler_file = tmp_path_factory.mktemp("cluster") / "scheduler.json"
+    dask = Path(sys.executable).parent / "dask"
+    quiet = {"env": {**os.environ, "PYTHONPATH": str(Path.cwd())}, "stdout": subprocess.DEVNULL}
+    commands = (
+        ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", scheduler_file],
+        ["worker", "--scheduler-file", scheduler_file, "--nthreads", "1", "--nworkers", "2", "--no-dashboard"],
+    )
+    started = [
+        subprocess.Popen([str(dask), *map(str, command)], stderr=subprocess.DEVNULL, start_new_session=True, **quiet)
+        for command in commands
+    ]
+    try:
+        end = time.monotonic() + 60
+        while not scheduler_file.exists() and time.monotonic() < end:
+            time.sleep(0.1)
+        yield json.loads(scheduler_file.read_text())["address"]
+    finally:
+        for process in started:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()

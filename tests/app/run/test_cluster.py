@@ -1,0 +1,54 @@
+"""A run whose scans are labelled on a Dask cluster."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ffmap.loaders.simulator import SimulationSettings, simulate
+
+FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bags") / "drive.bag"
+    values = {"building": "small", "seed": 3, "sensor": "vlp16", "format": "bag", "duration_s": 5.0}
+    simulate(path, SimulationSettings.model_validate(values))
+    return path
+
+
+def ffmap(bag: Path, *words: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*FFMAP, "run", *map(str, words)],
+        # A relative folder, which the cluster's workers would look for elsewhere.
+        cwd=bag.parent,
+        env={**os.environ, "FFMAP_CACHE": str(bag.parent / "cache")},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+
+
+def test_blocks_of_a_drive_are_labelled_by_a_cluster_as_they_are_here(bag: Path, cluster: str) -> None:
+    records = []
+    for out, words in (("here", ()), ("there", ("--scheduler", cluster))):
+        done = ffmap(bag, bag.name, "--out", out, *words)
+        assert done.returncode == 0, done.stderr
+        records.append(json.loads((bag.parent / out / "run.json").read_text()))
+    here, there = records
+    assert here["labels_digest"] == there["labels_digest"] != ""
+    for name in ("walls.geojson", "map.pgm", "cloud.ply"):
+        assert (bag.parent / "here" / name).read_bytes() == (bag.parent / "there" / name).read_bytes()
+    assert (bag.parent / "there" / "recording.rrd").stat().st_size > 100_000
+
+
+def test_a_scheduler_that_is_not_there_is_one_line(bag: Path) -> None:
+    done = ffmap(bag, bag.name, "--out", "nowhere", "--scheduler", "tcp://127.0.0.1:9")
+    assert done.returncode == 2
+    assert "--scheduler tcp://127.0.0.1:9: no Dask scheduler answers there" in done.stderr
+    assert "Traceback" not in done.stderr
