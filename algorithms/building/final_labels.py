@@ -1,24 +1,20 @@
 """From the building back to the scans: the final label of every return."""
 
 from collections import namedtuple
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
 from pydantic import Field
 
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.base.plan_index import SECTORS, cell_at, enter, index_near, sector_of, sectors_around
+from ffmap.algorithms.base.plan_index import cell_at, index_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import (
     ALONG_X,
     ALONG_Y,
     LENGTH,
-    NORMAL_X,
-    NORMAL_Y,
-    OFFSET,
-    START,
     Faces,
     along_line,
     before_line,
@@ -169,6 +165,12 @@ BEYOND = 7
 """The same of panes: how far behind their face what returns is outside."""
 
 
+def _lengthened(walls: Walls, by_m: float) -> Walls:
+    """The same faces, longer at both ends."""
+    beyond = by_m * lines_of(walls)[:, [ALONG_X, ALONG_Y]]
+    return replace(walls, ends=walls.ends + np.stack([-beyond, beyond], axis=1))
+
+
 def _table(faces: Faces, *columns: FloatArray | UInt8Array) -> FloatArray:
     """Lines of faces and more of their columns."""
     return np.ascontiguousarray(np.column_stack([lines_of(faces), *columns]))
@@ -180,40 +182,23 @@ else:  # compiled code takes named tuples
     _Rules = namedtuple("_Rules", RelabellingSettings.model_fields)
 
 
-class _Return(NamedTuple):
-    """One return: its place in the map, its height above the floor and below the scan's ceiling, metres."""
-
-    x: float
-    y: float
-    z: float
-    height_m: float
-    below_ceiling_m: float
-
-
-class _AtDoor(NamedTuple):
-    """What a return is to the building's doors.
-
-    on_leaf: it is a closed leaf's. on_reveal: it is a reveal's or a lintel's, hence wall. in_opening: it is between the
-    jambs of an open door. in_doorway: it is before, within or behind one, where no wall has a body.
-    """
-
-    on_leaf: bool
-    on_reveal: bool
-    in_opening: bool
-    in_doorway: bool
+ON_LEAF, ON_REVEAL, IN_OPENING, IN_DOORWAY = 1, 2, 4, 8
+"""What a return is to the building's doors, as bits: a closed leaf's; a reveal's or a lintel's, hence wall; between the jambs of
+an open door; before, within or behind one, where no wall has a body."""
 
 
 @dataclass(frozen=True)
 class Relabelling:
     """A building as the returns of scans are asked about it: tables for compiled code, and what is near each place.
 
-    faces, refused, doorways, panes: a row for each, see `TOP`, `HEAD` and `BEYOND`; with an index of `index_near` each.
+    faces, refused, doorways, panes: a row for each, see `TOP`, `HEAD` and `BEYOND`; with an index of `index_near` each, the
+        faces with one of those that rays meet along an edge, and with one of those that a return may be at.
     before: what is before the faces, by their columns.
     false_floors: what a scan took for floor on a wall, which is to be asked about like anything else there.
     levels: what lies at known heights, asked last; halo: the cubes in which clutter is a surface's scatter, before these.
     """
 
-    faces: tuple[FloatArray, IntArray]
+    faces: tuple[FloatArray, IntArray, IntArray]
     refused: tuple[FloatArray, IntArray]
     doorways: tuple[FloatArray, IntArray]
     panes: tuple[FloatArray, IntArray]
@@ -231,13 +216,17 @@ class Relabelling:
         beyond_m = np.where(np.isfinite(windows.pane_m), windows.pane_m + settings.pane_m, settings.behind_glass_m)
         # A ray that ends this close to a face or a leaf may cross it so far away, if it comes in as level as is asked about.
         at_face_m = max(settings.forget_m, settings.body_m, settings.scan_door_ratio * settings.wall_distance_m)
-        face_m = max(at_face_m, (settings.edge_m + settings.own_max_m) / settings.grazing_sine)
+        edge_m = settings.edge_m + settings.own_max_m
         off_leaf_m = settings.leaf_distance_m + settings.wall_distance_m + np.max(leaf_m, initial=0.0)
         door_m = settings.at_door_m + max(settings.other_face_m, off_leaf_m / settings.grazing_sine)
         pane_m = max(settings.wall_distance_m, float(beyond_m.max(initial=0.0)))
         margin_m = max(settings.margin_m, settings.wall_distance_m)
         return cls(
-            (_table(walls, walls.top_m), index_near(walls, face_m + margin_m)),
+            (
+                _table(walls, walls.top_m),
+                index_near(_lengthened(walls, edge_m / settings.grazing_sine), edge_m),
+                index_near(walls, at_face_m + margin_m),
+            ),
             (
                 _table(refused, refused.top_m, building.judged.refused_label),
                 index_near(refused, settings.refused_m + margin_m),
@@ -265,21 +254,32 @@ class Relabelling:
         below_ceiling_m: (n,) below the scan's ceiling, infinite without one. label_scan: (n,) of the scan alone; not changed.
         origin_map: (3,) the sensor.
         """
-        label = _relabel(
+        origin = np.ascontiguousarray(origin_map, np.float64)
+        label_scan = corrected(self.false_floors, points_map, label_scan)
+        lines, along_edges, at_faces = self.faces
+        # Every question is asked of all returns at once: asked one by one, what takes most is to hand over the arrays.
+        own_m = _own_places(points_map, height_m, below_ceiling_m, label_scan, lines, along_edges, self.rules)
+        label, asked = _at_edges(
             points_map,
             height_m,
             below_ceiling_m,
-            corrected(self.false_floors, points_map, label_scan),
-            np.ascontiguousarray(origin_map, np.float64),
-            *self.faces,
+            label_scan,
+            _outside(points_map, origin, self.panes[0], self.rules),
+            origin,
+            lines,
+            along_edges,
             self.before.first,
             self.before.clear_m,
-            self.before.covered,
-            *self.refused,
+            own_m,
             *self.doorways,
-            *self.panes,
             self.rules,
         )
+        at_door = _at_doors(points_map, height_m, asked, origin, *self.doorways, self.rules)
+        _mark_window_reveals(points_map, asked, at_door, *self.panes, self.rules)
+        before = self.before.first, self.before.covered
+        nearest = _nearest_faces(points_map, height_m, asked, origin, lines, at_faces, *before, self.rules)
+        refused = _labels_of_refused(points_map, height_m, asked, *self.refused, self.rules)
+        label = _decided(label, asked, at_door, *nearest, refused, self.rules)
         return corrected(self.levels, points_map, self.halo.label_of(points_map, np.asarray(label)))
 
 
@@ -327,55 +327,27 @@ def _own_places(
 
 
 @numba.njit(cache=True, nogil=True)
-def _panes_by_sector(
-    origin: FloatArray, panes: FloatArray, rules: _Rules
-) -> tuple[IntArray, IntArray]:  # pragma: no cover
-    """The panes (SECTORS, N) that the sensor may look through in each direction, and how many there are (SECTORS,)."""
-    in_sector, count = np.empty((SECTORS, len(panes)), np.int32), np.zeros(SECTORS, np.int64)
-    corners = np.empty((2, 2))
+def _outside(points: FloatArray, origin: FloatArray, panes: FloatArray, rules: _Rules) -> BoolArray:  # pragma: no cover
+    """(n,) whether a ray reached its return through a window."""
+    outside = np.zeros(len(points), np.bool_)
     for g in range(len(panes)):
-        if before_line(panes, g, origin[0], origin[1]) > 0.0:
-            for k in range(2):
-                along = panes[g, START] + (panes[g, LENGTH] + rules.margin_m if k else -rules.margin_m)
-                across = panes[g, OFFSET]
-                corners[k, 0] = across * panes[g, NORMAL_X] + along * panes[g, ALONG_X] - origin[0]
-                corners[k, 1] = across * panes[g, NORMAL_Y] + along * panes[g, ALONG_Y] - origin[1]
-            enter(g, *sectors_around(corners), in_sector, count)
-    return in_sector, count
+        if before_line(panes, g, origin[0], origin[1]) <= 0.0:
+            continue
+        for i in range(len(points)):
+            x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
+            if before_line(panes, g, x, y) <= -panes[g, BEYOND]:
+                _, u = crossing(panes, g, 0.0, x, y, origin, 0.0)
+                outside[i] = outside[i] or -rules.margin_m < u < panes[g, LENGTH] + rules.margin_m
+    return outside
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True)
-def _is_outside(
-    at: _Return, origin: FloatArray, panes: FloatArray, in_sector: IntArray, count: IntArray, rules: _Rules
-) -> bool:  # pragma: no cover
-    """Whether a ray reached its return through a window; in_sector, count: from `_panes_by_sector`."""
-    sector = sector_of(at.x - origin[0], at.y - origin[1])
-    for k in range(count[sector]):
-        g = in_sector[sector, k]
-        if before_line(panes, g, at.x, at.y) <= -panes[g, BEYOND]:
-            _, u = crossing(panes, g, 0.0, at.x, at.y, origin, 0.0)
-            if -rules.margin_m < u < panes[g, LENGTH] + rules.margin_m:
-                return True
-    return False
-
-
-@numba.njit(cache=True, nogil=True, forceinline=True)
-def _on_window_reveal(at: _Return, panes: FloatArray, near_panes: IntArray, rules: _Rules) -> bool:  # pragma: no cover
-    """Whether a return lies between a window's face and its pane, where there is nothing but sill, head and reveals."""
-    p = cell_at(near_panes, at.x, at.y)
-    for k in range(near_panes[p], near_panes[p + 1]):
-        g = near_panes[k]
-        if -panes[g, BEYOND] < before_line(panes, g, at.x, at.y) < rules.wall_distance_m:
-            u = along_line(panes, g, at.x, at.y)
-            if -rules.margin_m < u < panes[g, LENGTH] + rules.margin_m:
-                return True
-    return False
-
-
-@numba.njit(cache=True, nogil=True, forceinline=True)
-def _at_edge(
-    label: np.int64,
-    at: _Return,
+@numba.njit(cache=True, nogil=True)
+def _at_edges(
+    points: FloatArray,
+    height: FloatArray,
+    below_ceiling: FloatArray,
+    label_scan: UInt8Array,
+    outside: BoolArray,
     origin: FloatArray,
     faces: FloatArray,
     near_faces: IntArray,
@@ -385,48 +357,70 @@ def _at_edge(
     doorways: FloatArray,
     near_doorways: IntArray,
     rules: _Rules,
-) -> np.int64 | Label:  # pragma: no cover
-    """The label of a floor, ceiling or wall return near floor or ceiling, by which of them and the walls its ray meets first.
+) -> tuple[UInt8Array, BoolArray]:  # pragma: no cover
+    """The labels of floor, ceiling and wall returns near floor or ceiling, by which of them and the walls their rays meet first.
 
     Range is the noisy coordinate of a return, its direction is not: where the ray crosses a wall's face above the floor and
-    below the ceiling it ended on the wall, and on floor or ceiling where it would reach the face beyond them.
+    below the ceiling it ended on the wall, and on floor or ceiling where it would reach the face beyond them. A floor return
+    that is too high to be the floor's scatter is clutter: a ray that comes in level ends on the floor, or far before it, and
+    what stands there has a foot.
 
-    label: as numba holds members, for a function that returns both. own_m: from `_own_places`.
+    own_m: from `_own_places`. Also returned is of which returns doors and faces are to be asked (n,).
     """
+    label, asked = label_scan.copy(), np.zeros(len(points), np.bool_)
     edge_m = rules.edge_m
-    near_floor, near_a_ceiling = abs(at.height_m) < edge_m, abs(at.below_ceiling_m) < edge_m
-    p = cell_at(near_doorways, at.x, at.y)
-    for k in range(near_doorways[p], near_doorways[p + 1]):
-        # A closed leaf stands on the floor, behind its wall's face.
-        d = near_doorways[k]
-        depth_m = doorways[d, LEAF]
-        if near_floor and depth_m >= 0.0 and abs(before_line(doorways, d, at.x, at.y) + depth_m) < edge_m:
-            share, u = crossing(doorways, d, depth_m, at.x, at.y, origin, rules.grazing_sine)
-            if 0.0 < u < doorways[d, LENGTH]:
-                return Label.DOOR if at.height_m + (share - 1.0) * (at.z - origin[2]) > 0.0 else Label.FLOOR
-    missed = False
-    p = cell_at(near_faces, at.x, at.y)
-    for k in range(near_faces[p], near_faces[p + 1]):
-        w = near_faces[k]
-        before_m = own_m[w, 0 if near_floor else 1]
-        if abs(before_line(faces, w, at.x, at.y) - before_m) > edge_m:
+    for i in range(len(points)):
+        if outside[i]:
+            label[i] = Label.OUTSIDE
             continue
-        share, u = crossing(faces, w, -before_m, at.x, at.y, origin, rules.grazing_sine)
-        if not 0.0 <= u <= faces[w, LENGTH]:
+        if label[i] != Label.FLOOR and label[i] != Label.CEILING and label[i] != Label.WALL:
+            asked[i] = True
             continue
-        rise = (share - 1.0) * (at.z - origin[2])
-        cx, cy = origin[0] + share * (at.x - origin[0]), origin[1] + share * (at.y - origin[1])
-        if _is_in_doorway(cx, cy, at.height_m + rise, doorways, near_doorways, rules.other_face_m):
-            continue
-        column = min(int(u / CELL_M), first[w + 1] - first[w] - 1)
-        is_other_rooms = at.height_m < clear_m[first[w] + column] - rules.another_ceiling_m
-        near_ceiling = near_a_ceiling and not is_other_rooms
-        if (not near_floor or at.height_m + rise > 0.0) and (not near_ceiling or at.below_ceiling_m - rise > 0.0):
-            return Label.WALL
-        missed = True
-    if label == Label.WALL and missed:
-        return Label.FLOOR if near_floor else Label.CEILING
-    return label
+        x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
+        height_m, below_m = np.float64(height[i]), np.float64(below_ceiling[i])
+        near_floor, near_a_ceiling = abs(height_m) < edge_m, abs(below_m) < edge_m
+        if near_floor or near_a_ceiling:
+            is_leaf = False
+            p = cell_at(near_doorways, x, y)
+            for k in range(near_doorways[p], near_doorways[p + 1]):
+                # A closed leaf stands on the floor, behind its wall's face.
+                d = near_doorways[k]
+                depth_m = doorways[d, LEAF]
+                if near_floor and depth_m >= 0.0 and abs(before_line(doorways, d, x, y) + depth_m) < edge_m:
+                    share, u = crossing(doorways, d, depth_m, x, y, origin, rules.grazing_sine)
+                    if 0.0 < u < doorways[d, LENGTH]:
+                        is_leaf = True
+                        label[i] = Label.DOOR if height_m + (share - 1.0) * (z - origin[2]) > 0.0 else Label.FLOOR
+                        break
+            missed, met = False, is_leaf
+            p = cell_at(near_faces, x, y)
+            for k in range(near_faces[p], near_faces[p + 1]):
+                w = near_faces[k]
+                before_m = own_m[w, 0 if near_floor else 1]
+                if met or abs(before_line(faces, w, x, y) - before_m) > edge_m:
+                    continue
+                share, u = crossing(faces, w, -before_m, x, y, origin, rules.grazing_sine)
+                if not 0.0 <= u <= faces[w, LENGTH]:
+                    continue
+                rise = (share - 1.0) * (z - origin[2])
+                cx, cy = origin[0] + share * (x - origin[0]), origin[1] + share * (y - origin[1])
+                if _is_in_doorway(cx, cy, height_m + rise, doorways, near_doorways, rules.other_face_m):
+                    continue
+                column = min(int(u / CELL_M), first[w + 1] - first[w] - 1)
+                is_other_rooms = height_m < clear_m[first[w] + column] - rules.another_ceiling_m
+                near_ceiling = near_a_ceiling and not is_other_rooms
+                if (not near_floor or height_m + rise > 0.0) and (not near_ceiling or below_m - rise > 0.0):
+                    label[i], met = Label.WALL, True
+                missed = True
+            if label[i] == Label.WALL and missed and not met:
+                label[i] = Label.FLOOR if near_floor else Label.CEILING
+        if label[i] == Label.FLOOR:
+            fall = origin[2] - z
+            steepness = abs(fall) / np.sqrt((x - origin[0]) ** 2 + (y - origin[1]) ** 2 + fall**2)
+            if height_m > rules.floor_scatter_m + rules.range_scatter_m * steepness:
+                label[i] = Label.CLUTTER
+        asked[i] = label[i] == Label.WALL
+    return label, asked
 
 
 @numba.njit(cache=True, nogil=True)
@@ -446,190 +440,184 @@ def _is_in_doorway(
     return False
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True)
-def _is_above_floor(at: _Return, origin: FloatArray, rules: _Rules) -> bool:  # pragma: no cover
-    """Whether a floor return is too high to be the floor's scatter.
-
-    A ray that comes in level ends on the floor, or far before it: what stands there has a foot.
-    """
-    fall = origin[2] - at.z
-    steepness = abs(fall) / np.sqrt((at.x - origin[0]) ** 2 + (at.y - origin[1]) ** 2 + fall**2)
-    return bool(at.height_m > rules.floor_scatter_m + rules.range_scatter_m * steepness)
-
-
-@numba.njit(cache=True, nogil=True, forceinline=True)  # a call for each return would hand over all arrays
-def _at_door(
-    at: _Return, origin: FloatArray, doorways: FloatArray, near_doorways: IntArray, rules: _Rules
-) -> _AtDoor:  # pragma: no cover
-    """What a return is to the building's doors; once it is a leaf's, nothing else is asked."""
-    on_reveal = in_opening = in_doorway = False
-    p = cell_at(near_doorways, at.x, at.y)
-    for k in range(near_doorways[p], near_doorways[p + 1]):
-        d = near_doorways[k]
-        s = before_line(doorways, d, at.x, at.y)
-        if abs(s) > rules.at_door_m:
+@numba.njit(cache=True, nogil=True)
+def _at_doors(
+    points: FloatArray,
+    height: FloatArray,
+    asked: BoolArray,
+    origin: FloatArray,
+    doorways: FloatArray,
+    near_doorways: IntArray,
+    rules: _Rules,
+) -> UInt8Array:  # pragma: no cover
+    """(n,) what returns are to the building's doors, see `ON_LEAF`; once one is a leaf's, nothing else is asked."""
+    found = np.zeros(len(points), np.uint8)
+    for i in range(len(points)):
+        if not asked[i]:
             continue
-        u, length = along_line(doorways, d, at.x, at.y), doorways[d, LENGTH]
-        depth_m, head_m, reveal_m = doorways[d, LEAF], doorways[d, HEAD], doorways[d, REVEAL]
-        # Between the jambs of a closed door there is nothing but its leaf, its handle, and their scatter.
-        if -depth_m - rules.leaf_distance_m < s < rules.wall_distance_m:
-            share, at_leaf = crossing(doorways, d, depth_m, at.x, at.y, origin, rules.grazing_sine)
-            rise = (share - 1.0) * (at.z - origin[2])
-            if np.isnan(share):
-                at_leaf, rise = u, 0.0
-            if 0.0 < at_leaf < length and at.height_m + rise < head_m:
-                return _AtDoor(True, on_reveal, in_opening, in_doorway)
-        in_opening = in_opening or (
-            depth_m < 0.0
-            and rules.opening_m < u < length - rules.opening_m
-            and at.height_m < head_m - rules.opening_m
-            and -reveal_m - rules.margin_m < s < rules.margin_m
-        )
-        in_doorway = in_doorway or (-rules.margin_m < u < length + rules.margin_m and at.height_m < head_m)
-        # Beside the frame the wall is as deep as its other face scatters.
-        deep_m = reveal_m if 0.0 < u < length else reveal_m + rules.wall_distance_m
-        if -deep_m < s < rules.wall_distance_m and -rules.wall_distance_m < u < length + rules.wall_distance_m:
-            # At the reveal's end an open leaf hangs, as thick as the reveal's scatter is wide.
-            inner_m = rules.at_leaf_m if s < rules.leaf_hangs_m - reveal_m else rules.at_reveal_m
-            at_jamb = u < inner_m or u > length - inner_m
-            at_head = head_m - rules.at_reveal_m < at.height_m < head_m + rules.lintel_m
-            on_reveal = on_reveal or at_head or (at_jamb and at.height_m < head_m)
-    return _AtDoor(False, on_reveal, in_opening, in_doorway)
+        x, y, z, height_m = points[i, 0], points[i, 1], np.float64(points[i, 2]), np.float64(height[i])
+        p = cell_at(near_doorways, np.float64(x), np.float64(y))
+        for k in range(near_doorways[p], near_doorways[p + 1]):
+            d = near_doorways[k]
+            s = before_line(doorways, d, np.float64(x), np.float64(y))
+            if abs(s) > rules.at_door_m:
+                continue
+            u, length = along_line(doorways, d, np.float64(x), np.float64(y)), doorways[d, LENGTH]
+            depth_m, head_m, reveal_m = doorways[d, LEAF], doorways[d, HEAD], doorways[d, REVEAL]
+            # Between the jambs of a closed door there is nothing but its leaf, its handle, and their scatter.
+            if -depth_m - rules.leaf_distance_m < s < rules.wall_distance_m:
+                share, at_leaf = crossing(
+                    doorways, d, depth_m, np.float64(x), np.float64(y), origin, rules.grazing_sine
+                )
+                rise = (share - 1.0) * (z - origin[2])
+                if np.isnan(share):
+                    at_leaf, rise = u, 0.0
+                if 0.0 < at_leaf < length and height_m + rise < head_m:
+                    found[i] |= ON_LEAF
+                    break
+            if (
+                depth_m < 0.0
+                and rules.opening_m < u < length - rules.opening_m
+                and height_m < head_m - rules.opening_m
+                and -reveal_m - rules.margin_m < s < rules.margin_m
+            ):
+                found[i] |= IN_OPENING
+            if -rules.margin_m < u < length + rules.margin_m and height_m < head_m:
+                found[i] |= IN_DOORWAY
+            # Beside the frame the wall is as deep as its other face scatters.
+            deep_m = reveal_m if 0.0 < u < length else reveal_m + rules.wall_distance_m
+            if -deep_m < s < rules.wall_distance_m and -rules.wall_distance_m < u < length + rules.wall_distance_m:
+                # At the reveal's end an open leaf hangs, as thick as the reveal's scatter is wide.
+                inner_m = rules.at_leaf_m if s < rules.leaf_hangs_m - reveal_m else rules.at_reveal_m
+                at_jamb = u < inner_m or u > length - inner_m
+                at_head = head_m - rules.at_reveal_m < height_m < head_m + rules.lintel_m
+                if at_head or (at_jamb and height_m < head_m):
+                    found[i] |= ON_REVEAL
+    return found
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True)
-def _nearest_face(
-    at: _Return,
+@numba.njit(cache=True, nogil=True)
+def _mark_window_reveals(
+    points: FloatArray, asked: BoolArray, found: UInt8Array, panes: FloatArray, near_panes: IntArray, rules: _Rules
+) -> None:  # pragma: no cover
+    """Mark returns between a window's face and its pane too, where there is nothing but sill, head and reveals."""
+    for i in range(len(points)):
+        if not asked[i]:
+            continue
+        x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
+        p = cell_at(near_panes, x, y)
+        for k in range(near_panes[p], near_panes[p + 1]):
+            g = near_panes[k]
+            if -panes[g, BEYOND] < before_line(panes, g, x, y) < rules.wall_distance_m:
+                u = along_line(panes, g, x, y)
+                if -rules.margin_m < u < panes[g, LENGTH] + rules.margin_m:
+                    found[i] |= ON_REVEAL
+
+
+@numba.njit(cache=True, nogil=True)
+def _nearest_faces(
+    points: FloatArray,
+    height: FloatArray,
+    asked: BoolArray,
     origin: FloatArray,
     faces: FloatArray,
     near_faces: IntArray,
     first: IntArray,
     covered: BoolArray,
     rules: _Rules,
-) -> tuple[float, bool, bool]:  # pragma: no cover
-    """Metres to the nearest face, infinite without one; whether something stands against the wall; whether a wall has it within.
+) -> tuple[FloatArray, BoolArray, BoolArray]:  # pragma: no cover
+    """(n,) each: metres to the nearest face, infinite without one; whether something stands against the wall; whether a wall has
+    the return within.
 
     What stands against the wall is told by the nearest face that the ray could end on or before: a thin wall's other side is
     as close, but in another room. Within a wall's body, behind a face that the sensor looks at, is what scatters.
     """
-    nearest_m, nearest_seen_m = np.inf, rules.forget_m
-    is_covered = is_within = False
-    p = cell_at(near_faces, at.x, at.y)
-    for k in range(near_faces[p], near_faces[p + 1]):
-        w = near_faces[k]
-        s = before_line(faces, w, at.x, at.y)
-        could_see = s > 0.0 or before_line(faces, w, origin[0], origin[1]) > 0.0
-        in_body = -rules.body_m < s < 0.0 and could_see
-        if abs(s) < nearest_m or in_body or (could_see and abs(s) < nearest_seen_m):
-            u = along_line(faces, w, at.x, at.y)
-            beside = -rules.margin_m < u < faces[w, LENGTH] + rules.margin_m
-            if beside and at.height_m < faces[w, TOP] + rules.face_above_m:
-                nearest_m = min(nearest_m, abs(s))
-                if could_see and abs(s) < nearest_seen_m:
-                    nearest_seen_m = abs(s)
-                    column = min(max(int(u / CELL_M), 0), first[w + 1] - first[w] - 1)
-                    row = min(max(int(at.height_m / CELL_M), 0), covered.shape[1] - 1)
-                    is_covered = covered[first[w] + column, row]
-                is_within = is_within or in_body
+    nearest_m = np.full(len(points), np.inf)
+    is_covered, is_within = np.zeros(len(points), np.bool_), np.zeros(len(points), np.bool_)
+    before_sensor = np.array([before_line(faces, w, origin[0], origin[1]) > 0.0 for w in range(len(faces))], np.bool_)
+    for i in range(len(points)):
+        if not asked[i]:
+            continue
+        x, y, height_m = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(height[i])
+        nearest_seen_m = rules.forget_m
+        p = cell_at(near_faces, x, y)
+        for k in range(near_faces[p], near_faces[p + 1]):
+            w = near_faces[k]
+            s = before_line(faces, w, x, y)
+            could_see = s > 0.0 or before_sensor[w]
+            in_body = -rules.body_m < s < 0.0 and could_see
+            if abs(s) < nearest_m[i] or in_body or (could_see and abs(s) < nearest_seen_m):
+                u = along_line(faces, w, x, y)
+                beside = -rules.margin_m < u < faces[w, LENGTH] + rules.margin_m
+                if beside and height_m < faces[w, TOP] + rules.face_above_m:
+                    nearest_m[i] = min(nearest_m[i], abs(s))
+                    if could_see and abs(s) < nearest_seen_m:
+                        nearest_seen_m = abs(s)
+                        column = min(max(int(u / CELL_M), 0), first[w + 1] - first[w] - 1)
+                        row = min(max(int(height_m / CELL_M), 0), covered.shape[1] - 1)
+                        is_covered[i] = covered[first[w] + column, row]
+                    is_within[i] = is_within[i] or in_body
     return nearest_m, is_covered, is_within
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True)
-def _label_of_refused(
-    at: _Return, refused: FloatArray, near_refused: IntArray, rules: _Rules
-) -> int:  # pragma: no cover
-    """The label of the first refused face that a return lies on, -1 where it lies on none."""
-    p = cell_at(near_refused, at.x, at.y)
-    for k in range(near_refused[p], near_refused[p + 1]):
-        f = near_refused[k]
-        if abs(before_line(refused, f, at.x, at.y)) < rules.refused_m:
-            u = along_line(refused, f, at.x, at.y)
-            beside = -rules.margin_m < u < refused[f, LENGTH] + rules.margin_m
-            if beside and at.height_m < refused[f, TOP] + rules.refused_above_m:
-                return int(refused[f, REFUSED_AS])
-    return -1
+@numba.njit(cache=True, nogil=True)
+def _labels_of_refused(
+    points: FloatArray,
+    height: FloatArray,
+    asked: BoolArray,
+    refused: FloatArray,
+    near_refused: IntArray,
+    rules: _Rules,
+) -> IntArray:  # pragma: no cover
+    """(n,) int16 the label of the first refused face that each return lies on, -1 where it lies on none."""
+    label = np.full(len(points), -1, np.int16)
+    for i in range(len(points)):
+        if not asked[i]:
+            continue
+        x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
+        p = cell_at(near_refused, x, y)
+        for k in range(near_refused[p], near_refused[p + 1]):
+            f = near_refused[k]
+            if abs(before_line(refused, f, x, y)) < rules.refused_m:
+                u = along_line(refused, f, x, y)
+                beside = -rules.margin_m < u < refused[f, LENGTH] + rules.margin_m
+                if beside and height[i] < refused[f, TOP] + rules.refused_above_m:
+                    label[i] = np.int16(refused[f, REFUSED_AS])
+                    break
+    return label
 
 
 @numba.njit(cache=True, nogil=True)
-def _relabel(
-    points: FloatArray,
-    height: FloatArray,
-    below_ceiling: FloatArray,
-    label_scan: UInt8Array,
-    origin: FloatArray,
-    faces: FloatArray,
-    near_faces: IntArray,
-    first: IntArray,
-    clear_m: FloatArray,
-    covered: BoolArray,
-    refused: FloatArray,
-    near_refused: IntArray,
-    doorways: FloatArray,
-    near_doorways: IntArray,
-    panes: FloatArray,
-    near_panes: IntArray,
+def _decided(
+    label: UInt8Array,
+    asked: BoolArray,
+    at_door: UInt8Array,
+    nearest_m: FloatArray,
+    is_covered: BoolArray,
+    is_within: BoolArray,
+    refused: IntArray,
     rules: _Rules,
 ) -> UInt8Array:  # pragma: no cover
     """The final labels (n,) before halo and levels are asked: return by return the first answer that decides."""
-    label = label_scan.copy()
-    own_m = _own_places(points, height, below_ceiling, label_scan, faces, near_faces, rules)
-    in_sector, pane_count = _panes_by_sector(origin, panes, rules)
-    has_panes = pane_count.any()
-    for i in range(len(points)):
-        at = _Return(
-            np.float64(points[i, 0]),
-            np.float64(points[i, 1]),
-            np.float64(points[i, 2]),
-            np.float64(height[i]),
-            np.float64(below_ceiling[i]),
-        )
-        if has_panes and _is_outside(at, origin, panes, in_sector, pane_count, rules):
-            label[i] = Label.OUTSIDE
+    final = label.copy()
+    for i in range(len(label)):
+        if not asked[i]:
             continue
-        if label[i] == Label.FLOOR or label[i] == Label.CEILING or label[i] == Label.WALL:
-            if abs(at.height_m) < rules.edge_m or abs(at.below_ceiling_m) < rules.edge_m:
-                label[i] = _at_edge(
-                    np.int64(label[i]),
-                    at,
-                    origin,
-                    faces,
-                    near_faces,
-                    first,
-                    clear_m,
-                    own_m,
-                    doorways,
-                    near_doorways,
-                    rules,
-                )
-            if label[i] == Label.FLOOR and _is_above_floor(at, origin, rules):
-                label[i] = Label.CLUTTER
-            if label[i] != Label.WALL:
-                continue
-        door = _at_door(at, origin, doorways, near_doorways, rules)
-        if door.on_leaf:
-            label[i] = Label.DOOR
-            continue
-        on_reveal = door.on_reveal or _on_window_reveal(at, panes, near_panes, rules)
-        if door.in_opening and not on_reveal:
-            # A face goes on over its doors, but no wall stands in an open one.
-            label[i] = Label.CLUTTER
-            continue
-        nearest_m, is_covered, is_within = _nearest_face(at, origin, faces, near_faces, first, covered, rules)
-        if is_covered and not on_reveal:
-            label[i] = Label.CLUTTER
-            continue
+        on_reveal = bool(at_door[i] & ON_REVEAL)
         is_wall, is_door = label[i] == Label.WALL, label[i] == Label.DOOR
-        if nearest_m > rules.wall_distance_m and (is_wall or is_door) and not on_reveal:
-            of_refused = _label_of_refused(at, refused, near_refused, rules)
-            if of_refused >= 0:
-                label[i] = of_refused
-                continue
-        is_scatter = is_within and not door.in_doorway
-        if label[i] == Label.CLUTTER and (on_reveal or nearest_m < rules.wall_distance_m or is_scatter):
-            label[i] = Label.WALL
-        elif is_wall and nearest_m > rules.forget_m:
-            label[i] = Label.CLUTTER
+        is_scatter = is_within[i] and not at_door[i] & IN_DOORWAY
+        if at_door[i] & ON_LEAF:
+            final[i] = Label.DOOR
+        elif not on_reveal and (at_door[i] & IN_OPENING or is_covered[i]):
+            # A face goes on over its doors, but no wall stands in an open one.
+            final[i] = Label.CLUTTER
+        elif not on_reveal and (is_wall or is_door) and nearest_m[i] > rules.wall_distance_m and refused[i] >= 0:
+            final[i] = refused[i]
+        elif label[i] == Label.CLUTTER and (on_reveal or nearest_m[i] < rules.wall_distance_m or is_scatter):
+            final[i] = Label.WALL
+        elif is_wall and nearest_m[i] > rules.forget_m:
+            final[i] = Label.CLUTTER
         elif is_door:
-            is_faces = nearest_m < rules.scan_door_ratio * rules.wall_distance_m
-            label[i] = Label.WALL if is_faces else Label.CLUTTER
-    return label
+            is_faces = nearest_m[i] < rules.scan_door_ratio * rules.wall_distance_m
+            final[i] = Label.WALL if is_faces else Label.CLUTTER
+    return final
