@@ -94,8 +94,15 @@ def _pairs_near(
 
 @numba.njit(cache=True, nogil=True, forceinline=True)
 def sector_of(x: float, y: float) -> int:  # pragma: no cover
-    """The sector, of `SECTORS` about a sensor, in which the direction (x, y) lies."""
-    return min(int((np.arctan2(y, x) + np.pi) * (SECTORS / (2.0 * np.pi))), SECTORS - 1)
+    """The sector, of `SECTORS` about a sensor, in which the direction (x, y) lies; 0 for none.
+
+    Sectors part the square |x| + |y| = 1 evenly, not the circle: no ray needs an arc tangent.
+    """
+    total = abs(x) + abs(y)
+    if total == 0.0:
+        return 0
+    quarters = 1.0 - x / total if y >= 0.0 else 3.0 + x / total
+    return min(int(quarters * (SECTORS / 4.0)), SECTORS - 1)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -110,9 +117,9 @@ def sectors_around(points: FloatArray) -> tuple[int, int]:  # pragma: no cover
         angle = np.arctan2(points[k, 1], points[k, 0]) - middle
         angle -= 2.0 * np.pi * np.floor(angle / (2.0 * np.pi) + 0.5)
         low, high = min(low, angle), max(high, angle)
-    width = SECTORS / (2.0 * np.pi)
-    first = int(np.floor((middle + low + np.pi) * width)) - 1
-    return first % SECTORS, min(int(np.floor((middle + high + np.pi) * width)) + 2 - first, SECTORS)
+    first = sector_of(np.cos(middle + low), np.sin(middle + low)) - 1
+    last = sector_of(np.cos(middle + high), np.sin(middle + high)) + 1
+    return first % SECTORS, (last - first) % SECTORS + 1
 
 
 @numba.njit(cache=True, nogil=True)

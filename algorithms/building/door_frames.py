@@ -166,7 +166,7 @@ def _compare_with_frames(
 ) -> None:  # pragma: no cover
     ends, head_m, depth_m, wall_ends, wall_normal = frames
     jamb_cost_m, jamb_rays, head_cost_m, head_rays, scans = evidence
-    origin, starts, ray_end = rays.origin, rays.starts, rays.end
+    origin, starts, ray_end, floors = rays.origin, rays.starts, rays.end, rays.floors
     jamb_reach_m, corner_m = rules.jamb_reach_m, rules.corner_m
     for d in range(len(ends)):
         dx, dy = ends[d, 1, 0] - ends[d, 0, 0], ends[d, 1, 1] - ends[d, 0, 1]
@@ -200,7 +200,7 @@ def _compare_with_frames(
                 u = x * dx + y * dy
                 if u < -jamb_reach_m or u > length + jamb_reach_m:
                     continue
-                height = z - floor_m(rays, s, ray_end[r, 0], ray_end[r, 1])
+                height = z - floor_m(floors, s, ray_end[r, 0], ray_end[r, 1])
                 kind = 0 if -side < min(0.5 * depth_m[d], ON_FACE_M) else 1
                 end_m = min(max(-side, -depth_m[d]), depth_m[d])
                 if corner_m < u < length - corner_m and rules.head_min_m < height < rules.head_max_m:
@@ -257,10 +257,10 @@ def _count_undersides(
     rules: _Rules,
 ) -> None:  # pragma: no cover
     bins, corner_m = counts.shape[1], rules.corner_m
-    starts, ray_end = rays.starts, rays.end
+    starts, ray_end, floors = rays.starts, rays.end, rays.floors
     for s in range(len(starts) - 1):
         for r in range(starts[s], starts[s + 1]):
-            height = ray_end[r, 2] - floor_m(rays, s, ray_end[r, 0], ray_end[r, 1])
+            height = ray_end[r, 2] - floor_m(floors, s, ray_end[r, 0], ray_end[r, 1])
             if height < rules.head_min_m or height > rules.head_max_m:
                 continue
             for d in range(len(ends)):

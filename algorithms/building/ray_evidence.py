@@ -12,10 +12,9 @@ import numpy as np
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.plan_index import SECTORS, enter, sector_of, sectors_around
-from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, BuildingSettings, Walls
-from ffmap.algorithms.scan.floor import floor_height
 from ffmap.algorithms.scan.summary import Features
 
 FILLED, SUM, SQUARES, THROUGH = range(4)
@@ -39,12 +38,14 @@ class WallCells:
 
 
 class Rays(NamedTuple):
-    """The scans of a block for compiled code, as `Features` holds them, in the map frame."""
+    """The scans of a block for compiled code, as `Features` holds them, in the map frame.
+
+    floors: (s, 10) for `floor_m`: the six numbers of the floor's pieces, whether the higher of them is the floor, how far from
+    the sensor they were looked for, and its x and y.
+    """
 
     origin: FloatArray
-    floor: FloatArray
-    floor_is_foot: BoolArray
-    floor_reach_m: FloatArray
+    floors: FloatArray
     starts: IntArray
     end: FloatArray
     label: UInt8Array
@@ -55,11 +56,11 @@ class Rays(NamedTuple):
     @classmethod
     def of(cls, block: Features) -> "Rays":
         """Those of a block, laid out in memory as compiled code expects it."""
+        pieces, origin = block.floor_map.reshape(-1, 6), block.origin_map[:, :2]
+        floors = np.column_stack([pieces, block.floor_is_foot, block.floor_reach_m, origin])
         return cls(
             np.ascontiguousarray(block.origin_map, np.float64),
-            np.ascontiguousarray(block.floor_map, np.float64),
-            block.floor_is_foot,
-            block.floor_reach_m,
+            np.ascontiguousarray(floors, np.float64),
             block.ray_starts,
             np.ascontiguousarray(block.ray_end_map, np.float32),
             block.ray_label,
@@ -98,18 +99,24 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
     return WallCells(first, rows, counts)
 
 
-@numba.njit(cache=True, nogil=True)
-def floor_m(rays: Rays, scan: int, x: float, y: float) -> float:  # pragma: no cover
-    """Height of the floor at a place in the map (m), as a scan saw it.
+@numba.njit(cache=True, nogil=True, forceinline=True)
+def floor_m(floors: FloatArray, scan: int, x: float, y: float) -> float:  # pragma: no cover
+    """Height of the floor at a place in the map (m), as a scan saw it; floors: see `Rays`.
 
     A ramp ends: beyond where the pieces of a floor that bends were seen, it goes on level.
     """
-    pieces = rays.floor[scan]
-    if pieces[0, 0] != pieces[1, 0] or pieces[0, 1] != pieces[1, 1] or pieces[0, 2] != pieces[1, 2]:
-        dx, dy = x - rays.origin[scan, 0], y - rays.origin[scan, 1]
-        share = min(1.0, rays.floor_reach_m[scan] / max(np.sqrt(dx * dx + dy * dy), 1e-9))
-        x, y = rays.origin[scan, 0] + share * dx, rays.origin[scan, 1] + share * dy
-    return float(floor_height(pieces, rays.floor_is_foot[scan], x, y))
+    bends = False
+    for k in range(3):
+        bends = bends or floors[scan, k] != floors[scan, 3 + k]
+    if bends:
+        dx, dy = x - floors[scan, 8], y - floors[scan, 9]
+        share = min(1.0, floors[scan, 7] / max(np.sqrt(dx * dx + dy * dy), 1e-9))
+        x, y = floors[scan, 8] + share * dx, floors[scan, 9] + share * dy
+    first = floors[scan, 0] + floors[scan, 1] * x + floors[scan, 2] * y
+    if not bends:
+        return float(first)
+    second = floors[scan, 3] + floors[scan, 4] * x + floors[scan, 5] * y
+    return float(max(first, second) if floors[scan, 6] > 0.0 else min(first, second))
 
 
 def first_columns(walls: Walls) -> IntArray:
@@ -223,7 +230,7 @@ def _trace(
     own: OwnPlane,
 ) -> None:  # pragma: no cover
     faces, rows = len(ends), counts.shape[1]
-    origin, starts, ray_end = rays.origin, rays.starts, rays.end
+    origin, starts, ray_end, label, floors = rays.origin, rays.starts, rays.end, rays.label, rays.floors
     along = np.empty((faces, 2))
     for w in range(faces):
         dx, dy = ends[w, 1, 0] - ends[w, 0, 0], ends[w, 1, 1] - ends[w, 0, 1]
@@ -255,7 +262,7 @@ def _trace(
                 if reach < 0.1 or side > 0.1:
                     continue
                 # Floor and ceiling behind an opening are no leaf: what ended there passed the face.
-                level = rays.label[r] == Label.FLOOR or rays.label[r] == Label.CEILING
+                level = label[r] == Label.FLOOR or label[r] == Label.CEILING
                 near = side > (-AT_FACE_M if level else -near_m)
                 if not near:
                     t = reach / (reach - side)
@@ -264,13 +271,13 @@ def _trace(
                 column = int(np.floor(place / CELL_M))
                 if column < 0 or column >= first[w + 1] - first[w]:
                     continue
-                row = int(np.floor((z - floor_m(rays, s, x, y)) / CELL_M))
+                row = int(np.floor((z - floor_m(floors, s, x, y)) / CELL_M))
                 if row < 0 or row >= rows:
                     continue
-                cell = counts[first[w] + column, row]
+                column += first[w]
                 if near:
-                    cell[FILLED] += 1.0
-                    cell[SUM] += side
-                    cell[SQUARES] += side * side
+                    counts[column, row, FILLED] += 1.0
+                    counts[column, row, SUM] += side
+                    counts[column, row, SQUARES] += side * side
                 else:
-                    cell[THROUGH] += 1.0
+                    counts[column, row, THROUGH] += 1.0

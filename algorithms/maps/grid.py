@@ -594,13 +594,13 @@ def _count_crossings(
     that, at which a crossing counts.
     """
     rows, columns = cells.shape
-    origin, starts, end = rays.origin, rays.starts, rays.end
+    origin, starts, end, floors = rays.origin, rays.starts, rays.end, rays.floors
     for s in range(len(origin)):
         x0, y0 = (origin[s, 0] - frame.x) / frame.cell_m, (origin[s, 1] - frame.y) / frame.cell_m
-        begin_m = origin[s, 2] - floor_m(rays, s, origin[s, 0], origin[s, 1])
+        begin_m = origin[s, 2] - floor_m(floors, s, origin[s, 0], origin[s, 1])
         for r in range(starts[s] + s % 2, starts[s + 1], 2):
             dx, dy = (end[r, 0] - frame.x) / frame.cell_m - x0, (end[r, 1] - frame.y) / frame.cell_m - y0
-            end_m = end[r, 2] - floor_m(rays, s, np.float64(end[r, 0]), np.float64(end[r, 1]))
+            end_m = end[r, 2] - floor_m(floors, s, np.float64(end[r, 0]), np.float64(end[r, 1]))
             length = np.sqrt(dx * dx + dy * dy)
             count = int(2 * length) + 1
             last = -1
@@ -685,15 +685,15 @@ def _cross(
     found = np.empty((int(2 * range_cells) + 4, 2), np.int64)
     entered, going = np.empty(len(found)), np.empty(len(found), np.uint8)
     crossed, low = marked[0], marked[1]
-    origin, starts, end, label = rays.origin, rays.starts, rays.end, rays.label
+    origin, starts, end, label, floors = rays.origin, rays.starts, rays.end, rays.label, rays.floors
     for s in range(len(origin)):
         x, y = (origin[s, 0] - frame.x) / frame.cell_m, (origin[s, 1] - frame.y) / frame.cell_m
-        begin_m = origin[s, 2] - floor_m(rays, s, origin[s, 0], origin[s, 1])
+        begin_m = origin[s, 2] - floor_m(floors, s, origin[s, 0], origin[s, 1])
         for r in range(starts[s] + s % 4, starts[s + 1], 4):
             dx, dy = (end[r, 0] - frame.x) / frame.cell_m - x, (end[r, 1] - frame.y) / frame.cell_m - y
             low_from = np.inf
             if label[r] == Label.FLOOR:
-                drop_m = begin_m - (end[r, 2] - floor_m(rays, s, np.float64(end[r, 0]), np.float64(end[r, 1])))
+                drop_m = begin_m - (end[r, 2] - floor_m(floors, s, np.float64(end[r, 0]), np.float64(end[r, 1])))
                 low_from = (1.0 - knee_m / max(drop_m, knee_m)) * np.sqrt(dx * dx + dy * dy)
             count, _, _ = _walk(barred, layers, x, y, dx, dy, range_cells, found, entered, going)
             for k in range(count):

@@ -566,4 +566,4 @@ def test_a_ramp_ends_where_it_was_seen(x: float, height_m: float) -> None:
     seen = features((0.0, 0.0), np.ones((1, 3)), WALL.ends)
     pieces = np.array([[[0.0, 0.0, 0.0], [0.0, 0.1, 0.0]]])
     rays = Rays.of(replace(seen, floor_map=pieces, floor_is_foot=np.ones(1, bool)))
-    assert floor_m(rays, 0, x, 0.0) == pytest.approx(height_m)
+    assert floor_m(rays.floors, 0, x, 0.0) == pytest.approx(height_m)
