@@ -23,6 +23,7 @@ from ffmap.app.parameters import (
     one_for_each_core,
     option,
 )
+from ffmap.app.quick_imports import quick_imports
 from ffmap.app.setup.outputs import RUN_OUTPUTS, Detail, Output, parse_outputs
 from ffmap.loaders.errors import InputError
 
@@ -119,8 +120,9 @@ class Run(HowToRun):
         workers = one_for_each_core(self.workers)
         if workers > 1:
             start_server()
-        from ffmap.app.commands.run import run
-        from ffmap.app.run.start import Arguments
+        with quick_imports():
+            from ffmap.app.commands.run import run
+            from ffmap.app.run.start import Arguments
 
         doors = [f"grid_map.doors={self.doors}"] if self.doors else []
         arguments = Arguments(
@@ -232,9 +234,10 @@ class Evaluate:
             if getattr(self, name):
                 option = f"--{name.rstrip('_')}"
                 raise InputError(f"{option}: goes with --suite alone; a finished run is evaluated as it was made")
-        from ffmap.app.analysis.evaluation import evaluate_run
-        from ffmap.app.analysis.metrics_tables import print_metrics
-        from ffmap.app.folder.finished_run import open_run
+        with quick_imports():
+            from ffmap.app.analysis.evaluation import evaluate_run
+            from ffmap.app.analysis.metrics_tables import print_metrics
+            from ffmap.app.folder.finished_run import open_run
 
         print_metrics(evaluate_run(open_run(self.run_folder), self.truth, one_for_each_core(self.workers)))
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import Segment, lengths_m, segments
@@ -181,7 +180,9 @@ def _is_ajar(depth_m: FloatArray, ajar_m: float) -> bool:
     if len(known) < 3:
         return False
     # Columns at the jambs hold returns of the reveals as well: the median of the slopes between all pairs (Theil and Sen).
-    return bool(abs(stats.theilslopes(depth_m[known], known).slope) * len(depth_m) > ajar_m)
+    first, second = (known[place] for place in np.triu_indices(len(known), 1))
+    slope = np.median((depth_m[second].astype(np.float64) - depth_m[first]) / (second - first))
+    return bool(abs(slope) * len(depth_m) > ajar_m)
 
 
 def _count_jambs(

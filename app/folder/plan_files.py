@@ -3,21 +3,21 @@
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 import numpy as np
 import shapely
-from ezdxf.document import Drawing
-from ezdxf.enums import TextEntityAlignment
-from ezdxf.filemanagement import new as new_document
-from ezdxf.layouts.layout import Modelspace
-from ezdxf.units import M as METRES
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import turned
 from ffmap.algorithms.maps.floor_plan import FloorPlan, Leaf, PlanDoor
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.app.folder.atomic import write_text, written_whole
+
+if TYPE_CHECKING:
+    from ezdxf.document import Drawing
+    from ezdxf.layouts.layout import Modelspace
 
 MM_PER_M = 10.0
 """The SVG is drawn at a scale of 1:100."""
@@ -280,7 +280,12 @@ def write_dxf(path: Path, plan: FloorPlan) -> None:
     Coordinates stay the map's, so that the other files can be laid over it. The view it opens with is twisted so that the
     walls stand square, and the named coordinate system `WALLS` lies along them.
     """
-    document = new_document("R2010", setup=True)
+    # Imported here: it takes a tenth of a second, and no run needs it before its maps are made.
+    from ezdxf.enums import TextEntityAlignment
+    from ezdxf.filemanagement import new
+    from ezdxf.units import M as METRES
+
+    document = new("R2010", setup=True)
     document.units = METRES
     for name, colour in LAYERS.items():
         document.layers.add(name, color=colour)
@@ -310,7 +315,7 @@ def write_dxf(path: Path, plan: FloorPlan) -> None:
         document.saveas(part)
 
 
-def _look_square(document: Drawing, plan: FloorPlan) -> None:
+def _look_square(document: "Drawing", plan: FloorPlan) -> None:
     """Twist the first view of model space, and name the coordinate system along the walls."""
     x_axis, y_axis = turned(np.eye(2), plan.direction_deg)
     document.ucs.new("WALLS", dxfattribs={"xaxis": (*x_axis, 0.0), "yaxis": (*y_axis, 0.0)})
@@ -321,7 +326,7 @@ def _look_square(document: Drawing, plan: FloorPlan) -> None:
     view.dxf.view_twist = -plan.direction_deg % 360.0
 
 
-def _add_polygon(space: Modelspace, polygon: shapely.Polygon, layer: str, filled: bool) -> None:
+def _add_polygon(space: "Modelspace", polygon: shapely.Polygon, layer: str, filled: bool) -> None:
     rings = [list(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors)]
     for ring in rings:
         space.add_lwpolyline(ring, close=True, dxfattribs={"layer": layer})
@@ -331,7 +336,7 @@ def _add_polygon(space: Modelspace, polygon: shapely.Polygon, layer: str, filled
             hatch.paths.add_polyline_path(ring, is_closed=True, flags=1 if i == 0 else 16)
 
 
-def _add_door(space: Modelspace, door: PlanDoor) -> None:
+def _add_door(space: "Modelspace", door: PlanDoor) -> None:
     attributes = {"layer": "DOORS"}
     _add_polygon(space, door.outline, "DOORS", filled=False)
     if door.state == DoorState.CLOSED:

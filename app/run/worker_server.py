@@ -21,9 +21,13 @@ _imported = threading.Event()
 _watch = threading.Thread(target=_end_with, args=(os.getppid(), _imported))
 _watch.start()
 
-import ffmap.algorithms.poses.odometry  # noqa: E402
-import ffmap.app.run.warm_up  # noqa: E402, F401
+try:
+    from ffmap.app.quick_imports import quick_imports
 
-# No thread is left when it forks.
-_imported.set()
-_watch.join()
+    with quick_imports():
+        import ffmap.algorithms.poses.odometry
+        import ffmap.app.run.warm_up  # noqa: F401
+finally:
+    # No thread is left when it forks, nor waits for what has failed.
+    _imported.set()
+    _watch.join()
