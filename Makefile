@@ -9,7 +9,7 @@ READY := $(VENV)/.ready
 help:
 	@echo 'make demo     install, simulate a small furnished building, run the program on it, say how to look at the result'
 	@echo 'make test     install, then ruff, mypy --strict and pytest'
-	@echo 'make install  set up $(VENV)/ only; the command is then $(VENV)/bin/ffmap'
+	@echo 'make install  set up $(VENV)/ only, and compile what runs need; the command is then $(VENV)/bin/ffmap'
 	@echo 'make clean    remove $(VENV)/, build/, demo/ and caches (runs/ stays)'
 
 install: $(READY)
@@ -20,6 +20,7 @@ $(READY): requirements.txt pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --requirement requirements.txt
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	$(VENV)/bin/ffmap cache --warm
 	@touch $(READY)
 
 demo: install

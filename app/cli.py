@@ -462,17 +462,29 @@ class Maps:
 
 @_command
 class Cache:
-    """What the cache of odometries holds: registering a bag's scans is the slowest step, so it is kept for later runs.
+    """What is kept for later runs: odometries, for registering a bag's scans is the slowest step, and compiled code.
 
-    The environment variable FFMAP_CACHE names another folder for it.
+    The environment variable FFMAP_CACHE names another folder for odometries, NUMBA_CACHE_DIR one for compiled code.
     """
 
-    clear: bool = option(False, "--clear", help="Remove all that it holds.")
+    clear: bool = option(False, "--clear", help="Remove all odometries, and what other versions have compiled.")
+    warm: bool = option(
+        False, "--warm", help="Compile now, in less than a minute, what the first run would else compile."
+    )
 
     def __call__(self) -> None:
-        from ffmap.app.commands.cache import cache
+        from ffmap.app.run.workers import start_server
 
-        cache(self.clear)
+        if self.clear and self.warm:
+            raise InputError("--clear, --warm: give one of them")
+        if self.warm:
+            start_server()
+        from ffmap.app.commands.cache import cache, warm
+
+        if self.warm:
+            warm(one_for_each_core(None))
+        else:
+            cache(self.clear)
 
 
 @_command
@@ -548,10 +560,11 @@ class Demo:
 
 def main() -> None:
     """Entry point: the user's mistakes are one line and exit code 2, ours a traceback."""
+    from ffmap.app.compiled_code import compiled_code
     from ffmap.app.run.workers import ENVIRONMENT
 
-    # For numpy here, and for the worker processes.
-    os.environ.update(ENVIRONMENT | os.environ)
+    # For numpy and Numba here, and for the worker processes.
+    os.environ.update(ENVIRONMENT | os.environ | compiled_code())
     try:
         # Not standalone: Typer's own way to tell of a mistake takes five lines, and it says nothing of an interruption.
         code = app(standalone_mode=False, prog_name="ffmap")

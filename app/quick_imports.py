@@ -1,5 +1,6 @@
 """Importing without Python's collector of cycles, which would go over all that was imported before, many times, for nothing."""
 
+import atexit
 import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,8 +8,9 @@ from contextlib import contextmanager
 
 @contextmanager
 def quick_imports() -> Iterator[None]:
-    """Let the collector rest, and never look at what was made meanwhile: modules stay to the end of the process."""
+    """Let the collector rest, and not look at what was made meanwhile before the process ends: modules stay until then."""
     gc.disable()
+    atexit.register(gc.unfreeze)
     try:
         yield
     finally:

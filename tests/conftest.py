@@ -1,6 +1,15 @@
-"""How many examples Hypothesis tries: few and always the same, or with --hypothesis-profile=long as many as hours allow."""
+"""How many examples Hypothesis tries: few and always the same, or with --hypothesis-profile=long as many as hours allow.
+
+Compiled code is kept as the program keeps it, which is settled before anything imports Numba.
+"""
+
+import os
 
 from hypothesis import HealthCheck, settings
+
+from ffmap.app.compiled_code import compiled_code
+
+os.environ.update(compiled_code())
 
 _SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
 

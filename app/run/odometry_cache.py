@@ -9,7 +9,6 @@ import json
 import os
 import re
 import shutil
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -22,9 +21,9 @@ import numpy as np
 import xxhash
 
 from ffmap.app.run.arrays import Arrays
+from ffmap.app.user_cache import CACHE_VARIABLE as CACHE_VARIABLE
+from ffmap.app.user_cache import user_cache
 
-CACHE_VARIABLE = "FFMAP_CACHE"
-"""The environment variable that names the folder of the cache, before anything else does."""
 LIMIT_BYTES = 5_000_000_000
 """The cache is kept below this size; what was not used for longest goes first."""
 
@@ -41,13 +40,7 @@ def cache_folder() -> Path:
     """Where odometries are kept: in $FFMAP_CACHE, else in $XDG_CACHE_HOME or ~/.cache, or what the system uses instead."""
     if named := os.environ.get(CACHE_VARIABLE):
         return Path(named) / "odometry"
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return base / "furniture-free-mapping" / "odometry"
+    return user_cache() / "odometry"
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
+from ffmap.app.compiled_code import compiled_code
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.names import ERROR_LOG, METRICS, RunFolder, held
 from ffmap.app.run.odometry import Odometry
@@ -111,7 +112,7 @@ def perform(job: Job) -> Outcome:
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=stderr,
-            env={**ENVIRONMENT, **os.environ, CACHE_VARIABLE: str(job.cache)},
+            env={**ENVIRONMENT, **os.environ, **compiled_code(), CACHE_VARIABLE: str(job.cache)},
             start_new_session=True,
         )
         _children[process] = job.out.parent
