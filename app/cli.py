@@ -234,12 +234,17 @@ class Evaluate:
             if getattr(self, name):
                 option = f"--{name.rstrip('_')}"
                 raise InputError(f"{option}: goes with --suite alone; a finished run is evaluated as it was made")
+        from ffmap.app.run.workers import start_server
+
+        workers = one_for_each_core(self.workers)
+        if workers > 1:
+            start_server()
         with quick_imports():
             from ffmap.app.analysis.evaluation import evaluate_run
             from ffmap.app.analysis.metrics_tables import print_metrics
             from ffmap.app.folder.finished_run import open_run
 
-        print_metrics(evaluate_run(open_run(self.run_folder), self.truth, one_for_each_core(self.workers)))
+        print_metrics(evaluate_run(open_run(self.run_folder), self.truth, workers))
 
 
 @_command

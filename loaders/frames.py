@@ -4,14 +4,17 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base import transforms
-from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.loaders.bag import Bag, Message
 
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 _SAME = 1e-6
+_QUATERNION_MIN = 1e-6
+"""The length below which a quaternion is no rotation."""
 _WINDOWS = 20
 _WINDOW_NS = 300_000_000
 _FIRST_WINDOW_NS = 2_000_000_000
@@ -98,9 +101,20 @@ def pose_matrix(translation: Message, rotation: Message) -> FloatArray | None:
     """(4, 4) of a ROS translation and quaternion; None where they are no pose."""
     quaternion = [rotation.x, rotation.y, rotation.z, rotation.w]
     position = [translation.x, translation.y, translation.z]
-    if not np.all(np.isfinite([*quaternion, *position])) or np.linalg.norm(quaternion) < 1e-6:
+    if not np.all(np.isfinite([*quaternion, *position])) or np.linalg.norm(quaternion) < _QUATERNION_MIN:
         return None
     return transforms.from_quaternion(position, quaternion)
+
+
+def pose_matrices(translation: FloatArray, quaternion_xyzw: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """(k, 4, 4) of the sound ones among ROS translations (n, 3) and quaternions (n, 4); and which (n,) are sound."""
+    finite = np.isfinite(np.hstack([translation, quaternion_xyzw])).all(axis=1, keepdims=True)
+    sound: BoolArray = np.linalg.norm(np.where(finite, quaternion_xyzw, 0.0), axis=1) >= _QUATERNION_MIN
+    T = np.tile(np.eye(4), (int(np.count_nonzero(sound)), 1, 1))
+    if len(T):
+        T[:, :3, :3] = Rotation.from_quat(quaternion_xyzw[sound]).as_matrix()
+        T[:, :3, 3] = translation[sound]
+    return T, sound
 
 
 def _tf_topics(bag: Bag, name: str) -> list[str]:

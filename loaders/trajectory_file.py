@@ -14,7 +14,7 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.loaders.bag import Bag, Message
 from ffmap.loaders.errors import InputError
-from ffmap.loaders.frames import TF_TYPES, FrameTree, edge_of, pose_matrix
+from ffmap.loaders.frames import TF_TYPES, FrameTree, edge_of, pose_matrices
 from ffmap.loaders.pointcloud2 import stamp_ns
 from ffmap.loaders.text_files import read_text
 
@@ -106,15 +106,19 @@ def read_pose_topic(bag: Bag, topic: str, base_frame: str | None, static: FrameT
             f"{bag.path.name}: topic {found.name} is {found.msgtype}, which is no pose; name one of "
             f"{', '.join(name.split('/')[-1] for name in [*_POSES, *TF_TYPES])}"
         )
-    poses: list[tuple[int, FloatArray]] = []
+    stamps: list[int] = []
+    positions: list[list[float]] = []
+    quaternions: list[list[float]] = []
     child = ""
     for raw in bag.messages([found.name]):
         message = bag.deserialize(raw)
         child = child or str(getattr(message, "child_frame_id", "")).removeprefix("/")
-        T = _pose_of(message, found.msgtype)
-        if T is not None:
-            poses.append((stamp_ns(message), T))
-    trajectory = _trajectory(poses, bag, found.name)
+        position, quaternion = _pose_of(message, found.msgtype)
+        stamps.append(stamp_ns(message))
+        positions.append([position.x, position.y, position.z])
+        quaternions.append([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
+    T, sound = pose_matrices(np.array(positions).reshape(-1, 3), np.array(quaternions).reshape(-1, 4))
+    trajectory = _trajectory(zip(np.array(stamps)[sound].tolist(), T, strict=True), bag, found.name)
     if base_frame is None or child in ("", base_frame):
         return trajectory
     T_child_base = static.between(child, base_frame) if static else None
@@ -134,15 +138,16 @@ _POSES = (
 )
 
 
-def _pose_of(message: Message, msgtype: str) -> FloatArray | None:
+def _pose_of(message: Message, msgtype: str) -> tuple[Message, Message]:
+    """The position and the quaternion that a message carries."""
     match msgtype.rsplit("/", 1)[-1]:
         case "TransformStamped":
-            return pose_matrix(message.transform.translation, message.transform.rotation)
+            return message.transform.translation, message.transform.rotation
         case "PoseStamped":
             pose = message.pose
         case _:
             pose = message.pose.pose
-    return pose_matrix(pose.position, pose.orientation)
+    return pose.position, pose.orientation
 
 
 def _follow_tf(bag: Bag, topic: str, base_frame: str, static: FrameTree) -> Trajectory:

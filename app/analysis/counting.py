@@ -21,7 +21,7 @@ from ffmap.loaders.errors import InputError
 from ffmap.loaders.pointcloud2 import describe_layout, field_column
 from ffmap.loaders.rig import Lidar
 from ffmap.loaders.scans import CloudIndex, SkippedScan, index_clouds, read_clouds
-from ffmap.loaders.truth import TruthClasses, read_truth
+from ffmap.loaders.truth import TruthClasses
 
 CLOUDS_A_SHARE = 100
 """For fewer clouds than this a process more costs more than it saves; with many more, its cubes fill the memory."""
@@ -64,6 +64,7 @@ class _Share:
 
     clouds: LabelledClouds
     truth_bag: Path
+    trajectory: Trajectory
     doors: TrueDoors
     first: int
     count: int
@@ -81,32 +82,36 @@ class _Bags:
 
     clouds: Bag
     index: CloudIndex
-    trajectory: Trajectory
     classes: TruthClasses
-
-    @staticmethod
-    def read(clouds: Bag, true_bag: Bag, topic: str) -> "_Bags":
-        truth = read_truth(true_bag)
-        assert truth is not None
-        assert truth.trajectory is not None
-        assert truth.classes is not None
-        return _Bags(clouds, index_clouds(clouds, topic), truth.trajectory, truth.classes)
 
 
 def count_run(
-    clouds: LabelledClouds, truth_bag: Path, doors: TrueDoors, workers: int, layer: Layer | None = None
+    clouds: LabelledClouds,
+    truth_bag: Path,
+    trajectory: Trajectory,
+    classes: TruthClasses,
+    doors: TrueDoors,
+    workers: int,
+    layer: Layer | None = None,
 ) -> Counted:
-    """Count all clouds of a run. layer: where the errors of each scan are recorded; None for nowhere."""
+    """Count all clouds of a run.
+
+    trajectory, classes: the truth, as read from `truth_bag`. layer: where the errors of each scan are recorded; None for
+        nowhere.
+    """
     topic = clouds.lidar.topic
     total, without_truth = Counter(doors), 0
     with ExitStack() as stack:
         bag = stack.enter_context(open_bag(clouds.bag))
-        count = len(index_clouds(bag, topic))
+        index = index_clouds(bag, topic)
+        count = len(index)
         edges = np.linspace(0, count, max(1, count // CLOUDS_A_SHARE) + 1).astype(int).tolist()
-        shares = [_Share(clouds, truth_bag, doors, first, last - first, layer) for first, last in pairwise(edges)]
+        shares = [
+            _Share(clouds, truth_bag, trajectory, doors, first, last - first, layer) for first, last in pairwise(edges)
+        ]
         processes = min(workers, len(shares))
         if processes == 1:
-            bags = _Bags.read(bag, stack.enter_context(open_bag(truth_bag)), topic)
+            bags = _Bags(bag, index, classes)
             counted: Iterable[tuple[Tally, int]] = (_count(share, bags) for share in shares)
         else:
             counted = stack.enter_context(make_pool(processes)).map(_count_in_worker, shares)
@@ -124,7 +129,8 @@ def _count_in_worker(share: _Share) -> tuple[Tally, int]:
 @cache
 def _opened(clouds: Path, truth_bag: Path, topic: str) -> _Bags:
     """Each worker opens the bags once; it lives as long as one evaluation."""
-    return _Bags.read(open_bag(clouds), open_bag(truth_bag), topic)
+    bag = open_bag(clouds)
+    return _Bags(bag, index_clouds(bag, topic), TruthClasses(open_bag(truth_bag)))
 
 
 def _count(share: _Share, bags: _Bags) -> tuple[Tally, int]:
@@ -151,7 +157,7 @@ def _count_clouds(
             counter.skip()
             continue
         classes = bags.classes.at(scan.stamp_ns)
-        if classes is None or not bags.trajectory.covers(np.array([scan.start_ns]), _MARGIN_NS)[0]:
+        if classes is None or not share.trajectory.covers(np.array([scan.start_ns]), _MARGIN_NS)[0]:
             without_truth += 1
             continue
         if len(classes) != scan.cloud_size:
@@ -168,7 +174,7 @@ def _count_clouds(
         label, label_scan = (values[scan.cloud_index].astype(np.uint8) for values in full)
         truth = classes[scan.cloud_index]
         # As measured, at the true poses: where a return is counted does not depend on what was made of it.
-        placed = place_scan(scan, bags.trajectory, lidar.T_base_sensor)
+        placed = place_scan(scan, share.trajectory, lidar.T_base_sensor)
         counter.add(
             placed.to_map(placed.points_level),
             placed.to_map(placed.origin_level[None])[0],

@@ -187,7 +187,8 @@ def compare_run(
     doors, faces = read_building(building)
     if clouds is None or truth.classes is None:
         return Comparison(metrics, faces, doors)
-    counted = count_run(clouds, truth_path, doors, workers, layer if run.has_scans else None)
+    shown = layer if run.has_scans else None
+    counted = count_run(clouds, truth_path, truth.trajectory, truth.classes, doors, workers, shown)
     tally = counted.tally
     metrics |= {
         "scans": {"counted": tally.scans, "skipped": tally.skipped, "without_truth": counted.without_truth},

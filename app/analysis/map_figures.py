@@ -49,6 +49,7 @@ _CELL_MIN_PX, _CELL_MAX_PX = 2.0, 8.0
 """No cell is lost when the map is turned, and none of a tiny map is blown up."""
 _SHEET_SHAPE = 1.5
 _GAP = 48
+_ROWS_AT_ONCE = 64
 _TITLE_PX, _TEXT_PX = 48, 36
 _HEAD_PX = 120
 _MARGIN_M = 0.5
@@ -172,14 +173,15 @@ class _Window:
         x = self.low[0] + (np.arange(width) + 0.5) / self.pixels_per_m
         pixels = np.empty((height, width, 3), np.uint8)
         colours = np.array([entities.AGREEMENTS[a][1] for a in Agreement], np.uint8)
-        for row in range(height):  # row by row, for a large building's pixels are many
-            y = np.full(width, self.high[1] - (row + 0.5) / self.pixels_per_m)
-            places = turned(np.stack([x, y], axis=1), self.direction_deg)
+        for first in range(0, height, _ROWS_AT_ONCE):  # some rows at a time, for a large building's pixels are many
+            rows = np.arange(first, min(first + _ROWS_AT_ONCE, height))
+            y = self.high[1] - (rows + 0.5) / self.pixels_per_m
+            places = turned(np.stack([np.tile(x, len(y)), np.repeat(y, width)], axis=1), self.direction_deg)
             index = np.floor((places - grid.origin) / cell_m).astype(int)
             inside = ((index >= 0) & (index < agreement.shape[::-1])).all(axis=1)
-            shown = np.full(width, Agreement.NOTHING, np.uint8)
+            shown = np.full(len(places), Agreement.NOTHING, np.uint8)
             shown[inside] = agreement[index[inside, 1], index[inside, 0]]
-            pixels[row] = colours[shown]
+            pixels[rows] = colours[shown].reshape(len(rows), width, 3)
         return Image.fromarray(pixels)
 
 
