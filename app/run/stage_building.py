@@ -1,4 +1,4 @@
-"""Stage 3 of a run: the building and its maps from all scans together, recorded and written."""
+"""Stage 3 of a run: the building from all scans together, and its maps, recorded and written."""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -28,24 +28,31 @@ from ffmap.app.setup.outputs import Output
 from ffmap.blueprints import entities
 
 
-def build(run: Run, scans: LabelledScans, trajectory: Trajectory) -> Building:
-    """The building of all scans; it and its maps are recorded and written."""
+def build(run: Run, scans: LabelledScans, trajectory: Trajectory) -> tuple[Building, AllScans]:
+    """The building of all scans, recorded, and what they gathered."""
     run.progress.stage("building", None)
     drive = Drive(trajectory.T_map_base[:, :3, 3], lambda: _features(run, len(scans.jobs)))
     trace = TraceOnce(lambda *asked: _trace(run, len(scans.jobs), *asked))
     gathered = AllScans(drive, scans.votes, scans.rivals, trace, run.settings.levels)
     building = fuse_building(gathered, run.settings.fusion)
-    maps = draw_maps(building, gathered, run.settings.maps, run.options.workers)
-    _record(run, building, maps)
-    _write(run, building, maps)
-    run.state.topology = topology(maps.rooms)
+    if run.log is not None:
+        log_fused_walls(run.log, building.aligned)
+        log_building(run.log, building.model)
     run.state.counts |= {
         "walls": len(building.walls),
         "refused_walls": len(building.judged.refused),
         "doors": len(building.doors),
-        "rooms": len(maps.rooms),
     }
-    return building
+    return building, gathered
+
+
+def draw(run: Run, building: Building, gathered: AllScans) -> None:
+    """The building's maps, recorded and written, and it itself with the rooms that its doors join."""
+    maps = draw_maps(building, gathered, run.settings.maps, run.options.workers)
+    _record(run, maps)
+    _write(run, building, maps)
+    run.state.topology = topology(maps.rooms)
+    run.state.counts["rooms"] = len(maps.rooms)
 
 
 def _trace(run: Run, blocks: int, faces: Walls, settings: BuildingSettings, windows: Windows) -> WallCells:
@@ -74,11 +81,9 @@ def _grids(maps: Maps) -> dict[str, GridMap]:
     return {entities.FURNITURE_FREE: maps.grid} | {str(name): grid for name, grid in maps.rivals.items()}
 
 
-def _record(run: Run, building: Building, maps: Maps) -> None:
+def _record(run: Run, maps: Maps) -> None:
     if run.log is None or run.recording is None:
         return
-    log_fused_walls(run.log, building.aligned)
-    log_building(run.log, building.model)
     for name, grid in _grids(maps).items():
         log_grid(run.log, name, grid)
     log_rooms(run.log, maps.rooms)

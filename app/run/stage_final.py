@@ -1,7 +1,7 @@
 """Stage 4 of a run: every return's final label by the building's knowledge; labelled bag and fused cloud."""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 
 import numpy as np
@@ -25,14 +25,26 @@ from ffmap.blueprints import entities
 from ffmap.loaders.bag import open_bag
 
 
-def finish(run: Run, pool: Executor, jobs: tuple[PlaceJob, ...], building: Building, trajectory: Trajectory) -> None:
-    """Final labels by the workers, while this process writes the labelled bag behind them."""
+def finish(
+    run: Run,
+    pool: Executor,
+    jobs: tuple[PlaceJob, ...],
+    building: Building,
+    trajectory: Trajectory,
+    meanwhile: Callable[[], None],
+) -> None:
+    """Final labels by the workers; this process writes the labelled bag behind them.
+
+    meanwhile: what this process has to do before that.
+    """
     assert run.inputs.vertical is not None
     run.progress.stage("final", len(jobs))
+    pending = _submit(run, pool, jobs, building)
+    meanwhile()
     table = VoxelTable(VOXEL_M, len(Label))
     outputs = run.options.outputs
     writer = LabelsWriter(run.folder.path / LABELS if Output.LABELS in outputs else None)
-    labels = writer.passing(_labels(run, jobs, _submit(run, pool, jobs, building), table))
+    labels = writer.passing(_labels(run, jobs, pending, table))
     if Output.LABELLED in outputs:
         with open_bag(run.inputs.bag_path) as bag:
             index, rig = run.inputs.vertical.index, run.inputs.rig

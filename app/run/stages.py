@@ -22,7 +22,7 @@ from ffmap.app.record.odometry import log_trajectory
 from ffmap.app.record.stream import Recording, send_properties
 from ffmap.app.record.whole_run import layout, log_static, log_warnings
 from ffmap.app.run.context import Run, RunOptions, RunState
-from ffmap.app.run.stage_building import build
+from ffmap.app.run.stage_building import build, draw
 from ffmap.app.run.stage_final import finish
 from ffmap.app.run.stage_odometry import find_poses
 from ffmap.app.run.stage_scans import Labeller
@@ -98,11 +98,10 @@ def _run_stages(run: Run, given: Trajectory | None) -> None:
                 scans = labeller.finish(poses)
             _write_trajectory(run, poses.trajectory, scans.stamps_ns)
             with run.stage("building"):
-                building = build(run, scans, poses.trajectory)
-            jobs = scans.jobs
-            del scans  # its votes grow with the building, and are no longer needed
+                building, gathered = build(run, scans, poses.trajectory)
             with run.stage("final"):
-                finish(run, pool, jobs, building, poses.trajectory)
+                # No label asks the maps.
+                finish(run, pool, scans.jobs, building, poses.trajectory, lambda: draw(run, building, gathered))
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
