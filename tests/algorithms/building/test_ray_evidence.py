@@ -1,11 +1,32 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.segments import segments
-from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, BuildingSettings, Walls
-from ffmap.algorithms.building.ray_evidence import FILLED, SUM, THROUGH, OwnPlane, Rays, own_plane, trace_rays
+from ffmap.algorithms.building.drive import TraceOnce
+from ffmap.algorithms.building.model import (
+    AT_FACE_M,
+    CELL_M,
+    NO_WINDOWS,
+    BuildingSettings,
+    Walls,
+    Windows,
+)
+from ffmap.algorithms.building.ray_evidence import (
+    FILLED,
+    SUM,
+    THROUGH,
+    OwnPlane,
+    Rays,
+    WallCells,
+    own_plane,
+    trace_rays,
+)
+from ffmap.algorithms.building.windows import without_rays_through
 from ffmap.algorithms.scan.summary import Features
+from tests.two_rooms import TwoRooms
 
 SETTINGS = BuildingSettings()
 
@@ -81,3 +102,29 @@ def test_each_face_counts_the_rays_that_meet_it(seed: int, own_plane_m: float, n
         assert counts[..., FILLED].sum() == np.count_nonzero(met & near)
         assert counts[..., THROUGH].sum() == np.count_nonzero(met & ~near)
         np.testing.assert_allclose(counts[..., SUM].sum(), side_m[met & near].sum(), atol=1e-3)
+
+
+def test_a_face_that_was_asked_about_is_not_traced_again() -> None:
+    rooms, asked = TwoRooms(glass=(0.9, 2.1), both_seen=False), []
+    features, settings = rooms.scans(rays=4_000), BuildingSettings()
+
+    def trace(walls: Walls, settings: BuildingSettings, windows: Windows) -> WallCells:
+        asked.append(len(walls))
+        return trace_rays(walls, [without_rays_through(windows, features)], settings)
+
+    once, walls = TraceOnce(trace), rooms.walls
+    low = replace(walls, top_m=np.full(len(walls), 1.0))
+    high = replace(walls, top_m=np.full(len(walls), 4.0))
+    portions = (low.select(slice(0, 2)), low, low.select(slice(1, 3)), high.select(slice(0, 1)), low)
+    for chosen in portions:
+        found, wanted = once(chosen, settings, NO_WINDOWS), trace_rays(chosen, [features], settings)
+        assert found.rows == wanted.rows
+        np.testing.assert_array_equal(found.first, wanted.first)
+        np.testing.assert_array_equal(found.counts, wanted.counts)
+    # The first two, the others, none, one again for it is higher now, none.
+    assert asked == [2, len(walls) - 2, 1]
+    np.testing.assert_array_equal(
+        once(walls, settings, rooms.window).counts,
+        trace_rays(walls, [without_rays_through(rooms.window, features)], settings).counts,
+    )
+    assert once(walls.select(slice(0, 0)), settings, NO_WINDOWS).counts.shape[0] == 0

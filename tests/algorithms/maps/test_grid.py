@@ -16,6 +16,9 @@ from ffmap.algorithms.maps.grid import (
     GridMap,
     GridMapSettings,
     Immobile,
+    draft_cells,
+    draft_furniture_free,
+    draw_free,
     standing_stretches,
 )
 from ffmap.algorithms.truth.maps import WALL_TOLERANCE_M, blocked_doors
@@ -391,3 +394,24 @@ def test_a_map_is_cropped_to_the_area_of_another(shift: tuple[int, int]) -> None
         places = own.centres(kind)
         inside = ((places > frame.origin) & (places < high)).all(axis=1)
         np.testing.assert_allclose(cropped.centres(kind), places[inside])
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_maps_that_are_drawn_together_are_as_if_each_were_alone(workers: int) -> None:
+    rooms = TwoRooms(glass=(0.9, 2.1), both_seen=False, turn_deg=17.0)
+    immobile, drive = rooms.build(windows=rooms.window)
+    # Of very different extents, so that each leaves the others' canvas, or does not reach it.
+    few, far = np.array([[10, 10], [11, 10]]), np.array([[-200, 40], [300, 300], [40, 20], [41, 20], [42, 20]])
+    drafts = [
+        draft_furniture_free(immobile, drive, SETTINGS, THICKNESS, KNEE_M),
+        draft_cells(few, NO_WINDOWS, drive, SETTINGS),
+        draft_cells(far, rooms.window, drive, SETTINGS),
+        draft_furniture_free(immobile, drive, SETTINGS, THICKNESS, KNEE_M),
+    ]
+    together = draw_free(drafts, drive, SETTINGS, KNEE_M, workers)
+    for draft, grid in zip(drafts, together, strict=True):
+        (alone,) = draw_free([draft], drive, SETTINGS, KNEE_M)
+        np.testing.assert_array_equal(grid.cells, alone.cells)
+        np.testing.assert_allclose(grid.origin, alone.origin)
+    assert (together[0].cells == Cell.FREE).sum() > 1000
+    assert (together[1].cells != together[0].cells[: together[1].cells.shape[0], : together[1].cells.shape[1]]).any()

@@ -1,6 +1,6 @@
 """What a scan hands to the building."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.scan.floor import Floor, floor_height
 from ffmap.algorithms.scan.labelling import label_scan
-from ffmap.algorithms.scan.summary import extract, move_moments
+from ffmap.algorithms.scan.summary import concatenate, extract, move_moments, with_rays, without_rays
 from tests import synthetic
 
 PIECES = np.array([[0.02, 0.01, 0.0], [-0.08, 0.08, 0.02]])
@@ -44,3 +44,20 @@ def test_moments_move_with_their_points() -> None:
     T = transforms.from_yaw(0.7, [3.0, -4.0, 0.0])
     moved = transforms.apply(T, np.column_stack([xy, np.zeros(40)]))[:, :2]
     np.testing.assert_allclose(move_moments(moments(xy), T), moments(moved), rtol=1e-9)
+
+
+def test_features_move_with_their_scan() -> None:
+    trajectory, T = synthetic.trajectory(2), [transforms.from_yaw(yaw, [3.0 * yaw, -1.0, 0.2]) for yaw in (0.4, -2.0)]
+    parts = {"level": [], "map": []}
+    for index, T_map_level in enumerate(T):
+        scan = synthetic.scan(index, firings=400)
+        placed = synthetic.level(scan, trajectory).placed
+        labelling = label_scan(scan, placed, synthetic.settings(), 0)
+        for frame, T_frame in (("level", np.eye(4)), ("map", T_map_level)):
+            parts[frame].append(extract(index, replace(placed, T_map_level=T_frame), labelling))
+    level, wanted = concatenate(parts["level"]), concatenate(parts["map"])
+    ends = [part.ray_end_map for part in parts["map"]]
+    moved = with_rays(without_rays(level).moved(np.array(T)), ends, [part.ray_label for part in parts["map"]])
+    for field in fields(moved):
+        np.testing.assert_allclose(getattr(moved, field.name), getattr(wanted, field.name), atol=1e-6, rtol=1e-6)
+    assert len(moved.plane_normal) == 4

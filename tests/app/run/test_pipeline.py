@@ -1,0 +1,104 @@
+"""Scans are labelled while others are registered: as if all poses had been known, and whenever the run is killed."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.app.run.poses import KnownPoses, RunPoses
+from ffmap.loaders.simulator import SimulationSettings, simulate
+
+FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
+# Level soon, so that blocks of scans are handed out long before the last is registered.
+EARLY = ("--set", "trajectory.level_s=1", "--no-evaluate", "--outputs", "labels,maps,recording")
+PERIOD_NS = 100_000_000
+
+
+def poses(count: int) -> Trajectory:
+    T = np.tile(np.eye(4), (count, 1, 1))
+    T[:, 0, 3], T[:, 2, 3] = np.arange(count), 0.5
+    return Trajectory(PERIOD_NS * np.arange(count), T)
+
+
+def test_poses_about_scans_are_known_once_those_after_them_are() -> None:
+    whole, scans_ns = poses(60), PERIOD_NS * np.arange(20, 25)
+    registered = RunPoses(whole, whole, np.zeros(2)).known.around(scans_ns)
+    assert registered is not None
+    for count in range(1, 61):
+        known = KnownPoses(whole.stamp_ns[:count].tolist(), whole.part(0, count).part, np.zeros(2))
+        around = known.around(scans_ns)
+        # A second after the last scan, and the pose after that.
+        assert (around is not None) == (count >= 36)
+        if around is not None:
+            np.testing.assert_array_equal(around.stamp_ns, registered.stamp_ns)
+    ended = KnownPoses(whole.stamp_ns[:30], whole.part(0, 30).part, np.zeros(2), complete=True)
+    last = ended.around(scans_ns)
+    assert last is not None
+    assert last.stamp_ns[-1] == PERIOD_NS * 29
+    assert ended.base_height_m == 0.5
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bags") / "drive.bag"
+    values = {"building": "small", "seed": 3, "sensor": "vlp16", "format": "bag", "duration_s": 7.0}
+    simulate(path, SimulationSettings.model_validate(values))
+    return path
+
+
+def started(bag: Path, cache: Path, *words: object) -> "subprocess.Popen[str]":
+    return subprocess.Popen(
+        [*FFMAP, "run", *map(str, words)],
+        env={**os.environ, "FFMAP_CACHE": str(cache)},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def finished(bag: Path, cache: Path, *words: object) -> None:
+    process = started(bag, cache, *words)
+    said = process.communicate(timeout=300)[1]
+    assert process.returncode == 0, said
+
+
+def results(out: Path) -> tuple[str, bytes, bytes]:
+    record = json.loads((out / "run.json").read_text())
+    assert record["outcome"] == "complete"
+    return record["labels_digest"], (out / "map.pgm").read_bytes(), (out / "trajectory.tum").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def whole(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("runs") / "whole"
+    finished(bag, out.parent / "cold", bag, "--out", out, *EARLY)
+    return out
+
+
+def test_a_cached_odometry_and_a_single_worker_give_the_same(bag: Path, whole: Path, tmp_path: Path) -> None:
+    finished(bag, whole.parent / "cold", bag, "--out", tmp_path / "cached", *EARLY)
+    finished(bag, tmp_path / "cold", bag, "--out", tmp_path / "alone", "--workers", 1, *EARLY)
+    assert results(tmp_path / "cached") == results(tmp_path / "alone") == results(whole)
+    assert json.loads((tmp_path / "cached" / "run.json").read_text())["odometry_cached"]
+
+
+def test_a_run_that_is_killed_while_scans_are_registered_goes_on_to_the_same(
+    bag: Path, whole: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "killed"
+    process = started(bag, tmp_path / "cold", bag, "--out", out, *EARLY)
+    end = time.monotonic() + 120
+    while not (out / "spool" / "00000.arrow").exists() and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    finished(bag, tmp_path / "cold", "--resume", out)
+    assert results(out) == results(whole)
