@@ -10,6 +10,7 @@ import queue
 import threading
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from multiprocessing.connection import Connection
@@ -223,8 +224,10 @@ def _odometry_process(inputs: Inputs, sensor: Sensor, settings: Settings, connec
 
 
 def _send(outbox: "queue.Queue[_Result | Exception | str | None]", connection: Connection) -> None:
-    while (result := outbox.get()) is not None:
-        connection.send(result)
+    # Where the run has ended, this process is about to end too.
+    with suppress(BrokenPipeError):
+        while (result := outbox.get()) is not None:
+            connection.send(result)
 
 
 def _registered(inputs: Inputs, sensor: Sensor, settings: Settings) -> Iterator[_Result]:
