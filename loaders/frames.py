@@ -99,11 +99,9 @@ def edge_of(stamped: Message) -> StaticTransform | None:
 
 def pose_matrix(translation: Message, rotation: Message) -> FloatArray | None:
     """(4, 4) of a ROS translation and quaternion; None where they are no pose."""
-    quaternion = [rotation.x, rotation.y, rotation.z, rotation.w]
-    position = [translation.x, translation.y, translation.z]
-    if not np.all(np.isfinite([*quaternion, *position])) or np.linalg.norm(quaternion) < _QUATERNION_MIN:
-        return None
-    return transforms.from_quaternion(position, quaternion)
+    position = np.array([[translation.x, translation.y, translation.z]])
+    T, _ = pose_matrices(position, np.array([[rotation.x, rotation.y, rotation.z, rotation.w]]))
+    return T[0] if len(T) else None
 
 
 def pose_matrices(translation: FloatArray, quaternion_xyzw: FloatArray) -> tuple[FloatArray, BoolArray]:

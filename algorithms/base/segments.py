@@ -105,6 +105,13 @@ def crossing(
     return share, along_line(lines, k, origin[0] + share * (x - origin[0]), origin[1] + share * (y - origin[1]))
 
 
+def lengthened(ends: FloatArray, by_m: float) -> FloatArray:
+    """(k, 2, 2) the same lines, longer by `by_m` at either end."""
+    along = ends[:, 1] - ends[:, 0]
+    along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9) * by_m
+    return np.asarray(np.stack([ends[:, 0] - along, ends[:, 1] + along], axis=1))
+
+
 def lengths_m(ends: FloatArray) -> FloatArray:
     """(k,) how long faces, sills or other lines with these ends (k, 2, 2) are."""
     return np.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))

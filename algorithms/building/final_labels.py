@@ -12,13 +12,12 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.plan_index import cell_at, index_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import (
-    ALONG_X,
-    ALONG_Y,
     LENGTH,
     Faces,
     along_line,
     before_line,
     crossing,
+    lengthened,
     lines_of,
 )
 from ffmap.algorithms.base.settings import StepSettings
@@ -165,12 +164,6 @@ BEYOND = 7
 """The same of panes: how far behind their face what returns is outside."""
 
 
-def _lengthened(walls: Walls, by_m: float) -> Walls:
-    """The same faces, longer at both ends."""
-    beyond = by_m * lines_of(walls)[:, [ALONG_X, ALONG_Y]]
-    return replace(walls, ends=walls.ends + np.stack([-beyond, beyond], axis=1))
-
-
 def _table(faces: Faces, *columns: FloatArray | UInt8Array) -> FloatArray:
     """Lines of faces and more of their columns."""
     return np.ascontiguousarray(np.column_stack([lines_of(faces), *columns]))
@@ -224,7 +217,7 @@ class Relabelling:
         return cls(
             (
                 _table(walls, walls.top_m),
-                index_near(_lengthened(walls, edge_m / settings.grazing_sine), edge_m),
+                index_near(replace(walls, ends=lengthened(walls.ends, edge_m / settings.grazing_sine)), edge_m),
                 index_near(walls, at_face_m + margin_m),
             ),
             (

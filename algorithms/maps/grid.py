@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
-from ffmap.algorithms.base.segments import Segment, segments
+from ffmap.algorithms.base.segments import Segment, lengthened, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, Doors, Walls, Windows, cells_in, stretches
@@ -388,13 +388,6 @@ def _glazed(faces: FloatArray, windows: Windows) -> list[FloatArray]:
     return chosen
 
 
-def _lengthened(lines: FloatArray, by_m: float) -> FloatArray:
-    """Lines (n, 2, 2), longer by `by_m` at either end."""
-    along = lines[:, 1] - lines[:, 0]
-    along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9) * by_m
-    return np.asarray(np.stack([lines[:, 0] - along, lines[:, 1] + along], axis=1))
-
-
 class _Layer:
     """One of the maps that are drawn together."""
 
@@ -405,7 +398,7 @@ class _Layer:
         for ends in draft.windows.ends:
             canvas.draw_line(ends, Cell.OCCUPIED)
         gap_max_m = settings.gap_max_m
-        for ends in [*_glazed(draft.faces, draft.windows), *_lengthened(draft.windows.ends, gap_max_m)]:
+        for ends in [*_glazed(draft.faces, draft.windows), *lengthened(draft.windows.ends, gap_max_m)]:
             canvas.close_gaps(ends, draft.doorways)
         self.spanned = canvas.first, canvas.first + canvas.cells.shape[::-1]
         self.barred = canvas.cells == Cell.OCCUPIED

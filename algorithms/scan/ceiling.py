@@ -27,7 +27,7 @@ def find_ceilings(
     slopes = [*floor.slopes]
     if all(np.hypot(*slope) >= 0.01 for slope in slopes):
         slopes.append(np.zeros(2))
-    parallel = [_heights_above(points, floor.height_m, slope) for slope in slopes]
+    parallel = [points[:, 2] - floor.height_m - points[:, :2] @ slope for slope in slopes]
     generator = np.random.default_rng(seed)
     ceilings: list[HorizontalPlane] = []
     for _ in range(settings.ceilings_max + 1):
@@ -104,14 +104,6 @@ def _thinned(
                 kept[place // stride] = points[i]
             place += 1
     return kept, stride
-
-
-@numba.njit(cache=True, nogil=True)
-def _heights_above(points: FloatArray, height_m: float, slope: FloatArray) -> FloatArray:  # pragma: no cover
-    heights = np.empty(len(points))
-    for i in range(len(points)):
-        heights[i] = points[i, 2] - height_m - slope[0] * points[i, 0] - slope[1] * points[i, 1]
-    return heights
 
 
 @numba.njit(cache=True, nogil=True)

@@ -43,7 +43,7 @@ class Features:
     plane_moments: FloatArray
 
     def moved(self, T: FloatArray) -> "Features":
-        """The same but for its rays with each scan moved by its own T (s, 4, 4), a turn about z and a shift."""
+        """Each scan moved by its own T (s, 4, 4), a turn about z and a shift; its rays stay, for `with_rays` to replace."""
         ends = np.concatenate([self.plane_ends_map, np.zeros((*self.plane_ends_map.shape[:2], 1))], axis=2)
         planes = self.plane_starts
         columns = {name: getattr(self, name).copy() for name in _MOVED}
@@ -80,29 +80,32 @@ class Features:
 
 
 def extract(index: int, placed: PlacedScan, labelling: ScanLabelling) -> Features:
-    """The features of one scan: every n-th return, line by line, so that all directions stay covered.
-
-    In the map frame of `placed`, or as if that were the level frame, where it is the identity.
-    """
+    """The features of one scan where it was placed: every n-th return, line by line, so that all directions stay covered."""
     chosen = ray_rows(index, labelling)
-    T, planes = placed.T_map_level, labelling.planes
-    ends = np.concatenate([planes.ends, np.zeros((len(planes), 2, 1))], axis=2).reshape(-1, 3)
+    ends_map = placed.to_map(placed.points_level[chosen]).astype(np.float32)
+    moved = extract_planes(index, placed, labelling).moved(placed.T_map_level[None])
+    return with_rays(moved, [ends_map], [labelling.label[chosen]])
+
+
+def extract_planes(index: int, placed: PlacedScan, labelling: ScanLabelling) -> Features:
+    """The same but for the rays, in the scan's level frame: nothing of it depends on where the scan lies."""
+    planes = labelling.planes
     return Features(
         scan=np.array([index]),
-        origin_map=placed.to_map(placed.origin_level[None]),
-        floor_map=_move_pieces(labelling.floor.both_pieces, T)[None],
+        origin_map=placed.origin_level[None],
+        floor_map=labelling.floor.both_pieces[None],
         floor_is_foot=np.array([labelling.floor.is_foot]),
         floor_reach_m=np.array([labelling.settings.rearrangement.floor_range_m]),
-        ray_count=np.array([len(chosen)]),
+        ray_count=np.zeros(1, np.int64),
         plane_count=np.array([len(planes)]),
-        ray_end_map=placed.to_map(placed.points_level[chosen]).astype(np.float32),
-        ray_label=labelling.label[chosen],
-        plane_ends_map=transforms.apply(T, ends)[:, :2].reshape(-1, 2, 2),
-        plane_normal=planes.normal @ T[:2, :2].T,
+        ray_end_map=np.zeros((0, 3), np.float32),
+        ray_label=np.zeros(0, np.uint8),
+        plane_ends_map=planes.ends,
+        plane_normal=planes.normal,
         plane_bottom_m=planes.bottom_m,
         plane_top_m=planes.top_m,
         plane_lines=planes.line_count,
-        plane_moments=move_moments(planes.moments, T),
+        plane_moments=planes.moments,
     )
 
 

@@ -11,10 +11,9 @@ import numpy.typing as npt
 import rerun as rr
 import rerun.blueprint as rrb
 
-from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.app.record.rows import Rows, Time, Values, typed
-from ffmap.app.record.shapes import markdown, rounded
+from ffmap.app.record.shapes import markdown, rounded, transform_columns
 from ffmap.app.record.stream import open_part
 from ffmap.app.setup.outputs import Detail
 from ffmap.blueprints import entities
@@ -22,7 +21,7 @@ from ffmap.blueprints import entities
 rr.set_strict_mode(True)
 
 _TIMES_TOGETHER = 10
-"""Number of scans whose rows are sent together: some megabytes, and a fraction of the cost."""
+"""Number of scans whose rows are sent together, some megabytes."""
 
 
 class Log:
@@ -79,7 +78,7 @@ class Log:
         evidence: Mapping[str, npt.NDArray[Any]] = MappingProxyType({}),
         **components: Values,
     ) -> None:
-        """Keep what is of the time that is set, for `write_rows`: one by one, rows cost three times as much.
+        """Keep what is of the time that is set, for `write_rows`: one by one, most of a row's cost is that of asking.
 
         Each row of an entity has the same components. archetype: what they are of; evidence: arrays beside them.
         """
@@ -126,8 +125,7 @@ class Log:
 
     def transforms(self, path: str, stamp_ns: IntArray, T: FloatArray) -> None:
         """Log frames T (n, 4, 4) at the stamps of horizontal scans."""
-        columns = rr.Transform3D.columns(translation=T[:, :3, 3], quaternion=transforms.quaternion_xyzw(T))
-        self.columns(path, stamp_ns, columns)
+        self.columns(path, stamp_ns, rr.Transform3D.columns(**transform_columns(T)))
 
     def clouds(self, path: str, stamp_ns: IntArray, clouds: Sequence[FloatArray]) -> None:
         """Log clouds (k, 3) at the stamps of horizontal scans."""

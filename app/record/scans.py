@@ -8,7 +8,6 @@ import numpy.typing as npt
 import pyarrow as pa  # type: ignore[import-untyped]
 import rerun as rr
 
-from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m
@@ -25,6 +24,7 @@ from ffmap.app.record.shapes import (
     SEE_THROUGH,
     rounded,
     strips_of,
+    transform_columns,
     ui_radius,
     unbroken,
     upright_frames,
@@ -45,8 +45,8 @@ def log_scan(
     placed, ranges = level.placed, level.ranges
     if not log.timeless:
         log.at(stamp_ns, index)
-    _log_frame(log, entities.BASE, placed.T_map_base)
-    _log_frame(log, entities.SCAN, placed.T_map_level)
+    for path, T in ((entities.BASE, placed.T_map_base), (entities.SCAN, placed.T_map_level)):
+        log.row(path, rr.Transform3D, **transform_columns(T[None]))
     if log.detail is not Detail.MAP:
         positions = rounded(placed.points_level)
         _log_points(log, positions, ranges, labelling)
@@ -70,8 +70,7 @@ def log_frames(
 ) -> None:
     """Where scans lie when all poses are final, all (n, 4, 4); before, each was logged where it was labelled."""
     for path, T in ((entities.BASE, T_map_level @ T_level_base), (entities.SCAN, T_map_level)):
-        columns = rr.Transform3D.columns(translation=T[:, :3, 3], quaternion=transforms.quaternion_xyzw(T))
-        log.stream.send_columns(path, times(stamp_ns, index), columns)
+        log.stream.send_columns(path, times(stamp_ns, index), rr.Transform3D.columns(**transform_columns(T)))
 
 
 def log_skipped(log: Log, index: int, stamp_ns: int, reason: str) -> None:
@@ -97,11 +96,6 @@ def log_final(
         positions=rounded(points_level[changed]),
         class_ids=label[changed],
     )
-
-
-def _log_frame(log: Log, path: str, T_parent_child: FloatArray) -> None:
-    quaternion = transforms.quaternion_xyzw(T_parent_child)[None]
-    log.row(path, rr.Transform3D, translation=T_parent_child[None, :3, 3], quaternion=quaternion)
 
 
 def _log_points(log: Log, positions: FloatArray, ranges: SmoothedRanges, labelling: ScanLabelling) -> None:

@@ -1,6 +1,7 @@
 """Arrays as Rerun draws them: rounded positions, strips, upright rectangles, colours, frames."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,7 @@ Colors = entities.Color | Sequence[entities.Color] | UInt8Array
 Labels = str | Sequence[str] | None
 
 GRID_M = 1.0 / 256.0
-"""Positions are rounded to this grid (m), finer than a sensor's resolution: the file halves."""
+"""Positions are rounded to this grid (m), a fraction of what a lidar's ranges scatter by: rounded, they compress."""
 POINT_RADIUS_UI = 1.5
 JUMP_M = 0.4
 """No stroke is drawn between neighbours in a line that are farther apart."""
@@ -45,6 +46,11 @@ def transform(T_parent_child: FloatArray) -> rr.Transform3D:
     return rr.Transform3D(
         translation=T_parent_child[:3, 3], quaternion=rr.Quaternion(xyzw=transforms.quaternion_xyzw(T_parent_child))
     )
+
+
+def transform_columns(T_parent_child: FloatArray) -> dict[str, Any]:
+    """Frames (n, 4, 4) as what `rr.Transform3D` has of each."""
+    return {"translation": T_parent_child[:, :3, 3], "quaternion": transforms.quaternion_xyzw(T_parent_child)}
 
 
 def rounded(positions_m: FloatArray) -> FloatArray:

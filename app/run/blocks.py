@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.floor import heights_above_pieces
 from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.algorithms.scan.smoothing import SmoothedRanges, smooth_ranges
-from ffmap.algorithms.scan.summary import Features, concatenate, extract, with_rays, without_rays
+from ffmap.algorithms.scan.summary import Features, concatenate, extract_planes, with_rays
 from ffmap.app.record.log import Log, open_log
 from ffmap.app.record.scans import log_final, log_scan, log_skipped
 from ffmap.app.run import spool
@@ -180,7 +180,7 @@ def _label(index: int, scan: Scan, job: LabelJob, block: _LabelledBlock, log: Lo
     watch.lap("labelling")
     if log:
         log_scan(log, index, level, labelling, scan.stamp_ns, watch.milliseconds)
-    block.features.append(without_rays(extract(index, replace(placed, T_map_level=np.eye(4)), labelling)))
+    block.features.append(extract_planes(index, placed, labelling))
     rivals = RivalReturns.of(placed.points_level, labelling, job.settings.rival_maps)
     block.spooled.append(SpooledScan.of(index, scan, placed, labelling, rivals))
     counts = np.bincount(labelling.label, minlength=256)

@@ -249,10 +249,9 @@ def poses_of(inputs: Inputs, given: GivenPoses | None, settings: Settings) -> Ru
     if not len(odometry):
         raise InputError(f"{inputs.bag_path}: {sensor.lidar.topic} has no usable cloud; 'ffmap info' tells more")
     level = level_by_first_scans(inputs, odometry.registered(), settings)
-    return levelled(odometry, level)
+    return levelled(odometry.trajectory, odometry.registered(), level)
 
 
-def levelled(odometry: Odometry, level: Level) -> RunPoses:
-    """The poses of an odometry that has come to its end, in the levelled map."""
-    registered, trajectory = (poses.moved(level.T_map_odom) for poses in (odometry.registered(), odometry.trajectory))
-    return RunPoses(trajectory, registered, level.floor_slope)
+def levelled(trajectory: Trajectory, registered: Trajectory, level: Level) -> RunPoses:
+    """T_odom_base of a whole drive, with its loops closed and as registered, in the levelled map."""
+    return RunPoses(trajectory.moved(level.T_map_odom), registered.moved(level.T_map_odom), level.floor_slope)

@@ -7,6 +7,7 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.poses.levelling import Level
 from ffmap.algorithms.poses.odometry import Registration, weakness
+from ffmap.algorithms.poses.pose_graph import PoseGraph
 from ffmap.app.record.odometry import log_odometry_frame, log_pose_graph, log_registrations
 from ffmap.app.run.context import Run
 from ffmap.app.run.odometry import Odometry
@@ -38,8 +39,9 @@ def find_poses(run: Run, given: Trajectory | None, labeller: Labeller | None) ->
         )
     if not np.isfinite(level.floor_rms_m):
         run.warn("no floor was found in the first seconds: the map keeps the base's own level; is the rig right?")
-    _take_loops(run, odometry, level.T_map_odom)
-    return levelled(odometry, level)
+    trajectory, registered = odometry.trajectory, odometry.registered()
+    _take_loops(run, odometry.pose_graph, trajectory, registered, level.T_map_odom)
+    return levelled(trajectory, registered, level)
 
 
 def _register(run: Run, labeller: Labeller | None) -> tuple[Odometry, Level, list[str]]:
@@ -104,9 +106,10 @@ def _log(run: Run, registrations: list[Registration]) -> list[str]:
     return [why for why in why_weak if why is not None]
 
 
-def _take_loops(run: Run, odometry: Odometry, T_map_odom: FloatArray) -> None:
-    """Count the loops, and record what they did to the poses."""
-    graph, before, trajectory = odometry.pose_graph, odometry.registered(), odometry.trajectory
+def _take_loops(
+    run: Run, graph: PoseGraph | None, trajectory: Trajectory, before: Trajectory, T_map_odom: FloatArray
+) -> None:
+    """Count the loops, and record what they did to the poses; trajectory: T_odom_base with them closed."""
     if graph is not None:
         run.state.counts["loops"] = int(np.count_nonzero(graph.is_loop & (graph.weight > 0)))
     if run.log:

@@ -53,7 +53,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def started(bag: Path, cache: Path, *words: object) -> "subprocess.Popen[str]":
+def started(cache: Path, *words: object) -> "subprocess.Popen[str]":
     return subprocess.Popen(
         [*FFMAP, "run", *map(str, words)],
         env={**os.environ, "FFMAP_CACHE": str(cache)},
@@ -64,8 +64,8 @@ def started(bag: Path, cache: Path, *words: object) -> "subprocess.Popen[str]":
     )
 
 
-def finished(bag: Path, cache: Path, *words: object) -> None:
-    process = started(bag, cache, *words)
+def finished(cache: Path, *words: object) -> None:
+    process = started(cache, *words)
     said = process.communicate(timeout=300)[1]
     assert process.returncode == 0, said
 
@@ -79,13 +79,13 @@ def results(out: Path) -> tuple[str, bytes, bytes]:
 @pytest.fixture(scope="module")
 def whole(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "whole"
-    finished(bag, out.parent / "cold", bag, "--out", out, *EARLY)
+    finished(out.parent / "cold", bag, "--out", out, *EARLY)
     return out
 
 
 def test_a_cached_odometry_and_a_single_worker_give_the_same(bag: Path, whole: Path, tmp_path: Path) -> None:
-    finished(bag, whole.parent / "cold", bag, "--out", tmp_path / "cached", *EARLY)
-    finished(bag, tmp_path / "cold", bag, "--out", tmp_path / "alone", "--workers", 1, *EARLY)
+    finished(whole.parent / "cold", bag, "--out", tmp_path / "cached", *EARLY)
+    finished(tmp_path / "cold", bag, "--out", tmp_path / "alone", "--workers", 1, *EARLY)
     assert results(tmp_path / "cached") == results(tmp_path / "alone") == results(whole)
     assert json.loads((tmp_path / "cached" / "run.json").read_text())["odometry_cached"]
 
@@ -94,11 +94,11 @@ def test_a_run_that_is_killed_while_scans_are_registered_goes_on_to_the_same(
     bag: Path, whole: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "killed"
-    process = started(bag, tmp_path / "cold", bag, "--out", out, *EARLY)
+    process = started(tmp_path / "cold", bag, "--out", out, *EARLY)
     end = time.monotonic() + 120
     while not (out / "spool" / "00000.arrow").exists() and process.poll() is None and time.monotonic() < end:
         time.sleep(0.01)
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
-    finished(bag, tmp_path / "cold", "--resume", out)
+    finished(tmp_path / "cold", "--resume", out)
     assert results(out) == results(whole)
