@@ -5,7 +5,6 @@ them out.
 from typing import Any
 
 import numpy as np
-import velodyne_decoder
 from rosbags.typesys.store import Typestore
 
 from ffmap.loaders.bag import Message
@@ -28,6 +27,10 @@ class PacketDecoder:
     def __init__(self, topic: str, typestore: Typestore) -> None:
         self._topic = topic
         self._typestore = typestore
+        # Imported where there are packets: few bags have any, and it takes its time, at the end of the process too.
+        import velodyne_decoder
+
+        self._velodyne: Any = velodyne_decoder
         self._decoder: Any = velodyne_decoder.ScanDecoder(velodyne_decoder.Config(timestamp_first_packet=True))
 
     def to_cloud(self, scan: Message) -> Message:
@@ -36,10 +39,10 @@ class PacketDecoder:
         Raises CloudError where the packets are of no sensor that velodyne-decoder knows.
         """
         stamp = scan.header.stamp
-        packets = velodyne_decoder.PacketVector()
+        packets = self._velodyne.PacketVector()
         for packet in scan.packets:
             since_s = (packet.stamp.sec - stamp.sec) + 1e-9 * (int(packet.stamp.nanosec) - int(stamp.nanosec))
-            packets.append(velodyne_decoder.VelodynePacket(_ANY_TIME_S + since_s, packet.data.tolist()))
+            packets.append(self._velodyne.VelodynePacket(_ANY_TIME_S + since_s, packet.data.tolist()))
         points = np.zeros(0, VELODYNE_POINT)
         if len(scan.packets):
             try:

@@ -46,11 +46,16 @@ def build(run: Run, scans: LabelledScans, trajectory: Trajectory) -> tuple[Build
     return building, gathered
 
 
-def draw(run: Run, building: Building, gathered: AllScans) -> None:
-    """The building's maps, recorded and written, and it itself with the rooms that its doors join."""
+def draw(run: Run, building: Building, gathered: AllScans) -> Maps:
+    """The building's maps, written; its walls and doors too, for each door names the rooms that it joins."""
     maps = draw_maps(building, gathered, run.settings.maps, run.options.workers)
-    _record(run, maps)
     _write(run, building, maps)
+    return maps
+
+
+def take_maps(run: Run, maps: Maps) -> None:
+    """Record the maps, and keep what the run says of them; by the one thread that writes the recording."""
+    _record(run, maps)
     run.state.topology = topology(maps.rooms)
     run.state.counts["rooms"] = len(maps.rooms)
 

@@ -1,7 +1,7 @@
 """Stage 4 of a run: every return's final label by the building's knowledge; labelled bag and fused cloud."""
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Executor, Future
 
 import numpy as np
@@ -31,16 +31,11 @@ def finish(
     jobs: tuple[PlaceJob, ...],
     building: Building,
     trajectory: Trajectory,
-    meanwhile: Callable[[], None],
 ) -> None:
-    """Final labels by the workers; this process writes the labelled bag behind them.
-
-    meanwhile: what this process has to do before that.
-    """
+    """Final labels by the workers; this process writes the labelled bag behind them."""
     assert run.inputs.vertical is not None
     run.progress.stage("final", len(jobs))
     pending = _submit(run, pool, jobs, building)
-    meanwhile()
     table = VoxelTable(VOXEL_M, len(Label))
     outputs = run.options.outputs
     writer = LabelsWriter(run.folder.path / LABELS if Output.LABELS in outputs else None)

@@ -8,7 +8,7 @@ import shutil
 import time
 import uuid
 from collections.abc import Iterator
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -22,7 +22,7 @@ from ffmap.app.record.odometry import log_trajectory
 from ffmap.app.record.stream import Recording, send_properties
 from ffmap.app.record.whole_run import layout, log_static, log_warnings
 from ffmap.app.run.context import Run, RunOptions, RunState
-from ffmap.app.run.stage_building import build, draw
+from ffmap.app.run.stage_building import build, draw, take_maps
 from ffmap.app.run.stage_final import finish
 from ffmap.app.run.stage_odometry import find_poses
 from ffmap.app.run.stage_scans import Labeller
@@ -99,9 +99,11 @@ def _run_stages(run: Run, given: Trajectory | None) -> None:
             _write_trajectory(run, poses.trajectory, scans.stamps_ns)
             with run.stage("building"):
                 building, gathered = build(run, scans, poses.trajectory)
-            with run.stage("final"):
+            with run.stage("final"), ThreadPoolExecutor(1) as beside:
                 # No label asks the maps.
-                finish(run, pool, scans.jobs, building, poses.trajectory, lambda: draw(run, building, gathered))
+                drawing = beside.submit(draw, run, building, gathered)
+                finish(run, pool, scans.jobs, building, poses.trajectory)
+                take_maps(run, drawing.result())
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
