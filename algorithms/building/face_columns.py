@@ -13,7 +13,7 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.levels import HeightMap, corrected
-from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Rows, Walls, stretches
+from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Rows, Walls, cells_in, stretches
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,
     FOOT_ROW,
@@ -34,7 +34,11 @@ class FaceColumnsSettings(StepSettings):
     """What rays tell of wall faces, column by column, and of the room before them."""
 
     foot_m: float = Field(0.15, ge=0, description="Minimum height (m) of rays that count; below are skirting boards.")
-    crown_m: float = Field(0.2, gt=0, description="Height (m) of the wall below the ceiling that no window reaches.")
+    crown_m: float = Field(
+        0.2,
+        gt=0,
+        description="Height (m) of the highest part of a face that rays reach: no window, cupboard or leaf has it.",
+    )
     row_rays_min: int = Field(3, ge=1, description="Minimum number of rays that pass an open row of a column.")
     row_open_ratio: float = Field(
         10.0, gt=0, description="Minimum rays that pass an open row for each that ends there."
@@ -157,8 +161,8 @@ class TracedFaces:
 class Columns(Rows):
     """How many rays end on each column (c,) of the faces, and how many pass it, counted with the columns beside it.
 
-    upper: above doors. crown: close below the ceiling. lower: between the foot and doors' heads. sill: between the foot and
-    windows' sills. upper_open_rows: how many rows above doors almost all rays pass.
+    upper: above doors. crown: on the highest rows that rays reach, whatever hangs below the ceiling. lower: between the foot and
+    doors' heads. sill: between the foot and windows' sills. upper_open_rows: how many rows above doors almost all rays pass.
     """
 
     upper_on: FloatArray
@@ -189,17 +193,18 @@ def count_columns(
     height = (np.arange(cells.rows) + 0.5) * CELL_M
     top = np.where(np.isfinite(faces.clear_m), faces.clear_m, np.inf) - CEILING_MARGIN_M
     upper = (height > above_doors_m(faces.clear_m, above_door_m)[:, None]) & (height < top[:, None])
-    crown = upper & (height > top[:, None] - settings.crown_m)
     lower = (height > settings.foot_m) & (height < building.door_height_min_m)
     sill = (height > settings.foot_m) & (height < building.knee_m)
     upper_on, upper_passed = _with_neighbours(on * upper, cells), _with_neighbours(passed * upper, cells)
+    reached = upper_on + upper_passed >= settings.row_rays_min
+    crown = reached & (reached[:, ::-1].cumsum(axis=1)[:, ::-1] <= cells_in(settings.crown_m))
     is_open = (upper_passed >= settings.row_rays_min) & (upper_passed > settings.row_open_ratio * upper_on)
     return Columns(
         upper_on.sum(axis=1),
         upper_passed.sum(axis=1),
         np.count_nonzero(is_open, axis=1),
-        _with_neighbours((on * crown).sum(axis=1), cells),
-        _with_neighbours((passed * crown).sum(axis=1), cells),
+        (upper_on * crown).sum(axis=1),
+        (upper_passed * crown).sum(axis=1),
         _with_neighbours(on[:, lower].sum(axis=1), cells),
         _with_neighbours(passed[:, lower].sum(axis=1), cells),
         _with_neighbours(on[:, sill].sum(axis=1), cells),

@@ -29,7 +29,16 @@ from ffmap.algorithms.building.face_columns import (
     rows_on_and_passed,
     runs,
 )
-from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Doors, Rows, Walls, cells_in
+from ffmap.algorithms.building.model import (
+    CELL_M,
+    NO_WALLS,
+    BuildingSettings,
+    Doors,
+    Rows,
+    Walls,
+    cells_in,
+    stretches,
+)
 from ffmap.algorithms.building.ray_evidence import FOOT_ROW
 
 ACROSS = 0.5
@@ -241,8 +250,16 @@ def _hanging(flags: _ColumnFlags, settings: StandingWallsSettings) -> BoolArray:
 def _ending_low(ends_low: BoolArray, columns: Columns, settings: StandingWallsSettings) -> BoolArray:
     """(c,) which columns of one face are lower than the ceiling, and no high window of a wall."""
     beside, reach = cells_in(settings.cut_min_m), cells_in(settings.window_frame_m)
-    low = long_runs(ends_low, min(beside, max(len(ends_low) // 2, 1)), bridge=2)
     stands, sill = columns.upper_on > columns.upper_passed, columns.lower_on > 0
+    # Wall above and below what rays pass is a window's, where it has jambs: a cupboard below a duct has none.
+    walled = (columns.crown_on > settings.passed_ratio * columns.crown_passed) & (
+        columns.sill_on >= columns.sill_passed
+    )
+    ends_low = ends_low.copy()
+    for first, last in stretches(walled, 2):
+        own = slice(first, last + 1)
+        ends_low[own] &= ~walled[own] | (np.count_nonzero(walled[own] & ~ends_low[own]) < beside)
+    low = long_runs(ends_low, min(beside, max(len(ends_low) // 2, 1)), bridge=2)
     for first, after in runs(low):
         before, behind = stands[max(first - reach, 0) : first], stands[after : after + reach]
         framed = min(np.count_nonzero(before), np.count_nonzero(behind)) >= beside

@@ -108,6 +108,15 @@ def test_a_high_window_does_not_cut_its_wall_though_rays_pass_beside_it():
     assert judge(cells) == ([[0.0, 4.0]], [])
 
 
+def test_windows_with_mullions_below_a_soffit_do_not_cut_their_wall():
+    """Between them stand but 25 cm of wall; what is above 2.7 m is hidden."""
+    cells = cells_of(4.0)
+    for first, last in ((10, 26), (31, 47), (56, 72)):
+        pass_rays(cells, slice(first, last), 0.9, 2.5)
+    cells.counts[:, round(2.7 / CELL_M) :] = 0.0
+    assert judge(cells) == ([[0.0, 4.0]], [])
+
+
 def test_a_cupboard_under_a_duct_is_no_wall():
     """The duct hides what is above it, where its own wall is seen."""
     front, wall = cells_of(1.2), cells_of(4.0)
