@@ -166,19 +166,22 @@ class Info(OfTheBag):
 
 @_command
 class Simulate:
-    """Make a real bag of a robot with two lidars in a generated, furnished building, with its truth.
+    """Make a real bag of a robot with one lidar or two in a generated, furnished building, with its truth.
 
     Examples:
 
         ffmap simulate office.bag --building office --seed 3 --duration 60
 
         ffmap simulate angled --building angled --sensor vlp16 --format mcap
+
+        ffmap simulate one.bag --sensor os0-128 --lidars one
     """
 
     out: Path = argument(help="Bag to write: a file (bag), or a folder (mcap, db3).")
     building: str = option("office", help="Kind of building: small, office, ell, angled or lab.")
     seed: int = option(0, min=0, help="Another building, other furniture, another drive.")
-    sensor: str = option("hdl32e", help="hdl32e, vlp16 or os1-16.")
+    sensor: str = option("hdl32e", help="hdl32e, vlp16, os1-16, os0-128 or qt64.")
+    lidars: str = option("two", help="two: one upright and one on its side; one: an upright one alone.")
     format_: str = option("bag", "--format", help="bag (ROS 1), mcap or db3 (ROS 2).")
     duration: float = option(60.0, min=1.0, help="Seconds of driving.")
     set_: list[str] | None = option(
@@ -189,7 +192,7 @@ class Simulate:
     def __call__(self) -> None:
         from ffmap.app.commands.simulate import simulate
 
-        values = {name: getattr(self, name) for name in ("building", "seed", "sensor")}
+        values = {name: getattr(self, name) for name in ("building", "seed", "sensor", "lidars")}
         values |= {"format": self.format_, "duration_s": self.duration}
         simulate(self.out, values, self.set_ or (), self.quiet)
 
@@ -264,7 +267,7 @@ class Inspect:
     scan: str = option(help="The scan's number, or 'worst': with most wrong final labels, or most changed ones.")
     line: int | None = option(
         None,
-        help="A point line, 2 × emitter + side: open there, and print its reasons.  [default: that with most wrong labels]",
+        help="A point line, 2 × pair + side: open there, and print its reasons.  [default: that with most wrong labels]",
     )
     bag: Path | None = option(None, help="Where the run's bag lies now, if it was moved.")
     out: Path | None = option(None, "--out", "-o", help="Recording.  [default: RUN/inspect-SCAN.rrd]")

@@ -127,7 +127,7 @@ CHANGES_TEXT = "/changes/{}/text"
 RUNS_TEXT = "/changes/runs"
 PATHS = "/paths"  # Below it the trajectory of each run, by its letter
 
-LINE_TIMELINE = "line"  # Of a recording of one scan: point line 2 × emitter + side
+LINE_TIMELINE = "line"  # Of a recording of one scan: point line 2 × pair + side
 WHY_LINE = "/why/line"
 WHY_SCAN = "/why/scan"
 LINE_SIGHT = "/scan/line/sight"
@@ -325,26 +325,30 @@ class Legend:
 
 
 class CurveSheet:
-    """Where the difference curves are drawn, in units of one sample to the right and downwards.
+    """Where the difference curves are drawn, to the right and downwards.
 
-    On top one line's curve as in Fig. 5b; below it one small cell for every line: first the lines of side 0, emitter by
-    emitter, then those of side 1.
+    On top one line's curve as in Fig. 5b; below it one small cell for every line: first the lines of side 0, pair by
+    pair, then those of side 1. scale: width of a sample in a cell; less than 1 where there are more lines than of 32 emitters.
     """
 
     SAMPLES = 200
-    COLUMNS = 8
+    FEWEST_COLUMNS = 8
     GAP_X = 24
-    CELL_HEIGHT = 80
     GAP_Y = 12
     SIDE_GAP = 130
     LIMIT = 4.0  # Differences beyond ±4 are drawn at ±4
-    WIDTH = COLUMNS * (SAMPLES + GAP_X) - GAP_X
+    WIDTH = FEWEST_COLUMNS * (SAMPLES + GAP_X) - GAP_X
     EXAMPLE_HEIGHT = 420
     TITLE_HEIGHT = 72
 
-    def __init__(self, ring_count: int) -> None:
-        self.ring_count = ring_count
-        self.rows = -(-ring_count // self.COLUMNS)
+    def __init__(self, line_pairs: int) -> None:
+        self.line_pairs = line_pairs
+        # Of all the cells together, the sheet is about as wide as it is high.
+        self.columns = max(self.FEWEST_COLUMNS, round(1.5 * float(np.sqrt(line_pairs))))
+        self.rows = -(-line_pairs // self.columns)
+        self.scale = self.WIDTH / (self.columns * (self.SAMPLES + self.GAP_X) - self.GAP_X)
+        self.cell_width = self.SAMPLES * self.scale
+        self.cell_height = 80 * self.scale
 
     @property
     def height(self) -> float:
@@ -354,17 +358,19 @@ class CurveSheet:
     @property
     def cells(self) -> FloatArray:
         """(2n, 2) left end and middle height of each line's cell."""
-        ring, side = np.divmod(np.arange(2 * self.ring_count), 2)
-        row, column = np.divmod(ring, self.COLUMNS)
-        x = column * (self.SAMPLES + self.GAP_X)
-        y = self.side_top(0) + side * (self.side_top(1) - self.side_top(0)) + row * (self.CELL_HEIGHT + self.GAP_Y)
-        return np.column_stack([x, y + self.CELL_HEIGHT / 2]).astype(np.float32)
+        pair, side = np.divmod(np.arange(2 * self.line_pairs), 2)
+        row, column = np.divmod(pair, self.columns)
+        x = column * (self.SAMPLES + self.GAP_X) * self.scale
+        y = self.side_top(0) + side * (self.side_top(1) - self.side_top(0)) + row * self._row_height
+        return np.column_stack([x, y + self.cell_height / 2]).astype(np.float32)
 
     def side_top(self, side: int) -> float:
         """Where the first row of a side begins."""
-        return (
-            self.EXAMPLE_HEIGHT + self.SIDE_GAP + side * (self.rows * (self.CELL_HEIGHT + self.GAP_Y) + self.SIDE_GAP)
-        )
+        return self.EXAMPLE_HEIGHT + self.SIDE_GAP + side * (self.rows * self._row_height + self.SIDE_GAP)
+
+    @property
+    def _row_height(self) -> float:
+        return self.cell_height + self.GAP_Y * self.scale
 
 
 _README = """# {bag}
@@ -411,7 +417,7 @@ the robot and x ahead; its transform places it in the map.
 `/scan/points` are where their neighbours on the same ring show the surface; those that are `measured_alone` lie on no
 surface that neighbours show, and stay. They have `label_scan`, the label by this scan alone, and `class_ids`, the final
 one; `/scan/relabelled` holds those where they differ. `/scan/structures` has `difference`, eq. 2 as printed, and `slope`,
-the one over a longer span that decides: one row a line (2 × emitter + side) of 200 samples from below upwards; and each
+the one over a longer span that decides: one row a line (2 × pair + side) of 200 samples from below upwards; and each
 structure's line, first and last sample. Planes, candidates and doors carry their parameters beside what is drawn.
 Wall candidates and door conditions carry the reason why each was taken or refused: rest the pointer on one.
 

@@ -13,7 +13,7 @@ from ffmap.blueprints.views import Part, aslant, following, from_above, until_no
 
 
 def build(
-    ring_count: int | None = 32,
+    line_pairs: int | None = 32,
     centre_m: tuple[float, float] = (0.0, 0.0),
     extent_m: float = 20.0,
     evaluated: bool = False,
@@ -24,13 +24,13 @@ def build(
 ) -> rrb.Blueprint:
     """The layout of a run's recording.
 
-    ring_count: emitters of the vertical lidar, None where there is nothing to label. centre_m, extent_m: middle and size
+    line_pairs: pairs of point lines, None where there is nothing to label. centre_m, extent_m: middle and size
     of what the map views show. evaluated: with the errors that `evaluation.rrd` adds, first of all. scans: whether the
     recording has anything of single scans. several: whether it is to hold for several runs, with the list to choose from.
     """
     readme = rrb.TextDocumentView(origin=entities.README, name="Read me")
     about: list[Part] = [_metrics(), readme]
-    if ring_count is None:
+    if line_pairs is None:
         only = _below_legend(_glance(), _poses(None, registered), "Odometry" if registered else "Trajectory as given")
         return _tabs([only, _warnings(), readme], entities.STAMP_TIMELINE, several)
     poses = _poses(aslant(centre_m, extent_m), registered)
@@ -47,7 +47,7 @@ def build(
         how: list[Part] = [_scan_view("Wall planes and doors of the scan", planes, views.WITHOUT_NAMES)]
         if lines:
             title = "Point lines and wall planes; white: the line drawn large"
-            how = [_scan_view(title, [f"{entities.LINES}/**", *planes], views.WITHOUT_NAMES), _curves(ring_count)]
+            how = [_scan_view(title, [f"{entities.LINES}/**", *planes], views.WITHOUT_NAMES), _curves(line_pairs)]
         scan = _scan_view("Labelled scan", [entities.POINTS, entities.OPENINGS])
         overview = rrb.Vertical(
             rrb.Horizontal(_label_legend(), _glance()),
@@ -56,7 +56,7 @@ def build(
             row_shares=[1, 5, 5],
             name="At a glance",
         )
-        method = [_method(ring_count)] if lines else []
+        method = [_method(line_pairs)] if lines else []
         tabs = [overview, *method, *tabs, poses]
     errors = _evaluation(centre_m, extent_m, scans, evaluated)
     tabs = [errors, *tabs, *about] if evaluated else [*tabs, about[0], errors, *about[1:]]
@@ -105,8 +105,8 @@ def _scan_view(
     return views.space(name, contents, views.behind_the_robot(), entities.SCAN, dict([override]) if override else None)
 
 
-def _curves(ring_count: int, name: str = "Forward differences of all lines (eq. 2, Fig. 5b)") -> rrb.Spatial2DView:
-    sheet = CurveSheet(ring_count)
+def _curves(line_pairs: int, name: str = "Forward differences of all lines (eq. 2, Fig. 5b)") -> rrb.Spatial2DView:
+    sheet = CurveSheet(line_pairs)
     return rrb.Spatial2DView(
         origin=entities.CURVES,
         name=name,
@@ -210,7 +210,7 @@ def _errors_over_time() -> rrb.Container:
     )
 
 
-def _method(ring_count: int) -> rrb.Container:
+def _method(line_pairs: int) -> rrb.Container:
     """The paper's figures, step by step."""
     return rrb.Vertical(
         rrb.Horizontal(
@@ -222,7 +222,7 @@ def _method(ring_count: int) -> rrb.Container:
             _scan_view(
                 "2. Point lines (Fig. 5a): green wall, blue above a door, orange refused", [f"{entities.LINES}/**"]
             ),
-            _curves(ring_count, "3. Forward differences (eq. 2, Fig. 5b)"),
+            _curves(line_pairs, "3. Forward differences (eq. 2, Fig. 5b)"),
         ),
         rrb.Horizontal(
             _scan_view("4. Up-most structures: candidates (Fig. 6a)", [entities.UPMOST]),

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.algorithms.scan.point_lines import COLUMN_PAIRS
 from ffmap.loaders.bag import Bag
 from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.frames import FrameTree, StaticTransform, read_frame_tree
@@ -21,6 +22,7 @@ from ffmap.loaders.scans import cloud_hint, cloud_topics, index_clouds, sample_m
 
 _SAMPLES = 8
 _UPRIGHT_DEG = 45.0
+_OPENING_MIN_DEG = 55.0  # A column of less shows floor and ceiling together only where a wall is far away
 _EQUAL_WITHIN_DEG = 5.0  # Lidars whose axes differ by less are equally upright: the one that sees more is taken
 _SECTORS = 36
 _REACH_MAX_M = 100.0
@@ -49,6 +51,21 @@ class Lidar:
     def tilt_deg(self) -> float:
         """Angle between its spin axis and the base's z axis, 0 to 90°."""
         return _tilt_deg(self.T_base_sensor)
+
+    @property
+    def opening_deg(self) -> float:
+        """Angle between its lowest and its highest ring."""
+        return _opening_deg(self.decoding)
+
+    @property
+    def column_pairs(self) -> int:
+        """Pairs of columns that are its point lines where it stands upright; 0 where it lies, for its emitters are."""
+        return COLUMN_PAIRS if self.tilt_deg < _UPRIGHT_DEG else 0
+
+    @property
+    def line_pairs(self) -> int:
+        """Pairs of point lines, of columns or of emitters."""
+        return self.column_pairs or self.ring_count
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +119,10 @@ class _Candidate:
         return Lidar(self.topic, self.frame_id, self.T_base_sensor, self.decoding, self.points, reasons)
 
 
+def _opening_deg(decoding: CloudDecoding) -> float:
+    return float(np.ptp(decoding.rings.elevation_deg[np.isfinite(decoding.rings.elevation_deg)]))
+
+
 def _tilt_deg(T_base_sensor: FloatArray) -> float:
     return float(np.degrees(np.arccos(np.clip(abs(T_base_sensor[2, 2]), 0.0, 1.0))))
 
@@ -137,14 +158,15 @@ def find_rig(
     candidates, base, edges = _place(bag, candidates, described, asked, warnings)
     _check_reach(rig_file or bag.path, candidates, base)
     roles = _roles(candidates, asked, warnings)
-    for role, lidar in roles.items():
+    for topic, lidar in {lidar.topic: lidar for lidar in roles.values()}.items():
+        name = f"{topic} ({' and '.join(role for role in roles if roles[role].topic == topic)})"
         if not lidar.decoding.timed:
             warnings.append(
-                f"{lidar.topic} ({role}): its points have no times, or none whose unit can be told; motion compensation is "
+                f"{name}: its points have no times, or none whose unit can be told; motion compensation is "
                 "off; --time-from azimuth recovers them, but must not be used where the clouds are compensated already"
             )
         if lidar.decoding.rings.source == "bins":
-            warnings.append(f"{lidar.topic} ({role}): no ring field, and the elevations tell no rings apart")
+            warnings.append(f"{name}: no ring field, and the elevations tell no rings apart")
     return Rig(base, roles.get("horizontal"), roles.get("vertical"), edges, tuple(warnings))
 
 
@@ -332,10 +354,22 @@ def _roles(candidates: list[_Candidate], asked: dict[Role, str], warnings: list[
             chosen, reasons = _most_aligned(lying, {c.topic: 90.0 - c.tilt_deg for c in lying}, "level")
             roles["vertical"] = chosen.lidar(reasons)
         else:
-            warnings.append(
-                "nothing to label: no lidar's spin axis lies level; --vertical TOPIC names one nevertheless"
-            )
+            _label_by_columns([c for c in candidates if c.tilt_deg <= _UPRIGHT_DEG], roles, warnings)
     return roles
+
+
+def _label_by_columns(upright: list[_Candidate], roles: dict[Role, Lidar], warnings: list[str]) -> None:
+    """The upright lidar that opens widest sweeps the walls with its columns, where it opens wide enough."""
+    widest = max(upright, key=lambda c: (_opening_deg(c.decoding), c.worth))
+    opening_deg = _opening_deg(widest.decoding)
+    if opening_deg >= _OPENING_MIN_DEG:
+        roles["vertical"] = widest.lidar(f"upright, it opens to {opening_deg:.0f} deg: its columns sweep the walls")
+    else:
+        warnings.append(
+            f"nothing to label: no lidar lies on its side, and {widest.topic}, upright, opens to {opening_deg:.0f} deg: floor "
+            f"and ceiling are seldom in one view (that takes {_OPENING_MIN_DEG:.0f}). --vertical {widest.topic} labels it "
+            "nevertheless; where a lidar does lie, --rig FILE tells its mount"
+        )
 
 
 def _most_aligned(candidates: list[_Candidate], off_deg: dict[str, float], direction: str) -> tuple[_Candidate, str]:
@@ -360,9 +394,7 @@ def _roles_of_one(only: _Candidate, roles: dict[Role, Lidar], warnings: list[str
         warnings.append(f"{only.topic}: the only lidar lies on its side; odometry has to do with it")
     elif "vertical" not in roles:
         roles.setdefault("horizontal", only.lidar("the only lidar, its spin axis upright or unknown"))
-        warnings.append(
-            "nothing to label: the bag has one lidar only, and it stands upright or its mount is unknown; --rig FILE tells it"
-        )
+        _label_by_columns([only], roles, warnings)
 
 
 def _is_entry_of(entry: RigEntry, candidate: _Candidate) -> bool:

@@ -35,15 +35,24 @@ class Hole:
     pane: float = 0.0
 
 
+EMITTERS_DEG = np.linspace(-30, 10, 32)
+
+
 def cast(
-    T_map_sensor: np.ndarray, hole: Hole | None, noise_m: float, seed: int, ceiling: bool = True
+    T_map_sensor: np.ndarray,
+    hole: Hole | None,
+    noise_m: float,
+    seed: int,
+    ceiling: bool = True,
+    emitters_deg: np.ndarray = EMITTERS_DEG,
+    firings: int = 1800,
 ) -> tuple[Scan, np.ndarray]:
-    """One sweep of 32 emitters in a corridor -4 < x < 6, -1.5 < y < 2, and the true label of each return."""
+    """One sweep in a corridor -4 < x < 6, -1.5 < y < 2, and the true label of each return."""
     generator = np.random.default_rng(seed)
     azimuth, elevation = np.meshgrid(
-        np.linspace(0, 2 * np.pi, 1800, endpoint=False), np.radians(np.linspace(-30, 10, 32)), indexing="ij"
+        np.linspace(0, 2 * np.pi, firings, endpoint=False), np.radians(emitters_deg), indexing="ij"
     )
-    ring = np.tile(np.arange(32, dtype=np.uint16), 1800)
+    ring = np.tile(np.arange(len(emitters_deg), dtype=np.uint16), firings)
     direction_sensor = np.stack(
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
     ).reshape(-1, 3)
@@ -83,7 +92,7 @@ def cast(
     scan = Scan(
         points_sensor=(direction_sensor[keep] * range_m[:, None]).astype(np.float32),
         ring=ring[keep],
-        ring_count=32,
+        ring_count=len(emitters_deg),
         time_ns=None,
         start_ns=0,
         stamp_ns=0,

@@ -92,12 +92,17 @@ class ScanLabelling:
 
 
 def label_scan(
-    scan: Scan, placed: PlacedScan, settings: MethodSettings, seed: int, floor: Floor | None = None
+    scan: Scan,
+    placed: PlacedScan,
+    settings: MethodSettings,
+    seed: int,
+    floor: Floor | None = None,
+    column_pairs: int = 0,
 ) -> ScanLabelling:
     """The paper's method on one scan: III.A to III.C in order.
 
     placed: the returns that are labelled, smoothed (`smooth_ranges`) or as measured. floor: below them, where levelling has found
-    it; None where it is to be found.
+    it; None where it is to be found. column_pairs: as of `make_point_lines`.
 
     seed: of the scan's random numbers; made from the run's seed and the scan's index, so that no label depends on
     which process labelled it.
@@ -110,7 +115,13 @@ def label_scan(
     label = _label_horizontal(returns.points_level, returns.height_m, plane_rows(ceilings), floor_m, ceiling_m)
     is_horizontal = label != Label.CLUTTER
     lines = make_point_lines(
-        scan.points_sensor, scan.ring, scan.ring_count, placed.down_sensor, is_horizontal, settings.rearrangement
+        scan.points_sensor,
+        scan.ring,
+        scan.ring_count,
+        placed.down_sensor,
+        is_horizontal,
+        settings.rearrangement,
+        column_pairs,
     )
     # III.B: vertical structures, wall candidates, wall planes.
     structures = find_vertical_structures(returns, lines.samples, settings.vertical_structures)

@@ -1,4 +1,8 @@
-"""The 2n point lines of a scan: the returns of each emitter on each side, sorted by angle and resampled (paper, III.A, eq. 1)."""
+"""The 2n point lines of a scan, from below upwards, each resampled to 200 returns (paper, III.A, eq. 1).
+
+The line of a lidar that lies is what one emitter sees on one side. An upright lidar's emitters sweep level, and its lines are
+its columns: what all emitters see in one direction.
+"""
 
 from dataclasses import dataclass
 
@@ -11,16 +15,19 @@ from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 
 SAMPLES = 200
 """Returns in a resampled point line (paper, III.A: "exactly 200 points")."""
-LEANING_MIN_DEG = 15.0  # a lidar whose spin axis is less far off upright has no line that stands upright
+COLUMN_PAIRS = 180
+"""Pairs of opposite columns of an upright lidar: its point lines are a degree apart."""
+_LEANING_MIN_DEG = 15.0  # of a spin axis that is less far off upright, no emitter's line stands upright
 
 
 @dataclass(frozen=True)
 class PointLines:
-    """The point lines of a scan: n emitters × 2 sides.
+    """The point lines of a scan: n pairs of opposite lines, of an emitter or of two columns.
 
-    Line 2 × ring + side; side 0 is the half turn counter-clockwise about the spin axis from straight down.
+    Line 2 × pair + side; side 0 is the half turn counter-clockwise about the spin axis: of emitters from straight down, of
+    columns, which are counted in the same sense, from the sensor's -x axis.
 
-    order: (n,) int32, the scan's returns line by line, each line from below upwards by its angle, eq. 1 unfolded; floor
+    order: (r,) int32, the scan's returns line by line, each line from below upwards by its angle, eq. 1 unfolded; floor
         and ceiling included.
     starts: (2n + 1,) int32; order[starts[l]:starts[l + 1]] is line l.
     samples: (2n, 200) int32, each line without floor and ceiling, resampled to exactly 200 returns, from below
@@ -42,24 +49,58 @@ def make_point_lines(
     down_sensor: FloatArray,
     is_horizontal: BoolArray,
     settings: RearrangementSettings,
+    column_pairs: int = 0,
 ) -> PointLines:
     """The 2n point lines, each sorted by angle and resampled to 200 returns (paper, III.A, Fig. 4 and 5a).
 
-    Eq. 1 gives the angle from a coordinate's ratio and so folds up onto down; here it is the angle about the spin axis
-    from straight down, 0 to π, and its sign is the side.
+    Eq. 1 gives the angle from a coordinate's ratio and so folds up onto down. Here it is the angle from straight down, of
+    emitters about the spin axis, 0 to π, and its sign is the side. A column has all returns of a sector; it is resampled from
+    those alone that are nearest to the sector's middle, one of each emitter: across a sector a slanting wall's range changes.
 
-    points_sensor: (n, 3), z along the spin axis. ring: (n,). down_sensor: (3,) gravity. is_horizontal: (n,) floor or
-    ceiling, kept in `order` and left out of `samples`.
-    Raises ValueError where the spin axis is upright, for then no line stands upright.
+    points_sensor: (r, 3), z along the spin axis. ring: (r,). down_sensor: (3,) gravity. is_horizontal: (r,) floor or
+    ceiling, kept in `order` and left out of `samples`. column_pairs: n of an upright lidar; 0 for lines of emitters.
+    Raises ValueError where lines of emitters are asked of an upright lidar, for then none stands upright.
     """
-    across = float(np.hypot(down_sensor[0], down_sensor[1]))
-    if across < np.sin(np.radians(LEANING_MIN_DEG)):
-        raise ValueError("the spin axis is upright: this lidar sweeps no wall from floor to ceiling")
-    down_rad = float(np.arctan2(down_sensor[1], down_sensor[0]))
-    line, angle_rad = _lines(points_sensor, ring, down_rad)
-    order, starts = sort_by_angle(line, angle_rad, 2 * ring_count)
-    samples = _resample(order, starts, is_horizontal, settings.line_points_min)
+    left_out = is_horizontal
+    if column_pairs:
+        line, height, in_middle = _columns(points_sensor, ring, ring_count, down_sensor, column_pairs)
+        left_out = is_horizontal | ~in_middle
+        order, starts = sort_by_angle(line, height, 2 * column_pairs)
+    else:
+        across = float(np.hypot(down_sensor[0], down_sensor[1]))
+        if across < np.sin(np.radians(_LEANING_MIN_DEG)):
+            raise ValueError("the spin axis is upright: no emitter of this lidar sweeps a wall from floor to ceiling")
+        down_rad = float(np.arctan2(down_sensor[1], down_sensor[0]))
+        line, angle_rad = _lines(points_sensor, ring, down_rad)
+        order, starts = sort_by_angle(line, angle_rad, 2 * ring_count)
+    samples = _resample(order, starts, is_horizontal, left_out, settings.line_points_min)
     return PointLines(order, starts, samples)
+
+
+@numba.njit(cache=True, nogil=True)
+def _columns(
+    points: FloatArray, ring: IntArray, ring_count: int, down: FloatArray, pairs: int
+) -> tuple[IntArray, FloatArray, BoolArray]:  # pragma: no cover
+    """(r,) the line of each return, how high its ray points, from -1 to 1, and whether it is its emitter's in the middle."""
+    count, sectors = len(points), 2 * pairs
+    turn = turns(points, 0.0)
+    line, height, in_middle = np.empty(count, np.int32), np.empty(count, np.float32), np.zeros(count, np.bool_)
+    nearest, off = np.full(sectors * ring_count, -1, np.int32), np.full(sectors * ring_count, np.float32(1.0))
+    for i in range(count):
+        x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
+        range_m = max(np.sqrt(x * x + y * y + z * z), 1e-6)
+        height[i] = -(x * down[0] + y * down[1] + z * down[2]) / range_m
+        place = (turn[i] / (2.0 * np.pi) + 0.5) * sectors
+        sector = min(max(int(place), 0), sectors - 1)
+        line[i] = 2 * (sector % pairs) + sector // pairs
+        cell = sector * ring_count + ring[i]
+        from_middle = abs(place - sector - 0.5)
+        if from_middle < off[cell]:
+            nearest[cell], off[cell] = i, from_middle
+    for chosen in nearest:
+        if chosen >= 0:
+            in_middle[chosen] = True
+    return line, height, in_middle
 
 
 @numba.njit(cache=True, nogil=True)
@@ -74,18 +115,20 @@ def _lines(points: FloatArray, ring: IntArray, down_rad: float) -> tuple[IntArra
 
 @numba.njit(cache=True, nogil=True)
 def _resample(
-    order: IntArray, starts: IntArray, is_horizontal: BoolArray, points_min: int
+    order: IntArray, starts: IntArray, is_horizontal: BoolArray, left_out: BoolArray, points_min: int
 ) -> IntArray:  # pragma: no cover
+    """(L, 200) of what is not left out of each line that has enough returns of other than floor and ceiling."""
     lines = len(starts) - 1
     samples = np.full((lines, SAMPLES), -1, np.int32)
     kept = np.empty(len(order), np.int32)
     for line in range(lines):
-        count = 0
+        count, enough = 0, 0
         for j in range(starts[line], starts[line + 1]):
-            if not is_horizontal[order[j]]:
+            enough += not is_horizontal[order[j]]
+            if not left_out[order[j]]:
                 kept[count] = order[j]
                 count += 1
-        if count < points_min:
+        if enough < points_min:
             continue
         for s in range(SAMPLES):
             samples[line, s] = kept[(s * (count - 1) * 2 + SAMPLES - 1) // (2 * (SAMPLES - 1))]

@@ -76,7 +76,7 @@ class Reach(IntEnum):
     CEILING = 1  # it ends close to a ceiling
     ABOVE_CEILINGS = 2  # it ends above the highest ceiling in view: another is there
     HEIGHT = 3  # no ceiling is in view, and it is high enough
-    TURNS_BACK = 4  # its line has next to no returns of a ceiling: it may turn back below it
+    TURNS_BACK = 4  # its line has next to no returns of a ceiling: it may turn back, or the view end, below it
 
 
 class Membership(IntEnum):
@@ -234,7 +234,8 @@ def _choose_candidates(
     line = structures.line[chosen]
     walk = np.lexsort((line, line % 2, ~is_upmost[chosen]))
     chosen, line = chosen[walk], line[walk]
-    # A line that sweeps a wall ahead in a circle may turn back below the ceiling: it has next to no returns of it.
+    # A line that sweeps a wall ahead in a circle may turn back below the ceiling, and a column ends where the lidar opens no
+    # further: it has next to no returns of the ceiling.
     turns_back = ~meets_ceiling[line] & is_upmost[chosen] & (structures.top_m[chosen] > 0.5 * settings.height_min_m)
     spans = np.stack([line, structures.first[chosen], structures.last[chosen]], axis=1)
     moments, upper = _upper_parts(returns.points_level, returns.height_m, samples, spans, settings.upper_part_m)

@@ -93,9 +93,9 @@ def time_odometry_floor_s(sensor: Sensor, bag_path: Path, settings: Settings) ->
 
 def time_labelling(sensor: Sensor, bag_path: Path, trajectory: Trajectory, settings: Settings) -> LabellingTimes:
     """Some scans from all over the bag, once the code is compiled. trajectory: T_map_base."""
-    scans = _placed_scans(sensor, bag_path, trajectory, settings)
+    scans, columns = _placed_scans(sensor, bag_path, trajectory, settings), sensor.lidar.column_pairs
     for index, scan, placed in scans[:5]:
-        label_scan(scan, placed, settings.method, index)
+        label_scan(scan, placed, settings.method, index, column_pairs=columns)
         _touch_returns(scan.points_sensor, np.empty(len(scan), np.uint8))
     floor_ms, takes_ms = np.empty(len(scans)), np.empty(len(scans))
     for k, (index, scan, placed) in enumerate(scans):
@@ -104,7 +104,7 @@ def time_labelling(sensor: Sensor, bag_path: Path, trajectory: Trajectory, setti
         _touch_returns(scan.points_sensor, label)
         touched = time.perf_counter()
         smooth_ranges(scan, settings.smoothing)
-        label_scan(scan, placed, settings.method, index)
+        label_scan(scan, placed, settings.method, index, column_pairs=columns)
         floor_ms[k], takes_ms[k] = 1e3 * (touched - started), 1e3 * (time.perf_counter() - touched)
     return LabellingTimes(floor_ms, takes_ms, float(np.mean([len(scan) for _, scan, _ in scans])))
 

@@ -85,7 +85,7 @@ class Comparison:
     doors: TrueDoors
     tally: Tally | None = None
     parts: tuple[Path, ...] = ()
-    ring_count: int | None = None
+    line_pairs: int | None = None
     compared_doors: tuple[FoundDoors, DoorFigures] | None = None
     maps: ComparedMaps = field(default_factory=dict)
 
@@ -138,7 +138,7 @@ def _write_layer(run: FinishedRun, layer: Layer, comparison: Comparison, tally: 
 
     own = comparison.maps.get(entities.FURNITURE_FREE)
     layout = run_blueprint.build(
-        comparison.ring_count,
+        comparison.line_pairs,
         *run_blueprint.view_of(own.grid if own else None),
         evaluated=True,
         scans=run.has_scans,
@@ -197,7 +197,7 @@ def compare_run(
         "points": _label_metrics(tally.confusion_points, None),
         "points_scan": _label_metrics(tally.confusion_points_scan, None),
     }
-    comparison = Comparison(metrics, faces, doors, tally, counted.parts, clouds.lidar.ring_count)
+    comparison = Comparison(metrics, faces, doors, tally, counted.parts, clouds.lidar.line_pairs)
     if building is not None and (doors_path := run.file(run_names.DOORS)) is not None:
         found_doors = read_doors(doors_path)
         door_figures = compare_doors(doors, tally.door_returns, found_doors)

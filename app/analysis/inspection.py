@@ -89,7 +89,8 @@ def label_again(run: FinishedRun, number: int, bag: Path | None = None) -> Inspe
         settings.rearrangement,
         settings.trajectory.level_scan_max_deg,
     )
-    labelling = label_scan(scan, level.placed, settings.method, seed_of(settings.seed, number), level.floor)
+    seed, columns = seed_of(settings.seed, number), vertical.lidar.column_pairs
+    labelling = label_scan(scan, level.placed, settings.method, seed, level.floor, columns)
     recorded, file = _recorded_labels(run, number, scan.stamp_ns)
     differing = None if recorded is None else _differing(recorded, scan, labelling.label)
     faults = _find_faults(run, number, scan, labelling, recorded)

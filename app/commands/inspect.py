@@ -39,7 +39,7 @@ def inspect(run_path: Path, wanted: str, line: int | None, bag: Path | None, out
     inspected = label_again(run, number, bag)
     lines = len(inspected.labelling.lines)
     if line is not None and not 0 <= line < lines:
-        raise InputError(f"--line {line}: a scan of this lidar has lines 0 to {lines - 1} (2 × emitter + side)")
+        raise InputError(f"--line {line}: a scan of this lidar has lines 0 to {lines - 1} (2 × pair + side)")
     labelling, faults = inspected.labelling, inspected.faults
     notes += [faults_in_words(faults, labelling.lines), agreement(run, inspected)]
     reasons = explain_lines(labelling)

@@ -26,9 +26,9 @@ _CURVE_STYLES: tuple[tuple[str, float, entities.Color], ...] = (
 def log_curve_sheet(log: Log, sheet: CurveSheet, slope_max: float) -> None:
     """Frames, thresholds, titles and styles, which never change."""
     cells = sheet.cells
-    half = sheet.CELL_HEIGHT / 2
+    half = sheet.cell_height / 2
     large = [[0, 0, sheet.WIDTH, sheet.EXAMPLE_HEIGHT]]
-    small = np.column_stack([cells - [0, half], np.full((len(cells), 2), [sheet.SAMPLES, sheet.CELL_HEIGHT])])
+    small = np.column_stack([cells - [0, half], np.full((len(cells), 2), [sheet.cell_width, sheet.cell_height])])
     boxes = np.concatenate([large, small])
     frames = rr.Boxes2D(
         array=boxes, array_format=rr.Box2DFormat.XYWH, colors=entities.FRAME_COLOR, radii=ui_radius(0.5)
@@ -50,13 +50,11 @@ def log_curve_sheet(log: Log, sheet: CurveSheet, slope_max: float) -> None:
     )
     titles = {
         0.0: f"One line, foot left, top right: eq. 2 blue, slope that decides white, threshold ±{slope_max:g} red",
-        sheet.side_top(
-            0
-        ): f"Side 0, emitters 0 to {sheet.ring_count - 1}, each from -{sheet.LIMIT:g} to {sheet.LIMIT:g}; "
+        sheet.side_top(0): f"Side 0, pairs 0 to {sheet.line_pairs - 1}, each from -{sheet.LIMIT:g} to {sheet.LIMIT:g}; "
         "up-most green, bottom-most orange",
-        sheet.side_top(1): f"Side 1, emitters 0 to {sheet.ring_count - 1}",
+        sheet.side_top(1): f"Side 1, pairs 0 to {sheet.line_pairs - 1}",
     }
-    tops = list(titles) if sheet.ring_count else [0.0]
+    tops = list(titles) if sheet.line_pairs else [0.0]
     places = [(sheet.WIDTH / 2, top - sheet.TITLE_HEIGHT) for top in tops]
     log.static(entities.CURVE_TEXTS, words(places, [titles[top] for top in tops]))
     for path, radius_ui, color in _CURVE_STYLES:
@@ -79,20 +77,20 @@ def log_curves(log: Log, labelling: ScanLabelling) -> None:
     present = np.flatnonzero(samples[:, 0] >= 0)
     shown = np.arange(0, sheet.SAMPLES, _CURVE_STEP)
     curves = np.empty((len(present), len(shown), 2), np.float32)
-    curves[..., 0] = cells[present, :1] + shown
-    scale = sheet.CELL_HEIGHT / 2 / sheet.LIMIT
+    curves[..., 0] = cells[present, :1] + sheet.scale * shown
+    scale = sheet.cell_height / 2 / sheet.LIMIT
     drawn = _clamped(structures.difference[present][:, shown], sheet.LIMIT)
     curves[..., 1] = np.rint(cells[present, 1:] - scale * drawn)
     log.row(entities.CURVE_DIFFERENCES, rr.LineStrips2D, strips=curves)
     for path, chosen, offset in (
-        (entities.CURVE_UPMOST, structures.upmost, sheet.CELL_HEIGHT * 0.36),
-        (entities.CURVE_BOTTOMMOST, structures.bottommost, sheet.CELL_HEIGHT * 0.46),
+        (entities.CURVE_UPMOST, structures.upmost, sheet.cell_height * 0.36),
+        (entities.CURVE_BOTTOMMOST, structures.bottommost, sheet.cell_height * 0.46),
     ):
         own = chosen[chosen >= 0]
         line = structures.line[own]
         bars = np.empty((len(own), 2, 2), np.float32)
-        bars[:, 0, 0] = cells[line, 0] + structures.first[own]
-        bars[:, 1, 0] = cells[line, 0] + structures.last[own]
+        bars[:, 0, 0] = cells[line, 0] + sheet.scale * structures.first[own]
+        bars[:, 1, 0] = cells[line, 0] + sheet.scale * structures.last[own]
         bars[..., 1] = cells[line, 1:] + offset
         log.row(path, rr.LineStrips2D, strips=bars)
 

@@ -75,7 +75,7 @@ def explain_lines(labelling: ScanLabelling) -> list[LineReason]:
 
 def name_of(line: int) -> str:
     """A line as people speak of it."""
-    return f"line {line} (emitter {line // 2}, side {line % 2})"
+    return f"line {line} (pair {line // 2}, side {line % 2})"
 
 
 def line_document(labelling: ScanLabelling, reason: LineReason, note: str = "") -> str:
@@ -132,7 +132,7 @@ def scan_document(
     if marked is not None:
         columns["marked"] = [marked[r.line] for r in reasons]
     columns |= {"outcome": [LINE_OUTCOMES[r.outcome][0] for r in reasons], "why": [r.short for r in reasons]}
-    parts += ["", "## Lines (2 × emitter + side)", table(list(columns), zip(*columns.values(), strict=True))]
+    parts += ["", "## Lines (2 × pair + side)", table(list(columns), zip(*columns.values(), strict=True))]
     return "\n".join(parts)
 
 
@@ -315,8 +315,8 @@ class _Candidate:
             Reach.CEILING: f"It reaches the ceiling: it ends {_cm(abs(self._below_m))} {side} it.",
             Reach.ABOVE_CEILINGS: f"It {self._ends}, above the highest ceiling in view: another must be there.",
             Reach.HEIGHT: f"No ceiling is in view; it {self._ends}, which is high enough.",
-            Reach.TURNS_BACK: f"It {self._ends}, but its line has next to no returns of a ceiling: it may turn back below one, "
-            "so it counts.",
+            Reach.TURNS_BACK: f"It {self._ends}, but its line has next to no returns of a ceiling: below one it may turn "
+            "back, or the view end, so it counts.",
             Reach.LOW: low,
         }[self._reach]
 

@@ -47,19 +47,19 @@ def log_static(
     log: Log,
     sensors: Mapping[str, FloatArray],
     readme: str,
-    ring_count: int | None = None,
+    line_pairs: int | None = None,
     slope_max: float | None = None,
 ) -> None:
     """What holds throughout: classes, styles, frames, sensors, the sheet of the curves, the explanation.
 
-    sensors: T_base_sensor (4, 4) by role. ring_count, slope_max: emitters of the vertical lidar and the threshold
-    of eq. 2; None where nothing is labelled. With 0 emitters the sheet of the curves has the large one alone.
+    sensors: T_base_sensor (4, 4) by role. line_pairs, slope_max: pairs of point lines and the threshold
+    of eq. 2; None where nothing is labelled. Without lines the sheet of the curves has the large one alone.
     """
     log.static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, annotations(entities.CLASSES))
     log.static(entities.LINES, annotations(entities.LINE_OUTCOMES))
     log.static(entities.DOOR_CONDITIONS, annotations(entities.DOOR_CONDITION_CLASSES))
     log.text(entities.README, readme)
-    log.text(entities.GLANCE, entities.glance(labelled=ring_count is not None, scans=log.detail is not Detail.MAP))
+    log.text(entities.GLANCE, entities.glance(labelled=line_pairs is not None, scans=log.detail is not Detail.MAP))
     log.text(entities.EVALUATION_HELP, entities.EVALUATION_HELP_TEXT)
     log_legend(log, entities.LABEL_LEGEND, entities.LABEL_LEGEND_ENTRIES)
     log.static(entities.BASE, rr.TransformAxes3D(0.6))
@@ -76,19 +76,19 @@ def log_static(
         log.curve_style(f"{entities.LABEL_COUNTS}/{name}", name, color)
     for path, (name, color) in entities.SERIES.items():
         log.curve_style(path, name, color)
-    if ring_count is not None and slope_max is not None and log.detail is Detail.LINES:
-        log_curve_sheet(log, CurveSheet(ring_count), slope_max)
+    if line_pairs is not None and slope_max is not None and log.detail is Detail.LINES:
+        log_curve_sheet(log, CurveSheet(line_pairs), slope_max)
 
 
 def layout(
-    ring_count: int | None, detail: Detail, record: dict[str, Any], grid: GridMap | None = None
+    line_pairs: int | None, detail: Detail, record: dict[str, Any], grid: GridMap | None = None
 ) -> rrb.Blueprint:
     """How the recording opens; with the grid, so that the whole building is in view.
 
-    ring_count: as for `log_static`. record: what run.json holds.
+    line_pairs: as for `log_static`. record: what run.json holds.
     """
     return run_blueprint.build(
-        ring_count,
+        line_pairs,
         *run_blueprint.view_of(grid),
         scans=detail is not Detail.MAP,
         registered=record["poses_from"] == FROM_ODOMETRY,

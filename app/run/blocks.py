@@ -176,7 +176,8 @@ def _label(index: int, scan: Scan, job: LabelJob, block: _LabelledBlock, log: Lo
     level = _place(scan, ranges, job)
     placed = level.placed
     watch.lap("placing")
-    labelling = label_scan(scan, placed, job.settings.method, seed_of(job.settings.seed, index), level.floor)
+    seed, columns = seed_of(job.settings.seed, index), _vertical(job.inputs).lidar.column_pairs
+    labelling = label_scan(scan, placed, job.settings.method, seed, level.floor, columns)
     watch.lap("labelling")
     if log:
         log_scan(log, index, level, labelling, scan.stamp_ns, watch.milliseconds)

@@ -258,9 +258,12 @@ def _registered(inputs: Inputs, sensor: Sensor, settings: Settings) -> Iterator[
 
 
 def _companion(inputs: Inputs, settings: Settings) -> Sensor | None:
-    """The lidar whose scans are registered with the horizontal one's."""
+    """The other lidar whose scans are registered with the horizontal one's; None where it does both jobs."""
+    horizontal, vertical = inputs.horizontal, inputs.vertical
+    if horizontal is None or vertical is None or horizontal.lidar.topic == vertical.lidar.topic:
+        return None
     wanted = settings.refinement.enabled and settings.refinement.companion_points_max > 0
-    return inputs.vertical if wanted else None
+    return vertical if wanted else None
 
 
 def _sensors(inputs: Inputs, sensor: Sensor, settings: Settings) -> list[Sensor]:

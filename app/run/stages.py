@@ -133,7 +133,7 @@ def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[s
             folder.path / RECORDING if save else None,
             folder.spool,
             record["recording_id"],
-            layout(inputs.ring_count, options.detail, record),
+            layout(inputs.line_pairs, options.detail, record),
             options.connect_url,
         )
     except ConnectionError as error:
@@ -147,7 +147,7 @@ def _log_start(run: Run) -> None:
         return
     sensors = {role: sensor.lidar.T_base_sensor for role, sensor in run.inputs.by_role.items()}
     slope_max = run.settings.vertical_structures.slope_max
-    log_static(run.log, sensors, entities.explain(run.record), run.inputs.ring_count, slope_max)
+    log_static(run.log, sensors, entities.explain(run.record), run.inputs.line_pairs, slope_max)
     send_properties(run.log.stream, "settings", run.settings.model_dump(mode="json"))
     told = ("settings_hash", "bag", "versions", "started")
     send_properties(run.log.stream, "run", {name: run.record[name] for name in told if name in run.record})

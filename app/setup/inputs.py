@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ffmap.algorithms.base.scan import Scan
-from ffmap.algorithms.scan.point_lines import LEANING_MIN_DEG
 from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.errors import InputError
@@ -21,8 +20,6 @@ from ffmap.loaders.scans import (
     stamp_problem,
 )
 
-_TILT_MIN_DEG = LEANING_MIN_DEG + 5.0
-"""The robot itself tilts on ramps and over sills."""
 _REASONS_READ = 50
 _NO_POSE = (
     "its returns are too few, or all in a line, to be registered, or its times overlap those of a cloud before it"
@@ -69,14 +66,14 @@ class Inputs:
         return {role: sensor for role, sensor in roles.items() if sensor is not None}
 
     @property
-    def ring_count(self) -> int | None:
-        """Emitters of the lidar that is labelled; None where nothing is."""
-        return self.vertical.lidar.ring_count if self.vertical else None
+    def line_pairs(self) -> int | None:
+        """Pairs of point lines of the lidar that is labelled; None where nothing is."""
+        return self.vertical.lidar.line_pairs if self.vertical else None
 
     def used(self, given_poses: bool) -> list[Sensor]:
         """The lidars whose clouds a run reads. given_poses: whether it takes its poses from elsewhere."""
         wanted = (None if given_poses else self.horizontal, self.vertical)
-        return [sensor for sensor in wanted if sensor is not None]
+        return [*{sensor.lidar.topic: sensor for sensor in wanted if sensor is not None}.values()]
 
 
 def find_inputs(bag_path: Path, options: InputOptions) -> Inputs:
@@ -87,7 +84,7 @@ def find_inputs(bag_path: Path, options: InputOptions) -> Inputs:
     with open_bag(bag_path) as bag:
         rig = options.find_rig(bag)
         horizontal = _sensor(bag, rig.horizontal) if rig.horizontal else None
-        vertical = _sensor(bag, _checked(rig.vertical)) if rig.vertical else None
+        vertical = _sensor(bag, rig.vertical) if rig.vertical else None
         clocks = clock_problem(horizontal.index, vertical.index) if horizontal and vertical else None
         return Inputs(
             bag_path=bag_path.resolve(),
@@ -113,16 +110,6 @@ def digest_clouds(bag_path: Path, sensors: Iterable[Sensor]) -> dict[str, str]:
 def total_digest(clouds: Mapping[str, str]) -> str:
     """One digest for those of several topics, in whatever order they were read."""
     return joined(bytes.fromhex(clouds[topic]) for topic in sorted(clouds)).hex()
-
-
-def _checked(vertical: Lidar) -> Lidar:
-    """Raises InputError where the lidar to be labelled stands so upright that no line of it does."""
-    if vertical.tilt_deg < _TILT_MIN_DEG:
-        raise InputError(
-            f"{vertical.topic}: its spin axis is {vertical.tilt_deg:.0f} deg off upright, so it sweeps no wall from floor to "
-            f"ceiling (that takes {_TILT_MIN_DEG:.0f}); name another with --vertical, or tell its mount with --rig FILE"
-        )
-    return vertical
 
 
 def _sensor(bag: Bag, lidar: Lidar) -> Sensor:

@@ -74,18 +74,25 @@ SENSORS: dict[Sensor, SensorModel] = {
     "os1-16": SensorModel(
         "os1-16", tuple(np.linspace(-16.6, 16.6, 16)), 1024, 10.0, 97_656.0, 0.012, 60.0, 0.001, "ouster"
     ),
+    "os0-128": SensorModel(
+        "os0-128", tuple(np.linspace(-45.0, 45.0, 128)), 1024, 10.0, 97_656.0, 0.015, 50.0, 0.001, "ouster"
+    ),
+    "qt64": SensorModel(
+        "qt64", tuple(np.linspace(-52.1, 52.1, 64)), 600, 10.0, 108_800.0, 0.015, 40.0, 0.004, "velodyne"
+    ),
 }
 
 
 @dataclass(frozen=True)
 class Lidar:
-    """One of the robot's two lidars.
+    """One of the robot's lidars.
 
-    role: horizontal = spin axis upright (odometry), vertical = spin axis forward (sweeps floor, walls and ceiling).
-    period_ns: of a revolution; the two differ. phase_ns: its first sweep's start after the horizontal one's.
+    role: horizontal = spin axis upright (odometry), vertical = spin axis forward (sweeps floor, walls and ceiling), or both
+        where an upright one is alone.
+    period_ns: of a revolution; two differ. phase_ns: its first sweep's start after the horizontal one's.
     """
 
-    role: Literal["horizontal", "vertical"]
+    role: Literal["horizontal", "vertical", "both"]
     topic: str
     frame_id: str
     model: SensorModel
@@ -98,19 +105,22 @@ class Lidar:
         return self.phase_ns + round(sweep * self.period_ns)
 
 
-def mount_lidars(settings: SimulationSettings, rng: np.random.Generator) -> tuple[Lidar, Lidar]:
-    """The horizontal and the vertical lidar; their clocks run free."""
+def mount_lidars(settings: SimulationSettings, rng: np.random.Generator) -> tuple[Lidar, ...]:
+    """The horizontal and the vertical lidar, whose clocks run free; or the upright one that is alone."""
     model = SENSORS[settings.sensor]
     upright = transforms.make_transform(translation=[0.10, 0.0, 0.95])
     forward = Rotation.from_quat([0.5, 0.5, 0.5, 0.5])
     tilted = Rotation.from_euler("y", settings.mount_tilt_deg, degrees=True) * forward
     sideways = transforms.make_transform(tilted, [0.30, 0.0, 0.70])
     nominal_ns = 1e9 / model.rate_hz
-    names = {
+    names: tuple[str, ...] = {
         "velodyne": ("/horizontal_velodyne/velodyne_points", "horizontal_velodyne",
                      "/vertical_velodyne/velodyne_points", "vertical_velodyne"),
         "ouster": ("/os1_cloud_node1/points", "sensor1/os_sensor", "/os1_cloud_node2/points", "sensor2/os_sensor")
     }[model.layout]  # fmt: skip
+    if settings.lidars == "one":
+        names = {"velodyne": ("/velodyne_points", "velodyne"), "ouster": ("/ouster/points", "os_sensor")}[model.layout]
+        return (Lidar("both", names[0], names[1], model, upright, nominal_ns * 1.0007, 0),)
     return (
         Lidar("horizontal", names[0], names[1], model, upright, nominal_ns * 1.0007, 0),
         Lidar("vertical", names[2], names[3], model, sideways, nominal_ns * 0.9989, int(rng.uniform(0, nominal_ns))),

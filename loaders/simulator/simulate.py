@@ -59,8 +59,8 @@ class Scene:
     mesh: Mesh
     furniture: BaseGeometry
     walkers: tuple[Walker, ...]
-    lidars: tuple[Lidar, Lidar]
-    ring_bias_m: tuple[FloatArray, FloatArray]
+    lidars: tuple[Lidar, ...]
+    ring_bias_m: tuple[FloatArray, ...]
     trajectory: Trajectory
     T_map_plan: FloatArray
     truth: dict[str, Any]
@@ -105,7 +105,7 @@ def draw_scene(settings: SimulationSettings) -> Scene:
         furniture=furniture,
         walkers=_walkers(plan, terrain, avoid, settings, T_map_plan, furniture_rng),
         lidars=lidars,
-        ring_bias_m=tuple(sensor_rng.normal(0, settings.ring_bias_m, lidar.model.rings) for lidar in lidars),  # type: ignore[arg-type]
+        ring_bias_m=tuple(sensor_rng.normal(0, settings.ring_bias_m, lidar.model.rings) for lidar in lidars),
         trajectory=drive_plan.moved(T_map_plan),
         T_map_plan=T_map_plan,
         truth=building_truth(plan, T_map_plan),
@@ -152,7 +152,7 @@ def simulate(
             written = _write_poses(writer, scene.trajectory, written, job.log_time_ns)
             lidar = scene.lidars[job.lidar]
             writer.write(lidar.topic, writer.cloud(lidar, sweep, EPOCH_NS), EPOCH_NS + job.log_time_ns)
-            if lidar.role == "vertical":
+            if lidar.role != "horizontal":
                 writer.write("/truth/classes", writer.classes(lidar, sweep, EPOCH_NS), EPOCH_NS + job.log_time_ns)
             clouds[lidar.topic] = clouds.get(lidar.topic, 0) + 1
             points[lidar.topic] = points.get(lidar.topic, 0) + int(np.count_nonzero(sweep.range_m))
@@ -176,7 +176,7 @@ def _write_poses(writer: DriveWriter, trajectory: Trajectory, first: int, until_
     return max(first, following)
 
 
-def _jobs(lidars: tuple[Lidar, Lidar], settings: SimulationSettings) -> list[_Job]:
+def _jobs(lidars: tuple[Lidar, ...], settings: SimulationSettings) -> list[_Job]:
     """Every sweep that ends within the drive, in the order in which the clouds reach the recorder."""
     rng = np.random.default_rng([settings.seed, 72])
     jobs = []

@@ -176,15 +176,15 @@ def test_given_poses_have_no_quality_to_show():
 
 
 def test_cells_of_the_curve_sheet_do_not_touch():
-    for rings in (16, 32, 33):
+    for rings in (16, 32, 33, 180):
         sheet = CurveSheet(rings)
         cells = sheet.cells
         assert cells.shape == (2 * rings, 2)
         assert len(np.unique(cells, axis=0)) == 2 * rings
-        assert cells[:, 0].max() + sheet.SAMPLES <= sheet.WIDTH
-        assert cells[:, 1].min() - sheet.CELL_HEIGHT / 2 >= sheet.EXAMPLE_HEIGHT
-        assert cells[:, 1].max() + sheet.CELL_HEIGHT / 2 <= sheet.height
-        apart = np.abs(cells[:, None] - cells[None]) >= [sheet.SAMPLES, sheet.CELL_HEIGHT]
+        assert cells[:, 0].max() + sheet.cell_width <= sheet.WIDTH + 1e-3
+        assert cells[:, 1].min() - sheet.cell_height / 2 >= sheet.EXAMPLE_HEIGHT - 1e-3
+        assert cells[:, 1].max() + sheet.cell_height / 2 <= sheet.height + 1e-3
+        apart = np.abs(cells[:, None] - cells[None]) >= 0.999 * np.array([sheet.cell_width, sheet.cell_height])
         assert np.all(apart.any(axis=2) | np.eye(2 * rings, dtype=bool))
 
 

@@ -122,8 +122,32 @@ def test_one_lidar_alone_needs_no_transforms(tmp_path):
     assert (rig.base_frame, rig.vertical) == ("lidar", None)
     np.testing.assert_array_equal(rig.horizontal.T_base_sensor, np.eye(4))
     assert "nothing to label" in rig.warnings[0]
+    assert "opens to 30 deg" in rig.warnings[0]
     rig = rig_of(path, vertical="/points")
     assert rig.horizontal.topic == rig.vertical.topic == "/points"
+    assert rig.vertical.line_pairs == rig.vertical.column_pairs > 0
+
+
+WIDE = tuple(range(-45, 46, 3))
+
+
+def test_an_upright_lidar_that_opens_wide_has_both_roles(tmp_path):
+    rig = rig_of(write_bag(tmp_path / "a.bag", clouds("/points", 3, elevations_deg=WIDE)))
+    assert rig.horizontal.topic == rig.vertical.topic == "/points"
+    assert rig.vertical.opening_deg == pytest.approx(90.0, abs=0.1)
+    assert "columns" in rig.vertical.reasons
+    assert not rig.warnings
+    untimed = clouds("/points", 3, elevations_deg=WIDE)
+    for _, _, message in untimed:
+        message.fields[-1].name = "nothing"
+    said = rig_of(write_bag(tmp_path / "b.bag", untimed)).warnings
+    assert sum("no times" in w for w in said) == 1
+    assert "(horizontal and vertical)" in said[0]
+
+
+def test_emitters_are_the_lines_of_a_lidar_that_lies(tmp_path):
+    rig = rig_of(write_bag(tmp_path / "a.bag", two_lidars(MARS)))
+    assert (rig.vertical.column_pairs, rig.vertical.line_pairs) == (0, 16)
 
 
 def test_two_upright_lidars_leave_nothing_to_label(tmp_path):
@@ -131,6 +155,14 @@ def test_two_upright_lidars_leave_nothing_to_label(tmp_path):
     rig = rig_of(write_bag(tmp_path / "a.bag", two_lidars(edges)))
     assert rig.vertical is None
     assert any("nothing to label" in w for w in rig.warnings)
+
+
+def test_of_two_upright_lidars_the_one_that_opens_wide_is_labelled(tmp_path):
+    edges = [(p, c, t, UPRIGHT) for p, c, t, _ in MARS]
+    entries = [*clouds("/v/points", 4, "vertical_velodyne"), ("/tf_static", START_NS, tf_message(edges, 1))]
+    entries += clouds("/h/points", 4, "/horizontal_velodyne", late_ns=PERIOD_NS // 3, elevations_deg=WIDE)
+    rig = rig_of(write_bag(tmp_path / "a.bag", sorted(entries, key=lambda entry: entry[1])))
+    assert rig.vertical.topic == "/h/points"
 
 
 def test_copies_and_cameras_are_passed_over(tmp_path):

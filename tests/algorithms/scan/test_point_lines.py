@@ -5,7 +5,7 @@ import pytest
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.scan.point_lines import LEANING_MIN_DEG, SAMPLES, PointLines, make_point_lines
+from ffmap.algorithms.scan.point_lines import SAMPLES, PointLines, make_point_lines
 from tests.corridor import METHOD, T_BASE_SENSOR, labelled
 
 
@@ -27,7 +27,7 @@ def test_point_lines_have_exactly_200_returns_from_below_upwards() -> None:
     assert not np.any(np.isin(found.label[full], [Label.FLOOR, Label.CEILING]) & (found.plane[full] < 0))
 
 
-def test_an_upright_spin_axis_has_no_lines() -> None:
+def test_of_an_upright_spin_axis_no_emitter_has_lines() -> None:
     scan, _, _, _ = labelled()
 
     def lines(tilt_deg: float) -> PointLines:
@@ -36,7 +36,7 @@ def test_an_upright_spin_axis_has_no_lines() -> None:
             scan.points_sensor, scan.ring, 32, down, np.zeros(len(scan), bool), METHOD.rearrangement
         )
 
-    for tilt_deg in (0.0, LEANING_MIN_DEG - 0.1):
+    for tilt_deg in (0.0, 15.0 - 0.1):
         with pytest.raises(ValueError, match="upright"):
             lines(tilt_deg)
-    assert len(lines(LEANING_MIN_DEG + 0.1).order) == len(scan)
+    assert len(lines(15.0 + 0.1).order) == len(scan)

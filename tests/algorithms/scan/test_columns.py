@@ -1,0 +1,100 @@
+"""An upright lidar that opens wide: its columns are its point lines, and show what the emitters of one that lies do."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.scan import Scan
+from ffmap.algorithms.base.trajectory import PlacedScan, Trajectory, place_scan
+from ffmap.algorithms.scan.doors import DoorState
+from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
+from ffmap.algorithms.scan.point_lines import COLUMN_PAIRS, SAMPLES, make_point_lines
+from tests.corridor import METHOD, Hole, cast, share
+
+T_BASE_SENSOR = transforms.make_transform(translation=[0.0, 0.0, 1.0])
+EMITTERS_DEG = np.linspace(-45, 45, 64)
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+def swept(hole: Hole | None = None, turn_rad: float = 0.0, seed: int = 1) -> tuple[Scan, PlacedScan, np.ndarray]:
+    """A sweep of 64 emitters at the corridor's origin, turned about the upright."""
+    T = T_BASE_SENSOR @ transforms.from_yaw(turn_rad, [0.0, 0.0, 0.0])
+    scan, truth = cast(T, hole, 0.015, seed, emitters_deg=EMITTERS_DEG, firings=1024)
+    return scan, place_scan(scan, Trajectory(np.array([0]), np.eye(4)[None]), T), truth
+
+
+def labelled(scan: Scan, placed: PlacedScan) -> ScanLabelling:
+    return label_scan(scan, placed, METHOD, 1, column_pairs=COLUMN_PAIRS)
+
+
+def test_a_column_is_a_sector_from_below_upwards_resampled_from_its_middle() -> None:
+    scan, _, _ = swept()
+    lines = make_point_lines(
+        scan.points_sensor, scan.ring, 64, DOWN, np.zeros(len(scan), bool), METHOD.rearrangement, COLUMN_PAIRS
+    )
+    assert lines.samples.shape == (2 * COLUMN_PAIRS, SAMPLES)
+    assert sorted(lines.order.tolist()) == list(range(len(scan)))
+    azimuth_deg = np.degrees(np.arctan2(scan.points_sensor[:, 1], scan.points_sensor[:, 0])) + 180.0
+    rises = scan.points_sensor[:, 2] / np.linalg.norm(scan.points_sensor, axis=1)
+    for line in range(0, 2 * COLUMN_PAIRS, 7):
+        own = lines.order[lines.starts[line] : lines.starts[line + 1]]
+        pair, side = divmod(line, 2)
+        assert np.all(np.abs(azimuth_deg[own] - (pair + 180 * side + 0.5)) < 0.502)
+        assert np.all(np.diff(rises[own]) > -1e-6)
+        sampled = np.unique(lines.samples[line])
+        # One return of each emitter, the nearest to the sector's middle.
+        assert np.all(np.bincount(scan.ring[sampled], minlength=64) == 1)
+        off_deg = np.abs(azimuth_deg - (pair + 180 * side + 0.5))
+        for i in sampled:
+            of_emitter = own[scan.ring[own] == scan.ring[i]]
+            assert off_deg[i] < off_deg[of_emitter].min() + 2e-3
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 0.7, 3.0])
+def test_floor_ceiling_and_walls_are_told(turn_rad: float) -> None:
+    scan, placed, truth = swept(turn_rad=turn_rad)
+    found = labelled(scan, placed)
+    for code in (Label.FLOOR, Label.CEILING, Label.WALL):
+        precision, recall = share(found.label, truth, code)
+        assert precision > 0.985
+        assert recall > 0.985
+    assert len(found.planes) == 4
+
+
+def test_a_closed_door_and_an_open_one_are_told() -> None:
+    for hole, state in ((Hole(depth=0.06), DoorState.CLOSED), (Hole(depth=None), DoorState.OPEN)):
+        scan, placed, truth = swept(hole)
+        found = labelled(scan, placed)
+        assert found.openings.state.tolist() == [state]
+        assert found.openings.head_m[0] == pytest.approx(2.1, abs=0.08)
+        assert np.sort(found.openings.ends[0, :, 0]) == pytest.approx([-0.5, 0.4], abs=0.08)
+        if state == DoorState.CLOSED:
+            assert share(found.label, truth, Label.DOOR)[1] > 0.9
+
+
+def test_labels_do_not_depend_on_the_order_of_the_returns() -> None:
+    scan, placed, _ = swept(Hole())
+    found = labelled(scan, placed)
+    shuffled = np.random.default_rng(0).permutation(len(scan))
+    mixed = replace(
+        scan,
+        points_sensor=scan.points_sensor[shuffled],
+        ring=scan.ring[shuffled],
+        cloud_index=scan.cloud_index[shuffled],
+    )
+    again = labelled(mixed, replace(placed, points_level=placed.points_level[shuffled]))
+    assert np.mean(again.label == found.label[shuffled]) > 0.99
+
+
+@pytest.mark.parametrize("count", [0, 1, 30])
+def test_few_returns_make_no_line_and_no_error(count: int) -> None:
+    scan, placed, _ = swept()
+    few = replace(
+        scan, points_sensor=scan.points_sensor[:count], ring=scan.ring[:count], cloud_index=scan.cloud_index[:count]
+    )
+    found = labelled(few, replace(placed, points_level=placed.points_level[:count]))
+    assert len(found.label) == count
+    assert len(found.planes) == 0
