@@ -58,7 +58,7 @@ def test_lines_are_explained_by_their_checks(usual: ScanLabelling) -> None:
         if reason.outcome == LineOutcome.NO_STRUCTURE:
             assert reason.short in reason.verdict
         document = line_document(usual, reason)
-        assert document.startswith(f"# Line {reason.line} (emitter {reason.line // 2}, side {reason.line % 2})")
+        assert document.startswith(f"# Line {reason.line} (pair {reason.line // 2}, side {reason.line % 2})")
         # What a table shows is in columns: no text may bring a bar of its own.
         assert {line.count("|") for line in document.splitlines() if line.startswith("|")} == {5}
         assert not re.search(r"\bnan\b", document)
