@@ -255,10 +255,11 @@ def _ending_low(ends_low: BoolArray, columns: Columns, settings: StandingWallsSe
     walled = (columns.crown_on > settings.passed_ratio * columns.crown_passed) & (
         columns.sill_on >= columns.sill_passed
     )
+    jamb = walled & (columns.upper_open_rows == 0) & (columns.lower_on > columns.lower_passed)
     ends_low = ends_low.copy()
     for first, last in stretches(walled, 2):
         own = slice(first, last + 1)
-        ends_low[own] &= ~walled[own] | (np.count_nonzero(walled[own] & ~ends_low[own]) < beside)
+        ends_low[own] &= ~walled[own] | (np.count_nonzero(jamb[own]) < beside)
     low = long_runs(ends_low, min(beside, max(len(ends_low) // 2, 1)), bridge=2)
     for first, after in runs(low):
         before, behind = stands[max(first - reach, 0) : first], stands[after : after + reach]
