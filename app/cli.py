@@ -132,6 +132,7 @@ class Run(HowToRun):
             overrides=(*(self.set_ or ()), *doors),
             bag_options=self.bag_options,
             trajectory=self.trajectory,
+            mount=self.mount,
             detail=self.detail.value,
             spawn=self.spawn,
             connect=self.connect,

@@ -56,6 +56,10 @@ class HowToRun(OfTheBag):
     trajectory: str | None = option(
         None, help="Poses T_map_base in place of the odometry: a TUM file, or a topic of the bag."
     )
+    mount: Literal["refine", "as-given"] = option(
+        "refine",
+        help="Of two lidars: whether the vertical one's place and clock are refined where the first seconds show them off.",
+    )
     evaluate: bool = option(True, help="Where a bag carries truth, compare with it.")
     quiet: bool = option(False, "--quiet", "-q", help="Print nothing but errors.")
 

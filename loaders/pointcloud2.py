@@ -58,6 +58,7 @@ class CloudDecoding:
     time: the field of times, its unit and reference; None where there is none, or it tells none.
     time_from: "auto" (the field), "azimuth" (recovered from the direction of each point), "none".
     period_ns: time of a revolution, from the stamps; None where fewer than two clouds are there.
+    clock_ns: what is added to the firings' times, where this lidar's clock is off from the other's.
     """
 
     layout: CloudLayout
@@ -65,6 +66,7 @@ class CloudDecoding:
     time: TimeField | None
     time_from: TimeFrom
     period_ns: int | None
+    clock_ns: int = 0
 
     @property
     def timed(self) -> bool:
@@ -277,7 +279,7 @@ def decode(message: Message, decoding: CloudDecoding) -> Scan:
         ring=ring,
         ring_count=decoding.rings.count,
         time_ns=time_ns,
-        start_ns=start_ns,
+        start_ns=start_ns + decoding.clock_ns,
         stamp_ns=stamp,
         cloud_index=index,
         cloud_size=layout.height * layout.width,

@@ -68,6 +68,17 @@ class Lidar:
         return self.column_pairs or self.ring_count
 
 
+@dataclass(frozen=True)
+class MountCorrection:
+    """Where the vertical lidar was found to sit and by which clock to run, in place of what bag or rig file say.
+
+    T_base_sensor: (4, 4). clock_ns: what is added to its firings' times.
+    """
+
+    T_base_sensor: FloatArray
+    clock_ns: int
+
+
 @dataclass(frozen=True, eq=False)
 class Rig:
     """The lidars with their roles.
@@ -84,6 +95,19 @@ class Rig:
     vertical: Lidar | None
     static_transforms: tuple[StaticTransform, ...]
     warnings: tuple[str, ...]
+
+    def with_mount(self, mount: MountCorrection) -> "Rig":
+        """The same with the vertical lidar where it was found to sit, in the static transforms too."""
+        assert self.vertical is not None
+        decoding = replace(self.vertical.decoding, clock_ns=mount.clock_ns)
+        vertical = replace(self.vertical, T_base_sensor=mount.T_base_sensor, decoding=decoding)
+        others = tuple(edge for edge in self.static_transforms if edge.child != vertical.frame_id)
+        parent = next((e.parent for e in self.static_transforms if e.child == vertical.frame_id), self.base_frame)
+        T_parent_base = self.tree.between(parent, self.base_frame)
+        if T_parent_base is None:
+            parent, T_parent_base = self.base_frame, np.eye(4)
+        edge = StaticTransform(parent, vertical.frame_id, T_parent_base @ mount.T_base_sensor)
+        return replace(self, vertical=vertical, static_transforms=(*others, edge))
 
     @property
     def tree(self) -> FrameTree:

@@ -22,6 +22,7 @@ from ffmap.app.setup.inputs import InputOptions
 from ffmap.app.setup.settings import Settings, validate
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.pointcloud2 import TimeFrom
+from ffmap.loaders.rig import MountCorrection
 from ffmap.loaders.text_files import require_regular
 
 Record = Mapping[str, Any]
@@ -138,7 +139,11 @@ class FinishedRun:
         options = self.part("options")
         rig = options.get("rig")
         return InputOptions(
-            Path(rig) if rig else None, options.get("horizontal"), options.get("vertical"), self.time_from
+            Path(rig) if rig else None,
+            options.get("horizontal"),
+            options.get("vertical"),
+            self.time_from,
+            mount_correction(self.record),
         )
 
     @property
@@ -157,6 +162,15 @@ class FinishedRun:
     def part(self, name: str) -> Record:
         """One mapping within the record; empty where there is none."""
         return self.record.get(name) or {}
+
+
+def mount_correction(record: Record) -> MountCorrection | None:
+    """Where a run found the vertical lidar to sit; None where it used what it was given. record: its run.json."""
+    mount = record.get("mount") or {}
+    T, clock_ns = np.array(mount.get("T_base_sensor") or ()), mount.get("clock_ns")
+    if T.shape != (4, 4) or not isinstance(clock_ns, int):
+        return None
+    return MountCorrection(T.astype(np.float64), clock_ns)
 
 
 def open_run(path: Path) -> FinishedRun:

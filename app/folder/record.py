@@ -30,6 +30,12 @@ class _Rig(BaseModel):
     vertical: _Lidar | None = None
 
 
+class _Mount(BaseModel):
+    used: str | None = None
+    T_base_sensor: list[list[FiniteFloat]] | None = None
+    clock_ns: int | None = None
+
+
 class _Record(BaseModel):
     """What is read of it again; a run that was killed early, or of another version, may lack any of it, or hold more."""
 
@@ -38,6 +44,7 @@ class _Record(BaseModel):
     bag: _Bag | None = None
     options: _Options | None = None
     rig: _Rig | None = None
+    mount: _Mount | None = None
     settings: dict[str, Any] | None = None
     settings_hash: str | None = None
     versions: dict[str, Any] | None = None

@@ -26,6 +26,8 @@ class RunOptions:
     scheduler: str | None = None
     """The address of a Dask cluster that labels in place of processes here."""
     resume: bool = False
+    refine_mount: bool = True
+    """Whether the vertical lidar's mount is checked, and refined where it is off."""
 
 
 @dataclass

@@ -59,7 +59,7 @@ def cache_key(inputs: Inputs, sensor: Sensor, settings: Settings) -> str:
         "format": _FORMAT,
         "stamps": list(digest_stamps(sensors).items()),
         "time_from": sensor.lidar.decoding.time_from,
-        "rig": [s.lidar.T_base_sensor.tolist() for s in sensors],
+        "rig": [[s.lidar.T_base_sensor.tolist(), s.lidar.decoding.clock_ns] for s in sensors],
         "kiss_icp": version("kiss-icp"),
         "small_gicp": version("small_gicp"),
         "gtsam": version("gtsam"),

@@ -10,6 +10,7 @@ from ffmap.algorithms.poses.odometry import Registration, weakness
 from ffmap.algorithms.poses.pose_graph import PoseGraph
 from ffmap.app.record.odometry import log_odometry_frame, log_pose_graph, log_registrations
 from ffmap.app.run.context import Run
+from ffmap.app.run.mount_check import CheckedMount, MountOffError, check_mount, has_turned
 from ffmap.app.run.odometry import Odometry
 from ffmap.app.run.odometry_cache import CACHE_VARIABLE, cache_folder
 from ffmap.app.run.poses import KnownPoses, RunPoses, level_by_first_scans, levelled, shows_level
@@ -63,20 +64,27 @@ def _register(run: Run, labeller: Labeller | None) -> tuple[Odometry, Level, lis
     waiting: list[Registration] = []
     weak: list[str] = []
     level: Level | None = None
+    mount: CheckedMount | None = None
     for registration in odometry:
         registered.append(registration.index)
         if len(odometry) == 1 and run.log:
             # Until the map is level, the base's first pose is.
             log_odometry_frame(run.log, odometry.registered().stamp_ns, sensor.lidar.T_base_sensor[None])
         waiting.append(registration)
-        if len(waiting) >= _LOGGED_AT_ONCE:
+        # Before the mount was looked into, nothing is told that may have to be taken back.
+        if len(waiting) >= _LOGGED_AT_ONCE and level is not None and not (mount and mount.is_off):
             weak += _log(run, waiting)
             waiting = []
         run.progress.advance()
         if level is None and shows_level(odometry.stamp_ns, run.settings):
             level = level_by_first_scans(run.inputs, odometry.registered(), run.settings)
-        if level is not None and labeller is not None:
+            mount = _check(run, odometry)
+        if mount is not None and mount.is_off and has_turned(odometry.registered()):
+            raise MountOffError(_check(run, odometry) or mount)
+        if level is not None and labeller is not None and not (mount and mount.is_off):
             labeller.go_on(_known(odometry, level))
+    if mount is not None and mount.is_off:
+        raise MountOffError(_check(run, odometry) or mount)
     weak += _log(run, waiting)
     if not registered:
         raise InputError(f"{run.inputs.bag_path}: {sensor.lidar.topic} has no usable cloud; 'ffmap info' tells more")
@@ -86,6 +94,16 @@ def _register(run: Run, labeller: Labeller | None) -> tuple[Odometry, Level, lis
     if level is None:
         level = level_by_first_scans(run.inputs, odometry.registered(), run.settings)
     return odometry, level, weak
+
+
+def _check(run: Run, odometry: Odometry) -> CheckedMount | None:
+    """The mount as what was registered so far shows it; None where it is not to be looked into, or cannot be."""
+    if not run.options.refine_mount:
+        return None
+    mount = check_mount(run.inputs, odometry.registered(), run.settings)
+    if mount is not None:
+        run.record["mount"] = mount.record
+    return mount
 
 
 def _known(odometry: Odometry, level: Level) -> KnownPoses:

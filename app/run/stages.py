@@ -10,6 +10,7 @@ import uuid
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from typing import Any
 
 from ffmap.algorithms.base.scan import IntArray
@@ -22,6 +23,8 @@ from ffmap.app.record.odometry import log_trajectory
 from ffmap.app.record.stream import Recording, send_properties
 from ffmap.app.record.whole_run import layout, log_static, log_warnings
 from ffmap.app.run.context import Run, RunOptions, RunState
+from ffmap.app.run.mount_check import MountOffError
+from ffmap.app.run.poses import RunPoses
 from ffmap.app.run.stage_building import build, draw, take_maps
 from ffmap.app.run.stage_final import finish
 from ffmap.app.run.stage_odometry import find_poses
@@ -86,9 +89,8 @@ def _run_stages(run: Run, given: Trajectory | None) -> None:
     _log_start(run)
     with _pool(run) as pool:
         try:
-            labeller = None if run.inputs.vertical is None else Labeller(run, pool)
             with run.stage("odometry"):
-                poses = find_poses(run, given, labeller)
+                run, labeller, poses = _find_poses(run, pool, given)
             # Before any scan is labelled with these poses, so that a run that is resumed knows what they were made from.
             run.folder.write_json({**run.record, "bag": run.state.bag_as_read(run.record), "outcome": "running"})
             if labeller is None:
@@ -107,6 +109,20 @@ def _run_stages(run: Run, given: Trajectory | None) -> None:
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _find_poses(run: Run, pool: Executor, given: Trajectory | None) -> tuple[Run, Labeller | None, RunPoses]:
+    """The poses, and who labels by them; the run is another one where the vertical lidar was found to sit elsewhere."""
+    labeller = None if run.inputs.vertical is None else Labeller(run, pool)
+    try:
+        return run, labeller, find_poses(run, given, labeller)
+    except MountOffError as error:
+        run.warn(error.mount.warning)
+        options = replace(run.options, refine_mount=False)
+        run = replace(run, inputs=run.inputs.with_mount(error.mount.correction), options=options)
+    _log_start(run)
+    labeller = Labeller(run, pool)
+    return run, labeller, find_poses(run, given, labeller)
 
 
 @contextmanager

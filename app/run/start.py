@@ -3,14 +3,14 @@
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
 import typer
 
 from ffmap.app.folder import names as run_folder
-from ffmap.app.folder.finished_run import FROM_ODOMETRY
+from ffmap.app.folder.finished_run import FROM_ODOMETRY, mount_correction
 from ffmap.app.folder.names import RunFolder
 from ffmap.app.progress import Progress
 from ffmap.app.record.stream import check_viewer, start_viewer
@@ -49,6 +49,7 @@ class Arguments:
     workers: int = 2
     scheduler: str | None = None
     """The address of a Dask cluster."""
+    mount: str = "refine"
     evaluate: bool = True
     quiet: bool = False
     verbose: bool = False
@@ -59,8 +60,8 @@ class Arguments:
     """Whether a run that is in the folder already may be replaced."""
 
 
-_OF_THE_BAG = tuple(option.name for option in fields(InputOptions))
-_STORED = (*_OF_THE_BAG, "trajectory", "detail", "outputs", "evaluate")
+_OF_THE_BAG = tuple(option.name for option in fields(InputOptions) if option.name != "mount")
+_STORED = (*_OF_THE_BAG, "mount", "trajectory", "detail", "outputs", "evaluate")
 """Arguments that run.json keeps, for a run that is resumed."""
 
 
@@ -132,7 +133,11 @@ def make_ready_again(arguments: Arguments, resume: Path, stack: ExitStack) -> Re
 def _options(arguments: Arguments) -> RunOptions:
     outputs = check_outputs(arguments.outputs)
     return RunOptions(
-        detail=Detail(arguments.detail), outputs=outputs, workers=arguments.workers, scheduler=arguments.scheduler
+        detail=Detail(arguments.detail),
+        outputs=outputs,
+        workers=arguments.workers,
+        scheduler=arguments.scheduler,
+        refine_mount=arguments.mount == "refine" and arguments.bag_options.mount is None,
     )
 
 
@@ -194,7 +199,8 @@ def _viewer(arguments: Arguments) -> str | None:
 
 def stored(arguments: Arguments) -> dict[str, Any]:
     """What run.json keeps of the command line, with the digests of the rig's and the poses' file: either may be changed."""
-    values = asdict(arguments) | asdict(arguments.bag_options)
+    of_the_bag = {name: getattr(arguments.bag_options, name) for name in _OF_THE_BAG}
+    values = {field.name: getattr(arguments, field.name) for field in fields(Arguments)} | of_the_bag
     stored = {name: values[name] for name in _STORED}
     if stored["rig"] is not None:
         stored["rig"] = str(stored["rig"].resolve())
@@ -253,7 +259,8 @@ def _as_begun(arguments: Arguments, path: Path, record: dict[str, Any]) -> tuple
     begun, now = record.get("versions", {}), versions()
     if any(begun.get(name) != now[name] for name in ("furniture-free-mapping", "git_revision")):
         raise InputError(f"{path}: was begun by another version of ffmap, whose labels may differ; start a new run")
-    bag_options = InputOptions(**{name: options.pop(name) for name in _OF_THE_BAG})
+    mount = mount_correction(record)
+    bag_options = InputOptions(**{name: options.pop(name) for name in _OF_THE_BAG}, mount=mount)
     begun_with = replace(arguments, bag=bag, bag_options=bag_options, **options)
     if stored(begun_with)["digests"] != digests:
         named = (bag_options.rig, begun_with.trajectory)

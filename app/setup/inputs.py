@@ -1,7 +1,7 @@
 """What a run reads: the bag, which lidar is which, and how their clouds become scans."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ffmap.algorithms.base.scan import Scan
@@ -9,7 +9,7 @@ from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.pointcloud2 import TimeFrom
-from ffmap.loaders.rig import Lidar, Rig, find_rig
+from ffmap.loaders.rig import Lidar, MountCorrection, Rig, find_rig
 from ffmap.loaders.scans import (
     CloudIndex,
     SkippedScan,
@@ -34,10 +34,13 @@ class InputOptions:
     horizontal: str | None = None
     vertical: str | None = None
     time_from: TimeFrom = "auto"
+    mount: MountCorrection | None = None
+    """What an earlier look at the bag found of the vertical lidar; not a word of the user's."""
 
     def find_rig(self, bag: Bag) -> Rig:
         """The lidars of an open bag; raises InputError where they cannot be told."""
-        return find_rig(bag, self.rig, self.horizontal, self.vertical, self.time_from)
+        rig = find_rig(bag, self.rig, self.horizontal, self.vertical, self.time_from)
+        return rig if self.mount is None or rig.vertical is None else rig.with_mount(self.mount)
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,13 @@ class Inputs:
     def line_pairs(self) -> int | None:
         """Pairs of point lines of the lidar that is labelled; None where nothing is."""
         return self.vertical.lidar.line_pairs if self.vertical else None
+
+    def with_mount(self, mount: MountCorrection) -> "Inputs":
+        """The same with the vertical lidar where it was found to sit."""
+        assert self.vertical is not None
+        rig = self.rig.with_mount(mount)
+        assert rig.vertical is not None
+        return replace(self, rig=rig, vertical=replace(self.vertical, lidar=rig.vertical))
 
     def used(self, given_poses: bool) -> list[Sensor]:
         """The lidars whose clouds a run reads. given_poses: whether it takes its poses from elsewhere."""

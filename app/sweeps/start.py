@@ -71,6 +71,7 @@ class Sweep:
                 overrides=overrides_of(settings),
                 bag_options=words.bag_options,
                 trajectory=_absolute(words.trajectory),
+                mount=words.mount,
                 detail=words.detail.value,
                 outputs=self.outputs,
                 workers=1,

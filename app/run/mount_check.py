@@ -1,0 +1,125 @@
+"""Whether the vertical lidar sits where it is said to, and by which clock it runs, by the first scans that are registered."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import Scan, within_range
+from ffmap.algorithms.base.trajectory import Trajectory, place_scan
+from ffmap.algorithms.poses.mount import Mount, Patches, refine_mount
+from ffmap.app.setup.inputs import Inputs, Sensor
+from ffmap.app.setup.settings import Settings
+from ffmap.loaders.bag import open_bag
+from ffmap.loaders.rig import MountCorrection
+from ffmap.loaders.scans import read_scans
+
+_OFF_DEG, _OFF_M, _OFF_S = 0.3, 0.02, 0.005
+"""What a mount may be off by, and a clock, before it is mended."""
+_SIGMAS = 3.0
+"""Standard deviations beyond which an offset is one of the mount, and not of the estimate."""
+_BETTER = 1.15
+"""How much worse the clouds agree as given than as refined, at least, where the mount is off."""
+_MAPPED, _LAID = 24, 30
+"""Number of scans of the horizontal lidar that make the patches, and of the vertical one that are laid on them."""
+_MAP_POINTS = 12_000
+TURN_MIN_DEG, LONGEST_S = 60.0, 25.0
+"""Turn, or else time, after which a mount that is off is refined: without a turn, clock and shift cannot be told apart."""
+
+
+class MountOffError(Exception):
+    """The vertical lidar sits elsewhere than was said; `mount` tells where. Not the user's error: the run begins again with it."""
+
+    def __init__(self, mount: "CheckedMount") -> None:
+        super().__init__("the mount is off")
+        self.mount = mount
+
+
+@dataclass(frozen=True)
+class CheckedMount:
+    """What the first seconds tell of the mount, and what it is off by where that is certain.
+
+    off_deg, off_m: angle and distance between where the lidar was said to sit and where it was found.
+    """
+
+    found: Mount
+    off_deg: float
+    off_m: float
+    is_off: bool
+
+    @property
+    def correction(self) -> MountCorrection:
+        return MountCorrection(self.found.T_base_sensor, round(1e9 * self.found.clock_s))
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """As it stands in run.json."""
+        found, used = self.found, "refined" if self.is_off else "as given"
+        told = {"off_deg": self.off_deg, "off_m": self.off_m, "clock_s": found.clock_s}
+        told |= {"rms_as_given_m": found.rms_before_m, "rms_refined_m": found.rms_after_m}
+        sigma = {"rotation_deg": np.degrees(found.sigma[:3]), "shift_m": found.sigma[3:6], "clock_s": found.sigma[6:]}
+        record: dict[str, Any] = {"used": used, **{name: round(value, 6) for name, value in told.items()}}
+        record["sigma"] = {name: [round(float(v), 6) for v in values] for name, values in sigma.items()}
+        if self.is_off:
+            record |= {"T_base_sensor": found.T_base_sensor.tolist(), "clock_ns": self.correction.clock_ns}
+        return record
+
+    @property
+    def warning(self) -> str:
+        found = self.found
+        return (
+            f"the vertical lidar sits {self.off_deg:.1f} deg and {100 * self.off_m:.1f} cm from where the bag or the rig file "
+            f"says, and its clock is {1e3 * found.clock_s:+.0f} ms off (known to {1e3 * found.sigma[6]:.0f}): surfaces that both "
+            f"lidars see were {100 * found.rms_before_m:.1f} cm apart, and are {100 * found.rms_after_m:.1f} cm with the mount "
+            "that was found and is used; --mount as-given keeps the bag's"
+        )
+
+
+def check_mount(inputs: Inputs, odometry: Trajectory, settings: Settings) -> CheckedMount | None:
+    """The mount by the scans so far; None where there is but one lidar, or too little that both see.
+
+    odometry: T_odom_base of what was registered. An error of these poses moves what both lidars see alike.
+    """
+    horizontal, vertical = inputs.horizontal, inputs.vertical
+    if horizontal is None or vertical is None or horizontal.lidar.topic == vertical.lidar.topic:
+        return None
+    mapped = [
+        place_scan(scan, odometry, horizontal.lidar.T_base_sensor)
+        for scan in _scans(inputs, horizontal, odometry, settings, _MAPPED)
+    ]
+    if not mapped:
+        return None
+    points = [p.to_map(p.points_level[:: max(1, len(p.points_level) // _MAP_POINTS)]) for p in mapped]
+    laid = _scans(inputs, vertical, odometry, settings, _LAID)
+    T_given = vertical.lidar.T_base_sensor
+    found = refine_mount(Patches.of(np.concatenate(points).astype(np.float64)), odometry, laid, T_given)
+    if found is None:
+        return None
+    off_deg, off_m = found.off(T_given)
+    turned = transforms.to_twist(found.T_base_sensor @ transforms.invert(T_given))[:3]
+    shift = found.T_base_sensor[:3, 3] - T_given[:3, 3]
+    least = np.array([np.radians(_OFF_DEG)] * 3 + [_OFF_M] * 3 + [_OFF_S])
+    off = np.abs([*turned, *shift, found.clock_s]) > np.maximum(least, _SIGMAS * found.sigma)
+    return CheckedMount(found, off_deg, off_m, bool(off.any()) and found.rms_before_m > _BETTER * found.rms_after_m)
+
+
+def _scans(inputs: Inputs, sensor: Sensor, odometry: Trajectory, settings: Settings, count: int) -> list[Scan]:
+    """Some of a lidar's scans, spread over the time of the poses."""
+    covered = np.flatnonzero(odometry.covers(sensor.index.stamp_ns, margin_ns=-100_000_000))
+    chosen = covered[np.unique(np.linspace(0, len(covered) - 1, min(count, len(covered))).astype(int))]
+    scans: list[Scan] = []
+    with open_bag(inputs.bag_path) as bag:
+        for number in chosen.tolist():
+            for _, scan in read_scans(bag, sensor.index, number, 1, sensor.lidar.decoding):
+                if isinstance(scan, Scan) and len(near := within_range(scan, settings.scan.range_max_m)):
+                    scans.append(near)
+    return scans
+
+
+def has_turned(odometry: Trajectory) -> bool:
+    """Whether the drive so far tells a clock from a shift, or has lasted so long that the mount is refined all the same."""
+    forward = odometry.T_map_base[:, :3, 0]
+    turned_deg = np.degrees(np.arccos(np.clip(forward @ forward[0], -1.0, 1.0))).max(initial=0.0)
+    elapsed_s = (odometry.stamp_ns[-1] - odometry.stamp_ns[0]) / 1e9
+    return bool(turned_deg > TURN_MIN_DEG or elapsed_s > LONGEST_S)
