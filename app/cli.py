@@ -166,6 +166,37 @@ class Info(OfTheBag):
 
 
 @_command
+class Calibrate(OfTheBag):
+    """Refine where the vertical lidar sits and by which clock it runs, from a drive with two lidars.
+
+    Starts from the mount that the bag or --rig says, off by up to some 5 deg, 10 cm and 50 ms, and says how certain each of the
+    seven is. Best is a drive between walls in which the robot turns once on the spot, left and right.
+
+    Examples:
+
+        ffmap calibrate drive.bag
+
+        ffmap calibrate drive.bag --rig guess.toml --out rig.toml --recording calibration.rrd
+    """
+
+    bag: Path = argument(help="ROS 1 .bag, ROS 2 folder, .db3 or .mcap.")
+    out: Path | None = option(None, "--out", "-o", help="Rig file to write.  [default: BAG.rig.toml]")
+    recording: Path | None = option(None, help="Draw what both lidars see, before and after, into this recording.")
+    seconds: float = option(60.0, min=2.0, help="Seconds of the drive that are used.")
+    quiet: bool = option(False, "--quiet", "-q", help="Show no progress.")
+
+    def __call__(self) -> None:
+        from ffmap.app.run.workers import start_server
+
+        start_server()
+        with quick_imports():
+            from ffmap.app.commands.calibrate import calibrate
+
+        out = self.out or self.bag.with_name(f"{self.bag.stem}.rig.toml")
+        calibrate(self.bag, self.bag_options, out, self.recording, self.seconds, self.quiet)
+
+
+@_command
 class Simulate:
     """Make a real bag of a robot with one lidar or two in a generated, furnished building, with its truth.
 

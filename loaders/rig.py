@@ -347,7 +347,9 @@ def _place_by_file(
                 )
         else:
             edges[candidate.frame_id] = StaticTransform(base, candidate.frame_id, T)
-        placed.append(replace(candidate, T_base_sensor=T, role=entry.role if entry else None))
+        decoding = replace(candidate.decoding, clock_ns=round(1e9 * entry.clock_s) if entry else 0)
+        role = entry.role if entry else None
+        placed.append(replace(candidate, T_base_sensor=T, role=role, decoding=decoding))
     return placed, base, tuple(edges.values())
 
 

@@ -9,6 +9,7 @@
     translation = [0.12, 0.01, 0.568]         # where the lidar is in base, metres
     quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]    # how it is turned there, T_base_lidar, or
     rpy_deg = [0.0, 0.0, -90.0]               # roll, pitch, yaw about base's fixed axes x, y, z
+    clock_s = -0.015                          # optional: what is added to its times, where its clock is off
 
 A lidar without translation and rotation takes them from the bag's transforms.
 """
@@ -28,17 +29,20 @@ from ffmap.loaders.text_files import read_toml
 
 Role = Literal["horizontal", "vertical"]
 
-_KEYS = ("topic", "frame", "role", "translation", "quaternion_xyzw", "rpy_deg")
+_KEYS = ("topic", "frame", "role", "translation", "quaternion_xyzw", "rpy_deg", "clock_s")
+
+_CLOCK_MAX_S = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class RigEntry:
-    """A lidar of a rig file; T_base_sensor is None where the bag's transforms are to tell."""
+    """A lidar of a rig file; T_base_sensor is None where the bag's transforms are to tell. clock_s: added to its times."""
 
     topic: str | None
     frame: str | None
     role: Role | None
     T_base_sensor: FloatArray | None
+    clock_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +95,10 @@ def _rig_entry(path: Path, entry: dict[str, Any], number: int) -> RigEntry:
             if abs(float(np.linalg.norm(quaternion)) - 1.0) > 0.05:
                 raise InputError(f"{path}: {where}quaternion_xyzw has not the length 1; give x y z w")
             T = transforms.from_quaternion(translation, quaternion)
-    return RigEntry(topic, frame.removeprefix("/") if frame else None, role, T)
+    clock_s = entry.get("clock_s", 0.0)
+    if isinstance(clock_s, bool) or not isinstance(clock_s, int | float) or not abs(clock_s) <= _CLOCK_MAX_S:
+        raise InputError(f"{path}: {where}clock_s must be a number of seconds, at most {_CLOCK_MAX_S:g} either way")
+    return RigEntry(topic, frame.removeprefix("/") if frame else None, role, T, float(clock_s))
 
 
 def _numbers(path: Path, entry: dict[str, Any], key: str, count: int, default: list[float], where: str) -> list[float]:

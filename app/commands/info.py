@@ -1,6 +1,5 @@
 """ffmap info: what a bag holds and what it is good for, on the terminal."""
 
-from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,8 @@ _REASONS = 3
 
 def info(bag: Path, options: InputOptions) -> None:
     """Print a bag's description, a line for each fact, so that it can be searched and compared."""
-    for line in describe(describe_bag(bag, *astuple(options))):
+    found = describe_bag(bag, options.rig, options.horizontal, options.vertical, options.time_from)
+    for line in describe(found):
         typer.echo(line)
 
 

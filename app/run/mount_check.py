@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ffmap.algorithms.base import transforms
-from ffmap.algorithms.base.scan import Scan, within_range
+from ffmap.algorithms.base.scan import FloatArray, Scan, within_range
 from ffmap.algorithms.base.trajectory import Trajectory, place_scan
 from ffmap.algorithms.poses.mount import Mount, Patches, refine_mount
 from ffmap.app.setup.inputs import Inputs, Sensor
@@ -41,16 +41,18 @@ class CheckedMount:
     """What the first seconds tell of the mount, and what it is off by where that is certain.
 
     off_deg, off_m: angle and distance between where the lidar was said to sit and where it was found.
+    clock_given_ns: what was added to its times already.
     """
 
     found: Mount
+    clock_given_ns: int
     off_deg: float
     off_m: float
     is_off: bool
 
     @property
     def correction(self) -> MountCorrection:
-        return MountCorrection(self.found.T_base_sensor, round(1e9 * self.found.clock_s))
+        return MountCorrection(self.found.T_base_sensor, self.clock_given_ns + round(1e9 * self.found.clock_s))
 
     @property
     def record(self) -> dict[str, Any]:
@@ -76,24 +78,20 @@ class CheckedMount:
         )
 
 
-def check_mount(inputs: Inputs, odometry: Trajectory, settings: Settings) -> CheckedMount | None:
+def check_mount(
+    inputs: Inputs, odometry: Trajectory, settings: Settings, mapped: int = _MAPPED, laid: int = _LAID
+) -> CheckedMount | None:
     """The mount by the scans so far; None where there is but one lidar, or too little that both see.
 
     odometry: T_odom_base of what was registered. An error of these poses moves what both lidars see alike.
+    mapped, laid: number of the horizontal lidar's scans that make the patches, and of the vertical one's that are laid on them.
     """
     horizontal, vertical = inputs.horizontal, inputs.vertical
     if horizontal is None or vertical is None or horizontal.lidar.topic == vertical.lidar.topic:
         return None
-    mapped = [
-        place_scan(scan, odometry, horizontal.lidar.T_base_sensor)
-        for scan in _scans(inputs, horizontal, odometry, settings, _MAPPED)
-    ]
-    if not mapped:
-        return None
-    points = [p.to_map(p.points_level[:: max(1, len(p.points_level) // _MAP_POINTS)]) for p in mapped]
-    laid = _scans(inputs, vertical, odometry, settings, _LAID)
+    patches = Patches.of(map_of(inputs, odometry, settings, mapped))
     T_given = vertical.lidar.T_base_sensor
-    found = refine_mount(Patches.of(np.concatenate(points).astype(np.float64)), odometry, laid, T_given)
+    found = refine_mount(patches, odometry, scans_of(inputs, vertical, odometry, settings, laid), T_given)
     if found is None:
         return None
     off_deg, off_m = found.off(T_given)
@@ -101,11 +99,22 @@ def check_mount(inputs: Inputs, odometry: Trajectory, settings: Settings) -> Che
     shift = found.T_base_sensor[:3, 3] - T_given[:3, 3]
     least = np.array([np.radians(_OFF_DEG)] * 3 + [_OFF_M] * 3 + [_OFF_S])
     off = np.abs([*turned, *shift, found.clock_s]) > np.maximum(least, _SIGMAS * found.sigma)
-    return CheckedMount(found, off_deg, off_m, bool(off.any()) and found.rms_before_m > _BETTER * found.rms_after_m)
+    is_off = bool(off.any()) and found.rms_before_m > _BETTER * found.rms_after_m
+    return CheckedMount(found, vertical.lidar.decoding.clock_ns, off_deg, off_m, is_off)
 
 
-def _scans(inputs: Inputs, sensor: Sensor, odometry: Trajectory, settings: Settings, count: int) -> list[Scan]:
-    """Some of a lidar's scans, spread over the time of the poses."""
+def map_of(inputs: Inputs, odometry: Trajectory, settings: Settings, count: int) -> FloatArray:
+    """(n, 3) some returns of some of the horizontal lidar's scans, where they lie."""
+    assert inputs.horizontal is not None
+    points: list[FloatArray] = [np.zeros((0, 3))]
+    for scan in scans_of(inputs, inputs.horizontal, odometry, settings, count):
+        placed = place_scan(scan, odometry, inputs.horizontal.lidar.T_base_sensor)
+        points.append(placed.to_map(placed.points_level[:: max(1, len(scan) // _MAP_POINTS)]))
+    return np.concatenate(points).astype(np.float64)
+
+
+def scans_of(inputs: Inputs, sensor: Sensor, odometry: Trajectory, settings: Settings, count: int) -> list[Scan]:
+    """Some of a lidar's scans, at most `count`, spread over the time of the poses."""
     covered = np.flatnonzero(odometry.covers(sensor.index.stamp_ns, margin_ns=-100_000_000))
     chosen = covered[np.unique(np.linspace(0, len(covered) - 1, min(count, len(covered))).astype(int))]
     scans: list[Scan] = []

@@ -17,6 +17,7 @@ from ffmap.algorithms.building.votes import VoxelTable, find_halo
 from ffmap.algorithms.poses.levelling import place_and_level
 from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.labelling import label_scan
+from ffmap.algorithms.scan.point_lines import COLUMN_PAIRS
 from ffmap.algorithms.scan.smoothing import smooth_ranges
 from ffmap.algorithms.scan.summary import extract
 from ffmap.app.run.blocks import VOXEL_M, points_in_map
@@ -36,6 +37,7 @@ def warm_up() -> None:
     level = place_and_level(scan, ranges, trajectory, upright, 0.0, np.zeros(2), method.rearrangement, 2.0)
     placed = level.placed
     labelling = label_scan(scan, placed, method, 0)
+    label_scan(scan, placed, method, 0, column_pairs=COLUMN_PAIRS)
     extract(0, placed, labelling)
     points_map = points_in_map(placed)
     table = VoxelTable(VOXEL_M, len(Label))

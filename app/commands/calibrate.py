@@ -1,0 +1,129 @@
+"""ffmap calibrate: where the vertical lidar sits and by which clock it runs, from a drive; a rig file and a picture of both."""
+
+import json
+from itertools import takewhile
+from pathlib import Path
+
+import numpy as np
+import typer
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.trajectory import Trajectory, place_scan
+from ffmap.app.folder.atomic import written_whole
+from ffmap.app.progress import Progress
+from ffmap.app.record.calibration import write_calibration
+from ffmap.app.run.mount_check import CheckedMount, check_mount, map_of, scans_of
+from ffmap.app.run.odometry import Odometry
+from ffmap.app.setup.inputs import InputOptions, Inputs, find_inputs
+from ffmap.app.setup.settings import Settings, load_settings
+from ffmap.app.tables import make_table, table_console
+from ffmap.loaders.errors import InputError
+
+_SCANS = 80
+"""Number of scans of each lidar that are used, spread over the drive."""
+_DRAWN = 12
+_NAMES = ("roll", "pitch", "yaw", "x", "y", "z", "clock")
+_KNOWN = (*(0.1,) * 3, *(1.0,) * 3, 2.0)
+"""Degrees, centimetres and milliseconds up to which each of the seven is well known."""
+_MOTION = (
+    *("drive past walls on all sides, and over a floor that both lidars see",) * 3,
+    "turn on the spot once: along the way a shift does what a clock does",
+    "turn on the spot once: along the way a shift does what a clock does",
+    "drive where both lidars see the floor",
+    "turn on the spot once, left and right: the faster the motion, the more it tells of the clock",
+)
+
+
+def calibrate(bag: Path, options: InputOptions, out: Path, recording: Path | None, seconds: float, quiet: bool) -> None:
+    """Refine, tell, draw and write; raises InputError where the bag has no two lidars, or too little that both see."""
+    inputs = find_inputs(bag, options)
+    horizontal, vertical = inputs.horizontal, inputs.vertical
+    if horizontal is None or vertical is None or horizontal.lidar.topic == vertical.lidar.topic:
+        raise InputError(
+            f"{bag}: one lidar alone has no mount to refine; give a bag of two, 'ffmap info {bag}' lists them"
+        )
+    # By the horizontal lidar alone: a mount that is off would bend the poses.
+    settings = load_settings(None, ["refinement.companion_points_max=0"])
+    with Progress(quiet) as progress:
+        progress.stage("odometry", None)
+        odometry = _drive(inputs, settings, seconds)
+        progress.stage("mount", None)
+        checked = check_mount(inputs, odometry, settings, _SCANS, _SCANS) if len(odometry) > 1 else None
+        if checked is None:
+            raise InputError(
+                f"{bag}: {horizontal.lidar.topic} and {vertical.lidar.topic} see too little in common; drive between walls, "
+                "and start from a mount that is off by less than about 20 deg and half a metre"
+            )
+        refined = inputs.with_mount(checked.correction)
+        if recording is not None:
+            room, height_m = map_of(inputs, odometry, settings, _SCANS), float(horizontal.lidar.T_base_sensor[2, 3])
+            write_calibration(recording, height_m, room, *(_laid(i, odometry, settings) for i in (inputs, refined)))
+    with written_whole(out) as part:
+        part.write_text(_rig_text(refined, checked))
+    _tell(inputs, checked)
+    typer.echo(f"rig file: {out}  (ffmap run {bag} --rig {out})")
+    if recording is not None:
+        typer.echo(f"recording: {recording}  (before red, after green; ffmap view {recording})")
+
+
+def _drive(inputs: Inputs, settings: Settings, seconds: float) -> Trajectory:
+    """T_odom_base of the first seconds of the drive."""
+    assert inputs.horizontal is not None
+    odometry = Odometry(inputs, inputs.horizontal, settings)
+    first_ns = int(inputs.horizontal.index.stamp_ns[0])
+    for _ in takewhile(lambda registration: registration.stamp_ns - first_ns < 1e9 * seconds, odometry):
+        pass
+    return odometry.registered()
+
+
+def _laid(inputs: Inputs, odometry: Trajectory, settings: Settings) -> FloatArray:
+    """(n, 3) what the vertical lidar saw, where the mount puts it."""
+    assert inputs.vertical is not None
+    placed = [
+        place_scan(scan, odometry, inputs.vertical.lidar.T_base_sensor)
+        for scan in scans_of(inputs, inputs.vertical, odometry, settings, _DRAWN)
+    ]
+    return np.concatenate([p.to_map(p.points_level[::4]) for p in placed])
+
+
+def _rig_text(inputs: Inputs, checked: CheckedMount) -> str:
+    """The rig file that says where both lidars sit."""
+    text = [
+        f"# Refined: {100 * checked.found.rms_before_m:.1f} cm between what both lidars see before, "
+        f"{100 * checked.found.rms_after_m:.1f} cm after.",
+        f"base = {json.dumps(inputs.rig.base_frame)}",
+    ]
+    for role, sensor in inputs.by_role.items():
+        T = sensor.lidar.T_base_sensor
+        text += [
+            "",
+            "[[lidar]]",
+            f"topic = {json.dumps(sensor.lidar.topic)}",
+            f"role = {json.dumps(role)}",
+            f"translation = {[round(float(v), 5) for v in T[:3, 3]]}",
+            f"quaternion_xyzw = {[round(float(v), 7) for v in transforms.quaternion_xyzw(T)]}",
+        ]
+        if sensor.lidar.decoding.clock_ns:
+            text.append(f"clock_s = {sensor.lidar.decoding.clock_ns / 1e9:.6f}")
+    return "\n".join(text) + "\n"
+
+
+def _tell(inputs: Inputs, checked: CheckedMount) -> None:
+    assert inputs.vertical is not None
+    found, T_given = checked.found, inputs.vertical.lidar.T_base_sensor
+    turned = np.degrees(transforms.to_twist(found.T_base_sensor @ transforms.invert(T_given))[:3])
+    shift = 100 * (found.T_base_sensor[:3, 3] - T_given[:3, 3])
+    changes = [*turned, *shift, 1e3 * found.clock_s]
+    sigma = [*np.degrees(found.sigma[:3]), *(100 * found.sigma[3:6]), 1e3 * found.sigma[6]]
+    units = (*("deg",) * 3, *("cm",) * 3, "ms")
+    rows = (
+        (name, f"{change:+.2f} {unit}", f"{known:.2f} {unit}", motion if known > limit else "")
+        for name, unit, change, known, limit, motion in zip(_NAMES, units, changes, sigma, _KNOWN, _MOTION, strict=True)
+    )
+    headings = ("", "refined by", "known to (1 sigma)", "what would tell more")
+    table_console().print(make_table(None, headings, rows, left=(0, 3)))
+    before, after = 100 * found.rms_before_m, 100 * found.rms_after_m
+    typer.echo(
+        f"what both lidars see: {before:.2f} cm apart as given, {after:.2f} cm as refined, {found.returns} returns"
+    )

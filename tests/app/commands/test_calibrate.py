@@ -1,0 +1,86 @@
+"""ffmap calibrate on a real bag: a rig file with which runs go on, how certain each value is, and a picture."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ffmap.algorithms.base import transforms
+from ffmap.loaders.bag import open_bag
+from ffmap.loaders.rig import Rig, find_rig
+from ffmap.loaders.simulator import SimulationSettings, simulate
+
+FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
+
+
+def ffmap(folder: Path, *words: object) -> "subprocess.CompletedProcess[str]":
+    environment = {**os.environ, "FFMAP_CACHE": str(folder / "cache")}
+    command = [*FFMAP, *map(str, words)]
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
+
+
+def rig_of(bag: Path, file: Path | None = None) -> Rig:
+    with open_bag(bag) as opened:
+        return find_rig(opened, file)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("calibrate")
+    simulate(path / "drive.bag", SimulationSettings(building="small", seed=3, duration_s=14.0))
+    simulate(path / "one.bag", SimulationSettings(building="small", duration_s=1.0, sensor="vlp16", lidars="one"))
+    return path
+
+
+def test_a_rig_file_is_written_from_a_mount_that_is_off(folder: Path) -> None:
+    rig = rig_of(folder / "drive.bag")
+    assert rig.horizontal is not None
+    assert rig.vertical is not None
+    off = transforms.make_transform(Rotation.from_euler("xyz", [3.0, -2.0, 3.0], degrees=True), [0.05, 0.06, -0.05])
+    guess = []
+    for lidar, T in ((rig.horizontal, np.eye(4)), (rig.vertical, off)):
+        T_base_sensor = T @ lidar.T_base_sensor
+        guess += ["[[lidar]]", f'topic = "{lidar.topic}"', f"translation = {T_base_sensor[:3, 3].tolist()}"]
+        guess += [f"quaternion_xyzw = {transforms.quaternion_xyzw(T_base_sensor).tolist()}"]
+    guess += ["clock_s = 0.04"]
+    (folder / "guess.toml").write_text("\n".join([f'base = "{rig.base_frame}"', *guess]))
+    words = ("calibrate", "drive.bag", "--rig", "guess.toml", "--out", "rig.toml", "--recording", "both.rrd", "--quiet")
+    done = ffmap(folder, *words)
+    assert done.returncode == 0, done.stderr
+    found = rig_of(folder / "drive.bag", folder / "rig.toml")
+    assert found.horizontal is not None
+    assert found.vertical is not None
+    np.testing.assert_allclose(found.horizontal.T_base_sensor, rig.horizontal.T_base_sensor, atol=1e-4)
+    left = transforms.to_twist(transforms.invert(rig.vertical.T_base_sensor) @ found.vertical.T_base_sensor)
+    assert np.degrees(np.linalg.norm(left[:3])) < 0.3
+    assert np.linalg.norm(left[3:]) < 0.02
+    assert abs(found.vertical.decoding.clock_ns) < 10e6
+    assert re.search(r"clock\s.*ms", done.stdout)
+    before, after = re.findall(r"([\d.]+) cm a", done.stdout)[0], re.findall(r"([\d.]+) cm as refined", done.stdout)[0]
+    assert float(after) < 2.0 < float(before)
+    assert (folder / "both.rrd").stat().st_size > 100_000
+    # The program takes what it wrote.
+    info = ffmap(folder, "info", "drive.bag", "--rig", "rig.toml")
+    assert info.returncode == 0, info.stderr
+
+
+def test_one_lidar_alone_has_no_mount_to_refine(folder: Path) -> None:
+    done = ffmap(folder, "calibrate", "one.bag")
+    assert done.returncode == 2
+    assert "bag of two" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (folder / "one.rig.toml").exists()
+
+
+@pytest.mark.parametrize("clock", ['"soon"', "11.0", "true", "nan"])
+def test_a_clock_that_is_none_is_refused(folder: Path, clock: str) -> None:
+    file = folder / "wrong.toml"
+    file.write_text(f'[[lidar]]\ntopic = "/points"\nclock_s = {clock}\n')
+    done = ffmap(folder, "calibrate", "drive.bag", "--rig", file)
+    assert done.returncode == 2
+    assert "clock_s" in done.stderr
