@@ -80,11 +80,11 @@ def _register(run: Run, labeller: Labeller | None) -> tuple[Odometry, Level, lis
             level = level_by_first_scans(run.inputs, odometry.registered(), run.settings)
             mount = _check(run, odometry)
         if mount is not None and mount.is_off and has_turned(odometry.registered()):
-            raise MountOffError(_check(run, odometry) or mount)
+            mount = _mended(run, odometry, mount)
         if level is not None and labeller is not None and not (mount and mount.is_off):
             labeller.go_on(_known(odometry, level))
     if mount is not None and mount.is_off:
-        raise MountOffError(_check(run, odometry) or mount)
+        _mended(run, odometry, mount)
     weak += _log(run, waiting)
     if not registered:
         raise InputError(f"{run.inputs.bag_path}: {sensor.lidar.topic} has no usable cloud; 'ffmap info' tells more")
@@ -103,6 +103,14 @@ def _check(run: Run, odometry: Odometry) -> CheckedMount | None:
     mount = check_mount(run.inputs, odometry.registered(), run.settings)
     if mount is not None:
         run.record["mount"] = mount.record
+    return mount
+
+
+def _mended(run: Run, odometry: Odometry, first: CheckedMount) -> CheckedMount:
+    """The mount by all that was registered so far, where that shows it right after all; raises MountOffError where it is off."""
+    mount = _check(run, odometry) or first
+    if mount.is_off:
+        raise MountOffError(mount)
     return mount
 
 
