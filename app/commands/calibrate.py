@@ -20,8 +20,8 @@ from ffmap.app.setup.settings import Settings, load_settings
 from ffmap.app.tables import make_table, table_console
 from ffmap.loaders.errors import InputError
 
-_SCANS = 80
-"""Number of scans of each lidar that are used, spread over the drive."""
+_SCANS, _RETURNS = 200, 60_000
+"""Number of scans of each lidar that are used, spread over the drive, and of returns that are laid on the other's map."""
 _DRAWN = 12
 _NAMES = ("roll", "pitch", "yaw", "x", "y", "z", "clock")
 _KNOWN = (*(0.1,) * 3, *(1.0,) * 3, 2.0)
@@ -49,7 +49,7 @@ def calibrate(bag: Path, options: InputOptions, out: Path, recording: Path | Non
         progress.stage("odometry", None)
         odometry = _drive(inputs, settings, seconds)
         progress.stage("mount", None)
-        checked = check_mount(inputs, odometry, settings, _SCANS, _SCANS) if len(odometry) > 1 else None
+        checked = check_mount(inputs, odometry, settings, _SCANS, _SCANS, _RETURNS) if len(odometry) > 1 else None
         if checked is None:
             raise InputError(
                 f"{bag}: {horizontal.lidar.topic} and {vertical.lidar.topic} see too little in common; drive between walls, "

@@ -23,7 +23,7 @@ _BETTER = 1.15
 """How much worse the clouds agree as given than as refined, at least, where the mount is off."""
 _MAPPED, _LAID = 24, 30
 """Number of scans of the horizontal lidar that make the patches, and of the vertical one that are laid on them."""
-_MAP_POINTS = 12_000
+_MAP_POINTS, _RETURNS = 12_000, 20_000
 TURN_MIN_DEG, LONGEST_S = 60.0, 25.0
 """Turn, or else time, after which a mount that is off is refined: without a turn, clock and shift cannot be told apart."""
 
@@ -79,19 +79,25 @@ class CheckedMount:
 
 
 def check_mount(
-    inputs: Inputs, odometry: Trajectory, settings: Settings, mapped: int = _MAPPED, laid: int = _LAID
+    inputs: Inputs,
+    odometry: Trajectory,
+    settings: Settings,
+    mapped: int = _MAPPED,
+    laid: int = _LAID,
+    returns: int = _RETURNS,
 ) -> CheckedMount | None:
     """The mount by the scans so far; None where there is but one lidar, or too little that both see.
 
     odometry: T_odom_base of what was registered. An error of these poses moves what both lidars see alike.
-    mapped, laid: number of the horizontal lidar's scans that make the patches, and of the vertical one's that are laid on them.
+    mapped, laid: number of the horizontal lidar's scans that make the patches, and of the vertical one's that are laid on them;
+    returns: of those, at most.
     """
     horizontal, vertical = inputs.horizontal, inputs.vertical
     if horizontal is None or vertical is None or horizontal.lidar.topic == vertical.lidar.topic:
         return None
     patches = Patches.of(map_of(inputs, odometry, settings, mapped))
     T_given = vertical.lidar.T_base_sensor
-    found = refine_mount(patches, odometry, scans_of(inputs, vertical, odometry, settings, laid), T_given)
+    found = refine_mount(patches, odometry, scans_of(inputs, vertical, odometry, settings, laid), T_given, returns)
     if found is None:
         return None
     off_deg, off_m = found.off(T_given)
