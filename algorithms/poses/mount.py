@@ -23,7 +23,7 @@ _LOSS_M = 0.02
 _STEP_NS = 2_000_000
 """Half the time over which motion is measured, for what a clock that is off does to a return."""
 _RETURNS_MIN = 500
-_CLUSTER = 30.0
+_CLUSTER = 12.0
 """Number of returns that tell as much as one: those of one patch share its error, and those of one sweep its pose's."""
 
 

@@ -21,9 +21,9 @@ _SIGMAS = 3.0
 """Standard deviations beyond which an offset is one of the mount, and not of the estimate."""
 _BETTER = 1.15
 """How much worse the clouds agree as given than as refined, at least, where the mount is off."""
-_MAPPED, _LAID = 24, 30
-"""Number of scans of the horizontal lidar that make the patches, and of the vertical one that are laid on them."""
-_MAP_POINTS, _RETURNS = 12_000, 20_000
+_MAPPED, _LAID, _RETURNS = 16, 20, 10_000
+"""Number of scans of the horizontal lidar that make the patches, of the vertical one that are laid on them, and of its returns."""
+_MAP_POINTS = 12_000
 TURN_MIN_DEG, LONGEST_S = 60.0, 25.0
 """Turn, or else time, after which a mount that is off is refined: without a turn, clock and shift cannot be told apart."""
 

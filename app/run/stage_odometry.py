@@ -19,6 +19,8 @@ from ffmap.app.setup.inputs import why_skipped
 from ffmap.loaders.errors import InputError
 
 _LOGGED_AT_ONCE = 50
+_TO_REFINE = 80, 80, 40_000
+"""Scans of either lidar, and returns, by which a mount that is off is refined; fewer show that it is."""
 
 
 def find_poses(run: Run, given: Trajectory | None, labeller: Labeller | None) -> RunPoses:
@@ -96,11 +98,14 @@ def _register(run: Run, labeller: Labeller | None) -> tuple[Odometry, Level, lis
     return odometry, level, weak
 
 
-def _check(run: Run, odometry: Odometry) -> CheckedMount | None:
-    """The mount as what was registered so far shows it; None where it is not to be looked into, or cannot be."""
+def _check(run: Run, odometry: Odometry, *much: int) -> CheckedMount | None:
+    """The mount as what was registered so far shows it; None where it is not to be looked into, or cannot be.
+
+    much: scans and returns, as of `check_mount`.
+    """
     if not run.options.refine_mount:
         return None
-    mount = check_mount(run.inputs, odometry.registered(), run.settings)
+    mount = check_mount(run.inputs, odometry.registered(), run.settings, *much)
     if mount is not None:
         run.record["mount"] = mount.record
     return mount
@@ -108,7 +113,7 @@ def _check(run: Run, odometry: Odometry) -> CheckedMount | None:
 
 def _mended(run: Run, odometry: Odometry, first: CheckedMount) -> CheckedMount:
     """The mount by all that was registered so far, where that shows it right after all; raises MountOffError where it is off."""
-    mount = _check(run, odometry) or first
+    mount = _check(run, odometry, *_TO_REFINE) or first
     if mount.is_off:
         raise MountOffError(mount)
     return mount
