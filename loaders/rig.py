@@ -72,10 +72,10 @@ class Lidar:
 class MountCorrection:
     """Where the vertical lidar was found to sit and by which clock to run, in place of what bag or rig file say.
 
-    T_base_sensor: (4, 4). clock_ns: what is added to its firings' times.
+    T_base_sensor: (4, 4), row by row. clock_ns: what is added to its firings' times.
     """
 
-    T_base_sensor: FloatArray
+    T_base_sensor: tuple[tuple[float, ...], ...]
     clock_ns: int
 
 
@@ -100,13 +100,13 @@ class Rig:
         """The same with the vertical lidar where it was found to sit, in the static transforms too."""
         assert self.vertical is not None
         decoding = replace(self.vertical.decoding, clock_ns=mount.clock_ns)
-        vertical = replace(self.vertical, T_base_sensor=mount.T_base_sensor, decoding=decoding)
+        vertical = replace(self.vertical, T_base_sensor=np.array(mount.T_base_sensor), decoding=decoding)
         others = tuple(edge for edge in self.static_transforms if edge.child != vertical.frame_id)
         parent = next((e.parent for e in self.static_transforms if e.child == vertical.frame_id), self.base_frame)
         T_parent_base = self.tree.between(parent, self.base_frame)
         if T_parent_base is None:
             parent, T_parent_base = self.base_frame, np.eye(4)
-        edge = StaticTransform(parent, vertical.frame_id, T_parent_base @ mount.T_base_sensor)
+        edge = StaticTransform(parent, vertical.frame_id, T_parent_base @ vertical.T_base_sensor)
         return replace(self, vertical=vertical, static_transforms=(*others, edge))
 
     @property
@@ -191,6 +191,13 @@ def find_rig(
             )
         if lidar.decoding.rings.source == "bins":
             warnings.append(f"{name}: no ring field, and the elevations tell no rings apart")
+    labelled = roles.get("vertical")
+    if labelled is not None and labelled.column_pairs and labelled.opening_deg < _OPENING_MIN_DEG:
+        warnings.append(
+            f"{labelled.topic}: stands upright and opens to {labelled.opening_deg:.0f} deg: its columns seldom show floor and "
+            f"ceiling together (that takes {_OPENING_MIN_DEG:.0f}), and near walls are told by less; where it lies, --rig FILE "
+            "tells its mount"
+        )
     return Rig(base, roles.get("horizontal"), roles.get("vertical"), edges, tuple(warnings))
 
 

@@ -30,7 +30,7 @@ class RefinementSettings(StepSettings):
         0.2, ge=0.01, le=5, description="Edge (m) of the cubes to one point each of which scans are thinned."
     )
     neighbours: int = Field(
-        8, ge=4, le=1000, description="Number of neighbours that a point's covariance is estimated from."
+        12, ge=4, le=1000, description="Number of neighbours that a point's covariance is estimated from."
     )
     companion_points_max: int = Field(
         5_000,

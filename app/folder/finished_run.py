@@ -170,7 +170,7 @@ def mount_correction(record: Record) -> MountCorrection | None:
     T, clock_ns = np.array(mount.get("T_base_sensor") or ()), mount.get("clock_ns")
     if T.shape != (4, 4) or not isinstance(clock_ns, int):
         return None
-    return MountCorrection(T.astype(np.float64), clock_ns)
+    return MountCorrection(tuple(map(tuple, T.astype(np.float64).tolist())), clock_ns)
 
 
 def open_run(path: Path) -> FinishedRun:

@@ -52,7 +52,9 @@ class CheckedMount:
 
     @property
     def correction(self) -> MountCorrection:
-        return MountCorrection(self.found.T_base_sensor, self.clock_given_ns + round(1e9 * self.found.clock_s))
+        return MountCorrection(
+            tuple(map(tuple, self.found.T_base_sensor.tolist())), self.clock_given_ns + round(1e9 * self.found.clock_s)
+        )
 
     @property
     def record(self) -> dict[str, Any]:

@@ -126,6 +126,7 @@ def test_one_lidar_alone_needs_no_transforms(tmp_path):
     rig = rig_of(path, vertical="/points")
     assert rig.horizontal.topic == rig.vertical.topic == "/points"
     assert rig.vertical.line_pairs == rig.vertical.column_pairs > 0
+    assert any("stands upright and opens to 30 deg" in w for w in rig.warnings)
 
 
 WIDE = tuple(range(-45, 46, 3))

@@ -461,8 +461,6 @@ def test_mistakes_are_one_line_and_leave_earlier_results_alone(
     assert_one_line_error(done, "similarty_m", "wall_planes.similarity_m")
     done = ffmap(environment, "run", bags["bag"], "--out", finished, "--vertical", "/nothing")
     assert_one_line_error(done, "/nothing")
-    done = ffmap(environment, "run", bags["bag"], "--out", finished, "--vertical", UPRIGHT_TOPIC)
-    assert_one_line_error(done, UPRIGHT_TOPIC, "spin axis", "--rig FILE")
     assert_one_line_error(ffmap(environment, "run", "--resume", tmp_path), "run.json")
     assert_one_line_error(ffmap(environment, "evaluate", tmp_path), str(tmp_path))
     dead = "rerun+http://127.0.0.1:1/proxy"
