@@ -77,9 +77,6 @@ def test_a_mount_that_is_right_stays(folder: Path) -> None:
 
 
 def test_as_given_it_is_not_looked_into(folder: Path) -> None:
-    ffmap(folder, "run", "drive.bag", "--rig", "rig.toml", "--mount", "as-given", "--out", "given", *SHORT)
+    words = ("--mount", "as-given", "--out", "given", *SHORT, "--no-evaluate")
+    ffmap(folder, "run", "drive.bag", "--rig", "rig.toml", *words)
     assert "mount" not in json.loads((folder / "given" / "run.json").read_text())
-    given, refined = (
-        json.loads((folder / run / "metrics.json").read_text())["area"]["wall"]["f1"] for run in ("given", "run")
-    )
-    assert given < refined - 0.01
