@@ -377,7 +377,7 @@ _README = """# {bag}
 
 Every intermediate of *Furniture Free Mapping using 3D Lidars* (He, Hou, Schwertfeger), scan by scan.
 
-**Two lidars, two tasks.** {lidars}
+**{tasks}** {lidars}
 
 ## What the tabs show
 | tab | what to look at |
@@ -457,6 +457,7 @@ def explain(record: Mapping[str, Any]) -> str:
     record: what `run.json` holds at the start; what is missing there is left out.
     """
     rig = record.get("rig", {})
+    one = len({lidar["topic"] for lidar in rig.values()}) == 1
     tasks = {"horizontal": "gives the poses", "vertical": "sweeps walls and ceiling and is labelled"}
     lidars = [f"The {role} one, `{rig[role]['topic']}`, {task}." for role, task in tasks.items() if role in rig]
     facts = {
@@ -475,6 +476,7 @@ def explain(record: Mapping[str, Any]) -> str:
         run += [f"| {step} | {name} | {value} |" for step, values in steps.items() for name, value in values.items()]
     return _README.format(
         bag=PurePath(str(facts["bag"] or "A run")).name,
+        tasks="One lidar, both tasks." if one and len(rig) == 2 else "Two lidars, two tasks.",
         lidars=" ".join(lidars) or "The horizontal one gives the poses, the vertical one is labelled.",
         class_names=" | ".join(CLASSES[label][0] for label in Label),
         class_rules="---|" * len(Label),

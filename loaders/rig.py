@@ -60,7 +60,7 @@ class Lidar:
     @property
     def column_pairs(self) -> int:
         """Pairs of columns that are its point lines where it stands upright; 0 where it lies, for its emitters are."""
-        return COLUMN_PAIRS if self.tilt_deg < _UPRIGHT_DEG else 0
+        return COLUMN_PAIRS if self.tilt_deg <= _UPRIGHT_DEG else 0
 
     @property
     def line_pairs(self) -> int:

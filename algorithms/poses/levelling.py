@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.trajectory import PlacedScan, Trajectory, place_scan
+from ffmap.algorithms.poses.patches import Patches
 from ffmap.algorithms.scan.floor import Floor, find_floor
 from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 from ffmap.algorithms.scan.smoothing import SmoothedRanges
@@ -57,7 +57,7 @@ def level_map(points_odom: FloatArray, T_odom_base: FloatArray, seed: int = 0) -
 
 def _up_by_walls(points: FloatArray, up: FloatArray) -> FloatArray:
     """The upright (3,) near a first guess: least squares of the walls' normals against it, held by the guess."""
-    normals = _patch_normals(points)
+    normals = Patches.of(points, cube_m=0.06, neighbours=30).normal
     z = up
     for limit_deg in (8.0, 4.0, 2.0):
         walls = normals[np.abs(normals @ z) < np.sin(np.radians(limit_deg))]
@@ -68,21 +68,6 @@ def _up_by_walls(points: FloatArray, up: FloatArray) -> FloatArray:
         z = np.linalg.eigh(spread)[1][:, 0]
         z = z if z @ up > 0 else -z
     return np.asarray(z)
-
-
-def _patch_normals(points: FloatArray) -> FloatArray:
-    """(m, 3) unit normals of the flat patches among points, one for each cube of 6 cm that holds some."""
-    neighbours, thickness_max_m, breadth_min_m = 30, 0.02, 0.05
-    cube, row = np.unique(np.floor(points / 0.06).astype(np.int64), axis=0, return_inverse=True)
-    if len(cube) < neighbours:
-        return np.zeros((0, 3))
-    count = np.bincount(row.ravel())
-    centre = np.stack([np.bincount(row.ravel(), points[:, axis]) / count for axis in range(3)], axis=1)
-    patch = centre[cKDTree(centre).query(centre, k=neighbours)[1]]
-    centred = patch - patch.mean(axis=1, keepdims=True)
-    variance, direction = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred) / neighbours)
-    flat = (variance[:, 0] < thickness_max_m**2) & (variance[:, 1] > breadth_min_m**2)
-    return np.asarray(direction[flat, :, 0])
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan
 from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.algorithms.poses.patches import Patches
 
 _REACHES_M = (0.6, 0.4, 0.25, 0.15, 0.1, 0.07, 0.07)
 """Maximum distance of a return from its patch, round by round."""
@@ -28,35 +29,12 @@ _CLUSTER = 12.0
 
 
 @dataclass(frozen=True)
-class Patches:
-    """Small flat pieces of floor and walls. centre: (n, 3) metres; normal: (n, 3) unit vectors, of either sign."""
-
-    centre: FloatArray
-    normal: FloatArray
-
-    @classmethod
-    def of(cls, points: FloatArray, cube_m: float = 0.1, neighbours: int = 16, thickness_m: float = 0.02) -> "Patches":
-        """One for each cube with points (n, 3) whose neighbourhood is flat and no line."""
-        cube, row = np.unique(np.floor(points / cube_m).astype(np.int64) @ [1 << 42, 1 << 21, 1], return_inverse=True)
-        if len(cube) < neighbours:
-            return cls(np.zeros((0, 3)), np.zeros((0, 3)))
-        count = np.bincount(row)
-        centre = np.stack([np.bincount(row, points[:, axis]) / count for axis in range(3)], axis=1)
-        near = centre[cKDTree(centre).query(centre, k=neighbours)[1]]
-        middle = near.mean(axis=1)
-        centred = near - middle[:, None]
-        variance, direction = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred) / neighbours)
-        flat = (variance[:, 0] < thickness_m**2) & (variance[:, 1] > (0.5 * cube_m) ** 2)
-        return cls(middle[flat], direction[flat, :, 0])
-
-
-@dataclass(frozen=True)
 class Mount:
     """The vertical lidar's place in the base and its clock, refined.
 
     T_base_sensor: (4, 4). clock_s: what is to be added to its stamps.
-    sigma: (7,) standard deviations: rotation about the base's x, y, z (radians), shift along them (m), clock (s); infinite
-        where the motion does not tell.
+    sigma: (7,) standard deviations: rotation about the base's x, y, z (radians), shift along them (m), clock (s); near 1 of
+        each unit where the motion does not tell.
     rms_before_m, rms_after_m: of the returns' distances from the patches, as it was given and as refined.
     """
 
@@ -67,10 +45,10 @@ class Mount:
     rms_after_m: float
     returns: int
 
-    def off(self, T_given: FloatArray) -> tuple[float, float]:
-        """By how many degrees and metres the given place (4, 4) was off."""
-        twist = transforms.to_twist(transforms.invert(T_given) @ self.T_base_sensor)
-        return float(np.degrees(np.linalg.norm(twist[:3]))), float(np.linalg.norm(twist[3:]))
+    def change(self, T_given: FloatArray) -> FloatArray:
+        """(7,) what was found less what was given, in the units of `sigma`; T_given: (4, 4)."""
+        turn = transforms.to_twist(self.T_base_sensor @ transforms.invert(T_given))[:3]
+        return np.array([*turn, *(self.T_base_sensor - T_given)[:3, 3], self.clock_s])
 
 
 def refine_mount(
@@ -82,7 +60,8 @@ def refine_mount(
 ) -> Mount | None:
     """The mount near the given one (4, 4) at which the scans lie best on the patches; None where too little of them does.
 
-    patches: in the trajectory's frame. trajectory: of the base, by the horizontal lidar alone. scans: of the vertical lidar.
+    patches: what the horizontal lidar saw, in the trajectory's frame. trajectory: of the base; an error of its poses moves what
+    both lidars see alike. scans: of the vertical lidar.
     """
     points_base, stamp_ns = _returns(scans, T_base_sensor, returns_max)
     if len(patches.centre) < _RETURNS_MIN or len(points_base) < _RETURNS_MIN:
@@ -111,7 +90,9 @@ def refine_mount(
     # Of a robust fit, those that it believes tell the scatter.
     scatter_m = 1.4826 * float(np.median(np.abs(residual_m)))
     J = moving.slopes(x, *matched) / np.sqrt(1.0 + (residual_m[:, None] / _LOSS_M) ** 2)
-    sigma = np.sqrt(np.diag(np.linalg.pinv(J.T @ J)) * _CLUSTER) * scatter_m
+    variance = _CLUSTER * scatter_m**2
+    # Of each of the seven next to nothing is known beforehand: what no return tells stays unknown.
+    sigma = np.sqrt(variance * np.diag(np.linalg.inv(J.T @ J + variance * np.eye(7))))
     return Mount(
         transforms.orthonormal(T_correction @ T_base_sensor),
         clock_s,

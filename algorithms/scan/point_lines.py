@@ -128,7 +128,7 @@ def _resample(
             if not left_out[order[j]]:
                 kept[count] = order[j]
                 count += 1
-        if enough < points_min:
+        if enough < points_min or count == 0:
             continue
         for s in range(SAMPLES):
             samples[line, s] = kept[(s * (count - 1) * 2 + SAMPLES - 1) // (2 * (SAMPLES - 1))]

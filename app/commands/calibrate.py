@@ -24,6 +24,8 @@ _SCANS, _RETURNS = 200, 60_000
 """Number of scans of each lidar that are used, spread over the drive, and of returns that are laid on the other's map."""
 _DRAWN = 12
 _NAMES = ("roll", "pitch", "yaw", "x", "y", "z", "clock")
+_SCALE = np.array([np.degrees(1.0)] * 3 + [100.0] * 3 + [1e3])
+"""To degrees, centimetres and milliseconds."""
 _KNOWN = (*(0.1,) * 3, *(1.0,) * 3, 2.0)
 """Degrees, centimetres and milliseconds up to which each of the seven is well known."""
 _MOTION = (
@@ -61,7 +63,7 @@ def calibrate(bag: Path, options: InputOptions, out: Path, recording: Path | Non
             write_calibration(recording, height_m, room, *(_laid(i, odometry, settings) for i in (inputs, refined)))
     with written_whole(out) as part:
         part.write_text(_rig_text(refined, checked))
-    _tell(inputs, checked)
+    _tell(checked)
     typer.echo(f"rig file: {out}  (ffmap run {bag} --rig {out})")
     if recording is not None:
         typer.echo(f"recording: {recording}  (before red, after green; ffmap view {recording})")
@@ -109,13 +111,9 @@ def _rig_text(inputs: Inputs, checked: CheckedMount) -> str:
     return "\n".join(text) + "\n"
 
 
-def _tell(inputs: Inputs, checked: CheckedMount) -> None:
-    assert inputs.vertical is not None
-    found, T_given = checked.found, inputs.vertical.lidar.T_base_sensor
-    turned = np.degrees(transforms.to_twist(found.T_base_sensor @ transforms.invert(T_given))[:3])
-    shift = 100 * (found.T_base_sensor[:3, 3] - T_given[:3, 3])
-    changes = [*turned, *shift, 1e3 * found.clock_s]
-    sigma = [*np.degrees(found.sigma[:3]), *(100 * found.sigma[3:6]), 1e3 * found.sigma[6]]
+def _tell(checked: CheckedMount) -> None:
+    found = checked.found
+    changes, sigma = _SCALE * checked.change, _SCALE * found.sigma
     units = (*("deg",) * 3, *("cm",) * 3, "ms")
     rows = (
         (name, f"{change:+.2f} {unit}", f"{known:.2f} {unit}", motion if known > limit else "")

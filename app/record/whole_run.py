@@ -43,6 +43,12 @@ _LINE_STYLES: tuple[tuple[str, float, entities.Color | None], ...] = (
 )
 
 
+def log_sensors(log: Log, sensors: Mapping[str, FloatArray]) -> None:
+    """Where the lidars sit: T_base_sensor (4, 4) by role."""
+    for role, T_base_sensor in sensors.items():
+        log.static(f"{entities.BASE}/{role}", transform(T_base_sensor), rr.TransformAxes3D(0.3))
+
+
 def log_static(
     log: Log,
     sensors: Mapping[str, FloatArray],
@@ -52,8 +58,8 @@ def log_static(
 ) -> None:
     """What holds throughout: classes, styles, frames, sensors, the sheet of the curves, the explanation.
 
-    sensors: T_base_sensor (4, 4) by role. line_pairs, slope_max: pairs of point lines and the threshold
-    of eq. 2; None where nothing is labelled. Without lines the sheet of the curves has the large one alone.
+    sensors: as of `log_sensors`. line_pairs, slope_max: pairs of point lines and the threshold of eq. 2; None where nothing
+    is labelled. Without lines the sheet of the curves has the large one alone.
     """
     log.static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, annotations(entities.CLASSES))
     log.static(entities.LINES, annotations(entities.LINE_OUTCOMES))
@@ -63,8 +69,7 @@ def log_static(
     log.text(entities.EVALUATION_HELP, entities.EVALUATION_HELP_TEXT)
     log_legend(log, entities.LABEL_LEGEND, entities.LABEL_LEGEND_ENTRIES)
     log.static(entities.BASE, rr.TransformAxes3D(0.6))
-    for role, T_base_sensor in sensors.items():
-        log.static(f"{entities.BASE}/{role}", transform(T_base_sensor), rr.TransformAxes3D(0.3))
+    log_sensors(log, sensors)
     for archetype, styles in ((rr.Points3D, _POINT_STYLES), (rr.LineStrips3D, _LINE_STYLES)):
         for path, radius_ui, color in styles:
             log.static(path, archetype.from_fields(radii=ui_radius(radius_ui), colors=color))

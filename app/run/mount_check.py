@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan, within_range
 from ffmap.algorithms.base.trajectory import Trajectory, place_scan
-from ffmap.algorithms.poses.mount import Mount, Patches, refine_mount
+from ffmap.algorithms.poses.mount import Mount, refine_mount
+from ffmap.algorithms.poses.patches import Patches
 from ffmap.app.setup.inputs import Inputs, Sensor
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag import open_bag
@@ -24,6 +24,7 @@ _BETTER = 1.15
 _MAPPED, _LAID, _RETURNS = 16, 20, 10_000
 """Number of scans of the horizontal lidar that make the patches, of the vertical one that are laid on them, and of its returns."""
 _MAP_POINTS = 12_000
+"""Maximum number of returns of one scan in the map."""
 TURN_MIN_DEG, LONGEST_S = 60.0, 25.0
 """Turn, or else time, after which a mount that is off is refined: without a turn, clock and shift cannot be told apart."""
 
@@ -40,15 +41,23 @@ class MountOffError(Exception):
 class CheckedMount:
     """What the first seconds tell of the mount, and what it is off by where that is certain.
 
-    off_deg, off_m: angle and distance between where the lidar was said to sit and where it was found.
-    clock_given_ns: what was added to its times already.
+    change: (7,) what was found less what was given, as of `Mount.change`. clock_given_ns: what was added to its times already.
     """
 
     found: Mount
+    change: FloatArray
     clock_given_ns: int
-    off_deg: float
-    off_m: float
     is_off: bool
+
+    @property
+    def off_deg(self) -> float:
+        """Angle between how the lidar was said to be turned and how it was found."""
+        return float(np.degrees(np.linalg.norm(self.change[:3])))
+
+    @property
+    def off_m(self) -> float:
+        """Distance between where the lidar was said to sit and where it was found."""
+        return float(np.linalg.norm(self.change[3:6]))
 
     @property
     def correction(self) -> MountCorrection:
@@ -88,27 +97,25 @@ def check_mount(
     laid: int = _LAID,
     returns: int = _RETURNS,
 ) -> CheckedMount | None:
-    """The mount by the scans so far; None where there is but one lidar, or too little that both see.
+    """The mount by the scans that were registered; None where there is but one lidar, or too little that both see.
 
-    odometry: T_odom_base of what was registered. An error of these poses moves what both lidars see alike.
+    odometry: T_odom_base.
     mapped, laid: number of the horizontal lidar's scans that make the patches, and of the vertical one's that are laid on them;
     returns: of those, at most.
     """
     horizontal, vertical = inputs.horizontal, inputs.vertical
     if horizontal is None or vertical is None or horizontal.lidar.topic == vertical.lidar.topic:
         return None
-    patches = Patches.of(map_of(inputs, odometry, settings, mapped))
+    patches = Patches.of(map_of(inputs, odometry, settings, mapped), cube_m=0.1, neighbours=16)
     T_given = vertical.lidar.T_base_sensor
     found = refine_mount(patches, odometry, scans_of(inputs, vertical, odometry, settings, laid), T_given, returns)
     if found is None:
         return None
-    off_deg, off_m = found.off(T_given)
-    turned = transforms.to_twist(found.T_base_sensor @ transforms.invert(T_given))[:3]
-    shift = found.T_base_sensor[:3, 3] - T_given[:3, 3]
+    change = found.change(T_given)
     least = np.array([np.radians(_OFF_DEG)] * 3 + [_OFF_M] * 3 + [_OFF_S])
-    off = np.abs([*turned, *shift, found.clock_s]) > np.maximum(least, _SIGMAS * found.sigma)
+    off = np.abs(change) > np.maximum(least, _SIGMAS * found.sigma)
     is_off = bool(off.any()) and found.rms_before_m > _BETTER * found.rms_after_m
-    return CheckedMount(found, vertical.lidar.decoding.clock_ns, off_deg, off_m, is_off)
+    return CheckedMount(found, change, vertical.lidar.decoding.clock_ns, is_off)
 
 
 def map_of(inputs: Inputs, odometry: Trajectory, settings: Settings, count: int) -> FloatArray:

@@ -25,21 +25,14 @@ from ffmap.blueprints import entities
 from ffmap.loaders.bag import open_bag
 
 
-def finish(
-    run: Run,
-    pool: Executor,
-    jobs: tuple[PlaceJob, ...],
-    building: Building,
-    trajectory: Trajectory,
-) -> None:
-    """Final labels by the workers; this process writes the labelled bag behind them."""
+def finish(run: Run, pool: Executor, jobs: tuple[PlaceJob, ...], building: Building, trajectory: Trajectory) -> None:
+    """Final labels by the workers, while this process writes the labelled bag behind them."""
     assert run.inputs.vertical is not None
     run.progress.stage("final", len(jobs))
-    pending = _submit(run, pool, jobs, building)
     table = VoxelTable(VOXEL_M, len(Label))
     outputs = run.options.outputs
     writer = LabelsWriter(run.folder.path / LABELS if Output.LABELS in outputs else None)
-    labels = writer.passing(_labels(run, jobs, pending, table))
+    labels = writer.passing(_labels(run, jobs, _submit(run, pool, jobs, building), table))
     if Output.LABELLED in outputs:
         with open_bag(run.inputs.bag_path) as bag:
             index, rig = run.inputs.vertical.index, run.inputs.rig

@@ -73,20 +73,22 @@ def _register(run: Run, labeller: Labeller | None) -> tuple[Odometry, Level, lis
             # Until the map is level, the base's first pose is.
             log_odometry_frame(run.log, odometry.registered().stamp_ns, sensor.lidar.T_base_sensor[None])
         waiting.append(registration)
-        # Before the mount was looked into, nothing is told that may have to be taken back.
-        if len(waiting) >= _LOGGED_AT_ONCE and level is not None and not (mount and mount.is_off):
-            weak += _log(run, waiting)
-            waiting = []
         run.progress.advance()
         if level is None and shows_level(odometry.stamp_ns, run.settings):
             level = level_by_first_scans(run.inputs, odometry.registered(), run.settings)
             mount = _check(run, odometry)
-        if mount is not None and mount.is_off and has_turned(odometry.registered()):
-            mount = _mended(run, odometry, mount)
-        if level is not None and labeller is not None and not (mount and mount.is_off):
+        if _is_off(mount) and has_turned(odometry.registered()):
+            mount = _confirmed(run, odometry, mount)
+        if level is None or _is_off(mount):
+            # Nothing is told, nor done, that a mount that is off would take back.
+            continue
+        if len(waiting) >= _LOGGED_AT_ONCE:
+            weak += _log(run, waiting)
+            waiting = []
+        if labeller is not None:
             labeller.go_on(_known(odometry, level))
-    if mount is not None and mount.is_off:
-        _mended(run, odometry, mount)
+    if _is_off(mount):
+        _confirmed(run, odometry, mount)
     weak += _log(run, waiting)
     if not registered:
         raise InputError(f"{run.inputs.bag_path}: {sensor.lidar.topic} has no usable cloud; 'ffmap info' tells more")
@@ -111,10 +113,14 @@ def _check(run: Run, odometry: Odometry, *much: int) -> CheckedMount | None:
     return mount
 
 
-def _mended(run: Run, odometry: Odometry, first: CheckedMount) -> CheckedMount:
-    """The mount by all that was registered so far, where that shows it right after all; raises MountOffError where it is off."""
+def _is_off(mount: CheckedMount | None) -> bool:
+    return mount is not None and mount.is_off
+
+
+def _confirmed(run: Run, odometry: Odometry, first: CheckedMount | None) -> CheckedMount | None:
+    """The mount by all that was registered, where that shows it right after all; raises MountOffError where it is off."""
     mount = _check(run, odometry, *_TO_REFINE) or first
-    if mount.is_off:
+    if mount is not None and mount.is_off:
         raise MountOffError(mount)
     return mount
 

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any
 
-from ffmap.algorithms.base.scan import IntArray
+from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.app.folder.finished_run import FROM_ODOMETRY
 from ffmap.app.folder.names import PROGRAM, RECORDING, TRAJECTORY, RunFolder, written_files
@@ -21,7 +21,7 @@ from ffmap.app.progress import Progress
 from ffmap.app.record.log import Log
 from ffmap.app.record.odometry import log_trajectory
 from ffmap.app.record.stream import Recording, send_properties
-from ffmap.app.record.whole_run import layout, log_static, log_warnings
+from ffmap.app.record.whole_run import layout, log_sensors, log_static, log_warnings
 from ffmap.app.run.context import Run, RunOptions, RunState
 from ffmap.app.run.mount_check import MountOffError
 from ffmap.app.run.poses import RunPoses
@@ -120,7 +120,8 @@ def _find_poses(run: Run, pool: Executor, given: Trajectory | None) -> tuple[Run
         run.warn(error.mount.warning)
         options = replace(run.options, refine_mount=False)
         run = replace(run, inputs=run.inputs.with_mount(error.mount.correction), options=options)
-    _log_start(run)
+    if run.log is not None:
+        log_sensors(run.log, _sensors(run))
     labeller = Labeller(run, pool)
     return run, labeller, find_poses(run, given, labeller)
 
@@ -158,12 +159,16 @@ def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[s
         ) from error
 
 
+def _sensors(run: Run) -> dict[str, FloatArray]:
+    """T_base_sensor of each lidar by its role."""
+    return {role: sensor.lidar.T_base_sensor for role, sensor in run.inputs.by_role.items()}
+
+
 def _log_start(run: Run) -> None:
     if run.log is None:
         return
-    sensors = {role: sensor.lidar.T_base_sensor for role, sensor in run.inputs.by_role.items()}
     slope_max = run.settings.vertical_structures.slope_max
-    log_static(run.log, sensors, entities.explain(run.record), run.inputs.line_pairs, slope_max)
+    log_static(run.log, _sensors(run), entities.explain(run.record), run.inputs.line_pairs, slope_max)
     send_properties(run.log.stream, "settings", run.settings.model_dump(mode="json"))
     told = ("settings_hash", "bag", "versions", "started")
     send_properties(run.log.stream, "run", {name: run.record[name] for name in told if name in run.record})

@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 from ffmap.app import compiled_code as module
 from ffmap.app.cli import app
 from ffmap.app.compiled_code import SOURCES, VARIABLE, clear_others, compiled_code, folders
+from tests.program import FFMAP
 
 ROOT = Path(__file__).parents[2]
-FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
 CALLEE = "import numba\n\n@numba.njit(cache=True)\ndef callee() -> int:\n    return {}\n"
 CALLER = (
     "import numba\nfrom callee import callee\n\n@numba.njit(cache=True)\ndef caller() -> int:\n    return callee()\n"

@@ -7,9 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base import transforms
-from ffmap.algorithms.base.scan import Scan
+from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.trajectory import Trajectory, place_scan
-from ffmap.algorithms.poses.mount import Patches, refine_mount
+from ffmap.algorithms.poses.mount import refine_mount
+from ffmap.algorithms.poses.patches import Patches
 from tests.corridor import T_BASE_SENSOR, cast
 
 PERIOD_NS = 100_000_000
@@ -20,6 +21,10 @@ def turning(scans: int) -> Trajectory:
     share = np.linspace(0.0, 1.0, scans + 2)
     T = [transforms.from_yaw(1.2 * np.sin(2 * np.pi * s), [0.5 * s, 0.1 * s, 0.0]) for s in share]
     return Trajectory(PERIOD_NS * (1 + np.arange(scans + 2)), np.array(T))
+
+
+def patches_of(points: FloatArray) -> Patches:
+    return Patches.of(points, cube_m=0.1, neighbours=16)
 
 
 def at_one_instant(stamp_ns: int, trajectory: Trajectory, seed: int) -> Scan:
@@ -34,7 +39,7 @@ def seen(trajectory: Trajectory, scans: int) -> tuple[Patches, list[Scan]]:
     swept = [at_one_instant(int(trajectory.stamp_ns[k + 1]) + 30_000_000, trajectory, k) for k in range(scans)]
     placed = [place_scan(scan, trajectory, T_BASE_SENSOR) for scan in swept]
     points = np.concatenate([p.to_map(p.points_level[::5]) for p in placed]).astype(np.float64)
-    return Patches.of(points[points[:, 2] < 1.9]), swept
+    return patches_of(points[points[:, 2] < 1.9]), swept
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +68,9 @@ def test_a_mount_and_a_clock_that_are_off_are_found(room: tuple[Trajectory, Patc
     turned = transforms.to_twist(found.T_base_sensor @ transforms.invert(T_BASE_SENSOR))[:3]
     assert np.all(np.abs(turned) < 4 * found.sigma[:3])
     assert abs(found.clock_s + late_ns / 1e9) < 4 * found.sigma[6]
-    np.testing.assert_allclose(found.off(T_given), [5.0, found.off(T_given)[1]], atol=0.15)
+    change = found.change(T_given)
+    assert np.degrees(np.linalg.norm(change[:3])) == pytest.approx(5.0, abs=0.15)
+    assert change[6] == found.clock_s
 
 
 def test_on_a_straight_way_a_clock_is_not_known(room: tuple[Trajectory, Patches, list[Scan]]) -> None:
@@ -78,20 +85,20 @@ def test_on_a_straight_way_a_clock_is_not_known(room: tuple[Trajectory, Patches,
     assert found.sigma[6] > 3 * turned.sigma[6]
 
 
+def test_at_rest_a_clock_is_unknown(room: tuple[Trajectory, Patches, list[Scan]]) -> None:
+    """Nothing that a robot at rest sees depends on it: it keeps next to all of the second that it was unknown by."""
+    rest = Trajectory(PERIOD_NS * (1 + np.arange(26)), np.tile(np.eye(4), (26, 1, 1)))
+    patches, scans = seen(rest, 24)
+    found = refine_mount(patches, rest, scans, T_BASE_SENSOR, 20_000)
+    assert found is not None
+    assert found.sigma[6] == pytest.approx(1.0, abs=0.05)
+    assert np.all(found.sigma[:6] < 0.05)
+
+
 def test_too_little_tells_nothing(room: tuple[Trajectory, Patches, list[Scan]]) -> None:
     trajectory, patches, scans = room
     assert refine_mount(patches, trajectory, [], T_BASE_SENSOR, 20_000) is None
-    assert refine_mount(Patches.of(np.zeros((0, 3))), trajectory, scans, T_BASE_SENSOR, 20_000) is None
-    assert refine_mount(Patches.of(np.zeros((5, 3))), trajectory, scans, T_BASE_SENSOR, 20_000) is None
+    assert refine_mount(patches_of(np.zeros((0, 3))), trajectory, scans, T_BASE_SENSOR, 20_000) is None
+    assert refine_mount(patches_of(np.zeros((5, 3))), trajectory, scans, T_BASE_SENSOR, 20_000) is None
     far = transforms.make_transform(translation=[300.0, 0.0, 0.0])
     assert refine_mount(patches, trajectory, scans, far @ T_BASE_SENSOR, 20_000) is None
-
-
-def test_patches_lie_on_the_planes_they_are_of() -> None:
-    rng = np.random.default_rng(0)
-    plane = np.column_stack([rng.uniform(-2, 2, (20_000, 2)), rng.normal(0, 0.005, 20_000)])
-    patches = Patches.of(plane)
-    assert len(patches.centre) > 1000
-    assert np.abs(patches.centre[:, 2]).max() < 0.01
-    assert np.abs(patches.normal[:, 2]).min() > 0.99
-    assert not len(Patches.of(rng.uniform(-1, 1, (20_000, 3))).centre)

@@ -98,3 +98,14 @@ def test_few_returns_make_no_line_and_no_error(count: int) -> None:
     found = labelled(few, replace(placed, points_level=placed.points_level[:count]))
     assert len(found.label) == count
     assert len(found.planes) == 0
+
+
+def test_a_column_whose_middle_is_all_floor_is_no_line() -> None:
+    """Enough of its returns are other than floor and ceiling, but none of them is its emitter's in the middle."""
+    azimuth_rad = np.radians(np.linspace(10.05, 10.95, 41))
+    points = np.column_stack([2 * np.cos(azimuth_rad), 2 * np.sin(azimuth_rad), np.full(41, -1.0)])
+    is_floor = np.zeros(41, bool)
+    is_floor[20] = True
+    ring = np.zeros(41, np.int64)
+    lines = make_point_lines(points, ring, 1, DOWN, is_floor, METHOD.rearrangement, column_pairs=180)
+    assert np.all(lines.samples == -1)

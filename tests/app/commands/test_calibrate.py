@@ -1,9 +1,7 @@
 """ffmap calibrate on a real bag: a rig file with which runs go on, how certain each value is, and a picture."""
 
-import os
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,22 +9,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base import transforms
-from ffmap.loaders.bag import open_bag
-from ffmap.loaders.rig import Rig, find_rig
 from ffmap.loaders.simulator import SimulationSettings, simulate
-
-FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
-
-
-def ffmap(folder: Path, *words: object) -> "subprocess.CompletedProcess[str]":
-    environment = {**os.environ, "FFMAP_CACHE": str(folder / "cache")}
-    command = [*FFMAP, *map(str, words)]
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
+from tests.program import ffmap, rig_of, with_cache, write_rig
 
 
-def rig_of(bag: Path, file: Path | None = None) -> Rig:
-    with open_bag(bag) as opened:
-        return find_rig(opened, file)
+def calibrate(folder: Path, bag: str, *words: object) -> "subprocess.CompletedProcess[str]":
+    return ffmap(with_cache(folder / "cache"), "calibrate", bag, *words, cwd=folder)
 
 
 @pytest.fixture(scope="module")
@@ -39,20 +27,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_rig_file_is_written_from_a_mount_that_is_off(folder: Path) -> None:
     rig = rig_of(folder / "drive.bag")
-    assert rig.horizontal is not None
-    assert rig.vertical is not None
     off = transforms.make_transform(Rotation.from_euler("xyz", [3.0, -2.0, 3.0], degrees=True), [0.05, 0.06, -0.05])
-    guess = []
-    for lidar, T in ((rig.horizontal, np.eye(4)), (rig.vertical, off)):
-        T_base_sensor = T @ lidar.T_base_sensor
-        guess += ["[[lidar]]", f'topic = "{lidar.topic}"', f"translation = {T_base_sensor[:3, 3].tolist()}"]
-        guess += [f"quaternion_xyzw = {transforms.quaternion_xyzw(T_base_sensor).tolist()}"]
-    guess += ["clock_s = 0.04"]
-    (folder / "guess.toml").write_text("\n".join([f'base = "{rig.base_frame}"', *guess]))
-    words = ("calibrate", "drive.bag", "--rig", "guess.toml", "--out", "rig.toml", "--recording", "both.rrd", "--quiet")
-    done = ffmap(folder, *words)
+    write_rig(folder / "guess.toml", rig, off, clock_s=0.04)
+    words = ("--rig", "guess.toml", "--out", "rig.toml", "--recording", "both.rrd", "--quiet")
+    done = calibrate(folder, "drive.bag", *words)
     assert done.returncode == 0, done.stderr
     found = rig_of(folder / "drive.bag", folder / "rig.toml")
+    assert rig.horizontal is not None
+    assert rig.vertical is not None
     assert found.horizontal is not None
     assert found.vertical is not None
     np.testing.assert_allclose(found.horizontal.T_base_sensor, rig.horizontal.T_base_sensor, atol=1e-4)
@@ -65,12 +47,12 @@ def test_a_rig_file_is_written_from_a_mount_that_is_off(folder: Path) -> None:
     assert float(after) < 2.0 < float(before)
     assert (folder / "both.rrd").stat().st_size > 100_000
     # The program takes what it wrote.
-    info = ffmap(folder, "info", "drive.bag", "--rig", "rig.toml")
+    info = ffmap(with_cache(folder / "cache"), "info", "drive.bag", "--rig", "rig.toml", cwd=folder)
     assert info.returncode == 0, info.stderr
 
 
 def test_one_lidar_alone_has_no_mount_to_refine(folder: Path) -> None:
-    done = ffmap(folder, "calibrate", "one.bag")
+    done = calibrate(folder, "one.bag")
     assert done.returncode == 2
     assert "bag of two" in done.stderr
     assert done.stderr.count("\n") == 1
@@ -81,6 +63,6 @@ def test_one_lidar_alone_has_no_mount_to_refine(folder: Path) -> None:
 def test_a_clock_that_is_none_is_refused(folder: Path, clock: str) -> None:
     file = folder / "wrong.toml"
     file.write_text(f'[[lidar]]\ntopic = "/points"\nclock_s = {clock}\n')
-    done = ffmap(folder, "calibrate", "drive.bag", "--rig", file)
+    done = calibrate(folder, "drive.bag", "--rig", file)
     assert done.returncode == 2
     assert "clock_s" in done.stderr

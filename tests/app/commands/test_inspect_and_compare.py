@@ -4,7 +4,6 @@ import json
 import os
 import re
 import shutil
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -35,8 +34,8 @@ from ffmap.blueprints import entities
 from ffmap.blueprints.entities import Fault, LineOutcome
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
+from tests.program import ffmap
 
-FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
 SCANS = 29
 SETTINGS = (
     "smoothing.returns=9",
@@ -81,12 +80,6 @@ def compared(runs: dict[str, Path], environment: dict[str, str], tmp_path_factor
         assert word in done.stdout
     (out / "stdout.txt").write_text(done.stdout)
     return out
-
-
-def ffmap(environment: dict[str, str], *words: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*FFMAP, *map(str, words)], env=environment, capture_output=True, text=True, timeout=300, check=False
-    )
 
 
 def labels_of(run: Path) -> Labels:

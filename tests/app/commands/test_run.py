@@ -34,9 +34,9 @@ from ffmap.app.run.start import Arguments
 from ffmap.blueprints import entities
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
+from tests.program import FFMAP, ffmap, with_cache
 
 UPRIGHT_TOPIC = "/horizontal_velodyne/velodyne_points"
-FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
 FILES = [
     "recording.rrd",
     "evaluation.rrd",
@@ -58,7 +58,7 @@ FILES = [
 
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    return {**os.environ, "FFMAP_CACHE": str(tmp_path_factory.mktemp("cache")), "COLUMNS": "200"}
+    return {**with_cache(tmp_path_factory.mktemp("cache")), "COLUMNS": "200"}
 
 
 @pytest.fixture(scope="module")
@@ -88,12 +88,6 @@ def finished_as_said(
 def finished(finished_as_said: tuple[Path, subprocess.CompletedProcess[str]]) -> Path:
     """A run on the ROS 1 bag."""
     return finished_as_said[0]
-
-
-def ffmap(environment: dict[str, str], *words: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*FFMAP, *map(str, words)], env=environment, capture_output=True, text=True, timeout=300, check=False
-    )
 
 
 def labels_of(run: Path) -> list[tuple[int, np.ndarray, np.ndarray]]:

@@ -17,8 +17,7 @@ from ffmap.app.commands import view as view_command
 from ffmap.app.commands.view import files_of, view
 from ffmap.blueprints import entities
 from ffmap.loaders.errors import InputError
-
-FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
+from tests.program import FFMAP
 
 
 def make_run(folder: Path, *files: str, recording_id: str = "") -> Path:

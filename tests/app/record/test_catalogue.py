@@ -22,8 +22,8 @@ from ffmap.app.record.catalogue.server import CatalogueServer
 from ffmap.app.record.stream import send_properties
 from ffmap.blueprints import entities
 from ffmap.loaders.errors import InputError
+from tests.program import FFMAP
 
-FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
 F1 = {"a": 0.90, "b": 0.99, "c": 0.95, "d": 0.80}
 
 

@@ -1,16 +1,13 @@
 """A run whose scans are labelled on a Dask cluster."""
 
 import json
-import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from ffmap.loaders.simulator import SimulationSettings, simulate
-
-FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
+from tests.program import ffmap, with_cache
 
 
 @pytest.fixture(scope="module")
@@ -21,23 +18,15 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def ffmap(bag: Path, *words: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*FFMAP, "run", *map(str, words)],
-        # A relative folder, which the cluster's workers would look for elsewhere.
-        cwd=bag.parent,
-        env={**os.environ, "FFMAP_CACHE": str(bag.parent / "cache")},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+def run(bag: Path, *words: object) -> "subprocess.CompletedProcess[str]":
+    """In a relative folder, which the cluster's workers would look for elsewhere."""
+    return ffmap(with_cache(bag.parent / "cache"), "run", bag.name, *words, cwd=bag.parent)
 
 
 def test_blocks_of_a_drive_are_labelled_by_a_cluster_as_they_are_here(bag: Path, cluster: str) -> None:
     records = []
     for out, words in (("here", ()), ("there", ("--scheduler", cluster))):
-        done = ffmap(bag, bag.name, "--out", out, *words)
+        done = run(bag, "--out", out, *words)
         assert done.returncode == 0, done.stderr
         records.append(json.loads((bag.parent / out / "run.json").read_text()))
     here, there = records
@@ -48,7 +37,7 @@ def test_blocks_of_a_drive_are_labelled_by_a_cluster_as_they_are_here(bag: Path,
 
 
 def test_a_scheduler_that_is_not_there_is_one_line(bag: Path) -> None:
-    done = ffmap(bag, bag.name, "--out", "nowhere", "--scheduler", "tcp://127.0.0.1:9")
+    done = run(bag, "--out", "nowhere", "--scheduler", "tcp://127.0.0.1:9")
     assert done.returncode == 2
     assert "--scheduler tcp://127.0.0.1:9: no Dask scheduler answers there" in done.stderr
     assert "Traceback" not in done.stderr

@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -14,8 +13,8 @@ import pytest
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.app.run.poses import KnownPoses, RunPoses
 from ffmap.loaders.simulator import SimulationSettings, simulate
+from tests.program import FFMAP, with_cache
 
-FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
 # Level soon, so that blocks of scans are handed out long before the last is registered.
 EARLY = ("--set", "trajectory.level_s=1", "--no-evaluate", "--outputs", "labels,maps,recording")
 PERIOD_NS = 100_000_000
@@ -56,7 +55,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def started(cache: Path, *words: object) -> "subprocess.Popen[str]":
     return subprocess.Popen(
         [*FFMAP, "run", *map(str, words)],
-        env={**os.environ, "FFMAP_CACHE": str(cache)},
+        env=with_cache(cache),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,

@@ -20,8 +20,8 @@ from ffmap.app.setup.inputs import InputOptions, find_inputs
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
+from tests.program import FFMAP, with_cache
 
-FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
 WAIT_S = 120.0
 
 
@@ -40,7 +40,7 @@ class Running:
         self.out = out
         self.process = subprocess.Popen(
             [*FFMAP, "run", str(bag), "--out", str(out), "--workers", "2", "--no-evaluate"],
-            env={**os.environ, "FFMAP_CACHE": str(cache)},
+            env=with_cache(cache),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,

@@ -1,7 +1,6 @@
 """A sweep as a user meets it: on this machine, killed and started again, on a Dask cluster, and with mistakes."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -20,14 +19,14 @@ from ffmap.app.parameters import SweepParameters
 from ffmap.blueprints import entities
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
+from tests.program import FFMAP, ffmap, with_cache
 
-FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
 GRID = ["--grid", "labelling.wall_distance_m=0.01,0.045", "--grid", "building.scans_min=3"]
 
 
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    return {**os.environ, "FFMAP_CACHE": str(tmp_path_factory.mktemp("cache"))}
+    return with_cache(tmp_path_factory.mktemp("cache"))
 
 
 @pytest.fixture(scope="module")
@@ -36,12 +35,6 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     values = {"building": "small", "seed": 3, "sensor": "vlp16", "format": "bag", "duration_s": 2.0}
     simulate(path, SimulationSettings.model_validate(values))
     return path
-
-
-def ffmap(environment: dict[str, str], *words: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*FFMAP, *map(str, words)], env=environment, capture_output=True, text=True, timeout=300, check=False
-    )
 
 
 def records(out: Path) -> dict[str, dict]:

@@ -1,0 +1,40 @@
+"""The program as a user starts it, and the rig files that users write."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.loaders.bag import open_bag
+from ffmap.loaders.rig import Rig, find_rig
+
+FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
+
+
+def with_cache(folder: Path) -> dict[str, str]:
+    """The environment of a program that keeps its odometry in a folder of the test's own."""
+    return {**os.environ, "FFMAP_CACHE": str(folder)}
+
+
+def ffmap(environment: dict[str, str], *words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    command = [*FFMAP, *map(str, words)]
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False)
+
+
+def rig_of(bag: Path, file: Path | None = None) -> Rig:
+    with open_bag(bag) as opened:
+        return find_rig(opened, file)
+
+
+def write_rig(file: Path, rig: Rig, vertical_off: FloatArray, clock_s: float = 0.0) -> None:
+    """A rig file of two lidars that puts the vertical one off, by (4, 4) in the base and by its clock."""
+    assert rig.horizontal is not None
+    assert rig.vertical is not None
+    T_vertical = vertical_off @ rig.vertical.T_base_sensor
+    text = f'base = "{rig.base_frame}"\n'
+    for topic, T in ((rig.horizontal.topic, rig.horizontal.T_base_sensor), (rig.vertical.topic, T_vertical)):
+        text += f'[[lidar]]\ntopic = "{topic}"\ntranslation = {T[:3, 3].tolist()}\n'
+        text += f"quaternion_xyzw = {transforms.quaternion_xyzw(T).tolist()}\n"
+    file.write_text(f"{text}clock_s = {clock_s}\n")
