@@ -44,7 +44,7 @@ class LevelsSettings(StepSettings):
     overhead_width_m: float = Field(
         0.8, gt=0, description="Minimum diameter (m) of a disc in a ceiling; ducts are narrower."
     )
-    overhead_gap_m: float = Field(0.3, ge=0, description="Minimum distance (m) of it from a known ceiling.")
+    overhead_gap_m: float = Field(0.3, ge=0, description="Minimum distance (m) of it from a higher ceiling.")
     slope_min: float = Field(0.15, gt=0, description="Minimum rise per metre of a sloping ceiling.")
     slope_max: float = Field(1.8, gt=0, description="Maximum rise per metre of a sloping ceiling; steeper is a wall.")
     slope_bottom_m: float = Field(1.0, gt=0, description="Minimum height (m) above the floor of a sloping ceiling.")
@@ -328,14 +328,15 @@ def _heights_above_floor(votes: VoxelVotes, settings: LevelsSettings) -> tuple[_
 def map_glimpsed_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     """Ceilings that no scan found, of rooms seen through a doorway: the highest there is, level, and too broad for a duct.
 
-    A scan finds the ceiling above it; to it, what is higher or lower is clutter.
+    A scan finds the ceiling above it; to it, what is higher or lower is clutter. Where its plane meets the walls of a room with
+    a higher ceiling, it leaves a line of ceiling on them: only a ceiling that is higher shows that something hangs below it.
     """
     grid, above_m = _heights_above_floor(votes, settings)
     label, position = votes.label, votes.mean_position
     highest_m = grid.heights(position[(label == Label.CLUTTER) & (above_m > settings.overhead_min_m)], 1.0)
-    known = votes.seen(settings.votes_min) & (label == Label.CEILING)
-    away, _ = _nearest(np.isfinite(grid.heights(position[known])))
-    highest_m[away * grid.cell_m < settings.overhead_gap_m] = np.nan
+    ceiling_m = grid.heights(position[votes.seen(settings.votes_min) & (label == Label.CEILING)], 1.0)
+    beside_cells = 2 * round(settings.overhead_gap_m / grid.cell_m) + 1
+    highest_m[_highest_around(ceiling_m, beside_cells) > highest_m + settings.margin_m] = np.nan
     around_m = _median_around(highest_m)
     level = np.abs(highest_m - around_m) < settings.flat_m
     broad = grid.broad(_closed(level), settings.overhead_width_m)

@@ -160,6 +160,20 @@ def test_a_glimpsed_ceiling_is_high_broad_and_the_highest(
     assert map_glimpsed_ceilings(votes, SETTINGS).label_of(point, np.array([Label.CLUTTER], np.uint8))[0] == expected
 
 
+def test_a_lower_ceiling_that_cuts_the_walls_of_a_room_hides_no_strip_of_its_own() -> None:
+    """A metre of a higher ceiling, seen over a doorway's head between two lines that the corridor's ceiling leaves on its walls."""
+    pieces = [
+        (lying((0, 7), (0, 4), 0.01), Label.FLOOR),
+        (lying((0, 4), (0, 4), 2.52), Label.CEILING),
+        (lying((5.0, 6.0), (0, 4), 2.67), Label.CLUTTER),
+        *((lying((x, x + 0.06), (0, 4), 2.52), Label.CEILING) for x in (4.9, 6.04)),
+    ]
+    votes = merge([vote(p, np.full(len(p), label, np.uint8), len(Label), 0.05) for p, label in pieces] * 3)
+    places = np.array([[x, y, 2.67] for x in (5.15, 5.5, 5.85) for y in (0.5, 2.0, 3.5)])
+    found = map_glimpsed_ceilings(votes, SETTINGS).label_of(places, np.full(len(places), Label.CLUTTER, np.uint8))
+    assert np.all(found == Label.CEILING)
+
+
 @pytest.mark.parametrize(
     ("x", "y", "expected"),
     [
