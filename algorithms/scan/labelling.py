@@ -188,15 +188,31 @@ def _label_leaves(
 ) -> None:
     """Returns within a closed opening, on its leaf, are door, though they lie near enough to the wall to be wall."""
     for o in np.flatnonzero(openings.state == DoorState.CLOSED):
-        (nx, ny), offset_m = planes.normal[openings.plane[o]], planes.offset_m[openings.plane[o]]
+        k, depth_m = openings.plane[o], openings.depth_m[o]
+        nx, ny = planes.normal[k]
         low, high = np.sort(openings.ends[o] @ np.array([-ny, nx]))
-        may_be = ((label == Label.CLUTTER) | (label == Label.WALL)) & (returns.height_m < openings.head_m[o])
-        rows = np.flatnonzero(may_be)
-        x, y, _ = returns.points_level[rows].T
-        u, s = -ny * x + nx * y, nx * x + ny * y - offset_m
-        on_leaf = (u > low - margin_m) & (u < high + margin_m)
-        on_leaf &= (s > -openings.depth_m[o] - 0.05) & (s < -0.5 * openings.depth_m[o])
-        label[rows[on_leaf]], plane[rows[on_leaf]] = Label.DOOR, openings.plane[o]
+        within = (low - margin_m, high + margin_m), (-depth_m - 0.05, -0.5 * depth_m), openings.head_m[o]
+        _label_leaf(returns.points_level, returns.height_m, label, plane, (nx, ny, planes.offset_m[k]), within, k)
+
+
+@numba.njit(cache=True, nogil=True)
+def _label_leaf(
+    points: FloatArray,
+    height: FloatArray,
+    label: UInt8Array,
+    plane: IntArray,
+    wall: tuple[float, float, float],
+    within: tuple[tuple[float, float], tuple[float, float], float],
+    number: int,
+) -> None:  # pragma: no cover
+    """wall: normal and offset. within: minimum and maximum along the wall and across it, and the opening's head."""
+    nx, ny, offset = wall
+    (low, high), (deepest, nearest), head = within
+    for i in range(len(points)):
+        if (label[i] == Label.CLUTTER or label[i] == Label.WALL) and height[i] < head:
+            x, y = points[i, 0], points[i, 1]
+            if low < -ny * x + nx * y < high and deepest < nx * x + ny * y - offset < nearest:
+                label[i], plane[i] = Label.DOOR, number
 
 
 @numba.njit(cache=True, nogil=True)
