@@ -5,7 +5,7 @@ gathered, a new cloud beginning where the azimuth comes round.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from itertools import islice
 
 import numpy as np
@@ -50,6 +50,12 @@ class CloudIndex:
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
+
+    def until(self, stop_ns: int) -> "CloudIndex":
+        """The clouds before the first one that is stamped at that time or later."""
+        count = int(np.argmax(np.append(self.stamp_ns >= stop_ns, True)))
+        arrays = {field.name: getattr(self, field.name)[:count] for field in fields(self) if field.name != "topic"}
+        return replace(self, **arrays)
 
     @property
     def period_ns(self) -> int | None:

@@ -98,7 +98,8 @@ def place_and_level(
     metres up for each metre along x and y. max_deg: a floor that slopes more against the map's is a ramp.
     """
     placed = place_scan(ranges.of(scan), trajectory, T_base_sensor, base_height_m)
-    floor = find_floor(placed.points_level, rearrangement)
+    x, y, level_m = placed.T_map_level[:3, 3]
+    floor = find_floor(placed.points_level, rearrangement, float(floor_slope @ [x, y]) - level_m)
     wanted = floor_slope @ placed.T_map_level[:2, :2]
     if len(floor.pieces):
         # At a ramp's foot or top no one slope is the floor's.

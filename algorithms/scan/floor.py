@@ -8,6 +8,9 @@ import numpy as np
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.scan.rearrangement import HEIGHT_BIN_M, HorizontalPlane, RearrangementSettings, refine_plane
 
+_SUPPORT_MIN = 20
+"""Minimum number of returns on a floor."""
+
 
 @dataclass(frozen=True)
 class Floor(HorizontalPlane):
@@ -45,24 +48,36 @@ class Floor(HorizontalPlane):
         return self.pieces[:, 1:] if len(self.pieces) else super().slopes
 
 
-def find_floor(points_level: FloatArray, settings: RearrangementSettings) -> Floor:
-    """The floor below the robot, near the map's (paper: "we can straightforward locate where the floor is").
+def find_floor(points_level: FloatArray, settings: RearrangementSettings, map_floor_m: float = 0.0) -> Floor:
+    """The floor below the robot, near where it is expected (paper: "we can straightforward locate where the floor is").
 
-    The height that holds most returns within `floor_search_m` of the map's floor, refined to a plane by least squares
+    The height that holds most returns within `floor_search_m` of where it is expected, refined to a plane by least squares
     over its returns, so that drift, a sloping floor or a tilted mount do not cut it; to two planes where it bends. Falls
-    back to the map's floor where too few returns are near it.
+    back to the level frame's floor where too few returns are near.
+
+    It is expected as far below the base as at the first pose, which on ramps holds for what drives, and where the map's floor
+    is, which holds for what is carried or flies; what more returns lie on is the floor. map_floor_m: height of the latter in
+    the level frame.
     """
     # A third of the returns place the plane as well, to a fraction of a millimetre.
     points_level = np.ascontiguousarray(points_level[::3])
-    histogram = _low_histogram(points_level, settings.floor_search_m, HEIGHT_BIN_M)
-    width = max(1, round(settings.floor_height_m / HEIGHT_BIN_M))
-    counts = np.convolve(histogram, np.ones(width), mode="same")
-    mode = int(np.argmax(counts))
-    if counts[mode] < 20:
+    height_m, support = _fullest(points_level, 0.0, settings)
+    if abs(map_floor_m) > settings.floor_search_m:
+        height_m, support = max(
+            (height_m, support), _fullest(points_level, map_floor_m, settings), key=lambda found: found[1]
+        )
+    if support < _SUPPORT_MIN:
         return Floor(0.0, np.zeros(2), 0)
-    height_m = -settings.floor_search_m + (mode + 0.5) * HEIGHT_BIN_M
     plane = refine_plane(points_level, height_m, np.zeros(2), settings.floor_height_m, settings.floor_slope_max, 10.0)
     return Floor(plane.height_m, plane.slope, plane.support, *_bend(points_level, plane, settings))
+
+
+def _fullest(points_level: FloatArray, expected_m: float, settings: RearrangementSettings) -> tuple[float, int]:
+    """The height near an expected one that holds most returns, and how many."""
+    histogram = _histogram(points_level, expected_m, settings.floor_search_m, HEIGHT_BIN_M)
+    counts = np.convolve(histogram, np.ones(max(1, round(settings.floor_height_m / HEIGHT_BIN_M))), mode="same")
+    mode = int(np.argmax(counts))
+    return expected_m - settings.floor_search_m + (mode + 0.5) * HEIGHT_BIN_M, int(counts[mode])
 
 
 def _bend(points_level: FloatArray, plane: HorizontalPlane, settings: RearrangementSettings) -> tuple[FloatArray, bool]:
@@ -140,10 +155,10 @@ def _consensus_plane(
 
 
 @numba.njit(cache=True, nogil=True)
-def _low_histogram(points: FloatArray, search_m: float, bin_m: float) -> IntArray:  # pragma: no cover
+def _histogram(points: FloatArray, middle_m: float, search_m: float, bin_m: float) -> IntArray:  # pragma: no cover
     histogram = np.zeros(int(np.ceil(2 * search_m / bin_m)), np.int64)
     for i in range(len(points)):
-        z = points[i, 2]
+        z = points[i, 2] - middle_m
         if abs(z) < search_m and points[i, 0] ** 2 + points[i, 1] ** 2 < 36.0:
             histogram[min(int((z + search_m) / bin_m), len(histogram) - 1)] += 1
     return histogram

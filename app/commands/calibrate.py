@@ -1,7 +1,7 @@
 """ffmap calibrate: where the vertical lidar sits and by which clock it runs, from a drive; a rig file and a picture of both."""
 
 import json
-from itertools import takewhile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -48,8 +48,7 @@ def calibrate(bag: Path, options: InputOptions, out: Path, recording: Path | Non
     # By the horizontal lidar alone: a mount that is off would bend the poses.
     settings = load_settings(None, ["refinement.companion_points_max=0"])
     with Progress(quiet) as progress:
-        progress.stage("odometry", None)
-        odometry = _drive(inputs, settings, seconds)
+        odometry = _drive(inputs, settings, seconds, progress)
         progress.stage("mount", None)
         checked = check_mount(inputs, odometry, settings, _SCANS, _SCANS, _RETURNS) if len(odometry) > 1 else None
         if checked is None:
@@ -69,14 +68,16 @@ def calibrate(bag: Path, options: InputOptions, out: Path, recording: Path | Non
         typer.echo(f"recording: {recording}  (before red, after green; ffmap view {recording})")
 
 
-def _drive(inputs: Inputs, settings: Settings, seconds: float) -> Trajectory:
-    """T_odom_base of the first seconds of the drive."""
+def _drive(inputs: Inputs, settings: Settings, seconds: float, progress: Progress) -> Trajectory:
+    """T_odom_base of the first seconds of the drive, their loops closed: what drifts would be taken for the mount."""
     assert inputs.horizontal is not None
-    odometry = Odometry(inputs, inputs.horizontal, settings)
-    first_ns = int(inputs.horizontal.index.stamp_ns[0])
-    for _ in takewhile(lambda registration: registration.stamp_ns - first_ns < 1e9 * seconds, odometry):
-        pass
-    return odometry.registered()
+    index = inputs.horizontal.index
+    sensor = replace(inputs.horizontal, index=index.until(int(index.stamp_ns[0] + 1e9 * seconds)))
+    progress.stage("odometry", len(sensor.index))
+    odometry = Odometry(inputs, sensor, settings)
+    for _ in odometry:
+        progress.advance()
+    return odometry.trajectory
 
 
 def _laid(inputs: Inputs, odometry: Trajectory, settings: Settings) -> FloatArray:

@@ -51,6 +51,17 @@ def test_index_and_any_slice(tmp_path, name):
                 np.testing.assert_array_equal(scan.points_sensor, whole[i][1].points_sensor)
 
 
+@pytest.mark.parametrize(("stop_ns", "count"), [(0, 0), (35, 4), (40, 4), (1000, 10)])
+def test_the_first_part_of_an_index_holds_what_comes_before(tmp_path, stop_ns, count):
+    path = write_bag(tmp_path / "a.bag", clouds("/a", 10, ros_version=1), 50_000, "")
+    with open_bag(path) as bag:
+        part = index_clouds(bag, "a").until(START_NS + stop_ns * PERIOD_NS // 10)
+        assert len(part) == count
+        assert len(part.usable) == len(part.earlier) == count
+        assert part.topic == "/a"
+        assert np.all(part.stamp_ns < START_NS + stop_ns * PERIOD_NS // 10)
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_clouds_with_the_same_log_time_are_told_apart(tmp_path, name):
     made = clouds("/a", 9, ros_version=version(name))

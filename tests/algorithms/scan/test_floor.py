@@ -56,3 +56,18 @@ def test_a_floor_bends_at_a_ramp(top: bool, turn_deg: float) -> None:
     np.testing.assert_allclose(points[:, 2] - floor.height_at(points), floor.heights_above(points), atol=1e-5)
     # One plane through both pieces would lie centimetres off.
     assert np.abs(points[:, 2] - Floor(floor.height_m, floor.slope, 0).height_at(points) - above_m).max() > 0.03
+
+
+@pytest.mark.parametrize("lifted_m", [0.2, 0.65, 1.4])
+def test_the_floor_of_a_sensor_that_is_lifted_is_the_maps(lifted_m: float) -> None:
+    """What stands where the floor would be if the sensor drove, such as a shelf, holds fewer returns."""
+    generator = np.random.default_rng(1)
+    shelf = generator.uniform([-3.0, 1.0, -0.02], [3.0, 2.0, 0.02], (1500, 3)).astype(np.float32)
+    points = np.concatenate([ground(LEVEL) - np.array([0, 0, lifted_m], np.float32), shelf])
+    floor = find_floor(points, SETTINGS, map_floor_m=-lifted_m - 0.03)
+    assert floor.height_m == pytest.approx(-lifted_m, abs=0.003)
+
+
+def test_the_floor_of_a_robot_on_a_ramp_is_below_it() -> None:
+    """The map's floor is under the ramp, where nothing is seen."""
+    assert find_floor(ground(LEVEL), SETTINGS, map_floor_m=-0.8).height_m == pytest.approx(0.0, abs=0.003)

@@ -38,3 +38,21 @@ def test_a_scan_is_levelled_by_a_floor_that_is_a_plane(ramp: float, tilt_deg: fl
     assert (len(floor.pieces) == 2) == (ramp > 0)
     if turned:
         assert np.hypot(*find_floor(placed.points_level, rearrangement).slope) < 0.001
+
+
+def test_a_scan_of_a_lidar_that_is_lifted_keeps_the_maps_floor() -> None:
+    """A device in a hand: it was 1 m above a floor that slopes when the map began, and is 1.7 m above it 5 m farther on."""
+    generator = np.random.default_rng(0)
+    slope, at_m, height_m = np.array([0.01, 0.0]), np.array([5.0, 0.0]), 1.7
+    places = generator.uniform(-3, 3, (30_000, 2))
+    scan = scan_of(places @ slope - height_m + generator.normal(0, 0.01, len(places)), places)
+    T_map_base = np.eye(4)
+    T_map_base[:3, 3] = [*at_m, height_m + at_m @ slope]
+    trajectory = Trajectory(np.array([-1, 1]) * 10**9, np.tile(T_map_base, (2, 1, 1)))
+    ranges = smooth_ranges(scan, SmoothingSettings(returns=0))
+    level = place_and_level(scan, ranges, trajectory, np.eye(4), 1.0, slope, SETTINGS.rearrangement, 2.0)
+    assert level.floor.support > 5000
+    heights_m = level.floor.heights_above(level.placed.points_level)
+    assert abs(heights_m.mean()) < 0.002
+    in_map = level.placed.to_map(level.placed.points_level)
+    np.testing.assert_allclose((in_map[:, 2] - in_map[:, :2] @ slope).mean(), 0.0, atol=0.003)
