@@ -28,9 +28,11 @@ class Patches:
             return cls(np.zeros((0, 3)), np.zeros((0, 3)))
         count = np.bincount(row)
         centre = np.stack([np.bincount(row, points[:, axis]) / count for axis in range(3)], axis=1)
-        near = centre[cKDTree(centre).query(centre, k=neighbours)[1]]
-        middle = near.mean(axis=1, keepdims=True)
-        centred = near - middle
-        variance, direction = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred) / neighbours)
+        nearest = cKDTree(centre).query(centre, k=neighbours)[1]
+        # Weighted: of a plane that lies at a cube's side, few returns scatter into the next one.
+        near, weight = centre[nearest], count[nearest] / count[nearest].sum(axis=1, keepdims=True)
+        middle = np.einsum("nk,nki->ni", weight, near)
+        centred = near - middle[:, None]
+        variance, direction = np.linalg.eigh(np.einsum("nk,nki,nkj->nij", weight, centred, centred))
         flat = (variance[:, 0] < _THICKNESS_MAX_M**2) & (variance[:, 1] > _BREADTH_MIN_M**2)
-        return cls(middle[flat, 0], direction[flat, :, 0])
+        return cls(middle[flat], direction[flat, :, 0])
