@@ -81,7 +81,7 @@ def index_clouds(bag: Bag, topic: str) -> CloudIndex:
         raise InputError(
             f"{bag.path.name}: topic {found.name} is {found.msgtype}, not a PointCloud2; {cloud_hint(bag)}"
         )
-    log_time_ns, stamps = _stamps(bag, found.name)
+    log_time_ns, stamps = read_stamps(bag, found.name)
     counts: IntArray = np.ones(len(stamps), np.int64)
     if found.msgtype == CLOUD_TYPE and _are_parts(stamps, log_time_ns):
         counts = _revolutions(bag, found.name, stamps)
@@ -143,8 +143,8 @@ def cloud_hint(bag: Bag) -> str:
     return f"the bag's clouds are on: {', '.join(topics)}" if topics else "the bag has no clouds"
 
 
-def _stamps(bag: Bag, topic: str) -> tuple[IntArray, IntArray]:
-    """Log times and header stamps (m,); seconds and nanoseconds lie at bytes 4 to 12 in ROS 1 and in CDR."""
+def read_stamps(bag: Bag, topic: str) -> tuple[IntArray, IntArray]:
+    """Log times and header stamps (m,) of a topic's messages; seconds and nanoseconds lie at bytes 4 to 12 in ROS 1 and in CDR."""
     times_ns, heads = [], []
     for time_ns, head in bag.heads(topic, _STAMP_BYTES):
         times_ns.append(time_ns)

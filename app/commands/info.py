@@ -35,6 +35,7 @@ def describe(found: BagInfo) -> list[str]:
         lines.append(f"  not found: {found.rig_problem}")
     else:
         lines.append(f"  base frame: {found.rig.base_frame or 'the lidar itself'}")
+        lines.append(f"  mounts from: {found.rig.mounts_from}")
         for role, lidar in (("horizontal", found.rig.horizontal), ("vertical", found.rig.vertical)):
             lines.append(f"  {role}: {f'{lidar.topic} ({lidar.reasons})' if lidar else 'none'}")
     if found.tree.edges:
