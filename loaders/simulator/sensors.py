@@ -123,7 +123,7 @@ def mount_lidars(settings: SimulationSettings, rng: np.random.Generator) -> tupl
     names: tuple[str, ...] = {
         "velodyne": ("/horizontal_velodyne/velodyne_points", "horizontal_velodyne",
                      "/vertical_velodyne/velodyne_points", "vertical_velodyne"),
-        "ouster": ("/os1_cloud_node1/points", "sensor1/os_sensor", "/os1_cloud_node2/points", "sensor2/os_sensor")
+        "ouster": ("/horizontal_ouster/points", "horizontal_ouster", "/vertical_ouster/points", "vertical_ouster")
     }[model.layout]  # fmt: skip
     if settings.lidars == "one":
         names = {"velodyne": ("/velodyne_points", "velodyne"), "ouster": ("/ouster/points", "os_sensor")}[model.layout]
