@@ -35,10 +35,10 @@ def test_a_printed_rig_is_a_rig_file_and_run_json_says_which_was_used(tmp_path: 
         assert ("by its topics and frames" in info.stdout) == (name == "auto")
     assert said["auto"] == said["named"] == "  mounts from: the built-in rig mars"
     assert said["file"] == f"  mounts from: the rig file {mine}"
-    words = ("run", bag, "--out", tmp_path / "run", "--outputs", "geojson", "--no-save", "--quiet")
+    words = ("run", bag, "--out", tmp_path / "run", "--detail", "map", "--quiet")
     done = ffmap(environment, *words)
     assert done.returncode == 0, done.stderr
     record = json.loads((tmp_path / "run" / "run.json").read_text())
-    assert record["rig"]["mounts_from"] == "the built-in rig mars"
+    assert record["mounts_from"] == "the built-in rig mars"
     assert record["rig"]["vertical"]["frame"] == "horizontal_velodyne"
     assert any("built-in rig mars" in warning for warning in record["warnings"])
