@@ -177,7 +177,6 @@ def find_rig(
     topics = cloud_topics(bag)
     if not topics:
         raise _no_clouds(bag)
-    described = described or _fitting_built_in(bag, topics, asked, warnings)
     entries: dict[str, RigEntry] = {}
     if described:
         entries = _named_topics(bag, described, topics)
@@ -185,6 +184,9 @@ def find_rig(
     if len(asked) == 2:
         topics = [t for t in topics if t in asked.values()]
     candidates = _candidates(bag, topics, time_from, warnings)
+    if described is None and (fitting := _fitting_built_in(bag, candidates, asked, warnings)):
+        described, entries = fitting
+        candidates = [c for c in candidates if c.topic in entries]
     candidates = _one_a_frame(bag, candidates, {*asked.values(), *entries}, warnings)
     candidates, base, edges = _place(bag, candidates, described, entries, asked, warnings)
     _check_reach(described.path if described else bag.path, candidates, base)
@@ -212,14 +214,16 @@ def find_rig(
     return Rig(base, roles.get("horizontal"), roles.get("vertical"), edges, tuple(warnings), mounts_from)
 
 
-def _fitting_built_in(bag: Bag, topics: list[str], asked: dict[Role, str], warnings: list[str]) -> RigFile | None:
-    """The built-in rig whose topics and frames the bag has, unless the bag's own transforms place its lidars: these are of
-    this very robot, the rig is of the data set.
+def _fitting_built_in(
+    bag: Bag, candidates: list[_Candidate], asked: dict[Role, str], warnings: list[str]
+) -> tuple[RigFile, dict[str, RigEntry]] | None:
+    """The built-in rig whose topics and frames the bag has, with the lidars by their topics, unless the bag's own transforms
+    place them: these are of this very robot, the rig is of the data set.
     """
-    fitting = [rig for rig in built_in_rigs() if _fits(bag, topics, rig)]
-    if len(fitting) != 1 or not set(asked.values()) <= _named_topics(bag, fitting[0], topics).keys():
+    fitting = [(rig, entries) for rig in built_in_rigs() if (entries := _fitting_entries(bag, candidates, rig))]
+    if len(fitting) != 1 or not set(asked.values()) <= fitting[0][1].keys():
         return None
-    rig = fitting[0]
+    rig, entries = fitting[0]
     tree = read_frame_tree(bag, [entry.frame for entry in rig.lidars if entry.frame])
     off = _off_from_bag(tree, rig)
     if off is None:
@@ -227,7 +231,7 @@ def _fitting_built_in(bag: Bag, topics: list[str], asked: dict[Role, str], warni
             f"the bag has no transforms that place its lidars; by its topics and frames it is of {rig.said} "
             f"({rig.description}), whose mounts are used; --rig FILE overrules that"
         )
-        return rig
+        return rig, entries
     off_deg, off_m = off
     if off_deg > _SAME_DEG or off_m > _SAME_M:
         warnings.append(
@@ -237,13 +241,18 @@ def _fitting_built_in(bag: Bag, topics: list[str], asked: dict[Role, str], warni
     return None
 
 
-def _fits(bag: Bag, topics: list[str], rig: RigFile) -> bool:
-    """Whether the bag has every topic of the rig, the lidars' with their frames."""
-    bare = {name.removeprefix("/"): name for name in bag.topics if bag.topics[name].count}
-    if not {name.removeprefix("/") for name in rig.with_topics} <= bare.keys():
-        return False
-    own = [(bare.get((entry.topic or "").removeprefix("/")), entry.frame) for entry in rig.lidars]
-    return all(name in topics for name, _ in own) and all(_frame_of(bag, name) == frame for name, frame in own if name)
+def _fitting_entries(bag: Bag, candidates: list[_Candidate], rig: RigFile) -> dict[str, RigEntry]:
+    """The rig's lidars by the bag's topics; none where the bag lacks a topic of the rig, or has it with another frame."""
+    present = {topic.name.removeprefix("/") for topic in bag.topics.values() if topic.count}
+    entries = {
+        candidate.topic: entry
+        for entry in rig.lidars
+        for candidate in candidates
+        if entry.topic is not None
+        and (entry.topic.removeprefix("/"), entry.frame) == (candidate.topic.removeprefix("/"), candidate.frame_id)
+    }
+    known = {topic.removeprefix("/") for topic in rig.with_topics} <= present
+    return entries if known and len(entries) == len(rig.lidars) else {}
 
 
 def _off_from_bag(tree: FrameTree, rig: RigFile) -> tuple[float, float] | None:
