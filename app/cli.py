@@ -166,6 +166,27 @@ class Info(OfTheBag):
 
 
 @_command
+class Rigs:
+    """The rigs of public data sets that are built in, or the file of one, as a start for your own.
+
+    A bag whose topics and frames are those of one, and whose own transforms do not place its lidars, is taken to be of it.
+
+    Examples:
+
+        ffmap rigs
+
+        ffmap rigs mars > my.toml
+    """
+
+    name: str | None = argument(None, metavar="[NAME]", help="Print the file of this one.")
+
+    def __call__(self) -> None:
+        from ffmap.app.commands.rigs import rigs
+
+        rigs(self.name)
+
+
+@_command
 class Calibrate(OfTheBag):
     """Refine where the vertical lidar sits and by which clock it runs, from a drive with two lidars.
 
@@ -207,13 +228,20 @@ class Simulate:
         ffmap simulate angled --building angled --sensor vlp16 --format mcap
 
         ffmap simulate one.bag --sensor os0-128 --lidars one
+
+        ffmap simulate viral.bag --layout ntu_viral
     """
 
     out: Path = argument(help="Bag to write: a file (bag), or a folder (mcap, db3).")
     building: str = option("office", help="Kind of building: small, office, ell, angled or lab.")
     seed: int = option(0, min=0, help="Another building, other furniture, another drive.")
-    sensor: str = option("hdl32e", help="hdl32e, vlp16, os1-16, os0-128 or qt64.")
-    lidars: str = option("two", help="two: one upright and one on its side; one: an upright one alone.")
+    sensor: str | None = option(None, help="hdl32e, vlp16, os1-16, os0-128, qt64 or xt32.  [default: hdl32e]")
+    lidars: str | None = option(
+        None, help="two: one upright and one on its side; one: an upright one alone.  [default: two]"
+    )
+    layout: str = option(
+        "plain", help="plain, or as the bags of a public data set, with its sensors: a name that 'ffmap rigs' lists."
+    )
     format_: str = option("bag", "--format", help="bag (ROS 1), mcap or db3 (ROS 2).")
     duration: float = option(60.0, min=1.0, help="Seconds of driving.")
     set_: list[str] | None = option(
@@ -224,7 +252,8 @@ class Simulate:
     def __call__(self) -> None:
         from ffmap.app.commands.simulate import simulate
 
-        values = {name: getattr(self, name) for name in ("building", "seed", "sensor", "lidars")}
+        values = {name: getattr(self, name) for name in ("building", "seed", "sensor", "lidars", "layout")}
+        values = {name: value for name, value in values.items() if value is not None}
         values |= {"format": self.format_, "duration_s": self.duration}
         simulate(self.out, values, self.set_ or (), self.quiet)
 

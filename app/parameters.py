@@ -32,7 +32,10 @@ def argument(default: Any = MISSING, show_default: bool = False, **options: Any)
 class OfTheBag:
     """What is said of a bag."""
 
-    rig: Path | None = option(None, help="TOML file that says where the lidars sit; asked before /tf_static.")
+    rig: Path | None = option(
+        None,
+        help="TOML file that says where the lidars sit, or the name of a built-in rig ('ffmap rigs'); asked before /tf_static.",
+    )
     horizontal: str | None = option(None, help="Topic of the lidar that gives the poses.")
     vertical: str | None = option(None, help="Topic of the lidar that sweeps the walls.")
     time_from: Literal["auto", "azimuth", "none"] = option(
@@ -43,8 +46,9 @@ class OfTheBag:
     def bag_options(self) -> "InputOptions":
         # Here: with it come the loaders, which '--help' need not wait for.
         from ffmap.app.setup.inputs import InputOptions
+        from ffmap.loaders.rig_file import rig_path
 
-        return InputOptions(self.rig, self.horizontal, self.vertical, self.time_from)
+        return InputOptions(rig_path(self.rig) if self.rig else None, self.horizontal, self.vertical, self.time_from)
 
 
 @dataclass(frozen=True, kw_only=True)

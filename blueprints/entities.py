@@ -463,6 +463,7 @@ def explain(record: Mapping[str, Any]) -> str:
     facts = {
         "bag": record.get("bag", {}).get("path"),
         "digest": record.get("bag", {}).get("digest"),
+        "mounts from": record.get("mounts_from"),
         "poses from": record.get("poses_from"),
         "started": record.get("started"),
         "settings": record.get("settings_hash"),

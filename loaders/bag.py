@@ -274,10 +274,16 @@ def _topics(readers: list[Reader]) -> dict[str, Topic]:
     return dict(sorted(topics.items()))
 
 
+_LIVOX_POINT = "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line"
+_LIVOX_CLOUD = (
+    "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\nCustomPoint[] points"
+)
 _EXTRA_TYPES = {
     "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
     "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
     "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
+    **{f"{driver}/msg/CustomPoint": _LIVOX_POINT for driver in ("livox_ros_driver", "livox_ros_driver2")},
+    **{f"{driver}/msg/CustomMsg": _LIVOX_CLOUD for driver in ("livox_ros_driver", "livox_ros_driver2")},
 }
 
 

@@ -11,10 +11,10 @@ import numpy as np
 from ffmap.loaders.bag import Bag, Message, open_bag
 from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.frames import FrameTree, read_frame_tree
-from ffmap.loaders.packets import PACKET_TYPE
 from ffmap.loaders.pointcloud2 import CloudDecoding, TimeFrom, decode, settle_decoding
 from ffmap.loaders.rig import Rig, find_rig
 from ffmap.loaders.scans import (
+    CLOUD_TYPE,
     CloudIndex,
     SkippedScan,
     clock_problem,
@@ -35,14 +35,15 @@ _READ_MAX = 400  # Maximum number of a lidar's clouds that are read to the last 
 class CloudInfo:
     """A topic with clouds.
 
-    packets: whether they are raw packets. points: valid points and all places of a cloud, medians.
+    decoded: whether its messages are made clouds here: raw packets, or a driver's own kind.
+    points: valid points and all places of a cloud, medians.
     read_count: clouds from all over the bag that were read to the last point; bad_clouds: why those of them with a right
         stamp that give no scan do not, and how many they are, the commonest first.
     decoding: how the clouds are read; None where they cannot be, and `problem` says why.
     """
 
     index: CloudIndex
-    packets: bool
+    decoded: bool
     points: tuple[int, int]
     read_count: int
     bad_clouds: tuple[tuple[str, int], ...]
@@ -123,8 +124,8 @@ def _describe_cloud(bag: Bag, topic: str, time_from: TimeFrom) -> CloudInfo:
     counts = _point_counts(messages, decoding) if decoding else []
     read_count, bad_clouds = _bad_clouds(bag, index, decoding) if decoding else (0, ())
     valid, places = np.median(counts, axis=0).astype(int).tolist() if counts else (0, 0)
-    packets = bag.topics[topic].msgtype == PACKET_TYPE
-    return CloudInfo(index, packets, (valid, places), read_count, bad_clouds, decoding, problem)
+    decoded = bag.topics[topic].msgtype != CLOUD_TYPE
+    return CloudInfo(index, decoded, (valid, places), read_count, bad_clouds, decoding, problem)
 
 
 def _point_counts(messages: list[Message], decoding: CloudDecoding) -> list[tuple[int, int]]:
@@ -189,7 +190,7 @@ def _missing(bag: Bag, clouds: tuple[CloudInfo, ...], tree: FrameTree, rig: Rig 
         return ["messages: the bag is empty"]
     lines = []
     if not clouds:
-        lines.append("clouds: without sensor_msgs/PointCloud2 or velodyne_msgs/VelodyneScan there is nothing to do")
+        lines.append("clouds: without PointCloud2, VelodyneScan or Livox CustomMsg there is nothing to do")
     for cloud in clouds:
         decoding, topic = cloud.decoding, cloud.index.topic
         if decoding and decoding.rings.source not in ("field", "row", "column"):
@@ -201,7 +202,7 @@ def _missing(bag: Bag, clouds: tuple[CloudInfo, ...], tree: FrameTree, rig: Rig 
             )
     if clouds and not tree.edges:
         needed = "one lidar needs none" if len(clouds) == 1 else "several lidars need --rig FILE.toml"
-        lines.append(f"transforms: {needed}")
+        lines.append(f"transforms: {f'{rig.mounts_from} says where the lidars sit' if rig else needed}")
     if rig and rig.vertical is None:
         lines.append("a vertical lidar: there is a trajectory and a recording, and nothing to label")
     if not any(name in bag.topics for name in (POSE_TOPIC, CLASSES_TOPIC, BUILDING_TOPIC)):

@@ -12,6 +12,7 @@ from ffmap.loaders.bag import Bag, Message
 from ffmap.loaders.bag_writer import BagWriter
 from ffmap.loaders.errors import CloudError
 from ffmap.loaders.firing_times import TimeField
+from ffmap.loaders.livox import LIVOX_TYPES
 from ffmap.loaders.pointcloud2 import describe_layout
 from ffmap.loaders.rig import Rig
 from ffmap.loaders.scans import CLOUD_TYPE, CloudIndex
@@ -83,6 +84,8 @@ def later(message: Message, topic: str, time: TimeField | None, shift_ns: int) -
     time: the field of the cloud's times; None where it has none.
     """
     moved = _stamped_later(message, shift_ns)
+    if message.__msgtype__ in LIVOX_TYPES:
+        return replace(moved, timebase=message.timebase + shift_ns)
     if message.__msgtype__ != CLOUD_TYPE:
         packets = [replace(packet, stamp=_later_time(packet.stamp, shift_ns)) for packet in message.packets]
         return replace(moved, packets=packets)

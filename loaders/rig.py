@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.scan.point_lines import COLUMN_PAIRS
 from ffmap.loaders.bag import Bag
 from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.frames import FrameTree, StaticTransform, read_frame_tree
 from ffmap.loaders.pointcloud2 import CloudDecoding, TimeFrom, decode, settle_decoding
-from ffmap.loaders.rig_file import RigEntry, RigFile, Role, read_rig_file
+from ffmap.loaders.rig_file import RigEntry, RigFile, Role, built_in_rigs, read_rig_file
 from ffmap.loaders.scans import cloud_hint, cloud_topics, index_clouds, sample_messages
 
 _SAMPLES = 8
@@ -26,6 +27,7 @@ _OPENING_MIN_DEG = 55.0  # A column of less shows floor and ceiling together onl
 _EQUAL_WITHIN_DEG = 5.0  # Lidars whose axes differ by less are equally upright: the one that sees more is taken
 _SECTORS = 36
 _REACH_MAX_M = 100.0
+_SAME_DEG, _SAME_M = 2.0, 0.05  # Mounts that differ by less are the same one, measured twice
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +90,7 @@ class Rig:
     vertical: is labelled; None where there is nothing to label.
     static_transforms: all that are known, for the results' /tf_static.
     warnings: what a user must know about the choice.
+    mounts_from: what says where the lidars sit, in words.
     """
 
     base_frame: str
@@ -95,6 +98,7 @@ class Rig:
     vertical: Lidar | None
     static_transforms: tuple[StaticTransform, ...]
     warnings: tuple[str, ...]
+    mounts_from: str = "the bag's transforms"
 
     def with_mount(self, mount: MountCorrection) -> "Rig":
         """The same with the vertical lidar where it was found to sit, in the static transforms too."""
@@ -160,7 +164,7 @@ def find_rig(
 ) -> Rig:
     """The rig of a bag.
 
-    rig_file: where the lidars sit; None to ask the bag's transforms.
+    rig_file: where the lidars sit; None to ask the bag's transforms, and where these do not place them the built-in rigs.
     horizontal, vertical: topics that are to have these roles; None to decide by the spin axes. One topic may have both.
     time_from: where the firings' times come from.
     Raises InputError: no clouds, an unknown topic or frame, several lidars and no transforms that join them, a rig file
@@ -173,14 +177,19 @@ def find_rig(
     topics = cloud_topics(bag)
     if not topics:
         raise _no_clouds(bag)
+    entries: dict[str, RigEntry] = {}
     if described:
-        topics = [*dict.fromkeys([*_named_topics(bag, described, topics), *asked.values()])]
+        entries = _named_topics(bag, described, topics)
+        topics = [*dict.fromkeys([*entries, *asked.values()])]
     if len(asked) == 2:
         topics = [t for t in topics if t in asked.values()]
     candidates = _candidates(bag, topics, time_from, warnings)
-    candidates = _one_a_frame(bag, candidates, _chosen(asked, described), warnings)
-    candidates, base, edges = _place(bag, candidates, described, asked, warnings)
-    _check_reach(rig_file or bag.path, candidates, base)
+    if described is None and (fitting := _fitting_built_in(bag, candidates, asked, warnings)):
+        described, entries = fitting
+        candidates = [c for c in candidates if c.topic in entries]
+    candidates = _one_a_frame(bag, candidates, {*asked.values(), *entries}, warnings)
+    candidates, base, edges = _place(bag, candidates, described, entries, asked, warnings)
+    _check_reach(described.path if described else bag.path, candidates, base)
     roles = _roles(candidates, asked, warnings)
     for topic, lidar in {lidar.topic: lidar for lidar in roles.values()}.items():
         name = f"{topic} ({' and '.join(role for role in roles if roles[role].topic == topic)})"
@@ -198,7 +207,73 @@ def find_rig(
             f"ceiling together (that takes {_OPENING_MIN_DEG:.0f}), and near walls are told by less; where it lies, --rig FILE "
             "tells its mount"
         )
-    return Rig(base, roles.get("horizontal"), roles.get("vertical"), edges, tuple(warnings))
+    placed = len(candidates) > 1 or base != candidates[0].frame_id
+    mounts_from = (
+        described.said if described else "the bag's transforms" if placed else "nothing: the only lidar is the base"
+    )
+    return Rig(base, roles.get("horizontal"), roles.get("vertical"), edges, tuple(warnings), mounts_from)
+
+
+def _fitting_built_in(
+    bag: Bag, candidates: list[_Candidate], asked: dict[Role, str], warnings: list[str]
+) -> tuple[RigFile, dict[str, RigEntry]] | None:
+    """The built-in rig whose topics and frames the bag has, with the lidars by their topics, unless the bag's own transforms
+    place them: these are of this very robot, the rig is of the data set.
+    """
+    fitting = [(rig, entries) for rig in built_in_rigs() if (entries := _fitting_entries(bag, candidates, rig))]
+    if len(fitting) != 1 or not set(asked.values()) <= fitting[0][1].keys():
+        return None
+    rig, entries = fitting[0]
+    tree = read_frame_tree(bag, [entry.frame for entry in rig.lidars if entry.frame])
+    off = _off_from_bag(tree, rig)
+    if off is None:
+        warnings.append(
+            f"the bag has no transforms that place its lidars; by its topics and frames it is of {rig.said} "
+            f"({rig.description}), whose mounts are used; --rig FILE overrules that"
+        )
+        return rig, entries
+    off_deg, off_m = off
+    if off_deg > _SAME_DEG or off_m > _SAME_M:
+        warnings.append(
+            f"by topics and frames the bag is of {rig.said} ({rig.description}), but its own transforms put the lidars "
+            f"{off_deg:.1f} deg and {100 * off_m:.0f} cm elsewhere: they are used; --rig {rig.name} takes the rig's mounts"
+        )
+    return None
+
+
+def _fitting_entries(bag: Bag, candidates: list[_Candidate], rig: RigFile) -> dict[str, RigEntry]:
+    """The rig's lidars by the bag's topics; none where the bag lacks a topic of the rig, or has it with another frame."""
+    present = {topic.name.removeprefix("/") for topic in bag.topics.values() if topic.count}
+    entries = {
+        candidate.topic: entry
+        for entry in rig.lidars
+        for candidate in candidates
+        if entry.topic is not None
+        and (entry.topic.removeprefix("/"), entry.frame) == (candidate.topic.removeprefix("/"), candidate.frame_id)
+    }
+    known = {topic.removeprefix("/") for topic in rig.with_topics} <= present
+    return entries if known and len(entries) == len(rig.lidars) else {}
+
+
+def _off_from_bag(tree: FrameTree, rig: RigFile) -> tuple[float, float] | None:
+    """By how many degrees and metres the bag's transforms put the rig's lidars elsewhere, seen from its first; None where they
+    do not place all of them.
+    """
+    frames = [entry.frame or "" for entry in rig.lidars]
+    alone = len(frames) == 1 and tree.root(frames[0])[0] == frames[0]
+    if alone or not set(frames) <= set(tree.frames):
+        return None
+    off_deg, off_m = 0.0, 0.0
+    first = rig.lidars[0].T_base_sensor
+    for entry, frame in zip(rig.lidars[1:], frames[1:], strict=True):
+        T_bag = tree.between(frames[0], frame)
+        if T_bag is None or first is None or entry.T_base_sensor is None:
+            return None
+        T_off = transforms.invert(T_bag) @ transforms.invert(first) @ entry.T_base_sensor
+        twist = transforms.to_twist(T_off)
+        off_deg = max(off_deg, float(np.degrees(np.linalg.norm(twist[:3]))))
+        off_m = max(off_m, float(np.linalg.norm(twist[3:])))
+    return off_deg, off_m
 
 
 def _cloud_topic(bag: Bag, name: str, role: str) -> str:
@@ -212,9 +287,9 @@ def _cloud_topic(bag: Bag, name: str, role: str) -> str:
 def _no_clouds(bag: Bag) -> InputError:
     if bag.start_ns is None:
         return InputError(f"{bag.path}: the bag is empty, it has no messages; record it again")
-    names = ", ".join(bag.topics)
     return InputError(
-        f"{bag.path}: no PointCloud2 and no VelodyneScan in the bag; its topics are: {names}. Record the lidars' clouds"
+        f"{bag.path}: no PointCloud2, VelodyneScan or Livox CustomMsg in the bag; its topics are: {', '.join(bag.topics)}. "
+        "Record the lidars' clouds"
     )
 
 
@@ -256,12 +331,6 @@ def _unlike(stamps: IntArray, others: IntArray) -> bool:
     return len(np.intersect1d(stamps, others)) < 0.5 * min(len(stamps), len(others))
 
 
-def _chosen(asked: dict[Role, str], described: RigFile | None) -> set[str]:
-    """Topics that the user named: with and without leading slash."""
-    names = [*asked.values(), *(e.topic for e in described.lidars if e.topic)] if described else list(asked.values())
-    return {form for name in names for form in (name, f"/{name.removeprefix('/')}", name.removeprefix("/"))}
-
-
 def _one_a_frame(bag: Bag, candidates: list[_Candidate], chosen: set[str], warnings: list[str]) -> list[_Candidate]:
     """Of several clouds of one sensor (dual returns, filtered copies) the best; depth cameras only where there is no lidar."""
     best: dict[str, _Candidate] = {}
@@ -285,12 +354,17 @@ def _one_a_frame(bag: Bag, candidates: list[_Candidate], chosen: set[str], warni
 
 
 def _place(
-    bag: Bag, candidates: list[_Candidate], described: RigFile | None, asked: dict[Role, str], warnings: list[str]
+    bag: Bag,
+    candidates: list[_Candidate],
+    described: RigFile | None,
+    entries: dict[str, RigEntry],
+    asked: dict[Role, str],
+    warnings: list[str],
 ) -> tuple[list[_Candidate], str, tuple[StaticTransform, ...]]:
     """The candidates with their T_base_sensor, the base's frame, and all static transforms."""
     tree = read_frame_tree(bag, {c.frame_id for c in candidates})
     if described:
-        return _place_by_file(candidates, described, tree)
+        return _place_by_file(candidates, described, entries, tree)
     roots = {c.topic: tree.root(c.frame_id) for c in candidates}
     if len(candidates) == 1:
         base, T = roots[candidates[0].topic]
@@ -299,8 +373,11 @@ def _place(
     unknown = [c for c in candidates if c not in known]
     if not known:
         pairs = " and ".join(f"{c.frame_id} ({c.topic})" for c in candidates)
+        frames = {c.frame_id for c in candidates}
+        alike = [rig for rig in built_in_rigs() if {entry.frame for entry in rig.lidars} <= frames]
+        known_rig = f", --rig {alike[0].name}, a built-in rig with these frames," if alike else ""
         raise InputError(
-            f"{bag.path.name}: no transforms say where the lidars' frames {pairs} are; give --rig FILE.toml, or "
+            f"{bag.path.name}: no transforms say where the lidars' frames {pairs} are; give --rig FILE.toml{known_rig} or "
             "record /tf_static"
         )
     needed = [c for c in unknown if c.topic in asked.values()] or (unknown if len(known) < 2 else [])
@@ -337,12 +414,12 @@ def _check_reach(source: Path, candidates: list[_Candidate], base: str) -> None:
 
 
 def _place_by_file(
-    candidates: list[_Candidate], described: RigFile, tree: FrameTree
+    candidates: list[_Candidate], described: RigFile, entries: dict[str, RigEntry], tree: FrameTree
 ) -> tuple[list[_Candidate], str, tuple[StaticTransform, ...]]:
     base = described.base or tree.root(candidates[0].frame_id)[0]
     placed, edges = [], {edge.child: edge for edge in tree.edges}
     for candidate in candidates:
-        entry = next((e for e in described.lidars if _is_entry_of(e, candidate)), None)
+        entry = entries.get(candidate.topic)
         T = entry.T_base_sensor if entry else None
         if T is None:
             T = tree.between(base, candidate.frame_id)
@@ -430,29 +507,27 @@ def _roles_of_one(only: _Candidate, roles: dict[Role, Lidar], warnings: list[str
         _label_by_columns([only], roles, warnings)
 
 
-def _is_entry_of(entry: RigEntry, candidate: _Candidate) -> bool:
-    if entry.topic is not None:
-        return entry.topic.removeprefix("/") == candidate.topic.removeprefix("/")
-    return entry.frame == candidate.frame_id
-
-
-def _named_topics(bag: Bag, described: RigFile, topics: list[str]) -> list[str]:
-    """The topics that a rig file's entries mean; the frames of the bag's clouds are looked up in their first messages."""
-    named = []
+def _named_topics(bag: Bag, described: RigFile, topics: list[str]) -> dict[str, RigEntry]:
+    """The topics that a rig file's entries mean, with or without their leading slash; where an entry names none that the bag
+    has, its frame tells, which is looked up in the clouds' first messages.
+    """
+    named: dict[str, RigEntry] = {}
     for entry in described.lidars:
-        if entry.topic is not None:
-            matches = [t for t in topics if t.removeprefix("/") == entry.topic.removeprefix("/")]
-            if not matches:
-                raise InputError(f"{described.path}: topic {entry.topic} has no clouds in the bag; {cloud_hint(bag)}")
-        else:
+        matches = [
+            t for t in topics if entry.topic is not None and t.removeprefix("/") == entry.topic.removeprefix("/")
+        ]
+        if not matches and entry.frame is not None:
             frames = {topic: _frame_of(bag, topic) for topic in topics}
             matches = [topic for topic, frame in frames.items() if frame == entry.frame]
-            if not matches:
+            if not matches and entry.topic is None:
                 raise InputError(
                     f"{described.path}: frame {entry.frame} is unknown; the bag's clouds have the frames: "
                     f"{', '.join(sorted(set(frames.values())))}"
                 )
-        named += matches
+        if not matches:
+            raise InputError(f"{described.path}: topic {entry.topic} has no clouds in the bag; {cloud_hint(bag)}")
+        for topic in matches:
+            named.setdefault(topic, entry)
     return named
 
 

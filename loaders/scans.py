@@ -14,11 +14,12 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan, in
 from ffmap.loaders.bag import Bag, Message, RawMessage
 from ffmap.loaders.cloud_digest import digest_of
 from ffmap.loaders.errors import CloudError, InputError
+from ffmap.loaders.livox import LIVOX_TYPES, livox_cloud
 from ffmap.loaders.packets import PACKET_TYPE, PacketDecoder
 from ffmap.loaders.pointcloud2 import CloudDecoding, CloudLayout, decode, describe_layout, merge_clouds
 
 CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
-CLOUD_TYPES = (CLOUD_TYPE, PACKET_TYPE)
+CLOUD_TYPES = (CLOUD_TYPE, PACKET_TYPE, *LIVOX_TYPES)
 
 _STAMP_BYTES = 12
 _PART_NS = 4_000_000  # Clouds that come closer than this are parts of a revolution: no lidar spins at 250 Hz
@@ -84,10 +85,8 @@ def index_clouds(bag: Bag, topic: str) -> CloudIndex:
     """All clouds of a topic, from the headers of its messages alone. Raises InputError where it holds no clouds."""
     found = bag.topic(topic)
     if found.msgtype not in CLOUD_TYPES:
-        raise InputError(
-            f"{bag.path.name}: topic {found.name} is {found.msgtype}, not a PointCloud2; {cloud_hint(bag)}"
-        )
-    log_time_ns, stamps = _stamps(bag, found.name)
+        raise InputError(f"{bag.path.name}: topic {found.name} is {found.msgtype}, no point cloud; {cloud_hint(bag)}")
+    log_time_ns, stamps = read_stamps(bag, found.name)
     counts: IntArray = np.ones(len(stamps), np.int64)
     if found.msgtype == CLOUD_TYPE and _are_parts(stamps, log_time_ns):
         counts = _revolutions(bag, found.name, stamps)
@@ -149,8 +148,8 @@ def cloud_hint(bag: Bag) -> str:
     return f"the bag's clouds are on: {', '.join(topics)}" if topics else "the bag has no clouds"
 
 
-def _stamps(bag: Bag, topic: str) -> tuple[IntArray, IntArray]:
-    """Log times and header stamps (m,); seconds and nanoseconds lie at bytes 4 to 12 in ROS 1 and in CDR."""
+def read_stamps(bag: Bag, topic: str) -> tuple[IntArray, IntArray]:
+    """Log times and header stamps (m,) of a topic's messages; seconds and nanoseconds lie at bytes 4 to 12 in ROS 1 and in CDR."""
     times_ns, heads = [], []
     for time_ns, head in bag.heads(topic, _STAMP_BYTES):
         times_ns.append(time_ns)
@@ -274,7 +273,8 @@ def _lead_azimuths(heads: list[bytes], layout: CloudLayout) -> FloatArray:
 def read_messages(
     bag: Bag, index: CloudIndex, first: int = 0, count: int | None = None, digests: list[bytes] | None = None
 ) -> Iterator[tuple[int, Message]]:
-    """Clouds [first, first + count) as PointCloud2 messages, packets and partial clouds joined to whole revolutions.
+    """Clouds [first, first + count) as PointCloud2 messages: packets and partial clouds joined to revolutions, Livox's own
+    turned into one each.
 
     A CloudError in place of the message says that it cannot be made one. digests: takes the digest of each cloud's
     bytes as it is read.
@@ -309,6 +309,8 @@ def _to_cloud(bag: Bag, group: Sequence[RawMessage], packets: PacketDecoder | No
     try:
         # Of a part that was recorded twice, one will do.
         kept = [raw for i, raw in enumerate(group) if not i or raw.data != group[i - 1].data]
+        if bag.topics[kept[0].topic].msgtype in LIVOX_TYPES:
+            return livox_cloud(bag, kept[0])
         messages = [bag.deserialize(raw) for raw in kept]
         if packets:
             return packets.to_cloud(messages[0])

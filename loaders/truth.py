@@ -14,7 +14,7 @@ from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.geojson import check_features
 from ffmap.loaders.pointcloud2 import describe_layout, field_column, stamp_ns
-from ffmap.loaders.scans import index_clouds
+from ffmap.loaders.scans import read_stamps
 from ffmap.loaders.trajectory_file import read_pose_topic
 
 POSE_TOPIC = "/truth/pose"
@@ -34,25 +34,32 @@ class Truth:
 
 
 class TruthClasses:
-    """The clouds of /truth/classes by their stamps, which are those of the vertical clouds."""
+    """The clouds of /truth/classes by their stamps, which are those of the vertical clouds, packets or whole ones."""
 
     def __init__(self, bag: Bag) -> None:
         self._bag = bag
-        index = index_clouds(bag, CLASSES_TOPIC)
-        self._log_time_ns = dict(zip(index.stamp_ns.tolist(), index.log_time_ns.tolist(), strict=True))
+        log_time_ns, stamp_ns = read_stamps(bag, CLASSES_TOPIC)
+        self._log_time_ns = dict(zip(stamp_ns.tolist(), log_time_ns.tolist(), strict=True))
 
     def __len__(self) -> int:
         return len(self._log_time_ns)
 
-    def at(self, stamp: int) -> UInt8Array | None:
+    def at(self, stamp: int, places: int = 0) -> UInt8Array | None:
         """Classes (points of the cloud,) uint8 in the cloud's order; None where the bag has none for this stamp.
 
+        places: of the whole cloud, whose packets are joined, the first of them with this stamp.
         Raises CloudError where the message has no field `truth`.
         """
         log_time_ns = self._log_time_ns.get(stamp)
         if log_time_ns is None:
             return None
-        return next((c for s, c in self._read(log_time_ns, log_time_ns + 1) if s == stamp), None)
+        parts: list[UInt8Array] = []
+        for own_stamp, classes in self._read(log_time_ns, None):
+            if own_stamp == stamp or parts:
+                parts.append(classes)
+            if parts and sum(map(len, parts)) >= places:
+                break
+        return np.concatenate(parts)
 
     def __iter__(self) -> Iterator[tuple[int, UInt8Array]]:
         """Stamp in nanoseconds and classes of each cloud, in the bag's order."""

@@ -156,7 +156,7 @@ def _count_clouds(
         if isinstance(scan, SkippedScan) or message is None:
             counter.skip()
             continue
-        classes = bags.classes.at(scan.stamp_ns)
+        classes = bags.classes.at(scan.stamp_ns, scan.cloud_size)
         if classes is None or not share.trajectory.covers(np.array([scan.start_ns]), _MARGIN_NS)[0]:
             without_truth += 1
             continue

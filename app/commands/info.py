@@ -35,6 +35,7 @@ def describe(found: BagInfo) -> list[str]:
         lines.append(f"  not found: {found.rig_problem}")
     else:
         lines.append(f"  base frame: {found.rig.base_frame or 'the lidar itself'}")
+        lines.append(f"  mounts from: {found.rig.mounts_from}")
         for role, lidar in (("horizontal", found.rig.horizontal), ("vertical", found.rig.vertical)):
             lines.append(f"  {role}: {f'{lidar.topic} ({lidar.reasons})' if lidar else 'none'}")
     if found.tree.edges:
@@ -58,8 +59,8 @@ def _describe_cloud(cloud: CloudInfo) -> list[str]:
         f"rings: {ring_words(cloud.decoding)}",
         f"times: {time_words(cloud.decoding)}",
     ]
-    if cloud.packets:
-        lines.append("packets: raw, decoded to a cloud a revolution")
+    if cloud.decoded:
+        lines.append("messages: raw packets or a driver's own, each decoded to a cloud")
     if len(index) and (parts := np.median(index.message_count)) > 1:
         lines.append(f"messages: {parts:.0f} make a revolution")
     if cloud.problem is not None:

@@ -216,6 +216,7 @@ def first_record(
             "stamps": digest_stamps(inputs.used(given_poses is not None)),
         },
         "base_frame": inputs.rig.base_frame,
+        "mounts_from": inputs.rig.mounts_from,
         "rig": {
             role: {"topic": s.lidar.topic, "frame": s.lidar.frame_id, "why": s.lidar.reasons}
             for role, s in inputs.by_role.items()

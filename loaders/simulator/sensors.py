@@ -1,5 +1,6 @@
 """The lidars: where their emitters point, when they fire, how well they measure, and where the robot carries them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -11,6 +12,8 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.loaders.simulator.settings import Sensor, SimulationSettings
 
+PointLayout = Literal["velodyne", "ouster", "hesai", "packets"]
+
 
 @dataclass(frozen=True)
 class SensorModel:
@@ -20,7 +23,7 @@ class SensorModel:
     columns: firings of each emitter a revolution. rate_hz: revolutions a second.
     column_ns: nanoseconds that all emitters take, one after the other, before the next column.
     noise_m: sigma of a range at right angles. max_range_m: of a white wall at right angles.
-    layout: of its driver's PointCloud2.
+    layout: how it fires and what its driver reports: in turns and returns alone, or all emitters at once and every place.
     """
 
     name: Sensor
@@ -80,6 +83,9 @@ SENSORS: dict[Sensor, SensorModel] = {
     "qt64": SensorModel(
         "qt64", tuple(np.linspace(-52.1, 52.1, 64)), 600, 10.0, 108_800.0, 0.015, 40.0, 0.004, "velodyne"
     ),
+    "xt32": SensorModel(
+        "xt32", tuple(-16.0 + i for i in range(32)), 2000, 10.0, 46_000.0, 0.010, 80.0, 0.004, "velodyne"
+    ),
 }
 
 
@@ -90,6 +96,7 @@ class Lidar:
     role: horizontal = spin axis upright (odometry), vertical = spin axis forward (sweeps floor, walls and ceiling), or both
         where an upright one is alone.
     period_ns: of a revolution; two differ. phase_ns: its first sweep's start after the horizontal one's.
+    points: how its driver lays out its clouds: "hesai" with absolute times, "packets" as one cloud of x y z a UDP packet.
     """
 
     role: Literal["horizontal", "vertical", "both"]
@@ -99,6 +106,7 @@ class Lidar:
     T_base_sensor: FloatArray
     period_ns: float
     phase_ns: int
+    points: PointLayout
 
     def sweep_start_ns(self, sweep: int) -> int:
         """Nanoseconds from the horizontal lidar's first sweep."""
@@ -106,22 +114,34 @@ class Lidar:
 
 
 def mount_lidars(settings: SimulationSettings, rng: np.random.Generator) -> tuple[Lidar, ...]:
-    """The horizontal and the vertical lidar, whose clocks run free; or the upright one that is alone."""
+    """The horizontal and the vertical lidar; or the upright one that is alone."""
     model = SENSORS[settings.sensor]
     upright = transforms.make_transform(translation=[0.10, 0.0, 0.95])
     forward = Rotation.from_quat([0.5, 0.5, 0.5, 0.5])
     tilted = Rotation.from_euler("y", settings.mount_tilt_deg, degrees=True) * forward
     sideways = transforms.make_transform(tilted, [0.30, 0.0, 0.70])
-    nominal_ns = 1e9 / model.rate_hz
     names: tuple[str, ...] = {
         "velodyne": ("/horizontal_velodyne/velodyne_points", "horizontal_velodyne",
                      "/vertical_velodyne/velodyne_points", "vertical_velodyne"),
-        "ouster": ("/os1_cloud_node1/points", "sensor1/os_sensor", "/os1_cloud_node2/points", "sensor2/os_sensor")
+        "ouster": ("/horizontal_ouster/points", "horizontal_ouster", "/vertical_ouster/points", "vertical_ouster")
     }[model.layout]  # fmt: skip
     if settings.lidars == "one":
         names = {"velodyne": ("/velodyne_points", "velodyne"), "ouster": ("/ouster/points", "os_sensor")}[model.layout]
-        return (Lidar("both", names[0], names[1], model, upright, nominal_ns * 1.0007, 0),)
-    return (
-        Lidar("horizontal", names[0], names[1], model, upright, nominal_ns * 1.0007, 0),
-        Lidar("vertical", names[2], names[3], model, sideways, nominal_ns * 0.9989, int(rng.uniform(0, nominal_ns))),
-    )
+        return start_lidars(model, model.layout, ((names[0], names[1], upright),), rng)
+    return start_lidars(model, model.layout, ((names[0], names[1], upright), (names[2], names[3], sideways)), rng)
+
+
+def start_lidars(
+    model: SensorModel, points: PointLayout, mounts: Sequence[tuple[str, str, FloatArray]], rng: np.random.Generator
+) -> tuple[Lidar, ...]:
+    """Lidars of one model, whose clocks run free. mounts: topic, frame and T_base_sensor of the horizontal one, and of the
+    vertical one where there are two.
+    """
+    nominal_ns = 1e9 / model.rate_hz
+    topic, frame, T = mounts[0]
+    if len(mounts) == 1:
+        return (Lidar("both", topic, frame, model, T, nominal_ns * 1.0007, 0, points),)
+    horizontal = Lidar("horizontal", topic, frame, model, T, nominal_ns * 1.0007, 0, points)
+    topic, frame, T = mounts[1]
+    phase_ns = int(rng.uniform(0, nominal_ns))
+    return horizontal, Lidar("vertical", topic, frame, model, T, nominal_ns * 0.9989, phase_ns, points)

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-Sensor = Literal["hdl32e", "vlp16", "os1-16", "os0-128", "qt64"]
+Sensor = Literal["hdl32e", "vlp16", "os1-16", "os0-128", "qt64", "xt32"]
 Container = Literal["bag", "mcap", "db3"]
 
 
@@ -17,6 +17,9 @@ class SimulationSettings(BaseModel):
     seed: int = Field(0, ge=0, description="every random choice follows from it")
     sensor: Sensor = Field("hdl32e", description="the model of the lidars")
     lidars: Literal["two", "one"] = Field("two", description="one upright and one on its side, or an upright one alone")
+    layout: str = Field(
+        "plain", description="the bag is laid out as that of a public data set (see LAYOUTS), or plainly"
+    )
     format: Container = Field("bag", description="ROS 1 bag, or ROS 2 folder with MCAP (mcap) or SQLite (db3) inside")
     duration_s: float = Field(
         60.0, gt=0.3, le=3600, description="length of the drive (s); at rest for the first second"

@@ -2,9 +2,12 @@
 
 import json
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from heapq import merge
+from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +22,12 @@ from ffmap.loaders.frames import StaticTransform
 from ffmap.loaders.simulator.bag_writing import DriveWriter
 from ffmap.loaders.simulator.building import Plan, build_structure
 from ffmap.loaders.simulator.furniture import build_outside, furnish
+from ffmap.loaders.simulator.layouts import Layout, layout_of, lidars_of, rig_of
 from ffmap.loaders.simulator.mesh import Mesh, MeshBuilder
 from ffmap.loaders.simulator.motion import ROBOT_RADIUS_M, choose_route, draw_ways, drive
 from ffmap.loaders.simulator.plans import draw_plan
 from ffmap.loaders.simulator.raytrace import Sweep, Walker, World, scan
-from ffmap.loaders.simulator.sensors import Lidar, mount_lidars
+from ffmap.loaders.simulator.sensors import Lidar
 from ffmap.loaders.simulator.settings import SimulationSettings
 from ffmap.loaders.simulator.terrain import Terrain, draw_terrain
 from ffmap.loaders.simulator.truth import building_truth
@@ -32,6 +36,13 @@ BASE_FRAME = "base_link"
 EPOCH_NS = 1_700_000_000_000_000_000  # When every simulated drive begins
 
 _CLEARANCE_M = 0.15  # Distance between furniture and the robot
+_PACKET_COLUMNS = 12
+_PACKET_DELAY_NS = 400_000  # From a packet's last firing to the recorder
+_ROBOTS_ODOMETRY = "odom"
+
+_Timed = tuple[
+    int, str, Any
+]  # When a message is due, in nanoseconds from the first horizontal sweep; its topic; itself
 
 
 @dataclass(frozen=True)
@@ -59,6 +70,7 @@ class Scene:
     mesh: Mesh
     furniture: BaseGeometry
     walkers: tuple[Walker, ...]
+    base_frame: str
     lidars: tuple[Lidar, ...]
     ring_bias_m: tuple[FloatArray, ...]
     trajectory: Trajectory
@@ -66,19 +78,10 @@ class Scene:
     truth: dict[str, Any]
 
 
-@dataclass(frozen=True)
-class _Job:
-    """A message, or two, that are due at `log_time_ns` (from the first horizontal sweep)."""
-
-    log_time_ns: int
-    lidar: int
-    index: int
-
-
 def draw_scene(settings: SimulationSettings) -> Scene:
     """Building, furniture, people, lidars and drive, all from the settings and their seed.
 
-    Raises InputError where there is no building of the name.
+    Raises InputError where there is no building or no layout of the name.
     """
     # A stream for each part, so that one more door does not move every chair.
     plan_rng, structure_rng, furniture_rng, outside_rng, drive_rng, sensor_rng = (
@@ -93,7 +96,9 @@ def draw_scene(settings: SimulationSettings) -> Scene:
     terrain = draw_terrain(plan.corridor, settings, plan_rng)
 
     avoid = furniture.union(ways.area(ROBOT_RADIUS_M))
-    lidars = mount_lidars(settings, sensor_rng)
+    lidars = lidars_of(settings, sensor_rng)
+    layout = layout_of(settings)
+    T_floor_base = transforms.make_transform(translation=[0.0, 0.0, layout.base_height_m if layout else 0.0])
     longest_s = settings.duration_s + 2 * max(lidar.period_ns for lidar in lidars) / 1e9
     drive_plan = terrain.lift_drive(drive(choose_route(ways, settings), longest_s, settings, drive_rng))
     T_plan_map = transforms.from_yaw(transforms.yaw_of(drive_plan.T_map_base[0]), drive_plan.T_map_base[0, :3, 3])
@@ -104,9 +109,10 @@ def draw_scene(settings: SimulationSettings) -> Scene:
         mesh=mesh,
         furniture=furniture,
         walkers=_walkers(plan, terrain, avoid, settings, T_map_plan, furniture_rng),
+        base_frame=(rig_of(settings.layout).base if layout else None) or BASE_FRAME,
         lidars=lidars,
         ring_bias_m=tuple(sensor_rng.normal(0, settings.ring_bias_m, lidar.model.rings) for lidar in lidars),
-        trajectory=drive_plan.moved(T_map_plan),
+        trajectory=_carried(drive_plan.moved(T_map_plan), T_floor_base),
         T_map_plan=T_map_plan,
         truth=building_truth(plan, T_map_plan),
     )
@@ -142,23 +148,26 @@ def simulate(
     points: dict[str, int] = {}
     with DriveWriter(out, settings.format) as writer:
         scene = draw_scene(settings)
+        layout = layout_of(settings)
         world = World(scene.mesh, scene.walkers)
-        frames = [StaticTransform(BASE_FRAME, lidar.frame_id, lidar.T_base_sensor) for lidar in scene.lidars]
-        writer.write("/tf_static", writer.transforms(EPOCH_NS, frames), EPOCH_NS, latched=True)
+        if layout is None:
+            frames = [StaticTransform(scene.base_frame, lidar.frame_id, lidar.T_base_sensor) for lidar in scene.lidars]
+            writer.write("/tf_static", writer.transforms(EPOCH_NS, frames), EPOCH_NS, latched=True)
         writer.write("/truth/building", writer.text(json.dumps(scene.truth)), EPOCH_NS, latched=True)
-        written = 0
         jobs = _jobs(scene.lidars, settings)
-        for job, sweep in _traced(world, scene, jobs, settings):
-            written = _write_poses(writer, scene.trajectory, written, job.log_time_ns)
-            lidar = scene.lidars[job.lidar]
-            writer.write(lidar.topic, writer.cloud(lidar, sweep, EPOCH_NS), EPOCH_NS + job.log_time_ns)
-            if lidar.role != "horizontal":
-                writer.write("/truth/classes", writer.classes(lidar, sweep, EPOCH_NS), EPOCH_NS + job.log_time_ns)
-            clouds[lidar.topic] = clouds.get(lidar.topic, 0) + 1
-            points[lidar.topic] = points.get(lidar.topic, 0) + int(np.count_nonzero(sweep.range_m))
-            if progress is not None:
-                progress(sum(clouds.values()) / len(jobs))
-        _write_poses(writer, scene.trajectory, written, round(settings.duration_s * 1e9))
+        with ThreadPoolExecutor(settings.workers) as pool:
+            streams: list[Iterable[_Timed]] = [_poses(writer, scene, settings, layout)]
+            for number, lidar in enumerate(scene.lidars):
+                traced = _traced(pool, world, scene, number, jobs[number], settings)
+                streams.append(_clouds(writer, lidar, traced, points))
+            swept = 0.0
+            for log_time_ns, topic, message in merge(*streams, key=itemgetter(0)):
+                writer.write(topic, message, EPOCH_NS + log_time_ns)
+                if topic in points:
+                    clouds[topic] = clouds.get(topic, 0) + 1
+                if progress is not None and (share := log_time_ns / (settings.duration_s * 1e9)) > swept + 0.01:
+                    swept = share
+                    progress(min(share, 1.0))
     files = out.rglob("*") if out.is_dir() else [out]
     return SimulationReport(
         path=out, building=settings.building, rooms=len(scene.plan.rooms), doors=len(scene.plan.doors),
@@ -167,38 +176,88 @@ def simulate(
     )  # fmt: skip
 
 
-def _write_poses(writer: DriveWriter, trajectory: Trajectory, first: int, until_ns: int) -> int:
-    """The poses from number `first` up to a time; returns the number of the next."""
-    following = int(np.searchsorted(trajectory.stamp_ns, until_ns, side="right"))
-    for i in range(first, following):
-        stamp_ns = EPOCH_NS + int(trajectory.stamp_ns[i])
-        writer.write("/truth/pose", writer.odometry(trajectory.T_map_base[i], stamp_ns, BASE_FRAME), stamp_ns)
-    return max(first, following)
+def _carried(drive: Trajectory, T_floor_base: FloatArray) -> Trajectory:
+    """The base above the place where the robot stands."""
+    return Trajectory(drive.stamp_ns, drive.T_map_base @ T_floor_base)
 
 
-def _jobs(lidars: tuple[Lidar, ...], settings: SimulationSettings) -> list[_Job]:
-    """Every sweep that ends within the drive, in the order in which the clouds reach the recorder."""
+def _poses(writer: DriveWriter, scene: Scene, settings: SimulationSettings, layout: Layout | None) -> Iterator[_Timed]:
+    """The true poses during the drive, and what else the layout has that moves with the base."""
+    stamps, T = scene.trajectory.stamp_ns, scene.trajectory.T_map_base
+    others = layout.others if layout else {}
+    for i in range(int(np.searchsorted(stamps, round(settings.duration_s * 1e9), side="right"))):
+        due_ns = int(stamps[i])
+        stamp_ns = EPOCH_NS + due_ns
+        yield due_ns, "/truth/pose", writer.odometry(T[i], stamp_ns, scene.base_frame)
+        for topic, kind in others.items():
+            match kind:
+                case "imu":
+                    before, after = T[max(i - 1, 0)], T[min(i + 1, len(T) - 1)]
+                    step_s = float(stamps[1] - stamps[0]) / 1e9
+                    message = writer.imu(before, T[i], after, step_s, stamp_ns, scene.base_frame)
+                case "odometry":
+                    message = writer.odometry(T[i], stamp_ns, scene.base_frame, _ROBOTS_ODOMETRY)
+                case "tf":
+                    pose = StaticTransform(_ROBOTS_ODOMETRY, scene.base_frame, T[i])
+                    message = writer.transforms(stamp_ns, [pose])
+            yield due_ns, topic, message
+
+
+def _clouds(
+    writer: DriveWriter, lidar: Lidar, traced: Iterable[tuple[int, Sweep]], points: dict[str, int]
+) -> Iterator[_Timed]:
+    """A lidar's clouds, whole sweeps or packets, with their truth where it is the one that is labelled. points: counts them."""
+    for due_ns, sweep in traced:
+        points[lidar.topic] = points.get(lidar.topic, 0) + int(np.count_nonzero(sweep.range_m))
+        parts = _packets(lidar, sweep) if lidar.points == "packets" else [(due_ns, sweep)]
+        for part_due_ns, part in parts:
+            yield part_due_ns, lidar.topic, writer.cloud(lidar, part, EPOCH_NS)
+            if lidar.role != "horizontal":
+                yield part_due_ns, "/truth/classes", writer.classes(lidar, part, EPOCH_NS)
+
+
+def _packets(lidar: Lidar, sweep: Sweep) -> Iterator[tuple[int, Sweep]]:
+    """The sweep's UDP packets, each stamped with its first firing, and when they are due."""
+    packet_ns = lidar.period_ns * _PACKET_COLUMNS / lidar.model.columns
+    number = np.searchsorted(
+        np.arange(1, -(-lidar.model.columns // _PACKET_COLUMNS)) * packet_ns, sweep.time_ns, side="right"
+    )
+    for i in range(int(number.max()) + 1 if len(number) else 0):
+        own = number == i
+        first_ns = round(i * packet_ns)
+        part = replace(
+            sweep,
+            **{name: getattr(sweep, name)[own] for name in ("points_sensor", "range_m", "intensity", "ring", "truth")},
+            time_ns=sweep.time_ns[own] - first_ns,
+            stamp_ns=sweep.stamp_ns + first_ns,
+            end_ns=sweep.stamp_ns + first_ns + round(packet_ns),
+        )
+        yield part.end_ns + _PACKET_DELAY_NS, part
+
+
+def _jobs(lidars: tuple[Lidar, ...], settings: SimulationSettings) -> list[list[int]]:
+    """When each of a lidar's sweeps that end within the drive reaches the recorder, one list a lidar."""
     rng = np.random.default_rng([settings.seed, 72])
-    jobs = []
-    for number, lidar in enumerate(lidars):
-        index = 0
-        while (end_ns := lidar.sweep_start_ns(index + 1)) <= settings.duration_s * 1e9:
-            jobs.append(_Job(end_ns + int(rng.uniform(1e6, 6e6)), number, index))
-            index += 1
-    return sorted(jobs, key=lambda job: job.log_time_ns)
+    due_ns: list[list[int]] = []
+    for lidar in lidars:
+        own: list[int] = []
+        while (end_ns := lidar.sweep_start_ns(len(own) + 1)) <= settings.duration_s * 1e9:
+            own.append(end_ns + int(rng.uniform(1e6, 6e6)))
+        due_ns.append(own)
+    return due_ns
 
 
-def _traced(world: World, scene: Scene, jobs: list[_Job], settings: SimulationSettings) -> Iterator[tuple[_Job, Sweep]]:
-    """The jobs in their order with their sweeps, a few traced ahead: Embree and NumPy let other threads run."""
-    waiting: deque[tuple[_Job, Future[Sweep]]] = deque()
-    with ThreadPoolExecutor(settings.workers) as pool:
-        for job in jobs:
-            bias = scene.ring_bias_m[job.lidar]
-            lidar = scene.lidars[job.lidar]
-            waiting.append((job, pool.submit(scan, world, lidar, scene.trajectory, job.index, settings, bias)))
-            if len(waiting) > 2 * settings.workers:
-                done, sweep = waiting.popleft()
-                yield done, sweep.result()
-        while waiting:
-            done, sweep = waiting.popleft()
-            yield done, sweep.result()
+def _traced(
+    pool: ThreadPoolExecutor, world: World, scene: Scene, number: int, due_ns: list[int], settings: SimulationSettings
+) -> Iterator[tuple[int, Sweep]]:
+    """When each of a lidar's sweeps is due, and itself, a few traced ahead: Embree and NumPy let other threads run."""
+    lidar, bias = scene.lidars[number], scene.ring_bias_m[number]
+    submitted = (
+        (due, pool.submit(scan, world, lidar, scene.trajectory, index, settings, bias))
+        for index, due in enumerate(due_ns)
+    )
+    waiting: deque[tuple[int, Future[Sweep]]] = deque(islice(submitted, settings.workers))
+    while waiting:
+        due, sweep = waiting.popleft()
+        waiting.extend(islice(submitted, 1))
+        yield due, sweep.result()

@@ -102,7 +102,7 @@ def test_ouster_clouds_are_organised_with_zeros(tmp_path: Path) -> None:
     settings = SimulationSettings(building="small", sensor="os1-16", duration_s=0.4, dropout=0.1)
     simulate(tmp_path / "drive.bag", settings)
     with AnyReader([tmp_path / "drive.bag"]) as reader:
-        wanted = [c for c in reader.connections if c.topic in ("/os1_cloud_node2/points", "/truth/classes")]
+        wanted = [c for c in reader.connections if c.topic in ("/vertical_ouster/points", "/truth/classes")]
         read = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(wanted)]
     cloud, classes = read[:2]
     assert (cloud.height, cloud.width, cloud.point_step) == (16, 1024, 48)

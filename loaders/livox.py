@@ -1,0 +1,68 @@
+"""Livox's own clouds (CustomMsg of livox_ros_driver and livox_ros_driver2) as PointCloud2, field by field.
+
+The points are read from the message's bytes: as objects of Python, a second of them would take a second. Their layout is that
+of CustomMsg.msg and CustomPoint.msg, the same in both drivers: https://github.com/Livox-SDK/livox_ros_driver2/tree/master/msg
+"""
+
+import struct
+
+import numpy as np
+
+from ffmap.loaders.bag import Bag, Message, RawMessage
+from ffmap.loaders.errors import CloudError
+from ffmap.loaders.pointcloud2 import make_cloud
+
+LIVOX_TYPES = ("livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg")
+
+_FIELDS = ["offset_time", "x", "y", "z", "reflectivity", "tag", "line"]
+_FORMATS = ["u4", "f4", "f4", "f4", "u1", "u1", "u1"]
+_OFFSETS = [0, 4, 8, 12, 16, 17, 18]
+_POINT_BYTES = 19
+_CDR_POINT_BYTES = 20  # Each begins at a multiple of four; the last one ends where its fields do
+
+
+def livox_cloud(bag: Bag, raw: RawMessage) -> Message:
+    """The points of one message in their order: offset_time (uint32, nanoseconds from the stamp), x y z, reflectivity, tag, line.
+
+    Raises CloudError where the bytes are not those of a CustomMsg.
+    """
+    try:
+        header, count, order, first = (_ros1_head if bag.ros_version == 1 else _cdr_head)(bytes(raw.data))
+    except (struct.error, IndexError, UnicodeDecodeError) as error:
+        raise CloudError(f"{raw.topic}: a message is cut ({error}); leave that stretch of the bag out") from error
+    step = _POINT_BYTES if bag.ros_version == 1 else _CDR_POINT_BYTES
+    data = bytes(raw.data)[first:].ljust(count * step, b"\0")
+    if len(raw.data) - first < count * step - (step - _POINT_BYTES if count else 0):
+        raise CloudError(
+            f"{raw.topic}: a message says that it has {count} points and holds fewer; leave that stretch of the bag out"
+        )
+    dtype = np.dtype(
+        {"names": _FIELDS, "formats": [order + kind for kind in _FORMATS], "offsets": _OFFSETS, "itemsize": step}
+    )
+    points = np.frombuffer(data, dtype, count).astype(dtype.newbyteorder("<"))
+    sec, nanosec, frame_id = header
+    stamp = bag.typestore.types["builtin_interfaces/msg/Time"](sec, nanosec)
+    made = bag.typestore.types["std_msgs/msg/Header"](*([0] if bag.ros_version == 1 else []), stamp, frame_id)
+    return make_cloud(bag.typestore, made, points[None])
+
+
+_Head = tuple[
+    tuple[int, int, str], int, str, int
+]  # Seconds, nanoseconds and frame; points; byte order; where they begin
+
+
+def _ros1_head(data: bytes) -> _Head:
+    _, sec, nanosec, length = struct.unpack_from("<IIII", data)
+    at = 16 + length
+    (count,) = struct.unpack_from("<I", data, at + 16)
+    return (sec, nanosec, data[16:at].decode()), count, "<", at + 20
+
+
+def _cdr_head(data: bytes) -> _Head:
+    """As in ROS 2: numbers lie at multiples of their size, counted from behind the four bytes that say the byte order."""
+    order = "<" if data[1] & 1 else ">"
+    sec, nanosec, length = struct.unpack_from(f"{order}iII", data, 4)
+    frame_id = data[16 : 16 + max(length - 1, 0)].decode()  # Without the zero at its end
+    timebase_at = 4 + -(-(12 + length) // 8) * 8
+    (count,) = struct.unpack_from(f"{order}I", data, timebase_at + 16)
+    return (sec, nanosec, frame_id), count, order, timebase_at + 20

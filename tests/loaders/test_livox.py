@@ -1,0 +1,102 @@
+"""Livox's own clouds, as both drivers write them, with ROS 1 and ROS 2."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ffmap.algorithms.base.scan import Scan
+from ffmap.loaders.bag import make_typestore, open_bag
+from ffmap.loaders.repeated_bag import later
+from ffmap.loaders.rig import find_rig
+from ffmap.loaders.scans import SkippedScan, index_clouds, read_clouds
+from tests.loaders.bag_builder import PERIOD_NS, START_NS, header, write_bag
+
+POINTS = 3000
+LINES = 4
+
+
+def points(i: int) -> np.ndarray:
+    rng = np.random.default_rng(i)
+    made = np.zeros(
+        POINTS,
+        [
+            ("offset_time", "u4"),
+            ("x", "f4"),
+            ("y", "f4"),
+            ("z", "f4"),
+            ("reflectivity", "u1"),
+            ("tag", "u1"),
+            ("line", "u1"),
+        ],
+    )
+    made["offset_time"] = np.linspace(0, 99_000_000, POINTS)
+    azimuth = np.linspace(0, 2 * np.pi, POINTS)
+    made["line"] = np.arange(POINTS) % LINES
+    made["x"], made["y"] = 5 * np.cos(azimuth), 5 * np.sin(azimuth)
+    made["z"] = made["line"] + rng.uniform(0, 0.01, POINTS)
+    made["reflectivity"], made["tag"] = rng.integers(0, 256, POINTS), 16
+    return made
+
+
+def message(i: int, driver: str, ros_version: int, frame: str) -> Any:
+    types = make_typestore(ros_version).types
+    stamp_ns = START_NS + i * PERIOD_NS
+    own = [types[f"{driver}/msg/CustomPoint"](*(v.item() for v in row)) for row in points(i)]
+    return types[f"{driver}/msg/CustomMsg"](
+        header(types, stamp_ns, frame), stamp_ns, POINTS, 7, np.zeros(3, np.uint8), own
+    )
+
+
+# Frames of several lengths: what follows is aligned in ROS 2.
+@pytest.mark.parametrize("frame", ["livox_frame", "lidar", ""])
+@pytest.mark.parametrize(
+    ("name", "driver"), [("a.bag", "livox_ros_driver"), ("a_mcap", "livox_ros_driver2"), ("a_db3", "livox_ros_driver2")]
+)
+def test_points_times_and_lines_are_recovered(tmp_path: Path, name: str, driver: str, frame: str) -> None:
+    version = 1 if name.endswith(".bag") else 2
+    entries = [("/livox/lidar", START_NS + (i + 1) * PERIOD_NS, message(i, driver, version, frame)) for i in range(3)]
+    with open_bag(write_bag(tmp_path / name, entries)) as bag:
+        rig = find_rig(bag, vertical="/livox/lidar")
+        lidar = rig.vertical
+        assert lidar is not None
+        assert (lidar.frame_id, lidar.ring_count) == (frame, LINES)
+        assert lidar.decoding.time is not None
+        assert (lidar.decoding.time.name, lidar.decoding.time.unit) == ("offset_time", "ns")
+        read = list(read_clouds(bag, index_clouds(bag, "/livox/lidar"), 0, None, lidar.decoding))
+    assert len(read) == 3
+    for i, scan, made in read:
+        assert isinstance(scan, Scan)
+        known = points(i)[np.asarray(scan.cloud_index)]
+        assert len(scan) == POINTS
+        np.testing.assert_array_equal(scan.points_sensor, np.c_[known["x"], known["y"], known["z"]])
+        np.testing.assert_array_equal(scan.time_ns, known["offset_time"])
+        np.testing.assert_array_equal(scan.ring, known["line"])
+        assert scan.start_ns == scan.stamp_ns == START_NS + i * PERIOD_NS
+        assert [f.name for f in made.fields] == ["offset_time", "x", "y", "z", "reflectivity", "tag", "line"]
+
+
+def test_a_message_that_holds_fewer_points_than_it_says_is_skipped(tmp_path: Path) -> None:
+    store = make_typestore(1)
+    entries = [("/livox/lidar", START_NS + i * PERIOD_NS, message(i, "livox_ros_driver", 1, "livox")) for i in range(3)]
+    path = write_bag(tmp_path / "a.bag", entries)
+    whole = bytes(store.serialize_ros1(entries[1][2], "livox_ros_driver/msg/CustomMsg"))
+    # The number of points lies behind header, time base, number and identity.
+    count_at = 16 + len("livox") + 16
+    raw = path.read_bytes()
+    assert raw.count(whole) == 1
+    path.write_bytes(raw.replace(whole, whole[:count_at] + (POINTS + 5).to_bytes(4, "little") + whole[count_at + 4 :]))
+    with open_bag(path) as bag:
+        decoding = find_rig(bag).horizontal.decoding  # type: ignore[union-attr]
+        read = [scan for _, scan, _ in read_clouds(bag, index_clouds(bag, "/livox/lidar"), 0, None, decoding)]
+    assert [isinstance(scan, SkippedScan) for scan in read] == [False, True, False]
+    assert f"says that it has {POINTS + 5} points and holds fewer" in read[1].reason  # type: ignore[union-attr]
+
+
+def test_a_cloud_is_repeated_later() -> None:
+    made = message(0, "livox_ros_driver2", 2, "livox")
+    moved = later(made, "/livox/lidar", None, 1_500_000_000)
+    assert moved.timebase - made.timebase == 1_500_000_000
+    assert (moved.header.stamp.sec - made.header.stamp.sec, moved.header.stamp.nanosec) == (1, 500_000_000)
+    assert moved.points == made.points
