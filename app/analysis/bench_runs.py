@@ -90,16 +90,8 @@ def measure_run(
     Raises InputError where the run ends with a mistake of the user's, or where another version cannot run.
     """
     out, errors = folder / "run", folder / "errors.txt"
-    words = [
-        "run",
-        *map(str, bag.resolve().parts),
-        "--out",
-        str(out),
-        "--workers",
-        str(workers),
-        "--no-evaluate",
-        "--quiet",
-    ]
+    words = ["run", *map(str, bag.resolve().parts), "--out", str(out)]
+    words += ["--workers", str(workers), "--no-evaluate", "--quiet"]
     words += [] if trajectory is None else ["--trajectory", str(trajectory)]
     started = time.perf_counter()
     samples: list[tuple[float, float]] = []
