@@ -99,7 +99,7 @@ class Run(HowToRun):
         ffmap run day.mcap --scheduler tcp://127.0.0.1:8786
     """
 
-    bag: list[Path] | None = argument(None, help=BAG_HELP)
+    bag: list[Path] | None = argument(None, metavar="BAG", help=BAG_HELP)
     out: Path | None = option(None, help="Run folder.  [default: runs/BAG-TIME-HASH]")
     overwrite: bool = option(False, "--overwrite", help="Replace the run that --out holds already.")
     doors: Literal["open", "as-seen", "closed"] | None = option(
@@ -166,7 +166,7 @@ class Info(OfTheBag):
         ffmap info drive.bag
     """
 
-    bag: list[Path] = argument(help=BAG_HELP)
+    bag: list[Path] = argument(metavar="BAG", help=BAG_HELP)
 
     def __call__(self) -> None:
         from ffmap.app.commands.info import info
@@ -188,7 +188,7 @@ class Calibrate(OfTheBag):
         ffmap calibrate drive.bag --rig guess.toml --out rig.toml --recording calibration.rrd
     """
 
-    bag: list[Path] = argument(help=BAG_HELP)
+    bag: list[Path] = argument(metavar="BAG", help=BAG_HELP)
     out: Path | None = option(None, "--out", "-o", help="Rig file to write.  [default: BAG.rig.toml]")
     recording: Path | None = option(None, help="Draw what both lidars see, before and after, into this recording.")
     seconds: float = option(60.0, min=2.0, help="Seconds of the drive that are used.")
@@ -578,7 +578,7 @@ class Bench:
     """
 
     bag: list[Path] | None = argument(
-        None, help="Bag to measure with, or all files of one drive.  [default: one is simulated]"
+        None, metavar="BAG", help="Bag to measure with, or all files of one drive.  [default: one is simulated]"
     )
     duration: float = option(60.0, min=5.0, help="Seconds of the simulated bag.")
     runs: int = option(1, min=1, metavar="K", help="Measure K times, and tell the medians.")
