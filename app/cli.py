@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from ffmap.app.parameters import (
+    BAG_HELP,
     OUTPUTS_HELP,
     HowToRun,
     OfTheBag,
@@ -25,6 +26,7 @@ from ffmap.app.parameters import (
 )
 from ffmap.app.quick_imports import quick_imports
 from ffmap.app.setup.outputs import RUN_OUTPUTS, Detail, Output, parse_outputs
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 
 app = typer.Typer(
@@ -56,6 +58,11 @@ def _options(
     pass
 
 
+def _bag_at(parts: list[Path] | None) -> BagPath | None:
+    """The bag that was named, by one path or by those of its files; None where none was."""
+    return BagPath(tuple(parts)) if parts else None
+
+
 def _command(kind: type) -> type:
     """A command of its own name: its fields are what Typer reads, its docstring the help, and calling it does the work."""
     made: Any = dataclass(frozen=True, kw_only=True)(kind)
@@ -85,12 +92,14 @@ class Run(HowToRun):
 
         ffmap run drive.bag --rig rig.toml --trajectory poses.tum
 
+        ffmap run drive_0.bag drive_1.bag drive_2.bag
+
         ffmap run --resume runs/a
 
         ffmap run day.mcap --scheduler tcp://127.0.0.1:8786
     """
 
-    bag: Path | None = argument(None, help="ROS 1 .bag, ROS 2 folder, .db3 or .mcap.")
+    bag: list[Path] | None = argument(None, metavar="BAG", help=BAG_HELP)
     out: Path | None = option(None, help="Run folder.  [default: runs/BAG-TIME-HASH]")
     overwrite: bool = option(False, "--overwrite", help="Replace the run that --out holds already.")
     doors: Literal["open", "as-seen", "closed"] | None = option(
@@ -126,7 +135,7 @@ class Run(HowToRun):
 
         doors = [f"grid_map.doors={self.doors}"] if self.doors else []
         arguments = Arguments(
-            bag=self.bag,
+            bag=_bag_at(self.bag),
             out=self.out,
             config=self.config,
             overrides=(*(self.set_ or ()), *doors),
@@ -157,12 +166,12 @@ class Info(OfTheBag):
         ffmap info drive.bag
     """
 
-    bag: Path = argument(help="ROS 1 .bag, ROS 2 folder, .db3 or .mcap.")
+    bag: list[Path] = argument(metavar="BAG", help=BAG_HELP)
 
     def __call__(self) -> None:
         from ffmap.app.commands.info import info
 
-        info(self.bag, self.bag_options)
+        info(BagPath(tuple(self.bag)), self.bag_options)
 
 
 @_command
@@ -200,7 +209,7 @@ class Calibrate(OfTheBag):
         ffmap calibrate drive.bag --rig guess.toml --out rig.toml --recording calibration.rrd
     """
 
-    bag: Path = argument(help="ROS 1 .bag, ROS 2 folder, .db3 or .mcap.")
+    bag: list[Path] = argument(metavar="BAG", help=BAG_HELP)
     out: Path | None = option(None, "--out", "-o", help="Rig file to write.  [default: BAG.rig.toml]")
     recording: Path | None = option(None, help="Draw what both lidars see, before and after, into this recording.")
     seconds: float = option(60.0, min=2.0, help="Seconds of the drive that are used.")
@@ -213,8 +222,9 @@ class Calibrate(OfTheBag):
         with quick_imports():
             from ffmap.app.commands.calibrate import calibrate
 
-        out = self.out or self.bag.with_name(f"{self.bag.stem}.rig.toml")
-        calibrate(self.bag, self.bag_options, out, self.recording, self.seconds, self.quiet)
+        bag = BagPath(tuple(self.bag))
+        out = self.out or bag.parts[0].with_name(f"{bag.stem}.rig.toml")
+        calibrate(bag, self.bag_options, out, self.recording, self.seconds, self.quiet)
 
 
 @_command
@@ -272,8 +282,10 @@ class Evaluate:
     """
 
     run_folder: Path | None = argument(None, metavar="[RUN]", help="Run folder.")
-    truth: Path | None = option(
-        None, help="Bag with the truth, or a TUM file of the true poses alone.  [default: the run's own bag]"
+    truth: list[Path] | None = option(
+        None,
+        help="Bag with the truth, once for each of its files, or a TUM file of the true poses alone.  "
+        "[default: the run's own bag]",
     )
     suite: bool = option(False, "--suite", help="Simulate, run and evaluate buildings of many kinds, one line each.")
     quick: bool = option(False, "--quick", help="With --suite: one seed a building, short drives.")
@@ -288,7 +300,7 @@ class Evaluate:
         if self.suite:
             from ffmap.app.commands.suite import parse_seeds, run_suite
 
-            if self.run_folder is not None or self.truth is not None:
+            if self.run_folder is not None or self.truth:
                 raise InputError("--suite makes its own bags and runs: give no run folder and no --truth with it")
             file, seeds = self.out or Path("runs/suite.json"), parse_seeds(self.seeds)
             sys.exit(1 if run_suite(file, seeds, self.quick, self.set_ or [], at_once=self.workers) else 0)
@@ -308,7 +320,7 @@ class Evaluate:
             from ffmap.app.analysis.metrics_tables import print_metrics
             from ffmap.app.folder.finished_run import open_run
 
-        print_metrics(evaluate_run(open_run(self.run_folder), self.truth, workers))
+        print_metrics(evaluate_run(open_run(self.run_folder), _bag_at(self.truth), workers))
 
 
 @_command
@@ -330,14 +342,16 @@ class Inspect:
         None,
         help="A point line, 2 × pair + side: open there, and print its reasons.  [default: that with most wrong labels]",
     )
-    bag: Path | None = option(None, help="Where the run's bag lies now, if it was moved.")
+    bag: list[Path] | None = option(
+        None, help="Where the run's bag lies now, if it was moved; once for each of its files."
+    )
     out: Path | None = option(None, "--out", "-o", help="Recording.  [default: RUN/inspect-SCAN.rrd]")
     spawn: bool = option(False, "--spawn", help="Open it in the Rerun viewer.")
 
     def __call__(self) -> None:
         from ffmap.app.commands.inspect import inspect
 
-        inspect(self.run_folder, self.scan, self.line, self.bag, self.out, self.spawn)
+        inspect(self.run_folder, self.scan, self.line, _bag_at(self.bag), self.out, self.spawn)
 
 
 @_command
@@ -592,7 +606,9 @@ class Bench:
         ffmap bench --duration 20 --runs 3 --against HEAD~3
     """
 
-    bag: Path | None = argument(None, help="Bag to measure with.  [default: one is simulated]")
+    bag: list[Path] | None = argument(
+        None, metavar="BAG", help="Bag to measure with, or all files of one drive.  [default: one is simulated]"
+    )
     duration: float = option(60.0, min=5.0, help="Seconds of the simulated bag.")
     runs: int = option(1, min=1, metavar="K", help="Measure K times, and tell the medians.")
     repeat: int = option(
@@ -612,7 +628,7 @@ class Bench:
     def __call__(self) -> None:
         from ffmap.app.commands.bench import bench
 
-        bench(self.bag, self.duration, self.runs, self.repeat, self.against, self.json)
+        bench(_bag_at(self.bag), self.duration, self.runs, self.repeat, self.against, self.json)
 
 
 @_command

@@ -28,6 +28,11 @@ def argument(default: Any = MISSING, show_default: bool = False, **options: Any)
     return field(default=default, metadata={"parameter": typer.Argument(show_default=show_default, **options)})
 
 
+BAG_HELP = (
+    "ROS 1 .bag, ROS 2 folder, .db3 or .mcap; or all files of one drive, in any order, or the folder that holds them."
+)
+
+
 @dataclass(frozen=True, kw_only=True)
 class OfTheBag:
     """What is said of a bag."""
@@ -70,7 +75,9 @@ class HowToRun(OfTheBag):
 
 @dataclass(frozen=True, kw_only=True)
 class SweepParameters(HowToRun):
-    bags: list[Path] = argument(metavar="BAG", help="ROS bags, as 'ffmap run' takes them.")
+    bags: list[Path] = argument(
+        metavar="BAG", help="ROS bags, each a drive; of one in several files, the folder that holds them."
+    )
     grid: list[str] | None = option(
         None,
         metavar="NAME=V,V",

@@ -462,6 +462,7 @@ def explain(record: Mapping[str, Any]) -> str:
     lidars = [f"The {role} one, `{rig[role]['topic']}`, {task}." for role, task in tasks.items() if role in rig]
     facts = {
         "bag": record.get("bag", {}).get("path"),
+        "further parts": " ".join((record.get("bag", {}).get("parts") or [])[1:]),
         "digest": record.get("bag", {}).get("digest"),
         "mounts from": record.get("mounts_from"),
         "poses from": record.get("poses_from"),

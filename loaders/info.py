@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ffmap.loaders.bag import Bag, Message, open_bag
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.frames import FrameTree, read_frame_tree
 from ffmap.loaders.pointcloud2 import CloudDecoding, TimeFrom, decode, settle_decoding
@@ -79,7 +80,7 @@ class BagInfo:
 
 
 def describe_bag(
-    path: Path,
+    path: BagPath | Path,
     rig_file: Path | None = None,
     horizontal: str | None = None,
     vertical: str | None = None,
@@ -100,9 +101,14 @@ def describe_bag(
             if any(word is not None for word in (rig_file, horizontal, vertical)):
                 raise
             problem = str(error)
-        size = sum(p.stat().st_size for p in path.iterdir()) if path.is_dir() else path.stat().st_size
+        size = sum(map(size_of, bag.path.parts))
         warnings = (*bag.warnings, *(rig.warnings if rig else ()), *_clock_warnings(rig, clouds))
         return BagInfo(bag, size, clouds, tree, rig, problem, tuple(_missing(bag, clouds, tree, rig)), warnings)
+
+
+def size_of(path: Path) -> int:
+    """Bytes of a file, or of the files in a folder."""
+    return sum(file.stat().st_size for file in path.iterdir()) if path.is_dir() else path.stat().st_size
 
 
 def _clock_warnings(rig: Rig | None, clouds: Sequence[CloudInfo]) -> list[str]:

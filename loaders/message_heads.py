@@ -14,7 +14,6 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag1.reader import Reader as Ros1Reader
 from rosbags.rosbag1.reader import RecordType, decompressors
 from rosbags.rosbag2 import Reader as Ros2Reader
-from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
@@ -33,20 +32,7 @@ def read_heads(reader: Reader, connections: Collection[Connection], size: int) -
             return _mcap_heads(reader, connections, size)
         case Sqlite3Reader():
             return _sqlite_heads(reader, connections, size)
-        case Ros2Reader() if (
-            isinstance(reader.storage, DirectoryReader) and not reader.storage.metadata.compression_mode
-        ):
-            return _folder_heads(reader.storage, connections, size)
     return ((time_ns, data[:size]) for _, time_ns, data in reader.messages(list(connections)))
-
-
-def _folder_heads(folder: DirectoryReader, connections: Collection[Connection], size: int) -> Iterator[Head]:
-    topics = {c.topic for c in connections}
-    for storage in folder.storages:
-        assert isinstance(storage, McapReader | Sqlite3Reader)
-        wanted = [c for c in storage.connections if c.topic in topics]
-        if wanted:
-            yield from read_heads(storage, wanted, size)
 
 
 def _ros1_heads(reader: Ros1Reader, connections: Collection[Connection], size: int) -> Iterator[Head]:

@@ -15,6 +15,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.scan.point_lines import COLUMN_PAIRS
 from ffmap.loaders.bag import Bag
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.frames import FrameTree, StaticTransform, read_frame_tree
 from ffmap.loaders.pointcloud2 import CloudDecoding, TimeFrom, decode, settle_decoding
@@ -402,7 +403,7 @@ def _place(
     return [replace(c, T_base_sensor=roots[c.topic][1]) for c in together], base, tree.edges
 
 
-def _check_reach(source: Path, candidates: list[_Candidate], base: str) -> None:
+def _check_reach(source: Path | BagPath, candidates: list[_Candidate], base: str) -> None:
     """Raises InputError where a lidar is farther from the base than any robot is long: float32 would lose the millimetres."""
     for candidate in candidates:
         away_m = float(np.linalg.norm(candidate.T_base_sensor[:3, 3]))

@@ -82,10 +82,14 @@ class SkippedScan:
 
 
 def index_clouds(bag: Bag, topic: str) -> CloudIndex:
-    """All clouds of a topic, from the headers of its messages alone. Raises InputError where it holds no clouds."""
+    """All clouds of a topic, from the headers of its messages alone.
+
+    Raises InputError where it holds no clouds, and where two files of the bag hold clouds of the same time.
+    """
     found = bag.topic(topic)
     if found.msgtype not in CLOUD_TYPES:
         raise InputError(f"{bag.path.name}: topic {found.name} is {found.msgtype}, no point cloud; {cloud_hint(bag)}")
+    bag.check_recorded_once(found.name)
     log_time_ns, stamps = read_stamps(bag, found.name)
     counts: IntArray = np.ones(len(stamps), np.int64)
     if found.msgtype == CLOUD_TYPE and _are_parts(stamps, log_time_ns):

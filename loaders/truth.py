@@ -11,6 +11,7 @@ import numpy as np
 from ffmap.algorithms.base.scan import UInt8Array
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.loaders.bag import Bag, open_bag
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.geojson import check_features
 from ffmap.loaders.pointcloud2 import describe_layout, field_column, stamp_ns
@@ -72,7 +73,7 @@ class TruthClasses:
             yield stamp_ns(message), field_column(message, layout, "truth").astype(np.uint8)
 
 
-def carries_truth(path: Path) -> bool:
+def carries_truth(path: BagPath | Path) -> bool:
     """Whether a bag has true poses."""
     with open_bag(path) as bag:
         return POSE_TOPIC in bag.topics and bag.topics[POSE_TOPIC].count > 0

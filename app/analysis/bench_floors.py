@@ -17,6 +17,7 @@ from ffmap.algorithms.scan.smoothing import smooth_ranges
 from ffmap.app.setup.inputs import Inputs, Sensor
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag import open_bag
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.scans import read_scans
 
 _SCANS = 60
@@ -57,7 +58,7 @@ class LabellingTimes:
         return Line(float(np.median(self.floor_ms)), float(np.median(self.takes_ms)))
 
 
-def time_reading(sensor: Sensor, bag_path: Path) -> Line:
+def time_reading(sensor: Sensor, bag_path: BagPath) -> Line:
     """Milliseconds a scan. The floor: the bytes of a lidar's messages, read and not decoded."""
     count = min(len(sensor.index), _CLOUDS)
     messages = int(sensor.index.message_count[:count].sum())
@@ -76,7 +77,7 @@ def time_reading(sensor: Sensor, bag_path: Path) -> Line:
     return Line(1e3 * _seconds(touch) / count, 1e3 * _seconds(decode) / count)
 
 
-def time_odometry_floor_s(sensor: Sensor, bag_path: Path, settings: Settings) -> float:
+def time_odometry_floor_s(sensor: Sensor, bag_path: BagPath, settings: Settings) -> float:
     """KISS-ICP alone registers the horizontal scans: nothing is read, refined or closed in this time."""
     # Only the odometry needs KISS-ICP.
     from ffmap.algorithms.poses.odometry import register_scans
@@ -91,7 +92,7 @@ def time_odometry_floor_s(sensor: Sensor, bag_path: Path, settings: Settings) ->
     return sum(registration.milliseconds for registration in registrations) / 1e3
 
 
-def time_labelling(sensor: Sensor, bag_path: Path, trajectory: Trajectory, settings: Settings) -> LabellingTimes:
+def time_labelling(sensor: Sensor, bag_path: BagPath, trajectory: Trajectory, settings: Settings) -> LabellingTimes:
     """Some scans from all over the bag, once the code is compiled. trajectory: T_map_base."""
     scans, columns = _placed_scans(sensor, bag_path, trajectory, settings), sensor.lidar.column_pairs
     for index, scan, placed in scans[:5]:
@@ -136,7 +137,7 @@ def cloud_bytes(inputs: Inputs) -> int:
 
 
 def _placed_scans(
-    sensor: Sensor, bag_path: Path, trajectory: Trajectory, settings: Settings
+    sensor: Sensor, bag_path: BagPath, trajectory: Trajectory, settings: Settings
 ) -> list[tuple[int, Scan, PlacedScan]]:
     scans = []
     with open_bag(bag_path) as bag:

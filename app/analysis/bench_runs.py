@@ -18,6 +18,7 @@ import psutil
 
 from ffmap.app.folder.names import LABELLED_BAG, LABELLED_FOLDER, RECORDING, RunFolder
 from ffmap.app.run.odometry_cache import CACHE_VARIABLE
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 
 STAGES = ("odometry", "scans", "building", "final")
@@ -82,14 +83,15 @@ def medians(runs: Sequence[MeasuredRun]) -> MeasuredRun:
 
 
 def measure_run(
-    program: Program, bag: Path, folder: Path, workers: int, cache: Path, trajectory: Path | None = None
+    program: Program, bag: BagPath, folder: Path, workers: int, cache: Path, trajectory: Path | None = None
 ) -> MeasuredRun:
     """One run, whose folder is removed by whoever owns `folder`. cache: where it keeps its odometry.
 
     Raises InputError where the run ends with a mistake of the user's, or where another version cannot run.
     """
     out, errors = folder / "run", folder / "errors.txt"
-    words = ["run", str(bag.resolve()), "--out", str(out), "--workers", str(workers), "--no-evaluate", "--quiet"]
+    words = ["run", *map(str, bag.resolve().parts), "--out", str(out)]
+    words += ["--workers", str(workers), "--no-evaluate", "--quiet"]
     words += [] if trajectory is None else ["--trajectory", str(trajectory)]
     started = time.perf_counter()
     samples: list[tuple[float, float]] = []

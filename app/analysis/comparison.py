@@ -119,7 +119,7 @@ def differing_provenance(runs: Sequence[FinishedRun]) -> dict[str, list[Any]]:
         [
             {
                 "outcome": run.outcome,
-                "bag": run.part("bag").get("path"),
+                "bag": str(run.bag_path) if run.bag_path else None,
                 "bag digest": run.part("bag").get("digest"),
                 "poses from": run.record.get("poses_from"),
                 **_flatten(run.part("options"), "option "),

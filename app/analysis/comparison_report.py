@@ -117,9 +117,7 @@ def pair_document(change: PairChange, comparison: Comparison) -> str:
 
 def runs_document(comparison: Comparison) -> str:
     """Which runs were compared, what they were made with, and all their figures, in Markdown."""
-    rows = [
-        [f"**{r.letter}**", r.run.name, r.run.outcome, str(r.run.part("bag").get("path", "–"))] for r in comparison.runs
-    ]
+    rows = [[f"**{r.letter}**", r.run.name, r.run.outcome, str(r.run.bag_path or "–")] for r in comparison.runs]
     parts = ["# The runs", *markdown_table(["", "folder", "outcome", "bag"], rows)]
     parts += ["", *(f"- {warning}" for warning in comparison.warnings)]
     for title, table, in_words in (

@@ -17,6 +17,7 @@ from ffmap.algorithms.truth.tally import Counter, Tally
 from ffmap.app.folder.labels_file import read_labels
 from ffmap.app.run.workers import make_pool
 from ffmap.loaders.bag import Bag, open_bag
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.pointcloud2 import describe_layout, field_column
 from ffmap.loaders.rig import Lidar
@@ -36,7 +37,7 @@ class LabelledClouds:
     bag: the labelled bag, or the one that the run was made from. labels: labels.parquet; None where the clouds have them.
     """
 
-    bag: Path
+    bag: BagPath
     lidar: Lidar
     labels: Path | None = None
 
@@ -63,7 +64,7 @@ class _Share:
     """What is counted at a time: clouds [first, first + count) of the run's."""
 
     clouds: LabelledClouds
-    truth_bag: Path
+    truth_bag: BagPath
     trajectory: Trajectory
     doors: TrueDoors
     first: int
@@ -87,7 +88,7 @@ class _Bags:
 
 def count_run(
     clouds: LabelledClouds,
-    truth_bag: Path,
+    truth_bag: BagPath,
     trajectory: Trajectory,
     classes: TruthClasses,
     doors: TrueDoors,
@@ -127,7 +128,7 @@ def _count_in_worker(share: _Share) -> tuple[Tally, int]:
 
 
 @cache
-def _opened(clouds: Path, truth_bag: Path, topic: str) -> _Bags:
+def _opened(clouds: BagPath, truth_bag: BagPath, topic: str) -> _Bags:
     """Each worker opens the bags once; it lives as long as one evaluation."""
     bag = open_bag(clouds)
     return _Bags(bag, index_clouds(bag, topic), TruthClasses(open_bag(truth_bag)))

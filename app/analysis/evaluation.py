@@ -62,6 +62,7 @@ from ffmap.app.tables import in_markdown
 from ffmap.blueprints import entities
 from ffmap.blueprints import run as run_blueprint
 from ffmap.loaders.bag import open_bag
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.geojson import read_features, segments
 from ffmap.loaders.trajectory_file import read_tum
@@ -90,7 +91,7 @@ class Comparison:
     maps: ComparedMaps = field(default_factory=dict)
 
 
-def evaluate_run(run: FinishedRun, truth_bag: Path | None = None, workers: int = 2) -> Metrics:
+def evaluate_run(run: FinishedRun, truth_bag: BagPath | None = None, workers: int = 2) -> Metrics:
     """Compare a run's files with the truth, write `metrics.json` and return what it says.
 
     Where the run has a recording, `evaluation.rrd` becomes its second layer.
@@ -123,10 +124,11 @@ def evaluate_run(run: FinishedRun, truth_bag: Path | None = None, workers: int =
 
 
 @contextmanager
-def _opened_truth(path: Path) -> Iterator[BagTruth | None]:
+def _opened_truth(path: BagPath) -> Iterator[BagTruth | None]:
     """A bag's truth, which can be read within the context; of a TUM file, the poses. None where a bag carries none."""
-    if path.suffix.lower() in TRUTH_SUFFIXES:
-        yield BagTruth(read_tum(path), None, None)
+    file, *others = path.parts
+    if not others and file.suffix.lower() in TRUTH_SUFFIXES:
+        yield BagTruth(read_tum(file), None, None)
         return
     with open_bag(path) as bag:
         yield read_truth(bag)
@@ -160,11 +162,11 @@ def _write_layer(run: FinishedRun, layer: Layer, comparison: Comparison, tally: 
 def has_truth(run: FinishedRun) -> bool:
     """Whether the bag of a run is still there and carries the truth."""
     path = _bag_of(run)
-    return path.exists() and carries_truth(path)
+    return path.missing is None and carries_truth(path)
 
 
 def compare_run(
-    run: FinishedRun, truth_path: Path, truth: BagTruth, workers: int, layer: Layer | None = None
+    run: FinishedRun, truth_path: BagPath, truth: BagTruth, workers: int, layer: Layer | None = None
 ) -> Comparison:
     """A run beside the truth, nothing written but the parts of the layer, if one is wanted."""
     assert truth.trajectory is not None
@@ -215,7 +217,7 @@ def compare_run(
 
 
 def _compare_poses(
-    run: FinishedRun, poses: Path, truth_path: Path, true_trajectory: Trajectory
+    run: FinishedRun, poses: Path, truth_path: BagPath, true_trajectory: Trajectory
 ) -> tuple[Metrics, tuple[str, ...]]:
     """The figures of a run's poses, seen from the frame in which they were given, and what of them cannot be told."""
     found = read_tum(poses).moved(transforms.make_transform(translation=run.map_origin_m))
@@ -269,7 +271,7 @@ def _clouds_of(run: FinishedRun) -> LabelledClouds | None:
     """The labelled bag, or the labels beside the run's own bag; None where the run kept neither."""
     if run.labelled is not None:
         with open_bag(run.labelled) as bag:
-            return LabelledClouds(run.labelled, labelled_lidar(bag, run))
+            return LabelledClouds(BagPath((run.labelled,)), labelled_lidar(bag, run))
     labels = run.file(run_names.LABELS)
     if labels is None:
         return None
@@ -419,7 +421,7 @@ def _state(name: str) -> DoorState:
     return DoorState.CLOSED if name == "closed" else DoorState.OPEN
 
 
-def _bag_of(run: FinishedRun) -> Path:
+def _bag_of(run: FinishedRun) -> BagPath:
     """The bag that a run was made from; it may be gone."""
     if run.bag_path is None:
         raise InputError(f"{run.path / run_names.RUN_JSON}: it does not say which bag was run; give --truth BAG")

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from ffmap.app.setup.versions import git_revision
 from ffmap.blueprints import entities
 from ffmap.blueprints.entities import Fault
 from ffmap.loaders.bag import open_bag
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.pointcloud2 import full_labels
 from ffmap.loaders.scans import SkippedScan, read_scans
@@ -49,17 +49,17 @@ class InspectedScan:
     faults: ScanFaults | None
 
 
-def label_again(run: FinishedRun, number: int, bag: Path | None = None) -> InspectedScan:
+def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> InspectedScan:
     """Label one scan of a run as the run did: same bag, poses, settings and random numbers.
 
     bag: where the run's bag lies now; None for where it was.
     Raises InputError where the bag has gone or is another, the scan is out of range, or it was skipped.
     """
     bag_path = bag or run.bag_path
-    if bag_path is None or not bag_path.exists():
+    missing = run.path if bag_path is None else bag_path.missing
+    if bag_path is None or missing is not None:
         raise InputError(
-            f"{bag_path or run.path}: the run's bag is not there, and a scan is labelled again from it; say with --bag "
-            "where it is"
+            f"{missing}: the run's bag is not there, and a scan is labelled again from it; say with --bag where it is"
         )
     settings = run.settings()
     inputs = find_inputs(bag_path, run.input_options)

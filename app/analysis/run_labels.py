@@ -80,7 +80,7 @@ class LabelSource:
     def has_points(self) -> bool:
         """Whether it tells where in the map the returns lie."""
         if self.run.labelled is None and self._alone is not None:
-            return self.run.bag_path is not None and self.run.bag_path.exists()
+            return self.run.bag_path is not None and self.run.bag_path.missing is None
         return True
 
     @property

@@ -45,6 +45,7 @@ from ffmap.app.setup.settings import Settings
 from ffmap.app.setup.versions import versions
 from ffmap.app.tables import table_console
 from ffmap.loaders.bag import open_bag
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.repeated_bag import plan_repetition, write_repeated_bag
 from ffmap.loaders.trajectory_file import write_tum
@@ -53,7 +54,7 @@ _T = TypeVar("_T")
 
 
 def bench(
-    bag: Path | None,
+    bag: BagPath | None,
     duration_s: float,
     runs: int = 1,
     repeat: int = 1,
@@ -64,14 +65,15 @@ def bench(
 
     bag: None for one that is simulated. json: a file, or - for standard output in place of tables.
     """
-    _check_words(bag, repeat, against, json)
+    _check_words(repeat, against, json)
     with tempfile.TemporaryDirectory(prefix="ffmap-bench-") as name:
         folder = Path(name)
         other = None if against is None else revision(against, folder / "other")
         if bag is None:
-            bag = folder / "office.bag"
+            simulated = folder / "office.bag"
+            bag = BagPath((simulated,))
             _say(f"simulating {duration_s:.0f} s in building 'office' ...")
-            simulate(bag, {"building": "office", "seed": 1, "duration_s": duration_s})
+            simulate(simulated, {"building": "office", "seed": 1, "duration_s": duration_s})
         drive = _Drive.of(bag, folder)
         if other is None:
             budget = _measure_budget(drive, runs, repeat)
@@ -93,21 +95,21 @@ class _Drive:
     workers: int
 
     @classmethod
-    def of(cls, bag: Path, folder: Path) -> "_Drive":
+    def of(cls, bag: BagPath, folder: Path) -> "_Drive":
         inputs = find_inputs(bag, InputOptions())
         if inputs.vertical is None or inputs.horizontal is None:
             raise InputError(f"{bag}: has no vertical lidar to label; give a bag of two lidars")
         return cls(inputs, inputs.horizontal, inputs.vertical, _duration_s(bag), folder, one_for_each_core(None))
 
     def run(
-        self, program: Program, cache: Path, bag: Path | None = None, trajectory: Path | None = None
+        self, program: Program, cache: Path, bag: BagPath | None = None, trajectory: Path | None = None
     ) -> MeasuredRun:
         """One run of the drive, or of another bag with its poses; nothing of it stays but the odometry in `cache`."""
         with tempfile.TemporaryDirectory(prefix="run-", dir=self.folder) as folder:
             return measure_run(program, bag or self.inputs.bag_path, Path(folder), self.workers, cache, trajectory)
 
 
-def _check_words(bag: Path | None, repeat: int, against: str | None, json: Path | None) -> None:
+def _check_words(repeat: int, against: str | None, json: Path | None) -> None:
     """Before anything is measured. Raises InputError."""
     if against is not None and repeat > 1:
         raise InputError("--repeat: measures one version; leave --against out, or --repeat")
@@ -159,8 +161,9 @@ def _repeat(drive: _Drive, trajectory: Trajectory, times: int, settings: Setting
     with open_bag(inputs.bag_path) as opened:
         write_repeated_bag(bag, opened, inputs.rig, repetition)
     write_tum(poses, repetition.poses(trajectory))
-    run = drive.run(this_program(), drive.folder / "unused", bag, poses)
-    return Repeated(times, _duration_s(bag), run)
+    repeated = BagPath((bag,))
+    run = drive.run(this_program(), drive.folder / "unused", repeated, poses)
+    return Repeated(times, _duration_s(repeated), run)
 
 
 def _compare(drive: _Drive, runs: int, other: Program) -> Comparison:
@@ -207,7 +210,7 @@ def _joined(times: Sequence[LabellingTimes]) -> LabellingTimes:
     return LabellingTimes(floor_ms, takes_ms, times[0].points)
 
 
-def _duration_s(bag: Path) -> float:
+def _duration_s(bag: BagPath) -> float:
     with open_bag(bag) as opened:
         return opened.duration_s
 

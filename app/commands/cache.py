@@ -15,6 +15,7 @@ from ffmap.app.run import odometry_cache
 from ffmap.app.run.start import Arguments
 from ffmap.app.tables import make_table, table_console
 from ffmap.app.user_cache import user_cache
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 
 _UNKNOWN = "(kept by an earlier version)"
@@ -62,7 +63,7 @@ def warm(workers: int) -> None:
         os.environ[odometry_cache.CACHE_VARIABLE] = folder
         bag = Path(folder) / "drive.bag"
         simulate(bag, _DRIVE)
-        run_command.run(Arguments(bag=bag, out=Path(folder) / "run", workers=workers, quiet=True), None)
+        run_command.run(Arguments(bag=BagPath((bag,)), out=Path(folder) / "run", workers=workers, quiet=True), None)
     compiled = Path(os.environ[compiled_code.VARIABLE])
     size = _megabytes(compiled_code.size_bytes(compiled))
     typer.echo(f"{compiled}: {size} of compiled code, after {time.monotonic() - started:.0f} s")

@@ -18,6 +18,7 @@ from ffmap.app.run.odometry import Odometry
 from ffmap.app.setup.inputs import InputOptions, Inputs, find_inputs
 from ffmap.app.setup.settings import Settings, load_settings
 from ffmap.app.tables import make_table, table_console
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 
 _SCANS, _RETURNS = 200, 60_000
@@ -37,13 +38,15 @@ _MOTION = (
 )
 
 
-def calibrate(bag: Path, options: InputOptions, out: Path, recording: Path | None, seconds: float, quiet: bool) -> None:
+def calibrate(
+    bag: BagPath, options: InputOptions, out: Path, recording: Path | None, seconds: float, quiet: bool
+) -> None:
     """Refine, tell, draw and write; raises InputError where the bag has no two lidars, or too little that both see."""
     inputs = find_inputs(bag, options)
     horizontal, vertical = inputs.horizontal, inputs.vertical
     if horizontal is None or vertical is None or horizontal.lidar.topic == vertical.lidar.topic:
         raise InputError(
-            f"{bag}: one lidar alone has no mount to refine; give a bag of two, 'ffmap info {bag}' lists them"
+            f"{bag}: one lidar alone has no mount to refine; give a bag of two, 'ffmap info {bag.words}' lists them"
         )
     # By the horizontal lidar alone: a mount that is off would bend the poses.
     settings = load_settings(None, ["refinement.companion_points_max=0"])
@@ -63,7 +66,7 @@ def calibrate(bag: Path, options: InputOptions, out: Path, recording: Path | Non
     with written_whole(out) as part:
         part.write_text(_rig_text(refined, checked))
     _tell(checked)
-    typer.echo(f"rig file: {out}  (ffmap run {bag} --rig {out})")
+    typer.echo(f"rig file: {out}  (ffmap run {bag.words} --rig {out})")
     if recording is not None:
         typer.echo(f"recording: {recording}  (before red, after green; ffmap view {recording})")
 

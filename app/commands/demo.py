@@ -11,6 +11,7 @@ from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.names import RUN_JSON, require_writable
 from ffmap.app.own_command import own_command, view_command
 from ffmap.app.run.start import Arguments
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 
 SECONDS = 16.0
@@ -26,13 +27,13 @@ def demo(out: Path) -> None:
     bag, run = out / "small.bag", out / "run"
     if bag.exists():
         # A demonstration before this one has made it, if its run says so.
-        if not (run / RUN_JSON).exists() or open_run(run).bag_path != bag.resolve():
+        if not (run / RUN_JSON).exists() or open_run(run).bag_path != BagPath((bag.resolve(),)):
             raise InputError(f"{bag}: is there already; remove it, or give another folder to --out")
         bag.unlink()
     typer.echo(f"simulating {SECONDS:.0f} s of driving in a small furnished building ...")
     simulate(bag, {"building": "small", "seed": 3, "duration_s": SECONDS})
     typer.echo("labelling every scan, mapping the building, recording every intermediate ...")
-    run_command.run(Arguments(bag=bag, out=run, overwrite=True), None)
+    run_command.run(Arguments(bag=BagPath((bag,)), out=run, overwrite=True), None)
     typer.echo(f"\ndone in {time.monotonic() - started:.0f} s. Look at every scan, step by step:\n")
     typer.echo(f"    {view_command(run)}\n")
     typer.echo(f"Your own bag: {own_command()} run BAG; '{own_command()} info BAG' says what it lacks, if anything.")

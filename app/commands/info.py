@@ -1,18 +1,20 @@
 """ffmap info: what a bag holds and what it is good for, on the terminal."""
 
-from pathlib import Path
+from collections.abc import Sequence
 
 import numpy as np
 import typer
 
 from ffmap.app.setup.inputs import InputOptions
-from ffmap.loaders.info import BagInfo, CloudInfo, describe_bag, ring_words, time_words
+from ffmap.loaders.bag import BagFile
+from ffmap.loaders.bag_path import BagPath
+from ffmap.loaders.info import BagInfo, CloudInfo, describe_bag, ring_words, size_of, time_words
 
 _REASONS = 3
 """Maximum number of reasons told for which clouds give no scan."""
 
 
-def info(bag: Path, options: InputOptions) -> None:
+def info(bag: BagPath, options: InputOptions) -> None:
     """Print a bag's description, a line for each fact, so that it can be searched and compared."""
     found = describe_bag(bag, options.rig, options.horizontal, options.vertical, options.time_from)
     for line in describe(found):
@@ -22,7 +24,10 @@ def info(bag: Path, options: InputOptions) -> None:
 def describe(found: BagInfo) -> list[str]:
     bag = found.bag
     facts = f"ROS {bag.ros_version}, {found.size_bytes / 1e6:.1f} MB, {bag.duration_s:.1f} s"
-    lines = [f"{bag.path}: {bag.container}, {facts}", "", "topics"]
+    lines = [f"{bag.path}: {bag.container}, {facts}"]
+    if len(bag.files) > 1:
+        lines += ["", "files", *_describe_files(bag.files)]
+    lines += ["", "topics"]
     width = max(map(len, bag.topics), default=0)
     for topic in bag.topics.values():
         timed = topic.count > 1 and bag.duration_s > 0
@@ -43,6 +48,21 @@ def describe(found: BagInfo) -> list[str]:
     for title, texts in (("missing", found.missing), ("warnings", found.warnings)):
         lines += ["", title, *(f"  {text}" for text in texts)] if texts else []
     return lines
+
+
+def _describe_files(files: Sequence[BagFile]) -> list[str]:
+    """Each file's size, and when it begins and ends, counted from the first."""
+    width = max(len(file.path.name) for file in files)
+    spans = [
+        f"{(file.start_ns - files[0].start_ns) / 1e9:8.1f} to {(file.stop_ns - 1 - files[0].start_ns) / 1e9:.1f} s"
+        if file.start_ns < file.stop_ns
+        else "empty"
+        for file in files
+    ]
+    return [
+        f"  {file.path.name:<{width}} {size_of(file.path) / 1e6:10.1f} MB {span}"
+        for file, span in zip(files, spans, strict=True)
+    ]
 
 
 def _describe_cloud(cloud: CloudInfo) -> list[str]:

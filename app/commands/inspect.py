@@ -16,6 +16,7 @@ from ffmap.app.record.line_reasons import LineReason, explain_lines, name_of, sc
 from ffmap.app.record.stream import start_viewer
 from ffmap.app.tables import make_table
 from ffmap.blueprints import entities
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 
 WORST = "worst"
@@ -23,7 +24,7 @@ _PLAIN = re.compile(r"\*\*|`")
 """What Markdown has and a terminal does not."""
 
 
-def inspect(run_path: Path, wanted: str, line: int | None, bag: Path | None, out: Path | None, spawn: bool) -> None:
+def inspect(run_path: Path, wanted: str, line: int | None, bag: BagPath | None, out: Path | None, spawn: bool) -> None:
     """Record one scan line by line; raises InputError for what the user can mend.
 
     line: the one to open at; None for the worst, as far as the run's files tell.

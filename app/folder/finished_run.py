@@ -18,8 +18,10 @@ from ffmap.app.folder.names import (
     RunFolder,
     is_held,
 )
+from ffmap.app.folder.record import bag_of
 from ffmap.app.setup.inputs import InputOptions
 from ffmap.app.setup.settings import Settings, validate
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.pointcloud2 import TimeFrom
 from ffmap.loaders.rig import MountCorrection
@@ -109,10 +111,9 @@ class FinishedRun:
         return path
 
     @property
-    def bag_path(self) -> Path | None:
+    def bag_path(self) -> BagPath | None:
         """The bag that the run was made from; it may be gone."""
-        path = self.part("bag").get("path")
-        return Path(path) if path is not None else None
+        return bag_of(self.record)
 
     def labelled_same_clouds(self, other: "FinishedRun") -> bool:
         """Whether both labelled the very same clouds; by their times alone where one was killed before it had read all."""

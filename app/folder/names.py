@@ -19,6 +19,7 @@ from typing import Any
 
 from ffmap.app.folder.atomic import write_json
 from ffmap.app.folder.record import check_record
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.text_files import read_object
 
@@ -120,7 +121,7 @@ class RunFolder:
         write_json(self.path / RUN_JSON, content)
 
 
-def default_path(bag: Path, settings_hash: str) -> Path:
+def default_path(bag: BagPath, settings_hash: str) -> Path:
     """runs/<bag>-<time>-<hash> below the working directory."""
     return Path("runs") / f"{bag.stem}-{datetime.now():%Y%m%d-%H%M%S}-{settings_hash}"
 

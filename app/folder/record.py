@@ -1,15 +1,18 @@
 """What run.json may hold: whoever reads it can rely on the kinds of its values, whatever was done to the file."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel, FiniteFloat, ValidationError
 
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError, shortened
 
 
 class _Bag(BaseModel):
     path: str | None = None
+    parts: list[str] | None = None
     digest: str | None = None
 
 
@@ -63,3 +66,16 @@ def check_record(record: dict[str, Any], path: Path) -> dict[str, Any]:
         name = ".".join(str(part) for part in first["loc"])
         raise InputError(f"{path}: {name}: {shortened(first['msg'].lower())}; give another run folder") from None
     return record
+
+
+def bag_entry(bag: BagPath) -> dict[str, Any]:
+    """Where a bag lies, as run.json has it: `path` of the bag or of its first part, `parts` of all where there are several."""
+    paths = [str(part) for part in bag.resolve().parts]
+    return {"path": paths[0], "parts": paths} if len(paths) > 1 else {"path": paths[0]}
+
+
+def bag_of(record: Mapping[str, Any]) -> BagPath | None:
+    """Where the bag of a run lies, or lay; None where its run.json does not say."""
+    bag = record.get("bag") or {}
+    paths = bag.get("parts") or [bag.get("path")]
+    return None if None in paths else BagPath(tuple(map(Path, paths)))

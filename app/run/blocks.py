@@ -32,6 +32,7 @@ from ffmap.app.setup.inputs import Inputs, Sensor
 from ffmap.app.setup.outputs import Detail
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag import Bag, open_bag
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.cloud_digest import as_rows
 from ffmap.loaders.pointcloud2 import full_labels
 from ffmap.loaders.scans import SkippedScan, read_digests, read_scans
@@ -312,11 +313,11 @@ def _vertical(inputs: Inputs) -> Sensor:
     return inputs.vertical
 
 
-def _open(path: Path) -> Bag:
+def _open(path: BagPath) -> Bag:
     """Each worker opens the bag once, and each of its threads, where a cluster's has several."""
     return _open_in_thread(path, threading.get_ident())
 
 
 @cache
-def _open_in_thread(path: Path, _thread: int) -> Bag:
+def _open_in_thread(path: BagPath, _thread: int) -> Bag:
     return open_bag(path)

@@ -14,7 +14,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from multiprocessing.connection import Connection
-from pathlib import Path
 
 import numpy as np
 
@@ -29,6 +28,7 @@ from ffmap.app.run.workers import WorkerLostError, process_context, start_as_wor
 from ffmap.app.setup.inputs import Inputs, Sensor, digest_clouds, digest_stamps, total_digest
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag import open_bag
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.scans import read_digests, read_scans
@@ -273,7 +273,7 @@ def _sensors(inputs: Inputs, sensor: Sensor, settings: Settings) -> list[Sensor]
 
 
 def _with_companions(
-    bag_path: Path, sensor: Sensor, companion: Sensor | None, range_max_m: float, digests: dict[str, list[bytes]]
+    bag_path: BagPath, sensor: Sensor, companion: Sensor | None, range_max_m: float, digests: dict[str, list[bytes]]
 ) -> Iterator[tuple[int, Scan, Scan | None]]:
     """The usable scans in order; beside each the companion's last one that ended before it, once.
 
@@ -296,7 +296,7 @@ _COMPANION_NS = 200_000_000
 
 
 def _usable_scans(
-    bag_path: Path, sensor: Sensor, range_max_m: float, digests: dict[str, list[bytes]]
+    bag_path: BagPath, sensor: Sensor, range_max_m: float, digests: dict[str, list[bytes]]
 ) -> Iterator[tuple[int, Scan]]:
     """The usable scans in order, without the returns that are too far away: a registration may fail on them."""
     own = digests.setdefault(sensor.lidar.topic, [])

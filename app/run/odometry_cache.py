@@ -23,6 +23,7 @@ import xxhash
 from ffmap.app.run.arrays import Arrays
 from ffmap.app.user_cache import CACHE_VARIABLE as CACHE_VARIABLE
 from ffmap.app.user_cache import user_cache
+from ffmap.loaders.bag_path import BagPath
 
 LIMIT_BYTES = 5_000_000_000
 """The cache is kept below this size; what was not used for longest goes first."""
@@ -149,7 +150,7 @@ class Writer:
         self._write(name, buffer.getvalue())
         self._checksums[name] = _checksum(buffer.getvalue())
 
-    def complete(self, content: str, bag: Path) -> None:
+    def complete(self, content: str, bag: BagPath) -> None:
         """Let the entry appear, for the clouds with this digest; then make room where the cache is too large."""
         self._write(_COMPLETE, json.dumps({"bag": str(bag), "files": self._checksums}).encode())
         if self.failure is not None:

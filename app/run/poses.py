@@ -198,7 +198,7 @@ def _read_all_poses(name: str, inputs: Inputs) -> Trajectory:
             return read_pose_topic(bag, name, inputs.rig.base_frame, inputs.rig.tree)
     path = inputs.bag_path
     raise InputError(
-        f"--trajectory {name}: is neither a file nor a topic of {path}; 'ffmap info {path}' lists the topics"
+        f"--trajectory {name}: is neither a file nor a topic of {path}; 'ffmap info {path.words}' lists the topics"
     )
 
 

@@ -17,6 +17,7 @@ from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.app.folder.finished_run import FROM_ODOMETRY
 from ffmap.app.folder.names import PROGRAM, RECORDING, TRAJECTORY, RunFolder, written_files
+from ffmap.app.folder.record import bag_entry
 from ffmap.app.progress import Progress
 from ffmap.app.record.log import Log
 from ffmap.app.record.odometry import log_trajectory
@@ -135,7 +136,7 @@ def _pool(run: Run) -> Iterator[Executor]:
         return
     from ffmap.app.run.cluster import connect
 
-    with connect(run.options.scheduler, [run.inputs.bag_path, run.folder.path]) as cluster:
+    with connect(run.options.scheduler, [*run.inputs.bag_path.parts, run.folder.path]) as cluster:
         run.progress.say(f"cluster: {cluster.slots} blocks of scans at once")
         yield cluster.executor
 
@@ -211,7 +212,7 @@ def first_record(
         "recording_id": str(uuid.uuid4()),
         "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "bag": {
-            "path": str(inputs.bag_path.resolve()),
+            **bag_entry(inputs.bag_path),
             "container": inputs.container,
             "stamps": digest_stamps(inputs.used(given_poses is not None)),
         },

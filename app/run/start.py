@@ -12,6 +12,7 @@ import typer
 from ffmap.app.folder import names as run_folder
 from ffmap.app.folder.finished_run import FROM_ODOMETRY, mount_correction
 from ffmap.app.folder.names import RunFolder
+from ffmap.app.folder.record import bag_of
 from ffmap.app.progress import Progress
 from ffmap.app.record.stream import check_viewer, start_viewer
 from ffmap.app.run import stages
@@ -24,6 +25,7 @@ from ffmap.app.setup.inputs import InputOptions, Inputs, digest_clouds, digest_s
 from ffmap.app.setup.outputs import RUN_OUTPUTS, Detail, check_outputs
 from ffmap.app.setup.settings import Settings, load_settings, validate
 from ffmap.app.setup.versions import versions
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.pointcloud2 import TimeFrom
@@ -36,7 +38,7 @@ INTERRUPTED = 130
 class Arguments:
     """The command line's words; see `ffmap.app.cli.Run`."""
 
-    bag: Path | None
+    bag: BagPath | None
     out: Path | None = None
     config: Path | None = None
     overrides: tuple[str, ...] = ()
@@ -89,7 +91,7 @@ def make_ready(arguments: Arguments, stack: ExitStack) -> Ready:
         raise InputError("give a bag, or --resume with a run folder; 'ffmap run --help' has examples")
     settings = load_settings(arguments.config, arguments.overrides)
     inputs, given = _find(arguments, arguments.bag, settings)
-    home = arguments.out or run_folder.default_path(arguments.bag.resolve(), settings.short_hash())
+    home = arguments.out or run_folder.default_path(inputs.bag_path, settings.short_hash())
     if arguments.scheduler is not None:
         # The processes of a cluster work in other folders.
         inputs, home = replace(inputs, bag_path=inputs.bag_path.resolve()), home.resolve()
@@ -141,7 +143,7 @@ def _options(arguments: Arguments) -> RunOptions:
     )
 
 
-def _find(arguments: Arguments, bag: Path, settings: Settings) -> tuple[Inputs, GivenPoses | None]:
+def _find(arguments: Arguments, bag: BagPath, settings: Settings) -> tuple[Inputs, GivenPoses | None]:
     """The bag's lidars, and the poses that were given, if any."""
     inputs = find_inputs(bag, arguments.bag_options)
     given = given_poses(arguments.trajectory, inputs, settings)
@@ -213,7 +215,8 @@ def stored(arguments: Arguments) -> dict[str, Any]:
 
 def _files_read(arguments: Arguments) -> list[Path]:
     """What the user has named to be read."""
-    named = (arguments.bag, arguments.config, arguments.bag_options.rig, arguments.trajectory)
+    parts = arguments.bag.parts if arguments.bag is not None else ()
+    named = (*parts, arguments.config, arguments.bag_options.rig, arguments.trajectory)
     return [Path(name) for name in named if name is not None and Path(name).exists()]
 
 
@@ -244,7 +247,9 @@ def _as_begun(arguments: Arguments, path: Path, record: dict[str, Any]) -> tuple
     """What a killed run was started with. record: what its run.json holds."""
     try:
         options = {name: record["options"][name] for name in (*_STORED, "digests")}
-        bag, settings = Path(record["bag"]["path"]), validate(record["settings"], str(path / run_folder.RUN_JSON))
+        bag, settings = bag_of(record), validate(record["settings"], str(path / run_folder.RUN_JSON))
+        if bag is None:
+            raise KeyError("bag")
         if options["time_from"] not in get_args(TimeFrom):
             raise KeyError(options["time_from"])
         options["outputs"] = check_outputs(options["outputs"])
@@ -254,8 +259,8 @@ def _as_begun(arguments: Arguments, path: Path, record: dict[str, Any]) -> tuple
         raise InputError(f"{path / run_folder.RUN_JSON}: lacks {error}; start a new run") from None
     except TypeError as error:
         raise InputError(f"{path / run_folder.RUN_JSON}: is not as ffmap wrote it ({error}); start a new run") from None
-    if not bag.exists():
-        raise InputError(f"{bag}: the run's bag is gone; bring it back, or start a new run")
+    if bag.missing is not None:
+        raise InputError(f"{bag.missing}: the run's bag is gone; bring it back, or start a new run")
     begun, now = record.get("versions", {}), versions()
     if any(begun.get(name) != now[name] for name in ("furniture-free-mapping", "git_revision")):
         raise InputError(f"{path}: was begun by another version of ffmap, whose labels may differ; start a new run")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ffmap.algorithms.base.scan import Scan
 from ffmap.loaders.bag import Bag, open_bag
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.pointcloud2 import TimeFrom
@@ -55,7 +56,7 @@ class Sensor:
 class Inputs:
     """Everything that worker processes need to read scans for themselves."""
 
-    bag_path: Path
+    bag_path: BagPath
     container: str
     rig: Rig
     horizontal: Sensor | None
@@ -86,7 +87,7 @@ class Inputs:
         return [*{sensor.lidar.topic: sensor for sensor in wanted if sensor is not None}.values()]
 
 
-def find_inputs(bag_path: Path, options: InputOptions) -> Inputs:
+def find_inputs(bag_path: BagPath | Path, options: InputOptions) -> Inputs:
     """Open a bag, find its lidars and settle how their clouds are read.
 
     Raises InputError that names the file, topic or frame and says what to do.
@@ -97,7 +98,7 @@ def find_inputs(bag_path: Path, options: InputOptions) -> Inputs:
         vertical = _sensor(bag, rig.vertical) if rig.vertical else None
         clocks = clock_problem(horizontal.index, vertical.index) if horizontal and vertical else None
         return Inputs(
-            bag_path=bag_path.resolve(),
+            bag_path=bag.path.resolve(),
             container=bag.container,
             rig=rig,
             horizontal=horizontal,
@@ -111,7 +112,7 @@ def digest_stamps(sensors: Iterable[Sensor]) -> dict[str, str]:
     return {s.lidar.topic: joined([s.index.stamp_ns.tobytes(), s.index.message_count.tobytes()]).hex() for s in sensors}
 
 
-def digest_clouds(bag_path: Path, sensors: Iterable[Sensor]) -> dict[str, str]:
+def digest_clouds(bag_path: BagPath, sensors: Iterable[Sensor]) -> dict[str, str]:
     """The digest of all clouds of each sensor, by topic; they are read, not decoded."""
     with open_bag(bag_path) as bag:
         return {sensor.lidar.topic: joined(read_digests(bag, sensor.index)).hex() for sensor in sensors}
@@ -133,10 +134,10 @@ def _sensor(bag: Bag, lidar: Lidar) -> Sensor:
             return sensor
         reasons.append(scan.reason)
     why = f"{lidar.topic} has no usable cloud ({commonest(reasons)})"
-    raise InputError(f"{bag.path}: {why}; name another topic, 'ffmap info {bag.path}' lists them")
+    raise InputError(f"{bag.path}: {why}; name another topic, 'ffmap info {bag.path.words}' lists them")
 
 
-def why_skipped(bag_path: Path, sensor: Sensor, clouds: Sequence[int]) -> str:
+def why_skipped(bag_path: BagPath, sensor: Sensor, clouds: Sequence[int]) -> str:
     """The commonest reason for which clouds of a lidar, by their numbers, give no scan; of many some tell."""
     reasons: list[str] = []
     with open_bag(bag_path) as bag:

@@ -23,6 +23,7 @@ from ffmap.app.sweeps import plan
 from ffmap.app.sweeps.one_run import Job, overrides_of, stop_all
 from ffmap.app.sweeps.plan import Combination, Parameter, Search, Study
 from ffmap.app.sweeps.schedule import Run
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.text_files import read_json
 from ffmap.loaders.truth import carries_truth
@@ -44,7 +45,7 @@ class Sweep:
     outputs: tuple[Output, ...]
     bags: tuple[Inputs, ...]
     truth: bool
-    clouds: Mapping[Path, Mapping[str, str]]
+    clouds: Mapping[BagPath, Mapping[str, str]]
     out: Path
 
     def search(self) -> Search:
@@ -115,7 +116,7 @@ def make_ready(words: SweepParameters) -> Sweep:
 
 
 def _default_out(
-    words: SweepParameters, outputs: tuple[Output, ...], clouds: Mapping[Path, Mapping[str, str]], base: Settings
+    words: SweepParameters, outputs: tuple[Output, ...], clouds: Mapping[BagPath, Mapping[str, str]], base: Settings
 ) -> Path:
     """The same for the same command and program, so that a sweep that was killed goes on."""
     said: list[object] = [words.grid, words.random, words.optuna, words.objective, words.seed]
@@ -161,7 +162,7 @@ def workers_of(sweep: Sweep) -> Iterator[tuple[Executor, Callable[[], int], Path
     from ffmap.app.run.cluster import connect
 
     # A worker sees the folder if it sees what lies in it.
-    needed = [sweep.out / SweepFile.JSON, *(inputs.bag_path for inputs in sweep.bags)]
+    needed = [sweep.out / SweepFile.JSON, *(part for inputs in sweep.bags for part in inputs.bag_path.parts)]
     with connect(scheduler, needed, partial(stop_all, sweep.out)) as cluster:
         shared = _can_write(own) and cluster.all_see(own / _MARK)
         yield cluster.executor, lambda: cluster.slots, own if shared else sweep.out

@@ -18,6 +18,7 @@ from ffmap.app.record.catalogue.runs import Query
 from ffmap.app.setup.inputs import InputOptions, Inputs, find_inputs
 from ffmap.app.setup.settings import as_toml, load_settings
 from ffmap.loaders.bag import make_typestore, open_bag
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.info import describe_bag
 from ffmap.loaders.rig_file import read_rig_file
@@ -139,7 +140,8 @@ def evaluate_by(run: Path, bag: Path, building: bytes) -> None:
     with open_bag(bag) as source:
         kept = [topic for topic in source.topics if topic.startswith("/truth/") and topic != BUILDING_TOPIC]
         entries = [(raw.topic, raw.log_time_ns, source.deserialize(raw)) for raw in source.messages(kept)]
-    evaluate_run(open_run(run), write_bag(path, [(BUILDING_TOPIC, START_NS, text), *entries]), workers=1)
+    truth = write_bag(path, [(BUILDING_TOPIC, START_NS, text), *entries])
+    evaluate_run(open_run(run), BagPath((truth,)), workers=1)
 
 
 def compare(run: Path, other: Path, out: Path) -> None:

@@ -137,8 +137,6 @@ def _bad(tmp_path: Path) -> dict[str, tuple[Path, str]]:
     (tmp_path / "zero.bag").touch()
     (tmp_path / "old.bag").write_bytes(b"#ROSBAG V1.2\n" + bytes(100))
     (tmp_path / "folder").mkdir()
-    (tmp_path / "ros1_folder.d").mkdir()
-    write_bag(tmp_path / "ros1_folder.d" / "x.bag", [])
     cut = write_bag(tmp_path / "cut_db3", clouds("/a", 20, ros_version=2)) / "cut_db3.db3"
     cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
     (tmp_path / "noise.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(range(200)))
@@ -147,8 +145,7 @@ def _bad(tmp_path: Path) -> dict[str, tuple[Path, str]]:
         "text": (tmp_path / "text.bag", "no bag"),
         "zero": (tmp_path / "zero.bag", "empty"),
         "old": (tmp_path / "old.bag", "version 2.0"),
-        "folder": (tmp_path / "folder", "no ROS 2 bag"),
-        "ros1 folder": (tmp_path / "ros1_folder.d", "x.bag"),
+        "folder": (tmp_path / "folder", "no bag"),
         "cut sqlite": (cut, "cut or damaged"),
         "noise": (tmp_path / "noise.mcap", "damaged from its start"),
     }

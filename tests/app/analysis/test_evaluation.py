@@ -24,6 +24,7 @@ from ffmap.app.folder.labelled_bag import write_labelled_bag
 from ffmap.app.folder.labels_file import LabelsWriter
 from ffmap.app.folder.map_files import write_grid
 from ffmap.loaders.bag import make_typestore, open_bag
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.frames import StaticTransform
 from ffmap.loaders.pointcloud2 import describe_layout, field_column
@@ -219,7 +220,7 @@ def test_the_truth_in_the_frame_of_poses_that_were_given_far_from_its_origin(
     folder = moved_run(run, tmp_path, origin_m)
     poses = read_tum(folder / "trajectory.tum")
     write_tum(tmp_path / "true.tum", poses.moved(transforms.make_transform(translation=origin_m)))
-    trajectory = evaluate_run(open_run(folder), tmp_path / "true.tum", workers=1)["trajectory"]
+    trajectory = evaluate_run(open_run(folder), BagPath((tmp_path / "true.tum",)), workers=1)["trajectory"]
     assert trajectory["unaligned_max_m"] < 1e-3
     assert trajectory["ate_rmse_m"] < 1e-3
 
@@ -309,7 +310,7 @@ def test_truth_from_another_bag(tmp_path: Path):
     with pytest.raises(InputError, match="--truth"):
         evaluate_run(open_run(made), workers=1)
     with_truth, _ = make_truth_bag(tmp_path / "in.bag")
-    assert evaluate_run(open_run(made), with_truth, workers=1)["scans"]["counted"] == SCANS
+    assert evaluate_run(open_run(made), BagPath((with_truth,)), workers=1)["scans"]["counted"] == SCANS
 
 
 def test_has_truth(run: tuple[Path, dict[str, Any]]):

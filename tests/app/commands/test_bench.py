@@ -17,6 +17,7 @@ from ffmap.app.analysis.bench_report import Budget
 from ffmap.app.analysis.bench_runs import MeasuredRun, Program, measure_run, medians, revision, this_program
 from ffmap.app.commands import bench as bench_command
 from ffmap.app.run.odometry_cache import CACHE_VARIABLE
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
 
@@ -127,7 +128,7 @@ def test_json_on_standard_output_stands_alone(
     stages = {name: Line(None, RUN.timings_s[name]) for name in STAGES}
     budget = Budget(1, 2, 4.0, 80, 100, Line(1.0, 2.0), labelling, stages, RUN, None)
     monkeypatch.setattr(bench_command, "_measure_budget", lambda *_: budget)
-    bench_command.bench(bag, 60.0, json=Path("-"))
+    bench_command.bench(BagPath((bag,)), 60.0, json=Path("-"))
     content = json.loads(capsys.readouterr().out)
     assert content["budget"]["whole_run"]["times_real_time"] == 0.5
     assert content["recording"]["share_of_clouds"] == 0.1
@@ -140,7 +141,7 @@ def test_two_versions_run_in_turn_and_never_on_an_earlier_odometry(
     asked: list[tuple[str, Path]] = []
 
     def measure(
-        program: Program, bag: Path, folder: Path, workers: int, cache: Path, trajectory: Path | None
+        program: Program, bag: BagPath, folder: Path, workers: int, cache: Path, trajectory: Path | None
     ) -> MeasuredRun:
         asked.append((program.name, cache))
         # The first runs of both compile code, and are long.
@@ -150,7 +151,7 @@ def test_two_versions_run_in_turn_and_never_on_an_earlier_odometry(
     monkeypatch.setattr(bench_command, "measure_run", measure)
     monkeypatch.setattr(bench_command, "revision", lambda name, _: Program(name, "app.cli", tmp_path))
     out = tmp_path / "bench.json"
-    bench_command.bench(bag, 60.0, runs=2, against="v1", json=out)
+    bench_command.bench(BagPath((bag,)), 60.0, runs=2, against="v1", json=out)
     assert [name for name, _ in asked] == ["this version", "v1"] * 3
     assert len({cache for _, cache in asked}) == 6
     content = json.loads(out.read_text())
@@ -200,11 +201,13 @@ def test_without_a_checkout_there_is_no_other_revision(tmp_path: Path, monkeypat
 
 def test_a_run_that_fails_says_why(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"nothing\.bag: no such file"):
-        measure_run(this_program(), tmp_path / "nothing.bag", tmp_path, 1, tmp_path / "cache")
+        measure_run(this_program(), BagPath((tmp_path / "nothing.bag",)), tmp_path, 1, tmp_path / "cache")
     with pytest.raises(
         InputError, match=r"--against v1: its run ended with exit code 1 \(ModuleNotFoundError.*\); name"
     ):
-        measure_run(Program("v1", "no_such.cli", tmp_path), tmp_path / "a.bag", tmp_path, 1, tmp_path / "cache")
+        measure_run(
+            Program("v1", "no_such.cli", tmp_path), BagPath((tmp_path / "a.bag",)), tmp_path, 1, tmp_path / "cache"
+        )
 
 
 @pytest.mark.parametrize(
@@ -217,4 +220,4 @@ def test_a_run_that_fails_says_why(tmp_path: Path) -> None:
 )
 def test_mistakes_are_told_before_anything_is_measured(words: dict[str, Any], said: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=said):
-        bench_command.bench(tmp_path / "not-even-there.bag", 60.0, **words)
+        bench_command.bench(BagPath((tmp_path / "not-even-there.bag",)), 60.0, **words)

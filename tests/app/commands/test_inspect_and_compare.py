@@ -32,6 +32,7 @@ from ffmap.app.record.stream import whole_messages
 from ffmap.blueprints import compare as compare_blueprint
 from ffmap.blueprints import entities
 from ffmap.blueprints.entities import Fault, LineOutcome
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.program import ffmap
@@ -558,7 +559,7 @@ def test_what_cannot_be_inspected_is_one_line(
     moved = tmp_path / "moved"
     moved.mkdir()
     record = json.loads((runs["usual"] / "run.json").read_text())
-    bag = Path(record["bag"]["path"])
+    bag = BagPath((Path(record["bag"]["path"]),))
     (moved / "run.json").write_text(json.dumps(record | {"bag": record["bag"] | {"path": str(tmp_path / "gone.bag")}}))
     for path, scan, line, wanted in (
         (runs["usual"], "-1", None, "has scans 0 to"),

@@ -32,6 +32,7 @@ from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.names import rooms_file
 from ffmap.app.run.start import Arguments
 from ffmap.blueprints import entities
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.program import FFMAP, ffmap, with_cache
@@ -179,7 +180,7 @@ def test_truth_that_cannot_be_compared_with_is_not_said_to_be_absent(
 
     monkeypatch.setenv("FFMAP_CACHE", environment["FFMAP_CACHE"])
     monkeypatch.setattr(run_command, "_evaluate", damaged)
-    arguments = Arguments(bags["bag"], tmp_path / "run", detail="map", outputs=("labels",), workers=1)
+    arguments = Arguments(BagPath((bags["bag"],)), tmp_path / "run", detail="map", outputs=("labels",), workers=1)
     with pytest.raises(InputError, match="the truth is damaged"):
         run_command.run(arguments, None)
     lines = capsys.readouterr().out.splitlines()
@@ -693,7 +694,7 @@ def test_viewer_that_ends_before_the_recording_begins_aborts_the_run(
 ) -> None:
     monkeypatch.setattr("ffmap.app.run.start.check_viewer", lambda url: None)
     arguments = Arguments(
-        bag=bags["bag"], out=tmp_path / "a", connect="rerun+http://127.0.0.1:1/proxy", workers=1, quiet=True
+        bag=BagPath((bags["bag"],)), out=tmp_path / "a", connect="rerun+http://127.0.0.1:1/proxy", workers=1, quiet=True
     )
     with pytest.raises(InputError, match="the viewer has ended"):
         run_command.run(arguments, None)

@@ -13,6 +13,7 @@ from ffmap.app.run.disk_use import check_disk, estimate
 from ffmap.app.run.start import Arguments
 from ffmap.app.setup.inputs import InputOptions, Inputs, find_inputs
 from ffmap.app.setup.outputs import RUN_OUTPUTS, Detail, Output
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
 
@@ -51,7 +52,7 @@ def test_what_is_said_is_what_is_written(
         remove(path, **options)
 
     monkeypatch.setattr("ffmap.app.run.stages.shutil.rmtree", weigh)
-    arguments = Arguments(bag=bag, out=out, detail=detail.value, evaluate=False, quiet=True, workers=1)
+    arguments = Arguments(bag=BagPath((bag,)), out=out, detail=detail.value, evaluate=False, quiet=True, workers=1)
     run_command.run(arguments, None)
     written = {file.name: file.stat().st_size for file in out.iterdir() if file.is_file()}
     assert use.kept[Output.LABELLED] == pytest.approx(written["labelled.bag"], rel=0.02)
@@ -85,7 +86,7 @@ def test_a_run_that_does_not_fit_is_refused_before_anything_is_written(
     free(monkeypatch, 0.5 * use.most)
     out = tmp_path / "new" / "run"
     with pytest.raises(InputError, match="does not fit") as error:
-        run_command.run(Arguments(bag=bag, out=out, quiet=True, workers=1), None)
+        run_command.run(Arguments(bag=BagPath((bag,)), out=out, quiet=True, workers=1), None)
     assert "\n" not in str(error.value)
     for words in (str(out), "labelled bag", "are free", "--outputs recording,cloud,maps,plan,geojson"):
         assert words in str(error.value)

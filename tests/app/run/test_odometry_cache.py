@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from ffmap.app.cli import app
 from ffmap.app.run import odometry_cache
 from ffmap.app.run.odometry_cache import Writer, cache_folder, clear, entries, entry_name, has_any, look_up
+from ffmap.loaders.bag_path import BagPath
 
 KEY = "0123456789abcdef01234567"
 CONTENT, OTHER = "a" * 32, "b" * 32
@@ -27,7 +28,7 @@ def keep(key: str = KEY, content: str = CONTENT) -> Writer:
     with Writer(key) as writer:
         for arrays in FILES:
             writer.add(arrays)
-        writer.complete(content, Path("/bags/drive.bag"))
+        writer.complete(content, BagPath((Path("/bags/drive.bag"),)))
     return writer
 
 

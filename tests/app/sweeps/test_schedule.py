@@ -18,6 +18,7 @@ from ffmap.app.sweeps.one_run import Job, Outcome, is_finished
 from ffmap.app.sweeps.plan import Choice, Listed
 from ffmap.app.sweeps.results import Results
 from ffmap.app.sweeps.schedule import Run, Schedule
+from ffmap.loaders.bag_path import BagPath
 
 BAGS = ("a", "b")
 
@@ -70,7 +71,9 @@ def write_run(job: Job) -> None:
 
 def run_of(folder: Path, bag: str, value: int, given: bool = False) -> Run:
     job = Job(
-        arguments=Arguments(bag=Path(bag), out=folder / f"{bag}-{value}", overrides=(f"seed={value}",), evaluate=False),
+        arguments=Arguments(
+            bag=BagPath((Path(bag),)), out=folder / f"{bag}-{value}", overrides=(f"seed={value}",), evaluate=False
+        ),
         bag_digest=f"digest of {bag}",
         settings_hash=str(value),
         cache=folder,
