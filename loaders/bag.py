@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass
 from functools import cache
 from heapq import merge
-from itertools import combinations
+from itertools import combinations, pairwise
 from operator import itemgetter
 from pathlib import Path
 from types import TracebackType
@@ -38,6 +38,8 @@ _WAYS_OUT = "give a ROS 1 .bag, a ROS 2 bag folder, an .mcap or a .db3"
 
 _GAP_NS = 1_000_000_000
 """Time between two files of a drive from which on a part may be missing: recorders open the next file within it."""
+_DRIVES_APART_NS = 600_000_000_000
+"""Time between two files of a folder from which on they are of several drives."""
 _OUT_OF_ORDER_NS = 1_000_000_000
 """Maximum time that two files of a drive share: recorders write what comes at once in any order."""
 
@@ -305,7 +307,22 @@ def _open_folder(folder: Path, warnings: list[str]) -> list[BagFile]:
     else:
         what = "no ROS 2 bag" if files[0].suffix == ".bag" else "no metadata.yaml"
         warnings.append(f"{folder.name}: {what}; its {len(files)} data file(s) are read as one bag")
-    return [_open_file(file, warnings) for file in files]
+    opened = [_open_file(file, warnings) for file in files]
+    if files[0].suffix == ".bag":
+        _check_together(folder, opened)
+    return opened
+
+
+def _check_together(folder: Path, files: Sequence[BagFile]) -> None:
+    """Raises InputError where the files of a folder are so far apart that they are of several drives."""
+    in_time = sorted((file for file in files if file.start_ns < file.stop_ns), key=lambda file: file.start_ns)
+    for before, file in pairwise(in_time):
+        if file.start_ns - before.stop_ns > _DRIVES_APART_NS:
+            minutes = (file.start_ns - before.stop_ns) / 60e9
+            raise InputError(
+                f"{folder}: holds several drives, {file.path.name} begins {minutes:.0f} min after {before.path.name} ends; name "
+                "the files of one"
+            )
 
 
 def _files_of(path: Path, reader: Ros2Reader) -> list[BagFile]:

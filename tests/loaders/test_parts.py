@@ -173,6 +173,17 @@ def test_a_gap_between_parts_is_told_with_its_length(tmp_path: Path) -> None:
         assert not bag.warnings
 
 
+def test_a_folder_of_several_drives_is_none(tmp_path: Path) -> None:
+    (tmp_path / "bags").mkdir()
+    for name, late_ns in (("a.bag", 0), ("b.bag", 60 * 10**9), ("c.bag", 1000 * 10**9)):
+        write_bag(tmp_path / "bags" / name, clouds("/a", 3, late_ns=late_ns))
+    with pytest.raises(InputError, match=r"bags: holds several drives, c\.bag begins 16 min after b\.bag ends"):
+        opened(tmp_path / "bags")
+    (tmp_path / "bags" / "c.bag").unlink()
+    with opened(tmp_path / "bags") as bag:
+        assert len(index_clouds(bag, "/a")) == 6
+
+
 def test_damage_names_the_part_that_is_damaged(tmp_path: Path) -> None:
     whole = write_bag(tmp_path / "drive.bag", drive(1))
     parts = cut(whole, tmp_path, PLACES_NS)
