@@ -17,7 +17,6 @@ from ffmap.algorithms.scan.floor import Floor, find_floor
 from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 from ffmap.algorithms.scan.smoothing import SmoothedRanges
 
-
 _FLOOR_WITHIN_M, _FLOOR_SLOPE_MAX_DEG, _FLOOR_PATCHES_MIN = 6.0, 15.0, 30
 
 
