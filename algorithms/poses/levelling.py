@@ -173,8 +173,8 @@ def _fit_floor(points_base: FloatArray, seed: int) -> tuple[FloatArray, float, f
             continue
         offset = float(normal @ a)
         # A table top or a ceiling has surfaces below it; the floor has none but reflections.
-        score = np.count_nonzero(np.abs(level @ normal - offset) < 0.03)
-        score -= 3 * np.count_nonzero(patches.centre @ normal - offset < -0.1)
+        below = np.count_nonzero(patches.centre @ normal - offset < -0.1)
+        score = np.count_nonzero(np.abs(level @ normal - offset) < 0.03) - 3.0 * below
         if score > best_score:
             best_score, best = score, (normal, offset)
     normal, offset = best
