@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, ClassVar, Self
@@ -29,6 +30,14 @@ _LATCHED = Qos(
     liveliness_lease_duration=_FOREVER,
     avoid_ros_namespace_conventions=False,
 )
+
+
+@dataclass(frozen=True)
+class SerializedMessage:
+    """A message as it lies in a bag of the version of ROS that is written; msgtype: as in `Message`."""
+
+    __msgtype__: str
+    data: bytes
 
 
 class BagWriter:
@@ -95,13 +104,14 @@ class BagWriter:
             how = {"latching": int(latched), "callerid": self.caller}
         self._connections[topic] = self._writer.add_connection(topic, msgtype, typestore=self._store, **how)
 
-    def write(self, topic: str, message: Message, log_time_ns: int, latched: bool = False) -> None:
+    def write(self, topic: str, message: Message | SerializedMessage, log_time_ns: int, latched: bool = False) -> None:
         """Append a message, to a topic that is there or a new one."""
         if topic not in self._connections:
             self.add_topic(topic, message.__msgtype__, latched)
         connection = self._connections[topic]
         serialize = self._store.serialize_ros1 if self._ros1 else self._store.serialize_cdr
-        self._writer.write(connection, log_time_ns, serialize(message, connection.msgtype))
+        data = message.data if isinstance(message, SerializedMessage) else serialize(message, connection.msgtype)
+        self._writer.write(connection, log_time_ns, data)
 
     def new(self, msgtype: str, *values: Any) -> Message:  # noqa: ANN401 - whatever its fields are
         """A message of its fields' values."""

@@ -1,4 +1,5 @@
-"""Digests of a bag's clouds: two bags have the same ones only if every byte that is used is the same.
+"""Digests of a bag's clouds, message by message: two bags have the same ones only if every byte that is used is the same,
+however many messages are gathered to a cloud.
 
 XXH3 of 128 bits is as fast as memory is read, and clouds that differ by accident do not share it. It is no protection
 against somebody who makes two clouds alike on purpose.
@@ -15,9 +16,9 @@ from ffmap.loaders.bag import RawMessage
 DIGEST_BYTES = 16
 
 
-def digest_of(messages: Sequence[RawMessage]) -> bytes:
-    """The digest of one cloud: of all bytes of the messages that it was gathered from, headers included."""
-    return joined(xxhash.xxh3_128_digest(message.data) for message in messages)
+def digest_of(message: RawMessage) -> bytes:
+    """The digest of all bytes of a message, its header included."""
+    return xxhash.xxh3_128_digest(message.data)
 
 
 def joined(digests: Iterable[bytes]) -> bytes:

@@ -1,4 +1,4 @@
-"""Livox's own clouds (CustomMsg of livox_ros_driver and livox_ros_driver2) as PointCloud2, field by field.
+"""Livox's own clouds (CustomMsg of livox_ros_driver and livox_ros_driver2) as PointCloud2, field by field, and made.
 
 The points are read from the message's bytes: as objects of Python, a second of them would take a second. Their layout is that
 of CustomMsg.msg and CustomPoint.msg, the same in both drivers: https://github.com/Livox-SDK/livox_ros_driver2/tree/master/msg
@@ -7,8 +7,10 @@ of CustomMsg.msg and CustomPoint.msg, the same in both drivers: https://github.c
 import struct
 
 import numpy as np
+import numpy.typing as npt
 
 from ffmap.loaders.bag import Bag, Message, RawMessage
+from ffmap.loaders.bag_writer import SerializedMessage
 from ffmap.loaders.errors import CloudError
 from ffmap.loaders.pointcloud2 import make_cloud
 
@@ -18,6 +20,7 @@ _FIELDS = ["offset_time", "x", "y", "z", "reflectivity", "tag", "line"]
 _FORMATS = ["u4", "f4", "f4", "f4", "u1", "u1", "u1"]
 _OFFSETS = [0, 4, 8, 12, 16, 17, 18]
 _POINT_BYTES = 19
+LIVOX_POINT = np.dtype({"names": _FIELDS, "formats": ["<" + kind for kind in _FORMATS], "offsets": _OFFSETS})
 _CDR_POINT_BYTES = 20  # Each begins at a multiple of four; the last one ends where its fields do
 
 
@@ -44,6 +47,24 @@ def livox_cloud(bag: Bag, raw: RawMessage) -> Message:
     stamp = bag.typestore.types["builtin_interfaces/msg/Time"](sec, nanosec)
     made = bag.typestore.types["std_msgs/msg/Header"](*([0] if bag.ros_version == 1 else []), stamp, frame_id)
     return make_cloud(bag.typestore, made, points[None])
+
+
+def livox_message(ros1: bool, stamp_ns: int, frame_id: str, points: npt.NDArray[np.void]) -> SerializedMessage:
+    """A CustomMsg of livox_ros_driver2. points: (n,) of the type LIVOX_POINT."""
+    sec, nanosec = divmod(stamp_ns, 1_000_000_000)
+    frame = frame_id.encode() + b"\0" * (not ros1)
+    step = _POINT_BYTES if ros1 else _CDR_POINT_BYTES
+    head = struct.pack("<IIII", 0, sec, nanosec, len(frame)) + frame
+    if not ros1:
+        head = struct.pack("<BBHiII", 0, 1, 0, sec, nanosec, len(frame)) + frame
+        head += b"\0" * (-(len(head) - 4) % 8)
+    head += struct.pack("<QIB3xI", stamp_ns, len(points), 0, len(points))
+    own = np.zeros(len(points), {"names": _FIELDS, "formats": _FORMATS, "offsets": _OFFSETS, "itemsize": step})
+    for name in _FIELDS:
+        own[name] = points[name]
+    # Behind the last point nothing is aligned.
+    data = own.tobytes()[: max(len(points) * step - (step - _POINT_BYTES), 0)]
+    return SerializedMessage(LIVOX_TYPES[1], head + data)
 
 
 _Head = tuple[

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from ffmap.algorithms.base import transforms
-from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan
+from ffmap.algorithms.base.trajectory import Trajectory, seen_at_once
 from ffmap.algorithms.scan.point_lines import COLUMN_PAIRS
 from ffmap.loaders.bag import Bag
 from ffmap.loaders.bag_path import BagPath
@@ -20,13 +21,15 @@ from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.frames import FrameTree, StaticTransform, read_frame_tree
 from ffmap.loaders.pointcloud2 import CloudDecoding, TimeFrom, decode, settle_decoding
 from ffmap.loaders.rig_file import RigEntry, RigFile, Role, built_in_rigs, read_rig_file
-from ffmap.loaders.scans import cloud_hint, cloud_topics, index_clouds, sample_messages
+from ffmap.loaders.scans import CloudIndex, cloud_hint, cloud_topics, index_clouds, sample_messages
 
 _SAMPLES = 8
 _UPRIGHT_DEG = 45.0
 _OPENING_MIN_DEG = 55.0  # A column of less shows floor and ceiling together only where a wall is far away
 _EQUAL_WITHIN_DEG = 5.0  # Lidars whose axes differ by less are equally upright: the one that sees more is taken
 _SECTORS = 36
+_SCAN_POINTS = 100_000  # of a scan without rings: as many as 128 rings have, a degree's third apart
+_SCAN_MAX_NS = 500_000_000  # In more, people walk on and the robot leaves the room
 _REACH_MAX_M = 100.0
 _SAME_DEG, _SAME_M = 2.0, 0.05  # Mounts that differ by less are the same one, measured twice
 
@@ -35,7 +38,8 @@ _SAME_DEG, _SAME_M = 2.0, 0.05  # Mounts that differ by less are the same one, m
 class Lidar:
     """A lidar of the rig. T_base_sensor: (4, 4). decoding: how its clouds become scans; for `read_scans`.
 
-    points_per_cloud: valid points, the median of some clouds. reasons: why it has its role, one line.
+    points_per_cloud: valid points of a scan, the median of some. reasons: why it has its role, one line.
+    clouds_a_scan: successive clouds that are labelled as one.
     """
 
     topic: str
@@ -44,6 +48,26 @@ class Lidar:
     decoding: CloudDecoding
     points_per_cloud: int
     reasons: str
+    clouds_a_scan: int = 1
+
+    def index(self, bag: Bag) -> CloudIndex:
+        """Where its scans lie in a bag."""
+        return index_clouds(bag, self.topic).gathered(self.clouds_a_scan)
+
+    def seen(self, scan: Scan, trajectory: Trajectory) -> Scan:
+        """The scan as the method takes it. trajectory: T_map_base, which covers it.
+
+        Without rings, only what was seen from one place is in any order.
+        """
+        if not self.ringless:
+            return scan
+        return seen_at_once(scan, trajectory, self.T_base_sensor, self.decoding.rings.edge_tan)
+
+    @property
+    def ringless(self) -> bool:
+        """Whether its firings have times and no rings: its pattern does not repeat."""
+        measured = self.decoding.time is not None and self.decoding.time_from == "auto"
+        return self.decoding.rings.source == "bins" and measured
 
     @property
     def ring_count(self) -> int:
@@ -192,6 +216,8 @@ def find_rig(
     candidates, base, edges = _place(bag, candidates, described, entries, asked, warnings)
     _check_reach(described.path if described else bag.path, candidates, base)
     roles = _roles(candidates, asked, warnings)
+    if "vertical" in roles:
+        roles["vertical"] = _gathering(roles["vertical"])
     for topic, lidar in {lidar.topic: lidar for lidar in roles.values()}.items():
         name = f"{topic} ({' and '.join(role for role in roles if roles[role].topic == topic)})"
         if not lidar.decoding.timed:
@@ -199,7 +225,7 @@ def find_rig(
                 f"{name}: its points have no times, or none whose unit can be told; motion compensation is "
                 "off; --time-from azimuth recovers them, but must not be used where the clouds are compensated already"
             )
-        if lidar.decoding.rings.source == "bins":
+        if lidar.decoding.rings.source == "bins" and not lidar.ringless:
             warnings.append(f"{name}: no ring field, and the elevations tell no rings apart")
     labelled = roles.get("vertical")
     if labelled is not None and labelled.column_pairs and labelled.opening_deg < _OPENING_MIN_DEG:
@@ -467,6 +493,21 @@ def _roles(candidates: list[_Candidate], asked: dict[Role, str], warnings: list[
         else:
             _label_by_columns([c for c in candidates if c.tilt_deg <= _UPRIGHT_DEG], roles, warnings)
     return roles
+
+
+def _gathering(lidar: Lidar) -> Lidar:
+    """The lidar that is labelled, with as many clouds a scan as it takes to see surfaces, where its pattern does not repeat."""
+    period_ns = lidar.decoding.period_ns
+    if not lidar.ringless or not period_ns or not lidar.points_per_cloud:
+        return lidar
+    clouds = max(min(round(_SCAN_POINTS / lidar.points_per_cloud), round(_SCAN_MAX_NS / period_ns)), 1)
+    return replace(
+        lidar,
+        decoding=replace(lidar.decoding, period_ns=clouds * period_ns),
+        points_per_cloud=clouds * lidar.points_per_cloud,
+        reasons=f"{lidar.reasons}; its pattern does not repeat, {clouds} clouds make a scan",
+        clouds_a_scan=clouds,
+    )
 
 
 def _label_by_columns(upright: list[_Candidate], roles: dict[Role, Lidar], warnings: list[str]) -> None:

@@ -1,5 +1,7 @@
 """Which emitter fired each point: from the cloud's ring field, its rows, or the elevation angles.
 
+A pattern that does not repeat has none: what Livox numbers as lines looks everywhere. Slices of elevation stand in for them.
+
 Drivers number rings upwards (Velodyne), downwards (Ouster) or in firing order; here ring 0 is always the lowest. The
 model is made once, from clouds all over the bag, and serves every scan, so that rings do not change their numbers.
 """
@@ -19,6 +21,8 @@ _MOST_RINGS = 512
 _STANDARD_COUNTS = (8, 16, 32, 40, 64, 80, 128)
 _BIN_DEG = 0.01
 _SWAP_DEG = 0.2  # Neighbouring rings whose elevations differ by less may be out of order by noise alone
+_FEW = 100  # So few returns cannot tell whether a number keeps its elevation
+_SLICE_DEG = 0.45  # Of the lidars that are labelled, rings stand 0.3 to 1.6 degrees apart
 _NEAR_M = 1.0  # Nearer returns are left out of the estimate: the emitters' offset from the origin turns their elevation
 
 
@@ -27,7 +31,7 @@ class RingModel:
     """How a point gets its ring.
 
     source: "field" (the cloud's own numbers), "row" or "column" of an organised cloud, "elevation" (clusters of the
-        elevation angle), or "bins" (no clusters to be found: slices of equal elevation, good for odometry only).
+        elevation angle), or "bins" (no clusters to be found, for no emitter keeps its elevation: slices of it).
     elevation_deg: (count,) float64, each ring's elevation, ascending; NaN where it returned nothing.
     lookup: (values,) uint16, from the field's value, the row or the column to the ring; empty for elevations.
     edge_tan: (count - 1,) float64, tangents of the elevations between the rings; empty but for elevations.
@@ -65,13 +69,16 @@ class RingSample:
 
 
 def estimate_rings(samples: Sequence[RingSample]) -> RingModel:
-    """The model that fits these clouds: the ring field if it is filled, rows or columns, else the elevations."""
+    """The model that fits these clouds: the ring field if it is filled and each of its numbers keeps an elevation, rows or
+    columns, else the elevations.
+    """
     numbered = [s for s in samples if s.field is not None and _are_rings(s.field)]
     # One cloud in many may lack the field, or have it filled with anything.
     if 2 * len(numbered) > len(samples):
         elevation, far = _elevations(numbered)
         number = np.concatenate([s.field for s in numbered if s.field is not None])
-        return _by_number("field", _whole_count(int(number.max()) + 1), number[far], elevation[far])
+        if np.count_nonzero(far) < _FEW or _is_constant(number[far], elevation[far]):
+            return _by_number("field", _whole_count(int(number.max()) + 1), number[far], elevation[far])
     alike = _of_commonest_shape(samples)
     if 2 * len(alike) > len(samples) and 1 not in alike[0].shape:
         elevation, far = _elevations(alike)
@@ -108,7 +115,7 @@ def _elevations(samples: Sequence[RingSample]) -> tuple[FloatArray, BoolArray]:
 
 def _is_constant(number: IntArray, elevation: FloatArray) -> bool:
     """Whether points of one row (or column) lie at one elevation, compared with the whole cloud's spread."""
-    if len(number) < 100:
+    if len(number) < _FEW:
         return False
     order = np.argsort(number, kind="stable")
     groups = np.split(elevation[order], np.flatnonzero(np.diff(number[order])) + 1)
@@ -160,11 +167,9 @@ def _by_elevation(elevation: FloatArray) -> RingModel:
                 best_share, best = share, centres
     if best_share < 0.75:
         span = np.percentile(elevation, [0.5, 99.5]) if len(elevation) else np.array([-16.0, 16.0])
-        best, source = np.linspace(span[0], span[1], 32), "bins"
-    else:
-        source = "elevation"
+        best = np.linspace(span[0], span[1], max(round(np.ptp(span) / _SLICE_DEG), 2))
     edges = np.tan(np.radians((best[1:] + best[:-1]) / 2))
-    return RingModel("bins" if source == "bins" else "elevation", best, np.zeros(0, np.uint16), edges)
+    return RingModel("bins" if best_share < 0.75 else "elevation", best, np.zeros(0, np.uint16), edges)
 
 
 def _true_peaks(smooth: FloatArray) -> IntArray:

@@ -52,6 +52,23 @@ class CloudIndex:
     def __len__(self) -> int:
         return len(self.stamp_ns)
 
+    def gathered(self, clouds: int) -> "CloudIndex":
+        """The same with up to `clouds` successive ones as one, which has the first one's stamp.
+
+        A cloud that is not usable stays alone, and none is joined across a pause.
+        """
+        if clouds == 1 or not len(self):
+            return self
+        steps = np.diff(self.stamp_ns)
+        goes_on = self.usable[1:] & self.usable[:-1] & (steps < 1.5 * (self.period_ns or 0))
+        first, count = [0], 1
+        for i, joins in enumerate(goes_on.tolist(), start=1):
+            count = count + 1 if joins and count < clouds else 1
+            if count == 1:
+                first.append(i)
+        rows = {name: getattr(self, name)[first] for name in ("log_time_ns", "stamp_ns", "earlier", "usable")}
+        return replace(self, message_count=np.add.reduceat(self.message_count, first), **rows)
+
     def until(self, stop_ns: int) -> "CloudIndex":
         """The clouds before the first one that is stamped at that time or later."""
         count = int(np.argmax(np.append(self.stamp_ns >= stop_ns, True)))
@@ -280,20 +297,20 @@ def read_messages(
     """Clouds [first, first + count) as PointCloud2 messages: packets and partial clouds joined to revolutions, Livox's own
     turned into one each.
 
-    A CloudError in place of the message says that it cannot be made one. digests: takes the digest of each cloud's
-    bytes as it is read.
+    A CloudError in place of the message says that it cannot be made one. digests: takes the digests of each cloud's
+    messages as it is read.
     """
     packets = PacketDecoder(index.topic, bag.typestore) if bag.topics[index.topic].msgtype == PACKET_TYPE else None
     for i, group in _gathered(bag, index, first, count):
         if digests is not None:
-            digests.append(digest_of(group))
+            digests.extend(map(digest_of, group))
         yield i, _to_cloud(bag, group, packets)
 
 
 def read_digests(bag: Bag, index: CloudIndex, first: int = 0, count: int | None = None) -> Iterator[bytes]:
-    """The digest of the bytes of each of the clouds [first, first + count), none of them decoded."""
+    """The digest of each message of the clouds [first, first + count), none of them decoded."""
     for _, group in _gathered(bag, index, first, count):
-        yield digest_of(group)
+        yield from map(digest_of, group)
 
 
 def _gathered(bag: Bag, index: CloudIndex, first: int, count: int | None) -> Iterator[tuple[int, list[RawMessage]]]:
@@ -313,11 +330,10 @@ def _to_cloud(bag: Bag, group: Sequence[RawMessage], packets: PacketDecoder | No
     try:
         # Of a part that was recorded twice, one will do.
         kept = [raw for i, raw in enumerate(group) if not i or raw.data != group[i - 1].data]
-        if bag.topics[kept[0].topic].msgtype in LIVOX_TYPES:
-            return livox_cloud(bag, kept[0])
-        messages = [bag.deserialize(raw) for raw in kept]
         if packets:
-            return packets.to_cloud(messages[0])
+            return packets.to_cloud(bag.deserialize(kept[0]))
+        own = bag.topics[kept[0].topic].msgtype in LIVOX_TYPES
+        messages = [livox_cloud(bag, raw) if own else bag.deserialize(raw) for raw in kept]
         return messages[0] if len(messages) == 1 else merge_clouds(messages)
     except InputError as error:
         return error if isinstance(error, CloudError) else CloudError(str(error))

@@ -4,7 +4,7 @@ The paper used the nearest horizontal scan's pose for a vertical scan and left i
 firing has the pose of its own time.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
@@ -14,7 +14,9 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan
 from ffmap.algorithms.base.settings import StepSettings
 
-KNOTS = 17  # number of poses in a sweep, 6 ms apart at 10 Hz; between them a firing's pose is interpolated linearly
+KNOTS = (
+    17  # number of poses in a scan, 6 ms apart in one of 0.1 s; between them a firing's pose is interpolated linearly
+)
 
 
 class TrajectorySettings(StepSettings):
@@ -110,6 +112,23 @@ class PlacedScan:
         return transforms.apply(self.T_map_level, points_level)
 
 
+def seen_at_once(scan: Scan, trajectory: Trajectory, T_base_sensor: FloatArray, edge_tan: FloatArray) -> Scan:
+    """The scan that the sensor would have made in no time, where it is at the reference time: without times of firings.
+
+    Its returns then lie about one place, however far the sensor moved, so that neighbours in angle are neighbours in space.
+
+    edge_tan: (rings - 1,) tangents of the elevations between the rings; each return has the ring that it has from there.
+    """
+    if scan.time_ns is None:
+        return scan
+    T_map_sensor = _at_knots(scan, trajectory) @ T_base_sensor
+    T_reference_sensor = transforms.invert(T_map_sensor[-1]) @ T_map_sensor[:-1]
+    points = _place(scan.points_sensor, scan.time_ns, float(max(scan.end_ns - scan.start_ns, 1)), T_reference_sensor)
+    level_m = np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-6)
+    ring = np.searchsorted(edge_tan, points[:, 2] / level_m).astype(np.uint16)
+    return replace(scan, points_sensor=points, ring=ring, time_ns=None, start_ns=scan.reference_ns)
+
+
 def place_scan(
     scan: Scan, trajectory: Trajectory, T_base_sensor: FloatArray, base_height_m: float | None = None
 ) -> PlacedScan:
@@ -119,14 +138,15 @@ def place_scan(
 
     base_height_m: how high the base stands above the floor, wherever that lies; None for a floor at height 0.
     """
-    duration_ns = scan.end_ns - scan.start_ns
-    knots_ns = scan.start_ns + np.linspace(0, duration_ns, KNOTS).astype(np.int64)
-    T_map_base = trajectory.at(np.append(knots_ns, scan.reference_ns))
+    T_map_base = _at_knots(scan, trajectory)
     T_map_level = level_frame(T_map_base[-1], base_height_m)
     T_level_sensor = transforms.invert(T_map_level) @ T_map_base @ T_base_sensor
     time_ns = scan.time_ns if scan.time_ns is not None else np.zeros(0, np.int64)
     points_level = _place(
-        scan.points_sensor, time_ns, float(max(duration_ns, 1)), np.ascontiguousarray(T_level_sensor[:KNOTS])
+        scan.points_sensor,
+        time_ns,
+        float(max(scan.end_ns - scan.start_ns, 1)),
+        np.ascontiguousarray(T_level_sensor[:-1]),
     )
     T_reference = T_level_sensor[-1]
     return PlacedScan(
@@ -136,6 +156,12 @@ def place_scan(
         T_map_level=T_map_level,
         T_map_base=T_map_base[-1],
     )
+
+
+def _at_knots(scan: Scan, trajectory: Trajectory) -> FloatArray:
+    """T_map_base (KNOTS + 1, 4, 4) evenly from the first to the last firing, and at the reference time."""
+    knots_ns = scan.start_ns + np.linspace(0, scan.end_ns - scan.start_ns, KNOTS).astype(np.int64)
+    return trajectory.at(np.append(knots_ns, scan.reference_ns))
 
 
 def level_frame(T_map_base: FloatArray, base_height_m: float | None) -> FloatArray:

@@ -17,6 +17,8 @@ from ffmap.algorithms.scan.floor import Floor, find_floor
 from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 from ffmap.algorithms.scan.smoothing import SmoothedRanges
 
+_FLOOR_WITHIN_M, _FLOOR_SLOPE_MAX_DEG, _FLOOR_PATCHES_MIN = 6.0, 15.0, 30
+
 
 @dataclass(frozen=True)
 class Level:
@@ -144,38 +146,43 @@ def _move(points: FloatArray, T: FloatArray) -> FloatArray:  # pragma: no cover
 
 
 def _fit_floor(points_base: FloatArray, seed: int) -> tuple[FloatArray, float, float]:
-    """Unit normal, offset (normal · p = offset) and RMS of the floor under the base."""
+    """Unit normal, offset (normal · p = offset) and RMS of the floor under the base.
+
+    Of level pieces of surfaces alone: where a sensor sees little floor, more returns of walls lie at any one height.
+    """
     up = np.array([0.0, 0.0, 1.0])
     # Within 6 m a floor that slopes by 15° stays below a sensor's usual height; farther returns only blur it.
-    near = points_base[np.hypot(points_base[:, 0], points_base[:, 1]) < 6.0]
-    if len(near) < 100:
+    near = points_base[np.hypot(points_base[:, 0], points_base[:, 1]) < _FLOOR_WITHIN_M]
+    patches = Patches.of(near, cube_m=0.06, neighbours=30)
+    level = patches.centre[np.abs(patches.normal[:, 2]) > np.cos(np.radians(_FLOOR_SLOPE_MAX_DEG))]
+    if len(level) < _FLOOR_PATCHES_MIN:
         return up, 0.0, float("nan")
     generator = np.random.default_rng(seed)
-    if len(near) > 20_000:
-        near = near[generator.choice(len(near), 20_000, replace=False)]
-    low = near[near[:, 2] < np.percentile(near[:, 2], 50)]
+    level = level[np.argsort(level[:, 2], kind="stable")]
     best_score, best = -np.inf, (up, float("nan"))
-    for _ in range(300):
-        a, b, c = low[generator.choice(len(low), 3, replace=False)]
+    for attempt in range(300):
+        # Among the lowest half, quarter, ... to the 64th part: the floor may be the least of what is level.
+        low = max(len(level) >> 1 + attempt % 6, 3)
+        a, b, c = level[generator.choice(low, 3, replace=False)]
         normal = np.cross(b - a, c - a)
         length = np.linalg.norm(normal)
         if length < 1e-2:
             continue
         normal /= length if normal[2] > 0 else -length
-        if normal[2] < np.cos(np.radians(15.0)):
+        if normal[2] < np.cos(np.radians(_FLOOR_SLOPE_MAX_DEG)):
             continue
         offset = float(normal @ a)
-        height = near @ normal - offset
-        # A table top or a ceiling has returns below it; the floor has none but reflections.
-        score = np.count_nonzero(np.abs(height) < 0.03) - 3.0 * np.count_nonzero(height < -0.1)
+        # A table top or a ceiling has surfaces below it; the floor has none but reflections.
+        below = np.count_nonzero(patches.centre @ normal - offset < -0.1)
+        score = np.count_nonzero(np.abs(level @ normal - offset) < 0.03) - 3.0 * below
         if score > best_score:
             best_score, best = score, (normal, offset)
     normal, offset = best
     if not np.isfinite(offset):
         return up, 0.0, float("nan")
     for width_m in (0.06, 0.04, 0.03):
-        inliers = near[np.abs(near @ normal - offset) < width_m]
-        if len(inliers) < 50:
+        inliers = level[np.abs(level @ normal - offset) < width_m]
+        if len(inliers) < _FLOOR_PATCHES_MIN:
             return up, 0.0, float("nan")
         centre = inliers.mean(axis=0)
         normal = np.linalg.svd(inliers - centre, full_matrices=False)[2][2]

@@ -51,20 +51,20 @@ class Floor(HorizontalPlane):
 def find_floor(points_level: FloatArray, settings: RearrangementSettings, map_floor_m: float = 0.0) -> Floor:
     """The floor below the robot, near where it is expected (paper: "we can straightforward locate where the floor is").
 
-    The height that holds most returns within `floor_search_m` of where it is expected, refined to a plane by least squares
+    The height that holds most ground within `floor_search_m` of where it is expected, refined to a plane by least squares
     over its returns, so that drift, a sloping floor or a tilted mount do not cut it; to two planes where it bends. Falls
     back to the level frame's floor where too few returns are near.
 
     It is expected as far below the base as at the first pose, which on ramps holds for what drives, and where the map's floor
-    is, which holds for what is carried or flies; what more returns lie on is the floor. map_floor_m: height of the latter in
+    is, which holds for what is carried or flies; what holds more ground is the floor. map_floor_m: height of the latter in
     the level frame.
     """
     # A third of the returns place the plane as well, to a fraction of a millimetre.
     points_level = np.ascontiguousarray(points_level[::3])
-    height_m, support = _fullest(points_level, 0.0, settings)
+    height_m, support, ground = _fullest(points_level, 0.0, settings)
     if abs(map_floor_m) > settings.floor_search_m:
-        height_m, support = max(
-            (height_m, support), _fullest(points_level, map_floor_m, settings), key=lambda found: found[1]
+        height_m, support, _ = max(
+            (height_m, support, ground), _fullest(points_level, map_floor_m, settings), key=lambda found: found[2]
         )
     if support < _SUPPORT_MIN:
         return Floor(0.0, np.zeros(2), 0)
@@ -72,12 +72,14 @@ def find_floor(points_level: FloatArray, settings: RearrangementSettings, map_fl
     return Floor(plane.height_m, plane.slope, plane.support, *_bend(points_level, plane, settings))
 
 
-def _fullest(points_level: FloatArray, expected_m: float, settings: RearrangementSettings) -> tuple[float, int]:
-    """The height near an expected one that holds most returns, and how many."""
-    histogram = _histogram(points_level, expected_m, settings.floor_search_m, HEIGHT_BIN_M)
-    counts = np.convolve(histogram, np.ones(max(1, round(settings.floor_height_m / HEIGHT_BIN_M))), mode="same")
-    mode = int(np.argmax(counts))
-    return expected_m - settings.floor_search_m + (mode + 0.5) * HEIGHT_BIN_M, int(counts[mode])
+def _fullest(points_level: FloatArray, expected_m: float, settings: RearrangementSettings) -> tuple[float, int, float]:
+    """The height near an expected one that holds most ground, how many returns it holds, and how much ground, in cells."""
+    search_m, cell_m, range_m = settings.floor_search_m, settings.floor_cell_m, settings.floor_range_m
+    histograms = _histograms(points_level, expected_m, search_m, HEIGHT_BIN_M, cell_m, range_m)
+    window = np.ones(max(1, round(settings.floor_height_m / HEIGHT_BIN_M)))
+    returns, ground = (np.convolve(histogram, window, mode="same") for histogram in histograms)
+    mode = int(np.argmax(ground))
+    return expected_m - search_m + (mode + 0.5) * HEIGHT_BIN_M, int(returns[mode]), float(ground[mode])
 
 
 def _bend(points_level: FloatArray, plane: HorizontalPlane, settings: RearrangementSettings) -> tuple[FloatArray, bool]:
@@ -155,13 +157,27 @@ def _consensus_plane(
 
 
 @numba.njit(cache=True, nogil=True)
-def _histogram(points: FloatArray, middle_m: float, search_m: float, bin_m: float) -> IntArray:  # pragma: no cover
-    histogram = np.zeros(int(np.ceil(2 * search_m / bin_m)), np.int64)
+def _histograms(
+    points: FloatArray, middle_m: float, search_m: float, bin_m: float, cell_m: float, range_m: float
+) -> FloatArray:  # pragma: no cover
+    """(2, bins) of the heights: returns, and cells of the ground. A cell counts once, shared by its returns: so the upright
+    returns of a wall count for little at any one height, be they many more than those of a floor that is seen from low.
+    """
+    cells = int(2 * range_m / cell_m)
+    cell, count = np.full(len(points), -1, np.int32), np.zeros(cells * cells, np.int32)
     for i in range(len(points)):
-        z = points[i, 2] - middle_m
-        if abs(z) < search_m and points[i, 0] ** 2 + points[i, 1] ** 2 < 36.0:
-            histogram[min(int((z + search_m) / bin_m), len(histogram) - 1)] += 1
-    return histogram
+        x, y = np.float64(points[i, 0]) + range_m, np.float64(points[i, 1]) + range_m
+        inside = x >= 0 and y >= 0 and x < cells * cell_m and y < cells * cell_m
+        if inside and abs(points[i, 2] - middle_m) < search_m:
+            cell[i] = min(int(x / cell_m), cells - 1) * cells + min(int(y / cell_m), cells - 1)
+            count[cell[i]] += 1
+    histograms = np.zeros((2, int(np.ceil(2 * search_m / bin_m))))
+    for i in range(len(points)):
+        if cell[i] >= 0:
+            b = min(int((points[i, 2] - middle_m + search_m) / bin_m), histograms.shape[1] - 1)
+            histograms[0, b] += 1.0
+            histograms[1, b] += 1.0 / count[cell[i]]
+    return histograms
 
 
 @numba.njit(cache=True, nogil=True)

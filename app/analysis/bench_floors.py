@@ -144,7 +144,7 @@ def _placed_scans(
         for first in np.linspace(0, len(sensor.index) - 1, _SCANS).astype(int):
             for index, scan in read_scans(bag, sensor.index, int(first), 1, sensor.lidar.decoding):
                 if isinstance(scan, Scan):
-                    scan = within_range(scan, settings.scan.range_max_m)
+                    scan = sensor.lidar.seen(within_range(scan, settings.scan.range_max_m), trajectory)
                     ranges = smooth_ranges(scan, settings.smoothing)
                     scans.append((index, scan, place_scan(ranges.of(scan), trajectory, sensor.lidar.T_base_sensor)))
     return scans

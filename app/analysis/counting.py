@@ -100,11 +100,10 @@ def count_run(
     trajectory, classes: the truth, as read from `truth_bag`. layer: where the errors of each scan are recorded; None for
         nowhere.
     """
-    topic = clouds.lidar.topic
     total, without_truth = Counter(doors), 0
     with ExitStack() as stack:
         bag = stack.enter_context(open_bag(clouds.bag))
-        index = index_clouds(bag, topic)
+        index = clouds.lidar.index(bag)
         count = len(index)
         edges = np.linspace(0, count, max(1, count // CLOUDS_A_SHARE) + 1).astype(int).tolist()
         shares = [
@@ -124,14 +123,16 @@ def count_run(
 
 
 def _count_in_worker(share: _Share) -> tuple[Tally, int]:
-    return _count(share, _opened(share.clouds.bag, share.truth_bag, share.clouds.lidar.topic))
+    lidar = share.clouds.lidar
+    return _count(share, _opened(share.clouds.bag, lidar.topic, lidar.clouds_a_scan, share.truth_bag))
 
 
 @cache
-def _opened(clouds: BagPath, truth_bag: BagPath, topic: str) -> _Bags:
+def _opened(clouds: BagPath, topic: str, clouds_a_scan: int, truth_bag: BagPath) -> _Bags:
     """Each worker opens the bags once; it lives as long as one evaluation."""
     bag = open_bag(clouds)
-    return _Bags(bag, index_clouds(bag, topic), TruthClasses(open_bag(truth_bag)))
+    index = index_clouds(bag, topic).gathered(clouds_a_scan)
+    return _Bags(bag, index, TruthClasses(open_bag(truth_bag)))
 
 
 def _count(share: _Share, bags: _Bags) -> tuple[Tally, int]:

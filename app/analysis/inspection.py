@@ -79,6 +79,7 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
     margin_ns = int(settings.trajectory.extrapolate_s * 1e9)
     if not poses.registered.covers(np.array([scan.start_ns, scan.end_ns]), margin_ns).all():
         raise InputError(f"--scan {number}: was skipped (no pose at its time); give another scan")
+    scan = vertical.lidar.seen(scan, poses.registered)
     level = place_and_level(
         scan,
         smooth_ranges(scan, settings.smoothing),

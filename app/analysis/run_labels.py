@@ -29,7 +29,7 @@ from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.pointcloud2 import describe_layout, field_column
 from ffmap.loaders.rig import Lidar, find_rig
-from ffmap.loaders.scans import cloud_topics, index_clouds, read_clouds
+from ffmap.loaders.scans import cloud_topics, read_clouds
 from ffmap.loaders.trajectory_file import read_tum
 
 
@@ -109,14 +109,14 @@ def _read_bag(path: Path, run: FinishedRun, with_points: bool, first: int) -> It
     smoothing = run.settings().smoothing if with_points else None
     with open_bag(path) as bag:
         lidar = labelled_lidar(bag, run)
-        for index, scan, message in read_clouds(bag, index_clouds(bag, lidar.topic), first, None, lidar.decoding):
+        for index, scan, message in read_clouds(bag, lidar.index(bag), first, None, lidar.decoding):
             if not isinstance(scan, Scan):
                 continue
             layout = describe_layout(message, lidar.topic)
             label, label_scan = (
                 field_column(message, layout, name).astype(np.uint8) for name in ("label", "label_scan")
             )
-            points = _placed(scan, trajectory, lidar.T_base_sensor, smoothing) if smoothing is not None else None
+            points = _placed(scan, trajectory, lidar, smoothing) if smoothing is not None else None
             yield CloudLabels(index, scan.stamp_ns, label_scan, label, points, every_place=True)
 
 
@@ -156,16 +156,15 @@ def _bag_points(run: FinishedRun, trajectory: Trajectory) -> Iterator[tuple[int,
     with open_bag(run.bag_path) as bag:
         for index, scan, _ in read_clouds(bag, sensor.index, 0, None, sensor.lidar.decoding):
             if isinstance(scan, Scan):
-                yield index, _placed(scan, trajectory, sensor.lidar.T_base_sensor, smoothing)
+                yield index, _placed(scan, trajectory, sensor.lidar, smoothing)
 
 
-def _placed(
-    scan: Scan, trajectory: Trajectory | None, T_base_sensor: FloatArray, smoothing: SmoothingSettings
-) -> FloatArray:
+def _placed(scan: Scan, trajectory: Trajectory | None, lidar: Lidar, smoothing: SmoothingSettings) -> FloatArray:
     """(cloud_size, 3) float32: the smoothed returns in the map, as far as poses reach."""
     points = np.full((scan.cloud_size, 3), np.nan, np.float32)
     if trajectory is not None and trajectory.covers(np.array([scan.stamp_ns])).all():
-        placed = place_scan(smooth_ranges(scan, smoothing).of(scan), trajectory, T_base_sensor)
+        scan = lidar.seen(scan, trajectory)
+        placed = place_scan(smooth_ranges(scan, smoothing).of(scan), trajectory, lidar.T_base_sensor)
         points[scan.cloud_index] = placed.to_map(placed.points_level)
     return points
 

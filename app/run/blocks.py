@@ -172,6 +172,7 @@ class _LabelledBlock:
 
 def _label(index: int, scan: Scan, job: LabelJob, block: _LabelledBlock, log: Log | None, watch: _Stopwatch) -> None:
     """Label one scan, record it, and add to the block what it comes to."""
+    scan = _vertical(job.inputs).lidar.seen(scan, job.trajectory)
     ranges = smooth_ranges(scan, job.settings.smoothing)
     watch.lap("smoothing")
     level = _place(scan, ranges, job)

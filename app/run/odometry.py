@@ -253,7 +253,8 @@ def _registered(inputs: Inputs, sensor: Sensor, settings: Settings) -> Iterator[
         for read in _sensors(inputs, sensor, settings):
             # Of the companion, what ended after the last scan was not asked for.
             known = digests[read.lidar.topic]
-            known.extend(read_digests(bag, read.index, len(known)))
+            read_so_far = int(np.searchsorted(np.cumsum(read.index.message_count), len(known), side="right"))
+            known.extend(read_digests(bag, read.index, read_so_far))
     yield _Read({topic: joined(known).hex() for topic, known in digests.items()})
 
 

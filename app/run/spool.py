@@ -120,7 +120,7 @@ class BlockSummary:
     scan: (s,) scans that were labelled; stamp_ns: (s,) of their headers.
     reference_ns: (s,) the middle of each sweep; T_level_base: (s, 4, 4) the base there, once the scan is level.
     skipped: number and reason of each cloud that was not.
-    cloud_digest: (k, 16) uint8 of the bytes of every cloud of the block, skipped ones too.
+    cloud_digest: (k, 16) uint8 of every message of the block's clouds, skipped ones too.
     label_counts: (256,) returns by label. milliseconds: (s, 5), see `STAGES`.
     points_in_cloud, points_in_lines: (s,)
     beyond_range: (s,) returns that were left out because they lie too far away.

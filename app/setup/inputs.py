@@ -15,7 +15,6 @@ from ffmap.loaders.scans import (
     CloudIndex,
     SkippedScan,
     clock_problem,
-    index_clouds,
     read_digests,
     read_scans,
     stamp_problem,
@@ -125,7 +124,7 @@ def total_digest(clouds: Mapping[str, str]) -> str:
 
 def _sensor(bag: Bag, lidar: Lidar) -> Sensor:
     """Raises InputError where no cloud of the lidar gives a scan, before anything of an earlier run is touched."""
-    sensor = Sensor(lidar, index_clouds(bag, lidar.topic))
+    sensor = Sensor(lidar, lidar.index(bag))
     if problem := stamp_problem(sensor.index):
         raise InputError(f"{bag.path}: {problem}")
     reasons: list[str] = []

@@ -11,6 +11,7 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.loaders import bag
 from ffmap.loaders.bag_writer import BagWriter
 from ffmap.loaders.errors import InputError
+from ffmap.loaders.livox import LIVOX_POINT, livox_message
 from ffmap.loaders.packets import VELODYNE_POINT
 from ffmap.loaders.pointcloud2 import make_cloud
 from ffmap.loaders.simulator.raytrace import Sweep
@@ -39,6 +40,7 @@ _POINTS: dict[PointLayout, np.dtype[np.void]] = {
     "ouster": _OUSTER_POINT,
     "hesai": _HESAI_POINT,
     "packets": _BARE_POINT,
+    "livox": LIVOX_POINT,
 }
 _GRAVITY = np.array([0.0, 0.0, 9.81])
 _TRUTH_POINT = np.dtype([("truth", "u1")])
@@ -82,6 +84,13 @@ class DriveWriter(BagWriter):
                 points["range"] = np.round(sweep.range_m * 1000.0)
             case "hesai":
                 points["ring"], points["timestamp"] = from_top, (epoch_ns + sweep.stamp_ns + sweep.time_ns) / 1e9
+            case "livox":
+                points["line"], points["offset_time"], points["reflectivity"] = (
+                    sweep.ring,
+                    sweep.time_ns,
+                    sweep.intensity,
+                )
+                return livox_message(self._ros1, epoch_ns + sweep.stamp_ns, lidar.frame_id, points)
         if lidar.points != "packets":
             points["intensity"] = sweep.intensity
         return self._cloud(lidar, epoch_ns + sweep.stamp_ns, points)

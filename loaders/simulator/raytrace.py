@@ -70,9 +70,9 @@ class Hits:
 
 @dataclass(frozen=True)
 class Sweep:
-    """One revolution as the sensor reports it, in firing order (Velodyne) or ring by ring (Ouster).
+    """One revolution as the sensor reports it, in firing order (Velodyne, Livox) or ring by ring (Ouster).
 
-    Velodyne: returns only. Ouster: (rings · columns) places, zeros where nothing returned, truth NO_RETURN there.
+    Velodyne: returns only. Others: (rings · columns) places, zeros where nothing returned, truth NO_RETURN there.
     points_sensor: (n, 3) float32 metres. time_ns: (n,) from the sweep's start. stamp_ns: its start; end_ns: its end.
     """
 
@@ -180,7 +180,8 @@ def scan(
     start_ns = lidar.sweep_start_ns(sweep)
     firing_ns = model.firing_ns * (lidar.period_ns * model.rate_hz / 1e9)
     T_map_sensor = trajectory.at(start_ns + firing_ns[:, 0].astype(np.int64)) @ lidar.T_base_sensor
-    directions_map = model.directions_sensor @ np.swapaxes(T_map_sensor[:, :3, :3], 1, 2).astype(np.float32)
+    directions_sensor = model.directions_sensor(start_ns)
+    directions_map = directions_sensor @ np.swapaxes(T_map_sensor[:, :3, :3], 1, 2).astype(np.float32)
     origins = np.repeat(T_map_sensor[:, :3, 3].astype(np.float32), model.rings, axis=0)
     time_s = (start_ns + firing_ns.ravel()) / 1e9
     hits = world.trace(origins, directions_map.reshape(-1, 3), time_s, rng)
@@ -196,14 +197,15 @@ def scan(
     measured = np.round(measured / model.quantum_m) * model.quantum_m
     seen &= measured > settings.min_range_m
     measured = np.where(seen, measured, 0.0).astype(np.float32)
-    points = model.directions_sensor.reshape(-1, 3) * measured[:, None]
+    points = directions_sensor.reshape(-1, 3) * measured[:, None]
     intensity = np.round(100.0 * np.clip(hits.signal * (0.3 + 0.7 * hits.cosine), 0.0, 1.0)).astype(np.float32)
     order = np.arange(len(ring))
     if model.layout == "velodyne":
         order = np.flatnonzero(seen)
     else:
-        order = order.reshape(model.columns, model.rings).T.ravel()
         intensity[~seen] = 0.0
+    if model.layout == "ouster":
+        order = order.reshape(model.columns, model.rings).T.ravel()
     truth = np.where(seen, hits.truth, np.uint8(NO_RETURN))
     return Sweep(
         points[order], measured[order], intensity[order], ring[order], firing_ns.ravel()[order].astype(np.int64),

@@ -12,18 +12,43 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.loaders.simulator.settings import Sensor, SimulationSettings
 
-PointLayout = Literal["velodyne", "ouster", "hesai", "packets"]
+PointLayout = Literal["velodyne", "ouster", "hesai", "packets", "livox"]
+
+
+@dataclass(frozen=True)
+class Nodding:
+    """A beam that turns fast about the upright and nods slowly: the pattern of a Livox Mid-360, which does not repeat.
+
+    The table of directions that Livox published for its simulator (https://github.com/Livox-SDK/livox_laser_simulation,
+    mid360.csv, 5 µs a row) shows about 180 turns and 10 nods a second, four lines 1.7° apart. Simplified: in the table each
+    turn leans by some degrees and the lines' azimuths spread by as much; here turns lie level, one line above the other.
+
+    turn_hz, nod_hz: have no common multiple with each other and the clouds' rate. middle_deg, swing_deg: of the nodding, a sine.
+    """
+
+    turn_hz: float
+    nod_hz: float
+    middle_deg: float
+    swing_deg: float
+
+    def look(self, time_ns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Azimuth and elevation of the beam in radians."""
+        time_s = time_ns / 1e9
+        nod = np.sin(2 * np.pi * self.nod_hz * time_s)
+        return -2 * np.pi * self.turn_hz * time_s, np.radians(self.middle_deg + self.swing_deg * nod)
 
 
 @dataclass(frozen=True)
 class SensorModel:
     """A spinning lidar.
 
-    elevation_deg: of each emitter about the spin axis, increasing (ring 0 is the lowest).
+    elevation_deg: of each emitter about the spin axis, increasing (ring 0 is the lowest); where it nods, against the beam.
     columns: firings of each emitter a revolution. rate_hz: revolutions a second.
     column_ns: nanoseconds that all emitters take, one after the other, before the next column.
     noise_m: sigma of a range at right angles. max_range_m: of a white wall at right angles.
-    layout: how it fires and what its driver reports: in turns and returns alone, or all emitters at once and every place.
+    layout: how it fires and what its driver reports: in turns and returns alone, or all emitters at once and every place;
+        "livox": one after the other and every place.
+    nodding: how its beam moves; None where it turns at the rate of its clouds.
     """
 
     name: Sensor
@@ -34,7 +59,8 @@ class SensorModel:
     noise_m: float
     max_range_m: float
     quantum_m: float
-    layout: Literal["velodyne", "ouster"]
+    layout: Literal["velodyne", "ouster", "livox"]
+    nodding: Nodding | None = None
 
     @property
     def rings(self) -> int:
@@ -47,6 +73,8 @@ class SensorModel:
         """
         if self.layout == "ouster":
             return np.arange(self.rings)[::-1]
+        if self.layout == "livox":
+            return np.arange(self.rings)
         return np.arange(self.rings).reshape(2, -1).T.ravel()
 
     @cached_property
@@ -56,15 +84,28 @@ class SensorModel:
         spread = 0.0 if self.layout == "ouster" else self.column_ns / self.rings
         return np.asarray(column + np.arange(self.rings) * spread)
 
+    def directions_sensor(self, start_ns: int) -> FloatArray:
+        """(columns, rings, 3) float32 unit vectors of the sweep that begins then, in firing order; the sensor spins clockwise,
+        z is its axis.
+        """
+        if self.nodding is None:
+            return self._repeated_directions
+        azimuth, elevation = self.nodding.look(start_ns + self.firing_ns)
+        return _unit_vectors(azimuth, elevation + self._elevation_rad)
+
     @cached_property
-    def directions_sensor(self) -> FloatArray:
-        """(columns, rings, 3) float32 unit vectors in firing order; the sensor spins clockwise, z is its axis."""
-        azimuth = -self.firing_ns * (2 * np.pi * self.rate_hz / 1e9)
-        elevation = np.radians(np.array(self.elevation_deg)[self.firing_order])
-        flat = np.cos(elevation)
-        return np.stack(
-            [flat * np.cos(azimuth), flat * np.sin(azimuth), np.broadcast_to(np.sin(elevation), azimuth.shape)], -1
-        ).astype(np.float32)
+    def _repeated_directions(self) -> FloatArray:
+        return _unit_vectors(-self.firing_ns * (2 * np.pi * self.rate_hz / 1e9), self._elevation_rad)
+
+    @property
+    def _elevation_rad(self) -> FloatArray:
+        return np.asarray(np.radians(np.array(self.elevation_deg)[self.firing_order]))
+
+
+def _unit_vectors(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
+    flat = np.cos(elevation)
+    up = np.broadcast_to(np.sin(elevation), azimuth.shape)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), up], -1).astype(np.float32)
 
 
 SENSORS: dict[Sensor, SensorModel] = {
@@ -85,6 +126,18 @@ SENSORS: dict[Sensor, SensorModel] = {
     ),
     "xt32": SensorModel(
         "xt32", tuple(-16.0 + i for i in range(32)), 2000, 10.0, 46_000.0, 0.010, 80.0, 0.004, "velodyne"
+    ),
+    "mid360": SensorModel(
+        "mid360",
+        (-2.55, -0.85, 0.85, 2.55),
+        5000,
+        10.0,
+        20_000.0,
+        0.020,
+        70.0,
+        0.001,
+        "livox",
+        Nodding(turn_hz=179.63, nod_hz=9.8717, middle_deg=22.5, swing_deg=26.95),
     ),
 }
 
@@ -116,17 +169,23 @@ class Lidar:
 def mount_lidars(settings: SimulationSettings, rng: np.random.Generator) -> tuple[Lidar, ...]:
     """The horizontal and the vertical lidar; or the upright one that is alone."""
     model = SENSORS[settings.sensor]
-    upright = transforms.make_transform(translation=[0.10, 0.0, 0.95])
+    # A beam that opens 7 degrees downwards meets the floor at 8 times its height.
+    upright = transforms.make_transform(translation=[0.10, 0.0, 0.40 if model.nodding else 0.95])
     forward = Rotation.from_quat([0.5, 0.5, 0.5, 0.5])
     tilted = Rotation.from_euler("y", settings.mount_tilt_deg, degrees=True) * forward
     sideways = transforms.make_transform(tilted, [0.30, 0.0, 0.70])
     names: tuple[str, ...] = {
         "velodyne": ("/horizontal_velodyne/velodyne_points", "horizontal_velodyne",
                      "/vertical_velodyne/velodyne_points", "vertical_velodyne"),
-        "ouster": ("/horizontal_ouster/points", "horizontal_ouster", "/vertical_ouster/points", "vertical_ouster")
+        "ouster": ("/horizontal_ouster/points", "horizontal_ouster", "/vertical_ouster/points", "vertical_ouster"),
+        "livox": ("/horizontal_livox/lidar", "horizontal_livox", "/vertical_livox/lidar", "vertical_livox"),
     }[model.layout]  # fmt: skip
     if settings.lidars == "one":
-        names = {"velodyne": ("/velodyne_points", "velodyne"), "ouster": ("/ouster/points", "os_sensor")}[model.layout]
+        names = {
+            "velodyne": ("/velodyne_points", "velodyne"),
+            "ouster": ("/ouster/points", "os_sensor"),
+            "livox": ("/livox/lidar", "livox_frame"),
+        }[model.layout]
         return start_lidars(model, model.layout, ((names[0], names[1], upright),), rng)
     return start_lidars(model, model.layout, ((names[0], names[1], upright), (names[2], names[3], sideways)), rng)
 

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-Sensor = Literal["hdl32e", "vlp16", "os1-16", "os0-128", "qt64", "xt32"]
+Sensor = Literal["hdl32e", "vlp16", "os1-16", "os0-128", "qt64", "xt32", "mid360"]
 Container = Literal["bag", "mcap", "db3"]
 
 

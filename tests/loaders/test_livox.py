@@ -8,6 +8,7 @@ import pytest
 
 from ffmap.algorithms.base.scan import Scan
 from ffmap.loaders.bag import make_typestore, open_bag
+from ffmap.loaders.livox import livox_message
 from ffmap.loaders.repeated_bag import later
 from ffmap.loaders.rig import find_rig
 from ffmap.loaders.scans import SkippedScan, index_clouds, read_clouds
@@ -100,3 +101,16 @@ def test_a_cloud_is_repeated_later() -> None:
     assert moved.timebase - made.timebase == 1_500_000_000
     assert (moved.header.stamp.sec - made.header.stamp.sec, moved.header.stamp.nanosec) == (1, 500_000_000)
     assert moved.points == made.points
+
+
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("frame", ["livox_frame", "lidar", ""])
+@pytest.mark.parametrize("count", [0, 1, POINTS])
+def test_a_message_is_made_as_the_driver_makes_it(version: int, frame: str, count: int) -> None:
+    store = make_typestore(version)
+    made = livox_message(version == 1, START_NS, frame, points(0)[:count])
+    known = message(0, "livox_ros_driver2", version, frame)
+    read = (store.deserialize_ros1 if version == 1 else store.deserialize_cdr)(made.data, made.__msgtype__)
+    assert read.header == known.header
+    assert (read.timebase, read.point_num, len(read.points)) == (START_NS, count, count)
+    assert read.points == known.points[:count]

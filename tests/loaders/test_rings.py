@@ -86,8 +86,9 @@ def test_no_rings_to_be_found_gives_slices_of_elevation():
     points = rng.standard_normal((20_000, 3)).astype(np.float32) * 5
     place = np.zeros(len(points), np.int64)
     model = estimate_rings([RingSample(points, None, place, place, (1, len(points)))])
-    assert (model.source, model.count) == ("bins", 32)
-    assert set(model.rings(points, None)) == set(range(32))
+    assert model.source == "bins"
+    np.testing.assert_allclose(np.diff(model.elevation_deg), 0.45, atol=0.01)
+    assert set(model.rings(points, None)) == set(range(model.count))
 
 
 def test_no_points_at_all():
@@ -106,3 +107,28 @@ def test_a_point_on_the_spin_axis_has_a_ring():
     model = settle_decoding([cloud(only(sweep(100), "x", "y", "z"))], "/points").rings
     axis = np.array([[0, 0, 2], [0, 0, -2]], np.float32)
     np.testing.assert_array_equal(model.rings(axis, None), [15, 0])
+
+
+def spread_over(elevation_deg, seed, count=4000):
+    """Points of one cloud with the elevations of `elevation_deg` (lines,), or all of a range where none is given."""
+    rng = np.random.default_rng(seed)
+    line = rng.integers(0, 4, count)
+    elevation = np.radians(rng.uniform(-7, 52, count) if elevation_deg is None else elevation_deg[line])
+    azimuth, distance = rng.uniform(-np.pi, np.pi, count), rng.uniform(2, 8, count)
+    points = np.zeros(count, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("line", "u1")])
+    points["x"], points["y"] = (distance * np.cos(elevation) * turn(azimuth) for turn in (np.cos, np.sin))
+    points["z"], points["line"] = distance * np.sin(elevation), line
+    return cloud(points)
+
+
+def test_lines_that_look_everywhere_are_no_rings():
+    model = settle_decoding([spread_over(None, seed) for seed in range(3)], "/livox/lidar").rings
+    assert (model.source, model.count) == ("bins", pytest.approx(130, abs=2))
+    assert model.elevation_deg[[0, -1]] == pytest.approx([-6.7, 51.7], abs=0.3)
+
+
+@pytest.mark.parametrize("count", [4000, 60])
+def test_lines_that_keep_their_elevation_are_rings_however_few_returns_there_are(count):
+    messages = [spread_over(np.array([-5.0, 0.0, 5.0, 10.0]), seed, count) for seed in range(1)]
+    model = settle_decoding(messages, "/points").rings
+    assert (model.source, model.count) == ("field", 4)

@@ -12,6 +12,7 @@ from ffmap.loaders.scans import (
     clock_problem,
     index_clouds,
     read_clouds,
+    read_digests,
     read_scans,
     sample_messages,
     stamp_problem,
@@ -60,6 +61,36 @@ def test_the_first_part_of_an_index_holds_what_comes_before(tmp_path, stop_ns, c
         assert len(part.usable) == len(part.earlier) == count
         assert part.topic == "/a"
         assert np.all(part.stamp_ns < START_NS + stop_ns * PERIOD_NS // 10)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_successive_clouds_are_gathered_to_scans(tmp_path, name):
+    with open_bag(write_bag(tmp_path / name, clouds("/a", 10, ros_version=version(name)), 50_000)) as bag:
+        single = index_clouds(bag, "/a")
+        index = single.gathered(4)
+        assert index.message_count.tolist() == [4, 4, 2]
+        np.testing.assert_array_equal(index.stamp_ns, single.stamp_ns[::4])
+        decoding = settle_decoding(sample_messages(bag, single, 4), "/a", period_ns=4 * PERIOD_NS)
+        for first in range(3):
+            for i, scan in read_scans(bag, index, first, 1, decoding):
+                parts = [part for _, part in read_scans(bag, single, 4 * i, 4 if i < 2 else 2, decoding)]
+                assert scan.cloud_size == sum(part.cloud_size for part in parts)
+                times = np.concatenate([part.start_ns + part.time_ns for part in parts])
+                np.testing.assert_allclose(np.sort(scan.start_ns + scan.time_ns), np.sort(times), atol=100)
+        assert list(read_digests(bag, index)) == list(read_digests(bag, single))
+        assert list(read_digests(bag, index, 1, 1)) == list(read_digests(bag, single, 4, 4))
+
+
+def test_no_clouds_are_gathered_across_a_pause_or_with_one_that_is_not_usable(tmp_path):
+    made = clouds("/a", 12)
+    shifted = [(topic, log + (i >= 6) * 5 * PERIOD_NS, message) for i, (topic, log, message) in enumerate(made)]
+    for i, (_, _, message) in enumerate(shifted):
+        stamp_ns = START_NS + (2 if i == 9 else i + (i >= 6) * 5) * PERIOD_NS
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+    with open_bag(write_bag(tmp_path / "a.bag", shifted)) as bag:
+        index = index_clouds(bag, "/a").gathered(4)
+    assert index.message_count.tolist() == [4, 2, 3, 1, 2]
+    assert index.usable.tolist() == [True, True, True, False, True]
 
 
 @pytest.mark.parametrize("name", NAMES)
