@@ -65,9 +65,9 @@ class Lidar:
 
     @property
     def ringless(self) -> bool:
-        """Whether its firings have times and no rings: its pattern does not repeat."""
+        """Whether it stands upright, and its firings have times and no rings: its pattern does not repeat."""
         measured = self.decoding.time is not None and self.decoding.time_from == "auto"
-        return self.decoding.rings.source == "bins" and measured
+        return self.column_pairs > 0 and self.decoding.rings.source == "bins" and measured
 
     @property
     def ring_count(self) -> int:

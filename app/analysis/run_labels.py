@@ -128,7 +128,8 @@ def labelled_lidar(bag: Bag, run: FinishedRun) -> Lidar:
     lidar = find_rig(bag, vertical=topics[0], time_from=run.time_from).vertical
     if lidar is None:
         raise InputError(f"{bag.path}: no lidar that sweeps the walls; run ffmap again")
-    return lidar
+    # Each of its clouds is a scan, of however many clouds it was made.
+    return replace(lidar, clouds_a_scan=1)
 
 
 def _read_alone(path: Path, run: FinishedRun, with_points: bool) -> Iterator[CloudLabels]:
