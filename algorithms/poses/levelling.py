@@ -173,7 +173,10 @@ def _fit_floor(points_base: FloatArray, seed: int) -> tuple[FloatArray, float, f
             continue
         offset = float(normal @ a)
         # A table top or a ceiling has surfaces below it; the floor has none but reflections.
-        below = np.count_nonzero(patches.centre @ normal - offset < -0.1)
+        rise = patches.centre @ normal - offset
+        below, above = np.count_nonzero(rise < -0.1), np.count_nonzero(rise > 0.1)
+        if below > above:
+            continue  # a ceiling, where no floor is seen
         score = np.count_nonzero(np.abs(level @ normal - offset) < 0.03) - 3.0 * below
         if score > best_score:
             best_score, best = score, (normal, offset)

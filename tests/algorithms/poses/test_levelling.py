@@ -48,3 +48,28 @@ def test_walls_tell_which_way_is_up_where_the_floor_slopes() -> None:
     lean_deg = np.degrees(np.arccos((level.T_map_odom @ tilt)[2, 2]))
     assert lean_deg < 0.2  # the floor's normal is off by 1.15 degrees
     np.testing.assert_allclose(level.floor_slope, [0.0, -0.02], atol=0.004)
+
+
+def room(floor: int) -> np.ndarray:
+    """Returns of a room of 8 by 5 m: walls and ceiling seen well, and so many of its floor, all off by some millimetres."""
+    rng = np.random.default_rng(2)
+
+    def patch(count: int, low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
+        return rng.uniform(low, high, (count, 3)) + rng.normal(0, 0.003, (count, 3))
+
+    # Walls begin where a sensor that looks hardly downwards sees them.
+    walls = [patch(8000, (-4, y, 0.1), (4, y, 2.7)) for y in (-2.5, 2.5)]
+    parts = [*walls, patch(20_000, (-4, -2.5, 2.7), (4, 2.5, 2.7)), patch(floor, (2.5, -1, 0), (4, 1, 0))]
+    return np.concatenate(parts)
+
+
+def test_a_floor_of_which_little_is_seen_levels_the_map() -> None:
+    level = level_map(room(floor=700), np.eye(4))
+    assert level.floor_rms_m < 0.01
+    np.testing.assert_allclose(level.T_map_odom, np.eye(4), atol=0.02)
+
+
+def test_a_ceiling_is_no_floor() -> None:
+    level = level_map(room(floor=0), np.eye(4))
+    assert np.isnan(level.floor_rms_m)
+    np.testing.assert_allclose(level.T_map_odom, np.eye(4), atol=0.02)
