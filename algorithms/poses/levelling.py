@@ -173,12 +173,9 @@ def _fit_floor(points_base: FloatArray, seed: int) -> tuple[FloatArray, float, f
             continue
         offset = float(normal @ a)
         # A table top or a ceiling has surfaces below it; the floor has none but reflections.
-        rise = patches.centre @ normal - offset
-        below, above = np.count_nonzero(rise < -0.1), np.count_nonzero(rise > 0.1)
-        if below > above:
-            continue  # a ceiling, where no floor is seen
+        below, above = _beside(patches.centre, normal, offset)
         score = np.count_nonzero(np.abs(level @ normal - offset) < 0.03) - 3.0 * below
-        if score > best_score:
+        if below <= above and score > best_score:
             best_score, best = score, (normal, offset)
     normal, offset = best
     if not np.isfinite(offset):
@@ -191,5 +188,15 @@ def _fit_floor(points_base: FloatArray, seed: int) -> tuple[FloatArray, float, f
         normal = np.linalg.svd(inliers - centre, full_matrices=False)[2][2]
         normal = normal if normal[2] > 0 else -normal
         offset = float(normal @ centre)
+    below, above = _beside(patches.centre, normal, offset)
+    if below > above:
+        # A slanting plane through the ceiling, where no floor is seen, has half of the ceiling above it.
+        return up, 0.0, float("nan")
     residual = inliers @ normal - offset
     return normal, offset, float(np.sqrt(np.mean(residual**2)))
+
+
+def _beside(points: FloatArray, normal: FloatArray, offset: float) -> tuple[int, int]:
+    """How many points (n, 3) lie well below a plane, and how many well above it."""
+    rise = points @ normal - offset
+    return int(np.count_nonzero(rise < -0.1)), int(np.count_nonzero(rise > 0.1))
