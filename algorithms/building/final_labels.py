@@ -90,10 +90,15 @@ class RelabellingSettings(StepSettings):
         description="The same behind a window's wall, where the pane returned nothing and its place is not known.",
     )
     window_reveal_m: float = Field(
-        0.5, ge=0, description="Maximum depth (m) of a window's reveals, sill and head: outer walls are this thick."
+        0.5,
+        ge=0,
+        description="Maximum depth (m) of a window's reveals, sill and head where its pane returned nothing: outer walls are "
+        "this thick.",
     )
     at_window_frame_m: float = Field(
-        0.08, ge=0, description="Maximum distance (m) of their returns from where the cells of the wall's face show them."
+        0.08,
+        ge=0,
+        description="Maximum distance (m) of their returns from where the cells of the wall's face show them.",
     )
     forget_m: float = Field(
         0.2, gt=0, description="Distance (m) from every wall's face beyond which what a scan calls wall is clutter."
@@ -166,8 +171,9 @@ TOP, REFUSED_AS = 7, 8
 HEAD, LEAF, REVEAL = 7, 8, 9
 """The same of doorways: the head's height above the floor, how far the closed leaf is behind the wall's face (minus infinity
 where the door is open), and how deep the reveals are."""
-BEYOND, SILL, WINDOW_HEAD = 7, 8, 9
-"""The same of panes: how far behind their face what returns is outside, and the heights of their sill and head."""
+BEYOND, FRAME, SILL, WINDOW_HEAD = 7, 8, 9, 10
+"""The same of panes: how far behind their face what returns is outside, how deep their reveals are at most, and the heights of
+their sill and head."""
 
 
 def _table(faces: Faces, *columns: FloatArray | UInt8Array) -> FloatArray:
@@ -218,7 +224,8 @@ class Relabelling:
         edge_m = settings.edge_m + settings.own_max_m
         off_leaf_m = settings.leaf_distance_m + settings.wall_distance_m + np.max(leaf_m, initial=0.0)
         door_m = settings.at_door_m + max(settings.other_face_m, off_leaf_m / settings.grazing_sine)
-        pane_m = max(settings.wall_distance_m, settings.window_reveal_m, float(beyond_m.max(initial=0.0)))
+        frame_m = np.where(np.isfinite(windows.pane_m), beyond_m, settings.window_reveal_m)
+        pane_m = max(settings.wall_distance_m, float(np.maximum(frame_m, beyond_m).max(initial=0.0)))
         margin_m = max(settings.margin_m, settings.wall_distance_m)
         return cls(
             (
@@ -231,7 +238,10 @@ class Relabelling:
                 index_near(refused, settings.refused_m + margin_m),
             ),
             (_table(doors, doors.head_m, leaf_m, doors.reveal_m), index_near(doors, door_m + margin_m)),
-            (_table(windows, beyond_m, windows.bottom_m, windows.top_m), index_near(windows, pane_m + margin_m)),
+            (
+                _table(windows, beyond_m, frame_m, windows.bottom_m, windows.top_m),
+                index_near(windows, pane_m + margin_m),
+            ),
             building.before,
             _Rules(**settings.model_dump()),
             tuple(level for level in building.levels if level.surface.taken_for == Label.FLOOR),
@@ -348,7 +358,7 @@ def _is_at_frame(
     panes: FloatArray, g: int, x: float, y: float, height_m: float, rules: _Rules
 ) -> bool:  # pragma: no cover
     """Whether a place is on a window's reveal, sill or head, as deep as walls are thick."""
-    if not -rules.window_reveal_m < before_line(panes, g, x, y) < rules.wall_distance_m:
+    if not -panes[g, FRAME] < before_line(panes, g, x, y) < rules.wall_distance_m:
         return False
     u, length, at_frame_m = along_line(panes, g, x, y), panes[g, LENGTH], rules.at_window_frame_m
     if not -at_frame_m < u < length + at_frame_m:

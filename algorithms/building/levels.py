@@ -72,6 +72,14 @@ class LevelsSettings(StepSettings):
     duct_drop_m: float = Field(0.08, gt=0, description="Minimum distance (m) of a duct below the ceiling beside it.")
     duct_beside_m: float = Field(0.4, gt=0, description="Maximum distance (m) to the ceiling beside a duct.")
     ceiling_edge_m: float = Field(0.3, ge=0, description="Width (m) of a ceiling's edge, where another may begin.")
+    riser_max_m: float = Field(
+        1.5,
+        gt=0,
+        description="Maximum height (m) between two ceilings that meet, as at a coffer or a rooflight's shaft.",
+    )
+    below_floor_m: float = Field(
+        0.4, gt=0, description="What stands lower than this (m) below the nearest floor belongs to the storey below."
+    )
 
 
 class Surface(StrEnum):
@@ -94,6 +102,8 @@ class Surface(StrEnum):
     FLOOR_BEYOND = "floor_beyond", Label.FLOOR, Label.CLUTTER
     STEP_FRONT = "step_front", Label.FLOOR, Label.CLUTTER
     DUCT = "duct", Label.CLUTTER, Label.CEILING
+    CEILING_RISER = "ceiling_riser", Label.CEILING, Label.CLUTTER
+    STOREY_BELOW = "storey_below", Label.OUTSIDE, Label.WALL
 
 
 @dataclass(frozen=True)
@@ -169,7 +179,10 @@ def map_levels(votes: VoxelVotes, settings: LevelsSettings) -> tuple[HeightMap, 
     raised = [map_raised_floors(votes, settings, cell_m) for cell_m in (settings.cell_m, 2 * settings.cell_m)]
     with_raised = reduce(_corrected_votes, raised, votes)
     floors = (*raised, map_floors_beyond(with_raised, settings), map_step_fronts(with_raised, settings))
-    levels = (false_floors, *ceilings, *floors, map_ducts(votes, settings))
+    ducts = map_ducts(votes, settings)
+    risers = map_ceiling_risers(reduce(_corrected_votes, [*ceilings, ducts], votes), settings)
+    below = map_storey_below(with_raised, settings)
+    levels = (false_floors, *ceilings, *floors, ducts, risers, below)
     return tuple(level for level in levels if level.known.any())
 
 
@@ -411,6 +424,16 @@ def map_ducts(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     return grid.level(Surface.DUCT, np.where(hangs & ~ceilings, lowest_m, np.nan), settings.margin_m)
 
 
+def map_ceiling_risers(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
+    """The upright sides between a ceiling and a higher one, both broad, that meet: of coffers, steps and rooflights.
+
+    votes: without ducts, with the ceilings that no scan found.
+    """
+    ceiling = votes.mean_position[(votes.label == Label.CEILING) & votes.seen()]
+    low_m, high_m, grid = _where_they_meet(ceiling, settings.overhead_width_m, settings.riser_max_m, settings)
+    return HeightMap(Surface.CEILING_RISER, grid.origin, grid.cell_m, low_m, high_m)
+
+
 # --- floors ---
 
 
@@ -475,13 +498,39 @@ def map_step_fronts(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     votes: with the raised floors.
     """
     floor = votes.mean_position[(votes.label == Label.FLOOR) & votes.seen()]
-    grid = _Grid.around(floor, settings.cell_m, settings.ceiling_reach_m)
-    floor_m = grid.heights(floor)
-    steep = _range_around(floor_m, 3) > settings.step_min_m
-    level = _closed(np.isfinite(floor_m) & ~steep) & ~steep
-    broad_m = np.where(grid.broad(level, settings.raised_width_m), floor_m, np.nan)
+    low_m, high_m, grid = _where_they_meet(floor, settings.raised_width_m, settings.step_max_m, settings)
+    return HeightMap(Surface.STEP_FRONT, grid.origin, grid.cell_m, low_m, high_m + settings.margin_m)
+
+
+def _where_they_meet(
+    position: FloatArray, width_m: float, rise_max_m: float, settings: LevelsSettings
+) -> tuple[FloatArray, FloatArray, _Grid]:
+    """The heights of the lower and the higher of two level surfaces in the cells (rows, columns) where one ends at the other.
+
+    position: (n, 3) of both. width_m: the least diameter of either.
+    """
+    grid = _Grid.around(position, settings.cell_m, settings.ceiling_reach_m)
+    height_m = grid.heights(position)
+    steep = _range_around(height_m, 3) > settings.step_min_m
+    level = _closed(np.isfinite(height_m) & ~steep) & ~steep
+    broad_m = np.where(grid.broad(level, width_m), height_m, np.nan)
     high_m = _highest_around(broad_m, settings.step_window_cells)
     low_m = -_highest_around(-broad_m, settings.step_window_cells)
-    step = (high_m - low_m > settings.step_min_m) & (high_m - low_m < settings.step_max_m)
-    low_m, high_m = np.where(step, low_m, np.nan), np.where(step, high_m + settings.margin_m, np.nan)
-    return HeightMap(Surface.STEP_FRONT, grid.origin, grid.cell_m, low_m, high_m)
+    meet = (high_m - low_m > settings.step_min_m) & (high_m - low_m < rise_max_m)
+    return np.where(meet, low_m, np.nan), np.where(meet, high_m, np.nan), grid
+
+
+def map_storey_below(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
+    """What lies lower than the floor of this storey: walls of the one below, seen down a stairwell.
+
+    votes: with the raised floors.
+    """
+    label, position = votes.label, votes.mean_position
+    wall = position[label == Label.WALL]
+    grid = _Grid.around(position, settings.ceiling_cell_m, settings.ceiling_reach_m)
+    ground_m, _ = grid.ground_m(position[votes.seen(settings.votes_min) & (label == Label.FLOOR)])
+    highest_m = ground_m - settings.below_floor_m
+    lowest_m = grid.heights(wall[grid.above_m(wall, highest_m) < 0.0], 0.0) - settings.margin_m
+    return HeightMap(
+        Surface.STOREY_BELOW, grid.origin, grid.cell_m, lowest_m, np.where(np.isfinite(lowest_m), highest_m, np.nan)
+    )
