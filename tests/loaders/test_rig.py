@@ -59,15 +59,15 @@ def test_roles_by_the_spin_axis_not_by_name(tmp_path, name):
 
 def test_roles_may_be_overridden(tmp_path):
     path = write_bag(tmp_path / "a.bag", two_lidars(MARS))
-    rig = rig_of(path, horizontal="h/points", vertical="/v/points")
+    rig = rig_of(path, horizontal="h/points", verticals=["/v/points"])
     assert (rig.horizontal.topic, rig.vertical.topic) == ("/h/points", "/v/points")
     assert rig.horizontal.reasons == "--horizontal names it"
-    rig = rig_of(path, vertical="/v/points")
+    rig = rig_of(path, verticals=["/v/points"])
     assert (rig.horizontal.topic, rig.vertical.topic) == ("/h/points", "/v/points")
-    rig = rig_of(path, horizontal="/v/points", vertical="/v/points")
+    rig = rig_of(path, horizontal="/v/points", verticals=["/v/points"])
     assert rig.horizontal.topic == rig.vertical.topic == "/v/points"
     assert "--vertical /nothing is no topic with clouds; the bag's clouds are on: /h/points, /v/points" in error_of(
-        path, vertical="/nothing"
+        path, verticals=["/nothing"]
     )
 
 
@@ -123,7 +123,7 @@ def test_one_lidar_alone_needs_no_transforms(tmp_path):
     np.testing.assert_array_equal(rig.horizontal.T_base_sensor, np.eye(4))
     assert "nothing to label" in rig.warnings[0]
     assert "opens to 30 deg" in rig.warnings[0]
-    rig = rig_of(path, vertical="/points")
+    rig = rig_of(path, verticals=["/points"])
     assert rig.horizontal.topic == rig.vertical.topic == "/points"
     assert rig.vertical.line_pairs == rig.vertical.column_pairs > 0
     assert any("stands upright and opens to 30 deg" in w for w in rig.warnings)

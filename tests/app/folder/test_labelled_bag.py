@@ -59,7 +59,7 @@ class TestLabelledBag:
         labels = [(i, *generator.integers(0, 6, (2, 1440)).astype(np.uint8)) for i in (0, 1, 3)]
         with open_bag(path) as bag:
             index = index_clouds(bag, "/vertical")
-            written = write_labelled_bag(tmp_path, bag, index, RIG, drive(), iter(labels))
+            written = write_labelled_bag(tmp_path, [bag], [index], RIG, drive(), iter(labels))
         assert written.name == ("labelled.bag" if name == "in.bag" else "labelled")
         assert not list(tmp_path.glob("*.part"))
         if name != "in.bag":
@@ -85,17 +85,17 @@ class TestLabelledBag:
     def test_clouds_that_changed_since_they_were_labelled_are_refused(self, tmp_path: Path, name: str):
         with open_bag(make_bag(tmp_path / name)) as bag:
             index = index_clouds(bag, "/vertical")
-            labelled = joined(read_digests(bag, index)).hex()
-            write_labelled_bag(tmp_path, bag, index, RIG, drive(), [], labelled).rename(tmp_path / "kept")
+            labelled = {index.topic: joined(read_digests(bag, index)).hex()}
+            write_labelled_bag(tmp_path, [bag], [index], RIG, drive(), [], labelled).rename(tmp_path / "kept")
             before = sorted(p.name for p in tmp_path.iterdir())
             with pytest.raises(InputError, match="changed while the run was reading it"):
-                write_labelled_bag(tmp_path, bag, index, RIG, drive(), [], labelled[::-1])
+                write_labelled_bag(tmp_path, [bag], [index], RIG, drive(), [], {index.topic: labelled[index.topic][::-1]})
         assert sorted(p.name for p in tmp_path.iterdir()) == before
 
     @pytest.mark.parametrize("name", CONTAINERS)
     def test_transforms(self, tmp_path: Path, name: str):
         with open_bag(make_bag(tmp_path / name)) as bag:
-            written = write_labelled_bag(tmp_path, bag, index_clouds(bag, "/vertical"), RIG, drive(), [])
+            written = write_labelled_bag(tmp_path, [bag], [index_clouds(bag, "/vertical")], RIG, drive(), [])
         messages = read_all(written)
         (static,) = [m for topic, _, m in messages if topic == "/tf_static"]
         mount = static.transforms[0]
@@ -116,7 +116,7 @@ class TestLabelledBag:
         label = np.arange(1440).astype(np.uint8) % 6
         with open_bag(path) as bag:
             index = index_clouds(bag, "/vertical")
-            written = write_labelled_bag(tmp_path, bag, index, RIG, drive(1), [(0, label, label)])
+            written = write_labelled_bag(tmp_path, [bag], [index], RIG, drive(1), [(0, label, label)])
         (new,) = [m for topic, _, m in read_all(written) if topic == "/vertical"]
         assert (new.height, new.width, new.row_step) == (90, 16, 16 * 24)
         np.testing.assert_array_equal(points_of(new)[:, 22], label)
@@ -131,7 +131,7 @@ class TestLabelledBag:
             ("/vertical", START_NS + 2, cloud(sweep(), START_NS - PERIOD_NS)),
         ]
         with open_bag(write_bag(tmp_path / "in.bag", entries)) as bag:
-            written = write_labelled_bag(tmp_path, bag, index_clouds(bag, "/vertical"), RIG, drive(), [])
+            written = write_labelled_bag(tmp_path, [bag], [index_clouds(bag, "/vertical")], RIG, drive(), [])
         messages = read_all(written)
         clouds = [m for topic, _, m in messages if topic == "/vertical"]
         assert [m.point_step for m in clouds] == [24, 22, 24]
@@ -141,17 +141,17 @@ class TestLabelledBag:
     def test_what_was_there_stays_until_the_new_one_is_complete(self, tmp_path: Path, name: str):
         bag = open_bag(make_bag(tmp_path / name))
         index = index_clouds(bag, "/vertical")
-        written = write_labelled_bag(tmp_path, bag, index, RIG, drive(), [])
+        written = write_labelled_bag(tmp_path, [bag], [index], RIG, drive(), [])
 
         def failing():
             yield 0, np.zeros(1440, np.uint8), np.zeros(1440, np.uint8)
             raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            write_labelled_bag(tmp_path, bag, index, RIG, drive(), failing())
+            write_labelled_bag(tmp_path, [bag], [index], RIG, drive(), failing())
         assert not list(tmp_path.glob("*.part"))
         assert len(read_all(written)) == 9
-        write_labelled_bag(tmp_path, bag, index, RIG, drive(), [(0, np.ones(1440, np.uint8), np.ones(1440, np.uint8))])
+        write_labelled_bag(tmp_path, [bag], [index], RIG, drive(), [(0, np.ones(1440, np.uint8), np.ones(1440, np.uint8))])
         assert points_of(read_all(written)[2][2])[0, 22] == 1
 
     @pytest.mark.parametrize("name", CONTAINERS)
@@ -162,7 +162,7 @@ class TestLabelledBag:
             (tmp_path / "labelled.part" / "labelled").mkdir(parents=True)
             (tmp_path / "labelled.part" / "labelled" / "metadata.yaml").write_text("half")
         with open_bag(make_bag(tmp_path / name)) as bag:
-            written = write_labelled_bag(tmp_path, bag, index_clouds(bag, "/vertical"), RIG, drive(), [])
+            written = write_labelled_bag(tmp_path, [bag], [index_clouds(bag, "/vertical")], RIG, drive(), [])
         assert len(read_all(written)) == 9
         assert not list(tmp_path.glob("*.part"))
 
@@ -171,4 +171,4 @@ class TestLabelledBag:
         with open_bag(make_bag(tmp_path / "in.bag")) as bag:
             index = index_clouds(bag, "/vertical")
             with pytest.raises(ValueError, match="out of order"):
-                write_labelled_bag(tmp_path, bag, index, RIG, drive(), [(1, label, label), (0, label, label)])
+                write_labelled_bag(tmp_path, [bag], [index], RIG, drive(), [(1, label, label), (0, label, label)])
