@@ -147,7 +147,7 @@ class FinishedRun:
         return InputOptions(
             Path(rig) if rig else None,
             options.get("horizontal"),
-            _words(options.get("vertical")),
+            topics_said(options.get("vertical")),
             self.time_from,
             mount_corrections(self.record),
         )
@@ -190,11 +190,11 @@ def _mounts(record: Record) -> Mapping[str, Record]:
 
 
 def _topics(record: Record) -> tuple[str, ...]:
-    return tuple(str(lidar["topic"]) for lidar in all_numbered(record.get("rig") or {}, "vertical"))
+    return tuple(str(lidar["topic"]) for lidar in all_numbered(record.get("rig") or {}, "vertical") if lidar is not None)
 
 
-def _words(said: str | Sequence[str] | None) -> tuple[str, ...]:
-    """One word, as runs of earlier versions have it, or several."""
+def topics_said(said: str | Sequence[str] | None) -> tuple[str, ...]:
+    """What run.json keeps of --vertical: one topic, as in runs of earlier versions, or a list; None for none."""
     return (said,) if isinstance(said, str) else tuple(said or ())
 
 

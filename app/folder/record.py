@@ -42,7 +42,7 @@ class _Record(BaseModel):
     outcome: str | None = None
     bag: _Bag | None = None
     options: _Options | None = None
-    rig: dict[str, _Lidar] | None = None
+    rig: dict[str, _Lidar | None] | None = None
     mount: _Mount | None = None
     mounts: dict[str, _Mount] | None = None
     settings: dict[str, Any] | None = None

@@ -10,7 +10,7 @@ from typing import Any, get_args
 import typer
 
 from ffmap.app.folder import names as run_folder
-from ffmap.app.folder.finished_run import FROM_ODOMETRY, mount_corrections
+from ffmap.app.folder.finished_run import FROM_ODOMETRY, mount_corrections, topics_said
 from ffmap.app.folder.names import RunFolder
 from ffmap.app.folder.record import bag_of
 from ffmap.app.progress import Progress
@@ -256,7 +256,7 @@ def _as_begun(arguments: Arguments, path: Path, record: dict[str, Any]) -> tuple
         options["outputs"] = check_outputs(options["outputs"])
         digests = options.pop("digests")
         options["rig"] = Path(options["rig"]) if options["rig"] else None
-        options["vertical"] = tuple(options["vertical"] or ())
+        options["vertical"] = topics_said(options["vertical"])
     except KeyError as error:
         raise InputError(f"{path / run_folder.RUN_JSON}: lacks {error}; start a new run") from None
     except TypeError as error:

@@ -22,7 +22,7 @@ from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, sweep, write_b
 
 CONTAINERS = ["in.bag", "in_mcap", "in_sqlite3"]
 T_BASE_LIDAR = transforms.from_yaw(0.5, [0.1, 0.2, 0.3])
-RIG = Rig("base", None, None, (StaticTransform("base", "lidar", T_BASE_LIDAR),), ())
+RIG = Rig("base", None, (), (StaticTransform("base", "lidar", T_BASE_LIDAR),), ())
 
 
 def make_bag(path: Path, count: int = 4, **cloud_options: Any) -> Path:
@@ -80,6 +80,30 @@ class TestLabelledBag:
             label, label_scan = expected.get(i, (np.full(1440, 255), np.full(1440, 255)))
             np.testing.assert_array_equal(points[:, 22], label)
             np.testing.assert_array_equal(points[:, 23], label_scan)
+
+    @pytest.mark.parametrize("name", CONTAINERS)
+    def test_two_lidars_that_fire_together_have_a_topic_each_and_one_pose(self, tmp_path: Path, name: str):
+        version = 1 if name == "in.bag" else 2
+        entries = []
+        for i in range(3):
+            stamp_ns = START_NS + i * PERIOD_NS
+            for place, topic in enumerate(("/b", "/a")):
+                message = cloud(sweep(seed=10 * place + i), stamp_ns, ros_version=version)
+                entries.append((topic, stamp_ns + 5 + place, message))
+        path = write_bag(tmp_path / name, entries)
+        # Of equal stamps the name decides: even numbers are of /a.
+        labels = [(scan, np.full(1440, scan, np.uint8), np.full(1440, 3, np.uint8)) for scan in range(6)]
+        with open_bag(path) as first, open_bag(path) as second:
+            indices = [index_clouds(first, "/b"), index_clouds(first, "/a")]
+            written = write_labelled_bag(tmp_path, [first, second], indices, RIG, drive(3), iter(labels))
+        messages = read_all(written)
+        for topic, expected in (("/a", [0, 2, 4]), ("/b", [1, 3, 5])):
+            own = [points_of(m) for name, _, m in messages if name == topic]
+            assert [set(points[:, 22].tolist()) for points in own] == [{scan} for scan in expected]
+            before = [points_of(m) for name, _, m in read_all(path) if name == topic]
+            for points, old in zip(own, before, strict=True):
+                np.testing.assert_array_equal(points[:, :22], old)
+        assert len([m for topic, _, m in messages if topic == "/tf"]) == 3
 
     @pytest.mark.parametrize("name", CONTAINERS)
     def test_clouds_that_changed_since_they_were_labelled_are_refused(self, tmp_path: Path, name: str):
