@@ -94,6 +94,8 @@ class Run(HowToRun):
 
         ffmap run drive_0.bag drive_1.bag drive_2.bag
 
+        ffmap run drive.bag --vertical /left/points --vertical /right/points
+
         ffmap run --resume runs/a
 
         ffmap run day.mcap --scheduler tcp://127.0.0.1:8786
@@ -197,7 +199,7 @@ class Rigs:
 
 @_command
 class Calibrate(OfTheBag):
-    """Refine where the vertical lidar sits and by which clock it runs, from a drive with two lidars.
+    """Refine where each vertical lidar sits and by which clock it runs, from a drive with two lidars or more.
 
     Starts from the mount that the bag or --rig says, off by up to some 5 deg, 10 cm and 50 ms, and says how certain each of the
     seven is. Best is a drive between walls in which the robot turns once on the spot, left and right.
@@ -207,6 +209,8 @@ class Calibrate(OfTheBag):
         ffmap calibrate drive.bag
 
         ffmap calibrate drive.bag --rig guess.toml --out rig.toml --recording calibration.rrd
+
+        ffmap calibrate drive.bag --vertical /left/points
     """
 
     bag: list[Path] = argument(metavar="BAG", help=BAG_HELP)
@@ -229,7 +233,7 @@ class Calibrate(OfTheBag):
 
 @_command
 class Simulate:
-    """Make a real bag of a robot with one lidar or two in a generated, furnished building, with its truth.
+    """Make a real bag of a robot with one lidar or several in a generated, furnished building, with its truth.
 
     Examples:
 
@@ -239,6 +243,8 @@ class Simulate:
 
         ffmap simulate one.bag --sensor os0-128 --lidars one
 
+        ffmap simulate three.bag --lidars three
+
         ffmap simulate viral.bag --layout ntu_viral
     """
 
@@ -247,7 +253,9 @@ class Simulate:
     seed: int = option(0, min=0, help="Another building, other furniture, another drive.")
     sensor: str | None = option(None, help="hdl32e, vlp16, os1-16, os0-128, qt64 or xt32.  [default: hdl32e]")
     lidars: str | None = option(
-        None, help="two: one upright and one on its side; one: an upright one alone.  [default: two]"
+        None,
+        help="two: one upright and one on its side; one: an upright one alone; three: one upright and two on their sides, left and "
+        "right; upright: two upright ones, front and rear.  [default: two]",
     )
     layout: str = option(
         "plain", help="plain, or as the bags of a public data set, with its sensors: a name that 'ffmap rigs' lists."

@@ -42,7 +42,9 @@ class OfTheBag:
         help="TOML file that says where the lidars sit, or the name of a built-in rig ('ffmap rigs'); asked before /tf_static.",
     )
     horizontal: str | None = option(None, help="Topic of the lidar that gives the poses.")
-    vertical: str | None = option(None, help="Topic of the lidar that sweeps the walls.")
+    vertical: list[str] | None = option(
+        None, help="Topic of a lidar that sweeps the walls, whose clouds are labelled; repeatable."
+    )
     time_from: Literal["auto", "azimuth", "none"] = option(
         "auto", help="Times of the firings: the cloud's own, recovered from the azimuth, or none."
     )
@@ -53,7 +55,8 @@ class OfTheBag:
         from ffmap.app.setup.inputs import InputOptions
         from ffmap.loaders.rig_file import rig_path
 
-        return InputOptions(rig_path(self.rig) if self.rig else None, self.horizontal, self.vertical, self.time_from)
+        rig, verticals = rig_path(self.rig) if self.rig else None, tuple(self.vertical or ())
+        return InputOptions(rig, self.horizontal, verticals, self.time_from)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +70,7 @@ class HowToRun(OfTheBag):
     )
     mount: Literal["refine", "as-given"] = option(
         "refine",
-        help="Of two lidars: whether the vertical one's place and clock are refined where the first seconds show them off.",
+        help="Of two lidars or more: whether a vertical one's place and clock are refined where the first seconds show them off.",
     )
     evaluate: bool = option(True, help="Where a bag carries truth, compare with it.")
     quiet: bool = option(False, "--quiet", "-q", help="Print nothing but errors.")

@@ -15,7 +15,7 @@ from ffmap.algorithms.truth.maps import Agreement
 
 APPLICATION_ID = "furniture_free_mapping"
 
-SCAN_TIMELINE = "scan"  # Index of the vertical cloud in the bag, skipped ones counted
+SCAN_TIMELINE = "scan"  # Index of the vertical cloud in the bag, skipped ones counted, those of several lidars by their stamps
 STAMP_TIMELINE = "stamp"  # Header stamp, nanoseconds since 1970
 
 README = "/readme"
@@ -79,6 +79,8 @@ OVERLAYS = "/world/overlay"  # Below it, for each grid by name, what is right an
 SCAN = "/scan"
 POINTS = "/scan/points"
 RELABELLED = "/scan/relabelled"
+SCAN_LIDAR = "/scan/lidar"  # Where several are labelled: which one the scan is from, in words, and beside them as a number
+LIDAR_PLACE = "place"  # That number: 0 for the first of the lidars that are labelled, as run.json lists them
 FLOOR = "/scan/floor"
 CEILING = "/scan/ceiling"
 LINES = "/scan/lines"
@@ -406,7 +408,8 @@ Point lines: green in a wall plane, blue above a door, orange where the candidat
 structure. Wall planes have colours of their own, in turn.
 
 ## Timelines
-`scan` is the index of the vertical cloud in the bag, skipped ones counted; `stamp` is the time in the cloud's header.
+`scan` is the index of the vertical cloud in the bag, skipped ones counted; `stamp` is the time in the cloud's header. Clouds of
+several vertical lidars are counted together, in the order of their stamps; `/scan/lidar` then tells which one a scan is from.
 What was registered of a horizontal sweep has the `scan` of the first vertical cloud that is not older, or of the last one.
 
 ## Frames
@@ -448,6 +451,8 @@ What they show is in `evaluation.rrd` beside it: open both files, or `ffmap view
 truth from elsewhere. Real buildings usually have none.
 """
 
+_COUNTS = {0: "Two", 1: "Two", 2: "Two", 3: "Three", 4: "Four", 5: "Five", 6: "Six"}
+"""In words; of a run that does not tell its lidars, and of one whose bag lacks one, there are two."""
 _COLOR_WORDS = ("yellow", "gray", "red", "green", "blue", "magenta")
 
 
@@ -457,9 +462,12 @@ def explain(record: Mapping[str, Any]) -> str:
     record: what `run.json` holds at the start; what is missing there is left out.
     """
     rig = record.get("rig", {})
-    one = len({lidar["topic"] for lidar in rig.values()}) == 1
-    tasks = {"horizontal": "gives the poses", "vertical": "sweeps walls and ceiling and is labelled"}
-    lidars = [f"The {role} one, `{rig[role]['topic']}`, {task}." for role, task in tasks.items() if role in rig]
+    count = len({lidar["topic"] for lidar in rig.values()})
+    lidars = [
+        f"The {role.replace('_', ' ')} one, `{lidar['topic']}`, "
+        f"{'gives the poses' if role == 'horizontal' else 'sweeps walls and ceiling and is labelled'}."
+        for role, lidar in rig.items()
+    ]
     facts = {
         "bag": record.get("bag", {}).get("path"),
         "further parts": " ".join((record.get("bag", {}).get("parts") or [])[1:]),
@@ -478,7 +486,7 @@ def explain(record: Mapping[str, Any]) -> str:
         run += [f"| {step} | {name} | {value} |" for step, values in steps.items() for name, value in values.items()]
     return _README.format(
         bag=PurePath(str(facts["bag"] or "A run")).name,
-        tasks="One lidar, both tasks." if one and len(rig) == 2 else "Two lidars, two tasks.",
+        tasks="One lidar, both tasks." if count == 1 and len(rig) == 2 else f"{_COUNTS.get(count, count)} lidars, two tasks.",
         lidars=" ".join(lidars) or "The horizontal one gives the poses, the vertical one is labelled.",
         class_names=" | ".join(CLASSES[label][0] for label in Label),
         class_rules="---|" * len(Label),

@@ -21,12 +21,14 @@ def build(
     several: bool = False,
     registered: bool = True,
     lines: bool = True,
+    several_lidars: bool = False,
 ) -> rrb.Blueprint:
     """The layout of a run's recording.
 
     line_pairs: pairs of point lines, None where there is nothing to label. centre_m, extent_m: middle and size
     of what the map views show. evaluated: with the errors that `evaluation.rrd` adds, first of all. scans: whether the
     recording has anything of single scans. several: whether it is to hold for several runs, with the list to choose from.
+    several_lidars: whether scans are of more than one lidar, so that it is told of each which.
     """
     readme = rrb.TextDocumentView(origin=entities.README, name="Read me")
     about: list[Part] = [_metrics(), readme]
@@ -49,8 +51,9 @@ def build(
             title = "Point lines and wall planes; white: the line drawn large"
             how = [_scan_view(title, [f"{entities.LINES}/**", *planes], views.WITHOUT_NAMES), _curves(line_pairs)]
         scan = _scan_view("Labelled scan", [entities.POINTS, entities.OPENINGS])
+        which = [rrb.TextDocumentView(origin=entities.SCAN_LIDAR, name="Lidar of the scan")] if several_lidars else []
         overview = rrb.Vertical(
-            rrb.Horizontal(_label_legend(), _glance()),
+            rrb.Horizontal(_label_legend(), _glance(), *which),
             rrb.Horizontal(scan, _map(centre_m, extent_m), column_shares=[1, 1]),
             rrb.Horizontal(*how, _grid(centre_m, extent_m), column_shares=[1, 1.25, 1] if lines else [1, 1]),
             row_shares=[1, 5, 5],

@@ -83,7 +83,7 @@ def describe_bag(
     path: BagPath | Path,
     rig_file: Path | None = None,
     horizontal: str | None = None,
-    vertical: str | None = None,
+    verticals: Sequence[str] = (),
     time_from: TimeFrom = "auto",
 ) -> BagInfo:
     """Look a bag over; the options are those of `find_rig`.
@@ -95,10 +95,10 @@ def describe_bag(
         tree = read_frame_tree(bag, {c.decoding.layout.frame_id for c in clouds if c.decoding} - {""})
         rig, problem = None, None
         try:
-            rig = find_rig(bag, rig_file, horizontal, vertical, time_from)
+            rig = find_rig(bag, rig_file, horizontal, verticals, time_from)
         except InputError as error:
             # What the bag lacks is what is asked for; what the user says of it has to be right.
-            if any(word is not None for word in (rig_file, horizontal, vertical)):
+            if rig_file is not None or horizontal is not None or verticals:
                 raise
             problem = str(error)
         size = sum(map(size_of, bag.path.parts))
@@ -112,11 +112,12 @@ def size_of(path: Path) -> int:
 
 
 def _clock_warnings(rig: Rig | None, clouds: Sequence[CloudInfo]) -> list[str]:
-    if rig is None or rig.horizontal is None or rig.vertical is None:
+    if rig is None or rig.horizontal is None:
         return []
     indexes = {cloud.index.topic: cloud.index for cloud in clouds}
-    problem = clock_problem(indexes[rig.horizontal.topic], indexes[rig.vertical.topic])
-    return [problem] if problem else []
+    horizontal = indexes[rig.horizontal.topic]
+    problems = (clock_problem(horizontal, indexes[lidar.topic]) for lidar in rig.verticals)
+    return [problem for problem in problems if problem]
 
 
 def _describe_cloud(bag: Bag, topic: str, time_from: TimeFrom) -> CloudInfo:
@@ -209,7 +210,7 @@ def _missing(bag: Bag, clouds: tuple[CloudInfo, ...], tree: FrameTree, rig: Rig 
     if clouds and not tree.edges:
         needed = "one lidar needs none" if len(clouds) == 1 else "several lidars need --rig FILE.toml"
         lines.append(f"transforms: {f'{rig.mounts_from} says where the lidars sit' if rig else needed}")
-    if rig and rig.vertical is None:
+    if rig and not rig.verticals:
         lines.append("a vertical lidar: there is a trajectory and a recording, and nothing to label")
     if not any(name in bag.topics for name in (POSE_TOPIC, CLASSES_TOPIC, BUILDING_TOPIC)):
         lines.append("truth: no figures can be computed")

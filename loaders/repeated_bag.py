@@ -66,7 +66,7 @@ def write_repeated_bag(path: Path, bag: Bag, rig: Rig, repetition: Repetition) -
 
     path: of a file for ROS 1, of a folder for ROS 2.
     """
-    times = {lidar.topic: lidar.decoding.time for lidar in (rig.horizontal, rig.vertical) if lidar is not None}
+    times = {lidar.topic: lidar.decoding.time for lidar in (rig.horizontal, *rig.verticals) if lidar is not None}
     with BagWriter(path, bag.container) as writer:
         for topic in times:
             writer.add_topic(topic, bag.topic(topic).msgtype)

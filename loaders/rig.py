@@ -1,13 +1,15 @@
 """Which lidar sits where, and what each is for.
 
 Names do not tell: in one public data set `vertical_velodyne` scans the walls, in another it drives the odometry. The
-lidar whose spin axis is nearest to gravity drives odometry (the "horizontal" lidar: it scans horizontally), the one
-whose spin axis is nearest to level is labelled (the "vertical" lidar).
+lidar whose spin axis is nearest to gravity drives odometry (the "horizontal" lidar: it scans horizontally). Labelled are
+all that sweep walls from floor to ceiling (the "vertical" lidars): those that lie on their side, and those that stand upright
+and open wide, among them the one that drives odometry.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -97,11 +99,12 @@ class Lidar:
 
 @dataclass(frozen=True)
 class MountCorrection:
-    """Where the vertical lidar was found to sit and by which clock to run, in place of what bag or rig file say.
+    """Where a vertical lidar was found to sit and by which clock to run, in place of what bag or rig file say.
 
-    T_base_sensor: (4, 4), row by row. clock_ns: what is added to its firings' times.
+    topic: the lidar's. T_base_sensor: (4, 4), row by row. clock_ns: what is added to its firings' times.
     """
 
+    topic: str
     T_base_sensor: tuple[tuple[float, ...], ...]
     clock_ns: int
 
@@ -112,7 +115,7 @@ class Rig:
 
     base_frame: the frame whose pose the trajectory gives.
     horizontal: drives odometry; None where the bag has none.
-    vertical: is labelled; None where there is nothing to label.
+    verticals: are labelled, the most level one first; none where there is nothing to label.
     static_transforms: all that are known, for the results' /tf_static.
     warnings: what a user must know about the choice.
     mounts_from: what says where the lidars sit, in words.
@@ -120,23 +123,31 @@ class Rig:
 
     base_frame: str
     horizontal: Lidar | None
-    vertical: Lidar | None
+    verticals: tuple[Lidar, ...]
     static_transforms: tuple[StaticTransform, ...]
     warnings: tuple[str, ...]
     mounts_from: str = "the bag's transforms"
 
+    @property
+    def vertical(self) -> Lidar | None:
+        """The first of those that are labelled, and mostly the only one."""
+        return next(iter(self.verticals), None)
+
     def with_mount(self, mount: MountCorrection) -> "Rig":
-        """The same with the vertical lidar where it was found to sit, in the static transforms too."""
-        assert self.vertical is not None
-        decoding = replace(self.vertical.decoding, clock_ns=mount.clock_ns)
-        vertical = replace(self.vertical, T_base_sensor=np.array(mount.T_base_sensor), decoding=decoding)
-        others = tuple(edge for edge in self.static_transforms if edge.child != vertical.frame_id)
-        parent = next((e.parent for e in self.static_transforms if e.child == vertical.frame_id), self.base_frame)
+        """The same with a vertical lidar where it was found to sit, in the static transforms too; as it is without that lidar."""
+        moved = next((lidar for lidar in self.verticals if lidar.topic == mount.topic), None)
+        if moved is None:
+            return self
+        decoding = replace(moved.decoding, clock_ns=mount.clock_ns)
+        found = replace(moved, T_base_sensor=np.array(mount.T_base_sensor), decoding=decoding)
+        others = tuple(edge for edge in self.static_transforms if edge.child != found.frame_id)
+        parent = next((e.parent for e in self.static_transforms if e.child == found.frame_id), self.base_frame)
         T_parent_base = self.tree.between(parent, self.base_frame)
         if T_parent_base is None:
             parent, T_parent_base = self.base_frame, np.eye(4)
-        edge = StaticTransform(parent, vertical.frame_id, T_parent_base @ vertical.T_base_sensor)
-        return replace(self, vertical=vertical, static_transforms=(*others, edge))
+        edge = StaticTransform(parent, found.frame_id, T_parent_base @ found.T_base_sensor)
+        verticals = tuple(found if lidar is moved else lidar for lidar in self.verticals)
+        return replace(self, verticals=verticals, static_transforms=(*others, edge))
 
     @property
     def tree(self) -> FrameTree:
@@ -154,7 +165,7 @@ class _Candidate:
     decoding: CloudDecoding
     points: int
     sectors: float
-    role: Role | None = None
+    roles: tuple[Role, ...] = ()
     T_base_sensor: FloatArray = field(default_factory=lambda: np.eye(4))
 
     @property
@@ -167,6 +178,16 @@ class _Candidate:
     def tilt_deg(self) -> float:
         """As of the lidar; 0 where its place is unknown."""
         return _tilt_deg(self.T_base_sensor)
+
+    @property
+    def upright(self) -> bool:
+        """Whether its columns are the lines that run from floor to ceiling; else its emitters are."""
+        return self.tilt_deg <= _UPRIGHT_DEG
+
+    @property
+    def opening_deg(self) -> float:
+        """As of the lidar."""
+        return _opening_deg(self.decoding)
 
     def lidar(self, reasons: str) -> Lidar:
         return Lidar(self.topic, self.frame_id, self.T_base_sensor, self.decoding, self.points, reasons)
@@ -184,42 +205,54 @@ def find_rig(
     bag: Bag,
     rig_file: Path | None = None,
     horizontal: str | None = None,
-    vertical: str | None = None,
+    verticals: Sequence[str] = (),
     time_from: TimeFrom = "auto",
 ) -> Rig:
     """The rig of a bag.
 
     rig_file: where the lidars sit; None to ask the bag's transforms, and where these do not place them the built-in rigs.
-    horizontal, vertical: topics that are to have these roles; None to decide by the spin axes. One topic may have both.
+    horizontal, verticals: topics that are to have these roles; None, or none, to decide by the spin axes. One topic may have
+        both.
     time_from: where the firings' times come from.
     Raises InputError: no clouds, an unknown topic or frame, several lidars and no transforms that join them, a rig file
     that is not understood.
     """
     warnings: list[str] = []
     described = read_rig_file(rig_file) if rig_file else None
-    named: dict[Role, str | None] = {"horizontal": horizontal, "vertical": vertical}
-    asked = {role: _cloud_topic(bag, name, role) for role, name in named.items() if name is not None}
+    named: dict[Role, Sequence[str]] = {"horizontal": () if horizontal is None else (horizontal,), "vertical": verticals}
+    asked = {role: _cloud_topics(bag, names, role) for role, names in named.items() if names}
+    chosen = {topic for topics in asked.values() for topic in topics}
     topics = cloud_topics(bag)
     if not topics:
         raise _no_clouds(bag)
     entries: dict[str, RigEntry] = {}
     if described:
         entries = _named_topics(bag, described, topics)
-        topics = [*dict.fromkeys([*entries, *asked.values()])]
+        topics = [*dict.fromkeys([*entries, *(topic for own in asked.values() for topic in own)])]
     if len(asked) == 2:
-        topics = [t for t in topics if t in asked.values()]
+        topics = [t for t in topics if t in chosen]
     candidates = _candidates(bag, topics, time_from, warnings)
-    if described is None and (fitting := _fitting_built_in(bag, candidates, asked, warnings)):
+    if described is None and (fitting := _fitting_built_in(bag, candidates, chosen, warnings)):
         described, entries = fitting
         candidates = [c for c in candidates if c.topic in entries]
-    candidates = _one_a_frame(bag, candidates, {*asked.values(), *entries}, warnings)
-    candidates, base, edges = _place(bag, candidates, described, entries, asked, warnings)
+    candidates = _one_a_frame(bag, candidates, {*chosen, *entries}, warnings)
+    candidates, base, edges = _place(bag, candidates, described, entries, chosen, warnings)
     _check_reach(described.path if described else bag.path, candidates, base)
-    roles = _roles(candidates, asked, warnings)
-    if "vertical" in roles:
-        roles["vertical"] = _gathering(roles["vertical"])
-    for topic, lidar in {lidar.topic: lidar for lidar in roles.values()}.items():
-        name = f"{topic} ({' and '.join(role for role in roles if roles[role].topic == topic)})"
+    drives, sweeping = _roles(candidates, asked, warnings)
+    labelled = tuple(map(_gathering, sweeping))
+    _warn_of_clouds(drives, labelled, warnings)
+    placed = len(candidates) > 1 or base != candidates[0].frame_id
+    mounts_from = (
+        described.said if described else "the bag's transforms" if placed else "nothing: the only lidar is the base"
+    )
+    return Rig(base, drives, labelled, edges, tuple(warnings), mounts_from)
+
+
+def _warn_of_clouds(horizontal: Lidar, verticals: tuple[Lidar, ...], warnings: list[str]) -> None:
+    """What the clouds lack of each lidar that has a role, and which upright ones see little of floor and ceiling together."""
+    by_role = {"horizontal": [horizontal.topic], "vertical": [lidar.topic for lidar in verticals]}
+    for lidar in {lidar.topic: lidar for lidar in (horizontal, *verticals)}.values():
+        name = f"{lidar.topic} ({' and '.join(role for role, topics in by_role.items() if lidar.topic in topics)})"
         if not lidar.decoding.timed:
             warnings.append(
                 f"{name}: its points have no times, or none whose unit can be told; motion compensation is "
@@ -227,28 +260,23 @@ def find_rig(
             )
         if lidar.decoding.rings.source == "bins" and not lidar.ringless:
             warnings.append(f"{name}: no ring field, and the elevations tell no rings apart")
-    labelled = roles.get("vertical")
-    if labelled is not None and labelled.column_pairs and labelled.opening_deg < _OPENING_MIN_DEG:
-        warnings.append(
-            f"{labelled.topic}: stands upright and opens to {labelled.opening_deg:.0f} deg: its columns seldom show floor and "
-            f"ceiling together (that takes {_OPENING_MIN_DEG:.0f}), and near walls are told by less; where it lies, --rig FILE "
-            "tells its mount"
-        )
-    placed = len(candidates) > 1 or base != candidates[0].frame_id
-    mounts_from = (
-        described.said if described else "the bag's transforms" if placed else "nothing: the only lidar is the base"
-    )
-    return Rig(base, roles.get("horizontal"), roles.get("vertical"), edges, tuple(warnings), mounts_from)
+    for lidar in verticals:
+        if lidar.column_pairs and lidar.opening_deg < _OPENING_MIN_DEG:
+            warnings.append(
+                f"{lidar.topic}: stands upright and opens to {lidar.opening_deg:.0f} deg: its columns seldom show floor and "
+                f"ceiling together (that takes {_OPENING_MIN_DEG:.0f}), and near walls are told by less; where it lies, "
+                "--rig FILE tells its mount"
+            )
 
 
 def _fitting_built_in(
-    bag: Bag, candidates: list[_Candidate], asked: dict[Role, str], warnings: list[str]
+    bag: Bag, candidates: list[_Candidate], chosen: set[str], warnings: list[str]
 ) -> tuple[RigFile, dict[str, RigEntry]] | None:
     """The built-in rig whose topics and frames the bag has, with the lidars by their topics, unless the bag's own transforms
     place them: these are of this very robot, the rig is of the data set.
     """
     fitting = [(rig, entries) for rig in built_in_rigs() if (entries := _fitting_entries(bag, candidates, rig))]
-    if len(fitting) != 1 or not set(asked.values()) <= fitting[0][1].keys():
+    if len(fitting) != 1 or not chosen <= fitting[0][1].keys():
         return None
     rig, entries = fitting[0]
     tree = read_frame_tree(bag, [entry.frame for entry in rig.lidars if entry.frame])
@@ -301,6 +329,11 @@ def _off_from_bag(tree: FrameTree, rig: RigFile) -> tuple[float, float] | None:
         off_deg = max(off_deg, float(np.degrees(np.linalg.norm(twist[:3]))))
         off_m = max(off_m, float(np.linalg.norm(twist[3:])))
     return off_deg, off_m
+
+
+def _cloud_topics(bag: Bag, names: Sequence[str], role: str) -> list[str]:
+    """The topics that a user names, each once, with or without their leading slash."""
+    return list(dict.fromkeys(_cloud_topic(bag, name, role) for name in names))
 
 
 def _cloud_topic(bag: Bag, name: str, role: str) -> str:
@@ -385,7 +418,7 @@ def _place(
     candidates: list[_Candidate],
     described: RigFile | None,
     entries: dict[str, RigEntry],
-    asked: dict[Role, str],
+    chosen: set[str],
     warnings: list[str],
 ) -> tuple[list[_Candidate], str, tuple[StaticTransform, ...]]:
     """The candidates with their T_base_sensor, the base's frame, and all static transforms."""
@@ -407,7 +440,7 @@ def _place(
             f"{bag.path.name}: no transforms say where the lidars' frames {pairs} are; give --rig FILE.toml{known_rig} or "
             "record /tf_static"
         )
-    needed = [c for c in unknown if c.topic in asked.values()] or (unknown if len(known) < 2 else [])
+    needed = [c for c in unknown if c.topic in chosen] or (unknown if len(known) < 2 else [])
     if needed:
         raise InputError(
             f"{bag.path.name}: frame {needed[0].frame_id} of {needed[0].topic} is unknown; the bag's transforms know: "
@@ -420,7 +453,7 @@ def _place(
         by_root.setdefault(roots[candidate.topic][0], []).append(candidate)
     base, together = max(by_root.items(), key=lambda item: (len(item[1]), [c.worth for c in item[1]]))
     apart = [c for c in known if c not in together]
-    if apart and (len(together) < 2 or any(c.topic in asked.values() for c in apart)):
+    if apart and (len(together) < 2 or any(c.topic in chosen for c in apart)):
         raise InputError(
             f"{bag.path.name}: no transforms join frame {together[0].frame_id} ({together[0].topic}) with "
             f"{apart[0].frame_id} ({apart[0].topic}); the bag's frames are: {', '.join(tree.frames)}. "
@@ -459,40 +492,70 @@ def _place_by_file(
         else:
             edges[candidate.frame_id] = StaticTransform(base, candidate.frame_id, T)
         decoding = replace(candidate.decoding, clock_ns=round(1e9 * entry.clock_s) if entry else 0)
-        role = entry.role if entry else None
-        placed.append(replace(candidate, T_base_sensor=T, role=role, decoding=decoding))
+        roles = entry.roles if entry else ()
+        placed.append(replace(candidate, T_base_sensor=T, roles=roles, decoding=decoding))
     return placed, base, tuple(edges.values())
 
 
-def _roles(candidates: list[_Candidate], asked: dict[Role, str], warnings: list[str]) -> dict[Role, Lidar]:
+def _roles(
+    candidates: list[_Candidate], asked: dict[Role, list[str]], warnings: list[str]
+) -> tuple[Lidar, tuple[Lidar, ...]]:
+    """The lidar that drives odometry, and those that are labelled: as they were named, by what they are where none was."""
     by_topic = {c.topic: c for c in candidates}
-    roles: dict[Role, Lidar] = {}
-    for role, topic in asked.items():
-        roles[role] = by_topic[topic].lidar(f"--{role} names it")
-    both: tuple[Role, Role] = ("horizontal", "vertical")
-    for role in both:
-        given = next((c for c in candidates if c.role == role), None)
-        if given and role not in roles:
-            roles[role] = given.lidar("the rig file gives it this role")
-    taken = {lidar.topic for lidar in roles.values()}
-    free = [c for c in candidates if c.topic not in taken]
+    horizontals, verticals = (
+        [by_topic[topic].lidar(f"--{role} names it") for topic in asked[role]]
+        if role in asked
+        else [c.lidar("the rig file gives it this role") for c in candidates if role in c.roles]
+        for role in get_args(Role)
+    )
+    horizontal: Lidar | None = next(iter(horizontals), None)
     if len(candidates) == 1:
-        _roles_of_one(candidates[0], roles, warnings)
-        return roles
-    if "horizontal" not in roles and free:
+        return _roles_of_one(candidates[0], horizontal, tuple(verticals), warnings)
+    if horizontal is None:
+        labelled = [lidar.topic for lidar in verticals]
+        free = [c for c in candidates if c.topic not in labelled] or candidates
         chosen, reasons = _most_aligned(free, {c.topic: c.tilt_deg for c in free}, "gravity")
-        roles["horizontal"] = chosen.lidar(reasons)
-        free.remove(chosen)
-        if chosen.tilt_deg > _UPRIGHT_DEG:
+        horizontal = chosen.lidar(reasons)
+        if not chosen.upright:
             warnings.append(f"{chosen.topic}: no lidar stands upright; odometry has to do with one that does not")
-    if "vertical" not in roles:
-        lying = [c for c in free if c.tilt_deg > _UPRIGHT_DEG]
-        if lying:
-            chosen, reasons = _most_aligned(lying, {c.topic: 90.0 - c.tilt_deg for c in lying}, "level")
-            roles["vertical"] = chosen.lidar(reasons)
-        else:
-            _label_by_columns([c for c in candidates if c.tilt_deg <= _UPRIGHT_DEG], roles, warnings)
-    return roles
+    if verticals:
+        return horizontal, tuple(verticals)
+    lying = [c for c in candidates if not c.upright and c.topic != horizontal.topic]
+    upright = [c for c in candidates if c.upright]
+    swept = [*_lying(lying), *_sweeping_by_columns(upright)]
+    if not swept and upright:
+        warnings.append(_nothing_to_label(upright))
+    return horizontal, tuple(swept)
+
+
+def _lying(candidates: list[_Candidate]) -> list[Lidar]:
+    """Lidars on their side, whose emitters sweep the walls: the most level first."""
+    lidars: list[Lidar] = []
+    while candidates:
+        chosen, reasons = _most_aligned(candidates, {c.topic: 90.0 - c.tilt_deg for c in candidates}, "level")
+        also = f"on its side, its spin axis {90.0 - chosen.tilt_deg:.1f} deg off level"
+        lidars.append(chosen.lidar(also if lidars else reasons))
+        candidates = [c for c in candidates if c is not chosen]
+    return lidars
+
+
+def _sweeping_by_columns(upright: list[_Candidate]) -> list[Lidar]:
+    """Upright lidars that open wide enough for their columns to sweep the walls: the widest first."""
+    widest_first = sorted(upright, key=lambda c: (c.opening_deg, c.worth), reverse=True)
+    return [
+        c.lidar(f"upright, it opens to {c.opening_deg:.0f} deg: its columns sweep the walls")
+        for c in widest_first
+        if c.opening_deg >= _OPENING_MIN_DEG
+    ]
+
+
+def _nothing_to_label(upright: list[_Candidate]) -> str:
+    widest = max(upright, key=lambda c: (c.opening_deg, c.worth))
+    return (
+        f"nothing to label: no lidar lies on its side, and {widest.topic}, upright, opens to {widest.opening_deg:.0f} deg: floor "
+        f"and ceiling are seldom in one view (that takes {_OPENING_MIN_DEG:.0f}). --vertical {widest.topic} labels it "
+        "nevertheless; where a lidar does lie, --rig FILE tells its mount"
+    )
 
 
 def _gathering(lidar: Lidar) -> Lidar:
@@ -510,20 +573,6 @@ def _gathering(lidar: Lidar) -> Lidar:
     )
 
 
-def _label_by_columns(upright: list[_Candidate], roles: dict[Role, Lidar], warnings: list[str]) -> None:
-    """The upright lidar that opens widest sweeps the walls with its columns, where it opens wide enough."""
-    widest = max(upright, key=lambda c: (_opening_deg(c.decoding), c.worth))
-    opening_deg = _opening_deg(widest.decoding)
-    if opening_deg >= _OPENING_MIN_DEG:
-        roles["vertical"] = widest.lidar(f"upright, it opens to {opening_deg:.0f} deg: its columns sweep the walls")
-    else:
-        warnings.append(
-            f"nothing to label: no lidar lies on its side, and {widest.topic}, upright, opens to {opening_deg:.0f} deg: floor "
-            f"and ceiling are seldom in one view (that takes {_OPENING_MIN_DEG:.0f}). --vertical {widest.topic} labels it "
-            "nevertheless; where a lidar does lie, --rig FILE tells its mount"
-        )
-
-
 def _most_aligned(candidates: list[_Candidate], off_deg: dict[str, float], direction: str) -> tuple[_Candidate, str]:
     """The candidate whose spin axis is nearest to a direction, and in words why; of equals the one that sees most.
 
@@ -536,17 +585,19 @@ def _most_aligned(candidates: list[_Candidate], off_deg: dict[str, float], direc
     return chosen, f"its spin axis is nearest to {direction} ({off_deg[chosen.topic]:.1f} deg off){more}"
 
 
-def _roles_of_one(only: _Candidate, roles: dict[Role, Lidar], warnings: list[str]) -> None:
-    tilt = only.tilt_deg
-    if "vertical" in roles and "horizontal" not in roles:
-        roles["horizontal"] = only.lidar("the only lidar: it drives odometry too")
-    elif "vertical" not in roles and "horizontal" not in roles and tilt > _UPRIGHT_DEG:
-        roles["vertical"] = only.lidar(f"the only lidar, its spin axis {90 - tilt:.1f} deg off level")
-        roles["horizontal"] = only.lidar("the only lidar: it drives odometry too")
+def _roles_of_one(
+    only: _Candidate, horizontal: Lidar | None, verticals: tuple[Lidar, ...], warnings: list[str]
+) -> tuple[Lidar, tuple[Lidar, ...]]:
+    if verticals:
+        return horizontal or only.lidar("the only lidar: it drives odometry too"), verticals
+    if horizontal is None and not only.upright:
         warnings.append(f"{only.topic}: the only lidar lies on its side; odometry has to do with it")
-    elif "vertical" not in roles:
-        roles.setdefault("horizontal", only.lidar("the only lidar, its spin axis upright or unknown"))
-        _label_by_columns([only], roles, warnings)
+        labelled = only.lidar(f"the only lidar, its spin axis {90 - only.tilt_deg:.1f} deg off level")
+        return only.lidar("the only lidar: it drives odometry too"), (labelled,)
+    swept = _sweeping_by_columns([only])
+    if not swept:
+        warnings.append(_nothing_to_label([only]))
+    return horizontal or only.lidar("the only lidar, its spin axis upright or unknown"), tuple(swept)
 
 
 def _named_topics(bag: Bag, described: RigFile, topics: list[str]) -> dict[str, RigEntry]:

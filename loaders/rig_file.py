@@ -8,13 +8,14 @@
     topic = "/horizontal/velodyne_points"     # topic or frame; where both are given, the frame where the bag lacks the topic
     frame = "velodyne_h"
     sensor = "Velodyne HDL-32E"
-    role = "horizontal"                       # optional: "horizontal" or "vertical"
+    role = "horizontal"                       # optional: "horizontal" (one), "vertical" (any number) or "both"
     translation = [0.12, 0.01, 0.568]         # where the lidar is in base, metres
     quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]    # how it is turned there, T_base_lidar, or
     rpy_deg = [0.0, 0.0, -90.0]               # roll, pitch, yaw about base's fixed axes x, y, z
     clock_s = -0.015                          # optional: what is added to its times, where its clock is off
 
-A lidar without translation and rotation takes them from the bag's transforms.
+The horizontal lidar gives the poses, the vertical ones are labelled. A lidar without translation and rotation takes them from
+the bag's transforms.
 """
 
 import difflib
@@ -31,6 +32,12 @@ from ffmap.loaders.errors import InputError
 from ffmap.loaders.text_files import read_toml
 
 Role = Literal["horizontal", "vertical"]
+_ROLES: dict[str | None, tuple[Role, ...]] = {
+    None: (),
+    "horizontal": ("horizontal",),
+    "vertical": ("vertical",),
+    "both": ("horizontal", "vertical"),
+}
 
 _KEYS = ("topic", "frame", "role", "translation", "quaternion_xyzw", "rpy_deg", "clock_s", "sensor")
 _FILE_KEYS = ("description", "source", "with_topics", "base", "lidar")
@@ -49,7 +56,7 @@ class RigEntry:
 
     topic: str | None
     frame: str | None
-    role: Role | None
+    roles: tuple[Role, ...]
     T_base_sensor: FloatArray | None
     clock_s: float = 0.0
     sensor: str | None = None
@@ -140,8 +147,8 @@ def _rig_entry(path: Path, entry: dict[str, Any], number: int) -> RigEntry:
             raise InputError(f"{path}: {where}{key} must be a name")
     if topic is None and frame is None:
         raise InputError(f"{path}: {where}neither topic nor frame says which lidar is meant; give one")
-    if role not in (None, "horizontal", "vertical"):
-        raise InputError(f'{path}: {where}role {role!r} must be "horizontal" or "vertical"')
+    if not isinstance(role, str | None) or role not in _ROLES:
+        raise InputError(f'{path}: {where}role {role!r} must be "horizontal", "vertical" or "both"')
     if "quaternion_xyzw" in entry and "rpy_deg" in entry:
         raise InputError(f"{path}: {where}give quaternion_xyzw or rpy_deg, not both")
     if not {"translation", "quaternion_xyzw", "rpy_deg"} & set(entry):
@@ -160,7 +167,7 @@ def _rig_entry(path: Path, entry: dict[str, Any], number: int) -> RigEntry:
     if isinstance(clock_s, bool) or not isinstance(clock_s, int | float) or not abs(clock_s) <= _CLOCK_MAX_S:
         raise InputError(f"{path}: {where}clock_s must be a number of seconds, at most {_CLOCK_MAX_S:g} either way")
     sensor = _words(path, entry, "sensor", where)
-    return RigEntry(topic, frame.removeprefix("/") if frame else None, role, T, float(clock_s), sensor)
+    return RigEntry(topic, frame.removeprefix("/") if frame else None, _ROLES[role], T, float(clock_s), sensor)
 
 
 def _numbers(path: Path, entry: dict[str, Any], key: str, count: int, default: list[float], where: str) -> list[float]:

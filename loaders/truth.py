@@ -1,7 +1,14 @@
-"""The truth that simulated bags carry: building, poses and classes. Only the evaluation reads it."""
+"""The truth that simulated bags carry: building, poses and classes. Only the evaluation reads it.
+
+    /truth/pose       nav_msgs/Odometry: T_map_base
+    /truth/building   std_msgs/String: GeoJSON of walls, doors and rooms
+    /truth/classes    PointCloud2 with the stamps, the order and the frame of a vertical lidar's clouds; its field `truth`, uint8,
+                      is the class of each point, see `ffmap.algorithms.base.labels.Truth`
+    /truth/classes_2  the same of a second vertical lidar, and so on; the frame in its headers tells which lidar it is of
+"""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +21,7 @@ from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.geojson import check_features
+from ffmap.loaders.numbered import all_numbered
 from ffmap.loaders.pointcloud2 import describe_layout, field_column, stamp_ns
 from ffmap.loaders.scans import read_stamps
 from ffmap.loaders.trajectory_file import read_pose_topic
@@ -26,24 +34,38 @@ BUILDING_TOPIC = "/truth/building"
 @dataclass(frozen=True, eq=False)
 class Truth:
     """A bag's truth; what the bag lacks is None. trajectory: T_map_base. building: GeoJSON FeatureCollection of walls,
-    doors and rooms, metres in the map frame. classes: the true class of every point of the vertical clouds.
+    doors and rooms, metres in the map frame. classes: the true class of every point of the vertical clouds, lidar by lidar.
     """
 
     trajectory: Trajectory | None
     building: dict[str, Any] | None
-    classes: "TruthClasses | None"
+    classes: "tuple[TruthClasses, ...]" = ()
+
+    def classes_topics(self, frames: Sequence[str]) -> list[str | None]:
+        """Of each vertical lidar, by its frame, the topic with its clouds' classes; None where the truth has none."""
+        topics = {classes.frame_id: classes.topic for classes in self.classes}
+        return [topics.get(frame) for frame in frames]
 
 
 class TruthClasses:
-    """The clouds of /truth/classes by their stamps, which are those of the vertical clouds, packets or whole ones."""
+    """The clouds of /truth/classes, or of a further lidar's topic, by their stamps, which are those of the vertical clouds,
+    packets or whole ones.
+    """
 
-    def __init__(self, bag: Bag) -> None:
+    def __init__(self, bag: Bag, topic: str = CLASSES_TOPIC) -> None:
+        self.topic = topic
         self._bag = bag
-        log_time_ns, stamp_ns = read_stamps(bag, CLASSES_TOPIC)
+        log_time_ns, stamp_ns = read_stamps(bag, topic)
         self._log_time_ns = dict(zip(stamp_ns.tolist(), log_time_ns.tolist(), strict=True))
 
     def __len__(self) -> int:
         return len(self._log_time_ns)
+
+    @property
+    def frame_id(self) -> str:
+        """The frame of its lidar."""
+        first = self._bag.deserialize(next(self._bag.messages([self.topic])))
+        return str(first.header.frame_id).removeprefix("/")
 
     def at(self, stamp: int, places: int = 0) -> UInt8Array | None:
         """Classes (points of the cloud,) uint8 in the cloud's order; None where the bag has none for this stamp.
@@ -67,9 +89,9 @@ class TruthClasses:
         return self._read(None, None)
 
     def _read(self, start_ns: int | None, stop_ns: int | None) -> Iterator[tuple[int, UInt8Array]]:
-        for raw in self._bag.messages([CLASSES_TOPIC], start_ns, stop_ns):
+        for raw in self._bag.messages([self.topic], start_ns, stop_ns):
             message = self._bag.deserialize(raw)
-            layout = describe_layout(message, CLASSES_TOPIC, needed=("truth",))
+            layout = describe_layout(message, self.topic, needed=("truth",))
             yield stamp_ns(message), field_column(message, layout, "truth").astype(np.uint8)
 
 
@@ -84,15 +106,14 @@ def read_truth(bag: Bag) -> Truth | None:
 
     Raises InputError where the truth is damaged.
     """
-    has = {
-        name for name in (POSE_TOPIC, CLASSES_TOPIC, BUILDING_TOPIC) if name in bag.topics and bag.topics[name].count
-    }
-    if not has:
+    has = {name: topic for name, topic in bag.topics.items() if topic.count}
+    classes = tuple(TruthClasses(bag, topic.name) for topic in all_numbered(has, CLASSES_TOPIC))
+    if not classes and not has.keys() & {POSE_TOPIC, BUILDING_TOPIC}:
         return None
     return Truth(
         trajectory=read_pose_topic(bag, POSE_TOPIC, base_frame=None) if POSE_TOPIC in has else None,
         building=_building(bag) if BUILDING_TOPIC in has else None,
-        classes=TruthClasses(bag) if CLASSES_TOPIC in has else None,
+        classes=classes,
     )
 
 

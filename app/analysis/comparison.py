@@ -161,8 +161,12 @@ class LabelComparison:
 
     def __iter__(self) -> Iterator[ChangedPoints]:
         """The changed points of every scan that both runs have; none changed: no points."""
-        first = self._a.read(with_points=self._points_of_a)
-        second = self._b.read(with_points=not self._points_of_a)
+        # A topic that one run alone labelled has nothing beside it.
+        common = common_topics(self._a.run, self._b.run)
+        first, second = (
+            (cloud for cloud in source.read(with_points) if cloud.topic is None or cloud.topic in common)
+            for source, with_points in ((self._a, self._points_of_a), (self._b, not self._points_of_a))
+        )
         for a, b in pair(first, second):
             if a is None or b is None:
                 self._only_a += b is None
@@ -215,6 +219,8 @@ def compare_files(change: PairChange) -> None:
     recordings = [run.recording.path for run in (change.a, change.b) if run.recording is not None]
     if len(recordings) < 2:
         change.refused["planes"] = _lacks([r for r in (change.a, change.b) if r.recording is None], "recording")
+    elif set(change.a.run.topics) != set(change.b.run.topics):
+        change.refused["planes"] = f"{_what_was_labelled(change)}: their scans are numbered otherwise"
     else:
         change.planes = _compare_planes(*recordings)
         if change.planes is None:
@@ -227,11 +233,20 @@ def labels_can_be_compared(change: PairChange) -> bool:
     lacking = [run.letter for run in (a, b) if run.labels_from is None]
     if not change.same_bag:
         change.refused["labels"] = _OTHER_BAG
-    elif a.run.topic != b.run.topic:
-        change.refused["labels"] = f"{a.letter} labelled {a.run.topic}, {b.letter} {b.run.topic}"
+    elif a.run.topics and not common_topics(a.run, b.run):
+        change.refused["labels"] = _what_was_labelled(change)
     elif lacking:
         change.refused["labels"] = f"{' and '.join(lacking)} has neither a labelled bag nor scans in a recording"
     return "labels" not in change.refused
+
+
+def common_topics(a: FinishedRun, b: FinishedRun) -> list[str]:
+    """The topics whose clouds both runs labelled."""
+    return [topic for topic in a.topics if topic in b.topics]
+
+
+def _what_was_labelled(change: PairChange) -> str:
+    return ", ".join(f"{run.letter} labelled {' and '.join(run.run.topics)}" for run in (change.a, change.b))
 
 
 def grid_of(run: FinishedRun) -> GridMap | None:

@@ -1,27 +1,28 @@
 """The labels of a run counted against the truth, cloud by cloud, in processes side by side."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from ffmap.algorithms.base.labels import NO_RETURN
-from ffmap.algorithms.base.scan import UInt8Array
+from ffmap.algorithms.base.scan import Scan, UInt8Array
 from ffmap.algorithms.base.trajectory import Trajectory, place_scan
 from ffmap.algorithms.truth.doors import TrueDoors
 from ffmap.algorithms.truth.tally import Counter, Tally
 from ffmap.app.folder.labels_file import read_labels
 from ffmap.app.run.workers import make_pool
-from ffmap.loaders.bag import Bag, open_bag
+from ffmap.loaders.bag import Bag, Message, open_bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.pointcloud2 import describe_layout, field_column
 from ffmap.loaders.rig import Lidar
-from ffmap.loaders.scans import CloudIndex, SkippedScan, index_clouds, read_clouds
+from ffmap.loaders.scan_order import ScanOrder
+from ffmap.loaders.scans import CloudIndex, SkippedScan, read_clouds
 from ffmap.loaders.truth import TruthClasses
 
 CLOUDS_A_SHARE = 100
@@ -34,11 +35,12 @@ _MARGIN_NS = 200_000_000
 class LabelledClouds:
     """Where a run's vertical clouds and their labels are read.
 
-    bag: the labelled bag, or the one that the run was made from. labels: labels.parquet; None where the clouds have them.
+    bag: the labelled bag, or the one that the run was made from. lidars: those that were labelled. labels: labels.parquet; None
+    where the clouds have them.
     """
 
     bag: BagPath
-    lidar: Lidar
+    lidars: tuple[Lidar, ...]
     labels: Path | None = None
 
 
@@ -61,10 +63,14 @@ class Counted:
 
 @dataclass(frozen=True, eq=False)
 class _Share:
-    """What is counted at a time: clouds [first, first + count) of the run's."""
+    """What is counted at a time: scans [first, first + count) of the run's.
+
+    classes: of each lidar the topic with the truth of its clouds; None where there is none.
+    """
 
     clouds: LabelledClouds
     truth_bag: BagPath
+    classes: tuple[str | None, ...]
     trajectory: Trajectory
     doors: TrueDoors
     first: int
@@ -79,39 +85,51 @@ class _Share:
 
 @dataclass(frozen=True, eq=False)
 class _Bags:
-    """What is counted and what it is compared with, both open."""
+    """What is counted and what it is compared with, all open: the clouds, where they lie, and their truth, lidar by lidar."""
 
-    clouds: Bag
-    index: CloudIndex
-    classes: TruthClasses
+    clouds: Sequence[Bag]
+    indices: Sequence[CloudIndex]
+    classes: Sequence[TruthClasses | None]
+    scans: ScanOrder
+
+    @classmethod
+    def open(
+        cls, path: BagPath, lidars: Sequence[Lidar], truth_bag: BagPath, topics: Sequence[str | None], stack: ExitStack
+    ) -> "_Bags":
+        bags = [stack.enter_context(open_bag(path)) for _ in lidars]
+        truth = stack.enter_context(open_bag(truth_bag))
+        indices = [lidar.index(bag) for lidar, bag in zip(lidars, bags, strict=True)]
+        classes = [None if topic is None else TruthClasses(truth, topic) for topic in topics]
+        return cls(bags, indices, classes, ScanOrder.of(indices))
 
 
 def count_run(
     clouds: LabelledClouds,
     truth_bag: BagPath,
     trajectory: Trajectory,
-    classes: TruthClasses,
+    classes: Sequence[str | None],
     doors: TrueDoors,
     workers: int,
     layer: Layer | None = None,
 ) -> Counted:
     """Count all clouds of a run.
 
-    trajectory, classes: the truth, as read from `truth_bag`. layer: where the errors of each scan are recorded; None for
+    trajectory: the true one, as read from `truth_bag`. classes: of each lidar the topic there with the true classes of its clouds;
+        None where there is none. layer: where the errors of each scan are recorded; None for
         nowhere.
     """
     total, without_truth = Counter(doors), 0
     with ExitStack() as stack:
-        bag = stack.enter_context(open_bag(clouds.bag))
-        index = clouds.lidar.index(bag)
-        count = len(index)
+        topics = tuple(classes)
+        bags = _Bags.open(clouds.bag, clouds.lidars, truth_bag, topics, stack)
+        count = len(bags.scans)
         edges = np.linspace(0, count, max(1, count // CLOUDS_A_SHARE) + 1).astype(int).tolist()
         shares = [
-            _Share(clouds, truth_bag, trajectory, doors, first, last - first, layer) for first, last in pairwise(edges)
+            _Share(clouds, truth_bag, topics, trajectory, doors, first, last - first, layer)
+            for first, last in pairwise(edges)
         ]
         processes = min(workers, len(shares))
         if processes == 1:
-            bags = _Bags(bag, index, classes)
             counted: Iterable[tuple[Tally, int]] = (_count(share, bags) for share in shares)
         else:
             counted = stack.enter_context(make_pool(processes)).map(_count_in_worker, shares)
@@ -123,16 +141,15 @@ def count_run(
 
 
 def _count_in_worker(share: _Share) -> tuple[Tally, int]:
-    lidar = share.clouds.lidar
-    return _count(share, _opened(share.clouds.bag, lidar.topic, lidar.clouds_a_scan, share.truth_bag))
+    if share.truth_bag not in _opened:
+        clouds = share.clouds
+        # They live as long as the process, which is as long as one evaluation.
+        _opened[share.truth_bag] = _Bags.open(clouds.bag, clouds.lidars, share.truth_bag, share.classes, ExitStack())
+    return _count(share, _opened[share.truth_bag])
 
 
-@cache
-def _opened(clouds: BagPath, topic: str, clouds_a_scan: int, truth_bag: BagPath) -> _Bags:
-    """Each worker opens the bags once; it lives as long as one evaluation."""
-    bag = open_bag(clouds)
-    index = index_clouds(bag, topic).gathered(clouds_a_scan)
-    return _Bags(bag, index, TruthClasses(open_bag(truth_bag)))
+_opened: dict[BagPath, _Bags] = {}
+"""By a worker process: each opens the bags once."""
 
 
 def _count(share: _Share, bags: _Bags) -> tuple[Tally, int]:
@@ -152,13 +169,19 @@ def _count_clouds(
     """log: called with each counted scan's number, stamp, truth and label."""
     counter = Counter(share.doors)
     without_truth = 0
-    lidar, labels = share.clouds.lidar, share.clouds.labels
+    lidars, labels = share.clouds.lidars, share.clouds.labels
     stored = read_labels(labels, share.first, share.count) if labels is not None else None
-    for number, scan, message in read_clouds(bags.clouds, bags.index, share.first, share.count, lidar.decoding):
+
+    def read(place: int, first: int, count: int) -> Iterator[tuple[int, tuple[Scan | SkippedScan, Message | None]]]:
+        clouds = read_clouds(bags.clouds[place], bags.indices[place], first, count, lidars[place].decoding)
+        return ((cloud, (scan, message)) for cloud, scan, message in clouds)
+
+    for number, place, (scan, message) in bags.scans.read(share.first, share.count, read):
+        lidar, truth_classes = lidars[place], bags.classes[place]
         if isinstance(scan, SkippedScan) or message is None:
             counter.skip()
             continue
-        classes = bags.classes.at(scan.stamp_ns, scan.cloud_size)
+        classes = None if truth_classes is None else truth_classes.at(scan.stamp_ns, scan.cloud_size)
         if classes is None or not share.trajectory.covers(np.array([scan.start_ns]), _MARGIN_NS)[0]:
             without_truth += 1
             continue

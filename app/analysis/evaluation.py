@@ -8,7 +8,7 @@ The names in it, all fractions 0 to 1, null where there is nothing to divide by:
     area.confusion.truth | label | counts        row and column names, cubes before any rule is applied
     area_scan, points, points_scan               the same for the labels of single scans, and by points
     missing                                      what could not be compared, and why
-    scans.counted | skipped | without_truth
+    scans.counted | skipped | without_truth      of all lidars that were labelled
     doors.true | passed | found_count | found | detections | invented_count | invented
     doors.width_error_m | width_bias_m | state_right
     maps.<map>.precision | recall | error_m | true_cells | occupied_cells | false_cells
@@ -53,7 +53,7 @@ from ffmap.algorithms.truth.tally import CUBE_M, Tally, confusion_by_area
 from ffmap.app.analysis import map_figures
 from ffmap.app.analysis.counting import LabelledClouds, Layer, count_run
 from ffmap.app.analysis.metrics_tables import Metrics, format_metrics
-from ffmap.app.analysis.run_labels import labelled_lidar
+from ffmap.app.analysis.run_labels import labelled_lidars
 from ffmap.app.folder import names as run_names
 from ffmap.app.folder.atomic import write_json
 from ffmap.app.folder.finished_run import FinishedRun
@@ -65,6 +65,7 @@ from ffmap.loaders.bag import open_bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.geojson import read_features, segments
+from ffmap.loaders.rig import Lidar
 from ffmap.loaders.trajectory_file import read_tum
 from ffmap.loaders.truth import BUILDING_TOPIC, CLASSES_TOPIC, POSE_TOPIC, carries_truth, read_truth
 from ffmap.loaders.truth import Truth as BagTruth
@@ -86,7 +87,7 @@ class Comparison:
     doors: TrueDoors
     tally: Tally | None = None
     parts: tuple[Path, ...] = ()
-    line_pairs: int | None = None
+    lidars: tuple[Lidar, ...] = ()
     compared_doors: tuple[FoundDoors, DoorFigures] | None = None
     maps: ComparedMaps = field(default_factory=dict)
 
@@ -128,7 +129,7 @@ def _opened_truth(path: BagPath) -> Iterator[BagTruth | None]:
     """A bag's truth, which can be read within the context; of a TUM file, the poses. None where a bag carries none."""
     file, *others = path.parts
     if not others and file.suffix.lower() in TRUTH_SUFFIXES:
-        yield BagTruth(read_tum(file), None, None)
+        yield BagTruth(read_tum(file), None)
         return
     with open_bag(path) as bag:
         yield read_truth(bag)
@@ -140,12 +141,13 @@ def _write_layer(run: FinishedRun, layer: Layer, comparison: Comparison, tally: 
 
     own = comparison.maps.get(entities.FURNITURE_FREE)
     layout = run_blueprint.build(
-        comparison.line_pairs,
+        max(lidar.line_pairs for lidar in comparison.lidars),
         *run_blueprint.view_of(own.grid if own else None),
         evaluated=True,
         scans=run.has_scans,
         registered=run.registered,
         lines=run.has_lines,
+        several_lidars=len(comparison.lidars) > 1,
     )
     errors = MapErrors(
         metrics=comparison.metrics,
@@ -187,10 +189,17 @@ def compare_run(
     if building is not None:
         metrics |= _rooms_of_maps(run, building, truth.trajectory)
     doors, faces = read_building(building)
-    if clouds is None or truth.classes is None:
+    if clouds is None or not truth.classes:
+        return Comparison(metrics, faces, doors)
+    topics = truth.classes_topics([lidar.frame_id for lidar in clouds.lidars])
+    untold = [lidar for lidar, topic in zip(clouds.lidars, topics, strict=True) if topic is None]
+    if untold:
+        frames = ", ".join(f"{lidar.topic} (frame {lidar.frame_id})" for lidar in untold)
+        metrics["missing"] = [*missing, f"labels of {frames}: no {CLASSES_TOPIC} has clouds of that frame"]
+    if len(untold) == len(topics):
         return Comparison(metrics, faces, doors)
     shown = layer if run.has_scans else None
-    counted = count_run(clouds, truth_path, truth.trajectory, truth.classes, doors, workers, shown)
+    counted = count_run(clouds, truth_path, truth.trajectory, topics, doors, workers, shown)
     tally = counted.tally
     metrics |= {
         "scans": {"counted": tally.scans, "skipped": tally.skipped, "without_truth": counted.without_truth},
@@ -199,7 +208,7 @@ def compare_run(
         "points": _label_metrics(tally.confusion_points, None),
         "points_scan": _label_metrics(tally.confusion_points_scan, None),
     }
-    comparison = Comparison(metrics, faces, doors, tally, counted.parts, clouds.lidar.line_pairs)
+    comparison = Comparison(metrics, faces, doors, tally, counted.parts, clouds.lidars)
     if building is not None and (doors_path := run.file(run_names.DOORS)) is not None:
         found_doors = read_doors(doors_path)
         door_figures = compare_doors(doors, tally.door_returns, found_doors)
@@ -238,12 +247,12 @@ def _compare_poses(
 
 def _missing(run: FinishedRun, truth: BagTruth) -> Iterator[str]:
     """What cannot be compared, and why, one line each."""
-    if truth.classes is None and truth.building is None:
+    if not truth.classes and truth.building is None:
         yield "labels, doors, maps and rooms: the truth has poses alone"
         return
     if run.trajectory is None:
         yield f"trajectory: {_lacks(run, run_names.TRAJECTORY, None)}"
-    if truth.classes is None:
+    if not truth.classes:
         yield f"labels, doors and maps: the truth has no {CLASSES_TOPIC}"
     elif run.labelled is None and run.file(run_names.LABELS) is None:
         yield f"labels, doors and maps: {_lacks(run, 'labelled clouds', 'labelled')}"
@@ -271,15 +280,13 @@ def _clouds_of(run: FinishedRun) -> LabelledClouds | None:
     """The labelled bag, or the labels beside the run's own bag; None where the run kept neither."""
     if run.labelled is not None:
         with open_bag(run.labelled) as bag:
-            return LabelledClouds(BagPath((run.labelled,)), labelled_lidar(bag, run))
+            return LabelledClouds(BagPath((run.labelled,)), labelled_lidars(bag, run))
     labels = run.file(run_names.LABELS)
     if labels is None:
         return None
     path = _bag_of(run)
     with open_bag(path) as bag:
-        lidar = run.input_options.find_rig(bag).vertical
-    assert lidar is not None
-    return LabelledClouds(path, lidar, labels)
+        return LabelledClouds(path, run.input_options.find_rig(bag).verticals, labels)
 
 
 def _rooms_of_maps(run: FinishedRun, building: Mapping[str, Any], true_trajectory: Trajectory) -> Metrics:

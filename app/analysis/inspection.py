@@ -36,11 +36,13 @@ from ffmap.loaders.scans import SkippedScan, read_scans
 class InspectedScan:
     """A scan of a run, labelled again by the functions and settings of the run.
 
-    labelling: with all evidence. differing: how many returns the run itself had labelled otherwise; None where its files
-    do not tell. compared_with: the file that told. faults: what is wrong with its final labels; None where they do not tell.
+    lidar: which of several it is from, in a sentence; None where there is one. labelling: with all evidence. differing: how many
+    returns the run itself had labelled otherwise; None where its files do not tell. compared_with: the file that told. faults:
+    what is wrong with its final labels; None where they do not tell.
     """
 
     index: int
+    lidar: str | None
     scan: Scan
     level: LevelledScan
     labelling: ScanLabelling
@@ -64,13 +66,13 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
     settings = run.settings()
     inputs = find_inputs(bag_path, run.input_options)
     _check_same_clouds(run, inputs)
-    vertical = inputs.vertical
-    if vertical is None:
+    if not inputs.verticals:
         raise InputError(f"{run.path}: its bag has no lidar that sweeps the walls, so no scan was labelled")
-    if not 0 <= number < len(vertical.index):
-        raise InputError(f"--scan {number}: {run.name} has scans 0 to {len(vertical.index) - 1}")
+    if not 0 <= number < len(inputs.scans):
+        raise InputError(f"--scan {number}: {run.name} has scans 0 to {len(inputs.scans) - 1}")
+    vertical, cloud = inputs.verticals[inputs.scans.lidar[number]], int(inputs.scans.cloud[number])
     with open_bag(bag_path) as opened:
-        _, scan = next(read_scans(opened, vertical.index, number, 1, vertical.lidar.decoding))
+        _, scan = next(read_scans(opened, vertical.index, cloud, 1, vertical.lidar.decoding))
     if isinstance(scan, SkippedScan):
         raise InputError(f"--scan {number}: was skipped ({scan.reason}); give another scan")
     scan = within_range(scan, settings.scan.range_max_m)
@@ -90,12 +92,14 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
         settings.rearrangement,
         settings.trajectory.level_scan_max_deg,
     )
-    seed, columns = seed_of(settings.seed, number), vertical.lidar.column_pairs
+    seed, columns = seed_of(settings.seed, cloud), vertical.lidar.column_pairs
     labelling = label_scan(scan, level.placed, settings.method, seed, level.floor, columns)
-    recorded, file = _recorded_labels(run, number, scan.stamp_ns)
+    recorded, file = _recorded_labels(run, number, vertical.lidar.topic, scan.stamp_ns)
     differing = None if recorded is None else _differing(recorded, scan, labelling.label)
     faults = _find_faults(run, number, scan, labelling, recorded)
-    return InspectedScan(number, scan, level, labelling, differing, file, faults)
+    several = len(inputs.verticals) > 1
+    lidar = f"Scan {number} is cloud {cloud} of {vertical.lidar.topic}." if several else None
+    return InspectedScan(number, lidar, scan, level, labelling, differing, file, faults)
 
 
 def _check_same_clouds(run: FinishedRun, inputs: Inputs) -> None:
@@ -117,10 +121,13 @@ def _labels_of(run: FinishedRun) -> Iterator[LabelSource]:
         yield LabelSource(run, stack.enter_context(readable(in_recording)) if in_recording is not None else None)
 
 
-def _recorded_labels(run: FinishedRun, number: int, stamp_ns: int) -> tuple[CloudLabels | None, str | None]:
+def _recorded_labels(
+    run: FinishedRun, number: int, topic: str, stamp_ns: int
+) -> tuple[CloudLabels | None, str | None]:
     """What the run's files say of one cloud, and which file did; None where none does."""
     with _labels_of(run) as source:
-        return next((cloud for cloud in source.read(first=number) if cloud.stamp_ns == stamp_ns), None), source.file
+        clouds = (cloud for cloud in source.read(first=number) if cloud.topic in (topic, None))
+        return next((cloud for cloud in clouds if cloud.stamp_ns == stamp_ns), None), source.file
 
 
 def _differing(recorded: CloudLabels, scan: Scan, label: UInt8Array) -> int:

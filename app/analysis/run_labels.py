@@ -6,7 +6,8 @@ These are the labelled bag; `labels.parquet`, which holds the labels alone, one 
 A return is known by its cloud's stamp and its place there: two runs on one bag are compared point by point.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -23,13 +24,15 @@ from ffmap.app.folder.finished_run import FinishedRun
 from ffmap.app.folder.labels_file import stream_labels
 from ffmap.app.folder.names import LABELS
 from ffmap.app.record.read_back import ReadableRecording, Row, rows
-from ffmap.app.setup.inputs import Sensor, find_inputs
+from ffmap.app.setup.inputs import find_inputs
 from ffmap.blueprints import entities
-from ffmap.loaders.bag import Bag, open_bag
+from ffmap.loaders.bag import Bag, Message, open_bag
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.pointcloud2 import describe_layout, field_column
 from ffmap.loaders.rig import Lidar, find_rig
-from ffmap.loaders.scans import cloud_topics, read_clouds
+from ffmap.loaders.scan_order import ScanOrder
+from ffmap.loaders.scans import SkippedScan, cloud_topics, read_clouds
 from ffmap.loaders.trajectory_file import read_tum
 
 
@@ -37,7 +40,7 @@ from ffmap.loaders.trajectory_file import read_tum
 class CloudLabels:
     """The labels of one cloud.
 
-    scan: its index in the bag.
+    scan: its number among the clouds that were labelled. topic: its lidar's; None where the file does not tell.
     label_scan: (m,) by the scan alone. label: (m,) final; None where the run did not get so far.
     points_map: (m, 3) float32 metres; NaN where nothing returned or no pose is known. None unless asked for.
     every_place: whether there is a row for every place in the cloud, 255 where nothing returned, as in a labelled bag;
@@ -45,6 +48,7 @@ class CloudLabels:
     """
 
     scan: int
+    topic: str | None
     stamp_ns: int
     label_scan: UInt8Array
     label: UInt8Array | None
@@ -100,16 +104,17 @@ class LabelSource:
         if self.recording is not None:
             # Of a run that did not end it is not known which scans the final stage had reached.
             final = self.run.complete and self.recording.whole
-            return _read_recording(self.recording.path, final, with_points)
+            return _read_recording(self.recording.path, self.run, final, with_points)
         return iter(())
 
 
 def _read_bag(path: Path, run: FinishedRun, with_points: bool, first: int) -> Iterator[CloudLabels]:
     trajectory = read_tum(run.trajectory) if with_points and run.trajectory is not None else None
     smoothing = run.settings().smoothing if with_points else None
-    with open_bag(path) as bag:
-        lidar = labelled_lidar(bag, run)
-        for index, scan, message in read_clouds(bag, lidar.index(bag), first, None, lidar.decoding):
+    with ExitStack() as stack:
+        bag = stack.enter_context(open_bag(path))
+        lidars = labelled_lidars(bag, run)
+        for number, lidar, scan, message in _clouds(path, lidars, first, stack):
             if not isinstance(scan, Scan):
                 continue
             layout = describe_layout(message, lidar.topic)
@@ -117,19 +122,35 @@ def _read_bag(path: Path, run: FinishedRun, with_points: bool, first: int) -> It
                 field_column(message, layout, name).astype(np.uint8) for name in ("label", "label_scan")
             )
             points = _placed(scan, trajectory, lidar, smoothing) if smoothing is not None else None
-            yield CloudLabels(index, scan.stamp_ns, label_scan, label, points, every_place=True)
+            yield CloudLabels(number, lidar.topic, scan.stamp_ns, label_scan, label, points, every_place=True)
 
 
-def labelled_lidar(bag: Bag, run: FinishedRun) -> Lidar:
-    """The lidar of a run's labelled bag, read as the run read its own bag; raises InputError where it is no such bag."""
+def _clouds(
+    path: BagPath | Path, lidars: Sequence[Lidar], first: int, stack: ExitStack
+) -> Iterator[tuple[int, Lidar, Scan | SkippedScan, Message | None]]:
+    """Number, lidar, scan and message of the clouds of several lidars from one on; `stack` closes what is opened."""
+    bags = [stack.enter_context(open_bag(path)) for _ in lidars]
+    indices = [lidar.index(bag) for lidar, bag in zip(lidars, bags, strict=True)]
+
+    def read(place: int, start: int, count: int) -> Iterator[tuple[int, tuple[Scan | SkippedScan, Message | None]]]:
+        clouds = read_clouds(bags[place], indices[place], start, count, lidars[place].decoding)
+        return ((cloud, (scan, message)) for cloud, scan, message in clouds)
+
+    for number, place, (scan, message) in ScanOrder.of(indices).read(first, None, read):
+        yield number, lidars[place], scan, message
+
+
+def labelled_lidars(bag: Bag, run: FinishedRun) -> tuple[Lidar, ...]:
+    """The lidars of a run's labelled bag, read as the run read its own bag; raises InputError where it is no such bag."""
     topics = cloud_topics(bag)
-    if len(topics) != 1:
-        raise InputError(f"{bag.path}: {len(topics)} topics with clouds where one belongs; run ffmap again")
-    lidar = find_rig(bag, vertical=topics[0], time_from=run.time_from).vertical
-    if lidar is None:
-        raise InputError(f"{bag.path}: no lidar that sweeps the walls; run ffmap again")
+    if set(topics) != set(run.topics or topics[:1]):
+        raise InputError(
+            f"{bag.path}: has clouds on {', '.join(topics) or 'no topic'} where those of {', '.join(run.topics) or 'one'} belong; "
+            "run ffmap again"
+        )
+    lidars = find_rig(bag, verticals=run.topics or topics, time_from=run.time_from).verticals
     # Each of its clouds is a scan, of however many clouds it was made.
-    return replace(lidar, clouds_a_scan=1)
+    return tuple(replace(lidar, clouds_a_scan=1) for lidar in lidars)
 
 
 def _read_alone(path: Path, run: FinishedRun, with_points: bool) -> Iterator[CloudLabels]:
@@ -137,12 +158,14 @@ def _read_alone(path: Path, run: FinishedRun, with_points: bool) -> Iterator[Clo
     trajectory = read_tum(run.trajectory)
     points = _bag_points(run, trajectory) if with_points else iter(())
     following = next(points, None)
+    only = next(iter(run.topics), None)
     try:
-        for row, (scan, label, label_scan) in enumerate(stream_labels(path)):
+        for row, ((scan, label, label_scan), cloud) in enumerate(stream_labels(path)):
             while following is not None and following[0] < scan:
                 following = next(points, None)
             own = following[1] if following is not None and following[0] == scan else None
-            yield CloudLabels(scan, int(trajectory.stamp_ns[row]), label_scan, label, own, every_place=True)
+            topic, stamp_ns = cloud or (only, int(trajectory.stamp_ns[row]))
+            yield CloudLabels(scan, topic, stamp_ns, label_scan, label, own, every_place=True)
     except (OSError, KeyError, IndexError, pa.ArrowException) as error:
         raise InputError(f"{path}: cannot be read, or is not of this run ({error}); run ffmap again") from error
 
@@ -150,14 +173,13 @@ def _read_alone(path: Path, run: FinishedRun, with_points: bool) -> Iterator[Clo
 def _bag_points(run: FinishedRun, trajectory: Trajectory) -> Iterator[tuple[int, FloatArray]]:
     """Number and placed returns of each cloud of the run's bag."""
     assert run.bag_path is not None
-    sensor: Sensor | None = find_inputs(run.bag_path, run.input_options).vertical
-    if sensor is None:
-        return
+    inputs = find_inputs(run.bag_path, run.input_options)
     smoothing = run.settings().smoothing
-    with open_bag(run.bag_path) as bag:
-        for index, scan, _ in read_clouds(bag, sensor.index, 0, None, sensor.lidar.decoding):
+    with ExitStack() as stack:
+        lidars = [sensor.lidar for sensor in inputs.verticals]
+        for number, lidar, scan, _ in _clouds(run.bag_path, lidars, 0, stack):
             if isinstance(scan, Scan):
-                yield index, _placed(scan, trajectory, sensor.lidar, smoothing)
+                yield number, _placed(scan, trajectory, lidar, smoothing)
 
 
 def _placed(scan: Scan, trajectory: Trajectory | None, lidar: Lidar, smoothing: SmoothingSettings) -> FloatArray:
@@ -170,8 +192,10 @@ def _placed(scan: Scan, trajectory: Trajectory | None, lidar: Lidar, smoothing: 
     return points
 
 
-def _read_recording(path: Path, has_final: bool, with_points: bool) -> Iterator[CloudLabels]:
+def _read_recording(path: Path, run: FinishedRun, has_final: bool, with_points: bool) -> Iterator[CloudLabels]:
     """The final stage logs the labels of scans that it changed a second time, far behind the first in the file."""
+    said = rows(path, entities.SCAN_LIDAR, entities.LIDAR_PLACE) if len(run.topics) > 1 else iter(())
+    topic, saying = next(iter(run.topics), None), next(said, None)
     final = (row for row in rows(path, entities.POINTS, "class_ids") if "positions" not in row.values)
     poses = rows(path, entities.SCAN, "translation") if with_points else iter(())
     following, pose = next(final, None), next(poses, None)
@@ -180,11 +204,13 @@ def _read_recording(path: Path, has_final: bool, with_points: bool) -> Iterator[
             following = next(final, None)
         while pose is not None and pose.scan < row.scan:
             pose = next(poses, None)
+        while saying is not None and saying.scan <= row.scan:
+            topic, saying = run.topics[int(saying.values[entities.LIDAR_PLACE][0])], next(said, None)
         label = label_scan = row.values[entities.POINT_LABEL_SCAN].astype(np.uint8)
         if following is not None and following.scan == row.scan:
             label = following.values["class_ids"].astype(np.uint8)
         points = _in_map(row, pose) if with_points else None
-        yield CloudLabels(row.scan, row.stamp_ns, label_scan, label if has_final else None, points, every_place=False)
+        yield CloudLabels(row.scan, topic, row.stamp_ns, label_scan, label if has_final else None, points, every_place=False)
 
 
 def _in_map(row: Row, pose: Row | None) -> FloatArray:
@@ -198,8 +224,11 @@ def _in_map(row: Row, pose: Row | None) -> FloatArray:
 def pair(
     first: Iterator[CloudLabels], second: Iterator[CloudLabels]
 ) -> Iterator[tuple[CloudLabels | None, CloudLabels | None]]:
-    """The clouds of two runs by their stamps, which increase, row by row the same returns; None where a run has no such."""
-    for a, b in side_by_side(first, second, lambda cloud: cloud.stamp_ns):
+    """The clouds of two runs by their stamps, which increase, row by row the same returns; None where a run has no such.
+
+    Of equal stamps the topics' names decide, as in `ScanOrder`.
+    """
+    for a, b in side_by_side(first, second, lambda cloud: (cloud.stamp_ns, cloud.topic or "")):
         if a is not None and b is not None and a.every_place != b.every_place:
             # A recording has rows for returns alone.
             a, b = a.of_returns(), b.of_returns()
@@ -207,10 +236,11 @@ def pair(
 
 
 T = TypeVar("T")
+Key = TypeVar("Key", int, tuple[int, str])
 
 
 def side_by_side(
-    first: Iterator[T], second: Iterator[T], key: Callable[[T], int], to_the_end: bool = True
+    first: Iterator[T], second: Iterator[T], key: Callable[[T], Key], to_the_end: bool = True
 ) -> Iterator[tuple[T | None, T | None]]:
     """What has the same key, which increases, together; None beside what the other lacks.
 

@@ -85,7 +85,7 @@ def bench(
 
 @dataclass(frozen=True)
 class _Drive:
-    """What is measured with, and where: the bag and its two lidars, a folder for all that is written, the workers of a run."""
+    """What is measured with, and where: the bag and two of its lidars, a folder for all that is written, the workers of a run."""
 
     inputs: Inputs
     horizontal: Sensor
@@ -138,7 +138,7 @@ def _measure_budget(drive: _Drive, runs: int, repeat: int) -> Budget:
         runs=runs,
         workers=drive.workers,
         driving_s=drive.driving_s,
-        clouds=len(drive.horizontal.index) + len(drive.vertical.index),
+        clouds=sum(len(sensor.index) for sensor in drive.inputs.used(given_poses=False)),
         cloud_bytes=cloud_bytes(drive.inputs),
         reading=Line(median(one.floor or 0.0 for one in reading), median(one.takes for one in reading)),
         labelling=_joined(labelling),
@@ -151,7 +151,7 @@ def _measure_budget(drive: _Drive, runs: int, repeat: int) -> Budget:
 def _repeat(drive: _Drive, trajectory: Trajectory, times: int, settings: Settings) -> Repeated:
     """A run of the drive several times over. trajectory: T_map_base of the drive."""
     inputs = drive.inputs
-    indices = [drive.horizontal.index, drive.vertical.index]
+    indices = [sensor.index for sensor in inputs.used(given_poses=False)]
     repetition = plan_repetition(indices, trajectory, times, settings.trajectory.extrapolate_s)
     bag, poses = (
         drive.folder / ("repeated.bag" if inputs.container == "ros1" else "repeated"),

@@ -1,6 +1,7 @@
-"""ffmap calibrate: where the vertical lidar sits and by which clock it runs, from a drive; a rig file and a picture of both."""
+"""ffmap calibrate: where vertical lidars sit and by which clocks they run, from a drive; a rig file and a picture of all."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from ffmap.algorithms.base.trajectory import Trajectory, place_scan
 from ffmap.app.folder.atomic import written_whole
 from ffmap.app.progress import Progress
 from ffmap.app.record.calibration import write_calibration
-from ffmap.app.run.mount_check import CheckedMount, check_mount, map_of, scans_of
+from ffmap.app.run.mount_check import CheckedMount, check_mounts, map_of, scans_of
 from ffmap.app.run.odometry import Odometry
 from ffmap.app.setup.inputs import InputOptions, Inputs, find_inputs
 from ffmap.app.setup.settings import Settings, load_settings
@@ -43,8 +44,8 @@ def calibrate(
 ) -> None:
     """Refine, tell, draw and write; raises InputError where the bag has no two lidars, or too little that both see."""
     inputs = find_inputs(bag, options)
-    horizontal, vertical = inputs.horizontal, inputs.vertical
-    if horizontal is None or vertical is None or horizontal.lidar.topic == vertical.lidar.topic:
+    horizontal = inputs.horizontal
+    if horizontal is None or not inputs.others:
         raise InputError(
             f"{bag}: one lidar alone has no mount to refine; give a bag of two, 'ffmap info {bag.words}' lists them"
         )
@@ -53,19 +54,21 @@ def calibrate(
     with Progress(quiet) as progress:
         odometry = _drive(inputs, settings, seconds, progress)
         progress.stage("mount", None)
-        checked = check_mount(inputs, odometry, settings, _SCANS, _SCANS, _RETURNS) if len(odometry) > 1 else None
-        if checked is None:
+        checked = check_mounts(inputs, odometry, settings, _SCANS, _SCANS, _RETURNS) if len(odometry) > 1 else []
+        found = {mount.topic for mount in checked}
+        if unseen := [sensor.lidar.topic for sensor in inputs.others if sensor.lidar.topic not in found]:
             raise InputError(
-                f"{bag}: {horizontal.lidar.topic} and {vertical.lidar.topic} see too little in common; drive between walls, "
+                f"{bag}: {horizontal.lidar.topic} and {unseen[0]} see too little in common; drive between walls, "
                 "and start from a mount that is off by less than about 20 deg and half a metre"
             )
-        refined = inputs.with_mount(checked.correction)
+        refined = inputs.with_mounts(mount.correction for mount in checked)
         if recording is not None:
             room, height_m = map_of(inputs, odometry, settings, _SCANS), float(horizontal.lidar.T_base_sensor[2, 3])
             write_calibration(recording, height_m, room, *(_laid(i, odometry, settings) for i in (inputs, refined)))
     with written_whole(out) as part:
         part.write_text(_rig_text(refined, checked))
-    _tell(checked)
+    for mount in checked:
+        _tell(mount)
     typer.echo(f"rig file: {out}  (ffmap run {bag.words} --rig {out})")
     if recording is not None:
         typer.echo(f"recording: {recording}  (before red, after green; ffmap view {recording})")
@@ -84,23 +87,27 @@ def _drive(inputs: Inputs, settings: Settings, seconds: float, progress: Progres
 
 
 def _laid(inputs: Inputs, odometry: Trajectory, settings: Settings) -> FloatArray:
-    """(n, 3) what the vertical lidar saw, where the mount puts it."""
-    assert inputs.vertical is not None
+    """(n, 3) what the vertical lidars saw, where the mounts put it."""
     placed = [
-        place_scan(scan, odometry, inputs.vertical.lidar.T_base_sensor)
-        for scan in scans_of(inputs, inputs.vertical, odometry, settings, _DRAWN)
+        place_scan(scan, odometry, sensor.lidar.T_base_sensor)
+        for sensor in inputs.others
+        for scan in scans_of(inputs, sensor, odometry, settings, _DRAWN)
     ]
     return np.concatenate([p.to_map(p.points_level[::4]) for p in placed])
 
 
-def _rig_text(inputs: Inputs, checked: CheckedMount) -> str:
-    """The rig file that says where both lidars sit."""
+def _rig_text(inputs: Inputs, checked: Sequence[CheckedMount]) -> str:
+    """The rig file that says where all lidars sit."""
     text = [
-        f"# Refined: {100 * checked.found.rms_before_m:.1f} cm between what both lidars see before, "
-        f"{100 * checked.found.rms_after_m:.1f} cm after.",
-        f"base = {json.dumps(inputs.rig.base_frame)}",
+        f"# Refined{'' if mount.alone else f' {mount.topic}'}: {100 * mount.found.rms_before_m:.1f} cm between what both lidars "
+        f"see before, {100 * mount.found.rms_after_m:.1f} cm after."
+        for mount in checked
     ]
-    for role, sensor in inputs.by_role.items():
+    text.append(f"base = {json.dumps(inputs.rig.base_frame)}")
+    labelled = {sensor.lidar.topic for sensor in inputs.verticals}
+    for sensor in inputs.used(given_poses=False):
+        drives = inputs.horizontal is not None and sensor.lidar.topic == inputs.horizontal.lidar.topic
+        role = "vertical" if not drives else "both" if sensor.lidar.topic in labelled else "horizontal"
         T = sensor.lidar.T_base_sensor
         text += [
             "",
@@ -117,6 +124,8 @@ def _rig_text(inputs: Inputs, checked: CheckedMount) -> str:
 
 def _tell(checked: CheckedMount) -> None:
     found = checked.found
+    if not checked.alone:
+        typer.echo(f"{checked.topic}:")
     changes, sigma = _SCALE * checked.change, _SCALE * found.sigma
     units = (*("deg",) * 3, *("cm",) * 3, "ms")
     rows = (

@@ -41,7 +41,8 @@ def describe(found: BagInfo) -> list[str]:
     else:
         lines.append(f"  base frame: {found.rig.base_frame or 'the lidar itself'}")
         lines.append(f"  mounts from: {found.rig.mounts_from}")
-        for role, lidar in (("horizontal", found.rig.horizontal), ("vertical", found.rig.vertical)):
+        roles = [("horizontal", found.rig.horizontal), *(("vertical", lidar) for lidar in found.rig.verticals or (None,))]
+        for role, lidar in roles:
             lines.append(f"  {role}: {f'{lidar.topic} ({lidar.reasons})' if lidar else 'none'}")
     if found.tree.edges:
         lines += ["", "transforms", *(f"  {edge.parent} -> {edge.child}" for edge in found.tree.edges)]

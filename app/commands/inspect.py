@@ -42,6 +42,7 @@ def inspect(run_path: Path, wanted: str, line: int | None, bag: BagPath | None, 
     if line is not None and not 0 <= line < lines:
         raise InputError(f"--line {line}: a scan of this lidar has lines 0 to {lines - 1} (2 × pair + side)")
     labelling, faults = inspected.labelling, inspected.faults
+    notes += [inspected.lidar] if inspected.lidar is not None else []
     notes += [faults_in_words(faults, labelling.lines), agreement(run, inspected)]
     reasons = explain_lines(labelling)
     counts = faults.counts(labelling.lines).tolist() if faults is not None else None

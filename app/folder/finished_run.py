@@ -1,6 +1,6 @@
 """A run that is there already, as `evaluate`, `inspect` and `compare` read it: its record, and whatever it has of its files."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +23,7 @@ from ffmap.app.setup.inputs import InputOptions
 from ffmap.app.setup.settings import Settings, validate
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
+from ffmap.loaders.numbered import all_numbered
 from ffmap.loaders.pointcloud2 import TimeFrom
 from ffmap.loaders.rig import MountCorrection
 from ffmap.loaders.text_files import require_regular
@@ -116,11 +117,16 @@ class FinishedRun:
         return bag_of(self.record)
 
     def labelled_same_clouds(self, other: "FinishedRun") -> bool:
-        """Whether both labelled the very same clouds; by their times alone where one was killed before it had read all."""
+        """Whether both labelled clouds of the same bag; by their times alone where one was killed before it had read all.
+
+        Told by the topics that both labelled, or else by the first that either did.
+        """
+        common = [topic for topic in self.topics if topic in other.topics]
+        pairs = [(topic, topic) for topic in common] or list(zip(self.topics[:1], other.topics[:1], strict=False))
         for said in ("clouds", "stamps"):
             own, others = (run.part("bag").get(said) or {} for run in (self, other))
-            if self.topic in own and other.topic in others:
-                return bool(own[self.topic] == others[other.topic])
+            if pairs and all(mine in own and its in others for mine, its in pairs):
+                return all(own[mine] == others[its] for mine, its in pairs)
         return False
 
     @property
@@ -129,10 +135,9 @@ class FinishedRun:
         return self.part("bag").get("clouds") or {}
 
     @property
-    def topic(self) -> str | None:
-        """The topic of the clouds that were labelled."""
-        vertical = self.part("rig").get("vertical")
-        return str(vertical["topic"]) if vertical is not None else None
+    def topics(self) -> tuple[str, ...]:
+        """The topics of the clouds that were labelled, in the order of their lidars."""
+        return _topics(self.record)
 
     @property
     def input_options(self) -> InputOptions:
@@ -142,9 +147,9 @@ class FinishedRun:
         return InputOptions(
             Path(rig) if rig else None,
             options.get("horizontal"),
-            options.get("vertical"),
+            topics_said(options.get("vertical")),
             self.time_from,
-            mount_correction(self.record),
+            mount_corrections(self.record),
         )
 
     @property
@@ -165,13 +170,32 @@ class FinishedRun:
         return self.record.get(name) or {}
 
 
-def mount_correction(record: Record) -> MountCorrection | None:
-    """Where a run found the vertical lidar to sit; None where it used what it was given. record: its run.json."""
-    mount = record.get("mount") or {}
-    T, clock_ns = np.array(mount.get("T_base_sensor") or ()), mount.get("clock_ns")
-    if T.shape != (4, 4) or not isinstance(clock_ns, int):
-        return None
-    return MountCorrection(tuple(map(tuple, T.astype(np.float64).tolist())), clock_ns)
+def mount_corrections(record: Record) -> tuple[MountCorrection, ...]:
+    """Where a run found vertical lidars to sit, of those that it did not use as given. record: its run.json."""
+    corrections: list[MountCorrection] = []
+    for topic, mount in _mounts(record).items():
+        T, clock_ns = np.array(mount.get("T_base_sensor") or ()), mount.get("clock_ns")
+        if T.shape == (4, 4) and isinstance(clock_ns, int):
+            corrections.append(MountCorrection(topic, tuple(map(tuple, T.astype(np.float64).tolist())), clock_ns))
+    return tuple(corrections)
+
+
+def _mounts(record: Record) -> Mapping[str, Record]:
+    """What a run found of the mounts, by topic: `mounts`, or `mount` where one lidar alone was looked into."""
+    if record.get("mounts"):
+        return dict(record["mounts"])
+    horizontal = (record.get("rig") or {}).get("horizontal")
+    others = [topic for topic in _topics(record) if horizontal is None or topic != horizontal["topic"]]
+    return {topic: record.get("mount") or {} for topic in others[:1]}
+
+
+def _topics(record: Record) -> tuple[str, ...]:
+    return tuple(str(lidar["topic"]) for lidar in all_numbered(record.get("rig") or {}, "vertical") if lidar is not None)
+
+
+def topics_said(said: str | Sequence[str] | None) -> tuple[str, ...]:
+    """What run.json keeps of --vertical: one topic, as in runs of earlier versions, or a list; None for none."""
+    return (said,) if isinstance(said, str) else tuple(said or ())
 
 
 def open_run(path: Path) -> FinishedRun:

@@ -1,6 +1,6 @@
 """labelled.bag or labelled/: every vertical cloud again, with its labels, and the poses."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.frames import StaticTransform
 from ffmap.loaders.pointcloud2 import describe_layout, encode_labelled, stamp_ns
 from ffmap.loaders.rig import Rig
+from ffmap.loaders.scan_order import ScanOrder
 from ffmap.loaders.scans import CloudIndex, read_messages
 
 _TRANSFORMS = (("/tf_static", "tf2_msgs/msg/TFMessage"), ("/tf", "tf2_msgs/msg/TFMessage"))
@@ -23,46 +24,58 @@ _TRANSFORMS = (("/tf_static", "tf2_msgs/msg/TFMessage"), ("/tf", "tf2_msgs/msg/T
 
 def write_labelled_bag(
     run_dir: Path,
-    bag: Bag,
-    index: CloudIndex,
+    bags: Sequence[Bag],
+    indices: Sequence[CloudIndex],
     rig: Rig,
     trajectory: Trajectory,
     labels: Iterable[tuple[int, UInt8Array, UInt8Array]],
-    clouds: str | None = None,
+    clouds: Mapping[str, str] | None = None,
 ) -> Path:
     """Every vertical cloud of the bag again, with its labels, as `labelled.bag` (ROS 1) or `labelled/` (ROS 2).
 
-    index: the vertical clouds. trajectory: T_map_base. labels: in the bag's order, for each labelled scan its number,
-    `label` and `label_scan`, both (height x width,); the points of clouds that are not among them get 255.
-    clouds: digest of the bytes of all clouds that were labelled, where known. Raises InputError where the bag holds others now.
+    indices: each vertical lidar's clouds; bags: where they are read, one for each. trajectory: T_map_base. labels: in the order
+    of all of them, see `ScanOrder`, for each labelled scan its number, `label` and `label_scan`, both (height x width,); the
+    points of clouds that are not among them get 255.
+    clouds: digest of the bytes of all clouds that were labelled, by topic, where known. Raises InputError where the bag holds
+    others now.
     """
     labelled, static = iter(labels), rig.static_transforms
-    digests: list[bytes] = []
-    following = next(labelled, None)
-    name = LABELLED_BAG if bag.container == "ros1" else LABELLED_FOLDER
-    with BagWriter(run_dir / name, bag.container) as writer:
-        for topic, msgtype in (*_TRANSFORMS, (index.topic, "sensor_msgs/msg/PointCloud2")):
+    digests: list[list[bytes]] = [[] for _ in indices]
+    following, posed_ns = next(labelled, None), None
+    container = bags[0].container
+    name = LABELLED_BAG if container == "ros1" else LABELLED_FOLDER
+    scans = ScanOrder.of(indices)
+
+    def read(lidar: int, first: int, count: int) -> Iterator[tuple[int, Message | CloudError]]:
+        return read_messages(bags[lidar], indices[lidar], first, count, digests[lidar])
+
+    with BagWriter(run_dir / name, container) as writer:
+        for topic, msgtype in (*_TRANSFORMS, *((index.topic, "sensor_msgs/msg/PointCloud2") for index in indices)):
             writer.add_topic(topic, msgtype, latched=topic == "/tf_static")
-        for i, message in read_messages(bag, index, digests=digests):
-            if following is not None and following[0] < i:
+        for scan, lidar, message in scans.read(0, None, read):
+            if following is not None and following[0] < scan:
                 raise ValueError(f"the labels of scan {following[0]} come out of order")
             if isinstance(message, CloudError):
                 continue
             label = label_scan = np.full(int(message.height) * int(message.width), NO_RETURN, np.uint8)
-            if following is not None and following[0] == i:
+            if following is not None and following[0] == scan:
                 _, label, label_scan = following
                 following = next(labelled, None)
-            log_time_ns, stamp = int(index.log_time_ns[i]), stamp_ns(message)
+            index, cloud = indices[lidar], int(scans.cloud[scan])
+            log_time_ns, stamp = int(index.log_time_ns[cloud]), stamp_ns(message)
             if static:
                 writer.write("/tf_static", writer.transforms(stamp, static), log_time_ns)
                 static = ()
-            if index.usable[i] and len(trajectory):
-                pose = StaticTransform("map", rig.base_frame, trajectory.at(index.stamp_ns[i : i + 1])[0])
+            # Clouds that were taken at once have one pose.
+            if index.usable[cloud] and len(trajectory) and stamp != posed_ns:
+                pose = StaticTransform("map", rig.base_frame, trajectory.at(index.stamp_ns[cloud : cloud + 1])[0])
                 writer.write("/tf", writer.transforms(stamp, [pose]), log_time_ns)
+                posed_ns = stamp
             writer.write(index.topic, _labelled(message, index.topic, label, label_scan), log_time_ns)
-        if clouds is not None and joined(digests).hex() != clouds:
+        now = {index.topic: joined(own).hex() for index, own in zip(indices, digests, strict=True)}
+        if clouds is not None and any(clouds[topic] != digest for topic, digest in now.items()):
             raise InputError(
-                f"{bag.path}: changed while the run was reading it; let nothing write to it, and start a new run"
+                f"{bags[0].path}: changed while the run was reading it; let nothing write to it, and start a new run"
             )
     return writer.path
 

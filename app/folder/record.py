@@ -19,7 +19,7 @@ class _Bag(BaseModel):
 class _Options(BaseModel):
     rig: str | None = None
     horizontal: str | None = None
-    vertical: str | None = None
+    vertical: str | list[str] | None = None
     time_from: Literal["auto", "azimuth", "none"] | None = None
     trajectory: str | None = None
     detail: str | None = None
@@ -27,10 +27,6 @@ class _Options(BaseModel):
 
 class _Lidar(BaseModel):
     topic: str
-
-
-class _Rig(BaseModel):
-    vertical: _Lidar | None = None
 
 
 class _Mount(BaseModel):
@@ -46,8 +42,9 @@ class _Record(BaseModel):
     outcome: str | None = None
     bag: _Bag | None = None
     options: _Options | None = None
-    rig: _Rig | None = None
+    rig: dict[str, _Lidar | None] | None = None
     mount: _Mount | None = None
+    mounts: dict[str, _Mount] | None = None
     settings: dict[str, Any] | None = None
     settings_hash: str | None = None
     versions: dict[str, Any] | None = None

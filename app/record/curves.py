@@ -65,14 +65,17 @@ def log_curve_sheet(log: Log, sheet: CurveSheet, slope_max: float) -> None:
     log.static(entities.CURVE_EXAMPLE_STRUCTURES, rr.Boxes2D.from_fields(radii=ui_radius(1.5)))
 
 
-def log_curves(log: Log, labelling: ScanLabelling) -> None:
-    """Eq. 2 for every line: its values, the deciding slope's, and both drawn."""
+def log_curves(log: Log, labelling: ScanLabelling, line_pairs: int | None = None) -> None:
+    """Eq. 2 for every line: its values, the deciding slope's, and both drawn.
+
+    line_pairs: for how many pairs the sheet has cells, those of the lidar with most; None for as many as the scan has.
+    """
     structures, samples = labelling.structures, labelling.lines.samples
     # Not as tensors, whose union type few readers of tables know.
     kept = "line", "first", "last", "bottom_m", "top_m", "upmost", "bottommost"
     curves_of_lines = {"difference": _float16(structures.difference), "slope": _float16(structures.slope)}
     log.row(entities.STRUCTURES, evidence=arrays(structures, *kept, **curves_of_lines))
-    sheet = CurveSheet(len(samples) // 2)
+    sheet = CurveSheet(len(samples) // 2 if line_pairs is None else line_pairs)
     cells = sheet.cells
     present = np.flatnonzero(samples[:, 0] >= 0)
     shown = np.arange(0, sheet.SAMPLES, _CURVE_STEP)

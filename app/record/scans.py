@@ -39,9 +39,18 @@ _LINE_STEP, _SPAN_STEP = 3, 8
 
 
 def log_scan(
-    log: Log, index: int, level: LevelledScan, labelling: ScanLabelling, stamp_ns: int, timings_ms: Mapping[str, float]
+    log: Log,
+    index: int,
+    level: LevelledScan,
+    labelling: ScanLabelling,
+    stamp_ns: int,
+    timings_ms: Mapping[str, float],
+    line_pairs: int | None = None,
 ) -> None:
-    """One labelled scan with its evidence, as much as the detail asks for; its metrics are gathered."""
+    """One labelled scan with its evidence, as much as the detail asks for; its metrics are gathered.
+
+    line_pairs: pairs of point lines that the sheet of the curves has room for; None for as many as the scan has.
+    """
     placed, ranges = level.placed, level.ranges
     if not log.timeless:
         log.at(stamp_ns, index)
@@ -57,12 +66,20 @@ def log_scan(
             _log_lines(log, positions, labelling)
             _log_candidates(log, positions, labelling)
             _log_door_lines(log, labelling)
-            log_curves(log, labelling)
+            log_curves(log, labelling, line_pairs)
             if not log.timeless:
                 log_line(log, placed.points_level, labelling, _example_line(labelling))
     if not log.timeless:
         for path, value in _metrics(ranges, labelling, timings_ms).items():
             log.row(path, rr.Scalars, scalars=np.array([value]))
+
+
+def log_lidar(log: Log, place: int, topic: str) -> None:
+    """Which lidar the scan that was logged last is from, where there are several. place: among those that are labelled."""
+    if log.detail is Detail.MAP:
+        return
+    evidence = {entities.LIDAR_PLACE: np.array([place])}
+    log.row(entities.SCAN_LIDAR, rr.TextDocument, evidence, text=[f"This scan is from {topic}."])
 
 
 def log_frames(

@@ -86,11 +86,15 @@ def log_static(
 
 
 def layout(
-    line_pairs: int | None, detail: Detail, record: dict[str, Any], grid: GridMap | None = None
+    line_pairs: int | None,
+    detail: Detail,
+    record: dict[str, Any],
+    grid: GridMap | None = None,
+    several_lidars: bool = False,
 ) -> rrb.Blueprint:
     """How the recording opens; with the grid, so that the whole building is in view.
 
-    line_pairs: as for `log_static`. record: what run.json holds.
+    line_pairs: as for `log_static`. record: what run.json holds. several_lidars: whether scans are of more than one.
     """
     return run_blueprint.build(
         line_pairs,
@@ -98,6 +102,7 @@ def layout(
         scans=detail is not Detail.MAP,
         registered=record["poses_from"] == FROM_ODOMETRY,
         lines=detail is Detail.LINES,
+        several_lidars=several_lidars,
     )
 
 

@@ -22,19 +22,20 @@ from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.floor import heights_above_pieces
 from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.algorithms.scan.smoothing import SmoothedRanges, smooth_ranges
-from ffmap.algorithms.scan.summary import Features, concatenate, extract_planes, with_rays
+from ffmap.algorithms.scan.summary import Features, concatenate, extract_planes, ray_rows, with_rays
 from ffmap.app.record.log import Log, open_log
-from ffmap.app.record.scans import log_final, log_scan, log_skipped
+from ffmap.app.record.scans import log_final, log_lidar, log_scan, log_skipped
 from ffmap.app.run import spool
 from ffmap.app.run.arrays import pack, pack_ragged
 from ffmap.app.run.spool import BlockSummary, SpooledScan
-from ffmap.app.setup.inputs import Inputs, Sensor
+from ffmap.app.setup.inputs import Inputs
 from ffmap.app.setup.outputs import Detail
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.cloud_digest import as_rows
 from ffmap.loaders.pointcloud2 import full_labels
+from ffmap.loaders.rig import Lidar
 from ffmap.loaders.scans import SkippedScan, read_digests, read_scans
 
 VOXEL_M = 0.05
@@ -46,7 +47,7 @@ STAGES = ("reading", "smoothing", "placing", "labelling", "recording")
 
 @dataclass(frozen=True)
 class Block:
-    """Some consecutive clouds of the vertical lidar: [first, first + count), as numbered in the bag."""
+    """Some consecutive scans: [first, first + count), as numbered in the order of all clouds that are labelled."""
 
     number: int
     first: int
@@ -90,11 +91,11 @@ class FinishJob:
     """The halo's file in the spool: it grows with the building, and each worker reads it once."""
 
 
-def split_blocks(clouds: int) -> list[Block]:
-    """The blocks that `clouds` clouds make."""
+def split_blocks(scans: int) -> list[Block]:
+    """The blocks that `scans` scans make."""
     return [
-        Block(number, first, min(SCANS_PER_BLOCK, clouds - first))
-        for number, first in enumerate(range(0, clouds, SCANS_PER_BLOCK))
+        Block(number, first, min(SCANS_PER_BLOCK, scans - first))
+        for number, first in enumerate(range(0, scans, SCANS_PER_BLOCK))
     ]
 
 
@@ -103,7 +104,7 @@ def label_block(job: LabelJob) -> BlockSummary:
     block = _LabelledBlock()
     with _open_evidence(job, ".rrd") as log:
         watch = _Stopwatch()
-        for index, scan in _read(job, block.digests):
+        for index, place, scan in _read(job, block.digests):
             watch.lap("reading")
             usable = _usable(index, scan, job)
             if isinstance(usable, SkippedScan):
@@ -112,7 +113,7 @@ def label_block(job: LabelJob) -> BlockSummary:
                     log_skipped(log, usable.index, usable.stamp_ns, usable.reason)
             else:
                 block.beyond_range.append(len(scan) - len(usable) if isinstance(scan, Scan) else 0)
-                _label(index, usable, job, block, log, watch)
+                _label(index, place, usable, job, block, log, watch)
             watch = _Stopwatch()
     summary = block.summary()
     spool.save(
@@ -151,7 +152,8 @@ class _LabelledBlock:
     sizes: list[tuple[int, int]] = field(default_factory=list)
     beyond_range: list[int] = field(default_factory=list)
     counts: IntArray = field(default_factory=lambda: np.zeros(256, np.int64))
-    digests: list[bytes] = field(default_factory=list)
+    digests: dict[int, list[bytes]] = field(default_factory=dict)
+    """By the lidar's place."""
 
     def summary(self) -> BlockSummary:
         return BlockSummary(
@@ -161,7 +163,8 @@ class _LabelledBlock:
             T_level_base=np.array([s[3] for s in self.scans]).reshape(-1, 4, 4),
             skipped_scan=np.array([s.index for s in self.skipped], np.int64),
             skipped_reason=tuple(s.reason for s in self.skipped),
-            cloud_digest=as_rows(self.digests),
+            cloud_digest=as_rows([digest for place in sorted(self.digests) for digest in self.digests[place]]),
+            digest_lidar=np.repeat(sorted(self.digests), [len(self.digests[place]) for place in sorted(self.digests)]),
             label_counts=self.counts,
             milliseconds=np.array(self.milliseconds).reshape(-1, len(STAGES)),
             points_in_cloud=np.array([s[0] for s in self.sizes], np.int64),
@@ -170,22 +173,29 @@ class _LabelledBlock:
         )
 
 
-def _label(index: int, scan: Scan, job: LabelJob, block: _LabelledBlock, log: Log | None, watch: _Stopwatch) -> None:
-    """Label one scan, record it, and add to the block what it comes to."""
-    scan = _vertical(job.inputs).lidar.seen(scan, job.trajectory)
+def _label(
+    index: int, place: int, scan: Scan, job: LabelJob, block: _LabelledBlock, log: Log | None, watch: _Stopwatch
+) -> None:
+    """Label one scan, record it, and add to the block what it comes to. place: of its lidar."""
+    inputs, lidar = job.inputs, job.inputs.verticals[place].lidar
+    cloud = int(inputs.scans.cloud[index])
+    scan = lidar.seen(scan, job.trajectory)
     ranges = smooth_ranges(scan, job.settings.smoothing)
     watch.lap("smoothing")
-    level = _place(scan, ranges, job)
+    level = _placed(scan, ranges, lidar, job)
     placed = level.placed
     watch.lap("placing")
-    seed, columns = seed_of(job.settings.seed, index), _vertical(job.inputs).lidar.column_pairs
-    labelling = label_scan(scan, placed, job.settings.method, seed, level.floor, columns)
+    # By the cloud's own number: what a lidar's scan is labelled does not depend on what else is on the robot.
+    seed = seed_of(job.settings.seed, cloud)
+    labelling = label_scan(scan, placed, job.settings.method, seed, level.floor, lidar.column_pairs)
     watch.lap("labelling")
     if log:
-        log_scan(log, index, level, labelling, scan.stamp_ns, watch.milliseconds)
+        log_scan(log, index, level, labelling, scan.stamp_ns, watch.milliseconds, inputs.line_pairs)
+        if len(inputs.verticals) > 1:
+            log_lidar(log, place, lidar.topic)
     block.features.append(extract_planes(index, placed, labelling))
     rivals = RivalReturns.of(placed.points_level, labelling, job.settings.rival_maps)
-    block.spooled.append(SpooledScan.of(index, scan, placed, labelling, rivals))
+    block.spooled.append(SpooledScan.of(index, scan, placed, labelling, rivals, ray_rows(cloud, labelling)))
     counts = np.bincount(labelling.label, minlength=256)
     block.counts[...] += counts
     T_level_base = transforms.invert(placed.T_map_level) @ placed.T_map_base
@@ -241,11 +251,15 @@ def finish_block(job: FinishJob) -> None:
     spool.save(own.path.with_suffix(spool.FINAL), final)
 
 
-def _read(job: LabelJob, digests: list[bytes]) -> Iterator[tuple[int, Scan | SkippedScan]]:
-    """The block's clouds as scans; `digests` takes those of their bytes."""
-    sensor = _vertical(job.inputs)
-    bag = _open(job.inputs.bag_path)
-    return read_scans(bag, sensor.index, job.block.first, job.block.count, sensor.lidar.decoding, digests)
+def _read(job: LabelJob, digests: dict[int, list[bytes]]) -> Iterator[tuple[int, int, Scan | SkippedScan]]:
+    """The block's clouds as scans, each with its number and the place of its lidar; `digests` takes those of their bytes."""
+
+    def read(place: int, first: int, count: int) -> Iterator[tuple[int, Scan | SkippedScan]]:
+        sensor, bag = job.inputs.verticals[place], _open(job.inputs.bag_path, place)
+        own = digests.setdefault(place, [])
+        return read_scans(bag, sensor.index, first, count, sensor.lidar.decoding, own)
+
+    return job.inputs.scans.read(job.block.first, job.block.count, read)
 
 
 def _usable(index: int, scan: Scan | SkippedScan, job: LabelJob) -> Scan | SkippedScan:
@@ -261,13 +275,12 @@ def _usable(index: int, scan: Scan | SkippedScan, job: LabelJob) -> Scan | Skipp
     return near if len(near) else nothing
 
 
-def _place(scan: Scan, ranges: SmoothedRanges, job: LabelJob) -> LevelledScan:
-    T_base_sensor = _vertical(job.inputs).lidar.T_base_sensor
+def _placed(scan: Scan, ranges: SmoothedRanges, lidar: Lidar, job: LabelJob) -> LevelledScan:
     return place_and_level(
         scan,
         ranges,
         job.trajectory,
-        T_base_sensor,
+        lidar.T_base_sensor,
         job.base_height_m,
         job.floor_slope,
         job.settings.rearrangement,
@@ -277,8 +290,14 @@ def _place(scan: Scan, ranges: SmoothedRanges, job: LabelJob) -> LevelledScan:
 
 def holds_clouds_of(path: Path, block: Block, inputs: Inputs) -> bool:
     """Whether a block's file was made from the very clouds that the bag holds now, byte by byte."""
-    found = read_digests(_open(inputs.bag_path), _vertical(inputs).index, block.first, block.count)
-    return np.array_equal(spool.load(BlockSummary, path, spool.SUMMARY).cloud_digest, as_rows(list(found)))
+    found: dict[int, list[bytes]] = {}
+    scans = slice(block.first, block.first + block.count)
+    for place, sensor in enumerate(inputs.verticals):
+        own = inputs.scans.cloud[scans][inputs.scans.lidar[scans] == place]
+        if len(own):
+            found[place] = list(read_digests(_open(inputs.bag_path, place), sensor.index, int(own[0]), len(own)))
+    digests = [digest for place in sorted(found) for digest in found[place]]
+    return np.array_equal(spool.load(BlockSummary, path, spool.SUMMARY).cloud_digest, as_rows(digests))
 
 
 def points_in_map(placed: PlacedScan) -> FloatArray:
@@ -308,17 +327,11 @@ def _open_evidence(job: LabelJob, suffix: str) -> Iterator[Log | None]:
         yield log
 
 
-def _vertical(inputs: Inputs) -> Sensor:
-    if inputs.vertical is None:
-        raise ValueError("a run without a vertical lidar has nothing to label")
-    return inputs.vertical
-
-
-def _open(path: BagPath) -> Bag:
-    """Each worker opens the bag once, and each of its threads, where a cluster's has several."""
-    return _open_in_thread(path, threading.get_ident())
+def _open(path: BagPath, reader: int) -> Bag:
+    """Each worker opens the bag once for each lidar, and each of its threads does, where a cluster's has several."""
+    return _open_in_thread(path, reader, threading.get_ident())
 
 
 @cache
-def _open_in_thread(path: BagPath, _thread: int) -> Bag:
+def _open_in_thread(path: BagPath, _reader: int, _thread: int) -> Bag:
     return open_bag(path)

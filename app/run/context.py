@@ -27,7 +27,7 @@ class RunOptions:
     """The address of a Dask cluster that labels in place of processes here."""
     resume: bool = False
     refine_mount: bool = True
-    """Whether the vertical lidar's mount is checked, and refined where it is off."""
+    """Whether the vertical lidars' mounts are checked, and refined where they are off."""
 
 
 @dataclass

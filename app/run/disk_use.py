@@ -61,16 +61,16 @@ class DiskCheck:
 
 def estimate(inputs: Inputs, outputs: tuple[Output, ...], detail: Detail) -> DiskUse | None:
     """From some clouds of all over the bag; None where none of them is sound."""
-    if inputs.vertical is None:
+    if not inputs.verticals:
         assert inputs.horizontal is not None
         recording = _REGISTRATION * len(inputs.horizontal.index)
         kept = {Output.RECORDING: recording} if Output.RECORDING in outputs else {}
         return DiskUse(kept, _COPIES * sum(kept.values()))
-    sampled = _sample(inputs, inputs.vertical)
-    if sampled is None:
+    sampled = [(len(sensor.index), found) for sensor in inputs.verticals if (found := _sample(inputs, sensor))]
+    if not sampled:
         return None
-    scans = len(inputs.vertical.index)
-    cloud_bytes, places, returns = sampled
+    scans = len(inputs.scans)
+    cloud_bytes, places, returns = np.average([means for _, means in sampled], axis=0, weights=[n for n, _ in sampled])
     labelled = scans * (cloud_bytes + 2 * places + _TRANSFORM)
     per_scan, per_return = _RECORDING[detail]
     all_kept = {

@@ -1,5 +1,6 @@
-"""Whether the vertical lidar sits where it is said to, and by which clock it runs, by the first scans that are registered."""
+"""Whether a vertical lidar sits where it is said to, and by which clock it runs, by the first scans that are registered."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,20 +31,23 @@ TURN_MIN_DEG, LONGEST_S = 60.0, 25.0
 
 
 class MountOffError(Exception):
-    """The vertical lidar sits elsewhere than was said; `mount` tells where. Not the user's error: the run begins again with it."""
+    """Vertical lidars sit elsewhere than was said; `mounts` tell where. Not the user's error: the run begins again with them."""
 
-    def __init__(self, mount: "CheckedMount") -> None:
-        super().__init__("the mount is off")
-        self.mount = mount
+    def __init__(self, mounts: "Sequence[CheckedMount]") -> None:
+        super().__init__("a mount is off")
+        self.mounts = mounts
 
 
 @dataclass(frozen=True)
 class CheckedMount:
-    """What the first seconds tell of the mount, and what it is off by where that is certain.
+    """What the first seconds tell of a vertical lidar's mount, and what it is off by where that is certain.
 
-    change: (7,) what was found less what was given, as of `Mount.change`. clock_given_ns: what was added to its times already.
+    topic: the lidar's. alone: whether it is the only one whose mount matters. change: (7,) what was found less what was given, as
+    of `Mount.change`. clock_given_ns: what was added to its times already.
     """
 
+    topic: str
+    alone: bool
     found: Mount
     change: FloatArray
     clock_given_ns: int
@@ -62,7 +66,9 @@ class CheckedMount:
     @property
     def correction(self) -> MountCorrection:
         return MountCorrection(
-            tuple(map(tuple, self.found.T_base_sensor.tolist())), self.clock_given_ns + round(1e9 * self.found.clock_s)
+            self.topic,
+            tuple(map(tuple, self.found.T_base_sensor.tolist())),
+            self.clock_given_ns + round(1e9 * self.found.clock_s),
         )
 
     @property
@@ -80,42 +86,56 @@ class CheckedMount:
 
     @property
     def warning(self) -> str:
-        found = self.found
+        found, which = self.found, "" if self.alone else f"{self.topic} "
         return (
-            f"the vertical lidar sits {self.off_deg:.1f} deg and {100 * self.off_m:.1f} cm from where the bag or the rig file "
-            f"says, and its clock is {1e3 * found.clock_s:+.0f} ms off (known to {1e3 * found.sigma[6]:.0f}): surfaces that both "
-            f"lidars see were {100 * found.rms_before_m:.1f} cm apart, and are {100 * found.rms_after_m:.1f} cm with the mount "
-            "that was found and is used; --mount as-given keeps the bag's"
+            f"the vertical lidar {which}sits {self.off_deg:.1f} deg and {100 * self.off_m:.1f} cm from where the bag or the rig "
+            f"file says, and its clock is {1e3 * found.clock_s:+.0f} ms off (known to {1e3 * found.sigma[6]:.0f}): surfaces that "
+            f"both lidars see were {100 * found.rms_before_m:.1f} cm apart, and are {100 * found.rms_after_m:.1f} cm with the "
+            "mount that was found and is used; --mount as-given keeps the bag's"
         )
 
 
-def check_mount(
+def check_mounts(
     inputs: Inputs,
     odometry: Trajectory,
     settings: Settings,
     mapped: int = _MAPPED,
     laid: int = _LAID,
     returns: int = _RETURNS,
-) -> CheckedMount | None:
-    """The mount by the scans that were registered; None where there is but one lidar, or too little that both see.
+) -> list[CheckedMount]:
+    """The mounts by the scans that were registered, of each vertical lidar that has enough in sight that the horizontal one sees
+    too; none where there is but one lidar.
 
     odometry: T_odom_base.
-    mapped, laid: number of the horizontal lidar's scans that make the patches, and of the vertical one's that are laid on them;
+    mapped, laid: number of the horizontal lidar's scans that make the patches, and of a vertical one's that are laid on them;
     returns: of those, at most.
     """
-    horizontal, vertical = inputs.horizontal, inputs.vertical
-    if horizontal is None or vertical is None or horizontal.lidar.topic == vertical.lidar.topic:
-        return None
+    if inputs.horizontal is None or not inputs.others:
+        return []
     patches = Patches.of(map_of(inputs, odometry, settings, mapped), cube_m=0.1, neighbours=16)
-    T_given = vertical.lidar.T_base_sensor
-    found = refine_mount(patches, odometry, scans_of(inputs, vertical, odometry, settings, laid), T_given, returns)
+    checked = (_check(inputs, sensor, patches, odometry, settings, laid, returns) for sensor in inputs.others)
+    return [mount for mount in checked if mount is not None]
+
+
+def _check(
+    inputs: Inputs,
+    sensor: Sensor,
+    patches: Patches,
+    odometry: Trajectory,
+    settings: Settings,
+    laid: int,
+    returns: int,
+) -> CheckedMount | None:
+    T_given = sensor.lidar.T_base_sensor
+    found = refine_mount(patches, odometry, scans_of(inputs, sensor, odometry, settings, laid), T_given, returns)
     if found is None:
         return None
     change = found.change(T_given)
     least = np.array([np.radians(_OFF_DEG)] * 3 + [_OFF_M] * 3 + [_OFF_S])
     off = np.abs(change) > np.maximum(least, _SIGMAS * found.sigma)
     is_off = bool(off.any()) and found.rms_before_m > _BETTER * found.rms_after_m
-    return CheckedMount(found, change, vertical.lidar.decoding.clock_ns, is_off)
+    alone, clock_ns = len(inputs.others) == 1, sensor.lidar.decoding.clock_ns
+    return CheckedMount(sensor.lidar.topic, alone, found, change, clock_ns, is_off)
 
 
 def map_of(inputs: Inputs, odometry: Trajectory, settings: Settings, count: int) -> FloatArray:

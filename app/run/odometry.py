@@ -259,12 +259,11 @@ def _registered(inputs: Inputs, sensor: Sensor, settings: Settings) -> Iterator[
 
 
 def _companion(inputs: Inputs, settings: Settings) -> Sensor | None:
-    """The other lidar whose scans are registered with the horizontal one's; None where it does both jobs."""
-    horizontal, vertical = inputs.horizontal, inputs.vertical
-    if horizontal is None or vertical is None or horizontal.lidar.topic == vertical.lidar.topic:
+    """The other lidar whose scans are registered with the horizontal one's, the first of several; None where it does both jobs."""
+    if inputs.horizontal is None:
         return None
     wanted = settings.refinement.enabled and settings.refinement.companion_points_max > 0
-    return vertical if wanted else None
+    return next(iter(inputs.others), None) if wanted else None
 
 
 def _sensors(inputs: Inputs, sensor: Sensor, settings: Settings) -> list[Sensor]:

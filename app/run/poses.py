@@ -137,14 +137,16 @@ def given_poses(name: str | None, inputs: Inputs, settings: Settings) -> GivenPo
 
 
 def check_lidars_meet(inputs: Inputs) -> None:
-    """Raises InputError where no cloud of the vertical lidar lies in the time of the horizontal one, which gives its poses."""
-    if inputs.horizontal is None or inputs.vertical is None:
+    """Raises InputError where a vertical lidar has no cloud in the time of the horizontal one, which gives its poses."""
+    if inputs.horizontal is None:
         return
-    horizontal, vertical = (s.index.stamp_ns[s.index.usable] for s in (inputs.horizontal, inputs.vertical))
-    within = (vertical >= horizontal[0] - _MARGIN_NS) & (vertical <= horizontal[-1] + _MARGIN_NS)
-    if not within.any():
-        problem = clock_problem(inputs.horizontal.index, inputs.vertical.index)
-        raise InputError(f"{inputs.bag_path}: no vertical cloud has a pose: {problem}")
+    horizontal = inputs.horizontal.index.stamp_ns[inputs.horizontal.index.usable]
+    for sensor in inputs.verticals:
+        vertical = sensor.index.stamp_ns[sensor.index.usable]
+        within = (vertical >= horizontal[0] - _MARGIN_NS) & (vertical <= horizontal[-1] + _MARGIN_NS)
+        if not within.any():
+            problem = clock_problem(inputs.horizontal.index, sensor.index)
+            raise InputError(f"{inputs.bag_path}: no vertical cloud has a pose: {problem}")
 
 
 def _read_poses(name: str, inputs: Inputs) -> Trajectory:

@@ -17,7 +17,7 @@ from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.building.votes import Halo
 from ffmap.algorithms.maps.rivals import RivalReturns
 from ffmap.algorithms.scan.labelling import ScanLabelling
-from ffmap.algorithms.scan.summary import Features, ray_rows
+from ffmap.algorithms.scan.summary import Features
 from ffmap.app.folder.atomic import written_whole
 from ffmap.app.run.arrays import Arrays, pack_rows, unpack, unpack_ragged, unpack_rows
 from ffmap.app.run.arrays_file import map_arrays, write_arrays
@@ -71,7 +71,13 @@ class SpooledScan:
 
     @classmethod
     def of(
-        cls, index: int, scan: Scan, placed: PlacedScan, labelling: ScanLabelling, rivals: RivalReturns
+        cls,
+        index: int,
+        scan: Scan,
+        placed: PlacedScan,
+        labelling: ScanLabelling,
+        rivals: RivalReturns,
+        ray: IntArray,
     ) -> "SpooledScan":
         """A scan as it was labelled."""
         farthest_m = float(np.abs(placed.points_level).max(initial=0.0))
@@ -87,7 +93,7 @@ class SpooledScan:
             point=np.rint(placed.points_level * np.float32(1.0 / grid_m)).astype(np.int16),
             place=scan.cloud_index[:0] if np.all(np.diff(scan.cloud_index) > 0) else scan.cloud_index,
             label_cloud=full_labels(scan.cloud_size, scan.cloud_index, labelling.label),
-            ray=ray_rows(index, labelling),
+            ray=ray,
             rival_row=rivals.row,
             rival=rivals.rival,
         )
@@ -120,7 +126,8 @@ class BlockSummary:
     scan: (s,) scans that were labelled; stamp_ns: (s,) of their headers.
     reference_ns: (s,) the middle of each sweep; T_level_base: (s, 4, 4) the base there, once the scan is level.
     skipped: number and reason of each cloud that was not.
-    cloud_digest: (k, 16) uint8 of every message of the block's clouds, skipped ones too.
+    cloud_digest: (k, 16) uint8 of every message of the block's clouds, skipped ones too, lidar by lidar; digest_lidar: (k,) the
+    place of its lidar.
     label_counts: (256,) returns by label. milliseconds: (s, 5), see `STAGES`.
     points_in_cloud, points_in_lines: (s,)
     beyond_range: (s,) returns that were left out because they lie too far away.
@@ -133,6 +140,7 @@ class BlockSummary:
     skipped_scan: IntArray
     skipped_reason: tuple[str, ...]
     cloud_digest: UInt8Array
+    digest_lidar: IntArray
     label_counts: IntArray
     milliseconds: FloatArray
     points_in_cloud: IntArray

@@ -94,7 +94,8 @@ def _record(run: Run, maps: Maps) -> None:
     log_rooms(run.log, maps.rooms)
     for segmented, graph in maps.compared_rooms.items():
         log_areas(run.log, graph, f"{entities.ROOMS_COMPARED}/{segmented}")
-    run.recording.set_layout(layout(run.inputs.line_pairs, run.options.detail, run.record, maps.grid))
+    several = len(run.inputs.verticals) > 1
+    run.recording.set_layout(layout(run.inputs.line_pairs, run.options.detail, run.record, maps.grid, several))
 
 
 def _write(run: Run, building: Building, maps: Maps) -> None:

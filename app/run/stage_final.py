@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future
+from contextlib import ExitStack
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from ffmap.algorithms.building.fusion import Building
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, fuse
 from ffmap.app.folder.cloud_file import write_ply
 from ffmap.app.folder.labelled_bag import write_labelled_bag
-from ffmap.app.folder.labels_file import LabelsWriter
+from ffmap.app.folder.labels_file import LabelsWriter, clouds_of
 from ffmap.app.folder.names import CLOUD, LABELS
 from ffmap.app.record.building import log_cloud
 from ffmap.app.run.arrays import pack
@@ -27,16 +28,18 @@ from ffmap.loaders.bag import open_bag
 
 def finish(run: Run, pool: Executor, jobs: tuple[PlaceJob, ...], building: Building, trajectory: Trajectory) -> None:
     """Final labels by the workers, while this process writes the labelled bag behind them."""
-    assert run.inputs.vertical is not None
     run.progress.stage("final", len(jobs))
     table = VoxelTable(VOXEL_M, len(Label))
     outputs = run.options.outputs
-    writer = LabelsWriter(run.folder.path / LABELS if Output.LABELS in outputs else None)
+    inputs = run.inputs
+    clouds = clouds_of(inputs.scans, [sensor.lidar.topic for sensor in inputs.verticals])
+    writer = LabelsWriter(run.folder.path / LABELS if Output.LABELS in outputs else None, clouds)
     labels = writer.passing(_labels(run, jobs, _submit(run, pool, jobs, building), table))
     if Output.LABELLED in outputs:
-        with open_bag(run.inputs.bag_path) as bag:
-            index, rig = run.inputs.vertical.index, run.inputs.rig
-            write_labelled_bag(run.folder.path, bag, index, rig, trajectory, labels, run.state.clouds[index.topic])
+        indices = [sensor.index for sensor in inputs.verticals]
+        with ExitStack() as stack:
+            bags = [stack.enter_context(open_bag(inputs.bag_path)) for _ in indices]
+            write_labelled_bag(run.folder.path, bags, indices, inputs.rig, trajectory, labels, run.state.clouds)
     deque(labels, maxlen=0)
     run.state.labels_digest = writer.digest
     pool.shutdown()  # the workers' memory goes before the whole cloud is made

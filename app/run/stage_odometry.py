@@ -10,7 +10,7 @@ from ffmap.algorithms.poses.odometry import Registration, weakness
 from ffmap.algorithms.poses.pose_graph import PoseGraph
 from ffmap.app.record.odometry import log_odometry_frame, log_pose_graph, log_registrations
 from ffmap.app.run.context import Run
-from ffmap.app.run.mount_check import CheckedMount, MountOffError, check_mount, has_turned
+from ffmap.app.run.mount_check import CheckedMount, MountOffError, check_mounts, has_turned
 from ffmap.app.run.odometry import Odometry
 from ffmap.app.run.odometry_cache import CACHE_VARIABLE, cache_folder
 from ffmap.app.run.poses import KnownPoses, RunPoses, level_by_first_scans, levelled, shows_level
@@ -66,7 +66,7 @@ def _register(run: Run, labeller: Labeller | None) -> tuple[Odometry, Level, lis
     waiting: list[Registration] = []
     weak: list[str] = []
     level: Level | None = None
-    mount: CheckedMount | None = None
+    mounts: list[CheckedMount] = []
     for registration in odometry:
         registered.append(registration.index)
         if len(odometry) == 1 and run.log:
@@ -76,10 +76,10 @@ def _register(run: Run, labeller: Labeller | None) -> tuple[Odometry, Level, lis
         run.progress.advance()
         if level is None and shows_level(odometry.stamp_ns, run.settings):
             level = level_by_first_scans(run.inputs, odometry.registered(), run.settings)
-            mount = _check(run, odometry)
-        if _is_off(mount) and has_turned(odometry.registered()):
-            mount = _confirmed(run, odometry, mount)
-        if level is None or _is_off(mount):
+            mounts = _check(run, odometry)
+        if _any_off(mounts) and has_turned(odometry.registered()):
+            mounts = _confirmed(run, odometry, mounts)
+        if level is None or _any_off(mounts):
             # Nothing is told, nor done, that a mount that is off would take back.
             continue
         if len(waiting) >= _LOGGED_AT_ONCE:
@@ -87,8 +87,8 @@ def _register(run: Run, labeller: Labeller | None) -> tuple[Odometry, Level, lis
             waiting = []
         if labeller is not None:
             labeller.go_on(_known(odometry, level))
-    if _is_off(mount):
-        _confirmed(run, odometry, mount)
+    if _any_off(mounts):
+        _confirmed(run, odometry, mounts)
     weak += _log(run, waiting)
     if not registered:
         raise InputError(f"{run.inputs.bag_path}: {sensor.lidar.topic} has no usable cloud; 'ffmap info' tells more")
@@ -100,29 +100,31 @@ def _register(run: Run, labeller: Labeller | None) -> tuple[Odometry, Level, lis
     return odometry, level, weak
 
 
-def _check(run: Run, odometry: Odometry, *much: int) -> CheckedMount | None:
-    """The mount as what was registered so far shows it; None where it is not to be looked into, or cannot be.
+def _check(run: Run, odometry: Odometry, *much: int) -> list[CheckedMount]:
+    """The mounts as what was registered so far shows them; none where they are not to be looked into, or cannot be.
 
-    much: scans and returns, as of `check_mount`.
+    much: scans and returns, as of `check_mounts`.
     """
     if not run.options.refine_mount:
-        return None
-    mount = check_mount(run.inputs, odometry.registered(), run.settings, *much)
-    if mount is not None:
-        run.record["mount"] = mount.record
-    return mount
+        return []
+    mounts = check_mounts(run.inputs, odometry.registered(), run.settings, *much)
+    if mounts and mounts[0].alone:
+        run.record["mount"] = mounts[0].record
+    elif mounts:
+        run.record["mounts"] = {mount.topic: mount.record for mount in mounts}
+    return mounts
 
 
-def _is_off(mount: CheckedMount | None) -> bool:
-    return mount is not None and mount.is_off
+def _any_off(mounts: list[CheckedMount]) -> bool:
+    return any(mount.is_off for mount in mounts)
 
 
-def _confirmed(run: Run, odometry: Odometry, first: CheckedMount | None) -> CheckedMount | None:
-    """The mount by all that was registered, where that shows it right after all; raises MountOffError where it is off."""
-    mount = _check(run, odometry, *_TO_REFINE) or first
-    if mount is not None and mount.is_off:
-        raise MountOffError(mount)
-    return mount
+def _confirmed(run: Run, odometry: Odometry, first: list[CheckedMount]) -> list[CheckedMount]:
+    """The mounts by all that was registered, where that shows them right after all; raises MountOffError where any is off."""
+    mounts = _check(run, odometry, *_TO_REFINE) or first
+    if off := [mount for mount in mounts if mount.is_off]:
+        raise MountOffError(off)
+    return mounts
 
 
 def _known(odometry: Odometry, level: Level) -> KnownPoses:

@@ -47,9 +47,8 @@ class Labeller:
     """Labels the scans of a run block by block, each as soon as its poses are known, and places them when all are final."""
 
     def __init__(self, run: Run, pool: Executor) -> None:
-        assert run.inputs.vertical is not None
-        self._run, self._pool, self._index = run, pool, run.inputs.vertical.index
-        self._blocks = split_blocks(len(self._index))
+        self._run, self._pool, self._scans = run, pool, run.inputs.scans
+        self._blocks = split_blocks(len(self._scans))
         self._jobs: list[LabelJob] = []
         self._running: deque[Future[BlockSummary] | BlockSummary] = deque()
         self._summaries: list[BlockSummary] = []
@@ -74,8 +73,10 @@ class Labeller:
         stamps_ns = np.concatenate([np.zeros(0, np.int64), *(summary.stamp_ns for summary in self._summaries)])
         if not len(stamps_ns):
             why = commonest([reason for summary in self._summaries for reason in summary.skipped_reason])
+            topics = [sensor.lidar.topic for sensor in run.inputs.verticals]
+            have = f"{' and '.join(topics)} {'have' if len(topics) > 1 else 'has'}"
             raise InputError(
-                f"{run.inputs.bag_path}: {self._index.topic} has no usable cloud ({why}); 'ffmap info' tells more"
+                f"{run.inputs.bag_path}: {have} no usable cloud ({why}); 'ffmap info' tells more"
             )
         votes, rivals = VoxelTable(VOXEL_M, len(Label)), VoxelTable(run.settings.grid_map.cell_m, len(Rival))
         jobs = tuple(self._place_job(*labelled, poses) for labelled in zip(self._jobs, self._summaries, strict=True))
@@ -106,7 +107,7 @@ class Labeller:
         may_be_done = self._run.options.resume and (poses.complete or bool(self._run.record["bag"].get("clouds")))
         while len(self._jobs) < len(self._blocks):
             block = self._blocks[len(self._jobs)]
-            trajectory = poses.around(self._index.stamp_ns[block.first : block.first + block.count])
+            trajectory = poses.around(self._scans.stamp_ns[block.first : block.first + block.count])
             if trajectory is None:
                 return
             job = self._label_job(block, trajectory, poses)
@@ -164,15 +165,16 @@ def _summarise(run: Run, blocks: list[Block], summaries: list[BlockSummary]) -> 
     """Counts, timings and sizes of all blocks together, for run.json."""
     if not summaries:
         return
-    assert run.inputs.vertical is not None
     state = run.state
-    digests = np.concatenate([summary.cloud_digest for summary in summaries])
-    state.clouds[run.inputs.vertical.lidar.topic] = joined([digests.tobytes()]).hex()
+    digests, lidar = (np.concatenate([getattr(s, name) for s in summaries]) for name in ("cloud_digest", "digest_lidar"))
+    for place, sensor in enumerate(run.inputs.verticals):
+        state.clouds[sensor.lidar.topic] = joined([digests[lidar == place].tobytes()]).hex()
     reasons = [reason for summary in summaries for reason in summary.skipped_reason]
     counts = np.sum([summary.label_counts for summary in summaries], axis=0)
     state.counts |= {
         "clouds": sum(block.count for block in blocks),
         "scans": sum(len(summary.scan) for summary in summaries),
+        **_scans_by_topic(run, summaries),
         "skipped": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
         "returns": {label.name.lower(): int(counts[label]) for label in Label},
     }
@@ -193,6 +195,16 @@ def _summarise(run: Run, blocks: list[Block], summaries: list[BlockSummary]) -> 
             f"returns farther than {run.settings.scan.range_max_m:g} m away were left out (scan.range_max_m): "
             f"{beyond.sum():,}, in {np.count_nonzero(beyond):,} of {len(beyond):,} scans"
         )
+
+
+def _scans_by_topic(run: Run, summaries: list[BlockSummary]) -> dict[str, dict[str, int]]:
+    """How many scans of each lidar were labelled, where there are several."""
+    if len(run.inputs.verticals) < 2:
+        return {}
+    scans = np.concatenate([summary.scan for summary in summaries])
+    counts = np.bincount(run.inputs.scans.lidar[scans], minlength=len(run.inputs.verticals))
+    topics = [sensor.lidar.topic for sensor in run.inputs.verticals]
+    return {"scans_by_topic": dict(zip(topics, counts.tolist(), strict=True))}
 
 
 def _spread(values: FloatArray) -> dict[str, float]:

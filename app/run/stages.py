@@ -13,6 +13,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.app.folder.finished_run import FROM_ODOMETRY
@@ -62,7 +64,7 @@ def run(
     log: Log | None = None
     try:
         recording = _open(inputs, options, folder, record)
-        scan_stamps_ns = inputs.vertical.index.stamp_ns if inputs.vertical else None
+        scan_stamps_ns = inputs.scans.stamp_ns if inputs.verticals else None
         log = Log(recording.stream, options.detail, scan_stamps_ns=scan_stamps_ns) if recording else None
         _run_stages(Run(inputs, settings, options, folder, progress, record, recording, log, state), given)
         if options.workers == 1:
@@ -113,14 +115,15 @@ def _run_stages(run: Run, given: Trajectory | None) -> None:
 
 
 def _find_poses(run: Run, pool: Executor, given: Trajectory | None) -> tuple[Run, Labeller | None, RunPoses]:
-    """The poses, and who labels by them; the run is another one where the vertical lidar was found to sit elsewhere."""
-    labeller = None if run.inputs.vertical is None else Labeller(run, pool)
+    """The poses, and who labels by them; the run is another one where a vertical lidar was found to sit elsewhere."""
+    labeller = Labeller(run, pool) if run.inputs.verticals else None
     try:
         return run, labeller, find_poses(run, given, labeller)
     except MountOffError as error:
-        run.warn(error.mount.warning)
+        for mount in error.mounts:
+            run.warn(mount.warning)
         options = replace(run.options, refine_mount=False)
-        run = replace(run, inputs=run.inputs.with_mount(error.mount.correction), options=options)
+        run = replace(run, inputs=run.inputs.with_mounts(mount.correction for mount in error.mounts), options=options)
     if run.log is not None:
         log_sensors(run.log, _sensors(run))
     labeller = Labeller(run, pool)
@@ -151,7 +154,7 @@ def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[s
             folder.path / RECORDING if save else None,
             folder.spool,
             record["recording_id"],
-            layout(inputs.line_pairs, options.detail, record),
+            layout(inputs.line_pairs, options.detail, record, several_lidars=len(inputs.verticals) > 1),
             options.connect_url,
         )
     except ConnectionError as error:
@@ -190,6 +193,8 @@ def _log_result(log: Log | None, record: dict[str, Any], state: RunState, outcom
 
 
 def _write_trajectory(run: Run, trajectory: Trajectory, stamps_ns: IntArray) -> None:
+    # Scans of two lidars that fire together have one pose.
+    stamps_ns = np.unique(stamps_ns)
     write_tum(run.folder.path / TRAJECTORY, Trajectory(stamps_ns, trajectory.at(stamps_ns)))
 
 

@@ -10,7 +10,7 @@ from typing import Any, get_args
 import typer
 
 from ffmap.app.folder import names as run_folder
-from ffmap.app.folder.finished_run import FROM_ODOMETRY, mount_correction
+from ffmap.app.folder.finished_run import FROM_ODOMETRY, mount_corrections, topics_said
 from ffmap.app.folder.names import RunFolder
 from ffmap.app.folder.record import bag_of
 from ffmap.app.progress import Progress
@@ -62,7 +62,7 @@ class Arguments:
     """Whether a run that is in the folder already may be replaced."""
 
 
-_OF_THE_BAG = tuple(option.name for option in fields(InputOptions) if option.name != "mount")
+_OF_THE_BAG = tuple(option.name for option in fields(InputOptions) if option.name != "mounts")
 _STORED = (*_OF_THE_BAG, "mount", "trajectory", "detail", "outputs", "evaluate")
 """Arguments that run.json keeps, for a run that is resumed."""
 
@@ -139,7 +139,7 @@ def _options(arguments: Arguments) -> RunOptions:
         outputs=outputs,
         workers=arguments.workers,
         scheduler=arguments.scheduler,
-        refine_mount=arguments.mount == "refine" and arguments.bag_options.mount is None,
+        refine_mount=arguments.mount == "refine" and not arguments.bag_options.mounts,
     )
 
 
@@ -204,6 +204,7 @@ def stored(arguments: Arguments) -> dict[str, Any]:
     of_the_bag = {name: getattr(arguments.bag_options, name) for name in _OF_THE_BAG}
     values = {field.name: getattr(arguments, field.name) for field in fields(Arguments)} | of_the_bag
     stored = {name: values[name] for name in _STORED}
+    stored["vertical"] = list(stored["vertical"]) or None
     if stored["rig"] is not None:
         stored["rig"] = str(stored["rig"].resolve())
     if arguments.trajectory is not None and Path(arguments.trajectory).exists():
@@ -227,9 +228,9 @@ def _check_same_bag(inputs: Inputs, folder: RunFolder, record: dict[str, Any]) -
     if same:
         clouds = digest_clouds(inputs.bag_path, [sensor for sensor in used if sensor.lidar.topic in known])
         same = all(clouds[topic] == digest for topic, digest in known.items())
-    if same and inputs.vertical is not None and inputs.vertical.lidar.topic not in known:
+    if same and any(sensor.lidar.topic not in known for sensor in inputs.verticals):
         # Where the odometry did not take them, not all clouds were read before the last block was finished.
-        blocks = [(block, folder.block(block.number, ".arrow")) for block in split_blocks(len(inputs.vertical.index))]
+        blocks = [(block, folder.block(block.number, ".arrow")) for block in split_blocks(len(inputs.scans))]
         same = all(holds_clouds_of(path, block, inputs) for block, path in blocks if path.exists())
     if not same:
         raise InputError(f"{inputs.bag_path}: is not the bag that {folder.path} was begun with; start a new run")
@@ -255,6 +256,7 @@ def _as_begun(arguments: Arguments, path: Path, record: dict[str, Any]) -> tuple
         options["outputs"] = check_outputs(options["outputs"])
         digests = options.pop("digests")
         options["rig"] = Path(options["rig"]) if options["rig"] else None
+        options["vertical"] = topics_said(options["vertical"])
     except KeyError as error:
         raise InputError(f"{path / run_folder.RUN_JSON}: lacks {error}; start a new run") from None
     except TypeError as error:
@@ -264,8 +266,8 @@ def _as_begun(arguments: Arguments, path: Path, record: dict[str, Any]) -> tuple
     begun, now = record.get("versions", {}), versions()
     if any(begun.get(name) != now[name] for name in ("furniture-free-mapping", "git_revision")):
         raise InputError(f"{path}: was begun by another version of ffmap, whose labels may differ; start a new run")
-    mount = mount_correction(record)
-    bag_options = InputOptions(**{name: options.pop(name) for name in _OF_THE_BAG}, mount=mount)
+    mounts = mount_corrections(record)
+    bag_options = InputOptions(**{name: options.pop(name) for name in _OF_THE_BAG}, mounts=mounts)
     begun_with = replace(arguments, bag=bag, bag_options=bag_options, **options)
     if stored(begun_with)["digests"] != digests:
         named = (bag_options.rig, begun_with.trajectory)

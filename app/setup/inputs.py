@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 from ffmap.algorithms.base.scan import Scan
@@ -9,8 +10,10 @@ from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.errors import InputError
+from ffmap.loaders.numbered import numbered
 from ffmap.loaders.pointcloud2 import TimeFrom
 from ffmap.loaders.rig import Lidar, MountCorrection, Rig, find_rig
+from ffmap.loaders.scan_order import ScanOrder
 from ffmap.loaders.scans import (
     CloudIndex,
     SkippedScan,
@@ -32,15 +35,17 @@ class InputOptions:
 
     rig: Path | None = None
     horizontal: str | None = None
-    vertical: str | None = None
+    vertical: tuple[str, ...] = ()
     time_from: TimeFrom = "auto"
-    mount: MountCorrection | None = None
-    """What an earlier look at the bag found of the vertical lidar; not a word of the user's."""
+    mounts: tuple[MountCorrection, ...] = ()
+    """What an earlier look at the bag found of the vertical lidars; not a word of the user's."""
 
     def find_rig(self, bag: Bag) -> Rig:
         """The lidars of an open bag; raises InputError where they cannot be told."""
         rig = find_rig(bag, self.rig, self.horizontal, self.vertical, self.time_from)
-        return rig if self.mount is None or rig.vertical is None else rig.with_mount(self.mount)
+        for mount in self.mounts:
+            rig = rig.with_mount(mount)
+        return rig
 
 
 @dataclass(frozen=True)
@@ -59,30 +64,47 @@ class Inputs:
     container: str
     rig: Rig
     horizontal: Sensor | None
-    vertical: Sensor | None
+    verticals: tuple[Sensor, ...]
     warnings: tuple[str, ...]
 
     @property
+    def vertical(self) -> Sensor | None:
+        """The first of those that are labelled, and mostly the only one."""
+        return next(iter(self.verticals), None)
+
+    @cached_property
+    def scans(self) -> ScanOrder:
+        """The clouds of all that are labelled, as one sequence. There has to be such a lidar."""
+        return ScanOrder.of([sensor.index for sensor in self.verticals])
+
+    @property
+    def others(self) -> tuple[Sensor, ...]:
+        """Those that are labelled and do not give the poses: whose mounts matter."""
+        horizontal = self.horizontal
+        return tuple(s for s in self.verticals if horizontal is None or s.lidar.topic != horizontal.lidar.topic)
+
+    @property
     def by_role(self) -> dict[str, Sensor]:
-        """The lidars that were found, by what they are for."""
-        roles = {"horizontal": self.horizontal, "vertical": self.vertical}
-        return {role: sensor for role, sensor in roles.items() if sensor is not None}
+        """The lidars that were found, by what they are for: horizontal, vertical, vertical_2 and so on."""
+        roles = {} if self.horizontal is None else {"horizontal": self.horizontal}
+        return roles | {numbered("vertical", place): sensor for place, sensor in enumerate(self.verticals)}
 
     @property
     def line_pairs(self) -> int | None:
-        """Pairs of point lines of the lidar that is labelled; None where nothing is."""
-        return self.vertical.lidar.line_pairs if self.vertical else None
+        """Pairs of point lines of the lidar that is labelled, the most of several; None where nothing is."""
+        return max((sensor.lidar.line_pairs for sensor in self.verticals), default=None)
 
-    def with_mount(self, mount: MountCorrection) -> "Inputs":
-        """The same with the vertical lidar where it was found to sit."""
-        assert self.vertical is not None
-        rig = self.rig.with_mount(mount)
-        assert rig.vertical is not None
-        return replace(self, rig=rig, vertical=replace(self.vertical, lidar=rig.vertical))
+    def with_mounts(self, mounts: Iterable[MountCorrection]) -> "Inputs":
+        """The same with vertical lidars where they were found to sit."""
+        rig = self.rig
+        for mount in mounts:
+            rig = rig.with_mount(mount)
+        sensors = zip(self.verticals, rig.verticals, strict=True)
+        return replace(self, rig=rig, verticals=tuple(replace(sensor, lidar=lidar) for sensor, lidar in sensors))
 
     def used(self, given_poses: bool) -> list[Sensor]:
         """The lidars whose clouds a run reads. given_poses: whether it takes its poses from elsewhere."""
-        wanted = (None if given_poses else self.horizontal, self.vertical)
+        wanted = (None if given_poses else self.horizontal, *self.verticals)
         return [*{sensor.lidar.topic: sensor for sensor in wanted if sensor is not None}.values()]
 
 
@@ -94,15 +116,15 @@ def find_inputs(bag_path: BagPath | Path, options: InputOptions) -> Inputs:
     with open_bag(bag_path) as bag:
         rig = options.find_rig(bag)
         horizontal = _sensor(bag, rig.horizontal) if rig.horizontal else None
-        vertical = _sensor(bag, rig.vertical) if rig.vertical else None
-        clocks = clock_problem(horizontal.index, vertical.index) if horizontal and vertical else None
+        verticals = tuple(_sensor(bag, lidar) for lidar in rig.verticals)
+        clocks = [clock_problem(horizontal.index, vertical.index) for vertical in verticals if horizontal]
         return Inputs(
             bag_path=bag.path.resolve(),
             container=bag.container,
             rig=rig,
             horizontal=horizontal,
-            vertical=vertical,
-            warnings=(*bag.warnings, *rig.warnings, *([clocks] if clocks else [])),
+            verticals=verticals,
+            warnings=(*bag.warnings, *rig.warnings, *(problem for problem in clocks if problem)),
         )
 
 

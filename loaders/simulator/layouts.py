@@ -67,7 +67,7 @@ def lidars_of(settings: SimulationSettings, rng: np.random.Generator) -> tuple[L
         mounts.append((entry.topic, entry.frame, entry.T_base_sensor))
     # The horizontal one first: its spin axis is nearest to gravity.
     mounts.sort(key=lambda mount: -abs(float(mount[2][2, 2])))
-    return start_lidars(layout.model, layout.points, mounts, rng)
+    return start_lidars(layout.model, layout.points, mounts, rng, both=len(mounts) == 1)
 
 
 def rig_of(layout: str) -> RigFile:

@@ -176,7 +176,7 @@ def scan(
     chances depend on the seed, the lidar and the sweep alone.
     """
     model = lidar.model
-    rng = np.random.default_rng([settings.seed, 71, lidar.role == "vertical", sweep])
+    rng = np.random.default_rng([settings.seed, 71, lidar.number, sweep])
     start_ns = lidar.sweep_start_ns(sweep)
     firing_ns = model.firing_ns * (lidar.period_ns * model.rate_hz / 1e9)
     T_map_sensor = trajectory.at(start_ns + firing_ns[:, 0].astype(np.int64)) @ lidar.T_base_sensor

@@ -146,10 +146,11 @@ SENSORS: dict[Sensor, SensorModel] = {
 class Lidar:
     """One of the robot's lidars.
 
-    role: horizontal = spin axis upright (odometry), vertical = spin axis forward (sweeps floor, walls and ceiling), or both
-        where an upright one is alone.
+    role: horizontal = spin axis upright (odometry), vertical = swept floor, walls and ceiling (its spin axis forward, or upright
+        where it opens wide), or both where an upright one is alone or has another beside it.
     period_ns: of a revolution; two differ. phase_ns: its first sweep's start after the horizontal one's.
     points: how its driver lays out its clouds: "hesai" with absolute times, "packets" as one cloud of x y z a UDP packet.
+    number: its place among the robot's lidars.
     """
 
     role: Literal["horizontal", "vertical", "both"]
@@ -160,47 +161,66 @@ class Lidar:
     period_ns: float
     phase_ns: int
     points: PointLayout
+    number: int = 0
 
     def sweep_start_ns(self, sweep: int) -> int:
         """Nanoseconds from the horizontal lidar's first sweep."""
         return self.phase_ns + round(sweep * self.period_ns)
 
 
+_NAMES: dict[PointLayout, tuple[str, str, str]] = {
+    "velodyne": ("velodyne", "velodyne_points", "velodyne"),
+    "ouster": ("ouster", "points", "os_sensor"),
+    "livox": ("livox", "lidar", "livox_frame"),
+}
+"""By driver: the maker's name in topics and frames, what the clouds' topics end in, and the frame of a lidar that is alone."""
+
+
 def mount_lidars(settings: SimulationSettings, rng: np.random.Generator) -> tuple[Lidar, ...]:
-    """The horizontal and the vertical lidar; or the upright one that is alone."""
+    """The lidars that the settings ask for, the one that gives the poses first."""
     model = SENSORS[settings.sensor]
+    maker, clouds, alone = _NAMES[model.layout]
+
+    def mount(place: str, rotation: Rotation | None, at: list[float]) -> tuple[str, str, FloatArray]:
+        return f"/{place}_{maker}/{clouds}", f"{place}_{maker}", transforms.make_transform(rotation, at)
+
     # A beam that opens 7 degrees downwards meets the floor at 8 times its height.
-    upright = transforms.make_transform(translation=[0.10, 0.0, 0.40 if model.nodding else 0.95])
+    height_m = 0.40 if model.nodding else 0.95
     forward = Rotation.from_quat([0.5, 0.5, 0.5, 0.5])
     tilted = Rotation.from_euler("y", settings.mount_tilt_deg, degrees=True) * forward
-    sideways = transforms.make_transform(tilted, [0.30, 0.0, 0.70])
-    names: tuple[str, ...] = {
-        "velodyne": ("/horizontal_velodyne/velodyne_points", "horizontal_velodyne",
-                     "/vertical_velodyne/velodyne_points", "vertical_velodyne"),
-        "ouster": ("/horizontal_ouster/points", "horizontal_ouster", "/vertical_ouster/points", "vertical_ouster"),
-        "livox": ("/horizontal_livox/lidar", "horizontal_livox", "/vertical_livox/lidar", "vertical_livox"),
-    }[model.layout]  # fmt: skip
-    if settings.lidars == "one":
-        names = {
-            "velodyne": ("/velodyne_points", "velodyne"),
-            "ouster": ("/ouster/points", "os_sensor"),
-            "livox": ("/livox/lidar", "livox_frame"),
-        }[model.layout]
-        return start_lidars(model, model.layout, ((names[0], names[1], upright),), rng)
-    return start_lidars(model, model.layout, ((names[0], names[1], upright), (names[2], names[3], sideways)), rng)
+    horizontal = mount("horizontal", None, [0.10, 0.0, height_m])
+    match settings.lidars:
+        case "one":
+            mounts = [(f"/{maker}/{clouds}" if model.layout != "velodyne" else f"/{clouds}", alone, horizontal[2])]
+        case "two":
+            mounts = [horizontal, mount("vertical", tilted, [0.30, 0.0, 0.70])]
+        case "three":
+            # Turned outwards by 30 degrees: a wall square to the way is then swept before the robot has come to it.
+            mounts = [
+                horizontal,
+                mount("left", Rotation.from_euler("z", 30, degrees=True) * tilted, [0.20, 0.20, 0.70]),
+                mount("right", Rotation.from_euler("z", -30, degrees=True) * tilted, [0.20, -0.20, 0.70]),
+            ]
+        case "upright":
+            mounts = [mount("front", None, [0.25, 0.0, height_m]), mount("rear", None, [-0.25, 0.0, height_m])]
+    both = settings.lidars in ("one", "upright")
+    return start_lidars(model, model.layout, mounts, rng, both)
 
 
 def start_lidars(
-    model: SensorModel, points: PointLayout, mounts: Sequence[tuple[str, str, FloatArray]], rng: np.random.Generator
+    model: SensorModel,
+    points: PointLayout,
+    mounts: Sequence[tuple[str, str, FloatArray]],
+    rng: np.random.Generator,
+    both: bool,
 ) -> tuple[Lidar, ...]:
-    """Lidars of one model, whose clocks run free. mounts: topic, frame and T_base_sensor of the horizontal one, and of the
-    vertical one where there are two.
+    """Lidars of one model, whose clocks run free. mounts: topic, frame and T_base_sensor of the one that gives the poses, and of
+    those that are labelled. both: whether the first is labelled too.
     """
     nominal_ns = 1e9 / model.rate_hz
     topic, frame, T = mounts[0]
-    if len(mounts) == 1:
-        return (Lidar("both", topic, frame, model, T, nominal_ns * 1.0007, 0, points),)
-    horizontal = Lidar("horizontal", topic, frame, model, T, nominal_ns * 1.0007, 0, points)
-    topic, frame, T = mounts[1]
-    phase_ns = int(rng.uniform(0, nominal_ns))
-    return horizontal, Lidar("vertical", topic, frame, model, T, nominal_ns * 0.9989, phase_ns, points)
+    lidars = [Lidar("both" if both else "horizontal", topic, frame, model, T, nominal_ns * 1.0007, 0, points)]
+    for number, (topic, frame, T) in enumerate(mounts[1:], start=1):
+        phase_ns, period_ns = int(rng.uniform(0, nominal_ns)), nominal_ns * (0.9993 - 0.0004 * number)
+        lidars.append(Lidar("vertical", topic, frame, model, T, period_ns, phase_ns, points, number))
+    return tuple(lidars)

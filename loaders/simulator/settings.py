@@ -16,7 +16,11 @@ class SimulationSettings(BaseModel):
     building: str = Field("office", description="which plan is drawn (see BUILDINGS)")
     seed: int = Field(0, ge=0, description="every random choice follows from it")
     sensor: Sensor = Field("hdl32e", description="the model of the lidars")
-    lidars: Literal["two", "one"] = Field("two", description="one upright and one on its side, or an upright one alone")
+    lidars: Literal["two", "one", "three", "upright"] = Field(
+        "two",
+        description="one upright and one on its side; an upright one alone; one upright and two on their sides, left and right; or "
+        "two upright ones, front and rear",
+    )
     layout: str = Field(
         "plain", description="the bag is laid out as that of a public data set (see LAYOUTS), or plainly"
     )

@@ -19,6 +19,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.loaders.frames import StaticTransform
+from ffmap.loaders.numbered import numbered
 from ffmap.loaders.simulator.bag_writing import DriveWriter
 from ffmap.loaders.simulator.building import Plan, build_structure
 from ffmap.loaders.simulator.furniture import build_outside, furnish
@@ -31,6 +32,7 @@ from ffmap.loaders.simulator.sensors import Lidar
 from ffmap.loaders.simulator.settings import SimulationSettings
 from ffmap.loaders.simulator.terrain import Terrain, draw_terrain
 from ffmap.loaders.simulator.truth import building_truth
+from ffmap.loaders.truth import CLASSES_TOPIC
 
 BASE_FRAME = "base_link"
 EPOCH_NS = 1_700_000_000_000_000_000  # When every simulated drive begins
@@ -157,9 +159,11 @@ def simulate(
         jobs = _jobs(scene.lidars, settings)
         with ThreadPoolExecutor(settings.workers) as pool:
             streams: list[Iterable[_Timed]] = [_poses(writer, scene, settings, layout)]
+            labelled = [lidar.topic for lidar in scene.lidars if lidar.role != "horizontal"]
+            truth_topics = {topic: numbered(CLASSES_TOPIC, place) for place, topic in enumerate(labelled)}
             for number, lidar in enumerate(scene.lidars):
                 traced = _traced(pool, world, scene, number, jobs[number], settings)
-                streams.append(_clouds(writer, lidar, traced, points))
+                streams.append(_clouds(writer, lidar, truth_topics.get(lidar.topic), traced, points))
             swept = 0.0
             for log_time_ns, topic, message in merge(*streams, key=itemgetter(0)):
                 writer.write(topic, message, EPOCH_NS + log_time_ns)
@@ -204,16 +208,20 @@ def _poses(writer: DriveWriter, scene: Scene, settings: SimulationSettings, layo
 
 
 def _clouds(
-    writer: DriveWriter, lidar: Lidar, traced: Iterable[tuple[int, Sweep]], points: dict[str, int]
+    writer: DriveWriter,
+    lidar: Lidar,
+    truth_topic: str | None,
+    traced: Iterable[tuple[int, Sweep]],
+    points: dict[str, int],
 ) -> Iterator[_Timed]:
-    """A lidar's clouds, whole sweeps or packets, with their truth where it is the one that is labelled. points: counts them."""
+    """A lidar's clouds, whole sweeps or packets, with their truth where it is one that is labelled. points: counts them."""
     for due_ns, sweep in traced:
         points[lidar.topic] = points.get(lidar.topic, 0) + int(np.count_nonzero(sweep.range_m))
         parts = _packets(lidar, sweep) if lidar.points == "packets" else [(due_ns, sweep)]
         for part_due_ns, part in parts:
             yield part_due_ns, lidar.topic, writer.cloud(lidar, part, EPOCH_NS)
-            if lidar.role != "horizontal":
-                yield part_due_ns, "/truth/classes", writer.classes(lidar, part, EPOCH_NS)
+            if truth_topic is not None:
+                yield part_due_ns, truth_topic, writer.classes(lidar, part, EPOCH_NS)
 
 
 def _packets(lidar: Lidar, sweep: Sweep) -> Iterator[tuple[int, Sweep]]:

@@ -33,6 +33,15 @@ def test_every_view_has_a_name_and_an_origin_that_is_written():
         )
 
 
+def test_which_lidar_a_scan_is_from_is_told_where_there_are_several():
+    for several in (False, True):
+        origins = [str(view.origin) for view in views(run.build(several_lidars=several).root_container)]
+        assert (entities.SCAN_LIDAR in origins) == several
+    rig = {"horizontal": {"topic": "/h"}, "vertical": {"topic": "/l"}, "vertical_2": {"topic": "/r"}}
+    assert "Three lidars, two tasks." in entities.explain({"rig": rig})
+    assert "The vertical 2 one, `/r`, sweeps walls" in entities.explain({"rig": rig})
+
+
 def test_a_comparison_shows_what_was_compared_and_no_more():
     first = compare.ComparedRun("A", "A: usual", scans=True, map_points=True)
     parts = frozenset({"labels", "planes", "trajectory", "walls", "doors", "grid"})

@@ -50,7 +50,7 @@ def look_over_bag(path: Path, options: InputOptions | None = None) -> None:
 
 def _read_all(inputs: Inputs) -> None:
     with open_bag(inputs.bag_path) as bag:
-        for sensor in (inputs.horizontal, inputs.vertical):
+        for sensor in (inputs.horizontal, *inputs.verticals):
             if sensor is not None:
                 for _ in read_clouds(bag, sensor.index, 0, None, sensor.lidar.decoding):
                     pass
@@ -59,8 +59,9 @@ def _read_all(inputs: Inputs) -> None:
 def _read_rest(path: Path) -> None:
     with open_bag(path) as bag:
         truth = read_truth(bag)
-        for _ in (truth.classes or ()) if truth is not None else ():
-            pass
+        for classes in truth.classes if truth is not None else ():
+            for _ in classes:
+                pass
         for topic in bag.topics:
             with suppress(InputError):
                 read_pose_topic(bag, topic, "v")

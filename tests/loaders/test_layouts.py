@@ -52,7 +52,7 @@ def test_a_rig_is_chosen_for_its_own_layout_and_told(name: str, bags: dict[str, 
         assert rig.mounts_from == f"the built-in rig {name}"
         assert any(RIGS[name].description in warning for warning in rig.warnings)
         assert rig.base_frame == RIGS[name].base
-        found = {lidar.topic: lidar for lidar in (rig.horizontal, rig.vertical) if lidar is not None}
+        found = {lidar.topic: lidar for lidar in (rig.horizontal, *rig.verticals) if lidar is not None}
         assert found.keys() == {lidar.topic for lidar in RIGS[name].lidars}
         for entry in RIGS[name].lidars:
             assert found[entry.topic or ""].frame_id == entry.frame
@@ -153,10 +153,10 @@ def test_points_topics_and_truth_are_those_of_the_layout(name: str, bags: dict[s
         assert lidar is not None
         assert lidar.decoding.timed
         assert lidar.ring_count == LAYOUTS[name].model.rings
-        assert found.classes is not None
+        (of_lidar,) = found.classes
         scans = [scan for _, scan in read_scans(bag, index_clouds(bag, lidar.topic), 0, None, lidar.decoding)]
         for scan in scans[:-1]:
-            classes = found.classes.at(scan.stamp_ns, scan.cloud_size)  # type: ignore[union-attr]
+            classes = of_lidar.at(scan.stamp_ns, scan.cloud_size)  # type: ignore[union-attr]
             assert classes is not None
             assert len(classes) == scan.cloud_size  # type: ignore[union-attr]
             assert classes[scan.cloud_index].max() <= 10  # type: ignore[union-attr]

@@ -59,7 +59,7 @@ def test_points_times_and_lines_are_recovered(tmp_path: Path, name: str, driver:
     version = 1 if name.endswith(".bag") else 2
     entries = [("/livox/lidar", START_NS + (i + 1) * PERIOD_NS, message(i, driver, version, frame)) for i in range(3)]
     with open_bag(write_bag(tmp_path / name, entries)) as bag:
-        rig = find_rig(bag, vertical="/livox/lidar")
+        rig = find_rig(bag, verticals=["/livox/lidar"])
         lidar = rig.vertical
         assert lidar is not None
         assert (lidar.frame_id, lidar.ring_count) == (frame, LINES)

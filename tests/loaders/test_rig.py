@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.errors import InputError
-from ffmap.loaders.rig import find_rig
+from ffmap.loaders.rig import MountCorrection, find_rig
 from ffmap.loaders.rig_file import read_rig_file
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, clouds, odometry, only, sweep, tf_message, write_bag
 
@@ -59,15 +59,15 @@ def test_roles_by_the_spin_axis_not_by_name(tmp_path, name):
 
 def test_roles_may_be_overridden(tmp_path):
     path = write_bag(tmp_path / "a.bag", two_lidars(MARS))
-    rig = rig_of(path, horizontal="h/points", vertical="/v/points")
+    rig = rig_of(path, horizontal="h/points", verticals=["/v/points"])
     assert (rig.horizontal.topic, rig.vertical.topic) == ("/h/points", "/v/points")
     assert rig.horizontal.reasons == "--horizontal names it"
-    rig = rig_of(path, vertical="/v/points")
+    rig = rig_of(path, verticals=["/v/points"])
     assert (rig.horizontal.topic, rig.vertical.topic) == ("/h/points", "/v/points")
-    rig = rig_of(path, horizontal="/v/points", vertical="/v/points")
+    rig = rig_of(path, horizontal="/v/points", verticals=["/v/points"])
     assert rig.horizontal.topic == rig.vertical.topic == "/v/points"
     assert "--vertical /nothing is no topic with clouds; the bag's clouds are on: /h/points, /v/points" in error_of(
-        path, vertical="/nothing"
+        path, verticals=["/nothing"]
     )
 
 
@@ -123,7 +123,7 @@ def test_one_lidar_alone_needs_no_transforms(tmp_path):
     np.testing.assert_array_equal(rig.horizontal.T_base_sensor, np.eye(4))
     assert "nothing to label" in rig.warnings[0]
     assert "opens to 30 deg" in rig.warnings[0]
-    rig = rig_of(path, vertical="/points")
+    rig = rig_of(path, verticals=["/points"])
     assert rig.horizontal.topic == rig.vertical.topic == "/points"
     assert rig.vertical.line_pairs == rig.vertical.column_pairs > 0
     assert any("stands upright and opens to 30 deg" in w for w in rig.warnings)
@@ -164,6 +164,73 @@ def test_of_two_upright_lidars_the_one_that_opens_wide_is_labelled(tmp_path):
     entries += clouds("/h/points", 4, "/horizontal_velodyne", late_ns=PERIOD_NS // 3, elevations_deg=WIDE)
     rig = rig_of(write_bag(tmp_path / "a.bag", sorted(entries, key=lambda entry: entry[1])))
     assert rig.vertical.topic == "/h/points"
+
+
+def three_lidars(left, right, **options):
+    """An upright lidar that opens to 30 degrees, and two more, their quaternions given."""
+    edges = [MARS[0], ("base_link", "left", [0, 0.2, 0.5], left), ("base_link", "right", [0, -0.2, 0.5], right)]
+    entries = [
+        *clouds("/v/points", 4, "vertical_velodyne"),
+        *clouds("/right/points", 4, "right", late_ns=PERIOD_NS // 4, **options),
+        *clouds("/left/points", 4, "left", late_ns=PERIOD_NS // 3, **options),
+        ("/tf_static", START_NS, tf_message(edges, 1)),
+    ]
+    return sorted(entries, key=lambda entry: entry[1])
+
+
+def topics(rig):
+    return rig.horizontal.topic, [lidar.topic for lidar in rig.verticals]
+
+
+def test_all_lidars_that_lie_are_labelled(tmp_path):
+    tilted = (Rotation.from_quat(LYING) * Rotation.from_euler("x", 7, degrees=True)).as_quat()
+    path = write_bag(tmp_path / "a.bag", three_lidars(tilted, LYING))
+    rig = rig_of(path)
+    assert topics(rig) == ("/v/points", ["/right/points", "/left/points"])
+    assert rig.vertical is rig.verticals[0]
+    assert [lidar.column_pairs for lidar in rig.verticals] == [0, 0]
+    assert "level (0.0 deg off)" in rig.verticals[0].reasons
+    assert "7.0 deg off level" in rig.verticals[1].reasons
+    assert not rig.warnings
+    assert topics(rig_of(path, verticals=["/left/points"])) == ("/v/points", ["/left/points"])
+    named = rig_of(path, verticals=["left/points", "/right/points", "/left/points"])
+    assert topics(named) == ("/v/points", ["/left/points", "/right/points"])
+    moved = rig.with_mount(MountCorrection("/left/points", tuple(map(tuple, np.diag([1.0, -1.0, -1.0, 1.0]))), 5))
+    np.testing.assert_array_equal(moved.verticals[0].T_base_sensor, rig.verticals[0].T_base_sensor)
+    assert (moved.verticals[0].decoding.clock_ns, moved.verticals[1].decoding.clock_ns) == (0, 5)
+    np.testing.assert_array_equal(moved.tree.between("base_link", "left"), np.diag([1.0, -1.0, -1.0, 1.0]))
+
+
+def test_of_upright_lidars_all_that_open_wide_are_labelled_that_of_the_poses_too(tmp_path):
+    path = write_bag(tmp_path / "a.bag", three_lidars(UPRIGHT, UPRIGHT, elevations_deg=WIDE))
+    rig = rig_of(path)
+    horizontal, verticals = topics(rig)
+    assert horizontal in verticals
+    assert sorted(verticals) == ["/left/points", "/right/points"]
+    assert all(lidar.column_pairs for lidar in rig.verticals)
+    asked = rig_of(path, verticals=["/right/points", "/left/points"])
+    assert topics(asked) == ("/v/points", ["/right/points", "/left/points"])
+
+
+def test_one_that_lies_and_one_that_opens_wide_are_labelled_both(tmp_path):
+    wide = three_lidars(LYING, UPRIGHT, elevations_deg=WIDE)
+    rig = rig_of(write_bag(tmp_path / "a.bag", wide))
+    assert topics(rig) == ("/right/points", ["/left/points", "/right/points"])
+    assert [lidar.column_pairs > 0 for lidar in rig.verticals] == [False, True]
+
+
+def test_a_rig_file_with_several_vertical_lidars(tmp_path):
+    path = write_bag(tmp_path / "a.bag", three_lidars(LYING, UPRIGHT))
+    file = tmp_path / "rig.toml"
+    entry = '[[lidar]]\ntopic = "{}"\nrole = "{}"\n'
+    named = {"/v/points": "both", "/left/points": "vertical", "/right/points": "vertical"}
+    file.write_text("".join(entry.format(topic, role) for topic, role in named.items()))
+    assert topics(rig_of(path, rig_file=file)) == ("/v/points", list(named))
+    file.write_text("".join(entry.format(*item) for item in {**named, "/v/points": "horizontal"}.items()))
+    rig = rig_of(path, rig_file=file)
+    assert topics(rig) == ("/v/points", ["/left/points", "/right/points"])
+    # The right one stands upright and opens to 30 degrees.
+    assert [w.split(":")[0] for w in rig.warnings] == ["/right/points"]
 
 
 def test_copies_and_cameras_are_passed_over(tmp_path):
@@ -244,6 +311,7 @@ def test_a_rig_file_may_leave_places_to_the_bag(tmp_path):
         ('[[lidar]]\ntopic = "/v/points"\nquaternion_xyzw = [0, 0, 0, 3]\n', "length 1"),
         ('[[lidar]]\ntopic = "/v/points"\nquaternion_xyzw = [0, 0, 0, 1]\nrpy_deg = [0, 0, 0]\n', "not both"),
         ('[[lidar]]\ntopic = "/v/points"\nrole = "up"\n', "role 'up'"),
+        ('[[lidar]]\ntopic = "/v/points"\nrole = ["both"]\n', "role ['both']"),
         ("[[lidar]]\ntopic = 5\n", "topic must be a name"),
         ('[[lidar]]\ntopic = "/x"\ntranslation = [0, 0, 0]\n', "topic /x has no clouds in the bag"),
         (

@@ -98,6 +98,28 @@ def test_a_bag_can_be_read_back(container: str, path: str, tmp_path: Path) -> No
     assert {"wall", "door", "room"} <= kinds
 
 
+@pytest.mark.parametrize(
+    ("lidars", "labelled"),
+    [("three", ["left_velodyne", "right_velodyne"]), ("upright", ["front_velodyne", "rear_velodyne"])],
+)
+def test_each_lidar_that_is_labelled_has_its_truth(lidars: str, labelled: list[str], tmp_path: Path) -> None:
+    values = {"building": "small", "seed": 1, "sensor": "vlp16", "lidars": lidars, "duration_s": 0.5}
+    simulate(tmp_path / "drive.bag", SimulationSettings.model_validate(values))
+    with AnyReader([tmp_path / "drive.bag"]) as reader:
+        read: dict[str, list] = {}
+        for connection, _, raw in reader.messages():
+            read.setdefault(connection.topic, []).append(reader.deserialize(raw, connection.msgtype))
+    assert {topic for topic in read if topic.startswith("/truth/classes")} == {"/truth/classes", "/truth/classes_2"}
+    for topic, frame in zip(("/truth/classes", "/truth/classes_2"), labelled, strict=True):
+        for classes, cloud in zip(read[topic], read[f"/{frame}/velodyne_points"], strict=True):
+            assert classes.header == cloud.header
+            assert classes.header.frame_id == frame
+            assert classes.width == cloud.width
+    # No two lidars err alike.
+    first, second = (read[f"/{frame}/velodyne_points"][0] for frame in labelled)
+    assert first.data.tobytes() != second.data.tobytes()
+
+
 def test_ouster_clouds_are_organised_with_zeros(tmp_path: Path) -> None:
     settings = SimulationSettings(building="small", sensor="os1-16", duration_s=0.4, dropout=0.1)
     simulate(tmp_path / "drive.bag", settings)

@@ -34,12 +34,14 @@ def test_truth(tmp_path):
         truth = read_truth(bag)
         assert truth.trajectory.T_map_base[:, 0, 3].tolist() == [0, 1, 2, 3, 4]
         assert truth.building == json.loads('{"type": "FeatureCollection", "features": []}')
-        assert len(truth.classes) == 5
-        for i, (stamp, found) in enumerate(truth.classes):
+        (of_lidar,) = truth.classes
+        assert len(of_lidar) == 5
+        assert truth.classes_topics(["lidar", "another"]) == ["/truth/classes", None]
+        for i, (stamp, found) in enumerate(of_lidar):
             assert stamp == START_NS + i * PERIOD_NS
             np.testing.assert_array_equal(found, classes(i)["truth"])
-            np.testing.assert_array_equal(truth.classes.at(stamp), found)
-        assert truth.classes.at(START_NS + 1) is None
+            np.testing.assert_array_equal(of_lidar.at(stamp), found)
+        assert of_lidar.at(START_NS + 1) is None
 
 
 def test_no_truth_and_truth_in_part(tmp_path):
@@ -48,7 +50,7 @@ def test_no_truth_and_truth_in_part(tmp_path):
     with open_bag(write_bag(tmp_path / "b.bag", [("/truth/pose", START_NS, odometry(START_NS, [0, 0, 0]))])) as bag:
         truth = read_truth(bag)
         assert len(truth.trajectory) == 1
-        assert truth.classes is truth.building is None
+        assert (truth.classes, truth.building) == ((), None)
 
 
 @pytest.mark.parametrize("building", ["{", "[]", '{"type": "Point"}'])
@@ -62,4 +64,4 @@ def test_classes_without_the_field(tmp_path):
     with open_bag(truth_bag(tmp_path / "a.bag", field=field)) as bag:
         truth = read_truth(bag)
         with pytest.raises(CloudError, match="no field truth among label"):
-            truth.classes.at(START_NS)
+            truth.classes[0].at(START_NS)

@@ -129,9 +129,9 @@ def make_run(folder: Path, bag_path: Path, classes: list[np.ndarray]) -> Path:
         START_NS + PERIOD_NS * np.arange(SCANS),
         np.array([transforms.from_yaw(0.0, [SPEED_MPS * 0.1 * i, 0.02, 0.0]) for i in range(SCANS)]),
     )
-    rig = Rig("base", None, None, (StaticTransform("base", "lidar", T_BASE_LIDAR),), ())
+    rig = Rig("base", None, (), (StaticTransform("base", "lidar", T_BASE_LIDAR),), ())
     with open_bag(bag_path) as bag:
-        write_labelled_bag(folder, bag, index_clouds(bag, "/vertical"), rig, poses, labels)
+        write_labelled_bag(folder, [bag], [index_clouds(bag, "/vertical")], rig, poses, labels)
     write_tum(folder / "trajectory.tum", poses)
     found = {"state": "open", "width": 0.95, "height": 2.0, "confidence": 1.0, "rooms": None}
     lines = [[[1.05, 2.0], [1.95, 2.0]], [[-5.0, 0.0], [-5.0, 1.0]]]

@@ -22,7 +22,7 @@ from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, sweep, write_b
 
 CONTAINERS = ["in.bag", "in_mcap", "in_sqlite3"]
 T_BASE_LIDAR = transforms.from_yaw(0.5, [0.1, 0.2, 0.3])
-RIG = Rig("base", None, None, (StaticTransform("base", "lidar", T_BASE_LIDAR),), ())
+RIG = Rig("base", None, (), (StaticTransform("base", "lidar", T_BASE_LIDAR),), ())
 
 
 def make_bag(path: Path, count: int = 4, **cloud_options: Any) -> Path:
@@ -59,7 +59,7 @@ class TestLabelledBag:
         labels = [(i, *generator.integers(0, 6, (2, 1440)).astype(np.uint8)) for i in (0, 1, 3)]
         with open_bag(path) as bag:
             index = index_clouds(bag, "/vertical")
-            written = write_labelled_bag(tmp_path, bag, index, RIG, drive(), iter(labels))
+            written = write_labelled_bag(tmp_path, [bag], [index], RIG, drive(), iter(labels))
         assert written.name == ("labelled.bag" if name == "in.bag" else "labelled")
         assert not list(tmp_path.glob("*.part"))
         if name != "in.bag":
@@ -82,20 +82,44 @@ class TestLabelledBag:
             np.testing.assert_array_equal(points[:, 23], label_scan)
 
     @pytest.mark.parametrize("name", CONTAINERS)
+    def test_two_lidars_that_fire_together_have_a_topic_each_and_one_pose(self, tmp_path: Path, name: str):
+        version = 1 if name == "in.bag" else 2
+        entries = []
+        for i in range(3):
+            stamp_ns = START_NS + i * PERIOD_NS
+            for place, topic in enumerate(("/b", "/a")):
+                message = cloud(sweep(seed=10 * place + i), stamp_ns, ros_version=version)
+                entries.append((topic, stamp_ns + 5 + place, message))
+        path = write_bag(tmp_path / name, entries)
+        # Of equal stamps the name decides: even numbers are of /a.
+        labels = [(scan, np.full(1440, scan, np.uint8), np.full(1440, 3, np.uint8)) for scan in range(6)]
+        with open_bag(path) as first, open_bag(path) as second:
+            indices = [index_clouds(first, "/b"), index_clouds(first, "/a")]
+            written = write_labelled_bag(tmp_path, [first, second], indices, RIG, drive(3), iter(labels))
+        messages = read_all(written)
+        for topic, expected in (("/a", [0, 2, 4]), ("/b", [1, 3, 5])):
+            own = [points_of(m) for name, _, m in messages if name == topic]
+            assert [set(points[:, 22].tolist()) for points in own] == [{scan} for scan in expected]
+            before = [points_of(m) for name, _, m in read_all(path) if name == topic]
+            for points, old in zip(own, before, strict=True):
+                np.testing.assert_array_equal(points[:, :22], old)
+        assert len([m for topic, _, m in messages if topic == "/tf"]) == 3
+
+    @pytest.mark.parametrize("name", CONTAINERS)
     def test_clouds_that_changed_since_they_were_labelled_are_refused(self, tmp_path: Path, name: str):
         with open_bag(make_bag(tmp_path / name)) as bag:
             index = index_clouds(bag, "/vertical")
-            labelled = joined(read_digests(bag, index)).hex()
-            write_labelled_bag(tmp_path, bag, index, RIG, drive(), [], labelled).rename(tmp_path / "kept")
+            labelled = {index.topic: joined(read_digests(bag, index)).hex()}
+            write_labelled_bag(tmp_path, [bag], [index], RIG, drive(), [], labelled).rename(tmp_path / "kept")
             before = sorted(p.name for p in tmp_path.iterdir())
             with pytest.raises(InputError, match="changed while the run was reading it"):
-                write_labelled_bag(tmp_path, bag, index, RIG, drive(), [], labelled[::-1])
+                write_labelled_bag(tmp_path, [bag], [index], RIG, drive(), [], {index.topic: labelled[index.topic][::-1]})
         assert sorted(p.name for p in tmp_path.iterdir()) == before
 
     @pytest.mark.parametrize("name", CONTAINERS)
     def test_transforms(self, tmp_path: Path, name: str):
         with open_bag(make_bag(tmp_path / name)) as bag:
-            written = write_labelled_bag(tmp_path, bag, index_clouds(bag, "/vertical"), RIG, drive(), [])
+            written = write_labelled_bag(tmp_path, [bag], [index_clouds(bag, "/vertical")], RIG, drive(), [])
         messages = read_all(written)
         (static,) = [m for topic, _, m in messages if topic == "/tf_static"]
         mount = static.transforms[0]
@@ -116,7 +140,7 @@ class TestLabelledBag:
         label = np.arange(1440).astype(np.uint8) % 6
         with open_bag(path) as bag:
             index = index_clouds(bag, "/vertical")
-            written = write_labelled_bag(tmp_path, bag, index, RIG, drive(1), [(0, label, label)])
+            written = write_labelled_bag(tmp_path, [bag], [index], RIG, drive(1), [(0, label, label)])
         (new,) = [m for topic, _, m in read_all(written) if topic == "/vertical"]
         assert (new.height, new.width, new.row_step) == (90, 16, 16 * 24)
         np.testing.assert_array_equal(points_of(new)[:, 22], label)
@@ -131,7 +155,7 @@ class TestLabelledBag:
             ("/vertical", START_NS + 2, cloud(sweep(), START_NS - PERIOD_NS)),
         ]
         with open_bag(write_bag(tmp_path / "in.bag", entries)) as bag:
-            written = write_labelled_bag(tmp_path, bag, index_clouds(bag, "/vertical"), RIG, drive(), [])
+            written = write_labelled_bag(tmp_path, [bag], [index_clouds(bag, "/vertical")], RIG, drive(), [])
         messages = read_all(written)
         clouds = [m for topic, _, m in messages if topic == "/vertical"]
         assert [m.point_step for m in clouds] == [24, 22, 24]
@@ -141,17 +165,17 @@ class TestLabelledBag:
     def test_what_was_there_stays_until_the_new_one_is_complete(self, tmp_path: Path, name: str):
         bag = open_bag(make_bag(tmp_path / name))
         index = index_clouds(bag, "/vertical")
-        written = write_labelled_bag(tmp_path, bag, index, RIG, drive(), [])
+        written = write_labelled_bag(tmp_path, [bag], [index], RIG, drive(), [])
 
         def failing():
             yield 0, np.zeros(1440, np.uint8), np.zeros(1440, np.uint8)
             raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            write_labelled_bag(tmp_path, bag, index, RIG, drive(), failing())
+            write_labelled_bag(tmp_path, [bag], [index], RIG, drive(), failing())
         assert not list(tmp_path.glob("*.part"))
         assert len(read_all(written)) == 9
-        write_labelled_bag(tmp_path, bag, index, RIG, drive(), [(0, np.ones(1440, np.uint8), np.ones(1440, np.uint8))])
+        write_labelled_bag(tmp_path, [bag], [index], RIG, drive(), [(0, np.ones(1440, np.uint8), np.ones(1440, np.uint8))])
         assert points_of(read_all(written)[2][2])[0, 22] == 1
 
     @pytest.mark.parametrize("name", CONTAINERS)
@@ -162,7 +186,7 @@ class TestLabelledBag:
             (tmp_path / "labelled.part" / "labelled").mkdir(parents=True)
             (tmp_path / "labelled.part" / "labelled" / "metadata.yaml").write_text("half")
         with open_bag(make_bag(tmp_path / name)) as bag:
-            written = write_labelled_bag(tmp_path, bag, index_clouds(bag, "/vertical"), RIG, drive(), [])
+            written = write_labelled_bag(tmp_path, [bag], [index_clouds(bag, "/vertical")], RIG, drive(), [])
         assert len(read_all(written)) == 9
         assert not list(tmp_path.glob("*.part"))
 
@@ -171,4 +195,4 @@ class TestLabelledBag:
         with open_bag(make_bag(tmp_path / "in.bag")) as bag:
             index = index_clouds(bag, "/vertical")
             with pytest.raises(ValueError, match="out of order"):
-                write_labelled_bag(tmp_path, bag, index, RIG, drive(), [(1, label, label), (0, label, label)])
+                write_labelled_bag(tmp_path, [bag], [index], RIG, drive(), [(1, label, label), (0, label, label)])

@@ -5,11 +5,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from ffmap.app.analysis.comparison import figures
 from ffmap.app.analysis.evaluation import read_doors
-from ffmap.app.folder.finished_run import open_run
+from ffmap.app.folder.finished_run import FinishedRun, open_run
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.geojson import read_features
 
@@ -22,6 +23,8 @@ from ffmap.loaders.geojson import read_features
         ({"options": {"rig": [1]}}, "options.rig"),
         ({"options": {"time_from": "never"}}, "options.time_from"),
         ({"rig": {"vertical": "x"}}, "rig.vertical"),
+        ({"rig": {"vertical_2": {"frame": "x"}}}, "rig.vertical_2.topic"),
+        ({"mounts": {"/a": {"clock_ns": "x"}}}, "mounts./a.clock_ns"),
         ({"timings_s": {"total": "long"}}, "timings_s.total"),
         ({"statistics": {"points": 3}}, "statistics.points"),
         ({"counts": None, "settings": [3]}, "settings"),
@@ -32,6 +35,28 @@ def test_a_value_of_another_kind_in_run_json(record: dict[str, Any], name: str, 
     (tmp_path / "run.json").write_text(json.dumps(record))
     with pytest.raises(InputError, match=rf"run\.json: {name}: "):
         open_run(tmp_path)
+
+
+def test_what_was_labelled_and_where_it_sits_is_told_of_one_lidar_and_of_several(tmp_path: Path) -> None:
+    def found(**record: Any) -> FinishedRun:
+        (tmp_path / "run.json").write_text(json.dumps(record))
+        return open_run(tmp_path)
+
+    mount = {"used": "refined", "T_base_sensor": np.eye(4).tolist(), "clock_ns": 7}
+    rig = {role: {"topic": f"/{role}"} for role in ("horizontal", "vertical")}
+    one = found(rig=rig, mount=mount, options={"vertical": "/vertical"})
+    assert one.topics == one.input_options.vertical == ("/vertical",)
+    assert [(m.topic, m.clock_ns) for m in one.input_options.mounts] == [("/vertical", 7)]
+    # The lidar of the poses is labelled too: the mount that was looked into is the other's.
+    rig = {"horizontal": {"topic": "/a"}, "vertical": {"topic": "/a"}, "vertical_2": {"topic": "/b"}}
+    upright = found(rig=rig, mount=mount, options={"vertical": None})
+    assert (upright.topics, upright.input_options.vertical) == (("/a", "/b"), ())
+    assert [m.topic for m in upright.input_options.mounts] == ["/b"]
+    rig["horizontal"] = {"topic": "/c"}
+    several = found(rig=rig, mounts={"/a": {"used": "as given"}, "/b": mount}, options={"vertical": ["/b", "/a"]})
+    assert several.input_options.vertical == ("/b", "/a")
+    assert [m.topic for m in several.input_options.mounts] == ["/b"]
+    assert found().topics == found(rig={"vertical": None}).topics == ()
 
 
 def test_a_record_of_another_version_may_hold_more_and_less(tmp_path: Path) -> None:

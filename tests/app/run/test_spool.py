@@ -12,6 +12,7 @@ from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.maps.rivals import RivalMapsSettings, RivalReturns
 from ffmap.algorithms.scan.floor import heights_above_pieces
 from ffmap.algorithms.scan.labelling import ScanLabelling
+from ffmap.algorithms.scan.summary import ray_rows
 from ffmap.app.run import spool
 from ffmap.app.run.spool import SpooledScan
 from tests.corridor import labelled
@@ -22,7 +23,9 @@ SCAN, PLACED, _, LABELLING = labelled()
 def kept(tmp_path: Path, scan: Scan, placed: PlacedScan, labelling: ScanLabelling) -> SpooledScan:
     """The second of two scans, written and read back."""
     rivals = RivalReturns.of(placed.points_level, labelling, RivalMapsSettings())
-    scans = [SpooledScan.of(index, scan, placed, labelling, rivals) for index in (6, 7)]
+    scans = [
+        SpooledScan.of(index, scan, placed, labelling, rivals, ray_rows(index, labelling)) for index in (6, 7)
+    ]
     spool.save(tmp_path / "block.arrow", spool.pack_scans(scans))
     found = spool.load_scans(tmp_path / "block.arrow")
     assert [one.scan for one in found] == [6, 7]

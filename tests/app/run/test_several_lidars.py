@@ -1,0 +1,203 @@
+"""Bags of three lidars and of two upright ones, from end to end: all that sweep walls are labelled, as if each were alone."""
+
+import json
+import os
+import signal
+import subprocess
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import UInt8Array
+from ffmap.app.analysis.evaluation import evaluate_run
+from ffmap.app.folder.finished_run import mount_corrections, open_run
+from ffmap.app.record.read_back import readable, rows
+from ffmap.app.run import spool
+from ffmap.app.run.blocks import LabelJob, label_block, split_blocks
+from ffmap.app.run.mount_check import check_mounts
+from ffmap.app.setup.inputs import InputOptions, find_inputs
+from ffmap.app.setup.settings import Settings, load_settings
+from ffmap.blueprints import entities
+from ffmap.loaders.bag import open_bag
+from ffmap.loaders.rig import MountCorrection
+from ffmap.loaders.simulator import SimulationSettings, simulate
+from ffmap.loaders.trajectory_file import read_tum
+from ffmap.loaders.truth import read_truth
+from tests.program import FFMAP, ffmap, with_cache
+
+LEFT, RIGHT, UPRIGHT = (f"/{place}_velodyne/velodyne_points" for place in ("left", "right", "horizontal"))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive with three lidars, and a run of it: all outputs, two workers."""
+    path = tmp_path_factory.mktemp("three")
+    settings = SimulationSettings(
+        building="small", seed=3, duration_s=3.0, sensor="vlp16", lidars="three", format="mcap"
+    )
+    simulate(path / "drive", settings)
+    outputs = "recording,labelled,labels,maps,geojson"
+    done = ffmap(with_cache(path / "cache"), "run", path / "drive", "--out", path / "run", "--outputs", outputs)
+    assert done.returncode == 0, done.stderr
+    return path
+
+
+def record_of(run: Path) -> dict[str, object]:
+    record: dict[str, object] = json.loads((run / "run.json").read_text())
+    return record
+
+
+def clouds_of(bag: Path) -> Counter[str]:
+    with open_bag(bag) as opened:
+        return Counter({name: topic.count for name, topic in opened.topics.items() if topic.count})
+
+
+def test_all_that_lie_are_labelled_and_vote_together(folder: Path) -> None:
+    record = record_of(folder / "run")
+    rig, counts = record["rig"], record["counts"]
+    assert isinstance(rig, dict)
+    assert isinstance(counts, dict)
+    assert {role: lidar["topic"] for role, lidar in rig.items()} == {
+        "horizontal": UPRIGHT,
+        **dict(zip(("vertical", "vertical_2"), open_run(folder / "run").topics, strict=True)),
+    }
+    assert set(open_run(folder / "run").topics) == {LEFT, RIGHT}
+    driven = clouds_of(folder / "drive")
+    assert counts["clouds"] == driven[LEFT] + driven[RIGHT]
+    assert counts["scans"] == sum(counts["scans_by_topic"].values()) > 0.9 * counts["clouds"]
+    labelled = clouds_of(folder / "run" / "labelled")
+    assert (labelled[LEFT], labelled[RIGHT]) == (driven[LEFT], driven[RIGHT])
+    assert len(read_tum(folder / "run" / "trajectory.tum")) == counts["scans"]
+    metrics = json.loads((folder / "run" / "metrics.json").read_text())
+    assert metrics["scans"] == {"counted": counts["scans"], "skipped": 0, "without_truth": counts["clouds"] - counts["scans"]}
+    for label, least in (("wall", 0.97), ("floor", 0.98), ("ceiling", 0.98)):
+        assert metrics["area"][label]["f1"] > least, label
+
+
+def test_the_recording_tells_which_lidar_each_scan_is_from(folder: Path) -> None:
+    inputs = find_inputs(folder / "drive", InputOptions())
+    topics = open_run(folder / "run").topics
+    with readable(folder / "run" / "recording.rrd") as recording:
+        said = {row.scan: row.values for row in rows(recording.path, entities.SCAN_LIDAR, entities.LIDAR_PLACE)}
+        drawn = {row.scan for row in rows(recording.path, entities.POINTS, entities.POINT_LABEL_SCAN)}
+    assert said.keys() == drawn
+    for scan, values in said.items():
+        place = int(inputs.scans.lidar[scan])
+        assert int(values[entities.LIDAR_PLACE][0]) == place
+        assert topics[place] in str(values["text"][0])
+    assert {int(values[entities.LIDAR_PLACE][0]) for values in said.values()} == {0, 1}
+
+
+def labels_of(inputs_of: InputOptions, folder: Path, name: str) -> dict[tuple[str, int], UInt8Array]:
+    """The scans' own labels by topic and stamp, at the true poses."""
+    inputs, settings = find_inputs(folder / "drive", inputs_of), Settings()
+    with open_bag(inputs.bag_path) as bag:
+        truth = read_truth(bag)
+    assert truth is not None
+    assert truth.trajectory is not None
+    found: dict[tuple[str, int], UInt8Array] = {}
+    for block in split_blocks(len(inputs.scans)):
+        path = folder / f"{name}-{block.number}"
+        label_block(LabelJob(block, inputs, truth.trajectory, 0.0, np.zeros(2), settings, "", None, path))
+        for scan in spool.load_scans(path.with_suffix(".arrow")):
+            topic = inputs.verticals[inputs.scans.lidar[scan.scan]].lidar.topic
+            found[topic, scan.stamp_ns] = np.r_[scan.label_cloud, scan.ray.view(np.uint8)]
+    return found
+
+
+def test_a_lidars_scans_are_labelled_as_if_it_were_alone(folder: Path) -> None:
+    together = labels_of(InputOptions(), folder, "together")
+    assert {topic for topic, _ in together} == {LEFT, RIGHT}
+    for topic in (LEFT, RIGHT):
+        alone = labels_of(InputOptions(vertical=(topic,)), folder, topic.split("_")[0][1:])
+        of_topic = {key: labels for key, labels in together.items() if key[0] == topic}
+        assert alone.keys() == of_topic.keys()
+        assert len(alone) > 20
+        for key, labels in alone.items():
+            np.testing.assert_array_equal(of_topic[key], labels)
+
+
+def test_killed_and_resumed_with_one_worker_it_has_the_same_labels(folder: Path) -> None:
+    out, environment = folder / "killed", with_cache(folder / "cache")
+    words = [*FFMAP, "run", str(folder / "drive"), "--out", str(out), "--workers", "1", "--outputs", "labels"]
+    process = subprocess.Popen(
+        [*words, "--no-evaluate"],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    end = time.monotonic() + 120
+    while not list(out.glob("spool/*.arrow")) and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert record_of(out)["outcome"] == "running"
+    done = ffmap(environment, "run", "--resume", out)
+    assert done.returncode == 0, done.stderr
+    for what in ("labels_digest", "bag"):
+        assert record_of(out)[what] == record_of(folder / "run")[what]
+    # From labels.parquet as from the labelled bag.
+    evaluate_run(open_run(out), None, 1)
+    whole, resumed = (json.loads((run / "metrics.json").read_text()) for run in (folder / "run", out))
+    for what in ("area", "area_scan", "points", "scans"):
+        assert resumed[what] == whole[what]
+    compared = ffmap(environment, "compare", folder / "run", out, "--out", folder / "same")
+    assert compared.returncode == 0, compared.stderr
+    (found,) = json.loads((folder / "same" / "comparison.json").read_text())["comparisons"]
+    assert (found["labels"]["changed"], found["labels"]["changed_label_scan"]) == (0, 0)
+    assert len(found["labels"]["scans"]) == len(read_tum(out / "trajectory.tum"))
+
+
+def test_a_scan_is_labelled_again_bit_for_bit(folder: Path) -> None:
+    inputs = find_inputs(folder / "drive", InputOptions())
+    # The last but one of the second lidar.
+    scan = int(np.flatnonzero(inputs.scans.lidar == 1)[-2])
+    done = ffmap(
+        with_cache(folder / "cache"), "inspect", folder / "run", "--scan", scan, "--out", folder / "scan.rrd"
+    )
+    assert done.returncode == 0, done.stderr
+    topic = inputs.verticals[inputs.scans.lidar[scan]].lidar.topic
+    assert f"Scan {scan} is cloud {inputs.scans.cloud[scan]} of {topic}." in done.stdout
+    assert "labels equal label_scan in labelled." in done.stdout
+
+
+def test_only_the_mount_that_is_off_is_refined(folder: Path) -> None:
+    settings = load_settings(None, [])
+    inputs = find_inputs(folder / "drive", InputOptions())
+    with open_bag(inputs.bag_path) as bag:
+        truth = read_truth(bag)
+    assert truth is not None
+    assert truth.trajectory is not None
+    (left,) = (sensor.lidar for sensor in inputs.verticals if sensor.lidar.topic == LEFT)
+    T_off = left.T_base_sensor @ transforms.from_twist(np.array([0.0, 0.02, 0.03, 0.05, 0.0, 0.04]))
+    off = inputs.with_mounts([MountCorrection(LEFT, tuple(map(tuple, T_off.tolist())), 0)])
+    mounts = {mount.topic: mount for mount in check_mounts(off, truth.trajectory, settings)}
+    assert {topic: mount.is_off for topic, mount in mounts.items()} == {LEFT: True, RIGHT: False}
+    assert f"the vertical lidar {LEFT} sits" in mounts[LEFT].warning
+    record = {
+        "rig": {role: {"topic": sensor.lidar.topic} for role, sensor in inputs.by_role.items()},
+        "mounts": {topic: mount.record for topic, mount in mounts.items()},
+    }
+    (correction,) = mount_corrections(record)
+    assert correction.topic == LEFT
+    np.testing.assert_allclose(correction.T_base_sensor, mounts[LEFT].found.T_base_sensor)
+
+
+def test_two_upright_lidars_that_open_wide_are_labelled_both(tmp_path: Path) -> None:
+    settings = SimulationSettings(building="small", seed=3, duration_s=1.0, sensor="os0-128", lidars="upright")
+    simulate(tmp_path / "drive.bag", settings)
+    poses = ("--trajectory", "/truth/pose", "--outputs", "labels,maps")
+    done = ffmap(with_cache(tmp_path / "cache"), "run", tmp_path / "drive.bag", "--out", tmp_path / "run", *poses)
+    assert done.returncode == 0, done.stderr
+    driven = clouds_of(tmp_path / "drive.bag")
+    topics = ["/front_ouster/points", "/rear_ouster/points"]
+    assert [driven["/truth/classes"], driven["/truth/classes_2"]] == [driven[topic] for topic in topics]
+    assert sorted(open_run(tmp_path / "run").topics) == topics
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert metrics["scans"]["without_truth"] == 0
+    assert metrics["area"]["wall"]["f1"] > 0.95
