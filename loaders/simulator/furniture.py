@@ -1,6 +1,6 @@
 """What stands, hangs and lies in the rooms, kept clear of the robot's path, of doors and of each other."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -194,27 +194,36 @@ def furnish(
 
     path: what must stay clear, in the plan.
     """
+    keep = keep_clear(plan, path)
+    taken = []
+    for room in plan.rooms:
+        taken += fill_room(room, plan, keep, clutter, mesh, rng)
+        _hang_lamps(room, mesh, rng)
+        _hang_duct(room, clutter, mesh, rng)
+    return shapely.union_all(taken)
+
+
+def keep_clear(plan: Plan, path: BaseGeometry) -> BaseGeometry:
+    """Where nothing may stand: on the path, before doors and at what is built."""
     doorways = [door.spot.rectangle(-d, d, door.depth[0] - 0.95, door.depth[1] + 0.3)
                 for door in plan.doors if (d := door.width_m / 2 + 0.12)]  # fmt: skip
     leaves = [leaf.buffer(0.03) for door in plan.doors for leaf in door.leaf_areas()]
     keep = shapely.union_all([path, *doorways, *leaves, *(c.buffer(0.02) for c in plan.columns)])
     if plan.podium is not None:
         keep = keep.union(plan.podium.buffer(0.02))
-    taken = []
-    for room in plan.rooms:
-        density = 0.25 if room.kind == "corridor" else 1.0
-        tries = round(clutter**1.5 * density * (8 + 10.0 * room.interior.area))
-        placed = _fill(room, plan, keep, tries, mesh, rng)
-        taken += placed
-        _hang_lamps(room, mesh, rng)
-        _hang_duct(room, clutter, mesh, rng)
-    return shapely.union_all(taken)
+    return keep
 
 
-def _fill(
-    room: Room, plan: Plan, keep: BaseGeometry, tries: int, mesh: MeshBuilder, rng: np.random.Generator
-) -> list[shapely.Polygon]:
-    pieces = [piece for piece in PIECES if room.kind in piece.kinds]
+def fill_room(
+    room: Room, plan: Plan, keep: BaseGeometry, clutter: float, mesh: MeshBuilder, rng: np.random.Generator,
+    catalogue: Sequence[Piece] = PIECES, off_m: tuple[float, float] = (0.0, 0.05)
+) -> list[shapely.Polygon]:  # fmt: skip
+    """Pieces of a catalogue, put where they fit; returns the floor that each covers. off_m: how far half of them stand
+    off their wall, the others touch it.
+    """
+    density = 0.25 if room.kind == "corridor" else 1.0
+    tries = round(clutter**1.5 * density * (8 + 10.0 * room.interior.area))
+    pieces = [piece for piece in catalogue if room.kind in piece.kinds]
     weights = np.array([piece.weight for piece in pieces])
     within = room.interior.buffer(0.005)
     openings = [(o.area.buffer(0.06), o.bottom_m, o.top_m) for o in plan.openings if o.area.distance(within) < 0.1]
@@ -224,7 +233,7 @@ def _fill(
     for index in rng.choice(len(pieces), tries, p=weights / weights.sum()):
         piece = pieces[index]
         size = (float(rng.uniform(*piece.width)), float(rng.uniform(*piece.depth)))
-        spot = _against_wall(walls, lengths, rng) if piece.at_wall else _in_room(room, walls[0], rng)
+        spot = _against_wall(walls, lengths, off_m, rng) if piece.at_wall else _in_room(room, walls[0], rng)
         area = spot.rectangle(-size[0] / 2, size[0] / 2, 0.0, size[1])
         others = [other for other in placed if other.intersects(area)]
         if others or not within.contains(area) or area.intersects(keep):
@@ -238,10 +247,12 @@ def _fill(
     return placed
 
 
-def _against_wall(walls: list[FloatArray], lengths: FloatArray, rng: np.random.Generator) -> Spot:
+def _against_wall(
+    walls: list[FloatArray], lengths: FloatArray, off_m: tuple[float, float], rng: np.random.Generator
+) -> Spot:
     wall = int(rng.choice(len(walls), p=lengths / lengths.sum()))
     spot = spot_on(walls[wall], float(rng.uniform(0, lengths[wall])))
-    gap = 0.0 if rng.random() < 0.5 else float(rng.uniform(0, 0.05))
+    gap = 0.0 if rng.random() < 0.5 else float(rng.uniform(*off_m))
     x, y = spot.to_plan(np.array([[0.0, gap]]))[0]
     return Spot(x, y, spot.yaw)
 
