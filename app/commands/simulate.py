@@ -47,7 +47,10 @@ def _settings(values: dict[str, Any], overrides: Sequence[str]) -> "SimulationSe
         name, equals, text = override.partition("=")
         if not equals:
             raise InputError(f"--set {override}: write it as name=value, as in clutter=0.5")
-        values[name.strip()] = parse_value(text.strip())
+        # One dot at most: properties have no more levels.
+        name, _, inner = name.strip().partition(".")
+        value = parse_value(text.strip())
+        values[name] = {**values.get(name, {}), inner: value} if inner else value
     try:
         return SimulationSettings.model_validate(values)
     except ValidationError as error:

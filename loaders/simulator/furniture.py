@@ -168,12 +168,13 @@ def _person(mesh: MeshBuilder, spot: Spot, size: Size, ceiling: float, rng: np.r
     mesh.blob(middle + tall * 0.92 * UP, np.array([0.09, 0.09, tall * 0.08]), Truth.PERSON, 0.5)
 
 
+CABINET = Piece(_cabinet, (0.8, 1.6), (0.4, 0.6), True, "office lab store corridor", 1.5, (0.0, 4.0))
 PIECES: tuple[Piece, ...] = (
     Piece(_desk, (1.2, 1.8), (1.2, 1.3), True, "office lab meeting", 5),
     Piece(_desk, (1.4, 1.8), (1.2, 1.3), False, "office lab", 2),
     Piece(_shelf, (0.7, 1.2), (0.28, 0.42), True, "office lab store meeting", 4, (0.0, 2.2)),
     Piece(_cupboard, (0.7, 1.2), (0.38, 0.5), True, "office lab store corridor", 3, (0.0, 2.2)),
-    Piece(_cabinet, (0.8, 1.6), (0.4, 0.6), True, "office lab store corridor", 1.5, (0.0, 4.0)),
+    CABINET,
     Piece(_board, (1.2, 2.4), (0.03, 0.03), True, "office lab meeting corridor", 2, (0.8, 2.2)),
     Piece(_radiator, (0.8, 1.4), (0.13, 0.13), True, "office meeting corridor", 1, (0.0, 0.7)),
     Piece(_sofa, (1.4, 2.0), (0.8, 0.9), True, "office meeting", 0.7),
@@ -198,8 +199,8 @@ def furnish(
     taken = []
     for room in plan.rooms:
         taken += fill_room(room, plan, keep, clutter, mesh, rng)
-        _hang_lamps(room, mesh, rng)
-        _hang_duct(room, clutter, mesh, rng)
+        hang_lamps(room, mesh, rng)
+        hang_duct(room, clutter, mesh, rng)
     return shapely.union_all(taken)
 
 
@@ -264,7 +265,7 @@ def _in_room(room: Room, wall: FloatArray, rng: np.random.Generator) -> Spot:
     return Spot(float(rng.uniform(x0, x1)), float(rng.uniform(y0, y1)), float(along + turn))
 
 
-def _hang_lamps(room: Room, mesh: MeshBuilder, rng: np.random.Generator) -> None:
+def hang_lamps(room: Room, mesh: MeshBuilder, rng: np.random.Generator) -> None:
     """Rows of long lamps, flush with the ceiling or hung from it."""
     drop = float(rng.choice([0.0, 0.0, rng.uniform(0.1, 0.4)]))
     wall = _longest_wall(room)
@@ -293,7 +294,7 @@ def _grid(room: Room, along: float, pitch: float) -> FloatArray:
     return np.asarray(points[shapely.contains_xy(core, points)])
 
 
-def _hang_duct(room: Room, clutter: float, mesh: MeshBuilder, rng: np.random.Generator) -> None:
+def hang_duct(room: Room, clutter: float, mesh: MeshBuilder, rng: np.random.Generator) -> None:
     """A duct or pipes along a wall under the ceiling."""
     if rng.random() > {"corridor": 0.5, "lab": 0.9, "store": 0.5}.get(room.kind, 0.2) * (0.3 + clutter):
         return

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from itertools import combinations
 from typing import TypeVar
 
@@ -10,8 +9,17 @@ import numpy as np
 import shapely
 
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.loaders.errors import InputError
-from ffmap.loaders.simulator.building import Door, Plan, Room, RoomKind, Window, edges, outer_walls, shared_walls, spot_on
+from ffmap.loaders.simulator.building import (
+    Door,
+    Plan,
+    Room,
+    RoomKind,
+    Window,
+    edges,
+    outer_walls,
+    shared_walls,
+    spot_on,
+)
 from ffmap.loaders.simulator.mesh import Spot
 from ffmap.loaders.simulator.settings import SimulationSettings
 
@@ -83,14 +91,7 @@ angle, one that ends in a hall with columns, and three or four rooms for a demon
 
 
 def draw_plan(settings: SimulationSettings, rng: np.random.Generator) -> Plan:
-    """The named building.
-
-    Raises InputError where there is no building of that name.
-    """
-    if settings.building not in BUILDINGS:
-        close = get_close_matches(settings.building, BUILDINGS, 1)
-        hint = f"did you mean '{close[0]}'? There" if close else "there"
-        raise InputError(f"--building '{settings.building}': no such building; {hint} are {', '.join(BUILDINGS)}")
+    """The named building of `BUILDINGS`."""
     outline = BUILDINGS[settings.building](rng)
     thickness = settings.wall_thickness_m or float(rng.uniform(0.12, 0.28))
     rooms = _partition(outline, thickness, settings, rng)
