@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ffmap.algorithms.base.scan import FloatArray, UInt8Array
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, UInt8Array
 
 _INDEX = 1.52
 
@@ -105,7 +105,7 @@ def mirrors(pane: UInt8Array, cosine: FloatArray) -> FloatArray:
     return _by_kind(pane, cosine, np.asarray(0.08 + 0.92 * (1.0 - cosine) ** 5), of)
 
 
-def leaves(pane: UInt8Array, cosine: FloatArray, mirrored: UInt8Array) -> FloatArray:
+def leaves(pane: UInt8Array, cosine: FloatArray, mirrored: BoolArray) -> FloatArray:
     """(n,) share of the signal that is left, there and back, after a pane that mirrored (n,) it or let it through."""
 
     def of(share: Callable[[Optics, FloatArray], FloatArray]) -> Callable[[Optics, FloatArray], FloatArray]:

@@ -81,8 +81,10 @@ class MeshBuilder:
         self._pane: list[UInt8Array] = []
 
     def build(self) -> Mesh:
-        parts = (self._triangles, self._truth, self._reflectivity, self._gloss, self._pane)
-        return Mesh(*map(np.concatenate, parts))
+        return Mesh(
+            np.concatenate(self._triangles), np.concatenate(self._truth), np.concatenate(self._reflectivity),
+            np.concatenate(self._gloss), np.concatenate(self._pane)
+        )  # fmt: skip
 
     def add(self, triangles: FloatArray, truth: Truth, surface: Surface) -> None:
         """Triangles (n, 3, 3) of one class and one material."""

@@ -12,7 +12,7 @@ from ffmap.algorithms.base.labels import Truth
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.loaders.simulator.building import edges, segments, spot_on
 from ffmap.loaders.simulator.drawn.elements import Ceiling, Drop, Well, polygons
-from ffmap.loaders.simulator.drawn.ranges import CeilingShape, Ranges
+from ffmap.loaders.simulator.drawn.ranges import CeilingShape, Ranges, choose
 from ffmap.loaders.simulator.glass import Glass
 from ffmap.loaders.simulator.mesh import Material, MeshBuilder, Spot, Surface
 
@@ -22,10 +22,10 @@ _FAR_M = 60.0
 
 def draw_ceiling(interior: shapely.Polygon, height_m: float, ranges: Ranges, rng: np.random.Generator) -> Ceiling:
     """A ceiling whose highest part, or lowest where it slopes, is at a height."""
-    shape: CeilingShape = list(ranges.ceiling)[int(rng.choice(len(ranges.ceiling), p=_weights(ranges)))]
+    shape = choose(ranges.ceiling, rng)
     wall = max(edges(interior), key=lambda ends: float(np.linalg.norm(ends[1] - ends[0])))
     frame = spot_on(wall, 0.0)
-    spot = Spot(*(float(v) for v in interior.centroid.coords[0]), frame.yaw + float(rng.choice([0.0, np.pi / 2])))
+    spot = Spot(interior.centroid.x, interior.centroid.y, frame.yaw + float(rng.choice([0.0, np.pi / 2])))
     drop = min(float(rng.uniform(*ranges.drop_m)), height_m - _LEAST_M)
     if shape in ("sloping", "gable", "vault"):
         return Ceiling(shape, spot, _profile(shape, interior, spot, height_m, ranges, rng))
@@ -41,11 +41,6 @@ def draw_ceiling(interior: shapely.Polygon, height_m: float, ranges: Ranges, rng
     return Ceiling(shape if drops or shape == "flat" else "flat", spot, profile, tuple(drops), (well,) if well else ())
 
 
-def _weights(ranges: Ranges) -> FloatArray:
-    weights = np.array(list(ranges.ceiling.values()))
-    return np.asarray(weights / weights.sum())
-
-
 def _profile(
     shape: CeilingShape, interior: shapely.Polygon, spot: Spot, low_m: float, ranges: Ranges, rng: np.random.Generator
 ) -> FloatArray:
@@ -57,12 +52,12 @@ def _profile(
     rise = float(np.tan(np.radians(rng.uniform(*ranges.slope_deg)))) * span
     rise = max(min(rise, ranges.ceiling_m[1] - low_m), 0.02 * span)
     if shape == "sloping":
-        return np.array([[start, low_m], [end, low_m + rise]])[:: 1]
+        return np.array([[start, low_m], [end, low_m + rise]])
     if shape == "gable":
         return np.array([[start, low_m], [(start + end) / 2, low_m + rise], [end, low_m]])
     places = np.linspace(start, end, 13)
     share = (places - (start + end) / 2) / span
-    return np.c_[places, low_m + rise * np.sqrt(np.maximum(1.0 - share**2, 0.0))]
+    return np.column_stack([places, low_m + rise * np.sqrt(np.maximum(1.0 - share**2, 0.0))])
 
 
 def _drop_areas(shape: CeilingShape, interior: shapely.Polygon, spot: Spot, rng: np.random.Generator) -> list[shapely.Polygon]:
@@ -91,7 +86,7 @@ def _skylight(
     interior: shapely.Polygon, drops: BaseGeometry, yaw: float, ranges: Ranges, rng: np.random.Generator
 ) -> Well | None:
     a, b = rng.uniform(*ranges.skylight_m, 2) / 2
-    area = Spot(*(float(v) for v in interior.centroid.coords[0]), yaw).rectangle(-a, a, -b, b)
+    area = Spot(interior.centroid.x, interior.centroid.y, yaw).rectangle(-a, a, -b, b)
     if not interior.buffer(-0.2).contains(area) or area.intersects(drops):
         return None
     return Well(area, float(rng.uniform(0.15, 0.6)), Glass.DOUBLE)

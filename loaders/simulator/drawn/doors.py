@@ -12,7 +12,7 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.loaders.simulator.building import LEAF_THICKNESS_M, shared_walls, spot_on
 from ffmap.loaders.simulator.drawn.elements import DrawnDoor, DrawnRoom
 from ffmap.loaders.simulator.drawn.materials import draw_material
-from ffmap.loaders.simulator.drawn.ranges import DoorStyle, LeafPlace, Ranges
+from ffmap.loaders.simulator.drawn.ranges import DoorStyle, LeafPlace, Ranges, choose
 from ffmap.loaders.simulator.glass import Glass
 from ffmap.loaders.simulator.mesh import Material, MeshBuilder, Spot, Surface
 from ffmap.loaders.simulator.plans import hang_door
@@ -65,7 +65,7 @@ def _draw_look(ranges: Ranges, rng: np.random.Generator) -> _Look:
     head, casing, width, recess = (
         float(rng.uniform(*r)) for r in (ranges.door_head_m, ranges.casing_m, ranges.casing_width_m, ranges.recess_m)
     )
-    return _Look(head, casing, width, _choice(ranges.leaf, rng), recess)
+    return _Look(head, casing, width, choose(ranges.leaf, rng), recess)
 
 
 def _draw_door(
@@ -73,7 +73,7 @@ def _draw_door(
     rng: np.random.Generator
 ) -> DrawnDoor | None:  # fmt: skip
     """A door somewhere on a stretch of wall; None where there is no place for what was drawn."""
-    style: DoorStyle = _choice(ranges.door, rng)
+    style: DoorStyle = choose(ranges.door, rng)
     wide = style in ("double", "opening", "arch")
     width = float(rng.uniform(*(ranges.double_width_m if wide else ranges.door_width_m)))
     length, margin = float(np.linalg.norm(ends[1] - ends[0])), width / 2 + look.casing_width_m + 0.1
@@ -94,22 +94,18 @@ def _draw_door(
     glazed = rng.random() < ranges.glazed_share and style not in ("opening", "arch")
     door = DrawnDoor(
         spot, width, 0.0, top, (-thick / 2, thick / 2), (front.name, back.name), 0.0, 2 if style == "double" else 1,
-        int(rng.choice([-1, 1])), recess, style, place, look.casing_m, look.casing_width_m, draw_glass(ranges, rng) if glazed else None
+        int(rng.choice([-1, 1])), recess, style, place, look.casing_m, look.casing_width_m,
+        draw_glass(ranges, rng) if glazed else None
     )  # fmt: skip
-    half = margin - 0.06
-    before, behind = spot.rectangle(-half, half, thick / 2, thick / 2 + 0.5), spot.rectangle(-half, half, -thick / 2 - 0.5, -thick / 2)
+    half, face = margin - 0.06, thick / 2
+    before, behind = spot.rectangle(-half, half, face, face + 0.5), spot.rectangle(-half, half, -face - 0.5, -face)
     fits = front.interior.buffer(0.005).contains(before) and back.interior.buffer(0.005).contains(behind)
     return door if fits and (style != "pocket" or thick >= 0.1) else None
 
 
 def draw_glass(ranges: Ranges, rng: np.random.Generator) -> Glass:
     """Of a window or a door."""
-    return Glass[_choice(ranges.glass, rng).upper()]
-
-
-def _choice(weights: Mapping[str, float], rng: np.random.Generator):  # type: ignore[no-untyped-def]  # noqa: ANN202
-    values = np.array(list(weights.values()))
-    return list(weights)[int(rng.choice(len(values), p=values / values.sum()))]
+    return Glass[choose(ranges.glass, rng).upper()]
 
 
 def _hang(door: DrawnDoor, closed: bool, rooms: Sequence[DrawnRoom], rng: np.random.Generator) -> DrawnDoor:
@@ -120,8 +116,14 @@ def _hang(door: DrawnDoor, closed: bool, rooms: Sequence[DrawnRoom], rng: np.ran
         case "sliding" if not closed:
             front = next(room for room in rooms if room.name == door.rooms[0])
             tries = [replace(door, angle_deg=90.0, hinge=hinge) for hinge in (door.hinge, -door.hinge)]
-            return next((d for d in tries if front.interior.contains(d.leaf_areas()[0])), door)
+            return next((d for d in tries if _hangs_at_wall(d, front.interior)), door)
     return replace(door, angle_deg=90.0) if not closed or door.style in ("opening", "arch") else door
+
+
+def _hangs_at_wall(door: DrawnDoor, front: shapely.Polygon) -> bool:
+    """Whether a parked sliding leaf hangs in the room, and before the wall for all its length."""
+    (spot, x, y), wall = door.leaf_spots()[0], door.depth[1]
+    return bool(front.contains(spot.rectangle(*x, *y)) and not front.intersects(spot.rectangle(*x, wall - 0.05, wall - 0.01)))
 
 
 def build_door(door: DrawnDoor, mesh: MeshBuilder, rng: np.random.Generator) -> None:

@@ -34,6 +34,7 @@ _ROOMS: Mapping[str, tuple[tuple[RoomKind, ...], RoomKind]] = {
     "workplace": (("office", "office", "office", "meeting", "store"), "lab"),
     "institution": (("meeting", "office", "lab", "store"), "meeting"),
 }
+_TRIES = 100
 _DECIDED = {
     "ceiling_m": "ceiling_m", "wall_thickness_m": "inner_wall_m", "recess_min_m": "recess_m", "recess_max_m": "recess_m",
     "double_share": "door", "glass": "window", "ramp_rise_m": "ramp_m", "door_sills_m": "door_sill_m", "step_m": "platform_m"
@@ -55,9 +56,8 @@ def check_kind(settings: SimulationSettings) -> None:
 def draw_drawn_plan(settings: SimulationSettings, rng: np.random.Generator) -> DrawnPlan:
     """Rooms along a corridor with their doors, windows, niches and ceilings; a plan that the robot's ways are found in."""
     ranges = ranges_of(settings.building, settings.drawn)
-    outline = _outline(settings.building, ranges, rng)
     corridor_wall, outer = float(rng.uniform(*ranges.inner_wall_m)), float(rng.uniform(*ranges.outer_wall_m))
-    areas = divide(outline, corridor_wall, rng)
+    outline, areas = _divided(settings.building, corridor_wall, ranges, rng)
     outlines = add_bays([area for _, _, area in areas], ranges, rng)
     thickness = draw_thickness(outlines, corridor_wall, ranges, rng)
     rooms = []
@@ -109,6 +109,19 @@ def with_ramp(settings: SimulationSettings, rng: np.random.Generator) -> tuple[S
     return settings.model_copy(update={"ramp_rise_m": rise if rng.random() < ranges.ramp_share else 0.0}), gradient
 
 
+def _divided(
+    kind: str, corridor_wall_m: float, ranges: Ranges, rng: np.random.Generator
+) -> tuple[Outline, list[tuple[str, RoomKind, shapely.Polygon]]]:
+    """An outline and its rooms; drawn again where the corridor bends too sharply for the depth of its rooms."""
+    for _ in range(_TRIES):
+        outline = _outline(kind, ranges, rng)
+        areas = divide(outline, corridor_wall_m, rng)
+        overlap = sum(area.area for _, _, area in areas) - shapely.union_all([area.buffer(0) for _, _, area in areas]).area
+        if all(area.is_valid for _, _, area in areas) and overlap < 0.01:
+            return outline, areas
+    raise InputError("simulate: drawn: rooms overlap at the corridor's bend; a smaller room_depth_m or turn_deg helps")
+
+
 def _outline(kind: str, ranges: Ranges, rng: np.random.Generator) -> Outline:
     legs = ["one", "two"][int(rng.random() >= ranges.legs.get("one", 0.0) / sum(ranges.legs.values()))]
     length, share = float(rng.uniform(*ranges.corridor_length_m)), float(rng.uniform(0.4, 0.6))
@@ -119,5 +132,5 @@ def _outline(kind: str, ranges: Ranges, rng: np.random.Generator) -> Outline:
     depth = (float(rng.uniform(*ranges.room_depth_m)), float(rng.uniform(*ranges.room_depth_m)))
     skew = 0.0 if rng.random() < 0.6 else float(rng.uniform(*ranges.skew_m))
     kinds, large = _ROOMS[kind]
-    wide = (float(rng.uniform(5.0, max(ranges.room_width_m[1], 5.1))),)
-    return Outline(line_of(*line), float(rng.uniform(*ranges.corridor_m)), depth, skew, wide, 0.0, ranges.room_width_m, kinds, large)
+    wide, width = (float(rng.uniform(5.0, max(ranges.room_width_m[1], 5.1))),), float(rng.uniform(*ranges.corridor_m))
+    return Outline(line_of(*line), width, depth, skew, wide, 0.0, ranges.room_width_m, kinds, large)

@@ -16,7 +16,6 @@ from ffmap.loaders.simulator.mesh import Spot
 UPRIGHT_DEG = 30.0
 """What leans by more than this is a ceiling: one cannot stand a cupboard against it."""
 
-_BODY_M = 1.3  # Height of the robot with its lidars
 _SLIDE_GAP_M = 0.02  # Between a sliding leaf and the wall that it hangs before
 
 
@@ -197,12 +196,12 @@ class DrawnPlan(Plan):
     @cached_property
     def obstacles(self) -> BaseGeometry:
         """The floor under what stands in rooms, pillars and platforms apart."""
-        areas = [part.area for part in (*self.half_walls, *self.leaning, *self.flights)]
-        return shapely.union_all(areas)
+        built: tuple[HalfWall | LeaningWall | Flight, ...] = (*self.half_walls, *self.leaning, *self.flights)
+        return shapely.union_all([part.area for part in built])
 
     @cached_property
     def free(self) -> BaseGeometry:
-        return Plan.free.func(self).difference(self.obstacles)
+        return super().free.difference(self.obstacles)
 
     def wall_faces(self) -> FloatArray:
         """As the base's, with half-height walls, and leaning ones at their foot."""

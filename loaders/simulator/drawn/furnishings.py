@@ -132,7 +132,7 @@ def furnish_drawn(
 
 def _hang_pendant(room: DrawnRoom, mesh: MeshBuilder, rng: np.random.Generator) -> None:
     """A globe on a cord from the highest part of the ceiling."""
-    places = rng.uniform(*np.array(room.interior.bounds).reshape(2, 2), (8, 2))
+    places = np.array(room.interior.bounds[:2]) + rng.random((8, 2)) * np.ptp(np.reshape(room.interior.bounds, (2, 2)), axis=0)
     lit = [place for place in places if room.interior.buffer(-0.6).contains(shapely.Point(place))]
     for place in lit[: max(1, int(room.interior.area / 15))]:
         top = float(room.ceiling.height(place[None])[0])

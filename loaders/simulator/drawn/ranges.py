@@ -7,8 +7,9 @@ Accessible Design), NFPA 101. "Catalogues" are makers' common ranges, where no c
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
+import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 
@@ -44,6 +45,9 @@ CeilingShape = Literal["flat", "stepped", "coffered", "beams", "sloping", "gable
 GlassName = Literal["clear", "double", "coated", "frosted"]
 
 
+ChoiceT = TypeVar("ChoiceT", bound=str)
+
+
 class Ranges(BaseModel):
     """Least and most of every measure (a single number pins it), shares from 0 to 1, and weights of choices (a name pins it)."""
 
@@ -65,12 +69,12 @@ class Ranges(BaseModel):
     bay_share: Share = Field(0.1, description="share of rooms with a round bay in the façade")
 
     inner_wall_m: Range = Field(
-        (0.07, 0.40), description="thickness of inner walls (m): DIN 18183 0.075, gypsum blocks 0.07; DIN 4172 up to 0.365 plastered"
+        (0.07, 0.40), description="thickness of inner walls (m): gypsum blocks 0.07, DIN 18183 0.075; DIN 4172 0.365 and plaster"
     )
     outer_wall_m: Range = Field((0.12, 0.60), description="thickness of outer walls (m): IRC R602 0.12; old masonry 0.6")
     niche_share: Share = Field(0.25, description="share of thick walls with a niche")
     niche_depth_m: Range = Field((0.05, 0.35), description="depth of a niche (m): a light switch panel to a bookcase")
-    lean_share: Share = Field(0.12, description="share of rooms with a leaning wall")
+    lean_share: Share = Field(0.2, description="share of rooms with a leaning wall")
     lean_deg: Range = Field(
         (-25.0, 60.0), description="lean of a wall from upright (degrees), top outward below 0; pitched roofs have 25 to 60"
     )
@@ -133,16 +137,17 @@ class Ranges(BaseModel):
     blind_drop: Range = Field((0.1, 0.9), description="share of a window that a blind covers, from its head down")
     curtain_share: Share = Field(0.25, description="share of windows with curtains")
 
-    stairs_share: Share = Field(0.4, description="share of buildings with a flight of stairs in a room that has the space")
+    stairs_share: Share = Field(0.5, description="share of buildings with a flight of stairs in a room that has the space")
     riser_m: Range = Field((0.13, 0.20), description="rise of a step (m): ADA 504.2 0.10 to 0.18, DIN 18065 0.14 to 0.20")
     going_m: Range = Field((0.23, 0.35), description="going of a step (m): DIN 18065 0.23 to 0.37, ADA 504.2 0.28 at least")
+    flight_m: Range = Field((0.6, 1.3), description="width of a flight of stairs (m): DIN 18065 0.5 (side stairs), 0.8, 1.0")
     platform_share: Share = Field(0.3, description="share of buildings with a platform in a room")
     platform_m: Range = Field((0.1, 1.0), description="height of a platform (m): computer floors 0.1, stages 1.0")
     ramp_share: Share = Field(0.15, description="share of buildings with a ramp in the corridor")
     ramp_m: Range = Field((0.1, 0.7), description="rise of a ramp (m): ADA 405.6 0.76 at most in one run")
     ramp_gradient: Range = Field((0.04, 0.125), description="gradient of a ramp: ADA 405.2 1:12, in existing buildings 1:8")
 
-    off_wall_m: Range = Field((0.0, 0.15), description="gap between furniture and wall (m): pushed against it, to skirting and pipes")
+    off_wall_m: Range = Field((0.0, 0.15), description="gap between furniture and wall (m): none, to skirting and pipes")
     picture_share: Share = Field(0.6, description="how densely pictures, posters, boards and mirrors hang")
 
 
@@ -170,6 +175,12 @@ KINDS: Mapping[str, Ranges] = MappingProxyType(
     }
 )  # fmt: skip
 """What each kind narrows: homes; offices, shops and laboratories; schools, hospitals, museums."""
+
+
+def choose(weights: Mapping[ChoiceT, float], rng: np.random.Generator) -> ChoiceT:
+    """One of the names, each as often as its weight says."""
+    values = np.array(list(weights.values()))
+    return list(weights)[int(rng.choice(len(values), p=values / values.sum()))]
 
 
 def ranges_of(kind: str, said: Ranges) -> Ranges:

@@ -13,6 +13,7 @@ from ffmap.loaders.simulator.drawn.ranges import Ranges
 from ffmap.loaders.simulator.mesh import MeshBuilder, Spot, Surface
 
 _HEADROOM_M = 2.0  # DIN 18065, IRC R311.7.2: 2.03
+_TRIES = 4  # Places along each wall
 
 
 def draw_flight(
@@ -21,15 +22,15 @@ def draw_flight(
     """A flight along a wall of a room that has the space for it, and that room with its stairwell; None where none has."""
     if rng.random() >= ranges.stairs_share:
         return None
-    riser, going, width = (float(rng.uniform(*r)) for r in (ranges.riser_m, ranges.going_m, (0.8, 1.4)))
+    riser, going, width = (float(rng.uniform(*r)) for r in (ranges.riser_m, ranges.going_m, ranges.flight_m))
     for room in sorted(plan.drawn_rooms[1:], key=lambda room: -float(room.interior.area)):
         if room.ceiling.shape != "flat" or room.ceiling.drops or room.ceiling.wells:
             continue
         steps = int(np.ceil(room.ceiling_m / riser))
         length = steps * going
-        for edge in edges(room.interior):
+        for edge in _TRIES * edges(room.interior):
             spare = float(np.linalg.norm(edge[1] - edge[0])) - length
-            if spare < 0.2:
+            if spare < 0.0:
                 continue
             flight = Flight(spot_on(edge, float(rng.uniform(0.0, spare))), width, steps, riser, going)
             if room.interior.buffer(0.001).contains(flight.area) and not flight.area.intersects(keep):
@@ -61,11 +62,12 @@ def draw_platform(
         return None, 0.0
     strips = []
     for room in plan.drawn_rooms[1:]:
-        for edge in edges(room.interior):
-            length = float(np.linalg.norm(edge[1] - edge[0]))
-            deep = float(rng.uniform(0.9, 2.2))
-            strip = _strip(spot_on(edge, length / 2), length, deep).intersection(room.interior)
-            if length > 2 and strip.geom_type == "Polygon" and not strip.intersects(keep):
+        for edge in _TRIES * edges(room.interior):
+            length, deep = float(np.linalg.norm(edge[1] - edge[0])), float(rng.uniform(0.5, 2.2))
+            own = length * float(rng.uniform(0.4, 1.0))
+            place = spot_on(edge, float(rng.uniform(own / 2, length - own / 2)))
+            strip = _strip(place, own, deep).intersection(room.interior)
+            if own > 1.2 and strip.geom_type == "Polygon" and not strip.intersects(keep):
                 strips.append(strip)
     return (max(strips, key=lambda strip: float(strip.area)), height) if strips else (None, 0.0)
 

@@ -24,8 +24,8 @@ def build_drawn(plan: DrawnPlan, mesh: MeshBuilder, rng: np.random.Generator) ->
         build_ceiling(room.interior, room.ceiling, mesh, draw_material(("paint", "paint", "wood", "concrete"), rng), wall)
     for door in plan.drawn_doors:
         if plan.sills_m > 0.002:
-            half = door.width_m / 2
-            mesh.box(door.spot, (-half, half), (-0.05, 0.05), (0.0, plan.sills_m), Truth.FLOOR, draw_material(("metal", "wood"), rng))
+            half, sill = door.width_m / 2, draw_material(("metal", "wood"), rng)
+            mesh.box(door.spot, (-half, half), (-0.05, 0.05), (0.0, plan.sills_m), Truth.FLOOR, sill)
         build_door(door, mesh, rng)
     for window in plan.drawn_windows:
         build_window(window, mesh, rng)

@@ -50,8 +50,9 @@ def drawn_truth(plan: DrawnPlan, T_map_plan: FloatArray) -> dict[str, Any]:
 def _elements(plan: DrawnPlan) -> Iterator[_Element]:
     """Name, class, area in the plan, and heights of every part that is counted for itself."""
     for room in plan.drawn_rooms:
-        shape = "skylit" if room.ceiling.wells else "soffit" if room.ceiling.drops and room.ceiling.shape == "flat" else room.ceiling.shape
-        yield f"ceiling, {shape}", Truth.CEILING, room.interior.buffer(0.02), _ALL_HEIGHTS
+        shape = room.ceiling.shape
+        with_soffit = ", with soffit" if shape == "flat" and room.ceiling.drops else ""
+        yield f"ceiling, {shape}{with_soffit}", Truth.CEILING, room.interior.buffer(0.02), _ALL_HEIGHTS
         for part in room.round:
             yield "round wall", Truth.WALL, part.buffer(_NEAR_M), _ALL_HEIGHTS
     for door in plan.drawn_doors:

@@ -8,8 +8,8 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.loaders.simulator.building import Opening, edges, shared_walls, spot_on
-from ffmap.loaders.simulator.drawn.elements import DrawnPlan, HalfWall, LeaningWall, Niche, polygons
+from ffmap.loaders.simulator.building import Door, Opening, edges, shared_walls, spot_on
+from ffmap.loaders.simulator.drawn.elements import UPRIGHT_DEG, DrawnPlan, HalfWall, LeaningWall, Niche, polygons
 from ffmap.loaders.simulator.drawn.ranges import Ranges
 from ffmap.loaders.simulator.mesh import Spot
 
@@ -18,6 +18,7 @@ SKIN_M = 0.035
 
 _ROOMY_M2 = 12.0
 _HEADROOM_M = 1.3  # The robot with its lidars
+_TRIES = 20
 Areas = Sequence[shapely.Polygon]
 Thickness = Mapping[frozenset[int], float]
 
@@ -75,7 +76,7 @@ def round_corner(interior: shapely.Polygon, ranges: Ranges, rng: np.random.Gener
     radius = min(float(rng.uniform(*ranges.round_m)), 0.4 * min(x1 - x0, y1 - y0))
     smooth = interior.buffer(-radius).buffer(radius, quad_segs=24)
     corners = polygons(interior.difference(smooth), 0.005)
-    if not corners:
+    if not corners or smooth.is_empty:
         return interior, shapely.Polygon()
     filled = corners[int(rng.integers(len(corners)))]
     rest = polygons(interior.difference(filled.buffer(1e-6)))
@@ -111,20 +112,31 @@ def draw_leaning(plan: DrawnPlan, keep: BaseGeometry, ranges: Ranges, rng: np.ra
     openings = shapely.union_all([opening.area for opening in plan.openings])
     for room in plan.drawn_rooms[1:]:
         walls = [edge for edge in edges(room.interior) if np.linalg.norm(edge[1] - edge[0]) > 1.5]
-        walls = [edge for edge in walls if shapely.LineString(edge).distance(openings) > 0.25]
-        if not walls or rng.random() >= ranges.lean_share:
+        if rng.random() >= ranges.lean_share or room.ceiling.shape != "flat" or not walls:
             continue
-        edge = walls[int(rng.integers(len(walls)))]
-        length = float(np.linalg.norm(edge[1] - edge[0]))
-        lean = float(rng.uniform(*ranges.lean_deg))
-        knee = float(rng.uniform(0.5, 1.4)) if lean > 30 else 0.0
-        wall = LeaningWall(spot_on(edge, length / 2), length, knee, room.ceiling.low_m, lean)
-        reach = wall.out_m if lean < 0 else float(np.tan(np.radians(lean))) * max(_HEADROOM_M - knee, 0.0)
-        low = wall.spot.rectangle(-length / 2, length / 2, 0.0, max(reach, 0.01))
-        if abs(lean) > 2 and room.ceiling.shape == "flat" and room.interior.buffer(0.01).contains(wall.area):
-            if not low.intersects(keep) and not wall.area.buffer(0.1).intersects(openings):
-                found.append(wall)
+        tries = [_lean(walls[int(rng.integers(len(walls)))], room.ceiling.low_m, ranges, rng) for _ in range(_TRIES)]
+        fits = (
+            wall for wall in tries
+            if room.interior.buffer(0.01).contains(wall.area) and not _low_part(wall).intersects(keep)
+            and not wall.area.buffer(0.02).intersects(openings)
+        )  # fmt: skip
+        found += [wall for wall in [next(fits, None)] if wall is not None]
     return found
+
+
+def _lean(edge: FloatArray, top_m: float, ranges: Ranges, rng: np.random.Generator) -> LeaningWall:
+    """A stretch of a wall that leans; what leans far does so from a knee on, as roofs do."""
+    length, lean = float(np.linalg.norm(edge[1] - edge[0])), float(rng.uniform(*ranges.lean_deg))
+    own = length - 0.02 if rng.random() < 0.6 else float(rng.uniform(0.8, length - 0.1))
+    knee = float(rng.uniform(0.5, 1.4)) if lean > UPRIGHT_DEG else 0.0
+    return LeaningWall(spot_on(edge, float(rng.uniform(own / 2, length - own / 2))), own, knee, top_m, lean)
+
+
+def _low_part(wall: LeaningWall) -> shapely.Polygon:
+    """The floor over which a leaning wall leaves no room for the robot."""
+    above = float(np.tan(np.radians(wall.lean_deg))) * max(_HEADROOM_M - wall.knee_m, 0.0)
+    reach = max(wall.out_m if wall.lean_deg < 0 else above, 0.01)
+    return wall.spot.rectangle(-wall.length_m / 2, wall.length_m / 2, 0.0, reach)
 
 
 def draw_half_walls(plan: DrawnPlan, keep: BaseGeometry, ranges: Ranges, rng: np.random.Generator) -> list[HalfWall]:
@@ -134,7 +146,7 @@ def draw_half_walls(plan: DrawnPlan, keep: BaseGeometry, ranges: Ranges, rng: np
         if room.interior.area < _ROOMY_M2 or rng.random() >= ranges.half_wall_share:
             continue
         height, thick = float(rng.uniform(*ranges.half_wall_m)), float(rng.uniform(*ranges.half_wall_thickness_m))
-        for _ in range(20):
+        for _ in range(_TRIES):
             edge = edges(room.interior)[int(rng.integers(len(edges(room.interior))))]
             spot = spot_on(edge, float(rng.uniform(0.0, np.linalg.norm(edge[1] - edge[0]))))
             area = spot.rectangle(-thick / 2, thick / 2, 0.0, float(rng.uniform(0.8, 2.5)))
@@ -151,8 +163,9 @@ def draw_pillars(plan: DrawnPlan, keep: BaseGeometry, ranges: Ranges, rng: np.ra
         if room.interior.area < _ROOMY_M2 or rng.random() >= ranges.pillar_share:
             continue
         side = float(rng.uniform(*ranges.pillar_m))
-        is_round, x0, y0, x1, y1 = rng.random() < 0.5, *room.interior.bounds
-        for _ in range(20):
+        is_round = rng.random() < 0.5
+        x0, y0, x1, y1 = room.interior.bounds
+        for _ in range(_TRIES):
             spot = Spot(float(rng.uniform(x0, x1)), float(rng.uniform(y0, y1)), float(rng.choice([0.0, np.pi / 4])))
             square = spot.rectangle(-side / 2, side / 2, -side / 2, side / 2)
             pillar = shapely.Point(spot.x, spot.y).buffer(side / 2, quad_segs=8) if is_round else square
@@ -163,5 +176,5 @@ def draw_pillars(plan: DrawnPlan, keep: BaseGeometry, ranges: Ranges, rng: np.ra
 
 
 def clear_of(openings: Sequence[Opening]) -> BaseGeometry:
-    """Where nothing that is built may stand: before and behind doors, windows and niches."""
-    return shapely.union_all([opening.area.buffer(0.9) for opening in openings])
+    """Where nothing that is built may stand: before and behind doors, and at windows and niches."""
+    return shapely.union_all([opening.area.buffer(0.9 if isinstance(opening, Door) else 0.1) for opening in openings])

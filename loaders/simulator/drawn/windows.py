@@ -16,7 +16,7 @@ from ffmap.loaders.simulator.building import Room, outer_walls, shared_walls, sp
 from ffmap.loaders.simulator.drawn.doors import doorways, draw_glass
 from ffmap.loaders.simulator.drawn.elements import DrawnDoor, DrawnRoom, DrawnWindow
 from ffmap.loaders.simulator.drawn.materials import draw_material
-from ffmap.loaders.simulator.drawn.ranges import Ranges, WindowStyle
+from ffmap.loaders.simulator.drawn.ranges import Ranges, WindowStyle, choose
 from ffmap.loaders.simulator.drawn.walls import SKIN_M
 from ffmap.loaders.simulator.glass import Glass
 from ffmap.loaders.simulator.mesh import Material, MeshBuilder, Surface
@@ -31,11 +31,11 @@ def place_windows(
 ) -> list[DrawnWindow]:  # fmt: skip
     """A building's façades are mostly alike; glazed walls stand between rooms and the corridor."""
     windows: list[DrawnWindow] = []
-    usual, glass = _style(ranges, rng), draw_glass(ranges, rng)
+    usual, glass = choose(ranges.window, rng), draw_glass(ranges, rng)
     everyone = cast(list[Room], list(rooms))
     for room in rooms:
         for ends in outer_walls(room, everyone):
-            style = usual if rng.random() < 0.7 else _style(ranges, rng)
+            style = usual if rng.random() < 0.7 else choose(ranges.window, rng)
             if style != "none":
                 depth = (SKIN_M - outer_m, SKIN_M)
                 windows += [w for w in _row(style, ends, room.ceiling_m, depth, glass, ranges, rng) if _fits(w, room)]
@@ -49,11 +49,6 @@ def place_windows(
                 row = _row(style, ends, height, (-half, half), glass, ranges, rng)
                 windows += [w for w in _cut(row, taken) if _fits(w, rooms[0]) and _fits(w, room, behind=True)]
     return windows
-
-
-def _style(ranges: Ranges, rng: np.random.Generator) -> WindowStyle:
-    weights = np.array(list(ranges.window.values()))
-    return list(ranges.window)[int(rng.choice(len(weights), p=weights / weights.sum()))]
 
 
 def _fits(window: DrawnWindow, room: DrawnRoom, behind: bool = False) -> bool:
