@@ -17,7 +17,6 @@ SKIN_M = 0.035
 """From an outline to the inner face of an outer wall; no inner wall is thinner than twice this."""
 
 _ROOMY_M2 = 12.0
-_HEADROOM_M = 1.3  # The robot with its lidars
 _TRIES = 20
 Areas = Sequence[shapely.Polygon]
 Thickness = Mapping[frozenset[int], float]
@@ -117,7 +116,7 @@ def draw_leaning(plan: DrawnPlan, keep: BaseGeometry, ranges: Ranges, rng: np.ra
         tries = [_lean(walls[int(rng.integers(len(walls)))], room.ceiling.low_m, ranges, rng) for _ in range(_TRIES)]
         fits = (
             wall for wall in tries
-            if room.interior.buffer(0.01).contains(wall.area) and not _low_part(wall).intersects(keep)
+            if room.interior.buffer(0.01).contains(wall.area) and not wall.area.intersects(keep)
             and not wall.area.buffer(0.02).intersects(openings)
         )  # fmt: skip
         found += [wall for wall in [next(fits, None)] if wall is not None]
@@ -130,13 +129,6 @@ def _lean(edge: FloatArray, top_m: float, ranges: Ranges, rng: np.random.Generat
     own = length - 0.02 if rng.random() < 0.6 else float(rng.uniform(0.8, length - 0.1))
     knee = float(rng.uniform(0.5, 1.4)) if lean > UPRIGHT_DEG else 0.0
     return LeaningWall(spot_on(edge, float(rng.uniform(own / 2, length - own / 2))), own, knee, top_m, lean)
-
-
-def _low_part(wall: LeaningWall) -> shapely.Polygon:
-    """The floor over which a leaning wall leaves no room for the robot."""
-    above = float(np.tan(np.radians(wall.lean_deg))) * max(_HEADROOM_M - wall.knee_m, 0.0)
-    reach = max(wall.out_m if wall.lean_deg < 0 else above, 0.01)
-    return wall.spot.rectangle(-wall.length_m / 2, wall.length_m / 2, 0.0, reach)
 
 
 def draw_half_walls(plan: DrawnPlan, keep: BaseGeometry, ranges: Ranges, rng: np.random.Generator) -> list[HalfWall]:
