@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, lengths_m, segments
 from ffmap.algorithms.building.model import (
     CELL_M,
@@ -24,6 +24,7 @@ from ffmap.algorithms.building.openings import (
     DoorColumns,
     OpeningRules,
     OpeningsSettings,
+    has_sill,
     is_open_to_floor,
     is_pane,
     look_for_doors,
@@ -36,7 +37,12 @@ from ffmap.algorithms.scan.doors import DoorState
 
 
 def find_doors(
-    walls: Walls, cells: WallCells, clear_m: FloatArray, rules: OpeningRules, windows: Windows = NO_WINDOWS
+    walls: Walls,
+    cells: WallCells,
+    clear_m: FloatArray,
+    rules: OpeningRules,
+    windows: Windows = NO_WINDOWS,
+    floor_before: BoolArray | None = None,
 ) -> Doors:
     """Doors: columns with wall above and, below, either nothing for the rays to hit or a recessed leaf.
 
@@ -45,11 +51,14 @@ def find_doors(
 
     cells: without the rays through the windows, for what is seen through glass tells nothing of this building's doors.
     clear_m: (columns,) from the floor to the ceiling before each column of the faces; NaN where none was seen.
+    floor_before: (columns,) whether the floor was seen up to the face, so that nothing stands before it; None if unknown.
     """
     found: list[_Seen] = []
+    floor_before = np.zeros(len(cells.counts), bool) if floor_before is None else floor_before
     top_m = tops_m(walls, cells, clear_m)
     for w in range(len(walls)):
-        for seen in _doors_in(w, walls, cells, top_m[cells.first[w] : cells.first[w + 1]], rules):
+        own = slice(cells.first[w], cells.first[w + 1])
+        for seen in _doors_in(w, walls, cells, top_m[own], floor_before[own], rules):
             if _leads_somewhere(seen.door, walls, rules.openings) and not _is_glazed(
                 seen.door, windows, rules.openings
             ):
@@ -72,8 +81,10 @@ class _Seen(NamedTuple):
     is_cut: bool
 
 
-def _doors_in(w: int, walls: Walls, cells: WallCells, top_m: FloatArray, rules: OpeningRules) -> Iterable[_Seen]:
-    """The openings of one face; top_m: (c,) how high each of its columns stands."""
+def _doors_in(
+    w: int, walls: Walls, cells: WallCells, top_m: FloatArray, floor_before: BoolArray, rules: OpeningRules
+) -> Iterable[_Seen]:
+    """The openings of one face; top_m: (c,) how high each of its columns stands; floor_before: (c,) as above."""
     counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
     if len(counts) < 3:
         return
@@ -85,11 +96,13 @@ def _doors_in(w: int, walls: Walls, cells: WallCells, top_m: FloatArray, rules: 
         for first, last in stretches(flags, 2):
             if seen_as == DoorState.OPEN:
                 opening = counts[first : last + 1]
-                if is_pane(opening, rules) or not is_open_to_floor(opening, rules):
+                if is_pane(opening, rules) or has_sill(opening, rules) or not is_open_to_floor(opening, rules):
                     continue
                 first, last = to_jambs(counts[:, low:high].sum(axis=1), first, last, openings.leaf_max_m)
                 if (last + 1 - first) * CELL_M < settings.door_width_min_m:
                     first, last = _over_what_its_leaf_hides(found, first, last, rules)
+                else:
+                    first, last = _over_empty_columns(found, floor_before, first, last, rules)
             width_m = (last + 1 - first) * CELL_M
             # Smoothing and the cells' own width blur each side by up to a column.
             if not settings.door_width_min_m <= width_m + CELL_M or width_m > settings.door_width_max_m:
@@ -146,6 +159,24 @@ def _over_what_its_leaf_hides(columns: DoorColumns, first: int, last: int, rules
     if on_left == on_right:
         return first, last
     return (before, last) if on_left else (first, behind)
+
+
+def _over_empty_columns(
+    columns: DoorColumns, floor_before: BoolArray, first: int, last: int, rules: OpeningRules
+) -> tuple[int, int]:
+    """The columns of an opening, with those beside it, up to its jamb, that return nothing below their lintel.
+
+    A sweep that meets the lintel meets the wall below it too, if there is one and nothing stands before it: what passes there
+    at a slant ends on the reveal, or on a wall close behind it. columns: of the whole face; first, last: the opening's.
+    """
+    settings, most = rules.building, cells_in(rules.openings.leaf_max_m)
+    on, passed = columns.rays[:, FILLED], columns.rays[:, THROUGH]
+    empty = columns.has_lintel & (on + passed < settings.rays_min) & floor_before
+    stands = (on >= settings.rays_min) & (passed < on)
+    before, behind = widened(empty, first, first, most)[0], widened(empty, last, last, most)[1]
+    to_left = before if before > 0 and stands[before - 1] else first
+    to_right = behind if behind < len(empty) - 1 and stands[behind + 1] else last
+    return (to_left, to_right) if cells_in(settings.door_width_max_m) >= to_right + 1 - to_left else (first, last)
 
 
 def _leads_somewhere(door: Doors, walls: Walls, settings: OpeningsSettings) -> bool:

@@ -30,6 +30,10 @@ LOW_ROOM_M = 0.25
 """In a room lower than its doors and shelves are elsewhere, this much below the ceiling nothing but walls stands."""
 
 
+FLOOR_NEAR_M = 0.2
+"""The floor is seen up to a face where it is seen within this distance of it: furniture is deeper."""
+
+
 class FaceColumnsSettings(StepSettings):
     """What rays tell of wall faces, column by column, and of the room before them."""
 
@@ -87,6 +91,12 @@ class Storey:
         distance, nearest = self._trees[1].query(places, k=10)
         top = np.percentile(self.ceiling[nearest, 2], 80, axis=1)
         return np.where(distance[:, 0] < near_m, top - self.ground_m(places), np.nan)
+
+    def floor_near(self, places: FloatArray, near_m: float) -> BoolArray:
+        """(k,) whether the floor was seen at most `near_m` from each place (k, 2)."""
+        if not len(self.floor) or not len(places):
+            return np.zeros(len(places), bool)
+        return np.asarray(self._trees[0].query(places)[0] < near_m)
 
     def ground_m(self, places: FloatArray) -> FloatArray:
         """(k,) map z of the floor near each place (k, 2); 0 where no floor was seen at all."""

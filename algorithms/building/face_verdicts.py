@@ -30,6 +30,7 @@ from ffmap.algorithms.building.face_columns import (
     runs,
 )
 from ffmap.algorithms.building.model import (
+    AT_FACE_M,
     CELL_M,
     NO_WALLS,
     BuildingSettings,
@@ -356,7 +357,7 @@ def trim_at_doorways(faces: TracedFaces, doors: Doors, settings: StandingWallsSe
     """The faces, with those of doors' reveals cut off at their wall's two faces unless they go on up to the ceiling there.
 
     The leaf of an open door hangs at the end of a reveal, often in line with it, and the scans' planes run from one on to
-    the other.
+    the other. What passes through a door of the face itself says nothing against its wall.
 
     doors: with their reveals' depth.
     """
@@ -366,7 +367,8 @@ def trim_at_doorways(faces: TracedFaces, doors: Doors, settings: StandingWallsSe
     top_m: list[float] = []
     for w in range(len(faces)):
         own = faces.columns(w)
-        counts, ceiling_m = faces.cells.counts[own], median_m(faces.clear_m[own])
+        ceiling_m, in_door = median_m(faces.clear_m[own]), _columns_of_doors(doors, faces.walls, w, places[own])
+        counts = np.where(in_door[:, None, None], np.float32(0.0), faces.cells.counts[own])
         first, after = 0, len(counts)
         for d in np.flatnonzero(np.abs(doors.normal @ faces.walls.normal[w]) < ACROSS):
             reveal = _reveal_columns(doors, int(d), places[own], settings.jamb_m)
@@ -395,6 +397,17 @@ def _reveal_columns(doors: Doors, d: int, places: FloatArray, jamb_m: float) -> 
     to_jamb_m = np.minimum(np.abs(place_m), np.abs(place_m - doorway.length_m))
     reveal = np.flatnonzero((behind_m > 0.0) & (behind_m < doors.reveal_m[d]))
     return reveal if len(reveal) and to_jamb_m[reveal].min() <= jamb_m else reveal[:0]
+
+
+def _columns_of_doors(doors: Doors, walls: Walls, w: int, places: FloatArray) -> BoolArray:
+    """(c,) which columns of a face, with places (c, 2), are in a door that it has: one that looks its way, or the opposite."""
+    within = np.zeros(len(places), bool)
+    for d in np.flatnonzero(np.abs(doors.normal @ walls.normal[w]) > SAME_WAY):
+        doorway = Segment.between(doors.ends[d], doors.normal[d])
+        depth_m = np.fmax(doors.reveal_m[d], AT_FACE_M)
+        before_m = doorway.before_m(places)
+        within |= doorway.beside(places, CELL_M) & (before_m < AT_FACE_M) & (before_m > -depth_m - AT_FACE_M)
+    return within
 
 
 def _goes_on(counts: FloatArray, head_m: float, clear_m: float, settings: StandingWallsSettings) -> bool:

@@ -89,6 +89,12 @@ class RelabellingSettings(StepSettings):
         gt=0,
         description="The same behind a window's wall, where the pane returned nothing and its place is not known.",
     )
+    window_reveal_m: float = Field(
+        0.5, ge=0, description="Maximum depth (m) of a window's reveals, sill and head: outer walls are this thick."
+    )
+    at_window_frame_m: float = Field(
+        0.08, ge=0, description="Maximum distance (m) of their returns from where the cells of the wall's face show them."
+    )
     forget_m: float = Field(
         0.2, gt=0, description="Distance (m) from every wall's face beyond which what a scan calls wall is clutter."
     )
@@ -160,8 +166,8 @@ TOP, REFUSED_AS = 7, 8
 HEAD, LEAF, REVEAL = 7, 8, 9
 """The same of doorways: the head's height above the floor, how far the closed leaf is behind the wall's face (minus infinity
 where the door is open), and how deep the reveals are."""
-BEYOND = 7
-"""The same of panes: how far behind their face what returns is outside."""
+BEYOND, SILL, WINDOW_HEAD = 7, 8, 9
+"""The same of panes: how far behind their face what returns is outside, and the heights of their sill and head."""
 
 
 def _table(faces: Faces, *columns: FloatArray | UInt8Array) -> FloatArray:
@@ -212,7 +218,7 @@ class Relabelling:
         edge_m = settings.edge_m + settings.own_max_m
         off_leaf_m = settings.leaf_distance_m + settings.wall_distance_m + np.max(leaf_m, initial=0.0)
         door_m = settings.at_door_m + max(settings.other_face_m, off_leaf_m / settings.grazing_sine)
-        pane_m = max(settings.wall_distance_m, float(beyond_m.max(initial=0.0)))
+        pane_m = max(settings.wall_distance_m, settings.window_reveal_m, float(beyond_m.max(initial=0.0)))
         margin_m = max(settings.margin_m, settings.wall_distance_m)
         return cls(
             (
@@ -225,7 +231,7 @@ class Relabelling:
                 index_near(refused, settings.refused_m + margin_m),
             ),
             (_table(doors, doors.head_m, leaf_m, doors.reveal_m), index_near(doors, door_m + margin_m)),
-            (_table(windows, beyond_m), index_near(windows, pane_m + margin_m)),
+            (_table(windows, beyond_m, windows.bottom_m, windows.top_m), index_near(windows, pane_m + margin_m)),
             building.before,
             _Rules(**settings.model_dump()),
             tuple(level for level in building.levels if level.surface.taken_for == Label.FLOOR),
@@ -257,7 +263,7 @@ class Relabelling:
             height_m,
             below_ceiling_m,
             label_scan,
-            _outside(points_map, origin, self.panes[0], self.rules),
+            _outside(points_map, height_m, origin, self.panes[0], self.rules),
             origin,
             lines,
             along_edges,
@@ -268,7 +274,7 @@ class Relabelling:
             self.rules,
         )
         at_door = _at_doors(points_map, height_m, asked, origin, *self.doorways, self.rules)
-        _mark_window_reveals(points_map, asked, at_door, *self.panes, self.rules)
+        _mark_window_reveals(points_map, height_m, asked, at_door, *self.panes, self.rules)
         before = self.before.first, self.before.covered
         nearest = _nearest_faces(points_map, height_m, asked, origin, lines, at_faces, *before, self.rules)
         refused = _labels_of_refused(points_map, height_m, asked, *self.refused, self.rules)
@@ -320,8 +326,10 @@ def _own_places(
 
 
 @numba.njit(cache=True, nogil=True)
-def _outside(points: FloatArray, origin: FloatArray, panes: FloatArray, rules: _Rules) -> BoolArray:  # pragma: no cover
-    """(n,) whether a ray reached its return through a window."""
+def _outside(
+    points: FloatArray, height: FloatArray, origin: FloatArray, panes: FloatArray, rules: _Rules
+) -> BoolArray:  # pragma: no cover
+    """(n,) whether a ray reached its return through a window, and not on the reveal, the sill or the head that it has."""
     outside = np.zeros(len(points), np.bool_)
     for g in range(len(panes)):
         if before_line(panes, g, origin[0], origin[1]) <= 0.0:
@@ -330,8 +338,26 @@ def _outside(points: FloatArray, origin: FloatArray, panes: FloatArray, rules: _
             x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
             if before_line(panes, g, x, y) <= -panes[g, BEYOND]:
                 _, u = crossing(panes, g, 0.0, x, y, origin, 0.0)
-                outside[i] = outside[i] or -rules.margin_m < u < panes[g, LENGTH] + rules.margin_m
+                through = -rules.margin_m < u < panes[g, LENGTH] + rules.margin_m
+                outside[i] |= through and not _is_at_frame(panes, g, x, y, np.float64(height[i]), rules)
     return outside
+
+
+@numba.njit(cache=True, nogil=True, forceinline=True)
+def _is_at_frame(
+    panes: FloatArray, g: int, x: float, y: float, height_m: float, rules: _Rules
+) -> bool:  # pragma: no cover
+    """Whether a place is on a window's reveal, sill or head, as deep as walls are thick."""
+    if not -rules.window_reveal_m < before_line(panes, g, x, y) < rules.wall_distance_m:
+        return False
+    u, length, at_frame_m = along_line(panes, g, x, y), panes[g, LENGTH], rules.at_window_frame_m
+    if not -at_frame_m < u < length + at_frame_m:
+        return False
+    sill_m, head_m = panes[g, SILL], panes[g, WINDOW_HEAD]
+    if not sill_m - at_frame_m < height_m < head_m + at_frame_m:
+        return False
+    at_jamb = u < at_frame_m or u > length - at_frame_m
+    return at_jamb or height_m < sill_m + at_frame_m or height_m > head_m - at_frame_m
 
 
 @numba.njit(cache=True, nogil=True)
@@ -457,15 +483,18 @@ def _at_doors(
                 continue
             u, length = along_line(doorways, d, np.float64(x), np.float64(y)), doorways[d, LENGTH]
             depth_m, head_m, reveal_m = doorways[d, LEAF], doorways[d, HEAD], doorways[d, REVEAL]
-            # Between the jambs of a closed door there is nothing but its leaf, its handle, and their scatter.
+            # Between the jambs of a closed door there is nothing but its leaf, its handle, and their scatter; a ray that does
+            # not come in between the jambs ended on the wall beside them.
             if -depth_m - rules.leaf_distance_m < s < rules.wall_distance_m:
                 share, at_leaf = crossing(
                     doorways, d, depth_m, np.float64(x), np.float64(y), origin, rules.grazing_sine
                 )
+                _, at_face = crossing(doorways, d, 0.0, np.float64(x), np.float64(y), origin, rules.grazing_sine)
                 rise = (share - 1.0) * (z - origin[2])
                 if np.isnan(share):
                     at_leaf, rise = u, 0.0
-                if 0.0 < at_leaf < length and height_m + rise < head_m:
+                enters = np.isnan(at_face) or -rules.opening_m < at_face < length + rules.opening_m
+                if enters and 0.0 < at_leaf < length and height_m + rise < head_m:
                     found[i] |= ON_LEAF
                     break
             if (
@@ -491,7 +520,13 @@ def _at_doors(
 
 @numba.njit(cache=True, nogil=True)
 def _mark_window_reveals(
-    points: FloatArray, asked: BoolArray, found: UInt8Array, panes: FloatArray, near_panes: IntArray, rules: _Rules
+    points: FloatArray,
+    height: FloatArray,
+    asked: BoolArray,
+    found: UInt8Array,
+    panes: FloatArray,
+    near_panes: IntArray,
+    rules: _Rules,
 ) -> None:  # pragma: no cover
     """Mark returns between a window's face and its pane too, where there is nothing but sill, head and reveals."""
     for i in range(len(points)):
@@ -505,6 +540,8 @@ def _mark_window_reveals(
                 u = along_line(panes, g, x, y)
                 if -rules.margin_m < u < panes[g, LENGTH] + rules.margin_m:
                     found[i] |= ON_REVEAL
+            if _is_at_frame(panes, g, x, y, np.float64(height[i]), rules):
+                found[i] |= ON_REVEAL
 
 
 @numba.njit(cache=True, nogil=True)

@@ -11,7 +11,7 @@ from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_re
 from ffmap.algorithms.building.doors import drop_doubtful, find_doors, prove_crossed
 from ffmap.algorithms.building.drive import AllScans
 from ffmap.algorithms.building.face_alignment import AlignedFaces, FaceAlignmentSettings, align_faces
-from ffmap.algorithms.building.face_columns import FaceColumnsSettings, TracedFaces
+from ffmap.algorithms.building.face_columns import FLOOR_NEAR_M, FaceColumnsSettings, TracedFaces, column_places
 from ffmap.algorithms.building.face_foreground import Foreground, ForegroundSettings, find_foreground, halo_at_walls
 from ffmap.algorithms.building.face_fusion import fuse_walls
 from ffmap.algorithms.building.face_verdicts import (
@@ -168,7 +168,8 @@ def _find_openings(walls: Walls, scans: AllScans, settings: FusionSettings) -> t
     windows = find_windows(walls, cells, clear_m, settings.opening_rules, settings.windows)
     # What a window lets pass is no door's.
     without_glass = scans.trace(walls, settings.building, windows) if len(windows) else cells
-    doors = find_doors(walls, without_glass, clear_m, settings.opening_rules, windows)
+    floor_before = scans.storey.floor_near(column_places(walls, cells.first, 0.5 * FLOOR_NEAR_M), FLOOR_NEAR_M)
+    doors = find_doors(walls, without_glass, clear_m, settings.opening_rules, windows, floor_before)
     doors = place_frames(doors, walls, scans.drive.blocks(), settings.building, settings.door_frames)
     doors = drop_doubtful(doors, settings.building)
     doors = prove_crossed(doors, scans.path_map)

@@ -186,6 +186,16 @@ def is_open_to_floor(counts: FloatArray, rules: OpeningRules) -> bool:
     return bool(foot[THROUGH] >= rules.building.rays_min and foot[THROUGH] > share_min * (foot[THROUGH] + foot[FILLED]))
 
 
+def has_sill(counts: FloatArray, rules: OpeningRules) -> bool:
+    """Whether wall shows at the foot of an opening (c, rows, 4), however low: nobody builds a step into a doorway.
+
+    Thresholds are at most 5 cm high.
+    """
+    foot = counts[:, 1 : FOOT_ROW + 1].sum(axis=(0, 1))
+    on = returns_at_face(foot)
+    return bool(on >= rules.building.rays_min and on > foot[THROUGH])
+
+
 def to_jambs(below: FloatArray, first: int, last: int, most_m: float) -> tuple[int, int]:
     """An open stretch of columns, widened to the jambs: beside it rays end on the reveals or on a leaf, behind the face.
 

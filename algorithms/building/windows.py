@@ -9,17 +9,26 @@ from pydantic import Field
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import LENGTH, Segment, before_line, crossing, lines_of, segments
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.face_columns import long_runs
 from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, Walls, Windows, cells_in, stretches
 from ffmap.algorithms.building.openings import (
     OpeningRules,
     find_sheet,
     is_pane,
     look_for_doors,
-    to_jambs,
     tops_m,
     widened,
 )
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, Rays, WallCells, with_neighbours
+from ffmap.algorithms.building.ray_evidence import (
+    FILLED,
+    FOOT_ROW,
+    SUM,
+    THROUGH,
+    Rays,
+    WallCells,
+    returns_at_face,
+    with_neighbours,
+)
 from ffmap.algorithms.scan.summary import Features
 
 
@@ -28,20 +37,24 @@ class WindowsSettings(StepSettings):
 
     height_min_m: float = Field(0.3, gt=0, description="Minimum height (m) of a window above a sill.")
     sill_min_m: float = Field(0.2, gt=0, description="Minimum width (m) of the wall that is seen below its sill.")
-    empty_max_m: float = Field(
-        1.0, ge=0, description="Maximum width (m) by which a window goes on beside it where next to nothing returns."
+    returns_min: float = Field(
+        1.0,
+        gt=0,
+        description="A column beside a window, with those next to it, belongs to the wall or to the window where each row above "
+        "the head and below the sill has this many returns.",
     )
-    empty_share: float = Field(
-        0.2, ge=0, le=1, description="Maximum share of the returns below the sill that return there."
+    bar_max_m: float = Field(
+        0.2, ge=0, description="Maximum width (m) of mullions and transoms: where more of it shows, it is the wall."
     )
+    one_wall_m: float = Field(
+        0.1, gt=0, description="Maximum distance (m) between two stretches of a face in which one window shows."
+    )
+    reveal_max_m: float = Field(0.4, ge=0, description="Maximum width (m) over which a window's reveal shows in it.")
     at_pane_m: float = Field(
         0.02, gt=0, description="Maximum distance (m) from the pane of the returns that widen a window."
     )
     passed_share: float = Field(
         0.03, ge=0, le=1, description="Minimum share of rays that pass there: a leaf beside a window returns all."
-    )
-    reveal_hides_m: float = Field(
-        0.15, ge=0, description="Maximum width (m) of an opening that its reveal hides, seen at a slant."
     )
 
 
@@ -73,28 +86,55 @@ def find_windows(
                 continue
             pane_m = _pane_m(counts[first : last + 1, clear[0] : clear[-1] + 1], rules)
             first, last = _over_its_pane(high, pane_m, first, last, settings)
-            first, last = to_jambs(high, first, last, settings.reveal_hides_m)
-            first, last = _over_empty_columns(counts[:, : clear[-1] + 1], clear[0], first, last, settings)
+            first, last = _to_its_wall(counts, clear[0], clear[-1], int(walls.top_m[w] / CELL_M), first, last, settings)
+            if first == 0 and last == len(counts) - 1:
+                continue  # without a jamb it is what stands below something that hangs
             ends = face.at(CELL_M * np.array([first, last + 1]))
             between_m = CELL_M * clear[[0]], CELL_M * (clear[[-1]] + 1)
             windows = windows.append(Windows(ends[None], face.normal[None], *between_m, np.array([pane_m])))
-    return windows
+    return _joined(windows, settings)
+
+
+def _joined(windows: Windows, settings: WindowsSettings) -> Windows:
+    """The windows, each once: those that overlap on one wall are one, which its wall's stretches and its panes may show apart."""
+    joined = NO_WINDOWS
+    for own in (windows.select(np.array([w])) for w in range(len(windows))):
+        for k, known in enumerate(segments(joined)):
+            off_m, shared_m = np.abs(known.before_m(own.ends[0])).max(), known.shared_m(own.ends[0])
+            if known.normal @ own.normal[0] > 0.0 and off_m < settings.one_wall_m and shared_m > 0.0:
+                place_m = np.concatenate([[0.0, known.length_m], known.place_m(own.ends[0])])
+                ends = known.at(np.array([place_m.min(), place_m.max()]))
+                one = joined.select(np.array([k])).append(own)
+                own = Windows(
+                    ends[None],
+                    known.normal[None],
+                    one.bottom_m.min(keepdims=True),
+                    one.top_m.max(keepdims=True),
+                    np.fmax(one.pane_m[:1], one.pane_m[1:]),
+                )
+                joined = joined.select(np.arange(len(joined)) != k)
+                break
+        joined = joined.append(own)
+    return joined
 
 
 def _above_sill(
     counts: FloatArray, top_m: float, rules: OpeningRules, settings: WindowsSettings
 ) -> tuple[BoolArray, BoolArray]:
-    """Columns (c,) that rays pass above the knee and not below it, and those of them (c,) whose foot is seen to be wall.
+    """Columns (c,) that rays pass, but not at the foot, and those of them (c,) whose foot is seen to be wall: a sill, however low.
 
     What stands before a window hides its sill, and a window is as wide as it is all the same.
     """
-    foot, knee, top = FOOT_ROW, cells_in(rules.building.knee_m), int(max(top_m - 0.2, 0.0) / CELL_M)
-    below = counts[:, foot:knee].sum(axis=1)
-    near = with_neighbours(np.swapaxes(with_neighbours(counts), 0, 1)).swapaxes(0, 1)
+    top = max(int(max(top_m - 0.2, 0.0) / CELL_M), FOOT_ROW + 1)
+    near = with_neighbours(counts[:, :top])
     clear = (near[..., THROUGH] > near[..., FILLED]) & (near[..., THROUGH] >= 0.5 * rules.building.rays_min)
-    passed = clear[:, knee:top].sum(axis=1) >= settings.height_min_m / CELL_M
-    may_be = passed & (below[:, THROUGH] <= 0.1 * below[:, FILLED])
-    return may_be, may_be & (below[:, FILLED] >= rules.building.rays_min)
+    clear[:, 0] = False
+    lowest = np.argmax(clear, axis=1)
+    below = counts[:, :top] * ((np.arange(top) > 0) & (np.arange(top) < lowest[:, None]))[..., None]
+    filled, passed = below[..., FILLED].sum(axis=1), below[..., THROUGH].sum(axis=1)
+    may_be = (clear.sum(axis=1) >= settings.height_min_m / CELL_M) & (lowest > FOOT_ROW) & (passed <= 0.1 * filled)
+    foot = with_neighbours(returns_at_face(below).sum(axis=1))
+    return may_be, may_be & (foot >= rules.building.rays_min)
 
 
 def _over_its_pane(
@@ -111,24 +151,44 @@ def _over_its_pane(
     return widened(on_pane & passed, first, last, len(high))
 
 
-def _over_empty_columns(
-    counts: FloatArray, bottom: int, first: int, last: int, settings: WindowsSettings
+def _to_its_wall(
+    counts: FloatArray, bottom: int, top: int, highest: int, first: int, last: int, settings: WindowsSettings
 ) -> tuple[int, int]:
-    """A window's columns, with those beside it that return only below its sill: glass met at a slant sends rays elsewhere.
+    """A window's columns up to those in which its wall shows between the sill and the head.
 
-    counts: (columns, rows, 4) of the whole face, up to the window's head; bottom: the window's lowest row.
+    A sweep that meets the wall above a window, or below it, meets the wall between too, if there is one: where it shows no more
+    than a bar, there is glass met at a slant, or the reveal hides it.
+
+    counts: (columns, rows, 4) of the whole face; bottom, top: the window's lowest and highest row; highest: the face's.
     """
-    below = counts[:, FOOT_ROW:bottom, FILLED]
-    usual = below.mean(axis=1) if below.shape[1] else np.zeros(len(counts))
-    empty = counts[:, bottom:, FILLED].mean(axis=1) < settings.empty_share * usual
-    return widened(empty, first, last, cells_in(settings.empty_max_m))
+    near = with_neighbours(counts)
+    on, bar = returns_at_face(near), cells_in(settings.bar_max_m)
+    between, passed = near[:, bottom : top + 1], near[:, bottom : top + 1, THROUGH]
+    flush, returns = _shows(on[:, bottom : top + 1] > passed, bar), _shows(between[..., FILLED] > passed, bar)
+    # What returns behind the face is its reveal, or a leaf beside it, which is wider.
+    shows = flush | long_runs(returns & ~flush, cells_in(settings.reveal_max_m), 0)
+    around = np.concatenate([on[:, FOOT_ROW : max(bottom - 1, FOOT_ROW)], on[:, top + 2 : highest]], axis=1)
+    is_met = around.mean(axis=1) >= settings.returns_min if around.shape[1] else np.zeros(len(on), bool)
+    goes_on = is_met & ~shows
+    for start, stop in stretches(goes_on, bar):
+        if start <= last and stop >= first:
+            first, last = min(start, first), max(stop, last)
+    return first, last
+
+
+def _shows(cells: BoolArray, most: int) -> BoolArray:
+    """(c,) in which columns (c, rows) of cells more than `most` rows on end are true."""
+    return np.array([any(last - first >= most for first, last in stretches(column, 1)) for column in cells], bool)
 
 
 def _pane_m(counts: FloatArray, rules: OpeningRules) -> float:
-    """How far behind the face a window's pane stands, by what it returns away from reveals, sill and head."""
+    """How far behind the face a window's pane stands, by what it returns away from reveals, bars, sill and head."""
     columns, rows = (min(cells_in(rules.openings.jamb_m), (size - 1) // 2) for size in counts.shape[:2])
     inner = counts[columns : counts.shape[0] - columns, rows : counts.shape[1] - rows]
-    sheet = find_sheet(inner, rules)
+    # A transom or a mullion, which returns all rays, is no pane.
+    bars = [inner.sum(axis=axis, keepdims=True) for axis in (0, 1)]
+    is_bar = np.logical_or(*(returns_at_face(bar) > bar[..., THROUGH] for bar in bars))
+    sheet = find_sheet(inner * ~is_bar[..., None], rules)
     return sheet.behind_m if sheet is not None and sheet.behind_m > 0 else float("nan")
 
 
