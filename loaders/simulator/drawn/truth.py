@@ -53,6 +53,8 @@ def _elements(plan: DrawnPlan) -> Iterator[_Element]:
         shape = room.ceiling.shape
         with_soffit = ", with soffit" if shape == "flat" and room.ceiling.drops else ""
         yield f"ceiling, {shape}{with_soffit}", Truth.CEILING, room.interior.buffer(0.02), _ALL_HEIGHTS
+        # Through a glazed wall one sees true walls and ceilings of the next room; by the labels' meaning they are outside.
+        yield "seen through glass, indoors", Truth.OUTSIDE, room.interior, _ALL_HEIGHTS
         for part in room.round:
             yield "round wall", Truth.WALL, part.buffer(_NEAR_M), _ALL_HEIGHTS
     for door in plan.drawn_doors:

@@ -29,7 +29,7 @@ def add_bays(outlines: Areas, ranges: Ranges, rng: np.random.Generator) -> list[
         if rng.random() >= ranges.bay_share:
             continue
         others = shapely.union_all([outline for k, outline in enumerate(found) if k != i]).buffer(0.7)
-        façade = [edge for edge in edges(found[i]) if not shapely.LineString(edge).interpolate(0.5, True).within(others)]
+        façade = [edge for edge in edges(found[i]) if not shapely.LineString(edge).interpolate(0.5, normalized=True).within(others)]
         length = [float(np.linalg.norm(edge[1] - edge[0])) for edge in façade]
         if not façade or max(length) < 2.4:
             continue
