@@ -275,8 +275,13 @@ def test_what_does_not_fit_is_refused_in_one_line(tmp_path: Path) -> None:
         Ranges(door_head_m=(2.4, 2.0))
     with pytest.raises(InputError, match="dwelling, workplace, institution"):
         draw_scene(SimulationSettings(building="castle"))
-    with pytest.raises(InputError, match=r"drawn\.door_heads_m"):
+    for pitch in (0.0, -1.0, 50.0):
+        with pytest.raises(ValidationError, match=r"pitch_m lies between 0\.6 and 7\.2"):
+            Ranges(pitch_m=(pitch, pitch))
+    with pytest.raises(InputError, match=r"no property 'drawn\.door_heads_m'; .*drawn\.door_head_m"):
         simulate_command(tmp_path / "a.bag", {"building": "dwelling"}, ["drawn.door_heads_m=2.4"])
+    with pytest.raises(InputError, match=r"simulate: seed"):
+        simulate_command(tmp_path / "a.bag", {"building": "dwelling", "seed": 3}, ["seed.of=2"])
     assert set(KINDS).isdisjoint(BUILDINGS)
 
 

@@ -7,10 +7,10 @@ Accessible Design), NFPA 101. "Catalogues" are makers' common ranges, where no c
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal, Self, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 
 def _both_ends(value: object) -> object:
@@ -37,6 +37,9 @@ def _some_weight(weights: dict[str, float]) -> dict[str, float]:
 
 Range = Annotated[tuple[float, float], BeforeValidator(_both_ends), AfterValidator(_in_order)]
 Share = Annotated[float, Field(ge=0, le=1)]
+
+_LIMITS = {"lean_deg": (-50.0, 75.0), "turn_deg": (5.0, 120.0), "corridor_length_m": (5.0, 50.0)}
+"""Beyond these a wall lies flat, a corridor goes back on itself, or the robot cannot turn in it."""
 
 DoorStyle = Literal["hinged", "double", "sliding", "pocket", "opening", "arch"]
 LeafPlace = Literal["flush", "flush behind", "middle", "recessed"]
@@ -149,6 +152,17 @@ class Ranges(BaseModel):
 
     off_wall_m: Range = Field((0.0, 0.15), description="gap between furniture and wall (m): none, to skirting and pipes")
     picture_share: Share = Field(0.6, description="how densely pictures, posters, boards and mirrors hang")
+
+    @model_validator(mode="after")
+    def _is_of_a_building(self) -> Self:
+        """No measure is under half the least, or over twice the most, that codes and catalogues know, or has no building."""
+        for name in self.model_fields_set:
+            known, own = type(self).model_fields[name].default, getattr(self, name)
+            if isinstance(known, tuple):
+                low, high = _LIMITS.get(name, (known[0] / 2, 2 * known[1]))
+                if own[0] < low or own[1] > high:
+                    raise ValueError(f"{name} lies between {low:g} and {high:g}")
+        return self
 
 
 KINDS: Mapping[str, Ranges] = MappingProxyType(
