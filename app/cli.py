@@ -249,7 +249,10 @@ class Simulate:
     """
 
     out: Path = argument(help="Bag to write: a file (bag), or a folder (mcap, db3).")
-    building: str = option("office", help="Kind of building: small, office, ell, angled or lab.")
+    building: str = option(
+        "office",
+        help="Kind of building: small, office, ell, angled, lab; or drawn from wide ranges: dwelling, workplace, institution.",
+    )
     seed: int = option(0, min=0, help="Another building, other furniture, another drive.")
     sensor: str | None = option(None, help="hdl32e, vlp16, os1-16, os0-128, qt64 or xt32.  [default: hdl32e]")
     lidars: str | None = option(
@@ -286,10 +289,14 @@ class Evaluate:
 
         ffmap evaluate --suite --quick
 
+        ffmap evaluate --suite drawn
+
         ffmap evaluate --suite --seeds 1,2 --set building.scans_min=5 --out runs/tuning.json
     """
 
-    run_folder: Path | None = argument(None, metavar="[RUN]", help="Run folder.")
+    run_folder: Path | None = argument(
+        None, metavar="[RUN]", help="Run folder; with --suite, which: named or drawn.  [default: named]"
+    )
     truth: list[Path] | None = option(
         None,
         help="Bag with the truth, once for each of its files, or a TUM file of the true poses alone.  "
@@ -306,12 +313,13 @@ class Evaluate:
 
     def __call__(self) -> None:
         if self.suite:
-            from ffmap.app.commands.suite import parse_seeds, run_suite
+            from ffmap.app.commands.suite import SUITES, parse_seeds, run_suite
 
-            if self.run_folder is not None or self.truth:
-                raise InputError("--suite makes its own bags and runs: give no run folder and no --truth with it")
-            file, seeds = self.out or Path("runs/suite.json"), parse_seeds(self.seeds)
-            sys.exit(1 if run_suite(file, seeds, self.quick, self.set_ or [], at_once=self.workers) else 0)
+            if self.truth:
+                raise InputError("--suite makes its own bags and runs: give no --truth with it")
+            name = str(self.run_folder or SUITES[0])
+            file, seeds = self.out or Path("runs/suite.json"), parse_seeds(self.seeds, name)
+            sys.exit(1 if run_suite(file, seeds, self.quick, self.set_ or [], at_once=self.workers, name=name) else 0)
         if self.run_folder is None:
             raise InputError("give a run folder, or --suite; 'ffmap evaluate --help' has examples")
         for name in ("set_", "quick", "seeds", "out"):

@@ -11,6 +11,8 @@ The names in it, all fractions 0 to 1, null where there is nothing to divide by:
     scans.counted | skipped | without_truth      of all lidars that were labelled
     doors.true | passed | found_count | found | detections | invented_count | invented
     doors.width_error_m | width_bias_m | state_right
+    doors.by_design.<design, state>.passed | found | state_right          where the truth tells how its doors look
+    elements.<name>.truth | seen | cubes | recall | labels                where the truth tells where its parts are
     maps.<map>.precision | recall | error_m | true_cells | occupied_cells | false_cells
     maps.<map>.false_cells_of_cabinets | precision_without_cabinets     cabinets as high as the room count as false walls
     maps.<map>.doors_passed | doors_blocked | blocked      in whose doorway no free cells connect the wall's two sides
@@ -37,6 +39,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import Label, Truth
@@ -45,6 +48,7 @@ from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.maps.area_graph import Segmented
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.truth.doors import DOOR_RETURNS, DoorFigures, FoundDoors, TrueDoors, compare_doors
+from ffmap.algorithms.truth.elements import Element, doors_by_design, tally_elements
 from ffmap.algorithms.truth.labels import class_figures, outside_kept
 from ffmap.algorithms.truth.maps import ComparedMaps, compare_with_truth
 from ffmap.algorithms.truth.poses import TrajectoryFigures, compare_trajectories, rms
@@ -208,11 +212,23 @@ def compare_run(
         "points": _label_metrics(tally.confusion_points, None),
         "points_scan": _label_metrics(tally.confusion_points_scan, None),
     }
+    if building is not None and (elements := read_elements(building)):
+        metrics["elements"] = {
+            name: {"truth": own.truth.name.lower(), "seen": own.seen, "cubes": own.cubes, "recall": own.recall,
+                   "labels": dict(own.labels)}
+            for name, own in tally_elements(elements, tally.cubes).items()
+        }  # fmt: skip
     comparison = Comparison(metrics, faces, doors, tally, counted.parts, clouds.lidars)
     if building is not None and (doors_path := run.file(run_names.DOORS)) is not None:
         found_doors = read_doors(doors_path)
         door_figures = compare_doors(doors, tally.door_returns, found_doors)
         metrics["doors"] = _door_metrics(door_figures)
+        if designs := read_designs(building):
+            by_design = doors_by_design(designs, door_figures)
+            metrics["doors"]["by_design"] = {
+                name: {"passed": own.passed, "found": own.found, "state_right": own.state_right}
+                for name, own in by_design.items()
+            }
         comparison = replace(comparison, compared_doors=(found_doors, door_figures))
     if building is not None and (maps := map_figures.read_maps(run.path)):
         passed = tally.door_returns >= DOOR_RETURNS
@@ -328,6 +344,23 @@ def read_building(building: Mapping[str, Any] | None) -> tuple[TrueDoors, FloatA
         state=np.array(states, np.uint8),
     )
     return doors, np.concatenate(faces) if faces else np.zeros((0, 2, 2))
+
+
+def read_designs(building: Mapping[str, Any]) -> list[str]:
+    """How each true door looks, and its state; empty where the truth does not tell."""
+    doors = [own["properties"] for own in building["features"] if own["properties"]["kind"] == "door"]
+    return [f"{door['design']}, {door['state']}" for door in doors if "design" in door]
+
+
+def read_elements(building: Mapping[str, Any]) -> list[Element]:
+    """The features of the kind `element`: Polygons with a name, a class, and a lowest and highest place."""
+    return [
+        Element(
+            own["properties"]["element"], Truth[own["properties"]["truth"].upper()],
+            shapely.Polygon(own["geometry"]["coordinates"][0]), (own["properties"]["bottom"], own["properties"]["height"])
+        )
+        for own in building["features"] if own["properties"]["kind"] == "element"
+    ]  # fmt: skip
 
 
 def _compare_rooms(path: Path, building: Mapping[str, Any], true_trajectory: Trajectory) -> Metrics:

@@ -47,12 +47,18 @@ def _settings(values: dict[str, Any], overrides: Sequence[str]) -> "SimulationSe
         name, equals, text = override.partition("=")
         if not equals:
             raise InputError(f"--set {override}: write it as name=value, as in clutter=0.5")
-        values[name.strip()] = parse_value(text.strip())
+        # One dot at most: properties have no more levels.
+        name, _, inner = name.strip().partition(".")
+        value = parse_value(text.strip())
+        said = values.get(name)
+        values[name] = {**(said if isinstance(said, dict) else {}), inner: value} if inner else value
     try:
         return SimulationSettings.model_validate(values)
     except ValidationError as error:
         first = error.errors()[0]
-    name, known = ".".join(str(part) for part in first["loc"]), SimulationSettings.model_fields
+    name, known = ".".join(str(part) for part in first["loc"]), dict(SimulationSettings.model_fields)
+    if first["loc"][0] == "drawn":
+        known = {f"drawn.{own}": field for own, field in type(SimulationSettings().drawn).model_fields.items()}
     if first["type"] == "extra_forbidden":
         raise InputError(f"simulate: there is no property {name!r}; the properties are {', '.join(known)}")
     meant = f" ({known[name].description})" if name in known and known[name].description else ""

@@ -17,10 +17,13 @@ from shapely.geometry.polygon import orient
 
 from ffmap.algorithms.base.labels import Truth
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.loaders.simulator.mesh import MeshBuilder, Spot
+from ffmap.loaders.simulator.mesh import MeshBuilder, Spot, Surface
 
 LEAF_THICKNESS_M = 0.04
 _CUT_M = 0.001  # Openings reach this far beyond the wall's faces, for a clean cut
+
+
+RoomKind = Literal["corridor", "office", "meeting", "store", "lab", "living", "bed", "kitchen"]
 
 
 @dataclass(frozen=True)
@@ -28,7 +31,7 @@ class Room:
     """outline: its polygon up to the walls' centre lines; interior: up to their faces."""
 
     name: str
-    kind: Literal["corridor", "office", "meeting", "store", "lab"]
+    kind: RoomKind
     outline: shapely.Polygon
     interior: shapely.Polygon
     ceiling_m: float
@@ -204,21 +207,8 @@ def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, float]:
 
 def build_structure(plan: Plan, mesh: MeshBuilder, rng: np.random.Generator) -> None:
     """Walls, columns, lintels, floor, ceilings, leaves and panes."""
-    wall_reflectivity = rng.uniform(0.55, 0.8)
-    top = max(room.ceiling_m for room in plan.rooms) + 0.05
-    levels = sorted({0.0, top, *(z for o in plan.openings for z in (o.bottom_m, o.top_m))})
-    for low, high in pairwise(levels):
-        ends = np.array(list(segments(plan.solid_at((low + high) / 2))))
-        mesh.wall(ends, (low, high), Truth.WALL, wall_reflectivity)
-    for opening in plan.openings:
-        mesh.slab(opening.area, opening.top_m, Truth.WALL, wall_reflectivity)
-        if opening.bottom_m > 0:
-            mesh.slab(opening.area, opening.bottom_m, Truth.WALL, wall_reflectivity)
-    floor_reflectivity = rng.uniform(0.15, 0.4)
-    mesh.slab(plan.footprint, 0.0, Truth.FLOOR, floor_reflectivity)
-    if plan.podium is not None:
-        mesh.slab(plan.podium, plan.podium_m, Truth.FLOOR, floor_reflectivity)
-        mesh.wall(np.array(edges(plan.podium)), (0.0, plan.podium_m), Truth.FLOOR, floor_reflectivity)
+    raise_walls(plan, max(room.ceiling_m for room in plan.rooms), mesh, rng.uniform(0.55, 0.8))
+    lay_floor(plan, mesh, rng.uniform(0.15, 0.4))
     for room in plan.rooms:
         mesh.slab(room.interior.buffer(0.02, join_style="mitre"), room.ceiling_m, Truth.CEILING, 0.75)
     for door in plan.doors:
@@ -231,6 +221,26 @@ def build_structure(plan: Plan, mesh: MeshBuilder, rng: np.random.Generator) -> 
         half = window.width_m / 2
         ends = window.spot.to_plan(np.array([[-half, middle], [half, middle]]))
         mesh.wall(ends[None], (window.bottom_m, window.top_m), Truth.GLASS, 0.1)
+
+
+def raise_walls(plan: Plan, ceiling_m: float, mesh: MeshBuilder, surface: Surface) -> None:
+    """Walls and columns up to a little above the highest ceiling, with sills, lintels and reveals of their openings."""
+    levels = sorted({0.0, ceiling_m + 0.05, *(z for o in plan.openings for z in (o.bottom_m, o.top_m))})
+    for low, high in pairwise(levels):
+        ends = np.array(list(segments(plan.solid_at((low + high) / 2))))
+        mesh.wall(ends, (low, high), Truth.WALL, surface)
+    for opening in plan.openings:
+        mesh.slab(opening.area, opening.top_m, Truth.WALL, surface)
+        if opening.bottom_m > 0:
+            mesh.slab(opening.area, opening.bottom_m, Truth.WALL, surface)
+
+
+def lay_floor(plan: Plan, mesh: MeshBuilder, surface: Surface) -> None:
+    """The floor, and the podium that stands on it."""
+    mesh.slab(plan.footprint, 0.0, Truth.FLOOR, surface)
+    if plan.podium is not None:
+        mesh.slab(plan.podium, plan.podium_m, Truth.FLOOR, surface)
+        mesh.wall(np.array(edges(plan.podium)), (0.0, plan.podium_m), Truth.FLOOR, surface)
 
 
 def _hang_leaves(door: Door, mesh: MeshBuilder, reflectivity: float) -> None:

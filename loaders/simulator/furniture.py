@@ -1,6 +1,6 @@
 """What stands, hangs and lies in the rooms, kept clear of the robot's path, of doors and of each other."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -168,12 +168,13 @@ def _person(mesh: MeshBuilder, spot: Spot, size: Size, ceiling: float, rng: np.r
     mesh.blob(middle + tall * 0.92 * UP, np.array([0.09, 0.09, tall * 0.08]), Truth.PERSON, 0.5)
 
 
+CABINET = Piece(_cabinet, (0.8, 1.6), (0.4, 0.6), True, "office lab store corridor", 1.5, (0.0, 4.0))
 PIECES: tuple[Piece, ...] = (
     Piece(_desk, (1.2, 1.8), (1.2, 1.3), True, "office lab meeting", 5),
     Piece(_desk, (1.4, 1.8), (1.2, 1.3), False, "office lab", 2),
     Piece(_shelf, (0.7, 1.2), (0.28, 0.42), True, "office lab store meeting", 4, (0.0, 2.2)),
     Piece(_cupboard, (0.7, 1.2), (0.38, 0.5), True, "office lab store corridor", 3, (0.0, 2.2)),
-    Piece(_cabinet, (0.8, 1.6), (0.4, 0.6), True, "office lab store corridor", 1.5, (0.0, 4.0)),
+    CABINET,
     Piece(_board, (1.2, 2.4), (0.03, 0.03), True, "office lab meeting corridor", 2, (0.8, 2.2)),
     Piece(_radiator, (0.8, 1.4), (0.13, 0.13), True, "office meeting corridor", 1, (0.0, 0.7)),
     Piece(_sofa, (1.4, 2.0), (0.8, 0.9), True, "office meeting", 0.7),
@@ -194,27 +195,36 @@ def furnish(
 
     path: what must stay clear, in the plan.
     """
+    keep = keep_clear(plan, path)
+    taken = []
+    for room in plan.rooms:
+        taken += fill_room(room, plan, keep, clutter, mesh, rng)
+        hang_lamps(room, mesh, rng)
+        hang_duct(room, clutter, mesh, rng)
+    return shapely.union_all(taken)
+
+
+def keep_clear(plan: Plan, path: BaseGeometry) -> BaseGeometry:
+    """Where nothing may stand: on the path, before doors and at what is built."""
     doorways = [door.spot.rectangle(-d, d, door.depth[0] - 0.95, door.depth[1] + 0.3)
                 for door in plan.doors if (d := door.width_m / 2 + 0.12)]  # fmt: skip
     leaves = [leaf.buffer(0.03) for door in plan.doors for leaf in door.leaf_areas()]
     keep = shapely.union_all([path, *doorways, *leaves, *(c.buffer(0.02) for c in plan.columns)])
     if plan.podium is not None:
         keep = keep.union(plan.podium.buffer(0.02))
-    taken = []
-    for room in plan.rooms:
-        density = 0.25 if room.kind == "corridor" else 1.0
-        tries = round(clutter**1.5 * density * (8 + 10.0 * room.interior.area))
-        placed = _fill(room, plan, keep, tries, mesh, rng)
-        taken += placed
-        _hang_lamps(room, mesh, rng)
-        _hang_duct(room, clutter, mesh, rng)
-    return shapely.union_all(taken)
+    return keep
 
 
-def _fill(
-    room: Room, plan: Plan, keep: BaseGeometry, tries: int, mesh: MeshBuilder, rng: np.random.Generator
-) -> list[shapely.Polygon]:
-    pieces = [piece for piece in PIECES if room.kind in piece.kinds]
+def fill_room(
+    room: Room, plan: Plan, keep: BaseGeometry, clutter: float, mesh: MeshBuilder, rng: np.random.Generator,
+    catalogue: Sequence[Piece] = PIECES, off_m: tuple[float, float] = (0.0, 0.05)
+) -> list[shapely.Polygon]:  # fmt: skip
+    """Pieces of a catalogue, put where they fit; returns the floor that each covers. off_m: how far half of them stand
+    off their wall, the others touch it.
+    """
+    density = 0.25 if room.kind == "corridor" else 1.0
+    tries = round(clutter**1.5 * density * (8 + 10.0 * room.interior.area))
+    pieces = [piece for piece in catalogue if room.kind in piece.kinds]
     weights = np.array([piece.weight for piece in pieces])
     within = room.interior.buffer(0.005)
     openings = [(o.area.buffer(0.06), o.bottom_m, o.top_m) for o in plan.openings if o.area.distance(within) < 0.1]
@@ -224,7 +234,7 @@ def _fill(
     for index in rng.choice(len(pieces), tries, p=weights / weights.sum()):
         piece = pieces[index]
         size = (float(rng.uniform(*piece.width)), float(rng.uniform(*piece.depth)))
-        spot = _against_wall(walls, lengths, rng) if piece.at_wall else _in_room(room, walls[0], rng)
+        spot = _against_wall(walls, lengths, off_m, rng) if piece.at_wall else _in_room(room, walls[0], rng)
         area = spot.rectangle(-size[0] / 2, size[0] / 2, 0.0, size[1])
         others = [other for other in placed if other.intersects(area)]
         if others or not within.contains(area) or area.intersects(keep):
@@ -238,10 +248,12 @@ def _fill(
     return placed
 
 
-def _against_wall(walls: list[FloatArray], lengths: FloatArray, rng: np.random.Generator) -> Spot:
+def _against_wall(
+    walls: list[FloatArray], lengths: FloatArray, off_m: tuple[float, float], rng: np.random.Generator
+) -> Spot:
     wall = int(rng.choice(len(walls), p=lengths / lengths.sum()))
     spot = spot_on(walls[wall], float(rng.uniform(0, lengths[wall])))
-    gap = 0.0 if rng.random() < 0.5 else float(rng.uniform(0, 0.05))
+    gap = 0.0 if rng.random() < 0.5 else float(rng.uniform(*off_m))
     x, y = spot.to_plan(np.array([[0.0, gap]]))[0]
     return Spot(x, y, spot.yaw)
 
@@ -253,7 +265,7 @@ def _in_room(room: Room, wall: FloatArray, rng: np.random.Generator) -> Spot:
     return Spot(float(rng.uniform(x0, x1)), float(rng.uniform(y0, y1)), float(along + turn))
 
 
-def _hang_lamps(room: Room, mesh: MeshBuilder, rng: np.random.Generator) -> None:
+def hang_lamps(room: Room, mesh: MeshBuilder, rng: np.random.Generator) -> None:
     """Rows of long lamps, flush with the ceiling or hung from it."""
     drop = float(rng.choice([0.0, 0.0, rng.uniform(0.1, 0.4)]))
     wall = _longest_wall(room)
@@ -282,7 +294,7 @@ def _grid(room: Room, along: float, pitch: float) -> FloatArray:
     return np.asarray(points[shapely.contains_xy(core, points)])
 
 
-def _hang_duct(room: Room, clutter: float, mesh: MeshBuilder, rng: np.random.Generator) -> None:
+def hang_duct(room: Room, clutter: float, mesh: MeshBuilder, rng: np.random.Generator) -> None:
     """A duct or pipes along a wall under the ceiling."""
     if rng.random() > {"corridor": 0.5, "lab": 0.9, "store": 0.5}.get(room.kind, 0.2) * (0.3 + clutter):
         return

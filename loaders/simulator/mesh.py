@@ -1,7 +1,7 @@
-"""Triangles with a truth class and a reflectivity each, put together from simple bodies."""
+"""Triangles with a truth class and a material each, put together from simple bodies."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -19,19 +19,34 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
+class Material:
+    """reflectivity: diffuse, 0 to 1. gloss: what a sheen adds to it at right angles. pane: code of `glass.Glass`."""
+
+    reflectivity: float
+    gloss: float = 0.0
+    pane: int = 0
+
+
+Surface = float | Material
+"""A material, or the reflectivity of a dull one."""
+
+
+@dataclass(frozen=True)
 class Mesh:
-    """triangles: (n, 3, 3) float64, metres; truth: (n,) codes of `Truth`; reflectivity: (n,) 0 to 1."""
+    """triangles: (n, 3, 3) float64, metres; truth: (n,) codes of `Truth`; the others: (n,), see `Material`."""
 
     triangles: FloatArray
     truth: UInt8Array
     reflectivity: FloatArray
+    gloss: FloatArray
+    pane: UInt8Array
 
     def __len__(self) -> int:
         return len(self.triangles)
 
     def warped(self, warp: Callable[[FloatArray], FloatArray]) -> "Mesh":
         """The same triangles with every vertex (n, 3) moved."""
-        return Mesh(warp(self.triangles.reshape(-1, 3)).reshape(-1, 3, 3), self.truth, self.reflectivity)
+        return replace(self, triangles=warp(self.triangles.reshape(-1, 3)).reshape(-1, 3, 3))
 
 
 @dataclass(frozen=True)
@@ -62,41 +77,56 @@ class MeshBuilder:
         self._triangles: list[FloatArray] = []
         self._truth: list[UInt8Array] = []
         self._reflectivity: list[FloatArray] = []
+        self._gloss: list[FloatArray] = []
+        self._pane: list[UInt8Array] = []
 
     def build(self) -> Mesh:
-        return Mesh(np.concatenate(self._triangles), np.concatenate(self._truth), np.concatenate(self._reflectivity))
+        return Mesh(
+            np.concatenate(self._triangles), np.concatenate(self._truth), np.concatenate(self._reflectivity),
+            np.concatenate(self._gloss), np.concatenate(self._pane)
+        )  # fmt: skip
 
-    def add(self, triangles: FloatArray, truth: Truth, reflectivity: float) -> None:
+    def add(self, triangles: FloatArray, truth: Truth, surface: Surface) -> None:
         """Triangles (n, 3, 3) of one class and one material."""
+        material = surface if isinstance(surface, Material) else Material(surface)
         self._triangles.append(np.asarray(triangles, float))
         self._truth.append(np.full(len(triangles), truth, np.uint8))
-        self._reflectivity.append(np.full(len(triangles), reflectivity))
+        self._reflectivity.append(np.full(len(triangles), material.reflectivity))
+        self._gloss.append(np.full(len(triangles), material.gloss))
+        self._pane.append(np.full(len(triangles), material.pane, np.uint8))
 
     def box(
         self, spot: Spot, x: tuple[float, float], y: tuple[float, float], z: tuple[float, float],
-        truth: Truth, reflectivity: float
+        truth: Truth, surface: Surface
     ) -> None:  # fmt: skip
         """A box whose sides run along the spot's axes."""
         corners = np.array([[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]])
         plan = spot.to_plan(corners)
         vertices = np.concatenate([np.c_[plan, np.full(4, z[0])], np.c_[plan, np.full(4, z[1])]])
-        self.add(vertices[_BOX_FACES], truth, reflectivity)
+        self.add(vertices[_BOX_FACES], truth, surface)
 
-    def wall(self, ends: FloatArray, z: tuple[float, float], truth: Truth, reflectivity: float) -> None:
+    def wall(self, ends: FloatArray, z: tuple[float, float], truth: Truth, surface: Surface) -> None:
         """Vertical rectangles over segments `ends` (n, 2, 2)."""
         a0, b0 = (np.c_[ends[:, i], np.full(len(ends), z[0])] for i in (0, 1))
         a1, b1 = a0 + (z[1] - z[0]) * UP, b0 + (z[1] - z[0]) * UP
-        self.add(np.concatenate([np.stack([a0, b0, b1], 1), np.stack([a0, b1, a1], 1)]), truth, reflectivity)
+        self.add(np.concatenate([np.stack([a0, b0, b1], 1), np.stack([a0, b1, a1], 1)]), truth, surface)
 
-    def slab(self, area: BaseGeometry, z: float, truth: Truth, reflectivity: float) -> None:
+    def slab(self, area: BaseGeometry, z: float, truth: Truth, surface: Surface) -> None:
         """A horizontal polygon."""
+        self.sheet(area, lambda places: np.full(len(places), z), truth, surface)
+
+    def sheet(
+        self, area: BaseGeometry, height: Callable[[FloatArray], FloatArray], truth: Truth, surface: Surface
+    ) -> None:
+        """A polygon whose corners (n, 2) lie at heights (n,); nothing where it is empty."""
         parts = [np.array(p.exterior.coords)[:3] for p in shapely.constrained_delaunay_triangles(area).geoms]
-        triangles = np.stack(parts)[..., :2]
-        self.add(np.concatenate([triangles, np.full((len(parts), 3, 1), z)], 2), truth, reflectivity)
+        if parts:
+            corners = np.concatenate(parts)[:, :2]
+            self.add(np.c_[corners, height(corners)].reshape(-1, 3, 3), truth, surface)
 
     def tube(
         self, start: FloatArray | list[float], end: FloatArray | list[float], radius: float | tuple[float, float], truth: Truth,
-        reflectivity: float, sides: int = 10
+        surface: Surface, sides: int = 10
     ) -> None:  # fmt: skip
         """A closed cylinder or truncated cone between two points (3,)."""
         base, top = np.asarray(start, float), np.asarray(end, float)
@@ -111,10 +141,10 @@ class MeshBuilder:
         a2, b2 = np.roll(a, -1, 0), np.roll(b, -1, 0)
         s, e = np.broadcast_to(base, a.shape), np.broadcast_to(top, a.shape)
         sides_ = [np.stack(t, 1) for t in ((a, a2, b2), (a, b2, b), (s, a2, a), (e, b, b2))]
-        self.add(np.concatenate(sides_), truth, reflectivity)
+        self.add(np.concatenate(sides_), truth, surface)
 
     def blob(
-        self, centre: FloatArray, radii: FloatArray, truth: Truth, reflectivity: float,
+        self, centre: FloatArray, radii: FloatArray, truth: Truth, surface: Surface,
         rng: np.random.Generator | None = None, rows: int = 6, columns: int = 9
     ) -> None:  # fmt: skip
         """An ellipsoid; bumpy with `rng`."""
@@ -132,4 +162,4 @@ class MeshBuilder:
         points = np.asarray(centre, float) + grid * np.asarray(radii, float)
         a, b, c, d = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
         triangles = [np.stack(t, 2).reshape(-1, 3, 3) for t in ((a, b, c), (a, c, d))]
-        self.add(np.concatenate(triangles), truth, reflectivity)
+        self.add(np.concatenate(triangles), truth, surface)

@@ -1,20 +1,30 @@
 """Generators of building plans: rooms along a corridor that may bend, with walls at right or at odd angles."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from itertools import combinations
+from typing import TypeVar
 
 import numpy as np
 import shapely
 
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.loaders.errors import InputError
-from ffmap.loaders.simulator.building import Door, Plan, Room, Window, edges, outer_walls, shared_walls, spot_on
+from ffmap.loaders.simulator.building import (
+    Door,
+    Plan,
+    Room,
+    RoomKind,
+    Window,
+    edges,
+    outer_walls,
+    shared_walls,
+    spot_on,
+)
 from ffmap.loaders.simulator.mesh import Spot
 from ffmap.loaders.simulator.settings import SimulationSettings
 
 _CLEAR_OF_BEND_M = 1.4
+DoorT = TypeVar("DoorT", bound=Door)
 _JAMB_M = 0.5  # Minimum width of wall beside a doorway, from the neighbouring wall's centre line
 
 
@@ -24,7 +34,8 @@ class Outline:
 
     corridor: (n, 2) centre line. width_m: clear width of the corridor. depth_m: of the rooms on its left and right.
     skew_m: how far the walls between rooms lean along the corridor. lab_m: widths of rooms that are labs, left first.
-    hall_m: depth of a hall across the corridor's end, 0 for none.
+    hall_m: depth of a hall across the corridor's end, 0 for none. room_m: widths of the other rooms, least and most.
+    kinds: of rooms, of which each room has one; large: of those over 30 m².
     """
 
     corridor: FloatArray
@@ -33,36 +44,39 @@ class Outline:
     skew_m: float
     lab_m: tuple[float, ...]
     hall_m: float = 0.0
+    room_m: tuple[float, float] = (3.0, 4.4)
+    kinds: tuple[RoomKind, ...] = ("office", "office", "office", "meeting", "store")
+    large: RoomKind = "lab"
 
 
 def _office(rng: np.random.Generator) -> Outline:
     length = rng.uniform(18, 23)
     depth = (rng.uniform(4.2, 5.5), rng.uniform(4.2, 5.5))
-    return Outline(_line((length, 0.0)), rng.uniform(1.9, 2.5), depth, 0.0, (rng.uniform(7, 9),))
+    return Outline(line_of((length, 0.0)), rng.uniform(1.9, 2.5), depth, 0.0, (rng.uniform(7, 9),))
 
 
 def _angled(rng: np.random.Generator) -> Outline:
     bends = rng.uniform(22, 48, 2) * rng.choice([-1, 1])
     bends[1] *= rng.choice([-1, 0.4])
-    line = _line((rng.uniform(7, 8.5), 0.0), (rng.uniform(6.5, 8), bends[0]), (rng.uniform(5.5, 7), bends[1]))
+    line = line_of((rng.uniform(7, 8.5), 0.0), (rng.uniform(6.5, 8), bends[0]), (rng.uniform(5.5, 7), bends[1]))
     depth = (rng.uniform(4.0, 5.2), rng.uniform(4.0, 5.2))
     return Outline(line, rng.uniform(1.9, 2.6), depth, rng.uniform(0.5, 0.9), (rng.uniform(6, 7),))
 
 
 def _ell(rng: np.random.Generator) -> Outline:
-    line = _line((rng.uniform(12, 14), 0.0), (rng.uniform(11, 13), 90.0 * rng.choice([-1, 1])))
+    line = line_of((rng.uniform(12, 14), 0.0), (rng.uniform(11, 13), 90.0 * rng.choice([-1, 1])))
     depth = (rng.uniform(4.0, 4.8), rng.uniform(4.0, 4.8))
     return Outline(line, rng.uniform(2.0, 2.6), depth, 0.0, (rng.uniform(6, 7),))
 
 
 def _lab(rng: np.random.Generator) -> Outline:
     depth = (rng.uniform(4.5, 5.5), rng.uniform(4.5, 5.5))
-    line = _line((rng.uniform(11, 14), 0.0))
+    line = line_of((rng.uniform(11, 14), 0.0))
     return Outline(line, rng.uniform(2.0, 2.8), depth, rng.choice([0.0, 0.5]), (), rng.uniform(8, 11))
 
 
 def _small(rng: np.random.Generator) -> Outline:
-    return Outline(_line((8.0, 0.0)), 2.1, (4.2, 4.2), 0.0, ())
+    return Outline(line_of((8.0, 0.0)), 2.1, (4.2, 4.2), 0.0, ())
 
 
 BUILDINGS: dict[str, Callable[[np.random.Generator], Outline]] = {
@@ -77,14 +91,7 @@ angle, one that ends in a hall with columns, and three or four rooms for a demon
 
 
 def draw_plan(settings: SimulationSettings, rng: np.random.Generator) -> Plan:
-    """The named building.
-
-    Raises InputError where there is no building of that name.
-    """
-    if settings.building not in BUILDINGS:
-        close = get_close_matches(settings.building, BUILDINGS, 1)
-        hint = f"did you mean '{close[0]}'? There" if close else "there"
-        raise InputError(f"--building '{settings.building}': no such building; {hint} are {', '.join(BUILDINGS)}")
+    """The named building of `BUILDINGS`."""
     outline = BUILDINGS[settings.building](rng)
     thickness = settings.wall_thickness_m or float(rng.uniform(0.12, 0.28))
     rooms = _partition(outline, thickness, settings, rng)
@@ -99,7 +106,7 @@ def draw_plan(settings: SimulationSettings, rng: np.random.Generator) -> Plan:
     )  # fmt: skip
 
 
-def _line(*legs: tuple[float, float]) -> FloatArray:
+def line_of(*legs: tuple[float, float]) -> FloatArray:
     """(n, 2) from legs of a length in metres and a turn in degrees before each."""
     points, heading = [np.zeros(2)], 0.0
     for length, turn in legs:
@@ -121,55 +128,62 @@ def _offset(line: FloatArray, left_m: float) -> FloatArray:
 def _partition(
     outline: Outline, thickness: float, settings: SimulationSettings, rng: np.random.Generator
 ) -> list[Room]:
-    half = (outline.width_m + thickness) / 2
     ceiling = settings.ceiling_m or float(rng.uniform(2.55, 3.2))
     lowered = ceiling - (float(rng.uniform(0.1, 0.35)) if ceiling > 2.8 and rng.random() < 0.5 else 0.0)
+    areas = divide(outline, thickness, rng)
+    return [
+        Room(name, kind, area, area.buffer(-thickness / 2, join_style="mitre", mitre_limit=10),
+             lowered if kind == "corridor" else ceiling)
+        for name, kind, area in areas
+    ]  # fmt: skip
+
+
+def divide(
+    outline: Outline, thickness: float, rng: np.random.Generator
+) -> list[tuple[str, RoomKind, shapely.Polygon]]:
+    """Rooms by name, kind and outline up to the walls' centre lines; the corridor, whose walls have a thickness, first."""
+    half = (outline.width_m + thickness) / 2
     line = outline.corridor
     walls = np.vstack([_offset(line, half), _offset(line, -half)[::-1]])
-    rooms = [_room("corridor", "corridor", shapely.Polygon(walls), thickness, lowered)]
+    rooms: list[tuple[str, RoomKind, shapely.Polygon]] = [("corridor", "corridor", shapely.Polygon(walls))]
     labs = [outline.lab_m, ()] if rng.random() < 0.5 else [(), outline.lab_m]
     for side, depth, widths in zip((1, -1), outline.depth_m, labs, strict=True):
         near, far = _offset(line, side * half), _offset(line, side * (half + depth))
-        cuts = _cuts(line, widths, side * (half + depth), outline.skew_m, rng)
+        cuts = _cuts(outline, widths, side * (half + depth), rng)
         skews = rng.uniform(-outline.skew_m, outline.skew_m, len(cuts))
         for i in range(len(cuts) - 1):
             inner = _stretch(near, line, cuts[i], cuts[i + 1], 0.0, 0.0)
             outer = _stretch(far, line, cuts[i], cuts[i + 1], skews[i], skews[i + 1])
             area = shapely.Polygon(np.vstack([inner, outer[::-1]]))
-            kind = "lab" if area.area > 30 else str(rng.choice(["office", "office", "office", "meeting", "store"]))
-            rooms.append(_room(f"{kind} {len(rooms)}", kind, area, thickness, ceiling))
+            kind = outline.large if area.area > 30 else outline.kinds[int(rng.choice(len(outline.kinds)))]
+            rooms.append((f"{kind} {len(rooms)}", kind, area))
     if outline.hall_m:
         ends = np.array([_offset(line, s * (half + d))[-1] for s, d in zip((1, -1), outline.depth_m, strict=True)])
         ahead = outline.hall_m * (line[-1] - line[-2]) / np.linalg.norm(line[-1] - line[-2])
         area = shapely.Polygon(np.vstack([ends, ends[::-1] + ahead]))
-        rooms.append(_room(f"lab {len(rooms)}", "lab", area, thickness, ceiling))
+        rooms.append((f"{outline.large} {len(rooms)}", outline.large, area))
     return rooms
 
 
-def _room(name: str, kind: str, outline: shapely.Polygon, thickness: float, ceiling_m: float) -> Room:
-    interior = outline.buffer(-thickness / 2, join_style="mitre", mitre_limit=10)
-    return Room(name, kind, outline, interior, ceiling_m)  # type: ignore[arg-type]
-
-
 def _cuts(
-    line: FloatArray, lab_m: tuple[float, ...], reach_m: float, skew_m: float, rng: np.random.Generator
+    outline: Outline, lab_m: tuple[float, ...], reach_m: float, rng: np.random.Generator
 ) -> FloatArray:
     """Where walls between rooms meet the corridor, in metres along its centre line; both ends included.
 
     reach_m: how far the rooms reach from the centre line, to its left if positive; inside a bend they have less space.
     A gentle bend has a wall at its corner; in a sharp one a room goes around it.
     """
-    legs = np.diff(line, axis=0)
+    legs = np.diff(outline.corridor, axis=0)
     corners = np.append(0.0, np.cumsum(np.linalg.norm(legs, axis=1)))
     turns = np.diff(np.unwrap(np.arctan2(legs[:, 1], legs[:, 0])))
     widths = list(lab_m)
     while sum(widths) < corners[-1]:
-        widths.append(float(rng.uniform(3.0, 4.4)))
+        widths.append(float(rng.uniform(*outline.room_m)))
     rng.shuffle(widths)
     cuts = np.append(0.0, np.cumsum(widths))
     cuts = cuts[cuts < corners[-1] - 2.8]
     for corner, turn in zip(corners[1:-1], turns, strict=True):
-        margin = _CLEAR_OF_BEND_M + skew_m + max(reach_m * np.tan(turn / 2), 0.0)
+        margin = _CLEAR_OF_BEND_M + outline.skew_m + max(reach_m * np.tan(turn / 2), 0.0)
         cuts = cuts[(np.abs(cuts - corner) > margin) | (cuts == 0)]
         if abs(turn) < np.radians(60):
             cuts = np.sort(np.append(cuts, corner))
@@ -225,7 +239,7 @@ def _place_doors(
         # The largest room is worth a visit: its first door changes places with one that is open.
         other = int(np.flatnonzero(~shut)[0])
         shut[other], shut[entrance] = shut[entrance], False
-    return [_hang(door, bool(s), rooms, settings, rng) for door, s in zip(doors, shut, strict=True)]
+    return [hang_door(door, bool(s), rooms, rng) for door, s in zip(doors, shut, strict=True)]
 
 
 def _cut_door(
@@ -246,7 +260,7 @@ def _cut_door(
     )  # fmt: skip
 
 
-def _hang(door: Door, closed: bool, rooms: list[Room], settings: SimulationSettings, rng: np.random.Generator) -> Door:
+def hang_door(door: DoorT, closed: bool, rooms: Sequence[Room], rng: np.random.Generator) -> DoorT:
     """The door with its leaves closed, open, half open or against the wall, whichever the room has space for."""
     kind = rng.choice(["open", "half", "wall"], p=[0.6, 0.2, 0.2])
     angle = {"open": rng.uniform(82, 100), "half": rng.uniform(15, 60), "wall": rng.uniform(165, 175)}[kind]

@@ -9,6 +9,7 @@ from embreex.mesh_construction import TriangleMesh  # noqa: TID251 - its one pla
 from ffmap.algorithms.base.labels import NO_RETURN, Truth
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.loaders.simulator import glass
 from ffmap.loaders.simulator.mesh import Mesh
 from ffmap.loaders.simulator.sensors import Lidar
 from ffmap.loaders.simulator.settings import SimulationSettings
@@ -16,7 +17,7 @@ from ffmap.loaders.simulator.settings import SimulationSettings
 _PASSES = 3  # How many panes a ray may meet
 _RETURN_STRENGTH = 30.0  # Signal over the detector's threshold of a white wall at right angles, 10 m away
 _MIXED_STEP_M = 0.7  # Beyond this a detector tells the two echoes of an edge apart
-_PANE_TRANSMITS = 0.8  # Share of the signal that is left after a pane, there and back
+_SHEEN = 30  # A sheen narrows to a half within this power of the cosine, 12° off the right angle
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,7 @@ class World:
         normal = np.cross(edges[:, 0], edges[:, 1])
         self._normals = (normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]).astype(np.float32)
         self._reflectivity = mesh.reflectivity.astype(np.float32)
+        self._gloss = mesh.gloss.astype(np.float32)
         self._scene = rtcore_scene.EmbreeScene()
         TriangleMesh(self._scene, mesh.triangles.astype(np.float32))
         self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # builds the tree, before any thread
@@ -122,25 +124,30 @@ class World:
             truth = np.where(on_person, np.uint8(Truth.PERSON), self.mesh.truth[triangle])
             cosine = np.where(on_person, np.float32(0.7), np.abs(facing))
             pane = truth == Truth.GLASS
-            returned = ~pane if last else ~pane | (rng.random(len(met)) < _pane_returns(cosine))
+            kind = np.where(pane, self.mesh.pane[triangle], np.uint8(glass.Glass.PLAIN))
+            returned = ~pane if last else ~pane | (rng.random(len(met)) < glass.returns(kind, cosine))
             back = rays[met[returned]]
             hits.distance_m[back] = travelled[back] + distance[returned]
             hits.cosine[back] = cosine[returned]
-            hits.signal[back] = transmitted[back] * np.where(on_person, 0.3, self._reflectivity[triangle])[returned]
-            hits.signal[back[pane[returned]]] = 1.0
+            hits.signal[back] = transmitted[back] * np.where(on_person, 0.3, self._response(triangle, cosine))[returned]
+            hits.signal[back[pane[returned]]] = glass.echoes(kind, cosine)[returned & pane]
             hits.truth[back] = np.where(behind[back], np.uint8(Truth.OUTSIDE), truth[returned])
             if last or returned.all():
                 break
             on = np.flatnonzero(~returned)
-            mirrored = rng.random(len(on)) < _pane_mirrors(cosine[on])
+            mirrored = rng.random(len(on)) < glass.mirrors(kind[on], cosine[on])
             reached = origins[met[on]] + distance[on, None] * directions[met[on]]
             turned = directions[met[on]] - np.where(mirrored, 2 * facing[on], 0)[:, None] * normal[on]
             rays = rays[met[on]]
             travelled[rays] += distance[on]
-            transmitted[rays] *= np.where(mirrored, 0.9, _PANE_TRANSMITS)
+            transmitted[rays] *= glass.leaves(kind[on], cosine[on], mirrored)
             behind[rays] = True
             origins, directions = reached + 1e-3 * turned, turned
         return hits
+
+    def _response(self, triangle: IntArray, cosine: FloatArray) -> FloatArray:
+        """(n,) reflectivity of triangles seen at a cosine (n,) of incidence: diffuse, and what a sheen adds to it."""
+        return np.asarray(self._reflectivity[triangle] + self._gloss[triangle] * cosine**_SHEEN)
 
     def _nearest(self, origins: FloatArray, directions: FloatArray) -> tuple[FloatArray, IntArray]:
         found = self._scene.run(np.ascontiguousarray(origins), np.ascontiguousarray(directions), output=True)
@@ -154,16 +161,6 @@ class World:
         for walker in self.walkers:
             nearest = np.minimum(nearest, walker.meet(origins, directions, time_s).astype(np.float32))
         return np.where(nearest < before_m, nearest, np.float32(np.inf))
-
-
-def _pane_returns(cosine: FloatArray) -> FloatArray:
-    """Chance that a pane itself returns: likely at right angles, otherwise rare (dust)."""
-    return np.asarray(0.02 + 0.6 * np.clip((cosine - 0.985) / 0.015, 0.0, 1.0))
-
-
-def _pane_mirrors(cosine: FloatArray) -> FloatArray:
-    """Chance that a pane mirrors (Schlick's approximation for its two faces)."""
-    return np.asarray(0.08 + 0.92 * (1.0 - cosine) ** 5)
 
 
 def scan(
@@ -198,7 +195,8 @@ def scan(
     seen &= measured > settings.min_range_m
     measured = np.where(seen, measured, 0.0).astype(np.float32)
     points = directions_sensor.reshape(-1, 3) * measured[:, None]
-    intensity = np.round(100.0 * np.clip(hits.signal * (0.3 + 0.7 * hits.cosine), 0.0, 1.0)).astype(np.float32)
+    strength = hits.signal * (0.3 + 0.7 * hits.cosine) * _faded(hits.distance_m, settings.intensity_half_m)
+    intensity = np.round(100.0 * np.clip(strength, 0.0, 1.0)).astype(np.float32)
     order = np.arange(len(ring))
     if model.layout == "velodyne":
         order = np.flatnonzero(seen)
@@ -211,6 +209,11 @@ def scan(
         points[order], measured[order], intensity[order], ring[order], firing_ns.ravel()[order].astype(np.int64),
         truth[order], start_ns, start_ns + round(lidar.period_ns)
     )  # fmt: skip
+
+
+def _faded(distance_m: FloatArray, half_m: float | None) -> FloatArray | float:
+    """What is left of an intensity at a distance (n,), a half at `half_m`; all of it where None."""
+    return 1.0 if half_m is None else 1.0 / (1.0 + (distance_m / np.float32(half_m)) ** 2)
 
 
 def _mixed(distance_m: FloatArray, share: float, rng: np.random.Generator) -> FloatArray:

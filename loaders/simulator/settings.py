@@ -4,6 +4,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from ffmap.loaders.simulator.drawn.ranges import Ranges
+
 Sensor = Literal["hdl32e", "vlp16", "os1-16", "os0-128", "qt64", "xt32", "mid360"]
 Container = Literal["bag", "mcap", "db3"]
 
@@ -49,6 +51,11 @@ class SimulationSettings(BaseModel):
     ramp_rise_m: float = Field(0.0, ge=0, le=1, description="rise of a ramp halfway along the corridor, metres")
     door_sills_m: float = Field(0.0, ge=0, le=0.03, description="height of the sills in doorways, metres")
     step_m: float = Field(0.0, ge=0, le=0.3, description="height of a podium in one room, metres")
+
+    drawn: Ranges = Field(Ranges(), description="what dwelling, workplace and institution are drawn from (see Ranges)")
+    intensity_half_m: float | None = Field(
+        None, gt=0, description="distance at which the intensity of a surface halves (m); calibrated for range if not given"
+    )
 
     mount_tilt_deg: float = Field(0.0, ge=-15, le=15, description="how far the vertical spin axis points down, degrees")
     noise_m: float | None = Field(None, ge=0, le=0.1, description="range noise, sigma (m); the sensor's if not given")

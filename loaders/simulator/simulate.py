@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from heapq import merge
 from itertools import islice
 from operator import itemgetter
@@ -18,15 +19,22 @@ from shapely.geometry.base import BaseGeometry
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.loaders.errors import InputError
 from ffmap.loaders.frames import StaticTransform
 from ffmap.loaders.numbered import numbered
 from ffmap.loaders.simulator.bag_writing import DriveWriter
 from ffmap.loaders.simulator.building import Plan, build_structure
+from ffmap.loaders.simulator.drawn.draw import build_in, check_kind, draw_drawn_plan, with_ramp
+from ffmap.loaders.simulator.drawn.elements import DrawnPlan
+from ffmap.loaders.simulator.drawn.furnishings import furnish_drawn
+from ffmap.loaders.simulator.drawn.ranges import KINDS, ranges_of
+from ffmap.loaders.simulator.drawn.structure import build_drawn
+from ffmap.loaders.simulator.drawn.truth import drawn_truth
 from ffmap.loaders.simulator.furniture import build_outside, furnish
 from ffmap.loaders.simulator.layouts import Layout, layout_of, lidars_of, rig_of
 from ffmap.loaders.simulator.mesh import Mesh, MeshBuilder
-from ffmap.loaders.simulator.motion import ROBOT_RADIUS_M, choose_route, draw_ways, drive
-from ffmap.loaders.simulator.plans import draw_plan
+from ffmap.loaders.simulator.motion import ROBOT_RADIUS_M, Ways, choose_route, draw_ways, drive
+from ffmap.loaders.simulator.plans import BUILDINGS, draw_plan
 from ffmap.loaders.simulator.raytrace import Sweep, Walker, World, scan
 from ffmap.loaders.simulator.sensors import Lidar
 from ffmap.loaders.simulator.settings import SimulationSettings
@@ -89,13 +97,10 @@ def draw_scene(settings: SimulationSettings) -> Scene:
     plan_rng, structure_rng, furniture_rng, outside_rng, drive_rng, sensor_rng = (
         np.random.default_rng([settings.seed, part]) for part in range(6)
     )
-    plan = draw_plan(settings, plan_rng)
-    ways = draw_ways(plan, plan_rng)
     builder = MeshBuilder()
-    build_structure(plan, builder, structure_rng)
-    furniture = furnish(plan, ways.area(ROBOT_RADIUS_M + _CLEARANCE_M), settings.clutter, builder, furniture_rng)
+    build = _build_drawn if _is_drawn(settings) else _build_named
+    plan, ways, terrain, furniture = build(settings, builder, plan_rng, structure_rng, furniture_rng)
     build_outside(plan, builder, outside_rng)
-    terrain = draw_terrain(plan.corridor, settings, plan_rng)
 
     avoid = furniture.union(ways.area(ROBOT_RADIUS_M))
     lidars = lidars_of(settings, sensor_rng)
@@ -116,8 +121,50 @@ def draw_scene(settings: SimulationSettings) -> Scene:
         ring_bias_m=tuple(sensor_rng.normal(0, settings.ring_bias_m, lidar.model.rings) for lidar in lidars),
         trajectory=_carried(drive_plan.moved(T_map_plan), T_floor_base),
         T_map_plan=T_map_plan,
-        truth=building_truth(plan, T_map_plan),
+        truth=drawn_truth(plan, T_map_plan) if isinstance(plan, DrawnPlan) else building_truth(plan, T_map_plan),
     )
+
+
+_Built = tuple[Plan, Ways, Terrain, BaseGeometry]  # The last: the floor that furniture covers
+
+
+def _is_drawn(settings: SimulationSettings) -> bool:
+    """Whether the building is drawn from ranges. Raises InputError where there is none of the name, or where its kind has no
+    property that is asked for.
+    """
+    known = [*BUILDINGS, *KINDS]
+    if settings.building not in known:
+        close = get_close_matches(settings.building, known, 1)
+        hint = f"did you mean '{close[0]}'? There" if close else "there"
+        raise InputError(f"--building '{settings.building}': no such building; {hint} are {', '.join(known)}")
+    check_kind(settings)
+    return settings.building in KINDS
+
+
+def _build_named(
+    settings: SimulationSettings, mesh: MeshBuilder, plan_rng: np.random.Generator, structure_rng: np.random.Generator,
+    furniture_rng: np.random.Generator
+) -> _Built:  # fmt: skip
+    plan = draw_plan(settings, plan_rng)
+    ways = draw_ways(plan, plan_rng)
+    build_structure(plan, mesh, structure_rng)
+    furniture = furnish(plan, ways.area(ROBOT_RADIUS_M + _CLEARANCE_M), settings.clutter, mesh, furniture_rng)
+    return plan, ways, draw_terrain(plan.corridor, settings, plan_rng), furniture
+
+
+def _build_drawn(
+    settings: SimulationSettings, mesh: MeshBuilder, plan_rng: np.random.Generator, structure_rng: np.random.Generator,
+    furniture_rng: np.random.Generator
+) -> _Built:  # fmt: skip
+    empty = draw_drawn_plan(settings, plan_rng)
+    ways = draw_ways(empty, plan_rng)
+    clear = ways.area(ROBOT_RADIUS_M + _CLEARANCE_M)
+    plan = build_in(empty, clear, settings, plan_rng)
+    build_drawn(plan, mesh, structure_rng)
+    ranges = ranges_of(settings.building, settings.drawn)
+    furniture = furnish_drawn(plan, clear, settings.clutter, ranges, mesh, furniture_rng)
+    ramped, gradient = with_ramp(settings, plan_rng)
+    return plan, ways, draw_terrain(plan.corridor, ramped, plan_rng, gradient), furniture
 
 
 def _walkers(

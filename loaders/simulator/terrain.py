@@ -1,6 +1,6 @@
 """How the ground under a building rises: a slope, and a ramp halfway along the corridor."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -57,26 +57,28 @@ class Terrain:
         return Trajectory(drive.stamp_ns, T)
 
 
-def draw_terrain(corridor: FloatArray, settings: SimulationSettings, rng: np.random.Generator) -> Terrain:
+def draw_terrain(
+    corridor: FloatArray, settings: SimulationSettings, rng: np.random.Generator, ramp_gradient: float = _RAMP_GRADIENT
+) -> Terrain:
     """The slope's direction is drawn; the ramp lies in the middle of the corridor's first leg."""
     direction = rng.uniform(0, 2 * np.pi)
     gradient = np.tan(np.radians(settings.floor_slope_deg)) * np.array([np.cos(direction), np.sin(direction)])
     middle = 0.5 * float(corridor[1, 0])
-    half = max(settings.ramp_rise_m / _RAMP_GRADIENT / 2, 0.1)
+    half = max(settings.ramp_rise_m / ramp_gradient / 2, 0.1)
     return Terrain(gradient, (middle - half, middle + half), settings.ramp_rise_m)
 
 
 def _facetted(mesh: Mesh) -> Mesh:
     """Triangles near the building cut in four until no side is longer than _FACET_M; the far outside stays as it is."""
-    triangles, truth, reflectivity = mesh.triangles, mesh.truth, mesh.reflectivity
     while True:
+        triangles = mesh.triangles
         sides = np.linalg.norm(np.roll(triangles, -1, axis=1)[..., :2] - triangles[..., :2], axis=2).max(1)
         cut = (sides > _FACET_M) & (sides < 60.0)
         if not cut.any():
-            return Mesh(triangles, truth, reflectivity)
+            return mesh
         a, b, c = (triangles[cut, i] for i in range(3))
         ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
         quarters = [np.stack(t, 1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
-        triangles = np.concatenate([triangles[~cut], *quarters])
-        truth = np.concatenate([truth[~cut], np.tile(truth[cut], 4)])
-        reflectivity = np.concatenate([reflectivity[~cut], np.tile(reflectivity[cut], 4)])
+        others = [getattr(mesh, field.name) for field in fields(mesh)[1:]]
+        tiled = [np.concatenate([values[~cut], np.tile(values[cut], 4)]) for values in others]
+        mesh = Mesh(np.concatenate([triangles[~cut], *quarters]), *tiled)

@@ -20,13 +20,13 @@ def building_truth(plan: Plan, T_map_plan: FloatArray) -> dict[str, Any]:
     """
 
     def line(ends: FloatArray) -> dict[str, Any]:
-        return {"type": "LineString", "coordinates": _in_map(ends, T_map_plan)}
+        return {"type": "LineString", "coordinates": in_map(ends, T_map_plan)}
 
     top = max(room.ceiling_m for room in plan.rooms)
-    features = [_feature(line(ends), kind="wall", height=round(top, 3)) for ends in plan.wall_faces()]
+    features = [feature(line(ends), kind="wall", height=round(top, 3)) for ends in plan.wall_faces()]
     for door in plan.doors:
         features.append(
-            _feature(
+            feature(
                 line(door.sill), kind="door", state="closed" if door.closed else "open",
                 width=round(door.width_m, 4), height=round(door.top_m, 4),
                 recess=round(door.recess_m, 4) if door.closed else None,
@@ -35,19 +35,21 @@ def building_truth(plan: Plan, T_map_plan: FloatArray) -> dict[str, Any]:
             )
         )  # fmt: skip
     for room in plan.rooms:
-        ring = _in_map(np.array(room.interior.exterior.coords), T_map_plan)
+        ring = in_map(np.array(room.interior.exterior.coords), T_map_plan)
         area, ceiling = round(room.interior.area, 3), round(room.ceiling_m, 3)
         polygon = {"type": "Polygon", "coordinates": [ring]}
-        features.append(_feature(polygon, kind="room", name=room.name, area=area, ceiling=ceiling))
+        features.append(feature(polygon, kind="room", name=room.name, area=area, ceiling=ceiling))
     for window in plan.windows:
-        features.append(_feature(line(window.sill), kind="glass", bottom=window.bottom_m, height=window.top_m))
+        features.append(feature(line(window.sill), kind="glass", bottom=window.bottom_m, height=window.top_m))
     return {"type": "FeatureCollection", "features": features}
 
 
-def _feature(geometry: dict[str, Any], **properties: Any) -> dict[str, Any]:  # noqa: ANN401 (GeoJSON's own freedom)
+def feature(geometry: dict[str, Any], **properties: Any) -> dict[str, Any]:  # noqa: ANN401 (GeoJSON's own freedom)
+    """Of GeoJSON."""
     return {"type": "Feature", "geometry": geometry, "properties": properties}
 
 
-def _in_map(points: FloatArray, T_map_plan: FloatArray) -> list[list[float]]:
+def in_map(points: FloatArray, T_map_plan: FloatArray) -> list[list[float]]:
+    """Places (n, 2) of the plan in the map, for GeoJSON."""
     placed = transforms.apply(T_map_plan, np.c_[points, np.zeros(len(points))])
     return [[round(float(x), 4), round(float(y), 4)] for x, y in placed[:, :2]]

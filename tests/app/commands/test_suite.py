@@ -101,6 +101,32 @@ def test_earlier_results_stay_until_the_suite_is_complete(tmp_path: Path, monkey
     assert [d["case"] for d in json.loads((tmp_path / "suite.json.part").read_text())["drives"]] == ["one"]
 
 
+def test_drawn_buildings_are_a_suite_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run: list[tuple[str, int]] = []
+    weak = {
+        "doors": {"by_design": {"hinged, flush, closed": {"passed": 3, "found": 1, "state_right": 1}}},
+        "elements": {"niche": {"truth": "wall", "labels": {"wall": 30, "door": 10}}},
+    }
+
+    def drive(case: str, simulation: suite.Simulation, *_: object) -> suite.Drive:
+        run.append((case, simulation["seed"]))
+        return suite.Drive(case, simulation["seed"], weak)
+
+    monkeypatch.setattr(suite, "_drive", drive)
+    assert run_suite(tmp_path / "suite.json", parse_seeds(None, "drawn"), False, [], quiet=True, at_once=1, name="drawn") == 0
+    assert [case for case, _ in run] == list(suite.DRAWN_CASES)
+    assert len({seed for _, seed in run}) == len(run)  # no two share a building
+    told = capsys.readouterr().out
+    assert [part.strip() for part in next(line for line in told.splitlines() if "flush" in line).split("│")[1:-1]] == [
+        "hinged, flush, closed", "36", "12", "12"
+    ]  # fmt: skip
+    assert "75.0" in next(line for line in told.splitlines() if "niche" in line)
+    with pytest.raises(InputError, match="named and drawn"):
+        run_suite(tmp_path / "suite.json", (1,), False, [], quiet=True, name="runs/latest")
+
+
 @pytest.mark.parametrize("text", ["one", "1,", "1;2", "-1"])
 def test_seeds_that_are_none(text: str) -> None:
     with pytest.raises(InputError, match="--seeds"):
