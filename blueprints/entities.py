@@ -10,7 +10,7 @@ import numpy as np
 from ffmap.algorithms.base.labels import NO_RETURN, Label, Verdict
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.face_verdicts import FaceVerdict
-from ffmap.algorithms.building.levels import Surface
+from ffmap.algorithms.building.height_map import Surface
 from ffmap.algorithms.truth.maps import Agreement
 
 APPLICATION_ID = "furniture_free_mapping"

@@ -8,7 +8,9 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.face_columns import Storey
-from ffmap.algorithms.building.levels import HeightMap, LevelsSettings, map_levels
+from ffmap.algorithms.building.height_map import HeightMap
+from ffmap.algorithms.building.level_settings import LevelsSettings
+from ffmap.algorithms.building.levels import map_levels
 from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
 from ffmap.algorithms.building.ray_evidence import WallCells, first_columns, rows_of
 from ffmap.algorithms.building.votes import VoxelVotes

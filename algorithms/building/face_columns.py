@@ -12,7 +12,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.levels import HeightMap, corrected
+from ffmap.algorithms.building.height_map import HeightMap, corrected
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Rows, Walls, cells_in, stretches
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,

@@ -23,7 +23,7 @@ from ffmap.algorithms.base.segments import (
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import JudgedFaces
-from ffmap.algorithms.building.levels import HeightMap, corrected
+from ffmap.algorithms.building.height_map import HeightMap, corrected
 from ffmap.algorithms.building.model import CELL_M, Doors, Walls, Windows
 from ffmap.algorithms.building.votes import Halo
 from ffmap.algorithms.scan.doors import DoorState

@@ -28,7 +28,8 @@ from ffmap.algorithms.building.face_verdicts import (
     trim_at_doorways,
 )
 from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings
-from ffmap.algorithms.building.levels import HeightMap, LevelsSettings
+from ffmap.algorithms.building.height_map import HeightMap
+from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.missed_walls import AllReturns, MissedWallsSettings, SearchSettings, find_missed_walls
 from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings

@@ -5,7 +5,7 @@ import numpy as np
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building.final_labels import BuildingModel
-from ffmap.algorithms.building.levels import HeightMap, Surface
+from ffmap.algorithms.building.height_map import HeightMap, Surface
 from ffmap.algorithms.building.model import CELL_M, Doors, Windows
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.app.record.shapes import table

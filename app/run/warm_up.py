@@ -8,10 +8,11 @@ import numpy as np
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import Scan
 from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.algorithms.building.ceilings import map_ceilings
 from ffmap.algorithms.building.face_foreground import NO_FOREGROUND
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES
 from ffmap.algorithms.building.final_labels import BuildingModel, Relabelling, RelabellingSettings
-from ffmap.algorithms.building.levels import LevelsSettings, map_ceilings
+from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.model import NO_DOORS, NO_WALLS, NO_WINDOWS
 from ffmap.algorithms.building.votes import VoxelTable, find_halo
 from ffmap.algorithms.poses.levelling import place_and_level

@@ -12,7 +12,7 @@ from ffmap.algorithms.building import final_labels
 from ffmap.algorithms.building.face_foreground import NO_FOREGROUND, Foreground
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
 from ffmap.algorithms.building.final_labels import BuildingModel, Relabelling, RelabellingSettings
-from ffmap.algorithms.building.levels import HeightMap, Surface
+from ffmap.algorithms.building.height_map import HeightMap, Surface
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, NO_WALLS, NO_WINDOWS, Doors, Walls, Windows
 from ffmap.algorithms.building.votes import find_halo
 from ffmap.algorithms.scan.doors import DoorState

@@ -4,21 +4,12 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.building.ceilings import map_ceilings, map_ducts, map_glimpsed_ceilings, map_sloping_ceilings
 from ffmap.algorithms.building.face_columns import Storey
-from ffmap.algorithms.building.levels import (
-    HeightMap,
-    LevelsSettings,
-    _median_around,
-    map_ceilings,
-    map_ducts,
-    map_false_floors,
-    map_floors_beyond,
-    map_glimpsed_ceilings,
-    map_levels,
-    map_raised_floors,
-    map_sloping_ceilings,
-    map_step_fronts,
-)
+from ffmap.algorithms.building.floors import map_false_floors, map_floors_beyond, map_raised_floors, map_step_fronts
+from ffmap.algorithms.building.height_map import HeightMap, corrected, median_around
+from ffmap.algorithms.building.level_settings import LevelsSettings
+from ffmap.algorithms.building.levels import map_levels
 from ffmap.algorithms.building.votes import VoxelVotes
 from tests.voting import merge, vote
 
@@ -395,8 +386,78 @@ def test_the_median_of_a_neighbourhood_knows_what_any_of_the_nine_does() -> None
     generator = np.random.default_rng(0)
     height_m = np.where(generator.random((30, 20)) < 0.2, generator.random((30, 20)), np.nan)
     padded = np.pad(height_m, 1, constant_values=np.nan)
-    found = _median_around(height_m)
+    found = median_around(height_m)
     for row, column in np.ndindex(height_m.shape):
         nine = padded[row : row + 3, column : column + 3]
         expected = np.nan if np.isnan(nine).all() else np.nanmedian(nine)
         np.testing.assert_array_equal(found[row, column], expected)
+
+
+class TestCeilingDrops:
+    """A room of 4 by 3 m, 2.8 m high, with something below its ceiling; coordinates of its inner faces."""
+
+    @staticmethod
+    def standing(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> np.ndarray:
+        """(n, 3) points 5 cm apart on the four upright sides of a box."""
+        heights = np.arange(z[0] + 0.02, z[1], 0.05)
+        along_x, along_y = np.arange(x[0], x[1] + 0.01, 0.05), np.arange(y[0], y[1] + 0.01, 0.05)
+        ring = np.concatenate(
+            [
+                *(np.column_stack([along_x, np.full(len(along_x), side)]) for side in y),
+                *(np.column_stack([np.full(len(along_y), side), along_y]) for side in x),
+            ]
+        )
+        return np.column_stack([np.repeat(ring, len(heights), axis=0), np.tile(heights, len(ring))])
+
+    def corrected_share(self, *boxes: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]) -> float:
+        """Which share of the boxes' undersides and sides becomes ceiling; what is within its scatter aside."""
+        ceiling = lying((0, 4), (0, 3), 2.8)
+        for x, y, _ in boxes:
+            hidden = (ceiling[:, 0] > x[0]) & (ceiling[:, 0] < x[1]) & (ceiling[:, 1] > y[0]) & (ceiling[:, 1] < y[1])
+            ceiling = ceiling[~hidden]
+        hanging = np.concatenate(
+            [np.concatenate([self.standing(*box), lying(box[0], box[1], box[2][0])]) for box in boxes]
+        )
+        inside = (hanging[:, :2] > 0.03).all(axis=1) & (hanging[:, 0] < 3.97) & (hanging[:, 1] < 2.97)
+        hanging = hanging[inside]
+        votes = votes_of(
+            (lying((0, 4), (0, 3), 0.0), Label.FLOOR),
+            (ceiling, Label.CEILING),
+            (self.standing((0, 4), (0, 3), (0, 2.8)), Label.WALL),
+            (hanging, Label.CLUTTER),
+        )
+        label = corrected(map_levels(votes, SETTINGS), hanging, np.full(len(hanging), Label.CLUTTER, np.uint8))
+        off_ceiling = hanging[:, 2] < 2.8 - SETTINGS.margin_m
+        return float(np.mean(label[off_ceiling] == Label.CEILING))
+
+    def test_a_beam_from_wall_to_wall_is_ceiling(self) -> None:
+        assert self.corrected_share(((1.8, 2.1), (0, 3), (2.5, 2.8))) > 0.97
+
+    def test_coffers_are_ceiling(self) -> None:
+        beams = [((x, x + 0.2), (0, 3), (2.55, 2.8)) for x in (0.8, 2.2)]
+        assert self.corrected_share(*beams, ((0, 4), (1.4, 1.6), (2.55, 2.8))) > 0.95
+
+    def test_a_soffit_along_a_wall_is_ceiling(self) -> None:
+        assert self.corrected_share(((0, 4), (0, 0.5), (2.4, 2.8))) > 0.95
+
+    def test_a_lamp_is_held_by_no_wall(self) -> None:
+        assert self.corrected_share(((1.2, 2.4), (1.4, 1.6), (2.6, 2.8))) == 0
+
+    def test_a_duct_leaves_a_slit_to_its_wall(self) -> None:
+        assert self.corrected_share(((0, 4), (0.25, 0.55), (2.4, 2.8))) < 0.05
+
+    def test_a_duct_leaves_air_above_it(self) -> None:
+        assert self.corrected_share(((1.8, 2.1), (0, 3), (2.3, 2.55))) < 0.05
+
+    def test_a_cupboard_that_reaches_the_ceiling_stands(self) -> None:
+        assert self.corrected_share(((0, 1.2), (0, 0.5), (0.0, 2.8))) < 0.1
+
+
+def test_walls_below_the_floor_are_of_the_storey_below() -> None:
+    """Seen down a stairwell beside the floor."""
+    wall = np.array([[3.5, y, z] for y in np.arange(0.02, 2, 0.05) for z in np.arange(-2.5, 2.5, 0.05)])
+    votes = votes_of((lying((0, 2), (0, 2), 0.0), Label.FLOOR), (wall, Label.WALL))
+    label = corrected(map_levels(votes, SETTINGS), wall, np.full(len(wall), Label.WALL, np.uint8))
+    below = wall[:, 2] < -SETTINGS.below_floor_m - 0.01
+    assert (label[below] == Label.OUTSIDE).all()
+    assert (label[wall[:, 2] > -SETTINGS.below_floor_m + 0.01] == Label.WALL).all()

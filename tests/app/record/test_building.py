@@ -10,7 +10,7 @@ from ffmap.algorithms.building.face_alignment import AlignedFaces
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
 from ffmap.algorithms.building.final_labels import BuildingModel
-from ffmap.algorithms.building.levels import HeightMap, Surface
+from ffmap.algorithms.building.height_map import HeightMap, Surface
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.app.record.building import log_building, log_fused_walls, log_grid, log_map_block
 from ffmap.app.record.building_reasons import explain_building
