@@ -188,6 +188,7 @@ class TwoRooms:
             crossed=np.array([False]),
             wall=np.array([3], np.int32),
             reveal_m=np.array([self.thickness_m]),
+            casing_m=np.full(1, np.nan),
         )
 
     def build(self, doors: Doors | None = None, windows: Windows | None = None) -> tuple[Immobile, Drive]:

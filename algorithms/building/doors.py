@@ -65,12 +65,16 @@ def find_doors(
                 found.append(seen)
     # Where a face ends within an opening, the other face may show all of it.
     found.sort(key=lambda seen: (seen.is_cut, -seen.door.confidence[0] * seen.door.ray_count[0]))
-    doors = NO_DOORS
-    for seen in found:
-        apart_m = np.linalg.norm(seen.door.ends.mean(axis=1) - doors.ends.mean(axis=1), axis=1)
-        across = np.abs(doors.normal @ seen.door.normal[0]) < 0.8
+    return add_doors(NO_DOORS, [seen.door for seen in found])
+
+
+def add_doors(doors: Doors, more: Iterable[Doors]) -> Doors:
+    """The doors and those of some single ones, in their order, that are none of them: another face shows the same door."""
+    for door in more:
+        apart_m = np.linalg.norm(door.ends.mean(axis=1) - doors.ends.mean(axis=1), axis=1)
+        across = np.abs(doors.normal @ door.normal[0]) < 0.8
         if np.all((apart_m > 0.6) | across):
-            doors = doors.append(seen.door)
+            doors = doors.append(door)
     return doors
 
 
@@ -138,6 +142,7 @@ def _doors_in(
                 crossed=np.zeros(1, bool),
                 wall=np.array([w], np.int32),
                 reveal_m=np.full(1, np.nan),
+                casing_m=np.full(1, np.nan),
             )
             yield _Seen(door, first == 0 or last == len(counts) - 1)
 

@@ -157,6 +157,7 @@ class Doors(Rows):
     crossed: (D,) whether the robot drove through.
     wall: (D,) the wall face in which it was seen best.
     reveal_m: (D,) how far its reveals and the underside of its lintel reach behind the wall's face; NaN where unknown.
+    casing_m: (D,) how far the casing stands out of the wall by which it was told; NaN where it was told otherwise.
     """
 
     ends: FloatArray
@@ -176,6 +177,7 @@ class Doors(Rows):
     crossed: BoolArray
     wall: IntArray
     reveal_m: FloatArray
+    casing_m: FloatArray
 
 
 NO_DOORS = Doors(
@@ -196,6 +198,7 @@ NO_DOORS = Doors(
     crossed=np.zeros(0, bool),
     wall=np.zeros(0, np.int32),
     reveal_m=np.zeros(0),
+    casing_m=np.zeros(0),
 )
 
 

@@ -29,8 +29,18 @@ HEADLINES = (
 STEPS = (
     *("scan", "odometry", "refinement", "pose_graph", "trajectory", "smoothing", "rearrangement"),
     *("vertical_structures", "wall_planes", "doors", "labelling", "building", "levels", "face_columns"),
-    *("face_alignment", "standing_walls", "missed_walls", "before_walls", "openings", "windows", "door_frames"),
-    *("wall_thickness", "grid_map", "area_graph", "room_outlines", "rival_maps", "floor_plan", "relabelling"),
+    *("face_alignment", "standing_walls", "missed_walls", "before_walls", "openings", "windows"),
+    *(
+        "door_casings",
+        "door_frames",
+        "wall_thickness",
+        "grid_map",
+        "area_graph",
+        "room_outlines",
+        "rival_maps",
+        "floor_plan",
+        "relabelling",
+    ),
 )
 """The steps that have settings. Not asked of `app.settings`: with it comes the whole method, which a list need not wait for."""
 

@@ -60,7 +60,9 @@ def _door(doors: Doors, d: int) -> tuple[str, ...]:
     held = [f"{doors.agreement[d]:.0%} of {doors.ray_count[d]:,} rays in {doors.coverage[d]:.0%} of its columns"]
     if doors.crossed[d]:
         held.insert(0, "the robot drove through")
-    if state == DoorState.CLOSED:
+    if np.isfinite(doors.casing_m[d]):
+        held.append(f"leaf flush, casing {1000 * doors.casing_m[d]:.0f} mm before the wall")
+    elif state == DoorState.CLOSED:
         held.append(f"leaf {100 * doors.depth_m[d]:.1f} cm behind the wall")
     if doors.ajar[d]:
         held.append("its leaf stands aslant")

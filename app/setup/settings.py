@@ -16,6 +16,7 @@ from pydantic import Field, ValidationError
 from ffmap.algorithms.base.scan import ScanSettings
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.base.trajectory import TrajectorySettings
+from ffmap.algorithms.building.door_casings import DoorCasingsSettings
 from ffmap.algorithms.building.door_frames import DoorFramesSettings
 from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
 from ffmap.algorithms.building.face_columns import FaceColumnsSettings
@@ -74,6 +75,7 @@ class Settings(StepSettings):
     before_walls: ForegroundSettings = ForegroundSettings()
     openings: OpeningsSettings = OpeningsSettings()
     windows: WindowsSettings = WindowsSettings()
+    door_casings: DoorCasingsSettings = DoorCasingsSettings()
     door_frames: DoorFramesSettings = DoorFramesSettings()
     wall_thickness: WallThicknessSettings = WallThicknessSettings()
     grid_map: GridMapSettings = GridMapSettings()

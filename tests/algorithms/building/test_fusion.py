@@ -8,6 +8,7 @@ import pytest
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengths_m
+from ffmap.algorithms.building.door_casings import DoorCasingsSettings
 from ffmap.algorithms.building.door_frames import DoorFramesSettings
 from ffmap.algorithms.building.drive import AllScans, Drive
 from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
@@ -41,6 +42,7 @@ SETTINGS = FusionSettings(
     ForegroundSettings(),
     OpeningsSettings(),
     WindowsSettings(),
+    DoorCasingsSettings(),
     DoorFramesSettings(),
     WallThicknessSettings(),
     RelabellingSettings(),

@@ -553,11 +553,16 @@ def test_frames_are_placed_to_a_centimetre_though_reveals_return_too(depth_m: fl
         depth_m=np.array([depth_m]),
         state=np.array([state], np.uint8),
         wall=np.zeros(1, np.int32),
+        casing_m=np.full(1, np.nan),
     )
     placed = place_frames(door, WALL, scans, SETTINGS, DoorFramesSettings())
     np.testing.assert_allclose(placed.ends[0, :, 0], [1.5, 2.4], atol=0.012)
     assert placed.head_m[0] == pytest.approx(2.08, abs=0.012)
     assert placed.scan_count[0] == 2
+    flush = replace(door, depth_m=np.zeros(1), casing_m=np.full(1, 0.01))
+    kept = place_frames(flush, WALL, scans, SETTINGS, DoorFramesSettings())
+    np.testing.assert_array_equal(kept.ends, door.ends)
+    assert (kept.head_m[0], kept.scan_count[0]) == (2.0, 2)
 
 
 @pytest.mark.parametrize(("x", "height_m"), [(4.0, 0.4), (6.0, 0.6), (20.0, 0.6), (-20.0, 0.0)])

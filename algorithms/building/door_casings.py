@@ -1,0 +1,239 @@
+"""Closed doors that are flush with their wall, by the casing around them.
+
+Half of all doors look so from one side: their leaf shows no recess. What shows is the casing, which stands out of the wall by a
+centimetre: of all that hangs on walls or is framed there, a door's casing alone runs from the floor up one side, over the top, and
+down the other.
+"""
+
+import warnings
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from pydantic import Field
+
+from ffmap.algorithms.base.scan import BoolArray, FloatArray
+from ffmap.algorithms.base.segments import Segment
+from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, NO_DOORS, BuildingSettings, Doors, Walls, cells_in
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells
+from ffmap.algorithms.scan.doors import DoorState
+
+
+class DoorCasingsSettings(StepSettings):
+    """Telling flush doors by their casings."""
+
+    relief_min_m: float = Field(
+        0.003, gt=0, description="Minimum distance (m) of a casing before the wall beside it; flatter ones do not show."
+    )
+    relief_max_m: float = Field(0.05, gt=0, description="Maximum distance (m) of a casing before the wall beside it.")
+    beside_m: float = Field(0.4, gt=0, description="Width (m) on each side of what a casing stands out from.")
+    known_min: float = Field(
+        0.6, gt=0, le=1, description="Minimum share of a casing's height that was seen, and of the leaf."
+    )
+    proud_min: float = Field(0.75, gt=0, le=1, description="Minimum share of its cells that stand out.")
+    flush_max: float = Field(
+        0.4, gt=0, lt=1, description="Maximum relief beside a casing and above it, as a share of its own."
+    )
+    within_max: float = Field(
+        0.1, ge=0, lt=1, description="Maximum share of the leaf's columns that stand out as well."
+    )
+    relief_reach_m: float = Field(
+        0.2,
+        gt=0,
+        description="Height (m) at the upper end of a casing's side over which it still stands out, and above no more.",
+    )
+    width_max_m: float = Field(0.15, gt=0, description="Maximum width (m) of a casing's strips.")
+    wall_m: float = Field(0.1, gt=0, description="Minimum width (m) of the wall that has to show beside them.")
+
+
+class _Casing(NamedTuple):
+    """One casing on a face: its relief on its weakest side, where the opening within begins and ends, and its head."""
+
+    relief_m: float
+    first_m: float
+    last_m: float
+    head_m: float
+
+
+def find_cased_doors(
+    walls: Walls, cells: WallCells, building: BuildingSettings, settings: DoorCasingsSettings
+) -> Doors:
+    """The closed, flush doors of all faces that a casing shows, those with the clearest casing first.
+
+    Their leaf lies in the wall's face (`depth_m` 0). A door whose casing shows in both faces of its wall is there twice.
+    """
+    doors = NO_DOORS
+    for w in range(len(walls)):
+        counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
+        face = Segment.between(walls.ends[w], walls.normal[w])
+        for casing in _casings(counts, building, settings):
+            inner = counts[
+                round(casing.first_m / CELL_M) : round(casing.last_m / CELL_M), FOOT_ROW : int(casing.head_m / CELL_M)
+            ]
+            on, passed = float(inner[..., FILLED].sum()), float(inner[..., THROUGH].sum())
+            seen = float(np.mean((inner[..., FILLED] > 0).mean(axis=1) > settings.known_min))
+            door = Doors(
+                ends=face.at(np.array([casing.first_m, casing.last_m]))[None],
+                normal=face.normal[None],
+                head_m=np.array([casing.head_m]),
+                depth_m=np.zeros(1),
+                state=np.array([DoorState.CLOSED], np.uint8),
+                confidence=np.array([on / (on + passed) * seen]),
+                agreement=np.array([on / (on + passed)]),
+                coverage=np.array([seen]),
+                lintel=np.ones(1),
+                ajar=np.zeros(1, bool),
+                ray_count=np.array([(on + passed) / 3], np.int32),
+                scan_count=np.zeros(1, np.int32),
+                first_scan=np.full(1, -1),
+                last_scan=np.full(1, -1),
+                crossed=np.zeros(1, bool),
+                wall=np.array([w], np.int32),
+                reveal_m=np.full(1, np.nan),
+                casing_m=np.array([casing.relief_m]),
+            )
+            doors = doors.append(door)
+    return doors.select(np.argsort(-doors.casing_m, kind="stable"))
+
+
+def _casings(counts: FloatArray, building: BuildingSettings, settings: DoorCasingsSettings) -> list[_Casing]:
+    """The casings of one face, none over another; counts: (c, rows, 4), see `WallCells`."""
+    beside, wall = cells_in(settings.beside_m), cells_in(settings.wall_m)
+    lowest, highest = cells_in(building.door_height_min_m), cells_in(building.door_height_max_m)
+    if len(counts) < cells_in(building.door_width_min_m) + 2 * wall or counts.shape[1] <= lowest + 2 * wall:
+        return []
+    with np.errstate(invalid="ignore", divide="ignore"):
+        before_m = counts[..., SUM] / counts[..., FILLED]
+    known = (counts[..., FILLED] >= 2) & (counts[..., THROUGH] <= 0.5 * counts[..., FILLED])
+    before_m[~known | (np.abs(before_m) > AT_FACE_M)] = np.nan
+    upright_m = before_m - _median_beside(before_m, beside)
+    found = []
+    for head in range(lowest, min(highest, counts.shape[1] - 2 * wall) + 1):
+        relief_m, strip = _strips(upright_m, head, settings)
+        for first, last in _pairs(strip, building):
+            sides_m = _relief_beside(relief_m, first, -1, wall), _relief_beside(relief_m, last, 1, wall)
+            over_m, head_m = _relief_over(before_m, first, last, head, settings)
+            weakest_m = min(relief_m[first], relief_m[last], over_m)
+            if (
+                weakest_m > settings.relief_min_m
+                and max(map(abs, sides_m)) < settings.flush_max * weakest_m
+                and np.mean(strip[first + wall : last + 1 - wall]) <= settings.within_max
+                and _is_opaque(counts[first + 1 : last, FOOT_ROW:head], building, settings)
+            ):
+                found.append((weakest_m, first, last, head_m, relief_m))
+    found.sort(key=lambda casing: -casing[0])
+    casings: list[_Casing] = []
+    for weakest_m, first, last, head_m, relief_m in found:
+        first_m = CELL_M * _inner_edge(relief_m, first, settings)
+        last_m = CELL_M * (len(relief_m) - _inner_edge(relief_m[::-1], len(relief_m) - 1 - last, settings))
+        if last_m - first_m >= building.door_width_min_m and not any(
+            first_m < other.last_m and other.first_m < last_m for other in casings
+        ):
+            casings.append(_Casing(weakest_m, first_m, last_m, head_m))
+    return casings
+
+
+@numba.njit(cache=True, nogil=True)
+def _median_beside(values: FloatArray, reach: int) -> FloatArray:  # pragma: no cover
+    """(n, m) of each value the median of the known ones up to `reach` before and behind it on the first axis; NaN without any."""
+    median = np.full(values.shape, np.nan)
+    window = np.empty(2 * reach + 1)
+    for j in range(values.shape[1]):
+        for i in range(values.shape[0]):
+            if np.isnan(values[i, j]):
+                continue
+            k = 0
+            for n in range(max(i - reach, 0), min(i + reach + 1, values.shape[0])):
+                if not np.isnan(values[n, j]):
+                    window[k] = values[n, j]
+                    k += 1
+            median[i, j] = np.median(window[:k])
+    return median
+
+
+def _strips(upright_m: FloatArray, head: int, settings: DoorCasingsSettings) -> tuple[FloatArray, BoolArray]:
+    """(c,) how far each column stands out of the wall beside it, from the floor to a head's row, and whether as a casing does.
+
+    upright_m: (c, rows) relief of the cells, NaN where unknown.
+    """
+    reach, widest = cells_in(settings.relief_reach_m), cells_in(settings.width_max_m)
+    below = upright_m[:, FOOT_ROW:head]
+    seen = np.isfinite(below)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # columns that nobody saw are unknown
+        relief_m = np.nanmean(below, axis=1)
+        proud = np.nanmean(np.where(seen, below > 0.0, np.nan), axis=1)
+        top_m = np.nanmean(below[:, -reach:], axis=1)
+        above_m = np.nanmean(upright_m[:, head + widest : head + widest + reach], axis=1)
+    # What ends lower is the frame of something else, what goes on above a pillar or a pipe.
+    ends = (top_m > settings.flush_max * relief_m) & ~(above_m > settings.flush_max * relief_m)
+    stands = (relief_m > settings.relief_min_m) & (relief_m < settings.relief_max_m) & (proud > settings.proud_min)
+    return relief_m, stands & ends & (seen.mean(axis=1) > settings.known_min)
+
+
+def _pairs(strip: BoolArray, building: BuildingSettings) -> Iterator[tuple[int, int]]:
+    """Two of the strips' columns, as far apart as a door is wide."""
+    columns = np.flatnonzero(strip)
+    least, most = cells_in(building.door_width_min_m), cells_in(building.door_width_max_m) + 2
+    for first in columns:
+        for last in columns[(columns - first >= least) & (columns - first <= most)]:
+            yield int(first), int(last)
+
+
+def _beside(values: FloatArray, column: int, outwards: int, wall: int) -> FloatArray:
+    """The values (c, …) of the wall's columns beside a casing's strip that holds a column; fewer where the face ends there."""
+    nearest = column + outwards * (1 + wall // 2)
+    farthest = nearest + outwards * (wall - 1)
+    return values[max(min(nearest, farthest), 0) : max(nearest, farthest, -1) + 1]
+
+
+def _relief_beside(relief_m: FloatArray, column: int, outwards: int, wall: int) -> float:
+    """How far the wall beside a casing's strip stands out; infinity where the face ends there."""
+    beside_m = _beside(relief_m, column, outwards, wall)
+    return float(np.mean(beside_m)) if len(beside_m) == wall and np.isfinite(beside_m).all() else np.inf
+
+
+def _relief_over(
+    before_m: FloatArray, first: int, last: int, head: int, settings: DoorCasingsSettings
+) -> tuple[float, float]:
+    """How far what lies over an opening stands out of the wall beside it at the same height, and the height of its lower edge.
+
+    0 where that goes on above. The returns of a ceiling close above blur both alike. before_m: (c, rows) how far cells lie before
+    the face, NaN where unknown.
+    """
+    wall, widest = cells_in(settings.wall_m), cells_in(settings.width_max_m)
+    beside_m = np.concatenate([_beside(before_m, first, -1, wall), _beside(before_m, last, 1, wall)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # rows that nobody saw are unknown
+        relief_m = before_m[first : last + 1] - np.nanmean(beside_m, axis=0)
+        over_m = np.fmax(relief_m[:, head], relief_m[:, head + 1])
+        above_m = np.nanmean(relief_m[:, head + widest : head + widest + wall])
+        lower_m, upper_m = np.nan_to_num(np.nanmean(relief_m[:, head : head + 2], axis=0))
+    proud = np.mean(over_m > settings.relief_min_m) > settings.proud_min
+    if not proud or above_m > settings.flush_max * max(lower_m, upper_m):
+        return 0.0, 0.0
+    # The row that the head's strip covers in part stands out by that part of its relief.
+    covered = min(max(lower_m / upper_m, 0.0), 1.0) if upper_m > 0.0 else 1.0
+    return float(np.nanmean(over_m)), (head + 1 - covered) * CELL_M
+
+
+def _is_opaque(inner: FloatArray, building: BuildingSettings, settings: DoorCasingsSettings) -> bool:
+    """Whether rays end on what a casing surrounds, over most of it; inner: (c, rows, 4)."""
+    on, passed = inner[..., FILLED].sum(), inner[..., THROUGH].sum()
+    return bool(on > building.opaque_min * (on + passed) and np.mean(inner[..., FILLED] > 0) > settings.known_min)
+
+
+def _inner_edge(relief_m: FloatArray, column: int, settings: DoorCasingsSettings) -> float:
+    """Where the opening begins, in columns from the face's start, beside a casing's strip that holds a column.
+
+    The last column that the strip covers in part stands out by that part of its relief.
+    """
+    most = cells_in(settings.width_max_m)
+    own = relief_m[column : column + most]
+    highest = int(np.nanargmax(own))
+    edge = column + highest + 1.0
+    if highest + 1 < len(own) and own[highest + 1] > 0.0:
+        edge += own[highest + 1] / own[highest]
+    return float(edge)

@@ -1,0 +1,104 @@
+"""Flush doors by their casings, on faces whose cells are filled with seeded noise."""
+
+import numpy as np
+import pytest
+
+from ffmap.algorithms.building.door_casings import DoorCasingsSettings, find_cased_doors
+from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Doors
+from ffmap.algorithms.building.ray_evidence import FILLED, SQUARES, SUM, THROUGH, WallCells, first_columns
+from ffmap.algorithms.scan.doors import DoorState
+from tests.faces import faces
+
+Rectangle = tuple[float, float, float, float]
+"""From and to along the face, from and to above the floor, metres."""
+LENGTH_M, HEIGHT_M = 4.0, 2.7
+RETURNS, SCATTER_M = 20, 0.01
+CASING_M, WIDTH_M = 0.012, 0.07
+
+
+def frame(first_m: float, last_m: float, bottom_m: float, head_m: float) -> list[Rectangle]:
+    """The strips at both sides of an opening and over it."""
+    over = (first_m - WIDTH_M, last_m + WIDTH_M, head_m, head_m + WIDTH_M)
+    sides = ((first_m - WIDTH_M, first_m), (last_m, last_m + WIDTH_M))
+    return [over, *((a, b, bottom_m, head_m) for a, b in sides)]
+
+
+def covered(edges_m: np.ndarray, start_m: float, stop_m: float) -> np.ndarray:
+    """(n,) which share of each cell between successive edges lies between two places."""
+    return np.clip(np.minimum(edges_m[1:], stop_m) - np.maximum(edges_m[:-1], start_m), 0, None) / CELL_M
+
+
+def find(*proud: Rectangle, passed: Rectangle | None = None, relief_m: float = CASING_M, flip: bool = False) -> Doors:
+    """The cased doors of a face with something that stands out of it, and a stretch that rays pass."""
+    rng = np.random.default_rng(5)
+    columns, rows = round(LENGTH_M / CELL_M), round(HEIGHT_M / CELL_M)
+    along_m, up_m = np.arange(columns + 1) * CELL_M, np.arange(rows + 1) * CELL_M
+    share = sum(
+        (np.outer(covered(along_m, a, b), covered(up_m, c, d)) for a, b, c, d in proud), np.zeros((columns, rows))
+    )
+    mean_m = relief_m * np.minimum(share, 1.0) + rng.normal(0, SCATTER_M / np.sqrt(RETURNS), share.shape)
+    counts = np.zeros((columns, rows + 10, 4), np.float32)
+    counts[:, :rows, FILLED], counts[:, :rows, SUM] = RETURNS, RETURNS * mean_m
+    counts[:, :rows, SQUARES] = RETURNS * (mean_m**2 + SCATTER_M**2)
+    if passed is not None:
+        a, b, c, d = (round(value / CELL_M) for value in passed)
+        counts[a:b, c:d] = 0.0
+        counts[a:b, c:d, THROUGH] = RETURNS
+    walls = faces(((0, 0), (LENGTH_M, 0)))
+    cells = WallCells(first_columns(walls), counts.shape[1], counts[::-1] if flip else counts)
+    return find_cased_doors(walls, cells, BuildingSettings(), DoorCasingsSettings())
+
+
+@pytest.mark.parametrize("flip", [False, True])
+@pytest.mark.parametrize(("first_m", "last_m", "head_m"), [(1.5, 2.4, 2.0), (1.48, 2.31, 2.03), (1.02, 2.97, 2.24)])
+def test_a_casing_shows_a_closed_door_to_two_centimetres(
+    first_m: float, last_m: float, head_m: float, flip: bool
+) -> None:
+    doors = find(*frame(first_m, last_m, 0.0, head_m), flip=flip)
+    assert len(doors) == 1
+    expected = sorted((LENGTH_M - first_m, LENGTH_M - last_m)) if flip else [first_m, last_m]
+    np.testing.assert_allclose(np.sort(doors.ends[0, :, 0]), expected, atol=0.02)
+    np.testing.assert_allclose(doors.head_m, head_m, atol=0.025)
+    assert doors.state[0] == DoorState.CLOSED
+    assert doors.depth_m[0] == 0.0
+    assert 0.5 * CASING_M < doors.casing_m[0] < 1.1 * CASING_M
+
+
+def test_two_doors_in_one_wall() -> None:
+    assert len(find(*frame(0.5, 1.4, 0.0, 2.0), *frame(2.4, 3.3, 0.0, 2.0))) == 2
+
+
+def test_a_bare_wall_has_none() -> None:
+    assert len(find()) == 0
+
+
+def test_a_casing_that_is_as_flat_as_noise_shows_nothing() -> None:
+    assert len(find(*frame(1.5, 2.4, 0.0, 2.0), relief_m=0.001)) == 0
+
+
+@pytest.mark.parametrize(
+    "proud",
+    [
+        frame(1.5, 2.4, 0.8, 2.0),  # a window or a picture does not reach the floor
+        frame(1.5, 2.4, 0.0, 1.5),  # a cupboard is lower than a door
+        frame(1.5, 1.9, 0.0, 2.0),  # so narrow is no door
+        frame(1.5, 2.4, 0.0, 2.0)[1:],  # two pilasters
+        frame(1.5, 2.4, 0.0, 2.0)[:2],  # one of them and a shelf
+        [*frame(1.5, 2.4, 0.0, 2.0), (1.43, 2.47, 0.0, 2.07)],  # a cabinet, proud all over
+        [*frame(1.5, 2.4, 0.0, 2.0), (1.43, 1.5, 2.0, 2.7), (2.4, 2.47, 2.0, 2.7)],  # pillars that go on to the ceiling
+        [(0, 4, 2.0, 2.7), *frame(1.5, 2.4, 0.0, 2.0)],  # a wall that stands out over its whole length
+    ],
+)
+def test_what_no_casing_does(proud: list[Rectangle]) -> None:
+    assert len(find(*proud)) == 0
+
+
+def test_a_doorway_that_rays_pass_is_no_closed_door() -> None:
+    assert len(find(*frame(1.5, 2.4, 0.0, 2.0), passed=(1.5, 2.4, 0.0, 2.0))) == 0
+
+
+@pytest.mark.parametrize("columns", [0, 3, 12])
+def test_a_short_face_and_none(columns: int) -> None:
+    walls = faces(((0, 0), (columns * CELL_M, 0))) if columns else NO_WALLS
+    cells = WallCells(first_columns(walls), 60, np.ones((columns, 60, 4), np.float32))
+    assert len(find_cased_doors(walls, cells, BuildingSettings(), DoorCasingsSettings())) == 0
