@@ -83,15 +83,15 @@ def test_a_closed_leaf_is_recessed(depth_m: float, found: int) -> None:
 
 
 @pytest.mark.parametrize("state", [DoorState.OPEN, DoorState.CLOSED])
-@pytest.mark.parametrize("head_m", [1.95, 2.25, 2.5])
-def test_doors_are_found_however_high_their_heads_are(state: DoorState, head_m: float) -> None:
+@pytest.mark.parametrize(("head_m", "ceiling_m"), [(1.95, 2.8), (2.25, 2.8), (2.5, 2.8), (2.45, 2.6)])
+def test_doors_are_found_however_high_their_heads_are(state: DoorState, head_m: float, ceiling_m: float) -> None:
+    """Close below a ceiling too, where more rows of the opening than of the wall lie above the usual heads."""
     seen = cells()
     recess(seen, 0.0, head_m, 0.05)
     if state == DoorState.OPEN:
         part = seen.counts[30:48, : round(head_m / CELL_M)]
         part[...], part[..., THROUGH] = 0.0, 10.0
-    clear_m = np.full(80, 2.8)
-    doors = find_doors(WALL, seen, clear_m, RULES)
+    doors = find_doors(WALL, seen, np.full(80, ceiling_m), RULES)
     assert doors.state.tolist() == [state]
     assert doors.head_m[0] == pytest.approx(head_m, abs=CELL_M)
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
