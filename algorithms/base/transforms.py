@@ -6,6 +6,11 @@ from scipy.spatial.transform import Rotation
 from ffmap.algorithms.base.scan import FloatArray
 
 
+def rotation_of(T: FloatArray) -> Rotation:
+    """The rotations of rigid transforms (..., 4, 4) or (..., 3, 3), which are not checked: that takes ten times as long."""
+    return Rotation.from_matrix(T[..., :3, :3], assume_valid=True)
+
+
 def make_transform(rotation: Rotation | None = None, translation: FloatArray | list[float] | None = None) -> FloatArray:
     """T_target_source (4, 4) from its rotation and its translation in metres; what is left out is the identity's."""
     T = np.eye(4)
@@ -39,7 +44,7 @@ def apply(T_target_source: FloatArray, points_source: FloatArray) -> FloatArray:
 def quaternion_xyzw(T_target_source: FloatArray) -> FloatArray:
     """Quaternions (..., 4) in ROS's order x y z w, w ≥ 0."""
     flat = T_target_source[..., :3, :3].reshape(-1, 3, 3)
-    quaternions = Rotation.from_matrix(flat).as_quat(canonical=True)
+    quaternions = rotation_of(flat).as_quat(canonical=True)
     return np.asarray(quaternions.reshape(*T_target_source.shape[:-2], 4))
 
 
@@ -55,7 +60,7 @@ def from_yaw(yaw_rad: float, translation: FloatArray | list[float]) -> FloatArra
 
 def interpolated(T_before: FloatArray, T_after: FloatArray, fraction: FloatArray) -> FloatArray:
     """Poses (n, 4, 4) a fraction (n,) of the way from one to another: positions linearly, rotations by slerp."""
-    turn = Rotation.from_matrix(np.swapaxes(T_before[:, :3, :3], 1, 2) @ T_after[:, :3, :3]).as_rotvec()
+    turn = rotation_of(np.swapaxes(T_before[:, :3, :3], 1, 2) @ T_after[:, :3, :3]).as_rotvec()
     T = T_before.copy()
     T[:, :3, :3] = T_before[:, :3, :3] @ Rotation.from_rotvec(fraction[:, None] * turn).as_matrix()
     T[:, :3, 3] += fraction[:, None] * (T_after[:, :3, 3] - T_before[:, :3, 3])
@@ -72,7 +77,7 @@ def orthonormal(T: FloatArray) -> FloatArray:
 
 def to_twist(T: FloatArray) -> FloatArray:
     """(6,): rotation vector and translation of T."""
-    return np.concatenate([Rotation.from_matrix(T[:3, :3]).as_rotvec(), T[:3, 3]])
+    return np.concatenate([rotation_of(T).as_rotvec(), T[:3, 3]])
 
 
 def from_twist(twist: FloatArray) -> FloatArray:

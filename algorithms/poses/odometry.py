@@ -3,11 +3,9 @@
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from kiss_icp.config import KISSConfig  # noqa: TID251 - its one place
-from kiss_icp.config.config import AdaptiveThresholdConfig, DataConfig, MappingConfig, RegistrationConfig  # noqa: TID251 - its one place
-from kiss_icp.kiss_icp import KissICP  # noqa: TID251 - its one place
 from pydantic import Field
 from scipy.spatial import cKDTree
 
@@ -15,6 +13,9 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.poses.refinement import Refinement, RefinementSettings, Refiner, middle_ns
+
+if TYPE_CHECKING:
+    from kiss_icp.config import KISSConfig  # noqa: TID251 - its one place
 
 _STEP_MIN_NS = 5_000_000
 """Minimum time between two poses: no lidar sweeps faster, and over less time their errors would look like fast motion."""
@@ -101,6 +102,9 @@ def register_scans(
         last pose gets none.
     T_sensor_companion: (4, 4) where the other lidar sits.
     """
+    # Imported here, for a fifth of a second: its settings are asked for everywhere, and scans registered in one process.
+    from kiss_icp.kiss_icp import KissICP  # noqa: TID251 - its one place
+
     range_m = (settings.range_min_m, settings.range_max_m)
     refiner = Refiner(refinement, range_m, T_sensor_companion) if refinement.enabled else None
     odometry = KissICP(_configuration(settings))
@@ -141,7 +145,10 @@ def register_scans(
         )
 
 
-def _configuration(settings: OdometrySettings) -> KISSConfig:
+def _configuration(settings: OdometrySettings) -> "KISSConfig":
+    from kiss_icp.config import KISSConfig  # noqa: TID251 - its one place
+    from kiss_icp.config.config import AdaptiveThresholdConfig, DataConfig, MappingConfig, RegistrationConfig  # noqa: TID251 - its one place
+
     return KISSConfig(
         data=DataConfig(max_range=settings.range_max_m, min_range=settings.range_min_m, deskew=settings.deskew),
         mapping=MappingConfig(voxel_size=settings.voxel_m, max_points_per_voxel=settings.points_per_voxel),

@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-import gtsam  # noqa: TID251 - its one place
 import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
@@ -207,6 +206,8 @@ def _register(
 
 def _solve(T_start: FloatArray, T_guess: FloatArray, edges: Sequence[_Edge], settings: PoseGraphSettings) -> FloatArray:
     """Poses (m, 4, 4) that contradict the registrations least."""
+    import gtsam  # noqa: TID251 - its one place; a tenth of a second, in the one process that closes loops
+
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for number, T in enumerate(T_guess):
         values.insert(number, gtsam.Pose3(T))

@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from pydantic import Field
 
 from ffmap.algorithms.base import transforms
-from ffmap.algorithms.base.scan import FloatArray, Scan
+from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.poses.gaussian_map import Aligned, GaussianCloud, GaussianMap
 
@@ -233,8 +234,19 @@ class Refiner:
         points = transforms.apply(T_sensor_own, points[kept])
         if scan.time_ns is None:
             return points
-        before_ns = (scan.start_ns + scan.time_ns[::stride][kept] - at_ns)[:, None]
-        turn, shift = motion_per_ns[:3] * before_ns, motion_per_ns[3:] * before_ns
+        return _at_one_time(points, scan.start_ns + scan.time_ns[::stride][kept] - at_ns, motion_per_ns)
+
+
+@numba.njit(cache=True, nogil=True)
+def _at_one_time(points: FloatArray, before_ns: IntArray, motion_per_ns: FloatArray) -> FloatArray:  # pragma: no cover
+    """Points (n, 3), each seen from where the sensor was so long after a common time (n,), as seen from where it was at that."""
+    seen = np.empty_like(points)
+    for i in range(len(points)):
+        a, b, c = motion_per_ns[0] * before_ns[i], motion_per_ns[1] * before_ns[i], motion_per_ns[2] * before_ns[i]
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
         # A turn within a sweep is small: two terms of its series leave less than a millimetre.
-        first = np.cross(turn, points)
-        return np.asarray(points + first + 0.5 * np.cross(turn, first) + shift)
+        dx, dy, dz = b * z - c * y, c * x - a * z, a * y - b * x
+        seen[i, 0] = x + dx + 0.5 * (b * dz - c * dy) + motion_per_ns[3] * before_ns[i]
+        seen[i, 1] = y + dy + 0.5 * (c * dx - a * dz) + motion_per_ns[4] * before_ns[i]
+        seen[i, 2] = z + dz + 0.5 * (a * dy - b * dx) + motion_per_ns[5] * before_ns[i]
+    return seen

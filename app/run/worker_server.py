@@ -25,7 +25,6 @@ try:
     from ffmap.app.quick_imports import quick_imports
 
     with quick_imports():
-        import ffmap.algorithms.poses.odometry
         import ffmap.app.run.warm_up  # noqa: F401
 finally:
     # No thread is left when it forks, nor waits for what has failed.
