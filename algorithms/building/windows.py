@@ -1,6 +1,5 @@
 """Windows, and what was seen through them."""
 
-from dataclasses import replace
 
 import numba
 import numpy as np
@@ -29,7 +28,7 @@ from ffmap.algorithms.building.ray_evidence import (
     returns_at_face,
     with_neighbours,
 )
-from ffmap.algorithms.scan.summary import Features
+from ffmap.algorithms.scan.summary import Features, select_rays
 
 
 class WindowsSettings(StepSettings):
@@ -211,12 +210,7 @@ def seen_through(windows: Windows, features: Features) -> BoolArray:
 def without_rays_through(windows: Windows, features: Features) -> Features:
     """The same scans without the rays that ended beyond a window."""
     passed = _rays_through(lines_of(windows), Rays.of(features))
-    return replace(
-        features,
-        ray_count=np.bincount(features.ray_scan[~passed], minlength=len(features.scan)),
-        ray_end_map=features.ray_end_map[~passed],
-        ray_label=features.ray_label[~passed],
-    )
+    return select_rays(features, ~passed)
 
 
 @numba.njit(cache=True, nogil=True)

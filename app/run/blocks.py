@@ -211,7 +211,8 @@ def place_block(job: PlaceJob) -> None:
     votes, rivals = VoxelTable(VOXEL_M, len(Label)), RivalCounter(job.label.settings.grid_map.cell_m)
     ends_map: list[FloatArray] = []
     ray_labels: list[UInt8Array] = []
-    for scan, T_map_level in zip(spool.load_scans(labelled), job.T_map_level, strict=True):
+    scans = spool.load_scans(labelled)
+    for scan, T_map_level in zip(scans, job.T_map_level, strict=True):
         points_map, label = in_map(T_map_level, scan.points_level), scan.label
         votes.add(points_map, label)
         rivals.add(points_map, scan.rivals)
@@ -219,7 +220,9 @@ def place_block(job: PlaceJob) -> None:
         ray_labels.append(label[scan.ray])
     placed = {**pack(votes.votes(), spool.VOTES), **pack(rivals.votes(), spool.RIVALS)}
     for features in spool.load_features(labelled):
-        placed |= pack(with_rays(features.moved(job.T_map_level), ends_map, ray_labels), spool.FEATURES)
+        intensities, echoes = [scan.ray_intensity for scan in scans], [scan.ray_echo for scan in scans]
+        moved = with_rays(features.moved(job.T_map_level), ends_map, ray_labels, intensities, echoes)
+        placed |= pack(moved, spool.FEATURES)
     spool.save(job.label.path.with_suffix(spool.PLACED), placed)
 
 
