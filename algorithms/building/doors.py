@@ -143,6 +143,7 @@ def _doors_in(
                 wall=np.array([w], np.int32),
                 reveal_m=np.full(1, np.nan),
                 casing_m=np.full(1, np.nan),
+                contrast=np.full(1, np.nan),
             )
             yield _Seen(door, first == 0 or last == len(counts) - 1)
 

@@ -57,7 +57,13 @@ class WallCells:
     def of(self, wall: int) -> "WallCells":
         """Of one face alone."""
         own = slice(self.first[wall], self.first[wall + 1])
-        return WallCells(self.first[wall : wall + 2] - self.first[wall], self.rows, self.counts[own], self.light[own], self.twice[own])
+        return WallCells(
+            self.first[wall : wall + 2] - self.first[wall],
+            self.rows,
+            self.counts[own],
+            self.light[own],
+            self.twice[own],
+        )
 
 
 class Rays(NamedTuple):

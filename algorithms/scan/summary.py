@@ -157,7 +157,11 @@ def without_rays(features: Features) -> Features:
 
 def select_rays(features: Features, chosen: BoolArray) -> Features:
     """The same scans with some of their rays alone; chosen: (r,)."""
-    columns = {f.name: getattr(features, f.name) for f in fields(Features) if f.name.startswith("ray_") and f.name != "ray_count"}
+    columns = {
+        f.name: getattr(features, f.name)
+        for f in fields(Features)
+        if f.name.startswith("ray_") and f.name != "ray_count"
+    }
     return replace(
         features,
         ray_count=np.bincount(features.ray_scan[chosen], minlength=len(features.scan)),

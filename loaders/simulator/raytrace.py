@@ -1,6 +1,7 @@
 """Lidar rays through a mesh: glass, walking people, and what a sensor makes of the surfaces that it hits."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from embreex import rtcore_scene  # noqa: TID251 - its one place
@@ -213,7 +214,7 @@ def scan(
     if model.layout == "ouster":
         order = order.reshape(model.columns, model.rings).T.ravel()
     truth = np.where(seen, hits.truth, np.uint8(NO_RETURN))
-    own = [points, measured, intensity, ring, firing_ns.ravel().astype(np.int64), truth]
+    own: list[Any] = [points, measured, intensity, ring, firing_ns.ravel().astype(np.int64), truth]
     if dual:
         # A beam that straddles an edge returns from both sides where the detector tells them apart.
         others = _beyond_edges(hits, others, shape, settings.mixed_share, light_rng)
@@ -227,7 +228,9 @@ def scan(
         firing = np.concatenate([order, np.flatnonzero(twice)])
         own = [np.concatenate([a[order], b[twice]]) for a, b in zip(own, more, strict=True)]
         order = np.argsort(firing, kind="stable")
-    return Sweep(*(column[order] for column in own), start_ns, start_ns + round(lidar.period_ns))
+    points, measured, intensity, ring, time_ns, truth = (column[order] for column in own)
+    end_ns = start_ns + round(lidar.period_ns)
+    return Sweep(points, measured, intensity, ring, time_ns, truth, start_ns, end_ns)
 
 
 def _range_noise(
