@@ -71,8 +71,8 @@ class DoorContrastsSettings(StepSettings):
 
 
 class _Leaf(NamedTuple):
-    """One leaf in a picture: its contrast with the wall, in the sensor's unit and as a share of the wall's; where it begins and ends,
-    in columns; its head.
+    """One leaf in a picture: its contrast with the wall, in the sensor's unit and as a share of the wall's; from which column to
+    which; its head.
     """
 
     step: float
@@ -121,7 +121,7 @@ def find_contrasting_doors(
 
 
 def _continued(w: int, faces: Sequence[Segment], own: list[_Picture], reach: int, one_wall_m: float) -> _Picture:
-    """A face with `reach` columns more at each end, as far as other faces of the same wall go on there: a door may lie in two of them.
+    """A face with `reach` columns more at each end, as far as other faces of its wall go on there: a door may lie in two of them.
 
     one_wall_m: how far they may lie apart.
     """
