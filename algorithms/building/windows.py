@@ -73,7 +73,12 @@ def find_windows(
         face = Segment.between(walls.ends[w], walls.normal[w])
         columns = look_for_doors(counts, standing_m[cells.first[w] : cells.first[w + 1]], rules)
         opened = stretches(columns.is_open & columns.has_lintel, 2)
-        panes = [(first, last) for first, last in opened if is_pane(counts[first : last + 1], rules)]
+        twice = cells.of(w).twice
+        panes = [
+            (first, last)
+            for first, last in opened
+            if is_pane(counts[first : last + 1], twice[first : last + 1], rules)
+        ]
         may_be, is_sill = _above_sill(counts, walls.top_m[w], rules, settings)
         sill_min = cells_in(settings.sill_min_m)
         sills = [(first, last) for first, last in stretches(may_be, 4) if is_sill[first : last + 1].sum() >= sill_min]

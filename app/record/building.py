@@ -100,11 +100,10 @@ def _log_doors(log: Log, doors: Doors) -> None:
         for state, width, confidence in zip(doors.state, lengths_m(doors.ends), doors.confidence, strict=True)
     ]
     columns = ("state", "confidence", "agreement", "coverage", "lintel", "scan_count", "depth_m", "ajar", "crossed")
-    columns += ("casing_m", "contrast")
     log.static(
         entities.DOORS,
         strips(upright_frames(doors.ends, np.zeros(len(doors)), doors.head_m), color, 3.0, labels, show_labels=False),
-        evidence(doors, *columns, "ray_count"),
+        evidence(doors, *columns, "ray_count", "casing_m", "contrast"),
     )
     # An open door is its frame; a closed one has a leaf.
     closed = doors.select(doors.state == DoorState.CLOSED)

@@ -22,7 +22,7 @@ from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.floor import heights_above_pieces
 from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.algorithms.scan.smoothing import SmoothedRanges, smooth_ranges
-from ffmap.algorithms.scan.summary import Features, concatenate, extract_planes, ray_rows, with_rays
+from ffmap.algorithms.scan.summary import NO_INTENSITY, Features, concatenate, extract_planes, ray_rows, with_rays
 from ffmap.app.record.log import Log, open_log
 from ffmap.app.record.scans import log_final, log_lidar, log_scan, log_skipped
 from ffmap.app.run import spool
@@ -190,7 +190,9 @@ def _label(
     labelling = label_scan(scan, placed, job.settings.method, seed, level.floor, lidar.column_pairs)
     watch.lap("labelling")
     if log:
-        log_scan(log, index, level, labelling, scan.stamp_ns, watch.milliseconds, inputs.line_pairs)
+        known = any(sensor.lidar.decoding.intensity for sensor in inputs.verticals)
+        intensity = NO_INTENSITY if scan.intensity is None and known else scan.intensity
+        log_scan(log, index, level, labelling, scan.stamp_ns, watch.milliseconds, inputs.line_pairs, intensity)
         if len(inputs.verticals) > 1:
             log_lidar(log, place, lidar.topic)
     block.features.append(extract_planes(index, placed, labelling))

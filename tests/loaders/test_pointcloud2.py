@@ -390,7 +390,9 @@ def test_of_two_returns_of_a_firing_the_nearer_and_the_farther_are_told(order):
     points = points[places.get(order, np.random.default_rng(3).permutation(len(points)))]
     scan = read(cloud(points))
     distance = np.linalg.norm(scan.points_sensor, axis=1)
-    np.testing.assert_array_equal(np.sort(scan.echo), np.sort(np.repeat([0, 1, 2], [len(first) - len(second) + len(same), *[len(second)] * 2])))
+    np.testing.assert_array_equal(
+        np.sort(scan.echo), np.sort(np.repeat([0, 1, 2], [len(first) - len(second) + len(same), *[len(second)] * 2]))
+    )
     assert set(zip(scan.ring[scan.echo == 1], scan.time_ns[scan.echo == 1], strict=True)) == set(
         zip(scan.ring[scan.echo == 2], scan.time_ns[scan.echo == 2], strict=True)
     )
