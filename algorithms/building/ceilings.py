@@ -144,7 +144,9 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     drop_m = top_m - low_m
     hangs = (drop_m > settings.duct_drop_m) & (drop_m < settings.drop_max_m) & (low_m - ground_m > settings.headroom_m)
     parts = _level_parts(hangs, low_m, settings.drop_flat_m)
-    walls = np.isfinite(grid.heights(position[(label == Label.WALL) & (below_m > 0.0) & (below_m < settings.drop_max_m)]))
+    walls = np.isfinite(
+        grid.heights(position[(label == Label.WALL) & (below_m > 0.0) & (below_m < settings.drop_max_m)])
+    )
     off_wall_m = nearest_known(walls)[0] * grid.cell_m
     # Above the head of a door or a window it is the wall that closes up to the ceiling.
     side = hangs & ~walls & (high_m - low_m > votes.voxel_m)

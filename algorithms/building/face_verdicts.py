@@ -33,14 +33,14 @@ from ffmap.algorithms.building.model import (
     AT_FACE_M,
     CELL_M,
     NO_WALLS,
-    BuildingSettings,
     Doors,
     Rows,
     Walls,
     cells_in,
     stretches,
 )
-from ffmap.algorithms.building.ray_evidence import FOOT_ROW
+from ffmap.algorithms.building.openings import OpeningRules, is_pane
+from ffmap.algorithms.building.ray_evidence import FOOT_ROW, WallCells
 
 ACROSS = 0.5
 """Cosine of the angle between two faces below which one stands across the other."""
@@ -210,7 +210,7 @@ class _ColumnFlags(Rows):
 def judge_faces(
     faces: TracedFaces,
     path_map: FloatArray,
-    building: BuildingSettings,
+    rules: OpeningRules,
     column_settings: FaceColumnsSettings,
     settings: StandingWallsSettings,
 ) -> JudgedFaces:
@@ -218,6 +218,7 @@ def judge_faces(
 
     path_map: (n, 2) the robot's places.
     """
+    building = rules.building
     columns = count_columns(faces, settings.above_door_m, building, column_settings)
     flags = _ColumnFlags.of(faces, columns, path_map, building.rays_min, settings)
     stands_before = _before_longer(faces.walls, settings)
@@ -225,7 +226,7 @@ def judge_faces(
     refused: list[tuple[int, int, int, FaceVerdict]] = []
     for w in range(len(faces)):
         own = faces.columns(w)
-        hangs = _hanging(flags.select(own), settings)
+        hangs = _hanging(flags.select(own), faces.cells.of(w), rules, settings)
         low = _ending_low(flags.ends_low[own], columns.select(own), settings)
         # What stands before a wall, and is hidden above by a duct, is no higher than what was seen of it.
         low |= stands_before[w] and columns.upper_on[own].sum() < building.rays_min
@@ -240,27 +241,35 @@ def judge_faces(
     return JudgedFaces(faces.cut(kept), faces.cut([r[:3] for r in refused]), verdicts)
 
 
-def _hanging(flags: _ColumnFlags, settings: StandingWallsSettings) -> BoolArray:
-    """(c,) which columns of one face hang: open below over a longer stretch than an opening has, or where the robot drove."""
+def _hanging(
+    flags: _ColumnFlags, cells: WallCells, rules: OpeningRules, settings: StandingWallsSettings
+) -> BoolArray:
+    """(c,) which columns of one face hang: open below over a longer stretch than an opening has, or where the robot drove.
+
+    What holds a pane is open over any length: a glazed wall. cells: of the face alone.
+    """
+    if flags.visited.mean() > 0.5:
+        return np.ones_like(flags.hollow)
     hangs = long_runs(flags.hollow, cells_in(settings.opening_max_m), bridge=4)
     # A lintel has a jamb: what is open below all along is a duct, however short.
     no_jamb = flags.hollow.mean() > 0.5 and flags.has_foot.mean() < settings.jamb_share_min
-    return np.ones_like(hangs) if flags.visited.mean() > 0.5 or no_jamb else hangs
+    hangs |= no_jamb
+    for first, after in runs(hangs):
+        hangs[first:after] = not is_pane(cells.counts[first:after], cells.twice[first:after], rules)
+    return hangs
 
 
 def _ending_low(ends_low: BoolArray, columns: Columns, settings: StandingWallsSettings) -> BoolArray:
     """(c,) which columns of one face are lower than the ceiling, and no high window of a wall."""
     beside, reach = cells_in(settings.cut_min_m), cells_in(settings.window_frame_m)
     stands, sill = columns.upper_on > columns.upper_passed, columns.lower_on > 0
-    # Wall above and below what rays pass is a window's, where it has jambs: a cupboard below a duct has none.
-    walled = (columns.crown_on > settings.passed_ratio * columns.crown_passed) & (
-        columns.sill_on >= columns.sill_passed
-    )
-    jamb = walled & (columns.upper_open_rows == 0) & (columns.lower_on > columns.lower_passed)
+    # Below a wall's crown rays pass a door or a window, if wall stands beside it; a cupboard below a duct has no jambs.
+    topped = columns.crown_on > settings.passed_ratio * columns.crown_passed
+    jamb = topped & (columns.upper_open_rows == 0) & (columns.lower_on > columns.lower_passed)
     ends_low = ends_low.copy()
-    for first, last in stretches(walled, 2):
+    for first, last in stretches(topped, 2):
         own = slice(first, last + 1)
-        ends_low[own] &= ~walled[own] | (np.count_nonzero(jamb[own]) < beside)
+        ends_low[own] &= ~topped[own] | (np.count_nonzero(jamb[own]) < beside)
     low = long_runs(ends_low, min(beside, max(len(ends_low) // 2, 1)), bridge=2)
     for first, after in runs(low):
         before, behind = stands[max(first - reach, 0) : first], stands[after : after + reach]

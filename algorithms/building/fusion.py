@@ -138,7 +138,7 @@ def _judge(aligned: AlignedFaces, scans: AllScans, settings: FusionSettings) -> 
     if alone.any():
         alone[alone] = ~shows_whole(_traced(faces.select(alone), scans, settings), standing)
     traced = _traced(faces.select(~alone), scans, settings)
-    judged = judge_faces(traced, scans.path_map, settings.building, settings.face_columns, standing)
+    judged = judge_faces(traced, scans.path_map, settings.opening_rules, settings.face_columns, standing)
     judged = judged.refuse(faces.select(alone), FaceVerdict.ALONE).refuse(leaves, FaceVerdict.LEANS)
     return refuse_outside(judged, scans.storey, settings.face_columns)
 

@@ -48,7 +48,7 @@ class BuildingSettings(StepSettings):
         gt=0,
         description="Height above the floor (m) up to which rays that pass a wall prove a doorway: a window's sill is higher.",
     )
-    door_height_max_m: float = Field(2.4, gt=0, description="Height (m) above which wall over a door is looked for.")
+    door_height_max_m: float = Field(2.6, gt=0, description="Highest door head in metres.")
     reveal_m: float = Field(
         0.3, ge=0, description="Depth (m) of a door's reveals where neither a lintel nor a wall of the building tells."
     )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import Field
 
-from ffmap.algorithms.base.scan import BoolArray, FloatArray
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, BuildingSettings, Walls, cells_in
 from ffmap.algorithms.building.ray_evidence import (
@@ -100,12 +100,10 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
     """
     settings, openings = rules.building, rules.openings
     smooth = with_neighbours(counts)
-    low, knee = FOOT_ROW, cells_in(settings.knee_m)
-    high, above = cells_in(settings.door_height_min_m), cells_in(settings.door_height_max_m)
+    low, knee, high = FOOT_ROW, cells_in(settings.knee_m), cells_in(settings.door_height_min_m)
     top = (np.maximum(top_m - openings.below_ceiling_m, 0.0) / CELL_M).astype(np.int64)[:, None]
     row = np.arange(counts.shape[1])
-    lowest = np.minimum(above, np.maximum(top - cells_in(openings.lintel_m), 0))
-    above_head = smooth * ((row >= lowest) & (row < top))[..., None]
+    above_head = smooth * ((row >= _head_rows(smooth, top, rules)) & (row < top))[..., None]
     # What hangs behind a lintel is seen below it, and would pull its mean back.
     lintel = (above_head * (returns_at_face(above_head) > 0)[..., None]).sum(axis=1)
     passed_above = above_head[..., THROUGH].sum(axis=1)
@@ -126,6 +124,36 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
     recessed = (depth_m > settings.recess_min_m) & ~(foot_depth_m < 0.5 * settings.recess_min_m)
     is_closed = may_be & recessed & (through < 1 - settings.agreement_min) & (spread_m < 0.06)
     return DoorColumns(is_open, is_closed, has_lintel, through, below, lintel_m, depth_m)
+
+
+def _head_rows(smooth: FloatArray, top: IntArray, rules: OpeningRules) -> IntArray:
+    """(c, 1) the row of each column above which the wall over a door shows: where what is seen steps forward most.
+
+    Below a head rays end on a leaf that is set back, or go through; above it they end on the wall. Where nothing steps forward, or
+    the wall above is hidden, the row above every door's head.
+
+    smooth: (c, rows, 4); top: (c, 1) the row of the ceiling.
+    """
+    settings = rules.building
+    first = cells_in(settings.door_height_min_m)
+    row = np.arange(smooth.shape[1])
+    highest = np.maximum(top - cells_in(rules.openings.lintel_m), 0)
+    usual = np.minimum(cells_in(settings.door_height_max_m), highest)
+    if smooth.shape[1] <= first + 1:
+        return usual
+    rays = np.where(row < top, smooth[..., FILLED] + smooth[..., THROUGH], 0.0)[:, first:].astype(np.float64)
+    # A ray that went through counts as one that ended as deep as leaves are looked for.
+    back_m = np.where(rays > 0, settings.near_m * smooth[:, first:, THROUGH] - smooth[:, first:, SUM], 0.0)
+    below, above = rays.cumsum(axis=1)[:, :-1], rays[:, ::-1].cumsum(axis=1)[:, ::-1][:, 1:]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        below_m = back_m.cumsum(axis=1)[:, :-1] / below
+        above_m = back_m[:, ::-1].cumsum(axis=1)[:, ::-1][:, 1:] / above
+        step_m = np.where((below >= 2) & (above >= 2), below_m - above_m, 0.0)
+        explained = step_m * np.abs(step_m) * below * above / (below + above)
+    explained = np.nan_to_num(explained)
+    best = explained.argmax(axis=1)[:, None]
+    steps = np.take_along_axis(step_m, best, axis=1) > settings.recess_min_m
+    return np.where(steps, first + best + 1, usual)
 
 
 def is_pane(counts: FloatArray, twice: FloatArray, rules: OpeningRules) -> bool:

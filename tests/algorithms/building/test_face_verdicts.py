@@ -20,6 +20,7 @@ from ffmap.algorithms.building.face_verdicts import (
     trim_at_doorways,
 )
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, NO_WALLS, BuildingSettings, Walls
+from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells
 from tests.faces import CEILING_M, faces
 from tests.voting import vote
@@ -45,7 +46,11 @@ def pass_rays(cells: WallCells, columns: slice, low_m: float, high_m: float) -> 
 
 def judged_faces(walls: Walls, cells: WallCells, clear_m: np.ndarray, path_map: np.ndarray) -> JudgedFaces:
     return judge_faces(
-        TracedFaces(walls, cells, clear_m, np.zeros(len(clear_m))), path_map, BuildingSettings(), COLUMNS, SETTINGS
+        TracedFaces(walls, cells, clear_m, np.zeros(len(clear_m))),
+        path_map,
+        OpeningRules(BuildingSettings(), OpeningsSettings()),
+        COLUMNS,
+        SETTINGS,
     )
 
 
@@ -99,6 +104,21 @@ def test_a_door_and_a_window_do_not_cut_their_wall():
     pass_rays(cells, slice(20, 40), 0.0, 2.1)
     pass_rays(cells, slice(70, 100), 0.9, 2.7)  # up to close below the ceiling
     assert judge(cells) == ([[0.0, 6.0]], [])
+
+
+def test_a_door_as_high_as_codes_allow_does_not_cut_its_wall():
+    cells = cells_of(6.0)
+    pass_rays(cells, slice(40, 60), 0.0, 2.5)
+    assert judge(cells) == ([[0.0, 6.0]], [])
+
+
+def test_a_glazed_wall_is_no_duct_however_long():
+    """Its panes let most rays through, but what they return comes from one sheet."""
+    cells = cells_of(8.0)
+    pass_rays(cells, slice(10, 150), 0.0, 2.3)
+    assert judge(cells)[1] == [FaceVerdict.HANGS]
+    cells.counts[10:150, : int(2.3 / CELL_M), FILLED] = 1.0
+    assert judge(cells) == ([[0.0, 8.0]], [])
 
 
 def test_a_high_window_does_not_cut_its_wall_though_rays_pass_beside_it():
