@@ -246,6 +246,8 @@ class Simulate:
         ffmap simulate three.bag --lidars three
 
         ffmap simulate viral.bag --layout ntu_viral
+
+        ffmap simulate glass.bag --building angled --returns dual
     """
 
     out: Path = argument(help="Bag to write: a file (bag), or a folder (mcap, db3).")
@@ -263,6 +265,9 @@ class Simulate:
     layout: str = option(
         "plain", help="plain, or as the bags of a public data set, with its sensors: a name that 'ffmap rigs' lists."
     )
+    returns: str | None = option(
+        None, help="single: the strongest echo of a firing; dual: also what is behind a pane or an edge.  [default: single]"
+    )
     format_: str = option("bag", "--format", help="bag (ROS 1), mcap or db3 (ROS 2).")
     duration: float = option(60.0, min=1.0, help="Seconds of driving.")
     set_: list[str] | None = option(
@@ -273,7 +278,7 @@ class Simulate:
     def __call__(self) -> None:
         from ffmap.app.commands.simulate import simulate
 
-        values = {name: getattr(self, name) for name in ("building", "seed", "sensor", "lidars", "layout")}
+        values = {name: getattr(self, name) for name in ("building", "seed", "sensor", "lidars", "layout", "returns")}
         values = {name: value for name, value in values.items() if value is not None}
         values |= {"format": self.format_, "duration_s": self.duration}
         simulate(self.out, values, self.set_ or (), self.quiet)

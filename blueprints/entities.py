@@ -152,6 +152,7 @@ RANGES = "/metrics/ranges"
 REGISTRATION = "/metrics/registration"
 
 POINT_LABEL_SCAN = "label_scan"
+POINT_INTENSITY = "intensity"
 POINT_ALONE = "measured_alone"
 """Whether a return lies on no facet that its neighbours show: its range stays as measured."""
 POINT_VERDICT_COLOR = "verdict_color"

@@ -16,14 +16,17 @@ import numpy.typing as npt
 from rosbags.typesys.store import Typestore
 
 from ffmap.algorithms.base.labels import NO_RETURN
-from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array
+from ffmap.algorithms.base.scan import Echo, FloatArray, IntArray, Scan, UInt8Array
 from ffmap.loaders.bag import Message
+from ffmap.loaders.dual_returns import PAIRS_MIN, find_echoes
 from ffmap.loaders.errors import CloudError
 from ffmap.loaders.firing_times import TIME_NAMES, TimeField, azimuth_times, find_time_field, join_times
 from ffmap.loaders.rings import RingModel, RingSample, estimate_rings
 
 TimeFrom = Literal["auto", "azimuth", "none"]
 
+INTENSITY_NAMES = ("reflectivity", "intensity", "intensities", "remission")
+"""The first of them that varies is taken: what a driver has calibrated for the range before what the detector measured."""
 RING_NAMES = ("ring", "channel", "laser_id", "line", "laser", "scan_id")
 _DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _UINT8 = 2
@@ -59,6 +62,8 @@ class CloudDecoding:
     time_from: "auto" (the field), "azimuth" (recovered from the direction of each point), "none".
     period_ns: time of a revolution, from the stamps; None where fewer than two clouds are there.
     clock_ns: what is added to the firings' times, where this lidar's clock is off from the other's.
+    intensity: the field that tells how strong a return is; None where there is none, or it is the same everywhere.
+    dual: whether some firings return twice.
     """
 
     layout: CloudLayout
@@ -67,6 +72,8 @@ class CloudDecoding:
     time_from: TimeFrom
     period_ns: int | None
     clock_ns: int = 0
+    intensity: str | None = None
+    dual: bool = False
 
     @property
     def timed(self) -> bool:
@@ -201,6 +208,7 @@ def settle_decoding(
     Raises CloudError where none of them is sound.
     """
     layouts, ring_samples, time_samples = [], [], []
+    varying: set[str] = set()
     failure: CloudError | None = None
     for message in messages:
         try:
@@ -215,6 +223,7 @@ def settle_decoding(
         field = _ring_numbers(message, layout, index) if layout.ring_field else None
         row, column = np.divmod(index, layout.width)
         ring_samples.append(RingSample(points, field, row, column, (layout.height, layout.width)))
+        varying |= {name for name in _intensity_fields(layout) if _varies(field_column(message, layout, name)[index])}
         if layout.time_field:
             time_samples.append((field_column(message, layout, layout.time_field)[index], stamp_ns(message)))
     if not layouts:
@@ -226,7 +235,34 @@ def settle_decoding(
         kind = layout.point[layout.time_field].kind
         alike = [sample for sample in time_samples if sample[0].dtype.kind == kind]
         time = find_time_field(layout.time_field, alike, period_ns)
-    return CloudDecoding(layout, estimate_rings(ring_samples), time, time_from, period_ns)
+    intensity = next((name for name in _intensity_fields(layout) if name in varying), None)
+    decoding = CloudDecoding(layout, estimate_rings(ring_samples), time, time_from, period_ns, intensity=intensity)
+    return replace(decoding, dual=_returns_twice(messages, decoding))
+
+
+def _intensity_fields(layout: CloudLayout) -> list[str]:
+    """Those that may tell how strong a return is, the best first."""
+    by_lower = {name.lower(): name for name in layout.point.names or ()}
+    return [by_lower[name] for name in INTENSITY_NAMES if name in by_lower]
+
+
+def _varies(values: npt.NDArray[Any]) -> bool:
+    known = values[np.isfinite(values)]
+    return bool(len(known) and known.min() < known.max())
+
+
+def _returns_twice(messages: Sequence[Message], decoding: CloudDecoding) -> bool:
+    """Whether firings of these clouds return twice, which only their own times and rings tell."""
+    if decoding.time_from != "auto" or decoding.time is None or decoding.rings.source in ("bins", "elevation"):
+        return False
+    pairs = 0
+    for message in messages:
+        try:
+            scan = decode(message, replace(decoding, dual=True))
+        except CloudError:
+            continue
+        pairs += 0 if scan.echo is None else int(np.count_nonzero(scan.echo == Echo.NEARER))
+    return pairs >= PAIRS_MIN
 
 
 def _ring_numbers(message: Message, layout: CloudLayout, index: IntArray) -> IntArray:
@@ -283,7 +319,21 @@ def decode(message: Message, decoding: CloudDecoding) -> Scan:
         stamp_ns=stamp,
         cloud_index=index,
         cloud_size=layout.height * layout.width,
+        intensity=_intensities(message, layout, decoding, index),
+        echo=find_echoes(points, ring, time_ns) if decoding.dual and time_ns is not None else None,
     )
+
+
+def _intensities(
+    message: Message, layout: CloudLayout, decoding: CloudDecoding, index: IntArray
+) -> FloatArray | None:
+    """(n,) float32 of the valid points; a cloud that lacks the field which the topic's others have says nothing."""
+    if decoding.intensity is None:
+        return None
+    if decoding.intensity not in (layout.point.names or ()):
+        return np.full(len(index), np.nan, np.float32)
+    with np.errstate(over="ignore"):
+        return field_column(message, layout, decoding.intensity)[index].astype(np.float32)
 
 
 def _times(

@@ -7,6 +7,7 @@ down the other.
 
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numba
@@ -69,33 +70,45 @@ def find_cased_doors(
         counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
         face = Segment.between(walls.ends[w], walls.normal[w])
         for casing in _casings(counts, building, settings):
-            inner = counts[
-                round(casing.first_m / CELL_M) : round(casing.last_m / CELL_M), FOOT_ROW : int(casing.head_m / CELL_M)
-            ]
-            on, passed = float(inner[..., FILLED].sum()), float(inner[..., THROUGH].sum())
-            seen = float(np.mean((inner[..., FILLED] > 0).mean(axis=1) > settings.known_min))
-            door = Doors(
-                ends=face.at(np.array([casing.first_m, casing.last_m]))[None],
-                normal=face.normal[None],
-                head_m=np.array([casing.head_m]),
-                depth_m=np.zeros(1),
-                state=np.array([DoorState.CLOSED], np.uint8),
-                confidence=np.array([on / (on + passed) * seen]),
-                agreement=np.array([on / (on + passed)]),
-                coverage=np.array([seen]),
-                lintel=np.ones(1),
-                ajar=np.zeros(1, bool),
-                ray_count=np.array([(on + passed) / 3], np.int32),
-                scan_count=np.zeros(1, np.int32),
-                first_scan=np.full(1, -1),
-                last_scan=np.full(1, -1),
-                crossed=np.zeros(1, bool),
-                wall=np.array([w], np.int32),
-                reveal_m=np.full(1, np.nan),
-                casing_m=np.array([casing.relief_m]),
-            )
-            doors = doors.append(door)
+            opening = casing.first_m / CELL_M, casing.last_m / CELL_M
+            door = flush_door(face, w, opening, 0, casing.head_m, counts, settings.known_min)
+            doors = doors.append(replace(door, casing_m=np.array([casing.relief_m])))
     return doors.select(np.argsort(-doors.casing_m, kind="stable"))
+
+
+def flush_door(
+    face: Segment, wall: int, opening: tuple[float, float], before: int, head_m: float, counts: FloatArray, known_min: float
+) -> Doors:
+    """A single closed door whose leaf lies in its wall's face.
+
+    opening: where its jambs stand, in columns of `counts` (c, rows, 4), see `WallCells`; `before` of these columns lie before the
+    face's start. known_min: share of a column that has to be seen for it to bear the door out.
+    """
+    first, last = opening
+    inner = counts[round(first) : round(last), FOOT_ROW : int(head_m / CELL_M)]
+    on, passed = float(inner[..., FILLED].sum()), float(inner[..., THROUGH].sum())
+    seen = float(np.mean((inner[..., FILLED] > 0).mean(axis=1) > known_min))
+    return Doors(
+        ends=face.at(CELL_M * (np.array([first, last]) - before))[None],
+        normal=face.normal[None],
+        head_m=np.array([head_m]),
+        depth_m=np.zeros(1),
+        state=np.array([DoorState.CLOSED], np.uint8),
+        confidence=np.array([on / (on + passed) * seen]),
+        agreement=np.array([on / (on + passed)]),
+        coverage=np.array([seen]),
+        lintel=np.ones(1),
+        ajar=np.zeros(1, bool),
+        ray_count=np.array([(on + passed) / 3], np.int32),
+        scan_count=np.zeros(1, np.int32),
+        first_scan=np.full(1, -1),
+        last_scan=np.full(1, -1),
+        crossed=np.zeros(1, bool),
+        wall=np.array([wall], np.int32),
+        reveal_m=np.full(1, np.nan),
+        casing_m=np.full(1, np.nan),
+        contrast=np.full(1, np.nan),
+    )
 
 
 def _casings(counts: FloatArray, building: BuildingSettings, settings: DoorCasingsSettings) -> list[_Casing]:
@@ -120,7 +133,7 @@ def _casings(counts: FloatArray, building: BuildingSettings, settings: DoorCasin
                 weakest_m > settings.relief_min_m
                 and max(map(abs, sides_m)) < settings.flush_max * weakest_m
                 and np.mean(strip[first + wall : last + 1 - wall]) <= settings.within_max
-                and _is_opaque(counts[first + 1 : last, FOOT_ROW:head], building, settings)
+                and is_opaque(counts[first + 1 : last, FOOT_ROW:head], building, settings.known_min)
             ):
                 found.append((weakest_m, first, last, head_m, relief_m))
     found.sort(key=lambda casing: -casing[0])
@@ -219,10 +232,10 @@ def _relief_over(
     return float(np.nanmean(over_m)), (head + 1 - covered) * CELL_M
 
 
-def _is_opaque(inner: FloatArray, building: BuildingSettings, settings: DoorCasingsSettings) -> bool:
-    """Whether rays end on what a casing surrounds, over most of it; inner: (c, rows, 4)."""
+def is_opaque(inner: FloatArray, building: BuildingSettings, known_min: float) -> bool:
+    """Whether rays end on what fills an opening (c, rows, 4), over most of it."""
     on, passed = inner[..., FILLED].sum(), inner[..., THROUGH].sum()
-    return bool(on > building.opaque_min * (on + passed) and np.mean(inner[..., FILLED] > 0) > settings.known_min)
+    return bool(on > building.opaque_min * (on + passed) and np.mean(inner[..., FILLED] > 0) > known_min)
 
 
 def _inner_edge(relief_m: FloatArray, column: int, settings: DoorCasingsSettings) -> float:

@@ -123,7 +123,7 @@ def place_frames(
         _compare_with_frames(frames, evidence, np.asarray(block.scan, np.int64), Rays.of(block), own, rules)
     ends, head_m = doors.ends.copy(), doors.head_m.copy()
     for d, doorway in enumerate(segments(doors)):
-        if np.isfinite(doors.casing_m[d]):
+        if doors.depth_m[d] == 0.0:
             continue  # Its leaf is flush: rays end on it as they do on the wall.
         for side, outwards in ((0, -1.0), (1, 1.0)):
             edge_m = _edge_m(evidence.jamb_cost_m[d, side], evidence.jamb_rays[d, side], settings.rays_min)

@@ -92,7 +92,7 @@ def _doors_in(
     counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
     if len(counts) < 3:
         return
-    settings, openings = rules.building, rules.openings
+    settings, openings, twice = rules.building, rules.openings, cells.of(w).twice
     found = look_for_doors(counts, top_m, rules)
     low, high = FOOT_ROW, cells_in(settings.door_height_min_m)
     face = Segment.between(walls.ends[w], walls.normal[w])
@@ -100,7 +100,9 @@ def _doors_in(
         for first, last in stretches(flags, 2):
             if seen_as == DoorState.OPEN:
                 opening = counts[first : last + 1]
-                if is_pane(opening, rules) or has_sill(opening, rules) or not is_open_to_floor(opening, rules):
+                if is_pane(opening, twice[first : last + 1], rules) or has_sill(opening, rules):
+                    continue
+                if not is_open_to_floor(opening, rules):
                     continue
                 first, last = to_jambs(counts[:, low:high].sum(axis=1), first, last, openings.leaf_max_m)
                 if (last + 1 - first) * CELL_M < settings.door_width_min_m:
@@ -143,6 +145,7 @@ def _doors_in(
                 wall=np.array([w], np.int32),
                 reveal_m=np.full(1, np.nan),
                 casing_m=np.full(1, np.nan),
+                contrast=np.full(1, np.nan),
             )
             yield _Seen(door, first == 0 or last == len(counts) - 1)
 

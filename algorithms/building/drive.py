@@ -12,7 +12,7 @@ from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.levels import map_levels
 from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
-from ffmap.algorithms.building.ray_evidence import WallCells, first_columns, rows_of
+from ffmap.algorithms.building.ray_evidence import WallCells, first_columns, joined, rows_of
 from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.scan.summary import Features
 
@@ -28,7 +28,7 @@ class TraceOnce:
 
     def __init__(self, trace: Trace) -> None:
         self._trace = trace
-        self._known: dict[tuple[str, bytes], dict[bytes, FloatArray]] = {}
+        self._known: dict[tuple[str, bytes], dict[bytes, WallCells]] = {}
 
     def __call__(self, walls: Walls, settings: BuildingSettings, windows: Windows) -> WallCells:
         """As `trace_rays` counts them."""
@@ -36,15 +36,14 @@ class TraceOnce:
         known = self._known.setdefault((settings.model_dump_json(), through), {})
         rows = rows_of(walls)
         keys = [ends.tobytes() + normal.tobytes() for ends, normal in zip(walls.ends, walls.normal, strict=True)]
-        new = np.array([key not in known or known[key].shape[1] < rows for key in keys], bool)
+        new = np.array([key not in known or known[key].rows < rows for key in keys], bool)
         if new.any():
             # As high as the highest face that is asked for, which may be another.
             asked = replace(walls, top_m=np.full(len(walls), walls.top_m.max())).select(new)
             cells = self._trace(asked, settings, windows)
             for own, key in enumerate(np.array(keys, object)[new]):
-                known[key] = cells.counts[cells.first[own] : cells.first[own + 1]]
-        nothing = np.zeros((0, rows, 4), np.float32)
-        return WallCells(first_columns(walls), rows, np.concatenate([nothing, *(known[key][:, :rows] for key in keys)]))
+                known[key] = cells.of(own)
+        return joined(first_columns(walls), rows, [known[key] for key in keys])
 
 
 @dataclass(frozen=True)

@@ -153,11 +153,10 @@ class TracedFaces:
 
     def part(self, stretches: list[tuple[int, int, int]]) -> "TracedFaces":
         """The same as `cut`, with what is known of the columns."""
-        parts = [self.cells.first[w] + np.arange(first, after) for w, first, after in stretches]
-        columns = np.concatenate([np.zeros(0, np.int64), *parts])
-        starts = np.concatenate([[0], np.cumsum([after - first for _, first, after in stretches])]).astype(np.int64)
-        cells = replace(self.cells, first=starts, counts=self.cells.counts[columns])
-        return TracedFaces(self.cut(stretches), cells, self.clear_m[columns], self.ground_m[columns])
+        columns = np.concatenate(
+            [np.zeros(0, np.int64), *(self.cells.first[w] + np.arange(first, after) for w, first, after in stretches)]
+        )
+        return TracedFaces(self.cut(stretches), self.cells.part(stretches), self.clear_m[columns], self.ground_m[columns])
 
     def visited(self, path_map: FloatArray, robot_m: float) -> BoolArray:
         """(columns,) where the robot drove: its places (n, 2) are closer than `robot_m`."""

@@ -40,7 +40,7 @@ from ffmap.algorithms.building.model import (
     stretches,
 )
 from ffmap.algorithms.building.openings import OpeningRules, is_pane
-from ffmap.algorithms.building.ray_evidence import FOOT_ROW
+from ffmap.algorithms.building.ray_evidence import FOOT_ROW, WallCells
 
 ACROSS = 0.5
 """Cosine of the angle between two faces below which one stands across the other."""
@@ -226,7 +226,7 @@ def judge_faces(
     refused: list[tuple[int, int, int, FaceVerdict]] = []
     for w in range(len(faces)):
         own = faces.columns(w)
-        hangs = _hanging(flags.select(own), faces.cells.counts[own], rules, settings)
+        hangs = _hanging(flags.select(own), faces.cells.of(w), rules, settings)
         low = _ending_low(flags.ends_low[own], columns.select(own), settings)
         # What stands before a wall, and is hidden above by a duct, is no higher than what was seen of it.
         low |= stands_before[w] and columns.upper_on[own].sum() < building.rays_min
@@ -242,11 +242,11 @@ def judge_faces(
 
 
 def _hanging(
-    flags: _ColumnFlags, counts: FloatArray, rules: OpeningRules, settings: StandingWallsSettings
+    flags: _ColumnFlags, cells: WallCells, rules: OpeningRules, settings: StandingWallsSettings
 ) -> BoolArray:
     """(c,) which columns of one face hang: open below over a longer stretch than an opening has, or where the robot drove.
 
-    What holds a pane is open over any length: a glazed wall. counts: (c, rows, 4), see `WallCells`.
+    What holds a pane is open over any length: a glazed wall. cells: of the face alone.
     """
     if flags.visited.mean() > 0.5:
         return np.ones_like(flags.hollow)
@@ -255,7 +255,7 @@ def _hanging(
     no_jamb = flags.hollow.mean() > 0.5 and flags.has_foot.mean() < settings.jamb_share_min
     hangs |= no_jamb
     for first, after in runs(hangs):
-        hangs[first:after] = not is_pane(counts[first:after], rules)
+        hangs[first:after] = not is_pane(cells.counts[first:after], cells.twice[first:after], rules)
     return hangs
 
 

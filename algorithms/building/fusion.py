@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings, find_cased_doors
+from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings, find_contrasting_doors
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
 from ffmap.algorithms.building.doors import add_doors, drop_doubtful, find_doors, prove_crossed
 from ffmap.algorithms.building.drive import AllScans
@@ -54,6 +55,7 @@ class FusionSettings:
     openings: OpeningsSettings
     windows: WindowsSettings
     door_casings: DoorCasingsSettings
+    door_contrasts: DoorContrastsSettings
     door_frames: DoorFramesSettings
     wall_thickness: WallThicknessSettings
     relabelling: RelabellingSettings
@@ -174,7 +176,9 @@ def _find_openings(walls: Walls, scans: AllScans, settings: FusionSettings) -> t
     floor_before = scans.storey.floor_near(column_places(walls, cells.first, 0.5 * FLOOR_NEAR_M), FLOOR_NEAR_M)
     doors = find_doors(walls, without_glass, clear_m, settings.opening_rules, windows, floor_before)
     cased = find_cased_doors(walls, without_glass, settings.building, settings.door_casings)
-    doors = add_doors(doors, (cased.select(slice(d, d + 1)) for d in range(len(cased))))
+    contrasting = find_contrasting_doors(walls, without_glass, settings.building, settings.door_contrasts)
+    flush = cased.append(contrasting)
+    doors = add_doors(doors, (flush.select(slice(d, d + 1)) for d in range(len(flush))))
     doors = place_frames(doors, walls, scans.drive.blocks(), settings.building, settings.door_frames)
     doors = drop_doubtful(doors, settings.building)
     doors = prove_crossed(doors, scans.path_map)

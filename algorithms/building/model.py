@@ -158,6 +158,7 @@ class Doors(Rows):
     wall: (D,) the wall face in which it was seen best.
     reveal_m: (D,) how far its reveals and the underside of its lintel reach behind the wall's face; NaN where unknown.
     casing_m: (D,) how far the casing stands out of the wall by which it was told; NaN where it was told otherwise.
+    contrast: (D,) by which share of the wall's intensity the leaf's differs, if it was told by that; NaN where told otherwise.
     """
 
     ends: FloatArray
@@ -178,6 +179,7 @@ class Doors(Rows):
     wall: IntArray
     reveal_m: FloatArray
     casing_m: FloatArray
+    contrast: FloatArray
 
 
 NO_DOORS = Doors(
@@ -199,6 +201,7 @@ NO_DOORS = Doors(
     wall=np.zeros(0, np.int32),
     reveal_m=np.zeros(0),
     casing_m=np.zeros(0),
+    contrast=np.zeros(0),
 )
 
 

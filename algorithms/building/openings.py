@@ -156,19 +156,24 @@ def _head_rows(smooth: FloatArray, top: IntArray, rules: OpeningRules) -> IntArr
     return np.where(steps, first + best + 1, usual)
 
 
-def is_pane(counts: FloatArray, rules: OpeningRules) -> bool:
+def is_pane(counts: FloatArray, twice: FloatArray, rules: OpeningRules) -> bool:
     """Whether an opening holds a pane: glass lets most rays through, but those that it returns come from one sheet.
 
     An open doorway returns nothing, and what stands in it has some depth (Wang and Wang, "Detecting glass in simultaneous
-    localisation and mapping", 2017).
+    localisation and mapping", 2017). A firing that returns from within an opening and from beyond it has met an edge, as at the
+    jambs, or glass: of such returns a sheet is enough, however few they are.
 
-    counts: (c, rows, 4) of the opening's columns; those at its jambs are not looked at.
+    counts: (c, rows, 4) of the opening's columns; those at its jambs are not looked at. twice: (c, rows), see `WallCells`, or
+    (0, rows).
     """
     settings = rules.building
     jamb = min(cells_in(rules.openings.jamb_m), (len(counts) - 1) // 2)
-    inner = counts[jamb : len(counts) - jamb, FOOT_ROW : cells_in(settings.door_height_min_m)]
+    inside = slice(jamb, len(counts) - jamb), slice(FOOT_ROW, cells_in(settings.door_height_min_m))
+    inner = counts[inside]
     sheet = find_sheet(inner, rules)
-    return sheet is not None and sheet.returns >= settings.pane_share_min * float(inner[..., THROUGH].sum())
+    if sheet is not None and sheet.returns >= settings.pane_share_min * float(inner[..., THROUGH].sum()):
+        return True
+    return len(twice) > 0 and find_sheet(inner * (twice[inside] > 0)[..., None], rules) is not None
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ Nikoohemat et al. (2018) tell a wall's cells apart as filled, empty and occluded
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numba
@@ -12,15 +12,20 @@ import numpy as np
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.plan_index import SECTORS, enter, sector_of, sectors_around
-from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.scan import Echo, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, BuildingSettings, Walls
 from ffmap.algorithms.scan.summary import Features
 
 FILLED, SUM, SQUARES, THROUGH = range(4)
 """What `WallCells.counts` holds of each cell."""
+ANGLES_DEG = (20.0, 40.0, 60.0)
+"""What parts angles of incidence: only returns of like angles have comparable intensities."""
 FOOT_ROW = 2
 """The lowest row above sills, skirting boards and the floor's own returns."""
+
+
+_COSINES = np.cos(np.radians(ANGLES_DEG))
 
 
 @dataclass(frozen=True)
@@ -30,11 +35,36 @@ class WallCells:
     first: (W + 1,) the column at which each wall begins. rows: how many.
     counts: (columns, rows, 4) float32: returns near the face, the sum and the sum of squares of their distances before
     it (metres, negative behind), rays that went through.
+    light: (columns, rows, angles, 2) float32: returns at the face of which the intensity is known, and its sum, by the angle of
+    incidence (`ANGLES_DEG`); (0, rows, angles, 2) where no scan has any.
+    twice: (columns, rows) float32: returns near the face of firings that returned from beyond it too; (0, rows) where none did.
     """
 
     first: IntArray
     rows: int
     counts: FloatArray
+    light: FloatArray = field(default_factory=lambda: np.zeros((0, 0, len(ANGLES_DEG) + 1, 2), np.float32))
+    twice: FloatArray = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+
+    def plus(self, more: "WallCells") -> "WallCells":
+        """What further rays found of the same faces is added."""
+        light, twice = (
+            b if not len(a) else a if not len(b) else a + b
+            for a, b in ((self.light, more.light), (self.twice, more.twice))
+        )
+        return replace(self, counts=self.counts + more.counts, light=light, twice=twice)
+
+    def of(self, wall: int) -> "WallCells":
+        """Of one face alone."""
+        return self.part([(wall, 0, int(self.first[wall + 1] - self.first[wall]))])
+
+    def part(self, stretches: list[tuple[int, int, int]]) -> "WallCells":
+        """Of the stretches alone, each a face and its first and last column (excluded); each is a face of its own then."""
+        parts = [self.first[w] + np.arange(first, after) for w, first, after in stretches]
+        columns = np.concatenate([np.zeros(0, np.int64), *parts])
+        starts = np.concatenate([[0], np.cumsum([after - first for _, first, after in stretches])]).astype(np.int64)
+        light, twice = (counts[columns] if len(counts) else counts for counts in (self.light, self.twice))
+        return WallCells(starts, self.rows, self.counts[columns], light, twice)
 
 
 class Rays(NamedTuple):
@@ -52,6 +82,8 @@ class Rays(NamedTuple):
     plane_starts: IntArray
     plane_ends: FloatArray
     plane_normal: FloatArray
+    intensity: FloatArray
+    echo: UInt8Array
 
     @classmethod
     def of(cls, block: Features) -> "Rays":
@@ -67,6 +99,8 @@ class Rays(NamedTuple):
             block.plane_starts,
             np.ascontiguousarray(block.plane_ends_map, np.float64),
             np.ascontiguousarray(block.plane_normal, np.float64),
+            np.ascontiguousarray(block.ray_intensity, np.float32),
+            np.ascontiguousarray(block.ray_echo),
         )
 
 
@@ -91,12 +125,20 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
     behind its wall, and the pose may be off by a part of that. blocks: features in any portions.
     """
     first = first_columns(walls)
-    rows = rows_of(walls)
-    counts = np.zeros((int(first[-1]), rows, 4), np.float32)
+    columns, rows = int(first[-1]), rows_of(walls)
+    counts = np.zeros((columns, rows, 4), np.float32)
+    light, twice = np.zeros((0, rows, len(ANGLES_DEG) + 1, 2), np.float32), np.zeros((0, rows), np.float32)
     own = OwnPlane.of(settings)
     for block in blocks:
-        _trace(walls.ends, walls.normal, first, counts, Rays.of(block), settings.near_m, settings.range_m, own)
-    return WallCells(first, rows, counts)
+        rays = Rays.of(block)
+        if len(rays.intensity) and not len(light):
+            light = np.zeros((columns, *light.shape[1:]), np.float32)
+        if len(rays.echo) and not len(twice):
+            twice = np.zeros((columns, rows), np.float32)
+        _trace(
+            walls.ends, walls.normal, first, counts, light, twice, rays, settings.near_m, settings.range_m, own, _COSINES
+        )  # fmt: skip
+    return WallCells(first, rows, counts, light, twice)
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True)
@@ -127,6 +169,14 @@ def first_columns(walls: Walls) -> IntArray:
 def rows_of(walls: Walls) -> int:
     """How many rows of cells there are for some faces: half a metre more than the highest of them needs."""
     return int(np.ceil((float(walls.top_m.max(initial=2.0)) + 0.5) / CELL_M))
+
+
+def joined(first: IntArray, rows: int, faces: list[WallCells]) -> WallCells:
+    """The cells of several faces, each at least `rows` high, one after the other. first: see `WallCells`."""
+    counts = [np.zeros((0, rows, 4), np.float32), *(face.counts[:, :rows] for face in faces)]
+    light = [np.zeros((0, rows, len(ANGLES_DEG) + 1, 2), np.float32), *(face.light[:, :rows] for face in faces)]
+    twice = [np.zeros((0, rows), np.float32), *(face.twice[:, :rows] for face in faces)]
+    return WallCells(first, rows, *map(np.concatenate, (counts, light, twice)))
 
 
 def returns_at_face(counts: FloatArray) -> FloatArray:
@@ -218,16 +268,28 @@ def _sectors(
     return sectors_around(corners)
 
 
+@numba.njit(cache=True, nogil=True, inline="always")
+def _angle_band(across: float, dx: float, dy: float, dz: float, cosines: FloatArray) -> int:  # pragma: no cover
+    """Which of the angles of incidence a ray has; across: its length along the face's normal."""
+    cosine, band = across / np.sqrt(dx * dx + dy * dy + dz * dz), 0
+    while band < len(cosines) and cosine < cosines[band]:
+        band += 1
+    return band
+
+
 @numba.njit(cache=True, nogil=True)
 def _trace(
     ends: FloatArray,
     normal: FloatArray,
     first: IntArray,
     counts: FloatArray,
+    light: FloatArray,
+    twice: FloatArray,
     rays: Rays,
     near_m: float,
     range_m: float,
     own: OwnPlane,
+    cosines: FloatArray,
 ) -> None:  # pragma: no cover
     faces, rows = len(ends), counts.shape[1]
     origin, starts, ray_end, label, floors = rays.origin, rays.starts, rays.end, rays.label, rays.floors
@@ -279,5 +341,11 @@ def _trace(
                     counts[column, row, FILLED] += 1.0
                     counts[column, row, SUM] += side
                     counts[column, row, SQUARES] += side * side
+                    if len(rays.echo) > 0 and rays.echo[r] == Echo.NEARER:
+                        twice[column, row] += 1.0
+                    if len(rays.intensity) > 0 and abs(side) < AT_FACE_M and np.isfinite(rays.intensity[r]):
+                        angle = _angle_band(reach - side, x - ox, y - oy, z - oz, cosines)
+                        light[column, row, angle, 0] += 1.0
+                        light[column, row, angle, 1] += rays.intensity[r]
                 else:
                     counts[column, row, THROUGH] += 1.0

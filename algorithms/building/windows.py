@@ -1,6 +1,5 @@
 """Windows, and what was seen through them."""
 
-from dataclasses import replace
 
 import numba
 import numpy as np
@@ -29,7 +28,7 @@ from ffmap.algorithms.building.ray_evidence import (
     returns_at_face,
     with_neighbours,
 )
-from ffmap.algorithms.scan.summary import Features
+from ffmap.algorithms.scan.summary import Features, select_rays
 
 
 class WindowsSettings(StepSettings):
@@ -74,7 +73,12 @@ def find_windows(
         face = Segment.between(walls.ends[w], walls.normal[w])
         columns = look_for_doors(counts, standing_m[cells.first[w] : cells.first[w + 1]], rules)
         opened = stretches(columns.is_open & columns.has_lintel, 2)
-        panes = [(first, last) for first, last in opened if is_pane(counts[first : last + 1], rules)]
+        twice = cells.of(w).twice
+        panes = [
+            (first, last)
+            for first, last in opened
+            if is_pane(counts[first : last + 1], twice[first : last + 1], rules)
+        ]
         may_be, is_sill = _above_sill(counts, walls.top_m[w], rules, settings)
         sill_min = cells_in(settings.sill_min_m)
         sills = [(first, last) for first, last in stretches(may_be, 4) if is_sill[first : last + 1].sum() >= sill_min]
@@ -211,12 +215,7 @@ def seen_through(windows: Windows, features: Features) -> BoolArray:
 def without_rays_through(windows: Windows, features: Features) -> Features:
     """The same scans without the rays that ended beyond a window."""
     passed = _rays_through(lines_of(windows), Rays.of(features))
-    return replace(
-        features,
-        ray_count=np.bincount(features.ray_scan[~passed], minlength=len(features.scan)),
-        ray_end_map=features.ray_end_map[~passed],
-        ray_label=features.ray_label[~passed],
-    )
+    return select_rays(features, ~passed)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -1,15 +1,18 @@
 """What the building needs of a scan: its wall planes, a share of its rays; small enough to keep for every scan."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ffmap.algorithms.base import transforms
-from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.scan import BoolArray, Echo, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.scan.labelling import ScanLabelling
 
 RAYS_PER_SCAN = 16_000  # maximum number of rays that are kept of a scan
+NO_INTENSITY, NO_ECHO = np.zeros(0, np.float32), np.zeros(0, np.uint8)
 
 
 @dataclass(frozen=True)
@@ -22,6 +25,7 @@ class Features:
     floor_reach_m: (s,) distance from the sensor up to which the pieces were looked for.
     ray_count, plane_count: (s,) how many rows below belong to each scan, in order.
     ray_end_map: (r, 3) float32; ray_label: (r,) uint8, the scan's label of the return.
+    ray_intensity: (r,) float32, NaN where unknown; ray_echo: (r,) uint8, see `Echo`; (0,) where no scan has any.
     plane_ends_map: (p, 2, 2); plane_normal: (p, 2) towards the sensor; plane_bottom_m, plane_top_m: (p,);
     plane_lines: (p,); plane_moments: (p, 6) n, Σx, Σy, Σxx, Σxy, Σyy of its samples in the map.
     """
@@ -41,6 +45,8 @@ class Features:
     plane_top_m: FloatArray
     plane_lines: IntArray
     plane_moments: FloatArray
+    ray_intensity: FloatArray = field(default_factory=lambda: NO_INTENSITY)
+    ray_echo: UInt8Array = field(default_factory=lambda: NO_ECHO)
 
     def moved(self, T: FloatArray) -> "Features":
         """Each scan moved by its own T (s, 4, 4), a turn about z and a shift; its rays stay, for `with_rays` to replace."""
@@ -144,22 +150,58 @@ def without_rays(features: Features) -> Features:
         ray_count=np.zeros_like(features.ray_count),
         ray_end_map=np.zeros((0, 3), np.float32),
         ray_label=np.zeros(0, np.uint8),
+        ray_intensity=NO_INTENSITY,
+        ray_echo=NO_ECHO,
     )
 
 
-def with_rays(features: Features, ends_map: list[FloatArray], labels: list[UInt8Array]) -> Features:
-    """The same scans with these rays, by scan: ends (r, 3) and labels (r,)."""
+def select_rays(features: Features, chosen: BoolArray) -> Features:
+    """The same scans with some of their rays alone; chosen: (r,)."""
+    columns = {
+        f.name: getattr(features, f.name)
+        for f in fields(Features)
+        if f.name.startswith("ray_") and f.name != "ray_count"
+    }
     return replace(
         features,
-        ray_count=np.array([len(end) for end in ends_map], np.int64),
+        ray_count=np.bincount(features.ray_scan[chosen], minlength=len(features.scan)),
+        **{name: column[chosen] if len(column) else column for name, column in columns.items()},
+    )
+
+
+def with_rays(
+    features: Features,
+    ends_map: list[FloatArray],
+    labels: list[UInt8Array],
+    intensities: list[FloatArray] | None = None,
+    echoes: list[UInt8Array] | None = None,
+) -> Features:
+    """The same scans with these rays, by scan: ends (r, 3), labels (r,), and (r,) of what each scan has, or (0,)."""
+    counts = [len(end) for end in ends_map]
+    return replace(
+        features,
+        ray_count=np.array(counts, np.int64),
         ray_end_map=np.concatenate(ends_map),
         ray_label=np.concatenate(labels),
+        ray_intensity=_filled(intensities or [NO_INTENSITY] * len(counts), counts, np.nan),
+        ray_echo=_filled(echoes or [NO_ECHO] * len(counts), counts, Echo.ONLY),
     )
 
 
 def concatenate(parts: list[Features]) -> Features:
     """The features of several scans or blocks as one; raises ValueError of none."""
-    return Features(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Features)))
+    columns = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Features)}
+    counts = [len(part.ray_end_map) for part in parts]
+    columns["ray_intensity"] = _filled([part.ray_intensity for part in parts], counts, np.nan)
+    columns["ray_echo"] = _filled([part.ray_echo for part in parts], counts, Echo.ONLY)
+    return Features(**columns)
+
+
+def _filled(columns: list[npt.NDArray[Any]], counts: list[int], unknown: float) -> npt.NDArray[Any]:
+    """One column of several, with `unknown` in place of those that are empty; empty where all are."""
+    if any(map(len, columns)):
+        columns = [c if len(c) else np.full(n, unknown, c.dtype) for c, n in zip(columns, counts, strict=True)]
+    return np.concatenate(columns)
 
 
 def move_moments(moments: FloatArray, T_target_source: FloatArray) -> FloatArray:

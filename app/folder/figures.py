@@ -32,6 +32,7 @@ STEPS = (
     *("face_alignment", "standing_walls", "missed_walls", "before_walls", "openings", "windows"),
     *(
         "door_casings",
+        "door_contrasts",
         "door_frames",
         "wall_thickness",
         "grid_map",

@@ -99,11 +99,11 @@ def _log_doors(log: Log, doors: Doors) -> None:
         f"{DoorState(state).name.lower()} door, {width:.2f} m, {confidence:.0%}"
         for state, width, confidence in zip(doors.state, lengths_m(doors.ends), doors.confidence, strict=True)
     ]
-    columns = ("state", "confidence", "agreement", "coverage", "lintel", "scan_count", "depth_m", "ajar", "crossed", "casing_m")
+    columns = ("state", "confidence", "agreement", "coverage", "lintel", "scan_count", "depth_m", "ajar", "crossed")
     log.static(
         entities.DOORS,
         strips(upright_frames(doors.ends, np.zeros(len(doors)), doors.head_m), color, 3.0, labels, show_labels=False),
-        evidence(doors, *columns, "ray_count"),
+        evidence(doors, *columns, "ray_count", "casing_m", "contrast"),
     )
     # An open door is its frame; a closed one has a leaf.
     closed = doors.select(doors.state == DoorState.CLOSED)

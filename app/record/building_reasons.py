@@ -60,6 +60,9 @@ def _door(doors: Doors, d: int) -> tuple[str, ...]:
     held = [f"{doors.agreement[d]:.0%} of {doors.ray_count[d]:,} rays in {doors.coverage[d]:.0%} of its columns"]
     if doors.crossed[d]:
         held.insert(0, "the robot drove through")
+    if np.isfinite(doors.contrast[d]):
+        than = "more" if doors.contrast[d] > 0 else "less"
+        held.append(f"leaf flush, returns {100 * abs(doors.contrast[d]):.0f} % {than} than the wall")
     if np.isfinite(doors.casing_m[d]):
         held.append(f"leaf flush, casing {1000 * doors.casing_m[d]:.0f} mm before the wall")
     elif state == DoorState.CLOSED:

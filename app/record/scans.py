@@ -46,10 +46,12 @@ def log_scan(
     stamp_ns: int,
     timings_ms: Mapping[str, float],
     line_pairs: int | None = None,
+    intensity: FloatArray | None = None,
 ) -> None:
     """One labelled scan with its evidence, as much as the detail asks for; its metrics are gathered.
 
     line_pairs: pairs of point lines that the sheet of the curves has room for; None for as many as the scan has.
+    intensity: (n,) of its returns, or (0,) where other scans of the recording have some; None where none has.
     """
     placed, ranges = level.placed, level.ranges
     if not log.timeless:
@@ -58,7 +60,7 @@ def log_scan(
         log.row(path, rr.Transform3D, **transform_columns(T[None]))
     if log.detail is not Detail.MAP:
         positions = rounded(placed.points_level)
-        _log_points(log, positions, ranges, labelling)
+        _log_points(log, positions, ranges, labelling, intensity)
         _log_planes(log, labelling)
         _log_openings(log, labelling)
         _log_horizontal(log, positions, labelling)
@@ -115,7 +117,9 @@ def log_final(
     )
 
 
-def _log_points(log: Log, positions: FloatArray, ranges: SmoothedRanges, labelling: ScanLabelling) -> None:
+def _log_points(
+    log: Log, positions: FloatArray, ranges: SmoothedRanges, labelling: ScanLabelling, intensity: FloatArray | None
+) -> None:
     # Fig. 3 is the same cloud with other radii: a second one would cost a third of the file.
     horizontal = (labelling.label == Label.FLOOR) | (labelling.label == Label.CEILING)
     evidence = {
@@ -123,6 +127,8 @@ def _log_points(log: Log, positions: FloatArray, ranges: SmoothedRanges, labelli
         entities.POINT_ALONE: ranges.correction_m == 0,
         entities.POINT_RADIUS_UPRIGHT: np.where(horizontal, np.float32(0), ui_radius(POINT_RADIUS_UI)),
     }
+    if intensity is not None:
+        evidence[entities.POINT_INTENSITY] = intensity
     log.row(entities.POINTS, rr.Points3D, evidence, positions=positions, class_ids=labelling.label)
 
 

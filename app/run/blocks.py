@@ -22,7 +22,7 @@ from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.floor import heights_above_pieces
 from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.algorithms.scan.smoothing import SmoothedRanges, smooth_ranges
-from ffmap.algorithms.scan.summary import Features, concatenate, extract_planes, ray_rows, with_rays
+from ffmap.algorithms.scan.summary import NO_INTENSITY, Features, concatenate, extract_planes, ray_rows, with_rays
 from ffmap.app.record.log import Log, open_log
 from ffmap.app.record.scans import log_final, log_lidar, log_scan, log_skipped
 from ffmap.app.run import spool
@@ -190,7 +190,9 @@ def _label(
     labelling = label_scan(scan, placed, job.settings.method, seed, level.floor, lidar.column_pairs)
     watch.lap("labelling")
     if log:
-        log_scan(log, index, level, labelling, scan.stamp_ns, watch.milliseconds, inputs.line_pairs)
+        known = any(sensor.lidar.decoding.intensity for sensor in inputs.verticals)
+        intensity = NO_INTENSITY if scan.intensity is None and known else scan.intensity
+        log_scan(log, index, level, labelling, scan.stamp_ns, watch.milliseconds, inputs.line_pairs, intensity)
         if len(inputs.verticals) > 1:
             log_lidar(log, place, lidar.topic)
     block.features.append(extract_planes(index, placed, labelling))
@@ -211,7 +213,8 @@ def place_block(job: PlaceJob) -> None:
     votes, rivals = VoxelTable(VOXEL_M, len(Label)), RivalCounter(job.label.settings.grid_map.cell_m)
     ends_map: list[FloatArray] = []
     ray_labels: list[UInt8Array] = []
-    for scan, T_map_level in zip(spool.load_scans(labelled), job.T_map_level, strict=True):
+    scans = spool.load_scans(labelled)
+    for scan, T_map_level in zip(scans, job.T_map_level, strict=True):
         points_map, label = in_map(T_map_level, scan.points_level), scan.label
         votes.add(points_map, label)
         rivals.add(points_map, scan.rivals)
@@ -219,7 +222,9 @@ def place_block(job: PlaceJob) -> None:
         ray_labels.append(label[scan.ray])
     placed = {**pack(votes.votes(), spool.VOTES), **pack(rivals.votes(), spool.RIVALS)}
     for features in spool.load_features(labelled):
-        placed |= pack(with_rays(features.moved(job.T_map_level), ends_map, ray_labels), spool.FEATURES)
+        intensities, echoes = [scan.ray_intensity for scan in scans], [scan.ray_echo for scan in scans]
+        moved = with_rays(features.moved(job.T_map_level), ends_map, ray_labels, intensities, echoes)
+        placed |= pack(moved, spool.FEATURES)
     spool.save(job.label.path.with_suffix(spool.PLACED), placed)
 
 

@@ -72,7 +72,7 @@ def _trace(run: Run, blocks: int, faces: Walls, settings: BuildingSettings, wind
     cells = trace_rays(faces, [], settings)
     with ThreadPoolExecutor(run.options.workers) as threads:
         for part in threads.map(trace_block, range(blocks)):
-            cells.counts[...] += part.counts
+            cells = cells.plus(part)
     return cells
 
 

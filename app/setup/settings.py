@@ -17,6 +17,7 @@ from ffmap.algorithms.base.scan import ScanSettings
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.base.trajectory import TrajectorySettings
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings
+from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings
 from ffmap.algorithms.building.door_frames import DoorFramesSettings
 from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
 from ffmap.algorithms.building.face_columns import FaceColumnsSettings
@@ -76,6 +77,7 @@ class Settings(StepSettings):
     openings: OpeningsSettings = OpeningsSettings()
     windows: WindowsSettings = WindowsSettings()
     door_casings: DoorCasingsSettings = DoorCasingsSettings()
+    door_contrasts: DoorContrastsSettings = DoorContrastsSettings()
     door_frames: DoorFramesSettings = DoorFramesSettings()
     wall_thickness: WallThicknessSettings = WallThicknessSettings()
     grid_map: GridMapSettings = GridMapSettings()

@@ -1,6 +1,7 @@
 """Lidar rays through a mesh: glass, walking people, and what a sensor makes of the surfaces that it hits."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from embreex import rtcore_scene  # noqa: TID251 - its one place
@@ -11,7 +12,7 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Arr
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.loaders.simulator import glass
 from ffmap.loaders.simulator.mesh import Mesh
-from ffmap.loaders.simulator.sensors import Lidar
+from ffmap.loaders.simulator.sensors import Lidar, SensorModel
 from ffmap.loaders.simulator.settings import SimulationSettings
 
 _PASSES = 3  # How many panes a ray may meet
@@ -68,6 +69,12 @@ class Hits:
     signal: FloatArray
     truth: UInt8Array
 
+    @classmethod
+    def none(cls, count: int) -> "Hits":
+        """Of rays that met nothing yet."""
+        away = np.full(count, np.inf, np.float32)
+        return cls(away, np.ones(count, np.float32), np.zeros(count, np.float32), np.full(count, NO_RETURN, np.uint8))
+
 
 @dataclass(frozen=True)
 class Sweep:
@@ -102,13 +109,15 @@ class World:
         TriangleMesh(self._scene, mesh.triangles.astype(np.float32))
         self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # builds the tree, before any thread
 
-    def trace(self, origins: FloatArray, directions: FloatArray, time_s: FloatArray, rng: np.random.Generator) -> Hits:
-        """Rays (n, 3) float32 with unit directions, fired at times (n,): through panes, off them, or onto them."""
+    def trace(
+        self, origins: FloatArray, directions: FloatArray, time_s: FloatArray, rng: np.random.Generator, dual: bool = False
+    ) -> tuple[Hits, Hits]:  # fmt: skip
+        """Rays (n, 3) float32 with unit directions, fired at times (n,): through panes, off them, or onto them.
+
+        What each meets, and with `dual` what a ray that a pane returned meets behind it; else nothing.
+        """
         count = len(origins)
-        hits = Hits(
-            np.full(count, np.inf, np.float32), np.ones(count, np.float32), np.zeros(count, np.float32),
-            np.full(count, NO_RETURN, np.uint8)
-        )  # fmt: skip
+        first, second = Hits.none(count), Hits.none(count)
         rays = np.arange(count)
         travelled, transmitted = np.zeros(count, np.float32), np.ones(count, np.float32)
         behind = np.zeros(count, bool)
@@ -126,15 +135,17 @@ class World:
             pane = truth == Truth.GLASS
             kind = np.where(pane, self.mesh.pane[triangle], np.uint8(glass.Glass.PLAIN))
             returned = ~pane if last else ~pane | (rng.random(len(met)) < glass.returns(kind, cosine))
-            back = rays[met[returned]]
-            hits.distance_m[back] = travelled[back] + distance[returned]
-            hits.cosine[back] = cosine[returned]
-            hits.signal[back] = transmitted[back] * np.where(on_person, 0.3, self._response(triangle, cosine))[returned]
-            hits.signal[back[pane[returned]]] = glass.echoes(kind, cosine)[returned & pane]
-            hits.truth[back] = np.where(behind[back], np.uint8(Truth.OUTSIDE), truth[returned])
-            if last or returned.all():
+            signal = transmitted[rays[met]] * np.where(on_person, 0.3, self._response(triangle, cosine))
+            signal[pane] = glass.echoes(kind, cosine)[pane]
+            again = np.isfinite(first.distance_m[rays[met]])
+            for hits, back in ((first, returned & ~again), (second, returned & again)):
+                own = rays[met[back]]
+                hits.distance_m[own] = travelled[own] + distance[back]
+                hits.cosine[own], hits.signal[own] = cosine[back], signal[back]
+                hits.truth[own] = np.where(behind[own], np.uint8(Truth.OUTSIDE), truth[back])
+            on = np.flatnonzero(~returned | (pane & ~again) if dual else ~returned)
+            if last or not len(on):
                 break
-            on = np.flatnonzero(~returned)
             mirrored = rng.random(len(on)) < glass.mirrors(kind[on], cosine[on])
             reached = origins[met[on]] + distance[on, None] * directions[met[on]]
             turned = directions[met[on]] - np.where(mirrored, 2 * facing[on], 0)[:, None] * normal[on]
@@ -143,7 +154,7 @@ class World:
             transmitted[rays] *= glass.leaves(kind[on], cosine[on], mirrored)
             behind[rays] = True
             origins, directions = reached + 1e-3 * turned, turned
-        return hits
+        return first, second
 
     def _response(self, triangle: IntArray, cosine: FloatArray) -> FloatArray:
         """(n,) reflectivity of triangles seen at a cosine (n,) of incidence: diffuse, and what a sheen adds to it."""
@@ -181,22 +192,20 @@ def scan(
     directions_map = directions_sensor @ np.swapaxes(T_map_sensor[:, :3, :3], 1, 2).astype(np.float32)
     origins = np.repeat(T_map_sensor[:, :3, 3].astype(np.float32), model.rings, axis=0)
     time_s = (start_ns + firing_ns.ravel()) / 1e9
-    hits = world.trace(origins, directions_map.reshape(-1, 3), time_s, rng)
+    dual = settings.returns == "dual"
+    hits, others = world.trace(origins, directions_map.reshape(-1, 3), time_s, rng, dual)
 
     ring = np.broadcast_to(model.firing_order, firing_ns.shape).ravel()
     seen = _detected(hits, settings, model.max_range_m, rng)
-    sigma = model.noise_m if settings.noise_m is None else settings.noise_m
-    grazing = np.minimum(1.0 / np.maximum(hits.cosine, 0.2), 2.0)
-    noise = rng.standard_normal(len(ring), np.float32) * sigma * (0.75 + 0.25 * grazing)
+    noise = _range_noise(hits, model, settings, rng)
     shape = (model.columns, model.rings)
     distance = _mixed(hits.distance_m.reshape(shape), settings.mixed_share, rng).ravel()
-    measured = np.where(seen, distance, 0.0) + noise + ring_bias_m[ring]
-    measured = np.round(measured / model.quantum_m) * model.quantum_m
-    seen &= measured > settings.min_range_m
-    measured = np.where(seen, measured, 0.0).astype(np.float32)
+    measured, seen = _measured(distance, seen, noise, ring_bias_m[ring], model, settings)
     points = directions_sensor.reshape(-1, 3) * measured[:, None]
-    strength = hits.signal * (0.3 + 0.7 * hits.cosine) * _faded(hits.distance_m, settings.intensity_half_m)
-    intensity = np.round(100.0 * np.clip(strength, 0.0, 1.0)).astype(np.float32)
+    # Streams of their own, so that ranges do not depend on what is asked of intensities.
+    light_rng = np.random.default_rng([settings.seed, 73, lidar.number, sweep])
+    gain = np.random.default_rng([settings.seed, 74, lidar.number]).normal(1.0, settings.ring_gain, model.rings)[ring]
+    intensity = _intensity(hits, gain, settings, light_rng)
     order = np.arange(len(ring))
     if model.layout == "velodyne":
         order = np.flatnonzero(seen)
@@ -205,10 +214,65 @@ def scan(
     if model.layout == "ouster":
         order = order.reshape(model.columns, model.rings).T.ravel()
     truth = np.where(seen, hits.truth, np.uint8(NO_RETURN))
-    return Sweep(
-        points[order], measured[order], intensity[order], ring[order], firing_ns.ravel()[order].astype(np.int64),
-        truth[order], start_ns, start_ns + round(lidar.period_ns)
-    )  # fmt: skip
+    own: list[Any] = [points, measured, intensity, ring, firing_ns.ravel().astype(np.int64), truth]
+    if dual:
+        # A beam that straddles an edge returns from both sides where the detector tells them apart.
+        others = _beyond_edges(hits, others, shape, settings.mixed_share, light_rng)
+        twice = seen & _detected(others, settings, model.max_range_m, light_rng)
+        noise = _range_noise(others, model, settings, light_rng)
+        again, twice = _measured(others.distance_m, twice, noise, ring_bias_m[ring], model, settings)
+        twice &= np.abs(again - measured) > _MIXED_STEP_M
+        light = _intensity(others, gain, settings, light_rng)
+        more = [directions_sensor.reshape(-1, 3) * again[:, None], again, light, *own[3:5], others.truth]
+        # Behind the return of the same firing.
+        firing = np.concatenate([order, np.flatnonzero(twice)])
+        own = [np.concatenate([a[order], b[twice]]) for a, b in zip(own, more, strict=True)]
+        order = np.argsort(firing, kind="stable")
+    points, measured, intensity, ring, time_ns, truth = (column[order] for column in own)
+    end_ns = start_ns + round(lidar.period_ns)
+    return Sweep(points, measured, intensity, ring, time_ns, truth, start_ns, end_ns)
+
+
+def _range_noise(
+    hits: Hits, model: SensorModel, settings: SimulationSettings, rng: np.random.Generator
+) -> FloatArray:  # fmt: skip
+    """(n,) errors of ranges, greater where a ray grazes what it meets."""
+    sigma = model.noise_m if settings.noise_m is None else settings.noise_m
+    grazing = np.minimum(1.0 / np.maximum(hits.cosine, 0.2), 2.0)
+    return np.asarray(rng.standard_normal(len(grazing), np.float32) * sigma * (0.75 + 0.25 * grazing))
+
+
+def _measured(
+    distance_m: FloatArray, seen: BoolArray, noise_m: FloatArray, bias_m: FloatArray, model: SensorModel,
+    settings: SimulationSettings
+) -> tuple[FloatArray, BoolArray]:  # fmt: skip
+    """Ranges (n,) as they are reported, 0 where nothing returns, and whether (n,) anything does."""
+    measured = np.where(seen, distance_m, 0.0) + noise_m + bias_m
+    measured = np.round(measured / model.quantum_m) * model.quantum_m
+    seen = seen & (measured > settings.min_range_m)
+    return np.where(seen, measured, 0.0).astype(np.float32), seen
+
+
+def _intensity(hits: Hits, gain: FloatArray, settings: SimulationSettings, rng: np.random.Generator) -> FloatArray:
+    """(n,) float32, as percents of a white surface at right angles, 255 at most: as Velodyne's calibrated reflectivity counts.
+
+    Sensors calibrate the range away (manuals of VLP-16 and Ouster), but know no angle of incidence. Rough surfaces fall less with
+    it than Lambert's cosine (Oren and Nayar 1994). gain: (n,) of the emitters, which are calibrated one by one.
+    """
+    strength = hits.signal * (0.3 + 0.7 * hits.cosine) * _faded(hits.distance_m, settings.intensity_half_m)
+    scatter = rng.normal(1.0, settings.intensity_noise, len(strength)) if settings.intensity_noise else 1.0
+    return np.round(np.clip(100.0 * strength * gain * scatter, 0.0, 255.0)).astype(np.float32)
+
+
+def _beyond_edges(
+    hits: Hits, others: Hits, shape: tuple[int, int], share: float, rng: np.random.Generator
+) -> Hits:  # fmt: skip
+    """What a second return is of: behind panes, and where a beam straddles an edge what the next firing met."""
+    following = Hits(*(np.roll(column.reshape(shape), -1, axis=0).ravel() for column in vars(hits).values()))
+    with np.errstate(invalid="ignore"):
+        step = np.abs(following.distance_m - hits.distance_m)
+    edge = np.isinf(others.distance_m) & (step > _MIXED_STEP_M) & np.isfinite(step) & (rng.random(len(step)) < share)
+    return Hits(*(np.where(edge, b, a) for a, b in zip(vars(others).values(), vars(following).values(), strict=True)))
 
 
 def _faded(distance_m: FloatArray, half_m: float | None) -> FloatArray | float:

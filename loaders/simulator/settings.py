@@ -27,6 +27,9 @@ class SimulationSettings(BaseModel):
         "plain", description="the bag is laid out as that of a public data set (see LAYOUTS), or plainly"
     )
     format: Container = Field("bag", description="ROS 1 bag, or ROS 2 folder with MCAP (mcap) or SQLite (db3) inside")
+    returns: Literal["single", "dual"] = Field(
+        "single", description="whether a firing returns its strongest echo alone, or, dual, also what is behind a pane or an edge"
+    )
     duration_s: float = Field(
         60.0, gt=0.3, le=3600, description="length of the drive (s); at rest for the first second"
     )
@@ -56,6 +59,9 @@ class SimulationSettings(BaseModel):
     intensity_half_m: float | None = Field(
         None, gt=0, description="distance at which the intensity of a surface halves (m); calibrated for range if not given"
     )
+
+    intensity_noise: float = Field(0.05, ge=0, le=1, description="scatter of an intensity, as a share of it")
+    ring_gain: float = Field(0.05, ge=0, le=0.3, description="how unlike the emitters count intensities, sigma as a share")
 
     mount_tilt_deg: float = Field(0.0, ge=-15, le=15, description="how far the vertical spin axis points down, degrees")
     noise_m: float | None = Field(None, ge=0, le=0.1, description="range noise, sigma (m); the sensor's if not given")

@@ -334,3 +334,70 @@ def test_coordinates_beyond_float32_are_no_returns():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert len(read(cloud(points))) == 1435
+
+
+@pytest.mark.parametrize(
+    ("fields", "taken"),
+    [
+        ({"intensity": "f4"}, "intensity"),
+        ({"Intensity": "u2"}, "Intensity"),
+        ({"intensity": "f4", "reflectivity": "u2"}, "reflectivity"),
+        ({}, None),
+    ],
+)
+def test_an_intensity_comes_with_each_return(fields, taken):
+    points = sweep(columns=12)
+    stored = np.zeros(points.shape, point_dtype([*VELODYNE[:3], *VELODYNE[4:], *fields.items()]))
+    for name, _ in (*VELODYNE[:3], *VELODYNE[4:]):
+        stored[name] = points[name]
+    stored["x"][::7] = np.nan
+    for k, name in enumerate(fields):
+        stored[name] = np.arange(len(stored)) % 200 + k
+    scan = read(cloud(stored))
+    if taken is None:
+        assert scan.intensity is None
+    else:
+        np.testing.assert_array_equal(scan.intensity, stored[taken][scan.cloud_index])
+        assert scan.intensity.dtype == np.float32
+
+
+def test_an_intensity_that_never_varies_is_none():
+    points = sweep(columns=12)
+    points["intensity"] = 1.0
+    assert read(cloud(points)).intensity is None
+
+
+def test_clouds_without_the_field_of_the_others_have_unknown_intensities():
+    points = sweep(columns=12)
+    points["intensity"] = np.arange(len(points))
+    bare = np.zeros(points.shape, point_dtype([*VELODYNE[:3], *VELODYNE[4:]]))
+    for name in bare.dtype.names:
+        bare[name] = points[name]
+    decoding = settle_decoding([cloud(points)] * 3, "/points")
+    assert np.isnan(decode(cloud(bare), decoding).intensity).all()
+
+
+@pytest.mark.parametrize("order", ["in turns", "one after the other", "any"])
+def test_of_two_returns_of_a_firing_the_nearer_and_the_farther_are_told(order):
+    first = sweep(columns=12)
+    second = first[::4].copy()
+    for axis in "xyz":
+        second[axis] *= np.float32(1.5)
+    same = first[1::4].copy()  # measured twice
+    points = np.concatenate([first, second, same])
+    rank = np.concatenate([np.arange(len(first)), np.arange(0, len(first), 4) + 0.5, np.arange(1, len(first), 4) + 0.5])
+    places = {"in turns": np.argsort(rank), "one after the other": np.arange(len(points))}
+    points = points[places.get(order, np.random.default_rng(3).permutation(len(points)))]
+    scan = read(cloud(points))
+    distance = np.linalg.norm(scan.points_sensor, axis=1)
+    np.testing.assert_array_equal(
+        np.sort(scan.echo), np.sort(np.repeat([0, 1, 2], [len(first) - len(second) + len(same), *[len(second)] * 2]))
+    )
+    assert set(zip(scan.ring[scan.echo == 1], scan.time_ns[scan.echo == 1], strict=True)) == set(
+        zip(scan.ring[scan.echo == 2], scan.time_ns[scan.echo == 2], strict=True)
+    )
+    assert distance[scan.echo == 2].sum() == pytest.approx(1.5 * distance[scan.echo == 1].sum(), rel=1e-5)
+
+
+def test_single_returns_have_no_echoes():
+    assert read(cloud(sweep(columns=12))).echo is None

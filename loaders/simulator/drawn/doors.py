@@ -46,6 +46,8 @@ def place_doors(
                 doors.append(door)
                 served[b] = served.get(b, 0) + (a == 0)
                 break
+    if ranges.alike_share > 0:
+        doors = [replace(door, alike=bool(rng.random() < ranges.alike_share)) for door in doors]
     shut = rng.permutation(len(doors)) < round(len(doors) * closed_share)
     return [_hang(door, bool(s), rooms, rng) for door, s in zip(doors, shut, strict=True)]
 
@@ -126,14 +128,16 @@ def _hangs_at_wall(door: DrawnDoor, front: shapely.Polygon) -> bool:
     return bool(front.contains(spot.rectangle(*x, *y)) and not front.intersects(spot.rectangle(*x, wall - 0.05, wall - 0.01)))
 
 
-def build_door(door: DrawnDoor, mesh: MeshBuilder, rng: np.random.Generator) -> None:
-    """Casing, leaves and their levers; of an arch its round head."""
+def build_door(door: DrawnDoor, mesh: MeshBuilder, wall: Surface, rng: np.random.Generator) -> None:
+    """Casing, leaves and their levers; of an arch its round head. wall: what leaves are finished as that are like it."""
     surface = draw_material(("wood", "gloss paint", "paint", "metal"), rng)
     if door.casing_m > 0.001:
         _build_casing(door, mesh, surface)
     if door.style == "arch":
         _build_arch(door, mesh, draw_material(("paint",), rng))
-    leaf = draw_material(("wood", "gloss paint", "paint"), rng)
+    leaf: Surface = draw_material(("wood", "gloss paint", "paint"), rng)
+    if door.alike:
+        leaf = wall
     truth = Truth.DOOR if door.closed else Truth.OPEN_LEAF
     for spot, x, y in door.leaf_spots():
         _build_leaf(door, spot, x, y, truth, mesh, leaf)

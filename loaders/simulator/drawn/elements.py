@@ -72,13 +72,17 @@ class DrawnRoom(Room):
 
 @dataclass(frozen=True)
 class DrawnDoor(Door):
-    """place: of a closed leaf in the wall. casing_m: how far it stands out of the wall; glass: of the leaf's pane, if any."""
+    """place: of a closed leaf in the wall. casing_m: how far it stands out of the wall; glass: of the leaf's pane, if any.
+
+    alike: whether the leaf is finished as the wall is.
+    """
 
     style: DoorStyle
     place: LeafPlace
     casing_m: float
     casing_width_m: float
     glass: Glass | None
+    alike: bool = False
 
     @property
     def design(self) -> str:

@@ -121,6 +121,7 @@ class Ranges(BaseModel):
     casing_m: Range = Field((0.0, 0.03), description="how far casings stand out of the wall (m): none, to moulded casings")
     casing_width_m: Range = Field((0.04, 0.12), description="width of casings (m): DIN 18111 steel frames 0.04, timber 0.12")
     glazed_share: Share = Field(0.2, description="share of leaves with a pane")
+    alike_share: Share = Field(0.0, description="share of leaves with their wall's finish: concealed (jib) doors")
     connecting_share: Share = Field(0.2, description="share of walls between rooms with a door")
     door_sill_m: Range = Field((0.0, 0.025), description="height of door sills (m): ADA 404.2.5 0.013 and 0.019, DIN 18040 0.02")
 

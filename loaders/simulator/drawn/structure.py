@@ -26,7 +26,7 @@ def build_drawn(plan: DrawnPlan, mesh: MeshBuilder, rng: np.random.Generator) ->
         if plan.sills_m > 0.002:
             half, sill = door.width_m / 2, draw_material(("metal", "wood"), rng)
             mesh.box(door.spot, (-half, half), (-0.05, 0.05), (0.0, plan.sills_m), Truth.FLOOR, sill)
-        build_door(door, mesh, rng)
+        build_door(door, mesh, wall, rng)
     for window in plan.drawn_windows:
         build_window(window, mesh, rng)
     for half_wall in plan.half_walls:

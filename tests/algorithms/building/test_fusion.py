@@ -9,6 +9,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings
+from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings
 from ffmap.algorithms.building.door_frames import DoorFramesSettings
 from ffmap.algorithms.building.drive import AllScans, Drive
 from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
@@ -43,6 +44,7 @@ SETTINGS = FusionSettings(
     OpeningsSettings(),
     WindowsSettings(),
     DoorCasingsSettings(),
+    DoorContrastsSettings(),
     DoorFramesSettings(),
     WallThicknessSettings(),
     RelabellingSettings(),

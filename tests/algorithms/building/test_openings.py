@@ -385,6 +385,24 @@ def test_a_pane_down_to_the_floor_shows_though_more_stands_behind_it() -> None:
     assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 1
 
 
+def test_few_returns_are_a_pane_where_their_firings_return_from_beyond_it_too() -> None:
+    seen = cells()
+    opening(seen)
+    seen.counts[30:48, 0:42, THROUGH] = 200.0
+    part = seen.counts[30:48, 10:11]  # one return in each column, of thousands of rays
+    part[..., FILLED], part[..., SUM], part[..., SQUARES] = 1.0, -0.08, 0.08**2
+    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 1
+    twice = np.zeros(seen.counts.shape[:2], np.float32)
+    twice[30:48, 10] = 1.0
+    glazed = replace(seen, twice=twice)
+    assert len(find_doors(WALL, glazed, unknown(seen), RULES)) == 0
+    windows = find_windows(WALL, glazed, unknown(seen), RULES, WindowsSettings())
+    np.testing.assert_allclose(windows.ends[:, :, 0], [[1.5, 2.4]], atol=2 * CELL_M)
+    # A beam that straddles a jamb returns twice as well.
+    twice[32:46] = 0.0
+    assert len(find_doors(WALL, replace(seen, twice=twice), unknown(seen), RULES)) == 1
+
+
 def test_a_window_is_as_wide_as_it_is_though_its_sill_is_hidden() -> None:
     seen = cells()
     seen.counts[20:60, 18:44, FILLED], seen.counts[20:60, 18:44, THROUGH] = 0.0, 50.0
@@ -569,6 +587,7 @@ def test_frames_are_placed_to_a_centimetre_though_reveals_return_too(depth_m: fl
         state=np.array([state], np.uint8),
         wall=np.zeros(1, np.int32),
         casing_m=np.full(1, np.nan),
+        contrast=np.full(1, np.nan),
     )
     placed = place_frames(door, WALL, scans, SETTINGS, DoorFramesSettings())
     np.testing.assert_allclose(placed.ends[0, :, 0], [1.5, 2.4], atol=0.012)

@@ -25,7 +25,8 @@ from ffmap.algorithms.building.ray_evidence import (
     trace_rays,
 )
 from ffmap.algorithms.building.windows import without_rays_through
-from ffmap.algorithms.scan.summary import Features
+from ffmap.algorithms.scan.summary import NO_ECHO, NO_INTENSITY, Features
+from tests.faces import faces as wall_faces
 from tests.two_rooms import TwoRooms
 
 SETTINGS = BuildingSettings()
@@ -128,3 +129,26 @@ def test_a_face_that_was_asked_about_is_not_traced_again() -> None:
         trace_rays(walls, [without_rays_through(rooms.window, features)], settings).counts,
     )
     assert once(walls.select(slice(0, 0)), settings, NO_WINDOWS).counts.shape[0] == 0
+
+
+def test_cells_sum_up_intensities_by_the_angle_of_incidence() -> None:
+    walls, origin = wall_faces(((0, 0), (4, 0))), np.array([2.0, 3.0, 1.0])
+    end = np.array([[2.0, 0.0, 1.0], [2.0, 0.0, 1.02], [0.5, 0.0, 1.0], [0.5, 0.0, 1.01], [2.0, 0.0, 2.0]], np.float32)
+    _, features = scattered(0)
+    features = replace(
+        features,
+        scan=np.array([0]), origin_map=origin[None], floor_map=np.zeros((1, 2, 3)), floor_is_foot=np.zeros(1, bool),
+        floor_reach_m=np.full(1, 6.0), ray_count=np.array([5]), plane_count=np.array([0]), ray_end_map=end,
+        ray_label=np.full(5, Label.WALL, np.uint8), plane_ends_map=np.zeros((0, 2, 2)), plane_normal=np.zeros((0, 2)),
+        ray_intensity=np.array([10.0, np.nan, 30.0, 50.0, 20.0], np.float32), ray_echo=np.array([0, 1, 2, 1, 0], np.uint8),
+    )  # fmt: skip
+    cells = trace_rays(walls, [features], SETTINGS)
+    np.testing.assert_array_equal(cells.light[40, 20], [[1, 10], [0, 0], [0, 0], [0, 0]])  # at right angles, one unknown
+    np.testing.assert_array_equal(cells.light[10, 20], [[0, 0], [2, 80], [0, 0], [0, 0]])  # 27°
+    assert cells.twice[40, 20] == cells.twice[10, 20] == 1
+    assert cells.twice.sum() == 2
+    both = cells.plus(trace_rays(walls, [], SETTINGS)).plus(cells)
+    np.testing.assert_array_equal(both.light, 2 * cells.light)
+    dark = trace_rays(walls, [replace(features, ray_intensity=NO_INTENSITY, ray_echo=NO_ECHO)], SETTINGS)
+    assert len(dark.light) == len(dark.twice) == 0
+    np.testing.assert_array_equal(dark.counts, cells.counts)

@@ -8,7 +8,7 @@ from ffmap.algorithms.building.model import NO_WINDOWS, Doors, Walls, Windows
 from ffmap.app.record.wall_panels import wall_panels
 from tests.faces import doors, faces, window
 
-NO_DOORS = Doors(np.zeros((0, 2, 2)), np.zeros((0, 2)), *(np.zeros(0) for _ in range(16)))  # type: ignore[arg-type]
+NO_DOORS = Doors(np.zeros((0, 2, 2)), np.zeros((0, 2)), *(np.zeros(0) for _ in range(17)))  # type: ignore[arg-type]
 
 
 def rectangles(walls: Walls, doors: Doors, windows: Windows = NO_WINDOWS) -> list[tuple[float, ...]]:

@@ -1,0 +1,148 @@
+"""Flush doors by their intensity, on faces whose cells are filled with seeded noise."""
+
+import numpy as np
+import pytest
+
+from ffmap.algorithms.building.door_contrasts import (
+    DoorContrastsSettings,
+    find_contrasting_doors,
+    response_by_angle,
+    shades,
+)
+from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Doors
+from ffmap.algorithms.building.ray_evidence import FILLED, SQUARES, SUM, THROUGH, WallCells, first_columns
+from ffmap.algorithms.scan.doors import DoorState
+from tests.faces import faces
+
+Rectangle = tuple[float, float, float, float]
+"""From and to along the face, from and to above the floor, metres."""
+LENGTH_M, HEIGHT_M = 5.0, 2.7
+RETURNS, WALL, SCATTER = 20, 60.0, 6.0
+FALL = np.array([1.0, 0.9, 0.7, 0.5])
+
+
+def covered(edges_m: np.ndarray, start_m: float, stop_m: float) -> np.ndarray:
+    """(n,) which share of each cell between successive edges lies between two places."""
+    return np.clip(np.minimum(edges_m[1:], stop_m) - np.maximum(edges_m[:-1], start_m), 0, None) / CELL_M
+
+
+def filled(*patches: tuple[Rectangle, float], before_m: float = 0.0, flip: bool = False) -> WallCells:
+    """A face whose patches return so much in place of what the wall does. before_m: how far they stand out of it."""
+    rng = np.random.default_rng(5)
+    columns, rows = round(LENGTH_M / CELL_M), round(HEIGHT_M / CELL_M)
+    along_m, up_m = np.arange(columns + 1) * CELL_M, np.arange(rows + 1) * CELL_M
+    mean, out_m = np.full((columns, rows), WALL), np.zeros((columns, rows))
+    for (a, b, c, d), own in patches:
+        share = np.outer(covered(along_m, a, b), covered(up_m, c, d))
+        mean, out_m = mean + share * (own - mean), np.maximum(out_m, share * before_m)
+    angles = rng.multinomial(RETURNS, np.full(4, 0.25), size=mean.shape)
+    light = np.zeros((columns, rows + 10, 4, 2), np.float32)
+    light[:, :rows, :, 0] = angles
+    noise = rng.normal(0.0, SCATTER, angles.shape) * np.sqrt(angles)
+    light[:, :rows, :, 1] = FALL * (angles * mean[..., None] + noise)
+    counts = np.zeros((columns, rows + 10, 4), np.float32)
+    counts[:, :rows, FILLED], counts[:, :rows, SUM] = RETURNS, RETURNS * out_m
+    counts[:, :rows, SQUARES] = RETURNS * (out_m**2 + 1e-4)
+    order = slice(None, None, -1) if flip else slice(None)
+    return WallCells(first_columns(FACE), rows + 10, counts[order], light[order])
+
+
+def find(*patches: tuple[Rectangle, float], before_m: float = 0.0, flip: bool = False) -> Doors:
+    return found_in(filled(*patches, before_m=before_m, flip=flip))
+
+
+def found_in(cells: WallCells) -> Doors:
+    return find_contrasting_doors(FACE, cells, BuildingSettings(), DoorContrastsSettings())
+
+
+FACE = faces(((0, 0), (LENGTH_M, 0)))
+
+
+@pytest.mark.parametrize("flip", [False, True])
+@pytest.mark.parametrize("own", [30.0, 52.0, 68.0, 90.0])
+@pytest.mark.parametrize(("first_m", "last_m", "head_m"), [(1.5, 2.4, 2.0), (1.48, 2.31, 2.03), (1.02, 2.97, 2.24)])
+def test_a_leaf_that_returns_more_or_less_is_a_closed_door(
+    first_m: float, last_m: float, head_m: float, own: float, flip: bool
+) -> None:
+    doors = find(((first_m, last_m, 0.0, head_m), own), flip=flip)
+    assert len(doors) == 1
+    expected = sorted((LENGTH_M - first_m, LENGTH_M - last_m)) if flip else [first_m, last_m]
+    np.testing.assert_allclose(np.sort(doors.ends[0, :, 0]), expected, atol=0.02)
+    np.testing.assert_allclose(doors.head_m, head_m, atol=0.03)
+    assert doors.contrast[0] == pytest.approx(own / WALL - 1.0, abs=0.03)
+    assert doors.state[0] == DoorState.CLOSED
+    assert doors.depth_m[0] == 0.0
+
+
+def test_two_doors_in_one_wall() -> None:
+    assert len(find(((0.6, 1.5, 0.0, 2.0), 40.0), ((3.0, 3.9, 0.0, 2.1), 80.0))) == 2
+
+
+def test_a_door_in_two_faces_of_one_wall_is_found_with_its_whole_width() -> None:
+    cells = filled(((1.6, 2.5, 0.0, 2.0), 40.0))
+    halves = faces(((0, 0), (2, 0)), ((2, 0), (LENGTH_M, 0)))
+    cells = WallCells(first_columns(halves), cells.rows, cells.counts, cells.light)
+    doors = find_contrasting_doors(halves, cells, BuildingSettings(), DoorContrastsSettings())
+    assert len(doors) >= 1
+    np.testing.assert_allclose(np.sort(doors.ends[..., 0]), [[1.6, 2.5]] * len(doors), atol=0.02)
+
+
+@pytest.mark.parametrize(
+    "patches",
+    [
+        [],  # finished as the wall: nothing shows
+        [((1.5, 2.4, 0.0, 2.0), 61.0)],  # less than emitters differ by
+        [((1.5, 2.4, 0.5, 2.0), 30.0)],  # a poster
+        [((1.5, 2.4, 0.0, 1.5), 30.0)],  # a cupboard is lower than a door
+        [((1.5, 1.9, 0.0, 2.0), 30.0)],  # so narrow is no door
+        [((0.5, 4.5, 0.0, 2.0), 30.0)],  # a painted dado
+        [((0.0, 5.0, 0.0, 2.0), 30.0)],  # one all along the wall
+        [((1.5, 2.4, 0.0, 2.7), 30.0)],  # a strip of another finish, up to the ceiling
+        [((1.5, 5.0, 0.0, 2.7), 30.0)],  # a wall of two finishes
+        [((1.5, 2.4, 0.0, 2.0), 30.0), ((1.5, 2.4, 2.0, 2.7), 90.0)],  # what is above is no more of the wall around
+        [((1.5, 2.4, 0.0, 2.0), 30.0), ((2.4, 5.0, 0.0, 2.7), 90.0)],  # nor what is beside
+        [((1.5, 1.7, 0.0, 2.0), 30.0), ((2.2, 2.4, 0.0, 2.0), 30.0)],  # two strips
+        [((1.5, 2.4, 0.0, 0.7), 30.0), ((1.5, 2.4, 1.2, 2.0), 30.0)],  # two pictures
+    ],
+)
+def test_what_no_leaf_does(patches: list[tuple[Rectangle, float]]) -> None:
+    assert len(find(*patches)) == 0
+
+
+def test_what_stands_out_of_the_wall_is_no_flush_leaf() -> None:
+    assert len(find(((1.5, 2.4, 0.0, 2.0), 30.0), before_m=0.02)) == 0
+
+
+def test_stripes_of_the_wall_itself_are_no_jambs() -> None:
+    rng = np.random.default_rng(2)
+    cells = filled()
+    cells.light[..., 1] *= rng.normal(1.0, 0.1, len(cells.light)).astype(np.float32)[:, None, None]
+    assert len(found_in(cells)) == 0
+
+
+def test_a_doorway_that_rays_pass_is_no_closed_door() -> None:
+    cells = filled(((1.5, 2.4, 0.0, 2.0), 30.0))
+    cells.counts[30:48, :40, THROUGH] = RETURNS
+    assert len(found_in(cells)) == 0
+
+
+def test_without_intensities_there_is_none() -> None:
+    cells = filled(((1.5, 2.4, 0.0, 2.0), 30.0))
+    assert len(found_in(WallCells(cells.first, cells.rows, cells.counts))) == 0
+
+
+@pytest.mark.parametrize("columns", [0, 3, 12])
+def test_a_short_face_and_none(columns: int) -> None:
+    walls = faces(((0, 0), (columns * CELL_M, 0))) if columns else NO_WALLS
+    cells = WallCells(
+        first_columns(walls), 60, np.ones((columns, 60, 4), np.float32), np.ones((columns, 60, 4, 2), np.float32)
+    )
+    assert len(find_contrasting_doors(walls, cells, BuildingSettings(), DoorContrastsSettings())) == 0
+
+
+def test_how_intensities_fall_with_the_angle_is_learned_whatever_the_wall_is_made_of() -> None:
+    cells = filled(((0.0, 2.0, 0.0, 2.7), 20.0))
+    np.testing.assert_allclose(response_by_angle(cells.light), FALL, atol=0.02)
+    shade = shades(cells.light, FALL)[:, : round(HEIGHT_M / CELL_M)]
+    assert shade[:38].mean() == pytest.approx(20.0, abs=0.5)
+    assert shade[42:].mean() == pytest.approx(WALL, abs=0.5)
