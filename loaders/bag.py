@@ -415,6 +415,7 @@ _EXTRA_TYPES = {
     "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
     "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
     "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
+    **{f"{package}/msg/PacketMsg": "uint8[] buf" for package in ("ouster_ros", "ouster_sensor_msgs", "ouster_msgs")},
     **{f"{driver}/msg/CustomPoint": _LIVOX_POINT for driver in ("livox_ros_driver", "livox_ros_driver2")},
     **{f"{driver}/msg/CustomMsg": _LIVOX_CLOUD for driver in ("livox_ros_driver", "livox_ros_driver2")},
 }

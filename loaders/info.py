@@ -12,10 +12,11 @@ from ffmap.loaders.bag import Bag, Message, open_bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.frames import FrameTree, read_frame_tree
-from ffmap.loaders.pointcloud2 import CloudDecoding, TimeFrom, decode, settle_decoding
+from ffmap.loaders.packets import unread_packets
+from ffmap.loaders.pointcloud2 import CLOUD_TYPE, CloudDecoding, TimeFrom, decode, settle_decoding
 from ffmap.loaders.rig import Rig, find_rig
 from ffmap.loaders.scans import (
-    CLOUD_TYPE,
+    CLOUDS_WANTED,
     CloudIndex,
     SkippedScan,
     clock_problem,
@@ -122,9 +123,9 @@ def _clock_warnings(rig: Rig | None, clouds: Sequence[CloudInfo]) -> list[str]:
 
 def _describe_cloud(bag: Bag, topic: str, time_from: TimeFrom) -> CloudInfo:
     index = index_clouds(bag, topic)
-    messages = sample_messages(bag, index, _SAMPLES)
-    decoding, problem = None, stamp_problem(index)
+    messages, decoding, problem = [], None, stamp_problem(index)
     try:
+        messages = sample_messages(bag, index, _SAMPLES)
         decoding = settle_decoding(messages, topic, time_from, index.period_ns)
     except CloudError as error:
         problem = str(error)
@@ -195,9 +196,9 @@ def time_words(decoding: CloudDecoding) -> str:
 def _missing(bag: Bag, clouds: tuple[CloudInfo, ...], tree: FrameTree, rig: Rig | None) -> list[str]:
     if bag.start_ns is None:
         return ["messages: the bag is empty"]
-    lines = []
+    lines = [] if rig else list(unread_packets(bag).values())
     if not clouds:
-        lines.append("clouds: without PointCloud2, VelodyneScan or Livox CustomMsg there is nothing to do")
+        lines.append(f"clouds: without {CLOUDS_WANTED} there is nothing to do")
     for cloud in clouds:
         decoding, topic = cloud.decoding, cloud.index.topic
         if decoding and decoding.rings.source not in ("field", "row", "column"):

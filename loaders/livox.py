@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ffmap.loaders.bag import Bag, Message, RawMessage
 from ffmap.loaders.bag_writer import SerializedMessage
 from ffmap.loaders.errors import CloudError
-from ffmap.loaders.pointcloud2 import make_cloud
+from ffmap.loaders.pointcloud2 import make_cloud, make_header
 
 LIVOX_TYPES = ("livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg")
 
@@ -44,8 +44,7 @@ def livox_cloud(bag: Bag, raw: RawMessage) -> Message:
     )
     points = np.frombuffer(data, dtype, count).astype(dtype.newbyteorder("<"))
     sec, nanosec, frame_id = header
-    stamp = bag.typestore.types["builtin_interfaces/msg/Time"](sec, nanosec)
-    made = bag.typestore.types["std_msgs/msg/Header"](*([0] if bag.ros_version == 1 else []), stamp, frame_id)
+    made = make_header(bag, sec * 1_000_000_000 + nanosec, frame_id)
     return make_cloud(bag.typestore, made, points[None])
 
 

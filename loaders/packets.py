@@ -1,58 +1,29 @@
-"""Raw Velodyne packets (velodyne_msgs/VelodyneScan, one message a revolution) to clouds as the Velodyne driver lays
-them out.
-"""
+"""Raw packets that are not read, by the types of their messages: what to say of a topic that holds them."""
 
-from typing import Any
+from collections.abc import Mapping
 
-import numpy as np
-from rosbags.typesys.store import Typestore
+from ffmap.loaders import ouster
+from ffmap.loaders.bag import Bag, Topic
 
-from ffmap.loaders.bag import Message
-from ffmap.loaders.errors import CloudError
-from ffmap.loaders.pointcloud2 import make_cloud
-
-PACKET_TYPE = "velodyne_msgs/msg/VelodyneScan"
-
-VELODYNE_POINT = np.dtype(
-    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")]
-)
-"""A point as the Velodyne driver lays it out."""
-# Added to the packets' times: the decoder takes a stamp of 0 for a missing one.
-_ANY_TIME_S = 1000.0
+UNREAD_TYPES: Mapping[str, str] = {
+    "hesai_lidar/msg/PandarScan": "Hesai",
+    "hesai_ros_driver/msg/UdpFrame": "Hesai",
+    "pandar_msgs/msg/PandarScan": "Hesai",
+    "rslidar_msg/msg/RslidarPacket": "RoboSense",
+    "rslidar_msg/msg/RslidarScan": "RoboSense",
+    "rslidar_msgs/msg/rslidarPacket": "RoboSense",
+    "rslidar_msgs/msg/rslidarScan": "RoboSense",
+}
+"""Whose they are: of these makers there is no decoder that gives every model's points and their times."""
 
 
-class PacketDecoder:
-    """Decodes the scans of one sensor, whose model it takes from the packets themselves."""
+def unread_packets(bag: Bag) -> dict[str, str]:
+    """Topics of raw packets that are not read: why not, and what to do, one line each."""
+    found = {topic.name: _reason(bag, topic) for topic in bag.topics.values() if topic.count}
+    return {name: reason for name, reason in found.items() if reason is not None}
 
-    def __init__(self, topic: str, typestore: Typestore) -> None:
-        self._topic = topic
-        self._typestore = typestore
-        # Imported where there are packets: few bags have any, and it takes its time, at the end of the process too.
-        import velodyne_decoder
 
-        self._velodyne: Any = velodyne_decoder
-        self._decoder: Any = velodyne_decoder.ScanDecoder(velodyne_decoder.Config(timestamp_first_packet=True))
-
-    def to_cloud(self, scan: Message) -> Message:
-        """The returns of one revolution as a PointCloud2: x y z intensity ring time, time in seconds from the stamp.
-
-        Raises CloudError where the packets are of no sensor that velodyne-decoder knows.
-        """
-        stamp = scan.header.stamp
-        packets = self._velodyne.PacketVector()
-        for packet in scan.packets:
-            since_s = (packet.stamp.sec - stamp.sec) + 1e-9 * (int(packet.stamp.nanosec) - int(stamp.nanosec))
-            packets.append(self._velodyne.VelodynePacket(_ANY_TIME_S + since_s, packet.data.tolist()))
-        points = np.zeros(0, VELODYNE_POINT)
-        if len(scan.packets):
-            try:
-                start, decoded = self._decoder.decode(packets, as_pcl_structs=True)
-            except (RuntimeError, ValueError, IndexError) as error:
-                raise CloudError(
-                    f"{self._topic}: the packets cannot be decoded ({error}); decode them with the sensor's own driver "
-                    "and record its PointCloud2"
-                ) from error
-            points = np.zeros(len(decoded), VELODYNE_POINT)
-            points[["x", "y", "z", "intensity", "ring"]] = decoded[["x", "y", "z", "intensity", "ring"]]
-            points["time"] = decoded["time"] + np.float32(float(start.host) - _ANY_TIME_S)
-        return make_cloud(self._typestore, scan.header, points[None])
+def _reason(bag: Bag, topic: Topic) -> str | None:
+    if maker := UNREAD_TYPES.get(topic.msgtype):
+        return f"{topic.name}: {maker}'s raw packets ({topic.msgtype}) are not read; record the driver's PointCloud2"
+    return ouster.unread_reason(bag, topic.name) if ouster.is_lidars(topic) else None

@@ -17,12 +17,13 @@ from rosbags.typesys.store import Typestore
 
 from ffmap.algorithms.base.labels import NO_RETURN
 from ffmap.algorithms.base.scan import Echo, FloatArray, IntArray, Scan, UInt8Array
-from ffmap.loaders.bag import Message
+from ffmap.loaders.bag import Bag, Message
 from ffmap.loaders.dual_returns import PAIRS_MIN, find_echoes
 from ffmap.loaders.errors import CloudError
 from ffmap.loaders.firing_times import TIME_NAMES, TimeField, azimuth_times, find_time_field, join_times
 from ffmap.loaders.rings import RingModel, RingSample, estimate_rings
 
+CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 TimeFrom = Literal["auto", "azimuth", "none"]
 
 INTENSITY_NAMES = ("reflectivity", "intensity", "intensities", "remission")
@@ -410,13 +411,20 @@ def encode_labelled(message: Message, label: UInt8Array, label_scan: UInt8Array)
     )
 
 
+def make_header(bag: Bag, stamp_ns: int, frame_id: str) -> Message:
+    """A std_msgs/Header as the bag's version of ROS has it."""
+    types = bag.typestore.types
+    stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000))
+    return types["std_msgs/msg/Header"](*([0] if bag.ros_version == 1 else []), stamp, frame_id)
+
+
 def make_cloud(typestore: Typestore, header: Message, points: npt.NDArray[np.void]) -> Message:
     """A PointCloud2 of structured points (height, width), with the fields, offsets and bytes of their type."""
     codes = {np.dtype(kind): code for code, kind in _DATATYPES.items()}
     kinds: Mapping[str, Any] = points.dtype.fields or {}
     field = typestore.types["sensor_msgs/msg/PointField"]
     (height, width), step = points.shape, points.dtype.itemsize
-    return typestore.types["sensor_msgs/msg/PointCloud2"](
+    return typestore.types[CLOUD_TYPE](
         header=header,
         height=height,
         width=width,

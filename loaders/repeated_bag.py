@@ -10,12 +10,13 @@ import numpy.typing as npt
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.loaders.bag import Bag, Message
 from ffmap.loaders.bag_writer import BagWriter
-from ffmap.loaders.errors import CloudError
+from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.firing_times import TimeField
 from ffmap.loaders.livox import LIVOX_TYPES
-from ffmap.loaders.pointcloud2 import describe_layout
+from ffmap.loaders.ouster import OUSTER_TYPES
+from ffmap.loaders.pointcloud2 import CLOUD_TYPE, describe_layout
 from ffmap.loaders.rig import Rig
-from ffmap.loaders.scans import CLOUD_TYPE, CloudIndex
+from ffmap.loaders.scans import CloudIndex
 
 _CARRIED_M_S = 50.0
 """Speed at which the robot is carried back to the start."""
@@ -64,9 +65,12 @@ def plan_repetition(indices: Iterable[CloudIndex], trajectory: Trajectory, times
 def write_repeated_bag(path: Path, bag: Bag, rig: Rig, repetition: Repetition) -> None:
     """The clouds of the rig's lidars, repeated, and where these sit; in a bag of the same kind.
 
-    path: of a file for ROS 1, of a folder for ROS 2.
+    path: of a file for ROS 1, of a folder for ROS 2. Raises InputError where the messages' times cannot be made later.
     """
     times = {lidar.topic: lidar.decoding.time for lidar in (rig.horizontal, *rig.verticals) if lidar is not None}
+    for topic in times:
+        if bag.topic(topic).msgtype in OUSTER_TYPES:
+            raise InputError(f"{topic}: the times in Ouster's packets cannot be made later; leave --repeat out")
     with BagWriter(path, bag.container) as writer:
         for topic in times:
             writer.add_topic(topic, bag.topic(topic).msgtype)

@@ -21,9 +21,11 @@ from ffmap.loaders.bag import Bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.frames import FrameTree, StaticTransform, read_frame_tree
+from ffmap.loaders.ouster import OUSTER_TYPES, frame_of
+from ffmap.loaders.packets import unread_packets
 from ffmap.loaders.pointcloud2 import CloudDecoding, TimeFrom, decode, settle_decoding
 from ffmap.loaders.rig_file import RigEntry, RigFile, Role, built_in_rigs, read_rig_file
-from ffmap.loaders.scans import CloudIndex, cloud_hint, cloud_topics, index_clouds, sample_messages
+from ffmap.loaders.scans import CLOUDS_WANTED, CloudIndex, cloud_hint, cloud_topics, index_clouds, sample_messages
 
 _SAMPLES = 8
 _UPRIGHT_DEG = 45.0
@@ -217,7 +219,7 @@ def find_rig(
     Raises InputError: no clouds, an unknown topic or frame, several lidars and no transforms that join them, a rig file
     that is not understood.
     """
-    warnings: list[str] = []
+    warnings = list(unread_packets(bag).values())
     described = read_rig_file(rig_file) if rig_file else None
     named: dict[Role, Sequence[str]] = {"horizontal": () if horizontal is None else (horizontal,), "vertical": verticals}
     asked = {role: _cloud_topics(bag, names, role) for role, names in named.items() if names}
@@ -347,9 +349,10 @@ def _cloud_topic(bag: Bag, name: str, role: str) -> str:
 def _no_clouds(bag: Bag) -> InputError:
     if bag.start_ns is None:
         return InputError(f"{bag.path}: the bag is empty, it has no messages; record it again")
+    if unread := unread_packets(bag):
+        return InputError(f"{bag.path}: no lidar can be read; {'; '.join(unread.values())}")
     return InputError(
-        f"{bag.path}: no PointCloud2, VelodyneScan or Livox CustomMsg in the bag; its topics are: {', '.join(bag.topics)}. "
-        "Record the lidars' clouds"
+        f"{bag.path}: no {CLOUDS_WANTED} in the bag; its topics are: {', '.join(bag.topics)}. Record the lidars' clouds"
     )
 
 
@@ -358,8 +361,8 @@ def _candidates(bag: Bag, topics: list[str], time_from: TimeFrom, warnings: list
     failure: CloudError | None = None
     for topic in topics:
         index = index_clouds(bag, topic)
-        messages = sample_messages(bag, index, _SAMPLES)
         try:
+            messages = sample_messages(bag, index, _SAMPLES)
             decoding = settle_decoding(messages, topic, time_from, index.period_ns)
         except CloudError as error:
             failure = error
@@ -625,4 +628,6 @@ def _named_topics(bag: Bag, described: RigFile, topics: list[str]) -> dict[str, 
 
 
 def _frame_of(bag: Bag, topic: str) -> str:
+    if bag.topics[topic].msgtype in OUSTER_TYPES:
+        return frame_of(bag, topic)
     return str(bag.deserialize(next(bag.messages([topic]))).header.frame_id).removeprefix("/")

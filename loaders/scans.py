@@ -4,22 +4,24 @@ Some recordings hold one PointCloud2 for each UDP packet, some 75 a revolution (
 gathered, a new cloud beginning where the azimuth comes round.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import islice
 
 import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan, in_canonical_order
-from ffmap.loaders.bag import Bag, Message, RawMessage
+from ffmap.loaders.bag import Bag, Message, RawMessage, Topic
 from ffmap.loaders.cloud_digest import digest_of
 from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.livox import LIVOX_TYPES, livox_cloud
-from ffmap.loaders.packets import PACKET_TYPE, PacketDecoder
-from ffmap.loaders.pointcloud2 import CloudDecoding, CloudLayout, decode, describe_layout, merge_clouds
+from ffmap.loaders.ouster import OUSTER_TYPES, OusterDecoder, is_lidars
+from ffmap.loaders.packets import unread_packets
+from ffmap.loaders.pointcloud2 import CLOUD_TYPE, CloudDecoding, CloudLayout, decode, describe_layout, merge_clouds
+from ffmap.loaders.velodyne import VELODYNE_TYPE, VelodyneDecoder
 
-CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
-CLOUD_TYPES = (CLOUD_TYPE, PACKET_TYPE, *LIVOX_TYPES)
+CLOUD_TYPES = (CLOUD_TYPE, VELODYNE_TYPE, *LIVOX_TYPES, *OUSTER_TYPES)
+CLOUDS_WANTED = "PointCloud2, packets of a Velodyne or an Ouster, or Livox CustomMsg"
 
 _STAMP_BYTES = 12
 _PART_NS = 4_000_000  # Clouds that come closer than this are parts of a revolution: no lidar spins at 250 Hz
@@ -107,20 +109,28 @@ def index_clouds(bag: Bag, topic: str) -> CloudIndex:
     if found.msgtype not in CLOUD_TYPES:
         raise InputError(f"{bag.path.name}: topic {found.name} is {found.msgtype}, no point cloud; {cloud_hint(bag)}")
     bag.check_recorded_once(found.name)
-    log_time_ns, stamps = read_stamps(bag, found.name)
-    counts: IntArray = np.ones(len(stamps), np.int64)
-    if found.msgtype == CLOUD_TYPE and _are_parts(stamps, log_time_ns):
-        counts = _revolutions(bag, found.name, stamps)
+    log_time_ns, counts, stamps = _find_revolutions(bag, found)
     first = np.cumsum(counts) - counts
-    earlier = np.arange(len(stamps)) - np.searchsorted(log_time_ns, log_time_ns, side="left")
+    earlier = np.arange(len(log_time_ns)) - np.searchsorted(log_time_ns, log_time_ns, side="left")
     return CloudIndex(
         topic=found.name,
         log_time_ns=log_time_ns[first],
-        stamp_ns=stamps[first],
+        stamp_ns=stamps,
         message_count=counts,
         earlier=earlier[first],
-        usable=_usable(stamps[first], log_time_ns[first]),
+        usable=_usable(stamps, log_time_ns[first]),
     )
+
+
+def _find_revolutions(bag: Bag, topic: Topic) -> tuple[IntArray, IntArray, IntArray]:
+    """Log times (m,) of a topic's messages; number of messages (r,) and stamp (r,) of each revolution."""
+    if topic.msgtype in OUSTER_TYPES:
+        return OusterDecoder(bag, topic.name).index()
+    log_time_ns, stamps = read_stamps(bag, topic.name)
+    counts: IntArray = np.ones(len(stamps), np.int64)
+    if topic.msgtype == CLOUD_TYPE and _are_parts(stamps, log_time_ns):
+        counts = _revolutions(bag, topic.name, stamps)
+    return log_time_ns, counts, stamps[np.cumsum(counts) - counts]
 
 
 def stamp_problem(index: CloudIndex) -> str | None:
@@ -157,16 +167,22 @@ def clock_problem(index: CloudIndex, other: CloudIndex) -> str | None:
 
 
 def cloud_topics(bag: Bag) -> list[str]:
-    """Topics with clouds or packets of a lidar, but for the truth's."""
-    return [
-        t.name for t in bag.topics.values() if t.msgtype in CLOUD_TYPES and t.count and not t.name.startswith("/truth/")
-    ]
+    """Topics with clouds or packets of a lidar that are read, but for the truth's."""
+    unread = unread_packets(bag)
+    return [t.name for t in bag.topics.values() if _has_clouds(t) and t.name not in unread]
+
+
+def _has_clouds(topic: Topic) -> bool:
+    if not topic.count or topic.name.startswith("/truth/"):
+        return False
+    return is_lidars(topic) if topic.msgtype in OUSTER_TYPES else topic.msgtype in CLOUD_TYPES
 
 
 def cloud_hint(bag: Bag) -> str:
     """The end of an error message: which topics would do."""
     topics = cloud_topics(bag)
-    return f"the bag's clouds are on: {', '.join(topics)}" if topics else "the bag has no clouds"
+    known = f"the bag's clouds are on: {', '.join(topics)}" if topics else "the bag has no clouds"
+    return "; ".join([known, *unread_packets(bag).values()])
 
 
 def read_stamps(bag: Bag, topic: str) -> tuple[IntArray, IntArray]:
@@ -300,11 +316,33 @@ def read_messages(
     A CloudError in place of the message says that it cannot be made one. digests: takes the digests of each cloud's
     messages as it is read.
     """
-    packets = PacketDecoder(index.topic, bag.typestore) if bag.topics[index.topic].msgtype == PACKET_TYPE else None
+    to_cloud = _decoder(bag, index.topic)
     for i, group in _gathered(bag, index, first, count):
         if digests is not None:
             digests.extend(map(digest_of, group))
-        yield i, _to_cloud(bag, group, packets)
+        # Of a part that was recorded twice, one will do.
+        kept = [raw for k, raw in enumerate(group) if not k or raw.data != group[k - 1].data]
+        try:
+            yield i, to_cloud(kept, int(index.stamp_ns[i]))
+        except InputError as error:
+            yield i, error if isinstance(error, CloudError) else CloudError(str(error))
+
+
+def _decoder(bag: Bag, topic: str) -> Callable[[Sequence[RawMessage], int], Message]:
+    """What makes a revolution's messages and its stamp one PointCloud2; it raises InputError where they cannot be."""
+    msgtype = bag.topics[topic].msgtype
+    if msgtype == VELODYNE_TYPE:
+        velodyne = VelodyneDecoder(bag, topic)
+        return lambda raws, stamp_ns: velodyne.to_cloud(raws)
+    if msgtype in OUSTER_TYPES:
+        return OusterDecoder(bag, topic).to_cloud
+    one = livox_cloud if msgtype in LIVOX_TYPES else Bag.deserialize
+
+    def join(raws: Sequence[RawMessage], stamp_ns: int) -> Message:
+        messages = [one(bag, raw) for raw in raws]
+        return messages[0] if len(messages) == 1 else merge_clouds(messages)
+
+    return join
 
 
 def read_digests(bag: Bag, index: CloudIndex, first: int = 0, count: int | None = None) -> Iterator[bytes]:
@@ -324,19 +362,6 @@ def _gathered(bag: Bag, index: CloudIndex, first: int, count: int | None) -> Ite
         if not group:
             return
         yield i, group
-
-
-def _to_cloud(bag: Bag, group: Sequence[RawMessage], packets: PacketDecoder | None) -> Message:
-    try:
-        # Of a part that was recorded twice, one will do.
-        kept = [raw for i, raw in enumerate(group) if not i or raw.data != group[i - 1].data]
-        if packets:
-            return packets.to_cloud(bag.deserialize(kept[0]))
-        own = bag.topics[kept[0].topic].msgtype in LIVOX_TYPES
-        messages = [livox_cloud(bag, raw) if own else bag.deserialize(raw) for raw in kept]
-        return messages[0] if len(messages) == 1 else merge_clouds(messages)
-    except InputError as error:
-        return error if isinstance(error, CloudError) else CloudError(str(error))
 
 
 def read_clouds(
@@ -387,10 +412,13 @@ def read_scans(
 
 
 def sample_messages(bag: Bag, index: CloudIndex, count: int) -> list[Message]:
-    """Clouds from all over the bag, sound ones only."""
+    """Clouds from all over the bag, sound ones only. Raises CloudError where there are clouds and none of these is sound."""
     places = sorted({round(place) for place in np.linspace(0, len(index) - 1, count)}) if len(index) else []
-    found = (message for i in places for _, message in read_messages(bag, index, i, 1))
-    return [message for message in found if not isinstance(message, CloudError)]
+    found = [message for i in places for _, message in read_messages(bag, index, i, 1)]
+    sound = [message for message in found if not isinstance(message, CloudError)]
+    if found and not sound:
+        raise found[0]
+    return sound
 
 
 def _right_beside(index: CloudIndex, i: int) -> int:

@@ -81,7 +81,7 @@ def _describe_cloud(cloud: CloudInfo) -> list[str]:
         f"times: {time_words(cloud.decoding)}",
     ]
     if cloud.decoded:
-        lines.append("messages: raw packets or a driver's own, each decoded to a cloud")
+        lines.append("messages: raw packets or a driver's own, decoded to clouds")
     if len(index) and (parts := np.median(index.message_count)) > 1:
         lines.append(f"messages: {parts:.0f} make a revolution")
     if cloud.problem is not None:

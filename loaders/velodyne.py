@@ -1,0 +1,60 @@
+"""Raw Velodyne packets (velodyne_msgs/VelodyneScan, one message a revolution) to clouds as the Velodyne driver lays
+them out.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ffmap.loaders.bag import Bag, Message, RawMessage
+from ffmap.loaders.errors import CloudError
+from ffmap.loaders.pointcloud2 import make_cloud
+
+VELODYNE_TYPE = "velodyne_msgs/msg/VelodyneScan"
+
+VELODYNE_POINT = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")]
+)
+"""A point as the Velodyne driver lays it out."""
+# Added to the packets' times: the decoder takes a stamp of 0 for a missing one.
+_ANY_TIME_S = 1000.0
+
+
+class VelodyneDecoder:
+    """Decodes the scans of one sensor, whose model it takes from the packets themselves."""
+
+    def __init__(self, bag: Bag, topic: str) -> None:
+        self._bag = bag
+        self._topic = topic
+        # Imported where there are packets: few bags have any, and it takes its time, at the end of the process too.
+        import velodyne_decoder
+
+        self._velodyne: Any = velodyne_decoder
+        self._decoder: Any = velodyne_decoder.ScanDecoder(velodyne_decoder.Config(timestamp_first_packet=True))
+
+    def to_cloud(self, raws: Sequence[RawMessage]) -> Message:
+        """The returns of one revolution as a PointCloud2: x y z intensity ring time, time in seconds from the stamp.
+
+        raws: one message, which holds the revolution. Raises CloudError where the packets are of no sensor that
+        velodyne-decoder knows.
+        """
+        scan = self._bag.deserialize(raws[0])
+        stamp = scan.header.stamp
+        packets = self._velodyne.PacketVector()
+        for packet in scan.packets:
+            since_s = (packet.stamp.sec - stamp.sec) + 1e-9 * (int(packet.stamp.nanosec) - int(stamp.nanosec))
+            packets.append(self._velodyne.VelodynePacket(_ANY_TIME_S + since_s, packet.data.tolist()))
+        points = np.zeros(0, VELODYNE_POINT)
+        if len(scan.packets):
+            try:
+                start, decoded = self._decoder.decode(packets, as_pcl_structs=True)
+            except (RuntimeError, ValueError, IndexError) as error:
+                raise CloudError(
+                    f"{self._topic}: the packets cannot be decoded ({error}); decode them with the sensor's own driver "
+                    "and record its PointCloud2"
+                ) from error
+            points = np.zeros(len(decoded), VELODYNE_POINT)
+            points[["x", "y", "z", "intensity", "ring"]] = decoded[["x", "y", "z", "intensity", "ring"]]
+            points["time"] = decoded["time"] + np.float32(float(start.host) - _ANY_TIME_S)
+        return make_cloud(self._bag.typestore, scan.header, points[None])

@@ -1,0 +1,51 @@
+"""Raw packets that are not read: the topic is named, and what to do."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from ffmap.loaders.info import describe_bag
+from ffmap.loaders.packets import UNREAD_TYPES
+from tests.loaders.bag_builder import CLOUD, PERIOD_NS, START_NS, cloud, sweep
+from tests.program import ffmap
+
+
+def bag_of(path: Path, msgtype: str, with_clouds: bool = False) -> Path:
+    """A bag with a few packets on /packets, and clouds on /points."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg("uint8[] data", msgtype))
+    packet = store.types[msgtype](np.zeros(100, np.uint8))
+    with Writer(path) as writer:
+        packets = writer.add_connection("/packets", msgtype, typestore=store)
+        points = writer.add_connection("/points", CLOUD, typestore=store) if with_clouds else None
+        for i in range(3):
+            writer.write(packets, START_NS + i * PERIOD_NS, bytes(store.serialize_ros1(packet, msgtype)))
+            if points:
+                made = cloud(sweep(seed=i), START_NS + i * PERIOD_NS)
+                writer.write(points, START_NS + i * PERIOD_NS, bytes(store.serialize_ros1(made, CLOUD)))
+    return path
+
+
+@pytest.mark.parametrize("msgtype", ["hesai_ros_driver/msg/UdpFrame", "rslidar_msg/msg/RslidarPacket"])
+def test_a_bag_of_nothing_else_is_refused_in_a_line(tmp_path: Path, msgtype: str) -> None:
+    path = bag_of(tmp_path / "a.bag", msgtype)
+    told = ffmap(dict(os.environ), "run", path, "--out", tmp_path / "run")
+    assert (told.returncode, told.stdout) == (2, "")
+    (line,) = told.stderr.splitlines()
+    assert f"/packets: {UNREAD_TYPES[msgtype]}'s raw packets ({msgtype}) are not read" in line
+    assert "record the driver's PointCloud2" in line
+    shown = ffmap(dict(os.environ), "info", path)
+    assert shown.returncode == 0
+    assert f"/packets: {UNREAD_TYPES[msgtype]}'s raw packets" in shown.stdout
+
+
+@pytest.mark.parametrize("msgtype", UNREAD_TYPES)
+def test_beside_clouds_they_are_warned_of(tmp_path: Path, msgtype: str) -> None:
+    info = describe_bag(bag_of(tmp_path / "a.bag", msgtype, with_clouds=True))
+    assert [found.index.topic for found in info.clouds] == ["/points"]
+    assert info.rig.horizontal.topic == "/points"
+    assert sum("/packets" in line for line in (*info.warnings, *info.missing)) == 1
