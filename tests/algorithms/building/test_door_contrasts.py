@@ -134,9 +134,8 @@ def test_without_intensities_there_is_none() -> None:
 @pytest.mark.parametrize("columns", [0, 3, 12])
 def test_a_short_face_and_none(columns: int) -> None:
     walls = faces(((0, 0), (columns * CELL_M, 0))) if columns else NO_WALLS
-    cells = WallCells(
-        first_columns(walls), 60, np.ones((columns, 60, 4), np.float32), np.ones((columns, 60, 4, 2), np.float32)
-    )
+    first = first_columns(walls)
+    cells = WallCells(first, 60, np.ones((first[-1], 60, 4), np.float32), np.ones((first[-1], 60, 4, 2), np.float32))
     assert len(find_contrasting_doors(walls, cells, BuildingSettings(), DoorContrastsSettings())) == 0
 
 
