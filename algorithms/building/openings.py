@@ -7,7 +7,7 @@ from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, BuildingSettings, Walls, cells_in
+from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, BuildingSettings, Walls, cells_in, stretches
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,
     FOOT_ROW,
@@ -116,14 +116,27 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
         spread_m = np.sqrt(np.maximum(below[:, SQUARES] / below[:, FILLED] - mean_m**2, 0))
         through = below[:, THROUGH] / (below[:, THROUGH] + below[:, FILLED])
         foot_through = foot[:, THROUGH] / (foot[:, THROUGH] + foot[:, FILLED])
-        depth_m = lintel_m - mean_m
+        # What stands before a leaf hides some of its height.
+        cell_m = np.where(smooth[..., FILLED] > 0, -smooth[..., SUM] / np.maximum(smooth[..., FILLED], 1), np.nan)
+        depth_m = lintel_m + _upper_quartile(cell_m[:, low:high])
         foot_depth_m = lintel_m - foot[:, SUM] / foot[:, FILLED]
     may_be = may_have_lintel & (below[:, THROUGH] + below[:, FILLED] >= settings.rays_min)
     is_open = may_be & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)
+    is_closed = may_be & (depth_m > settings.recess_min_m) & (through < 1 - settings.agreement_min) & (spread_m < 0.06)
     # A leaf is recessed down to the floor; below a window the wall stands flush.
-    recessed = (depth_m > settings.recess_min_m) & ~(foot_depth_m < 0.5 * settings.recess_min_m)
-    is_closed = may_be & recessed & (through < 1 - settings.agreement_min) & (spread_m < 0.06)
+    flush = foot_depth_m < 0.5 * settings.recess_min_m
+    for first, last in stretches(is_closed, 2):
+        if 2 * np.count_nonzero(flush[first : last + 1]) > last + 1 - first:
+            is_closed[first : last + 1] = False
     return DoorColumns(is_open, is_closed, has_lintel, through, below, lintel_m, depth_m)
+
+
+def _upper_quartile(rows: FloatArray) -> FloatArray:
+    """(c,) of the known values of each column (c, rows); NaN where none is known."""
+    known = np.isfinite(rows).sum(axis=1)
+    place = (3 * np.maximum(known - 1, 0)) // 4
+    values = np.take_along_axis(np.sort(rows, axis=1), place[:, None], axis=1)[:, 0]  # NaN last
+    return np.where(known > 0, values, np.nan)
 
 
 def _head_rows(smooth: FloatArray, top: IntArray, rules: OpeningRules) -> IntArray:

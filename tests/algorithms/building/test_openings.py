@@ -97,6 +97,20 @@ def test_doors_are_found_however_high_their_heads_are(state: DoorState, head_m: 
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
 
 
+def test_a_leaf_goes_on_behind_what_stands_before_it() -> None:
+    """A cupboard before a third of a door: its sides return from before the wall's face, and it hides what is behind it."""
+    seen = cells()
+    recess(seen, 0.0, 2.1, 0.05)
+    hidden = seen.counts[38:44, : round(1.0 / CELL_M)]
+    hidden[...] = 0.0
+    for side in (hidden[0], hidden[-1]):
+        side[:, FILLED], side[:, SUM], side[:, SQUARES] = 10.0, 0.3, 0.009
+    doors = find_doors(WALL, seen, unknown(seen), RULES)
+    assert doors.state.tolist() == [DoorState.CLOSED]
+    assert doors.depth_m[0] == pytest.approx(0.05, abs=0.005)
+    np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
+
+
 def test_a_pane_above_a_flush_parapet_is_no_leaf() -> None:
     seen = cells()
     recess(seen, 0.7, 2.1, 0.05)
