@@ -183,9 +183,11 @@ def is_pane(counts: FloatArray, twice: FloatArray, rules: OpeningRules) -> bool:
     jamb = min(cells_in(rules.openings.jamb_m), (len(counts) - 1) // 2)
     inside = slice(jamb, len(counts) - jamb), slice(FOOT_ROW, cells_in(settings.door_height_min_m))
     inner = counts[inside]
-    sheet = find_sheet(inner, rules)
-    if sheet is not None and sheet.returns >= settings.pane_share_min * float(inner[..., THROUGH].sum()):
-        return True
+    # What stands close behind a pane returns far more than the pane: there, the cells that most rays pass tell.
+    for part in (inner, inner * (inner[..., THROUGH] > inner[..., FILLED])[..., None]):
+        sheet = find_sheet(part, rules)
+        if sheet is not None and sheet.returns >= settings.pane_share_min * float(part[..., THROUGH].sum()):
+            return True
     return len(twice) > 0 and find_sheet(inner * (twice[inside] > 0)[..., None], rules) is not None
 
 

@@ -8,7 +8,7 @@ import pytest
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, place_frames
 from ffmap.algorithms.building.doors import drop_doubtful, find_doors, prove_crossed
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
-from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
+from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings, is_pane
 from ffmap.algorithms.building.ray_evidence import Rays, WallCells, floor_m, trace_rays
 from ffmap.algorithms.building.windows import WindowsSettings, find_windows, seen_through, without_rays_through
 from ffmap.algorithms.scan.doors import DoorState
@@ -397,6 +397,20 @@ def test_a_pane_down_to_the_floor_shows_though_more_stands_behind_it() -> None:
     part[..., :THROUGH] = 0.0
     part[4:6, 3:, FILLED], part[4:6, 3:, SUM], part[4:6, 3:, SQUARES] = 30.0, -30 * 0.2, 30 * 0.2**2
     assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 1
+
+
+def test_a_pane_shows_beside_what_stands_close_behind_it() -> None:
+    """A sideboard behind a third of a glazed wall returns more than all of the pane, from one depth too."""
+    glazed = np.zeros((60, 66, 4))
+    glazed[..., THROUGH] = 10.0
+    glazed[..., FILLED], glazed[..., SUM], glazed[..., SQUARES] = 1.0, -0.03, 0.03**2
+    glazed[:20, :18] = [40.0, -40 * 0.2, 40 * 0.2**2, 0.0]
+    none = np.zeros((0, 66))
+    assert is_pane(glazed, none, RULES)
+    # Without the pane it is an opening before which a sideboard stands.
+    empty = glazed.copy()
+    empty[20:, :, :THROUGH], empty[:20, 18:, :THROUGH] = 0.0, 0.0
+    assert not is_pane(empty, none, RULES)
 
 
 def test_few_returns_are_a_pane_where_their_firings_return_from_beyond_it_too() -> None:
