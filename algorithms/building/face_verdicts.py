@@ -227,7 +227,7 @@ def judge_faces(
     for w in range(len(faces)):
         own = faces.columns(w)
         hangs = _hanging(flags.select(own), faces.cells.of(w), rules, settings)
-        low = _ending_low(flags.ends_low[own], columns.select(own), settings)
+        low = _ending_low(flags.ends_low[own], columns.select(own), bool(stands_before[w]), settings)
         # What stands before a wall, and is hidden above by a duct, is no higher than what was seen of it.
         low |= stands_before[w] and columns.upper_on[own].sum() < building.rays_min
         _take_rests(hangs, low, faces, columns, own.start, settings)
@@ -241,9 +241,7 @@ def judge_faces(
     return JudgedFaces(faces.cut(kept), faces.cut([r[:3] for r in refused]), verdicts)
 
 
-def _hanging(
-    flags: _ColumnFlags, cells: WallCells, rules: OpeningRules, settings: StandingWallsSettings
-) -> BoolArray:
+def _hanging(flags: _ColumnFlags, cells: WallCells, rules: OpeningRules, settings: StandingWallsSettings) -> BoolArray:
     """(c,) which columns of one face hang: open below over a longer stretch than an opening has, or where the robot drove.
 
     What holds a pane is open over any length: a glazed wall. cells: of the face alone.
@@ -259,8 +257,13 @@ def _hanging(
     return hangs
 
 
-def _ending_low(ends_low: BoolArray, columns: Columns, settings: StandingWallsSettings) -> BoolArray:
-    """(c,) which columns of one face are lower than the ceiling, and no high window of a wall."""
+def _ending_low(
+    ends_low: BoolArray, columns: Columns, stands_before: bool, settings: StandingWallsSettings
+) -> BoolArray:
+    """(c,) which columns of one face are lower than the ceiling, and no high window of a wall.
+
+    stands_before: whether the face stands before a wall, as furniture does.
+    """
     beside, reach = cells_in(settings.cut_min_m), cells_in(settings.window_frame_m)
     stands, sill = columns.upper_on > columns.upper_passed, columns.lower_on > 0
     # Below a wall's crown rays pass a door or a window, if wall stands beside it; a cupboard below a duct has no jambs.
@@ -270,6 +273,11 @@ def _ending_low(ends_low: BoolArray, columns: Columns, settings: StandingWallsSe
     for first, last in stretches(topped, 2):
         own = slice(first, last + 1)
         ends_low[own] &= ~topped[own] | (np.count_nonzero(jamb[own]) < beside)
+    if not stands_before:
+        # A spandrel in line with the wall above a window that goes on along the whole face.
+        spandrel = columns.sill_on > settings.passed_ratio * columns.sill_passed
+        window = columns.lower_passed - columns.sill_passed > columns.lower_on - columns.sill_on
+        ends_low &= ~(topped & spandrel & window)
     low = long_runs(ends_low, min(beside, max(len(ends_low) // 2, 1)), bridge=2)
     for first, after in runs(low):
         before, behind = stands[max(first - reach, 0) : first], stands[after : after + reach]

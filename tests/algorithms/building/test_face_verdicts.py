@@ -137,6 +137,13 @@ def test_windows_with_mullions_below_a_soffit_do_not_cut_their_wall():
     assert judge(cells) == ([[0.0, 4.0]], [])
 
 
+def test_a_window_along_a_whole_face_does_not_cut_its_wall():
+    """A ribbon of windows has no jambs, but its spandrel is in line with the wall above."""
+    cells = cells_of(6.0)
+    pass_rays(cells, slice(None), 0.75, 2.5)
+    assert judge(cells) == ([[0.0, 6.0]], [])
+
+
 def test_a_cupboard_under_a_duct_is_no_wall():
     """The duct hides what is above it, where its own wall is seen."""
     front, wall = cells_of(1.2), cells_of(4.0)
