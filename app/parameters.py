@@ -116,7 +116,7 @@ class RoomsParameters:
     )
     doors: Path | None = option(None, help="Doors that are known, as a run's doors.geojson.")
     config: Path | None = option(None, help="Settings as TOML; see 'ffmap settings'.")
-    set_: list[str] | None = option(None, "--set", help="One setting, as in area_graph.passage_max_m=1.25; repeatable.")
+    set_: list[str] | None = option(None, "--set", help="One setting, as in area_graph.opening_ratio=0.4; repeatable.")
 
 
 def one_for_each_core(workers: int | None) -> int:

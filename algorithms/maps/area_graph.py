@@ -1,9 +1,10 @@
 """Rooms, passages and topology of a grid map: the Area Graph (paper, IV.D, Fig. 10).
 
 The Area Graph (Hou, Yuan and Schwertfeger 2019, the paper's [5]) cuts the Voronoi diagram at openings that a disc of
-diameter w cannot pass. Here watershed basins of the distance to the nearest obstacle stand for its areas, the saddle
-between two basins for the critical point of an opening (Thrun 1998). Two basins are two rooms where the opening is narrower
-than w and markedly narrower than both: a narrow corridor stays a room. Where doors were detected, they part the rooms.
+diameter w cannot pass. No w fits all maps: here an opening is narrow beside the rooms that it parts. Straight lines between
+corners of walls close mouths (`mouths.py`); in what they leave open, watershed basins of the distance to the nearest obstacle
+stand for areas, the saddle between two basins for the critical point of an opening (Thrun 1998). Two basins are two rooms
+where the opening is markedly narrower than both: a narrow corridor stays a room. Where doors were detected, they part the rooms.
 """
 
 import math
@@ -27,6 +28,7 @@ from ffmap.algorithms.base.segments import Faces, lengths_m
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.model import Doors
 from ffmap.algorithms.maps.grid import Cell, GridMap
+from ffmap.algorithms.maps.mouths import find_mouths, join_open_areas
 from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings, Sides, largest, lay_on_faces
 
 NO_DOORWAYS: FloatArray = np.zeros((0, 4, 2))
@@ -46,16 +48,29 @@ class Segmented(StrEnum):
 class AreaGraphSettings(StepSettings):
     """Rooms of a grid map (paper, IV.D, Fig. 10)."""
 
-    passage_max_m: float = Field(
-        1.9,
-        gt=0,
-        description="w: minimum width (m) of an opening that parts no rooms. IV.D, where the paper uses 1.9 m.",
-    )
     passage_ratio: float = Field(
         0.7,
         gt=0,
         le=1,
-        description="Maximum width of an opening that parts two rooms, as a share of the narrower one's.",
+        description="Maximum width of an opening that parts two rooms, as a share of the narrower one's, "
+        "where doors or the drive are known.",
+    )
+    opening_ratio: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="The same where neither is, in any map: what else parts rooms there is straight from wall to wall.",
+    )
+    mouth_ratio: float = Field(
+        0.85,
+        gt=0,
+        le=1,
+        description="The same where a wall would go on along the opening, as a share of what lies on either side.",
+    )
+    enclosed_ratio: float = Field(
+        1.5,
+        gt=0,
+        description="Maximum width of all straight openings of a room, as a share of its own; what is more open is none.",
     )
     furniture_max_m: float = Field(
         1.2, ge=0, description="Maximum length (m) of what stands free and is furniture (alpha removal); 0: none. IV.D."
@@ -180,11 +195,11 @@ def find_rooms(
     open_cells = (free | furniture) & ~closed
     walls = ~free if path_map is None else (view.cells == Cell.OCCUPIED) | closed
     distance, nearest = _to_nearest_obstacle(open_cells)
-    if len(doorways):
-        # Where doors are known: what they usually measure, and 0.1 m.
-        door_width_m = float(np.median(lengths_m(doorways))) + 0.1
-        settings = settings.model_copy(update={"passage_max_m": min(settings.passage_max_m, door_width_m)})
-    label = _areas(open_cells, distance, nearest, walls, grid.cell_m, settings)
+    # Where doors are known, no other opening that parts rooms is wider than they usually are, and 0.1 m.
+    widest_m = float(np.median(lengths_m(doorways))) + 0.1 if len(doorways) else math.inf
+    # On the way, most corners are those of furniture and of what it hid: nothing that a mouth ends at.
+    with_mouths = path_map is None and not len(doorways)
+    label = _areas(open_cells, walls, grid.cell_m, widest_m, with_mouths, settings)
     count = int(label.max(initial=0)) + 1
     beside_m = settings.beside_door_m
     sides = np.array([_sides(label, view, doorway, beside_m) for doorway in doorways], np.int32).reshape(-1, 2)
@@ -360,16 +375,47 @@ def _length(cells: BoolArray) -> float:
 
 
 def _areas(
+    free: BoolArray, walls: BoolArray, cell_m: float, widest_m: float, with_mouths: bool, settings: AreaGraphSettings
+) -> IntArray:
+    """int32, the area of each cell, 0 where there is none: what passages part, and mouths where they are looked for.
+
+    walls: where openings can end. widest_m: maximum width of a passage.
+    """
+    lines, ratio = NO_LINES, settings.passage_ratio
+    drawn: IntArray = np.zeros(free.shape, np.int32)
+    if with_mouths:
+        ratio = settings.opening_ratio
+        lines, drawn = find_mouths(free, walls, cell_m, ratio=ratio, ratio_in_line=settings.mouth_ratio)
+    closed = drawn > 0
+    distance, nearest = _to_nearest_obstacle(free & ~closed)
+    cells_min = settings.room_min_m2 / cell_m**2
+    basins = _basins(free & ~closed, distance, nearest, walls | closed, ratio, widest_m / cell_m, cells_min)
+    label = join_open_areas(basins, lines, distance, enclosed=settings.enclosed_ratio, cells_min=cells_min)
+    size = np.bincount(label.ravel())
+    kept = np.flatnonzero(size >= cells_min)
+    kept = kept[kept > 0]
+    number = np.zeros(len(size), np.int32)
+    number[kept] = np.arange(1, len(kept) + 1)
+    label = number[label]
+    if len(kept):
+        beside = ndimage.distance_transform_edt(label == 0, return_distances=False, return_indices=True)
+        label = np.where(closed & free, label[tuple(beside)], label)
+    return np.asarray(label)
+
+
+def _basins(
     free: BoolArray,
     distance: FloatArray,
     nearest: IntArray,
     walls: BoolArray,
-    cell_m: float,
-    settings: AreaGraphSettings,
+    ratio: float,
+    widest: float,
+    cells_min: float,
 ) -> IntArray:
-    """int32, the area of each cell, 0 where there is none: basins of the distance map, joined where no passage is.
+    """int32, the basin of the distance map of each cell, 0 where there is none, joined where no passage is.
 
     distance, nearest: of each free cell to the nearest obstacle, in cells, and that obstacle's row and column.
+    ratio, widest: maximum width of a passage, as a share of the narrower basin's, and in cells.
     """
     summits, _ = ndimage.label(local_maxima(distance) & free, _EIGHT)  # type: ignore[no-untyped-call]
     basins = np.asarray(watershed(-distance, summits, mask=free), np.int32)  # type: ignore[no-untyped-call]
@@ -386,19 +432,14 @@ def _areas(
             basin = parent[basin]
         return basin
 
-    cell_min = settings.room_min_m2 / cell_m**2
     for first, second, saddle in _saddles(basins, distance):
         a, b = sorted((root(first), root(second)), key=lambda basin: float(height[basin]))
-        width_m = 2 * cell_m * float(distance[saddle])
-        wide = width_m >= settings.passage_max_m or width_m >= settings.passage_ratio * 2 * cell_m * height[a]
-        if a != b and (wide or size[a] < cell_min or size[b] < cell_min or not _has_jambs(saddle, nearest, walls)):
+        width = 2 * float(distance[saddle])
+        wide = width >= widest or width >= ratio * 2 * height[a]
+        if a != b and (wide or size[a] < cells_min or size[b] < cells_min or not _has_jambs(saddle, nearest, walls)):
             parent[a] = b
             size[b] += size[a]
-    roots = np.array([root(basin) for basin in range(len(parent))])
-    kept = np.unique(roots[(size[roots] >= cell_min) & (roots > 0)])
-    number = np.zeros(len(size), np.int32)
-    number[kept] = np.arange(1, len(kept) + 1)
-    return np.asarray(number[roots][basins])
+    return np.array([root(basin) for basin in range(len(parent))], np.int32)[basins]
 
 
 def _saddles(basins: IntArray, distance: FloatArray) -> list[tuple[int, int, tuple[int, int]]]:

@@ -212,11 +212,11 @@ def test_truth_gives_recall_and_precision_and_a_folder_their_means(ffmap, tmp_pa
 
 def test_known_doors_part_rooms(ffmap, tmp_path: Path) -> None:
     pixels = two_rooms()
-    pixels[40:98, 100:102] = 254  # an opening of 2.9 m
+    pixels[24:116, 100:102] = 254  # an opening of 4.6 m between rooms of 5 m
     path = save_map(tmp_path, pixels)
     assert ffmap("rooms", path, "--out", "without")[0] == 0
     assert len(features(tmp_path / "without")) == 1
-    sill = [[-3 + 5.05, 2 + 2.1], [-3 + 5.05, 2 + 5.0]]
+    sill = [[-3 + 5.05, 2 + 1.2], [-3 + 5.05, 2 + 5.8]]
     doors = {"features": [{"type": "Feature", "geometry": {"type": "LineString", "coordinates": sill}}]}
     (tmp_path / "doors.geojson").write_text(json.dumps(doors))
     assert ffmap("rooms", path, "--doors", "doors.geojson", "--out", "with")[0] == 0
