@@ -249,6 +249,8 @@ def _leaf(
     beside, strip, above = (cells_in(length) for length in (settings.beside_m, settings.strip_m, settings.above_m))
     lowest, highest = cells_in(building.door_height_min_m), cells_in(building.door_height_max_m) + 1
     sides = [slice(max(first - beside, 0), first), slice(last + 1, last + 1 + beside)]
+    if not all(np.count_nonzero(np.isfinite(column[side])) >= settings.known_min * beside for side in sides):
+        return None  # Between two doors the wall itself would be a leaf
     wall = np.concatenate([column[side] for side in sides])
     step = _mean(column[first + 1 : last]) - _mean(wall)
     if not abs(step) > settings.contrast_min * abs(_mean(wall)):
