@@ -159,7 +159,11 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     )
     built = (sides >= settings.drop_sides_min) & (closing > settings.drop_closed_min * sides) & (holding > 0)
     slit = (along > 0.8 * cells) & (holding < _lengths(parts))
-    drops = (built & ~slit)[parts] & hangs
+    built &= ~slit
+    # The slit between a duct and its wall closes up to the ceiling; the duct hangs beside it.
+    lowest_m = ndimage.minimum_filter(np.where(hangs & ~built[parts], low_m, np.inf), 3)
+    beside = np.bincount(parts[hangs & (lowest_m < low_m - settings.drop_flat_m)], minlength=len(cells))
+    drops = (built & (beside < 0.5 * cells))[parts] & hangs
     low_m = -highest_around(np.where(drops, -low_m, np.nan), 3) - settings.margin_m
     low_m[~np.isfinite(low_m)] = np.nan
     return HeightMap(Surface.CEILING_DROP, grid.origin, grid.cell_m, low_m, np.where(np.isfinite(low_m), top_m, np.nan))
