@@ -26,7 +26,7 @@ class DoorCasingsSettings(StepSettings):
     """Telling flush doors by their casings."""
 
     relief_min_m: float = Field(
-        0.003, gt=0, description="Minimum distance (m) of a casing before the wall beside it; flatter ones do not show."
+        0.008, gt=0, description="Minimum distance (m) of a casing before the wall beside it; flatter ones do not show."
     )
     relief_max_m: float = Field(0.05, gt=0, description="Maximum distance (m) of a casing before the wall beside it.")
     beside_m: float = Field(0.4, gt=0, description="Width (m) on each side of what a casing stands out from.")
