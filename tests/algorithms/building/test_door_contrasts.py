@@ -131,6 +131,17 @@ def test_without_intensities_there_is_none() -> None:
     assert len(found_in(WallCells(cells.first, cells.rows, cells.counts))) == 0
 
 
+def test_the_wall_between_two_recessed_leaves_is_none() -> None:
+    """Of the wall beside it only the doors' frames lie in the face, which are as the leaves are."""
+    frames = ((1.9, 2.0, 0.0, 2.05), 68.0), ((3.0, 3.1, 0.0, 2.05), 68.0)
+    leaves = (1.0, 1.9), (3.1, 4.0)
+    cells = filled(*frames, *(((*leaf, 0.0, 2.05), 68.0) for leaf in leaves))
+    for first_m, last_m in leaves:
+        leaf = cells.counts[round(first_m / CELL_M) : round(last_m / CELL_M), : round(2.05 / CELL_M)]
+        leaf[..., SUM], leaf[..., SQUARES] = -0.05 * leaf[..., FILLED], (0.05**2 + 1e-4) * leaf[..., FILLED]
+    assert len(found_in(cells)) == 0
+
+
 @pytest.mark.parametrize("columns", [0, 3, 12])
 def test_a_short_face_and_none(columns: int) -> None:
     walls = faces(((0, 0), (columns * CELL_M, 0))) if columns else NO_WALLS
