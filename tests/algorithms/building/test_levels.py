@@ -446,6 +446,10 @@ class TestCeilingDrops:
     def test_a_duct_leaves_a_slit_to_its_wall(self) -> None:
         assert self.corrected_share(((0, 4), (0.25, 0.55), (2.4, 2.8))) < 0.05
 
+    def test_what_shows_in_the_slit_between_a_duct_and_its_wall_is_no_beam(self) -> None:
+        duct, slit = ((0.0, 4.0), (0.2, 0.5), (2.3, 2.5)), ((0.0, 4.0), (0.08, 0.12), (2.55, 2.8))
+        assert self.corrected_share(duct, slit) < 0.05
+
     def test_a_duct_leaves_air_above_it(self) -> None:
         assert self.corrected_share(((1.8, 2.1), (0, 3), (2.3, 2.55))) < 0.05
 
