@@ -153,9 +153,7 @@ class TracedFaces:
 
     def part(self, stretches: list[tuple[int, int, int]]) -> "TracedFaces":
         """The same as `cut`, with what is known of the columns."""
-        columns = np.concatenate(
-            [np.zeros(0, np.int64), *(self.cells.first[w] + np.arange(first, after) for w, first, after in stretches)]
-        )
+        columns = self.cells.columns(stretches)
         return TracedFaces(self.cut(stretches), self.cells.part(stretches), self.clear_m[columns], self.ground_m[columns])
 
     def visited(self, path_map: FloatArray, robot_m: float) -> BoolArray:

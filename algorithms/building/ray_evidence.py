@@ -56,12 +56,23 @@ class WallCells:
 
     def of(self, wall: int) -> "WallCells":
         """Of one face alone."""
-        return self.part([(wall, 0, int(self.first[wall + 1] - self.first[wall]))])
+        own = slice(self.first[wall], self.first[wall + 1])
+        return WallCells(
+            self.first[wall : wall + 2] - self.first[wall],
+            self.rows,
+            self.counts[own],
+            self.light[own],
+            self.twice[own],
+        )
+
+    def columns(self, stretches: list[tuple[int, int, int]]) -> IntArray:
+        """(c,) the columns of stretches of faces, each a face, its first column and the one after the last."""
+        parts = [self.first[w] + np.arange(first, after) for w, first, after in stretches]
+        return np.concatenate([np.zeros(0, np.int64), *parts])
 
     def part(self, stretches: list[tuple[int, int, int]]) -> "WallCells":
-        """Of the stretches alone, each a face and its first and last column (excluded); each is a face of its own then."""
-        parts = [self.first[w] + np.arange(first, after) for w, first, after in stretches]
-        columns = np.concatenate([np.zeros(0, np.int64), *parts])
+        """Of stretches alone, see `columns`; each is a face of its own then."""
+        columns = self.columns(stretches)
         starts = np.concatenate([[0], np.cumsum([after - first for _, first, after in stretches])]).astype(np.int64)
         light, twice = (counts[columns] if len(counts) else counts for counts in (self.light, self.twice))
         return WallCells(starts, self.rows, self.counts[columns], light, twice)

@@ -199,7 +199,7 @@ def find_rooms(
     widest_m = float(np.median(lengths_m(doorways))) + 0.1 if len(doorways) else math.inf
     # On the way, most corners are those of furniture and of what it hid: nothing that a mouth ends at.
     with_mouths = path_map is None and not len(doorways)
-    label = _areas(open_cells, walls, grid.cell_m, widest_m, with_mouths, settings)
+    label = _areas(open_cells, distance, nearest, walls, grid.cell_m, widest_m, with_mouths, settings)
     count = int(label.max(initial=0)) + 1
     beside_m = settings.beside_door_m
     sides = np.array([_sides(label, view, doorway, beside_m) for doorway in doorways], np.int32).reshape(-1, 2)
@@ -375,19 +375,24 @@ def _length(cells: BoolArray) -> float:
 
 
 def _areas(
-    free: BoolArray, walls: BoolArray, cell_m: float, widest_m: float, with_mouths: bool, settings: AreaGraphSettings
+    free: BoolArray,
+    distance: FloatArray,
+    nearest: IntArray,
+    walls: BoolArray,
+    cell_m: float,
+    widest_m: float,
+    with_mouths: bool,
+    settings: AreaGraphSettings,
 ) -> IntArray:
     """int32, the area of each cell, 0 where there is none: what passages part, and mouths where they are looked for.
 
-    walls: where openings can end. widest_m: maximum width of a passage.
+    distance, nearest: as of `_basins`. walls: where openings can end. widest_m: maximum width of a passage.
     """
-    lines, ratio = NO_LINES, settings.passage_ratio
-    drawn: IntArray = np.zeros(free.shape, np.int32)
+    lines, closed, ratio = NO_LINES, np.zeros(free.shape, bool), settings.passage_ratio
     if with_mouths:
         ratio = settings.opening_ratio
-        lines, drawn = find_mouths(free, walls, cell_m, ratio=ratio, ratio_in_line=settings.mouth_ratio)
-    closed = drawn > 0
-    distance, nearest = _to_nearest_obstacle(free & ~closed)
+        lines, closed = find_mouths(free, walls, cell_m, ratio=ratio, ratio_in_line=settings.mouth_ratio)
+        distance, nearest = _to_nearest_obstacle(free & ~closed)
     cells_min = settings.room_min_m2 / cell_m**2
     basins = _basins(free & ~closed, distance, nearest, walls | closed, ratio, widest_m / cell_m, cells_min)
     label = join_open_areas(basins, lines, distance, enclosed=settings.enclosed_ratio, cells_min=cells_min)
@@ -397,7 +402,7 @@ def _areas(
     number = np.zeros(len(size), np.int32)
     number[kept] = np.arange(1, len(kept) + 1)
     label = number[label]
-    if len(kept):
+    if len(kept) and len(lines):
         beside = ndimage.distance_transform_edt(label == 0, return_distances=False, return_indices=True)
         label = np.where(closed & free, label[tuple(beside)], label)
     return np.asarray(label)

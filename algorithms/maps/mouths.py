@@ -27,15 +27,14 @@ _DEPTH_M = (0.2, 0.6)  # from where, and at least as far
 
 def find_mouths(
     free: BoolArray, walls: BoolArray, cell_m: float, *, ratio: float, ratio_in_line: float
-) -> tuple[FloatArray, IntArray]:
-    """Lines (n, 2, 2), column and row of their ends, and (rows, columns) each one's number from 1 in its cells, 0 elsewhere.
+) -> tuple[FloatArray, BoolArray]:
+    """Lines (n, 2, 2), column and row of their ends, and (rows, columns) the cells that they close.
 
-    Their cells are unbroken for four neighbours, and reach through the wall where both of its faces have corners.
+    These are unbroken for four neighbours, and reach through the wall where both of its faces have corners.
     free: cells where rooms can be. walls: where openings can end. ratio, ratio_in_line: maximum width of an opening as a share
     of what lies on either side, measured along it; the second where a wall is in line with it.
     """
-    left = free.copy()
-    drawn = np.zeros(free.shape, np.int32)
+    left, closed = free.copy(), np.zeros(free.shape, bool)
     narrow: list[FloatArray] = []
     # Each line that is found is a wall for those after it.
     for line, in_line in _candidates(free, cell_m):
@@ -45,25 +44,23 @@ def find_mouths(
         inset = min(2.5, length / 4) * along  # the walls' own cells at its ends
         if not _at(left, np.linspace(start + inset, end - inset, int(2 * length) + 2)).all():
             continue
-        other = _other_face(line, narrow, _FACES_M / cell_m)
-        if other is not None:
-            number, face = other
+        face = _other_face(line, narrow, _FACES_M / cell_m)
+        if face is not None:
             depth = np.linspace(0, 1, int(4 * _FACES_M / cell_m))[:, None, None]
             between: FloatArray = line + depth * (face - line)
         elif all(_is_near(walls, place) for place in line) and (
             length <= (ratio_in_line if in_line else ratio) * _beside(line, left, cell_m)
         ):
             narrow.append(line)
-            number, between = len(narrow), line[None]
+            between = line[None]
         else:
             continue
         share = np.linspace(0, 1, int(4 * length) + 8)[:, None]
         for first, last in between:
             column, row = _cells(first - along + share * (last - first + 2 * along)).T
             for rows, columns in ((row, column), (row[:-1], column[1:])):
-                left[rows, columns] = False
-                drawn[rows, columns] = number
-    return np.array(narrow).reshape(-1, 2, 2), drawn
+                left[rows, columns], closed[rows, columns] = False, True
+    return np.array(narrow).reshape(-1, 2, 2), closed
 
 
 def join_open_areas(
@@ -159,15 +156,15 @@ def _straight_across(corner: FloatArray, edges: FloatArray, reach: float) -> Flo
     return np.concatenate(lines)
 
 
-def _other_face(line: FloatArray, others: list[FloatArray], near: float) -> tuple[int, FloatArray] | None:
-    """The number, from 1, of the line whose ends both lie near those of this one, and that line, turned as this one is."""
+def _other_face(line: FloatArray, others: list[FloatArray], near: float) -> FloatArray | None:
+    """The line whose ends both lie near those of this one, turned as this one is."""
     if not others:
         return None
     there = np.array(others)
     both = np.stack([there, there[:, ::-1]])
     away = np.linalg.norm(both - line, axis=-1).max(axis=-1)
     turned, index = np.unravel_index(away.argmin(), away.shape)
-    return (int(index) + 1, both[turned, index]) if away[turned, index] < near else None
+    return np.asarray(both[turned, index]) if away[turned, index] < near else None
 
 
 def _is_near(walls: BoolArray, place: FloatArray) -> bool:
