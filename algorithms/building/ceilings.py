@@ -130,7 +130,7 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     """Beams, coffers, soffits and the sides of steps: what hangs below a ceiling, closes up to it and is held by a wall.
 
     What is built leaves no air above it: its sides are seen up to the ceiling. No wall holds a lamp; ducts and pipes run along one
-    and leave a slit.
+    and leave a slit to it or to the ceiling. In that lie few returns: those of rays that a duct's edge split.
 
     votes: with the ceilings that no scan found.
     """
@@ -158,7 +158,10 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
         np.bincount(parts[mask], minlength=parts.max() + 1) for mask in (hangs, side, closes, held, along_wall)
     )
     built = (sides >= settings.drop_sides_min) & (closing > settings.drop_closed_min * sides) & (holding > 0)
-    slit = (along > 0.8 * cells) & (holding < _lengths(parts))
+    own = grid.cells(position)
+    in_side = overhead & (label == Label.CLUTTER) & side[own] & (position[:, 2] > low_m[own] + votes.voxel_m)
+    topmost = _topmost_density(parts[own][in_side], below_m[in_side], votes.point_count[in_side], len(cells), votes.voxel_m)
+    slit = (along > 0.8 * cells) & ((holding < _lengths(parts)) | (topmost < settings.drop_closed_min))
     built &= ~slit
     # The slit between a duct and its wall closes up to the ceiling; the duct hangs beside it.
     lowest_m = ndimage.minimum_filter(np.where(hangs & ~built[parts], low_m, np.inf), 3)
@@ -167,6 +170,18 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     low_m = -highest_around(np.where(drops, -low_m, np.nan), 3) - settings.margin_m
     low_m[~np.isfinite(low_m)] = np.nan
     return HeightMap(Surface.CEILING_DROP, grid.origin, grid.cell_m, low_m, np.where(np.isfinite(low_m), top_m, np.nan))
+
+
+def _topmost_density(part: IntArray, below_m: FloatArray, count: IntArray, part_count: int, layer_m: float) -> FloatArray:
+    """(k,) returns in the topmost layer of each part's sides, as a share of those in its densest layer; 0 without any.
+
+    part, below_m, count: (n,) the part that cubes of the sides belong to, how far (m) they lie below the ceiling, and how many
+    returns they hold. The layer that touches the ceiling holds some of its returns and does not count.
+    """
+    layer = (below_m / layer_m).astype(np.int64)
+    layers = coo_array((count, (part, layer)), shape=(part_count, layer.max(initial=1) + 1)).toarray()
+    share: FloatArray = layers[:, 1] / np.maximum(layers[:, 1:].max(axis=1), 1)
+    return share
 
 
 def _topmost(grid: GroundGrid, position: FloatArray, gap_m: float) -> tuple[FloatArray, FloatArray]:

@@ -18,7 +18,7 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, NO_DOORS, BuildingSettings, Doors, Walls, cells_in
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SQUARES, SUM, THROUGH, WallCells
 from ffmap.algorithms.scan.doors import DoorState
 
 
@@ -34,6 +34,11 @@ class DoorCasingsSettings(StepSettings):
         0.6, gt=0, le=1, description="Minimum share of a casing's height that was seen, and of the leaf."
     )
     proud_min: float = Field(0.75, gt=0, le=1, description="Minimum share of its cells that stand out.")
+    spread_max: float = Field(
+        0.5,
+        gt=0,
+        description="Maximum spread of their depths beyond that of the wall, as a share of the relief; edges of boards have more.",
+    )
     flush_max: float = Field(
         0.4, gt=0, lt=1, description="Maximum relief beside a casing and above it, as a share of its own."
     )
@@ -119,12 +124,14 @@ def _casings(counts: FloatArray, building: BuildingSettings, settings: DoorCasin
         return []
     with np.errstate(invalid="ignore", divide="ignore"):
         before_m = counts[..., SUM] / counts[..., FILLED]
+        spread_m = np.sqrt(np.maximum(counts[..., SQUARES] / counts[..., FILLED] - before_m**2, 0.0))
     known = (counts[..., FILLED] >= 2) & (counts[..., THROUGH] <= 0.5 * counts[..., FILLED])
     before_m[~known | (np.abs(before_m) > AT_FACE_M)] = np.nan
+    spread_m[np.isnan(before_m)] = np.nan
     upright_m = before_m - _median_beside(before_m, beside)
     found = []
     for head in range(lowest, min(highest, counts.shape[1] - 2 * wall) + 1):
-        relief_m, strip = _strips(upright_m, head, settings)
+        relief_m, strip = _strips(upright_m, spread_m, head, settings)
         for first, last in _pairs(strip, building):
             sides_m = _relief_beside(relief_m, first, -1, wall), _relief_beside(relief_m, last, 1, wall)
             over_m, head_m = _relief_over(before_m, first, last, head, settings)
@@ -166,10 +173,12 @@ def _median_beside(values: FloatArray, reach: int) -> FloatArray:  # pragma: no 
     return median
 
 
-def _strips(upright_m: FloatArray, head: int, settings: DoorCasingsSettings) -> tuple[FloatArray, BoolArray]:
+def _strips(
+    upright_m: FloatArray, spread_m: FloatArray, head: int, settings: DoorCasingsSettings
+) -> tuple[FloatArray, BoolArray]:
     """(c,) how far each column stands out of the wall beside it, from the floor to a head's row, and whether as a casing does.
 
-    upright_m: (c, rows) relief of the cells, NaN where unknown.
+    upright_m, spread_m: (c, rows) relief of the cells and standard deviation of their returns' depths, NaN where unknown.
     """
     reach, widest = cells_in(settings.relief_reach_m), cells_in(settings.width_max_m)
     below = upright_m[:, FOOT_ROW:head]
@@ -180,10 +189,15 @@ def _strips(upright_m: FloatArray, head: int, settings: DoorCasingsSettings) -> 
         proud = np.nanmean(np.where(seen, below > 0.0, np.nan), axis=1)
         top_m = np.nanmean(below[:, -reach:], axis=1)
         above_m = np.nanmean(upright_m[:, head + widest : head + widest + reach], axis=1)
+        column_spread_m = np.nanmean(spread_m[:, FOOT_ROW:head], axis=1)
+        beyond_noise_m = np.sqrt(np.maximum(column_spread_m**2 - np.nanmedian(column_spread_m) ** 2, 0.0))
     # What ends lower is the frame of something else, what goes on above a pillar or a pipe.
     ends = (top_m > settings.flush_max * relief_m) & ~(above_m > settings.flush_max * relief_m)
     stands = (relief_m > settings.relief_min_m) & (relief_m < settings.relief_max_m) & (proud > settings.proud_min)
-    return relief_m, stands & ends & (seen.mean(axis=1) > settings.known_min)
+    # A casing is a sheet before the wall. A board that stands on the wall on its edge, a shelf's side, begins at the wall and has
+    # returns at all depths: evenly from 0 to twice the mean, they spread by 0.58 of it.
+    sheet = beyond_noise_m < settings.spread_max * relief_m
+    return relief_m, stands & ends & sheet & (seen.mean(axis=1) > settings.known_min)
 
 
 def _pairs(strip: BoolArray, building: BuildingSettings) -> Iterator[tuple[int, int]]:

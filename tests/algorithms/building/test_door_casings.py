@@ -28,8 +28,13 @@ def covered(edges_m: np.ndarray, start_m: float, stop_m: float) -> np.ndarray:
     return np.clip(np.minimum(edges_m[1:], stop_m) - np.maximum(edges_m[:-1], start_m), 0, None) / CELL_M
 
 
-def find(*proud: Rectangle, passed: Rectangle | None = None, relief_m: float = CASING_M, flip: bool = False) -> Doors:
-    """The cased doors of a face with something that stands out of it, and a stretch that rays pass."""
+def find(
+    *proud: Rectangle, passed: Rectangle | None = None, relief_m: float = CASING_M, flip: bool = False, spread: float = 0.0
+) -> Doors:
+    """The cased doors of a face with something that stands out of it, and a stretch that rays pass.
+
+    spread: standard deviation of the depths of what stands out, as a share of its relief.
+    """
     rng = np.random.default_rng(5)
     columns, rows = round(LENGTH_M / CELL_M), round(HEIGHT_M / CELL_M)
     along_m, up_m = np.arange(columns + 1) * CELL_M, np.arange(rows + 1) * CELL_M
@@ -39,7 +44,8 @@ def find(*proud: Rectangle, passed: Rectangle | None = None, relief_m: float = C
     mean_m = relief_m * np.minimum(share, 1.0) + rng.normal(0, SCATTER_M / np.sqrt(RETURNS), share.shape)
     counts = np.zeros((columns, rows + 10, 4), np.float32)
     counts[:, :rows, FILLED], counts[:, :rows, SUM] = RETURNS, RETURNS * mean_m
-    counts[:, :rows, SQUARES] = RETURNS * (mean_m**2 + SCATTER_M**2)
+    spread_m = spread * relief_m * np.minimum(share, 1.0)
+    counts[:, :rows, SQUARES] = RETURNS * (mean_m**2 + SCATTER_M**2 + spread_m**2)
     if passed is not None:
         a, b, c, d = (round(value / CELL_M) for value in passed)
         counts[a:b, c:d] = 0.0
@@ -91,6 +97,13 @@ def test_a_casing_that_is_as_flat_as_noise_shows_nothing() -> None:
 )
 def test_what_no_casing_does(proud: list[Rectangle]) -> None:
     assert len(find(*proud)) == 0
+
+
+def test_boards_that_stand_on_the_wall_on_their_edge_are_no_casing() -> None:
+    """An open shelf at the wall: its sides and its top have returns at all depths, from 0 to twice their mean."""
+    shelf = frame(1.5, 2.4, 0.0, 2.0)
+    assert len(find(*shelf, relief_m=0.022)) == 1
+    assert len(find(*shelf, relief_m=0.022, spread=1 / np.sqrt(3))) == 0
 
 
 def test_a_doorway_that_rays_pass_is_no_closed_door() -> None:

@@ -450,6 +450,23 @@ class TestCeilingDrops:
         duct, slit = ((0.0, 4.0), (0.2, 0.5), (2.3, 2.5)), ((0.0, 4.0), (0.08, 0.12), (2.55, 2.8))
         assert self.corrected_share(duct, slit) < 0.05
 
+    def test_the_few_returns_in_the_slit_above_a_duct_do_not_close_it(self) -> None:
+        """The duct all but touches its wall; rays that its edge splits return from the slit of 15 cm above."""
+        duct = ((0.0, 4.0), (0.03, 0.4), (2.3, 2.65))
+        split = np.array([[x, 0.4, 2.72] for x in np.arange(0.05, 4.0, 0.1)])
+        ceiling = lying((0, 4), (0.4, 3), 2.8)
+        body = np.concatenate([self.standing(*duct), lying(duct[0], duct[1], duct[2][0])])
+        hanging = np.concatenate([np.repeat(body, 4, axis=0), split])
+        hanging = hanging[(hanging[:, 0] > 0.03) & (hanging[:, 0] < 3.97)]
+        votes = votes_of(
+            (lying((0, 4), (0, 3), 0.0), Label.FLOOR),
+            (ceiling, Label.CEILING),
+            (self.standing((0, 4), (0, 3), (0, 2.8)), Label.WALL),
+            (hanging, Label.CLUTTER),
+        )
+        label = corrected(map_levels(votes, SETTINGS), hanging, np.full(len(hanging), Label.CLUTTER, np.uint8))
+        assert np.mean(label == Label.CEILING) < 0.05
+
     def test_a_duct_leaves_air_above_it(self) -> None:
         assert self.corrected_share(((1.8, 2.1), (0, 3), (2.3, 2.55))) < 0.05
 
