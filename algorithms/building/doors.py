@@ -238,10 +238,14 @@ def _count_jambs(
     settings, openings = rules.building, rules.openings
     below = counts[:, FOOT_ROW : cells_in(settings.door_height_min_m)].sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        behind_m = lintel_m - below[:, SUM] / below[:, FILLED]
+        before_m = below[:, SUM] / below[:, FILLED]
+    off_m = np.abs(lintel_m - before_m)
+    if not np.isfinite(depth_m):
+        # Where a duct hides most of the lintel, returns from its other side pull its mean back: the wall beside lies in the face.
+        off_m = np.minimum(off_m, np.abs(before_m))
     seen = below[:, FILLED] + below[:, THROUGH] >= settings.rays_min
     stands = (below[:, FILLED] >= settings.rays_min) & (below[:, THROUGH] < below[:, FILLED])
-    flush = stands & (np.abs(behind_m) < (0.5 * depth_m if np.isfinite(depth_m) else ON_FACE_M))
+    flush = stands & (off_m < (0.5 * depth_m if np.isfinite(depth_m) else ON_FACE_M))
     reach = cells_in(openings.beside_m)
     sides = slice(max(first - reach, 0), first), slice(last + 1, last + 1 + reach)
     beside = np.concatenate([seen[side] for side in sides])

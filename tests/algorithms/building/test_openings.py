@@ -137,6 +137,18 @@ def test_a_low_ceiling_before_a_part_of_a_wall_is_no_lintel() -> None:
     assert len(find_doors(WALL, seen, clear_m, RULES)) == 0
 
 
+def test_the_other_side_of_a_lintel_that_a_duct_hides_does_not_hide_the_doorway() -> None:
+    """Below the duct 10 cm of the lintel show; above, the wall is 5 cm thick, and its other face is seen from the room behind."""
+    seen = cells()
+    recess(seen, 2.15, 2.4, 0.05)
+    part = seen.counts[30:48, : round(2.05 / CELL_M)]
+    part[...], part[..., THROUGH] = 0.0, 10.0
+    seen.counts[:, round(2.4 / CELL_M) :] = 0.0
+    doors = find_doors(WALL, seen, np.full(80, 2.8), RULES)
+    assert doors.state.tolist() == [DoorState.OPEN]
+    np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
+
+
 @pytest.mark.parametrize("state", [DoorState.OPEN, DoorState.CLOSED])
 def test_a_duct_may_hide_a_lintel_if_the_wall_stands_on_both_sides(state: DoorState) -> None:
     seen = cells()
