@@ -201,8 +201,9 @@ class Rigs:
 class Calibrate(OfTheBag):
     """Refine where each vertical lidar sits and by which clock it runs, from a drive with two lidars or more.
 
-    Starts from the mount that the bag or --rig says, off by up to some 5 deg, 10 cm and 50 ms, and says how certain each of the
-    seven is. Best is a drive between walls in which the robot turns once on the spot, left and right.
+    Starts from the mount that the bag or --rig says, off by up to some 5 deg, 10 cm and 50 ms, or with --from-motion from how the
+    lidars move and what both see; says how certain each of the seven is. Best is a drive between walls in which the robot turns
+    once on the spot, left and right.
 
     Examples:
 
@@ -211,10 +212,18 @@ class Calibrate(OfTheBag):
         ffmap calibrate drive.bag --rig guess.toml --out rig.toml --recording calibration.rrd
 
         ffmap calibrate drive.bag --vertical /left/points
+
+        ffmap calibrate drive.bag --from-motion --horizontal /top/points --vertical /side/points
     """
 
     bag: list[Path] = argument(metavar="BAG", help=BAG_HELP)
     out: Path | None = option(None, "--out", "-o", help="Rig file to write.  [default: BAG.rig.toml]")
+    from_motion: bool = option(
+        False,
+        "--from-motion",
+        help="Start from no mount at all, but from how the lidars move and what both see. Where the bag tells of no mount, "
+        "--horizontal and --vertical name the lidars.",
+    )
     recording: Path | None = option(None, help="Draw what both lidars see, before and after, into this recording.")
     seconds: float = option(60.0, min=2.0, help="Seconds of the drive that are used.")
     quiet: bool = option(False, "--quiet", "-q", help="Show no progress.")
@@ -228,7 +237,7 @@ class Calibrate(OfTheBag):
 
         bag = BagPath(tuple(self.bag))
         out = self.out or bag.parts[0].with_name(f"{bag.stem}.rig.toml")
-        calibrate(bag, self.bag_options, out, self.recording, self.seconds, self.quiet)
+        calibrate(bag, self.bag_options, out, self.recording, self.seconds, self.quiet, self.from_motion)
 
 
 @_command

@@ -209,13 +209,15 @@ def find_rig(
     horizontal: str | None = None,
     verticals: Sequence[str] = (),
     time_from: TimeFrom = "auto",
+    unplaced: bool = False,
 ) -> Rig:
     """The rig of a bag.
 
     rig_file: where the lidars sit; None to ask the bag's transforms, and where these do not place them the built-in rigs.
     horizontal, verticals: topics that are to have these roles; None, or none, to decide by the spin axes. One topic may have
         both.
-    time_from: where the firings' times come from.
+    time_from: where the firings' times come from. unplaced: whether lidars that are named for both roles may be joined by nothing;
+        they are put where the horizontal one is.
     Raises InputError: no clouds, an unknown topic or frame, several lidars and no transforms that join them, a rig file
     that is not understood.
     """
@@ -238,7 +240,11 @@ def find_rig(
         described, entries = fitting
         candidates = [c for c in candidates if c.topic in entries]
     candidates = _one_a_frame(bag, candidates, {*chosen, *entries}, warnings)
-    candidates, base, edges = _place(bag, candidates, described, entries, chosen, warnings)
+    if unplaced and described is None and len(asked) == 2 and not _are_joined(bag, candidates):
+        base = next(c.frame_id for c in candidates if c.topic == asked["horizontal"][0])
+        edges: tuple[StaticTransform, ...] = ()
+    else:
+        candidates, base, edges = _place(bag, candidates, described, entries, chosen, warnings)
     _check_reach(described.path if described else bag.path, candidates, base)
     drives, sweeping = _roles(candidates, asked, warnings)
     labelled = tuple(map(_gathering, sweeping))
@@ -414,6 +420,12 @@ def _one_a_frame(bag: Bag, candidates: list[_Candidate], chosen: set[str], warni
             f"not used: {', '.join(dropped)} (another cloud of the same frame is better, or no full turn is seen)"
         )
     return kept
+
+
+def _are_joined(bag: Bag, candidates: list[_Candidate]) -> bool:
+    """Whether the bag's transforms say where all lidars sit."""
+    tree = read_frame_tree(bag, {c.frame_id for c in candidates})
+    return all(c.frame_id in tree.frames for c in candidates) and len({tree.root(c.frame_id)[0] for c in candidates}) == 1
 
 
 def _place(

@@ -47,6 +47,12 @@ def in_one_folder(bags: Sequence[Path], folder: Path) -> Path:
     return folder
 
 
+def of_topics(bag: Path, topics: Sequence[str]) -> Path:
+    """The bag beside it with nothing but these topics."""
+    with open_bag(bag) as opened:
+        return _write(bag.parent, f"{bag.stem}_bare", opened, opened.messages(topics))
+
+
 def in_packets(bag: Path, topics: Sequence[str]) -> Path:
     """The bag beside it with each revolution of these topics in many messages, each with the stamp of its first firing."""
     with open_bag(bag) as opened:

@@ -11,16 +11,18 @@ import typer
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.trajectory import Trajectory, place_scan
+from ffmap.algorithms.poses.hand_eye import find_mount, turns_aligned
 from ffmap.app.folder.atomic import written_whole
 from ffmap.app.progress import Progress
 from ffmap.app.record.calibration import write_calibration
 from ffmap.app.run.mount_check import CheckedMount, check_mounts, map_of, scans_of
 from ffmap.app.run.odometry import Odometry
-from ffmap.app.setup.inputs import InputOptions, Inputs, find_inputs
+from ffmap.app.setup.inputs import InputOptions, Inputs, Sensor, find_inputs
 from ffmap.app.setup.settings import Settings, load_settings
 from ffmap.app.tables import make_table, table_console
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
+from ffmap.loaders.rig import MountCorrection
 
 _SCANS, _RETURNS = 200, 60_000
 """Number of scans of each lidar that are used, spread over the drive, and of returns that are laid on the other's map."""
@@ -30,6 +32,9 @@ _SCALE = np.array([np.degrees(1.0)] * 3 + [100.0] * 3 + [1e3])
 """To degrees, centimetres and milliseconds."""
 _KNOWN = (*(0.1,) * 3, *(1.0,) * 3, 2.0)
 """Degrees, centimetres and milliseconds up to which each of the seven is well known."""
+_HITS_MIN, _RIVAL_MAX = 0.3, 0.9
+"""Share of a lidar's returns that have to meet the other's for its mount to be found by them, and what any other mount may have of
+that."""
 _MOTION = (
     *("drive past walls on all sides, and over a floor that both lidars see",) * 3,
     "turn on the spot once: along the way a shift does what a clock does",
@@ -40,10 +45,19 @@ _MOTION = (
 
 
 def calibrate(
-    bag: BagPath, options: InputOptions, out: Path, recording: Path | None, seconds: float, quiet: bool
+    bag: BagPath,
+    options: InputOptions,
+    out: Path,
+    recording: Path | None,
+    seconds: float,
+    quiet: bool,
+    from_motion: bool = False,
 ) -> None:
-    """Refine, tell, draw and write; raises InputError where the bag has no two lidars, or too little that both see."""
-    inputs = find_inputs(bag, options)
+    """Refine, tell, draw and write; raises InputError where the bag has no two lidars, or too little that both see.
+
+    from_motion: whether to start from the lidars' motion in place of the mounts that are given.
+    """
+    inputs = find_inputs(bag, replace(options, unplaced=from_motion))
     horizontal = inputs.horizontal
     if horizontal is None or not inputs.others:
         raise InputError(
@@ -52,7 +66,10 @@ def calibrate(
     # By the horizontal lidar alone: a mount that is off would bend the poses.
     settings = load_settings(None, ["refinement.companion_points_max=0"])
     with Progress(quiet) as progress:
-        odometry = _drive(inputs, settings, seconds, progress)
+        odometry = _drive(inputs, horizontal, settings, seconds, progress)
+        if from_motion:
+            motions = [_mount_by_motion(inputs, s, odometry, settings, seconds, progress) for s in inputs.others]
+            inputs = inputs.with_mounts(motions)
         progress.stage("mount", None)
         checked = check_mounts(inputs, odometry, settings, _SCANS, _SCANS, _RETURNS) if len(odometry) > 1 else []
         found = {mount.topic for mount in checked}
@@ -74,16 +91,43 @@ def calibrate(
         typer.echo(f"recording: {recording}  (before red, after green; ffmap view {recording})")
 
 
-def _drive(inputs: Inputs, settings: Settings, seconds: float, progress: Progress) -> Trajectory:
-    """T_odom_base of the first seconds of the drive, their loops closed: what drifts would be taken for the mount."""
-    assert inputs.horizontal is not None
-    index = inputs.horizontal.index
-    sensor = replace(inputs.horizontal, index=index.until(int(index.stamp_ns[0] + 1e9 * seconds)))
-    progress.stage("odometry", len(sensor.index))
+def _drive(inputs: Inputs, sensor: Sensor, settings: Settings, seconds: float, progress: Progress) -> Trajectory:
+    """T_odom_base of the first seconds of the drive by one lidar, loops closed: what drifts would be taken for the mount."""
+    sensor = replace(sensor, index=sensor.index.until(int(sensor.index.stamp_ns[0] + 1e9 * seconds)))
+    progress.stage(f"odometry of {sensor.lidar.topic}", len(sensor.index))
     odometry = Odometry(inputs, sensor, settings)
     for _ in odometry:
         progress.advance()
     return odometry.trajectory
+
+
+def _mount_by_motion(
+    inputs: Inputs, sensor: Sensor, odometry: Trajectory, settings: Settings, seconds: float, progress: Progress
+) -> MountCorrection:
+    """About where a vertical lidar sits, by its own turns and by what it sees; raises InputError where they do not tell.
+
+    odometry: T_odom_base by the horizontal lidar.
+    """
+    topic = sensor.lidar.topic
+    alone = replace(sensor, lidar=replace(sensor.lidar, T_base_sensor=np.eye(4)))
+    aligned = turns_aligned(odometry, _drive(inputs, alone, settings, seconds, progress))
+    if aligned is None:
+        raise InputError(
+            f"{inputs.bag_path}: the robot turns too little to tell where {topic} sits; drive a bend or turn on the spot, or say "
+            "about where it sits in --rig FILE"
+        )
+    progress.stage(f"mount of {topic}", None)
+    seen = map_of(inputs, odometry, settings, _SCANS)
+    found = find_mount(seen, odometry, scans_of(inputs, alone, odometry, settings, _SCANS), *aligned)
+    if found is None or found.hits < _HITS_MIN or found.rival_hits > _RIVAL_MAX * found.hits:
+        told = "" if found is None else f" ({100 * found.hits:.0f} % of its returns meet the other lidar's)"
+        if found is not None and found.rival_hits > _RIVAL_MAX * found.hits:
+            told = f" (turned by {found.rival_deg:.0f} deg it fits as well)"
+        raise InputError(
+            f"{inputs.bag_path}: what the lidars see does not tell where {topic} sits{told}; drive into another room and turn "
+            "there, or say about where it sits in --rig FILE"
+        )
+    return MountCorrection(topic, tuple(map(tuple, found.T_base_sensor.tolist())), sensor.lidar.decoding.clock_ns)
 
 
 def _laid(inputs: Inputs, odometry: Trajectory, settings: Settings) -> FloatArray:

@@ -39,10 +39,12 @@ class InputOptions:
     time_from: TimeFrom = "auto"
     mounts: tuple[MountCorrection, ...] = ()
     """What an earlier look at the bag found of the vertical lidars; not a word of the user's."""
+    unplaced: bool = False
+    """Whether lidars may be named of which nothing says where they sit; they are put at the base's origin."""
 
     def find_rig(self, bag: Bag) -> Rig:
         """The lidars of an open bag; raises InputError where they cannot be told."""
-        rig = find_rig(bag, self.rig, self.horizontal, self.vertical, self.time_from)
+        rig = find_rig(bag, self.rig, self.horizontal, self.vertical, self.time_from, self.unplaced)
         for mount in self.mounts:
             rig = rig.with_mount(mount)
         return rig

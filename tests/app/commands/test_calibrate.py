@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from ffmap.algorithms.base import transforms
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
+from tests.parts import of_topics
 from tests.program import ffmap, rig_of, with_cache, write_rig
 
 
@@ -50,6 +51,27 @@ def test_a_rig_file_is_written_from_a_mount_that_is_off(folder: Path) -> None:
     # The program takes what it wrote.
     info = ffmap(with_cache(folder / "cache"), "info", "drive.bag", "--rig", "rig.toml", cwd=folder)
     assert info.returncode == 0, info.stderr
+
+
+def test_a_mount_of_which_nothing_is_known_is_found(folder: Path) -> None:
+    """A bag without transforms: the lidars are named, and how they move and what both see tells the rest."""
+    rig = rig_of(folder / "drive.bag")
+    assert rig.horizontal is not None
+    assert rig.vertical is not None
+    topics = [rig.horizontal.topic, rig.vertical.topic]
+    bare = of_topics(folder / "drive.bag", topics)
+    named = ("--horizontal", topics[0], "--vertical", topics[1], "--quiet")
+    refused = calibrate(folder, bare.name, *named)
+    assert refused.returncode == 2
+    done = calibrate(folder, bare.name, *named, "--from-motion", "--out", "bare.toml")
+    assert done.returncode == 0, done.stderr
+    found = rig_of(bare, folder / "bare.toml")
+    assert found.horizontal is not None
+    assert found.vertical is not None
+    expected = transforms.invert(rig.horizontal.T_base_sensor) @ rig.vertical.T_base_sensor
+    left = transforms.to_twist(transforms.invert(expected) @ found.vertical.T_base_sensor)
+    assert np.degrees(np.linalg.norm(left[:3])) < 0.3
+    assert np.linalg.norm(left[3:]) < 0.02
 
 
 def test_one_lidar_alone_has_no_mount_to_refine(folder: Path) -> None:
