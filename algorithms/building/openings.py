@@ -7,7 +7,7 @@ from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, BuildingSettings, Walls, cells_in, stretches
+from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, ON_FACE_M, BuildingSettings, Walls, cells_in, stretches
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,
     FOOT_ROW,
@@ -58,6 +58,10 @@ class OpeningsSettings(StepSettings):
     )
 
 
+_PASSED = np.eye(4)[THROUGH]
+"""Of a cell's counts, that of the rays that went through."""
+
+
 @dataclass(frozen=True)
 class OpeningRules:
     """By what doors and windows are told."""
@@ -103,12 +107,16 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
     low, knee, high = FOOT_ROW, cells_in(settings.knee_m), cells_in(settings.door_height_min_m)
     top = (np.maximum(top_m - openings.below_ceiling_m, 0.0) / CELL_M).astype(np.int64)[:, None]
     row = np.arange(counts.shape[1])
-    above_head = smooth * ((row >= _head_rows(smooth, top, rules)) & (row < top))[..., None]
+    is_upright = _is_upright(smooth)[..., None]
+    above = (row >= _head_rows(np.where(is_upright, smooth, smooth * _PASSED), top, rules)) & (row < top)
+    above_head = smooth * above[..., None]
     # What hangs behind a lintel is seen below it, and would pull its mean back.
-    lintel = (above_head * (returns_at_face(above_head) > 0)[..., None]).sum(axis=1)
+    at_face = above_head * (returns_at_face(above_head) > 0)[..., None]
+    lintel, upright = at_face.sum(axis=1), (at_face * is_upright).sum(axis=1)
     passed_above = above_head[..., THROUGH].sum(axis=1)
     has_lintel = (lintel[:, FILLED] >= 2) & (passed_above <= lintel[:, FILLED])
     may_have_lintel = has_lintel | (passed_above + above_head[..., FILLED].sum(axis=1) < 2)
+    lintel = np.where(upright[:, [FILLED]] >= 2, upright, lintel)
     below, foot = smooth[:, low:high].sum(axis=1), smooth[:, low:knee].sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         lintel_m = np.where(has_lintel, lintel[:, SUM] / lintel[:, FILLED], 0.0)
@@ -129,6 +137,20 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
         if 2 * np.count_nonzero(flush[first : last + 1]) > last + 1 - first:
             is_closed[first : last + 1] = False
     return DoorColumns(is_open, is_closed, has_lintel, through, below, lintel_m, depth_m)
+
+
+def _is_upright(smooth: FloatArray) -> BoolArray:
+    """(c, rows) whether what is seen in each cell may be wall or leaf, upright and at one depth but for the noise.
+
+    The underside of what touches the wall, a duct or a soffit, has returns at all depths that a face takes in, and so has a lintel
+    whose other side is seen as well from the room behind.
+    """
+    on = smooth[..., FILLED]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        variance = smooth[..., SQUARES] / on - (smooth[..., SUM] / on) ** 2
+    known = variance[on >= 4]
+    noise = float(np.median(known)) if len(known) else 0.0
+    return ~(variance - noise > 0.5 * AT_FACE_M**2 / 12.0)  # half of what returns at all depths have
 
 
 def _upper_quartile(rows: FloatArray) -> FloatArray:

@@ -97,6 +97,18 @@ def test_doors_are_found_however_high_their_heads_are(state: DoorState, head_m: 
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
 
 
+def test_the_underside_of_a_duct_that_touches_the_wall_is_no_lintel() -> None:
+    """It has returns at all depths before the face, all along the wall; the lintel shows below it."""
+    seen = cells()
+    recess(seen, 0.0, 2.0, 0.03)
+    underside = seen.counts[:, round(2.2 / CELL_M) : round(2.3 / CELL_M)]
+    underside[..., SUM], underside[..., SQUARES] = 0.03 * underside[..., FILLED], 0.0012 * underside[..., FILLED]
+    seen.counts[:, round(2.3 / CELL_M) :] = 0.0
+    doors = find_doors(WALL, seen, np.full(80, 2.8), RULES)
+    assert doors.state.tolist() == [DoorState.CLOSED]
+    np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
+
+
 def test_a_leaf_goes_on_behind_what_stands_before_it() -> None:
     """A cupboard before a third of a door: its sides return from before the wall's face, and it hides what is behind it."""
     seen = cells()
