@@ -240,11 +240,8 @@ def find_rig(
         described, entries = fitting
         candidates = [c for c in candidates if c.topic in entries]
     candidates = _one_a_frame(bag, candidates, {*chosen, *entries}, warnings)
-    if unplaced and described is None and len(asked) == 2 and not _are_joined(bag, candidates):
-        base = next(c.frame_id for c in candidates if c.topic == asked["horizontal"][0])
-        edges: tuple[StaticTransform, ...] = ()
-    else:
-        candidates, base, edges = _place(bag, candidates, described, entries, chosen, warnings)
+    first = asked["horizontal"][0] if unplaced and len(asked) == 2 else None
+    candidates, base, edges = _place(bag, candidates, described, entries, chosen, warnings, first)
     _check_reach(described.path if described else bag.path, candidates, base)
     drives, sweeping = _roles(candidates, asked, warnings)
     labelled = tuple(map(_gathering, sweeping))
@@ -422,12 +419,6 @@ def _one_a_frame(bag: Bag, candidates: list[_Candidate], chosen: set[str], warni
     return kept
 
 
-def _are_joined(bag: Bag, candidates: list[_Candidate]) -> bool:
-    """Whether the bag's transforms say where all lidars sit."""
-    tree = read_frame_tree(bag, {c.frame_id for c in candidates})
-    return all(c.frame_id in tree.frames for c in candidates) and len({tree.root(c.frame_id)[0] for c in candidates}) == 1
-
-
 def _place(
     bag: Bag,
     candidates: list[_Candidate],
@@ -435,8 +426,12 @@ def _place(
     entries: dict[str, RigEntry],
     chosen: set[str],
     warnings: list[str],
+    first: str | None,
 ) -> tuple[list[_Candidate], str, tuple[StaticTransform, ...]]:
-    """The candidates with their T_base_sensor, the base's frame, and all static transforms."""
+    """The candidates with their T_base_sensor, the base's frame, and all static transforms.
+
+    first: topic of the lidar that the chosen ones are put at where no transforms join them; None to refuse these.
+    """
     tree = read_frame_tree(bag, {c.frame_id for c in candidates})
     if described:
         return _place_by_file(candidates, described, entries, tree)
@@ -446,6 +441,9 @@ def _place(
         return [replace(candidates[0], T_base_sensor=T)], base, tree.edges
     known = [c for c in candidates if c.frame_id in tree.frames]
     unknown = [c for c in candidates if c not in known]
+    wanted = [c for c in candidates if c.topic in chosen]
+    if first and (any(c in unknown for c in wanted) or len({roots[c.topic][0] for c in wanted}) > 1):
+        return wanted, next(c.frame_id for c in wanted if c.topic == first), ()
     if not known:
         pairs = " and ".join(f"{c.frame_id} ({c.topic})" for c in candidates)
         frames = {c.frame_id for c in candidates}

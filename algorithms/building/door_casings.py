@@ -18,7 +18,7 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, NO_DOORS, BuildingSettings, Doors, Walls, cells_in
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SQUARES, SUM, THROUGH, WallCells
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, WallCells, depth_moments
 from ffmap.algorithms.scan.doors import DoorState
 
 
@@ -122,12 +122,10 @@ def _casings(counts: FloatArray, building: BuildingSettings, settings: DoorCasin
     lowest, highest = cells_in(building.door_height_min_m), cells_in(building.door_height_max_m)
     if len(counts) < cells_in(building.door_width_min_m) + 2 * wall or counts.shape[1] <= lowest + 2 * wall:
         return []
-    with np.errstate(invalid="ignore", divide="ignore"):
-        before_m = counts[..., SUM] / counts[..., FILLED]
-        spread_m = np.sqrt(np.maximum(counts[..., SQUARES] / counts[..., FILLED] - before_m**2, 0.0))
+    before_m, variance = depth_moments(counts)
     known = (counts[..., FILLED] >= 2) & (counts[..., THROUGH] <= 0.5 * counts[..., FILLED])
     before_m[~known | (np.abs(before_m) > AT_FACE_M)] = np.nan
-    spread_m[np.isnan(before_m)] = np.nan
+    spread_m = np.where(np.isnan(before_m), np.nan, np.sqrt(variance))
     upright_m = before_m - _median_beside(before_m, beside)
     found = []
     for head in range(lowest, min(highest, counts.shape[1] - 2 * wall) + 1):

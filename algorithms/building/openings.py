@@ -11,10 +11,10 @@ from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, ON_FACE_M, Buildi
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,
     FOOT_ROW,
-    SQUARES,
     SUM,
     THROUGH,
     WallCells,
+    depth_moments,
     returns_at_face,
     with_neighbours,
 )
@@ -120,8 +120,6 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
     below, foot = smooth[:, low:high].sum(axis=1), smooth[:, low:knee].sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         lintel_m = np.where(has_lintel, lintel[:, SUM] / lintel[:, FILLED], 0.0)
-        mean_m = below[:, SUM] / below[:, FILLED]
-        spread_m = np.sqrt(np.maximum(below[:, SQUARES] / below[:, FILLED] - mean_m**2, 0))
         through = below[:, THROUGH] / (below[:, THROUGH] + below[:, FILLED])
         foot_through = foot[:, THROUGH] / (foot[:, THROUGH] + foot[:, FILLED])
         # What stands before a leaf hides some of its height.
@@ -129,6 +127,7 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
         depth_m = lintel_m + _upper_quartile(cell_m[:, low:high])
         foot_depth_m = lintel_m - foot[:, SUM] / foot[:, FILLED]
     may_be = may_have_lintel & (below[:, THROUGH] + below[:, FILLED] >= settings.rays_min)
+    spread_m = np.sqrt(depth_moments(below)[1])
     is_open = may_be & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)
     is_closed = may_be & (depth_m > settings.recess_min_m) & (through < 1 - settings.agreement_min) & (spread_m < 0.06)
     # A leaf is recessed down to the floor; below a window the wall stands flush.
@@ -145,10 +144,8 @@ def _is_upright(smooth: FloatArray) -> BoolArray:
     The underside of what touches the wall, a duct or a soffit, has returns at all depths that a face takes in, and so has a lintel
     whose other side is seen as well from the room behind.
     """
-    on = smooth[..., FILLED]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        variance = smooth[..., SQUARES] / on - (smooth[..., SUM] / on) ** 2
-    known = variance[on >= 4]
+    variance = depth_moments(smooth)[1]
+    known = variance[smooth[..., FILLED] >= 4]
     noise = float(np.median(known)) if len(known) else 0.0
     return ~(variance - noise > 0.5 * AT_FACE_M**2 / 12.0)  # half of what returns at all depths have
 
@@ -229,9 +226,7 @@ def find_sheet(counts: FloatArray, rules: OpeningRules) -> Sheet | None:
     """
     settings, sheet_m = rules.building, rules.openings.sheet_m
     filled = counts[..., FILLED]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean_m = counts[..., SUM] / filled
-        variance = counts[..., SQUARES] / filled - mean_m**2
+    mean_m, variance = depth_moments(counts)
     flat = (filled > 0) & (variance < settings.pane_spread_m**2)
     if not flat.any():
         return None

@@ -196,6 +196,13 @@ def returns_at_face(counts: FloatArray) -> FloatArray:
     return np.where(np.abs(total) < AT_FACE_M * filled, filled, 0.0)
 
 
+def depth_moments(counts: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(…) mean distance before the face and variance of the returns of cells, or of sums of them (…, 4); NaN without any."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean_m = counts[..., SUM] / counts[..., FILLED]
+        return mean_m, np.maximum(counts[..., SQUARES] / counts[..., FILLED] - mean_m**2, 0.0)
+
+
 def with_neighbours(counts: FloatArray) -> FloatArray:
     """Each column with the counts of the two beside it: an emitter's lines may stand farther apart than a column is."""
     summed = counts.copy()

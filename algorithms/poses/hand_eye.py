@@ -82,20 +82,21 @@ def find_mount(
     T = base.at(np.clip(middle_ns, base.stamp_ns[0], base.stamp_ns[-1]))
     turned = points @ rotation.T
 
-    def best(cell_m: float, headings_deg: FloatArray, shifts: FloatArray) -> IntArray:
+    def hits_of(cell_m: float, headings_deg: FloatArray, shifts: FloatArray) -> IntArray:
         grid, origin = _occupied(seen, cell_m)
         R = Rotation.from_rotvec(np.radians(headings_deg)[:, None] * axis).as_matrix()
         return np.asarray(_hits(turned, scan, T, R, shifts, grid, origin, cell_m))
 
     headings = np.arange(0.0, 360.0, _HEADING_DEG)
     shifts = _around(np.zeros(3), _REACH_M, _CELL_M)
-    hits = best(_CELL_M, headings, shifts)
+    hits = hits_of(_CELL_M, headings, shifts)
     h, s = np.unravel_index(int(hits.argmax()), hits.shape)
     away_deg = np.abs((headings - headings[h] + 180.0) % 360.0 - 180.0)
     others = np.where(away_deg > _OTHER_DEG, hits.max(axis=1), 0)
     near = headings[h] + 0.5 * _HEADING_DEG * np.arange(-2, 3)
     close = _around(shifts[s], (_CELL_M,) * 3, 0.5 * _CELL_M)
-    i, j = np.unravel_index(int((fine := best(0.5 * _CELL_M, near, close)).argmax()), fine.shape)
+    close_hits = hits_of(0.5 * _CELL_M, near, close)
+    i, j = np.unravel_index(int(close_hits.argmax()), close_hits.shape)
     R = Rotation.from_rotvec(np.radians(near[i]) * axis).as_matrix() @ rotation
     rival = int(others.argmax())
     shares = hits[h, s] / len(points), others[rival] / len(points)

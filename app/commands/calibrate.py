@@ -68,7 +68,8 @@ def calibrate(
     with Progress(quiet) as progress:
         odometry = _drive(inputs, horizontal, settings, seconds, progress)
         if from_motion:
-            motions = [_mount_by_motion(inputs, s, odometry, settings, seconds, progress) for s in inputs.others]
+            seen = map_of(inputs, odometry, settings, _SCANS)
+            motions = [_mount_by_motion(inputs, s, odometry, seen, settings, seconds, progress) for s in inputs.others]
             inputs = inputs.with_mounts(motions)
         progress.stage("mount", None)
         checked = check_mounts(inputs, odometry, settings, _SCANS, _SCANS, _RETURNS) if len(odometry) > 1 else []
@@ -102,11 +103,17 @@ def _drive(inputs: Inputs, sensor: Sensor, settings: Settings, seconds: float, p
 
 
 def _mount_by_motion(
-    inputs: Inputs, sensor: Sensor, odometry: Trajectory, settings: Settings, seconds: float, progress: Progress
+    inputs: Inputs,
+    sensor: Sensor,
+    odometry: Trajectory,
+    seen: FloatArray,
+    settings: Settings,
+    seconds: float,
+    progress: Progress,
 ) -> MountCorrection:
     """About where a vertical lidar sits, by its own turns and by what it sees; raises InputError where they do not tell.
 
-    odometry: T_odom_base by the horizontal lidar.
+    odometry, seen: T_odom_base by the horizontal lidar, and what it saw (n, 3) in that frame.
     """
     topic = sensor.lidar.topic
     alone = replace(sensor, lidar=replace(sensor.lidar, T_base_sensor=np.eye(4)))
@@ -117,17 +124,19 @@ def _mount_by_motion(
             "about where it sits in --rig FILE"
         )
     progress.stage(f"mount of {topic}", None)
-    seen = map_of(inputs, odometry, settings, _SCANS)
     found = find_mount(seen, odometry, scans_of(inputs, alone, odometry, settings, _SCANS), *aligned)
-    if found is None or found.hits < _HITS_MIN or found.rival_hits > _RIVAL_MAX * found.hits:
-        told = "" if found is None else f" ({100 * found.hits:.0f} % of its returns meet the other lidar's)"
-        if found is not None and found.rival_hits > _RIVAL_MAX * found.hits:
-            told = f" (turned by {found.rival_deg:.0f} deg it fits as well)"
-        raise InputError(
-            f"{inputs.bag_path}: what the lidars see does not tell where {topic} sits{told}; drive into another room and turn "
-            "there, or say about where it sits in --rig FILE"
-        )
-    return MountCorrection(topic, tuple(map(tuple, found.T_base_sensor.tolist())), sensor.lidar.decoding.clock_ns)
+    if found is None:
+        told = "one of them sees nothing"
+    elif found.rival_hits > _RIVAL_MAX * found.hits:
+        told = f"turned by {found.rival_deg:.0f} deg it fits as well"
+    elif found.hits < _HITS_MIN:
+        told = f"{100 * found.hits:.0f} % of its returns meet the other lidar's"
+    else:
+        return MountCorrection(topic, tuple(map(tuple, found.T_base_sensor.tolist())), sensor.lidar.decoding.clock_ns)
+    raise InputError(
+        f"{inputs.bag_path}: what the lidars see does not tell where {topic} sits ({told}); drive into another room and turn "
+        "there, or say about where it sits in --rig FILE"
+    )
 
 
 def _laid(inputs: Inputs, odometry: Trajectory, settings: Settings) -> FloatArray:

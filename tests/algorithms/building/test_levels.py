@@ -420,15 +420,19 @@ class TestCeilingDrops:
         )
         inside = (hanging[:, :2] > 0.03).all(axis=1) & (hanging[:, 0] < 3.97) & (hanging[:, 1] < 2.97)
         hanging = hanging[inside]
+        label = self.labels(ceiling, hanging)
+        off_ceiling = hanging[:, 2] < 2.8 - SETTINGS.margin_m
+        return float(np.mean(label[off_ceiling] == Label.CEILING))
+
+    def labels(self, ceiling: np.ndarray, hanging: np.ndarray) -> np.ndarray:
+        """What becomes of each of the places (n, 3) below a ceiling that scans took for clutter."""
         votes = votes_of(
             (lying((0, 4), (0, 3), 0.0), Label.FLOOR),
             (ceiling, Label.CEILING),
             (self.standing((0, 4), (0, 3), (0, 2.8)), Label.WALL),
             (hanging, Label.CLUTTER),
         )
-        label = corrected(map_levels(votes, SETTINGS), hanging, np.full(len(hanging), Label.CLUTTER, np.uint8))
-        off_ceiling = hanging[:, 2] < 2.8 - SETTINGS.margin_m
-        return float(np.mean(label[off_ceiling] == Label.CEILING))
+        return corrected(map_levels(votes, SETTINGS), hanging, np.full(len(hanging), Label.CLUTTER, np.uint8))
 
     def test_a_beam_from_wall_to_wall_is_ceiling(self) -> None:
         assert self.corrected_share(((1.8, 2.1), (0, 3), (2.5, 2.8))) > 0.97
@@ -454,18 +458,10 @@ class TestCeilingDrops:
         """The duct all but touches its wall; rays that its edge splits return from the slit of 15 cm above."""
         duct = ((0.0, 4.0), (0.03, 0.4), (2.3, 2.65))
         split = np.array([[x, 0.4, 2.72] for x in np.arange(0.05, 4.0, 0.1)])
-        ceiling = lying((0, 4), (0.4, 3), 2.8)
         body = np.concatenate([self.standing(*duct), lying(duct[0], duct[1], duct[2][0])])
         hanging = np.concatenate([np.repeat(body, 4, axis=0), split])
         hanging = hanging[(hanging[:, 0] > 0.03) & (hanging[:, 0] < 3.97)]
-        votes = votes_of(
-            (lying((0, 4), (0, 3), 0.0), Label.FLOOR),
-            (ceiling, Label.CEILING),
-            (self.standing((0, 4), (0, 3), (0, 2.8)), Label.WALL),
-            (hanging, Label.CLUTTER),
-        )
-        label = corrected(map_levels(votes, SETTINGS), hanging, np.full(len(hanging), Label.CLUTTER, np.uint8))
-        assert np.mean(label == Label.CEILING) < 0.05
+        assert np.mean(self.labels(lying((0, 4), (0.4, 3), 2.8), hanging) == Label.CEILING) < 0.05
 
     def test_a_duct_leaves_air_above_it(self) -> None:
         assert self.corrected_share(((1.8, 2.1), (0, 3), (2.3, 2.55))) < 0.05

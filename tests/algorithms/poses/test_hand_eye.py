@@ -100,7 +100,7 @@ def test_what_a_square_hall_does_not_tell_is_told() -> None:
         100_000_000 * (1 + np.arange(41)),
         np.array([transforms.from_yaw(np.sin(2 * np.pi * s), [2.0, 2.0, 0.5]) for s in share]),
     )
-    sides = np.concatenate([walls(hall, 30_000, 99)[:30_000]])
+    sides = walls(hall, 30_000, 99)[:30_000]  # without the pillar
     T_base_sensor = transforms.make_transform(Rotation.from_euler("x", 90, degrees=True), [0.0, 0.0, 0.2])
     scans = [
         scan_of(sides[rng.integers(0, len(sides), 1500)], base.T_map_base[k] @ T_base_sensor, int(base.stamp_ns[k]))
