@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -88,10 +89,14 @@ def _scaled(values: npt.NDArray[Any], first: Any, unit_ns: int) -> IntArray:  # 
     """Nanoseconds since `first`; subtracted in the values' own type, for seconds since 1970 take all of a double."""
     if np.issubdtype(values.dtype, np.integer):
         return (values.astype(np.int64) - int(first)) * unit_ns
-    since = values.astype(np.float64)
-    since -= float(first)
-    since *= unit_ns
-    nanoseconds: IntArray = np.rint(since, out=since).astype(np.int64)
+    return _since(np.ascontiguousarray(values), float(first), float(unit_ns))
+
+
+@numba.njit(cache=True, nogil=True)
+def _since(values: FloatArray, first: float, unit_ns: float) -> IntArray:  # pragma: no cover
+    nanoseconds = np.empty(len(values), np.int64)
+    for i in range(len(values)):
+        nanoseconds[i] = np.int64(np.rint((np.float64(values[i]) - first) * unit_ns))
     return nanoseconds
 
 

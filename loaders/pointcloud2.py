@@ -178,7 +178,7 @@ def _valid_points(message: Message, layout: CloudLayout) -> tuple[FloatArray, In
     """Points (n, 3) float32 that the sensor did return, and their places (n,) int32 in the cloud."""
     # What a float32 cannot hold becomes infinite, and is none of the sensor's returns.
     with np.errstate(over="ignore"):
-        x, y, z = (np.ascontiguousarray(field_column(message, layout, axis), np.float32) for axis in "xyz")
+        x, y, z = (field_column(message, layout, axis).astype(np.float32, copy=False) for axis in "xyz")
     return _compact(x, y, z)
 
 
@@ -194,6 +194,21 @@ def _compact(x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[FloatArray, I
             index[n] = i
             n += 1
     return points[:n].copy(), index[:n].copy()
+
+
+def _field_of(message: Message, layout: CloudLayout, name: str, index: IntArray) -> npt.NDArray[Any]:
+    """One field of the valid points, whose places in the cloud are `index` (n,), in the machine's byte order."""
+    column = field_column(message, layout, name)
+    return _taken(column.astype(column.dtype.newbyteorder("="), copy=False), index)
+
+
+@numba.njit(cache=True, nogil=True)
+def _taken(column: npt.NDArray[Any], index: IntArray) -> npt.NDArray[Any]:  # pragma: no cover
+    # NumPy copies the whole column first, whose values lie a point apart.
+    taken = np.empty(len(index), column.dtype)
+    for i in range(len(index)):
+        taken[i] = column[index[i]]
+    return taken
 
 
 def stamp_ns(message: Message) -> int:
@@ -224,9 +239,9 @@ def settle_decoding(
         field = _ring_numbers(message, layout, index) if layout.ring_field else None
         row, column = np.divmod(index, layout.width)
         ring_samples.append(RingSample(points, field, row, column, (layout.height, layout.width)))
-        varying |= {name for name in _intensity_fields(layout) if _varies(field_column(message, layout, name)[index])}
+        varying |= {name for name in _intensity_fields(layout) if _varies(_field_of(message, layout, name, index))}
         if layout.time_field:
-            time_samples.append((field_column(message, layout, layout.time_field)[index], stamp_ns(message)))
+            time_samples.append((_field_of(message, layout, layout.time_field, index), stamp_ns(message)))
     if not layouts:
         raise failure or CloudError(f"{topic}: no cloud to read; choose another topic")
     usual = Counter(str(found.point.fields) for found in layouts)
@@ -268,7 +283,7 @@ def _returns_twice(messages: Sequence[Message], decoding: CloudDecoding) -> bool
 
 def _ring_numbers(message: Message, layout: CloudLayout, index: IntArray) -> IntArray:
     assert layout.ring_field
-    numbers = field_column(message, layout, layout.ring_field)[index]
+    numbers = _field_of(message, layout, layout.ring_field, index)
     if np.issubdtype(numbers.dtype, np.floating):
         known = np.abs(numbers) < _NUMBER_MAX
         numbers = np.where(known, numbers, 0 if 2 * np.count_nonzero(known) > len(known) else -1)
@@ -334,7 +349,7 @@ def _intensities(
     if decoding.intensity not in (layout.point.names or ()):
         return np.full(len(index), np.nan, np.float32)
     with np.errstate(over="ignore"):
-        return field_column(message, layout, decoding.intensity)[index].astype(np.float32)
+        return _field_of(message, layout, decoding.intensity, index).astype(np.float32, copy=False)
 
 
 def _times(
@@ -352,7 +367,7 @@ def _times(
                 f"{layout.topic}: field {layout.time_field} is of another type than in the topic's other clouds"
             )
         try:
-            values = field_column(message, layout, layout.time_field)[index]
+            values = _field_of(message, layout, layout.time_field, index)
             time_ns, start_ns = decoding.time.nanoseconds(values, stamp)
             _check_span(time_ns, decoding.time, decoding.period_ns)
             return time_ns, start_ns

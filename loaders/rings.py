@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numba
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
@@ -50,11 +51,20 @@ class RingModel:
     def rings(self, points_sensor: FloatArray, number: IntArray | None) -> IntArray:
         """Ring (n,) uint16 of points (n, 3); `number` is the field's value, the row or the column of each."""
         if number is not None:
-            return self.lookup[np.clip(number, 0, len(self.lookup) - 1)]
+            return _looked_up(self.lookup, number)
         x, y, z = points_sensor.T.astype(np.float64)
         with np.errstate(divide="ignore"):  # on the spin axis
             rings: IntArray = np.searchsorted(self.edge_tan, z / np.hypot(x, y)).astype(np.uint16)
         return rings
+
+
+@numba.njit(cache=True, nogil=True)
+def _looked_up(lookup: IntArray, number: IntArray) -> IntArray:  # pragma: no cover
+    """The entry (n,) of each number (n,), of one beyond either end the last entry there."""
+    found = np.empty(len(number), lookup.dtype)
+    for i in range(len(number)):
+        found[i] = lookup[min(max(number[i], 0), len(lookup) - 1)]
+    return found
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,10 @@ Bays, and corridors that meet, are as wide as their openings; they are no rooms.
 from typing import Any
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from skimage.measure import approximate_polygon, find_contours
+from skimage.measure import find_contours
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 
@@ -122,7 +123,8 @@ def _corners(free: BoolArray, tolerance: float) -> tuple[FloatArray, FloatArray,
     corners: list[FloatArray] = [np.zeros((0, 3, 2))]
     # Bordered, so that every outline is closed, with free cells on the same side.
     for ring in find_contours(np.pad(free, 1).astype(np.float32), 0.5):  # type: ignore[no-untyped-call]
-        outline = approximate_polygon(ring - 1, tolerance)[:-1, ::-1]  # type: ignore[no-untyped-call]
+        chain = shapely.simplify(shapely.linestrings(ring - 1), tolerance, preserve_topology=False)
+        outline = shapely.get_coordinates(chain)[:-1, ::-1]
         if len(outline) >= 3:
             before, after = np.roll(outline, 1, axis=0) - outline, np.roll(outline, -1, axis=0) - outline
             corners.append(np.stack([outline, before, after], axis=1))
