@@ -150,7 +150,13 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     off_wall_m = nearest_known(walls)[0] * grid.cell_m
     # Above the head of a door or a window it is the wall that closes up to the ceiling.
     side = hangs & ~walls & (high_m - low_m > votes.voxel_m)
-    closes = side & (top_m - high_m < 2.0 * votes.voxel_m)
+    # A ceiling that rises, or is stepped, is higher farther on than where the side meets it. Where no ceiling is seen beside a
+    # side, the highest within reach counts.
+    near_m = highest_around(ceiling_m, 2 * round(settings.drop_edge_m / grid.cell_m) + 1)
+    near_m[~np.isfinite(near_m)] = np.nan
+    rises = (top_m - near_m > settings.margin_m) & (near_m - low_m > settings.duct_drop_m)
+    edge_m = np.where(rises, near_m, top_m)
+    closes = side & (edge_m - high_m < 2.0 * votes.voxel_m)
     held = hangs & (off_wall_m < 2.0 * grid.cell_m)
     along_wall = hangs & (off_wall_m < settings.slit_max_m)
 
@@ -160,7 +166,8 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     built = (sides >= settings.drop_sides_min) & (closing > settings.drop_closed_min * sides) & (holding > 0)
     own = grid.cells(position)
     in_side = overhead & (label == Label.CLUTTER) & side[own] & (position[:, 2] > low_m[own] + votes.voxel_m)
-    topmost = _topmost_density(parts[own][in_side], below_m[in_side], votes.point_count[in_side], len(cells), votes.voxel_m)
+    below_edge_m = np.maximum(edge_m[own][in_side] - position[in_side, 2], 0.0)
+    topmost = _topmost_density(parts[own][in_side], below_edge_m, votes.point_count[in_side], len(cells), votes.voxel_m)
     slit = (along > 0.8 * cells) & ((holding < _lengths(parts)) | (topmost < settings.drop_closed_min))
     built &= ~slit
     # The slit between a duct and its wall closes up to the ceiling; the duct hangs beside it.

@@ -441,6 +441,27 @@ class TestCeilingDrops:
         beams = [((x, x + 0.2), (0, 3), (2.55, 2.8)) for x in (0.8, 2.2)]
         assert self.corrected_share(*beams, ((0, 4), (1.4, 1.6), (2.55, 2.8))) > 0.95
 
+    def test_a_beam_under_a_ceiling_that_rises_along_the_room_is_ceiling(self) -> None:
+        """It closes up to the ceiling beside it, whose highest place within reach is 24 cm higher."""
+        ceiling = lying((0, 4), (0, 3), 2.8, slope=0.3)
+        ceiling = ceiling[(ceiling[:, 0] < 1.8) | (ceiling[:, 0] > 2.1)]
+        sides = [
+            np.column_stack([np.full(len(side), x), side[:, 0], side[:, 2]])
+            for x in (1.8, 2.1)
+            for side in (upright((0, 3), 0.0, (3.0, 2.8 + 0.3 * x)),)
+        ]
+        beam = np.concatenate([*sides, lying((1.8, 2.1), (0, 3), 3.0)])
+        beam = beam[(beam[:, 1] > 0.03) & (beam[:, 1] < 2.97)]
+        walls = self.standing((0, 4), (0, 3), (0, 4.0))
+        votes = votes_of(
+            (lying((0, 4), (0, 3), 0.0), Label.FLOOR),
+            (ceiling, Label.CEILING),
+            (walls[walls[:, 2] < 2.8 + 0.3 * walls[:, 0]], Label.WALL),
+            (beam, Label.CLUTTER),
+        )
+        label = corrected(map_levels(votes, SETTINGS), beam, np.full(len(beam), Label.CLUTTER, np.uint8))
+        assert np.mean(label == Label.CEILING) > 0.95
+
     def test_a_soffit_along_a_wall_is_ceiling(self) -> None:
         assert self.corrected_share(((0, 4), (0, 0.5), (2.4, 2.8))) > 0.95
 
