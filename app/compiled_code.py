@@ -19,7 +19,14 @@ from ffmap.app.user_cache import CACHE_VARIABLE, user_cache
 
 VARIABLE = "NUMBA_CACHE_DIR"
 """Numba's environment variable. Where the user has set it, that counts."""
-SOURCES = ("algorithms", "loaders/pointcloud2.py", "loaders/dual_returns.py", "app/analysis/bench_floors.py")
+SOURCES = (
+    "algorithms",
+    "loaders/dual_returns.py",
+    "loaders/firing_times.py",
+    "loaders/pointcloud2.py",
+    "loaders/rings.py",
+    "app/analysis/bench_floors.py",
+)
 """Folders and files that hold compiled functions and what these use."""
 
 _FOLDER = "compiled"
