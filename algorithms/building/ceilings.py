@@ -153,8 +153,7 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     # A ceiling that rises, or is stepped, is higher farther on than where the side meets it. Where no ceiling is seen beside a
     # side, the highest within reach counts.
     near_m = highest_around(ceiling_m, 2 * round(settings.drop_edge_m / grid.cell_m) + 1)
-    near_m[~np.isfinite(near_m)] = np.nan
-    rises = (top_m - near_m > settings.margin_m) & (near_m - low_m > settings.duct_drop_m)
+    rises = (near_m < top_m - settings.margin_m) & (near_m > low_m + settings.duct_drop_m)
     edge_m = np.where(rises, near_m, top_m)
     closes = side & (edge_m - high_m < 2.0 * votes.voxel_m)
     held = hangs & (off_wall_m < 2.0 * grid.cell_m)

@@ -68,7 +68,7 @@ class HeightMap:
 
     def label_of(self, points_map: FloatArray, label: UInt8Array) -> UInt8Array:
         """The labels (n,) of points (n, 3); what scans took for something else at these heights gets the surface's label."""
-        # As plain numbers: to look into an enumeration takes Numba longer than to label a scan.
+        # As plain numbers: of an enumeration Numba looks at every member, each time that it is handed one.
         codes = int(self.surface.taken_for), int(self.surface.label)
         return np.asarray(
             _label_between(points_map, label, *codes, self.origin, self.cell_m, self.low_m, self.high_m)

@@ -58,7 +58,7 @@ class LevelsSettings(StepSettings):
         0.8, gt=0, description="Maximum distance (m) of what hangs below a ceiling to where that is seen."
     )
     drop_edge_m: float = Field(
-        0.2, gt=0, description="Distance (m) from its sides within which a ceiling that is not level counts that they reach."
+        0.2, gt=0, description="Distance (m) from its sides within which a ceiling that is not level is to be reached by them."
     )
     drop_max_m: float = Field(1.5, gt=0, description="Maximum height (m) of a beam, a coffer or a rooflight's shaft.")
     headroom_m: float = Field(

@@ -424,12 +424,15 @@ class TestCeilingDrops:
         off_ceiling = hanging[:, 2] < 2.8 - SETTINGS.margin_m
         return float(np.mean(label[off_ceiling] == Label.CEILING))
 
-    def labels(self, ceiling: np.ndarray, hanging: np.ndarray) -> np.ndarray:
-        """What becomes of each of the places (n, 3) below a ceiling that scans took for clutter."""
+    def labels(self, ceiling: np.ndarray, hanging: np.ndarray, walls: np.ndarray | None = None) -> np.ndarray:
+        """What becomes of each of the places (n, 3) below a ceiling that scans took for clutter.
+
+        walls: where they are not 2.8 m high.
+        """
         votes = votes_of(
             (lying((0, 4), (0, 3), 0.0), Label.FLOOR),
             (ceiling, Label.CEILING),
-            (self.standing((0, 4), (0, 3), (0, 2.8)), Label.WALL),
+            (self.standing((0, 4), (0, 3), (0, 2.8)) if walls is None else walls, Label.WALL),
             (hanging, Label.CLUTTER),
         )
         return corrected(map_levels(votes, SETTINGS), hanging, np.full(len(hanging), Label.CLUTTER, np.uint8))
@@ -443,24 +446,17 @@ class TestCeilingDrops:
 
     def test_a_beam_under_a_ceiling_that_rises_along_the_room_is_ceiling(self) -> None:
         """It closes up to the ceiling beside it, whose highest place within reach is 24 cm higher."""
+
+        def below_ceiling(points: np.ndarray) -> np.ndarray:
+            return np.asarray(points[points[:, 2] < 2.8 + 0.3 * points[:, 0]])
+
         ceiling = lying((0, 4), (0, 3), 2.8, slope=0.3)
         ceiling = ceiling[(ceiling[:, 0] < 1.8) | (ceiling[:, 0] > 2.1)]
-        sides = [
-            np.column_stack([np.full(len(side), x), side[:, 0], side[:, 2]])
-            for x in (1.8, 2.1)
-            for side in (upright((0, 3), 0.0, (3.0, 2.8 + 0.3 * x)),)
-        ]
-        beam = np.concatenate([*sides, lying((1.8, 2.1), (0, 3), 3.0)])
+        sides = below_ceiling(self.standing((1.8, 2.1), (0, 3), (3.0, 4.0)))
+        beam = np.concatenate([sides, lying((1.8, 2.1), (0, 3), 3.0)])
         beam = beam[(beam[:, 1] > 0.03) & (beam[:, 1] < 2.97)]
-        walls = self.standing((0, 4), (0, 3), (0, 4.0))
-        votes = votes_of(
-            (lying((0, 4), (0, 3), 0.0), Label.FLOOR),
-            (ceiling, Label.CEILING),
-            (walls[walls[:, 2] < 2.8 + 0.3 * walls[:, 0]], Label.WALL),
-            (beam, Label.CLUTTER),
-        )
-        label = corrected(map_levels(votes, SETTINGS), beam, np.full(len(beam), Label.CLUTTER, np.uint8))
-        assert np.mean(label == Label.CEILING) > 0.95
+        walls = below_ceiling(self.standing((0, 4), (0, 3), (0, 4.0)))
+        assert np.mean(self.labels(ceiling, beam, walls) == Label.CEILING) > 0.95
 
     def test_a_soffit_along_a_wall_is_ceiling(self) -> None:
         assert self.corrected_share(((0, 4), (0, 0.5), (2.4, 2.8))) > 0.95
