@@ -130,7 +130,7 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     """Beams, coffers, soffits and the sides of steps: what hangs below a ceiling, closes up to it and is held by a wall.
 
     What is built leaves no air above it: its sides are seen up to the ceiling. No wall holds a lamp; ducts and pipes run along one
-    and leave a slit to it or to the ceiling. In that lie few returns: those of rays that a duct's edge split.
+    and leave a slit, in which the wall goes on to be seen above their underside.
 
     votes: with the ceilings that no scan found.
     """
@@ -163,12 +163,11 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
         np.bincount(parts[mask], minlength=parts.max() + 1) for mask in (hangs, side, closes, held, along_wall)
     )
     built = (sides >= settings.drop_sides_min) & (closing > settings.drop_closed_min * sides) & (holding > 0)
-    own = grid.cells(position)
-    in_side = overhead & (label == Label.CLUTTER) & side[own] & (position[:, 2] > low_m[own] + votes.voxel_m)
-    below_edge_m = np.maximum(edge_m[own][in_side] - position[in_side, 2], 0.0)
-    topmost = _topmost_density(parts[own][in_side], below_edge_m, votes.point_count[in_side], len(cells), votes.voxel_m)
-    slit = (along > 0.8 * cells) & ((holding < _lengths(parts)) | (topmost < settings.drop_closed_min))
-    built &= ~slit
+    at_wall = along > 0.8 * cells
+    built &= ~(at_wall & (holding < _lengths(parts)))
+    wall = position[(label == Label.WALL) & votes.seen(settings.votes_min)]
+    for part in np.flatnonzero(built & at_wall):
+        built[part] = not _goes_on_above(wall, grid, parts == part, low_m, votes.voxel_m)
     # The slit between a duct and its wall closes up to the ceiling; the duct hangs beside it.
     lowest_m = ndimage.minimum_filter(np.where(hangs & ~built[parts], low_m, np.inf), 3)
     beside = np.bincount(parts[hangs & (lowest_m < low_m - settings.drop_flat_m)], minlength=len(cells))
@@ -178,16 +177,19 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     return HeightMap(Surface.CEILING_DROP, grid.origin, grid.cell_m, low_m, np.where(np.isfinite(low_m), top_m, np.nan))
 
 
-def _topmost_density(part: IntArray, below_m: FloatArray, count: IntArray, part_count: int, layer_m: float) -> FloatArray:
-    """(k,) returns in the topmost layer of each part's sides, as a share of those in its densest layer; 0 without any.
+def _goes_on_above(wall: FloatArray, grid: GroundGrid, part: BoolArray, low_m: FloatArray, layer_m: float) -> bool:
+    """Whether the wall beside a part that hangs along it is seen above the part's underside too, in most of its cells.
 
-    part, below_m, count: (n,) the part that cubes of the sides belong to, how far (m) they lie below the ceiling, and how many
-    returns they hold. The layer that touches the ceiling holds some of its returns and does not count.
+    wall: (n, 3) cubes of walls. part, low_m: (rows, columns) the part's cells, and how high each cell's underside is. layer_m: edge
+    of the cubes, of which those at the underside hold its own returns.
     """
-    layer = (below_m / layer_m).astype(np.int64)
-    layers = coo_array((count, (part, layer)), shape=(part_count, layer.max(initial=1) + 1)).toarray()
-    share: FloatArray = layers[:, 1] / np.maximum(layers[:, 1:].max(axis=1), 1)
-    return share
+    rows, columns = grid.cells(wall)
+    beside = ndimage.binary_dilation(part, iterations=2)[rows, columns]
+    layer = (wall[:, 2] - np.median(low_m[part])) / layer_m
+    below, above = np.zeros((2, *grid.shape), bool)
+    for seen, within in ((below, (layer > -7.0) & (layer < -2.0)), (above, (layer > 1.0) & (layer < 3.0))):
+        seen[rows[beside & within], columns[beside & within]] = True
+    return bool(np.count_nonzero(below & above) > 0.5 * np.count_nonzero(below))
 
 
 def _topmost(grid: GroundGrid, position: FloatArray, gap_m: float) -> tuple[FloatArray, FloatArray]:

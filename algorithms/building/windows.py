@@ -171,9 +171,11 @@ def _to_its_wall(
     flush, returns = _shows(on[:, bottom : top + 1] > passed, bar), _shows(between[..., FILLED] > passed, bar)
     # What returns behind the face is its reveal, or a leaf beside it, which is wider.
     shows = flush | long_runs(returns & ~flush, cells_in(settings.reveal_max_m), 0)
-    around = np.concatenate([on[:, FOOT_ROW : max(bottom - 1, FOOT_ROW)], on[:, top + 2 : highest]], axis=1)
+    foot = slice(FOOT_ROW, max(bottom - 1, FOOT_ROW))
+    around = np.concatenate([on[:, foot], on[:, top + 2 : highest]], axis=1)
     is_met = around.mean(axis=1) >= settings.returns_min if around.shape[1] else np.zeros(len(on), bool)
-    goes_on = is_met & ~shows
+    is_doorway = near[:, foot, THROUGH].sum(axis=1) > on[:, foot].sum(axis=1)
+    goes_on = is_met & ~shows & ~is_doorway
     for start, stop in stretches(goes_on, bar):
         if start <= last and stop >= first:
             first, last = min(start, first), max(stop, last)

@@ -41,6 +41,12 @@ class WallPlanesSettings(StepSettings):
     height_min_m: float = Field(
         2.1, gt=0, description="Minimum height (m) of a wall where no ceiling is in view. III.B."
     )
+    overhang_m: float = Field(
+        0.2,
+        gt=0,
+        description="Minimum depth (m) of a soffit, a vault or a roof over a candidate, which closes up to the ceiling: leaves and "
+        "blinds stand less deep in their openings, and what lies above furniture is farther. III.B.",
+    )
     bottom_max_m: float = Field(
         2.2,
         gt=0,
@@ -77,6 +83,7 @@ class Reach(IntEnum):
     ABOVE_CEILINGS = 2  # it ends above the highest ceiling in view: another is there
     HEIGHT = 3  # no ceiling is in view, and it is high enough
     TURNS_BACK = 4  # its line has next to no returns of a ceiling: it may turn back, or the view end, below it
+    OVERHUNG = 5  # what its line meets above it touches it and comes nearer, up to a ceiling: a soffit, a vault, a roof
 
 
 class Membership(IntEnum):
@@ -227,6 +234,14 @@ def _choose_candidates(
     is_upmost = structures.upmost[structures.line] == np.arange(len(structures.line))
     tops_level = returns.points_level[samples[structures.line, structures.last]]
     reach, below_ceiling_m = _reach_of(tops_level, structures.top_m, ceilings, floor, settings)
+    ends_level = returns.points_level[samples[structures.line, -1]]
+    end_reach, _ = _reach_of(ends_level, floor.heights_above(ends_level), ceilings, floor, settings)
+    is_overhung = is_upmost & (structures.top_m > 0.5 * settings.height_min_m) & (reach == Reach.LOW)
+    is_overhung &= end_reach != Reach.LOW
+    is_overhung &= _overhung(
+        returns.points_level, samples, structures.line, structures.last, returns.origin_level[:2], settings.overhang_m
+    )
+    reach[is_overhung] = Reach.OVERHUNG
     # Through an opening a line shows the wall of the next room below the lintel: what ends at a ceiling is a candidate
     # too, though it is not the up-most.
     chosen = np.flatnonzero(is_upmost | ((reach != Reach.LOW) & (len(ceilings) > 0)))
@@ -271,6 +286,34 @@ def _reach_of(
         [np.abs(nearest_m) < settings.reach_m, top_m > highest_m], [Reach.CEILING, Reach.ABOVE_CEILINGS], Reach.LOW
     )
     return reach.astype(np.uint8), nearest_m
+
+
+@numba.njit(cache=True, nogil=True)
+def _overhung(
+    points: FloatArray, samples: IntArray, line: IntArray, last: IntArray, origin: FloatArray, overhang_m: float
+) -> BoolArray:  # pragma: no cover
+    """(S,) whether what each structure's line meets above it touches it, is no farther and no lower, and comes nearer.
+
+    No ray passes above such a structure: over furniture, and below what hangs before a wall, there are such. last: (S,) the
+    structure's highest sample. Of ten samples above one may be stray.
+    """
+    overhung = np.zeros(len(line), np.bool_)
+    for s in range(len(line)):
+        own = samples[line[s]]
+        top = own[last[s]]
+        rho, z = np.hypot(points[top, 0] - origin[0], points[top, 1] - origin[1]), points[top, 2]
+        above = len(own) - 1 - last[s]
+        if above < 3:
+            continue
+        stray, nearest = 0, rho
+        for j in range(last[s] + 1, len(own)):
+            rho_j, z_j = np.hypot(points[own[j], 0] - origin[0], points[own[j], 1] - origin[1]), points[own[j], 2]
+            if j == last[s] + 1 and np.hypot(rho_j - rho, z_j - z) > overhang_m:
+                stray = above
+            stray += rho_j > rho + 0.25 * overhang_m or z_j < z - 0.25 * overhang_m
+            nearest = min(nearest, rho_j)
+        overhung[s] = nearest < rho - overhang_m and 10 * stray <= above
+    return overhung
 
 
 def _renumbered(plane: IntArray, kept: BoolArray) -> IntArray:

@@ -239,6 +239,8 @@ class _Candidate:
         measured, needed = f"{self._top_m:.2f} m high", f"≥ {self._settings.height_min_m:g} m"
         if self._sees_ceiling:
             measured, needed = f"ends {_cm(self._below_m)} below", f"≤ {_cm(self._settings.reach_m)}"
+            if self._reach == Reach.OVERHUNG:
+                measured, needed = f"{measured}, overhung", f"{needed}, or overhung"
         checks = [Check(f"III.B: reaches the ceiling{which}", measured, needed, reaches)]
         if not np.isnan(self._distance_m):
             near = bool(self._distance_m < self._settings.similarity_m)
@@ -317,6 +319,8 @@ class _Candidate:
             Reach.HEIGHT: f"No ceiling is in view; it {self._ends}, which is high enough.",
             Reach.TURNS_BACK: f"It {self._ends}, but its line has next to no returns of a ceiling: below one it may turn "
             "back, or the view end, so it counts.",
+            Reach.OVERHUNG: f"It {self._ends}, and what its line meets above touches it and comes nearer, up to a ceiling: a "
+            "soffit, a vault or a roof, so it counts.",
             Reach.LOW: low,
         }[self._reach]
 

@@ -511,6 +511,17 @@ def test_a_window_goes_on_where_its_glass_returns_most_rays(depth_m: float, pass
     np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, end]], atol=0.2)
 
 
+def test_a_window_ends_at_the_doorway_beside_it() -> None:
+    """Between window and door there is no more than a bar, and above the door its wall shows, as it does above the window."""
+    seen = cells()
+    seen.counts[10:40, 18:42, FILLED], seen.counts[10:40, 18:42, THROUGH] = 0.0, 50.0
+    seen.counts[42:60, :44, FILLED], seen.counts[42:60, :44, THROUGH] = 0.0, 50.0
+    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    np.testing.assert_allclose(windows.ends[:, :, 0], [[0.5, 2.0]], atol=2 * CELL_M)
+    doors = find_doors(WALL, seen, unknown(seen), RULES, windows)
+    np.testing.assert_allclose(np.sort(doors.ends[:, :, 0]), [[2.1, 3.0]], atol=CELL_M)
+
+
 def test_rays_that_ended_beyond_a_window_are_left_out() -> None:
     rays = np.array(
         [

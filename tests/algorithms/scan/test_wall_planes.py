@@ -333,6 +333,53 @@ def test_the_evidence_tells_by_what_a_plane_was_dropped() -> None:
     assert set(grow(STRAIGHT, ceilings=()).candidate_reach.tolist()) == {Reach.HEIGHT}
 
 
+def overhung(above: list[tuple[float, float]], *, ceilings: tuple[HorizontalPlane, ...] = (CEILING,)) -> WallPlanes:
+    """Twelve lines that meet a wall at y = 2 up to 2.2 m, and then what lies above it: corners (y, z) from below upwards."""
+    y, z = np.array([(2.0, 0.1), (2.0, 2.2), *above]).T
+    place = np.concatenate([np.linspace(0, 1, 150), np.linspace(1, len(y) - 1, SAMPLES - 149)[1:]])
+    x = np.linspace(-0.8, 0.8, 12)
+    line = np.column_stack([np.interp(place, np.arange(len(y)), y), np.interp(place, np.arange(len(z)), z)])
+    points = np.concatenate([np.column_stack([np.full(SAMPLES, own), line]) for own in x])
+    lines = np.arange(12, dtype=np.int32)
+    absent = np.full((12, SAMPLES), np.nan, np.float32)
+    structures = VerticalStructures(
+        difference=absent,
+        slope=absent,
+        upright=np.zeros((12, SAMPLES), bool),
+        line=2 * lines,
+        first=np.zeros(12, np.int32),
+        last=np.full(12, 149, np.int32),
+        bottom_m=np.full(12, 0.1, np.float32),
+        top_m=np.full(12, 2.2, np.float32),
+        upmost=np.repeat(lines, 2),
+        bottommost=np.repeat(lines, 2),
+    )
+    samples = np.repeat(np.arange(12 * SAMPLES, dtype=np.int32).reshape(12, SAMPLES), 2, axis=0)
+    returns = Returns(points.astype(np.float32), points[:, 2].astype(np.float32), ORIGIN)
+    return grow_wall_planes(returns, samples, structures, ceilings, FLOOR, np.ones(24, bool), SETTINGS)
+
+
+@pytest.mark.parametrize(
+    ("above", "is_wall"),
+    [
+        ([(1.6, 2.2), (1.6, 2.75)], True),  # a soffit
+        ([(1.8, 2.4), (1.4, 2.6), (1.0, 2.7)], True),  # a vault
+        ([(1.9, 2.2), (1.9, 2.75)], False),  # a lintel: it is a leaf in its opening
+        ([(2.0, 2.2), (2.5, 2.3), (2.5, 2.75)], False),  # the wall behind a cabinet
+        ([(1.5, 1.9), (1.5, 2.75)], False),  # what hangs before it, without touching it
+        ([(1.6, 2.2), (1.6, 2.3)], False),  # a canopy that ends below the ceiling
+    ],
+)
+def test_a_wall_under_what_closes_up_to_the_ceiling_need_not_reach_it(
+    above: list[tuple[float, float]], is_wall: bool
+) -> None:
+    found = overhung(above)
+    assert set(found.candidate_reach.tolist()) == {Reach.OVERHUNG if is_wall else Reach.LOW}
+    assert len(found) == is_wall
+    if is_wall:
+        np.testing.assert_allclose(found.offset_m, [-2.0], atol=1e-3)
+
+
 def test_an_empty_scan_has_no_planes() -> None:
     found = grow(np.zeros((0, 2, 2)))
     assert len(found) == 0
