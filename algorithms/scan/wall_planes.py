@@ -183,6 +183,8 @@ def grow_wall_planes(
     )
     settled, nearest_m, membership = _settle(grown, moments, reaches, candidates.gap_max_m, settings)
     bottom_m = _per_plane(np.minimum, structures.bottom_m[candidates.structure], settled, np.inf)
+    for k in np.flatnonzero(bottom_m >= settings.bottom_max_m):
+        bottom_m[k] = _bottom_behind(int(k), settled, returns, samples, structures, candidates, settings)
     plane = _renumbered(settled, bottom_m < settings.bottom_max_m)
     membership[(settled >= 0) & (plane < 0)] = Membership.DUCT
     return WallPlanes(
@@ -325,6 +327,72 @@ def _per_plane(reduce: np.ufunc, values: FloatArray, plane: IntArray, start: flo
     reduced = np.full(int(plane.max(initial=-1)) + 1, start)
     reduce.at(reduced, plane[plane >= 0], values[plane >= 0])
     return reduced
+
+
+def _bottom_behind(
+    plane: int,
+    settled: IntArray,
+    returns: Returns,
+    samples: IntArray,
+    structures: VerticalStructures,
+    candidates: _Candidates,
+    settings: WallPlanesSettings,
+) -> float:
+    """Height (m) of a plane's lowest end: a wall goes on below what hangs before it, a valance or a duct.
+
+    settled: (C,) the plane of each candidate; this one ends high in all of its lines.
+    """
+    own = settled == plane
+    behind = _behind(
+        returns.points_level,
+        samples,
+        np.stack([structures.line, structures.first, structures.last], axis=1),
+        candidates.structure[own],
+        fit_upright_plane(candidates.moments[own].sum(axis=0))[:3],
+        returns.origin_level[:2],
+        settings.similarity_m,
+        settings.overhang_m,
+    )
+    lowest_m = structures.bottom_m[candidates.structure[own] if len(behind) < settings.lines_min else behind]
+    return float(lowest_m.min())
+
+
+@numba.njit(cache=True, nogil=True)
+def _behind(
+    points: FloatArray,
+    samples: IntArray,
+    spans: IntArray,
+    upper: IntArray,
+    plane: tuple[float, float, float],
+    origin: FloatArray,
+    similarity_m: float,
+    overhang_m: float,
+) -> IntArray:  # pragma: no cover
+    """The structures in a plane that something nearer parts from those above them in their lines, one for each such line.
+
+    spans: (S, 3) line, first and last sample of each structure, line by line from below upwards. upper: (u,) the structures above.
+    plane: its normal and offset.
+    """
+    nx, ny, offset = plane
+    found = np.empty(len(upper), np.int64)
+    count = 0
+    for u in upper:
+        s = u - 1
+        while s >= 0 and spans[s, 0] == spans[u, 0]:
+            own = samples[spans[s, 0]]
+            off = 0.0
+            for j in range(spans[s, 2] - 9, spans[s, 2] + 1):
+                off = max(off, abs(nx * points[own[j], 0] + ny * points[own[j], 1] - offset))
+            top = own[spans[s, 2]]
+            rho, nearest = np.hypot(points[top, 0] - origin[0], points[top, 1] - origin[1]), np.inf
+            for j in range(spans[s, 2] + 1, spans[u, 1]):
+                nearest = min(nearest, np.hypot(points[own[j], 0] - origin[0], points[own[j], 1] - origin[1]))
+            if off < 2.0 * similarity_m and nearest < rho - overhang_m:
+                found[count] = s
+                count += 1
+                break
+            s -= 1
+    return found[:count]
 
 
 def _fit_planes(

@@ -333,30 +333,30 @@ def test_the_evidence_tells_by_what_a_plane_was_dropped() -> None:
     assert set(grow(STRAIGHT, ceilings=()).candidate_reach.tolist()) == {Reach.HEIGHT}
 
 
-def overhung(above: list[tuple[float, float]], *, ceilings: tuple[HorizontalPlane, ...] = (CEILING,)) -> WallPlanes:
-    """Twelve lines that meet a wall at y = 2 up to 2.2 m, and then what lies above it: corners (y, z) from below upwards."""
-    y, z = np.array([(2.0, 0.1), (2.0, 2.2), *above]).T
-    place = np.concatenate([np.linspace(0, 1, 150), np.linspace(1, len(y) - 1, SAMPLES - 149)[1:]])
-    x = np.linspace(-0.8, 0.8, 12)
-    line = np.column_stack([np.interp(place, np.arange(len(y)), y), np.interp(place, np.arange(len(z)), z)])
-    points = np.concatenate([np.column_stack([np.full(SAMPLES, own), line]) for own in x])
-    lines = np.arange(12, dtype=np.int32)
-    absent = np.full((12, SAMPLES), np.nan, np.float32)
+def grow_profile(corners: list[tuple[float, float]], upright: list[int]) -> WallPlanes:
+    """Planes from twelve lines of one profile: corners (y, z) from below upwards, and which of its segments are structures."""
+    y, z = np.array(corners).T
+    place = np.linspace(0, len(y) - 1, SAMPLES)
+    segment = np.minimum(place.astype(int), len(y) - 2)
+    line = np.column_stack([np.interp(place, np.arange(len(y)), own) for own in (y, z)])
+    points = np.concatenate([np.column_stack([np.full(SAMPLES, x), line]) for x in np.linspace(-0.8, 0.8, 12)])
+    count, lines = len(upright), np.arange(12, dtype=np.int32)
+    absent = np.full((24, SAMPLES), np.nan, np.float32)
     structures = VerticalStructures(
         difference=absent,
         slope=absent,
-        upright=np.zeros((12, SAMPLES), bool),
-        line=2 * lines,
-        first=np.zeros(12, np.int32),
-        last=np.full(12, 149, np.int32),
-        bottom_m=np.full(12, 0.1, np.float32),
-        top_m=np.full(12, 2.2, np.float32),
-        upmost=np.repeat(lines, 2),
-        bottommost=np.repeat(lines, 2),
+        upright=np.zeros((24, SAMPLES), bool),
+        line=np.repeat(2 * lines, count),
+        first=np.tile([np.flatnonzero(segment == s)[0] for s in upright], 12).astype(np.int32),
+        last=np.tile([np.flatnonzero(segment == s)[-1] for s in upright], 12).astype(np.int32),
+        bottom_m=np.tile(z[upright], 12).astype(np.float32),
+        top_m=np.tile(z[np.array(upright) + 1], 12).astype(np.float32),
+        upmost=np.repeat(count * lines + count - 1, 2),
+        bottommost=np.repeat(count * lines, 2),
     )
     samples = np.repeat(np.arange(12 * SAMPLES, dtype=np.int32).reshape(12, SAMPLES), 2, axis=0)
     returns = Returns(points.astype(np.float32), points[:, 2].astype(np.float32), ORIGIN)
-    return grow_wall_planes(returns, samples, structures, ceilings, FLOOR, np.ones(24, bool), SETTINGS)
+    return grow_wall_planes(returns, samples, structures, (CEILING,), FLOOR, np.ones(24, bool), SETTINGS)
 
 
 @pytest.mark.parametrize(
@@ -373,11 +373,26 @@ def overhung(above: list[tuple[float, float]], *, ceilings: tuple[HorizontalPlan
 def test_a_wall_under_what_closes_up_to_the_ceiling_need_not_reach_it(
     above: list[tuple[float, float]], is_wall: bool
 ) -> None:
-    found = overhung(above)
+    found = grow_profile([(2.0, 0.1), (2.0, 2.2), *above], [0])
     assert set(found.candidate_reach.tolist()) == {Reach.OVERHUNG if is_wall else Reach.LOW}
     assert len(found) == is_wall
     if is_wall:
         np.testing.assert_allclose(found.offset_m, [-2.0], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("below", "is_wall"),
+    [
+        ([(2.0, 0.1), (2.0, 2.0), (1.4, 1.9), (1.4, 2.3)], True),  # a valance hangs before it
+        ([(2.0, 0.1), (2.0, 2.0)], False),  # a cabinet whose front is flush with what hangs over it
+        ([(1.7, 0.1), (1.7, 2.0), (1.4, 1.9), (1.4, 2.3)], False),  # what stands below is not in line with it
+    ],
+)
+def test_a_wall_goes_on_below_what_hangs_before_it(below: list[tuple[float, float]], is_wall: bool) -> None:
+    """Of the wall above it no more is seen than of a duct's front."""
+    found = grow_profile([*below, (2.0, 2.35), (2.0, 2.75)], [0, len(below)])
+    assert len(found) == is_wall
+    assert set(found.candidate_membership.tolist()) == {Membership.IN_PLANE if is_wall else Membership.DUCT}
 
 
 def test_an_empty_scan_has_no_planes() -> None:
