@@ -6,6 +6,7 @@ from functools import reduce
 
 import numpy as np
 from pydantic import Field
+from scipy.spatial import cKDTree
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.plan_index import pairs_near
@@ -47,6 +48,9 @@ class MissedWallsSettings(StepSettings):
     explained_m: float = Field(0.08, gt=0, description="Maximum distance (m) from a known face of its own returns.")
     corner_m: float = Field(
         0.15, gt=0, description="Distance (m) from a corner where returns pass for the other wall's."
+    )
+    chord_m: float = Field(
+        0.35, gt=0, description="Minimum length (m) of a chord of a round wall; twice as much is looked at."
     )
     window_max_m: float = Field(3.0, gt=0, description="Maximum length (m) of a window that goes on from a wall.")
     pillar_share: float = Field(
@@ -140,7 +144,7 @@ def find_missed_walls(walls: Walls, refused: Walls, returns: AllReturns, setting
     Columns of returns that belong to no face, walls or refused, are searched for lines in the walls' directions; a line is a wall
     where rays end on it up to the ceiling, or to the underside of a duct, and hardly any passes.
     """
-    candidates = _candidates(returns.votes, walls, refused, settings)
+    candidates = _candidates(returns.votes, returns.storey, walls, refused, settings)
     if not len(candidates):
         return MissedWalls(NO_WALLS, walls, NO_WALLS)
     faces = returns.trace(candidates)
@@ -151,11 +155,16 @@ def find_missed_walls(walls: Walls, refused: Walls, returns: AllReturns, setting
     return MissedWalls(missed, *_cut_out(walls, ducts, settings.building.length_min_m))
 
 
-def _candidates(votes: VoxelVotes, walls: Walls, refused: Walls, settings: SearchSettings) -> Walls:
+def _candidates(
+    votes: VoxelVotes, storey: Storey, walls: Walls, refused: Walls, settings: SearchSettings
+) -> Walls:
     """Lines of unexplained returns as faces; which side each is seen from is not known yet, so both are tried."""
     standing = settings.standing
-    place, weight = _unexplained_columns(votes, walls, refused, settings.missed.explained_m)
-    found = _straight_lines(place, weight, wall_directions(walls, standing.direction_share_min), standing)
+    place, weight, top_m = _unexplained_columns(votes, walls, refused, settings.missed.explained_m)
+    found, left = _straight_lines(place, weight, wall_directions(walls, standing.direction_share_min), standing)
+    clear_m = storey.clear_m(place, standing.ceiling_near_m)
+    is_high = top_m - storey.ground_m(place) > np.fmin(clear_m - settings.missed.below_ceiling_m, settings.missed.above_heads_m)
+    found += _lines_of_any_direction(place[left & is_high], standing, settings.missed)
     found += _pillar_sides(place, weight, walls, settings)
     if not found:
         return NO_WALLS
@@ -406,8 +415,8 @@ def _near_a_face(candidates: Walls, walls: Walls, above_m: float, below_m: float
 
 def _unexplained_columns(
     votes: VoxelVotes, walls: Walls, refused: Walls, explained_m: float
-) -> tuple[FloatArray, FloatArray]:
-    """Upright columns of cubes that no face explains: x and y (m, 2), and the number of cubes in each (m,)."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Upright columns of cubes that no face explains: x and y (m, 2), the number of cubes in each, and z of the highest (m,)."""
     label = votes.label
     unexplained = ((label == Label.CLUTTER) | (label == Label.WALL)) & (votes.counts.max(axis=1, initial=0) > 0)
     position, count = votes.mean_position[unexplained], votes.point_count[unexplained]
@@ -421,14 +430,16 @@ def _unexplained_columns(
     weight = np.bincount(column, count, columns)
     place = np.stack([np.bincount(column, count * position[:, axis], columns) / weight for axis in (0, 1)], axis=1)
     cubes = np.bincount(column, minlength=columns)
+    top_m = np.full(columns, -np.inf)
+    np.maximum.at(top_m, column, position[:, 2])
     stands = cubes >= 3
-    return place[stands], np.minimum(cubes[stands], 20).astype(np.float64)
+    return place[stands], np.minimum(cubes[stands], 20).astype(np.float64), top_m[stands]
 
 
 def _straight_lines(
     place: FloatArray, weight: FloatArray, normals: FloatArray, settings: StandingWallsSettings
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Stretches of columns in line, the strongest first, each column in one: ends (2, 2) and normal (2,)."""
+) -> tuple[list[tuple[FloatArray, FloatArray]], BoolArray]:
+    """Stretches of columns in line, the strongest first, each column in one: ends (2, 2) and normal (2,); and which are in none."""
     bin_m = 0.5 * settings.hidden_distance_m
     left = np.ones(len(place), bool)
     across = [place @ normal for normal in normals]
@@ -459,6 +470,36 @@ def _straight_lines(
         offset = float(np.average(across[direction][part], weights=weight[part]))
         reach = along[direction][part][[0, -1]] + np.array([-0.5, 0.5]) * CELL_M
         found.append((normal * offset + reach[:, None] * np.array([-normal[1], normal[0]]), normal))
+    return found, left
+
+
+def _lines_of_any_direction(
+    place: FloatArray, standing: StandingWallsSettings, settings: MissedWallsSettings
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Stretches of columns (n, 2) in line, whatever their direction, each column in one: ends (2, 2) and normal (2,).
+
+    Round walls are chords of no direction that other walls have.
+    """
+    if not len(place):
+        return []
+    tree, left = cKDTree(place), np.ones(len(place), bool)
+    found: list[tuple[FloatArray, FloatArray]] = []
+    for seed in range(len(place)):
+        near = np.array(tree.query_ball_point(place[seed], settings.chord_m)) if left[seed] else np.zeros(0, int)
+        near = near[left[near]]
+        for _ in range(2):
+            # The line of least squares, without what is off it.
+            if len(near) < 3:
+                break
+            middle = place[near].mean(axis=0)
+            along = np.linalg.eigh(np.cov((place[near] - middle).T))[1][:, 1]
+            normal = np.array([along[1], -along[0]])
+            near = near[np.abs((place[near] - middle) @ normal) < 0.5 * standing.hidden_distance_m]
+        reach = np.sort((place[near] - middle) @ along) if len(near) >= 3 else np.zeros(1)
+        if reach[-1] - reach[0] < settings.chord_m or np.diff(reach).max() > 3 * CELL_M:
+            continue
+        left[near] = False
+        found.append((middle + (reach[[0, -1]] + np.array([-0.5, 0.5]) * CELL_M)[:, None] * along, normal))
     return found
 
 

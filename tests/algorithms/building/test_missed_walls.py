@@ -20,7 +20,7 @@ from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, 
 from ffmap.algorithms.building.ray_evidence import WallCells
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, majority
 from tests.faces import CEILING_M, faces
-from tests.voting import vote
+from tests.voting import merge, vote
 
 SETTINGS = StandingWallsSettings()
 COLUMNS = FaceColumnsSettings()
@@ -272,3 +272,38 @@ def test_furniture_lower_than_the_ceiling_is_no_missed_wall():
 def test_no_wall_is_found_where_the_robot_drove_or_nothing_stands():
     assert len(missed(room(), path_x=3.05)) == 0
     assert len(missed(room(wall=False))) == 0
+
+
+def test_a_round_wall_is_found_as_chords() -> None:
+    """None of them runs in a direction that another wall has; a round thing that is lower is none."""
+    generator = np.random.default_rng(0)
+    centre, radius_m = np.array([2.0, 1.4]), 1.2
+
+    def found_of(height_m: float) -> Walls:
+        angle = generator.uniform(-1.3, 1.3, 6_000)
+        arc = centre + radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
+        points = np.column_stack([arc, generator.uniform(0, height_m, len(arc))])
+        votes = merge([room(wall=False), vote(points, np.full(len(points), Label.CLUTTER, np.uint8), len(Label), 0.05)])
+        storey = Storey.of(votes, (), 3)
+
+        def trace(candidates: Walls) -> TracedFaces:
+            columns = [int(np.ceil(np.linalg.norm(e[1] - e[0]) / CELL_M)) for e in candidates.ends]
+            first = np.concatenate([[0], np.cumsum(columns)]).astype(np.int64)
+            counts = np.zeros((int(first[-1]), 60, 4), np.float32)
+            for w, (ends, normal) in enumerate(zip(candidates.ends, candidates.normal, strict=True)):
+                off_m = np.abs(np.linalg.norm(ends - centre, axis=1) - radius_m).max()
+                on = off_m < 0.05 and normal @ (centre - ends.mean(axis=0)) > 0
+                own = counts[int(first[w]) : int(first[w + 1])]
+                top = round(height_m / CELL_M)
+                own[:, :top, FILLED if on else THROUGH], own[:, top:56, THROUGH] = 3.0, 3.0
+            return TracedFaces.of(candidates, WallCells(first, 60, counts), storey, SETTINGS.ceiling_near_m)
+
+        path = np.column_stack([np.full(50, 0.5), np.linspace(0.2, 2.8, 50)])
+        known = faces(((-1, 0), (5, 0)))
+        return find_missed_walls(known, NO_WALLS, AllReturns(votes, storey, path, trace), SEARCH).walls
+
+    walls = found_of(CEILING_M)
+    np.testing.assert_allclose(np.linalg.norm(walls.ends.mean(axis=1) - centre, axis=1), radius_m, atol=0.05)
+    length_m = np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1)
+    assert length_m.sum() > 0.8 * 2.6 * radius_m
+    assert len(found_of(1.6)) == 0
