@@ -35,7 +35,11 @@ class WindowsSettings(StepSettings):
     """Finding windows in the faces of walls."""
 
     height_min_m: float = Field(0.3, gt=0, description="Minimum height (m) of a window above a sill.")
-    sill_min_m: float = Field(0.2, gt=0, description="Minimum width (m) of the wall that is seen below its sill.")
+    sill_min_m: float = Field(
+        0.2,
+        gt=0,
+        description="Minimum width (m) of the wall that is seen below its sill, or of a window higher than doors where none is.",
+    )
     returns_min: float = Field(
         1.0,
         gt=0,
@@ -81,7 +85,12 @@ def find_windows(
         ]
         may_be, is_sill = _above_sill(counts, walls.top_m[w], rules, settings)
         sill_min = cells_in(settings.sill_min_m)
-        sills = [(first, last) for first, last in stretches(may_be, 4) if is_sill[first : last + 1].sum() >= sill_min]
+        sills = [
+            (first, last)
+            for first, last in stretches(may_be, 4)
+            if is_sill[first : last + 1].sum() >= sill_min
+            or (last + 1 - first >= sill_min and _is_higher_than_doors(counts[first : last + 1], rules))
+        ]
         high = counts[:, cells_in(rules.building.knee_m) : cells_in(rules.building.door_height_min_m)].sum(axis=1)
         for first, last in panes + sills:
             rows = counts[first : last + 1].sum(axis=0)
@@ -139,6 +148,12 @@ def _above_sill(
     may_be = (clear.sum(axis=1) >= settings.height_min_m / CELL_M) & (lowest > FOOT_ROW) & (passed <= 0.1 * filled)
     foot = with_neighbours(returns_at_face(below).sum(axis=1))
     return may_be, may_be & (foot >= rules.building.rays_min)
+
+
+def _is_higher_than_doors(counts: FloatArray, rules: OpeningRules) -> bool:
+    """Whether rays pass an opening (c, rows, 4) higher than doors are: it is a window, though its sill is hidden."""
+    clear = np.flatnonzero(counts[..., THROUGH].sum(axis=0) > counts[..., FILLED].sum(axis=0))
+    return bool(len(clear) and clear[-1] * CELL_M > rules.building.door_height_max_m)
 
 
 def _over_its_pane(

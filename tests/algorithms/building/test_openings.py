@@ -465,6 +465,10 @@ def test_a_window_is_as_wide_as_it_is_though_its_sill_is_hidden() -> None:
     # Where nothing of a sill is seen, it may be a doorway that is blocked.
     seen.counts[18:62, 0:18] = 0.0
     assert len(find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())) == 0
+    # But no doorway is as high as that.
+    seen.counts[20:60, 44:54, FILLED], seen.counts[20:60, 44:54, THROUGH] = 0.0, 50.0
+    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, 3.0]], atol=2 * CELL_M)
 
 
 def test_a_windows_pane_is_placed_by_what_it_returns() -> None:
