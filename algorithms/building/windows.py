@@ -34,7 +34,9 @@ from ffmap.algorithms.scan.summary import Features, select_rays
 class WindowsSettings(StepSettings):
     """Finding windows in the faces of walls."""
 
-    height_min_m: float = Field(0.3, gt=0, description="Minimum height (m) of a window above a sill.")
+    height_min_m: float = Field(
+        0.3, gt=0, description="Minimum height (m) of a window above a sill, and width of one that shows by a pane alone."
+    )
     sill_min_m: float = Field(
         0.2,
         gt=0,
@@ -52,6 +54,15 @@ class WindowsSettings(StepSettings):
     one_wall_m: float = Field(
         0.1, gt=0, description="Maximum distance (m) between two stretches of a face in which one window shows."
     )
+    translucent_min: float = Field(
+        0.2,
+        gt=0,
+        lt=0.5,
+        description="Minimum share of a cell's rays that pass a pane which returns others, and of those that return.",
+    )
+    translucent_depth_m: float = Field(
+        0.15, gt=0, description="Maximum distance (m) of such a pane behind the wall's face."
+    )
     reveal_max_m: float = Field(0.4, ge=0, description="Maximum width (m) over which a window's reveal shows in it.")
     at_pane_m: float = Field(
         0.02, gt=0, description="Maximum distance (m) from the pane of the returns that widen a window."
@@ -64,7 +75,7 @@ class WindowsSettings(StepSettings):
 def find_windows(
     walls: Walls, cells: WallCells, clear_m: FloatArray, rules: OpeningRules, settings: WindowsSettings
 ) -> Windows:
-    """Stretches of wall that rays pass through glass: above a sill, or down to the floor where a pane shows itself.
+    """Stretches of wall that rays pass through glass: above a sill, higher than doors, or where a pane shows itself.
 
     clear_m: (columns,) from the floor to the ceiling before each column of the faces; NaN where none was seen.
     """
@@ -91,10 +102,13 @@ def find_windows(
             if is_sill[first : last + 1].sum() >= sill_min
             or (last + 1 - first >= sill_min and _is_higher_than_doors(counts[first : last + 1], rules))
         ]
+        least = cells_in(settings.height_min_m)
+        glazed = [part for part in stretches(_translucent(counts, rules, settings), 2) if part[1] + 1 - part[0] >= least]
         high = counts[:, cells_in(rules.building.knee_m) : cells_in(rules.building.door_height_min_m)].sum(axis=1)
-        for first, last in panes + sills:
+        for first, last in panes + sills + glazed:
             rows = counts[first : last + 1].sum(axis=0)
-            clear = np.flatnonzero(rows[:, THROUGH] > rows[:, FILLED])
+            share_min = settings.translucent_min if (first, last) in glazed else 0.5
+            clear = np.flatnonzero(rows[:, THROUGH] > share_min * (rows[:, FILLED] + rows[:, THROUGH]))
             if not len(clear):
                 continue
             pane_m = _pane_m(counts[first : last + 1, clear[0] : clear[-1] + 1], rules)
@@ -148,6 +162,21 @@ def _above_sill(
     may_be = (clear.sum(axis=1) >= settings.height_min_m / CELL_M) & (lowest > FOOT_ROW) & (passed <= 0.1 * filled)
     foot = with_neighbours(returns_at_face(below).sum(axis=1))
     return may_be, may_be & (foot >= rules.building.rays_min)
+
+
+def _translucent(counts: FloatArray, rules: OpeningRules, settings: WindowsSettings) -> BoolArray:
+    """Columns (c,) in whose cells some rays pass and others return from close behind the face, over a window's height.
+
+    Glass does both; a leaf lets no ray pass, and an open doorway returns none. What stands farther behind an opening is passed by
+    rays that cross the same cell at a slant.
+    """
+    near = with_neighbours(counts)
+    rays = near[..., FILLED] + near[..., THROUGH]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        passed, behind_m = near[..., THROUGH] / rays, -near[..., SUM] / near[..., FILLED]
+    both = (rays >= rules.building.rays_min) & (np.abs(passed - 0.5) < 0.5 - settings.translucent_min)
+    both &= (behind_m > rules.building.recess_min_m) & (behind_m < settings.translucent_depth_m)
+    return _shows(both[:, FOOT_ROW:], cells_in(settings.height_min_m) - 1)
 
 
 def _is_higher_than_doors(counts: FloatArray, rules: OpeningRules) -> bool:

@@ -526,6 +526,27 @@ def test_a_window_ends_at_the_doorway_beside_it() -> None:
     np.testing.assert_allclose(np.sort(doors.ends[:, :, 0]), [[2.1, 3.0]], atol=CELL_M)
 
 
+@pytest.mark.parametrize(
+    ("depth_m", "passed", "found"),
+    [
+        (0.1, 8.0, 1),  # glass below a blind: as many rays return as pass
+        (0.1, 0.5, 0),  # a leaf
+        (0.3, 8.0, 0),  # a cabinet behind an opening
+        (0.0, 8.0, 0),  # what stands in the face
+    ],
+)
+def test_glass_returns_some_rays_and_lets_others_pass(depth_m: float, passed: float, found: int) -> None:
+    seen = cells()
+    recess(seen, 0.0, 2.2, 0.1)
+    recess(seen, 0.0, 1.0, depth_m)
+    seen.counts[30:48, 0:20, THROUGH] = passed
+    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    assert len(windows) == found
+    if found:
+        np.testing.assert_allclose(windows.ends[:, :, 0], [[1.5, 2.4]], atol=2 * CELL_M)
+        assert windows.pane_m[0] == pytest.approx(0.1, abs=0.005)
+
+
 def test_rays_that_ended_beyond_a_window_are_left_out() -> None:
     rays = np.array(
         [
