@@ -11,6 +11,7 @@ from ffmap.algorithms.base.labels import NO_RETURN, Label, Verdict
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.face_verdicts import FaceVerdict
 from ffmap.algorithms.building.height_map import Surface
+from ffmap.algorithms.building.label_reasons import REASONS
 from ffmap.algorithms.truth.maps import Agreement
 
 APPLICATION_ID = "furniture_free_mapping"
@@ -155,6 +156,9 @@ POINT_LABEL_SCAN = "label_scan"
 POINT_INTENSITY = "intensity"
 POINT_ALONE = "measured_alone"
 """Whether a return lies on no facet that its neighbours show: its range stays as measured."""
+POINT_REASON = "reason"
+"""Why the building relabelled a return, see `REASONS`."""
+POINT_OFF_FACE = "metres_to_wall_face"
 POINT_VERDICT_COLOR = "verdict_color"
 POINT_RADIUS_UPRIGHT = "radius_without_floor_and_ceiling"
 CANDIDATE_PLANE_COLOR = "plane_color"
@@ -420,7 +424,8 @@ the robot and x ahead; its transform places it in the map.
 ## Where the values are
 `/scan/points` are where their neighbours on the same ring show the surface; those that are `measured_alone` lie on no
 surface that neighbours show, and stay. They have `label_scan`, the label by this scan alone, and `class_ids`, the final
-one; `/scan/relabelled` holds those where they differ. `/scan/structures` has `difference`, eq. 2 as printed, and `slope`,
+one; `/scan/relabelled` holds those where they differ, with the `reason` why and the distance to the nearest wall's face
+(`ffmap inspect` counts them in words; the codes: {reasons}). `/scan/structures` has `difference`, eq. 2 as printed, and `slope`,
 the one over a longer span that decides: one row a line (2 × pair + side) of 200 samples from below upwards; and each
 structure's line, first and last sample. Planes, candidates and doors carry their parameters beside what is drawn.
 Wall candidates and door conditions carry the reason why each was taken or refused: rest the pointer on one.
@@ -492,6 +497,7 @@ def explain(record: Mapping[str, Any]) -> str:
         class_names=" | ".join(CLASSES[label][0] for label in Label),
         class_rules="---|" * len(Label),
         class_colors=" | ".join(_COLOR_WORDS),
+        reasons="; ".join(f"{code} {words}" for code, words in REASONS.items() if code),
         run="\n".join(run),
     )
 

@@ -1,6 +1,7 @@
 """From the building back to the scans: the final label of every return."""
 
 from collections import namedtuple
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -23,7 +24,8 @@ from ffmap.algorithms.base.segments import (
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import JudgedFaces
-from ffmap.algorithms.building.height_map import HeightMap, corrected
+from ffmap.algorithms.building.height_map import HeightMap
+from ffmap.algorithms.building.label_reasons import SURFACE_REASONS, Reason
 from ffmap.algorithms.building.model import CELL_M, Doors, Walls, Windows
 from ffmap.algorithms.building.votes import Halo
 from ffmap.algorithms.scan.doors import DoorState
@@ -193,6 +195,16 @@ an open door; before, within or behind one, where no wall has a body."""
 
 
 @dataclass(frozen=True)
+class Relabelled:
+    """The final label of each return (n,), why it is another than the scan's own (see `REASONS`), and metres to the nearest wall's
+    face: infinite where none is near, or none was asked."""
+
+    label: UInt8Array
+    reason: UInt8Array
+    off_face_m: FloatArray
+
+
+@dataclass(frozen=True)
 class Relabelling:
     """A building as the returns of scans are asked about it: tables for compiled code, and what is near each place.
 
@@ -256,7 +268,7 @@ class Relabelling:
         below_ceiling_m: FloatArray,
         label_scan: UInt8Array,
         origin_map: FloatArray,
-    ) -> UInt8Array:
+    ) -> Relabelled:
         """The final labels (n,): what many scans agree on overrules what one scan saw.
 
         points_map: (n, 3). height_m: (n,) above the floor that the scan saw, which doors' heads are measured from too.
@@ -264,16 +276,18 @@ class Relabelling:
         origin_map: (3,) the sensor.
         """
         origin = np.ascontiguousarray(origin_map, np.float64)
-        label_scan = corrected(self.false_floors, points_map, label_scan)
+        reason = np.zeros(len(label_scan), np.uint8)
+        label_level = _by_levels(self.false_floors, points_map, label_scan, reason)
         lines, along_edges, at_faces = self.faces
         # Every question is asked of all returns at once: asked one by one, what takes most is to hand over the arrays.
-        own_m = _own_places(points_map, height_m, below_ceiling_m, label_scan, lines, along_edges, self.rules)
+        own_m = _own_places(points_map, height_m, below_ceiling_m, label_level, lines, along_edges, self.rules)
+        outside = _outside(points_map, height_m, origin, self.panes[0], self.rules)
         label, asked = _at_edges(
             points_map,
             height_m,
             below_ceiling_m,
-            label_scan,
-            _outside(points_map, height_m, origin, self.panes[0], self.rules),
+            label_level,
+            outside,
             origin,
             lines,
             along_edges,
@@ -283,13 +297,35 @@ class Relabelling:
             *self.doorways,
             self.rules,
         )
+        at_edge = np.where(outside, np.uint8(Reason.BEYOND_WINDOW), _EDGE_REASONS[label])
+        np.copyto(reason, at_edge, where=label != label_level)
         at_door = _at_doors(points_map, height_m, asked, origin, *self.doorways, self.rules)
         _mark_window_reveals(points_map, height_m, asked, at_door, *self.panes, self.rules)
         before = self.before.first, self.before.covered
         nearest = _nearest_faces(points_map, height_m, asked, origin, lines, at_faces, *before, self.rules)
         refused = _labels_of_refused(points_map, height_m, asked, *self.refused, self.rules)
-        label = _decided(label, asked, at_door, *nearest, refused, self.rules)
-        return corrected(self.levels, points_map, self.halo.label_of(points_map, np.asarray(label)))
+        decided = np.asarray(_decided(label, asked, at_door, *nearest, refused, self.rules, reason))
+        scattered = self.halo.label_of(points_map, decided)
+        reason[scattered != decided] = Reason.IN_HALO
+        final = _by_levels(self.levels, points_map, scattered, reason)
+        reason[final == label_scan] = Reason.KEPT
+        return Relabelled(final, reason, nearest[0])
+
+
+_EDGE_REASONS = np.full(len(Label), Reason.MET_FIRST, np.uint8)
+_EDGE_REASONS[[Label.CLUTTER, Label.DOOR]] = Reason.ABOVE_FLOOR, Reason.ON_LEAF
+"""Why a return has each label once edges were looked at."""
+
+
+def _by_levels(
+    levels: Sequence[HeightMap], points_map: FloatArray, label: UInt8Array, reason: UInt8Array
+) -> UInt8Array:
+    """The labels (n,) corrected by one level surface after the other; writes to `reason` (n,) which of them did."""
+    for level in levels:
+        corrected = level.label_of(points_map, label)
+        reason[corrected != label] = SURFACE_REASONS[level.surface]
+        label = corrected
+    return label
 
 
 @numba.njit(cache=True, nogil=True)
@@ -637,8 +673,9 @@ def _decided(
     is_within: BoolArray,
     refused: IntArray,
     rules: _Rules,
+    reason: UInt8Array,
 ) -> UInt8Array:  # pragma: no cover
-    """The final labels (n,) before halo and levels are asked: return by return the first answer that decides."""
+    """The final labels (n,) before halo and levels are asked: return by return the first answer that decides, in `reason` too."""
     final = label.copy()
     for i in range(len(label)):
         if not asked[i]:
@@ -646,18 +683,23 @@ def _decided(
         on_reveal = bool(at_door[i] & ON_REVEAL)
         is_wall, is_door = label[i] == Label.WALL, label[i] == Label.DOOR
         is_scatter = is_within[i] and not at_door[i] & IN_DOORWAY
+        why = 0
         if at_door[i] & ON_LEAF:
-            final[i] = Label.DOOR
+            final[i], why = Label.DOOR, Reason.ON_LEAF
         elif not on_reveal and (at_door[i] & IN_OPENING or is_covered[i]):
             # A face goes on over its doors, but no wall stands in an open one.
-            final[i] = Label.CLUTTER
+            final[i], why = Label.CLUTTER, Reason.IN_OPENING if at_door[i] & IN_OPENING else Reason.AGAINST_WALL
         elif not on_reveal and (is_wall or is_door) and nearest_m[i] > rules.wall_distance_m and refused[i] >= 0:
-            final[i] = refused[i]
+            final[i], why = refused[i], Reason.ON_REFUSED
         elif label[i] == Label.CLUTTER and (on_reveal or nearest_m[i] < rules.wall_distance_m or is_scatter):
-            final[i] = Label.WALL
+            final[i], why = Label.WALL, Reason.ON_FACE if nearest_m[i] < rules.wall_distance_m else Reason.IN_WALL
+            if on_reveal:
+                why = Reason.ON_REVEAL
         elif is_wall and nearest_m[i] > rules.forget_m:
-            final[i] = Label.CLUTTER
+            final[i], why = Label.CLUTTER, Reason.NO_FACE
         elif is_door:
             is_faces = nearest_m[i] < rules.scan_door_ratio * rules.wall_distance_m
-            final[i] = Label.WALL if is_faces else Label.CLUTTER
+            final[i], why = Label.WALL if is_faces else Label.CLUTTER, Reason.ON_FACE if is_faces else Reason.NO_FACE
+        if final[i] != label[i]:
+            reason[i] = why
     return final

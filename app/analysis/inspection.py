@@ -8,6 +8,7 @@ import numpy as np
 
 from ffmap.algorithms.base.labels import Verdict
 from ffmap.algorithms.base.scan import BoolArray, Scan, UInt8Array, within_range
+from ffmap.algorithms.building.label_reasons import REASONS
 from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
 from ffmap.algorithms.scan.point_lines import PointLines
@@ -38,7 +39,8 @@ class InspectedScan:
 
     lidar: which of several it is from, in a sentence; None where there is one. labelling: with all evidence. differing: how many
     returns the run itself had labelled otherwise; None where its files do not tell. compared_with: the file that told. faults:
-    what is wrong with its final labels; None where they do not tell.
+    what is wrong with its final labels; None where they do not tell. changes: why the building changed labels, most first; none
+    where no recording tells.
     """
 
     index: int
@@ -49,6 +51,23 @@ class InspectedScan:
     differing: int | None
     compared_with: str | None
     faults: ScanFaults | None
+    changes: tuple["LabelChange", ...]
+
+
+@dataclass(frozen=True)
+class LabelChange:
+    """Returns of a scan that the building gave one label in place of another for one reason, in words.
+
+    wrong: how many of them are wrong by the truth; None where it is not known. off_face_m: median distance to the nearest wall's
+    face; None where most have none near.
+    """
+
+    before: str
+    after: str
+    reason: str
+    count: int
+    wrong: int | None
+    off_face_m: float | None
 
 
 def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> InspectedScan:
@@ -96,10 +115,12 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
     labelling = label_scan(scan, level.placed, settings.method, seed, level.floor, columns)
     recorded, file = _recorded_labels(run, number, vertical.lidar.topic, scan.stamp_ns)
     differing = None if recorded is None else _differing(recorded, scan, labelling.label)
-    faults = _find_faults(run, number, scan, labelling, recorded)
+    final, wrong = _final(recorded, scan), _wrong(run, number, len(scan))
+    faults = None if final is None else _find_faults(final == labelling.label, wrong)
+    wrong_changed = None if final is None or wrong is None else wrong[final != labelling.label]
     several = len(inputs.verticals) > 1
     lidar = f"Scan {number} is cloud {cloud} of {vertical.lidar.topic}." if several else None
-    return InspectedScan(number, lidar, scan, level, labelling, differing, file, faults)
+    return InspectedScan(number, lidar, scan, level, labelling, differing, file, faults, _changes(run, number, wrong_changed))
 
 
 def _check_same_clouds(run: FinishedRun, inputs: Inputs) -> None:
@@ -176,22 +197,47 @@ def agreement(run: FinishedRun, inspected: InspectedScan) -> str:
     )
 
 
-def _find_faults(
-    run: FinishedRun, number: int, scan: Scan, labelling: ScanLabelling, recorded: CloudLabels | None
-) -> ScanFaults | None:
-    """What is wrong with a scan's final labels; None where the run's files do not tell.
-
-    recorded: its labels by the run's files.
-    """
-    final = _final(recorded, scan)
-    if final is None:
-        return None
-    own = final == labelling.label
-    wrong = _wrong(run, number)
-    if wrong is None or len(wrong) != len(scan):
+def _find_faults(own: BoolArray, wrong: BoolArray | None) -> ScanFaults:
+    """What is wrong with a scan's final labels. own: (n,) which of them are the scan's own. wrong: see `_wrong`."""
+    if wrong is None:
         return ScanFaults(np.where(own, Fault.NONE, Fault.RELABELLED).astype(np.uint8), by_truth=False)
     fault = np.where(own, Fault.OF_THE_SCAN, Fault.OF_THE_BUILDING)
     return ScanFaults(np.where(wrong, fault, Fault.NONE).astype(np.uint8), by_truth=True)
+
+
+def _changes(run: FinishedRun, number: int, wrong: BoolArray | None) -> tuple[LabelChange, ...]:
+    """Why the building changed a scan's labels, by the recording; the most frequent first.
+
+    wrong: (c,) whether each label that it changed is wrong by the truth; None where that is not known.
+    """
+    if run.recording is None:
+        return ()
+    with readable(run.recording) as recording:
+        found = rows(recording.path, entities.RELABELLED, entities.POINT_REASON)
+        values = next((row.values for row in found if row.scan == number), None)
+    if values is None:
+        return ()
+    codes = np.column_stack([values[name] for name in (entities.POINT_LABEL_SCAN, "class_ids", entities.POINT_REASON)])
+    off_face_m = values[entities.POINT_OFF_FACE].astype(np.float64)
+    kinds, kind, counts = np.unique(codes, axis=0, return_inverse=True, return_counts=True)
+    if wrong is not None and len(wrong) != len(codes):
+        wrong = None  # the recording was cut or is of other labels
+    changes = []
+    for k in np.argsort(-counts, kind="stable"):
+        own = kind.ravel() == k
+        before, after, reason = kinds[k].tolist()
+        median_m = float(np.median(off_face_m[own]))
+        changes.append(
+            LabelChange(
+                before=entities.CLASSES[before][0],
+                after=entities.CLASSES[after][0],
+                reason=REASONS[reason],
+                count=int(counts[k]),
+                wrong=None if wrong is None else int(np.count_nonzero(wrong[own])),
+                off_face_m=median_m if np.isfinite(median_m) else None,
+            )
+        )
+    return tuple(changes)
 
 
 def _final(recorded: CloudLabels | None, scan: Scan) -> UInt8Array | None:
@@ -202,15 +248,16 @@ def _final(recorded: CloudLabels | None, scan: Scan) -> UInt8Array | None:
     return label if len(label) == len(scan) else None
 
 
-def _wrong(run: FinishedRun, number: int) -> BoolArray | None:
-    """(n,) whether the evaluation found each return's final label wrong; None where the scan was not evaluated."""
+def _wrong(run: FinishedRun, number: int, count: int) -> BoolArray | None:
+    """(count,) whether the evaluation found each return's final label wrong; None where the scan was not evaluated."""
     errors = run.file(EVALUATION)
     if errors is None:
         return None
     with readable(errors) as recording:
         for row in rows(recording.path, entities.POINTS, entities.POINT_VERDICT_COLOR):
             if row.scan == number:
-                return np.asarray(row.values[entities.POINT_VERDICT_COLOR] != VERDICT_COLORS[Verdict.RIGHT])
+                wrong = np.asarray(row.values[entities.POINT_VERDICT_COLOR] != VERDICT_COLORS[Verdict.RIGHT])
+                return wrong if len(wrong) == count else None
     return None
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import typer
 from rich.console import Console
 
-from ffmap.app.analysis.inspection import agreement, faults_in_words, find_worst, label_again
+from ffmap.app.analysis.inspection import LabelChange, agreement, faults_in_words, find_worst, label_again
 from ffmap.app.folder.finished_run import FinishedRun, open_run
 from ffmap.app.folder.names import check_no_run_loses, require_writable
 from ffmap.app.record.inspection import ExplainedScan, write
@@ -53,6 +53,7 @@ def inspect(run_path: Path, wanted: str, line: int | None, bag: BagPath | None, 
     for note in notes:
         typer.echo(_PLAIN.sub("", note))
     if line is None:
+        _print_changes(inspected.changes)
         _print_outcomes(reasons)
     if opened is not None:
         _print_reason(reasons[opened])
@@ -86,6 +87,24 @@ def _target(run: FinishedRun, out: Path | None, number: int) -> Path:
     check_no_run_loses(path)
     require_writable(path.parent, "give another file to --out")
     return path
+
+
+def _print_changes(changes: Sequence[LabelChange]) -> None:
+    if not changes:
+        return
+    rows = [
+        (
+            f"{own.count:,}",
+            "–" if own.wrong is None else f"{own.wrong:,}",
+            own.before,
+            own.after,
+            own.reason,
+            "–" if own.off_face_m is None else f"{100 * own.off_face_m:.1f} cm",
+        )
+        for own in changes
+    ]
+    columns = ("returns", "wrong", "by the scan", "final", "because", "off the nearest face")
+    Console(highlight=False).print(make_table("Why the building changed its labels", columns, rows, left=(2, 3, 4)))
 
 
 def _print_outcomes(reasons: Sequence[LineReason]) -> None:

@@ -11,6 +11,7 @@ import rerun as rr
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m
+from ffmap.algorithms.building.final_labels import Relabelled
 from ffmap.algorithms.poses.levelling import LevelledScan
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.labelling import ScanLabelling
@@ -99,19 +100,24 @@ def log_skipped(log: Log, index: int, stamp_ns: int, reason: str) -> None:
 
 
 def log_final(
-    log: Log, index: int, stamp_ns: int, points_level: FloatArray, label_scan: UInt8Array, label: UInt8Array
+    log: Log, index: int, stamp_ns: int, points_level: FloatArray, label_scan: UInt8Array, relabelled: Relabelled
 ) -> None:
-    """The labels of the final stage: where any differs from the scan's own, the later `class_ids` win."""
+    """The labels of the final stage, and why: where any differs from the scan's own, the later `class_ids` win."""
     if log.detail is Detail.MAP:
         return
     log.at(stamp_ns, index)
+    label = relabelled.label
     changed = label != label_scan
     if changed.any():
         log.row(entities.POINTS, rr.Points3D, class_ids=label)
     log.row(
         entities.RELABELLED,
         rr.Points3D,
-        {entities.POINT_LABEL_SCAN: label_scan[changed]},
+        {
+            entities.POINT_LABEL_SCAN: label_scan[changed],
+            entities.POINT_REASON: relabelled.reason[changed],
+            entities.POINT_OFF_FACE: relabelled.off_face_m[changed].astype(np.float16),
+        },
         positions=rounded(points_level[changed]),
         class_ids=label[changed],
     )

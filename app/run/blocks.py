@@ -240,7 +240,7 @@ def finish_block(job: FinishJob) -> None:
             points_level, cloud_index = scan.points_level, scan.cloud_index
             points_map = in_map(T_map_level, points_level)
             label_scan = scan.label_cloud[cloud_index]
-            label = relabelling.labels(
+            relabelled = relabelling.labels(
                 points_map,
                 # Above the floor that this scan sees: the map's own height drifts.
                 heights_above_pieces(points_level, scan.floor, scan.floor_is_foot),
@@ -248,8 +248,9 @@ def finish_block(job: FinishJob) -> None:
                 label_scan,
                 transforms.apply(T_map_level, scan.origin_level[None])[0],
             )
+            label = relabelled.label
             if log:
-                log_final(log, scan.scan, scan.stamp_ns, points_level, label_scan, label)
+                log_final(log, scan.scan, scan.stamp_ns, points_level, label_scan, relabelled)
             table.add(points_map, label)
             labels.append(full_labels(len(scan.label_cloud), cloud_index, label))
     final = {**pack_ragged(spool.LABEL, labels), **pack(table.votes(), spool.VOTES)}

@@ -11,8 +11,9 @@ from ffmap.algorithms.base.plan_index import index_near
 from ffmap.algorithms.building import final_labels
 from ffmap.algorithms.building.face_foreground import NO_FOREGROUND, Foreground
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
-from ffmap.algorithms.building.final_labels import BuildingModel, Relabelling, RelabellingSettings
+from ffmap.algorithms.building.final_labels import BuildingModel, Relabelled, Relabelling, RelabellingSettings
 from ffmap.algorithms.building.height_map import HeightMap, Surface
+from ffmap.algorithms.building.label_reasons import REASONS, SURFACE_REASONS, Reason
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, NO_WALLS, NO_WINDOWS, Doors, Walls, Windows
 from ffmap.algorithms.building.votes import find_halo
 from ffmap.algorithms.scan.doors import DoorState
@@ -73,7 +74,12 @@ def final(point: tuple[float, float, float], label: Label, **building: Any) -> L
     return Label(int(final_of(np.array([point], np.float32), np.array([label], np.uint8), **building)[0]))
 
 
-def final_of(
+def final_of(points: np.ndarray, label: np.ndarray, **building: Any) -> np.ndarray:
+    """The final labels of returns (n, 3), see `relabelled`."""
+    return relabelled(points, label, **building).label
+
+
+def relabelled(
     points: np.ndarray,
     label: np.ndarray,
     walls: Walls = NO_WALLS,
@@ -85,8 +91,8 @@ def final_of(
     covered: bool | tuple[bool, ...] = False,
     verdict: FaceVerdict = FaceVerdict.ENDS_LOW,
     levels: tuple[HeightMap, ...] = (),
-) -> np.ndarray:
-    """The final labels of returns (n, 3); the scan's ceiling hangs at 2.8 m, that before the walls at `ceiling_m`."""
+) -> Relabelled:
+    """What becomes of returns (n, 3); the scan's ceiling hangs at 2.8 m, that before the walls at `ceiling_m`."""
     height_m = points[:, 2].astype(np.float64)
     return Relabelling.of(
         BuildingModel(
@@ -264,7 +270,7 @@ def test_along_an_edge_the_wall_stands_where_the_scan_itself_shows_it(off_m: flo
         np.float32
     )
     label = np.concatenate([np.full(120, Label.WALL), np.full(40, edge)]).astype(np.uint8)
-    found = final_of(points, label, face())[120:]
+    found = final_of(points, label, walls=face())[120:]
     np.testing.assert_array_equal(found[::2], Label.WALL)
     np.testing.assert_array_equal(found[1::2], edge)
 
@@ -330,7 +336,7 @@ def test_labels_hold_under_rigid_motion() -> None:
             )
         return Relabelling.of(
             BuildingModel(walls, before(walls), NO_JUDGED_FACES, doors, windows, ()), NO_HALO, SETTINGS
-        ).labels(at, points[:, 2], 2.8 - points[:, 2], label, sensor)
+        ).labels(at, points[:, 2], 2.8 - points[:, 2], label, sensor).label
 
     assert np.count_nonzero(relabelled(False) != label) > 500
     np.testing.assert_array_equal(relabelled(True), relabelled(False))
@@ -339,7 +345,7 @@ def test_labels_hold_under_rigid_motion() -> None:
 def test_nothing_is_relabelled_where_there_is_nothing() -> None:
     nothing = Relabelling.of(
         BuildingModel(NO_WALLS, NO_FOREGROUND, NO_JUDGED_FACES, NO_DOORS, NO_WINDOWS, ()), NO_HALO, SETTINGS
-    ).labels(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0, np.uint8), SENSOR)
+    ).labels(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0, np.uint8), SENSOR).label
     assert len(nothing) == 0
 
 
@@ -382,3 +388,40 @@ def test_returns_ask_about_every_part_of_the_building_that_they_may_belong_to(
     monkeypatch.setattr(final_labels, "index_near", lambda faces, _: index_near(faces, 100.0))
     np.testing.assert_array_equal(found, final_of(points, label, sensor=np.array([0.3, 0.2, 1.0]), **building))
     assert np.count_nonzero(found != label) > 5_000
+
+
+LOW_CEILING = HeightMap(
+    Surface.CEILING_DROP, np.array([0.0, -2.0]), 1.0, np.full((3, 4), 2.3), np.full((3, 4), 2.7)
+)
+
+
+@pytest.mark.parametrize(
+    ("point", "label", "building", "reason", "off_face_m"),
+    [
+        ((0.5, -0.02, 1.0), Label.CLUTTER, {"walls": face()}, Reason.ON_FACE, 0.02),
+        ((0.5, 0.06, 1.0), Label.CLUTTER, {"walls": face()}, Reason.IN_WALL, 0.06),
+        ((0.5, -0.02, 1.0), Label.WALL, {"walls": face()}, Reason.KEPT, 0.02),
+        ((0.5, -1.0, 1.0), Label.WALL, {"walls": face()}, Reason.NO_FACE, np.inf),
+        ((0.5, -0.02, 1.0), Label.WALL, {"walls": face(), "covered": True}, Reason.AGAINST_WALL, 0.02),
+        ((0.5, -1.0, 1.0), Label.WALL, {"refused": face(y=-1.0)}, Reason.ON_REFUSED, np.inf),
+        ((1.5, 0.03, 1.0), Label.WALL, {"walls": face(), "doors": door(0.03)}, Reason.ON_LEAF, 0.03),
+        ((1.5, 0.0, 1.0), Label.WALL, {"walls": face(), "doors": door(np.nan)}, Reason.IN_OPENING, 0.0),
+        ((1.02, 0.1, 1.0), Label.CLUTTER, {"walls": face(), "doors": door(np.nan)}, Reason.ON_REVEAL, 0.1),
+        ((2.0, 1.0, 1.2), Label.CLUTTER, {"walls": face(), "windows": window(0.05)}, Reason.BEYOND_WINDOW, np.inf),
+        ((2.0, -1.0, 0.05), Label.FLOOR, {"walls": face()}, Reason.ABOVE_FLOOR, np.inf),
+        ((2.0, -0.5, 2.5), Label.CLUTTER, {"levels": (LOW_CEILING,)}, SURFACE_REASONS[Surface.CEILING_DROP], np.inf),
+    ],
+)
+def test_each_change_of_a_label_says_why(
+    point: tuple[float, float, float], label: Label, building: dict[str, Any], reason: int, off_face_m: float
+) -> None:
+    found = relabelled(np.array([point], np.float32), np.array([label], np.uint8), **building)
+    assert REASONS[int(found.reason[0])] == REASONS[reason]
+    assert found.off_face_m[0] == pytest.approx(off_face_m, abs=1e-6)
+    assert (found.label[0] == label) == (reason == Reason.KEPT)
+
+
+def test_every_reason_has_words_of_its_own() -> None:
+    codes = [*Reason, *SURFACE_REASONS.values()]
+    assert sorted(codes) == list(range(len(codes)))
+    assert len({REASONS[code] for code in codes}) == len(codes)

@@ -45,9 +45,11 @@ def relabelled(
     columns = np.ceil(np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1) / CELL_M)
     first = np.concatenate([[0], np.cumsum(columns)]).astype(np.int64)
     before = Foreground(first, np.full(first[-1], HEIGHT_M), np.zeros(first[-1]), np.zeros((first[-1], 60), bool))
-    return points, Relabelling.of(
+    relabelling = Relabelling.of(
         BuildingModel(walls, before, NO_JUDGED_FACES, doors, windows, ()), halo, RelabellingSettings()
-    ).labels(points, found.height_m, below_ceiling(placed.points_level, found.ceiling_planes), found.label, origin)
+    )
+    below_m = below_ceiling(placed.points_level, found.ceiling_planes)
+    return points, relabelling.labels(points, found.height_m, below_m, found.label, origin).label
 
 
 def test_a_bare_corridor_is_labelled_almost_without_error() -> None:

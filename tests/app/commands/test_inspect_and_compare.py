@@ -493,6 +493,11 @@ def test_the_worst_scan_opens_at_its_worst_line_and_says_which_label_is_wrong(
     assert f"{np.count_nonzero(wrong & (label == label_scan)):,} that have it from the scan itself (label_scan)" in out
     assert f"Most are in line {opened} " in out
     assert f"{counts.max():,}." in out
+    changes = inspection.label_again(open_run(run), scan).changes
+    assert sum(change.count for change in changes) == np.count_nonzero(label != label_scan) > 0
+    assert sum(change.wrong for change in changes) == np.count_nonzero(wrong & (label != label_scan)) > 0
+    assert f"{changes[0].count:,}" in out
+    assert changes[0].reason.split()[-1] in out
 
     # Without truth, what the building changed; a line that is asked for comes before the worst.
     without_truth = tmp_path / "run"

@@ -5,6 +5,7 @@ import numpy as np
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import Scan
+from ffmap.algorithms.building.final_labels import Relabelled
 from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.app.record.log import Log, open_log
 from ffmap.app.record.scans import log_final, log_scan
@@ -109,15 +110,19 @@ def test_final_labels_win_at_the_same_scan(tmp_path, labelled):
     log = Log(recording.stream)
     log_scan(log, 0, level, labelling, synthetic.stamp_ns(0), {})
     log.write_rows()
-    log_final(log, 0, synthetic.stamp_ns(0), level.placed.points_level, labelling.label, final)
+    reason, off_face_m = np.where(labelling.label == final, 0, 9).astype(np.uint8), np.full(len(final), 0.25)
+    relabelled = Relabelled(final, reason, off_face_m)
+    log_final(log, 0, synthetic.stamp_ns(0), level.placed.points_level, labelling.label, relabelled)
     log.write_rows()
     recording.finish()
     last = list(rows(path, entities.POINTS))[-1]
     np.testing.assert_array_equal(last["class_ids"], final)
-    relabelled = next(iter(rows(path, entities.RELABELLED)))
+    recorded = next(iter(rows(path, entities.RELABELLED)))
     changed = labelling.label != final
-    assert np.count_nonzero(changed) == len(relabelled["class_ids"]) > 0
-    np.testing.assert_array_equal(relabelled["label_scan"], labelling.label[changed])
+    assert np.count_nonzero(changed) == len(recorded["class_ids"]) > 0
+    np.testing.assert_array_equal(recorded["label_scan"], labelling.label[changed])
+    assert set(recorded[entities.POINT_REASON].tolist()) == {9}
+    assert set(recorded[entities.POINT_OFF_FACE].tolist()) == {0.25}
 
 
 def test_a_scan_without_returns_is_recorded_like_any_other(tmp_path, labelled):

@@ -1,0 +1,58 @@
+"""Why the building gave a return another label than its scan had."""
+
+from enum import IntEnum
+
+from ffmap.algorithms.building.height_map import Surface
+
+
+class Reason(IntEnum):
+    """By what a return was relabelled; what a level surface says follows, see `REASONS`."""
+
+    KEPT = 0
+    BEYOND_WINDOW = 1
+    MET_FIRST = 2
+    ABOVE_FLOOR = 3
+    ON_LEAF = 4
+    IN_OPENING = 5
+    AGAINST_WALL = 6
+    ON_REFUSED = 7
+    ON_REVEAL = 8
+    ON_FACE = 9
+    IN_WALL = 10
+    NO_FACE = 11
+    IN_HALO = 12
+
+
+SURFACE_REASONS = {surface: len(Reason) + place for place, surface in enumerate(Surface)}
+"""The code of each level surface, after those of `Reason`."""
+
+_SURFACE_WORDS = {
+    Surface.FALSE_FLOOR: "the floor is known to lie elsewhere",
+    Surface.CEILING: "a ceiling that other scans found goes on there",
+    Surface.GLIMPSED_CEILING: "all scans together show a ceiling there",
+    Surface.SLOPING_CEILING: "all scans together show a sloping ceiling there",
+    Surface.RAISED_FLOOR: "all scans together show a raised floor there",
+    Surface.FLOOR_BEYOND: "the floor goes on there",
+    Surface.STEP_FRONT: "it is the front of a step between two floors",
+    Surface.DUCT: "what hangs there is narrow, below the ceiling beside it",
+    Surface.CEILING_DROP: "it is a beam, a coffer or a soffit that closes up to the ceiling",
+    Surface.STOREY_BELOW: "it lies below the floor",
+}
+
+REASONS: dict[int, str] = {
+    Reason.KEPT: "nothing changed it",
+    Reason.BEYOND_WINDOW: "its ray passed a window",
+    Reason.MET_FIRST: "along an edge, its ray meets this surface first",
+    Reason.ABOVE_FLOOR: "it lies higher above the floor than the floor's returns scatter",
+    Reason.ON_LEAF: "it lies on a closed door's leaf",
+    Reason.IN_OPENING: "no wall stands in an open doorway",
+    Reason.AGAINST_WALL: "something stands flat against the wall there",
+    Reason.ON_REFUSED: "it lies on a face that is no wall's",
+    Reason.ON_REVEAL: "it lies on a reveal, a sill or a lintel",
+    Reason.ON_FACE: "it lies on a wall's face",
+    Reason.IN_WALL: "it lies within a wall, behind the face that the sensor sees: scatter",
+    Reason.NO_FACE: "no wall's face is near",
+    Reason.IN_HALO: "the surface beside it has many times as many returns there: scatter",
+    **{SURFACE_REASONS[surface]: words for surface, words in _SURFACE_WORDS.items()},
+}
+"""Each code in words, as the end of a sentence that begins with because."""
