@@ -238,12 +238,17 @@ def _choose_candidates(
     reach, below_ceiling_m = _reach_of(tops_level, structures.top_m, ceilings, floor, settings)
     ends_level = returns.points_level[samples[structures.line, -1]]
     end_reach, _ = _reach_of(ends_level, floor.heights_above(ends_level), ceilings, floor, settings)
-    is_overhung = is_upmost & (structures.top_m > 0.5 * settings.height_min_m) & (reach == Reach.LOW)
-    is_overhung &= end_reach != Reach.LOW
-    is_overhung &= _overhung(
-        returns.points_level, samples, structures.line, structures.last, returns.origin_level[:2], settings.overhang_m
+    may_be = is_upmost & (structures.top_m > 0.5 * settings.height_min_m) & (reach == Reach.LOW)
+    low = np.flatnonzero(may_be & (end_reach != Reach.LOW))
+    overhung = _overhung(
+        returns.points_level,
+        samples,
+        structures.line[low],
+        structures.last[low],
+        returns.origin_level[:2],
+        settings.overhang_m,
     )
-    reach[is_overhung] = Reach.OVERHUNG
+    reach[low[overhung]] = Reach.OVERHUNG
     # Through an opening a line shows the wall of the next room below the lintel: what ends at a ceiling is a candidate
     # too, though it is not the up-most.
     chosen = np.flatnonzero(is_upmost | ((reach != Reach.LOW) & (len(ceilings) > 0)))
@@ -294,10 +299,10 @@ def _reach_of(
 def _overhung(
     points: FloatArray, samples: IntArray, line: IntArray, last: IntArray, origin: FloatArray, overhang_m: float
 ) -> BoolArray:  # pragma: no cover
-    """(S,) whether what each structure's line meets above it touches it, is no farther and no lower, and comes nearer.
+    """(s,) whether what each structure's line meets above it touches it, is no farther and no lower, and comes nearer.
 
-    No ray passes above such a structure: over furniture, and below what hangs before a wall, there are such. last: (S,) the
-    structure's highest sample. Of ten samples above one may be stray.
+    No ray passes above such a structure: over furniture, and below what hangs before a wall, there are such. line, last: (s,) of
+    some structures, the line and the highest sample. Of ten samples above one may be stray, by a quarter of `overhang_m`.
     """
     overhung = np.zeros(len(line), np.bool_)
     for s in range(len(line)):

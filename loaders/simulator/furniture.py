@@ -316,7 +316,9 @@ def hang_duct(room: Room, clutter: float, mesh: MeshBuilder, rng: np.random.Gene
 
 def build_outside(plan: Plan, mesh: MeshBuilder, rng: np.random.Generator) -> None:
     """The ground, trees and other houses around the building."""
-    around = plan.footprint.buffer(rng.uniform(7, 16), join_style="mitre").minimum_rotated_rectangle
+    # GEOS looks for the mitre of two edges in line, finds none, and goes on.
+    with np.errstate(invalid="ignore"):
+        around = plan.footprint.buffer(rng.uniform(7, 16), join_style="mitre").minimum_rotated_rectangle
     ground = -float(rng.choice([0.15, rng.uniform(2.5, 4.0)]))
     x, y = plan.footprint.centroid.coords[0]
     mesh.slab(shapely.Point(x, y).buffer(90).difference(plan.footprint), ground, Truth.OUTSIDE, 0.25)
