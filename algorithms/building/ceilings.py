@@ -166,8 +166,11 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     at_wall = along > 0.8 * cells
     built &= ~(at_wall & (holding < _lengths(parts)))
     wall = position[(label == Label.WALL) & votes.seen(settings.votes_min)]
+    # Between coffers, and beyond a soffit's end, the wall goes up to the ceiling.
+    away, nearest = nearest_known(hangs | np.isfinite(ceiling_m))
+    behind = np.where(away <= 2.0, parts[nearest], 0)
     for part in np.flatnonzero(built & at_wall):
-        built[part] = not _goes_on_above(wall, grid, parts == part, low_m, votes.voxel_m)
+        built[part] = not _goes_on_above(wall, grid, behind == part, np.median(low_m[parts == part]), votes.voxel_m)
     # The slit between a duct and its wall closes up to the ceiling; the duct hangs beside it.
     lowest_m = ndimage.minimum_filter(np.where(hangs & ~built[parts], low_m, np.inf), 3)
     beside = np.bincount(parts[hangs & (lowest_m < low_m - settings.drop_flat_m)], minlength=len(cells))
@@ -177,18 +180,18 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     return HeightMap(Surface.CEILING_DROP, grid.origin, grid.cell_m, low_m, np.where(np.isfinite(low_m), top_m, np.nan))
 
 
-def _goes_on_above(wall: FloatArray, grid: GroundGrid, part: BoolArray, low_m: FloatArray, layer_m: float) -> bool:
-    """Whether the wall beside a part that hangs along it is seen above the part's underside too, in most of its cells.
+def _goes_on_above(wall: FloatArray, grid: GroundGrid, behind: BoolArray, low_m: float, layer_m: float) -> bool:
+    """Whether the wall behind a part that hangs along it is seen above the part's underside too, in most of its cells.
 
-    wall: (n, 3) cubes of walls. part, low_m: (rows, columns) the part's cells, and how high each cell's underside is. layer_m: edge
-    of the cubes, of which those at the underside hold its own returns.
+    wall: (n, 3) cubes of walls. behind: (rows, columns) where the part is what hangs nearest. low_m: how high its underside is.
+    layer_m: edge of the cubes, of which those at the underside and next to it hold its own returns.
     """
     rows, columns = grid.cells(wall)
-    beside = ndimage.binary_dilation(part, iterations=2)[rows, columns]
-    layer = (wall[:, 2] - np.median(low_m[part])) / layer_m
+    layer = (wall[:, 2] - low_m) / layer_m
     below, above = np.zeros((2, *grid.shape), bool)
-    for seen, within in ((below, (layer > -7.0) & (layer < -2.0)), (above, (layer > 1.0) & (layer < 3.0))):
-        seen[rows[beside & within], columns[beside & within]] = True
+    for seen, within in ((below, (layer > -7.0) & (layer < -2.0)), (above, (layer > 2.0) & (layer < 4.0))):
+        seen[rows[within], columns[within]] = True
+    below &= behind
     return bool(np.count_nonzero(below & above) > 0.5 * np.count_nonzero(below))
 
 
