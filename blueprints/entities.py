@@ -425,10 +425,12 @@ the robot and x ahead; its transform places it in the map.
 `/scan/points` are where their neighbours on the same ring show the surface; those that are `measured_alone` lie on no
 surface that neighbours show, and stay. They have `label_scan`, the label by this scan alone, and `class_ids`, the final
 one; `/scan/relabelled` holds those where they differ, with the `reason` why and the distance to the nearest wall's face
-(`ffmap inspect` counts them in words; the codes: {reasons}). `/scan/structures` has `difference`, eq. 2 as printed, and `slope`,
+(`ffmap inspect` counts them in words). `/scan/structures` has `difference`, eq. 2 as printed, and `slope`,
 the one over a longer span that decides: one row a line (2 × pair + side) of 200 samples from below upwards; and each
 structure's line, first and last sample. Planes, candidates and doors carry their parameters beside what is drawn.
 Wall candidates and door conditions carry the reason why each was taken or refused: rest the pointer on one.
+
+The codes of `reason`: {reasons}.
 
 ## This run
 {run}

@@ -683,7 +683,7 @@ def _decided(
         on_reveal = bool(at_door[i] & ON_REVEAL)
         is_wall, is_door = label[i] == Label.WALL, label[i] == Label.DOOR
         is_scatter = is_within[i] and not at_door[i] & IN_DOORWAY
-        why = 0
+        why = Reason.KEPT
         if at_door[i] & ON_LEAF:
             final[i], why = Label.DOOR, Reason.ON_LEAF
         elif not on_reveal and (at_door[i] & IN_OPENING or is_covered[i]):
@@ -692,9 +692,8 @@ def _decided(
         elif not on_reveal and (is_wall or is_door) and nearest_m[i] > rules.wall_distance_m and refused[i] >= 0:
             final[i], why = refused[i], Reason.ON_REFUSED
         elif label[i] == Label.CLUTTER and (on_reveal or nearest_m[i] < rules.wall_distance_m or is_scatter):
-            final[i], why = Label.WALL, Reason.ON_FACE if nearest_m[i] < rules.wall_distance_m else Reason.IN_WALL
-            if on_reveal:
-                why = Reason.ON_REVEAL
+            is_near = nearest_m[i] < rules.wall_distance_m
+            final[i], why = Label.WALL, Reason.ON_REVEAL if on_reveal else Reason.ON_FACE if is_near else Reason.IN_WALL
         elif is_wall and nearest_m[i] > rules.forget_m:
             final[i], why = Label.CLUTTER, Reason.NO_FACE
         elif is_door:

@@ -70,10 +70,7 @@ class LevelsSettings(StepSettings):
     )
     drop_sides_min: int = Field(5, ge=1, description="Minimum number of cells that show a beam's sides.")
     drop_closed_min: float = Field(
-        0.6,
-        gt=0,
-        le=1,
-        description="Minimum share of them where the side reaches the ceiling; beside a wall, of the returns, too.",
+        0.6, gt=0, le=1, description="Minimum share of them where the side reaches the ceiling."
     )
     slit_max_m: float = Field(
         0.65, gt=0, description="Maximum distance (m) from its wall of a duct that runs along it."

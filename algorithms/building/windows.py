@@ -105,9 +105,9 @@ def find_windows(
         least = cells_in(settings.height_min_m)
         glazed = [part for part in stretches(_translucent(counts, rules, settings), 2) if part[1] + 1 - part[0] >= least]
         high = counts[:, cells_in(rules.building.knee_m) : cells_in(rules.building.door_height_min_m)].sum(axis=1)
-        for first, last in panes + sills + glazed:
+        parts = [(*part, 0.5) for part in panes + sills] + [(*part, settings.translucent_min) for part in glazed]
+        for first, last, share_min in parts:
             rows = counts[first : last + 1].sum(axis=0)
-            share_min = settings.translucent_min if (first, last) in glazed else 0.5
             clear = np.flatnonzero(rows[:, THROUGH] > share_min * (rows[:, FILLED] + rows[:, THROUGH]))
             if not len(clear):
                 continue

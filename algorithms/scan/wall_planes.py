@@ -236,18 +236,12 @@ def _choose_candidates(
     is_upmost = structures.upmost[structures.line] == np.arange(len(structures.line))
     tops_level = returns.points_level[samples[structures.line, structures.last]]
     reach, below_ceiling_m = _reach_of(tops_level, structures.top_m, ceilings, floor, settings)
-    ends_level = returns.points_level[samples[structures.line, -1]]
+    low = np.flatnonzero(is_upmost & (structures.top_m > 0.5 * settings.height_min_m) & (reach == Reach.LOW))
+    lines, tops, origin = structures.line[low], structures.last[low], returns.origin_level[:2]
+    ends_level = returns.points_level[samples[lines, -1]]
     end_reach, _ = _reach_of(ends_level, floor.heights_above(ends_level), ceilings, floor, settings)
-    may_be = is_upmost & (structures.top_m > 0.5 * settings.height_min_m) & (reach == Reach.LOW)
-    low = np.flatnonzero(may_be & (end_reach != Reach.LOW))
-    overhung = _overhung(
-        returns.points_level,
-        samples,
-        structures.line[low],
-        structures.last[low],
-        returns.origin_level[:2],
-        settings.overhang_m,
-    )
+    overhung = _overhung(returns.points_level, samples, lines, tops, origin, settings.overhang_m)
+    overhung &= end_reach != Reach.LOW
     reach[low[overhung]] = Reach.OVERHUNG
     # Through an opening a line shows the wall of the next room below the lintel: what ends at a ceiling is a candidate
     # too, though it is not the up-most.
