@@ -27,9 +27,10 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import Faces, lengths_m
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.model import Doors
+from ffmap.algorithms.maps.areas import grown, largest
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.maps.mouths import find_mouths, join_open_areas
-from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings, Sides, largest, lay_on_faces
+from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings, Sides, lay_on_faces
 
 NO_DOORWAYS: FloatArray = np.zeros((0, 4, 2))
 NO_LINES: FloatArray = np.zeros((0, 2, 2))
@@ -662,7 +663,7 @@ def _outlines(label: IntArray, numbers: IntArray, view: _View, reach_m: float) -
         reach = reach_m / view.grid.cell_m
         tree = shapely.STRtree(outlines)
         outlines = [
-            largest(area.buffer(reach, join_style="mitre").difference(
+            largest(grown(area, reach).difference(
                 shapely.union_all([outlines[j] for j in tree.query(area.buffer(reach)) if j != i])
             ))
             for i, area in enumerate(outlines)

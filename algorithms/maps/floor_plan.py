@@ -23,6 +23,7 @@ from ffmap.algorithms.building.thickness import (
     usual_thickness,
 )
 from ffmap.algorithms.building.votes import VoxelVotes
+from ffmap.algorithms.maps.areas import grown
 from ffmap.algorithms.maps.grid import Cell, GridMap, Immobile
 from ffmap.algorithms.scan.doors import DoorState
 
@@ -148,7 +149,7 @@ def draw_floor_plan(
         for ends, normal in zip(immobile.windows.ends, immobile.windows.normal, strict=True)
     ]
     cuts = shapely.union_all(
-        [*(o.buffer(settings.tidy_m / 2, join_style="mitre") for o in outlines), *windows, *columns]
+        [*(grown(o, settings.tidy_m / 2) for o in outlines), *windows, *columns]
     )
     in_wall = ~in_column & ~_fragments(stretches, settings)
     solid = _bodies(stretches, parts, assumed_m, in_wall[parts.wall] & np.isfinite(parts.thickness_m), settings)
@@ -216,7 +217,7 @@ def _bodies(
             ends[end] = ends[end] + corner * outwards
         bodies.append(_quad(ends, stretches.normal[w], depth_m))
     joined = shapely.union_all(bodies)
-    return joined.buffer(tidy_m, join_style="mitre").buffer(-tidy_m, join_style="mitre").simplify(1e-3)
+    return grown(grown(joined, tidy_m), -tidy_m).simplify(1e-3)
 
 
 def _corner_thickness(

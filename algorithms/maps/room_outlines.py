@@ -12,6 +12,7 @@ from shapely.geometry.base import BaseGeometry
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import Faces, Segment
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.maps.areas import grown, largest
 
 _PRECISION_M = 1e-6
 """Outlines are computed to this: polygons that all but touch each other are cut wrongly in floating point."""
@@ -135,8 +136,7 @@ def _laid(
     if not lines:
         return outline
     area = shapely.union_all([outline, *before]).difference(shapely.union_all(behind))
-    tidy = area.buffer(settings.tidy_m, join_style="mitre").buffer(-2 * settings.tidy_m, join_style="mitre")
-    room = largest(tidy.buffer(settings.tidy_m, join_style="mitre"))
+    room = largest(grown(grown(grown(area, settings.tidy_m), -2 * settings.tidy_m), settings.tidy_m))
     if room.area < settings.kept_share * outline.area:
         return outline
     return _without_steps(room, lines, settings.step_share * reach_m)
@@ -187,8 +187,3 @@ def _ring_without_steps(ring: shapely.LinearRing, on_faces: BaseGeometry, tolera
         for a, b in pairwise(kept)
     ]
     return np.concatenate(parts)
-
-
-def largest(area: BaseGeometry) -> shapely.Polygon:
-    """The largest part of an area."""
-    return max(shapely.get_parts(area), key=shapely.area)
