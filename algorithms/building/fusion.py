@@ -30,11 +30,20 @@ from ffmap.algorithms.building.face_verdicts import (
     trim_at_doorways,
 )
 from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings
+from ffmap.algorithms.building.glass_fronts import (
+    AllRays,
+    GlassFrontsSettings,
+    GlassRules,
+    find_glass_fronts,
+    new_fronts,
+    set_in_walls,
+)
 from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.missed_walls import AllReturns, MissedWallsSettings, SearchSettings, find_missed_walls
 from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
+from ffmap.algorithms.building.ray_evidence import WallCells
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
 from ffmap.algorithms.building.votes import Halo, find_halo
 from ffmap.algorithms.building.windows import WindowsSettings, find_windows, seen_through
@@ -54,6 +63,7 @@ class FusionSettings:
     before_walls: ForegroundSettings
     openings: OpeningsSettings
     windows: WindowsSettings
+    glass_fronts: GlassFrontsSettings
     door_casings: DoorCasingsSettings
     door_contrasts: DoorContrastsSettings
     door_frames: DoorFramesSettings
@@ -64,6 +74,12 @@ class FusionSettings:
     def opening_rules(self) -> OpeningRules:
         """By what doors and windows are told."""
         return OpeningRules(self.building, self.openings)
+
+    @property
+    def without_planes(self) -> BuildingSettings:
+        """For faces of which no scan saw a plane that its rays could be measured against."""
+        near_m = self.missed_walls.near_m
+        return self.building.for_faces().model_copy(update={"near_m": near_m, "own_plane_m": 0.0})
 
 
 @dataclass(frozen=True)
@@ -92,9 +108,9 @@ class Building:
 
 def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     """Walls from all planes, doors and windows from all rays. Raises ValueError where there is no scan."""
-    aligned, judged, windows = _find_faces(scans, settings)
-    aligned, judged, walls = _add_missed_walls(aligned, judged, windows, scans, settings)
-    trimmed, doors, windows = _find_openings(walls, scans, settings)
+    aligned, judged, windows, fronts = _find_faces(scans, settings)
+    aligned, judged, walls = _add_missed_walls(aligned, judged, windows.append(fronts), scans, settings)
+    trimmed, doors, windows = _find_openings(walls, fronts, scans, settings)
     walls, judged = trimmed.faces.walls, judged.refuse(trimmed.leaves, FaceVerdict.ENDS_LOW)
     before = find_foreground(trimmed.faces, settings.standing_walls.above_door_m, settings.before_walls)
     thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
@@ -107,8 +123,8 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
 # --- faces ---
 
 
-def _find_faces(scans: AllScans, settings: FusionSettings) -> tuple[AlignedFaces, JudgedFaces, Windows]:
-    """The faces of the scans' planes, which of them stand, and the windows that the first round knew.
+def _find_faces(scans: AllScans, settings: FusionSettings) -> tuple[AlignedFaces, JudgedFaces, Windows, Windows]:
+    """The faces of the scans' planes, which of them stand, and the windows and the glazed fronts that the first round knew.
 
     Where there are windows, there is a second round without the planes that were seen through them.
     """
@@ -117,11 +133,12 @@ def _find_faces(scans: AllScans, settings: FusionSettings) -> tuple[AlignedFaces
     judged = _judge(aligned, scans, settings)
     faces = _traced(judged.walls, scans, settings)
     windows = find_windows(faces.walls, faces.cells, faces.clear_m, settings.opening_rules, settings.windows)
-    outside = seen_through(windows, planes)
+    fronts = _find_glass_fronts(judged, windows, scans, settings)
+    outside = seen_through(windows.append(fronts), planes)
     if outside.any():
         aligned = _align(fuse_walls(select_planes(planes, ~outside), settings.building), scans, settings)
         judged = _judge(aligned, scans, settings)
-    return aligned, judged, windows
+    return aligned, judged, windows, fronts
 
 
 def _align(faces: Walls, scans: AllScans, settings: FusionSettings) -> AlignedFaces:
@@ -148,11 +165,10 @@ def _add_missed_walls(
 ) -> tuple[AlignedFaces, JudgedFaces, Walls]:
     """The faces with those that only all scans together show, and the walls that they make."""
     standing, missed = settings.standing_walls, settings.missed_walls
-    # No scan saw a plane of a missed wall that its rays could be measured against.
-    rules = settings.building.for_faces().model_copy(update={"near_m": missed.near_m, "own_plane_m": 0.0})
 
     def trace(faces: Walls) -> TracedFaces:
-        return TracedFaces.of(faces, scans.trace(faces, rules, windows), scans.storey, standing.ceiling_near_m)
+        cells = scans.trace(faces, settings.without_planes, windows)
+        return TracedFaces.of(faces, cells, scans.storey, standing.ceiling_near_m)
 
     search = SearchSettings(settings.building, standing, settings.face_columns, missed)
     returns = AllReturns(scans.votes, scans.storey, scans.path_map, trace)
@@ -166,11 +182,24 @@ def _add_missed_walls(
 # --- openings ---
 
 
-def _find_openings(walls: Walls, scans: AllScans, settings: FusionSettings) -> tuple[TrimmedFaces, Doors, Windows]:
+def _find_glass_fronts(judged: JudgedFaces, windows: Windows, scans: AllScans, settings: FusionSettings) -> Windows:
+    def trace(faces: Walls, known: Windows) -> WallCells:
+        return scans.trace(faces, settings.without_planes, known)
+
+    openings = OpeningRules(settings.without_planes, settings.openings)
+    rules = GlassRules(openings, settings.standing_walls, settings.glass_fronts, settings.missed_walls.explained_m)
+    return find_glass_fronts(judged, windows, AllRays(scans.votes, scans.path_map, trace), rules)
+
+
+def _find_openings(
+    walls: Walls, fronts: Windows, scans: AllScans, settings: FusionSettings
+) -> tuple[TrimmedFaces, Doors, Windows]:
     """Doors and windows, and the walls' faces as the doors' reveals end them."""
     faces = _traced(walls, scans, settings)
     cells, clear_m = faces.cells, faces.clear_m
     windows = find_windows(walls, cells, clear_m, settings.opening_rules, settings.windows)
+    fronts = new_fronts(fronts, windows, settings.glass_fronts)
+    windows = windows.append(set_in_walls(fronts, walls, settings.glass_fronts))
     # What a window lets pass is no door's.
     without_glass = scans.trace(walls, settings.building, windows) if len(windows) else cells
     floor_before = scans.storey.floor_near(column_places(walls, cells.first, 0.5 * FLOOR_NEAR_M), FLOOR_NEAR_M)

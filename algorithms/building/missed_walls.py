@@ -9,7 +9,6 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.base.settings import StepSettings
@@ -30,10 +29,8 @@ from ffmap.algorithms.building.face_verdicts import ACROSS, SAME_WAY, StandingWa
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Rows, Walls, cells_in
 from ffmap.algorithms.building.openings import widened
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH
+from ffmap.algorithms.building.unexplained_lines import Line, both_sides, straight_lines, unexplained_columns
 from ffmap.algorithms.building.votes import VoxelVotes
-
-_TRACED_TO_M = 5.0
-"""Height up to which rays are counted against candidates, of whose tops nothing is known yet."""
 
 
 class MissedWallsSettings(StepSettings):
@@ -160,25 +157,15 @@ def _candidates(
 ) -> Walls:
     """Lines of unexplained returns as faces; which side each is seen from is not known yet, so both are tried."""
     standing = settings.standing
-    place, weight, top_m = _unexplained_columns(votes, walls, refused, settings.missed.explained_m)
-    found, left = _straight_lines(place, weight, wall_directions(walls, standing.direction_share_min), standing)
+    place, weight, top_m = unexplained_columns(votes, walls, refused, settings.missed.explained_m)
+    found, left = straight_lines(place, weight, wall_directions(walls, standing.direction_share_min), standing)
     clear_m = storey.clear_m(place, standing.ceiling_near_m)
     is_high = top_m - storey.ground_m(place) > np.fmin(clear_m - settings.missed.below_ceiling_m, settings.missed.above_heads_m)
     found += _lines_of_any_direction(place[left & is_high], standing, settings.missed)
     found += _pillar_sides(place, weight, walls, settings)
     if not found:
         return NO_WALLS
-    ends = np.array([e for e, _ in found])
-    normal = np.array([n for _, n in found])
-    both = Walls(
-        ends=np.concatenate([ends, ends[:, ::-1]]),
-        normal=np.concatenate([normal, -normal]),
-        bottom_m=np.zeros(2 * len(found)),
-        top_m=np.full(2 * len(found), _TRACED_TO_M),
-        scan_count=np.zeros(2 * len(found), np.int32),
-        rms_m=np.full(2 * len(found), np.nan),
-        sample_count=np.zeros(2 * len(found), np.int64),
-    )
+    both = both_sides(found)
     # Between a candidate and a close face that looks at it nobody can stand.
     faced = _near_a_face(both, walls, 0.0, standing.pillar_depth_m, opposite=True)
     return both.select(~faced & ~_near_a_face(both, walls, -standing.noise_m, standing.noise_m))
@@ -413,69 +400,9 @@ def _near_a_face(candidates: Walls, walls: Walls, above_m: float, below_m: float
     return near
 
 
-def _unexplained_columns(
-    votes: VoxelVotes, walls: Walls, refused: Walls, explained_m: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Upright columns of cubes that no face explains: x and y (m, 2), the number of cubes in each, and z of the highest (m,)."""
-    label = votes.label
-    unexplained = ((label == Label.CLUTTER) | (label == Label.WALL)) & (votes.counts.max(axis=1, initial=0) > 0)
-    position, count = votes.mean_position[unexplained], votes.point_count[unexplained]
-    free = np.ones(len(position), bool)
-    free[pairs_near(walls.append(refused), position, explained_m)[0]] = False
-    position, count = position[free], count[free]
-    cell = np.floor(position[:, :2] / CELL_M).astype(np.int64)
-    _, column = np.unique(cell, axis=0, return_inverse=True)
-    column = column.ravel()
-    columns = int(column.max(initial=-1)) + 1
-    weight = np.bincount(column, count, columns)
-    place = np.stack([np.bincount(column, count * position[:, axis], columns) / weight for axis in (0, 1)], axis=1)
-    cubes = np.bincount(column, minlength=columns)
-    top_m = np.full(columns, -np.inf)
-    np.maximum.at(top_m, column, position[:, 2])
-    stands = cubes >= 3
-    return place[stands], np.minimum(cubes[stands], 20).astype(np.float64), top_m[stands]
-
-
-def _straight_lines(
-    place: FloatArray, weight: FloatArray, normals: FloatArray, settings: StandingWallsSettings
-) -> tuple[list[tuple[FloatArray, FloatArray]], BoolArray]:
-    """Stretches of columns in line, the strongest first, each column in one: ends (2, 2) and normal (2,); and which are in none."""
-    bin_m = 0.5 * settings.hidden_distance_m
-    left = np.ones(len(place), bool)
-    across = [place @ normal for normal in normals]
-    along = [place @ np.array([-normal[1], normal[0]]) for normal in normals]
-    bins = [np.floor((a - a.min(initial=0.0)) / bin_m).astype(np.int64) for a in across]
-    dead = [np.zeros(int(b.max(initial=0)) + 3, bool) for b in bins]
-    found: list[tuple[FloatArray, FloatArray]] = []
-    while len(normals) and left.any():
-        best, direction, at = 0.0, 0, 0
-        for d in range(len(normals)):
-            strength = np.bincount(bins[d][left], weight[left], len(dead[d]))
-            strength = np.where(dead[d], 0.0, np.convolve(strength, np.ones(3), "same"))
-            if strength.max() > best:
-                best, direction, at = float(strength.max()), d, int(np.argmax(strength))
-        if best < 9.0:
-            break
-        centre = float(across[direction].min(initial=0.0)) + (at + 0.5) * bin_m
-        near = np.flatnonzero(left & (np.abs(across[direction] - centre) < settings.hidden_distance_m))
-        near = near[np.argsort(along[direction][near])]
-        breaks = np.flatnonzero(np.diff(along[direction][near]) > settings.hidden_gap_m) + 1
-        parts = [p for p in np.split(near, breaks) if len(p) >= 3 and np.ptp(along[direction][p]) > 3 * CELL_M]
-        if not parts:
-            dead[direction][at] = True
-            continue
-        part = max(parts, key=lambda p: float(weight[p].sum()))
-        left[part] = False
-        normal = normals[direction]
-        offset = float(np.average(across[direction][part], weights=weight[part]))
-        reach = along[direction][part][[0, -1]] + np.array([-0.5, 0.5]) * CELL_M
-        found.append((normal * offset + reach[:, None] * np.array([-normal[1], normal[0]]), normal))
-    return found, left
-
-
 def _lines_of_any_direction(
     place: FloatArray, standing: StandingWallsSettings, settings: MissedWallsSettings
-) -> list[tuple[FloatArray, FloatArray]]:
+) -> list[Line]:
     """Stretches of columns (n, 2) in line, whatever their direction, each column in one: ends (2, 2) and normal (2,).
 
     Round walls are chords of no direction that other walls have.
@@ -483,7 +410,7 @@ def _lines_of_any_direction(
     if not len(place):
         return []
     tree, left = cKDTree(place), np.ones(len(place), bool)
-    found: list[tuple[FloatArray, FloatArray]] = []
+    found: list[Line] = []
     for seed in range(len(place)):
         near = np.array(tree.query_ball_point(place[seed], settings.chord_m)) if left[seed] else np.zeros(0, int)
         near = near[left[near]]
@@ -505,13 +432,13 @@ def _lines_of_any_direction(
 
 def _pillar_sides(
     place: FloatArray, weight: FloatArray, walls: Walls, settings: SearchSettings
-) -> list[tuple[FloatArray, FloatArray]]:
+) -> list[Line]:
     """The sides between two known faces one before the other, as a pillar has: ends (2, 2) and normal (2,).
 
     Such a side is short, and most of its returns pass for those of either face.
     """
     standing = settings.standing
-    found: list[tuple[FloatArray, FloatArray]] = []
+    found: list[Line] = []
     faces = list(segments(walls))
     for back in faces:
         before_m, place_m = back.before_m(place), back.place_m(place)

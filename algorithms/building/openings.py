@@ -225,23 +225,29 @@ def find_sheet(counts: FloatArray, rules: OpeningRules) -> Sheet | None:
     a reveal does so.
     """
     settings, sheet_m = rules.building, rules.openings.sheet_m
+    on_sheet = lies_on_sheet(counts, rules)
     filled = counts[..., FILLED]
-    mean_m, variance = depth_moments(counts)
-    flat = (filled > 0) & (variance < settings.pane_spread_m**2)
-    if not flat.any():
-        return None
-    depth_m, weight = mean_m[flat], filled[flat]
-    order = np.argsort(depth_m)
-    depth_m, total = depth_m[order], np.concatenate([[0.0], np.cumsum(weight[order])])
-    within = total[np.searchsorted(depth_m, depth_m + sheet_m, "right")]
-    within -= total[np.searchsorted(depth_m, depth_m - sheet_m, "left")]
-    on_sheet = flat & (np.abs(mean_m - depth_m[np.argmax(within)]) <= sheet_m)
     returns, columns = float(filled[on_sheet].sum()), int(on_sheet.any(axis=1).sum())
     if returns < settings.rays_min or columns < 0.5 * min(len(counts), returns):
         return None
     behind_m = -float(counts[on_sheet, SUM].sum()) / returns
     # What reaches as deep as is looked goes on beyond: a leaf that is ajar.
     return Sheet(behind_m, int(returns)) if behind_m < settings.near_m - 2 * sheet_m else None
+
+
+def lies_on_sheet(counts: FloatArray, rules: OpeningRules) -> BoolArray:
+    """Which cells (c, rows) of an opening, with their counts (c, rows, 4), have returns of the one depth that most have."""
+    filled, sheet_m = counts[..., FILLED], rules.openings.sheet_m
+    mean_m, variance = depth_moments(counts)
+    flat = (filled > 0) & (variance < rules.building.pane_spread_m**2)
+    if not flat.any():
+        return flat
+    depth_m, weight = mean_m[flat], filled[flat]
+    order = np.argsort(depth_m)
+    depth_m, total = depth_m[order], np.concatenate([[0.0], np.cumsum(weight[order])])
+    within = total[np.searchsorted(depth_m, depth_m + sheet_m, "right")]
+    within -= total[np.searchsorted(depth_m, depth_m - sheet_m, "left")]
+    return np.asarray(flat & (np.abs(mean_m - depth_m[np.argmax(within)]) <= sheet_m))
 
 
 def is_open_to_floor(counts: FloatArray, rules: OpeningRules) -> bool:

@@ -25,6 +25,7 @@ from ffmap.algorithms.building.face_foreground import ForegroundSettings
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.fusion import FusionSettings
+from ffmap.algorithms.building.glass_fronts import GlassFrontsSettings
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.missed_walls import MissedWallsSettings
 from ffmap.algorithms.building.model import BuildingSettings
@@ -76,6 +77,7 @@ class Settings(StepSettings):
     before_walls: ForegroundSettings = ForegroundSettings()
     openings: OpeningsSettings = OpeningsSettings()
     windows: WindowsSettings = WindowsSettings()
+    glass_fronts: GlassFrontsSettings = GlassFrontsSettings()
     door_casings: DoorCasingsSettings = DoorCasingsSettings()
     door_contrasts: DoorContrastsSettings = DoorContrastsSettings()
     door_frames: DoorFramesSettings = DoorFramesSettings()

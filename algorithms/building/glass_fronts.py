@@ -1,0 +1,187 @@
+"""Glazed fronts: panes that no wall's face tells of, as they reach from wall to wall, or their wall was seen by no scan.
+
+Glass returns a small share of the rays that meet it, all over and from one sheet, and lets the others pass. An open passage
+returns none, and what stands behind one returns all of them in some places and none in others.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from ffmap.algorithms.base.plan_index import pairs_near
+from ffmap.algorithms.base.scan import BoolArray, FloatArray
+from ffmap.algorithms.base.segments import lengthened, lengths_m, segments
+from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.face_columns import column_places, long_runs, runs
+from ffmap.algorithms.building.face_verdicts import SAME_WAY, JudgedFaces, StandingWallsSettings, wall_directions
+from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, Walls, Windows, cells_in
+from ffmap.algorithms.building.openings import OpeningRules, lies_on_sheet
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells, with_neighbours
+from ffmap.algorithms.building.unexplained_lines import both_sides, straight_lines, unexplained_columns
+from ffmap.algorithms.building.votes import VoxelVotes
+
+
+class GlassFrontsSettings(StepSettings):
+    """Panes that no wall's face tells of."""
+
+    width_min_m: float = Field(0.6, gt=0, description="Minimum width (m) of a pane that no wall's face tells of.")
+    share_min: float = Field(
+        0.01, gt=0, lt=0.5, description="Minimum share of the rays that meet it which such a pane returns."
+    )
+    patch_m: float = Field(0.2, gt=0, description="Height (m) of the patches of a pane of which each has to return some rays.")
+    expected_min: float = Field(
+        4.0, gt=0, description="A patch tells where so many rays met it that a pane would have returned this many of them."
+    )
+    shown_min: float = Field(
+        0.8, gt=0, le=1, description="Minimum share of the patches that tell in a pane's column which returned any."
+    )
+    pure_min: float = Field(
+        0.7, gt=0, le=1, description="Minimum share of the returns from where most rays pass that lie on the pane's sheet."
+    )
+    patches_min: int = Field(2, ge=1, description="Minimum number of patches that tell in a pane's column.")
+    bridge_m: float = Field(0.4, ge=0, description="Maximum width (m) of a stretch of a pane in which too few rays met it to tell.")
+    bar_m: float = Field(0.2, ge=0, description="Maximum width (m) of a mullion, beyond which a pane goes on.")
+    beyond_m: float = Field(
+        0.5, ge=0, description="Length (m) beyond the ends of a line of returns over which a pane is looked for."
+    )
+    reveal_m: float = Field(
+        0.5, ge=0, description="Maximum distance (m) of a pane behind the wall that it stands in, and from that wall along it."
+    )
+    other_pane_m: float = Field(
+        0.6, gt=0, description="Maximum distance (m) from a known window of a pane that is taken for the same."
+    )
+
+
+@dataclass(frozen=True)
+class GlassRules:
+    """By what glazed fronts are told. explained_m: maximum distance from a known face of its own returns."""
+
+    openings: OpeningRules
+    standing: StandingWallsSettings
+    fronts: GlassFrontsSettings
+    explained_m: float
+
+
+@dataclass(frozen=True)
+class AllRays:
+    """What all scans show together.
+
+    path_map: (n, 2) the robot's places. trace: counts rays against faces, without those that ended beyond some windows; a return
+    more than some centimetres behind a face counts as passed.
+    """
+
+    votes: VoxelVotes
+    path_map: FloatArray
+    trace: Callable[[Walls, Windows], WallCells]
+
+
+@dataclass(frozen=True)
+class _Pane:
+    """A stretch of a face, as a single one, and the window that it shows."""
+
+    face: Walls
+    window: Windows
+
+
+def find_glass_fronts(judged: JudgedFaces, windows: Windows, rays: AllRays, rules: GlassRules) -> Windows:
+    """The panes that no known window has: on lines of returns that no wall explains, and in faces that rays speak against.
+
+    Behind a pane stands what it mirrors, of which it returns as small a share: so the panes nearest to the robot's way come first,
+    and what is seen through these is none. The windows lie on their panes.
+    """
+    standing, way = rules.standing, cKDTree(rays.path_map)
+    place, weight, _ = unexplained_columns(rays.votes, judged.walls, judged.refused, rules.explained_m)
+    lines, _ = straight_lines(place, weight, wall_directions(judged.walls, standing.direction_share_min), standing)
+    candidates = both_sides(lines).append(judged.refused)
+    candidates = candidates.select(lengths_m(candidates.ends) >= rules.fronts.width_min_m)
+    candidates = replace(candidates, ends=lengthened(candidates.ends, rules.fronts.beyond_m))
+
+    def panes(faces: Walls, known: Windows) -> list[_Pane]:
+        cells = rays.trace(faces, known)
+        places = column_places(faces, cells.first, 0.0)
+        # Where the robot drove no pane is, and the returns at a wall's face are that wall's.
+        taken = way.query(places)[0] < standing.robot_m
+        taken[pairs_near(judged.walls, places, rules.explained_m)[0]] = True
+        return list(_panes(faces, cells, taken, rules))
+
+    fronts = NO_WINDOWS
+    found = panes(candidates, windows) if len(candidates) else []
+    for pane in sorted(found, key=lambda p: float(way.query(p.face.ends.mean(axis=1))[0][0])):
+        known = windows.append(fronts)
+        if len(new_fronts(pane.window, known, rules.fronts)) and (not len(fronts) or panes(pane.face, known)):
+            fronts = fronts.append(pane.window)
+    return fronts
+
+
+def _panes(faces: Walls, cells: WallCells, taken: BoolArray, rules: GlassRules) -> Iterator[_Pane]:
+    """The stretches of faces that are panes. taken: (columns,) where none can be."""
+    for w, face in enumerate(segments(faces)):
+        own = slice(int(cells.first[w]), int(cells.first[w + 1]))
+        counts = cells.counts[own].astype(np.float64)
+        for first, after, behind_m in _sheets(counts, taken[own], rules):
+            ends = face.at(CELL_M * np.array([first, after]))
+            rows = counts[first:after].sum(axis=0)
+            clear = np.flatnonzero(rows[:, THROUGH] > rows[:, FILLED])
+            on_pane, between_m = ends - behind_m * face.normal, (CELL_M * clear[[0]], CELL_M * (clear[[-1]] + 1))
+            window = Windows(on_pane[None], face.normal[None], *between_m, np.zeros(1))
+            yield _Pane(replace(faces.select(np.array([w])), ends=ends[None]), window)
+
+
+def _sheets(counts: FloatArray, taken: BoolArray, rules: GlassRules) -> Iterator[tuple[int, int, float]]:
+    """The first column of each pane in a face, the one after its last, and how far it stands behind the face.
+
+    counts: (c, rows, 4). taken: (c,) where no pane can be.
+    """
+    fronts = rules.fronts
+    inner = counts[:, FOOT_ROW : cells_in(rules.openings.building.door_height_min_m)]
+    rows = cells_in(fronts.patch_m)
+    near = with_neighbours(inner)[:, : inner.shape[1] // rows * rows]
+    patches = near.reshape(len(near), -1, rows, 4).sum(axis=2)
+    passes = patches[..., THROUGH] > patches[..., FILLED]
+    clear = patches * passes[..., None]
+    on_pane = clear * lies_on_sheet(clear, rules.openings)[..., None]
+    met, returned = clear[..., FILLED] + clear[..., THROUGH], on_pane[..., FILLED]
+    share = returned.sum() / max(met.sum(), 1.0)
+    if share < fronts.share_min:
+        return
+    tells = share * met >= fronts.expected_min
+    asked, shown = tells.sum(axis=1), (tells & (returned > 0)).sum(axis=1)
+    is_told = asked >= fronts.patches_min
+    no_pane = taken | (is_told & (shown < 0.5 * asked))
+    sure = long_runs(is_told & (shown >= fronts.shown_min * asked) & ~taken, 1, bridge=cells_in(fronts.bridge_m)) & ~no_pane
+    sure = long_runs(sure, cells_in(fronts.width_min_m), 0)
+    # Where too few rays met it to tell, it goes on up to what returns them all.
+    goes_on = sure | (passes.sum(axis=1) > 0.5 * np.count_nonzero(patches[..., [FILLED, THROUGH]].any(axis=2), axis=1))
+    for first, after in runs(long_runs(goes_on & ~no_pane, 1, bridge=cells_in(fronts.bar_m)) & ~no_pane):
+        told = first + np.flatnonzero(sure[first:after])
+        sheet, returns = on_pane[told].sum(axis=(0, 1)), float(clear[told, :, FILLED].sum())
+        is_pure = sheet[FILLED] >= fronts.pure_min * returns
+        if len(told) and is_pure and shown[told].sum() >= fronts.shown_min * asked[told].sum():
+            behind_m = -float(sheet[SUM] / sheet[FILLED])
+            # What reaches as deep as is looked goes on beyond: a wall behind, at a slant.
+            if behind_m < rules.openings.building.near_m - 2 * rules.openings.openings.sheet_m:
+                yield first, after, behind_m
+
+
+def new_fronts(fronts: Windows, known: Windows, settings: GlassFrontsSettings) -> Windows:
+    """The fronts most of which is no known window's pane, seen from the same side."""
+    is_new = np.ones(len(fronts), bool)
+    for k, own in enumerate(segments(fronts)):
+        for ends in known.ends[known.normal @ own.normal > 0.0]:
+            is_near = abs(float(own.before_m(ends.mean(axis=0)))) < settings.other_pane_m
+            is_new[k] &= not (is_near and own.shared_m(ends) > 0.5 * own.length_m)
+    return fronts.select(is_new)
+
+
+def set_in_walls(fronts: Windows, walls: Walls, settings: GlassFrontsSettings) -> Windows:
+    """The fronts, each in the face of the wall beside it, behind which its pane stands; in its pane where no wall is."""
+    depth_m = np.zeros(len(fronts))
+    for k, own in enumerate(segments(fronts)):
+        for ends in walls.ends[walls.normal @ own.normal > SAME_WAY]:
+            before_m = float(own.before_m(ends.mean(axis=0)))
+            if depth_m[k] < before_m < settings.reveal_m and own.shared_m(ends) > -settings.reveal_m:
+                depth_m[k] = before_m
+    return replace(fronts, ends=fronts.ends + (depth_m[:, None] * fronts.normal)[:, None], pane_m=depth_m)
