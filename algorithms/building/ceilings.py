@@ -148,8 +148,19 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
         grid.heights(position[(label == Label.WALL) & (below_m > 0.0) & (below_m < settings.drop_max_m)])
     )
     off_wall_m = nearest_known(walls)[0] * grid.cell_m
-    # Above the head of a door or a window it is the wall that closes up to the ceiling.
-    side = hangs & ~walls & (high_m - low_m > votes.voxel_m)
+    # Above the head of a door or a window it is the wall that closes up to the ceiling. What is deeper than walls are thick hangs,
+    # though scans take its side for a wall, which begins where it hangs.
+    lengths = _lengths(parts)
+    is_deep = np.bincount(parts[hangs], minlength=len(lengths)) * grid.cell_m > settings.drop_deep_m * lengths
+    away, nearest = nearest_known(hangs)
+    at_part = np.where(away <= 1.5, parts[nearest], 0)
+    low_m = np.where(at_part > 0, low_m[nearest], low_m)
+    passed = position[(label == Label.WALL) & votes.seen()]
+    from_m, up_to_m = grid.heights(passed, 0.0), grid.heights(passed, 1.0)
+    begins = (from_m > low_m - settings.drop_flat_m) & (from_m - ground_m > settings.headroom_m)
+    hung = (at_part > 0) & is_deep[at_part] & begins
+    high_m = np.where(hung, np.fmax(high_m, up_to_m), high_m)
+    side = (hung | (hangs & ~walls)) & (high_m - low_m > votes.voxel_m)
     # A ceiling that rises, or is stepped, is higher farther on than where the side meets it. Where no ceiling is seen beside a
     # side, the highest within reach counts.
     near_m = highest_around(ceiling_m, 2 * round(settings.drop_edge_m / grid.cell_m) + 1)
@@ -160,11 +171,11 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     along_wall = hangs & (off_wall_m < settings.slit_max_m)
 
     cells, sides, closing, holding, along = (
-        np.bincount(parts[mask], minlength=parts.max() + 1) for mask in (hangs, side, closes, held, along_wall)
+        np.bincount(at_part[mask], minlength=len(lengths)) for mask in (hangs, side, closes, held, along_wall)
     )
     built = (sides >= settings.drop_sides_min) & (closing > settings.drop_closed_min * sides) & (holding > 0)
     at_wall = along > 0.8 * cells
-    built &= ~(at_wall & (holding < _lengths(parts)))
+    built &= ~(at_wall & (holding < lengths))
     wall = position[(label == Label.WALL) & votes.seen(settings.votes_min)]
     # Between coffers, and beyond a soffit's end, the wall goes up to the ceiling.
     away, nearest = nearest_known(hangs | np.isfinite(ceiling_m))

@@ -72,6 +72,9 @@ class LevelsSettings(StepSettings):
     drop_closed_min: float = Field(
         0.6, gt=0, le=1, description="Minimum share of them where the side reaches the ceiling."
     )
+    drop_deep_m: float = Field(
+        0.4, gt=0, description="Minimum depth (m) of what hangs, not a wall, though scans take its side for one."
+    )
     slit_max_m: float = Field(
         0.65, gt=0, description="Maximum distance (m) from its wall of a duct that runs along it."
     )

@@ -120,7 +120,7 @@ class MissedWalls:
 
 @dataclass(frozen=True)
 class _Duct:
-    """A stretch of a known face, from where to where along it, that hangs before a wall as a duct's front."""
+    """A stretch of a known face, or of a refused one that hangs, from where to where along it: a duct's front before a wall."""
 
     face: int
     low_m: float
@@ -145,10 +145,11 @@ def find_missed_walls(walls: Walls, refused: Walls, returns: AllReturns, setting
     if not len(candidates):
         return MissedWalls(NO_WALLS, walls, NO_WALLS)
     faces = returns.trace(candidates)
-    search = _Search(walls, faces, returns, settings)
+    hang = refused.select(refused.bottom_m >= settings.building.door_height_min_m)
+    search = _Search(walls, hang, faces, returns, settings)
     proven = [stretch for w in range(len(faces)) for stretch in search.walls_in(w)]
     missed = reduce(Walls.append, [p.wall for p in proven], NO_WALLS)
-    ducts = [p.duct for p in proven if p.duct is not None]
+    ducts = [p.duct for p in proven if p.duct is not None and p.duct.face < len(walls)]
     return MissedWalls(missed, *_cut_out(walls, ducts, settings.building.length_min_m))
 
 
@@ -188,9 +189,12 @@ class _ColumnStates(Rows):
 class _Search:
     """Which stretches of candidates are walls."""
 
-    def __init__(self, known: Walls, faces: TracedFaces, returns: AllReturns, settings: SearchSettings) -> None:
-        """known: the known faces; faces: the candidates."""
+    def __init__(
+        self, known: Walls, hang: Walls, faces: TracedFaces, returns: AllReturns, settings: SearchSettings
+    ) -> None:
+        """known: the known faces; hang: refused ones that begin above heads; faces: the candidates."""
         self._known, self._faces, self._storey, self._settings = known, faces, returns.storey, settings
+        self._fronts = known.append(hang)
         standing = settings.standing
         walls = faces.walls
         furniture_m, pillar_m = standing.furniture_depth_m, standing.pillar_depth_m
@@ -298,7 +302,7 @@ class _Search:
         return bool(is_window or np.count_nonzero(on > passed) > np.count_nonzero(passed > on))
 
     def _duct_before(self, face: Walls, counts: FloatArray) -> _Duct | None:
-        """The known face that hangs before a stretch as a duct's front; None where none does.
+        """The face that hangs before a stretch as the front of a duct or a soffit; None where none does.
 
         A duct's underside joins the one to the other, as high as the wall was seen; a lintel's is no deeper than a wall.
 
@@ -314,12 +318,12 @@ class _Search:
             return None
         top_m = (seen[-1] + 1) * CELL_M
         undersides = self._undersides[np.abs(self._undersides[:, 2] - top_m) < missed.underside_near_m]
-        for w, front in enumerate(segments(self._known)):
+        for w, front in enumerate(segments(self._fronts)):
             depth_m = float(wall.before_m(front.at(np.array([0.5 * front.length_m])))[0])
             is_deep = missed.duct_depth_min_m < depth_m < missed.duct_depth_max_m
             if front.normal @ wall.normal < SAME_WAY or not is_deep:
                 continue
-            if wall.shared_m(self._known.ends[w]) < missed.duct_share_min * wall.length_m:
+            if wall.shared_m(self._fronts.ends[w]) < missed.duct_share_min * wall.length_m:
                 continue
             place_m, before_m = wall.place_m(undersides), wall.before_m(undersides)
             between = (place_m > 0) & (place_m < wall.length_m) & (before_m > noise_m) & (before_m < depth_m)
