@@ -4,8 +4,9 @@ Glass returns a small share of the rays that meet it, all over and from one shee
 returns none, and what stands behind one returns all of them in some places and none in others.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 from pydantic import Field
@@ -13,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
-from ffmap.algorithms.base.segments import lengthened, lengths_m, segments
+from ffmap.algorithms.base.segments import Segment, lengthened, lengths_m, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import column_places, long_runs, runs
 from ffmap.algorithms.building.face_verdicts import SAME_WAY, JudgedFaces, StandingWallsSettings, wall_directions
@@ -89,17 +90,18 @@ class _Pane:
 def find_glass_fronts(judged: JudgedFaces, windows: Windows, rays: AllRays, rules: GlassRules) -> Windows:
     """The panes that no known window has: on lines of returns that no wall explains, and in faces that rays speak against.
 
-    Behind a pane stands what it mirrors, of which it returns as small a share: so the panes nearest to the robot's way come first,
-    and what is seen through these is none. The windows lie on their panes.
+    Of panes that stand close together the one nearest to the robot's way counts. Behind a pane stands what it mirrors, of which it
+    returns as small a share: what is seen through another pane has to be one without that. The windows lie on their panes.
     """
     standing, way = rules.standing, cKDTree(rays.path_map)
     place, weight, _ = unexplained_columns(rays.votes, judged.walls, judged.refused, rules.explained_m)
     lines, _ = straight_lines(place, weight, wall_directions(judged.walls, standing.direction_share_min), standing)
     candidates = both_sides(lines).append(judged.refused)
     candidates = candidates.select(lengths_m(candidates.ends) >= rules.fronts.width_min_m)
-    candidates = replace(candidates, ends=lengthened(candidates.ends, rules.fronts.beyond_m))
 
     def panes(faces: Walls, known: Windows) -> list[_Pane]:
+        if not len(faces):
+            return []
         cells = rays.trace(faces, known)
         places = column_places(faces, cells.first, 0.0)
         # Where the robot drove no pane is, and the returns at a wall's face are that wall's.
@@ -107,13 +109,30 @@ def find_glass_fronts(judged: JudgedFaces, windows: Windows, rays: AllRays, rule
         taken[pairs_near(judged.walls, places, rules.explained_m)[0]] = True
         return list(_panes(faces, cells, taken, rules))
 
-    fronts = NO_WINDOWS
-    found = panes(candidates, windows) if len(candidates) else []
-    for pane in sorted(found, key=lambda p: float(way.query(p.face.ends.mean(axis=1))[0][0])):
-        known = windows.append(fronts)
-        if len(new_fronts(pane.window, known, rules.fronts)) and (not len(fronts) or panes(pane.face, known)):
-            fronts = fronts.append(pane.window)
-    return fronts
+    shown = panes(replace(candidates, ends=lengthened(candidates.ends, rules.fronts.beyond_m)), windows)
+    found: list[_Pane] = []
+    for pane in sorted(shown, key=lambda p: float(way.query(p.face.ends[0].mean(axis=0))[0])):
+        if len(new_fronts(pane.window, _joined([windows, *(p.window for p in found)]), rules.fronts)):
+            found.append(pane)
+    fronts = []
+    for pane in found:
+        others = _joined([p.window for p in found if p is not pane])
+        hidden = any(_is_seen_through(front, rays.path_map, pane.window) for front in segments(others))
+        if not hidden or panes(pane.face, windows.append(others)):
+            fronts.append(pane.window)
+    return _joined(fronts)
+
+
+def _joined(windows: Iterable[Windows]) -> Windows:
+    return reduce(Windows.append, windows, NO_WINDOWS)
+
+
+def _is_seen_through(front: Segment, path_map: FloatArray, window: Windows) -> bool:
+    """Whether a single window is seen through a front from anywhere on the robot's way (n, 2)."""
+    middle = window.ends[0].mean(axis=0)
+    before_m, behind_m = front.before_m(path_map), float(front.before_m(middle))
+    origin, before_m = path_map[before_m > 0.0], before_m[before_m > 0.0, None]
+    return behind_m < -CELL_M and bool(front.beside(origin + before_m / (before_m - behind_m) * (middle - origin)).any())
 
 
 def _panes(faces: Walls, cells: WallCells, taken: BoolArray, rules: GlassRules) -> Iterator[_Pane]:
