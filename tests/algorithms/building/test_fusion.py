@@ -18,6 +18,7 @@ from ffmap.algorithms.building.face_foreground import ForegroundSettings
 from ffmap.algorithms.building.face_verdicts import FaceVerdict, StandingWallsSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.fusion import Building, FusionSettings, fuse_building
+from ffmap.algorithms.building.glass_fronts import GlassFrontsSettings
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.missed_walls import MissedWallsSettings
 from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
@@ -43,6 +44,7 @@ SETTINGS = FusionSettings(
     ForegroundSettings(),
     OpeningsSettings(),
     WindowsSettings(),
+    GlassFrontsSettings(),
     DoorCasingsSettings(),
     DoorContrastsSettings(),
     DoorFramesSettings(),

@@ -465,6 +465,16 @@ class TestCeilingDrops:
     def test_a_soffit_along_a_wall_is_ceiling(self) -> None:
         assert self.corrected_share(((0, 4), (0, 0.5), (2.4, 2.8))) > 0.95
 
+    @pytest.mark.parametrize(("depth_m", "is_ceiling"), [(0.7, True), (0.3, False)])
+    def test_a_soffit_is_ceiling_though_scans_took_its_side_for_a_wall(self, depth_m: float, is_ceiling: bool) -> None:
+        """What is no deeper than walls are thick may be the underside of a lintel, whose wall closes up to the ceiling."""
+        side = self.standing((0, 4), (depth_m, depth_m), (2.3, 2.8))
+        underside = lying((0.03, 3.97), (0.03, depth_m), 2.3)
+        walls = self.standing((0, 4), (0, 3), (0, 2.8))
+        walls = walls[(walls[:, 1] > depth_m) | (walls[:, 2] < 2.3)]
+        label = self.labels(lying((0, 4), (depth_m, 3), 2.8), underside, np.concatenate([walls, side, side]))
+        assert np.mean(label == Label.CEILING) > 0.9 if is_ceiling else np.mean(label == Label.CEILING) < 0.1
+
     def test_a_lamp_is_held_by_no_wall(self) -> None:
         assert self.corrected_share(((1.2, 2.4), (1.4, 1.6), (2.6, 2.8))) == 0
 

@@ -1,5 +1,6 @@
 """Walls that every single scan missed: found of the returns of all scans, by hand-made rays."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,7 @@ def search(
     path_x: float = 0.0,
     hip_m: float = 0.0,
     known: Walls | None = None,
+    refused: Walls = NO_WALLS,
     unseen_m: float = 0.0,
     seen_m: float = CEILING_M,
     window_m: tuple[float, float] | None = None,
@@ -72,7 +74,8 @@ def search(
     """What is found; so many rays a cell end on every candidate that lies on x = 3, seen from smaller x, and pass the others.
 
     hip_m: from there to a door's head a few rays pass. unseen_m, seen_m: below and above there no ray comes.
-    window_m: between these heights rays pass, from `window_from_y` on. known: a wall beside it. from_y: where the face begins.
+    window_m: between these heights rays pass, from `window_from_y` on. known, refused: faces beside it. from_y: where the face
+    begins.
     """
 
     storey = Storey.of(votes, (), 3)
@@ -105,7 +108,7 @@ def search(
     others = faces(((-1, 0), (5, 0)))
     others = others if known is None else others.append(known)
     path = np.column_stack([np.full(50, path_x), np.linspace(0.2, 2.8, 50)])
-    return find_missed_walls(others, NO_WALLS, AllReturns(votes, storey, path, trace), SEARCH)
+    return find_missed_walls(others, refused, AllReturns(votes, storey, path, trace), SEARCH)
 
 
 def missed(votes: VoxelVotes, **seen: Any) -> Walls:
@@ -169,6 +172,16 @@ def test_a_wall_that_shows_below_a_duct_alone_is_found_and_what_hangs_before_it_
     assert len(missed(room_with_a_duct((2.55, 3.0)), seen_m=2.0, known=front, rays=0.04)) == 0
     # Without a front it is a shelf.
     assert len(missed(room_with_a_duct((2.55, 3.0)), seen_m=2.0)) == 0
+
+
+def test_a_refused_face_that_hangs_is_the_front_of_a_soffit() -> None:
+    """Its own verdict stays; a refused face that stands on the floor is a cupboard's."""
+    front = faces(((2.55, 0.0), (2.55, 3.0)))
+    hanging = replace(front, bottom_m=np.array([2.0]))
+    found = search(room_with_a_duct((2.55, 3.0)), seen_m=2.0, refused=hanging)
+    assert (len(found.walls), len(found.ducts), len(found.known)) == (1, 0, 1)
+    np.testing.assert_allclose(found.walls.ends[0, :, 0], 3.0, atol=0.02)
+    assert len(search(room_with_a_duct((2.55, 3.0)), seen_m=2.0, refused=front).walls) == 0
 
 
 def test_on_a_raised_floor_a_ducts_underside_is_as_high_above_it() -> None:

@@ -1,0 +1,176 @@
+"""Glazed fronts: told from open passages, furniture and mirror images by rays that are cast through a front."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.building.face_verdicts import JudgedFaces, StandingWallsSettings
+from ffmap.algorithms.building.glass_fronts import (
+    AllRays,
+    GlassFrontsSettings,
+    GlassRules,
+    find_glass_fronts,
+    new_fronts,
+    set_in_walls,
+)
+from ffmap.algorithms.building.model import CELL_M, NO_WALLS, NO_WINDOWS, BuildingSettings, Walls, Windows
+from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
+from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
+from ffmap.algorithms.building.windows import without_rays_through
+from ffmap.algorithms.scan.summary import Features, concatenate
+from tests.faces import faces, window
+from tests.voting import vote
+
+BUILDING = BuildingSettings(near_m=0.07, own_plane_m=0.0, range_m=25.0)
+FRONTS = GlassFrontsSettings()
+RULES = GlassRules(OpeningRules(BUILDING, OpeningsSettings()), StandingWallsSettings(), FRONTS, explained_m=0.08)
+DEPTH_M = 3.0
+PATH = np.column_stack([np.linspace(0.8, 3.2, 25), np.full(25, 1.0)])
+
+
+@dataclass(frozen=True)
+class Front:
+    """What stands in the plane y = 3, over the whole width of a room [0, 4] × [0, 3], and what its rays meet.
+
+    returned, mirrored: shares of the rays that a pane returns, and that it mirrors, which end in the room's mirror image.
+    open_x: from where to where no pane stands. shelf: as high as every third board of a shelf, which returns all rays, in place of a pane.
+    turn_deg: of the whole in the map.
+    """
+
+    returned: float = 0.05
+    mirrored: float = 0.1
+    open_x: tuple[float, float] = (9.0, 9.0)
+    shelf: bool = False
+    rays: int = 12_000
+    turn_deg: float = 0.0
+
+    def scan(self, x: float, generator: np.random.Generator) -> Features:
+        """What one scan sees of it from 1 m before the room's middle."""
+        origin = np.array([x, 1.0, 1.0])
+        aim = np.column_stack(
+            [generator.uniform(0.0, 4.0, self.rays), np.full(self.rays, DEPTH_M), generator.uniform(0.05, 2.6, self.rays)]
+        )
+        ray = aim - origin
+        drawn = generator.random(self.rays)
+        glazed = (aim[:, 0] < self.open_x[0]) | (aim[:, 0] > self.open_x[1])
+        on_pane = drawn < self.returned * glazed
+        if self.shelf:
+            on_pane = (aim[:, 2] % 0.4 < 0.04) & (drawn < 0.9)
+        mirrored = ~on_pane & glazed & ~self.shelf & (drawn < self.returned + self.mirrored)
+        # The image of the wall behind the robot, at y = 6, and a wall of the building opposite.
+        end_y = np.where(on_pane, DEPTH_M, np.where(mirrored, 2 * DEPTH_M, 14.0))
+        way = (end_y - origin[1]) / ray[:, 1]
+        way += generator.normal(0.0, 0.01, self.rays) / np.linalg.norm(ray, axis=1)
+        end = self.to_map(origin + way[:, None] * ray)
+        return Features(
+            scan=np.zeros(1, np.int64),
+            origin_map=self.to_map(origin[None]),
+            floor_map=np.zeros((1, 2, 3)),
+            floor_is_foot=np.zeros(1, bool),
+            floor_reach_m=np.full(1, 6.0),
+            ray_count=np.array([self.rays]),
+            plane_count=np.zeros(1, np.int64),
+            ray_end_map=end.astype(np.float32),
+            ray_label=np.full(self.rays, Label.CLUTTER, np.uint8),
+            plane_ends_map=np.zeros((0, 2, 2)),
+            plane_normal=np.zeros((0, 2)),
+            plane_bottom_m=np.zeros(0),
+            plane_top_m=np.zeros(0),
+            plane_lines=np.zeros(0, np.int64),
+            plane_moments=np.zeros((0, 6)),
+        )
+
+    def to_map(self, places: FloatArray) -> FloatArray:
+        c, s = np.cos(np.radians(self.turn_deg)), np.sin(np.radians(self.turn_deg))
+        turned = np.asarray(places, float).copy()
+        turned[..., :2] = turned[..., :2] @ np.array([[c, s], [-s, c]])
+        return turned
+
+    def found(self, scans: int = 8, refused: Walls = NO_WALLS, windows: Windows = NO_WINDOWS) -> Windows:
+        generator = np.random.default_rng(4)
+        seen = concatenate([self.scan(x, generator) for x in np.linspace(0.8, 3.2, scans)])
+        votes = vote(seen.ray_end_map, seen.ray_label, len(Label), 0.05)
+
+        def trace(asked: Walls, known: Windows) -> WallCells:
+            return trace_rays(asked, [without_rays_through(known, seen)], BUILDING)
+
+        sides = faces(((0, 3), (0, 0)), ((0, 0), (4, 0)), ((4, 0), (4, 3)))
+        walls = replace(sides, ends=self.to_map(sides.ends), normal=self.to_map(sides.normal))
+        judged = JudgedFaces(walls, refused, np.zeros(len(refused), np.uint8))
+        return find_glass_fronts(judged, windows, AllRays(votes, self.to_map(PATH), trace), RULES)
+
+
+@pytest.mark.parametrize("returned", [0.02, 0.07, 0.3])
+@pytest.mark.parametrize("turn_deg", [0.0, 33.0])
+def test_a_pane_from_wall_to_wall_is_found_and_what_it_mirrors_is_none(returned: float, turn_deg: float) -> None:
+    front = Front(returned=returned, turn_deg=turn_deg)
+    fronts = front.found()
+    assert len(fronts) == 1
+    back = Front(turn_deg=-turn_deg)
+    ends = back.to_map(fronts.ends[0])
+    np.testing.assert_allclose(ends[:, 1], DEPTH_M, atol=0.02)
+    np.testing.assert_allclose(np.sort(ends[:, 0]), [0.0, 4.0], atol=0.25)
+    np.testing.assert_allclose(back.to_map(fronts.normal[0]), [0.0, -1.0], atol=0.02)
+    assert fronts.top_m[0] == pytest.approx(2.6, abs=2 * CELL_M)
+    assert fronts.pane_m.tolist() == [0.0]
+
+
+def test_an_open_passage_is_no_pane_and_ends_one() -> None:
+    assert len(Front(returned=0.0, mirrored=0.0).found()) == 0
+    fronts = Front(open_x=(1.4, 2.6)).found()
+    assert len(fronts) == 2
+    edges = np.sort(fronts.ends[..., 0], axis=1)
+    np.testing.assert_allclose(edges[np.argsort(edges[:, 0])], [[0.0, 1.4], [2.6, 4.0]], atol=0.25)
+
+
+def test_a_shelf_returns_rays_in_some_places_and_none_in_others() -> None:
+    assert len(Front(shelf=True).found()) == 0
+
+
+def test_few_rays_tell_nothing() -> None:
+    assert len(Front(rays=40).found()) == 0
+
+
+def test_no_pane_is_where_the_robot_drove_or_nothing_was_seen() -> None:
+    through = replace(Front(), turn_deg=0.0)
+    generator = np.random.default_rng(4)
+    seen = concatenate([through.scan(x, generator) for x in (1.0, 2.0, 3.0)])
+    votes = vote(seen.ray_end_map, seen.ray_label, len(Label), 0.05)
+    way = np.column_stack([np.linspace(0.2, 3.8, 60), np.full(60, DEPTH_M)])
+    rays = AllRays(votes, way, lambda asked, known: trace_rays(asked, [without_rays_through(known, seen)], BUILDING))
+    nothing = JudgedFaces(faces(((0, 0), (4, 0))), NO_WALLS, np.zeros(0, np.uint8))
+    assert len(find_glass_fronts(nothing, NO_WINDOWS, rays, RULES)) == 0
+    unseen = AllRays(vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05), PATH, rays.trace)
+    assert len(find_glass_fronts(nothing, NO_WINDOWS, unseen, RULES)) == 0
+
+
+def test_a_face_that_rays_speak_against_may_be_a_pane() -> None:
+    """Scans saw a plane there, which explains its returns."""
+    assert len(Front().found(refused=faces(((4.0, DEPTH_M), (0.0, DEPTH_M))))) == 1
+
+
+def test_a_front_is_new_where_no_known_window_has_most_of_it() -> None:
+    front = replace(window((0.0, 0.0), (2.0, 0.0)), pane_m=np.zeros(1))
+    assert len(new_fronts(front, NO_WINDOWS, FRONTS)) == 1
+    assert len(new_fronts(front, window((0.5, 0.1), (3.0, 0.1)), FRONTS)) == 0
+    assert len(new_fronts(front, window((1.5, 0.1), (3.0, 0.1)), FRONTS)) == 1
+    # Another room's window, back to back with this one.
+    behind = replace(window((0.0, -0.3), (2.0, -0.3)), normal=np.array([[0.0, -1.0]]))
+    assert len(new_fronts(front, behind, FRONTS)) == 1
+
+
+def test_a_front_stands_in_the_wall_beside_it() -> None:
+    front = replace(window((1.0, -0.2), (3.0, -0.2)), pane_m=np.zeros(1))
+    beside = faces(((0.0, 0.0), (0.9, 0.0)))
+    in_wall = set_in_walls(front, beside, FRONTS)
+    np.testing.assert_allclose(in_wall.ends[0], [[1.0, 0.0], [3.0, 0.0]], atol=1e-9)
+    assert in_wall.pane_m[0] == pytest.approx(0.2)
+    # One that looks the other way, is before the pane by more than a wall's depth, or far along it, is not its wall.
+    for other in (((0.9, 0.0), (0.0, 0.0)), ((0.0, 0.6), (0.9, 0.6)), ((-3.0, 0.0), (-2.0, 0.0))):
+        np.testing.assert_allclose(set_in_walls(front, faces(other), FRONTS).ends, front.ends)
+    assert len(set_in_walls(NO_WINDOWS, beside, FRONTS)) == 0
+
+
