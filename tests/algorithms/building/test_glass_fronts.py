@@ -36,8 +36,8 @@ class Front:
     """What stands in the plane y = 3, over the whole width of a room [0, 4] × [0, 3], and what its rays meet.
 
     returned, mirrored: shares of the rays that a pane returns, and that it mirrors, which end in the room's mirror image.
-    open_x: from where to where no pane stands. shelf: as high as every third board of a shelf, which returns all rays, in place of a pane.
-    turn_deg: of the whole in the map.
+    open_x: from where to where no pane stands. shelf: boards that return nearly all rays, and nothing between them, in place of a
+    pane. turn_deg: of the whole in the map.
     """
 
     returned: float = 0.05
