@@ -4,6 +4,7 @@ The order of the steps matters: rays tell which faces stand, faces where windows
 face of this building.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from ffmap.algorithms.base.scan import FloatArray
@@ -43,7 +44,7 @@ from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.missed_walls import AllReturns, MissedWallsSettings, SearchSettings, find_missed_walls
 from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
-from ffmap.algorithms.building.ray_evidence import WallCells
+from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
 from ffmap.algorithms.building.votes import Halo, find_halo
 from ffmap.algorithms.building.windows import WindowsSettings, find_windows, seen_through
@@ -186,9 +187,12 @@ def _find_glass_fronts(judged: JudgedFaces, windows: Windows, scans: AllScans, s
     def trace(faces: Walls, known: Windows) -> WallCells:
         return scans.trace(faces, settings.without_planes, known)
 
+    def portions(faces: Walls) -> Iterator[WallCells]:
+        return (trace_rays(faces, [block], settings.without_planes) for block in scans.drive.blocks())
+
     openings = OpeningRules(settings.without_planes, settings.openings)
     rules = GlassRules(openings, settings.standing_walls, settings.glass_fronts, settings.missed_walls.explained_m)
-    return find_glass_fronts(judged, windows, AllRays(scans.votes, scans.path_map, trace), rules)
+    return find_glass_fronts(judged, windows, AllRays(scans.votes, scans.path_map, trace, portions), rules)
 
 
 def _find_openings(

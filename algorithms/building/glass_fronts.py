@@ -43,6 +43,12 @@ class GlassFrontsSettings(StepSettings):
         0.7, gt=0, le=1, description="Minimum share of the returns from where most rays pass that lie on the pane's sheet."
     )
     patches_min: int = Field(2, ge=1, description="Minimum number of patches that tell in a pane's column.")
+    lasting_min: float = Field(
+        0.2,
+        ge=0,
+        le=1,
+        description="A portion of the scans shows a pane where it has this share of the returns that are to be expected of it.",
+    )
     bridge_m: float = Field(0.4, ge=0, description="Maximum width (m) of a stretch of a pane in which too few rays met it to tell.")
     bar_m: float = Field(0.2, ge=0, description="Maximum width (m) of a mullion, beyond which a pane goes on.")
     beyond_m: float = Field(
@@ -71,12 +77,13 @@ class AllRays:
     """What all scans show together.
 
     path_map: (n, 2) the robot's places. trace: counts rays against faces, without those that ended beyond some windows; a return
-    more than some centimetres behind a face counts as passed.
+    more than some centimetres behind a face counts as passed. portions: the same for all rays, a portion of the scans at a time.
     """
 
     votes: VoxelVotes
     path_map: FloatArray
     trace: Callable[[Walls, Windows], WallCells]
+    portions: Callable[[Walls], Iterable[WallCells]]
 
 
 @dataclass(frozen=True)
@@ -90,7 +97,8 @@ class _Pane:
 def find_glass_fronts(judged: JudgedFaces, windows: Windows, rays: AllRays, rules: GlassRules) -> Windows:
     """The panes that no known window has: on lines of returns that no wall explains, and in faces that rays speak against.
 
-    Of panes that stand close together the one nearest to the robot's way counts. Behind a pane stands what it mirrors, of which it
+    A pane returns rays whenever they meet it; who walked by has left returns too, but of a moment. Of panes that stand close
+    together the one nearest to the robot's way counts. Behind a pane stands what it mirrors, of which it
     returns as small a share: what is seen through another pane has to be one without that. The windows lie on their panes.
     """
     standing, way = rules.standing, cKDTree(rays.path_map)
@@ -120,11 +128,34 @@ def find_glass_fronts(judged: JudgedFaces, windows: Windows, rays: AllRays, rule
         hidden = any(_is_seen_through(front, rays.path_map, pane.window) for front in segments(others))
         if not hidden or panes(pane.face, windows.append(others)):
             fronts.append(pane.window)
-    return _joined(fronts)
+    return _lasting(_joined(fronts), rays, rules)
 
 
 def _joined(windows: Iterable[Windows]) -> Windows:
     return reduce(Windows.append, windows, NO_WINDOWS)
+
+
+def _lasting(fronts: Windows, rays: AllRays, rules: GlassRules) -> Windows:
+    """The fronts that most portions of the scans show which have enough rays that met them to tell."""
+    if not len(fronts):
+        return fronts
+    settings, count = rules.fronts, len(fronts)
+    nothing = np.zeros(count)
+    sheets = Walls(fronts.ends, fronts.normal, nothing, fronts.top_m, nothing.astype(np.int32), nothing, nothing.astype(np.int64))
+    portions = list(rays.portions(sheets))
+    high = slice(FOOT_ROW, cells_in(rules.openings.building.door_height_min_m))
+    lasts = np.zeros(count, bool)
+    for k in range(count):
+        own = slice(portions[0].first[k], portions[0].first[k + 1])
+        counts = np.stack([cells.counts[own, high].astype(np.float64) for cells in portions])
+        total = counts.sum(axis=0)
+        clear = counts * (total[..., THROUGH] > total[..., FILLED])[..., None]
+        returned, passed = clear[..., FILLED].sum(axis=(1, 2)), clear[..., THROUGH].sum(axis=(1, 2))
+        expected = returned.sum() / max(returned.sum() + passed.sum(), 1.0) * (returned + passed)
+        tells = expected >= settings.expected_min
+        shown = tells & (returned >= settings.lasting_min * expected)
+        lasts[k] = np.count_nonzero(shown) >= settings.shown_min * np.count_nonzero(tells)
+    return fronts.select(lasts)
 
 
 def _is_seen_through(front: Segment, path_map: FloatArray, window: Windows) -> bool:

@@ -89,18 +89,24 @@ class Front:
         turned[..., :2] = turned[..., :2] @ np.array([[c, s], [-s, c]])
         return turned
 
-    def found(self, scans: int = 8, refused: Walls = NO_WALLS, windows: Windows = NO_WINDOWS) -> Windows:
+    def found(self, scans: int = 8, gone: int = 0, refused: Walls = NO_WALLS, windows: Windows = NO_WINDOWS) -> Windows:
+        """What is found by scans along the robot's way, and by more when nothing stands there any more."""
         generator = np.random.default_rng(4)
-        seen = concatenate([self.scan(x, generator) for x in np.linspace(0.8, 3.2, scans)])
+        parts = [self.scan(x, generator) for x in np.linspace(0.8, 3.2, scans)]
+        parts += [replace(self, returned=0.0, mirrored=0.0).scan(x, generator) for x in np.linspace(0.8, 3.2, gone)]
+        seen = concatenate(parts)
         votes = vote(seen.ray_end_map, seen.ray_label, len(Label), 0.05)
 
         def trace(asked: Walls, known: Windows) -> WallCells:
             return trace_rays(asked, [without_rays_through(known, seen)], BUILDING)
 
+        def portions(asked: Walls) -> list[WallCells]:
+            return [trace_rays(asked, [part], BUILDING) for part in parts]
+
         sides = faces(((0, 3), (0, 0)), ((0, 0), (4, 0)), ((4, 0), (4, 3)))
         walls = replace(sides, ends=self.to_map(sides.ends), normal=self.to_map(sides.normal))
         judged = JudgedFaces(walls, refused, np.zeros(len(refused), np.uint8))
-        return find_glass_fronts(judged, windows, AllRays(votes, self.to_map(PATH), trace), RULES)
+        return find_glass_fronts(judged, windows, AllRays(votes, self.to_map(PATH), trace, portions), RULES)
 
 
 @pytest.mark.parametrize("returned", [0.02, 0.07, 0.3])
@@ -130,6 +136,11 @@ def test_a_shelf_returns_rays_in_some_places_and_none_in_others() -> None:
     assert len(Front(shelf=True).found()) == 0
 
 
+def test_what_stood_there_for_a_while_is_no_pane() -> None:
+    """As who walks by: in half of the scans nothing returns."""
+    assert len(Front(returned=0.1).found(scans=4, gone=4)) == 0
+
+
 def test_few_rays_tell_nothing() -> None:
     assert len(Front(rays=40).found()) == 0
 
@@ -140,10 +151,14 @@ def test_no_pane_is_where_the_robot_drove_or_nothing_was_seen() -> None:
     seen = concatenate([through.scan(x, generator) for x in (1.0, 2.0, 3.0)])
     votes = vote(seen.ray_end_map, seen.ray_label, len(Label), 0.05)
     way = np.column_stack([np.linspace(0.2, 3.8, 60), np.full(60, DEPTH_M)])
-    rays = AllRays(votes, way, lambda asked, known: trace_rays(asked, [without_rays_through(known, seen)], BUILDING))
+
+    def trace(asked: Walls, known: Windows) -> WallCells:
+        return trace_rays(asked, [without_rays_through(known, seen)], BUILDING)
+
+    rays = AllRays(votes, way, trace, lambda asked: [trace(asked, NO_WINDOWS)])
     nothing = JudgedFaces(faces(((0, 0), (4, 0))), NO_WALLS, np.zeros(0, np.uint8))
     assert len(find_glass_fronts(nothing, NO_WINDOWS, rays, RULES)) == 0
-    unseen = AllRays(vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05), PATH, rays.trace)
+    unseen = replace(rays, votes=vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05), path_map=PATH)
     assert len(find_glass_fronts(nothing, NO_WINDOWS, unseen, RULES)) == 0
 
 
