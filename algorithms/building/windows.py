@@ -67,6 +67,12 @@ class WindowsSettings(StepSettings):
     at_pane_m: float = Field(
         0.02, gt=0, description="Maximum distance (m) from the pane of the returns that widen a window."
     )
+    expected_min: float = Field(
+        4.0,
+        gt=0,
+        description="A column tells that an opening is open where a pane as seen in others would have returned this many rays, and "
+        "none was.",
+    )
     passed_share: float = Field(
         0.03, ge=0, le=1, description="Minimum share of rays that pass there: a leaf beside a window returns all."
     )
@@ -112,8 +118,11 @@ def find_windows(
             if not len(clear):
                 continue
             pane_m = _pane_m(counts[first : last + 1, clear[0] : clear[-1] + 1], rules)
+            shown = slice(first, last + 1)
             first, last = _over_its_pane(high, pane_m, first, last, settings)
             first, last = _to_its_wall(counts, clear[0], clear[-1], int(walls.top_m[w] / CELL_M), first, last, settings)
+            if _is_open(high, pane_m, shown, slice(first, last + 1), settings):
+                continue  # what returned is a leaf, or the reveal
             if first == 0 and last == len(counts) - 1:
                 continue  # without a jamb it is what stands below something that hangs
             ends = face.at(CELL_M * np.array([first, last + 1]))
@@ -197,6 +206,20 @@ def _over_its_pane(
         on_pane = np.abs(-high[:, SUM] / high[:, FILLED] - pane_m) < settings.at_pane_m
         passed = near[:, THROUGH] > settings.passed_share * (near[:, THROUGH] + near[:, FILLED])
     return widened(on_pane & passed, first, last, len(high))
+
+
+def _is_open(high: FloatArray, pane_m: float, shown: slice, whole: slice, settings: WindowsSettings) -> bool:
+    """Whether nothing returns from most columns of an opening that would have, if the pane that some show were in all of them.
+
+    high: (columns, 4) of the whole face, between knee and head. pane_m: how far behind the face it stands; NaN if unknown.
+    """
+    near = with_neighbours(high)
+    rays = near[:, FILLED] + near[:, THROUGH]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        on_pane = np.abs(-near[:, SUM] / near[:, FILLED] - pane_m) < settings.at_pane_m
+    share = np.sum(near[shown, FILLED] * on_pane[shown]) / max(float(rays[shown].sum()), 1.0)
+    tells = share * rays[whole] >= settings.expected_min
+    return bool(np.count_nonzero(tells & (near[whole, FILLED] == 0)) > 0.5 * np.count_nonzero(tells))
 
 
 def _to_its_wall(

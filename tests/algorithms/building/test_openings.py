@@ -515,6 +515,19 @@ def test_a_window_goes_on_where_its_glass_returns_most_rays(depth_m: float, pass
     np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, end]], atol=0.2)
 
 
+@pytest.mark.parametrize(("returned", "found"), [(0.0, 0), (3.0, 1)])
+def test_what_returns_at_a_jamb_alone_makes_no_pane_of_an_opening_higher_than_doors(returned: float, found: int) -> None:
+    """The opening reaches the ceiling at 3.3 m; at a jamb the edge of an open leaf returns some rays below what may be a lintel."""
+    counts = np.zeros((80, 80, 4), np.float32)
+    counts[..., FILLED] = 10.0
+    counts[20:40, :65] = [returned, -0.2 * returned, 0.2**2 * returned, 50.0]
+    counts[36:40, :44] = [5.0, -1.0, 0.2, 50.0]
+    counts[36:40, 44:] = [10.0, 0.0, 0.0, 0.0]
+    seen = WallCells(np.array([0, 80]), 80, counts)
+    windows = find_windows(replace(WALL, top_m=np.array([3.8])), seen, np.full(80, 3.3), RULES, WindowsSettings())
+    assert np.count_nonzero(np.ptp(windows.ends[:, :, 0], axis=1) > 0.8) == found
+
+
 def test_a_window_ends_at_the_doorway_beside_it() -> None:
     """Between window and door there is no more than a bar, and above the door its wall shows, as it does above the window."""
     seen = cells()
