@@ -32,6 +32,19 @@ class GlassFrontsSettings(StepSettings):
     share_min: float = Field(
         0.01, gt=0, lt=0.5, description="Minimum share of the rays that meet it which such a pane returns."
     )
+    share_max: float = Field(
+        0.25,
+        gt=0,
+        le=0.5,
+        description="Maximum share of the rays that meet it which such a pane returns; a grating or a rack returns more.",
+    )
+    trend_max: float = Field(
+        0.85,
+        gt=0,
+        le=1,
+        description="Maximum rank correlation of the shares that a pane's columns return with their places: a line that meets a "
+        "wall at a slant returns more and more of its rays.",
+    )
     patch_m: float = Field(0.2, gt=0, description="Height (m) of the patches of a pane of which each has to return some rays.")
     expected_min: float = Field(
         4.0, gt=0, description="A patch tells where so many rays met it that a pane would have returned this many of them."
@@ -209,7 +222,10 @@ def _sheets(counts: FloatArray, taken: BoolArray, rules: GlassRules) -> Iterator
         told = first + np.flatnonzero(sure[first:after])
         sheet, returns = on_pane[told].sum(axis=(0, 1)), float(clear[told, :, FILLED].sum())
         is_pure = sheet[FILLED] >= fronts.pure_min * returns
-        if len(told) and is_pure and shown[told].sum() >= fronts.shown_min * asked[told].sum():
+        lets_pass = sheet[FILLED] <= fronts.share_max * met[told].sum()
+        shares = returned[told].sum(axis=1) / np.maximum(met[told].sum(axis=1), 1.0)
+        is_even = len(told) > 2 and abs(np.corrcoef(told, np.argsort(np.argsort(shares)))[0, 1]) <= fronts.trend_max
+        if is_even and is_pure and lets_pass and shown[told].sum() >= fronts.shown_min * asked[told].sum():
             behind_m = -float(sheet[SUM] / sheet[FILLED])
             # What reaches as deep as is looked goes on beyond: a wall behind, at a slant.
             if behind_m < rules.openings.building.near_m - 2 * rules.openings.openings.sheet_m:

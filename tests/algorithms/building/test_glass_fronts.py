@@ -37,13 +37,14 @@ class Front:
 
     returned, mirrored: shares of the rays that a pane returns, and that it mirrors, which end in the room's mirror image.
     open_x: from where to where no pane stands. shelf: boards that return nearly all rays, and nothing between them, in place of a
-    pane. turn_deg: of the whole in the map.
+    pane. grows: the more is returned the farther to the right. turn_deg: of the whole in the map.
     """
 
     returned: float = 0.05
     mirrored: float = 0.1
     open_x: tuple[float, float] = (9.0, 9.0)
     shelf: bool = False
+    grows: bool = False
     rays: int = 12_000
     turn_deg: float = 0.0
 
@@ -56,7 +57,7 @@ class Front:
         ray = aim - origin
         drawn = generator.random(self.rays)
         glazed = (aim[:, 0] < self.open_x[0]) | (aim[:, 0] > self.open_x[1])
-        on_pane = drawn < self.returned * glazed
+        on_pane = drawn < self.returned * glazed * (aim[:, 0] / 2.0 if self.grows else 1.0)
         if self.shelf:
             on_pane = (aim[:, 2] % 0.4 < 0.04) & (drawn < 0.9)
         mirrored = ~on_pane & glazed & ~self.shelf & (drawn < self.returned + self.mirrored)
@@ -109,7 +110,7 @@ class Front:
         return find_glass_fronts(judged, windows, AllRays(votes, self.to_map(PATH), trace, portions), RULES)
 
 
-@pytest.mark.parametrize("returned", [0.02, 0.07, 0.3])
+@pytest.mark.parametrize("returned", [0.02, 0.07, 0.2])
 @pytest.mark.parametrize("turn_deg", [0.0, 33.0])
 def test_a_pane_from_wall_to_wall_is_found_and_what_it_mirrors_is_none(returned: float, turn_deg: float) -> None:
     front = Front(returned=returned, turn_deg=turn_deg)
@@ -130,6 +131,14 @@ def test_an_open_passage_is_no_pane_and_ends_one() -> None:
     assert len(fronts) == 2
     edges = np.sort(fronts.ends[..., 0], axis=1)
     np.testing.assert_allclose(edges[np.argsort(edges[:, 0])], [[0.0, 1.4], [2.6, 4.0]], atol=0.25)
+
+
+def test_a_grating_returns_more_than_glass_does() -> None:
+    assert len(Front(returned=0.4, mirrored=0.0).found()) == 0
+
+
+def test_a_wall_that_meets_the_line_at_a_slant_returns_more_and_more() -> None:
+    assert len(Front(grows=True, mirrored=0.0).found()) == 0
 
 
 def test_a_shelf_returns_rays_in_some_places_and_none_in_others() -> None:
