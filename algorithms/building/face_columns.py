@@ -114,6 +114,13 @@ def column_places(walls: Walls, first: IntArray, before_m: float = 0.2) -> Float
     return places
 
 
+def visited(places: FloatArray, path_map: FloatArray, robot_m: float) -> BoolArray:
+    """(k,) whether the robot drove at places (k, 2): its own (n, 2) are closer than `robot_m`."""
+    if not len(places) or not len(path_map):
+        return np.zeros(len(places), bool)
+    return np.asarray(cKDTree(path_map).query(places)[0] < robot_m)
+
+
 @dataclass(frozen=True)
 class TracedFaces:
     """Wall faces and what is known of each of their columns.
@@ -158,10 +165,7 @@ class TracedFaces:
 
     def visited(self, path_map: FloatArray, robot_m: float) -> BoolArray:
         """(columns,) where the robot drove: its places (n, 2) are closer than `robot_m`."""
-        places = column_places(self.walls, self.cells.first, 0.0)
-        if not len(places) or not len(path_map):
-            return np.zeros(len(places), bool)
-        return np.asarray(cKDTree(path_map).query(places)[0] < robot_m)
+        return visited(column_places(self.walls, self.cells.first, 0.0), path_map, robot_m)
 
 
 @dataclass(frozen=True)

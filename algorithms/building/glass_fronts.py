@@ -16,12 +16,12 @@ from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, lengthened, lengths_m, segments
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.face_columns import column_places, long_runs, runs
+from ffmap.algorithms.building.face_columns import column_places, long_runs, runs, visited
 from ffmap.algorithms.building.face_verdicts import SAME_WAY, JudgedFaces, StandingWallsSettings, wall_directions
 from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, Walls, Windows, cells_in
 from ffmap.algorithms.building.openings import OpeningRules, lies_on_sheet
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells, with_neighbours
-from ffmap.algorithms.building.unexplained_lines import both_sides, straight_lines, unexplained_columns
+from ffmap.algorithms.building.unexplained_lines import both_sides, straight_lines, unexplained_columns, unseen_faces
 from ffmap.algorithms.building.votes import VoxelVotes
 
 
@@ -111,8 +111,8 @@ def find_glass_fronts(judged: JudgedFaces, windows: Windows, rays: AllRays, rule
     """The panes that no known window has: on lines of returns that no wall explains, and in faces that rays speak against.
 
     A pane returns rays whenever they meet it; who walked by has left returns too, but of a moment. Of panes that stand close
-    together the one nearest to the robot's way counts. Behind a pane stands what it mirrors, of which it
-    returns as small a share: what is seen through another pane has to be one without that. The windows lie on their panes.
+    together the one nearest to the robot's way counts. Behind a pane stands what it mirrors, of which it returns as small a share:
+    what is seen through another pane has to be one without that. The windows lie on their panes.
     """
     standing, way = rules.standing, cKDTree(rays.path_map)
     place, weight, _ = unexplained_columns(rays.votes, judged.walls, judged.refused, rules.explained_m)
@@ -126,7 +126,7 @@ def find_glass_fronts(judged: JudgedFaces, windows: Windows, rays: AllRays, rule
         cells = rays.trace(faces, known)
         places = column_places(faces, cells.first, 0.0)
         # Where the robot drove no pane is, and the returns at a wall's face are that wall's.
-        taken = way.query(places)[0] < standing.robot_m
+        taken = visited(places, rays.path_map, standing.robot_m)
         taken[pairs_near(judged.walls, places, rules.explained_m)[0]] = True
         return list(_panes(faces, cells, taken, rules))
 
@@ -152,13 +152,11 @@ def _lasting(fronts: Windows, rays: AllRays, rules: GlassRules) -> Windows:
     """The fronts that most portions of the scans show which have enough rays that met them to tell."""
     if not len(fronts):
         return fronts
-    settings, count = rules.fronts, len(fronts)
-    nothing = np.zeros(count)
-    sheets = Walls(fronts.ends, fronts.normal, nothing, fronts.top_m, nothing.astype(np.int32), nothing, nothing.astype(np.int64))
-    portions = list(rays.portions(sheets))
+    settings = rules.fronts
+    portions = list(rays.portions(unseen_faces(fronts.ends, fronts.normal, fronts.top_m)))
     high = slice(FOOT_ROW, cells_in(rules.openings.building.door_height_min_m))
-    lasts = np.zeros(count, bool)
-    for k in range(count):
+    lasts = np.zeros(len(fronts), bool)
+    for k in range(len(fronts)):
         own = slice(portions[0].first[k], portions[0].first[k + 1])
         counts = np.stack([cells.counts[own, high].astype(np.float64) for cells in portions])
         total = counts.sum(axis=0)
@@ -175,8 +173,10 @@ def _is_seen_through(front: Segment, path_map: FloatArray, window: Windows) -> b
     """Whether a single window is seen through a front from anywhere on the robot's way (n, 2)."""
     middle = window.ends[0].mean(axis=0)
     before_m, behind_m = front.before_m(path_map), float(front.before_m(middle))
+    if behind_m >= -CELL_M:
+        return False
     origin, before_m = path_map[before_m > 0.0], before_m[before_m > 0.0, None]
-    return behind_m < -CELL_M and bool(front.beside(origin + before_m / (before_m - behind_m) * (middle - origin)).any())
+    return bool(front.beside(origin + before_m / (before_m - behind_m) * (middle - origin)).any())
 
 
 def _panes(faces: Walls, cells: WallCells, taken: BoolArray, rules: GlassRules) -> Iterator[_Pane]:
@@ -188,6 +188,8 @@ def _panes(faces: Walls, cells: WallCells, taken: BoolArray, rules: GlassRules) 
             ends = face.at(CELL_M * np.array([first, after]))
             rows = counts[first:after].sum(axis=0)
             clear = np.flatnonzero(rows[:, THROUGH] > rows[:, FILLED])
+            if not len(clear):
+                continue  # its bars return more rays than it lets pass
             on_pane, between_m = ends - behind_m * face.normal, (CELL_M * clear[[0]], CELL_M * (clear[[-1]] + 1))
             window = Windows(on_pane[None], face.normal[None], *between_m, np.zeros(1))
             yield _Pane(replace(faces.select(np.array([w])), ends=ends[None]), window)

@@ -18,12 +18,18 @@ _TRACED_TO_M = 5.0
 def both_sides(lines: list[Line]) -> Walls:
     """The lines as faces: which side each is seen from is not known yet, so both are tried."""
     ends, normal = np.array([e for e, _ in lines]).reshape(-1, 2, 2), np.array([n for _, n in lines]).reshape(-1, 2)
-    count = 2 * len(lines)
+    sides = np.concatenate([ends, ends[:, ::-1]])
+    return unseen_faces(sides, np.concatenate([normal, -normal]), np.full(len(sides), _TRACED_TO_M))
+
+
+def unseen_faces(ends: FloatArray, normal: FloatArray, top_m: FloatArray) -> Walls:
+    """Faces (k, 2, 2) that stand on the floor, of which no scan saw a plane, for rays to be counted against."""
+    count = len(ends)
     return Walls(
-        ends=np.concatenate([ends, ends[:, ::-1]]),
-        normal=np.concatenate([normal, -normal]),
+        ends=ends,
+        normal=normal,
         bottom_m=np.zeros(count),
-        top_m=np.full(count, _TRACED_TO_M),
+        top_m=top_m,
         scan_count=np.zeros(count, np.int32),
         rms_m=np.full(count, np.nan),
         sample_count=np.zeros(count, np.int64),

@@ -148,9 +148,7 @@ def draw_floor_plan(
         _quad(ends, normal, _thickness_at(ends, parts, stretches, usual_m))
         for ends, normal in zip(immobile.windows.ends, immobile.windows.normal, strict=True)
     ]
-    cuts = shapely.union_all(
-        [*(grown(o, settings.tidy_m / 2) for o in outlines), *windows, *columns]
-    )
+    cuts = shapely.union_all([*(grown(o, settings.tidy_m / 2) for o in outlines), *windows, *columns])
     in_wall = ~in_column & ~_fragments(stretches, settings)
     solid = _bodies(stretches, parts, assumed_m, in_wall[parts.wall] & np.isfinite(parts.thickness_m), settings)
     assumed = _bodies(stretches, parts, assumed_m, in_wall[parts.wall] & ~np.isfinite(parts.thickness_m), settings)

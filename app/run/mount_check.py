@@ -28,7 +28,7 @@ _MAP_POINTS = 12_000
 """Maximum number of returns of one scan in the map."""
 TURN_MIN_DEG, LONGEST_S = 60.0, 60.0
 """Turn, or else time, after which a mount that is off is refined: without a turn, clock and shift cannot be told apart. It is worth
-to wait for one: after 25 s of a straight way a clock was known to 15 ms, after the turn that followed to 4."""
+waiting for one: after 25 s of a straight way a clock was known to 15 ms, after the turn that followed to 4."""
 
 
 class MountOffError(Exception):
