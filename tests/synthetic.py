@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base import transforms
-from ffmap.algorithms.base.scan import FloatArray, Scan, ScanSettings
+from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, ScanSettings
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
 from ffmap.algorithms.scan.doors import DoorsSettings
@@ -53,6 +53,13 @@ def level(scan: Scan, trajectory: Trajectory) -> LevelledScan:
     return place_and_level(
         scan, ranges, trajectory, T_BASE_SENSOR, 0.0, np.zeros(2), RearrangementSettings(), max_deg=2.0
     )
+
+
+def scan_of(points_sensor: FloatArray, ring: IntArray, ring_count: int) -> Scan:
+    """A scan of nothing but points and their emitters."""
+    count = len(points_sensor)
+    index = np.arange(count, dtype=np.int32)
+    return Scan(points_sensor.astype(np.float32), ring.astype(np.uint16), ring_count, None, 0, 0, index, count)
 
 
 def scan(index: int = 0, firings: int = 2170, seed: int = 0) -> Scan:

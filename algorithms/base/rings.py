@@ -1,22 +1,46 @@
 """The order of a scan's returns about the spin axis."""
 
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
 import numba
 import numpy as np
 
-from ffmap.algorithms.base.scan import FloatArray, IntArray
+if TYPE_CHECKING:
+    from ffmap.algorithms.base.scan import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class RingOrder:
+    """The returns of a scan ring by ring, each ring once round.
+
+    order: (n,) int32, rows of the scan; order[starts[r]:starts[r + 1]] is ring r by increasing turn. starts: (rings + 1,) int32.
+    turn_rad: (n,) float64, of these in this order: the angle about the spin axis from x towards y, -π to π.
+    rank: (n,) int32, the place of each row in this order.
+    """
+
+    order: "IntArray"
+    starts: "IntArray"
+    turn_rad: "FloatArray"
+    rank: "IntArray"
+
+    @classmethod
+    def of(cls, points_sensor: "FloatArray", ring: "IntArray", ring_count: int) -> "RingOrder":
+        """Of points (n, 3) float32 whose z is the spin axis, and the emitter (n,) of each."""
+        turn = turns(points_sensor)
+        order, starts = sort_by_angle(ring, turn, ring_count)
+        return cls(order, starts, *_arranged(turn, order))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def turns(points: FloatArray, down_rad: float) -> FloatArray:  # pragma: no cover
-    """Angle of each return about z from straight down, -π to π, without branches so that it runs on whole vectors.
+def turns(points: "FloatArray") -> "FloatArray":  # pragma: no cover
+    """Angle of each return about z from x towards y, -π to π, without branches so that it runs on whole vectors.
 
     The arc tangent is a polynomial within 1.2e-5 rad, a fraction of an encoder's step (Abramowitz and Stegun, 4.4.47).
     """
-    cos_down, sin_down = np.float32(np.cos(down_rad)), np.float32(np.sin(down_rad))
     turn = np.empty(len(points), np.float32)
     for i in range(len(points)):
-        x = points[i, 0] * cos_down + points[i, 1] * sin_down
-        y = points[i, 1] * cos_down - points[i, 0] * sin_down
+        x, y = points[i, 0], points[i, 1]
         ax, ay = abs(x), abs(y)
         steep = ay > ax
         ratio = (ax if steep else ay) / max(max(ax, ay), np.float32(1e-30))
@@ -33,7 +57,9 @@ def turns(points: FloatArray, down_rad: float) -> FloatArray:  # pragma: no cove
 
 
 @numba.njit(cache=True, nogil=True)
-def sort_by_angle(group: IntArray, angle_rad: FloatArray, groups: int) -> tuple[IntArray, IntArray]:  # pragma: no cover
+def sort_by_angle(
+    group: "IntArray", angle_rad: "FloatArray", groups: int
+) -> "tuple[IntArray, IntArray]":  # pragma: no cover
     """order (n,) int32 and starts (groups + 1,) int32: order[starts[g]:starts[g + 1]] is group g by increasing angle.
 
     Returns come in the order of firing, and so does each group go round, one way or the other: it is turned about, and begun
@@ -79,3 +105,12 @@ def sort_by_angle(group: IntArray, angle_rad: FloatArray, groups: int) -> tuple[
             for k in range(size):
                 order[first + k] = own[by_angle[k]]
     return order, starts
+
+
+@numba.njit(cache=True, nogil=True)
+def _arranged(turn: "FloatArray", order: "IntArray") -> "tuple[FloatArray, IntArray]":  # pragma: no cover
+    """turn_rad and rank of `RingOrder`."""
+    turn_rad, rank = np.empty(len(order)), np.empty(len(order), np.int32)
+    for j, i in enumerate(order):
+        turn_rad[j], rank[i] = turn[i], j
+    return turn_rad, rank

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cached_property
 from typing import Any
 
 import numba
@@ -9,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from ffmap.algorithms.base.rings import RingOrder
 from ffmap.algorithms.base.settings import StepSettings
 
 FloatArray = npt.NDArray[np.floating[Any]]
@@ -75,6 +77,11 @@ class Scan:
     def reference_ns(self) -> int:
         """The middle of the sweep, whose pose stands for the whole scan's."""
         return (self.start_ns + self.end_ns) // 2
+
+    @cached_property
+    def rings(self) -> RingOrder:
+        """Its returns ring by ring: smoothing and point lines both go along the rings."""
+        return RingOrder.of(self.points_sensor, self.ring, self.ring_count)
 
 
 def within_range(scan: Scan, range_max_m: float) -> Scan:

@@ -9,19 +9,18 @@ from ffmap.algorithms.scan.rearrangement import HEIGHT_BIN_M, HorizontalPlane, R
 
 
 def find_ceilings(
-    points_level: FloatArray, floor: HorizontalPlane, settings: RearrangementSettings, seed: int
+    points_level: FloatArray, height_m: FloatArray, floor: HorizontalPlane, settings: RearrangementSettings, seed: int
 ) -> tuple[HorizontalPlane, ...]:
     """The ceilings by RANSAC: the biggest planes parallel to the floor or level, high above it and well supported.
 
     A plane parallel to a given one has one unknown, its height, so one return makes a hypothesis. The largest is the
     ceiling. A further one is taken only where it can be no duct or lamp: above the largest, or as broad as a room.
 
-    points_level: (n, 3); seed: of the hypotheses.
+    points_level: (n, 3); height_m: (n,) of these above the floor; seed: of the hypotheses.
     """
-    above_m = floor.heights_above(points_level)
     # 8000 returns find a plane and place it to a millimetre.
     points, stride = _thinned(
-        points_level, above_m, settings.ceiling_height_min_m, settings.ceiling_height_max_m, 8_000
+        points_level, height_m, settings.ceiling_height_min_m, settings.ceiling_height_max_m, 8_000
     )
     # Heights above planes parallel to the floor, and above level ones where the floor slopes by more than a hundredth.
     slopes = [*floor.slopes]
@@ -41,13 +40,13 @@ def find_ceilings(
         if support < support_min:
             break
         on_plane = np.abs(heights - centre_m) < settings.ceiling_distance_m
-        height_m = floor.height_m + centre_m
+        found_m = floor.height_m + centre_m
         if (
             not ceilings
-            or height_m > ceilings[0].height_m
+            or found_m > ceilings[0].height_m
             or (support > 0.2 * ceilings[0].support and _is_broad(points[on_plane]))
         ):
-            ceilings.append(refine_plane(points, height_m, slopes[best], settings.ceiling_distance_m, 0.03, 20.0))
+            ceilings.append(refine_plane(points, found_m, slopes[best], settings.ceiling_distance_m, 0.03, 20.0))
         # What touches a plane that was tried is not tried again.
         rest = np.abs(heights - centre_m) > 1.5 * settings.ceiling_distance_m
         parallel, points = [heights[rest] for heights in parallel], points[rest]
@@ -97,12 +96,13 @@ def _thinned(
         count += low_m < above_m[i] < high_m
     stride = max(1, count // most)
     kept = np.empty(((count + stride - 1) // stride, 3))
-    place = 0
+    place, left_out = 0, 0
     for i in range(len(points)):
         if low_m < above_m[i] < high_m:
-            if place % stride == 0:
-                kept[place // stride] = points[i]
-            place += 1
+            if left_out == 0:
+                kept[place, 0], kept[place, 1], kept[place, 2] = points[i, 0], points[i, 1], points[i, 2]
+                place, left_out = place + 1, stride
+            left_out -= 1
     return kept, stride
 
 

@@ -110,14 +110,12 @@ def label_scan(
     # III.A: floor by height, ceiling by RANSAC, 2n point lines.
     floor = floor or find_floor(placed.points_level, settings.rearrangement)
     returns = Returns(placed.points_level, floor.heights_above(placed.points_level), placed.origin_level)
-    ceilings = find_ceilings(returns.points_level, floor, settings.rearrangement, seed)
+    ceilings = find_ceilings(returns.points_level, returns.height_m, floor, settings.rearrangement, seed)
     floor_m, ceiling_m = settings.rearrangement.floor_height_m, settings.rearrangement.ceiling_distance_m
     label = _label_horizontal(returns.points_level, returns.height_m, plane_rows(ceilings), floor_m, ceiling_m)
     is_horizontal = label != Label.CLUTTER
     lines = make_point_lines(
-        scan.points_sensor,
-        scan.ring,
-        scan.ring_count,
+        scan,
         placed.down_sensor,
         is_horizontal,
         settings.rearrangement,

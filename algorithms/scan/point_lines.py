@@ -10,7 +10,7 @@ import numba
 import numpy as np
 
 from ffmap.algorithms.base.rings import sort_by_angle, turns
-from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan
 from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 
 SAMPLES = 200
@@ -43,9 +43,7 @@ class PointLines:
 
 
 def make_point_lines(
-    points_sensor: FloatArray,
-    ring: IntArray,
-    ring_count: int,
+    scan: Scan,
     down_sensor: FloatArray,
     is_horizontal: BoolArray,
     settings: RearrangementSettings,
@@ -57,22 +55,23 @@ def make_point_lines(
     emitters about the spin axis, 0 to π, and its sign is the side. A column has all returns of a sector; it is resampled from
     those alone that are nearest to the sector's middle, one of each emitter: across a sector a slanting wall's range changes.
 
-    points_sensor: (r, 3), z along the spin axis. ring: (r,). down_sensor: (3,) gravity. is_horizontal: (r,) floor or
-    ceiling, kept in `order` and left out of `samples`. column_pairs: n of an upright lidar; 0 for lines of emitters.
+    down_sensor: (3,) gravity. is_horizontal: (r,) which returns of the scan are floor or ceiling, kept in `order` and left
+    out of `samples`. column_pairs: n of an upright lidar; 0 for lines of emitters.
     Raises ValueError where lines of emitters are asked of an upright lidar, for then none stands upright.
     """
     left_out = is_horizontal
     if column_pairs:
-        line, height, in_middle = _columns(points_sensor, ring, ring_count, down_sensor, column_pairs)
+        line, height, in_middle = _columns(
+            scan.points_sensor, scan.ring, scan.ring_count, down_sensor, column_pairs
+        )
         left_out = is_horizontal | ~in_middle
         order, starts = sort_by_angle(line, height, 2 * column_pairs)
     else:
         across = float(np.hypot(down_sensor[0], down_sensor[1]))
         if across < np.sin(np.radians(_LEANING_MIN_DEG)):
             raise ValueError("the spin axis is upright: no emitter of this lidar sweeps a wall from floor to ceiling")
-        down_rad = float(np.arctan2(down_sensor[1], down_sensor[0]))
-        line, angle_rad = _lines(points_sensor, ring, down_rad)
-        order, starts = sort_by_angle(line, angle_rad, 2 * ring_count)
+        rings, down_rad = scan.rings, float(np.arctan2(down_sensor[1], down_sensor[0]))
+        order, starts = _halves(rings.order, rings.starts, rings.turn_rad, down_rad)
     samples = _resample(order, starts, is_horizontal, left_out, settings.line_points_min)
     return PointLines(order, starts, samples)
 
@@ -83,7 +82,7 @@ def _columns(
 ) -> tuple[IntArray, FloatArray, BoolArray]:  # pragma: no cover
     """(r,) the line of each return, how high its ray points, from -1 to 1, and whether it is its emitter's in the middle."""
     count, sectors = len(points), 2 * pairs
-    turn = turns(points, 0.0)
+    turn = turns(points)
     line, height, in_middle = np.empty(count, np.int32), np.empty(count, np.float32), np.zeros(count, np.bool_)
     nearest, off = np.full(sectors * ring_count, -1, np.int32), np.full(sectors * ring_count, np.float32(1.0))
     for i in range(count):
@@ -104,13 +103,25 @@ def _columns(
 
 
 @numba.njit(cache=True, nogil=True)
-def _lines(points: FloatArray, ring: IntArray, down_rad: float) -> tuple[IntArray, FloatArray]:  # pragma: no cover
-    """(n,) the point line of each return, and its angle from straight down."""
-    turn = turns(points, down_rad)
-    line = np.empty(len(points), np.int32)
-    for i in range(len(points)):
-        line[i] = 2 * np.int64(ring[i]) + (0 if turn[i] > 0 else 1)
-    return line, np.abs(turn)
+def _halves(
+    ring_order: IntArray, ring_starts: IntArray, turn_rad: FloatArray, down_rad: float
+) -> tuple[IntArray, IntArray]:  # pragma: no cover
+    """order and starts of `PointLines`: each ring, which goes round once, is cut at straight down and straight up."""
+    order, starts = np.empty_like(ring_order), np.zeros(2 * len(ring_starts) - 1, np.int32)
+    up_rad = down_rad - np.pi if down_rad > 0.0 else down_rad + np.pi
+    for ring in range(len(ring_starts) - 1):
+        first, stop = ring_starts[ring], ring_starts[ring + 1]
+        own, count = turn_rad[first:stop], stop - first
+        down, up = np.searchsorted(own, down_rad, side="right"), np.searchsorted(own, up_rad, side="right")
+        rising = up - down + (count if down_rad > 0.0 else 0)
+        at = first + down
+        for k in range(count):
+            # From straight down once round: up on one side, and down again on the other, which is turned about.
+            at = at if at < stop else first
+            order[first + k if k < rising else stop - 1 - (k - rising)] = ring_order[at]
+            at += 1
+        starts[2 * ring + 1], starts[2 * ring + 2] = first + rising, stop
+    return order, starts
 
 
 @numba.njit(cache=True, nogil=True)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ffmap.algorithms.base.rings import sort_by_angle
+from ffmap.algorithms.base.rings import RingOrder, sort_by_angle
 
 
 def expected(group: np.ndarray, angle: np.ndarray, groups: int) -> tuple[np.ndarray, np.ndarray]:
@@ -41,3 +41,14 @@ def test_any_order_is_sorted(seed: int) -> None:
 def test_none_and_one() -> None:
     check(np.zeros(0, int), np.zeros(0), 3)
     check(np.array([2]), np.array([0.5]), 3)
+
+
+def test_the_rank_of_a_return_is_its_place_among_the_rings() -> None:
+    random = np.random.default_rng(3)
+    points, ring = random.normal(size=(400, 3)).astype(np.float32), random.integers(0, 4, 400).astype(np.uint16)
+    rings = RingOrder.of(points, ring, 4)
+    np.testing.assert_array_equal(rings.order[rings.rank], np.arange(400))
+    np.testing.assert_allclose(rings.turn_rad, np.arctan2(points[:, 1], points[:, 0])[rings.order], atol=2e-5)
+    for r in range(4):
+        assert np.all(ring[rings.order[rings.starts[r] : rings.starts[r + 1]]] == r)
+        assert np.all(np.diff(rings.turn_rad[rings.starts[r] : rings.starts[r + 1]]) >= 0)

@@ -3,11 +3,18 @@
 import numpy as np
 import pytest
 
+from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.scan.ceiling import find_ceilings
 from ffmap.algorithms.scan.floor import find_floor
-from ffmap.algorithms.scan.rearrangement import HorizontalPlane
+from ffmap.algorithms.scan.rearrangement import HorizontalPlane, RearrangementSettings
 from tests.algorithms.scan.test_floor import FOOT, SETTINGS, ground
 from tests.corridor import METHOD, labelled
+
+
+def found_above(
+    points: FloatArray, floor: HorizontalPlane, settings: RearrangementSettings, seed: int
+) -> tuple[HorizontalPlane, ...]:
+    return find_ceilings(points, floor.heights_above(points), floor, settings, seed)
 
 
 def test_a_ceiling_over_a_ramp_may_slope_with_it_or_be_level() -> None:
@@ -16,7 +23,7 @@ def test_a_ceiling_over_a_ramp_may_slope_with_it_or_be_level() -> None:
     ramp = HorizontalPlane(0.0, np.array([0.08, 0.0]), 0)
     for slope in (0.08, 0.0):
         points = np.column_stack([xy, 2.8 + slope * xy[:, 0] + generator.normal(0, 0.01, len(xy))]).astype(np.float32)
-        (ceiling,) = find_ceilings(points, ramp, METHOD.rearrangement, 0)
+        (ceiling,) = found_above(points, ramp, METHOD.rearrangement, 0)
         assert ceiling.height_m == pytest.approx(2.8, abs=0.01)
         np.testing.assert_allclose(ceiling.slope, [slope, 0.0], atol=0.005)
 
@@ -24,7 +31,7 @@ def test_a_ceiling_over_a_ramp_may_slope_with_it_or_be_level() -> None:
 def test_ceiling_is_independent_of_the_seed() -> None:
     _, placed, _, _ = labelled()
     floor = HorizontalPlane(0.0, np.zeros(2), 0)
-    found = [find_ceilings(placed.points_level, floor, METHOD.rearrangement, seed)[0].height_m for seed in range(5)]
+    found = [found_above(placed.points_level, floor, METHOD.rearrangement, seed)[0].height_m for seed in range(5)]
     assert np.ptp(found) < 0.005
 
 
@@ -38,9 +45,9 @@ def test_a_duct_below_the_ceiling_is_no_ceiling_of_its_own_and_a_lower_room_has_
     ceiling = returns(12_000, (-3, -3), (3, 3), 2.8)
     duct = returns(4_000, (-3, 1.0), (3, 1.4), 2.45)
     lower = returns(4_000, (3, -3), (5, 1), 2.45)
-    with_duct = find_ceilings(np.concatenate([ceiling, duct]).astype(np.float32), floor, METHOD.rearrangement, 0)
+    with_duct = found_above(np.concatenate([ceiling, duct]).astype(np.float32), floor, METHOD.rearrangement, 0)
     assert [round(c.height_m, 1) for c in with_duct] == [2.8]
-    with_room = find_ceilings(np.concatenate([ceiling, lower]).astype(np.float32), floor, METHOD.rearrangement, 0)
+    with_room = found_above(np.concatenate([ceiling, lower]).astype(np.float32), floor, METHOD.rearrangement, 0)
     assert sorted(round(c.height_m, 2) for c in with_room) == [2.45, 2.8]
 
 
@@ -50,6 +57,6 @@ def test_ceilings_follow_both_pieces_of_the_floor() -> None:
     places = generator.uniform(-3.0, 3.0, (40_000, 2))
     truth_m = 2.6 + (FOOT[:, 0] + places @ FOOT[:, 1:].T).max(axis=1)
     ceiling = np.column_stack([places, truth_m + generator.normal(0, 0.01, len(places))]).astype(np.float32)
-    planes = find_ceilings(np.concatenate([points, ceiling]), find_floor(points, SETTINGS), SETTINGS, 0)
+    planes = found_above(np.concatenate([points, ceiling]), find_floor(points, SETTINGS), SETTINGS, 0)
     off_m = np.min([np.abs(plane.height_at(ceiling) - truth_m) for plane in planes], axis=0)
     assert np.mean(off_m < 0.02) > 0.97

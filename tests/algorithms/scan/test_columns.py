@@ -13,6 +13,7 @@ from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
 from ffmap.algorithms.scan.point_lines import COLUMN_PAIRS, SAMPLES, make_point_lines
 from tests.corridor import METHOD, Hole, cast, share
+from tests.synthetic import scan_of
 
 T_BASE_SENSOR = transforms.make_transform(translation=[0.0, 0.0, 1.0])
 EMITTERS_DEG = np.linspace(-45, 45, 64)
@@ -32,9 +33,7 @@ def labelled(scan: Scan, placed: PlacedScan) -> ScanLabelling:
 
 def test_a_column_is_a_sector_from_below_upwards_resampled_from_its_middle() -> None:
     scan, _, _ = swept()
-    lines = make_point_lines(
-        scan.points_sensor, scan.ring, 64, DOWN, np.zeros(len(scan), bool), METHOD.rearrangement, COLUMN_PAIRS
-    )
+    lines = make_point_lines(scan, DOWN, np.zeros(len(scan), bool), METHOD.rearrangement, COLUMN_PAIRS)
     assert lines.samples.shape == (2 * COLUMN_PAIRS, SAMPLES)
     assert sorted(lines.order.tolist()) == list(range(len(scan)))
     azimuth_deg = np.degrees(np.arctan2(scan.points_sensor[:, 1], scan.points_sensor[:, 0])) + 180.0
@@ -106,6 +105,6 @@ def test_a_column_whose_middle_is_all_floor_is_no_line() -> None:
     points = np.column_stack([2 * np.cos(azimuth_rad), 2 * np.sin(azimuth_rad), np.full(41, -1.0)])
     is_floor = np.zeros(41, bool)
     is_floor[20] = True
-    ring = np.zeros(41, np.int64)
-    lines = make_point_lines(points, ring, 1, DOWN, is_floor, METHOD.rearrangement, column_pairs=180)
+    scan = scan_of(points, np.zeros(41, np.uint16), 1)
+    lines = make_point_lines(scan, DOWN, is_floor, METHOD.rearrangement, column_pairs=180)
     assert np.all(lines.samples == -1)

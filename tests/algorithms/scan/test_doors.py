@@ -24,6 +24,7 @@ from ffmap.algorithms.scan.vertical_structures import (
     find_vertical_structures,
 )
 from ffmap.algorithms.scan.wall_planes import WallPlanes, WallPlanesSettings, grow_wall_planes
+from tests.synthetic import scan_of
 
 DOORS = DoorsSettings()
 WALL_Y_M = 2.0
@@ -86,9 +87,7 @@ def look(profiles: dict[float, Profile], settings: DoorsSettings = DOORS, ceilin
     ring = np.repeat(np.arange(len(xs), dtype=np.uint16), np.array([len(c) for c in columns], int))
     height_m = points[:, 2]
     lines = make_point_lines(
-        transforms.apply(transforms.invert(T_LEVEL_SENSOR), points).astype(np.float32),
-        ring,
-        len(xs),
+        scan_of(transforms.apply(transforms.invert(T_LEVEL_SENSOR), points), ring, len(xs)),
         -T_LEVEL_SENSOR[2, :3],
         (height_m < 0.02) | (height_m > ceiling_m - 0.02),
         RearrangementSettings(),

@@ -7,6 +7,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.scan.point_lines import SAMPLES, PointLines, make_point_lines
 from tests.corridor import METHOD, T_BASE_SENSOR, labelled
+from tests.synthetic import scan_of
 
 
 def test_point_lines_have_exactly_200_returns_from_below_upwards() -> None:
@@ -32,11 +33,28 @@ def test_of_an_upright_spin_axis_no_emitter_has_lines() -> None:
 
     def lines(tilt_deg: float) -> PointLines:
         down = np.array([np.sin(np.radians(tilt_deg)), 0.0, -np.cos(np.radians(tilt_deg))])
-        return make_point_lines(
-            scan.points_sensor, scan.ring, 32, down, np.zeros(len(scan), bool), METHOD.rearrangement
-        )
+        return make_point_lines(scan, down, np.zeros(len(scan), bool), METHOD.rearrangement)
 
     for tilt_deg in (0.0, 15.0 - 0.1):
         with pytest.raises(ValueError, match="upright"):
             lines(tilt_deg)
     assert len(lines(15.0 + 0.1).order) == len(scan)
+
+
+@pytest.mark.parametrize("down_deg", [-180.0, -179.0, -90.0, -0.01, 0.0, 30.0, 179.0, 180.0])
+def test_a_ring_is_cut_at_straight_down_and_straight_up_wherever_it_begins(down_deg: float) -> None:
+    """Three rings: one goes all round, one lies in one half, one has no return."""
+    random = np.random.default_rng(7)
+    azimuth_deg = np.concatenate([random.permutation(360) - 179.75, np.linspace(40.0, 50.0, 30) + down_deg])
+    azimuth_rad = np.radians(azimuth_deg)
+    points = np.column_stack([np.cos(azimuth_rad), np.sin(azimuth_rad), np.zeros(len(azimuth_rad))])
+    scan = scan_of(points, np.repeat([0, 2], [360, 30]), 3)
+    down = np.array([np.cos(np.radians(down_deg)), np.sin(np.radians(down_deg)), 0.0])
+    lines = make_point_lines(scan, down, np.zeros(len(scan), bool), METHOD.rearrangement)
+    from_down_deg = (azimuth_deg - down_deg + 180.0) % 360.0 - 180.0
+    for ring, rows in ((0, np.arange(360)), (1, np.arange(0)), (2, np.arange(360, 390))):
+        for side, sign in ((0, 1.0), (1, -1.0)):
+            line = 2 * ring + side
+            own = rows[sign * from_down_deg[rows] > 0.0]
+            expected = own[np.argsort(np.abs(from_down_deg[own]))]
+            np.testing.assert_array_equal(lines.order[lines.starts[line] : lines.starts[line + 1]], expected)

@@ -222,7 +222,7 @@ class TestHorizontalPlanes:
         @example(np.zeros((0, 3), np.float32), 0)
         @example(np.full((1000, 3), 2.5, np.float32), 0)
         def check(cloud: np.ndarray, seed: int) -> None:
-            ceilings = find_ceilings(cloud, HorizontalPlane(0.0, np.zeros(2), 0), REARRANGEMENT, seed)
+            ceilings = find_ceilings(cloud, cloud[:, 2], HorizontalPlane(0.0, np.zeros(2), 0), REARRANGEMENT, seed)
             assert len(ceilings) <= REARRANGEMENT.ceilings_max
             assert all(is_sound(ceiling, 0.03, cloud) for ceiling in ceilings)
             high = cloud[:, 2] > REARRANGEMENT.ceiling_height_min_m
@@ -250,7 +250,7 @@ class TestHorizontalPlanes:
         cloud = generator.permutation(cloud).astype(np.float32)
         floor = find_floor(cloud, REARRANGEMENT)
         assert floor.height_m == pytest.approx(height_m, abs=0.01)
-        ceilings = find_ceilings(cloud, floor, REARRANGEMENT, seed)
+        ceilings = find_ceilings(cloud, floor.heights_above(cloud), floor, REARRANGEMENT, seed)
         assert ceilings[0].height_m == pytest.approx(ceiling_m, abs=0.01)
         assert max(np.hypot(*floor.slope), np.hypot(*ceilings[0].slope)) < 0.005
 
