@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,8 @@ from ffmap.loaders.scans import SkippedScan, read_digests, read_scans
 
 VOXEL_M = 0.05
 SCANS_PER_BLOCK = 20
+_FIRST_SCANS = 4
+"""Scans of the first block: a viewer shows a drive's first scans half a second sooner than with a whole one."""
 FINAL_EVIDENCE = ".final.rrd"
 STAGES = ("reading", "smoothing", "placing", "labelling", "recording")
 """What a scan goes through, each timed by itself."""
@@ -93,9 +96,9 @@ class FinishJob:
 
 def split_blocks(scans: int) -> list[Block]:
     """The blocks that `scans` scans make."""
+    starts = [*range(0, min(scans, _FIRST_SCANS), _FIRST_SCANS), *range(_FIRST_SCANS, scans, SCANS_PER_BLOCK)]
     return [
-        Block(number, first, min(SCANS_PER_BLOCK, scans - first))
-        for number, first in enumerate(range(0, scans, SCANS_PER_BLOCK))
+        Block(number, first, after - first) for number, (first, after) in enumerate(pairwise([*starts, scans]))
     ]
 
 

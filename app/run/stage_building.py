@@ -27,11 +27,14 @@ from ffmap.app.run.stage_scans import LabelledScans
 from ffmap.app.setup.outputs import Output
 from ffmap.blueprints import entities
 
+_BLOCKS_AT_ONCE = 4
+"""Blocks whose rays are counted into the same arrays: with arrays for each block, a building of 60 s of driving takes 6 % longer."""
+
 
 def build(run: Run, scans: LabelledScans, trajectory: Trajectory) -> tuple[Building, AllScans]:
     """The building of all scans, recorded, and what they gathered."""
     run.progress.stage("building", None)
-    drive = Drive(trajectory.T_map_base[:, :3, 3], lambda: _features(run, len(scans.jobs)))
+    drive = Drive(trajectory.T_map_base[:, :3, 3], lambda: _features(run, range(len(scans.jobs))))
     trace = TraceOnce(lambda *asked: _trace(run, len(scans.jobs), *asked))
     gathered = AllScans(drive, scans.votes, scans.rivals, trace, run.settings.levels)
     building = fuse_building(gathered, run.settings.fusion)
@@ -61,23 +64,26 @@ def take_maps(run: Run, maps: Maps) -> None:
 
 
 def _trace(run: Run, blocks: int, faces: Walls, settings: BuildingSettings, windows: Windows) -> WallCells:
-    """`trace_rays` block by block, on all workers; summed in the blocks' order, so that no sum depends on the workers."""
+    """`trace_rays` of some blocks after the other, on all workers.
 
-    def trace_block(number: int) -> WallCells:
-        features = load_features(run.folder.block(number, PLACED))
+    Each portion is counted into arrays of its own, and these are summed in order: no sum depends on the workers.
+    """
+
+    def trace_portion(first: int) -> WallCells:
+        features = _features(run, range(first, min(first + _BLOCKS_AT_ONCE, blocks)))
         if len(windows):
-            features = [without_rays_through(windows, part) for part in features]
+            features = (without_rays_through(windows, part) for part in features)
         return trace_rays(faces, features, settings)
 
     cells = trace_rays(faces, [], settings)
     with ThreadPoolExecutor(run.options.workers) as threads:
-        for part in threads.map(trace_block, range(blocks)):
+        for part in threads.map(trace_portion, range(0, blocks, _BLOCKS_AT_ONCE)):
             cells = cells.plus(part)
     return cells
 
 
-def _features(run: Run, blocks: int) -> Iterator[Features]:
-    for number in range(blocks):
+def _features(run: Run, blocks: range) -> Iterator[Features]:
+    for number in blocks:
         yield from load_features(run.folder.block(number, PLACED))
 
 
