@@ -28,7 +28,7 @@ from ffmap.app.setup.outputs import Output
 from ffmap.blueprints import entities
 
 _BLOCKS_AT_ONCE = 4
-"""Blocks whose rays are counted into the same arrays: with arrays for each block, a building of 60 s of driving takes 6 % longer."""
+"""Blocks whose rays are counted into the same arrays: with arrays of its own for each, the building takes 6 % longer."""
 
 
 def build(run: Run, scans: LabelledScans, trajectory: Trajectory) -> tuple[Building, AllScans]:
