@@ -33,6 +33,16 @@ def test_points_have_positions_and_both_labels_in_the_order_of_the_scan(recordin
         np.testing.assert_array_equal(row["measured_alone"], alone)
 
 
+def test_intensities_are_kept_to_three_digits(tmp_path, labelled):
+    scan, level, labelling = labelled[0]
+    given = np.random.default_rng(0).uniform(0.0, 300.0, len(scan)).astype(np.float32)
+    given[:4] = 0.0, 255.0, np.nan, 80_000.0  # the last is beyond what half a float holds
+    with open_log(tmp_path / "block.rrd", "run-6") as log:
+        log_scan(log, 0, level, labelling, scan.stamp_ns, {}, intensity=given)
+    (row,) = rows(tmp_path / "block.rrd", entities.POINTS)
+    np.testing.assert_allclose(row["intensity"], np.minimum(given, 65_504.0), rtol=5e-4)
+
+
 def test_both_timelines_are_exact(recording):
     stamps = [row["stamp"].value for row in rows(recording, entities.POINTS)]
     assert stamps == [synthetic.stamp_ns(index) for index in range(SCANS)]
