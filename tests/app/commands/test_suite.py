@@ -2,6 +2,7 @@
 
 import io
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,23 @@ from rich.console import Console
 from ffmap.app.commands import suite
 from ffmap.app.commands.suite import Drive, format_suite, parse_seeds, run_suite
 from ffmap.loaders.errors import InputError
+
+FREE_BYTES = 50_000_000_000
+
+
+@pytest.fixture(autouse=True)
+def _a_disk_with_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The drives here are small; how much is free on the machine that runs the tests is none of their business."""
+    real = shutil.disk_usage("/")
+    usage = real._replace(free=FREE_BYTES)
+    monkeypatch.setattr(suite.shutil, "disk_usage", lambda _: usage)
+
+
+def test_drives_that_would_not_fit_on_the_disk_are_refused_before_any_is_made(tmp_path: Path) -> None:
+    at_once = 6  # of which each needs more than a sixth of what is free
+    with pytest.raises(InputError, match="50 GB are free and 6 drives of the suite at once need 54"):
+        suite._check_space(tmp_path, at_once)
+    suite._check_space(tmp_path, at_once - 1)
 
 
 def metrics(wall: float, kept: float) -> dict[str, object]:
