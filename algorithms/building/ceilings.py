@@ -155,8 +155,10 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     away, nearest = nearest_known(hangs)
     at_part = np.where(away <= 1.5, parts[nearest], 0)
     low_m = np.where(at_part > 0, low_m[nearest], low_m)
-    from_m, up_to_m = (grid.heights(position[(label == Label.WALL) & votes.seen()], quantile) for quantile in (0.0, 1.0))
-    hung = (at_part > 0) & is_deep[at_part] & (from_m > low_m - settings.drop_flat_m) & (from_m - ground_m > settings.headroom_m)
+    passed = position[(label == Label.WALL) & votes.seen()]
+    from_m, up_to_m = grid.heights(passed, 0.0), grid.heights(passed, 1.0)
+    begins = (from_m > low_m - settings.drop_flat_m) & (from_m - ground_m > settings.headroom_m)
+    hung = (at_part > 0) & is_deep[at_part] & begins
     high_m = np.where(hung, np.fmax(high_m, up_to_m), high_m)
     side = (hung | (hangs & ~walls)) & (high_m - low_m > votes.voxel_m)
     # A ceiling that rises, or is stepped, is higher farther on than where the side meets it. Where no ceiling is seen beside a

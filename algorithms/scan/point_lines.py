@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from ffmap.algorithms.base.rings import sort_by_angle, turns
+from ffmap.algorithms.base.rings import sort_by_angle
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan
 from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 
@@ -61,8 +61,9 @@ def make_point_lines(
     """
     left_out = is_horizontal
     if column_pairs:
+        rings = scan.rings
         line, height, in_middle = _columns(
-            scan.points_sensor, scan.ring, scan.ring_count, down_sensor, column_pairs
+            scan.points_sensor, scan.ring, scan.ring_count, rings.turn_rad, rings.rank, down_sensor, column_pairs
         )
         left_out = is_horizontal | ~in_middle
         order, starts = sort_by_angle(line, height, 2 * column_pairs)
@@ -78,18 +79,23 @@ def make_point_lines(
 
 @numba.njit(cache=True, nogil=True)
 def _columns(
-    points: FloatArray, ring: IntArray, ring_count: int, down: FloatArray, pairs: int
+    points: FloatArray,
+    ring: IntArray,
+    ring_count: int,
+    turn_rad: FloatArray,
+    rank: IntArray,
+    down: FloatArray,
+    pairs: int,
 ) -> tuple[IntArray, FloatArray, BoolArray]:  # pragma: no cover
     """(r,) the line of each return, how high its ray points, from -1 to 1, and whether it is its emitter's in the middle."""
     count, sectors = len(points), 2 * pairs
-    turn = turns(points)
     line, height, in_middle = np.empty(count, np.int32), np.empty(count, np.float32), np.zeros(count, np.bool_)
     nearest, off = np.full(sectors * ring_count, -1, np.int32), np.full(sectors * ring_count, np.float32(1.0))
     for i in range(count):
         x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
         range_m = max(np.sqrt(x * x + y * y + z * z), 1e-6)
         height[i] = -(x * down[0] + y * down[1] + z * down[2]) / range_m
-        place = (turn[i] / (2.0 * np.pi) + 0.5) * sectors
+        place = (turn_rad[rank[i]] / (2.0 * np.pi) + 0.5) * sectors
         sector = min(max(int(place), 0), sectors - 1)
         line[i] = 2 * (sector % pairs) + sector // pairs
         cell = sector * ring_count + ring[i]

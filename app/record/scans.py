@@ -134,7 +134,7 @@ def _log_points(
         entities.POINT_RADIUS_UPRIGHT: np.where(horizontal, np.float32(0), ui_radius(POINT_RADIUS_UI)),
     }
     if intensity is not None:
-        # To three digits: whole numbers up to 2048 as they are.
+        # To three digits: whole numbers up to 2048 as they are, and nothing above what half a float holds.
         evidence[entities.POINT_INTENSITY] = np.minimum(intensity, np.finfo(np.float16).max).astype(np.float16)
     log.row(entities.POINTS, rr.Points3D, evidence, positions=positions, class_ids=labelling.label)
 

@@ -42,7 +42,7 @@ from ffmap.loaders.scans import SkippedScan, read_digests, read_scans
 VOXEL_M = 0.05
 SCANS_PER_BLOCK = 20
 _FIRST_SCANS = 4
-"""Scans of the first block: a viewer shows a drive's first scans half a second sooner than with a whole one."""
+"""Scans of the first block: a drive's first scans are labelled half a second sooner than with a whole one."""
 FINAL_EVIDENCE = ".final.rrd"
 STAGES = ("reading", "smoothing", "placing", "labelling", "recording")
 """What a scan goes through, each timed by itself."""
@@ -96,10 +96,8 @@ class FinishJob:
 
 def split_blocks(scans: int) -> list[Block]:
     """The blocks that `scans` scans make."""
-    starts = [*range(0, min(scans, _FIRST_SCANS), _FIRST_SCANS), *range(_FIRST_SCANS, scans, SCANS_PER_BLOCK)]
-    return [
-        Block(number, first, after - first) for number, (first, after) in enumerate(pairwise([*starts, scans]))
-    ]
+    bounds = [0, *range(_FIRST_SCANS, scans, SCANS_PER_BLOCK), scans]
+    return [Block(number, first, after - first) for number, (first, after) in enumerate(pairwise(bounds)) if after > first]
 
 
 def label_block(job: LabelJob) -> BlockSummary:

@@ -64,10 +64,7 @@ def take_maps(run: Run, maps: Maps) -> None:
 
 
 def _trace(run: Run, blocks: int, faces: Walls, settings: BuildingSettings, windows: Windows) -> WallCells:
-    """`trace_rays` of some blocks after the other, on all workers.
-
-    Each portion is counted into arrays of its own, and these are summed in order: no sum depends on the workers.
-    """
+    """`trace_rays` of a few blocks at once, on all workers; summed in the blocks' order, so that no sum depends on the workers."""
 
     def trace_portion(first: int) -> WallCells:
         features = _features(run, range(first, min(first + _BLOCKS_AT_ONCE, blocks)))

@@ -280,16 +280,7 @@ ROOM = synthetic.scan(firings=700)
 
 
 def scan_of(cloud: np.ndarray, ring: np.ndarray, ring_count: int, time_ns: np.ndarray | None) -> Scan:
-    return Scan(
-        points_sensor=cloud.astype(np.float32),
-        ring=ring.astype(np.uint16),
-        ring_count=ring_count,
-        time_ns=time_ns,
-        start_ns=0,
-        stamp_ns=0,
-        cloud_index=np.arange(len(cloud), dtype=np.int32),
-        cloud_size=len(cloud),
-    )
+    return replace(synthetic.scan_of(cloud, ring, ring_count), time_ns=time_ns)
 
 
 @st.composite

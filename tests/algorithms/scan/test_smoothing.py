@@ -7,6 +7,7 @@ import pytest
 
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.scan.smoothing import SmoothingSettings, smooth_ranges
+from tests import synthetic
 
 SETTINGS = SmoothingSettings()
 SMOOTHING_WITHOUT_LIMITS = SmoothingSettings(residual_max=1e9, correction_max=1e9)
@@ -33,17 +34,7 @@ def scan_of(range_m: FloatArray, noise_m: float, seed: int = 0) -> Scan:
     flat, up = np.cos(elevation())[:, None], np.sin(elevation())[:, None]
     rays = np.stack(np.broadcast_arrays(flat * np.cos(AZIMUTH), flat * np.sin(AZIMUTH), up), axis=-1)
     points = (rays * measured[..., None]).reshape(-1, 3)[seen]
-    count = len(points)
-    return Scan(
-        points_sensor=points.astype(np.float32),
-        ring=np.repeat(np.arange(RINGS, dtype=np.uint16), FIRINGS)[seen],
-        ring_count=RINGS,
-        time_ns=None,
-        start_ns=0,
-        stamp_ns=0,
-        cloud_index=np.arange(count, dtype=np.int32),
-        cloud_size=count,
-    )
+    return synthetic.scan_of(points, np.repeat(np.arange(RINGS), FIRINGS)[seen], RINGS)
 
 
 def errors(scan: Scan, range_m: FloatArray) -> FloatArray:

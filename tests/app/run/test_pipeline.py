@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.app.run.blocks import SCANS_PER_BLOCK, split_blocks
 from ffmap.app.run.poses import KnownPoses, RunPoses
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.program import FFMAP, with_cache
@@ -24,6 +25,15 @@ def poses(count: int) -> Trajectory:
     T = np.tile(np.eye(4), (count, 1, 1))
     T[:, 0, 3], T[:, 2, 3] = np.arange(count), 0.5
     return Trajectory(PERIOD_NS * np.arange(count), T)
+
+
+@pytest.mark.parametrize("scans", [0, 1, 4, 5, 20, 24, 25, 599])
+def test_blocks_hold_every_scan_once_and_the_first_few(scans: int) -> None:
+    blocks = split_blocks(scans)
+    assert [scan for block in blocks for scan in range(block.first, block.first + block.count)] == list(range(scans))
+    assert [block.number for block in blocks] == list(range(len(blocks)))
+    assert all(0 < block.count <= SCANS_PER_BLOCK for block in blocks)
+    assert all(block.count < SCANS_PER_BLOCK // 2 for block in blocks[:1])
 
 
 def test_poses_about_scans_are_known_once_those_after_them_are() -> None:

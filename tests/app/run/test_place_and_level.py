@@ -9,15 +9,14 @@ from ffmap.algorithms.poses.levelling import place_and_level
 from ffmap.algorithms.scan.floor import find_floor
 from ffmap.algorithms.scan.smoothing import SmoothingSettings, smooth_ranges
 from ffmap.app.setup.settings import load_settings
+from tests import synthetic
 
 SETTINGS = load_settings(None, [])
 
 
 def scan_of(rise_m: FloatArray, places: FloatArray) -> Scan:
     """One firing at once of a sensor in the base's origin, which stands on the floor."""
-    points = np.column_stack([places, rise_m]).astype(np.float32)
-    count = len(points)
-    return Scan(points, np.zeros(count, np.uint16), 1, None, 0, 0, np.arange(count, dtype=np.int32), count)
+    return synthetic.scan_of(np.column_stack([places, rise_m]), np.zeros(len(places), int), 1)
 
 
 @pytest.mark.parametrize(("ramp", "tilt_deg", "turned"), [(0.0, 0.4, True), (0.08, 0.0, False), (0.0, 1.5, False)])
