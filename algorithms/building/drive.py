@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.level_settings import LevelsSettings
@@ -15,6 +15,9 @@ from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
 from ffmap.algorithms.building.ray_evidence import WallCells, first_columns, joined, rows_of
 from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.scan.summary import Features
+
+_PLACE_M, _TURN, _VIEWS_MAX = 0.25, 0.25, 20
+"""Scans are of one view where their lidar's places and the axes of its frame are this near, and this many tell of the view."""
 
 Trace = Callable[[Walls, BuildingSettings, Windows], WallCells]
 """Counts the rays of all scans against faces as `trace_rays` does, without those that ended beyond a window."""
@@ -46,11 +49,29 @@ class TraceOnce:
         return joined(first_columns(walls), rows, [known[key] for key in keys])
 
 
+def new_views(T_map_base: FloatArray, lidar: IntArray) -> BoolArray:
+    """Which scans (n,) show something of the building that those before them did not.
+
+    A lidar that stands where it stood before, turned the same way, measures the same again: of each view the first scans tell
+    all, and the building takes as long as there are places, however long the drive.
+
+    T_map_base: (n, 4, 4) of each scan, in the order of time. lidar: (n,) whose scan it is.
+    """
+    turned = T_map_base[:, :3, :2].reshape(-1, 6)
+    view = np.rint(np.column_stack([T_map_base[:, :3, 3] / _PLACE_M, turned / _TURN, lidar])).astype(np.int64)
+    _, view = np.unique(view, axis=0, return_inverse=True)
+    by_view = np.argsort(view, kind="stable")
+    first = np.searchsorted(view, view, sorter=by_view)
+    new = np.zeros(len(view), bool)
+    new[by_view] = np.arange(len(view)) - first[by_view] < _VIEWS_MAX
+    return new
+
+
 @dataclass(frozen=True)
 class Drive:
     """Where the robot was, and what each of its scans says of the building.
 
-    path_map: (n, 2 or more) the robot's places. blocks: gives the features of all scans in portions, each time anew.
+    path_map: (n, 2 or more) the robot's places. blocks: gives the features of the scans in portions, each time anew.
     """
 
     path_map: FloatArray

@@ -131,6 +131,17 @@ def _move_pieces(pieces: FloatArray, T: FloatArray) -> FloatArray:
     return np.column_stack([pieces[:, 0] + T[2, 3] - slope @ T[:2, 3], slope])
 
 
+def select_scans(features: Features, chosen: BoolArray) -> Features:
+    """Some of the scans alone, with all that is theirs; chosen: (s,)."""
+    own = {"ray": chosen[features.ray_scan], "plane": chosen[features.plane_scan]}
+    columns = {}
+    for f in fields(Features):
+        column, (kind, _, _) = getattr(features, f.name), f.name.partition("_")
+        rows = chosen if f.name.endswith("_count") else own.get(kind, chosen)
+        columns[f.name] = column[rows] if len(column) else column
+    return Features(**columns)
+
+
 def select_planes(features: Features, chosen: BoolArray) -> Features:
     """The same scans with some of their planes alone; chosen: (p,)."""
     columns = {

@@ -1,10 +1,14 @@
 """Stage 3 of a run: the building from all scans together, and its maps, recorded and written."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
+import numpy as np
+
+from ffmap.algorithms.base.scan import BoolArray
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.algorithms.building.drive import AllScans, Drive, TraceOnce
+from ffmap.algorithms.building.drive import AllScans, Drive, TraceOnce, new_views
 from ffmap.algorithms.building.fusion import Building, fuse_building
 from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
@@ -12,7 +16,7 @@ from ffmap.algorithms.building.windows import without_rays_through
 from ffmap.algorithms.maps.all_maps import Maps, draw_maps
 from ffmap.algorithms.maps.area_graph import Segmented
 from ffmap.algorithms.maps.grid import GridMap
-from ffmap.algorithms.scan.summary import Features
+from ffmap.algorithms.scan.summary import Features, select_scans
 from ffmap.app.folder.map_files import write_grid
 from ffmap.app.folder.names import DOORS, FLOOR_PLAN_DXF, FLOOR_PLAN_SVG, WALLS, map_file, rooms_file
 from ffmap.app.folder.plan_files import write_dxf, write_svg
@@ -21,6 +25,7 @@ from ffmap.app.folder.walls_and_doors import write_doors, write_walls
 from ffmap.app.record.building import log_building, log_fused_walls, log_grid
 from ffmap.app.record.rooms import log_areas, log_rooms
 from ffmap.app.record.whole_run import layout
+from ffmap.app.run.blocks import PlaceJob
 from ffmap.app.run.context import Run
 from ffmap.app.run.spool import PLACED, load_features
 from ffmap.app.run.stage_scans import LabelledScans
@@ -34,8 +39,9 @@ _BLOCKS_AT_ONCE = 4
 def build(run: Run, scans: LabelledScans, trajectory: Trajectory) -> tuple[Building, AllScans]:
     """The building of all scans, recorded, and what they gathered."""
     run.progress.stage("building", None)
-    drive = Drive(trajectory.T_map_base[:, :3, 3], lambda: _features(run, range(len(scans.jobs))))
-    trace = TraceOnce(lambda *asked: _trace(run, len(scans.jobs), *asked))
+    telling = _Telling.of(run, scans, trajectory)
+    drive = Drive(trajectory.T_map_base[:, :3, 3], lambda: telling.features(telling.jobs))
+    trace = TraceOnce(lambda *asked: _trace(telling, run.options.workers, *asked))
     gathered = AllScans(drive, scans.votes, scans.rivals, trace, run.settings.levels)
     building = fuse_building(gathered, run.settings.fusion)
     if run.log is not None:
@@ -63,25 +69,48 @@ def take_maps(run: Run, maps: Maps) -> None:
     run.state.counts["rooms"] = len(maps.rooms)
 
 
-def _trace(run: Run, blocks: int, faces: Walls, settings: BuildingSettings, windows: Windows) -> WallCells:
+@dataclass(frozen=True)
+class _Telling:
+    """The scans that the building is made of, see `new_views`; jobs: of the blocks that hold any.
+
+    scans: (n,) whether each cloud that was read is one of them, by its number.
+    """
+
+    jobs: tuple[PlaceJob, ...]
+    scans: BoolArray
+
+    @classmethod
+    def of(cls, run: Run, labelled: LabelledScans, trajectory: Trajectory) -> "_Telling":
+        """Of all scans that were labelled."""
+        order = run.inputs.scans
+        telling = np.zeros(len(order), bool)
+        telling[labelled.scan] = new_views(trajectory.at(labelled.stamps_ns), order.lidar[labelled.scan])
+        blocks = [(job, job.label.block) for job in labelled.jobs]
+        return cls(tuple(job for job, own in blocks if telling[own.first : own.first + own.count].any()), telling)
+
+    def features(self, jobs: Sequence[PlaceJob]) -> Iterator[Features]:
+        """What the spool holds of them, block by block."""
+        for job in jobs:
+            for features in load_features(job.label.path.with_suffix(PLACED)):
+                chosen = self.scans[features.scan]
+                yield features if chosen.all() else select_scans(features, chosen)
+
+
+def _trace(telling: _Telling, workers: int, faces: Walls, settings: BuildingSettings, windows: Windows) -> WallCells:
     """`trace_rays` of a few blocks at once, on all workers; summed in the blocks' order, so that no sum depends on the workers."""
+    jobs = telling.jobs
 
     def trace_portion(first: int) -> WallCells:
-        features = _features(run, range(first, min(first + _BLOCKS_AT_ONCE, blocks)))
+        features = telling.features(jobs[first : first + _BLOCKS_AT_ONCE])
         if len(windows):
             features = (without_rays_through(windows, part) for part in features)
         return trace_rays(faces, features, settings)
 
     cells = trace_rays(faces, [], settings)
-    with ThreadPoolExecutor(run.options.workers) as threads:
-        for part in threads.map(trace_portion, range(0, blocks, _BLOCKS_AT_ONCE)):
+    with ThreadPoolExecutor(workers) as threads:
+        for part in threads.map(trace_portion, range(0, len(jobs), _BLOCKS_AT_ONCE)):
             cells = cells.plus(part)
     return cells
-
-
-def _features(run: Run, blocks: range) -> Iterator[Features]:
-    for number in blocks:
-        yield from load_features(run.folder.block(number, PLACED))
 
 
 def _grids(maps: Maps) -> dict[str, GridMap]:

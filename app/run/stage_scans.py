@@ -32,12 +32,13 @@ _REASONS_TOLD = 5
 
 @dataclass(frozen=True)
 class LabelledScans:
-    """jobs: of every block. stamps_ns: (s,) of the labelled scans.
+    """jobs: of every block. scan, stamps_ns: (s,) number and stamp of each labelled scan.
 
     votes: what the scans' own labels say of each cube of the map. rivals: what the paper's other maps are drawn from.
     """
 
     jobs: tuple[PlaceJob, ...]
+    scan: IntArray
     stamps_ns: IntArray
     votes: VoxelVotes
     rivals: VoxelVotes
@@ -70,7 +71,9 @@ class Labeller:
             self._take()
             run.progress.advance()
         _summarise(run, self._blocks, self._summaries)
-        stamps_ns = np.concatenate([np.zeros(0, np.int64), *(summary.stamp_ns for summary in self._summaries)])
+        none = [np.zeros(0, np.int64)]
+        scan = np.concatenate(none + [summary.scan for summary in self._summaries])
+        stamps_ns = np.concatenate(none + [summary.stamp_ns for summary in self._summaries])
         if not len(stamps_ns):
             why = commonest([reason for summary in self._summaries for reason in summary.skipped_reason])
             topics = [sensor.lidar.topic for sensor in run.inputs.verticals]
@@ -99,7 +102,7 @@ class Labeller:
             run.progress.advance()
         if run.recording is not None:
             run.recording.cut()
-        return LabelledScans(jobs, stamps_ns, votes.votes(), rivals.votes())
+        return LabelledScans(jobs, scan, stamps_ns, votes.votes(), rivals.votes())
 
     def _submit(self, poses: KnownPoses) -> None:
         """Hand out the blocks whose poses are known; what a run that is resumed has labelled is not labelled again."""
