@@ -20,7 +20,7 @@ from ffmap.blueprints import entities
 
 rr.set_strict_mode(True)
 
-_TIMES_TOGETHER = 10
+_TIMES_TOGETHER = 20
 """Number of scans whose rows are sent together, some megabytes."""
 
 
