@@ -9,7 +9,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.scan.floor import Floor, floor_height
 from ffmap.algorithms.scan.labelling import label_scan
-from ffmap.algorithms.scan.summary import concatenate, extract, move_moments, with_rays, without_rays
+from ffmap.algorithms.scan.summary import concatenate, extract, move_moments, select_scans, with_rays, without_rays
 from tests import synthetic
 
 PIECES = np.array([[0.02, 0.01, 0.0], [-0.08, 0.08, 0.02]])
@@ -61,3 +61,18 @@ def test_features_move_with_their_scan() -> None:
     for field in fields(moved):
         np.testing.assert_allclose(getattr(moved, field.name), getattr(wanted, field.name), atol=1e-6, rtol=1e-6)
     assert len(moved.plane_normal) == 4
+
+
+@pytest.mark.parametrize("chosen", [[True, False, True], [False, True, False], [False, False, False]])
+def test_scans_that_are_selected_keep_all_that_is_theirs(chosen: list[bool]) -> None:
+    trajectory, parts = synthetic.trajectory(3), []
+    for index in range(3):
+        scan = synthetic.scan(index, firings=400 - 60 * index)
+        placed = synthetic.level(scan, trajectory).placed
+        parts.append(extract(index, placed, label_scan(scan, placed, synthetic.settings(), 0)))
+    selected = select_scans(concatenate(parts), np.array(chosen))
+    kept = [part for part, wanted in zip(parts, chosen, strict=True) if wanted]
+    for f in fields(selected):
+        own = [getattr(part, f.name) for part in kept]
+        wanted = np.concatenate(own) if own else np.zeros((0, *getattr(parts[0], f.name).shape[1:]))
+        np.testing.assert_array_equal(getattr(selected, f.name), wanted, f.name)
