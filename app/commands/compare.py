@@ -178,7 +178,7 @@ def _write_recording(comparison: Comparison, parts: _Parts, out: Path, progress:
         progress.advance()
     _write_layout(comparison, shown, parts)
     _write_findings(comparison, parts)
-    join([parts.spool / "layout.rrd", parts.spool / "findings.rrd", *parts.written], out)
+    join([parts.spool / "layout.rrd"], [parts.spool / "findings.rrd", *parts.written], out)
 
 
 def _write_layout(comparison: Comparison, shown: Sequence[ComparedRun], parts: _Parts) -> None:

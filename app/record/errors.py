@@ -85,7 +85,7 @@ def write_layer(
         _log_cubes(log, errors.tally)
         for name, compared in errors.maps.items():
             log_overlay(log, name, compared)
-    join([layout, own, *parts], out)
+    join([layout], [own, *parts], out)
 
 
 def _log_doors(log: Log, doors: TrueDoors, compared: tuple[FoundDoors, DoorFigures] | None) -> None:

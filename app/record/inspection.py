@@ -77,7 +77,7 @@ def write(out: Path, recording_id: str, scan: ExplainedScan) -> None:
     with open_log(out, recording_id, layout=inspect_blueprint.build(size_m, scan.line, kinds, middle)) as log:
         log_static(log, {}, scan.document, 0, labelling.settings.vertical_structures.slope_max)
         throughout = Log(log.stream, timeless=True)
-        log_scan(throughout, 0, scan.level, labelling, 0, {})
+        log_scan(throughout, 0, scan.level, labelling, 0)
         throughout.write_rows()
         _Lines(log, scan, *size_m).log()
 

@@ -45,11 +45,10 @@ def log_scan(
     level: LevelledScan,
     labelling: ScanLabelling,
     stamp_ns: int,
-    timings_ms: Mapping[str, float],
     line_pairs: int | None = None,
     intensity: FloatArray | None = None,
 ) -> None:
-    """One labelled scan with its evidence, as much as the detail asks for; its metrics are gathered.
+    """One labelled scan with its evidence, as much as the detail asks for.
 
     line_pairs: pairs of point lines that the sheet of the curves has room for; None for as many as the scan has.
     intensity: (n,) of its returns, or (0,) where other scans of the recording have some; None where none has.
@@ -72,9 +71,36 @@ def log_scan(
             log_curves(log, labelling, line_pairs)
             if not log.timeless:
                 log_line(log, placed.points_level, labelling, _example_line(labelling))
-    if not log.timeless:
-        for path, value in _metrics(ranges, labelling, timings_ms).items():
-            log.row(path, rr.Scalars, scalars=np.array([value]))
+
+
+METRICS = (
+    *(f"{entities.MILLISECONDS}/{stage}" for stage in ("reading", "smoothing", "placing", "labelling")),
+    *(f"{entities.LABEL_COUNTS}/{entities.CLASSES[label][0]}" for label in Label),
+    *(f"{entities.COUNTS}/{name}" for name in ("lines", "structures", "candidates", "planes", "door_lines", "openings")),
+    *(f"{entities.RANGES}/{name}" for name in ("scatter_mm", "measured_alone_percent")),
+)
+"""The entities of a scan's metrics."""
+
+
+def scan_metrics(ranges: SmoothedRanges, labelling: ScanLabelling, timings_ms: Mapping[str, float]) -> FloatArray:
+    """What one scan is in figures, as `METRICS` names them. timings_ms: milliseconds of each stage, by its name."""
+    timings = [timings_ms[path.rpartition("/")[2]] for path in METRICS if path.startswith(entities.MILLISECONDS)]
+    counts = np.bincount(labelling.label, minlength=len(Label))[list(Label)]
+    evidence = (
+        np.count_nonzero(labelling.lines.samples[:, 0] >= 0),
+        len(labelling.structures.line),
+        len(labelling.planes.candidate_line),
+        len(labelling.planes),
+        np.count_nonzero(labelling.door_lines.above_door),
+        len(labelling.openings),
+    )
+    return np.array([*timings, *counts, *evidence, 1e3 * ranges.scatter_m, 100.0 * (1.0 - ranges.smoothed_share)])
+
+
+def log_metrics(log: Log, stamp_ns: IntArray, index: IntArray, metrics: FloatArray) -> None:
+    """The metrics (n, m) of some scans, see `scan_metrics`."""
+    for path, values in zip(METRICS, metrics.T, strict=True):
+        log.curve(path, times(stamp_ns, index), values)
 
 
 def log_lidar(log: Log, place: int, topic: str) -> None:
@@ -241,25 +267,6 @@ def _log_door_lines(log: Log, labelling: ScanLabelling) -> None:
     below[:, :, :2] = doors.position[above, None]
     below[:, :, 2] = floor_m[above, None] + np.outer(doors.start_height_m[above], [0, 1])
     log.row(entities.DOOR_LINES, rr.LineStrips3D, strips=below)
-
-
-def _metrics(ranges: SmoothedRanges, labelling: ScanLabelling, timings_ms: Mapping[str, float]) -> dict[str, float]:
-    counts = np.bincount(labelling.label, minlength=len(Label))
-    evidence = {
-        "lines": int(np.count_nonzero(labelling.lines.samples[:, 0] >= 0)),
-        "structures": len(labelling.structures.line),
-        "candidates": len(labelling.planes.candidate_line),
-        "planes": len(labelling.planes),
-        "door_lines": int(np.count_nonzero(labelling.door_lines.above_door)),
-        "openings": len(labelling.openings),
-    }
-    return (
-        {f"{entities.MILLISECONDS}/{stage}": value for stage, value in timings_ms.items()}
-        | {f"{entities.LABEL_COUNTS}/{entities.CLASSES[label][0]}": float(counts[label]) for label in Label}
-        | {f"{entities.COUNTS}/{name}": float(count) for name, count in evidence.items()}
-        | {f"{entities.RANGES}/scatter_mm": 1e3 * ranges.scatter_m}
-        | {f"{entities.RANGES}/measured_alone_percent": 100.0 * (1.0 - ranges.smoothed_share)}
-    )
 
 
 def _plane_color(plane: int) -> entities.Color:

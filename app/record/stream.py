@@ -35,6 +35,7 @@ _END = 0
 _FOOTER_BYTES = 32
 """What follows the end message's own content: where that lies, and how the stream ends."""
 _PIECE_BYTES = 1 << 18
+_PARTS_AT_ONCE = 200
 _OWN = "own"
 _one_at_a_time = threading.RLock()
 _STARTS_S, _OPENS_WINDOW_S = 20.0, 1.0
@@ -111,6 +112,7 @@ class Recording:
         for stale in spool.glob(f"{_OWN}-*"):
             stale.unlink()
         self._path, self._spool, self._id = path, spool, recording_id
+        self._layouts: list[Path] = []
         self._parts: list[Path] = []
         self._own_count = 0
         if path is not None:
@@ -135,13 +137,13 @@ class Recording:
         # A part of its own: Rerun's tool refuses to join files in which a layout and data lie together.
         with open_part(self._own, self._id) as stream:
             stream.send_blueprint(blueprint, make_active=False, make_default=True)
-        self._append(self._own, show=False)
+        self._append(self._own, self._layouts, show=False)
         self._own_count += 1
 
     def add(self, part: Path) -> None:
         """Append a part that a worker wrote, after all that was logged until now."""
         self.cut()
-        self._append(part)
+        self._append(part, self._parts)
 
     def cut(self) -> None:
         """Append what was logged until now; a kill loses at most what comes later."""
@@ -154,16 +156,16 @@ class Recording:
         if self._viewer is not None:
             self._viewer.disconnect()
         if self._path is not None and self._parts:
-            join(self._parts, self._path)
+            join(self._layouts, self._parts, self._path)
 
     def _close_own(self) -> None:
         self.stream.disconnect()
         if self._own.exists() and _content_end(self._own) is not None:
-            self._append(self._own)
+            self._append(self._own, self._parts)
             self._own_count += 1
 
-    def _append(self, part: Path, show: bool = True) -> None:
-        self._parts.append(part)
+    def _append(self, part: Path, kind: list[Path], show: bool = True) -> None:
+        kind.append(part)
         if self._path is not None:
             with self._path.open("ab") as recording:
                 _splice(part, recording)
@@ -247,9 +249,27 @@ def _read_framing(path: Path) -> WholeMessages | None:
             at = source.seek(length, io.SEEK_CUR)
 
 
-def join(parts: Sequence[Path], out: Path) -> None:
-    """One recording with one footer from all parts, none of them decompressed."""
-    (folder,) = {part.parent for part in parts}  # relative names keep the command short
+def join(layouts: Sequence[Path], parts: Sequence[Path], out: Path) -> None:
+    """One recording with one footer from all parts, none of them decompressed; the parts may be gone then.
+
+    layouts: parts with a layout alone, which Rerun's tool joins with nothing that was joined before. All lie in one folder.
+    """
+    (folder,) = {part.parent for part in (*layouts, *parts)}  # relative names keep the command short
+    level = 0
+    # With each part the tool copies the index of all before it.
+    while len(parts) > _PARTS_AT_ONCE:
+        groups = []
+        for first in range(0, len(parts), _PARTS_AT_ONCE):
+            members = parts[first : first + _PARTS_AT_ONCE]
+            groups.append(folder / f"joined-{level}-{first:06d}.rrd")
+            _route(folder, members, groups[-1])
+            for member in members:
+                member.unlink()  # the disk need not hold all of it twice
+        parts, level = groups, level + 1
+    _route(folder, [*layouts, *parts], out)
+
+
+def _route(folder: Path, parts: Sequence[Path], out: Path) -> None:
     with written_whole(out) as joined:
         command = [sys.executable, "-c", _RERUN, "rrd", "route", "-o", str(joined.resolve())]
         command += [part.name for part in parts]

@@ -25,7 +25,7 @@ from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.algorithms.scan.smoothing import SmoothedRanges, smooth_ranges
 from ffmap.algorithms.scan.summary import NO_INTENSITY, Features, concatenate, extract_planes, ray_rows, with_rays
 from ffmap.app.record.log import Log, open_log
-from ffmap.app.record.scans import log_final, log_lidar, log_scan, log_skipped
+from ffmap.app.record.scans import METRICS, log_final, log_lidar, log_scan, log_skipped, scan_metrics
 from ffmap.app.run import spool
 from ffmap.app.run.arrays import pack, pack_ragged
 from ffmap.app.run.spool import BlockSummary, SpooledScan
@@ -150,6 +150,7 @@ class _LabelledBlock:
     features: list[Features] = field(default_factory=list)
     spooled: list[SpooledScan] = field(default_factory=list)
     milliseconds: list[list[float]] = field(default_factory=list)
+    metrics: list[FloatArray] = field(default_factory=list)
     sizes: list[tuple[int, int]] = field(default_factory=list)
     beyond_range: list[int] = field(default_factory=list)
     counts: IntArray = field(default_factory=lambda: np.zeros(256, np.int64))
@@ -168,6 +169,7 @@ class _LabelledBlock:
             digest_lidar=np.repeat(sorted(self.digests), [len(self.digests[place]) for place in sorted(self.digests)]),
             label_counts=self.counts,
             milliseconds=np.array(self.milliseconds).reshape(-1, len(STAGES)),
+            metrics=np.array(self.metrics).reshape(-1, len(METRICS)),
             points_in_cloud=np.array([s[0] for s in self.sizes], np.int64),
             points_in_lines=np.array([s[1] for s in self.sizes], np.int64),
             beyond_range=np.array(self.beyond_range, np.int64),
@@ -190,10 +192,11 @@ def _label(
     seed = seed_of(job.settings.seed, cloud)
     labelling = label_scan(scan, placed, job.settings.method, seed, level.floor, lidar.column_pairs)
     watch.lap("labelling")
+    block.metrics.append(scan_metrics(ranges, labelling, watch.milliseconds))
     if log:
         known = any(sensor.lidar.decoding.intensity for sensor in inputs.verticals)
         intensity = NO_INTENSITY if scan.intensity is None and known else scan.intensity
-        log_scan(log, index, level, labelling, scan.stamp_ns, watch.milliseconds, inputs.line_pairs, intensity)
+        log_scan(log, index, level, labelling, scan.stamp_ns, inputs.line_pairs, intensity)
         if len(inputs.verticals) > 1:
             log_lidar(log, place, lidar.topic)
     block.features.append(extract_planes(index, placed, labelling))

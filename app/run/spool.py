@@ -132,7 +132,7 @@ class BlockSummary:
     skipped: number and reason of each cloud that was not.
     cloud_digest: (k, 16) uint8 of every message of the block's clouds, skipped ones too, lidar by lidar; digest_lidar: (k,) the
     place of its lidar.
-    label_counts: (256,) returns by label. milliseconds: (s, 5), see `STAGES`.
+    label_counts: (256,) returns by label. milliseconds: (s, 5), see `STAGES`. metrics: (s, m), see `METRICS`.
     points_in_cloud, points_in_lines: (s,)
     beyond_range: (s,) returns that were left out because they lie too far away.
     """
@@ -147,6 +147,7 @@ class BlockSummary:
     digest_lidar: IntArray
     label_counts: IntArray
     milliseconds: FloatArray
+    metrics: FloatArray
     points_in_cloud: IntArray
     points_in_lines: IntArray
     beyond_range: IntArray

@@ -17,7 +17,7 @@ from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, majority
 from ffmap.algorithms.maps.rivals import Rival
 from ffmap.app.record.building import log_map_block
 from ffmap.app.record.odometry import log_trajectory
-from ffmap.app.record.scans import log_frames
+from ffmap.app.record.scans import log_frames, log_metrics
 from ffmap.app.run.blocks import STAGES, VOXEL_M, Block, LabelJob, PlaceJob, label_block, place_block, split_blocks
 from ffmap.app.run.context import Run
 from ffmap.app.run.poses import KnownPoses, RunPoses
@@ -26,6 +26,10 @@ from ffmap.app.setup.inputs import commonest
 from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.errors import InputError
 
+_BLOCKS_TOGETHER = 10
+"""Blocks whose metrics are recorded together where no viewer waits for them: the recording's index has a line for each portion
+of each of its entities.
+"""
 _REASONS_TOLD = 5
 """Number of skipped clouds that are told one by one while the run goes on."""
 
@@ -53,6 +57,7 @@ class Labeller:
         self._jobs: list[LabelJob] = []
         self._running: deque[Future[BlockSummary] | BlockSummary] = deque()
         self._summaries: list[BlockSummary] = []
+        self._unlogged: list[BlockSummary] = []
 
     def go_on(self, poses: KnownPoses) -> None:
         """Have blocks labelled whose poses are known, and record those that are labelled, in the order of time."""
@@ -70,6 +75,7 @@ class Labeller:
         while self._running:
             self._take()
             run.progress.advance()
+        self._log_metrics()
         _summarise(run, self._blocks, self._summaries)
         none = [np.zeros(0, np.int64)]
         scan = np.concatenate(none + [summary.scan for summary in self._summaries])
@@ -132,6 +138,18 @@ class Labeller:
         if run.recording and len(summary.scan):
             run.recording.add(self._jobs[len(self._summaries)].path.with_suffix(".rrd"))
         self._summaries.append(summary)
+        self._unlogged.append(summary)
+        if len(self._unlogged) >= (_BLOCKS_TOGETHER if run.options.connect_url is None else 1):
+            self._log_metrics()
+
+    def _log_metrics(self) -> None:
+        """Record the metrics of the blocks that were taken since the last time."""
+        blocks, self._unlogged = self._unlogged, []
+        if self._run.log is not None and blocks:
+            stamp_ns, scan, metrics = (
+                np.concatenate([getattr(block, name) for block in blocks]) for name in ("stamp_ns", "scan", "metrics")
+            )
+            log_metrics(self._run.log, stamp_ns, scan, metrics)
 
     def _place(self, job: PlaceJob) -> Future[None] | None:
         """The work on a block; None where a run that is resumed has done it."""

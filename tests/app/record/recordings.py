@@ -26,7 +26,7 @@ Labelled = tuple[Scan, LevelledScan, ScanLabelling]
 def write_block(path: Path, labelled: list[Labelled], first: int, count: int, detail: Detail = Detail.LINES) -> None:
     with open_log(path, "run-1", detail) as log:
         for index in range(first, first + count):
-            log_scan(log, index, *labelled[index][1:], synthetic.stamp_ns(index), {"labelling": 8.0 + index})
+            log_scan(log, index, *labelled[index][1:], synthetic.stamp_ns(index))
 
 
 def write_run(folder: Path, labelled: list[Labelled], detail: Detail = Detail.LINES) -> Path:

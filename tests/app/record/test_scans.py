@@ -8,7 +8,7 @@ from ffmap.algorithms.base.scan import Scan
 from ffmap.algorithms.building.final_labels import Relabelled
 from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.app.record.log import Log, open_log
-from ffmap.app.record.scans import log_final, log_scan
+from ffmap.app.record.scans import log_final, log_metrics, log_scan, scan_metrics
 from ffmap.app.record.shapes import GRID_M
 from ffmap.app.setup.outputs import Detail
 from ffmap.blueprints import entities
@@ -38,7 +38,7 @@ def test_intensities_are_kept_to_three_digits(tmp_path, labelled):
     given = np.random.default_rng(0).uniform(0.0, 300.0, len(scan)).astype(np.float32)
     given[:4] = 0.0, 255.0, np.nan, 80_000.0  # the last is beyond what half a float holds
     with open_log(tmp_path / "block.rrd", "run-6") as log:
-        log_scan(log, 0, level, labelling, scan.stamp_ns, {}, intensity=given)
+        log_scan(log, 0, level, labelling, scan.stamp_ns, intensity=given)
     (row,) = rows(tmp_path / "block.rrd", entities.POINTS)
     np.testing.assert_allclose(row["intensity"], np.minimum(given, 65_504.0), rtol=5e-4)
 
@@ -83,13 +83,25 @@ def test_evidence_stands_beside_what_is_drawn(recording, labelled):
         assert planes["albedo_factor"][0] & 0xFF < 128
 
 
-def test_metrics_lie_on_the_scan(recording, labelled):
-    milliseconds = [row["scalars"][0] for row in rows(recording, f"{entities.MILLISECONDS}/labelling")]
-    assert milliseconds == [8.0, 9.0, 10.0, 11.0]
-    walls = [row["scalars"][0] for row in rows(recording, f"{entities.LABEL_COUNTS}/wall")]
-    assert walls == [np.count_nonzero(labelling.label == Label.WALL) for _, _, labelling in labelled]
-    scatter_mm = [row["scalars"][0] for row in rows(recording, f"{entities.RANGES}/scatter_mm")]
-    np.testing.assert_allclose(scatter_mm, 5.0, rtol=0.1)
+def test_metrics_lie_on_their_scans(tmp_path, labelled):
+    recording, stamps_ns = start(tmp_path, "run-1"), [synthetic.stamp_ns(index) for index in range(SCANS)]
+    timings_ms = {"reading": 1.0, "smoothing": 2.0, "placing": 3.0}
+    metrics = [
+        scan_metrics(level.ranges, labelling, {**timings_ms, "labelling": 8.0 + index})
+        for index, (_, level, labelling) in enumerate(labelled)
+    ]
+    log_metrics(Log(recording.stream), np.array(stamps_ns), np.arange(SCANS), np.array(metrics))
+    recording.finish()
+
+    def found(path: str) -> list[float]:
+        return [row["scalars"][0] for row in rows(tmp_path / "recording.rrd", path)]
+
+    assert found(f"{entities.MILLISECONDS}/labelling") == [8.0, 9.0, 10.0, 11.0]
+    assert found(f"{entities.MILLISECONDS}/placing") == [3.0] * SCANS
+    walls = [np.count_nonzero(labelling.label == Label.WALL) for _, _, labelling in labelled]
+    assert found(f"{entities.LABEL_COUNTS}/wall") == walls
+    assert found(f"{entities.COUNTS}/planes") == [len(labelling.planes) for _, _, labelling in labelled]
+    np.testing.assert_allclose(found(f"{entities.RANGES}/scatter_mm"), 5.0, rtol=0.1)
 
 
 def test_details_log_less_and_less(tmp_path, labelled, recording):
@@ -100,7 +112,6 @@ def test_details_log_less_and_less(tmp_path, labelled, recording):
         logged[detail] = temporal_paths(write_run(folder, labelled, detail))
     assert {entities.POINTS, entities.PLANES, entities.OPENINGS} <= logged[Detail.SCANS]
     assert not {entities.STRUCTURES, entities.CURVE_DIFFERENCES, entities.UPMOST} & logged[Detail.SCANS]
-    assert f"{entities.LABEL_COUNTS}/wall" in logged[Detail.MAP]
     assert entities.SCAN in logged[Detail.MAP]
     assert not [path for path in logged[Detail.MAP] if path.startswith(f"{entities.SCAN}/")]
 
@@ -118,7 +129,7 @@ def test_final_labels_win_at_the_same_scan(tmp_path, labelled):
     path = tmp_path / "recording.rrd"
     recording = start(tmp_path, "run-2")
     log = Log(recording.stream)
-    log_scan(log, 0, level, labelling, synthetic.stamp_ns(0), {})
+    log_scan(log, 0, level, labelling, synthetic.stamp_ns(0))
     log.write_rows()
     reason, off_face_m = np.where(labelling.label == final, 0, 9).astype(np.uint8), np.full(len(final), 0.25)
     relabelled = Relabelled(final, reason, off_face_m)
@@ -150,8 +161,8 @@ def test_a_scan_without_returns_is_recorded_like_any_other(tmp_path, labelled):
     level = synthetic.level(empty, synthetic.trajectory(2))
     labelling = label_scan(empty, level.placed, synthetic.settings(), 0)
     with open_log(tmp_path / "block.rrd", "run-5") as log:
-        log_scan(log, 0, *labelled[0][1:], synthetic.stamp_ns(0), {})
-        log_scan(log, 1, level, labelling, synthetic.stamp_ns(1), {})
+        log_scan(log, 0, *labelled[0][1:], synthetic.stamp_ns(0))
+        log_scan(log, 1, level, labelling, synthetic.stamp_ns(1))
     # Nothing of the scan before stays in view.
     for entity in (entities.POINTS, entities.LINES, entities.UPMOST, entities.OPENINGS):
         last = list(rows(tmp_path / "block.rrd", entity))[-1]

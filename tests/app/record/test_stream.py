@@ -7,6 +7,7 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
+from ffmap.app.record import stream
 from ffmap.app.record.log import Log
 from ffmap.app.record.stream import Recording, open_part
 from ffmap.blueprints import entities
@@ -57,6 +58,26 @@ def test_what_a_kill_leaves_can_be_read_and_what_is_finished_has_its_footer(tmp_
     messages = [row["text"] for row in rows(tmp_path / "recording.rrd", entities.MESSAGES, entities.STAMP_TIMELINE)]
     assert [str(text[0]) for text in messages] == ["before the block", "after it"]
     assert sum(chunk.entity_path == entities.POINTS for chunk in finished.store().stream()) == 1
+
+
+@pytest.mark.parametrize("blocks", [1, 3, 4, 8, 10])
+def test_of_many_parts_all_are_in_the_recording(tmp_path, labelled, monkeypatch, blocks):
+    monkeypatch.setattr(stream, "_PARTS_AT_ONCE", 3)
+    recording = start(tmp_path, "run-1")
+    kept = set()
+    for block in range(blocks):
+        part = tmp_path / f"{block:04d}.rrd"
+        write_block(part, labelled, block % 4, 1)
+        kept |= {chunk.id for chunk in RrdReader(part).stream()}
+        Log(recording.stream).message(f"block {block}", synthetic.stamp_ns(block))
+        recording.add(part)
+    recording.set_layout(run_blueprint.build())
+    recording.finish()
+    finished = RrdReader(tmp_path / "recording.rrd")
+    assert kept <= {chunk.id for chunk in finished.store().stream()}
+    assert [entry.recording_id for entry in finished.recordings()] == ["run-1"]
+    texts = [row["text"] for row in rows(tmp_path / "recording.rrd", entities.MESSAGES, entities.STAMP_TIMELINE)]
+    assert [str(text[0]) for text in texts] == [f"block {block}" for block in range(blocks)]
 
 
 def test_a_file_that_is_no_recording_is_not_appended(tmp_path):
