@@ -13,7 +13,9 @@ import pytest
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.app.run.blocks import SCANS_PER_BLOCK, split_blocks
 from ffmap.app.run.poses import KnownPoses, RunPoses
+from ffmap.blueprints import entities
 from ffmap.loaders.simulator import SimulationSettings, simulate
+from tests.app.record.recordings import rows
 from tests.program import FFMAP, with_cache
 
 # Level soon, so that blocks of scans are handed out long before the last is registered.
@@ -85,6 +87,11 @@ def results(out: Path) -> tuple[str, bytes, bytes]:
     return record["labels_digest"], (out / "map.pgm").read_bytes(), (out / "trajectory.tum").read_bytes()
 
 
+def recorded_walls(out: Path) -> dict[int, float]:
+    """The number of returns on walls in each scan, as the recording has it."""
+    return {row["scan"]: row["scalars"][0] for row in rows(out / "recording.rrd", f"{entities.LABEL_COUNTS}/wall")}
+
+
 @pytest.fixture(scope="module")
 def whole(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "whole"
@@ -111,3 +118,7 @@ def test_a_run_that_is_killed_while_scans_are_registered_goes_on_to_the_same(
     process.communicate()
     finished(tmp_path / "cold", "--resume", out)
     assert results(out) == results(whole)
+    assert recorded_walls(out) == recorded_walls(whole)
+    counts = json.loads((out / "run.json").read_text())["counts"]
+    assert len(recorded_walls(out)) == counts["scans"] > SCANS_PER_BLOCK
+    assert sum(recorded_walls(out).values()) == counts["returns"]["wall"]
