@@ -28,7 +28,7 @@ from ffmap.algorithms.building.votes import VoxelVotes
 class GlassFrontsSettings(StepSettings):
     """Panes that no wall's face tells of."""
 
-    width_min_m: float = Field(0.6, gt=0, description="Minimum width (m) of a pane that no wall's face tells of.")
+    width_min_m: float = Field(0.5, gt=0, description="Minimum width (m) of a pane that no wall's face tells of.")
     share_min: float = Field(
         0.01, gt=0, lt=0.5, description="Minimum share of the rays that meet it which such a pane returns."
     )
@@ -69,6 +69,12 @@ class GlassFrontsSettings(StepSettings):
     )
     reveal_m: float = Field(
         0.5, ge=0, description="Maximum distance (m) of a pane behind the wall that it stands in, and from that wall along it."
+    )
+    bars_ratio: float = Field(
+        4.0, gt=1, description="Ratio of the shares that neighbouring columns of a railing return: of a bar to a gap."
+    )
+    bars_sigma: float = Field(
+        4.0, gt=0, description="Standard deviations by which they have to differ more than by the chance of single rays."
     )
     other_pane_m: float = Field(
         0.6, gt=0, description="Maximum distance (m) from a known window of a pane that is taken for the same."
@@ -227,11 +233,30 @@ def _sheets(counts: FloatArray, taken: BoolArray, rules: GlassRules) -> Iterator
         lets_pass = sheet[FILLED] <= fronts.share_max * met[told].sum()
         shares = returned[told].sum(axis=1) / np.maximum(met[told].sum(axis=1), 1.0)
         is_even = len(told) > 2 and abs(np.corrcoef(told, np.argsort(np.argsort(shares)))[0, 1]) <= fronts.trend_max
-        if is_even and is_pure and lets_pass and shown[told].sum() >= fronts.shown_min * asked[told].sum():
+        shows = shown[told].sum() >= fronts.shown_min * asked[told].sum()
+        if is_even and is_pure and lets_pass and shows and not _has_bars(inner[told], share, fronts):
             behind_m = -float(sheet[SUM] / sheet[FILLED])
             # What reaches as deep as is looked goes on beyond: a wall behind, at a slant.
             if behind_m < rules.openings.building.near_m - 2 * rules.openings.openings.sheet_m:
                 yield first, after, behind_m
+
+
+def _has_bars(counts: FloatArray, share: float, settings: GlassFrontsSettings) -> bool:
+    """Whether columns (c, rows, 4) are those of a railing: its bars return rays, the gaps between them hardly any, in turns.
+
+    A pane returns about the same beside. share: of the rays that meet it what a pane would return.
+    """
+    clear = counts * (counts[..., THROUGH] > counts[..., FILLED])[..., None]
+    returned = clear[..., FILLED].sum(axis=1)
+    met = returned + clear[..., THROUGH].sum(axis=1)
+    tells = share * met >= settings.expected_min
+    returned, met = returned[tells], met[tells]
+    here, next_ = returned[:-1] * met[1:], returned[1:] * met[:-1]
+    # The rays that return vary by chance.
+    noise = np.sqrt(met[:-1] * met[1:] * (returned[:-1] + returned[1:]))
+    steps = np.abs(here - next_) > settings.bars_sigma * noise
+    steps &= np.maximum(here, next_) > settings.bars_ratio * np.minimum(here, next_)
+    return bool(2 * np.count_nonzero(steps) > len(steps))
 
 
 def new_fronts(fronts: Windows, known: Windows, settings: GlassFrontsSettings) -> Windows:

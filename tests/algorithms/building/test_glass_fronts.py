@@ -37,13 +37,14 @@ class Front:
 
     returned, mirrored: shares of the rays that a pane returns, and that it mirrors, which end in the room's mirror image.
     open_x: from where to where no pane stands. shelf: boards that return nearly all rays, and nothing between them, in place of a
-    pane. grows: the more is returned the farther to the right. turn_deg: of the whole in the map.
+    pane; railing: upright bars that do. grows: the more is returned the farther to the right. turn_deg: of the whole in the map.
     """
 
     returned: float = 0.05
     mirrored: float = 0.1
     open_x: tuple[float, float] = (9.0, 9.0)
     shelf: bool = False
+    railing: bool = False
     grows: bool = False
     rays: int = 12_000
     turn_deg: float = 0.0
@@ -60,7 +61,10 @@ class Front:
         on_pane = drawn < self.returned * glazed * (aim[:, 0] / 2.0 if self.grows else 1.0)
         if self.shelf:
             on_pane = (aim[:, 2] % 0.4 < 0.04) & (drawn < 0.9)
-        mirrored = ~on_pane & glazed & ~self.shelf & (drawn < self.returned + self.mirrored)
+        if self.railing:
+            on_pane = (aim[:, 0] % 0.15 < 0.015) & (drawn < 0.9)
+        solid = self.shelf or self.railing
+        mirrored = ~on_pane & glazed & (not solid) & (drawn < self.returned + self.mirrored)
         # The image of the wall behind the robot, at y = 6, and a wall of the building opposite.
         end_y = np.where(on_pane, DEPTH_M, np.where(mirrored, 2 * DEPTH_M, 14.0))
         way = (end_y - origin[1]) / ray[:, 1]
@@ -143,6 +147,11 @@ def test_a_wall_that_meets_the_line_at_a_slant_returns_more_and_more() -> None:
 
 def test_a_shelf_returns_rays_in_some_places_and_none_in_others() -> None:
     assert len(Front(shelf=True).found()) == 0
+
+
+@pytest.mark.parametrize("scans", [8, 40])
+def test_a_railing_returns_rays_and_none_in_turns(scans: int) -> None:
+    assert not len(Front(railing=True).found(scans))
 
 
 def test_what_stood_there_for_a_while_is_no_pane() -> None:
