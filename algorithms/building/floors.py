@@ -95,12 +95,12 @@ def map_storey_below(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
 
     votes: with the raised floors.
     """
-    label, position = votes.label, votes.mean_position
-    wall = position[label == Label.WALL]
+    position = votes.mean_position
     grid = GroundGrid.around(position, settings.ceiling_cell_m, settings.ceiling_reach_m)
-    ground_m, _ = grid.ground_m(position[votes.seen(settings.votes_min) & (label == Label.FLOOR)])
+    ground_m, _ = grid.ground_m(position[votes.seen(settings.votes_min) & (votes.label == Label.FLOOR)])
     highest_m = ground_m - settings.below_floor_m
-    lowest_m = grid.heights(wall[grid.above_m(wall, highest_m) < 0.0], 0.0) - settings.margin_m
+    # Whatever scans took it for: it may lie in line with a wall of this storey.
+    lowest_m = grid.heights(position[grid.above_m(position, highest_m) < 0.0], 0.0) - settings.margin_m
     return HeightMap(
         Surface.STOREY_BELOW, grid.origin, grid.cell_m, lowest_m, np.where(np.isfinite(lowest_m), highest_m, np.nan)
     )

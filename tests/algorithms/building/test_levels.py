@@ -505,10 +505,11 @@ class TestCeilingDrops:
         assert self.corrected_share(((0, 1.2), (0, 0.5), (0.0, 2.8))) < 0.1
 
 
-def test_walls_below_the_floor_are_of_the_storey_below() -> None:
-    """Seen down a stairwell beside the floor."""
+@pytest.mark.parametrize("taken_for", [Label.WALL, Label.CLUTTER])
+def test_walls_below_the_floor_are_of_the_storey_below(taken_for: Label) -> None:
+    """Seen down a stairwell beside the floor, whatever scans took them for."""
     wall = np.array([[3.5, y, z] for y in np.arange(0.02, 2, 0.05) for z in np.arange(-2.5, 2.5, 0.05)])
-    votes = votes_of((lying((0, 2), (0, 2), 0.0), Label.FLOOR), (wall, Label.WALL))
+    votes = votes_of((lying((0, 2), (0, 2), 0.0), Label.FLOOR), (wall, taken_for))
     label = corrected(map_levels(votes, SETTINGS), wall, np.full(len(wall), Label.WALL, np.uint8))
     below = wall[:, 2] < -SETTINGS.below_floor_m - 0.01
     assert (label[below] == Label.OUTSIDE).all()
