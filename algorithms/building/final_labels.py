@@ -168,8 +168,9 @@ class BuildingModel:
     levels: tuple[HeightMap, ...]
 
 
-TOP, REFUSED_AS = 7, 8
-"""Beside those of `lines_of`, columns of faces and refused faces: the highest that was seen, and the label of their returns."""
+TOP, REFUSED_AS, REFUSED_FROM = 7, 8, 9
+"""Beside those of `lines_of`, columns of faces and refused faces: the highest that was seen, the label of their returns, and the
+height above the floor from which on these have it."""
 HEAD, LEAF, REVEAL = 7, 8, 9
 """The same of doorways: the head's height above the floor, how far the closed leaf is behind the wall's face (minus infinity
 where the door is open), and how deep the reveals are."""
@@ -246,7 +247,7 @@ class Relabelling:
                 index_near(walls, at_face_m + margin_m),
             ),
             (
-                _table(refused, refused.top_m, building.judged.refused_label),
+                _table(refused, refused.top_m, building.judged.refused_label, building.judged.refused_from_m),
                 index_near(refused, settings.refused_m + margin_m),
             ),
             (_table(doors, doors.head_m, leaf_m, doors.reveal_m), index_near(doors, door_m + margin_m)),
@@ -657,7 +658,7 @@ def _labels_of_refused(
             if abs(before_line(refused, f, x, y)) < rules.refused_m:
                 u = along_line(refused, f, x, y)
                 beside = -rules.margin_m < u < refused[f, LENGTH] + rules.margin_m
-                if beside and height[i] < refused[f, TOP] + rules.refused_above_m:
+                if beside and refused[f, REFUSED_FROM] < height[i] < refused[f, TOP] + rules.refused_above_m:
                     label[i] = np.int16(refused[f, REFUSED_AS])
                     break
     return label
@@ -691,6 +692,8 @@ def _decided(
             final[i], why = Label.CLUTTER, Reason.IN_OPENING if at_door[i] & IN_OPENING else Reason.AGAINST_WALL
         elif not on_reveal and (is_wall or is_door) and nearest_m[i] > rules.wall_distance_m and refused[i] >= 0:
             final[i], why = refused[i], Reason.ON_REFUSED
+        elif label[i] == Label.CLUTTER and nearest_m[i] > rules.wall_distance_m and refused[i] == Label.CEILING:
+            final[i], why = Label.CEILING, Reason.ON_REFUSED
         elif label[i] == Label.CLUTTER and (on_reveal or nearest_m[i] < rules.wall_distance_m or is_scatter):
             is_near = nearest_m[i] < rules.wall_distance_m
             final[i], why = Label.WALL, Reason.ON_REVEAL if on_reveal else Reason.ON_FACE if is_near else Reason.IN_WALL

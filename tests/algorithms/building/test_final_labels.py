@@ -142,6 +142,15 @@ def test_an_open_doorway_is_no_body_of_its_wall() -> None:
     assert final(point, Label.CLUTTER, walls=face(), doors=door(np.nan)) == Label.CLUTTER
 
 
+@pytest.mark.parametrize("taken_for", [Label.WALL, Label.CLUTTER])
+def test_the_side_of_a_skylight_is_ceiling_and_what_stands_below_it_is_not(taken_for: Label) -> None:
+    side = replace(face(0.5, 2.5, -1.0, top_m=3.4), bottom_m=np.array([2.6]))
+    steps: dict[str, Any] = {"walls": face(), "refused": side, "verdict": FaceVerdict.STEPS}
+    assert final((1.5, -1.0, 3.0), taken_for, **steps) == Label.CEILING
+    assert final((1.5, -1.0, 1.0), taken_for, **steps) == Label.CLUTTER
+    assert final((1.5, -1.5, 3.0), Label.CLUTTER, **steps) == Label.CLUTTER
+
+
 def test_what_a_scan_called_wall_on_a_refused_face_is_clutter() -> None:
     leaf = face(1.0, 1.9, -0.12, top_m=2.05)
     assert final((1.5, -0.12, 1.0), Label.WALL, walls=face()) == Label.WALL
