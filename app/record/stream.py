@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -150,13 +150,13 @@ class Recording:
         self._close_own()
         self.stream.save(self._own)
 
-    def finish(self) -> None:
-        """Complete the file; nothing can be logged any more."""
+    def finish(self, parts_stay: bool = False) -> None:
+        """Complete the file; nothing can be logged any more. parts_stay: for a run that is to be resumed."""
         self._close_own()
         if self._viewer is not None:
             self._viewer.disconnect()
         if self._path is not None and self._parts:
-            join(self._layouts, self._parts, self._path)
+            join(self._layouts, self._parts, self._path, parts_stay)
 
     def _close_own(self) -> None:
         self.stream.disconnect()
@@ -249,24 +249,27 @@ def _read_framing(path: Path) -> WholeMessages | None:
             at = source.seek(length, io.SEEK_CUR)
 
 
-def join(layouts: Sequence[Path], parts: Sequence[Path], out: Path) -> None:
-    """One recording with one footer from all parts, none of them decompressed; the parts may be gone then.
+def join(layouts: Sequence[Path], parts: Sequence[Path], out: Path, parts_stay: bool = True) -> None:
+    """One recording with one footer from all parts, none of them decompressed.
 
     layouts: parts with a layout alone, which Rerun's tool joins with nothing that was joined before. All lie in one folder.
+    parts_stay: False lets go of many parts as they are joined, for the disk need not hold them once more.
     """
     (folder,) = {part.parent for part in (*layouts, *parts)}  # relative names keep the command short
-    level = 0
-    # With each part the tool copies the index of all before it.
-    while len(parts) > _PARTS_AT_ONCE:
-        groups = []
-        for first in range(0, len(parts), _PARTS_AT_ONCE):
-            members = parts[first : first + _PARTS_AT_ONCE]
-            groups.append(folder / f"joined-{level}-{first:06d}.rrd")
-            _route(folder, members, groups[-1])
-            for member in members:
-                member.unlink()  # the disk need not hold all of it twice
-        parts, level = groups, level + 1
-    _route(folder, [*layouts, *parts], out)
+    with ExitStack() as joined:
+        level = 0
+        # With each part the tool copies the index of all before it.
+        while len(parts) > _PARTS_AT_ONCE:
+            groups = []
+            for first in range(0, len(parts), _PARTS_AT_ONCE):
+                members, group = parts[first : first + _PARTS_AT_ONCE], folder / f"joined-{level}-{first:06d}.rrd"
+                joined.callback(group.unlink, missing_ok=True)
+                _route(folder, members, group)
+                groups.append(group)
+                for member in members if level or not parts_stay else ():
+                    member.unlink()
+            parts, level = groups, level + 1
+        _route(folder, [*layouts, *parts], out)
 
 
 def _route(folder: Path, parts: Sequence[Path], out: Path) -> None:

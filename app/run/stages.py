@@ -80,7 +80,7 @@ def run(
             _log_result(log, record, state, "aborted")
         with suppress(Exception):
             if recording is not None:
-                recording.finish()
+                recording.finish(parts_stay=True)
         raise
     record = {**record, **state.gathered(record), "files": written_files(folder), "outcome": "complete"}
     folder.write_json(record)

@@ -72,12 +72,25 @@ def test_of_many_parts_all_are_in_the_recording(tmp_path, labelled, monkeypatch,
         Log(recording.stream).message(f"block {block}", synthetic.stamp_ns(block))
         recording.add(part)
     recording.set_layout(run_blueprint.build())
-    recording.finish()
+    recording.finish(parts_stay=True)
+    assert {f"{block:04d}.rrd" for block in range(blocks)} <= {path.name for path in tmp_path.iterdir()}
+    assert not list(tmp_path.glob("joined-*"))
     finished = RrdReader(tmp_path / "recording.rrd")
     assert kept <= {chunk.id for chunk in finished.store().stream()}
     assert [entry.recording_id for entry in finished.recordings()] == ["run-1"]
     texts = [row["text"] for row in rows(tmp_path / "recording.rrd", entities.MESSAGES, entities.STAMP_TIMELINE)]
     assert [str(text[0]) for text in texts] == [f"block {block}" for block in range(blocks)]
+
+
+def test_many_parts_may_be_let_go_as_they_are_joined(tmp_path, labelled, monkeypatch):
+    monkeypatch.setattr(stream, "_PARTS_AT_ONCE", 3)
+    parts = [tmp_path / f"{block:04d}.rrd" for block in range(10)]
+    for block, part in enumerate(parts):
+        write_block(part, labelled, block % 4, 1)
+    kept = {chunk.id for part in parts for chunk in RrdReader(part).stream()}
+    stream.join([], parts, tmp_path / "recording.rrd", parts_stay=False)
+    assert kept == {chunk.id for chunk in RrdReader(tmp_path / "recording.rrd").store().stream()}
+    assert [path.name for path in tmp_path.iterdir()] == ["recording.rrd"]
 
 
 def test_a_file_that_is_no_recording_is_not_appended(tmp_path):
