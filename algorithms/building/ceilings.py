@@ -192,18 +192,20 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
 
 
 def _goes_on_above(wall: FloatArray, grid: GroundGrid, behind: BoolArray, low_m: float, layer_m: float) -> bool:
-    """Whether the wall behind a part that hangs along it is seen above the part's underside too, in most of its cells.
+    """Whether the wall behind a part that hangs along it is seen above the part's underside too, in three of four of its cells.
+
+    Into the slit between a duct and its wall one looks a few centimetres deep.
 
     wall: (n, 3) cubes of walls. behind: (rows, columns) where the part is what hangs nearest. low_m: how high its underside is.
-    layer_m: edge of the cubes, of which those at the underside and next to it hold its own returns.
+    layer_m: edge of the cubes, of which those at the underside, and some next to it, hold its own returns.
     """
     rows, columns = grid.cells(wall)
     layer = (wall[:, 2] - low_m) / layer_m
     below, above = np.zeros((2, *grid.shape), bool)
-    for seen, within in ((below, (layer > -7.0) & (layer < -2.0)), (above, (layer > 2.0) & (layer < 4.0))):
+    for seen, within in ((below, (layer > -7.0) & (layer < -2.0)), (above, (layer > 1.4) & (layer < 3.4))):
         seen[rows[within], columns[within]] = True
     below &= behind
-    return bool(np.count_nonzero(below & above) > 0.5 * np.count_nonzero(below))
+    return bool(np.count_nonzero(below & above) > 0.75 * np.count_nonzero(below))
 
 
 def _topmost(grid: GroundGrid, position: FloatArray, gap_m: float) -> tuple[FloatArray, FloatArray]:
