@@ -101,9 +101,11 @@ def whole(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_cached_odometry_and_a_single_worker_give_the_same(bag: Path, whole: Path, tmp_path: Path) -> None:
     finished(whole.parent / "cold", bag, "--out", tmp_path / "cached", *EARLY)
-    finished(tmp_path / "cold", bag, "--out", tmp_path / "alone", "--workers", 1, *EARLY)
+    finished(tmp_path / "cold", bag, "--out", tmp_path / "alone", "--workers", 1, "--detail", "map", *EARLY)
     assert results(tmp_path / "cached") == results(tmp_path / "alone") == results(whole)
     assert json.loads((tmp_path / "cached" / "run.json").read_text())["odometry_cached"]
+    # A recording of the map alone has the scans' metrics too.
+    assert recorded_walls(tmp_path / "alone") == recorded_walls(whole)
 
 
 def test_a_run_that_is_killed_while_scans_are_registered_goes_on_to_the_same(
