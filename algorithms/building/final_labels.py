@@ -683,6 +683,7 @@ def _decided(
             continue
         on_reveal = bool(at_door[i] & ON_REVEAL)
         is_wall, is_door = label[i] == Label.WALL, label[i] == Label.DOOR
+        is_step = label[i] == Label.CLUTTER and refused[i] == Label.CEILING
         is_scatter = is_within[i] and not at_door[i] & IN_DOORWAY
         why = Reason.KEPT
         if at_door[i] & ON_LEAF:
@@ -690,10 +691,8 @@ def _decided(
         elif not on_reveal and (at_door[i] & IN_OPENING or is_covered[i]):
             # A face goes on over its doors, but no wall stands in an open one.
             final[i], why = Label.CLUTTER, Reason.IN_OPENING if at_door[i] & IN_OPENING else Reason.AGAINST_WALL
-        elif not on_reveal and (is_wall or is_door) and nearest_m[i] > rules.wall_distance_m and refused[i] >= 0:
+        elif not on_reveal and (is_wall or is_door or is_step) and nearest_m[i] > rules.wall_distance_m and refused[i] >= 0:
             final[i], why = refused[i], Reason.ON_REFUSED
-        elif label[i] == Label.CLUTTER and nearest_m[i] > rules.wall_distance_m and refused[i] == Label.CEILING:
-            final[i], why = Label.CEILING, Reason.ON_REFUSED
         elif label[i] == Label.CLUTTER and (on_reveal or nearest_m[i] < rules.wall_distance_m or is_scatter):
             is_near = nearest_m[i] < rules.wall_distance_m
             final[i], why = Label.WALL, Reason.ON_REVEAL if on_reveal else Reason.ON_FACE if is_near else Reason.IN_WALL

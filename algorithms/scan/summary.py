@@ -133,25 +133,28 @@ def _move_pieces(pieces: FloatArray, T: FloatArray) -> FloatArray:
 
 def select_scans(features: Features, chosen: BoolArray) -> Features:
     """Some of the scans alone, with all that is theirs; chosen: (s,)."""
-    own = {"ray": chosen[features.ray_scan], "plane": chosen[features.plane_scan]}
-    columns = {}
-    for f in fields(Features):
-        column, (kind, _, _) = getattr(features, f.name), f.name.partition("_")
-        rows = chosen if f.name.endswith("_count") else own.get(kind, chosen)
-        columns[f.name] = column[rows] if len(column) else column
-    return Features(**columns)
+    rows = _rows(features, "ray_", chosen[features.ray_scan]) | _rows(features, "plane_", chosen[features.plane_scan])
+    own = {f.name: getattr(features, f.name)[chosen] for f in fields(Features) if f.name not in rows}
+    return Features(**own, **rows)
 
 
 def select_planes(features: Features, chosen: BoolArray) -> Features:
     """The same scans with some of their planes alone; chosen: (p,)."""
-    columns = {
-        f.name: getattr(features, f.name)[chosen]
-        for f in fields(Features)
-        if f.name.startswith("plane_") and f.name != "plane_count"
-    }
-    return replace(
-        features, plane_count=np.bincount(features.plane_scan[chosen], minlength=len(features.scan)), **columns
-    )
+    count = np.bincount(features.plane_scan[chosen], minlength=len(features.scan))
+    return replace(features, plane_count=count, **_rows(features, "plane_", chosen))
+
+
+def select_rays(features: Features, chosen: BoolArray) -> Features:
+    """The same scans with some of their rays alone; chosen: (r,)."""
+    count = np.bincount(features.ray_scan[chosen], minlength=len(features.scan))
+    return replace(features, ray_count=count, **_rows(features, "ray_", chosen))
+
+
+def _rows(features: Features, prefix: str, chosen: BoolArray) -> dict[str, npt.NDArray[Any]]:
+    """The chosen rows of all columns that hold one for each ray, or for each plane; an empty column stays as it is."""
+    columns = {f.name: getattr(features, f.name) for f in fields(Features) if f.name.startswith(prefix)}
+    del columns[f"{prefix}count"]
+    return {name: column[chosen] if len(column) else column for name, column in columns.items()}
 
 
 def without_rays(features: Features) -> Features:
@@ -163,20 +166,6 @@ def without_rays(features: Features) -> Features:
         ray_label=np.zeros(0, np.uint8),
         ray_intensity=NO_INTENSITY,
         ray_echo=NO_ECHO,
-    )
-
-
-def select_rays(features: Features, chosen: BoolArray) -> Features:
-    """The same scans with some of their rays alone; chosen: (r,)."""
-    columns = {
-        f.name: getattr(features, f.name)
-        for f in fields(Features)
-        if f.name.startswith("ray_") and f.name != "ray_count"
-    }
-    return replace(
-        features,
-        ray_count=np.bincount(features.ray_scan[chosen], minlength=len(features.scan)),
-        **{name: column[chosen] if len(column) else column for name, column in columns.items()},
     )
 
 
