@@ -140,7 +140,7 @@ def _find_faces(scans: AllScans, settings: FusionSettings) -> tuple[AlignedFaces
     outside = seen_through(windows.append(fronts), planes)
     if outside.any():
         aligned = _align(fuse_walls(select_planes(planes, ~outside), settings.building), scans, settings)
-        judged = _judge(aligned, scans, settings)
+        judged = _judge(aligned, scans, settings, windows.append(fronts))
     return aligned, judged, windows, fronts
 
 
@@ -148,7 +148,7 @@ def _align(faces: Walls, scans: AllScans, settings: FusionSettings) -> AlignedFa
     return align_faces(faces, scans.votes, scans.storey, settings.standing_walls, settings.face_alignment)
 
 
-def _judge(aligned: AlignedFaces, scans: AllScans, settings: FusionSettings) -> JudgedFaces:
+def _judge(aligned: AlignedFaces, scans: AllScans, settings: FusionSettings, windows: Windows = NO_WINDOWS) -> JudgedFaces:
     """Which faces stand; refused are those that lean, those that are alone, and those that rays or rooms speak against."""
     standing = settings.standing_walls
     # A leaf that leans on its wall would be laid along it.
@@ -156,8 +156,8 @@ def _judge(aligned: AlignedFaces, scans: AllScans, settings: FusionSettings) -> 
     leaves, faces = faces.select(leaning), join_corners(faces.select(~leaning), standing)
     alone = (faces.scan_count < standing.scans_few) & ~along_others(faces, standing)
     if alone.any():
-        alone[alone] = ~shows_whole(_traced(faces.select(alone), scans, settings), standing)
-    traced = _traced(faces.select(~alone), scans, settings)
+        alone[alone] = ~shows_whole(_traced(faces.select(alone), scans, settings, windows), standing)
+    traced = _traced(faces.select(~alone), scans, settings, windows)
     judged = judge_faces(traced, scans.path_map, settings.opening_rules, settings.face_columns, standing)
     judged = judged.refuse(faces.select(alone), FaceVerdict.ALONE).refuse(leaves, FaceVerdict.LEANS)
     return refuse_outside(judged, scans.storey, settings.face_columns)
@@ -227,7 +227,7 @@ def _find_openings(
 # --- what several steps ask for ---
 
 
-def _traced(faces: Walls, scans: AllScans, settings: FusionSettings) -> TracedFaces:
+def _traced(faces: Walls, scans: AllScans, settings: FusionSettings, windows: Windows = NO_WINDOWS) -> TracedFaces:
     """The faces with what rays found of them, and how high the room is before them."""
-    cells = scans.trace(faces, settings.building, NO_WINDOWS)
+    cells = scans.trace(faces, settings.building, windows)
     return TracedFaces.of(faces, cells, scans.storey, settings.standing_walls.ceiling_near_m)

@@ -281,10 +281,9 @@ def seen_through(windows: Windows, features: Features) -> BoolArray:
     return outside
 
 
-def without_rays_through(windows: Windows, features: Features) -> Features:
-    """The same scans without the rays that ended beyond a window."""
-    passed = _rays_through(lines_of(windows), Rays.of(features))
-    return select_rays(features, ~passed)
+def rays_through(windows: Windows, features: Features) -> Features:
+    """The same scans with the rays alone that ended beyond a window."""
+    return select_rays(features, _rays_through(lines_of(windows), Rays.of(features)))
 
 
 @numba.njit(cache=True, nogil=True)

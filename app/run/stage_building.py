@@ -12,7 +12,7 @@ from ffmap.algorithms.building.drive import AllScans, Drive, TraceOnce, new_view
 from ffmap.algorithms.building.fusion import Building, fuse_building
 from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
-from ffmap.algorithms.building.windows import without_rays_through
+from ffmap.algorithms.building.windows import rays_through
 from ffmap.algorithms.maps.all_maps import Maps, draw_maps
 from ffmap.algorithms.maps.area_graph import Segmented
 from ffmap.algorithms.maps.grid import GridMap
@@ -96,14 +96,16 @@ class _Telling:
                 yield features if chosen.all() else select_scans(features, chosen)
 
 
-def _trace(telling: _Telling, workers: int, faces: Walls, settings: BuildingSettings, windows: Windows) -> WallCells:
+def _trace(
+    telling: _Telling, workers: int, faces: Walls, settings: BuildingSettings, through: Windows | None
+) -> WallCells:
     """`trace_rays` of a few blocks at once, on all workers; summed in the blocks' order, so that no sum depends on the workers."""
     jobs = telling.jobs
 
     def trace_portion(first: int) -> WallCells:
         features = telling.features(jobs[first : first + _BLOCKS_AT_ONCE])
-        if len(windows):
-            features = (without_rays_through(windows, part) for part in features)
+        if through is not None:
+            features = (rays_through(through, part) for part in features)
         return trace_rays(faces, features, settings)
 
     cells = trace_rays(faces, [], settings)

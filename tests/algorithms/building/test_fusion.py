@@ -21,16 +21,16 @@ from ffmap.algorithms.building.fusion import Building, FusionSettings, fuse_buil
 from ffmap.algorithms.building.glass_fronts import GlassFrontsSettings
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.missed_walls import MissedWallsSettings
-from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
+from ffmap.algorithms.building.model import BuildingSettings, Walls
 from ffmap.algorithms.building.openings import OpeningsSettings
-from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.building.votes import VoxelTable
-from ffmap.algorithms.building.windows import WindowsSettings, without_rays_through
+from ffmap.algorithms.building.windows import WindowsSettings
 from ffmap.algorithms.maps.grid import GridMapSettings
 from ffmap.algorithms.maps.rivals import Rival
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features
+from tests.tracing import tracing
 from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms
 from tests.voting import vote
 
@@ -95,14 +95,11 @@ def driven(rooms: TwoRooms, *more: Walls) -> AllScans:
     way = features.origin_map
     way = way[way[:, 1] < SIZE_M[1]] if rooms.closed else way
 
-    def trace(faces: Walls, settings: BuildingSettings, windows: Windows) -> WallCells:
-        return trace_rays(faces, [without_rays_through(windows, features)], settings)
-
     return AllScans(
         drive=Drive(way, lambda: [features]),
         votes=vote(features.ray_end_map, features.ray_label, len(Label), 0.05),
         rivals=VoxelTable(GridMapSettings().cell_m, len(Rival)).votes(),
-        trace=trace,
+        trace=tracing(features),
         levels_settings=SETTINGS.levels,
     )
 

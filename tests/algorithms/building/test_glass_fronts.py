@@ -19,9 +19,9 @@ from ffmap.algorithms.building.glass_fronts import (
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, NO_WINDOWS, BuildingSettings, Walls, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
-from ffmap.algorithms.building.windows import without_rays_through
 from ffmap.algorithms.scan.summary import Features, concatenate
 from tests.faces import faces, window
+from tests.tracing import tracing
 from tests.voting import vote
 
 BUILDING = BuildingSettings(near_m=0.07, own_plane_m=0.0, range_m=25.0)
@@ -103,7 +103,7 @@ class Front:
         votes = vote(seen.ray_end_map, seen.ray_label, len(Label), 0.05)
 
         def trace(asked: Walls, known: Windows) -> WallCells:
-            return trace_rays(asked, [without_rays_through(known, seen)], BUILDING)
+            return tracing(seen)(asked, BUILDING, known)
 
         def portions(asked: Walls) -> list[WallCells]:
             return [trace_rays(asked, [part], BUILDING) for part in parts]
@@ -171,7 +171,7 @@ def test_no_pane_is_where_the_robot_drove_or_nothing_was_seen() -> None:
     way = np.column_stack([np.linspace(0.2, 3.8, 60), np.full(60, DEPTH_M)])
 
     def trace(asked: Walls, known: Windows) -> WallCells:
-        return trace_rays(asked, [without_rays_through(known, seen)], BUILDING)
+        return tracing(seen)(asked, BUILDING, known)
 
     rays = AllRays(votes, way, trace, lambda asked: [trace(asked, NO_WINDOWS)])
     nothing = JudgedFaces(faces(((0, 0), (4, 0))), NO_WALLS, np.zeros(0, np.uint8))

@@ -10,7 +10,7 @@ from ffmap.algorithms.building.doors import drop_doubtful, find_doors, prove_cro
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings, is_pane
 from ffmap.algorithms.building.ray_evidence import Rays, WallCells, floor_m, trace_rays
-from ffmap.algorithms.building.windows import WindowsSettings, find_windows, seen_through, without_rays_through
+from ffmap.algorithms.building.windows import WindowsSettings, find_windows, rays_through, seen_through
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features
 
@@ -560,7 +560,7 @@ def test_glass_returns_some_rays_and_lets_others_pass(depth_m: float, passed: fl
         assert windows.pane_m[0] == pytest.approx(0.1, abs=0.005)
 
 
-def test_rays_that_ended_beyond_a_window_are_left_out() -> None:
+def test_rays_that_ended_beyond_a_window_passed_it() -> None:
     rays = np.array(
         [
             [2.0, 3.0, 1.2],  # through the window
@@ -569,14 +569,12 @@ def test_rays_that_ended_beyond_a_window_are_left_out() -> None:
             [9.0, 3.0, 1.2],  # past its end
         ]
     )
-    left = without_rays_through(WINDOW, features((2.0, -2.0), rays, np.zeros((0, 2, 2))))
-    assert left.ray_label.tolist() == [1, 2, 3]
-    assert left.ray_count.tolist() == [3]
-    np.testing.assert_array_equal(left.ray_end_map, rays[1:].astype(np.float32))
+    passed = rays_through(WINDOW, features((2.0, -2.0), rays, np.zeros((0, 2, 2))))
+    assert passed.ray_label.tolist() == [0]
+    assert passed.ray_count.tolist() == [1]
+    np.testing.assert_array_equal(passed.ray_end_map, rays[:1].astype(np.float32))
     # From the other side it is that side's window, if any.
-    behind = without_rays_through(WINDOW, features((2.0, 2.0), rays, np.zeros((0, 2, 2))))
-    assert behind.ray_label.tolist() == [0, 1, 2, 3]
-    assert without_rays_through(NO_WINDOWS, left).ray_label.tolist() == [1, 2, 3]
+    assert not len(rays_through(WINDOW, features((2.0, 2.0), rays, np.zeros((0, 2, 2)))).ray_label)
 
 
 def test_planes_beyond_a_window_were_seen_through_it() -> None:
