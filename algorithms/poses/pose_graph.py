@@ -2,7 +2,8 @@
 
 An odometry that registers to what it saw last drifts. Here stretches of the drive become submaps, each is registered to
 those before it that lie nearby, and all poses are solved for at once. A registration counts in each direction for as much
-as it holds there (the Hessian of its cost), and a robust loss lets go of the false ones. The only file that imports gtsam.
+as it holds there (the Hessian of its cost), and a robust loss lets go of the false ones: of loops, and of where the
+odometry slipped. The only file that imports gtsam.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,6 +20,11 @@ from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.poses.gaussian_map import Aligned, GaussianCloud, GaussianMap
 
 _ALONG = 2  # each submap is joined with this many before it, wherever they lie: that is the way as it was driven
+_SLIP_WEIGHT = 0.1  # what counts less than this of the way is off by more than three times the loss's scale
+_LOSSES = (30.0, 10.0, 3.0, 1.0)
+"""How many times as wide the loss is, from one solution to the next. Loops that agree with one another, and not with a slip of the
+odometry, have to move many poses before they fit: at first all registrations count, and at last those that agree (graduated
+non-convexity: Yang, Antonante, Tzoumas and Carlone 2020)."""
 
 
 class PoseGraphSettings(StepSettings):
@@ -51,7 +57,7 @@ class PoseGraphSettings(StepSettings):
         0.5, ge=0, le=1, description="Minimum share of a submap that fits the one that it is joined with."
     )
     loss_scale: float = Field(
-        3.0, gt=0, description="Error of a loop, in standard deviations, at which it counts half (Cauchy's loss)."
+        3.0, gt=0, description="Error of a registration, in standard deviations, at which it counts half (Cauchy's loss)."
     )
     rounds_max: int = Field(
         4,
@@ -88,6 +94,12 @@ class PoseGraph:
     def is_loop(self) -> BoolArray:
         """(e,) whether an edge joins two passes; the others join each submap with the two before it."""
         return np.asarray(self.second - self.first > _ALONG)
+
+    @property
+    def slips(self) -> IntArray:
+        """(k,) the scans behind which the odometry slipped, by their places: what joins the way there was let go of."""
+        slipped = ~self.is_loop & (self.weight > 0.0) & (self.weight < _SLIP_WEIGHT)
+        return np.unique(self.scan[self.first[slipped]])
 
     def corrected(self, T_odom_sensor: FloatArray) -> FloatArray:
         """Poses (n, 4, 4) of all scans: each as its two nearest submaps see it, blended between their middles."""
@@ -206,6 +218,16 @@ def _register(
 
 def _solve(T_start: FloatArray, T_guess: FloatArray, edges: Sequence[_Edge], settings: PoseGraphSettings) -> FloatArray:
     """Poses (m, 4, 4) that contradict the registrations least."""
+    T = T_guess
+    for wider in _LOSSES:
+        T = _solved(T_start, T, edges, wider * settings.loss_scale, settings)
+    return T
+
+
+def _solved(
+    T_start: FloatArray, T_guess: FloatArray, edges: Sequence[_Edge], loss_scale: float, settings: PoseGraphSettings
+) -> FloatArray:
+    """The same from a guess, with one loss."""
     import gtsam  # noqa: TID251 - its one place; a tenth of a second, in the one process that closes loops
 
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -217,15 +239,14 @@ def _solve(T_start: FloatArray, T_guess: FloatArray, edges: Sequence[_Edge], set
     for number in range(1, len(T_start)):
         T_step = transforms.invert(T_start[number - 1]) @ T_start[number]
         graph.add(gtsam.BetweenFactorPose3(number - 1, number, gtsam.Pose3(T_step), way))
-    loss = gtsam.noiseModel.mEstimator.Cauchy.Create(settings.loss_scale)
+    loss = gtsam.noiseModel.mEstimator.Cauchy.Create(loss_scale)
     for edge in edges:
         if edge.aligned.inlier_share < settings.inlier_share:
             continue
         # A direction without hold must not make the graph singular: a standard deviation of a metre and a radian is none.
         held = gtsam.noiseModel.Gaussian.Information(edge.aligned.information + np.eye(6))
-        is_loop = edge.second - edge.first > _ALONG
-        noise = gtsam.noiseModel.Robust.Create(loss, held) if is_loop else held
         T_first_second = gtsam.Pose3(edge.aligned.T_map_cloud)
+        noise = gtsam.noiseModel.Robust.Create(loss, held)
         graph.add(gtsam.BetweenFactorPose3(edge.first, edge.second, T_first_second, noise))
     solved = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     return np.array([transforms.orthonormal(solved.atPose3(number).matrix()) for number in range(len(T_start))])
@@ -243,7 +264,7 @@ def _answer(
     second = np.array([e.second for e in edges], np.int64)
     inlier_share = np.array([e.aligned.inlier_share for e in edges])
     offset = np.array([_offset(e, T) for e in edges])
-    loss = np.where(second - first > _ALONG, 1.0 / (1.0 + (offset / settings.loss_scale) ** 2), 1.0)
+    loss = 1.0 / (1.0 + (offset / settings.loss_scale) ** 2)
     return PoseGraph(
         T_odom_first=T_odom_first,
         scan=scan,

@@ -1,6 +1,7 @@
 """Poses refined by generalised ICP: each scan, and the other lidar's beside it, registered to a map of Gaussians."""
 
 from dataclasses import dataclass
+from itertools import product
 
 import numba
 import numpy as np
@@ -38,7 +39,22 @@ class RefinementSettings(StepSettings):
         ge=0,
         description="Maximum number of returns of the other lidar, which sees floor and ceiling; they are registered together.",
     )
-    distance_m: float = Field(0.5, gt=0, description="Maximum distance (m) of a point from its Gaussian.")
+    distance_m: float = Field(
+        0.12,
+        gt=0,
+        description="Maximum distance (m) of a point from its Gaussian: less than walls are thick, or the side of a wall that "
+        "comes into view in a doorway is registered to its other side.",
+    )
+    lost_distance_m: float = Field(
+        0.5, gt=0, description="The same where hardly anything fits (weak_inlier_share): the first guess was far off."
+    )
+    fit_drop_max: float = Field(
+        0.03,
+        ge=0,
+        le=1,
+        description="Where the share of a scan that fits the map is smaller by more than this than that of the last scan, it is "
+        "registered from the second guess too, and from both with two thirds of the distance; what fits best counts.",
+    )
     iterations_max: int = Field(20, ge=1, description="Maximum number of iterations of a registration.")
     memory_scans: int = Field(
         50,
@@ -111,6 +127,19 @@ class _Registered:
     motion_per_ns: FloatArray
 
 
+@dataclass(frozen=True)
+class _Fit:
+    """A registration, and whether it jumped."""
+
+    aligned: Aligned
+    jumped: bool
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """The least is the best."""
+        return self.jumped, -self.aligned.inlier_share
+
+
 def middle_ns(scan: Scan) -> int:
     """The middle of a sweep: the time of its refined pose."""
     return (scan.start_ns + scan.end_ns) // 2
@@ -138,6 +167,7 @@ class Refiner:
         self._last: _Registered | None = None
         self._first: tuple[Scan, Scan | None] | None = None
         self._refusals = 0
+        self._inlier_share = 1.0
 
     def refine(self, scan: Scan, T_odom_sensor_end: FloatArray, companion: Scan | None = None) -> Refinement:
         """Register one scan, later than the last one, and beside it the last one of the other lidar that ended before it.
@@ -171,6 +201,7 @@ class Refiner:
                 motion_per_ns = transforms.to_twist(transforms.invert(last.T_refined) @ T_refined) / elapsed_ns
             self._first = None
         self._refusals = self._refusals + 1 if refused else 0
+        self._inlier_share = inlier_share
         self._map.insert(source, T_refined)
         self._last = _Registered(stamp_ns, T_odom_sensor_end, T_refined, motion_per_ns)
         T_middle_end = transforms.from_twist(motion_per_ns * (scan.end_ns - stamp_ns))
@@ -198,25 +229,40 @@ class Refiner:
     ) -> tuple[FloatArray, float, float, bool]:
         """The pose (4, 4), the share of inliers, the weakest share, and whether the registration was refused.
 
-        guesses: from these one after another, until a scan fits; if it fits from none, the one from which it fits best.
+        guesses: from these one after another, until as much of the scan fits as of the last one; least squares over what fits
+            may lead to where less does, so if none does, what fits best counts.
         expected: where the motion so far leads, if it can be carried on, and last where the odometry's does, which holds if
             no registration does.
         """
-        best: tuple[bool, Aligned] | None = None
-        for guess in guesses:
-            found = self._map.register(source, guess, self._settings.distance_m, self._settings.iterations_max)
-            jumped = found.inlier_share > 0 and all(self._is_jump(T, found.T_map_cloud) for T in expected)
-            if best is None or (jumped, -found.inlier_share) < (best[0], -best[1].inlier_share):
-                best = jumped, found
-            if not jumped and found.inlier_share >= self._settings.weak_inlier_share:
-                break
-        assert best is not None
-        jumped, found = best
-        refused = jumped and self._refusals < self._settings.refusals_max
+        settings, near_m = self._settings, self._settings.distance_m
+        usual = max(settings.weak_inlier_share, self._inlier_share - settings.fit_drop_max)
+        fit = self._best_fit(source, guesses, expected, (near_m, 2 / 3 * near_m), usual)
+        if fit.jumped or fit.aligned.inlier_share < settings.weak_inlier_share:
+            lost = self._best_fit(source, guesses, expected, (settings.lost_distance_m,), settings.weak_inlier_share)
+            fit = min(fit, lost, key=lambda own: own.rank)
+        found = fit.aligned
+        refused = fit.jumped and self._refusals < settings.refusals_max
         hold = np.linalg.eigvalsh(found.information[3:, 3:])
         weakest_share = float(max(hold[0], 0.0) / max(hold[2], 1e-9))
         T_found = expected[-1] if refused or not found.inlier_share else found.T_map_cloud
         return T_found, found.inlier_share, weakest_share, refused
+
+    def _best_fit(
+        self,
+        source: GaussianCloud,
+        guesses: list[FloatArray],
+        expected: list[FloatArray],
+        distances_m: tuple[float, ...],
+        share_min: float,
+    ) -> _Fit:
+        """The first registration that fits at least this share of a scan and is no jump; where none does, the best."""
+        fits: list[_Fit] = []
+        for distance_m, guess in product(distances_m, guesses):
+            found = self._map.register(source, guess, distance_m, self._settings.iterations_max)
+            fits.append(_Fit(found, found.inlier_share > 0 and all(self._is_jump(T, found.T_map_cloud) for T in expected)))
+            if not fits[-1].jumped and found.inlier_share >= share_min:
+                return fits[-1]
+        return min(fits, key=lambda own: own.rank)
 
     def _is_jump(self, T_expected: FloatArray, T_found: FloatArray) -> bool:
         off = transforms.to_twist(transforms.invert(T_expected) @ T_found)

@@ -151,6 +151,11 @@ def _take_loops(
     """Count the loops, and record what they did to the poses; trajectory: T_odom_base with them closed."""
     if graph is not None:
         run.state.counts["loops"] = int(np.count_nonzero(graph.is_loop & (graph.weight > 0)))
+        if len(graph.slips):
+            run.warn(
+                f"the odometry slipped {len(graph.slips)} times (the first: within 2 s after scan {graph.slips[0]}), as loops "
+                "show, which put it right but for centimetres there: see the recording's tab Odometry"
+            )
     if run.log:
         T_correction = trajectory.T_map_base @ transforms.invert(before.T_map_base)
         log_odometry_frame(run.log, trajectory.stamp_ns, T_map_odom @ T_correction)

@@ -100,7 +100,7 @@ def test_the_way_through_a_box_is_found(scans: list[tuple[int, Scan, Scan | None
     assert off_m.max() < 0.03
     assert off_deg.max() < 1.0
     # The first scans see what the map does not hold yet.
-    assert np.median([r.refined_inlier_share for r in found]) > 0.9
+    assert np.median([r.refined_inlier_share for r in found]) > 0.8
     assert all(0 < r.weakest_share <= 1 for r in found)
     for r in found:
         np.testing.assert_allclose(r.T_odom_sensor[:3, :3] @ r.T_odom_sensor[:3, :3].T, np.eye(3), atol=1e-9)
@@ -171,8 +171,8 @@ def test_a_bare_corridor_raises_the_alarm_and_a_room_does_not(
     given = [(i, sweep(i, T_BASE_HORIZONTAL, 1), None) for i in range(8)]
     corridor = list(register_scans(given, OdometrySettings(range_max_m=20.0), RefinementSettings()))
     alarms = [weakness(r, RefinementSettings()) for r in corridor]
-    assert alarms[0] is None  # the first scan is the map
-    assert all(why is not None and "nothing holds it in one direction" in why for why in alarms[1:])
+    assert alarms[0] is None  # the first scan is the map, of which the second one knows little
+    assert all(why is not None and "nothing holds it in one direction" in why for why in alarms[2:])
 
 
 def test_a_scan_of_another_place_raises_the_alarm(scans: list[tuple[int, Scan, Scan | None]]) -> None:
@@ -184,22 +184,27 @@ def test_a_scan_of_another_place_raises_the_alarm(scans: list[tuple[int, Scan, S
     assert "of the scan fits the map" in why
 
 
-def jumping(monkeypatch: pytest.MonkeyPatch, off: FloatArray, times: int) -> list[FloatArray]:
-    """Registration falls for another place, `off` from the right one, `times` times; returns what it is given as guesses."""
+def jumping(monkeypatch: pytest.MonkeyPatch, off: FloatArray, times: int, fits: float = 1.0) -> list[FloatArray]:
+    """Registration falls for another place, `off` from the right one, `times` times; returns what it is given as guesses.
+
+    fits: the share of what fits at the right place that fits there.
+    """
     register = GaussianMap.register
     guesses: list[FloatArray] = []
 
     def fooled(self: GaussianMap, cloud: GaussianCloud, guess: FloatArray, *limits: float) -> Aligned:
         guesses.append(guess)
         found = register(self, cloud, guess, *limits)  # type: ignore[arg-type]
-        return replace(found, T_map_cloud=found.T_map_cloud @ off) if len(guesses) <= times else found
+        if len(guesses) > times:
+            return found
+        return replace(found, T_map_cloud=found.T_map_cloud @ off, inlier_share=found.inlier_share * fits)
 
     monkeypatch.setattr(GaussianMap, "register", fooled)
     return guesses
 
 
 @pytest.mark.parametrize("off", [Rotation.from_euler("y", 7, degrees=True), [0.25, 0.0, 0.0]])
-@pytest.mark.parametrize("times", [1, 2])
+@pytest.mark.parametrize("times", [1, 6])
 def test_a_registration_that_jumps_is_tried_again_and_then_refused(
     scans: list[tuple[int, Scan, Scan | None]], monkeypatch: pytest.MonkeyPatch, off: Rotation | list[float], times: int
 ) -> None:
@@ -210,13 +215,61 @@ def test_a_registration_that_jumps_is_tried_again_and_then_refused(
         if number == 12:
             guesses = jumping(monkeypatch, T_off, times)
         found.append(refiner.refine(scan, true_pose(scan.end_ns * 1e-9) @ T_BASE_HORIZONTAL, companion))
-    assert [r.refused for r in found] == [False] * 12 + [times == 2, False]
+    assert [r.refused for r in found] == [False] * 12 + [times == 6, False]
     assert np.linalg.norm(guesses[0] - guesses[1]) > 0  # not from where it was fooled
     T_true = np.array([true_pose(r.stamp_ns * 1e-9) @ T_BASE_HORIZONTAL for r in found])
     T_found = np.array([r.T_odom_sensor for r in found])
     error = transforms.invert(transforms.invert(T_true[0]) @ T_true[12]) @ transforms.invert(T_found[0]) @ T_found[12]
     assert np.linalg.norm(error[:3, 3]) < 0.02
     assert np.degrees(Rotation.from_matrix(error[:3, :3]).magnitude()) < 0.5
+
+
+@pytest.mark.parametrize(("times", "fits"), [(1, 0.9), (2, 0.5)])
+def test_a_registration_that_less_fits_than_the_last_is_tried_again(
+    scans: list[tuple[int, Scan, Scan | None]], monkeypatch: pytest.MonkeyPatch, times: int, fits: float
+) -> None:
+    """It is no jump: a degree and five centimetres are less than robots turn and drive."""
+    refiner = Refiner(RefinementSettings(), (0.5, 60.0), transforms.invert(T_BASE_HORIZONTAL) @ T_BASE_VERTICAL)
+    T_off = transforms.make_transform(Rotation.from_euler("z", 1, degrees=True), [0.05, 0.0, 0.0])
+    found = []
+    for number, (_, scan, companion) in enumerate(scans[:13]):
+        if number == 12:
+            jumping(monkeypatch, T_off, times, fits)
+        found.append(refiner.refine(scan, true_pose(scan.end_ns * 1e-9) @ T_BASE_HORIZONTAL, companion))
+    T_true = np.array([true_pose(r.stamp_ns * 1e-9) @ T_BASE_HORIZONTAL for r in found])
+    T_step = transforms.invert(found[11].T_odom_sensor) @ found[12].T_odom_sensor
+    error = transforms.invert(transforms.invert(T_true[11]) @ T_true[12]) @ T_step
+    assert np.linalg.norm(error[:3, 3]) < 0.01
+    assert np.degrees(Rotation.from_matrix(error[:3, :3]).magnitude()) < 0.2
+
+
+def flat(low: list[float], high: list[float], seed: int) -> FloatArray:
+    """(n, 3) points with 1 cm of noise on an upright or level rectangle, 400 on a square metre."""
+    low_m, high_m = np.array(low), np.array(high)
+    generator = np.random.default_rng(seed)
+    count = int(400 * np.prod((high_m - low_m)[high_m > low_m]))
+    return generator.uniform(low_m, high_m, (count, 3)) + np.where(high_m > low_m, 0.0, generator.normal(0, 0.01, (count, 3)))
+
+
+@pytest.mark.parametrize(("distance_m", "most_m"), [(RefinementSettings().distance_m, 0.01), (0.5, np.inf)])
+def test_the_side_of_a_wall_that_comes_into_view_is_not_taken_for_its_other_side(distance_m: float, most_m: float) -> None:
+    """Out of a room through a doorway: one wall of 16 cm, of which the map knows the room's side."""
+    refiner = Refiner(RefinementSettings(distance_m=distance_m), (0.5, 60.0))
+    room = [
+        flat([-4, 0.02, 0], [4, 0.02, 2.6], 1), flat([-4, -5, 0], [-4, 0, 2.6], 2), flat([4, -5, 0], [4, 0, 2.6], 3),
+        flat([-4, -5, 0], [4, 2, 0], 4), flat([-4, -5, 0], [4, -5, 2.6], 5),
+    ]  # fmt: skip
+    # From the doorway, some of the room is seen, and all of the corridor's wall.
+    seen = [
+        flat([-4, 0.18, 0], [4, 0.18, 2.6], 6), flat([-1.5, -5, 0], [1.5, -5, 2.6], 7), flat([-1.5, -5, 0], [1.5, 2, 0], 8),
+        flat([-4, 0.18, 0], [4, 2, 0], 9), flat([-4, 2, 0], [4, 2, 2.6], 10),
+    ]  # fmt: skip
+    refiner._map.insert(GaussianCloud(np.concatenate(room), 0.2, 12), np.eye(4))
+    T, _, _, refused = refiner._register(GaussianCloud(np.concatenate(seen), 0.2, 12), [np.eye(4)], [np.eye(4)])
+    assert not refused
+    off_m = float(np.linalg.norm(T[:3, 3]))
+    assert off_m < most_m
+    assert distance_m < 0.2 or off_m > 0.03  # what it is for
 
 
 def test_a_registration_that_keeps_saying_so_is_believed(

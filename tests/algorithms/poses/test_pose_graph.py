@@ -192,6 +192,31 @@ def test_a_false_loop_is_let_go_of() -> None:
     assert np.abs(believed[:, :3, 3] - T[:, :3, 3]).max() > 0.05
 
 
+@pytest.mark.parametrize("slip_deg", [2.0, -4.0])
+def test_loops_that_agree_put_a_slip_of_the_way_right(slip_deg: float) -> None:
+    """One registration slipped, to both sides of which the robot came again."""
+    T_true = np.array([transforms.make_transform(translation=[float(i % 10), 0.0, 0.0]) for i in range(20)])
+    slip = transforms.make_transform(Rotation.from_euler("z", slip_deg, degrees=True), [0.08, -0.05, 0.0])
+    T_odometry = np.concatenate([T_true[:12], slip @ T_true[12:]])
+    held = np.diag([1e5] * 6)
+
+    def registered(T: FloatArray, first: int, second: int) -> _Edge:
+        return _Edge(first, second, Aligned(transforms.invert(T[first]) @ T[second], 0.9, held))
+
+    edges = [registered(T_odometry, i - back, i) for i in range(20) for back in (1, 2) if i >= back]
+    edges += [registered(T_true, i, i + 10 + k) for i in range(8) for k in (0, 1)]
+    solved = _solve(T_odometry, T_odometry, edges, PoseGraphSettings())
+    np.testing.assert_allclose(solved, T_true, atol=0.01)
+
+
+def test_where_the_odometry_slipped_is_told() -> None:
+    first, second = np.array([0, 1, 0, 2, 0]), np.array([1, 2, 2, 3, 3])
+    weight = np.array([0.9, 0.01, 0.02, 0.0, 0.01])  # the last but one fits too little to tell, the last is a loop
+    T, none = np.tile(np.eye(4), (4, 1, 1)), np.zeros(5)
+    graph = PoseGraph(T[0], np.array([0, 10, 20, 30]), T, T, first, second, none, none, weight)
+    assert graph.slips.tolist() == [0, 10]
+
+
 def test_poses_between_two_submaps_are_blended() -> None:
     T = np.array([transforms.make_transform(translation=[float(i), 0.0, 0.0]) for i in range(11)])
     shift = transforms.make_transform(Rotation.from_euler("z", 10, degrees=True), [0.0, 0.1, 0.0])
