@@ -137,7 +137,9 @@ class StandingWallsSettings(StepSettings):
     )
     hidden_returns_min: int = Field(20, ge=1, description="Minimum number of returns that prove a missed wall.")
     hidden_gap_m: float = Field(0.6, ge=0, description="Maximum gap (m) within a missed wall.")
-    robot_m: float = Field(0.25, ge=0, description="Minimum distance (m) of a wall from where the robot drove.")
+    robot_m: float = Field(
+        0.1, ge=0, description="Minimum distance (m) of a wall from where the robot drove: half as wide as any robot is."
+    )
     step_behind_m: float = Field(
         0.2, gt=0, description="Distance (m) behind a face that hangs at which a ceiling makes it that ceiling's step."
     )

@@ -235,6 +235,8 @@ def test_the_rest_of_a_duct_goes_with_it():
 
 def test_where_the_robot_drove_along_stands_no_wall():
     assert judge(cells_of(2.0), path_y=0.05) == ([], [FaceVerdict.HANGS])
+    # A narrow robot gets close to a pillar.
+    assert judge(cells_of(2.0), path_y=0.18) == ([[0.0, 2.0]], [])
 
 
 def test_a_leaf_is_refused_whether_seen_past_or_against_the_wall_behind():
