@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from pydantic import Field
 
-from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import lengths_m, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.model import AT_FACE_M, ON_FACE_M, BuildingSettings, Doors, Walls, stretches
@@ -63,10 +63,12 @@ else:  # compiled code takes named tuples
 
 
 class _Frames(NamedTuple):
-    """Doors for compiled code: see `Doors`, and the ends and normal of the face of each one's wall."""
+    """Doors for compiled code: see `Doors`, and the ends and normal of the face of each one's wall. is_open: whether no leaf was
+    seen in it."""
 
     ends: FloatArray
     head_m: FloatArray
+    is_open: BoolArray
     depth_m: FloatArray
     wall_ends: FloatArray
     wall_normal: FloatArray
@@ -114,6 +116,7 @@ def place_frames(
     frames = _Frames(
         np.ascontiguousarray(doors.ends, np.float64),
         np.ascontiguousarray(doors.head_m, np.float64),
+        np.isnan(doors.depth_m),
         np.fmin(doors.depth_m, settings.behind_max_m),
         np.ascontiguousarray(walls.ends[doors.wall], np.float64),
         np.ascontiguousarray(walls.normal[doors.wall], np.float64),
@@ -166,7 +169,7 @@ def _add_costs(
 def _compare_with_frames(
     frames: _Frames, evidence: _Evidence, scan: IntArray, rays: Rays, own: OwnPlane, rules: _Rules
 ) -> None:  # pragma: no cover
-    ends, head_m, depth_m, wall_ends, wall_normal = frames
+    ends, head_m, is_open, depth_m, wall_ends, wall_normal = frames
     jamb_cost_m, jamb_rays, head_cost_m, head_rays, scans = evidence
     origin, starts, ray_end, floors = rays.origin, rays.starts, rays.end, rays.floors
     jamb_reach_m, corner_m = rules.jamb_reach_m, rules.corner_m
@@ -178,7 +181,7 @@ def _compare_with_frames(
             ox, oy = origin[s, 0] - ends[d, 0, 0], origin[s, 1] - ends[d, 0, 1]
             reach = wall_normal[d, 0] * ox + wall_normal[d, 1] * oy
             # Seen at a slant, a leaf's recess shifts where rays pass the face.
-            aslant = abs(ox * dx + oy * dy - 0.5 * length) > 2.0 * reach + 0.5 * length
+            aslant = not is_open[d] and abs(ox * dx + oy * dy - 0.5 * length) > 2.0 * reach + 0.5 * length
             if aslant or reach < rules.from_m or reach > rules.to_m:
                 continue
             nx, ny, offset, start, stop = own_plane(wall_ends[d], wall_normal[d], rays, s, own)

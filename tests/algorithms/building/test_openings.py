@@ -696,6 +696,10 @@ def test_frames_are_placed_to_a_centimetre_though_reveals_return_too(depth_m: fl
     kept = place_frames(flush, WALL, scans, SETTINGS, DoorFramesSettings())
     np.testing.assert_array_equal(kept.ends, door.ends)
     assert (kept.head_m[0], kept.scan_count[0]) == (2.0, 2)
+    # Seen at a slant alone, the jambs of an open door show all the same; where a leaf is, its recess shifts what is seen.
+    aside = [features((-3.0, -1.0), seen_through_a_doorway((-3.0, -1.0), depth_m, generator), WALL.ends)]
+    placed = place_frames(door, WALL, aside, SETTINGS, DoorFramesSettings())
+    np.testing.assert_allclose(placed.ends[0, :, 0], [1.5, 2.4] if np.isnan(depth_m) else [1.55, 2.45], atol=0.012)
 
 
 @pytest.mark.parametrize(("x", "height_m"), [(4.0, 0.4), (6.0, 0.6), (20.0, 0.6), (-20.0, 0.0)])
