@@ -202,7 +202,7 @@ def _goes_on_above(wall: FloatArray, grid: GroundGrid, behind: BoolArray, low_m:
     rows, columns = grid.cells(wall)
     layer = (wall[:, 2] - low_m) / layer_m
     below, above = np.zeros((2, *grid.shape), bool)
-    for seen, within in ((below, (layer > -7.0) & (layer < -2.0)), (above, (layer > 1.4) & (layer < 3.4))):
+    for seen, within in ((below, (layer > -7.0) & (layer < -2.0)), (above, (layer > 1.4) & (layer < 4.0))):
         seen[rows[within], columns[within]] = True
     below &= behind
     return bool(np.count_nonzero(below & above) > 0.75 * np.count_nonzero(below))

@@ -147,12 +147,13 @@ def close_loops(
 
     T = T_start
     edges: dict[tuple[int, int], _Edge] = {}
-    for _ in range(settings.rounds_max):
+    for round_number in range(settings.rounds_max):
         new = sorted(_pairs(T[:, :3, 3], settings) - edges.keys())
         if not new:
             break
         edges |= {(e.first, e.second): e for e in _register(new, T, submap, settings)}
-        T = _solve(T_start, T, list(edges.values()), settings)
+        # Then the poses are near those that the loops agree on.
+        T = _solve(T_start, T, list(edges.values()), settings, _LOSSES if round_number == 0 else _LOSSES[-1:])
     return _answer(T_odom_first, scan, T_start, T, [edges[pair] for pair in sorted(edges)], settings)
 
 
@@ -216,10 +217,16 @@ def _register(
     return edges
 
 
-def _solve(T_start: FloatArray, T_guess: FloatArray, edges: Sequence[_Edge], settings: PoseGraphSettings) -> FloatArray:
-    """Poses (m, 4, 4) that contradict the registrations least."""
+def _solve(
+    T_start: FloatArray,
+    T_guess: FloatArray,
+    edges: Sequence[_Edge],
+    settings: PoseGraphSettings,
+    losses: Sequence[float] = _LOSSES,
+) -> FloatArray:
+    """Poses (m, 4, 4) that contradict the registrations least, by one loss after another, each so many times as wide as set."""
     T = T_guess
-    for wider in _LOSSES:
+    for wider in losses:
         T = _solved(T_start, T, edges, wider * settings.loss_scale, settings)
     return T
 
@@ -227,7 +234,7 @@ def _solve(T_start: FloatArray, T_guess: FloatArray, edges: Sequence[_Edge], set
 def _solved(
     T_start: FloatArray, T_guess: FloatArray, edges: Sequence[_Edge], loss_scale: float, settings: PoseGraphSettings
 ) -> FloatArray:
-    """The same from a guess, with one loss."""
+    """The same by one loss."""
     import gtsam  # noqa: TID251 - its one place; a tenth of a second, in the one process that closes loops
 
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
