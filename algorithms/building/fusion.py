@@ -137,10 +137,12 @@ def _find_faces(scans: AllScans, settings: FusionSettings) -> tuple[AlignedFaces
     faces = _traced(judged.walls, scans, settings)
     windows = find_windows(faces.walls, faces.cells, faces.clear_m, settings.opening_rules, settings.windows)
     fronts = _find_glass_fronts(judged, windows, scans, settings)
-    outside = seen_through(windows.append(fronts), planes)
+    glass = windows.append(fronts)
+    outside = seen_through(glass, planes)
     if outside.any():
         aligned = _align(fuse_walls(select_planes(planes, ~outside), settings.building), scans, settings)
-        judged = _judge(aligned, scans, settings, windows.append(fronts))
+        # What a pane mirrored seems to have passed the wall beside it.
+        judged = _judge(aligned, scans, settings, glass)
     return aligned, judged, windows, fronts
 
 

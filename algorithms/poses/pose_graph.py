@@ -22,9 +22,9 @@ from ffmap.algorithms.poses.gaussian_map import Aligned, GaussianCloud, Gaussian
 _ALONG = 2  # each submap is joined with this many before it, wherever they lie: that is the way as it was driven
 _SLIP_WEIGHT = 0.1  # what counts less than this of the way is off by more than three times the loss's scale
 _LOSSES = (30.0, 10.0, 3.0, 1.0)
-"""How many times as wide the loss is, from one solution to the next. Loops that agree with one another, and not with a slip of the
-odometry, have to move many poses before they fit: at first all registrations count, and at last those that agree (graduated
-non-convexity: Yang, Antonante, Tzoumas and Carlone 2020)."""
+"""The widths of the loss, as shares of `loss_scale`, from one solution to the next. Loops that agree with one another, and not with
+a slip of the odometry, have to move many poses before they fit: at first all registrations count, and at last those that agree
+(graduated non-convexity: Yang, Antonante, Tzoumas and Carlone 2020)."""
 
 
 class PoseGraphSettings(StepSettings):
@@ -97,7 +97,8 @@ class PoseGraph:
 
     @property
     def slips(self) -> IntArray:
-        """(k,) the scans behind which the odometry slipped, by their places: what joins the way there was let go of."""
+        """(k,) the scans near which the odometry slipped, by their places: what joins the way there was let go of. One slip may
+        show at several submaps."""
         slipped = ~self.is_loop & (self.weight > 0.0) & (self.weight < _SLIP_WEIGHT)
         return np.unique(self.scan[self.first[slipped]])
 
@@ -224,7 +225,8 @@ def _solve(
     settings: PoseGraphSettings,
     losses: Sequence[float] = _LOSSES,
 ) -> FloatArray:
-    """Poses (m, 4, 4) that contradict the registrations least, by one loss after another, each so many times as wide as set."""
+    """Poses (m, 4, 4) that contradict the registrations least, by one loss after another; losses: their widths, as shares of
+    `loss_scale`."""
     T = T_guess
     for wider in losses:
         T = _solved(T_start, T, edges, wider * settings.loss_scale, settings)

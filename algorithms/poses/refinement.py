@@ -46,7 +46,7 @@ class RefinementSettings(StepSettings):
         "comes into view in a doorway is registered to its other side.",
     )
     lost_distance_m: float = Field(
-        0.5, gt=0, description="The same where hardly anything fits (weak_inlier_share): the first guess was far off."
+        0.5, gt=0, description="The same where that jumps, or hardly anything fits (weak_inlier_share): its guess was off."
     )
     fit_drop_max: float = Field(
         0.03,

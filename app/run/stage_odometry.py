@@ -153,8 +153,8 @@ def _take_loops(
         run.state.counts["loops"] = int(np.count_nonzero(graph.is_loop & (graph.weight > 0)))
         if len(graph.slips):
             run.warn(
-                f"the odometry slipped {len(graph.slips)} times (the first: within 2 s after scan {graph.slips[0]}), as loops "
-                "show, which put it right but for centimetres there: see the recording's tab Odometry"
+                f"the odometry slipped near scan {', '.join(map(str, graph.slips))}, as loops show, which put it right but for "
+                "centimetres there: see the recording's tab Odometry"
             )
     if run.log:
         T_correction = trajectory.T_map_base @ transforms.invert(before.T_map_base)
