@@ -55,11 +55,10 @@ class WallCells:
         return replace(self, counts=self.counts + more.counts, light=light, twice=twice)
 
     def minus(self, less: "WallCells") -> "WallCells":
-        """Without what some of these rays found of the same faces."""
-        counts = self.counts - less.counts
-        counts[counts[..., FILLED] == 0, SUM : SQUARES + 1] = 0.0  # and no rest of the rounding
+        """Without what some of these rays found of the same faces. Cells in which these found all are left with exact zeros: both
+        were summed in one order."""
         light, twice = (a - b if len(b) else a for a, b in ((self.light, less.light), (self.twice, less.twice)))
-        return replace(self, counts=counts, light=light, twice=twice)
+        return replace(self, counts=self.counts - less.counts, light=light, twice=twice)
 
     def of(self, wall: int) -> "WallCells":
         """Of one face alone."""
