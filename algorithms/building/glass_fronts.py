@@ -76,6 +76,11 @@ class GlassFrontsSettings(StepSettings):
     bars_sigma: float = Field(
         4.0, gt=0, description="Standard deviations by which they have to differ more than by the chance of single rays."
     )
+    shelf_m: float = Field(
+        0.6,
+        ge=0,
+        description="Maximum depth (m) of shelves: nobody glazes a wall, and a sheet this close before one is their boards' edges.",
+    )
     other_pane_m: float = Field(
         0.6, gt=0, description="Maximum distance (m) from a known window of a pane that is taken for the same."
     )
@@ -139,7 +144,8 @@ def find_glass_fronts(judged: JudgedFaces, windows: Windows, rays: AllRays, rule
     shown = panes(replace(candidates, ends=lengthened(candidates.ends, rules.fronts.beyond_m)), windows)
     found: list[_Pane] = []
     for pane in sorted(shown, key=lambda p: float(way.query(p.face.ends[0].mean(axis=0))[0])):
-        if len(new_fronts(pane.window, _joined([windows, *(p.window for p in found)]), rules.fronts)):
+        known = _joined([windows, *(p.window for p in found)])
+        if len(new_fronts(pane.window, known, rules.fronts)) and not _is_shelf(pane.window, judged.walls, rules.fronts):
             found.append(pane)
     fronts = []
     for pane in found:
@@ -183,6 +189,15 @@ def _is_seen_through(front: Segment, path_map: FloatArray, window: Windows) -> b
         return False
     origin, before_m = path_map[before_m > 0.0], before_m[before_m > 0.0, None]
     return bool(front.beside(origin + before_m / (before_m - behind_m) * (middle - origin)).any())
+
+
+def _is_shelf(front: Windows, walls: Walls, settings: GlassFrontsSettings) -> bool:
+    """Whether most of a single front has a wall close behind it, seen from the same side."""
+    (own,) = segments(front)
+    return any(
+        0.0 < -own.before_m(ends.mean(axis=0)) < settings.shelf_m and own.shared_m(ends) > 0.5 * own.length_m
+        for ends in walls.ends[walls.normal @ own.normal > SAME_WAY]
+    )
 
 
 def _panes(faces: Walls, cells: WallCells, taken: BoolArray, rules: GlassRules) -> Iterator[_Pane]:

@@ -94,7 +94,14 @@ class Front:
         turned[..., :2] = turned[..., :2] @ np.array([[c, s], [-s, c]])
         return turned
 
-    def found(self, scans: int = 8, gone: int = 0, refused: Walls = NO_WALLS, windows: Windows = NO_WINDOWS) -> Windows:
+    def found(
+        self,
+        scans: int = 8,
+        gone: int = 0,
+        refused: Walls = NO_WALLS,
+        windows: Windows = NO_WINDOWS,
+        more_walls: Walls = NO_WALLS,
+    ) -> Windows:
         """What is found by scans along the robot's way, and by more when nothing stands there any more."""
         generator = np.random.default_rng(4)
         parts = [self.scan(x, generator) for x in np.linspace(0.8, 3.2, scans)]
@@ -108,7 +115,7 @@ class Front:
         def portions(asked: Walls) -> list[WallCells]:
             return [trace_rays(asked, [part], BUILDING) for part in parts]
 
-        sides = faces(((0, 3), (0, 0)), ((0, 0), (4, 0)), ((4, 0), (4, 3)))
+        sides = faces(((0, 3), (0, 0)), ((0, 0), (4, 0)), ((4, 0), (4, 3))).append(more_walls)
         walls = replace(sides, ends=self.to_map(sides.ends), normal=self.to_map(sides.normal))
         judged = JudgedFaces(walls, refused, np.zeros(len(refused), np.uint8))
         return find_glass_fronts(judged, windows, AllRays(votes, self.to_map(PATH), trace, portions), RULES)
@@ -147,6 +154,13 @@ def test_a_wall_that_meets_the_line_at_a_slant_returns_more_and_more() -> None:
 
 def test_a_shelf_returns_rays_in_some_places_and_none_in_others() -> None:
     assert len(Front(shelf=True).found()) == 0
+
+
+@pytest.mark.parametrize(("behind_m", "from_x", "panes"), [(0.4, 0.0, 0), (0.4, 3.0, 1), (1.0, 0.0, 1)])
+def test_a_sheet_close_before_a_wall_is_the_edges_of_a_shelf(behind_m: float, from_x: float, panes: int) -> None:
+    """Unless the wall is behind a small part of it, or a room's depth away."""
+    wall = faces(((4.0, DEPTH_M + behind_m), (from_x, DEPTH_M + behind_m)))
+    assert len(Front(mirrored=0.0).found(more_walls=wall)) == panes
 
 
 @pytest.mark.parametrize("scans", [8, 40])
