@@ -49,7 +49,7 @@ from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
 from ffmap.algorithms.building.votes import Halo, find_halo
 from ffmap.algorithms.building.windows import WindowsSettings, find_windows, seen_through
-from ffmap.algorithms.scan.summary import concatenate, select_planes, without_rays
+from ffmap.algorithms.scan.summary import concatenate, select_planes, select_scans, without_rays
 
 
 @dataclass(frozen=True)
@@ -191,12 +191,15 @@ def _find_glass_fronts(judged: JudgedFaces, windows: Windows, scans: AllScans, s
     def trace(faces: Walls, known: Windows) -> WallCells:
         return scans.trace(faces, settings.without_planes, known)
 
-    def portions(faces: Walls) -> Iterator[WallCells]:
-        return (trace_rays(faces, [block], settings.without_planes) for block in scans.drive.blocks())
+    def each_scan(faces: Walls) -> Iterator[WallCells]:
+        for block in scans.drive.blocks():
+            if trace_rays(faces, [block], settings.without_planes).counts.any():
+                for scan in block.scan:
+                    yield trace_rays(faces, [select_scans(block, block.scan == scan)], settings.without_planes)
 
     openings = OpeningRules(settings.without_planes, settings.openings)
     rules = GlassRules(openings, settings.standing_walls, settings.glass_fronts, settings.missed_walls.explained_m)
-    return find_glass_fronts(judged, windows, AllRays(scans.votes, scans.path_map, trace, portions), rules)
+    return find_glass_fronts(judged, windows, AllRays(scans.votes, scans.path_map, trace, each_scan), rules)
 
 
 def _find_openings(

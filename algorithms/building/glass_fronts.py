@@ -56,11 +56,12 @@ class GlassFrontsSettings(StepSettings):
         0.7, gt=0, le=1, description="Minimum share of the returns from where most rays pass that lie on the pane's sheet."
     )
     patches_min: int = Field(2, ge=1, description="Minimum number of patches that tell in a pane's column.")
-    lasting_min: float = Field(
-        0.2,
+    at_once_max: float = Field(
+        0.3,
         ge=0,
         le=1,
-        description="A portion of the scans shows a pane where it has this share of the returns that are to be expected of it.",
+        description="Maximum share of a pane's returns from patches of which one scan returned most of the rays that met them: "
+        "people return all.",
     )
     bridge_m: float = Field(0.4, ge=0, description="Maximum width (m) of a stretch of a pane in which too few rays met it to tell.")
     bar_m: float = Field(0.2, ge=0, description="Maximum width (m) of a mullion, beyond which a pane goes on.")
@@ -101,13 +102,13 @@ class AllRays:
     """What all scans show together.
 
     path_map: (n, 2) the robot's places. trace: counts rays against faces, without those that ended beyond some windows; a return
-    more than some centimetres behind a face counts as passed. portions: the same for all rays, a portion of the scans at a time.
+    more than some centimetres behind a face counts as passed. scans: the same for all rays, one scan that meets any face at a time.
     """
 
     votes: VoxelVotes
     path_map: FloatArray
     trace: Callable[[Walls, Windows], WallCells]
-    portions: Callable[[Walls], Iterable[WallCells]]
+    scans: Callable[[Walls], Iterable[WallCells]]
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ class _Pane:
 def find_glass_fronts(judged: JudgedFaces, windows: Windows, rays: AllRays, rules: GlassRules) -> Windows:
     """The panes that no known window has: on lines of returns that no wall explains, and in faces that rays speak against.
 
-    A pane returns rays whenever they meet it; who walked by has left returns too, but of a moment. Of panes that stand close
+    A pane returns some rays whenever they meet it; who walked by has left returns too, but all at once. Of panes that stand close
     together the one nearest to the robot's way counts. Behind a pane stands what it mirrors, of which it returns as small a share:
     what is seen through another pane has to be one without that. The windows lie on their panes.
     """
@@ -153,32 +154,35 @@ def find_glass_fronts(judged: JudgedFaces, windows: Windows, rays: AllRays, rule
         hidden = any(_is_seen_through(front, rays.path_map, pane.window) for front in segments(others))
         if not hidden or panes(pane.face, windows.append(others)):
             fronts.append(pane.window)
-    return _lasting(_joined(fronts), rays, rules)
+    return _lets_pass_always(_joined(fronts), rays, rules)
 
 
 def _joined(windows: Iterable[Windows]) -> Windows:
     return reduce(Windows.append, windows, NO_WINDOWS)
 
 
-def _lasting(fronts: Windows, rays: AllRays, rules: GlassRules) -> Windows:
-    """The fronts that most portions of the scans show which have enough rays that met them to tell."""
+def _lets_pass_always(fronts: Windows, rays: AllRays, rules: GlassRules) -> Windows:
+    """The fronts that return few of the rays that meet a patch at once: of who stood there for a while all returned, or none."""
     if not len(fronts):
         return fronts
     settings = rules.fronts
-    portions = list(rays.portions(unseen_faces(fronts.ends, fronts.normal, fronts.top_m)))
+    faces = unseen_faces(fronts.ends, fronts.normal, fronts.top_m)
     high = slice(FOOT_ROW, cells_in(rules.openings.building.door_height_min_m))
-    lasts = np.zeros(len(fronts), bool)
-    for k in range(len(fronts)):
-        own = slice(portions[0].first[k], portions[0].first[k + 1])
-        counts = np.stack([cells.counts[own, high].astype(np.float64) for cells in portions])
-        total = counts.sum(axis=0)
-        clear = counts * (total[..., THROUGH] > total[..., FILLED])[..., None]
-        returned, passed = clear[..., FILLED].sum(axis=(1, 2)), clear[..., THROUGH].sum(axis=(1, 2))
-        expected = returned.sum() / max(returned.sum() + passed.sum(), 1.0) * (returned + passed)
-        tells = expected >= settings.expected_min
-        shown = tells & (returned >= settings.lasting_min * expected)
-        lasts[k] = np.count_nonzero(shown) >= settings.shown_min * np.count_nonzero(tells)
-    return fronts.select(lasts)
+    total = rays.trace(faces, NO_WINDOWS)
+    clear = (total.counts[:, high, THROUGH] > total.counts[:, high, FILLED])[..., None]
+    returned, at_once = np.zeros(len(fronts)), np.zeros(len(fronts))
+    size = cells_in(settings.patch_m)
+    for cells in rays.scans(faces):
+        met = cells.counts[:, high, [FILLED, THROUGH]] * clear
+        for k in range(len(fronts)):
+            own = met[cells.first[k] : cells.first[k + 1]]
+            columns, rows = own.shape[0] // size, own.shape[1] // size
+            patches = own[: columns * size, : rows * size].reshape(columns, size, rows, size, 2).sum(axis=(1, 3))
+            filled, passed = np.moveaxis(patches, 2, 0)
+            tells = filled + passed >= settings.expected_min
+            returned[k] += filled[tells].sum()
+            at_once[k] += filled[tells & (filled > passed)].sum()
+    return fronts.select(at_once <= settings.at_once_max * returned)
 
 
 def _is_seen_through(front: Segment, path_map: FloatArray, window: Windows) -> bool:

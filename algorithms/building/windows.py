@@ -3,6 +3,7 @@
 
 import numba
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
@@ -36,6 +37,12 @@ class WindowsSettings(StepSettings):
 
     height_min_m: float = Field(
         0.3, gt=0, description="Minimum height (m) of a window above a sill, and width of one that shows by a pane alone."
+    )
+    patch_m: float = Field(
+        0.25,
+        ge=0,
+        description="Height (m) over which the rays are counted together that tell whether a window is there: many pass it and "
+        "return from nothing.",
     )
     sill_min_m: float = Field(
         0.2,
@@ -162,8 +169,11 @@ def _above_sill(
     What stands before a window hides its sill, and a window is as wide as it is all the same.
     """
     top = max(int(max(top_m - 0.2, 0.0) / CELL_M), FOOT_ROW + 1)
-    near = with_neighbours(counts[:, :top])
-    clear = (near[..., THROUGH] > near[..., FILLED]) & (near[..., THROUGH] >= 0.5 * rules.building.rays_min)
+    near = with_neighbours(counts[:, :top])[..., [FILLED, THROUGH]]
+    aside = cells_in(settings.patch_m) // 2
+    padded = np.pad(near, ((0, 0), (aside, aside), (0, 0)))
+    filled, passed = np.moveaxis(sliding_window_view(padded, 2 * aside + 1, axis=1).sum(axis=-1), 2, 0)
+    clear = (passed > filled) & (passed >= 0.5 * rules.building.rays_min)
     clear[:, 0] = False
     lowest = np.argmax(clear, axis=1)
     below = counts[:, :top] * ((np.arange(top) > 0) & (np.arange(top) < lowest[:, None]))[..., None]

@@ -1,6 +1,7 @@
 """Glazed fronts: told from open passages, furniture and mirror images by rays that are cast through a front."""
 
 from dataclasses import dataclass, replace
+from itertools import cycle
 
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ class Front:
 
     returned, mirrored: shares of the rays that a pane returns, and that it mirrors, which end in the room's mirror image.
     open_x: from where to where no pane stands. shelf: boards that return nearly all rays, and nothing between them, in place of a
-    pane; railing: upright bars that do. grows: the more is returned the farther to the right. turn_deg: of the whole in the map.
+    pane; railing: upright bars that do. person_x: where someone 0.5 m wide stands, who returns all rays. grows: the more is returned the farther to the right. turn_deg: of the whole in the map.
     """
 
     returned: float = 0.05
@@ -45,6 +46,7 @@ class Front:
     open_x: tuple[float, float] = (9.0, 9.0)
     shelf: bool = False
     railing: bool = False
+    person_x: float | None = None
     grows: bool = False
     rays: int = 12_000
     turn_deg: float = 0.0
@@ -63,6 +65,8 @@ class Front:
             on_pane = (aim[:, 2] % 0.4 < 0.04) & (drawn < 0.9)
         if self.railing:
             on_pane = (aim[:, 0] % 0.15 < 0.015) & (drawn < 0.9)
+        if self.person_x is not None:
+            on_pane |= np.abs(aim[:, 0] - self.person_x) < 0.25
         solid = self.shelf or self.railing
         mirrored = ~on_pane & glazed & (not solid) & (drawn < self.returned + self.mirrored)
         # The image of the wall behind the robot, at y = 6, and a wall of the building opposite.
@@ -97,28 +101,28 @@ class Front:
     def found(
         self,
         scans: int = 8,
-        gone: int = 0,
+        persons_x: tuple[float | None, ...] = (None,),
         refused: Walls = NO_WALLS,
         windows: Windows = NO_WINDOWS,
         more_walls: Walls = NO_WALLS,
     ) -> Windows:
-        """What is found by scans along the robot's way, and by more when nothing stands there any more."""
+        """What is found by scans along the robot's way, in which a person stands at one place after the other."""
         generator = np.random.default_rng(4)
-        parts = [self.scan(x, generator) for x in np.linspace(0.8, 3.2, scans)]
-        parts += [replace(self, returned=0.0, mirrored=0.0).scan(x, generator) for x in np.linspace(0.8, 3.2, gone)]
+        places = zip(np.linspace(0.8, 3.2, scans), cycle(persons_x), strict=False)
+        parts = [replace(self, person_x=person_x).scan(x, generator) for x, person_x in places]
         seen = concatenate(parts)
         votes = vote(seen.ray_end_map, seen.ray_label, len(Label), 0.05)
 
         def trace(asked: Walls, known: Windows) -> WallCells:
             return tracing(seen)(asked, BUILDING, known)
 
-        def portions(asked: Walls) -> list[WallCells]:
+        def each_scan(asked: Walls) -> list[WallCells]:
             return [trace_rays(asked, [part], BUILDING) for part in parts]
 
         sides = faces(((0, 3), (0, 0)), ((0, 0), (4, 0)), ((4, 0), (4, 3))).append(more_walls)
         walls = replace(sides, ends=self.to_map(sides.ends), normal=self.to_map(sides.normal))
         judged = JudgedFaces(walls, refused, np.zeros(len(refused), np.uint8))
-        return find_glass_fronts(judged, windows, AllRays(votes, self.to_map(PATH), trace, portions), RULES)
+        return find_glass_fronts(judged, windows, AllRays(votes, self.to_map(PATH), trace, each_scan), RULES)
 
 
 @pytest.mark.parametrize("returned", [0.02, 0.07, 0.2])
@@ -168,9 +172,10 @@ def test_a_railing_returns_rays_and_none_in_turns(scans: int) -> None:
     assert not len(Front(railing=True).found(scans))
 
 
-def test_what_stood_there_for_a_while_is_no_pane() -> None:
-    """As who walks by: in half of the scans nothing returns."""
-    assert len(Front(returned=0.1).found(scans=4, gone=4)) == 0
+def test_who_walks_by_returns_all_rays_at_once_and_is_no_pane() -> None:
+    walk = tuple(np.arange(0.25, 4.0, 0.5))
+    assert len(Front(returned=0.0, mirrored=0.0).found(persons_x=walk)) == 0
+    assert len(Front().found(persons_x=(2.0, None, None, None, None, None, None, None))) == 1
 
 
 def test_few_rays_tell_nothing() -> None:
