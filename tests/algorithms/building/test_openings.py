@@ -497,6 +497,18 @@ def test_a_window_goes_on_where_its_glass_returns_nothing() -> None:
     )
 
 
+def test_a_window_shows_though_few_of_the_rays_that_pass_it_return() -> None:
+    """Outside is nothing in range: less than two rays in a row of three cells."""
+    seen = cells()
+    seen.counts[20:60, 18:44] = 0.0
+    seen.counts[20:60, 18:44, THROUGH] = 0.5
+    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, 3.0]], atol=2 * CELL_M)
+    # Far fewer are stray ones.
+    seen.counts[20:60, 18:44, THROUGH] = 0.1
+    assert len(find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())) == 0
+
+
 @pytest.mark.parametrize(
     ("depth_m", "passed", "end"),
     [
