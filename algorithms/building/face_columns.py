@@ -230,10 +230,15 @@ def _with_neighbours(values: FloatArray, cells: WallCells) -> FloatArray:
     return np.concatenate(parts) if parts else values
 
 
+def rows_below(clear_m: float) -> slice:
+    """The rows between the foot and a ceiling `clear_m` above the floor."""
+    return slice(FOOT_ROW, int((clear_m - CEILING_MARGIN_M) / CELL_M))
+
+
 def rows_on_and_passed(counts: FloatArray, clear_m: float) -> tuple[FloatArray, FloatArray]:
     """How many rays end on columns (c, rows, 4), and how many do not, in each row between foot and ceiling."""
-    rows = slice(FOOT_ROW, int((clear_m - CEILING_MARGIN_M) / CELL_M))
-    return on_and_passed(counts[:, rows].sum(axis=0, dtype=np.float64))
+    on, passed = on_and_passed(counts[:, rows_below(clear_m)].astype(np.float64))
+    return on.sum(axis=0), passed.sum(axis=0)
 
 
 def on_and_passed(counts: FloatArray) -> tuple[FloatArray, FloatArray]:

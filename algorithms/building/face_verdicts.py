@@ -26,7 +26,8 @@ from ffmap.algorithms.building.face_columns import (
     long_runs,
     median_m,
     room_before,
-    rows_on_and_passed,
+    on_and_passed,
+    rows_below,
     runs,
 )
 from ffmap.algorithms.building.model import (
@@ -469,12 +470,14 @@ def _goes_on(counts: FloatArray, head_m: float, clear_m: float, settings: Standi
     """Whether a wall stands in columns (c, rows, 4) from foot to ceiling: a leaf ends below, whatever hangs over it."""
     if not len(counts) or not np.isfinite(clear_m):
         return False
-    on, passed = rows_on_and_passed(counts, clear_m)
-    seen = on + passed >= settings.stray_rays
+    on, passed = on_and_passed(counts[:, rows_below(clear_m)].astype(np.float64))
+    seen = (on + passed).sum(axis=0) >= settings.stray_rays
+    # Cell by cell: on a pier's side, which is met along its edge alone, more rays end than on all of its front.
+    stands = 2 * np.count_nonzero(on > passed, axis=0) > np.count_nonzero(on + passed, axis=0)
     above = seen[max(int(head_m / CELL_M) + 1 - FOOT_ROW, 0) :]
     if not len(above):
         return False
-    return bool(np.mean(above) > 0.5 and np.mean(on[seen] > passed[seen]) >= settings.reveal_goes_on_share)
+    return bool(np.mean(above) > 0.5 and np.mean(stands[seen]) >= settings.reveal_goes_on_share)
 
 
 def along_others(walls: Walls, settings: StandingWallsSettings) -> BoolArray:

@@ -297,6 +297,9 @@ def test_pillars_in_line_stand_though_rays_pass_between_them():
     cells = cells_of(2.0)
     pass_rays(cells, slice(8, 32), 0.0, CEILING_M)
     assert judge(cells)[0] == [[0.0, 0.4], [1.6, 2.0]]
+    # Far more rays end on a pillar's side than on its front, behind the face and all in one column.
+    cells.counts[38, :, FILLED], cells.counts[38, :, SUM] = 100.0, -20.0
+    assert judge(cells)[0] == [[0.0, 0.4], [1.6, 2.0]]
     # A reveal on either side of an opening is none: it ends at the door's head.
     pass_rays(cells, slice(0, 40), 2.1, CEILING_M)
     assert judge(cells)[0] == []
