@@ -22,6 +22,7 @@ from ffmap.algorithms.building.face_columns import (
     median_m,
     on_and_passed,
     room_before,
+    rows_below,
     rows_on_and_passed,
     runs,
 )
@@ -55,6 +56,9 @@ class MissedWallsSettings(StepSettings):
         ge=0,
         le=1,
         description="A pillar before a wall shows in more than this share of the rows up to the ceiling.",
+    )
+    slit_m: float = Field(
+        0.1, gt=0, description="Minimum height (m) of a slit that rays pass between what stands and what hangs above it."
     )
     below_ceiling_m: float = Field(
         0.35, gt=0, description="A wall shows up to this (m) below the ceiling, or above heads."
@@ -299,7 +303,10 @@ class _Search:
         # A duct's underside and the ceiling next to it are rows of returns, with nothing between them and the floor.
         below_sill = slice(0, cells_in(self._settings.building.knee_m) - FOOT_ROW)
         is_window = np.mean(window) > 0.5 and np.all(on[below_sill] >= passed[below_sill])
-        return bool(is_window or np.count_nonzero(on > passed) > np.count_nonzero(passed > on))
+        # Rays pass between a shelf and the duct above it over all their width, however much of the height is theirs.
+        on_cell, passed_cell = on_and_passed(counts[:, rows_below(ceiling_m)])
+        slits = long_runs(np.mean(passed_cell > on_cell, axis=0) > 0.5, cells_in(missed.slit_m), 0)
+        return bool(is_window or (np.count_nonzero(on > passed) > np.count_nonzero(passed > on) and not slits.any()))
 
     def _duct_before(self, face: Walls, counts: FloatArray) -> _Duct | None:
         """The face that hangs before a stretch as the front of a duct or a soffit; None where none does.

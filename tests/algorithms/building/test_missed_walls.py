@@ -231,6 +231,12 @@ def test_a_cupboard_and_a_duct_above_it_are_no_wall_with_a_window():
     assert len(missed(room(to_x=3.0), window_m=(0.9, 2.5), known=faces(((3.6, 0), (3.6, 3))))) == 0
 
 
+def test_a_shelf_and_a_duct_above_it_are_no_wall_however_narrow_the_slit_between_them() -> None:
+    assert len(missed(room(), window_m=(2.0, 2.15))) == 0
+    # A row of cells is too little: its rays may be off.
+    assert len(missed(room(), window_m=(2.0, 2.05))) == 1
+
+
 def test_a_window_may_reach_close_to_the_ceiling():
     assert len(missed(room(to_x=3.0), window_m=(0.9, 2.5))) == 1
     assert len(missed(room(to_x=3.0), window_m=(0.9, 2.75))) == 0  # a partition
