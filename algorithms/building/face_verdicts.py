@@ -25,8 +25,8 @@ from ffmap.algorithms.building.face_columns import (
     count_columns,
     long_runs,
     median_m,
-    room_before,
     on_and_passed,
+    room_before,
     rows_below,
     runs,
 )

@@ -38,7 +38,8 @@ class Front:
 
     returned, mirrored: shares of the rays that a pane returns, and that it mirrors, which end in the room's mirror image.
     open_x: from where to where no pane stands. shelf: boards that return nearly all rays, and nothing between them, in place of a
-    pane; railing: upright bars that do. person_x: where someone 0.5 m wide stands, who returns all rays. grows: the more is returned the farther to the right. turn_deg: of the whole in the map.
+    pane; railing: upright bars that do. person_x: where someone 0.5 m wide stands, who returns all rays.
+    grows: the more is returned the farther to the right. turn_deg: of the whole in the map.
     """
 
     returned: float = 0.05
