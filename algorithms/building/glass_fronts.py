@@ -57,7 +57,7 @@ class GlassFrontsSettings(StepSettings):
     )
     patches_min: int = Field(2, ge=1, description="Minimum number of patches that tell in a pane's column.")
     at_once_max: float = Field(
-        0.3,
+        0.45,
         ge=0,
         le=1,
         description="Maximum share of a pane's returns from patches of which one scan returned most of the rays that met them: "
