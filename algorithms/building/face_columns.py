@@ -230,15 +230,16 @@ def _with_neighbours(values: FloatArray, cells: WallCells) -> FloatArray:
     return np.concatenate(parts) if parts else values
 
 
-def rows_below(clear_m: float) -> slice:
-    """The rows between the foot and a ceiling `clear_m` above the floor."""
-    return slice(FOOT_ROW, int((clear_m - CEILING_MARGIN_M) / CELL_M))
-
-
 def rows_on_and_passed(counts: FloatArray, clear_m: float) -> tuple[FloatArray, FloatArray]:
     """How many rays end on columns (c, rows, 4), and how many do not, in each row between foot and ceiling."""
-    on, passed = on_and_passed(counts[:, rows_below(clear_m)].astype(np.float64))
+    on, passed = cells_on_and_passed(counts, clear_m)
     return on.sum(axis=0), passed.sum(axis=0)
+
+
+def cells_on_and_passed(counts: FloatArray, clear_m: float) -> tuple[FloatArray, FloatArray]:
+    """The same of each cell: (c, rows between foot and ceiling) each."""
+    rows = slice(FOOT_ROW, int((clear_m - CEILING_MARGIN_M) / CELL_M))
+    return on_and_passed(counts[:, rows].astype(np.float64))
 
 
 def on_and_passed(counts: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -21,13 +21,12 @@ from ffmap.algorithms.building.face_columns import (
     Storey,
     TracedFaces,
     above_doors_m,
+    cells_on_and_passed,
     column_places,
     count_columns,
     long_runs,
     median_m,
-    on_and_passed,
     room_before,
-    rows_below,
     runs,
 )
 from ffmap.algorithms.building.model import (
@@ -470,7 +469,7 @@ def _goes_on(counts: FloatArray, head_m: float, clear_m: float, settings: Standi
     """Whether a wall stands in columns (c, rows, 4) from foot to ceiling: a leaf ends below, whatever hangs over it."""
     if not len(counts) or not np.isfinite(clear_m):
         return False
-    on, passed = on_and_passed(counts[:, rows_below(clear_m)].astype(np.float64))
+    on, passed = cells_on_and_passed(counts, clear_m)
     seen = (on + passed).sum(axis=0) >= settings.stray_rays
     # Cell by cell: on a pier's side, which is met along its edge alone, more rays end than on all of its front.
     stands = 2 * np.count_nonzero(on > passed, axis=0) > np.count_nonzero(on + passed, axis=0)

@@ -102,7 +102,8 @@ class AllRays:
     """What all scans show together.
 
     path_map: (n, 2) the robot's places. trace: counts rays against faces, without those that ended beyond some windows; a return
-    more than some centimetres behind a face counts as passed. scans: the same for all rays, one scan that meets any face at a time.
+    more than some centimetres behind a face counts as passed. scans: the same for all rays, scan by scan; those that meet
+    no face may be left out.
     """
 
     votes: VoxelVotes

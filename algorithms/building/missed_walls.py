@@ -17,12 +17,12 @@ from ffmap.algorithms.building.face_columns import (
     FaceColumnsSettings,
     Storey,
     TracedFaces,
+    cells_on_and_passed,
     count_columns,
     long_runs,
     median_m,
     on_and_passed,
     room_before,
-    rows_below,
     rows_on_and_passed,
     runs,
 )
@@ -292,7 +292,8 @@ class _Search:
         counts: (c, rows, 4) of the stretch. window: (c,) which of its columns may be a window's.
         """
         missed = self._settings.missed
-        on, passed = rows_on_and_passed(counts, ceiling_m)
+        on_cells, passed_cells = cells_on_and_passed(counts, ceiling_m)
+        on, passed = on_cells.sum(axis=0), passed_cells.sum(axis=0)
         seen = np.flatnonzero(on >= self._settings.standing.stray_rays)
         highest_m = min(ceiling_m - missed.below_ceiling_m, missed.above_heads_m)
         if not len(seen) or (FOOT_ROW + seen[-1] + 1) * CELL_M <= highest_m:
@@ -304,8 +305,7 @@ class _Search:
         below_sill = slice(0, cells_in(self._settings.building.knee_m) - FOOT_ROW)
         is_window = np.mean(window) > 0.5 and np.all(on[below_sill] >= passed[below_sill])
         # Rays pass between a shelf and the duct above it over all their width, however much of the height is theirs.
-        on_cell, passed_cell = on_and_passed(counts[:, rows_below(ceiling_m)])
-        slits = long_runs(np.mean(passed_cell > on_cell, axis=0) > 0.5, cells_in(missed.slit_m), 0)
+        slits = long_runs(np.mean(passed_cells > on_cells, axis=0) > 0.5, cells_in(missed.slit_m), 0)
         return bool(is_window or (np.count_nonzero(on > passed) > np.count_nonzero(passed > on) and not slits.any()))
 
     def _duct_before(self, face: Walls, counts: FloatArray) -> _Duct | None:
