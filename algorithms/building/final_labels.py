@@ -302,7 +302,7 @@ class Relabelling:
         np.copyto(reason, at_edge, where=label != label_level)
         at_door = _at_doors(points_map, height_m, asked, origin, *self.doorways, self.rules)
         _mark_window_reveals(points_map, height_m, asked, at_door, *self.panes, self.rules)
-        before = self.before.first, self.before.covered
+        before = self.before.first, self.before.clear_m, self.before.covered
         nearest = _nearest_faces(points_map, height_m, asked, origin, lines, at_faces, *before, self.rules)
         refused = _labels_of_refused(points_map, height_m, asked, *self.refused, self.rules)
         decided = np.asarray(_decided(label, asked, at_door, *nearest, refused, self.rules, reason))
@@ -600,6 +600,7 @@ def _nearest_faces(
     faces: FloatArray,
     near_faces: IntArray,
     first: IntArray,
+    clear_m: FloatArray,
     covered: BoolArray,
     rules: _Rules,
 ) -> tuple[FloatArray, BoolArray, BoolArray]:  # pragma: no cover
@@ -626,11 +627,12 @@ def _nearest_faces(
             if abs(s) < nearest_m[i] or in_body or (could_see and abs(s) < nearest_seen_m):
                 u = along_line(faces, w, x, y)
                 beside = -rules.margin_m < u < faces[w, LENGTH] + rules.margin_m
-                if beside and height_m < faces[w, TOP] + rules.face_above_m:
+                column = min(max(int(u / CELL_M), 0), first[w + 1] - first[w] - 1)
+                # Where the ceiling rises, so does the wall.
+                if beside and (height_m < faces[w, TOP] + rules.face_above_m or height_m < clear_m[first[w] + column]):
                     nearest_m[i] = min(nearest_m[i], abs(s))
                     if could_see and abs(s) < nearest_seen_m:
                         nearest_seen_m = abs(s)
-                        column = min(max(int(u / CELL_M), 0), first[w + 1] - first[w] - 1)
                         row = min(max(int(height_m / CELL_M), 0), covered.shape[1] - 1)
                         is_covered[i] = covered[first[w] + column, row]
                     is_within[i] = is_within[i] or in_body

@@ -123,6 +123,12 @@ def test_a_return_by_its_distance_to_a_face(y: float, scan_label: Label, expecte
     assert final((2.0, y, 1.0), scan_label, walls=face()) == expected
 
 
+@pytest.mark.parametrize(("ceiling_m", "expected"), [(2.8, Label.WALL), (1.9, Label.CLUTTER), (float("nan"), Label.CLUTTER)])
+def test_a_wall_goes_up_to_the_ceiling_before_it(ceiling_m: float, expected: Label) -> None:
+    """Of a wall below a slope most is seen no higher than where the slope is low."""
+    assert final((2.0, -0.02, 2.4), Label.CLUTTER, walls=face(top_m=2.0), ceiling_m=ceiling_m) == expected
+
+
 @pytest.mark.parametrize(("y", "expected"), [(-0.02, Label.WALL), (-1.0, Label.CLUTTER)])
 def test_what_a_scan_took_for_floor_far_above_it_is_a_walls_or_clutter(y: float, expected: Label) -> None:
     everywhere = np.zeros(2) - 5.0, 10.0, np.full((1, 1), 0.2), np.full((1, 1), np.inf)
