@@ -174,6 +174,7 @@ class Columns(Rows):
 
     upper: above doors. crown: on the highest rows that rays reach, whatever hangs below the ceiling. lower: between the foot and
     doors' heads. sill: between the foot and windows' sills. upper_open_rows: how many rows above doors almost all rays pass.
+    lower_open_rows: how many rows between sills and doors' heads most rays pass.
     """
 
     upper_on: FloatArray
@@ -183,6 +184,7 @@ class Columns(Rows):
     crown_passed: FloatArray
     lower_on: FloatArray
     lower_passed: FloatArray
+    lower_open_rows: IntArray
     sill_on: FloatArray
     sill_passed: FloatArray
 
@@ -207,6 +209,8 @@ def count_columns(
     lower = (height > settings.foot_m) & (height < building.door_height_min_m)
     sill = (height > settings.foot_m) & (height < building.knee_m)
     upper_on, upper_passed = _with_neighbours(on * upper, cells), _with_neighbours(passed * upper, cells)
+    above_sill = lower & ~sill
+    middle_on, middle_passed = _with_neighbours(on[:, above_sill], cells), _with_neighbours(passed[:, above_sill], cells)
     reached = upper_on + upper_passed >= settings.row_rays_min
     crown = reached & (reached[:, ::-1].cumsum(axis=1)[:, ::-1] <= cells_in(settings.crown_m))
     is_open = (upper_passed >= settings.row_rays_min) & (upper_passed > settings.row_open_ratio * upper_on)
@@ -218,6 +222,7 @@ def count_columns(
         (upper_passed * crown).sum(axis=1),
         _with_neighbours(on[:, lower].sum(axis=1), cells),
         _with_neighbours(passed[:, lower].sum(axis=1), cells),
+        np.count_nonzero((middle_passed >= settings.row_rays_min) & (middle_passed > middle_on), axis=1),
         _with_neighbours(on[:, sill].sum(axis=1), cells),
         _with_neighbours(passed[:, sill].sum(axis=1), cells),
     )

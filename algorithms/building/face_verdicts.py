@@ -74,6 +74,9 @@ class StandingWallsSettings(StepSettings):
         gt=0,
         description="A wall is not open over this much (m) of its height above doors, though it be seen there.",
     )
+    window_open_m: float = Field(
+        0.2, gt=0, description="Minimum height (m) over which a window between a spandrel and a crown is open below doors' heads."
+    )
     opening_max_m: float = Field(2.6, gt=0, description="Maximum length (m) below a lintel; longer, it is a duct.")
     jamb_share_min: float = Field(0.1, ge=0, le=1, description="Minimum share of a lintel's face with wall below it.")
     cut_min_m: float = Field(0.3, gt=0, description="Minimum length (m) cut out of a face that rays pass above.")
@@ -294,7 +297,7 @@ def _ending_low(
     if not stands_before:
         # A spandrel in line with the wall above a window that goes on along the whole face.
         spandrel = columns.sill_on > settings.passed_ratio * columns.sill_passed
-        window = columns.lower_passed - columns.sill_passed > columns.lower_on - columns.sill_on
+        window = columns.lower_open_rows >= cells_in(settings.window_open_m)
         ends_low &= ~(topped & spandrel & window)
     low = long_runs(ends_low, min(beside, max(len(ends_low) // 2, 1)), bridge=2)
     for first, after in runs(low):

@@ -183,6 +183,14 @@ def test_a_window_along_a_whole_face_does_not_cut_its_wall():
     assert judge(cells) == ([[0.0, 6.0]], [])
 
 
+@pytest.mark.parametrize(("sill_m", "stands"), [(0.75, True), (1.55, True), (1.8, False)])
+def test_a_spandrel_may_be_high_but_what_reaches_doors_heads_is_a_cupboards(sill_m: float, stands: bool) -> None:
+    """Above a sill of 1.55 m rays pass less of what is below doors' heads than the spandrel takes of it."""
+    cells = cells_of(6.0)
+    pass_rays(cells, slice(None), sill_m, 2.5)
+    assert bool(judge(cells)[0]) == stands
+
+
 def test_a_cupboard_under_a_duct_is_no_wall():
     """The duct hides what is above it, where its own wall is seen."""
     front, wall = cells_of(1.2), cells_of(4.0)
