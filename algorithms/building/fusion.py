@@ -6,8 +6,10 @@ face of this building.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.segments import lengthened
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings, find_cased_doors
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings, find_contrasting_doors
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
@@ -48,7 +50,7 @@ from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
 from ffmap.algorithms.building.votes import Halo, find_halo
-from ffmap.algorithms.building.windows import WindowsSettings, find_windows, seen_through
+from ffmap.algorithms.building.windows import WindowsSettings, find_windows, in_walls, seen_through
 from ffmap.algorithms.scan.summary import concatenate, select_planes, select_scans, without_rays
 
 
@@ -134,8 +136,7 @@ def _find_faces(scans: AllScans, settings: FusionSettings) -> tuple[AlignedFaces
     planes = concatenate([without_rays(features) for features in scans.drive.blocks()])
     aligned = _align(fuse_walls(planes, settings.building), scans, settings)
     judged = _judge(aligned, scans, settings)
-    faces = _traced(judged.walls, scans, settings)
-    windows = find_windows(faces.walls, faces.cells, faces.clear_m, settings.opening_rules, settings.windows)
+    windows = _windows_in(_traced(judged.walls, scans, settings), settings)
     fronts = _find_glass_fronts(judged, windows, scans, settings)
     glass = windows.append(fronts)
     outside = seen_through(glass, planes)
@@ -143,6 +144,8 @@ def _find_faces(scans: AllScans, settings: FusionSettings) -> tuple[AlignedFaces
         aligned = _align(fuse_walls(select_planes(planes, ~outside), settings.building), scans, settings)
         # What a pane mirrored seems to have passed the wall beside it.
         judged = _judge(aligned, scans, settings, glass)
+        # Walls that panes mirrored have gone, and with them their windows.
+        windows = in_walls(windows, judged.walls, settings.windows)
     return aligned, judged, windows, fronts
 
 
@@ -171,12 +174,15 @@ def _add_missed_walls(
     """The faces with those that only all scans together show, and the walls that they make."""
     standing, missed = settings.standing_walls, settings.missed_walls
 
-    def trace(faces: Walls) -> TracedFaces:
-        cells = scans.trace(faces, settings.without_planes, windows)
+    def trace(faces: Walls, glass: Windows) -> TracedFaces:
+        cells = scans.trace(faces, settings.without_planes, glass)
         return TracedFaces.of(faces, cells, scans.storey, standing.ceiling_near_m)
 
+    widened = replace(windows, ends=lengthened(windows.ends, missed.beside_glass_m))
     search = SearchSettings(settings.building, standing, settings.face_columns, missed)
-    returns = AllReturns(scans.votes, scans.storey, scans.path_map, trace)
+    returns = AllReturns(
+        scans.votes, scans.storey, scans.path_map, partial(trace, glass=windows), partial(trace, glass=widened)
+    )
     found = find_missed_walls(judged.walls, judged.refused, returns, search)
     judged = replace(judged, walls=found.known).refuse(found.ducts, FaceVerdict.HANGS)
     added = _align(found.walls, scans, settings)
@@ -208,7 +214,7 @@ def _find_openings(
     """Doors and windows, and the walls' faces as the doors' reveals end them."""
     faces = _traced(walls, scans, settings)
     cells, clear_m = faces.cells, faces.clear_m
-    windows = find_windows(walls, cells, clear_m, settings.opening_rules, settings.windows)
+    windows = _windows_in(faces, settings)
     fronts = new_fronts(fronts, windows, settings.glass_fronts)
     windows = windows.append(set_in_walls(fronts, walls, settings.glass_fronts))
     # What a window lets pass is no door's.
@@ -230,6 +236,10 @@ def _find_openings(
 
 
 # --- what several steps ask for ---
+
+
+def _windows_in(faces: TracedFaces, settings: FusionSettings) -> Windows:
+    return find_windows(faces.walls, faces.cells, faces.clear_m, settings.opening_rules, settings.windows)
 
 
 def _traced(faces: Walls, scans: AllScans, settings: FusionSettings, windows: Windows = NO_WINDOWS) -> TracedFaces:

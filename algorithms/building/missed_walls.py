@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import reduce
+from itertools import pairwise
 
 import numpy as np
 from pydantic import Field
@@ -44,6 +45,14 @@ class MissedWallsSettings(StepSettings):
         "stands ajar behind it.",
     )
     explained_m: float = Field(0.08, gt=0, description="Maximum distance (m) from a known face of its own returns.")
+    beside_glass_m: float = Field(
+        0.3,
+        ge=0,
+        description="Distance (m) beside a pane within which it may go on: what only rays through it and this show, it mirrors.",
+    )
+    beside_glass_max: float = Field(
+        0.9, gt=0, le=1, description="Maximum share of a wall's returns whose rays pass within that distance of a pane."
+    )
     corner_m: float = Field(
         0.15, gt=0, description="Distance (m) from a corner where returns pass for the other wall's."
     )
@@ -101,13 +110,14 @@ class AllReturns:
     """What all scans show together.
 
     path_map: (n, 2) the robot's places. trace: counts rays against faces, without those through windows; a return more than some
-    centimetres behind a face counts as passed.
+    centimetres behind a face counts as passed. trace_clear: the same without those that pass close beside a window.
     """
 
     votes: VoxelVotes
     storey: Storey
     path_map: FloatArray
     trace: Callable[[Walls], TracedFaces]
+    trace_clear: Callable[[Walls], TracedFaces]
 
 
 @dataclass(frozen=True)
@@ -152,6 +162,7 @@ def find_missed_walls(walls: Walls, refused: Walls, returns: AllReturns, setting
     hang = refused.select(refused.bottom_m >= settings.building.door_height_min_m)
     search = _Search(walls, hang, faces, returns, settings)
     proven = [stretch for w in range(len(faces)) for stretch in search.walls_in(w)]
+    proven = _seen_clear_of_glass(proven, returns, settings.missed)
     missed = reduce(Walls.append, [p.wall for p in proven], NO_WALLS)
     ducts = [p.duct for p in proven if p.duct is not None and p.duct.face < len(walls)]
     return MissedWalls(missed, *_cut_out(walls, ducts, settings.building.length_min_m))
@@ -340,6 +351,17 @@ class _Search:
                 low_m, high_m = np.sort(front.place_m(face.ends[0]))
                 return _Duct(w, max(float(low_m), 0.0), min(float(high_m), front.length_m))
         return None
+
+
+def _seen_clear_of_glass(proven: list[_Proven], returns: AllReturns, missed: MissedWallsSettings) -> list[_Proven]:
+    """Those that not only rays show which pass a window, or the wall beside it, where the pane may go on."""
+    if not proven:
+        return proven
+    faces = reduce(Walls.append, [p.wall for p in proven], NO_WALLS)
+    all_rays, clear = (trace(faces).cells for trace in (returns.trace, returns.trace_clear))
+    own = [slice(first, after) for first, after in pairwise(all_rays.first)]
+    seen, seen_clear = ([cells.counts[part, FOOT_ROW:, FILLED].sum() for part in own] for cells in (all_rays, clear))
+    return [p for p, on, on_clear in zip(proven, seen, seen_clear, strict=True) if on - on_clear <= missed.beside_glass_max * on]
 
 
 def _undersides(returns: AllReturns, height_min_m: float) -> FloatArray:

@@ -161,6 +161,16 @@ def _joined(windows: Windows, settings: WindowsSettings) -> Windows:
     return joined
 
 
+def in_walls(windows: Windows, walls: Walls, settings: WindowsSettings) -> Windows:
+    """The windows in the walls, each of which looks the same way."""
+    kept = np.zeros(len(windows), bool)
+    for wall in segments(walls):
+        for k, ends in enumerate(windows.ends):
+            is_near = np.abs(wall.before_m(ends)).max() < settings.one_wall_m
+            kept[k] |= is_near and windows.normal[k] @ wall.normal > 0.0 and wall.shared_m(ends) > 0.0
+    return windows.select(kept)
+
+
 def _above_sill(
     counts: FloatArray, top_m: float, rules: OpeningRules, settings: WindowsSettings
 ) -> tuple[BoolArray, BoolArray]:

@@ -70,12 +70,13 @@ def search(
     window_from_y: float = 0.0,
     from_y: float = 0.5,
     rays: float = 3.0,
+    clear_of_glass: float = 1.0,
 ) -> MissedWalls:
     """What is found; so many rays a cell end on every candidate that lies on x = 3, seen from smaller x, and pass the others.
 
     hip_m: from there to a door's head a few rays pass. unseen_m, seen_m: below and above there no ray comes.
     window_m: between these heights rays pass, from `window_from_y` on. known, refused: faces beside it. from_y: where the face
-    begins.
+    begins. clear_of_glass: the share of all rays that pass no wall close beside a window.
     """
 
     storey = Storey.of(votes, (), 3)
@@ -107,8 +108,12 @@ def search(
 
     others = faces(((-1, 0), (5, 0)))
     others = others if known is None else others.append(known)
+    def trace_clear(candidates: Walls) -> TracedFaces:
+        traced = trace(candidates)
+        return replace(traced, cells=replace(traced.cells, counts=traced.cells.counts * np.float32(clear_of_glass)))
+
     path = np.column_stack([np.full(50, path_x), np.linspace(0.2, 2.8, 50)])
-    return find_missed_walls(others, refused, AllReturns(votes, storey, path, trace), SEARCH)
+    return find_missed_walls(others, refused, AllReturns(votes, storey, path, trace, trace_clear), SEARCH)
 
 
 def missed(votes: VoxelVotes, **seen: Any) -> Walls:
@@ -132,6 +137,12 @@ def test_a_missed_wall_says_what_it_rests_on() -> None:
     assert walls.top_m[0] == pytest.approx(2.5, abs=CELL_M)
     assert walls.sample_count[0] == pytest.approx(3 * (1.5 / CELL_M) * (2.0 / CELL_M), rel=0.1)
     assert walls.rms_m[0] == pytest.approx(0.01, abs=1e-6)
+
+
+def test_what_only_rays_beside_a_window_show_is_what_its_pane_mirrors() -> None:
+    """How far a pane goes is known to some decimetres; a true wall is also seen from elsewhere."""
+    assert len(missed(room(), clear_of_glass=0.05)) == 0
+    assert len(missed(room(), clear_of_glass=0.2)) == 1
 
 
 def test_a_pillar_before_a_wall_shows_from_floor_to_ceiling():
@@ -319,7 +330,7 @@ def test_a_round_wall_is_found_as_chords() -> None:
 
         path = np.column_stack([np.full(50, 0.5), np.linspace(0.2, 2.8, 50)])
         known = faces(((-1, 0), (5, 0)))
-        return find_missed_walls(known, NO_WALLS, AllReturns(votes, storey, path, trace), SEARCH).walls
+        return find_missed_walls(known, NO_WALLS, AllReturns(votes, storey, path, trace, trace), SEARCH).walls
 
     walls = found_of(CEILING_M)
     np.testing.assert_allclose(np.linalg.norm(walls.ends.mean(axis=1) - centre, axis=1), radius_m, atol=0.05)

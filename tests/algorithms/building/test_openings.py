@@ -7,10 +7,19 @@ import pytest
 
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, place_frames
 from ffmap.algorithms.building.doors import drop_doubtful, find_doors, prove_crossed
-from ffmap.algorithms.building.model import CELL_M, NO_DOORS, NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
+from ffmap.algorithms.building.model import (
+    CELL_M,
+    NO_DOORS,
+    NO_WALLS,
+    NO_WINDOWS,
+    BuildingSettings,
+    Doors,
+    Walls,
+    Windows,
+)
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings, is_pane
 from ffmap.algorithms.building.ray_evidence import Rays, WallCells, floor_m, trace_rays
-from ffmap.algorithms.building.windows import WindowsSettings, find_windows, rays_through, seen_through
+from ffmap.algorithms.building.windows import WindowsSettings, find_windows, in_walls, rays_through, seen_through
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features
 
@@ -721,3 +730,12 @@ def test_a_ramp_ends_where_it_was_seen(x: float, height_m: float) -> None:
     pieces = np.array([[[0.0, 0.0, 0.0], [0.0, 0.1, 0.0]]])
     rays = Rays.of(replace(seen, floor_map=pieces, floor_is_foot=np.ones(1, bool)))
     assert floor_m(rays.floors, 0, x, 0.0) == pytest.approx(height_m)
+
+
+def test_a_window_is_in_a_wall_that_looks_the_same_way() -> None:
+    """What a pane mirrored is no wall, and its windows are none."""
+    ends = np.array([[[1.0, 0.05], [2.0, 0.05]], [[1.0, 2.0], [2.0, 2.0]], [[1.0, 0.0], [2.0, 0.0]], [[9.0, 0.0], [9.5, 0.0]]])
+    normal = np.array([[0.0, -1.0], [0.0, -1.0], [0.0, 1.0], [0.0, -1.0]])
+    windows = Windows(ends, normal, np.full(4, 0.9), np.full(4, 2.0), np.zeros(4))
+    np.testing.assert_array_equal(in_walls(windows, WALL, WindowsSettings()).ends, ends[:1])
+    assert len(in_walls(windows, NO_WALLS, WindowsSettings())) == 0
