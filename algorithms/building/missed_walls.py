@@ -60,6 +60,7 @@ class MissedWallsSettings(StepSettings):
         0.35, gt=0, description="Minimum length (m) of a chord of a round wall; twice as much is looked at."
     )
     window_max_m: float = Field(3.0, gt=0, description="Maximum length (m) of a window that goes on from a wall.")
+    in_line_m: float = Field(0.05, gt=0, description="Maximum distance (m) between the planes of two stretches of one wall.")
     pillar_share: float = Field(
         0.8,
         ge=0,
@@ -264,6 +265,8 @@ class _Search:
         back = replace(candidate, normal=-candidate.normal)
         is_outer = not self._before_wall[w] and bool(has_sill.any())
         is_outer = is_outer and not room_before(back, self._storey, self._settings.columns)[0]
+        # Whatever hangs in the window, or stands behind it: furniture is not in line with the wall on both its sides.
+        is_outer |= self._goes_on_at_both_ends(candidate)
         passed_max, stray = standing.hidden_passed_max, standing.stray_rays
         on, passed = columns.upper_on + columns.lower_on, columns.upper_passed + columns.lower_passed
         solid = (
@@ -276,6 +279,14 @@ class _Search:
         window = sill & (columns.upper_on > stray) & (columns.crown_passed <= 0.5 * columns.crown_on)
         proven = (solid & may_be) | window
         return _ColumnStates(proven, window, sill, ~may_be | ((passed > 2 * stray) & ~proven))
+
+    def _goes_on_at_both_ends(self, candidate: Walls) -> bool:
+        """Whether at both ends of a single candidate known faces begin that lie in line with it and look the same way."""
+        own, gap_m = next(segments(candidate)), self._settings.standing.hidden_gap_m
+        alike = self._known.ends[self._known.normal @ own.normal > SAME_WAY]
+        in_line = [ends for ends in alike if np.abs(own.before_m(ends)).max() < self._settings.missed.in_line_m]
+        places_m = [np.sort(own.place_m(ends)) for ends in in_line]
+        return any(abs(high) < gap_m for _, high in places_m) and any(abs(low - own.length_m) < gap_m for low, _ in places_m)
 
     def _stretches(self, states: _ColumnStates, counts: FloatArray) -> Iterator[tuple[int, int]]:
         """First column, and the one after the last, of what may be one wall; counts: (c, rows, 4)."""
@@ -309,15 +320,16 @@ class _Search:
         highest_m = min(ceiling_m - missed.below_ceiling_m, missed.above_heads_m)
         if not len(seen) or (FOOT_ROW + seen[-1] + 1) * CELL_M <= highest_m:
             return False
+        # A duct's underside and the ceiling next to it are rows of returns, with nothing between them and the floor.
+        below_sill = slice(0, cells_in(self._settings.building.knee_m) - FOOT_ROW)
+        if np.mean(window) > 0.5 and np.all(on[below_sill] >= passed[below_sill]):
+            return True
         # A pillar shows from floor to ceiling; what else stands or hangs before a wall does not.
         if self._close_before_wall[w] and float(np.mean(on > passed)) <= missed.pillar_share:
             return False
-        # A duct's underside and the ceiling next to it are rows of returns, with nothing between them and the floor.
-        below_sill = slice(0, cells_in(self._settings.building.knee_m) - FOOT_ROW)
-        is_window = np.mean(window) > 0.5 and np.all(on[below_sill] >= passed[below_sill])
         # Rays pass between a shelf and the duct above it over all their width, however much of the height is theirs.
         slits = long_runs(np.mean(passed_cells > on_cells, axis=0) > 0.5, cells_in(missed.slit_m), 0)
-        return bool(is_window or (np.count_nonzero(on > passed) > np.count_nonzero(passed > on) and not slits.any()))
+        return bool(np.count_nonzero(on > passed) > np.count_nonzero(passed > on) and not slits.any())
 
     def _duct_before(self, face: Walls, counts: FloatArray) -> _Duct | None:
         """The face that hangs before a stretch as the front of a duct or a soffit; None where none does.

@@ -227,6 +227,16 @@ def test_a_missed_wall_may_have_a_window():
     assert len(missed(room(), window_m=(0.9, 2.1))) == 0  # a table in the room, and a lamp above it
 
 
+def test_what_hangs_in_a_window_does_not_hide_that_its_wall_goes_on() -> None:
+    """A blind 15 cm behind the face is no wall before which a cupboard and a duct stand: the wall is there on both sides."""
+    blind, beside = faces(((3.15, 0), (3.15, 3))), faces(((3, 0), (3, 0.4)), ((3, 2.1), (3, 3)))
+    votes, seen = room(), {"window_m": (1.3, 2.2)}
+    assert len(missed(votes, known=blind, **seen)) == 0
+    assert len(missed(votes, known=blind.append(beside.select(np.array([0]))), **seen)) == 0
+    walls = missed(votes, known=blind.append(beside), **seen)
+    np.testing.assert_allclose(np.sort(walls.ends[:, :, 1]), [[0.5, 2.0]], atol=0.1)
+
+
 def test_a_window_goes_on_from_a_missed_wall_over_its_sill():
     """Through a doorway, next to nothing of the wall above it is seen."""
 
