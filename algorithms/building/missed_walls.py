@@ -366,7 +366,7 @@ class _Search:
 
 
 def _seen_clear_of_glass(proven: list[_Proven], returns: AllReturns, missed: MissedWallsSettings) -> list[_Proven]:
-    """Those that not only rays show which pass a window, or the wall beside it, where the pane may go on."""
+    """Those that enough rays show which pass neither a window nor the wall close beside it, where the pane may go on."""
     if not proven:
         return proven
     faces = reduce(Walls.append, [p.wall for p in proven], NO_WALLS)
