@@ -43,7 +43,7 @@ class RelabellingSettings(StepSettings):
         description="Maximum distance (m) behind a face that the sensor looks at of clutter that is the wall's scatter.",
     )
     face_above_m: float = Field(
-        0.1, ge=0, description="A face counts this far (m) above the highest that was seen of it."
+        0.1, ge=0, description="A face counts this far (m) above the highest that was seen of it, and up to the ceiling."
     )
     leaf_distance_m: float = Field(
         0.1, gt=0, description="Maximum distance (m) behind a closed leaf of a return that is its scatter."

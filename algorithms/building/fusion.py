@@ -179,10 +179,9 @@ def _add_missed_walls(
         return TracedFaces.of(faces, cells, scans.storey, standing.ceiling_near_m)
 
     widened = replace(windows, ends=lengthened(windows.ends, missed.beside_glass_m))
+    trace_clear = partial(trace, glass=widened) if len(windows) else None
     search = SearchSettings(settings.building, standing, settings.face_columns, missed)
-    returns = AllReturns(
-        scans.votes, scans.storey, scans.path_map, partial(trace, glass=windows), partial(trace, glass=widened)
-    )
+    returns = AllReturns(scans.votes, scans.storey, scans.path_map, partial(trace, glass=windows), trace_clear)
     found = find_missed_walls(judged.walls, judged.refused, returns, search)
     judged = replace(judged, walls=found.known).refuse(found.ducts, FaceVerdict.HANGS)
     added = _align(found.walls, scans, settings)

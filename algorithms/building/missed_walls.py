@@ -111,14 +111,15 @@ class AllReturns:
     """What all scans show together.
 
     path_map: (n, 2) the robot's places. trace: counts rays against faces, without those through windows; a return more than some
-    centimetres behind a face counts as passed. trace_clear: the same without those that pass close beside a window.
+    centimetres behind a face counts as passed. trace_clear: the same without those that pass close beside a window; None where
+    none is known.
     """
 
     votes: VoxelVotes
     storey: Storey
     path_map: FloatArray
     trace: Callable[[Walls], TracedFaces]
-    trace_clear: Callable[[Walls], TracedFaces]
+    trace_clear: Callable[[Walls], TracedFaces] | None
 
 
 @dataclass(frozen=True)
@@ -367,7 +368,7 @@ class _Search:
 
 def _seen_clear_of_glass(proven: list[_Proven], returns: AllReturns, missed: MissedWallsSettings) -> list[_Proven]:
     """Those that enough rays show which pass neither a window nor the wall close beside it, where the pane may go on."""
-    if not proven:
+    if not proven or returns.trace_clear is None:
         return proven
     faces = reduce(Walls.append, [p.wall for p in proven], NO_WALLS)
     all_rays, clear = (trace(faces).cells for trace in (returns.trace, returns.trace_clear))

@@ -143,8 +143,7 @@ def _joined(windows: Windows, settings: WindowsSettings) -> Windows:
     joined = NO_WINDOWS
     for own in (windows.select(np.array([w])) for w in range(len(windows))):
         for k, known in enumerate(segments(joined)):
-            off_m, shared_m = np.abs(known.before_m(own.ends[0])).max(), known.shared_m(own.ends[0])
-            if known.normal @ own.normal[0] > 0.0 and off_m < settings.one_wall_m and shared_m > 0.0:
+            if _is_in(known, own.ends[0], own.normal[0], settings):
                 place_m = np.concatenate([[0.0, known.length_m], known.place_m(own.ends[0])])
                 ends = known.at(np.array([place_m.min(), place_m.max()]))
                 one = joined.select(np.array([k])).append(own)
@@ -165,10 +164,14 @@ def in_walls(windows: Windows, walls: Walls, settings: WindowsSettings) -> Windo
     """The windows in the walls, each of which looks the same way."""
     kept = np.zeros(len(windows), bool)
     for wall in segments(walls):
-        for k, ends in enumerate(windows.ends):
-            is_near = np.abs(wall.before_m(ends)).max() < settings.one_wall_m
-            kept[k] |= is_near and windows.normal[k] @ wall.normal > 0.0 and wall.shared_m(ends) > 0.0
+        kept |= np.array([_is_in(wall, *own, settings) for own in zip(windows.ends, windows.normal, strict=True)], bool)
     return windows.select(kept)
+
+
+def _is_in(wall: Segment, ends: FloatArray, normal: FloatArray, settings: WindowsSettings) -> bool:
+    """Whether a window with these ends (2, 2) and normal (2,) lies in a stretch of wall that looks the same way."""
+    off_m = np.abs(wall.before_m(ends)).max()
+    return bool(wall.normal @ normal > 0.0 and off_m < settings.one_wall_m and wall.shared_m(ends) > 0.0)
 
 
 def _above_sill(

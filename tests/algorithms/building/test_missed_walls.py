@@ -108,6 +108,7 @@ def search(
 
     others = faces(((-1, 0), (5, 0)))
     others = others if known is None else others.append(known)
+
     def trace_clear(candidates: Walls) -> TracedFaces:
         traced = trace(candidates)
         return replace(traced, cells=replace(traced.cells, counts=traced.cells.counts * np.float32(clear_of_glass)))
@@ -340,7 +341,7 @@ def test_a_round_wall_is_found_as_chords() -> None:
 
         path = np.column_stack([np.full(50, 0.5), np.linspace(0.2, 2.8, 50)])
         known = faces(((-1, 0), (5, 0)))
-        return find_missed_walls(known, NO_WALLS, AllReturns(votes, storey, path, trace, trace), SEARCH).walls
+        return find_missed_walls(known, NO_WALLS, AllReturns(votes, storey, path, trace, None), SEARCH).walls
 
     walls = found_of(CEILING_M)
     np.testing.assert_allclose(np.linalg.norm(walls.ends.mean(axis=1) - centre, axis=1), radius_m, atol=0.05)
