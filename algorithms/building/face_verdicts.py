@@ -169,6 +169,8 @@ class FaceVerdict(IntEnum):
     """Neither floor nor ceiling was seen before it: another house's front, through a window."""
     STEPS = 6
     """Rays pass below it, and behind it a ceiling begins at its foot: the side of a skylight's well, a step of the ceiling."""
+    MIRRORED = 7
+    """Hardly a ray shows it that does not pass a window, or the wall close beside one: what the pane mirrors of another wall."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,8 @@ class JudgedFaces:
 
 
 _REFUSED_LABELS = np.full(len(FaceVerdict), Label.CLUTTER, np.uint8)
-_REFUSED_LABELS[[FaceVerdict.OUTSIDE, FaceVerdict.STEPS]] = Label.OUTSIDE, Label.CEILING
+_REFUSED_LABELS[[FaceVerdict.OUTSIDE, FaceVerdict.MIRRORED]] = Label.OUTSIDE
+_REFUSED_LABELS[FaceVerdict.STEPS] = Label.CEILING
 
 NO_JUDGED_FACES = JudgedFaces(NO_WALLS, NO_WALLS, np.zeros(0, np.uint8))
 

@@ -184,6 +184,7 @@ def _add_missed_walls(
     returns = AllReturns(scans.votes, scans.storey, scans.path_map, partial(trace, glass=windows), trace_clear)
     found = find_missed_walls(judged.walls, judged.refused, returns, search)
     judged = replace(judged, walls=found.known).refuse(found.ducts, FaceVerdict.HANGS)
+    judged = judged.refuse(found.mirrored, FaceVerdict.MIRRORED)
     added = _align(found.walls, scans, settings)
     walls = join_corners(judged.walls.append(added.walls), standing)
     return aligned.append(added), judged, walls

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import reduce
-from itertools import pairwise
 
 import numpy as np
 from pydantic import Field
@@ -30,7 +29,7 @@ from ffmap.algorithms.building.face_columns import (
 from ffmap.algorithms.building.face_verdicts import ACROSS, SAME_WAY, StandingWallsSettings, wall_directions
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Rows, Walls, cells_in
 from ffmap.algorithms.building.openings import widened
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, first_columns
 from ffmap.algorithms.building.unexplained_lines import Line, both_sides, straight_lines, unexplained_columns
 from ffmap.algorithms.building.votes import VoxelVotes
 
@@ -126,12 +125,14 @@ class AllReturns:
 class MissedWalls:
     """Walls that every single scan missed, and what hung before some of them.
 
-    known: the known faces, without what hangs before a missed wall. ducts: that.
+    known: the known faces, without what hangs before a missed wall. ducts: that. mirrored: what looked like a missed wall, and is
+    a pane's reflection of some other.
     """
 
     walls: Walls
     known: Walls
     ducts: Walls
+    mirrored: Walls
 
 
 @dataclass(frozen=True)
@@ -159,15 +160,16 @@ def find_missed_walls(walls: Walls, refused: Walls, returns: AllReturns, setting
     """
     candidates = _candidates(returns.votes, returns.storey, walls, refused, settings)
     if not len(candidates):
-        return MissedWalls(NO_WALLS, walls, NO_WALLS)
+        return MissedWalls(NO_WALLS, walls, NO_WALLS, NO_WALLS)
     faces = returns.trace(candidates)
     hang = refused.select(refused.bottom_m >= settings.building.door_height_min_m)
     search = _Search(walls, hang, faces, returns, settings)
     proven = [stretch for w in range(len(faces)) for stretch in search.walls_in(w)]
-    proven = _seen_clear_of_glass(proven, returns, settings.missed)
-    missed = reduce(Walls.append, [p.wall for p in proven], NO_WALLS)
-    ducts = [p.duct for p in proven if p.duct is not None and p.duct.face < len(walls)]
-    return MissedWalls(missed, *_cut_out(walls, ducts, settings.building.length_min_m))
+    found = reduce(Walls.append, [p.wall for p in proven], NO_WALLS)
+    mirrored = _seen_by_glass(found, returns, settings.missed)
+    before = [p.duct for p, by_glass in zip(proven, mirrored, strict=True) if p.duct is not None and not by_glass]
+    known, ducts = _cut_out(walls, [duct for duct in before if duct.face < len(walls)], settings.building.length_min_m)
+    return MissedWalls(found.select(~mirrored), known, ducts, found.select(mirrored))
 
 
 def _candidates(
@@ -366,15 +368,16 @@ class _Search:
         return None
 
 
-def _seen_clear_of_glass(proven: list[_Proven], returns: AllReturns, missed: MissedWallsSettings) -> list[_Proven]:
-    """Those that enough rays show which pass neither a window nor the wall close beside it, where the pane may go on."""
-    if not proven or returns.trace_clear is None:
-        return proven
-    faces = reduce(Walls.append, [p.wall for p in proven], NO_WALLS)
-    all_rays, clear = (trace(faces).cells for trace in (returns.trace, returns.trace_clear))
-    own = [slice(first, after) for first, after in pairwise(all_rays.first)]
-    seen, seen_clear = ([cells.counts[part, FOOT_ROW:, FILLED].sum() for part in own] for cells in (all_rays, clear))
-    return [p for p, on, on_clear in zip(proven, seen, seen_clear, strict=True) if on - on_clear <= missed.beside_glass_max * on]
+def _seen_by_glass(faces: Walls, returns: AllReturns, missed: MissedWallsSettings) -> BoolArray:
+    """(W,) which faces hardly a ray shows but those that pass a window, or the wall close beside it, where the pane may go on."""
+    if not len(faces) or returns.trace_clear is None:
+        return np.zeros(len(faces), bool)
+    first = first_columns(faces)[:-1]
+    on, on_clear = (
+        np.add.reduceat(trace(faces).cells.counts[:, FOOT_ROW:, FILLED].sum(axis=1), first)
+        for trace in (returns.trace, returns.trace_clear)
+    )
+    return np.asarray(on - on_clear > missed.beside_glass_max * on)
 
 
 def _undersides(returns: AllReturns, height_min_m: float) -> FloatArray:

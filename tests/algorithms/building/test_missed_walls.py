@@ -142,8 +142,10 @@ def test_a_missed_wall_says_what_it_rests_on() -> None:
 
 def test_what_only_rays_beside_a_window_show_is_what_its_pane_mirrors() -> None:
     """How far a pane goes is known to some decimetres; a true wall is also seen from elsewhere."""
-    assert len(missed(room(), clear_of_glass=0.05)) == 0
-    assert len(missed(room(), clear_of_glass=0.2)) == 1
+    reflection, wall = search(room(), clear_of_glass=0.05), search(room(), clear_of_glass=0.2)
+    assert (len(reflection.walls), len(wall.walls)) == (0, 1)
+    np.testing.assert_array_equal(reflection.mirrored.ends, wall.walls.ends)
+    assert len(wall.mirrored) == 0
 
 
 def test_a_pillar_before_a_wall_shows_from_floor_to_ceiling():
