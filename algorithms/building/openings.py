@@ -1,6 +1,7 @@
 """What the columns of a wall's face say of openings in it: doorways, leaves, panes."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from pydantic import Field
@@ -29,6 +30,9 @@ class OpeningsSettings(StepSettings):
         description="Width (m) beside a jamb in which returns may be of its reveal: it tells nothing of panes.",
     )
     sheet_m: float = Field(0.02, gt=0, description="Maximum distance (m) of a pane's returns from the pane.")
+    pane_piece_m: float = Field(
+        1.5, gt=0, description="Maximum length (m) over which a pane's returns lie on one sheet: farther, its face is off by more."
+    )
     below_ceiling_m: float = Field(
         0.1, ge=0, description="Height (m) below the ceiling in which returns may be the ceiling's."
     )
@@ -193,21 +197,35 @@ def is_pane(counts: FloatArray, twice: FloatArray, rules: OpeningRules) -> bool:
 
     An open doorway returns nothing, and what stands in it has some depth (Wang and Wang, "Detecting glass in simultaneous
     localisation and mapping", 2017). A firing that returns from within an opening and from beyond it has met an edge, as at the
-    jambs, or glass: of such returns a sheet is enough, however few they are.
+    jambs, or glass: of such returns a sheet is enough, however few they are. A wide opening is asked piece by piece: over many
+    metres a face is off its pane's direction by more than a sheet is thick.
 
     counts: (c, rows, 4) of the opening's columns; those at its jambs are not looked at. twice: (c, rows), see `WallCells`, or
     (0, rows).
     """
-    settings = rules.building
     jamb = min(cells_in(rules.openings.jamb_m), (len(counts) - 1) // 2)
-    inside = slice(jamb, len(counts) - jamb), slice(FOOT_ROW, cells_in(settings.door_height_min_m))
-    inner = counts[inside]
+    inside = slice(jamb, len(counts) - jamb), slice(FOOT_ROW, cells_in(rules.building.door_height_min_m))
+    inner, inner_twice = counts[inside], twice[inside]
+    pieces = pieces_of(len(inner), rules)
+    shown = sum(_holds_pane(inner[piece], inner_twice[piece], rules) for piece in pieces)
+    return 2 * shown > len(pieces) or _holds_pane(inner, inner_twice, rules)
+
+
+def pieces_of(columns: int, rules: OpeningRules) -> list[slice]:
+    """Some columns in equal pieces, within each of which a face is in line with its pane."""
+    count = max(int(np.ceil(columns * CELL_M / rules.openings.pane_piece_m)), 1)
+    edges = np.linspace(0, columns, count + 1).round().astype(int).tolist()
+    return [slice(first, after) for first, after in pairwise(edges)]
+
+
+def _holds_pane(inner: FloatArray, twice: FloatArray, rules: OpeningRules) -> bool:
+    """The same of a piece of an opening. twice: (0, rows) where no firing returned twice."""
     # What stands close behind a pane returns far more than the pane: there, the cells that most rays pass tell.
     for part in (inner, inner * (inner[..., THROUGH] > inner[..., FILLED])[..., None]):
         sheet = find_sheet(part, rules)
-        if sheet is not None and sheet.returns >= settings.pane_share_min * float(part[..., THROUGH].sum()):
+        if sheet is not None and sheet.returns >= rules.building.pane_share_min * float(part[..., THROUGH].sum()):
             return True
-    return len(twice) > 0 and find_sheet(inner * (twice[inside] > 0)[..., None], rules) is not None
+    return len(twice) > 0 and find_sheet(inner * (twice > 0)[..., None], rules) is not None
 
 
 @dataclass(frozen=True)

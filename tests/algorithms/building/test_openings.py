@@ -446,6 +446,19 @@ def test_a_pane_shows_beside_what_stands_close_behind_it() -> None:
     assert not is_pane(empty, none, RULES)
 
 
+def test_a_wide_pane_shows_though_its_face_is_not_quite_in_line_with_it() -> None:
+    """The face of the beam above 5 m of glass runs from 5 to 25 cm before the pane; a rack there has depth all along."""
+    depth_m = np.linspace(0.05, 0.25, 100)[:, None]
+    glazed = np.zeros((100, 66, 4))
+    glazed[..., THROUGH], glazed[..., FILLED] = 10.0, 1.0
+    glazed[..., SUM], glazed[..., SQUARES] = -depth_m, depth_m**2
+    none = np.zeros((0, 66))
+    assert is_pane(glazed, none, RULES)
+    glazed[::2, :, SUM] -= 0.08
+    glazed[::4, :, SUM] -= 0.12
+    assert not is_pane(glazed, none, RULES)
+
+
 def test_few_returns_are_a_pane_where_their_firings_return_from_beyond_it_too() -> None:
     seen = cells()
     opening(seen)
