@@ -16,7 +16,7 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import ALONG_X, ALONG_Y, START, lines_of, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import Storey, TracedFaces, above_doors_m, column_places
-from ffmap.algorithms.building.model import CELL_M, Doors, Walls, cells_in
+from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, Doors, Walls, cells_in
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH
 from ffmap.algorithms.building.votes import Halo
 
@@ -27,10 +27,6 @@ class ForegroundSettings(StepSettings):
     relief_m: float = Field(0.010, gt=0, description="Minimum mean distance (m) before a wall's face of relief.")
     edge_share: float = Field(0.6, gt=0, le=1, description="A patch of relief ends below this share of `relief_m`.")
     wall_columns: int = Field(11, ge=1, description="Columns over which the wall above is averaged.")
-    reveal_m: float = Field(0.03, gt=0, description="Minimum depth (m) of a window's reveal behind the wall around it.")
-    front_percent: float = Field(
-        75.0, gt=0, lt=100, description="Percentile of the cells' distances that is taken for the wall around a reveal."
-    )
     returns_min: int = Field(8, ge=1, description="Minimum number of returns that tell a distance before the face.")
     together_max: int = Field(
         7, ge=1, description="Maximum edge, in cells, of the window that is averaged where cells returned too little."
@@ -106,7 +102,7 @@ def _relief_m(counts: FloatArray, clear_m: FloatArray, above_m: FloatArray, sett
     below_ceiling = height_m < np.where(np.isfinite(clear_m), clear_m, np.inf)[:, None] - 2 * CELL_M
     # A face that is fitted over many metres may be off its wall by more than the relief: the wall above tells.
     above = (height_m > above_m[:, None]) & below_ceiling
-    wall = (counts[..., :THROUGH] * (above & ~_reveals(counts, above, settings))[..., None]).sum(axis=1, keepdims=True)
+    wall = (counts[..., :THROUGH] * _in_plane(counts, above, settings)[..., None]).sum(axis=1, keepdims=True)
     wall_m, _ = _mean_and_scatter_m(wall, (settings.wall_columns, 1), settings.returns_min)
     usual_m = _scatter_m(wall)
     relief_m = np.full(counts.shape[:2], np.nan)
@@ -171,15 +167,15 @@ def _lean_m(relief_m: FloatArray, height_m: FloatArray, settings: ForegroundSett
     return np.where(leans[:, None], usual_m + slope * (height_m - middle_m), 0.0)
 
 
-def _reveals(counts: FloatArray, above: BoolArray, settings: ForegroundSettings) -> BoolArray:
-    """(c, rows) which cells lie behind most of those above a door's height around them: of a window's head, or beyond it."""
+def _in_plane(counts: FloatArray, above: BoolArray, settings: ForegroundSettings) -> BoolArray:
+    """(c, rows) which cells above a door's height lie as deep as most around them: none of a window's head, or beyond one."""
     with np.errstate(invalid="ignore", divide="ignore"):
         mean_m = np.where(above, counts[..., SUM] / counts[..., FILLED], np.nan)
     around = _columns_around(mean_m, settings.wall_columns)
-    front_m = np.full(len(mean_m), np.nan)
+    usual_m = np.full(len(mean_m), np.nan)
     known = np.isfinite(around).any(axis=(1, 2))
-    front_m[known] = np.nanpercentile(around[known], settings.front_percent, axis=(1, 2))
-    return np.asarray(mean_m < front_m[:, None] - settings.reveal_m)
+    usual_m[known] = np.nanmedian(around[known], axis=(1, 2))
+    return np.asarray(np.abs(mean_m - usual_m[:, None]) < ON_FACE_M)
 
 
 def _columns_around(values: FloatArray, columns: int) -> FloatArray:
