@@ -102,7 +102,7 @@ def _relief_m(counts: FloatArray, clear_m: FloatArray, above_m: FloatArray, sett
     below_ceiling = height_m < np.where(np.isfinite(clear_m), clear_m, np.inf)[:, None] - 2 * CELL_M
     # A face that is fitted over many metres may be off its wall by more than the relief: the wall above tells.
     above = (height_m > above_m[:, None]) & below_ceiling
-    wall = (counts[..., :THROUGH] * _in_plane(counts, above, settings)[..., None]).sum(axis=1, keepdims=True)
+    wall = (counts[..., :THROUGH] * _no_deeper(counts, above, settings)[..., None]).sum(axis=1, keepdims=True)
     wall_m, _ = _mean_and_scatter_m(wall, (settings.wall_columns, 1), settings.returns_min)
     usual_m = _scatter_m(wall)
     relief_m = np.full(counts.shape[:2], np.nan)
@@ -167,15 +167,15 @@ def _lean_m(relief_m: FloatArray, height_m: FloatArray, settings: ForegroundSett
     return np.where(leans[:, None], usual_m + slope * (height_m - middle_m), 0.0)
 
 
-def _in_plane(counts: FloatArray, above: BoolArray, settings: ForegroundSettings) -> BoolArray:
-    """(c, rows) which cells above a door's height lie as deep as most around them: none of a window's head, or beyond one."""
+def _no_deeper(counts: FloatArray, above: BoolArray, settings: ForegroundSettings) -> BoolArray:
+    """(c, rows) which cells above a door's height lie no deeper than most around them: none of a window's head, or beyond it."""
     with np.errstate(invalid="ignore", divide="ignore"):
         mean_m = np.where(above, counts[..., SUM] / counts[..., FILLED], np.nan)
     around = _columns_around(mean_m, settings.wall_columns)
     usual_m = np.full(len(mean_m), np.nan)
     known = np.isfinite(around).any(axis=(1, 2))
     usual_m[known] = np.nanmedian(around[known], axis=(1, 2))
-    return np.asarray(np.abs(mean_m - usual_m[:, None]) < ON_FACE_M)
+    return np.asarray(mean_m > usual_m[:, None] - ON_FACE_M)
 
 
 def _columns_around(values: FloatArray, columns: int) -> FloatArray:
