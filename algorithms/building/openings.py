@@ -220,6 +220,9 @@ def pieces_of(columns: int, rules: OpeningRules) -> list[slice]:
 
 def _holds_pane(inner: FloatArray, twice: FloatArray, rules: OpeningRules) -> bool:
     """The same of a piece of an opening. twice: (0, rows) where no firing returned twice."""
+    filled, passed = inner[..., [FILLED, THROUGH]].sum(axis=(0, 1))
+    if filled > rules.building.opaque_min * (filled + passed):
+        return False  # A wall behind what hangs before it lies on one sheet too.
     # What stands close behind a pane returns far more than the pane: there, the cells that most rays pass tell.
     for part in (inner, inner * (inner[..., THROUGH] > inner[..., FILLED])[..., None]):
         sheet = find_sheet(part, rules)

@@ -459,6 +459,17 @@ def test_a_wide_pane_shows_though_its_face_is_not_quite_in_line_with_it() -> Non
     assert not is_pane(glazed, none, RULES)
 
 
+def test_the_wall_behind_what_hangs_before_it_is_no_pane() -> None:
+    """Both lie on one sheet; a pane lets rays pass, though glass that is met straight on may return most of them."""
+    behind = np.zeros((100, 66, 4))
+    behind[..., FILLED], behind[..., SUM], behind[..., SQUARES] = 10.0, -10 * 0.2, 10 * 0.2**2
+    none = np.zeros((0, 66))
+    behind[..., THROUGH] = 0.2
+    assert not is_pane(behind, none, RULES)
+    behind[..., THROUGH] = 2.0
+    assert is_pane(behind, none, RULES)
+
+
 def test_few_returns_are_a_pane_where_their_firings_return_from_beyond_it_too() -> None:
     seen = cells()
     opening(seen)
