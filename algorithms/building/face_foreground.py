@@ -49,7 +49,8 @@ class ForegroundSettings(StepSettings):
         gt=0,
         description="Relief that does not come down to this height above the floor (m) hangs on its wall and is wall.",
     )
-    extent_min_m: float = Field(0.4, gt=0, description="Minimum height and width (m) of relief.")
+    strip_max_m: float = Field(0.15, gt=0, description="Maximum width (m) of a strip of relief that is wall: a casing, a skirting.")
+    extent_min_m: float = Field(0.4, gt=0, description="Minimum height and width (m) of relief without such strips.")
     extent_max_m: float = Field(3.0, gt=0, description="Maximum width (m) of relief; what is wider is panelling, wall.")
     below_ceiling_m: float = Field(
         0.2, ge=0, description="Relief that comes closer to the ceiling than this (m) is wall: a pillar, a corner."
@@ -127,15 +128,19 @@ def _standing_patches(relief_m: FloatArray, clear_m: FloatArray, settings: Foreg
     before[:end], before[len(before) - end :] = False, False
     # The boards of a shelf hide its back here and there.
     closed = ndimage.binary_closing(before, np.ones((1, cells_in(settings.gap_max_m) + 1)))
-    patches, _ = ndimage.label(before | (closed & unseen))
+    whole = before | (closed & unseen)
+    # A casing, or a skirting board, is a strip.
+    core = ndimage.binary_opening(whole, np.ones((cells_in(settings.strip_max_m) + 1,) * 2))
+    patches, _ = ndimage.label(whole)
     close_below = _heights_m(relief_m.shape[1]) > clear_m[:, None] - settings.below_ceiling_m
     covered = np.zeros_like(before)
     for number, (along, up) in enumerate(ndimage.find_objects(patches), start=1):
-        length_m, rise_m = (along.stop - along.start) * CELL_M, (up.stop - up.start) * CELL_M
-        hangs = up.start * CELL_M > settings.foot_max_m
-        if hangs or min(length_m, rise_m) < settings.extent_min_m or length_m > settings.extent_max_m:
-            continue
         own = patches[along] == number
+        length_m, hangs = (along.stop - along.start) * CELL_M, up.start * CELL_M > settings.foot_max_m
+        broad = own & core[along]
+        extents_m = [CELL_M * np.count_nonzero(broad.any(axis=axis)) for axis in (0, 1)]
+        if hangs or min(extents_m) < settings.extent_min_m or length_m > settings.extent_max_m:
+            continue
         if not np.any(own & close_below[along]):
             covered[along] |= own
     return np.asarray(covered, bool)

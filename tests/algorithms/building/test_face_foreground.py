@@ -96,6 +96,20 @@ def test_what_is_part_of_a_wall_is_not(x_m: tuple[float, float], z_m: tuple[floa
     assert not relief(x_m, z_m, depth_m).any()
 
 
+def test_the_casing_of_a_doorway_is_wall_and_a_shelf_as_large_is_not() -> None:
+    """It stands on the floor too, as high and wide as a shelf, but is a strip of 10 cm all around the leaf."""
+    columns, rows = round(LENGTH_M / CELL_M), 60
+    before_m = np.random.default_rng(3).normal(0, 0.003, (columns, rows))
+    before_m[20:40, :42], before_m[70:90, :42] = 0.02, 0.02
+    before_m[22:38, :40] = -0.03
+    counts = np.zeros((columns, rows, 4), np.float32)
+    counts[..., 0] = 40.0 * ((np.arange(rows) + 0.5) * CELL_M < CEILING_M)
+    counts[..., 1] = counts[..., 0] * before_m
+    covered = foreground(counts).covered
+    assert not covered[:50].any()
+    assert covered[70:90, 2:42].mean() > 0.95
+
+
 def test_a_wall_that_leans_is_no_relief_but_a_step_on_it_is() -> None:
     """Poses tilt by a degree: at its foot a wall then comes 3 cm forward, all along."""
     columns, rows = round(LENGTH_M / CELL_M), 60
