@@ -189,6 +189,7 @@ class TwoRooms:
             wall=np.array([3], np.int32),
             reveal_m=np.array([self.thickness_m]),
             casing_m=np.full(1, np.nan),
+            glazed=np.zeros(1, bool),
             contrast=np.full(1, np.nan),
         )
 

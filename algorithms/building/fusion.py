@@ -42,6 +42,7 @@ from ffmap.algorithms.building.glass_fronts import (
     new_fronts,
     set_in_walls,
 )
+from ffmap.algorithms.building.glazed_doors import find_glazed_doors
 from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.missed_walls import AllReturns, MissedWallsSettings, SearchSettings, find_missed_walls
@@ -223,7 +224,7 @@ def _find_openings(
     doors = find_doors(walls, without_glass, clear_m, settings.opening_rules, windows, floor_before)
     cased = find_cased_doors(walls, without_glass, settings.building, settings.door_casings)
     contrasting = find_contrasting_doors(walls, without_glass, settings.building, settings.door_contrasts)
-    flush = cased.append(contrasting)
+    flush = cased.append(contrasting).append(find_glazed_doors(faces, windows, settings.opening_rules))
     doors = add_doors(doors, (flush.select(slice(d, d + 1)) for d in range(len(flush))))
     doors = place_frames(doors, walls, scans.drive.blocks(), settings.building, settings.door_frames)
     doors = drop_doubtful(doors, settings.building)

@@ -159,6 +159,7 @@ class Doors(Rows):
     reveal_m: (D,) how far its reveals and the underside of its lintel reach behind the wall's face; NaN where unknown.
     casing_m: (D,) how far the casing stands out of the wall by which it was told; NaN where it was told otherwise.
     contrast: (D,) by which share of the wall's intensity the leaf's differs, if it was told by that; NaN where told otherwise.
+    glazed: (D,) whether its leaf is a pane.
     """
 
     ends: FloatArray
@@ -180,6 +181,7 @@ class Doors(Rows):
     reveal_m: FloatArray
     casing_m: FloatArray
     contrast: FloatArray
+    glazed: BoolArray
 
 
 NO_DOORS = Doors(
@@ -202,6 +204,7 @@ NO_DOORS = Doors(
     reveal_m=np.zeros(0),
     casing_m=np.zeros(0),
     contrast=np.zeros(0),
+    glazed=np.zeros(0, bool),
 )
 
 

@@ -57,6 +57,8 @@ class OpeningsSettings(StepSettings):
     glazed_m: float = Field(
         0.2, gt=0, description="Maximum distance (m) of an opening from a window's face for it to be the window's."
     )
+    lower_rail_max_m: float = Field(0.35, ge=0, description="Maximum height (m) of a glazed leaf's lower rail.")
+    rail_max_m: float = Field(0.2, ge=0, description="Maximum width (m) of its other rail, and of its stiles.")
     ajar_m: float = Field(
         0.1, gt=0, description="Minimum distance (m) of a leaf's free edge from its frame for the door to stand open."
     )

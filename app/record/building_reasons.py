@@ -65,6 +65,8 @@ def _door(doors: Doors, d: int) -> tuple[str, ...]:
         held.append(f"leaf flush, returns {100 * abs(doors.contrast[d]):.0f} % {than} than the wall")
     if np.isfinite(doors.casing_m[d]):
         held.append(f"leaf flush, casing {1000 * doors.casing_m[d]:.0f} mm before the wall")
+    elif doors.glazed[d]:
+        held.append("leaf of glass, with wall on both sides and above")
     elif state == DoorState.CLOSED:
         held.append(f"leaf {100 * doors.depth_m[d]:.1f} cm behind the wall")
     if doors.ajar[d]:

@@ -1,0 +1,91 @@
+"""Closed doors whose leaf is a pane: windows down to a leaf's lower rail, as wide and as high as doors, with wall all around."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.segments import Segment, segments
+from ffmap.algorithms.building.door_casings import flush_door
+from ffmap.algorithms.building.face_columns import TracedFaces, on_and_passed
+from ffmap.algorithms.building.face_verdicts import SAME_WAY
+from ffmap.algorithms.building.model import CELL_M, NO_DOORS, ON_FACE_M, Doors, Walls, Windows, cells_in
+from ffmap.algorithms.building.openings import OpeningRules, lies_on_sheet, tops_m, widened
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH
+
+
+def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules) -> Doors:
+    """The closed doors of which a window is the pane; what lies behind is seen through it all the same.
+
+    faces: with all rays, those through windows too.
+    """
+    building, openings = rules.building, rules.openings
+    top_m = tops_m(faces.walls, faces.cells, faces.clear_m)
+    may_be = (windows.bottom_m <= openings.lower_rail_max_m) & (windows.top_m <= building.door_height_max_m)
+    may_be &= (windows.top_m >= building.door_height_min_m - openings.rail_max_m) & np.isfinite(windows.pane_m)
+    doors = NO_DOORS
+    for k in np.flatnonzero(may_be):
+        w = _wall_of(windows, int(k), faces.walls)
+        if w < 0:
+            continue
+        face, own = Segment.between(faces.walls.ends[w], faces.walls.normal[w]), faces.columns(w)
+        counts = faces.cells.counts[own].astype(np.float64)
+        place = np.sort(face.place_m(windows.ends[k])) / CELL_M
+        first, last = _with_stiles(counts, max(round(place[0]), 0), min(round(place[1]), len(counts)) - 1, rules)
+        if not building.door_width_min_m <= (last + 1 - first) * CELL_M <= building.door_width_max_m:
+            continue
+        head_m = float(windows.top_m[k]) + 0.5 * openings.rail_max_m
+        if not _stands_around(counts, first, last, head_m, float(np.median(top_m[own][first : last + 1])), rules):
+            continue
+        door = flush_door(face, w, (first, last + 1), 0, head_m, counts, 0.0)
+        agreement = np.array([_agreement(counts[first : last + 1], rules)])
+        # A pane that is all but flush tells nothing of where its stiles meet the jambs.
+        depth = np.where(windows.pane_m[[k]] > ON_FACE_M, windows.pane_m[[k]], 0.0)
+        doors = doors.append(
+            replace(door, depth_m=depth, agreement=agreement, confidence=agreement * door.coverage, glazed=np.ones(1, bool))
+        )
+    return doors
+
+
+def _wall_of(windows: Windows, k: int, walls: Walls) -> int:
+    """The wall in whose face a window lies; -1 where none has most of it."""
+    best_m, found = 0.5 * float(np.linalg.norm(windows.ends[k, 1] - windows.ends[k, 0])), -1
+    for w, face in enumerate(segments(walls)):
+        if face.normal @ windows.normal[k] > SAME_WAY and np.abs(face.before_m(windows.ends[k])).max() < ON_FACE_M:
+            shared_m = face.shared_m(windows.ends[k])
+            if shared_m > best_m:
+                best_m, found = shared_m, w
+    return found
+
+
+def _with_stiles(counts: FloatArray, first: int, last: int, rules: OpeningRules) -> tuple[int, int]:
+    """A pane's columns with its leaf's stiles: as far as these are recessed; half as wide as they may be where they are flush."""
+    below = counts[:, FOOT_ROW : cells_in(rules.building.door_height_min_m)].sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        recessed = -below[:, SUM] / below[:, FILLED] > rules.building.recess_min_m
+    most = cells_in(rules.openings.rail_max_m)
+    low, high = widened(recessed, first, last, most)
+    flush = most // 2
+    return (low if low < first else max(first - flush, 0)), (high if high > last else min(last + flush, len(counts) - 1))
+
+
+def _stands_around(counts: FloatArray, first: int, last: int, head_m: float, top_m: float, rules: OpeningRules) -> bool:
+    """Whether the wall shows on both sides of a doorway, and above it where the ceiling is higher."""
+    openings, most = rules.openings, cells_in(rules.openings.rail_max_m)
+    rows = slice(FOOT_ROW, cells_in(head_m))
+    over = slice(cells_in(head_m) + most // 2, cells_in(top_m - openings.below_ceiling_m))
+    beside = cells_in(openings.beside_m)
+    sides = counts[max(first - beside, 0) : max(first - 1, 0), rows], counts[last + 2 : last + 1 + beside, rows]
+    for part in (*sides, counts[first : last + 1, over]):
+        on, passed = on_and_passed(part.sum(axis=(0, 1)))
+        if part.shape[1] and not (on >= rules.building.rays_min and on > passed):
+            return False
+    return True
+
+
+def _agreement(counts: FloatArray, rules: OpeningRules) -> float:
+    """Share of the rays in a doorway's columns (c, rows, 4) that pass its leaf, or return from one sheet with it."""
+    inner = counts[:, FOOT_ROW : cells_in(rules.building.door_height_min_m)]
+    met = inner[..., FILLED].sum() + inner[..., THROUGH].sum()
+    agree = inner[..., THROUGH].sum() + inner[lies_on_sheet(inner, rules), FILLED].sum()
+    return float(agree / max(met, 1.0))
