@@ -59,9 +59,7 @@ def find_doors(
     for w in range(len(walls)):
         own = slice(cells.first[w], cells.first[w + 1])
         for seen in _doors_in(w, walls, cells, top_m[own], floor_before[own], rules):
-            if _leads_somewhere(seen.door, walls, rules.openings) and not _is_glazed(
-                seen.door, windows, rules.openings
-            ):
+            if not _is_glazed(seen.door, windows, rules.openings):
                 found.append(seen)
     # Where a face ends within an opening, the other face may show all of it.
     found.sort(key=lambda seen: (seen.is_cut, -seen.door.confidence[0] * seen.door.ray_count[0]))
@@ -186,22 +184,6 @@ def _over_empty_columns(
     to_left = before if before > 0 and stands[before - 1] else first
     to_right = behind if behind < len(empty) - 1 and stands[behind + 1] else last
     return (to_left, to_right) if cells_in(settings.door_width_max_m) >= to_right + 1 - to_left else (first, last)
-
-
-def _leads_somewhere(door: Doors, walls: Walls, settings: OpeningsSettings) -> bool:
-    """Whether an opening has room behind it: below a duct, and beside a cupboard under it, the next wall is close.
-
-    What hides a part of it, or stands aslant, may be its own leaf ajar, or what the room behind it is furnished with.
-    """
-    if door.state[0] == DoorState.CLOSED:
-        return True
-    ends, width_m = door.ends[0], float(np.linalg.norm(door.ends[0, 1] - door.ends[0, 0]))
-    for face in segments(walls):
-        parallel = door.normal[0] @ face.normal > np.cos(np.radians(settings.next_wall_deg))
-        close = settings.next_wall_min_m < face.before_m(ends.mean(axis=0)) < settings.next_wall_max_m
-        if parallel and close and face.shared_m(ends) > settings.next_wall_share * width_m:
-            return False
-    return True
 
 
 def _is_glazed(door: Doors, windows: Windows, settings: OpeningsSettings) -> bool:

@@ -245,15 +245,12 @@ def judge_faces(
     building = rules.building
     columns = count_columns(faces, settings.above_door_m, building, column_settings)
     flags = _ColumnFlags.of(faces, columns, path_map, building.rays_min, settings)
-    stands_before = _before_longer(faces.walls, settings)
     kept: list[tuple[int, int, int]] = []
     refused: list[tuple[int, int, int, FaceVerdict]] = []
     for w in range(len(faces)):
         own = faces.columns(w)
         hangs = _hanging(flags.select(own), faces.cells.of(w), rules, settings)
-        low = _ending_low(flags.ends_low[own], columns.select(own), bool(stands_before[w]), settings)
-        # What stands before a wall, and is hidden above by a duct, is no higher than what was seen of it.
-        low |= stands_before[w] and columns.upper_on[own].sum() < building.rays_min
+        low = _ending_low(flags.ends_low[own], columns.select(own), settings)
         _take_rests(hangs, low, faces, columns, own.start, settings)
         for first, after in runs(~(hangs | low)):
             if (after - first) * CELL_M >= building.length_min_m:
@@ -281,13 +278,8 @@ def _hanging(flags: _ColumnFlags, cells: WallCells, rules: OpeningRules, setting
     return hangs
 
 
-def _ending_low(
-    ends_low: BoolArray, columns: Columns, stands_before: bool, settings: StandingWallsSettings
-) -> BoolArray:
-    """(c,) which columns of one face are lower than the ceiling, and no high window of a wall.
-
-    stands_before: whether the face stands before a wall, as furniture does.
-    """
+def _ending_low(ends_low: BoolArray, columns: Columns, settings: StandingWallsSettings) -> BoolArray:
+    """(c,) which columns of one face are lower than the ceiling, and no high window of a wall."""
     beside, reach = cells_in(settings.cut_min_m), cells_in(settings.window_frame_m)
     stands, sill = columns.upper_on > columns.upper_passed, columns.lower_on > 0
     # Below a wall's crown rays pass a door or a window, if wall stands beside it; a cupboard below a duct has no jambs.
@@ -297,11 +289,10 @@ def _ending_low(
     for first, last in stretches(topped, 2):
         own = slice(first, last + 1)
         ends_low[own] &= ~topped[own] | (np.count_nonzero(jamb[own]) < beside)
-    if not stands_before:
-        # A spandrel in line with the wall above a window that goes on along the whole face.
-        spandrel = columns.sill_on > settings.passed_ratio * columns.sill_passed
-        window = columns.lower_open_rows >= cells_in(settings.window_open_m)
-        ends_low &= ~(topped & spandrel & window)
+    # A spandrel in line with the wall above a window that goes on along the whole face.
+    spandrel = columns.sill_on > settings.passed_ratio * columns.sill_passed
+    window = columns.lower_open_rows >= cells_in(settings.window_open_m)
+    ends_low &= ~(topped & spandrel & window)
     low = long_runs(ends_low, min(beside, max(len(ends_low) // 2, 1)), bridge=2)
     for first, after in runs(low):
         before, behind = stands[max(first - reach, 0) : first], stands[after : after + reach]
@@ -330,18 +321,6 @@ def _take_rests(
             inner = slice(start + first + 1, start + after - 1)
             short = (after - first) * CELL_M < settings.rest_min_m
             low[first:after] = short and not _shows_whole(faces, inner, settings)
-
-
-def _before_longer(walls: Walls, settings: StandingWallsSettings) -> BoolArray:
-    """(W,) whether a face stands before a longer one that looks the same way, as near as furniture does."""
-    length_m = lengths_m(walls.ends)
-    middle = walls.ends.mean(axis=1)
-    before = np.zeros(len(walls), bool)
-    for face in segments(walls):
-        distance_m = face.before_m(middle)
-        near = (distance_m > settings.noise_m) & (distance_m < settings.furniture_depth_m) & face.beside(middle)
-        before |= near & (walls.normal @ face.normal > SAME_WAY) & (length_m < face.length_m)
-    return before
 
 
 def shows_whole(faces: TracedFaces, settings: StandingWallsSettings) -> BoolArray:

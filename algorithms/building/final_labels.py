@@ -72,11 +72,6 @@ class RelabellingSettings(StepSettings):
     at_leaf_m: float = Field(
         0.012, ge=0, description="The same as at_reveal_m there: what is farther from it is the leaf."
     )
-    scan_door_ratio: float = Field(
-        2.0,
-        ge=0,
-        description="What a scan calls door is wall up to this many wall distances from a face: it is recessed.",
-    )
     refused_m: float = Field(
         0.06,
         ge=0,
@@ -233,7 +228,7 @@ class Relabelling:
         leaf_m = np.where(doors.state == DoorState.CLOSED, doors.depth_m, -np.inf)
         beyond_m = np.where(np.isfinite(windows.pane_m), windows.pane_m + settings.pane_m, settings.behind_glass_m)
         # A ray that ends this close to a face or a leaf may cross it so far away, if it comes in as level as is asked about.
-        at_face_m = max(settings.forget_m, settings.body_m, settings.scan_door_ratio * settings.wall_distance_m)
+        at_face_m = max(settings.forget_m, settings.body_m)
         edge_m = settings.edge_m + settings.own_max_m
         off_leaf_m = settings.leaf_distance_m + settings.wall_distance_m + np.max(leaf_m, initial=0.0)
         door_m = settings.at_door_m + max(settings.other_face_m, off_leaf_m / settings.grazing_sine)
@@ -701,8 +696,8 @@ def _decided(
         elif is_wall and nearest_m[i] > rules.forget_m:
             final[i], why = Label.CLUTTER, Reason.NO_FACE
         elif is_door:
-            is_faces = nearest_m[i] < rules.scan_door_ratio * rules.wall_distance_m
-            final[i], why = Label.WALL if is_faces else Label.CLUTTER, Reason.ON_FACE if is_faces else Reason.NO_FACE
+            is_near = nearest_m[i] < rules.wall_distance_m
+            final[i], why = Label.WALL if is_near else Label.CLUTTER, Reason.ON_FACE if is_near else Reason.NO_FACE
         if final[i] != label[i]:
             reason[i] = why
     return final

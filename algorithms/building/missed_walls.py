@@ -58,14 +58,7 @@ class MissedWallsSettings(StepSettings):
     chord_m: float = Field(
         0.35, gt=0, description="Minimum length (m) of a chord of a round wall; twice as much is looked at."
     )
-    window_max_m: float = Field(3.0, gt=0, description="Maximum length (m) of a window that goes on from a wall.")
     in_line_m: float = Field(0.05, gt=0, description="Maximum distance (m) between the planes of two stretches of one wall.")
-    pillar_share: float = Field(
-        0.8,
-        ge=0,
-        le=1,
-        description="A pillar before a wall shows in more than this share of the rows up to the ceiling.",
-    )
     slit_m: float = Field(
         0.1, gt=0, description="Minimum height (m) of a slit that rays pass between what stands and what hangs above it."
     )
@@ -196,12 +189,11 @@ class _ColumnStates(Rows):
     """What the columns (c,) of a candidate are.
 
     proven: wall from floor to ceiling, or up to a window's sill and above its head. window: of these, what may be a window's.
-    sill: nothing passes below a sill's height, whatever is above. contradicted: rays pass.
+    contradicted: rays pass.
     """
 
     proven: BoolArray
     window: BoolArray
-    sill: BoolArray
     contradicted: BoolArray
 
 
@@ -216,9 +208,7 @@ class _Search:
         self._fronts = known.append(hang)
         standing = settings.standing
         walls = faces.walls
-        furniture_m, pillar_m = standing.furniture_depth_m, standing.pillar_depth_m
-        self._before_wall = _near_a_face(walls, known, -furniture_m, furniture_m)
-        self._close_before_wall = _near_a_face(walls, known, -pillar_m, pillar_m)
+        self._before_wall = _near_a_face(walls, known, -standing.furniture_depth_m, standing.furniture_depth_m)
         self._free = np.isfinite(faces.clear_m) & ~faces.visited(returns.path_map, standing.robot_m)
         self._columns = count_columns(faces, standing.above_door_m, settings.building, settings.columns)
         self._undersides = _undersides(returns, settings.building.door_height_min_m)
@@ -237,13 +227,10 @@ class _Search:
             if (
                 length_m >= settings.building.length_min_m
                 and self._is_proven(rays.select(stretch), states.select(stretch), duct is not None)
-                and (duct is not None or self._reaches_ceiling(w, counts, ceiling_m, states.window[stretch]))
+                and (duct is not None or self._reaches_ceiling(counts, ceiling_m, states.window[stretch]))
                 and room_before(face, self._storey, settings.columns)[0]
             ):
-                # Beside it a window may go on, of which not more than the sill is seen.
-                first, last = widened(states.sill, first, after - 1, cells_in(settings.missed.window_max_m))
-                wall = self._faces.cut([(w, first, last + 1)])
-                yield _Proven(self._as_seen(wall, all_counts[first : last + 1], ceiling_m), duct)
+                yield _Proven(self._as_seen(face, counts, ceiling_m), duct)
 
     def _as_seen(self, wall: Walls, counts: FloatArray, ceiling_m: float) -> Walls:
         """A single face with what it rests on: the returns in its columns (c, rows, 4), up to the ceiling."""
@@ -278,10 +265,9 @@ class _Search:
             & (columns.lower_passed <= passed_max * columns.lower_on + stray)
             & (columns.upper_passed <= 0.5 * columns.upper_on)
         )
-        sill = may_be & is_outer & has_sill
-        window = sill & (columns.upper_on > stray) & (columns.crown_passed <= 0.5 * columns.crown_on)
+        window = may_be & is_outer & has_sill & (columns.upper_on > stray) & (columns.crown_passed <= 0.5 * columns.crown_on)
         proven = (solid & may_be) | window
-        return _ColumnStates(proven, window, sill, ~may_be | ((passed > 2 * stray) & ~proven))
+        return _ColumnStates(proven, window, ~may_be | ((passed > 2 * stray) & ~proven))
 
     def _goes_on_at_both_ends(self, candidate: Walls) -> bool:
         """Whether at both ends of a single candidate known faces begin that lie in line with it and look the same way."""
@@ -311,7 +297,7 @@ class _Search:
         enough = returns >= self._settings.standing.hidden_returns_min
         return bool((seen_above > 0.5 or below_duct) and proven > 0.5 and enough)
 
-    def _reaches_ceiling(self, w: int, counts: FloatArray, ceiling_m: float, window: BoolArray) -> bool:
+    def _reaches_ceiling(self, counts: FloatArray, ceiling_m: float, window: BoolArray) -> bool:
         """Whether a stretch of a candidate is wall all the way up.
 
         counts: (c, rows, 4) of the stretch. window: (c,) which of its columns may be a window's.
@@ -327,9 +313,6 @@ class _Search:
         below_sill = slice(0, cells_in(self._settings.building.knee_m) - FOOT_ROW)
         if np.mean(window) > 0.5 and np.all(on[below_sill] >= passed[below_sill]):
             return True
-        # A pillar shows from floor to ceiling; what else stands or hangs before a wall does not.
-        if self._close_before_wall[w] and float(np.mean(on > passed)) <= missed.pillar_share:
-            return False
         # Rays pass between a shelf and the duct above it over all their width, however much of the height is theirs.
         slits = long_runs(np.mean(passed_cells > on_cells, axis=0) > 0.5, cells_in(missed.slit_m), 0)
         return bool(np.count_nonzero(on > passed) > np.count_nonzero(passed > on) and not slits.any())

@@ -41,16 +41,6 @@ class OpeningsSettings(StepSettings):
     )
     beside_m: float = Field(0.4, gt=0, description="Width (m) beside a door in which its wall has to stand.")
     beside_wall_m: float = Field(0.1, gt=0, description="Minimum width (m) of the wall that is seen there.")
-    next_wall_min_m: float = Field(
-        0.2, ge=0, description="Minimum distance (m) behind an opening of a wall that leaves no room to lead to."
-    )
-    next_wall_max_m: float = Field(
-        0.9, gt=0, description="Maximum distance (m) of that wall: a room behind a door is deeper."
-    )
-    next_wall_deg: float = Field(5.0, gt=0, le=45, description="Maximum angle (degrees) of that wall to the opening.")
-    next_wall_share: float = Field(
-        0.8, gt=0, le=1, description="Minimum share of the opening's width that such a wall covers."
-    )
     leaf_max_m: float = Field(
         1.5, ge=0, description="Maximum width (m) that a leaf hides beside the open part of its doorway."
     )

@@ -191,20 +191,6 @@ def test_a_spandrel_may_be_high_but_what_reaches_doors_heads_is_a_cupboards(sill
     assert bool(judge(cells)[0]) == stands
 
 
-def test_a_cupboard_under_a_duct_is_no_wall():
-    """The duct hides what is above it, where its own wall is seen."""
-    front, wall = cells_of(1.2), cells_of(4.0)
-    front.counts[:, round(2.0 / CELL_M) :] = 0.0
-    both = WallCells(np.array([0, 24, 104]), front.rows, np.concatenate([front.counts, wall.counts]))
-    ends = faces(((1, 0.5), (2.2, 0.5)), ((0, 0), (4, 0)))
-    path = np.array([[0.0, 2.0], [4.0, 2.0]])
-    judged = judged_faces(ends, both, np.full(104, CEILING_M), path)
-    np.testing.assert_allclose(judged.walls.ends, ends.ends[1:])
-    assert judged.verdict.tolist() == [FaceVerdict.ENDS_LOW]
-    alone = judged_faces(ends.select(np.array([0])), front, np.full(24, CEILING_M), path)
-    assert len(alone.walls) == 1  # of a wall, too, a duct may hide what is above
-
-
 def test_a_duct_is_refused():
     cells = cells_of(6.0)
     pass_rays(cells, slice(0, 120), 0.0, 2.2)

@@ -383,24 +383,6 @@ def test_a_wide_opening_beside_a_cupboard_is_as_wide_as_it_is() -> None:
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
 
 
-@pytest.mark.parametrize(("behind_m", "found"), [(0.1, 1), (0.5, 0), (2.0, 1)])
-def test_an_opening_leads_somewhere(behind_m: float, found: int) -> None:
-    seen = cells()
-    opening(seen)
-    behind = replace(WALL, ends=WALL.ends + np.array([0.0, behind_m]))
-    nothing = WallCells(np.array([0, 80, 160]), 66, np.concatenate([seen.counts, np.zeros_like(seen.counts)]))
-    assert len(find_doors(WALL.append(behind), nothing, unknown(nothing), RULES)) == found
-    # A cupboard in the room behind hides a part of the doorway, a leaf ajar stands aslant.
-    part = replace(behind, ends=np.array([[[1.9, behind_m], [4.0, behind_m]]]))
-    assert len(find_doors(WALL.append(part), nothing, unknown(nothing), RULES)) == 1
-    turn = np.array([[np.cos(0.15), np.sin(0.15)], [-np.sin(0.15), np.cos(0.15)]])
-    aslant = replace(behind, normal=behind.normal @ turn)
-    assert len(find_doors(WALL.append(aslant), nothing, unknown(nothing), RULES)) == 1
-    # The other side of the wall, or of the room, looks this way.
-    across = replace(behind, normal=-WALL.normal)
-    assert len(find_doors(WALL.append(across), nothing, unknown(nothing), RULES)) == 1
-
-
 def test_where_a_window_is_there_is_no_door() -> None:
     seen = cells()
     opening(seen)
