@@ -17,6 +17,7 @@ from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, 
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,
     FOOT_ROW,
+    SUM,
     THROUGH,
     WallCells,
     returns_at_face,
@@ -248,9 +249,10 @@ def cells_on_and_passed(counts: FloatArray, clear_m: float) -> tuple[FloatArray,
 
 
 def on_and_passed(counts: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How many rays end on cells, or sums of cells (…, 4), and how many do not."""
+    """How many rays end on cells, or sums of cells (…, 4), and how many pass them: what ends before a face has not passed it."""
     on = returns_at_face(counts)
-    return on, counts[..., THROUGH] + counts[..., FILLED] - on
+    behind = np.where(counts[..., SUM] < 0.0, counts[..., FILLED] - on, 0.0)
+    return on, counts[..., THROUGH] + behind
 
 
 def median_m(values_m: FloatArray) -> float:

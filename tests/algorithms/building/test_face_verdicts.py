@@ -197,6 +197,16 @@ def test_a_duct_is_refused():
     assert judge(cells) == ([], [FaceVerdict.HANGS])
 
 
+@pytest.mark.parametrize(("before_m", "stands"), [(0.09, True), (-0.2, False)], ids=["before the wall", "behind a duct"])
+def test_what_ends_before_a_face_has_not_passed_it(before_m: float, stands: bool) -> None:
+    """Panels on a far wall stand 9 cm before it over half its length; below a duct its own wall is seen 20 cm behind."""
+    cells = cells_of(6.0)
+    part = cells.counts[:60, : round(2.2 / CELL_M)]
+    part[..., SUM] = before_m * part[..., FILLED]
+    part[..., SQUARES] = before_m**2 * part[..., FILLED]
+    assert (judge(cells) == ([[0.0, 6.0]], [])) == stands
+
+
 def test_a_wall_beside_a_gate_in_a_high_hall_stands():
     """The gate is wider than doors are, and above leaves' height the wall returns more than below."""
     cells = cells_of(12.0)
