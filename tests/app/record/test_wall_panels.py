@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ffmap.algorithms.building.model import NO_WINDOWS, Doors, Walls, Windows
+from ffmap.algorithms.building.model import NO_DOORS, NO_WINDOWS, Doors, Walls, Windows
 from ffmap.app.record.wall_panels import wall_panels
 from tests.faces import doors, faces, window
 
-NO_DOORS = Doors(np.zeros((0, 2, 2)), np.zeros((0, 2)), *(np.zeros(0) for _ in range(17)))  # type: ignore[arg-type]
 
 
 def rectangles(walls: Walls, doors: Doors, windows: Windows = NO_WINDOWS) -> list[tuple[float, ...]]:
