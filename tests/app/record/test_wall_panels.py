@@ -9,7 +9,6 @@ from ffmap.app.record.wall_panels import wall_panels
 from tests.faces import doors, faces, window
 
 
-
 def rectangles(walls: Walls, doors: Doors, windows: Windows = NO_WINDOWS) -> list[tuple[float, ...]]:
     """Left, right, bottom and top of every panel of walls along x."""
     panels = wall_panels(walls, doors, windows)
