@@ -237,7 +237,7 @@ def _with_neighbours(values: FloatArray, cells: WallCells) -> FloatArray:
 
 
 def rows_on_and_passed(counts: FloatArray, clear_m: float) -> tuple[FloatArray, FloatArray]:
-    """How many rays end on columns (c, rows, 4), and how many do not, in each row between foot and ceiling."""
+    """How many rays end on columns (c, rows, 4), and how many pass them, in each row between foot and ceiling."""
     on, passed = cells_on_and_passed(counts, clear_m)
     return on.sum(axis=0), passed.sum(axis=0)
 

@@ -682,6 +682,7 @@ def _decided(
         is_wall, is_door = label[i] == Label.WALL, label[i] == Label.DOOR
         is_step = label[i] == Label.CLUTTER and refused[i] == Label.CEILING
         is_scatter = is_within[i] and not at_door[i] & IN_DOORWAY
+        is_near = nearest_m[i] < rules.wall_distance_m
         why = Reason.KEPT
         if at_door[i] & ON_LEAF:
             final[i], why = Label.DOOR, Reason.ON_LEAF
@@ -690,13 +691,11 @@ def _decided(
             final[i], why = Label.CLUTTER, Reason.IN_OPENING if at_door[i] & IN_OPENING else Reason.AGAINST_WALL
         elif not on_reveal and (is_wall or is_door or is_step) and nearest_m[i] > rules.wall_distance_m and refused[i] >= 0:
             final[i], why = refused[i], Reason.ON_REFUSED
-        elif label[i] == Label.CLUTTER and (on_reveal or nearest_m[i] < rules.wall_distance_m or is_scatter):
-            is_near = nearest_m[i] < rules.wall_distance_m
+        elif label[i] == Label.CLUTTER and (on_reveal or is_near or is_scatter):
             final[i], why = Label.WALL, Reason.ON_REVEAL if on_reveal else Reason.ON_FACE if is_near else Reason.IN_WALL
         elif is_wall and nearest_m[i] > rules.forget_m:
             final[i], why = Label.CLUTTER, Reason.NO_FACE
         elif is_door:
-            is_near = nearest_m[i] < rules.wall_distance_m
             final[i], why = Label.WALL if is_near else Label.CLUTTER, Reason.ON_FACE if is_near else Reason.NO_FACE
         if final[i] != label[i]:
             reason[i] = why

@@ -198,12 +198,13 @@ def is_pane(counts: FloatArray, twice: FloatArray, rules: OpeningRules) -> bool:
     jamb = min(cells_in(rules.openings.jamb_m), (len(counts) - 1) // 2)
     inside = slice(jamb, len(counts) - jamb), slice(FOOT_ROW, cells_in(rules.building.door_height_min_m))
     inner, inner_twice = counts[inside], twice[inside]
-    pieces = pieces_of(len(inner), rules)
-    shown = sum(_holds_pane(inner[piece], inner_twice[piece], rules) for piece in pieces)
-    return 2 * shown > len(pieces) or _holds_pane(inner, inner_twice, rules)
+    if _holds_pane(inner, inner_twice, rules):
+        return True
+    pieces = _pieces(len(inner), rules)
+    return len(pieces) > 1 and 2 * sum(_holds_pane(inner[piece], inner_twice[piece], rules) for piece in pieces) > len(pieces)
 
 
-def pieces_of(columns: int, rules: OpeningRules) -> list[slice]:
+def _pieces(columns: int, rules: OpeningRules) -> list[slice]:
     """Some columns in equal pieces, within each of which a face is in line with its pane."""
     count = max(int(np.ceil(columns * CELL_M / rules.openings.pane_piece_m)), 1)
     edges = np.linspace(0, columns, count + 1).round().astype(int).tolist()

@@ -8,23 +8,15 @@ import pytest
 from ffmap.algorithms.building.doors import drop_doubtful
 from ffmap.algorithms.building.face_columns import TracedFaces
 from ffmap.algorithms.building.glazed_doors import find_glazed_doors
-from ffmap.algorithms.building.model import CELL_M, BuildingSettings, Doors, Walls, Windows
+from ffmap.algorithms.building.model import CELL_M, BuildingSettings, Doors, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import FILLED, SQUARES, WallCells
 from ffmap.algorithms.building.windows import WindowsSettings, find_windows
+from tests.faces import CEILING_M, faces
 
 BUILDING = BuildingSettings()
 RULES = OpeningRules(BUILDING, OpeningsSettings())
-CEILING_M = 2.8
-WALL = Walls(
-    np.array([[[0.0, 0.0], [4.0, 0.0]]]),
-    np.array([[0.0, -1.0]]),
-    np.zeros(1),
-    np.array([CEILING_M]),
-    np.array([9], np.int32),
-    np.array([0.01]),
-    np.array([900]),
-)
+WALL = faces(((0.0, 0.0), (4.0, 0.0)))
 
 
 def wall() -> np.ndarray:
@@ -35,16 +27,11 @@ def wall() -> np.ndarray:
     return counts
 
 
-def glaze(counts: np.ndarray, x_m: tuple[float, float], z_m: tuple[float, float], depth_m: float) -> None:
-    """A pane: nine of ten rays pass it, one returns from behind the face."""
-    part = counts[round(x_m[0] / CELL_M) : round(x_m[1] / CELL_M), round(z_m[0] / CELL_M) : round(z_m[1] / CELL_M)]
-    part[:] = [1.0, -depth_m, depth_m**2 + 0.01**2, 9.0]
-
-
-def recess(counts: np.ndarray, x_m: tuple[float, float], z_m: tuple[float, float], depth_m: float) -> None:
-    """Opaque, behind the face."""
-    part = counts[round(x_m[0] / CELL_M) : round(x_m[1] / CELL_M), round(z_m[0] / CELL_M) : round(z_m[1] / CELL_M)]
-    part[:] = [10.0, -10 * depth_m, 10 * (depth_m**2 + 0.01**2), 0.0]
+def fill(counts: np.ndarray, x_m: tuple[float, float], z_m: tuple[float, float], depth_m: float, returned: float) -> None:
+    """Of ten rays a cell so many return from behind the face, and the others pass: one from a pane, all from a leaf."""
+    (left, right), (low, high) = ((round(first / CELL_M), round(last / CELL_M)) for first, last in (x_m, z_m))
+    on = returned * np.array([1.0, -depth_m, depth_m**2 + 0.01**2])
+    counts[left:right, low:high] = [*on, 10.0 - returned]
 
 
 def found(counts: np.ndarray) -> Doors:
@@ -55,25 +42,26 @@ def found(counts: np.ndarray) -> Doors:
     return find_glazed_doors(TracedFaces(WALL, cells, clear_m, np.zeros(80)), windows, RULES)
 
 
-@pytest.mark.parametrize("depth_m", [0.02, 0.08])
-def test_a_pane_in_a_leaf_is_a_closed_door(depth_m: float) -> None:
+@pytest.mark.parametrize(("depth_m", "stiles_show"), [(0.02, False), (0.08, True)])
+def test_a_pane_in_a_leaf_is_a_closed_door(depth_m: float, stiles_show: bool) -> None:
     """The leaf is 0.9 m wide and 2.1 m high, its stiles and rails 10 cm, the lower one 25 cm; flush, its stiles do not show."""
     counts = wall()
-    if depth_m > BUILDING.recess_min_m + 0.01:
-        recess(counts, (1.5, 2.4), (0.0, 2.1), depth_m)
-    glaze(counts, (1.6, 2.3), (0.25, 2.0), depth_m)
+    if stiles_show:
+        fill(counts, (1.5, 2.4), (0.0, 2.1), depth_m, 10.0)
+    fill(counts, (1.6, 2.3), (0.25, 2.0), depth_m, 1.0)
     doors = found(counts)
     assert len(doors) == 1
     assert doors.glazed[0]
-    np.testing.assert_allclose(np.sort(doors.ends[0, :, 0]), [1.5, 2.4], atol=CELL_M)
+    np.testing.assert_allclose(np.sort(doors.ends[0, :, 0]), [1.5, 2.4], atol=0.01 if stiles_show else CELL_M)
+    assert np.ptp(doors.ends[0, :, 0]) > 0.85  # its pane alone is 0.7 m wide, or 0.8 m by the cells
     assert doors.head_m[0] == pytest.approx(2.1, abs=CELL_M)
     assert doors.agreement[0] > BUILDING.opaque_min
 
 
 def test_a_leaf_of_glass_is_not_dropped_because_rays_pass_it() -> None:
     counts = wall()
-    recess(counts, (1.5, 2.4), (0.0, 2.1), 0.08)
-    glaze(counts, (1.6, 2.3), (0.25, 2.0), 0.08)
+    fill(counts, (1.5, 2.4), (0.0, 2.1), 0.08, 10.0)
+    fill(counts, (1.6, 2.3), (0.25, 2.0), 0.08, 1.0)
     doors = found(counts)
     assert len(drop_doubtful(replace(doors, scan_count=np.full(1, 9, np.int32)), BUILDING)) == 1
 
@@ -89,14 +77,14 @@ def test_a_leaf_of_glass_is_not_dropped_because_rays_pass_it() -> None:
 )
 def test_other_panes_are_windows_alone(x_m: tuple[float, float], z_m: tuple[float, float]) -> None:
     counts = wall()
-    glaze(counts, x_m, z_m, 0.05)
+    fill(counts, x_m, z_m, 0.05, 1.0)
     assert len(found(counts)) == 0
 
 
 def test_a_pane_beside_other_glass_is_a_window() -> None:
     """A door in a glazed wall cannot be told from the panes beside it."""
     counts = wall()
-    glaze(counts, (1.2, 2.0), (0.25, 2.0), 0.05)
+    fill(counts, (1.2, 2.0), (0.25, 2.0), 0.05, 1.0)
     assert len(found(counts)) == 1
-    glaze(counts, (2.25, 3.8), (0.25, 2.0), 0.05)
+    fill(counts, (2.25, 3.8), (0.25, 2.0), 0.05, 1.0)
     assert len(found(counts)) == 0
