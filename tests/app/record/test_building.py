@@ -96,6 +96,18 @@ def test_the_building_says_why(tmp_path):
     assert "its leaf stands aslant" in explain_building(ajar)
 
 
+def test_a_glazed_door_and_a_reflection_say_what_they_are(tmp_path: Path) -> None:
+    model = building()
+    judged = replace(model.judged, verdict=np.array([FaceVerdict.MIRRORED]))
+    model = replace(model, judged=judged, doors=replace(DOOR, glazed=np.array([True])))
+    reasons = explain_building(model)
+    assert "leaf of glass, with wall on both sides and above" in reasons
+    assert "a pane's reflection of another wall" in reasons
+    found = recorded(tmp_path, model)
+    assert found[entities.DOORS]["glazed"][0] == [1]
+    assert "a pane's reflection of another wall" in str(found[entities.REFUSED_WALLS]["labels"])
+
+
 def test_faces_are_drawn_as_they_were_before_they_were_laid_along_all_returns(tmp_path):
     moved = AlignedFaces(WALLS, replace(WALLS, ends=WALLS.ends + 0.02), np.array([[-0.02, 0.013]]))
     with open_part(tmp_path / "faces.rrd", "run-4") as stream:
