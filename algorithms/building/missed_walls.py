@@ -29,7 +29,7 @@ from ffmap.algorithms.building.face_columns import (
 from ffmap.algorithms.building.face_verdicts import ACROSS, SAME_WAY, StandingWallsSettings, wall_directions
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Rows, Walls, cells_in
 from ffmap.algorithms.building.openings import widened
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, first_columns
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, first_columns, with_neighbours
 from ffmap.algorithms.building.unexplained_lines import Line, both_sides, straight_lines, unexplained_columns
 from ffmap.algorithms.building.votes import VoxelVotes
 
@@ -59,6 +59,9 @@ class MissedWallsSettings(StepSettings):
         0.35, gt=0, description="Minimum length (m) of a chord of a round wall; twice as much is looked at."
     )
     in_line_m: float = Field(0.05, gt=0, description="Maximum distance (m) between the planes of two stretches of one wall.")
+    sill_m: float = Field(
+        0.15, gt=0, description="Height (m) of the lowest that is seen of a wall below a window: rays pass a doorway there."
+    )
     slit_m: float = Field(
         0.1, gt=0, description="Minimum height (m) of a slit that rays pass between what stands and what hangs above it."
     )
@@ -188,8 +191,7 @@ def _candidates(
 class _ColumnStates(Rows):
     """What the columns (c,) of a candidate are.
 
-    proven: wall from floor to ceiling, or up to a window's sill and above its head. window: of these, what may be a window's.
-    contradicted: rays pass.
+    proven: wall from floor to ceiling, or around a window. window: of these, what may be a window's. contradicted: rays pass.
     """
 
     proven: BoolArray
@@ -207,8 +209,7 @@ class _Search:
         self._known, self._faces, self._storey, self._settings = known, faces, returns.storey, settings
         self._fronts = known.append(hang)
         standing = settings.standing
-        walls = faces.walls
-        self._before_wall = _near_a_face(walls, known, -standing.furniture_depth_m, standing.furniture_depth_m)
+        self._gap = cells_in(standing.hidden_gap_m)
         self._free = np.isfinite(faces.clear_m) & ~faces.visited(returns.path_map, standing.robot_m)
         self._columns = count_columns(faces, standing.above_door_m, settings.building, settings.columns)
         self._undersides = _undersides(returns, settings.building.door_height_min_m)
@@ -222,12 +223,13 @@ class _Search:
             stretch = slice(first, after)
             counts, ceiling_m = all_counts[stretch], median_m(self._faces.clear_m[own][stretch])
             face = self._faces.cut([(w, first, after)])
-            duct = self._duct_before(face, counts)
+            duct, window = self._duct_before(face, counts), states.window[stretch]
             length_m = (after - first) * CELL_M + _to_corners_m(face, self._known, settings.missed.corner_m)
             if (
                 length_m >= settings.building.length_min_m
                 and self._is_proven(rays.select(stretch), states.select(stretch), duct is not None)
-                and (duct is not None or self._reaches_ceiling(counts, ceiling_m, states.window[stretch]))
+                # What is but a window between known walls rests on these.
+                and (duct is not None or window.all() or self._reaches_ceiling(counts[~window], ceiling_m))
                 and room_before(face, self._storey, settings.columns)[0]
             ):
                 yield _Proven(self._as_seen(face, counts, ceiling_m), duct)
@@ -235,7 +237,7 @@ class _Search:
     def _as_seen(self, wall: Walls, counts: FloatArray, ceiling_m: float) -> Walls:
         """A single face with what it rests on: the returns in its columns (c, rows, 4), up to the ceiling."""
         returns, total, squares = counts[..., :THROUGH].sum(axis=0, dtype=np.float64).T
-        seen = np.flatnonzero(returns >= self._settings.standing.stray_rays)
+        seen = np.flatnonzero(returns >= min(self._settings.standing.stray_rays, returns.max()))
         spread_m2 = squares.sum() / returns.sum() - (total.sum() / returns.sum()) ** 2
         return replace(
             wall,
@@ -248,41 +250,61 @@ class _Search:
     def _states(self, w: int) -> _ColumnStates:
         """What the columns of a candidate are."""
         own, standing = self._faces.columns(w), self._settings.standing
-        columns, candidate = self._columns.select(own), self._faces.walls.select(np.array([w]))
+        columns = self._columns.select(own)
         may_be = self._free[own] & ~_crossed_by(self._known, self._faces.walls, w, own.stop - own.start)
-        has_sill = columns.sill_passed + standing.stray_rays < standing.hidden_passed_max * columns.sill_on
-        # Between a cupboard and a duct, and over a table, rays pass to the room behind; through a window they leave the building.
-        back = replace(candidate, normal=-candidate.normal)
-        is_outer = not self._before_wall[w] and bool(has_sill.any())
-        is_outer = is_outer and not room_before(back, self._storey, self._settings.columns)[0]
-        # Whatever hangs in the window, or stands behind it: furniture is not in line with the wall on both its sides.
-        is_outer |= self._goes_on_at_both_ends(candidate)
         passed_max, stray = standing.hidden_passed_max, standing.stray_rays
         on, passed = columns.upper_on + columns.lower_on, columns.upper_passed + columns.lower_passed
         solid = (
-            (on > 0)
+            may_be
+            & (on > 0)
             & (passed <= passed_max * on)
             & (columns.lower_passed <= passed_max * columns.lower_on + stray)
             & (columns.upper_passed <= 0.5 * columns.upper_on)
         )
-        window = may_be & is_outer & has_sill & (columns.upper_on > stray) & (columns.crown_passed <= 0.5 * columns.crown_on)
-        proven = (solid & may_be) | window
-        return _ColumnStates(proven, window, ~may_be | ((passed > 2 * stray) & ~proven))
+        window = may_be & self._between_jambs(w, solid)
+        return _ColumnStates(solid | window, window, ~may_be | ((passed > 2 * stray) & ~solid & ~window))
 
-    def _goes_on_at_both_ends(self, candidate: Walls) -> bool:
-        """Whether at both ends of a single candidate known faces begin that lie in line with it and look the same way."""
-        own, gap_m = next(segments(candidate)), self._settings.standing.hidden_gap_m
-        alike = self._known.ends[self._known.normal @ own.normal > SAME_WAY]
-        in_line = [ends for ends in alike if np.abs(own.before_m(ends)).max() < self._settings.missed.in_line_m]
-        places_m = [np.sort(own.place_m(ends)) for ends in in_line]
-        return any(abs(high) < gap_m for _, high in places_m) and any(abs(low - own.length_m) < gap_m for low, _ in places_m)
+    def _between_jambs(self, w: int, solid: BoolArray) -> BoolArray:
+        """(c,) the columns of a candidate that are closed below between stretches of wall in line: its own, or known faces.
+
+        Furniture is not in line with the wall on both its sides. What hangs in a window, or stands before it, may hide its sill or
+        its lintel.
+
+        solid: (c,) its own columns of wall.
+        """
+        candidate, gap = Segment.between(self._faces.walls.ends[w], self._faces.walls.normal[w]), self._gap
+        alike = self._known.ends[self._known.normal @ candidate.normal > SAME_WAY]
+        in_line = [ends for ends in alike if np.abs(candidate.before_m(ends)).max() < self._settings.missed.in_line_m]
+        known = [np.sort(candidate.place_m(ends)) / CELL_M for ends in in_line]
+        begins = any(low < 0 and abs(high) <= gap for low, high in known)
+        ends = any(high > len(solid) and abs(low - len(solid)) <= gap for low, high in known)
+        columns = self._columns.select(self._faces.columns(w))
+        sill, opened = self._shows_sill(w)
+        shown = sill | (columns.crown_on > columns.crown_passed)
+        between = np.zeros(len(solid), bool)
+        for first, after in runs(~solid):
+            part = slice(first, after)
+            has_jambs = (first > 0 or begins) and (after < len(solid) or ends)
+            is_door = long_runs(opened[part], cells_in(self._settings.building.door_width_min_m), bridge=2).any()
+            between[part] = has_jambs and sill[part].any() and not is_door and np.mean(shown[part]) > 0.5
+        return between
+
+    def _shows_sill(self, w: int) -> tuple[BoolArray, BoolArray]:
+        """(c,) each: at which columns of a candidate rays end on the lowest that is seen of it below sills, and where they pass."""
+        settings = self._settings.standing
+        counts = with_neighbours(self._faces.cells.counts[self._faces.columns(w)].astype(np.float64))
+        on, passed = on_and_passed(counts[:, FOOT_ROW : cells_in(self._settings.building.knee_m)])
+        seen = on + passed > 0
+        lowest = seen & (seen.cumsum(axis=1) <= cells_in(self._settings.missed.sill_m))
+        on, passed = (on * lowest).sum(axis=1), (passed * lowest).sum(axis=1)
+        opened = passed > settings.hidden_passed_max * on + settings.stray_rays
+        return (on > 0) & ~opened, opened
 
     def _stretches(self, states: _ColumnStates, counts: FloatArray) -> Iterator[tuple[int, int]]:
         """First column, and the one after the last, of what may be one wall; counts: (c, rows, 4)."""
         returned = np.any(counts[..., FILLED] > 0, axis=1)
         on, passed = (rays.sum(axis=1) for rays in on_and_passed(counts))
-        gap = cells_in(self._settings.standing.hidden_gap_m)
-        for first, after in runs(long_runs(states.proven, 1, bridge=gap) & ~states.contradicted):
+        for first, after in runs(long_runs(states.proven, 1, bridge=self._gap) & ~states.contradicted):
             # Columns are counted with those beside them: a column without returns is too much, a pillar's outer ones lack.
             own = np.flatnonzero(returned[first:after])
             if len(own):
@@ -293,15 +315,12 @@ class _Search:
         """Whether most columns of a stretch are proven, by enough returns, and seen above doors unless a duct hides them."""
         # Each return is counted in its column and in the two beside it.
         returns = float((columns.upper_on + columns.lower_on).sum()) / 3
-        seen_above, proven = np.mean(columns.upper_on > 0), np.mean(states.proven)
+        seen_above, proven = np.mean((columns.upper_on > 0) | states.window), np.mean(states.proven)
         enough = returns >= self._settings.standing.hidden_returns_min
         return bool((seen_above > 0.5 or below_duct) and proven > 0.5 and enough)
 
-    def _reaches_ceiling(self, counts: FloatArray, ceiling_m: float, window: BoolArray) -> bool:
-        """Whether a stretch of a candidate is wall all the way up.
-
-        counts: (c, rows, 4) of the stretch. window: (c,) which of its columns may be a window's.
-        """
+    def _reaches_ceiling(self, counts: FloatArray, ceiling_m: float) -> bool:
+        """Whether a stretch of a candidate is wall all the way up. counts: (c, rows, 4) of its columns that are no window's."""
         missed = self._settings.missed
         on_cells, passed_cells = cells_on_and_passed(counts, ceiling_m)
         on, passed = on_cells.sum(axis=0), passed_cells.sum(axis=0)
@@ -309,10 +328,6 @@ class _Search:
         highest_m = min(ceiling_m - missed.below_ceiling_m, missed.above_heads_m)
         if not len(seen) or (FOOT_ROW + seen[-1] + 1) * CELL_M <= highest_m:
             return False
-        # A duct's underside and the ceiling next to it are rows of returns, with nothing between them and the floor.
-        below_sill = slice(0, cells_in(self._settings.building.knee_m) - FOOT_ROW)
-        if np.mean(window) > 0.5 and np.all(on[below_sill] >= passed[below_sill]):
-            return True
         # Rays pass between a shelf and the duct above it over all their width, however much of the height is theirs.
         slits = long_runs(np.mean(passed_cells > on_cells, axis=0) > 0.5, cells_in(missed.slit_m), 0)
         return bool(np.count_nonzero(on > passed) > np.count_nonzero(passed > on) and not slits.any())

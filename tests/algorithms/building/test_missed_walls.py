@@ -67,7 +67,8 @@ def search(
     unseen_m: float = 0.0,
     seen_m: float = CEILING_M,
     window_m: tuple[float, float] | None = None,
-    window_from_y: float = 0.0,
+    window_y: tuple[float, float] = (0.0, 3.0),
+    sill_seen_to_y: float = 3.0,
     from_y: float = 0.5,
     rays: float = 3.0,
     clear_of_glass: float = 1.0,
@@ -75,8 +76,9 @@ def search(
     """What is found; so many rays a cell end on every candidate that lies on x = 3, seen from smaller x, and pass the others.
 
     hip_m: from there to a door's head a few rays pass. unseen_m, seen_m: below and above there no ray comes.
-    window_m: between these heights rays pass, from `window_from_y` on. known, refused: faces beside it. from_y: where the face
-    begins. clear_of_glass: the share of all rays that pass no wall close beside a window.
+    window_m, window_y: between these heights, and from where to where, rays pass; below it none comes from `sill_seen_to_y` on.
+    known, refused: faces beside it. from_y: where the face begins. clear_of_glass: the share of all rays that pass no wall close
+    beside a window.
     """
 
     storey = Storey.of(votes, (), 3)
@@ -99,7 +101,9 @@ def search(
             y = Segment.between(candidates.ends[w]).at((np.arange(columns[w]) + 0.5) * CELL_M)[:, 1]
             if on and window_m is not None:
                 pane = counts[own, round(window_m[0] / CELL_M) : round(window_m[1] / CELL_M)]
-                pane[y > window_from_y] = np.array([0.0, 0.0, 0.0, 3.0])
+                beside = (y < window_y[0]) | (y > window_y[1])
+                pane[~beside] = np.array([0.0, 0.0, 0.0, 3.0])
+                counts[own, : round(window_m[0] / CELL_M)][~beside & (y > sill_seen_to_y)] = 0.0
             counts[own, : int(unseen_m / CELL_M)] = 0.0
             counts[own, int(seen_m / CELL_M) :] = 0.0
             if on:
@@ -217,14 +221,6 @@ def test_what_is_seen_no_higher_than_heads_are_is_a_leaf_or_a_reveal():
     assert len(missed(room(), seen_m=2.35)) == 1  # through a doorway, from afar
 
 
-def test_a_missed_wall_may_have_a_window():
-    outer = room(to_x=3.0)
-    assert len(missed(outer, window_m=(0.9, 2.1))) == 1
-    assert len(missed(outer, window_m=(0.3, 2.1))) == 0  # a bench, and a duct above it
-    assert len(missed(outer, window_m=(0.7, 2.1))) == 1  # sills begin at the knee, 0.7 m, as everywhere
-    assert len(missed(room(), window_m=(0.9, 2.1))) == 0  # a table in the room, and a lamp above it
-
-
 def test_what_hangs_in_a_window_does_not_hide_that_its_wall_goes_on() -> None:
     """A blind 15 cm behind the face is no wall before which a cupboard and a duct stand: the wall is there on both sides."""
     blind, beside = faces(((3.15, 0), (3.15, 3))), faces(((3, 0), (3, 0.4)), ((3, 2.1), (3, 3)))
@@ -235,20 +231,36 @@ def test_what_hangs_in_a_window_does_not_hide_that_its_wall_goes_on() -> None:
     np.testing.assert_allclose(np.sort(walls.ends[:, :, 1]), [[0.5, 2.0]], atol=0.1)
 
 
-def test_a_cupboard_and_a_duct_above_it_are_no_wall_with_a_window():
-    """Between them rays pass to the wall behind."""
-    assert len(missed(room(to_x=3.0), window_m=(0.9, 2.5), known=faces(((3.6, 0), (3.6, 3))))) == 0
+@pytest.mark.parametrize("to_m", [2.2, CEILING_M])
+@pytest.mark.parametrize("sill_m", [0.3, 1.2])
+def test_between_two_stretches_of_wall_a_sill_in_line_makes_one_wall_of_them(sill_m: float, to_m: float) -> None:
+    """However low or high the window: what stands free of walls is not flush with both its neighbours, and a doorway is open."""
+    window: dict[str, Any] = {"window_m": (sill_m, to_m), "window_y": (0.9, 1.6)}
+    np.testing.assert_allclose(np.sort(missed(room(), **window).ends[:, :, 1]), [[0.5, 2.0]], atol=0.1)
+
+
+@pytest.mark.parametrize(("to_m", "seen_to_y", "is_one"), [(2.2, 1.1, True), (CEILING_M, 1.1, False), (CEILING_M, 1.4, True)])
+def test_what_hides_a_sill_does_not_part_its_wall(to_m: float, seen_to_y: float, is_one: bool) -> None:
+    """A lintel over it shows as well that the wall goes on, or half of the sill."""
+    ends = missed(room(), window_m=(1.2, to_m), window_y=(0.9, 1.6), sill_seen_to_y=seen_to_y).ends[:, :, 1]
+    np.testing.assert_allclose(np.sort(np.sort(ends), axis=0), [[0.5, 2.0]] if is_one else [[0.5, 0.9], [1.6, 2.0]], atol=0.1)
+
+
+def test_between_two_stretches_of_wall_a_doorway_stays_one() -> None:
+    doorway = missed(room(), window_m=(0.0, 2.1), window_y=(0.9, 1.6)).ends[:, :, 1]
+    np.testing.assert_allclose(np.sort(np.sort(doorway), axis=0), [[0.5, 0.9], [1.6, 2.0]], atol=0.1)
+
+
+def test_what_rays_pass_over_all_along_is_furniture_and_what_hangs_above_it() -> None:
+    """A bench or a table below, a duct, a lamp or nothing above: no wall stands beside them."""
+    for bottom_m, top_m in [(0.3, 2.1), (0.9, 2.1), (0.9, 2.75)]:
+        assert len(missed(room(to_x=3.0), window_m=(bottom_m, top_m))) == 0
 
 
 def test_a_shelf_and_a_duct_above_it_are_no_wall_however_narrow_the_slit_between_them() -> None:
     assert len(missed(room(), window_m=(2.0, 2.15))) == 0
     # A row of cells is too little: its rays may be off.
     assert len(missed(room(), window_m=(2.0, 2.05))) == 1
-
-
-def test_a_window_may_reach_close_to_the_ceiling():
-    assert len(missed(room(to_x=3.0), window_m=(0.9, 2.5))) == 1
-    assert len(missed(room(to_x=3.0), window_m=(0.9, 2.75))) == 0  # a partition
 
 
 def test_a_pillars_side_is_as_long_as_to_the_corner_with_its_front():
@@ -268,9 +280,9 @@ def test_a_pillar_has_sides_however_little_it_stands_before_its_wall():
 def test_a_pillar_may_be_as_narrow_as_a_wall_is_short():
     """Columns are told with those beside them, which rays pass; its own outer ones count all the same."""
     table = room(from_y=0.7, to_y=1.5)
-    found = missed(table, from_y=0.7, window_m=(0.0, CEILING_M), window_from_y=0.93)
+    found = missed(table, from_y=0.7, window_m=(0.0, CEILING_M), window_y=(0.93, 3.0))
     np.testing.assert_allclose(np.sort(found.ends[0, :, 1]), [0.7, 0.93], atol=0.06)
-    assert len(missed(table, from_y=0.7, window_m=(0.0, CEILING_M), window_from_y=0.82)) == 0
+    assert len(missed(table, from_y=0.7, window_m=(0.0, CEILING_M), window_y=(0.82, 3.0))) == 0
 
 
 def test_before_a_wall_of_this_building_floor_or_ceiling_is_seen():
