@@ -38,13 +38,6 @@ class GlassFrontsSettings(StepSettings):
         le=0.5,
         description="Maximum share of the rays that meet it which such a pane returns; a grating or a rack returns more.",
     )
-    trend_max: float = Field(
-        0.85,
-        gt=0,
-        le=1,
-        description="Maximum rank correlation of the shares that a pane's columns return with their places: a line that meets a "
-        "wall at a slant returns more and more of its rays.",
-    )
     patch_m: float = Field(0.2, gt=0, description="Height (m) of the patches of a pane of which each has to return some rays.")
     expected_min: float = Field(
         4.0, gt=0, description="A patch tells where so many rays met it that a pane would have returned this many of them."
@@ -138,10 +131,10 @@ def find_glass_fronts(judged: JudgedFaces, windows: Windows, rays: AllRays, rule
             return []
         cells = rays.trace(faces, known)
         places = column_places(faces, cells.first, 0.0)
-        # Where the robot drove no pane is, and the returns at a wall's face are that wall's.
-        taken = visited(places, rays.path_map, standing.robot_m)
-        taken[pairs_near(judged.walls, places, rules.explained_m)[0]] = True
-        return list(_panes(faces, cells, taken, rules))
+        # Where the robot drove no pane is, and the returns at a wall's face are that wall's, or a mullion's.
+        of_walls = np.zeros(len(places), bool)
+        of_walls[pairs_near(judged.walls, places, rules.explained_m)[0]] = True
+        return list(_panes(faces, cells, visited(places, rays.path_map, standing.robot_m), of_walls, rules))
 
     shown = panes(replace(candidates, ends=lengthened(candidates.ends, rules.fronts.beyond_m)), windows)
     found: list[_Pane] = []
@@ -205,12 +198,12 @@ def _is_shelf(front: Windows, walls: Walls, settings: GlassFrontsSettings) -> bo
     )
 
 
-def _panes(faces: Walls, cells: WallCells, taken: BoolArray, rules: GlassRules) -> Iterator[_Pane]:
-    """The stretches of faces that are panes. taken: (columns,) where none can be."""
+def _panes(faces: Walls, cells: WallCells, driven: BoolArray, of_walls: BoolArray, rules: GlassRules) -> Iterator[_Pane]:
+    """The stretches of faces that are panes. driven, of_walls: (columns,) where none can be; see `_sheets`."""
     for w, face in enumerate(segments(faces)):
         own = slice(int(cells.first[w]), int(cells.first[w + 1]))
         counts = cells.counts[own].astype(np.float64)
-        for first, after, behind_m in _sheets(counts, taken[own], rules):
+        for first, after, behind_m in _sheets(counts, driven[own], of_walls[own], rules):
             ends = face.at(CELL_M * np.array([first, after]))
             rows = counts[first:after].sum(axis=0)
             clear = np.flatnonzero(rows[:, THROUGH] > rows[:, FILLED])
@@ -221,10 +214,12 @@ def _panes(faces: Walls, cells: WallCells, taken: BoolArray, rules: GlassRules) 
             yield _Pane(replace(faces.select(np.array([w])), ends=ends[None]), window)
 
 
-def _sheets(counts: FloatArray, taken: BoolArray, rules: GlassRules) -> Iterator[tuple[int, int, float]]:
+def _sheets(
+    counts: FloatArray, driven: BoolArray, of_walls: BoolArray, rules: GlassRules
+) -> Iterator[tuple[int, int, float]]:
     """The first column of each pane in a face, the one after its last, and how far it stands behind the face.
 
-    counts: (c, rows, 4). taken: (c,) where no pane can be.
+    counts: (c, rows, 4). driven: (c,) where the robot drove. of_walls: (c,) what is a known wall's, which may be a pane's mullion.
     """
     fronts = rules.fronts
     inner = counts[:, FOOT_ROW : cells_in(rules.openings.building.door_height_min_m)]
@@ -241,20 +236,23 @@ def _sheets(counts: FloatArray, taken: BoolArray, rules: GlassRules) -> Iterator
     tells = share * met >= fronts.expected_min
     asked, shown = tells.sum(axis=1), (tells & (returned > 0)).sum(axis=1)
     is_told = asked >= fronts.patches_min
-    no_pane = taken | (is_told & (shown < 0.5 * asked))
-    sure = long_runs(is_told & (shown >= fronts.shown_min * asked) & ~taken, 1, bridge=cells_in(fronts.bridge_m)) & ~no_pane
-    sure = long_runs(sure, cells_in(fronts.width_min_m), 0)
+    bar = cells_in(fronts.bar_m)
+    no_pane = driven | of_walls | (is_told & (shown < 0.5 * asked))
+    sure = is_told & (shown >= fronts.shown_min * asked) & ~no_pane
+    sure = long_runs(sure, 1, bridge=cells_in(fronts.bridge_m)) & ~no_pane
+    # A wall takes what is close beside it too.
+    mullion = long_runs(sure, 1, bridge=bar + 2 * cells_in(rules.explained_m)) & of_walls & ~driven
+    sure &= long_runs(sure | mullion, cells_in(fronts.width_min_m), 0)
+    no_pane &= ~mullion
     # Where too few rays met it to tell, it goes on up to what returns them all.
     goes_on = sure | (passes.sum(axis=1) > 0.5 * np.count_nonzero(patches[..., [FILLED, THROUGH]].any(axis=2), axis=1))
-    for first, after in runs(long_runs(goes_on & ~no_pane, 1, bridge=cells_in(fronts.bar_m)) & ~no_pane):
+    for first, after in runs(long_runs(goes_on & ~no_pane, 1, bridge=bar) & ~no_pane):
         told = first + np.flatnonzero(sure[first:after])
         sheet, returns = on_pane[told].sum(axis=(0, 1)), float(clear[told, :, FILLED].sum())
         is_pure = sheet[FILLED] >= fronts.pure_min * returns
-        lets_pass = sheet[FILLED] <= fronts.share_max * met[told].sum()
-        shares = returned[told].sum(axis=1) / np.maximum(met[told].sum(axis=1), 1.0)
-        is_even = len(told) > 2 and abs(np.corrcoef(told, np.argsort(np.argsort(shares)))[0, 1]) <= fronts.trend_max
+        is_glass = fronts.share_min <= sheet[FILLED] / max(met[told].sum(), 1.0) <= fronts.share_max
         shows = shown[told].sum() >= fronts.shown_min * asked[told].sum()
-        if is_even and is_pure and lets_pass and shows and not _has_bars(inner[told], share, fronts):
+        if is_pure and is_glass and shows and not _has_bars(inner[told], share, fronts):
             behind_m = -float(sheet[SUM] / sheet[FILLED])
             # What reaches as deep as is looked goes on beyond: a wall behind, at a slant.
             if behind_m < rules.openings.building.near_m - 2 * rules.openings.openings.sheet_m:

@@ -37,18 +37,20 @@ class Front:
     """What stands in the plane y = 3, over the whole width of a room [0, 4] × [0, 3], and what its rays meet.
 
     returned, mirrored: shares of the rays that a pane returns, and that it mirrors, which end in the room's mirror image.
-    open_x: from where to where no pane stands. shelf: boards that return nearly all rays, and nothing between them, in place of a
+    open_x: from where to where no pane stands. walls_x: from where to where walls return all rays. dust_x: from
+    where to where a pane's share is a tenth. shelf: boards that return nearly all rays, and nothing between them, in place of a
     pane; railing: upright bars that do. person_x: where someone 0.5 m wide stands, who returns all rays.
-    grows: the more is returned the farther to the right. turn_deg: of the whole in the map.
+    turn_deg: of the whole in the map.
     """
 
     returned: float = 0.05
     mirrored: float = 0.1
     open_x: tuple[float, float] = (9.0, 9.0)
+    walls_x: tuple[tuple[float, float], ...] = ()
+    dust_x: tuple[float, float] = (9.0, 9.0)
     shelf: bool = False
     railing: bool = False
     person_x: float | None = None
-    grows: bool = False
     rays: int = 12_000
     turn_deg: float = 0.0
 
@@ -61,7 +63,10 @@ class Front:
         ray = aim - origin
         drawn = generator.random(self.rays)
         glazed = (aim[:, 0] < self.open_x[0]) | (aim[:, 0] > self.open_x[1])
-        on_pane = drawn < self.returned * glazed * (aim[:, 0] / 2.0 if self.grows else 1.0)
+        dusty = (aim[:, 0] > self.dust_x[0]) & (aim[:, 0] < self.dust_x[1])
+        on_pane = drawn < self.returned * glazed * np.where(dusty, 0.1, 1.0)
+        for low, high in self.walls_x:
+            on_pane |= (aim[:, 0] > low) & (aim[:, 0] < high)
         if self.shelf:
             on_pane = (aim[:, 2] % 0.4 < 0.04) & (drawn < 0.9)
         if self.railing:
@@ -153,8 +158,25 @@ def test_a_grating_returns_more_than_glass_does() -> None:
     assert len(Front(returned=0.4, mirrored=0.0).found()) == 0
 
 
-def test_a_wall_that_meets_the_line_at_a_slant_returns_more_and_more() -> None:
-    assert len(Front(grows=True, mirrored=0.0).found()) == 0
+def test_each_pane_returns_its_share_whatever_is_in_line_with_it() -> None:
+    """A leaf's edge sweeps the plane once in a while; two jambs part what it leaves there from a pane."""
+    walls_x = ((0.0, 0.6), (1.7, 2.3), (3.4, 4.0))
+    known = faces(*(((high, DEPTH_M), (low, DEPTH_M)) for low, high in walls_x))
+    found = Front(mirrored=0.0, walls_x=walls_x, dust_x=(2.0, 4.0), rays=30_000).found(more_walls=known)
+    np.testing.assert_allclose(np.sort(found.ends[:, :, 0]), [[0.6, 1.7]], atol=0.12)
+
+
+def test_a_mullion_parts_no_pane_however_narrow_its_panes_are() -> None:
+    """Two panes, each narrower than a pane that stands alone, on both sides of what passes for a short wall."""
+    walls_x = ((0.0, 1.5), (1.92, 2.08), (2.5, 4.0))
+    known = faces(*(((high, DEPTH_M), (low, DEPTH_M)) for low, high in walls_x))
+    found = Front(walls_x=walls_x).found(more_walls=known)
+    assert len(found) == 1
+    np.testing.assert_allclose(np.sort(found.ends[0, :, 0]), [1.5, 2.5], atol=0.12)
+    # A pier as wide as a wall's end parts them.
+    walls_x = ((0.0, 1.4), (1.82, 2.18), (2.6, 4.0))
+    known = faces(*(((high, DEPTH_M), (low, DEPTH_M)) for low, high in walls_x))
+    assert len(Front(walls_x=walls_x).found(more_walls=known)) == 0
 
 
 def test_a_shelf_returns_rays_in_some_places_and_none_in_others() -> None:
