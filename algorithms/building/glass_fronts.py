@@ -123,7 +123,8 @@ def find_glass_fronts(judged: JudgedFaces, windows: Windows, rays: AllRays, rule
     standing, way = rules.standing, cKDTree(rays.path_map)
     place, weight, _ = unexplained_columns(rays.votes, judged.walls, judged.refused, rules.explained_m)
     lines, _ = straight_lines(place, weight, wall_directions(judged.walls, standing.direction_share_min), standing)
-    candidates = both_sides(lines).append(judged.refused)
+    other_side = replace(judged.refused, ends=judged.refused.ends[:, ::-1], normal=-judged.refused.normal)
+    candidates = both_sides(lines).append(judged.refused).append(other_side)
     candidates = candidates.select(lengths_m(candidates.ends) >= rules.fronts.width_min_m)
 
     def panes(faces: Walls, known: Windows) -> list[_Pane]:

@@ -224,7 +224,10 @@ def test_no_pane_is_where_the_robot_drove_or_nothing_was_seen() -> None:
 
 def test_a_face_that_rays_speak_against_may_be_a_pane() -> None:
     """Scans saw a plane there, which explains its returns."""
-    assert len(Front().found(refused=faces(((4.0, DEPTH_M), (0.0, DEPTH_M))))) == 1
+    sides = faces(((4.0, DEPTH_M), (0.0, DEPTH_M)), ((0.0, DEPTH_M), (4.0, DEPTH_M)))
+    for side in range(2):  # from the room behind it as well: a pane has two sides
+        found = Front().found(refused=sides.select(np.array([side])))
+        np.testing.assert_allclose(found.ends[..., 1], [[DEPTH_M, DEPTH_M]], atol=0.02)
 
 
 def test_a_front_is_new_where_no_known_window_has_most_of_it() -> None:
