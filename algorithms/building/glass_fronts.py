@@ -23,6 +23,7 @@ from ffmap.algorithms.building.openings import OpeningRules, lies_on_sheet
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells, with_neighbours
 from ffmap.algorithms.building.unexplained_lines import both_sides, straight_lines, unexplained_columns, unseen_faces
 from ffmap.algorithms.building.votes import VoxelVotes
+from ffmap.algorithms.building.windows import is_beside, join_windows
 
 
 class GlassFrontsSettings(StepSettings):
@@ -149,7 +150,17 @@ def find_glass_fronts(judged: JudgedFaces, windows: Windows, rays: AllRays, rule
         hidden = any(_is_seen_through(front, rays.path_map, pane.window) for front in segments(others))
         if not hidden or panes(pane.face, windows.append(others)):
             fronts.append(pane.window)
-    return _lets_pass_always(_joined(fronts), rays, rules)
+    return _as_wide_as_seen(_lets_pass_always(_joined(fronts), rays, rules), shown, rules.explained_m)
+
+
+def _as_wide_as_seen(fronts: Windows, panes: list[_Pane], near_m: float) -> Windows:
+    """The fronts with what other lines, or faces, show of them: each line ends where its own returns do."""
+    more = [
+        pane.window
+        for pane in panes
+        if any(is_beside(front, pane.window.ends[0], pane.window.normal[0], near_m) for front in segments(fronts))
+    ]
+    return join_windows(_joined([fronts, *more]), near_m)
 
 
 def _joined(windows: Iterable[Windows]) -> Windows:

@@ -38,7 +38,8 @@ def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules)
         if not _stands_around(counts, first, last, head_m, float(np.median(top_m[own][first : last + 1])), rules):
             continue
         door = flush_door(face, w, (first, last + 1), 0, head_m, counts, 0.0)
-        agreement = np.array([_agreement(counts[first : last + 1], rules)])
+        # The outermost columns are partly the jambs'.
+        agreement = np.array([_agreement(counts[first + 1 : last], rules)])
         # A pane that is all but flush tells nothing of where its stiles meet the jambs.
         depth = np.where(windows.pane_m[[k]] > ON_FACE_M, windows.pane_m[[k]], 0.0)
         doors = doors.append(

@@ -135,15 +135,18 @@ def find_windows(
             ends = face.at(CELL_M * np.array([first, last + 1]))
             between_m = CELL_M * clear[[0]], CELL_M * (clear[[-1]] + 1)
             windows = windows.append(Windows(ends[None], face.normal[None], *between_m, np.array([pane_m])))
-    return _joined(windows, settings)
+    return join_windows(windows, settings.one_wall_m)
 
 
-def _joined(windows: Windows, settings: WindowsSettings) -> Windows:
-    """The windows, each once: those that overlap on one wall are one, which its wall's stretches and its panes may show apart."""
+def join_windows(windows: Windows, one_wall_m: float) -> Windows:
+    """The windows, each once: those that overlap on one wall are one, which its wall's stretches and its panes may show apart.
+
+    one_wall_m: maximum distance between the faces, or panes, in which two of them show.
+    """
     joined = NO_WINDOWS
     for own in (windows.select(np.array([w])) for w in range(len(windows))):
         for k, known in enumerate(segments(joined)):
-            if _is_in(known, own.ends[0], own.normal[0], settings):
+            if is_beside(known, own.ends[0], own.normal[0], one_wall_m):
                 place_m = np.concatenate([[0.0, known.length_m], known.place_m(own.ends[0])])
                 ends = known.at(np.array([place_m.min(), place_m.max()]))
                 one = joined.select(np.array([k])).append(own)
@@ -164,14 +167,15 @@ def in_walls(windows: Windows, walls: Walls, settings: WindowsSettings) -> Windo
     """The windows in the walls, each of which looks the same way."""
     kept = np.zeros(len(windows), bool)
     for wall in segments(walls):
-        kept |= np.array([_is_in(wall, *own, settings) for own in zip(windows.ends, windows.normal, strict=True)], bool)
+        beside = [is_beside(wall, *own, settings.one_wall_m) for own in zip(windows.ends, windows.normal, strict=True)]
+        kept |= np.array(beside, bool)
     return windows.select(kept)
 
 
-def _is_in(wall: Segment, ends: FloatArray, normal: FloatArray, settings: WindowsSettings) -> bool:
-    """Whether a window with these ends (2, 2) and normal (2,) lies in a stretch of wall that looks the same way."""
-    off_m = np.abs(wall.before_m(ends)).max()
-    return bool(wall.normal @ normal > 0.0 and off_m < settings.one_wall_m and wall.shared_m(ends) > 0.0)
+def is_beside(face: Segment, ends: FloatArray, normal: FloatArray, one_wall_m: float) -> bool:
+    """Whether a window with these ends (2, 2) and normal (2,) overlaps a face that looks the same way, at most `one_wall_m` off."""
+    off_m = np.abs(face.before_m(ends)).max()
+    return bool(face.normal @ normal > 0.0 and off_m < one_wall_m and face.shared_m(ends) > 0.0)
 
 
 def _above_sill(

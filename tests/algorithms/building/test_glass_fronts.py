@@ -230,6 +230,13 @@ def test_a_face_that_rays_speak_against_may_be_a_pane() -> None:
         np.testing.assert_allclose(found.ends[..., 1], [[DEPTH_M, DEPTH_M]], atol=0.02)
 
 
+def test_a_pane_is_as_wide_as_all_lines_show_that_lie_on_it() -> None:
+    """Two faces of which each shows two thirds, more of them both than apart."""
+    found = Front().found(refused=faces(((4.0, DEPTH_M), (1.6, DEPTH_M)), ((2.4, DEPTH_M), (0.0, DEPTH_M))))
+    assert len(found) == 1
+    np.testing.assert_allclose(np.sort(found.ends[0, :, 0]), [0.0, 4.0], atol=0.15)
+
+
 def test_a_front_is_new_where_no_known_window_has_most_of_it() -> None:
     front = replace(window((0.0, 0.0), (2.0, 0.0)), pane_m=np.zeros(1))
     assert len(new_fronts(front, NO_WINDOWS, FRONTS)) == 1
