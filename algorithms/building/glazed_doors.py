@@ -11,7 +11,7 @@ from ffmap.algorithms.building.face_columns import TracedFaces, on_and_passed
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, ON_FACE_M, Doors, Walls, Windows, cells_in
 from ffmap.algorithms.building.openings import OpeningRules, lies_on_sheet, tops_m, widened
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM
 
 
 def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules) -> Doors:
@@ -85,8 +85,6 @@ def _stands_around(counts: FloatArray, first: int, last: int, head_m: float, top
 
 
 def _agreement(counts: FloatArray, rules: OpeningRules) -> float:
-    """Share of the rays in a doorway's columns (c, rows, 4) that pass its leaf, or return from one sheet with it."""
+    """Share of what returns from a doorway's columns (c, rows, 4) that is of one sheet, the leaf's; a pane lets the others pass."""
     inner = counts[:, FOOT_ROW : cells_in(rules.building.door_height_min_m)]
-    met = inner[..., FILLED].sum() + inner[..., THROUGH].sum()
-    agree = inner[..., THROUGH].sum() + inner[lies_on_sheet(inner, rules), FILLED].sum()
-    return float(agree / max(met, 1.0))
+    return float(inner[lies_on_sheet(inner, rules), FILLED].sum() / max(inner[..., FILLED].sum(), 1.0))

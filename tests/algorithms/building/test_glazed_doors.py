@@ -69,6 +69,16 @@ def test_a_leaf_of_glass_is_not_dropped_because_rays_pass_it() -> None:
     assert len(drop_doubtful(replace(doors, scan_count=np.full(1, 9, np.int32)), BUILDING)) == 1
 
 
+def test_what_stands_aslant_in_an_opening_is_no_leaf_of_glass() -> None:
+    """Most rays pass beside it, as they pass a pane, but what returns is of no one sheet."""
+    counts = wall()
+    fill(counts, (1.5, 2.4), (0.25, 2.1), 0.05, 1.0)
+    fill(counts, (1.5, 1.8), (0.25, 2.1), 0.15, 1.0)
+    doors = found(counts)
+    assert len(doors) == 1
+    assert len(drop_doubtful(replace(doors, scan_count=np.full(1, 9, np.int32)), BUILDING)) == 0
+
+
 @pytest.mark.parametrize(
     ("x_m", "z_m"),
     [
