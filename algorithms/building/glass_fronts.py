@@ -141,16 +141,16 @@ def find_glass_fronts(judged: JudgedFaces, windows: Windows, rays: AllRays, rule
     shown = panes(replace(candidates, ends=lengthened(candidates.ends, rules.fronts.beyond_m)), windows)
     found: list[_Pane] = []
     for pane in sorted(shown, key=lambda p: float(way.query(p.face.ends[0].mean(axis=0))[0])):
-        known = _joined([windows, *(p.window for p in found)])
+        known = _concatenated([windows, *(p.window for p in found)])
         if len(new_fronts(pane.window, known, rules.fronts)) and not _is_shelf(pane.window, judged.walls, rules.fronts):
             found.append(pane)
     fronts = []
     for pane in found:
-        others = _joined([p.window for p in found if p is not pane])
+        others = _concatenated([p.window for p in found if p is not pane])
         hidden = any(_is_seen_through(front, rays.path_map, pane.window) for front in segments(others))
         if not hidden or panes(pane.face, windows.append(others)):
             fronts.append(pane.window)
-    return _as_wide_as_seen(_lets_pass_always(_joined(fronts), rays, rules), shown, rules.explained_m)
+    return _as_wide_as_seen(_lets_pass_always(_concatenated(fronts), rays, rules), shown, rules.explained_m)
 
 
 def _as_wide_as_seen(fronts: Windows, panes: list[_Pane], near_m: float) -> Windows:
@@ -160,10 +160,10 @@ def _as_wide_as_seen(fronts: Windows, panes: list[_Pane], near_m: float) -> Wind
         for pane in panes
         if any(is_beside(front, pane.window.ends[0], pane.window.normal[0], near_m) for front in segments(fronts))
     ]
-    return join_windows(_joined([fronts, *more]), near_m)
+    return join_windows(_concatenated([fronts, *more]), near_m)
 
 
-def _joined(windows: Iterable[Windows]) -> Windows:
+def _concatenated(windows: Iterable[Windows]) -> Windows:
     return reduce(Windows.append, windows, NO_WINDOWS)
 
 
