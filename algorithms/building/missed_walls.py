@@ -59,6 +59,9 @@ class MissedWallsSettings(StepSettings):
         0.35, gt=0, description="Minimum length (m) of a chord of a round wall; twice as much is looked at."
     )
     in_line_m: float = Field(0.05, gt=0, description="Maximum distance (m) between the planes of two stretches of one wall.")
+    window_min_m: float = Field(
+        0.3, gt=0, description="Minimum width (m) of a window between two stretches of a wall: there are gaps between things too."
+    )
     sill_m: float = Field(
         0.15, gt=0, description="Height (m) of the lowest that is seen of a wall below a window: rays pass a doorway there."
     )
@@ -284,7 +287,10 @@ class _Search:
         between = np.zeros(len(solid), bool)
         for first, after in runs(~solid):
             part = slice(first, after)
-            has_jambs = (first > 0 or begins) and (after < len(solid) or ends)
+            # Columns are told with those beside them: of two that seem to be wall each may have it from its neighbour alone.
+            before, behind = solid[max(first - 3, 0) : first], solid[after : after + 3]
+            has_jambs = (before.sum() == 3 if first > 0 else begins) and (behind.sum() == 3 if after < len(solid) else ends)
+            has_jambs &= after - first >= cells_in(self._settings.missed.window_min_m)
             is_door = long_runs(opened[part], cells_in(self._settings.building.door_width_min_m), bridge=2).any()
             between[part] = has_jambs and sill[part].any() and not is_door and np.mean(shown[part]) > 0.5
         return between

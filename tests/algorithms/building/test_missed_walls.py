@@ -246,6 +246,17 @@ def test_what_hides_a_sill_does_not_part_its_wall(to_m: float, seen_to_y: float,
     np.testing.assert_allclose(np.sort(np.sort(ends), axis=0), [[0.5, 2.0]] if is_one else [[0.5, 0.9], [1.6, 2.0]], atol=0.1)
 
 
+def test_a_slit_between_two_things_is_no_window() -> None:
+    slit = missed(room(), window_m=(1.0, CEILING_M), window_y=(1.25, 1.35)).ends[:, :, 1]
+    np.testing.assert_allclose(np.sort(np.sort(slit), axis=0), [[0.5, 1.25], [1.35, 2.0]], atol=0.1)
+
+
+def test_a_jamb_is_more_than_one_column_wide() -> None:
+    """A kitchen unit reaches from a wall's end to a corner, where a column of returns is the other wall's."""
+    ends = missed(room(), window_m=(0.9, CEILING_M), window_y=(0.9, 1.9)).ends[:, :, 1]
+    np.testing.assert_allclose(np.sort(ends), [[0.5, 0.9]], atol=0.1)
+
+
 def test_between_two_stretches_of_wall_a_doorway_stays_one() -> None:
     doorway = missed(room(), window_m=(0.0, 2.1), window_y=(0.9, 1.6)).ends[:, :, 1]
     np.testing.assert_allclose(np.sort(np.sort(doorway), axis=0), [[0.5, 0.9], [1.6, 2.0]], atol=0.1)
