@@ -21,7 +21,13 @@ from ffmap.algorithms.building.face_verdicts import SAME_WAY, JudgedFaces, Stand
 from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, Walls, Windows, cells_in
 from ffmap.algorithms.building.openings import OpeningRules, lies_on_sheet
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells, with_neighbours
-from ffmap.algorithms.building.unexplained_lines import both_sides, straight_lines, unexplained_columns, unseen_faces
+from ffmap.algorithms.building.unexplained_lines import (
+    both_sides,
+    from_behind,
+    straight_lines,
+    unexplained_columns,
+    unseen_faces,
+)
 from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.building.windows import is_beside, join_windows
 
@@ -124,8 +130,7 @@ def find_glass_fronts(judged: JudgedFaces, windows: Windows, rays: AllRays, rule
     standing, way = rules.standing, cKDTree(rays.path_map)
     place, weight, _ = unexplained_columns(rays.votes, judged.walls, judged.refused, rules.explained_m)
     lines, _ = straight_lines(place, weight, wall_directions(judged.walls, standing.direction_share_min), standing)
-    other_side = replace(judged.refused, ends=judged.refused.ends[:, ::-1], normal=-judged.refused.normal)
-    candidates = both_sides(lines).append(judged.refused).append(other_side)
+    candidates = both_sides(lines).append(judged.refused).append(from_behind(judged.refused))
     candidates = candidates.select(lengths_m(candidates.ends) >= rules.fronts.width_min_m)
 
     def panes(faces: Walls, known: Windows) -> list[_Pane]:

@@ -59,6 +59,12 @@ class MissedWallsSettings(StepSettings):
         0.35, gt=0, description="Minimum length (m) of a chord of a round wall; twice as much is looked at."
     )
     in_line_m: float = Field(0.05, gt=0, description="Maximum distance (m) between the planes of two stretches of one wall.")
+    jamb_m: float = Field(
+        0.15,
+        gt=0,
+        description="Minimum width (m) of the wall beside a window that joins it to its sill: columns are told with those beside "
+        "them, so one of a corner passes for two.",
+    )
     window_min_m: float = Field(
         0.3, gt=0, description="Minimum width (m) of a window between two stretches of a wall: there are gaps between things too."
     )
@@ -240,6 +246,7 @@ class _Search:
     def _as_seen(self, wall: Walls, counts: FloatArray, ceiling_m: float) -> Walls:
         """A single face with what it rests on: the returns in its columns (c, rows, 4), up to the ceiling."""
         returns, total, squares = counts[..., :THROUGH].sum(axis=0, dtype=np.float64).T
+        # What is but a window between known walls may have fewer in each row.
         seen = np.flatnonzero(returns >= min(self._settings.standing.stray_rays, returns.max()))
         spread_m2 = squares.sum() / returns.sum() - (total.sum() / returns.sum()) ** 2
         return replace(
@@ -275,31 +282,32 @@ class _Search:
 
         solid: (c,) its own columns of wall.
         """
+        settings, own = self._settings, self._faces.columns(w)
         candidate, gap = Segment.between(self._faces.walls.ends[w], self._faces.walls.normal[w]), self._gap
         alike = self._known.ends[self._known.normal @ candidate.normal > SAME_WAY]
-        in_line = [ends for ends in alike if np.abs(candidate.before_m(ends)).max() < self._settings.missed.in_line_m]
+        in_line = [ends for ends in alike if np.abs(candidate.before_m(ends)).max() < settings.missed.in_line_m]
         known = [np.sort(candidate.place_m(ends)) / CELL_M for ends in in_line]
-        begins = any(low < 0 and abs(high) <= gap for low, high in known)
-        ends = any(high > len(solid) and abs(low - len(solid)) <= gap for low, high in known)
-        columns = self._columns.select(self._faces.columns(w))
-        sill, opened = self._shows_sill(w)
+        known_before = any(low < 0 and abs(high) <= gap for low, high in known)
+        known_behind = any(high > len(solid) and abs(low - len(solid)) <= gap for low, high in known)
+        columns = self._columns.select(own)
+        sill, opened = self._shows_sill(self._faces.cells.counts[own])
         shown = sill | (columns.crown_on > columns.crown_passed)
+        jamb = long_runs(solid, cells_in(settings.missed.jamb_m), 0)
         between = np.zeros(len(solid), bool)
         for first, after in runs(~solid):
             part = slice(first, after)
-            # Columns are told with those beside them: of two that seem to be wall each may have it from its neighbour alone.
-            before, behind = solid[max(first - 3, 0) : first], solid[after : after + 3]
-            has_jambs = (before.sum() == 3 if first > 0 else begins) and (behind.sum() == 3 if after < len(solid) else ends)
-            has_jambs &= after - first >= cells_in(self._settings.missed.window_min_m)
-            is_door = long_runs(opened[part], cells_in(self._settings.building.door_width_min_m), bridge=2).any()
-            between[part] = has_jambs and sill[part].any() and not is_door and np.mean(shown[part]) > 0.5
+            has_jambs = (jamb[first - 1] if first > 0 else known_before) and (jamb[after] if after < len(solid) else known_behind)
+            is_wide = after - first >= cells_in(settings.missed.window_min_m)
+            is_door = long_runs(opened[part], cells_in(settings.building.door_width_min_m), bridge=2).any()
+            has_sill = sill[part].any() and np.mean(shown[part]) > 0.5
+            between[part] = has_jambs and is_wide and has_sill and not is_door
         return between
 
-    def _shows_sill(self, w: int) -> tuple[BoolArray, BoolArray]:
-        """(c,) each: at which columns of a candidate rays end on the lowest that is seen of it below sills, and where they pass."""
+    def _shows_sill(self, counts: FloatArray) -> tuple[BoolArray, BoolArray]:
+        """(c,) each: at which columns (c, rows, 4) rays end on the lowest that is seen of them below sills, and where they pass."""
         settings = self._settings.standing
-        counts = with_neighbours(self._faces.cells.counts[self._faces.columns(w)].astype(np.float64))
-        on, passed = on_and_passed(counts[:, FOOT_ROW : cells_in(self._settings.building.knee_m)])
+        low = slice(FOOT_ROW, cells_in(self._settings.building.knee_m))
+        on, passed = on_and_passed(with_neighbours(counts[:, low].astype(np.float64)))
         seen = on + passed > 0
         lowest = seen & (seen.cumsum(axis=1) <= cells_in(self._settings.missed.sill_m))
         on, passed = (on * lowest).sum(axis=1), (passed * lowest).sum(axis=1)

@@ -1,5 +1,7 @@
 """Lines in the plan along which returns stand that no known face explains: walls, or panes, that no single scan showed."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ffmap.algorithms.base.labels import Label
@@ -18,8 +20,13 @@ _TRACED_TO_M = 5.0
 def both_sides(lines: list[Line]) -> Walls:
     """The lines as faces: which side each is seen from is not known yet, so both are tried."""
     ends, normal = np.array([e for e, _ in lines]).reshape(-1, 2, 2), np.array([n for _, n in lines]).reshape(-1, 2)
-    sides = np.concatenate([ends, ends[:, ::-1]])
-    return unseen_faces(sides, np.concatenate([normal, -normal]), np.full(len(sides), _TRACED_TO_M))
+    faces = unseen_faces(ends, normal, np.full(len(ends), _TRACED_TO_M))
+    return faces.append(from_behind(faces))
+
+
+def from_behind(faces: Walls) -> Walls:
+    """The same faces, seen from their other side."""
+    return replace(faces, ends=faces.ends[:, ::-1], normal=-faces.normal)
 
 
 def unseen_faces(ends: FloatArray, normal: FloatArray, top_m: FloatArray) -> Walls:

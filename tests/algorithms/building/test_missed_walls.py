@@ -69,6 +69,7 @@ def search(
     window_m: tuple[float, float] | None = None,
     window_y: tuple[float, float] = (0.0, 3.0),
     sill_seen_to_y: float = 3.0,
+    doorway_from_y: float = 3.0,
     from_y: float = 0.5,
     rays: float = 3.0,
     clear_of_glass: float = 1.0,
@@ -76,9 +77,9 @@ def search(
     """What is found; so many rays a cell end on every candidate that lies on x = 3, seen from smaller x, and pass the others.
 
     hip_m: from there to a door's head a few rays pass. unseen_m, seen_m: below and above there no ray comes.
-    window_m, window_y: between these heights, and from where to where, rays pass; below it none comes from `sill_seen_to_y` on.
-    known, refused: faces beside it. from_y: where the face begins. clear_of_glass: the share of all rays that pass no wall close
-    beside a window.
+    window_m, window_y: between these heights, and from where to where, rays pass; below it none comes from `sill_seen_to_y` on,
+    and all pass from `doorway_from_y` on. known, refused: faces beside it. from_y: where the face begins. clear_of_glass: the
+    share of all rays that pass no wall close beside a window.
     """
 
     storey = Storey.of(votes, (), 3)
@@ -103,7 +104,9 @@ def search(
                 pane = counts[own, round(window_m[0] / CELL_M) : round(window_m[1] / CELL_M)]
                 beside = (y < window_y[0]) | (y > window_y[1])
                 pane[~beside] = np.array([0.0, 0.0, 0.0, 3.0])
-                counts[own, : round(window_m[0] / CELL_M)][~beside & (y > sill_seen_to_y)] = 0.0
+                below = counts[own, : round(window_m[0] / CELL_M)]
+                below[~beside & (y > sill_seen_to_y)] = 0.0
+                below[~beside & (y > doorway_from_y)] = np.array([0.0, 0.0, 0.0, 3.0])
             counts[own, : int(unseen_m / CELL_M)] = 0.0
             counts[own, int(seen_m / CELL_M) :] = 0.0
             if on:
@@ -233,9 +236,12 @@ def test_what_hangs_in_a_window_does_not_hide_that_its_wall_goes_on() -> None:
 
 @pytest.mark.parametrize("to_m", [2.2, CEILING_M])
 @pytest.mark.parametrize("sill_m", [0.3, 1.2])
-def test_between_two_stretches_of_wall_a_sill_in_line_makes_one_wall_of_them(sill_m: float, to_m: float) -> None:
-    """However low or high the window: what stands free of walls is not flush with both its neighbours, and a doorway is open."""
-    window: dict[str, Any] = {"window_m": (sill_m, to_m), "window_y": (0.9, 1.6)}
+@pytest.mark.parametrize("window_y", [(0.9, 1.6), (0.75, 1.75)])
+def test_between_two_stretches_of_wall_a_sill_in_line_makes_one_wall_of_them(
+    window_y: tuple[float, float], sill_m: float, to_m: float
+) -> None:
+    """However low, high or wide the window: what stands free of walls is not flush with both its neighbours."""
+    window: dict[str, Any] = {"window_m": (sill_m, to_m), "window_y": window_y}
     np.testing.assert_allclose(np.sort(missed(room(), **window).ends[:, :, 1]), [[0.5, 2.0]], atol=0.1)
 
 
@@ -244,6 +250,13 @@ def test_what_hides_a_sill_does_not_part_its_wall(to_m: float, seen_to_y: float,
     """A lintel over it shows as well that the wall goes on, or half of the sill."""
     ends = missed(room(), window_m=(1.2, to_m), window_y=(0.9, 1.6), sill_seen_to_y=seen_to_y).ends[:, :, 1]
     np.testing.assert_allclose(np.sort(np.sort(ends), axis=0), [[0.5, 2.0]] if is_one else [[0.5, 0.9], [1.6, 2.0]], atol=0.1)
+
+
+def test_a_window_between_known_walls_may_have_less_than_two_returns_in_each_row() -> None:
+    """A scan or two saw its sill and its lintel: they rest on the walls in line with them."""
+    beside = faces(((3, 0), (3, 0.4)), ((3, 2.1), (3, 3)))
+    walls = missed(room(), known=beside, window_m=(1.2, 2.2), rays=0.045)
+    np.testing.assert_allclose(np.sort(walls.ends[:, :, 1]), [[0.5, 2.0]], atol=0.1)
 
 
 def test_a_slit_between_two_things_is_no_window() -> None:
@@ -260,6 +273,15 @@ def test_a_jamb_is_more_than_one_column_wide() -> None:
 def test_between_two_stretches_of_wall_a_doorway_stays_one() -> None:
     doorway = missed(room(), window_m=(0.0, 2.1), window_y=(0.9, 1.6)).ends[:, :, 1]
     np.testing.assert_allclose(np.sort(np.sort(doorway), axis=0), [[0.5, 0.9], [1.6, 2.0]], atol=0.1)
+    # With a window beside it, and a lintel over both.
+    doorway = missed(room(), window_m=(1.0, 2.1), window_y=(0.75, 1.7), doorway_from_y=1.0).ends[:, :, 1]
+    np.testing.assert_allclose(np.sort(np.sort(doorway), axis=0), [[0.5, 0.75], [1.7, 2.0]], atol=0.1)
+
+
+def test_of_what_nothing_low_is_seen_no_sill_is_known() -> None:
+    """A blind behind its wall's face shows above the spandrel alone, which hides what stands below it."""
+    ends = missed(room(), unseen_m=1.2, window_m=(1.2, 2.2), window_y=(0.9, 1.6)).ends[:, :, 1]
+    np.testing.assert_allclose(np.sort(np.sort(ends), axis=0), [[0.5, 0.9], [1.6, 2.0]], atol=0.1)
 
 
 def test_what_rays_pass_over_all_along_is_furniture_and_what_hangs_above_it() -> None:
