@@ -1,4 +1,4 @@
-"""Closed doors that are flush with their wall, by the casing around them.
+"""Closed doors, flush with their wall or narrow and deep in it, by the casing around them.
 
 Half of all doors look so from one side: their leaf shows no recess. What shows is the casing, which stands out of the wall by a
 centimetre: of all that hangs on walls or is framed there, a door's casing alone runs from the floor up one side, over the top, and
@@ -26,18 +26,21 @@ class DoorCasingsSettings(StepSettings):
     """Telling flush doors by their casings."""
 
     relief_min_m: float = Field(
-        0.008, gt=0, description="Minimum distance (m) of a casing before the wall beside it; flatter ones do not show."
+        0.004, gt=0, description="Minimum distance (m) of a casing before the wall beside it; flatter ones do not show."
     )
-    relief_max_m: float = Field(0.05, gt=0, description="Maximum distance (m) of a casing before the wall beside it.")
+    relief_max_m: float = Field(
+        0.04, gt=0, description="Maximum distance (m) of a casing before the wall beside it; a shelf's side stands out farther."
+    )
     beside_m: float = Field(0.4, gt=0, description="Width (m) on each side of what a casing stands out from.")
     known_min: float = Field(
         0.6, gt=0, le=1, description="Minimum share of a casing's height that was seen, and of the leaf."
     )
     proud_min: float = Field(0.75, gt=0, le=1, description="Minimum share of its cells that stand out.")
-    spread_max: float = Field(
+    covered_min: float = Field(
         0.5,
         gt=0,
-        description="Maximum spread of their depths beyond that of the wall, as a share of the relief; edges of boards have more.",
+        le=1,
+        description="Minimum share of a column of cells that a casing covers: one as wide as a column covers half of one of two.",
     )
     flush_max: float = Field(
         0.4, gt=0, lt=1, description="Maximum relief beside a casing and above it, as a share of its own."
@@ -68,7 +71,8 @@ def find_cased_doors(
 ) -> Doors:
     """The closed, flush doors of all faces that a casing shows, those with the clearest casing first.
 
-    Their leaf lies in the wall's face (`depth_m` 0). A door whose casing shows in both faces of its wall is there twice.
+    Their leaf lies in the wall's face (`depth_m` 0), or as far behind as what returns from within the casing. A door whose casing
+    shows in both faces of its wall is there twice.
     """
     doors = NO_DOORS
     for w in range(len(walls)):
@@ -77,8 +81,16 @@ def find_cased_doors(
         for casing in _casings(counts, building, settings):
             opening = casing.first_m / CELL_M, casing.last_m / CELL_M
             door = flush_door(face, w, opening, 0, casing.head_m, counts, settings.known_min)
-            doors = doors.append(replace(door, casing_m=np.array([casing.relief_m])))
+            leaf_m = _leaf_behind_m(counts, opening, casing.head_m, building)
+            doors = doors.append(replace(door, depth_m=np.array([leaf_m]), casing_m=np.array([casing.relief_m])))
     return doors.select(np.argsort(-doors.casing_m, kind="stable"))
+
+
+def _leaf_behind_m(counts: FloatArray, opening: tuple[float, float], head_m: float, building: BuildingSettings) -> float:
+    """How far behind the face a leaf lies, by what returns from an opening without the columns at its jambs; 0 of a flush one."""
+    first, last = round(opening[0]) + 1, round(opening[1]) - 1
+    behind_m = -float(depth_moments(counts[first:last, FOOT_ROW : int(head_m / CELL_M)].sum(axis=(0, 1)))[0])
+    return behind_m if behind_m > building.recess_min_m else 0.0
 
 
 def flush_door(
@@ -192,10 +204,12 @@ def _strips(
         beyond_noise_m = np.sqrt(np.maximum(column_spread_m**2 - np.nanmedian(column_spread_m) ** 2, 0.0))
     # What ends lower is the frame of something else, what goes on above a pillar or a pipe.
     ends = (top_m > settings.flush_max * relief_m) & ~(above_m > settings.flush_max * relief_m)
-    stands = (relief_m > settings.relief_min_m) & (relief_m < settings.relief_max_m) & (proud > settings.proud_min)
-    # A casing is a sheet before the wall. A board that stands on the wall on its edge, a shelf's side, begins at the wall and has
-    # returns at all depths: evenly from 0 to twice the mean, they spread by 0.58 of it.
-    sheet = beyond_noise_m < settings.spread_max * relief_m
+    stands = (relief_m > settings.relief_min_m) & (proud > settings.proud_min)
+    # A casing is a sheet before the wall: where it covers a share p of a column, at a depth d, the returns' mean is p d and their
+    # variance p (1 - p) d². A board that stands on the wall on its edge, a shelf's side, has returns at all depths.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sheet_m = relief_m + beyond_noise_m**2 / relief_m
+    sheet = (sheet_m < settings.relief_max_m) & (relief_m > settings.covered_min * sheet_m)
     return relief_m, stands & ends & sheet & (seen.mean(axis=1) > settings.known_min)
 
 
