@@ -44,6 +44,11 @@ class FaceColumnsSettings(StepSettings):
         gt=0,
         description="Height (m) of the highest part of a face that rays reach: no window, cupboard or leaf has it.",
     )
+    top_m: float = Field(
+        0.1,
+        gt=0,
+        description="Height (m) of the uppermost that rays reach of a column: where they pass that, what stands there ends below.",
+    )
     row_rays_min: int = Field(3, ge=1, description="Minimum number of rays that pass an open row of a column.")
     row_open_ratio: float = Field(
         10.0, gt=0, description="Minimum rays that pass an open row for each that ends there."
@@ -173,9 +178,10 @@ class TracedFaces:
 class Columns(Rows):
     """How many rays end on each column (c,) of the faces, and how many pass it, counted with the columns beside it.
 
-    upper: above doors. crown: on the highest rows that rays reach, whatever hangs below the ceiling. lower: between the foot and
-    doors' heads. sill: between the foot and windows' sills. upper_open_rows: how many rows above doors almost all rays pass.
-    lower_open_rows: how many rows between sills and doors' heads most rays pass.
+    upper: above doors. crown: on the highest rows that rays reach, whatever hangs below the ceiling. open_top: whether most rays
+    pass each of the uppermost. lower: between the foot and doors' heads. sill: between the foot and windows' sills.
+    upper_open_rows: how many rows above doors almost all rays pass. lower_open_rows: how many rows between sills and doors' heads
+    most rays pass.
     """
 
     upper_on: FloatArray
@@ -183,6 +189,7 @@ class Columns(Rows):
     upper_open_rows: IntArray
     crown_on: FloatArray
     crown_passed: FloatArray
+    open_top: BoolArray
     lower_on: FloatArray
     lower_passed: FloatArray
     lower_open_rows: IntArray
@@ -213,7 +220,8 @@ def count_columns(
     above_sill = lower & ~sill
     middle_on, middle_passed = _with_neighbours(on[:, above_sill], cells), _with_neighbours(passed[:, above_sill], cells)
     reached = upper_on + upper_passed >= settings.row_rays_min
-    crown = reached & (reached[:, ::-1].cumsum(axis=1)[:, ::-1] <= cells_in(settings.crown_m))
+    below_top = reached[:, ::-1].cumsum(axis=1)[:, ::-1]
+    crown, top_rows = (reached & (below_top <= cells_in(high_m)) for high_m in (settings.crown_m, settings.top_m))
     is_open = (upper_passed >= settings.row_rays_min) & (upper_passed > settings.row_open_ratio * upper_on)
     return Columns(
         upper_on.sum(axis=1),
@@ -221,6 +229,7 @@ def count_columns(
         np.count_nonzero(is_open, axis=1),
         (upper_on * crown).sum(axis=1),
         (upper_passed * crown).sum(axis=1),
+        np.count_nonzero(top_rows & (upper_passed > upper_on), axis=1) >= cells_in(settings.top_m),
         _with_neighbours(on[:, lower].sum(axis=1), cells),
         _with_neighbours(passed[:, lower].sum(axis=1), cells),
         np.count_nonzero((middle_passed >= settings.row_rays_min) & (middle_passed > middle_on), axis=1),

@@ -221,13 +221,15 @@ class _ColumnFlags(Rows):
         cls, faces: TracedFaces, columns: Columns, path_map: FloatArray, rays_min: int, settings: StandingWallsSettings
     ) -> "_ColumnFlags":
         upper_passed, lower_on, lower_passed = columns.upper_passed, columns.lower_on, columns.lower_passed
-        ends_low = (upper_passed >= 4) & (upper_passed > settings.passed_ratio * columns.upper_on)
+        has_foot = (lower_on >= rays_min) & (lower_on > lower_passed)
+        # What stands, and no wall does, leaves a gap below the ceiling, be it a small part of what is seen above doors.
+        ends_low = columns.open_top & has_foot
+        ends_low |= (upper_passed >= 4) & (upper_passed > settings.passed_ratio * columns.upper_on)
         # Something may hang above it.
         ends_low |= columns.upper_open_rows >= cells_in(settings.open_above_m)
         hollow = (lower_passed >= rays_min) & (lower_passed > settings.hollow_ratio * lower_on)
         # In low rooms doorways reach up to where walls are judged; what ends low stands below.
         ends_low &= ~(hollow & (above_doors_m(faces.clear_m, settings.above_door_m) < settings.above_door_m))
-        has_foot = (lower_on >= rays_min) & (lower_on > lower_passed)
         return cls(ends_low, hollow, has_foot, faces.visited(path_map, settings.robot_m))
 
 

@@ -85,6 +85,22 @@ def test_a_cupboard_below_a_duct_is_no_wall():
     assert judge(wall) == ([[0.0, 1.0]], [])
 
 
+def test_what_leaves_a_gap_below_the_ceiling_is_no_wall():
+    """A wardrobe in a low room: rays pass its uppermost 10 cm alone, far less than end on it above doors."""
+    assert judge(cells_of(1.5)) == ([[0.0, 1.5]], [])
+    wardrobe = cells_of(1.5)
+    pass_rays(wardrobe, slice(None), CEILING_M - 0.2, CEILING_M)
+    assert judge(wardrobe) == ([], [FaceVerdict.ENDS_LOW])
+
+
+def test_a_fanlight_is_no_gap_above_furniture():
+    """What rays pass from the floor up has nothing that could end low."""
+    doorway = cells_of(2.0)
+    pass_rays(doorway, slice(6, 34), 0.1, 2.05)
+    pass_rays(doorway, slice(6, 34), CEILING_M - 0.2, CEILING_M)
+    assert judge(doorway) == ([[0.0, 2.0]], [])
+
+
 def test_a_face_without_room_before_it_is_outside():
     both = faces(((0, 0), (4, 0)), ((0, 9), (4, 9)))
     judged = JudgedFaces(both, NO_WALLS, np.zeros(0, np.uint8))
