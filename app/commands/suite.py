@@ -85,7 +85,7 @@ DRAWN_CASES: dict[str, Simulation] = {
     "institution, empty": {"building": "institution", "speed_mps": 0.9, "clutter": 0.15},
 }
 """Kinds of buildings that are drawn from ranges: no rule was made for them, and no threshold may be set on them."""
-DRAWN_SEEDS = (7301,)
+DRAWN_SEEDS = (7401,)
 SUITES = ("named", "drawn")
 """The first is that of `CASES`."""
 LONG_CASES: dict[str, Simulation] = {"office, 150 s": {"building": "office"}, "ell, 150 s": {"building": "ell"}}
