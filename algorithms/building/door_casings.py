@@ -1,8 +1,8 @@
-"""Closed doors, flush with their wall or narrow and deep in it, by the casing around them.
+"""Closed doors by the casing around them: those that are flush with their wall, and those whose recess does not show.
 
-Half of all doors look so from one side: their leaf shows no recess. What shows is the casing, which stands out of the wall by a
-centimetre: of all that hangs on walls or is framed there, a door's casing alone runs from the floor up one side, over the top, and
-down the other.
+Half of all doors are flush on one side, and the reveals of a narrow one deep in its wall hide how far back its leaf lies. What
+shows is the casing, which stands out of the wall by a centimetre: of all that hangs on walls or is framed there, a door's casing
+alone runs from the floor up one side, over the top, and down the other.
 """
 
 import warnings
@@ -23,7 +23,7 @@ from ffmap.algorithms.scan.doors import DoorState
 
 
 class DoorCasingsSettings(StepSettings):
-    """Telling flush doors by their casings."""
+    """Telling closed doors by their casings."""
 
     relief_min_m: float = Field(
         0.004, gt=0, description="Minimum distance (m) of a casing before the wall beside it; flatter ones do not show."
@@ -69,10 +69,10 @@ class _Casing(NamedTuple):
 def find_cased_doors(
     walls: Walls, cells: WallCells, building: BuildingSettings, settings: DoorCasingsSettings
 ) -> Doors:
-    """The closed, flush doors of all faces that a casing shows, those with the clearest casing first.
+    """The closed doors of all faces that a casing shows, those with the clearest casing first.
 
-    Their leaf lies in the wall's face (`depth_m` 0), or as far behind as what returns from within the casing. A door whose casing
-    shows in both faces of its wall is there twice.
+    Their leaf lies in the wall's face (`depth_m` 0), or as far behind as what returns from within the casing does. A door whose
+    casing shows in both faces of its wall is there twice.
     """
     doors = NO_DOORS
     for w in range(len(walls)):

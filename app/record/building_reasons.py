@@ -15,7 +15,8 @@ _DOORS = """\
 ## Doors
 
 A door has wall above it; below, a ray either goes on (open) or ends on a leaf that is recessed down to the floor (closed).
-A closed leaf that is flush shows by its casing or its finish, one of glass by its pane, which most rays pass.
+A closed leaf that is flush, or whose recess does not show, shows by its casing or its finish, one of glass by its pane, which most
+rays pass.
 Confidence = share of its rays that agree × share of its columns (5 cm) that are decided so by themselves, or that an open
 door's leaf covers; a door that the robot drove through is open for sure.
 
@@ -61,15 +62,16 @@ def _door(doors: Doors, d: int) -> tuple[str, ...]:
     held = [f"{doors.agreement[d]:.0%} of {doors.ray_count[d]:,} rays in {doors.coverage[d]:.0%} of its columns"]
     if doors.crossed[d]:
         held.insert(0, "the robot drove through")
+    if state == DoorState.CLOSED:
+        flush = doors.depth_m[d] == 0.0
+        held.append("leaf flush with the wall" if flush else f"leaf {100 * doors.depth_m[d]:.1f} cm behind the wall")
     if np.isfinite(doors.contrast[d]):
         than = "more" if doors.contrast[d] > 0 else "less"
-        held.append(f"leaf flush, returns {100 * abs(doors.contrast[d]):.0f} % {than} than the wall")
+        held.append(f"leaf returns {100 * abs(doors.contrast[d]):.0f} % {than} than the wall")
     if np.isfinite(doors.casing_m[d]):
-        held.append(f"leaf flush, casing {1000 * doors.casing_m[d]:.0f} mm before the wall")
-    elif doors.glazed[d]:
+        held.append(f"casing {1000 * doors.casing_m[d]:.0f} mm before the wall")
+    if doors.glazed[d]:
         held.append("leaf of glass, with wall on both sides and above")
-    elif state == DoorState.CLOSED:
-        held.append(f"leaf {100 * doors.depth_m[d]:.1f} cm behind the wall")
     if doors.ajar[d]:
         held.append("its leaf stands aslant")
     held.append(f"head at {doors.head_m[d]:.2f} m, wall seen above {doors.lintel[d]:.0%} of it")

@@ -126,10 +126,23 @@ def test_boards_that_stand_on_the_wall_on_their_edge_are_no_casing() -> None:
     assert len(find(*shelf, relief_m=mean_m, spread=np.sqrt(square_m2 - mean_m**2) / mean_m)) == 0
 
 
+@pytest.mark.parametrize(
+    ("relief_m", "spread"),
+    [
+        (0.035, 1 / np.sqrt(3)),  # a board as wide as a column, 7 cm deep: deeper than a casing
+        (0.012, 1.2),  # a rod, which covers less of its columns than a casing does
+    ],
+)
+def test_what_is_too_deep_or_too_narrow_is_no_casing(relief_m: float, spread: float) -> None:
+    strips = frame(1.5, 2.4, 0.0, 2.0)
+    assert len(find(*strips, relief_m=relief_m)) == 1
+    assert len(find(*strips, relief_m=relief_m, spread=spread)) == 0
+
+
 def test_a_leaf_within_a_casing_lies_where_rays_end() -> None:
     """At the other face of a thick wall, as often in old buildings: of a narrow door the reveals hide how wide it is."""
-    opening = (1.5, 2.4, 0.0, 2.0)
-    doors = find(*frame(*opening), recess=opening, recess_m=0.25)
+    opening, leaf = (1.5, 2.4, 0.0, 2.0), (1.55, 2.35, 0.0, 2.0)
+    doors = find(*frame(*opening), recess=leaf, recess_m=0.25)
     np.testing.assert_allclose(doors.depth_m, [0.25], atol=0.01)
     assert find(*frame(*opening)).depth_m == [0.0]
 

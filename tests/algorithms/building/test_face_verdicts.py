@@ -91,6 +91,14 @@ def test_what_leaves_a_gap_below_the_ceiling_is_no_wall():
     wardrobe = cells_of(1.5)
     pass_rays(wardrobe, slice(None), CEILING_M - 0.2, CEILING_M)
     assert judge(wardrobe) == ([], [FaceVerdict.ENDS_LOW])
+    wardrobe.counts[:, :, FILLED] = np.maximum(wardrobe.counts[:, :, FILLED], 8.0)  # things on its top
+    assert judge(wardrobe) == ([], [FaceVerdict.ENDS_LOW])
+
+
+def test_a_gap_of_one_row_may_be_the_ceilings_scatter() -> None:
+    wall = cells_of(1.5)
+    pass_rays(wall, slice(None), CEILING_M - 0.14, CEILING_M)
+    assert judge(wall) == ([[0.0, 1.5]], [])
 
 
 def test_a_fanlight_is_no_gap_above_furniture():

@@ -96,6 +96,15 @@ def test_the_building_says_why(tmp_path):
     assert "its leaf stands aslant" in explain_building(ajar)
 
 
+def test_a_cased_door_says_where_its_leaf_lies() -> None:
+    """Flush with its wall, or deep in it where the reveals hide its recess."""
+    cased = replace(DOOR, casing_m=np.array([0.006]))
+    deep = explain_building(replace(building(), doors=replace(cased, depth_m=np.array([0.28]))))
+    assert "leaf 28.0 cm behind the wall; casing 6 mm before the wall" in deep
+    flush = explain_building(replace(building(), doors=replace(cased, depth_m=np.zeros(1))))
+    assert "leaf flush with the wall; casing 6 mm before the wall" in flush
+
+
 def test_a_glazed_door_and_a_reflection_say_what_they_are(tmp_path: Path) -> None:
     model = building()
     judged = replace(model.judged, verdict=np.array([FaceVerdict.MIRRORED]))
