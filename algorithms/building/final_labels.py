@@ -26,7 +26,7 @@ from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import JudgedFaces
 from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.label_reasons import SURFACE_REASONS, Reason
-from ffmap.algorithms.building.model import CELL_M, Doors, Walls, Windows
+from ffmap.algorithms.building.model import CELL_M, Blinds, Doors, Walls, Windows
 from ffmap.algorithms.building.votes import Halo
 from ffmap.algorithms.scan.doors import DoorState
 
@@ -160,6 +160,7 @@ class BuildingModel:
     judged: JudgedFaces
     doors: Doors
     windows: Windows
+    blinds: Blinds
     levels: tuple[HeightMap, ...]
 
 
@@ -172,6 +173,8 @@ where the door is open), and how deep the reveals are."""
 BEYOND, FRAME, SILL, WINDOW_HEAD = 7, 8, 9, 10
 """The same of panes: how far behind their face what returns is outside, how deep their reveals are at most, and the heights of
 their sill and head."""
+BEHIND, LOW, HIGH = 7, 8, 9
+"""The same of blinds: how far behind their face they hang, and the heights between which they do."""
 
 
 def _table(faces: Faces, *columns: FloatArray | UInt8Array) -> FloatArray:
@@ -185,9 +188,9 @@ else:  # compiled code takes named tuples
     _Rules = namedtuple("_Rules", RelabellingSettings.model_fields)
 
 
-ON_LEAF, ON_REVEAL, IN_OPENING, IN_DOORWAY = 1, 2, 4, 8
-"""What a return is to the building's doors, as bits: a closed leaf's; a reveal's or a lintel's, hence wall; between the jambs of
-an open door; before, within or behind one, where no wall has a body."""
+ON_LEAF, ON_REVEAL, IN_OPENING, IN_DOORWAY, ON_BLIND = 1, 2, 4, 8, 16
+"""What a return is to the building's doors and windows, as bits: a closed leaf's; a reveal's or a lintel's, hence wall; between
+the jambs of an open door; before, within or behind one, where no wall has a body; a blind's."""
 
 
 @dataclass(frozen=True)
@@ -204,8 +207,8 @@ class Relabelled:
 class Relabelling:
     """A building as the returns of scans are asked about it: tables for compiled code, and what is near each place.
 
-    faces, refused, doorways, panes: a row for each, see `TOP`, `HEAD` and `BEYOND`; with an index of `index_near` each, the
-        faces with one of those that rays meet along an edge, and with one of those that a return may be at.
+    faces, refused, doorways, panes, blinds: a row for each, see `TOP`, `HEAD`, `BEYOND` and `LOW`; with an index of `index_near`
+        each, the faces with one of those that rays meet along an edge, and with one of those that a return may be at.
     before: what is before the faces, by their columns.
     false_floors: what a scan took for floor on a wall, which is to be asked about like anything else there.
     levels: what lies at known heights, asked last; halo: the cubes in which clutter is a surface's scatter, before these.
@@ -215,6 +218,7 @@ class Relabelling:
     refused: tuple[FloatArray, IntArray]
     doorways: tuple[FloatArray, IntArray]
     panes: tuple[FloatArray, IntArray]
+    blinds: tuple[FloatArray, IntArray]
     before: Foreground
     rules: "_Rules"
     false_floors: tuple[HeightMap, ...]
@@ -225,6 +229,7 @@ class Relabelling:
     def of(cls, building: BuildingModel, halo: Halo, settings: RelabellingSettings) -> "Relabelling":
         """By the settings, which say how far each part of the building reaches."""
         walls, refused, doors, windows = building.walls, building.judged.refused, building.doors, building.windows
+        blinds = building.blinds
         leaf_m = np.where(doors.state == DoorState.CLOSED, doors.depth_m, -np.inf)
         beyond_m = np.where(np.isfinite(windows.pane_m), windows.pane_m + settings.pane_m, settings.behind_glass_m)
         # A ray that ends this close to a face or a leaf may cross it so far away, if it comes in as level as is asked about.
@@ -249,6 +254,10 @@ class Relabelling:
             (
                 _table(windows, beyond_m, frame_m, windows.bottom_m, windows.top_m),
                 index_near(windows, pane_m + margin_m),
+            ),
+            (
+                _table(blinds, blinds.behind_m, blinds.bottom_m, blinds.top_m),
+                index_near(blinds, float(blinds.behind_m.max(initial=0.0)) + settings.wall_distance_m),
             ),
             building.before,
             _Rules(**settings.model_dump()),
@@ -277,7 +286,8 @@ class Relabelling:
         lines, along_edges, at_faces = self.faces
         # Every question is asked of all returns at once: asked one by one, what takes most is to hand over the arrays.
         own_m = _own_places(points_map, height_m, below_ceiling_m, label_level, lines, along_edges, self.rules)
-        outside = _outside(points_map, height_m, origin, self.panes[0], self.rules)
+        on_blind = _on_blinds(points_map, height_m, *self.blinds, self.rules)
+        outside = _outside(points_map, height_m, origin, self.panes[0], self.rules) & ~on_blind
         label, asked = _at_edges(
             points_map,
             height_m,
@@ -297,11 +307,12 @@ class Relabelling:
         np.copyto(reason, at_edge, where=label != label_level)
         at_door = _at_doors(points_map, height_m, asked, origin, *self.doorways, self.rules)
         _mark_window_reveals(points_map, height_m, asked, at_door, *self.panes, self.rules)
+        at_door[on_blind] |= ON_BLIND
         before = self.before.first, self.before.clear_m, self.before.covered
         nearest = _nearest_faces(points_map, height_m, asked, origin, lines, at_faces, *before, self.rules)
         refused = _labels_of_refused(points_map, height_m, asked, *self.refused, self.rules)
         decided = np.asarray(_decided(label, asked, at_door, *nearest, refused, self.rules, reason))
-        scattered = self.halo.label_of(points_map, decided)
+        scattered = np.where(on_blind, decided, self.halo.label_of(points_map, decided))
         reason[scattered != decided] = Reason.IN_HALO
         final = _by_levels(self.levels, points_map, scattered, reason)
         reason[final == label_scan] = Reason.KEPT
@@ -400,6 +411,28 @@ def _is_at_frame(
         return False
     at_jamb = u < at_frame_m or u > length - at_frame_m
     return at_jamb or height_m < sill_m + at_frame_m or height_m > head_m - at_frame_m
+
+
+@numba.njit(cache=True, nogil=True)
+def _on_blinds(
+    points: FloatArray, height: FloatArray, blinds: FloatArray, near_blinds: IntArray, rules: _Rules
+) -> BoolArray:  # pragma: no cover
+    """(n,) whether a return lies on a blind, or between it and its wall's face: nothing else is there."""
+    found = np.zeros(len(points), np.bool_)
+    if not len(blinds):
+        return found
+    for i in range(len(points)):
+        x, y, height_m = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(height[i])
+        p = cell_at(near_blinds, x, y)
+        for k in range(near_blinds[p], near_blinds[p + 1]):
+            b = near_blinds[k]
+            if (
+                blinds[b, LOW] < height_m < blinds[b, HIGH]
+                and -blinds[b, BEHIND] - rules.wall_distance_m < before_line(blinds, b, x, y) < rules.wall_distance_m
+                and 0.0 < along_line(blinds, b, x, y) < blinds[b, LENGTH]
+            ):
+                found[i] = True
+    return found
 
 
 @numba.njit(cache=True, nogil=True)
@@ -686,6 +719,8 @@ def _decided(
         why = Reason.KEPT
         if at_door[i] & ON_LEAF:
             final[i], why = Label.DOOR, Reason.ON_LEAF
+        elif at_door[i] & ON_BLIND:
+            final[i], why = Label.CLUTTER, Reason.ON_BLIND
         elif not on_reveal and (at_door[i] & IN_OPENING or is_covered[i]):
             # A face goes on over its doors, but no wall stands in an open one.
             final[i], why = Label.CLUTTER, Reason.IN_OPENING if at_door[i] & IN_OPENING else Reason.AGAINST_WALL

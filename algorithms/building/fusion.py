@@ -10,6 +10,7 @@ from functools import partial
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengthened
+from ffmap.algorithms.building.blinds import BlindsSettings, find_blinds
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings, find_cased_doors
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings, find_contrasting_doors
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
@@ -46,7 +47,7 @@ from ffmap.algorithms.building.glazed_doors import find_glazed_doors
 from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.missed_walls import AllReturns, MissedWallsSettings, SearchSettings, find_missed_walls
-from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings, Doors, Walls, Windows
+from ffmap.algorithms.building.model import NO_WINDOWS, Blinds, BuildingSettings, Doors, Walls, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
@@ -68,6 +69,7 @@ class FusionSettings:
     before_walls: ForegroundSettings
     openings: OpeningsSettings
     windows: WindowsSettings
+    blinds: BlindsSettings
     glass_fronts: GlassFrontsSettings
     door_casings: DoorCasingsSettings
     door_contrasts: DoorContrastsSettings
@@ -101,6 +103,7 @@ class Building:
     judged: JudgedFaces
     doors: Doors
     windows: Windows
+    blinds: Blinds
     halo: Halo
     levels: tuple[HeightMap, ...]
     thickness_m: FloatArray
@@ -108,14 +111,14 @@ class Building:
     @property
     def model(self) -> BuildingModel:
         """What scans are labelled by."""
-        return BuildingModel(self.walls, self.before, self.judged, self.doors, self.windows, self.levels)
+        return BuildingModel(self.walls, self.before, self.judged, self.doors, self.windows, self.blinds, self.levels)
 
 
 def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     """Walls from all planes, doors and windows from all rays. Raises ValueError where there is no scan."""
     aligned, judged, windows, fronts = _find_faces(scans, settings)
     aligned, judged, walls = _add_missed_walls(aligned, judged, windows.append(fronts), scans, settings)
-    trimmed, doors, windows = _find_openings(walls, fronts, scans, settings)
+    trimmed, doors, windows, blinds = _find_openings(walls, fronts, scans, settings)
     walls, judged = trimmed.faces.walls, judged.refuse(trimmed.leaves, FaceVerdict.ENDS_LOW)
     judged = find_steps(judged, scans.storey, settings.standing_walls)
     before = find_foreground(trimmed.faces, settings.standing_walls.above_door_m, settings.before_walls)
@@ -123,7 +126,7 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     halo = find_halo(scans.votes, settings.relabelling.halo_ratio)
     near_m = settings.relabelling.halo_wall_m
     halo = halo_at_walls(halo, walls, doors, before, scans.storey, near_m, settings.before_walls)
-    return Building(aligned, walls, before, judged, doors, windows, halo, scans.levels, thickness_m)
+    return Building(aligned, walls, before, judged, doors, windows, blinds, halo, scans.levels, thickness_m)
 
 
 # --- faces ---
@@ -211,8 +214,8 @@ def _find_glass_fronts(judged: JudgedFaces, windows: Windows, scans: AllScans, s
 
 def _find_openings(
     walls: Walls, fronts: Windows, scans: AllScans, settings: FusionSettings
-) -> tuple[TrimmedFaces, Doors, Windows]:
-    """Doors and windows, and the walls' faces as the doors' reveals end them."""
+) -> tuple[TrimmedFaces, Doors, Windows, Blinds]:
+    """Doors, windows and what hangs in these, and the walls' faces as the doors' reveals end them."""
     faces = _traced(walls, scans, settings)
     cells, clear_m = faces.cells, faces.clear_m
     windows = _windows_in(faces, settings)
@@ -234,7 +237,8 @@ def _find_openings(
     parts = part_walls(walls, settings.wall_thickness)
     depth_m = door_depths(doors, walls, parts, settings.wall_thickness, settings.building.reveal_m)
     doors = replace(doors, reveal_m=depth_m)
-    return trim_at_doorways(faces, doors, settings.standing_walls), doors, windows
+    blinds = find_blinds(windows, walls, cells, settings.building, settings.blinds)
+    return trim_at_doorways(faces, doors, settings.standing_walls), doors, windows, blinds
 
 
 # --- what several steps ask for ---

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.base.segments import Segment, segments
+from ffmap.algorithms.base.segments import Segment
 from ffmap.algorithms.building.door_casings import flush_door
 from ffmap.algorithms.building.face_columns import TracedFaces, on_and_passed
-from ffmap.algorithms.building.face_verdicts import SAME_WAY
-from ffmap.algorithms.building.model import CELL_M, NO_DOORS, ON_FACE_M, Doors, Walls, Windows, cells_in
+from ffmap.algorithms.building.model import CELL_M, NO_DOORS, ON_FACE_M, Doors, Windows, cells_in
 from ffmap.algorithms.building.openings import OpeningRules, lies_on_sheet, tops_m, widened
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM
+from ffmap.algorithms.building.windows import wall_of
 
 
 def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules) -> Doors:
@@ -25,13 +25,12 @@ def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules)
     may_be &= (windows.top_m >= building.door_height_min_m - openings.rail_max_m) & np.isfinite(windows.pane_m)
     doors = NO_DOORS
     for k in np.flatnonzero(may_be):
-        w = _wall_of(windows, int(k), faces.walls)
+        w, first, after = wall_of(windows, int(k), faces.walls)
         if w < 0:
             continue
         face, own = Segment.between(faces.walls.ends[w], faces.walls.normal[w]), faces.columns(w)
         counts = faces.cells.counts[own].astype(np.float64)
-        place = np.sort(face.place_m(windows.ends[k])) / CELL_M
-        first, last = _with_stiles(counts, max(round(place[0]), 0), min(round(place[1]), len(counts)) - 1, rules)
+        first, last = _with_stiles(counts, first, after - 1, rules)
         if not building.door_width_min_m <= (last + 1 - first) * CELL_M <= building.door_width_max_m:
             continue
         head_m = float(windows.top_m[k]) + 0.5 * openings.rail_max_m
@@ -46,17 +45,6 @@ def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules)
             replace(door, depth_m=depth, agreement=agreement, confidence=agreement * door.coverage, glazed=np.ones(1, bool))
         )
     return doors
-
-
-def _wall_of(windows: Windows, k: int, walls: Walls) -> int:
-    """The wall in whose face a window lies; -1 where none has most of it."""
-    best_m, found = 0.5 * float(np.linalg.norm(windows.ends[k, 1] - windows.ends[k, 0])), -1
-    for w, face in enumerate(segments(walls)):
-        if face.normal @ windows.normal[k] > SAME_WAY and np.abs(face.before_m(windows.ends[k])).max() < ON_FACE_M:
-            shared_m = face.shared_m(windows.ends[k])
-            if shared_m > best_m:
-                best_m, found = shared_m, w
-    return found
 
 
 def _with_stiles(counts: FloatArray, first: int, last: int, rules: OpeningRules) -> tuple[int, int]:

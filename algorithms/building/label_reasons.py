@@ -21,6 +21,7 @@ class Reason(IntEnum):
     IN_WALL = 10
     NO_FACE = 11
     IN_HALO = 12
+    ON_BLIND = 13
 
 
 SURFACE_REASONS = {surface: len(Reason) + place for place, surface in enumerate(Surface)}
@@ -53,6 +54,7 @@ REASONS: dict[int, str] = {
     Reason.IN_WALL: "it lies within a wall, behind the face that the sensor sees: scatter",
     Reason.NO_FACE: "no wall's face is near",
     Reason.IN_HALO: "the surface beside it has many times as many returns there: scatter",
+    Reason.ON_BLIND: "it lies on what hangs in a window",
     **{SURFACE_REASONS[surface]: words for surface, words in _SURFACE_WORDS.items()},
 }
 """Each code in words, as the end of a sentence that begins with because."""

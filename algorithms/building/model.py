@@ -139,6 +139,27 @@ NO_WINDOWS = Windows(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zero
 
 
 @dataclass(frozen=True)
+class Blinds(Rows):
+    """What hangs in windows and closes their upper part.
+
+    ends: (B, 2, 2) x and y, on the wall's face. normal: (B, 2) towards the room.
+    bottom_m, top_m: (B,) heights above the floor between which it hangs.
+    behind_m: (B,) how far behind the wall's face; 0 where it is flush.
+    contrast: (B,) by which share of the wall's intensity its own differs; NaN where unknown.
+    """
+
+    ends: FloatArray
+    normal: FloatArray
+    bottom_m: FloatArray
+    top_m: FloatArray
+    behind_m: FloatArray
+    contrast: FloatArray
+
+
+NO_BLINDS = Blinds(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True)
 class Doors(Rows):
     """Doors in the map.
 

@@ -10,7 +10,8 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import LENGTH, Segment, before_line, crossing, lines_of, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import long_runs
-from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, Walls, Windows, cells_in, stretches
+from ffmap.algorithms.building.face_verdicts import SAME_WAY
+from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, ON_FACE_M, Walls, Windows, cells_in, stretches
 from ffmap.algorithms.building.openings import (
     OpeningRules,
     find_sheet,
@@ -170,6 +171,19 @@ def in_walls(windows: Windows, walls: Walls, settings: WindowsSettings) -> Windo
         beside = [is_beside(wall, *own, settings.one_wall_m) for own in zip(windows.ends, windows.normal, strict=True)]
         kept |= np.array(beside, bool)
     return windows.select(kept)
+
+
+def wall_of(windows: Windows, k: int, walls: Walls) -> tuple[int, int, int]:
+    """The wall in whose face most of a window lies, -1 where none has, its first column there and the one after the last."""
+    best_m, found = 0.5 * float(np.linalg.norm(windows.ends[k, 1] - windows.ends[k, 0])), (-1, 0, 0)
+    for w, face in enumerate(segments(walls)):
+        if face.normal @ windows.normal[k] > SAME_WAY and np.abs(face.before_m(windows.ends[k])).max() < ON_FACE_M:
+            shared_m = face.shared_m(windows.ends[k])
+            if shared_m > best_m:
+                low, high = np.sort(face.place_m(windows.ends[k])) / CELL_M
+                columns = int(np.ceil(face.length_m / CELL_M))
+                best_m, found = shared_m, (w, max(round(low), 0), min(round(high), columns))
+    return found
 
 
 def is_beside(face: Segment, ends: FloatArray, normal: FloatArray, one_wall_m: float) -> bool:

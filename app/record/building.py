@@ -14,7 +14,7 @@ from ffmap.algorithms.building.face_foreground import covered_places
 from ffmap.algorithms.building.face_verdicts import JudgedFaces
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.height_map import HeightMap
-from ffmap.algorithms.building.model import CELL_M, Doors, Windows
+from ffmap.algorithms.building.model import CELL_M, Blinds, Doors, Windows
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.app.record.building_reasons import explain_building
@@ -51,14 +51,14 @@ def log_building(log: Log, building: BuildingModel) -> None:
     _log_walls(log, building)
     _log_refused(log, building.judged)
     _log_doors(log, building.doors)
-    _log_windows(log, building.windows)
+    _log_windows(log, building.windows, building.blinds)
     _log_levels(log, building.levels)
     log.text(entities.BUILDING_REASONS, explain_building(building))
 
 
 def _log_walls(log: Log, building: BuildingModel) -> None:
     walls, before = building.walls, building.before
-    panels = wall_panels(walls, building.doors, building.windows)
+    panels = wall_panels(walls, building.doors, building.windows, building.blinds)
     if len(walls):
         log.static(
             entities.WALLS,
@@ -111,11 +111,18 @@ def _log_doors(log: Log, doors: Doors) -> None:
         log.static(entities.DOOR_LEAVES, panel_mesh(closed.ends, np.zeros(len(closed)), closed.head_m, color))
 
 
-def _log_windows(log: Log, windows: Windows) -> None:
+def _log_windows(log: Log, windows: Windows, blinds: Blinds) -> None:
     if len(windows):
         frames = upright_frames(windows.ends, windows.bottom_m, windows.top_m)
         color, labels = entities.CLASSES[Label.OUTSIDE][1], ["window"] * len(windows)
         log.static(entities.WINDOWS, strips(frames, color, 1.5, labels, show_labels=False))
+    if len(blinds):
+        hung = blinds.ends - (blinds.behind_m[:, None] * blinds.normal)[:, None]
+        log.static(
+            entities.BLINDS,
+            panel_mesh(hung, blinds.bottom_m, blinds.top_m, entities.CLASSES[Label.CLUTTER][1]),
+            evidence(blinds, "behind_m", "contrast"),
+        )
 
 
 def _log_levels(log: Log, levels: Sequence[HeightMap]) -> None:

@@ -6,7 +6,7 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.height_map import HeightMap, Surface
-from ffmap.algorithms.building.model import CELL_M, Doors, Windows
+from ffmap.algorithms.building.model import CELL_M, Blinds, Doors, Windows
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.app.record.shapes import table
 from ffmap.blueprints import entities
@@ -26,6 +26,13 @@ _AGAINST = """
 
 {area_m2:.1f} m² of wall faces are covered: there the mean of all scans' returns lies before the wall above, from the floor up
 but not to the ceiling. That is clutter, though single scans take it for the wall.
+"""
+_BLINDS = """
+## What hangs in windows
+
+A lintel lies in its wall's face, and returns as much of a beam. What closes the upper part of a window, higher than a frame is
+wide, and lies farther back, or returns more or less, is a blind or a shutter: clutter.
+
 """
 
 
@@ -50,6 +57,9 @@ def explain_building(building: BuildingModel) -> str:
         headings_of_windows = "at x, y (m)", "width", "from – to height", "pane"
         panes = [_window(windows, w) for w in range(len(windows))]
         parts.append("\n## Windows\n\n" + table(headings_of_windows, panes))
+    if len(blinds := building.blinds):
+        hung = [_blind(blinds, b) for b in range(len(blinds))]
+        parts.append(_BLINDS + table(("at x, y (m)", "width", "from – to height", "what held"), hung))
     if building.levels:
         told = "\n## Level surfaces\n\nTold from all scans, where single ones took them for something else.\n\n"
         surfaces = [_level(level) for level in building.levels]
@@ -85,6 +95,15 @@ def _window(windows: Windows, w: int) -> tuple[str, ...]:
     pane = f"{100 * pane_m:.0f} cm behind the face" if np.isfinite(pane_m) else "returned nothing"
     heights = f"{windows.bottom_m[w]:.2f} – {windows.top_m[w]:.2f} m"
     return _place(windows.ends[w]), f"{lengths_m(windows.ends)[w]:.2f} m", heights, pane
+
+
+def _blind(blinds: Blinds, b: int) -> tuple[str, ...]:
+    behind_m, contrast = blinds.behind_m[b], blinds.contrast[b]
+    held = [f"{100 * behind_m:.1f} cm behind the face"]
+    if np.isfinite(contrast):
+        held.append(f"returns {100 * abs(contrast):.0f} % {'more' if contrast > 0 else 'less'} than the wall")
+    heights = f"{blinds.bottom_m[b]:.2f} – {blinds.top_m[b]:.2f} m"
+    return _place(blinds.ends[b]), f"{lengths_m(blinds.ends)[b]:.2f} m", heights, "; ".join(held)
 
 
 def _level(level: HeightMap) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.base.segments import lengths_m
-from ffmap.algorithms.building.model import Doors, Walls, Windows
+from ffmap.algorithms.building.model import Blinds, Doors, Walls, Windows
 
 _BEHIND_MAX_M = 0.5
 """Maximum distance in metres of an opening from the wall's other face, which it pierces too."""
@@ -30,11 +30,11 @@ class WallPanels:
     wall: IntArray
 
 
-def wall_panels(walls: Walls, doors: Doors, windows: Windows) -> WallPanels:
-    """Cover each wall, but for the doors and windows in it and in the other face of the same wall."""
-    holes = np.concatenate([doors.ends, windows.ends])
-    low_m = np.concatenate([np.full(len(doors), -np.inf), windows.bottom_m])
-    high_m = np.concatenate([doors.head_m, windows.top_m])
+def wall_panels(walls: Walls, doors: Doors, *windows: Windows | Blinds) -> WallPanels:
+    """Cover each wall, but for the doors, and the windows and their blinds, in it and in the other face of the same wall."""
+    holes = np.concatenate([doors.ends, *(part.ends for part in windows)])
+    low_m = np.concatenate([np.full(len(doors), -np.inf), *(part.bottom_m for part in windows)])
+    high_m = np.concatenate([doors.head_m, *(part.top_m for part in windows)])
     found: list[tuple[FloatArray, float, float, int]] = []
     for wall, (start, end) in enumerate(walls.ends):
         length = float(np.linalg.norm(end - start))

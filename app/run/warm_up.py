@@ -13,7 +13,7 @@ from ffmap.algorithms.building.face_foreground import NO_FOREGROUND
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES
 from ffmap.algorithms.building.final_labels import BuildingModel, Relabelling, RelabellingSettings
 from ffmap.algorithms.building.level_settings import LevelsSettings
-from ffmap.algorithms.building.model import NO_DOORS, NO_WALLS, NO_WINDOWS
+from ffmap.algorithms.building.model import NO_BLINDS, NO_DOORS, NO_WALLS, NO_WINDOWS
 from ffmap.algorithms.building.votes import VoxelTable, find_halo
 from ffmap.algorithms.poses.levelling import place_and_level
 from ffmap.algorithms.scan.ceiling import below_ceiling
@@ -46,7 +46,7 @@ def warm_up() -> None:
     votes = table.votes()
     table.absorb(votes)
     building = BuildingModel(
-        NO_WALLS, NO_FOREGROUND, NO_JUDGED_FACES, NO_DOORS, NO_WINDOWS, (map_ceilings(votes, LevelsSettings()),)
+        NO_WALLS, NO_FOREGROUND, NO_JUDGED_FACES, NO_DOORS, NO_WINDOWS, NO_BLINDS, (map_ceilings(votes, LevelsSettings()),)
     )
     Relabelling.of(building, find_halo(votes, 6.0), RelabellingSettings()).labels(
         points_map,

@@ -16,6 +16,7 @@ from pydantic import Field, ValidationError
 from ffmap.algorithms.base.scan import ScanSettings
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.base.trajectory import TrajectorySettings
+from ffmap.algorithms.building.blinds import BlindsSettings
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings
 from ffmap.algorithms.building.door_frames import DoorFramesSettings
@@ -77,6 +78,7 @@ class Settings(StepSettings):
     before_walls: ForegroundSettings = ForegroundSettings()
     openings: OpeningsSettings = OpeningsSettings()
     windows: WindowsSettings = WindowsSettings()
+    blinds: BlindsSettings = BlindsSettings()
     glass_fronts: GlassFrontsSettings = GlassFrontsSettings()
     door_casings: DoorCasingsSettings = DoorCasingsSettings()
     door_contrasts: DoorContrastsSettings = DoorContrastsSettings()

@@ -14,7 +14,17 @@ from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES, FaceVerdict
 from ffmap.algorithms.building.final_labels import BuildingModel, Relabelled, Relabelling, RelabellingSettings
 from ffmap.algorithms.building.height_map import HeightMap, Surface
 from ffmap.algorithms.building.label_reasons import REASONS, SURFACE_REASONS, Reason
-from ffmap.algorithms.building.model import CELL_M, NO_DOORS, NO_WALLS, NO_WINDOWS, Doors, Walls, Windows
+from ffmap.algorithms.building.model import (
+    CELL_M,
+    NO_BLINDS,
+    NO_DOORS,
+    NO_WALLS,
+    NO_WINDOWS,
+    Blinds,
+    Doors,
+    Walls,
+    Windows,
+)
 from ffmap.algorithms.building.votes import find_halo
 from ffmap.algorithms.scan.doors import DoorState
 from tests.voting import vote
@@ -86,6 +96,7 @@ def relabelled(
     refused: Walls = NO_WALLS,
     doors: Doors = NO_DOORS,
     windows: Windows = NO_WINDOWS,
+    blinds: Blinds = NO_BLINDS,
     sensor: np.ndarray = SENSOR,
     ceiling_m: float = 2.8,
     covered: bool | tuple[bool, ...] = False,
@@ -101,6 +112,7 @@ def relabelled(
             JudgedFaces(walls, refused, np.full(len(refused), verdict, np.uint8)),
             doors,
             windows,
+            blinds,
             levels,
         ),
         NO_HALO,
@@ -218,6 +230,28 @@ def test_door_without_a_door_of_the_building_is_wall_or_clutter() -> None:
 )
 def test_reveals_of_an_open_door(point: tuple[float, float, float], expected: Label) -> None:
     assert final(point, Label.CLUTTER, walls=face(), doors=door(np.nan)) == expected
+
+
+@pytest.mark.parametrize(
+    ("point", "expected"),
+    [
+        ((2.0, 0.2, 2.2), Label.CLUTTER),  # on the blind, which outweighs that the pane may stand before it
+        ((2.0, 0.0, 2.2), Label.CLUTTER),  # in the wall's face: between that and the blind there is nothing
+        ((2.0, 0.0, 2.6), Label.WALL),  # above it
+        ((2.0, 0.1, 1.9), Label.WALL),  # below it
+        ((3.5, 0.0, 2.2), Label.WALL),  # beside it
+        ((2.0, 0.3, 2.2), Label.OUTSIDE),  # behind it
+    ],
+)
+@pytest.mark.parametrize("scan_label", [Label.WALL, Label.CLUTTER])
+def test_what_hangs_in_a_window_is_clutter(point: tuple[float, float, float], expected: Label, scan_label: Label) -> None:
+    ends, normal = np.array([[[1.0, 0.0], [3.0, 0.0]]]), np.array([[0.0, -1.0]])
+    blind = Blinds(ends, normal, *(np.array([value]) for value in (2.0, 2.5, 0.2, np.nan)))
+    found = relabelled(
+        np.array([point], np.float32), np.array([scan_label], np.uint8), walls=face(), windows=window(np.nan), blinds=blind
+    )
+    assert found.label[0] == expected
+    assert (found.reason[0] == Reason.ON_BLIND) == (expected == Label.CLUTTER != scan_label)
 
 
 @pytest.mark.parametrize(
@@ -350,7 +384,7 @@ def test_labels_hold_under_rigid_motion() -> None:
                 replace(part, ends=moved(part.ends), normal=part.normal @ turn.T) for part in (walls, doors, windows)
             )
         return Relabelling.of(
-            BuildingModel(walls, before(walls), NO_JUDGED_FACES, doors, windows, ()), NO_HALO, SETTINGS
+            BuildingModel(walls, before(walls), NO_JUDGED_FACES, doors, windows, NO_BLINDS, ()), NO_HALO, SETTINGS
         ).labels(at, points[:, 2], 2.8 - points[:, 2], label, sensor).label
 
     assert np.count_nonzero(relabelled(False) != label) > 500
@@ -359,7 +393,7 @@ def test_labels_hold_under_rigid_motion() -> None:
 
 def test_nothing_is_relabelled_where_there_is_nothing() -> None:
     nothing = Relabelling.of(
-        BuildingModel(NO_WALLS, NO_FOREGROUND, NO_JUDGED_FACES, NO_DOORS, NO_WINDOWS, ()), NO_HALO, SETTINGS
+        BuildingModel(NO_WALLS, NO_FOREGROUND, NO_JUDGED_FACES, NO_DOORS, NO_WINDOWS, NO_BLINDS, ()), NO_HALO, SETTINGS
     ).labels(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0, np.uint8), SENSOR).label
     assert len(nothing) == 0
 

@@ -8,6 +8,7 @@ import pytest
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengths_m
+from ffmap.algorithms.building.blinds import BlindsSettings
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings
 from ffmap.algorithms.building.door_frames import DoorFramesSettings
@@ -44,6 +45,7 @@ SETTINGS = FusionSettings(
     ForegroundSettings(),
     OpeningsSettings(),
     WindowsSettings(),
+    BlindsSettings(),
     GlassFrontsSettings(),
     DoorCasingsSettings(),
     DoorContrastsSettings(),

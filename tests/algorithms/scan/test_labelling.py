@@ -16,7 +16,7 @@ from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_fusion import fuse_walls
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES
 from ffmap.algorithms.building.final_labels import BuildingModel, Relabelling, RelabellingSettings
-from ffmap.algorithms.building.model import CELL_M, NO_DOORS, BuildingSettings, Doors, Walls, Windows
+from ffmap.algorithms.building.model import CELL_M, NO_BLINDS, NO_DOORS, BuildingSettings, Doors, Walls, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, part_walls
@@ -46,7 +46,7 @@ def relabelled(
     first = np.concatenate([[0], np.cumsum(columns)]).astype(np.int64)
     before = Foreground(first, np.full(first[-1], HEIGHT_M), np.zeros(first[-1]), np.zeros((first[-1], 60), bool))
     relabelling = Relabelling.of(
-        BuildingModel(walls, before, NO_JUDGED_FACES, doors, windows, ()), halo, RelabellingSettings()
+        BuildingModel(walls, before, NO_JUDGED_FACES, doors, windows, NO_BLINDS, ()), halo, RelabellingSettings()
     )
     below_m = below_ceiling(placed.points_level, found.ceiling_planes)
     return points, relabelling.labels(points, found.height_m, below_m, found.label, origin).label

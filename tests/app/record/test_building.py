@@ -11,6 +11,7 @@ from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.height_map import HeightMap, Surface
+from ffmap.algorithms.building.model import Blinds
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.app.record.building import log_building, log_fused_walls, log_grid, log_map_block
 from ffmap.app.record.building_reasons import explain_building
@@ -45,7 +46,9 @@ def building() -> BuildingModel:
         HeightMap(Surface.SLOPING_CEILING, np.array([1.0, 3.0]), 0.1, attic - 0.04, attic + 0.04),
     )
     judged = JudgedFaces(WALLS, faces(((1.0, 0.0), (1.0, 0.9))), np.array([FaceVerdict.ENDS_LOW]))
-    return BuildingModel(WALLS, before, judged, DOOR, window((2.5, 0.0), (3.5, 0.0)), levels)
+    pane = window((2.5, 0.0), (3.5, 0.0))
+    hung = (np.array([value]) for value in (2.2, 2.6, 0.12, -0.3))
+    return BuildingModel(WALLS, before, judged, DOOR, pane, Blinds(pane.ends, pane.normal, *hung), levels)
 
 
 def recorded(folder: Path, model: BuildingModel) -> dict[str, dict[str, Any]]:
@@ -62,6 +65,8 @@ def test_walls_doors_and_windows_are_drawn_where_they_are(tmp_path):
     np.testing.assert_allclose(against, [[0.125, 0, 0.075], [0.175, 0, 0.075]], atol=1e-6)
     outline = vectors(found[entities.WINDOWS]["strips"][0][0])
     np.testing.assert_allclose(outline[:3], [[2.5, 0, 0.9], [3.5, 0, 0.9], [3.5, 0, 2.2]], rtol=1e-6)
+    hung = vectors(found[entities.BLINDS]["vertex_positions"][0])
+    np.testing.assert_allclose(hung, [[2.5, -0.12, 2.2], [3.5, -0.12, 2.2], [3.5, -0.12, 2.6], [2.5, -0.12, 2.6]], rtol=1e-6)
     panels = vectors(found[entities.WALLS]["vertex_positions"][0]).reshape(-1, 4, 3)
     in_door = (panels.mean(axis=1)[:, 0] > 1.0) & (panels.mean(axis=1)[:, 0] < 1.9)
     assert panels[in_door, :, 2].min() >= 2.0999  # only what is above its head
@@ -87,6 +92,7 @@ def test_the_building_says_why(tmp_path):
         "3 from 5 to 9",
         "rays pass above it",
         "10 cm behind the face",
+        "| 3.00, 0.00 | 1.00 m | 2.20 – 2.60 m | 12.0 cm behind the face; returns 30 % less than the wall |",
         "| sloping ceiling | 0.0 m² | 1.96 – 2.04 m |",
         "| false floor, if scans saw any | | from 0.20 m up |",
     ):
