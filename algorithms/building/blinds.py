@@ -51,22 +51,21 @@ def find_blinds(
     blinds = NO_BLINDS
     for k in range(len(windows)):
         w, first, after = wall_of(windows, k, walls)
-        if after - first < 3:
+        if w < 0:
             continue
-        # The outermost columns are partly the reveals'.
-        own, inner, top = cells.of(w), slice(first + 1, after - 1), cells_in(windows.top_m[k])
+        own, within, top = cells.of(w), slice(first, after), cells_in(windows.top_m[k])
         closed, behind_m = _closed(own, building, settings)
         contrast = _contrast(own, response)
         hangs = closed & ((behind_m > building.recess_min_m) | (np.abs(contrast) > settings.contrast_min))
-        covered, is_wall = (part[inner].mean(axis=0) >= settings.width_share_min for part in (hangs, closed & ~hangs))
-        high_enough = [(low, high) for low, high in runs(covered) if (high - low) * CELL_M >= settings.height_min_m]
-        for low, high in [part for part in high_enough if part[1] > top][:1]:
-            if is_wall[top:low].any():
-                continue  # above the window
-            own_cells = hangs[inner, low:high]
-            told = [_median(values[inner, low:high][own_cells]) for values in (behind_m, contrast)]
-            row = (CELL_M * low, CELL_M * high, max(told[0], 0.0), told[1])
-            blinds = blinds.append(Blinds(windows.ends[[k]], windows.normal[[k]], *(np.array([value]) for value in row)))
+        covered, is_wall = (part[within].mean(axis=0) >= settings.width_share_min for part in (hangs, closed & ~hangs))
+        least = cells_in(settings.height_min_m)
+        low, high = next(((low, high) for low, high in runs(covered) if high > top and high - low >= least), (top, top))
+        if low == high or is_wall[top:low].any():
+            continue  # what lies above the lintel is not in the window
+        part = hangs[within, low:high]
+        told = [_median(values[within, low:high][part]) for values in (behind_m, contrast)]
+        row = (CELL_M * low, CELL_M * high, max(told[0], 0.0), told[1])
+        blinds = blinds.append(Blinds(windows.ends[[k]], windows.normal[[k]], *(np.array([value]) for value in row)))
     return blinds
 
 
