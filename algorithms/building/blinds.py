@@ -48,18 +48,22 @@ def find_blinds(
     cells: of the walls, with all rays.
     """
     response = response_by_angle(cells.light)
+    places = [wall_of(windows, k, walls) for k in range(len(windows))]
     blinds = NO_BLINDS
-    for k in range(len(windows)):
-        w, first, after = wall_of(windows, k, walls)
+    for k, (w, first, after) in enumerate(places):
         if w < 0:
             continue
         own, within, top = cells.of(w), slice(first, after), cells_in(windows.top_m[k])
+        beside = np.ones(len(own.counts), bool)
+        for other, low, high in places:
+            beside[low:high] &= other != w
         closed, behind_m = _closed(own, building, settings)
-        contrast = _contrast(own, response)
+        behind_m = behind_m - np.nan_to_num(_median(behind_m[closed & beside[:, None]]))
+        contrast = _contrast(own, response, beside if beside.any() else ~beside)
         hangs = closed & ((behind_m > building.recess_min_m) | (np.abs(contrast) > settings.contrast_min))
         covered, is_wall = (part[within].mean(axis=0) >= settings.width_share_min for part in (hangs, closed & ~hangs))
         least = cells_in(settings.height_min_m)
-        low, high = next(((low, high) for low, high in runs(covered) if high > top and high - low >= least), (top, top))
+        low, high = next(((top + low, top + high) for low, high in runs(covered[top:]) if high - low >= least), (top, top))
         if low == high or is_wall[top:low].any():
             continue  # what lies above the lintel is not in the window
         part = hangs[within, low:high]
@@ -83,12 +87,12 @@ def _closed(cells: WallCells, building: BuildingSettings, settings: BlindsSettin
     return closed & (variance_m2 < building.pane_spread_m**2), -mean_m
 
 
-def _contrast(cells: WallCells, response: FloatArray) -> FloatArray:
+def _contrast(cells: WallCells, response: FloatArray, beside: BoolArray) -> FloatArray:
     """(c, rows) by which share of the intensity that most cells of a single face have each one's differs; NaN where unknown."""
     if not len(cells.light):
         return np.full(cells.counts.shape[:2], np.nan)
     shade = shades(cells.light, response)
-    return np.asarray(shade / _median(shade) - 1.0)
+    return np.asarray(shade / _median(shade[beside]) - 1.0)
 
 
 def _median(values: FloatArray) -> float:

@@ -101,12 +101,18 @@ def find_windows(
             continue
         face = Segment.between(walls.ends[w], walls.normal[w])
         columns = look_for_doors(counts, standing_m[cells.first[w] : cells.first[w + 1]], rules)
-        opened = stretches(columns.is_open & columns.has_lintel, 2)
+        least = cells_in(settings.height_min_m)
+        # Beside a jamb some rays pass, and others end on the reveal.
+        below_blind = long_runs(_closes_below_heads(counts, rules, settings), least, bridge=2)
+        opened = [
+            *stretches(columns.is_open & columns.has_lintel & ~below_blind, 2),
+            *stretches(below_blind, 2),
+        ]
         twice = cells.of(w).twice
         panes = [
             (first, last)
             for first, last in opened
-            if is_pane(counts[first : last + 1], twice[first : last + 1], rules)
+            if is_pane(_up_to_head(counts[first : last + 1]), twice[first : last + 1], rules)
         ]
         may_be, is_sill = _above_sill(counts, walls.top_m[w], rules, settings)
         sill_min = cells_in(settings.sill_min_m)
@@ -116,7 +122,6 @@ def find_windows(
             if is_sill[first : last + 1].sum() >= sill_min
             or (last + 1 - first >= sill_min and _is_higher_than_doors(counts[first : last + 1], rules))
         ]
-        least = cells_in(settings.height_min_m)
         glazed = [part for part in stretches(_translucent(counts, rules, settings), 2) if part[1] + 1 - part[0] >= least]
         high = counts[:, cells_in(rules.building.knee_m) : cells_in(rules.building.door_height_min_m)].sum(axis=1)
         parts = [(*part, 0.5) for part in panes + sills] + [(*part, settings.translucent_min) for part in glazed]
@@ -128,7 +133,8 @@ def find_windows(
             pane_m = _pane_m(counts[first : last + 1, clear[0] : clear[-1] + 1], rules)
             shown = slice(first, last + 1)
             first, last = _over_its_pane(high, pane_m, first, last, settings)
-            first, last = _to_its_wall(counts, clear[0], clear[-1], int(walls.top_m[w] / CELL_M), first, last, settings)
+            between, highest = (int(clear[0]), int(clear[-1])), int(walls.top_m[w] / CELL_M)
+            first, last = _to_its_wall(counts, *between, highest, first, last, rules, settings)
             if _is_open(high, pane_m, shown, slice(first, last + 1), settings):
                 continue  # what returned is a leaf, or the reveal
             if first == 0 and last == len(counts) - 1:
@@ -229,6 +235,21 @@ def _translucent(counts: FloatArray, rules: OpeningRules, settings: WindowsSetti
     return _shows(both[:, FOOT_ROW:], cells_in(settings.height_min_m) - 1)
 
 
+def _closes_below_heads(counts: FloatArray, rules: OpeningRules, settings: WindowsSettings) -> BoolArray:
+    """Columns (c,) that most rays pass at the foot, and few at the lowest doors' heads: a blind is let down before a window."""
+    near, high = with_neighbours(counts), cells_in(rules.building.door_height_min_m)
+    foot = near[:, FOOT_ROW : FOOT_ROW + cells_in(settings.height_min_m)].sum(axis=1)
+    head = near[:, high - cells_in(settings.height_min_m) : high].sum(axis=1)
+    return np.asarray((foot[:, THROUGH] > foot[:, FILLED]) & (head[:, FILLED] > head[:, THROUGH]))
+
+
+def _up_to_head(counts: FloatArray) -> FloatArray:
+    """The cells (c, rows, 4) of an opening without those above the rows that most rays pass: a sheet there is no pane."""
+    rows = counts.sum(axis=0)
+    clear = np.flatnonzero(rows[:, THROUGH] > rows[:, FILLED])
+    return np.asarray(counts * (np.arange(len(rows)) <= clear.max(initial=-1))[:, None])
+
+
 def _is_higher_than_doors(counts: FloatArray, rules: OpeningRules) -> bool:
     """Whether rays pass an opening (c, rows, 4) higher than doors are: it is a window, though its sill is hidden."""
     clear = np.flatnonzero(counts[..., THROUGH].sum(axis=0) > counts[..., FILLED].sum(axis=0))
@@ -264,7 +285,14 @@ def _is_open(high: FloatArray, pane_m: float, shown: slice, whole: slice, settin
 
 
 def _to_its_wall(
-    counts: FloatArray, bottom: int, top: int, highest: int, first: int, last: int, settings: WindowsSettings
+    counts: FloatArray,
+    bottom: int,
+    top: int,
+    highest: int,
+    first: int,
+    last: int,
+    rules: OpeningRules,
+    settings: WindowsSettings,
 ) -> tuple[int, int]:
     """A window's columns up to those in which its wall shows between the sill and the head.
 
@@ -275,6 +303,8 @@ def _to_its_wall(
     """
     near = with_neighbours(counts)
     on, bar = returns_at_face(near), cells_in(settings.bar_max_m)
+    if top + 1 - bottom <= bar:
+        return first, last  # too low for a wall to show in it
     between, passed = near[:, bottom : top + 1], near[:, bottom : top + 1, THROUGH]
     flush, returns = _shows(on[:, bottom : top + 1] > passed, bar), _shows(between[..., FILLED] > passed, bar)
     # What returns behind the face is its reveal, or a leaf beside it, which is wider.
@@ -282,7 +312,11 @@ def _to_its_wall(
     foot = slice(FOOT_ROW, max(bottom - 1, FOOT_ROW))
     around = np.concatenate([on[:, foot], on[:, top + 2 : highest]], axis=1)
     is_met = around.mean(axis=1) >= settings.returns_min if around.shape[1] else np.zeros(len(on), bool)
-    is_doorway = near[:, foot, THROUGH].sum(axis=1) > on[:, foot].sum(axis=1)
+    # A doorway is open at its foot, or above what closes the window.
+    over = slice(top + 1, cells_in(rules.building.door_height_min_m))
+    is_doorway = np.zeros(len(on), bool)
+    for rows in (foot, over):
+        is_doorway |= near[:, rows, THROUGH].sum(axis=1) > on[:, rows].sum(axis=1)
     goes_on = is_met & ~shows & ~is_doorway
     for start, stop in stretches(goes_on, bar):
         if start <= last and stop >= first:

@@ -498,6 +498,64 @@ def test_a_windows_pane_is_placed_by_what_it_returns() -> None:
     np.testing.assert_allclose([windows.bottom_m[0], windows.top_m[0]], [0.9, 2.2], atol=CELL_M)
 
 
+def below_a_blind(head_m: float, pane: bool = True) -> WallCells:
+    """From 1 to 3 m rays pass from the floor up to `head_m`, where a flush blind closes the rest."""
+    seen = cells()
+    glass = seen.counts[20:60, : round(head_m / CELL_M)]
+    glass[...], glass[..., THROUGH] = 0.0, 20.0
+    if pane:
+        glass[..., FILLED], glass[..., SUM], glass[..., SQUARES] = 1.0, -0.08, 0.08**2
+    return seen
+
+
+@pytest.mark.parametrize("head_m", [0.6, 1.2])
+def test_glass_down_to_the_floor_shows_below_a_blind(head_m: float) -> None:
+    seen = below_a_blind(head_m)
+    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, 3.0]], atol=2 * CELL_M)
+    assert windows.top_m.tolist() == pytest.approx([head_m], abs=CELL_M)
+    assert windows.pane_m.tolist() == pytest.approx([0.08], abs=0.005)
+    assert not len(find_doors(WALL, seen, unknown(seen), RULES, windows))
+    # Below what hangs on a wall nothing returns.
+    seen = below_a_blind(head_m, pane=False)
+    assert not len(find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings()))
+
+
+def test_glass_below_a_blind_ends_at_the_doorway_beside_it() -> None:
+    """The sweeps that meet the wall above a doorway do not meet what closes it, for nothing does."""
+    for doorway in (slice(40, 60), slice(48, 62)):
+        seen = below_a_blind(1.2)
+        seen.counts[60:] = cells().counts[60:]
+        seen.counts[doorway, :42] = [0.0, 0.0, 0.0, 50.0]
+        windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+        np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, doorway.start * CELL_M]], atol=2 * CELL_M)
+
+
+def test_glass_below_a_blind_is_as_wide_as_it_is_however_low() -> None:
+    """No wall shows in so few rows, be it there or not."""
+    seen = cells()
+    seen.counts[20:60, 2:5] = [1.0, -0.08, 0.08**2, 50.0]
+    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, 3.0]], atol=2 * CELL_M)
+
+
+def test_beside_a_doorways_jamb_is_no_glass() -> None:
+    """Where some rays pass and others end on the reveal, which lies on a sheet too."""
+    seen = cells()
+    opening(seen)  # from 1.5 to 2.4 m
+    seen.counts[27:30, :32] = [20.0, -20 * 0.16, 20 * 0.16**2, 25.0]
+    assert not len(find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings()))
+    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 1
+
+
+def test_glass_up_to_the_ceiling_is_no_window_of_its_face() -> None:
+    """What stands beside it need not be a wall: fronts are told by their panes alone."""
+    seen = cells()
+    seen.counts[20:60, :56] = [1.0, -0.08, 0.08**2, 20.0]
+    seen.counts[20:60, 56:] = 0.0
+    assert not len(find_windows(WALL, seen, np.full(80, 2.8), RULES, WindowsSettings()))
+
+
 def test_a_window_goes_on_where_its_glass_returns_nothing() -> None:
     seen = cells()
     seen.counts[20:60, 18:44] = 0.0
