@@ -54,12 +54,13 @@ def find_blinds(
         if w < 0:
             continue
         own, within, top = cells.of(w), slice(first, after), cells_in(windows.top_m[k])
+        # A face of many windows may be that of their blinds.
         beside = np.ones(len(own.counts), bool)
-        for other, low, high in places:
-            beside[low:high] &= other != w
-        closed, behind_m = _closed(own, building, settings)
-        behind_m = behind_m - np.nan_to_num(_median(behind_m[closed & beside[:, None]]))
-        contrast = _contrast(own, response, beside if beside.any() else ~beside)
+        for other, first_beside, after_beside in places:
+            beside[first_beside:after_beside] &= other != w
+        closed, behind_face_m = _closed(own, building, settings)
+        behind_m = behind_face_m - np.nan_to_num(_median(behind_face_m[closed & beside[:, None]]))
+        contrast = _contrast(own, response, beside)
         hangs = closed & ((behind_m > building.recess_min_m) | (np.abs(contrast) > settings.contrast_min))
         covered, is_wall = (part[within].mean(axis=0) >= settings.width_share_min for part in (hangs, closed & ~hangs))
         least = cells_in(settings.height_min_m)
@@ -88,7 +89,10 @@ def _closed(cells: WallCells, building: BuildingSettings, settings: BlindsSettin
 
 
 def _contrast(cells: WallCells, response: FloatArray, beside: BoolArray) -> FloatArray:
-    """(c, rows) by which share of the intensity that most cells of a single face have each one's differs; NaN where unknown."""
+    """(c, rows) by which share of the intensity of most cells of a single face's columns `beside` windows each one's differs.
+
+    NaN where it is unknown.
+    """
     if not len(cells.light):
         return np.full(cells.counts.shape[:2], np.nan)
     shade = shades(cells.light, response)

@@ -144,8 +144,8 @@ class Blinds(Rows):
 
     ends: (B, 2, 2) x and y, on the wall's face. normal: (B, 2) towards the room.
     bottom_m, top_m: (B,) heights above the floor between which it hangs.
-    behind_m: (B,) how far behind the wall's face; 0 where it is flush.
-    contrast: (B,) by which share of the wall's intensity its own differs; NaN where unknown.
+    behind_m: (B,) how far behind the wall beside its window; 0 where it is flush with that, or stands out.
+    contrast: (B,) by which share of that wall's intensity its own differs; NaN where unknown.
     """
 
     ends: FloatArray

@@ -117,6 +117,26 @@ def test_a_blind_may_reach_the_ceiling_and_its_slats_let_some_rays_pass() -> Non
     assert found(seen).top_m[0] == pytest.approx(3.3)
 
 
+def test_the_wall_beside_the_windows_tells_though_most_of_the_face_is_blinds() -> None:
+    wide = replace(WINDOW, ends=np.array([[[0.4, 0.0], [3.6, 0.0]]]))
+    seen = wall()
+    seen.counts[8:72, 18:32] = [0.0, 0.0, 0.0, 10.0]
+    hang(seen, 1.6, 2.8, columns=slice(8, 72), reflectance=20.0)
+    assert found(seen, wide).contrast.tolist() == pytest.approx([-0.5], abs=0.01)
+    # The face was laid along the blinds, and the wall stands out of it.
+    bare = replace(seen, light=seen.light[:0])
+    assert not len(found(bare, wide))
+    for columns in (slice(0, 8), slice(72, 80)):
+        hang(bare, 0.0, 3.3, -0.03, columns=columns)
+    assert found(bare, wide).behind_m.tolist() == pytest.approx([0.03], abs=0.001)
+    # Two windows side by side with nothing between them: nothing tells.
+    halves = [replace(WINDOW, ends=np.array([[[a, 0.0], [a + 2.0, 0.0]]])) for a in (0.0, 2.0)]
+    seen = wall()
+    seen.counts[:, 18:32] = [0.0, 0.0, 0.0, 10.0]
+    hang(seen, 1.6, 2.8, columns=slice(0, 80), reflectance=20.0)
+    assert not len(found(seen, halves[0].append(halves[1])))
+
+
 def test_what_closes_a_window_below_its_clear_part_is_its_sill() -> None:
     seen = wall()
     hang(seen, 0.4, 0.9, 0.1)
