@@ -4,13 +4,15 @@ A lintel is of its wall: it lies in the wall's face, and returns as much of a be
 farther back or returns more or less than the wall, hangs in it, unless it is no higher than a frame is wide.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.door_contrasts import response_by_angle, shades
-from ffmap.algorithms.building.face_columns import runs
+from ffmap.algorithms.building.face_columns import median_m, runs
 from ffmap.algorithms.building.model import CELL_M, NO_BLINDS, Blinds, BuildingSettings, Walls, Windows, cells_in
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,
@@ -40,6 +42,18 @@ class BlindsSettings(StepSettings):
     )
 
 
+class _Picture(NamedTuple):
+    """The cells (c, rows) of one face.
+
+    closed: whether rays end there as on a wall. behind_m: how far behind the wall beside its windows. contrast: by which share of
+    that wall's intensity its own differs; NaN where unknown.
+    """
+
+    closed: BoolArray
+    behind_m: FloatArray
+    contrast: FloatArray
+
+
 def find_blinds(
     windows: Windows, walls: Walls, cells: WallCells, building: BuildingSettings, settings: BlindsSettings
 ) -> Blinds:
@@ -47,59 +61,51 @@ def find_blinds(
 
     cells: of the walls, with all rays.
     """
-    response = response_by_angle(cells.light)
+    response, least = response_by_angle(cells.light), cells_in(settings.height_min_m)
     places = [wall_of(windows, k, walls) for k in range(len(windows))]
+    beside = np.ones(int(cells.first[-1]), bool)
+    for w, first, after in places:
+        if w >= 0:
+            beside[cells.first[w] + first : cells.first[w] + after] = False
+    pictures = {
+        w: _picture(cells.of(w), beside[cells.first[w] : cells.first[w + 1]], response, building, settings)
+        for w in {place[0] for place in places} - {-1}
+    }
     blinds = NO_BLINDS
     for k, (w, first, after) in enumerate(places):
         if w < 0:
             continue
-        own, within, top = cells.of(w), slice(first, after), cells_in(windows.top_m[k])
-        # A face of many windows may be that of their blinds.
-        beside = np.ones(len(own.counts), bool)
-        for other, first_beside, after_beside in places:
-            beside[first_beside:after_beside] &= other != w
-        closed, behind_face_m = _closed(own, building, settings)
-        behind_m = behind_face_m - np.nan_to_num(_median(behind_face_m[closed & beside[:, None]]))
-        contrast = _contrast(own, response, beside)
+        picture, own, top = pictures[w], slice(first, after), cells_in(windows.top_m[k])
+        closed, behind_m, contrast = picture.closed[own], picture.behind_m[own], picture.contrast[own]
         hangs = closed & ((behind_m > building.recess_min_m) | (np.abs(contrast) > settings.contrast_min))
-        covered, is_wall = (part[within].mean(axis=0) >= settings.width_share_min for part in (hangs, closed & ~hangs))
-        least = cells_in(settings.height_min_m)
+        covered, is_wall = (part.mean(axis=0) >= settings.width_share_min for part in (hangs, closed & ~hangs))
         low, high = next(((top + low, top + high) for low, high in runs(covered[top:]) if high - low >= least), (top, top))
         if low == high or is_wall[top:low].any():
             continue  # what lies above the lintel is not in the window
-        part = hangs[within, low:high]
-        told = [_median(values[within, low:high][part]) for values in (behind_m, contrast)]
+        part = hangs[:, low:high]
+        told = [median_m(values[:, low:high][part]) for values in (behind_m, contrast)]
         row = (CELL_M * low, CELL_M * high, max(told[0], 0.0), told[1])
         blinds = blinds.append(Blinds(windows.ends[[k]], windows.normal[[k]], *(np.array([value]) for value in row)))
     return blinds
 
 
-def _closed(cells: WallCells, building: BuildingSettings, settings: BlindsSettings) -> tuple[BoolArray, FloatArray]:
-    """(c, rows) each, of a single face: in which cells rays end as on a wall, and how far behind the face.
+def _picture(
+    cells: WallCells, beside: BoolArray, response: FloatArray, building: BuildingSettings, settings: BlindsSettings
+) -> _Picture:
+    """Of a single face; a face of many windows may be that of their blinds, hence the wall beside them tells.
 
-    As many of them as on the wall itself, and all at one depth: glass returns but few, the underside of a lintel at all depths.
+    beside: (c,) the columns without a window. response: see `response_by_angle`.
     """
     near = with_neighbours(cells.counts.astype(np.float64))
     mean_m, variance_m2 = depth_moments(near)
+    # As many rays as on the wall itself, and all at one depth: glass returns but few, the underside of a lintel at all depths.
     at_face = returns_at_face(near)
     on_wall = np.where(at_face > near[..., THROUGH], at_face, np.nan)
-    usual = np.nan_to_num([_median(row) for row in on_wall.T])
+    usual = np.nan_to_num([median_m(row) for row in on_wall.T])
     closed = (near[..., FILLED] > near[..., THROUGH]) & (near[..., FILLED] > settings.returns_share_min * usual)
-    return closed & (variance_m2 < building.pane_spread_m**2), -mean_m
-
-
-def _contrast(cells: WallCells, response: FloatArray, beside: BoolArray) -> FloatArray:
-    """(c, rows) by which share of the intensity of most cells of a single face's columns `beside` windows each one's differs.
-
-    NaN where it is unknown.
-    """
-    if not len(cells.light):
-        return np.full(cells.counts.shape[:2], np.nan)
-    shade = shades(cells.light, response)
-    return np.asarray(shade / _median(shade[beside]) - 1.0)
-
-
-def _median(values: FloatArray) -> float:
-    """Of the known ones; NaN of none."""
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else float("nan")
+    closed &= variance_m2 < building.pane_spread_m**2
+    contrast = np.full(closed.shape, np.nan)
+    if len(cells.light):
+        shade = shades(cells.light, response)
+        contrast = shade / median_m(shade[beside]) - 1.0
+    return _Picture(closed, np.nan_to_num(median_m(mean_m[closed & beside[:, None]])) - mean_m, contrast)

@@ -174,7 +174,7 @@ BEYOND, FRAME, SILL, WINDOW_HEAD = 7, 8, 9, 10
 """The same of panes: how far behind their face what returns is outside, how deep their reveals are at most, and the heights of
 their sill and head."""
 BEHIND, LOW, HIGH = 7, 8, 9
-"""The same of blinds: how far behind their face they hang, and the heights between which they do."""
+"""The same of blinds: how far behind their wall they hang, and the heights between which they do."""
 
 
 def _table(faces: Faces, *columns: FloatArray | UInt8Array) -> FloatArray:

@@ -134,7 +134,7 @@ def find_windows(
             shown = slice(first, last + 1)
             first, last = _over_its_pane(high, pane_m, first, last, settings)
             between, highest = (int(clear[0]), int(clear[-1])), int(walls.top_m[w] / CELL_M)
-            first, last = _to_its_wall(counts, *between, highest, first, last, rules, settings)
+            first, last = _to_its_wall(counts, between, highest, first, last, rules, settings)
             if _is_open(high, pane_m, shown, slice(first, last + 1), settings):
                 continue  # what returned is a leaf, or the reveal
             if first == 0 and last == len(counts) - 1:
@@ -286,8 +286,7 @@ def _is_open(high: FloatArray, pane_m: float, shown: slice, whole: slice, settin
 
 def _to_its_wall(
     counts: FloatArray,
-    bottom: int,
-    top: int,
+    between: tuple[int, int],
     highest: int,
     first: int,
     last: int,
@@ -299,14 +298,15 @@ def _to_its_wall(
     A sweep that meets the wall above a window, or below it, meets the wall between too, if there is one: where it shows no more
     than a bar, there is glass met at a slant, or the reveal hides it.
 
-    counts: (columns, rows, 4) of the whole face; bottom, top: the window's lowest and highest row; highest: the face's.
+    counts: (columns, rows, 4) of the whole face; between: the window's lowest and highest row; highest: the face's.
     """
-    near = with_neighbours(counts)
-    on, bar = returns_at_face(near), cells_in(settings.bar_max_m)
+    (bottom, top), bar = between, cells_in(settings.bar_max_m)
     if top + 1 - bottom <= bar:
         return first, last  # too low for a wall to show in it
-    between, passed = near[:, bottom : top + 1], near[:, bottom : top + 1, THROUGH]
-    flush, returns = _shows(on[:, bottom : top + 1] > passed, bar), _shows(between[..., FILLED] > passed, bar)
+    near = with_neighbours(counts)
+    on = returns_at_face(near)
+    inner, passed = near[:, bottom : top + 1], near[:, bottom : top + 1, THROUGH]
+    flush, returns = _shows(on[:, bottom : top + 1] > passed, bar), _shows(inner[..., FILLED] > passed, bar)
     # What returns behind the face is its reveal, or a leaf beside it, which is wider.
     shows = flush | long_runs(returns & ~flush, cells_in(settings.reveal_max_m), 0)
     foot = slice(FOOT_ROW, max(bottom - 1, FOOT_ROW))

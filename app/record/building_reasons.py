@@ -76,8 +76,7 @@ def _door(doors: Doors, d: int) -> tuple[str, ...]:
         flush = doors.depth_m[d] == 0.0
         held.append("leaf flush with the wall" if flush else f"leaf {100 * doors.depth_m[d]:.1f} cm behind the wall")
     if np.isfinite(doors.contrast[d]):
-        than = "more" if doors.contrast[d] > 0 else "less"
-        held.append(f"leaf returns {100 * abs(doors.contrast[d]):.0f} % {than} than the wall")
+        held.append(f"leaf {_returns(doors.contrast[d])}")
     if np.isfinite(doors.casing_m[d]):
         held.append(f"casing {1000 * doors.casing_m[d]:.0f} mm before the wall")
     if doors.glazed[d]:
@@ -99,11 +98,15 @@ def _window(windows: Windows, w: int) -> tuple[str, ...]:
 
 def _blind(blinds: Blinds, b: int) -> tuple[str, ...]:
     behind_m, contrast = blinds.behind_m[b], blinds.contrast[b]
-    held = [f"{100 * behind_m:.1f} cm behind the face"]
+    held = [f"{100 * behind_m:.1f} cm behind the wall"]
     if np.isfinite(contrast):
-        held.append(f"returns {100 * abs(contrast):.0f} % {'more' if contrast > 0 else 'less'} than the wall")
+        held.append(_returns(contrast))
     heights = f"{blinds.bottom_m[b]:.2f} – {blinds.top_m[b]:.2f} m"
     return _place(blinds.ends[b]), f"{lengths_m(blinds.ends)[b]:.2f} m", heights, "; ".join(held)
+
+
+def _returns(contrast: float) -> str:
+    return f"returns {100 * abs(contrast):.0f} % {'more' if contrast > 0 else 'less'} than the wall"
 
 
 def _level(level: HeightMap) -> tuple[str, ...]:

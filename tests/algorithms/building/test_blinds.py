@@ -6,21 +6,12 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.building.blinds import BlindsSettings, find_blinds
-from ffmap.algorithms.building.model import CELL_M, Blinds, BuildingSettings, Walls, Windows
+from ffmap.algorithms.building.model import CELL_M, Blinds, BuildingSettings, Windows
 from ffmap.algorithms.building.ray_evidence import ANGLES_DEG, FILLED, SQUARES, THROUGH, WallCells
+from tests.faces import faces, window
 
-WALL = Walls(
-    np.array([[[0.0, 0.0], [4.0, 0.0]]]),
-    np.array([[0.0, -1.0]]),
-    np.zeros(1),
-    np.array([2.8]),
-    np.array([9], np.int32),
-    np.array([0.01]),
-    np.array([900]),
-)
-WINDOW = Windows(
-    np.array([[[1.0, 0.0], [3.0, 0.0]]]), np.array([[0.0, -1.0]]), np.array([0.9]), np.array([1.6]), np.array([0.15])
-)
+WALL = faces(((0.0, 0.0), (4.0, 0.0)))
+WINDOW = replace(window((1.0, 0.0), (3.0, 0.0)), top_m=np.array([1.6]))
 COLUMNS, ROWS = slice(20, 60), 66
 
 

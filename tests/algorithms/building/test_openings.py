@@ -22,19 +22,12 @@ from ffmap.algorithms.building.ray_evidence import Rays, WallCells, floor_m, tra
 from ffmap.algorithms.building.windows import WindowsSettings, find_windows, in_walls, rays_through, seen_through
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features
+from tests.faces import faces
 
 FILLED, SUM, SQUARES, THROUGH = range(4)
 SETTINGS = BuildingSettings()
 RULES = OpeningRules(SETTINGS, OpeningsSettings())
-WALL = Walls(
-    np.array([[[0.0, 0.0], [4.0, 0.0]]]),
-    np.array([[0.0, -1.0]]),
-    np.zeros(1),
-    np.array([2.8]),
-    np.array([9], np.int32),
-    np.array([0.01]),
-    np.array([900]),
-)
+WALL = replace(faces(((0.0, 0.0), (4.0, 0.0))), normal=np.array([[0.0, -1.0]]))
 WINDOW = Windows(
     np.array([[[1.0, 0.0], [3.0, 0.0]]]), np.array([[0.0, -1.0]]), np.array([0.9]), np.array([2.0]), np.array([0.05])
 )

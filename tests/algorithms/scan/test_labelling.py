@@ -30,6 +30,7 @@ from ffmap.algorithms.scan.summary import concatenate, extract
 from tests import synthetic
 from tests.corridor import HEIGHT_M, METHOD, T_BASE_SENSOR, Hole, cast, labelled, place, pose, share
 from tests.drawing import draw_furniture_free
+from tests.faces import faces
 from tests.voting import vote
 
 KNEE_M = BuildingSettings().knee_m
@@ -205,15 +206,7 @@ def test_glass_is_told_from_open_doors(hole: Hole | None, doors: int, windows: i
 
 
 def test_slits_beside_a_mullion_that_returns_more_are_no_window() -> None:
-    walls = Walls(
-        np.array([[[0.0, 0.0], [3.0, 0.0]]]),
-        np.array([[0.0, -1.0]]),
-        np.zeros(1),
-        np.array([2.8]),
-        np.array([9], np.int32),
-        np.array([0.01]),
-        np.array([900]),
-    )
+    walls = faces(((0.0, 0.0), (3.0, 0.0)))
     counts = np.zeros((60, 66, 4), np.float32)
     counts[:, :, 0] = 10.0
     # Two slits with a mullion between them that returns more rays than both let through.

@@ -92,7 +92,7 @@ def test_the_building_says_why(tmp_path):
         "3 from 5 to 9",
         "rays pass above it",
         "10 cm behind the face",
-        "| 3.00, 0.00 | 1.00 m | 2.20 – 2.60 m | 12.0 cm behind the face; returns 30 % less than the wall |",
+        "| 3.00, 0.00 | 1.00 m | 2.20 – 2.60 m | 12.0 cm behind the wall; returns 30 % less than the wall |",
         "| sloping ceiling | 0.0 m² | 1.96 – 2.04 m |",
         "| false floor, if scans saw any | | from 0.20 m up |",
     ):
