@@ -58,7 +58,6 @@ REFUSALS = {
     FaceVerdict.HANGS: "rays pass below it (a duct, a beam)",
     FaceVerdict.ALONE: "few scans saw it, no wall is parallel or square to it, it ends below the ceiling (a side of furniture)",
     FaceVerdict.LEANS: "it stands at an angle to a wall, close to it (a leaf open against its wall)",
-    FaceVerdict.STEPS: "rays pass below it, and a ceiling begins at its foot (the side of a skylight's well)",
     FaceVerdict.OUTSIDE: "neither floor nor ceiling was seen before it (another house's front, through a window)",
     FaceVerdict.MIRRORED: "it is seen past a window alone (a pane's reflection of another wall)",
 }

@@ -63,7 +63,7 @@ def map_sloping_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> HeightM
     above_m = grid.above_m(votes.mean_position, ground_m)
     overhead = votes.seen() & (votes.label != Label.FLOOR) & (above_m > settings.slope_bottom_m)
     highest = grid.highest(votes.mean_position[overhead])
-    mean, slope, rms_m, known = _planes_around(highest, settings.slope_window_cells)
+    mean, slope, rms_m, known = _planes_around(highest, settings.window_cells)
     steepness = np.linalg.norm(slope, axis=2)
     rising = (steepness > settings.slope_min) & (steepness < settings.slope_max)
     fits = (rms_m < settings.slope_rms_max_m) & (known >= settings.slope_share_min) & np.isfinite(highest[..., 2])
@@ -116,7 +116,7 @@ def map_ducts(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     grid = GroundGrid.around(ceiling, settings.cell_m, settings.ceiling_reach_m)
     lowest_m, usual_m = grid.heights(ceiling, 0.0), grid.heights(ceiling)
     beside_cells = 2 * round(settings.duct_beside_m / grid.cell_m) + 1
-    hangs = lowest_m < highest_around(usual_m, beside_cells) - settings.duct_drop_m
+    hangs = lowest_m < highest_around(usual_m, beside_cells) - settings.drop_min_m
     steep = range_around(lowest_m, 3) > 2.0 * settings.flat_m
     broad = grid.broad(closed(np.isfinite(lowest_m) & ~steep) & ~steep, settings.overhead_width_m)
     # The edge of a ceiling, along a wall behind which another ceiling begins, is steep.
@@ -142,8 +142,8 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     overhead = votes.seen() & ((label == Label.CEILING) | (label == Label.CLUTTER)) & (below_m > 0.5 * votes.voxel_m)
     low_m, high_m = _topmost(grid, position[overhead], settings.drop_gap_m)
     drop_m = top_m - low_m
-    hangs = (drop_m > settings.duct_drop_m) & (drop_m < settings.drop_max_m) & (low_m - ground_m > settings.headroom_m)
-    parts = _level_parts(hangs, low_m, settings.drop_flat_m)
+    hangs = (drop_m > settings.drop_min_m) & (drop_m < settings.drop_max_m) & (low_m - ground_m > settings.headroom_m)
+    parts = _level_parts(hangs, low_m, 2.0 * settings.flat_m)
     walls = np.isfinite(
         grid.heights(position[(label == Label.WALL) & (below_m > 0.0) & (below_m < settings.drop_max_m)])
     )
@@ -157,14 +157,14 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     low_m = np.where(at_part > 0, low_m[nearest], low_m)
     passed = position[(label == Label.WALL) & votes.seen()]
     from_m, up_to_m = grid.heights(passed, 0.0), grid.heights(passed, 1.0)
-    begins = (from_m > low_m - settings.drop_flat_m) & (from_m - ground_m > settings.headroom_m)
+    begins = (from_m > low_m - 2.0 * settings.flat_m) & (from_m - ground_m > settings.headroom_m)
     hung = (at_part > 0) & is_deep[at_part] & begins
     high_m = np.where(hung, np.fmax(high_m, up_to_m), high_m)
     side = (hung | (hangs & ~walls)) & (high_m - low_m > votes.voxel_m)
     # A ceiling that rises, or is stepped, is higher farther on than where the side meets it. Where no ceiling is seen beside a
     # side, the highest within reach counts.
     near_m = highest_around(ceiling_m, 2 * round(settings.drop_edge_m / grid.cell_m) + 1)
-    rises = (near_m < top_m - settings.margin_m) & (near_m > low_m + settings.duct_drop_m)
+    rises = (near_m < top_m - settings.margin_m) & (near_m > low_m + settings.drop_min_m)
     edge_m = np.where(rises, near_m, top_m)
     closes = side & (edge_m - high_m < 2.0 * votes.voxel_m)
     held = hangs & (off_wall_m < 2.0 * grid.cell_m)
@@ -184,7 +184,7 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
         built[part] = not _goes_on_above(wall, grid, behind == part, np.median(low_m[parts == part]), votes.voxel_m)
     # The slit between a duct and its wall closes up to the ceiling; the duct hangs beside it.
     lowest_m = ndimage.minimum_filter(np.where(hangs & ~built[parts], low_m, np.inf), 3)
-    beside = np.bincount(parts[hangs & (lowest_m < low_m - settings.drop_flat_m)], minlength=len(cells))
+    beside = np.bincount(parts[hangs & (lowest_m < low_m - 2.0 * settings.flat_m)], minlength=len(cells))
     drops = (built & (beside < 0.5 * cells))[parts] & hangs
     low_m = -highest_around(np.where(drops, -low_m, np.nan), 3) - settings.margin_m
     low_m[~np.isfinite(low_m)] = np.nan

@@ -32,9 +32,6 @@ class DoorCasingsSettings(StepSettings):
         0.04, gt=0, description="Maximum distance (m) of a casing before the wall beside it; a shelf's side stands out farther."
     )
     beside_m: float = Field(0.4, gt=0, description="Width (m) on each side of what a casing stands out from.")
-    known_min: float = Field(
-        0.6, gt=0, le=1, description="Minimum share of a casing's height that was seen, and of the leaf."
-    )
     proud_min: float = Field(0.75, gt=0, le=1, description="Minimum share of its cells that stand out.")
     covered_min: float = Field(
         0.5,
@@ -80,7 +77,7 @@ def find_cased_doors(
         face = Segment.between(walls.ends[w], walls.normal[w])
         for casing in _casings(counts, building, settings):
             opening = casing.first_m / CELL_M, casing.last_m / CELL_M
-            door = flush_door(face, w, opening, 0, casing.head_m, counts, settings.known_min)
+            door = flush_door(face, w, opening, 0, casing.head_m, counts, building.known_min)
             leaf_m = _leaf_behind_m(counts, opening, casing.head_m, building)
             doors = doors.append(replace(door, depth_m=np.array([leaf_m]), casing_m=np.array([casing.relief_m])))
     return doors.select(np.argsort(-doors.casing_m, kind="stable"))
@@ -142,7 +139,7 @@ def _casings(counts: FloatArray, building: BuildingSettings, settings: DoorCasin
     upright_m = before_m - _median_beside(before_m, beside)
     found = []
     for head in range(lowest, min(highest, counts.shape[1] - 2 * wall) + 1):
-        relief_m, strip = _strips(upright_m, spread_m, head, settings)
+        relief_m, strip = _strips(upright_m, spread_m, head, building, settings)
         for first, last in _pairs(strip, building):
             sides_m = _relief_beside(relief_m, first, -1, wall), _relief_beside(relief_m, last, 1, wall)
             over_m, head_m = _relief_over(before_m, first, last, head, settings)
@@ -151,7 +148,7 @@ def _casings(counts: FloatArray, building: BuildingSettings, settings: DoorCasin
                 weakest_m > settings.relief_min_m
                 and max(map(abs, sides_m)) < settings.flush_max * weakest_m
                 and np.mean(strip[first + wall : last + 1 - wall]) <= settings.within_max
-                and is_opaque(counts[first + 1 : last, FOOT_ROW:head], building, settings.known_min)
+                and is_opaque(counts[first + 1 : last, FOOT_ROW:head], building)
             ):
                 found.append((weakest_m, first, last, head_m, relief_m))
     found.sort(key=lambda casing: -casing[0])
@@ -185,7 +182,7 @@ def _median_beside(values: FloatArray, reach: int) -> FloatArray:  # pragma: no 
 
 
 def _strips(
-    upright_m: FloatArray, spread_m: FloatArray, head: int, settings: DoorCasingsSettings
+    upright_m: FloatArray, spread_m: FloatArray, head: int, building: BuildingSettings, settings: DoorCasingsSettings
 ) -> tuple[FloatArray, BoolArray]:
     """(c,) how far each column stands out of the wall beside it, from the floor to a head's row, and whether as a casing does.
 
@@ -210,7 +207,7 @@ def _strips(
     with np.errstate(divide="ignore", invalid="ignore"):
         sheet_m = relief_m + beyond_noise_m**2 / relief_m
     sheet = (sheet_m < settings.relief_max_m) & (relief_m > settings.covered_min * sheet_m)
-    return relief_m, stands & ends & sheet & (seen.mean(axis=1) > settings.known_min)
+    return relief_m, stands & ends & sheet & (seen.mean(axis=1) > building.known_min)
 
 
 def _pairs(strip: BoolArray, building: BuildingSettings) -> Iterator[tuple[int, int]]:
@@ -259,10 +256,10 @@ def _relief_over(
     return float(np.nanmean(over_m)), (head + 1 - covered) * CELL_M
 
 
-def is_opaque(inner: FloatArray, building: BuildingSettings, known_min: float) -> bool:
+def is_opaque(inner: FloatArray, building: BuildingSettings) -> bool:
     """Whether rays end on what fills an opening (c, rows, 4), over most of it."""
     on, passed = inner[..., FILLED].sum(), inner[..., THROUGH].sum()
-    return bool(on > building.opaque_min * (on + passed) and np.mean(inner[..., FILLED] > 0) > known_min)
+    return bool(on > building.opaque_min * (on + passed) and np.mean(inner[..., FILLED] > 0) > building.known_min)
 
 
 def _inner_edge(relief_m: FloatArray, column: int, settings: DoorCasingsSettings) -> float:

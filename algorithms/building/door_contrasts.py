@@ -65,9 +65,6 @@ class DoorContrastsSettings(StepSettings):
     flush_m: float = Field(
         0.012, gt=0, description="Maximum distance (m) of the leaf from the wall's face: a board stands out."
     )
-    known_min: float = Field(
-        0.6, gt=0, le=1, description="Minimum share of a leaf, and of the wall beside it, that was seen."
-    )
 
 
 class _Leaf(NamedTuple):
@@ -115,7 +112,7 @@ def find_contrasting_doors(
             shared = min(leaf.last, len(own[w].shade) + reach) - max(leaf.first, reach)
             if shared < 0.4 * (leaf.last - leaf.first):
                 continue  # It is rather the other face's
-            door = flush_door(face, w, opening, reach, leaf.head_m, picture.counts, settings.known_min)
+            door = flush_door(face, w, opening, reach, leaf.head_m, picture.counts, building.known_min)
             doors = doors.append(replace(door, contrast=np.array([leaf.contrast])))
     return doors.select(np.argsort(-np.abs(doors.contrast), kind="stable"))
 
@@ -184,7 +181,7 @@ def _leaves(picture: _Picture, building: BuildingSettings, settings: DoorContras
     # What stands out of the face, or is rays' way through it, is neither wall nor leaf.
     off = (np.abs(before_m) > ON_FACE_M) | (counts[..., THROUGH] > 0.5 * counts[..., FILLED])
     shade, before_m = np.where(off, np.nan, shade), np.where(off, np.nan, before_m)
-    column = _column_means(shade[:, FOOT_ROW:lowest], settings.known_min)
+    column = _column_means(shade[:, FOOT_ROW:lowest], building.known_min)
     step = _steps(column, strip)
     error = _scatter(step)
     edges = _edges(step, settings.errors_min * error)
@@ -196,7 +193,7 @@ def _leaves(picture: _Picture, building: BuildingSettings, settings: DoorContras
                 continue
             leaf = _leaf(shade, before_m, column, int(first), int(last), building, settings)
             inner = counts[first:last, FOOT_ROW:lowest]
-            if leaf is not None and is_opaque(inner, building, settings.known_min):
+            if leaf is not None and is_opaque(inner, building):
                 found.append(leaf)
     found.sort(key=lambda leaf: -abs(leaf.step))
     leaves: list[_Leaf] = []
@@ -249,14 +246,14 @@ def _leaf(
     beside, strip, above = (cells_in(length) for length in (settings.beside_m, settings.strip_m, settings.above_m))
     lowest, highest = cells_in(building.door_height_min_m), cells_in(building.door_height_max_m) + 1
     sides = [slice(max(first - beside, 0), first), slice(last + 1, last + 1 + beside)]
-    if not all(np.count_nonzero(np.isfinite(column[side])) >= settings.known_min * beside for side in sides):
+    if not all(np.count_nonzero(np.isfinite(column[side])) >= building.known_min * beside for side in sides):
         return None  # Between two doors the wall itself would be a leaf
     wall = np.concatenate([column[side] for side in sides])
     step = _mean(column[first + 1 : last]) - _mean(wall)
     if not abs(step) > settings.contrast_min * abs(_mean(wall)):
         return None
     within, around = shade[first + 1 : last], np.concatenate([shade[side] for side in sides])
-    contrast = (_row_means(within, settings.known_min) - _row_means(around, 0.0)) / step
+    contrast = (_row_means(within, building.known_min) - _row_means(around, 0.0)) / step
     # The head: contrast as far as there, and none above.
     gone = np.flatnonzero(contrast[lowest - 1 : highest + 1] < 0.5)
     if not len(gone):

@@ -12,7 +12,7 @@ from pydantic import Field
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import lengths_m, segments
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.model import AT_FACE_M, ON_FACE_M, BuildingSettings, Doors, Walls, stretches
+from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, ON_FACE_M, BuildingSettings, Doors, Walls, stretches
 from ffmap.algorithms.building.ray_evidence import OwnPlane, Rays, floor_m, own_plane
 from ffmap.algorithms.scan.summary import Features
 
@@ -26,8 +26,6 @@ class DoorFramesSettings(StepSettings):
     jamb_reach_m: float = Field(
         0.2, gt=0, le=1, description="Maximum distance (m) of a jamb from where the cells of the wall's face show it."
     )
-    head_min_m: float = Field(1.7, gt=0, description="Minimum height above the floor (m) of a door's head.")
-    head_max_m: float = Field(2.7, gt=0, description="Maximum height above the floor (m) of a door's head.")
     from_m: float = Field(
         0.3, gt=0, description="Minimum distance (m) of a scan before the face: nearer ones meet the frame aslant."
     )
@@ -90,9 +88,9 @@ class _Evidence(NamedTuple):
     scans: IntArray
 
     @classmethod
-    def none(cls, doors: int, settings: DoorFramesSettings) -> "_Evidence":
+    def none(cls, doors: int, heads_m: tuple[float, float], settings: DoorFramesSettings) -> "_Evidence":
         jamb_bins = 1 + round(2 * settings.jamb_reach_m / _BIN_M)
-        head_bins = round((settings.head_max_m - settings.head_min_m) / _BIN_M)
+        head_bins = round((heads_m[1] - heads_m[0]) / _BIN_M)
         return cls(
             np.zeros((doors, 2, jamb_bins)),
             np.zeros((doors, 2, 2), np.int64),
@@ -112,7 +110,8 @@ def place_frames(
 
     walls: those that `doors.wall` counts.
     """
-    evidence = _Evidence.none(len(doors), settings)
+    heads_m = building.door_height_min_m - 2.0 * CELL_M, building.door_height_max_m + 2.0 * CELL_M
+    evidence = _Evidence.none(len(doors), heads_m, settings)
     frames = _Frames(
         np.ascontiguousarray(doors.ends, np.float64),
         np.ascontiguousarray(doors.head_m, np.float64),
@@ -123,7 +122,7 @@ def place_frames(
     )
     rules, own = _Rules(**settings.model_dump()), OwnPlane.of(building)
     for block in blocks:
-        _compare_with_frames(frames, evidence, np.asarray(block.scan, np.int64), Rays.of(block), own, rules)
+        _compare_with_frames(frames, evidence, np.asarray(block.scan, np.int64), Rays.of(block), own, heads_m, rules)
     ends, head_m = doors.ends.copy(), doors.head_m.copy()
     for d, doorway in enumerate(segments(doors)):
         if doors.depth_m[d] == 0.0:
@@ -133,7 +132,7 @@ def place_frames(
             if edge_m is not None:
                 ends[d, side] += outwards * doorway.along * (edge_m - settings.jamb_reach_m)
         edge_m = _edge_m(evidence.head_cost_m[d], evidence.head_rays[d], settings.rays_min)
-        head_m[d] = doors.head_m[d] if edge_m is None else settings.head_min_m + edge_m
+        head_m[d] = doors.head_m[d] if edge_m is None else heads_m[0] + edge_m
     count, first, last = evidence.scans.T
     return replace(doors, ends=ends, head_m=head_m, scan_count=count.astype(np.int32), first_scan=first, last_scan=last)
 
@@ -167,7 +166,13 @@ def _add_costs(
 
 @numba.njit(cache=True, nogil=True)
 def _compare_with_frames(
-    frames: _Frames, evidence: _Evidence, scan: IntArray, rays: Rays, own: OwnPlane, rules: _Rules
+    frames: _Frames,
+    evidence: _Evidence,
+    scan: IntArray,
+    rays: Rays,
+    own: OwnPlane,
+    heads_m: tuple[float, float],
+    rules: _Rules,
 ) -> None:  # pragma: no cover
     ends, head_m, is_open, depth_m, wall_ends, wall_normal = frames
     jamb_cost_m, jamb_rays, head_cost_m, head_rays, scans = evidence
@@ -208,10 +213,10 @@ def _compare_with_frames(
                 height = z - floor_m(floors, s, ray_end[r, 0], ray_end[r, 1])
                 kind = 0 if -side < min(0.5 * depth_m[d], ON_FACE_M) else 1
                 end_m = min(max(-side, -depth_m[d]), depth_m[d])
-                if corner_m < u < length - corner_m and rules.head_min_m < height < rules.head_max_m:
+                if corner_m < u < length - corner_m and heads_m[0] < height < heads_m[1]:
                     head_rays[d, kind] += 1
                     rise = (z - origin[s, 2]) / reach
-                    _add_costs(head_cost_m[d], rules.head_min_m, height, rise, end_m, depth_m[d])
+                    _add_costs(head_cost_m[d], heads_m[0], height, rise, end_m, depth_m[d])
                 if height < rules.foot_m or height > head_m[d] - corner_m:
                     continue
                 saw = True
@@ -261,12 +266,15 @@ def _count_undersides(
     rays: Rays,
     rules: _Rules,
 ) -> None:  # pragma: no cover
+    if not len(ends):
+        return
     bins, corner_m = counts.shape[1], rules.corner_m
+    lowest_m, highest_m = head_m.min() - rules.underside_m, head_m.max() + rules.underside_m
     starts, ray_end, floors = rays.starts, rays.end, rays.floors
     for s in range(len(starts) - 1):
         for r in range(starts[s], starts[s + 1]):
             height = ray_end[r, 2] - floor_m(floors, s, ray_end[r, 0], ray_end[r, 1])
-            if height < rules.head_min_m or height > rules.head_max_m:
+            if height < lowest_m or height > highest_m:
                 continue
             for d in range(len(ends)):
                 if abs(height - head_m[d]) > rules.underside_m:

@@ -24,7 +24,6 @@ from ffmap.algorithms.building.openings import (
     DoorColumns,
     OpeningRules,
     OpeningsSettings,
-    has_sill,
     is_open_to_floor,
     is_pane,
     look_for_doors,
@@ -98,9 +97,7 @@ def _doors_in(
         for first, last in stretches(flags, 2):
             if seen_as == DoorState.OPEN:
                 opening = counts[first : last + 1]
-                if is_pane(opening, twice[first : last + 1], rules) or has_sill(opening, rules):
-                    continue
-                if not is_open_to_floor(opening, rules):
+                if is_pane(opening, twice[first : last + 1], rules) or not is_open_to_floor(opening, rules):
                     continue
                 first, last = to_jambs(counts[:, low:high].sum(axis=1), first, last, openings.leaf_max_m)
                 if (last + 1 - first) * CELL_M < settings.door_width_min_m:

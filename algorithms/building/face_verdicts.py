@@ -143,12 +143,6 @@ class StandingWallsSettings(StepSettings):
     robot_m: float = Field(
         0.1, ge=0, description="Minimum distance (m) of a wall from where the robot drove: half as wide as any robot is."
     )
-    step_behind_m: float = Field(
-        0.2, gt=0, description="Distance (m) behind a face that hangs at which a ceiling makes it that ceiling's step."
-    )
-    step_near_m: float = Field(0.1, gt=0, description="Maximum distance (m) from there of that ceiling's returns.")
-    step_share_min: float = Field(0.8, gt=0, le=1, description="Minimum share of its length behind which they were seen.")
-    step_min_m: float = Field(0.2, gt=0, description="Minimum height (m) of such a step.")
     ceiling_near_m: float = Field(2.0, gt=0, description="Maximum horizontal distance (m) of a wall's ceiling.")
 
 
@@ -167,9 +161,7 @@ class FaceVerdict(IntEnum):
     """It stands close to a longer face that more scans saw, at an angle to it: a leaf that is open against its wall."""
     OUTSIDE = 5
     """Neither floor nor ceiling was seen before it: another house's front, through a window."""
-    STEPS = 6
-    """Rays pass below it, and behind it a ceiling begins at its foot: the side of a skylight's well, a step of the ceiling."""
-    MIRRORED = 7
+    MIRRORED = 6
     """Hardly a ray shows it that does not pass a window, or the wall close beside one: what the pane mirrors of another wall."""
 
 
@@ -186,11 +178,6 @@ class JudgedFaces:
         """(R,) what the returns of each refused face are."""
         return _REFUSED_LABELS[self.verdict]
 
-    @property
-    def refused_from_m(self) -> FloatArray:
-        """(R,) the height above the floor from which on they are: what is below a step of the ceiling is not of it."""
-        return np.where(self.verdict == FaceVerdict.STEPS, self.refused.bottom_m, -np.inf)
-
     def refuse(self, more: Walls, verdict: FaceVerdict) -> "JudgedFaces":
         """The same with more refused faces."""
         verdicts = np.concatenate([self.verdict, np.full(len(more), verdict, np.uint8)])
@@ -199,7 +186,6 @@ class JudgedFaces:
 
 _REFUSED_LABELS = np.full(len(FaceVerdict), Label.CLUTTER, np.uint8)
 _REFUSED_LABELS[[FaceVerdict.OUTSIDE, FaceVerdict.MIRRORED]] = Label.OUTSIDE
-_REFUSED_LABELS[FaceVerdict.STEPS] = Label.CEILING
 
 NO_JUDGED_FACES = JudgedFaces(NO_WALLS, NO_WALLS, np.zeros(0, np.uint8))
 
@@ -341,26 +327,6 @@ def refuse_outside(judged: JudgedFaces, storey: Storey, settings: FaceColumnsSet
     """The same without faces that were only seen through windows, whether or not these were found."""
     within = room_before(judged.walls, storey, settings)
     return replace(judged, walls=judged.walls.select(within)).refuse(judged.walls.select(~within), FaceVerdict.OUTSIDE)
-
-
-def find_steps(judged: JudgedFaces, storey: Storey, settings: StandingWallsSettings) -> JudgedFaces:
-    """The same with the faces that hang, and behind whose foot a ceiling was seen, as steps of that ceiling.
-
-    What else hangs, a duct or a beam, has its own underside behind its foot, which is no ceiling. A step begins at the ceiling.
-    """
-    verdict, bottom_m = judged.verdict.copy(), judged.refused.bottom_m.copy()
-    for w, face in enumerate(segments(judged.refused)):
-        if verdict[w] != FaceVerdict.HANGS:
-            continue
-        places = face.at(np.arange(0.5 * CELL_M, face.length_m, CELL_M)) - settings.step_behind_m * face.normal
-        ceiling_m = storey.clear_m(places, settings.step_near_m)
-        known = np.isfinite(ceiling_m)
-        if np.count_nonzero(known) < settings.step_share_min * len(known):
-            continue
-        foot_m = float(np.median(ceiling_m[known]))
-        if judged.refused.top_m[w] > foot_m + settings.step_min_m:
-            verdict[w], bottom_m[w] = FaceVerdict.STEPS, foot_m
-    return replace(judged, refused=replace(judged.refused, bottom_m=bottom_m), verdict=verdict)
 
 
 def join_corners(walls: Walls, settings: StandingWallsSettings) -> Walls:

@@ -22,6 +22,7 @@ from ffmap.algorithms.base.segments import (
     lines_of,
 )
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.face_columns import CEILING_MARGIN_M
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import JudgedFaces
 from ffmap.algorithms.building.height_map import HeightMap
@@ -72,11 +73,6 @@ class RelabellingSettings(StepSettings):
     at_leaf_m: float = Field(
         0.012, ge=0, description="The same as at_reveal_m there: what is farther from it is the leaf."
     )
-    refused_m: float = Field(
-        0.06,
-        ge=0,
-        description="Maximum distance (m) from a refused face of what a scan calls wall and is clutter, or outside.",
-    )
     refused_above_m: float = Field(
         0.2, ge=0, description="The same as face_above_m of a refused face, which no ceiling ends."
     )
@@ -100,17 +96,11 @@ class RelabellingSettings(StepSettings):
     forget_m: float = Field(
         0.2, gt=0, description="Distance (m) from every wall's face beyond which what a scan calls wall is clutter."
     )
-    edge_m: float = Field(
+    scatter_m: float = Field(
         0.06,
         ge=0,
         le=0.2,
-        description="Maximum distance (m) both from a wall and from floor or ceiling of a return that is of the one that its "
-        "ray meets first.",
-    )
-    another_ceiling_m: float = Field(
-        0.06,
-        ge=0,
-        description="A ceiling this far (m) below the one before a wall is another room's: poses drift, returns scatter.",
+        description="Maximum distance (m) of a return from the surface that it is of: ranges scatter, poses drift.",
     )
     grazing_sine: float = Field(
         0.2,
@@ -118,16 +108,12 @@ class RelabellingSettings(StepSettings):
         lt=1,
         description="Sine of the angle between a ray and a face below which the place where they cross says nothing.",
     )
-    own_max_m: float = Field(
-        0.06,
+    own_to_m: float = Field(
+        0.7,
         gt=0,
-        description="Maximum distance (m) of a face from where a scan itself shows it: poses are off by less.",
+        description="Maximum distance (m) from floor and ceiling of the returns that tell where a scan shows a face.",
     )
-    own_from_m: float = Field(
-        0.08, ge=0, description="Distance (m) from floor and ceiling from which returns tell where a scan shows a face."
-    )
-    own_to_m: float = Field(0.7, gt=0, description="Distance (m) from floor and ceiling up to which they do.")
-    own_returns_min: int = Field(20, ge=1, description="Minimum returns that tell where a scan shows a face.")
+    own_returns_min: int = Field(20, ge=1, description="Minimum number of them.")
     floor_scatter_m: float = Field(
         0.015, ge=0, description="Maximum height (m) above the floor of returns of the floor itself, seen level."
     )
@@ -152,7 +138,7 @@ class BuildingModel:
 
     walls: the faces that stand. before: how high the ceiling hangs before each, and where something stands flat against it.
     judged: with the faces that were refused, whose returns are clutter, or outside. Its own `walls` are not asked.
-    levels: what lies at known heights, applied one after the other; false floors are asked before the faces are.
+    levels: what lies at known heights, applied one after the other.
     """
 
     walls: Walls
@@ -164,9 +150,8 @@ class BuildingModel:
     levels: tuple[HeightMap, ...]
 
 
-TOP, REFUSED_AS, REFUSED_FROM = 7, 8, 9
-"""Beside those of `lines_of`, columns of faces and refused faces: the highest that was seen, the label of their returns, and the
-height above the floor from which on these have it."""
+TOP, REFUSED_AS = 7, 8
+"""Beside those of `lines_of`, columns of faces and refused faces: the highest that was seen, and the label of their returns."""
 HEAD, LEAF, REVEAL = 7, 8, 9
 """The same of doorways: the head's height above the floor, how far the closed leaf is behind the wall's face (minus infinity
 where the door is open), and how deep the reveals are."""
@@ -210,7 +195,6 @@ class Relabelling:
     faces, refused, doorways, panes, blinds: a row for each, see `TOP`, `HEAD`, `BEYOND` and `LOW`; with an index of `index_near`
         each, the faces with one of those that rays meet along an edge, and with one of those that a return may be at.
     before: what is before the faces, by their columns.
-    false_floors: what a scan took for floor on a wall, which is to be asked about like anything else there.
     levels: what lies at known heights, asked last; halo: the cubes in which clutter is a surface's scatter, before these.
     """
 
@@ -221,7 +205,6 @@ class Relabelling:
     blinds: tuple[FloatArray, IntArray]
     before: Foreground
     rules: "_Rules"
-    false_floors: tuple[HeightMap, ...]
     levels: tuple[HeightMap, ...]
     halo: Halo
 
@@ -234,7 +217,7 @@ class Relabelling:
         beyond_m = np.where(np.isfinite(windows.pane_m), windows.pane_m + settings.pane_m, settings.behind_glass_m)
         # A ray that ends this close to a face or a leaf may cross it so far away, if it comes in as level as is asked about.
         at_face_m = max(settings.forget_m, settings.body_m)
-        edge_m = settings.edge_m + settings.own_max_m
+        edge_m = 2.0 * settings.scatter_m
         off_leaf_m = settings.leaf_distance_m + settings.wall_distance_m + np.max(leaf_m, initial=0.0)
         door_m = settings.at_door_m + max(settings.other_face_m, off_leaf_m / settings.grazing_sine)
         frame_m = np.where(np.isfinite(windows.pane_m), beyond_m, settings.window_reveal_m)
@@ -247,8 +230,8 @@ class Relabelling:
                 index_near(walls, at_face_m + margin_m),
             ),
             (
-                _table(refused, refused.top_m, building.judged.refused_label, building.judged.refused_from_m),
-                index_near(refused, settings.refused_m + margin_m),
+                _table(refused, refused.top_m, building.judged.refused_label),
+                index_near(refused, settings.scatter_m + margin_m),
             ),
             (_table(doors, doors.head_m, leaf_m, doors.reveal_m), index_near(doors, door_m + margin_m)),
             (
@@ -261,8 +244,7 @@ class Relabelling:
             ),
             building.before,
             _Rules(**settings.model_dump()),
-            tuple(level for level in building.levels if level.surface.taken_for == Label.FLOOR),
-            tuple(level for level in building.levels if level.surface.taken_for != Label.FLOOR),
+            building.levels,
             halo,
         )
 
@@ -282,17 +264,16 @@ class Relabelling:
         """
         origin = np.ascontiguousarray(origin_map, np.float64)
         reason = np.zeros(len(label_scan), np.uint8)
-        label_level = _by_levels(self.false_floors, points_map, label_scan, reason)
         lines, along_edges, at_faces = self.faces
         # Every question is asked of all returns at once: asked one by one, what takes most is to hand over the arrays.
-        own_m = _own_places(points_map, height_m, below_ceiling_m, label_level, lines, along_edges, self.rules)
+        own_m = _own_places(points_map, height_m, below_ceiling_m, label_scan, lines, along_edges, self.rules)
         on_blind = _on_blinds(points_map, height_m, *self.blinds, self.rules)
         outside = _outside(points_map, height_m, origin, self.panes[0], self.rules) & ~on_blind
         label, asked = _at_edges(
             points_map,
             height_m,
             below_ceiling_m,
-            label_level,
+            label_scan,
             outside,
             origin,
             lines,
@@ -304,7 +285,7 @@ class Relabelling:
             self.rules,
         )
         at_edge = np.where(outside, np.uint8(Reason.BEYOND_WINDOW), _EDGE_REASONS[label])
-        np.copyto(reason, at_edge, where=label != label_level)
+        np.copyto(reason, at_edge, where=label != label_scan)
         at_door = _at_doors(points_map, height_m, asked, origin, *self.doorways, self.rules)
         _mark_window_reveals(points_map, height_m, asked, at_door, *self.panes, self.rules)
         at_door[on_blind] |= ON_BLIND
@@ -349,14 +330,14 @@ def _own_places(
 
     A pose may be off by a centimetre, and its upright by tenths of a degree, which is as much at the ceiling.
     """
-    bin_m, most_m = 0.002, rules.own_max_m
+    bin_m, most_m = 0.002, rules.scatter_m
     bins = int(2.0 * most_m / bin_m)
     counts = np.zeros((len(faces), 2, bins), np.int64)
     for i in range(len(points)):
         if label_scan[i] != Label.WALL:
             continue
-        at_foot = rules.own_from_m < height[i] < rules.own_to_m
-        if not at_foot and not rules.own_from_m < below_ceiling[i] < rules.own_to_m:
+        at_foot = CEILING_MARGIN_M < height[i] < rules.own_to_m
+        if not at_foot and not CEILING_MARGIN_M < below_ceiling[i] < rules.own_to_m:
             continue
         p = cell_at(near_faces, points[i, 0], points[i, 1])
         for k in range(near_faces[p], near_faces[p + 1]):
@@ -462,7 +443,7 @@ def _at_edges(
     own_m: from `_own_places`. Also returned is of which returns doors and faces are to be asked (n,).
     """
     label, asked = label_scan.copy(), np.zeros(len(points), np.bool_)
-    edge_m = rules.edge_m
+    edge_m = rules.scatter_m
     for i in range(len(points)):
         if outside[i]:
             label[i] = Label.OUTSIDE
@@ -501,7 +482,7 @@ def _at_edges(
                 if _is_in_doorway(cx, cy, height_m + rise, doorways, near_doorways, rules.other_face_m):
                     continue
                 column = min(int(u / CELL_M), first[w + 1] - first[w] - 1)
-                is_other_rooms = height_m < clear_m[first[w] + column] - rules.another_ceiling_m
+                is_other_rooms = height_m < clear_m[first[w] + column] - rules.scatter_m
                 near_ceiling = near_a_ceiling and not is_other_rooms
                 if (not near_floor or height_m + rise > 0.0) and (not near_ceiling or below_m - rise > 0.0):
                     label[i], met = Label.WALL, True
@@ -685,10 +666,10 @@ def _labels_of_refused(
         p = cell_at(near_refused, x, y)
         for k in range(near_refused[p], near_refused[p + 1]):
             f = near_refused[k]
-            if abs(before_line(refused, f, x, y)) < rules.refused_m:
+            if abs(before_line(refused, f, x, y)) < rules.scatter_m:
                 u = along_line(refused, f, x, y)
                 beside = -rules.margin_m < u < refused[f, LENGTH] + rules.margin_m
-                if beside and refused[f, REFUSED_FROM] < height[i] < refused[f, TOP] + rules.refused_above_m:
+                if beside and height[i] < refused[f, TOP] + rules.refused_above_m:
                     label[i] = np.int16(refused[f, REFUSED_AS])
                     break
     return label
@@ -713,7 +694,6 @@ def _decided(
             continue
         on_reveal = bool(at_door[i] & ON_REVEAL)
         is_wall, is_door = label[i] == Label.WALL, label[i] == Label.DOOR
-        is_step = label[i] == Label.CLUTTER and refused[i] == Label.CEILING
         is_scatter = is_within[i] and not at_door[i] & IN_DOORWAY
         is_near = nearest_m[i] < rules.wall_distance_m
         why = Reason.KEPT
@@ -724,7 +704,7 @@ def _decided(
         elif not on_reveal and (at_door[i] & IN_OPENING or is_covered[i]):
             # A face goes on over its doors, but no wall stands in an open one.
             final[i], why = Label.CLUTTER, Reason.IN_OPENING if at_door[i] & IN_OPENING else Reason.AGAINST_WALL
-        elif not on_reveal and (is_wall or is_door or is_step) and nearest_m[i] > rules.wall_distance_m and refused[i] >= 0:
+        elif not on_reveal and (is_wall or is_door) and nearest_m[i] > rules.wall_distance_m and refused[i] >= 0:
             final[i], why = refused[i], Reason.ON_REFUSED
         elif label[i] == Label.CLUTTER and (on_reveal or is_near or is_scatter):
             final[i], why = Label.WALL, Reason.ON_REVEAL if on_reveal else Reason.ON_FACE if is_near else Reason.IN_WALL

@@ -10,26 +10,10 @@ from ffmap.algorithms.building.height_map import (
     closed,
     highest_around,
     median_around,
-    nearest_known,
     range_around,
 )
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.votes import VoxelVotes
-
-
-def map_false_floors(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
-    """What scans took for floor on walls and cupboards: narrow strips, far above the floor.
-
-    A scan extends the plane of its floor as far as it sees; from a ramp that leads up the walls of the next room.
-    """
-    floor = votes.mean_position[(votes.label == Label.FLOOR) & votes.seen()]
-    grid = GroundGrid.around(floor, settings.cell_m, settings.ceiling_reach_m)
-    height_m = grid.heights(floor)
-    known = np.isfinite(height_m)
-    broad = grid.broad(closed(known), settings.seen_floor_width_m) & known
-    _, nearest = nearest_known(broad)
-    low_m = np.where(broad, height_m, np.nan)[nearest] + settings.false_floor_min_m
-    return HeightMap(Surface.FALSE_FLOOR, grid.origin, grid.cell_m, low_m, np.full(grid.shape, np.inf))
 
 
 def map_raised_floors(votes: VoxelVotes, settings: LevelsSettings, cell_m: float) -> HeightMap:
@@ -80,12 +64,12 @@ def map_step_fronts(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     floor = votes.mean_position[(votes.label == Label.FLOOR) & votes.seen()]
     grid = GroundGrid.around(floor, settings.cell_m, settings.ceiling_reach_m)
     floor_m = grid.heights(floor)
-    steep = range_around(floor_m, 3) > settings.step_min_m
+    steep = range_around(floor_m, 3) > settings.raised_min_m
     level = closed(np.isfinite(floor_m) & ~steep) & ~steep
     broad_m = np.where(grid.broad(level, settings.raised_width_m), floor_m, np.nan)
-    high_m = highest_around(broad_m, settings.step_window_cells)
-    low_m = -highest_around(-broad_m, settings.step_window_cells)
-    step = (high_m - low_m > settings.step_min_m) & (high_m - low_m < settings.step_max_m)
+    high_m = highest_around(broad_m, settings.window_cells)
+    low_m = -highest_around(-broad_m, settings.window_cells)
+    step = (high_m - low_m > settings.raised_min_m) & (high_m - low_m < settings.raised_max_m)
     low_m, high_m = np.where(step, low_m, np.nan), np.where(step, high_m + settings.margin_m, np.nan)
     return HeightMap(Surface.STEP_FRONT, grid.origin, grid.cell_m, low_m, high_m)
 

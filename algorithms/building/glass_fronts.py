@@ -46,9 +46,6 @@ class GlassFrontsSettings(StepSettings):
         description="Maximum share of the rays that meet it which such a pane returns; a grating or a rack returns more.",
     )
     patch_m: float = Field(0.2, gt=0, description="Height (m) of the patches of a pane of which each has to return some rays.")
-    expected_min: float = Field(
-        4.0, gt=0, description="A patch tells where so many rays met it that a pane would have returned this many of them."
-    )
     shown_min: float = Field(
         0.8, gt=0, le=1, description="Minimum share of the patches that tell in a pane's column which returned any."
     )
@@ -64,7 +61,6 @@ class GlassFrontsSettings(StepSettings):
         "people return all.",
     )
     bridge_m: float = Field(0.4, ge=0, description="Maximum width (m) of a stretch of a pane in which too few rays met it to tell.")
-    bar_m: float = Field(0.2, ge=0, description="Maximum width (m) of a mullion, beyond which a pane goes on.")
     beyond_m: float = Field(
         0.5, ge=0, description="Length (m) beyond the ends of a line of returns over which a pane is looked for."
     )
@@ -190,7 +186,7 @@ def _lets_pass_always(fronts: Windows, rays: AllRays, rules: GlassRules) -> Wind
             columns, rows = own.shape[0] // size, own.shape[1] // size
             patches = own[: columns * size, : rows * size].reshape(columns, size, rows, size, 2).sum(axis=(1, 3))
             filled, passed = np.moveaxis(patches, 2, 0)
-            tells = filled + passed >= settings.expected_min
+            tells = filled + passed >= rules.openings.openings.expected_min
             returned[k] += filled[tells].sum()
             at_once[k] += filled[tells & (filled > passed)].sum()
     return fronts.select(at_once <= settings.at_once_max * returned)
@@ -250,10 +246,10 @@ def _sheets(
     share = returned.sum() / max(met.sum(), 1.0)
     if share < fronts.share_min:
         return
-    tells = share * met >= fronts.expected_min
+    tells = share * met >= rules.openings.openings.expected_min
     asked, shown = tells.sum(axis=1), (tells & (returned > 0)).sum(axis=1)
     is_told = asked >= fronts.patches_min
-    bar = cells_in(fronts.bar_m)
+    bar = cells_in(rules.openings.openings.bar_max_m)
     no_pane = driven | of_walls | (is_told & (shown < 0.5 * asked))
     sure = is_told & (shown >= fronts.shown_min * asked) & ~no_pane
     sure = long_runs(sure, 1, bridge=cells_in(fronts.bridge_m)) & ~no_pane
@@ -269,14 +265,14 @@ def _sheets(
         is_pure = sheet[FILLED] >= fronts.pure_min * returns
         is_glass = fronts.share_min <= sheet[FILLED] / max(met[told].sum(), 1.0) <= fronts.share_max
         shows = shown[told].sum() >= fronts.shown_min * asked[told].sum()
-        if is_pure and is_glass and shows and not _has_bars(inner[told], share, fronts):
+        if is_pure and is_glass and shows and not _has_bars(inner[told], share, rules):
             behind_m = -float(sheet[SUM] / sheet[FILLED])
             # What reaches as deep as is looked goes on beyond: a wall behind, at a slant.
             if behind_m < rules.openings.building.near_m - 2 * rules.openings.openings.sheet_m:
                 yield first, after, behind_m
 
 
-def _has_bars(counts: FloatArray, share: float, settings: GlassFrontsSettings) -> bool:
+def _has_bars(counts: FloatArray, share: float, rules: GlassRules) -> bool:
     """Whether columns (c, rows, 4) are those of a railing: its bars return rays, the gaps between them hardly any, in turns.
 
     A pane returns about the same beside. share: of the rays that meet it what a pane would return.
@@ -284,13 +280,13 @@ def _has_bars(counts: FloatArray, share: float, settings: GlassFrontsSettings) -
     clear = counts * (counts[..., THROUGH] > counts[..., FILLED])[..., None]
     returned = clear[..., FILLED].sum(axis=1)
     met = returned + clear[..., THROUGH].sum(axis=1)
-    tells = share * met >= settings.expected_min
+    tells = share * met >= rules.openings.openings.expected_min
     returned, met = returned[tells], met[tells]
     here, next_ = returned[:-1] * met[1:], returned[1:] * met[:-1]
     # The rays that return vary by chance.
     noise = np.sqrt(met[:-1] * met[1:] * (returned[:-1] + returned[1:]))
-    steps = np.abs(here - next_) > settings.bars_sigma * noise
-    steps &= np.maximum(here, next_) > settings.bars_ratio * np.minimum(here, next_)
+    steps = np.abs(here - next_) > rules.fronts.bars_sigma * noise
+    steps &= np.maximum(here, next_) > rules.fronts.bars_ratio * np.minimum(here, next_)
     return bool(2 * np.count_nonzero(steps) > len(steps))
 
 

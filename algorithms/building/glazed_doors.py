@@ -22,7 +22,7 @@ def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules)
     building, openings = rules.building, rules.openings
     top_m = tops_m(faces.walls, faces.cells, faces.clear_m)
     may_be = (windows.bottom_m <= openings.lower_rail_max_m) & (windows.top_m <= building.door_height_max_m)
-    may_be &= (windows.top_m >= building.door_height_min_m - openings.rail_max_m) & np.isfinite(windows.pane_m)
+    may_be &= (windows.top_m >= building.door_height_min_m - openings.bar_max_m) & np.isfinite(windows.pane_m)
     doors = NO_DOORS
     for k in np.flatnonzero(may_be):
         w, first, after = wall_of(windows, int(k), faces.walls)
@@ -33,7 +33,7 @@ def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules)
         first, last = _with_stiles(counts, first, after - 1, rules)
         if not building.door_width_min_m <= (last + 1 - first) * CELL_M <= building.door_width_max_m:
             continue
-        head_m = float(windows.top_m[k]) + 0.5 * openings.rail_max_m
+        head_m = float(windows.top_m[k]) + 0.5 * openings.bar_max_m
         if not _stands_around(counts, first, last, head_m, float(np.median(top_m[own][first : last + 1])), rules):
             continue
         door = flush_door(face, w, (first, last + 1), 0, head_m, counts, 0.0)
@@ -52,7 +52,7 @@ def _with_stiles(counts: FloatArray, first: int, last: int, rules: OpeningRules)
     below = counts[:, FOOT_ROW : cells_in(rules.building.door_height_min_m)].sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         recessed = -below[:, SUM] / below[:, FILLED] > rules.building.recess_min_m
-    most = cells_in(rules.openings.rail_max_m)
+    most = cells_in(rules.openings.bar_max_m)
     low, high = widened(recessed, first, last, most)
     flush = most // 2
     return (low if low < first else max(first - flush, 0)), (high if high > last else min(last + flush, len(counts) - 1))
@@ -60,7 +60,7 @@ def _with_stiles(counts: FloatArray, first: int, last: int, rules: OpeningRules)
 
 def _stands_around(counts: FloatArray, first: int, last: int, head_m: float, top_m: float, rules: OpeningRules) -> bool:
     """Whether the wall shows on both sides of a doorway, and above it where the ceiling is higher."""
-    openings, most = rules.openings, cells_in(rules.openings.rail_max_m)
+    openings, most = rules.openings, cells_in(rules.openings.bar_max_m)
     rows = slice(FOOT_ROW, cells_in(head_m))
     over = slice(cells_in(head_m) + most // 2, cells_in(top_m - openings.below_ceiling_m))
     beside = cells_in(openings.beside_m)

@@ -29,7 +29,6 @@ class Surface(StrEnum):
         surface._value_, surface.label, surface.taken_for = name, label, taken_for
         return surface
 
-    FALSE_FLOOR = "false_floor", Label.CLUTTER, Label.FLOOR
     CEILING = "ceiling", Label.CEILING, Label.CLUTTER
     GLIMPSED_CEILING = "glimpsed_ceiling", Label.CEILING, Label.CLUTTER
     SLOPING_CEILING = "sloping_ceiling", Label.CEILING, Label.CLUTTER

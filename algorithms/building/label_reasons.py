@@ -28,7 +28,6 @@ SURFACE_REASONS = {surface: len(Reason) + place for place, surface in enumerate(
 """The code of each level surface, after those of `Reason`."""
 
 _SURFACE_WORDS = {
-    Surface.FALSE_FLOOR: "the floor is known to lie elsewhere",
     Surface.CEILING: "a ceiling that other scans found goes on there",
     Surface.GLIMPSED_CEILING: "all scans together show a ceiling there",
     Surface.SLOPING_CEILING: "all scans together show a sloping ceiling there",

@@ -12,12 +12,6 @@ class LevelsSettings(StepSettings):
     votes_min: int = Field(3, ge=1, description="Minimum number of votes at which a cube's label is taken as known.")
     margin_m: float = Field(0.04, gt=0, description="Half thickness (m) of a level surface: drift and scatter.")
     flat_m: float = Field(0.03, gt=0, description="Maximum height difference (m) of a level cell from its neighbours.")
-    seen_floor_width_m: float = Field(0.3, gt=0, description="Minimum diameter (m) of a disc that proves floor.")
-    false_floor_min_m: float = Field(
-        0.2,
-        gt=0,
-        description="What scans took for floor higher than this (m) above the nearest proven floor is clutter.",
-    )
     ceiling_cell_m: float = Field(0.25, gt=0, description="Edge of the cells (m) of the ceilings that scans found.")
     ceiling_reach_m: float = Field(
         1.5, ge=0, description="Maximum distance (m) over which a ceiling goes on level beyond where it was seen."
@@ -30,7 +24,9 @@ class LevelsSettings(StepSettings):
     slope_min: float = Field(0.15, gt=0, description="Minimum rise per metre of a sloping ceiling.")
     slope_max: float = Field(1.8, gt=0, description="Maximum rise per metre of a sloping ceiling; steeper is a wall.")
     slope_bottom_m: float = Field(1.0, gt=0, description="Minimum height (m) above the floor of a sloping ceiling.")
-    slope_window_cells: int = Field(5, ge=3, description="Edge, in cells, of the window that a plane is fitted to.")
+    window_cells: int = Field(
+        5, ge=3, description="Edge (cells) of the window that a slope is fitted to, and in which floors meet in a step."
+    )
     slope_share_min: float = Field(0.6, gt=0, le=1, description="Minimum share of a window's cells that hold returns.")
     slope_rms_max_m: float = Field(0.025, gt=0, description="Maximum RMS distance (m) of returns from their plane.")
     slope_reach_m: float = Field(
@@ -46,12 +42,7 @@ class LevelsSettings(StepSettings):
     beyond_cell_m: float = Field(0.3, gt=0, description="Edge of the cells (m) for floor beyond what scans found.")
     beyond_level_m: float = Field(0.05, gt=0, description="Maximum height difference (m) of it from the nearest floor.")
     beyond_width_m: float = Field(0.9, gt=0, description="Minimum diameter (m) of a disc within such floor.")
-    step_min_m: float = Field(0.08, gt=0, description="Minimum height (m) of a step between two floors.")
-    step_max_m: float = Field(0.32, gt=0, description="Maximum height (m) of a step between two floors.")
-    step_window_cells: int = Field(
-        5, ge=3, description="Edge (cells) of the window within which floors meet in a step."
-    )
-    duct_drop_m: float = Field(0.08, gt=0, description="Minimum distance (m) of a duct below the ceiling beside it.")
+    drop_min_m: float = Field(0.08, gt=0, description="Minimum height (m) of what hangs below a ceiling.")
     duct_beside_m: float = Field(0.4, gt=0, description="Maximum distance (m) to the ceiling beside a duct.")
     ceiling_edge_m: float = Field(0.3, ge=0, description="Width (m) of a ceiling's edge, where another may begin.")
     drop_reach_m: float = Field(
@@ -65,9 +56,6 @@ class LevelsSettings(StepSettings):
         1.9, gt=0, description="Minimum height (m) above the floor of what is built below a ceiling."
     )
     drop_gap_m: float = Field(0.15, gt=0, description="Maximum height (m) between the returns of one side of a beam.")
-    drop_flat_m: float = Field(
-        0.06, gt=0, description="Maximum height difference (m) of a beam's underside between cells."
-    )
     drop_sides_min: int = Field(5, ge=1, description="Minimum number of cells that show a beam's sides.")
     drop_closed_min: float = Field(
         0.6, gt=0, le=1, description="Minimum share of them where the side reaches the ceiling."

@@ -1,6 +1,6 @@
 """The level and sloping surfaces of the whole building, for what single scans saw too little of or took for something else.
 
-Ceilings, floors that lie higher than where the robot stood, ducts that passed for ceilings, and what passed for floor.
+Ceilings, floors that lie higher than where the robot stood, and ducts that passed for ceilings, and what is of the storey below.
 """
 
 from dataclasses import replace
@@ -14,7 +14,6 @@ from ffmap.algorithms.building.ceilings import (
     map_sloping_ceilings,
 )
 from ffmap.algorithms.building.floors import (
-    map_false_floors,
     map_floors_beyond,
     map_raised_floors,
     map_step_fronts,
@@ -27,8 +26,6 @@ from ffmap.algorithms.building.votes import VoxelVotes
 
 def map_levels(votes: VoxelVotes, settings: LevelsSettings) -> tuple[HeightMap, ...]:
     """All level surfaces of the building, in the order in which they correct labels; votes: of the scans' labels."""
-    false_floors = map_false_floors(votes, settings)
-    votes = _corrected_votes(votes, false_floors)
     ceilings = [find(votes, settings) for find in (map_ceilings, map_glimpsed_ceilings, map_sloping_ceilings)]
     # Far away, returns are far apart.
     raised = [map_raised_floors(votes, settings, cell_m) for cell_m in (settings.cell_m, 2 * settings.cell_m)]
@@ -37,7 +34,7 @@ def map_levels(votes: VoxelVotes, settings: LevelsSettings) -> tuple[HeightMap, 
     ducts = map_ducts(votes, settings)
     drops = map_ceiling_drops(reduce(_corrected_votes, ceilings, votes), settings)
     below = map_storey_below(with_raised, settings)
-    levels = (false_floors, *ceilings, *floors, ducts, drops, below)
+    levels = (*ceilings, *floors, ducts, drops, below)
     return tuple(level for level in levels if level.known.any())
 
 

@@ -33,6 +33,9 @@ from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, fi
 from ffmap.algorithms.building.unexplained_lines import Line, both_sides, straight_lines, unexplained_columns
 from ffmap.algorithms.building.votes import VoxelVotes
 
+_UNDERSIDE_CELL_M = 2.0 * CELL_M
+"""Edge of the cells that count a duct's underside."""
+
 
 class MissedWallsSettings(StepSettings):
     """Walls that every single scan missed; `standing_walls.hidden_*` tells what proves one."""
@@ -88,7 +91,6 @@ class MissedWallsSettings(StepSettings):
         gt=0,
         description="Maximum height difference (m) between a duct's underside and the top of the wall below.",
     )
-    underside_cell_m: float = Field(0.1, gt=0, description="Edge of the cells (m) that count a duct's underside.")
     duct_depth_min_m: float = Field(0.3, gt=0, description="Minimum depth (m) of a duct before its wall.")
     duct_depth_max_m: float = Field(0.8, gt=0, description="Maximum depth (m) of a duct before its wall.")
     duct_share_min: float = Field(
@@ -372,8 +374,8 @@ class _Search:
                 continue
             place_m, before_m = wall.place_m(undersides), wall.before_m(undersides)
             between = (place_m > 0) & (place_m < wall.length_m) & (before_m > noise_m) & (before_m < depth_m)
-            cells = np.stack([place_m[between], before_m[between]], axis=1) // missed.underside_cell_m
-            whole = wall.length_m * (depth_m - noise_m) / missed.underside_cell_m**2
+            cells = np.stack([place_m[between], before_m[between]], axis=1) // _UNDERSIDE_CELL_M
+            whole = wall.length_m * (depth_m - noise_m) / _UNDERSIDE_CELL_M**2
             if len(np.unique(cells, axis=0)) >= missed.duct_share_min * whole:
                 low_m, high_m = np.sort(front.place_m(face.ends[0]))
                 return _Duct(w, max(float(low_m), 0.0), min(float(high_m), front.length_m))

@@ -63,6 +63,9 @@ class BuildingSettings(StepSettings):
         0.9, ge=0, le=1, description="Share of a closed leaf's rays that end on it; a pane lets more of them through."
     )
     confidence_min: float = Field(0.2, ge=0, le=1, description="What is less sure than this to be a door is none.")
+    known_min: float = Field(
+        0.6, gt=0, le=1, description="Share of a flush leaf, of its casing and of the wall beside it that has to be seen."
+    )
     rays_min: int = Field(6, ge=1, description="Fewest rays that decide on a column of a wall, 5 cm wide.")
 
     def for_faces(self) -> "BuildingSettings":

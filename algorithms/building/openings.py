@@ -30,6 +30,9 @@ class OpeningsSettings(StepSettings):
         description="Width (m) beside a jamb in which returns may be of its reveal: it tells nothing of panes.",
     )
     sheet_m: float = Field(0.02, gt=0, description="Maximum distance (m) of a pane's returns from the pane.")
+    expected_min: float = Field(
+        4.0, gt=0, description="A part of an opening tells where a pane would have returned this many of the rays that met it."
+    )
     pane_piece_m: float = Field(
         1.5, gt=0, description="Maximum length (m) over which a pane's returns lie on one sheet: farther, its face is off by more."
     )
@@ -48,7 +51,9 @@ class OpeningsSettings(StepSettings):
         0.2, gt=0, description="Maximum distance (m) of an opening from a window's face for it to be the window's."
     )
     lower_rail_max_m: float = Field(0.35, ge=0, description="Maximum height (m) of a glazed leaf's lower rail.")
-    rail_max_m: float = Field(0.2, ge=0, description="Maximum width (m) of its other rail, and of its stiles.")
+    bar_max_m: float = Field(
+        0.2, ge=0, description="Maximum width (m) of a frame's bars, stiles and rails: where more shows, it is the wall."
+    )
     ajar_m: float = Field(
         0.1, gt=0, description="Minimum distance (m) of a leaf's free edge from its frame for the door to stand open."
     )
@@ -269,16 +274,6 @@ def is_open_to_floor(counts: FloatArray, rules: OpeningRules) -> bool:
     foot = counts[:, FOOT_ROW : cells_in(rules.building.knee_m)].sum(axis=(0, 1))
     share_min = rules.building.agreement_min
     return bool(foot[THROUGH] >= rules.building.rays_min and foot[THROUGH] > share_min * (foot[THROUGH] + foot[FILLED]))
-
-
-def has_sill(counts: FloatArray, rules: OpeningRules) -> bool:
-    """Whether wall shows at the foot of an opening (c, rows, 4), however low: nobody builds a step into a doorway.
-
-    Thresholds are at most 5 cm high.
-    """
-    foot = counts[:, 1 : FOOT_ROW + 1].sum(axis=(0, 1))
-    on = returns_at_face(foot)
-    return bool(on >= rules.building.rays_min and on > foot[THROUGH])
 
 
 def to_jambs(below: FloatArray, first: int, last: int, most_m: float) -> tuple[int, int]:

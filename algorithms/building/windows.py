@@ -14,6 +14,7 @@ from ffmap.algorithms.building.face_verdicts import SAME_WAY
 from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, ON_FACE_M, Walls, Windows, cells_in, stretches
 from ffmap.algorithms.building.openings import (
     OpeningRules,
+    OpeningsSettings,
     find_sheet,
     is_pane,
     look_for_doors,
@@ -56,9 +57,6 @@ class WindowsSettings(StepSettings):
         description="A column beside a window, with those next to it, belongs to the wall or to the window where each row above "
         "the head and below the sill has this many returns.",
     )
-    bar_max_m: float = Field(
-        0.2, ge=0, description="Maximum width (m) of mullions and transoms: where more of it shows, it is the wall."
-    )
     one_wall_m: float = Field(
         0.1, gt=0, description="Maximum distance (m) between two stretches of a face in which one window shows."
     )
@@ -72,15 +70,6 @@ class WindowsSettings(StepSettings):
         0.15, gt=0, description="Maximum distance (m) of such a pane behind the wall's face."
     )
     reveal_max_m: float = Field(0.4, ge=0, description="Maximum width (m) over which a window's reveal shows in it.")
-    at_pane_m: float = Field(
-        0.02, gt=0, description="Maximum distance (m) from the pane of the returns that widen a window."
-    )
-    expected_min: float = Field(
-        4.0,
-        gt=0,
-        description="A column tells that an opening is open where a pane as seen in others would have returned this many rays, and "
-        "none was.",
-    )
     passed_share: float = Field(
         0.03, ge=0, le=1, description="Minimum share of rays that pass there: a leaf beside a window returns all."
     )
@@ -132,10 +121,10 @@ def find_windows(
                 continue
             pane_m = _pane_m(counts[first : last + 1, clear[0] : clear[-1] + 1], rules)
             shown = slice(first, last + 1)
-            first, last = _over_its_pane(high, pane_m, first, last, settings)
+            first, last = _over_its_pane(high, pane_m, first, last, rules.openings.sheet_m, settings)
             between, highest = (int(clear[0]), int(clear[-1])), int(walls.top_m[w] / CELL_M)
             first, last = _to_its_wall(counts, between, highest, first, last, rules, settings)
-            if _is_open(high, pane_m, shown, slice(first, last + 1), settings):
+            if _is_open(high, pane_m, shown, slice(first, last + 1), rules.openings):
                 continue  # what returned is a leaf, or the reveal
             if first == 0 and last == len(counts) - 1:
                 continue  # without a jamb it is what stands below something that hangs
@@ -257,7 +246,7 @@ def _is_higher_than_doors(counts: FloatArray, rules: OpeningRules) -> bool:
 
 
 def _over_its_pane(
-    high: FloatArray, pane_m: float, first: int, last: int, settings: WindowsSettings
+    high: FloatArray, pane_m: float, first: int, last: int, sheet_m: float, settings: WindowsSettings
 ) -> tuple[int, int]:
     """A window's columns, with those beside it that return from the same pane: glass that is met straight on returns most rays.
 
@@ -265,12 +254,12 @@ def _over_its_pane(
     """
     near = with_neighbours(high)
     with np.errstate(invalid="ignore", divide="ignore"):
-        on_pane = np.abs(-high[:, SUM] / high[:, FILLED] - pane_m) < settings.at_pane_m
+        on_pane = np.abs(-high[:, SUM] / high[:, FILLED] - pane_m) < sheet_m
         passed = near[:, THROUGH] > settings.passed_share * (near[:, THROUGH] + near[:, FILLED])
     return widened(on_pane & passed, first, last, len(high))
 
 
-def _is_open(high: FloatArray, pane_m: float, shown: slice, whole: slice, settings: WindowsSettings) -> bool:
+def _is_open(high: FloatArray, pane_m: float, shown: slice, whole: slice, settings: OpeningsSettings) -> bool:
     """Whether nothing returns from most columns of an opening that would have, if the pane that some show were in all of them.
 
     high: (columns, 4) of the whole face, between knee and head. pane_m: how far behind the face it stands; NaN if unknown.
@@ -278,7 +267,7 @@ def _is_open(high: FloatArray, pane_m: float, shown: slice, whole: slice, settin
     near = with_neighbours(high)
     rays = near[:, FILLED] + near[:, THROUGH]
     with np.errstate(invalid="ignore", divide="ignore"):
-        on_pane = np.abs(-near[:, SUM] / near[:, FILLED] - pane_m) < settings.at_pane_m
+        on_pane = np.abs(-near[:, SUM] / near[:, FILLED] - pane_m) < settings.sheet_m
     share = np.sum(near[shown, FILLED] * on_pane[shown]) / max(float(rays[shown].sum()), 1.0)
     tells = share * rays[whole] >= settings.expected_min
     return bool(np.count_nonzero(tells & (near[whole, FILLED] == 0)) > 0.5 * np.count_nonzero(tells))
@@ -300,7 +289,7 @@ def _to_its_wall(
 
     counts: (columns, rows, 4) of the whole face; between: the window's lowest and highest row; highest: the face's.
     """
-    (bottom, top), bar = between, cells_in(settings.bar_max_m)
+    (bottom, top), bar = between, cells_in(rules.openings.bar_max_m)
     if top + 1 - bottom <= bar:
         return first, last  # too low for a wall to show in it
     near = with_neighbours(counts)

@@ -128,9 +128,7 @@ def _log_windows(log: Log, windows: Windows, blinds: Blinds) -> None:
 def _log_levels(log: Log, levels: Sequence[HeightMap]) -> None:
     """Where ceilings, floors and ducts were told that scans took for something else, cell by cell."""
     for surface, maps in groupby(levels, key=lambda level: level.surface):
-        drawn = [level for level in maps if np.isfinite(level.high_m).any()]
-        if not drawn:  # what is no floor reaches up as high as one sees
-            continue
+        drawn = list(maps)
         places = np.concatenate([level.places for level in drawn])
         counts = [np.count_nonzero(level.known) for level in drawn]
         low_m, high_m = (

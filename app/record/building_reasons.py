@@ -111,8 +111,6 @@ def _returns(contrast: float) -> str:
 
 def _level(level: HeightMap) -> tuple[str, ...]:
     name = level.surface.replace("_", " ")
-    if not np.isfinite(level.high_m).any():
-        return f"{name}, if scans saw any", "", f"from {np.nanmin(level.low_m):.2f} m up"
     area_m2 = np.count_nonzero(level.known) * level.cell_m**2
     cells = f" (cells of {level.cell_m:.1f} m)" if level.surface == Surface.RAISED_FLOOR else ""
     return f"{name}{cells}", f"{area_m2:.1f} m²", f"{np.nanmin(level.low_m):.2f} – {np.nanmax(level.high_m):.2f} m"

@@ -12,7 +12,6 @@ from ffmap.algorithms.building.face_verdicts import (
     JudgedFaces,
     StandingWallsSettings,
     along_others,
-    find_steps,
     join_corners,
     judge_faces,
     leaning_on_others,
@@ -118,44 +117,6 @@ def test_a_face_without_room_before_it_is_outside():
     np.testing.assert_array_equal(told.walls.ends, both.ends[:1])
     assert told.verdict.tolist() == [FaceVerdict.OUTSIDE]
     assert told.refused_label.tolist() == [Label.OUTSIDE]
-
-
-@pytest.mark.parametrize(
-    ("behind_m", "top_m", "verdict", "expected"),
-    [
-        (2.4, 3.2, FaceVerdict.HANGS, FaceVerdict.STEPS),
-        (2.4, 3.2, FaceVerdict.ENDS_LOW, FaceVerdict.ENDS_LOW),
-        (2.4, 2.5, FaceVerdict.HANGS, FaceVerdict.HANGS),
-        (None, 3.2, FaceVerdict.HANGS, FaceVerdict.HANGS),
-    ],
-    ids=["skylight", "leaf below it", "at one ceiling's height", "duct"],
-)
-def test_what_hangs_where_a_ceiling_begins_is_its_step(
-    behind_m: float | None, top_m: float, verdict: FaceVerdict, expected: FaceVerdict
-) -> None:
-    side = replace(faces(((0, 0), (2, 0))), top_m=np.array([top_m]))
-    across = np.arange(-0.5, 2.5, 0.05)
-
-    def level(y: np.ndarray, z: float) -> np.ndarray:
-        return np.stack(np.meshgrid(across, y, [z]), axis=-1).reshape(-1, 3)
-
-    ceilings = [level(np.arange(0.05, 1.0, 0.05), 3.2)]
-    if behind_m is not None:
-        ceilings.append(level(np.arange(-1.0, 0.0, 0.05), behind_m))
-    storey = Storey(level(np.arange(-1.0, 1.0, 0.05), 0.0), np.concatenate(ceilings))
-    judged = find_steps(JudgedFaces(NO_WALLS, side, np.array([verdict], np.uint8)), storey, SETTINGS)
-    assert judged.verdict.tolist() == [expected]
-    if expected == FaceVerdict.STEPS:
-        assert judged.refused_label.tolist() == [Label.CEILING]
-        np.testing.assert_allclose(judged.refused_from_m, [behind_m])
-    else:
-        assert judged.refused_from_m.tolist() == [-np.inf]
-
-
-def test_no_face_is_no_step() -> None:
-    nothing = np.zeros((0, 3))
-    judged = find_steps(JudgedFaces(NO_WALLS, NO_WALLS, np.zeros(0, np.uint8)), Storey(nothing, nothing), SETTINGS)
-    assert not len(judged.refused)
 
 
 def test_a_wall_that_nothing_passes_stands_whole():

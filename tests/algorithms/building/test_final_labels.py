@@ -141,14 +141,6 @@ def test_a_wall_goes_up_to_the_ceiling_before_it(ceiling_m: float, expected: Lab
     assert final((2.0, -0.02, 2.4), Label.CLUTTER, walls=face(top_m=2.0), ceiling_m=ceiling_m) == expected
 
 
-@pytest.mark.parametrize(("y", "expected"), [(-0.02, Label.WALL), (-1.0, Label.CLUTTER)])
-def test_what_a_scan_took_for_floor_far_above_it_is_a_walls_or_clutter(y: float, expected: Label) -> None:
-    everywhere = np.zeros(2) - 5.0, 10.0, np.full((1, 1), 0.2), np.full((1, 1), np.inf)
-    false_floor = HeightMap(Surface.FALSE_FLOOR, *everywhere)
-    assert final((2.0, y, 1.4), Label.FLOOR, walls=face(), levels=(false_floor,)) == expected
-    assert final((2.0, -1.0, 0.02), Label.FLOOR, walls=face(), levels=(false_floor,)) == Label.FLOOR
-
-
 def test_only_the_sensors_side_of_a_face_has_a_body_behind_it() -> None:
     other_side = np.array([2.0, 2.0, 1.0])
     assert final((2.0, 0.06, 1.0), Label.CLUTTER, walls=face(), sensor=other_side) == Label.CLUTTER
@@ -158,15 +150,6 @@ def test_an_open_doorway_is_no_body_of_its_wall() -> None:
     point = (1.5, 0.05, 1.0)
     assert final(point, Label.CLUTTER, walls=face()) == Label.WALL
     assert final(point, Label.CLUTTER, walls=face(), doors=door(np.nan)) == Label.CLUTTER
-
-
-@pytest.mark.parametrize("taken_for", [Label.WALL, Label.CLUTTER])
-def test_the_side_of_a_skylight_is_ceiling_and_what_stands_below_it_is_not(taken_for: Label) -> None:
-    side = replace(face(0.5, 2.5, -1.0, top_m=3.4), bottom_m=np.array([2.6]))
-    steps: dict[str, Any] = {"walls": face(), "refused": side, "verdict": FaceVerdict.STEPS}
-    assert final((1.5, -1.0, 3.0), taken_for, **steps) == Label.CEILING
-    assert final((1.5, -1.0, 1.0), taken_for, **steps) == Label.CLUTTER
-    assert final((1.5, -1.5, 3.0), Label.CLUTTER, **steps) == Label.CLUTTER
 
 
 def test_what_a_scan_called_wall_on_a_refused_face_is_clutter() -> None:

@@ -1,4 +1,4 @@
-"""The building's level surfaces: ceilings of rooms of different height, sloping ones, raised floors, ducts, false floors."""
+"""The building's level surfaces: ceilings of rooms of different height, sloping ones, raised floors, ducts."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.building.ceilings import map_ceilings, map_ducts, map_glimpsed_ceilings, map_sloping_ceilings
 from ffmap.algorithms.building.face_columns import Storey
-from ffmap.algorithms.building.floors import map_false_floors, map_floors_beyond, map_raised_floors, map_step_fronts
+from ffmap.algorithms.building.floors import map_floors_beyond, map_raised_floors, map_step_fronts
 from ffmap.algorithms.building.height_map import HeightMap, corrected, median_around
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.levels import map_levels
@@ -95,11 +95,9 @@ def test_a_platform_that_shows_in_lines_is_floor() -> None:
 def test_a_platform_that_few_returns_show_from_afar_is_floor() -> None:
     floor, platform = lying((0, 4), (0, 4), 0.01), lying((4, 8), (0, 4), 0.16)
     few = np.random.default_rng(3).choice(platform, 300, replace=False)
-    levels = map_levels(votes_of((floor, Label.FLOOR), (few, Label.CLUTTER)), SETTINGS)
     inner = few[(few[:, 0] > 4.4) & (few[:, 0] < 7.6) & (np.abs(few[:, 1] - 2.0) < 1.6)]
     label = np.zeros(len(inner), np.uint8)
-    assert np.mean(levels[0].label_of(inner, label) == Label.FLOOR) < 0.5
-    for level in levels:
+    for level in map_levels(votes_of((floor, Label.FLOOR), (few, Label.CLUTTER)), SETTINGS):
         label = level.label_of(inner, label)
     assert np.mean(label == Label.FLOOR) > 0.97
 
@@ -203,32 +201,8 @@ def upright(x: tuple[float, float], y: float, z: tuple[float, float]) -> np.ndar
     return np.column_stack([xs, np.full(len(xs), y), zs])
 
 
-def test_floor_that_a_ramp_carries_on_up_the_walls_of_the_next_room_is_none() -> None:
-    floor, next_room = lying((0, 6), (0, 3), 0.02), lying((0, 6), (8, 9), 0.27)
-    strip, wall = upright((0, 6), 9.98, (1.3, 1.45)), upright((0, 6), 9.98, (0.3, 2.8))
-    votes = votes_of((floor, Label.FLOOR), (next_room, Label.FLOOR), (strip, Label.FLOOR))
-    told = map_false_floors(votes, SETTINGS)
-    floors = np.concatenate([floor, next_room])
-    assert np.all(told.label_of(floors, np.full(len(floors), Label.FLOOR, np.uint8)) == Label.FLOOR)
-    assert np.all(told.label_of(strip, np.full(len(strip), Label.FLOOR, np.uint8)) == Label.CLUTTER)
-    assert np.all(told.label_of(wall, np.full(len(wall), Label.WALL, np.uint8)) == Label.WALL)
-    # What is measured from the floor is measured from the true one.
-    ceiling = lying((0, 6), (8, 10), 2.82)
-    votes = votes_of(
-        (floor, Label.FLOOR), (next_room[:50], Label.FLOOR), (strip, Label.FLOOR), (ceiling, Label.CLUTTER)
-    )
-    label = np.zeros(len(ceiling), np.uint8)
-    for level in map_levels(votes, SETTINGS):
-        label = level.label_of(ceiling, label)
-    assert np.mean(label == Label.CEILING) > 0.9
-
-
-def test_where_no_floor_is_broad_none_is_false() -> None:
-    nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
-    strip = votes_of((upright((0, 6), 9.98, (1.3, 1.45)), Label.FLOOR))
-    for votes in (nothing, strip):
-        assert np.isnan(map_false_floors(votes, SETTINGS).low_m).all()
-    assert map_levels(nothing, SETTINGS) == ()
+def test_where_nothing_was_seen_there_is_no_level() -> None:
+    assert map_levels(vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05), SETTINGS) == ()
 
 
 def attic(

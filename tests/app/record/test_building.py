@@ -41,10 +41,7 @@ def building() -> BuildingModel:
     before = Foreground(np.array([0, columns]), np.full(columns, 2.8), np.zeros(columns), covered)
     attic = np.full((2, 3), np.nan)
     attic[1, 2] = 2.0
-    levels = (
-        HeightMap(Surface.FALSE_FLOOR, np.zeros(2), 0.1, attic - 1.8, attic + np.inf),
-        HeightMap(Surface.SLOPING_CEILING, np.array([1.0, 3.0]), 0.1, attic - 0.04, attic + 0.04),
-    )
+    levels = (HeightMap(Surface.SLOPING_CEILING, np.array([1.0, 3.0]), 0.1, attic - 0.04, attic + 0.04),)
     judged = JudgedFaces(WALLS, faces(((1.0, 0.0), (1.0, 0.9))), np.array([FaceVerdict.ENDS_LOW]))
     pane = window((2.5, 0.0), (3.5, 0.0))
     hung = (np.array([value]) for value in (2.2, 2.6, 0.12, -0.3))
@@ -75,7 +72,6 @@ def test_walls_doors_and_windows_are_drawn_where_they_are(tmp_path):
     sloping = found[f"{entities.LEVELS}/{Surface.SLOPING_CEILING}"]
     np.testing.assert_allclose(vectors(sloping["centers"][0]), [[1.25, 3.15, 2.0]], rtol=1e-6)
     np.testing.assert_allclose(sloping["high_m"][0], [2.04], rtol=1e-6)
-    assert f"{entities.LEVELS}/{Surface.FALSE_FLOOR}" not in found
 
 
 def test_an_open_door_is_its_frame_alone(tmp_path):
@@ -94,7 +90,6 @@ def test_the_building_says_why(tmp_path):
         "10 cm behind the face",
         "| 3.00, 0.00 | 1.00 m | 2.20 – 2.60 m | 12.0 cm behind the wall; returns 30 % less than the wall |",
         "| sloping ceiling | 0.0 m² | 1.96 – 2.04 m |",
-        "| false floor, if scans saw any | | from 0.20 m up |",
     ):
         assert words in reasons
     assert "aslant" not in reasons
