@@ -68,8 +68,8 @@ def find_cased_doors(
 ) -> Doors:
     """The closed doors of all faces that a casing shows, those with the clearest casing first.
 
-    Their leaf lies in the wall's face (`depth_m` 0), or as far behind as what returns from within the casing does. A door whose
-    casing shows in both faces of its wall is there twice.
+    Their leaf lies in the wall's face (`depth_m` 0), or as far behind it, or before, as what returns from within the casing does. A
+    door whose casing shows in both faces of its wall is there twice.
     """
     doors = NO_DOORS
     for w in range(len(walls)):
@@ -84,10 +84,11 @@ def find_cased_doors(
 
 
 def _leaf_behind_m(counts: FloatArray, opening: tuple[float, float], head_m: float, building: BuildingSettings) -> float:
-    """How far behind the face a leaf lies, by what returns from an opening without the columns at its jambs; 0 of a flush one."""
+    """How far behind the face a leaf lies, or before it, by what returns from an opening without the columns at its jambs; 0 of a
+    flush one."""
     first, last = round(opening[0]) + 1, round(opening[1]) - 1
     behind_m = -float(depth_moments(counts[first:last, FOOT_ROW : int(head_m / CELL_M)].sum(axis=(0, 1)))[0])
-    return behind_m if behind_m > building.recess_min_m else 0.0
+    return behind_m if abs(behind_m) > building.recess_min_m else 0.0
 
 
 def flush_door(

@@ -125,8 +125,8 @@ def place_frames(
         _compare_with_frames(frames, evidence, np.asarray(block.scan, np.int64), Rays.of(block), own, heads_m, rules)
     ends, head_m = doors.ends.copy(), doors.head_m.copy()
     for d, doorway in enumerate(segments(doors)):
-        if doors.depth_m[d] == 0.0:
-            continue  # Its leaf is flush: rays end on it as they do on the wall.
+        if doors.depth_m[d] <= 0.0:
+            continue  # Its leaf is flush, or hangs before the wall: rays end on it as they do on the wall.
         for side, outwards in ((0, -1.0), (1, 1.0)):
             edge_m = _edge_m(evidence.jamb_cost_m[d, side], evidence.jamb_rays[d, side], settings.rays_min)
             if edge_m is not None:

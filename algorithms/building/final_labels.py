@@ -153,8 +153,8 @@ class BuildingModel:
 TOP, REFUSED_AS = 7, 8
 """Beside those of `lines_of`, columns of faces and refused faces: the highest that was seen, and the label of their returns."""
 HEAD, LEAF, REVEAL = 7, 8, 9
-"""The same of doorways: the head's height above the floor, how far the closed leaf is behind the wall's face (minus infinity
-where the door is open), and how deep the reveals are."""
+"""The same of doorways: the head's height above the floor, how far the closed leaf is behind the wall's face (negative
+before it, minus infinity where the door is open), and how deep the reveals are."""
 BEYOND, FRAME, SILL, WINDOW_HEAD = 7, 8, 9, 10
 """The same of panes: how far behind their face what returns is outside, how deep their reveals are at most, and the heights of
 their sill and head."""
@@ -458,10 +458,10 @@ def _at_edges(
             is_leaf = False
             p = cell_at(near_doorways, x, y)
             for k in range(near_doorways[p], near_doorways[p + 1]):
-                # A closed leaf stands on the floor, behind its wall's face.
+                # A closed leaf stands on the floor, behind its wall's face or before it.
                 d = near_doorways[k]
                 depth_m = doorways[d, LEAF]
-                if near_floor and depth_m >= 0.0 and abs(before_line(doorways, d, x, y) + depth_m) < edge_m:
+                if near_floor and abs(before_line(doorways, d, x, y) + depth_m) < edge_m:
                     share, u = crossing(doorways, d, depth_m, x, y, origin, rules.grazing_sine)
                     if 0.0 < u < doorways[d, LENGTH]:
                         is_leaf = True
@@ -541,7 +541,7 @@ def _at_doors(
             depth_m, head_m, reveal_m = doorways[d, LEAF], doorways[d, HEAD], doorways[d, REVEAL]
             # Between the jambs of a closed door there is nothing but its leaf, its handle, and their scatter; a ray that does
             # not come in between the jambs ended on the wall beside them.
-            if -depth_m - rules.leaf_distance_m < s < rules.wall_distance_m:
+            if -depth_m - rules.leaf_distance_m < s < max(-depth_m, 0.0) + rules.wall_distance_m:
                 share, at_leaf = crossing(
                     doorways, d, depth_m, np.float64(x), np.float64(y), origin, rules.grazing_sine
                 )
@@ -549,12 +549,12 @@ def _at_doors(
                 rise = (share - 1.0) * (z - origin[2])
                 if np.isnan(share):
                     at_leaf, rise = u, 0.0
-                enters = np.isnan(at_face) or -rules.opening_m < at_face < length + rules.opening_m
+                enters = depth_m < 0.0 or np.isnan(at_face) or -rules.opening_m < at_face < length + rules.opening_m
                 if enters and 0.0 < at_leaf < length and height_m + rise < head_m:
                     found[i] |= ON_LEAF
                     break
             if (
-                depth_m < 0.0
+                depth_m == -np.inf
                 and rules.opening_m < u < length - rules.opening_m
                 and height_m < head_m - rules.opening_m
                 and -reveal_m - rules.margin_m < s < rules.margin_m

@@ -44,6 +44,7 @@ from ffmap.algorithms.building.glass_fronts import (
 )
 from ffmap.algorithms.building.glazed_doors import find_glazed_doors
 from ffmap.algorithms.building.height_map import HeightMap
+from ffmap.algorithms.building.hung_doors import find_hung_doors
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.missed_walls import AllReturns, MissedWallsSettings, SearchSettings, find_missed_walls
 from ffmap.algorithms.building.model import NO_WINDOWS, Blinds, BuildingSettings, Doors, Walls, Windows
@@ -139,7 +140,7 @@ def _find_faces(scans: AllScans, settings: FusionSettings) -> tuple[AlignedFaces
     aligned = _align(fuse_walls(planes, settings.building), scans, settings)
     judged = _judge(aligned, scans, settings)
     windows = _windows_in(_traced(judged.walls, scans, settings), settings)
-    fronts = _find_glass_fronts(judged, windows, scans, settings)
+    fronts = _find_glass_fronts(aligned.walls, judged, windows, scans, settings)
     glass = windows.append(fronts)
     outside = seen_through(glass, planes)
     if outside.any():
@@ -195,7 +196,9 @@ def _add_missed_walls(
 # --- openings ---
 
 
-def _find_glass_fronts(judged: JudgedFaces, windows: Windows, scans: AllScans, settings: FusionSettings) -> Windows:
+def _find_glass_fronts(
+    whole: Walls, judged: JudgedFaces, windows: Windows, scans: AllScans, settings: FusionSettings
+) -> Windows:
     def trace(faces: Walls, known: Windows) -> WallCells:
         return scans.trace(faces, settings.without_planes, known)
 
@@ -207,7 +210,7 @@ def _find_glass_fronts(judged: JudgedFaces, windows: Windows, scans: AllScans, s
 
     openings = OpeningRules(settings.without_planes, settings.openings)
     rules = GlassRules(openings, settings.standing_walls, settings.glass_fronts, settings.missed_walls.explained_m)
-    return find_glass_fronts(judged, windows, AllRays(scans.votes, scans.path_map, trace, each_scan), rules)
+    return find_glass_fronts(whole, judged, windows, AllRays(scans.votes, scans.path_map, trace, each_scan), rules)
 
 
 def _find_openings(
@@ -226,7 +229,8 @@ def _find_openings(
     cased = find_cased_doors(walls, without_glass, settings.building, settings.door_casings)
     contrasting = find_contrasting_doors(walls, without_glass, settings.building, settings.door_contrasts)
     glazed = find_glazed_doors(faces, windows, settings.opening_rules)
-    closed = cased.append(contrasting).append(glazed)
+    hung = find_hung_doors(walls, without_glass, doors, settings.building, settings.door_casings)
+    closed = hung.append(cased).append(contrasting).append(glazed)
     doors = add_doors(doors, (closed.select(slice(d, d + 1)) for d in range(len(closed))))
     doors = place_frames(doors, walls, scans.drive.blocks(), settings.building, settings.door_frames)
     doors = drop_doubtful(doors, settings.building)

@@ -116,17 +116,21 @@ class _Pane:
     window: Windows
 
 
-def find_glass_fronts(judged: JudgedFaces, windows: Windows, rays: AllRays, rules: GlassRules) -> Windows:
+def find_glass_fronts(whole: Walls, judged: JudgedFaces, windows: Windows, rays: AllRays, rules: GlassRules) -> Windows:
     """The panes that no known window has: on lines of returns that no wall explains, and in faces that rays speak against.
 
     A pane returns some rays whenever they meet it; who walked by has left returns too, but all at once. Of panes that stand close
     together the one nearest to the robot's way counts. Behind a pane stands what it mirrors, of which it returns as small a share:
     what is seen through another pane has to be one without that. The windows lie on their panes.
+
+    whole: the faces before they were judged.
     """
     standing, way = rules.standing, cKDTree(rays.path_map)
     place, weight, _ = unexplained_columns(rays.votes, judged.walls, judged.refused, rules.explained_m)
     lines, _ = straight_lines(place, weight, wall_directions(judged.walls, standing.direction_share_min), standing)
-    candidates = both_sides(lines).append(judged.refused).append(from_behind(judged.refused))
+    # Of a face that was cut, a part may be too short to tell, and the pane goes on where the face passes for a wall.
+    in_faces = judged.refused.append(whole)
+    candidates = both_sides(lines).append(in_faces).append(from_behind(in_faces))
     candidates = candidates.select(lengths_m(candidates.ends) >= rules.fronts.width_min_m)
 
     def panes(faces: Walls, known: Windows) -> list[_Pane]:

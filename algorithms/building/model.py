@@ -169,7 +169,7 @@ class Doors(Rows):
     ends: (D, 2, 2) x and y of the two jambs, along the sill.
     normal: (D, 2) of the wall face in which it was seen best.
     head_m: (D,) height of the lintel's underside above the floor.
-    depth_m: (D,) depth of the leaf behind the wall's face; NaN for open doors.
+    depth_m: (D,) depth of the leaf behind the wall's face, negative of one that hangs before it; NaN for open doors.
     state: (D,) uint8, see `algorithms.doors.DoorState`.
     confidence: (D,) 0 to 1: `agreement` times `coverage`; 1 where it was crossed.
     agreement: (D,) share of the rays between foot and head that say the same: that it is open, or closed.

@@ -73,8 +73,8 @@ def _door(doors: Doors, d: int) -> tuple[str, ...]:
     if doors.crossed[d]:
         held.insert(0, "the robot drove through")
     if state == DoorState.CLOSED:
-        flush = doors.depth_m[d] == 0.0
-        held.append("leaf flush with the wall" if flush else f"leaf {100 * doors.depth_m[d]:.1f} cm behind the wall")
+        depth_cm, side = 100 * abs(doors.depth_m[d]), "behind" if doors.depth_m[d] > 0.0 else "before"
+        held.append("leaf flush with the wall" if depth_cm == 0.0 else f"leaf {depth_cm:.1f} cm {side} the wall")
     if np.isfinite(doors.contrast[d]):
         held.append(f"leaf {_returns(doors.contrast[d])}")
     if np.isfinite(doors.casing_m[d]):

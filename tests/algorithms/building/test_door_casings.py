@@ -147,6 +147,12 @@ def test_a_leaf_within_a_casing_lies_where_rays_end() -> None:
     assert find(*frame(*opening)).depth_m == [0.0]
 
 
+def test_the_frame_of_a_leaf_that_hangs_before_its_wall_is_a_casing_too() -> None:
+    """A pane set back in its frame by 2 cm, all of it before the wall."""
+    doors = find(*frame(1.5, 2.4, 0.0, 2.0), relief_m=0.055, recess=(1.5, 2.4, 0.0, 2.0), recess_m=-0.035)
+    np.testing.assert_allclose(doors.depth_m, [-0.035], atol=0.005)
+
+
 def test_a_doorway_that_rays_pass_is_no_closed_door() -> None:
     assert len(find(*frame(1.5, 2.4, 0.0, 2.0), passed=(1.5, 2.4, 0.0, 2.0))) == 0
 

@@ -176,6 +176,29 @@ def test_between_the_jambs_of_a_closed_door_all_is_its_leaf(scan_label: Label) -
     assert label_at(0.9, 0.02, 1.0) == Label.WALL  # beside the jamb
 
 
+@pytest.mark.parametrize("scan_label", [Label.CLUTTER, Label.WALL, Label.DOOR])
+@pytest.mark.parametrize("sensor_x", [1.5, -1.0])
+def test_a_leaf_may_hang_before_its_wall(scan_label: Label, sensor_x: float) -> None:
+    def label_at(x: float, y: float, z: float) -> Label:
+        sensor = np.array([sensor_x, -3.0, 1.0])
+        return final((x, y, z), scan_label, walls=face(), doors=door(-0.06), sensor=sensor)
+
+    assert label_at(1.97, -0.06, 1.0) == Label.DOOR
+    assert label_at(1.5, -0.09, 1.0) == Label.DOOR  # its scatter
+    assert label_at(1.5, 0.02, 1.0) == Label.DOOR
+    assert label_at(1.5, -0.01, 2.3) == Label.WALL  # above its head
+    assert label_at(0.9, -0.01, 1.0) == Label.WALL  # beside it
+    assert label_at(1.5, 0.06, 1.0) == (Label.WALL if scan_label == Label.WALL else Label.CLUTTER)  # no open doorway
+    if scan_label == Label.CLUTTER:
+        assert label_at(1.5, -0.15, 1.0) == Label.CLUTTER
+
+
+def test_the_foot_of_a_leaf_before_its_wall_is_the_doors() -> None:
+    ends_on_leaf, ends_on_floor = (1.5, -0.06, 0.02), (1.5, -0.10, 0.0)
+    assert final(ends_on_leaf, Label.FLOOR, walls=face(), doors=door(-0.06)) == Label.DOOR
+    assert final(ends_on_floor, Label.FLOOR, walls=face(), doors=door(-0.06)) == Label.FLOOR
+
+
 def test_along_the_frame_of_a_closed_door_the_leaf_is_where_the_ray_would_meet_it() -> None:
     def label_at(x: float, y: float, z: float) -> Label:
         return final((x, y, z), Label.DOOR, walls=face(), doors=door(0.04))

@@ -111,6 +111,7 @@ class Front:
         refused: Walls = NO_WALLS,
         windows: Windows = NO_WINDOWS,
         more_walls: Walls = NO_WALLS,
+        whole: Walls = NO_WALLS,
     ) -> Windows:
         """What is found by scans along the robot's way, in which a person stands at one place after the other."""
         generator = np.random.default_rng(4)
@@ -128,7 +129,7 @@ class Front:
         sides = faces(((0, 3), (0, 0)), ((0, 0), (4, 0)), ((4, 0), (4, 3))).append(more_walls)
         walls = replace(sides, ends=self.to_map(sides.ends), normal=self.to_map(sides.normal))
         judged = JudgedFaces(walls, refused, np.zeros(len(refused), np.uint8))
-        return find_glass_fronts(judged, windows, AllRays(votes, self.to_map(PATH), trace, each_scan), RULES)
+        return find_glass_fronts(whole, judged, windows, AllRays(votes, self.to_map(PATH), trace, each_scan), RULES)
 
 
 @pytest.mark.parametrize("returned", [0.02, 0.07, 0.2])
@@ -217,9 +218,9 @@ def test_no_pane_is_where_the_robot_drove_or_nothing_was_seen() -> None:
 
     rays = AllRays(votes, way, trace, lambda asked: [trace(asked, NO_WINDOWS)])
     nothing = JudgedFaces(faces(((0, 0), (4, 0))), NO_WALLS, np.zeros(0, np.uint8))
-    assert len(find_glass_fronts(nothing, NO_WINDOWS, rays, RULES)) == 0
+    assert len(find_glass_fronts(NO_WALLS, nothing, NO_WINDOWS, rays, RULES)) == 0
     unseen = replace(rays, votes=vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05), path_map=PATH)
-    assert len(find_glass_fronts(nothing, NO_WINDOWS, unseen, RULES)) == 0
+    assert len(find_glass_fronts(NO_WALLS, nothing, NO_WINDOWS, unseen, RULES)) == 0
 
 
 def test_a_face_that_rays_speak_against_may_be_a_pane() -> None:
@@ -228,6 +229,16 @@ def test_a_face_that_rays_speak_against_may_be_a_pane() -> None:
     for side in range(2):  # from the room behind it as well: a pane has two sides
         found = Front().found(refused=sides.select(np.array([side])))
         np.testing.assert_allclose(found.ends[..., 1], [[DEPTH_M, DEPTH_M]], atol=0.02)
+
+
+@pytest.mark.parametrize("panes", [0, 1])
+def test_a_face_that_was_cut_into_parts_too_short_for_a_pane_is_asked_whole(panes: int) -> None:
+    """The parts explain the returns, so that no line is drawn through them."""
+    parts = faces(*(((x + 0.45, DEPTH_M), (x, DEPTH_M)) for x in np.arange(0.0, 4.0, 0.5)))
+    whole = faces(((4.0, DEPTH_M), (0.0, DEPTH_M))).select(np.arange(panes))
+    found = Front(mirrored=0.0).found(refused=parts, whole=whole)
+    assert len(found) == panes
+    np.testing.assert_allclose(np.sort(found.ends[..., 0]), np.tile([0.0, 4.0], (panes, 1)), atol=0.25)
 
 
 def test_a_pane_is_as_wide_as_all_lines_show_that_lie_on_it() -> None:

@@ -74,6 +74,11 @@ def test_walls_doors_and_windows_are_drawn_where_they_are(tmp_path):
     np.testing.assert_allclose(sloping["high_m"][0], [2.04], rtol=1e-6)
 
 
+def test_a_leaf_may_hang_before_its_wall(tmp_path):
+    found = recorded(tmp_path, replace(building(), doors=replace(DOOR, depth_m=np.array([-0.05]))))
+    assert "leaf 5.0 cm before the wall" in found[entities.BUILDING_REASONS]["text"][0][0]
+
+
 def test_an_open_door_is_its_frame_alone(tmp_path):
     found = recorded(tmp_path, replace(building(), doors=replace(DOOR, state=np.ones(1, np.uint8))))
     assert entities.DOORS in found

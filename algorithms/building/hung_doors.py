@@ -1,0 +1,83 @@
+"""Closed doors whose leaf hangs before the wall on a rail, and slides along it.
+
+Of all that stands flat before a wall a leaf alone is as wide and as high as doors are, reaches the floor, and lies at one depth: it
+is thicker than any casing. A leaf that stands open against the wall does so too, but beside its doorway.
+"""
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.segments import Segment, segments
+from ffmap.algorithms.building.door_casings import DoorCasingsSettings, flush_door
+from ffmap.algorithms.building.face_columns import runs
+from ffmap.algorithms.building.model import CELL_M, NO_DOORS, ON_FACE_M, BuildingSettings, Doors, Walls, cells_in
+from ffmap.algorithms.building.ray_evidence import FOOT_ROW, WallCells, depth_moments
+from ffmap.algorithms.scan.doors import DoorState
+
+
+class _Leaf(NamedTuple):
+    """One leaf before a face: how far, between which columns, and how high."""
+
+    before_m: float
+    first: float
+    last: float
+    head_m: float
+
+
+def find_hung_doors(
+    walls: Walls, cells: WallCells, known: Doors, building: BuildingSettings, settings: DoorCasingsSettings
+) -> Doors:
+    """The closed doors of all faces whose leaf hangs before them, by a negative `depth_m`.
+
+    known: doors; a leaf beside an open one is its own.
+    """
+    doors = NO_DOORS
+    opened = list(segments(known.select(known.state == DoorState.OPEN)))
+    for w, face in enumerate(segments(walls)):
+        counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
+        for leaf in _leaves(counts, building, settings):
+            door = flush_door(face, w, (leaf.first, leaf.last), 0, leaf.head_m, counts, building.known_min)
+            if not any(_is_beside(doorway, door, building.reveal_m) for doorway in opened):
+                doors = doors.append(replace(door, depth_m=np.array([-leaf.before_m])))
+    return doors
+
+
+def _is_beside(doorway: Segment, door: Doors, near_m: float) -> bool:
+    """Whether a single door lies in the wall of a doorway, next to it, or over it."""
+    off_m = np.abs(doorway.before_m(door.ends[0])).max()
+    return bool(off_m < near_m and doorway.shared_m(door.ends[0]) > -near_m)
+
+
+def _leaves(counts: FloatArray, building: BuildingSettings, settings: DoorCasingsSettings) -> Iterator[_Leaf]:
+    """What hangs before a face as leaves do; counts: (c, rows, 4), see `WallCells`."""
+    wall, lowest, highest = (cells_in(m) for m in (settings.wall_m, building.door_height_min_m, building.door_height_max_m))
+    if counts.shape[1] <= lowest + wall:
+        return
+    before_m, _ = depth_moments(counts)
+    below = before_m[:, FOOT_ROW:lowest]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # columns and rows that nobody saw are unknown
+        column_m = np.where(np.isfinite(below).mean(axis=1) > building.known_min, np.nanmedian(below, axis=1), np.nan)
+        for first, after in runs(column_m > settings.relief_max_m):
+            if not building.door_width_min_m <= (after - first) * CELL_M <= building.door_width_max_m:
+                continue
+            leaf_m = float(np.median(column_m[first:after]))
+            flush_m = settings.flush_max * leaf_m
+            # The columns and the row at its edges are its own in part.
+            sides = slice(max(first - 1 - wall, 0), max(first - 1, 0)), slice(after + 1, after + 1 + wall)
+            beside_m = np.concatenate([column_m[side] for side in sides])
+            off_m = np.abs(below[first:after] - leaf_m)
+            row_m = np.nanmedian(before_m[first:after], axis=0)
+            ended = np.flatnonzero(~(row_m[lowest - 1 : highest + 1] > flush_m))
+            if len(beside_m) < 2 * wall or not np.all(np.abs(beside_m) < flush_m) or not len(ended) or ended[0] == 0:
+                continue
+            head = lowest - 1 + int(ended[0])
+            over_m = row_m[head + 1 : head + 1 + wall]
+            is_flat = np.mean(off_m[np.isfinite(off_m)] < 0.5 * ON_FACE_M) > settings.proud_min
+            if is_flat and len(over_m) == wall and np.all(np.abs(over_m) < flush_m):
+                yield _Leaf(leaf_m, float(first), float(after), head * CELL_M)
