@@ -13,12 +13,13 @@ from scipy import ndimage
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
-from ffmap.algorithms.base.segments import ALONG_X, ALONG_Y, START, lines_of, segments
+from ffmap.algorithms.base.segments import ALONG_X, ALONG_Y, START, Segment, lines_of, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import Storey, TracedFaces, above_doors_m, column_places
 from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, Doors, Walls, cells_in
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH
 from ffmap.algorithms.building.votes import Halo
+from ffmap.algorithms.scan.doors import DoorState
 
 
 class ForegroundSettings(StepSettings):
@@ -79,13 +80,21 @@ class Foreground:
 NO_FOREGROUND = Foreground(np.zeros(1, np.int64), np.zeros(0), np.zeros(0), np.zeros((0, 1), bool))
 
 
-def find_foreground(faces: TracedFaces, above_door_m: float, settings: ForegroundSettings) -> Foreground:
-    """What stands flat against the faces; above_door_m: height above which, up to the ceiling, the wall itself is seen."""
+def find_foreground(faces: TracedFaces, doors: Doors, above_door_m: float, settings: ForegroundSettings) -> Foreground:
+    """What stands flat against the faces, but for the leaves of closed doors.
+
+    above_door_m: height above which, up to the ceiling, the wall itself is seen.
+    """
     above_m = above_doors_m(faces.clear_m, above_door_m)
     covered = np.zeros(faces.cells.counts.shape[:2], bool)
     for own in map(faces.columns, range(len(faces))):
         relief_m = _relief_m(faces.cells.counts[own], faces.clear_m[own], above_m[own], settings)
         covered[own] = _standing_patches(relief_m, faces.clear_m[own], settings)
+    places = column_places(faces.walls, faces.cells.first, 0.0)
+    for d in np.flatnonzero(doors.state == DoorState.CLOSED):
+        own = faces.columns(int(doors.wall[d]))
+        leaf = Segment.between(doors.ends[d], doors.normal[d]).beside(places[own], CELL_M)
+        covered[own, : cells_in(doors.head_m[d]) + 1][leaf] = False
     return Foreground(faces.cells.first, faces.clear_m, faces.ground_m, covered)
 
 

@@ -120,7 +120,7 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     aligned, judged, walls = _add_missed_walls(aligned, judged, windows.append(fronts), scans, settings)
     trimmed, doors, windows, blinds = _find_openings(walls, fronts, scans, settings)
     walls, judged = trimmed.faces.walls, judged.refuse(trimmed.leaves, FaceVerdict.ENDS_LOW)
-    before = find_foreground(trimmed.faces, settings.standing_walls.above_door_m, settings.before_walls)
+    before = find_foreground(trimmed.faces, doors, settings.standing_walls.above_door_m, settings.before_walls)
     thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
     halo = find_halo(scans.votes, settings.relabelling.halo_ratio)
     near_m = settings.relabelling.halo_wall_m

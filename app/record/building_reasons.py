@@ -16,7 +16,7 @@ _DOORS = """\
 
 A door has wall above it; below, a ray either goes on (open) or ends on a leaf that is recessed down to the floor (closed).
 A closed leaf that is flush, or whose recess does not show, shows by its casing or its finish, one of glass by its pane, which most
-rays pass.
+rays pass, and a sliding one by hanging before its wall.
 Confidence = share of its rays that agree × share of its columns (5 cm) that are decided so by themselves, or that an open
 door's leaf covers; a door that the robot drove through is open for sure.
 

@@ -15,9 +15,10 @@ from ffmap.algorithms.building.face_foreground import (
     find_foreground,
     halo_at_walls,
 )
-from ffmap.algorithms.building.model import CELL_M, NO_DOORS, Walls
+from ffmap.algorithms.building.model import CELL_M, NO_DOORS, Doors, Walls
 from ffmap.algorithms.building.ray_evidence import WallCells
 from ffmap.algorithms.building.votes import find_halo
+from ffmap.algorithms.scan.doors import DoorState
 from tests.voting import vote
 
 CEILING_M = 2.8
@@ -36,11 +37,11 @@ FLAT = (0.0, 0.0)
 GROUND = Storey(np.zeros((9, 3)), np.zeros((0, 3)))
 
 
-def foreground(counts: np.ndarray, ceiling_m: float = CEILING_M) -> Foreground:
+def foreground(counts: np.ndarray, ceiling_m: float = CEILING_M, doors: Doors = NO_DOORS) -> Foreground:
     """Of the one face, with counts (c, rows, 4) of its cells."""
     columns, rows = counts.shape[:2]
     cells = WallCells(np.array([0, columns]), rows, counts)
-    return find_foreground(TracedFaces(FACE, cells, np.full(columns, ceiling_m), np.zeros(columns)), 2.12, SETTINGS)
+    return find_foreground(TracedFaces(FACE, cells, np.full(columns, ceiling_m), np.zeros(columns)), doors, 2.12, SETTINGS)
 
 
 def relief(
@@ -50,6 +51,7 @@ def relief(
     wall_m: tuple[float, float] = FLAT,
     outline: int = 0,
     ceiling_m: float = CEILING_M,
+    doors: Doors = NO_DOORS,
 ) -> np.ndarray:
     """The cells that are covered where something stands so far before a face that leans from its wall at its ends.
 
@@ -63,7 +65,7 @@ def relief(
     counts = np.zeros((columns, rows, 4), np.float32)
     counts[..., 0] = 40.0 * (z < ceiling_m)
     counts[..., 1] = counts[..., 0] * before_m
-    covered = foreground(counts, ceiling_m).covered
+    covered = foreground(counts, ceiling_m, doors).covered
     around = ndimage.binary_dilation(thing, np.ones((2 * outline + 1, 2 * outline + 1)))
     assert not covered[~around].any()
     return np.asarray(covered[thing & (z > 0.1)])
@@ -73,6 +75,23 @@ def relief(
 def test_the_back_of_a_shelf_is_covered_however_the_face_leans(wall_m: tuple[float, float]) -> None:
     # A cell at its outline is told with those beside it.
     assert relief((1.0, 2.0), (0.0, 1.6), 0.025, wall_m, outline=1).mean() > 0.98
+
+
+@pytest.mark.parametrize("state", list(DoorState))
+def test_the_leaf_of_a_closed_door_covers_no_wall(state: DoorState) -> None:
+    """It hangs before the wall; what stands before an open doorway is no leaf that closes it."""
+    doors = replace(
+        NO_DOORS,
+        ends=np.array([[[2.0, 0.0], [1.0, 0.0]]]),
+        normal=FACE.normal,
+        head_m=np.array([2.0]),
+        state=np.array([state], np.uint8),
+        wall=np.zeros(1, np.int32),
+    )
+    covered = relief((1.0, 2.0), (0.0, 2.0), 0.05, outline=1, doors=doors)
+    assert covered.mean() > 0.98 if state == DoorState.OPEN else not covered.any()
+    # Beside the door, and above its head, something covers the wall all the same.
+    assert relief((1.0, 3.0), (0.0, 2.0), 0.05, outline=1, doors=doors).mean() > 0.45
 
 
 def test_in_a_low_room_the_last_rows_below_the_ceiling_tell_where_the_wall_is() -> None:
