@@ -1,4 +1,4 @@
-"""Floors that single scans did not find, and what passed for floor: platforms, steps, the storey below."""
+"""Floors that single scans did not find: beyond what they saw, on platforms and steps; and the storey below."""
 
 import numpy as np
 

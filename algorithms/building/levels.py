@@ -1,6 +1,6 @@
 """The level and sloping surfaces of the whole building, for what single scans saw too little of or took for something else.
 
-Ceilings, floors that lie higher than where the robot stood, and ducts that passed for ceilings, and what is of the storey below.
+Ceilings, floors that lie higher than where the robot stood, ducts that passed for ceilings, and the storey below.
 """
 
 from dataclasses import replace
