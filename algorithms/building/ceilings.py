@@ -143,7 +143,9 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     low_m, high_m = _topmost(grid, position[overhead], settings.drop_gap_m)
     drop_m = top_m - low_m
     hangs = (drop_m > settings.drop_min_m) & (drop_m < settings.drop_max_m) & (low_m - ground_m > settings.headroom_m)
-    parts = _level_parts(hangs, low_m, 2.0 * settings.flat_m)
+    # Two cells side by side may each be off by as much.
+    level_m = 2.0 * settings.flat_m
+    parts = _level_parts(hangs, low_m, level_m)
     walls = np.isfinite(
         grid.heights(position[(label == Label.WALL) & (below_m > 0.0) & (below_m < settings.drop_max_m)])
     )
@@ -157,7 +159,7 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     low_m = np.where(at_part > 0, low_m[nearest], low_m)
     passed = position[(label == Label.WALL) & votes.seen()]
     from_m, up_to_m = grid.heights(passed, 0.0), grid.heights(passed, 1.0)
-    begins = (from_m > low_m - 2.0 * settings.flat_m) & (from_m - ground_m > settings.headroom_m)
+    begins = (from_m > low_m - level_m) & (from_m - ground_m > settings.headroom_m)
     hung = (at_part > 0) & is_deep[at_part] & begins
     high_m = np.where(hung, np.fmax(high_m, up_to_m), high_m)
     side = (hung | (hangs & ~walls)) & (high_m - low_m > votes.voxel_m)
@@ -184,7 +186,7 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
         built[part] = not _goes_on_above(wall, grid, behind == part, np.median(low_m[parts == part]), votes.voxel_m)
     # The slit between a duct and its wall closes up to the ceiling; the duct hangs beside it.
     lowest_m = ndimage.minimum_filter(np.where(hangs & ~built[parts], low_m, np.inf), 3)
-    beside = np.bincount(parts[hangs & (lowest_m < low_m - 2.0 * settings.flat_m)], minlength=len(cells))
+    beside = np.bincount(parts[hangs & (lowest_m < low_m - level_m)], minlength=len(cells))
     drops = (built & (beside < 0.5 * cells))[parts] & hangs
     low_m = -highest_around(np.where(drops, -low_m, np.nan), 3) - settings.margin_m
     low_m[~np.isfinite(low_m)] = np.nan

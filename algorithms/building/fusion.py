@@ -44,12 +44,12 @@ from ffmap.algorithms.building.glass_fronts import (
 )
 from ffmap.algorithms.building.glazed_doors import find_glazed_doors
 from ffmap.algorithms.building.height_map import HeightMap
-from ffmap.algorithms.building.hung_doors import find_hung_doors
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.missed_walls import AllReturns, MissedWallsSettings, SearchSettings, find_missed_walls
 from ffmap.algorithms.building.model import NO_WINDOWS, Blinds, BuildingSettings, Doors, Walls, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
+from ffmap.algorithms.building.sliding_doors import find_sliding_doors
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
 from ffmap.algorithms.building.votes import Halo, find_halo
 from ffmap.algorithms.building.windows import WindowsSettings, find_windows, in_walls, seen_through
@@ -229,8 +229,8 @@ def _find_openings(
     cased = find_cased_doors(walls, without_glass, settings.building, settings.door_casings)
     contrasting = find_contrasting_doors(walls, without_glass, settings.building, settings.door_contrasts)
     glazed = find_glazed_doors(faces, windows, settings.opening_rules)
-    hung = find_hung_doors(walls, without_glass, doors, settings.building, settings.door_casings)
-    closed = hung.append(cased).append(contrasting).append(glazed)
+    sliding = find_sliding_doors(walls, without_glass, doors, settings.building, settings.door_casings)
+    closed = sliding.append(cased).append(contrasting).append(glazed)
     doors = add_doors(doors, (closed.select(slice(d, d + 1)) for d in range(len(closed))))
     doors = place_frames(doors, walls, scans.drive.blocks(), settings.building, settings.door_frames)
     doors = drop_doubtful(doors, settings.building)

@@ -64,7 +64,7 @@ class BuildingSettings(StepSettings):
     )
     confidence_min: float = Field(0.2, ge=0, le=1, description="What is less sure than this to be a door is none.")
     known_min: float = Field(
-        0.6, gt=0, le=1, description="Share of a flush leaf, of its casing and of the wall beside it that has to be seen."
+        0.6, gt=0, le=1, description="Share of a leaf, of its casing and of the wall beside it that has to be seen."
     )
     rays_min: int = Field(6, ge=1, description="Fewest rays that decide on a column of a wall, 5 cm wide.")
 

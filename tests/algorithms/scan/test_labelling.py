@@ -241,6 +241,15 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
     # However wrong the head was before.
     far_off = place_frames(replace(doors, head_m=np.array([2.4])), walls, [features], settings, DoorFramesSettings())
     assert far_off.head_m[0] == exact.head_m[0]
+    # What tells of a recessed leaf tells nothing of one that is flush, or hangs before its wall: here that of a face farther back.
+    for depth_m in (0.0, -0.05):
+        back = np.array([0.0, depth_m])
+        closed = replace(doors, depth_m=np.array([depth_m]), ends=doors.ends - back)
+        behind = replace(walls, ends=walls.ends - back)
+        kept = place_frames(closed, behind, [features], settings, DoorFramesSettings())
+        np.testing.assert_array_equal(kept.ends, closed.ends)
+        assert kept.head_m[0] == doors.head_m[0]
+        assert kept.scan_count[0] > 0
     # The wall has no thickness here: its lintel's underside is but the edge's scatter.
     assert measure_reveals(doors, [features], DoorFramesSettings()).reveal_m[0] < 0.1
     windows = find_windows(walls, cells, np.full(int(cells.first[-1]), np.nan), rules, WindowsSettings())

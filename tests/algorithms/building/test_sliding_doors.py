@@ -7,9 +7,9 @@ import pytest
 
 from ffmap.algorithms.base.segments import segments
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings, flush_door
-from ffmap.algorithms.building.hung_doors import find_hung_doors
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, BuildingSettings, Doors
 from ffmap.algorithms.building.ray_evidence import SQUARES, SUM, THROUGH, WallCells
+from ffmap.algorithms.building.sliding_doors import find_sliding_doors
 from ffmap.algorithms.scan.doors import DoorState
 from tests.faces import faces
 
@@ -34,7 +34,7 @@ def hang(counts: np.ndarray, x_m: tuple[float, float], z_m: tuple[float, float],
 
 
 def found(counts: np.ndarray, known: Doors = NO_DOORS) -> Doors:
-    return find_hung_doors(WALL, WallCells(np.array([0, len(counts)]), 66, counts), known, BUILDING, CASINGS)
+    return find_sliding_doors(WALL, WallCells(np.array([0, len(counts)]), 66, counts), known, BUILDING, CASINGS)
 
 
 @pytest.mark.parametrize("before_m", [0.045, 0.06, 0.09])
@@ -80,8 +80,7 @@ def test_a_curtain_hangs_in_folds() -> None:
     assert len(found(counts)) == 0
 
 
-def test_what_rays_pass_below_or_beside_the_wall_is_no_leaf() -> None:
-    """Rays pass an opening beside it, where the wall would be."""
+def test_where_rays_pass_beside_it_no_wall_holds_a_leaf() -> None:
     counts = wall()
     hang(counts, (2.0, 2.9), (0.0, 2.1), 0.06)
     assert len(found(counts)) == 1
@@ -112,5 +111,10 @@ def test_of_a_leaf_and_of_the_wall_above_it_most_has_to_be_seen(low_m: float, hi
     hang(counts, (2.0, 2.9), (0.0, 2.1), 0.06)
     counts[40:58, round(low_m / CELL_M) : round(high_m / CELL_M)] = 0.0
     assert len(found(counts)) == 0
-    # Above the highest row nothing is known either.
-    assert len(find_hung_doors(WALL, WallCells(np.array([0, 100]), 43, counts[:, :43]), NO_DOORS, BUILDING, CASINGS)) == 0
+
+
+def test_above_the_highest_row_nothing_is_known() -> None:
+    counts = wall()
+    hang(counts, (2.0, 2.9), (0.0, 2.1), 0.06)
+    assert len(found(counts)) == 1
+    assert len(find_sliding_doors(WALL, WallCells(np.array([0, 100]), 43, counts[:, :43]), NO_DOORS, BUILDING, CASINGS)) == 0

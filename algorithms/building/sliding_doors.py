@@ -29,7 +29,7 @@ class _Leaf(NamedTuple):
     head_m: float
 
 
-def find_hung_doors(
+def find_sliding_doors(
     walls: Walls, cells: WallCells, known: Doors, building: BuildingSettings, settings: DoorCasingsSettings
 ) -> Doors:
     """The closed doors of all faces whose leaf hangs before them, by a negative `depth_m`.
@@ -48,7 +48,10 @@ def find_hung_doors(
 
 
 def _is_beside(doorway: Segment, door: Doors, near_m: float) -> bool:
-    """Whether a single door lies in the wall of a doorway, next to it, or over it."""
+    """Whether a single door lies in the wall of a doorway, next to it, or over it.
+
+    near_m: a usual wall's thickness, for the doorway may have been seen in the wall's other face; no leaf stands farther from it.
+    """
     off_m = np.abs(doorway.before_m(door.ends[0])).max()
     return bool(off_m < near_m and doorway.shared_m(door.ends[0]) > -near_m)
 
