@@ -185,7 +185,8 @@ def _median_beside(values: FloatArray, reach: int) -> FloatArray:  # pragma: no 
 def _strips(
     upright_m: FloatArray, spread_m: FloatArray, head: int, building: BuildingSettings, settings: DoorCasingsSettings
 ) -> tuple[FloatArray, BoolArray]:
-    """(c,) how far each column stands out of the wall beside it, from the floor to a head's row, and whether as a casing does.
+    """(c,) how far each column stands out of the wall beside it, from the floor to a head's row, NaN where most of that was not
+    seen; and whether as a casing does.
 
     upright_m, spread_m: (c, rows) relief of the cells and standard deviation of their returns' depths, NaN where unknown.
     """
@@ -208,7 +209,8 @@ def _strips(
     with np.errstate(divide="ignore", invalid="ignore"):
         sheet_m = relief_m + beyond_noise_m**2 / relief_m
     sheet = (sheet_m < settings.relief_max_m) & (relief_m > settings.covered_min * sheet_m)
-    return relief_m, stands & ends & sheet & (seen.mean(axis=1) > building.known_min)
+    is_known = seen.mean(axis=1) > building.known_min
+    return np.where(is_known, relief_m, np.nan), stands & ends & sheet & is_known
 
 
 def _pairs(strip: BoolArray, building: BuildingSettings) -> Iterator[tuple[int, int]]:

@@ -1,5 +1,7 @@
 """Flush doors by their casings, on faces whose cells are filled with seeded noise."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -37,10 +39,11 @@ def find(
     scatter_m: float = SCATTER_M,
     recess: Rectangle | None = None,
     recess_m: float = 0.0,
+    change: Callable[[np.ndarray], None] = lambda counts: None,
 ) -> Doors:
     """The cased doors of a face with something that stands out of it, a stretch that rays pass, and one that is set back.
 
-    spread: standard deviation of the depths of what stands out, as a share of its relief.
+    spread: standard deviation of the depths of what stands out, as a share of its relief. change: what else is done to the cells.
     """
     rng = np.random.default_rng(5)
     columns, rows = round(LENGTH_M / CELL_M), round(HEIGHT_M / CELL_M)
@@ -62,6 +65,7 @@ def find(
         a, b, c, d = (round(value / CELL_M) for value in passed)
         counts[a:b, c:d] = 0.0
         counts[a:b, c:d, THROUGH] = RETURNS
+    change(counts)
     walls = faces(((0, 0), (LENGTH_M, 0)))
     cells = WallCells(first_columns(walls), counts.shape[1], counts[::-1] if flip else counts)
     return find_cased_doors(walls, cells, BuildingSettings(), DoorCasingsSettings())
@@ -87,6 +91,22 @@ def test_a_casing_shows_a_closed_door_to_two_centimetres(
 
 def test_two_doors_in_one_wall() -> None:
     assert len(find(*frame(0.5, 1.4, 0.0, 2.0), *frame(2.4, 3.3, 0.0, 2.0))) == 2
+
+
+def test_the_wall_between_two_open_doorways_is_none_though_their_casings_frame_it() -> None:
+    """What shows at the height of its head beside it is the undersides of their lintels, behind the wall's face."""
+    doorways = (0.2, 1.1, 0.0, 2.0), (2.2, 3.1, 0.0, 2.0)
+    between = [*frame(0.2, 1.1, 0.0, 2.0), *frame(2.2, 3.1, 0.0, 2.0)]
+    assert len(find(*between)) == 2  # closed
+
+    def opened(counts: np.ndarray) -> None:
+        for first_m, last_m, _, head_m in doorways:
+            first, last, head = (round(value / CELL_M) for value in (first_m, last_m, head_m))
+            counts[first:last, :head] = 0.0
+            counts[first:last, :head, THROUGH] = RETURNS
+            counts[first:last, head : head + 2] = [RETURNS, -0.05 * RETURNS, 0.05**2 * RETURNS, 0.0]
+
+    assert len(find(*between, change=opened)) == 0
 
 
 def test_a_bare_wall_has_none() -> None:
