@@ -23,7 +23,7 @@ from ffmap.algorithms.building.thickness import (
     usual_thickness,
 )
 from ffmap.algorithms.building.votes import VoxelVotes
-from ffmap.algorithms.maps.areas import grown
+from ffmap.algorithms.maps.areas import closed, grown
 from ffmap.algorithms.maps.grid import Cell, GridMap, Immobile
 from ffmap.algorithms.scan.doors import DoorState
 
@@ -215,7 +215,7 @@ def _bodies(
             ends[end] = ends[end] + corner * outwards
         bodies.append(_quad(ends, stretches.normal[w], depth_m))
     joined = shapely.union_all(bodies)
-    return grown(grown(joined, tidy_m), -tidy_m).simplify(1e-3)
+    return closed(joined, tidy_m).simplify(1e-3)
 
 
 def _corner_thickness(
