@@ -8,6 +8,7 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, lengths_m, segments
+from ffmap.algorithms.building.face_verdicts import SAME_WAY
 from ffmap.algorithms.building.model import (
     CELL_M,
     NO_DOORS,
@@ -62,17 +63,37 @@ def find_doors(
                 found.append(seen)
     # Where a face ends within an opening, the other face may show all of it.
     found.sort(key=lambda seen: (seen.is_cut, -seen.door.confidence[0] * seen.door.ray_count[0]))
-    return add_doors(NO_DOORS, [seen.door for seen in found])
+    return add_doors(NO_DOORS, [seen.door for seen in found], rules.openings.doorway_max_m)
 
 
-def add_doors(doors: Doors, more: Iterable[Doors]) -> Doors:
-    """The doors and those of some single ones, in their order, that are none of them: another face shows the same door."""
+def add_doors(doors: Doors, more: Iterable[Doors], doorway_max_m: float) -> Doors:
+    """The doors and those of some single ones, in their order, that are none of them: another face shows the same door.
+
+    What is seen in the other face of a door's wall tells how far its doorway reaches (`reveal_m`). doorway_max_m: see
+    `OpeningsSettings`.
+    """
     for door in more:
+        through_m = _through_m(door, doors, doorway_max_m)
+        if np.isfinite(through_m).any():
+            doors = replace(doors, reveal_m=np.fmax(doors.reveal_m, through_m))
+            continue
         apart_m = np.linalg.norm(door.ends.mean(axis=1) - doors.ends.mean(axis=1), axis=1)
         across = np.abs(doors.normal @ door.normal[0]) < 0.8
         if np.all((apart_m > 0.6) | across):
             doors = doors.append(door)
     return doors
+
+
+def _through_m(door: Doors, doors: Doors, doorway_max_m: float) -> FloatArray:
+    """(D,) how far behind each of the doors a single one is seen in the other face of the same wall; NaN where it is not."""
+    (own,) = segments(door)
+    middle, through_m = door.ends[0].mean(axis=0), np.full(len(doors), np.nan)
+    for d, other in enumerate(segments(doors)):
+        behind_m = -float(other.before_m(middle))
+        shared_m = other.shared_m(door.ends[0])
+        if other.normal @ own.normal < -SAME_WAY and shared_m > 0.5 * min(own.length_m, other.length_m):
+            through_m[d] = behind_m if 0.0 < behind_m < doorway_max_m else np.nan
+    return through_m
 
 
 class _Seen(NamedTuple):

@@ -49,10 +49,10 @@ from ffmap.algorithms.building.missed_walls import AllReturns, MissedWallsSettin
 from ffmap.algorithms.building.model import NO_WINDOWS, Blinds, BuildingSettings, Doors, Walls, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
-from ffmap.algorithms.building.sliding_doors import find_sliding_doors
+from ffmap.algorithms.building.sliding_doors import find_sliding_doors, find_sliding_panes
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
 from ffmap.algorithms.building.votes import Halo, find_halo
-from ffmap.algorithms.building.windows import WindowsSettings, find_windows, in_walls, seen_through
+from ffmap.algorithms.building.windows import WindowsSettings, find_windows, in_walls, look_deeper, seen_through
 from ffmap.algorithms.scan.summary import concatenate, select_planes, select_scans, without_rays
 
 
@@ -222,6 +222,11 @@ def _find_openings(
     windows = _windows_in(faces, settings)
     fronts = new_fronts(fronts, windows, settings.glass_fronts)
     windows = windows.append(set_in_walls(fronts, walls, settings.glass_fronts))
+
+    def trace(panes: Walls) -> WallCells:
+        return scans.trace(panes, settings.building, NO_WINDOWS)
+
+    windows = look_deeper(windows, trace, settings.opening_rules, settings.windows)
     # What a window lets pass is no door's.
     without_glass = scans.trace(walls, settings.building, windows) if len(windows) else cells
     floor_before = scans.storey.floor_near(column_places(walls, cells.first, 0.5 * FLOOR_NEAR_M), FLOOR_NEAR_M)
@@ -229,15 +234,17 @@ def _find_openings(
     cased = find_cased_doors(walls, without_glass, settings.building, settings.door_casings)
     contrasting = find_contrasting_doors(walls, without_glass, settings.building, settings.door_contrasts)
     glazed = find_glazed_doors(faces, windows, settings.opening_rules)
-    sliding = find_sliding_doors(walls, without_glass, doors, settings.building, settings.door_casings)
+    sliding = find_sliding_doors(walls, cells, doors, settings.building, settings.door_casings)
     closed = sliding.append(cased).append(contrasting).append(glazed)
-    doors = add_doors(doors, (closed.select(slice(d, d + 1)) for d in range(len(closed))))
+    singles = (closed.select(slice(d, d + 1)) for d in range(len(closed)))
+    doors = add_doors(doors, singles, settings.openings.doorway_max_m)
     doors = place_frames(doors, walls, scans.drive.blocks(), settings.building, settings.door_frames)
     doors = drop_doubtful(doors, settings.building)
     doors = prove_crossed(doors, scans.path_map)
+    through_m = doors.reveal_m
     doors = measure_reveals(doors, scans.drive.blocks(), settings.door_frames)
     parts = part_walls(walls, settings.wall_thickness)
-    depth_m = door_depths(doors, walls, parts, settings.wall_thickness, settings.building.reveal_m)
+    depth_m = door_depths(doors, walls, parts, settings.wall_thickness, settings.building.reveal_m, through_m)
     doors = replace(doors, reveal_m=depth_m)
     blinds = find_blinds(windows, walls, cells, settings.building, settings.blinds)
     return trim_at_doorways(faces, doors, settings.standing_walls), doors, windows, blinds
@@ -247,7 +254,8 @@ def _find_openings(
 
 
 def _windows_in(faces: TracedFaces, settings: FusionSettings) -> Windows:
-    return find_windows(faces.walls, faces.cells, faces.clear_m, settings.opening_rules, settings.windows)
+    windows = find_windows(faces.walls, faces.cells, faces.clear_m, settings.opening_rules, settings.windows)
+    return windows.append(find_sliding_panes(faces.walls, faces.cells, settings.building, settings.door_casings))
 
 
 def _traced(faces: Walls, scans: AllScans, settings: FusionSettings, windows: Windows = NO_WINDOWS) -> TracedFaces:

@@ -18,8 +18,8 @@ from ffmap.algorithms.base.segments import Segment, lengthened, lengths_m, segme
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import column_places, long_runs, runs, visited
 from ffmap.algorithms.building.face_verdicts import SAME_WAY, JudgedFaces, StandingWallsSettings, wall_directions
-from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, Walls, Windows, cells_in
-from ffmap.algorithms.building.openings import OpeningRules, lies_on_sheet
+from ffmap.algorithms.building.model import CELL_M, NO_WALLS, NO_WINDOWS, Walls, Windows, cells_in
+from ffmap.algorithms.building.openings import OpeningRules, deepest_sheet_m, lies_on_sheet
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells, with_neighbours
 from ffmap.algorithms.building.unexplained_lines import (
     both_sides,
@@ -110,10 +110,11 @@ class AllRays:
 
 @dataclass(frozen=True)
 class _Pane:
-    """A stretch of a face, as a single one, and the window that it shows."""
+    """A stretch of a face, as a single one, the window that it shows, and how far that is behind it."""
 
     face: Walls
     window: Windows
+    behind_m: float
 
 
 def find_glass_fronts(whole: Walls, judged: JudgedFaces, windows: Windows, rays: AllRays, rules: GlassRules) -> Windows:
@@ -144,6 +145,11 @@ def find_glass_fronts(whole: Walls, judged: JudgedFaces, windows: Windows, rays:
         return list(_panes(faces, cells, visited(places, rays.path_map, standing.robot_m), of_walls, rules))
 
     shown = panes(replace(candidates, ends=lengthened(candidates.ends, rules.fronts.beyond_m)), windows)
+    # What shows at the edge of what is looked at is asked again where it lies: a pane behind its frame, or a wall at a slant.
+    deepest_m = deepest_sheet_m(rules.openings)
+    at_edge = [replace(pane.face, ends=pane.window.ends) for pane in shown if pane.behind_m >= deepest_m]
+    shown = [pane for pane in shown if pane.behind_m < deepest_m]
+    shown += panes(reduce(Walls.append, at_edge, NO_WALLS), windows)
     found: list[_Pane] = []
     for pane in sorted(shown, key=lambda p: float(way.query(p.face.ends[0].mean(axis=0))[0])):
         known = _concatenated([windows, *(p.window for p in found)])
@@ -228,7 +234,7 @@ def _panes(faces: Walls, cells: WallCells, driven: BoolArray, of_walls: BoolArra
                 continue  # its bars return more rays than it lets pass
             on_pane, between_m = ends - behind_m * face.normal, (CELL_M * clear[[0]], CELL_M * (clear[[-1]] + 1))
             window = Windows(on_pane[None], face.normal[None], *between_m, np.zeros(1))
-            yield _Pane(replace(faces.select(np.array([w])), ends=ends[None]), window)
+            yield _Pane(replace(faces.select(np.array([w])), ends=ends[None]), window, behind_m)
 
 
 def _sheets(
@@ -270,10 +276,7 @@ def _sheets(
         is_glass = fronts.share_min <= sheet[FILLED] / max(met[told].sum(), 1.0) <= fronts.share_max
         shows = shown[told].sum() >= fronts.shown_min * asked[told].sum()
         if is_pure and is_glass and shows and not _has_bars(inner[told], share, rules):
-            behind_m = -float(sheet[SUM] / sheet[FILLED])
-            # What reaches as deep as is looked goes on beyond: a wall behind, at a slant.
-            if behind_m < rules.openings.building.near_m - 2 * rules.openings.openings.sheet_m:
-                yield first, after, behind_m
+            yield first, after, -float(sheet[SUM] / sheet[FILLED])
 
 
 def _has_bars(counts: FloatArray, share: float, rules: GlassRules) -> bool:

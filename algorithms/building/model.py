@@ -128,7 +128,7 @@ class Windows(Rows):
 
     ends: (N, 2, 2) x and y, on the wall's face. normal: (N, 2) towards the room.
     bottom_m, top_m: (N,) heights between which most rays pass.
-    pane_m: (N,) how far the pane stands behind the face; NaN where it returned nothing.
+    pane_m: (N,) how far the pane stands behind the face; NaN where it returned nothing, or hangs before it.
     """
 
     ends: FloatArray

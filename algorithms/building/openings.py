@@ -54,6 +54,9 @@ class OpeningsSettings(StepSettings):
     bar_max_m: float = Field(
         0.2, ge=0, description="Maximum width (m) of a frame's bars, stiles and rails: where more shows, it is the wall."
     )
+    doorway_max_m: float = Field(
+        1.0, gt=0, description="Maximum depth (m) of a doorway: a corridor with the walls on its sides is wider."
+    )
     ajar_m: float = Field(
         0.1, gt=0, description="Minimum distance (m) of a leaf's free edge from its frame for the door to stand open."
     )
@@ -243,7 +246,7 @@ def find_sheet(counts: FloatArray, rules: OpeningRules) -> Sheet | None:
     None where too few returns lie on one, or where they show in few of the columns that they might: the edge of a leaf or of
     a reveal does so.
     """
-    settings, sheet_m = rules.building, rules.openings.sheet_m
+    settings = rules.building
     on_sheet = lies_on_sheet(counts, rules)
     filled = counts[..., FILLED]
     returns, columns = float(filled[on_sheet].sum()), int(on_sheet.any(axis=1).sum())
@@ -251,7 +254,12 @@ def find_sheet(counts: FloatArray, rules: OpeningRules) -> Sheet | None:
         return None
     behind_m = -float(counts[on_sheet, SUM].sum()) / returns
     # What reaches as deep as is looked goes on beyond: a leaf that is ajar.
-    return Sheet(behind_m, int(returns)) if behind_m < settings.near_m - 2 * sheet_m else None
+    return Sheet(behind_m, int(returns)) if behind_m < deepest_sheet_m(rules) else None
+
+
+def deepest_sheet_m(rules: OpeningRules) -> float:
+    """How far behind a face a sheet shows in its cells."""
+    return rules.building.near_m - 2 * rules.openings.sheet_m
 
 
 def lies_on_sheet(counts: FloatArray, rules: OpeningRules) -> BoolArray:

@@ -11,22 +11,37 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings, flush_door
 from ffmap.algorithms.building.face_columns import runs
-from ffmap.algorithms.building.model import CELL_M, NO_DOORS, ON_FACE_M, BuildingSettings, Doors, Walls, cells_in
-from ffmap.algorithms.building.ray_evidence import FOOT_ROW, WallCells, depth_moments
+from ffmap.algorithms.building.model import (
+    CELL_M,
+    NO_DOORS,
+    NO_WINDOWS,
+    ON_FACE_M,
+    BuildingSettings,
+    Doors,
+    Walls,
+    Windows,
+    cells_in,
+)
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, WallCells, depth_moments
 from ffmap.algorithms.scan.doors import DoorState
 
 
 class _Leaf(NamedTuple):
-    """One leaf before a face: how far, between which columns, and how high."""
+    """One leaf before a face: how far, between which columns, and how high.
+
+    pane: its lowest and highest row that let rays pass, if it is one. agreement: share of its returns that lie at its depth.
+    """
 
     before_m: float
-    first: float
-    last: float
+    first: int
+    after: int
     head_m: float
+    pane: tuple[int, int] | None
+    agreement: float
 
 
 def find_sliding_doors(
@@ -41,10 +56,29 @@ def find_sliding_doors(
     for w, face in enumerate(segments(walls)):
         counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
         for leaf in _leaves(counts, building, settings):
-            door = flush_door(face, w, (leaf.first, leaf.last), 0, leaf.head_m, counts, building.known_min)
+            door = flush_door(face, w, (leaf.first, leaf.after), 0, leaf.head_m, counts, building.known_min)
             if not any(_is_beside(doorway, door, building.reveal_m) for doorway in opened):
-                doors = doors.append(replace(door, depth_m=np.array([-leaf.before_m])))
+                door = replace(door, depth_m=np.array([-leaf.before_m]))
+                if leaf.pane is not None:
+                    agreement = np.array([leaf.agreement])
+                    door = replace(door, agreement=agreement, confidence=agreement * door.coverage, glazed=np.ones(1, bool))
+                doors = doors.append(door)
     return doors
+
+
+def find_sliding_panes(
+    walls: Walls, cells: WallCells, building: BuildingSettings, settings: DoorCasingsSettings
+) -> Windows:
+    """The stretches of wall behind such leaves that are panes, as windows: what is behind them is seen through glass."""
+    windows = NO_WINDOWS
+    for w, face in enumerate(segments(walls)):
+        counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
+        for leaf in _leaves(counts, building, settings):
+            if leaf.pane is not None:
+                ends = face.at(CELL_M * np.array([leaf.first, leaf.after]))
+                bottom_m, top_m = CELL_M * np.array([leaf.pane[:1], leaf.pane[1:]]) + [[0.0], [CELL_M]]
+                windows = windows.append(Windows(ends[None], face.normal[None], bottom_m, top_m, np.full(1, np.nan)))
+    return windows
 
 
 def _is_beside(doorway: Segment, door: Doors, near_m: float) -> bool:
@@ -63,24 +97,38 @@ def _leaves(counts: FloatArray, building: BuildingSettings, settings: DoorCasing
         return
     before_m, _ = depth_moments(counts)
     below = before_m[:, FOOT_ROW:lowest]
+    is_glass = _lets_pass(counts[:, FOOT_ROW:lowest].sum(axis=1), building)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # columns and rows that nobody saw are unknown
         column_m = np.where(np.isfinite(below).mean(axis=1) > building.known_min, np.nanmedian(below, axis=1), np.nan)
-        for first, after in runs(column_m > settings.relief_max_m):
+        # A pane, or a panel, lies back in its stiles.
+        for first, after in runs(column_m > ON_FACE_M):
+            own = slice(first, after)
             if not building.door_width_min_m <= (after - first) * CELL_M <= building.door_width_max_m:
                 continue
-            leaf_m = float(np.median(column_m[first:after]))
+            if not (column_m[own] > settings.relief_max_m).any():
+                continue
+            leaf_m = float(np.median(column_m[own]))
             flush_m = settings.flush_max * leaf_m
             # The columns and the row at its edges are its own in part.
             sides = slice(max(first - 1 - wall, 0), max(first - 1, 0)), slice(after + 1, after + 1 + wall)
             beside_m = np.concatenate([column_m[side] for side in sides])
-            off_m = np.abs(below[first:after] - leaf_m)
-            row_m = np.nanmedian(before_m[first:after], axis=0)
+            sheets_m = [float(np.median(column_m[own][part])) for part in (is_glass[own], ~is_glass[own]) if part.any()]
+            off_m = np.min([np.abs(below[own] - sheet_m) for sheet_m in sheets_m], axis=0)
+            row_m = np.nanmedian(before_m[own], axis=0)
             ended = np.flatnonzero(~(row_m[lowest - 1 : highest + 1] > flush_m))
             if len(beside_m) < 2 * wall or not np.all(np.abs(beside_m) < flush_m) or not len(ended) or ended[0] == 0:
                 continue
             head = lowest - 1 + int(ended[0])
             over_m = row_m[head + 1 : head + 1 + wall]
-            is_flat = np.mean(off_m[np.isfinite(off_m)] < 0.5 * ON_FACE_M) > settings.proud_min
+            flat, returns = off_m < 0.5 * ON_FACE_M, counts[own, FOOT_ROW:lowest, FILLED]
+            is_flat = np.mean(flat[np.isfinite(off_m)]) > settings.proud_min
             if is_flat and len(over_m) == wall and np.all(np.abs(over_m) < flush_m):
-                yield _Leaf(leaf_m, float(first), float(after), head * CELL_M)
+                clear = np.flatnonzero(_lets_pass(counts[own, :head].sum(axis=0), building))
+                pane = (int(clear[0]), int(clear[-1])) if 2 * np.count_nonzero(is_glass[own]) > after - first else None
+                yield _Leaf(leaf_m, first, after, head * CELL_M, pane, float(returns[flat].sum() / returns.sum()))
+
+
+def _lets_pass(counts: FloatArray, building: BuildingSettings) -> BoolArray:
+    """(n,) where more of the rays (n, 4) pass than a leaf that is no pane lets through."""
+    return np.asarray(counts[:, THROUGH] > (1.0 - building.opaque_min) * (counts[:, THROUGH] + counts[:, FILLED]))

@@ -83,7 +83,7 @@ def usual_thickness(parts: WallParts, unknown_m: float) -> float:
 
 
 def door_depths(
-    doors: Doors, walls: Walls, parts: WallParts, settings: WallThicknessSettings, unknown_m: float
+    doors: Doors, walls: Walls, parts: WallParts, settings: WallThicknessSettings, unknown_m: float, through_m: FloatArray
 ) -> FloatArray:
     """(D,) how far each doorway reaches behind its sill: as far as its wall is thick.
 
@@ -91,12 +91,15 @@ def door_depths(
     lies the poses' drift. A closed leaf hides it: there the open doors in the same face tell, else the wall's faces, else
     the building's open doors, else its usual thickness.
 
-    doors: their `reveal_m` is a measurement, or NaN. unknown_m: the depth where nothing of the building tells.
+    doors: their `reveal_m` is a measurement, or NaN. unknown_m: the depth where nothing of the building tells. through_m: (D,) how
+    far behind each the other face of its wall shows it, or NaN: a frame in the middle of a thick wall ends the lintel's underside
+    before that.
     """
     usual_m, thickness_m = usual_thickness(parts, unknown_m), face_thickness(walls, parts)[doors.wall]
     # Beyond the wall's other face goes on what hangs there as high as the lintel.
     most_m = np.where(np.isfinite(thickness_m), thickness_m + settings.beyond_face_m, np.inf)
     reveal_m = np.minimum(doors.reveal_m, most_m)
+    reveal_m = np.where(through_m > reveal_m + settings.beyond_face_m, through_m, reveal_m)
     told = (doors.state == DoorState.OPEN) & (reveal_m >= settings.least_m)
     depth_m = np.where(np.isfinite(thickness_m), thickness_m, np.median(reveal_m[told]) if told.any() else usual_m)
     for wall in np.unique(doors.wall[told]):

@@ -1,5 +1,7 @@
 """Windows, and what was seen through them."""
 
+from collections.abc import Callable
+from dataclasses import replace
 
 import numba
 import numpy as np
@@ -15,6 +17,7 @@ from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, ON_FACE_M, Walls
 from ffmap.algorithms.building.openings import (
     OpeningRules,
     OpeningsSettings,
+    deepest_sheet_m,
     find_sheet,
     is_pane,
     look_for_doors,
@@ -31,6 +34,7 @@ from ffmap.algorithms.building.ray_evidence import (
     returns_at_face,
     with_neighbours,
 )
+from ffmap.algorithms.building.unexplained_lines import unseen_faces
 from ffmap.algorithms.scan.summary import Features, select_rays
 
 
@@ -132,6 +136,29 @@ def find_windows(
             between_m = CELL_M * clear[[0]], CELL_M * (clear[[-1]] + 1)
             windows = windows.append(Windows(ends[None], face.normal[None], *between_m, np.array([pane_m])))
     return join_windows(windows, settings.one_wall_m)
+
+
+def look_deeper(
+    windows: Windows, trace: Callable[[Walls], WallCells], rules: OpeningRules, settings: WindowsSettings
+) -> Windows:
+    """The windows, with the panes of those whose own lies too deep in its wall to show in the wall's face.
+
+    trace: counts rays against faces.
+    """
+    unknown = np.flatnonzero(np.isnan(windows.pane_m))
+    if not len(unknown):
+        return windows
+    deep, deepest_m = windows.select(unknown), deepest_sheet_m(rules)
+    cells = trace(unseen_faces(deep.ends - deepest_m * deep.normal[:, None], deep.normal, deep.top_m))
+    pane_m = windows.pane_m.copy()
+    for k, own in enumerate(unknown):
+        rows = slice(cells_in(deep.bottom_m[k]), cells_in(deep.top_m[k]))
+        counts = cells.counts[cells.first[k] : cells.first[k + 1], rows].astype(np.float64)
+        returned, passed = counts[..., FILLED].sum(), counts[..., THROUGH].sum()
+        # Nothing passes what stands behind the wall.
+        if passed > settings.translucent_min * (returned + passed):
+            pane_m[own] = deepest_m + _pane_m(counts, rules)
+    return replace(windows, pane_m=pane_m)
 
 
 def join_windows(windows: Windows, one_wall_m: float) -> Windows:

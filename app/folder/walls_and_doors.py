@@ -34,7 +34,8 @@ def write_walls(path: Path, walls: Walls, thickness_m: FloatArray | None = None)
 
 
 def write_doors(path: Path, doors: Doors, rooms: Sequence[Sequence[str | None] | None] | None = None) -> None:
-    """Doors as LineStrings along the sill between the jambs, in metres of the map frame.
+    """Doors as LineStrings along the sill between the jambs, in metres of the map frame: below a closed door's leaf, and in the
+    middle of an open one's reveals.
 
     rooms: names of the two rooms that each door joins, None for one that was not mapped.
     """
@@ -50,7 +51,8 @@ def write_doors(path: Path, doors: Doors, rooms: Sequence[Sequence[str | None] |
         }
         for i, width_m in enumerate(lengths_m(doors.ends))
     ]
-    _write_lines(path, doors.ends, properties)
+    behind_m = np.nan_to_num(np.where(doors.state == DoorState.CLOSED, doors.depth_m, 0.5 * doors.reveal_m))
+    _write_lines(path, doors.ends - (behind_m[:, None] * doors.normal)[:, None], properties)
 
 
 def _millimetres(length_m: np.floating[Any]) -> float:

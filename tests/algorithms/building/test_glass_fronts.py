@@ -231,6 +231,15 @@ def test_a_face_that_rays_speak_against_may_be_a_pane() -> None:
         np.testing.assert_allclose(found.ends[..., 1], [[DEPTH_M, DEPTH_M]], atol=0.02)
 
 
+@pytest.mark.parametrize("before_m", [0.04, 0.06])
+def test_a_pane_is_found_behind_its_frame(before_m: float) -> None:
+    """Scans saw the plane of the frame's front, which explains the pane's returns."""
+    frame = faces(((4.0, DEPTH_M - before_m), (0.0, DEPTH_M - before_m)))
+    found = Front().found(refused=frame)
+    np.testing.assert_allclose(found.ends[..., 1], [[DEPTH_M, DEPTH_M]], atol=0.02)
+    assert not len(Front(shelf=True).found(refused=frame))
+
+
 @pytest.mark.parametrize("panes", [0, 1])
 def test_a_face_that_was_cut_into_parts_too_short_for_a_pane_is_asked_whole(panes: int) -> None:
     """The parts explain the returns, so that no line is drawn through them."""

@@ -5,8 +5,11 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.segments import Segment
+from ffmap.algorithms.building.door_casings import flush_door
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, place_frames
-from ffmap.algorithms.building.doors import drop_doubtful, find_doors, prove_crossed
+from ffmap.algorithms.building.doors import add_doors, drop_doubtful, find_doors, prove_crossed
 from ffmap.algorithms.building.model import (
     CELL_M,
     NO_DOORS,
@@ -19,7 +22,14 @@ from ffmap.algorithms.building.model import (
 )
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings, is_pane
 from ffmap.algorithms.building.ray_evidence import Rays, WallCells, floor_m, trace_rays
-from ffmap.algorithms.building.windows import WindowsSettings, find_windows, in_walls, rays_through, seen_through
+from ffmap.algorithms.building.windows import (
+    WindowsSettings,
+    find_windows,
+    in_walls,
+    look_deeper,
+    rays_through,
+    seen_through,
+)
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features
 from tests.faces import faces
@@ -28,6 +38,7 @@ FILLED, SUM, SQUARES, THROUGH = range(4)
 SETTINGS = BuildingSettings()
 RULES = OpeningRules(SETTINGS, OpeningsSettings())
 WALL = replace(faces(((0.0, 0.0), (4.0, 0.0))), normal=np.array([[0.0, -1.0]]))
+WALL_1 = WALL.ends[0], WALL.normal[0]
 WINDOW = Windows(
     np.array([[[1.0, 0.0], [3.0, 0.0]]]), np.array([[0.0, -1.0]]), np.array([0.9]), np.array([2.0]), np.array([0.05])
 )
@@ -299,6 +310,26 @@ def test_a_doorway_is_taken_from_the_face_that_shows_all_of_it() -> None:
     np.testing.assert_allclose(np.sort(doors.ends[0, :, 0]), [1.5, 2.4], atol=2 * CELL_M)
 
 
+@pytest.mark.parametrize(
+    ("far_y", "aside_m", "looks", "doors"),
+    [
+        (0.2, 0.0, 1.0, 1),
+        (0.85, 0.0, 1.0, 1),
+        (0.85, 0.4, 1.0, 1),
+        (0.85, 0.8, 1.0, 2),  # beside it
+        (1.3, 0.0, 1.0, 2),  # a corridor lies between
+        (-0.85, 0.0, 1.0, 2),  # across a corridor
+        (0.85, 0.0, -1.0, 2),  # one behind the other
+    ],
+)
+def test_a_doorway_in_a_thick_wall_is_one_door(far_y: float, aside_m: float, looks: float, doors: int) -> None:
+    near = flush_door(Segment.between(*WALL_1), 0, (20.0, 38.0), 0, 2.1, cells().counts, 0.0)
+    far = replace(near, ends=near.ends[:, ::-1] + [aside_m, far_y], normal=np.array([[0.0, looks]]))
+    found = add_doors(NO_DOORS, [near, far], OpeningsSettings().doorway_max_m)
+    assert len(found) == doors
+    assert found.reveal_m[0] == pytest.approx(far_y if doors == 1 else np.nan, nan_ok=True)
+
+
 def test_a_window_behind_a_desk_is_no_doorway() -> None:
     seen = cells()
     opening(seen)
@@ -489,6 +520,33 @@ def test_a_windows_pane_is_placed_by_what_it_returns() -> None:
     assert windows.pane_m.tolist() == pytest.approx([0.06], abs=0.002)
     np.testing.assert_allclose(windows.ends[0, :, 0], [1.0, 3.0], atol=2 * CELL_M)
     np.testing.assert_allclose([windows.bottom_m[0], windows.top_m[0]], [0.9, 2.2], atol=CELL_M)
+
+
+@pytest.mark.parametrize(
+    ("pane_m", "returned", "found_m"), [(0.36, 0.1, 0.36), (0.45, 0.5, 0.45), (0.45, 0.95, None), (0.9, 0.1, None)]
+)
+def test_the_pane_of_a_deep_niche_is_looked_for_behind_the_walls_face(
+    pane_m: float, returned: float, found_m: float | None
+) -> None:
+    """Where nothing passes it, it is no pane but what stands there, and no wall is so thick as the deepest."""
+    generator = np.random.default_rng(5)
+    aim = np.column_stack([generator.uniform(1.0, 3.0, 4000), np.full(4000, pane_m), generator.uniform(0.9, 2.2, 4000)])
+    ray = aim - [2.0, -2.0, 1.0]
+    way = np.where(generator.random(4000) < returned, 1.0, 8.0)
+    seen = features((2.0, -2.0), [2.0, -2.0, 1.0] + way[:, None] * ray, np.zeros((0, 2, 2)))
+    seen = replace(seen, ray_label=np.full(4000, Label.CLUTTER, np.uint8))
+    windows = replace(WINDOW, pane_m=np.array([np.nan])).append(WINDOW)
+    asked: list[int] = []
+
+    def trace(faces: Walls) -> WallCells:
+        asked.append(len(faces))
+        return trace_rays(faces, [seen], SETTINGS)
+
+    deeper = look_deeper(windows, trace, RULES, WindowsSettings())
+    assert deeper.pane_m[0] == pytest.approx(np.nan if found_m is None else found_m, abs=0.01, nan_ok=True)
+    assert deeper.pane_m[1] == WINDOW.pane_m[0]
+    assert look_deeper(WINDOW, trace, RULES, WindowsSettings()) is WINDOW
+    assert asked == [1]  # those of which nothing is known alone
 
 
 def below_a_blind(head_m: float, pane: bool = True) -> WallCells:

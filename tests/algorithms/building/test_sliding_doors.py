@@ -7,9 +7,9 @@ import pytest
 
 from ffmap.algorithms.base.segments import segments
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings, flush_door
-from ffmap.algorithms.building.model import CELL_M, NO_DOORS, BuildingSettings, Doors
-from ffmap.algorithms.building.ray_evidence import SQUARES, SUM, THROUGH, WallCells
-from ffmap.algorithms.building.sliding_doors import find_sliding_doors
+from ffmap.algorithms.building.model import CELL_M, NO_DOORS, BuildingSettings, Doors, Windows
+from ffmap.algorithms.building.ray_evidence import FILLED, SQUARES, SUM, THROUGH, WallCells
+from ffmap.algorithms.building.sliding_doors import find_sliding_doors, find_sliding_panes
 from ffmap.algorithms.scan.doors import DoorState
 from tests.faces import faces
 
@@ -31,6 +31,18 @@ def hang(counts: np.ndarray, x_m: tuple[float, float], z_m: tuple[float, float],
     part = counts[left:right, low:high]
     part[..., SUM] = 10.0 * before_m
     part[..., SQUARES] = 10.0 * (np.square(before_m) + 0.01**2)
+
+
+def glaze(counts: np.ndarray, passed: float, pane_m: float = 0.04) -> None:
+    """A leaf from 2 to 2.9 m and 2.1 m high, 6 cm before the wall: stiles and rails of 10 cm, and a pane that lets rays pass."""
+    hang(counts, (2.0, 2.9), (0.0, 2.1), 0.06)
+    hang(counts, (2.1, 2.8), (0.1, 2.0), pane_m)
+    counts[42:56, 2:40, [FILLED, SUM, SQUARES]] *= 1.0 - passed
+    counts[42:56, 2:40, THROUGH] = 10.0 * passed
+
+
+def panes(counts: np.ndarray) -> Windows:
+    return find_sliding_panes(WALL, WallCells(np.array([0, len(counts)]), 66, counts), BUILDING, CASINGS)
 
 
 def found(counts: np.ndarray, known: Doors = NO_DOORS) -> Doors:
@@ -118,3 +130,36 @@ def test_above_the_highest_row_nothing_is_known() -> None:
     hang(counts, (2.0, 2.9), (0.0, 2.1), 0.06)
     assert len(found(counts)) == 1
     assert len(find_sliding_doors(WALL, WallCells(np.array([0, 100]), 43, counts[:, :43]), NO_DOORS, BUILDING, CASINGS)) == 0
+
+
+@pytest.mark.parametrize(("passed", "glazed"), [(0.02, False), (0.2, True), (0.8, True)])
+@pytest.mark.parametrize("pane_m", [0.06, 0.045, 0.035])
+def test_a_leaf_that_lets_rays_pass_is_a_pane(passed: float, glazed: bool, pane_m: float) -> None:
+    """It lies back in its stiles, by less than a leaf is thick."""
+    counts = wall()
+    glaze(counts, passed, pane_m)
+    doors, windows = found(counts), panes(counts)
+    assert doors.glazed.tolist() == [glazed]
+    assert doors.depth_m[0] == pytest.approx(-pane_m, abs=0.003)
+    assert doors.agreement[0] == pytest.approx(1.0 if glazed else 1.0 - passed, abs=0.02)
+    assert len(windows) == glazed
+    np.testing.assert_allclose(np.sort(windows.ends[:, :, 0]), np.tile([2.0, 2.9], (len(windows), 1)), atol=CELL_M)
+    np.testing.assert_allclose(windows.ends[:, :, 1], 0.0, atol=1e-9)
+    np.testing.assert_allclose([*windows.bottom_m, *windows.top_m], [0.1, 2.0] if glazed else [], atol=CELL_M)
+
+
+def test_glass_flat_before_a_wall_is_no_leaf_without_stiles_that_stand_out() -> None:
+    counts = wall()
+    glaze(counts, 0.3, 0.035)
+    for stile in ((2.0, 2.1), (2.8, 2.9)):
+        hang(counts, stile, (0.0, 2.1), 0.035)
+    assert len(found(counts)) == len(panes(counts)) == 0
+
+
+def test_a_leaf_with_a_small_pane_is_none() -> None:
+    counts = wall()
+    hang(counts, (2.0, 2.9), (0.0, 2.1), 0.06)
+    counts[48:51, 20:34, [FILLED, SUM, SQUARES]] *= 0.2
+    counts[48:51, 20:34, THROUGH] = 8.0
+    assert found(counts).glazed.tolist() == [False]
+    assert len(panes(counts)) == 0

@@ -64,8 +64,9 @@ def together(*doors: Doors) -> Doors:
     return Doors(*(np.concatenate([getattr(d, f.name) for d in doors]) for f in fields(Doors)))
 
 
-def depths(doors: Doors, rooms: TwoRooms) -> FloatArray:
-    return door_depths(doors, rooms.walls, part_walls(rooms.walls, THICKNESS), THICKNESS, UNKNOWN_M)
+def depths(doors: Doors, rooms: TwoRooms, through_m: float = np.nan) -> FloatArray:
+    through = np.full(len(doors), through_m)
+    return door_depths(doors, rooms.walls, part_walls(rooms.walls, THICKNESS), THICKNESS, UNKNOWN_M, through)
 
 
 @pytest.mark.parametrize("closed", [False, True])
@@ -100,6 +101,14 @@ def test_a_duct_behind_a_lintel_makes_no_doorway_deeper_than_its_wall() -> None:
     rooms = TwoRooms()
     duct = replace(rooms.doors, reveal_m=np.full(len(rooms.doors), 0.6))
     assert depths(duct, rooms).max() < 0.31
+
+
+@pytest.mark.parametrize(("through_m", "depth_m"), [(0.8, 0.8), (0.45, 0.4), (0.3, 0.4), (np.nan, 0.4)])
+def test_a_frame_in_the_middle_of_a_thick_wall_does_not_end_its_doorway(through_m: float, depth_m: float) -> None:
+    """The lintel's underside ends at it; where both tell the same, the lintel does so without the poses' drift."""
+    rooms = TwoRooms(both_seen=False)
+    to_frame = replace(rooms.doors, reveal_m=np.array([0.4]))
+    np.testing.assert_allclose(depths(to_frame, rooms, through_m), depth_m)
 
 
 def test_a_face_is_cut_where_the_other_side_ends() -> None:

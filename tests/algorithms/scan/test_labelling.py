@@ -263,7 +263,7 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
         assert recall > 0.9
 
     thickness = WallThicknessSettings()
-    depth_m = door_depths(doors, walls, part_walls(walls, thickness), thickness, settings.reveal_m)
+    depth_m = door_depths(doors, walls, part_walls(walls, thickness), thickness, settings.reveal_m, doors.reveal_m)
     doors = replace(doors, reveal_m=depth_m)
     drive = Drive(np.array([[-1.0, 0.0], [1.5, 0.0]]), lambda: [features])
     immobile = Immobile(walls, cells, VoxelTable(0.05, len(Label)).votes(), doors, windows)

@@ -18,6 +18,8 @@ class TestGeojson:
             ((0.0, 0.0), (0.9, 0.0)),
             ((5.0, 1.12), (5.0, 2.0)),
             head_m=2.0,
+            normal=[[0.0, 1.0], [-1.0, 0.0]],
+            reveal_m=[0.3, 0.6],
             depth_m=[0.05, np.nan],
             state=[0, 1],
             confidence=[0.9, 0.7],
@@ -28,7 +30,8 @@ class TestGeojson:
         assert content["type"] == "FeatureCollection"
         closed, opened = content["features"]
         assert closed["type"] == "Feature"
-        assert closed["geometry"] == {"type": "LineString", "coordinates": [[0.0, 0.0], [0.9, 0.0]]}
+        assert closed["geometry"] == {"type": "LineString", "coordinates": [[0.0, -0.05], [0.9, -0.05]]}  # below its leaf
+        assert opened["geometry"]["coordinates"] == [[5.3, 1.12], [5.3, 2.0]]  # in the middle of its wall
         assert closed["properties"] == {
             "state": "closed",
             "width": 0.9,
