@@ -127,6 +127,17 @@ def flush_door(
     )
 
 
+def glazed(door: Doors, depth_m: float, agreement: float) -> Doors:
+    """A single closed door as one whose leaf is a pane: rays that pass that do not speak against it.
+
+    agreement: share of what returns that is of the leaf.
+    """
+    agrees = np.array([agreement])
+    return replace(
+        door, depth_m=np.array([depth_m]), agreement=agrees, confidence=agrees * door.coverage, glazed=np.ones(1, bool)
+    )
+
+
 def _casings(counts: FloatArray, building: BuildingSettings, settings: DoorCasingsSettings) -> list[_Casing]:
     """The casings of one face, none over another; counts: (c, rows, 4), see `WallCells`."""
     beside, wall = cells_in(settings.beside_m), cells_in(settings.wall_m)

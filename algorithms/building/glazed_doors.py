@@ -1,12 +1,10 @@
 """Closed doors whose leaf is a pane: windows down to a leaf's lower rail, as wide and as high as doors, with wall all around."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import Segment
-from ffmap.algorithms.building.door_casings import flush_door
+from ffmap.algorithms.building.door_casings import flush_door, glazed
 from ffmap.algorithms.building.face_columns import TracedFaces, on_and_passed
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, ON_FACE_M, Doors, Windows, cells_in
 from ffmap.algorithms.building.openings import OpeningRules, lies_on_sheet, tops_m, widened
@@ -38,12 +36,10 @@ def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules)
             continue
         door = flush_door(face, w, (first, last + 1), 0, head_m, counts, 0.0)
         # The outermost columns are partly the jambs'.
-        agreement = np.array([_agreement(counts[first + 1 : last], rules)])
+        agreement = _agreement(counts[first + 1 : last], rules)
         # A pane that is all but flush tells nothing of where its stiles meet the jambs.
-        depth = np.where(windows.pane_m[[k]] > ON_FACE_M, windows.pane_m[[k]], 0.0)
-        doors = doors.append(
-            replace(door, depth_m=depth, agreement=agreement, confidence=agreement * door.coverage, glazed=np.ones(1, bool))
-        )
+        pane_m = float(windows.pane_m[k])
+        doors = doors.append(glazed(door, pane_m if pane_m > ON_FACE_M else 0.0, agreement))
     return doors
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
-from ffmap.algorithms.building.door_casings import DoorCasingsSettings, flush_door
+from ffmap.algorithms.building.door_casings import DoorCasingsSettings, flush_door, glazed
 from ffmap.algorithms.building.face_columns import runs
 from ffmap.algorithms.building.model import (
     CELL_M,
@@ -53,16 +53,11 @@ def find_sliding_doors(
     """
     doors = NO_DOORS
     opened = list(segments(known.select(known.state == DoorState.OPEN)))
-    for w, face in enumerate(segments(walls)):
-        counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
-        for leaf in _leaves(counts, building, settings):
-            door = flush_door(face, w, (leaf.first, leaf.after), 0, leaf.head_m, counts, building.known_min)
-            if not any(_is_beside(doorway, door, building.reveal_m) for doorway in opened):
-                door = replace(door, depth_m=np.array([-leaf.before_m]))
-                if leaf.pane is not None:
-                    agreement = np.array([leaf.agreement])
-                    door = replace(door, agreement=agreement, confidence=agreement * door.coverage, glazed=np.ones(1, bool))
-                doors = doors.append(door)
+    for w, face, counts, leaf in _leaves(walls, cells, building, settings):
+        door = flush_door(face, w, (leaf.first, leaf.after), 0, leaf.head_m, counts, building.known_min)
+        if not any(_is_beside(doorway, door, building.reveal_m) for doorway in opened):
+            opaque = replace(door, depth_m=np.array([-leaf.before_m]))
+            doors = doors.append(opaque if leaf.pane is None else glazed(door, -leaf.before_m, leaf.agreement))
     return doors
 
 
@@ -71,14 +66,22 @@ def find_sliding_panes(
 ) -> Windows:
     """The stretches of wall behind such leaves that are panes, as windows: what is behind them is seen through glass."""
     windows = NO_WINDOWS
+    for _, face, _, leaf in _leaves(walls, cells, building, settings):
+        if leaf.pane is not None:
+            ends = face.at(CELL_M * np.array([leaf.first, leaf.after]))
+            bottom_m, top_m = CELL_M * np.array([[leaf.pane[0]], [leaf.pane[1] + 1]])
+            windows = windows.append(Windows(ends[None], face.normal[None], bottom_m, top_m, np.full(1, np.nan)))
+    return windows
+
+
+def _leaves(
+    walls: Walls, cells: WallCells, building: BuildingSettings, settings: DoorCasingsSettings
+) -> Iterator[tuple[int, Segment, FloatArray, _Leaf]]:
+    """What hangs before the faces as leaves do: the face's number, the face, its cells and the leaf."""
     for w, face in enumerate(segments(walls)):
         counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
-        for leaf in _leaves(counts, building, settings):
-            if leaf.pane is not None:
-                ends = face.at(CELL_M * np.array([leaf.first, leaf.after]))
-                bottom_m, top_m = CELL_M * np.array([leaf.pane[:1], leaf.pane[1:]]) + [[0.0], [CELL_M]]
-                windows = windows.append(Windows(ends[None], face.normal[None], bottom_m, top_m, np.full(1, np.nan)))
-    return windows
+        for leaf in _leaves_before(counts, building, settings):
+            yield w, face, counts, leaf
 
 
 def _is_beside(doorway: Segment, door: Doors, near_m: float) -> bool:
@@ -90,8 +93,8 @@ def _is_beside(doorway: Segment, door: Doors, near_m: float) -> bool:
     return bool(off_m < near_m and doorway.shared_m(door.ends[0]) > -near_m)
 
 
-def _leaves(counts: FloatArray, building: BuildingSettings, settings: DoorCasingsSettings) -> Iterator[_Leaf]:
-    """What hangs before a face as leaves do; counts: (c, rows, 4), see `WallCells`."""
+def _leaves_before(counts: FloatArray, building: BuildingSettings, settings: DoorCasingsSettings) -> Iterator[_Leaf]:
+    """The same of one face; counts: (c, rows, 4), see `WallCells`."""
     wall, lowest, highest = (cells_in(m) for m in (settings.wall_m, building.door_height_min_m, building.door_height_max_m))
     if counts.shape[1] <= lowest + wall:
         return

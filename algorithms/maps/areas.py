@@ -21,7 +21,7 @@ def grown(area: BaseGeometry, distance_m: float) -> BaseGeometry:
     buffered = area.buffer(distance_m, join_style="mitre")
     if not buffered.is_valid:
         buffered = shapely.set_precision(area, _CORNERS_M).buffer(distance_m, join_style="mitre")
-    return _valid(buffered)
+    return buffered if buffered.is_valid else shapely.make_valid(buffered, method="structure", keep_collapsed=False)
 
 
 def closed(area: BaseGeometry, distance_m: float) -> BaseGeometry:
@@ -29,8 +29,4 @@ def closed(area: BaseGeometry, distance_m: float) -> BaseGeometry:
 
     Shrunk again, square corners cut into what lies at the end of an acute notch that was closed: that is put back.
     """
-    return _valid(shapely.union(grown(grown(area, distance_m), -distance_m), area))
-
-
-def _valid(area: BaseGeometry) -> BaseGeometry:
-    return area if area.is_valid else shapely.make_valid(area, method="structure", keep_collapsed=False)
+    return shapely.union(grown(grown(area, distance_m), -distance_m), area, grid_size=_CORNERS_M)
