@@ -158,7 +158,8 @@ def _casings(counts: FloatArray, building: BuildingSettings, settings: DoorCasin
             weakest_m = min(relief_m[first], relief_m[last], over_m)
             if (
                 weakest_m > settings.relief_min_m
-                and max(map(abs, sides_m)) < settings.flush_max * weakest_m
+                and max(sides_m) < settings.flush_max * weakest_m
+                and min(map(abs, sides_m)) < settings.flush_max * weakest_m
                 and np.mean(strip[first + wall : last + 1 - wall]) <= settings.within_max
                 and is_opaque(counts[first + 1 : last, FOOT_ROW:head], building)
             ):
@@ -219,7 +220,10 @@ def _strips(
     # variance p (1 - p) d². A board that stands on the wall on its edge, a shelf's side, has returns at all depths.
     with np.errstate(divide="ignore", invalid="ignore"):
         sheet_m = relief_m + beyond_noise_m**2 / relief_m
-    sheet = (sheet_m < settings.relief_max_m) & (relief_m > settings.covered_min * sheet_m)
+        covered = np.where(stands & (sheet_m < settings.relief_max_m), relief_m / sheet_m, 0.0)
+    # One that parts two columns covers less of each, but more of both than a board's edge does.
+    beside = np.maximum(np.append(covered[1:], 0.0), np.append(0.0, covered[:-1]))
+    sheet = (covered > 0.0) & (np.maximum(covered, (covered + beside) / 1.5) > settings.covered_min)
     is_known = seen.mean(axis=1) > building.known_min
     return np.where(is_known, relief_m, np.nan), stands & ends & sheet & is_known
 
@@ -241,9 +245,12 @@ def _beside(values: FloatArray, column: int, outwards: int, wall: int) -> FloatA
 
 
 def _relief_beside(relief_m: FloatArray, column: int, outwards: int, wall: int) -> float:
-    """How far the wall beside a casing's strip stands out; infinity where the face ends there."""
+    """How far what is beside a casing's strip stands out, where that is least; infinity where the face ends there or rays pass.
+
+    Furniture may stand close by, or the frame of a pane beside the door lie farther back.
+    """
     beside_m = _beside(relief_m, column, outwards, wall)
-    return float(np.mean(beside_m)) if len(beside_m) == wall and np.isfinite(beside_m).all() else np.inf
+    return float(np.min(beside_m)) if len(beside_m) == wall and np.isfinite(beside_m).all() else np.inf
 
 
 def _relief_over(

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -31,8 +32,9 @@ from ffmap.algorithms.building.openings import (
     to_jambs,
     tops_m,
     widened,
+    without_panels,
 )
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells, with_neighbours
 from ffmap.algorithms.scan.doors import DoorState
 
 
@@ -47,7 +49,7 @@ def find_doors(
     """Doors: columns with wall above and, below, either nothing for the rays to hit or a recessed leaf.
 
     Columns next to each other that agree make a door, if it is as wide as doors are. What was seen in both faces of a
-    wall, or in two stretches of it, is one door: the better seen one stands.
+    wall, or in two stretches of it, is there twice, the better seen first: see `each_once`.
 
     cells: without the rays through the windows, for what is seen through glass tells nothing of this building's doors.
     clear_m: (columns,) from the floor to the ceiling before each column of the faces; NaN where none was seen.
@@ -63,17 +65,18 @@ def find_doors(
                 found.append(seen)
     # Where a face ends within an opening, the other face may show all of it.
     found.sort(key=lambda seen: (seen.is_cut, -seen.door.confidence[0] * seen.door.ray_count[0]))
-    return add_doors(NO_DOORS, [seen.door for seen in found], rules.openings.doorway_max_m)
+    return reduce(Doors.append, (seen.door for seen in found), NO_DOORS)
 
 
-def add_doors(doors: Doors, more: Iterable[Doors], doorway_max_m: float) -> Doors:
-    """The doors and those of some single ones, in their order, that are none of them: another face shows the same door.
+def each_once(seen: Doors, rules: OpeningRules) -> Doors:
+    """The doors without doubtful ones, each once: of several that show the same door the first stands.
 
-    What is seen in the other face of a door's wall tells how far its doorway reaches (`reveal_m`). doorway_max_m: see
-    `OpeningsSettings`.
+    A door that is doubtful as one face shows it may be beyond doubt in the other: hence it is dropped first. What is seen in the
+    other face of a door's wall tells how far its doorway reaches (`reveal_m`).
     """
-    for door in more:
-        through_m = _through_m(door, doors, doorway_max_m)
+    doors, sure = NO_DOORS, drop_doubtful(seen, rules.building)
+    for door in (sure.select(slice(d, d + 1)) for d in range(len(sure))):
+        through_m = _through_m(door, doors, rules.openings.doorway_max_m)
         if np.isfinite(through_m).any():
             doors = replace(doors, reveal_m=np.fmax(doors.reveal_m, through_m))
             continue
@@ -136,7 +139,7 @@ def _doors_in(
             lintel = float(np.mean(found.has_lintel[columns]))
             if jambs < (1 if lintel > 0.5 else 2):
                 continue
-            agree = found.through[columns] if seen_as == DoorState.OPEN else 1 - found.through[columns]
+            agree = found.through[columns] if seen_as == DoorState.OPEN else _share_on_leaf(counts[columns, low:high], openings)
             is_ajar = seen_as == DoorState.CLOSED and _is_ajar(found.depth_m[columns], openings.ajar_m)
             state = DoorState.OPEN if is_ajar else seen_as
             agreement = np.array([np.nanmean(agree[flags[columns]])])
@@ -165,6 +168,13 @@ def _doors_in(
                 glazed=np.zeros(1, bool),
             )
             yield _Seen(door, first == 0 or last == len(counts) - 1)
+
+
+def _share_on_leaf(leaf: FloatArray, settings: OpeningsSettings) -> FloatArray:
+    """(c,) which share of the rays that meet a leaf (c, rows, 4), away from its vision panels, end on it; NaN where none do."""
+    rays = with_neighbours(without_panels(leaf, settings.stile_min_m)).sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(rays[:, FILLED] / (rays[:, FILLED] + rays[:, THROUGH]))
 
 
 def _over_what_its_leaf_hides(columns: DoorColumns, first: int, last: int, rules: OpeningRules) -> tuple[int, int]:
@@ -205,9 +215,10 @@ def _over_empty_columns(
 
 
 def _is_glazed(door: Doors, windows: Windows, settings: OpeningsSettings) -> bool:
-    """Whether most of an opening is a window's, of whichever of its wall's faces."""
-    opening = next(segments(door))
-    for ends, normal in zip(windows.ends, windows.normal, strict=True):
+    """Whether most of an opening is a window's, of whichever of its wall's faces: a vision panel is less than half of its leaf."""
+    opening, head_m = next(segments(door)), float(door.head_m[0])
+    half_high = np.minimum(windows.top_m, head_m) - windows.bottom_m > 0.5 * head_m
+    for ends, normal in zip(windows.ends[half_high], windows.normal[half_high], strict=True):
         near = np.abs(opening.before_m(ends)).max() < settings.glazed_m and abs(opening.normal @ normal) > 0.8
         if near and opening.shared_m(ends) > 0.5 * opening.length_m:
             return True

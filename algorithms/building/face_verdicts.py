@@ -29,6 +29,7 @@ from ffmap.algorithms.building.face_columns import (
     room_before,
     runs,
 )
+from ffmap.algorithms.building.folds import FoldsSettings, in_folds
 from ffmap.algorithms.building.model import (
     AT_FACE_M,
     CELL_M,
@@ -163,6 +164,8 @@ class FaceVerdict(IntEnum):
     """Neither floor nor ceiling was seen before it: another house's front, through a window."""
     MIRRORED = 6
     """Hardly a ray shows it that does not pass a window, or the wall close beside one: what the pane mirrors of another wall."""
+    FOLDED = 7
+    """It hangs in folds, before and behind its plane by turns: a curtain."""
 
 
 @dataclass(frozen=True)
@@ -225,6 +228,7 @@ def judge_faces(
     rules: OpeningRules,
     column_settings: FaceColumnsSettings,
     settings: StandingWallsSettings,
+    folds: FoldsSettings,
 ) -> JudgedFaces:
     """Keep the stretches of the faces that stand from floor to ceiling, as far as rays tell.
 
@@ -240,12 +244,14 @@ def judge_faces(
         hangs = _hanging(flags.select(own), faces.cells.of(w), rules, settings)
         low = _ending_low(flags.ends_low[own], columns.select(own), settings)
         _take_rests(hangs, low, faces, columns, own.start, settings)
-        for first, after in runs(~(hangs | low)):
+        folded = in_folds(faces.cells.counts[own].astype(np.float64), folds)
+        for first, after in runs(~(hangs | low | folded)):
             if (after - first) * CELL_M >= building.length_min_m:
                 kept.append((w, first, after))
-        for first, after in runs(hangs | low):
+        for first, after in runs((hangs | low) & ~folded):
             verdict = FaceVerdict.HANGS if hangs[first:after].mean() > 0.5 else FaceVerdict.ENDS_LOW
             refused.append((w, first, after, verdict))
+        refused += [(w, first, after, FaceVerdict.FOLDED) for first, after in runs(folded)]
     verdicts = np.array([verdict for *_, verdict in refused], np.uint8)
     return JudgedFaces(faces.cut(kept), faces.cut([r[:3] for r in refused]), verdicts)
 

@@ -14,7 +14,7 @@ from ffmap.algorithms.building.blinds import BlindsSettings, find_blinds
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings, find_cased_doors
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings, find_contrasting_doors
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
-from ffmap.algorithms.building.doors import add_doors, drop_doubtful, find_doors, prove_crossed
+from ffmap.algorithms.building.doors import each_once, find_doors, prove_crossed
 from ffmap.algorithms.building.drive import AllScans
 from ffmap.algorithms.building.face_alignment import AlignedFaces, FaceAlignmentSettings, align_faces
 from ffmap.algorithms.building.face_columns import FLOOR_NEAR_M, FaceColumnsSettings, TracedFaces, column_places
@@ -34,6 +34,7 @@ from ffmap.algorithms.building.face_verdicts import (
     trim_at_doorways,
 )
 from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings
+from ffmap.algorithms.building.folds import FoldsSettings
 from ffmap.algorithms.building.glass_fronts import (
     AllRays,
     GlassFrontsSettings,
@@ -65,6 +66,7 @@ class FusionSettings:
     face_columns: FaceColumnsSettings
     face_alignment: FaceAlignmentSettings
     standing_walls: StandingWallsSettings
+    folds: FoldsSettings
     missed_walls: MissedWallsSettings
     before_walls: ForegroundSettings
     openings: OpeningsSettings
@@ -166,7 +168,7 @@ def _judge(aligned: AlignedFaces, scans: AllScans, settings: FusionSettings, win
     if alone.any():
         alone[alone] = ~shows_whole(_traced(faces.select(alone), scans, settings, windows), standing)
     traced = _traced(faces.select(~alone), scans, settings, windows)
-    judged = judge_faces(traced, scans.path_map, settings.opening_rules, settings.face_columns, standing)
+    judged = judge_faces(traced, scans.path_map, settings.opening_rules, settings.face_columns, standing, settings.folds)
     judged = judged.refuse(faces.select(alone), FaceVerdict.ALONE).refuse(leaves, FaceVerdict.LEANS)
     return refuse_outside(judged, scans.storey, settings.face_columns)
 
@@ -235,12 +237,9 @@ def _find_openings(
     contrasting = find_contrasting_doors(walls, without_glass, settings.building, settings.door_contrasts)
     glazed = find_glazed_doors(faces, windows, settings.opening_rules)
     sliding = find_sliding_doors(walls, cells, doors, settings.building, settings.door_casings)
-    closed = sliding.append(cased).append(contrasting).append(glazed)
-    singles = (closed.select(slice(d, d + 1)) for d in range(len(closed)))
-    doors = add_doors(doors, singles, settings.openings.doorway_max_m)
+    doors = doors.append(sliding).append(cased).append(contrasting).append(glazed)
     doors = place_frames(doors, walls, scans.drive.blocks(), settings.building, settings.door_frames)
-    doors = drop_doubtful(doors, settings.building)
-    doors = prove_crossed(doors, scans.path_map)
+    doors = prove_crossed(each_once(doors, settings.opening_rules), scans.path_map)
     through_m = doors.reveal_m
     doors = measure_reveals(doors, scans.drive.blocks(), settings.door_frames)
     parts = part_walls(walls, settings.wall_thickness)

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 from pydantic import Field
+from scipy import ndimage
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
@@ -56,6 +57,9 @@ class OpeningsSettings(StepSettings):
     )
     doorway_max_m: float = Field(
         1.0, gt=0, description="Maximum depth (m) of a doorway: a corridor with the walls on its sides is wider."
+    )
+    stile_min_m: float = Field(
+        0.1, gt=0, description="Minimum width (m) of a leaf on both sides of a vision panel in it: a window's frame is narrower."
     )
     ajar_m: float = Field(
         0.1, gt=0, description="Minimum distance (m) of a leaf's free edge from its frame for the door to stand open."
@@ -275,6 +279,21 @@ def lies_on_sheet(counts: FloatArray, rules: OpeningRules) -> BoolArray:
     within = total[np.searchsorted(depth_m, depth_m + sheet_m, "right")]
     within -= total[np.searchsorted(depth_m, depth_m - sheet_m, "left")]
     return np.asarray(flat & (np.abs(mean_m - depth_m[np.argmax(within)]) <= sheet_m))
+
+
+def without_panels(leaf: FloatArray, stile_min_m: float) -> FloatArray:
+    """The cells (c, rows, 4) of a leaf, nothing in those of its vision panels: rays pass where the leaf is all around.
+
+    stile_min_m: see `OpeningsSettings`.
+    """
+    aside = cells_in(stile_min_m)
+    opaque = leaf[..., FILLED] > leaf[..., THROUGH]
+    panels, inner = np.zeros_like(opaque), slice(aside, len(opaque) - aside)
+    panels[inner] = ndimage.binary_fill_holes(opaque[inner]) & ~opaque[inner]
+    if not panels.any() or panels.mean() > 0.5:
+        return leaf
+    # Some rays pass at a panel's edges too.
+    return np.asarray(leaf * ~ndimage.binary_dilation(panels, np.ones((3, 3)))[..., None])
 
 
 def is_open_to_floor(counts: FloatArray, rules: OpeningRules) -> bool:

@@ -325,7 +325,7 @@ def _to_its_wall(
     flush, returns = _shows(on[:, bottom : top + 1] > passed, bar), _shows(inner[..., FILLED] > passed, bar)
     # What returns behind the face is its reveal, or a leaf beside it, which is wider.
     shows = flush | long_runs(returns & ~flush, cells_in(settings.reveal_max_m), 0)
-    foot = slice(FOOT_ROW, max(bottom - 1, FOOT_ROW))
+    foot = slice(FOOT_ROW, max(bottom, FOOT_ROW))
     around = np.concatenate([on[:, foot], on[:, top + 2 : highest]], axis=1)
     is_met = around.mean(axis=1) >= settings.returns_min if around.shape[1] else np.zeros(len(on), bool)
     # A doorway is open at its foot, or above what closes the window.

@@ -25,6 +25,7 @@ from ffmap.algorithms.building.face_columns import FaceColumnsSettings
 from ffmap.algorithms.building.face_foreground import ForegroundSettings
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
+from ffmap.algorithms.building.folds import FoldsSettings
 from ffmap.algorithms.building.fusion import FusionSettings
 from ffmap.algorithms.building.glass_fronts import GlassFrontsSettings
 from ffmap.algorithms.building.level_settings import LevelsSettings
@@ -74,6 +75,7 @@ class Settings(StepSettings):
     face_columns: FaceColumnsSettings = FaceColumnsSettings()
     face_alignment: FaceAlignmentSettings = FaceAlignmentSettings()
     standing_walls: StandingWallsSettings = StandingWallsSettings()
+    folds: FoldsSettings = FoldsSettings()
     missed_walls: MissedWallsSettings = MissedWallsSettings()
     before_walls: ForegroundSettings = ForegroundSettings()
     openings: OpeningsSettings = OpeningsSettings()

@@ -89,6 +89,45 @@ def test_a_casing_shows_a_closed_door_to_two_centimetres(
     assert 0.5 * CASING_M < doors.casing_m[0] < 1.1 * CASING_M
 
 
+def furniture_close_by(counts: np.ndarray) -> None:
+    counts[52:58, :30, SUM] = 0.05 * RETURNS  # from 10 cm beside the casing on
+
+
+def pane_beside(counts: np.ndarray) -> None:
+    counts[51:53, :40, SUM] = -0.02 * RETURNS  # its frame begins at the casing
+    counts[53:61, :40] = 0.0
+    counts[53:61, :40, THROUGH] = RETURNS
+
+
+def panes_on_both_sides(counts: np.ndarray) -> None:
+    pane_beside(counts)
+    pane_beside(counts[::-1])
+
+
+def doorway_beside(counts: np.ndarray) -> None:
+    counts[51:61, :40] = 0.0
+    counts[51:61, :40, THROUGH] = RETURNS
+
+
+@pytest.mark.parametrize(
+    ("beside", "doors"), [(furniture_close_by, 1), (pane_beside, 1), (panes_on_both_sides, 0), (doorway_beside, 0)]
+)
+def test_a_casing_stands_out_of_what_is_beside_it(beside: Callable[[np.ndarray], None], doors: int) -> None:
+    """On one side at least that is the wall."""
+    assert len(find(*frame(1.55, 2.45, 0.0, 2.0), change=beside)) == doors
+
+
+def test_a_casing_that_parts_two_columns_shows_beside_a_leaf_that_is_set_back() -> None:
+    """The column that it shares with the leaf hardly stands out."""
+    def set_back(counts: np.ndarray) -> None:
+        counts[31:47, :40, SUM] -= 0.009 * RETURNS
+        for column in (30, 47):
+            counts[column, :40, SUM] -= 0.003 * RETURNS
+            counts[column, :40, SQUARES] += 0.006**2 * RETURNS
+
+    assert len(find(*frame(1.525, 2.375, 0.0, 2.0), change=set_back)) == 1
+
+
 def test_two_doors_in_one_wall() -> None:
     assert len(find(*frame(0.5, 1.4, 0.0, 2.0), *frame(2.4, 3.3, 0.0, 2.0))) == 2
 

@@ -19,6 +19,7 @@ from ffmap.algorithms.building.face_verdicts import (
     shows_whole,
     trim_at_doorways,
 )
+from ffmap.algorithms.building.folds import FoldsSettings
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, NO_WALLS, BuildingSettings, Walls
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells
@@ -51,6 +52,7 @@ def judged_faces(walls: Walls, cells: WallCells, clear_m: np.ndarray, path_map: 
         OpeningRules(BuildingSettings(), OpeningsSettings()),
         COLUMNS,
         SETTINGS,
+        FoldsSettings(),
     )
 
 
@@ -417,3 +419,53 @@ def test_faces_far_from_doors_and_no_faces_stay_as_they_are() -> None:
     assert (
         len(trim_at_doorways(TracedFaces(NO_WALLS, nothing, np.zeros(0), np.zeros(0)), NO_DOORS, SETTINGS).faces) == 0
     )
+
+
+def lay(cells: WallCells, before_m: np.ndarray) -> None:
+    """Move what returns from each column (c,), or cell (c, rows), before the face."""
+    cells.counts[..., SUM] = cells.counts[..., FILLED] * (before_m[:, None] if before_m.ndim == 1 else before_m)
+    cells.counts[..., SQUARES] = cells.counts[..., SUM] * before_m.reshape(len(before_m), -1)
+
+
+def folds_m(columns: int, first: int, after: int, deep_m: float = 0.03, period_m: float = 0.16) -> np.ndarray:
+    """(c,) how far the columns lie before a face, in some of which cloth hangs."""
+    along_m = (np.arange(columns) + 0.5) * CELL_M
+    hangs = (np.arange(columns) >= first) & (np.arange(columns) < after)
+    return np.where(hangs, deep_m * np.sin(2 * np.pi * along_m / period_m), 0.0)
+
+
+@pytest.mark.parametrize("flip", [1, -1])
+def test_cloth_hangs_in_folds_and_a_wall_does_not(flip: int) -> None:
+    wall = cells_of(4.0)
+    lay(wall, folds_m(80, 20, 50)[::flip])
+    stands, verdicts = judge(wall)
+    assert verdicts == [FaceVerdict.FOLDED]
+    expected = [[0.0, 1.0], [2.5, 4.0]] if flip == 1 else [[0.0, 1.5], [3.0, 4.0]]
+    np.testing.assert_allclose(stands, expected, atol=2 * CELL_M)
+
+
+@pytest.mark.parametrize(
+    "before_m",
+    [
+        folds_m(80, 20, 50, deep_m=0.006),  # as uneven as old plaster
+        folds_m(80, 20, 25),  # as narrow as a casing with its jamb
+        np.where(np.arange(80) % 12 < 2, 0.04, 0.0),  # pilasters
+        np.linspace(-0.03, 0.03, 80),  # a face that is askew
+        np.where(np.arange(80) > 40, 0.06, 0.0),  # a step
+    ],
+)
+def test_what_is_not_in_folds(before_m: np.ndarray) -> None:
+    wall = cells_of(4.0)
+    lay(wall, before_m)
+    assert judge(wall) == ([[0.0, 4.0]], [])
+
+
+def test_what_stands_on_shelves_is_not_alike_from_top_to_bottom() -> None:
+    wall, fold_m = cells_of(4.0), folds_m(80, 20, 50)[:, None] * np.ones(66)
+    fold_m[:, 26:] *= -1.0  # higher up what lay before lies behind
+    lay(wall, fold_m)
+    assert judge(wall) == ([[0.0, 4.0]], [])
+    low = cells_of(4.0)
+    lay(low, folds_m(80, 20, 50))
+    low.counts[20:50, 20:] = 0.0  # hidden above a metre: what is seen is too low to tell
+    assert FaceVerdict.FOLDED not in judge(low)[1]

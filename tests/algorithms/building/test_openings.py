@@ -9,7 +9,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.segments import Segment
 from ffmap.algorithms.building.door_casings import flush_door
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, place_frames
-from ffmap.algorithms.building.doors import add_doors, drop_doubtful, find_doors, prove_crossed
+from ffmap.algorithms.building.doors import drop_doubtful, each_once, find_doors, prove_crossed
 from ffmap.algorithms.building.model import (
     CELL_M,
     NO_DOORS,
@@ -241,7 +241,7 @@ def test_a_leaf_ajar_is_part_of_its_doorway(leaves: int) -> None:
             else:
                 cell[:], cell[:, THROUGH] = 0.0, 10.0
     seen.counts[opened, rows] = np.array([0.0, 0.0, 0.0, 10.0])
-    doors = find_doors(WALL, seen, unknown(seen), RULES)
+    doors = each_once(find_doors(WALL, seen, unknown(seen), RULES), RULES)
     assert doors.state.tolist() == [DoorState.OPEN]
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.55 if leaves == 1 else 3.3], atol=2 * CELL_M)
     assert doors.confidence[0] > 0.6
@@ -305,7 +305,9 @@ def test_a_doorway_is_taken_from_the_face_that_shows_all_of_it() -> None:
     seen = cells()
     opening(seen)
     both = np.concatenate([3.0 * seen.counts[:43], seen.counts[::-1]])
-    doors = find_doors(walls, WallCells(np.array([0, 43, 123]), 66, both), np.full(123, np.nan), RULES)
+    seen_twice = find_doors(walls, WallCells(np.array([0, 43, 123]), 66, both), np.full(123, np.nan), RULES)
+    assert len(seen_twice) == 2
+    doors = each_once(seen_twice, RULES)
     assert len(doors) == 1
     np.testing.assert_allclose(np.sort(doors.ends[0, :, 0]), [1.5, 2.4], atol=2 * CELL_M)
 
@@ -325,9 +327,18 @@ def test_a_doorway_is_taken_from_the_face_that_shows_all_of_it() -> None:
 def test_a_doorway_in_a_thick_wall_is_one_door(far_y: float, aside_m: float, looks: float, doors: int) -> None:
     near = flush_door(Segment.between(*WALL_1), 0, (20.0, 38.0), 0, 2.1, cells().counts, 0.0)
     far = replace(near, ends=near.ends[:, ::-1] + [aside_m, far_y], normal=np.array([[0.0, looks]]))
-    found = add_doors(NO_DOORS, [near, far], OpeningsSettings().doorway_max_m)
+    found = each_once(replace(near.append(far), scan_count=np.full(2, 99, np.int32)), RULES)
     assert len(found) == doors
     assert found.reveal_m[0] == pytest.approx(far_y if doors == 1 else np.nan, nan_ok=True)
+
+
+def test_a_door_that_is_doubtful_in_one_face_hides_none_that_is_sure_in_the_other() -> None:
+    """The recess of a leaf, seen by no scan from nearby, and its casing on the wall's other side."""
+    recessed = flush_door(Segment.between(*WALL_1), 0, (20.0, 38.0), 0, 2.1, cells().counts, 0.0)
+    cased = replace(recessed, ends=recessed.ends[:, ::-1] + [0.05, 0.1], normal=-recessed.normal, casing_m=np.array([0.012]))
+    seen = replace(recessed.append(cased), scan_count=np.array([0, 99], np.int32))
+    assert each_once(seen, RULES).casing_m.tolist() == [0.012]
+    assert len(each_once(replace(seen, scan_count=np.full(2, 99, np.int32)), RULES)) == 1
 
 
 def test_a_window_behind_a_desk_is_no_doorway() -> None:
@@ -664,15 +675,16 @@ def test_what_returns_at_a_jamb_alone_makes_no_pane_of_an_opening_higher_than_do
     assert np.count_nonzero(np.ptp(windows.ends[:, :, 0], axis=1) > 0.8) == found
 
 
-def test_a_window_ends_at_the_doorway_beside_it() -> None:
+@pytest.mark.parametrize("sill_row", [18, 3])  # a window, and a pane beside the door that stands on a low rail
+def test_a_window_ends_at_the_doorway_beside_it(sill_row: int) -> None:
     """Between window and door there is no more than a bar, and above the door its wall shows, as it does above the window."""
     seen = cells()
-    seen.counts[10:40, 18:42, FILLED], seen.counts[10:40, 18:42, THROUGH] = 0.0, 50.0
-    seen.counts[42:60, :44, FILLED], seen.counts[42:60, :44, THROUGH] = 0.0, 50.0
+    seen.counts[10:40, sill_row:42] = [1.0, -0.07, 0.07**2, 50.0]
+    seen.counts[45:63, :44, FILLED], seen.counts[45:63, :44, THROUGH] = 0.0, 50.0
     windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
     np.testing.assert_allclose(windows.ends[:, :, 0], [[0.5, 2.0]], atol=2 * CELL_M)
     doors = find_doors(WALL, seen, unknown(seen), RULES, windows)
-    np.testing.assert_allclose(np.sort(doors.ends[:, :, 0]), [[2.1, 3.0]], atol=CELL_M)
+    np.testing.assert_allclose(np.sort(doors.ends[:, :, 0]), [[2.25, 3.15]], atol=CELL_M)
 
 
 @pytest.mark.parametrize(
@@ -854,3 +866,46 @@ def test_a_window_is_in_a_wall_that_looks_the_same_way() -> None:
     windows = Windows(ends, normal, np.full(4, 0.9), np.full(4, 2.0), np.zeros(4))
     np.testing.assert_array_equal(in_walls(windows, WALL, WindowsSettings()).ends, ends[:1])
     assert len(in_walls(windows, NO_WALLS, WindowsSettings())) == 0
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "low_row", "top_row", "doors"),
+    [
+        (34, 44, 20, 32, 1),  # a vision panel
+        (33, 38, 20, 32, 1),
+        (31, 47, 20, 32, 0),  # as wide as a window within its frame
+        (34, 44, 4, 41, 0),  # as high as a glazed leaf's pane: that is told by its sheet
+        (34, 44, 20, 55, 0),  # nothing ends above it
+    ],
+)
+def test_rays_pass_a_leafs_vision_panel(first: int, last: int, low_row: int, top_row: int, doors: int) -> None:
+    seen = cells()
+    recess(seen, 0.0, 2.1, 0.08)
+    seen.counts[first:last, low_row:top_row] = [0.0, 0.0, 0.0, 10.0]
+    assert _closed_for_sure(seen) == doors
+
+
+def _closed_for_sure(seen: WallCells) -> int:
+    """How many closed doors stand where many scans saw them."""
+    found = find_doors(WALL, seen, unknown(seen), RULES)
+    sure = each_once(replace(found, scan_count=np.full(len(found), 99, np.int32)), RULES)
+    return int(np.count_nonzero(sure.state == DoorState.CLOSED))
+
+
+def test_what_was_not_seen_is_no_leaf_around_a_panel() -> None:
+    """Below a window something hides what is there, and of its leaf no rail shows."""
+    seen = cells()
+    recess(seen, 0.0, 2.1, 0.08)
+    seen.counts[34:44, 16:28] = [0.0, 0.0, 0.0, 10.0]
+    assert _closed_for_sure(seen) == 1
+    seen.counts[36:40, :16] = 0.0
+    assert _closed_for_sure(seen) == 0
+
+
+@pytest.mark.parametrize(("bottom_m", "doors"), [(1.2, 1), (0.9, 0)])
+def test_a_vision_panel_that_passed_for_a_window_takes_no_leaf_away(bottom_m: float, doors: int) -> None:
+    """It is less than half as high as its leaf."""
+    seen = cells()
+    recess(seen, 0.0, 2.1, 0.08)
+    window = replace(WINDOW, ends=np.array([[[1.55, 0.0], [2.35, 0.0]]]), bottom_m=np.array([bottom_m]))
+    assert len(find_doors(WALL, seen, unknown(seen), RULES, window)) == doors
