@@ -215,10 +215,9 @@ def _over_empty_columns(
 
 
 def _is_glazed(door: Doors, windows: Windows, settings: OpeningsSettings) -> bool:
-    """Whether most of an opening is a window's, of whichever of its wall's faces: a vision panel is less than half of its leaf."""
-    opening, head_m = next(segments(door)), float(door.head_m[0])
-    half_high = np.minimum(windows.top_m, head_m) - windows.bottom_m > 0.5 * head_m
-    for ends, normal in zip(windows.ends[half_high], windows.normal[half_high], strict=True):
+    """Whether most of an opening is a window's, of whichever of its wall's faces."""
+    opening = next(segments(door))
+    for ends, normal in zip(windows.ends, windows.normal, strict=True):
         near = np.abs(opening.before_m(ends)).max() < settings.glazed_m and abs(opening.normal @ normal) > 0.8
         if near and opening.shared_m(ends) > 0.5 * opening.length_m:
             return True

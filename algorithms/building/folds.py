@@ -12,7 +12,7 @@ from pydantic import Field
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import long_runs
-from ffmap.algorithms.building.model import CELL_M, cells_in
+from ffmap.algorithms.building.model import cells_in
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, depth_moments
 
 
@@ -26,7 +26,6 @@ class FoldsSettings(StepSettings):
         "the columns around.",
     )
     around_m: float = Field(0.45, gt=0, description="Width (m) around a column over which that median is taken.")
-    height_min_m: float = Field(1.0, gt=0, description="Minimum height (m) over which cloth is seen.")
     width_min_m: float = Field(0.4, gt=0, description="Minimum width (m) of cloth: a reveal with its frame is narrower.")
 
 
@@ -36,7 +35,7 @@ def in_folds(counts: FloatArray, settings: FoldsSettings) -> BoolArray:
     before_m = depth_moments(counts)[0]
     before_m[(counts[..., FILLED] < 2) | (counts[..., FILLED] <= counts[..., THROUGH])] = np.nan
     rows = np.flatnonzero(np.isfinite(before_m[:, FOOT_ROW:]).any(axis=0)) + FOOT_ROW
-    if len(counts) < around or len(rows) * CELL_M < settings.height_min_m:
+    if len(counts) < around or len(rows) < 2:
         return np.zeros(len(counts), bool)
     # What stands on a shelf differs from what is beside it as well, but not alike below and above.
     low_m, high_m = (_beside_others_m(before_m[:, half]) for half in np.array_split(rows, 2))

@@ -290,10 +290,7 @@ def without_panels(leaf: FloatArray, stile_min_m: float) -> FloatArray:
     opaque = leaf[..., FILLED] > leaf[..., THROUGH]
     panels, inner = np.zeros_like(opaque), slice(aside, len(opaque) - aside)
     panels[inner] = ndimage.binary_fill_holes(opaque[inner]) & ~opaque[inner]
-    if not panels.any() or panels.mean() > 0.5:
-        return leaf
-    # Some rays pass at a panel's edges too.
-    return np.asarray(leaf * ~ndimage.binary_dilation(panels, np.ones((3, 3)))[..., None])
+    return np.asarray(leaf * ~panels[..., None])
 
 
 def is_open_to_floor(counts: FloatArray, rules: OpeningRules) -> bool:

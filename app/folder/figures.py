@@ -29,7 +29,7 @@ HEADLINES = (
 STEPS = (
     *("scan", "odometry", "refinement", "pose_graph", "trajectory", "smoothing", "rearrangement"),
     *("vertical_structures", "wall_planes", "doors", "labelling", "building", "levels", "face_columns"),
-    *("face_alignment", "standing_walls", "missed_walls", "before_walls", "openings", "windows", "blinds", "glass_fronts"),
+    *("face_alignment", "standing_walls", "folds", "missed_walls", "before_walls", "openings", "windows", "blinds", "glass_fronts"),
     *(
         "door_casings",
         "door_contrasts",

@@ -18,6 +18,7 @@ from ffmap.algorithms.building.face_columns import FaceColumnsSettings
 from ffmap.algorithms.building.face_foreground import ForegroundSettings
 from ffmap.algorithms.building.face_verdicts import FaceVerdict, StandingWallsSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
+from ffmap.algorithms.building.folds import FoldsSettings
 from ffmap.algorithms.building.fusion import Building, FusionSettings, fuse_building
 from ffmap.algorithms.building.glass_fronts import GlassFrontsSettings
 from ffmap.algorithms.building.level_settings import LevelsSettings
@@ -41,6 +42,7 @@ SETTINGS = FusionSettings(
     FaceColumnsSettings(),
     FaceAlignmentSettings(),
     StandingWallsSettings(),
+    FoldsSettings(),
     MissedWallsSettings(),
     ForegroundSettings(),
     OpeningsSettings(),
