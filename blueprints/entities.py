@@ -59,8 +59,8 @@ REFUSALS = {
     FaceVerdict.ALONE: "few scans saw it, no wall is parallel or square to it, it ends below the ceiling (a side of furniture)",
     FaceVerdict.LEANS: "it stands at an angle to a wall, close to it (a leaf open against its wall)",
     FaceVerdict.OUTSIDE: "neither floor nor ceiling was seen before it (another house's front, through a window)",
-    FaceVerdict.FOLDED: "it hangs in folds, before and behind its plane by turns (a curtain)",
     FaceVerdict.MIRRORED: "it is seen past a window alone (a pane's reflection of another wall)",
+    FaceVerdict.FOLDED: "it hangs in folds, before and behind its plane by turns (a curtain)",
 }
 CLOUD = "/world/building/cloud"
 CLOUD_CEILING = "/world/building/ceiling"

@@ -221,7 +221,7 @@ def _strips(
     with np.errstate(divide="ignore", invalid="ignore"):
         sheet_m = relief_m + beyond_noise_m**2 / relief_m
         covered = np.where(stands & (sheet_m < settings.relief_max_m), relief_m / sheet_m, 0.0)
-    # One that parts two columns covers less of each, but more of both than a board's edge does.
+    # One that parts two columns may cover less than that of either: of both together it covers half as much again.
     beside = np.maximum(np.append(covered[1:], 0.0), np.append(0.0, covered[:-1]))
     sheet = (covered > 0.0) & (np.maximum(covered, (covered + beside) / 1.5) > settings.covered_min)
     is_known = seen.mean(axis=1) > building.known_min

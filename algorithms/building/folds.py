@@ -15,6 +15,8 @@ from ffmap.algorithms.building.face_columns import long_runs
 from ffmap.algorithms.building.model import cells_in
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, depth_moments
 
+_SEEN_MIN = 0.3  # Of a column's cells, for their median to say where it lies
+
 
 class FoldsSettings(StepSettings):
     """Telling cloth from walls by its folds."""
@@ -44,20 +46,21 @@ def in_folds(counts: FloatArray, settings: FoldsSettings) -> BoolArray:
     padded = np.pad(fold_m, around // 2, constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * (around // 2) + 1)
     known = np.isfinite(windows).sum(axis=1) > around // 2
-    folded = known & (_nanmedian(windows, 1) > settings.depth_min_m)
+    folded = known & (_median(windows) > settings.depth_min_m)
     return long_runs(folded, cells_in(settings.width_min_m), bridge=1)
 
 
 def _beside_others_m(before_m: FloatArray) -> FloatArray:
     """(c,) how far each column (c, rows) lies before the middle of the two beside it; NaN where one of them was hardly seen."""
-    column_m = _nanmedian(before_m, 1)
-    column_m[np.isfinite(before_m).mean(axis=1) < 0.3] = np.nan
+    column_m = _median(before_m)
+    column_m[np.isfinite(before_m).mean(axis=1) < _SEEN_MIN] = np.nan
     beside_m = np.full(len(column_m), np.nan)
     beside_m[1:-1] = column_m[1:-1] - 0.5 * (column_m[:-2] + column_m[2:])
     return beside_m
 
 
-def _nanmedian(values: FloatArray, axis: int) -> FloatArray:
+def _median(rows: FloatArray) -> FloatArray:
+    """(n,) the median of what is known of each row (n, m); NaN where nothing is."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # what nobody saw is unknown
-        return np.asarray(np.nanmedian(values, axis=axis))
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return np.asarray(np.nanmedian(rows, axis=1))
