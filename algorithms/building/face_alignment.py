@@ -16,6 +16,7 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import Storey, above_doors_m, column_places
+from ffmap.algorithms.building.face_steps import FaceReturns, FaceStepsSettings, parts_between_steps
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.model import CELL_M, Walls
 from ffmap.algorithms.building.ray_evidence import first_columns
@@ -91,26 +92,67 @@ class _Cubes:
 
 
 def align_faces(
-    walls: Walls, votes: VoxelVotes, storey: Storey, standing: StandingWallsSettings, settings: FaceAlignmentSettings
+    walls: Walls,
+    votes: VoxelVotes,
+    storey: Storey,
+    standing: StandingWallsSettings,
+    settings: FaceAlignmentSettings,
+    steps: FaceStepsSettings,
 ) -> AlignedFaces:
     """Each face where its columns return from, if that is at most 7 cm from where it was; others as they were.
 
     That is where most of them do; of a face that does not show above doors, where the longest surface does.
     """
     cubes = _Cubes.of(votes)
-    ends, normal, moved_m = walls.ends.copy(), walls.normal.copy(), np.zeros((len(walls), 2))
-    first = first_columns(walls)
-    places = column_places(walls, first)
-    clear_m = storey.clear_m(places, standing.ceiling_near_m)
-    above_m = storey.ground_m(places) + above_doors_m(clear_m, standing.above_door_m)
+    fused, moved_m = _cut_at_steps(walls, cubes, _above_doors_m(walls, storey, standing), settings, steps)
+    walls = _moved(fused, moved_m)
+    first, above_m = first_columns(walls), _above_doors_m(walls, storey, standing)
+    more_m = np.zeros((len(walls), 2))
     for w, face in enumerate(segments(walls)):
         near = cubes.near(face, settings.reach_m + settings.kept_m, settings.end_m)
-        moved_m[w] = _move_m(face, near, above_m[first[w] : first[w + 1]], settings)
-        if moved_m[w].any():
-            ends[w] += moved_m[w, :, None] * face.normal
-            left = Segment.between(ends[w]).normal
-            normal[w] = left if left @ face.normal > 0 else -left
-    return AlignedFaces(replace(walls, ends=ends, normal=normal), walls, moved_m)
+        more_m[w] = _move_m(face, near, above_m[first[w] : first[w + 1]], settings)
+    return AlignedFaces(_moved(walls, more_m), fused, moved_m + more_m)
+
+
+def _above_doors_m(walls: Walls, storey: Storey, standing: StandingWallsSettings) -> FloatArray:
+    """(c,) map z above which walls alone stand, in each column of all faces."""
+    places = column_places(walls, first_columns(walls))
+    clear_m = storey.clear_m(places, standing.ceiling_near_m)
+    return storey.ground_m(places) + above_doors_m(clear_m, standing.above_door_m)
+
+
+def _moved(walls: Walls, moved_m: FloatArray) -> Walls:
+    """The faces with their ends (W, 2) moved towards the room; those that stay keep their normals to the bit."""
+    ends, normal = walls.ends + moved_m[..., None] * walls.normal[:, None], walls.normal.copy()
+    for w in np.flatnonzero(moved_m.any(axis=1)):
+        left = Segment.between(ends[w]).normal
+        normal[w] = left if left @ walls.normal[w] > 0 else -left
+    return replace(walls, ends=ends, normal=normal)
+
+
+def _cut_at_steps(
+    walls: Walls, cubes: _Cubes, above_m: FloatArray, settings: FaceAlignmentSettings, steps: FaceStepsSettings
+) -> tuple[Walls, FloatArray]:
+    """The faces cut where they step, still in their places, and (W, 2) the distances that their surfaces lie before them."""
+    first = first_columns(walls)
+    face_of: list[int] = []
+    ends: list[FloatArray] = []
+    before_m: list[FloatArray] = []
+    for w, face in enumerate(segments(walls)):
+        near = cubes.near(face, steps.reach_m, settings.end_m)
+        column = (face.place_m(near.mean_map) / CELL_M).astype(np.int64)
+        above = near.mean_map[:, 2] > above_m[first[w] : first[w + 1]][column]
+        returns = FaceReturns(column, face.before_m(near.mean_map), above, near.returns)
+        columns = int(first[w + 1] - first[w])
+        for part in parts_between_steps(columns, returns, settings.at_line_m, steps):
+            whole = part.last - part.first == columns
+            place_m = np.minimum(np.array([part.first, part.last]) * CELL_M, face.length_m)
+            face_of.append(w)
+            ends.append(walls.ends[w] if whole else face.at(place_m))
+            before_m.append(part.ends_m)
+    if len(face_of) == len(walls):
+        return walls, np.zeros((len(walls), 2))
+    return replace(walls.select(np.array(face_of)), ends=np.array(ends)), np.array(before_m)
 
 
 def _move_m(face: Segment, cubes: _Cubes, above_m: FloatArray, settings: FaceAlignmentSettings) -> FloatArray:

@@ -20,6 +20,7 @@ from ffmap.algorithms.building.face_alignment import AlignedFaces, FaceAlignment
 from ffmap.algorithms.building.face_columns import FLOOR_NEAR_M, FaceColumnsSettings, TracedFaces, column_places
 from ffmap.algorithms.building.face_foreground import Foreground, ForegroundSettings, find_foreground, halo_at_walls
 from ffmap.algorithms.building.face_fusion import fuse_walls
+from ffmap.algorithms.building.face_steps import FaceStepsSettings
 from ffmap.algorithms.building.face_verdicts import (
     FaceVerdict,
     JudgedFaces,
@@ -65,6 +66,7 @@ class FusionSettings:
     levels: LevelsSettings
     face_columns: FaceColumnsSettings
     face_alignment: FaceAlignmentSettings
+    face_steps: FaceStepsSettings
     standing_walls: StandingWallsSettings
     folds: FoldsSettings
     missed_walls: MissedWallsSettings
@@ -155,7 +157,7 @@ def _find_faces(scans: AllScans, settings: FusionSettings) -> tuple[AlignedFaces
 
 
 def _align(faces: Walls, scans: AllScans, settings: FusionSettings) -> AlignedFaces:
-    return align_faces(faces, scans.votes, scans.storey, settings.standing_walls, settings.face_alignment)
+    return align_faces(faces, scans.votes, scans.storey, settings.standing_walls, settings.face_alignment, settings.face_steps)
 
 
 def _judge(aligned: AlignedFaces, scans: AllScans, settings: FusionSettings, windows: Windows = NO_WINDOWS) -> JudgedFaces:

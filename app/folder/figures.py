@@ -29,8 +29,9 @@ HEADLINES = (
 STEPS = (
     *("scan", "odometry", "refinement", "pose_graph", "trajectory", "smoothing", "rearrangement"),
     *("vertical_structures", "wall_planes", "doors", "labelling", "building", "levels", "face_columns"),
-    *("face_alignment", "standing_walls", "folds", "missed_walls", "before_walls", "openings", "windows", "blinds", "glass_fronts"),
+    *("face_alignment", "face_steps", "standing_walls", "folds", "missed_walls", "before_walls", "openings", "windows", "blinds"),
     *(
+        "glass_fronts",
         "door_casings",
         "door_contrasts",
         "door_frames",

@@ -23,6 +23,7 @@ from ffmap.algorithms.building.door_frames import DoorFramesSettings
 from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
 from ffmap.algorithms.building.face_columns import FaceColumnsSettings
 from ffmap.algorithms.building.face_foreground import ForegroundSettings
+from ffmap.algorithms.building.face_steps import FaceStepsSettings
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.folds import FoldsSettings
@@ -74,6 +75,7 @@ class Settings(StepSettings):
     levels: LevelsSettings = LevelsSettings()
     face_columns: FaceColumnsSettings = FaceColumnsSettings()
     face_alignment: FaceAlignmentSettings = FaceAlignmentSettings()
+    face_steps: FaceStepsSettings = FaceStepsSettings()
     standing_walls: StandingWallsSettings = StandingWallsSettings()
     folds: FoldsSettings = FoldsSettings()
     missed_walls: MissedWallsSettings = MissedWallsSettings()

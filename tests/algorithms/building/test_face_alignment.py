@@ -7,6 +7,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.face_alignment import AlignedFaces, FaceAlignmentSettings, align_faces
 from ffmap.algorithms.building.face_columns import Storey
+from ffmap.algorithms.building.face_steps import FaceStepsSettings
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.model import NO_WALLS, Walls
 from ffmap.algorithms.building.votes import VoxelVotes
@@ -16,7 +17,7 @@ TURNS = [0.0, 31.0, 90.0, 203.0]
 
 
 def aligned_by(walls: Walls, votes: VoxelVotes) -> AlignedFaces:
-    return align_faces(walls, votes, Storey.of(votes, (), 3), StandingWallsSettings(), FaceAlignmentSettings())
+    return align_faces(walls, votes, Storey.of(votes, (), 3), StandingWallsSettings(), FaceAlignmentSettings(), FaceStepsSettings())
 
 
 def turned(places: FloatArray, turn_deg: float) -> FloatArray:

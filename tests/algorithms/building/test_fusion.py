@@ -16,6 +16,7 @@ from ffmap.algorithms.building.drive import AllScans, Drive
 from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
 from ffmap.algorithms.building.face_columns import FaceColumnsSettings
 from ffmap.algorithms.building.face_foreground import ForegroundSettings
+from ffmap.algorithms.building.face_steps import FaceStepsSettings
 from ffmap.algorithms.building.face_verdicts import FaceVerdict, StandingWallsSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.folds import FoldsSettings
@@ -41,6 +42,7 @@ SETTINGS = FusionSettings(
     LevelsSettings(),
     FaceColumnsSettings(),
     FaceAlignmentSettings(),
+    FaceStepsSettings(),
     StandingWallsSettings(),
     FoldsSettings(),
     MissedWallsSettings(),

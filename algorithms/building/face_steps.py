@@ -1,0 +1,170 @@
+"""Where a fused face steps: two parallel surfaces beside each other, which the planes of single scans spanned.
+
+A wall is plane. A face fused of planes that ran from a wall on to the wardrobe beside it, or to a pilaster, lies askew
+between the two. The columns of the face vote for pairs of parallel lines, one on either side of a place along it
+(Hough, US patent 3,069,654; here in distances before the face).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+from scipy import ndimage
+
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
+from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.model import cells_in
+
+
+class FaceStepsSettings(StepSettings):
+    """Cutting fused faces where they step."""
+
+    step_min_m: float = Field(0.05, gt=0, description="Minimum distance (m) between the two parallel surfaces.")
+    reach_m: float = Field(0.15, gt=0, description="Maximum distance (m) of either before or behind the fused face.")
+    part_min_m: float = Field(0.3, gt=0, description="Minimum length (m) of each of the two.")
+    share_min: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="Minimum share of the shorter part's columns that two lines explain and no single one does.",
+    )
+    returns_ratio_min: float = Field(
+        0.3,
+        ge=0,
+        le=1,
+        description="Minimum share of the returns above doors, per length, that the other part has: a pane has fewer.",
+    )
+
+
+@dataclass(frozen=True)
+class FaceReturns:
+    """What returned near a face, one row for each 5 cm cube of space.
+
+    column: (n,) of the face, 5 cm each. before_m: (n,) distance before the face. above: (n,) whether higher than doors.
+    count: (n,) how many returns.
+    """
+
+    column: IntArray
+    before_m: FloatArray
+    above: BoolArray
+    count: FloatArray
+
+    def between(self, first: int, last: int) -> "FaceReturns":
+        """Those in the columns from `first` up to before `last`, which are counted from there."""
+        inside = (self.column >= first) & (self.column < last)
+        return FaceReturns(self.column[inside] - first, self.before_m[inside], self.above[inside], self.count[inside])
+
+
+@dataclass(frozen=True)
+class FacePart:
+    """A plane part of a face: its columns, and (2,) how far before the face it lies at either end, metres."""
+
+    first: int
+    last: int
+    ends_m: FloatArray
+
+
+def parts_between_steps(
+    columns: int, returns: FaceReturns, at_line_m: float, settings: FaceStepsSettings
+) -> list[FacePart]:
+    """The plane parts of a face of so many columns, in order along it; the whole where it does not step.
+
+    at_line_m: maximum distance of a return from a line that it votes for, metres.
+    """
+    step = _best_step(columns, returns, at_line_m, settings)
+    if step is None:
+        return [FacePart(0, columns, np.zeros(2))]
+    parts: list[FacePart] = []
+    for own in step:
+        within = returns.between(own.first, own.last)
+        line_m = _line_m(own, np.arange(own.last - own.first) + 0.5)
+        flat = FaceReturns(within.column, within.before_m - line_m[within.column], within.above, within.count)
+        for part in parts_between_steps(own.last - own.first, flat, at_line_m, settings):
+            moved_m = _line_m(own, np.array([part.first, part.last], np.float64)) + part.ends_m
+            parts.append(FacePart(own.first + part.first, own.first + part.last, moved_m))
+    return parts
+
+
+def _best_step(
+    columns: int, returns: FaceReturns, at_line_m: float, settings: FaceStepsSettings
+) -> tuple[FacePart, FacePart] | None:
+    """The two parts of the pair of parallel lines with most votes, if they bear out a step."""
+    least = cells_in(settings.part_min_m)
+    if columns < 2 * least:
+        return None
+    above = returns.above
+    votes = _Votes.of(columns, returns.column[above], returns.before_m[above], at_line_m, settings.reach_m)
+    one, two, parts = votes.most_voted(least)
+    shorter = min(part.last - part.first for part in parts)
+    if abs(_apart_m(*parts)) < settings.step_min_m or two - one < settings.share_min * shorter:
+        return None
+    often: list[float] = []
+    for part, other in (parts, parts[::-1]):
+        within = returns.between(part.first, part.last)
+        line_m = _line_m(part, within.column + 0.5)
+        on, along_other = (
+            np.abs(within.before_m - line_m - off_m) < at_line_m for off_m in (0.0, _apart_m(part, other))
+        )
+        # Below a duct the wall beside it goes on.
+        if np.count_nonzero(on & ~within.above) <= np.count_nonzero(along_other & ~within.above):
+            return None
+        often.append(within.count[on & within.above].sum() / (part.last - part.first))
+    # Of a pane, set back in its wall, only some rays return.
+    return parts if min(often) > settings.returns_ratio_min * max(often) else None
+
+
+@dataclass(frozen=True)
+class _Votes:
+    """share: (c, b) of each column's returns, at most 1, near each distance before the face; bin_m: from one to the next."""
+
+    share: FloatArray
+    bin_m: float
+
+    @classmethod
+    def of(cls, columns: int, column: IntArray, before_m: FloatArray, at_line_m: float, reach_m: float) -> "_Votes":
+        bin_m = 0.4 * at_line_m
+        half = round(2 * reach_m / bin_m)
+        count = np.zeros((columns, 2 * half + 1))
+        # Returns near a face may lie farther from the line of a part of it.
+        near = np.abs(before_m) < 2 * reach_m
+        np.add.at(count, (column[near], np.round(before_m[near] / bin_m).astype(np.int64) + half), 1.0)
+        count = ndimage.convolve1d(count, np.ones(2 * int(at_line_m / bin_m) + 1), axis=1, mode="constant")
+        total = np.bincount(column[near], minlength=columns)[:, None]
+        return cls(count / np.maximum(total, 1), bin_m)
+
+    def most_voted(self, least: int) -> tuple[float, float, tuple[FacePart, FacePart]]:
+        """The votes of the best single line, of the best pair, and its parts, each `least` columns or longer."""
+        columns, bins = self.share.shape
+        half = bins // 4
+        place = (np.arange(columns) + 0.5) / columns - 0.5
+        one, two, best = 0.0, -1.0, (0, 0, 0, 0)
+        cuts = np.arange(least, columns - least + 1)
+        for turn in range(-2 * half, 2 * half + 1):
+            # The line's bin at each column, for every bin that it may have in the middle.
+            line = np.arange(half, bins - half) + np.round(turn * place).astype(np.int64)[:, None]
+            sum_before = np.cumsum(np.take_along_axis(self.share, line, axis=1), axis=0)
+            before, after = sum_before[cuts - 1], sum_before[-1] - sum_before[cuts - 1]
+            one = max(one, sum_before[-1].max())
+            pair = before.max(axis=1) + after.max(axis=1)
+            k = int(np.argmax(pair))
+            if pair[k] > two:
+                two, best = float(pair[k]), (turn, int(cuts[k]), int(before[k].argmax()), int(after[k].argmax()))
+        turn, cut, left, right = best
+
+        def part(first: int, last: int, middle: int) -> FacePart:
+            ends = (middle - half) + turn * (np.array([first, last]) / columns - 0.5)
+            return FacePart(first, last, ends * self.bin_m)
+
+        return one, two, (part(0, cut, left), part(cut, columns, right))
+
+
+def _apart_m(one: FacePart, other: FacePart) -> float:
+    """How far the other of two parts beside each other lies before the first."""
+    at_one, at_other = (1, 0) if one.first < other.first else (0, 1)
+    return float(other.ends_m[at_other] - one.ends_m[at_one])
+
+
+def _line_m(part: FacePart, column: FloatArray) -> FloatArray:
+    """How far before the face the part lies, at places counted in columns from its first."""
+    share = column / (part.last - part.first)
+    return np.asarray(part.ends_m[0] * (1 - share) + part.ends_m[1] * share)
