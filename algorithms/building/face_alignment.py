@@ -9,14 +9,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
-from scipy import ndimage
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import Storey, above_doors_m, column_places
-from ffmap.algorithms.building.face_steps import FaceReturns, FaceStepsSettings, parts_between_steps
+from ffmap.algorithms.building.face_steps import (
+    FaceReturns,
+    FaceStepsSettings,
+    line_m,
+    parts_between_steps,
+    votes_at_distances,
+)
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.model import CELL_M, Walls
 from ffmap.algorithms.building.ray_evidence import first_columns
@@ -174,7 +179,7 @@ def _move_m(face: Segment, cubes: _Cubes, above_m: FloatArray, settings: FaceAli
     votes = _line_votes(column, before_m, weight, columns, settings)
     move_m = votes.most_voted_m() if shows_above else votes.longest_m(settings.rival_share_min)
     for _ in range(3):
-        close = np.abs(before_m - _line_m(share, move_m)) < settings.kept_m
+        close = np.abs(before_m - line_m(share, move_m)) < settings.kept_m
         fitted_m = _least_squares_m(share[close], before_m[close], weight[close])
         if not np.all(np.abs(fitted_m) < settings.reach_m + settings.kept_m):
             return np.zeros(2)
@@ -211,22 +216,13 @@ def _line_votes(
     column: np.ndarray, before_m: FloatArray, weight: FloatArray, columns: int, settings: FaceAlignmentSettings
 ) -> _LineVotes:
     """The votes of returns, each in a column and at a distance before the face, for the lines between its ends."""
-    reach_m, step_m = settings.reach_m, settings.step_m
+    reach_m, step_m, wide_m = settings.reach_m, settings.step_m, settings.reach_m + settings.kept_m
     tried_m = np.arange(-reach_m, reach_m + step_m / 2, step_m)
-    low_m = -reach_m - settings.kept_m - step_m / 2
-    bins = round(-2 * low_m / step_m)
-    histogram = np.zeros((columns, bins))
-    np.add.at(histogram, (column, np.clip(((before_m - low_m) / step_m).astype(np.int64), 0, bins - 1)), weight)
-    window = np.ones(2 * int(settings.at_line_m / step_m) + 1)
-    histogram = ndimage.convolve1d(histogram, window, axis=1, mode="constant")
+    votes = votes_at_distances(columns, column, before_m, weight, wide_m, step_m, settings.at_line_m)
     ends_m = np.stack(np.meshgrid(tried_m, tried_m, indexing="ij"), axis=-1).reshape(-1, 2)
-    lines_m = _line_m((np.arange(columns) + 0.5) / columns, ends_m.T[..., None])
-    return _LineVotes(ends_m, histogram[np.arange(columns), ((lines_m - low_m) / step_m).astype(np.int64)])
-
-
-def _line_m(share: FloatArray, ends_m: FloatArray) -> FloatArray:
-    """(…, n) the distances of lines, given at their two ends (2, …), at shares (n,) of their length."""
-    return np.asarray(ends_m[0] * (1 - share) + ends_m[1] * share)
+    lines_m = line_m((np.arange(columns) + 0.5) / columns, ends_m.T[..., None])
+    at = np.round(lines_m / step_m).astype(np.int64) + votes.shape[1] // 2
+    return _LineVotes(ends_m, votes[np.arange(columns), at])
 
 
 def _least_squares_m(share: FloatArray, before_m: FloatArray, weight: FloatArray) -> FloatArray:

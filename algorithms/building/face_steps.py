@@ -77,10 +77,10 @@ def parts_between_steps(
     parts: list[FacePart] = []
     for own in step:
         within = returns.between(own.first, own.last)
-        line_m = _line_m(own, np.arange(own.last - own.first) + 0.5)
-        flat = FaceReturns(within.column, within.before_m - line_m[within.column], within.above, within.count)
+        own_m = _along_m(own, np.arange(own.last - own.first) + 0.5)
+        flat = FaceReturns(within.column, within.before_m - own_m[within.column], within.above, within.count)
         for part in parts_between_steps(own.last - own.first, flat, at_line_m, settings):
-            moved_m = _line_m(own, np.array([part.first, part.last], np.float64)) + part.ends_m
+            moved_m = _along_m(own, np.array([part.first, part.last], np.float64)) + part.ends_m
             parts.append(FacePart(own.first + part.first, own.first + part.last, moved_m))
     return parts
 
@@ -92,18 +92,21 @@ def _best_step(
     least = cells_in(settings.part_min_m)
     if columns < 2 * least:
         return None
-    above = returns.above
-    votes = _Votes.of(columns, returns.column[above], returns.before_m[above], at_line_m, settings.reach_m)
-    one, two, parts = votes.most_voted(least)
+    column, before_m = returns.column[returns.above], returns.before_m[returns.above]
+    # Every column has one vote.
+    weight = 1 / np.bincount(column, minlength=columns)[column]
+    bin_m = 0.4 * at_line_m
+    votes = votes_at_distances(columns, column, before_m, weight, 2 * settings.reach_m, bin_m, at_line_m)
+    one, two, parts = _most_voted(votes, least, bin_m)
     shorter = min(part.last - part.first for part in parts)
     if abs(_apart_m(*parts)) < settings.step_min_m or two - one < settings.share_min * shorter:
         return None
     often: list[float] = []
     for part, other in (parts, parts[::-1]):
         within = returns.between(part.first, part.last)
-        line_m = _line_m(part, within.column + 0.5)
+        own_m = _along_m(part, within.column + 0.5)
         on, along_other = (
-            np.abs(within.before_m - line_m - off_m) < at_line_m for off_m in (0.0, _apart_m(part, other))
+            np.abs(within.before_m - own_m - off_m) < at_line_m for off_m in (0.0, _apart_m(part, other))
         )
         # Below a duct the wall beside it goes on.
         if np.count_nonzero(on & ~within.above) <= np.count_nonzero(along_other & ~within.above):
@@ -113,49 +116,60 @@ def _best_step(
     return parts if min(often) > settings.returns_ratio_min * max(often) else None
 
 
-@dataclass(frozen=True)
-class _Votes:
-    """share: (c, b) of each column's returns, at most 1, near each distance before the face; bin_m: from one to the next."""
+def votes_at_distances(
+    columns: int,
+    column: IntArray,
+    before_m: FloatArray,
+    weight: FloatArray,
+    reach_m: float,
+    bin_m: float,
+    at_line_m: float,
+) -> FloatArray:
+    """(c, 2k + 1) the weight (n,) of each column's returns near distances before the face from -reach_m to reach_m.
 
-    share: FloatArray
-    bin_m: float
+    bin_m: from one distance to the next. at_line_m: maximum distance of a return from one that it votes for.
+    """
+    half = round(reach_m / bin_m)
+    at = np.round(before_m / bin_m).astype(np.int64) + half
+    within = (at >= 0) & (at <= 2 * half)
+    votes = np.zeros((columns, 2 * half + 1))
+    np.add.at(votes, (column[within], at[within]), weight[within])
+    window = np.ones(2 * int(at_line_m / bin_m) + 1)
+    return np.asarray(ndimage.convolve1d(votes, window, axis=1, mode="constant"))
 
-    @classmethod
-    def of(cls, columns: int, column: IntArray, before_m: FloatArray, at_line_m: float, reach_m: float) -> "_Votes":
-        bin_m = 0.4 * at_line_m
-        half = round(2 * reach_m / bin_m)
-        count = np.zeros((columns, 2 * half + 1))
-        # Returns near a face may lie farther from the line of a part of it.
-        near = np.abs(before_m) < 2 * reach_m
-        np.add.at(count, (column[near], np.round(before_m[near] / bin_m).astype(np.int64) + half), 1.0)
-        count = ndimage.convolve1d(count, np.ones(2 * int(at_line_m / bin_m) + 1), axis=1, mode="constant")
-        total = np.bincount(column[near], minlength=columns)[:, None]
-        return cls(count / np.maximum(total, 1), bin_m)
 
-    def most_voted(self, least: int) -> tuple[float, float, tuple[FacePart, FacePart]]:
-        """The votes of the best single line, of the best pair, and its parts, each `least` columns or longer."""
-        columns, bins = self.share.shape
-        half = bins // 4
-        place = (np.arange(columns) + 0.5) / columns - 0.5
-        one, two, best = 0.0, -1.0, (0, 0, 0, 0)
-        cuts = np.arange(least, columns - least + 1)
-        for turn in range(-2 * half, 2 * half + 1):
-            # The line's bin at each column, for every bin that it may have in the middle.
-            line = np.arange(half, bins - half) + np.round(turn * place).astype(np.int64)[:, None]
-            sum_before = np.cumsum(np.take_along_axis(self.share, line, axis=1), axis=0)
-            before, after = sum_before[cuts - 1], sum_before[-1] - sum_before[cuts - 1]
-            one = max(one, sum_before[-1].max())
-            pair = before.max(axis=1) + after.max(axis=1)
-            k = int(np.argmax(pair))
-            if pair[k] > two:
-                two, best = float(pair[k]), (turn, int(cuts[k]), int(before[k].argmax()), int(after[k].argmax()))
-        turn, cut, left, right = best
+def line_m(share: FloatArray, ends_m: FloatArray) -> FloatArray:
+    """(…, n) the distances of lines, given at their two ends (2, …), at shares (n,) of their length."""
+    return np.asarray(ends_m[0] * (1 - share) + ends_m[1] * share)
 
-        def part(first: int, last: int, middle: int) -> FacePart:
-            ends = (middle - half) + turn * (np.array([first, last]) / columns - 0.5)
-            return FacePart(first, last, ends * self.bin_m)
 
-        return one, two, (part(0, cut, left), part(cut, columns, right))
+def _most_voted(votes: FloatArray, least: int, bin_m: float) -> tuple[float, float, tuple[FacePart, FacePart]]:
+    """The votes of the best single line, of the best pair, and its parts, each `least` columns or longer.
+
+    votes: (c, b) of each column for the distances, twice as far as a line may lie in the middle of the face.
+    """
+    columns, bins = votes.shape
+    half = bins // 4
+    place = (np.arange(columns) + 0.5) / columns - 0.5
+    one, two, best = 0.0, -1.0, (0, 0, 0, 0)
+    cuts = np.arange(least, columns - least + 1)
+    for turn in range(-2 * half, 2 * half + 1):
+        # The line's bin at each column, for every bin that it may have in the middle.
+        line = np.arange(half, bins - half) + np.round(turn * place).astype(np.int64)[:, None]
+        sum_before = np.cumsum(np.take_along_axis(votes, line, axis=1), axis=0)
+        before, after = sum_before[cuts - 1], sum_before[-1] - sum_before[cuts - 1]
+        one = max(one, sum_before[-1].max())
+        pair = before.max(axis=1) + after.max(axis=1)
+        k = int(np.argmax(pair))
+        if pair[k] > two:
+            two, best = float(pair[k]), (turn, int(cuts[k]), int(before[k].argmax()), int(after[k].argmax()))
+    turn, cut, left, right = best
+
+    def part(first: int, last: int, middle: int) -> FacePart:
+        ends = (middle - half) + turn * (np.array([first, last]) / columns - 0.5)
+        return FacePart(first, last, ends * bin_m)
+
+    return one, two, (part(0, cut, left), part(cut, columns, right))
 
 
 def _apart_m(one: FacePart, other: FacePart) -> float:
@@ -164,7 +178,6 @@ def _apart_m(one: FacePart, other: FacePart) -> float:
     return float(other.ends_m[at_other] - one.ends_m[at_one])
 
 
-def _line_m(part: FacePart, column: FloatArray) -> FloatArray:
+def _along_m(part: FacePart, column: FloatArray) -> FloatArray:
     """How far before the face the part lies, at places counted in columns from its first."""
-    share = column / (part.last - part.first)
-    return np.asarray(part.ends_m[0] * (1 - share) + part.ends_m[1] * share)
+    return line_m(column / (part.last - part.first), part.ends_m)
