@@ -56,7 +56,7 @@ class FaceAlignmentSettings(StepSettings):
 class AlignedFaces:
     """Faces laid along the returns.
 
-    fused: where they were before. moved_m: (W, 2) distance that each end was moved towards the room, metres.
+    fused: where they were before, cut where they step. moved_m: (W, 2) distance that each end was moved towards the room, metres.
     """
 
     walls: Walls
@@ -106,7 +106,8 @@ def align_faces(
 ) -> AlignedFaces:
     """Each face where its columns return from, if that is at most 7 cm from where it was; others as they were.
 
-    That is where most of them do; of a face that does not show above doors, where the longest surface does.
+    That is where most of them do; of a face that does not show above doors, where the longest surface does. A face that
+    steps is cut there first, and each part starts on its own surface.
     """
     cubes = _Cubes.of(votes)
     fused, moved_m = _cut_at_steps(walls, cubes, _above_doors_m(walls, storey, standing), settings, steps)
