@@ -56,17 +56,19 @@ class FaceAlignmentSettings(StepSettings):
 class AlignedFaces:
     """Faces laid along the returns.
 
-    fused: where they were before, cut where they step. moved_m: (W, 2) distance that each end was moved towards the room, metres.
+    fused: where they were before. moved_m: (W, 2) distance that each end was moved towards the room, metres. cut: (W,) whether
+    it is a part of a fused face that was cut where it steps.
     """
 
     walls: Walls
     fused: Walls
     moved_m: FloatArray
+    cut: BoolArray
 
     def append(self, more: "AlignedFaces") -> "AlignedFaces":
         """These faces and more."""
-        moved_m = np.concatenate([self.moved_m, more.moved_m])
-        return AlignedFaces(self.walls.append(more.walls), self.fused.append(more.fused), moved_m)
+        moved_m, cut = np.concatenate([self.moved_m, more.moved_m]), np.concatenate([self.cut, more.cut])
+        return AlignedFaces(self.walls.append(more.walls), self.fused.append(more.fused), moved_m, cut)
 
 
 @dataclass(frozen=True)
@@ -110,14 +112,14 @@ def align_faces(
     steps is cut there first, and each part starts on its own surface.
     """
     cubes = _Cubes.of(votes)
-    fused, moved_m = _cut_at_steps(walls, cubes, _above_doors_m(walls, storey, standing), settings, steps)
+    fused, moved_m, cut = _cut_at_steps(walls, cubes, _above_doors_m(walls, storey, standing), settings, steps)
     walls = _moved(fused, moved_m)
     first, above_m = first_columns(walls), _above_doors_m(walls, storey, standing)
     more_m = np.zeros((len(walls), 2))
     for w, face in enumerate(segments(walls)):
         near = cubes.near(face, settings.reach_m + settings.kept_m, settings.end_m)
         more_m[w] = _move_m(face, near, above_m[first[w] : first[w + 1]], settings)
-    return AlignedFaces(_moved(walls, more_m), fused, moved_m + more_m)
+    return AlignedFaces(_moved(walls, more_m), fused, moved_m + more_m, cut)
 
 
 def _above_doors_m(walls: Walls, storey: Storey, standing: StandingWallsSettings) -> FloatArray:
@@ -138,10 +140,14 @@ def _moved(walls: Walls, moved_m: FloatArray) -> Walls:
 
 def _cut_at_steps(
     walls: Walls, cubes: _Cubes, above_m: FloatArray, settings: FaceAlignmentSettings, steps: FaceStepsSettings
-) -> tuple[Walls, FloatArray]:
-    """The faces cut where they step, still in their places, and (W, 2) the distances that their surfaces lie before them."""
+) -> tuple[Walls, FloatArray, BoolArray]:
+    """The faces cut where they step, still in their places, and (W, 2) the distances that their surfaces lie before them.
+
+    Last, (W,) which are parts of one that was cut.
+    """
     first = first_columns(walls)
     face_of: list[int] = []
+    cut: list[bool] = []
     ends: list[FloatArray] = []
     before_m: list[FloatArray] = []
     for w, face in enumerate(segments(walls)):
@@ -151,14 +157,14 @@ def _cut_at_steps(
         returns = FaceReturns(column, face.before_m(near.mean_map), above, near.returns)
         columns = int(first[w + 1] - first[w])
         for part in parts_between_steps(columns, returns, settings.at_line_m, steps):
-            whole = part.last - part.first == columns
+            cut.append(part.last - part.first < columns)
             place_m = np.minimum(np.array([part.first, part.last]) * CELL_M, face.length_m)
             face_of.append(w)
-            ends.append(walls.ends[w] if whole else face.at(place_m))
+            ends.append(face.at(place_m) if cut[-1] else walls.ends[w])
             before_m.append(part.ends_m)
-    if len(face_of) == len(walls):
-        return walls, np.zeros((len(walls), 2))
-    return replace(walls.select(np.array(face_of)), ends=np.array(ends)), np.array(before_m)
+    if not any(cut):
+        return walls, np.zeros((len(walls), 2)), np.zeros(len(walls), bool)
+    return replace(walls.select(np.array(face_of)), ends=np.array(ends)), np.array(before_m), np.array(cut)
 
 
 def _move_m(face: Segment, cubes: _Cubes, above_m: FloatArray, settings: FaceAlignmentSettings) -> FloatArray:

@@ -39,8 +39,8 @@ def log_fused_walls(log: Log, aligned: AlignedFaces) -> None:
         return
     labels = [
         f"before it was laid along all returns ({scans} scans): its ends then moved {100 * a:+.1f} and {100 * b:+.1f} cm "
-        "towards the room"
-        for scans, (a, b) in zip(fused.scan_count, aligned.moved_m, strict=True)
+        f"towards the room{'; a part of a face that was cut where it steps' if cut else ''}"
+        for scans, (a, b), cut in zip(fused.scan_count, aligned.moved_m, aligned.cut, strict=True)
     ]
     lines = strips(at_height(fused.ends, 0.0), entities.FUSED_WALL_COLOR, 1.0, labels, show_labels=False)
     log.static(entities.FUSED_WALLS, lines, evidence(moved_m=aligned.moved_m, scan_count=fused.scan_count))

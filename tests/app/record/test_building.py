@@ -124,11 +124,11 @@ def test_a_glazed_door_and_a_reflection_say_what_they_are(tmp_path: Path) -> Non
 
 
 def test_faces_are_drawn_as_they_were_before_they_were_laid_along_all_returns(tmp_path):
-    moved = AlignedFaces(WALLS, replace(WALLS, ends=WALLS.ends + 0.02), np.array([[-0.02, 0.013]]))
+    moved = AlignedFaces(WALLS, replace(WALLS, ends=WALLS.ends + 0.02), np.array([[-0.02, 0.013]]), np.array([True]))
     with open_part(tmp_path / "faces.rrd", "run-4") as stream:
         log_fused_walls(Log(stream), moved)
     found = static(tmp_path / "faces.rrd")[entities.FUSED_WALLS]
-    assert "its ends then moved -2.0 and +1.3 cm" in str(found["labels"])
+    assert "its ends then moved -2.0 and +1.3 cm towards the room; a part of a face that was cut" in str(found["labels"])
     np.testing.assert_allclose(found["moved_m"][0], [[-0.02, 0.013]], rtol=1e-6)
 
 
