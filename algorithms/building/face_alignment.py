@@ -112,9 +112,12 @@ def align_faces(
     steps is cut there first, and each part starts on its own surface.
     """
     cubes = _Cubes.of(votes)
-    fused, moved_m, cut = _cut_at_steps(walls, cubes, _above_doors_m(walls, storey, standing), settings, steps)
+    above_m = _above_doors_m(walls, storey, standing)
+    fused, moved_m, cut = _cut_at_steps(walls, cubes, above_m, settings, steps)
     walls = _moved(fused, moved_m)
-    first, above_m = first_columns(walls), _above_doors_m(walls, storey, standing)
+    if cut.any():
+        above_m = _above_doors_m(walls, storey, standing)
+    first = first_columns(walls)
     more_m = np.zeros((len(walls), 2))
     for w, face in enumerate(segments(walls)):
         near = cubes.near(face, settings.reach_m + settings.kept_m, settings.end_m)
@@ -156,7 +159,7 @@ def _cut_at_steps(
         above = near.mean_map[:, 2] > above_m[first[w] : first[w + 1]][column]
         returns = FaceReturns(column, face.before_m(near.mean_map), above, near.returns)
         columns = int(first[w + 1] - first[w])
-        for part in parts_between_steps(columns, returns, settings.at_line_m, steps):
+        for part in parts_between_steps(columns, returns, settings.at_line_m, settings.step_m, steps):
             cut.append(part.last - part.first < columns)
             place_m = np.minimum(np.array([part.first, part.last]) * CELL_M, face.length_m)
             face_of.append(w)

@@ -5,7 +5,7 @@ between the two. The columns of the face vote for pairs of parallel lines, one o
 (Hough, US patent 3,069,654; here in distances before the face).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
@@ -65,28 +65,29 @@ class FacePart:
 
 
 def parts_between_steps(
-    columns: int, returns: FaceReturns, at_line_m: float, settings: FaceStepsSettings
+    columns: int, returns: FaceReturns, at_line_m: float, bin_m: float, settings: FaceStepsSettings
 ) -> list[FacePart]:
-    """The plane parts of a face of so many columns, in order along it; the whole where it does not step.
+    """The plane parts of a face, in order along it; the whole where it does not step.
 
-    at_line_m: maximum distance of a return from a line that it votes for, metres.
+    columns: how many the face has. at_line_m: maximum distance of a return from a line that it votes for. bin_m: from one line
+    that is tried to the next; both in metres.
     """
-    step = _best_step(columns, returns, at_line_m, settings)
+    step = _best_step(columns, returns, at_line_m, bin_m, settings)
     if step is None:
         return [FacePart(0, columns, np.zeros(2))]
     parts: list[FacePart] = []
     for own in step:
         within = returns.between(own.first, own.last)
         own_m = _along_m(own, np.arange(own.last - own.first) + 0.5)
-        flat = FaceReturns(within.column, within.before_m - own_m[within.column], within.above, within.count)
-        for part in parts_between_steps(own.last - own.first, flat, at_line_m, settings):
+        flat = replace(within, before_m=within.before_m - own_m[within.column])
+        for part in parts_between_steps(own.last - own.first, flat, at_line_m, bin_m, settings):
             moved_m = _along_m(own, np.array([part.first, part.last], np.float64)) + part.ends_m
             parts.append(FacePart(own.first + part.first, own.first + part.last, moved_m))
     return parts
 
 
 def _best_step(
-    columns: int, returns: FaceReturns, at_line_m: float, settings: FaceStepsSettings
+    columns: int, returns: FaceReturns, at_line_m: float, bin_m: float, settings: FaceStepsSettings
 ) -> tuple[FacePart, FacePart] | None:
     """The two parts of the pair of parallel lines with most votes, if they bear out a step."""
     least = cells_in(settings.part_min_m)
@@ -95,7 +96,6 @@ def _best_step(
     column, before_m = returns.column[returns.above], returns.before_m[returns.above]
     # Every column has one vote.
     weight = 1 / np.bincount(column, minlength=columns)[column]
-    bin_m = 0.4 * at_line_m
     votes = votes_at_distances(columns, column, before_m, weight, 2 * settings.reach_m, bin_m, at_line_m)
     one, two, parts = _most_voted(votes, least, bin_m)
     shorter = min(part.last - part.first for part in parts)
