@@ -104,12 +104,20 @@ class _Processes(ProcessPoolExecutor):
     Every file that they write is whole or not there. Raises WorkerLostError, at its end, where one was killed.
     """
 
+    def __enter__(self) -> Self:
+        # Kept here, for the pool forgets it as soon as it is told to shut down.
+        self._jobs_reader = getattr(getattr(self, "_call_queue", None), "_reader", None)
+        return super().__enter__()
+
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
         if isinstance(error, KeyboardInterrupt | BrokenProcessPool):
             self.shutdown(wait=False, cancel_futures=True)
             # All of them: the pool itself forgets one that it was starting when another was killed, and waits for it for ever.
             for process in mp.active_children():
                 process.terminate()
+            # Before Python 3.11.5 the pool waits for ever to hand out a large job that nobody is left to read.
+            if self._jobs_reader is not None:
+                self._jobs_reader.close()
         super().__exit__(kind, error, tb)
         if isinstance(error, BrokenProcessPool):
             raise WorkerLostError.of("a worker process") from None
