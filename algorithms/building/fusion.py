@@ -11,6 +11,7 @@ from functools import partial
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengthened
 from ffmap.algorithms.building.blinds import BlindsSettings, find_blinds
+from ffmap.algorithms.building.deep_leaves import close_deep_doors
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings, find_cased_doors
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings, find_contrasting_doors
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
@@ -227,8 +228,8 @@ def _find_openings(
     fronts = new_fronts(fronts, windows, settings.glass_fronts)
     windows = windows.append(set_in_walls(fronts, walls, settings.glass_fronts))
 
-    def trace(panes: Walls) -> WallCells:
-        return scans.trace(panes, settings.building, NO_WINDOWS)
+    def trace(faces: Walls, building: BuildingSettings = settings.building) -> WallCells:
+        return scans.trace(faces, building, NO_WINDOWS)
 
     windows = look_deeper(windows, trace, settings.opening_rules, settings.windows)
     # What a window lets pass is no door's.
@@ -241,7 +242,8 @@ def _find_openings(
     sliding = find_sliding_doors(walls, cells, doors, settings.building, settings.door_casings)
     doors = doors.append(sliding).append(cased).append(contrasting).append(glazed)
     doors = place_frames(doors, walls, scans.drive.blocks(), settings.building, settings.door_frames)
-    doors = prove_crossed(each_once(doors, settings.opening_rules), scans.path_map)
+    doors = close_deep_doors(each_once(doors, settings.opening_rules), trace, settings.opening_rules)
+    doors = prove_crossed(doors, scans.path_map)
     through_m = doors.reveal_m
     doors = measure_reveals(doors, scans.drive.blocks(), settings.door_frames)
     parts = part_walls(walls, settings.wall_thickness)

@@ -7,6 +7,7 @@ import pytest
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.segments import Segment
+from ffmap.algorithms.building.deep_leaves import close_deep_doors
 from ffmap.algorithms.building.door_casings import flush_door
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, place_frames
 from ffmap.algorithms.building.doors import drop_doubtful, each_once, find_doors, prove_crossed
@@ -909,3 +910,61 @@ def test_what_was_not_seen_is_no_leaf_around_a_panel() -> None:
     assert _closed_for_sure(seen) == 1
     seen.counts[38, :16] = 0.0
     assert _closed_for_sure(seen) == 0
+
+
+DOORWAY = flush_door(Segment.between(*WALL_1), 0, (30.0, 48.0), 0, 2.0, cells().counts, 0.6)
+OPEN = replace(DOORWAY, state=np.array([DoorState.OPEN], np.uint8), depth_m=np.array([np.nan]))
+
+
+def deep_rays(generator: np.random.Generator, depth_m: float, half_m: float, past: float) -> list[Features]:
+    """Three scans through a doorway from x = 1.5 to 2.4: what stands so deep behind it is twice `half_m` wide; a share goes on."""
+    scans = []
+    for x in (0.9, 1.95, 3.0):
+        at = np.column_stack([generator.uniform(-half_m, half_m, 3000) + 1.95, generator.uniform(0.0, 1.98, 3000)])
+        end = np.insert(at, 1, depth_m + generator.normal(0.0, 0.005, 3000), axis=1)
+        origin = np.array([x, -1.5, 1.0])
+        way = end - origin
+        end = end[np.abs(origin[0] + way[:, 0] * 1.5 / way[:, 1] - 1.95) < 0.45]
+        goes_on = generator.random(len(end)) < past
+        end[goes_on] = origin + 3.0 * (end[goes_on] - origin)
+        scan = features((x, -1.5), end, np.zeros((0, 2, 2)))
+        scans.append(replace(scan, ray_label=np.full(len(end), Label.CLUTTER, np.uint8)))
+    return scans
+
+
+@pytest.mark.parametrize(
+    ("depth_m", "half_m", "past", "closed"),
+    [(0.45, 0.45, 0.0, True), (0.64, 0.45, 0.05, True), (0.64, 1.2, 0.0, False), (0.64, 0.45, 0.3, False), (1.3, 0.45, 0.0, False)],
+)
+def test_a_leaf_at_the_far_side_of_a_thick_wall_shuts_its_doorway(
+    depth_m: float, half_m: float, past: float, closed: bool
+) -> None:
+    """Not the back of a closet, which is wider than its doorway, nor what rays pass, nor what stands in the next room."""
+    scans = deep_rays(np.random.default_rng(4), depth_m, half_m, past)
+    doors = close_deep_doors(OPEN, lambda faces, deep: trace_rays(faces, scans, deep), RULES)
+    assert doors.state.tolist() == [DoorState.CLOSED if closed else DoorState.OPEN]
+    assert doors.depth_m[0] == pytest.approx(depth_m if closed else np.nan, abs=0.01, nan_ok=True)
+    assert not closed or doors.agreement[0] > RULES.building.opaque_min
+
+
+def test_a_vision_panel_leaves_a_deep_leaf_shut_and_shelves_at_two_depths_do_not() -> None:
+    """Hand-made cells: half of each column at another depth is no leaf."""
+    counts = np.zeros((34, 60, 4), np.float32)
+    counts[8:26, :, FILLED] = 10.0
+    counts[8:26, :, SUM], counts[8:26, :, SQUARES] = -5.0, 2.5
+    paned, shelves = counts.copy(), counts.copy()
+    paned[14:20, 20:30] = 0.0
+    paned[14:20, 20:30, THROUGH] = 10.0
+    shelves[8:26, ::2, SUM], shelves[8:26, ::2, SQUARES] = -7.0, 4.9
+    for seen, state in ((counts, DoorState.CLOSED), (paned, DoorState.CLOSED), (shelves, DoorState.OPEN)):
+        doors = close_deep_doors(OPEN, lambda *_, seen=seen: WallCells(np.array([0, 34]), 60, seen), RULES)
+        assert doors.state.tolist() == [state]
+
+
+def test_only_doors_that_stand_wide_open_are_asked_for_a_deep_leaf() -> None:
+    def trace(*_: object) -> WallCells:
+        raise AssertionError("asked")
+
+    ajar = replace(OPEN, ajar=np.array([True]))
+    for doors in (NO_DOORS, DOORWAY, ajar):
+        assert close_deep_doors(doors, trace, RULES) is doors
