@@ -115,8 +115,9 @@ class _Processes(ProcessPoolExecutor):
             # All of them: the pool itself forgets one that it was starting when another was killed, and waits for it for ever.
             for process in mp.active_children():
                 process.terminate()
-            # Before Python 3.11.5 the pool waits for ever to hand out a large job that nobody is left to read.
-            if self._jobs_reader is not None:
+            # Before Python 3.11.5 the pool waits for ever to hand out a large job that nobody is left to read; since then it
+            # closes that end itself, and must not find it closed halfway.
+            if self._jobs_reader is not None and sys.version_info < (3, 11, 5):
                 self._jobs_reader.close()
         super().__exit__(kind, error, tb)
         if isinstance(error, BrokenProcessPool):
