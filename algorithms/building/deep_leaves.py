@@ -17,19 +17,19 @@ from ffmap.algorithms.scan.doors import DoorState
 
 
 def close_deep_doors(doors: Doors, trace: Callable[[Walls, BuildingSettings], WallCells], rules: OpeningRules) -> Doors:
-    """The doors; closed are now those open ones that one sheet shuts deep within their wall.
+    """The doors, of which those are closed that seemed open but are shut by one sheet deep within their wall.
 
-    A leaf deeper than rays are asked about at a wall's face (`near_m`) lets them pass there, as an open doorway does.
+    A leaf deeper than rays are asked about at a wall's face (`near_m`) lets them pass there, as an open doorway does. What the
+    robot drove through, or what stands ajar, is open beyond doubt.
 
     trace: counts rays against faces, as deep behind them as the settings say.
     """
-    asked = np.flatnonzero((doors.state == DoorState.OPEN) & ~doors.ajar)
+    asked = np.flatnonzero((doors.state == DoorState.OPEN) & ~doors.ajar & ~doors.crossed)
     if not len(asked):
         return doors
     beside = cells_in(rules.openings.beside_m)
-    faces = unseen_faces(
-        lengthened(doors.ends[asked], beside * CELL_M), doors.normal[asked], np.asarray(doors.head_m[asked])
-    )
+    ends = lengthened(doors.ends[asked], beside * CELL_M)
+    faces = unseen_faces(ends, doors.normal[asked], doors.head_m[asked])
     cells = trace(faces, rules.building.model_copy(update={"near_m": rules.openings.doorway_max_m}))
     state, depth_m, agreement = doors.state.copy(), doors.depth_m.copy(), doors.agreement.copy()
     for k, d in enumerate(asked):

@@ -242,8 +242,8 @@ def _find_openings(
     sliding = find_sliding_doors(walls, cells, doors, settings.building, settings.door_casings)
     doors = doors.append(sliding).append(cased).append(contrasting).append(glazed)
     doors = place_frames(doors, walls, scans.drive.blocks(), settings.building, settings.door_frames)
-    doors = close_deep_doors(each_once(doors, settings.opening_rules), trace, settings.opening_rules)
-    doors = prove_crossed(doors, scans.path_map)
+    doors = prove_crossed(each_once(doors, settings.opening_rules), scans.path_map)
+    doors = close_deep_doors(doors, trace, settings.opening_rules)
     through_m = doors.reveal_m
     doors = measure_reveals(doors, scans.drive.blocks(), settings.door_frames)
     parts = part_walls(walls, settings.wall_thickness)

@@ -947,16 +947,21 @@ def test_a_leaf_at_the_far_side_of_a_thick_wall_shuts_its_doorway(
     assert not closed or doors.agreement[0] > RULES.building.opaque_min
 
 
-def test_a_vision_panel_leaves_a_deep_leaf_shut_and_shelves_at_two_depths_do_not() -> None:
-    """Hand-made cells: half of each column at another depth is no leaf."""
+def test_a_vision_panel_leaves_a_deep_leaf_shut_and_shelves_at_two_depths_are_none() -> None:
+    """Hand-made cells: neither is one of which half was seen."""
     counts = np.zeros((34, 60, 4), np.float32)
     counts[8:26, :, FILLED] = 10.0
     counts[8:26, :, SUM], counts[8:26, :, SQUARES] = -5.0, 2.5
-    paned, shelves = counts.copy(), counts.copy()
+    paned, shelves, half_seen = counts.copy(), counts.copy(), counts.copy()
     paned[14:20, 20:30] = 0.0
     paned[14:20, 20:30, THROUGH] = 10.0
     shelves[8:26, ::2, SUM], shelves[8:26, ::2, SQUARES] = -7.0, 4.9
-    for seen, state in ((counts, DoorState.CLOSED), (paned, DoorState.CLOSED), (shelves, DoorState.OPEN)):
+    half_seen[8:17] = 0.0
+    floor = counts.copy()
+    floor[8:26, :12] = 0.0
+    floor[8:26, :12, THROUGH] = 10.0  # rays that end on the floor before the leaf
+    closed, opened = DoorState.CLOSED, DoorState.OPEN
+    for seen, state in ((counts, closed), (paned, closed), (floor, closed), (shelves, opened), (half_seen, opened)):
         doors = close_deep_doors(OPEN, lambda *_, seen=seen: WallCells(np.array([0, 34]), 60, seen), RULES)
         assert doors.state.tolist() == [state]
 
@@ -965,6 +970,6 @@ def test_only_doors_that_stand_wide_open_are_asked_for_a_deep_leaf() -> None:
     def trace(*_: object) -> WallCells:
         raise AssertionError("asked")
 
-    ajar = replace(OPEN, ajar=np.array([True]))
-    for doors in (NO_DOORS, DOORWAY, ajar):
+    yes = np.array([True])
+    for doors in (NO_DOORS, DOORWAY, replace(OPEN, ajar=yes), replace(OPEN, crossed=yes)):
         assert close_deep_doors(doors, trace, RULES) is doors
