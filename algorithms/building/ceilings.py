@@ -149,7 +149,8 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     walls = np.isfinite(
         grid.heights(position[(label == Label.WALL) & (below_m > 0.0) & (below_m < settings.drop_max_m)])
     )
-    off_wall_m = nearest_known(walls)[0] * grid.cell_m
+    away, nearest_wall = nearest_known(walls)
+    off_wall_m = away * grid.cell_m
     # Above the head of a door or a window it is the wall that closes up to the ceiling. What is deeper than walls are thick hangs,
     # though scans take its side for a wall, which begins where it hangs.
     lengths = _lengths(parts)
@@ -175,8 +176,12 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     cells, sides, closing, holding, along = (
         np.bincount(at_part[mask], minlength=len(lengths)) for mask in (hangs, side, closes, held, along_wall)
     )
-    built = (sides >= settings.drop_sides_min) & (closing > settings.drop_closed_min * sides) & (holding > 0)
+    closed_up = (sides >= settings.drop_sides_min) & (closing > settings.drop_closed_min * sides)
+    built = closed_up & ((holding > 0) | (lengths * grid.cell_m > settings.lamp_max_m))
     at_wall = along > 0.8 * cells
+    for part in np.flatnonzero(built & at_wall & (holding > 0)):
+        own = parts == part
+        at_wall[part] = not _spans(np.argwhere(own), np.argwhere(own) - np.stack(nearest_wall, axis=-1)[own], held[own])
     built &= ~(at_wall & (holding < lengths))
     wall = position[(label == Label.WALL) & votes.seen(settings.votes_min)]
     # Between coffers, and beyond a soffit's end, the wall goes up to the ceiling.
@@ -191,6 +196,21 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     low_m = -highest_around(np.where(drops, -low_m, np.nan), 3) - settings.margin_m
     low_m[~np.isfinite(low_m)] = np.nan
     return HeightMap(Surface.CEILING_DROP, grid.origin, grid.cell_m, low_m, np.where(np.isfinite(low_m), top_m, np.nan))
+
+
+def _spans(cells: IntArray, from_wall: IntArray, held: BoolArray) -> bool:
+    """Whether a part runs from one wall to another: a beam across a corridor, no duct along a wall.
+
+    Walls hold both its ends and nothing between, and of its cells as many are near the one wall as near the other.
+
+    cells: (k, 2) row and column. from_wall: (k, 2) from the nearest wall. held: (k,) which are at a wall.
+    """
+    from_middle = cells - cells.mean(axis=0)
+    place = from_middle @ np.linalg.svd(from_middle, full_matrices=False)[2][0]
+    at_low, at_high = held & (place < 0.5 * place.min()), held & (place > 0.5 * place.max())
+    both_ends = at_low.any() and at_high.any() and not (held & ~at_low & ~at_high).any()
+    one_sided = np.linalg.norm(from_wall.sum(axis=0)) > 0.5 * np.linalg.norm(from_wall, axis=1).sum()
+    return bool(both_ends and not one_sided)
 
 
 def _goes_on_above(wall: FloatArray, grid: GroundGrid, behind: BoolArray, low_m: float, layer_m: float) -> bool:

@@ -63,6 +63,9 @@ class LevelsSettings(StepSettings):
     drop_deep_m: float = Field(
         0.4, gt=0, description="Minimum depth (m) of what hangs, not a wall, though scans take its side for one."
     )
+    lamp_max_m: float = Field(
+        2.0, gt=0, description="Maximum length (m) of lamps: what is longer is built, though no wall is seen to hold it."
+    )
     slit_max_m: float = Field(
         0.65, gt=0, description="Maximum distance (m) from its wall of a duct that runs along it."
     )

@@ -383,12 +383,17 @@ class TestCeilingDrops:
         )
         return np.column_stack([np.repeat(ring, len(heights), axis=0), np.tile(heights, len(ring))])
 
+    @staticmethod
+    def within(points: np.ndarray, x: tuple[float, float], y: tuple[float, float]) -> np.ndarray:
+        """(n,) which points (n, 3) are above or below a rectangle."""
+        low, high = np.array([x, y]).T
+        return np.asarray(((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1))
+
     def corrected_share(self, *boxes: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]) -> float:
         """Which share of the boxes' undersides and sides becomes ceiling; what is within its scatter aside."""
         ceiling = lying((0, 4), (0, 3), 2.8)
         for x, y, _ in boxes:
-            hidden = (ceiling[:, 0] > x[0]) & (ceiling[:, 0] < x[1]) & (ceiling[:, 1] > y[0]) & (ceiling[:, 1] < y[1])
-            ceiling = ceiling[~hidden]
+            ceiling = ceiling[~self.within(ceiling, x, y)]
         hanging = np.concatenate(
             [np.concatenate([self.standing(*box), lying(box[0], box[1], box[2][0])]) for box in boxes]
         )
@@ -449,8 +454,44 @@ class TestCeilingDrops:
         label = self.labels(lying((0, 4), (depth_m, 3), 2.8), underside, np.concatenate([walls, side, side]))
         assert np.mean(label == Label.CEILING) > 0.9 if is_ceiling else np.mean(label == Label.CEILING) < 0.1
 
-    def test_a_lamp_is_held_by_no_wall(self) -> None:
-        assert self.corrected_share(((1.2, 2.4), (1.4, 1.6), (2.6, 2.8))) == 0
+    @pytest.mark.parametrize("length_m", [1.2, 1.5])
+    def test_a_lamp_is_held_by_no_wall(self, length_m: float) -> None:
+        assert self.corrected_share(((1.2, 1.2 + length_m), (1.4, 1.6), (2.6, 2.8))) == 0
+
+    def test_what_is_longer_than_lamps_are_is_ceiling_though_its_ends_are_hidden(self) -> None:
+        assert self.corrected_share(((1.0, 3.3), (1.4, 1.6), (2.5, 2.8))) > 0.95
+
+    @pytest.mark.parametrize(
+        ("x", "y", "is_ceiling"),
+        [
+            ((1.8, 2.0), (0.0, 1.3), True),
+            # From a pillar to a pillar along one wall; and longer than lamps are, with a slit behind it.
+            ((1.0, 2.4), (0.3, 0.5), False),
+            ((0.6, 2.8), (0.25, 0.5), False),
+        ],
+    )
+    @pytest.mark.parametrize("turned", [False, True])
+    def test_a_beam_across_a_corridor_is_ceiling_and_what_runs_along_its_wall_not(
+        self, x: tuple[float, float], y: tuple[float, float], is_ceiling: bool, turned: bool
+    ) -> None:
+        """Nothing in a corridor is far from its walls."""
+        ceiling = lying((0, 4), (0, 1.3), 2.8)
+        ceiling = ceiling[~self.within(ceiling, x, y)]
+        hanging = np.concatenate([self.standing(x, y, (2.5, 2.8)), lying(x, y, 2.5)])
+        hanging = hanging[(hanging[:, 1] > 0.03) & (hanging[:, 1] < 1.27)]
+        pillars = [self.standing(around, (0, 0.5), (0, 2.8)) for around in ((0.7, 0.95), (2.45, 2.7))]
+        walls = np.concatenate([self.standing((0, 4), (0, 1.3), (0, 2.8)), *(pillars if x == (1.0, 2.4) else [])])
+        floor = lying((0, 4), (0, 1.3), 0.0)
+        quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) if turned else np.eye(3)
+        votes = votes_of(
+            (floor @ quarter, Label.FLOOR),
+            (ceiling @ quarter, Label.CEILING),
+            (walls @ quarter, Label.WALL),
+            (hanging @ quarter, Label.CLUTTER),
+        )
+        label = corrected(map_levels(votes, SETTINGS), hanging @ quarter, np.full(len(hanging), Label.CLUTTER, np.uint8))
+        share = np.mean(label[hanging[:, 2] < 2.8 - SETTINGS.margin_m] == Label.CEILING)
+        assert share > 0.95 if is_ceiling else share < 0.05, share
 
     def test_a_duct_leaves_a_slit_to_its_wall(self) -> None:
         assert self.corrected_share(((0, 4), (0.25, 0.55), (2.4, 2.8))) < 0.05
