@@ -164,12 +164,9 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     hung = (at_part > 0) & is_deep[at_part] & begins
     high_m = np.where(hung, np.fmax(high_m, up_to_m), high_m)
     side = (hung | (hangs & ~walls)) & (high_m - low_m > votes.voxel_m)
-    # A ceiling that rises, or is stepped, is higher farther on than where the side meets it. Where no ceiling is seen beside a
-    # side, the highest within reach counts.
-    near_m = highest_around(ceiling_m, 2 * round(settings.drop_edge_m / grid.cell_m) + 1)
-    rises = (near_m < top_m - settings.margin_m) & (near_m > low_m + settings.drop_min_m)
-    edge_m = np.where(rises, near_m, top_m)
-    closes = side & (edge_m - high_m < 2.0 * votes.voxel_m)
+    closes = np.zeros_like(side)
+    edge_m = _ceiling_beside_m(ceiling_m, side, low_m + settings.drop_min_m, round(settings.drop_edge_m / grid.cell_m))
+    closes[side] = np.where(np.isfinite(edge_m), edge_m, top_m[side]) - high_m[side] < 2.0 * votes.voxel_m
     held = hangs & (off_wall_m < 2.0 * grid.cell_m)
     along_wall = hangs & (off_wall_m < settings.slit_max_m)
 
@@ -196,6 +193,22 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     low_m = -highest_around(np.where(drops, -low_m, np.nan), 3) - settings.margin_m
     low_m[~np.isfinite(low_m)] = np.nan
     return HeightMap(Surface.CEILING_DROP, grid.origin, grid.cell_m, low_m, np.where(np.isfinite(low_m), top_m, np.nan))
+
+
+def _ceiling_beside_m(ceiling_m: FloatArray, side: BoolArray, above_m: FloatArray, reach_cells: int) -> FloatArray:
+    """(k,) how high the ceiling is beside each of the cells of a drop's sides, NaN where none is seen: the median of those around.
+
+    A ceiling that rises, or is stepped, is higher farther on than where the side meets it; and so is what a pane mirrors.
+
+    ceiling_m, side, above_m: (rows, columns). above_m: what is no higher than this is the drop itself.
+    """
+    padded = np.pad(ceiling_m, reach_cells, constant_values=np.nan)
+    around_m = np.lib.stride_tricks.sliding_window_view(padded, (2 * reach_cells + 1,) * 2)[side]
+    around_m = np.where(around_m > above_m[side][:, None, None], around_m, np.nan)
+    known = np.isfinite(around_m).any(axis=(1, 2))
+    beside_m = np.full(len(known), np.nan)
+    beside_m[known] = np.nanmedian(around_m[known], axis=(1, 2))
+    return beside_m
 
 
 def _spans(cells: IntArray, from_wall: IntArray, held: BoolArray) -> bool:

@@ -444,6 +444,16 @@ class TestCeilingDrops:
     def test_a_soffit_along_a_wall_is_ceiling(self) -> None:
         assert self.corrected_share(((0, 4), (0, 0.5), (2.4, 2.8))) > 0.95
 
+    def test_a_soffit_closes_up_to_the_ceiling_beside_it_whatever_a_pane_mirrors_above(self) -> None:
+        x, y = (0.0, 4.0), (0.0, 0.7)
+        soffit = np.concatenate([self.standing(x, (y[1], y[1]), (2.2, 2.8)), lying(x, y, 2.2)])
+        soffit = soffit[(soffit[:, 0] > 0.03) & (soffit[:, 0] < 3.97) & (soffit[:, 1] > 0.03)]
+        mirrored = lying((0.5, 3.5), y, 3.3)
+        walls = self.standing((0, 4), (0, 3), (0, 2.8))
+        walls = walls[(walls[:, 1] > y[1]) | (walls[:, 2] < 2.2)]
+        label = self.labels(np.concatenate([lying(x, (y[1], 3), 2.8), mirrored]), soffit, walls)
+        assert np.mean(label[soffit[:, 2] < 2.76] == Label.CEILING) > 0.95
+
     @pytest.mark.parametrize(("depth_m", "is_ceiling"), [(0.7, True), (0.3, False)])
     def test_a_soffit_is_ceiling_though_scans_took_its_side_for_a_wall(self, depth_m: float, is_ceiling: bool) -> None:
         """What is no deeper than walls are thick may be the underside of a lintel, whose wall closes up to the ceiling."""
