@@ -148,7 +148,7 @@ def _doors_in(
             door = Doors(
                 ends=face.at(CELL_M * np.array([first, last + 1]))[None],
                 normal=face.normal[None],
-                head_m=np.array([_head_m(counts[columns], state, lintel_m, settings)]),
+                head_m=np.array([_head_m(counts[columns], state, lintel_m, depth_m, settings)]),
                 depth_m=np.array([np.nan if is_ajar else depth_m]),
                 state=np.array([state], np.uint8),
                 confidence=agreement * coverage,
@@ -265,8 +265,11 @@ def _count_jambs(
     return 1 if hidden else sum(int(np.count_nonzero(flush[side]) >= wall_min) for side in sides)
 
 
-def _head_m(counts: FloatArray, state: DoorState, lintel_m: float, settings: BuildingSettings) -> float:
-    """Height below which the rows of a door are no longer wall."""
+def _head_m(counts: FloatArray, state: DoorState, lintel_m: float, leaf_m: float, settings: BuildingSettings) -> float:
+    """Height below which the rows of a door are no longer wall.
+
+    lintel_m: how far before the face the wall above lies; leaf_m: how far behind it a closed leaf does.
+    """
     rows = counts.sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         depth_m = lintel_m - rows[:, SUM] / rows[:, FILLED]
@@ -274,7 +277,7 @@ def _head_m(counts: FloatArray, state: DoorState, lintel_m: float, settings: Bui
             # A ray that ends on the lintel's underside passes the face lower than it ends.
             wall = (rows[:, FILLED] > rows[:, THROUGH]) & (depth_m < ON_FACE_M)
         else:
-            wall = depth_m < 0.5 * settings.recess_min_m
+            wall = depth_m < 0.5 * leaf_m
     start, stop = cells_in(settings.door_height_min_m - 0.1), cells_in(settings.door_height_max_m + 0.3)
     above = np.flatnonzero((wall & (rows[:, FILLED] > 0))[start:stop])
     if len(above):

@@ -902,6 +902,17 @@ def _closed_for_sure(seen: WallCells) -> int:
     return int(np.count_nonzero(sure.state == DoorState.CLOSED))
 
 
+@pytest.mark.parametrize("lean_m", [0.0, 0.02])
+@pytest.mark.parametrize(("head_m", "doors"), [(1.4, 0), (1.6, 0), (2.0, 1)])
+def test_a_niche_lower_than_doors_is_none(head_m: float, doors: int, lean_m: float) -> None:
+    """Few rays come to the wall above it, which may lean back a little."""
+    seen = cells()
+    recess(seen, 0.0, 1.95, lean_m)
+    seen.counts[30:48, round(head_m / CELL_M) : round(1.95 / CELL_M)] *= 0.1
+    recess(seen, 0.0, head_m, 0.07)
+    assert _closed_for_sure(seen) == doors
+
+
 def test_what_was_not_seen_is_no_leaf_around_a_panel() -> None:
     """Below a window something hides what is there, and of its leaf no rail shows."""
     seen = cells()
