@@ -127,10 +127,10 @@ def map_ducts(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
 
 
 def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
-    """Beams, coffers, soffits and the sides of steps: what hangs below a ceiling, closes up to it and is held by a wall.
+    """Beams, coffers, soffits and the sides of steps: what hangs below a ceiling, closes up to it and is held by walls.
 
-    What is built leaves no air above it: its sides are seen up to the ceiling. No wall holds a lamp; ducts and pipes run along one
-    and leave a slit, in which the wall goes on to be seen above their underside.
+    What is built leaves no air above it: its sides are seen up to the ceiling. No wall holds a lamp, which is shorter than beams
+    whose ends are hidden. Ducts and pipes run along a wall and leave a slit, in which it goes on to be seen above their underside.
 
     votes: with the ceilings that no scan found.
     """
@@ -205,8 +205,8 @@ def _ceiling_beside_m(ceiling_m: FloatArray, side: BoolArray, above_m: FloatArra
     padded = np.pad(ceiling_m, reach_cells, constant_values=np.nan)
     around_m = np.lib.stride_tricks.sliding_window_view(padded, (2 * reach_cells + 1,) * 2)[side]
     around_m = np.where(around_m > above_m[side][:, None, None], around_m, np.nan)
-    known = np.isfinite(around_m).any(axis=(1, 2))
-    beside_m = np.full(len(known), np.nan)
+    known = np.asarray(np.isfinite(around_m).any(axis=(1, 2)))
+    beside_m = np.full(known.shape, np.nan)
     beside_m[known] = np.nanmedian(around_m[known], axis=(1, 2))
     return beside_m
 
