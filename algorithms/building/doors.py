@@ -273,11 +273,9 @@ def _head_m(counts: FloatArray, state: DoorState, lintel_m: float, leaf_m: float
     rows = counts.sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         depth_m = lintel_m - rows[:, SUM] / rows[:, FILLED]
-        if state == DoorState.OPEN:
-            # A ray that ends on the lintel's underside passes the face lower than it ends.
-            wall = (rows[:, FILLED] > rows[:, THROUGH]) & (depth_m < ON_FACE_M)
-        else:
-            wall = depth_m < 0.5 * leaf_m
+        # A ray that ends on the lintel's underside passes the face lower than it ends.
+        above_opening = (rows[:, FILLED] > rows[:, THROUGH]) & (depth_m < ON_FACE_M)
+        wall = above_opening if state == DoorState.OPEN else depth_m < 0.5 * leaf_m
     start, stop = cells_in(settings.door_height_min_m - 0.1), cells_in(settings.door_height_max_m + 0.3)
     above = np.flatnonzero((wall & (rows[:, FILLED] > 0))[start:stop])
     if len(above):
