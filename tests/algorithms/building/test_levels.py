@@ -478,6 +478,8 @@ class TestCeilingDrops:
             # From a pillar to a pillar along one wall; and longer than lamps are, with a slit behind it.
             ((1.0, 2.4), (0.3, 0.5), False),
             ((0.6, 2.8), (0.25, 0.5), False),
+            # On one wall alone.
+            ((1.8, 2.0), (0.0, 0.9), False),
         ],
     )
     @pytest.mark.parametrize("turned", [False, True])
