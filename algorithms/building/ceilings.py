@@ -16,6 +16,7 @@ from ffmap.algorithms.building.height_map import (
     median_around,
     nearest_known,
     range_around,
+    windows_around,
 )
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.votes import VoxelVotes
@@ -164,8 +165,8 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     hung = (at_part > 0) & is_deep[at_part] & begins
     high_m = np.where(hung, np.fmax(high_m, up_to_m), high_m)
     side = (hung | (hangs & ~walls)) & (high_m - low_m > votes.voxel_m)
+    edge_m = _ceiling_beside_m(ceiling_m, side, low_m + settings.drop_min_m, 2 * round(settings.drop_edge_m / grid.cell_m) + 1)
     closes = np.zeros_like(side)
-    edge_m = _ceiling_beside_m(ceiling_m, side, low_m + settings.drop_min_m, round(settings.drop_edge_m / grid.cell_m))
     closes[side] = np.where(np.isfinite(edge_m), edge_m, top_m[side]) - high_m[side] < 2.0 * votes.voxel_m
     held = hangs & (off_wall_m < 2.0 * grid.cell_m)
     along_wall = hangs & (off_wall_m < settings.slit_max_m)
@@ -177,8 +178,9 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     built = closed_up & ((holding > 0) | (lengths * grid.cell_m > settings.lamp_max_m))
     at_wall = along > 0.8 * cells
     for part in np.flatnonzero(built & at_wall & (holding > 0)):
-        own = parts == part
-        at_wall[part] = not _spans(np.argwhere(own), np.argwhere(own) - np.stack(nearest_wall, axis=-1)[own], held[own])
+        own = np.nonzero(parts == part)
+        own_walls = np.column_stack([place[own] for place in nearest_wall])
+        at_wall[part] = not _spans(np.column_stack(own), own_walls, held[own])
     built &= ~(at_wall & (holding < lengths))
     wall = position[(label == Label.WALL) & votes.seen(settings.votes_min)]
     # Between coffers, and beyond a soffit's end, the wall goes up to the ceiling.
@@ -195,30 +197,30 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     return HeightMap(Surface.CEILING_DROP, grid.origin, grid.cell_m, low_m, np.where(np.isfinite(low_m), top_m, np.nan))
 
 
-def _ceiling_beside_m(ceiling_m: FloatArray, side: BoolArray, above_m: FloatArray, reach_cells: int) -> FloatArray:
+def _ceiling_beside_m(ceiling_m: FloatArray, side: BoolArray, above_m: FloatArray, size: int) -> FloatArray:
     """(k,) how high the ceiling is beside each of the cells of a drop's sides, NaN where none is seen: the median of those around.
 
     A ceiling that rises, or is stepped, is higher farther on than where the side meets it; and so is what a pane mirrors.
 
-    ceiling_m, side, above_m: (rows, columns). above_m: what is no higher than this is the drop itself.
+    ceiling_m, side, above_m: (rows, columns). above_m: what is no higher than this is the drop itself. size: the windows' edge in
+    cells.
     """
-    padded = np.pad(ceiling_m, reach_cells, constant_values=np.nan)
-    around_m = np.lib.stride_tricks.sliding_window_view(padded, (2 * reach_cells + 1,) * 2)[side]
-    around_m = np.where(around_m > above_m[side][:, None, None], around_m, np.nan)
-    known = np.asarray(np.isfinite(around_m).any(axis=(1, 2)))
-    beside_m = np.full(known.shape, np.nan)
-    beside_m[known] = np.nanmedian(around_m[known], axis=(1, 2))
+    around_m = windows_around(ceiling_m, side, size)
+    around_m = np.where(around_m > above_m[side, None], around_m, np.nan)
+    known = np.isfinite(around_m).any(axis=1)
+    beside_m = np.full(len(around_m), np.nan)
+    beside_m[known] = np.nanmedian(around_m[known], axis=1)
     return beside_m
 
 
-def _spans(cells: IntArray, from_wall: IntArray, held: BoolArray) -> bool:
+def _spans(cells: IntArray, nearest_wall: IntArray, held: BoolArray) -> bool:
     """Whether a part runs from one wall to another: a beam across a corridor, no duct along a wall.
 
     Walls hold both its ends and nothing between, and of its cells as many are near the one wall as near the other.
 
-    cells: (k, 2) row and column. from_wall: (k, 2) from the nearest wall. held: (k,) which are at a wall.
+    cells, nearest_wall: (k, 2) row and column of its cells, and of the wall nearest to each. held: (k,) which are at a wall.
     """
-    from_middle = cells - cells.mean(axis=0)
+    from_middle, from_wall = cells - cells.mean(axis=0), cells - nearest_wall
     place = from_middle @ np.linalg.svd(from_middle, full_matrices=False)[2][0]
     at_low, at_high = held & (place < 0.5 * place.min()), held & (place > 0.5 * place.max())
     both_ends = at_low.any() and at_high.any() and not (held & ~at_low & ~at_high).any()

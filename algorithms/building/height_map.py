@@ -210,12 +210,18 @@ def range_around(height_m: FloatArray, size: int) -> FloatArray:
     return highest_around(height_m, size) + highest_around(-height_m, size)
 
 
+def windows_around(height_m: FloatArray, at: BoolArray, size: int) -> FloatArray:
+    """(k, size * size) the heights within a window of some cells' edge around each of the cells `at` (rows, columns).
+
+    Of the few cells that are asked for: the windows of all would take many times the map.
+    """
+    padded = np.pad(height_m, size // 2, constant_values=np.nan)
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, (size, size))[at].reshape(-1, size * size))
+
+
 def median_around(height_m: FloatArray) -> FloatArray:
     """The median height of each cell and its eight neighbours, NaN where none of them has one."""
-    padded = np.pad(height_m, 1, constant_values=np.nan)
     known = ndimage.binary_dilation(~np.isnan(height_m), np.ones((3, 3)))
-    # The windows of the few cells that are known: those of all would take nine times the map.
-    nine = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))[known].reshape(-1, 9)
     median_m = np.full(height_m.shape, np.nan)
-    median_m[known] = np.nanmedian(nine, axis=1)
+    median_m[known] = np.nanmedian(windows_around(height_m, known, 3), axis=1)
     return median_m
