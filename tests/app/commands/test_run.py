@@ -35,7 +35,7 @@ from ffmap.blueprints import entities
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
-from tests.program import FFMAP, ffmap, with_cache
+from tests.program import FFMAP, ffmap, ffmap_here, with_cache
 
 UPRIGHT_TOPIC = "/horizontal_velodyne/velodyne_points"
 FILES = [
@@ -346,13 +346,13 @@ def test_killed_run_is_resumed_with_the_same_labels(
     assert record["outcome"] == "running"
     for options in ({"outputs": 3}, {"rig": 5}, {"time_from": "never"}):
         (out / "run.json").write_text(json.dumps(record | {"options": record["options"] | options}))
-        assert_one_line_error(ffmap(environment, "run", "--resume", out), "run.json")
+        assert_one_line_error(ffmap_here(environment, "run", "--resume", out), "run.json")
     by_another = record | {"versions": record["versions"] | {"git_revision": "0123456789ab"}}
     (out / "run.json").write_text(json.dumps(by_another))
-    assert_one_line_error(ffmap(environment, "run", "--resume", out), "another version")
+    assert_one_line_error(ffmap_here(environment, "run", "--resume", out), "another version")
     (out / "run.json").write_text(json.dumps(record))
     flip_a_bit(bag, UPRIGHT_TOPIC.replace("horizontal", "vertical"), 3)
-    assert_one_line_error(ffmap(environment, "run", "--resume", out), "not the bag", "start a new run")
+    assert_one_line_error(ffmap_here(environment, "run", "--resume", out), "not the bag", "start a new run")
     shutil.copy(bags["bag"], bag)
     done = ffmap(environment, "run", "--resume", out)
     assert done.returncode == 0, done.stderr
@@ -380,7 +380,7 @@ def test_resumed_run_knows_clouds_that_the_odometry_did_not_take(
     process.wait()
     assert list(json.loads((out / "run.json").read_text())["bag"]["clouds"]) == [UPRIGHT_TOPIC]
     flip_a_bit(bag, UPRIGHT_TOPIC.replace("horizontal", "vertical"), 3)
-    assert_one_line_error(ffmap(environment, "run", "--resume", out), "not the bag", "start a new run")
+    assert_one_line_error(ffmap_here(environment, "run", "--resume", out), "not the bag", "start a new run")
 
 
 def test_run_is_not_gone_on_with_on_other_poses(
@@ -394,10 +394,10 @@ def test_run_is_not_gone_on_with_on_other_poses(
     lines = poses.read_text().splitlines()
     poses.write_text("\n".join(lines[:-1]))
     assert_one_line_error(
-        ffmap(environment, "run", "--resume", out), "trajectory.tum", "is not what", "start a new run"
+        ffmap_here(environment, "run", "--resume", out), "trajectory.tum", "is not what", "start a new run"
     )
     poses.unlink()
-    assert_one_line_error(ffmap(environment, "run", "--resume", out), "trajectory.tum", "or is gone")
+    assert_one_line_error(ffmap_here(environment, "run", "--resume", out), "trajectory.tum", "or is gone")
 
 
 def flip_a_bit(bag: Path, topic: str, cloud: int) -> None:
@@ -426,7 +426,7 @@ def test_bag_that_differs_in_one_bit_shares_nothing(
     assert [t for t, digest in record["bag"]["clouds"].items() if digest != before["bag"]["clouds"][t]] == [
         UPRIGHT_TOPIC.replace("horizontal", lidar)
     ]
-    done = ffmap(environment, "inspect", finished, "--scan", "3", "--bag", other, "--out", tmp_path / "scan.rrd")
+    done = ffmap_here(environment, "inspect", finished, "--scan", "3", "--bag", other, "--out", tmp_path / "scan.rrd")
     assert_one_line_error(done, other.name, "is not the bag")
 
 
@@ -450,19 +450,19 @@ def test_mistakes_are_one_line_and_leave_earlier_results_alone(
     assert_one_line_error(ffmap(environment, "run", missing, "--out", finished), "none.bag")
     text = tmp_path / "text.bag"
     text.write_text("this is no bag\n")
-    assert_one_line_error(ffmap(environment, "run", text, "--out", finished), "text.bag")
-    assert_one_line_error(ffmap(environment, "info", text), "text.bag")
-    done = ffmap(environment, "run", bags["bag"], "--out", finished, "--set", "wall_planes.similarty_m=0.05")
+    assert_one_line_error(ffmap_here(environment, "run", text, "--out", finished), "text.bag")
+    assert_one_line_error(ffmap_here(environment, "info", text), "text.bag")
+    done = ffmap_here(environment, "run", bags["bag"], "--out", finished, "--set", "wall_planes.similarty_m=0.05")
     assert_one_line_error(done, "similarty_m", "wall_planes.similarity_m")
-    done = ffmap(environment, "run", bags["bag"], "--out", finished, "--vertical", "/nothing")
+    done = ffmap_here(environment, "run", bags["bag"], "--out", finished, "--vertical", "/nothing")
     assert_one_line_error(done, "/nothing")
-    assert_one_line_error(ffmap(environment, "run", "--resume", tmp_path), "run.json")
-    assert_one_line_error(ffmap(environment, "evaluate", tmp_path), str(tmp_path))
+    assert_one_line_error(ffmap_here(environment, "run", "--resume", tmp_path), "run.json")
+    assert_one_line_error(ffmap_here(environment, "evaluate", tmp_path), str(tmp_path))
     dead = "rerun+http://127.0.0.1:1/proxy"
-    done = ffmap(environment, "run", bags["bag"], "--out", finished, "--overwrite", "--connect", dead)
+    done = ffmap_here(environment, "run", bags["bag"], "--out", finished, "--overwrite", "--connect", dead)
     assert_one_line_error(done, "--connect", "127.0.0.1:1")
-    assert_one_line_error(ffmap(environment, "run", bags["bag"], "--out", finished), "finished run", "--overwrite")
-    assert_one_line_error(ffmap(environment, "run", "--resume", finished, "--overwrite"), "--resume")
+    assert_one_line_error(ffmap_here(environment, "run", bags["bag"], "--out", finished), "finished run", "--overwrite")
+    assert_one_line_error(ffmap_here(environment, "run", "--resume", finished, "--overwrite"), "--resume")
     nothing = write_empty_clouds(tmp_path / "nothing.bag")
     done = ffmap(environment, "run", nothing, "--out", finished)
     assert done.returncode == 2
@@ -475,11 +475,11 @@ def test_folder_that_cannot_be_written_is_named(
 ) -> None:
     blocker = tmp_path / "file"
     blocker.write_text("")
-    assert_one_line_error(ffmap(environment, "run", bags["bag"], "--out", blocker / "run"), str(blocker))
+    assert_one_line_error(ffmap_here(environment, "run", bags["bag"], "--out", blocker / "run"), str(blocker))
     foreign = tmp_path / "foreign"
     foreign.mkdir()
     (foreign / "thesis.tex").write_text("mine")
-    assert_one_line_error(ffmap(environment, "run", bags["bag"], "--out", foreign), "foreign")
+    assert_one_line_error(ffmap_here(environment, "run", bags["bag"], "--out", foreign), "foreign")
     assert (foreign / "thesis.tex").read_text() == "mine"
 
 
@@ -528,13 +528,13 @@ def test_scan_of_a_run_whose_clouds_are_not_known_is_known_by_their_times(
     bag = {name: value for name, value in record["bag"].items() if name != "clouds"}
     stamps = {topic: digest[::-1] for topic, digest in bag["stamps"].items()}
     (copy / "run.json").write_text(json.dumps({**record, "bag": {**bag, "stamps": stamps}}))
-    done = ffmap(environment, "inspect", copy, "--scan", "3", "--out", tmp_path / "scan.rrd")
+    done = ffmap_here(environment, "inspect", copy, "--scan", "3", "--out", tmp_path / "scan.rrd")
     assert_one_line_error(done, bags["bag"].name, "is not the bag")
 
 
 def test_demo_leaves_the_users_bag_alone(environment: dict[str, str], tmp_path: Path) -> None:
     (tmp_path / "small.bag").write_text("mine")
-    assert_one_line_error(ffmap(environment, "demo", "--out", tmp_path), "small.bag", "--out")
+    assert_one_line_error(ffmap_here(environment, "demo", "--out", tmp_path), "small.bag", "--out")
     assert (tmp_path / "small.bag").read_text() == "mine"
 
 
@@ -543,8 +543,8 @@ def test_folders_of_demo_suite_evaluation_and_maps_that_cannot_be_written(
 ) -> None:
     blocker = tmp_path / "file"
     blocker.write_text("")
-    assert_one_line_error(ffmap(environment, "demo", "--out", blocker / "demo"), str(blocker), "--out")
-    done = ffmap(environment, "evaluate", "--suite", "--quick", "--out", blocker / "suite.json")
+    assert_one_line_error(ffmap_here(environment, "demo", "--out", blocker / "demo"), str(blocker), "--out")
+    done = ffmap_here(environment, "evaluate", "--suite", "--quick", "--out", blocker / "suite.json")
     assert_one_line_error(done, str(blocker), "--out")
 
     def refuse(path: Path) -> None:
@@ -586,9 +586,9 @@ def test_run_is_replaced_where_the_user_says_so(
     # Not by one that reads it, as a drive labelled before.
     own = ("--trajectory", copy / "trajectory.tum")
     assert_one_line_error(
-        ffmap(environment, "run", copy / "labelled.bag", "--out", copy, *options, *own), "labelled.bag"
+        ffmap_here(environment, "run", copy / "labelled.bag", "--out", copy, *options, *own), "labelled.bag"
     )
-    assert_one_line_error(ffmap(environment, "run", bags["bag"], "--out", copy, *options, *own), "trajectory.tum")
+    assert_one_line_error(ffmap_here(environment, "run", bags["bag"], "--out", copy, *options, *own), "trajectory.tum")
     assert (copy / "labelled.bag").exists()
     done = ffmap(environment, "run", bags["bag"], "--out", copy, *options)
     assert done.returncode == 0, done.stderr
@@ -709,15 +709,15 @@ def test_mistakes_in_options_are_one_line(environment: dict[str, str]) -> None:
         (("run", "a.bag", "--workers", "0"), "--workers"),
         (("run", "a.bag", "--time-from", "sun"), "azimuth"),
     ):
-        assert_one_line_error(ffmap(environment, *words), "ffmap: ", named, "--help")
+        assert_one_line_error(ffmap_here(environment, *words), "ffmap: ", named, "--help")
 
 
 def test_version_and_help(environment: dict[str, str]) -> None:
-    done = ffmap(environment, "--version")
+    done = ffmap_here(environment, "--version")
     assert done.returncode == 0
     assert done.stdout.startswith("ffmap 0.")
-    assert "--overwrite" in ffmap(environment, "run", "--help").stdout
-    assert "simulate" in ffmap(environment).stdout
+    assert "--overwrite" in ffmap_here(environment, "run", "--help").stdout
+    assert "simulate" in ffmap_here(environment).stdout
 
 
 def test_odometry_from_the_cache_is_told(
@@ -735,25 +735,25 @@ def test_hints_name_what_helps(environment: dict[str, str], finished: Path, tmp_
         "wall_planes.similarity_m=nan": ("no finite number",),
         "wall_plane.similarity_m=0.1": ("'wall_planes.similarity_m'",),
     }.items():
-        assert_one_line_error(ffmap(environment, "settings", "--set", setting), *words)
-    done = ffmap(environment, "settings", "--set", "wall_planes.nope=1")
+        assert_one_line_error(ffmap_here(environment, "settings", "--set", setting), *words)
+    done = ffmap_here(environment, "settings", "--set", "wall_planes.nope=1")
     assert_one_line_error(done, "wall_planes.nope", "'ffmap settings'")
     assert "did you mean" not in done.stderr
-    done = ffmap(environment, "simulate", tmp_path / "a.bag", "--building", "foo")
+    done = ffmap_here(environment, "simulate", tmp_path / "a.bag", "--building", "foo")
     assert_one_line_error(done, "there are office")
     assert "noise_m" not in done.stderr
-    done = ffmap(environment, "simulate", tmp_path / "a.bag", "--set", "clutter=7")
+    done = ffmap_here(environment, "simulate", tmp_path / "a.bag", "--set", "clutter=7")
     assert_one_line_error(done, "less than or equal to 1")
     assert "noise_m" not in done.stderr
-    assert "angled" in ffmap(environment, "simulate", "--help").stdout
+    assert "angled" in ffmap_here(environment, "simulate", "--help").stdout
     (tmp_path / "notes.md").write_text("no map")
-    done = ffmap(environment, "maps", finished, "--reference", tmp_path / "notes.md")
+    done = ffmap_here(environment, "maps", finished, "--reference", tmp_path / "notes.md")
     assert_one_line_error(done, "notes.md: is no map")
-    assert_one_line_error(ffmap(environment, "rooms", finished / "doors.geojson"), "doors.geojson: is no map")
-    done = ffmap(environment, "maps", finished, "--reference", finished / "overlay.png")
+    assert_one_line_error(ffmap_here(environment, "rooms", finished / "doors.geojson"), "doors.geojson: is no map")
+    done = ffmap_here(environment, "maps", finished, "--reference", finished / "overlay.png")
     assert_one_line_error(done, "YAML")
     assert "--resolution" not in done.stderr
-    assert_one_line_error(ffmap(environment, "rooms", finished / "map.yaml", "--resolution", "50"), "--resolution 50")
+    assert_one_line_error(ffmap_here(environment, "rooms", finished / "map.yaml", "--resolution", "50"), "--resolution 50")
 
 
 def test_evaluation_of_nothing_is_refused(
@@ -763,7 +763,7 @@ def test_evaluation_of_nothing_is_refused(
     aborted.mkdir()
     record = json.loads((finished / "run.json").read_text())
     (aborted / "run.json").write_text(json.dumps({**record, "outcome": "aborted"}))
-    assert_one_line_error(ffmap(environment, "evaluate", aborted), "aborted", "--resume")
+    assert_one_line_error(ffmap_here(environment, "evaluate", aborted), "aborted", "--resume")
     assert not (aborted / "metrics.json").exists()
     copy = shutil.copytree(finished, tmp_path / "run")
     poses = [line.split() for line in (copy / "trajectory.tum").read_text().splitlines()]
@@ -771,9 +771,9 @@ def test_evaluation_of_nothing_is_refused(
     later.write_text("".join(" ".join([f"2{p[0][1:]}", *p[1:]]) + "\n" for p in poses))
     moved.write_text("".join(" ".join([p[0], str(float(p[1]) + 1.0), *p[2:]]) + "\n" for p in poses))
     before = (copy / "metrics.json").read_bytes()
-    assert_one_line_error(ffmap(environment, "evaluate", copy, "--truth", later), "later.tum", "same drive")
+    assert_one_line_error(ffmap_here(environment, "evaluate", copy, "--truth", later), "later.tum", "same drive")
     for option in ("--set", "--seeds", "--out"):
-        assert_one_line_error(ffmap(environment, "evaluate", copy, option, "a=1"), option, "--suite")
+        assert_one_line_error(ffmap_here(environment, "evaluate", copy, option, "a=1"), option, "--suite")
     assert (copy / "metrics.json").read_bytes() == before
     done = ffmap(environment, "evaluate", copy, "--truth", moved)
     assert done.returncode == 0, done.stderr
@@ -791,22 +791,22 @@ def test_info_and_run_say_the_same_of_mistakes(
     cut, rig = tmp_path / "cut.bag", tmp_path / "rig.toml"
     cut.write_bytes(bags["bag"].read_bytes()[:1000])
     said = f"{cut}: the bag is empty, it has no messages; record it again"
-    assert said in ffmap(environment, "info", cut).stdout
-    assert_one_line_error(ffmap(environment, "run", cut), said)
-    assert "(medians of several clouds); the first has 1 x" in ffmap(environment, "info", bags["bag"]).stdout
+    assert said in ffmap_here(environment, "info", cut).stdout
+    assert_one_line_error(ffmap_here(environment, "run", cut), said)
+    assert "(medians of several clouds); the first has 1 x" in ffmap_here(environment, "info", bags["bag"]).stdout
     rig.write_text("[[lidar]]\n")
     for option, value in (("--horizontal", "/nope"), ("--vertical", "/nope"), ("--rig", rig)):
-        info, run = (ffmap(environment, command, bags["bag"], option, value) for command in ("info", "run"))
+        info, run = (ffmap_here(environment, command, bags["bag"], option, value) for command in ("info", "run"))
         assert_one_line_error(info, str(value))
         assert info.stderr == run.stderr
 
 
 def test_settings_round_trip(environment: dict[str, str], tmp_path: Path) -> None:
-    shown = ffmap(environment, "settings", "--set", "doors.recess_min_m=0.03")
+    shown = ffmap_here(environment, "settings", "--set", "doors.recess_min_m=0.03")
     assert shown.returncode == 0
     file = tmp_path / "mine.toml"
     file.write_text(shown.stdout)
-    assert ffmap(environment, "settings", "--config", file).stdout == shown.stdout
+    assert ffmap_here(environment, "settings", "--config", file).stdout == shown.stdout
     assert "recess_min_m = 0.03" in shown.stdout
 
 
