@@ -351,13 +351,14 @@ class _Search:
     def _duct_before(self, face: Walls, counts: FloatArray) -> _Duct | None:
         """The face that hangs before a stretch as the front of a duct or a soffit; None where none does.
 
-        A duct's underside joins the one to the other, as high as the wall was seen; a lintel's is no deeper than a wall.
+        A duct's underside joins the one to the other, as high as the wall was seen. A lintel is no deeper than a wall; or in a
+        thick one, where a leaf may hang that deep, it is no wider than a door, and the wall goes on at both its ends.
 
         face: of one stretch. counts: (c, rows, 4) of its columns.
         """
-        missed, noise_m = self._settings.missed, self._settings.standing.noise_m
+        missed, building, noise_m = self._settings.missed, self._settings.building, self._settings.standing.noise_m
         wall = next(segments(face))
-        on, passed = rows_on_and_passed(counts, self._settings.building.door_height_min_m)
+        on, passed = rows_on_and_passed(counts, building.door_height_min_m)
         if wall.length_m < missed.duct_length_min_m or not np.all(on > passed):
             return None
         seen = np.flatnonzero(counts[..., FILLED].sum(axis=0) >= self._settings.standing.stray_rays)
@@ -378,6 +379,9 @@ class _Search:
             whole = wall.length_m * (depth_m - noise_m) / _UNDERSIDE_CELL_M**2
             if len(np.unique(cells, axis=0)) >= missed.duct_share_min * whole:
                 low_m, high_m = np.sort(front.place_m(face.ends[0]))
+                goes_on_m = min(low_m, front.length_m - high_m) if w < len(self._known) else 0.0
+                if goes_on_m >= building.length_min_m and wall.length_m <= building.door_width_max_m:
+                    continue
                 return _Duct(w, max(float(low_m), 0.0), min(float(high_m), front.length_m))
         return None
 

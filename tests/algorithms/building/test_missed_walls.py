@@ -73,6 +73,7 @@ def search(
     from_y: float = 0.5,
     rays: float = 3.0,
     clear_of_glass: float = 1.0,
+    building: BuildingSettings = BuildingSettings(),  # noqa: B008 - frozen
 ) -> MissedWalls:
     """What is found; so many rays a cell end on every candidate that lies on x = 3, seen from smaller x, and pass the others.
 
@@ -121,7 +122,8 @@ def search(
         return replace(traced, cells=replace(traced.cells, counts=traced.cells.counts * np.float32(clear_of_glass)))
 
     path = np.column_stack([np.full(50, path_x), np.linspace(0.2, 2.8, 50)])
-    return find_missed_walls(others, refused, AllReturns(votes, storey, path, trace, trace_clear), SEARCH)
+    settings = replace(SEARCH, building=building)
+    return find_missed_walls(others, refused, AllReturns(votes, storey, path, trace, trace_clear), settings)
 
 
 def missed(votes: VoxelVotes, **seen: Any) -> Walls:
@@ -173,14 +175,14 @@ def room_with_a_duct(underside_x: tuple[float, float]) -> VoxelVotes:
 
 
 def test_a_wall_that_shows_below_a_duct_alone_is_found_and_what_hangs_before_it_is_no_wall():
-    """The duct's front goes on as a cupboard's, from y = 2.2 m to 3 m."""
-    front = faces(((2.55, 0.0), (2.55, 3.0)))
+    """The duct's front goes on as a cupboard's, from y = 2 m to 3 m."""
+    front = faces(((2.55, 0.5), (2.55, 3.0)))
     found = search(room_with_a_duct((2.55, 3.0)), seen_m=2.0, known=front)
     assert len(found.walls) == 1
     np.testing.assert_allclose(found.walls.ends[0, :, 0], 3.0, atol=0.02)
     np.testing.assert_allclose(np.sort(found.ducts.ends[0, :, 1]), [0.5, 2.0], atol=0.1)
     beside = found.known.ends[np.abs(found.known.normal[:, 0]) > 0.9]
-    np.testing.assert_allclose(np.sort(beside[:, :, 1], axis=1), [[0.0, 0.5], [2.0, 3.0]], atol=0.1)
+    np.testing.assert_allclose(np.sort(beside[:, :, 1], axis=1), [[2.0, 3.0]], atol=0.1)
     # What hangs as deep as a wall is thick is a lintel: behind the doorway stands a cupboard, or another room's wall.
     lintel = search(room_with_a_duct((2.55, 2.7)), seen_m=2.0, known=front)
     assert (len(lintel.walls), len(lintel.ducts), len(lintel.known)) == (0, 0, 2)
@@ -188,6 +190,14 @@ def test_a_wall_that_shows_below_a_duct_alone_is_found_and_what_hangs_before_it_
     assert len(missed(room_with_a_duct((2.55, 3.0)), seen_m=2.0, known=front, rays=0.04)) == 0
     # Without a front it is a shelf.
     assert len(missed(room_with_a_duct((2.55, 3.0)), seen_m=2.0)) == 0
+
+
+@pytest.mark.parametrize(("goes_on_m", "widest_m", "is_duct"), [(0.5, 2.6, False), (0.1, 2.6, True), (0.5, 1.2, True)])
+def test_what_closes_a_doorway_deep_in_a_thick_wall_is_a_leaf(goes_on_m: float, widest_m: float, is_duct: bool) -> None:
+    """The wall goes on at both ends of a lintel no wider than doors are; a duct's front does not, or it is wider."""
+    front, building = faces(((2.55, 0.5 - goes_on_m), (2.55, 3.0))), BuildingSettings(door_width_max_m=widest_m)
+    found = search(room_with_a_duct((2.55, 3.0)), seen_m=2.0, known=front, building=building)
+    assert (len(found.walls), len(found.ducts)) == (is_duct, is_duct)
 
 
 def test_a_refused_face_that_hangs_is_the_front_of_a_soffit() -> None:
@@ -207,7 +217,7 @@ def test_on_a_raised_floor_a_ducts_underside_is_as_high_above_it() -> None:
         own = majority(votes.counts) == code
         points = np.repeat(votes.mean_position[own] + [0.0, 0.0, 0.5], 3, axis=0)
         table.add(points, np.full(len(points), code, np.uint8))
-    found = search(table.votes(), seen_m=2.0, known=faces(((2.55, 0.0), (2.55, 3.0))))
+    found = search(table.votes(), seen_m=2.0, known=faces(((2.55, 0.5), (2.55, 3.0))))
     assert (len(found.walls), len(found.ducts)) == (1, 1)
 
 
