@@ -35,8 +35,8 @@ def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules)
         if not _stands_around(counts, first, last, head_m, float(np.median(top_m[own][first : last + 1])), rules):
             continue
         door = flush_door(face, w, (first, last + 1), 0, head_m, counts, 0.0)
-        # The outermost columns are partly the jambs'.
-        agreement = _agreement(counts[first + 1 : last], rules)
+        jamb = cells_in(openings.jamb_m)
+        agreement = _agreement(counts[first + jamb : last + 1 - jamb], rules)
         # A pane that is all but flush tells nothing of where its stiles meet the jambs.
         pane_m = float(windows.pane_m[k])
         doors = doors.append(glazed(door, pane_m if pane_m > ON_FACE_M else 0.0, agreement))
@@ -69,6 +69,9 @@ def _stands_around(counts: FloatArray, first: int, last: int, head_m: float, top
 
 
 def _agreement(counts: FloatArray, rules: OpeningRules) -> float:
-    """Share of what returns from a doorway's columns (c, rows, 4) that is of one sheet, the leaf's; a pane lets the others pass."""
+    """Share of what returns from a doorway's columns (c, rows, 4) that is of one sheet, the leaf's; a pane lets the others pass.
+
+    counts: without the columns at the jambs, where the reveals return too.
+    """
     inner = counts[:, FOOT_ROW : cells_in(rules.building.door_height_min_m)]
     return float(inner[lies_on_sheet(inner, rules), FILLED].sum() / max(inner[..., FILLED].sum(), 1.0))
