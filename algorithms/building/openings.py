@@ -303,11 +303,19 @@ def is_open_to_floor(counts: FloatArray, rules: OpeningRules) -> bool:
 def to_jambs(below: FloatArray, first: int, last: int, most_m: float) -> tuple[int, int]:
     """An open stretch of columns, widened to the jambs: beside it rays end on the reveals or on a leaf, behind the face.
 
+    What lies behind the face over more than a leaf's width is the wall itself, set back: the reveal ends there.
+
     below: (columns, 4), a face's counts between the foot and the head of an opening. most_m: on each side.
     """
+    most = cells_in(most_m)
     with np.errstate(invalid="ignore", divide="ignore"):
-        behind = below[:, SUM] / below[:, FILLED] < -ON_FACE_M
-    return widened(behind, first, last, cells_in(most_m))
+        before_m = below[:, SUM] / below[:, FILLED]
+    before, behind = widened(before_m < -ON_FACE_M, first, last, most)
+    wall_m = [before_m[before] if first - before == most else 0.0, before_m[behind] if behind - last == most else 0.0]
+    return (
+        widened(before_m < wall_m[0] - ON_FACE_M, first, last, most)[0],
+        widened(before_m < wall_m[1] - ON_FACE_M, first, last, most)[1],
+    )
 
 
 def widened(flags: BoolArray, first: int, last: int, most: int) -> tuple[int, int]:

@@ -21,7 +21,7 @@ from ffmap.algorithms.building.model import (
     Walls,
     Windows,
 )
-from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings, is_pane
+from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings, is_pane, to_jambs
 from ffmap.algorithms.building.ray_evidence import Rays, WallCells, floor_m, trace_rays
 from ffmap.algorithms.building.windows import (
     WindowsSettings,
@@ -246,6 +246,18 @@ def test_a_leaf_ajar_is_part_of_its_doorway(leaves: int) -> None:
     assert doors.state.tolist() == [DoorState.OPEN]
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.55 if leaves == 1 else 3.3], atol=2 * CELL_M)
     assert doors.confidence[0] > 0.6
+
+
+@pytest.mark.parametrize(("set_back_m", "door_m"), [(1.9, (1.9, 3.0)), (1.0, (0.9, 3.0))])
+def test_a_wall_set_back_beside_a_doorway_is_no_leaf(set_back_m: float, door_m: tuple[float, float]) -> None:
+    """A leaf ends at its jamb: what lies behind the face over more than its width is wall, and the reveal lies behind that."""
+    below, column = np.zeros((80, 4)), np.arange(80) * CELL_M + 0.5 * CELL_M
+    below[:, FILLED] = 10.0
+    below[(column > 1.9 - set_back_m) & (column < 1.9), SUM] = -0.04 * 10.0
+    below[(column > 1.9) & (column < 2.0), SUM] = -0.15 * 10.0
+    below[(column > 2.0) & (column < 3.0)] = [0.0, 0.0, 0.0, 10.0]
+    first, last = to_jambs(below, 40, 59, RULES.openings.leaf_max_m)
+    assert (first * CELL_M, (last + 1) * CELL_M) == pytest.approx(door_m)
 
 
 def test_a_leaf_at_the_edge_of_what_is_looked_at_is_no_pane() -> None:
