@@ -310,11 +310,11 @@ def to_jambs(below: FloatArray, first: int, last: int, most_m: float) -> tuple[i
     most = cells_in(most_m)
     with np.errstate(invalid="ignore", divide="ignore"):
         before_m = below[:, SUM] / below[:, FILLED]
-    before, behind = widened(before_m < -ON_FACE_M, first, last, most)
-    wall_m = [before_m[before] if first - before == most else 0.0, before_m[behind] if behind - last == most else 0.0]
+    low, high = widened(before_m < -ON_FACE_M, first, last, most + 1)
+    low_wall_m, high_wall_m = before_m[low] if first - low > most else 0.0, before_m[high] if high - last > most else 0.0
     return (
-        widened(before_m < wall_m[0] - ON_FACE_M, first, last, most)[0],
-        widened(before_m < wall_m[1] - ON_FACE_M, first, last, most)[1],
+        widened(before_m < low_wall_m - ON_FACE_M, first, last, most)[0],
+        widened(before_m < high_wall_m - ON_FACE_M, first, last, most)[1],
     )
 
 

@@ -248,7 +248,7 @@ def test_a_leaf_ajar_is_part_of_its_doorway(leaves: int) -> None:
     assert doors.confidence[0] > 0.6
 
 
-@pytest.mark.parametrize(("set_back_m", "door_m"), [(1.9, (1.9, 3.0)), (1.0, (0.9, 3.0))])
+@pytest.mark.parametrize(("set_back_m", "door_m"), [(1.9, (1.9, 3.0)), (1.4, (0.5, 3.0)), (1.0, (0.9, 3.0))])
 def test_a_wall_set_back_beside_a_doorway_is_no_leaf(set_back_m: float, door_m: tuple[float, float]) -> None:
     """A leaf ends at its jamb: what lies behind the face over more than its width is wall, and the reveal lies behind that."""
     below, column = np.zeros((80, 4)), np.arange(80) * CELL_M + 0.5 * CELL_M
