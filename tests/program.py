@@ -29,8 +29,7 @@ def ffmap(environment: dict[str, str], *words: object, cwd: Path | None = None) 
 
 def ffmap_here(environment: dict[str, str], *words: object) -> subprocess.CompletedProcess[str]:
     """The same in this process: what is said before there is any work needs none of its own, which loads for two seconds."""
-    arguments, out, err = ["ffmap", *map(str, words)], StringIO(), StringIO()
-    code: object = None
+    arguments, out, err, code = ["ffmap", *map(str, words)], StringIO(), StringIO(), 0
     with (
         mock.patch.object(sys, "argv", arguments),
         mock.patch.dict(os.environ, environment, clear=True),
@@ -40,8 +39,8 @@ def ffmap_here(environment: dict[str, str], *words: object) -> subprocess.Comple
         try:
             cli.main()
         except SystemExit as ended:
-            code = ended.code
-    return subprocess.CompletedProcess(arguments, int(str(code or 0)), out.getvalue(), err.getvalue())
+            code = int(ended.code or 0)
+    return subprocess.CompletedProcess(arguments, code, out.getvalue(), err.getvalue())
 
 
 def rig_of(bag: Path, file: Path | None = None) -> Rig:

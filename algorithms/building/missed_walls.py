@@ -373,15 +373,15 @@ class _Search:
                 continue
             if wall.shared_m(self._fronts.ends[w]) < missed.duct_share_min * wall.length_m:
                 continue
+            low_m, high_m = np.sort(front.place_m(face.ends[0]))
+            goes_on_m = min(low_m, front.length_m - high_m) if w < len(self._known) else 0.0
+            if goes_on_m >= building.length_min_m and wall.length_m <= building.door_width_max_m:
+                continue
             place_m, before_m = wall.place_m(undersides), wall.before_m(undersides)
             between = (place_m > 0) & (place_m < wall.length_m) & (before_m > noise_m) & (before_m < depth_m)
             cells = np.stack([place_m[between], before_m[between]], axis=1) // _UNDERSIDE_CELL_M
             whole = wall.length_m * (depth_m - noise_m) / _UNDERSIDE_CELL_M**2
             if len(np.unique(cells, axis=0)) >= missed.duct_share_min * whole:
-                low_m, high_m = np.sort(front.place_m(face.ends[0]))
-                goes_on_m = min(low_m, front.length_m - high_m) if w < len(self._known) else 0.0
-                if goes_on_m >= building.length_min_m and wall.length_m <= building.door_width_max_m:
-                    continue
                 return _Duct(w, max(float(low_m), 0.0), min(float(high_m), front.length_m))
         return None
 

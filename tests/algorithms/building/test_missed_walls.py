@@ -198,6 +198,9 @@ def test_what_closes_a_doorway_deep_in_a_thick_wall_is_a_leaf(goes_on_m: float, 
     front, building = faces(((2.55, 0.5 - goes_on_m), (2.55, 3.0))), BuildingSettings(door_width_max_m=widest_m)
     found = search(room_with_a_duct((2.55, 3.0)), seen_m=2.0, known=front, building=building)
     assert (len(found.walls), len(found.ducts)) == (is_duct, is_duct)
+    beside = np.sort(found.known.ends[np.abs(found.known.normal[:, 0]) > 0.9][:, :, 1], axis=1)
+    rests = [[0.0, 0.5], [2.0, 3.0]] if goes_on_m > 0.25 else [[2.0, 3.0]]
+    np.testing.assert_allclose(beside, rests if is_duct else [[0.0, 3.0]], atol=0.1)
 
 
 def test_a_refused_face_that_hangs_is_the_front_of_a_soffit() -> None:

@@ -258,6 +258,7 @@ def test_a_wall_set_back_beside_a_doorway_is_no_leaf(set_back_m: float, door_m: 
     below[(column > 2.0) & (column < 3.0)] = [0.0, 0.0, 0.0, 10.0]
     first, last = to_jambs(below, 40, 59, RULES.openings.leaf_max_m)
     assert (first * CELL_M, (last + 1) * CELL_M) == pytest.approx(door_m)
+    assert to_jambs(below[::-1], 20, 39, RULES.openings.leaf_max_m) == (79 - last, 79 - first)
 
 
 def test_a_leaf_at_the_edge_of_what_is_looked_at_is_no_pane() -> None:

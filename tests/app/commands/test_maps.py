@@ -1,6 +1,7 @@
 """ffmap maps as a user meets it: a reference that lies elsewhere, one of another building, and mistakes."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,6 @@ from PIL import Image
 from ffmap.algorithms.base.segments import turned
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.truth.maps import Agreement, ComparedMap, WallMapFigures
-from ffmap.app import cli
 from ffmap.app.analysis import map_figures
 from ffmap.app.analysis.map_figures import (
     TITLES,
@@ -25,6 +25,7 @@ from ffmap.app.folder.map_files import write_grid
 from ffmap.app.folder.names import REFERENCE_JSON, REFERENCE_OVERLAY, WALLS, map_file
 from ffmap.loaders.errors import InputError
 from tests.algorithms.truth.test_reference import OTHER, PLAN, moved, raster
+from tests.program import ffmap_here
 
 
 @pytest.fixture(scope="module")
@@ -41,16 +42,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def ffmap(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    monkeypatch.setattr("sys.argv", ["ffmap", *map(str, arguments)])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    return int(ended.value.code or 0)
-
-
-def test_every_map_is_aligned_and_compared(folder, monkeypatch, capsys):
-    assert ffmap(monkeypatch, "maps", folder / "run", "--reference", folder / "reference.yaml") == 0
-    out = capsys.readouterr().out
+def test_every_map_is_aligned_and_compared(folder):
+    done = ffmap_here(dict(os.environ), "maps", folder / "run", "--reference", folder / "reference.yaml")
+    assert done.returncode == 0
+    out = done.stdout
     assert "turned by 40." in out or "turned by 39." in out
     found = json.loads((folder / "run" / REFERENCE_JSON).read_text())
     np.testing.assert_allclose(np.array(found["T_reference_map"])[:2, 2], [5.0, -2.0], atol=0.05)
@@ -67,9 +62,10 @@ def test_every_map_is_aligned_and_compared(folder, monkeypatch, capsys):
     assert not list((folder / "run").glob("*.part"))
 
 
-def test_another_building_is_told(folder, monkeypatch, capsys):
-    assert ffmap(monkeypatch, "maps", folder / "run", "--reference", folder / "other.yaml") == 2
-    error = capsys.readouterr().err
+def test_another_building_is_told(folder):
+    done = ffmap_here(dict(os.environ), "maps", folder / "run", "--reference", folder / "other.yaml")
+    assert done.returncode == 2
+    error = done.stderr
     assert "does not fit" in error
     assert len(error.strip().splitlines()) == 1
 
@@ -97,33 +93,36 @@ def test_another_building_is_told(folder, monkeypatch, capsys):
         ),
     ],
 )
-def test_a_reference_that_is_no_map_is_one_line(content, named, folder, tmp_path, monkeypatch, capsys):
+def test_a_reference_that_is_no_map_is_one_line(content, named, folder, tmp_path):
     (tmp_path / "text.pgm").write_text("no image at all")
     Image.fromarray(np.zeros((4, 4), np.uint8)).save(tmp_path / "image.png")
     if content is not None:
         (tmp_path / "bad.yaml").write_text(content)
-    assert ffmap(monkeypatch, "maps", folder / "run", "--reference", tmp_path / "bad.yaml") == 2
-    error = capsys.readouterr().err
+    done = ffmap_here(dict(os.environ), "maps", folder / "run", "--reference", tmp_path / "bad.yaml")
+    assert done.returncode == 2
+    error = done.stderr
     assert named in error
     assert str(tmp_path / "bad.yaml") in error
     assert len(error.strip().splitlines()) == 1
 
 
-def test_a_folder_without_a_run_or_without_maps_is_one_line(folder, tmp_path, monkeypatch, capsys):
-    assert ffmap(monkeypatch, "maps", tmp_path, "--reference", folder / "reference.yaml") == 2
-    assert "no run folder" in capsys.readouterr().err
+def test_a_folder_without_a_run_or_without_maps_is_one_line(folder, tmp_path):
+    done = ffmap_here(dict(os.environ), "maps", tmp_path, "--reference", folder / "reference.yaml")
+    assert done.returncode == 2
+    assert "no run folder" in done.stderr
     (tmp_path / "run.json").write_text("{}")
-    assert ffmap(monkeypatch, "maps", tmp_path, "--reference", folder / "reference.yaml") == 2
-    assert "map.yaml" in capsys.readouterr().err
+    done = ffmap_here(dict(os.environ), "maps", tmp_path, "--reference", folder / "reference.yaml")
+    assert done.returncode == 2
+    assert "map.yaml" in done.stderr
 
 
-def test_an_image_of_a_picture_program_is_read(folder, tmp_path, monkeypatch):
+def test_an_image_of_a_picture_program_is_read(folder, tmp_path):
     grid = raster(PLAN)
     Image.fromarray(grid.cells[::-1]).convert("RGBA").save(tmp_path / "plan.png")
     description = {"image": "plan.png", "resolution": 0.05, "origin": [0, 0, 0], "negate": 0}
     description |= {"occupied_thresh": 0.65, "free_thresh": 0.196}
     (tmp_path / "plan.yaml").write_text(yaml.safe_dump(description))
-    assert ffmap(monkeypatch, "maps", folder / "run", "--reference", tmp_path / "plan.yaml") == 0
+    assert ffmap_here(dict(os.environ), "maps", folder / "run", "--reference", tmp_path / "plan.yaml").returncode == 0
 
 
 def test_doors_and_cabinets_are_in_the_table(tmp_path):

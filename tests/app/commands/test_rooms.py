@@ -1,8 +1,8 @@
 """`ffmap rooms` as a user meets it: maps of other systems, truth, and files that are no maps."""
 
 import json
+import os
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,28 +12,21 @@ import yaml
 from PIL import Image
 from rerun.chunk import RrdReader
 
-from ffmap.app import cli
 from ffmap.app.commands import rooms as rooms_command
 from ffmap.blueprints import entities
+from tests.program import ffmap_here
 
 AREAS_M2 = {"left": 4.0 * 5.0, "right": 5.0 * 5.0}
 
 
 @pytest.fixture
-def ffmap(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path):
+def ffmap(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     """Runs a command in an empty folder; returns exit code, output and errors."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "150")
 
     def run(*words: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["ffmap", *map(str, words)])
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as done:
-            code = int(done.code or 0)
-        output = capsys.readouterr()
-        return code, output.out, output.err
+        done = ffmap_here({**os.environ, "COLUMNS": "150"}, *words)
+        return done.returncode, done.stdout, done.stderr
 
     return run
 
