@@ -1,6 +1,6 @@
 """How many examples Hypothesis tries: few and always the same, or with --hypothesis-profile=long as many as hours allow.
 
-Compiled code is kept as the program keeps it, which is settled before anything imports Numba.
+Compiled code is kept, and linear algebra done, as in the program: that is settled before anything imports NumPy or Numba.
 """
 
 import os
@@ -8,8 +8,9 @@ import os
 from hypothesis import HealthCheck, settings
 
 from ffmap.app.compiled_code import compiled_code
+from ffmap.app.run.workers import ENVIRONMENT
 
-os.environ.update(compiled_code())
+os.environ.update(ENVIRONMENT | os.environ | compiled_code())
 
 _SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
 

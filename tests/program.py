@@ -3,7 +3,7 @@
 import os
 import subprocess
 import sys
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import chdir, redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
 from unittest import mock
@@ -23,16 +23,21 @@ def with_cache(folder: Path) -> dict[str, str]:
 
 
 def ffmap(environment: dict[str, str], *words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """In a process of its own: for what the process itself is part of, and for one whole run of each kind of command."""
     command = [*FFMAP, *map(str, words)]
     return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False)
 
 
-def ffmap_here(environment: dict[str, str], *words: object) -> subprocess.CompletedProcess[str]:
-    """The same in this process: what is said before there is any work needs none of its own, which loads for two seconds."""
+def ffmap_here(environment: dict[str, str], *words: object, cwd: Path = Path()) -> subprocess.CompletedProcess[str]:
+    """The same in this process: it has loaded what commands need, and so has the server that their workers fork from.
+
+    Loading takes a new process and its server some seconds, which is most of a short run.
+    """
     arguments, out, err, code = ["ffmap", *map(str, words)], StringIO(), StringIO(), 0
     with (
         mock.patch.object(sys, "argv", arguments),
         mock.patch.dict(os.environ, environment, clear=True),
+        chdir(cwd),
         redirect_stdout(out),
         redirect_stderr(err),
     ):

@@ -195,7 +195,7 @@ def test_tables_come_when_asked_for_and_warnings_are_counted(
     cut = tmp_path / "cut.bag"
     cut.write_bytes(whole[: int(0.9 * len(whole))])
     options = ("--outputs", "maps", "--workers", "1")
-    tables = ffmap(environment, "run", cut, "--out", tmp_path / "a", *options, "-v")
+    tables = ffmap_here(environment, "run", cut, "--out", tmp_path / "a", *options, "-v")
     assert tables.returncode == 0, tables.stderr
     assert "trajectory, ATE RMSE" in tables.stdout
     warnings = json.loads((tmp_path / "a" / "run.json").read_text())["warnings"]
@@ -204,9 +204,9 @@ def test_tables_come_when_asked_for_and_warnings_are_counted(
     assert last[-1].split()[1] == f"{len(warnings)},"
     assert last[-1].endswith(warnings[0])
     assert "not compared: labels" in last[1]
-    said = said_at_the_end(ffmap(environment, "run", cut, "--out", tmp_path / "b", *options, "--no-evaluate"))
+    said = said_at_the_end(ffmap_here(environment, "run", cut, "--out", tmp_path / "b", *options, "--no-evaluate"))
     assert "--no-evaluate" in said["quality"]
-    assert not ffmap(environment, "run", cut, "--out", tmp_path / "c", *options, "--no-evaluate", "--quiet").stdout
+    assert not ffmap_here(environment, "run", cut, "--out", tmp_path / "c", *options, "--no-evaluate", "--quiet").stdout
 
 
 def test_rooms_doors_topology_and_recording_tell_the_same(finished: Path) -> None:
@@ -320,7 +320,8 @@ def test_what_odometry_measured_lies_on_the_timeline_that_opens(finished: Path) 
 def test_every_container_gives_the_same_labels(
     container: str, bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    done = ffmap(environment, "run", bags[container], "--out", tmp_path / "run", "--no-evaluate", "--detail", "map")
+    options = ("--no-evaluate", "--detail", "map")
+    done = ffmap_here(environment, "run", bags[container], "--out", tmp_path / "run", *options)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "run" / "labelled").is_dir()
     assert_same_labels(tmp_path / "run", finished)
@@ -358,7 +359,7 @@ def test_killed_run_is_resumed_with_the_same_labels(
     assert done.returncode == 0, done.stderr
     assert json.loads((out / "run.json").read_text())["outcome"] == "complete"
     assert_same_labels(out, finished)
-    assert "complete already" in ffmap(environment, "run", "--resume", out).stdout
+    assert "complete already" in ffmap_here(environment, "run", "--resume", out).stdout
 
 
 def test_resumed_run_knows_clouds_that_the_odometry_did_not_take(
@@ -388,7 +389,7 @@ def test_run_is_not_gone_on_with_on_other_poses(
 ) -> None:
     poses, out = Path(shutil.copy(finished / "trajectory.tum", tmp_path)), tmp_path / "run"
     options = ("--trajectory", poses, "--no-evaluate", "--outputs", "labels")
-    assert ffmap(environment, "run", bags["bag"], "--out", out, *options).returncode == 0
+    assert ffmap_here(environment, "run", bags["bag"], "--out", out, *options).returncode == 0
     record = json.loads((out / "run.json").read_text())
     (out / "run.json").write_text(json.dumps(record | {"outcome": "aborted"}))
     lines = poses.read_text().splitlines()
@@ -417,7 +418,7 @@ def test_bag_that_differs_in_one_bit_shares_nothing(
 ) -> None:
     other = Path(shutil.copy2(bags["bag"], tmp_path))
     flip_a_bit(other, UPRIGHT_TOPIC.replace("horizontal", lidar), 15)
-    done = ffmap(environment, "run", other, "--out", tmp_path / "run", "--outputs", "labels", "--no-evaluate")
+    done = ffmap_here(environment, "run", other, "--out", tmp_path / "run", "--outputs", "labels", "--no-evaluate")
     assert done.returncode == 0, done.stderr
     record, before = (json.loads((run / "run.json").read_text()) for run in (tmp_path / "run", finished))
     assert not record["odometry_cached"]
@@ -434,7 +435,7 @@ def test_cut_bag_is_processed_up_to_the_cut(bags: dict[str, Path], environment: 
     whole = bags["bag"].read_bytes()
     cut = tmp_path / "cut.bag"
     cut.write_bytes(whole[: int(0.7 * len(whole))])
-    done = ffmap(environment, "run", cut, "--out", tmp_path / "run", "--no-evaluate", "--detail", "map")
+    done = ffmap_here(environment, "run", cut, "--out", tmp_path / "run", "--no-evaluate", "--detail", "map")
     assert done.returncode == 0, done.stderr
     assert "warning" in done.stderr
     record = json.loads((tmp_path / "run" / "run.json").read_text())
@@ -447,7 +448,7 @@ def test_mistakes_are_one_line_and_leave_earlier_results_alone(
 ) -> None:
     before = {path.name: path.stat().st_mtime_ns for path in finished.iterdir()}
     missing = tmp_path / "none.bag"
-    assert_one_line_error(ffmap(environment, "run", missing, "--out", finished), "none.bag")
+    assert_one_line_error(ffmap_here(environment, "run", missing, "--out", finished), "none.bag")
     text = tmp_path / "text.bag"
     text.write_text("this is no bag\n")
     assert_one_line_error(ffmap_here(environment, "run", text, "--out", finished), "text.bag")
@@ -464,7 +465,7 @@ def test_mistakes_are_one_line_and_leave_earlier_results_alone(
     assert_one_line_error(ffmap_here(environment, "run", bags["bag"], "--out", finished), "finished run", "--overwrite")
     assert_one_line_error(ffmap_here(environment, "run", "--resume", finished, "--overwrite"), "--resume")
     nothing = write_empty_clouds(tmp_path / "nothing.bag")
-    done = ffmap(environment, "run", nothing, "--out", finished)
+    done = ffmap_here(environment, "run", nothing, "--out", finished)
     assert done.returncode == 2
     assert "no usable cloud" in done.stderr
     assert {path.name: path.stat().st_mtime_ns for path in finished.iterdir()} == before
@@ -571,9 +572,9 @@ def test_two_runs_never_write_into_one_folder(
         assert_one_line_error(done, str(tmp_path), "another run")
     copy = shutil.copytree(finished, tmp_path / "run")
     with run_folder.held(copy):
-        done = ffmap(environment, "run", bags["bag"], "--out", copy, "--overwrite")
+        done = ffmap_here(environment, "run", bags["bag"], "--out", copy, "--overwrite")
         assert_one_line_error(done, str(copy), "another run")
-        assert_one_line_error(ffmap(environment, "run", "--resume", copy), str(copy), "another run")
+        assert_one_line_error(ffmap_here(environment, "run", "--resume", copy), str(copy), "another run")
     assert (copy / "recording.rrd").exists()
 
 
@@ -590,7 +591,7 @@ def test_run_is_replaced_where_the_user_says_so(
     )
     assert_one_line_error(ffmap_here(environment, "run", bags["bag"], "--out", copy, *options, *own), "trajectory.tum")
     assert (copy / "labelled.bag").exists()
-    done = ffmap(environment, "run", bags["bag"], "--out", copy, *options)
+    done = ffmap_here(environment, "run", bags["bag"], "--out", copy, *options)
     assert done.returncode == 0, done.stderr
     maps = [f"{name}.{suffix}" for name in ("map", *(f"map_{rival}" for rival in Rival)) for suffix in ("yaml", "pgm")]
     assert {path.name for path in copy.iterdir()} == {"notes.txt", "run.json", "trajectory.tum", *maps}
@@ -616,8 +617,8 @@ def test_earlier_run_stays_until_the_new_one_is_complete(
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     assert {path: path.read_bytes() for path in before} == before
-    assert ffmap(environment, "evaluate", copy).returncode == 0
-    done = ffmap(environment, "run", "--resume", copy)
+    assert ffmap_here(environment, "evaluate", copy).returncode == 0
+    done = ffmap_here(environment, "run", "--resume", copy)
     assert done.returncode == 0, done.stderr
     assert {path.name for path in copy.iterdir()} == {"run.json", "trajectory.tum", "labels.parquet"}
 
@@ -684,7 +685,7 @@ def test_viewer_that_ends_is_one_line_and_no_run_goes_on(
     bags: dict[str, Path], environment: dict[str, str], tmp_path: Path
 ) -> None:
     blind = {name: value for name, value in environment.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    done = ffmap(blind, "run", bags["bag"], "--out", tmp_path / "a", "--spawn")
+    done = ffmap_here(blind, "run", bags["bag"], "--out", tmp_path / "a", "--spawn")
     assert_one_line_error(done, "--spawn", "display")
     assert not (tmp_path / "a" / "run.json").exists()
 
@@ -724,7 +725,7 @@ def test_odometry_from_the_cache_is_told(
     bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
     options = ("--outputs", "maps", "--no-evaluate")
-    done = ffmap(environment, "run", bags["bag"], "--out", tmp_path / "a", *options)
+    done = ffmap_here(environment, "run", bags["bag"], "--out", tmp_path / "a", *options)
     cache = Path(environment["FFMAP_CACHE"]) / "odometry"
     assert f"odometry: taken from the cache in {cache}; with FFMAP_CACHE" in done.stderr
 
@@ -781,7 +782,7 @@ def test_evaluation_of_nothing_is_refused(
     figures = json.loads((copy / "metrics.json").read_text())["trajectory"]
     assert figures["ate_rmse_m"] < 1e-6 < figures["unaligned_rmse_m"]
     (copy / "doors.geojson").unlink()
-    done = ffmap(environment, "evaluate", copy)
+    done = ffmap_here(environment, "evaluate", copy)
     assert "not compared: doors: the run has no doors.geojson; --outputs with geojson writes it" in done.stdout
 
 
@@ -816,7 +817,7 @@ def test_real_lidar_gives_a_trajectory_and_nothing_to_label(environment: dict[st
         pytest.skip("FFMAP_REAL_DATA is not set: no real recordings here")
     bag = Path(data) / "hilti_14.bag"
     shutil.copy(bag, tmp_path / "hilti.bag")
-    done = ffmap(environment, "run", tmp_path / "hilti.bag", "--out", tmp_path / "run")
+    done = ffmap_here(environment, "run", tmp_path / "hilti.bag", "--out", tmp_path / "run")
     assert done.returncode == 0, done.stderr
     assert "nothing to label" in done.stdout
     found = np.loadtxt(tmp_path / "run" / "trajectory.tum")[:, 1:4]
