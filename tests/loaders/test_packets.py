@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from ffmap.loaders.info import describe_bag
 from ffmap.loaders.packets import UNREAD_TYPES
 from tests.loaders.bag_builder import CLOUD, PERIOD_NS, START_NS, cloud, sweep
-from tests.program import ffmap
+from tests.program import ffmap_here
 
 
 def bag_of(path: Path, msgtype: str, with_clouds: bool = False) -> Path:
@@ -33,12 +33,12 @@ def bag_of(path: Path, msgtype: str, with_clouds: bool = False) -> Path:
 @pytest.mark.parametrize("msgtype", ["hesai_ros_driver/msg/UdpFrame", "rslidar_msg/msg/RslidarPacket"])
 def test_a_bag_of_nothing_else_is_refused_in_a_line(tmp_path: Path, msgtype: str) -> None:
     path = bag_of(tmp_path / "a.bag", msgtype)
-    told = ffmap(dict(os.environ), "run", path, "--out", tmp_path / "run")
+    told = ffmap_here(dict(os.environ), "run", path, "--out", tmp_path / "run")
     assert (told.returncode, told.stdout) == (2, "")
     (line,) = told.stderr.splitlines()
     assert f"/packets: {UNREAD_TYPES[msgtype]}'s raw packets ({msgtype}) are not read" in line
     assert "record the driver's PointCloud2" in line
-    shown = ffmap(dict(os.environ), "info", path)
+    shown = ffmap_here(dict(os.environ), "info", path)
     assert shown.returncode == 0
     assert f"/packets: {UNREAD_TYPES[msgtype]}'s raw packets" in shown.stdout
 

@@ -12,11 +12,11 @@ from ffmap.algorithms.base import transforms
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.parts import of_topics
-from tests.program import ffmap, rig_of, with_cache, write_rig
+from tests.program import ffmap, ffmap_here, rig_of, with_cache, write_rig
 
 
 def calibrate(folder: Path, bag: str, *words: object) -> "subprocess.CompletedProcess[str]":
-    return ffmap(with_cache(folder / "cache"), "calibrate", bag, *words, cwd=folder)
+    return ffmap_here(with_cache(folder / "cache"), "calibrate", bag, *words, cwd=folder)
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def test_a_rig_file_is_written_from_a_mount_that_is_off(folder: Path) -> None:
     off = transforms.make_transform(Rotation.from_euler("xyz", [3.0, -2.0, 3.0], degrees=True), [0.05, 0.06, -0.05])
     write_rig(folder / "guess.toml", rig, off, clock_s=0.04)
     words = ("--rig", "guess.toml", "--out", "rig.toml", "--recording", "both.rrd", "--quiet")
-    done = calibrate(folder, "drive.bag", *words)
+    done = ffmap(with_cache(folder / "cache"), "calibrate", "drive.bag", *words, cwd=folder)
     assert done.returncode == 0, done.stderr
     found = rig_of(folder / "drive.bag", folder / "rig.toml")
     assert rig.horizontal is not None
@@ -49,7 +49,7 @@ def test_a_rig_file_is_written_from_a_mount_that_is_off(folder: Path) -> None:
     assert float(after) < 2.0 < float(before)
     assert (folder / "both.rrd").stat().st_size > 100_000
     # The program takes what it wrote.
-    info = ffmap(with_cache(folder / "cache"), "info", "drive.bag", "--rig", "rig.toml", cwd=folder)
+    info = ffmap_here(with_cache(folder / "cache"), "info", "drive.bag", "--rig", "rig.toml", cwd=folder)
     assert info.returncode == 0, info.stderr
 
 

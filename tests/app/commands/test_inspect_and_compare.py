@@ -35,7 +35,7 @@ from ffmap.blueprints.entities import Fault, LineOutcome
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
-from tests.program import ffmap
+from tests.program import ffmap, ffmap_here
 
 SCANS = 29
 SETTINGS = (
@@ -67,7 +67,7 @@ def runs(environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) 
     for name, settings in (("usual", ()), ("other", SETTINGS)):
         found[name] = folder / name
         sets = [word for setting in settings for word in ("--set", setting)]
-        done = ffmap(environment, "run", bag, "--out", found[name], *sets, "--quiet")
+        done = ffmap_here(environment, "run", bag, "--out", found[name], *sets, "--quiet")
         assert done.returncode == 0, done.stderr
     return found
 
@@ -397,7 +397,7 @@ def test_mistakes_are_one_line_and_nothing_of_a_run_is_overwritten(
     before = {path: path.stat().st_mtime_ns for path in runs["usual"].iterdir()}
     usual, empty = runs["usual"], tmp_path / "empty"
     empty.mkdir()
-    done = ffmap(environment, "compare", usual, empty)
+    done = ffmap_here(environment, "compare", usual, empty)
     assert done.returncode == 2, done.stderr
     assert "empty: is no run folder" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
@@ -556,7 +556,7 @@ def test_a_run_that_is_not_this_programs_is_not_passed_off_as_such(runs: dict[st
 def test_what_cannot_be_inspected_is_one_line(
     runs: dict[str, Path], environment: dict[str, str], tmp_path: Path
 ) -> None:
-    done = ffmap(environment, "inspect", runs["usual"], "--scan", SCANS)
+    done = ffmap_here(environment, "inspect", runs["usual"], "--scan", SCANS)
     assert done.returncode == 2
     assert f"--scan {SCANS}: usual has scans 0 to {SCANS - 1}" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1

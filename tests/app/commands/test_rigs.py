@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ffmap.loaders.rig_file import built_in_path, built_in_rigs
 from ffmap.loaders.simulator import SimulationSettings, simulate
-from tests.program import ffmap, ffmap_here, with_cache
+from tests.program import ffmap_here, with_cache
 
 
 def test_rigs_are_listed_and_printed(tmp_path: Path) -> None:
@@ -36,7 +36,7 @@ def test_a_printed_rig_is_a_rig_file_and_run_json_says_which_was_used(tmp_path: 
     assert said["auto"] == said["named"] == "  mounts from: the built-in rig mars"
     assert said["file"] == f"  mounts from: the rig file {mine}"
     words = ("run", bag, "--out", tmp_path / "run", "--detail", "map", "--quiet")
-    done = ffmap(environment, *words)
+    done = ffmap_here(environment, *words)
     assert done.returncode == 0, done.stderr
     record = json.loads((tmp_path / "run" / "run.json").read_text())
     assert record["mounts_from"] == "the built-in rig mars"

@@ -16,7 +16,7 @@ from ffmap.loaders.scans import index_clouds
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.loaders.bag_builder import PERIOD_NS
 from tests.parts import PACKETS, cut, in_one_folder, in_packets
-from tests.program import FFMAP, ffmap, with_cache
+from tests.program import FFMAP, ffmap_here, with_cache
 
 TOPICS = ("/horizontal_velodyne/velodyne_points", "/vertical_velodyne/velodyne_points")
 PLACES_S = (1.53, 3.27)
@@ -38,7 +38,7 @@ def cut_in_three(bag: Path, folder: Path) -> list[Path]:
 
 def record_of(environment: dict[str, str], out: Path, *words: object) -> dict[str, Any]:
     """What run.json holds of a run that writes labels alone."""
-    done = ffmap(environment, "run", *words, "--out", out, "--outputs", "labels", "--no-evaluate", "--quiet")
+    done = ffmap_here(environment, "run", *words, "--out", out, "--outputs", "labels", "--no-evaluate", "--quiet")
     assert done.returncode == 0, done.stderr
     record: dict[str, Any] = json.loads((out / "run.json").read_text())
     return record
@@ -77,11 +77,11 @@ def test_a_run_on_parts_that_was_killed_goes_on_to_the_same_labels(
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     away = second.rename(tmp_path / "away.bag")
-    refused = ffmap(environment, "run", "--resume", out)
+    refused = ffmap_here(environment, "run", "--resume", out)
     assert refused.returncode == 2
     assert refused.stderr.startswith(f"ffmap: {second}: the run's bag is gone")
     away.rename(second)
-    done = ffmap(environment, "run", "--resume", out)
+    done = ffmap_here(environment, "run", "--resume", out)
     assert done.returncode == 0, done.stderr
     assert "from the cache" in done.stdout + done.stderr
     resumed = json.loads((out / "run.json").read_text())
@@ -91,12 +91,12 @@ def test_a_run_on_parts_that_was_killed_goes_on_to_the_same_labels(
     assert resumed["labels_digest"] == record["labels_digest"]
     with open_bag(out / "labelled.bag") as labelled, open_bag(whole) as one:
         assert index_clouds(labelled, TOPICS[1]).stamp_ns.tolist() == index_clouds(one, TOPICS[1]).stamp_ns.tolist()
-    again = ffmap(environment, "inspect", out, "--scan", 15, "--out", tmp_path / "scan.rrd")
+    again = ffmap_here(environment, "inspect", out, "--scan", 15, "--out", tmp_path / "scan.rrd")
     assert again.returncode == 0, again.stderr
     assert "labels equal" in again.stdout
     moved = [path.rename(path.with_name(f"moved_{path.name}")) for path in (first, second, third)]
     words = [word for path in moved for word in ("--bag", path)]
-    assert ffmap(environment, "inspect", out, "--scan", 15, *words, "--out", tmp_path / "scan.rrd").returncode == 0
+    assert ffmap_here(environment, "inspect", out, "--scan", 15, *words, "--out", tmp_path / "scan.rrd").returncode == 0
 
 
 @pytest.mark.parametrize("container", ["mcap", "db3"])
@@ -131,6 +131,6 @@ def test_a_revolution_that_the_cut_goes_through_is_joined(
 
 def test_what_is_no_drive_is_one_line(whole: Path, environment: dict[str, str]) -> None:
     for command in ("run", "info"):
-        refused = ffmap(environment, command, whole, whole)
+        refused = ffmap_here(environment, command, whole, whole)
         assert refused.returncode == 2
         assert refused.stderr == f"ffmap: {whole}: is given twice; give each part of a drive once\n"

@@ -7,7 +7,7 @@ import pytest
 
 from ffmap.app.run.blocks import SCANS_PER_BLOCK
 from ffmap.loaders.simulator import SimulationSettings, simulate
-from tests.program import ffmap, with_cache
+from tests.program import ffmap_here, with_cache
 
 
 @pytest.fixture(scope="module")
@@ -15,7 +15,7 @@ def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("one")
     settings = SimulationSettings(building="small", seed=3, duration_s=6.0, sensor="os0-128", lidars="one")
     simulate(folder / "one.bag", settings)
-    done = ffmap(with_cache(folder / "cache"), "run", folder / "one.bag", "--out", folder / "run")
+    done = ffmap_here(with_cache(folder / "cache"), "run", folder / "one.bag", "--out", folder / "run")
     assert done.returncode == 0, done.stderr
     return folder / "run"
 
@@ -31,7 +31,7 @@ def test_its_scans_are_labelled_as_well_as_those_of_a_lidar_that_lies(run_dir: P
 
 
 def test_a_scan_labelled_again_has_the_recorded_labels(run_dir: Path) -> None:
-    done = ffmap(
+    done = ffmap_here(
         with_cache(run_dir.parent / "cache"), "inspect", run_dir, "--scan", 40, "--out", run_dir.parent / "scan.rrd"
     )
     assert done.returncode == 0, done.stderr

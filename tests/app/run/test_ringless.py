@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ffmap.loaders.simulator import SimulationSettings, simulate
-from tests.program import ffmap, with_cache
+from tests.program import ffmap_here, with_cache
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +16,7 @@ def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
         building="small", seed=3, duration_s=5.0, sensor="mid360", lidars="one", format="mcap"
     )
     simulate(folder / "bag", settings)
-    done = ffmap(
+    done = ffmap_here(
         with_cache(folder / "cache"), "run", folder / "bag", "--out", folder / "run", "--outputs", "recording,labelled"
     )
     assert done.returncode == 0, done.stderr
@@ -35,7 +35,7 @@ def test_its_scans_are_labelled(run_dir: Path) -> None:
 
 def test_a_scan_labelled_again_has_the_recorded_labels(run_dir: Path) -> None:
     """The digest of the clouds, read one by one for the poses and five at a time for the labels, is that of the bag."""
-    done = ffmap(
+    done = ffmap_here(
         with_cache(run_dir.parent / "cache"), "inspect", run_dir, "--scan", 5, "--out", run_dir.parent / "scan.rrd"
     )
     assert done.returncode == 0, done.stderr
@@ -45,7 +45,7 @@ def test_a_scan_labelled_again_has_the_recorded_labels(run_dir: Path) -> None:
 def test_a_run_goes_on_from_its_blocks(run_dir: Path) -> None:
     before = json.loads((run_dir / "run.json").read_text())
     (run_dir / "run.json").write_text(json.dumps(before | {"outcome": "running"}))
-    done = ffmap(with_cache(run_dir.parent / "cache"), "run", "--resume", run_dir)
+    done = ffmap_here(with_cache(run_dir.parent / "cache"), "run", "--resume", run_dir)
     assert done.returncode == 0, done.stderr
     after = json.loads((run_dir / "run.json").read_text())
     assert after["bag"]["clouds"] == before["bag"]["clouds"]
