@@ -5,7 +5,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -236,7 +235,7 @@ def finish_block(job: FinishJob) -> None:
     """Give every return of a block its final label, from where the spool says that it lies; write labels and votes to it."""
     own = job.placed.label
     scans = spool.load_scans(own.path.with_suffix(".arrow"))
-    relabelling = Relabelling.of(job.building, spool.load_halo(job.halo), own.settings.relabelling)
+    relabelling = Relabelling.of(job.building, spool.load_halo(job.halo, own.recording_id), own.settings.relabelling)
     labels: list[UInt8Array] = []
     table = VoxelTable(VOXEL_M, len(Label))
     with _open_evidence(own, FINAL_EVIDENCE) as log:
@@ -265,7 +264,7 @@ def _read(job: LabelJob, digests: dict[int, list[bytes]]) -> Iterator[tuple[int,
     """The block's clouds as scans, each with its number and the place of its lidar; `digests` takes those of their bytes."""
 
     def read(place: int, first: int, count: int) -> Iterator[tuple[int, Scan | SkippedScan]]:
-        sensor, bag = job.inputs.verticals[place], _open(job.inputs.bag_path, place)
+        sensor, bag = job.inputs.verticals[place], _open(job, place)
         own = digests.setdefault(place, [])
         return read_scans(bag, sensor.index, first, count, sensor.lidar.decoding, own)
 
@@ -298,14 +297,14 @@ def _placed(scan: Scan, ranges: SmoothedRanges, lidar: Lidar, job: LabelJob) -> 
     )
 
 
-def holds_clouds_of(path: Path, block: Block, inputs: Inputs) -> bool:
+def holds_clouds_of(path: Path, block: Block, inputs: Inputs, bag: Bag) -> bool:
     """Whether a block's file was made from the very clouds that the bag holds now, byte by byte."""
     found: dict[int, list[bytes]] = {}
     scans = slice(block.first, block.first + block.count)
     for place, sensor in enumerate(inputs.verticals):
         own = inputs.scans.cloud[scans][inputs.scans.lidar[scans] == place]
         if len(own):
-            found[place] = list(read_digests(_open(inputs.bag_path, place), sensor.index, int(own[0]), len(own)))
+            found[place] = list(read_digests(bag, sensor.index, int(own[0]), len(own)))
     digests = [digest for place in sorted(found) for digest in found[place]]
     return np.array_equal(spool.load(BlockSummary, path, spool.SUMMARY).cloud_digest, as_rows(digests))
 
@@ -341,11 +340,27 @@ def _open_evidence(job: LabelJob, suffix: str) -> Iterator[Log | None]:
         yield log
 
 
-def _open(path: BagPath, reader: int) -> Bag:
-    """Each worker opens the bag once for each lidar, and each of its threads does, where a cluster's has several."""
-    return _open_in_thread(path, reader, threading.get_ident())
+class _OpenBags(threading.local):
+    """What a thread has open of the run that it works on: the bag, once for each lidar."""
+
+    def __init__(self) -> None:
+        self.run: tuple[str, BagPath] | None = None
+        self.by_lidar: dict[int, Bag] = {}
 
 
-@cache
-def _open_in_thread(path: BagPath, _reader: int, _thread: int) -> Bag:
-    return open_bag(path)
+_open_bags = _OpenBags()
+
+
+def _open(job: LabelJob, place: int) -> Bag:
+    """The bag for the lidar at this place, opened once in a run.
+
+    Who works on several runs, as a cluster's worker, opens it anew for each: another bag may lie there by then.
+    """
+    run = job.recording_id, job.inputs.bag_path
+    if _open_bags.run != run:
+        for bag in _open_bags.by_lidar.values():
+            bag.close()
+        _open_bags.run, _open_bags.by_lidar = run, {}
+    if place not in _open_bags.by_lidar:
+        _open_bags.by_lidar[place] = open_bag(job.inputs.bag_path)
+    return _open_bags.by_lidar[place]

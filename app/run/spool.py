@@ -182,8 +182,8 @@ def load_labels(path: Path, final: Path) -> Iterator[tuple[int, UInt8Array, UInt
 
 
 @lru_cache(maxsize=1)
-def load_halo(path: Path) -> Halo:
-    """What `save` wrote of the halo; read once in a process."""
+def load_halo(path: Path, _recording_id: str) -> Halo:
+    """What `save` wrote of the halo; read once in a process for each run, for the next may lie where the last one did."""
     return load(Halo, path, "")
 
 

@@ -25,6 +25,7 @@ from ffmap.app.setup.inputs import InputOptions, Inputs, digest_clouds, digest_s
 from ffmap.app.setup.outputs import RUN_OUTPUTS, Detail, check_outputs
 from ffmap.app.setup.settings import Settings, load_settings, validate
 from ffmap.app.setup.versions import versions
+from ffmap.loaders.bag import open_bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.errors import InputError
@@ -231,7 +232,8 @@ def _check_same_bag(inputs: Inputs, folder: RunFolder, record: dict[str, Any]) -
     if same and any(sensor.lidar.topic not in known for sensor in inputs.verticals):
         # Where the odometry did not take them, not all clouds were read before the last block was finished.
         blocks = [(block, folder.block(block.number, ".arrow")) for block in split_blocks(len(inputs.scans))]
-        same = all(holds_clouds_of(path, block, inputs) for block, path in blocks if path.exists())
+        with open_bag(inputs.bag_path) as bag:
+            same = all(holds_clouds_of(path, block, inputs, bag) for block, path in blocks if path.exists())
     if not same:
         raise InputError(f"{inputs.bag_path}: is not the bag that {folder.path} was begun with; start a new run")
 
