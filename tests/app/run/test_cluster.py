@@ -1,13 +1,12 @@
 """A run whose scans are labelled on a Dask cluster."""
 
 import json
-import subprocess
 from pathlib import Path
 
 import pytest
 
 from ffmap.loaders.simulator import SimulationSettings, simulate
-from tests.program import ffmap, with_cache
+from tests.program import ffmap, ffmap_here, with_cache
 
 
 @pytest.fixture(scope="module")
@@ -18,15 +17,11 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def run(bag: Path, *words: object) -> "subprocess.CompletedProcess[str]":
-    """In a relative folder, which the cluster's workers would look for elsewhere."""
-    return ffmap(with_cache(bag.parent / "cache"), "run", bag.name, *words, cwd=bag.parent)
-
-
 def test_blocks_of_a_drive_are_labelled_by_a_cluster_as_they_are_here(bag: Path, cluster: str) -> None:
-    records = []
-    for out, words in (("here", ()), ("there", ("--scheduler", cluster))):
-        done = run(bag, "--out", out, *words)
+    # In a relative folder, which the cluster's workers would look for elsewhere.
+    environment, records = with_cache(bag.parent / "cache"), []
+    for program, out, words in ((ffmap_here, "here", ()), (ffmap, "there", ("--scheduler", cluster))):
+        done = program(environment, "run", bag.name, "--out", out, *words, cwd=bag.parent)
         assert done.returncode == 0, done.stderr
         records.append(json.loads((bag.parent / out / "run.json").read_text()))
     here, there = records
@@ -37,7 +32,8 @@ def test_blocks_of_a_drive_are_labelled_by_a_cluster_as_they_are_here(bag: Path,
 
 
 def test_a_scheduler_that_is_not_there_is_one_line(bag: Path) -> None:
-    done = run(bag, "--out", "nowhere", "--scheduler", "tcp://127.0.0.1:9")
+    words = ("--out", "nowhere", "--scheduler", "tcp://127.0.0.1:9")
+    done = ffmap_here(with_cache(bag.parent / "cache"), "run", bag.name, *words, cwd=bag.parent)
     assert done.returncode == 2
     assert "--scheduler tcp://127.0.0.1:9: no Dask scheduler answers there" in done.stderr
     assert "Traceback" not in done.stderr

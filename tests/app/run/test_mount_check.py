@@ -12,13 +12,13 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.app.run.mount_check import has_turned
 from ffmap.loaders.simulator import SimulationSettings, simulate
-from tests.program import ffmap, rig_of, with_cache, write_rig
+from tests.program import ffmap_here, rig_of, with_cache, write_rig
 
 SHORT = ("--outputs", "labels,maps", "--set", "trajectory.level_s=3")
 
 
 def run(folder: Path, out: str, *words: object) -> "subprocess.CompletedProcess[str]":
-    done = ffmap(with_cache(folder / "cache"), "run", folder / "drive.bag", "--out", folder / out, *SHORT, *words)
+    done = ffmap_here(with_cache(folder / "cache"), "run", folder / "drive.bag", "--out", folder / out, *SHORT, *words)
     assert done.returncode == 0, done.stderr
     return done
 
@@ -51,7 +51,8 @@ def test_a_mount_that_is_off_is_refined_and_told(folder: Path) -> None:
     metrics = json.loads((folder / "run" / "metrics.json").read_text())
     assert metrics["area"]["wall"]["f1"] > 0.96
     # What looks at the run later looks at it with the same mount.
-    inspected = ffmap(with_cache(folder / "cache"), "inspect", folder / "run", "--scan", 50, "--out", folder / "s.rrd")
+    words = ("inspect", folder / "run", "--scan", 50, "--out", folder / "s.rrd")
+    inspected = ffmap_here(with_cache(folder / "cache"), *words)
     assert inspected.returncode == 0, inspected.stderr
     assert "labels equal" in inspected.stdout
 

@@ -16,7 +16,7 @@ from ffmap.app.run.poses import KnownPoses, RunPoses
 from ffmap.blueprints import entities
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.app.record.recordings import rows
-from tests.program import FFMAP, with_cache
+from tests.program import FFMAP, ffmap_here, with_cache
 
 # Level soon, so that blocks of scans are handed out long before the last is registered.
 EARLY = ("--set", "trajectory.level_s=1", "--no-evaluate", "--outputs", "labels,maps,recording")
@@ -64,21 +64,9 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def started(cache: Path, *words: object) -> "subprocess.Popen[str]":
-    return subprocess.Popen(
-        [*FFMAP, "run", *map(str, words)],
-        env=with_cache(cache),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-
-
 def finished(cache: Path, *words: object) -> None:
-    process = started(cache, *words)
-    said = process.communicate(timeout=300)[1]
-    assert process.returncode == 0, said
+    done = ffmap_here(with_cache(cache), "run", *words)
+    assert done.returncode == 0, done.stderr
 
 
 def results(out: Path) -> tuple[str, bytes, bytes]:
@@ -112,12 +100,18 @@ def test_a_run_that_is_killed_while_scans_are_registered_goes_on_to_the_same(
     bag: Path, whole: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "killed"
-    process = started(tmp_path / "cold", bag, "--out", out, *EARLY)
+    process = subprocess.Popen(
+        [*FFMAP, "run", str(bag), "--out", str(out), *EARLY],
+        env=with_cache(tmp_path / "cold"),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
     end = time.monotonic() + 120
     while not (out / "spool" / "00000.arrow").exists() and process.poll() is None and time.monotonic() < end:
         time.sleep(0.01)
     os.killpg(process.pid, signal.SIGKILL)
-    process.communicate()
+    process.wait()
     finished(tmp_path / "cold", "--resume", out)
     assert results(out) == results(whole)
     assert recorded_walls(out) == recorded_walls(whole)

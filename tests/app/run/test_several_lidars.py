@@ -27,7 +27,7 @@ from ffmap.loaders.rig import MountCorrection
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from ffmap.loaders.trajectory_file import read_tum
 from ffmap.loaders.truth import read_truth
-from tests.program import FFMAP, ffmap, with_cache
+from tests.program import FFMAP, ffmap_here, with_cache
 
 LEFT, RIGHT, UPRIGHT = (f"/{place}_velodyne/velodyne_points" for place in ("left", "right", "horizontal"))
 
@@ -41,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     simulate(path / "drive", settings)
     outputs = "recording,labelled,labels,maps,geojson"
-    done = ffmap(with_cache(path / "cache"), "run", path / "drive", "--out", path / "run", "--outputs", outputs)
+    done = ffmap_here(with_cache(path / "cache"), "run", path / "drive", "--out", path / "run", "--outputs", outputs)
     assert done.returncode == 0, done.stderr
     return path
 
@@ -137,7 +137,7 @@ def test_killed_and_resumed_with_one_worker_it_has_the_same_labels(folder: Path)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     assert record_of(out)["outcome"] == "running"
-    done = ffmap(environment, "run", "--resume", out)
+    done = ffmap_here(environment, "run", "--resume", out)
     assert done.returncode == 0, done.stderr
     for what in ("labels_digest", "bag"):
         assert record_of(out)[what] == record_of(folder / "run")[what]
@@ -146,7 +146,7 @@ def test_killed_and_resumed_with_one_worker_it_has_the_same_labels(folder: Path)
     whole, resumed = (json.loads((run / "metrics.json").read_text()) for run in (folder / "run", out))
     for what in ("area", "area_scan", "points", "scans"):
         assert resumed[what] == whole[what]
-    compared = ffmap(environment, "compare", folder / "run", out, "--out", folder / "same")
+    compared = ffmap_here(environment, "compare", folder / "run", out, "--out", folder / "same")
     assert compared.returncode == 0, compared.stderr
     (found,) = json.loads((folder / "same" / "comparison.json").read_text())["comparisons"]
     assert (found["labels"]["changed"], found["labels"]["changed_label_scan"]) == (0, 0)
@@ -157,7 +157,7 @@ def test_a_scan_is_labelled_again_bit_for_bit(folder: Path) -> None:
     inputs = find_inputs(folder / "drive", InputOptions())
     # The last but one of the second lidar.
     scan = int(np.flatnonzero(inputs.scans.lidar == 1)[-2])
-    done = ffmap(
+    done = ffmap_here(
         with_cache(folder / "cache"), "inspect", folder / "run", "--scan", scan, "--out", folder / "scan.rrd"
     )
     assert done.returncode == 0, done.stderr
@@ -192,7 +192,7 @@ def test_two_upright_lidars_that_open_wide_are_labelled_both(tmp_path: Path) -> 
     settings = SimulationSettings(building="small", seed=3, duration_s=1.0, sensor="os0-128", lidars="upright")
     simulate(tmp_path / "drive.bag", settings)
     poses = ("--trajectory", "/truth/pose", "--outputs", "labels,maps")
-    done = ffmap(with_cache(tmp_path / "cache"), "run", tmp_path / "drive.bag", "--out", tmp_path / "run", *poses)
+    done = ffmap_here(with_cache(tmp_path / "cache"), "run", tmp_path / "drive.bag", "--out", tmp_path / "run", *poses)
     assert done.returncode == 0, done.stderr
     driven = clouds_of(tmp_path / "drive.bag")
     topics = ["/front_ouster/points", "/rear_ouster/points"]

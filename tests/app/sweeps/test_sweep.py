@@ -19,7 +19,7 @@ from ffmap.app.parameters import SweepParameters
 from ffmap.blueprints import entities
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
-from tests.program import FFMAP, ffmap, with_cache
+from tests.program import FFMAP, ffmap, ffmap_here, with_cache
 
 GRID = ["--grid", "labelling.wall_distance_m=0.01,0.045", "--grid", "building.scans_min=3"]
 
@@ -225,7 +225,7 @@ def test_mistakes_are_one_line_and_nothing_starts(
 
 def test_the_command_line_says_which_outputs_there_are(bag: Path, environment: dict[str, str], tmp_path: Path) -> None:
     for command in (("sweep", bag, "--grid", "doors.lines_min=2,3"), ("run", bag)):
-        done = ffmap(environment, *command, "--outputs", "recording,rooms", "--out", tmp_path / "out")
+        done = ffmap_here(environment, *command, "--outputs", "recording,rooms", "--out", tmp_path / "out")
         assert done.returncode == 2
         assert len(done.stderr.strip().splitlines()) == 1
         assert "'rooms'" in done.stderr
