@@ -22,7 +22,7 @@ def calibrate(folder: Path, bag: str, *words: object) -> "subprocess.CompletedPr
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("calibrate")
-    simulate(path / "drive.bag", SimulationSettings(building="small", seed=3, duration_s=14.0))
+    simulate(path / "drive.bag", SimulationSettings(building="small", seed=3, sensor="vlp16", duration_s=14.0))
     simulate(path / "one.bag", SimulationSettings(building="small", duration_s=1.0, sensor="vlp16", lidars="one"))
     return path
 
