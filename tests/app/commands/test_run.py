@@ -320,7 +320,7 @@ def test_what_odometry_measured_lies_on_the_timeline_that_opens(finished: Path) 
 def test_every_container_gives_the_same_labels(
     container: str, bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    options = ("--no-evaluate", "--detail", "map")
+    options = ("--no-evaluate", "--detail", "map", "--workers", "1")
     done = ffmap_here(environment, "run", bags[container], "--out", tmp_path / "run", *options)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "run" / "labelled").is_dir()
@@ -388,7 +388,7 @@ def test_run_is_not_gone_on_with_on_other_poses(
     bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
     poses, out = Path(shutil.copy(finished / "trajectory.tum", tmp_path)), tmp_path / "run"
-    options = ("--trajectory", poses, "--no-evaluate", "--outputs", "labels")
+    options = ("--trajectory", poses, "--no-evaluate", "--outputs", "labels", "--workers", "1")
     assert ffmap_here(environment, "run", bags["bag"], "--out", out, *options).returncode == 0
     record = json.loads((out / "run.json").read_text())
     (out / "run.json").write_text(json.dumps(record | {"outcome": "aborted"}))
@@ -418,7 +418,8 @@ def test_bag_that_differs_in_one_bit_shares_nothing(
 ) -> None:
     other = Path(shutil.copy2(bags["bag"], tmp_path))
     flip_a_bit(other, UPRIGHT_TOPIC.replace("horizontal", lidar), 15)
-    done = ffmap_here(environment, "run", other, "--out", tmp_path / "run", "--outputs", "labels", "--no-evaluate")
+    options = ("--outputs", "labels", "--no-evaluate", "--workers", "1")
+    done = ffmap_here(environment, "run", other, "--out", tmp_path / "run", *options)
     assert done.returncode == 0, done.stderr
     record, before = (json.loads((run / "run.json").read_text()) for run in (tmp_path / "run", finished))
     assert not record["odometry_cached"]
@@ -724,7 +725,7 @@ def test_version_and_help(environment: dict[str, str]) -> None:
 def test_odometry_from_the_cache_is_told(
     bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    options = ("--outputs", "maps", "--no-evaluate")
+    options = ("--outputs", "maps", "--no-evaluate", "--workers", "1")
     done = ffmap_here(environment, "run", bags["bag"], "--out", tmp_path / "a", *options)
     cache = Path(environment["FFMAP_CACHE"]) / "odometry"
     assert f"odometry: taken from the cache in {cache}; with FFMAP_CACHE" in done.stderr

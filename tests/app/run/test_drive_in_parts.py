@@ -37,8 +37,9 @@ def cut_in_three(bag: Path, folder: Path) -> list[Path]:
 
 
 def record_of(environment: dict[str, str], out: Path, *words: object) -> dict[str, Any]:
-    """What run.json holds of a run that writes labels alone."""
-    done = ffmap_here(environment, "run", *words, "--out", out, "--outputs", "labels", "--no-evaluate", "--quiet")
+    """What run.json holds of a run with one worker that writes labels alone."""
+    options = ("--outputs", "labels", "--workers", 1, "--no-evaluate", "--quiet")
+    done = ffmap_here(environment, "run", *words, "--out", out, *options)
     assert done.returncode == 0, done.stderr
     record: dict[str, Any] = json.loads((out / "run.json").read_text())
     return record
