@@ -215,7 +215,9 @@ def _over_empty_columns(
 
 
 def _is_glazed(door: Doors, windows: Windows, settings: OpeningsSettings) -> bool:
-    """Whether most of an opening is a window's, of whichever of its wall's faces."""
+    """Whether most of what rays pass is a window's, of whichever of its wall's faces; a leaf's vision panel leaves it a leaf."""
+    if door.state[0] == DoorState.CLOSED:
+        return False
     opening = next(segments(door))
     for ends, normal in zip(windows.ends, windows.normal, strict=True):
         near = np.abs(opening.before_m(ends)).max() < settings.glazed_m and abs(opening.normal @ normal) > 0.8
