@@ -159,7 +159,8 @@ class FaceVerdict(IntEnum):
     ALONE = 3
     """Few scans saw it, it runs along and across no others, and does not show up to the ceiling: a side of furniture."""
     LEANS = 4
-    """It stands close to a longer face that more scans saw, at an angle to it: a leaf that is open against its wall."""
+    """It crosses a face that far more scans saw, at a small angle: a leaf that is open against its wall, or a plane fitted askew to
+    the wall and what stands before it."""
     OUTSIDE = 5
     """Neither floor nor ceiling was seen before it: another house's front, through a window."""
     MIRRORED = 6
@@ -185,6 +186,11 @@ class JudgedFaces:
         """The same with more refused faces."""
         verdicts = np.concatenate([self.verdict, np.full(len(more), verdict, np.uint8)])
         return replace(self, refused=self.refused.append(more), verdict=verdicts)
+
+    def accept(self, chosen: BoolArray) -> "JudgedFaces":
+        """The same with some of the refused faces (R,) among the walls."""
+        walls = self.walls.append(self.refused.select(chosen))
+        return JudgedFaces(walls, self.refused.select(~chosen), self.verdict[~chosen])
 
 
 _REFUSED_LABELS = np.full(len(FaceVerdict), Label.CLUTTER, np.uint8)
@@ -264,9 +270,9 @@ def _hanging(flags: _ColumnFlags, cells: WallCells, rules: OpeningRules, setting
     if flags.visited.mean() > 0.5:
         return np.ones_like(flags.hollow)
     hangs = long_runs(flags.hollow, cells_in(settings.opening_max_m), bridge=4)
-    # A lintel has a jamb: what is open below all along is a duct, however short.
-    no_jamb = flags.hollow.mean() > 0.5 and flags.has_foot.mean() < settings.jamb_share_min
-    hangs |= no_jamb
+    # A lintel has a jamb: what is open below all along is a duct, however short, or a beam with a pillar at its end.
+    if flags.hollow.mean() > 0.5 and flags.has_foot.mean() < settings.jamb_share_min:
+        hangs |= ~flags.has_foot
     for first, after in runs(hangs):
         hangs[first:after] = not is_pane(cells.counts[first:after], cells.twice[first:after], rules)
     return hangs

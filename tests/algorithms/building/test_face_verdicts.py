@@ -74,6 +74,16 @@ def test_a_short_duct_has_no_wall_below_it_but_a_lintel_does():
     assert judge(lintel) == ([[0.0, 2.0]], [])
 
 
+def test_a_pillar_below_a_beams_end_stands_and_a_cupboard_there_does_not():
+    beam = cells_of(6.0)
+    pass_rays(beam, slice(8, None), 0.1, 2.05)
+    kept, verdicts = judge(beam)
+    np.testing.assert_allclose(kept, [[0.0, 0.4]], atol=CELL_M + 1e-9)
+    assert verdicts == [FaceVerdict.HANGS]
+    pass_rays(beam, slice(8), 1.8, 2.5)
+    assert judge(beam)[0] == []
+
+
 def test_a_cupboard_below_a_duct_is_no_wall():
     """Up to 1.8 m rays end on the one, and from 2.5 m on the other; between them they go on."""
     cupboard = cells_of(1.0)
