@@ -130,10 +130,9 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
         lintel_m = np.where(has_lintel, lintel[:, SUM] / lintel[:, FILLED], 0.0)
         through = below[:, THROUGH] / (below[:, THROUGH] + below[:, FILLED])
         foot_through = foot[:, THROUGH] / (foot[:, THROUGH] + foot[:, FILLED])
-        # What stands before a leaf hides some of its height.
+        # What stands before a leaf hides some of its height; a sill may be lower than a knee.
         cell_m = np.where(smooth[..., FILLED] > 0, -smooth[..., SUM] / np.maximum(smooth[..., FILLED], 1), np.nan)
-        depth_m = lintel_m + _upper_quartile(cell_m[:, low:high])
-        foot_depth_m = lintel_m - foot[:, SUM] / foot[:, FILLED]
+        depth_m, foot_depth_m = lintel_m + _quartile(cell_m[:, low:high], 3), lintel_m + _quartile(cell_m[:, low:knee], 1)
     may_be = may_have_lintel & (below[:, THROUGH] + below[:, FILLED] >= settings.rays_min)
     spread_m = np.sqrt(depth_moments(below)[1])
     is_open = may_be & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)
@@ -158,10 +157,10 @@ def _is_upright(smooth: FloatArray) -> BoolArray:
     return ~(variance - noise > 0.5 * AT_FACE_M**2 / 12.0)  # half of what returns at all depths have
 
 
-def _upper_quartile(rows: FloatArray) -> FloatArray:
-    """(c,) of the known values of each column (c, rows); NaN where none is known."""
+def _quartile(rows: FloatArray, quartile: int) -> FloatArray:
+    """(c,) the first, second or third quartile of the known values of each column (c, rows); NaN where none is known."""
     known = np.isfinite(rows).sum(axis=1)
-    place = (3 * np.maximum(known - 1, 0)) // 4
+    place = (quartile * np.maximum(known - 1, 0)) // 4
     values = np.take_along_axis(np.sort(rows, axis=1), place[:, None], axis=1)[:, 0]  # NaN last
     return np.where(known > 0, values, np.nan)
 

@@ -137,9 +137,10 @@ def test_a_leaf_goes_on_behind_what_stands_before_it() -> None:
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
 
 
-def test_a_pane_above_a_flush_parapet_is_no_leaf() -> None:
+@pytest.mark.parametrize("sill_m", [0.7, 0.35])
+def test_a_pane_above_a_flush_parapet_is_no_leaf(sill_m: float) -> None:
     seen = cells()
-    recess(seen, 0.7, 2.1, 0.05)
+    recess(seen, sill_m, 2.1, 0.05)
     assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 0
 
 
