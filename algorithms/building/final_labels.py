@@ -73,25 +73,11 @@ class RelabellingSettings(StepSettings):
     at_leaf_m: float = Field(
         0.012, ge=0, description="The same as at_reveal_m there: what is farther from it is the leaf."
     )
-    refused_above_m: float = Field(
-        0.2, ge=0, description="The same as face_above_m of a refused face, which no ceiling ends."
-    )
     pane_m: float = Field(0.0, ge=0, description="Distance (m) behind a pane beyond which a return is outside.")
     behind_glass_m: float = Field(
         0.12,
         gt=0,
         description="The same behind a window's wall, where the pane returned nothing and its place is not known.",
-    )
-    window_reveal_m: float = Field(
-        0.5,
-        ge=0,
-        description="Maximum depth (m) of a window's reveals, sill and head where its pane returned nothing: outer walls are "
-        "this thick.",
-    )
-    at_window_frame_m: float = Field(
-        0.08,
-        ge=0,
-        description="Maximum distance (m) of their returns from where the cells of the wall's face show them.",
     )
     forget_m: float = Field(
         0.2, gt=0, description="Distance (m) from every wall's face beyond which what a scan calls wall is clutter."
@@ -155,9 +141,8 @@ TOP, REFUSED_AS = 7, 8
 HEAD, LEAF, REVEAL = 7, 8, 9
 """The same of doorways: the head's height above the floor, how far the closed leaf is behind the wall's face (negative
 before it, minus infinity where the door is open), and how deep the reveals are."""
-BEYOND, FRAME, SILL, WINDOW_HEAD = 7, 8, 9, 10
-"""The same of panes: how far behind their face what returns is outside, how deep their reveals are at most, and the heights of
-their sill and head."""
+BEYOND = 7
+"""The same of panes: how far behind their face what returns is outside."""
 BEHIND, LOW, HIGH = 7, 8, 9
 """The same of blinds: how far behind their wall they hang, and the heights between which they do."""
 
@@ -220,8 +205,7 @@ class Relabelling:
         edge_m = 2.0 * settings.scatter_m
         off_leaf_m = settings.leaf_distance_m + settings.wall_distance_m + np.max(leaf_m, initial=0.0)
         door_m = settings.at_door_m + max(settings.other_face_m, off_leaf_m / settings.grazing_sine)
-        frame_m = np.where(np.isfinite(windows.pane_m), beyond_m, settings.window_reveal_m)
-        pane_m = max(settings.wall_distance_m, float(np.maximum(frame_m, beyond_m).max(initial=0.0)))
+        pane_m = max(settings.wall_distance_m, float(beyond_m.max(initial=0.0)))
         margin_m = max(settings.margin_m, settings.wall_distance_m)
         return cls(
             (
@@ -235,7 +219,7 @@ class Relabelling:
             ),
             (_table(doors, doors.head_m, leaf_m, doors.reveal_m), index_near(doors, door_m + margin_m)),
             (
-                _table(windows, beyond_m, frame_m, windows.bottom_m, windows.top_m),
+                _table(windows, beyond_m),
                 index_near(windows, pane_m + margin_m),
             ),
             (
@@ -268,7 +252,7 @@ class Relabelling:
         # Every question is asked of all returns at once: asked one by one, what takes most is to hand over the arrays.
         own_m = _own_places(points_map, height_m, below_ceiling_m, label_scan, lines, along_edges, self.rules)
         on_blind = _on_blinds(points_map, height_m, *self.blinds, self.rules)
-        outside = _outside(points_map, height_m, origin, self.panes[0], self.rules) & ~on_blind
+        outside = _outside(points_map, origin, self.panes[0], self.rules) & ~on_blind
         label, asked = _at_edges(
             points_map,
             height_m,
@@ -287,7 +271,7 @@ class Relabelling:
         at_edge = np.where(outside, np.uint8(Reason.BEYOND_WINDOW), _EDGE_REASONS[label])
         np.copyto(reason, at_edge, where=label != label_scan)
         at_door = _at_doors(points_map, height_m, asked, origin, *self.doorways, self.rules)
-        _mark_window_reveals(points_map, height_m, asked, at_door, *self.panes, self.rules)
+        _mark_window_reveals(points_map, asked, at_door, *self.panes, self.rules)
         at_door[on_blind] |= ON_BLIND
         before = self.before.first, self.before.clear_m, self.before.covered
         nearest = _nearest_faces(points_map, height_m, asked, origin, lines, at_faces, *before, self.rules)
@@ -360,10 +344,8 @@ def _own_places(
 
 
 @numba.njit(cache=True, nogil=True)
-def _outside(
-    points: FloatArray, height: FloatArray, origin: FloatArray, panes: FloatArray, rules: _Rules
-) -> BoolArray:  # pragma: no cover
-    """(n,) whether a ray reached its return through a window, and not on the reveal, the sill or the head that it has."""
+def _outside(points: FloatArray, origin: FloatArray, panes: FloatArray, rules: _Rules) -> BoolArray:  # pragma: no cover
+    """(n,) whether a ray reached its return through a window."""
     outside = np.zeros(len(points), np.bool_)
     for g in range(len(panes)):
         if before_line(panes, g, origin[0], origin[1]) <= 0.0:
@@ -372,26 +354,8 @@ def _outside(
             x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
             if before_line(panes, g, x, y) <= -panes[g, BEYOND]:
                 _, u = crossing(panes, g, 0.0, x, y, origin, 0.0)
-                through = -rules.margin_m < u < panes[g, LENGTH] + rules.margin_m
-                outside[i] |= through and not _is_at_frame(panes, g, x, y, np.float64(height[i]), rules)
+                outside[i] |= -rules.margin_m < u < panes[g, LENGTH] + rules.margin_m
     return outside
-
-
-@numba.njit(cache=True, nogil=True, forceinline=True)
-def _is_at_frame(
-    panes: FloatArray, g: int, x: float, y: float, height_m: float, rules: _Rules
-) -> bool:  # pragma: no cover
-    """Whether a place is on a window's reveal, sill or head, as deep as walls are thick."""
-    if not -panes[g, FRAME] < before_line(panes, g, x, y) < rules.wall_distance_m:
-        return False
-    u, length, at_frame_m = along_line(panes, g, x, y), panes[g, LENGTH], rules.at_window_frame_m
-    if not -at_frame_m < u < length + at_frame_m:
-        return False
-    sill_m, head_m = panes[g, SILL], panes[g, WINDOW_HEAD]
-    if not sill_m - at_frame_m < height_m < head_m + at_frame_m:
-        return False
-    at_jamb = u < at_frame_m or u > length - at_frame_m
-    return at_jamb or height_m < sill_m + at_frame_m or height_m > head_m - at_frame_m
 
 
 @numba.njit(cache=True, nogil=True)
@@ -549,7 +513,7 @@ def _at_doors(
                 rise = (share - 1.0) * (z - origin[2])
                 if np.isnan(share):
                     at_leaf, rise = u, 0.0
-                enters = depth_m < 0.0 or np.isnan(at_face) or -rules.opening_m < at_face < length + rules.opening_m
+                enters = depth_m < 0.0 or np.isnan(at_face) or 0.0 < at_face < length
                 if enters and 0.0 < at_leaf < length and height_m + rise < head_m:
                     found[i] |= ON_LEAF
                     break
@@ -577,7 +541,6 @@ def _at_doors(
 @numba.njit(cache=True, nogil=True)
 def _mark_window_reveals(
     points: FloatArray,
-    height: FloatArray,
     asked: BoolArray,
     found: UInt8Array,
     panes: FloatArray,
@@ -596,8 +559,6 @@ def _mark_window_reveals(
                 u = along_line(panes, g, x, y)
                 if -rules.margin_m < u < panes[g, LENGTH] + rules.margin_m:
                     found[i] |= ON_REVEAL
-            if _is_at_frame(panes, g, x, y, np.float64(height[i]), rules):
-                found[i] |= ON_REVEAL
 
 
 @numba.njit(cache=True, nogil=True)
@@ -669,7 +630,7 @@ def _labels_of_refused(
             if abs(before_line(refused, f, x, y)) < rules.scatter_m:
                 u = along_line(refused, f, x, y)
                 beside = -rules.margin_m < u < refused[f, LENGTH] + rules.margin_m
-                if beside and height[i] < refused[f, TOP] + rules.refused_above_m:
+                if beside and height[i] < refused[f, TOP]:
                     label[i] = np.int16(refused[f, REFUSED_AS])
                     break
     return label

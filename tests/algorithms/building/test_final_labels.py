@@ -213,6 +213,8 @@ def test_along_the_frame_of_a_closed_door_the_leaf_is_where_the_ray_would_meet_i
     # At a slant, the reveal within the frame.
     aside = np.array([0.0, -1.0, 1.0])
     assert final((1.99, 0.01, 1.0), Label.DOOR, walls=face(), doors=door(0.04), sensor=aside) == Label.WALL
+    # Past the near jamb by a centimetre, the wall beside it.
+    assert final((1.0, 0.01, 1.0), Label.WALL, walls=face(), doors=door(0.04), sensor=aside) == Label.WALL
     assert label_at(1.97, 0.04, 1.0) == Label.DOOR
 
 
