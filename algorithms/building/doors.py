@@ -215,13 +215,11 @@ def _over_empty_columns(
 
 
 def _is_glazed(door: Doors, windows: Windows, settings: OpeningsSettings) -> bool:
-    """Whether most of an opening is a window's, of whichever of its wall's faces; a pane within a closed leaf is the leaf's."""
-    opening, is_closed = next(segments(door)), door.state[0] == DoorState.CLOSED
-    for ends, normal, width_m in zip(windows.ends, windows.normal, lengths_m(windows.ends), strict=True):
+    """Whether most of an opening is a window's, of whichever of its wall's faces."""
+    opening = next(segments(door))
+    for ends, normal in zip(windows.ends, windows.normal, strict=True):
         near = np.abs(opening.before_m(ends)).max() < settings.glazed_m and abs(opening.normal @ normal) > 0.8
-        shared_m = opening.shared_m(ends)
-        is_panel = is_closed and shared_m > width_m - CELL_M
-        if near and shared_m > 0.5 * opening.length_m and not is_panel:
+        if near and opening.shared_m(ends) > 0.5 * opening.length_m:
             return True
     return False
 

@@ -314,6 +314,7 @@ def _take_rests(
             part = slice(start + first, start + after)
             rays = columns.select(part)
             little = rays.lower_on.sum() < max(rays.lower_passed.sum(), rays.upper_on.sum())
+            little |= after - first < settings.jamb_share_min * len(hangs)
             hangs[first:after] = little and not _shows_whole(faces, part, settings)
     if low.any():
         for first, after in runs(~(hangs | low)):

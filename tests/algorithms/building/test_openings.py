@@ -909,22 +909,9 @@ def test_rays_pass_a_leafs_vision_panel(first: int, last: int, low_row: int, top
     assert _closed_for_sure(seen) == doors
 
 
-def test_a_leaf_most_of_whose_width_is_a_window_is_a_leaf() -> None:
-    """Of an open doorway the same window is all that rays pass, and a wider one than the leaf is in a wall."""
-    seen = cells()
-    recess(seen, 0.0, 2.1, 0.08)
-    seen.counts[34:44, 20:32] = [0.0, 0.0, 0.0, 10.0]
-    panel = Windows(np.array([[[1.65, 0.0], [2.25, 0.0]]]), WALL.normal[:1], np.array([1.0]), np.array([1.6]), np.array([0.08]))
-    assert _closed_for_sure(seen, panel) == 1
-    assert _closed_for_sure(seen, replace(panel, ends=np.array([[[1.65, 0.0], [2.6, 0.0]]]))) == 0
-    seen.counts[30:48, :42] = [0.0, 0.0, 0.0, 10.0]
-    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 1
-    assert len(find_doors(WALL, seen, unknown(seen), RULES, panel)) == 0
-
-
-def _closed_for_sure(seen: WallCells, windows: Windows = NO_WINDOWS) -> int:
+def _closed_for_sure(seen: WallCells) -> int:
     """How many closed doors stand where many scans saw them."""
-    found = find_doors(WALL, seen, unknown(seen), RULES, windows)
+    found = find_doors(WALL, seen, unknown(seen), RULES)
     sure = each_once(replace(found, scan_count=np.full(len(found), 99, np.int32)), RULES)
     return int(np.count_nonzero(sure.state == DoorState.CLOSED))
 
