@@ -187,11 +187,6 @@ class JudgedFaces:
         verdicts = np.concatenate([self.verdict, np.full(len(more), verdict, np.uint8)])
         return replace(self, refused=self.refused.append(more), verdict=verdicts)
 
-    def accept(self, chosen: BoolArray) -> "JudgedFaces":
-        """The same with some of the refused faces (R,) among the walls."""
-        walls = self.walls.append(self.refused.select(chosen))
-        return JudgedFaces(walls, self.refused.select(~chosen), self.verdict[~chosen])
-
 
 _REFUSED_LABELS = np.full(len(FaceVerdict), Label.CLUTTER, np.uint8)
 _REFUSED_LABELS[[FaceVerdict.OUTSIDE, FaceVerdict.MIRRORED]] = Label.OUTSIDE

@@ -53,13 +53,7 @@ from ffmap.algorithms.building.model import NO_WINDOWS, Blinds, BuildingSettings
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.sliding_doors import find_sliding_doors, find_sliding_panes
-from ffmap.algorithms.building.thickness import (
-    WallThicknessSettings,
-    are_other_sides,
-    door_depths,
-    face_thickness,
-    part_walls,
-)
+from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
 from ffmap.algorithms.building.votes import Halo, find_halo
 from ffmap.algorithms.building.windows import WindowsSettings, find_windows, in_walls, look_deeper, seen_through
 from ffmap.algorithms.scan.summary import concatenate, select_planes, select_scans, without_rays
@@ -178,9 +172,6 @@ def _judge(aligned: AlignedFaces, scans: AllScans, settings: FusionSettings, win
         alone[alone] = ~shows_whole(_traced(faces.select(alone), scans, settings, windows), standing)
     traced = _traced(faces.select(~alone), scans, settings, windows)
     judged = judge_faces(traced, scans.path_map, settings.opening_rules, settings.face_columns, standing, settings.folds)
-    # The walls of a room within a higher hall end below its ceiling.
-    low = judged.verdict == FaceVerdict.ENDS_LOW
-    judged = judged.accept(low & are_other_sides(judged.refused, judged.walls, settings.wall_thickness))
     judged = judged.refuse(faces.select(alone), FaceVerdict.ALONE).refuse(leaves, FaceVerdict.LEANS)
     return refuse_outside(judged, scans.storey, settings.face_columns)
 

@@ -6,10 +6,10 @@ from itertools import pairwise
 import numpy as np
 from pydantic import Field
 
-from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
-from ffmap.algorithms.base.segments import Segment, lengths_m, segments
+from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.algorithms.base.segments import lengths_m, segments
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.model import Doors, Walls, cells_in
+from ffmap.algorithms.building.model import Doors, Walls
 from ffmap.algorithms.scan.doors import DoorState
 
 
@@ -45,8 +45,19 @@ class WallParts:
 def part_walls(walls: Walls, settings: WallThicknessSettings) -> WallParts:
     """Each face cut into stretches that have one thickness: the nearest face behind that looks the other way."""
     wall, ends, thickness = [], [], []
+    cos_angle = np.cos(np.radians(settings.angle_deg))
     for w, face in enumerate(segments(walls)):
-        behind = _behind(face, walls, -1.0, settings)
+        behind = []
+        for o in np.flatnonzero(walls.normal @ face.normal < -cos_angle).tolist():
+            place, depth_m = face.place_m(walls.ends[o]), -face.before_m(walls.ends[o])
+            low, high = max(float(place.min()), 0.0), min(float(place.max()), face.length_m)
+            if high - low < 0.02:  # the rounding of a face's ends
+                continue
+            # Depth where the two overlap, for faces are parallel to some degrees only.
+            slope = (depth_m[1] - depth_m[0]) / (place[1] - place[0])
+            depth = float(depth_m[0] + slope * (0.5 * (low + high) - place[0]))
+            if settings.least_m <= depth <= settings.most_m:
+                behind.append((low, high, depth))
         edges = np.unique([0.0, face.length_m, *(edge for low, high, _ in behind for edge in (low, high))])
         for low, high in pairwise(edges.tolist()):
             middle = 0.5 * (low + high)
@@ -54,45 +65,6 @@ def part_walls(walls: Walls, settings: WallThicknessSettings) -> WallParts:
             ends.append(face.at(np.array([low, high])))
             thickness.append(min((depth for first, last, depth in behind if first <= middle <= last), default=np.nan))
     return WallParts(np.array(wall, np.int64), np.array(ends, float).reshape(-1, 2, 2), np.array(thickness, float))
-
-
-def are_other_sides(faces: Walls, walls: Walls, settings: WallThicknessSettings) -> BoolArray:
-    """(F,) which faces are the other side of walls that stand: over most of their length one that looks the other way is behind.
-
-    A wall stands, whichever of its sides shows it. Behind the front of a cupboard its own wall's face, which looks the same way,
-    is as near.
-    """
-    found = np.zeros(len(faces), bool)
-    for f, face in enumerate(segments(faces)):
-        other, own = (_covered(face, _behind(face, walls, looks, settings)) for looks in (-1.0, 1.0))
-        found[f] = other > 0.5 > own
-    return found
-
-
-def _behind(face: Segment, walls: Walls, looks: float, settings: WallThicknessSettings) -> list[tuple[float, float, float]]:
-    """From where to where along a face others are as far behind it as walls are thick, and how far.
-
-    looks: 1 for those that look the same way, -1 for those that look the other way.
-    """
-    behind = []
-    for o in np.flatnonzero(looks * (walls.normal @ face.normal) > np.cos(np.radians(settings.angle_deg))).tolist():
-        place, depth_m = face.place_m(walls.ends[o]), -face.before_m(walls.ends[o])
-        low, high = max(float(place.min()), 0.0), min(float(place.max()), face.length_m)
-        if high - low < 0.02:  # the rounding of a face's ends
-            continue
-        # Depth where the two overlap, for faces are parallel to some degrees only.
-        slope = (depth_m[1] - depth_m[0]) / (place[1] - place[0])
-        depth = float(depth_m[0] + slope * (0.5 * (low + high) - place[0]))
-        if settings.least_m <= depth <= settings.most_m:
-            behind.append((low, high, depth))
-    return behind
-
-
-def _covered(face: Segment, behind: list[tuple[float, float, float]]) -> float:
-    """Which share of a face's length is that of any of the stretches."""
-    place_m = np.linspace(0.0, face.length_m, cells_in(face.length_m) + 2)[1:-1]
-    within = [(place_m > low) & (place_m < high) for low, high, _ in behind]
-    return float(np.any(within, axis=0).mean()) if within and len(place_m) else 0.0
 
 
 def face_thickness(walls: Walls, parts: WallParts) -> FloatArray:

@@ -1,25 +1,23 @@
 """The building of all scans, from planes and rays that are known."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.base.scan import BoolArray, FloatArray
+from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengths_m
-from ffmap.algorithms.building import fusion
 from ffmap.algorithms.building.blinds import BlindsSettings
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings
 from ffmap.algorithms.building.door_frames import DoorFramesSettings
 from ffmap.algorithms.building.drive import AllScans, Drive
 from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
-from ffmap.algorithms.building.face_columns import FaceColumnsSettings, TracedFaces
+from ffmap.algorithms.building.face_columns import FaceColumnsSettings
 from ffmap.algorithms.building.face_foreground import ForegroundSettings
 from ffmap.algorithms.building.face_steps import FaceStepsSettings
-from ffmap.algorithms.building.face_verdicts import FaceVerdict, JudgedFaces, StandingWallsSettings, judge_faces
+from ffmap.algorithms.building.face_verdicts import FaceVerdict, StandingWallsSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.folds import FoldsSettings
 from ffmap.algorithms.building.fusion import Building, FusionSettings, fuse_building
@@ -135,26 +133,6 @@ def test_what_rays_pass_above_is_no_wall() -> None:
     assert building.judged.verdict.tolist() == [FaceVerdict.ENDS_LOW]
     np.testing.assert_allclose(building.judged.refused.ends[0, :, 0], 3.0, atol=0.01)
     assert not np.any(np.abs(building.walls.ends[..., 0] - 3.0) < 0.5)
-
-
-@pytest.mark.parametrize(("verdict", "stands"), [(FaceVerdict.ENDS_LOW, True), (FaceVerdict.HANGS, False)])
-def test_a_wall_stands_whichever_of_its_sides_shows_it(
-    verdict: FaceVerdict, stands: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """From one side rays pass above it, from the other none does."""
-
-    def is_between(walls: Walls) -> BoolArray:
-        return np.abs(walls.ends[..., 1] - SIZE_M[1]).max(axis=1) < 0.01
-
-    def judge(faces: TracedFaces, *rules: Any) -> JudgedFaces:
-        judged = judge_faces(faces, *rules)
-        between = is_between(judged.walls)
-        return replace(judged, walls=judged.walls.select(~between)).refuse(judged.walls.select(between), verdict)
-
-    monkeypatch.setattr(fusion, "judge_faces", judge)
-    building = built(TwoRooms())
-    assert is_between(building.walls).any() == stands
-    assert is_between(building.judged.refused).any() != stands
 
 
 def test_what_was_seen_through_a_window_is_neither_wall_nor_refused() -> None:

@@ -14,7 +14,6 @@ from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.model import BuildingSettings, Doors
 from ffmap.algorithms.building.thickness import (
     WallThicknessSettings,
-    are_other_sides,
     door_depths,
     face_thickness,
     part_walls,
@@ -110,21 +109,6 @@ def test_a_frame_in_the_middle_of_a_thick_wall_does_not_end_its_doorway(through_
     rooms = TwoRooms(both_seen=False)
     to_frame = replace(rooms.doors, reveal_m=np.array([0.4]))
     np.testing.assert_allclose(depths(to_frame, rooms, through_m), depth_m)
-
-
-@pytest.mark.parametrize("turn_deg", [0.0, 25.0, 160.0])
-def test_the_other_side_of_a_wall_is_as_near_as_walls_are_thick_and_looks_the_other_way(turn_deg: float) -> None:
-    walls = TwoRooms(thickness_m=0.17, turn_deg=turn_deg).walls
-    towards_b, towards_a = walls.select([3]), walls.select([6])
-    assert are_other_sides(walls, towards_a, THICKNESS).tolist() == [w == 3 for w in range(len(walls))]
-    assert not are_other_sides(towards_a, towards_a, THICKNESS).any()
-    part = replace(towards_a, ends=0.4 * towards_a.ends[:, ::-1] + 0.6 * towards_a.ends[:, :1])
-    assert not are_other_sides(towards_b, part, THICKNESS).any()
-    before = replace(towards_b, ends=towards_b.ends + 0.3 * towards_b.normal)
-    assert are_other_sides(before, towards_a, THICKNESS).all()
-    assert not are_other_sides(before, towards_a.append(towards_b), THICKNESS).any()
-    assert len(are_other_sides(walls.select([]), walls, THICKNESS)) == 0
-    assert not are_other_sides(walls, walls.select([]), THICKNESS).any()
 
 
 def test_a_face_is_cut_where_the_other_side_ends() -> None:
