@@ -1,8 +1,11 @@
 """The program as a user starts it, and the rig files that users write."""
 
 import os
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
@@ -46,6 +49,22 @@ def ffmap_here(environment: dict[str, str], *words: object, cwd: Path = Path()) 
         except SystemExit as ended:
             code = int(ended.code or 0)
     return subprocess.CompletedProcess(arguments, code, out.getvalue(), err.getvalue())
+
+
+def kill_once(environment: dict[str, str], there: Callable[[], object], *words: object) -> None:
+    """Start the program, and kill it with all that it has started as soon as something is there."""
+    process = subprocess.Popen(
+        [*FFMAP, *map(str, words)],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    end = time.monotonic() + 120
+    while not there() and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
 
 
 def rig_of(bag: Path, file: Path | None = None) -> Rig:

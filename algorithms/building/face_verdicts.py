@@ -308,9 +308,10 @@ def _take_rests(
         for first, after in runs(~(hangs | low)):
             part = slice(start + first, start + after)
             rays = columns.select(part)
-            little = rays.lower_on.sum() < max(rays.lower_passed.sum(), rays.upper_on.sum())
-            little |= after - first < settings.jamb_share_min * len(hangs)
-            hangs[first:after] = little and not _shows_whole(faces, part, settings)
+            is_little = rays.lower_on.sum() < max(rays.lower_passed.sum(), rays.upper_on.sum())
+            # In a low room more rays end on a cupboard than on the beam above it.
+            is_narrow = after - first < settings.jamb_share_min * len(hangs)
+            hangs[first:after] = (is_little or is_narrow) and not _shows_whole(faces, part, settings)
     if low.any():
         for first, after in runs(~(hangs | low)):
             # Of pillars in line, each is a rest; they show from floor to ceiling.

@@ -218,10 +218,7 @@ class Relabelling:
                 index_near(refused, settings.scatter_m + margin_m),
             ),
             (_table(doors, doors.head_m, leaf_m, doors.reveal_m), index_near(doors, door_m + margin_m)),
-            (
-                _table(windows, beyond_m),
-                index_near(windows, pane_m + margin_m),
-            ),
+            (_table(windows, beyond_m), index_near(windows, pane_m + margin_m)),
             (
                 _table(blinds, blinds.behind_m, blinds.bottom_m, blinds.top_m),
                 index_near(blinds, float(blinds.behind_m.max(initial=0.0)) + settings.wall_distance_m),

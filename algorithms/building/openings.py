@@ -130,9 +130,11 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
         lintel_m = np.where(has_lintel, lintel[:, SUM] / lintel[:, FILLED], 0.0)
         through = below[:, THROUGH] / (below[:, THROUGH] + below[:, FILLED])
         foot_through = foot[:, THROUGH] / (foot[:, THROUGH] + foot[:, FILLED])
-        # What stands before a leaf hides some of its height; a sill may be lower than a knee.
         cell_m = np.where(smooth[..., FILLED] > 0, -smooth[..., SUM] / np.maximum(smooth[..., FILLED], 1), np.nan)
-        depth_m, foot_depth_m = lintel_m + _quartile(cell_m[:, low:high], 3), lintel_m + _quartile(cell_m[:, low:knee], 1)
+        # What stands before a leaf hides some of its height.
+        depth_m = lintel_m + _quartile(cell_m[:, low:high], 3)
+        # Below a knee there may be a low sill, and the pane above it.
+        foot_depth_m = lintel_m + _quartile(cell_m[:, low:knee], 1)
     may_be = may_have_lintel & (below[:, THROUGH] + below[:, FILLED] >= settings.rays_min)
     spread_m = np.sqrt(depth_moments(below)[1])
     is_open = may_be & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)

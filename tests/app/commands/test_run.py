@@ -35,7 +35,7 @@ from ffmap.blueprints import entities
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
-from tests.program import FFMAP, ffmap, ffmap_here, with_cache
+from tests.program import FFMAP, ffmap, ffmap_here, kill_once, with_cache
 
 UPRIGHT_TOPIC = "/horizontal_velodyne/velodyne_points"
 FILES = [
@@ -331,18 +331,7 @@ def test_killed_run_is_resumed_with_the_same_labels(
     bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
     out, bag = tmp_path / "killed", Path(shutil.copy(bags["bag"], tmp_path))
-    process = subprocess.Popen(
-        [*FFMAP, "run", str(bag), "--out", str(out), "--no-evaluate"],
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    end = time.monotonic() + 120
-    while not list(out.glob("spool/*.arrow")) and process.poll() is None and time.monotonic() < end:
-        time.sleep(0.02)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
+    kill_once(environment, lambda: list(out.glob("spool/*.arrow")), "run", bag, "--out", out, "--no-evaluate")
     record = json.loads((out / "run.json").read_text())
     assert record["outcome"] == "running"
     for options in ({"outputs": 3}, {"rig": 5}, {"time_from": "never"}):
@@ -367,18 +356,7 @@ def test_resumed_run_knows_clouds_that_the_odometry_did_not_take(
 ) -> None:
     out, bag = tmp_path / "killed", Path(shutil.copy(bags["bag"], tmp_path))
     options = ("--no-evaluate", "--set", "refinement.companion_points_max=0", "--outputs", "labels")
-    process = subprocess.Popen(
-        [*FFMAP, "run", str(bag), "--out", str(out), *options],
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    end = time.monotonic() + 120
-    while not (out / "spool" / "00000.arrow").exists() and process.poll() is None and time.monotonic() < end:
-        time.sleep(0.02)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
+    kill_once(environment, (out / "spool" / "00000.arrow").exists, "run", bag, "--out", out, *options)
     assert list(json.loads((out / "run.json").read_text())["bag"]["clouds"]) == [UPRIGHT_TOPIC]
     flip_a_bit(bag, UPRIGHT_TOPIC.replace("horizontal", "vertical"), 3)
     assert_one_line_error(ffmap_here(environment, "run", "--resume", out), "not the bag", "start a new run")
@@ -605,18 +583,8 @@ def test_earlier_run_stays_until_the_new_one_is_complete(
 ) -> None:
     copy = shutil.copytree(finished, tmp_path / "run")
     before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
-    process = subprocess.Popen(
-        [*FFMAP, "run", str(bags["bag"]), "--out", str(copy), "--overwrite", "--outputs", "labels", "--no-evaluate"],
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    end = time.monotonic() + 120
-    while not list(copy.glob("*/spool/*.arrow")) and process.poll() is None and time.monotonic() < end:
-        time.sleep(0.02)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
+    words = ("run", bags["bag"], "--out", copy, "--overwrite", "--outputs", "labels", "--no-evaluate")
+    kill_once(environment, lambda: list(copy.glob("*/spool/*.arrow")), *words)
     assert {path: path.read_bytes() for path in before} == before
     assert ffmap_here(environment, "evaluate", copy).returncode == 0
     done = ffmap_here(environment, "run", "--resume", copy)

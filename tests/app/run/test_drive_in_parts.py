@@ -1,10 +1,6 @@
 """A drive in three files has the labels of the drive in one, to the last bit, wherever it is cut."""
 
 import json
-import os
-import signal
-import subprocess
-import time
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -16,7 +12,7 @@ from ffmap.loaders.scans import index_clouds
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.loaders.bag_builder import PERIOD_NS
 from tests.parts import PACKETS, cut, in_one_folder, in_packets
-from tests.program import FFMAP, ffmap_here, with_cache
+from tests.program import ffmap_here, kill_once, with_cache
 
 TOPICS = ("/horizontal_velodyne/velodyne_points", "/vertical_velodyne/velodyne_points")
 PLACES_S = (1.53, 3.27)
@@ -65,18 +61,9 @@ def test_a_run_on_parts_that_was_killed_goes_on_to_the_same_labels(
     whole: Path, record: dict[str, Any], environment: dict[str, str], tmp_path: Path
 ) -> None:
     first, second, third = cut_in_three(whole, tmp_path)
-    out, outputs = tmp_path / "run", "labelled,labels"
-    process = subprocess.Popen(
-        [*FFMAP, "run", str(third), str(first), str(second), "--out", str(out), "--outputs", outputs, "--quiet"],
-        env=environment,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    end = time.monotonic() + 120
-    while not list(out.glob("spool/*.arrow")) and process.poll() is None and time.monotonic() < end:
-        time.sleep(0.02)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
+    out = tmp_path / "run"
+    words = ("run", third, first, second, "--out", out, "--outputs", "labelled,labels", "--quiet")
+    kill_once(environment, lambda: list(out.glob("spool/*.arrow")), *words)
     away = second.rename(tmp_path / "away.bag")
     refused = ffmap_here(environment, "run", "--resume", out)
     assert refused.returncode == 2

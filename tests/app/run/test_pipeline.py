@@ -1,10 +1,6 @@
 """Scans are labelled while others are registered: as if all poses had been known, and whenever the run is killed."""
 
 import json
-import os
-import signal
-import subprocess
-import time
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +12,7 @@ from ffmap.app.run.poses import KnownPoses, RunPoses
 from ffmap.blueprints import entities
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.app.record.recordings import rows
-from tests.program import FFMAP, ffmap_here, with_cache
+from tests.program import ffmap_here, kill_once, with_cache
 
 # Level soon, so that blocks of scans are handed out long before the last is registered.
 EARLY = ("--set", "trajectory.level_s=1", "--no-evaluate", "--outputs", "labels,maps,recording")
@@ -100,18 +96,8 @@ def test_a_run_that_is_killed_while_scans_are_registered_goes_on_to_the_same(
     bag: Path, whole: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "killed"
-    process = subprocess.Popen(
-        [*FFMAP, "run", str(bag), "--out", str(out), *EARLY],
-        env=with_cache(tmp_path / "cold"),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    end = time.monotonic() + 120
-    while not (out / "spool" / "00000.arrow").exists() and process.poll() is None and time.monotonic() < end:
-        time.sleep(0.01)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
+    first_block = out / "spool" / "00000.arrow"
+    kill_once(with_cache(tmp_path / "cold"), first_block.exists, "run", bag, "--out", out, *EARLY)
     finished(tmp_path / "cold", "--resume", out)
     assert results(out) == results(whole)
     assert recorded_walls(out) == recorded_walls(whole)

@@ -1,10 +1,6 @@
 """Bags of three lidars and of two upright ones, from end to end: all that sweep walls are labelled, as if each were alone."""
 
 import json
-import os
-import signal
-import subprocess
-import time
 from collections import Counter
 from pathlib import Path
 
@@ -27,7 +23,7 @@ from ffmap.loaders.rig import MountCorrection
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from ffmap.loaders.trajectory_file import read_tum
 from ffmap.loaders.truth import read_truth
-from tests.program import FFMAP, ffmap_here, with_cache
+from tests.program import ffmap_here, kill_once, with_cache
 
 LEFT, RIGHT, UPRIGHT = (f"/{place}_velodyne/velodyne_points" for place in ("left", "right", "horizontal"))
 
@@ -123,19 +119,8 @@ def test_a_lidars_scans_are_labelled_as_if_it_were_alone(folder: Path) -> None:
 
 def test_killed_and_resumed_with_one_worker_it_has_the_same_labels(folder: Path) -> None:
     out, environment = folder / "killed", with_cache(folder / "cache")
-    words = [*FFMAP, "run", str(folder / "drive"), "--out", str(out), "--workers", "1", "--outputs", "labels"]
-    process = subprocess.Popen(
-        [*words, "--no-evaluate"],
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    end = time.monotonic() + 120
-    while not list(out.glob("spool/*.arrow")) and process.poll() is None and time.monotonic() < end:
-        time.sleep(0.02)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
+    words = ("run", folder / "drive", "--out", out, "--workers", 1, "--outputs", "labels", "--no-evaluate")
+    kill_once(environment, lambda: list(out.glob("spool/*.arrow")), *words)
     assert record_of(out)["outcome"] == "running"
     done = ffmap_here(environment, "run", "--resume", out)
     assert done.returncode == 0, done.stderr
