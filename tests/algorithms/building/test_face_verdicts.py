@@ -235,6 +235,16 @@ def test_the_rest_of_a_duct_goes_with_it():
     assert set(verdicts) == {FaceVerdict.HANGS}
 
 
+@pytest.mark.parametrize(("returns", "stands"), [(2.0, False), (10.0, True)])
+def test_of_a_duct_what_shows_less_below_than_above_is_a_rest(returns: float, stands: bool):
+    """Some rays pass beside what stands there; where most end, and more than above, it is the wall beside a gate."""
+    cells = cells_of(6.0)
+    pass_rays(cells, slice(0, 84), 0.1, 2.05)
+    cells.counts[84:, :42, FILLED] = returns
+    cells.counts[84:, 10:14] = [0.0, 0.0, 0.0, 3.0]
+    assert judge(cells)[0] == ([[4.2, 6.0]] if stands else [])
+
+
 def test_where_the_robot_drove_along_stands_no_wall():
     assert judge(cells_of(2.0), path_y=0.05) == ([], [FaceVerdict.HANGS])
     # A narrow robot gets close to a pillar.
