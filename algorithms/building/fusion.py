@@ -55,7 +55,14 @@ from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.sliding_doors import find_sliding_doors, find_sliding_panes
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
 from ffmap.algorithms.building.votes import Halo, find_halo
-from ffmap.algorithms.building.windows import WindowsSettings, find_windows, in_walls, look_deeper, seen_through
+from ffmap.algorithms.building.windows import (
+    WindowsSettings,
+    find_windows,
+    in_walls,
+    look_deeper,
+    seen_through,
+    without_panes,
+)
 from ffmap.algorithms.scan.summary import concatenate, select_planes, select_scans, without_rays
 
 
@@ -170,7 +177,7 @@ def _judge(aligned: AlignedFaces, scans: AllScans, settings: FusionSettings, win
     alone = (faces.scan_count < standing.scans_few) & ~along_others(faces, standing)
     if alone.any():
         alone[alone] = ~shows_whole(_traced(faces.select(alone), scans, settings, windows), standing)
-    traced = _traced(faces.select(~alone), scans, settings, windows)
+    traced = without_panes(_traced(faces.select(~alone), scans, settings, windows), windows, settings.building.near_m)
     judged = judge_faces(traced, scans.path_map, settings.opening_rules, settings.face_columns, standing, settings.folds)
     judged = judged.refuse(faces.select(alone), FaceVerdict.ALONE).refuse(leaves, FaceVerdict.LEANS)
     return refuse_outside(judged, scans.storey, settings.face_columns)

@@ -11,7 +11,7 @@ from pydantic import Field
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import LENGTH, Segment, before_line, crossing, lines_of, segments
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.face_columns import long_runs
+from ffmap.algorithms.building.face_columns import TracedFaces, long_runs, on_and_passed
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
 from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, ON_FACE_M, Walls, Windows, cells_in, stretches
 from ffmap.algorithms.building.openings import (
@@ -354,6 +354,25 @@ def _pane_m(counts: FloatArray, rules: OpeningRules) -> float:
     is_bar = np.logical_or(*(returns_at_face(bar) > bar[..., THROUGH] for bar in bars))
     sheet = find_sheet(inner * ~is_bar[..., None], rules)
     return sheet.behind_m if sheet is not None and sheet.behind_m > 0 else float("nan")
+
+
+def without_panes(faces: TracedFaces, windows: Windows, near_m: float) -> TracedFaces:
+    """The faces with nothing in what rays pass of known windows: what a pane, its bars or a poster return is not beyond the wall.
+
+    near_m: maximum distance of a pane from its wall's face.
+    """
+    counts = faces.cells.counts.copy()
+    on, passed = on_and_passed(counts)
+    for w, face in enumerate(segments(faces.walls)):
+        own = faces.columns(w)
+        for k in range(len(windows)):
+            if is_beside(face, windows.ends[k], windows.normal[k], near_m):
+                low, high = np.clip(np.sort(face.place_m(windows.ends[k])), 0.0, face.length_m)
+                columns = slice(own.start + cells_in(low), own.start + cells_in(high))
+                rows = slice(cells_in(windows.bottom_m[k]), cells_in(windows.top_m[k]))
+                # A curtain before the pane stays.
+                counts[columns, rows][passed[columns, rows] > on[columns, rows]] = 0.0
+    return replace(faces, cells=replace(faces.cells, counts=counts))
 
 
 def seen_through(windows: Windows, features: Features) -> BoolArray:

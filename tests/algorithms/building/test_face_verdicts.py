@@ -20,10 +20,11 @@ from ffmap.algorithms.building.face_verdicts import (
     trim_at_doorways,
 )
 from ffmap.algorithms.building.folds import FoldsSettings
-from ffmap.algorithms.building.model import CELL_M, NO_DOORS, NO_WALLS, BuildingSettings, Walls
+from ffmap.algorithms.building.model import CELL_M, NO_DOORS, NO_WALLS, NO_WINDOWS, BuildingSettings, Walls
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells
-from tests.faces import CEILING_M, faces
+from ffmap.algorithms.building.windows import without_panes
+from tests.faces import CEILING_M, faces, window
 from tests.voting import vote
 
 SETTINGS = StandingWallsSettings()
@@ -156,6 +157,32 @@ def test_a_glazed_wall_is_no_duct_however_long():
     assert judge(cells)[1] == [FaceVerdict.HANGS]
     cells.counts[10:150, : int(2.3 / CELL_M), FILLED] = 1.0
     assert judge(cells) == ([[0.0, 8.0]], [])
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_what_a_windows_bars_and_posters_return_is_not_beyond_its_wall(known: bool) -> None:
+    """A shop's front, its glass 13 cm behind the fascia: of the rays that pass it nothing is left where the glass is known."""
+    front = cells_of(6.0)
+    glass = front.counts[4:116, 1:46]
+    glass[..., SUM], glass[..., SQUARES] = -1.3, 0.169
+    walls, pane_y = faces(((0, 0), (6, 0))), -0.13
+    panes = replace(window((0.2, pane_y), (5.8, pane_y)), bottom_m=np.array([0.05]), top_m=np.array([2.3]))
+    traced = TracedFaces(walls, front, np.full(120, CEILING_M), np.zeros(120))
+    cleared = without_panes(traced, panes if known else NO_WINDOWS, BuildingSettings().near_m)
+    verdicts = judged_faces(walls, cleared.cells, cleared.clear_m, np.array([[3.0, 1.0]])).verdict
+    assert verdicts.tolist() == ([] if known else [FaceVerdict.HANGS])
+
+
+def test_a_curtain_before_a_window_stays() -> None:
+    """Rays end on it; a face farther before the window than walls are deep has nothing of the window in it."""
+    curtain = cells_of(2.0)
+    pass_rays(curtain, slice(20, None), 1.0, 2.0)
+    for y, passed in ((-0.1, 0.0), (-0.9, 20.0)):
+        traced = TracedFaces(faces(((0, 0), (2, 0))), curtain, np.full(40, CEILING_M), np.zeros(40))
+        cleared = without_panes(traced, window((0.0, y), (2.0, y)), BuildingSettings().near_m).cells.counts
+        assert (cleared[:20, :50, FILLED] == 10.0).all()
+        assert (cleared[22:, 22:38, THROUGH] == passed).all()
+    assert (curtain.counts[22:, 22:38, THROUGH] == 20.0).all()
 
 
 def test_a_high_window_does_not_cut_its_wall_though_rays_pass_beside_it():
