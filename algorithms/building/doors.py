@@ -11,6 +11,7 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, lengths_m, segments
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
 from ffmap.algorithms.building.model import (
+    AT_FACE_M,
     CELL_M,
     NO_DOORS,
     NO_WINDOWS,
@@ -289,14 +290,14 @@ def _head_m(counts: FloatArray, state: DoorState, lintel_m: float, leaf_m: float
 def drop_doubtful(doors: Doors, settings: BuildingSettings) -> Doors:
     """The doors without what is too narrow for one or too unsure, and without "closed" ones that are rather a wall or a pane.
 
-    A leaf's recess of centimetres shows from nearby only: at least `scans_min` scans have to have seen it so. A leaf is
-    set back by a step, as high as doors are; a wall that the poses' tilt leans back comes forward little by little, and
-    its "head" is far too low or high. And no ray passes a leaf.
+    A leaf's recess of centimetres shows from nearby only: at least `scans_min` scans have to have seen it so, unless it is deeper
+    than returns are displaced. A leaf is set back by a step, as high as doors are; a wall that the poses' tilt leans back comes
+    forward little by little, and its "head" is far too low or high. And no ray passes a leaf.
     """
     width_m = lengths_m(doors.ends)
     lowest_m, highest_m = settings.door_height_min_m - CELL_M, settings.door_height_max_m + CELL_M
     doubtful = (
-        (doors.scan_count < settings.scans_min)
+        ((doors.scan_count < settings.scans_min) & (doors.depth_m < AT_FACE_M))
         | (doors.head_m < lowest_m)
         | (doors.head_m > highest_m)
         | (doors.agreement < settings.opaque_min)

@@ -116,7 +116,8 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
     top = (np.maximum(top_m - openings.below_ceiling_m, 0.0) / CELL_M).astype(np.int64)[:, None]
     row = np.arange(counts.shape[1])
     is_upright = _is_upright(smooth)[..., None]
-    above = (row >= _head_rows(np.where(is_upright, smooth, smooth * _PASSED), top, rules)) & (row < top)
+    head = _head_rows(np.where(is_upright, smooth, smooth * _PASSED), top, rules)
+    above = (row >= head) & (row < top)
     above_head = smooth * above[..., None]
     # What hangs behind a lintel is seen below it, and would pull its mean back.
     at_face = above_head * (returns_at_face(above_head) > 0)[..., None]
@@ -139,8 +140,10 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
     spread_m = np.sqrt(depth_moments(below)[1])
     is_open = may_be & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)
     is_closed = may_be & (depth_m > settings.recess_min_m) & (through < 1 - settings.agreement_min) & (spread_m < 0.06)
+    # What steps forward higher than doors are is a cornice, or a cove.
+    is_closed &= head[:, 0] <= cells_in(settings.door_height_max_m) + 1
     # A leaf is recessed down to the floor; below a window the wall stands flush.
-    flush = foot_depth_m < 0.5 * settings.recess_min_m
+    flush = foot_depth_m < 0.5 * depth_m
     for first, last in stretches(is_closed, 2):
         if 2 * np.count_nonzero(flush[first : last + 1]) > last + 1 - first:
             is_closed[first : last + 1] = False

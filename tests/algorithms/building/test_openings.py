@@ -137,10 +137,30 @@ def test_a_leaf_goes_on_behind_what_stands_before_it() -> None:
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
 
 
+@pytest.mark.parametrize("forward_m", [0.0, 0.05])
+def test_a_cornice_is_no_lintel_of_the_wall_below_it(forward_m: float) -> None:
+    """It steps forward along the whole wall, higher than doors are."""
+    seen = cells()
+    seen.counts[:, round(2.9 / CELL_M) :, SUM] = forward_m * 10.0
+    seen.counts[:, round(2.9 / CELL_M) :, SQUARES] = forward_m**2 * 10.0
+    recess(seen, 0.0, 2.1, 0.1)
+    doors = find_doors(WALL, seen, np.full(80, 3.3), RULES)
+    assert doors.state.tolist() == [DoorState.CLOSED]
+    np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
+
+
 @pytest.mark.parametrize("sill_m", [0.7, 0.35])
 def test_a_pane_above_a_flush_parapet_is_no_leaf(sill_m: float) -> None:
     seen = cells()
     recess(seen, sill_m, 2.1, 0.05)
+    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 0
+
+
+def test_a_niche_above_a_parapet_that_stands_back_a_little_is_no_leaf() -> None:
+    """A leaf lies as deep at its foot as it does above."""
+    seen = cells()
+    recess(seen, 0.0, 0.9, 0.02)
+    recess(seen, 0.9, 2.1, 0.13)
     assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 0
 
 
@@ -792,7 +812,7 @@ def test_a_door_that_was_driven_through_is_open(path: list[list[float]], crossed
 def test_what_frames_show_to_be_no_door_is_dropped() -> None:
     closed, opened = DoorState.CLOSED, DoorState.OPEN
     kinds = [
-        # head, scans, width, agreement, state
+        # head, scans, width, agreement, state; the leaf 2 cm deep
         (2.05, 9, 0.9, 1.0, closed),
         (1.70, 9, 0.9, 1.0, closed),  # a wall that leans
         (2.73, 9, 0.9, 1.0, closed),  # up to the ceiling
@@ -809,8 +829,11 @@ def test_what_frames_show_to_be_no_door_is_dropped() -> None:
     doors = Doors(**{name: np.zeros((len(kinds), *v.shape[1:]), v.dtype) for name, v in shape.items()})
     doors.ends[:, 1, 0] = width_m
     doors = replace(doors, head_m=head_m, scan_count=scan_count, agreement=agreement, state=state.astype(np.uint8))
-    doors = replace(doors, confidence=agreement)
+    doors = replace(doors, confidence=agreement, depth_m=np.full(len(kinds), 0.02))
     kept = drop_doubtful(doors, BuildingSettings())
+    # A recess that no error makes shows from afar as well.
+    deep = drop_doubtful(replace(doors, depth_m=np.full(len(kinds), 0.1)), BuildingSettings())
+    np.testing.assert_array_equal(deep.scan_count, scan_count[[0, 3, 4, 5, 7]])
     np.testing.assert_array_equal(kept.head_m, head_m[[0, 3, 5, 7]])
     np.testing.assert_array_equal(kept.state, [closed, opened, opened, opened])
     assert len(drop_doubtful(NO_DOORS, BuildingSettings())) == 0
