@@ -101,7 +101,7 @@ class AllScans:
     @cached_property
     def levels(self) -> tuple[HeightMap, ...]:
         """The ceilings and floors that they show together."""
-        return map_levels(self.votes, self.levels_settings)
+        return map_levels(self.votes, self.drive.blocks(), self.levels_settings)
 
     @cached_property
     def storey(self) -> Storey:

@@ -15,15 +15,17 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Arr
 _TILE_M, _TILE_CUBES = 10.0, 5
 """Positions in a square of this edge (m) that holds fewer, with the squares around it, are single errors: one far away would
 stretch a grid by all that lies between."""
+_ANYTHING = -1
+"""Of compiled code, in place of the label that scans gave."""
 
 
 class Surface(StrEnum):
-    """What a height map is of; label: what lies there, taken_for: what scans took it for."""
+    """What a height map is of; label: what lies there, taken_for: what scans took it for, None if for anything."""
 
     label: Label
-    taken_for: Label
+    taken_for: Label | None
 
-    def __new__(cls, name: str, label: Label, taken_for: Label) -> "Surface":
+    def __new__(cls, name: str, label: Label, taken_for: Label | None) -> "Surface":
         """A member with its two labels."""
         surface = str.__new__(cls, name)
         surface._value_, surface.label, surface.taken_for = name, label, taken_for
@@ -37,6 +39,7 @@ class Surface(StrEnum):
     STEP_FRONT = "step_front", Label.FLOOR, Label.CLUTTER
     DUCT = "duct", Label.CLUTTER, Label.CEILING
     CEILING_DROP = "ceiling_drop", Label.CEILING, Label.CLUTTER
+    MIRRORED_FLOOR = "mirrored_floor", Label.OUTSIDE, None
     STOREY_BELOW = "storey_below", Label.OUTSIDE, Label.WALL
 
 
@@ -68,7 +71,8 @@ class HeightMap:
     def label_of(self, points_map: FloatArray, label: UInt8Array) -> UInt8Array:
         """The labels (n,) of points (n, 3); what scans took for something else at these heights gets the surface's label."""
         # As plain numbers: of an enumeration Numba looks at every member, each time that it is handed one.
-        codes = int(self.surface.taken_for), int(self.surface.label)
+        taken_for = self.surface.taken_for
+        codes = _ANYTHING if taken_for is None else int(taken_for), int(self.surface.label)
         return np.asarray(
             _label_between(points_map, label, *codes, self.origin, self.cell_m, self.low_m, self.high_m)
         )
@@ -85,11 +89,11 @@ def _label_between(
     low_m: FloatArray,
     high_m: FloatArray,
 ) -> UInt8Array:  # pragma: no cover
-    """The labels (n,) of points (n, 3) with `wanted` in place of `taken_for` between two heights of their cells."""
+    """The labels (n,) of points (n, 3) with `wanted` in place of `taken_for`, or of anything, between heights of their cells."""
     corrected = label.copy()
     rows, columns = low_m.shape
     for i in range(len(points)):
-        if label[i] == taken_for:
+        if taken_for < 0 or label[i] == taken_for:
             column, row = np.floor((points[i, 0] - origin[0]) / cell_m), np.floor((points[i, 1] - origin[1]) / cell_m)
             if 0 <= column < columns and 0 <= row < rows:
                 cell = int(row), int(column)

@@ -1,8 +1,10 @@
 """The level and sloping surfaces of the whole building, for what single scans saw too little of or took for something else.
 
-Ceilings, floors that lie higher than where the robot stood, ducts that passed for ceilings, and the storey below.
+Ceilings, floors that lie higher than where the robot stood, ducts that passed for ceilings, floors that rooflights mirror, and the
+storey below.
 """
 
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import reduce
 
@@ -21,11 +23,18 @@ from ffmap.algorithms.building.floors import (
 )
 from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.level_settings import LevelsSettings
+from ffmap.algorithms.building.rooflights import map_mirrored_floors
 from ffmap.algorithms.building.votes import VoxelVotes
+from ffmap.algorithms.scan.summary import Features
 
 
-def map_levels(votes: VoxelVotes, settings: LevelsSettings) -> tuple[HeightMap, ...]:
-    """All level surfaces of the building, in the order in which they correct labels; votes: of the scans' labels."""
+def map_levels(votes: VoxelVotes, blocks: Iterable[Features], settings: LevelsSettings) -> tuple[HeightMap, ...]:
+    """All level surfaces of the building, in the order in which they correct labels.
+
+    votes: of the scans' labels. blocks: the scans' features, in portions.
+    """
+    mirrored = map_mirrored_floors(votes, blocks, settings)
+    votes = _corrected_votes(votes, mirrored)
     ceilings = [find(votes, settings) for find in (map_ceilings, map_glimpsed_ceilings, map_sloping_ceilings)]
     # Far away, returns are far apart.
     raised = [map_raised_floors(votes, settings, cell_m) for cell_m in (settings.cell_m, 2 * settings.cell_m)]
@@ -34,15 +43,14 @@ def map_levels(votes: VoxelVotes, settings: LevelsSettings) -> tuple[HeightMap, 
     ducts = map_ducts(votes, settings)
     drops = map_ceiling_drops(reduce(_corrected_votes, ceilings, votes), settings)
     below = map_storey_below(with_raised, settings)
-    levels = (*ceilings, *floors, ducts, drops, below)
+    levels = (mirrored, *ceilings, *floors, ducts, drops, below)
     return tuple(level for level in levels if level.known.any())
 
 
 def _corrected_votes(votes: VoxelVotes, level: HeightMap) -> VoxelVotes:
     """The votes, corrected where scans took something else for what lies there."""
-    label = votes.label
-    wrong = level.label_of(votes.mean_position, label) != label
-    counts = votes.counts.copy()
-    counts[wrong, level.surface.label] += counts[wrong, level.surface.taken_for]
-    counts[wrong, level.surface.taken_for] = 0
+    wrong = level.label_of(votes.mean_position, votes.label) != votes.label
+    counts, taken_for = votes.counts.copy(), votes.label[wrong]
+    counts[wrong, level.surface.label] += counts[wrong, taken_for]
+    counts[wrong, taken_for] = 0
     return replace(votes, counts=counts)

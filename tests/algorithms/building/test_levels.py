@@ -1,5 +1,7 @@
 """The building's level surfaces: ceilings of rooms of different height, sloping ones, raised floors, ducts."""
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,9 @@ from ffmap.algorithms.building.floors import map_floors_beyond, map_raised_floor
 from ffmap.algorithms.building.height_map import HeightMap, corrected, median_around
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.levels import map_levels
+from ffmap.algorithms.building.rooflights import map_mirrored_floors
 from ffmap.algorithms.building.votes import VoxelVotes
+from ffmap.algorithms.scan.summary import Features
 from tests.voting import merge, vote
 
 SETTINGS = LevelsSettings()
@@ -97,7 +101,7 @@ def test_a_platform_that_few_returns_show_from_afar_is_floor() -> None:
     few = np.random.default_rng(3).choice(platform, 300, replace=False)
     inner = few[(few[:, 0] > 4.4) & (few[:, 0] < 7.6) & (np.abs(few[:, 1] - 2.0) < 1.6)]
     label = np.zeros(len(inner), np.uint8)
-    for level in map_levels(votes_of((floor, Label.FLOOR), (few, Label.CLUTTER)), SETTINGS):
+    for level in map_levels(votes_of((floor, Label.FLOOR), (few, Label.CLUTTER)), (), SETTINGS):
         label = level.label_of(inner, label)
     assert np.mean(label == Label.FLOOR) > 0.97
 
@@ -202,7 +206,7 @@ def upright(x: tuple[float, float], y: float, z: tuple[float, float]) -> np.ndar
 
 
 def test_where_nothing_was_seen_there_is_no_level() -> None:
-    assert map_levels(vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05), SETTINGS) == ()
+    assert map_levels(vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05), (), SETTINGS) == ()
 
 
 def attic(
@@ -226,7 +230,7 @@ def test_a_roofs_underside_is_ceiling_and_what_stands_below_it_not(turn_deg: flo
     assert not np.any(found.label_of(bed, np.zeros(len(bed), np.uint8)))
     # How high the room is, is told from it: what stands at a knee wall's foot reaches it.
     low = attic(turn_deg, rise, (1.0, 2.0), (0.2, 0.4))
-    clear_m = Storey.of(votes, map_levels(votes, SETTINGS), 3).clear_m(low[:, :2], 2.0)
+    clear_m = Storey.of(votes, map_levels(votes, (), SETTINGS), 3).clear_m(low[:, :2], 2.0)
     np.testing.assert_allclose(clear_m, 1.3 + 0.3 * rise, atol=0.15 * rise + 0.05)
     assert np.isnan(Storey.of(votes, (), 3).clear_m(low[:, :2], 2.0)).all()
 
@@ -349,7 +353,7 @@ def test_single_returns_far_away_stretch_no_grid() -> None:
     alone, among_strays = votes_of(*room, *platform), votes_of(*room, *platform, *strays)
     points = np.concatenate([lying((-1, 9), (-1, 7), z) for z in (0.01, 0.21, 2.61)])
     clutter = np.full(len(points), Label.CLUTTER, np.uint8)
-    for level, expected in zip(map_levels(among_strays, SETTINGS), map_levels(alone, SETTINGS), strict=True):
+    for level, expected in zip(map_levels(among_strays, (), SETTINGS), map_levels(alone, (), SETTINGS), strict=True):
         assert level.surface is expected.surface
         assert level.low_m.size < 1.2 * expected.low_m.size + 500
         differ = np.mean(level.label_of(points, clutter) != expected.label_of(points, clutter))
@@ -418,7 +422,7 @@ class TestCeilingDrops:
             (self.standing((0, 4), (0, 3), (0, 2.8)) if walls is None else walls, Label.WALL),
             (hanging, Label.CLUTTER),
         )
-        return corrected(map_levels(votes, SETTINGS), hanging, np.full(len(hanging), Label.CLUTTER, np.uint8))
+        return corrected(map_levels(votes, (), SETTINGS), hanging, np.full(len(hanging), Label.CLUTTER, np.uint8))
 
     def test_a_beam_from_wall_to_wall_is_ceiling(self) -> None:
         assert self.corrected_share(((1.8, 2.1), (0, 3), (2.5, 2.8))) > 0.97
@@ -539,7 +543,75 @@ def test_walls_below_the_floor_are_of_the_storey_below(taken_for: Label) -> None
     """Seen down a stairwell beside the floor, whatever scans took them for."""
     wall = np.array([[3.5, y, z] for y in np.arange(0.02, 2, 0.05) for z in np.arange(-2.5, 2.5, 0.05)])
     votes = votes_of((lying((0, 2), (0, 2), 0.0), Label.FLOOR), (wall, taken_for))
-    label = corrected(map_levels(votes, SETTINGS), wall, np.full(len(wall), Label.WALL, np.uint8))
+    label = corrected(map_levels(votes, (), SETTINGS), wall, np.full(len(wall), Label.WALL, np.uint8))
     below = wall[:, 2] < -SETTINGS.below_floor_m - 0.01
     assert (label[below] == Label.OUTSIDE).all()
     assert (label[wall[:, 2] > -SETTINGS.below_floor_m + 0.01] == Label.WALL).all()
+
+
+def looking_up(ends: np.ndarray, label: Label, sensor: tuple[float, float, float] = (3.0, 3.0, 1.0)) -> Features:
+    """Scans of one place with rays to these ends (n, 3); in three portions, as many as tell of a cell."""
+    ends = np.repeat(ends, 3, axis=0)
+    return Features(
+        scan=np.array([0]),
+        origin_map=np.array([sensor]),
+        floor_map=np.zeros((1, 2, 3)),
+        floor_is_foot=np.zeros(1, bool),
+        floor_reach_m=np.full(1, 6.0),
+        ray_count=np.array([len(ends)]),
+        plane_count=np.zeros(1, np.int64),
+        ray_end_map=ends.astype(np.float32),
+        ray_label=np.full(len(ends), label, np.uint8),
+        plane_ends_map=np.zeros((0, 2, 2)),
+        plane_normal=np.zeros((0, 2)),
+        plane_bottom_m=np.zeros(0),
+        plane_top_m=np.zeros(0),
+        plane_lines=np.zeros(0, np.int64),
+        plane_moments=np.zeros((0, 6)),
+    )
+
+
+class TestRooflights:
+    """A room 3 m high with a rooflight from 2 to 4 m, through which the robot below it sees its own floor, 6 m up."""
+
+    floor = lying((0, 6), (0, 6), 0.0)
+    ceiling = np.concatenate([lying((0, 6), (0, 2), 3.0), lying((0, 6), (4, 6), 3.0)])
+    pane = lying((2, 4), (2, 4), 3.0)
+    mirrored = lying((1.2, 4.8), (1.2, 4.8), 6.0)
+
+    def levels(self, mirrored_as: Label, *more: tuple[np.ndarray, Label], height_m: float = 6.0) -> tuple[HeightMap, ...]:
+        high = self.mirrored + np.array([0.0, 0.0, height_m - 6.0])
+        votes = votes_of((self.floor, Label.FLOOR), (self.ceiling, Label.CEILING), (high, mirrored_as), *more)
+        return map_levels(votes, [looking_up(high, mirrored_as)], SETTINGS)
+
+    def labels(self, levels: tuple[HeightMap, ...], points: np.ndarray, label: Label) -> np.ndarray:
+        return corrected(levels, points, np.full(len(points), label, np.uint8))
+
+    @pytest.mark.parametrize("mirrored_as", [Label.CEILING, Label.CLUTTER])
+    @pytest.mark.parametrize("pane_as", [Label.CEILING, Label.CLUTTER])
+    def test_the_floor_that_a_pane_mirrors_is_outside(self, mirrored_as: Label, pane_as: Label) -> None:
+        levels = self.levels(mirrored_as, (self.pane[::7], pane_as))
+        inner = self.mirrored[np.abs(self.mirrored[:, :2] - 3.0).max(axis=1) < 1.5]
+        assert np.mean(self.labels(levels, inner, mirrored_as) == Label.OUTSIDE) > 0.95
+        # So is what stands on it, upside down; the pane, and the ceiling beside it, are not.
+        assert (self.labels(levels, np.array([[3.0, 3.0, 4.5]]), Label.WALL) == Label.OUTSIDE).all()
+        for kept in (self.pane, self.ceiling):
+            assert (self.labels(levels, kept, Label.CEILING) == Label.CEILING).all()
+
+    def test_the_ceiling_of_a_hall_is_none(self) -> None:
+        for more in ((), ((lying((2.9, 3.1), (2.0, 4.0), 3.0), Label.CLUTTER),)):  # a row of lamps half way up
+            levels = self.levels(Label.CEILING, *more)
+            assert (self.labels(levels, self.mirrored, Label.CEILING) == Label.CEILING).all()
+
+    def test_what_lies_farther_up_than_its_mirrored_floor_is_none(self) -> None:
+        levels = self.levels(Label.CEILING, (self.pane[::7], Label.CLUTTER), height_m=6.6)
+        high = self.mirrored + np.array([0.0, 0.0, 0.6])
+        assert (self.labels(levels, high, Label.CEILING) == Label.CEILING).all()
+
+    def test_without_anything_high_no_scan_is_asked(self) -> None:
+        def blocks() -> Iterator[Features]:
+            raise AssertionError
+            yield
+
+        votes = votes_of((self.floor, Label.FLOOR), (self.ceiling, Label.CEILING))
+        assert not map_mirrored_floors(votes, blocks(), SETTINGS).known.any()
