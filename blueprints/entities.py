@@ -57,7 +57,7 @@ REFUSALS = {
     FaceVerdict.ENDS_LOW: "rays pass above it, below the ceiling (a leaf, a cupboard)",
     FaceVerdict.HANGS: "rays pass below it (a duct, a beam)",
     FaceVerdict.ALONE: "few scans saw it, no wall is parallel or square to it, it ends below the ceiling (a side of furniture)",
-    FaceVerdict.LEANS: "it stands at an angle to a wall, close to it (a leaf open against its wall, or a plane laid across both)",
+    FaceVerdict.LEANS: "it crosses a wall at a small angle (a leaf open against it, or a plane laid across both)",
     FaceVerdict.OUTSIDE: "neither floor nor ceiling was seen before it (another house's front, through a window)",
     FaceVerdict.MIRRORED: "it is seen past a window alone (a pane's reflection of another wall)",
     FaceVerdict.FOLDED: "it hangs in folds, before and behind its plane by turns (a curtain)",
