@@ -277,7 +277,9 @@ def _head_m(counts: FloatArray, state: DoorState, lintel_m: float, leaf_m: float
         # A ray that ends on the lintel's underside passes the face lower than it ends.
         above_opening = (rows[:, FILLED] > rows[:, THROUGH]) & (depth_m < ON_FACE_M)
         wall = above_opening if state == DoorState.OPEN else depth_m < 0.5 * leaf_m
-    start, stop = cells_in(settings.door_height_min_m - 0.1), cells_in(settings.door_height_max_m + 0.3)
+    # An open passage may be higher than doors are.
+    highest = len(rows) if state == DoorState.OPEN else cells_in(settings.door_height_max_m + 0.3)
+    start, stop = cells_in(settings.door_height_min_m - 0.1), highest
     above = np.flatnonzero((wall & (rows[:, FILLED] > 0))[start:stop])
     if len(above):
         # The head lies somewhere in the row below, which is partly wall.

@@ -16,6 +16,7 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Arr
 from ffmap.algorithms.base.segments import Segment, lengths_m, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import (
+    LOW_ROOM_M,
     Columns,
     FaceColumnsSettings,
     Storey,
@@ -435,6 +436,8 @@ def _goes_on(counts: FloatArray, head_m: float, clear_m: float, settings: Standi
     seen = (on + passed).sum(axis=0) >= settings.stray_rays
     # Cell by cell: on a pier's side, which is met along its edge alone, more rays end than on all of its front.
     stands = 2 * np.count_nonzero(on > passed, axis=0) > np.count_nonzero(on + passed, axis=0)
+    # Beside a passage that reaches the ceiling, its last rows tell.
+    head_m = min(head_m, clear_m - LOW_ROOM_M)
     above = seen[max(int(head_m / CELL_M) + 1 - FOOT_ROW, 0) :]
     if not len(above):
         return False

@@ -294,7 +294,8 @@ def _has_bars(counts: FloatArray, share: float, rules: GlassRules) -> bool:
     noise = np.sqrt(met[:-1] * met[1:] * (returned[:-1] + returned[1:]))
     steps = np.abs(here - next_) > rules.fronts.bars_sigma * noise
     steps &= np.maximum(here, next_) > rules.fronts.bars_ratio * np.minimum(here, next_)
-    return bool(2 * np.count_nonzero(steps) > len(steps))
+    # Each bar makes two steps: a bar in each 30 cm or closer, and a window's are farther apart.
+    return bool(3 * np.count_nonzero(steps) > len(steps))
 
 
 def new_fronts(fronts: Windows, known: Windows, settings: GlassFrontsSettings) -> Windows:

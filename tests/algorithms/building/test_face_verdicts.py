@@ -400,9 +400,10 @@ def test_a_leaf_that_is_open_against_its_wall_leans_on_it():
     assert len(leaning_on_others(NO_WALLS, SETTINGS)) == 0
 
 
+@pytest.mark.parametrize("head_m", [2.05, CEILING_M])
 @pytest.mark.parametrize("goes_on", [False, True])
-def test_a_reveal_ends_with_its_wall_unless_a_wall_goes_on_from_it(goes_on: bool) -> None:
-    """A wall 0.2 m thick along x; the face across it, at the door's jamb, runs on for the length of a leaf."""
+def test_a_reveal_ends_with_its_wall_unless_a_wall_goes_on_from_it(goes_on: bool, head_m: float) -> None:
+    """A wall 0.2 m thick along x; the face across it, at the jamb of a door or of a higher passage, runs on as long as a leaf."""
     face = faces(((1.0, 0.5), (1.0, -1.0)))
     cells = cells_of(1.5)
     if not goes_on:
@@ -411,7 +412,7 @@ def test_a_reveal_ends_with_its_wall_unless_a_wall_goes_on_from_it(goes_on: bool
         NO_DOORS,
         ends=np.array([[[0.1, 0.5], [1.0, 0.5]]]),
         normal=np.array([[0.0, 1.0]]),
-        head_m=np.array([2.05]),
+        head_m=np.array([head_m]),
         reveal_m=np.array([0.2]),
     )
     trimmed = trim_at_doorways(TracedFaces(face, cells, np.full(30, CEILING_M), np.zeros(30)), door, SETTINGS)
@@ -422,7 +423,7 @@ def test_a_reveal_ends_with_its_wall_unless_a_wall_goes_on_from_it(goes_on: bool
     else:
         assert trimmed.faces.walls.ends[0, 1, 1] >= 0.3
         np.testing.assert_allclose(trimmed.leaves.ends[0, 1], face.ends[0, 1])
-        assert trimmed.leaves.top_m[0] == 2.05
+        assert trimmed.leaves.top_m[0] == head_m
 
 
 def test_of_a_face_that_two_doorways_would_cut_away_something_is_left() -> None:

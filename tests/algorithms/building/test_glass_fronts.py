@@ -39,7 +39,7 @@ class Front:
     returned, mirrored: shares of the rays that a pane returns, and that it mirrors, which end in the room's mirror image.
     open_x: from where to where no pane stands. walls_x: from where to where walls return all rays. dust_x: from
     where to where a pane's share is a tenth. shelf: boards that return nearly all rays, and nothing between them, in place of a
-    pane; railing: upright bars that do. person_x: where someone 0.5 m wide stands, who returns all rays.
+    pane; railing_m: distance of upright bars that do. person_x: where someone 0.5 m wide stands, who returns all rays.
     turn_deg: of the whole in the map.
     """
 
@@ -49,7 +49,7 @@ class Front:
     walls_x: tuple[tuple[float, float], ...] = ()
     dust_x: tuple[float, float] = (9.0, 9.0)
     shelf: bool = False
-    railing: bool = False
+    railing_m: float | None = None
     person_x: float | None = None
     rays: int = 12_000
     turn_deg: float = 0.0
@@ -69,11 +69,12 @@ class Front:
             on_pane |= (aim[:, 0] > low) & (aim[:, 0] < high)
         if self.shelf:
             on_pane = (aim[:, 2] % 0.4 < 0.04) & (drawn < 0.9)
-        if self.railing:
-            on_pane = (aim[:, 0] % 0.15 < 0.015) & (drawn < 0.9)
+        if self.railing_m is not None:
+            # Between its bars something thin returns as few rays as glass.
+            on_pane = drawn < np.where(aim[:, 0] % self.railing_m < 0.015, 0.9, 0.4 * self.returned)
         if self.person_x is not None:
             on_pane |= np.abs(aim[:, 0] - self.person_x) < 0.25
-        solid = self.shelf or self.railing
+        solid = self.shelf or self.railing_m is not None
         mirrored = ~on_pane & glazed & (not solid) & (drawn < self.returned + self.mirrored)
         # The image of the wall behind the robot, at y = 6, and a wall of the building opposite.
         end_y = np.where(on_pane, DEPTH_M, np.where(mirrored, 2 * DEPTH_M, 14.0))
@@ -192,8 +193,9 @@ def test_a_sheet_close_before_a_wall_is_the_edges_of_a_shelf(behind_m: float, fr
 
 
 @pytest.mark.parametrize("scans", [8, 40])
-def test_a_railing_returns_rays_and_none_in_turns(scans: int) -> None:
-    assert not len(Front(railing=True).found(scans))
+@pytest.mark.parametrize("apart_m", [0.15, 0.25])
+def test_a_railing_returns_rays_and_none_in_turns(scans: int, apart_m: float) -> None:
+    assert not len(Front(railing_m=apart_m).found(scans))
 
 
 def test_who_walks_by_returns_all_rays_at_once_and_is_no_pane() -> None:

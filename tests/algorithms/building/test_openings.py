@@ -436,6 +436,16 @@ def test_a_doorway_reaches_to_the_jamb_that_its_leaf_hides(mirrored: bool) -> No
         assert len(find_doors(WALL, doubtful, unknown(doubtful), RULES)) == 0
 
 
+@pytest.mark.parametrize("head_m", [2.4, 3.0])
+def test_an_open_passage_may_be_higher_than_doors(head_m: float) -> None:
+    seen = cells()
+    part = seen.counts[30:48, : round(head_m / CELL_M)]
+    part[...], part[..., THROUGH] = 0.0, 10.0
+    passage = find_doors(WALL, seen, np.full(80, 3.3), RULES)
+    assert passage.state.tolist() == [DoorState.OPEN]
+    assert passage.head_m[0] == pytest.approx(head_m, abs=CELL_M)
+
+
 @pytest.mark.filterwarnings("error")
 def test_a_face_that_is_passed_over_all_its_length_has_no_door() -> None:
     narrow = replace(WALL, ends=np.array([[[1.5, 0.0], [2.4, 0.0]]]))
