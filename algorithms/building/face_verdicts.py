@@ -375,7 +375,7 @@ def trim_at_doorways(faces: TracedFaces, doors: Doors, settings: StandingWallsSe
     """The faces, with those of doors' reveals cut off at their wall's two faces unless they go on up to the ceiling there.
 
     The leaf of an open door hangs at the end of a reveal, often in line with it, and the scans' planes run from one on to
-    the other. What passes through a door of the face itself says nothing against its wall.
+    the other. What passes through a door of the face itself, or below a lintel in it, says nothing against its wall.
 
     doors: with their reveals' depth.
     """
@@ -386,7 +386,8 @@ def trim_at_doorways(faces: TracedFaces, doors: Doors, settings: StandingWallsSe
     for w in range(len(faces)):
         own = faces.columns(w)
         ceiling_m, in_door = median_m(faces.clear_m[own]), _columns_of_doors(doors, faces.walls, w, places[own])
-        counts = np.where(in_door[:, None, None], np.float32(0.0), faces.cells.counts[own])
+        in_opening = in_door | _below_lintel(faces.cells.counts[own], ceiling_m, settings)
+        counts = np.where(in_opening[:, None, None], np.float32(0.0), faces.cells.counts[own])
         first, after = 0, len(counts)
         for d in np.flatnonzero(np.abs(doors.normal @ faces.walls.normal[w]) < ACROSS):
             reveal = _reveal_columns(doors, int(d), places[own], settings.jamb_m)
@@ -426,6 +427,16 @@ def _columns_of_doors(doors: Doors, walls: Walls, w: int, places: FloatArray) ->
         before_m = doorway.before_m(places)
         within |= doorway.beside(places, CELL_M) & (before_m < AT_FACE_M) & (before_m > -depth_m - AT_FACE_M)
     return within
+
+
+def _below_lintel(counts: FloatArray, clear_m: float, settings: StandingWallsSettings) -> BoolArray:
+    """(c,) at which columns (c, rows, 4) rays pass below doors' heads and end above: beyond a leaf it is the other way round."""
+    if not np.isfinite(clear_m):
+        return np.zeros(len(counts), bool)
+    on, passed = cells_on_and_passed(counts, clear_m)
+    head = int(above_doors_m(np.array(clear_m), settings.above_door_m) / CELL_M) - FOOT_ROW
+    below, above = (on[:, rows].sum(axis=1) > passed[:, rows].sum(axis=1) for rows in (slice(head), slice(head, None)))
+    return np.asarray(above & ~below)
 
 
 def _goes_on(counts: FloatArray, head_m: float, clear_m: float, settings: StandingWallsSettings) -> bool:

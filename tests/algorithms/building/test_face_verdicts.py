@@ -426,6 +426,22 @@ def test_a_reveal_ends_with_its_wall_unless_a_wall_goes_on_from_it(goes_on: bool
         assert trimmed.leaves.top_m[0] == head_m
 
 
+def test_a_wall_goes_on_from_a_reveal_though_most_of_it_is_an_open_doorway() -> None:
+    """As of a closet at a corridor's end, whose leaf stands ajar: no door is known there."""
+    face, cells = faces(((1.0, 0.5), (1.0, -1.0))), cells_of(1.5)
+    pass_rays(cells, slice(10, 28), 0.1, 2.05)
+    door = replace(
+        NO_DOORS,
+        ends=np.array([[[0.1, 0.5], [1.0, 0.5]]]),
+        normal=np.array([[0.0, 1.0]]),
+        head_m=np.array([2.05]),
+        reveal_m=np.array([0.2]),
+    )
+    for clear_m, leaves in ((CEILING_M, 0), (np.nan, 1)):
+        traced = TracedFaces(face, cells, np.full(30, clear_m), np.zeros(30))
+        assert len(trim_at_doorways(traced, door, SETTINGS).leaves) == leaves
+
+
 def test_of_a_face_that_two_doorways_would_cut_away_something_is_left() -> None:
     """One door leaves what is above y = 0.3, the other what is below y = 0."""
     face, cells = faces(((1.0, 0.5), (1.0, -1.0))), cells_of(1.5)
