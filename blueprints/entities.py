@@ -51,13 +51,13 @@ FUSED_WALLS = "/world/building/fused_walls"
 REFUSED_WALLS = "/world/building/refused_walls"
 AGAINST_WALLS = "/world/building/against_walls"
 LEVELS = "/world/building/levels"
-CEILINGS = [surface for surface in Surface if surface.label == Label.CEILING]
+OVERHEAD = [surface for surface in Surface if surface.label == Label.CEILING] + [Surface.MIRRORED_FLOOR]
 BUILDING_REASONS = "/world/building/reasons"
 REFUSALS = {
     FaceVerdict.ENDS_LOW: "rays pass above it, below the ceiling (a leaf, a cupboard)",
     FaceVerdict.HANGS: "rays pass below it (a duct, a beam)",
     FaceVerdict.ALONE: "few scans saw it, no wall is parallel or square to it, it ends below the ceiling (a side of furniture)",
-    FaceVerdict.LEANS: "it crosses a wall at a small angle (a leaf open against it, or a plane laid across both)",
+    FaceVerdict.LEANS: "it crosses a wall at a small angle (a leaf open against it, or a plane laid across wall and leaf)",
     FaceVerdict.OUTSIDE: "neither floor nor ceiling was seen before it (another house's front, through a window)",
     FaceVerdict.MIRRORED: "it is seen past a window alone (a pane's reflection of another wall)",
     FaceVerdict.FOLDED: "it hangs in folds, before and behind its plane by turns (a curtain)",

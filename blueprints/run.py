@@ -268,7 +268,7 @@ def _building(centre_m: tuple[float, float], extent_m: float, first: bool) -> rr
             overrides={
                 entities.DOORS: rr.LineStrips3D.from_fields(show_labels=True),
                 # They hide what lies below; a click on their eye shows them.
-                **{f"{entities.LEVELS}/{ceiling}": rrb.EntityBehavior(visible=False) for ceiling in entities.CEILINGS},
+                **{f"{entities.LEVELS}/{surface}": rrb.EntityBehavior(visible=False) for surface in entities.OVERHEAD},
             },
         ),
         rrb.Vertical(

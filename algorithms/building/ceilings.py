@@ -12,6 +12,7 @@ from ffmap.algorithms.building.height_map import (
     HeightMap,
     Surface,
     closed,
+    grid_over_all,
     highest_around,
     median_around,
     nearest_known,
@@ -33,10 +34,7 @@ def map_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
 
 
 def _over_all(votes: VoxelVotes, settings: LevelsSettings) -> tuple[GroundGrid, FloatArray]:
-    """A grid over all cubes, and the floor's height (rows, columns) under each cell; NaN where no floor is known."""
-    floor = votes.seen(settings.votes_min) & (votes.label == Label.FLOOR)
-    grid = GroundGrid.around(votes.mean_position, settings.cell_m, settings.ceiling_reach_m)
-    return grid, grid.ground_m(votes.mean_position[floor])[0]
+    return grid_over_all(votes, settings.votes_min, settings.cell_m, settings.ceiling_reach_m)
 
 
 def map_glimpsed_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:

@@ -149,7 +149,7 @@ def _doors_in(
             door = Doors(
                 ends=face.at(CELL_M * np.array([first, last + 1]))[None],
                 normal=face.normal[None],
-                head_m=np.array([_head_m(counts[columns], state, lintel_m, depth_m, settings)]),
+                head_m=np.array([_head_m(counts[columns], state, float(top_m[columns].max()), lintel_m, depth_m, settings)]),
                 depth_m=np.array([np.nan if is_ajar else depth_m]),
                 state=np.array([state], np.uint8),
                 confidence=agreement * coverage,
@@ -266,10 +266,13 @@ def _count_jambs(
     return 1 if hidden else sum(int(np.count_nonzero(flush[side]) >= wall_min) for side in sides)
 
 
-def _head_m(counts: FloatArray, state: DoorState, lintel_m: float, leaf_m: float, settings: BuildingSettings) -> float:
+def _head_m(
+    counts: FloatArray, state: DoorState, top_m: float, lintel_m: float, leaf_m: float, settings: BuildingSettings
+) -> float:
     """Height below which the rows of a door are no longer wall.
 
-    lintel_m: how far before the face the wall above lies; leaf_m: how far behind it a closed leaf does.
+    top_m: how high its wall stands. lintel_m: how far before the face the wall above lies; leaf_m: how far behind it a closed leaf
+    does.
     """
     rows = counts.sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -277,9 +280,10 @@ def _head_m(counts: FloatArray, state: DoorState, lintel_m: float, leaf_m: float
         # A ray that ends on the lintel's underside passes the face lower than it ends.
         above_opening = (rows[:, FILLED] > rows[:, THROUGH]) & (depth_m < ON_FACE_M)
         wall = above_opening if state == DoorState.OPEN else depth_m < 0.5 * leaf_m
-    # An open passage may be higher than doors are.
-    highest = len(rows) if state == DoorState.OPEN else cells_in(settings.door_height_max_m + 0.3)
-    start, stop = cells_in(settings.door_height_min_m - 0.1), highest
+    # What is open may be higher than doors are.
+    highest_m = settings.door_height_max_m + 0.3
+    highest_m = max(highest_m, top_m) if state == DoorState.OPEN else highest_m
+    start, stop = cells_in(settings.door_height_min_m - 0.1), cells_in(highest_m)
     above = np.flatnonzero((wall & (rows[:, FILLED] > 0))[start:stop])
     if len(above):
         # The head lies somewhere in the row below, which is partly wall.
@@ -293,8 +297,8 @@ def drop_doubtful(doors: Doors, settings: BuildingSettings) -> Doors:
     """The doors without what is too narrow for one or too unsure, and without "closed" ones that are rather a wall or a pane.
 
     A leaf's recess of centimetres shows from nearby only: at least `scans_min` scans have to have seen it so, unless it is deeper
-    than returns are displaced. A leaf is set back by a step, as high as doors are; a wall that the poses' tilt leans back comes
-    forward little by little, and its "head" is far too low or high. And no ray passes a leaf.
+    than noise and the poses' errors displace returns. A leaf is set back by a step, as high as doors are; a wall that the poses'
+    tilt leans back comes forward little by little, and its "head" is far too low or high. And no ray passes a leaf.
     """
     width_m = lengths_m(doors.ends)
     lowest_m, highest_m = settings.door_height_min_m - CELL_M, settings.door_height_max_m + CELL_M

@@ -100,7 +100,7 @@ class AllScans:
 
     @cached_property
     def levels(self) -> tuple[HeightMap, ...]:
-        """The ceilings and floors that they show together."""
+        """The ceilings and floors that they show together, and those that panes mirror."""
         return map_levels(self.votes, self.drive.blocks(), self.levels_settings)
 
     @cached_property

@@ -16,7 +16,6 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Arr
 from ffmap.algorithms.base.segments import Segment, lengths_m, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import (
-    LOW_ROOM_M,
     Columns,
     FaceColumnsSettings,
     Storey,
@@ -329,8 +328,7 @@ def shows_whole(faces: TracedFaces, settings: StandingWallsSettings) -> BoolArra
 def _shows_whole(faces: TracedFaces, columns: slice, settings: StandingWallsSettings) -> bool:
     """Whether rays end on columns from the foot to the ceiling."""
     ceiling_m = median_m(faces.clear_m[columns])
-    head_m = float(above_doors_m(np.array(ceiling_m), settings.above_door_m))
-    return _goes_on(faces.cells.counts[columns], head_m, ceiling_m, settings)
+    return _goes_on(faces.cells.counts[columns], settings.above_door_m, ceiling_m, settings)
 
 
 def refuse_outside(judged: JudgedFaces, storey: Storey, settings: FaceColumnsSettings) -> JudgedFaces:
@@ -430,13 +428,13 @@ def _columns_of_doors(doors: Doors, walls: Walls, w: int, places: FloatArray) ->
 
 
 def _below_lintel(counts: FloatArray, clear_m: float, settings: StandingWallsSettings) -> BoolArray:
-    """(c,) at which columns (c, rows, 4) rays pass below doors' heads and end above: beyond a leaf it is the other way round."""
+    """(c,) at which columns (c, rows, 4) rays pass below doors' heads and end above; at a leaf they end below and pass above."""
     if not np.isfinite(clear_m):
         return np.zeros(len(counts), bool)
     on, passed = cells_on_and_passed(counts, clear_m)
-    head = int(above_doors_m(np.array(clear_m), settings.above_door_m) / CELL_M) - FOOT_ROW
-    below, above = (on[:, rows].sum(axis=1) > passed[:, rows].sum(axis=1) for rows in (slice(head), slice(head, None)))
-    return np.asarray(above & ~below)
+    head = max(cells_in(float(above_doors_m(np.array(clear_m), settings.above_door_m))) - FOOT_ROW, 0)
+    below, above = (on[:, rows].sum(axis=1) - passed[:, rows].sum(axis=1) for rows in (slice(head), slice(head, None)))
+    return np.asarray((below < 0.0) & (above > 0.0))
 
 
 def _goes_on(counts: FloatArray, head_m: float, clear_m: float, settings: StandingWallsSettings) -> bool:
@@ -447,8 +445,8 @@ def _goes_on(counts: FloatArray, head_m: float, clear_m: float, settings: Standi
     seen = (on + passed).sum(axis=0) >= settings.stray_rays
     # Cell by cell: on a pier's side, which is met along its edge alone, more rays end than on all of its front.
     stands = 2 * np.count_nonzero(on > passed, axis=0) > np.count_nonzero(on + passed, axis=0)
-    # Beside a passage that reaches the ceiling, its last rows tell.
-    head_m = min(head_m, clear_m - LOW_ROOM_M)
+    # Beside a passage that reaches the ceiling, the last rows tell.
+    head_m = float(above_doors_m(np.array(clear_m), head_m))
     above = seen[max(int(head_m / CELL_M) + 1 - FOOT_ROW, 0) :]
     if not len(above):
         return False

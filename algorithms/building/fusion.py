@@ -106,7 +106,7 @@ class Building:
     """All that is made of all scans together.
 
     aligned: the faces before any was judged, and those found of all scans' returns together. thickness_m: (W,) of the walls.
-    levels: its ceilings, floors and ducts, where scans took them for something else.
+    levels: its ceilings, floors and ducts, and the floors that panes mirror, where scans took them for something else.
     """
 
     aligned: AlignedFaces

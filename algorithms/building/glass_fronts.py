@@ -70,6 +70,9 @@ class GlassFrontsSettings(StepSettings):
     bars_ratio: float = Field(
         4.0, gt=1, description="Ratio of the shares that neighbouring columns of a railing return: of a bar to a gap."
     )
+    bars_apart_max_m: float = Field(
+        0.3, gt=0, description="A railing's bars are less than this (m) apart in the mean; a window's are farther."
+    )
     bars_sigma: float = Field(
         4.0, gt=0, description="Standard deviations by which they have to differ more than by the chance of single rays."
     )
@@ -294,8 +297,8 @@ def _has_bars(counts: FloatArray, share: float, rules: GlassRules) -> bool:
     noise = np.sqrt(met[:-1] * met[1:] * (returned[:-1] + returned[1:]))
     steps = np.abs(here - next_) > rules.fronts.bars_sigma * noise
     steps &= np.maximum(here, next_) > rules.fronts.bars_ratio * np.minimum(here, next_)
-    # Each bar makes two steps: a bar in each 30 cm or closer, and a window's are farther apart.
-    return bool(3 * np.count_nonzero(steps) > len(steps))
+    # There is a step at both sides of each bar.
+    return bool(2.0 * len(steps) * CELL_M < rules.fronts.bars_apart_max_m * np.count_nonzero(steps))
 
 
 def new_fronts(fronts: Windows, known: Windows, settings: GlassFrontsSettings) -> Windows:

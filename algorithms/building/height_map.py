@@ -11,12 +11,13 @@ from scipy import ndimage
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.building.votes import VoxelVotes
 
 _TILE_M, _TILE_CUBES = 10.0, 5
 """Positions in a square of this edge (m) that holds fewer, with the squares around it, are single errors: one far away would
 stretch a grid by all that lies between."""
 _ANYTHING = -1
-"""Of compiled code, in place of the label that scans gave."""
+"""What compiled code is handed for a surface that scans may have taken for anything."""
 
 
 class Surface(StrEnum):
@@ -39,8 +40,8 @@ class Surface(StrEnum):
     STEP_FRONT = "step_front", Label.FLOOR, Label.CLUTTER
     DUCT = "duct", Label.CLUTTER, Label.CEILING
     CEILING_DROP = "ceiling_drop", Label.CEILING, Label.CLUTTER
-    MIRRORED_FLOOR = "mirrored_floor", Label.OUTSIDE, None
     STOREY_BELOW = "storey_below", Label.OUTSIDE, Label.WALL
+    MIRRORED_FLOOR = "mirrored_floor", Label.OUTSIDE, None
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ def _label_between(
     corrected = label.copy()
     rows, columns = low_m.shape
     for i in range(len(points)):
-        if taken_for < 0 or label[i] == taken_for:
+        if label[i] == taken_for or taken_for == _ANYTHING:
             column, row = np.floor((points[i, 0] - origin[0]) / cell_m), np.floor((points[i, 1] - origin[1]) / cell_m)
             if 0 <= column < columns and 0 <= row < rows:
                 cell = int(row), int(column)
@@ -180,6 +181,15 @@ class GroundGrid:
         if not core.any():
             return np.zeros_like(mask)
         return np.asarray(mask & (ndimage.distance_transform_edt(~core) <= radius + 1.0))
+
+
+def grid_over_all(votes: VoxelVotes, votes_min: int, cell_m: float, margin_m: float) -> tuple[GroundGrid, FloatArray]:
+    """A grid over all cubes, and the floor's height (rows, columns) under each of its cells; NaN where no floor is known.
+
+    votes: of the scans' labels; those of `votes_min` scans make a cube floor.
+    """
+    grid = GroundGrid.around(votes.mean_position, cell_m, margin_m)
+    return grid, grid.ground_m(votes.mean_position[votes.seen(votes_min) & (votes.label == Label.FLOOR)])[0]
 
 
 def _among_others(position: FloatArray) -> BoolArray:

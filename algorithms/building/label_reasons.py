@@ -36,8 +36,8 @@ _SURFACE_WORDS = {
     Surface.STEP_FRONT: "it is the front of a step between two floors",
     Surface.DUCT: "what hangs there is narrow, below the ceiling beside it",
     Surface.CEILING_DROP: "it is a beam, a coffer or a soffit that closes up to the ceiling",
-    Surface.MIRRORED_FLOOR: "a pane overhead mirrors the floor there",
     Surface.STOREY_BELOW: "it lies below the floor",
+    Surface.MIRRORED_FLOOR: "a pane overhead mirrors the floor there",
 }
 
 REASONS: dict[int, str] = {

@@ -21,12 +21,11 @@ class LevelsSettings(StepSettings):
         0.8, gt=0, description="Minimum diameter (m) of a disc in a ceiling; ducts are narrower."
     )
     overhead_gap_m: float = Field(0.3, ge=0, description="Minimum distance (m) of it from a higher ceiling.")
-    mirrored_min: float = Field(
-        0.8,
-        gt=0,
-        lt=1,
-        description="Minimum share of the rays to what passes for a ceiling that pass a pane half way up: it is a mirrored floor.",
+    mirrored_share_min: float = Field(
+        0.8, gt=0, lt=1, description="Minimum share of the rays to a mirrored floor that pass a pane half way up."
     )
+    mirrored_rays_min: int = Field(3, ge=1, description="Minimum number of rays to each of its cells.")
+    at_pane_m: float = Field(0.1, gt=0, description="Maximum distance (m) from the pane's own returns at which they pass it.")
     slope_min: float = Field(0.15, gt=0, description="Minimum rise per metre of a sloping ceiling.")
     slope_max: float = Field(1.8, gt=0, description="Maximum rise per metre of a sloping ceiling; steeper is a wall.")
     slope_bottom_m: float = Field(1.0, gt=0, description="Minimum height (m) above the floor of a sloping ceiling.")

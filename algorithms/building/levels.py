@@ -50,7 +50,13 @@ def map_levels(votes: VoxelVotes, blocks: Iterable[Features], settings: LevelsSe
 def _corrected_votes(votes: VoxelVotes, level: HeightMap) -> VoxelVotes:
     """The votes, corrected where scans took something else for what lies there."""
     wrong = level.label_of(votes.mean_position, votes.label) != votes.label
-    counts, taken_for = votes.counts.copy(), votes.label[wrong]
-    counts[wrong, level.surface.label] += counts[wrong, taken_for]
-    counts[wrong, taken_for] = 0
+    if not wrong.any():
+        return votes
+    counts, surface = votes.counts.copy(), level.surface
+    taken_for = slice(None) if surface.taken_for is None else [surface.taken_for]
+    own = counts[wrong]
+    moved = own[:, taken_for].sum(axis=1)
+    own[:, taken_for] = 0
+    own[:, surface.label] += moved
+    counts[wrong] = own
     return replace(votes, counts=counts)

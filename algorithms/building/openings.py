@@ -141,11 +141,11 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
     is_open = may_be & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)
     is_closed = may_be & (depth_m > settings.recess_min_m) & (through < 1 - settings.agreement_min) & (spread_m < 0.06)
     # What steps forward higher than doors are is a cornice, or a cove.
-    is_closed &= head[:, 0] <= cells_in(settings.door_height_max_m) + 1
-    # A leaf is recessed down to the floor; below a window the wall stands flush.
-    flush = foot_depth_m < 0.5 * depth_m
+    is_closed &= head[:, 0] <= cells_in(settings.door_height_max_m + CELL_M)
+    # A leaf is recessed down to the floor; below a window, or a niche, the wall stands less than half as far back.
+    is_parapet = foot_depth_m < 0.5 * depth_m
     for first, last in stretches(is_closed, 2):
-        if 2 * np.count_nonzero(flush[first : last + 1]) > last + 1 - first:
+        if 2 * np.count_nonzero(is_parapet[first : last + 1]) > last + 1 - first:
             is_closed[first : last + 1] = False
     return DoorColumns(is_open, is_closed, has_lintel, through, below, lintel_m, depth_m)
 

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, UInt8Array
-from ffmap.algorithms.building.height_map import GroundGrid, HeightMap, Surface, closed, nearest_known
+from ffmap.algorithms.building.height_map import GroundGrid, HeightMap, Surface, closed, grid_over_all, nearest_known
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.scan.summary import Features
@@ -19,40 +19,31 @@ def map_mirrored_floors(votes: VoxelVotes, blocks: Iterable[Features], settings:
     Each ray to such a floor passes something half way up that returns others: the pane, or its bars. To a hall's ceiling rays pass
     open air.
 
-    blocks: the scans' features; not looked at where no ceiling is twice as high as ceilings are.
+    votes: of the scans' labels. blocks: the scans' features in the map frame, in portions; not read where nothing broad lies
+    overhead, twice as high as any ceiling has to be.
     """
-    label, position = votes.label, votes.mean_position
-    grid = GroundGrid.around(position, settings.ceiling_cell_m, settings.ceiling_reach_m)
-    pane_min_m = settings.overhead_min_m
-    ground_m, _ = grid.ground_m(position[votes.seen(settings.votes_min) & (label == Label.FLOOR)])
-    above_m = grid.above_m(position, ground_m)
-    overhead = votes.seen() & _may_be_overhead(label)
-    is_high, may_be_pane = (overhead & (above_m > least_m) for least_m in (2.0 * pane_min_m, pane_min_m))
+    grid, ground_m = grid_over_all(votes, settings.votes_min, settings.ceiling_cell_m, settings.ceiling_reach_m)
+    position, pane_min_m = votes.mean_position, settings.overhead_min_m
+    above_m, overhead = grid.above_m(position, ground_m), votes.seen() & _may_be_overhead(votes.label)
     # The mirrored floor is the highest there is.
-    height_m = grid.heights(position[is_high], 1.0)
+    height_m = grid.heights(position[overhead & (above_m > 2.0 * pane_min_m)], 1.0)
+    may_be_pane = position[overhead & (above_m > pane_min_m)]
     passed_pane, rays = np.zeros(grid.shape, np.int64), np.zeros(grid.shape, np.int64)
-    if is_high.any() and may_be_pane.any():
-        panes = cKDTree(position[may_be_pane])
+    if grid.broad(closed(np.isfinite(height_m)), settings.overhead_width_m).any():
+        panes = cKDTree(may_be_pane)
         for half_way, end in _half_way_up(blocks, grid, ground_m, pane_min_m):
             cell = grid.cells(end)
             highest = height_m[cell] - end[:, 2] < settings.overhead_gap_m
             cell = cell[0][highest], cell[1][highest]
-            near = panes.query(half_way[highest], distance_upper_bound=2.0 * votes.voxel_m)[0] < np.inf
-            np.add.at(passed_pane, cell, near)
+            away_m, _ = panes.query(half_way[highest], distance_upper_bound=settings.at_pane_m)
+            np.add.at(passed_pane, cell, np.isfinite(away_m))
             np.add.at(rays, cell, 1)
-    mirrored = (rays >= settings.votes_min) & (passed_pane > settings.mirrored_min * rays)
+    mirrored = (rays >= settings.mirrored_rays_min) & (passed_pane > settings.mirrored_share_min * rays)
     broad = grid.broad(closed(mirrored), settings.overhead_width_m)
     # Between the few of its places that were seen.
-    _, nearest = nearest_known(np.isfinite(height_m) & mirrored)
-    height_m = np.where(broad, height_m[nearest], np.nan)
-    pane_m = 0.5 * (ground_m + height_m)
-    return HeightMap(
-        Surface.MIRRORED_FLOOR,
-        grid.origin,
-        grid.cell_m,
-        pane_m + settings.overhead_gap_m,
-        height_m + settings.overhead_gap_m,
-    )
+    height_m = np.where(broad, height_m[nearest_known(mirrored)[1]], np.nan)
+    pane_m, gap_m = 0.5 * (ground_m + height_m), settings.overhead_gap_m
+    return HeightMap(Surface.MIRRORED_FLOOR, grid.origin, grid.cell_m, pane_m + gap_m, height_m + gap_m)
 
 
 def _may_be_overhead(label: UInt8Array) -> BoolArray:
@@ -63,7 +54,8 @@ def _may_be_overhead(label: UInt8Array) -> BoolArray:
 def _half_way_up(
     blocks: Iterable[Features], grid: GroundGrid, ground_m: FloatArray, pane_min_m: float
 ) -> Iterable[tuple[FloatArray, FloatArray]]:
-    """(r, 3) each: where rays to what is more than twice as high as `pane_min_m` are half way up from the floor, and their ends."""
+    """(r, 3) each, in the map frame: where rays to what is more than twice as high as `pane_min_m` are half way up from the floor,
+    and where they end."""
     for block in blocks:
         upwards = _may_be_overhead(block.ray_label)
         end, origin = block.ray_end_map[upwards].astype(np.float64), block.origin_map[block.ray_scan[upwards]]

@@ -357,10 +357,13 @@ def _pane_m(counts: FloatArray, rules: OpeningRules) -> float:
 
 
 def without_panes(faces: TracedFaces, windows: Windows, near_m: float) -> TracedFaces:
-    """The faces with nothing in what rays pass of known windows: what a pane, its bars or a poster return is not beyond the wall.
+    """The faces without the rays that count as passed within known windows: what glass, bars or posters return there is not beyond
+    the wall.
 
-    near_m: maximum distance of a pane from its wall's face.
+    near_m: maximum distance of a window's ends from the face of its wall: those of a glazed front lie on its pane.
     """
+    if not len(windows):
+        return faces
     counts = faces.cells.counts.copy()
     on, passed = on_and_passed(counts)
     for w, face in enumerate(segments(faces.walls)):
@@ -368,7 +371,7 @@ def without_panes(faces: TracedFaces, windows: Windows, near_m: float) -> Traced
         for k in range(len(windows)):
             if is_beside(face, windows.ends[k], windows.normal[k], near_m):
                 low, high = np.clip(np.sort(face.place_m(windows.ends[k])), 0.0, face.length_m)
-                columns = slice(own.start + cells_in(low), own.start + cells_in(high))
+                columns = slice(own.start + int(low / CELL_M), own.start + int(np.ceil(high / CELL_M)))
                 rows = slice(cells_in(windows.bottom_m[k]), cells_in(windows.top_m[k]))
                 # A curtain before the pane stays.
                 counts[columns, rows][passed[columns, rows] > on[columns, rows]] = 0.0

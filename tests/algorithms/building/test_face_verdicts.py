@@ -185,6 +185,19 @@ def test_a_curtain_before_a_window_stays() -> None:
     assert (curtain.counts[22:, 22:38, THROUGH] == 20.0).all()
 
 
+@pytest.mark.parametrize("ends", [((0.5, 0.0), (9.0, 0.0)), ((9.0, 0.0), (0.5, 0.0))])
+def test_only_what_passes_a_window_itself_is_left_out(ends: tuple[tuple[float, float], tuple[float, float]]) -> None:
+    """Of two faces the second has one that is longer than it; nothing beside it, above or below is left out."""
+    walls = faces(((0, 5), (1, 5)), ((0, 0), (1.02, 0)))
+    counts = np.zeros((20 + 21, 66, 4), np.float32)
+    counts[..., THROUGH] = 20.0
+    traced = TracedFaces(walls, WallCells(np.array([0, 20, 41]), 66, counts), np.full(41, CEILING_M), np.zeros(41))
+    cleared = without_panes(traced, window(*ends), BuildingSettings().near_m).cells.counts[..., THROUGH] == 0.0
+    expected = np.zeros((41, 66), bool)
+    expected[20 + 10 :, round(0.9 / CELL_M) : round(2.2 / CELL_M)] = True
+    np.testing.assert_array_equal(cleared, expected)
+
+
 def test_a_high_window_does_not_cut_its_wall_though_rays_pass_beside_it():
     cells = cells_of(4.0)
     pass_rays(cells, slice(30, 50), 0.9, 2.5)
@@ -437,9 +450,18 @@ def test_a_wall_goes_on_from_a_reveal_though_most_of_it_is_an_open_doorway() -> 
         head_m=np.array([2.05]),
         reveal_m=np.array([0.2]),
     )
-    for clear_m, leaves in ((CEILING_M, 0), (np.nan, 1)):
-        traced = TracedFaces(face, cells, np.full(30, clear_m), np.zeros(30))
-        assert len(trim_at_doorways(traced, door, SETTINGS).leaves) == leaves
+
+    def leaves(cells: WallCells, clear_m: float = CEILING_M) -> int:
+        return len(trim_at_doorways(TracedFaces(face, cells, np.full(30, clear_m), np.zeros(30)), door, SETTINGS).leaves)
+
+    assert leaves(cells) == 0
+    assert leaves(cells, np.nan) == 1
+    hidden = cells_of(1.5)
+    hidden.counts[:, : round(2.1 / CELL_M)] = 0.0  # by furniture
+    assert leaves(hidden) == 0
+    passed = cells_of(1.5)
+    pass_rays(passed, slice(10, 28), 0.1, CEILING_M)
+    assert leaves(passed) == 1
 
 
 def test_of_a_face_that_two_doorways_would_cut_away_something_is_left() -> None:

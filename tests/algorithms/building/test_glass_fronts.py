@@ -193,9 +193,11 @@ def test_a_sheet_close_before_a_wall_is_the_edges_of_a_shelf(behind_m: float, fr
 
 
 @pytest.mark.parametrize("scans", [8, 40])
-@pytest.mark.parametrize("apart_m", [0.15, 0.25])
-def test_a_railing_returns_rays_and_none_in_turns(scans: int, apart_m: float) -> None:
-    assert not len(Front(railing_m=apart_m).found(scans))
+@pytest.mark.parametrize(("apart_m", "panes"), [(0.15, 0), (0.25, 0), (0.6, 1)])
+def test_a_railing_returns_rays_and_few_in_turns_and_a_windows_bars_are_farther_apart(
+    scans: int, apart_m: float, panes: int
+) -> None:
+    assert len(Front(railing_m=apart_m).found(scans)) == panes
 
 
 def test_who_walks_by_returns_all_rays_at_once_and_is_no_pane() -> None:

@@ -550,8 +550,7 @@ def test_walls_below_the_floor_are_of_the_storey_below(taken_for: Label) -> None
 
 
 def looking_up(ends: np.ndarray, label: Label, sensor: tuple[float, float, float] = (3.0, 3.0, 1.0)) -> Features:
-    """Scans of one place with rays to these ends (n, 3); in three portions, as many as tell of a cell."""
-    ends = np.repeat(ends, 3, axis=0)
+    """One scan with rays to these ends (n, 3)."""
     return Features(
         scan=np.array([0]),
         origin_map=np.array([sensor]),
@@ -572,7 +571,7 @@ def looking_up(ends: np.ndarray, label: Label, sensor: tuple[float, float, float
 
 
 class TestRooflights:
-    """A room 3 m high with a rooflight from 2 to 4 m, through which the robot below it sees its own floor, 6 m up."""
+    """A room 3 m high with a pane across it, at y from 2 to 4 m, in which the robot below it sees its own floor, 6 m up."""
 
     floor = lying((0, 6), (0, 6), 0.0)
     ceiling = np.concatenate([lying((0, 6), (0, 2), 3.0), lying((0, 6), (4, 6), 3.0)])
@@ -580,9 +579,11 @@ class TestRooflights:
     mirrored = lying((1.2, 4.8), (1.2, 4.8), 6.0)
 
     def levels(self, mirrored_as: Label, *more: tuple[np.ndarray, Label], height_m: float = 6.0) -> tuple[HeightMap, ...]:
+        """Seen by two portions of scans: of one in the room, and of one that stands above its ceiling."""
         high = self.mirrored + np.array([0.0, 0.0, height_m - 6.0])
         votes = votes_of((self.floor, Label.FLOOR), (self.ceiling, Label.CEILING), (high, mirrored_as), *more)
-        return map_levels(votes, [looking_up(high, mirrored_as)], SETTINGS)
+        blocks = [looking_up(high, mirrored_as), looking_up(high, mirrored_as, (3.0, 3.0, 5.0))]
+        return map_levels(votes, blocks, SETTINGS)
 
     def labels(self, levels: tuple[HeightMap, ...], points: np.ndarray, label: Label) -> np.ndarray:
         return corrected(levels, points, np.full(len(points), label, np.uint8))
@@ -595,7 +596,7 @@ class TestRooflights:
         assert np.mean(self.labels(levels, inner, mirrored_as) == Label.OUTSIDE) > 0.95
         # So is what stands on it, upside down; the pane, and the ceiling beside it, are not.
         assert (self.labels(levels, np.array([[3.0, 3.0, 4.5]]), Label.WALL) == Label.OUTSIDE).all()
-        for kept in (self.pane, self.ceiling):
+        for kept in (self.pane, self.pane + np.array([0.0, 0.0, 0.2]), self.ceiling):
             assert (self.labels(levels, kept, Label.CEILING) == Label.CEILING).all()
 
     def test_the_ceiling_of_a_hall_is_none(self) -> None:
@@ -607,6 +608,22 @@ class TestRooflights:
         levels = self.levels(Label.CEILING, (self.pane[::7], Label.CLUTTER), height_m=6.6)
         high = self.mirrored + np.array([0.0, 0.0, 0.6])
         assert (self.labels(levels, high, Label.CEILING) == Label.CEILING).all()
+
+    def test_scans_may_disagree_what_the_mirrored_floor_is(self) -> None:
+        """As many call it clutter as ceiling: no ceiling is made of either."""
+        levels = self.levels(Label.CEILING, (self.mirrored, Label.CLUTTER), (self.pane[::7], Label.CLUTTER))
+        assert not any(
+            level.label_of(np.array([[3.0, 3.0, 6.0]]), np.array([Label.CLUTTER], np.uint8))[0] == Label.CEILING for level in levels
+        )
+
+    def test_few_rays_do_not_tell(self) -> None:
+        votes = votes_of(
+            (self.floor, Label.FLOOR), (self.ceiling, Label.CEILING), (self.mirrored, Label.CLUTTER), (self.pane, Label.CLUTTER)
+        )
+        seen = np.unique(np.floor(self.mirrored / 0.25), axis=0) * 0.25 + [0.1, 0.1, 0.0]
+        for rays, known in ((1, False), (4, True)):
+            scan = looking_up(np.repeat(seen, rays, axis=0), Label.CLUTTER)
+            assert map_mirrored_floors(votes, [scan], SETTINGS).known.any() == known
 
     def test_without_anything_high_no_scan_is_asked(self) -> None:
         def blocks() -> Iterator[Features]:
