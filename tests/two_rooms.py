@@ -13,6 +13,7 @@ from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.maps.grid import Immobile
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features, concatenate
+from tests.tracing import rays_alone
 
 CEILING_M = 2.6
 HEAD_M = 2.05
@@ -132,23 +133,8 @@ class TwoRooms:
             hit = (t > 0) & (u >= 0) & (u <= 1) & (z >= bottom_m) & (z <= top_m) & (t < reach)
             reach, label = np.where(hit, t, reach), np.where(hit, np.uint8(Label.WALL), label)
         ends_xy = self.to_map(place + along * reach[:, None])
-        return Features(
-            scan=np.array([index]),
-            origin_map=np.array([[*self.to_map(place[None])[0], 1.0]]),
-            floor_map=np.zeros((1, 2, 3)),
-            floor_is_foot=np.zeros(1, bool),
-            floor_reach_m=np.full(1, 6.0),
-            ray_count=np.array([rays]),
-            plane_count=np.array([0]),
-            ray_end_map=np.column_stack([ends_xy, 1.0 + slope * reach]).astype(np.float32),
-            ray_label=label,
-            plane_ends_map=np.zeros((0, 2, 2)),
-            plane_normal=np.zeros((0, 2)),
-            plane_bottom_m=np.zeros(0),
-            plane_top_m=np.zeros(0),
-            plane_lines=np.zeros(0, np.int32),
-            plane_moments=np.zeros((0, 6)),
-        )
+        origin = np.array([*self.to_map(place[None])[0], 1.0])
+        return rays_alone(origin, np.column_stack([ends_xy, 1.0 + slope * reach]), label, index)
 
     @property
     def walls(self) -> Walls:

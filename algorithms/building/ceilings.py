@@ -34,6 +34,7 @@ def map_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
 
 
 def _over_all(votes: VoxelVotes, settings: LevelsSettings) -> tuple[GroundGrid, FloatArray]:
+    """`grid_over_all` in the cells of what hangs or slopes."""
     return grid_over_all(votes, settings.votes_min, settings.cell_m, settings.ceiling_reach_m)
 
 

@@ -281,8 +281,7 @@ def _head_m(
         above_opening = (rows[:, FILLED] > rows[:, THROUGH]) & (depth_m < ON_FACE_M)
         wall = above_opening if state == DoorState.OPEN else depth_m < 0.5 * leaf_m
     # What is open may be higher than doors are.
-    highest_m = settings.door_height_max_m + 0.3
-    highest_m = max(highest_m, top_m) if state == DoorState.OPEN else highest_m
+    highest_m = max(settings.door_height_max_m + 0.3, top_m if state == DoorState.OPEN else 0.0)
     start, stop = cells_in(settings.door_height_min_m - 0.1), cells_in(highest_m)
     above = np.flatnonzero((wall & (rows[:, FILLED] > 0))[start:stop])
     if len(above):

@@ -365,7 +365,6 @@ def without_panes(faces: TracedFaces, windows: Windows, near_m: float) -> Traced
     if not len(windows):
         return faces
     counts = faces.cells.counts.copy()
-    on, passed = on_and_passed(counts)
     for w, face in enumerate(segments(faces.walls)):
         own = faces.columns(w)
         for k in range(len(windows)):
@@ -373,8 +372,10 @@ def without_panes(faces: TracedFaces, windows: Windows, near_m: float) -> Traced
                 low, high = np.clip(np.sort(face.place_m(windows.ends[k])), 0.0, face.length_m)
                 columns = slice(own.start + int(low / CELL_M), own.start + int(np.ceil(high / CELL_M)))
                 rows = slice(cells_in(windows.bottom_m[k]), cells_in(windows.top_m[k]))
+                cells = counts[columns, rows]
+                on, passed = on_and_passed(cells)
                 # A curtain before the pane stays.
-                counts[columns, rows][passed[columns, rows] > on[columns, rows]] = 0.0
+                cells[passed > on] = 0.0
     return replace(faces, cells=replace(faces.cells, counts=counts))
 
 

@@ -24,7 +24,7 @@ from ffmap.algorithms.building.model import CELL_M, NO_DOORS, NO_WALLS, NO_WINDO
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells
 from ffmap.algorithms.building.windows import without_panes
-from tests.faces import CEILING_M, faces, window
+from tests.faces import CEILING_M, doors, faces, window
 from tests.voting import vote
 
 SETTINGS = StandingWallsSettings()
@@ -421,13 +421,7 @@ def test_a_reveal_ends_with_its_wall_unless_a_wall_goes_on_from_it(goes_on: bool
     cells = cells_of(1.5)
     if not goes_on:
         pass_rays(cells, slice(14, 30), 2.05, CEILING_M)
-    door = replace(
-        NO_DOORS,
-        ends=np.array([[[0.1, 0.5], [1.0, 0.5]]]),
-        normal=np.array([[0.0, 1.0]]),
-        head_m=np.array([head_m]),
-        reveal_m=np.array([0.2]),
-    )
+    door = doors(((0.1, 0.5), (1.0, 0.5)), head_m=head_m, normal=[[0.0, 1.0]], reveal_m=[0.2])
     trimmed = trim_at_doorways(TracedFaces(face, cells, np.full(30, CEILING_M), np.zeros(30)), door, SETTINGS)
     assert int(trimmed.faces.cells.first[-1]) == len(trimmed.faces.cells.counts)
     if goes_on:
@@ -443,13 +437,7 @@ def test_a_wall_goes_on_from_a_reveal_though_most_of_it_is_an_open_doorway() -> 
     """As of a closet at a corridor's end, whose leaf stands ajar: no door is known there."""
     face, cells = faces(((1.0, 0.5), (1.0, -1.0))), cells_of(1.5)
     pass_rays(cells, slice(10, 28), 0.1, 2.05)
-    door = replace(
-        NO_DOORS,
-        ends=np.array([[[0.1, 0.5], [1.0, 0.5]]]),
-        normal=np.array([[0.0, 1.0]]),
-        head_m=np.array([2.05]),
-        reveal_m=np.array([0.2]),
-    )
+    door = doors(((0.1, 0.5), (1.0, 0.5)), head_m=2.05, normal=[[0.0, 1.0]], reveal_m=[0.2])
 
     def leaves(cells: WallCells, clear_m: float = CEILING_M) -> int:
         return len(trim_at_doorways(TracedFaces(face, cells, np.full(30, clear_m), np.zeros(30)), door, SETTINGS).leaves)

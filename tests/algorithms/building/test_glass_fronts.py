@@ -22,7 +22,7 @@ from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.scan.summary import Features, concatenate
 from tests.faces import faces, window
-from tests.tracing import tracing
+from tests.tracing import rays_alone, tracing
 from tests.voting import vote
 
 BUILDING = BuildingSettings(near_m=0.07, own_plane_m=0.0, range_m=25.0)
@@ -81,23 +81,7 @@ class Front:
         way = (end_y - origin[1]) / ray[:, 1]
         way += generator.normal(0.0, 0.01, self.rays) / np.linalg.norm(ray, axis=1)
         end = self.to_map(origin + way[:, None] * ray)
-        return Features(
-            scan=np.zeros(1, np.int64),
-            origin_map=self.to_map(origin[None]),
-            floor_map=np.zeros((1, 2, 3)),
-            floor_is_foot=np.zeros(1, bool),
-            floor_reach_m=np.full(1, 6.0),
-            ray_count=np.array([self.rays]),
-            plane_count=np.zeros(1, np.int64),
-            ray_end_map=end.astype(np.float32),
-            ray_label=np.full(self.rays, Label.CLUTTER, np.uint8),
-            plane_ends_map=np.zeros((0, 2, 2)),
-            plane_normal=np.zeros((0, 2)),
-            plane_bottom_m=np.zeros(0),
-            plane_top_m=np.zeros(0),
-            plane_lines=np.zeros(0, np.int64),
-            plane_moments=np.zeros((0, 6)),
-        )
+        return rays_alone(self.to_map(origin[None])[0], end, np.full(self.rays, Label.CLUTTER, np.uint8))
 
     def to_map(self, places: FloatArray) -> FloatArray:
         c, s = np.cos(np.radians(self.turn_deg)), np.sin(np.radians(self.turn_deg))

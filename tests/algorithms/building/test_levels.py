@@ -15,6 +15,7 @@ from ffmap.algorithms.building.levels import map_levels
 from ffmap.algorithms.building.rooflights import map_mirrored_floors
 from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.scan.summary import Features
+from tests.tracing import rays_alone
 from tests.voting import merge, vote
 
 SETTINGS = LevelsSettings()
@@ -551,23 +552,7 @@ def test_walls_below_the_floor_are_of_the_storey_below(taken_for: Label) -> None
 
 def looking_up(ends: np.ndarray, label: Label, sensor: tuple[float, float, float] = (3.0, 3.0, 1.0)) -> Features:
     """One scan with rays to these ends (n, 3)."""
-    return Features(
-        scan=np.array([0]),
-        origin_map=np.array([sensor]),
-        floor_map=np.zeros((1, 2, 3)),
-        floor_is_foot=np.zeros(1, bool),
-        floor_reach_m=np.full(1, 6.0),
-        ray_count=np.array([len(ends)]),
-        plane_count=np.zeros(1, np.int64),
-        ray_end_map=ends.astype(np.float32),
-        ray_label=np.full(len(ends), label, np.uint8),
-        plane_ends_map=np.zeros((0, 2, 2)),
-        plane_normal=np.zeros((0, 2)),
-        plane_bottom_m=np.zeros(0),
-        plane_top_m=np.zeros(0),
-        plane_lines=np.zeros(0, np.int64),
-        plane_moments=np.zeros((0, 6)),
-    )
+    return rays_alone(np.array(sensor), ends, np.full(len(ends), label, np.uint8))
 
 
 class TestRooflights:
@@ -615,6 +600,18 @@ class TestRooflights:
         assert not any(
             level.label_of(np.array([[3.0, 3.0, 6.0]]), np.array([Label.CLUTTER], np.uint8))[0] == Label.CEILING for level in levels
         )
+
+    def test_a_ceiling_that_is_high_itself_stays(self) -> None:
+        """Below the mirrored floor, whose cells rays to the ceiling end in too; all of it 2 m higher."""
+        ceiling, pane = (places + np.array([0.0, 0.0, 2.0]) for places in (self.ceiling, self.pane))
+        mirrored = self.mirrored + np.array([0.0, 0.0, 4.0])
+        votes = votes_of(
+            (self.floor, Label.FLOOR), (ceiling, Label.CEILING), (pane[::7], Label.CLUTTER), (mirrored, Label.CLUTTER)
+        )
+        levels = map_levels(votes, [looking_up(mirrored, Label.CLUTTER), looking_up(ceiling, Label.CEILING)], SETTINGS)
+        inner = mirrored[np.abs(mirrored[:, :2] - 3.0).max(axis=1) < 1.5]
+        assert np.mean(self.labels(levels, inner, Label.CLUTTER) == Label.OUTSIDE) > 0.95
+        assert (self.labels(levels, ceiling, Label.CEILING) == Label.CEILING).all()
 
     def test_few_rays_do_not_tell(self) -> None:
         votes = votes_of(
