@@ -135,7 +135,8 @@ def test_what_is_compiled_beforehand_is_all_that_a_run_needs(tmp_path: Path) -> 
     """By what Numba says of its cache: all that a run loads, or compiles and saves, the warm-up has loaded or saved."""
 
     def functions(*words: object) -> set[str]:
-        environment = {**os.environ, "NUMBA_DEBUG_CACHE": "1"}
+        # Processes share the pipe: what each buffers would be cut at 8 KB, in the midst of a name, by what others write.
+        environment = {**os.environ, "NUMBA_DEBUG_CACHE": "1", "PYTHONUNBUFFERED": "1"}
         done = ffmap(environment, *words)
         assert done.returncode == 0, done.stderr
         return set(re.findall(r"data (?:loaded from|saved to) '([^']+)'", done.stdout))
