@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, lengths_m, segments
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
@@ -62,10 +63,10 @@ def find_doors(
     for w in range(len(walls)):
         own = slice(cells.first[w], cells.first[w + 1])
         for seen in _doors_in(w, walls, cells, top_m[own], floor_before[own], rules):
-            if not _is_glazed(seen.door, windows, rules.openings):
+            if not _is_glazed(seen.door, windows, rules.openings) and _has_both_jambs(seen, walls, rules.openings):
                 found.append(seen)
     # Where a face ends within an opening, the other face may show all of it.
-    found.sort(key=lambda seen: (seen.is_cut, -seen.door.confidence[0] * seen.door.ray_count[0]))
+    found.sort(key=lambda seen: (seen.is_cut.any(), -seen.door.confidence[0] * seen.door.ray_count[0]))
     return reduce(Doors.append, (seen.door for seen in found), NO_DOORS)
 
 
@@ -101,10 +102,10 @@ def _through_m(door: Doors, doors: Doors, doorway_max_m: float) -> FloatArray:
 
 
 class _Seen(NamedTuple):
-    """A single door as one face shows it, and whether it reaches that face's end, which may not be its jamb."""
+    """A single door as one face shows it, and at which of its ends (2,) it reaches that face's, which may not be its jamb."""
 
     door: Doors
-    is_cut: bool
+    is_cut: BoolArray
 
 
 def _doors_in(
@@ -168,7 +169,16 @@ def _doors_in(
                 contrast=np.full(1, np.nan),
                 glazed=np.zeros(1, bool),
             )
-            yield _Seen(door, first == 0 or last == len(counts) - 1)
+            yield _Seen(door, np.array([first == 0, last == len(counts) - 1]))
+
+
+def _has_both_jambs(seen: _Seen, walls: Walls, settings: OpeningsSettings) -> bool:
+    """Whether some wall ends an open doorway where its own face does not: below a beam that ends in the air nothing does."""
+    if seen.door.state[0] != DoorState.OPEN or not seen.is_cut.any():
+        return True
+    others = walls.select(np.arange(len(walls)) != seen.door.wall[0])
+    ends = seen.door.ends[0, seen.is_cut]
+    return len(set(pairs_near(others, ends, settings.beside_m)[0].tolist())) == len(ends)
 
 
 def _share_on_leaf(leaf: FloatArray, settings: OpeningsSettings) -> FloatArray:

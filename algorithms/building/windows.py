@@ -11,12 +11,11 @@ from pydantic import Field
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import LENGTH, Segment, before_line, crossing, lines_of, segments
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.face_columns import TracedFaces, long_runs, on_and_passed
+from ffmap.algorithms.building.face_columns import TracedFaces, long_runs, on_and_passed, runs
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
 from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, ON_FACE_M, Walls, Windows, cells_in, stretches
 from ffmap.algorithms.building.openings import (
     OpeningRules,
-    OpeningsSettings,
     deepest_sheet_m,
     find_sheet,
     is_pane,
@@ -128,13 +127,12 @@ def find_windows(
             first, last = _over_its_pane(high, pane_m, first, last, rules.openings.sheet_m, settings)
             between, highest = (int(clear[0]), int(clear[-1])), int(walls.top_m[w] / CELL_M)
             first, last = _to_its_wall(counts, between, highest, first, last, rules, settings)
-            if _is_open(high, pane_m, shown, slice(first, last + 1), rules.openings):
-                continue  # what returned is a leaf, or the reveal
             if first == 0 and last == len(counts) - 1:
                 continue  # without a jamb it is what stands below something that hangs
-            ends = face.at(CELL_M * np.array([first, last + 1]))
             between_m = CELL_M * clear[[0]], CELL_M * (clear[[-1]] + 1)
-            windows = windows.append(Windows(ends[None], face.normal[None], *between_m, np.array([pane_m])))
+            for part in _without_passages(high, pane_m, shown, (first, last + 1), rules, settings):
+                ends = face.at(CELL_M * np.array(part))
+                windows = windows.append(Windows(ends[None], face.normal[None], *between_m, np.array([pane_m])))
     return join_windows(windows, settings.one_wall_m)
 
 
@@ -286,18 +284,35 @@ def _over_its_pane(
     return widened(on_pane & passed, first, last, len(high))
 
 
-def _is_open(high: FloatArray, pane_m: float, shown: slice, whole: slice, settings: OpeningsSettings) -> bool:
-    """Whether nothing returns from most columns of an opening that would have, if the pane that some show were in all of them.
+def _without_passages(
+    high: FloatArray,
+    pane_m: float,
+    shown: slice,
+    whole: tuple[int, int],
+    rules: OpeningRules,
+    settings: WindowsSettings,
+) -> list[tuple[int, int]]:
+    """The parts of a window beside the open doorways in it, where nothing returns that would have from its pane.
+
+    None of what is open for the most part: what returned is a leaf, or the reveal.
 
     high: (columns, 4) of the whole face, between knee and head. pane_m: how far behind the face it stands; NaN if unknown.
+    whole: its first column and the one after the last.
     """
     near = with_neighbours(high)
     rays = near[:, FILLED] + near[:, THROUGH]
     with np.errstate(invalid="ignore", divide="ignore"):
-        on_pane = np.abs(-near[:, SUM] / near[:, FILLED] - pane_m) < settings.sheet_m
+        on_pane = np.abs(-near[:, SUM] / near[:, FILLED] - pane_m) < rules.openings.sheet_m
     share = np.sum(near[shown, FILLED] * on_pane[shown]) / max(float(rays[shown].sum()), 1.0)
-    tells = share * rays[whole] >= settings.expected_min
-    return bool(np.count_nonzero(tells & (near[whole, FILLED] == 0)) > 0.5 * np.count_nonzero(tells))
+    first, after = whole
+    tells = share * rays[first:after] >= rules.openings.expected_min
+    is_open = tells & (near[first:after, FILLED] == 0)
+    if np.count_nonzero(is_open) > 0.5 * np.count_nonzero(tells):
+        return []
+    passage = long_runs(is_open, cells_in(rules.building.door_width_min_m), bridge=2)
+    # Beside a doorway some of its own columns are left.
+    least = cells_in(settings.height_min_m) if passage.any() else 1
+    return [(first + start, first + stop) for start, stop in runs(~passage) if stop - start >= least]
 
 
 def _to_its_wall(

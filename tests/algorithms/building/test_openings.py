@@ -655,6 +655,36 @@ def test_beside_a_doorways_jamb_is_no_glass() -> None:
     assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 1
 
 
+@pytest.mark.parametrize("returned", [1.0, 0.0])
+def test_an_open_doorway_in_a_glazed_wall_parts_its_panes(returned: float) -> None:
+    """Most of what is open is glass, but in the doorway nothing returns; if all of it returns alike, there is no doorway."""
+    seen = cells()
+    glass = seen.counts[10:70, :50]
+    glass[...] = [1.0, -0.06, 0.06**2, 50.0]
+    seen.counts[30:50, :50] = [1.0 - returned, -0.06 * (1.0 - returned), 0.06**2 * (1.0 - returned), 50.0]
+    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    x = np.sort(windows.ends[:, :, 0], axis=None)
+    np.testing.assert_allclose(x, [0.5, 1.5, 2.5, 3.5] if returned else [0.5, 3.5], atol=2 * CELL_M)
+    # What a window lets pass is no door's.
+    for ends in np.round(windows.ends[:, :, 0] / CELL_M).astype(int):
+        seen.counts[ends.min() : ends.max(), :50] = 0.0
+    doors = find_doors(WALL, seen, unknown(seen), RULES, windows)
+    np.testing.assert_allclose(doors.ends[:, :, 0], [[1.5, 2.5]] if returned else np.zeros((0, 2)), atol=2 * CELL_M)
+
+
+@pytest.mark.parametrize("end_x", [None, 1.0, 1.5])
+def test_a_doorway_has_a_jamb_on_both_its_sides(end_x: float | None) -> None:
+    """A beam from a pillar ends where scans saw no more of it; only a wall at its end makes a doorway of what is below."""
+    face = replace(WALL, ends=np.array([[[0.0, 0.0], [1.5, 0.0]]]))
+    seen = replace(cells(), first=np.array([0, 30]), counts=cells().counts[:30])
+    seen.counts[10:, :46] = [0.0, 0.0, 0.0, 10.0]
+    walls = face if end_x is None else face.append(faces(((end_x, 0.1), (end_x, 2.0))))
+    counts = seen.counts if end_x is None else np.concatenate([seen.counts, cells().counts[:38]])
+    traced = WallCells(np.array([0, 30, 68][: 1 + len(walls)]), 66, counts)
+    doors = find_doors(walls, traced, unknown(traced), RULES)
+    assert doors.state.tolist() == ([DoorState.OPEN] if end_x == 1.5 else [])
+
+
 def test_glass_up_to_the_ceiling_is_no_window_of_its_face() -> None:
     """What stands beside it need not be a wall: fronts are told by their panes alone."""
     seen = cells()
