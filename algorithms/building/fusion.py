@@ -31,6 +31,7 @@ from ffmap.algorithms.building.face_verdicts import (
     join_corners,
     judge_faces,
     leaning_on_others,
+    refuse_backs,
     refuse_outside,
     shows_whole,
     trim_at_doorways,
@@ -180,7 +181,7 @@ def _judge(aligned: AlignedFaces, scans: AllScans, settings: FusionSettings, win
     traced = without_panes(_traced(faces.select(~alone), scans, settings, windows), windows, settings.building.near_m)
     judged = judge_faces(traced, scans.path_map, settings.opening_rules, settings.face_columns, standing, settings.folds)
     judged = judged.refuse(faces.select(alone), FaceVerdict.ALONE).refuse(leaves, FaceVerdict.LEANS)
-    return refuse_outside(judged, scans.storey, settings.face_columns)
+    return refuse_outside(refuse_backs(judged, standing), scans.storey, settings.face_columns)
 
 
 def _add_missed_walls(
@@ -195,7 +196,7 @@ def _add_missed_walls(
 
     widened = replace(windows, ends=lengthened(windows.ends, missed.beside_glass_m))
     trace_clear = partial(trace, glass=widened) if len(windows) else None
-    search = SearchSettings(settings.building, standing, settings.face_columns, missed)
+    search = SearchSettings(settings.building, standing, settings.face_columns, missed, settings.folds)
     returns = AllReturns(scans.votes, scans.storey, scans.path_map, partial(trace, glass=windows), trace_clear)
     found = find_missed_walls(judged.walls, judged.refused, returns, search)
     judged = replace(judged, walls=found.known).refuse(found.ducts, FaceVerdict.HANGS)

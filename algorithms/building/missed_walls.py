@@ -27,6 +27,7 @@ from ffmap.algorithms.building.face_columns import (
     runs,
 )
 from ffmap.algorithms.building.face_verdicts import ACROSS, SAME_WAY, StandingWallsSettings, wall_directions
+from ffmap.algorithms.building.folds import FoldsSettings, in_folds
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Rows, Walls, cells_in
 from ffmap.algorithms.building.openings import widened
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, first_columns, with_neighbours
@@ -110,6 +111,7 @@ class SearchSettings:
     standing: StandingWallsSettings
     columns: FaceColumnsSettings
     missed: MissedWallsSettings
+    folds: FoldsSettings
 
 
 @dataclass(frozen=True)
@@ -171,7 +173,12 @@ def find_missed_walls(walls: Walls, refused: Walls, returns: AllReturns, setting
     faces = returns.trace(candidates)
     hang = refused.select(refused.bottom_m >= settings.building.door_height_min_m)
     search = _Search(walls, hang, faces, returns, settings)
-    proven = [stretch for w in range(len(faces)) for stretch in search.walls_in(w)]
+    proven: list[_Proven] = []
+    # What stands behind is asked first: the wall is the last of what stands one before the other.
+    for w in np.argsort(np.einsum("wk,wk->w", candidates.ends.mean(axis=1), candidates.normal), kind="stable").tolist():
+        own = list(search.walls_in(w))
+        search.stand = reduce(Walls.append, [p.wall for p in own], search.stand)
+        proven += own
     found = reduce(Walls.append, [p.wall for p in proven], NO_WALLS)
     mirrored = _seen_by_glass(found, returns, settings.missed)
     before = [p.duct for p, by_glass in zip(proven, mirrored, strict=True) if p.duct is not None and not by_glass]
@@ -218,6 +225,8 @@ class _Search:
     ) -> None:
         """known: the known faces; hang: refused ones that begin above heads; faces: the candidates."""
         self._known, self._faces, self._storey, self._settings = known, faces, returns.storey, settings
+        self.stand = known
+        """The walls as far as they have been found."""
         self._fronts = known.append(hang)
         standing = settings.standing
         self._gap = cells_in(standing.hidden_gap_m)
@@ -242,6 +251,7 @@ class _Search:
                 # What is but a window between known walls rests on these.
                 and (duct is not None or window.all() or self._reaches_ceiling(counts[~window], ceiling_m))
                 and room_before(face, self._storey, settings.columns)[0]
+                and in_folds(counts.astype(np.float64), settings.folds).mean() <= 0.5
             ):
                 yield _Proven(self._as_seen(face, counts, ceiling_m), duct)
 
@@ -287,13 +297,16 @@ class _Search:
         settings, own = self._settings, self._faces.columns(w)
         candidate, gap = Segment.between(self._faces.walls.ends[w], self._faces.walls.normal[w]), self._gap
         alike = self._known.ends[self._known.normal @ candidate.normal > SAME_WAY]
-        in_line = [ends for ends in alike if np.abs(candidate.before_m(ends)).max() < settings.missed.in_line_m]
-        known = [np.sort(candidate.place_m(ends)) / CELL_M for ends in in_line]
+        before_m = [candidate.before_m(ends) for ends in alike]
+        # Behind a pier the wall goes on.
+        beside = [-settings.missed.in_line_m < m.min() and m.max() < settings.standing.pillar_depth_m for m in before_m]
+        known = [np.sort(candidate.place_m(ends)) / CELL_M for ends, is_jamb in zip(alike, beside, strict=True) if is_jamb]
         known_before = any(low < 0 and abs(high) <= gap for low, high in known)
         known_behind = any(high > len(solid) and abs(low - len(solid)) <= gap for low, high in known)
         columns = self._columns.select(own)
         sill, opened = self._shows_sill(self._faces.cells.counts[own])
-        shown = sill | (columns.crown_on > columns.crown_passed)
+        crown = columns.crown_on > columns.crown_passed
+        shown = sill | crown
         jamb = long_runs(solid, cells_in(settings.missed.jamb_m), 0)
         between = np.zeros(len(solid), bool)
         for first, after in runs(~solid):
@@ -303,7 +316,9 @@ class _Search:
             is_door = long_runs(opened[part], cells_in(settings.building.door_width_min_m), bridge=2).any()
             has_sill = sill[part].any() and np.mean(shown[part]) > 0.5
             between[part] = has_jambs and is_wide and has_sill and not is_door
-        return between
+        # What ends low close before a wall is no sill but a radiator, between piers.
+        places = candidate.at((np.arange(len(solid)) + 0.5) * CELL_M)
+        return between & (crown | ~_has_face_behind(places, candidate.normal, self.stand, settings.standing))
 
     def _shows_sill(self, counts: FloatArray) -> tuple[BoolArray, BoolArray]:
         """(c,) each: at which columns (c, rows, 4) rays end on the lowest that is seen of them below sills, and where they pass."""
@@ -465,6 +480,18 @@ def _near_a_face(candidates: Walls, walls: Walls, above_m: float, below_m: float
         looks = (-candidates.normal if opposite else candidates.normal) @ face.normal > SAME_WAY
         near |= looks & face.beside(middle) & (before_m > above_m) & (before_m < below_m)
     return near
+
+
+def _has_face_behind(
+    places: FloatArray, normal: FloatArray, walls: Walls, standing: StandingWallsSettings
+) -> BoolArray:
+    """(c,) whether a known face that looks along `normal` (2,), as what is at places (c, 2) does, stands as close behind them as
+    furniture is deep."""
+    behind = np.zeros(len(places), bool)
+    for face in segments(walls.select(walls.normal @ normal > SAME_WAY)):
+        before_m = face.before_m(places)
+        behind |= face.beside(places) & (before_m > standing.noise_m) & (before_m < standing.furniture_depth_m)
+    return behind
 
 
 def _lines_of_any_direction(

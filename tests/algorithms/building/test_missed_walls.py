@@ -10,6 +10,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.segments import Segment
 from ffmap.algorithms.building.face_columns import FaceColumnsSettings, Storey, TracedFaces
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
+from ffmap.algorithms.building.folds import FoldsSettings
 from ffmap.algorithms.building.missed_walls import (
     AllReturns,
     MissedWalls,
@@ -25,7 +26,7 @@ from tests.voting import merge, vote
 
 SETTINGS = StandingWallsSettings()
 COLUMNS = FaceColumnsSettings()
-SEARCH = SearchSettings(BuildingSettings(), SETTINGS, COLUMNS, MissedWallsSettings())
+SEARCH = SearchSettings(BuildingSettings(), SETTINGS, COLUMNS, MissedWallsSettings(), FoldsSettings())
 FILLED, SUM, SQUARES, THROUGH = range(4)
 
 
@@ -73,6 +74,7 @@ def search(
     from_y: float = 0.5,
     rays: float = 3.0,
     clear_of_glass: float = 1.0,
+    fold_m: float = 0.0,
     building: BuildingSettings = BuildingSettings(),  # noqa: B008 - frozen
 ) -> MissedWalls:
     """What is found; so many rays a cell end on every candidate that lies on x = 3, seen from smaller x, and pass the others.
@@ -80,7 +82,8 @@ def search(
     hip_m: from there to a door's head a few rays pass. unseen_m, seen_m: below and above there no ray comes.
     window_m, window_y: between these heights, and from where to where, rays pass; below it none comes from `sill_seen_to_y` on,
     and all pass from `doorway_from_y` on. known, refused: faces beside it. from_y: where the face begins. clear_of_glass: the
-    share of all rays that pass no wall close beside a window.
+    share of all rays that pass no wall close beside a window. fold_m: by how much each second column hangs before the plane, and
+    the others behind it.
     """
 
     storey = Storey.of(votes, (), 3)
@@ -111,6 +114,9 @@ def search(
             counts[own, : int(unseen_m / CELL_M)] = 0.0
             counts[own, int(seen_m / CELL_M) :] = 0.0
             if on:
+                folds_m = np.where(np.arange(columns[w]) % 2, fold_m, -fold_m)[:, None]
+                counts[own, ..., SUM] += folds_m * counts[own, ..., FILLED]
+                counts[own, ..., SQUARES] += folds_m**2 * counts[own, ..., FILLED]
                 counts[own][(y < from_y) | (y > 2.0)] = 0.0
         return TracedFaces.of(candidates, WallCells(first, 60, counts), storey, SETTINGS.ceiling_near_m)
 
@@ -265,6 +271,22 @@ def test_what_hides_a_sill_does_not_part_its_wall(to_m: float, seen_to_y: float,
     np.testing.assert_allclose(np.sort(np.sort(ends), axis=0), [[0.5, 2.0]] if is_one else [[0.5, 0.9], [1.6, 2.0]], atol=0.1)
 
 
+@pytest.mark.parametrize("to_m", [2.2, CEILING_M])
+@pytest.mark.parametrize("is_known", [True, False])
+def test_what_ends_low_before_a_wall_between_piers_is_a_radiator(is_known: bool, to_m: float) -> None:
+    """It is flush with these; with a lintel over it it is the wall's own sill, whatever stands behind."""
+    piers, back = faces(((3, 0), (3, 0.4)), ((3, 2.1), (3, 3))), faces(((3.15, 0), (3.15, 3)))
+    known = piers.append(back) if is_known else piers
+    assert len(missed(room(), known=known, window_m=(0.7, to_m))) == (0 if is_known and to_m == CEILING_M else 1)
+
+
+def test_behind_a_pier_a_wall_goes_on() -> None:
+    """The bays between piers are walls, with a sill and a window each, though no more of their face is seen."""
+    for before_m, found in ((0.2, 1), (0.8, 0)):
+        piers = faces(((3 - before_m, 0), (3 - before_m, 0.4)), ((3 - before_m, 2.1), (3 - before_m, 3)))
+        assert len(missed(room(), known=piers, window_m=(0.7, 2.2))) == found
+
+
 def test_a_window_between_known_walls_may_have_less_than_two_returns_in_each_row() -> None:
     """A scan or two saw its sill and its lintel: they rest on the walls in line with them."""
     beside = faces(((3, 0), (3, 0.4)), ((3, 2.1), (3, 3)))
@@ -358,6 +380,11 @@ def test_furniture_lower_than_the_ceiling_is_no_missed_wall():
 def test_no_wall_is_found_where_the_robot_drove_or_nothing_stands():
     assert len(missed(room(), path_x=3.05)) == 0
     assert len(missed(room(wall=False))) == 0
+
+
+def test_a_curtain_is_no_missed_wall() -> None:
+    assert len(missed(room(), fold_m=0.002)) == 1
+    assert len(missed(room(), fold_m=0.03)) == 0
 
 
 def test_a_round_wall_is_found_as_chords() -> None:
