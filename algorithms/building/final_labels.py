@@ -25,6 +25,7 @@ from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import CEILING_MARGIN_M
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import JudgedFaces
+from ffmap.algorithms.building.glazed_doors import panes_of_open_leaves
 from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.label_reasons import SURFACE_REASONS, Reason
 from ffmap.algorithms.building.model import CELL_M, Blinds, Doors, Walls, Windows
@@ -198,6 +199,9 @@ class Relabelling:
         """By the settings, which say how far each part of the building reaches."""
         walls, refused, doors, windows = building.walls, building.judged.refused, building.doors, building.windows
         blinds = building.blinds
+        # An open leaf stands in the room: what is around its pane is no wall.
+        is_leaf = panes_of_open_leaves(windows, doors)
+        windows, in_wall = windows.select(~is_leaf).append(windows.select(is_leaf)), windows.select(~is_leaf)
         leaf_m = np.where(doors.state == DoorState.CLOSED, doors.depth_m, -np.inf)
         beyond_m = np.where(np.isfinite(windows.pane_m), windows.pane_m + settings.pane_m, settings.behind_glass_m)
         # A ray that ends this close to a face or a leaf may cross it so far away, if it comes in as level as is asked about.
@@ -218,7 +222,7 @@ class Relabelling:
                 index_near(refused, settings.scatter_m + margin_m),
             ),
             (_table(doors, doors.head_m, leaf_m, doors.reveal_m), index_near(doors, door_m + margin_m)),
-            (_table(windows, beyond_m), index_near(windows, pane_m + margin_m)),
+            (_table(windows, beyond_m), index_near(in_wall, pane_m + margin_m)),
             (
                 _table(blinds, blinds.behind_m, blinds.bottom_m, blinds.top_m),
                 index_near(blinds, float(blinds.behind_m.max(initial=0.0)) + settings.wall_distance_m),

@@ -1,15 +1,18 @@
-"""Closed doors whose leaf is a pane: windows down to a leaf's lower rail, as wide and as high as doors, with wall all around."""
+"""Doors whose leaf is a pane: a closed one is a window down to its lower rail, as wide and as high as doors, with wall all around;
+an open one hangs at its doorway."""
 
 import numpy as np
 
-from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.base.segments import Segment
+from ffmap.algorithms.base.scan import BoolArray, FloatArray
+from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.building.door_casings import flush_door, glazed
 from ffmap.algorithms.building.face_columns import TracedFaces, on_and_passed
+from ffmap.algorithms.building.face_verdicts import SAME_WAY
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, ON_FACE_M, Doors, Windows, cells_in
 from ffmap.algorithms.building.openings import OpeningRules, lies_on_sheet, tops_m, widened
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM
 from ffmap.algorithms.building.windows import wall_of
+from ffmap.algorithms.scan.doors import DoorState
 
 
 def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules) -> Doors:
@@ -41,6 +44,20 @@ def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules)
         pane_m = float(windows.pane_m[k])
         doors = doors.append(glazed(door, pane_m if pane_m > ON_FACE_M else 0.0, agreement))
     return doors
+
+
+def panes_of_open_leaves(windows: Windows, doors: Doors) -> BoolArray:
+    """(N,) which panes are of open doors' leaves: they stand across the wall, within a leaf's reach of a jamb."""
+    is_leaf = np.zeros(len(windows), bool)
+    for doorway, state in zip(segments(doors), doors.state, strict=True):
+        if state != DoorState.OPEN:
+            continue
+        across = np.abs(windows.normal @ doorway.normal) < SAME_WAY
+        for jamb in doorway.at(np.array([0.0, doorway.length_m])):
+            from_jamb_m = np.linalg.norm(windows.ends - jamb, axis=2)
+            within = from_jamb_m.max(axis=1) < doorway.length_m + 2.0 * CELL_M
+            is_leaf |= across & within & (from_jamb_m.min(axis=1) < 0.5 * doorway.length_m)
+    return is_leaf
 
 
 def _with_stiles(counts: FloatArray, first: int, last: int, rules: OpeningRules) -> tuple[int, int]:

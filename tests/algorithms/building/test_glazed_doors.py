@@ -7,12 +7,13 @@ import pytest
 
 from ffmap.algorithms.building.doors import drop_doubtful
 from ffmap.algorithms.building.face_columns import TracedFaces
-from ffmap.algorithms.building.glazed_doors import find_glazed_doors
+from ffmap.algorithms.building.glazed_doors import find_glazed_doors, panes_of_open_leaves
 from ffmap.algorithms.building.model import CELL_M, BuildingSettings, Doors, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import FILLED, SQUARES, WallCells
 from ffmap.algorithms.building.windows import WindowsSettings, find_windows
-from tests.faces import CEILING_M, faces
+from ffmap.algorithms.scan.doors import DoorState
+from tests.faces import CEILING_M, doors, faces, window
 
 BUILDING = BuildingSettings()
 RULES = OpeningRules(BUILDING, OpeningsSettings())
@@ -101,3 +102,24 @@ def test_a_pane_beside_other_glass_is_a_window() -> None:
     assert len(found(counts)) == 1
     fill(counts, (2.25, 3.8), (0.25, 2.0), 0.05, 1.0)
     assert len(found(counts)) == 0
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "is_leaf"),
+    [
+        ((1.95, 0.2), (1.95, 0.8), True),
+        ((1.1, -0.2), (1.6, -0.8), True),
+        ((1.95, 0.2), (1.95, 1.3), False),  # longer than the doorway is wide
+        ((1.95, 0.6), (1.95, 0.95), False),  # not at a jamb
+        ((2.1, 0.0), (2.9, 0.0), False),  # in the wall beside it
+        ((5.0, 0.2), (5.0, 0.8), False),
+    ],
+)
+def test_a_pane_that_hangs_at_an_open_doorway_is_its_leafs(
+    first: tuple[float, float], last: tuple[float, float], is_leaf: bool
+) -> None:
+    along = np.subtract(last, first) / np.linalg.norm(np.subtract(last, first))
+    pane = replace(window(first, last), normal=np.array([[-along[1], along[0]]]))
+    both = doors(((6.0, 0.0), (7.0, 0.0)), ((1.0, 0.0), (2.0, 0.0)), normal=[[0.0, 1.0]] * 2, state=[DoorState.OPEN] * 2)
+    assert panes_of_open_leaves(pane, both).tolist() == [is_leaf]
+    assert panes_of_open_leaves(pane, replace(both, state=np.full(2, DoorState.CLOSED, np.uint8))).tolist() == [False]
