@@ -59,11 +59,13 @@ def find_doors(
     """
     found: list[_Seen] = []
     floor_before = np.zeros(len(cells.counts), bool) if floor_before is None else floor_before
-    top_m = tops_m(walls, cells, clear_m)
+    top_m, alone = tops_m(walls, cells, clear_m), _ends_alone(walls, windows, rules.openings.beside_m)
     for w in range(len(walls)):
         own = slice(cells.first[w], cells.first[w + 1])
         for seen in _doors_in(w, walls, cells, top_m[own], floor_before[own], rules):
-            if not _is_glazed(seen.door, windows, rules.openings) and _has_both_jambs(seen, walls, rules.openings):
+            # Below a beam of which scans saw a piece no doorway ends where the piece does.
+            has_jambs = seen.door.state[0] != DoorState.OPEN or not (seen.is_cut & alone[w]).any()
+            if has_jambs and not _is_glazed(seen.door, windows, rules.openings):
                 found.append(seen)
     # Where a face ends within an opening, the other face may show all of it.
     found.sort(key=lambda seen: (seen.is_cut.any(), -seen.door.confidence[0] * seen.door.ray_count[0]))
@@ -172,13 +174,14 @@ def _doors_in(
             yield _Seen(door, np.array([first == 0, last == len(counts) - 1]))
 
 
-def _has_both_jambs(seen: _Seen, walls: Walls, settings: OpeningsSettings) -> bool:
-    """Whether some wall ends an open doorway where its own face does not: below a beam that ends in the air nothing does."""
-    if seen.door.state[0] != DoorState.OPEN or not seen.is_cut.any():
-        return True
-    others = walls.select(np.arange(len(walls)) != seen.door.wall[0])
-    ends = seen.door.ends[0, seen.is_cut]
-    return len(set(pairs_near(others, ends, settings.beside_m)[0].tolist())) == len(ends)
+def _ends_alone(walls: Walls, windows: Windows, near_m: float) -> BoolArray:
+    """(W, 2) whether each end of a face is no doorway's jamb: neither another face nor a pane is within `near_m`."""
+    ends = walls.ends.reshape(-1, 2)
+    end, face = pairs_near(walls, ends, near_m)
+    is_alone = np.ones(len(ends), bool)
+    is_alone[end[face != end // 2]] = False
+    is_alone[pairs_near(windows, ends, near_m)[0]] = False
+    return is_alone.reshape(-1, 2)
 
 
 def _share_on_leaf(leaf: FloatArray, settings: OpeningsSettings) -> FloatArray:

@@ -297,10 +297,8 @@ class _Search:
         settings, own = self._settings, self._faces.columns(w)
         candidate, gap = Segment.between(self._faces.walls.ends[w], self._faces.walls.normal[w]), self._gap
         alike = self._known.ends[self._known.normal @ candidate.normal > SAME_WAY]
-        before_m = [candidate.before_m(ends) for ends in alike]
-        # Behind a pier the wall goes on.
-        beside = [-settings.missed.in_line_m < m.min() and m.max() < settings.standing.pillar_depth_m for m in before_m]
-        known = [np.sort(candidate.place_m(ends)) / CELL_M for ends, is_jamb in zip(alike, beside, strict=True) if is_jamb]
+        in_line = [ends for ends in alike if np.abs(candidate.before_m(ends)).max() < settings.missed.in_line_m]
+        known = [np.sort(candidate.place_m(ends)) / CELL_M for ends in in_line]
         known_before = any(low < 0 and abs(high) <= gap for low, high in known)
         known_behind = any(high > len(solid) and abs(low - len(solid)) <= gap for low, high in known)
         columns = self._columns.select(own)

@@ -280,13 +280,6 @@ def test_what_ends_low_before_a_wall_between_piers_is_a_radiator(is_known: bool,
     assert len(missed(room(), known=known, window_m=(0.7, to_m))) == (0 if is_known and to_m == CEILING_M else 1)
 
 
-def test_behind_a_pier_a_wall_goes_on() -> None:
-    """The bays between piers are walls, with a sill and a window each, though no more of their face is seen."""
-    for before_m, found in ((0.2, 1), (0.8, 0)):
-        piers = faces(((3 - before_m, 0), (3 - before_m, 0.4)), ((3 - before_m, 2.1), (3 - before_m, 3)))
-        assert len(missed(room(), known=piers, window_m=(0.7, 2.2))) == found
-
-
 def test_a_window_between_known_walls_may_have_less_than_two_returns_in_each_row() -> None:
     """A scan or two saw its sill and its lintel: they rest on the walls in line with them."""
     beside = faces(((3, 0), (3, 0.4)), ((3, 2.1), (3, 3)))

@@ -33,7 +33,7 @@ from ffmap.algorithms.building.windows import (
 )
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features
-from tests.faces import faces
+from tests.faces import faces, window
 
 FILLED, SUM, SQUARES, THROUGH = range(4)
 SETTINGS = BuildingSettings()
@@ -672,17 +672,29 @@ def test_an_open_doorway_in_a_glazed_wall_parts_its_panes(returned: float) -> No
     np.testing.assert_allclose(doors.ends[:, :, 0], [[1.5, 2.5]] if returned else np.zeros((0, 2)), atol=2 * CELL_M)
 
 
-@pytest.mark.parametrize("end_x", [None, 1.0, 1.5])
-def test_a_doorway_has_a_jamb_on_both_its_sides(end_x: float | None) -> None:
-    """A beam from a pillar ends where scans saw no more of it; only a wall at its end makes a doorway of what is below."""
-    face = replace(WALL, ends=np.array([[[0.0, 0.0], [1.5, 0.0]]]))
-    seen = replace(cells(), first=np.array([0, 30]), counts=cells().counts[:30])
-    seen.counts[10:, :46] = [0.0, 0.0, 0.0, 10.0]
-    walls = face if end_x is None else face.append(faces(((end_x, 0.1), (end_x, 2.0))))
-    counts = seen.counts if end_x is None else np.concatenate([seen.counts, cells().counts[:38]])
-    traced = WallCells(np.array([0, 30, 68][: 1 + len(walls)]), 66, counts)
-    doors = find_doors(walls, traced, unknown(traced), RULES)
-    assert doors.state.tolist() == ([DoorState.OPEN] if end_x == 1.5 else [])
+@pytest.mark.parametrize(
+    ("other", "is_jamb"),
+    [
+        (faces(((1.5, 0.1), (1.5, 2.0))), True),
+        (faces(((1.0, 0.1), (1.0, 2.0))), False),
+        (window((1.6, 0.1), (3.0, 0.1)), True),
+        (NO_WALLS, False),
+    ],
+)
+def test_a_doorway_has_a_jamb_on_both_its_sides(other: Walls | Windows, is_jamb: bool) -> None:
+    """A beam from a pillar ends where scans saw no more of it; only a wall at its end, or a pane, makes a doorway below it."""
+    part = cells().counts[:30]
+    part[10:, :46] = [0.0, 0.0, 0.0, 10.0]
+    walls, windows = replace(WALL, ends=np.array([[[0.0, 0.0], [1.5, 0.0]]])), NO_WINDOWS
+    first, counts = [0, 30], part
+    if isinstance(other, Windows):
+        windows = other
+    elif len(other):
+        walls, counts = walls.append(other), np.concatenate([part, cells().counts[:30]])
+        first.append(len(counts))
+    seen = WallCells(np.array(first), 66, counts)
+    doors = find_doors(walls, seen, unknown(seen), RULES, windows)
+    assert doors.state.tolist() == ([DoorState.OPEN] if is_jamb else [])
 
 
 def test_glass_up_to_the_ceiling_is_no_window_of_its_face() -> None:
