@@ -173,12 +173,7 @@ def find_missed_walls(walls: Walls, refused: Walls, returns: AllReturns, setting
     faces = returns.trace(candidates)
     hang = refused.select(refused.bottom_m >= settings.building.door_height_min_m)
     search = _Search(walls, hang, faces, returns, settings)
-    proven: list[_Proven] = []
-    # What stands behind is asked first: the wall is the last of what stands one before the other.
-    for w in np.argsort(np.einsum("wk,wk->w", candidates.ends.mean(axis=1), candidates.normal), kind="stable").tolist():
-        own = list(search.walls_in(w))
-        search.stand = reduce(Walls.append, [p.wall for p in own], search.stand)
-        proven += own
+    proven = [stretch for w in range(len(faces)) for stretch in search.walls_in(w)]
     found = reduce(Walls.append, [p.wall for p in proven], NO_WALLS)
     mirrored = _seen_by_glass(found, returns, settings.missed)
     before = [p.duct for p, by_glass in zip(proven, mirrored, strict=True) if p.duct is not None and not by_glass]
@@ -225,8 +220,6 @@ class _Search:
     ) -> None:
         """known: the known faces; hang: refused ones that begin above heads; faces: the candidates."""
         self._known, self._faces, self._storey, self._settings = known, faces, returns.storey, settings
-        self.stand = known
-        """The walls as far as they have been found."""
         self._fronts = known.append(hang)
         standing = settings.standing
         self._gap = cells_in(standing.hidden_gap_m)
@@ -316,7 +309,7 @@ class _Search:
             between[part] = has_jambs and is_wide and has_sill and not is_door
         # What ends low close before a wall is no sill but a radiator, between piers.
         places = candidate.at((np.arange(len(solid)) + 0.5) * CELL_M)
-        return between & (crown | ~_has_face_behind(places, candidate.normal, self.stand, settings.standing))
+        return between & (crown | ~_has_face_behind(places, candidate.normal, self._known, settings.standing))
 
     def _shows_sill(self, counts: FloatArray) -> tuple[BoolArray, BoolArray]:
         """(c,) each: at which columns (c, rows, 4) rays end on the lowest that is seen of them below sills, and where they pass."""
