@@ -25,10 +25,9 @@ from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import CEILING_MARGIN_M
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import JudgedFaces
-from ffmap.algorithms.building.glazed_doors import panes_of_open_leaves
 from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.label_reasons import SURFACE_REASONS, Reason
-from ffmap.algorithms.building.model import CELL_M, Blinds, Doors, Walls, Windows
+from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, Blinds, Doors, Walls, Windows
 from ffmap.algorithms.building.votes import Halo
 from ffmap.algorithms.scan.doors import DoorState
 
@@ -125,7 +124,8 @@ class BuildingModel:
 
     walls: the faces that stand. before: how high the ceiling hangs before each, and where something stands flat against it.
     judged: with the faces that were refused, whose returns are clutter, or outside. Its own `walls` are not asked.
-    levels: what lies at known heights, applied one after the other.
+    levels: what lies at known heights, applied one after the other. leaf_panes: the panes of open doors' leaves, which stand in the
+    rooms: what lies behind them is seen through glass, but what is around them is no wall.
     """
 
     walls: Walls
@@ -135,6 +135,7 @@ class BuildingModel:
     windows: Windows
     blinds: Blinds
     levels: tuple[HeightMap, ...]
+    leaf_panes: Windows = NO_WINDOWS
 
 
 TOP, REFUSED_AS = 7, 8
@@ -179,7 +180,8 @@ class Relabelling:
     """A building as the returns of scans are asked about it: tables for compiled code, and what is near each place.
 
     faces, refused, doorways, panes, blinds: a row for each, see `TOP`, `HEAD`, `BEYOND` and `LOW`; with an index of `index_near`
-        each, the faces with one of those that rays meet along an edge, and with one of those that a return may be at.
+        each, the faces with one of those that rays meet along an edge, and with one of those that a return may be at; that of panes
+        is of the walls' windows alone.
     before: what is before the faces, by their columns.
     levels: what lies at known heights, asked last; halo: the cubes in which clutter is a surface's scatter, before these.
     """
@@ -198,12 +200,9 @@ class Relabelling:
     def of(cls, building: BuildingModel, halo: Halo, settings: RelabellingSettings) -> "Relabelling":
         """By the settings, which say how far each part of the building reaches."""
         walls, refused, doors, windows = building.walls, building.judged.refused, building.doors, building.windows
-        blinds = building.blinds
-        # An open leaf stands in the room: what is around its pane is no wall.
-        is_leaf = panes_of_open_leaves(windows, doors)
-        windows, in_wall = windows.select(~is_leaf).append(windows.select(is_leaf)), windows.select(~is_leaf)
+        blinds, panes = building.blinds, windows.append(building.leaf_panes)
         leaf_m = np.where(doors.state == DoorState.CLOSED, doors.depth_m, -np.inf)
-        beyond_m = np.where(np.isfinite(windows.pane_m), windows.pane_m + settings.pane_m, settings.behind_glass_m)
+        beyond_m = np.where(np.isfinite(panes.pane_m), panes.pane_m + settings.pane_m, settings.behind_glass_m)
         # A ray that ends this close to a face or a leaf may cross it so far away, if it comes in as level as is asked about.
         at_face_m = max(settings.forget_m, settings.body_m)
         edge_m = 2.0 * settings.scatter_m
@@ -222,7 +221,7 @@ class Relabelling:
                 index_near(refused, settings.scatter_m + margin_m),
             ),
             (_table(doors, doors.head_m, leaf_m, doors.reveal_m), index_near(doors, door_m + margin_m)),
-            (_table(windows, beyond_m), index_near(in_wall, pane_m + margin_m)),
+            (_table(panes, beyond_m), index_near(windows, pane_m + margin_m)),
             (
                 _table(blinds, blinds.behind_m, blinds.bottom_m, blinds.top_m),
                 index_near(blinds, float(blinds.behind_m.max(initial=0.0)) + settings.wall_distance_m),

@@ -46,7 +46,7 @@ from ffmap.algorithms.building.glass_fronts import (
     new_fronts,
     set_in_walls,
 )
-from ffmap.algorithms.building.glazed_doors import find_glazed_doors
+from ffmap.algorithms.building.glazed_doors import find_glazed_doors, panes_of_open_leaves
 from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.missed_walls import AllReturns, MissedWallsSettings, SearchSettings, find_missed_walls
@@ -108,6 +108,7 @@ class Building:
 
     aligned: the faces before any was judged, and those found of all scans' returns together. thickness_m: (W,) of the walls.
     levels: its ceilings, floors and ducts, and the floors that panes mirror, where scans took them for something else.
+    leaf_panes: see `BuildingModel`.
     """
 
     aligned: AlignedFaces
@@ -116,6 +117,7 @@ class Building:
     judged: JudgedFaces
     doors: Doors
     windows: Windows
+    leaf_panes: Windows
     blinds: Blinds
     halo: Halo
     levels: tuple[HeightMap, ...]
@@ -124,21 +126,25 @@ class Building:
     @property
     def model(self) -> BuildingModel:
         """What scans are labelled by."""
-        return BuildingModel(self.walls, self.before, self.judged, self.doors, self.windows, self.blinds, self.levels)
+        return BuildingModel(
+            self.walls, self.before, self.judged, self.doors, self.windows, self.blinds, self.levels, self.leaf_panes
+        )
 
 
 def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     """Walls from all planes, doors and windows from all rays. Raises ValueError where there is no scan."""
     aligned, judged, windows, fronts = _find_faces(scans, settings)
     aligned, judged, walls = _add_missed_walls(aligned, judged, windows.append(fronts), scans, settings)
-    trimmed, doors, windows, blinds = _find_openings(walls, fronts, scans, settings)
+    trimmed, doors, glass, blinds = _find_openings(walls, fronts, scans, settings)
     walls, judged = trimmed.faces.walls, judged.refuse(trimmed.leaves, FaceVerdict.ENDS_LOW)
     before = find_foreground(trimmed.faces, doors, settings.standing_walls.above_door_m, settings.before_walls)
     thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
     halo = find_halo(scans.votes, settings.relabelling.halo_ratio)
     near_m = settings.relabelling.halo_wall_m
     halo = halo_at_walls(halo, walls, doors, before, scans.storey, near_m, settings.before_walls)
-    return Building(aligned, walls, before, judged, doors, windows, blinds, halo, scans.levels, thickness_m)
+    is_leaf = panes_of_open_leaves(glass, doors)
+    windows, leaf_panes = glass.select(~is_leaf), glass.select(is_leaf)
+    return Building(aligned, walls, before, judged, doors, windows, leaf_panes, blinds, halo, scans.levels, thickness_m)
 
 
 # --- faces ---

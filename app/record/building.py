@@ -51,7 +51,7 @@ def log_building(log: Log, building: BuildingModel) -> None:
     _log_walls(log, building)
     _log_refused(log, building.judged)
     _log_doors(log, building.doors)
-    _log_windows(log, building.windows, building.blinds)
+    _log_windows(log, building.windows, building.leaf_panes, building.blinds)
     _log_levels(log, building.levels)
     log.text(entities.BUILDING_REASONS, explain_building(building))
 
@@ -111,10 +111,12 @@ def _log_doors(log: Log, doors: Doors) -> None:
         log.static(entities.DOOR_LEAVES, panel_mesh(closed.ends, np.zeros(len(closed)), closed.head_m, color))
 
 
-def _log_windows(log: Log, windows: Windows, blinds: Blinds) -> None:
-    if len(windows):
-        frames = upright_frames(windows.ends, windows.bottom_m, windows.top_m)
-        color, labels = entities.CLASSES[Label.OUTSIDE][1], ["window"] * len(windows)
+def _log_windows(log: Log, windows: Windows, leaf_panes: Windows, blinds: Blinds) -> None:
+    glass = windows.append(leaf_panes)
+    if len(glass):
+        frames = upright_frames(glass.ends, glass.bottom_m, glass.top_m)
+        color = entities.CLASSES[Label.OUTSIDE][1]
+        labels = ["window"] * len(windows) + ["pane of an open leaf"] * len(leaf_panes)
         log.static(entities.WINDOWS, strips(frames, color, 1.5, labels, show_labels=False))
     if len(blinds):
         hung = blinds.ends - (blinds.behind_m[:, None] * blinds.normal)[:, None]

@@ -53,10 +53,10 @@ def explain_building(building: BuildingModel) -> str:
         )
     if before.covered.any():
         parts.append(_AGAINST.format(area_m2=np.count_nonzero(before.covered) * CELL_M**2))
-    if len(windows):
-        headings_of_windows = "at x, y (m)", "width", "from – to height", "pane"
-        panes = [_window(windows, w) for w in range(len(windows))]
-        parts.append("\n## Windows\n\n" + table(headings_of_windows, panes))
+    for heading, glass in (("Windows", windows), ("Panes of open leaves", building.leaf_panes)):
+        if len(glass):
+            panes = [_window(glass, w) for w in range(len(glass))]
+            parts.append(f"\n## {heading}\n\n" + table(("at x, y (m)", "width", "from – to height", "pane"), panes))
     if len(blinds := building.blinds):
         hung = [_blind(blinds, b) for b in range(len(blinds))]
         parts.append(_BLINDS + table(("at x, y (m)", "width", "from – to height", "what held"), hung))

@@ -102,6 +102,7 @@ def relabelled(
     covered: bool | tuple[bool, ...] = False,
     verdict: FaceVerdict = FaceVerdict.ENDS_LOW,
     levels: tuple[HeightMap, ...] = (),
+    leaf_panes: Windows = NO_WINDOWS,
 ) -> Relabelled:
     """What becomes of returns (n, 3); the scan's ceiling hangs at 2.8 m, that before the walls at `ceiling_m`."""
     height_m = points[:, 2].astype(np.float64)
@@ -114,6 +115,7 @@ def relabelled(
             windows,
             blinds,
             levels,
+            leaf_panes,
         ),
         NO_HALO,
         SETTINGS,
@@ -223,15 +225,13 @@ def test_door_without_a_door_of_the_building_is_wall_or_clutter() -> None:
     assert final((3.0, -0.3, 1.0), Label.DOOR, walls=face()) == Label.CLUTTER
 
 
-@pytest.mark.parametrize(("at_x", "wall"), [(1.95, False), (3.5, True)])
-def test_around_the_pane_of_an_open_leaf_is_no_wall(at_x: float, wall: bool) -> None:
+@pytest.mark.parametrize(("glass", "expected"), [("windows", Label.WALL), ("leaf_panes", Label.CLUTTER)])
+def test_around_the_pane_of_an_open_leaf_is_no_wall(glass: str, expected: Label) -> None:
     """A pane that stands alone in a room is a glazed front, with its frame; behind either one sees through glass."""
-    pane = Windows(
-        np.array([[[at_x, -0.8], [at_x, -0.2]]]), np.array([[1.0, 0.0]]), np.array([0.9]), np.array([2.0]), np.zeros(1)
-    )
-    seen: dict[str, Any] = {"walls": face(), "doors": door(np.nan), "windows": pane, "sensor": np.array([3.8, -0.6, 1.0])}
-    assert final((at_x + 0.02, -0.5, 0.5), Label.CLUTTER, **seen) == (Label.WALL if wall else Label.CLUTTER)
-    assert final((at_x - 0.5, -0.5, 0.5), Label.CLUTTER, **seen) == Label.OUTSIDE
+    pane = Windows(np.array([[[2.0, -0.8], [2.0, -0.2]]]), np.array([[1.0, 0.0]]), np.array([0.9]), np.array([2.0]), np.zeros(1))
+    seen: dict[str, Any] = {"walls": face(), glass: pane, "sensor": np.array([3.8, -0.6, 1.0])}
+    assert final((2.02, -0.5, 0.5), Label.CLUTTER, **seen) == expected
+    assert final((1.5, -0.5, 0.5), Label.CLUTTER, **seen) == Label.OUTSIDE
 
 
 @pytest.mark.parametrize(

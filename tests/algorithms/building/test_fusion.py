@@ -8,6 +8,7 @@ import pytest
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengths_m
+from ffmap.algorithms.building import fusion
 from ffmap.algorithms.building.blinds import BlindsSettings
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings
@@ -33,6 +34,7 @@ from ffmap.algorithms.maps.grid import GridMapSettings
 from ffmap.algorithms.maps.rivals import Rival
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features
+from tests.faces import window
 from tests.tracing import tracing
 from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms
 from tests.voting import vote
@@ -142,3 +144,13 @@ def test_what_was_seen_through_a_window_is_neither_wall_nor_refused() -> None:
     assert len(building.windows) == 1
     for faces in (building.walls, building.judged.refused):
         assert np.all(faces.ends[..., 1] > -0.2)
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_pane_at_an_open_doorway_is_its_leafs_and_no_window(closed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    x, y = JAMBS_X[0], SIZE_M[1]
+    pane = replace(window((x, y - 0.8), (x, y - 0.2)), normal=np.array([[1.0, 0.0]]))
+    monkeypatch.setattr(fusion, "find_glass_fronts", lambda *_: pane)
+    building = built(TwoRooms(closed=closed))
+    assert (len(building.windows), len(building.leaf_panes)) == ((1, 0) if closed else (0, 1))
+    assert building.model.leaf_panes is building.leaf_panes

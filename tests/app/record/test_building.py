@@ -11,7 +11,7 @@ from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.height_map import HeightMap, Surface
-from ffmap.algorithms.building.model import Blinds
+from ffmap.algorithms.building.model import NO_BLINDS, NO_WINDOWS, Blinds
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.app.record.building import log_building, log_fused_walls, log_grid, log_map_block
 from ffmap.app.record.building_reasons import explain_building
@@ -100,6 +100,16 @@ def test_the_building_says_why(tmp_path):
     assert "aslant" not in reasons
     ajar = replace(building(), judged=NO_JUDGED_FACES, doors=replace(DOOR, ajar=np.array([True])), levels=())
     assert "its leaf stands aslant" in explain_building(ajar)
+
+
+def test_the_pane_of_an_open_leaf_is_told_from_a_window(tmp_path):
+    pane = window((1.0, 0.3), (1.0, 0.9))
+    found = recorded(tmp_path, replace(building(), leaf_panes=pane))
+    assert found[entities.WINDOWS]["labels"][0] == ["window", "pane of an open leaf"]
+    reasons = found[entities.BUILDING_REASONS]["text"][0][0]
+    assert "| 1.00, 0.60 | 0.60 m | 0.90 – 2.20 m | 10 cm behind the face |" in reasons.split("## Panes of open leaves")[1]
+    alone = recorded(tmp_path, replace(building(), windows=NO_WINDOWS, blinds=NO_BLINDS, leaf_panes=pane))
+    assert "## Windows" not in alone[entities.BUILDING_REASONS]["text"][0][0]
 
 
 def test_a_cased_door_says_where_its_leaf_lies() -> None:
