@@ -53,7 +53,8 @@ def find_doors(
     Columns next to each other that agree make a door, if it is as wide as doors are. What was seen in both faces of a
     wall, or in two stretches of it, is there twice, the better seen first: see `each_once`.
 
-    cells: without the rays through the windows, for what is seen through glass tells nothing of this building's doors.
+    cells: without the rays through the windows, for what is seen through glass tells nothing of this building's doors. Where a face
+    ends in an open doorway, another face has to be there, or one of the windows: the doorway's other jamb.
     clear_m: (columns,) from the floor to the ceiling before each column of the faces; NaN where none was seen.
     floor_before: (columns,) whether the floor was seen up to the face, so that nothing stands before it; None if unknown.
     """
@@ -63,9 +64,9 @@ def find_doors(
     for w in range(len(walls)):
         own = slice(cells.first[w], cells.first[w + 1])
         for seen in _doors_in(w, walls, cells, top_m[own], floor_before[own], rules):
-            # Below a beam of which scans saw a piece no doorway ends where the piece does.
-            has_jambs = seen.door.state[0] != DoorState.OPEN or not (seen.is_cut & alone[w]).any()
-            if has_jambs and not _is_glazed(seen.door, windows, rules.openings):
+            # Below a beam of which scans saw a piece no doorway ends where the piece does; a leaf has a jamb, be it seen or not.
+            has_leaf = seen.door.ajar[0] or seen.door.state[0] == DoorState.CLOSED
+            if (has_leaf or not (seen.is_cut & alone[w]).any()) and not _is_glazed(seen.door, windows, rules.openings):
                 found.append(seen)
     # Where a face ends within an opening, the other face may show all of it.
     found.sort(key=lambda seen: (seen.is_cut.any(), -seen.door.confidence[0] * seen.door.ray_count[0]))
@@ -175,11 +176,16 @@ def _doors_in(
 
 
 def _ends_alone(walls: Walls, windows: Windows, near_m: float) -> BoolArray:
-    """(W, 2) whether each end of a face is no doorway's jamb: neither another face nor a pane is within `near_m`."""
+    """(W, 2) whether each end of a face is no doorway's jamb: neither a pane nor another face is within `near_m`, but for one that
+    looks the opposite way and ends there too."""
     ends = walls.ends.reshape(-1, 2)
     end, face = pairs_near(walls, ends, near_m)
+    along = np.diff(walls.ends, axis=1)[face, 0]
+    share = ((ends[end] - walls.ends[face, 0]) * along).sum(axis=1) / (along**2).sum(axis=1)
+    goes_on_m = (0.5 - np.abs(share - 0.5)) * np.linalg.norm(along, axis=1)
+    is_back = (walls.normal[face] * walls.normal[end // 2]).sum(axis=1) < -SAME_WAY
     is_alone = np.ones(len(ends), bool)
-    is_alone[end[face != end // 2]] = False
+    is_alone[end[(face != end // 2) & ~(is_back & (goes_on_m < near_m))]] = False
     is_alone[pairs_near(windows, ends, near_m)[0]] = False
     return is_alone.reshape(-1, 2)
 

@@ -335,17 +335,17 @@ def _shows_whole(faces: TracedFaces, columns: slice, settings: StandingWallsSett
 
 
 def refuse_backs(judged: JudgedFaces, settings: StandingWallsSettings) -> JudgedFaces:
-    """The same without the backs of what ends low: from one side alone it may be seen that rays pass above a leaf."""
+    """The same without the faces most of which are the back of what ends low: rays may pass above a leaf from one side alone."""
     low = judged.refused.select(judged.verdict == FaceVerdict.ENDS_LOW)
     is_back = np.zeros(len(judged.walls), bool)
     for w, face in enumerate(segments(judged.walls)):
         fronts = low.ends[low.normal @ face.normal < -SAME_WAY]
-        behind_m = [-float(face.before_m(ends.mean(axis=0))) for ends in fronts]
-        shared_m = [face.shared_m(ends) for ends in fronts]
-        is_back[w] = any(
-            abs(depth_m) < settings.sheet_max_m and length_m > 0.5 * face.length_m
-            for depth_m, length_m in zip(behind_m, shared_m, strict=True)
-        )
+        shared_m = [
+            max(face.shared_m(ends), 0.0)
+            for ends in fronts
+            if abs(float(face.before_m(ends.mean(axis=0)))) < settings.sheet_max_m
+        ]
+        is_back[w] = sum(shared_m) > 0.5 * face.length_m
     return replace(judged, walls=judged.walls.select(~is_back)).refuse(judged.walls.select(is_back), FaceVerdict.ENDS_LOW)
 
 

@@ -47,16 +47,17 @@ def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules)
 
 
 def panes_of_open_leaves(windows: Windows, doors: Doors) -> BoolArray:
-    """(N,) which panes are of open doors' leaves: they stand across the wall, within a leaf's reach of a jamb."""
+    """(N,) which panes are of open doors' leaves: not along the wall, nearer to a jamb than to the doorway's middle, and no farther
+    from that jamb than the doorway is wide, to two columns of cells."""
     is_leaf = np.zeros(len(windows), bool)
     for doorway, state in zip(segments(doors), doors.state, strict=True):
         if state != DoorState.OPEN:
             continue
-        across = np.abs(windows.normal @ doorway.normal) < SAME_WAY
+        is_aside = np.abs(windows.normal @ doorway.normal) < SAME_WAY
         for jamb in doorway.at(np.array([0.0, doorway.length_m])):
             from_jamb_m = np.linalg.norm(windows.ends - jamb, axis=2)
             within = from_jamb_m.max(axis=1) < doorway.length_m + 2.0 * CELL_M
-            is_leaf |= across & within & (from_jamb_m.min(axis=1) < 0.5 * doorway.length_m)
+            is_leaf |= is_aside & within & (from_jamb_m.min(axis=1) < 0.5 * doorway.length_m)
     return is_leaf
 
 

@@ -196,8 +196,9 @@ def _candidates(
         return NO_WALLS
     both = both_sides(found)
     # Between a candidate and a close face that looks at it nobody can stand.
-    faced = _near_a_face(both, walls, 0.0, standing.pillar_depth_m, opposite=True)
-    return both.select(~faced & ~_near_a_face(both, walls, -standing.noise_m, standing.noise_m))
+    middles = both.ends.mean(axis=1)
+    faced = _near_a_face(middles, both.normal, walls, 0.0, standing.pillar_depth_m, opposite=True)
+    return both.select(~faced & ~_near_a_face(middles, both.normal, walls, -standing.noise_m, standing.noise_m))
 
 
 @dataclass(frozen=True)
@@ -282,8 +283,8 @@ class _Search:
     def _between_jambs(self, w: int, solid: BoolArray) -> BoolArray:
         """(c,) the columns of a candidate that are closed below between stretches of wall in line: its own, or known faces.
 
-        Furniture is not in line with the wall on both its sides. What hangs in a window, or stands before it, may hide its sill or
-        its lintel.
+        Furniture is not in line with the wall on both its sides, but for a radiator between piers: it has no lintel, and the wall
+        close behind it. What hangs in a window, or stands before it, may hide its sill or its lintel.
 
         solid: (c,) its own columns of wall.
         """
@@ -307,9 +308,9 @@ class _Search:
             is_door = long_runs(opened[part], cells_in(settings.building.door_width_min_m), bridge=2).any()
             has_sill = sill[part].any() and np.mean(shown[part]) > 0.5
             between[part] = has_jambs and is_wide and has_sill and not is_door
-        # What ends low close before a wall is no sill but a radiator, between piers.
         places = candidate.at((np.arange(len(solid)) + 0.5) * CELL_M)
-        return between & (crown | ~_has_face_behind(places, candidate.normal, self._known, settings.standing))
+        before_wall = _near_a_face(places, candidate.normal, self._known, 0.0, settings.standing.furniture_depth_m)
+        return between & (crown | ~before_wall)
 
     def _shows_sill(self, counts: FloatArray) -> tuple[BoolArray, BoolArray]:
         """(c,) each: at which columns (c, rows, 4) rays end on the lowest that is seen of them below sills, and where they pass."""
@@ -462,27 +463,19 @@ def _crossed_by(walls: Walls, candidates: Walls, w: int, count: int) -> BoolArra
     return crossed
 
 
-def _near_a_face(candidates: Walls, walls: Walls, above_m: float, below_m: float, opposite: bool = False) -> BoolArray:
-    """(k,) whether each candidate lies between two distances before a known face that looks the same way, or the opposite."""
-    near = np.zeros(len(candidates), bool)
-    middle = candidates.ends.mean(axis=1)
-    for face in segments(walls):
-        before_m = face.before_m(middle)
-        looks = (-candidates.normal if opposite else candidates.normal) @ face.normal > SAME_WAY
-        near |= looks & face.beside(middle) & (before_m > above_m) & (before_m < below_m)
-    return near
-
-
-def _has_face_behind(
-    places: FloatArray, normal: FloatArray, walls: Walls, standing: StandingWallsSettings
+def _near_a_face(
+    places: FloatArray, normals: FloatArray, walls: Walls, above_m: float, below_m: float, opposite: bool = False
 ) -> BoolArray:
-    """(c,) whether a known face that looks along `normal` (2,), as what is at places (c, 2) does, stands as close behind them as
-    furniture is deep."""
-    behind = np.zeros(len(places), bool)
-    for face in segments(walls.select(walls.normal @ normal > SAME_WAY)):
+    """(k,) whether each place (k, 2) lies between two distances before a known face that looks the same way, or the opposite.
+
+    normals: (k, 2), or (2,) of all, where what is there looks.
+    """
+    near = np.zeros(len(places), bool)
+    for face in segments(walls):
         before_m = face.before_m(places)
-        behind |= face.beside(places) & (before_m > standing.noise_m) & (before_m < standing.furniture_depth_m)
-    return behind
+        looks = (-normals if opposite else normals) @ face.normal > SAME_WAY
+        near |= looks & face.beside(places) & (before_m > above_m) & (before_m < below_m)
+    return near
 
 
 def _lines_of_any_direction(

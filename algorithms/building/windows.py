@@ -18,6 +18,7 @@ from ffmap.algorithms.building.openings import (
     OpeningRules,
     deepest_sheet_m,
     find_sheet,
+    is_open_to_floor,
     is_pane,
     look_for_doors,
     tops_m,
@@ -130,7 +131,7 @@ def find_windows(
             if first == 0 and last == len(counts) - 1:
                 continue  # without a jamb it is what stands below something that hangs
             between_m = CELL_M * clear[[0]], CELL_M * (clear[[-1]] + 1)
-            for part in _without_passages(high, pane_m, shown, (first, last + 1), rules, settings):
+            for part in _without_doorways(counts, pane_m, shown, (first, last + 1), rules, settings):
                 ends = face.at(CELL_M * np.array(part))
                 windows = windows.append(Windows(ends[None], face.normal[None], *between_m, np.array([pane_m])))
     return join_windows(windows, settings.one_wall_m)
@@ -284,35 +285,44 @@ def _over_its_pane(
     return widened(on_pane & passed, first, last, len(high))
 
 
-def _without_passages(
-    high: FloatArray,
+def _without_doorways(
+    counts: FloatArray,
     pane_m: float,
     shown: slice,
     whole: tuple[int, int],
     rules: OpeningRules,
     settings: WindowsSettings,
 ) -> list[tuple[int, int]]:
-    """The parts of a window beside the open doorways in it, where nothing returns that would have from its pane.
+    """A window's columns without those of open doorways: the first of each part and the one after its last.
 
-    None of what is open for the most part: what returned is a leaf, or the reveal.
+    Where its pane would have returned rays and none came, over a door's width and down to the floor, a door stands open. There is
+    no part where most of the window is silent so: what returned there was a leaf, or the reveal.
 
-    high: (columns, 4) of the whole face, between knee and head. pane_m: how far behind the face it stands; NaN if unknown.
-    whole: its first column and the one after the last.
+    counts: (columns, rows, 4) of the whole face. pane_m: how far behind it the pane stands; NaN if unknown. shown: the columns in
+    which it shows. whole: the window's first column and the one after the last.
     """
-    near = with_neighbours(high)
+    building = rules.building
+    near = with_neighbours(counts[:, cells_in(building.knee_m) : cells_in(building.door_height_min_m)].sum(axis=1))
     rays = near[:, FILLED] + near[:, THROUGH]
     with np.errstate(invalid="ignore", divide="ignore"):
         on_pane = np.abs(-near[:, SUM] / near[:, FILLED] - pane_m) < rules.openings.sheet_m
     share = np.sum(near[shown, FILLED] * on_pane[shown]) / max(float(rays[shown].sum()), 1.0)
-    first, after = whole
-    tells = share * rays[first:after] >= rules.openings.expected_min
-    is_open = tells & (near[first:after, FILLED] == 0)
-    if np.count_nonzero(is_open) > 0.5 * np.count_nonzero(tells):
+    window = np.zeros(len(counts), bool)
+    window[slice(*whole)] = True
+    tells = window & (share * rays >= rules.openings.expected_min)
+    silent = tells & (near[:, FILLED] == 0)
+    if np.count_nonzero(silent) > 0.5 * np.count_nonzero(tells):
         return []
-    passage = long_runs(is_open, cells_in(rules.building.door_width_min_m), bridge=2)
-    # Beside a doorway some of its own columns are left.
-    least = cells_in(settings.height_min_m) if passage.any() else 1
-    return [(first + start, first + stop) for start, stop in runs(~passage) if stop - start >= least]
+    # A stray return tells in its own column and in the two beside it.
+    for start, stop in runs(long_runs(silent, cells_in(building.door_width_min_m), bridge=3)):
+        is_narrow = stop - start <= cells_in(building.door_width_max_m)
+        rows = counts[start:stop, FOOT_ROW : cells_in(building.knee_m)].sum(axis=0)
+        has_sill = bool(np.any(rows[:, FILLED] > rows[:, THROUGH]))
+        window[start:stop] = has_sill or not (is_narrow and is_open_to_floor(counts[start:stop], rules))
+    parts = runs(window)
+    # Beside a doorway slivers are left that are no panes.
+    least = cells_in(settings.height_min_m) if len(parts) > 1 else 1
+    return [(start, stop) for start, stop in parts if stop - start >= least]
 
 
 def _to_its_wall(

@@ -109,8 +109,9 @@ def test_a_pane_beside_other_glass_is_a_window() -> None:
     [
         ((1.95, 0.2), (1.95, 0.8), True),
         ((1.1, -0.2), (1.6, -0.8), True),
-        ((1.95, 0.2), (1.95, 1.3), False),  # longer than the doorway is wide
-        ((1.95, 0.6), (1.95, 0.95), False),  # not at a jamb
+        ((1.95, 0.4), (1.95, 0.95), True),
+        ((1.95, 0.2), (1.95, 1.15), False),  # longer than the doorway is wide
+        ((1.95, 0.55), (1.95, 0.95), False),  # not at a jamb
         ((2.1, 0.0), (2.9, 0.0), False),  # in the wall beside it
         ((5.0, 0.2), (5.0, 0.8), False),
     ],

@@ -272,12 +272,21 @@ def test_what_hides_a_sill_does_not_part_its_wall(to_m: float, seen_to_y: float,
 
 
 @pytest.mark.parametrize("to_m", [2.2, CEILING_M])
-@pytest.mark.parametrize("is_known", [True, False])
-def test_what_ends_low_before_a_wall_between_piers_is_a_radiator(is_known: bool, to_m: float) -> None:
+@pytest.mark.parametrize(
+    ("back", "stands_behind"),
+    [
+        (((3.15, 0), (3.15, 3)), True),
+        (((4.2, 0), (4.2, 3)), False),  # the wall of another room
+        (((3.15, 2.5), (3.15, 3)), False),  # beside it
+    ],
+)
+def test_what_ends_low_before_a_wall_between_piers_is_a_radiator(
+    back: tuple[tuple[float, float], tuple[float, float]], stands_behind: bool, to_m: float
+) -> None:
     """It is flush with these; with a lintel over it it is the wall's own sill, whatever stands behind."""
-    piers, back = faces(((3, 0), (3, 0.4)), ((3, 2.1), (3, 3))), faces(((3.15, 0), (3.15, 3)))
-    known = piers.append(back) if is_known else piers
-    assert len(missed(room(), known=known, window_m=(0.7, to_m))) == (0 if is_known and to_m == CEILING_M else 1)
+    piers = faces(((3, 0), (3, 0.4)), ((3, 2.1), (3, 3)))
+    found = missed(room(), known=piers.append(faces(back)), window_m=(0.7, to_m))
+    assert len(found) == (0 if stands_behind and to_m == CEILING_M else 1)
 
 
 def test_a_window_between_known_walls_may_have_less_than_two_returns_in_each_row() -> None:

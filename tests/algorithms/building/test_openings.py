@@ -655,46 +655,101 @@ def test_beside_a_doorways_jamb_is_no_glass() -> None:
     assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 1
 
 
-@pytest.mark.parametrize("returned", [1.0, 0.0])
-def test_an_open_doorway_in_a_glazed_wall_parts_its_panes(returned: float) -> None:
-    """Most of what is open is glass, but in the doorway nothing returns; if all of it returns alike, there is no doorway."""
+def glazed_wall(silent: tuple[float, float], sill_m: float = 0.0) -> WallCells:
+    """Between x = 0.3 and 3.7 glass from a sill up to 2.5 m, from which nothing returns between two other places."""
     seen = cells()
-    glass = seen.counts[10:70, :50]
-    glass[...] = [1.0, -0.06, 0.06**2, 50.0]
-    seen.counts[30:50, :50] = [1.0 - returned, -0.06 * (1.0 - returned), 0.06**2 * (1.0 - returned), 50.0]
+    seen.counts[6:74, round(sill_m / CELL_M) : 50] = [1.0, -0.06, 0.06**2, 50.0]
+    seen.counts[round(silent[0] / CELL_M) : round(silent[1] / CELL_M), round(sill_m / CELL_M) : 50] = [0.0, 0.0, 0.0, 50.0]
+    return seen
+
+
+@pytest.mark.parametrize(
+    ("silent", "sill_m", "panes"),
+    [
+        ((1.5, 2.5), 0.0, [0.3, 1.5, 2.5, 3.7]),
+        ((1.5, 1.5), 0.0, [0.3, 3.7]),
+        ((1.8, 2.2), 0.0, [0.3, 3.7]),  # no door is so narrow
+        ((1.5, 2.5), 0.4, [0.3, 3.7]),  # above a sill it is an open sash
+    ],
+)
+def test_an_open_doorway_in_a_glazed_wall_parts_its_panes(
+    silent: tuple[float, float], sill_m: float, panes: list[float]
+) -> None:
+    """Most of what is open is glass, but in the doorway nothing returns."""
+    seen = glazed_wall(silent, sill_m)
     windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
-    x = np.sort(windows.ends[:, :, 0], axis=None)
-    np.testing.assert_allclose(x, [0.5, 1.5, 2.5, 3.5] if returned else [0.5, 3.5], atol=2 * CELL_M)
+    np.testing.assert_allclose(np.sort(windows.ends[:, :, 0], axis=None), panes, atol=2 * CELL_M)
     # What a window lets pass is no door's.
     for ends in np.round(windows.ends[:, :, 0] / CELL_M).astype(int):
         seen.counts[ends.min() : ends.max(), :50] = 0.0
     doors = find_doors(WALL, seen, unknown(seen), RULES, windows)
-    np.testing.assert_allclose(doors.ends[:, :, 0], [[1.5, 2.5]] if returned else np.zeros((0, 2)), atol=2 * CELL_M)
+    np.testing.assert_allclose(doors.ends[:, :, 0], [panes[1:3]] if len(panes) > 2 else np.zeros((0, 2)), atol=2 * CELL_M)
 
 
+def test_what_stands_in_a_doorway_of_a_glazed_wall_does_not_hide_it() -> None:
+    seen = glazed_wall((1.5, 2.5))
+    seen.counts[40, 20:24] = [2.0, -0.06, 0.06**2, 40.0]
+    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    np.testing.assert_allclose(np.sort(windows.ends[:, :, 0], axis=None), [0.3, 1.5, 2.5, 3.7], atol=2 * CELL_M)
+
+
+def test_a_wide_silent_part_of_a_glazed_wall_is_no_doorway() -> None:
+    """No door is 2.8 m wide: its glass was met aslant."""
+    wall = replace(WALL, ends=np.array([[[0.0, 0.0], [8.0, 0.0]]]))
+    counts = np.concatenate([cells().counts, cells().counts])
+    counts[6:154, :50], counts[60:116, :50] = [1.0, -0.06, 0.06**2, 50.0], [0.0, 0.0, 0.0, 50.0]
+    seen = WallCells(np.array([0, 160]), 66, counts)
+    windows = find_windows(wall, seen, unknown(seen), RULES, WindowsSettings())
+    np.testing.assert_allclose(np.sort(windows.ends[:, :, 0], axis=None), [0.3, 7.7], atol=2 * CELL_M)
+
+
+BEAMS_BACK = replace(faces(((0.0, 0.3), (1.5, 0.3))), normal=np.array([[0.0, 1.0]]))
+WALLS_BACK = replace(faces(((0.0, 0.3), (2.5, 0.3))), normal=np.array([[0.0, 1.0]]))
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize(
     ("other", "is_jamb"),
     [
-        (faces(((1.5, 0.1), (1.5, 2.0))), True),
+        (faces(((1.5, 0.3), (1.5, 2.0))), True),
         (faces(((1.0, 0.1), (1.0, 2.0))), False),
+        (BEAMS_BACK, False),
+        (WALLS_BACK, True),
         (window((1.6, 0.1), (3.0, 0.1)), True),
         (NO_WALLS, False),
     ],
 )
-def test_a_doorway_has_a_jamb_on_both_its_sides(other: Walls | Windows, is_jamb: bool) -> None:
-    """A beam from a pillar ends where scans saw no more of it; only a wall at its end, or a pane, makes a doorway below it."""
-    part = cells().counts[:30]
-    part[10:, :46] = [0.0, 0.0, 0.0, 10.0]
-    walls, windows = replace(WALL, ends=np.array([[[0.0, 0.0], [1.5, 0.0]]])), NO_WINDOWS
-    first, counts = [0, 30], part
-    if isinstance(other, Windows):
-        windows = other
-    elif len(other):
-        walls, counts = walls.append(other), np.concatenate([part, cells().counts[:30]])
-        first.append(len(counts))
-    seen = WallCells(np.array(first), 66, counts)
+def test_an_open_doorway_at_a_faces_end_has_another_face_or_a_pane_there(
+    other: Walls | Windows, is_jamb: bool, mirrored: bool
+) -> None:
+    """A beam from a pillar ends where scans saw no more of it."""
+    seen, walls, windows = beside_a_pillar([0.0, 0.0, 0.0, 10.0], other, mirrored)
     doors = find_doors(walls, seen, unknown(seen), RULES, windows)
-    assert doors.state.tolist() == ([DoorState.OPEN] if is_jamb else [])
+    assert doors.select(doors.wall == 0).state.tolist() == ([DoorState.OPEN] if is_jamb else [])
+
+
+def test_a_leaf_at_a_faces_end_needs_no_wall_there() -> None:
+    closed, walls, windows = beside_a_pillar([10.0, -0.5, 0.025, 0.0], NO_WALLS, False)
+    assert find_doors(walls, closed, unknown(closed), RULES, windows).state.tolist() == [DoorState.CLOSED]
+    ajar, walls, windows = beside_a_pillar([10.0, -0.5, 0.025, 0.0], NO_WALLS, False)
+    slant_m = np.linspace(0.02, 0.2, 20)[:, None]
+    ajar.counts[10:, :46, SUM], ajar.counts[10:, :46, SQUARES] = -10.0 * slant_m, 10.0 * slant_m**2
+    doors = find_doors(walls, ajar, unknown(ajar), RULES, windows)
+    assert (doors.state.tolist(), doors.ajar.tolist()) == ([DoorState.OPEN], [True])
+
+
+def beside_a_pillar(below: list[float], other: Walls | Windows, mirrored: bool) -> tuple[WallCells, Walls, Windows]:
+    """A pillar from x = 0 to 0.5 with a beam to x = 1.5, cells with these counts below that, and one other face or a window."""
+    part = cells().counts[:30]
+    part[10:, :46] = below
+    walls, windows = replace(WALL, ends=np.array([[[0.0, 0.0], [1.5, 0.0]]])), NO_WINDOWS
+    if mirrored:
+        walls, part = replace(walls, ends=walls.ends[:, ::-1]), part[::-1]
+    if isinstance(other, Windows):
+        return WallCells(np.array([0, 30]), 66, part), walls, other
+    if not len(other):
+        return WallCells(np.array([0, 30]), 66, part), walls, windows
+    return WallCells(np.array([0, 30, 80]), 66, np.concatenate([part, cells().counts[:50]])), walls.append(other), windows
 
 
 def test_glass_up_to_the_ceiling_is_no_window_of_its_face() -> None:
