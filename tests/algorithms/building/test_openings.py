@@ -693,6 +693,12 @@ def test_what_stands_in_a_doorway_of_a_glazed_wall_does_not_hide_it() -> None:
     np.testing.assert_allclose(np.sort(windows.ends[:, :, 0], axis=None), [0.3, 1.5, 2.5, 3.7], atol=2 * CELL_M)
 
 
+def test_a_sliver_beside_a_doorway_of_a_glazed_wall_is_no_pane() -> None:
+    seen = glazed_wall((0.45, 1.4))
+    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    np.testing.assert_allclose(np.sort(windows.ends[:, :, 0], axis=None), [1.4, 3.7], atol=2 * CELL_M)
+
+
 def test_a_wide_silent_part_of_a_glazed_wall_is_no_doorway() -> None:
     """No door is 2.8 m wide: its glass was met aslant."""
     wall = replace(WALL, ends=np.array([[[0.0, 0.0], [8.0, 0.0]]]))
