@@ -229,8 +229,10 @@ def test_door_without_a_door_of_the_building_is_wall_or_clutter() -> None:
 def test_around_the_pane_of_an_open_leaf_is_no_wall(glass: str, expected: Label) -> None:
     """A pane that stands alone in a room is a glazed front, with its frame; behind either one sees through glass."""
     pane = Windows(np.array([[[2.0, -0.8], [2.0, -0.2]]]), np.array([[1.0, 0.0]]), np.array([0.9]), np.array([2.0]), np.zeros(1))
-    seen: dict[str, Any] = {"walls": face(), "windows": replace(pane, ends=pane.ends - [3.0, 0.0]), "leaf_panes": pane}
-    seen |= {"sensor": np.array([3.8, -0.6, 1.0])} | ({"windows": pane} if glass == "windows" else {})
+    beside = replace(pane, ends=pane.ends - [0.0, 1.5])
+    seen: dict[str, Any] = {"walls": face(), "windows": beside, "sensor": np.array([3.8, -0.6, 1.0])}
+    seen[glass] = pane if glass == "leaf_panes" else beside.append(pane)
+    assert final((2.02, -2.0, 0.5), Label.CLUTTER, **seen) == Label.WALL
     assert final((2.02, -0.5, 0.5), Label.CLUTTER, **seen) == expected
     assert final((1.5, -0.5, 0.5), Label.CLUTTER, **seen) == Label.OUTSIDE
 
