@@ -88,6 +88,11 @@ def along_line(lines: FloatArray, k: int, x: float, y: float) -> float:  # pragm
     return float(lines[k, ALONG_X] * x + lines[k, ALONG_Y] * y - lines[k, START])
 
 
+def along_lines_m(lines: FloatArray, places: FloatArray) -> FloatArray:
+    """(n,) the same of n places (n, 2), each along its own face (n, 7)."""
+    return np.asarray((lines[:, [ALONG_X, ALONG_Y]] * places).sum(axis=1) - lines[:, START])
+
+
 @numba.njit(cache=True, nogil=True, forceinline=True)
 def crossing(
     lines: FloatArray, k: int, behind_m: float, x: float, y: float, origin: FloatArray, grazing_sine: float

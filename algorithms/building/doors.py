@@ -9,7 +9,7 @@ import numpy as np
 
 from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
-from ffmap.algorithms.base.segments import Segment, lengths_m, segments
+from ffmap.algorithms.base.segments import LENGTH, Segment, along_lines_m, lengths_m, lines_of, segments
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
 from ffmap.algorithms.building.model import (
     AT_FACE_M,
@@ -51,10 +51,10 @@ def find_doors(
     """Doors: columns with wall above and, below, either nothing for the rays to hit or a recessed leaf.
 
     Columns next to each other that agree make a door, if it is as wide as doors are. What was seen in both faces of a
-    wall, or in two stretches of it, is there twice, the better seen first: see `each_once`.
+    wall, or in two stretches of it, is there twice, the better seen first: see `each_once`. Where a face ends in an open doorway,
+    another face has to be there, or one of the windows: the doorway's other jamb.
 
-    cells: without the rays through the windows, for what is seen through glass tells nothing of this building's doors. Where a face
-    ends in an open doorway, another face has to be there, or one of the windows: the doorway's other jamb.
+    cells: without the rays through the windows, for what is seen through glass tells nothing of this building's doors.
     clear_m: (columns,) from the floor to the ceiling before each column of the faces; NaN where none was seen.
     floor_before: (columns,) whether the floor was seen up to the face, so that nothing stands before it; None if unknown.
     """
@@ -178,14 +178,13 @@ def _doors_in(
 def _ends_alone(walls: Walls, windows: Windows, near_m: float) -> BoolArray:
     """(W, 2) whether each end of a face is no doorway's jamb: neither a pane nor another face is within `near_m`, but for one that
     looks the opposite way and ends there too."""
-    ends = walls.ends.reshape(-1, 2)
+    ends, lines = walls.ends.reshape(-1, 2), lines_of(walls)
     end, face = pairs_near(walls, ends, near_m)
-    along = np.diff(walls.ends, axis=1)[face, 0]
-    share = ((ends[end] - walls.ends[face, 0]) * along).sum(axis=1) / (along**2).sum(axis=1)
-    goes_on_m = (0.5 - np.abs(share - 0.5)) * np.linalg.norm(along, axis=1)
+    along_m = along_lines_m(lines[face], ends[end])
+    ends_there = np.minimum(along_m, lines[face, LENGTH] - along_m) < near_m
     is_back = (walls.normal[face] * walls.normal[end // 2]).sum(axis=1) < -SAME_WAY
     is_alone = np.ones(len(ends), bool)
-    is_alone[end[(face != end // 2) & ~(is_back & (goes_on_m < near_m))]] = False
+    is_alone[end[(face != end // 2) & ~(is_back & ends_there)]] = False
     is_alone[pairs_near(windows, ends, near_m)[0]] = False
     return is_alone.reshape(-1, 2)
 

@@ -13,7 +13,7 @@ from scipy import ndimage
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
-from ffmap.algorithms.base.segments import ALONG_X, ALONG_Y, START, Segment, lines_of, segments
+from ffmap.algorithms.base.segments import Segment, along_lines_m, lines_of, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import Storey, TracedFaces, above_doors_m, column_places
 from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, Doors, Walls, cells_in
@@ -240,8 +240,7 @@ def halo_at_walls(
     centre = halo.centres[of_wall]
     height_m = centre[:, 2] - storey.ground_m(centre[:, :2])
     cube, face = pairs_near(walls, centre, near_m)
-    lines = lines_of(walls)[face]
-    along_m = (lines[:, [ALONG_X, ALONG_Y]] * centre[cube, :2]).sum(axis=1) - lines[:, START]
+    along_m = along_lines_m(lines_of(walls)[face], centre[cube, :2])
     columns = np.diff(foreground.first)[face]
     column = foreground.first[face] + np.clip((along_m / CELL_M).astype(np.int64), 0, columns - 1)
     row = np.clip((height_m[cube] / CELL_M).astype(np.int64), 0, foreground.covered.shape[1] - 1)

@@ -131,7 +131,7 @@ def find_windows(
             if first == 0 and last == len(counts) - 1:
                 continue  # without a jamb it is what stands below something that hangs
             between_m = CELL_M * clear[[0]], CELL_M * (clear[[-1]] + 1)
-            for part in _without_doorways(counts, pane_m, shown, (first, last + 1), rules, settings):
+            for part in _without_doorways(counts, high, pane_m, shown, (first, last + 1), rules, settings):
                 ends = face.at(CELL_M * np.array(part))
                 windows = windows.append(Windows(ends[None], face.normal[None], *between_m, np.array([pane_m])))
     return join_windows(windows, settings.one_wall_m)
@@ -287,6 +287,7 @@ def _over_its_pane(
 
 def _without_doorways(
     counts: FloatArray,
+    high: FloatArray,
     pane_m: float,
     shown: slice,
     whole: tuple[int, int],
@@ -298,11 +299,10 @@ def _without_doorways(
     Where its pane would have returned rays and none came, over a door's width and down to the floor, a door stands open. There is
     no part where most of the window is silent so: what returned there was a leaf, or the reveal.
 
-    counts: (columns, rows, 4) of the whole face. pane_m: how far behind it the pane stands; NaN if unknown. shown: the columns in
-    which it shows. whole: the window's first column and the one after the last.
+    counts: (columns, rows, 4) of the whole face; high: (columns, 4) of these between knee and head. pane_m: how far behind it the
+    pane stands; NaN if unknown. shown: the columns in which it shows. whole: the window's first column and the one after the last.
     """
-    building = rules.building
-    near = with_neighbours(counts[:, cells_in(building.knee_m) : cells_in(building.door_height_min_m)].sum(axis=1))
+    building, near = rules.building, with_neighbours(high)
     rays = near[:, FILLED] + near[:, THROUGH]
     with np.errstate(invalid="ignore", divide="ignore"):
         on_pane = np.abs(-near[:, SUM] / near[:, FILLED] - pane_m) < rules.openings.sheet_m

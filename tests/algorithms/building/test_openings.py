@@ -34,6 +34,7 @@ from ffmap.algorithms.building.windows import (
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features
 from tests.faces import faces, window
+from tests.tracing import rays_alone
 
 FILLED, SUM, SQUARES, THROUGH = range(4)
 SETTINGS = BuildingSettings()
@@ -66,16 +67,9 @@ def recess(cells: WallCells, low_m: float, high_m: float, depth_m: float) -> Non
 
 def features(origin: tuple[float, float], rays: np.ndarray, planes: np.ndarray) -> Features:
     """One scan with rays (r, 3) and planes (p, 2, 2)."""
-    return Features(
-        scan=np.array([0]),
-        origin_map=np.array([[*origin, 1.0]]),
-        floor_map=np.zeros((1, 2, 3)),
-        floor_is_foot=np.zeros(1, bool),
-        floor_reach_m=np.full(1, 6.0),
-        ray_count=np.array([len(rays)]),
+    return replace(
+        rays_alone(np.array([*origin, 1.0]), rays, np.arange(len(rays)).astype(np.uint8)),
         plane_count=np.array([len(planes)]),
-        ray_end_map=rays.astype(np.float32),
-        ray_label=np.arange(len(rays)).astype(np.uint8),
         plane_ends_map=planes,
         plane_normal=np.tile([0.0, -1.0], (len(planes), 1)),
         plane_bottom_m=np.zeros(len(planes)),
