@@ -31,9 +31,12 @@ class CatalogueServer:
         self._start(int(self.url.rpartition(":")[2]))
 
     def close(self) -> None:
-        """End it."""
-        self._process.kill()
-        self._process.communicate()
+        """End it; killed only where it does not end by itself, since it then leaves a folder among the temporary ones."""
+        try:
+            self._process.communicate(timeout=_ORDERLY_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.communicate()
 
     def _start(self, port: int) -> None:
         self._process = subprocess.Popen(
@@ -52,6 +55,7 @@ class CatalogueServer:
 
 
 _SOON_S = 0.5
+_ORDERLY_S = 5.0
 
 
 def main() -> None:

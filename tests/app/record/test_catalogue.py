@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -346,6 +347,15 @@ def test_a_damaged_recording_that_rerun_takes_does_not_cost_the_list_of_the_othe
     told = capsys.readouterr()
     assert "2 runs in" in told.out
     assert f"{tmp_path / 'b'}: recording.rrd is damaged" in told.err
+
+
+def test_a_server_that_ends_leaves_nothing_among_the_temporary_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))  # the server is a process of its own, which reads it anew
+    with closing(CatalogueServer()):
+        assert list(tmp_path.iterdir())
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_recording_that_ends_the_server_costs_none_of_the_others(
