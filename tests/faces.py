@@ -33,7 +33,7 @@ def faces(*ends: Ends) -> Walls:
 def doors(*ends: Ends, head_m: float = 2.1, **columns: Any) -> Doors:
     """Doors of which all is 0 that is not given, and that no casing shows."""
     nothing = {field.name: np.zeros(len(ends)) for field in fields(Doors)}
-    nothing |= {name: np.full(len(ends), np.nan) for name in ("casing_m", "contrast")}
+    nothing |= {name: np.full(len(ends), np.nan) for name in ("casing_m", "contrast", "outline")}
     given = {name: np.array(values) for name, values in columns.items()}
     heads = np.full(len(ends), head_m)
     return Doors(**nothing | {"ends": np.array(ends), "head_m": heads} | given)

@@ -177,6 +177,7 @@ class TwoRooms:
             casing_m=np.full(1, np.nan),
             glazed=np.zeros(1, bool),
             contrast=np.full(1, np.nan),
+            outline=np.full(1, np.nan),
         )
 
     def build(self, doors: Doors | None = None, windows: Windows | None = None) -> tuple[Immobile, Drive]:

@@ -11,7 +11,6 @@ from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.door_contrasts import response_by_angle, shades
 from ffmap.algorithms.building.face_columns import median_m, runs
 from ffmap.algorithms.building.model import CELL_M, NO_BLINDS, Blinds, BuildingSettings, Walls, Windows, cells_in
 from ffmap.algorithms.building.ray_evidence import (
@@ -22,6 +21,7 @@ from ffmap.algorithms.building.ray_evidence import (
     returns_at_face,
     with_neighbours,
 )
+from ffmap.algorithms.building.shades import response_by_angle, shades
 from ffmap.algorithms.building.windows import wall_of
 
 

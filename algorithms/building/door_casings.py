@@ -123,6 +123,7 @@ def flush_door(
         reveal_m=np.full(1, np.nan),
         casing_m=np.full(1, np.nan),
         contrast=np.full(1, np.nan),
+        outline=np.full(1, np.nan),
         glazed=np.zeros(1, bool),
     )
 

@@ -170,6 +170,7 @@ def _doors_in(
                 reveal_m=np.full(1, np.nan),
                 casing_m=np.full(1, np.nan),
                 contrast=np.full(1, np.nan),
+                outline=np.full(1, np.nan),
                 glazed=np.zeros(1, bool),
             )
             yield _Seen(door, np.array([first == 0, last == len(counts) - 1]))

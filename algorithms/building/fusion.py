@@ -15,6 +15,7 @@ from ffmap.algorithms.building.deep_leaves import close_deep_doors
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings, find_cased_doors
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings, find_contrasting_doors
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
+from ffmap.algorithms.building.door_outlines import DoorOutlinesSettings, find_outlined_doors
 from ffmap.algorithms.building.doors import each_once, find_doors, prove_crossed
 from ffmap.algorithms.building.drive import AllScans
 from ffmap.algorithms.building.face_alignment import AlignedFaces, FaceAlignmentSettings, align_faces
@@ -53,6 +54,7 @@ from ffmap.algorithms.building.missed_walls import AllReturns, MissedWallsSettin
 from ffmap.algorithms.building.model import NO_WINDOWS, Blinds, BuildingSettings, Doors, Walls, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
+from ffmap.algorithms.building.shades import pictures
 from ffmap.algorithms.building.sliding_doors import find_sliding_doors, find_sliding_panes
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
 from ffmap.algorithms.building.votes import Halo, find_halo
@@ -86,6 +88,7 @@ class FusionSettings:
     glass_fronts: GlassFrontsSettings
     door_casings: DoorCasingsSettings
     door_contrasts: DoorContrastsSettings
+    door_outlines: DoorOutlinesSettings
     door_frames: DoorFramesSettings
     wall_thickness: WallThicknessSettings
     relabelling: RelabellingSettings
@@ -251,10 +254,12 @@ def _find_openings(
     floor_before = scans.storey.floor_near(column_places(walls, cells.first, 0.5 * FLOOR_NEAR_M), FLOOR_NEAR_M)
     doors = find_doors(walls, without_glass, clear_m, settings.opening_rules, windows, floor_before)
     cased = find_cased_doors(walls, without_glass, settings.building, settings.door_casings)
-    contrasting = find_contrasting_doors(walls, without_glass, settings.building, settings.door_contrasts)
+    shown = pictures(walls, without_glass, settings.building, settings.door_contrasts.one_wall_m)
+    contrasting = find_contrasting_doors(walls, shown, settings.building, settings.door_contrasts)
+    outlined = find_outlined_doors(walls, shown, settings.building, settings.door_outlines)
     glazed = find_glazed_doors(faces, windows, settings.opening_rules)
     sliding = find_sliding_doors(walls, cells, doors, settings.building, settings.door_casings)
-    doors = doors.append(sliding).append(cased).append(contrasting).append(glazed)
+    doors = doors.append(sliding).append(cased).append(contrasting).append(outlined).append(glazed)
     doors = place_frames(doors, walls, scans.drive.blocks(), settings.building, settings.door_frames)
     doors = prove_crossed(each_once(doors, settings.opening_rules), scans.path_map)
     doors = close_deep_doors(doors, trace, settings.opening_rules)

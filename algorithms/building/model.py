@@ -183,6 +183,7 @@ class Doors(Rows):
     reveal_m: (D,) how far its reveals and the underside of its lintel reach behind the wall's face; NaN where unknown.
     casing_m: (D,) how far the casing stands out of the wall by which it was told; NaN where it was told otherwise.
     contrast: (D,) by which share of the wall's intensity the leaf's differs, if it was told by that; NaN where told otherwise.
+    outline: (D,) by which share the intensity of the frame's outline differs from the leaf and the wall, likewise.
     glazed: (D,) whether its leaf is a pane.
     """
 
@@ -205,6 +206,7 @@ class Doors(Rows):
     reveal_m: FloatArray
     casing_m: FloatArray
     contrast: FloatArray
+    outline: FloatArray
     glazed: BoolArray
 
 
@@ -228,6 +230,7 @@ NO_DOORS = Doors(
     reveal_m=np.zeros(0),
     casing_m=np.zeros(0),
     contrast=np.zeros(0),
+    outline=np.zeros(0),
     glazed=np.zeros(0, bool),
 )
 

@@ -34,6 +34,7 @@ STEPS = (
         "glass_fronts",
         "door_casings",
         "door_contrasts",
+        "door_outlines",
         "door_frames",
         "wall_thickness",
         "grid_map",

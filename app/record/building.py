@@ -103,7 +103,7 @@ def _log_doors(log: Log, doors: Doors) -> None:
     log.static(
         entities.DOORS,
         strips(upright_frames(doors.ends, np.zeros(len(doors)), doors.head_m), color, 3.0, labels, show_labels=False),
-        evidence(doors, *columns, "ray_count", "casing_m", "contrast", "glazed"),
+        evidence(doors, *columns, "ray_count", "casing_m", "contrast", "outline", "glazed"),
     )
     # An open door is its frame; a closed one has a leaf.
     closed = doors.select(doors.state == DoorState.CLOSED)

@@ -77,6 +77,8 @@ def _door(doors: Doors, d: int) -> tuple[str, ...]:
         held.append("leaf flush with the wall" if depth_cm == 0.0 else f"leaf {depth_cm:.1f} cm {side} the wall")
     if np.isfinite(doors.contrast[d]):
         held.append(f"leaf {_returns(doors.contrast[d])}")
+    if np.isfinite(doors.outline[d]):
+        held.append(f"outline {_returns(doors.outline[d])}")
     if np.isfinite(doors.casing_m[d]):
         held.append(f"casing {1000 * doors.casing_m[d]:.0f} mm before the wall")
     if doors.glazed[d]:

@@ -20,6 +20,7 @@ from ffmap.algorithms.building.blinds import BlindsSettings
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings
 from ffmap.algorithms.building.door_frames import DoorFramesSettings
+from ffmap.algorithms.building.door_outlines import DoorOutlinesSettings
 from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
 from ffmap.algorithms.building.face_columns import FaceColumnsSettings
 from ffmap.algorithms.building.face_foreground import ForegroundSettings
@@ -86,6 +87,7 @@ class Settings(StepSettings):
     glass_fronts: GlassFrontsSettings = GlassFrontsSettings()
     door_casings: DoorCasingsSettings = DoorCasingsSettings()
     door_contrasts: DoorContrastsSettings = DoorContrastsSettings()
+    door_outlines: DoorOutlinesSettings = DoorOutlinesSettings()
     door_frames: DoorFramesSettings = DoorFramesSettings()
     wall_thickness: WallThicknessSettings = WallThicknessSettings()
     grid_map: GridMapSettings = GridMapSettings()

@@ -3,59 +3,26 @@
 import numpy as np
 import pytest
 
-from ffmap.algorithms.building.door_contrasts import (
-    DoorContrastsSettings,
-    find_contrasting_doors,
-    response_by_angle,
-    shades,
-)
-from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Doors
+from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings, find_contrasting_doors
+from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Doors, Walls
 from ffmap.algorithms.building.ray_evidence import FILLED, SQUARES, SUM, THROUGH, WallCells, first_columns
+from ffmap.algorithms.building.shades import pictures, response_by_angle, shades
 from ffmap.algorithms.scan.doors import DoorState
 from tests.faces import faces
-
-Rectangle = tuple[float, float, float, float]
-"""From and to along the face, from and to above the floor, metres."""
-LENGTH_M, HEIGHT_M = 5.0, 2.7
-RETURNS, WALL, SCATTER = 20, 60.0, 6.0
-FALL = np.array([1.0, 0.9, 0.7, 0.5])
-
-
-def covered(edges_m: np.ndarray, start_m: float, stop_m: float) -> np.ndarray:
-    """(n,) which share of each cell between successive edges lies between two places."""
-    return np.clip(np.minimum(edges_m[1:], stop_m) - np.maximum(edges_m[:-1], start_m), 0, None) / CELL_M
-
-
-def filled(*patches: tuple[Rectangle, float], before_m: float = 0.0, flip: bool = False) -> WallCells:
-    """A face whose patches return so much in place of what the wall does. before_m: how far they stand out of it."""
-    rng = np.random.default_rng(5)
-    columns, rows = round(LENGTH_M / CELL_M), round(HEIGHT_M / CELL_M)
-    along_m, up_m = np.arange(columns + 1) * CELL_M, np.arange(rows + 1) * CELL_M
-    mean, out_m = np.full((columns, rows), WALL), np.zeros((columns, rows))
-    for (a, b, c, d), own in patches:
-        share = np.outer(covered(along_m, a, b), covered(up_m, c, d))
-        mean, out_m = mean + share * (own - mean), np.maximum(out_m, share * before_m)
-    angles = rng.multinomial(RETURNS, np.full(4, 0.25), size=mean.shape)
-    light = np.zeros((columns, rows + 10, 4, 2), np.float32)
-    light[:, :rows, :, 0] = angles
-    noise = rng.normal(0.0, SCATTER, angles.shape) * np.sqrt(angles)
-    light[:, :rows, :, 1] = FALL * (angles * mean[..., None] + noise)
-    counts = np.zeros((columns, rows + 10, 4), np.float32)
-    counts[:, :rows, FILLED], counts[:, :rows, SUM] = RETURNS, RETURNS * out_m
-    counts[:, :rows, SQUARES] = RETURNS * (out_m**2 + 1e-4)
-    order = slice(None, None, -1) if flip else slice(None)
-    return WallCells(first_columns(FACE), rows + 10, counts[order], light[order])
+from tests.lit_faces import FACE, FALL, HEIGHT_M, LENGTH_M, RETURNS, WALL, Rectangle, filled
 
 
 def find(*patches: tuple[Rectangle, float], before_m: float = 0.0, flip: bool = False) -> Doors:
     return found_in(filled(*patches, before_m=before_m, flip=flip))
 
 
+def contrasting(walls: Walls, cells: WallCells) -> Doors:
+    building, settings = BuildingSettings(), DoorContrastsSettings()
+    return find_contrasting_doors(walls, pictures(walls, cells, building, settings.one_wall_m), building, settings)
+
+
 def found_in(cells: WallCells) -> Doors:
-    return find_contrasting_doors(FACE, cells, BuildingSettings(), DoorContrastsSettings())
-
-
-FACE = faces(((0, 0), (LENGTH_M, 0)))
+    return contrasting(FACE, cells)
 
 
 @pytest.mark.parametrize("flip", [False, True])
@@ -82,7 +49,7 @@ def test_a_door_in_two_faces_of_one_wall_is_found_with_its_whole_width() -> None
     cells = filled(((1.6, 2.5, 0.0, 2.0), 40.0))
     halves = faces(((0, 0), (2, 0)), ((2, 0), (LENGTH_M, 0)))
     cells = WallCells(first_columns(halves), cells.rows, cells.counts, cells.light)
-    doors = find_contrasting_doors(halves, cells, BuildingSettings(), DoorContrastsSettings())
+    doors = contrasting(halves, cells)
     assert len(doors) >= 1
     np.testing.assert_allclose(np.sort(doors.ends[..., 0]), [[1.6, 2.5]] * len(doors), atol=0.02)
 
@@ -147,7 +114,7 @@ def test_a_short_face_and_none(columns: int) -> None:
     walls = faces(((0, 0), (columns * CELL_M, 0))) if columns else NO_WALLS
     first = first_columns(walls)
     cells = WallCells(first, 60, np.ones((first[-1], 60, 4), np.float32), np.ones((first[-1], 60, 4, 2), np.float32))
-    assert len(find_contrasting_doors(walls, cells, BuildingSettings(), DoorContrastsSettings())) == 0
+    assert len(contrasting(walls, cells)) == 0
 
 
 def test_how_intensities_fall_with_the_angle_is_learned_whatever_the_wall_is_made_of() -> None:

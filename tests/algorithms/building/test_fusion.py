@@ -14,6 +14,7 @@ from ffmap.algorithms.building.blinds import BlindsSettings
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings
 from ffmap.algorithms.building.door_frames import DoorFramesSettings
+from ffmap.algorithms.building.door_outlines import DoorOutlinesSettings
 from ffmap.algorithms.building.drive import AllScans, Drive
 from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
 from ffmap.algorithms.building.face_columns import FaceColumnsSettings
@@ -56,6 +57,7 @@ SETTINGS = FusionSettings(
     GlassFrontsSettings(),
     DoorCasingsSettings(),
     DoorContrastsSettings(),
+    DoorOutlinesSettings(),
     DoorFramesSettings(),
     WallThicknessSettings(),
     RelabellingSettings(),

@@ -990,6 +990,7 @@ def test_frames_are_placed_to_a_centimetre_though_reveals_return_too(depth_m: fl
         wall=np.zeros(1, np.int32),
         casing_m=np.full(1, np.nan),
         contrast=np.full(1, np.nan),
+        outline=np.full(1, np.nan),
     )
     placed = place_frames(door, WALL, scans, SETTINGS, DoorFramesSettings())
     np.testing.assert_allclose(placed.ends[0, :, 0], [1.5, 2.4], atol=0.012)

@@ -119,6 +119,8 @@ def test_a_cased_door_says_where_its_leaf_lies() -> None:
     assert "leaf 28.0 cm behind the wall; casing 6 mm before the wall" in deep
     flush = explain_building(replace(building(), doors=replace(cased, depth_m=np.zeros(1))))
     assert "leaf flush with the wall; casing 6 mm before the wall" in flush
+    outlined = explain_building(replace(building(), doors=replace(cased, outline=np.array([-0.062]))))
+    assert "outline returns 6 % less than the wall" in outlined
 
 
 def test_a_glazed_door_and_a_reflection_say_what_they_are(tmp_path: Path) -> None:
