@@ -25,12 +25,12 @@ class DoorContrastsSettings(StepSettings):
     """Telling flush doors by the intensity of their leaves."""
 
     errors_min: float = Field(
-        5.0,
+        3.0,
         gt=0,
         description="Minimum step of the intensity at a jamb, in standard errors: as the steps elsewhere on the wall scatter.",
     )
     contrast_min: float = Field(
-        0.05,
+        0.03,
         gt=0,
         lt=1,
         description="Minimum step of the intensity, as a share of the wall's: emitters differ by less.",
@@ -46,7 +46,7 @@ class DoorContrastsSettings(StepSettings):
         0.4, gt=0, lt=1, description="Maximum difference of the wall's own parts, as a share of the leaf's contrast."
     )
     spread_max: float = Field(
-        0.5, gt=0, lt=1, description="Maximum deviation of a part of the leaf from its contrast, as a share of that."
+        0.6, gt=0, lt=1, description="Maximum deviation of a part of the leaf from its contrast, as a share of that."
     )
     parts_min: float = Field(
         0.8, gt=0, le=1, description="Minimum share of a door's height over which both jambs show."

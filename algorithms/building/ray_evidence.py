@@ -19,7 +19,7 @@ from ffmap.algorithms.scan.summary import Features
 
 FILLED, SUM, SQUARES, THROUGH = range(4)
 """What `WallCells.counts` holds of each cell."""
-ANGLES_DEG = (20.0, 40.0, 60.0)
+ANGLES_DEG = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0)
 """What parts angles of incidence: only returns of like angles have comparable intensities."""
 FOOT_ROW = 2
 """The lowest row above sills, skirting boards and the floor's own returns."""

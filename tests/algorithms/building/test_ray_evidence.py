@@ -15,6 +15,7 @@ from ffmap.algorithms.building.model import (
     Windows,
 )
 from ffmap.algorithms.building.ray_evidence import (
+    ANGLES_DEG,
     FILLED,
     SUM,
     THROUGH,
@@ -146,8 +147,11 @@ def test_cells_sum_up_intensities_by_the_angle_of_incidence() -> None:
         ray_intensity=np.array([10.0, np.nan, 30.0, 50.0, 20.0], np.float32), ray_echo=np.array([0, 1, 2, 1, 0], np.uint8),
     )  # fmt: skip
     cells = trace_rays(walls, [features], SETTINGS)
-    np.testing.assert_array_equal(cells.light[40, 20], [[1, 10], [0, 0], [0, 0], [0, 0]])  # at right angles, one unknown
-    np.testing.assert_array_equal(cells.light[10, 20], [[0, 0], [2, 80], [0, 0], [0, 0]])  # 27°
+    steepest, slant = np.zeros((2, len(ANGLES_DEG) + 1, 2))
+    steepest[0] = 1, 10  # at right angles, one unknown
+    slant[np.searchsorted(ANGLES_DEG, 27.0)] = 2, 80
+    np.testing.assert_array_equal(cells.light[40, 20], steepest)
+    np.testing.assert_array_equal(cells.light[10, 20], slant)
     assert cells.twice[40, 20] == cells.twice[10, 20] == 1
     assert cells.twice.sum() == 2
     both = cells.plus(trace_rays(walls, [], SETTINGS)).plus(cells)
