@@ -6,13 +6,16 @@ import numpy as np
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.building.door_casings import flush_door, glazed
-from ffmap.algorithms.building.face_columns import TracedFaces, on_and_passed
+from ffmap.algorithms.building.face_columns import TracedFaces, on_and_passed, runs
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, ON_FACE_M, Doors, Windows, cells_in
-from ffmap.algorithms.building.openings import OpeningRules, lies_on_sheet, tops_m, widened
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM
+from ffmap.algorithms.building.openings import OpeningRules, tops_m, widened
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH
 from ffmap.algorithms.building.windows import wall_of
 from ffmap.algorithms.scan.doors import DoorState
+
+_CROSSES_MIN = 0.75  # Share of a pane's width over which its transom shows
+_LEAF_M = 0.05  # Its stiles' faces stand before a pane by no more
 
 
 def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules) -> Doors:
@@ -22,8 +25,8 @@ def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules)
     """
     building, openings = rules.building, rules.openings
     top_m = tops_m(faces.walls, faces.cells, faces.clear_m)
-    may_be = (windows.bottom_m <= openings.lower_rail_max_m) & (windows.top_m <= building.door_height_max_m)
-    may_be &= (windows.top_m >= building.door_height_min_m - openings.bar_max_m) & np.isfinite(windows.pane_m)
+    may_be = (windows.bottom_m <= openings.lower_rail_max_m) & np.isfinite(windows.pane_m)
+    may_be &= windows.top_m >= building.door_height_min_m - openings.bar_max_m
     doors = NO_DOORS
     for k in np.flatnonzero(may_be):
         w, first, after = wall_of(windows, int(k), faces.walls)
@@ -31,17 +34,23 @@ def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules)
             continue
         face, own = Segment.between(faces.walls.ends[w], faces.walls.normal[w]), faces.columns(w)
         counts = faces.cells.counts[own].astype(np.float64)
-        first, last = _with_stiles(counts, first, after - 1, rules)
-        if not building.door_width_min_m <= (last + 1 - first) * CELL_M <= building.door_width_max_m:
+        pane_m, glass_m = float(windows.pane_m[k]), float(windows.top_m[k])
+        leaf = _leaf_around(counts, first, after - 1, pane_m, rules)
+        if leaf is None or not building.door_width_min_m <= (leaf[1] + 1 - leaf[0]) * CELL_M <= building.door_width_max_m:
             continue
-        head_m = float(windows.top_m[k]) + 0.5 * openings.bar_max_m
-        if not _stands_around(counts, first, last, head_m, float(np.median(top_m[own][first : last + 1])), rules):
+        first, last = leaf
+        transom_m = _transom_m(counts[first : last + 1], glass_m, rules)
+        whole_m = head_m = _upper_edge_m(counts[first : last + 1], glass_m, pane_m, rules)
+        if np.isfinite(transom_m):
+            head_m = transom_m + 0.5 * openings.bar_max_m
+        elif glass_m > building.door_height_max_m:
+            continue
+        if not _stands_around(counts, first, last, whole_m, float(np.median(top_m[own][first : last + 1])), rules):
             continue
         door = flush_door(face, w, (first, last + 1), 0, head_m, counts, 0.0)
         jamb = cells_in(openings.jamb_m)
-        agreement = _agreement(counts[first + jamb : last + 1 - jamb], rules)
+        agreement = _agreement(counts[first + jamb : last + 1 - jamb], pane_m, rules)
         # A pane that is all but flush tells nothing of where its stiles meet the jambs.
-        pane_m = float(windows.pane_m[k])
         doors = doors.append(glazed(door, pane_m if pane_m > ON_FACE_M else 0.0, agreement))
     return doors
 
@@ -61,35 +70,93 @@ def panes_of_open_leaves(windows: Windows, doors: Doors) -> BoolArray:
     return is_leaf
 
 
-def _with_stiles(counts: FloatArray, first: int, last: int, rules: OpeningRules) -> tuple[int, int]:
-    """A pane's columns with its leaf's stiles: as far as these are recessed; half as wide as they may be where they are flush."""
+def _leaf_around(counts: FloatArray, first: int, last: int, pane_m: float, rules: OpeningRules) -> tuple[int, int] | None:
+    """The columns of the leaf of which a window's are the pane's; None where it has no stiles but a window's frame, which is narrower.
+
+    Stiles are where the pane is, but for a leaf's thickness. Where that is in the wall's face they may be flush with it: those are
+    taken for half as wide as they may be.
+    """
+    openings, most = rules.openings, cells_in(rules.openings.bar_max_m)
     below = counts[:, FOOT_ROW : cells_in(rules.building.door_height_min_m)].sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        recessed = -below[:, SUM] / below[:, FILLED] > rules.building.recess_min_m
-    most = cells_in(rules.openings.bar_max_m)
-    low, high = widened(recessed, first, last, most)
-    flush = most // 2
-    return (low if low < first else max(first - flush, 0)), (high if high > last else min(last + flush, len(counts) - 1))
+        at_pane = -below[:, SUM] / below[:, FILLED] > max(rules.building.recess_min_m, pane_m - _LEAF_M)
+    low, high = widened(at_pane, first, last, most)
+    if pane_m <= _LEAF_M:
+        flush = most // 2
+        return low if low < first else max(first - flush, 0), high if high > last else min(last + flush, len(counts) - 1)
+    leaf = low + np.flatnonzero(at_pane[low : high + 1])
+    glass = leaf[below[leaf, THROUGH] > below[leaf, FILLED]]
+    stile = cells_in(openings.stile_min_m)
+    if not len(glass) or glass[0] - leaf[0] < stile or leaf[-1] - glass[-1] < stile:
+        return None
+    return int(leaf[0]), int(leaf[-1])
+
+
+def _upper_edge_m(counts: FloatArray, glass_m: float, pane_m: float, rules: OpeningRules) -> float:
+    """Height of the upper edge of what holds a pane, a leaf's rail or a transom light's, as far as it shows: as `_leaf_around` says.
+
+    counts: (c, rows, 4) of the leaf's columns. glass_m: height of the glass's upper edge.
+    """
+    if pane_m <= _LEAF_M:
+        return glass_m + 0.5 * rules.openings.bar_max_m
+    rows = counts.sum(axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        at_pane = -rows[:, SUM] / rows[:, FILLED] > pane_m - _LEAF_M
+    highest = cells_in(glass_m) - 1
+    return (widened(at_pane, highest, highest, cells_in(rules.openings.lower_rail_max_m))[1] + 1) * CELL_M
+
+
+def _transom_m(counts: FloatArray, glass_m: float, rules: OpeningRules) -> float:
+    """Height of the lower edge of a transom as high as doors' heads, above which is a fanlight; NaN where there is none.
+
+    A leaf's upper rail and the transom show as one, as high as lower rails.
+
+    counts: (c, rows, 4) of the leaf's columns. glass_m: height of the glass's upper edge.
+    """
+    building, most = rules.building, cells_in(rules.openings.lower_rail_max_m)
+    lowest = cells_in(building.door_height_min_m - rules.openings.bar_max_m)
+    highest = min(cells_in(building.door_height_max_m), cells_in(glass_m))
+    crosses = np.mean(counts[..., FILLED] > counts[..., THROUGH], axis=0) >= _CROSSES_MIN
+    for start, stop in runs(crosses[:highest]):
+        if lowest <= start and stop < highest and stop - start <= most:
+            return start * CELL_M
+    return float("nan")
 
 
 def _stands_around(counts: FloatArray, first: int, last: int, head_m: float, top_m: float, rules: OpeningRules) -> bool:
-    """Whether the wall shows on both sides of a doorway, and above it where the ceiling is higher."""
-    openings, most = rules.openings, cells_in(rules.openings.bar_max_m)
-    rows = slice(FOOT_ROW, cells_in(head_m))
-    over = slice(cells_in(head_m) + most // 2, cells_in(top_m - openings.below_ceiling_m))
+    """Whether the wall shows beside a doorway, be it a window's sill, which is higher than rails, and above it where the ceiling is
+    higher. What stands before the wall may hide it on one side.
+    """
+    openings, head, bar = rules.openings, cells_in(head_m), cells_in(rules.openings.bar_max_m)
+    rail = cells_in(openings.lower_rail_max_m)
+    whole, sill = slice(FOOT_ROW, head), slice(rail, rail + bar)
+    above = counts[first : last + 1, head + bar // 2 : cells_in(top_m - openings.below_ceiling_m)]
     beside = cells_in(openings.beside_m)
-    sides = counts[max(first - beside, 0) : max(first - 1, 0), rows], counts[last + 2 : last + 1 + beside, rows]
-    for part in (*sides, counts[first : last + 1, over]):
-        on, passed = on_and_passed(part.sum(axis=(0, 1)))
-        if part.shape[1] and not (on >= rules.building.rays_min and on > passed):
-            return False
-    return True
+    sides = counts[max(first - beside, 0) : max(first - 1, 0)], counts[last + 2 : last + 1 + beside]
+    seen = [side for side in sides if sum(_met(side[:, whole])) >= rules.building.rays_min * len(side)]
+    stands = [any(_is_wall(side[:, rows], rules) for rows in (whole, sill)) for side in seen]
+    return any(stands) and all(stands) and (not above.shape[1] or _is_wall(above, rules))
 
 
-def _agreement(counts: FloatArray, rules: OpeningRules) -> float:
-    """Share of what returns from a doorway's columns (c, rows, 4) that is of one sheet, the leaf's; a pane lets the others pass.
+def _is_wall(counts: FloatArray, rules: OpeningRules) -> bool:
+    """Whether most rays that meet some cells (c, rows, 4) end there."""
+    on, passed = _met(counts)
+    return on >= rules.building.rays_min and on > passed
+
+
+def _met(counts: FloatArray) -> tuple[float, float]:
+    """How many rays end on some cells (c, rows, 4), and how many pass them."""
+    on, passed = on_and_passed(counts)
+    return float(on.sum()), float(passed.sum())
+
+
+def _agreement(counts: FloatArray, pane_m: float, rules: OpeningRules) -> float:
+    """Share of what returns from a doorway's columns (c, rows, 4) that is of the leaf, see `_leaf_around`; its pane lets others pass.
 
     counts: without the columns at the jambs, where the reveals return too.
     """
     inner = counts[:, FOOT_ROW : cells_in(rules.building.door_height_min_m)]
-    return float(inner[lies_on_sheet(inner, rules), FILLED].sum() / max(inner[..., FILLED].sum(), 1.0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        from_pane_m = -inner[..., SUM] / inner[..., FILLED] - pane_m
+    of_leaf = (from_pane_m > -_LEAF_M) & (from_pane_m < rules.openings.sheet_m)
+    return float(inner[of_leaf, FILLED].sum() / max(inner[..., FILLED].sum(), 1.0))

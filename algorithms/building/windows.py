@@ -134,7 +134,7 @@ def find_windows(
             for part in _without_doorways(counts, high, pane_m, shown, (first, last + 1), rules, settings):
                 ends = face.at(CELL_M * np.array(part))
                 windows = windows.append(Windows(ends[None], face.normal[None], *between_m, np.array([pane_m])))
-    return join_windows(windows, settings.one_wall_m)
+    return join_windows(windows, settings.one_wall_m, settings.height_min_m)
 
 
 def look_deeper(
@@ -160,27 +160,34 @@ def look_deeper(
     return replace(windows, pane_m=pane_m)
 
 
-def join_windows(windows: Windows, one_wall_m: float) -> Windows:
+def join_windows(windows: Windows, one_wall_m: float, sill_m: float = np.inf) -> Windows:
     """The windows, each once: those that overlap on one wall are one, which its wall's stretches and its panes may show apart.
 
-    one_wall_m: maximum distance between the faces, or panes, in which two of them show.
+    A garden door and the window beside it, which has a sill, are two, though their ends may overlap where faces are askew.
+
+    one_wall_m: maximum distance between the faces, or panes, in which two of them show. sill_m: maximum difference of their lower
+    edges where they share less than half.
     """
     joined = NO_WINDOWS
     for own in (windows.select(np.array([w])) for w in range(len(windows))):
         for k, known in enumerate(segments(joined)):
-            if is_beside(known, own.ends[0], own.normal[0], one_wall_m):
-                place_m = np.concatenate([[0.0, known.length_m], known.place_m(own.ends[0])])
-                ends = known.at(np.array([place_m.min(), place_m.max()]))
-                one = joined.select(np.array([k])).append(own)
-                own = Windows(
-                    ends[None],
-                    known.normal[None],
-                    one.bottom_m.min(keepdims=True),
-                    one.top_m.max(keepdims=True),
-                    np.fmax(one.pane_m[:1], one.pane_m[1:]),
-                )
-                joined = joined.select(np.arange(len(joined)) != k)
-                break
+            if not is_beside(known, own.ends[0], own.normal[0], one_wall_m):
+                continue
+            place_m = np.concatenate([[0.0, known.length_m], known.place_m(own.ends[0])])
+            is_less = known.shared_m(own.ends[0]) < 0.5 * min(known.length_m, float(np.ptp(place_m[2:])))
+            if is_less and abs(joined.bottom_m[k] - own.bottom_m[0]) > sill_m:
+                continue
+            ends = known.at(np.array([place_m.min(), place_m.max()]))
+            one = joined.select(np.array([k])).append(own)
+            own = Windows(
+                ends[None],
+                known.normal[None],
+                one.bottom_m.min(keepdims=True),
+                one.top_m.max(keepdims=True),
+                np.fmax(one.pane_m[:1], one.pane_m[1:]),
+            )
+            joined = joined.select(np.arange(len(joined)) != k)
+            break
         joined = joined.append(own)
     return joined
 
@@ -337,7 +344,8 @@ def _to_its_wall(
     """A window's columns up to those in which its wall shows between the sill and the head.
 
     A sweep that meets the wall above a window, or below it, meets the wall between too, if there is one: where it shows no more
-    than a bar, there is glass met at a slant, or the reveal hides it.
+    than a bar, there is glass met at a slant, or the reveal hides it. Glass down to the floor goes on beyond a bar only
+    where rays pass down there too: else a garden door ends, and the window beside it has a sill.
 
     counts: (columns, rows, 4) of the whole face; between: the window's lowest and highest row; highest: the face's.
     """
@@ -359,6 +367,10 @@ def _to_its_wall(
     for rows in (foot, over):
         is_doorway |= near[:, rows, THROUGH].sum(axis=1) > on[:, rows].sum(axis=1)
     goes_on = is_met & ~shows & ~is_doorway
+    if bottom <= FOOT_ROW:
+        first, last = widened(goes_on, first, last, len(on))
+        low = near[:, FOOT_ROW : FOOT_ROW + cells_in(settings.height_min_m)].sum(axis=1)
+        goes_on &= low[:, THROUGH] > low[:, FILLED]
     for start, stop in stretches(goes_on, bar):
         if start <= last and stop >= first:
             first, last = min(start, first), max(stop, last)

@@ -35,12 +35,20 @@ def fill(counts: np.ndarray, x_m: tuple[float, float], z_m: tuple[float, float],
     counts[left:right, low:high] = [*on, 10.0 - returned]
 
 
+def traced(counts: np.ndarray) -> TracedFaces:
+    """The face with these cells."""
+    return TracedFaces(WALL, WallCells(np.array([0, 80]), 66, counts), np.full(80, CEILING_M), np.zeros(80))
+
+
+def windows_in(counts: np.ndarray) -> Windows:
+    """The windows that are found in the face."""
+    face = traced(counts)
+    return find_windows(WALL, face.cells, face.clear_m, RULES, WindowsSettings())
+
+
 def found(counts: np.ndarray) -> Doors:
     """The glazed doors of the face, by the windows that are found in it."""
-    cells = WallCells(np.array([0, 80]), 66, counts)
-    clear_m = np.full(80, CEILING_M)
-    windows: Windows = find_windows(WALL, cells, clear_m, RULES, WindowsSettings())
-    return find_glazed_doors(TracedFaces(WALL, cells, clear_m, np.zeros(80)), windows, RULES)
+    return find_glazed_doors(traced(counts), windows_in(counts), RULES)
 
 
 @pytest.mark.parametrize(("depth_m", "stiles_show"), [(0.02, False), (0.08, True)])
@@ -71,11 +79,14 @@ def test_a_leaf_of_glass_is_not_dropped_because_rays_pass_it() -> None:
 
 
 def test_what_stands_aslant_in_an_opening_is_no_leaf_of_glass() -> None:
-    """Most rays pass beside it, as they pass a pane, but what returns is of no one sheet."""
+    """Most rays pass beside it, as they pass a pane, but what returns is of no one leaf."""
     counts = wall()
-    fill(counts, (1.5, 2.4), (0.25, 2.1), 0.05, 1.0)
-    fill(counts, (1.5, 1.8), (0.25, 2.1), 0.15, 1.0)
-    doors = found(counts)
+    fill(counts, (1.5, 2.4), (0.0, 2.1), 0.08, 10.0)
+    fill(counts, (1.6, 2.3), (0.25, 2.0), 0.08, 1.0)
+    pane = replace(window((1.6, 0.0), (2.3, 0.0)), bottom_m=np.full(1, 0.25), top_m=np.full(1, 2.0), pane_m=np.full(1, 0.08))
+    for behind_m in (0.12, 0.16, 0.2):
+        fill(counts, (behind_m + 1.5, behind_m + 1.65), (0.25, 2.0), behind_m, 2.0)
+    doors = find_glazed_doors(traced(counts), pane, RULES)
     assert len(doors) == 1
     assert len(drop_doubtful(replace(doors, scan_count=np.full(1, 9, np.int32)), BUILDING)) == 0
 
@@ -98,10 +109,106 @@ def test_other_panes_are_windows_alone(x_m: tuple[float, float], z_m: tuple[floa
 def test_a_pane_beside_other_glass_is_a_window() -> None:
     """A door in a glazed wall cannot be told from the panes beside it."""
     counts = wall()
-    fill(counts, (1.2, 2.0), (0.25, 2.0), 0.05, 1.0)
+    fill(counts, (1.2, 2.0), (0.25, 2.0), 0.03, 1.0)
     assert len(found(counts)) == 1
-    fill(counts, (2.25, 3.8), (0.25, 2.0), 0.05, 1.0)
+    fill(counts, (2.25, 3.8), (0.25, 2.0), 0.03, 1.0)
     assert len(found(counts)) == 0
+
+
+def test_a_door_beside_a_window_with_a_sill_is_told_by_that() -> None:
+    """Between them is no pier but their frames."""
+    counts = wall()
+    fill(counts, (1.5, 2.4), (0.0, 2.1), 0.08, 10.0)
+    fill(counts, (1.6, 2.3), (0.25, 2.0), 0.08, 1.0)
+    fill(counts, (2.45, 3.8), (0.5, 2.0), 0.08, 1.0)
+    assert len(found(counts)) == 1
+    fill(counts, (2.45, 3.8), (0.1, 2.0), 0.08, 1.0)
+    assert len(found(counts)) == 0
+
+
+def test_furniture_may_hide_the_wall_beside_a_leaf_of_glass_on_one_side() -> None:
+    counts = wall()
+    fill(counts, (1.5, 2.4), (0.0, 2.1), 0.08, 10.0)
+    fill(counts, (1.6, 2.3), (0.25, 2.0), 0.08, 1.0)
+    counts[50:, :45] = 0.0
+    assert len(found(counts)) == 1
+    counts[:28, :45] = 0.0
+    assert len(found(counts)) == 0
+
+
+@pytest.mark.parametrize(("frame_m", "count"), [(0.05, 0), (0.1, 1)])
+def test_a_window_down_to_the_floor_has_no_stiles(frame_m: float, count: int) -> None:
+    """Its frame is narrower."""
+    counts = wall()
+    fill(counts, (1.5, 2.4), (0.0, 2.1), 0.12, 10.0)
+    fill(counts, (1.5 + frame_m, 2.4 - frame_m), (0.1, 2.1 - frame_m), 0.12, 1.0)
+    assert len(found(counts)) == count
+
+
+@pytest.mark.parametrize("hidden_m", [0.0, 1.0, 2.1])
+def test_a_garden_door_ends_before_the_window_beside_it(hidden_m: float) -> None:
+    """A pier of 15 cm parts them, seen, or hidden by furniture, or by a curtain."""
+    counts = wall()
+    fill(counts, (0.7, 1.7), (0.0, 2.1), 0.05, 10.0)
+    fill(counts, (0.8, 1.6), (0.05, 2.0), 0.05, 1.0)
+    fill(counts, (1.85, 3.2), (0.9, 2.1), 0.05, 1.0)
+    counts[34:37, : round(hidden_m / CELL_M)] = 0.0
+    windows = windows_in(counts)
+    np.testing.assert_allclose(np.sort(windows.ends[:, :, 0]), [[0.8, 1.6], [1.85, 3.2]], atol=0.11)
+    np.testing.assert_allclose(windows.bottom_m, [0.05, 0.9], atol=0.01)
+
+
+def test_a_leaf_ends_with_its_recessed_stiles() -> None:
+    """Which a window may hold already: beside them is the wall, not more of the leaf."""
+    counts = wall()
+    fill(counts, (1.5, 2.4), (0.0, 2.1), 0.08, 10.0)
+    fill(counts, (1.6, 2.3), (0.25, 2.0), 0.08, 1.0)
+    for ends in (((1.6, 0.0), (2.3, 0.0)), ((1.5, 0.0), (2.4, 0.0))):
+        pane = replace(window(*ends), bottom_m=np.full(1, 0.25), top_m=np.full(1, 2.0), pane_m=np.full(1, 0.08))
+        doors = find_glazed_doors(traced(counts), pane, RULES)
+        np.testing.assert_allclose(np.sort(doors.ends[:, :, 0]), [[1.5, 2.4]], atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("transom_m", "columns", "head_m"),
+    [
+        ((2.05, 2.15), 1.0, 2.15),
+        ((2.05, 2.3), 1.0, 2.15),  # the leaf's rail, and the transom over it
+        ((2.05, 2.15), 0.5, 2.5),  # a notice on the pane
+        ((1.5, 1.6), 1.0, 2.5),  # a bar of a leaf that is as high as the glass
+        (None, 0.0, 2.5),
+    ],
+)
+def test_a_leaf_of_glass_ends_below_its_fanlight(
+    transom_m: tuple[float, float] | None, columns: float, head_m: float
+) -> None:
+    """Below a transom as high as doors' heads; above the fanlight is wall."""
+    counts = wall()
+    fill(counts, (1.5, 2.4), (0.0, 2.5), 0.08, 10.0)
+    fill(counts, (1.6, 2.3), (0.25, 2.4), 0.08, 1.0)
+    if transom_m is not None:
+        fill(counts, (1.5, 1.5 + 0.9 * columns), transom_m, 0.08, 10.0)
+    doors = found(counts)
+    assert len(doors) == 1
+    assert doors.head_m[0] == pytest.approx(head_m, abs=0.01)
+
+
+def test_the_wall_above_a_door_begins_above_its_fanlight() -> None:
+    counts = wall()
+    fill(counts, (1.5, 2.4), (0.0, 2.3), 0.08, 10.0)
+    fill(counts, (1.6, 2.3), (0.25, 2.2), 0.08, 1.0)
+    fill(counts, (1.6, 2.3), (1.95, 2.05), 0.08, 10.0)
+    assert len(found(counts)) == 1
+
+
+@pytest.mark.parametrize(("transom_m", "count"), [((2.05, 2.15), 1), (None, 0)])
+def test_glass_higher_than_doors_is_one_below_a_transom_alone(transom_m: tuple[float, float] | None, count: int) -> None:
+    counts = wall()
+    fill(counts, (1.6, 2.3), (0.25, 2.65), 0.03, 1.0)
+    if transom_m is not None:
+        fill(counts, (1.6, 2.3), transom_m, 0.03, 10.0)
+    pane = replace(window((1.6, 0.0), (2.3, 0.0)), bottom_m=np.full(1, 0.25), top_m=np.full(1, 2.65), pane_m=np.full(1, 0.03))
+    assert len(find_glazed_doors(traced(counts), pane, RULES)) == count
 
 
 @pytest.mark.parametrize(
