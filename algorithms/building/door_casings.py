@@ -259,14 +259,15 @@ def _relief_over(
 ) -> tuple[float, float]:
     """How far what lies over an opening stands out of the wall beside it at the same height, and the height of its lower edge.
 
-    0 where that goes on above. The returns of a ceiling close above blur both alike. before_m: (c, rows) how far cells lie before
+    0 where that goes on above. The returns of a ceiling close above blur both alike. The wall is the side that stands out farther:
+    the other may be the next door's leaf. before_m: (c, rows) how far cells lie before
     the face, NaN where unknown.
     """
     wall, widest = cells_in(settings.wall_m), cells_in(settings.width_max_m)
-    beside_m = np.concatenate([_beside(before_m, first, -1, wall), _beside(before_m, last, 1, wall)])
+    sides = _beside(before_m, first, -1, wall), _beside(before_m, last, 1, wall)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # rows that nobody saw are unknown
-        relief_m = before_m[first : last + 1] - np.nanmean(beside_m, axis=0)
+        relief_m = before_m[first : last + 1] - np.fmax(*(np.nanmean(side_m, axis=0) for side_m in sides))
         over_m = np.fmax(relief_m[:, head], relief_m[:, head + 1])
         above_m = np.nanmean(relief_m[:, head + widest : head + widest + wall])
         lower_m, upper_m = np.nan_to_num(np.nanmean(relief_m[:, head : head + 2], axis=0))

@@ -150,6 +150,17 @@ def test_the_wall_between_two_open_doorways_is_none_though_their_casings_frame_i
     assert len(find(*between, change=opened)) == 0
 
 
+@pytest.mark.parametrize("flip", [False, True])
+def test_the_wall_between_two_doors_is_none_though_one_is_recessed(flip: bool) -> None:
+    """Beside it, at the height of its head, lies that one's leaf, before which the wall between stands out."""
+    doors = find(
+        *frame(0.2, 1.1, 0.0, 2.0), *frame(2.2, 3.1, 0.0, 2.1), recess=(2.2, 3.1, 0.0, 2.05), recess_m=0.03, flip=flip
+    )
+    between = LENGTH_M - 1.65 if flip else 1.65
+    assert not np.any(np.abs(doors.ends[:, :, 0].mean(axis=1) - between) < 0.3)
+    assert len(doors) == 2
+
+
 def test_a_bare_wall_has_none() -> None:
     assert len(find()) == 0
 
