@@ -11,7 +11,7 @@ from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.face_columns import median_m, runs
+from ffmap.algorithms.building.face_columns import median_known, runs
 from ffmap.algorithms.building.model import CELL_M, NO_BLINDS, Blinds, BuildingSettings, Walls, Windows, cells_in
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,
@@ -83,7 +83,7 @@ def find_blinds(
         if low == high or is_wall[top:low].any():
             continue  # what lies above the lintel is not in the window
         part = hangs[:, low:high]
-        told = [median_m(values[:, low:high][part]) for values in (behind_m, contrast)]
+        told = [median_known(values[:, low:high][part]) for values in (behind_m, contrast)]
         row = (CELL_M * low, CELL_M * high, max(told[0], 0.0), told[1])
         blinds = blinds.append(Blinds(windows.ends[[k]], windows.normal[[k]], *(np.array([value]) for value in row)))
     return blinds
@@ -101,11 +101,11 @@ def _picture(
     # As many rays as on the wall itself, and all at one depth: glass returns but few, the underside of a lintel at all depths.
     at_face = returns_at_face(near)
     on_wall = np.where(at_face > near[..., THROUGH], at_face, np.nan)
-    usual = np.nan_to_num([median_m(row) for row in on_wall.T])
+    usual = np.nan_to_num([median_known(row) for row in on_wall.T])
     closed = (near[..., FILLED] > near[..., THROUGH]) & (near[..., FILLED] > settings.returns_share_min * usual)
     closed &= variance_m2 < building.pane_spread_m**2
     contrast = np.full(closed.shape, np.nan)
     if len(cells.light):
         shade = shades(cells.light, response)
-        contrast = shade / median_m(shade[beside]) - 1.0
-    return _Picture(closed, np.nan_to_num(median_m(mean_m[closed & beside[:, None]])) - mean_m, contrast)
+        contrast = shade / median_known(shade[beside]) - 1.0
+    return _Picture(closed, np.nan_to_num(median_known(mean_m[closed & beside[:, None]])) - mean_m, contrast)

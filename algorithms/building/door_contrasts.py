@@ -16,9 +16,10 @@ from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.base.segments import segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.door_casings import flush_door, is_opaque
+from ffmap.algorithms.building.face_columns import median_known
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, BuildingSettings, Doors, Walls, cells_in
 from ffmap.algorithms.building.ray_evidence import FOOT_ROW
-from ffmap.algorithms.building.shades import Picture, column_means, mean_known, row_means
+from ffmap.algorithms.building.shades import Picture, column_medians, mean_known, row_means
 
 
 class DoorContrastsSettings(StepSettings):
@@ -97,7 +98,7 @@ def _leaves(picture: Picture, building: BuildingSettings, settings: DoorContrast
     strip, lowest = cells_in(settings.strip_m), cells_in(building.door_height_min_m)
     if len(shade) < cells_in(building.door_width_min_m) + 2 * strip or shade.shape[1] <= lowest:
         return []
-    column = column_means(shade[:, FOOT_ROW:lowest], building.known_min)
+    column = column_medians(shade[:, FOOT_ROW:lowest], building.known_min)  # guards and dados are on the wall alone
     step = _steps(column, strip)
     error = _scatter(step)
     edges = _edges(step, settings.errors_min * error)
@@ -157,11 +158,12 @@ def _leaf(
     if not all(np.count_nonzero(np.isfinite(column[side])) >= building.known_min * beside for side in sides):
         return None  # Between two doors the wall itself would be a leaf
     wall = np.concatenate([column[side] for side in sides])
-    step = mean_known(column[first + 1 : last]) - mean_known(wall)
+    within, around = shade[first + 1 : last], np.concatenate([shade[side] for side in sides])
+    steps = row_means(within, building.known_min) - row_means(around, 0.0)
+    step = median_known(steps[FOOT_ROW:lowest])
     if not abs(step) > settings.contrast_min * abs(mean_known(wall)):
         return None
-    within, around = shade[first + 1 : last], np.concatenate([shade[side] for side in sides])
-    contrast = (row_means(within, building.known_min) - row_means(around, 0.0)) / step
+    contrast = steps / step
     # The head: contrast as far as there, and none above.
     gone = np.flatnonzero(contrast[lowest - 1 : highest + 1] < 0.5)
     if not len(gone):
@@ -170,8 +172,8 @@ def _leaf(
     over = contrast[head + 1 : head + 1 + above]
     if not (np.isfinite(over).any() and np.nanmax(np.abs(over)) < settings.alike_max):
         return None
-    leaf = contrast[FOOT_ROW:head]
-    if not np.mean(np.abs(leaf - 1.0) < settings.spread_max) > settings.parts_min:
+    upright, across = contrast[FOOT_ROW:head], (column[first + 1 : last] - mean_known(wall)) / step
+    if not all(np.mean(np.abs(leaf - 1.0) < settings.spread_max) > settings.parts_min for leaf in (upright, across)):
         return None
     jambs = _jambs(shade[:, FOOT_ROW:head] / step, first, last, strip, cells_in(settings.part_m), settings)
     relief_m = mean_known(before_m[first + 1 : last, FOOT_ROW:head]) - mean_known(
@@ -201,10 +203,10 @@ def _jambs(contrast: FloatArray, first: int, last: int, strip: int, part: int, s
         if len(inner) < strip or len(outer) < strip:
             return False
         difference = row_means(inner, 0.0) - row_means(outer, 0.0)
-        parts = np.array([mean_known(difference[row : row + part]) for row in range(0, len(difference), part)])
+        parts = np.array([median_known(difference[row : row + part]) for row in range(0, len(difference), part)])
         # A leaf reaches the floor: the lowest part that was seen steps as well.
         known = np.flatnonzero(np.isfinite(parts))
-        right = np.abs(parts - 1.0) < settings.spread_max
+        right = parts > 1.0 - settings.spread_max
         if not len(known) or known[0] > 1 or not right[known[0]] or right.sum() < settings.parts_min * len(parts):
             return False
     return True

@@ -25,7 +25,7 @@ from ffmap.algorithms.building.face_columns import (
     column_places,
     count_columns,
     long_runs,
-    median_m,
+    median_known,
     room_before,
     runs,
 )
@@ -330,7 +330,7 @@ def shows_whole(faces: TracedFaces, settings: StandingWallsSettings) -> BoolArra
 
 def _shows_whole(faces: TracedFaces, columns: slice, settings: StandingWallsSettings) -> bool:
     """Whether rays end on columns from the foot to the ceiling."""
-    ceiling_m = median_m(faces.clear_m[columns])
+    ceiling_m = median_known(faces.clear_m[columns])
     return _goes_on(faces.cells.counts[columns], settings.above_door_m, ceiling_m, settings)
 
 
@@ -401,7 +401,7 @@ def trim_at_doorways(faces: TracedFaces, doors: Doors, settings: StandingWallsSe
     top_m: list[float] = []
     for w in range(len(faces)):
         own = faces.columns(w)
-        ceiling_m, in_door = median_m(faces.clear_m[own]), _columns_of_doors(doors, faces.walls, w, places[own])
+        ceiling_m, in_door = median_known(faces.clear_m[own]), _columns_of_doors(doors, faces.walls, w, places[own])
         in_opening = in_door | _below_lintel(faces.cells.counts[own], ceiling_m, settings)
         counts = np.where(in_opening[:, None, None], np.float32(0.0), faces.cells.counts[own])
         first, after = 0, len(counts)

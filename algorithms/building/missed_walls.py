@@ -20,7 +20,7 @@ from ffmap.algorithms.building.face_columns import (
     cells_on_and_passed,
     count_columns,
     long_runs,
-    median_m,
+    median_known,
     on_and_passed,
     room_before,
     rows_on_and_passed,
@@ -235,7 +235,7 @@ class _Search:
         states = self._states(w)
         for first, after in self._stretches(states, all_counts):
             stretch = slice(first, after)
-            counts, ceiling_m = all_counts[stretch], median_m(self._faces.clear_m[own][stretch])
+            counts, ceiling_m = all_counts[stretch], median_known(self._faces.clear_m[own][stretch])
             face = self._faces.cut([(w, first, after)])
             duct, window = self._duct_before(face, counts), states.window[stretch]
             length_m = (after - first) * CELL_M + _to_corners_m(face, self._known, settings.missed.corner_m)

@@ -118,6 +118,15 @@ def column_means(cells: FloatArray, known_min: float) -> FloatArray:
     return np.where((count > 0) & (count >= known_min * cells.shape[1]), mean, np.nan)
 
 
+def column_medians(cells: FloatArray, known_min: float) -> FloatArray:
+    """The same, of the median: what crosses a wall in a band is no part of it."""
+    known = np.isfinite(cells).sum(axis=1)
+    enough = (known > 0) & (known >= known_min * cells.shape[1])
+    median = np.full(len(cells), np.nan)
+    median[enough] = np.nanmedian(cells[enough], axis=1)
+    return median
+
+
 def row_means(cells: FloatArray, known_min: float) -> FloatArray:
     """(rows,) of cells (c, rows), NaN where too few of a row are known."""
     return column_means(cells.T, known_min)

@@ -41,6 +41,22 @@ def test_a_leaf_that_returns_more_or_less_is_a_closed_door(
     assert doors.depth_m[0] == 0.0
 
 
+def test_a_leaf_shows_between_the_guards_of_a_corridors_wall() -> None:
+    """They are on the wall alone, and darker than the leaf; the mean over all rows would take half its contrast."""
+    guards = [((0.0, LENGTH_M, 0.35, 0.55), 40.0), ((0.0, LENGTH_M, 0.85, 0.95), 40.0)]
+    doors = find(*guards, ((1.5, 2.4, 0.0, 2.0), 54.0))
+    assert len(doors) == 1
+    np.testing.assert_allclose(np.sort(doors.ends[0, :, 0]), [1.5, 2.4], atol=0.02)
+    assert doors.contrast[0] == pytest.approx(54.0 / WALL - 1.0, abs=0.03)
+
+
+def test_a_plate_on_a_leaf_hides_neither_jamb() -> None:
+    """Around its lock it returns less still."""
+    doors = find(((1.5, 2.4, 0.0, 2.0), 52.0), ((1.5, 1.7, 0.7, 1.3), 36.0))
+    assert len(doors) == 1
+    np.testing.assert_allclose(np.sort(doors.ends[0, :, 0]), [1.5, 2.4], atol=CELL_M)
+
+
 def test_two_doors_in_one_wall() -> None:
     assert len(find(((0.6, 1.5, 0.0, 2.0), 40.0), ((3.0, 3.9, 0.0, 2.1), 80.0))) == 2
 
