@@ -103,6 +103,9 @@ class MissedWallsSettings(StepSettings):
     duct_length_min_m: float = Field(0.8, gt=0, description="Minimum length (m) of a wall below a duct.")
 
 
+_LINTEL_MIN = 0.75  # Share of an opening's width over which its lintel shows
+
+
 @dataclass(frozen=True)
 class SearchSettings:
     """What the search for missed walls is set by."""
@@ -284,7 +287,8 @@ class _Search:
         """(c,) the columns of a candidate that are closed below between stretches of wall in line: its own, or known faces.
 
         Furniture is not in line with the wall on both its sides, but for a radiator between piers: it has no lintel, and the wall
-        close behind it. What hangs in a window, or stands before it, may hide its sill or its lintel.
+        close behind it. What hangs in a window, or stands before it, may hide its sill or its lintel. Where the lintel shows, what
+        stands before a jamb may hide all but its edge, and between known faces an opening may reach down to the floor.
 
         solid: (c,) its own columns of wall.
         """
@@ -299,15 +303,24 @@ class _Search:
         sill, opened = self._shows_sill(self._faces.cells.counts[own])
         crown = columns.crown_on > columns.crown_passed
         shown = sill | crown
-        jamb = long_runs(solid, cells_in(settings.missed.jamb_m), 0)
+        met = columns.upper_on + columns.lower_on + columns.upper_passed + columns.lower_passed
+        jamb, edge = (
+            long_runs(flags, cells_in(settings.missed.jamb_m), 0)
+            for flags in (solid, solid | (met <= settings.standing.stray_rays))
+        )
         between = np.zeros(len(solid), bool)
         for first, after in runs(~solid):
             part = slice(first, after)
-            has_jambs = (jamb[first - 1] if first > 0 else known_before) and (jamb[after] if after < len(solid) else known_behind)
+            has_lintel = np.mean(crown[part]) > _LINTEL_MIN
+            beside = edge if has_lintel else jamb
+            has_jambs = (beside[first - 1] if first > 0 else known_before) and (
+                beside[after] if after < len(solid) else known_behind
+            )
             is_wide = after - first >= cells_in(settings.missed.window_min_m)
             is_door = long_runs(opened[part], cells_in(settings.building.door_width_min_m), bridge=2).any()
             has_sill = sill[part].any() and np.mean(shown[part]) > 0.5
-            between[part] = has_jambs and is_wide and has_sill and not is_door
+            spans = has_lintel and after - first == len(solid)
+            between[part] = has_jambs and is_wide and (spans or (has_sill and not is_door))
         places = candidate.at((np.arange(len(solid)) + 0.5) * CELL_M)
         before_wall = _near_a_face(places, candidate.normal, self._known, 0.0, settings.standing.furniture_depth_m)
         return between & (crown | ~before_wall)

@@ -71,6 +71,7 @@ def search(
     window_y: tuple[float, float] = (0.0, 3.0),
     sill_seen_to_y: float = 3.0,
     doorway_from_y: float = 3.0,
+    hidden_from_y: float = 3.0,
     from_y: float = 0.5,
     rays: float = 3.0,
     clear_of_glass: float = 1.0,
@@ -81,7 +82,7 @@ def search(
 
     hip_m: from there to a door's head a few rays pass. unseen_m, seen_m: below and above there no ray comes.
     window_m, window_y: between these heights, and from where to where, rays pass; below it none comes from `sill_seen_to_y` on,
-    and all pass from `doorway_from_y` on. known, refused: faces beside it. from_y: where the face begins. clear_of_glass: the
+    and all pass from `doorway_from_y` on. hidden_from_y: from there no ray comes. known, refused: faces beside it. from_y: where the face begins. clear_of_glass: the
     share of all rays that pass no wall close beside a window. fold_m: by how much each second column hangs before the plane, and
     the others behind it.
     """
@@ -117,7 +118,7 @@ def search(
                 folds_m = np.where(np.arange(columns[w]) % 2, fold_m, -fold_m)[:, None]
                 counts[own, ..., SUM] += folds_m * counts[own, ..., FILLED]
                 counts[own, ..., SQUARES] += folds_m**2 * counts[own, ..., FILLED]
-                counts[own][(y < from_y) | (y > 2.0)] = 0.0
+                counts[own][(y < from_y) | (y > min(2.0, hidden_from_y))] = 0.0
         return TracedFaces.of(candidates, WallCells(first, 60, counts), storey, SETTINGS.ceiling_near_m)
 
     others = faces(((-1, 0), (5, 0)))
@@ -305,6 +306,23 @@ def test_a_jamb_is_more_than_one_column_wide() -> None:
     """A kitchen unit reaches from a wall's end to a corner, where a column of returns is the other wall's."""
     ends = missed(room(), window_m=(0.9, CEILING_M), window_y=(0.9, 1.9)).ends[:, :, 1]
     np.testing.assert_allclose(np.sort(ends), [[0.5, 0.9]], atol=0.1)
+
+
+@pytest.mark.parametrize(("to_m", "is_one"), [(2.2, True), (CEILING_M, False)])
+def test_what_stands_before_a_jamb_may_hide_it_but_for_its_edge(to_m: float, is_one: bool) -> None:
+    """Below the window's lintel; a kitchen unit has none."""
+    ends = missed(room(), window_m=(0.9, to_m), window_y=(0.9, 1.75), hidden_from_y=1.85).ends[:, :, 1]
+    np.testing.assert_allclose(np.sort(ends), [[0.5, 1.85 if is_one else 0.9]], atol=0.1)
+
+
+@pytest.mark.parametrize(("to_m", "neighbours", "is_one"), [(2.2, 2, True), (2.2, 1, False), (CEILING_M, 2, False)])
+def test_a_lintel_between_two_walls_in_line_makes_one_wall_of_them(to_m: float, neighbours: int, is_one: bool) -> None:
+    """Below it is glass down to the floor, or a wide passage."""
+    beside = faces(((3, 0), (3, 0.4)), ((3, 2.1), (3, 3))).select(np.arange(neighbours))
+    found = missed(room(), known=beside, window_m=(0.0, to_m)).ends[:, :, 1]
+    np.testing.assert_allclose(np.sort(found), [[0.5, 2.0]] if is_one else np.zeros((0, 2)), atol=0.1)
+    # What shows over half of the opening is no lintel.
+    assert len(missed(room(), known=beside, window_m=(0.0, to_m), hidden_from_y=1.3)) == 0
 
 
 def test_between_two_stretches_of_wall_a_doorway_stays_one() -> None:
