@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.base.segments import lengthened
 from ffmap.algorithms.building.blinds import BlindsSettings, find_blinds
 from ffmap.algorithms.building.deep_leaves import close_deep_doors
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings, find_cased_doors
@@ -61,9 +60,10 @@ from ffmap.algorithms.building.votes import Halo, find_halo
 from ffmap.algorithms.building.windows import (
     WindowsSettings,
     find_windows,
-    in_walls,
+    is_in_wall,
     look_deeper,
     seen_through,
+    widened_in_walls,
     without_panes,
 )
 from ffmap.algorithms.scan.summary import concatenate, select_planes, select_scans, without_rays
@@ -170,7 +170,7 @@ def _find_faces(scans: AllScans, settings: FusionSettings) -> tuple[AlignedFaces
         # What a pane mirrored seems to have passed the wall beside it.
         judged = _judge(aligned, scans, settings, glass)
         # Walls that panes mirrored have gone, and with them their windows.
-        windows = in_walls(windows, judged.walls, settings.windows)
+        windows = windows.select(is_in_wall(windows, judged.walls, settings.windows))
     return aligned, judged, windows, fronts
 
 
@@ -203,7 +203,7 @@ def _add_missed_walls(
         cells = scans.trace(faces, settings.without_planes, glass)
         return TracedFaces.of(faces, cells, scans.storey, standing.ceiling_near_m)
 
-    widened = replace(windows, ends=lengthened(windows.ends, missed.beside_glass_m))
+    widened = widened_in_walls(windows, judged.walls, missed.beside_glass_m, settings.windows)
     trace_clear = partial(trace, glass=widened) if len(windows) else None
     search = SearchSettings(settings.building, standing, settings.face_columns, missed, settings.folds)
     returns = AllReturns(scans.votes, scans.storey, scans.path_map, partial(trace, glass=windows), trace_clear)

@@ -71,7 +71,7 @@ def panes_of_open_leaves(windows: Windows, doors: Doors) -> BoolArray:
 
 
 def _leaf_around(counts: FloatArray, first: int, last: int, pane_m: float, rules: OpeningRules) -> tuple[int, int] | None:
-    """The columns of the leaf of which a window's are the pane's; None where it has no stiles but a window's frame, which is narrower.
+    """The columns of the leaf whose pane a window is; None where it has no stiles but a window's frame, which is narrower.
 
     Stiles are where the pane is, but for a leaf's thickness. Where that is in the wall's face they may be flush with it: those are
     taken for half as wide as they may be.
@@ -93,7 +93,7 @@ def _leaf_around(counts: FloatArray, first: int, last: int, pane_m: float, rules
 
 
 def _upper_edge_m(counts: FloatArray, glass_m: float, pane_m: float, rules: OpeningRules) -> float:
-    """Height of the upper edge of what holds a pane, a leaf's rail or a transom light's, as far as it shows: as `_leaf_around` says.
+    """Height of the upper edge of what holds a pane, the rail of a leaf or of a fanlight, where it shows as `_leaf_around` says.
 
     counts: (c, rows, 4) of the leaf's columns. glass_m: height of the glass's upper edge.
     """
@@ -151,7 +151,9 @@ def _met(counts: FloatArray) -> tuple[float, float]:
 
 
 def _agreement(counts: FloatArray, pane_m: float, rules: OpeningRules) -> float:
-    """Share of what returns from a doorway's columns (c, rows, 4) that is of the leaf, see `_leaf_around`; its pane lets others pass.
+    """Share of what returns from a doorway's columns (c, rows, 4) that is of the leaf, as `_leaf_around` says.
+
+    Its pane lets other rays pass, which is no evidence against it.
 
     counts: without the columns at the jambs, where the reveals return too.
     """

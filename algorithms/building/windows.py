@@ -9,7 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
-from ffmap.algorithms.base.segments import LENGTH, Segment, before_line, crossing, lines_of, segments
+from ffmap.algorithms.base.segments import LENGTH, Segment, before_line, crossing, lengthened, lines_of, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import TracedFaces, long_runs, on_and_passed, runs
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
@@ -192,13 +192,20 @@ def join_windows(windows: Windows, one_wall_m: float, sill_m: float = np.inf) ->
     return joined
 
 
-def in_walls(windows: Windows, walls: Walls, settings: WindowsSettings) -> Windows:
-    """The windows in the walls, each of which looks the same way."""
-    kept = np.zeros(len(windows), bool)
-    for wall in segments(walls):
-        beside = [is_beside(wall, *own, settings.one_wall_m) for own in zip(windows.ends, windows.normal, strict=True)]
-        kept |= np.array(beside, bool)
-    return windows.select(kept)
+def is_in_wall(windows: Windows, walls: Walls, settings: WindowsSettings) -> BoolArray:
+    """(N,) which windows lie in a wall that looks the same way."""
+    panes = list(zip(windows.ends, windows.normal, strict=True))
+    return np.array([any(is_beside(wall, *own, settings.one_wall_m) for wall in segments(walls)) for own in panes], bool)
+
+
+def widened_in_walls(windows: Windows, walls: Walls, by_m: float, settings: WindowsSettings) -> Windows:
+    """The windows with what may be more of their panes on either side of those that lie in a wall, or beside one in line.
+
+    Rays pass freely beside a screen that stands in a room.
+    """
+    widened = replace(windows, ends=lengthened(windows.ends, by_m))
+    in_wall = is_in_wall(widened, walls, settings)
+    return replace(windows, ends=np.where(in_wall[:, None, None], widened.ends, windows.ends))
 
 
 def wall_of(windows: Windows, k: int, walls: Walls) -> tuple[int, int, int]:

@@ -82,9 +82,9 @@ def search(
 
     hip_m: from there to a door's head a few rays pass. unseen_m, seen_m: below and above there no ray comes.
     window_m, window_y: between these heights, and from where to where, rays pass; below it none comes from `sill_seen_to_y` on,
-    and all pass from `doorway_from_y` on. hidden_from_y: from there no ray comes. known, refused: faces beside it. from_y: where the face begins. clear_of_glass: the
-    share of all rays that pass no wall close beside a window. fold_m: by how much each second column hangs before the plane, and
-    the others behind it.
+    and all pass from `doorway_from_y` on. hidden_from_y: from there no ray comes. known, refused: faces beside it. from_y: where
+    the face begins. clear_of_glass: the share of all rays that pass no wall close beside a window. fold_m: by how much each second
+    column hangs before the plane, and the others behind it.
     """
 
     storey = Storey.of(votes, (), 3)

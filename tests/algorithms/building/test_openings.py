@@ -26,10 +26,11 @@ from ffmap.algorithms.building.ray_evidence import Rays, WallCells, floor_m, tra
 from ffmap.algorithms.building.windows import (
     WindowsSettings,
     find_windows,
-    in_walls,
+    is_in_wall,
     look_deeper,
     rays_through,
     seen_through,
+    widened_in_walls,
 )
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features
@@ -1020,8 +1021,18 @@ def test_a_window_is_in_a_wall_that_looks_the_same_way() -> None:
     ends = np.array([[[1.0, 0.05], [2.0, 0.05]], [[1.0, 2.0], [2.0, 2.0]], [[1.0, 0.0], [2.0, 0.0]], [[9.0, 0.0], [9.5, 0.0]]])
     normal = np.array([[0.0, -1.0], [0.0, -1.0], [0.0, 1.0], [0.0, -1.0]])
     windows = Windows(ends, normal, np.full(4, 0.9), np.full(4, 2.0), np.zeros(4))
-    np.testing.assert_array_equal(in_walls(windows, WALL, WindowsSettings()).ends, ends[:1])
-    assert len(in_walls(windows, NO_WALLS, WindowsSettings())) == 0
+    assert is_in_wall(windows, WALL, WindowsSettings()).tolist() == [True, False, False, False]
+    assert not is_in_wall(windows, NO_WALLS, WindowsSettings()).any()
+
+
+@pytest.mark.parametrize(("ends", "longer_m"), [(((1.0, 0.05), (2.0, 0.05)), 0.3), (((1.0, 1.0), (2.0, 1.0)), 0.0)])
+def test_a_pane_may_go_on_in_its_wall_and_a_screen_in_a_room_does_not(
+    ends: tuple[tuple[float, float], tuple[float, float]], longer_m: float
+) -> None:
+    pane = replace(window(*ends), normal=WALL.normal[:1])
+    widened = widened_in_walls(pane, WALL, 0.3, WindowsSettings())
+    np.testing.assert_allclose(np.sort(widened.ends[0, :, 0]), [1.0 - longer_m, 2.0 + longer_m])
+    assert len(widened_in_walls(NO_WINDOWS, WALL, 0.3, WindowsSettings())) == 0
 
 
 @pytest.mark.parametrize(
