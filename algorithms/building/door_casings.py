@@ -260,8 +260,7 @@ def _relief_over(
     """How far what lies over an opening stands out of the wall beside it at the same height, and the height of its lower edge.
 
     0 where that goes on above. The returns of a ceiling close above blur both alike. The wall is the side that stands out farther:
-    the other may be the next door's leaf. before_m: (c, rows) how far cells lie before
-    the face, NaN where unknown.
+    the other may be the next door's leaf. before_m: (c, rows) how far cells lie before the face, NaN where unknown.
     """
     wall, widest = cells_in(settings.wall_m), cells_in(settings.width_max_m)
     sides = _beside(before_m, first, -1, wall), _beside(before_m, last, 1, wall)

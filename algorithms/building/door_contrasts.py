@@ -50,7 +50,10 @@ class DoorContrastsSettings(StepSettings):
         0.6, gt=0, lt=1, description="Maximum deviation of a part of the leaf from its contrast, as a share of that."
     )
     parts_min: float = Field(
-        0.8, gt=0, le=1, description="Minimum share of a door's height over which both jambs show."
+        0.8,
+        gt=0,
+        le=1,
+        description="Minimum share of a door's height over which both jambs show, and of its height and width that contrasts.",
     )
     part_m: float = Field(0.2, gt=0, description="Height (m) of the parts by which that is told.")
     one_wall_m: float = Field(
@@ -157,11 +160,11 @@ def _leaf(
     sides = [slice(max(first - beside, 0), first), slice(last + 1, last + 1 + beside)]
     if not all(np.count_nonzero(np.isfinite(column[side])) >= building.known_min * beside for side in sides):
         return None  # Between two doors the wall itself would be a leaf
-    wall = np.concatenate([column[side] for side in sides])
+    wall = mean_known(np.concatenate([column[side] for side in sides]))
     within, around = shade[first + 1 : last], np.concatenate([shade[side] for side in sides])
     steps = row_means(within, building.known_min) - row_means(around, 0.0)
     step = median_known(steps[FOOT_ROW:lowest])
-    if not abs(step) > settings.contrast_min * abs(mean_known(wall)):
+    if not abs(step) > settings.contrast_min * abs(wall):
         return None
     contrast = steps / step
     # The head: contrast as far as there, and none above.
@@ -172,7 +175,7 @@ def _leaf(
     over = contrast[head + 1 : head + 1 + above]
     if not (np.isfinite(over).any() and np.nanmax(np.abs(over)) < settings.alike_max):
         return None
-    upright, across = contrast[FOOT_ROW:head], (column[first + 1 : last] - mean_known(wall)) / step
+    upright, across = contrast[FOOT_ROW:head], (column[first + 1 : last] - wall) / step
     if not all(np.mean(np.abs(leaf - 1.0) < settings.spread_max) > settings.parts_min for leaf in (upright, across)):
         return None
     jambs = _jambs(shade[:, FOOT_ROW:head] / step, first, last, strip, cells_in(settings.part_m), settings)
@@ -184,11 +187,13 @@ def _leaf(
         return None
     low, high = first + 1 - _share(column, first, sides[0], step), last + _share(column, last, sides[1], step)
     covered = float(np.clip(contrast[head] if np.isfinite(contrast[head]) else 0.0, 0.0, 1.0))
-    return _Leaf(step, step / mean_known(wall), low, high, (head + covered) * CELL_M)
+    return _Leaf(step, step / wall, low, high, (head + covered) * CELL_M)
 
 
 def _jambs(contrast: FloatArray, first: int, last: int, strip: int, part: int, settings: DoorContrastsSettings) -> bool:
-    """Whether both jambs are straight from the foot to the head: each part of the height steps there, and as the whole does.
+    """Whether both jambs are straight from the foot to the head: each part of the height steps there.
+
+    A plate around the lock steps more than the leaf does.
 
     contrast: (c, rows) of the whole face between foot and head, in units of the leaf's step.
     """

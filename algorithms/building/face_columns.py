@@ -264,9 +264,9 @@ def on_and_passed(counts: FloatArray) -> tuple[FloatArray, FloatArray]:
     return on, counts[..., THROUGH] + behind
 
 
-def median_known(values_m: FloatArray) -> float:
+def median_known(values: FloatArray) -> float:
     """The median of the known values; NaN where none is known."""
-    known = values_m[np.isfinite(values_m)]
+    known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else float("nan")
 
 

@@ -174,7 +174,7 @@ def _as_wide_as_seen(fronts: Windows, panes: list[_Pane], near_m: float) -> Wind
         for pane in panes
         if any(is_beside(front, pane.window.ends[0], pane.window.normal[0], near_m) for front in segments(fronts))
     ]
-    return join_windows(_concatenated([fronts, *more]), near_m)
+    return join_windows(_concatenated([fronts, *more]), near_m, sill_m=np.inf)
 
 
 def _concatenated(windows: Iterable[Windows]) -> Windows:

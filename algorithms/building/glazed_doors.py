@@ -9,13 +9,14 @@ from ffmap.algorithms.building.door_casings import flush_door, glazed
 from ffmap.algorithms.building.face_columns import TracedFaces, on_and_passed, runs
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, ON_FACE_M, Doors, Windows, cells_in
-from ffmap.algorithms.building.openings import OpeningRules, tops_m, widened
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH
+from ffmap.algorithms.building.openings import OpeningRules, deepest_sheet_m, tops_m, widened
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, depth_moments
 from ffmap.algorithms.building.windows import wall_of
 from ffmap.algorithms.scan.doors import DoorState
 
 _CROSSES_MIN = 0.75  # Share of a pane's width over which its transom shows
 _LEAF_M = 0.05  # Its stiles' faces stand before a pane by no more
+_RAIL_MAX_M = 0.35  # Height of a leaf's upper rail with what is over it, a frame or a transom
 
 
 def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules) -> Doors:
@@ -38,14 +39,14 @@ def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules)
         leaf = _leaf_around(counts, first, after - 1, pane_m, rules)
         if leaf is None or not building.door_width_min_m <= (leaf[1] + 1 - leaf[0]) * CELL_M <= building.door_width_max_m:
             continue
+        transom_m = _transom_m(counts[first:after], glass_m, rules)
         first, last = leaf
-        transom_m = _transom_m(counts[first : last + 1], glass_m, rules)
-        whole_m = head_m = _upper_edge_m(counts[first : last + 1], glass_m, pane_m, rules)
+        edge_m = head_m = _upper_edge_m(counts[first : last + 1], glass_m, pane_m, rules)
         if np.isfinite(transom_m):
             head_m = transom_m + 0.5 * openings.bar_max_m
-        elif glass_m > building.door_height_max_m:
+        if head_m > building.door_height_max_m + CELL_M:
             continue
-        if not _stands_around(counts, first, last, whole_m, float(np.median(top_m[own][first : last + 1])), rules):
+        if not _stands_around(counts, first, last, edge_m, float(np.median(top_m[own][first : last + 1])), rules):
             continue
         door = flush_door(face, w, (first, last + 1), 0, head_m, counts, 0.0)
         jamb = cells_in(openings.jamb_m)
@@ -73,47 +74,56 @@ def panes_of_open_leaves(windows: Windows, doors: Doors) -> BoolArray:
 def _leaf_around(counts: FloatArray, first: int, last: int, pane_m: float, rules: OpeningRules) -> tuple[int, int] | None:
     """The columns of the leaf whose pane a window is; None where it has no stiles but a window's frame, which is narrower.
 
-    Stiles are where the pane is, but for a leaf's thickness. Where that is in the wall's face they may be flush with it: those are
-    taken for half as wide as they may be.
+    Stiles are where the pane is, see `_is_at_pane`. Where that is in the wall's face they may be flush with it: those are taken for
+    half as wide as they may be.
     """
-    openings, most = rules.openings, cells_in(rules.openings.bar_max_m)
+    most, stile = cells_in(rules.openings.bar_max_m), cells_in(rules.openings.stile_min_m)
     below = counts[:, FOOT_ROW : cells_in(rules.building.door_height_min_m)].sum(axis=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        at_pane = -below[:, SUM] / below[:, FILLED] > max(rules.building.recess_min_m, pane_m - _LEAF_M)
+    at_pane = _is_at_pane(below, pane_m, rules)
     low, high = widened(at_pane, first, last, most)
     if pane_m <= _LEAF_M:
         flush = most // 2
-        return low if low < first else max(first - flush, 0), high if high > last else min(last + flush, len(counts) - 1)
+        low, high = low if low < first else first - flush, high if high > last else last + flush
+        return max(low, 0), min(high, len(counts) - 1)
     leaf = low + np.flatnonzero(at_pane[low : high + 1])
-    glass = leaf[below[leaf, THROUGH] > below[leaf, FILLED]]
-    stile = cells_in(openings.stile_min_m)
-    if not len(glass) or glass[0] - leaf[0] < stile or leaf[-1] - glass[-1] < stile:
+    if not len(leaf):
         return None
-    return int(leaf[0]), int(leaf[-1])
+    first, last = int(leaf[0]), int(leaf[-1])
+    # A column of glass that returns nothing is no stile's either.
+    is_stile = at_pane & (below[:, FILLED] >= below[:, THROUGH])
+    has_stiles = is_stile[first : first + stile].all() and is_stile[last + 1 - stile : last + 1].all()
+    return (first, last) if has_stiles else None
+
+
+def _is_at_pane(rays: FloatArray, pane_m: float, rules: OpeningRules) -> BoolArray:
+    """(n,) which parts of a face return from where a pane stands, but for a leaf's thickness: stiles and rails, or the pane itself.
+
+    rays: (n, 4) their counts, see `WallCells`. pane_m: how far behind the face it stands; deeper, cells do not tell.
+    """
+    least_m = min(pane_m, deepest_sheet_m(rules)) - _LEAF_M
+    return np.asarray(-depth_moments(rays)[0] > max(rules.building.recess_min_m, least_m))
 
 
 def _upper_edge_m(counts: FloatArray, glass_m: float, pane_m: float, rules: OpeningRules) -> float:
     """Height of the upper edge of what holds a pane, the rail of a leaf or of a fanlight, where it shows as `_leaf_around` says.
 
+    Flush ones are taken for half as high as bars may be.
+
     counts: (c, rows, 4) of the leaf's columns. glass_m: height of the glass's upper edge.
     """
     if pane_m <= _LEAF_M:
         return glass_m + 0.5 * rules.openings.bar_max_m
-    rows = counts.sum(axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        at_pane = -rows[:, SUM] / rows[:, FILLED] > pane_m - _LEAF_M
     highest = cells_in(glass_m) - 1
-    return (widened(at_pane, highest, highest, cells_in(rules.openings.lower_rail_max_m))[1] + 1) * CELL_M
+    at_pane = _is_at_pane(counts.sum(axis=0), pane_m, rules)
+    return (widened(at_pane, highest, highest, cells_in(_RAIL_MAX_M))[1] + 1) * CELL_M
 
 
 def _transom_m(counts: FloatArray, glass_m: float, rules: OpeningRules) -> float:
     """Height of the lower edge of a transom as high as doors' heads, above which is a fanlight; NaN where there is none.
 
-    A leaf's upper rail and the transom show as one, as high as lower rails.
-
-    counts: (c, rows, 4) of the leaf's columns. glass_m: height of the glass's upper edge.
+    counts: (c, rows, 4) of the pane's columns. glass_m: height of the glass's upper edge.
     """
-    building, most = rules.building, cells_in(rules.openings.lower_rail_max_m)
+    building, most = rules.building, cells_in(_RAIL_MAX_M)
     lowest = cells_in(building.door_height_min_m - rules.openings.bar_max_m)
     highest = min(cells_in(building.door_height_max_m), cells_in(glass_m))
     crosses = np.mean(counts[..., FILLED] > counts[..., THROUGH], axis=0) >= _CROSSES_MIN
@@ -123,19 +133,23 @@ def _transom_m(counts: FloatArray, glass_m: float, rules: OpeningRules) -> float
     return float("nan")
 
 
-def _stands_around(counts: FloatArray, first: int, last: int, head_m: float, top_m: float, rules: OpeningRules) -> bool:
+def _stands_around(counts: FloatArray, first: int, last: int, edge_m: float, top_m: float, rules: OpeningRules) -> bool:
     """Whether the wall shows beside a doorway, be it a window's sill, which is higher than rails, and above it where the ceiling is
-    higher. What stands before the wall may hide it on one side.
+    higher. What stands before the wall may hide it on one side, but the face goes on there.
+
+    edge_m: height of the upper edge of what holds its glass.
     """
-    openings, head, bar = rules.openings, cells_in(head_m), cells_in(rules.openings.bar_max_m)
+    openings, edge, bar = rules.openings, cells_in(edge_m), cells_in(rules.openings.bar_max_m)
     rail = cells_in(openings.lower_rail_max_m)
-    whole, sill = slice(FOOT_ROW, head), slice(rail, rail + bar)
-    above = counts[first : last + 1, head + bar // 2 : cells_in(top_m - openings.below_ceiling_m)]
+    whole, sill = slice(FOOT_ROW, edge), slice(rail, rail + bar)
+    above = counts[first : last + 1, edge + bar // 2 : cells_in(top_m - openings.below_ceiling_m)]
     beside = cells_in(openings.beside_m)
     sides = counts[max(first - beside, 0) : max(first - 1, 0)], counts[last + 2 : last + 1 + beside]
+    if not all(len(side) for side in sides):
+        return False
     seen = [side for side in sides if sum(_met(side[:, whole])) >= rules.building.rays_min * len(side)]
     stands = [any(_is_wall(side[:, rows], rules) for rows in (whole, sill)) for side in seen]
-    return any(stands) and all(stands) and (not above.shape[1] or _is_wall(above, rules))
+    return bool(stands) and all(stands) and (not above.shape[1] or _is_wall(above, rules))
 
 
 def _is_wall(counts: FloatArray, rules: OpeningRules) -> bool:
@@ -151,14 +165,12 @@ def _met(counts: FloatArray) -> tuple[float, float]:
 
 
 def _agreement(counts: FloatArray, pane_m: float, rules: OpeningRules) -> float:
-    """Share of what returns from a doorway's columns (c, rows, 4) that is of the leaf, as `_leaf_around` says.
-
-    Its pane lets other rays pass, which is no evidence against it.
+    """Share of what returns from a doorway's columns (c, rows, 4) that is of the leaf: at its pane, or before that by no more than
+    a leaf's thickness. Its pane lets other rays pass, which is no evidence against it.
 
     counts: without the columns at the jambs, where the reveals return too.
     """
     inner = counts[:, FOOT_ROW : cells_in(rules.building.door_height_min_m)]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        from_pane_m = -inner[..., SUM] / inner[..., FILLED] - pane_m
+    from_pane_m = -depth_moments(inner)[0] - pane_m
     of_leaf = (from_pane_m > -_LEAF_M) & (from_pane_m < rules.openings.sheet_m)
     return float(inner[of_leaf, FILLED].sum() / max(inner[..., FILLED].sum(), 1.0))

@@ -36,6 +36,8 @@ from ffmap.algorithms.building.votes import VoxelVotes
 
 _UNDERSIDE_CELL_M = 2.0 * CELL_M
 """Edge of the cells that count a duct's underside."""
+_LINTEL_MIN = 0.75
+"""Share of an opening's width over which its lintel shows."""
 
 
 class MissedWallsSettings(StepSettings):

@@ -119,7 +119,7 @@ def column_means(cells: FloatArray, known_min: float) -> FloatArray:
 
 
 def column_medians(cells: FloatArray, known_min: float) -> FloatArray:
-    """The same, of the median: what crosses a wall in a band is no part of it."""
+    """(c,) the median of each column of cells (c, rows), NaN where too little of it is known: bands across a wall do not count."""
     known = np.isfinite(cells).sum(axis=1)
     enough = (known > 0) & (known >= known_min * cells.shape[1])
     median = np.full(len(cells), np.nan)

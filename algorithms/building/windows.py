@@ -9,7 +9,16 @@ from numpy.lib.stride_tricks import sliding_window_view
 from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
-from ffmap.algorithms.base.segments import LENGTH, Segment, before_line, crossing, lengthened, lines_of, segments
+from ffmap.algorithms.base.segments import (
+    LENGTH,
+    Segment,
+    before_line,
+    crossing,
+    lengthened,
+    lengths_m,
+    lines_of,
+    segments,
+)
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import TracedFaces, long_runs, on_and_passed, runs
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
@@ -160,13 +169,13 @@ def look_deeper(
     return replace(windows, pane_m=pane_m)
 
 
-def join_windows(windows: Windows, one_wall_m: float, sill_m: float = np.inf) -> Windows:
+def join_windows(windows: Windows, one_wall_m: float, sill_m: float) -> Windows:
     """The windows, each once: those that overlap on one wall are one, which its wall's stretches and its panes may show apart.
 
     A garden door and the window beside it, which has a sill, are two, though their ends may overlap where faces are askew.
 
     one_wall_m: maximum distance between the faces, or panes, in which two of them show. sill_m: maximum difference of their lower
-    edges where they share less than half.
+    edges where they share less than half of the shorter's width.
     """
     joined = NO_WINDOWS
     for own in (windows.select(np.array([w])) for w in range(len(windows))):
@@ -174,7 +183,7 @@ def join_windows(windows: Windows, one_wall_m: float, sill_m: float = np.inf) ->
             if not is_beside(known, own.ends[0], own.normal[0], one_wall_m):
                 continue
             place_m = np.concatenate([[0.0, known.length_m], known.place_m(own.ends[0])])
-            is_less = known.shared_m(own.ends[0]) < 0.5 * min(known.length_m, float(np.ptp(place_m[2:])))
+            is_less = known.shared_m(own.ends[0]) < 0.5 * min(known.length_m, float(lengths_m(own.ends)[0]))
             if is_less and abs(joined.bottom_m[k] - own.bottom_m[0]) > sill_m:
                 continue
             ends = known.at(np.array([place_m.min(), place_m.max()]))
@@ -194,8 +203,8 @@ def join_windows(windows: Windows, one_wall_m: float, sill_m: float = np.inf) ->
 
 def is_in_wall(windows: Windows, walls: Walls, settings: WindowsSettings) -> BoolArray:
     """(N,) which windows lie in a wall that looks the same way."""
-    panes = list(zip(windows.ends, windows.normal, strict=True))
-    return np.array([any(is_beside(wall, *own, settings.one_wall_m) for wall in segments(walls)) for own in panes], bool)
+    faces, panes = tuple(segments(walls)), zip(windows.ends, windows.normal, strict=True)
+    return np.array([any(is_beside(face, *own, settings.one_wall_m) for face in faces) for own in panes], bool)
 
 
 def widened_in_walls(windows: Windows, walls: Walls, by_m: float, settings: WindowsSettings) -> Windows:

@@ -26,7 +26,7 @@ def found_in(cells: WallCells) -> Doors:
 
 
 @pytest.mark.parametrize("flip", [False, True])
-@pytest.mark.parametrize("own", [30.0, 52.0, 68.0, 90.0])
+@pytest.mark.parametrize("own", [30.0, 52.0, 57.5, 68.0, 90.0])
 @pytest.mark.parametrize(("first_m", "last_m", "head_m"), [(1.5, 2.4, 2.0), (1.48, 2.31, 2.03), (1.02, 2.97, 2.24)])
 def test_a_leaf_that_returns_more_or_less_is_a_closed_door(
     first_m: float, last_m: float, head_m: float, own: float, flip: bool

@@ -143,6 +143,30 @@ def test_a_window_down_to_the_floor_has_no_stiles(frame_m: float, count: int) ->
     fill(counts, (1.5, 2.4), (0.0, 2.1), 0.12, 10.0)
     fill(counts, (1.5 + frame_m, 2.4 - frame_m), (0.1, 2.1 - frame_m), 0.12, 1.0)
     assert len(found(counts)) == count
+    # Beside the frame the glass returns nothing, which makes it no stile.
+    pane = replace(window((1.5, 0.0), (2.4, 0.0)), bottom_m=np.full(1, 0.1), top_m=np.full(1, 2.0), pane_m=np.full(1, 0.12))
+    edge = round((1.5 + frame_m) / CELL_M)
+    counts[edge, 2:] = [0.0, 0.0, 0.0, 10.0]
+    assert len(find_glazed_doors(traced(counts), pane, RULES)) == count
+
+
+def test_a_pane_at_the_end_of_its_face_is_a_window() -> None:
+    """Beside it is another wall, or nothing."""
+    counts = wall()
+    fill(counts, (3.1, 4.0), (0.0, 2.1), 0.12, 10.0)
+    fill(counts, (3.2, 3.9), (0.25, 2.0), 0.12, 1.0)
+    pane = replace(window((3.2, 0.0), (3.9, 0.0)), bottom_m=np.full(1, 0.25), top_m=np.full(1, 2.0), pane_m=np.full(1, 0.12))
+    assert len(find_glazed_doors(traced(counts), pane, RULES)) == 0
+
+
+@pytest.mark.parametrize(("rail_m", "count"), [(0.1, 1), (0.5, 0)])
+def test_a_leaf_of_glass_is_no_higher_than_doors(rail_m: float, count: int) -> None:
+    """Of what is over its glass as much is its rail as lies at the pane."""
+    counts = wall()
+    fill(counts, (1.5, 2.4), (0.0, 2.3 + rail_m), 0.12, 10.0)
+    fill(counts, (1.6, 2.3), (0.25, 2.3), 0.12, 1.0)
+    pane = replace(window((1.6, 0.0), (2.3, 0.0)), bottom_m=np.full(1, 0.25), top_m=np.full(1, 2.3), pane_m=np.full(1, 0.12))
+    assert len(find_glazed_doors(traced(counts), pane, RULES)) == count
 
 
 @pytest.mark.parametrize("hidden_m", [0.0, 1.0, 2.1])

@@ -147,6 +147,7 @@ def test_cells_sum_up_intensities_by_the_angle_of_incidence() -> None:
         ray_intensity=np.array([10.0, np.nan, 30.0, 50.0, 20.0], np.float32), ray_echo=np.array([0, 1, 2, 1, 0], np.uint8),
     )  # fmt: skip
     cells = trace_rays(walls, [features], SETTINGS)
+    assert np.diff([0.0, *ANGLES_DEG]).max() <= 10.0  # over more, intensities fall by as much as a leaf's differs
     steepest, slant = np.zeros((2, len(ANGLES_DEG) + 1, 2))
     steepest[0] = 1, 10  # at right angles, one unknown
     slant[np.searchsorted(ANGLES_DEG, 27.0)] = 2, 80
