@@ -8,7 +8,7 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengthened
-from ffmap.algorithms.building.door_casings import is_opaque
+from ffmap.algorithms.building.flush_doors import is_opaque
 from ffmap.algorithms.building.model import CELL_M, BuildingSettings, Doors, Walls, cells_in
 from ffmap.algorithms.building.openings import OpeningRules, lies_on_sheet, without_panels
 from ffmap.algorithms.building.ray_evidence import FILLED, SUM, THROUGH, WallCells, depth_moments

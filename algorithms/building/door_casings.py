@@ -8,7 +8,6 @@ alone runs from the floor up one side, over the top, and down the other.
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -17,9 +16,9 @@ from pydantic import Field
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.flush_doors import Opening, flush_door, is_opaque, none_over_another
 from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, NO_DOORS, BuildingSettings, Doors, Walls, cells_in
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, WallCells, depth_moments
-from ffmap.algorithms.scan.doors import DoorState
 
 
 class DoorCasingsSettings(StepSettings):
@@ -54,15 +53,6 @@ class DoorCasingsSettings(StepSettings):
     wall_m: float = Field(0.1, gt=0, description="Minimum width (m) of the wall that has to show beside them.")
 
 
-class _Casing(NamedTuple):
-    """One casing on a face: its relief on its weakest side, where the opening within begins and ends, and its head."""
-
-    relief_m: float
-    first_m: float
-    last_m: float
-    head_m: float
-
-
 def find_cased_doors(
     walls: Walls, cells: WallCells, building: BuildingSettings, settings: DoorCasingsSettings
 ) -> Doors:
@@ -76,10 +66,10 @@ def find_cased_doors(
         counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
         face = Segment.between(walls.ends[w], walls.normal[w])
         for casing in _casings(counts, building, settings):
-            opening = casing.first_m / CELL_M, casing.last_m / CELL_M
+            opening = casing.first, casing.last
             door = flush_door(face, w, opening, 0, casing.head_m, counts, building.known_min)
             leaf_m = _leaf_behind_m(counts, opening, casing.head_m, building)
-            doors = doors.append(replace(door, depth_m=np.array([leaf_m]), casing_m=np.array([casing.relief_m])))
+            doors = doors.append(replace(door, depth_m=np.array([leaf_m]), casing_m=np.array([casing.shows])))
     return doors.select(np.argsort(-doors.casing_m, kind="stable"))
 
 
@@ -91,56 +81,11 @@ def _leaf_behind_m(counts: FloatArray, opening: tuple[float, float], head_m: flo
     return behind_m if abs(behind_m) > building.recess_min_m else 0.0
 
 
-def flush_door(
-    face: Segment, wall: int, opening: tuple[float, float], before: int, head_m: float, counts: FloatArray, known_min: float
-) -> Doors:
-    """A single closed door whose leaf lies in its wall's face.
+def _casings(counts: FloatArray, building: BuildingSettings, settings: DoorCasingsSettings) -> list[Opening]:
+    """The openings within the casings of one face, none over another, each with its relief on its weakest side.
 
-    opening: where its jambs stand, in columns of `counts` (c, rows, 4), see `WallCells`; `before` of these columns lie before the
-    face's start. known_min: share of a column that has to be seen for it to bear the door out.
+    counts: (c, rows, 4), see `WallCells`.
     """
-    first, last = opening
-    inner = counts[round(first) : round(last), FOOT_ROW : int(head_m / CELL_M)]
-    on, passed = float(inner[..., FILLED].sum()), float(inner[..., THROUGH].sum())
-    seen = float(np.mean((inner[..., FILLED] > 0).mean(axis=1) > known_min))
-    return Doors(
-        ends=face.at(CELL_M * (np.array([first, last]) - before))[None],
-        normal=face.normal[None],
-        head_m=np.array([head_m]),
-        depth_m=np.zeros(1),
-        state=np.array([DoorState.CLOSED], np.uint8),
-        confidence=np.array([on / (on + passed) * seen]),
-        agreement=np.array([on / (on + passed)]),
-        coverage=np.array([seen]),
-        lintel=np.ones(1),
-        ajar=np.zeros(1, bool),
-        ray_count=np.array([(on + passed) / 3], np.int32),
-        scan_count=np.zeros(1, np.int32),
-        first_scan=np.full(1, -1),
-        last_scan=np.full(1, -1),
-        crossed=np.zeros(1, bool),
-        wall=np.array([wall], np.int32),
-        reveal_m=np.full(1, np.nan),
-        casing_m=np.full(1, np.nan),
-        contrast=np.full(1, np.nan),
-        outline=np.full(1, np.nan),
-        glazed=np.zeros(1, bool),
-    )
-
-
-def glazed(door: Doors, depth_m: float, agreement: float) -> Doors:
-    """A single closed door as one whose leaf is a pane: rays that pass that do not speak against it.
-
-    agreement: share of what returns that is of the leaf.
-    """
-    agrees = np.array([agreement])
-    return replace(
-        door, depth_m=np.array([depth_m]), agreement=agrees, confidence=agrees * door.coverage, glazed=np.ones(1, bool)
-    )
-
-
-def _casings(counts: FloatArray, building: BuildingSettings, settings: DoorCasingsSettings) -> list[_Casing]:
-    """The casings of one face, none over another; counts: (c, rows, 4), see `WallCells`."""
     beside, wall = cells_in(settings.beside_m), cells_in(settings.wall_m)
     lowest, highest = cells_in(building.door_height_min_m), cells_in(building.door_height_max_m)
     if len(counts) < cells_in(building.door_width_min_m) + 2 * wall or counts.shape[1] <= lowest + 2 * wall:
@@ -164,17 +109,11 @@ def _casings(counts: FloatArray, building: BuildingSettings, settings: DoorCasin
                 and np.mean(strip[first + wall : last + 1 - wall]) <= settings.within_max
                 and is_opaque(counts[first + 1 : last, FOOT_ROW:head], building)
             ):
-                found.append((weakest_m, first, last, head_m, relief_m))
-    found.sort(key=lambda casing: -casing[0])
-    casings: list[_Casing] = []
-    for weakest_m, first, last, head_m, relief_m in found:
-        first_m = CELL_M * _inner_edge(relief_m, first, settings)
-        last_m = CELL_M * (len(relief_m) - _inner_edge(relief_m[::-1], len(relief_m) - 1 - last, settings))
-        if last_m - first_m >= building.door_width_min_m and not any(
-            first_m < other.last_m and other.first_m < last_m for other in casings
-        ):
-            casings.append(_Casing(weakest_m, first_m, last_m, head_m))
-    return casings
+                low, high = _inner_edge(relief_m, first, settings), _inner_edge(relief_m[::-1], len(relief_m) - 1 - last, settings)
+                opening = Opening(weakest_m, weakest_m, low, len(relief_m) - high, head_m)
+                if CELL_M * opening.last - CELL_M * opening.first >= building.door_width_min_m:
+                    found.append(opening)
+    return none_over_another(found)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -276,12 +215,6 @@ def _relief_over(
     # The row that the head's strip covers in part stands out by that part of its relief.
     covered = min(max(lower_m / upper_m, 0.0), 1.0) if upper_m > 0.0 else 1.0
     return float(np.nanmean(over_m)), (head + 1 - covered) * CELL_M
-
-
-def is_opaque(inner: FloatArray, building: BuildingSettings) -> bool:
-    """Whether rays end on what fills an opening (c, rows, 4), over most of it."""
-    on, passed = inner[..., FILLED].sum(), inner[..., THROUGH].sum()
-    return bool(on > building.opaque_min * (on + passed) and np.mean(inner[..., FILLED] > 0) > building.known_min)
 
 
 def _inner_edge(relief_m: FloatArray, column: int, settings: DoorCasingsSettings) -> float:

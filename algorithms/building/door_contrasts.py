@@ -7,19 +7,23 @@ straight jambs and a straight head, and lies in the wall's face, which goes on a
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
 
 from ffmap.algorithms.base.scan import FloatArray, IntArray
-from ffmap.algorithms.base.segments import segments
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.door_casings import flush_door, is_opaque
-from ffmap.algorithms.building.face_columns import median_known
-from ffmap.algorithms.building.model import CELL_M, NO_DOORS, BuildingSettings, Doors, Walls, cells_in
+from ffmap.algorithms.building.face_columns import mean_known, median_known
+from ffmap.algorithms.building.flush_doors import (
+    Opening,
+    flush_doors,
+    is_opaque,
+    none_over_another,
+    shows_from_the_floor,
+)
+from ffmap.algorithms.building.model import CELL_M, BuildingSettings, Doors, Walls, cells_in
 from ffmap.algorithms.building.ray_evidence import FOOT_ROW
-from ffmap.algorithms.building.shades import Picture, column_medians, mean_known, row_means
+from ffmap.algorithms.building.shades import Picture, column_medians, is_greatest, row_means
 
 
 class DoorContrastsSettings(StepSettings):
@@ -66,18 +70,6 @@ class DoorContrastsSettings(StepSettings):
     )
 
 
-class _Leaf(NamedTuple):
-    """One leaf in a picture: its contrast with the wall, in the sensor's unit and as a share of the wall's; from which column to
-    which; its head.
-    """
-
-    step: float
-    contrast: float
-    first: float
-    last: float
-    head_m: float
-
-
 def find_contrasting_doors(
     walls: Walls, shown: Sequence[Picture], building: BuildingSettings, settings: DoorContrastsSettings
 ) -> Doors:
@@ -85,18 +77,12 @@ def find_contrasting_doors(
 
     Their leaf lies in the wall's face (`depth_m` 0). shown: see `pictures`.
     """
-    doors = NO_DOORS
-    for w, (face, picture) in enumerate(zip(segments(walls), shown, strict=False)):
-        for leaf in _leaves(picture, building, settings):
-            if picture.is_of(leaf.first, leaf.last):
-                opening = leaf.first, leaf.last
-                door = flush_door(face, w, opening, picture.reach, leaf.head_m, picture.counts, building.known_min)
-                doors = doors.append(replace(door, contrast=np.array([leaf.contrast])))
-    return doors.select(np.argsort(-np.abs(doors.contrast), kind="stable"))
+    doors, contrast = flush_doors(walls, shown, lambda picture: _leaves(picture, building, settings), building.known_min)
+    return replace(doors, contrast=contrast)
 
 
-def _leaves(picture: Picture, building: BuildingSettings, settings: DoorContrastsSettings) -> list[_Leaf]:
-    """The leaves in a picture, none over another."""
+def _leaves(picture: Picture, building: BuildingSettings, settings: DoorContrastsSettings) -> list[Opening]:
+    """The openings that leaves fill in a picture, none over another: the strongest has the greatest step."""
     shade, before_m, counts, _ = picture
     strip, lowest = cells_in(settings.strip_m), cells_in(building.door_height_min_m)
     if len(shade) < cells_in(building.door_width_min_m) + 2 * strip or shade.shape[1] <= lowest:
@@ -115,12 +101,7 @@ def _leaves(picture: Picture, building: BuildingSettings, settings: DoorContrast
             inner = counts[first:last, FOOT_ROW:lowest]
             if leaf is not None and is_opaque(inner, building):
                 found.append(leaf)
-    found.sort(key=lambda leaf: -abs(leaf.step))
-    leaves: list[_Leaf] = []
-    for leaf in found:
-        if not any(leaf.first < other.last and other.first < leaf.last for other in leaves):
-            leaves.append(leaf)
-    return leaves
+    return none_over_another(found)
 
 
 def _steps(column: FloatArray, strip: int) -> FloatArray:
@@ -140,9 +121,7 @@ def _scatter(values: FloatArray) -> float:
 def _edges(step: FloatArray, least: float) -> IntArray:
     """The columns at which a face's steps are greatest, on either side of 0, and at least so great."""
     size = np.nan_to_num(np.abs(step))
-    padded = np.pad(size, 2)
-    greatest = np.max([padded[k : k + len(size)] for k in range(5)], axis=0)
-    return np.flatnonzero((size > 0.0) & (size >= least) & (size == greatest))
+    return np.flatnonzero((size > 0.0) & (size >= least) & is_greatest(size))
 
 
 def _leaf(
@@ -153,8 +132,8 @@ def _leaf(
     last: int,
     building: BuildingSettings,
     settings: DoorContrastsSettings,
-) -> _Leaf | None:
-    """The leaf between two columns that hold its jambs; None where there is none."""
+) -> Opening | None:
+    """The opening that a leaf fills between two columns that hold its jambs; None where there is none."""
     beside, strip, above = (cells_in(length) for length in (settings.beside_m, settings.strip_m, settings.above_m))
     lowest, highest = cells_in(building.door_height_min_m), cells_in(building.door_height_max_m) + 1
     sides = [slice(max(first - beside, 0), first), slice(last + 1, last + 1 + beside)]
@@ -187,7 +166,7 @@ def _leaf(
         return None
     low, high = first + 1 - _share(column, first, sides[0], step), last + _share(column, last, sides[1], step)
     covered = float(np.clip(contrast[head] if np.isfinite(contrast[head]) else 0.0, 0.0, 1.0))
-    return _Leaf(step, step / wall, low, high, (head + covered) * CELL_M)
+    return Opening(abs(step), step / wall, low, high, (head + covered) * CELL_M)
 
 
 def _jambs(contrast: FloatArray, first: int, last: int, strip: int, part: int, settings: DoorContrastsSettings) -> bool:
@@ -209,10 +188,7 @@ def _jambs(contrast: FloatArray, first: int, last: int, strip: int, part: int, s
             return False
         difference = row_means(inner, 0.0) - row_means(outer, 0.0)
         parts = np.array([median_known(difference[row : row + part]) for row in range(0, len(difference), part)])
-        # A leaf reaches the floor: the lowest part that was seen steps as well.
-        known = np.flatnonzero(np.isfinite(parts))
-        right = parts > 1.0 - settings.spread_max
-        if not len(known) or known[0] > 1 or not right[known[0]] or right.sum() < settings.parts_min * len(parts):
+        if not shows_from_the_floor(parts, parts > 1.0 - settings.spread_max, settings.parts_min):
             return False
     return True
 

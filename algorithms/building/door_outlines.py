@@ -13,12 +13,18 @@ import numpy as np
 from pydantic import Field
 
 from ffmap.algorithms.base.scan import FloatArray, IntArray
-from ffmap.algorithms.base.segments import segments
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.door_casings import flush_door, is_opaque
-from ffmap.algorithms.building.model import CELL_M, NO_DOORS, BuildingSettings, Doors, Walls, cells_in
+from ffmap.algorithms.building.face_columns import mean_known
+from ffmap.algorithms.building.flush_doors import (
+    Opening,
+    flush_doors,
+    is_opaque,
+    none_over_another,
+    shows_from_the_floor,
+)
+from ffmap.algorithms.building.model import CELL_M, BuildingSettings, Doors, Walls, cells_in
 from ffmap.algorithms.building.ray_evidence import FOOT_ROW
-from ffmap.algorithms.building.shades import Picture, column_means, mean_known, row_means
+from ffmap.algorithms.building.shades import Picture, column_means, is_greatest, row_means
 
 _NEAR, _FAR = 2, 3  # What a line is compared with on each side, in cells from its middle: its edges may blur those between
 
@@ -47,17 +53,6 @@ class DoorOutlinesSettings(StepSettings):
     relief_max_m: float = Field(
         0.01, gt=0, description="Maximum distance (m) of a line from the wall beside it: a casing stands out."
     )
-
-
-class _Outline(NamedTuple):
-    """One outline: its contrast, as a share of what is beside it, on its weaker jamb; where the opening within begins and ends, in
-    columns; its head.
-    """
-
-    contrast: float
-    first: float
-    last: float
-    head_m: float
 
 
 class _Lines(NamedTuple):
@@ -96,18 +91,12 @@ def find_outlined_doors(
 
     Their leaf lies in the wall's face (`depth_m` 0). shown: see `pictures`.
     """
-    doors = NO_DOORS
-    for w, (face, picture) in enumerate(zip(segments(walls), shown, strict=False)):
-        for outline in _outlines(picture, building, settings):
-            if picture.is_of(outline.first, outline.last):
-                opening = outline.first, outline.last
-                door = flush_door(face, w, opening, picture.reach, outline.head_m, picture.counts, building.known_min)
-                doors = doors.append(replace(door, outline=np.array([outline.contrast])))
-    return doors.select(np.argsort(-np.abs(doors.outline), kind="stable"))
+    doors, outline = flush_doors(walls, shown, lambda picture: _outlines(picture, building, settings), building.known_min)
+    return replace(doors, outline=outline)
 
 
-def _outlines(picture: Picture, building: BuildingSettings, settings: DoorOutlinesSettings) -> list[_Outline]:
-    """The outlines in a picture, none over another."""
+def _outlines(picture: Picture, building: BuildingSettings, settings: DoorOutlinesSettings) -> list[Opening]:
+    """The openings within the outlines in a picture, none over another: each shows by the contrast on its weaker jamb."""
     lowest = cells_in(building.door_height_min_m)
     if picture.shade.shape[1] <= lowest:
         return []
@@ -123,13 +112,9 @@ def _outlines(picture: Picture, building: BuildingSettings, settings: DoorOutlin
             head = _head(picture.shade, first, last, contrast, building, settings)
             if head is not None and _jambs(picture, lines, line, first, last, int(head), settings):
                 low = first + 1 + _share(line[first + 1], line[first])
-                found.append(_Outline(float(contrast), low, last - _share(line[last - 1], line[last]), head * CELL_M))
-    found.sort(key=lambda outline: -abs(outline.contrast))
-    outlines: list[_Outline] = []
-    for outline in found:
-        if not any(outline.first < other.last and other.first < outline.last for other in outlines):
-            outlines.append(outline)
-    return outlines
+                high = last - _share(line[last - 1], line[last])
+                found.append(Opening(abs(contrast), float(contrast), low, high, head * CELL_M))
+    return none_over_another(found)
 
 
 def _pairs(line: FloatArray, building: BuildingSettings, settings: DoorOutlinesSettings) -> Iterator[tuple[int, int]]:
@@ -145,8 +130,7 @@ def _pairs(line: FloatArray, building: BuildingSettings, settings: DoorOutlinesS
 def _greatest(line: FloatArray, least: float) -> IntArray:
     """The columns at which lines are greatest among their neighbours, and at least so great."""
     size = np.nan_to_num(np.abs(line))
-    padded = np.pad(size, 2)
-    return np.flatnonzero((size > least) & (size == np.max([padded[k : k + len(size)] for k in range(5)], axis=0)))
+    return np.flatnonzero((size > least) & is_greatest(size))
 
 
 def _noise(differs: FloatArray, first: int, last: int, around: int) -> float:
@@ -185,10 +169,7 @@ def _jambs(
     part, above = cells_in(settings.part_m), slice(head + _FAR, head + _FAR + cells_in(settings.above_m))
     for c in (first, last):
         parts = np.array([lines.column(c, slice(row, min(row + part, head))) for row in range(FOOT_ROW, head, part)]) / line[c]
-        right = np.abs(parts - 1.0) < settings.spread_max
-        # A frame reaches the floor: the lowest part that was seen shows it as well.
-        known = np.flatnonzero(np.isfinite(parts))
-        if not len(known) or known[0] > 1 or not right[known[0]] or right.mean() < settings.parts_min:
+        if not shows_from_the_floor(parts, np.abs(parts - 1.0) < settings.spread_max, settings.parts_min):
             return False
         if lines.column(c, above) / line[c] > settings.above_max:
             return False

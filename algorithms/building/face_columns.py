@@ -270,6 +270,12 @@ def median_known(values: FloatArray) -> float:
     return float(np.median(known)) if len(known) else float("nan")
 
 
+def mean_known(values: FloatArray) -> float:
+    """The mean of the known values; NaN where none is known."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else float("nan")
+
+
 def room_before(faces: Walls, storey: Storey, settings: FaceColumnsSettings) -> BoolArray:
     """(W,) whether floor or ceiling is seen before a face; another house's front, through a window, has neither."""
     cubes = np.zeros(len(faces), np.int64)

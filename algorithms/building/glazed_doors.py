@@ -5,9 +5,9 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
-from ffmap.algorithms.building.door_casings import flush_door, glazed
 from ffmap.algorithms.building.face_columns import TracedFaces, on_and_passed, runs
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
+from ffmap.algorithms.building.flush_doors import flush_door, glazed
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, ON_FACE_M, Doors, Windows, cells_in
 from ffmap.algorithms.building.openings import OpeningRules, deepest_sheet_m, tops_m, widened
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, depth_moments

@@ -4,15 +4,15 @@ Intensities fall with the angle of incidence in a way that depends on the sensor
 how, whatever they are made of.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, BuildingSettings, Walls, cells_in
-from ffmap.algorithms.building.ray_evidence import FILLED, SUM, THROUGH, WallCells
+from ffmap.algorithms.building.ray_evidence import FILLED, THROUGH, WallCells, depth_moments
 
 _RETURNS_MIN = 2  # Of a cell, for its mean to count
 _OF_FACE = 0.4  # Minimum share
@@ -54,8 +54,7 @@ def pictures(walls: Walls, cells: WallCells, building: BuildingSettings, one_wal
 def _picture(cells: WallCells, w: int, response: FloatArray) -> Picture:
     part = cells.of(w)
     counts = part.counts.astype(np.float64)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        before_m = counts[..., SUM] / counts[..., FILLED]
+    before_m = depth_moments(counts)[0]
     off = (np.abs(before_m) > ON_FACE_M) | (counts[..., THROUGH] > 0.5 * counts[..., FILLED])
     shade = shades(part.light, response)
     return Picture(np.where(off, np.nan, shade), np.where(off, np.nan, before_m), counts)
@@ -112,19 +111,20 @@ def shades(light: FloatArray, response: FloatArray) -> FloatArray:
 
 def column_means(cells: FloatArray, known_min: float) -> FloatArray:
     """(c,) of each column of cells (c, rows), NaN where too little of it is known."""
-    known = np.isfinite(cells)
-    count = known.sum(axis=1)
-    mean = np.where(known, cells, 0.0).sum(axis=1) / np.maximum(count, 1)
-    return np.where((count > 0) & (count >= known_min * cells.shape[1]), mean, np.nan)
+    return _of_known_columns(np.nanmean, cells, known_min)
 
 
 def column_medians(cells: FloatArray, known_min: float) -> FloatArray:
     """(c,) the median of each column of cells (c, rows), NaN where too little of it is known: bands across a wall do not count."""
+    return _of_known_columns(np.nanmedian, cells, known_min)
+
+
+def _of_known_columns(of: Callable[..., FloatArray], cells: FloatArray, known_min: float) -> FloatArray:
     known = np.isfinite(cells).sum(axis=1)
     enough = (known > 0) & (known >= known_min * cells.shape[1])
-    median = np.full(len(cells), np.nan)
-    median[enough] = np.nanmedian(cells[enough], axis=1)
-    return median
+    values = np.full(len(cells), np.nan)
+    values[enough] = of(cells[enough], axis=1)
+    return values
 
 
 def row_means(cells: FloatArray, known_min: float) -> FloatArray:
@@ -132,7 +132,7 @@ def row_means(cells: FloatArray, known_min: float) -> FloatArray:
     return column_means(cells.T, known_min)
 
 
-def mean_known(values: FloatArray) -> float:
-    """NaN of none."""
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if len(known) else float("nan")
+def is_greatest(size: FloatArray) -> BoolArray:
+    """(c,) which are at least as great as the two before and behind them."""
+    padded = np.pad(size, 2)
+    return np.asarray(size == np.max([padded[k : k + len(size)] for k in range(5)], axis=0))

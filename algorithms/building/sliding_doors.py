@@ -13,8 +13,9 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
-from ffmap.algorithms.building.door_casings import DoorCasingsSettings, flush_door, glazed
+from ffmap.algorithms.building.door_casings import DoorCasingsSettings
 from ffmap.algorithms.building.face_columns import runs
+from ffmap.algorithms.building.flush_doors import flush_door, glazed
 from ffmap.algorithms.building.model import (
     CELL_M,
     NO_DOORS,

@@ -57,6 +57,19 @@ def test_a_plate_on_a_leaf_hides_neither_jamb() -> None:
     np.testing.assert_allclose(np.sort(doors.ends[0, :, 0]), [1.5, 2.4], atol=CELL_M)
 
 
+def test_what_ends_close_above_the_floor_is_no_leaf() -> None:
+    """It shows over most of a door's height, as a mirror does."""
+    assert len(find(((1.5, 2.4, 0.35, 2.0), 30.0))) == 0
+
+
+def test_of_two_doors_the_one_that_shows_best_is_first() -> None:
+    """Whichever face comes first."""
+    cells = filled(((0.6, 1.5, 0.0, 2.0), 52.0), ((3.0, 3.9, 0.0, 2.1), 90.0))
+    halves = faces(((0, 0), (2.25, 0)), ((2.25, 0), (LENGTH_M, 0)))
+    doors = contrasting(halves, WallCells(first_columns(halves), cells.rows, cells.counts, cells.light))
+    np.testing.assert_allclose(doors.contrast, [0.5, 52.0 / WALL - 1.0], atol=0.03)
+
+
 def test_two_doors_in_one_wall() -> None:
     assert len(find(((0.6, 1.5, 0.0, 2.0), 40.0), ((3.0, 3.9, 0.0, 2.1), 80.0))) == 2
 

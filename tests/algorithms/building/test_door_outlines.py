@@ -64,6 +64,19 @@ def test_two_doors_in_one_wall() -> None:
     assert len(find(*frame(0.6, 1.5, 2.0, 50.0), *frame(3.0, 3.9, 2.1, 72.0))) == 2
 
 
+def test_of_two_doors_the_one_that_shows_best_is_first() -> None:
+    """Whichever face comes first."""
+    cells = filled(*frame(0.6, 1.5, 2.0, 52.0), *frame(3.0, 3.9, 2.1, 90.0))
+    halves = faces(((0, 0), (2.25, 0)), ((2.25, 0), (LENGTH_M, 0)))
+    doors = outlined(halves, WallCells(first_columns(halves), cells.rows, cells.counts, cells.light))
+    assert doors.outline[0] > 0.3 > -doors.outline[1] > 0.0
+
+
+def test_a_line_that_ends_above_the_floor_is_no_frame() -> None:
+    """It shows over most of a door's height, as a mirror's does."""
+    assert len(find(*frame(1.5, 2.4, 2.0, 52.0, foot_m=0.4))) == 0
+
+
 def test_a_door_in_two_faces_of_one_wall_is_found_with_its_whole_width() -> None:
     cells = filled(*frame(1.6, 2.5, 2.0, 50.0))
     halves = faces(((0, 0), (2, 0)), ((2, 0), (LENGTH_M, 0)))

@@ -130,10 +130,20 @@ def test_furniture_may_hide_the_wall_beside_a_leaf_of_glass_on_one_side() -> Non
     counts = wall()
     fill(counts, (1.5, 2.4), (0.0, 2.1), 0.08, 10.0)
     fill(counts, (1.6, 2.3), (0.25, 2.0), 0.08, 1.0)
-    counts[50:, :45] = 0.0
-    assert len(found(counts)) == 1
-    counts[:28, :45] = 0.0
-    assert len(found(counts)) == 0
+    pane = replace(window((1.6, 0.0), (2.3, 0.0)), bottom_m=np.full(1, 0.25), top_m=np.full(1, 2.0), pane_m=np.full(1, 0.08))
+    counts[48:, :45] = 0.0
+    assert len(found(counts)) == len(find_glazed_doors(traced(counts), pane, RULES)) == 1
+    counts[:30, :45] = 0.0
+    assert len(found(counts)) == len(find_glazed_doors(traced(counts), pane, RULES)) == 0
+
+
+def test_the_stiles_of_a_pane_deeper_than_cells_tell_show_as_deep_as_they_do() -> None:
+    counts = wall()
+    fill(counts, (1.5, 2.4), (0.0, 2.1), 0.33, 10.0)
+    fill(counts, (1.6, 2.3), (0.25, 2.0), 0.33, 1.0)
+    pane = replace(window((1.6, 0.0), (2.3, 0.0)), bottom_m=np.full(1, 0.25), top_m=np.full(1, 2.0), pane_m=np.full(1, 0.4))
+    doors = find_glazed_doors(traced(counts), pane, RULES)
+    np.testing.assert_allclose(np.sort(doors.ends[:, :, 0]), [[1.5, 2.4]], atol=0.01)
 
 
 @pytest.mark.parametrize(("frame_m", "count"), [(0.05, 0), (0.1, 1)])
@@ -145,8 +155,8 @@ def test_a_window_down_to_the_floor_has_no_stiles(frame_m: float, count: int) ->
     assert len(found(counts)) == count
     # Beside the frame the glass returns nothing, which makes it no stile.
     pane = replace(window((1.5, 0.0), (2.4, 0.0)), bottom_m=np.full(1, 0.1), top_m=np.full(1, 2.0), pane_m=np.full(1, 0.12))
-    edge = round((1.5 + frame_m) / CELL_M)
-    counts[edge, 2:] = [0.0, 0.0, 0.0, 10.0]
+    edges = [round((1.5 + frame_m) / CELL_M), round((2.4 - frame_m) / CELL_M) - 1]
+    counts[edges, 2:] = [0.0, 0.0, 0.0, 10.0]
     assert len(find_glazed_doors(traced(counts), pane, RULES)) == count
 
 

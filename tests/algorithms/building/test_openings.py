@@ -8,9 +8,9 @@ import pytest
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.segments import Segment
 from ffmap.algorithms.building.deep_leaves import close_deep_doors
-from ffmap.algorithms.building.door_casings import flush_door
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, place_frames
 from ffmap.algorithms.building.doors import drop_doubtful, each_once, find_doors, prove_crossed
+from ffmap.algorithms.building.flush_doors import flush_door
 from ffmap.algorithms.building.model import (
     CELL_M,
     NO_DOORS,
@@ -27,6 +27,7 @@ from ffmap.algorithms.building.windows import (
     WindowsSettings,
     find_windows,
     is_in_wall,
+    join_windows,
     look_deeper,
     rays_through,
     seen_through,
@@ -1023,6 +1024,25 @@ def test_a_window_is_in_a_wall_that_looks_the_same_way() -> None:
     windows = Windows(ends, normal, np.full(4, 0.9), np.full(4, 2.0), np.zeros(4))
     assert is_in_wall(windows, WALL, WindowsSettings()).tolist() == [True, False, False, False]
     assert not is_in_wall(windows, NO_WALLS, WindowsSettings()).any()
+
+
+@pytest.mark.parametrize(
+    ("other", "bottom_m", "count"),
+    [
+        (((1.8, 0.05), (3.5, 0.05)), 0.9, 2),  # the window beside a garden door
+        (((1.8, 0.05), (3.5, 0.05)), 0.2, 1),  # more of its pane
+        (((1.2, 0.05), (3.5, 0.05)), 0.9, 1),  # most of one is the other
+    ],
+)
+def test_windows_that_overlap_are_one_but_for_a_garden_door_and_the_window_beside_it(
+    other: tuple[tuple[float, float], tuple[float, float]], bottom_m: float, count: int
+) -> None:
+    door = replace(window((1.0, 0.0), (2.0, 0.0)), bottom_m=np.zeros(1))
+    both = door.append(replace(window(*other), bottom_m=np.full(1, bottom_m)))
+    joined = join_windows(both, 0.1, 0.3)
+    assert len(joined) == count
+    assert joined.bottom_m.min() == 0.0
+    assert len(join_windows(both, 0.1, np.inf)) == 1
 
 
 @pytest.mark.parametrize(("ends", "longer_m"), [(((1.0, 0.05), (2.0, 0.05)), 0.3), (((1.0, 1.0), (2.0, 1.0)), 0.0)])

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base.segments import segments
-from ffmap.algorithms.building.door_casings import DoorCasingsSettings, flush_door
+from ffmap.algorithms.building.door_casings import DoorCasingsSettings
+from ffmap.algorithms.building.flush_doors import flush_door
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, BuildingSettings, Doors, Windows
 from ffmap.algorithms.building.ray_evidence import FILLED, SQUARES, SUM, THROUGH, WallCells
 from ffmap.algorithms.building.sliding_doors import find_sliding_doors, find_sliding_panes
