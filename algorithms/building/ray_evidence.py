@@ -3,7 +3,8 @@
 Nikoohemat et al. (2018) tell a wall's cells apart as filled, empty and occluded by the rays that passed them.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -45,14 +46,6 @@ class WallCells:
     counts: FloatArray
     light: FloatArray = field(default_factory=lambda: np.zeros((0, 0, len(ANGLES_DEG) + 1, 2), np.float32))
     twice: FloatArray = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-
-    def plus(self, more: "WallCells") -> "WallCells":
-        """What further rays found of the same faces is added."""
-        light, twice = (
-            b if not len(a) else a if not len(b) else a + b
-            for a, b in ((self.light, more.light), (self.twice, more.twice))
-        )
-        return replace(self, counts=self.counts + more.counts, light=light, twice=twice)
 
     def minus(self, less: "WallCells") -> "WallCells":
         """Without what some of these rays found of the same faces. Cells in which these found all are left with exact zeros: both
@@ -156,6 +149,25 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
             walls.ends, walls.normal, first, counts, light, twice, rays, settings.near_m, settings.range_m, own, _COSINES
         )  # fmt: skip
     return WallCells(first, rows, counts, light, twice)
+
+
+def trace_shared(
+    walls: Walls, blocks: Callable[[], Iterable[Features]], settings: BuildingSettings, workers: int
+) -> WallCells:
+    """As `trace_rays`, by several threads, each of which asks all rays about some of the faces: no sum depends on their number.
+
+    blocks: gives all features anew each time.
+    """
+    first, rows = first_columns(walls), rows_of(walls)
+    same_rows = replace(walls, top_m=np.full(len(walls), walls.top_m.max(initial=0.0)))
+    bounds = np.unique(np.searchsorted(first, first[-1] * np.arange(workers + 1) / workers))
+    with ThreadPoolExecutor(workers) as threads:
+
+        def trace_some(begin: int, end: int) -> WallCells:
+            return trace_rays(same_rows.select(slice(begin, end)), blocks(), settings)
+
+        parts = list(threads.map(trace_some, bounds[:-1], bounds[1:]))
+    return parts[0] if len(parts) == 1 else joined(first, rows, parts)
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True)

@@ -1,8 +1,9 @@
 """Stage 3 of a run: the building from all scans together, and its maps, recorded and written."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.building.drive import AllScans, Drive, TraceOnce, new_views
 from ffmap.algorithms.building.fusion import Building, fuse_building
 from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
-from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
+from ffmap.algorithms.building.ray_evidence import WallCells, trace_shared
 from ffmap.algorithms.building.windows import rays_through
 from ffmap.algorithms.maps.all_maps import Maps, draw_maps
 from ffmap.algorithms.maps.area_graph import Segmented
@@ -32,15 +33,12 @@ from ffmap.app.run.stage_scans import LabelledScans
 from ffmap.app.setup.outputs import Output
 from ffmap.blueprints import entities
 
-_BLOCKS_AT_ONCE = 4
-"""Blocks whose rays are counted into the same arrays: with arrays of its own for each, the building takes 6 % longer."""
-
 
 def build(run: Run, scans: LabelledScans, trajectory: Trajectory) -> tuple[Building, AllScans]:
     """The building of all scans, recorded, and what they gathered."""
     run.progress.stage("building", None)
     telling = _Telling.of(run, scans, trajectory)
-    drive = Drive(trajectory.T_map_base[:, :3, 3], lambda: telling.features(telling.jobs))
+    drive = Drive(trajectory.T_map_base[:, :3, 3], telling.features)
     trace = TraceOnce(lambda *asked: _trace(telling, run.options.workers, *asked))
     gathered = AllScans(drive, scans.votes, scans.rivals, trace, run.settings.levels)
     building = fuse_building(gathered, run.settings.fusion)
@@ -88,9 +86,9 @@ class _Telling:
         blocks = [(job, job.label.block) for job in labelled.jobs]
         return cls(tuple(job for job, own in blocks if telling[own.first : own.first + own.count].any()), telling)
 
-    def features(self, jobs: Sequence[PlaceJob]) -> Iterator[Features]:
+    def features(self) -> Iterator[Features]:
         """What the spool holds of them, block by block."""
-        for job in jobs:
+        for job in self.jobs:
             for features in load_features(job.label.path.with_suffix(PLACED)):
                 chosen = self.scans[features.scan]
                 yield features if chosen.all() else select_scans(features, chosen)
@@ -99,20 +97,11 @@ class _Telling:
 def _trace(
     telling: _Telling, workers: int, faces: Walls, settings: BuildingSettings, through: Windows | None
 ) -> WallCells:
-    """`trace_rays` of a few blocks at once, on all workers; summed in the blocks' order, so that no sum depends on the workers."""
-    jobs = telling.jobs
-
-    def trace_portion(first: int) -> WallCells:
-        features = telling.features(jobs[first : first + _BLOCKS_AT_ONCE])
-        if through is not None:
-            features = (rays_through(through, part) for part in features)
-        return trace_rays(faces, features, settings)
-
-    cells = trace_rays(faces, [], settings)
+    if through is None:
+        return trace_shared(faces, telling.features, settings, workers)
     with ThreadPoolExecutor(workers) as threads:
-        for part in threads.map(trace_portion, range(0, len(jobs), _BLOCKS_AT_ONCE)):
-            cells = cells.plus(part)
-    return cells
+        beyond = list(threads.map(partial(rays_through, through), telling.features()))
+    return trace_shared(faces, lambda: beyond, settings, workers)
 
 
 def _grids(maps: Maps) -> dict[str, GridMap]:

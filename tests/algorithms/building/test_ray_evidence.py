@@ -24,6 +24,7 @@ from ffmap.algorithms.building.ray_evidence import (
     WallCells,
     own_plane,
     trace_rays,
+    trace_shared,
 )
 from ffmap.algorithms.building.windows import rays_through
 from ffmap.algorithms.scan.summary import NO_ECHO, NO_INTENSITY, Features, select_rays
@@ -106,6 +107,19 @@ def test_each_face_counts_the_rays_that_meet_it(seed: int, own_plane_m: float, n
         np.testing.assert_allclose(counts[..., SUM].sum(), side_m[met & near].sum(), atol=1e-3)
 
 
+@pytest.mark.parametrize("workers", [1, 2, 3, 40])
+def test_faces_shared_by_workers_are_told_as_by_one(workers: int) -> None:
+    rooms = TwoRooms()
+    walls = replace(rooms.walls, top_m=np.linspace(1.0, 4.0, len(rooms.walls)))
+    for chosen in (walls, walls.select(slice(0, 1)), walls.select(slice(0, 0))):
+        features = rooms.scans(rays=2_000)
+        shared = trace_shared(chosen, lambda features=features: [features, features], SETTINGS, workers)
+        alone = trace_rays(chosen, [features, features], SETTINGS)
+        assert shared.rows == alone.rows
+        for name in ("first", "counts", "light", "twice"):
+            np.testing.assert_array_equal(getattr(shared, name), getattr(alone, name))
+
+
 def test_a_face_that_was_asked_about_is_not_traced_again() -> None:
     rooms, asked = TwoRooms(glass=(0.9, 2.1), both_seen=False), []
     features, settings = rooms.scans(rays=4_000), BuildingSettings()
@@ -155,8 +169,8 @@ def test_cells_sum_up_intensities_by_the_angle_of_incidence() -> None:
     np.testing.assert_array_equal(cells.light[10, 20], slant)
     assert cells.twice[40, 20] == cells.twice[10, 20] == 1
     assert cells.twice.sum() == 2
-    both = cells.plus(trace_rays(walls, [], SETTINGS)).plus(cells)
-    np.testing.assert_array_equal(both.light, 2 * cells.light)
+    twice_asked = trace_rays(walls, [features, features], SETTINGS)
+    np.testing.assert_array_equal(twice_asked.light, 2 * cells.light)
     dark = trace_rays(walls, [replace(features, ray_intensity=NO_INTENSITY, ray_echo=NO_ECHO)], SETTINGS)
     assert len(dark.light) == len(dark.twice) == 0
     np.testing.assert_array_equal(dark.counts, cells.counts)
