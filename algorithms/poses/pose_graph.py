@@ -54,7 +54,11 @@ class PoseGraphSettings(StepSettings):
     distance_m: float = Field(0.4, gt=0, description="Maximum distance (m) of a point from its Gaussian.")
     iterations_max: int = Field(30, ge=1, description="Maximum number of iterations of a registration.")
     inlier_share: float = Field(
-        0.5, ge=0, le=1, description="Minimum share of a submap that fits the one that it is joined with."
+        0.4,
+        ge=0,
+        le=1,
+        description="Minimum share of a submap that fits the one that it is joined with: two passes through a doorway, seen from "
+        "either side, share no more.",
     )
     loss_scale: float = Field(
         3.0, gt=0, description="Error of a registration, in standard deviations, at which it counts half (Cauchy's loss)."

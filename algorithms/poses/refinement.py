@@ -75,10 +75,11 @@ class RefinementSettings(StepSettings):
         description="Minimum share of a scan that fits the map; with less, the registration is called weak.",
     )
     jump_deg: float = Field(
-        3.0,
+        6.0,
         gt=0,
         description="Maximum difference (degrees) of a registration from the odometry's motion or from the motion so far; "
-        "one that differs more from both is refused: it matched another place that looks like this one.",
+        "one that differs more from both is refused: it matched another place that looks like this one. A robot that brakes from a "
+        "quick turn changes its motion by 3 degrees from scan to scan, what is carried by twice as much.",
     )
     jump_m: float = Field(0.15, gt=0, description="The same in metres.")
     refusals_max: int = Field(
@@ -87,12 +88,19 @@ class RefinementSettings(StepSettings):
         description="Number of refusals in a row after which a registration is accepted: the poses before it were wrong.",
     )
     passes: int = Field(
-        1,
+        3,
         ge=1,
         le=5,
-        description="Registrations of a scan, each with the motion in the sweep that the last one found; the second scan, "
-        "with which the motion becomes known, has at least three.",
+        description="Maximum number of registrations of a scan, each with the motion in the sweep that the last one found, while "
+        "that is another (bend_deg, bend_m).",
     )
+    bend_deg: float = Field(
+        0.25,
+        ge=0,
+        description="Maximum change (degrees) of a motion within half a sweep by which this is not put together anew: robots brake "
+        "and turn back within a tenth of a second.",
+    )
+    bend_m: float = Field(0.01, ge=0, description="The same in metres.")
 
 
 @dataclass(frozen=True)
@@ -190,15 +198,15 @@ class Refiner:
             if elapsed_ns < _PAUSE_MAX_NS:
                 expected.insert(0, last.T_refined @ transforms.from_twist(motion_per_ns * elapsed_ns))
             guesses = list(expected)
-            # The second scan is registered from rest on, then with the motion that was found.
-            passes = self._settings.passes if self._first is None else max(self._settings.passes, 3)
-            for _ in range(passes):
+            for _ in range(self._settings.passes):
                 if self._first is not None:
                     self._start_again(*self._first, last, motion_per_ns)
                 source = self._put_together(scan, companion, stamp_ns, motion_per_ns)
                 T_refined, inlier_share, weakest_share, refused = self._register(source, guesses, expected)
-                guesses = [T_refined, *expected]
+                guesses, assumed_per_ns = [T_refined, *expected], motion_per_ns
                 motion_per_ns = transforms.to_twist(transforms.invert(last.T_refined) @ T_refined) / elapsed_ns
+                if not self._bends((motion_per_ns - assumed_per_ns) * (scan.end_ns - stamp_ns)):
+                    break
             self._first = None
         self._refusals = self._refusals + 1 if refused else 0
         self._inlier_share = inlier_share
@@ -239,7 +247,9 @@ class Refiner:
         fit = self._best_fit(source, guesses, expected, (near_m, 2 / 3 * near_m), usual)
         if fit.jumped or fit.aligned.inlier_share < settings.weak_inlier_share:
             lost = self._best_fit(source, guesses, expected, (settings.lost_distance_m,), settings.weak_inlier_share)
-            fit = min(fit, lost, key=lambda own: own.rank)
+            # More of a scan lies within more: shares are compared at one distance.
+            near = self._best_fit(source, [lost.aligned.T_map_cloud], expected, (near_m,), usual)
+            fit = min(fit, near, key=lambda own: own.rank)
         found = fit.aligned
         refused = fit.jumped and self._refusals < settings.refusals_max
         hold = np.linalg.eigvalsh(found.information[3:, 3:])
@@ -263,6 +273,11 @@ class Refiner:
             if not fits[-1].jumped and found.inlier_share >= share_min:
                 return fits[-1]
         return min(fits, key=lambda own: own.rank)
+
+    def _bends(self, change: FloatArray) -> bool:
+        """Whether a sweep that was put together by a motion that is off by so much, a twist within its half, is bent."""
+        bend_deg, bend_m = np.degrees(np.linalg.norm(change[:3])), np.linalg.norm(change[3:])
+        return bool(bend_deg > self._settings.bend_deg or bend_m > self._settings.bend_m)
 
     def _is_jump(self, T_expected: FloatArray, T_found: FloatArray) -> bool:
         off = transforms.to_twist(transforms.invert(T_expected) @ T_found)

@@ -36,7 +36,7 @@ from ffmap.loaders.scans import read_digests, read_scans
 _PER_FILE = 50
 _WAITING = 64
 """Results that the odometry process keeps back while the run's own process is busy."""
-_FORMAT = 10
+_FORMAT = 11
 """Raised whenever a change to reading or registering scans changes poses."""
 _RAGGED = ("keypoints_sensor", "local_map_odom")
 """What each registration has another number of."""

@@ -184,6 +184,25 @@ def test_a_scan_of_another_place_raises_the_alarm(scans: list[tuple[int, Scan, S
     assert "of the scan fits the map" in why
 
 
+@pytest.mark.parametrize(("passes", "most_deg"), [(RefinementSettings().passes, 0.5), (1, np.inf)])
+def test_a_robot_that_swings_to_and_fro_is_followed(
+    monkeypatch: pytest.MonkeyPatch, passes: int, most_deg: float
+) -> None:
+    """From 80 degrees a second to the left to as much to the right within a second: no scan moves as the last one did."""
+
+    def swinging(time_s: float) -> FloatArray:
+        return transforms.from_yaw(np.radians(25.0) * (1.0 - np.cos(3.3 * max(time_s - 0.5, 0.0))), [0.0, 0.0, 0.0])
+
+    monkeypatch.setattr(sys.modules[__name__], "true_pose", swinging)
+    given = [(i, sweep(i, T_BASE_HORIZONTAL, 1), None) for i in range(30)]
+    found = list(register_scans(given, OdometrySettings(), RefinementSettings(passes=passes)))
+    assert not any(r.refused for r in found)
+    off_m, off_deg = errors(found)
+    assert off_deg.max() < most_deg
+    assert passes > 1 or off_deg.max() > 0.7  # what it is for
+    assert off_m.max() < 0.05
+
+
 def jumping(monkeypatch: pytest.MonkeyPatch, off: FloatArray, times: int, fits: float = 1.0) -> list[FloatArray]:
     """Registration falls for another place, `off` from the right one, `times` times; returns what it is given as guesses.
 
@@ -204,7 +223,7 @@ def jumping(monkeypatch: pytest.MonkeyPatch, off: FloatArray, times: int, fits: 
 
 
 @pytest.mark.parametrize("off", [Rotation.from_euler("y", 7, degrees=True), [0.25, 0.0, 0.0]])
-@pytest.mark.parametrize("times", [1, 6])
+@pytest.mark.parametrize("times", [1, 7])
 def test_a_registration_that_jumps_is_tried_again_and_then_refused(
     scans: list[tuple[int, Scan, Scan | None]], monkeypatch: pytest.MonkeyPatch, off: Rotation | list[float], times: int
 ) -> None:
@@ -215,7 +234,7 @@ def test_a_registration_that_jumps_is_tried_again_and_then_refused(
         if number == 12:
             guesses = jumping(monkeypatch, T_off, times)
         found.append(refiner.refine(scan, true_pose(scan.end_ns * 1e-9) @ T_BASE_HORIZONTAL, companion))
-    assert [r.refused for r in found] == [False] * 12 + [times == 6, False]
+    assert [r.refused for r in found] == [False] * 12 + [times == 7, False]
     assert np.linalg.norm(guesses[0] - guesses[1]) > 0  # not from where it was fooled
     T_true = np.array([true_pose(r.stamp_ns * 1e-9) @ T_BASE_HORIZONTAL for r in found])
     T_found = np.array([r.T_odom_sensor for r in found])
