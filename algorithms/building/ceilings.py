@@ -166,7 +166,8 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     side = (hung | (hangs & ~walls)) & (high_m - low_m > votes.voxel_m)
     edge_m = _ceiling_beside_m(ceiling_m, side, low_m + settings.drop_min_m, 2 * round(settings.drop_edge_m / grid.cell_m) + 1)
     closes = np.zeros_like(side)
-    closes[side] = np.where(np.isfinite(edge_m), edge_m, top_m[side]) - high_m[side] < 2.0 * votes.voxel_m
+    reached_m = _stepwise_up_m(low_m, high_m, 2.0 * votes.voxel_m)[side]
+    closes[side] = np.where(np.isfinite(edge_m), edge_m, top_m[side]) - reached_m < 2.0 * votes.voxel_m
     held = hangs & (off_wall_m < 2.0 * grid.cell_m)
     along_wall = hangs & (off_wall_m < settings.slit_max_m)
 
@@ -210,6 +211,23 @@ def _ceiling_beside_m(ceiling_m: FloatArray, side: BoolArray, above_m: FloatArra
     beside_m = np.full(len(around_m), np.nan)
     beside_m[known] = np.nanmedian(around_m[known], axis=1)
     return beside_m
+
+
+def _stepwise_up_m(low_m: FloatArray, high_m: FloatArray, gap_m: float) -> FloatArray:
+    """How high (rows, columns) what hangs goes on up, by the cells beside it that hang too and begin where its own side ends.
+
+    A moulded beam is narrower with each step, and the underside of the next step covers where its side would go on.
+
+    low_m, high_m: (rows, columns) from where to where each cell's side is seen.
+    """
+    up_m = high_m.copy()
+    low_around, high_around = (np.pad(values, 1, constant_values=np.nan) for values in (low_m, high_m))
+    rows, columns = low_m.shape
+    for down, right in np.ndindex(3, 3):
+        beside = slice(down, down + rows), slice(right, right + columns)
+        goes_on = (low_around[beside] > low_m) & (low_around[beside] < high_m + gap_m)
+        up_m = np.where(goes_on, np.fmax(up_m, high_around[beside]), up_m)
+    return up_m
 
 
 def _spans(cells: IntArray, nearest_wall: IntArray, held: BoolArray) -> bool:

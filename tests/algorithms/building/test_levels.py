@@ -432,6 +432,17 @@ class TestCeilingDrops:
         beams = [((x, x + 0.2), (0, 3), (2.55, 2.8)) for x in (0.8, 2.2)]
         assert self.corrected_share(*beams, ((0, 4), (1.4, 1.6), (2.55, 2.8))) > 0.95
 
+    def test_a_moulded_beam_is_ceiling(self) -> None:
+        """Its side ends at the underside of its moulding, whose own side goes on up."""
+        beam, moulding = (1.8, 2.1), (1.7, 2.2)
+        sides = np.concatenate([self.standing(beam, (0, 3), (2.4, 2.66)), self.standing(moulding, (0, 3), (2.66, 2.8))])
+        undersides = [lying(beam, (0, 3), 2.4), *(lying(x, (0, 3), 2.66) for x in ((1.7, 1.8), (2.1, 2.2)))]
+        hanging = np.concatenate([sides, *undersides])
+        hanging = hanging[(hanging[:, 1] > 0.03) & (hanging[:, 1] < 2.97)]
+        ceiling = lying((0, 4), (0, 3), 2.8)
+        label = self.labels(ceiling[~self.within(ceiling, moulding, (0, 3))], hanging)
+        assert np.mean(label[hanging[:, 2] < 2.76] == Label.CEILING) > 0.95
+
     def test_a_beam_under_a_ceiling_that_rises_along_the_room_is_ceiling(self) -> None:
         """It closes up to the ceiling beside it, whose highest place within reach is 24 cm higher."""
 
