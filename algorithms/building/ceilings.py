@@ -166,7 +166,9 @@ def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     side = (hung | (hangs & ~walls)) & (high_m - low_m > votes.voxel_m)
     edge_m = _ceiling_beside_m(ceiling_m, side, low_m + settings.drop_min_m, 2 * round(settings.drop_edge_m / grid.cell_m) + 1)
     closes = np.zeros_like(side)
-    reached_m = _stepwise_up_m(low_m, high_m, 2.0 * votes.voxel_m)[side]
+    # Hangers and brackets are short.
+    steps_m = np.where(hangs & (lengths[parts] >= settings.drop_sides_min), low_m, np.nan)
+    reached_m = _up_by_the_next_step_m(steps_m, low_m, high_m, votes.voxel_m)[side]
     closes[side] = np.where(np.isfinite(edge_m), edge_m, top_m[side]) - reached_m < 2.0 * votes.voxel_m
     held = hangs & (off_wall_m < 2.0 * grid.cell_m)
     along_wall = hangs & (off_wall_m < settings.slit_max_m)
@@ -213,20 +215,22 @@ def _ceiling_beside_m(ceiling_m: FloatArray, side: BoolArray, above_m: FloatArra
     return beside_m
 
 
-def _stepwise_up_m(low_m: FloatArray, high_m: FloatArray, gap_m: float) -> FloatArray:
-    """How high (rows, columns) what hangs goes on up, by the cells beside it that hang too and begin where its own side ends.
+def _up_by_the_next_step_m(steps_m: FloatArray, low_m: FloatArray, high_m: FloatArray, layer_m: float) -> FloatArray:
+    """How high (rows, columns) the side of what hangs goes on up, where it ends at the underside of a step in the cell beside it.
 
-    A moulded beam is narrower with each step, and the underside of the next step covers where its side would go on.
+    A moulded beam is wider at the ceiling, and the underside of its moulding covers where its side would go on. It leaves no air
+    between them, as there is between a duct and the beam that it hangs from.
 
-    low_m, high_m: (rows, columns) from where to where each cell's side is seen.
+    steps_m: (rows, columns) the undersides of what may be a step, NaN elsewhere. low_m, high_m: from where to where each cell's
+    side is seen. layer_m: edge of the cubes.
     """
     up_m = high_m.copy()
-    low_around, high_around = (np.pad(values, 1, constant_values=np.nan) for values in (low_m, high_m))
+    under, top = (np.pad(values, 1, constant_values=np.nan) for values in (steps_m, high_m))
     rows, columns = low_m.shape
     for down, right in np.ndindex(3, 3):
         beside = slice(down, down + rows), slice(right, right + columns)
-        goes_on = (low_around[beside] > low_m) & (low_around[beside] < high_m + gap_m)
-        up_m = np.where(goes_on, np.fmax(up_m, high_around[beside]), up_m)
+        is_next = (under[beside] > low_m + layer_m) & (np.abs(under[beside] - high_m) < layer_m)
+        up_m = np.where(is_next, np.fmax(up_m, top[beside]), up_m)
     return up_m
 
 

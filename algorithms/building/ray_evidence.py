@@ -25,6 +25,8 @@ ANGLES_DEG = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0)
 FOOT_ROW = 2
 """The lowest row above sills, skirting boards and the floor's own returns."""
 
+_PARTS_MAX = 4
+"""Threads that count rays: each reads all scans anew."""
 
 _COSINES = np.cos(np.radians(ANGLES_DEG))
 
@@ -154,20 +156,23 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
 def trace_shared(
     walls: Walls, blocks: Callable[[], Iterable[Features]], settings: BuildingSettings, workers: int
 ) -> WallCells:
-    """As `trace_rays`, by several threads, each of which asks all rays about some of the faces: no sum depends on their number.
+    """As `trace_rays`, by several threads, each of which asks all rays about some of the faces: no sum depends on how many they
+    are.
 
     blocks: gives all features anew each time.
     """
-    first, rows = first_columns(walls), rows_of(walls)
+    parts = max(min(workers, _PARTS_MAX, len(walls)), 1)
     same_rows = replace(walls, top_m=np.full(len(walls), walls.top_m.max(initial=0.0)))
-    bounds = np.unique(np.searchsorted(first, first[-1] * np.arange(workers + 1) / workers))
-    with ThreadPoolExecutor(workers) as threads:
 
-        def trace_some(begin: int, end: int) -> WallCells:
-            return trace_rays(same_rows.select(slice(begin, end)), blocks(), settings)
+    def trace_some(part: int) -> WallCells:
+        # Long faces and short ones, of all rooms, so that no thread has most of the work.
+        return trace_rays(same_rows.select(slice(part, None, parts)), blocks(), settings)
 
-        parts = list(threads.map(trace_some, bounds[:-1], bounds[1:]))
-    return parts[0] if len(parts) == 1 else joined(first, rows, parts)
+    with ThreadPoolExecutor(parts) as threads:
+        found = list(threads.map(trace_some, range(parts)))
+    if parts == 1:
+        return found[0]
+    return joined(first_columns(walls), rows_of(walls), [found[w % parts].of(w // parts) for w in range(len(walls))])
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -46,14 +47,17 @@ class RefinementSettings(StepSettings):
         "comes into view in a doorway is registered to its other side.",
     )
     lost_distance_m: float = Field(
-        0.5, gt=0, description="The same where that jumps, or hardly anything fits (weak_inlier_share): its guess was off."
+        0.5,
+        gt=0,
+        description="The same where that jumps, or hardly anything fits (weak_inlier_share): its guess was off. What this finds is "
+        "registered again within distance_m.",
     )
     fit_drop_max: float = Field(
         0.03,
         ge=0,
         le=1,
         description="Where the share of a scan that fits the map is smaller by more than this than that of the last scan, it is "
-        "registered from the second guess too, and from both with two thirds of the distance; what fits best counts.",
+        "registered from the other guesses too, and from all with two thirds of the distance; what fits best counts.",
     )
     iterations_max: int = Field(20, ge=1, description="Maximum number of iterations of a registration.")
     memory_scans: int = Field(
@@ -79,7 +83,7 @@ class RefinementSettings(StepSettings):
         gt=0,
         description="Maximum difference (degrees) of a registration from the odometry's motion or from the motion so far; "
         "one that differs more from both is refused: it matched another place that looks like this one. A robot that brakes from a "
-        "quick turn changes its motion by 3 degrees from scan to scan, what is carried by twice as much.",
+        "quick turn changes its motion by 3 degrees from one scan to the next, a lidar in the hand by up to 6.",
     )
     jump_m: float = Field(0.15, gt=0, description="The same in metres.")
     refusals_max: int = Field(
@@ -91,14 +95,14 @@ class RefinementSettings(StepSettings):
         3,
         ge=1,
         le=5,
-        description="Maximum number of registrations of a scan, each with the motion in the sweep that the last one found, while "
-        "that is another (bend_deg, bend_m).",
+        description="Maximum number of times that a sweep is put together and registered, each time by the motion that the last "
+        "one found; the second scan, with which the motion becomes known, at least three times.",
     )
     bend_deg: float = Field(
         0.25,
         ge=0,
-        description="Maximum change (degrees) of a motion within half a sweep by which this is not put together anew: robots brake "
-        "and turn back within a tenth of a second.",
+        description="A sweep is put together again where the motion that was found differs by more than this (degrees) over half a "
+        "sweep from the one by which it was put together.",
     )
     bend_m: float = Field(0.01, ge=0, description="The same in metres.")
 
@@ -148,6 +152,15 @@ class _Fit:
         return self.jumped, -self.aligned.inlier_share
 
 
+class _Found(NamedTuple):
+    """What a scan's registration came to; see `Refinement`."""
+
+    T_odom_sensor: FloatArray
+    inlier_share: float
+    weakest_share: float
+    refused: bool
+
+
 def middle_ns(scan: Scan) -> int:
     """The middle of a sweep: the time of its refined pose."""
     return (scan.start_ns + scan.end_ns) // 2
@@ -187,8 +200,8 @@ class Refiner:
         last = self._last
         motion_per_ns: FloatArray = np.zeros(6)
         if last is None:
-            source = self._put_together(scan, companion, stamp_ns, motion_per_ns)
-            T_refined, inlier_share, weakest_share, refused = T_odom_sensor_end, 1.0, 1.0, False
+            registered = self._put_together(scan, companion, stamp_ns, motion_per_ns)
+            found = _Found(T_odom_sensor_end, 1.0, 1.0, False)
             self._first = scan, companion
         else:
             elapsed_ns = stamp_ns - last.stamp_ns
@@ -197,24 +210,35 @@ class Refiner:
             expected: list[FloatArray] = [T_predicted_by_odometry]
             if elapsed_ns < _PAUSE_MAX_NS:
                 expected.insert(0, last.T_refined @ transforms.from_twist(motion_per_ns * elapsed_ns))
+            paused = len(expected) == 1
             guesses = list(expected)
-            for _ in range(self._settings.passes):
+            last_found: _Found | None = None
+            # The second scan is registered from rest on, then with the motion that was found.
+            passes = self._settings.passes if self._first is None else max(self._settings.passes, 3)
+            for _ in range(passes):
                 if self._first is not None:
                     self._start_again(*self._first, last, motion_per_ns)
                 source = self._put_together(scan, companion, stamp_ns, motion_per_ns)
-                T_refined, inlier_share, weakest_share, refused = self._register(source, guesses, expected)
-                guesses, assumed_per_ns = [T_refined, *expected], motion_per_ns
-                motion_per_ns = transforms.to_twist(transforms.invert(last.T_refined) @ T_refined) / elapsed_ns
-                if not self._bends((motion_per_ns - assumed_per_ns) * (scan.end_ns - stamp_ns)):
+                again = self._register(source, guesses, expected)
+                if last_found is not None and again.refused:
                     break
+                found = last_found = again
+                registered, assumed_per_ns = source, motion_per_ns
+                motion_per_ns = transforms.to_twist(transforms.invert(last.T_refined) @ found.T_odom_sensor) / elapsed_ns
+                # What was refused, and the mean motion of a pause, say nothing of how the sensor moved within the sweep.
+                change = (motion_per_ns - assumed_per_ns) * (scan.end_ns - stamp_ns)
+                if self._first is None and (found.refused or paused or not self._bends(change)):
+                    break
+                guesses = [found.T_odom_sensor, *expected]
             self._first = None
-        self._refusals = self._refusals + 1 if refused else 0
-        self._inlier_share = inlier_share
-        self._map.insert(source, T_refined)
-        self._last = _Registered(stamp_ns, T_odom_sensor_end, T_refined, motion_per_ns)
-        T_middle_end = transforms.from_twist(motion_per_ns * (scan.end_ns - stamp_ns))
+        self._refusals = self._refusals + 1 if found.refused else 0
+        self._inlier_share = found.inlier_share
+        self._map.insert(registered, found.T_odom_sensor)
+        self._last = _Registered(stamp_ns, T_odom_sensor_end, found.T_odom_sensor, motion_per_ns)
+        T_end = found.T_odom_sensor @ transforms.from_twist(motion_per_ns * (scan.end_ns - stamp_ns))
+        share, weakest_share = found.inlier_share, found.weakest_share
         return Refinement(
-            stamp_ns, T_refined, T_refined @ T_middle_end, inlier_share, weakest_share, refused, source.points
+            stamp_ns, found.T_odom_sensor, T_end, share, weakest_share, found.refused, registered.points
         )
 
     def _start_again(self, scan: Scan, companion: Scan | None, first: _Registered, motion_per_ns: FloatArray) -> None:
@@ -234,8 +258,8 @@ class Refiner:
 
     def _register(
         self, source: GaussianCloud, guesses: list[FloatArray], expected: list[FloatArray]
-    ) -> tuple[FloatArray, float, float, bool]:
-        """The pose (4, 4), the share of inliers, the weakest share, and whether the registration was refused.
+    ) -> _Found:
+        """The pose that a registration finds, or the odometry's where it was refused.
 
         guesses: from these one after another, until as much of the scan fits as of the last one; least squares over what fits
             may lead to where less does, so if none does, what fits best counts.
@@ -255,7 +279,7 @@ class Refiner:
         hold = np.linalg.eigvalsh(found.information[3:, 3:])
         weakest_share = float(max(hold[0], 0.0) / max(hold[2], 1e-9))
         T_found = expected[-1] if refused or not found.inlier_share else found.T_map_cloud
-        return T_found, found.inlier_share, weakest_share, refused
+        return _Found(T_found, found.inlier_share, weakest_share, refused)
 
     def _best_fit(
         self,

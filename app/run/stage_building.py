@@ -1,9 +1,8 @@
 """Stage 3 of a run: the building from all scans together, and its maps, recorded and written."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -86,9 +85,9 @@ class _Telling:
         blocks = [(job, job.label.block) for job in labelled.jobs]
         return cls(tuple(job for job, own in blocks if telling[own.first : own.first + own.count].any()), telling)
 
-    def features(self) -> Iterator[Features]:
-        """What the spool holds of them, block by block."""
-        for job in self.jobs:
+    def features(self, jobs: Sequence[PlaceJob] | None = None) -> Iterator[Features]:
+        """What the spool holds of them, block by block; of some blocks alone where these are given."""
+        for job in self.jobs if jobs is None else jobs:
             for features in load_features(job.label.path.with_suffix(PLACED)):
                 chosen = self.scans[features.scan]
                 yield features if chosen.all() else select_scans(features, chosen)
@@ -97,10 +96,16 @@ class _Telling:
 def _trace(
     telling: _Telling, workers: int, faces: Walls, settings: BuildingSettings, through: Windows | None
 ) -> WallCells:
+    """`TracePart` by several threads."""
     if through is None:
         return trace_shared(faces, telling.features, settings, workers)
+
+    def beyond_in(job: PlaceJob) -> list[Features]:
+        return [rays_through(through, part) for part in telling.features((job,))]
+
     with ThreadPoolExecutor(workers) as threads:
-        beyond = list(threads.map(partial(rays_through, through), telling.features()))
+        # Few rays end beyond windows.
+        beyond = [part for parts in threads.map(beyond_in, telling.jobs) for part in parts]
     return trace_shared(faces, lambda: beyond, settings, workers)
 
 

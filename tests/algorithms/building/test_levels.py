@@ -443,6 +443,26 @@ class TestCeilingDrops:
         label = self.labels(ceiling[~self.within(ceiling, moulding, (0, 3))], hanging)
         assert np.mean(label[hanging[:, 2] < 2.76] == Label.CEILING) > 0.95
 
+    def test_a_duct_on_hangers_is_no_beam_however_rough_its_underside(self) -> None:
+        x, y, z = (1.85, 2.15), (0.0, 3.0), (2.3, 2.6)
+        hangers = [self.standing((1.98, 2.02), (at - 0.02, at + 0.02), (z[1], 2.8)) for at in np.arange(0.3, 3.0, 0.3)]
+        hanging = np.concatenate([self.standing(x, y, z), lying(x, y, z[0]), *hangers])
+        hanging = hanging[(hanging[:, 1] > 0.03) & (hanging[:, 1] < 2.97)]
+        hanging[:, 2] += np.random.default_rng(2).normal(0, 0.005, len(hanging))
+        label = self.labels(lying((0, 4), (0, 3), 2.8), hanging)
+        assert np.mean(label[hanging[:, 2] < 2.55] == Label.CEILING) < 0.05
+
+    def test_a_duct_that_hangs_well_below_a_beam_is_no_step_of_it(self) -> None:
+        duct, beam = (1.85, 2.05), (1.75, 2.15)
+        hanging = np.concatenate([
+            self.standing(duct, (0, 3), (2.1, 2.35)), lying(duct, (0, 3), 2.1),
+            self.standing(beam, (0, 3), (2.55, 2.8)), lying((1.75, 1.85), (0, 3), 2.55), lying((2.05, 2.15), (0, 3), 2.55),
+        ])  # fmt: skip
+        hanging = hanging[(hanging[:, 1] > 0.03) & (hanging[:, 1] < 2.97)]
+        ceiling = lying((0, 4), (0, 3), 2.8)
+        label = self.labels(ceiling[~self.within(ceiling, beam, (0, 3))], hanging)
+        assert np.mean(label[hanging[:, 2] < 2.4] == Label.CEILING) < 0.05
+
     def test_a_beam_under_a_ceiling_that_rises_along_the_room_is_ceiling(self) -> None:
         """It closes up to the ceiling beside it, whose highest place within reach is 24 cm higher."""
 

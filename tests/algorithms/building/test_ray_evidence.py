@@ -113,11 +113,16 @@ def test_faces_shared_by_workers_are_told_as_by_one(workers: int) -> None:
     walls = replace(rooms.walls, top_m=np.linspace(1.0, 4.0, len(rooms.walls)))
     for chosen in (walls, walls.select(slice(0, 1)), walls.select(slice(0, 0))):
         features = rooms.scans(rays=2_000)
+        rays = len(features.ray_label)
+        features = replace(
+            features, ray_intensity=np.linspace(1, 90, rays).astype(np.float32), ray_echo=np.arange(rays, dtype=np.uint8) % 3
+        )
         shared = trace_shared(chosen, lambda features=features: [features, features], SETTINGS, workers)
         alone = trace_rays(chosen, [features, features], SETTINGS)
         assert shared.rows == alone.rows
         for name in ("first", "counts", "light", "twice"):
             np.testing.assert_array_equal(getattr(shared, name), getattr(alone, name))
+        assert not len(chosen) or alone.light.any()
 
 
 def test_a_face_that_was_asked_about_is_not_traced_again() -> None:

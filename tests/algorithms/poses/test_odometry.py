@@ -203,6 +203,12 @@ def test_a_robot_that_swings_to_and_fro_is_followed(
     assert off_m.max() < 0.05
 
 
+@pytest.mark.parametrize(("turn_deg", "far_m", "jumps"), [(5, 0.0, False), (-5, 0.1, False), (7, 0.0, True), (0, 0.2, True)])
+def test_a_turn_that_robots_brake_from_is_no_jump(turn_deg: float, far_m: float, jumps: bool) -> None:
+    T = transforms.make_transform(Rotation.from_euler("z", turn_deg, degrees=True), [far_m, 0.0, 0.0])
+    assert Refiner(RefinementSettings(), (0.5, 60.0))._is_jump(np.eye(4), T) == jumps
+
+
 def jumping(monkeypatch: pytest.MonkeyPatch, off: FloatArray, times: int, fits: float = 1.0) -> list[FloatArray]:
     """Registration falls for another place, `off` from the right one, `times` times; returns what it is given as guesses.
 
