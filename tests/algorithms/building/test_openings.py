@@ -25,6 +25,7 @@ from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings, i
 from ffmap.algorithms.building.ray_evidence import Rays, WallCells, floor_m, trace_rays
 from ffmap.algorithms.building.windows import (
     WindowsSettings,
+    _pane_m,
     find_windows,
     is_in_wall,
     join_windows,
@@ -1160,3 +1161,11 @@ def test_only_doors_that_stand_wide_open_are_asked_for_a_deep_leaf() -> None:
     yes = np.array([True])
     for doors in (NO_DOORS, DOORWAY, replace(OPEN, ajar=yes), replace(OPEN, crossed=yes)):
         assert close_deep_doors(doors, trace, RULES) is doors
+
+
+@pytest.mark.parametrize(("rows", "is_pane_shown"), [(slice(0, 41), True), (slice(5, 38, 3), True), (slice(3, 6), False)])
+def test_a_pane_shows_all_over_and_not_as_the_edge_of_a_sill(rows: slice, is_pane_shown: bool) -> None:
+    counts = np.zeros((10, 41, 4))
+    counts[..., THROUGH] = 80.0
+    counts[:, rows, FILLED], counts[:, rows, SUM], counts[:, rows, SQUARES] = 20.0, -20.0 * 0.01, 20.0 * 0.01**2
+    np.testing.assert_allclose(_pane_m(counts, RULES), 0.01 if is_pane_shown else np.nan)
