@@ -242,10 +242,11 @@ def _holds_pane(inner: FloatArray, twice: FloatArray, rules: OpeningRules) -> bo
 
 @dataclass(frozen=True)
 class Sheet:
-    """The sheet that most returns from within an opening lie on: how many, and its distance behind the face."""
+    """The sheet that most returns from within an opening lie on: its distance behind the face, how many, and in how many rows."""
 
     behind_m: float
     returns: int
+    rows: int
 
 
 def find_sheet(counts: FloatArray, rules: OpeningRules) -> Sheet | None:
@@ -262,7 +263,8 @@ def find_sheet(counts: FloatArray, rules: OpeningRules) -> Sheet | None:
         return None
     behind_m = -float(counts[on_sheet, SUM].sum()) / returns
     # What reaches as deep as is looked goes on beyond: a leaf that is ajar.
-    return Sheet(behind_m, int(returns)) if behind_m < deepest_sheet_m(rules) else None
+    rows = int(on_sheet.any(axis=0).sum())
+    return Sheet(behind_m, int(returns), rows) if behind_m < deepest_sheet_m(rules) else None
 
 
 def deepest_sheet_m(rules: OpeningRules) -> float:

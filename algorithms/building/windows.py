@@ -29,7 +29,6 @@ from ffmap.algorithms.building.openings import (
     find_sheet,
     is_open_to_floor,
     is_pane,
-    lies_on_sheet,
     look_for_doors,
     tops_m,
     widened,
@@ -406,13 +405,11 @@ def _pane_m(counts: FloatArray, rules: OpeningRules) -> float:
     # A transom or a mullion, which returns all rays, is no pane.
     bars = [inner.sum(axis=axis, keepdims=True) for axis in (0, 1)]
     is_bar = np.logical_or(*(returns_at_face(bar) > bar[..., THROUGH] for bar in bars))
-    inner = inner * ~is_bar[..., None]
-    sheet = find_sheet(inner, rules)
-    if sheet is None or sheet.behind_m <= 0:
-        return float("nan")
+    sheet = find_sheet(inner * ~is_bar[..., None], rules)
     # A pane shows all over; what few rows show is the edge of a sill or of a head.
-    rows_shown = np.count_nonzero(lies_on_sheet(inner, rules).any(axis=0))
-    return sheet.behind_m if rows_shown >= 0.25 * min(inner.shape[1], sheet.returns) else float("nan")
+    if sheet is None or sheet.behind_m <= 0 or sheet.rows < 0.25 * min(inner.shape[1], sheet.returns):
+        return float("nan")
+    return sheet.behind_m
 
 
 def without_panes(faces: TracedFaces, windows: Windows, near_m: float) -> TracedFaces:

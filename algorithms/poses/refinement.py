@@ -208,22 +208,20 @@ class Refiner:
             T_predicted_by_odometry = last.T_refined @ transforms.invert(last.T_kiss_end) @ T_odom_sensor_end
             motion_per_ns = last.motion_per_ns
             expected: list[FloatArray] = [T_predicted_by_odometry]
-            if elapsed_ns < _PAUSE_MAX_NS:
+            paused = elapsed_ns >= _PAUSE_MAX_NS
+            if not paused:
                 expected.insert(0, last.T_refined @ transforms.from_twist(motion_per_ns * elapsed_ns))
-            paused = len(expected) == 1
             guesses = list(expected)
-            last_found: _Found | None = None
             # The second scan is registered from rest on, then with the motion that was found.
             passes = self._settings.passes if self._first is None else max(self._settings.passes, 3)
-            for _ in range(passes):
+            for number in range(passes):
                 if self._first is not None:
                     self._start_again(*self._first, last, motion_per_ns)
                 source = self._put_together(scan, companion, stamp_ns, motion_per_ns)
                 again = self._register(source, guesses, expected)
-                if last_found is not None and again.refused:
+                if number and again.refused:
                     break
-                found = last_found = again
-                registered, assumed_per_ns = source, motion_per_ns
+                found, registered, assumed_per_ns = again, source, motion_per_ns
                 motion_per_ns = transforms.to_twist(transforms.invert(last.T_refined) @ found.T_odom_sensor) / elapsed_ns
                 # What was refused, and the mean motion of a pause, say nothing of how the sensor moved within the sweep.
                 change = (motion_per_ns - assumed_per_ns) * (scan.end_ns - stamp_ns)
@@ -235,10 +233,15 @@ class Refiner:
         self._inlier_share = found.inlier_share
         self._map.insert(registered, found.T_odom_sensor)
         self._last = _Registered(stamp_ns, T_odom_sensor_end, found.T_odom_sensor, motion_per_ns)
-        T_end = found.T_odom_sensor @ transforms.from_twist(motion_per_ns * (scan.end_ns - stamp_ns))
-        share, weakest_share = found.inlier_share, found.weakest_share
+        T_middle_end = transforms.from_twist(motion_per_ns * (scan.end_ns - stamp_ns))
         return Refinement(
-            stamp_ns, found.T_odom_sensor, T_end, share, weakest_share, found.refused, registered.points
+            stamp_ns=stamp_ns,
+            T_odom_sensor=found.T_odom_sensor,
+            T_odom_sensor_end=found.T_odom_sensor @ T_middle_end,
+            inlier_share=found.inlier_share,
+            weakest_share=found.weakest_share,
+            refused=found.refused,
+            cloud_sensor=registered.points,
         )
 
     def _start_again(self, scan: Scan, companion: Scan | None, first: _Registered, motion_per_ns: FloatArray) -> None:
@@ -300,13 +303,11 @@ class Refiner:
 
     def _bends(self, change: FloatArray) -> bool:
         """Whether a sweep that was put together by a motion that is off by so much, a twist within its half, is bent."""
-        bend_deg, bend_m = np.degrees(np.linalg.norm(change[:3])), np.linalg.norm(change[3:])
-        return bool(bend_deg > self._settings.bend_deg or bend_m > self._settings.bend_m)
+        return _is_more_than(change, self._settings.bend_deg, self._settings.bend_m)
 
     def _is_jump(self, T_expected: FloatArray, T_found: FloatArray) -> bool:
         off = transforms.to_twist(transforms.invert(T_expected) @ T_found)
-        off_deg, off_m = np.degrees(np.linalg.norm(off[:3])), np.linalg.norm(off[3:])
-        return bool(off_deg > self._settings.jump_deg or off_m > self._settings.jump_m)
+        return _is_more_than(off, self._settings.jump_deg, self._settings.jump_m)
 
     def _moved(
         self, scan: Scan, most: int, T_sensor_own: FloatArray, at_ns: int, motion_per_ns: FloatArray
@@ -320,6 +321,11 @@ class Refiner:
         if scan.time_ns is None:
             return points
         return _at_one_time(points, scan.start_ns + scan.time_ns[::stride][kept] - at_ns, motion_per_ns)
+
+
+def _is_more_than(twist: FloatArray, most_deg: float, most_m: float) -> bool:
+    """Whether a twist turns, or moves, by more."""
+    return bool(np.degrees(np.linalg.norm(twist[:3])) > most_deg or np.linalg.norm(twist[3:]) > most_m)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -194,7 +194,7 @@ def test_a_false_loop_is_let_go_of() -> None:
 
 @pytest.mark.parametrize(("slip_deg", "loop_share"), [(2.0, 0.9), (-4.0, 0.9), (-4.0, 0.45)])
 def test_loops_that_agree_put_a_slip_of_the_way_right(slip_deg: float, loop_share: float) -> None:
-    """One registration slipped, to both sides of which the robot came again, and saw less than half of what it saw before."""
+    """One registration slipped, to both sides of which the robot came again, and saw much of what it had seen, or little."""
     T_true = np.array([transforms.make_transform(translation=[float(i % 10), 0.0, 0.0]) for i in range(20)])
     slip = transforms.make_transform(Rotation.from_euler("z", slip_deg, degrees=True), [0.08, -0.05, 0.0])
     T_odometry = np.concatenate([T_true[:12], slip @ T_true[12:]])
