@@ -18,6 +18,12 @@ from ffmap.loaders.bag import open_bag
 from ffmap.loaders.rig import Rig, find_rig
 
 FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
+_WITH_SIGINT = "import os, signal, sys; signal.signal(signal.SIGINT, signal.{}); os.execv(sys.argv[1], sys.argv[1:])"
+FFMAP_IN_FRONT = [sys.executable, "-c", _WITH_SIGINT.format("SIG_DFL"), *FFMAP]
+"""A shell starts what runs in the background with interrupts ignored, and so would be what such tests start. An interpreter of its
+own says otherwise: a function between fork and exec crashes now and then where the tests' own process has threads of gRPC."""
+FFMAP_BEHIND = [sys.executable, "-c", _WITH_SIGINT.format("SIG_IGN"), *FFMAP]
+"""As 'nohup ffmap run ... &' in a script does: Ctrl-C is meant for what runs in front."""
 
 
 def with_cache(folder: Path) -> dict[str, str]:

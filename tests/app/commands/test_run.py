@@ -35,7 +35,7 @@ from ffmap.blueprints import entities
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
-from tests.program import FFMAP, ffmap, ffmap_here, kill_once, with_cache
+from tests.program import FFMAP_BEHIND, FFMAP_IN_FRONT, ffmap, ffmap_here, kill_once, with_cache
 
 UPRIGHT_TOPIC = "/horizontal_velodyne/velodyne_points"
 FILES = [
@@ -600,14 +600,12 @@ def test_interruption_is_one_line_that_says_how_to_go_on(
     out, before = tmp_path / "run", {"odometry": "", "scans": "odometry:", "final": "building:"}[stage]
     cold = {"FFMAP_CACHE": str(tmp_path)} if stage == "odometry" else {}
     process = subprocess.Popen(
-        [*FFMAP, "run", str(bags["bag"]), "--out", str(out), "--workers", "2", "--no-evaluate"],
+        [*FFMAP_IN_FRONT, "run", str(bags["bag"]), "--out", str(out), "--workers", "2", "--no-evaluate"],
         env={**environment, **cold},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        # A shell starts what runs in the background with interrupts ignored, and so would be this.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert process.stderr is not None
     said: list[str] = []
@@ -632,14 +630,12 @@ def test_a_run_in_the_background_is_not_interrupted(
 ) -> None:
     out = tmp_path / "run"
     process = subprocess.Popen(
-        [*FFMAP, "run", str(bags["bag"]), "--out", str(out), "--workers", "2", "--no-evaluate", "--outputs", "maps"],
+        [*FFMAP_BEHIND, "run", str(bags["bag"]), "--out", str(out), "--workers", "2", "--no-evaluate", "--outputs", "maps"],
         env=environment,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        # As 'nohup ffmap run ... &' in a script does: Ctrl-C is meant for what runs in front.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
     )
     end = time.monotonic() + 120
     while not (out / "run.json").exists() and time.monotonic() < end:

@@ -17,7 +17,7 @@ from ffmap.app.commands import view as view_command
 from ffmap.app.commands.view import files_of, view
 from ffmap.blueprints import entities
 from ffmap.loaders.errors import InputError
-from tests.program import FFMAP
+from tests.program import FFMAP_IN_FRONT
 
 
 def make_run(folder: Path, *files: str, recording_id: str = "") -> Path:
@@ -98,11 +98,9 @@ def test_a_browser_is_served_on_the_loopback_address_alone(tmp_path: Path) -> No
         stream.save(tmp_path / "a.rrd")
         stream.log("/world", rr.TextLog("something"), static=True)
     process = subprocess.Popen(
-        [*FFMAP, "view", "--web", str(tmp_path / "a.rrd")],
+        [*FFMAP_IN_FRONT, "view", "--web", str(tmp_path / "a.rrd")],
         stdout=subprocess.PIPE,
         text=True,
-        # A shell starts what runs in the background with interrupts ignored, and so would be this.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     try:
         assert process.stdout is not None

@@ -19,7 +19,7 @@ from ffmap.app.parameters import SweepParameters
 from ffmap.blueprints import entities
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
-from tests.program import FFMAP, ffmap, ffmap_here, with_cache
+from tests.program import FFMAP, FFMAP_IN_FRONT, ffmap, ffmap_here, with_cache
 
 GRID = ["--grid", "labelling.wall_distance_m=0.01,0.045", "--grid", "building.scans_min=3"]
 
@@ -158,15 +158,13 @@ def test_a_cluster_gives_the_same_labels(
 def test_an_interrupted_sweep_leaves_no_run_on_the_cluster(
     bag: Path, environment: dict[str, str], cluster: str, tmp_path: Path
 ) -> None:
-    command = [*FFMAP, "sweep", str(bag), *GRID, "--out", str(tmp_path / "out"), "--scheduler", cluster]
+    command = [*FFMAP_IN_FRONT, "sweep", str(bag), *GRID, "--out", str(tmp_path / "out"), "--scheduler", cluster]
     process = subprocess.Popen(
         command,
         env=environment,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
-        # A shell starts what runs in the background with interrupts ignored, and so would be this.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     end = time.monotonic() + 100
     while not records(tmp_path / "out") and process.poll() is None and time.monotonic() < end:
