@@ -10,7 +10,7 @@ from functools import partial
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.blinds import BlindsSettings, find_blinds
-from ffmap.algorithms.building.deep_leaves import close_deep_doors
+from ffmap.algorithms.building.deep_openings import close_deep_doors
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings, find_cased_doors
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings, find_contrasting_doors
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
@@ -262,7 +262,8 @@ def _find_openings(
     doors = doors.append(sliding).append(cased).append(contrasting).append(outlined).append(glazed)
     doors = place_frames(doors, walls, scans.drive.blocks(), settings.building, settings.door_frames)
     doors = prove_crossed(each_once(doors, settings.opening_rules), scans.path_map)
-    doors = close_deep_doors(doors, trace, settings.opening_rules)
+    doors, deep_windows = close_deep_doors(doors, trace, settings.opening_rules)
+    windows = windows.append(deep_windows)
     through_m = doors.reveal_m
     doors = measure_reveals(doors, scans.drive.blocks(), settings.door_frames)
     parts = part_walls(walls, settings.wall_thickness)

@@ -132,7 +132,7 @@ def find_windows(
             clear = np.flatnonzero(rows[:, THROUGH] > share_min * (rows[:, FILLED] + rows[:, THROUGH]))
             if not len(clear):
                 continue
-            pane_m = _pane_m(counts[first : last + 1, clear[0] : clear[-1] + 1], rules)
+            pane_m = find_pane_m(counts[first : last + 1, clear[0] : clear[-1] + 1], rules)
             shown = slice(first, last + 1)
             first, last = _over_its_pane(high, pane_m, first, last, rules.openings.sheet_m, settings)
             between, highest = (int(clear[0]), int(clear[-1])), int(walls.top_m[w] / CELL_M)
@@ -165,7 +165,7 @@ def look_deeper(
         returned, passed = counts[..., FILLED].sum(), counts[..., THROUGH].sum()
         # Nothing passes what stands behind the wall.
         if passed > settings.translucent_min * (returned + passed):
-            pane_m[own] = deepest_m + _pane_m(counts, rules)
+            pane_m[own] = deepest_m + find_pane_m(counts, rules)
     return replace(windows, pane_m=pane_m)
 
 
@@ -398,8 +398,8 @@ def _shows(cells: BoolArray, most: int) -> BoolArray:
     return np.array([any(last - first >= most for first, last in stretches(column, 1)) for column in cells], bool)
 
 
-def _pane_m(counts: FloatArray, rules: OpeningRules) -> float:
-    """How far behind the face a window's pane stands, by what it returns away from reveals, bars, sill and head."""
+def find_pane_m(counts: FloatArray, rules: OpeningRules) -> float:
+    """How far behind the face a window's pane stands, by what it returns away from reveals, bars, sill and head; NaN if unknown."""
     columns, rows = (min(cells_in(rules.openings.jamb_m), (size - 1) // 2) for size in counts.shape[:2])
     inner = counts[columns : counts.shape[0] - columns, rows : counts.shape[1] - rows]
     # A transom or a mullion, which returns all rays, is no pane.

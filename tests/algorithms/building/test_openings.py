@@ -7,7 +7,7 @@ import pytest
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.segments import Segment
-from ffmap.algorithms.building.deep_leaves import close_deep_doors
+from ffmap.algorithms.building.deep_openings import close_deep_doors
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, place_frames
 from ffmap.algorithms.building.doors import drop_doubtful, each_once, find_doors, prove_crossed
 from ffmap.algorithms.building.flush_doors import flush_door
@@ -25,7 +25,7 @@ from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings, i
 from ffmap.algorithms.building.ray_evidence import Rays, WallCells, floor_m, trace_rays
 from ffmap.algorithms.building.windows import (
     WindowsSettings,
-    _pane_m,
+    find_pane_m,
     find_windows,
     is_in_wall,
     join_windows,
@@ -1129,7 +1129,8 @@ def test_a_leaf_at_the_far_side_of_a_thick_wall_shuts_its_doorway(
 ) -> None:
     """Not the back of a closet, which is wider than its doorway, nor what rays pass, nor what stands in the next room."""
     scans = deep_rays(np.random.default_rng(4), depth_m, half_m, past)
-    doors = close_deep_doors(OPEN, lambda faces, deep: trace_rays(faces, scans, deep), RULES)
+    doors, windows = close_deep_doors(OPEN, lambda faces, deep: trace_rays(faces, scans, deep), RULES)
+    assert not len(windows)
     assert doors.state.tolist() == [DoorState.CLOSED if closed else DoorState.OPEN]
     assert doors.depth_m[0] == pytest.approx(depth_m if closed else np.nan, abs=0.01, nan_ok=True)
     assert not closed or doors.agreement[0] > RULES.building.opaque_min
@@ -1150,7 +1151,7 @@ def test_a_vision_panel_leaves_a_deep_leaf_shut_and_shelves_at_two_depths_are_no
     floor[8:26, :12, THROUGH] = 10.0  # rays that end on the floor before the leaf
     closed, opened = DoorState.CLOSED, DoorState.OPEN
     for seen, state in ((counts, closed), (paned, closed), (floor, closed), (shelves, opened), (half_seen, opened)):
-        doors = close_deep_doors(OPEN, lambda *_, seen=seen: WallCells(np.array([0, 34]), 60, seen), RULES)
+        doors, _ = close_deep_doors(OPEN, lambda *_, seen=seen: WallCells(np.array([0, 34]), 60, seen), RULES)
         assert doors.state.tolist() == [state]
 
 
@@ -1160,7 +1161,26 @@ def test_only_doors_that_stand_wide_open_are_asked_for_a_deep_leaf() -> None:
 
     yes = np.array([True])
     for doors in (NO_DOORS, DOORWAY, replace(OPEN, ajar=yes), replace(OPEN, crossed=yes)):
-        assert close_deep_doors(doors, trace, RULES) is doors
+        assert close_deep_doors(doors, trace, RULES) == (doors, NO_WINDOWS)
+
+
+@pytest.mark.parametrize(("depth_m", "half_m", "past", "is_window"), [
+    (0.45, 0.45, 0.9, True), (0.64, 1.2, 0.9, True), (0.45, 0.05, 0.9, False), (1.3, 0.45, 0.9, False), (0.45, 0.45, 1.0, False),
+])  # fmt: skip
+def test_a_pane_at_the_far_side_of_a_thick_wall_makes_its_doorway_a_window(
+    depth_m: float, half_m: float, past: float, is_window: bool
+) -> None:
+    """Not a post in the doorway, nor what stands in the next room, nor where nothing returns."""
+    scans = deep_rays(np.random.default_rng(4), depth_m, half_m, past)
+    doors, windows = close_deep_doors(OPEN, lambda faces, deep: trace_rays(faces, scans, deep), RULES)
+    assert (len(doors), len(windows)) == ((0, 1) if is_window else (1, 0))
+    if is_window:
+        np.testing.assert_array_equal(windows.ends, OPEN.ends)
+        assert windows.pane_m == pytest.approx([depth_m], abs=0.01)
+        assert windows.bottom_m[0] < 0.5
+        assert windows.top_m[0] > 1.7
+    else:
+        assert doors.state.tolist() == [DoorState.OPEN]
 
 
 @pytest.mark.parametrize(("rows", "is_pane_shown"), [(slice(0, 41), True), (slice(5, 38, 3), True), (slice(3, 6), False)])
@@ -1168,4 +1188,4 @@ def test_a_pane_shows_all_over_and_not_as_the_edge_of_a_sill(rows: slice, is_pan
     counts = np.zeros((10, 41, 4))
     counts[..., THROUGH] = 80.0
     counts[:, rows, FILLED], counts[:, rows, SUM], counts[:, rows, SQUARES] = 20.0, -20.0 * 0.01, 20.0 * 0.01**2
-    np.testing.assert_allclose(_pane_m(counts, RULES), 0.01 if is_pane_shown else np.nan)
+    np.testing.assert_allclose(find_pane_m(counts, RULES), 0.01 if is_pane_shown else np.nan)

@@ -1,4 +1,4 @@
-"""Closed doors whose leaf hangs at the far side of a thick wall."""
+"""Openings that seem open at their wall's face, and are closed deep within the wall: by a leaf, or by a window's pane."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,36 +9,50 @@ import numpy as np
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengthened
 from ffmap.algorithms.building.flush_doors import is_opaque
-from ffmap.algorithms.building.model import CELL_M, BuildingSettings, Doors, Walls, cells_in
+from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, BuildingSettings, Doors, Walls, Windows, cells_in
 from ffmap.algorithms.building.openings import OpeningRules, lies_on_sheet, without_panels
-from ffmap.algorithms.building.ray_evidence import FILLED, SUM, THROUGH, WallCells, depth_moments
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells, depth_moments
 from ffmap.algorithms.building.unexplained_lines import unseen_faces
+from ffmap.algorithms.building.windows import find_pane_m
 from ffmap.algorithms.scan.doors import DoorState
 
 
-def close_deep_doors(doors: Doors, trace: Callable[[Walls, BuildingSettings], WallCells], rules: OpeningRules) -> Doors:
-    """The doors, of which those are closed that seemed open but are shut by one sheet deep within their wall.
+def close_deep_doors(
+    doors: Doors, trace: Callable[[Walls, BuildingSettings], WallCells], rules: OpeningRules
+) -> tuple[Doors, Windows]:
+    """The doors, of which those are closed that seemed open but are shut by one sheet deep within their wall; and as windows those
+    of which the sheet lets most rays through, which are no doors.
 
-    A leaf deeper than rays are asked about at a wall's face (`near_m`) lets them pass there, as an open doorway does. What the
+    What lies deeper than rays are asked about at a wall's face (`near_m`) lets them pass there, as an open doorway does. What the
     robot drove through, or what stands ajar, is open beyond doubt.
 
     trace: counts rays against faces, as deep behind them as the settings say.
     """
     asked = np.flatnonzero((doors.state == DoorState.OPEN) & ~doors.ajar & ~doors.crossed)
     if not len(asked):
-        return doors
+        return doors, NO_WINDOWS
     beside = cells_in(rules.openings.beside_m)
     ends = lengthened(doors.ends[asked], beside * CELL_M)
     faces = unseen_faces(ends, doors.normal[asked], doors.head_m[asked])
-    cells = trace(faces, rules.building.model_copy(update={"near_m": rules.openings.doorway_max_m}))
+    deep = replace(rules, building=rules.building.model_copy(update={"near_m": rules.openings.doorway_max_m}))
+    cells = trace(faces, deep.building)
     state, depth_m, agreement = doors.state.copy(), doors.depth_m.copy(), doors.agreement.copy()
+    is_window, windows = np.zeros(len(doors), bool), NO_WINDOWS
     for k, d in enumerate(asked):
         # Rays that end on the floor within the doorway come in lower.
-        rows = slice(cells_in(rules.building.knee_m), cells_in(doors.head_m[d]) - 1)
-        leaf = _leaf_in(cells.of(k).counts[:, rows].astype(np.float64), beside, rules)
+        low, high = cells_in(rules.building.knee_m), cells_in(doors.head_m[d]) - 1
+        counts = cells.of(k).counts[:, :high].astype(np.float64)
+        leaf = _leaf_in(counts[:, low:], beside, deep)
         if leaf is not None:
             state[d], depth_m[d], agreement[d] = DoorState.CLOSED, leaf.behind_m, leaf.agreement
-    return replace(doors, state=state, depth_m=depth_m, agreement=agreement)
+            continue
+        own = counts[beside : len(counts) - beside]
+        pane_m = find_pane_m(own[:, low:], deep)
+        clear = np.flatnonzero(own[..., THROUGH].sum(axis=0) > own[..., FILLED].sum(axis=0))
+        if np.isfinite(pane_m) and 2 * len(clear) > high - FOOT_ROW:
+            is_window[d], between_m = True, (CELL_M * clear[[0]], CELL_M * (clear[[-1]] + 1))
+            windows = windows.append(Windows(doors.ends[[d]], doors.normal[[d]], *between_m, np.array([pane_m])))
+    return replace(doors, state=state, depth_m=depth_m, agreement=agreement).select(~is_window), windows
 
 
 class _Leaf(NamedTuple):
