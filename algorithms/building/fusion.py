@@ -207,7 +207,9 @@ def _add_missed_walls(
     trace_clear = partial(trace, glass=widened) if len(windows) else None
     search = SearchSettings(settings.building, standing, settings.face_columns, missed, settings.folds)
     returns = AllReturns(scans.votes, scans.storey, scans.path_map, partial(trace, glass=windows), trace_clear)
-    found = find_missed_walls(judged.walls, judged.refused, returns, search)
+    # What too few scans saw as a plane may be a wall that all returns together show.
+    refused = judged.refused.select(judged.verdict != FaceVerdict.ALONE)
+    found = find_missed_walls(judged.walls, refused, returns, search)
     judged = replace(judged, walls=found.known).refuse(found.ducts, FaceVerdict.HANGS)
     judged = judged.refuse(found.mirrored, FaceVerdict.MIRRORED)
     added = _align(found.walls, scans, settings)

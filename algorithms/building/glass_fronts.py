@@ -131,7 +131,7 @@ def find_glass_fronts(whole: Walls, judged: JudgedFaces, windows: Windows, rays:
     """
     standing, way = rules.standing, cKDTree(rays.path_map)
     place, weight, _ = unexplained_columns(rays.votes, judged.walls, judged.refused, rules.explained_m)
-    lines, _ = straight_lines(place, weight, wall_directions(judged.walls, standing.direction_share_min), standing)
+    lines = straight_lines(place, weight, wall_directions(judged.walls, standing.direction_share_min), standing)
     # Of a face that was cut, a part may be too short to tell, and the pane goes on where the face passes for a wall.
     in_faces = judged.refused.append(whole)
     candidates = both_sides(lines).append(in_faces).append(from_behind(in_faces))

@@ -105,8 +105,6 @@ class MissedWallsSettings(StepSettings):
     duct_length_min_m: float = Field(0.8, gt=0, description="Minimum length (m) of a wall below a duct.")
 
 
-_LINTEL_MIN = 0.75  # Share of an opening's width over which its lintel shows
-
 
 @dataclass(frozen=True)
 class SearchSettings:
@@ -170,40 +168,42 @@ def find_missed_walls(walls: Walls, refused: Walls, returns: AllReturns, setting
     """Walls of which scans saw too little for a plane: returns of all scans that stand in line with the building's walls.
 
     Columns of returns that belong to no face, walls or refused, are searched for lines in the walls' directions; a line is a wall
-    where rays end on it up to the ceiling, or to the underside of a duct, and hardly any passes.
+    where rays end on it up to the ceiling, or to the underside of a duct, and hardly any passes. What is left then is searched for
+    chords of round walls, which have directions of their own.
     """
-    candidates = _candidates(returns.votes, returns.storey, walls, refused, settings)
-    if not len(candidates):
-        return MissedWalls(NO_WALLS, walls, NO_WALLS, NO_WALLS)
-    faces = returns.trace(candidates)
     hang = refused.select(refused.bottom_m >= settings.building.door_height_min_m)
-    search = _Search(walls, hang, faces, returns, settings)
-    proven = [stretch for w in range(len(faces)) for stretch in search.walls_in(w)]
-    found = reduce(Walls.append, [p.wall for p in proven], NO_WALLS)
+    known, asked, proven = walls, NO_WALLS, list[_Proven]()
+    for lines_in in (_lines_along_walls, _chords):
+        candidates = _candidates(lines_in(returns, known, refused, settings), known, asked, settings.standing)
+        if len(candidates):
+            asked, search = candidates, _Search(known, hang, returns.trace(candidates), returns, settings)
+            proven += [stretch for w in range(len(candidates)) for stretch in search.walls_in(w)]
+            known = reduce(Walls.append, [p.wall for p in proven], walls)
+    found = known.select(np.arange(len(known)) >= len(walls))
     mirrored = _seen_by_glass(found, returns, settings.missed)
     before = [p.duct for p, by_glass in zip(proven, mirrored, strict=True) if p.duct is not None and not by_glass]
-    known, ducts = _cut_out(walls, [duct for duct in before if duct.face < len(walls)], settings.building.length_min_m)
-    return MissedWalls(found.select(~mirrored), known, ducts, found.select(mirrored))
+    rest, ducts = _cut_out(walls, [duct for duct in before if duct.face < len(walls)], settings.building.length_min_m)
+    return MissedWalls(found.select(~mirrored), rest, ducts, found.select(mirrored))
 
 
-def _candidates(
-    votes: VoxelVotes, storey: Storey, walls: Walls, refused: Walls, settings: SearchSettings
-) -> Walls:
-    """Lines of unexplained returns as faces; which side each is seen from is not known yet, so both are tried."""
-    standing = settings.standing
-    place, weight, top_m = unexplained_columns(votes, walls, refused, settings.missed.explained_m)
-    found, left = straight_lines(place, weight, wall_directions(walls, standing.direction_share_min), standing)
-    clear_m = storey.clear_m(place, standing.ceiling_near_m)
-    is_high = top_m - storey.ground_m(place) > np.fmin(clear_m - settings.missed.below_ceiling_m, settings.missed.above_heads_m)
-    found += _lines_of_any_direction(place[left & is_high], standing, settings.missed)
-    found += _pillar_sides(place, weight, walls, settings)
-    if not found:
+def _candidates(lines: list[Line], walls: Walls, asked: Walls, standing: StandingWallsSettings) -> Walls:
+    """The lines as faces, but for those along known ones or some that were asked before; which side each is seen from is not known
+    yet, so both are tried."""
+    if not lines:
         return NO_WALLS
-    both = both_sides(found)
+    both = both_sides(lines)
     # Between a candidate and a close face that looks at it nobody can stand.
     middles = both.ends.mean(axis=1)
     faced = _near_a_face(middles, both.normal, walls, 0.0, standing.pillar_depth_m, opposite=True)
-    return both.select(~faced & ~_near_a_face(middles, both.normal, walls, -standing.noise_m, standing.noise_m))
+    along = _near_a_face(middles, both.normal, walls.append(asked), -standing.noise_m, standing.noise_m)
+    return both.select(~faced & ~along)
+
+
+def _lines_along_walls(returns: AllReturns, walls: Walls, refused: Walls, settings: SearchSettings) -> list[Line]:
+    """Stretches of unexplained columns in the walls' directions, and the sides of pillars."""
+    place, weight, _ = unexplained_columns(returns.votes, walls, refused, settings.missed.explained_m)
+    directions = wall_directions(walls, settings.standing.direction_share_min)
+    return straight_lines(place, weight, directions, settings.standing) + _pillar_sides(place, weight, walls, settings)
 
 
 @dataclass(frozen=True)
@@ -493,13 +493,19 @@ def _near_a_face(
     return near
 
 
+def _chords(returns: AllReturns, walls: Walls, refused: Walls, settings: SearchSettings) -> list[Line]:
+    """Stretches of unexplained columns in line, whatever their direction, that are as high as walls."""
+    missed, storey = settings.missed, returns.storey
+    place, _, top_m = unexplained_columns(returns.votes, walls, refused, missed.explained_m)
+    clear_m = storey.clear_m(place, settings.standing.ceiling_near_m)
+    is_high = top_m - storey.ground_m(place) > np.fmin(clear_m - missed.below_ceiling_m, missed.above_heads_m)
+    return _lines_of_any_direction(place[is_high], settings.standing, missed)
+
+
 def _lines_of_any_direction(
     place: FloatArray, standing: StandingWallsSettings, settings: MissedWallsSettings
 ) -> list[Line]:
-    """Stretches of columns (n, 2) in line, whatever their direction, each column in one: ends (2, 2) and normal (2,).
-
-    Round walls are chords of no direction that other walls have.
-    """
+    """Stretches of columns (n, 2) in line, whatever their direction, each column in one: ends (2, 2) and normal (2,)."""
     if not len(place):
         return []
     tree, left = cKDTree(place), np.ones(len(place), bool)

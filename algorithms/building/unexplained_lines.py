@@ -6,7 +6,7 @@ import numpy as np
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.plan_index import pairs_near
-from ffmap.algorithms.base.scan import BoolArray, FloatArray
+from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.model import CELL_M, Walls
 from ffmap.algorithms.building.votes import VoxelVotes
@@ -68,8 +68,8 @@ def unexplained_columns(
 
 def straight_lines(
     place: FloatArray, weight: FloatArray, normals: FloatArray, settings: StandingWallsSettings
-) -> tuple[list[Line], BoolArray]:
-    """Stretches of columns in line, the strongest first, each column in one: ends (2, 2) and normal (2,); and which are in none."""
+) -> list[Line]:
+    """Stretches of columns in line, the strongest first, each column in one: ends (2, 2) and normal (2,)."""
     bin_m = 0.5 * settings.hidden_distance_m
     left = np.ones(len(place), bool)
     across = [place @ normal for normal in normals]
@@ -100,4 +100,4 @@ def straight_lines(
         offset = float(np.average(across[direction][part], weights=weight[part]))
         reach = along[direction][part][[0, -1]] + np.array([-0.5, 0.5]) * CELL_M
         found.append((normal * offset + reach[:, None] * np.array([-normal[1], normal[0]]), normal))
-    return found, left
+    return found
