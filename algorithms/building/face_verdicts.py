@@ -121,9 +121,6 @@ class StandingWallsSettings(StepSettings):
     leaning_scans_ratio: float = Field(
         2.5, gt=0, description="A wall is seen by more scans than this for each that sees the leaf that leans on it."
     )
-    sheet_max_m: float = Field(
-        0.06, gt=0, description="Maximum thickness (m) of what ends low on both its sides, as a leaf does: walls are thicker."
-    )
     jamb_m: float = Field(0.15, gt=0, description="Maximum distance (m) between a jamb and its reveal's face.")
     reveal_goes_on_share: float = Field(
         0.95,
@@ -332,21 +329,6 @@ def _shows_whole(faces: TracedFaces, columns: slice, settings: StandingWallsSett
     """Whether rays end on columns from the foot to the ceiling."""
     ceiling_m = median_known(faces.clear_m[columns])
     return _goes_on(faces.cells.counts[columns], settings.above_door_m, ceiling_m, settings)
-
-
-def refuse_backs(judged: JudgedFaces, settings: StandingWallsSettings) -> JudgedFaces:
-    """The same without the faces most of which are the back of what ends low: rays may pass above a leaf from one side alone."""
-    low = judged.refused.select(judged.verdict == FaceVerdict.ENDS_LOW)
-    is_back = np.zeros(len(judged.walls), bool)
-    for w, face in enumerate(segments(judged.walls)):
-        fronts = low.ends[low.normal @ face.normal < -SAME_WAY]
-        shared_m = [
-            max(face.shared_m(ends), 0.0)
-            for ends in fronts
-            if abs(float(face.before_m(ends.mean(axis=0)))) < settings.sheet_max_m
-        ]
-        is_back[w] = sum(shared_m) > 0.5 * face.length_m
-    return replace(judged, walls=judged.walls.select(~is_back)).refuse(judged.walls.select(is_back), FaceVerdict.ENDS_LOW)
 
 
 def refuse_outside(judged: JudgedFaces, storey: Storey, settings: FaceColumnsSettings) -> JudgedFaces:

@@ -31,7 +31,6 @@ from ffmap.algorithms.building.face_verdicts import (
     join_corners,
     judge_faces,
     leaning_on_others,
-    refuse_backs,
     refuse_outside,
     shows_whole,
     trim_at_doorways,
@@ -190,7 +189,7 @@ def _judge(aligned: AlignedFaces, scans: AllScans, settings: FusionSettings, win
     traced = without_panes(_traced(faces.select(~alone), scans, settings, windows), windows, settings.building.near_m)
     judged = judge_faces(traced, scans.path_map, settings.opening_rules, settings.face_columns, standing, settings.folds)
     judged = judged.refuse(faces.select(alone), FaceVerdict.ALONE).refuse(leaves, FaceVerdict.LEANS)
-    return refuse_outside(refuse_backs(judged, standing), scans.storey, settings.face_columns)
+    return refuse_outside(judged, scans.storey, settings.face_columns)
 
 
 def _add_missed_walls(

@@ -15,7 +15,6 @@ from ffmap.algorithms.building.face_verdicts import (
     join_corners,
     judge_faces,
     leaning_on_others,
-    refuse_backs,
     refuse_outside,
     shows_whole,
     trim_at_doorways,
@@ -412,24 +411,6 @@ def test_a_leaf_that_is_open_against_its_wall_leans_on_it():
             replace(faces(wall, other), scan_count=np.array([40, 9], np.int32)), SETTINGS
         ).any()
     assert len(leaning_on_others(NO_WALLS, SETTINGS)) == 0
-
-
-@pytest.mark.parametrize(
-    ("behind_m", "to_x", "stands"),
-    [(0.04, 0.9, False), (-0.01, 0.9, False), (0.1, 0.9, True), (-2.0, 0.9, True), (0.04, 2.0, True)],
-)
-def test_the_back_of_a_leaf_ends_as_low_as_its_front(behind_m: float, to_x: float, stands: bool) -> None:
-    """No wall is as thin as a leaf; what is far longer than the leaf behind it is another thing."""
-    back = replace(faces(((0.0, 0.0), (to_x, 0.0))), normal=np.array([[0.0, 1.0]]))
-    # Rays passed above it in two stretches; a third lies elsewhere.
-    parts = [((x, -behind_m), (x + 0.4, -behind_m)) for x in (0.0, 0.5, -3.0)]
-    front = replace(faces(*parts), normal=np.tile([0.0, -1.0], (3, 1)))
-    for verdict, same_way in ((FaceVerdict.ENDS_LOW, False), (FaceVerdict.HANGS, False), (FaceVerdict.ENDS_LOW, True)):
-        seen = replace(front, normal=-front.normal) if same_way else front
-        told = refuse_backs(JudgedFaces(back, seen, np.full(3, verdict, np.uint8)), SETTINGS)
-        is_refused = verdict == FaceVerdict.ENDS_LOW and not same_way and not stands
-        assert len(told.walls) == (0 if is_refused else 1)
-        assert told.verdict.tolist() == [verdict] * 3 + [FaceVerdict.ENDS_LOW] * is_refused
 
 
 @pytest.mark.parametrize("head_m", [2.05, CEILING_M])

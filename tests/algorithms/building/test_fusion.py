@@ -1,7 +1,6 @@
 """The building of all scans, from planes and rays that are known."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
 from ffmap.algorithms.building.face_columns import FaceColumnsSettings
 from ffmap.algorithms.building.face_foreground import ForegroundSettings
 from ffmap.algorithms.building.face_steps import FaceStepsSettings
-from ffmap.algorithms.building.face_verdicts import FaceVerdict, JudgedFaces, StandingWallsSettings, judge_faces
+from ffmap.algorithms.building.face_verdicts import FaceVerdict, StandingWallsSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.folds import FoldsSettings
 from ffmap.algorithms.building.fusion import Building, FusionSettings, fuse_building
@@ -137,20 +136,6 @@ def test_what_rays_pass_above_is_no_wall() -> None:
     building = built(TwoRooms(more=((np.array(ends), (0.0, 1.2)),)), face(ends, [-1.0, 0.0]))
     assert building.judged.verdict.tolist() == [FaceVerdict.ENDS_LOW]
     np.testing.assert_allclose(building.judged.refused.ends[0, :, 0], 3.0, atol=0.01)
-    assert not np.any(np.abs(building.walls.ends[..., 0] - 3.0) < 0.5)
-
-
-def test_the_back_of_what_rays_pass_above_is_no_wall(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As if its rays told nothing of it."""
-    ends, back = [[3.0, 0.8], [3.0, 2.2]], face([[3.04, 2.2], [3.04, 0.8]], [1.0, 0.0])
-
-    def judge(*faces_and_rules: Any) -> JudgedFaces:
-        judged = judge_faces(*faces_and_rules)
-        return replace(judged, walls=judged.walls.append(back))
-
-    monkeypatch.setattr(fusion, "judge_faces", judge)
-    building = built(TwoRooms(more=((np.array(ends), (0.0, 1.2)),)), face(ends, [-1.0, 0.0]))
-    assert building.judged.verdict.tolist() == [FaceVerdict.ENDS_LOW] * 2
     assert not np.any(np.abs(building.walls.ends[..., 0] - 3.0) < 0.5)
 
 
