@@ -17,11 +17,10 @@ from ffmap.algorithms.building.windows import find_pane_m
 from ffmap.algorithms.scan.doors import DoorState
 
 
-def close_deep_doors(
+def tell_deep_openings(
     doors: Doors, trace: Callable[[Walls, BuildingSettings], WallCells], rules: OpeningRules
 ) -> tuple[Doors, Windows]:
-    """The doors, of which those are closed that seemed open but are shut by one sheet deep within their wall; and as windows those
-    of which the sheet lets most rays through, which are no doors.
+    """The doors, closed where a leaf shuts them deep within their wall; and those that a pane shuts there, which are windows.
 
     What lies deeper than rays are asked about at a wall's face (`near_m`) lets them pass there, as an open doorway does. What the
     robot drove through, or what stands ajar, is open beyond doubt.
@@ -39,19 +38,15 @@ def close_deep_doors(
     state, depth_m, agreement = doors.state.copy(), doors.depth_m.copy(), doors.agreement.copy()
     is_window, windows = np.zeros(len(doors), bool), NO_WINDOWS
     for k, d in enumerate(asked):
+        counts = cells.of(k).counts[:, : cells_in(doors.head_m[d]) - 1].astype(np.float64)
         # Rays that end on the floor within the doorway come in lower.
-        low, high = cells_in(rules.building.knee_m), cells_in(doors.head_m[d]) - 1
-        counts = cells.of(k).counts[:, :high].astype(np.float64)
-        leaf = _leaf_in(counts[:, low:], beside, deep)
+        leaf = _leaf_in(counts[:, cells_in(rules.building.knee_m) :], beside, deep)
+        pane = _pane_in(counts[beside : len(counts) - beside], deep)
         if leaf is not None:
             state[d], depth_m[d], agreement[d] = DoorState.CLOSED, leaf.behind_m, leaf.agreement
-            continue
-        own = counts[beside : len(counts) - beside]
-        pane_m = find_pane_m(own[:, low:], deep)
-        clear = np.flatnonzero(own[..., THROUGH].sum(axis=0) > own[..., FILLED].sum(axis=0))
-        if np.isfinite(pane_m) and 2 * len(clear) > high - FOOT_ROW:
-            is_window[d], between_m = True, (CELL_M * clear[[0]], CELL_M * (clear[[-1]] + 1))
-            windows = windows.append(Windows(doors.ends[[d]], doors.normal[[d]], *between_m, np.array([pane_m])))
+        elif pane is not None:
+            is_window[d], bottom_m, pane_m = True, np.array([pane.bottom_m]), np.array([pane.behind_m])
+            windows = windows.append(Windows(doors.ends[[d]], doors.normal[[d]], bottom_m, doors.head_m[[d]], pane_m))
     return replace(doors, state=state, depth_m=depth_m, agreement=agreement).select(~is_window), windows
 
 
@@ -82,3 +77,25 @@ def _leaf_in(counts: FloatArray, beside: int, rules: OpeningRules) -> _Leaf | No
     if np.count_nonzero(goes_on) >= building.rays_min:
         return None
     return _Leaf(behind_m, returns / float(came))
+
+
+class _Pane(NamedTuple):
+    """How far behind the face a pane lies, and the height from which on rays pass it."""
+
+    behind_m: float
+    bottom_m: float
+
+
+def _pane_in(counts: FloatArray, rules: OpeningRules) -> _Pane | None:
+    """The sheet that closes a doorway and lets most rays pass, also where it returns some: what stands in the next room does not.
+
+    counts: (c, rows, 4) of the doorway, up to its head.
+    """
+    high = counts[:, cells_in(rules.building.knee_m) :]
+    behind_m, on_sheet = find_pane_m(high, rules), lies_on_sheet(high, rules)
+    returned, passed = high[on_sheet][:, [FILLED, THROUGH]].sum(axis=0)
+    rows = counts[:, FOOT_ROW:].sum(axis=0)
+    is_passed = rows[:, THROUGH] > rows[:, FILLED]
+    if not np.isfinite(behind_m) or passed < returned or np.mean(is_passed) < 0.5:
+        return None
+    return _Pane(behind_m, (FOOT_ROW + int(is_passed.argmax())) * CELL_M)

@@ -10,7 +10,7 @@ from functools import partial
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.blinds import BlindsSettings, find_blinds
-from ffmap.algorithms.building.deep_openings import close_deep_doors
+from ffmap.algorithms.building.deep_openings import tell_deep_openings
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings, find_cased_doors
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings, find_contrasting_doors
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
@@ -206,8 +206,9 @@ def _add_missed_walls(
     trace_clear = partial(trace, glass=widened) if len(windows) else None
     search = SearchSettings(settings.building, standing, settings.face_columns, missed, settings.folds)
     returns = AllReturns(scans.votes, scans.storey, scans.path_map, partial(trace, glass=windows), trace_clear)
-    # What too few scans saw as a plane may be a wall that all returns together show.
-    refused = judged.refused.select(judged.verdict != FaceVerdict.ALONE)
+    # What too few scans saw as a plane may be a wall that all returns together show, unless it hangs.
+    hangs = judged.refused.bottom_m >= settings.building.door_height_min_m
+    refused = judged.refused.select((judged.verdict != FaceVerdict.ALONE) | hangs)
     found = find_missed_walls(judged.walls, refused, returns, search)
     judged = replace(judged, walls=found.known).refuse(found.ducts, FaceVerdict.HANGS)
     judged = judged.refuse(found.mirrored, FaceVerdict.MIRRORED)
@@ -263,7 +264,7 @@ def _find_openings(
     doors = doors.append(sliding).append(cased).append(contrasting).append(outlined).append(glazed)
     doors = place_frames(doors, walls, scans.drive.blocks(), settings.building, settings.door_frames)
     doors = prove_crossed(each_once(doors, settings.opening_rules), scans.path_map)
-    doors, deep_windows = close_deep_doors(doors, trace, settings.opening_rules)
+    doors, deep_windows = tell_deep_openings(doors, trace, settings.opening_rules)
     windows = windows.append(deep_windows)
     through_m = doors.reveal_m
     doors = measure_reveals(doors, scans.drive.blocks(), settings.door_frames)

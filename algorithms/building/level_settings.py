@@ -6,7 +6,7 @@ from ffmap.algorithms.base.settings import StepSettings
 
 
 class LevelsSettings(StepSettings):
-    """Floors, ceilings and ducts that only all scans together show."""
+    """Floors, ceilings and beams that only all scans together show."""
 
     cell_m: float = Field(0.1, gt=0, description="Edge of the cells (m) where no other is given.")
     votes_min: int = Field(3, ge=1, description="Minimum number of votes at which a cube's label is taken as known.")

@@ -1,7 +1,6 @@
 """The level and sloping surfaces of the whole building, for what single scans saw too little of or took for something else.
 
-Ceilings, floors that lie higher than where the robot stood, ducts that passed for ceilings, floors that rooflights mirror, and the
-storey below.
+Ceilings, beams, floors that lie higher than where the robot stood, floors that rooflights mirror, and the storey below.
 """
 
 from collections.abc import Iterable

@@ -105,7 +105,6 @@ class MissedWallsSettings(StepSettings):
     duct_length_min_m: float = Field(0.8, gt=0, description="Minimum length (m) of a wall below a duct.")
 
 
-
 @dataclass(frozen=True)
 class SearchSettings:
     """What the search for missed walls is set by."""
@@ -172,11 +171,12 @@ def find_missed_walls(walls: Walls, refused: Walls, returns: AllReturns, setting
     chords of round walls, which have directions of their own.
     """
     hang = refused.select(refused.bottom_m >= settings.building.door_height_min_m)
+    undersides = _undersides(returns, settings.building.door_height_min_m)
     known, asked, proven = walls, NO_WALLS, list[_Proven]()
     for lines_in in (_lines_along_walls, _chords):
         candidates = _candidates(lines_in(returns, known, refused, settings), known, asked, settings.standing)
         if len(candidates):
-            asked, search = candidates, _Search(known, hang, returns.trace(candidates), returns, settings)
+            asked, search = candidates, _Search(known, hang, returns.trace(candidates), undersides, returns, settings)
             proven += [stretch for w in range(len(candidates)) for stretch in search.walls_in(w)]
             known = reduce(Walls.append, [p.wall for p in proven], walls)
     found = known.select(np.arange(len(known)) >= len(walls))
@@ -222,16 +222,22 @@ class _Search:
     """Which stretches of candidates are walls."""
 
     def __init__(
-        self, known: Walls, hang: Walls, faces: TracedFaces, returns: AllReturns, settings: SearchSettings
+        self,
+        known: Walls,
+        hang: Walls,
+        faces: TracedFaces,
+        undersides: FloatArray,
+        returns: AllReturns,
+        settings: SearchSettings,
     ) -> None:
-        """known: the known faces; hang: refused ones that begin above heads; faces: the candidates."""
+        """known: the known faces. hang: refused ones that begin above heads. faces: the candidates. undersides: (m, 3) of ducts."""
         self._known, self._faces, self._storey, self._settings = known, faces, returns.storey, settings
         self._fronts = known.append(hang)
         standing = settings.standing
         self._gap = cells_in(standing.hidden_gap_m)
         self._free = np.isfinite(faces.clear_m) & ~faces.visited(returns.path_map, standing.robot_m)
         self._columns = count_columns(faces, standing.above_door_m, settings.building, settings.columns)
-        self._undersides = _undersides(returns, settings.building.door_height_min_m)
+        self._undersides = undersides
 
     def walls_in(self, w: int) -> Iterator[_Proven]:
         """The stretches of a candidate that are walls."""

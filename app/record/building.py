@@ -128,7 +128,7 @@ def _log_windows(log: Log, windows: Windows, leaf_panes: Windows, blinds: Blinds
 
 
 def _log_levels(log: Log, levels: Sequence[HeightMap]) -> None:
-    """Where ceilings, floors, ducts and floors that panes mirror were told that scans took for something else, cell by cell."""
+    """Where ceilings, beams, floors and floors that panes mirror were told that scans took for something else, cell by cell."""
     for surface, maps in groupby(levels, key=lambda level: level.surface):
         drawn = list(maps)
         places = np.concatenate([level.places for level in drawn])

@@ -1,6 +1,7 @@
 """The building of all scans, from planes and rays that are known."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,13 +20,13 @@ from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
 from ffmap.algorithms.building.face_columns import FaceColumnsSettings
 from ffmap.algorithms.building.face_foreground import ForegroundSettings
 from ffmap.algorithms.building.face_steps import FaceStepsSettings
-from ffmap.algorithms.building.face_verdicts import FaceVerdict, StandingWallsSettings
+from ffmap.algorithms.building.face_verdicts import FaceVerdict, JudgedFaces, StandingWallsSettings, judge_faces
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.folds import FoldsSettings
 from ffmap.algorithms.building.fusion import Building, FusionSettings, fuse_building
 from ffmap.algorithms.building.glass_fronts import GlassFrontsSettings
 from ffmap.algorithms.building.level_settings import LevelsSettings
-from ffmap.algorithms.building.missed_walls import MissedWallsSettings
+from ffmap.algorithms.building.missed_walls import MissedWalls, MissedWallsSettings, find_missed_walls
 from ffmap.algorithms.building.model import BuildingSettings, Walls
 from ffmap.algorithms.building.openings import OpeningsSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
@@ -137,6 +138,26 @@ def test_what_rays_pass_above_is_no_wall() -> None:
     assert building.judged.verdict.tolist() == [FaceVerdict.ENDS_LOW]
     np.testing.assert_allclose(building.judged.refused.ends[0, :, 0], 3.0, atol=0.01)
     assert not np.any(np.abs(building.walls.ends[..., 0] - 3.0) < 0.5)
+
+
+def test_what_few_scans_saw_as_a_plane_is_asked_again_of_all_returns_unless_it_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+    alone, low = face([[2.0, 1.0], [2.8, 1.6]], [-0.6, 0.8]), face([[1.0, 1.0], [1.8, 1.6]], [-0.6, 0.8])
+    hangs = replace(low, bottom_m=np.array([2.2]))
+    asked: list[Walls] = []
+
+    def judge(*faces_and_rules: Any) -> JudgedFaces:
+        judged = judge_faces(*faces_and_rules).refuse(alone.append(hangs), FaceVerdict.ALONE)
+        return judged.refuse(low, FaceVerdict.ENDS_LOW)
+
+    def find(walls: Walls, refused: Walls, *more: Any) -> MissedWalls:
+        asked.append(refused)
+        return find_missed_walls(walls, refused, *more)
+
+    monkeypatch.setattr(fusion, "judge_faces", judge)
+    monkeypatch.setattr(fusion, "find_missed_walls", find)
+    building = built(TwoRooms())
+    assert len(building.judged.refused) == 3
+    np.testing.assert_array_equal(asked[0].ends, hangs.append(low).ends)
 
 
 def test_what_was_seen_through_a_window_is_neither_wall_nor_refused() -> None:

@@ -1,4 +1,4 @@
-"""The building's level surfaces: ceilings of rooms of different height, sloping ones, raised floors, ducts."""
+"""The building's level surfaces: ceilings of rooms of different height, sloping ones, beams, raised floors."""
 
 from collections.abc import Iterator
 

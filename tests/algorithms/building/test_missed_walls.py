@@ -434,7 +434,8 @@ def test_a_round_wall_is_found_as_chords(known_from: float) -> None:
             first = np.concatenate([[0], np.cumsum(columns)]).astype(np.int64)
             counts = np.zeros((int(first[-1]), 60, 4), np.float32)
             for w, (ends, normal) in enumerate(zip(candidates.ends, candidates.normal, strict=True)):
-                off_m = np.abs(np.linalg.norm(ends - centre, axis=1) - radius_m).max()
+                along = np.vstack([ends, ends.mean(axis=0)])
+                off_m = np.abs(np.linalg.norm(along - centre, axis=1) - radius_m).max()
                 on = off_m < 0.05 and normal @ (centre - ends.mean(axis=0)) > 0
                 own = counts[int(first[w]) : int(first[w + 1])]
                 top = round(height_m / CELL_M)
@@ -448,5 +449,5 @@ def test_a_round_wall_is_found_as_chords(known_from: float) -> None:
     walls = found_of(CEILING_M)
     np.testing.assert_allclose(np.linalg.norm(walls.ends.mean(axis=1) - centre, axis=1), radius_m, atol=0.05)
     length_m = np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1)
-    assert length_m.sum() > 0.7 * (1.3 + known_from) * radius_m
+    assert 0.7 < length_m.sum() / ((1.3 + known_from) * radius_m) < 1.1
     assert len(found_of(1.6)) == 0

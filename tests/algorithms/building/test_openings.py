@@ -7,7 +7,7 @@ import pytest
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.segments import Segment
-from ffmap.algorithms.building.deep_openings import close_deep_doors
+from ffmap.algorithms.building.deep_openings import tell_deep_openings
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, place_frames
 from ffmap.algorithms.building.doors import drop_doubtful, each_once, find_doors, prove_crossed
 from ffmap.algorithms.building.flush_doors import flush_door
@@ -1129,7 +1129,7 @@ def test_a_leaf_at_the_far_side_of_a_thick_wall_shuts_its_doorway(
 ) -> None:
     """Not the back of a closet, which is wider than its doorway, nor what rays pass, nor what stands in the next room."""
     scans = deep_rays(np.random.default_rng(4), depth_m, half_m, past)
-    doors, windows = close_deep_doors(OPEN, lambda faces, deep: trace_rays(faces, scans, deep), RULES)
+    doors, windows = tell_deep_openings(OPEN, lambda faces, deep: trace_rays(faces, scans, deep), RULES)
     assert not len(windows)
     assert doors.state.tolist() == [DoorState.CLOSED if closed else DoorState.OPEN]
     assert doors.depth_m[0] == pytest.approx(depth_m if closed else np.nan, abs=0.01, nan_ok=True)
@@ -1146,12 +1146,19 @@ def test_a_vision_panel_leaves_a_deep_leaf_shut_and_shelves_at_two_depths_are_no
     paned[14:20, 20:30, THROUGH] = 10.0
     shelves[8:26, ::2, SUM], shelves[8:26, ::2, SQUARES] = -7.0, 4.9
     half_seen[8:17] = 0.0
+    board, cabinet = np.zeros_like(counts), np.zeros_like(counts)
+    for things, rows in ((board, slice(17, 23)), (cabinet, slice(0, 24))):
+        things[8:26, :, THROUGH] = 10.0
+        things[8:26, rows] = counts[8:26, rows]
     floor = counts.copy()
     floor[8:26, :12] = 0.0
     floor[8:26, :12, THROUGH] = 10.0  # rays that end on the floor before the leaf
     closed, opened = DoorState.CLOSED, DoorState.OPEN
-    for seen, state in ((counts, closed), (paned, closed), (floor, closed), (shelves, opened), (half_seen, opened)):
-        doors, _ = close_deep_doors(OPEN, lambda *_, seen=seen: WallCells(np.array([0, 34]), 60, seen), RULES)
+    for seen, state in (
+        (counts, closed), (paned, closed), (floor, closed), (shelves, opened), (half_seen, opened), (board, opened),
+        (cabinet, opened)
+    ):  # fmt: skip
+        doors, _ = tell_deep_openings(OPEN, lambda *_, seen=seen: WallCells(np.array([0, 34]), 60, seen), RULES)
         assert doors.state.tolist() == [state]
 
 
@@ -1161,7 +1168,7 @@ def test_only_doors_that_stand_wide_open_are_asked_for_a_deep_leaf() -> None:
 
     yes = np.array([True])
     for doors in (NO_DOORS, DOORWAY, replace(OPEN, ajar=yes), replace(OPEN, crossed=yes)):
-        assert close_deep_doors(doors, trace, RULES) == (doors, NO_WINDOWS)
+        assert tell_deep_openings(doors, trace, RULES) == (doors, NO_WINDOWS)
 
 
 @pytest.mark.parametrize(("depth_m", "half_m", "past", "is_window"), [
@@ -1172,13 +1179,13 @@ def test_a_pane_at_the_far_side_of_a_thick_wall_makes_its_doorway_a_window(
 ) -> None:
     """Not a post in the doorway, nor what stands in the next room, nor where nothing returns."""
     scans = deep_rays(np.random.default_rng(4), depth_m, half_m, past)
-    doors, windows = close_deep_doors(OPEN, lambda faces, deep: trace_rays(faces, scans, deep), RULES)
+    doors, windows = tell_deep_openings(OPEN, lambda faces, deep: trace_rays(faces, scans, deep), RULES)
     assert (len(doors), len(windows)) == ((0, 1) if is_window else (1, 0))
     if is_window:
         np.testing.assert_array_equal(windows.ends, OPEN.ends)
         assert windows.pane_m == pytest.approx([depth_m], abs=0.01)
         assert windows.bottom_m[0] < 0.5
-        assert windows.top_m[0] > 1.7
+        np.testing.assert_array_equal(windows.top_m, OPEN.head_m)
     else:
         assert doors.state.tolist() == [DoorState.OPEN]
 
