@@ -39,7 +39,7 @@ class WallCells:
     counts: (columns, rows, 4) float32: returns near the face, the sum and the sum of squares of their distances before
     it (metres, negative behind), rays that went through.
     light: (columns, rows, angles, 2) float32: returns at the face of which the intensity is known, and its sum, by the angle of
-    incidence (`ANGLES_DEG`); (0, rows, angles, 2) where no scan has any.
+    incidence (`ANGLES_DEG`); (0, rows, angles, 2) where no scan has any, or rays were not measured against scans' planes.
     twice: (columns, rows) float32: returns near the face of firings that returned from beyond it too; (0, rows) where none did.
     """
 
@@ -140,10 +140,11 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
     columns, rows = int(first[-1]), rows_of(walls)
     counts = np.zeros((columns, rows, 4), np.float32)
     light, twice = np.zeros((0, rows, len(ANGLES_DEG) + 1, 2), np.float32), np.zeros((0, rows), np.float32)
-    own = OwnPlane.of(settings)
+    # Asked about faces of which no scan saw a plane, rays tell whether something stands there, not of what it is made.
+    own, has_light = OwnPlane.of(settings), settings.own_plane_m > 0.0
     for block in blocks:
         rays = Rays.of(block)
-        if len(rays.intensity) and not len(light):
+        if len(rays.intensity) and has_light and not len(light):
             light = np.zeros((columns, *light.shape[1:]), np.float32)
         if len(rays.echo) and not len(twice):
             twice = np.zeros((columns, rows), np.float32)
@@ -384,7 +385,8 @@ def _trace(
                     counts[column, row, SQUARES] += side * side
                     if len(rays.echo) > 0 and rays.echo[r] == Echo.NEARER:
                         twice[column, row] += 1.0
-                    if len(rays.intensity) > 0 and abs(side) < AT_FACE_M and np.isfinite(rays.intensity[r]):
+                    has_light = len(light) > 0 and len(rays.intensity) > 0
+                    if has_light and abs(side) < AT_FACE_M and np.isfinite(rays.intensity[r]):
                         angle = _angle_band(reach - side, x - ox, y - oy, z - oz, cosines)
                         light[column, row, angle, 0] += 1.0
                         light[column, row, angle, 1] += rays.intensity[r]

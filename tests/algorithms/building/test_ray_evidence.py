@@ -179,3 +179,7 @@ def test_cells_sum_up_intensities_by_the_angle_of_incidence() -> None:
     dark = trace_rays(walls, [replace(features, ray_intensity=NO_INTENSITY, ray_echo=NO_ECHO)], SETTINGS)
     assert len(dark.light) == len(dark.twice) == 0
     np.testing.assert_array_equal(dark.counts, cells.counts)
+    without_planes = trace_rays(walls, [features], SETTINGS.model_copy(update={"own_plane_m": 0.0}))
+    assert len(without_planes.light) == 0
+    np.testing.assert_array_equal(without_planes.counts, cells.counts)
+    np.testing.assert_array_equal(without_planes.twice, cells.twice)
