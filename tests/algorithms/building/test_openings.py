@@ -1190,6 +1190,16 @@ def test_a_pane_at_the_far_side_of_a_thick_wall_makes_its_doorway_a_window(
         assert doors.state.tolist() == [DoorState.OPEN]
 
 
+@pytest.mark.parametrize(("hidden_rows", "is_window"), [(0, True), (24, False)])
+def test_of_a_doorway_that_things_hide_for_the_most_part_no_pane_is_told(hidden_rows: int, is_window: bool) -> None:
+    """Hand-made cells: what stands in the way lies at all depths, the sheet above it lets nine rays of ten pass."""
+    counts = np.zeros((34, 60, 4), np.float32)
+    counts[8:26, :, FILLED], counts[8:26, :, SUM], counts[8:26, :, SQUARES], counts[8:26, :, THROUGH] = 1.0, -0.5, 0.25, 9.0
+    counts[8:26, :hidden_rows] = (10.0, -5.0, 3.4, 0.0)
+    doors, windows = tell_deep_openings(OPEN, lambda *_: WallCells(np.array([0, 34]), 60, counts), RULES)
+    assert (len(doors), len(windows)) == ((0, 1) if is_window else (1, 0))
+
+
 @pytest.mark.parametrize(("rows", "is_pane_shown"), [(slice(0, 41), True), (slice(5, 38, 3), True), (slice(3, 6), False)])
 def test_a_pane_shows_all_over_and_not_as_the_edge_of_a_sill(rows: slice, is_pane_shown: bool) -> None:
     counts = np.zeros((10, 41, 4))
