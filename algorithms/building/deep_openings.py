@@ -10,7 +10,7 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengthened
 from ffmap.algorithms.building.flush_doors import is_opaque
 from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, BuildingSettings, Doors, Walls, Windows, cells_in
-from ffmap.algorithms.building.openings import OpeningRules, lies_on_sheet, without_panels
+from ffmap.algorithms.building.openings import OpeningRules, is_pane, lies_on_sheet, without_panels
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells, depth_moments
 from ffmap.algorithms.building.unexplained_lines import unseen_faces
 from ffmap.algorithms.building.windows import find_pane_m
@@ -96,6 +96,8 @@ def _pane_in(counts: FloatArray, rules: OpeningRules) -> _Pane | None:
     returned, passed = high[on_sheet][:, [FILLED, THROUGH]].sum(axis=0)
     rows = counts[:, FOOT_ROW:].sum(axis=0)
     is_passed = rows[:, THROUGH] > rows[:, FILLED]
-    if not np.isfinite(behind_m) or passed < returned or np.mean(is_passed) < 0.5:
+    # A stray return or a jamb makes a sheet as well, but of too few of the rays.
+    is_glass = is_pane(counts, counts[:0, :, THROUGH], rules)
+    if not np.isfinite(behind_m) or passed < returned or np.mean(is_passed) < 0.5 or not is_glass:
         return None
     return _Pane(behind_m, (FOOT_ROW + int(is_passed.argmax())) * CELL_M)

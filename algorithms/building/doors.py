@@ -303,6 +303,9 @@ def _head_m(
     highest_m = max(settings.door_height_max_m + 0.3, top_m if state == DoorState.OPEN else 0.0)
     start, stop = cells_in(settings.door_height_min_m - 0.1), cells_in(highest_m)
     above = np.flatnonzero((wall & (rows[:, FILLED] > 0))[start:stop])
+    if state == DoorState.CLOSED and start + above.min(initial=stop) > cells_in(settings.door_height_max_m + CELL_M):
+        # The recess goes on above its door, whose head is below the pane of its overlight.
+        above = np.flatnonzero((rows[:, THROUGH] > rows[:, FILLED])[start:stop])
     if len(above):
         # The head lies somewhere in the row below, which is partly wall.
         return (start + int(above[0]) - 0.5) * CELL_M

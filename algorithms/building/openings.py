@@ -140,8 +140,9 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
     spread_m = np.sqrt(depth_moments(below)[1])
     is_open = may_be & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)
     is_closed = may_be & (depth_m > settings.recess_min_m) & (through < 1 - settings.agreement_min) & (spread_m < 0.06)
-    # What steps forward higher than doors are is a cornice, or a cove.
-    is_closed &= head[:, 0] <= cells_in(settings.door_height_max_m + CELL_M)
+    # What steps forward higher than doors are is a cornice, or a cove, but for an overlight in the recess of its door.
+    overlight = (smooth[..., THROUGH] > smooth[..., FILLED]) & (row >= high) & (row < head)
+    is_closed &= (head[:, 0] <= cells_in(settings.door_height_max_m + CELL_M)) | overlight.any(axis=1)
     # A leaf is recessed down to the floor; below a window, or a niche, the wall stands less than half as far back.
     is_parapet = foot_depth_m < 0.5 * depth_m
     for first, last in stretches(is_closed, 2):

@@ -167,6 +167,21 @@ def test_a_recess_up_to_the_ceiling_is_no_door() -> None:
     assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 0
 
 
+@pytest.mark.parametrize(("pane_m", "heads_m"), [((2.4, 2.75), [2.4]), ((2.4, 2.5), [2.4]), ((1.5, 1.7), [])])
+def test_a_leaf_and_the_overlight_above_it_share_a_recess_higher_than_doors(
+    pane_m: tuple[float, float], heads_m: list[float]
+) -> None:
+    """A pane that lies lower is a panel, and the recess a niche."""
+    seen = cells()
+    recess(seen, 0.0, 2.85, 0.07)
+    low, high = (round(height_m / CELL_M) for height_m in pane_m)
+    seen.counts[32:46, low:high] *= 0.2
+    seen.counts[32:46, low:high, THROUGH] = 8.0
+    doors = find_doors(WALL, seen, np.full(80, 3.2), RULES)
+    assert doors.state.tolist() == [DoorState.CLOSED] * len(heads_m)
+    np.testing.assert_allclose(doors.head_m, heads_m, atol=CELL_M)
+
+
 def test_a_low_ceiling_before_a_part_of_a_wall_is_no_lintel() -> None:
     """Its own returns come forward from the face, and what is below them seems to recede."""
     seen = cells()
@@ -999,6 +1014,9 @@ def test_frames_are_placed_to_a_centimetre_though_reveals_return_too(depth_m: fl
     np.testing.assert_allclose(placed.ends[0, :, 0], [1.5, 2.4], atol=0.012)
     assert placed.head_m[0] == pytest.approx(2.08, abs=0.012)
     assert placed.scan_count[0] == 2
+    # Where all doors are lower, what ends up there is no door's head.
+    lower = place_frames(door, WALL, scans, SETTINGS.model_copy(update={"door_height_max_m": 2.0}), DoorFramesSettings())
+    assert lower.head_m[0] == 2.0
     flush = replace(door, depth_m=np.zeros(1), casing_m=np.full(1, 0.01))
     kept = place_frames(flush, WALL, scans, SETTINGS, DoorFramesSettings())
     np.testing.assert_array_equal(kept.ends, door.ends)
@@ -1198,6 +1216,16 @@ def test_of_a_doorway_that_things_hide_for_the_most_part_no_pane_is_told(hidden_
     counts[8:26, :hidden_rows] = (10.0, -5.0, 3.4, 0.0)
     doors, windows = tell_deep_openings(OPEN, lambda *_: WallCells(np.array([0, 34]), 60, counts), RULES)
     assert (len(doors), len(windows)) == ((0, 1) if is_window else (1, 0))
+
+
+def test_the_jamb_of_a_doorway_is_no_pane_though_strays_return_from_as_deep() -> None:
+    """Hand-made cells: one ray in three hundred returns from where all do that meet the jamb."""
+    counts = np.zeros((34, 60, 4), np.float32)
+    counts[8:26, :, THROUGH] = 100.0
+    counts[8:24, ::3, FILLED], counts[8:24, ::3, SUM], counts[8:24, ::3, SQUARES] = 1.0, -0.03, 0.0009
+    counts[24:26] = (100.0, -3.0, 0.09, 0.0)
+    doors, windows = tell_deep_openings(OPEN, lambda *_: WallCells(np.array([0, 34]), 60, counts), RULES)
+    assert (len(doors), len(windows)) == (1, 0)
 
 
 @pytest.mark.parametrize(("rows", "is_pane_shown"), [(slice(0, 41), True), (slice(5, 38, 3), True), (slice(3, 6), False)])
