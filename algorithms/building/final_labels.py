@@ -125,7 +125,8 @@ class BuildingModel:
     walls: the faces that stand. before: how high the ceiling hangs before each, and where something stands flat against it.
     judged: with the faces that were refused, whose returns are clutter, or outside. Its own `walls` are not asked.
     levels: what lies at known heights, applied one after the other. leaf_panes: the panes of open doors' leaves, which stand in the
-    rooms: what lies behind them is seen through glass, but what is around them is no wall.
+    rooms: what lies behind them is seen through glass, but what is around them is no wall. mullions: what stands before its pane,
+    each as a window whose face is the mullion's own front.
     """
 
     walls: Walls
@@ -136,6 +137,7 @@ class BuildingModel:
     blinds: Blinds
     levels: tuple[HeightMap, ...]
     leaf_panes: Windows = NO_WINDOWS
+    mullions: Windows = NO_WINDOWS
 
 
 TOP, REFUSED_AS = 7, 8
@@ -181,7 +183,7 @@ class Relabelling:
 
     faces, refused, doorways, panes, blinds: a row for each, see `TOP`, `HEAD`, `BEYOND` and `LOW`; with an index of `index_near`
         each, the faces with one of those that rays meet along an edge, and with one of those that a return may be at; that of panes
-        is of the walls' windows alone.
+        is of the walls' windows and mullions alone.
     before: what is before the faces, by their columns.
     levels: what lies at known heights, asked last; halo: the cubes in which clutter is a surface's scatter, before these.
     """
@@ -199,7 +201,8 @@ class Relabelling:
     @classmethod
     def of(cls, building: BuildingModel, halo: Halo, settings: RelabellingSettings) -> "Relabelling":
         """By the settings, which say how far each part of the building reaches."""
-        walls, refused, doors, windows = building.walls, building.judged.refused, building.doors, building.windows
+        walls, refused, doors = building.walls, building.judged.refused, building.doors
+        windows = building.windows.append(building.mullions)
         blinds, panes = building.blinds, windows.append(building.leaf_panes)
         leaf_m = np.where(doors.state == DoorState.CLOSED, doors.depth_m, -np.inf)
         beyond_m = np.where(np.isfinite(panes.pane_m), panes.pane_m + settings.pane_m, settings.behind_glass_m)

@@ -50,6 +50,7 @@ from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.missed_walls import AllReturns, MissedWallsSettings, SearchSettings, find_missed_walls
 from ffmap.algorithms.building.model import NO_WINDOWS, Blinds, BuildingSettings, Doors, Walls, Windows
+from ffmap.algorithms.building.mullions import find_mullions
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.shades import pictures
@@ -110,7 +111,7 @@ class Building:
 
     aligned: the faces before any was judged, and those found of all scans' returns together. thickness_m: (W,) of the walls.
     levels: its ceilings, floors and ducts, and the floors that panes mirror, where scans took them for something else.
-    leaf_panes: see `BuildingModel`.
+    leaf_panes, mullions: see `BuildingModel`.
     """
 
     aligned: AlignedFaces
@@ -120,6 +121,7 @@ class Building:
     doors: Doors
     windows: Windows
     leaf_panes: Windows
+    mullions: Windows
     blinds: Blinds
     halo: Halo
     levels: tuple[HeightMap, ...]
@@ -129,7 +131,15 @@ class Building:
     def model(self) -> BuildingModel:
         """What scans are labelled by."""
         return BuildingModel(
-            self.walls, self.before, self.judged, self.doors, self.windows, self.blinds, self.levels, self.leaf_panes
+            self.walls,
+            self.before,
+            self.judged,
+            self.doors,
+            self.windows,
+            self.blinds,
+            self.levels,
+            self.leaf_panes,
+            self.mullions,
         )
 
 
@@ -146,7 +156,10 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     halo = halo_at_walls(halo, walls, doors, before, scans.storey, near_m, settings.before_walls)
     is_leaf = panes_of_open_leaves(glass, doors)
     windows, leaf_panes = glass.select(~is_leaf), glass.select(is_leaf)
-    return Building(aligned, walls, before, judged, doors, windows, leaf_panes, blinds, halo, scans.levels, thickness_m)
+    mullions = find_mullions(
+        windows, walls, lambda faces, building: scans.trace(faces, building, NO_WINDOWS), settings.opening_rules
+    )
+    return Building(aligned, walls, before, judged, doors, windows, leaf_panes, mullions, blinds, halo, scans.levels, thickness_m)
 
 
 # --- faces ---

@@ -48,7 +48,7 @@ REASONS: dict[int, str] = {
     Reason.IN_OPENING: "no wall stands in an open doorway",
     Reason.AGAINST_WALL: "something stands flat against the wall there",
     Reason.ON_REFUSED: "it lies on a face that is no wall's",
-    Reason.ON_REVEAL: "it lies on a reveal, a sill or a lintel",
+    Reason.ON_REVEAL: "it lies on a reveal, a sill, a lintel or a mullion",
     Reason.ON_FACE: "it lies on a wall's face",
     Reason.IN_WALL: "it lies within a wall, behind the face that the sensor sees: scatter",
     Reason.NO_FACE: "no wall's face is near",

@@ -14,7 +14,7 @@ from ffmap.algorithms.building.face_foreground import covered_places
 from ffmap.algorithms.building.face_verdicts import JudgedFaces
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.height_map import HeightMap
-from ffmap.algorithms.building.model import CELL_M, Blinds, Doors, Windows
+from ffmap.algorithms.building.model import CELL_M, Doors
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.app.record.building_reasons import explain_building
@@ -51,7 +51,7 @@ def log_building(log: Log, building: BuildingModel) -> None:
     _log_walls(log, building)
     _log_refused(log, building.judged)
     _log_doors(log, building.doors)
-    _log_windows(log, building.windows, building.leaf_panes, building.blinds)
+    _log_windows(log, building)
     _log_levels(log, building.levels)
     log.text(entities.BUILDING_REASONS, explain_building(building))
 
@@ -111,12 +111,14 @@ def _log_doors(log: Log, doors: Doors) -> None:
         log.static(entities.DOOR_LEAVES, panel_mesh(closed.ends, np.zeros(len(closed)), closed.head_m, color))
 
 
-def _log_windows(log: Log, windows: Windows, leaf_panes: Windows, blinds: Blinds) -> None:
-    glass = windows.append(leaf_panes)
+def _log_windows(log: Log, building: BuildingModel) -> None:
+    windows, leaf_panes, mullions, blinds = building.windows, building.leaf_panes, building.mullions, building.blinds
+    glass = windows.append(leaf_panes).append(mullions)
     if len(glass):
         frames = upright_frames(glass.ends, glass.bottom_m, glass.top_m)
         color = entities.CLASSES[Label.OUTSIDE][1]
         labels = ["window"] * len(windows) + ["pane of an open leaf"] * len(leaf_panes)
+        labels += [f"mullion, {100 * before_m:.0f} cm before its pane" for before_m in mullions.pane_m]
         log.static(entities.WINDOWS, strips(frames, color, 1.5, labels, show_labels=False))
     if len(blinds):
         hung = blinds.ends - (blinds.behind_m[:, None] * blinds.normal)[:, None]

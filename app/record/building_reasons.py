@@ -53,7 +53,8 @@ def explain_building(building: BuildingModel) -> str:
         )
     if before.covered.any():
         parts.append(_AGAINST.format(area_m2=np.count_nonzero(before.covered) * CELL_M**2))
-    for heading, glass in (("Windows", windows), ("Panes of open leaves", building.leaf_panes)):
+    glazing = (("Windows", windows), ("Panes of open leaves", building.leaf_panes), ("Mullions before panes", building.mullions))
+    for heading, glass in glazing:
         if len(glass):
             panes = [_window(glass, w) for w in range(len(glass))]
             parts.append(f"\n## {heading}\n\n" + table(("at x, y (m)", "width", "from – to height", "pane"), panes))

@@ -103,6 +103,7 @@ def relabelled(
     verdict: FaceVerdict = FaceVerdict.ENDS_LOW,
     levels: tuple[HeightMap, ...] = (),
     leaf_panes: Windows = NO_WINDOWS,
+    mullions: Windows = NO_WINDOWS,
 ) -> Relabelled:
     """What becomes of returns (n, 3); the scan's ceiling hangs at 2.8 m, that before the walls at `ceiling_m`."""
     height_m = points[:, 2].astype(np.float64)
@@ -116,6 +117,7 @@ def relabelled(
             blinds,
             levels,
             leaf_panes,
+            mullions,
         ),
         NO_HALO,
         SETTINGS,
@@ -235,6 +237,14 @@ def test_around_the_pane_of_an_open_leaf_is_no_wall(glass: str, expected: Label)
     assert final((2.02, -2.0, 0.5), Label.CLUTTER, **seen) == Label.WALL
     assert final((2.02, -0.5, 0.5), Label.CLUTTER, **seen) == expected
     assert final((1.5, -0.5, 0.5), Label.CLUTTER, **seen) == Label.OUTSIDE
+
+
+def test_a_mullion_before_its_pane_is_wall() -> None:
+    front = Windows(np.array([[[0.5, 0.0], [3.5, 0.0]]]), np.array([[0.0, -1.0]]), np.array([0.1]), np.array([2.7]), np.zeros(1))
+    mullion = replace(front, ends=np.array([[[1.95, -0.08], [2.05, -0.08]]]), pane_m=np.array([0.08]))
+    for x, expected in ((2.0, Label.WALL), (2.5, Label.CLUTTER)):
+        assert final((x, -0.07, 1.5), Label.CLUTTER, walls=face(), windows=front, mullions=mullion, covered=True) == expected
+    assert final((2.0, 0.5, 1.0), Label.CLUTTER, walls=face(), windows=front, mullions=mullion) == Label.OUTSIDE
 
 
 @pytest.mark.parametrize(

@@ -102,12 +102,15 @@ def test_the_building_says_why(tmp_path):
     assert "its leaf stands aslant" in explain_building(ajar)
 
 
-def test_the_pane_of_an_open_leaf_is_told_from_a_window(tmp_path):
+def test_the_pane_of_an_open_leaf_and_a_mullion_are_told_from_a_window(tmp_path):
     pane = window((1.0, 0.3), (1.0, 0.9))
     found = recorded(tmp_path, replace(building(), leaf_panes=pane))
     assert found[entities.WINDOWS]["labels"][0] == ["window", "pane of an open leaf"]
     reasons = found[entities.BUILDING_REASONS]["text"][0][0]
     assert "| 1.00, 0.60 | 0.60 m | 0.90 – 2.20 m | 10 cm behind the face |" in reasons.split("## Panes of open leaves")[1]
+    mullion = recorded(tmp_path, replace(building(), mullions=pane))
+    assert mullion[entities.WINDOWS]["labels"][0] == ["window", "mullion, 10 cm before its pane"]
+    assert "## Mullions before panes" in mullion[entities.BUILDING_REASONS]["text"][0][0]
     alone = recorded(tmp_path, replace(building(), windows=NO_WINDOWS, blinds=NO_BLINDS, leaf_panes=pane))
     assert "## Windows" not in alone[entities.BUILDING_REASONS]["text"][0][0]
 
