@@ -305,6 +305,7 @@ def _head_m(
     above = np.flatnonzero((wall & (rows[:, FILLED] > 0))[start:stop])
     if state == DoorState.CLOSED and start + above.min(initial=stop) > cells_in(settings.door_height_max_m + CELL_M):
         # The recess goes on above its door, whose head is below the pane of its overlight.
+        start = cells_in(settings.door_height_min_m)
         above = np.flatnonzero((rows[:, THROUGH] > rows[:, FILLED])[start:stop])
     if len(above):
         # The head lies somewhere in the row below, which is partly wall.

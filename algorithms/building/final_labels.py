@@ -27,7 +27,7 @@ from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import JudgedFaces
 from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.label_reasons import SURFACE_REASONS, Reason
-from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, Blinds, Doors, Walls, Windows
+from ffmap.algorithms.building.model import CELL_M, NO_MULLIONS, NO_WINDOWS, Blinds, Doors, Mullions, Walls, Windows
 from ffmap.algorithms.building.votes import Halo
 from ffmap.algorithms.scan.doors import DoorState
 
@@ -125,8 +125,7 @@ class BuildingModel:
     walls: the faces that stand. before: how high the ceiling hangs before each, and where something stands flat against it.
     judged: with the faces that were refused, whose returns are clutter, or outside. Its own `walls` are not asked.
     levels: what lies at known heights, applied one after the other. leaf_panes: the panes of open doors' leaves, which stand in the
-    rooms: what lies behind them is seen through glass, but what is around them is no wall. mullions: what stands before its pane,
-    each as a window whose face is the mullion's own front.
+    rooms: what lies behind them is seen through glass, but what is around them is no wall.
     """
 
     walls: Walls
@@ -137,7 +136,7 @@ class BuildingModel:
     blinds: Blinds
     levels: tuple[HeightMap, ...]
     leaf_panes: Windows = NO_WINDOWS
-    mullions: Windows = NO_WINDOWS
+    mullions: Mullions = NO_MULLIONS
 
 
 TOP, REFUSED_AS = 7, 8
@@ -148,7 +147,8 @@ before it, minus infinity where the door is open), and how deep the reveals are.
 BEYOND = 7
 """The same of panes: how far behind their face what returns is outside."""
 BEHIND, LOW, HIGH = 7, 8, 9
-"""The same of blinds: how far behind their wall they hang, and the heights between which they do."""
+"""The same of blinds: how far behind their wall they hang, and the heights between which they do; and of mullions, whose line is
+their front: how far behind it their pane is."""
 
 
 def _table(faces: Faces, *columns: FloatArray | UInt8Array) -> FloatArray:
@@ -181,9 +181,9 @@ class Relabelled:
 class Relabelling:
     """A building as the returns of scans are asked about it: tables for compiled code, and what is near each place.
 
-    faces, refused, doorways, panes, blinds: a row for each, see `TOP`, `HEAD`, `BEYOND` and `LOW`; with an index of `index_near`
-        each, the faces with one of those that rays meet along an edge, and with one of those that a return may be at; that of panes
-        is of the walls' windows and mullions alone.
+    faces, refused, doorways, panes, blinds, mullions: a row for each, see `TOP`, `HEAD`, `BEYOND` and `LOW`; with an index of
+        `index_near` each, the faces with one of those that rays meet along an edge, and with one of those that a return may be at;
+        that of panes is of the walls' windows alone.
     before: what is before the faces, by their columns.
     levels: what lies at known heights, asked last; halo: the cubes in which clutter is a surface's scatter, before these.
     """
@@ -193,6 +193,7 @@ class Relabelling:
     doorways: tuple[FloatArray, IntArray]
     panes: tuple[FloatArray, IntArray]
     blinds: tuple[FloatArray, IntArray]
+    mullions: tuple[FloatArray, IntArray]
     before: Foreground
     rules: "_Rules"
     levels: tuple[HeightMap, ...]
@@ -201,9 +202,10 @@ class Relabelling:
     @classmethod
     def of(cls, building: BuildingModel, halo: Halo, settings: RelabellingSettings) -> "Relabelling":
         """By the settings, which say how far each part of the building reaches."""
-        walls, refused, doors = building.walls, building.judged.refused, building.doors
-        windows = building.windows.append(building.mullions)
-        blinds, panes = building.blinds, windows.append(building.leaf_panes)
+        walls, refused, doors, windows = building.walls, building.judged.refused, building.doors, building.windows
+        blinds, panes, mullions = building.blinds, windows.append(building.leaf_panes), building.mullions
+        fronts = mullions.ends + (mullions.out_m[:, None] * mullions.normal)[:, None]
+        mullions = replace(mullions, ends=lengthened(fronts, settings.margin_m))
         leaf_m = np.where(doors.state == DoorState.CLOSED, doors.depth_m, -np.inf)
         beyond_m = np.where(np.isfinite(panes.pane_m), panes.pane_m + settings.pane_m, settings.behind_glass_m)
         # A ray that ends this close to a face or a leaf may cross it so far away, if it comes in as level as is asked about.
@@ -228,6 +230,10 @@ class Relabelling:
             (
                 _table(blinds, blinds.behind_m, blinds.bottom_m, blinds.top_m),
                 index_near(blinds, float(blinds.behind_m.max(initial=0.0)) + settings.wall_distance_m),
+            ),
+            (
+                _table(mullions, mullions.out_m, mullions.bottom_m, mullions.top_m),
+                index_near(mullions, float(mullions.out_m.max(initial=0.0)) + settings.wall_distance_m),
             ),
             building.before,
             _Rules(**settings.model_dump()),
@@ -254,7 +260,8 @@ class Relabelling:
         lines, along_edges, at_faces = self.faces
         # Every question is asked of all returns at once: asked one by one, what takes most is to hand over the arrays.
         own_m = _own_places(points_map, height_m, below_ceiling_m, label_scan, lines, along_edges, self.rules)
-        on_blind = _on_blinds(points_map, height_m, *self.blinds, self.rules)
+        on_blind = _are_within(points_map, height_m, *self.blinds, self.rules)
+        on_mullion = _are_within(points_map, height_m, *self.mullions, self.rules)
         outside = _outside(points_map, origin, self.panes[0], self.rules) & ~on_blind
         label, asked = _at_edges(
             points_map,
@@ -276,6 +283,7 @@ class Relabelling:
         at_door = _at_doors(points_map, height_m, asked, origin, *self.doorways, self.rules)
         _mark_window_reveals(points_map, asked, at_door, *self.panes, self.rules)
         at_door[on_blind] |= ON_BLIND
+        at_door[on_mullion] |= ON_REVEAL
         before = self.before.first, self.before.clear_m, self.before.covered
         nearest = _nearest_faces(points_map, height_m, asked, origin, lines, at_faces, *before, self.rules)
         refused = _labels_of_refused(points_map, height_m, asked, *self.refused, self.rules)
@@ -362,22 +370,23 @@ def _outside(points: FloatArray, origin: FloatArray, panes: FloatArray, rules: _
 
 
 @numba.njit(cache=True, nogil=True)
-def _on_blinds(
-    points: FloatArray, height: FloatArray, blinds: FloatArray, near_blinds: IntArray, rules: _Rules
+def _are_within(
+    points: FloatArray, height: FloatArray, boxes: FloatArray, near_boxes: IntArray, rules: _Rules
 ) -> BoolArray:  # pragma: no cover
-    """(n,) whether a return lies on a blind, or between it and its wall's face: nothing else is there."""
+    """(n,) whether a return lies on a blind, or between it and its wall's face; on a mullion, or between its front and its pane:
+    nothing else is there."""
     found = np.zeros(len(points), np.bool_)
-    if not len(blinds):
+    if not len(boxes):
         return found
     for i in range(len(points)):
         x, y, height_m = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(height[i])
-        p = cell_at(near_blinds, x, y)
-        for k in range(near_blinds[p], near_blinds[p + 1]):
-            b = near_blinds[k]
+        p = cell_at(near_boxes, x, y)
+        for k in range(near_boxes[p], near_boxes[p + 1]):
+            b = near_boxes[k]
             if (
-                blinds[b, LOW] < height_m < blinds[b, HIGH]
-                and -blinds[b, BEHIND] - rules.wall_distance_m < before_line(blinds, b, x, y) < rules.wall_distance_m
-                and 0.0 < along_line(blinds, b, x, y) < blinds[b, LENGTH]
+                boxes[b, LOW] < height_m < boxes[b, HIGH]
+                and -boxes[b, BEHIND] - rules.wall_distance_m < before_line(boxes, b, x, y) < rules.wall_distance_m
+                and 0.0 < along_line(boxes, b, x, y) < boxes[b, LENGTH]
             ):
                 found[i] = True
     return found

@@ -49,7 +49,7 @@ from ffmap.algorithms.building.glazed_doors import find_glazed_doors, panes_of_o
 from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.missed_walls import AllReturns, MissedWallsSettings, SearchSettings, find_missed_walls
-from ffmap.algorithms.building.model import NO_WINDOWS, Blinds, BuildingSettings, Doors, Walls, Windows
+from ffmap.algorithms.building.model import NO_WINDOWS, Blinds, BuildingSettings, Doors, Mullions, Walls, Windows
 from ffmap.algorithms.building.mullions import find_mullions
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
@@ -121,7 +121,7 @@ class Building:
     doors: Doors
     windows: Windows
     leaf_panes: Windows
-    mullions: Windows
+    mullions: Mullions
     blinds: Blinds
     halo: Halo
     levels: tuple[HeightMap, ...]
@@ -156,9 +156,7 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     halo = halo_at_walls(halo, walls, doors, before, scans.storey, near_m, settings.before_walls)
     is_leaf = panes_of_open_leaves(glass, doors)
     windows, leaf_panes = glass.select(~is_leaf), glass.select(is_leaf)
-    mullions = find_mullions(
-        windows, walls, lambda faces, building: scans.trace(faces, building, NO_WINDOWS), settings.opening_rules
-    )
+    mullions = find_mullions(windows, partial(_count_all, scans), settings.opening_rules)
     return Building(aligned, walls, before, judged, doors, windows, leaf_panes, mullions, blinds, halo, scans.levels, thickness_m)
 
 
@@ -260,10 +258,8 @@ def _find_openings(
     fronts = new_fronts(fronts, windows, settings.glass_fronts)
     windows = windows.append(set_in_walls(fronts, walls, settings.glass_fronts))
 
-    def trace(faces: Walls, building: BuildingSettings = settings.building) -> WallCells:
-        return scans.trace(faces, building, NO_WINDOWS)
-
-    windows = look_deeper(windows, trace, settings.opening_rules, settings.windows)
+    trace = partial(_count_all, scans)
+    windows = look_deeper(windows, partial(trace, building=settings.building), settings.opening_rules, settings.windows)
     # What a window lets pass is no door's.
     without_glass = scans.trace(walls, settings.building, windows) if len(windows) else cells
     floor_before = scans.storey.floor_near(column_places(walls, cells.first, 0.5 * FLOOR_NEAR_M), FLOOR_NEAR_M)
@@ -294,6 +290,11 @@ def _find_openings(
 def _windows_in(faces: TracedFaces, settings: FusionSettings) -> Windows:
     windows = find_windows(faces.walls, faces.cells, faces.clear_m, settings.opening_rules, settings.windows)
     return windows.append(find_sliding_panes(faces.walls, faces.cells, settings.building, settings.door_casings))
+
+
+def _count_all(scans: AllScans, faces: Walls, building: BuildingSettings) -> WallCells:
+    """What all rays found of some faces, those that ended beyond windows too."""
+    return scans.trace(faces, building, NO_WINDOWS)
 
 
 def _traced(faces: Walls, scans: AllScans, settings: FusionSettings, windows: Windows = NO_WINDOWS) -> TracedFaces:

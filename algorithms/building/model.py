@@ -163,6 +163,25 @@ NO_BLINDS = Blinds(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(
 
 
 @dataclass(frozen=True)
+class Mullions(Rows):
+    """What parts the panes of glazed fronts and stands out of them into the room.
+
+    ends: (M, 2, 2) x and y of its stretch of the pane. normal: (M, 2) towards the room.
+    bottom_m, top_m: (M,) heights above the floor between which it was seen.
+    out_m: (M,) how far it stands out of the pane.
+    """
+
+    ends: FloatArray
+    normal: FloatArray
+    bottom_m: FloatArray
+    top_m: FloatArray
+    out_m: FloatArray
+
+
+NO_MULLIONS = Mullions(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True)
 class Doors(Rows):
     """Doors in the map.
 

@@ -58,6 +58,9 @@ class OpeningsSettings(StepSettings):
     doorway_max_m: float = Field(
         1.0, gt=0, description="Maximum depth (m) of a doorway: a corridor with the walls on its sides is wider."
     )
+    overlight_min_m: float = Field(
+        0.15, gt=0, description="Minimum height (m) of the pane above a closed door in the recess of both."
+    )
     stile_min_m: float = Field(
         0.1, gt=0, description="Minimum width (m) of a leaf on both sides of a vision panel in it: a window's frame is narrower."
     )
@@ -141,8 +144,11 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
     is_open = may_be & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)
     is_closed = may_be & (depth_m > settings.recess_min_m) & (through < 1 - settings.agreement_min) & (spread_m < 0.06)
     # What steps forward higher than doors are is a cornice, or a cove, but for an overlight in the recess of its door.
-    overlight = (smooth[..., THROUGH] > smooth[..., FILLED]) & (row >= high) & (row < head)
-    is_closed &= (head[:, 0] <= cells_in(settings.door_height_max_m + CELL_M)) | overlight.any(axis=1)
+    highest = cells_in(settings.door_height_max_m) + 1
+    passes = (smooth[..., THROUGH] > smooth[..., FILLED]) & (row >= high) & (row < head)
+    overlight = passes.sum(axis=1) >= cells_in(openings.overlight_min_m)
+    overlight &= passes[:, :highest].any(axis=1) & ((smooth[..., THROUGH] * passes).sum(axis=1) >= settings.rays_min)
+    is_closed &= (head[:, 0] <= highest) | overlight
     # A leaf is recessed down to the floor; below a window, or a niche, the wall stands less than half as far back.
     is_parapet = foot_depth_m < 0.5 * depth_m
     for first, last in stretches(is_closed, 2):

@@ -113,13 +113,18 @@ def _log_doors(log: Log, doors: Doors) -> None:
 
 def _log_windows(log: Log, building: BuildingModel) -> None:
     windows, leaf_panes, mullions, blinds = building.windows, building.leaf_panes, building.mullions, building.blinds
-    glass = windows.append(leaf_panes).append(mullions)
+    glass = windows.append(leaf_panes)
     if len(glass):
         frames = upright_frames(glass.ends, glass.bottom_m, glass.top_m)
         color = entities.CLASSES[Label.OUTSIDE][1]
         labels = ["window"] * len(windows) + ["pane of an open leaf"] * len(leaf_panes)
-        labels += [f"mullion, {100 * before_m:.0f} cm before its pane" for before_m in mullions.pane_m]
         log.static(entities.WINDOWS, strips(frames, color, 1.5, labels, show_labels=False))
+    if len(mullions):
+        fronts = mullions.ends + (mullions.out_m[:, None] * mullions.normal)[:, None]
+        color = entities.CLASSES[Label.WALL][1]
+        log.static(
+            entities.MULLIONS, panel_mesh(fronts, mullions.bottom_m, mullions.top_m, color), evidence(mullions, "out_m")
+        )
     if len(blinds):
         hung = blinds.ends - (blinds.behind_m[:, None] * blinds.normal)[:, None]
         log.static(

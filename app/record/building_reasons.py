@@ -6,7 +6,7 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.height_map import HeightMap, Surface
-from ffmap.algorithms.building.model import CELL_M, Blinds, Doors, Windows
+from ffmap.algorithms.building.model import CELL_M, Blinds, Doors, Mullions, Windows
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.app.record.shapes import table
 from ffmap.blueprints import entities
@@ -26,6 +26,12 @@ _AGAINST = """
 
 {area_m2:.1f} m² of wall faces are covered: there the mean of all scans' returns lies before the wall above, from the floor up
 but not to the ceiling. That is clutter, though single scans take it for the wall.
+"""
+_MULLIONS = """
+## Mullions
+
+What is narrow, returns rays from a pane's foot to its head and has a pane on either side parts them, and is wall.
+
 """
 _BLINDS = """
 ## What hangs in windows
@@ -53,11 +59,13 @@ def explain_building(building: BuildingModel) -> str:
         )
     if before.covered.any():
         parts.append(_AGAINST.format(area_m2=np.count_nonzero(before.covered) * CELL_M**2))
-    glazing = (("Windows", windows), ("Panes of open leaves", building.leaf_panes), ("Mullions before panes", building.mullions))
-    for heading, glass in glazing:
+    for heading, glass in (("Windows", windows), ("Panes of open leaves", building.leaf_panes)):
         if len(glass):
             panes = [_window(glass, w) for w in range(len(glass))]
             parts.append(f"\n## {heading}\n\n" + table(("at x, y (m)", "width", "from – to height", "pane"), panes))
+    if len(mullions := building.mullions):
+        stand = [_mullion(mullions, m) for m in range(len(mullions))]
+        parts.append(_MULLIONS + table(("at x, y (m)", "width", "from – to height", "out of its pane"), stand))
     if len(blinds := building.blinds):
         hung = [_blind(blinds, b) for b in range(len(blinds))]
         parts.append(_BLINDS + table(("at x, y (m)", "width", "from – to height", "what held"), hung))
@@ -97,6 +105,11 @@ def _window(windows: Windows, w: int) -> tuple[str, ...]:
     pane = f"{100 * pane_m:.0f} cm behind the face" if np.isfinite(pane_m) else "returned nothing"
     heights = f"{windows.bottom_m[w]:.2f} – {windows.top_m[w]:.2f} m"
     return _place(windows.ends[w]), f"{lengths_m(windows.ends)[w]:.2f} m", heights, pane
+
+
+def _mullion(mullions: Mullions, m: int) -> tuple[str, ...]:
+    heights = f"{mullions.bottom_m[m]:.2f} – {mullions.top_m[m]:.2f} m"
+    return _place(mullions.ends[m]), f"{lengths_m(mullions.ends)[m]:.2f} m", heights, f"{100 * mullions.out_m[m]:.0f} cm"
 
 
 def _blind(blinds: Blinds, b: int) -> tuple[str, ...]:

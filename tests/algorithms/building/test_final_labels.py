@@ -18,10 +18,12 @@ from ffmap.algorithms.building.model import (
     CELL_M,
     NO_BLINDS,
     NO_DOORS,
+    NO_MULLIONS,
     NO_WALLS,
     NO_WINDOWS,
     Blinds,
     Doors,
+    Mullions,
     Walls,
     Windows,
 )
@@ -103,7 +105,7 @@ def relabelled(
     verdict: FaceVerdict = FaceVerdict.ENDS_LOW,
     levels: tuple[HeightMap, ...] = (),
     leaf_panes: Windows = NO_WINDOWS,
-    mullions: Windows = NO_WINDOWS,
+    mullions: Mullions = NO_MULLIONS,
 ) -> Relabelled:
     """What becomes of returns (n, 3); the scan's ceiling hangs at 2.8 m, that before the walls at `ceiling_m`."""
     height_m = points[:, 2].astype(np.float64)
@@ -239,12 +241,27 @@ def test_around_the_pane_of_an_open_leaf_is_no_wall(glass: str, expected: Label)
     assert final((1.5, -0.5, 0.5), Label.CLUTTER, **seen) == Label.OUTSIDE
 
 
-def test_a_mullion_before_its_pane_is_wall() -> None:
-    front = Windows(np.array([[[0.5, 0.0], [3.5, 0.0]]]), np.array([[0.0, -1.0]]), np.array([0.1]), np.array([2.7]), np.zeros(1))
-    mullion = replace(front, ends=np.array([[[1.95, -0.08], [2.05, -0.08]]]), pane_m=np.array([0.08]))
-    for x, expected in ((2.0, Label.WALL), (2.5, Label.CLUTTER)):
-        assert final((x, -0.07, 1.5), Label.CLUTTER, walls=face(), windows=front, mullions=mullion, covered=True) == expected
-    assert final((2.0, 0.5, 1.0), Label.CLUTTER, walls=face(), windows=front, mullions=mullion) == Label.OUTSIDE
+@pytest.mark.parametrize(
+    ("point", "expected"),
+    [
+        ((2.0, -0.07, 1.5), Label.WALL),
+        ((2.5, -0.07, 1.5), Label.CLUTTER),  # beside it
+        ((2.0, -0.07, 0.05), Label.CLUTTER),  # below it
+        ((2.0, -0.20, 1.5), Label.CLUTTER),  # before it
+    ],
+)
+def test_a_mullion_before_its_pane_is_wall(point: tuple[float, float, float], expected: Label) -> None:
+    front = Windows(np.array([[[1.0, 0.0], [2.9, 0.0]]]), np.array([[0.0, -1.0]]), np.array([0.1]), np.array([2.7]), np.zeros(1))
+    mullion = Mullions(np.array([[[1.95, 0.0], [2.05, 0.0]]]), front.normal, front.bottom_m, front.top_m, np.array([0.08]))
+    assert final(point, Label.CLUTTER, walls=face(), windows=front, mullions=mullion) == expected
+
+
+def test_a_mullion_makes_nothing_beyond_it_outside() -> None:
+    """Of a wall that its pane ends at, seen at a slant past the mullion."""
+    front = Windows(np.array([[[1.0, 0.0], [1.95, 0.0]]]), np.array([[0.0, -1.0]]), np.array([0.1]), np.array([2.7]), np.zeros(1))
+    mullion = Mullions(np.array([[[1.95, 0.0], [2.0, 0.0]]]), front.normal, front.bottom_m, front.top_m, np.array([0.15]))
+    seen = final((2.2, 0.01, 1.0), Label.WALL, walls=face(), windows=front, mullions=mullion, sensor=np.array([0.0, -2.0, 1.0]))
+    assert seen == Label.WALL
 
 
 @pytest.mark.parametrize(

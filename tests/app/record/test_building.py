@@ -5,13 +5,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from ffmap.algorithms.building.face_alignment import AlignedFaces
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.height_map import HeightMap, Surface
-from ffmap.algorithms.building.model import NO_BLINDS, NO_WINDOWS, Blinds
+from ffmap.algorithms.building.model import NO_BLINDS, NO_WINDOWS, Blinds, Mullions
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.app.record.building import log_building, log_fused_walls, log_grid, log_map_block
 from ffmap.app.record.building_reasons import explain_building
@@ -102,17 +103,26 @@ def test_the_building_says_why(tmp_path):
     assert "its leaf stands aslant" in explain_building(ajar)
 
 
-def test_the_pane_of_an_open_leaf_and_a_mullion_are_told_from_a_window(tmp_path):
+def test_the_pane_of_an_open_leaf_is_told_from_a_window(tmp_path):
     pane = window((1.0, 0.3), (1.0, 0.9))
     found = recorded(tmp_path, replace(building(), leaf_panes=pane))
     assert found[entities.WINDOWS]["labels"][0] == ["window", "pane of an open leaf"]
     reasons = found[entities.BUILDING_REASONS]["text"][0][0]
     assert "| 1.00, 0.60 | 0.60 m | 0.90 – 2.20 m | 10 cm behind the face |" in reasons.split("## Panes of open leaves")[1]
-    mullion = recorded(tmp_path, replace(building(), mullions=pane))
-    assert mullion[entities.WINDOWS]["labels"][0] == ["window", "mullion, 10 cm before its pane"]
-    assert "## Mullions before panes" in mullion[entities.BUILDING_REASONS]["text"][0][0]
     alone = recorded(tmp_path, replace(building(), windows=NO_WINDOWS, blinds=NO_BLINDS, leaf_panes=pane))
     assert "## Windows" not in alone[entities.BUILDING_REASONS]["text"][0][0]
+
+
+def test_a_mullion_is_shown_before_its_pane(tmp_path):
+    between_m = np.array([0.1]), np.array([2.6])
+    mullion = Mullions(np.array([[[1.0, 0.0], [1.1, 0.0]]]), np.array([[0.0, 1.0]]), *between_m, np.array([0.08]))
+    found = recorded(tmp_path, replace(building(), mullions=mullion))
+    corners = np.array(found[entities.MULLIONS]["vertex_positions"][0])
+    np.testing.assert_allclose(np.unique(corners.round(4), axis=0)[:, 1], 0.08)
+    assert (corners[:, 2].min(), corners[:, 2].max()) == pytest.approx((0.1, 2.6))
+    reasons = found[entities.BUILDING_REASONS]["text"][0][0]
+    assert "| 1.05, 0.00 | 0.10 m | 0.10 – 2.60 m | 8 cm |" in reasons.split("## Mullions")[1]
+    assert "## Mullions" not in explain_building(building())
 
 
 def test_a_cased_door_says_where_its_leaf_lies() -> None:
