@@ -136,8 +136,9 @@ def _leaf(
     """The opening that a leaf fills between two columns that hold its jambs; None where there is none."""
     beside, strip, above = (cells_in(length) for length in (settings.beside_m, settings.strip_m, settings.above_m))
     lowest, highest = cells_in(building.door_height_min_m), cells_in(building.door_height_max_m) + 1
-    sides = [slice(max(first - beside, 0), first), slice(last + 1, last + 1 + beside)]
-    if not all(np.count_nonzero(np.isfinite(column[side])) >= building.known_min * beside for side in sides):
+    sides = [_beside(column, first, -beside, building.known_min), _beside(column, last, beside, building.known_min)]
+    shown = [np.count_nonzero(np.isfinite(column[side])) for side in sides]
+    if min(shown) < 1 or max(shown) < building.known_min * beside:
         return None  # Between two doors the wall itself would be a leaf
     wall = mean_known(np.concatenate([column[side] for side in sides]))
     within, around = shade[first + 1 : last], np.concatenate([shade[side] for side in sides])
@@ -167,6 +168,18 @@ def _leaf(
     low, high = first + 1 - _share(column, first, sides[0], step), last + _share(column, last, sides[1], step)
     covered = float(np.clip(contrast[head] if np.isfinite(contrast[head]) else 0.0, 0.0, 1.0))
     return Opening(abs(step), step / wall, low, high, (head + covered) * CELL_M)
+
+
+def _beside(column: FloatArray, jamb: int, reach: int, known_min: float) -> slice:
+    """The columns of the wall beside a jamb, at most `reach` of them, before it where that is negative.
+
+    At a corner less of the wall shows, and its last column holds returns of the other wall.
+    """
+    low, high = (max(jamb + reach, 0), jamb) if reach < 0 else (jamb + 1, min(jamb + 1 + reach, len(column)))
+    known = low + np.flatnonzero(np.isfinite(column[low:high]))
+    if len(known) >= known_min * abs(reach) or len(known) < 2:
+        return slice(low, high)
+    return slice(int(known[1]), high) if reach < 0 else slice(low, int(known[-1]))
 
 
 def _jambs(contrast: FloatArray, first: int, last: int, strip: int, part: int, settings: DoorContrastsSettings) -> bool:

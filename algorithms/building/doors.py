@@ -61,12 +61,14 @@ def find_doors(
     found: list[_Seen] = []
     floor_before = np.zeros(len(cells.counts), bool) if floor_before is None else floor_before
     top_m, alone = tops_m(walls, cells, clear_m), _ends_alone(walls, windows, rules.openings.beside_m)
+    # What lies higher is no door's pane, but its overlight.
+    panes = windows.select(windows.bottom_m < rules.building.door_height_min_m)
     for w in range(len(walls)):
         own = slice(cells.first[w], cells.first[w + 1])
         for seen in _doors_in(w, walls, cells, top_m[own], floor_before[own], rules):
             # Below a beam of which scans saw a piece no doorway ends where the piece does; a leaf has a jamb, be it seen or not.
             has_leaf = seen.door.ajar[0] or seen.door.state[0] == DoorState.CLOSED
-            if (has_leaf or not (seen.is_cut & alone[w]).any()) and not _is_glazed(seen.door, windows, rules.openings):
+            if (has_leaf or not (seen.is_cut & alone[w]).any()) and not _has_glass(seen.door, panes, rules.openings):
                 found.append(seen)
     # Where a face ends within an opening, the other face may show all of it.
     found.sort(key=lambda seen: (seen.is_cut.any(), -seen.door.confidence[0] * seen.door.ray_count[0]))
@@ -234,8 +236,19 @@ def _over_empty_columns(
     return (to_left, to_right) if cells_in(settings.door_width_max_m) >= to_right + 1 - to_left else (first, last)
 
 
-def _is_glazed(door: Doors, windows: Windows, settings: OpeningsSettings) -> bool:
-    """Whether most of an opening is a window's, of whichever of its wall's faces."""
+def below_overlights(doors: Doors, windows: Windows, rules: OpeningRules) -> Doors:
+    """The closed doors, whose heads lie no higher than the panes above them: a recess may hold both."""
+    head_m = doors.head_m.copy()
+    for d in np.flatnonzero(doors.state == DoorState.CLOSED):
+        is_above = (windows.bottom_m >= rules.building.door_height_min_m) & (windows.bottom_m < head_m[d])
+        for pane in (windows.select(slice(k, k + 1)) for k in np.flatnonzero(is_above)):
+            if _has_glass(doors.select(slice(d, d + 1)), pane, rules.openings):
+                head_m[d] = min(head_m[d], pane.bottom_m[0])
+    return replace(doors, head_m=head_m)
+
+
+def _has_glass(door: Doors, windows: Windows, settings: OpeningsSettings) -> bool:
+    """Whether one of some windows takes most of an opening's width, in whichever of its wall's faces."""
     opening = next(segments(door))
     for ends, normal in zip(windows.ends, windows.normal, strict=True):
         near = np.abs(opening.before_m(ends)).max() < settings.glazed_m and abs(opening.normal @ normal) > 0.8

@@ -204,6 +204,9 @@ class Relabelling:
         """By the settings, which say how far each part of the building reaches."""
         walls, refused, doors, windows = building.walls, building.judged.refused, building.doors, building.windows
         blinds, panes, mullions = building.blinds, windows.append(building.leaf_panes), building.mullions
+        # Panes end at the mullions between them, which rays pass aslant.
+        between = Windows(mullions.ends, mullions.normal, mullions.bottom_m, mullions.top_m, np.zeros(len(mullions)))
+        panes = panes.append(between)
         fronts = mullions.ends + (mullions.out_m[:, None] * mullions.normal)[:, None]
         mullions = replace(mullions, ends=lengthened(fronts, settings.margin_m))
         leaf_m = np.where(doors.state == DoorState.CLOSED, doors.depth_m, -np.inf)

@@ -26,7 +26,7 @@ _OUT_MAX_M = 0.2  # Maximum distance before its pane of what a mullion returns
 _OFF_PANE_M = 0.03  # Closer to the pane lies what the pane returns itself
 _WIDTH_MAX_M = 0.1  # Maximum width: those of curtain walls are 5 to 8 cm wide, a curtain drawn aside is wider
 _COVERED_MIN = 0.2  # Share of a column's rays that return where a mullion covers some of it
-_UPRIGHT_MIN = 0.9  # Share of a pane's height over which they do
+_UPRIGHT_MIN = 0.8  # Share of a pane's height over which they do
 
 
 def find_mullions(

@@ -126,10 +126,13 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
     at_face = above_head * (returns_at_face(above_head) > 0)[..., None]
     lintel, upright = at_face.sum(axis=1), (at_face * is_upright).sum(axis=1)
     passed_above = above_head[..., THROUGH].sum(axis=1)
-    has_lintel = (lintel[:, FILLED] >= 2) & (passed_above <= lintel[:, FILLED])
+    overlight, passes = _overlights(smooth, top, rules)
+    below, foot = smooth[:, low:high].sum(axis=1), smooth[:, low:knee].sum(axis=1)
+    # One up to the ceiling leaves no lintel over a leaf: what its pane returns is none.
+    no_lintel = overlight & (passes & above).any(axis=1) & (below[:, FILLED] > below[:, THROUGH])
+    has_lintel = (lintel[:, FILLED] >= 2) & (passed_above <= lintel[:, FILLED]) & ~no_lintel
     may_have_lintel = has_lintel | (passed_above + above_head[..., FILLED].sum(axis=1) < 2)
     lintel = np.where(upright[:, [FILLED]] >= 2, upright, lintel)
-    below, foot = smooth[:, low:high].sum(axis=1), smooth[:, low:knee].sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         lintel_m = np.where(has_lintel, lintel[:, SUM] / lintel[:, FILLED], 0.0)
         through = below[:, THROUGH] / (below[:, THROUGH] + below[:, FILLED])
@@ -139,22 +142,39 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
         depth_m = lintel_m + _quartile(cell_m[:, low:high], 3)
         # Below a knee there may be a low sill, and the pane above it.
         foot_depth_m = lintel_m + _quartile(cell_m[:, low:knee], 1)
-    may_be = may_have_lintel & (below[:, THROUGH] + below[:, FILLED] >= settings.rays_min)
+    is_met = below[:, THROUGH] + below[:, FILLED] >= settings.rays_min
+    may_be = may_have_lintel & is_met
     spread_m = np.sqrt(depth_moments(below)[1])
     is_open = may_be & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)
-    is_closed = may_be & (depth_m > settings.recess_min_m) & (through < 1 - settings.agreement_min) & (spread_m < 0.06)
+    is_closed = (may_be | (no_lintel & is_met)) & (depth_m > settings.recess_min_m) & (spread_m < 0.06)
+    is_closed &= through < 1 - settings.agreement_min
     # What steps forward higher than doors are is a cornice, or a cove, but for an overlight in the recess of its door.
-    highest = cells_in(settings.door_height_max_m) + 1
-    passes = (smooth[..., THROUGH] > smooth[..., FILLED]) & (row >= high) & (row < head)
-    overlight = passes.sum(axis=1) >= cells_in(openings.overlight_min_m)
-    overlight &= passes[:, :highest].any(axis=1) & ((smooth[..., THROUGH] * passes).sum(axis=1) >= settings.rays_min)
-    is_closed &= (head[:, 0] <= highest) | overlight
+    is_closed &= (head[:, 0] <= cells_in(settings.door_height_max_m + CELL_M)) | overlight
     # A leaf is recessed down to the floor; below a window, or a niche, the wall stands less than half as far back.
     is_parapet = foot_depth_m < 0.5 * depth_m
     for first, last in stretches(is_closed, 2):
         if 2 * np.count_nonzero(is_parapet[first : last + 1]) > last + 1 - first:
             is_closed[first : last + 1] = False
     return DoorColumns(is_open, is_closed, has_lintel, through, below, lintel_m, depth_m)
+
+
+def _overlights(smooth: FloatArray, top: IntArray, rules: OpeningRules) -> tuple[BoolArray, BoolArray]:
+    """In which columns (c,) a pane shows above where doors' heads may be, and the cells (c, rows) there that most rays pass.
+
+    It returns some of the rays in the columns around: above a cupboard, or a board, there is nothing.
+
+    smooth: (c, rows, 4); top: (c, 1) the row of the ceiling.
+    """
+    settings = rules.building
+    row = np.arange(smooth.shape[1])
+    passes = (smooth[..., THROUGH] > smooth[..., FILLED]) & (row >= cells_in(settings.door_height_min_m)) & (row < top)
+    returned, passed = (smooth[..., [FILLED, THROUGH]] * passes[..., None]).sum(axis=1).T
+    shows = passes.sum(axis=1) >= cells_in(rules.openings.overlight_min_m)
+    shows &= passes[:, : cells_in(settings.door_height_max_m) + 1].any(axis=1)
+    around = 2 * cells_in(0.5 * settings.door_width_min_m) + 1
+    returned, met = (ndimage.uniform_filter1d(rays, around, mode="constant") for rays in (returned, passed))
+    shows &= (passed >= settings.rays_min) & (returned >= np.maximum(settings.pane_share_min * met, 1.0 / around))
+    return shows, passes
 
 
 def _is_upright(smooth: FloatArray) -> BoolArray:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings, find_contrasting_doors
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Doors, Walls
 from ffmap.algorithms.building.ray_evidence import FILLED, SQUARES, SUM, THROUGH, WallCells, first_columns
@@ -68,6 +69,18 @@ def test_of_two_doors_the_one_that_shows_best_is_first() -> None:
     halves = faces(((0, 0), (2.25, 0)), ((2.25, 0), (LENGTH_M, 0)))
     doors = contrasting(halves, WallCells(first_columns(halves), cells.rows, cells.counts, cells.light))
     np.testing.assert_allclose(doors.contrast, [0.5, 52.0 / WALL - 1.0], atol=0.03)
+
+
+@pytest.mark.parametrize("flip", [False, True])
+@pytest.mark.parametrize(("wall_m", "found"), [(0.15, 1), (0.1, 1), (0.05, 0)])
+def test_a_leaf_close_to_a_corner_has_some_wall_there(wall_m: float, found: int, flip: bool) -> None:
+    """The face's last column holds returns of the other wall; a finish that goes on to the corner is no leaf."""
+    last_m = LENGTH_M - wall_m
+    corner = ((LENGTH_M - CELL_M, LENGTH_M, 0.0, HEIGHT_M), 30.0)
+    doors = find(((last_m - 0.9, last_m, 0.0, 2.0), 68.0), corner, flip=flip)
+    assert len(doors) == found
+    if found:
+        assert lengths_m(doors.ends) == pytest.approx([0.9], abs=0.03)
 
 
 def test_two_doors_in_one_wall() -> None:

@@ -256,12 +256,16 @@ def test_a_mullion_before_its_pane_is_wall(point: tuple[float, float, float], ex
     assert final(point, Label.CLUTTER, walls=face(), windows=front, mullions=mullion) == expected
 
 
-def test_a_mullion_makes_nothing_beyond_it_outside() -> None:
-    """Of a wall that its pane ends at, seen at a slant past the mullion."""
-    front = Windows(np.array([[[1.0, 0.0], [1.95, 0.0]]]), np.array([[0.0, -1.0]]), np.array([0.1]), np.array([2.7]), np.zeros(1))
-    mullion = Mullions(np.array([[[1.95, 0.0], [2.0, 0.0]]]), front.normal, front.bottom_m, front.top_m, np.array([0.15]))
-    seen = final((2.2, 0.01, 1.0), Label.WALL, walls=face(), windows=front, mullions=mullion, sensor=np.array([0.0, -2.0, 1.0]))
-    assert seen == Label.WALL
+def test_what_is_seen_past_a_mullion_is_seen_through_its_panes() -> None:
+    """They end at it; the wall beside them that a ray comes to past a mullion stays."""
+    ends = np.array([[[1.0, 0.0], [1.9, 0.0]], [[2.1, 0.0], [2.4, 0.0]]])
+    both, one = np.repeat(np.array([[0.0, -1.0]]), 2, axis=0), np.ones(2)
+    front = Windows(ends, both, 0.1 * one, 2.7 * one, 0.0 * one)
+    mullion = Mullions(np.array([[[1.95, 0.0], [2.05, 0.0]]]), both[:1], np.array([0.1]), np.array([2.7]), np.array([0.15]))
+    seen: dict[str, Any] = {"walls": face(), "windows": front, "sensor": np.array([0.0, -2.0, 1.0])}
+    assert final((4.0, 2.0, 1.0), Label.WALL, **seen) == Label.CLUTTER
+    assert final((4.0, 2.0, 1.0), Label.WALL, mullions=mullion, **seen) == Label.OUTSIDE
+    assert final((2.6, 0.01, 1.0), Label.WALL, mullions=mullion, **seen) == Label.WALL
 
 
 @pytest.mark.parametrize(

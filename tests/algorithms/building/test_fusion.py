@@ -27,8 +27,9 @@ from ffmap.algorithms.building.fusion import Building, FusionSettings, fuse_buil
 from ffmap.algorithms.building.glass_fronts import GlassFrontsSettings
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.missed_walls import MissedWalls, MissedWallsSettings, find_missed_walls
-from ffmap.algorithms.building.model import BuildingSettings, Walls
-from ffmap.algorithms.building.openings import OpeningsSettings
+from ffmap.algorithms.building.model import BuildingSettings, Mullions, Walls, Windows
+from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
+from ffmap.algorithms.building.ray_evidence import THROUGH
 from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.building.windows import WindowsSettings
@@ -167,6 +168,21 @@ def test_what_was_seen_through_a_window_is_neither_wall_nor_refused() -> None:
     assert len(building.windows) == 1
     for faces in (building.walls, building.judged.refused):
         assert np.all(faces.ends[..., 1] > -0.2)
+
+
+def test_labels_know_the_mullions_which_all_rays_tell(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those that ended beyond a window too."""
+    known = Mullions(np.array([[[1.0, 0.0], [1.1, 0.0]]]), np.array([[0.0, 1.0]]), np.zeros(1), np.full(1, 2.6), np.full(1, 0.1))
+    passed: list[float] = []
+
+    def find(windows: Windows, trace: Any, rules: OpeningRules) -> Mullions:
+        seen = trace(face(windows.ends[0].tolist(), windows.normal[0].tolist()), rules.building)
+        passed.append(float(seen.counts[..., THROUGH].sum()))
+        return known
+
+    monkeypatch.setattr(fusion, "find_mullions", find)
+    assert built(TwoRooms(glass=(0.9, 2.1)), face([[0.0, -2.0], [3.0, -2.0]], [0.0, 1.0])).model.mullions is known
+    assert passed[0] > 100.0
 
 
 @pytest.mark.parametrize("closed", [False, True])

@@ -9,7 +9,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.segments import Segment
 from ffmap.algorithms.building.deep_openings import tell_deep_openings
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, place_frames
-from ffmap.algorithms.building.doors import drop_doubtful, each_once, find_doors, prove_crossed
+from ffmap.algorithms.building.doors import below_overlights, drop_doubtful, each_once, find_doors, prove_crossed
 from ffmap.algorithms.building.flush_doors import flush_door
 from ffmap.algorithms.building.model import (
     CELL_M,
@@ -185,6 +185,39 @@ def test_a_leaf_and_the_overlight_above_it_share_a_recess_higher_than_doors(
     np.testing.assert_allclose(doors.head_m, heads_m, atol=CELL_M)
     seen.counts[32:46, low:high] *= 0.01
     assert not len(find_doors(WALL, seen, np.full(80, 3.2), RULES))  # some strays
+
+
+@pytest.mark.parametrize(("low_m", "walls", "found"), [(2.1, 2, 1), (2.1, 1, 0), (1.0, 2, 0)])
+def test_a_leaf_below_an_overlight_up_to_the_ceiling_has_its_wall_on_both_sides(low_m: float, walls: int, found: int) -> None:
+    """What the pane returns is no lintel; a pane that begins lower is a window above a parapet that stands back."""
+    seen = cells()
+    recess(seen, 0.0, 3.0, 0.03)
+    pane = seen.counts[30:48, round(low_m / CELL_M) : 58]
+    pane[...] = (2.0, -2.0 * 0.06, 2.0 * 0.06**2, 8.0)
+    if walls == 1:
+        seen.counts[:30] = 0.0
+    doors = find_doors(WALL, seen, np.full(80, 3.0), RULES)
+    assert doors.state.tolist() == [DoorState.CLOSED] * found
+    if found:
+        assert doors.depth_m[0] == pytest.approx(0.03, abs=0.005)
+        assert doors.head_m[0] == pytest.approx(low_m, abs=CELL_M)
+        np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
+
+
+def test_a_window_above_a_leaf_is_its_overlight() -> None:
+    """It is no pane of the door's, whose head lies below it though both stand in one recess."""
+    seen = cells()
+    recess(seen, 0.0, 2.6, 0.03)
+    overlight = replace(WINDOW, ends=np.array([[[1.5, 0.0], [2.4, 0.0]]]), bottom_m=np.array([2.2]), top_m=np.array([2.6]))
+    doors = find_doors(WALL, seen, np.full(80, 3.2), RULES, overlight)
+    assert doors.head_m[0] == pytest.approx(2.6, abs=CELL_M)
+    assert below_overlights(doors, overlight, RULES).head_m.tolist() == [2.2]
+    # Neither a window beside the door nor one lower than heads are, and no open doorway's head, which its lintel shows.
+    for other in (replace(overlight, ends=overlight.ends + np.array([1.0, 0.0])), replace(overlight, bottom_m=np.array([1.2]))):
+        np.testing.assert_array_equal(below_overlights(doors, other, RULES).head_m, doors.head_m)
+    opened = replace(doors, state=np.array([DoorState.OPEN], np.uint8))
+    np.testing.assert_array_equal(below_overlights(opened, overlight, RULES).head_m, doors.head_m)
+    assert not len(find_doors(WALL, seen, np.full(80, 3.2), RULES, replace(overlight, bottom_m=np.array([1.2]))))
 
 
 def test_a_low_ceiling_before_a_part_of_a_wall_is_no_lintel() -> None:
