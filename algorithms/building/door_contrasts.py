@@ -83,7 +83,7 @@ def find_contrasting_doors(
 
 def _leaves(picture: Picture, building: BuildingSettings, settings: DoorContrastsSettings) -> list[Opening]:
     """The openings that leaves fill in a picture, none over another: the strongest has the greatest step."""
-    shade, before_m, counts, _ = picture
+    shade, _, counts, _ = picture
     strip, lowest = cells_in(settings.strip_m), cells_in(building.door_height_min_m)
     if len(shade) < cells_in(building.door_width_min_m) + 2 * strip or shade.shape[1] <= lowest:
         return []
@@ -97,7 +97,7 @@ def _leaves(picture: Picture, building: BuildingSettings, settings: DoorContrast
             # Smoothing and the cells' own width blur each side by up to a column.
             if not building.door_width_min_m <= (last - first + 1) * CELL_M <= building.door_width_max_m + CELL_M:
                 continue
-            leaf = _leaf(shade, before_m, column, int(first), int(last), building, settings)
+            leaf = _leaf(picture, column, int(first), int(last), building, settings)
             inner = counts[first:last, FOOT_ROW:lowest]
             if leaf is not None and is_opaque(inner, building):
                 found.append(leaf)
@@ -125,8 +125,7 @@ def _edges(step: FloatArray, least: float) -> IntArray:
 
 
 def _leaf(
-    shade: FloatArray,
-    before_m: FloatArray,
+    picture: Picture,
     column: FloatArray,
     first: int,
     last: int,
@@ -134,6 +133,7 @@ def _leaf(
     settings: DoorContrastsSettings,
 ) -> Opening | None:
     """The opening that a leaf fills between two columns that hold its jambs; None where there is none."""
+    shade, before_m, *_ = picture
     beside, strip, above = (cells_in(length) for length in (settings.beside_m, settings.strip_m, settings.above_m))
     lowest, highest = cells_in(building.door_height_min_m), cells_in(building.door_height_max_m) + 1
     sides = [_beside(column, first, -beside, building.known_min), _beside(column, last, beside, building.known_min)]
@@ -170,16 +170,16 @@ def _leaf(
     return Opening(abs(step), step / wall, low, high, (head + covered) * CELL_M)
 
 
-def _beside(column: FloatArray, jamb: int, reach: int, known_min: float) -> slice:
-    """The columns of the wall beside a jamb, at most `reach` of them, before it where that is negative.
+def _beside(column: FloatArray, jamb: int, width: int, known_min: float) -> slice:
+    """The columns of the wall beside a jamb, at most `width` of them, before it where that is negative.
 
-    At a corner less of the wall shows, and its last column holds returns of the other wall.
+    Close to a corner, or to what hides the wall, fewer show, of which the last holds returns of the other wall, or of that.
     """
-    low, high = (max(jamb + reach, 0), jamb) if reach < 0 else (jamb + 1, min(jamb + 1 + reach, len(column)))
+    low, high = (max(jamb + width, 0), jamb) if width < 0 else (jamb + 1, min(jamb + 1 + width, len(column)))
     known = low + np.flatnonzero(np.isfinite(column[low:high]))
-    if len(known) >= known_min * abs(reach) or len(known) < 2:
+    if len(known) >= known_min * abs(width) or len(known) < 2:
         return slice(low, high)
-    return slice(int(known[1]), high) if reach < 0 else slice(low, int(known[-1]))
+    return slice(int(known[1]), high) if width < 0 else slice(low, int(known[-1]))
 
 
 def _jambs(contrast: FloatArray, first: int, last: int, strip: int, part: int, settings: DoorContrastsSettings) -> bool:

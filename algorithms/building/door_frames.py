@@ -132,7 +132,7 @@ def place_frames(
             if edge_m is not None:
                 ends[d, side] += outwards * doorway.along * (edge_m - settings.jamb_reach_m)
         edge_m = _edge_m(evidence.head_cost_m[d], evidence.head_rays[d], settings.rays_min)
-        # Higher than leaves are ends the recess that holds an overlight too.
+        # Above the highest leaves it is the recess that ends, which holds an overlight too.
         highest_m = np.inf if frames.is_open[d] else building.door_height_max_m + CELL_M
         if edge_m is not None and heads_m[0] + edge_m < highest_m:
             head_m[d] = heads_m[0] + edge_m

@@ -236,7 +236,7 @@ def _over_empty_columns(
     return (to_left, to_right) if cells_in(settings.door_width_max_m) >= to_right + 1 - to_left else (first, last)
 
 
-def below_overlights(doors: Doors, windows: Windows, rules: OpeningRules) -> Doors:
+def lower_heads_to_overlights(doors: Doors, windows: Windows, rules: OpeningRules) -> Doors:
     """The closed doors, whose heads lie no higher than the panes above them: a recess may hold both."""
     head_m = doors.head_m.copy()
     for d in np.flatnonzero(doors.state == DoorState.CLOSED):

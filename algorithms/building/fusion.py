@@ -15,7 +15,7 @@ from ffmap.algorithms.building.door_casings import DoorCasingsSettings, find_cas
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings, find_contrasting_doors
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
 from ffmap.algorithms.building.door_outlines import DoorOutlinesSettings, find_outlined_doors
-from ffmap.algorithms.building.doors import below_overlights, each_once, find_doors, prove_crossed
+from ffmap.algorithms.building.doors import each_once, find_doors, lower_heads_to_overlights, prove_crossed
 from ffmap.algorithms.building.drive import AllScans
 from ffmap.algorithms.building.face_alignment import AlignedFaces, FaceAlignmentSettings, align_faces
 from ffmap.algorithms.building.face_columns import FLOOR_NEAR_M, FaceColumnsSettings, TracedFaces, column_places
@@ -272,7 +272,7 @@ def _find_openings(
     sliding = find_sliding_doors(walls, cells, doors, settings.building, settings.door_casings)
     doors = doors.append(sliding).append(cased).append(contrasting).append(outlined).append(glazed)
     doors = place_frames(doors, walls, scans.drive.blocks(), settings.building, settings.door_frames)
-    doors = below_overlights(doors, windows, settings.opening_rules)
+    doors = lower_heads_to_overlights(doors, windows, settings.opening_rules)
     doors = prove_crossed(each_once(doors, settings.opening_rules), scans.path_map)
     doors, deep_windows = tell_deep_openings(doors, trace, settings.opening_rules)
     windows = windows.append(deep_windows)

@@ -129,8 +129,8 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
     overlight, passes = _overlights(smooth, top, rules)
     below, foot = smooth[:, low:high].sum(axis=1), smooth[:, low:knee].sum(axis=1)
     # One up to the ceiling leaves no lintel over a leaf: what its pane returns is none.
-    no_lintel = overlight & (passes & above).any(axis=1) & (below[:, FILLED] > below[:, THROUGH])
-    has_lintel = (lintel[:, FILLED] >= 2) & (passed_above <= lintel[:, FILLED]) & ~no_lintel
+    to_ceiling = overlight & (passes & above).any(axis=1) & (below[:, FILLED] > below[:, THROUGH])
+    has_lintel = (lintel[:, FILLED] >= 2) & (passed_above <= lintel[:, FILLED]) & ~to_ceiling
     may_have_lintel = has_lintel | (passed_above + above_head[..., FILLED].sum(axis=1) < 2)
     lintel = np.where(upright[:, [FILLED]] >= 2, upright, lintel)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -146,7 +146,7 @@ def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -
     may_be = may_have_lintel & is_met
     spread_m = np.sqrt(depth_moments(below)[1])
     is_open = may_be & (through > settings.agreement_min) & ~(foot_through < settings.agreement_min)
-    is_closed = (may_be | (no_lintel & is_met)) & (depth_m > settings.recess_min_m) & (spread_m < 0.06)
+    is_closed = (may_be | (to_ceiling & is_met)) & (depth_m > settings.recess_min_m) & (spread_m < 0.06)
     is_closed &= through < 1 - settings.agreement_min
     # What steps forward higher than doors are is a cornice, or a cove, but for an overlight in the recess of its door.
     is_closed &= (head[:, 0] <= cells_in(settings.door_height_max_m + CELL_M)) | overlight
@@ -168,7 +168,9 @@ def _overlights(smooth: FloatArray, top: IntArray, rules: OpeningRules) -> tuple
     settings = rules.building
     row = np.arange(smooth.shape[1])
     passes = (smooth[..., THROUGH] > smooth[..., FILLED]) & (row >= cells_in(settings.door_height_min_m)) & (row < top)
-    returned, passed = (smooth[..., [FILLED, THROUGH]] * passes[..., None]).sum(axis=1).T
+    # In the row in which a cupboard ends some rays pass and others return, too.
+    inner = passes & (row > passes.argmax(axis=1)[:, None])
+    returned, passed = (smooth[..., [FILLED, THROUGH]] * inner[..., None]).sum(axis=1).T
     shows = passes.sum(axis=1) >= cells_in(rules.openings.overlight_min_m)
     shows &= passes[:, : cells_in(settings.door_height_max_m) + 1].any(axis=1)
     around = 2 * cells_in(0.5 * settings.door_width_min_m) + 1

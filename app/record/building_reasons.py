@@ -14,9 +14,9 @@ from ffmap.blueprints import entities
 _DOORS = """\
 ## Doors
 
-A door has wall above it; below, a ray either goes on (open) or ends on a leaf that is recessed down to the floor (closed).
-A closed leaf that is flush, or whose recess does not show, shows by its casing or its finish, one of glass by its pane, which most
-rays pass, and a sliding one by hanging before its wall.
+A door has wall above it, or an overlight; below, a ray either goes on (open) or ends on a leaf that is recessed down to the floor
+(closed). A closed leaf that is flush, or whose recess does not show, shows by its casing or its finish, one of glass by its pane,
+which most rays pass, and a sliding one by hanging before its wall.
 Confidence = share of its rays that agree × share of its columns (5 cm) that are decided so by themselves, or that an open
 door's leaf covers; a door that the robot drove through is open for sure.
 
@@ -30,7 +30,7 @@ but not to the ceiling. That is clutter, though single scans take it for the wal
 _MULLIONS = """
 ## Mullions
 
-What is narrow, returns rays from a pane's foot to its head and has a pane on either side parts them, and is wall.
+A mullion is narrow, returns rays from the foot of a pane to its head, and has a pane on either side; it is wall.
 
 """
 _BLINDS = """

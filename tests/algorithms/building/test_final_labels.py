@@ -253,7 +253,7 @@ def test_around_the_pane_of_an_open_leaf_is_no_wall(glass: str, expected: Label)
 def test_a_mullion_before_its_pane_is_wall(point: tuple[float, float, float], expected: Label) -> None:
     front = Windows(np.array([[[1.0, 0.0], [2.9, 0.0]]]), np.array([[0.0, -1.0]]), np.array([0.1]), np.array([2.7]), np.zeros(1))
     mullion = Mullions(np.array([[[1.95, 0.0], [2.05, 0.0]]]), front.normal, front.bottom_m, front.top_m, np.array([0.08]))
-    assert final(point, Label.CLUTTER, walls=face(), windows=front, mullions=mullion) == expected
+    assert final(point, Label.CLUTTER, walls=face(), windows=front, mullions=mullion, covered=True) == expected
 
 
 def test_what_is_seen_past_a_mullion_is_seen_through_its_panes() -> None:

@@ -9,7 +9,13 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.segments import Segment
 from ffmap.algorithms.building.deep_openings import tell_deep_openings
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, place_frames
-from ffmap.algorithms.building.doors import below_overlights, drop_doubtful, each_once, find_doors, prove_crossed
+from ffmap.algorithms.building.doors import (
+    drop_doubtful,
+    each_once,
+    find_doors,
+    lower_heads_to_overlights,
+    prove_crossed,
+)
 from ffmap.algorithms.building.flush_doors import flush_door
 from ffmap.algorithms.building.model import (
     CELL_M,
@@ -204,6 +210,15 @@ def test_a_leaf_below_an_overlight_up_to_the_ceiling_has_its_wall_on_both_sides(
         np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
 
 
+def test_above_a_fitted_cupboard_is_no_overlight() -> None:
+    """Its upper edge takes a part of a row, which returns some of the rays."""
+    seen = cells()
+    recess(seen, 0.0, 3.0, 0.03)
+    seen.counts[30:48, 40] = (4.0, -4.0 * 0.03, 4.0 * 0.03**2, 6.0)
+    seen.counts[30:48, 41:60] = (0.0, 0.0, 0.0, 10.0)
+    assert not len(find_doors(WALL, seen, np.full(80, 3.0), RULES))
+
+
 def test_a_window_above_a_leaf_is_its_overlight() -> None:
     """It is no pane of the door's, whose head lies below it though both stand in one recess."""
     seen = cells()
@@ -211,12 +226,12 @@ def test_a_window_above_a_leaf_is_its_overlight() -> None:
     overlight = replace(WINDOW, ends=np.array([[[1.5, 0.0], [2.4, 0.0]]]), bottom_m=np.array([2.2]), top_m=np.array([2.6]))
     doors = find_doors(WALL, seen, np.full(80, 3.2), RULES, overlight)
     assert doors.head_m[0] == pytest.approx(2.6, abs=CELL_M)
-    assert below_overlights(doors, overlight, RULES).head_m.tolist() == [2.2]
+    assert lower_heads_to_overlights(doors, overlight, RULES).head_m.tolist() == [2.2]
     # Neither a window beside the door nor one lower than heads are, and no open doorway's head, which its lintel shows.
     for other in (replace(overlight, ends=overlight.ends + np.array([1.0, 0.0])), replace(overlight, bottom_m=np.array([1.2]))):
-        np.testing.assert_array_equal(below_overlights(doors, other, RULES).head_m, doors.head_m)
+        np.testing.assert_array_equal(lower_heads_to_overlights(doors, other, RULES).head_m, doors.head_m)
     opened = replace(doors, state=np.array([DoorState.OPEN], np.uint8))
-    np.testing.assert_array_equal(below_overlights(opened, overlight, RULES).head_m, doors.head_m)
+    np.testing.assert_array_equal(lower_heads_to_overlights(opened, overlight, RULES).head_m, doors.head_m)
     assert not len(find_doors(WALL, seen, np.full(80, 3.2), RULES, replace(overlight, bottom_m=np.array([1.2]))))
 
 
