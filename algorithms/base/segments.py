@@ -117,6 +117,11 @@ def lengthened(ends: FloatArray, by_m: float) -> FloatArray:
     return np.asarray(np.stack([ends[:, 0] - along, ends[:, 1] + along], axis=1))
 
 
+def moved(ends: FloatArray, normal: FloatArray, by_m: FloatArray) -> FloatArray:
+    """(k, 2, 2) the same lines, each `by_m` (k,) farther towards where its normal (k, 2) points."""
+    return np.asarray(ends + (by_m[:, None] * normal)[:, None])
+
+
 def lengths_m(ends: FloatArray) -> FloatArray:
     """(k,) how long faces, sills or other lines with these ends (k, 2, 2) are."""
     return np.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))

@@ -207,8 +207,7 @@ class Relabelling:
         # Panes end at the mullions between them, which rays pass aslant.
         between = Windows(mullions.ends, mullions.normal, mullions.bottom_m, mullions.top_m, np.zeros(len(mullions)))
         panes = panes.append(between)
-        fronts = mullions.ends + (mullions.out_m[:, None] * mullions.normal)[:, None]
-        mullions = replace(mullions, ends=lengthened(fronts, settings.margin_m))
+        mullions = replace(mullions, ends=lengthened(mullions.front, settings.margin_m))
         leaf_m = np.where(doors.state == DoorState.CLOSED, doors.depth_m, -np.inf)
         beyond_m = np.where(np.isfinite(panes.pane_m), panes.pane_m + settings.pane_m, settings.behind_glass_m)
         # A ray that ends this close to a face or a leaf may cross it so far away, if it comes in as level as is asked about.

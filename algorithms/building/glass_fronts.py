@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
-from ffmap.algorithms.base.segments import Segment, lengthened, lengths_m, segments
+from ffmap.algorithms.base.segments import Segment, lengthened, lengths_m, moved, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import column_places, long_runs, runs, visited
 from ffmap.algorithms.building.face_verdicts import SAME_WAY, JudgedFaces, StandingWallsSettings, wall_directions
@@ -319,4 +319,4 @@ def set_in_walls(fronts: Windows, walls: Walls, settings: GlassFrontsSettings) -
             before_m = float(own.before_m(ends.mean(axis=0)))
             if depth_m[k] < before_m < settings.reveal_m and own.shared_m(ends) > -settings.reveal_m:
                 depth_m[k] = before_m
-    return replace(fronts, ends=fronts.ends + (depth_m[:, None] * fronts.normal)[:, None], pane_m=depth_m)
+    return replace(fronts, ends=moved(fronts.ends, fronts.normal, depth_m), pane_m=depth_m)

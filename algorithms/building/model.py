@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.segments import moved
 from ffmap.algorithms.base.segments import stretches as stretches
 from ffmap.algorithms.base.settings import StepSettings
 
@@ -176,6 +177,11 @@ class Mullions(Rows):
     bottom_m: FloatArray
     top_m: FloatArray
     out_m: FloatArray
+
+    @property
+    def front(self) -> FloatArray:
+        """(M, 2, 2) x and y of what looks into the room."""
+        return moved(self.ends, self.normal, self.out_m)
 
 
 NO_MULLIONS = Mullions(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))

@@ -1,11 +1,12 @@
 """The mullions of glazed fronts, which stand out of their panes further than a wall's face scatters."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.base.segments import Segment, lengthened
+from ffmap.algorithms.base.segments import Segment, lengthened, moved, segments
 from ffmap.algorithms.building.face_columns import runs
 from ffmap.algorithms.building.model import (
     CELL_M,
@@ -20,6 +21,7 @@ from ffmap.algorithms.building.model import (
 from ffmap.algorithms.building.openings import OpeningRules
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, WallCells, depth_moments
 from ffmap.algorithms.building.unexplained_lines import unseen_faces
+from ffmap.algorithms.building.windows import is_beside
 
 _PANE_MAX_M = 0.1  # Maximum distance of a pane behind its wall's face: of a deeper one the mullions stand within that
 _OUT_MAX_M = 0.2  # Maximum distance before its pane of what a mullion returns
@@ -43,40 +45,36 @@ def find_mullions(
     fronts = windows.select(is_front)
     if not len(fronts):
         return NO_MULLIONS
-    panes = fronts.ends - (fronts.pane_m[:, None] * fronts.normal)[:, None]
+    fronts = replace(fronts, ends=moved(fronts.ends, fronts.normal, -fronts.pane_m))
+    panes = tuple(segments(fronts))
     # Rays are asked of a plane half way to the farthest that a mullion may stand out, about which cells tell distances. A pane ends
     # at its mullions.
     plane_m = 0.5 * _OUT_MAX_M
-    ends = lengthened(panes + plane_m * fronts.normal[:, None], _WIDTH_MAX_M + 2.0 * CELL_M)
-    faces = unseen_faces(ends, fronts.normal, fronts.top_m)
+    wide = lengthened(fronts.ends, _WIDTH_MAX_M + 2.0 * CELL_M)
+    faces = unseen_faces(moved(wide, fronts.normal, np.full(len(wide), plane_m)), fronts.normal, fronts.top_m)
     cells = trace(faces, rules.building.model_copy(update={"near_m": plane_m - _OFF_PANE_M, "own_plane_m": 0.0}))
     found = NO_MULLIONS
     for k in range(len(fronts)):
-        pane, normal = Segment.between(faces.ends[k] - plane_m * fronts.normal[k], fronts.normal[k]), fronts.normal[k]
+        pane = Segment.between(wide[k], fronts.normal[k])
         rows = slice(max(cells_in(fronts.bottom_m[k]), FOOT_ROW), cells_in(fronts.top_m[k]))
         counts = cells.of(k).counts[:, rows].astype(np.float64)
         for first, after in _uprights(counts):
-            sides = pane.at(CELL_M * np.array([first - 1.5, after + 1.5]))
-            ends = pane.at(CELL_M * np.array([first, after]))
-            if not all(_shows_at(place, panes, fronts.normal, normal) for place in sides):
+            if not all(_shows_at(column, pane, panes) for column in (first - 1.5, after + 1.5)):
                 continue
-            if _shows_at(ends.mean(axis=0), found.ends, found.normal, normal):
+            if _shows_at(0.5 * (first + after), pane, segments(found)):
                 continue  # The pane on its other side has shown it.
             before_m, variance = depth_moments(counts[first:after].sum(axis=(0, 1)))
             # Its front returns most; what its sides return lies farther back.
             front_m = min(plane_m + float(before_m + np.sqrt(variance)), _OUT_MAX_M)
-            between_m = fronts.bottom_m[[k]], fronts.top_m[[k]]
-            found = found.append(Mullions(ends[None], normal[None], *between_m, np.array([front_m])))
+            ends, between_m = pane.at(CELL_M * np.array([first, after])), (fronts.bottom_m[[k]], fronts.top_m[[k]])
+            found = found.append(Mullions(ends[None], pane.normal[None], *between_m, np.array([front_m])))
     return found
 
 
-def _shows_at(place: FloatArray, ends: FloatArray, normals: FloatArray, normal: FloatArray) -> bool:
-    """Whether one of some stretches (n, 2, 2), seen from the side that a normal (2,) points to, holds a place (2,)."""
-    for own, own_normal in zip(ends, normals, strict=True):
-        stretch = Segment.between(own, own_normal)
-        if own_normal @ normal > 0.0 and stretch.beside(place, CELL_M) and abs(stretch.before_m(place)) < ON_FACE_M:
-            return True
-    return False
+def _shows_at(column: float, pane: Segment, stretches: Iterable[Segment]) -> bool:
+    """Whether one of some stretches, seen from the same side as a pane, is less than a column from a place on that."""
+    around = pane.at(CELL_M * np.array([column - 1.0, column + 1.0]))
+    return any(is_beside(one, around, pane.normal, ON_FACE_M) for one in stretches)
 
 
 def _uprights(counts: FloatArray) -> list[tuple[int, int]]:

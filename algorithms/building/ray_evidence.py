@@ -334,6 +334,7 @@ def _trace(
     cosines: FloatArray,
 ) -> None:  # pragma: no cover
     faces, rows = len(ends), counts.shape[1]
+    has_light = len(light) > 0 and len(rays.intensity) > 0
     origin, starts, ray_end, label, floors = rays.origin, rays.starts, rays.end, rays.label, rays.floors
     along = np.empty((faces, 2))
     for w in range(faces):
@@ -385,7 +386,6 @@ def _trace(
                     counts[column, row, SQUARES] += side * side
                     if len(rays.echo) > 0 and rays.echo[r] == Echo.NEARER:
                         twice[column, row] += 1.0
-                    has_light = len(light) > 0 and len(rays.intensity) > 0
                     if has_light and abs(side) < AT_FACE_M and np.isfinite(rays.intensity[r]):
                         angle = _angle_band(reach - side, x - ox, y - oy, z - oz, cosines)
                         light[column, row, angle, 0] += 1.0

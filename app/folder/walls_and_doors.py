@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.base.segments import lengths_m
+from ffmap.algorithms.base.segments import lengths_m, moved
 from ffmap.algorithms.building.model import Doors, Walls
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.app.folder.atomic import write_geojson
@@ -52,7 +52,7 @@ def write_doors(path: Path, doors: Doors, rooms: Sequence[Sequence[str | None] |
         for i, width_m in enumerate(lengths_m(doors.ends))
     ]
     behind_m = np.nan_to_num(np.where(doors.state == DoorState.CLOSED, doors.depth_m, 0.5 * doors.reveal_m))
-    _write_lines(path, doors.ends - (behind_m[:, None] * doors.normal)[:, None], properties)
+    _write_lines(path, moved(doors.ends, doors.normal, -behind_m), properties)
 
 
 def _millimetres(length_m: np.floating[Any]) -> float:

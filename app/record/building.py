@@ -8,7 +8,7 @@ import rerun as rr
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, UInt8Array
-from ffmap.algorithms.base.segments import lengths_m
+from ffmap.algorithms.base.segments import lengths_m, moved
 from ffmap.algorithms.building.face_alignment import AlignedFaces
 from ffmap.algorithms.building.face_foreground import covered_places
 from ffmap.algorithms.building.face_verdicts import JudgedFaces
@@ -120,13 +120,10 @@ def _log_windows(log: Log, building: BuildingModel) -> None:
         labels = ["window"] * len(windows) + ["pane of an open leaf"] * len(leaf_panes)
         log.static(entities.WINDOWS, strips(frames, color, 1.5, labels, show_labels=False))
     if len(mullions):
-        fronts = mullions.ends + (mullions.out_m[:, None] * mullions.normal)[:, None]
-        color = entities.CLASSES[Label.WALL][1]
-        log.static(
-            entities.MULLIONS, panel_mesh(fronts, mullions.bottom_m, mullions.top_m, color), evidence(mullions, "out_m")
-        )
+        fronts = panel_mesh(mullions.front, mullions.bottom_m, mullions.top_m, entities.CLASSES[Label.WALL][1])
+        log.static(entities.MULLIONS, fronts, evidence(mullions, "out_m"))
     if len(blinds):
-        hung = blinds.ends - (blinds.behind_m[:, None] * blinds.normal)[:, None]
+        hung = moved(blinds.ends, blinds.normal, -blinds.behind_m)
         log.static(
             entities.BLINDS,
             panel_mesh(hung, blinds.bottom_m, blinds.top_m, entities.CLASSES[Label.CLUTTER][1]),

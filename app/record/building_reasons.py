@@ -103,13 +103,11 @@ def _door(doors: Doors, d: int) -> tuple[str, ...]:
 def _window(windows: Windows, w: int) -> tuple[str, ...]:
     pane_m = windows.pane_m[w]
     pane = f"{100 * pane_m:.0f} cm behind the face" if np.isfinite(pane_m) else "returned nothing"
-    heights = f"{windows.bottom_m[w]:.2f} – {windows.top_m[w]:.2f} m"
-    return _place(windows.ends[w]), f"{lengths_m(windows.ends)[w]:.2f} m", heights, pane
+    return *_extent(windows, w), pane
 
 
 def _mullion(mullions: Mullions, m: int) -> tuple[str, ...]:
-    heights = f"{mullions.bottom_m[m]:.2f} – {mullions.top_m[m]:.2f} m"
-    return _place(mullions.ends[m]), f"{lengths_m(mullions.ends)[m]:.2f} m", heights, f"{100 * mullions.out_m[m]:.0f} cm"
+    return *_extent(mullions, m), f"{100 * mullions.out_m[m]:.0f} cm"
 
 
 def _blind(blinds: Blinds, b: int) -> tuple[str, ...]:
@@ -117,8 +115,13 @@ def _blind(blinds: Blinds, b: int) -> tuple[str, ...]:
     held = [f"{100 * behind_m:.1f} cm behind the wall"]
     if np.isfinite(contrast):
         held.append(_returns(contrast))
-    heights = f"{blinds.bottom_m[b]:.2f} – {blinds.top_m[b]:.2f} m"
-    return _place(blinds.ends[b]), f"{lengths_m(blinds.ends)[b]:.2f} m", heights, "; ".join(held)
+    return *_extent(blinds, b), "; ".join(held)
+
+
+def _extent(stretches: Windows | Mullions | Blinds, k: int) -> tuple[str, str, str]:
+    """Where one of them is, how wide, and between which heights."""
+    heights = f"{stretches.bottom_m[k]:.2f} – {stretches.top_m[k]:.2f} m"
+    return _place(stretches.ends[k]), f"{lengths_m(stretches.ends)[k]:.2f} m", heights
 
 
 def _returns(contrast: float) -> str:
