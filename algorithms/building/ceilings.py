@@ -1,4 +1,4 @@
-"""Ceilings that single scans missed or cut up: of other rooms, sloping ones, with beams."""
+"""Ceilings that single scans missed or cut up: of other rooms, sloping ones, with beams; and ducts that passed for ceilings."""
 
 import numpy as np
 from scipy import ndimage
@@ -16,6 +16,7 @@ from ffmap.algorithms.building.height_map import (
     highest_around,
     median_around,
     nearest_known,
+    range_around,
     windows_around,
 )
 from ffmap.algorithms.building.level_settings import LevelsSettings
@@ -104,6 +105,25 @@ def _planes_around(places: FloatArray, size: int) -> tuple[FloatArray, FloatArra
         slope[~(determinant > 0.03**4)] = np.nan
     rms_m = np.sqrt(np.maximum(zz - slope[..., 0] * xz - slope[..., 1] * yz, 0.0))
     return mean + middle, slope, rms_m, known
+
+
+def map_ducts(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
+    """Narrow surfaces below a ceiling: a duct's underside, at the height of another room's ceiling.
+
+    A scan that sees both rooms cannot tell the one from the other.
+    """
+    ceiling = votes.mean_position[(votes.label == Label.CEILING) & votes.seen()]
+    grid = GroundGrid.around(ceiling, settings.cell_m, settings.ceiling_reach_m)
+    lowest_m, usual_m = grid.heights(ceiling, 0.0), grid.heights(ceiling)
+    beside_cells = 2 * round(settings.duct_beside_m / grid.cell_m) + 1
+    hangs = lowest_m < highest_around(usual_m, beside_cells) - settings.drop_min_m
+    steep = range_around(lowest_m, 3) > 2.0 * settings.flat_m
+    broad = grid.broad(closed(np.isfinite(lowest_m) & ~steep) & ~steep, settings.overhead_width_m)
+    # The edge of a ceiling, along a wall behind which another ceiling begins, is steep.
+    away, nearest = nearest_known(broad)
+    off_m = np.abs(lowest_m - lowest_m[nearest])
+    ceilings = (away <= round(settings.ceiling_edge_m / grid.cell_m)) & (off_m < settings.margin_m)
+    return grid.level(Surface.DUCT, np.where(hangs & ~ceilings, lowest_m, np.nan), settings.margin_m)
 
 
 def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.building.ceilings import map_ceilings, map_glimpsed_ceilings, map_sloping_ceilings
+from ffmap.algorithms.building.ceilings import map_ceilings, map_ducts, map_glimpsed_ceilings, map_sloping_ceilings
 from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.floors import map_floors_beyond, map_raised_floors, map_step_fronts
 from ffmap.algorithms.building.height_map import HeightMap, corrected, median_around
@@ -166,6 +166,38 @@ def test_a_lower_ceiling_that_cuts_the_walls_of_a_room_hides_no_strip_of_its_own
     places = np.array([[x, y, 2.67] for x in (5.15, 5.5, 5.85) for y in (0.5, 2.0, 3.5)])
     found = map_glimpsed_ceilings(votes, SETTINGS).label_of(places, np.full(len(places), Label.CLUTTER, np.uint8))
     assert np.all(found == Label.CEILING)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "expected"),
+    [
+        ((1.5, 1.9), (0.5, 3.5), Label.CLUTTER),  # a duct
+        ((1.0, 2.5), (0.0, 4.0), Label.CEILING),  # a bulkhead
+        ((4.1, 7.0), (0.0, 4.0), Label.CEILING),  # another room's, up to the wall between them
+    ],
+)
+def test_a_narrow_strip_below_a_ceiling_is_a_duct(
+    x: tuple[float, float], y: tuple[float, float], expected: Label
+) -> None:
+    high = lying((0, 4), (0, 4), 3.02)
+    beside = (high[:, 0] < x[0]) | (high[:, 0] > x[1]) | (high[:, 1] < y[0]) | (high[:, 1] > y[1])
+    low = lying(x, y, 2.72)
+    ceiling = np.concatenate([high[beside], low])
+    ducts = map_ducts(
+        merge([vote(ceiling, np.full(len(ceiling), Label.CEILING, np.uint8), len(Label), 0.05)]), SETTINGS
+    )
+    as_ceiling = np.full(len(low), Label.CEILING, np.uint8)
+    assert np.all(ducts.label_of(low, as_ceiling) == expected)
+    assert np.all(ducts.label_of(high[beside], np.full(beside.sum(), Label.CEILING, np.uint8)) == Label.CEILING)
+    # What was not taken for a ceiling stays what it is.
+    assert np.all(ducts.label_of(low, np.full(len(low), Label.WALL, np.uint8)) == Label.WALL)
+
+
+def test_without_a_ceiling_there_is_no_duct() -> None:
+    nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
+    assert (
+        map_ducts(nothing, SETTINGS).label_of(np.zeros((1, 3)), np.array([Label.CEILING], np.uint8))[0] == Label.CEILING
+    )
 
 
 def upright(x: tuple[float, float], y: float, z: tuple[float, float]) -> np.ndarray:
