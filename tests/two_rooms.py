@@ -7,7 +7,7 @@ import numpy as np
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.drive import Drive
-from ffmap.algorithms.building.model import BuildingSettings, Doors, Walls, Windows
+from ffmap.algorithms.building.model import BuildingSettings, Doors, Walls, Windows, one_door
 from ffmap.algorithms.building.ray_evidence import trace_rays
 from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.maps.grid import Immobile
@@ -156,28 +156,20 @@ class TwoRooms:
     def doors(self) -> Doors:
         y = SIZE_M[1]
         sill = self.to_map(np.array([[JAMBS_X[0], y], [JAMBS_X[1], y]]))
-        return Doors(
-            ends=sill[None],
-            normal=self.walls.normal[3:4],
-            head_m=np.array([HEAD_M]),
-            depth_m=np.array([0.04 if self.closed else np.nan]),
-            state=np.array([DoorState.CLOSED if self.closed else DoorState.OPEN], np.uint8),
-            confidence=np.ones(1),
-            agreement=np.ones(1),
-            coverage=np.ones(1),
-            lintel=np.ones(1),
-            ajar=np.zeros(1, bool),
-            ray_count=np.array([100], np.int32),
-            scan_count=np.array([6], np.int32),
-            first_scan=np.array([0]),
-            last_scan=np.array([5]),
-            crossed=np.array([False]),
-            wall=np.array([3], np.int32),
-            reveal_m=np.array([self.thickness_m]),
-            casing_m=np.full(1, np.nan),
-            glazed=np.zeros(1, bool),
-            contrast=np.full(1, np.nan),
-            outline=np.full(1, np.nan),
+        return one_door(
+            ends=sill,
+            normal=self.walls.normal[3],
+            head_m=HEAD_M,
+            depth_m=0.04 if self.closed else np.nan,
+            state=DoorState.CLOSED if self.closed else DoorState.OPEN,
+            agreement=1.0,
+            coverage=1.0,
+            ray_count=100,
+            scan_count=6,
+            first_scan=0,
+            last_scan=5,
+            wall=3,
+            reveal_m=self.thickness_m,
         )
 
     def build(self, doors: Doors | None = None, windows: Windows | None = None) -> tuple[Immobile, Drive]:

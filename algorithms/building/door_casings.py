@@ -7,7 +7,7 @@ alone runs from the floor up one side, over the top, and down the other.
 
 import warnings
 from collections.abc import Iterator
-from dataclasses import replace
+from functools import partial
 
 import numba
 import numpy as np
@@ -16,7 +16,7 @@ from pydantic import Field
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.flush_doors import Opening, flush_door, is_opaque, none_over_another
+from ffmap.algorithms.building.closed_doors import Opening, closed_door, is_opaque, none_over_another
 from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, NO_DOORS, BuildingSettings, Doors, Walls, cells_in
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, WallCells, depth_moments
 
@@ -67,9 +67,9 @@ def find_cased_doors(
         face = Segment.between(walls.ends[w], walls.normal[w])
         for casing in _casings(counts, building, settings):
             opening = casing.first, casing.last
-            door = flush_door(face, w, opening, 0, casing.head_m, counts, building.known_min)
-            leaf_m = _leaf_behind_m(counts, opening, casing.head_m, building)
-            doors = doors.append(replace(door, depth_m=np.array([leaf_m]), casing_m=np.array([casing.shows])))
+            depth_m = _leaf_behind_m(counts, opening, casing.head_m, building)
+            told = partial(closed_door, face, opening, counts, casing.head_m, building.known_min, wall=w)
+            doors = doors.append(told(depth_m=depth_m, casing_m=casing.shows))
     return doors.select(np.argsort(-doors.casing_m, kind="stable"))
 
 

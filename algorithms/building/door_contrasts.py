@@ -13,14 +13,14 @@ from pydantic import Field
 
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.face_columns import mean_known, median_known
-from ffmap.algorithms.building.flush_doors import (
+from ffmap.algorithms.building.closed_doors import (
     Opening,
-    flush_doors,
+    doors_in_pictures,
     is_opaque,
     none_over_another,
     shows_from_the_floor,
 )
+from ffmap.algorithms.building.face_columns import mean_known, median_known
 from ffmap.algorithms.building.model import CELL_M, BuildingSettings, Doors, Walls, cells_in
 from ffmap.algorithms.building.ray_evidence import FOOT_ROW
 from ffmap.algorithms.building.shades import Picture, column_medians, is_greatest, row_means
@@ -77,7 +77,7 @@ def find_contrasting_doors(
 
     Their leaf lies in the wall's face (`depth_m` 0). shown: see `pictures`.
     """
-    doors, contrast = flush_doors(walls, shown, lambda picture: _leaves(picture, building, settings), building.known_min)
+    doors, contrast = doors_in_pictures(walls, shown, lambda picture: _leaves(picture, building, settings), building.known_min)
     return replace(doors, contrast=contrast)
 
 

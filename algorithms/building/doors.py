@@ -22,6 +22,7 @@ from ffmap.algorithms.building.model import (
     Walls,
     Windows,
     cells_in,
+    one_door,
     stretches,
 )
 from ffmap.algorithms.building.openings import (
@@ -149,31 +150,19 @@ def _doors_in(
             agree = found.through[columns] if seen_as == DoorState.OPEN else _share_on_leaf(counts[columns, low:high], openings)
             is_ajar = seen_as == DoorState.CLOSED and _is_ajar(found.depth_m[columns], openings.ajar_m)
             state = DoorState.OPEN if is_ajar else seen_as
-            agreement = np.array([np.nanmean(agree[flags[columns]])])
-            # The columns of a doorway that its leaf, ajar, covers bear it out as well.
-            coverage = np.array([np.mean((flags | found.is_closed)[columns])])
-            door = Doors(
-                ends=face.at(CELL_M * np.array([first, last + 1]))[None],
-                normal=face.normal[None],
-                head_m=np.array([_head_m(counts[columns], state, float(top_m[columns].max()), lintel_m, depth_m, settings)]),
-                depth_m=np.array([np.nan if is_ajar else depth_m]),
-                state=np.array([state], np.uint8),
-                confidence=agreement * coverage,
-                agreement=agreement,
-                coverage=coverage,
-                lintel=np.array([lintel]),
-                ajar=np.array([is_ajar]),
-                ray_count=np.array([found.rays[columns][:, [FILLED, THROUGH]].sum() / 3], np.int32),
-                scan_count=np.zeros(1, np.int32),
-                first_scan=np.full(1, -1),
-                last_scan=np.full(1, -1),
-                crossed=np.zeros(1, bool),
-                wall=np.array([w], np.int32),
-                reveal_m=np.full(1, np.nan),
-                casing_m=np.full(1, np.nan),
-                contrast=np.full(1, np.nan),
-                outline=np.full(1, np.nan),
-                glazed=np.zeros(1, bool),
+            door = one_door(
+                ends=face.at(CELL_M * np.array([first, last + 1])),
+                normal=face.normal,
+                head_m=_head_m(counts[columns], state, float(top_m[columns].max()), lintel_m, depth_m, settings),
+                depth_m=np.nan if is_ajar else depth_m,
+                state=state,
+                agreement=np.nanmean(agree[flags[columns]]),
+                # The columns of a doorway that its leaf, ajar, covers bear it out as well.
+                coverage=np.mean((flags | found.is_closed)[columns]),
+                lintel=lintel,
+                ajar=is_ajar,
+                ray_count=found.rays[columns][:, [FILLED, THROUGH]].sum() / 3,
+                wall=w,
             )
             yield _Seen(door, np.array([first == 0, last == len(counts) - 1]))
 
@@ -364,5 +353,4 @@ def prove_crossed(doors: Doors, path_map: FloatArray) -> Doors:
         crossed=crossed,
         state=np.where(crossed, np.uint8(DoorState.OPEN), doors.state),
         depth_m=np.where(crossed, np.nan, doors.depth_m),
-        confidence=np.where(crossed, 1.0, doors.confidence),
     )

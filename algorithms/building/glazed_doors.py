@@ -1,13 +1,15 @@
 """Doors whose leaf is a pane: a closed one is a window down to its lower rail, as wide and as high as doors, with wall all around;
 an open one hangs at its doorway."""
 
+from functools import partial
+
 import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
+from ffmap.algorithms.building.closed_doors import closed_door
 from ffmap.algorithms.building.face_columns import TracedFaces, on_and_passed, runs
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
-from ffmap.algorithms.building.flush_doors import flush_door, glazed
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, ON_FACE_M, Doors, Windows, cells_in
 from ffmap.algorithms.building.openings import OpeningRules, deepest_sheet_m, tops_m, widened
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, depth_moments
@@ -48,11 +50,12 @@ def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules)
             continue
         if not _stands_around(counts, first, last, edge_m, float(np.median(top_m[own][first : last + 1])), rules):
             continue
-        door = flush_door(face, w, (first, last + 1), 0, head_m, counts, 0.0)
         jamb = cells_in(openings.jamb_m)
         agreement = _agreement(counts[first + jamb : last + 1 - jamb], pane_m, rules)
         # A pane that is all but flush tells nothing of where its stiles meet the jambs.
-        doors = doors.append(glazed(door, pane_m if pane_m > ON_FACE_M else 0.0, agreement))
+        depth_m = pane_m if pane_m > ON_FACE_M else 0.0
+        told = partial(closed_door, face, (first, last + 1), counts, head_m, known_min=0.0, wall=w)
+        doors = doors.append(told(depth_m=depth_m, agreement=agreement, glazed=True))
     return doors
 
 

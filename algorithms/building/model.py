@@ -4,6 +4,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
@@ -195,8 +196,7 @@ class Doors(Rows):
     normal: (D, 2) of the wall face in which it was seen best.
     head_m: (D,) height of the lintel's underside above the floor.
     depth_m: (D,) depth of the leaf behind the wall's face, negative of one that hangs before it; NaN for open doors.
-    state: (D,) uint8, see `algorithms.doors.DoorState`.
-    confidence: (D,) 0 to 1: `agreement` times `coverage`; 1 where it was crossed.
+    state: (D,) uint8, see `algorithms.scan.doors.DoorState`.
     agreement: (D,) share of the rays between foot and head that say the same: that it is open, or closed.
     coverage: (D,) share of its columns that are decided so by themselves, or that an open door's leaf covers.
     lintel: (D,) share of its columns above which its wall was seen; a duct may hide that.
@@ -217,7 +217,6 @@ class Doors(Rows):
     head_m: FloatArray
     depth_m: FloatArray
     state: UInt8Array
-    confidence: FloatArray
     agreement: FloatArray
     coverage: FloatArray
     lintel: FloatArray
@@ -234,6 +233,11 @@ class Doors(Rows):
     outline: FloatArray
     glazed: BoolArray
 
+    @property
+    def confidence(self) -> FloatArray:
+        """(D,) 0 to 1: `agreement` times `coverage`; 1 where it was crossed."""
+        return np.where(self.crossed, 1.0, self.agreement * self.coverage)
+
 
 NO_DOORS = Doors(
     ends=np.zeros((0, 2, 2)),
@@ -241,7 +245,6 @@ NO_DOORS = Doors(
     head_m=np.zeros(0),
     depth_m=np.zeros(0),
     state=np.zeros(0, np.uint8),
-    confidence=np.zeros(0),
     agreement=np.zeros(0),
     coverage=np.zeros(0),
     lintel=np.zeros(0),
@@ -258,6 +261,26 @@ NO_DOORS = Doors(
     outline=np.zeros(0),
     glazed=np.zeros(0, bool),
 )
+
+_NOT_TOLD = {
+    "depth_m": np.nan,
+    "lintel": 1.0,
+    "ajar": False,
+    "scan_count": 0,
+    "first_scan": -1,
+    "last_scan": -1,
+    "crossed": False,
+    "reveal_m": np.nan,
+    "casing_m": np.nan,
+    "contrast": np.nan,
+    "outline": np.nan,
+    "glazed": False,
+}
+
+
+def one_door(**told: ArrayLike) -> Doors:
+    """A single door by what is told of it, named as in `Doors`; of what may be unknown there, nothing need be told."""
+    return Doors(**{name: np.array([value], getattr(NO_DOORS, name).dtype) for name, value in (_NOT_TOLD | told).items()})
 
 
 def cells_in(distance_m: float) -> int:

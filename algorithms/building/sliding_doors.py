@@ -6,16 +6,16 @@ is thicker than any casing. A leaf that stands open against the wall does so too
 
 import warnings
 from collections.abc import Iterator
-from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
+from ffmap.algorithms.building.closed_doors import closed_door
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings
 from ffmap.algorithms.building.face_columns import runs
-from ffmap.algorithms.building.flush_doors import flush_door, glazed
 from ffmap.algorithms.building.model import (
     CELL_M,
     NO_DOORS,
@@ -55,10 +55,11 @@ def find_sliding_doors(
     doors = NO_DOORS
     opened = list(segments(known.select(known.state == DoorState.OPEN)))
     for w, face, counts, leaf in _leaves(walls, cells, building, settings):
-        door = flush_door(face, w, (leaf.first, leaf.after), 0, leaf.head_m, counts, building.known_min)
+        opening, depth_m = (leaf.first, leaf.after), -leaf.before_m
+        told = partial(closed_door, face, opening, counts, leaf.head_m, building.known_min, wall=w, depth_m=depth_m)
+        door = told() if leaf.pane is None else told(agreement=leaf.agreement, glazed=True)
         if not any(_is_beside(doorway, door, building.reveal_m) for doorway in opened):
-            opaque = replace(door, depth_m=np.array([-leaf.before_m]))
-            doors = doors.append(opaque if leaf.pane is None else glazed(door, -leaf.before_m, leaf.agreement))
+            doors = doors.append(door)
     return doors
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.segments import Segment
+from ffmap.algorithms.building.closed_doors import closed_door
 from ffmap.algorithms.building.deep_openings import tell_deep_openings
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, place_frames
 from ffmap.algorithms.building.doors import (
@@ -16,7 +17,6 @@ from ffmap.algorithms.building.doors import (
     lower_heads_to_overlights,
     prove_crossed,
 )
-from ffmap.algorithms.building.flush_doors import flush_door
 from ffmap.algorithms.building.model import (
     CELL_M,
     NO_DOORS,
@@ -425,7 +425,7 @@ def test_a_doorway_is_taken_from_the_face_that_shows_all_of_it() -> None:
     ],
 )
 def test_a_doorway_in_a_thick_wall_is_one_door(far_y: float, aside_m: float, looks: float, doors: int) -> None:
-    near = flush_door(Segment.between(*WALL_1), 0, (20.0, 38.0), 0, 2.1, cells().counts, 0.0)
+    near = closed_door(Segment.between(*WALL_1), (20.0, 38.0), cells().counts, 2.1, 0.0, wall=0)
     far = replace(near, ends=near.ends[:, ::-1] + [aside_m, far_y], normal=np.array([[0.0, looks]]))
     found = each_once(replace(near.append(far), scan_count=np.full(2, 99, np.int32)), RULES)
     assert len(found) == doors
@@ -434,7 +434,7 @@ def test_a_doorway_in_a_thick_wall_is_one_door(far_y: float, aside_m: float, loo
 
 def test_a_door_that_is_doubtful_in_one_face_hides_none_that_is_sure_in_the_other() -> None:
     """The recess of a leaf, seen by no scan from nearby, and its casing on the wall's other side."""
-    recessed = flush_door(Segment.between(*WALL_1), 0, (20.0, 38.0), 0, 2.1, cells().counts, 0.0)
+    recessed = closed_door(Segment.between(*WALL_1), (20.0, 38.0), cells().counts, 2.1, 0.0, wall=0)
     cased = replace(recessed, ends=recessed.ends[:, ::-1] + [0.05, 0.1], normal=-recessed.normal, casing_m=np.array([0.012]))
     seen = replace(recessed.append(cased), scan_count=np.array([0, 99], np.int32))
     assert each_once(seen, RULES).casing_m.tolist() == [0.012]
@@ -1007,7 +1007,7 @@ def test_what_frames_show_to_be_no_door_is_dropped() -> None:
     doors = Doors(**{name: np.zeros((len(kinds), *v.shape[1:]), v.dtype) for name, v in shape.items()})
     doors.ends[:, 1, 0] = width_m
     doors = replace(doors, head_m=head_m, scan_count=scan_count, agreement=agreement, state=state.astype(np.uint8))
-    doors = replace(doors, confidence=agreement, depth_m=np.full(len(kinds), 0.02))
+    doors = replace(doors, coverage=np.ones(len(kinds)), depth_m=np.full(len(kinds), 0.02))
     kept = drop_doubtful(doors, BuildingSettings())
     # A recess that no error makes shows from afar as well.
     deep = drop_doubtful(replace(doors, depth_m=np.full(len(kinds), 0.1)), BuildingSettings())
@@ -1171,7 +1171,7 @@ def test_what_was_not_seen_is_no_leaf_around_a_panel() -> None:
     assert _closed_for_sure(seen) == 0
 
 
-DOORWAY = flush_door(Segment.between(*WALL_1), 0, (30.0, 48.0), 0, 2.0, cells().counts, 0.6)
+DOORWAY = closed_door(Segment.between(*WALL_1), (30.0, 48.0), cells().counts, 2.0, 0.6, wall=0)
 OPEN = replace(DOORWAY, state=np.array([DoorState.OPEN], np.uint8), depth_m=np.array([np.nan]))
 
 

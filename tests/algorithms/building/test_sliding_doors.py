@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base.segments import segments
+from ffmap.algorithms.building.closed_doors import closed_door
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings
-from ffmap.algorithms.building.flush_doors import flush_door
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, BuildingSettings, Doors, Windows
 from ffmap.algorithms.building.ray_evidence import FILLED, SQUARES, SUM, THROUGH, WallCells
 from ffmap.algorithms.building.sliding_doors import find_sliding_doors, find_sliding_panes
@@ -109,7 +109,7 @@ def test_a_leaf_that_stands_open_against_its_wall_is_beside_its_doorway(
     """Not beside one in another wall."""
     counts = wall()
     hang(counts, (2.0, 2.9), (0.0, 2.1), 0.06)
-    opened = flush_door(next(segments(WALL)), 0, (doorway_m[0] / CELL_M, doorway_m[1] / CELL_M), 0, 2.1, counts, 0.6)
+    opened = closed_door(next(segments(WALL)), (doorway_m[0] / CELL_M, doorway_m[1] / CELL_M), counts, 2.1, 0.6, wall=0)
     opened = replace(opened, ends=opened.ends + np.array([0.0, off_m]), state=np.array([DoorState.OPEN], np.uint8))
     assert len(found(counts, opened)) == doors
 

@@ -22,7 +22,8 @@ class TestGeojson:
             reveal_m=[0.3, 0.6],
             depth_m=[0.05, np.nan],
             state=[0, 1],
-            confidence=[0.9, 0.7],
+            agreement=[0.9, 0.7],
+            coverage=[1.0, 1.0],
             crossed=[False, True],
         )
         write_doors(tmp_path / "doors.geojson", found)

@@ -29,7 +29,7 @@ from tests.faces import doors, faces, window
 WALLS = faces(((0.0, 0.0), (4.0, 0.0)))
 DOOR = doors(
     ((1.0, 0.0), (1.9, 0.0)),
-    **{"depth_m": [0.05], "confidence": [0.9], "agreement": [1.0], "coverage": [0.9], "lintel": [0.75]},
+    **{"depth_m": [0.05], "agreement": [1.0], "coverage": [0.9], "lintel": [0.75]},
     **{"ajar": [False], "ray_count": [50], "scan_count": [3], "first_scan": [5], "last_scan": [9], "crossed": [False]},
 )
 
