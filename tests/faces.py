@@ -5,7 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from ffmap.algorithms.building.model import Doors, Walls, Windows
+from ffmap.algorithms.building.doors import find_doors
+from ffmap.algorithms.building.face_columns import TracedFaces
+from ffmap.algorithms.building.model import NO_WINDOWS, Doors, Walls, Windows
+from ffmap.algorithms.building.openings import OpeningRules
+from ffmap.algorithms.building.ray_evidence import WallCells
 
 CEILING_M = 2.8
 
@@ -37,6 +41,17 @@ def doors(*ends: Ends, head_m: float = 2.1, **columns: Any) -> Doors:
     given = {name: np.array(values) for name, values in columns.items()}
     heads = np.full(len(ends), head_m)
     return Doors(**nothing | {"ends": np.array(ends), "head_m": heads} | given)
+
+
+def traced(walls: Walls, cells: WallCells, clear_m: np.ndarray | float = np.nan) -> TracedFaces:
+    """Faces with what rays found; without a ceiling before them, unless it is told how high that is."""
+    columns = int(cells.first[-1])
+    return TracedFaces(walls, cells, np.full(columns, clear_m), np.zeros(columns))
+
+
+def doors_in(faces: TracedFaces, rules: OpeningRules, windows: Windows = NO_WINDOWS) -> Doors:
+    """The doors of faces before which no floor was seen."""
+    return find_doors(faces, rules, windows, np.zeros(len(faces.clear_m), bool))
 
 
 def window(*ends: tuple[float, float]) -> Windows:

@@ -11,8 +11,8 @@ from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.face_columns import median_known, runs
-from ffmap.algorithms.building.model import CELL_M, NO_BLINDS, Blinds, BuildingSettings, Walls, Windows, cells_in
+from ffmap.algorithms.building.face_columns import TracedFaces, median_known, runs
+from ffmap.algorithms.building.model import CELL_M, NO_BLINDS, Blinds, BuildingSettings, Windows, cells_in
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,
     THROUGH,
@@ -54,13 +54,9 @@ class _Picture(NamedTuple):
     contrast: FloatArray
 
 
-def find_blinds(
-    windows: Windows, walls: Walls, cells: WallCells, building: BuildingSettings, settings: BlindsSettings
-) -> Blinds:
-    """What hangs in the windows above their clear part, at most one in each.
-
-    cells: of the walls, with all rays.
-    """
+def find_blinds(windows: Windows, faces: TracedFaces, building: BuildingSettings, settings: BlindsSettings) -> Blinds:
+    """What hangs in the windows above their clear part, at most one in each. faces: with all rays."""
+    walls, cells = faces.walls, faces.cells
     response, least = response_by_angle(cells.light), cells_in(settings.height_min_m)
     places = [wall_of(windows, k, walls) for k in range(len(windows))]
     beside = np.ones(int(cells.first[-1]), bool)

@@ -1,14 +1,14 @@
 """What the modules share that find closed doors, most of whose leaves lie in the face of their wall."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
-from ffmap.algorithms.base.segments import Segment, segments
-from ffmap.algorithms.building.model import CELL_M, NO_DOORS, BuildingSettings, Doors, Walls, one_door
+from ffmap.algorithms.base.segments import Segment
+from ffmap.algorithms.building.model import CELL_M, NO_DOORS, BuildingSettings, Doors, one_door
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH
 from ffmap.algorithms.building.shades import Picture
 from ffmap.algorithms.scan.doors import DoorState
@@ -49,18 +49,18 @@ def shows_from_the_floor(parts: FloatArray, shows: BoolArray, parts_min: float) 
 
 
 def doors_in_pictures(
-    walls: Walls, shown: Sequence[Picture], openings_in: Callable[[Picture], list[Opening]], known_min: float
+    shown: Iterable[Picture], openings_in: Callable[[Picture], list[Opening]], known_min: float
 ) -> tuple[Doors, FloatArray]:
     """The closed doors that the faces' intensities show, and what shows each of them (D,), where that is strongest first.
 
     shown: see `pictures`. known_min: see `closed_door`.
     """
     doors, shows = NO_DOORS, []
-    for w, (face, picture) in enumerate(zip(segments(walls), shown, strict=False)):
+    for w, picture in enumerate(shown):
         for own in openings_in(picture):
             if picture.is_of(own.first, own.last):
                 opening = own.first, own.last
-                door = closed_door(face, opening, picture.counts, own.head_m, known_min, reach=picture.reach, wall=w)
+                door = closed_door(picture.face, opening, picture.counts, own.head_m, known_min, reach=picture.reach, wall=w)
                 doors = doors.append(door)
                 shows.append(own.shows)
     order = np.argsort(-np.abs(shows), kind="stable")

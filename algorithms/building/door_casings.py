@@ -14,11 +14,11 @@ import numpy as np
 from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
-from ffmap.algorithms.base.segments import Segment
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.closed_doors import Opening, closed_door, is_opaque, none_over_another
-from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, NO_DOORS, BuildingSettings, Doors, Walls, cells_in
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, WallCells, depth_moments
+from ffmap.algorithms.building.face_columns import TracedFaces
+from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, NO_DOORS, BuildingSettings, Doors, cells_in
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, depth_moments
 
 
 class DoorCasingsSettings(StepSettings):
@@ -53,22 +53,18 @@ class DoorCasingsSettings(StepSettings):
     wall_m: float = Field(0.1, gt=0, description="Minimum width (m) of the wall that has to show beside them.")
 
 
-def find_cased_doors(
-    walls: Walls, cells: WallCells, building: BuildingSettings, settings: DoorCasingsSettings
-) -> Doors:
+def find_cased_doors(faces: TracedFaces, building: BuildingSettings, settings: DoorCasingsSettings) -> Doors:
     """The closed doors of all faces that a casing shows, those with the clearest casing first.
 
     Their leaf lies in the wall's face (`depth_m` 0), or as far behind it, or before, as what returns from within the casing does. A
     door whose casing shows in both faces of its wall is there twice.
     """
     doors = NO_DOORS
-    for w in range(len(walls)):
-        counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
-        face = Segment.between(walls.ends[w], walls.normal[w])
-        for casing in _casings(counts, building, settings):
+    for face in faces.each():
+        for casing in _casings(face.counts, building, settings):
             opening = casing.first, casing.last
-            depth_m = _leaf_behind_m(counts, opening, casing.head_m, building)
-            told = partial(closed_door, face, opening, counts, casing.head_m, building.known_min, wall=w)
+            depth_m = _leaf_behind_m(face.counts, opening, casing.head_m, building)
+            told = partial(closed_door, face.segment, opening, face.counts, casing.head_m, building.known_min, wall=face.number)
             doors = doors.append(told(depth_m=depth_m, casing_m=casing.shows))
     return doors.select(np.argsort(-doors.casing_m, kind="stable"))
 

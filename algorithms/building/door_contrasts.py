@@ -21,7 +21,7 @@ from ffmap.algorithms.building.closed_doors import (
     shows_from_the_floor,
 )
 from ffmap.algorithms.building.face_columns import mean_known, median_known
-from ffmap.algorithms.building.model import CELL_M, BuildingSettings, Doors, Walls, cells_in
+from ffmap.algorithms.building.model import CELL_M, BuildingSettings, Doors, cells_in
 from ffmap.algorithms.building.ray_evidence import FOOT_ROW
 from ffmap.algorithms.building.shades import Picture, column_medians, is_greatest, row_means
 
@@ -71,19 +71,19 @@ class DoorContrastsSettings(StepSettings):
 
 
 def find_contrasting_doors(
-    walls: Walls, shown: Sequence[Picture], building: BuildingSettings, settings: DoorContrastsSettings
+    shown: Sequence[Picture], building: BuildingSettings, settings: DoorContrastsSettings
 ) -> Doors:
     """The closed, flush doors of all faces that the intensity of their leaf shows, those with the strongest contrast first.
 
     Their leaf lies in the wall's face (`depth_m` 0). shown: see `pictures`.
     """
-    doors, contrast = doors_in_pictures(walls, shown, lambda picture: _leaves(picture, building, settings), building.known_min)
+    doors, contrast = doors_in_pictures(shown, lambda picture: _leaves(picture, building, settings), building.known_min)
     return replace(doors, contrast=contrast)
 
 
 def _leaves(picture: Picture, building: BuildingSettings, settings: DoorContrastsSettings) -> list[Opening]:
     """The openings that leaves fill in a picture, none over another: the strongest has the greatest step."""
-    shade, _, counts, _ = picture
+    shade, counts = picture.shade, picture.counts
     strip, lowest = cells_in(settings.strip_m), cells_in(building.door_height_min_m)
     if len(shade) < cells_in(building.door_width_min_m) + 2 * strip or shade.shape[1] <= lowest:
         return []

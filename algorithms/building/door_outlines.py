@@ -22,7 +22,7 @@ from ffmap.algorithms.building.closed_doors import (
     shows_from_the_floor,
 )
 from ffmap.algorithms.building.face_columns import mean_known
-from ffmap.algorithms.building.model import CELL_M, BuildingSettings, Doors, Walls, cells_in
+from ffmap.algorithms.building.model import CELL_M, BuildingSettings, Doors, cells_in
 from ffmap.algorithms.building.ray_evidence import FOOT_ROW
 from ffmap.algorithms.building.shades import Picture, column_means, is_greatest, row_means
 
@@ -85,13 +85,13 @@ def _line(before: FloatArray | float, behind: FloatArray | float) -> FloatArray:
 
 
 def find_outlined_doors(
-    walls: Walls, shown: Sequence[Picture], building: BuildingSettings, settings: DoorOutlinesSettings
+    shown: Sequence[Picture], building: BuildingSettings, settings: DoorOutlinesSettings
 ) -> Doors:
     """The closed, flush doors of all faces that an outline in the intensity shows, those with the strongest first.
 
     Their leaf lies in the wall's face (`depth_m` 0). shown: see `pictures`.
     """
-    doors, outline = doors_in_pictures(walls, shown, lambda picture: _outlines(picture, building, settings), building.known_min)
+    doors, outline = doors_in_pictures(shown, lambda picture: _outlines(picture, building, settings), building.known_min)
     return replace(doors, outline=outline)
 
 

@@ -1,6 +1,6 @@
 """Doors of the building, by the rays of all scans."""
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import reduce
 from typing import NamedTuple
@@ -9,13 +9,13 @@ import numpy as np
 
 from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
-from ffmap.algorithms.base.segments import LENGTH, Segment, along_lines_m, lengths_m, lines_of, segments
+from ffmap.algorithms.base.segments import LENGTH, along_lines_m, lengths_m, lines_of, segments
+from ffmap.algorithms.building.face_columns import TracedFace, TracedFaces
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
 from ffmap.algorithms.building.model import (
     AT_FACE_M,
     CELL_M,
     NO_DOORS,
-    NO_WINDOWS,
     ON_FACE_M,
     BuildingSettings,
     Doors,
@@ -33,43 +33,32 @@ from ffmap.algorithms.building.openings import (
     is_pane,
     look_for_doors,
     to_jambs,
-    tops_m,
     widened,
     without_panels,
 )
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells, with_neighbours
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, with_neighbours
 from ffmap.algorithms.scan.doors import DoorState
 
 
-def find_doors(
-    walls: Walls,
-    cells: WallCells,
-    clear_m: FloatArray,
-    rules: OpeningRules,
-    windows: Windows = NO_WINDOWS,
-    floor_before: BoolArray | None = None,
-) -> Doors:
+def find_doors(faces: TracedFaces, rules: OpeningRules, windows: Windows, floor_before: BoolArray) -> Doors:
     """Doors: columns with wall above and, below, either nothing for the rays to hit or a recessed leaf.
 
     Columns next to each other that agree make a door, if it is as wide as doors are. What was seen in both faces of a
     wall, or in two stretches of it, is there twice, the better seen first: see `each_once`. Where a face ends in an open doorway,
     another face has to be there, or one of the windows: the doorway's other jamb.
 
-    cells: without the rays through the windows, for what is seen through glass tells nothing of this building's doors.
-    clear_m: (columns,) from the floor to the ceiling before each column of the faces; NaN where none was seen.
-    floor_before: (columns,) whether the floor was seen up to the face, so that nothing stands before it; None if unknown.
+    faces: without the rays through the windows, for what is seen through glass tells nothing of this building's doors.
+    floor_before: (columns,) whether the floor was seen up to the face, so that nothing stands before it.
     """
     found: list[_Seen] = []
-    floor_before = np.zeros(len(cells.counts), bool) if floor_before is None else floor_before
-    top_m, alone = tops_m(walls, cells, clear_m), _ends_alone(walls, windows, rules.openings.beside_m)
+    alone = _ends_alone(faces.walls, windows, rules.openings.beside_m)
     # What lies higher is no door's pane, but its overlight.
     panes = windows.select(windows.bottom_m < rules.building.door_height_min_m)
-    for w in range(len(walls)):
-        own = slice(cells.first[w], cells.first[w + 1])
-        for seen in _doors_in(w, walls, cells, top_m[own], floor_before[own], rules):
+    for own in faces.each():
+        for seen in _doors_in(own, floor_before[own.columns], rules):
             # Below a beam of which scans saw a piece no doorway ends where the piece does; a leaf has a jamb, be it seen or not.
             has_leaf = seen.door.ajar[0] or seen.door.state[0] == DoorState.CLOSED
-            if (has_leaf or not (seen.is_cut & alone[w]).any()) and not _has_glass(seen.door, panes, rules.openings):
+            if (has_leaf or not (seen.is_cut & alone[own.number]).any()) and not _has_glass(seen.door, panes, rules.openings):
                 found.append(seen)
     # Where a face ends within an opening, the other face may show all of it.
     found.sort(key=lambda seen: (seen.is_cut.any(), -seen.door.confidence[0] * seen.door.ray_count[0]))
@@ -114,57 +103,68 @@ class _Seen(NamedTuple):
     is_cut: BoolArray
 
 
-def _doors_in(
-    w: int, walls: Walls, cells: WallCells, top_m: FloatArray, floor_before: BoolArray, rules: OpeningRules
-) -> Iterable[_Seen]:
-    """The openings of one face; top_m: (c,) how high each of its columns stands; floor_before: (c,) as above."""
-    counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
-    if len(counts) < 3:
+def _doors_in(face: TracedFace, floor_before: BoolArray, rules: OpeningRules) -> Iterator[_Seen]:
+    """The doors that one face shows; floor_before: (c,) as above."""
+    if len(face.counts) < 3:
         return
-    settings, openings, twice = rules.building, rules.openings, cells.of(w).twice
-    found = look_for_doors(counts, top_m, rules)
-    low, high = FOOT_ROW, cells_in(settings.door_height_min_m)
-    face = Segment.between(walls.ends[w], walls.normal[w])
-    for seen_as, flags in ((DoorState.OPEN, found.is_open), (DoorState.CLOSED, found.is_closed)):
-        for first, last in stretches(flags, 2):
-            if seen_as == DoorState.OPEN:
-                opening = counts[first : last + 1]
-                if is_pane(opening, twice[first : last + 1], rules) or not is_open_to_floor(opening, rules):
-                    continue
-                first, last = to_jambs(counts[:, low:high].sum(axis=1), first, last, openings.leaf_max_m)
-                if (last + 1 - first) * CELL_M < settings.door_width_min_m:
-                    first, last = _over_what_its_leaf_hides(found, first, last, rules)
-                else:
-                    first, last = _over_empty_columns(found, floor_before, first, last, rules)
-            width_m = (last + 1 - first) * CELL_M
-            # Smoothing and the cells' own width blur each side by up to a column.
-            if not settings.door_width_min_m <= width_m + CELL_M or width_m > settings.door_width_max_m:
-                continue
-            columns = slice(first, last + 1)
-            lintel_m = float(np.mean(found.lintel_m[columns]))
-            depth_m = float("nan") if seen_as == DoorState.OPEN else float(np.nanmedian(found.depth_m[columns]))
-            jambs = _count_jambs(counts, first, last, lintel_m, depth_m, rules)
-            lintel = float(np.mean(found.has_lintel[columns]))
-            if jambs < (1 if lintel > 0.5 else 2):
-                continue
-            agree = found.through[columns] if seen_as == DoorState.OPEN else _share_on_leaf(counts[columns, low:high], openings)
-            is_ajar = seen_as == DoorState.CLOSED and _is_ajar(found.depth_m[columns], openings.ajar_m)
-            state = DoorState.OPEN if is_ajar else seen_as
-            door = one_door(
-                ends=face.at(CELL_M * np.array([first, last + 1])),
-                normal=face.normal,
-                head_m=_head_m(counts[columns], state, float(top_m[columns].max()), lintel_m, depth_m, settings),
-                depth_m=np.nan if is_ajar else depth_m,
-                state=state,
-                agreement=np.nanmean(agree[flags[columns]]),
-                # The columns of a doorway that its leaf, ajar, covers bear it out as well.
-                coverage=np.mean((flags | found.is_closed)[columns]),
-                lintel=lintel,
-                ajar=is_ajar,
-                ray_count=found.rays[columns][:, [FILLED, THROUGH]].sum() / 3,
-                wall=w,
-            )
-            yield _Seen(door, np.array([first == 0, last == len(counts) - 1]))
+    found = look_for_doors(face.counts, face.top_m, rules)
+    for columns in _open_columns(face, found, floor_before, rules):
+        yield from _door(face, found, DoorState.OPEN, columns, rules)
+    for first, last in stretches(found.is_closed, 2):
+        yield from _door(face, found, DoorState.CLOSED, slice(first, last + 1), rules)
+
+
+def _open_columns(face: TracedFace, found: DoorColumns, floor_before: BoolArray, rules: OpeningRules) -> Iterator[slice]:
+    """The columns of each opening of a face, from jamb to jamb."""
+    settings, openings = rules.building, rules.openings
+    below = face.counts[:, FOOT_ROW : cells_in(settings.door_height_min_m)].sum(axis=1)
+    for first, last in stretches(found.is_open, 2):
+        own = slice(first, last + 1)
+        if is_pane(face.counts[own], face.twice[own], rules) or not is_open_to_floor(face.counts[own], rules):
+            continue
+        first, last = to_jambs(below, first, last, openings.leaf_max_m)
+        if (last + 1 - first) * CELL_M < settings.door_width_min_m:
+            first, last = _over_what_its_leaf_hides(found, first, last, rules)
+        else:
+            first, last = _over_empty_columns(found, floor_before, first, last, rules)
+        yield slice(first, last + 1)
+
+
+def _door(
+    face: TracedFace, found: DoorColumns, seen_as: DoorState, columns: slice, rules: OpeningRules
+) -> Iterator[_Seen]:
+    """The door that some columns of a face are, if they are as wide as one and its wall stands beside it."""
+    settings, is_open = rules.building, seen_as == DoorState.OPEN
+    counts, flags = face.counts[columns], (found.is_open if is_open else found.is_closed)
+    width_m = len(counts) * CELL_M
+    # Smoothing and the cells' own width blur each side by up to a column.
+    if not settings.door_width_min_m <= width_m + CELL_M or width_m > settings.door_width_max_m:
+        return
+    lintel_m = float(np.mean(found.lintel_m[columns]))
+    depth_m = float("nan") if is_open else float(np.nanmedian(found.depth_m[columns]))
+    jambs = _count_jambs(face.counts, columns, lintel_m, depth_m, rules)
+    lintel = float(np.mean(found.has_lintel[columns]))
+    if jambs < (1 if lintel > 0.5 else 2):
+        return
+    leaf = counts[:, FOOT_ROW : cells_in(settings.door_height_min_m)]
+    agree = found.through[columns] if is_open else _share_on_leaf(leaf, rules.openings)
+    is_ajar = not is_open and _is_ajar(found.depth_m[columns], rules.openings.ajar_m)
+    state = DoorState.OPEN if is_ajar else seen_as
+    door = one_door(
+        ends=face.segment.at(CELL_M * np.array([columns.start, columns.stop])),
+        normal=face.segment.normal,
+        head_m=_head_m(counts, state, float(face.top_m[columns].max()), lintel_m, depth_m, settings),
+        depth_m=np.nan if is_ajar else depth_m,
+        state=state,
+        agreement=np.nanmean(agree[flags[columns]]),
+        # The columns of a doorway that its leaf, ajar, covers bear it out as well.
+        coverage=np.mean((flags | found.is_closed)[columns]),
+        lintel=lintel,
+        ajar=is_ajar,
+        ray_count=found.rays[columns][:, [FILLED, THROUGH]].sum() / 3,
+        wall=face.number,
+    )
+    yield _Seen(door, np.array([columns.start == 0, columns.stop == len(face.counts)]))
 
 
 def _ends_alone(walls: Walls, windows: Windows, near_m: float) -> BoolArray:
@@ -257,15 +257,13 @@ def _is_ajar(depth_m: FloatArray, ajar_m: float) -> bool:
     return bool(abs(slope) * len(depth_m) > ajar_m)
 
 
-def _count_jambs(
-    counts: FloatArray, first: int, last: int, lintel_m: float, depth_m: float, rules: OpeningRules
-) -> int:
+def _count_jambs(counts: FloatArray, opening: slice, lintel_m: float, depth_m: float, rules: OpeningRules) -> int:
     """On how many sides the wall above an opening stands beside it too: on one at least, on both where its lintel is hidden.
 
     A cupboard's front below a board is recessed behind what is above alone, a leaf behind the wall beside it, too. Beside an
     open doorway that is seen through another one, things may hide the wall.
 
-    counts: (columns, rows, 4) of the whole face; first, last: the opening's columns. lintel_m: how far before the face the
+    counts: (columns, rows, 4) of the whole face; opening: columns. lintel_m: how far before the face the
     wall above lies; depth_m: how far behind that the leaf does, NaN of an open door.
     """
     settings, openings = rules.building, rules.openings
@@ -280,7 +278,7 @@ def _count_jambs(
     stands = (below[:, FILLED] >= settings.rays_min) & (below[:, THROUGH] < below[:, FILLED])
     flush = stands & (off_m < (0.5 * depth_m if np.isfinite(depth_m) else ON_FACE_M))
     reach = cells_in(openings.beside_m)
-    sides = slice(max(first - reach, 0), first), slice(last + 1, last + 1 + reach)
+    sides = slice(max(opening.start - reach, 0), opening.start), slice(opening.stop, opening.stop + reach)
     beside = np.concatenate([seen[side] for side in sides])
     hidden = not np.isfinite(depth_m) and len(beside) > 0 and beside.mean() < 0.5
     wall_min = cells_in(openings.beside_wall_m)

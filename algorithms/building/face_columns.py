@@ -1,8 +1,9 @@
 """The columns of wall faces: where they are, how high the room is before them, and what rays found of each."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -127,6 +128,21 @@ def visited(places: FloatArray, path_map: FloatArray, robot_m: float) -> BoolArr
     return np.asarray(cKDTree(path_map).query(places)[0] < robot_m)
 
 
+class TracedFace(NamedTuple):
+    """One wall face: its number among all, and where its columns lie among all faces'.
+
+    counts: (c, rows, 4) float64 what rays found of its cells; twice: (c, rows) or (0, rows), see `WallCells`.
+    top_m: (c,) how high each column stands: up to the ceiling there, or else as high as the face was seen.
+    """
+
+    number: int
+    segment: Segment
+    columns: slice
+    counts: FloatArray
+    twice: FloatArray
+    top_m: FloatArray
+
+
 @dataclass(frozen=True)
 class TracedFaces:
     """Wall faces and what is known of each of their columns.
@@ -142,6 +158,14 @@ class TracedFaces:
 
     def __len__(self) -> int:
         return len(self.walls)
+
+    def each(self) -> Iterator[TracedFace]:
+        """Each of the faces by itself."""
+        top_m = np.where(np.isfinite(self.clear_m), self.clear_m, np.repeat(self.walls.top_m, np.diff(self.cells.first)))
+        for w, face in enumerate(segments(self.walls)):
+            own = self.columns(w)
+            counts = self.cells.counts[own].astype(np.float64)
+            yield TracedFace(w, face, own, counts, self.cells.twice[own], top_m[own])
 
     @classmethod
     def of(cls, walls: Walls, cells: WallCells, storey: Storey, ceiling_near_m: float) -> "TracedFaces":

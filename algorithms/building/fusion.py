@@ -54,7 +54,7 @@ from ffmap.algorithms.building.mullions import find_mullions
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.shades import pictures
-from ffmap.algorithms.building.sliding_doors import find_sliding_doors, find_sliding_panes
+from ffmap.algorithms.building.sliding_doors import HangingLeaf, find_hanging_leaves, find_sliding_doors, sliding_panes
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
 from ffmap.algorithms.building.votes import Halo, find_halo
 from ffmap.algorithms.building.windows import (
@@ -171,7 +171,7 @@ def _find_faces(scans: AllScans, settings: FusionSettings) -> tuple[AlignedFaces
     planes = concatenate([without_rays(features) for features in scans.drive.blocks()])
     aligned = _align(fuse_walls(planes, settings.building), scans, settings)
     judged = _judge(aligned, scans, settings)
-    windows = _windows_in(_traced(judged.walls, scans, settings), settings)
+    windows, _ = _windows_in(_traced(judged.walls, scans, settings), settings)
     fronts = _find_glass_fronts(aligned.walls, judged, windows, scans, settings)
     glass = windows.append(fronts)
     outside = seen_through(glass, planes)
@@ -253,23 +253,22 @@ def _find_openings(
 ) -> tuple[TrimmedFaces, Doors, Windows, Blinds]:
     """Doors, windows and what hangs in these, and the walls' faces as the doors' reveals end them."""
     faces = _traced(walls, scans, settings)
-    cells, clear_m = faces.cells, faces.clear_m
-    windows = _windows_in(faces, settings)
+    windows, leaves = _windows_in(faces, settings)
     fronts = new_fronts(fronts, windows, settings.glass_fronts)
     windows = windows.append(set_in_walls(fronts, walls, settings.glass_fronts))
 
     trace = partial(_count_all, scans)
     windows = look_deeper(windows, partial(trace, building=settings.building), settings.opening_rules, settings.windows)
     # What a window lets pass is no door's.
-    without_glass = scans.trace(walls, settings.building, windows) if len(windows) else cells
-    floor_before = scans.storey.floor_near(column_places(walls, cells.first, 0.5 * FLOOR_NEAR_M), FLOOR_NEAR_M)
-    doors = find_doors(walls, without_glass, clear_m, settings.opening_rules, windows, floor_before)
-    cased = find_cased_doors(walls, without_glass, settings.building, settings.door_casings)
-    shown = pictures(walls, without_glass, settings.building, settings.door_contrasts.one_wall_m)
-    contrasting = find_contrasting_doors(walls, shown, settings.building, settings.door_contrasts)
-    outlined = find_outlined_doors(walls, shown, settings.building, settings.door_outlines)
+    clear = replace(faces, cells=scans.trace(walls, settings.building, windows)) if len(windows) else faces
+    floor_before = scans.storey.floor_near(column_places(walls, faces.cells.first, 0.5 * FLOOR_NEAR_M), FLOOR_NEAR_M)
+    doors = find_doors(clear, settings.opening_rules, windows, floor_before)
+    cased = find_cased_doors(clear, settings.building, settings.door_casings)
+    shown = pictures(clear, settings.building, settings.door_contrasts.one_wall_m)
+    contrasting = find_contrasting_doors(shown, settings.building, settings.door_contrasts)
+    outlined = find_outlined_doors(shown, settings.building, settings.door_outlines)
     glazed = find_glazed_doors(faces, windows, settings.opening_rules)
-    sliding = find_sliding_doors(walls, cells, doors, settings.building, settings.door_casings)
+    sliding = find_sliding_doors(leaves, doors, settings.building)
     doors = doors.append(sliding).append(cased).append(contrasting).append(outlined).append(glazed)
     doors = place_frames(doors, walls, scans.drive.blocks(), settings.building, settings.door_frames)
     doors = lower_heads_to_overlights(doors, windows, settings.opening_rules)
@@ -281,16 +280,18 @@ def _find_openings(
     parts = part_walls(walls, settings.wall_thickness)
     depth_m = door_depths(doors, walls, parts, settings.wall_thickness, settings.building.reveal_m, through_m)
     doors = replace(doors, reveal_m=depth_m)
-    blinds = find_blinds(windows, walls, cells, settings.building, settings.blinds)
+    blinds = find_blinds(windows, faces, settings.building, settings.blinds)
     return trim_at_doorways(faces, doors, settings.standing_walls), doors, windows, blinds
 
 
 # --- what several steps ask for ---
 
 
-def _windows_in(faces: TracedFaces, settings: FusionSettings) -> Windows:
-    windows = find_windows(faces.walls, faces.cells, faces.clear_m, settings.opening_rules, settings.windows)
-    return windows.append(find_sliding_panes(faces.walls, faces.cells, settings.building, settings.door_casings))
+def _windows_in(faces: TracedFaces, settings: FusionSettings) -> tuple[Windows, list[HangingLeaf]]:
+    """The windows of the faces, and what hangs before these as leaves do: those that are panes are among the windows."""
+    windows = find_windows(faces, settings.opening_rules, settings.windows)
+    leaves = find_hanging_leaves(faces, settings.building, settings.door_casings)
+    return windows.append(sliding_panes(leaves)), leaves
 
 
 def _count_all(scans: AllScans, faces: Walls, building: BuildingSettings) -> WallCells:

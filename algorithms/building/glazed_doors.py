@@ -6,12 +6,12 @@ from functools import partial
 import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
-from ffmap.algorithms.base.segments import Segment, segments
+from ffmap.algorithms.base.segments import segments
 from ffmap.algorithms.building.closed_doors import closed_door
 from ffmap.algorithms.building.face_columns import TracedFaces, on_and_passed, runs
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, ON_FACE_M, Doors, Windows, cells_in
-from ffmap.algorithms.building.openings import OpeningRules, deepest_sheet_m, tops_m, widened
+from ffmap.algorithms.building.openings import OpeningRules, deepest_sheet_m, widened
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, depth_moments
 from ffmap.algorithms.building.windows import wall_of
 from ffmap.algorithms.scan.doors import DoorState
@@ -27,7 +27,7 @@ def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules)
     faces: with all rays, those through windows too.
     """
     building, openings = rules.building, rules.openings
-    top_m = tops_m(faces.walls, faces.cells, faces.clear_m)
+    traced = tuple(faces.each())
     may_be = (windows.bottom_m <= openings.lower_rail_max_m) & np.isfinite(windows.pane_m)
     may_be &= windows.top_m >= building.door_height_min_m - openings.bar_max_m
     doors = NO_DOORS
@@ -35,8 +35,7 @@ def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules)
         w, first, after = wall_of(windows, int(k), faces.walls)
         if w < 0:
             continue
-        face, own = Segment.between(faces.walls.ends[w], faces.walls.normal[w]), faces.columns(w)
-        counts = faces.cells.counts[own].astype(np.float64)
+        face, counts = traced[w].segment, traced[w].counts
         pane_m, glass_m = float(windows.pane_m[k]), float(windows.top_m[k])
         leaf = _leaf_around(counts, first, after - 1, pane_m, rules)
         if leaf is None or not building.door_width_min_m <= (leaf[1] + 1 - leaf[0]) * CELL_M <= building.door_width_max_m:
@@ -48,7 +47,7 @@ def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules)
             head_m = transom_m + 0.5 * openings.bar_max_m
         if head_m > building.door_height_max_m + CELL_M:
             continue
-        if not _stands_around(counts, first, last, edge_m, float(np.median(top_m[own][first : last + 1])), rules):
+        if not _stands_around(counts, first, last, edge_m, float(np.median(traced[w].top_m[first : last + 1])), rules):
             continue
         jamb = cells_in(openings.jamb_m)
         agreement = _agreement(counts[first + jamb : last + 1 - jamb], pane_m, rules)

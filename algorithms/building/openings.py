@@ -9,13 +9,12 @@ from scipy import ndimage
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, ON_FACE_M, BuildingSettings, Walls, cells_in, stretches
+from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, ON_FACE_M, BuildingSettings, cells_in, stretches
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,
     FOOT_ROW,
     SUM,
     THROUGH,
-    WallCells,
     depth_moments,
     returns_at_face,
     with_neighbours,
@@ -98,14 +97,6 @@ class DoorColumns:
     rays: FloatArray
     lintel_m: FloatArray
     depth_m: FloatArray
-
-
-def tops_m(walls: Walls, cells: WallCells, clear_m: FloatArray) -> FloatArray:
-    """(columns,) how high each column of the faces stands: up to the ceiling there, or else as high as its face was seen.
-
-    clear_m: (columns,) from the floor to the ceiling before each column; NaN where none was seen.
-    """
-    return np.where(np.isfinite(clear_m), clear_m, np.repeat(walls.top_m, np.diff(cells.first)))
 
 
 def look_for_doors(counts: FloatArray, top_m: FloatArray, rules: OpeningRules) -> DoorColumns:

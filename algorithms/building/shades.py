@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
-from ffmap.algorithms.base.segments import Segment, segments
-from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, BuildingSettings, Walls, cells_in
-from ffmap.algorithms.building.ray_evidence import FILLED, THROUGH, WallCells, depth_moments
+from ffmap.algorithms.base.segments import Segment
+from ffmap.algorithms.building.face_columns import TracedFace, TracedFaces
+from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, BuildingSettings, cells_in
+from ffmap.algorithms.building.ray_evidence import FILLED, THROUGH, depth_moments
 
 _RETURNS_MIN = 2  # Of a cell, for its mean to count
 _OF_FACE = 0.4  # Minimum share
@@ -24,12 +25,14 @@ class Picture(NamedTuple):
 
     shade: (c, rows) mean intensity. before_m: (c, rows) how far what returns stands out of the face. Both NaN where too little is
     known, where what returns lies in another plane, and where rays pass: that is neither wall nor leaf. counts: (c, rows, 4), see
-    `WallCells`. reach: how many of its columns lie before the face's start, and as many behind its end.
+    `WallCells`. face: as it is seen from above. reach: how many of its columns lie before the face's start, and as many behind its
+    end.
     """
 
     shade: FloatArray
     before_m: FloatArray
     counts: FloatArray
+    face: Segment
     reach: int = 0
 
     def is_of(self, first: float, last: float) -> bool:
@@ -38,42 +41,42 @@ class Picture(NamedTuple):
         return shared >= _OF_FACE * (last - first)
 
 
-def pictures(walls: Walls, cells: WallCells, building: BuildingSettings, one_wall_m: float) -> list[Picture]:
+def pictures(faces: TracedFaces, building: BuildingSettings, one_wall_m: float) -> list[Picture]:
     """Of each face, with as many columns more at each end as doors are wide, as far as others of its wall go on there: a door may
     lie in two. None where no scan has intensities.
 
     one_wall_m: how far these may lie apart.
     """
-    if not len(cells.light):
+    light = faces.cells.light
+    if not len(light):
         return []
-    faces, response = tuple(segments(walls)), response_by_angle(cells.light)
-    own = [_picture(cells, w, response) for w in range(len(faces))]
-    return [_continued(w, faces, own, cells_in(building.door_width_max_m), one_wall_m) for w in range(len(faces))]
+    response = response_by_angle(light)
+    own = [_picture(face, light[face.columns], response) for face in faces.each()]
+    return [_continued(picture, own, cells_in(building.door_width_max_m), one_wall_m) for picture in own]
 
 
-def _picture(cells: WallCells, w: int, response: FloatArray) -> Picture:
-    part = cells.of(w)
-    counts = part.counts.astype(np.float64)
-    before_m = depth_moments(counts)[0]
-    off = (np.abs(before_m) > ON_FACE_M) | (counts[..., THROUGH] > 0.5 * counts[..., FILLED])
-    shade = shades(part.light, response)
-    return Picture(np.where(off, np.nan, shade), np.where(off, np.nan, before_m), counts)
+def _picture(face: TracedFace, light: FloatArray, response: FloatArray) -> Picture:
+    before_m = depth_moments(face.counts)[0]
+    off = (np.abs(before_m) > ON_FACE_M) | (face.counts[..., THROUGH] > 0.5 * face.counts[..., FILLED])
+    shade = shades(light, response)
+    return Picture(np.where(off, np.nan, shade), np.where(off, np.nan, before_m), face.counts, face.segment)
 
 
-def _continued(w: int, faces: Sequence[Segment], own: Sequence[Picture], reach: int, one_wall_m: float) -> Picture:
-    size, face = len(own[w].shade), faces[w]
-    unknown = np.full((size + 2 * reach, own[w].shade.shape[1]), np.nan)
-    longer = Picture(unknown, unknown.copy(), np.zeros((*unknown.shape, 4)), reach)
-    for column, known in zip(longer[:3], own[w][:3], strict=True):
+def _continued(own: Picture, pictures: Sequence[Picture], reach: int, one_wall_m: float) -> Picture:
+    size, face = len(own.shade), own.face
+    unknown = np.full((size + 2 * reach, own.shade.shape[1]), np.nan)
+    longer = Picture(unknown, unknown.copy(), np.zeros((*unknown.shape, 4)), face, reach)
+    for column, known in zip(longer[:3], own[:3], strict=True):
         column[reach : reach + size] = known
-    for k, other in enumerate(faces):
+    for picture in pictures:
+        other = picture.face
         ends = np.stack([other.start, other.at(np.array([other.length_m]))[0]])
-        if k == w or other.normal @ face.normal < _ONE_DIRECTION or np.abs(face.before_m(ends)).max() > one_wall_m:
+        if picture is own or other.normal @ face.normal < _ONE_DIRECTION or np.abs(face.before_m(ends)).max() > one_wall_m:
             continue
-        places = face.place_m(other.at(CELL_M * (np.arange(len(own[k].shade)) + 0.5)))
+        places = face.place_m(other.at(CELL_M * (np.arange(len(picture.shade)) + 0.5)))
         at = np.floor(places / CELL_M).astype(np.int64) + reach
         beyond = (at >= 0) & (at < len(longer.shade)) & ((at < reach) | (at >= reach + size))
-        for column, known in zip(longer[:3], own[k][:3], strict=True):
+        for column, known in zip(longer[:3], picture[:3], strict=True):
             column[at[beyond]] = known[beyond]
     return longer
 

@@ -5,7 +5,7 @@ is thicker than any casing. A leaf that stands open against the wall does so too
 """
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.building.closed_doors import closed_door
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings
-from ffmap.algorithms.building.face_columns import runs
+from ffmap.algorithms.building.face_columns import TracedFace, TracedFaces, runs
 from ffmap.algorithms.building.model import (
     CELL_M,
     NO_DOORS,
@@ -23,20 +23,20 @@ from ffmap.algorithms.building.model import (
     ON_FACE_M,
     BuildingSettings,
     Doors,
-    Walls,
     Windows,
     cells_in,
 )
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, WallCells, depth_moments
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, depth_moments
 from ffmap.algorithms.scan.doors import DoorState
 
 
-class _Leaf(NamedTuple):
+class HangingLeaf(NamedTuple):
     """One leaf before a face: how far, between which columns, and how high.
 
     pane: its lowest and highest row that let rays pass, if it is one. agreement: share of its returns that lie at its depth.
     """
 
+    face: TracedFace
     before_m: float
     first: int
     after: int
@@ -45,45 +45,40 @@ class _Leaf(NamedTuple):
     agreement: float
 
 
-def find_sliding_doors(
-    walls: Walls, cells: WallCells, known: Doors, building: BuildingSettings, settings: DoorCasingsSettings
-) -> Doors:
-    """The closed doors of all faces whose leaf hangs before them, by a negative `depth_m`.
+def find_hanging_leaves(
+    faces: TracedFaces, building: BuildingSettings, settings: DoorCasingsSettings
+) -> list[HangingLeaf]:
+    """What hangs before the faces as leaves do. faces: with all rays."""
+    return [leaf for face in faces.each() for leaf in _leaves_before(face, building, settings)]
+
+
+def find_sliding_doors(leaves: Iterable[HangingLeaf], known: Doors, building: BuildingSettings) -> Doors:
+    """The closed doors whose leaf hangs before its wall's face, by a negative `depth_m`.
 
     known: doors; a leaf beside an open one is its own.
     """
     doors = NO_DOORS
     opened = list(segments(known.select(known.state == DoorState.OPEN)))
-    for w, face, counts, leaf in _leaves(walls, cells, building, settings):
-        opening, depth_m = (leaf.first, leaf.after), -leaf.before_m
-        told = partial(closed_door, face, opening, counts, leaf.head_m, building.known_min, wall=w, depth_m=depth_m)
+    for leaf in leaves:
+        face, opening = leaf.face, (leaf.first, leaf.after)
+        told = partial(closed_door, face.segment, opening, face.counts, leaf.head_m, building.known_min, wall=face.number)
+        told = partial(told, depth_m=-leaf.before_m)
         door = told() if leaf.pane is None else told(agreement=leaf.agreement, glazed=True)
         if not any(_is_beside(doorway, door, building.reveal_m) for doorway in opened):
             doors = doors.append(door)
     return doors
 
 
-def find_sliding_panes(
-    walls: Walls, cells: WallCells, building: BuildingSettings, settings: DoorCasingsSettings
-) -> Windows:
-    """The stretches of wall behind such leaves that are panes, as windows: what is behind them is seen through glass."""
+def sliding_panes(leaves: Iterable[HangingLeaf]) -> Windows:
+    """The stretches of wall behind those leaves that are panes, as windows: what is behind them is seen through glass."""
     windows = NO_WINDOWS
-    for _, face, _, leaf in _leaves(walls, cells, building, settings):
+    for leaf in leaves:
         if leaf.pane is not None:
+            face = leaf.face.segment
             ends = face.at(CELL_M * np.array([leaf.first, leaf.after]))
             bottom_m, top_m = CELL_M * np.array([[leaf.pane[0]], [leaf.pane[1] + 1]])
             windows = windows.append(Windows(ends[None], face.normal[None], bottom_m, top_m, np.full(1, np.nan)))
     return windows
-
-
-def _leaves(
-    walls: Walls, cells: WallCells, building: BuildingSettings, settings: DoorCasingsSettings
-) -> Iterator[tuple[int, Segment, FloatArray, _Leaf]]:
-    """What hangs before the faces as leaves do: the face's number, the face, its cells and the leaf."""
-    for w, face in enumerate(segments(walls)):
-        counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
-        for leaf in _leaves_before(counts, building, settings):
-            yield w, face, counts, leaf
 
 
 def _is_beside(doorway: Segment, door: Doors, near_m: float) -> bool:
@@ -95,8 +90,10 @@ def _is_beside(doorway: Segment, door: Doors, near_m: float) -> bool:
     return bool(off_m < near_m and doorway.shared_m(door.ends[0]) > -near_m)
 
 
-def _leaves_before(counts: FloatArray, building: BuildingSettings, settings: DoorCasingsSettings) -> Iterator[_Leaf]:
-    """The same of one face; counts: (c, rows, 4), see `WallCells`."""
+def _leaves_before(
+    face: TracedFace, building: BuildingSettings, settings: DoorCasingsSettings
+) -> Iterator[HangingLeaf]:
+    counts = face.counts
     wall, lowest, highest = (cells_in(m) for m in (settings.wall_m, building.door_height_min_m, building.door_height_max_m))
     if counts.shape[1] <= lowest + wall:
         return
@@ -131,7 +128,7 @@ def _leaves_before(counts: FloatArray, building: BuildingSettings, settings: Doo
             if is_flat and len(over_m) == wall and np.all(np.abs(over_m) < flush_m):
                 clear = np.flatnonzero(_lets_pass(counts[own, :head].sum(axis=0), building))
                 pane = (int(clear[0]), int(clear[-1])) if 2 * np.count_nonzero(is_glass[own]) > after - first else None
-                yield _Leaf(leaf_m, first, after, head * CELL_M, pane, float(returns[flat].sum() / returns.sum()))
+                yield HangingLeaf(face, leaf_m, first, after, head * CELL_M, pane, float(returns[flat].sum() / returns.sum()))
 
 
 def _lets_pass(counts: FloatArray, building: BuildingSettings) -> BoolArray:

@@ -30,7 +30,6 @@ from ffmap.algorithms.building.openings import (
     is_open_to_floor,
     is_pane,
     look_for_doors,
-    tops_m,
     widened,
 )
 from ffmap.algorithms.building.ray_evidence import (
@@ -88,21 +87,14 @@ class WindowsSettings(StepSettings):
     )
 
 
-def find_windows(
-    walls: Walls, cells: WallCells, clear_m: FloatArray, rules: OpeningRules, settings: WindowsSettings
-) -> Windows:
-    """Stretches of wall that rays pass through glass: above a sill, higher than doors, or where a pane shows itself.
-
-    clear_m: (columns,) from the floor to the ceiling before each column of the faces; NaN where none was seen.
-    """
-    standing_m = tops_m(walls, cells, clear_m)
+def find_windows(faces: TracedFaces, rules: OpeningRules, settings: WindowsSettings) -> Windows:
+    """Stretches of wall that rays pass through glass: above a sill, higher than doors, or where a pane shows itself."""
     windows = NO_WINDOWS
-    for w in range(len(walls)):
-        counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
+    for own in faces.each():
+        face, counts, wall_top_m = own.segment, own.counts, faces.walls.top_m[own.number]
         if len(counts) < 3:
             continue
-        face = Segment.between(walls.ends[w], walls.normal[w])
-        columns = look_for_doors(counts, standing_m[cells.first[w] : cells.first[w + 1]], rules)
+        columns = look_for_doors(counts, own.top_m, rules)
         least = cells_in(settings.height_min_m)
         # Beside a jamb some rays pass, and others end on the reveal.
         below_blind = long_runs(_closes_below_heads(counts, rules, settings), least, bridge=2)
@@ -110,13 +102,12 @@ def find_windows(
             *stretches(columns.is_open & columns.has_lintel & ~below_blind, 2),
             *stretches(below_blind, 2),
         ]
-        twice = cells.of(w).twice
         panes = [
             (first, last)
             for first, last in opened
-            if is_pane(_up_to_head(counts[first : last + 1]), twice[first : last + 1], rules)
+            if is_pane(_up_to_head(counts[first : last + 1]), own.twice[first : last + 1], rules)
         ]
-        may_be, is_sill = _above_sill(counts, walls.top_m[w], rules, settings)
+        may_be, is_sill = _above_sill(counts, wall_top_m, rules, settings)
         sill_min = cells_in(settings.sill_min_m)
         sills = [
             (first, last)
@@ -135,7 +126,7 @@ def find_windows(
             pane_m = find_pane_m(counts[first : last + 1, clear[0] : clear[-1] + 1], rules)
             shown = slice(first, last + 1)
             first, last = _over_its_pane(high, pane_m, first, last, rules.openings.sheet_m, settings)
-            between, highest = (int(clear[0]), int(clear[-1])), int(walls.top_m[w] / CELL_M)
+            between, highest = (int(clear[0]), int(clear[-1])), int(wall_top_m / CELL_M)
             first, last = _to_its_wall(counts, between, highest, first, last, rules, settings)
             if first == 0 and last == len(counts) - 1:
                 continue  # without a jamb it is what stands below something that hangs

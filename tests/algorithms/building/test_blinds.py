@@ -8,7 +8,7 @@ import pytest
 from ffmap.algorithms.building.blinds import BlindsSettings, find_blinds
 from ffmap.algorithms.building.model import CELL_M, Blinds, BuildingSettings, Windows
 from ffmap.algorithms.building.ray_evidence import ANGLES_DEG, FILLED, SQUARES, THROUGH, WallCells
-from tests.faces import faces, window
+from tests.faces import faces, traced, window
 
 WALL = faces(((0.0, 0.0), (4.0, 0.0)))
 WINDOW = replace(window((1.0, 0.0), (3.0, 0.0)), top_m=np.array([1.6]))
@@ -47,7 +47,7 @@ def hang(
 
 
 def found(cells: WallCells, windows: Windows = WINDOW) -> Blinds:
-    return find_blinds(windows, WALL, cells, BuildingSettings(), BlindsSettings())
+    return find_blinds(windows, traced(WALL, cells), BuildingSettings(), BlindsSettings())
 
 
 def test_what_hangs_behind_the_face_is_found_and_the_lintel_above_it_is_not() -> None:

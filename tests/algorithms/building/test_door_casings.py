@@ -9,7 +9,7 @@ from ffmap.algorithms.building.door_casings import DoorCasingsSettings, find_cas
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Doors
 from ffmap.algorithms.building.ray_evidence import FILLED, SQUARES, SUM, THROUGH, WallCells, first_columns
 from ffmap.algorithms.scan.doors import DoorState
-from tests.faces import faces
+from tests.faces import faces, traced
 
 Rectangle = tuple[float, float, float, float]
 """From and to along the face, from and to above the floor, metres."""
@@ -68,7 +68,7 @@ def find(
     change(counts)
     walls = faces(((0, 0), (LENGTH_M, 0)))
     cells = WallCells(first_columns(walls), counts.shape[1], counts[::-1] if flip else counts)
-    return find_cased_doors(walls, cells, BuildingSettings(), DoorCasingsSettings())
+    return find_cased_doors(traced(walls, cells), BuildingSettings(), DoorCasingsSettings())
 
 
 @pytest.mark.parametrize("flip", [False, True])
@@ -233,4 +233,4 @@ def test_a_doorway_that_rays_pass_is_no_closed_door() -> None:
 def test_a_short_face_and_none(columns: int) -> None:
     walls = faces(((0, 0), (columns * CELL_M, 0))) if columns else NO_WALLS
     cells = WallCells(first_columns(walls), 60, np.ones((columns, 60, 4), np.float32))
-    assert len(find_cased_doors(walls, cells, BuildingSettings(), DoorCasingsSettings())) == 0
+    assert len(find_cased_doors(traced(walls, cells), BuildingSettings(), DoorCasingsSettings())) == 0

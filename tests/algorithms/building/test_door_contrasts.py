@@ -9,7 +9,7 @@ from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, 
 from ffmap.algorithms.building.ray_evidence import FILLED, SQUARES, SUM, THROUGH, WallCells, first_columns
 from ffmap.algorithms.building.shades import pictures, response_by_angle, shades
 from ffmap.algorithms.scan.doors import DoorState
-from tests.faces import faces
+from tests.faces import faces, traced
 from tests.lit_faces import FACE, FALL, HEIGHT_M, LENGTH_M, RETURNS, WALL, Rectangle, filled
 
 
@@ -19,7 +19,7 @@ def find(*patches: tuple[Rectangle, float], before_m: float = 0.0, flip: bool = 
 
 def contrasting(walls: Walls, cells: WallCells) -> Doors:
     building, settings = BuildingSettings(), DoorContrastsSettings()
-    return find_contrasting_doors(walls, pictures(walls, cells, building, settings.one_wall_m), building, settings)
+    return find_contrasting_doors(pictures(traced(walls, cells), building, settings.one_wall_m), building, settings)
 
 
 def found_in(cells: WallCells) -> Doors:

@@ -8,7 +8,7 @@ from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, 
 from ffmap.algorithms.building.ray_evidence import FILLED, SQUARES, SUM, THROUGH, WallCells, first_columns
 from ffmap.algorithms.building.shades import pictures
 from ffmap.algorithms.scan.doors import DoorState
-from tests.faces import faces
+from tests.faces import faces, traced
 from tests.lit_faces import FACE, LENGTH_M, RETURNS, WALL, Rectangle, filled
 
 Patch = tuple[Rectangle, float]
@@ -28,7 +28,7 @@ def frame(
 
 def outlined(walls: Walls, cells: WallCells) -> Doors:
     building = BuildingSettings()
-    return find_outlined_doors(walls, pictures(walls, cells, building, 0.05), building, DoorOutlinesSettings())
+    return find_outlined_doors(pictures(traced(walls, cells), building, 0.05), building, DoorOutlinesSettings())
 
 
 def find(*patches: Patch, flip: bool = False) -> Doors:

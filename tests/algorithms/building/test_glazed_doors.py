@@ -43,7 +43,7 @@ def traced(counts: np.ndarray) -> TracedFaces:
 def windows_in(counts: np.ndarray) -> Windows:
     """The windows that are found in the face."""
     face = traced(counts)
-    return find_windows(WALL, face.cells, face.clear_m, RULES, WindowsSettings())
+    return find_windows(face, RULES, WindowsSettings())
 
 
 def found(counts: np.ndarray) -> Doors:

@@ -13,7 +13,6 @@ from ffmap.algorithms.building.door_frames import DoorFramesSettings, place_fram
 from ffmap.algorithms.building.doors import (
     drop_doubtful,
     each_once,
-    find_doors,
     lower_heads_to_overlights,
     prove_crossed,
 )
@@ -42,7 +41,7 @@ from ffmap.algorithms.building.windows import (
 )
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features
-from tests.faces import faces, window
+from tests.faces import doors_in, faces, traced, window
 from tests.tracing import rays_alone
 
 FILLED, SUM, SQUARES, THROUGH = range(4)
@@ -60,11 +59,6 @@ def cells() -> WallCells:
     counts = np.zeros((80, 66, 4), np.float32)
     counts[..., FILLED] = 10.0
     return WallCells(np.array([0, 80]), 66, counts)
-
-
-def unknown(cells: WallCells) -> np.ndarray:
-    """No ceiling was seen before any column."""
-    return np.full(int(cells.first[-1]), np.nan)
 
 
 def recess(cells: WallCells, low_m: float, high_m: float, depth_m: float) -> None:
@@ -92,7 +86,7 @@ def features(origin: tuple[float, float], rays: np.ndarray, planes: np.ndarray) 
 def test_a_closed_leaf_is_recessed(depth_m: float, found: int) -> None:
     seen = cells()
     recess(seen, 0.0, 2.1, depth_m)
-    doors = find_doors(WALL, seen, unknown(seen), RULES)
+    doors = doors_in(traced(WALL, seen), RULES)
     assert len(doors) == found
     if found:
         assert doors.depth_m[0] == pytest.approx(depth_m, abs=0.005)
@@ -108,7 +102,7 @@ def test_doors_are_found_however_high_their_heads_are(state: DoorState, head_m: 
     if state == DoorState.OPEN:
         part = seen.counts[30:48, : round(head_m / CELL_M)]
         part[...], part[..., THROUGH] = 0.0, 10.0
-    doors = find_doors(WALL, seen, np.full(80, ceiling_m), RULES)
+    doors = doors_in(traced(WALL, seen, ceiling_m), RULES)
     assert doors.state.tolist() == [state]
     assert doors.head_m[0] == pytest.approx(head_m, abs=CELL_M)
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
@@ -121,7 +115,7 @@ def test_the_underside_of_a_duct_that_touches_the_wall_is_no_lintel() -> None:
     underside = seen.counts[:, round(2.2 / CELL_M) : round(2.3 / CELL_M)]
     underside[..., SUM], underside[..., SQUARES] = 0.03 * underside[..., FILLED], 0.0012 * underside[..., FILLED]
     seen.counts[:, round(2.3 / CELL_M) :] = 0.0
-    doors = find_doors(WALL, seen, np.full(80, 2.8), RULES)
+    doors = doors_in(traced(WALL, seen, 2.8), RULES)
     assert doors.state.tolist() == [DoorState.CLOSED]
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
 
@@ -134,7 +128,7 @@ def test_a_leaf_goes_on_behind_what_stands_before_it() -> None:
     hidden[...] = 0.0
     for side in (hidden[0], hidden[-1]):
         side[:, FILLED], side[:, SUM], side[:, SQUARES] = 10.0, 0.3, 0.009
-    doors = find_doors(WALL, seen, unknown(seen), RULES)
+    doors = doors_in(traced(WALL, seen), RULES)
     assert doors.state.tolist() == [DoorState.CLOSED]
     assert doors.depth_m[0] == pytest.approx(0.05, abs=0.005)
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
@@ -147,7 +141,7 @@ def test_a_cornice_is_no_lintel_of_the_wall_below_it(forward_m: float) -> None:
     seen.counts[:, round(2.9 / CELL_M) :, SUM] = forward_m * 10.0
     seen.counts[:, round(2.9 / CELL_M) :, SQUARES] = forward_m**2 * 10.0
     recess(seen, 0.0, 2.1, 0.1)
-    doors = find_doors(WALL, seen, np.full(80, 3.3), RULES)
+    doors = doors_in(traced(WALL, seen, 3.3), RULES)
     assert doors.state.tolist() == [DoorState.CLOSED]
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
 
@@ -156,7 +150,7 @@ def test_a_cornice_is_no_lintel_of_the_wall_below_it(forward_m: float) -> None:
 def test_a_pane_above_a_flush_parapet_is_no_leaf(sill_m: float) -> None:
     seen = cells()
     recess(seen, sill_m, 2.1, 0.05)
-    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 0
+    assert len(doors_in(traced(WALL, seen), RULES)) == 0
 
 
 def test_a_niche_above_a_parapet_that_stands_back_a_little_is_no_leaf() -> None:
@@ -164,13 +158,13 @@ def test_a_niche_above_a_parapet_that_stands_back_a_little_is_no_leaf() -> None:
     seen = cells()
     recess(seen, 0.0, 0.9, 0.02)
     recess(seen, 0.9, 2.1, 0.13)
-    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 0
+    assert len(doors_in(traced(WALL, seen), RULES)) == 0
 
 
 def test_a_recess_up_to_the_ceiling_is_no_door() -> None:
     seen = cells()
     recess(seen, 0.0, 2.8, 0.05)
-    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 0
+    assert len(doors_in(traced(WALL, seen), RULES)) == 0
 
 
 @pytest.mark.parametrize(
@@ -186,11 +180,11 @@ def test_a_leaf_and_the_overlight_above_it_share_a_recess_higher_than_doors(
     low, high = (round(height_m / CELL_M) for height_m in pane_m)
     seen.counts[32:46, low:high] *= 0.2
     seen.counts[32:46, low:high, THROUGH] = 8.0
-    doors = find_doors(WALL, seen, np.full(80, 3.2), RULES)
+    doors = doors_in(traced(WALL, seen, 3.2), RULES)
     assert doors.state.tolist() == [DoorState.CLOSED] * len(heads_m)
     np.testing.assert_allclose(doors.head_m, heads_m, atol=CELL_M)
     seen.counts[32:46, low:high] *= 0.01
-    assert not len(find_doors(WALL, seen, np.full(80, 3.2), RULES))  # some strays
+    assert not len(doors_in(traced(WALL, seen, 3.2), RULES))  # some strays
 
 
 @pytest.mark.parametrize(("low_m", "walls", "found"), [(2.1, 2, 1), (2.1, 1, 0), (1.0, 2, 0)])
@@ -202,7 +196,7 @@ def test_a_leaf_below_an_overlight_up_to_the_ceiling_has_its_wall_on_both_sides(
     pane[...] = (2.0, -2.0 * 0.06, 2.0 * 0.06**2, 8.0)
     if walls == 1:
         seen.counts[:30] = 0.0
-    doors = find_doors(WALL, seen, np.full(80, 3.0), RULES)
+    doors = doors_in(traced(WALL, seen, 3.0), RULES)
     assert doors.state.tolist() == [DoorState.CLOSED] * found
     if found:
         assert doors.depth_m[0] == pytest.approx(0.03, abs=0.005)
@@ -216,7 +210,7 @@ def test_above_a_fitted_cupboard_is_no_overlight() -> None:
     recess(seen, 0.0, 3.0, 0.03)
     seen.counts[30:48, 40] = (4.0, -4.0 * 0.03, 4.0 * 0.03**2, 6.0)
     seen.counts[30:48, 41:60] = (0.0, 0.0, 0.0, 10.0)
-    assert not len(find_doors(WALL, seen, np.full(80, 3.0), RULES))
+    assert not len(doors_in(traced(WALL, seen, 3.0), RULES))
 
 
 def test_a_window_above_a_leaf_is_its_overlight() -> None:
@@ -224,7 +218,7 @@ def test_a_window_above_a_leaf_is_its_overlight() -> None:
     seen = cells()
     recess(seen, 0.0, 2.6, 0.03)
     overlight = replace(WINDOW, ends=np.array([[[1.5, 0.0], [2.4, 0.0]]]), bottom_m=np.array([2.2]), top_m=np.array([2.6]))
-    doors = find_doors(WALL, seen, np.full(80, 3.2), RULES, overlight)
+    doors = doors_in(traced(WALL, seen, 3.2), RULES, overlight)
     assert doors.head_m[0] == pytest.approx(2.6, abs=CELL_M)
     assert lower_heads_to_overlights(doors, overlight, RULES).head_m.tolist() == [2.2]
     # Neither a window beside the door nor one lower than heads are, and no open doorway's head, which its lintel shows.
@@ -232,7 +226,7 @@ def test_a_window_above_a_leaf_is_its_overlight() -> None:
         np.testing.assert_array_equal(lower_heads_to_overlights(doors, other, RULES).head_m, doors.head_m)
     opened = replace(doors, state=np.array([DoorState.OPEN], np.uint8))
     np.testing.assert_array_equal(lower_heads_to_overlights(opened, overlight, RULES).head_m, doors.head_m)
-    assert not len(find_doors(WALL, seen, np.full(80, 3.2), RULES, replace(overlight, bottom_m=np.array([1.2]))))
+    assert not len(doors_in(traced(WALL, seen, 3.2), RULES, replace(overlight, bottom_m=np.array([1.2]))))
 
 
 def test_a_low_ceiling_before_a_part_of_a_wall_is_no_lintel() -> None:
@@ -244,9 +238,9 @@ def test_a_low_ceiling_before_a_part_of_a_wall_is_no_lintel() -> None:
     seen.counts[34:76, round(2.6 / CELL_M) :] = 0.0
     seen.counts[76:, :, SUM] = 0.025 * seen.counts[76:, :, FILLED]
     clear_m = np.full(80, 2.8)
-    assert len(find_doors(WALL, seen, clear_m, RULES)) == 1
+    assert len(doors_in(traced(WALL, seen, clear_m), RULES)) == 1
     clear_m[34:] = 2.5
-    assert len(find_doors(WALL, seen, clear_m, RULES)) == 0
+    assert len(doors_in(traced(WALL, seen, clear_m), RULES)) == 0
 
 
 def test_the_other_side_of_a_lintel_that_a_duct_hides_does_not_hide_the_doorway() -> None:
@@ -256,7 +250,7 @@ def test_the_other_side_of_a_lintel_that_a_duct_hides_does_not_hide_the_doorway(
     part = seen.counts[30:48, : round(2.05 / CELL_M)]
     part[...], part[..., THROUGH] = 0.0, 10.0
     seen.counts[:, round(2.4 / CELL_M) :] = 0.0
-    doors = find_doors(WALL, seen, np.full(80, 2.8), RULES)
+    doors = doors_in(traced(WALL, seen, 2.8), RULES)
     assert doors.state.tolist() == [DoorState.OPEN]
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
 
@@ -270,16 +264,16 @@ def test_a_duct_may_hide_a_lintel_if_the_wall_stands_on_both_sides(state: DoorSt
         part = seen.counts[30:48, : round(2.05 / CELL_M)]
         part[...], part[..., THROUGH] = 0.0, 10.0
     clear_m = np.full(80, 2.8)
-    doors = find_doors(WALL, seen, clear_m, RULES)
+    doors = doors_in(traced(WALL, seen, clear_m), RULES)
     assert doors.state.tolist() == [state]
     assert doors.lintel.tolist() == [0.0]
     assert doors.head_m[0] == pytest.approx(2.05, abs=CELL_M)
     # An alcove up to the ceiling is seen to be none, and a recess in a corner may be the corner.
     high = WallCells(seen.first, seen.rows, seen.counts.copy())
     high.counts[30:48, round(2.05 / CELL_M) : round(2.7 / CELL_M), THROUGH] = 10.0
-    assert len(find_doors(WALL, high, clear_m, RULES)) == 0
+    assert len(doors_in(traced(WALL, high, clear_m), RULES)) == 0
     seen.counts[48:] = 0.0
-    assert len(find_doors(WALL, seen, clear_m, RULES)) == 0
+    assert len(doors_in(traced(WALL, seen, clear_m), RULES)) == 0
 
 
 def test_a_leaf_that_stands_aslant_is_ajar() -> None:
@@ -288,7 +282,7 @@ def test_a_leaf_that_stands_aslant_is_ajar() -> None:
         depth_m = np.linspace(0.03, 0.03 + free_edge_m, 18)[:, None]
         part = seen.counts[30:48, : round(2.1 / CELL_M)]
         part[..., SUM], part[..., SQUARES] = -depth_m * part[..., FILLED], depth_m**2 * part[..., FILLED]
-        return find_doors(WALL, seen, unknown(seen), RULES)
+        return doors_in(traced(WALL, seen), RULES)
 
     assert leaf(0.05).state.tolist() == [DoorState.CLOSED]
     assert leaf(0.05).ajar.tolist() == [False]
@@ -306,7 +300,7 @@ def test_a_deep_leaf_is_not_ajar_though_columns_at_its_jamb_hold_the_reveal_too(
     depth_m[:3] = 0.03
     part = seen.counts[30:48, : round(2.1 / CELL_M)]
     part[..., SUM], part[..., SQUARES] = -depth_m * part[..., FILLED], depth_m**2 * part[..., FILLED]
-    doors = find_doors(WALL, seen, unknown(seen), RULES)
+    doors = doors_in(traced(WALL, seen), RULES)
     assert doors.state.tolist() == [DoorState.CLOSED]
     np.testing.assert_allclose(doors.depth_m, 0.2, atol=0.01)
 
@@ -328,7 +322,7 @@ def test_a_leaf_ajar_is_part_of_its_doorway(leaves: int) -> None:
             else:
                 cell[:], cell[:, THROUGH] = 0.0, 10.0
     seen.counts[opened, rows] = np.array([0.0, 0.0, 0.0, 10.0])
-    doors = each_once(find_doors(WALL, seen, unknown(seen), RULES), RULES)
+    doors = each_once(doors_in(traced(WALL, seen), RULES), RULES)
     assert doors.state.tolist() == [DoorState.OPEN]
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.55 if leaves == 1 else 3.3], atol=2 * CELL_M)
     assert doors.confidence[0] > 0.6
@@ -354,7 +348,7 @@ def test_a_leaf_at_the_edge_of_what_is_looked_at_is_no_pane() -> None:
         part = seen.counts[30:36, : round(2.1 / CELL_M)]
         part[..., THROUGH], part[..., FILLED] = 10.0, 1.0
         part[..., SUM], part[..., SQUARES] = -sheet_m, sheet_m**2
-        return len(find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings()))
+        return len(find_windows(traced(WALL, seen), RULES, WindowsSettings()))
 
     assert opening(0.1) == 1
     assert opening(0.34) == 0
@@ -367,11 +361,11 @@ def test_a_door_has_its_wall_beside_it() -> None:
     for beside in (slice(0, 30), slice(48, 80)):
         seen.counts[beside] = 0.0
         seen.counts[beside, 1:36, THROUGH] = 10.0
-    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 0
+    assert len(doors_in(traced(WALL, seen), RULES)) == 0
     # In a corner there is wall on one side only.
     seen.counts[48:51] = 0.0
     seen.counts[48:51, :, FILLED] = 10.0
-    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 1
+    assert len(doors_in(traced(WALL, seen), RULES)) == 1
 
 
 def opening(seen: WallCells) -> None:
@@ -386,7 +380,7 @@ def test_what_hangs_behind_a_lintel_does_not_hide_its_door() -> None:
     # From close by, rays under the lintel rise to a duct behind it: as many returns as from the lintel itself.
     duct = seen.counts[30:48, 46:51]
     duct[..., FILLED], duct[..., SUM], duct[..., SQUARES] = 20.0, -10 * 0.3, 10 * 0.3**2
-    doors = find_doors(WALL, seen, unknown(seen), RULES)
+    doors = doors_in(traced(WALL, seen), RULES)
     assert doors.state.tolist() == [DoorState.OPEN]
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
 
@@ -405,7 +399,7 @@ def test_a_doorway_is_taken_from_the_face_that_shows_all_of_it() -> None:
     seen = cells()
     opening(seen)
     both = np.concatenate([3.0 * seen.counts[:43], seen.counts[::-1]])
-    seen_twice = find_doors(walls, WallCells(np.array([0, 43, 123]), 66, both), np.full(123, np.nan), RULES)
+    seen_twice = doors_in(traced(walls, WallCells(np.array([0, 43, 123]), 66, both)), RULES)
     assert len(seen_twice) == 2
     doors = each_once(seen_twice, RULES)
     assert len(doors) == 1
@@ -445,7 +439,7 @@ def test_a_window_behind_a_desk_is_no_doorway() -> None:
     seen = cells()
     opening(seen)
     seen.counts[30:48, 0:14] = 0.0  # the desk hides the wall below the pane
-    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 0
+    assert len(doors_in(traced(WALL, seen), RULES)) == 0
 
 
 def test_floor_and_ceiling_behind_an_opening_passed_its_face() -> None:
@@ -472,11 +466,11 @@ def test_an_open_door_is_found_though_its_jambs_are_hidden() -> None:
     opening(seen)
     # Seen through another door: of the wall beside, only what is above shows.
     seen.counts[:30, :42] = seen.counts[48:, :42] = 0.0
-    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 1
+    assert len(doors_in(traced(WALL, seen), RULES)) == 1
     # Where the wall beside is seen to stand back, or to be passed, the opening is no doorway.
     for beside in (seen.counts[:30, :42], seen.counts[48:, :42]):
         beside[..., FILLED], beside[..., SUM] = 10.0, -10 * 0.045
-    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 0
+    assert len(doors_in(traced(WALL, seen), RULES)) == 0
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -489,7 +483,7 @@ def test_a_doorway_reaches_to_the_jamb_that_its_leaf_hides(mirrored: bool) -> No
     far[...] = 0.0
     if mirrored:
         seen.counts[...] = seen.counts[::-1].copy()
-    doors = find_doors(WALL, seen, unknown(seen), RULES)
+    doors = doors_in(traced(WALL, seen), RULES)
     assert doors.state.tolist() == [DoorState.OPEN]
     expected = [1.6, 2.5] if mirrored else [1.5, 2.4]
     np.testing.assert_allclose(np.sort(doors.ends[0, :, 0]), expected, atol=2 * CELL_M)
@@ -498,7 +492,7 @@ def test_a_doorway_reaches_to_the_jamb_that_its_leaf_hides(mirrored: bool) -> No
         doubtful = WallCells(seen.first, 66, seen.counts.copy())
         beside = doubtful.counts[42:] if mirrored else doubtful.counts[:38]
         beside[:, rows] = 0.0
-        assert len(find_doors(WALL, doubtful, unknown(doubtful), RULES)) == 0
+        assert len(doors_in(traced(WALL, doubtful), RULES)) == 0
 
 
 @pytest.mark.parametrize("head_m", [2.4, 3.0])
@@ -506,7 +500,7 @@ def test_an_open_passage_may_be_higher_than_doors(head_m: float) -> None:
     seen = cells()
     part = seen.counts[30:48, : round(head_m / CELL_M)]
     part[...], part[..., THROUGH] = 0.0, 10.0
-    passage = find_doors(WALL, seen, np.full(80, 3.3), RULES)
+    passage = doors_in(traced(WALL, seen, 3.3), RULES)
     assert passage.state.tolist() == [DoorState.OPEN]
     assert passage.head_m[0] == pytest.approx(head_m, abs=CELL_M)
 
@@ -517,26 +511,26 @@ def test_a_face_that_is_passed_over_all_its_length_has_no_door() -> None:
     seen = cells()
     opening(seen)
     alone = WallCells(np.array([0, 18]), 66, seen.counts[30:48].copy())
-    assert len(find_doors(narrow, alone, unknown(alone), RULES)) == 0
+    assert len(doors_in(traced(narrow, alone), RULES)) == 0
 
 
 def test_a_wide_opening_beside_a_cupboard_is_as_wide_as_it_is() -> None:
     seen = cells()
     opening(seen)
     seen.counts[48:60, 0:42] = 0.0  # behind the cupboard
-    doors = find_doors(WALL, seen, unknown(seen), RULES)
+    doors = doors_in(traced(WALL, seen), RULES)
     np.testing.assert_allclose(doors.ends[0, :, 0], [1.5, 2.4], atol=2 * CELL_M)
 
 
 def test_where_a_window_is_there_is_no_door() -> None:
     seen = cells()
     opening(seen)
-    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 1
-    assert len(find_doors(WALL, seen, unknown(seen), RULES, WINDOW)) == 0
+    assert len(doors_in(traced(WALL, seen), RULES)) == 1
+    assert len(doors_in(traced(WALL, seen), RULES, WINDOW)) == 0
     # Seen from the other side of its wall it is a window as well; in another wall it is another's.
-    assert len(find_doors(WALL, seen, unknown(seen), RULES, replace(WINDOW, normal=-WINDOW.normal))) == 0
+    assert len(doors_in(traced(WALL, seen), RULES, replace(WINDOW, normal=-WINDOW.normal))) == 0
     assert (
-        len(find_doors(WALL, seen, unknown(seen), RULES, replace(WINDOW, ends=WINDOW.ends + np.array([0.0, 0.5])))) == 1
+        len(doors_in(traced(WALL, seen), RULES, replace(WINDOW, ends=WINDOW.ends + np.array([0.0, 0.5])))) == 1
     )
 
 
@@ -550,13 +544,13 @@ def test_a_pane_down_to_the_floor_shows_though_more_stands_behind_it() -> None:
     behind[..., FILLED] += 4.0
     behind[..., SUM] -= 4 * 0.28
     behind[..., SQUARES] += 4 * 0.28**2
-    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 0
-    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    assert len(doors_in(traced(WALL, seen), RULES)) == 0
+    windows = find_windows(traced(WALL, seen), RULES, WindowsSettings())
     assert windows.pane_m.tolist() == pytest.approx([0.08], abs=0.005)
     # What shows in two columns alone is the edge of a leaf, and the opening a door.
     part[..., :THROUGH] = 0.0
     part[4:6, 3:, FILLED], part[4:6, 3:, SUM], part[4:6, 3:, SQUARES] = 30.0, -30 * 0.2, 30 * 0.2**2
-    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 1
+    assert len(doors_in(traced(WALL, seen), RULES)) == 1
 
 
 def test_a_pane_shows_beside_what_stands_close_behind_it() -> None:
@@ -603,16 +597,16 @@ def test_few_returns_are_a_pane_where_their_firings_return_from_beyond_it_too() 
     seen.counts[30:48, 0:42, THROUGH] = 200.0
     part = seen.counts[30:48, 10:11]  # one return in each column, of thousands of rays
     part[..., FILLED], part[..., SUM], part[..., SQUARES] = 1.0, -0.08, 0.08**2
-    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 1
+    assert len(doors_in(traced(WALL, seen), RULES)) == 1
     twice = np.zeros(seen.counts.shape[:2], np.float32)
     twice[30:48, 10] = 1.0
     glazed = replace(seen, twice=twice)
-    assert len(find_doors(WALL, glazed, unknown(seen), RULES)) == 0
-    windows = find_windows(WALL, glazed, unknown(seen), RULES, WindowsSettings())
+    assert len(doors_in(traced(WALL, glazed), RULES)) == 0
+    windows = find_windows(traced(WALL, glazed), RULES, WindowsSettings())
     np.testing.assert_allclose(windows.ends[:, :, 0], [[1.5, 2.4]], atol=2 * CELL_M)
     # A beam that straddles a jamb returns twice as well.
     twice[32:46] = 0.0
-    assert len(find_doors(WALL, replace(seen, twice=twice), unknown(seen), RULES)) == 1
+    assert len(doors_in(traced(WALL, replace(seen, twice=twice)), RULES)) == 1
 
 
 def test_a_window_is_as_wide_as_it_is_though_its_sill_is_hidden() -> None:
@@ -620,24 +614,24 @@ def test_a_window_is_as_wide_as_it_is_though_its_sill_is_hidden() -> None:
     seen.counts[20:60, 18:44, FILLED], seen.counts[20:60, 18:44, THROUGH] = 0.0, 50.0
     # A desk stands before most of it: no ray reaches the wall below, and none passes there.
     seen.counts[26:56, 0:18] = 0.0
-    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    windows = find_windows(traced(WALL, seen), RULES, WindowsSettings())
     np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, 3.0]], atol=2 * CELL_M)
     # Where nothing of a sill is seen, it may be a doorway that is blocked.
     seen.counts[18:62, 0:18] = 0.0
-    assert len(find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())) == 0
+    assert len(find_windows(traced(WALL, seen), RULES, WindowsSettings())) == 0
     # But no doorway is as high as that.
     seen.counts[20:60, 44:54, FILLED], seen.counts[20:60, 44:54, THROUGH] = 0.0, 50.0
-    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    windows = find_windows(traced(WALL, seen), RULES, WindowsSettings())
     np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, 3.0]], atol=2 * CELL_M)
 
 
 def test_a_windows_pane_is_placed_by_what_it_returns() -> None:
     seen = cells()
     seen.counts[20:60, 18:44, FILLED], seen.counts[20:60, 18:44, THROUGH] = 0.0, 50.0
-    assert np.isnan(find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings()).pane_m).all()
+    assert np.isnan(find_windows(traced(WALL, seen), RULES, WindowsSettings()).pane_m).all()
     pane = seen.counts[20:60, 18:44]
     pane[..., FILLED], pane[..., SUM], pane[..., SQUARES] = 1.0, -0.06, 0.06**2
-    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    windows = find_windows(traced(WALL, seen), RULES, WindowsSettings())
     assert windows.pane_m.tolist() == pytest.approx([0.06], abs=0.002)
     np.testing.assert_allclose(windows.ends[0, :, 0], [1.0, 3.0], atol=2 * CELL_M)
     np.testing.assert_allclose([windows.bottom_m[0], windows.top_m[0]], [0.9, 2.2], atol=CELL_M)
@@ -683,14 +677,14 @@ def below_a_blind(head_m: float, pane: bool = True) -> WallCells:
 @pytest.mark.parametrize("head_m", [0.6, 1.2])
 def test_glass_down_to_the_floor_shows_below_a_blind(head_m: float) -> None:
     seen = below_a_blind(head_m)
-    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    windows = find_windows(traced(WALL, seen), RULES, WindowsSettings())
     np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, 3.0]], atol=2 * CELL_M)
     assert windows.top_m.tolist() == pytest.approx([head_m], abs=CELL_M)
     assert windows.pane_m.tolist() == pytest.approx([0.08], abs=0.005)
-    assert not len(find_doors(WALL, seen, unknown(seen), RULES, windows))
+    assert not len(doors_in(traced(WALL, seen), RULES, windows))
     # Below what hangs on a wall nothing returns.
     seen = below_a_blind(head_m, pane=False)
-    assert not len(find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings()))
+    assert not len(find_windows(traced(WALL, seen), RULES, WindowsSettings()))
 
 
 def test_glass_below_a_blind_ends_at_the_doorway_beside_it() -> None:
@@ -699,7 +693,7 @@ def test_glass_below_a_blind_ends_at_the_doorway_beside_it() -> None:
         seen = below_a_blind(1.2)
         seen.counts[60:] = cells().counts[60:]
         seen.counts[doorway, :42] = [0.0, 0.0, 0.0, 50.0]
-        windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+        windows = find_windows(traced(WALL, seen), RULES, WindowsSettings())
         np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, doorway.start * CELL_M]], atol=2 * CELL_M)
 
 
@@ -707,7 +701,7 @@ def test_glass_below_a_blind_is_as_wide_as_it_is_however_low() -> None:
     """No wall shows in so few rows, be it there or not."""
     seen = cells()
     seen.counts[20:60, 2:5] = [1.0, -0.08, 0.08**2, 50.0]
-    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    windows = find_windows(traced(WALL, seen), RULES, WindowsSettings())
     np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, 3.0]], atol=2 * CELL_M)
 
 
@@ -716,8 +710,8 @@ def test_beside_a_doorways_jamb_is_no_glass() -> None:
     seen = cells()
     opening(seen)  # from 1.5 to 2.4 m
     seen.counts[27:30, :32] = [20.0, -20 * 0.16, 20 * 0.16**2, 25.0]
-    assert not len(find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings()))
-    assert len(find_doors(WALL, seen, unknown(seen), RULES)) == 1
+    assert not len(find_windows(traced(WALL, seen), RULES, WindowsSettings()))
+    assert len(doors_in(traced(WALL, seen), RULES)) == 1
 
 
 def glazed_wall(silent: tuple[float, float], sill_m: float = 0.0) -> WallCells:
@@ -742,25 +736,25 @@ def test_an_open_doorway_in_a_glazed_wall_parts_its_panes(
 ) -> None:
     """Most of what is open is glass, but in the doorway nothing returns."""
     seen = glazed_wall(silent, sill_m)
-    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    windows = find_windows(traced(WALL, seen), RULES, WindowsSettings())
     np.testing.assert_allclose(np.sort(windows.ends[:, :, 0], axis=None), panes, atol=2 * CELL_M)
     # What a window lets pass is no door's.
     for ends in np.round(windows.ends[:, :, 0] / CELL_M).astype(int):
         seen.counts[ends.min() : ends.max(), :50] = 0.0
-    doors = find_doors(WALL, seen, unknown(seen), RULES, windows)
+    doors = doors_in(traced(WALL, seen), RULES, windows)
     np.testing.assert_allclose(doors.ends[:, :, 0], [panes[1:3]] if len(panes) > 2 else np.zeros((0, 2)), atol=2 * CELL_M)
 
 
 def test_what_stands_in_a_doorway_of_a_glazed_wall_does_not_hide_it() -> None:
     seen = glazed_wall((1.5, 2.5))
     seen.counts[40, 20:24] = [2.0, -0.06, 0.06**2, 40.0]
-    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    windows = find_windows(traced(WALL, seen), RULES, WindowsSettings())
     np.testing.assert_allclose(np.sort(windows.ends[:, :, 0], axis=None), [0.3, 1.5, 2.5, 3.7], atol=2 * CELL_M)
 
 
 def test_a_sliver_beside_a_doorway_of_a_glazed_wall_is_no_pane() -> None:
     seen = glazed_wall((0.45, 1.4))
-    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    windows = find_windows(traced(WALL, seen), RULES, WindowsSettings())
     np.testing.assert_allclose(np.sort(windows.ends[:, :, 0], axis=None), [1.4, 3.7], atol=2 * CELL_M)
 
 
@@ -770,7 +764,7 @@ def test_a_wide_silent_part_of_a_glazed_wall_is_no_doorway() -> None:
     counts = np.concatenate([cells().counts, cells().counts])
     counts[6:154, :50], counts[60:116, :50] = [1.0, -0.06, 0.06**2, 50.0], [0.0, 0.0, 0.0, 50.0]
     seen = WallCells(np.array([0, 160]), 66, counts)
-    windows = find_windows(wall, seen, unknown(seen), RULES, WindowsSettings())
+    windows = find_windows(traced(wall, seen), RULES, WindowsSettings())
     np.testing.assert_allclose(np.sort(windows.ends[:, :, 0], axis=None), [0.3, 7.7], atol=2 * CELL_M)
 
 
@@ -795,17 +789,17 @@ def test_an_open_doorway_at_a_faces_end_has_another_face_or_a_pane_there(
 ) -> None:
     """A beam from a pillar ends where scans saw no more of it."""
     seen, walls, windows = beside_a_pillar([0.0, 0.0, 0.0, 10.0], other, mirrored)
-    doors = find_doors(walls, seen, unknown(seen), RULES, windows)
+    doors = doors_in(traced(walls, seen), RULES, windows)
     assert doors.select(doors.wall == 0).state.tolist() == ([DoorState.OPEN] if is_jamb else [])
 
 
 def test_a_leaf_at_a_faces_end_needs_no_wall_there() -> None:
     closed, walls, windows = beside_a_pillar([10.0, -0.5, 0.025, 0.0], NO_WALLS, False)
-    assert find_doors(walls, closed, unknown(closed), RULES, windows).state.tolist() == [DoorState.CLOSED]
+    assert doors_in(traced(walls, closed), RULES, windows).state.tolist() == [DoorState.CLOSED]
     ajar, walls, windows = beside_a_pillar([10.0, -0.5, 0.025, 0.0], NO_WALLS, False)
     slant_m = np.linspace(0.02, 0.2, 20)[:, None]
     ajar.counts[10:, :46, SUM], ajar.counts[10:, :46, SQUARES] = -10.0 * slant_m, 10.0 * slant_m**2
-    doors = find_doors(walls, ajar, unknown(ajar), RULES, windows)
+    doors = doors_in(traced(walls, ajar), RULES, windows)
     assert (doors.state.tolist(), doors.ajar.tolist()) == ([DoorState.OPEN], [True])
 
 
@@ -828,7 +822,7 @@ def test_glass_up_to_the_ceiling_is_no_window_of_its_face() -> None:
     seen = cells()
     seen.counts[20:60, :56] = [1.0, -0.08, 0.08**2, 20.0]
     seen.counts[20:60, 56:] = 0.0
-    assert not len(find_windows(WALL, seen, np.full(80, 2.8), RULES, WindowsSettings()))
+    assert not len(find_windows(traced(WALL, seen, 2.8), RULES, WindowsSettings()))
 
 
 def test_a_window_goes_on_where_its_glass_returns_nothing() -> None:
@@ -836,12 +830,12 @@ def test_a_window_goes_on_where_its_glass_returns_nothing() -> None:
     seen.counts[20:60, 18:44] = 0.0
     seen.counts[30:40, 18:44, THROUGH] = 50.0
     np.testing.assert_allclose(
-        find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings()).ends[:, :, 0], [[1.0, 3.0]], atol=CELL_M
+        find_windows(traced(WALL, seen), RULES, WindowsSettings()).ends[:, :, 0], [[1.0, 3.0]], atol=CELL_M
     )
     # Where nothing returns from below or above either, nothing is known of it.
     seen.counts[40:60] = 0.0
     np.testing.assert_allclose(
-        find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings()).ends[:, :, 0], [[1.0, 2.0]], atol=2 * CELL_M
+        find_windows(traced(WALL, seen), RULES, WindowsSettings()).ends[:, :, 0], [[1.0, 2.0]], atol=2 * CELL_M
     )
 
 
@@ -850,11 +844,11 @@ def test_a_window_shows_though_few_of_the_rays_that_pass_it_return() -> None:
     seen = cells()
     seen.counts[20:60, 18:44] = 0.0
     seen.counts[20:60, 18:44, THROUGH] = 0.5
-    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    windows = find_windows(traced(WALL, seen), RULES, WindowsSettings())
     np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, 3.0]], atol=2 * CELL_M)
     # Far fewer are stray ones.
     seen.counts[20:60, 18:44, THROUGH] = 0.1
-    assert len(find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())) == 0
+    assert len(find_windows(traced(WALL, seen), RULES, WindowsSettings())) == 0
 
 
 @pytest.mark.parametrize(
@@ -870,7 +864,7 @@ def test_a_window_goes_on_where_its_glass_returns_most_rays(depth_m: float, pass
     pane, beside = seen.counts[20:40, 0:44], seen.counts[40:60, 0:44]
     pane[..., FILLED], pane[..., SUM], pane[..., SQUARES], pane[..., THROUGH] = 1.0, -0.08, 0.08**2, 50.0
     beside[..., SUM], beside[..., SQUARES], beside[..., THROUGH] = -10 * depth_m, 10 * depth_m**2, passed
-    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    windows = find_windows(traced(WALL, seen), RULES, WindowsSettings())
     # The reveals of what is no pane count for three columns at most.
     np.testing.assert_allclose(windows.ends[:, :, 0], [[1.0, end]], atol=0.2)
 
@@ -884,7 +878,7 @@ def test_what_returns_at_a_jamb_alone_makes_no_pane_of_an_opening_higher_than_do
     counts[36:40, :44] = [5.0, -1.0, 0.2, 50.0]
     counts[36:40, 44:] = [10.0, 0.0, 0.0, 0.0]
     seen = WallCells(np.array([0, 80]), 80, counts)
-    windows = find_windows(replace(WALL, top_m=np.array([3.8])), seen, np.full(80, 3.3), RULES, WindowsSettings())
+    windows = find_windows(traced(replace(WALL, top_m=np.array([3.8])), seen, 3.3), RULES, WindowsSettings())
     assert np.count_nonzero(np.ptp(windows.ends[:, :, 0], axis=1) > 0.8) == found
 
 
@@ -893,9 +887,9 @@ def test_a_window_ends_at_the_doorway_beside_it() -> None:
     seen = cells()
     seen.counts[10:40, 18:42, FILLED], seen.counts[10:40, 18:42, THROUGH] = 0.0, 50.0
     seen.counts[42:60, :44, FILLED], seen.counts[42:60, :44, THROUGH] = 0.0, 50.0
-    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    windows = find_windows(traced(WALL, seen), RULES, WindowsSettings())
     np.testing.assert_allclose(windows.ends[:, :, 0], [[0.5, 2.0]], atol=2 * CELL_M)
-    doors = find_doors(WALL, seen, unknown(seen), RULES, windows)
+    doors = doors_in(traced(WALL, seen), RULES, windows)
     np.testing.assert_allclose(np.sort(doors.ends[:, :, 0]), [[2.1, 3.0]], atol=CELL_M)
 
 
@@ -904,9 +898,9 @@ def test_a_pane_on_a_low_rail_ends_at_the_doorway_beside_it() -> None:
     seen = cells()
     seen.counts[10:40, 3:42] = [1.0, -0.07, 0.07**2, 50.0]
     seen.counts[45:63, :44] = [0.0, 0.0, 0.0, 50.0]
-    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    windows = find_windows(traced(WALL, seen), RULES, WindowsSettings())
     np.testing.assert_allclose(windows.ends[:, :, 0], [[0.5, 2.0]], atol=2 * CELL_M)
-    doors = find_doors(WALL, seen, unknown(seen), RULES, windows)
+    doors = doors_in(traced(WALL, seen), RULES, windows)
     np.testing.assert_allclose(np.sort(doors.ends[:, :, 0]), [[2.25, 3.15]], atol=CELL_M)
 
 
@@ -924,7 +918,7 @@ def test_glass_returns_some_rays_and_lets_others_pass(depth_m: float, passed: fl
     recess(seen, 0.0, 2.2, 0.1)
     recess(seen, 0.0, 1.0, depth_m)
     seen.counts[30:48, 0:20, THROUGH] = passed
-    windows = find_windows(WALL, seen, unknown(seen), RULES, WindowsSettings())
+    windows = find_windows(traced(WALL, seen), RULES, WindowsSettings())
     assert len(windows) == found
     if found:
         np.testing.assert_allclose(windows.ends[:, :, 0], [[1.5, 2.4]], atol=2 * CELL_M)
@@ -977,7 +971,7 @@ def test_planes_beyond_a_window_were_seen_through_it() -> None:
 def test_a_door_that_was_driven_through_is_open(path: list[list[float]], crossed: bool) -> None:
     seen = cells()
     recess(seen, 0.0, 2.1, 0.05)
-    closed = find_doors(WALL, seen, unknown(seen), RULES)
+    closed = doors_in(traced(WALL, seen), RULES)
     assert closed.state.tolist() == [DoorState.CLOSED]
     proven = prove_crossed(closed, np.array(path, np.float64))
     assert proven.crossed.tolist() == [crossed]
@@ -1145,7 +1139,7 @@ def test_rays_pass_a_leafs_vision_panel(first: int, last: int, low_row: int, top
 
 def _closed_for_sure(seen: WallCells) -> int:
     """How many closed doors stand where many scans saw them."""
-    found = find_doors(WALL, seen, unknown(seen), RULES)
+    found = doors_in(traced(WALL, seen), RULES)
     sure = each_once(replace(found, scan_count=np.full(len(found), 99, np.int32)), RULES)
     return int(np.count_nonzero(sure.state == DoorState.CLOSED))
 

@@ -10,9 +10,9 @@ from ffmap.algorithms.building.closed_doors import closed_door
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, BuildingSettings, Doors, Windows
 from ffmap.algorithms.building.ray_evidence import FILLED, SQUARES, SUM, THROUGH, WallCells
-from ffmap.algorithms.building.sliding_doors import find_sliding_doors, find_sliding_panes
+from ffmap.algorithms.building.sliding_doors import HangingLeaf, find_hanging_leaves, find_sliding_doors, sliding_panes
 from ffmap.algorithms.scan.doors import DoorState
-from tests.faces import faces
+from tests.faces import faces, traced
 
 BUILDING, CASINGS = BuildingSettings(), DoorCasingsSettings()
 HEIGHT_M = 3.2
@@ -42,12 +42,18 @@ def glaze(counts: np.ndarray, passed: float, pane_m: float = 0.04) -> None:
     counts[42:56, 2:40, THROUGH] = 10.0 * passed
 
 
+def leaves(counts: np.ndarray) -> list[HangingLeaf]:
+    """What hangs before the wall."""
+    cells = WallCells(np.array([0, len(counts)]), counts.shape[1], counts)
+    return find_hanging_leaves(traced(WALL, cells), BUILDING, CASINGS)
+
+
 def panes(counts: np.ndarray) -> Windows:
-    return find_sliding_panes(WALL, WallCells(np.array([0, len(counts)]), 66, counts), BUILDING, CASINGS)
+    return sliding_panes(leaves(counts))
 
 
 def found(counts: np.ndarray, known: Doors = NO_DOORS) -> Doors:
-    return find_sliding_doors(WALL, WallCells(np.array([0, len(counts)]), 66, counts), known, BUILDING, CASINGS)
+    return find_sliding_doors(leaves(counts), known, BUILDING)
 
 
 @pytest.mark.parametrize("before_m", [0.045, 0.06, 0.09])
@@ -130,7 +136,7 @@ def test_above_the_highest_row_nothing_is_known() -> None:
     counts = wall()
     hang(counts, (2.0, 2.9), (0.0, 2.1), 0.06)
     assert len(found(counts)) == 1
-    assert len(find_sliding_doors(WALL, WallCells(np.array([0, 100]), 43, counts[:, :43]), NO_DOORS, BUILDING, CASINGS)) == 0
+    assert len(leaves(counts[:, :43])) == 0
 
 
 @pytest.mark.parametrize(("passed", "glazed"), [(0.02, False), (0.2, True), (0.8, True)])

@@ -10,7 +10,6 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import in_canonical_order
 from ffmap.algorithms.base.trajectory import PlacedScan, Trajectory, place_scan
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
-from ffmap.algorithms.building.doors import find_doors
 from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_fusion import fuse_walls
@@ -30,7 +29,7 @@ from ffmap.algorithms.scan.summary import concatenate, extract
 from tests import synthetic
 from tests.corridor import HEIGHT_M, METHOD, T_BASE_SENSOR, Hole, cast, labelled, place, pose, share
 from tests.drawing import draw_furniture_free
-from tests.faces import faces
+from tests.faces import doors_in, faces, traced
 from tests.voting import vote
 
 KNEE_M = BuildingSettings().knee_m
@@ -191,15 +190,15 @@ def test_glass_is_told_from_open_doors(hole: Hole | None, doors: int, windows: i
     walls = fuse_walls(features, settings)
     cells = trace_rays(walls, [features], settings)
     rules = OpeningRules(settings, OpeningsSettings())
-    assert len(find_doors(walls, cells, np.full(int(cells.first[-1]), np.nan), rules)) == doors
-    found = find_windows(walls, cells, np.full(int(cells.first[-1]), np.nan), rules, WindowsSettings())
+    assert len(doors_in(traced(walls, cells), rules)) == doors
+    found = find_windows(traced(walls, cells), rules, WindowsSettings())
     assert len(found) == windows
     if hole is not None and windows:
         np.testing.assert_allclose(np.sort(found.ends[0, :, 0]), [hole.x0, hole.x1], atol=0.12)
         np.testing.assert_allclose(found.ends[0, :, 1], 2.0, atol=0.02)
         # What lies beyond is outside.
         _, placed, _, labelling = scans[14][1:]
-        doors = find_doors(walls, cells, np.full(int(cells.first[-1]), np.nan), rules)
+        doors = doors_in(traced(walls, cells), rules)
         points, final = relabelled(placed, labelling, walls, doors, found)
         assert np.mean(final[points[:, 1] > 2.5] == Label.OUTSIDE) > 0.99
         assert not np.any(final[points[:, 1] < 2.1] == Label.OUTSIDE)
@@ -214,7 +213,7 @@ def test_slits_beside_a_mullion_that_returns_more_are_no_window() -> None:
     counts[24:26, 20:40, 0], counts[24:26, 20:40, 3] = 1000.0, 0.0
     cells = WallCells(np.array([0, 60]), 66, counts)
     rules = OpeningRules(BuildingSettings(), OpeningsSettings())
-    assert len(find_windows(walls, cells, np.full(int(cells.first[-1]), np.nan), rules, WindowsSettings())) == 0
+    assert len(find_windows(traced(walls, cells), rules, WindowsSettings())) == 0
 
 
 @pytest.mark.parametrize("depth", [0.05, None])
@@ -228,7 +227,7 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
     assert {(0.0, 2.0), (0.0, -1.5)} <= offsets
     cells = trace_rays(walls, [features], settings)
     rules = OpeningRules(settings, OpeningsSettings())
-    doors = find_doors(walls, cells, np.full(int(cells.first[-1]), np.nan), rules)
+    doors = doors_in(traced(walls, cells), rules)
     assert len(doors) == 1
     assert doors.state[0] == (DoorState.OPEN if depth is None else DoorState.CLOSED)
     np.testing.assert_allclose(doors.ends[0].mean(axis=0), [-0.05, 2.0], atol=0.1)
@@ -252,7 +251,7 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
         assert kept.scan_count[0] > 0
     # The wall has no thickness here: its lintel's underside is but the edge's scatter.
     assert measure_reveals(doors, [features], DoorFramesSettings()).reveal_m[0] < 0.1
-    windows = find_windows(walls, cells, np.full(int(cells.first[-1]), np.nan), rules, WindowsSettings())
+    windows = find_windows(traced(walls, cells), rules, WindowsSettings())
     assert len(windows) == 0
 
     if depth is not None:
