@@ -154,6 +154,11 @@ def turned(places: FloatArray, by_deg: float) -> FloatArray:
     return np.asarray(places @ np.array([[c, s], [-s, c]]))
 
 
+def segment(faces: Faces, k: int | np.intp) -> Segment:
+    """The k-th of the faces."""
+    return Segment.between(faces.ends[k], faces.normal[k])
+
+
 def segments(faces: Faces) -> Iterator[Segment]:
     """Each of the faces by itself."""
     for ends, normal in zip(faces.ends, faces.normal, strict=True):

@@ -5,6 +5,7 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ffmap.algorithms.base.known import row_medians
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.building.height_map import (
@@ -208,11 +209,7 @@ def _ceiling_beside_m(ceiling_m: FloatArray, side: BoolArray, above_m: FloatArra
     cells.
     """
     around_m = windows_around(ceiling_m, side, size)
-    around_m = np.where(around_m > above_m[side, None], around_m, np.nan)
-    known = np.isfinite(around_m).any(axis=1)
-    beside_m = np.full(len(around_m), np.nan)
-    beside_m[known] = np.nanmedian(around_m[known], axis=1)
-    return beside_m
+    return row_medians(np.where(around_m > above_m[side, None], around_m, np.nan))
 
 
 def _up_by_the_next_step_m(steps_m: FloatArray, low_m: FloatArray, high_m: FloatArray, layer_m: float) -> FloatArray:

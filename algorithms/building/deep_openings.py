@@ -11,7 +11,7 @@ from ffmap.algorithms.base.segments import lengthened
 from ffmap.algorithms.building.closed_doors import is_opaque
 from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, BuildingSettings, Doors, Walls, Windows, cells_in
 from ffmap.algorithms.building.openings import OpeningRules, is_pane, lies_on_sheet, without_panels
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells, depth_moments
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells, mean_before_m
 from ffmap.algorithms.building.unexplained_lines import unseen_faces
 from ffmap.algorithms.building.windows import find_pane_m
 from ffmap.algorithms.scan.doors import DoorState
@@ -74,7 +74,7 @@ def _leaf_in(counts: FloatArray, beside: int, rules: OpeningRules) -> _Leaf | No
         return None
     behind_m = -float(inner[on_sheet, SUM].sum()) / returns
     around = np.concatenate([counts[: beside - 1], counts[len(counts) - beside + 1 :]])
-    goes_on = np.abs(depth_moments(around)[0] + behind_m) < openings.sheet_m
+    goes_on = np.abs(mean_before_m(around) + behind_m) < openings.sheet_m
     if np.count_nonzero(goes_on) >= building.rays_min:
         return None
     return _Leaf(behind_m, returns / float(came))

@@ -18,7 +18,7 @@ from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.closed_doors import Opening, closed_door, is_opaque, none_over_another
 from ffmap.algorithms.building.face_columns import TracedFaces
 from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, NO_DOORS, BuildingSettings, Doors, cells_in
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, depth_moments
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, depth_moments, mean_before_m
 
 
 class DoorCasingsSettings(StepSettings):
@@ -73,7 +73,7 @@ def _leaf_behind_m(counts: FloatArray, opening: tuple[float, float], head_m: flo
     """How far behind the face a leaf lies, or before it, by what returns from an opening without the columns at its jambs; 0 of a
     flush one."""
     first, last = round(opening[0]) + 1, round(opening[1]) - 1
-    behind_m = -float(depth_moments(counts[first:last, FOOT_ROW : int(head_m / CELL_M)].sum(axis=(0, 1)))[0])
+    behind_m = -float(mean_before_m(counts[first:last, FOOT_ROW : int(head_m / CELL_M)].sum(axis=(0, 1))))
     return behind_m if abs(behind_m) > building.recess_min_m else 0.0
 
 

@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 from pydantic import Field
 
-from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.algorithms.base.known import mean_known, median_known, row_means, row_medians
+from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.closed_doors import (
     Opening,
@@ -20,10 +21,9 @@ from ffmap.algorithms.building.closed_doors import (
     none_over_another,
     shows_from_the_floor,
 )
-from ffmap.algorithms.building.face_columns import mean_known, median_known
 from ffmap.algorithms.building.model import CELL_M, BuildingSettings, Doors, cells_in
 from ffmap.algorithms.building.ray_evidence import FOOT_ROW
-from ffmap.algorithms.building.shades import Picture, column_medians, is_greatest, row_means
+from ffmap.algorithms.building.shades import Picture, peaks
 
 
 class DoorContrastsSettings(StepSettings):
@@ -87,10 +87,10 @@ def _leaves(picture: Picture, building: BuildingSettings, settings: DoorContrast
     strip, lowest = cells_in(settings.strip_m), cells_in(building.door_height_min_m)
     if len(shade) < cells_in(building.door_width_min_m) + 2 * strip or shade.shape[1] <= lowest:
         return []
-    column = column_medians(shade[:, FOOT_ROW:lowest], building.known_min)  # guards and dados are on the wall alone
+    column = row_medians(shade[:, FOOT_ROW:lowest], building.known_min)  # guards and dados are on the wall alone
     step = _steps(column, strip)
     error = _scatter(step)
-    edges = _edges(step, settings.errors_min * error)
+    edges = peaks(step, settings.errors_min * error)
     found = []
     for first in edges:
         for last in edges[(edges > first) & (step[edges] * step[first] < 0.0)]:
@@ -118,12 +118,6 @@ def _scatter(values: FloatArray) -> float:
     return 1.4826 * float(np.median(np.abs(known - np.median(known)))) if len(known) else 0.0
 
 
-def _edges(step: FloatArray, least: float) -> IntArray:
-    """The columns at which a face's steps are greatest, on either side of 0, and at least so great."""
-    size = np.nan_to_num(np.abs(step))
-    return np.flatnonzero((size > 0.0) & (size >= least) & is_greatest(size))
-
-
 def _leaf(
     picture: Picture,
     column: FloatArray,
@@ -142,7 +136,7 @@ def _leaf(
         return None  # Between two doors the wall itself would be a leaf
     wall = mean_known(np.concatenate([column[side] for side in sides]))
     within, around = shade[first + 1 : last], np.concatenate([shade[side] for side in sides])
-    steps = row_means(within, building.known_min) - row_means(around, 0.0)
+    steps = row_means(within.T, building.known_min) - row_means(around.T)
     step = median_known(steps[FOOT_ROW:lowest])
     if not abs(step) > settings.contrast_min * abs(wall):
         return None
@@ -199,7 +193,7 @@ def _jambs(contrast: FloatArray, first: int, last: int, strip: int, part: int, s
         )
         if len(inner) < strip or len(outer) < strip:
             return False
-        difference = row_means(inner, 0.0) - row_means(outer, 0.0)
+        difference = row_means(inner.T) - row_means(outer.T)
         parts = np.array([median_known(difference[row : row + part]) for row in range(0, len(difference), part)])
         if not shows_from_the_floor(parts, parts > 1.0 - settings.spread_max, settings.parts_min):
             return False

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import Field
 
-from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.algorithms.base.known import mean_known, row_means
+from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.closed_doors import (
     Opening,
@@ -21,10 +22,9 @@ from ffmap.algorithms.building.closed_doors import (
     none_over_another,
     shows_from_the_floor,
 )
-from ffmap.algorithms.building.face_columns import mean_known
 from ffmap.algorithms.building.model import CELL_M, BuildingSettings, Doors, cells_in
 from ffmap.algorithms.building.ray_evidence import FOOT_ROW
-from ffmap.algorithms.building.shades import Picture, column_means, is_greatest, row_means
+from ffmap.algorithms.building.shades import Picture, peaks
 
 _NEAR, _FAR = 2, 3  # What a line is compared with on each side, in cells from its middle: its edges may blur those between
 
@@ -101,7 +101,7 @@ def _outlines(picture: Picture, building: BuildingSettings, settings: DoorOutlin
     if picture.shade.shape[1] <= lowest:
         return []
     lines = _Lines.of(picture.shade)
-    before, behind = (column_means(side[:, FOOT_ROW:lowest], building.known_min) for side in lines)
+    before, behind = (row_means(side[:, FOOT_ROW:lowest], building.known_min) for side in lines)
     line = _line(before, behind)
     found = []
     for first, last in _pairs(line, building, settings):
@@ -119,18 +119,12 @@ def _outlines(picture: Picture, building: BuildingSettings, settings: DoorOutlin
 
 def _pairs(line: FloatArray, building: BuildingSettings, settings: DoorOutlinesSettings) -> Iterator[tuple[int, int]]:
     """Two columns with a line, both of more or both of less than the wall, as far apart as a door is wide."""
-    columns = _greatest(line, settings.contrast_min)
+    columns = peaks(line, settings.contrast_min)
     least, most = cells_in(building.door_width_min_m), cells_in(building.door_width_max_m) + 1
     for first in columns:
         apart = columns - first
         for last in columns[(apart > least) & (apart <= most) & (line[columns] * line[first] > 0.0)]:
             yield int(first), int(last)
-
-
-def _greatest(line: FloatArray, least: float) -> IntArray:
-    """The columns at which lines are greatest among their neighbours, and at least so great."""
-    size = np.nan_to_num(np.abs(line))
-    return np.flatnonzero((size > least) & is_greatest(size))
 
 
 def _noise(differs: FloatArray, first: int, last: int, around: int) -> float:
@@ -153,7 +147,7 @@ def _head(
     beside = cells_in(settings.beside_m)
     around = np.concatenate([shade[max(first - 1 - beside, 0) : max(first - 1, 0)], shade[last + 2 : last + 2 + beside]])
     with np.errstate(invalid="ignore", divide="ignore"):
-        line = _line(*_Lines.of(row_means(shade[first + 2 : last - 1], 0.0) / row_means(around, 0.0))) / contrast
+        line = _line(*_Lines.of(row_means(shade[first + 2 : last - 1].T) / row_means(around.T))) / contrast
     rows = np.nan_to_num(line[: highest + 1])
     rows[: lowest - 1] = 0.0
     head = int(np.argmax(rows))

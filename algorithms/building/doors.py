@@ -36,7 +36,7 @@ from ffmap.algorithms.building.openings import (
     widened,
     without_panels,
 )
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, with_neighbours
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, mean_before_m, with_neighbours
 from ffmap.algorithms.scan.doors import DoorState
 
 
@@ -72,7 +72,7 @@ def each_once(seen: Doors, rules: OpeningRules) -> Doors:
     other face of a door's wall tells how far its doorway reaches (`reveal_m`).
     """
     doors, sure = NO_DOORS, drop_doubtful(seen, rules.building)
-    for door in (sure.select(slice(d, d + 1)) for d in range(len(sure))):
+    for door in (sure.one(d) for d in range(len(sure))):
         through_m = _through_m(door, doors, rules.openings.doorway_max_m)
         if np.isfinite(through_m).any():
             doors = replace(doors, reveal_m=np.fmax(doors.reveal_m, through_m))
@@ -230,8 +230,8 @@ def lower_heads_to_overlights(doors: Doors, windows: Windows, rules: OpeningRule
     head_m = doors.head_m.copy()
     for d in np.flatnonzero(doors.state == DoorState.CLOSED):
         is_above = (windows.bottom_m >= rules.building.door_height_min_m) & (windows.bottom_m < head_m[d])
-        for pane in (windows.select(slice(k, k + 1)) for k in np.flatnonzero(is_above)):
-            if _has_glass(doors.select(slice(d, d + 1)), pane, rules.openings):
+        for pane in (windows.one(k) for k in np.flatnonzero(is_above)):
+            if _has_glass(doors.one(d), pane, rules.openings):
                 head_m[d] = min(head_m[d], pane.bottom_m[0])
     return replace(doors, head_m=head_m)
 
@@ -268,8 +268,7 @@ def _count_jambs(counts: FloatArray, opening: slice, lintel_m: float, depth_m: f
     """
     settings, openings = rules.building, rules.openings
     below = counts[:, FOOT_ROW : cells_in(settings.door_height_min_m)].sum(axis=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        before_m = below[:, SUM] / below[:, FILLED]
+    before_m = mean_before_m(below)
     off_m = np.abs(lintel_m - before_m)
     if not np.isfinite(depth_m):
         # Where a duct hides most of the lintel, returns from its other side pull its mean back: the wall beside lies in the face.
@@ -294,11 +293,10 @@ def _head_m(
     does.
     """
     rows = counts.sum(axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        depth_m = lintel_m - rows[:, SUM] / rows[:, FILLED]
-        # A ray that ends on the lintel's underside passes the face lower than it ends.
-        above_opening = (rows[:, FILLED] > rows[:, THROUGH]) & (depth_m < ON_FACE_M)
-        wall = above_opening if state == DoorState.OPEN else depth_m < 0.5 * leaf_m
+    depth_m = lintel_m - mean_before_m(rows)
+    # A ray that ends on the lintel's underside passes the face lower than it ends.
+    above_opening = (rows[:, FILLED] > rows[:, THROUGH]) & (depth_m < ON_FACE_M)
+    wall = above_opening if state == DoorState.OPEN else depth_m < 0.5 * leaf_m
     # What is open may be higher than doors are.
     highest_m = max(settings.door_height_max_m + 0.3, top_m if state == DoorState.OPEN else 0.0)
     start, stop = cells_in(settings.door_height_min_m - 0.1), cells_in(highest_m)

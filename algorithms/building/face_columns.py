@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
-from ffmap.algorithms.base.segments import Segment, segments
+from ffmap.algorithms.base.segments import Segment, segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.height_map import HeightMap, corrected
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Rows, Walls, cells_in, stretches
@@ -183,7 +183,7 @@ class TracedFaces:
             return NO_WALLS
         ends = np.empty((len(stretches), 2, 2))
         for i, (w, first, after) in enumerate(stretches):
-            face, columns = Segment.between(self.walls.ends[w], self.walls.normal[w]), self.columns(w)
+            face, columns = segment(self.walls, w), self.columns(w)
             whole = after == columns.stop - columns.start
             ends[i] = face.at(np.array([first * CELL_M, face.length_m if whole else after * CELL_M]))
         return replace(self.walls.select(np.array([s[0] for s in stretches])), ends=ends)
@@ -286,18 +286,6 @@ def on_and_passed(counts: FloatArray) -> tuple[FloatArray, FloatArray]:
     on = returns_at_face(counts)
     behind = np.where(counts[..., SUM] < 0.0, counts[..., FILLED] - on, 0.0)
     return on, counts[..., THROUGH] + behind
-
-
-def median_known(values: FloatArray) -> float:
-    """The median of the known values; NaN where none is known."""
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else float("nan")
-
-
-def mean_known(values: FloatArray) -> float:
-    """The mean of the known values; NaN where none is known."""
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if len(known) else float("nan")
 
 
 def room_before(faces: Walls, storey: Storey, settings: FaceColumnsSettings) -> BoolArray:

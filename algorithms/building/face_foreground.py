@@ -10,14 +10,15 @@ import numpy as np
 from pydantic import Field
 from scipy import ndimage
 
+from ffmap.algorithms.base.known import row_medians
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
-from ffmap.algorithms.base.segments import Segment, along_lines_m, lines_of, segments
+from ffmap.algorithms.base.segments import along_lines_m, lines_of, segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import Storey, TracedFaces, above_doors_m, column_places
 from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, Doors, Walls, cells_in
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH
+from ffmap.algorithms.building.ray_evidence import FOOT_ROW, THROUGH, mean_before_m
 from ffmap.algorithms.building.votes import Halo
 from ffmap.algorithms.scan.doors import DoorState
 
@@ -93,7 +94,7 @@ def find_foreground(faces: TracedFaces, doors: Doors, above_door_m: float, setti
     places = column_places(faces.walls, faces.cells.first, 0.0)
     for d in np.flatnonzero(doors.state == DoorState.CLOSED):
         own = faces.columns(int(doors.wall[d]))
-        leaf = Segment.between(doors.ends[d], doors.normal[d]).beside(places[own], CELL_M)
+        leaf = segment(doors, d).beside(places[own], CELL_M)
         covered[own, : cells_in(doors.head_m[d]) + 1][leaf] = False
     return Foreground(faces.cells.first, faces.clear_m, faces.ground_m, covered)
 
@@ -183,12 +184,8 @@ def _lean_m(relief_m: FloatArray, height_m: FloatArray, settings: ForegroundSett
 
 def _no_deeper(counts: FloatArray, above: BoolArray, settings: ForegroundSettings) -> BoolArray:
     """(c, rows) which cells above a door's height lie no deeper than most around them: none of a window's head, or beyond it."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean_m = np.where(above, counts[..., SUM] / counts[..., FILLED], np.nan)
-    around = _columns_around(mean_m, settings.wall_columns)
-    usual_m = np.full(len(mean_m), np.nan)
-    known = np.isfinite(around).any(axis=(1, 2))
-    usual_m[known] = np.nanmedian(around[known], axis=(1, 2))
+    mean_m = np.where(above, mean_before_m(counts), np.nan)
+    usual_m = row_medians(_columns_around(mean_m, settings.wall_columns).reshape(len(mean_m), -1))
     return np.asarray(mean_m > usual_m[:, None] - ON_FACE_M)
 
 

@@ -11,9 +11,10 @@ from enum import IntEnum
 import numpy as np
 from pydantic import Field
 
+from ffmap.algorithms.base.known import median_known
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
-from ffmap.algorithms.base.segments import Segment, lengths_m, segments
+from ffmap.algorithms.base.segments import lengths_m, segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import (
     Columns,
@@ -25,7 +26,6 @@ from ffmap.algorithms.building.face_columns import (
     column_places,
     count_columns,
     long_runs,
-    median_known,
     room_before,
     runs,
 )
@@ -409,7 +409,7 @@ def trim_at_doorways(faces: TracedFaces, doors: Doors, settings: StandingWallsSe
 
 def _reveal_columns(doors: Doors, d: int, places: FloatArray, jamb_m: float) -> IntArray:
     """Which columns of a face, with places (c, 2), are the reveal of a door: within its depth, and next to its jamb."""
-    doorway = Segment.between(doors.ends[d], doors.normal[d])
+    doorway = segment(doors, d)
     behind_m, place_m = -doorway.before_m(places), doorway.place_m(places)
     to_jamb_m = np.minimum(np.abs(place_m), np.abs(place_m - doorway.length_m))
     reveal = np.flatnonzero((behind_m > 0.0) & (behind_m < doors.reveal_m[d]))
@@ -420,7 +420,7 @@ def _columns_of_doors(doors: Doors, walls: Walls, w: int, places: FloatArray) ->
     """(c,) which columns of a face, with places (c, 2), are in a door that it has: one that looks its way, or the opposite."""
     within = np.zeros(len(places), bool)
     for d in np.flatnonzero(np.abs(doors.normal @ walls.normal[w]) > SAME_WAY):
-        doorway = Segment.between(doors.ends[d], doors.normal[d])
+        doorway = segment(doors, d)
         depth_m = np.fmax(doors.reveal_m[d], AT_FACE_M)
         before_m = doorway.before_m(places)
         within |= doorway.beside(places, CELL_M) & (before_m < AT_FACE_M) & (before_m > -depth_m - AT_FACE_M)
@@ -472,7 +472,7 @@ def leaning_on_others(walls: Walls, settings: StandingWallsSettings) -> BoolArra
         angled = (turn_deg > settings.leaning_angle_min_deg) & (turn_deg < settings.leaning_angle_max_deg)
         angled &= walls.scan_count > settings.leaning_scans_ratio * walls.scan_count[w]
         for other in np.flatnonzero(angled):
-            face = Segment.between(walls.ends[other], walls.normal[other])
+            face = segment(walls, other)
             length_m = np.ptp(face.place_m(walls.ends[w]))
             beside = face.shared_m(walls.ends[w]) > settings.leaning_share_min * length_m
             leans[w] |= beside and abs(face.before_m(walls.ends[w].mean(axis=0))) < settings.leaning_distance_m

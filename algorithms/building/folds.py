@@ -4,16 +4,15 @@ A curtain reaches from the ceiling to the floor as a wall does, and lets no ray 
 those beside them and behind them by turns, at the same places from top to bottom.
 """
 
-import warnings
-
 import numpy as np
 from pydantic import Field
 
+from ffmap.algorithms.base.known import row_medians
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import long_runs
 from ffmap.algorithms.building.model import cells_in
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, depth_moments
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, mean_before_m
 
 _SEEN_MIN = 0.3  # Of a column's cells, for their median to say where it lies
 
@@ -34,7 +33,7 @@ class FoldsSettings(StepSettings):
 def in_folds(counts: FloatArray, settings: FoldsSettings) -> BoolArray:
     """(c,) which columns of one face hang in folds; counts: (c, rows, 4), see `WallCells`."""
     around = cells_in(settings.around_m)
-    before_m = depth_moments(counts)[0]
+    before_m = mean_before_m(counts)
     before_m[(counts[..., FILLED] < 2) | (counts[..., FILLED] <= counts[..., THROUGH])] = np.nan
     rows = np.flatnonzero(np.isfinite(before_m[:, FOOT_ROW:]).any(axis=0)) + FOOT_ROW
     if len(counts) < around or len(rows) < 2:
@@ -46,21 +45,13 @@ def in_folds(counts: FloatArray, settings: FoldsSettings) -> BoolArray:
     padded = np.pad(fold_m, around // 2, constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * (around // 2) + 1)
     known = np.isfinite(windows).sum(axis=1) > around // 2
-    folded = known & (_median(windows) > settings.depth_min_m)
+    folded = known & (row_medians(windows) > settings.depth_min_m)
     return long_runs(folded, cells_in(settings.width_min_m), bridge=1)
 
 
 def _beside_others_m(before_m: FloatArray) -> FloatArray:
     """(c,) how far each column (c, rows) lies before the middle of the two beside it; NaN where one of them was hardly seen."""
-    column_m = _median(before_m)
-    column_m[np.isfinite(before_m).mean(axis=1) < _SEEN_MIN] = np.nan
+    column_m = row_medians(before_m, _SEEN_MIN)
     beside_m = np.full(len(column_m), np.nan)
     beside_m[1:-1] = column_m[1:-1] - 0.5 * (column_m[:-2] + column_m[2:])
     return beside_m
-
-
-def _median(rows: FloatArray) -> FloatArray:
-    """(n,) the median of what is known of each row (n, m); NaN where nothing is."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        return np.asarray(np.nanmedian(rows, axis=1))

@@ -237,7 +237,7 @@ def _panes(faces: Walls, cells: WallCells, driven: BoolArray, of_walls: BoolArra
                 continue  # its bars return more rays than it lets pass
             on_pane, between_m = ends - behind_m * face.normal, (CELL_M * clear[[0]], CELL_M * (clear[[-1]] + 1))
             window = Windows(on_pane[None], face.normal[None], *between_m, np.zeros(1))
-            yield _Pane(replace(faces.select(np.array([w])), ends=ends[None]), window, behind_m)
+            yield _Pane(replace(faces.one(w), ends=ends[None]), window, behind_m)
 
 
 def _sheets(

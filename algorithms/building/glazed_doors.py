@@ -12,7 +12,7 @@ from ffmap.algorithms.building.face_columns import TracedFaces, on_and_passed, r
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, ON_FACE_M, Doors, Windows, cells_in
 from ffmap.algorithms.building.openings import OpeningRules, deepest_sheet_m, widened
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, depth_moments
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, mean_before_m
 from ffmap.algorithms.building.windows import wall_of
 from ffmap.algorithms.scan.doors import DoorState
 
@@ -103,7 +103,7 @@ def _is_at_pane(rays: FloatArray, pane_m: float, rules: OpeningRules) -> BoolArr
     rays: (n, 4) their counts, see `WallCells`. pane_m: how far behind the face it stands; deeper, cells do not tell.
     """
     least_m = min(pane_m, deepest_sheet_m(rules)) - _LEAF_M
-    return np.asarray(-depth_moments(rays)[0] > max(rules.building.recess_min_m, least_m))
+    return np.asarray(-mean_before_m(rays) > max(rules.building.recess_min_m, least_m))
 
 
 def _upper_edge_m(counts: FloatArray, glass_m: float, pane_m: float, rules: OpeningRules) -> float:
@@ -173,6 +173,6 @@ def _agreement(counts: FloatArray, pane_m: float, rules: OpeningRules) -> float:
     counts: without the columns at the jambs, where the reveals return too.
     """
     inner = counts[:, FOOT_ROW : cells_in(rules.building.door_height_min_m)]
-    from_pane_m = -depth_moments(inner)[0] - pane_m
+    from_pane_m = -mean_before_m(inner) - pane_m
     of_leaf = (from_pane_m > -_LEAF_M) & (from_pane_m < rules.openings.sheet_m)
     return float(inner[of_leaf, FILLED].sum() / max(inner[..., FILLED].sum(), 1.0))

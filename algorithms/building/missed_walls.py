@@ -8,9 +8,10 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 
+from ffmap.algorithms.base.known import median_known
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
-from ffmap.algorithms.base.segments import Segment, segments
+from ffmap.algorithms.base.segments import Segment, segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import (
     Columns,
@@ -20,7 +21,6 @@ from ffmap.algorithms.building.face_columns import (
     cells_on_and_passed,
     count_columns,
     long_runs,
-    median_known,
     on_and_passed,
     room_before,
     rows_on_and_passed,
@@ -301,7 +301,7 @@ class _Search:
         solid: (c,) its own columns of wall.
         """
         settings, own = self._settings, self._faces.columns(w)
-        candidate, gap = Segment.between(self._faces.walls.ends[w], self._faces.walls.normal[w]), self._gap
+        candidate, gap = segment(self._faces.walls, w), self._gap
         alike = self._known.ends[self._known.normal @ candidate.normal > SAME_WAY]
         in_line = [ends for ends in alike if np.abs(candidate.before_m(ends)).max() < settings.missed.in_line_m]
         known = [np.sort(candidate.place_m(ends)) / CELL_M for ends in in_line]
@@ -441,7 +441,7 @@ def _cut_out(walls: Walls, ducts: list[_Duct], length_min_m: float) -> tuple[Wal
     with_duct = sorted({duct.face for duct in ducts})
     rest, cut = walls.select(~np.isin(np.arange(len(walls)), with_duct)), NO_WALLS
     for w in with_duct:
-        own, face = walls.select(np.array([w])), Segment.between(walls.ends[w], walls.normal[w])
+        own, face = walls.one(w), segment(walls, w)
         reached_m, cut_from_m = 0.0, 0.0
         taken = sorted((duct.low_m, duct.high_m) for duct in ducts if duct.face == w)
         for low_m, high_m in [*taken, (face.length_m, face.length_m)]:
@@ -473,7 +473,7 @@ def _to_corners_m(face: Walls, walls: Walls, near_m: float) -> float:
 def _crossed_by(walls: Walls, candidates: Walls, w: int, count: int) -> BoolArray:
     """(count,) the columns of one candidate at which it crosses a known face; beyond it another wall, or a reveal, goes on."""
     crossed = np.zeros(count, bool)
-    candidate = Segment.between(candidates.ends[w], candidates.normal[w])
+    candidate = segment(candidates, w)
     for face in segments(walls):
         if abs(face.normal @ candidate.normal) > ACROSS:
             continue

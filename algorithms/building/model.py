@@ -86,6 +86,10 @@ class Rows:
         """Some of them, by index, by flag or in a row."""
         return replace(self, **{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
 
+    def one(self, k: int | np.intp) -> Self:
+        """The k-th alone."""
+        return self.select(np.array([k]))
+
     def append(self, more: Self) -> Self:
         """These and more."""
         rows = {f.name: np.concatenate([getattr(self, f.name), getattr(more, f.name)]) for f in fields(self)}

@@ -16,6 +16,7 @@ from ffmap.algorithms.building.ray_evidence import (
     SUM,
     THROUGH,
     depth_moments,
+    mean_before_m,
     returns_at_face,
     with_neighbours,
 )
@@ -334,8 +335,7 @@ def to_jambs(below: FloatArray, first: int, last: int, most_m: float) -> tuple[i
     below: (columns, 4), a face's counts between the foot and the head of an opening. most_m: on each side.
     """
     most = cells_in(most_m)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        before_m = below[:, SUM] / below[:, FILLED]
+    before_m = mean_before_m(below)
     low, high = widened(before_m < -ON_FACE_M, first, last, most + 1)
     low_wall_m, high_wall_m = before_m[low] if first - low > most else 0.0, before_m[high] if high - last > most else 0.0
     return (

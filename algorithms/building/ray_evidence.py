@@ -220,10 +220,16 @@ def returns_at_face(counts: FloatArray) -> FloatArray:
     return np.where(np.abs(total) < AT_FACE_M * filled, filled, 0.0)
 
 
-def depth_moments(counts: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(…) mean distance before the face and variance of the returns of cells, or of sums of them (…, 4); NaN without any."""
+def mean_before_m(counts: FloatArray) -> FloatArray:
+    """(…) mean distance before the face of the returns of cells, or of sums of them (…, 4); NaN without any."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean_m = counts[..., SUM] / counts[..., FILLED]
+        return np.asarray(counts[..., SUM] / counts[..., FILLED])
+
+
+def depth_moments(counts: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The same, and the variance (…) about it."""
+    mean_m = mean_before_m(counts)
+    with np.errstate(invalid="ignore", divide="ignore"):
         return mean_m, np.maximum(counts[..., SQUARES] / counts[..., FILLED] - mean_m**2, 0.0)
 
 

@@ -4,16 +4,16 @@ Intensities fall with the angle of incidence in a way that depends on the sensor
 how, whatever they are made of.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from ffmap.algorithms.base.scan import BoolArray, FloatArray
+from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.base.segments import Segment
 from ffmap.algorithms.building.face_columns import TracedFace, TracedFaces
 from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, BuildingSettings, cells_in
-from ffmap.algorithms.building.ray_evidence import FILLED, THROUGH, depth_moments
+from ffmap.algorithms.building.ray_evidence import FILLED, THROUGH, mean_before_m
 
 _RETURNS_MIN = 2  # Of a cell, for its mean to count
 _OF_FACE = 0.4  # Minimum share
@@ -56,7 +56,7 @@ def pictures(faces: TracedFaces, building: BuildingSettings, one_wall_m: float) 
 
 
 def _picture(face: TracedFace, light: FloatArray, response: FloatArray) -> Picture:
-    before_m = depth_moments(face.counts)[0]
+    before_m = mean_before_m(face.counts)
     off = (np.abs(before_m) > ON_FACE_M) | (face.counts[..., THROUGH] > 0.5 * face.counts[..., FILLED])
     shade = shades(light, response)
     return Picture(np.where(off, np.nan, shade), np.where(off, np.nan, before_m), face.counts, face.segment)
@@ -112,30 +112,9 @@ def shades(light: FloatArray, response: FloatArray) -> FloatArray:
     return np.where(count >= _RETURNS_MIN, total / np.maximum(count, 1.0), np.nan)
 
 
-def column_means(cells: FloatArray, known_min: float) -> FloatArray:
-    """(c,) of each column of cells (c, rows), NaN where too little of it is known."""
-    return _of_known_columns(np.nanmean, cells, known_min)
-
-
-def column_medians(cells: FloatArray, known_min: float) -> FloatArray:
-    """(c,) the median of each column of cells (c, rows), NaN where too little of it is known: bands across a wall do not count."""
-    return _of_known_columns(np.nanmedian, cells, known_min)
-
-
-def _of_known_columns(of: Callable[..., FloatArray], cells: FloatArray, known_min: float) -> FloatArray:
-    known = np.isfinite(cells).sum(axis=1)
-    enough = (known > 0) & (known >= known_min * cells.shape[1])
-    values = np.full(len(cells), np.nan)
-    values[enough] = of(cells[enough], axis=1)
-    return values
-
-
-def row_means(cells: FloatArray, known_min: float) -> FloatArray:
-    """(rows,) of cells (c, rows), NaN where too few of a row are known."""
-    return column_means(cells.T, known_min)
-
-
-def is_greatest(size: FloatArray) -> BoolArray:
-    """(c,) which are at least as great as the two before and behind them."""
+def peaks(values: FloatArray, least: float) -> IntArray:
+    """(k,) where values (c,) are farther from 0 than the two before and behind them, and at least so far; NaN is 0."""
+    size = np.nan_to_num(np.abs(values))
     padded = np.pad(size, 2)
-    return np.asarray(size == np.max([padded[k : k + len(size)] for k in range(5)], axis=0))
+    farthest = np.max([padded[k : k + len(size)] for k in range(5)], axis=0)
+    return np.flatnonzero((size > 0.0) & (size >= least) & (size == farthest))

@@ -4,13 +4,13 @@ Of all that stands flat before a wall a leaf alone is as wide and as high as doo
 is thicker than any casing. A leaf that stands open against the wall does so too, but beside its doorway.
 """
 
-import warnings
 from collections.abc import Iterable, Iterator
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+from ffmap.algorithms.base.known import row_medians
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.building.closed_doors import closed_door
@@ -26,7 +26,7 @@ from ffmap.algorithms.building.model import (
     Windows,
     cells_in,
 )
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, depth_moments
+from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, mean_before_m
 from ffmap.algorithms.scan.doors import DoorState
 
 
@@ -97,38 +97,36 @@ def _leaves_before(
     wall, lowest, highest = (cells_in(m) for m in (settings.wall_m, building.door_height_min_m, building.door_height_max_m))
     if counts.shape[1] <= lowest + wall:
         return
-    before_m, _ = depth_moments(counts)
+    before_m = mean_before_m(counts)
     below = before_m[:, FOOT_ROW:lowest]
     is_glass = _lets_pass(counts[:, FOOT_ROW:lowest].sum(axis=1), building)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # columns and rows that nobody saw are unknown
-        column_m = np.where(np.isfinite(below).mean(axis=1) > building.known_min, np.nanmedian(below, axis=1), np.nan)
-        # A pane, or a panel, lies back in its stiles.
-        for first, after in runs(column_m > ON_FACE_M):
-            own = slice(first, after)
-            if not building.door_width_min_m <= (after - first) * CELL_M <= building.door_width_max_m:
-                continue
-            if not (column_m[own] > settings.relief_max_m).any():
-                continue
-            leaf_m = float(np.median(column_m[own]))
-            flush_m = settings.flush_max * leaf_m
-            # The columns and the row at its edges are its own in part.
-            sides = slice(max(first - 1 - wall, 0), max(first - 1, 0)), slice(after + 1, after + 1 + wall)
-            beside_m = np.concatenate([column_m[side] for side in sides])
-            sheets_m = [float(np.median(column_m[own][part])) for part in (is_glass[own], ~is_glass[own]) if part.any()]
-            off_m = np.min([np.abs(below[own] - sheet_m) for sheet_m in sheets_m], axis=0)
-            row_m = np.nanmedian(before_m[own], axis=0)
-            ended = np.flatnonzero(~(row_m[lowest - 1 : highest + 1] > flush_m))
-            if len(beside_m) < 2 * wall or not np.all(np.abs(beside_m) < flush_m) or not len(ended) or ended[0] == 0:
-                continue
-            head = lowest - 1 + int(ended[0])
-            over_m = row_m[head + 1 : head + 1 + wall]
-            flat, returns = off_m < 0.5 * ON_FACE_M, counts[own, FOOT_ROW:lowest, FILLED]
-            is_flat = np.mean(flat[np.isfinite(off_m)]) > settings.proud_min
-            if is_flat and len(over_m) == wall and np.all(np.abs(over_m) < flush_m):
-                clear = np.flatnonzero(_lets_pass(counts[own, :head].sum(axis=0), building))
-                pane = (int(clear[0]), int(clear[-1])) if 2 * np.count_nonzero(is_glass[own]) > after - first else None
-                yield HangingLeaf(face, leaf_m, first, after, head * CELL_M, pane, float(returns[flat].sum() / returns.sum()))
+    column_m = row_medians(below, building.known_min)
+    # A pane, or a panel, lies back in its stiles.
+    for first, after in runs(column_m > ON_FACE_M):
+        own = slice(first, after)
+        if not building.door_width_min_m <= (after - first) * CELL_M <= building.door_width_max_m:
+            continue
+        if not (column_m[own] > settings.relief_max_m).any():
+            continue
+        leaf_m = float(np.median(column_m[own]))
+        flush_m = settings.flush_max * leaf_m
+        # The columns and the row at its edges are its own in part.
+        sides = slice(max(first - 1 - wall, 0), max(first - 1, 0)), slice(after + 1, after + 1 + wall)
+        beside_m = np.concatenate([column_m[side] for side in sides])
+        sheets_m = [float(np.median(column_m[own][part])) for part in (is_glass[own], ~is_glass[own]) if part.any()]
+        off_m = np.min([np.abs(below[own] - sheet_m) for sheet_m in sheets_m], axis=0)
+        row_m = row_medians(before_m[own].T)
+        ended = np.flatnonzero(~(row_m[lowest - 1 : highest + 1] > flush_m))
+        if len(beside_m) < 2 * wall or not np.all(np.abs(beside_m) < flush_m) or not len(ended) or ended[0] == 0:
+            continue
+        head = lowest - 1 + int(ended[0])
+        over_m = row_m[head + 1 : head + 1 + wall]
+        flat, returns = off_m < 0.5 * ON_FACE_M, counts[own, FOOT_ROW:lowest, FILLED]
+        is_flat = np.mean(flat[np.isfinite(off_m)]) > settings.proud_min
+        if is_flat and len(over_m) == wall and np.all(np.abs(over_m) < flush_m):
+            clear = np.flatnonzero(_lets_pass(counts[own, :head].sum(axis=0), building))
+            pane = (int(clear[0]), int(clear[-1])) if 2 * np.count_nonzero(is_glass[own]) > after - first else None
+            yield HangingLeaf(face, leaf_m, first, after, head * CELL_M, pane, float(returns[flat].sum() / returns.sum()))
 
 
 def _lets_pass(counts: FloatArray, building: BuildingSettings) -> BoolArray:

@@ -35,10 +35,10 @@ from ffmap.algorithms.building.openings import (
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,
     FOOT_ROW,
-    SUM,
     THROUGH,
     Rays,
     WallCells,
+    mean_before_m,
     returns_at_face,
     with_neighbours,
 )
@@ -169,7 +169,7 @@ def join_windows(windows: Windows, one_wall_m: float, sill_m: float) -> Windows:
     edges where they share less than half of the shorter's width.
     """
     joined = NO_WINDOWS
-    for own in (windows.select(np.array([w])) for w in range(len(windows))):
+    for own in (windows.one(w) for w in range(len(windows))):
         for k, known in enumerate(segments(joined)):
             if not is_beside(known, own.ends[0], own.normal[0], one_wall_m):
                 continue
@@ -178,7 +178,7 @@ def join_windows(windows: Windows, one_wall_m: float, sill_m: float) -> Windows:
             if is_less and abs(joined.bottom_m[k] - own.bottom_m[0]) > sill_m:
                 continue
             ends = known.at(np.array([place_m.min(), place_m.max()]))
-            one = joined.select(np.array([k])).append(own)
+            one = joined.one(k).append(own)
             own = Windows(
                 ends[None],
                 known.normal[None],
@@ -257,8 +257,9 @@ def _translucent(counts: FloatArray, rules: OpeningRules, settings: WindowsSetti
     """
     near = with_neighbours(counts)
     rays = near[..., FILLED] + near[..., THROUGH]
+    behind_m = -mean_before_m(near)
     with np.errstate(invalid="ignore", divide="ignore"):
-        passed, behind_m = near[..., THROUGH] / rays, -near[..., SUM] / near[..., FILLED]
+        passed = near[..., THROUGH] / rays
     both = (rays >= rules.building.rays_min) & (np.abs(passed - 0.5) < 0.5 - settings.translucent_min)
     both &= (behind_m > rules.building.recess_min_m) & (behind_m < settings.translucent_depth_m)
     return _shows(both[:, FOOT_ROW:], cells_in(settings.height_min_m) - 1)
@@ -293,9 +294,8 @@ def _over_its_pane(
     high: (columns, 4) of the whole face, between knee and head. pane_m: how far behind the face it stands; NaN if unknown.
     """
     near = with_neighbours(high)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        on_pane = np.abs(-high[:, SUM] / high[:, FILLED] - pane_m) < sheet_m
-        passed = near[:, THROUGH] > settings.passed_share * (near[:, THROUGH] + near[:, FILLED])
+    on_pane = np.abs(mean_before_m(high) + pane_m) < sheet_m
+    passed = near[:, THROUGH] > settings.passed_share * (near[:, THROUGH] + near[:, FILLED])
     return widened(on_pane & passed, first, last, len(high))
 
 
@@ -318,8 +318,7 @@ def _without_doorways(
     """
     building, near = rules.building, with_neighbours(high)
     rays = near[:, FILLED] + near[:, THROUGH]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        on_pane = np.abs(-near[:, SUM] / near[:, FILLED] - pane_m) < rules.openings.sheet_m
+    on_pane = np.abs(mean_before_m(near) + pane_m) < rules.openings.sheet_m
     share = np.sum(near[shown, FILLED] * on_pane[shown]) / max(float(rays[shown].sum()), 1.0)
     window = np.zeros(len(counts), bool)
     window[slice(*whole)] = True
