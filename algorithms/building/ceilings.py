@@ -108,12 +108,12 @@ def _planes_around(places: FloatArray, size: int) -> tuple[FloatArray, FloatArra
     return mean + middle, slope, rms_m, known
 
 
-def map_ducts(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
-    """Narrow surfaces below a ceiling: a duct's underside, at the height of another room's ceiling.
+def of_rooms(ceiling: FloatArray, settings: LevelsSettings) -> BoolArray:
+    """(n,) which cubes of ceiling (n, 3) are the ceiling of a room: not narrow, and lower than the ceiling beside.
 
-    A scan that sees both rooms cannot tell the one from the other.
+    That is the underside of a duct or of a board over a wardrobe, at the height of another room's ceiling. A scan that sees both
+    rooms cannot tell the one from the other; but what ends there is no wall.
     """
-    ceiling = votes.mean_position[(votes.label == Label.CEILING) & votes.seen()]
     grid = GroundGrid.around(ceiling, settings.cell_m, settings.ceiling_reach_m)
     lowest_m, usual_m = grid.heights(ceiling, 0.0), grid.heights(ceiling)
     beside_cells = 2 * round(settings.duct_beside_m / grid.cell_m) + 1
@@ -123,8 +123,9 @@ def map_ducts(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     # The edge of a ceiling, along a wall behind which another ceiling begins, is steep.
     away, nearest = nearest_known(broad)
     off_m = np.abs(lowest_m - lowest_m[nearest])
-    ceilings = (away <= round(settings.ceiling_edge_m / grid.cell_m)) & (off_m < settings.margin_m)
-    return grid.level(Surface.DUCT, np.where(hangs & ~ceilings, lowest_m, np.nan), settings.margin_m)
+    is_edge = (away <= round(settings.ceiling_edge_m / grid.cell_m)) & (off_m < settings.margin_m)
+    narrow_m = np.where(hangs & ~is_edge, lowest_m, np.nan)[grid.cells(ceiling)]
+    return ~(np.abs(ceiling[:, 2] - narrow_m) < settings.margin_m)
 
 
 def map_ceiling_drops(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:

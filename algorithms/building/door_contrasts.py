@@ -60,11 +60,6 @@ class DoorContrastsSettings(StepSettings):
         description="Minimum share of a door's height over which both jambs show, and of its height and width that contrasts.",
     )
     part_m: float = Field(0.2, gt=0, description="Height (m) of the parts by which that is told.")
-    one_wall_m: float = Field(
-        0.05,
-        gt=0,
-        description="Maximum distance (m) of another face that a wall goes on in, and a leaf may lie in both.",
-    )
     flush_m: float = Field(
         0.012, gt=0, description="Maximum distance (m) of the leaf from the wall's face: a board stands out."
     )

@@ -106,7 +106,7 @@ class AllScans:
     @cached_property
     def storey(self) -> Storey:
         """The building's floor and ceiling."""
-        return Storey.of(self.votes, self.levels, self.levels_settings.votes_min)
+        return Storey.of(self.votes, self.levels, self.levels_settings)
 
     @property
     def path_map(self) -> FloatArray:

@@ -13,7 +13,9 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import Segment, segment, segments
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.ceilings import of_rooms
 from ffmap.algorithms.building.height_map import HeightMap, corrected
+from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Rows, Walls, cells_in, stretches
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,
@@ -68,16 +70,16 @@ class Storey:
     ceiling: FloatArray
 
     @classmethod
-    def of(cls, votes: VoxelVotes, levels: Sequence[HeightMap], votes_min: int) -> "Storey":
-        """From the labels that scans gave, and the surfaces that all of them show.
-
-        votes_min: minimum number of votes at which a scan's label counts.
-        """
-        by_scans = votes.label
-        label = corrected(levels, votes.mean_position, by_scans)
-        agreed = (label != by_scans) | votes.seen(votes_min)
+    def of(cls, votes: VoxelVotes, levels: Sequence[HeightMap], settings: LevelsSettings) -> "Storey":
+        """From the labels that scans gave, and the surfaces that all of them show."""
+        by_scans, position = votes.label, votes.mean_position
+        label = corrected(levels, position, by_scans)
+        agreed = (label != by_scans) | votes.seen(settings.votes_min)
         label = np.where(agreed, label, Label.CLUTTER)
-        return cls(votes.mean_position[label == Label.FLOOR], votes.mean_position[label == Label.CEILING])
+        # What all scans show was found to be broad.
+        ceiling = np.flatnonzero((label == Label.CEILING) & (by_scans == Label.CEILING))
+        label[ceiling[~of_rooms(position[ceiling], settings)]] = Label.CLUTTER
+        return cls(position[label == Label.FLOOR], position[label == Label.CEILING])
 
     @cached_property
     def both(self) -> FloatArray:

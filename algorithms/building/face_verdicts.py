@@ -54,7 +54,7 @@ _KEPT_COLUMNS = 2
 
 
 class StandingWallsSettings(StepSettings):
-    """Telling walls from what only looks like one, and finding those that scans saw too little of."""
+    """Telling walls from what only looks like one."""
 
     above_door_m: float = Field(
         2.15,
@@ -78,7 +78,6 @@ class StandingWallsSettings(StepSettings):
     window_open_m: float = Field(
         0.2, gt=0, description="Minimum height (m) over which a window between a spandrel and a crown is open below doors' heads."
     )
-    opening_max_m: float = Field(2.6, gt=0, description="Maximum length (m) below a lintel; longer, it is a duct.")
     jamb_share_min: float = Field(0.1, ge=0, le=1, description="Minimum share of a lintel's face with wall below it.")
     cut_min_m: float = Field(0.3, gt=0, description="Minimum length (m) cut out of a face that rays pass above.")
     rest_min_m: float = Field(
@@ -129,18 +128,6 @@ class StandingWallsSettings(StepSettings):
         description="A reveal's face goes on as a wall if rays end on this share of the rows beyond it.",
     )
     stray_rays: int = Field(2, ge=1, description="Fewer rays than this in a row or column may be stray.")
-    noise_m: float = Field(0.1, gt=0, description="Maximum distance (m) before a face of its noise and boards.")
-    pillar_depth_m: float = Field(0.5, gt=0, description="Maximum distance (m) of a pillar's front before its wall.")
-    furniture_depth_m: float = Field(0.9, gt=0, description="Maximum depth (m) of furniture that stands at a wall.")
-    hidden_distance_m: float = Field(0.04, gt=0, description="Half thickness (m) of a missed wall's returns.")
-    hidden_passed_max: float = Field(
-        0.2,
-        ge=0,
-        lt=1,
-        description="Maximum share of a missed wall's rays that pass it, because of scatter and of the poses' errors.",
-    )
-    hidden_returns_min: int = Field(20, ge=1, description="Minimum number of returns that prove a missed wall.")
-    hidden_gap_m: float = Field(0.6, ge=0, description="Maximum gap (m) within a missed wall.")
     robot_m: float = Field(
         0.1, ge=0, description="Minimum distance (m) of a wall from where the robot drove: half as wide as any robot is."
     )
@@ -264,7 +251,7 @@ def _hanging(flags: _ColumnFlags, cells: WallCells, rules: OpeningRules, setting
     """
     if flags.visited.mean() > 0.5:
         return np.ones_like(flags.hollow)
-    hangs = long_runs(flags.hollow, cells_in(settings.opening_max_m), bridge=4)
+    hangs = long_runs(flags.hollow, cells_in(rules.building.door_width_max_m), bridge=4)
     # A lintel has a jamb: what is open below all along is a duct, however short, or a beam with a pillar at its end.
     if flags.hollow.mean() > 0.5 and flags.has_foot.mean() < settings.jamb_share_min:
         hangs |= ~flags.has_foot

@@ -73,7 +73,6 @@ class RelabellingSettings(StepSettings):
     at_leaf_m: float = Field(
         0.012, ge=0, description="The same as at_reveal_m there: what is farther from it is the leaf."
     )
-    pane_m: float = Field(0.0, ge=0, description="Distance (m) behind a pane beyond which a return is outside.")
     behind_glass_m: float = Field(
         0.12,
         gt=0,
@@ -209,7 +208,7 @@ class Relabelling:
         panes = panes.append(between)
         mullions = replace(mullions, ends=lengthened(mullions.front, settings.margin_m))
         leaf_m = np.where(doors.state == DoorState.CLOSED, doors.depth_m, -np.inf)
-        beyond_m = np.where(np.isfinite(panes.pane_m), panes.pane_m + settings.pane_m, settings.behind_glass_m)
+        beyond_m = np.where(np.isfinite(panes.pane_m), panes.pane_m, settings.behind_glass_m)
         # A ray that ends this close to a face or a leaf may cross it so far away, if it comes in as level as is asked about.
         at_face_m = max(settings.forget_m, settings.body_m)
         edge_m = 2.0 * settings.scatter_m

@@ -244,7 +244,7 @@ def _find_glass_fronts(
                     yield trace_rays(faces, [select_scans(block, block.scan == scan)], settings.without_planes)
 
     openings = OpeningRules(settings.without_planes, settings.openings)
-    rules = GlassRules(openings, settings.standing_walls, settings.glass_fronts, settings.missed_walls.explained_m)
+    rules = GlassRules(openings, settings.standing_walls, settings.glass_fronts, settings.missed_walls)
     return find_glass_fronts(whole, judged, windows, AllRays(scans.votes, scans.path_map, trace, each_scan), rules)
 
 
@@ -264,7 +264,7 @@ def _find_openings(
     floor_before = scans.storey.floor_near(column_places(walls, faces.cells.first, 0.5 * FLOOR_NEAR_M), FLOOR_NEAR_M)
     doors = find_doors(clear, settings.opening_rules, windows, floor_before)
     cased = find_cased_doors(clear, settings.building, settings.door_casings)
-    shown = pictures(clear, settings.building, settings.door_contrasts.one_wall_m)
+    shown = pictures(clear, settings.building)
     contrasting = find_contrasting_doors(shown, settings.building, settings.door_contrasts)
     outlined = find_outlined_doors(shown, settings.building, settings.door_outlines)
     glazed = find_glazed_doors(faces, windows, settings.opening_rules)

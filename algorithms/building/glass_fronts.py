@@ -18,6 +18,7 @@ from ffmap.algorithms.base.segments import Segment, lengthened, lengths_m, moved
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import column_places, long_runs, runs, visited
 from ffmap.algorithms.building.face_verdicts import SAME_WAY, JudgedFaces, StandingWallsSettings, wall_directions
+from ffmap.algorithms.building.missed_walls import MissedWallsSettings
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, NO_WINDOWS, Walls, Windows, cells_in
 from ffmap.algorithms.building.openings import OpeningRules, deepest_sheet_m, lies_on_sheet
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells, with_neighbours
@@ -88,12 +89,12 @@ class GlassFrontsSettings(StepSettings):
 
 @dataclass(frozen=True)
 class GlassRules:
-    """By what glazed fronts are told. explained_m: maximum distance from a known face of its own returns."""
+    """By what glazed fronts are told."""
 
     openings: OpeningRules
     standing: StandingWallsSettings
     fronts: GlassFrontsSettings
-    explained_m: float
+    missed: MissedWallsSettings
 
 
 @dataclass(frozen=True)
@@ -130,8 +131,9 @@ def find_glass_fronts(whole: Walls, judged: JudgedFaces, windows: Windows, rays:
     whole: the faces before they were judged.
     """
     standing, way = rules.standing, cKDTree(rays.path_map)
-    place, weight, _ = unexplained_columns(rays.votes, judged.walls, judged.refused, rules.explained_m)
-    lines = straight_lines(place, weight, wall_directions(judged.walls, standing.direction_share_min), standing)
+    place, weight, _ = unexplained_columns(rays.votes, judged.walls, judged.refused, rules.missed.explained_m)
+    directions, gap_m = wall_directions(judged.walls, standing.direction_share_min), rules.openings.building.gap_m
+    lines = straight_lines(place, weight, directions, rules.missed.half_thickness_m, gap_m)
     # Of a face that was cut, a part may be too short to tell, and the pane goes on where the face passes for a wall.
     in_faces = judged.refused.append(whole)
     candidates = both_sides(lines).append(in_faces).append(from_behind(in_faces))
@@ -144,7 +146,7 @@ def find_glass_fronts(whole: Walls, judged: JudgedFaces, windows: Windows, rays:
         places = column_places(faces, cells.first, 0.0)
         # Where the robot drove no pane is, and the returns at a wall's face are that wall's, or a mullion's.
         of_walls = np.zeros(len(places), bool)
-        of_walls[pairs_near(judged.walls, places, rules.explained_m)[0]] = True
+        of_walls[pairs_near(judged.walls, places, rules.missed.explained_m)[0]] = True
         return list(_panes(faces, cells, visited(places, rays.path_map, standing.robot_m), of_walls, rules))
 
     shown = panes(replace(candidates, ends=lengthened(candidates.ends, rules.fronts.beyond_m)), windows)
@@ -164,7 +166,7 @@ def find_glass_fronts(whole: Walls, judged: JudgedFaces, windows: Windows, rays:
         hidden = any(_is_seen_through(front, rays.path_map, pane.window) for front in segments(others))
         if not hidden or panes(pane.face, windows.append(others)):
             fronts.append(pane.window)
-    return _as_wide_as_seen(_lets_pass_always(_concatenated(fronts), rays, rules), shown, rules.explained_m)
+    return _as_wide_as_seen(_lets_pass_always(_concatenated(fronts), rays, rules), shown, rules.missed.explained_m)
 
 
 def _as_wide_as_seen(fronts: Windows, panes: list[_Pane], near_m: float) -> Windows:
@@ -267,7 +269,7 @@ def _sheets(
     sure = is_told & (shown >= fronts.shown_min * asked) & ~no_pane
     sure = long_runs(sure, 1, bridge=cells_in(fronts.bridge_m)) & ~no_pane
     # A wall takes what is close beside it too.
-    mullion = long_runs(sure, 1, bridge=bar + 2 * cells_in(rules.explained_m)) & of_walls & ~driven
+    mullion = long_runs(sure, 1, bridge=bar + 2 * cells_in(rules.missed.explained_m)) & of_walls & ~driven
     sure &= long_runs(sure | mullion, cells_in(fronts.width_min_m), 0)
     no_pane &= ~mullion
     # Where too few rays met it to tell, it goes on up to what returns them all.

@@ -38,7 +38,6 @@ class Surface(StrEnum):
     RAISED_FLOOR = "raised_floor", Label.FLOOR, Label.CLUTTER
     FLOOR_BEYOND = "floor_beyond", Label.FLOOR, Label.CLUTTER
     STEP_FRONT = "step_front", Label.FLOOR, Label.CLUTTER
-    DUCT = "duct", Label.CLUTTER, Label.CEILING
     CEILING_DROP = "ceiling_drop", Label.CEILING, Label.CLUTTER
     STOREY_BELOW = "storey_below", Label.OUTSIDE, Label.WALL
     MIRRORED_FLOOR = "mirrored_floor", Label.OUTSIDE, None

@@ -34,7 +34,6 @@ _SURFACE_WORDS = {
     Surface.RAISED_FLOOR: "all scans together show a raised floor there",
     Surface.FLOOR_BEYOND: "the floor goes on there",
     Surface.STEP_FRONT: "it is the front of a step between two floors",
-    Surface.DUCT: "what hangs there is narrow, below the ceiling beside it",
     Surface.CEILING_DROP: "it is a beam, a coffer or a soffit that closes up to the ceiling",
     Surface.STOREY_BELOW: "it lies below the floor",
     Surface.MIRRORED_FLOOR: "a pane overhead mirrors the floor there",

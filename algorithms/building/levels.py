@@ -10,7 +10,6 @@ from functools import reduce
 from ffmap.algorithms.building.ceilings import (
     map_ceiling_drops,
     map_ceilings,
-    map_ducts,
     map_glimpsed_ceilings,
     map_sloping_ceilings,
 )
@@ -39,10 +38,9 @@ def map_levels(votes: VoxelVotes, blocks: Iterable[Features], settings: LevelsSe
     raised = [map_raised_floors(votes, settings, cell_m) for cell_m in (settings.cell_m, 2 * settings.cell_m)]
     with_raised = reduce(_corrected_votes, raised, votes)
     floors = (*raised, map_floors_beyond(with_raised, settings), map_step_fronts(with_raised, settings))
-    ducts = map_ducts(votes, settings)
     drops = map_ceiling_drops(reduce(_corrected_votes, ceilings, votes), settings)
     below = map_storey_below(with_raised, settings)
-    levels = (mirrored, *ceilings, *floors, ducts, drops, below)
+    levels = (mirrored, *ceilings, *floors, drops, below)
     return tuple(level for level in levels if level.known.any())
 
 

@@ -41,7 +41,7 @@ _LINTEL_MIN = 0.75
 
 
 class MissedWallsSettings(StepSettings):
-    """Walls that every single scan missed; `standing_walls.hidden_*` tells what proves one."""
+    """Walls that every single scan missed, and what proves them."""
 
     near_m: float = Field(
         0.07,
@@ -58,13 +58,23 @@ class MissedWallsSettings(StepSettings):
     beside_glass_max: float = Field(
         0.9, gt=0, le=1, description="Maximum share of a wall's returns whose rays pass within that distance of a pane."
     )
+    noise_m: float = Field(0.1, gt=0, description="Maximum distance (m) before a face of its noise and boards.")
+    pillar_depth_m: float = Field(0.5, gt=0, description="Maximum distance (m) of a pillar's front before its wall.")
+    furniture_depth_m: float = Field(0.9, gt=0, description="Maximum depth (m) of furniture that stands at a wall.")
+    half_thickness_m: float = Field(0.04, gt=0, description="Half thickness (m) of a missed wall's returns.")
+    passed_max: float = Field(
+        0.2,
+        ge=0,
+        lt=1,
+        description="Maximum share of a missed wall's rays that pass it, because of scatter and of the poses' errors.",
+    )
+    returns_min: int = Field(20, ge=1, description="Minimum number of returns that prove a missed wall.")
     corner_m: float = Field(
         0.15, gt=0, description="Distance (m) from a corner where returns pass for the other wall's."
     )
     chord_m: float = Field(
         0.35, gt=0, description="Minimum length (m) of a chord of a round wall; twice as much is looked at."
     )
-    in_line_m: float = Field(0.05, gt=0, description="Maximum distance (m) between the planes of two stretches of one wall.")
     jamb_m: float = Field(
         0.15,
         gt=0,
@@ -174,7 +184,7 @@ def find_missed_walls(walls: Walls, refused: Walls, returns: AllReturns, setting
     undersides = _undersides(returns, settings.building.door_height_min_m)
     known, asked, proven = walls, NO_WALLS, list[_Proven]()
     for lines_in in (_lines_along_walls, _chords):
-        candidates = _candidates(lines_in(returns, known, refused, settings), known, asked, settings.standing)
+        candidates = _candidates(lines_in(returns, known, refused, settings), known, asked, settings.missed)
         if len(candidates):
             asked, search = candidates, _Search(known, hang, returns.trace(candidates), undersides, returns, settings)
             proven += [stretch for w in range(len(candidates)) for stretch in search.walls_in(w)]
@@ -186,7 +196,7 @@ def find_missed_walls(walls: Walls, refused: Walls, returns: AllReturns, setting
     return MissedWalls(found.select(~mirrored), rest, ducts, found.select(mirrored))
 
 
-def _candidates(lines: list[Line], walls: Walls, asked: Walls, standing: StandingWallsSettings) -> Walls:
+def _candidates(lines: list[Line], walls: Walls, asked: Walls, missed: MissedWallsSettings) -> Walls:
     """The lines as faces, but for those along known ones or some that were asked before; which side each is seen from is not known
     yet, so both are tried."""
     if not lines:
@@ -194,16 +204,18 @@ def _candidates(lines: list[Line], walls: Walls, asked: Walls, standing: Standin
     both = both_sides(lines)
     # Between a candidate and a close face that looks at it nobody can stand.
     middles = both.ends.mean(axis=1)
-    faced = _near_a_face(middles, both.normal, walls, 0.0, standing.pillar_depth_m, opposite=True)
-    along = _near_a_face(middles, both.normal, walls.append(asked), -standing.noise_m, standing.noise_m)
+    faced = _near_a_face(middles, both.normal, walls, 0.0, missed.pillar_depth_m, opposite=True)
+    along = _near_a_face(middles, both.normal, walls.append(asked), -missed.noise_m, missed.noise_m)
     return both.select(~faced & ~along)
 
 
 def _lines_along_walls(returns: AllReturns, walls: Walls, refused: Walls, settings: SearchSettings) -> list[Line]:
     """Stretches of unexplained columns in the walls' directions, and the sides of pillars."""
-    place, weight, _ = unexplained_columns(returns.votes, walls, refused, settings.missed.explained_m)
+    missed, gap_m = settings.missed, settings.building.gap_m
+    place, weight, _ = unexplained_columns(returns.votes, walls, refused, missed.explained_m)
     directions = wall_directions(walls, settings.standing.direction_share_min)
-    return straight_lines(place, weight, directions, settings.standing) + _pillar_sides(place, weight, walls, settings)
+    lines = straight_lines(place, weight, directions, missed.half_thickness_m, gap_m)
+    return lines + _pillar_sides(place, weight, walls, missed)
 
 
 @dataclass(frozen=True)
@@ -234,7 +246,7 @@ class _Search:
         self._known, self._faces, self._storey, self._settings = known, faces, returns.storey, settings
         self._fronts = known.append(hang)
         standing = settings.standing
-        self._gap = cells_in(standing.hidden_gap_m)
+        self._gap = cells_in(settings.building.gap_m)
         self._free = np.isfinite(faces.clear_m) & ~faces.visited(returns.path_map, standing.robot_m)
         self._columns = count_columns(faces, standing.above_door_m, settings.building, settings.columns)
         self._undersides = undersides
@@ -279,7 +291,7 @@ class _Search:
         own, standing = self._faces.columns(w), self._settings.standing
         columns = self._columns.select(own)
         may_be = self._free[own] & ~_crossed_by(self._known, self._faces.walls, w, own.stop - own.start)
-        passed_max, stray = standing.hidden_passed_max, standing.stray_rays
+        passed_max, stray = self._settings.missed.passed_max, standing.stray_rays
         on, passed = columns.upper_on + columns.lower_on, columns.upper_passed + columns.lower_passed
         solid = (
             may_be
@@ -303,7 +315,7 @@ class _Search:
         settings, own = self._settings, self._faces.columns(w)
         candidate, gap = segment(self._faces.walls, w), self._gap
         alike = self._known.ends[self._known.normal @ candidate.normal > SAME_WAY]
-        in_line = [ends for ends in alike if np.abs(candidate.before_m(ends)).max() < settings.missed.in_line_m]
+        in_line = [ends for ends in alike if np.abs(candidate.before_m(ends)).max() < settings.building.in_line_m]
         known = [np.sort(candidate.place_m(ends)) / CELL_M for ends in in_line]
         known_before = any(low < 0 and abs(high) <= gap for low, high in known)
         known_behind = any(high > len(solid) and abs(low - len(solid)) <= gap for low, high in known)
@@ -330,18 +342,18 @@ class _Search:
             spans = has_lintel and after - first == len(solid)
             between[part] = has_jambs and is_wide and (spans or (has_sill and not is_door))
         places = candidate.at((np.arange(len(solid)) + 0.5) * CELL_M)
-        before_wall = _near_a_face(places, candidate.normal, self._known, 0.0, settings.standing.furniture_depth_m)
+        before_wall = _near_a_face(places, candidate.normal, self._known, 0.0, settings.missed.furniture_depth_m)
         return between & (crown | ~before_wall)
 
     def _shows_sill(self, counts: FloatArray) -> tuple[BoolArray, BoolArray]:
         """(c,) each: at which columns (c, rows, 4) rays end on the lowest that is seen of them below sills, and where they pass."""
-        settings = self._settings.standing
+        missed, stray = self._settings.missed, self._settings.standing.stray_rays
         low = slice(FOOT_ROW, cells_in(self._settings.building.knee_m))
         on, passed = on_and_passed(with_neighbours(counts[:, low].astype(np.float64)))
         seen = on + passed > 0
-        lowest = seen & (seen.cumsum(axis=1) <= cells_in(self._settings.missed.sill_m))
+        lowest = seen & (seen.cumsum(axis=1) <= cells_in(missed.sill_m))
         on, passed = (on * lowest).sum(axis=1), (passed * lowest).sum(axis=1)
-        opened = passed > settings.hidden_passed_max * on + settings.stray_rays
+        opened = passed > missed.passed_max * on + stray
         return (on > 0) & ~opened, opened
 
     def _stretches(self, states: _ColumnStates, counts: FloatArray) -> Iterator[tuple[int, int]]:
@@ -360,7 +372,7 @@ class _Search:
         # Each return is counted in its column and in the two beside it.
         returns = float((columns.upper_on + columns.lower_on).sum()) / 3
         seen_above, proven = np.mean((columns.upper_on > 0) | states.window), np.mean(states.proven)
-        enough = returns >= self._settings.standing.hidden_returns_min
+        enough = returns >= self._settings.missed.returns_min
         return bool((seen_above > 0.5 or below_duct) and proven > 0.5 and enough)
 
     def _reaches_ceiling(self, counts: FloatArray, ceiling_m: float) -> bool:
@@ -384,7 +396,7 @@ class _Search:
 
         face: of one stretch. counts: (c, rows, 4) of its columns.
         """
-        missed, building, noise_m = self._settings.missed, self._settings.building, self._settings.standing.noise_m
+        missed, building, noise_m = self._settings.missed, self._settings.building, self._settings.missed.noise_m
         wall = next(segments(face))
         on, passed = rows_on_and_passed(counts, building.door_height_min_m)
         if wall.length_m < missed.duct_length_min_m or not np.all(on > passed):
@@ -505,12 +517,10 @@ def _chords(returns: AllReturns, walls: Walls, refused: Walls, settings: SearchS
     place, _, top_m = unexplained_columns(returns.votes, walls, refused, missed.explained_m)
     clear_m = storey.clear_m(place, settings.standing.ceiling_near_m)
     is_high = top_m - storey.ground_m(place) > np.fmin(clear_m - missed.below_ceiling_m, missed.above_heads_m)
-    return _lines_of_any_direction(place[is_high], settings.standing, missed)
+    return _lines_of_any_direction(place[is_high], missed)
 
 
-def _lines_of_any_direction(
-    place: FloatArray, standing: StandingWallsSettings, settings: MissedWallsSettings
-) -> list[Line]:
+def _lines_of_any_direction(place: FloatArray, settings: MissedWallsSettings) -> list[Line]:
     """Stretches of columns (n, 2) in line, whatever their direction, each column in one: ends (2, 2) and normal (2,)."""
     if not len(place):
         return []
@@ -526,7 +536,7 @@ def _lines_of_any_direction(
             middle = place[near].mean(axis=0)
             along = np.linalg.eigh(np.cov((place[near] - middle).T))[1][:, 1]
             normal = np.array([along[1], -along[0]])
-            near = near[np.abs((place[near] - middle) @ normal) < 0.5 * standing.hidden_distance_m]
+            near = near[np.abs((place[near] - middle) @ normal) < 0.5 * settings.half_thickness_m]
         reach = np.sort((place[near] - middle) @ along) if len(near) >= 3 else np.zeros(1)
         if reach[-1] - reach[0] < settings.chord_m or np.diff(reach).max() > 3 * CELL_M:
             continue
@@ -536,28 +546,27 @@ def _lines_of_any_direction(
 
 
 def _pillar_sides(
-    place: FloatArray, weight: FloatArray, walls: Walls, settings: SearchSettings
+    place: FloatArray, weight: FloatArray, walls: Walls, missed: MissedWallsSettings
 ) -> list[Line]:
     """The sides between two known faces one before the other, as a pillar has: ends (2, 2) and normal (2,).
 
     Such a side is short, and most of its returns pass for those of either face.
     """
-    standing = settings.standing
     found: list[Line] = []
     faces = list(segments(walls))
     for back in faces:
         before_m, place_m = back.before_m(place), back.place_m(place)
         for front in faces:
             depth_m = float(back.before_m(front.at(np.array([0.5 * front.length_m])))[0])
-            if front.normal @ back.normal < SAME_WAY or not standing.noise_m < depth_m < standing.furniture_depth_m:
+            if front.normal @ back.normal < SAME_WAY or not missed.noise_m < depth_m < missed.furniture_depth_m:
                 continue
             for end_m in back.place_m(front.at(np.array([0.0, front.length_m]))):
-                near = (before_m > 0) & (before_m < depth_m) & (np.abs(place_m - end_m) < settings.missed.corner_m)
+                near = (before_m > 0) & (before_m < depth_m) & (np.abs(place_m - end_m) < missed.corner_m)
                 if not 0 < end_m < back.length_m or not near.any():
                     continue
                 off_m = np.abs(place_m[near][:, None] - place_m[near])
-                strength = (off_m < standing.hidden_distance_m) @ weight[near]
-                side = off_m[np.argmax(strength)] < standing.hidden_distance_m
+                strength = (off_m < missed.half_thickness_m) @ weight[near]
+                side = off_m[np.argmax(strength)] < missed.half_thickness_m
                 foot = back.at(np.array([np.average(place_m[near][side], weights=weight[near][side])]))[0]
                 found.append((np.stack([foot, foot + depth_m * back.normal]), back.along))
     return found

@@ -30,6 +30,9 @@ class BuildingSettings(StepSettings):
         0.2, ge=0, description="A scan's own plane of a wall holds this far (m) beyond what the scan saw of it."
     )
     gap_m: float = Field(0.6, ge=0, description="A wall has no gap longer than this many metres between its planes.")
+    in_line_m: float = Field(
+        0.05, gt=0, description="Faces in which one wall goes on beyond their ends lie at most this many metres apart."
+    )
     scans_min: int = Field(3, ge=1, description="Fewest scans that make a wall, and that bear out each part of it.")
     length_min_m: float = Field(0.25, ge=0, description="Shortest wall face in metres.")
     near_m: float = Field(

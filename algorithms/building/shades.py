@@ -41,18 +41,16 @@ class Picture(NamedTuple):
         return shared >= _OF_FACE * (last - first)
 
 
-def pictures(faces: TracedFaces, building: BuildingSettings, one_wall_m: float) -> list[Picture]:
+def pictures(faces: TracedFaces, building: BuildingSettings) -> list[Picture]:
     """Of each face, with as many columns more at each end as doors are wide, as far as others of its wall go on there: a door may
     lie in two. None where no scan has intensities.
-
-    one_wall_m: how far these may lie apart.
     """
     light = faces.cells.light
     if not len(light):
         return []
     response = response_by_angle(light)
     own = [_picture(face, light[face.columns], response) for face in faces.each()]
-    return [_continued(picture, own, cells_in(building.door_width_max_m), one_wall_m) for picture in own]
+    return [_continued(picture, own, cells_in(building.door_width_max_m), building.in_line_m) for picture in own]
 
 
 def _picture(face: TracedFace, light: FloatArray, response: FloatArray) -> Picture:
@@ -62,7 +60,7 @@ def _picture(face: TracedFace, light: FloatArray, response: FloatArray) -> Pictu
     return Picture(np.where(off, np.nan, shade), np.where(off, np.nan, before_m), face.counts, face.segment)
 
 
-def _continued(own: Picture, pictures: Sequence[Picture], reach: int, one_wall_m: float) -> Picture:
+def _continued(own: Picture, pictures: Sequence[Picture], reach: int, in_line_m: float) -> Picture:
     size, face = len(own.shade), own.face
     unknown = np.full((size + 2 * reach, own.shade.shape[1]), np.nan)
     longer = Picture(unknown, unknown.copy(), np.zeros((*unknown.shape, 4)), face, reach)
@@ -71,7 +69,7 @@ def _continued(own: Picture, pictures: Sequence[Picture], reach: int, one_wall_m
     for picture in pictures:
         other = picture.face
         ends = np.stack([other.start, other.at(np.array([other.length_m]))[0]])
-        if picture is own or other.normal @ face.normal < _ONE_DIRECTION or np.abs(face.before_m(ends)).max() > one_wall_m:
+        if picture is own or other.normal @ face.normal < _ONE_DIRECTION or np.abs(face.before_m(ends)).max() > in_line_m:
             continue
         places = face.place_m(other.at(CELL_M * (np.arange(len(picture.shade)) + 0.5)))
         at = np.floor(places / CELL_M).astype(np.int64) + reach

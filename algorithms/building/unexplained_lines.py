@@ -7,7 +7,6 @@ import numpy as np
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.model import CELL_M, Walls
 from ffmap.algorithms.building.votes import VoxelVotes
 
@@ -67,10 +66,13 @@ def unexplained_columns(
 
 
 def straight_lines(
-    place: FloatArray, weight: FloatArray, normals: FloatArray, settings: StandingWallsSettings
+    place: FloatArray, weight: FloatArray, normals: FloatArray, half_thickness_m: float, gap_m: float
 ) -> list[Line]:
-    """Stretches of columns in line, the strongest first, each column in one: ends (2, 2) and normal (2,)."""
-    bin_m = 0.5 * settings.hidden_distance_m
+    """Stretches of columns in line, the strongest first, each column in one: ends (2, 2) and normal (2,).
+
+    half_thickness_m: of their returns. gap_m: no gap within one is longer.
+    """
+    bin_m = 0.5 * half_thickness_m
     left = np.ones(len(place), bool)
     across = [place @ normal for normal in normals]
     along = [place @ np.array([-normal[1], normal[0]]) for normal in normals]
@@ -87,9 +89,9 @@ def straight_lines(
         if best < 9.0:
             break
         centre = float(across[direction].min(initial=0.0)) + (at + 0.5) * bin_m
-        near = np.flatnonzero(left & (np.abs(across[direction] - centre) < settings.hidden_distance_m))
+        near = np.flatnonzero(left & (np.abs(across[direction] - centre) < half_thickness_m))
         near = near[np.argsort(along[direction][near])]
-        breaks = np.flatnonzero(np.diff(along[direction][near]) > settings.hidden_gap_m) + 1
+        breaks = np.flatnonzero(np.diff(along[direction][near]) > gap_m) + 1
         parts = [p for p in np.split(near, breaks) if len(p) >= 3 and np.ptp(along[direction][p]) > 3 * CELL_M]
         if not parts:
             dead[direction][at] = True

@@ -19,7 +19,7 @@ def find(*patches: tuple[Rectangle, float], before_m: float = 0.0, flip: bool = 
 
 def contrasting(walls: Walls, cells: WallCells) -> Doors:
     building, settings = BuildingSettings(), DoorContrastsSettings()
-    return find_contrasting_doors(pictures(traced(walls, cells), building, settings.one_wall_m), building, settings)
+    return find_contrasting_doors(pictures(traced(walls, cells), building), building, settings)
 
 
 def found_in(cells: WallCells) -> Doors:

@@ -28,7 +28,7 @@ def frame(
 
 def outlined(walls: Walls, cells: WallCells) -> Doors:
     building = BuildingSettings()
-    return find_outlined_doors(pictures(traced(walls, cells), building, 0.05), building, DoorOutlinesSettings())
+    return find_outlined_doors(pictures(traced(walls, cells), building), building, DoorOutlinesSettings())
 
 
 def find(*patches: Patch, flip: bool = False) -> Doors:

@@ -9,6 +9,7 @@ from ffmap.algorithms.building.face_alignment import AlignedFaces, FaceAlignment
 from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.face_steps import FaceStepsSettings
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
+from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.model import NO_WALLS, Walls
 from ffmap.algorithms.building.votes import VoxelVotes
 from tests.voting import vote
@@ -17,7 +18,8 @@ TURNS = [0.0, 31.0, 90.0, 203.0]
 
 
 def aligned_by(walls: Walls, votes: VoxelVotes) -> AlignedFaces:
-    return align_faces(walls, votes, Storey.of(votes, (), 3), StandingWallsSettings(), FaceAlignmentSettings(), FaceStepsSettings())
+    storey = Storey.of(votes, (), LevelsSettings())
+    return align_faces(walls, votes, storey, StandingWallsSettings(), FaceAlignmentSettings(), FaceStepsSettings())
 
 
 def turned(places: FloatArray, turn_deg: float) -> FloatArray:

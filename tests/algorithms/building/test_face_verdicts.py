@@ -20,6 +20,7 @@ from ffmap.algorithms.building.face_verdicts import (
     trim_at_doorways,
 )
 from ffmap.algorithms.building.folds import FoldsSettings
+from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, NO_WALLS, NO_WINDOWS, BuildingSettings, Walls
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells
@@ -127,7 +128,7 @@ def test_a_face_without_room_before_it_is_outside():
     judged = JudgedFaces(both, NO_WALLS, np.zeros(0, np.uint8))
     floor = np.stack(np.meshgrid(np.arange(0.0, 4.0, 0.05), [0.5, 1.0], [0.0]), axis=-1).reshape(-1, 3)
     votes = vote(np.repeat(floor, 3, axis=0), np.full(3 * len(floor), Label.FLOOR, np.uint8), 6, 0.05)
-    told = refuse_outside(judged, Storey.of(votes, (), 3), COLUMNS)
+    told = refuse_outside(judged, Storey.of(votes, (), LevelsSettings()), COLUMNS)
     np.testing.assert_array_equal(told.walls.ends, both.ends[:1])
     assert told.verdict.tolist() == [FaceVerdict.OUTSIDE]
     assert told.refused_label.tolist() == [Label.OUTSIDE]

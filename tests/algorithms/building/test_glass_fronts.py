@@ -17,6 +17,7 @@ from ffmap.algorithms.building.glass_fronts import (
     new_fronts,
     set_in_walls,
 )
+from ffmap.algorithms.building.missed_walls import MissedWallsSettings
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, NO_WINDOWS, BuildingSettings, Walls, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
@@ -27,7 +28,7 @@ from tests.voting import vote
 
 BUILDING = BuildingSettings(near_m=0.07, own_plane_m=0.0, range_m=25.0)
 FRONTS = GlassFrontsSettings()
-RULES = GlassRules(OpeningRules(BUILDING, OpeningsSettings()), StandingWallsSettings(), FRONTS, explained_m=0.08)
+RULES = GlassRules(OpeningRules(BUILDING, OpeningsSettings()), StandingWallsSettings(), FRONTS, MissedWallsSettings())
 DEPTH_M = 3.0
 PATH = np.column_stack([np.linspace(0.8, 3.2, 25), np.full(25, 1.0)])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.building.ceilings import map_ceilings, map_ducts, map_glimpsed_ceilings, map_sloping_ceilings
+from ffmap.algorithms.building.ceilings import map_ceilings, map_glimpsed_ceilings, map_sloping_ceilings, of_rooms
 from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.floors import map_floors_beyond, map_raised_floors, map_step_fronts
 from ffmap.algorithms.building.height_map import HeightMap, corrected, median_around
@@ -169,35 +169,28 @@ def test_a_lower_ceiling_that_cuts_the_walls_of_a_room_hides_no_strip_of_its_own
 
 
 @pytest.mark.parametrize(
-    ("x", "y", "expected"),
+    ("x", "y", "is_of_room"),
     [
-        ((1.5, 1.9), (0.5, 3.5), Label.CLUTTER),  # a duct
-        ((1.0, 2.5), (0.0, 4.0), Label.CEILING),  # a bulkhead
-        ((4.1, 7.0), (0.0, 4.0), Label.CEILING),  # another room's, up to the wall between them
+        ((1.5, 1.9), (0.5, 3.5), False),  # a duct, or a board over a wardrobe
+        ((1.0, 2.5), (0.0, 4.0), True),  # a bulkhead
+        ((4.1, 7.0), (0.0, 4.0), True),  # another room's, up to the wall between them
     ],
 )
-def test_a_narrow_strip_below_a_ceiling_is_a_duct(
-    x: tuple[float, float], y: tuple[float, float], expected: Label
+def test_a_narrow_strip_below_a_ceiling_is_no_rooms_ceiling(
+    x: tuple[float, float], y: tuple[float, float], is_of_room: bool
 ) -> None:
     high = lying((0, 4), (0, 4), 3.02)
-    beside = (high[:, 0] < x[0]) | (high[:, 0] > x[1]) | (high[:, 1] < y[0]) | (high[:, 1] > y[1])
-    low = lying(x, y, 2.72)
-    ceiling = np.concatenate([high[beside], low])
-    ducts = map_ducts(
-        merge([vote(ceiling, np.full(len(ceiling), Label.CEILING, np.uint8), len(Label), 0.05)]), SETTINGS
-    )
-    as_ceiling = np.full(len(low), Label.CEILING, np.uint8)
-    assert np.all(ducts.label_of(low, as_ceiling) == expected)
-    assert np.all(ducts.label_of(high[beside], np.full(beside.sum(), Label.CEILING, np.uint8)) == Label.CEILING)
-    # What was not taken for a ceiling stays what it is.
-    assert np.all(ducts.label_of(low, np.full(len(low), Label.WALL, np.uint8)) == Label.WALL)
+    high = high[(high[:, 0] < x[0]) | (high[:, 0] > x[1]) | (high[:, 1] < y[0]) | (high[:, 1] > y[1])]
+    low, floor = lying(x, y, 2.72), lying((0, 7), (0, 4), 0.0)
+    assert np.all(of_rooms(np.concatenate([high, low]), SETTINGS) == np.repeat([True, is_of_room], [len(high), len(low)]))
+    # What a wall there has to reach is the room's own.
+    votes = votes_of((floor, Label.FLOOR), (high, Label.CEILING), (low, Label.CEILING))
+    clear_m = Storey.of(votes, (), SETTINGS).clear_m(np.array([[np.mean(x), np.mean(y)]]), 2.0)
+    assert clear_m[0] == pytest.approx(2.72 if is_of_room else 3.02, abs=0.05)
 
 
-def test_without_a_ceiling_there_is_no_duct() -> None:
-    nothing = vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05)
-    assert (
-        map_ducts(nothing, SETTINGS).label_of(np.zeros((1, 3)), np.array([Label.CEILING], np.uint8))[0] == Label.CEILING
-    )
+def test_without_a_ceiling_no_room_has_one() -> None:
+    assert of_rooms(np.zeros((0, 3)), SETTINGS).shape == (0,)
 
 
 def upright(x: tuple[float, float], y: float, z: tuple[float, float]) -> np.ndarray:
@@ -231,9 +224,9 @@ def test_a_roofs_underside_is_ceiling_and_what_stands_below_it_not(turn_deg: flo
     assert not np.any(found.label_of(bed, np.zeros(len(bed), np.uint8)))
     # How high the room is, is told from it: what stands at a knee wall's foot reaches it.
     low = attic(turn_deg, rise, (1.0, 2.0), (0.2, 0.4))
-    clear_m = Storey.of(votes, map_levels(votes, (), SETTINGS), 3).clear_m(low[:, :2], 2.0)
+    clear_m = Storey.of(votes, map_levels(votes, (), SETTINGS), SETTINGS).clear_m(low[:, :2], 2.0)
     np.testing.assert_allclose(clear_m, 1.3 + 0.3 * rise, atol=0.15 * rise + 0.05)
-    assert np.isnan(Storey.of(votes, (), 3).clear_m(low[:, :2], 2.0)).all()
+    assert np.isnan(Storey.of(votes, (), SETTINGS).clear_m(low[:, :2], 2.0)).all()
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from ffmap.algorithms.base.segments import Segment
 from ffmap.algorithms.building.face_columns import FaceColumnsSettings, Storey, TracedFaces
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.folds import FoldsSettings
+from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.missed_walls import (
     AllReturns,
     MissedWalls,
@@ -87,7 +88,7 @@ def search(
     column hangs before the plane, and the others behind it.
     """
 
-    storey = Storey.of(votes, (), 3)
+    storey = Storey.of(votes, (), LevelsSettings())
 
     def trace(candidates: Walls) -> TracedFaces:
         columns = [int(np.ceil(np.linalg.norm(e[1] - e[0]) / CELL_M)) for e in candidates.ends]
@@ -427,7 +428,7 @@ def test_a_round_wall_is_found_as_chords(known_from: float) -> None:
         arc = arc + generator.normal(0.0, 0.02, arc.shape)
         points = np.column_stack([arc, generator.uniform(0, height_m, len(arc))])
         votes = merge([room(wall=False), vote(points, np.full(len(points), Label.CLUTTER, np.uint8), len(Label), 0.05)])
-        storey = Storey.of(votes, (), 3)
+        storey = Storey.of(votes, (), LevelsSettings())
 
         def trace(candidates: Walls) -> TracedFaces:
             columns = [int(np.ceil(np.linalg.norm(e[1] - e[0]) / CELL_M)) for e in candidates.ends]

@@ -11,6 +11,7 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import main_direction_deg
 from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.face_columns import Storey
+from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.model import BuildingSettings, Doors
 from ffmap.algorithms.building.thickness import (
     WallThicknessSettings,
@@ -40,7 +41,8 @@ def plan_of(rooms: TwoRooms, floor_m: float = 0.0) -> FloorPlan:
     immobile = replace(immobile, votes=table.votes())
     grid = draw_furniture_free(immobile, drive, GridMapSettings(), THICKNESS, KNEE_M)
     stretches = standing_stretches(immobile, GridMapSettings(), KNEE_M)
-    return draw_floor_plan(stretches, immobile, grid, Storey.of(immobile.votes, (), 3), FloorPlanSettings(), THICKNESS)
+    storey = Storey.of(immobile.votes, (), LevelsSettings())
+    return draw_floor_plan(stretches, immobile, grid, storey, FloorPlanSettings(), THICKNESS)
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 25.0, 160.0])
@@ -225,5 +227,5 @@ def test_an_empty_building_has_an_empty_plan() -> None:
     immobile, drive = rooms.build()
     grid = draw_furniture_free(immobile, Drive(drive.path_map, list), GridMapSettings(), THICKNESS, KNEE_M)
     nothing = immobile.walls.select(np.zeros(0, int))
-    plan = draw_floor_plan(nothing, immobile, grid, Storey.of(immobile.votes, (), 3), FloorPlanSettings(), THICKNESS)
+    plan = draw_floor_plan(nothing, immobile, grid, Storey.of(immobile.votes, (), LevelsSettings()), FloorPlanSettings(), THICKNESS)
     assert (plan.walls, plan.assumed, plan.columns) == ((), (), ())
