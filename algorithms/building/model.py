@@ -93,6 +93,10 @@ class Rows:
         """The k-th alone."""
         return self.select(np.array([k]))
 
+    def is_same(self, other: Self) -> bool:
+        """Whether every row is the same."""
+        return all(np.array_equal(getattr(self, f.name), getattr(other, f.name), equal_nan=True) for f in fields(self))
+
     def append(self, more: Self) -> Self:
         """These and more."""
         rows = {f.name: np.concatenate([getattr(self, f.name), getattr(more, f.name)]) for f in fields(self)}

@@ -10,7 +10,7 @@ from ffmap.algorithms.base.scan import BoolArray
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.building.drive import AllScans, Drive, TraceOnce, new_views
 from ffmap.algorithms.building.fusion import Building, fuse_building
-from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
+from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings, Walls, Windows
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_shared
 from ffmap.algorithms.building.windows import rays_through
 from ffmap.algorithms.maps.all_maps import Maps, draw_maps
@@ -38,7 +38,7 @@ def build(run: Run, scans: LabelledScans, trajectory: Trajectory) -> tuple[Build
     run.progress.stage("building", None)
     telling = _Telling.of(run, scans, trajectory)
     drive = Drive(trajectory.T_map_base[:, :3, 3], telling.features)
-    trace = TraceOnce(lambda *asked: _trace(telling, run.options.workers, *asked))
+    trace = TraceOnce(_RayCounts(telling, run.options.workers))
     gathered = AllScans(drive, scans.votes, scans.rivals, trace, run.settings.levels)
     building = fuse_building(gathered, run.settings.fusion)
     if run.log is not None:
@@ -93,20 +93,29 @@ class _Telling:
                 yield features if chosen.all() else select_scans(features, chosen)
 
 
-def _trace(
-    telling: _Telling, workers: int, faces: Walls, settings: BuildingSettings, through: Windows | None
-) -> WallCells:
-    """`TracePart` by several threads."""
-    if through is None:
-        return trace_shared(faces, telling.features, settings, workers)
+class _RayCounts:
+    """`TracePart` by several threads. Which rays ended beyond windows is kept until others are asked about."""
 
-    def beyond_in(job: PlaceJob) -> list[Features]:
-        return [rays_through(through, part) for part in telling.features((job,))]
+    def __init__(self, telling: _Telling, workers: int) -> None:
+        self._telling, self._workers = telling, workers
+        self._asked, self._beyond = NO_WINDOWS, list[Features]()
 
-    with ThreadPoolExecutor(workers) as threads:
-        # Few rays end beyond windows.
-        beyond = [part for parts in threads.map(beyond_in, telling.jobs) for part in parts]
-    return trace_shared(faces, lambda: beyond, settings, workers)
+    def __call__(self, faces: Walls, settings: BuildingSettings, through: Windows | None) -> WallCells:
+        if through is None:
+            return trace_shared(faces, self._telling.features, settings, self._workers)
+        beyond = self._rays_beyond(through)
+        return trace_shared(faces, lambda: beyond, settings, self._workers)
+
+    def _rays_beyond(self, windows: Windows) -> list[Features]:
+        def beyond_in(job: PlaceJob) -> list[Features]:
+            return [rays_through(windows, part) for part in self._telling.features((job,))]
+
+        if not windows.is_same(self._asked):
+            with ThreadPoolExecutor(self._workers) as threads:
+                # Few rays end beyond windows.
+                beyond = [part for parts in threads.map(beyond_in, self._telling.jobs) for part in parts]
+            self._asked, self._beyond = windows, beyond
+        return self._beyond
 
 
 def _grids(maps: Maps) -> dict[str, GridMap]:
