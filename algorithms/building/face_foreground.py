@@ -11,15 +11,12 @@ from pydantic import Field
 from scipy import ndimage
 
 from ffmap.algorithms.base.known import row_medians
-from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
-from ffmap.algorithms.base.segments import along_lines_m, lines_of, segment, segments
+from ffmap.algorithms.base.segments import segment
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.face_columns import Storey, TracedFaces, above_doors_m, column_places
+from ffmap.algorithms.building.face_columns import TracedFaces, above_doors_m, column_places
 from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, Doors, Walls, cells_in
 from ffmap.algorithms.building.ray_evidence import FOOT_ROW, THROUGH, mean_before_m
-from ffmap.algorithms.building.votes import Halo
 from ffmap.algorithms.scan.doors import DoorState
 
 
@@ -58,8 +55,6 @@ class ForegroundSettings(StepSettings):
         0.2, ge=0, description="Relief that comes closer to the ceiling than this (m) is wall: a pillar, a corner."
     )
     end_m: float = Field(0.1, ge=0, description="Distance (m) from a face's end where other walls return.")
-    leaf_m: float = Field(1.0, ge=0, description="Maximum distance (m) of an open leaf from its doorway.")
-    leaf_off_m: float = Field(0.03, ge=0, description="Minimum distance (m) of an open leaf from its wall.")
 
 
 @dataclass(frozen=True)
@@ -218,36 +213,3 @@ def covered_places(walls: Walls, foreground: Foreground) -> FloatArray:
     column, row = np.nonzero(foreground.covered)
     z = foreground.ground_m[column] + (row + 0.5) * CELL_M
     return np.column_stack([column_places(walls, foreground.first, 0.0)[column], z])
-
-
-def halo_at_walls(
-    halo: Halo,
-    walls: Walls,
-    doors: Doors,
-    foreground: Foreground,
-    storey: Storey,
-    near_m: float,
-    settings: ForegroundSettings,
-) -> Halo:
-    """The halo without that of "walls" which the building does not have: ducts, leaves, cupboards that scans took for walls.
-
-    They lie farther than `near_m` from every face, or stand before one, or before or behind a doorway, as its leaf does.
-    """
-    of_wall = np.flatnonzero(halo.label == Label.WALL)
-    centre = halo.centres[of_wall]
-    height_m = centre[:, 2] - storey.ground_m(centre[:, :2])
-    cube, face = pairs_near(walls, centre, near_m)
-    along_m = along_lines_m(lines_of(walls)[face], centre[cube, :2])
-    columns = np.diff(foreground.first)[face]
-    column = foreground.first[face] + np.clip((along_m / CELL_M).astype(np.int64), 0, columns - 1)
-    row = np.clip((height_m[cube] / CELL_M).astype(np.int64), 0, foreground.covered.shape[1] - 1)
-    at_face = np.zeros(len(centre), bool)
-    at_face[cube[~foreground.covered[column, row]]] = True
-    for doorway, reveal_m, head_m in zip(segments(doors), doors.reveal_m, doors.head_m, strict=True):
-        before_m = doorway.before_m(centre)
-        within_wall = (before_m > -reveal_m - settings.leaf_off_m) & (before_m < settings.leaf_off_m)
-        between_jambs = doorway.beside(centre) & (height_m < head_m)
-        at_face &= ~(between_jambs & (np.abs(before_m) < settings.leaf_m) & ~within_wall)
-    kept = np.ones(len(halo.keys), bool)
-    kept[of_wall] = at_face
-    return Halo(halo.keys[kept], halo.label[kept], halo.voxel_m)

@@ -25,10 +25,10 @@ from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import CEILING_MARGIN_M
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import JudgedFaces
+from ffmap.algorithms.building.halo import Halo
 from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.label_reasons import SURFACE_REASONS, Reason
 from ffmap.algorithms.building.model import CELL_M, NO_MULLIONS, NO_WINDOWS, Blinds, Doors, Mullions, Walls, Windows
-from ffmap.algorithms.building.votes import Halo
 from ffmap.algorithms.scan.doors import DoorState
 
 
@@ -107,28 +107,20 @@ class RelabellingSettings(StepSettings):
         ge=0,
         description="Maximum error (m) of a return along its ray, which lifts it off a floor that is seen steeply.",
     )
-    halo_ratio: float = Field(
-        10.0,
-        ge=1,
-        description="Clutter with fewer than one in this many votes of the surface beside it is its scatter.",
-    )
-    halo_wall_m: float = Field(
-        0.12, gt=0, description="Maximum distance (m) from a face of clutter that may be the wall's scatter."
-    )
 
 
 @dataclass(frozen=True)
 class BuildingModel:
     """What the building tells each scan's returns, in the map frame.
 
-    walls: the faces that stand. before: how high the ceiling hangs before each, and where something stands flat against it.
+    walls: the faces that stand. foreground: how high the ceiling hangs before each, and where something stands flat against it.
     judged: with the faces that were refused, whose returns are clutter, or outside. Its own `walls` are not asked.
     levels: what lies at known heights, applied one after the other. leaf_panes: the panes of open doors' leaves, which stand in the
     rooms: what lies behind them is seen through glass, but what is around them is no wall.
     """
 
     walls: Walls
-    before: Foreground
+    foreground: Foreground
     judged: JudgedFaces
     doors: Doors
     windows: Windows
@@ -183,7 +175,7 @@ class Relabelling:
     faces, refused, doorways, panes, blinds, mullions: a row for each, see `TOP`, `HEAD`, `BEYOND` and `LOW`; with an index of
         `index_near` each, the faces with one of those that rays meet along an edge, and with one of those that a return may be at;
         that of panes is of the walls' windows alone.
-    before: what is before the faces, by their columns.
+    foreground: what is before the faces, by their columns.
     levels: what lies at known heights, asked last; halo: the cubes in which clutter is a surface's scatter, before these.
     """
 
@@ -193,7 +185,7 @@ class Relabelling:
     panes: tuple[FloatArray, IntArray]
     blinds: tuple[FloatArray, IntArray]
     mullions: tuple[FloatArray, IntArray]
-    before: Foreground
+    foreground: Foreground
     rules: "_Rules"
     levels: tuple[HeightMap, ...]
     halo: Halo
@@ -236,7 +228,7 @@ class Relabelling:
                 _table(mullions, mullions.out_m, mullions.bottom_m, mullions.top_m),
                 index_near(mullions, float(mullions.out_m.max(initial=0.0)) + settings.wall_distance_m),
             ),
-            building.before,
+            building.foreground,
             _Rules(**settings.model_dump()),
             building.levels,
             halo,
@@ -273,8 +265,8 @@ class Relabelling:
             origin,
             lines,
             along_edges,
-            self.before.first,
-            self.before.clear_m,
+            self.foreground.first,
+            self.foreground.clear_m,
             own_m,
             *self.doorways,
             self.rules,
@@ -285,8 +277,8 @@ class Relabelling:
         _mark_window_reveals(points_map, asked, at_door, *self.panes, self.rules)
         at_door[on_blind] |= ON_BLIND
         at_door[on_mullion] |= ON_REVEAL
-        before = self.before.first, self.before.clear_m, self.before.covered
-        nearest = _nearest_faces(points_map, height_m, asked, origin, lines, at_faces, *before, self.rules)
+        foreground = self.foreground.first, self.foreground.clear_m, self.foreground.covered
+        nearest = _nearest_faces(points_map, height_m, asked, origin, lines, at_faces, *foreground, self.rules)
         refused = _labels_of_refused(points_map, height_m, asked, *self.refused, self.rules)
         decided = np.asarray(_decided(label, asked, at_door, *nearest, refused, self.rules, reason))
         scattered = np.where(on_blind, decided, self.halo.label_of(points_map, decided))

@@ -19,7 +19,7 @@ from ffmap.algorithms.building.doors import each_once, find_doors, lower_heads_t
 from ffmap.algorithms.building.drive import AllScans
 from ffmap.algorithms.building.face_alignment import AlignedFaces, FaceAlignmentSettings, align_faces
 from ffmap.algorithms.building.face_columns import FLOOR_NEAR_M, FaceColumnsSettings, TracedFaces, column_places
-from ffmap.algorithms.building.face_foreground import Foreground, ForegroundSettings, find_foreground, halo_at_walls
+from ffmap.algorithms.building.face_foreground import ForegroundSettings, find_foreground
 from ffmap.algorithms.building.face_fusion import fuse_walls
 from ffmap.algorithms.building.face_steps import FaceStepsSettings
 from ffmap.algorithms.building.face_verdicts import (
@@ -46,17 +46,16 @@ from ffmap.algorithms.building.glass_fronts import (
     set_in_walls,
 )
 from ffmap.algorithms.building.glazed_doors import find_glazed_doors, panes_of_open_leaves
-from ffmap.algorithms.building.height_map import HeightMap
+from ffmap.algorithms.building.halo import Halo, HaloSettings, find_halo, halo_at_walls
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.missed_walls import AllReturns, MissedWallsSettings, SearchSettings, find_missed_walls
-from ffmap.algorithms.building.model import NO_WINDOWS, Blinds, BuildingSettings, Doors, Mullions, Walls, Windows
+from ffmap.algorithms.building.model import NO_WINDOWS, Blinds, BuildingSettings, Doors, Walls, Windows
 from ffmap.algorithms.building.mullions import find_mullions
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.shades import pictures
 from ffmap.algorithms.building.sliding_doors import HangingLeaf, find_hanging_leaves, find_sliding_doors, sliding_panes
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
-from ffmap.algorithms.building.votes import Halo, find_halo
 from ffmap.algorithms.building.windows import (
     WindowsSettings,
     find_windows,
@@ -81,7 +80,7 @@ class FusionSettings:
     standing_walls: StandingWallsSettings
     folds: FoldsSettings
     missed_walls: MissedWallsSettings
-    before_walls: ForegroundSettings
+    foreground: ForegroundSettings
     openings: OpeningsSettings
     windows: WindowsSettings
     blinds: BlindsSettings
@@ -91,6 +90,7 @@ class FusionSettings:
     door_outlines: DoorOutlinesSettings
     door_frames: DoorFramesSettings
     wall_thickness: WallThicknessSettings
+    halo: HaloSettings
     relabelling: RelabellingSettings
 
     @property
@@ -109,38 +109,14 @@ class FusionSettings:
 class Building:
     """All that is made of all scans together.
 
-    aligned: the faces before any was judged, and those found of all scans' returns together. thickness_m: (W,) of the walls.
-    levels: its ceilings, floors and ducts, and the floors that panes mirror, where scans took them for something else.
-    leaf_panes, mullions: see `BuildingModel`.
+    model: what scans are labelled by. halo: likewise; it grows with the building. aligned: the faces before any was judged, and
+    those found of all scans' returns together. thickness_m: (W,) of the walls.
     """
 
-    aligned: AlignedFaces
-    walls: Walls
-    before: Foreground
-    judged: JudgedFaces
-    doors: Doors
-    windows: Windows
-    leaf_panes: Windows
-    mullions: Mullions
-    blinds: Blinds
+    model: BuildingModel
     halo: Halo
-    levels: tuple[HeightMap, ...]
+    aligned: AlignedFaces
     thickness_m: FloatArray
-
-    @property
-    def model(self) -> BuildingModel:
-        """What scans are labelled by."""
-        return BuildingModel(
-            self.walls,
-            self.before,
-            self.judged,
-            self.doors,
-            self.windows,
-            self.blinds,
-            self.levels,
-            self.leaf_panes,
-            self.mullions,
-        )
 
 
 def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
@@ -149,15 +125,15 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     aligned, judged, walls = _add_missed_walls(aligned, judged, windows.append(fronts), scans, settings)
     trimmed, doors, glass, blinds = _find_openings(walls, fronts, scans, settings)
     walls, judged = trimmed.faces.walls, judged.refuse(trimmed.leaves, FaceVerdict.ENDS_LOW)
-    before = find_foreground(trimmed.faces, doors, settings.standing_walls.above_door_m, settings.before_walls)
+    foreground = find_foreground(trimmed.faces, doors, settings.standing_walls.above_door_m, settings.foreground)
     thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
-    halo = find_halo(scans.votes, settings.relabelling.halo_ratio)
-    near_m = settings.relabelling.halo_wall_m
-    halo = halo_at_walls(halo, walls, doors, before, scans.storey, near_m, settings.before_walls)
+    halo = find_halo(scans.votes, settings.halo)
+    halo = halo_at_walls(halo, walls, doors, foreground, scans.storey, settings.halo)
     is_leaf = panes_of_open_leaves(glass, doors)
     windows, leaf_panes = glass.select(~is_leaf), glass.select(is_leaf)
     mullions = find_mullions(windows, partial(_count_all, scans), settings.opening_rules)
-    return Building(aligned, walls, before, judged, doors, windows, leaf_panes, mullions, blinds, halo, scans.levels, thickness_m)
+    model = BuildingModel(walls, foreground, judged, doors, windows, blinds, scans.levels, leaf_panes, mullions)
+    return Building(model, halo, aligned, thickness_m)
 
 
 # --- faces ---

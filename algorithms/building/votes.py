@@ -43,7 +43,7 @@ class VoxelVotes:
     @property
     def cube_index(self) -> IntArray:
         """(m, 3) int64: cube i spans i·voxel_m to (i + 1)·voxel_m on each axis."""
-        return _unpack(self.keys)
+        return unpack_cubes(self.keys)
 
     @cached_property
     def label(self) -> UInt8Array:
@@ -74,35 +74,6 @@ class FusedCloud:
         return len(self.label)
 
 
-@dataclass(frozen=True)
-class Halo:
-    """Cubes where what a scan calls clutter is the scatter of a floor, a ceiling or a wall: `find_halo`.
-
-    keys: (m,) int64, increasing; label: (m,) uint8, of the surface; voxel_m: the cubes' edge.
-    """
-
-    keys: IntArray
-    label: UInt8Array
-    voxel_m: float
-
-    @property
-    def centres(self) -> FloatArray:
-        """(m, 3) metres, of the cubes."""
-        return np.asarray((_unpack(self.keys) + 0.5) * self.voxel_m)
-
-    def label_of(self, points_map: FloatArray, label: UInt8Array) -> UInt8Array:
-        """The labels (n,) of points (n, 3), clutter in a halo given its surface's."""
-        clutter = np.flatnonzero(label == Label.CLUTTER)
-        if not len(self.keys) or not len(clutter):
-            return label
-        key, _ = _cubes(np.ascontiguousarray(points_map[clutter]), 1.0 / self.voxel_m)
-        place = np.minimum(np.searchsorted(self.keys, key), len(self.keys) - 1)
-        within = self.keys[place] == key
-        corrected = label.copy()
-        corrected[clutter[within]] = self.label[place[within]]
-        return corrected
-
-
 class VoxelTable:
     """Takes votes scan by scan, or whole `VoxelVotes` of other processes; `votes()` gives the sum.
 
@@ -123,7 +94,7 @@ class VoxelTable:
 
     def add(self, points_map: FloatArray, *codes: UInt8Array) -> None:
         """Points (n, 3) in metres, each with one vote for each of its codes (n,)."""
-        key, within = _cubes(np.ascontiguousarray(points_map), 1.0 / self.voxel_m)
+        key, within = cubes_of(np.ascontiguousarray(points_map), 1.0 / self.voxel_m)
         row = self._rows(key)
         _count(row, within, self._position_sum, self._point_count)
         for code in codes:
@@ -183,29 +154,6 @@ def fuse(votes: VoxelVotes) -> FusedCloud:
     return FusedCloud(votes.mean_position[kept].astype(np.float32), label[kept])
 
 
-def find_halo(votes: VoxelVotes, ratio: float) -> Halo:
-    """Where clutter beside a surface has too few returns to be an object, and is that surface's scatter.
-
-    A cube is in a surface's halo where it, or a cube that shares a face with it, has at least `ratio` votes for floor, ceiling or
-    wall for each that it has for clutter itself.
-    """
-    surfaces = votes.counts[:, [Label.FLOOR, Label.CEILING, Label.WALL]].astype(np.int64)
-    strength = surfaces.max(axis=1, initial=0)
-    dense = strength >= ratio
-    codes = np.array([Label.FLOOR, Label.CEILING, Label.WALL], np.uint8)[surfaces.argmax(axis=1)]
-    steps = np.array([0, *(sign << axis * AXIS_BITS for axis in range(3) for sign in (1, -1))])
-    key = (votes.keys[dense, None] + steps).ravel()
-    reach, label = np.repeat(strength[dense], len(steps)), np.repeat(codes[dense], len(steps))
-    order = np.lexsort((-reach, key))
-    key, reach, label = key[order], reach[order], label[order]
-    strongest = np.append(True, key[1:] != key[:-1])[: len(key)]
-    key, reach, label = key[strongest], reach[strongest], label[strongest]
-    place = np.minimum(np.searchsorted(votes.keys, key), len(votes) - 1)
-    clutter = np.where(votes.keys[place] == key, votes.counts[place, Label.CLUTTER], 0) if len(key) else key
-    thin = reach >= ratio * np.maximum(clutter, 1)
-    return Halo(key[thin], label[thin], votes.voxel_m)
-
-
 def columns_of(keys: IntArray) -> IntArray:
     """The keys (m,) of the upright columns that cubes stand in; they increase with the cubes' keys."""
     return keys >> AXIS_BITS
@@ -217,14 +165,14 @@ def pack_column(cells: IntArray) -> IntArray:
     return packed
 
 
-def _unpack(keys: IntArray) -> IntArray:
+def unpack_cubes(keys: IntArray) -> IntArray:
     """The indexes (m, 3) of cubes with keys (m,)."""
     mask = (1 << AXIS_BITS) - 1
     return np.asarray(np.stack([keys >> 2 * AXIS_BITS, (keys >> AXIS_BITS) & mask, keys & mask], axis=1) - AXIS_OFFSET)
 
 
 @numba.njit(cache=True, nogil=True)
-def _cubes(points: FloatArray, per_metre: float) -> tuple[IntArray, IntArray]:  # pragma: no cover
+def cubes_of(points: FloatArray, per_metre: float) -> tuple[IntArray, IntArray]:  # pragma: no cover
     """The key of each point's cube, and its place within, in whole parts of the edge."""
     key: IntArray = np.empty(len(points), np.int64)
     within: IntArray = np.empty((len(points), 3), np.uint16)

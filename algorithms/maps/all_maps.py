@@ -59,10 +59,10 @@ class Maps:
 
 def draw_maps(building: Building, scans: AllScans, settings: MapsSettings, workers: int) -> Maps:
     """workers: number of threads that draw."""
-    doors, windows, knee_m = building.doors, building.windows, settings.building.knee_m
+    doors, windows, knee_m = building.model.doors, building.model.windows, settings.building.knee_m
     # The grid shows what lies farther away than what doors and windows are told by.
-    cells = scans.trace(building.walls, settings.building.for_faces(), NO_WINDOWS)
-    immobile = Immobile(building.walls, cells, scans.votes, doors, windows)
+    cells = scans.trace(building.model.walls, settings.building.for_faces(), NO_WINDOWS)
+    immobile = Immobile(building.model.walls, cells, scans.votes, doors, windows)
     drafts = [draft_furniture_free(immobile, scans.drive, settings.grid_map, settings.wall_thickness, knee_m)]
     for rival in Rival:
         drafts.append(draft_rival(rival, scans.rivals, windows, scans.drive, settings.grid_map, settings.rival_maps))

@@ -57,7 +57,7 @@ def log_building(log: Log, building: BuildingModel) -> None:
 
 
 def _log_walls(log: Log, building: BuildingModel) -> None:
-    walls, before = building.walls, building.before
+    walls, foreground = building.walls, building.foreground
     panels = wall_panels(walls, building.doors, building.windows, building.blinds)
     if len(walls):
         log.static(
@@ -65,11 +65,11 @@ def _log_walls(log: Log, building: BuildingModel) -> None:
             panel_mesh(panels.ends, panels.bottom_m, panels.top_m, entities.CLASSES[Label.WALL][1]),
             evidence(walls, "scan_count", "rms_m", wall_of_panel=panels.wall),
         )
-    if before.covered.any():
+    if foreground.covered.any():
         log.static(
             entities.AGAINST_WALLS,
             rr.Points3D(
-                covered_places(walls, before).astype(np.float32),
+                covered_places(walls, foreground).astype(np.float32),
                 radii=CELL_M / 2,
                 colors=entities.CLASSES[Label.CLUTTER][1],
                 labels="stands against the wall",

@@ -44,7 +44,7 @@ wide, and lies farther back, or returns more or less, is a blind or a shutter: c
 
 def explain_building(building: BuildingModel) -> str:
     """Markdown: what the building's doors, refused faces, windows and what stands against walls were judged by."""
-    before, judged, doors, windows = building.before, building.judged, building.doors, building.windows
+    foreground, judged, doors, windows = building.foreground, building.judged, building.doors, building.windows
     headings = "door", "width", "confidence", "what held", "scans", "at x, y (m)"
     rows = [_door(doors, d) for d in range(len(doors))] or [("none", "", "", "", "", "")]
     parts = [_DOORS + table(headings, rows)]
@@ -57,8 +57,8 @@ def explain_building(building: BuildingModel) -> str:
         parts.append(
             "\n## Faces that are no walls\n\n" + table(("at x, y (m)", "length", "why", "seen on scans"), refusals)
         )
-    if before.covered.any():
-        parts.append(_AGAINST.format(area_m2=np.count_nonzero(before.covered) * CELL_M**2))
+    if foreground.covered.any():
+        parts.append(_AGAINST.format(area_m2=np.count_nonzero(foreground.covered) * CELL_M**2))
     for heading, glass in (("Windows", windows), ("Panes of open leaves", building.leaf_panes)):
         if len(glass):
             panes = [_window(glass, w) for w in range(len(glass))]

@@ -14,7 +14,7 @@ import numpy as np
 from ffmap.algorithms.base.labels import NO_RETURN
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array
 from ffmap.algorithms.base.trajectory import PlacedScan
-from ffmap.algorithms.building.votes import Halo
+from ffmap.algorithms.building.halo import Halo
 from ffmap.algorithms.maps.rivals import RivalReturns
 from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.summary import NO_ECHO, NO_INTENSITY, Features

@@ -45,9 +45,9 @@ def build(run: Run, scans: LabelledScans, trajectory: Trajectory) -> tuple[Build
         log_fused_walls(run.log, building.aligned)
         log_building(run.log, building.model)
     run.state.counts |= {
-        "walls": len(building.walls),
-        "refused_walls": len(building.judged.refused),
-        "doors": len(building.doors),
+        "walls": len(building.model.walls),
+        "refused_walls": len(building.model.judged.refused),
+        "doors": len(building.model.doors),
     }
     return building, gathered
 
@@ -138,8 +138,8 @@ def _record(run: Run, maps: Maps) -> None:
 def _write(run: Run, building: Building, maps: Maps) -> None:
     folder, outputs = run.folder.path, run.options.outputs
     if Output.GEOJSON in outputs:
-        write_walls(folder / WALLS, building.walls, building.thickness_m)
-        write_doors(folder / DOORS, building.doors, door_rooms(maps.rooms))
+        write_walls(folder / WALLS, building.model.walls, building.thickness_m)
+        write_doors(folder / DOORS, building.model.doors, door_rooms(maps.rooms))
         for name, graph in ({Segmented.FURNITURE_FREE: maps.rooms} | dict(maps.compared_rooms)).items():
             write_rooms(folder / rooms_file(name), graph)
     if Output.PLAN in outputs:

@@ -12,9 +12,10 @@ from ffmap.algorithms.building.ceilings import map_ceilings
 from ffmap.algorithms.building.face_foreground import NO_FOREGROUND
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES
 from ffmap.algorithms.building.final_labels import BuildingModel, Relabelling, RelabellingSettings
+from ffmap.algorithms.building.halo import HaloSettings, find_halo
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.model import NO_BLINDS, NO_DOORS, NO_WALLS, NO_WINDOWS
-from ffmap.algorithms.building.votes import VoxelTable, find_halo
+from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.poses.levelling import place_and_level
 from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.labelling import label_scan
@@ -48,7 +49,7 @@ def warm_up() -> None:
     building = BuildingModel(
         NO_WALLS, NO_FOREGROUND, NO_JUDGED_FACES, NO_DOORS, NO_WINDOWS, NO_BLINDS, (map_ceilings(votes, LevelsSettings()),)
     )
-    Relabelling.of(building, find_halo(votes, 6.0), RelabellingSettings()).labels(
+    Relabelling.of(building, find_halo(votes, HaloSettings()), RelabellingSettings()).labels(
         points_map,
         level.floor.heights_above(placed.points_level),
         below_ceiling(placed.points_level, labelling.ceiling_planes),

@@ -30,6 +30,7 @@ from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.folds import FoldsSettings
 from ffmap.algorithms.building.fusion import FusionSettings
 from ffmap.algorithms.building.glass_fronts import GlassFrontsSettings
+from ffmap.algorithms.building.halo import HaloSettings
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.missed_walls import MissedWallsSettings
 from ffmap.algorithms.building.model import BuildingSettings
@@ -80,7 +81,7 @@ class Settings(StepSettings):
     standing_walls: StandingWallsSettings = StandingWallsSettings()
     folds: FoldsSettings = FoldsSettings()
     missed_walls: MissedWallsSettings = MissedWallsSettings()
-    before_walls: ForegroundSettings = ForegroundSettings()
+    foreground: ForegroundSettings = ForegroundSettings()
     openings: OpeningsSettings = OpeningsSettings()
     windows: WindowsSettings = WindowsSettings()
     blinds: BlindsSettings = BlindsSettings()
@@ -95,6 +96,7 @@ class Settings(StepSettings):
     room_outlines: RoomOutlinesSettings = RoomOutlinesSettings()
     rival_maps: RivalMapsSettings = RivalMapsSettings()
     floor_plan: FloorPlanSettings = FloorPlanSettings()
+    halo: HaloSettings = HaloSettings()
     relabelling: RelabellingSettings = RelabellingSettings()
 
     @property

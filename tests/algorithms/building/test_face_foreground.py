@@ -6,20 +6,16 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.building.face_columns import Storey, TracedFaces
 from ffmap.algorithms.building.face_foreground import (
     Foreground,
     ForegroundSettings,
     covered_places,
     find_foreground,
-    halo_at_walls,
 )
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, Doors, Walls
 from ffmap.algorithms.building.ray_evidence import WallCells
-from ffmap.algorithms.building.votes import find_halo
 from ffmap.algorithms.scan.doors import DoorState
-from tests.voting import vote
 
 CEILING_M = 2.8
 LENGTH_M = 6.0
@@ -196,71 +192,10 @@ def test_the_reveal_of_a_high_window_is_not_the_wall_that_relief_is_measured_fro
     assert not foreground(counts).covered.any()
 
 
-def test_only_the_buildings_own_walls_have_a_halo() -> None:
-    """Two cubes that scans took for wall, with a stray return beside each: on the face, and a metre before it."""
-    on, off = np.array([3.02, 0.02, 1.02]), np.array([3.02, 1.02, 1.02])
-    beside = np.array([0.0, 0.05, 0.0])
-    points = np.concatenate([np.repeat([on, off], 20, axis=0), [on + beside, off + beside]])
-    label = np.array([Label.WALL] * 40 + [Label.CLUTTER] * 2, np.uint8)
-    halo = find_halo(vote(points, label, len(Label), 0.05), 6.0)
-    stray = np.array([on + beside, off + beside])
-    clutter = np.full(2, Label.CLUTTER, np.uint8)
-    np.testing.assert_array_equal(halo.label_of(stray, clutter), [Label.WALL, Label.WALL])
-    before = foreground(np.zeros((120, 60, 4), np.float32))
-    np.testing.assert_array_equal(
-        halo_at_walls(halo, FACE, NO_DOORS, before, GROUND, 0.12, SETTINGS).label_of(stray, clutter),
-        [Label.WALL, Label.CLUTTER],
-    )
-    before.covered[:] = True
-    np.testing.assert_array_equal(
-        halo_at_walls(halo, FACE, NO_DOORS, before, GROUND, 0.12, SETTINGS).label_of(stray, clutter),
-        [Label.CLUTTER, Label.CLUTTER],
-    )
-
-
-def test_the_leaf_of_an_open_door_is_no_halo_of_its_wall() -> None:
-    """What scans took for wall next to the wall, straight before a doorway and beside it."""
-    leaf, wall = np.array([3.02, 0.08, 1.02]), np.array([4.02, 0.08, 1.02])
-    points = np.repeat([leaf, wall], 20, axis=0)
-    halo = find_halo(vote(points, np.full(40, Label.WALL, np.uint8), len(Label), 0.05), 6.0)
-    before = foreground(np.zeros((120, 60, 4), np.float32))
-    doors = replace(
-        NO_DOORS,
-        ends=np.array([[[2.9, 0.0], [3.8, 0.0]]]),
-        normal=np.array([[0.0, 1.0]]),
-        head_m=np.array([2.1]),
-        reveal_m=np.array([0.2]),
-    )
-    clutter = np.full(2, Label.CLUTTER, np.uint8)
-    stray = np.array([leaf, wall])
-    found = halo_at_walls(halo, FACE, doors, before, GROUND, 0.12, SETTINGS).label_of(stray, clutter)
-    np.testing.assert_array_equal(found, [Label.CLUTTER, Label.WALL])
-    # Above its head a wall goes on.
-    low = replace(doors, head_m=np.array([0.9]))
-    np.testing.assert_array_equal(
-        halo_at_walls(halo, FACE, low, before, GROUND, 0.12, SETTINGS).label_of(stray, clutter), [Label.WALL] * 2
-    )
-
-
-def test_on_a_raised_floor_heights_are_measured_from_it() -> None:
-    """A leaf covers its wall up to 1 m above a floor that a ramp has raised by 0.6 m; a doorway's head is 0.9 m above it."""
-    low, high = np.array([3.02, 0.02, 1.42]), np.array([3.02, 0.02, 1.82])
-    leaf, lintel = np.array([5.02, 0.08, 1.42]), np.array([5.02, 0.08, 1.82])
-    places = np.array([low, high, leaf, lintel])
-    halo = find_halo(vote(np.repeat(places, 20, axis=0), np.full(80, Label.WALL, np.uint8), len(Label), 0.05), 6.0)
-    raised = Storey(np.column_stack([np.linspace(0, LENGTH_M, 50), np.zeros(50), np.full(50, 0.6)]), np.zeros((0, 3)))
+def test_covered_places_lie_on_their_face_above_its_floor() -> None:
     before = replace(foreground(np.zeros((120, 60, 4), np.float32)), ground_m=np.full(120, 0.6))
     before.covered[:80, : round(1.0 / CELL_M)] = True
-    door = replace(
-        NO_DOORS,
-        ends=np.array([[[4.5, 0.0], [5.4, 0.0]]]),
-        normal=np.array([[0.0, 1.0]]),
-        head_m=np.array([0.9]),
-        reveal_m=np.array([0.2]),
-    )
-    found = halo_at_walls(halo, FACE, door, before, raised, 0.12, SETTINGS)
-    clutter = np.full(4, Label.CLUTTER, np.uint8)
-    np.testing.assert_array_equal(
-        found.label_of(places, clutter), [Label.CLUTTER, Label.WALL, Label.CLUTTER, Label.WALL]
-    )
-    assert covered_places(FACE, before)[:, 2].max() == pytest.approx(0.6 + 1.0 - 0.5 * CELL_M)
+    places = covered_places(FACE, before)
+    assert len(places) == 80 * 20
+    assert np.all(places[:, 1] == 0.0)
+    assert places[:, 2].max() == pytest.approx(0.6 + 1.0 - 0.5 * CELL_M)

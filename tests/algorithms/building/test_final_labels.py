@@ -12,6 +12,7 @@ from ffmap.algorithms.building import final_labels
 from ffmap.algorithms.building.face_foreground import NO_FOREGROUND, Foreground
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
 from ffmap.algorithms.building.final_labels import BuildingModel, Relabelled, Relabelling, RelabellingSettings
+from ffmap.algorithms.building.halo import HaloSettings, find_halo
 from ffmap.algorithms.building.height_map import HeightMap, Surface
 from ffmap.algorithms.building.label_reasons import REASONS, SURFACE_REASONS, Reason
 from ffmap.algorithms.building.model import (
@@ -27,13 +28,12 @@ from ffmap.algorithms.building.model import (
     Walls,
     Windows,
 )
-from ffmap.algorithms.building.votes import find_halo
 from ffmap.algorithms.scan.doors import DoorState
 from tests.voting import vote
 
 SETTINGS = RelabellingSettings()
 SENSOR = np.array([2.0, -2.0, 1.0])
-NO_HALO = find_halo(vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05), SETTINGS.halo_ratio)
+NO_HALO = find_halo(vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), 0.05), HaloSettings())
 
 
 def face(x0: float = 0.0, x1: float = 4.0, y: float = 0.0, top_m: float = 2.8) -> Walls:

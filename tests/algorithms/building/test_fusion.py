@@ -25,6 +25,7 @@ from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.folds import FoldsSettings
 from ffmap.algorithms.building.fusion import Building, FusionSettings, fuse_building
 from ffmap.algorithms.building.glass_fronts import GlassFrontsSettings
+from ffmap.algorithms.building.halo import HaloSettings
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.missed_walls import MissedWalls, MissedWallsSettings, find_missed_walls
 from ffmap.algorithms.building.model import BuildingSettings, Mullions, Walls, Windows
@@ -61,6 +62,7 @@ SETTINGS = FusionSettings(
     DoorOutlinesSettings(),
     DoorFramesSettings(),
     WallThicknessSettings(),
+    HaloSettings(),
     RelabellingSettings(),
 )
 
@@ -126,19 +128,19 @@ def test_two_rooms_have_their_walls_and_their_door(closed: bool) -> None:
     building = built(rooms)
     # A face goes on across the end of the wall between the rooms.
     length_m = lengths_m(rooms.walls.ends).sum() + 2 * rooms.thickness_m
-    assert lengths_m(building.walls.ends).sum() == pytest.approx(length_m, abs=0.4)
-    assert len(building.judged.refused) == len(building.windows) == 0
-    assert building.doors.state.tolist() == [DoorState.CLOSED if closed else DoorState.OPEN]
-    np.testing.assert_allclose(np.sort(building.doors.ends[0, :, 0]), JAMBS_X, atol=0.05)
-    assert len(building.thickness_m) == len(building.walls)
+    assert lengths_m(building.model.walls.ends).sum() == pytest.approx(length_m, abs=0.4)
+    assert len(building.model.judged.refused) == len(building.model.windows) == 0
+    assert building.model.doors.state.tolist() == [DoorState.CLOSED if closed else DoorState.OPEN]
+    np.testing.assert_allclose(np.sort(building.model.doors.ends[0, :, 0]), JAMBS_X, atol=0.05)
+    assert len(building.thickness_m) == len(building.model.walls)
 
 
 def test_what_rays_pass_above_is_no_wall() -> None:
     ends = [[3.0, 0.8], [3.0, 2.2]]
     building = built(TwoRooms(more=((np.array(ends), (0.0, 1.2)),)), face(ends, [-1.0, 0.0]))
-    assert building.judged.verdict.tolist() == [FaceVerdict.ENDS_LOW]
-    np.testing.assert_allclose(building.judged.refused.ends[0, :, 0], 3.0, atol=0.01)
-    assert not np.any(np.abs(building.walls.ends[..., 0] - 3.0) < 0.5)
+    assert building.model.judged.verdict.tolist() == [FaceVerdict.ENDS_LOW]
+    np.testing.assert_allclose(building.model.judged.refused.ends[0, :, 0], 3.0, atol=0.01)
+    assert not np.any(np.abs(building.model.walls.ends[..., 0] - 3.0) < 0.5)
 
 
 def test_what_few_scans_saw_as_a_plane_is_asked_again_of_all_returns_unless_it_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -157,7 +159,7 @@ def test_what_few_scans_saw_as_a_plane_is_asked_again_of_all_returns_unless_it_h
     monkeypatch.setattr(fusion, "judge_faces", judge)
     monkeypatch.setattr(fusion, "find_missed_walls", find)
     building = built(TwoRooms())
-    assert len(building.judged.refused) == 3
+    assert len(building.model.judged.refused) == 3
     np.testing.assert_array_equal(asked[0].ends, hangs.append(low).ends)
 
 
@@ -165,8 +167,8 @@ def test_what_was_seen_through_a_window_is_neither_wall_nor_refused() -> None:
     rooms = TwoRooms(glass=(0.9, 2.1))
     house_opposite = face([[0.0, -rooms.outside_m], [3.0, -rooms.outside_m]], [0.0, 1.0])
     building = built(rooms, house_opposite)
-    assert len(building.windows) == 1
-    for faces in (building.walls, building.judged.refused):
+    assert len(building.model.windows) == 1
+    for faces in (building.model.walls, building.model.judged.refused):
         assert np.all(faces.ends[..., 1] > -0.2)
 
 
@@ -191,5 +193,4 @@ def test_a_pane_at_an_open_doorway_is_its_leafs_and_no_window(closed: bool, monk
     pane = replace(window((x, y - 0.8), (x, y - 0.2)), normal=np.array([[1.0, 0.0]]))
     monkeypatch.setattr(fusion, "find_glass_fronts", lambda *_: pane)
     building = built(TwoRooms(closed=closed))
-    assert (len(building.windows), len(building.leaf_panes)) == ((1, 0) if closed else (0, 1))
-    assert building.model.leaf_panes is building.leaf_panes
+    assert (len(building.model.windows), len(building.model.leaf_panes)) == ((1, 0) if closed else (0, 1))

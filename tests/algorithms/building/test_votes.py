@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, find_halo, fuse, majority
+from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, fuse, majority
 from tests.voting import merge, vote
 
 EDGE_M = 0.05
@@ -91,29 +91,3 @@ def test_nothing_gives_nothing():
 def test_votes_of_other_cubes_are_refused():
     with pytest.raises(ValueError, match="other cubes"):
         VoxelTable(EDGE_M, 6).absorb(vote(np.zeros((1, 3)), np.zeros(1, np.uint8), 6, 0.1))
-
-
-def test_the_scatter_of_a_ceiling_is_ceiling_and_a_lamp_below_it_is_not() -> None:
-    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0.01, 2, 0.01), np.arange(0.01, 2, 0.01)))
-    ceiling = np.column_stack([x, y, np.full(len(x), 2.71)])
-    scatter = np.array([[0.5, 0.5, 2.66], [1.5, 1.2, 2.77]])
-    lamp = np.column_stack([x, y, np.full(len(x), 2.66)])[(x > 0.8) & (x < 1.2) & (y > 0.8) & (y < 1.2)]
-    stray = np.array([[0.5, 0.5, 2.4]])  # two cubes away from any surface
-    points = np.concatenate([ceiling, scatter, lamp, stray]).astype(np.float32)
-    label = np.repeat(
-        [Label.CEILING, Label.CLUTTER, Label.CLUTTER, Label.CLUTTER], [len(ceiling), 2, len(lamp), 1]
-    ).astype(np.uint8)
-    halo = find_halo(vote(points, label, len(Label), EDGE_M), 6.0)
-    final = np.split(halo.label_of(points, label), np.cumsum([len(ceiling), 2, len(lamp)]))
-    assert (final[1] == Label.CEILING).all()
-    assert (final[2] == Label.CLUTTER).all()
-    assert (final[3] == Label.CLUTTER).all()
-    # What no scan had a vote for is within the halo just the same.
-    unseen = np.array([[0.3, 0.3, 2.67]], np.float32)
-    assert halo.label_of(unseen, np.zeros(1, np.uint8)) == Label.CEILING
-
-
-def test_nothing_seen_has_no_halo() -> None:
-    halo = find_halo(vote(np.zeros((0, 3)), np.zeros(0, np.uint8), len(Label), EDGE_M), 6.0)
-    assert len(halo.keys) == 0
-    assert halo.label_of(np.zeros((1, 3), np.float32), np.zeros(1, np.uint8)) == Label.CLUTTER

@@ -15,11 +15,12 @@ from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_fusion import fuse_walls
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES
 from ffmap.algorithms.building.final_labels import BuildingModel, Relabelling, RelabellingSettings
+from ffmap.algorithms.building.halo import HaloSettings, find_halo
 from ffmap.algorithms.building.model import CELL_M, NO_BLINDS, NO_DOORS, BuildingSettings, Doors, Walls, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, part_walls
-from ffmap.algorithms.building.votes import VoxelTable, find_halo
+from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.building.windows import WindowsSettings, find_windows
 from ffmap.algorithms.maps.grid import Cell, GridMapSettings, Immobile
 from ffmap.algorithms.scan.ceiling import below_ceiling
@@ -40,7 +41,7 @@ def relabelled(
 ) -> tuple[np.ndarray, np.ndarray]:
     """A scan's points in the map, and their final labels."""
     points = placed.to_map(placed.points_level).astype(np.float32)
-    halo = find_halo(vote(points, found.label, len(Label), 0.05), 6.0)
+    halo = find_halo(vote(points, found.label, len(Label), 0.05), HaloSettings(ratio=6.0))
     origin = placed.to_map(placed.origin_level[None])[0]
     columns = np.ceil(np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1) / CELL_M)
     first = np.concatenate([[0], np.cumsum(columns)]).astype(np.int64)
