@@ -106,7 +106,7 @@ def align_faces(
     settings: FaceAlignmentSettings,
     steps: FaceStepsSettings,
 ) -> AlignedFaces:
-    """Each face where its columns return from, if that is at most 7 cm from where it was; others as they were.
+    """Each face where its columns return from, if that is near enough to where it was; others as they were.
 
     That is where most of them do; of a face that does not show above doors, where the longest surface does. A face that
     steps is cut there first, and each part starts on its own surface.

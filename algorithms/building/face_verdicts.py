@@ -231,7 +231,7 @@ def judge_faces(
         own = faces.columns(w)
         hangs = _hanging(flags.select(own), faces.cells.of(w), rules, settings)
         low = _ending_low(flags.ends_low[own], columns.select(own), settings)
-        _take_rests(hangs, low, faces, columns, own.start, settings)
+        hangs, low = _with_rests(hangs, low, faces, columns, own.start, settings)
         folded = in_folds(faces.cells.counts[own].astype(np.float64), folds)
         for first, after in runs(~(hangs | low | folded)):
             if (after - first) * CELL_M >= building.length_min_m:
@@ -283,13 +283,14 @@ def _ending_low(ends_low: BoolArray, columns: Columns, settings: StandingWallsSe
     return low
 
 
-def _take_rests(
+def _with_rests(
     hangs: BoolArray, low: BoolArray, faces: TracedFaces, columns: Columns, start: int, settings: StandingWallsSettings
-) -> None:
-    """Add to what hangs and to what ends low (c,), of one face, what is left beside it and is no wall by itself.
+) -> tuple[BoolArray, BoolArray]:
+    """What hangs and what ends low (c,), of one face, each with what is left beside it and is no wall by itself.
 
     start: the face's first column.
     """
+    hangs, low = hangs.copy(), low.copy()
     if hangs.any():
         # The rest of a duct, below which little was seen; beside a gate the wall stands down to the floor.
         for first, after in runs(~(hangs | low)):
@@ -305,6 +306,7 @@ def _take_rests(
             inner = slice(start + first + 1, start + after - 1)
             short = (after - first) * CELL_M < settings.rest_min_m
             low[first:after] = short and not _shows_whole(faces, inner, settings)
+    return hangs, low
 
 
 def shows_whole(faces: TracedFaces, settings: StandingWallsSettings) -> BoolArray:

@@ -99,8 +99,8 @@ class FusionSettings:
         return OpeningRules(self.building, self.openings)
 
     @property
-    def without_planes(self) -> BuildingSettings:
-        """For faces of which no scan saw a plane that its rays could be measured against."""
+    def for_unseen_faces(self) -> BuildingSettings:
+        """How rays count against faces of which no scan saw a plane that these could be measured against."""
         near_m = self.missed_walls.near_m
         return self.building.for_faces().model_copy(update={"near_m": near_m, "own_plane_m": 0.0})
 
@@ -186,7 +186,7 @@ def _add_missed_walls(
     standing, missed = settings.standing_walls, settings.missed_walls
 
     def trace(faces: Walls, glass: Windows) -> TracedFaces:
-        cells = scans.trace(faces, settings.without_planes, glass)
+        cells = scans.trace(faces, settings.for_unseen_faces, glass)
         return TracedFaces.of(faces, cells, scans.storey, standing.ceiling_near_m)
 
     widened = widened_in_walls(windows, judged.walls, missed.beside_glass_m, settings.windows)
@@ -211,15 +211,15 @@ def _find_glass_fronts(
     whole: Walls, judged: JudgedFaces, windows: Windows, scans: AllScans, settings: FusionSettings
 ) -> Windows:
     def trace(faces: Walls, known: Windows) -> WallCells:
-        return scans.trace(faces, settings.without_planes, known)
+        return scans.trace(faces, settings.for_unseen_faces, known)
 
     def each_scan(faces: Walls) -> Iterator[WallCells]:
         for block in scans.drive.blocks():
-            if trace_rays(faces, [block], settings.without_planes).counts.any():
+            if trace_rays(faces, [block], settings.for_unseen_faces).counts.any():
                 for scan in block.scan:
-                    yield trace_rays(faces, [select_scans(block, block.scan == scan)], settings.without_planes)
+                    yield trace_rays(faces, [select_scans(block, block.scan == scan)], settings.for_unseen_faces)
 
-    openings = OpeningRules(settings.without_planes, settings.openings)
+    openings = OpeningRules(settings.for_unseen_faces, settings.openings)
     rules = GlassRules(openings, settings.standing_walls, settings.glass_fronts, settings.missed_walls)
     return find_glass_fronts(whole, judged, windows, AllRays(scans.votes, scans.path_map, trace, each_scan), rules)
 

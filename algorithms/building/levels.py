@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from dataclasses import replace
 from functools import reduce
 
+from ffmap.algorithms.building.ceiling_drops import map_ceiling_drops
 from ffmap.algorithms.building.ceilings import (
-    map_ceiling_drops,
     map_ceilings,
     map_glimpsed_ceilings,
     map_sloping_ceilings,

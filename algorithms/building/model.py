@@ -21,7 +21,7 @@ ON_FACE_M = 0.03
 
 
 class BuildingSettings(StepSettings):
-    """Fusing scans into walls and doors."""
+    """Fusing scans' planes into faces, counting rays against these, and how large doors are."""
 
     angle_deg: float = Field(8.0, gt=0, le=45, description="Planes of one wall differ by at most this many degrees.")
     distance_m: float = Field(0.10, gt=0, description="Planes of one wall lie at most this many metres apart.")
