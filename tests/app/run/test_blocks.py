@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.building.votes import Halo
+from ffmap.algorithms.building.halo import Halo
 from ffmap.app.run import spool
 from ffmap.app.run.arrays import pack
 from ffmap.app.run.blocks import LabelJob, holds_clouds_of, label_block, split_blocks
