@@ -72,8 +72,24 @@ class Foreground:
     ground_m: FloatArray
     covered: BoolArray
 
+    def append(self, more: "Foreground") -> "Foreground":
+        """Of these faces and of more."""
+        rows = max(self.covered.shape[1], more.covered.shape[1])
+        wider = [np.pad(part.covered, ((0, 0), (0, rows - part.covered.shape[1]))) for part in (self, more)]
+        return Foreground(
+            np.concatenate([self.first, self.first[-1] + more.first[1:]]),
+            np.concatenate([self.clear_m, more.clear_m]),
+            np.concatenate([self.ground_m, more.ground_m]),
+            np.concatenate(wider),
+        )
+
 
 NO_FOREGROUND = Foreground(np.zeros(1, np.int64), np.zeros(0), np.zeros(0), np.zeros((0, 1), bool))
+
+
+def bare_foreground(faces: TracedFaces) -> Foreground:
+    """That of faces before which nothing stands."""
+    return Foreground(faces.cells.first, faces.clear_m, faces.ground_m, np.zeros(faces.cells.counts.shape[:2], bool))
 
 
 def find_foreground(faces: TracedFaces, doors: Doors, above_door_m: float, settings: ForegroundSettings) -> Foreground:

@@ -28,7 +28,17 @@ from ffmap.algorithms.building.face_verdicts import JudgedFaces
 from ffmap.algorithms.building.halo import Halo
 from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.label_reasons import SURFACE_REASONS, Reason
-from ffmap.algorithms.building.model import CELL_M, NO_MULLIONS, NO_WINDOWS, Blinds, Doors, Mullions, Walls, Windows
+from ffmap.algorithms.building.model import (
+    CELL_M,
+    NO_MULLIONS,
+    NO_WALLS,
+    NO_WINDOWS,
+    Blinds,
+    Doors,
+    Mullions,
+    Walls,
+    Windows,
+)
 from ffmap.algorithms.scan.doors import DoorState
 
 
@@ -116,7 +126,8 @@ class BuildingModel:
     walls: the faces that stand. foreground: how high the ceiling hangs before each, and where something stands flat against it.
     judged: with the faces that were refused, whose returns are clutter, or outside. Its own `walls` are not asked.
     levels: what lies at known heights, applied one after the other. leaf_panes: the panes of open doors' leaves, which stand in the
-    rooms: what lies behind them is seen through glass, but what is around them is no wall.
+    rooms: what lies behind them is seen through glass, but what is around them is no wall. low_walls: those of the walls that end
+    below the ceiling.
     """
 
     walls: Walls
@@ -128,6 +139,7 @@ class BuildingModel:
     levels: tuple[HeightMap, ...]
     leaf_panes: Windows = NO_WINDOWS
     mullions: Mullions = NO_MULLIONS
+    low_walls: Walls = NO_WALLS
 
 
 TOP, REFUSED_AS = 7, 8

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.blinds import BlindsSettings, find_blinds
 from ffmap.algorithms.building.deep_openings import tell_deep_openings
@@ -19,7 +21,7 @@ from ffmap.algorithms.building.doors import each_once, find_doors, lower_heads_t
 from ffmap.algorithms.building.drive import AllScans
 from ffmap.algorithms.building.face_alignment import AlignedFaces, FaceAlignmentSettings, align_faces
 from ffmap.algorithms.building.face_columns import FLOOR_NEAR_M, FaceColumnsSettings, TracedFaces, column_places
-from ffmap.algorithms.building.face_foreground import ForegroundSettings, find_foreground
+from ffmap.algorithms.building.face_foreground import ForegroundSettings, bare_foreground, find_foreground
 from ffmap.algorithms.building.face_fusion import fuse_walls
 from ffmap.algorithms.building.face_steps import FaceStepsSettings
 from ffmap.algorithms.building.face_verdicts import (
@@ -34,6 +36,7 @@ from ffmap.algorithms.building.face_verdicts import (
     refuse_outside,
     shows_whole,
     trim_at_doorways,
+    wall_directions,
 )
 from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings
 from ffmap.algorithms.building.folds import FoldsSettings
@@ -48,14 +51,16 @@ from ffmap.algorithms.building.glass_fronts import (
 from ffmap.algorithms.building.glazed_doors import find_glazed_doors, panes_of_open_leaves
 from ffmap.algorithms.building.halo import Halo, HaloSettings, find_halo, halo_at_walls
 from ffmap.algorithms.building.level_settings import LevelsSettings
+from ffmap.algorithms.building.low_walls import LowWallsSettings, find_low_walls, without_low_walls
 from ffmap.algorithms.building.missed_walls import AllReturns, MissedWallsSettings, SearchSettings, find_missed_walls
-from ffmap.algorithms.building.model import NO_WINDOWS, Blinds, BuildingSettings, Doors, Walls, Windows
+from ffmap.algorithms.building.model import NO_WALLS, NO_WINDOWS, Blinds, BuildingSettings, Doors, Walls, Windows
 from ffmap.algorithms.building.mullions import find_mullions
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.shades import pictures
 from ffmap.algorithms.building.sliding_doors import HangingLeaf, find_hanging_leaves, find_sliding_doors, sliding_panes
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
+from ffmap.algorithms.building.unexplained_lines import straight_lines, unexplained_columns
 from ffmap.algorithms.building.windows import (
     WindowsSettings,
     find_windows,
@@ -80,6 +85,7 @@ class FusionSettings:
     standing_walls: StandingWallsSettings
     folds: FoldsSettings
     missed_walls: MissedWallsSettings
+    low_walls: LowWallsSettings
     foreground: ForegroundSettings
     openings: OpeningsSettings
     windows: WindowsSettings
@@ -126,13 +132,17 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     trimmed, doors, glass, blinds = _find_openings(walls, fronts, scans, settings)
     walls, judged = trimmed.faces.walls, judged.refuse(trimmed.leaves, FaceVerdict.ENDS_LOW)
     foreground = find_foreground(trimmed.faces, doors, settings.standing_walls.above_door_m, settings.foreground)
+    low = _find_low_walls(walls, glass, scans, settings)
+    is_refused = without_low_walls(judged.refused, low.walls, settings.missed_walls.noise_m)
+    judged = replace(judged, refused=judged.refused.select(is_refused), verdict=judged.verdict[is_refused])
+    walls, foreground = walls.append(low.walls), foreground.append(bare_foreground(low))
     thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
     halo = find_halo(scans.votes, settings.halo)
     halo = halo_at_walls(halo, walls, doors, foreground, scans.storey, settings.halo)
     is_leaf = panes_of_open_leaves(glass, doors)
     windows, leaf_panes = glass.select(~is_leaf), glass.select(is_leaf)
     mullions = find_mullions(windows, partial(_count_all, scans), settings.opening_rules)
-    model = BuildingModel(walls, foreground, judged, doors, windows, blinds, scans.levels, leaf_panes, mullions)
+    model = BuildingModel(walls, foreground, judged, doors, windows, blinds, scans.levels, leaf_panes, mullions, low.walls)
     return Building(model, halo, aligned, thickness_m)
 
 
@@ -202,6 +212,20 @@ def _add_missed_walls(
     added = _align(found.walls, scans, settings)
     walls = join_corners(judged.walls.append(added.walls), standing)
     return aligned.append(added), judged, walls
+
+
+def _find_low_walls(walls: Walls, glass: Windows, scans: AllScans, settings: FusionSettings) -> TracedFaces:
+    """The sides of walls that end below the ceiling; what lies before them is as high as they are."""
+    missed, near_m = settings.missed_walls, settings.standing_walls.ceiling_near_m
+    place, weight, _ = unexplained_columns(scans.votes, walls, NO_WALLS, missed.explained_m)
+    directions = wall_directions(walls, settings.standing_walls.direction_share_min)
+    lines = straight_lines(place, weight, directions, missed.half_thickness_m, settings.building.gap_m)
+
+    def trace(faces: Walls) -> TracedFaces:
+        return TracedFaces.of(faces, scans.trace(faces, settings.for_unseen_faces, glass), scans.storey, near_m)
+
+    low = trace(find_low_walls(lines, walls, trace, settings.building, settings.low_walls))
+    return replace(low, clear_m=np.repeat(low.walls.top_m, np.diff(low.cells.first)))
 
 
 # --- openings ---

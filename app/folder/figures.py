@@ -29,7 +29,8 @@ HEADLINES = (
 STEPS = (
     *("scan", "odometry", "refinement", "pose_graph", "trajectory", "smoothing", "rearrangement"),
     *("vertical_structures", "wall_planes", "doors", "labelling", "building", "levels", "face_columns"),
-    *("face_alignment", "face_steps", "standing_walls", "folds", "missed_walls", "foreground", "openings", "windows", "blinds"),
+    *("face_alignment", "face_steps", "standing_walls", "folds", "missed_walls", "low_walls", "foreground"),
+    *("openings", "windows", "blinds"),
     *(
         "glass_fronts",
         "door_casings",

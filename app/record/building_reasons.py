@@ -6,7 +6,7 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.height_map import HeightMap, Surface
-from ffmap.algorithms.building.model import CELL_M, Blinds, Doors, Mullions, Windows
+from ffmap.algorithms.building.model import CELL_M, Blinds, Doors, Mullions, Walls, Windows
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.app.record.shapes import table
 from ffmap.blueprints import entities
@@ -31,6 +31,13 @@ _MULLIONS = """
 ## Mullions
 
 A mullion is narrow, returns rays from the foot of a pane to its head, and has a pane on either side; it is wall.
+
+"""
+_LOW_WALLS = """
+## Low walls
+
+Rays pass above them, below the ceiling. But they are plane, and their other side is seen a wall's thickness behind, as high as they
+are, or up to the ceiling of a room within the room: furniture is deeper, screens are thinner.
 
 """
 _BLINDS = """
@@ -63,6 +70,9 @@ def explain_building(building: BuildingModel) -> str:
         if len(glass):
             panes = [_window(glass, w) for w in range(len(glass))]
             parts.append(f"\n## {heading}\n\n" + table(("at x, y (m)", "width", "from – to height", "pane"), panes))
+    if len(low := building.low_walls):
+        sides = [_low_wall(low, w) for w in range(len(low))]
+        parts.append(_LOW_WALLS + table(("at x, y (m)", "length", "height", "its returns scatter by"), sides))
     if len(mullions := building.mullions):
         stand = [_mullion(mullions, m) for m in range(len(mullions))]
         parts.append(_MULLIONS + table(("at x, y (m)", "width", "from – to height", "out of its pane"), stand))
@@ -104,6 +114,11 @@ def _window(windows: Windows, w: int) -> tuple[str, ...]:
     pane_m = windows.pane_m[w]
     pane = f"{100 * pane_m:.0f} cm behind the face" if np.isfinite(pane_m) else "returned nothing"
     return *_extent(windows, w), pane
+
+
+def _low_wall(low: Walls, w: int) -> tuple[str, ...]:
+    length_m = float(lengths_m(low.ends[[w]])[0])
+    return _place(low.ends[w]), f"{length_m:.2f} m", f"{low.top_m[w]:.2f} m", f"{1000 * low.rms_m[w]:.0f} mm"
 
 
 def _mullion(mullions: Mullions, m: int) -> tuple[str, ...]:

@@ -32,6 +32,7 @@ from ffmap.algorithms.building.fusion import FusionSettings
 from ffmap.algorithms.building.glass_fronts import GlassFrontsSettings
 from ffmap.algorithms.building.halo import HaloSettings
 from ffmap.algorithms.building.level_settings import LevelsSettings
+from ffmap.algorithms.building.low_walls import LowWallsSettings
 from ffmap.algorithms.building.missed_walls import MissedWallsSettings
 from ffmap.algorithms.building.model import BuildingSettings
 from ffmap.algorithms.building.openings import OpeningsSettings
@@ -81,6 +82,7 @@ class Settings(StepSettings):
     standing_walls: StandingWallsSettings = StandingWallsSettings()
     folds: FoldsSettings = FoldsSettings()
     missed_walls: MissedWallsSettings = MissedWallsSettings()
+    low_walls: LowWallsSettings = LowWallsSettings()
     foreground: ForegroundSettings = ForegroundSettings()
     openings: OpeningsSettings = OpeningsSettings()
     windows: WindowsSettings = WindowsSettings()

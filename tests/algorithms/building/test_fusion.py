@@ -27,6 +27,7 @@ from ffmap.algorithms.building.fusion import Building, FusionSettings, fuse_buil
 from ffmap.algorithms.building.glass_fronts import GlassFrontsSettings
 from ffmap.algorithms.building.halo import HaloSettings
 from ffmap.algorithms.building.level_settings import LevelsSettings
+from ffmap.algorithms.building.low_walls import LowWallsSettings
 from ffmap.algorithms.building.missed_walls import MissedWalls, MissedWallsSettings, find_missed_walls
 from ffmap.algorithms.building.model import BuildingSettings, Mullions, Walls, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
@@ -52,6 +53,7 @@ SETTINGS = FusionSettings(
     StandingWallsSettings(),
     FoldsSettings(),
     MissedWallsSettings(),
+    LowWallsSettings(),
     ForegroundSettings(),
     OpeningsSettings(),
     WindowsSettings(),
@@ -141,6 +143,25 @@ def test_what_rays_pass_above_is_no_wall() -> None:
     assert building.model.judged.verdict.tolist() == [FaceVerdict.ENDS_LOW]
     np.testing.assert_allclose(building.model.judged.refused.ends[0, :, 0], 3.0, atol=0.01)
     assert not np.any(np.abs(building.model.walls.ends[..., 0] - 3.0) < 0.5)
+
+
+@pytest.mark.parametrize(("thickness_m", "is_wall"), [(0.14, True), (0.5, False)])
+def test_what_shows_both_sides_a_walls_thickness_apart_is_a_wall_though_rays_pass_above_it(
+    thickness_m: float, is_wall: bool
+) -> None:
+    sides_x = 2.0 - 0.5 * thickness_m, 2.0 + 0.5 * thickness_m
+    ends = [np.array([[x, 0.5], [x, 2.5]]) for x in sides_x]
+    taken = [face(ends[0].tolist(), [-1.0, 0.0]), face(ends[1].tolist(), [1.0, 0.0])]
+    building = built(TwoRooms(more=tuple((side, (0.0, 1.1)) for side in ends)), *taken)
+    model = building.model
+    low = model.walls.select(model.walls.top_m < 1.5)
+    np.testing.assert_allclose(np.sort(low.ends[:, 0, 0]), sides_x if is_wall else (), atol=0.02)
+    np.testing.assert_allclose(low.top_m, 1.1, atol=0.1)
+    np.testing.assert_array_equal(model.low_walls.ends, low.ends)
+    assert len(model.judged.refused) == (0 if is_wall else 2)
+    # All that goes by wall faces knows of them too.
+    assert len(building.thickness_m) == len(model.walls) == len(model.foreground.first) - 1
+    np.testing.assert_allclose(building.thickness_m[model.walls.top_m < 1.5], thickness_m if is_wall else 0.0, atol=0.02)
 
 
 def test_what_few_scans_saw_as_a_plane_is_asked_again_of_all_returns_unless_it_hangs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -113,6 +113,13 @@ def test_the_pane_of_an_open_leaf_is_told_from_a_window(tmp_path):
     assert "## Windows" not in alone[entities.BUILDING_REASONS]["text"][0][0]
 
 
+def test_low_walls_are_listed_with_what_they_rest_on():
+    low = replace(WALLS, top_m=np.array([1.1]), rms_m=np.array([0.006]))
+    reasons = explain_building(replace(building(), low_walls=low))
+    assert "| 2.00, 0.00 | 4.00 m | 1.10 m | 6 mm |" in reasons.split("## Low walls")[1]
+    assert "## Low walls" not in explain_building(building())
+
+
 def test_a_mullion_is_shown_before_its_pane(tmp_path):
     between_m = np.array([0.1]), np.array([2.6])
     mullion = Mullions(np.array([[[1.0, 0.0], [1.1, 0.0]]]), np.array([[0.0, 1.0]]), *between_m, np.array([0.08]))
