@@ -6,7 +6,7 @@ alone runs from the floor up one side, over the top, and down the other.
 """
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 import numba
@@ -109,7 +109,15 @@ def _casings(counts: FloatArray, building: BuildingSettings, settings: DoorCasin
                 opening = Opening(weakest_m, weakest_m, low, len(relief_m) - high, head_m)
                 if CELL_M * opening.last - CELL_M * opening.first >= building.door_width_min_m:
                     found.append(opening)
-    return none_over_another(found)
+    kept = none_over_another(found)
+    return [own for own in kept if not _is_between_doors(own, kept, cells_in(settings.width_max_m))]
+
+
+def _is_between_doors(own: Opening, openings: Sequence[Opening], width_max: int) -> bool:
+    """Whether the strips on both sides of an opening are the casings of others, and go on to higher heads: it is their pier."""
+    higher = [other for other in openings if other.head_m > own.head_m + CELL_M]
+    before = any(0 <= own.first - other.last <= width_max for other in higher)
+    return before and any(0 <= other.first - own.last <= width_max for other in higher)
 
 
 @numba.njit(cache=True, nogil=True)

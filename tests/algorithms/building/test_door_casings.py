@@ -89,6 +89,14 @@ def test_a_casing_shows_a_closed_door_to_two_centimetres(
     assert 0.5 * CASING_M < doors.casing_m[0] < 1.1 * CASING_M
 
 
+def test_the_pier_between_two_doors_is_none_whatever_hangs_on_it() -> None:
+    """Their casings stand on both its sides, and a lamp over it like a head."""
+    left, right = frame(0.4, 1.3, 0.0, 2.0), frame(2.15, 3.05, 0.0, 2.0)
+    inner = 1.3 + WIDTH_M, 2.15 - WIDTH_M
+    doors = find(*left, *right, (*inner, 1.85, 1.95))
+    np.testing.assert_allclose(np.sort(doors.ends[:, :, 0], axis=None), [0.4, 1.3, 2.15, 3.05], atol=0.03)
+
+
 def furniture_close_by(counts: np.ndarray) -> None:
     counts[52:58, :30, SUM] = 0.05 * RETURNS  # from 10 cm beside the casing on
 
