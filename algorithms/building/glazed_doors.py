@@ -27,10 +27,9 @@ def find_glazed_doors(faces: TracedFaces, windows: Windows, rules: OpeningRules)
     faces: with all rays, those through windows too.
     """
     building, openings = rules.building, rules.openings
-    traced = tuple(faces.each())
     may_be = (windows.bottom_m <= openings.lower_rail_max_m) & np.isfinite(windows.pane_m)
     may_be &= windows.top_m >= building.door_height_min_m - openings.bar_max_m
-    doors = NO_DOORS
+    traced, doors = tuple(faces.each()) if may_be.any() else (), NO_DOORS
     for k in np.flatnonzero(may_be):
         w, first, after = wall_of(windows, int(k), faces.walls)
         if w < 0:

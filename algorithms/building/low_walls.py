@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import Field
 
-from ffmap.algorithms.base.scan import BoolArray, IntArray
-from ffmap.algorithms.base.segments import NORMAL_X, NORMAL_Y, OFFSET, lengths_m, lines_of, segment
+from ffmap.algorithms.base.known import median_known
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
+from ffmap.algorithms.base.segments import Segment, lengths_m, segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import TracedFace, TracedFaces, long_runs, on_and_passed, runs
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
@@ -21,6 +22,8 @@ from ffmap.algorithms.building.unexplained_lines import Line, both_sides
 
 _STANDS_MIN = 0.8
 """Share of a side's columns that rays end on."""
+_PARALLEL = 0.998
+"""Cosine of what the two sides of a wall differ by at most."""
 
 
 class LowWallsSettings(StepSettings):
@@ -46,12 +49,15 @@ class LowWallsSettings(StepSettings):
 
 @dataclass(frozen=True)
 class _Side:
-    """A stretch of a candidate, between two columns, that is plane and that rays end on from the foot up to `top_m`, and to
-    `highest_m` somewhere: a window cuts into it."""
+    """A stretch of a candidate that is plane and that rays end on from the foot up.
+
+    face: a single one, as high as rays end on it somewhere. top_m: as high as they do over half of it: a window may cut into it.
+    ceiling_m: of the room before it, above the floor; NaN where none was seen.
+    """
 
     face: Walls
     top_m: float
-    highest_m: float
+    ceiling_m: float
 
 
 def find_low_walls(
@@ -65,47 +71,58 @@ def find_low_walls(
 
     walls: the known ones, which reach a ceiling.
     """
-    lines = [line for line in lines if float(np.linalg.norm(np.diff(line[0], axis=0))) >= settings.length_min_m]
-    pairs = _two_sides(both_sides(lines), walls, settings) if lines else np.zeros((0, 2), np.int64)
+    long_lines = [line for line in lines if float(np.linalg.norm(np.diff(line[0], axis=0))) >= settings.length_min_m]
+    faces = both_sides(long_lines) if long_lines else NO_WALLS
+    pairs = _two_sides(faces, walls, settings)
     if not len(pairs):
         return NO_WALLS
     asked = np.unique(pairs[:, 0])
-    faces = both_sides(lines).select(asked)
-    sides = {int(asked[face.number]): list(_sides(face, faces, building, settings)) for face in trace(faces).each()}
-    count, found = 2 * len(lines), NO_WALLS
+    traced = trace(faces.select(asked))
+    sides = {int(asked[face.number]): list(_sides(face, traced, building, settings)) for face in traced.each()}
+    found = NO_WALLS
     for own in asked:
         others = pairs[pairs[:, 0] == own, 1]
         for side in sides[int(own)]:
-            in_pairs = (_are_two_sides(side, other, settings) for k in others if k < count for other in sides.get(int(k), []))
-            of_room = (_is_outside_of(side, walls.one(k - count), settings) for k in others if k >= count)
-            if any(in_pairs) or any(of_room):
+            behind = [other for k in others if k < len(faces) for other in sides.get(int(k), [])]
+            within = [walls.one(k - len(faces)) for k in others if k >= len(faces)]
+            is_pair = any(_are_two_sides(side, other, settings) for other in behind)
+            is_wall = is_pair or any(_is_outside_of(side, wall, settings) for wall in within)
+            # A surface that drift has smeared makes several lines.
+            if is_wall and not _is_known(side, found, settings):
                 found = found.append(side.face)
     return found
 
 
 def _two_sides(faces: Walls, walls: Walls, settings: LowWallsSettings) -> IntArray:
-    """(p, 2) each face with another that looks the other way, a wall's thickness behind it; beyond the faces' number, a wall.
+    """(p, 2) each face with another that looks the other way, a wall's thickness behind it: the second number is a face's, or
+    the number of faces plus a wall's.
 
     There is none where a wall that looks the same way lies between: what stands before that is no side of it.
     """
-    both = faces.append(walls)
-    lines, middles = lines_of(faces), both.ends.mean(axis=1)
-    behind_m = lines[:, [OFFSET]] - lines[:, [NORMAL_X, NORMAL_Y]] @ middles.T
-    is_wall, looks = np.arange(len(both)) >= len(faces), faces.normal @ both.normal.T
-    most_m = np.where(is_wall, settings.room_wall_max_m, settings.thickness_max_m)
-    near = (behind_m > settings.thickness_min_m) & (behind_m < most_m) & (looks < -SAME_WAY)
-    between = (behind_m > 0.0) & (behind_m < settings.room_wall_max_m) & (looks > SAME_WAY) & is_wall
-    pairs: list[tuple[int, int]] = []
-    for own in np.flatnonzero(near.any(axis=1)):
-        face = segment(faces, own)
-        beside = [k for k in np.flatnonzero(near[own] | between[own]) if face.shared_m(both.ends[k]) >= settings.length_min_m]
-        first_m = min((behind_m[own, k] for k in beside if between[own, k]), default=np.inf)
-        pairs += [(int(own), int(k)) for k in beside if near[own, k] and behind_m[own, k] < first_m]
+    both, pairs = faces.append(walls), list[tuple[int, int]]()
+    for own, face in enumerate(segments(faces)):
+        looks = both.normal @ face.normal
+        behind = {k: _behind_m(face, both.ends[k], settings) for k in np.flatnonzero(np.abs(looks) > _PARALLEL)}
+        walls_before = [m for k, m in behind.items() if k >= len(faces) and looks[k] > 0.0 and m > 0.0]
+        for k, behind_m in behind.items():
+            most_m = settings.thickness_max_m if k < len(faces) else settings.room_wall_max_m
+            if looks[k] < 0.0 and settings.thickness_min_m < behind_m < min(most_m, *walls_before, np.inf):
+                pairs.append((own, int(k)))
     return np.array(pairs, np.int64).reshape(-1, 2)
 
 
+def _behind_m(face: Segment, ends: FloatArray, settings: LowWallsSettings) -> float:
+    """How far behind a face another lies in the middle of what is beside it; NaN where that is too short."""
+    if np.abs(face.before_m(ends)).min() > 1.0 or face.shared_m(ends) < settings.length_min_m:
+        return float("nan")
+    place_m, before_m = face.place_m(ends), face.before_m(ends)
+    order = np.argsort(place_m)
+    middle_m = np.clip(place_m, 0.0, face.length_m).mean()
+    return -float(np.interp(middle_m, place_m[order], before_m[order]))
+
+
 def _sides(
-    traced: TracedFace, faces: Walls, building: BuildingSettings, settings: LowWallsSettings
+    traced: TracedFace, faces: TracedFaces, building: BuildingSettings, settings: LowWallsSettings
 ) -> Iterator[_Side]:
     """The stretches of a candidate that may be a low wall's side."""
     on, passed = on_and_passed(with_neighbours(traced.counts))
@@ -113,8 +130,10 @@ def _sides(
     # Where nothing was seen to pass, nothing is known of a top.
     top = np.where(opened.any(axis=1), np.argmax(opened, axis=1), 0)
     below = (np.arange(on.shape[1]) >= FOOT_ROW) & (np.arange(on.shape[1]) < top[:, None])
+    # A seat, or a bed, hides the foot of its back: what shows above it alone is no wall.
+    shown = np.count_nonzero((on > 0) & below, axis=1) >= building.known_min * np.count_nonzero(below, axis=1)
     on, passed = (on * below).sum(axis=1), (passed * below).sum(axis=1)
-    stands = (on >= building.rays_min) & (passed <= settings.passed_max * on)
+    stands = shown & (on >= building.rays_min) & (passed <= settings.passed_max * on)
     for first, after in runs(long_runs(stands, 1, bridge=cells_in(building.gap_m))):
         own = stands[first:after]
         tops = top[first:after][own] * CELL_M
@@ -123,37 +142,48 @@ def _sides(
         spread_m = float(np.nanmedian(np.sqrt(depth_moments(cells)[1]))) if cells[..., FILLED].any() else np.inf
         is_long = (after - first) * CELL_M >= settings.length_min_m and own.mean() >= _STANDS_MIN
         if is_long and top_m >= settings.height_min_m and spread_m < settings.spread_max_m:
-            ends = traced.segment.at(np.array([first, after]) * CELL_M)
-            count = np.array([cells[:, FILLED].sum()], np.int64)
             face = replace(
-                faces.one(traced.number),
-                ends=ends[None],
+                faces.cut([(traced.number, first, after)]),
                 top_m=np.array([highest_m]),
                 rms_m=np.array([spread_m]),
-                sample_count=count,
+                sample_count=np.array([cells[:, FILLED].sum()], np.int64),
             )
-            yield _Side(face, top_m, highest_m)
+            yield _Side(face, top_m, median_known(faces.clear_m[traced.columns][first:after]))
 
 
 def _are_two_sides(side: _Side, other: _Side, settings: LowWallsSettings) -> bool:
-    """Whether two sides are of one wall: as high as each other, and beside each other over most of the one."""
-    shared_m = segment(side.face, 0).shared_m(other.face.ends[0])
-    is_beside = shared_m > 0.5 * float(lengths_m(side.face.ends)[0])
-    return bool(is_beside and abs(side.top_m - other.top_m) < settings.level_m)
+    """Whether two sides are of one wall: as high as each other, and beside each other."""
+    return _is_beside(side, other.face) and abs(side.top_m - other.top_m) < settings.level_m
 
 
 def _is_outside_of(side: _Side, wall: Walls, settings: LowWallsSettings) -> bool:
-    """Whether a side is the outside of a room: as high as the single wall that is seen from within, or higher."""
-    shared_m = segment(side.face, 0).shared_m(wall.ends[0])
-    is_beside = shared_m > 0.5 * float(lengths_m(side.face.ends)[0])
-    return bool(is_beside and side.highest_m > wall.top_m[0] - settings.level_m)
+    """Whether a side is the outside of a room: as high as a single wall that is seen from within, and in a room that is higher.
+
+    What stands against that wall in a room as high as the one behind hides it, and is furniture.
+    """
+    is_as_high = side.face.top_m[0] > wall.top_m[0] - settings.level_m
+    return _is_beside(side, wall) and bool(is_as_high and side.ceiling_m > wall.top_m[0] + settings.level_m)
+
+
+def _is_beside(side: _Side, other: Walls) -> bool:
+    """Whether a single face lies beside most of a side."""
+    face = segment(side.face, 0)
+    return face.shared_m(other.ends[0]) > 0.5 * face.length_m
+
+
+def _is_known(side: _Side, found: Walls, settings: LowWallsSettings) -> bool:
+    """Whether one of some sides is the same, or what is smeared of it."""
+    face = segment(side.face, 0)
+    alike = (face.normal @ found.normal[k] > _PARALLEL and _is_beside(side, found.one(k)) for k in range(len(found)))
+    near_m = (np.abs(face.before_m(ends)).max() < settings.thickness_min_m for ends in found.ends)
+    return any(like and near for like, near in zip(alike, near_m, strict=True))
 
 
 def without_low_walls(refused: Walls, low: Walls, noise_m: float) -> BoolArray:
-    """(R,) which refused faces are none of the low walls' sides; noise_m: maximum distance of one that is."""
-    kept, middles = np.ones(len(refused), bool), refused.ends.mean(axis=1)
-    for k in range(len(low)):
-        face = segment(low, k)
-        along = (np.abs(face.before_m(middles)) < noise_m) & face.beside(middles)
-        kept &= ~(along & (refused.normal @ face.normal > SAME_WAY))
-    return kept
+    """(R,) which refused faces are none of the low walls' sides: most of one that is lies along these, within `noise_m`."""
+    along_m = np.zeros(len(refused))
+    for face in segments(low):
+        for r in np.flatnonzero(refused.normal @ face.normal > SAME_WAY):
+            if np.abs(face.before_m(refused.ends[r])).max() < noise_m:
+                along_m[r] += max(face.shared_m(refused.ends[r]), 0.0)
+    return np.asarray(along_m <= 0.5 * lengths_m(refused.ends))

@@ -24,6 +24,7 @@ class LowWall:
 
     shown: which of its sides are seen. scatter_m: of their returns. gaps: which columns rays pass.
     passed: how many rays pass each cell, of ten that end there. window_m: between these places rays pass above a sill.
+    foot_m: what stands before its sides hides them up to there. ceiling_m: of the rooms on both its sides.
     """
 
     thickness_m: float = 0.14
@@ -35,6 +36,8 @@ class LowWall:
     passed: float = 0.0
     window_m: tuple[float, float] = (0.0, 0.0)
     turn_deg: float = 0.0
+    foot_m: float = 0.0
+    ceiling_m: float = 3.6
 
     def to_map(self, places: np.ndarray) -> np.ndarray:
         c, s = np.cos(np.radians(self.turn_deg)), np.sin(np.radians(self.turn_deg))
@@ -62,9 +65,10 @@ class LowWall:
                 counts[:, :top, FILLED], counts[:, :top, SQUARES] = 10.0, 10.0 * self.scatter_m**2
             for gap in self.gaps:
                 counts[gap, :, :THROUGH], counts[gap, :, THROUGH] = 0.0, 10.0
+            counts[:, : round(self.foot_m / CELL_M)] = 0.0
             window = slice(*(round(place / CELL_M) for place in self.window_m))
             counts[window, 20:, [FILLED]], counts[window, 20:, THROUGH] = 0.0, 10.0
-        return traced(asked, cells)
+        return traced(asked, cells, self.ceiling_m)
 
 
 def found(wall: LowWall, walls: Walls = NO_WALLS, settings: LowWallsSettings = SETTINGS) -> Walls:
@@ -98,6 +102,7 @@ def test_both_sides_of_a_wall_that_ends_low_are_found(top_m: float, thickness_m:
         LowWall(gaps=tuple(slice(k, k + 5) for k in range(4, 60, 9))),  # the posts of a rack
         LowWall(gaps=(slice(0, 24), slice(36, 60))),  # a post of 0.6 m
         LowWall(passed=4.0),  # wire mesh
+        LowWall(foot_m=0.6),  # the back of a sofa
     ],
 )
 def test_what_is_no_wall_is_not_found(wall: LowWall) -> None:
@@ -110,6 +115,28 @@ def test_what_lies_beside_another_over_less_than_half_of_it_is_not_its_other_sid
     for shift_m, count in ((0.5, 2), (2.0, 0)):
         lines = [(ends, normal), (behind + np.array([shift_m, 0.0]), normal)]
         assert len(find_low_walls(lines, NO_WALLS, wall.trace, BUILDING, SETTINGS)) == count
+
+
+def test_a_side_that_drift_has_smeared_is_found_once() -> None:
+    wall = LowWall()
+    smeared = (wall.lines[0][0] + np.array([0.0, 0.04]), wall.lines[0][1])
+    assert len(find_low_walls([*wall.lines, smeared], NO_WALLS, wall.trace, BUILDING, SETTINGS)) == 2
+
+
+def test_faces_at_an_angle_are_not_two_sides_of_a_wall() -> None:
+    wall = LowWall()
+    for off_m, count in ((0.05, 2), (0.4, 0)):
+        askew = (wall.lines[1][0] + np.array([[0.0, 0.0], [0.0, -off_m]]), np.array([off_m / 3.0, 1.0]))
+        askew = (askew[0], askew[1] / np.linalg.norm(askew[1]))
+        assert len(find_low_walls([wall.lines[0], askew], NO_WALLS, wall.trace, BUILDING, SETTINGS)) == count
+
+
+def test_how_thick_a_wall_is_counts_where_both_its_sides_are() -> None:
+    """A long wall, askew by half a degree, is elsewhere by its middle."""
+    box = LowWall(tops_m=(2.7, 0.0), shown=(True, False))
+    room = room_wall(-0.2)
+    long = replace(room, ends=np.array([[[0.0, -0.2], [40.0, -0.2 - 40.0 * np.tan(np.radians(0.5))]]]))
+    assert len(found(box, room)) == len(found(box, long)) == 1
 
 
 def room_wall(y: float, top_m: float = 2.6, towards: float = -1.0) -> Walls:
@@ -126,6 +153,8 @@ def test_the_outside_of_a_room_is_as_high_as_its_wall_is_within(y: float, top_m:
     box = LowWall(tops_m=(top_m, 0.0), shown=(True, False))
     sides = found(box, room_wall(y))
     assert len(sides) == int(is_outside)
+    # In a room no higher than the one within, it is furniture that hides the wall.
+    assert len(found(replace(box, ceiling_m=2.65), room_wall(y))) == 0
     # A window in it leaves it a wall.
     assert len(found(replace(box, window_m=(0.5, 2.2)), room_wall(y))) == int(is_outside)
 
@@ -149,7 +178,8 @@ def test_where_there_are_no_lines_there_is_no_low_wall() -> None:
 
 def test_faces_along_a_low_wall_are_no_longer_refused() -> None:
     sides = found(LowWall())
-    refused = faces(((0.2, 0.02), (2.5, 0.02)), ((0.2, 0.4), (2.5, 0.4)), ((4.0, 0.0), (5.0, 0.0)), ((0.2, 0.0), (2.0, 0.0)))
-    refused = replace(refused, normal=np.array([[0.0, 1.0], [0.0, 1.0], [0.0, 1.0], [1.0, 0.0]]))
-    assert without_low_walls(refused, sides, 0.1).tolist() == [False, True, True, True]
+    along, beyond = ((0.2, 0.02), (2.5, 0.02)), ((2.0, 0.0), (9.0, 0.0))
+    refused = faces(along, ((0.2, 0.4), (2.5, 0.4)), ((4.0, 0.0), (5.0, 0.0)), ((0.2, 0.0), (2.0, 0.0)), beyond)
+    refused = replace(refused, normal=np.array([[0.0, 1.0], [0.0, 1.0], [0.0, 1.0], [1.0, 0.0], [0.0, 1.0]]))
+    assert without_low_walls(refused, sides, 0.1).tolist() == [False, True, True, True, True]
     assert without_low_walls(refused, NO_WALLS, 0.1).all()
