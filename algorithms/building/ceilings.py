@@ -1,4 +1,4 @@
-"""Ceilings that single scans missed or cut up: of other rooms, and sloping ones; and ducts that passed for ceilings."""
+"""Ceilings that single scans missed or cut up: of other rooms, and sloping ones; and which of all ceilings are rooms'."""
 
 import numpy as np
 from scipy import ndimage
@@ -105,14 +105,14 @@ def _planes_around(places: FloatArray, size: int) -> tuple[FloatArray, FloatArra
 
 
 def of_rooms(ceiling: FloatArray, settings: LevelsSettings) -> BoolArray:
-    """(n,) which cubes of ceiling (n, 3) are the ceiling of a room: not narrow, and lower than the ceiling beside.
+    """(n,) which cubes of ceiling (n, 3) are a room's: all but what is both narrow and lower than the ceiling beside it.
 
     That is the underside of a duct or of a board over a wardrobe, at the height of another room's ceiling. A scan that sees both
     rooms cannot tell the one from the other; but what ends there is no wall.
     """
     grid = GroundGrid.around(ceiling, settings.cell_m, settings.ceiling_reach_m)
     lowest_m, usual_m = grid.heights(ceiling, 0.0), grid.heights(ceiling)
-    beside_cells = 2 * round(settings.duct_beside_m / grid.cell_m) + 1
+    beside_cells = 2 * round(settings.narrow_beside_m / grid.cell_m) + 1
     hangs = lowest_m < highest_around(usual_m, beside_cells) - settings.drop_min_m
     steep = range_around(lowest_m, 3) > 2.0 * settings.flat_m
     broad = grid.broad(closed(np.isfinite(lowest_m) & ~steep) & ~steep, settings.overhead_width_m)

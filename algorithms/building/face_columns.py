@@ -76,7 +76,7 @@ class Storey:
         label = corrected(levels, position, by_scans)
         agreed = (label != by_scans) | votes.seen(settings.votes_min)
         label = np.where(agreed, label, Label.CLUTTER)
-        # What all scans show was found to be broad.
+        # What no scan found, but all together, was found to be broad, or to be built.
         ceiling = np.flatnonzero((label == Label.CEILING) & (by_scans == Label.CEILING))
         label[ceiling[~of_rooms(position[ceiling], settings)]] = Label.CLUTTER
         return cls(position[label == Label.FLOOR], position[label == Label.CEILING])

@@ -2,7 +2,7 @@
 
 A wall stands from the floor to the ceiling, so no ray passes it but through a door or a window. A leaf, a cupboard or a
 duct is passed above or below (paper, III.B: the up-most structure is the wall; Nikoohemat et al., 2018: cells that are
-filled, empty and occluded).
+filled, empty and occluded). Walls that end lower are told by both their sides, see `low_walls`.
 """
 
 from dataclasses import dataclass, replace

@@ -106,7 +106,7 @@ class FusionSettings:
 
     @property
     def for_unseen_faces(self) -> BuildingSettings:
-        """How rays count against faces of which no scan saw a plane that these could be measured against."""
+        """How rays are counted against faces that no scan saw as a plane."""
         near_m = self.missed_walls.near_m
         return self.building.for_faces().model_copy(update={"near_m": near_m, "own_plane_m": 0.0})
 
@@ -115,7 +115,7 @@ class FusionSettings:
 class Building:
     """All that is made of all scans together.
 
-    model: what scans are labelled by. halo: likewise; it grows with the building. aligned: the faces before any was judged, and
+    model: what scans are labelled by. halo: the same, kept apart because it is large. aligned: the faces before any was judged, and
     those found of all scans' returns together. thickness_m: (W,) of the walls.
     """
 

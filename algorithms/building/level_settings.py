@@ -48,7 +48,9 @@ class LevelsSettings(StepSettings):
     beyond_level_m: float = Field(0.05, gt=0, description="Maximum height difference (m) of it from the nearest floor.")
     beyond_width_m: float = Field(0.9, gt=0, description="Minimum diameter (m) of a disc within such floor.")
     drop_min_m: float = Field(0.08, gt=0, description="Minimum height (m) of what hangs below a ceiling.")
-    duct_beside_m: float = Field(0.4, gt=0, description="Maximum distance (m) from what hangs to the ceiling beside it.")
+    narrow_beside_m: float = Field(
+        0.4, gt=0, description="Within this distance (m) a higher ceiling makes a narrow surface no room's ceiling."
+    )
     ceiling_edge_m: float = Field(0.3, ge=0, description="Width (m) of a ceiling's edge, where another may begin.")
     drop_reach_m: float = Field(
         0.8, gt=0, description="Maximum distance (m) of what hangs below a ceiling to where that is seen."

@@ -29,7 +29,9 @@ class BuildingSettings(StepSettings):
     own_plane_margin_m: float = Field(
         0.2, ge=0, description="A scan's own plane of a wall holds this far (m) beyond what the scan saw of it."
     )
-    gap_m: float = Field(0.6, ge=0, description="A wall has no gap longer than this many metres between its planes.")
+    gap_m: float = Field(
+        0.6, ge=0, description="A wall has no gap longer than this many metres between its planes, or its returns."
+    )
     in_line_m: float = Field(
         0.05, gt=0, description="Faces in which one wall goes on beyond their ends lie at most this many metres apart."
     )
@@ -46,7 +48,7 @@ class BuildingSettings(StepSettings):
         description="Least depth in metres of a closed leaf behind the wall: III.C's 2 cm, less what poses are off.",
     )
     door_width_min_m: float = Field(0.6, gt=0, description="Narrowest door in metres.")
-    door_width_max_m: float = Field(2.6, gt=0, description="Widest door in metres.")
+    door_width_max_m: float = Field(2.6, gt=0, description="Widest door in metres; what hangs over a longer stretch is a duct.")
     door_height_min_m: float = Field(1.8, gt=0, description="Lowest door head in metres. III.C, condition 3.")
     knee_m: float = Field(
         0.7,
@@ -290,7 +292,7 @@ _NOT_TOLD = {
 
 
 def one_door(**told: ArrayLike) -> Doors:
-    """A single door by what is told of it, named as in `Doors`; of what may be unknown there, nothing need be told."""
+    """A single door by what is told of it, named as in `Doors`; what may be unknown there can be left out."""
     return Doors(**{name: np.array([value], getattr(NO_DOORS, name).dtype) for name, value in (_NOT_TOLD | told).items()})
 
 

@@ -299,9 +299,8 @@ def standing_stretches(immobile: Immobile, settings: GridMapSettings, knee_m: fl
             stands |= tree.query_ball_point(middles, AT_FACE_M, return_length=True) >= settings.rays_min
         none = _in_window_reveal(middles, face.normal, immobile.windows, settings)
         none |= passed
-        if walls.scan_count[
-            w
-        ]:  # what only all scans together show was proven to stand up to the ceiling, as no leaf does
+        # What only all scans together show was proven to stand up to the ceiling, or to be a wall with two sides: no leaf does.
+        if walls.scan_count[w]:
             none |= _of_open_leaf(middles, float(walls.top_m[w]), immobile.doors, settings)
         stands &= ~none
         # A face ends at a corner, up to which it is carried on as over any other gap.
