@@ -147,6 +147,8 @@ TOP, REFUSED_AS = 7, 8
 HEAD, LEAF, REVEAL = 7, 8, 9
 """The same of doorways: the head's height above the floor, how far the closed leaf is behind the wall's face (negative
 before it, minus infinity where the door is open), and how deep the reveals are."""
+ABOVE_LOW_WALL_M = 0.3
+"""Before a low wall all is as high as itself: the ceiling is this much higher (m); of other walls it differs by less."""
 BEYOND = 7
 """The same of panes: how far behind their face what returns is outside."""
 BEHIND, LOW, HIGH = 7, 8, 9
@@ -463,6 +465,8 @@ def _at_edges(
                 if _is_in_doorway(cx, cy, height_m + rise, doorways, near_doorways, rules.other_face_m):
                     continue
                 column = min(int(u / CELL_M), first[w + 1] - first[w] - 1)
+                if height_m > clear_m[first[w] + column] + ABOVE_LOW_WALL_M:
+                    continue  # the ceiling above a low wall
                 is_other_rooms = height_m < clear_m[first[w] + column] - rules.scatter_m
                 near_ceiling = near_a_ceiling and not is_other_rooms
                 if (not near_floor or height_m + rise > 0.0) and (not near_ceiling or below_m - rise > 0.0):

@@ -399,6 +399,13 @@ def test_a_closed_leaf_stands_on_the_floor() -> None:
     assert final((1.5, 0.01, -0.03), Label.FLOOR, walls=face(), doors=door(0.04)) == Label.FLOOR
 
 
+@pytest.mark.parametrize(("top_m", "expected"), [(1.1, Label.CEILING), (2.8, Label.WALL)])
+def test_the_ceiling_above_a_low_wall_is_no_edge_of_it(top_m: float, expected: Label) -> None:
+    """A return of the ceiling, 3 cm before the wall's plane, whose ray meets the plane below the ceiling."""
+    at = (2.0, 0.03, 2.78)
+    assert final(at, Label.CEILING, walls=face(top_m=top_m), ceiling_m=top_m) == expected
+
+
 def test_a_ceiling_that_hangs_lower_than_the_room_before_the_wall_is_another_rooms() -> None:
     at = (2.0, -0.02, 2.79)
     assert final(at, Label.CEILING, walls=face(top_m=3.2)) == Label.CEILING
