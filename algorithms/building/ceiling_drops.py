@@ -66,7 +66,7 @@ class _Hanging:
     def of(cls, votes: VoxelVotes, settings: LevelsSettings) -> "_Hanging":
         """By the cubes that are ceiling, wall or clutter."""
         label, position = votes.label, votes.mean_position
-        grid, ground_m = grid_over_all(votes, settings.votes_min, settings.cell_m, settings.ceiling_reach_m)
+        grid, ground_m = grid_over_all(votes, settings.cell_m, settings)
         ceiling_m = grid.heights(position[votes.seen() & (label == Label.CEILING)], 1.0)
         top_m = highest_around(ceiling_m, 2 * round(settings.drop_reach_m / grid.cell_m) + 1)
         below_m = -grid.above_m(position, top_m)

@@ -30,18 +30,13 @@ def map_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     return grid.level(Surface.CEILING, height_m, settings.margin_m)
 
 
-def _over_all(votes: VoxelVotes, settings: LevelsSettings) -> tuple[GroundGrid, FloatArray]:
-    """`grid_over_all` in the cells of what hangs or slopes."""
-    return grid_over_all(votes, settings.votes_min, settings.cell_m, settings.ceiling_reach_m)
-
-
 def map_glimpsed_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     """Ceilings that no scan found, of rooms seen through a doorway: the highest there is, level, and too broad for a duct.
 
     A scan finds the ceiling above it; to it, what is higher or lower is clutter. Where its plane meets the walls of a room with
     a higher ceiling, it leaves a line of ceiling on them: only a ceiling that is higher shows that something hangs below it.
     """
-    grid, ground_m = _over_all(votes, settings)
+    grid, ground_m = grid_over_all(votes, settings.cell_m, settings)
     label, position = votes.label, votes.mean_position
     above_m = grid.above_m(position, ground_m)
     highest_m = grid.heights(position[(label == Label.CLUTTER) & (above_m > settings.overhead_min_m)], 1.0)
@@ -56,7 +51,7 @@ def map_glimpsed_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> Height
 
 def map_sloping_ceilings(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     """The undersides of roofs and stairs: the highest there is, in one plane that rises, and too broad for furniture."""
-    grid, ground_m = _over_all(votes, settings)
+    grid, ground_m = grid_over_all(votes, settings.cell_m, settings)
     above_m = grid.above_m(votes.mean_position, ground_m)
     overhead = votes.seen() & (votes.label != Label.FLOOR) & (above_m > settings.slope_bottom_m)
     highest = grid.highest(votes.mean_position[overhead])

@@ -1,7 +1,7 @@
 """What all scans of a drive gathered, as the building and its maps are made of it."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -42,7 +42,7 @@ class TraceOnce:
         return cells.minus(self._part(walls, settings, windows)) if len(windows) else cells
 
     def _part(self, walls: Walls, settings: BuildingSettings, through: Windows | None) -> WallCells:
-        glass = b"" if through is None else b"".join(getattr(through, field.name).tobytes() for field in fields(through))
+        glass = b"" if through is None else through.key
         known = self._known.setdefault((settings.model_dump_json(), glass), {})
         rows = rows_of(walls)
         keys = [ends.tobytes() + normal.tobytes() for ends, normal in zip(walls.ends, walls.normal, strict=True)]

@@ -14,9 +14,9 @@ from ffmap.algorithms.base.known import row_medians
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import segment
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.face_columns import TracedFaces, above_doors_m, column_places
+from ffmap.algorithms.building.face_columns import Storey, TracedFaces, above_doors_m, column_places
 from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, Doors, Walls, cells_in
-from ffmap.algorithms.building.ray_evidence import FOOT_ROW, THROUGH, mean_before_m
+from ffmap.algorithms.building.ray_evidence import FOOT_ROW, THROUGH, first_columns, mean_before_m
 from ffmap.algorithms.scan.doors import DoorState
 
 
@@ -87,9 +87,11 @@ class Foreground:
 NO_FOREGROUND = Foreground(np.zeros(1, np.int64), np.zeros(0), np.zeros(0), np.zeros((0, 1), bool))
 
 
-def bare_foreground(faces: TracedFaces) -> Foreground:
-    """That of faces before which nothing stands."""
-    return Foreground(faces.cells.first, faces.clear_m, faces.ground_m, np.zeros(faces.cells.counts.shape[:2], bool))
+def bare_foreground(low: Walls, storey: Storey) -> Foreground:
+    """That of low walls: nothing stands before them, and what lies before them is as high as they are."""
+    first = first_columns(low)
+    ground_m = storey.ground_m(column_places(low, first))
+    return Foreground(first, np.repeat(low.top_m, np.diff(first)), ground_m, np.zeros((len(ground_m), 1), bool))
 
 
 def find_foreground(faces: TracedFaces, doors: Doors, above_door_m: float, settings: ForegroundSettings) -> Foreground:

@@ -81,7 +81,7 @@ def map_storey_below(votes: VoxelVotes, settings: LevelsSettings) -> HeightMap:
     votes: with the raised floors.
     """
     position = votes.mean_position
-    grid, ground_m = grid_over_all(votes, settings.votes_min, settings.ceiling_cell_m, settings.ceiling_reach_m)
+    grid, ground_m = grid_over_all(votes, settings.ceiling_cell_m, settings)
     highest_m = ground_m - settings.below_floor_m
     # Whatever scans took it for: it may lie in line with a wall of this storey.
     lowest_m = grid.heights(position[grid.above_m(position, highest_m) < 0.0], 0.0) - settings.margin_m

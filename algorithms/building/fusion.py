@@ -8,8 +8,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
-import numpy as np
-
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.blinds import BlindsSettings, find_blinds
 from ffmap.algorithms.building.deep_openings import tell_deep_openings
@@ -133,16 +131,16 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     walls, judged = trimmed.faces.walls, judged.refuse(trimmed.leaves, FaceVerdict.ENDS_LOW)
     foreground = find_foreground(trimmed.faces, doors, settings.standing_walls.above_door_m, settings.foreground)
     low = _find_low_walls(walls, glass, scans, settings)
-    is_refused = without_low_walls(judged.refused, low.walls, settings.missed_walls.noise_m)
+    is_refused = without_low_walls(judged.refused, low, settings.missed_walls.noise_m)
     judged = replace(judged, refused=judged.refused.select(is_refused), verdict=judged.verdict[is_refused])
-    walls, foreground = walls.append(low.walls), foreground.append(bare_foreground(low))
+    walls, foreground = walls.append(low), foreground.append(bare_foreground(low, scans.storey))
     thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
     halo = find_halo(scans.votes, settings.halo)
     halo = halo_at_walls(halo, walls, doors, foreground, scans.storey, settings.halo)
     is_leaf = panes_of_open_leaves(glass, doors)
     windows, leaf_panes = glass.select(~is_leaf), glass.select(is_leaf)
     mullions = find_mullions(windows, partial(_count_all, scans), settings.opening_rules)
-    model = BuildingModel(walls, foreground, judged, doors, windows, blinds, scans.levels, leaf_panes, mullions, low.walls)
+    model = BuildingModel(walls, foreground, judged, doors, windows, blinds, scans.levels, leaf_panes, mullions, low)
     return Building(model, halo, aligned, thickness_m)
 
 
@@ -195,14 +193,11 @@ def _add_missed_walls(
     """The faces with those that only all scans together show, and the walls that they make."""
     standing, missed = settings.standing_walls, settings.missed_walls
 
-    def trace(faces: Walls, glass: Windows) -> TracedFaces:
-        cells = scans.trace(faces, settings.for_unseen_faces, glass)
-        return TracedFaces.of(faces, cells, scans.storey, standing.ceiling_near_m)
-
+    trace = partial(_traced_unseen, scans=scans, settings=settings)
     widened = widened_in_walls(windows, judged.walls, missed.beside_glass_m, settings.windows)
-    trace_clear = partial(trace, glass=widened) if len(windows) else None
+    trace_clear = partial(trace, windows=widened) if len(windows) else None
     search = SearchSettings(settings.building, standing, settings.face_columns, missed, settings.folds)
-    returns = AllReturns(scans.votes, scans.storey, scans.path_map, partial(trace, glass=windows), trace_clear)
+    returns = AllReturns(scans.votes, scans.storey, scans.path_map, partial(trace, windows=windows), trace_clear)
     # What too few scans saw as a plane may be a wall that all returns together show, unless it hangs.
     hangs = judged.refused.bottom_m >= settings.building.door_height_min_m
     refused = judged.refused.select((judged.verdict != FaceVerdict.ALONE) | hangs)
@@ -214,18 +209,14 @@ def _add_missed_walls(
     return aligned.append(added), judged, walls
 
 
-def _find_low_walls(walls: Walls, glass: Windows, scans: AllScans, settings: FusionSettings) -> TracedFaces:
-    """The sides of walls that end below the ceiling; what lies before them is as high as they are."""
-    missed, near_m = settings.missed_walls, settings.standing_walls.ceiling_near_m
+def _find_low_walls(walls: Walls, glass: Windows, scans: AllScans, settings: FusionSettings) -> Walls:
+    """The sides of walls that end below the ceiling."""
+    missed = settings.missed_walls
     place, weight, _ = unexplained_columns(scans.votes, walls, NO_WALLS, missed.explained_m)
     directions = wall_directions(walls, settings.standing_walls.direction_share_min)
     lines = straight_lines(place, weight, directions, missed.half_thickness_m, settings.building.gap_m)
-
-    def trace(faces: Walls) -> TracedFaces:
-        return TracedFaces.of(faces, scans.trace(faces, settings.for_unseen_faces, glass), scans.storey, near_m)
-
-    low = trace(find_low_walls(lines, walls, trace, settings.building, settings.low_walls))
-    return replace(low, clear_m=np.repeat(low.walls.top_m, np.diff(low.cells.first)))
+    trace = partial(_traced_unseen, scans=scans, settings=settings, windows=glass)
+    return find_low_walls(lines, walls, trace, settings.building, settings.low_walls)
 
 
 # --- openings ---
@@ -302,4 +293,10 @@ def _count_all(scans: AllScans, faces: Walls, building: BuildingSettings) -> Wal
 def _traced(faces: Walls, scans: AllScans, settings: FusionSettings, windows: Windows = NO_WINDOWS) -> TracedFaces:
     """The faces with what rays found of them, and how high the room is before them."""
     cells = scans.trace(faces, settings.building, windows)
+    return TracedFaces.of(faces, cells, scans.storey, settings.standing_walls.ceiling_near_m)
+
+
+def _traced_unseen(faces: Walls, scans: AllScans, settings: FusionSettings, windows: Windows) -> TracedFaces:
+    """The same of faces that no scan saw as a plane."""
+    cells = scans.trace(faces, settings.for_unseen_faces, windows)
     return TracedFaces.of(faces, cells, scans.storey, settings.standing_walls.ceiling_near_m)

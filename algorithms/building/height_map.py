@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.votes import VoxelVotes
 
 _TILE_M, _TILE_CUBES = 10.0, 5
@@ -182,13 +183,14 @@ class GroundGrid:
         return np.asarray(mask & (ndimage.distance_transform_edt(~core) <= radius + 1.0))
 
 
-def grid_over_all(votes: VoxelVotes, votes_min: int, cell_m: float, margin_m: float) -> tuple[GroundGrid, FloatArray]:
+def grid_over_all(votes: VoxelVotes, cell_m: float, settings: LevelsSettings) -> tuple[GroundGrid, FloatArray]:
     """A grid over all cubes, and the floor's height (rows, columns) under each of its cells; NaN where no floor is known.
 
-    votes: of the scans' labels; those of `votes_min` scans make a cube floor.
+    votes: of the scans' labels.
     """
-    grid = GroundGrid.around(votes.mean_position, cell_m, margin_m)
-    return grid, grid.ground_m(votes.mean_position[votes.seen(votes_min) & (votes.label == Label.FLOOR)])[0]
+    grid = GroundGrid.around(votes.mean_position, cell_m, settings.ceiling_reach_m)
+    floor = votes.seen(settings.votes_min) & (votes.label == Label.FLOOR)
+    return grid, grid.ground_m(votes.mean_position[floor])[0]
 
 
 def _among_others(position: FloatArray) -> BoolArray:

@@ -11,8 +11,8 @@ import numpy as np
 from pydantic import Field
 
 from ffmap.algorithms.base.known import median_known
-from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
-from ffmap.algorithms.base.segments import Segment, lengths_m, segment, segments
+from ffmap.algorithms.base.scan import BoolArray, IntArray
+from ffmap.algorithms.base.segments import lengths_m, segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import TracedFace, TracedFaces, long_runs, on_and_passed, runs
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
@@ -100,25 +100,20 @@ def _two_sides(faces: Walls, walls: Walls, settings: LowWallsSettings) -> IntArr
     There is none where a wall that looks the same way lies between: what stands before that is no side of it.
     """
     both, pairs = faces.append(walls), list[tuple[int, int]]()
+    is_wall = np.arange(len(both)) >= len(faces)
+    most_m = np.where(is_wall, settings.room_wall_max_m, settings.thickness_max_m)
     for own, face in enumerate(segments(faces)):
-        looks = both.normal @ face.normal
-        behind = {k: _behind_m(face, both.ends[k], settings) for k in np.flatnonzero(np.abs(looks) > _PARALLEL)}
-        walls_before = [m for k, m in behind.items() if k >= len(faces) and looks[k] > 0.0 and m > 0.0]
-        for k, behind_m in behind.items():
-            most_m = settings.thickness_max_m if k < len(faces) else settings.room_wall_max_m
-            if looks[k] < 0.0 and settings.thickness_min_m < behind_m < min(most_m, *walls_before, np.inf):
-                pairs.append((own, int(k)))
+        looks, place_m = both.normal @ face.normal, face.place_m(both.ends)
+        within_m = np.clip(place_m, 0.0, face.length_m)
+        beside = np.flatnonzero((np.abs(looks) > _PARALLEL) & (np.ptp(within_m, axis=1) >= settings.length_min_m))
+        # In the middle of what is beside: a long wall that is askew lies elsewhere by its own.
+        share = (within_m[beside].mean(axis=1) - place_m[beside, 0]) / np.diff(place_m[beside])[:, 0]
+        first_m, last_m = -face.before_m(both.ends[beside]).T
+        behind_m, opposite = first_m + share * (last_m - first_m), looks[beside] < 0.0
+        nearest_m = behind_m[is_wall[beside] & ~opposite & (behind_m > 0.0)].min(initial=np.inf)
+        near = opposite & (behind_m > settings.thickness_min_m) & (behind_m < np.minimum(most_m[beside], nearest_m))
+        pairs += [(own, int(k)) for k in beside[near]]
     return np.array(pairs, np.int64).reshape(-1, 2)
-
-
-def _behind_m(face: Segment, ends: FloatArray, settings: LowWallsSettings) -> float:
-    """How far behind a face another lies in the middle of what is beside it; NaN where that is too short."""
-    if np.abs(face.before_m(ends)).min() > 1.0 or face.shared_m(ends) < settings.length_min_m:
-        return float("nan")
-    place_m, before_m = face.place_m(ends), face.before_m(ends)
-    order = np.argsort(place_m)
-    middle_m = np.clip(place_m, 0.0, face.length_m).mean()
-    return -float(np.interp(middle_m, place_m[order], before_m[order]))
 
 
 def _sides(
@@ -174,9 +169,12 @@ def _is_beside(side: _Side, other: Walls) -> bool:
 def _is_known(side: _Side, found: Walls, settings: LowWallsSettings) -> bool:
     """Whether one of some sides is the same, or what is smeared of it."""
     face = segment(side.face, 0)
-    alike = (face.normal @ found.normal[k] > _PARALLEL and _is_beside(side, found.one(k)) for k in range(len(found)))
-    near_m = (np.abs(face.before_m(ends)).max() < settings.thickness_min_m for ends in found.ends)
-    return any(like and near for like, near in zip(alike, near_m, strict=True))
+    return any(
+        face.normal @ other.normal > _PARALLEL
+        and np.abs(face.before_m(found.ends[k])).max() < settings.thickness_min_m
+        and _is_beside(side, found.one(k))
+        for k, other in enumerate(segments(found))
+    )
 
 
 def without_low_walls(refused: Walls, low: Walls, noise_m: float) -> BoolArray:

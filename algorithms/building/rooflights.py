@@ -22,7 +22,7 @@ def map_mirrored_floors(votes: VoxelVotes, blocks: Iterable[Features], settings:
     votes: of the scans' labels. blocks: the scans' features in the map frame, in portions; not read where nothing broad lies
     overhead, twice as high as any ceiling has to be.
     """
-    grid, ground_m = grid_over_all(votes, settings.votes_min, settings.ceiling_cell_m, settings.ceiling_reach_m)
+    grid, ground_m = grid_over_all(votes, settings.ceiling_cell_m, settings)
     position, pane_min_m = votes.mean_position, settings.overhead_min_m
     above_m, overhead = grid.above_m(position, ground_m), votes.seen() & _may_be_overhead(votes.label)
     # The mirrored floor is the highest there is.

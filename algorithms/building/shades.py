@@ -111,7 +111,7 @@ def shades(light: FloatArray, response: FloatArray) -> FloatArray:
 
 
 def peaks(values: FloatArray, least: float) -> IntArray:
-    """(k,) where values (c,) are farther from 0 than the two before and behind them, and at least so far; NaN is 0."""
+    """(k,) where values (c,) are at least `least` from 0, and no nearer to it than the two before and behind; NaN counts as 0."""
     size = np.nan_to_num(np.abs(values))
     padded = np.pad(size, 2)
     farthest = np.max([padded[k : k + len(size)] for k in range(5)], axis=0)

@@ -98,7 +98,7 @@ class _RayCounts:
 
     def __init__(self, telling: _Telling, workers: int) -> None:
         self._telling, self._workers = telling, workers
-        self._asked, self._beyond = NO_WINDOWS, list[Features]()
+        self._asked, self._beyond = NO_WINDOWS.key, list[Features]()
 
     def __call__(self, faces: Walls, settings: BuildingSettings, through: Windows | None) -> WallCells:
         if through is None:
@@ -110,11 +110,11 @@ class _RayCounts:
         def beyond_in(job: PlaceJob) -> list[Features]:
             return [rays_through(windows, part) for part in self._telling.features((job,))]
 
-        if not windows.is_same(self._asked):
+        if windows.key != self._asked:
             with ThreadPoolExecutor(self._workers) as threads:
                 # Few rays end beyond windows.
                 beyond = [part for parts in threads.map(beyond_in, self._telling.jobs) for part in parts]
-            self._asked, self._beyond = windows, beyond
+            self._asked, self._beyond = windows.key, beyond
         return self._beyond
 
 
