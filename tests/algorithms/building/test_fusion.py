@@ -160,7 +160,10 @@ def test_what_shows_both_sides_a_walls_thickness_apart_is_a_wall_though_rays_pas
     np.testing.assert_array_equal(model.low_walls.ends, low.ends)
     assert len(model.judged.refused) == (0 if is_wall else 2)
     # All that goes by wall faces knows of them too.
-    assert len(building.thickness_m) == len(model.walls) == len(model.foreground.first) - 1
+    first, clear_m = model.foreground.first, model.foreground.clear_m
+    assert len(building.thickness_m) == len(model.walls) == len(first) - 1
+    for w in np.flatnonzero(model.walls.top_m < 1.5):
+        np.testing.assert_array_equal(clear_m[first[w] : first[w + 1]], model.walls.top_m[w])
     np.testing.assert_allclose(building.thickness_m[model.walls.top_m < 1.5], thickness_m if is_wall else 0.0, atol=0.02)
 
 

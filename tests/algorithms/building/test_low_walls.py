@@ -125,17 +125,17 @@ def test_a_side_that_drift_has_smeared_is_found_once() -> None:
 
 def test_faces_at_an_angle_are_not_two_sides_of_a_wall() -> None:
     wall = LowWall()
-    for off_m, count in ((0.05, 2), (0.4, 0)):
+    for off_m, count in ((0.05, 2), (0.2, 0)):
         askew = (wall.lines[1][0] + np.array([[0.0, 0.0], [0.0, -off_m]]), np.array([off_m / 3.0, 1.0]))
         askew = (askew[0], askew[1] / np.linalg.norm(askew[1]))
         assert len(find_low_walls([wall.lines[0], askew], NO_WALLS, wall.trace, BUILDING, SETTINGS)) == count
 
 
 def test_how_thick_a_wall_is_counts_where_both_its_sides_are() -> None:
-    """A long wall, askew by half a degree, is elsewhere by its middle."""
+    """A long wall, askew by one degree, is elsewhere by its middle."""
     box = LowWall(tops_m=(2.7, 0.0), shown=(True, False))
     room = room_wall(-0.2)
-    long = replace(room, ends=np.array([[[0.0, -0.2], [40.0, -0.2 - 40.0 * np.tan(np.radians(0.5))]]]))
+    long = replace(room, ends=np.array([[[0.0, -0.2], [40.0, -0.2 - 40.0 * np.tan(np.radians(0.9))]]]))
     assert len(found(box, room)) == len(found(box, long)) == 1
 
 
