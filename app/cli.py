@@ -1,4 +1,4 @@
-"""The command line: ffmap run, inspect, compare, sweep, runs, view, serve, rooms, maps, info, simulate, evaluate and more.
+"""The command line: ffmap run, inspect, compare, sweep, runs, view, rooms, maps, info, simulate, evaluate and more.
 
 Each command imports what it needs when it is called: 'ffmap --help' answers at once.
 """
@@ -440,38 +440,32 @@ class Sweep(SweepParameters):
 
 @_command
 class Runs:
-    """All runs with the settings in which they differ and their figures; asked of Rerun's catalogue.
+    """List all runs with the settings in which they differ and their figures.
 
     Columns are settings by their names (wall_planes.similarity_m), metrics (wall_f1, doors_found,
-    trajectory_ate_rmse_m), counts (walls, doors) and seconds, what a run took.
+    trajectory_ate_rmse_m), counts (walls, doors) and seconds, the time that a run took.
 
     Examples:
 
-        ffmap runs runs/sweep-drive-1a2b3c4d --where "wall_f1 > 0.98 and doors.lines_min = 2" --sort seconds
+        ffmap runs runs/sweep-drive-1a2b3c4d --where "wall_f1>0.98" --where doors.lines_min=2 --sort seconds
 
-        ffmap runs rerun+http://127.0.0.1:51234 --columns started,wall_f1,door_f1 --sort wall_f1
+        ffmap runs --columns started,wall_f1,door_f1 --sort wall_f1
     """
 
-    place: str = argument(
-        "runs",
-        show_default=True,
-        metavar="DIR|URL",
-        help="Folder with runs, or a catalogue server, as 'ffmap serve' prints it.",
+    folder: Path = argument(Path("runs"), show_default=True, metavar="DIR", help="Folder with runs.")
+    where: list[str] | None = option(
+        None, metavar="CONDITION", help='List only runs that meet it, as in "wall_f1>0.98"; may be repeated.'
     )
-    where: str | None = option(None, metavar="SQL", help='Only runs of which this is true, as in "wall_f1 > 0.98".')
     sort: str | None = option(None, metavar="COLUMN", help="Best first for a metric, least first for anything else.")
     reverse: bool = option(False, "--reverse", help="With --sort: the other way round.")
     columns: str | None = option(
         None, metavar="LIST", help="Columns to show, as in wall_f1,doors_found; 'all' lists their names."
     )
-    dataset: str | None = option(None, help="With a server: which of its datasets.  [default: runs]")
 
     def __call__(self) -> None:
         from ffmap.app.commands.runs import runs
-        from ffmap.app.record.catalogue.runs import Query
 
-        query = Query(self.where, self.sort, self.reverse)
-        runs(self.place, query, self.columns, self.dataset)
+        runs(self.folder, self.where or [], self.sort, self.reverse, self.columns)
 
 
 @_command
@@ -500,33 +494,6 @@ class View:
         from ffmap.app.commands.view import view
 
         view(self.places, self.web)
-
-
-@_command
-class Serve:
-    """Serve a folder of runs as a Rerun catalogue, to 'ffmap runs URL', to the viewer and to Python; Ctrl-C ends it.
-
-    Runs that are finished meanwhile are added. Clients can read, and change nothing. Behind this address Rerun's own server
-    listens on a port that only this machine reaches: whoever can start programs here can change the list there (not the
-    runs), and register recordings that you may read, until you end it.
-
-    Example:
-
-        ffmap serve /data/runs --host 0.0.0.0
-    """
-
-    folder: Path = argument(Path("runs"), show_default=True, metavar="DIR", help="Folder with runs.")
-    host: str = option(
-        "127.0.0.1",
-        help="Address to listen on; 0.0.0.0 lets every machine on the network read all recordings, settings and paths, "
-        "without a password and unencrypted.",
-    )
-    port: int = option(51234, min=0, max=65535, help="Port to listen on; 0 for any that is free.")
-
-    def __call__(self) -> None:
-        from ffmap.app.commands.runs import serve
-
-        serve(self.folder, self.host, self.port)
 
 
 @_command

@@ -20,12 +20,12 @@ from ffmap.app.folder.finished_run import FinishedRun, open_run
 from ffmap.app.folder.map_files import read_map
 from ffmap.app.folder.names import EVALUATION, RECORDING, RUN_JSON, SweepFile, map_file
 from ffmap.app.own_command import has_display, own_command
-from ffmap.app.record.catalogue.server import LOOPBACK
 from ffmap.app.record.stream import free_port, open_part
 from ffmap.blueprints import entities
 from ffmap.blueprints import run as run_blueprint
 from ffmap.loaders.errors import InputError
 
+LOOPBACK = "127.0.0.1"
 _RERUN = (sys.executable, "-m", "rerun")
 
 

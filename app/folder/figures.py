@@ -26,29 +26,6 @@ HEADLINES = (
 )
 """The figures that a table shows where nobody chooses; those that no run has are left out."""
 
-STEPS = (
-    *("scan", "odometry", "refinement", "pose_graph", "trajectory", "smoothing", "rearrangement"),
-    *("vertical_structures", "wall_planes", "doors", "labelling", "building", "levels", "face_columns"),
-    *("face_alignment", "face_steps", "standing_walls", "folds", "missed_walls", "low_walls", "foreground"),
-    *("openings", "windows", "blinds"),
-    *(
-        "glass_fronts",
-        "door_casings",
-        "door_contrasts",
-        "door_outlines",
-        "door_frames",
-        "wall_thickness",
-        "grid_map",
-        "area_graph",
-        "room_outlines",
-        "rival_maps",
-        "floor_plan",
-        "halo",
-        "relabelling",
-    ),
-)
-"""The steps that have settings. Not asked of `app.settings`: with it comes the whole method, which a list need not wait for."""
-
 _WITHOUT_TRUTH = {SECONDS, CPU_SECONDS, "labelling_s_per_scan", "walls", "doors"}
 OBJECTIVES = (
     _WITHOUT_TRUTH
@@ -76,7 +53,7 @@ _LESS_IS_BETTER = re.compile(
 
 
 def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested values by the names of their columns in a catalogue; what is None is left out."""
+    """Nested values by the names of their columns; values that are None are left out."""
     flat: dict[str, Any] = {}
     for key, value in values.items():
         name = f"{prefix}{key}".replace(".", "_")
@@ -88,7 +65,7 @@ def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def queried(metrics: Mapping[str, Any]) -> dict[str, Any]:
-    """Of what metrics.json says, the figures by which runs are asked for: a catalogue is slower for every column."""
+    """Return the metrics that become properties of a recording."""
     return {
         name: queried(value) if isinstance(value, Mapping) else value
         for name, value in metrics.items()
@@ -96,26 +73,14 @@ def queried(metrics: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def column_name(group: str, field: str) -> str:
-    """The name of what a recording has as the property `group`:`field`; of a setting, as it is typed after --set."""
-    if group == "settings":
-        step = next((step for step in STEPS if field.startswith(f"{step}_")), None)
-        return field if step is None else f"{step}.{field.removeprefix(f'{step}_')}"
-    if group == "metrics":
-        return field.removeprefix("area_")
-    if group == "result":
-        return _RENAMED.get(field, field.removeprefix("counts_"))
-    return field
-
-
 def figures_of(record: Mapping[str, Any], metrics: Mapping[str, Any] | None) -> dict[str, float]:
     """Every number that a run's run.json and metrics.json say of its results, by name."""
-    result = {name: record.get(name, {}) for name in ("timings_s", "counts")}
-    groups = {"result": flatten(result), "metrics": flatten(metrics or {})}
+    result = flatten({name: record.get(name, {}) for name in ("timings_s", "counts")})
+    named = {_RENAMED.get(name, name.removeprefix("counts_")): value for name, value in result.items()}
+    named |= {name.removeprefix("area_"): value for name, value in flatten(metrics or {}).items()}
     return {
-        column_name(group, field): float(value)
-        for group, values in groups.items()
-        for field, value in values.items()
+        name: float(value)
+        for name, value in named.items()
         if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     }
 

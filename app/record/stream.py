@@ -326,11 +326,3 @@ def send_properties(stream: rr.RecordingStream, name: str, values: Mapping[str, 
     """Settings, digests, versions, metrics: nested mappings become columns like `wall_planes_similarity_m`."""
     if flat := flatten(values):
         stream.send_property(name, rr.AnyValues(**flat))
-
-
-def write_properties(path: Path, recording_id: str, properties: Mapping[str, Mapping[str, Any]]) -> None:
-    """A recording that holds properties and nothing else."""
-    with rr.RecordingStream(entities.APPLICATION_ID, recording_id=recording_id) as stream:
-        stream.save(path)
-        for name, values in properties.items():
-            send_properties(stream, name, values)

@@ -10,11 +10,10 @@ import numpy as np
 from ffmap.app.analysis.evaluation import evaluate_run
 from ffmap.app.commands import compare as compare_command
 from ffmap.app.commands import rooms as rooms_command
+from ffmap.app.commands import runs as runs_command
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.map_files import read_map
 from ffmap.app.parameters import RoomsParameters
-from ffmap.app.record.catalogue import runs as catalogue
-from ffmap.app.record.catalogue.runs import Query
 from ffmap.app.setup.inputs import InputOptions, Inputs, find_inputs
 from ffmap.app.setup.settings import as_toml, load_settings
 from ffmap.loaders.bag import make_typestore, open_bag
@@ -150,9 +149,7 @@ def compare(run: Path, other: Path, out: Path) -> None:
 
 
 def list_runs(root: Path) -> None:
-    with catalogue.serve(catalogue.find_runs(root)) as served:
-        if served.taken:
-            catalogue.ask(served.dataset, Query())
+    runs_command.runs(root, [], None, False, None)
 
 
 _TILT = (0.0, 0.7071067811865476, 0.0, 0.7071067811865476)

@@ -20,7 +20,6 @@ from PIL import Image
 from ffmap.app.folder.atomic import write_geojson, write_json
 from ffmap.app.setup.settings import Settings, as_toml
 from tests.app.analysis.test_evaluation import BUILDING, make_run, make_truth_bag
-from tests.app.record.test_catalogue import write as write_recording
 from tests.fuzz import commands
 from tests.fuzz.damage import WORDS, damaged, damaged_json, damaged_text
 from tests.fuzz.sandbox import Sandbox
@@ -261,7 +260,6 @@ def whole_run(folder: Path) -> Path:
     write_geojson(run / "walls.geojson", [{"properties": {"thickness": 0.1}, "geometry": line}])
     square = {"type": "Polygon", "coordinates": [[[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 0.0]]]}
     write_geojson(run / "rooms.geojson", [{"properties": {"area": 2.0, "name": "1"}, "geometry": square}])
-    write_recording(run / "recording.rrd", "a run", {"settings": {"seed": 0}, "result": {"outcome": "complete"}})
     return run
 
 

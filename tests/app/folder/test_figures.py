@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from ffmap.app.folder import figures
-from ffmap.app.folder.figures import column_name, figures_of, less_is_better, pareto_front, short_names
-from ffmap.app.setup.settings import Settings
+from ffmap.app.folder.figures import figures_of, less_is_better, pareto_front, short_names
 from ffmap.loaders.errors import InputError
 
 
@@ -36,7 +35,7 @@ def test_nothing_has_no_front() -> None:
     assert pareto_front([1.0, math.nan], [math.nan, 2.0]) == []
 
 
-def test_json_and_properties_have_the_same_names() -> None:
+def test_figures_have_short_names() -> None:
     record = {"timings_s": {"total": 12.5, "labelling_per_scan": 0.01}, "counts": {"doors": 4, "returns": {"wall": 7}}}
     metrics = {"area": {"wall": {"f1": 0.97, "precision": None}}, "doors": {"found": 1.0}, "truth": "a.bag"}
     found = figures_of(record, metrics)
@@ -48,16 +47,6 @@ def test_json_and_properties_have_the_same_names() -> None:
         "wall_f1": 0.97,
         "doors_found": 1.0,
     }
-    assert column_name("metrics", "area_wall_f1") == "wall_f1"
-    assert column_name("metrics", "area_scan_wall_f1") == "scan_wall_f1"
-    assert column_name("result", "timings_s_total") == "seconds"
-    assert column_name("settings", "wall_planes_similarity_m") == "wall_planes.similarity_m"
-    assert column_name("settings", "seed") == "seed"
-
-
-def test_every_setting_is_named_as_it_is_typed() -> None:
-    for name in Settings().flat():
-        assert column_name("settings", name.replace(".", "_")) == name
 
 
 def test_errors_and_times_are_better_when_less() -> None:
