@@ -1,4 +1,4 @@
-"""The command line: ffmap run, inspect, compare, sweep, runs, view, rooms, maps, info, simulate, evaluate and more.
+"""The command line: ffmap run, inspect, compare, sweep, runs, view, rooms, info, simulate, evaluate and more.
 
 Each command imports what it needs when it is called: 'ffmap --help' answers at once.
 """
@@ -518,26 +518,6 @@ class Rooms(RoomsParameters):
         from ffmap.app.commands.rooms import rooms
 
         rooms(self)
-
-
-@_command
-class Maps:
-    """Lay a run's maps over any other map of the building: alignment, figures, a picture (Fig. 9e), a recording.
-
-    The reference may lie anywhere and be turned by any angle; its resolution must be true.
-
-    Example:
-
-        ffmap maps runs/latest --reference floor3/map.yaml
-    """
-
-    run_folder: Path = argument(metavar="RUN", help="Run folder.")
-    reference: Path = option(help="YAML file of another map of the building, as map_server reads it.")
-
-    def __call__(self) -> None:
-        from ffmap.app.commands.maps import maps
-
-        maps(self.run_folder, self.reference)
 
 
 @_command

@@ -240,7 +240,7 @@ AGREEMENTS: dict[int, tuple[str, Color]] = {
     Agreement.FREE: ("free", (255, 255, 255)),
     Agreement.BOTH: ("wall in both", (20, 140, 60)),
     Agreement.ONLY_MAP: ("wall only in the map", (240, 50, 50)),
-    Agreement.ONLY_REFERENCE: ("wall only in the reference", (255, 150, 0)),
+    Agreement.ONLY_REFERENCE: ("wall only in the ground truth", (255, 150, 0)),
     Agreement.NOT_SEEN: ("wall that was not seen", (120, 160, 230)),
 }
 """Name and colour of what a map laid over another shows (Fig. 9e)."""

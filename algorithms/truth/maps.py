@@ -29,7 +29,7 @@ class Agreement(IntEnum):
     BOTH = 2  # wall in both
     ONLY_MAP = 3
     ONLY_REFERENCE = 4
-    NOT_SEEN = 5  # wall of the reference where the map knows nothing
+    NOT_SEEN = 5  # wall of the ground truth where the map knows nothing
 
 
 @dataclass(frozen=True)

@@ -38,9 +38,6 @@ ROOMS = "rooms.geojson"
 FLOOR_PLAN_SVG = "floorplan.svg"
 FLOOR_PLAN_DXF = "floorplan.dxf"
 OVERLAY = "overlay.png"
-REFERENCE_OVERLAY = "reference_overlay.png"
-REFERENCE_JSON = "reference.json"
-REFERENCE_RECORDING = "reference.rrd"
 SPOOL = "spool"
 ERROR_LOG = "error.txt"
 REPLACEMENT = ".replacement"
@@ -89,7 +86,7 @@ def file_names() -> frozenset[str]:
 
     names = {RUN_JSON, RECORDING, EVALUATION, TRAJECTORY, CLOUD, LABELLED_BAG, LABELLED_FOLDER, LABELS, METRICS}
     names |= {WALLS, DOORS, FLOOR_PLAN_SVG, FLOOR_PLAN_DXF, OVERLAY, SPOOL, ERROR_LOG}
-    names |= {REFERENCE_OVERLAY, REFERENCE_JSON, REFERENCE_RECORDING, *(rooms_file(name) for name in Segmented)}
+    names |= {rooms_file(name) for name in Segmented}
     maps = {map_file(name) for name in (FURNITURE_FREE, *Rival)}
     return frozenset(names | maps | {str(Path(name).with_suffix(".pgm")) for name in maps})
 

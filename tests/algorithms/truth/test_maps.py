@@ -7,7 +7,7 @@ from ffmap.algorithms.base.labels import Truth
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.truth.maps import blocked_doors, cells_along, compare_wall_map
 from ffmap.algorithms.truth.tally import CUBE_M
-from tests.algorithms.truth.test_reference import moved, raster
+from tests.rasters import moved, raster
 from tests.voting import vote
 
 

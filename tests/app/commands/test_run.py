@@ -26,7 +26,6 @@ from ffmap.algorithms.maps.rivals import Rival
 from ffmap.app import cli
 from ffmap.app.analysis.evaluation import evaluate_run
 from ffmap.app.commands import run as run_command
-from ffmap.app.commands.maps import maps
 from ffmap.app.folder import names as run_folder
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.names import rooms_file
@@ -533,8 +532,6 @@ def test_folders_of_demo_suite_evaluation_and_maps_that_cannot_be_written(
     monkeypatch.setattr(run_folder, "make_writable", refuse)
     with pytest.raises(InputError, match=r"whole: cannot be written \(Permission denied\)"):
         evaluate_run(open_run(finished))
-    with pytest.raises(InputError, match=r"whole: cannot be written \(Permission denied\)"):
-        maps(finished, finished / "map.yaml")
 
 
 def test_two_runs_never_write_into_one_folder(

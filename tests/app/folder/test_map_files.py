@@ -3,11 +3,13 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 import yaml
 from PIL import Image
 
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.app.folder.map_files import read_map, write_grid
+from ffmap.loaders.errors import InputError
 
 
 class TestGrid:
@@ -39,3 +41,34 @@ class TestGrid:
         back = read_map(tmp_path / "map.yaml")
         np.testing.assert_array_equal(back.cells, self.GRID.cells)
         np.testing.assert_allclose(back.origin, self.GRID.origin)
+
+
+_THRESHOLDS = "negate: 0\noccupied_thresh: 0.6\nfree_thresh: 0.2\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        (None, "is not there"),
+        ("not: [yaml", "is no valid YAML"),
+        ("5", "holds no keys"),
+        ("image: gone.pgm\nresolution: 0.1\n", "gone.pgm"),
+        ("image: text.pgm\nresolution: 0.1\n", "text.pgm"),
+        (f"image: image.png\n{_THRESHOLDS}origin: [0, 0, 0]\n", "resolution"),
+        (f"image: image.png\n{_THRESHOLDS}origin: [0]\nresolution: 0.1\n", "origin"),
+        (f"image: image.png\n{_THRESHOLDS}origin: [0, 0, 0]\nresolution: 0\n", "resolution"),
+        ("image: image.png\noccupied_thresh: x\norigin: [0, 0, 0]\nresolution: 1\n", "occupied"),
+    ],
+)
+def test_a_description_that_is_no_map_is_one_line(
+    content: str | None, named: str, tmp_path: Path
+) -> None:
+    (tmp_path / "text.pgm").write_text("no image at all")
+    Image.fromarray(np.zeros((4, 4), np.uint8)).save(tmp_path / "image.png")
+    if content is not None:
+        (tmp_path / "bad.yaml").write_text(content)
+    with pytest.raises(InputError) as error:
+        read_map(tmp_path / "bad.yaml")
+    assert named in str(error.value)
+    assert str(tmp_path / "bad.yaml") in str(error.value)
+    assert "\n" not in str(error.value)

@@ -1,128 +1,19 @@
-"""ffmap maps as a user meets it: a reference that lies elsewhere, one of another building, and mistakes."""
+"""Figures of grid maps in a table, and the picture that lays maps over the ground truth."""
 
-import json
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from PIL import Image
 
 from ffmap.algorithms.base.segments import turned
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.truth.maps import Agreement, ComparedMap, WallMapFigures
 from ffmap.app.analysis import map_figures
-from ffmap.app.analysis.map_figures import (
-    TITLES,
-    map_metrics,
-    maps_table,
-    walls_direction_deg,
-    write_overlays,
-)
+from ffmap.app.analysis.map_figures import TITLES, map_metrics, maps_table, walls_direction_deg, write_overlays
 from ffmap.app.folder.atomic import write_geojson
-from ffmap.app.folder.map_files import write_grid
-from ffmap.app.folder.names import REFERENCE_JSON, REFERENCE_OVERLAY, WALLS, map_file
+from ffmap.app.folder.names import WALLS
 from ffmap.loaders.errors import InputError
-from tests.algorithms.truth.test_reference import OTHER, PLAN, moved, raster
-from tests.program import ffmap_here
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run with maps alone, and references beside it."""
-    folder = tmp_path_factory.mktemp("maps")
-    run = folder / "run"
-    run.mkdir()
-    (run / "run.json").write_text('{"outcome": "complete"}')
-    for name in TITLES:
-        write_grid(run / map_file(name), raster(PLAN, furniture=0 if name == "furniture_free" else 300))
-    write_grid(folder / "reference.yaml", raster(moved(PLAN, 40.0, (5.0, -2.0))))
-    write_grid(folder / "other.yaml", raster(OTHER))
-    return folder
-
-
-def test_every_map_is_aligned_and_compared(folder):
-    done = ffmap_here(dict(os.environ), "maps", folder / "run", "--reference", folder / "reference.yaml")
-    assert done.returncode == 0
-    out = done.stdout
-    assert "turned by 40." in out or "turned by 39." in out
-    found = json.loads((folder / "run" / REFERENCE_JSON).read_text())
-    np.testing.assert_allclose(np.array(found["T_reference_map"])[:2, 2], [5.0, -2.0], atol=0.05)
-    assert list(found["maps"]) == [str(name) for name in TITLES]
-    own = found["maps"]["furniture_free"]
-    assert own["precision"] > 0.99
-    assert own["recall"] > 0.99
-    assert own["error_m"] < 0.03
-    assert all(
-        own["precision"] > rival["precision"] for name, rival in found["maps"].items() if name != "furniture_free"
-    )
-    with Image.open(folder / "run" / REFERENCE_OVERLAY) as picture:
-        assert picture.width > 2 * 1200
-    assert not list((folder / "run").glob("*.part"))
-
-
-def test_another_building_is_told(folder):
-    done = ffmap_here(dict(os.environ), "maps", folder / "run", "--reference", folder / "other.yaml")
-    assert done.returncode == 2
-    error = done.stderr
-    assert "does not fit" in error
-    assert len(error.strip().splitlines()) == 1
-
-
-@pytest.mark.parametrize(
-    ("content", "named"),
-    [
-        (None, "is not there"),
-        ("not: [yaml", "is no valid YAML"),
-        ("5", "holds no keys"),
-        ("image: gone.pgm\nresolution: 0.1\n", "gone.pgm"),
-        ("image: text.pgm\nresolution: 0.1\n", "text.pgm"),
-        ("image: image.png\nnegate: 0\noccupied_thresh: 0.6\nfree_thresh: 0.2\norigin: [0, 0, 0]\n", "resolution"),
-        (
-            "image: image.png\nnegate: 0\noccupied_thresh: 0.6\nfree_thresh: 0.2\norigin: [0]\nresolution: 0.1\n",
-            "origin",
-        ),
-        (
-            "image: image.png\noccupied_thresh: x\nfree_thresh: 0.2\norigin: [0, 0, 0]\nresolution: 1\n",
-            "occupied_thresh",
-        ),
-        (
-            "image: image.png\nnegate: 0\noccupied_thresh: 0.6\nfree_thresh: 0.2\norigin: [0, 0, 0]\nresolution: 0\n",
-            "resolution",
-        ),
-    ],
-)
-def test_a_reference_that_is_no_map_is_one_line(content, named, folder, tmp_path):
-    (tmp_path / "text.pgm").write_text("no image at all")
-    Image.fromarray(np.zeros((4, 4), np.uint8)).save(tmp_path / "image.png")
-    if content is not None:
-        (tmp_path / "bad.yaml").write_text(content)
-    done = ffmap_here(dict(os.environ), "maps", folder / "run", "--reference", tmp_path / "bad.yaml")
-    assert done.returncode == 2
-    error = done.stderr
-    assert named in error
-    assert str(tmp_path / "bad.yaml") in error
-    assert len(error.strip().splitlines()) == 1
-
-
-def test_a_folder_without_a_run_or_without_maps_is_one_line(folder, tmp_path):
-    done = ffmap_here(dict(os.environ), "maps", tmp_path, "--reference", folder / "reference.yaml")
-    assert done.returncode == 2
-    assert "no run folder" in done.stderr
-    (tmp_path / "run.json").write_text("{}")
-    done = ffmap_here(dict(os.environ), "maps", tmp_path, "--reference", folder / "reference.yaml")
-    assert done.returncode == 2
-    assert "map.yaml" in done.stderr
-
-
-def test_an_image_of_a_picture_program_is_read(folder, tmp_path):
-    grid = raster(PLAN)
-    Image.fromarray(grid.cells[::-1]).convert("RGBA").save(tmp_path / "plan.png")
-    description = {"image": "plan.png", "resolution": 0.05, "origin": [0, 0, 0], "negate": 0}
-    description |= {"occupied_thresh": 0.65, "free_thresh": 0.196}
-    (tmp_path / "plan.yaml").write_text(yaml.safe_dump(description))
-    assert ffmap_here(dict(os.environ), "maps", folder / "run", "--reference", tmp_path / "plan.yaml").returncode == 0
 
 
 def test_doors_and_cabinets_are_in_the_table(tmp_path):
@@ -187,8 +78,8 @@ def test_the_overlay_shows_all_maps_alike_and_square_to_the_walls(tmp_path, dire
     assert [b - a for a, b in bars] == [pytest.approx(2.0 * px_per_m, rel=0.03)]
 
 
-def test_a_run_of_a_turned_building_gets_an_upright_overlay(folder, tmp_path):
-    assert walls_direction_deg(folder / "run") == 0.0  # no walls, no turn
+def test_a_run_of_a_turned_building_gets_an_upright_overlay(tmp_path: Path) -> None:
+    assert walls_direction_deg(tmp_path) == 0.0  # no walls, no turn
     ends = turned(np.array([[[0.0, 0.0], [4.0, 0.0]], [[0.0, 0.0], [0.0, 9.0]]]), 33.0)
     features = [{"properties": {}, "geometry": {"type": "LineString", "coordinates": line}} for line in ends]
     write_geojson(tmp_path / WALLS, features)
