@@ -21,7 +21,7 @@ $(READY): requirements.txt pyproject.toml
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --requirement requirements.txt
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps ouster-sdk==1.0.1 # asks for older rosbags than ours, and reads packets without
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
-	$(VENV)/bin/ffmap cache --warm
+	$(VENV)/bin/python -m ffmap.app.warm
 	@touch $(READY)
 
 demo: install

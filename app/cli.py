@@ -521,33 +521,6 @@ class Rooms(RoomsParameters):
 
 
 @_command
-class Cache:
-    """What is kept for later runs: odometries, for registering a bag's scans is the slowest step, and compiled code.
-
-    The environment variable FFMAP_CACHE names another folder for odometries, NUMBA_CACHE_DIR one for compiled code.
-    """
-
-    clear: bool = option(False, "--clear", help="Remove all odometries, and what other versions have compiled.")
-    warm: bool = option(
-        False, "--warm", help="Compile now, in less than a minute, what the first run would else compile."
-    )
-
-    def __call__(self) -> None:
-        from ffmap.app.run.workers import start_server
-
-        if self.clear and self.warm:
-            raise InputError("--clear, --warm: give one of them")
-        if self.warm:
-            start_server()
-        from ffmap.app.commands.cache import cache, warm
-
-        if self.warm:
-            warm(one_for_each_core(None))
-        else:
-            cache(self.clear)
-
-
-@_command
 class Settings:
     """Every setting with its value, unit, meaning and place in the paper, as a TOML file for --config.
 
@@ -563,49 +536,6 @@ class Settings:
         from ffmap.app.setup.settings import as_toml, load_settings
 
         typer.echo(as_toml(load_settings(self.config, self.set_ or [])), nl=False)
-
-
-@_command
-class Bench:
-    """Measure this machine: what each stage of a run takes beside its floor, and a whole run against real time.
-
-    The floor is what the same machine needs for what no program could leave out, as reading a bag's bytes. Before what is
-    measured there is one run that is not, so that all code is compiled.
-
-    Examples:
-
-        ffmap bench drive.bag
-
-        ffmap bench drive.bag --runs 5 --json bench.json
-
-        ffmap bench drive.bag --repeat 10
-
-        ffmap bench --duration 20 --runs 3 --against HEAD~3
-    """
-
-    bag: list[Path] | None = argument(
-        None, metavar="BAG", help="Bag to measure with, or all files of one drive.  [default: one is simulated]"
-    )
-    duration: float = option(60.0, min=5.0, help="Seconds of the simulated bag.")
-    runs: int = option(1, min=1, metavar="K", help="Measure K times, and tell the medians.")
-    repeat: int = option(
-        1,
-        min=1,
-        metavar="N",
-        help="Also run a bag of N times the length, to see whether memory stays flat. Each time the robot is carried back to "
-        "the start, where no odometry could follow: the poses are those of the drive itself, given as --trajectory.",
-    )
-    against: str | None = option(
-        None, metavar="REV", help="Compare with another git revision of this program's checkout, run by run in turn."
-    )
-    json: Path | None = option(
-        None, metavar="FILE", help="Write the figures as JSON; - prints them in place of tables."
-    )
-
-    def __call__(self) -> None:
-        from ffmap.app.commands.bench import bench
-
-        bench(_bag_at(self.bag), self.duration, self.runs, self.repeat, self.against, self.json)
 
 
 @_command

@@ -158,7 +158,7 @@ class Odometry:
                     case PoseGraph():
                         writer.add(pack(result))
                     case _Read():
-                        writer.complete(total_digest(result.clouds), inputs.bag_path)
+                        writer.complete(total_digest(result.clouds))
                 yield result
         self.kept = writer.failure is None
         if not self.kept:

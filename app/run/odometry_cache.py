@@ -23,7 +23,6 @@ import xxhash
 from ffmap.app.run.arrays import Arrays
 from ffmap.app.user_cache import CACHE_VARIABLE as CACHE_VARIABLE
 from ffmap.app.user_cache import user_cache
-from ffmap.loaders.bag_path import BagPath
 
 LIMIT_BYTES = 5_000_000_000
 """The cache is kept below this size; what was not used for longest goes first."""
@@ -46,14 +45,9 @@ def cache_folder() -> Path:
 
 @dataclass(frozen=True)
 class Entry:
-    """One odometry in the cache.
-
-    bag: the bag that it was made from, as it was called then; empty where an earlier version of the program kept it.
-    used_s: when it was made or last taken, in seconds since 1970.
-    """
+    """One odometry in the cache. used_s: when it was made or last taken, in seconds since 1970."""
 
     path: Path
-    bag: str
     size_bytes: int
     used_s: float
 
@@ -73,15 +67,6 @@ def entries() -> list[Entry]:
     folder = cache_folder()
     found = [_describe(path) for path in folder.iterdir() if _ENTRY.fullmatch(path.name)] if folder.is_dir() else []
     return sorted((entry for entry in found if entry is not None), key=lambda entry: -entry.used_s)
-
-
-def clear() -> list[Entry]:
-    """Remove every odometry, and what killed runs left; returns the odometries that were there."""
-    removed = entries()
-    for entry in removed:
-        _remove(entry.path)
-    _remove_parts(older_than_s=0.0)
-    return removed
 
 
 def has_any(key: str) -> bool:
@@ -150,9 +135,9 @@ class Writer:
         self._write(name, buffer.getvalue())
         self._checksums[name] = _checksum(buffer.getvalue())
 
-    def complete(self, content: str, bag: BagPath) -> None:
+    def complete(self, content: str) -> None:
         """Let the entry appear, for the clouds with this digest; then make room where the cache is too large."""
-        self._write(_COMPLETE, json.dumps({"bag": str(bag), "files": self._checksums}).encode())
+        self._write(_COMPLETE, json.dumps({"files": self._checksums}).encode())
         if self.failure is not None:
             return
         path = cache_folder() / entry_name(self._key, content)
@@ -193,12 +178,9 @@ def _describe(path: Path) -> Entry | None:
         size = sum(file.stat().st_size for file in path.iterdir())
         complete = path / _COMPLETE
         used_s = (complete if complete.exists() else path).stat().st_mtime
-        said = json.loads(complete.read_text() or "{}") if complete.exists() else {}
     except OSError:
         return None
-    except ValueError:
-        said = {}
-    return Entry(path, str(said.get("bag", "")) if isinstance(said, dict) else "", size, used_s)
+    return Entry(path, size, used_s)
 
 
 def _remove(path: Path) -> None:

@@ -9,7 +9,6 @@ import pytest
 from ffmap.algorithms.base.scan import Scan
 from ffmap.loaders.bag import make_typestore, open_bag
 from ffmap.loaders.livox import livox_message
-from ffmap.loaders.repeated_bag import later
 from ffmap.loaders.rig import find_rig
 from ffmap.loaders.scans import SkippedScan, index_clouds, read_clouds
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, header, write_bag
@@ -93,14 +92,6 @@ def test_a_message_that_holds_fewer_points_than_it_says_is_skipped(tmp_path: Pat
         read = [scan for _, scan, _ in read_clouds(bag, index_clouds(bag, "/livox/lidar"), 0, None, decoding)]
     assert [isinstance(scan, SkippedScan) for scan in read] == [False, True, False]
     assert f"says that it has {POINTS + 5} points and holds fewer" in read[1].reason  # type: ignore[union-attr]
-
-
-def test_a_cloud_is_repeated_later() -> None:
-    made = message(0, "livox_ros_driver2", 2, "livox")
-    moved = later(made, "/livox/lidar", None, 1_500_000_000)
-    assert moved.timebase - made.timebase == 1_500_000_000
-    assert (moved.header.stamp.sec - made.header.stamp.sec, moved.header.stamp.nanosec) == (1, 500_000_000)
-    assert moved.points == made.points
 
 
 @pytest.mark.parametrize("version", [1, 2])

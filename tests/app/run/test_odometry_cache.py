@@ -6,12 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from ffmap.app.cli import app
 from ffmap.app.run import odometry_cache
-from ffmap.app.run.odometry_cache import Writer, cache_folder, clear, entries, entry_name, has_any, look_up
-from ffmap.loaders.bag_path import BagPath
+from ffmap.app.run.odometry_cache import Writer, entries, entry_name, has_any, look_up
 
 KEY = "0123456789abcdef01234567"
 CONTENT, OTHER = "a" * 32, "b" * 32
@@ -28,7 +25,7 @@ def keep(key: str = KEY, content: str = CONTENT) -> Writer:
     with Writer(key) as writer:
         for arrays in FILES:
             writer.add(arrays)
-        writer.complete(content, BagPath((Path("/bags/drive.bag"),)))
+        writer.complete(content)
     return writer
 
 
@@ -114,17 +111,3 @@ def test_parts_of_killed_runs_go_in_time(cache: Path) -> None:
     keep()
     assert not abandoned.exists()
     assert fresh.exists()
-
-
-def test_cache_command_shows_and_clears_odometries_and_nothing_else(cache: Path) -> None:
-    keep()
-    keep(content=OTHER)
-    (cache / "thesis.txt").write_text("mine")
-    runner = CliRunner(env={"COLUMNS": "200"})
-    shown = runner.invoke(app, ["cache"]).output
-    assert "/bags/drive.bag" in shown
-    assert "2 odometries" in shown
-    assert str(cache_folder()) in shown
-    assert "removed 2 odometries" in runner.invoke(app, ["cache", "--clear"]).output
-    assert [path.name for path in cache.iterdir()] == ["thesis.txt"]
-    assert clear() == []

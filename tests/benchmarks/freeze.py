@@ -1,6 +1,6 @@
 """What four drives come to, to the bit: written down once, and compared after each change that should change nothing.
 
-    python tests/freeze.py frozen.json      writes the digests where there are none, compares where there are
+    python tests/benchmarks/freeze.py frozen.json      writes the digests where there are none, compares where there are
 
 Digests depend on the machine's numerical libraries, so the file is made anew on each machine, of the code before a change.
 Bags are kept in the folder of --bags and used again; exit code 1 says that something differs.
