@@ -1,5 +1,6 @@
 """From the command line's words to a run that can begin, or go on: all that it needs found and checked."""
 
+import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -18,7 +19,6 @@ from ffmap.app.record.stream import check_viewer, start_viewer
 from ffmap.app.run import stages
 from ffmap.app.run.blocks import holds_clouds_of, split_blocks
 from ffmap.app.run.context import RunOptions
-from ffmap.app.run.disk_use import DiskCheck, check_disk
 from ffmap.app.run.poses import GivenPoses, check_lidars_meet, given_poses
 from ffmap.app.run.workers import WorkerLostError
 from ffmap.app.setup.inputs import InputOptions, Inputs, digest_clouds, digest_stamps, find_inputs
@@ -31,6 +31,7 @@ from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.pointcloud2 import TimeFrom
 
+_FREE_MIN_BYTES = 2_000_000_000
 INTERRUPTED = 130
 """The exit code of a program that Ctrl-C has ended."""
 
@@ -81,7 +82,6 @@ class Ready:
     given: GivenPoses | None
     home: Path
     folder: RunFolder
-    disk: DiskCheck
     options: RunOptions
     record: dict[str, Any]
 
@@ -97,7 +97,6 @@ def make_ready(arguments: Arguments, stack: ExitStack) -> Ready:
         # The processes of a cluster work in other folders.
         inputs, home = replace(inputs, bag_path=inputs.bag_path.resolve()), home.resolve()
     options = _options(arguments)
-    disk = check_disk(inputs, home, options.outputs, options.detail, run_folder.replacement_in(home))
     folder = run_folder.create(home, arguments.overwrite, _files_read(arguments))
     stack.enter_context(run_folder.held(home))
     options = replace(options, connect_url=_viewer(arguments))
@@ -107,7 +106,7 @@ def make_ready(arguments: Arguments, stack: ExitStack) -> Ready:
     record = stages.first_record(inputs, settings, stored(arguments), arguments.trajectory)
     if given is not None:
         record["map_origin"] = given.origin_m.tolist()
-    return Ready(arguments, settings, inputs, given, home, folder, disk, options, record)
+    return Ready(arguments, settings, inputs, given, home, folder, options, record)
 
 
 def make_ready_again(arguments: Arguments, resume: Path, stack: ExitStack) -> Ready | None:
@@ -126,11 +125,10 @@ def make_ready_again(arguments: Arguments, resume: Path, stack: ExitStack) -> Re
     if arguments.scheduler is not None:
         inputs = replace(inputs, bag_path=inputs.bag_path.resolve())
     options = replace(_options(arguments), resume=True)
-    disk = check_disk(inputs, resume, options.outputs, options.detail, folder)
     _check_same_bag(inputs, folder, record)
     folder.spool.mkdir(exist_ok=True)
     options = replace(options, connect_url=_viewer(arguments))
-    return Ready(arguments, settings, inputs, given, resume, folder, disk, options, record)
+    return Ready(arguments, settings, inputs, given, resume, folder, options, record)
 
 
 def _options(arguments: Arguments) -> RunOptions:
@@ -159,8 +157,7 @@ def carry_out(ready: Ready) -> tuple[RunFolder, dict[str, Any]]:
     arguments, inputs = ready.arguments, ready.inputs
     how_to_go_on = f"'ffmap run --resume {ready.home}' goes on with the run"
     with interruptible(how_to_go_on), Progress(arguments.quiet) as progress:
-        progress.say(ready.disk.said)
-        for warning in (*inputs.warnings, *ready.disk.warnings):
+        for warning in (*inputs.warnings, *_little_space(ready.folder.path)):
             progress.warn(warning)
         trajectory = None if ready.given is None else ready.given.trajectory
         record = stages.run(inputs, trajectory, ready.settings, ready.options, ready.folder, progress, ready.record)
@@ -168,6 +165,17 @@ def carry_out(ready: Ready) -> tuple[RunFolder, dict[str, Any]]:
     if arguments.latest:
         run_folder.point_latest_at(folder.path.resolve())
     return folder, record
+
+
+def _little_space(folder: Path) -> list[str]:
+    """A warning if the disk has little free space."""
+    free = shutil.disk_usage(folder).free
+    if free >= _FREE_MIN_BYTES:
+        return []
+    return [
+        f"{folder}: only {free / 1e9:.1f} GB are free on this disk; a minute of driving can take 1 GB. Free some, or "
+        "write less with --detail map and --outputs"
+    ]
 
 
 @contextmanager

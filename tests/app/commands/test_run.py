@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ from ffmap.app.commands import run as run_command
 from ffmap.app.folder import names as run_folder
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.names import rooms_file
+from ffmap.app.run import start
 from ffmap.app.run.start import Arguments
 from ffmap.blueprints import entities
 from ffmap.loaders.bag_path import BagPath
@@ -164,7 +166,6 @@ def test_five_lines_tell_of_a_finished_run(finished_as_said: tuple[Path, subproc
     assert said["results"] == str(out)
     assert said["look"].endswith(str(out))
     assert said["warnings"] == "none"
-    assert any(line.startswith("disk: about ") and "labelled bag" in line for line in done.stderr.splitlines())
 
 
 def test_truth_that_cannot_be_compared_with_is_not_said_to_be_absent(
@@ -462,6 +463,13 @@ def test_folder_that_cannot_be_written_is_named(
     assert (foreign / "thesis.tex").read_text() == "mine"
 
 
+def test_little_free_space_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(start.shutil, "disk_usage", lambda _: SimpleNamespace(free=1_900_000_000))
+    assert "only 1.9 GB are free" in start._little_space(tmp_path)[0]
+    monkeypatch.setattr(start.shutil, "disk_usage", lambda _: SimpleNamespace(free=2_100_000_000))
+    assert start._little_space(tmp_path) == []
+
+
 def test_full_disk_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def fill(**_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -618,7 +626,7 @@ def test_interruption_is_one_line_that_says_how_to_go_on(
     said += process.communicate(timeout=60)[1].splitlines(keepends=True)
     assert process.returncode == 130
     assert said[-1] == f"ffmap: interrupted; 'ffmap run --resume {out}' goes on with the run\n"
-    assert all(line.split(":")[0] in ("disk", "odometry", "scans", "building", "final") for line in said[:-1]), said
+    assert all(line.split(":")[0] in ("odometry", "scans", "building", "final") for line in said[:-1]), said
     assert json.loads((out / "run.json").read_text())["outcome"] == "aborted"
 
 
