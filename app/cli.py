@@ -295,51 +295,24 @@ class Simulate:
 
 @_command
 class Evaluate:
-    """Compare a run with the truth: labels by area, doors, map, trajectory; writes metrics.json.
+    """Compare a run with the ground truth: labels by area, doors, map, trajectory; writes metrics.json.
 
     Examples:
 
         ffmap evaluate runs/latest
 
-        ffmap evaluate --suite --quick
-
-        ffmap evaluate --suite drawn
-
-        ffmap evaluate --suite --seeds 1,2 --set building.scans_min=5 --out runs/tuning.json
+        ffmap evaluate runs/a --truth drive.bag
     """
 
-    run_folder: Path | None = argument(
-        None, metavar="[RUN]", help="Run folder; with --suite, which: named or drawn.  [default: named]"
-    )
+    run_folder: Path = argument(metavar="RUN", help="Run folder.")
     truth: list[Path] | None = option(
         None,
-        help="Bag with the truth, once for each of its files, or a TUM file of the true poses alone.  "
+        help="Bag with the ground truth, once for each of its files, or a TUM file of the true poses alone.  "
         "[default: the run's own bag]",
     )
-    suite: bool = option(False, "--suite", help="Simulate, run and evaluate buildings of many kinds, one line each.")
-    quick: bool = option(False, "--quick", help="With --suite: one seed a building, short drives.")
-    seeds: str | None = option(None, help="With --suite: seeds, as in 1001,1002; 1 and 2 are those to tune on.")
-    set_: list[str] | None = option(None, "--set", help="With --suite: one setting of the runs.")
-    out: Path | None = option(None, help="With --suite: where all figures are written.  [default: runs/suite.json]")
-    workers: int | None = option(
-        None, min=1, help="Processes; with --suite: drives at a time.  [default: one for each core]"
-    )
+    workers: int | None = option(None, min=1, help="Processes.  [default: one for each core]")
 
     def __call__(self) -> None:
-        if self.suite:
-            from ffmap.app.commands.suite import SUITES, parse_seeds, run_suite
-
-            if self.truth:
-                raise InputError("--suite makes its own bags and runs: give no --truth with it")
-            name = str(self.run_folder or SUITES[0])
-            file, seeds = self.out or Path("runs/suite.json"), parse_seeds(self.seeds, name)
-            sys.exit(1 if run_suite(file, seeds, self.quick, self.set_ or [], at_once=self.workers, name=name) else 0)
-        if self.run_folder is None:
-            raise InputError("give a run folder, or --suite; 'ffmap evaluate --help' has examples")
-        for name in ("set_", "quick", "seeds", "out"):
-            if getattr(self, name):
-                option = f"--{name.rstrip('_')}"
-                raise InputError(f"{option}: goes with --suite alone; a finished run is evaluated as it was made")
         from ffmap.app.run.workers import start_server
 
         workers = one_for_each_core(self.workers)

@@ -525,14 +525,12 @@ def test_demo_leaves_the_users_bag_alone(environment: dict[str, str], tmp_path: 
     assert (tmp_path / "small.bag").read_text() == "mine"
 
 
-def test_folders_of_demo_suite_evaluation_and_maps_that_cannot_be_written(
+def test_folders_of_demo_and_evaluation_that_cannot_be_written(
     finished: Path, environment: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     blocker = tmp_path / "file"
     blocker.write_text("")
     assert_one_line_error(ffmap_here(environment, "demo", "--out", blocker / "demo"), str(blocker), "--out")
-    done = ffmap_here(environment, "evaluate", "--suite", "--quick", "--out", blocker / "suite.json")
-    assert_one_line_error(done, str(blocker), "--out")
 
     def refuse(path: Path) -> None:
         raise PermissionError(errno.EACCES, "Permission denied", str(path))
@@ -743,8 +741,6 @@ def test_evaluation_of_nothing_is_refused(
     moved.write_text("".join(" ".join([p[0], str(float(p[1]) + 1.0), *p[2:]]) + "\n" for p in poses))
     before = (copy / "metrics.json").read_bytes()
     assert_one_line_error(ffmap_here(environment, "evaluate", copy, "--truth", later), "later.tum", "same drive")
-    for option in ("--set", "--seeds", "--out"):
-        assert_one_line_error(ffmap_here(environment, "evaluate", copy, option, "a=1"), option, "--suite")
     assert (copy / "metrics.json").read_bytes() == before
     done = ffmap(environment, "evaluate", copy, "--truth", moved)
     assert done.returncode == 0, done.stderr
