@@ -391,9 +391,9 @@ class Compare:
 
 @_command
 class Sweep(SweepParameters):
-    """Try many settings: every combination a run folder, one odometry for all; a table, sweep.parquet and sweep.rrd.
+    """Run with many settings: a run folder for each combination, one odometry for all; prints and writes a table.
 
-    A sweep that was stopped goes on with the same command; finished runs are not made again.
+    The same command continues a sweep that was stopped; finished runs are not repeated.
 
     Examples:
 
@@ -420,7 +420,7 @@ class Runs:
 
     Examples:
 
-        ffmap runs runs/sweep-drive-1a2b3c4d --where "wall_f1>0.98" --where doors.lines_min=2 --sort seconds
+        ffmap runs runs/sweep-drive --where "wall_f1>0.98" --where doors.lines_min=2 --sort seconds
 
         ffmap runs --columns started,wall_f1,door_f1 --sort wall_f1
     """
@@ -453,12 +453,10 @@ class View:
 
         ffmap view runs/a runs/b
 
-        ffmap view runs/sweep-drive-1a2b3c4d
-
         ffmap view --web runs/latest
     """
 
-    places: list[Path] = argument(metavar="RUN", help="Run folders, sweep folders, recordings (.rrd).")
+    places: list[Path] = argument(metavar="RUN", help="Run folders, recordings (.rrd).")
     web: bool = option(
         False, "--web", help="Serve them to a browser on this machine instead, as where there is no display."
     )

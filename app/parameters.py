@@ -96,7 +96,7 @@ class SweepParameters(HowToRun):
     )
     seed: int = option(0, min=0, help="Of --random and --optuna: the same seed, the same combinations.")
     out: Path | None = option(
-        None, help="Folder of the sweep; named again, it goes on there.  [default: runs/sweep-BAG-HASH]"
+        None, help="Folder of the sweep's runs and its table.  [default: runs/sweep-BAG]"
     )
     detail: Detail = option(Detail.MAP, help="What each recording holds; see 'ffmap run'.")
     outputs: str | None = option(None, metavar="LIST", help=f"{OUTPUTS_HELP}  [default: {','.join(SWEEP_OUTPUTS)}]")

@@ -506,31 +506,3 @@ def explain(record: Mapping[str, Any]) -> str:
         reasons="; ".join(f"{code} {words}" for code, words in REASONS.items() if code),
         run="\n".join(run),
     )
-
-
-# --- a sweep's recording ---
-
-SWEEP_APPLICATION_ID = "furniture_free_mapping_sweep"  # Another kind of recording than a run's: its layout is its own
-RUN_TIMELINE = "run"  # Number of a combination of settings, in the order in which they were proposed
-
-SWEEP_TABLE = "/sweep/table"
-SWEEP_RUN = "/sweep/run"
-SWEEP_FRONT = "/sweep/front"
-SWEEP_PARAMETERS = "/sweep/parameters"
-
-RUN_COLOR: Color = (96, 150, 220)
-FRONT_COLOR: Color = (255, 150, 0)
-BEST_COLOR: Color = (46, 204, 87)
-MEAN_COLOR: Color = (150, 156, 168)
-
-
-class Panel:
-    """Where one figure is drawn against another, in units of its 2-D view: x to the right, y downwards."""
-
-    WIDTH = 480.0
-    HEIGHT = 270.0
-    MARGIN_LEFT = 76.0
-    MARGIN_RIGHT = 30.0
-    MARGIN_TOP = 26.0
-    MARGIN_BOTTOM = 62.0
-    INSET = 24.0  # Between the frame and the outermost points

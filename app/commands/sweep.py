@@ -1,136 +1,332 @@
-"""ffmap sweep: many settings on one or several bags, every combination a run folder; then what came of them."""
+"""ffmap sweep: runs with many settings, each in a folder of its own; then a table of their figures."""
 
-import time
-from collections.abc import Sequence
+import csv
+import hashlib
+import json
+import os
+import statistics
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import typer
 
+from ffmap.app.compiled_code import compiled_code
 from ffmap.app.folder import figures
-from ffmap.app.folder.atomic import write_json
-from ffmap.app.folder.names import PROGRAM, SweepFile
-from ffmap.app.parameters import SweepParameters
+from ffmap.app.folder.atomic import written_whole
+from ffmap.app.folder.finished_run import open_run
+from ffmap.app.folder.names import METRICS, SWEEP_TABLE, RunFolder, require_writable
+from ffmap.app.own_command import own_command
+from ffmap.app.parameters import SweepParameters, one_for_each_core
 from ffmap.app.progress import Progress
-from ffmap.app.setup.inputs import total_digest
+from ffmap.app.run.workers import ENVIRONMENT
+from ffmap.app.setup.inputs import Inputs, digest_stamps, find_inputs
+from ffmap.app.setup.outputs import SWEEP_OUTPUTS, Output, parse_outputs
+from ffmap.app.setup.settings import Settings, load_settings
 from ffmap.app.setup.versions import versions
-from ffmap.app.sweeps.plan import Search
-from ffmap.app.sweeps.results import Results
-from ffmap.app.sweeps.schedule import Run, Schedule
-from ffmap.app.sweeps.start import Sweep, make_ready, workers_of
-from ffmap.app.tables import table_console
+from ffmap.app.sweeps.plan import (
+    Combination,
+    Parameter,
+    Study,
+    apply,
+    grid_of,
+    overrides_of,
+    parse_grid,
+    random_of,
+)
+from ffmap.app.tables import make_table, table_console
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.text_files import read_object
+from ffmap.loaders.truth import carries_truth
 
 _WHOLE_SWEEP_S = 30 * 86_400.0
+"""Time over which the speed of a sweep is averaged: all of it."""
+
+
+@dataclass(eq=False)
+class SweepRun:
+    """One run of a sweep: what it is to do, and its figures or its error when it has ended."""
+
+    out: Path
+    bag: Path
+    command: list[str]
+    combination: Combination
+    reused: bool = False
+    error: str | None = None
+    figures: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the folder holds the complete run; its name stands for bag, settings and options."""
+        try:
+            return RunFolder(self.out).read_json().get("outcome") == "complete"
+        except InputError:
+            return False
 
 
 def sweep(words: SweepParameters) -> int:
-    """Do all runs that are not done yet, show and write what came of them; returns how many failed.
+    """Perform all runs that are not finished, print and write a table; returns how many failed.
 
-    Raises InputError before anything starts where a setting, a bag, the folder or the scheduler is wrong.
+    Raises InputError before anything starts if a setting, a bag, the folder or the scheduler is wrong.
     """
-    plan = make_ready(words)
-    if not (plan.out / SweepFile.JSON).exists():
-        _write_json(plan, [])
-    search = plan.search()
-    started = time.monotonic()
+    base = load_settings(words.config, words.set_ or [])
+    if words.random is not None and words.optuna is not None:
+        raise InputError("--random and --optuna: choose one of them")
+    searched = words.random is not None or words.optuna is not None
+    parameters = parse_grid(words.grid or (), base, ranges=searched)
+    bags = _bags(words)
+    outputs = parse_outputs(words.outputs, SWEEP_OUTPUTS)
+    truth = words.evaluate and all(carries_truth(inputs.bag_path) for inputs in bags)
+    if truth and not {Output.LABELS, Output.LABELLED} & set(outputs):
+        raise InputError("--outputs: without labels no run can be evaluated; add labels")
+    figures.check_objective(words.objective, truth or words.optuna is None)
+    out = (words.out or Path("runs") / f"sweep-{bags[0].bag_path.stem}").resolve()
+    require_writable(out, "give another folder to --out")
+    study = Study(parameters, words.seed, words.objective) if words.optuna is not None else None
+
+    def runs_of(combination: Combination) -> list[SweepRun]:
+        settings = apply(base, combination)
+        return [_run_of(inputs, settings, combination, outputs, words, out) for inputs in bags]
+
+    runs: dict[Path, SweepRun] = {}
     try:
-        schedule = _perform(plan, search)
+        with (
+            _workers(words, out, bags) as (executor, slots),
+            Progress(words.quiet, estimate_s=_WHOLE_SWEEP_S) as progress,
+        ):
+            for warning in dict.fromkeys(warning for inputs in bags for warning in inputs.warnings):
+                progress.warn(warning)
+            perform = _Performer(executor, progress, runs, words.objective)
+            if study is None:
+                listed = grid_of(parameters) if words.random is None else None
+                drawn = listed or random_of(parameters, words.random or 0, words.seed)
+                perform([run for combination in drawn for run in runs_of(combination)])
+            else:
+                assert words.optuna is not None
+                for batch in study.batches(words.optuna, slots):
+                    proposed = [(trial, runs_of(combination)) for trial, combination in batch]
+                    perform([run for _, own in proposed for run in own])
+                    for trial, own in proposed:
+                        study.tell(trial, mean_of([runs[run.out] for run in own], words.objective))
     except KeyboardInterrupt:
         typer.echo("ffmap: interrupted; the same command goes on with the sweep", err=True)
         raise SystemExit(130) from None
-    runs = list(schedule.runs.values())
-    results = Results(runs, plan.parameters, words.objective)
-    results.write(plan.out / SweepFile.TABLE)
-    _write_json(plan, runs)
-    if results.trials:
-        from ffmap.app.record.sweep import write_recording
-
-        write_recording(plan.out / SweepFile.RECORDING, results, results.failures, plan.bags[0].bag_path.name)
+    _write_table(out / SWEEP_TABLE, list(runs.values()), parameters)
     if not words.quiet:
-        _report(plan, results, len(schedule.odometries), time.monotonic() - started)
-    return len(results.failures)
+        _report(out, list(runs.values()), parameters, words.objective)
+    return sum(run.error is not None for run in runs.values())
 
 
-def _perform(plan: Sweep, search: Search) -> Schedule:
-    objective, total = plan.words.objective, search.total * len(plan.bags)
-    with (
-        workers_of(plan) as (executor, slots, cache),
-        Progress(plan.words.quiet, estimate_s=_WHOLE_SWEEP_S) as progress,
-    ):
-        for warning in dict.fromkeys(warning for inputs in plan.bags for warning in inputs.warnings):
-            progress.warn(warning)
-        teller = _Teller(progress, total, objective)
-        schedule = Schedule(search, lambda combination: plan.runs_of(combination, cache), objective, teller.tell)
-        progress.stage("sweep", total)
-        schedule.perform(executor, slots)
-    return schedule
+def _bags(words: SweepParameters) -> list[Inputs]:
+    paths = dict.fromkeys(path.resolve() for path in words.bags)
+    bags = [find_inputs(path, words.bag_options) for path in paths]
+    for inputs in bags:
+        if inputs.vertical is None:
+            raise InputError(
+                f"{inputs.bag_path}: no lidar sweeps the walls; there is nothing to label"
+            )
+        if inputs.horizontal is None and words.trajectory is None:
+            raise InputError(
+                f"{inputs.bag_path}: no horizontal lidar; give --horizontal or --trajectory"
+            )
+    return bags
 
 
-class _Teller:
-    """Says what became of each run, and how long the others will take where no bar does."""
-
-    def __init__(self, progress: Progress, total: int, objective: str) -> None:
-        self._progress, self._total, self._objective = progress, total, objective
-        self._ended, self._worked, self._started = 0, 0, time.monotonic()
-
-    def tell(self, run: Run) -> None:
-        assert run.outcome is not None
-        self._ended += 1
-        if run.reused:
-            self._progress.left_out()
-        else:
-            self._worked += 1
-            self._progress.advance()
-        if run.outcome.error is not None:
-            came = f"failed: {run.outcome.error}"
-        else:
-            value = run.figures.get(self._objective)
-            shown = f"{self._objective} {figures.format_value(value)}" if value is not None else "done"
-            came = f"{shown}, was there" if run.reused else f"{shown}, {run.outcome.seconds:.0f} s"
-        names = figures.short_names(run.combination)
-        combination = ", ".join(f"{names[name]} {value}" for name, value in run.combination.items())
-        self._progress.say(f"[{self._ended}/{self._total}] {run.job.name} ({combination}): {came}{self._left()}")
-
-    def _left(self) -> str:
-        left = self._total - self._ended
-        if self._progress.has_bar or not self._worked or not left:
-            return ""
-        seconds = (time.monotonic() - self._started) / self._worked * left
-        return f"; about {seconds:.0f} s left" if seconds < 120 else f"; about {seconds / 60:.0f} min left"
+def _run_of(
+    inputs: Inputs,
+    settings: Settings,
+    combination: Combination,
+    outputs: Sequence[Output],
+    words: SweepParameters,
+    out: Path,
+) -> SweepRun:
+    """The run of one bag with one combination. Its folder's name holds a hash of all that it depends on."""
+    bag = inputs.bag_path.resolve()
+    options = ["--detail", words.detail.value, "--outputs", ",".join(outputs), "--mount", words.mount]
+    options += ["--time-from", words.time_from, "--workers", "1", "--quiet"]
+    options += [] if words.evaluate else ["--no-evaluate"]
+    files: dict[str, str] = {}
+    for name, value in (("rig", words.rig), ("trajectory", words.trajectory)):
+        if value is not None:
+            path = Path(value)
+            known = path.resolve() if path.is_file() else None
+            files[name] = hashlib.sha256(known.read_bytes()).hexdigest() if known else ""
+            options += [f"--{name}", str(known or value)]
+    options += ["--horizontal", words.horizontal] if words.horizontal is not None else []
+    options += [word for topic in words.vertical or () for word in ("--vertical", topic)]
+    options += [word for override in overrides_of(settings) for word in ("--set", override)]
+    stamps = digest_stamps(inputs.used(words.trajectory is not None))
+    known_by = [options, files, stamps, str(bag), versions()]
+    digest = hashlib.sha256(json.dumps(known_by, sort_keys=True).encode()).hexdigest()[:8]
+    folder = out / f"{inputs.bag_path.stem}-{digest}"
+    command = ["run", *map(str, bag.parts), "--out", str(folder), "--overwrite", *options]
+    return SweepRun(folder, bag.parts[0], command, combination)
 
 
-def _write_json(plan: Sweep, runs: Sequence[Run]) -> None:
-    """What was asked for, and what became of every run."""
-    words = plan.words
-    content = {
-        "program": PROGRAM,
-        "versions": versions(),
-        "bags": [{"path": str(path), "digest": total_digest(clouds)} for path, clouds in plan.clouds.items()],
-        "grid": list(words.grid or ()),
-        **{name: getattr(words, name) for name in ("random", "optuna", "objective", "seed")},
-        "settings": plan.base.model_dump(mode="json"),
-        "runs": [{"run": run.job.name, "values": dict(run.combination), "error": run.error} for run in runs],
-    }
-    write_json(plan.out / SweepFile.JSON, content)
+class _Performer:
+    """Performs runs that are not finished, and reports each as it ends."""
+
+    def __init__(
+        self, executor: Executor, progress: Progress, runs: dict[Path, SweepRun], objective: str
+    ) -> None:
+        self._executor, self._progress, self._objective = executor, progress, objective
+        self._runs = runs
+        self._bags: set[Path] = set()
+
+    def __call__(self, proposed: Sequence[SweepRun]) -> None:
+        new = [run for run in dict.fromkeys(proposed) if self._runs.setdefault(run.out, run) is run]
+        self._progress.stage("sweep", len(new))
+        waiting = []
+        for run in new:
+            if run.finished:
+                run.reused = True
+                self._end(run, None)
+            else:
+                waiting.append(run)
+        # One run of each bag goes ahead and leaves the odometry in the cache for the others.
+        ahead = {run.bag: run for run in reversed(waiting) if run.bag not in self._bags}
+        self._bags |= ahead.keys()
+        first = list(ahead.values())
+        self._perform(first)
+        self._perform([run for run in waiting if run not in first])
+
+    def _perform(self, runs: Sequence[SweepRun]) -> None:
+        futures = {self._executor.submit(run_command, run.command): run for run in runs}
+        for future in as_completed(futures):
+            lost = future.exception()
+            error = future.result() if lost is None else f"lost by the cluster: {lost}"
+            self._end(futures[future], error)
+
+    def _end(self, run: SweepRun, error: str | None) -> None:
+        run.error = error
+        if error is None:
+            metrics = run.out / METRICS
+            known = read_object(metrics, "run the sweep again") if metrics.exists() else None
+            run.figures = figures.figures_of(open_run(run.out).record, known)
+        self._progress.advance()
+        value = run.figures.get(self._objective)
+        came = f"failed: {error}" if error else f"{self._objective} {figures.format_value(value)}"
+        values = ", ".join(f"{name} {value}" for name, value in run.combination.items())
+        was_there = " (was finished)" if run.reused else ""
+        self._progress.say(f"{run.out.name}: {values}: {came}{was_there}")
 
 
-def _report(plan: Sweep, results: Results, odometries: int, seconds: float) -> None:
-    console = table_console()
-    if results.trials:
-        console.print(results.table(console.width))
-    runs = results.runs
-    for failure in results.failures:
-        typer.echo(f"failed: {failure}")
-    typer.echo(
-        f"{len(runs) - len(results.failures)} of {len(runs)} runs, {sum(run.reused for run in runs)} of them were there, "
-        f"{odometries} odometries computed, in {seconds:.0f} s"
+_children: set[subprocess.Popen[bytes]] = set()
+
+
+def run_command(words: Sequence[str]) -> str | None:
+    """Run ffmap in a process of its own; returns the last line of its errors, None if it succeeds."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from ffmap.app.cli import main; main()", *words],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        env={**ENVIRONMENT, **os.environ, **compiled_code()},
     )
-    typer.echo(f"results:   {plan.out}  (query them: ffmap runs {plan.out})")
-    typer.echo(f"table:     {plan.out / SweepFile.TABLE}")
-    if results.trials:
-        typer.echo(f"recording: {plan.out / SweepFile.RECORDING}  (open it: ffmap view {plan.out})")
-    others = {str(run.record.get("versions", {}).get("git_revision")) for run in runs if run.reused}
-    others -= {versions()["git_revision"]}
-    if others:
-        typer.echo(
-            f"warning: runs that were there are of another version of the program ({', '.join(sorted(others))}); use another "
-            "--out to make them again"
-        )
+    _children.add(process)
+    try:
+        said = process.communicate()[1].decode(errors="replace").strip().splitlines()
+    finally:
+        _children.discard(process)
+    if process.returncode == 0:
+        return None
+    return said[-1] if said else f"ended with exit code {process.returncode}"
+
+
+def stop_all() -> None:
+    """End the processes that `run_command` has started here."""
+    for process in list(_children):
+        process.terminate()
+
+
+@contextmanager
+def _workers(
+    words: SweepParameters, out: Path, bags: Sequence[Inputs]
+) -> Iterator[tuple[Executor, int]]:
+    """Who performs the runs, and how many at once."""
+    if words.scheduler is not None:
+        from ffmap.app.run.cluster import connect
+
+        needed = [out, *(part for inputs in bags for part in inputs.bag_path.parts)]
+        with connect(words.scheduler, needed, stop_all) as cluster:
+            yield cluster.executor, max(cluster.slots, 1)
+        return
+    at_once = one_for_each_core(words.workers)
+    executor = ThreadPoolExecutor(at_once)  # each thread waits for a process
+    try:
+        yield executor, at_once
+    finally:
+        executor.shutdown(wait=False, cancel_futures=True)
+        stop_all()
+
+
+def mean_of(runs: Sequence[SweepRun], name: str) -> float | None:
+    """The mean of a figure over the bags; None if a run lacks it."""
+    values = [run.figures.get(name) for run in runs]
+    known = [value for value in values if value is not None]
+    return statistics.fmean(known) if known and len(known) == len(values) else None
+
+
+def _write_table(path: Path, runs: Sequence[SweepRun], parameters: Sequence[Parameter]) -> None:
+    """One row for each run: its folder, bag, settings, error and every figure."""
+    names = list(dict.fromkeys(name for run in runs for name in run.figures))
+    with written_whole(path) as part, part.open("w", newline="") as file:
+        writer = csv.writer(file)
+        settings = [parameter.name for parameter in parameters]
+        writer.writerow(["run", "bag", "error", *settings, *names])
+        for run in runs:
+            values = [run.combination[name] for name in settings]
+            own = [run.figures.get(name, "") for name in names]
+            writer.writerow([run.out.name, run.bag, run.error or "", *values, *own])
+
+
+def _report(
+    out: Path, runs: Sequence[SweepRun], parameters: Sequence[Parameter], objective: str
+) -> None:
+    by_combination: dict[tuple[Any, ...], list[SweepRun]] = {}
+    for run in runs:
+        by_combination.setdefault(tuple(map(str, run.combination.values())), []).append(run)
+    ranked = sorted(by_combination.values(), key=_rank_by(objective))
+    names = figures.short_names(parameter.name for parameter in parameters)
+    usual = dict.fromkeys([objective, *figures.HEADLINES])
+    there = [name for name in usual if any(name in run.figures for run in runs)]
+    console = table_console()
+    room = console.width - sum(len(name) + 3 for name in names.values()) - 40
+    shown = figures.fit({name: len(name) for name in there}, room, least=3)
+    rows = (
+        [
+            *(figures.format_value(own[0].combination[name]) for name in names),
+            *(figures.format_value(mean_of(own, name)) for name in shown),
+            own[0].out.name + (f" +{len(own) - 1}" if len(own) > 1 else ""),
+        ]
+        for own in ranked
+    )
+    title = f"{len(ranked)} settings, best by {objective} first"
+    headings = (*names.values(), *shown, "run")
+    console.print(make_table(title, headings, rows, left=(len(headings) - 1,)))
+    failed = [run for run in runs if run.error is not None]
+    for run in failed:
+        typer.echo(f"failed: {run.out.name}: {run.error}")
+    reused = sum(run.reused for run in runs)
+    typer.echo(f"{len(runs) - len(failed)} of {len(runs)} runs, {reused} of them were finished")
+    typer.echo(f"table:     {out / SWEEP_TABLE}")
+    best = [own[0].out for own in ranked[:2] if own[0].error is None]
+    if len(best) == 2:
+        typer.echo(f"compare:   {own_command()} compare {best[1]} {best[0]}")
+
+
+def _rank_by(objective: str) -> Callable[[Sequence[SweepRun]], tuple[bool, float]]:
+    sign = 1.0 if figures.less_is_better(objective) else -1.0
+
+    def rank(runs: Sequence[SweepRun]) -> tuple[bool, float]:
+        value = mean_of(runs, objective)
+        return value is None, sign * (value or 0.0)
+
+    return rank
+
+

@@ -1,4 +1,4 @@
-"""ffmap view: runs, sweeps and single recordings in the Rerun viewer, laid out for what they are."""
+"""ffmap view: runs and single recordings in the Rerun viewer, laid out for what they are."""
 
 import shlex
 import signal
@@ -18,7 +18,7 @@ import typer
 
 from ffmap.app.folder.finished_run import FinishedRun, open_run
 from ffmap.app.folder.map_files import read_map
-from ffmap.app.folder.names import EVALUATION, RECORDING, RUN_JSON, SweepFile, map_file
+from ffmap.app.folder.names import EVALUATION, RECORDING, RUN_JSON, map_file
 from ffmap.app.own_command import has_display, own_command
 from ffmap.app.record.stream import free_port, open_part
 from ffmap.blueprints import entities
@@ -151,17 +151,15 @@ def write_common_layout(runs: Sequence[FinishedRun], folder: Path) -> list[Path]
 
 
 def files_of(place: Path) -> list[Path]:
-    """What the viewer opens: for a run its errors last, whose layout then holds; a sweep's drawing; a recording itself."""
+    """What the viewer opens: for a run its errors last, whose layout then holds; a recording itself."""
     if place.is_file():
         if place.suffix not in (".rrd", ".rbl"):
-            raise InputError(f"{place}: is no recording; give a run's folder, a sweep's, or a .rrd")
+            raise InputError(f"{place}: is no recording; give a run's folder or a .rrd")
         return [place]
     if not place.exists():
-        raise InputError(f"{place}: no such folder or file; give a run's folder, a sweep's, or a .rrd")
-    if (place / SweepFile.RECORDING).exists():
-        return [place / SweepFile.RECORDING]
+        raise InputError(f"{place}: no such folder or file; give a run's folder or a .rrd")
     if not (place / RUN_JSON).exists():
-        raise InputError(f"{place}: is no run and no sweep; 'ffmap runs DIR' lists those in a folder")
+        raise InputError(f"{place}: is no run; 'ffmap runs DIR' lists those in a folder")
     files = [place / name for name in (RECORDING, EVALUATION) if (place / name).exists()]
     if place / RECORDING not in files:
         raise InputError(f"{place}: has no {RECORDING}; it was run without, make it again with 'ffmap run'")

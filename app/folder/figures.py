@@ -1,6 +1,6 @@
 """The names by which runs are compared: each setting, metric, count and time has one, short and fit for a query.
 
-The same names are columns of `ffmap runs`, of sweep.parquet (which has some more), and what --objective, --where and
+The same names are columns of `ffmap runs`, of sweep.csv (which has some more), and what --objective, --where and
 --sort take: a metric's path in metrics.json joined by underscores, by area without saying so (`wall_f1`, `doors_found`,
 `trajectory_ate_rmse_m`); a setting as --set takes it (`wall_planes.similarity_m`); a count (`doors`); `seconds`, what the run took.
 """
@@ -8,7 +8,7 @@ The same names are columns of `ffmap runs`, of sweep.parquet (which has some mor
 import difflib
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from ffmap.algorithms.base.labels import Label
@@ -117,22 +117,6 @@ def format_value(value: object) -> str:
     if isinstance(value, float) and not value.is_integer():
         return f"{value:.4g}"
     return f"{value:.0f}" if isinstance(value, float) else str(value)
-
-
-def pareto_front(cost: Sequence[float], quality: Sequence[float]) -> list[int]:
-    """Which of several runs no other beats in both, by rising cost: the more the better for quality, the less for cost.
-
-    Of runs that are equal in both the first is taken; runs with a NaN are passed over.
-    """
-    order = sorted(
-        (i for i in range(len(cost)) if math.isfinite(cost[i]) and math.isfinite(quality[i])),
-        key=lambda i: (cost[i], -quality[i]),
-    )
-    front: list[int] = []
-    for i in order:
-        if not front or quality[i] > quality[front[-1]]:
-            front.append(i)
-    return front
 
 
 def fit(widths: Mapping[str, int], room: int, least: int = 0) -> list[str]:

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
-from enum import StrEnum
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -46,14 +45,8 @@ PROGRAM = "furniture-free-mapping"
 """What run.json says that it was written by."""
 
 
-class SweepFile(StrEnum):
-    """In a sweep's folder, beside its runs."""
-
-    JSON = "sweep.json"
-    TABLE = "sweep.parquet"
-    RECORDING = "sweep.rrd"
-    STUDY = "optuna.journal"
-
+SWEEP_TABLE = "sweep.csv"
+"""In a sweep's folder, beside its runs."""
 
 _WITHIN = re.compile(
     rf"{LABELLED_FOLDER}|metadata\.yaml|{LABELLED_FOLDER}(_\d+)?\.(db3|mcap)"

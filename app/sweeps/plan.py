@@ -1,13 +1,12 @@
-"""Which settings a sweep tries: every combination of a grid, some of them at random, or those that Optuna proposes."""
+"""Which settings a sweep tries: every combination of a grid, or some that are drawn or proposed."""
 
 import itertools
+import json
 import math
 import warnings
-from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ Combination = Mapping[str, Any]
 """A value for each parameter, by the setting's dotted name."""
 
 _DIGITS = 4
-"""Number of digits of a value that is drawn from a range."""
+"""Significant digits of a value that is drawn from a range."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Range:
-    """A setting that takes any value from `low` to `high`, whole numbers only where both are."""
+    """A setting that takes any value from `low` to `high`; whole numbers only if both are."""
 
     name: str
     low: float
@@ -48,20 +47,25 @@ Parameter = Choice | Range
 
 
 def parse_grid(texts: Sequence[str], base: Settings, ranges: bool) -> tuple[Parameter, ...]:
-    """Parameters from texts like wall_planes.similarity_m=0.02,0.05 or ….similarity_m=0.02..0.08.
+    """Parse texts like wall_planes.similarity_m=0.02,0.05 or wall_planes.similarity_m=0.02..0.08.
 
-    base: the settings that stay. ranges: whether a range makes sense. Every value is validated.
-    Raises InputError that says which of them is wrong, and how.
+    Args:
+        base: the settings that stay.
+        ranges: whether a range may be given.
+
+    Raises InputError that names the wrong text.
     """
     if not texts:
-        raise InputError("--grid: nothing to sweep; give settings and their values, as in --grid doors.lines_min=2,3")
+        raise InputError("--grid: nothing to sweep; give values, as in --grid doors.lines_min=2,3")
     parameters: dict[str, Parameter] = {}
     for text in texts:
         parameter = _parse(text, base)
         if parameter.name in parameters:
-            raise InputError(f"--grid {text}: {parameter.name} is given twice; write all its values in one --grid")
+            raise InputError(
+                f"--grid {text}: {parameter.name} is given twice; write all values in one --grid"
+            )
         if isinstance(parameter, Range) and not ranges:
-            raise InputError(f"--grid {text}: a range has no end of values; list some, or add --random N or --optuna N")
+            raise InputError(f"--grid {text}: a range needs --random N or --optuna N; or list values")
         parameters[parameter.name] = parameter
     return tuple(parameters.values())
 
@@ -70,28 +74,30 @@ def _parse(text: str, base: Settings) -> Parameter:
     name, equals, listed = (part.strip() for part in text.partition("="))
     parts = [part.strip() for part in listed.split(",")]
     if not equals or not name or not all(parts):
-        raise InputError(f"--grid {text}: write it as step.name=value,value, as in wall_planes.similarity_m=0.02,0.05")
+        raise InputError(
+            f"--grid {text}: write it as step.name=value,value, as in doors.lines_min=2,3"
+        )
     low, dots, high = listed.partition("..")
     if dots and len(parts) == 1:
         ends = parse_value(low), parse_value(high)
-        if not all(isinstance(end, int | float) and not isinstance(end, bool) for end in ends) or ends[0] >= ends[1]:
-            raise InputError(
-                f"--grid {text}: write a range as lower..higher, as in wall_planes.similarity_m=0.02..0.08"
-            )
+        numbers = all(isinstance(end, int | float) and not isinstance(end, bool) for end in ends)
+        if not numbers or ends[0] >= ends[1]:
+            raise InputError(f"--grid {text}: write a range as lower..higher, as in 0.02..0.08")
         for end in ends:
             apply(base, {name: end})
         return Range(name, *ends)
-    # As the settings hold them: 1 for a length in metres is 1.0.
-    values = tuple(dict.fromkeys(apply(base, {name: parse_value(part)}).flat().get(name) for part in parts))
+    # Values as the settings hold them: 1 for a length in metres is 1.0.
+    applied = (apply(base, {name: parse_value(part)}).flat().get(name) for part in parts)
+    values = tuple(dict.fromkeys(applied))
     if None in values:
         raise InputError(
-            f"--grid {text}: {name!r} is a step; name one of its settings, 'ffmap settings' lists them all"
+            f"--grid {text}: {name!r} is a step; name a setting, 'ffmap settings' lists them"
         )
     return Choice(name, values)
 
 
 def apply(base: Settings, combination: Combination) -> Settings:
-    """The settings with a combination's values; raises InputError where one is not possible."""
+    """Return the settings with a combination's values. Raises InputError if one is invalid."""
     values = base.model_dump()
     for name, value in combination.items():
         *steps, last = name.split(".")
@@ -99,71 +105,45 @@ def apply(base: Settings, combination: Combination) -> Settings:
         for step in steps:
             target = target.setdefault(step, {})
             if not isinstance(target, dict):
-                raise InputError(f"--grid {name}: {step!r} is no step; 'ffmap settings' lists all settings")
+                raise InputError(
+                    f"--grid {name}: {step!r} is no step; 'ffmap settings' lists all settings"
+                )
         target[last] = value
     return validate(values, "--grid")
 
 
-class Search(Protocol):
-    """Where the combinations of a sweep come from. total: how many there will be."""
-
-    total: int
-
-    def next(self) -> Combination | None:
-        """One more; None where there is none."""
-        ...
-
-    def tell(self, combination: Combination, value: float | None) -> None:
-        """What the objective came to; None where its runs failed."""
-        ...
+def overrides_of(settings: Settings) -> list[str]:
+    """Return what differs from the default settings, as --set takes it."""
+    defaults = Settings().flat()
+    differing = {name: value for name, value in settings.flat().items() if value != defaults[name]}
+    return [f"{name}={json.dumps(value)}" for name, value in differing.items()]
 
 
-class Listed:
-    """A `Search` among combinations that are known beforehand."""
-
-    def __init__(self, combinations: Sequence[Combination]) -> None:
-        self.total = len(combinations)
-        self._left = iter(combinations)
-
-    def next(self) -> Combination | None:
-        return next(self._left, None)
-
-    def tell(self, combination: Combination, value: float | None) -> None:
-        pass
-
-
-def grid_of(parameters: Sequence[Parameter]) -> Listed:
-    """Every combination, the last parameter changing fastest."""
+def grid_of(parameters: Sequence[Parameter]) -> list[Combination]:
+    """Return every combination; the last parameter changes fastest."""
     choices = [p.values for p in parameters if isinstance(p, Choice)]
-    return Listed([_named(parameters, values) for values in itertools.product(*choices)])
+    return [_named(parameters, values) for values in itertools.product(*choices)]
 
 
-def random_of(parameters: Sequence[Parameter], count: int, seed: int) -> Listed:
-    """`count` different combinations, drawn evenly; all of them where there are no more."""
-    rng = np.random.default_rng(seed)
-    choices = [p.values for p in parameters if isinstance(p, Choice)]
-    if len(choices) == len(parameters):
-        sizes = list(map(len, choices))
-        chosen = rng.choice(math.prod(sizes), min(count, math.prod(sizes)), replace=False)
-        places = zip(*(axis.tolist() for axis in np.unravel_index(chosen, sizes)), strict=True)
-        drawn = ([values[i] for values, i in zip(choices, place, strict=True)] for place in places)
-        return Listed([_named(parameters, values) for values in drawn])
+def random_of(parameters: Sequence[Parameter], count: int, seed: int) -> list[Combination]:
+    """Return `count` different combinations; all of them if there are fewer."""
+    generator = np.random.default_rng(seed)
     different: dict[tuple[Any, ...], Combination] = {}
-    # Whole numbers may run out of different ones.
+    # Choices and whole numbers may run out of different combinations.
     for _ in range(100 * count):
-        values = [_draw(parameter, rng) for parameter in parameters]
-        different.setdefault(tuple(values), _named(parameters, values))
+        values = tuple(_draw(parameter, generator) for parameter in parameters)
+        different.setdefault(values, _named(parameters, values))
         if len(different) == count:
             break
-    return Listed(list(different.values()))
+    return list(different.values())
 
 
-def _draw(parameter: Parameter, rng: np.random.Generator) -> Any:  # noqa: ANN401 - a setting's value
+def _draw(parameter: Parameter, generator: np.random.Generator) -> Any:  # noqa: ANN401 - a setting's value
     if isinstance(parameter, Choice):
-        return parameter.values[int(rng.integers(len(parameter.values)))]
+        return parameter.values[int(generator.integers(len(parameter.values)))]
     if parameter.whole:
-        return int(rng.integers(int(parameter.low), int(parameter.high), endpoint=True))
-    return _rounded(float(rng.uniform(parameter.low, parameter.high)))
+        return int(generator.integers(int(parameter.low), int(parameter.high), endpoint=True))
+    return _rounded(float(generator.uniform(parameter.low, parameter.high)))
 
 
 def _rounded(value: float) -> float:
@@ -175,62 +155,40 @@ def _named(parameters: Sequence[Parameter], values: Sequence[Any]) -> Combinatio
 
 
 class Study:
-    """A `Search` by Optuna's TPE, which learns from the combinations before; kept in a file, and gone on with."""
+    """Combinations that Optuna's TPE sampler proposes, each batch after the figures of those before.
 
-    def __init__(self, parameters: Sequence[Parameter], count: int, seed: int, objective: str, path: Path) -> None:
-        """path: a file that may hold studies of other objectives and parameters too.
+    The seed makes the proposals repeatable: a sweep that is started again proposes the same.
+    """
 
-        Raises InputError where Optuna is not installed.
-        """
+    def __init__(self, parameters: Sequence[Parameter], seed: int, objective: str) -> None:
+        """Raises InputError if Optuna is not installed."""
         try:
             import optuna  # noqa: TID251 - its one place
-            from optuna.storages import JournalStorage  # noqa: TID251 - its one place
-            from optuna.storages.journal import JournalFileBackend  # noqa: TID251 - its one place
         except ImportError:
             raise InputError(
-                f"--optuna: Optuna is not installed; '{pip_command('optuna')}' installs it (in a checkout, pip install "
-                "'.[optuna]' does too), or use --random N"
+                f"--optuna: Optuna is not installed; '{pip_command('optuna')}' installs it (in a "
+                "checkout, pip install '.[optuna]'), or use --random N"
             ) from None
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-            # A liar: runs side by side are told apart by supposing that those under way turn out badly.
+            # The constant liar keeps the trials of one batch apart.
             sampler = optuna.samplers.TPESampler(seed=seed, constant_liar=True)
-            self._study = optuna.create_study(
-                storage=JournalStorage(JournalFileBackend(str(path))),
-                study_name=f"{objective} by {parameters}",
-                sampler=sampler,
-                direction="minimize" if less_is_better(objective) else "maximize",
-                load_if_exists=True,
-            )
-        self.total = count
+        direction = "minimize" if less_is_better(objective) else "maximize"
+        self._study = optuna.create_study(sampler=sampler, direction=direction)
         self._parameters = parameters
         self._failed = optuna.trial.TrialState.FAIL
-        # Those that a kill left, and those that are done, whose runs are there already.
-        self._earlier = deque((trial.number, trial.params) for trial in self._study.get_trials()[:count])
-        self._numbers: dict[tuple[Any, ...], list[int]] = {}
-        self._asked = 0
 
-    def next(self) -> Combination | None:
-        if self._asked == self.total:
-            return None
-        self._asked += 1
-        if self._earlier:
-            number, values = self._earlier.popleft()
-        else:
-            trial = self._study.ask()
-            number, values = trial.number, {p.name: _suggest(trial, p) for p in self._parameters}
-        combination = {
-            p.name: _rounded(values[p.name]) if isinstance(p, Range) and not p.whole else values[p.name]
-            for p in self._parameters
-        }
-        self._numbers.setdefault(tuple(combination.values()), []).append(number)
-        return combination
+    def batches(self, count: int, size: int) -> Iterator[list[tuple[Any, Combination]]]:
+        """Yield trials with their combinations; each batch has to be told before the next."""
+        for first in range(0, count, size):
+            trials = [self._study.ask() for _ in range(min(size, count - first))]
+            yield [(trial, {p.name: _suggest(trial, p) for p in self._parameters}) for trial in trials]
 
-    def tell(self, combination: Combination, value: float | None) -> None:
-        number = self._numbers[tuple(combination.values())].pop()
-        state = self._failed if value is None else None
-        self._study.tell(number, value, state=state, skip_if_finished=True)
+    def tell(self, trial: Any, value: float | None) -> None:  # noqa: ANN401 - optuna.Trial
+        """Report a trial's objective; None if its runs failed."""
+        known = value is not None and math.isfinite(value)
+        self._study.tell(trial, value if known else None, state=None if known else self._failed)
 
 
 def _suggest(trial: Any, parameter: Parameter) -> Any:  # noqa: ANN401 - optuna.Trial; a setting's value
@@ -238,4 +196,4 @@ def _suggest(trial: Any, parameter: Parameter) -> Any:  # noqa: ANN401 - optuna.
         return trial.suggest_categorical(parameter.name, parameter.values)
     if parameter.whole:
         return trial.suggest_int(parameter.name, int(parameter.low), int(parameter.high))
-    return trial.suggest_float(parameter.name, parameter.low, parameter.high)
+    return _rounded(trial.suggest_float(parameter.name, parameter.low, parameter.high))

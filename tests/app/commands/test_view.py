@@ -34,16 +34,15 @@ def test_errors_come_after_the_recording_whose_layout_would_hide_them(tmp_path: 
     assert files_of(make_run(tmp_path / "b", "recording.rrd")) == [tmp_path / "b" / "recording.rrd"]
 
 
-def test_sweeps_and_single_recordings(tmp_path: Path) -> None:
-    (tmp_path / "sweep.rrd").touch()
-    assert files_of(tmp_path) == [tmp_path / "sweep.rrd"]
-    assert files_of(tmp_path / "sweep.rrd") == [tmp_path / "sweep.rrd"]
+def test_a_single_recording(tmp_path: Path) -> None:
+    (tmp_path / "inspect-7.rrd").touch()
+    assert files_of(tmp_path / "inspect-7.rrd") == [tmp_path / "inspect-7.rrd"]
 
 
 def test_nothing_to_see(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such folder"):
         files_of(tmp_path / "nothing")
-    with pytest.raises(InputError, match="no run and no sweep"):
+    with pytest.raises(InputError, match="is no run"):
         files_of(tmp_path)
     with pytest.raises(InputError, match=r"no recording\.rrd"):
         files_of(make_run(tmp_path / "a", "evaluation.rrd"))

@@ -1,38 +1,10 @@
-"""Names of figures, and the front of those runs that no other beats."""
+"""Names of figures."""
 
-import math
-
-import numpy as np
 import pytest
 
 from ffmap.app.folder import figures
-from ffmap.app.folder.figures import figures_of, less_is_better, pareto_front, short_names
+from ffmap.app.folder.figures import figures_of, less_is_better, short_names
 from ffmap.loaders.errors import InputError
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_the_front_is_what_nobody_beats(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    cost, quality = rng.integers(0, 6, 12).astype(float), rng.integers(0, 6, 12).astype(float)
-    quality[rng.random(12) < 0.2] = np.nan
-
-    def beaten(i: int) -> bool:
-        as_good = (cost <= cost[i]) & (quality >= quality[i])
-        return bool((as_good & ((cost < cost[i]) | (quality > quality[i]))).any())
-
-    front = pareto_front(cost.tolist(), quality.tolist())
-    unbeaten = {(cost[i], quality[i]) for i in range(12) if np.isfinite(quality[i]) and not beaten(i)}
-    assert {(cost[i], quality[i]) for i in front} == unbeaten
-    assert len(front) == len(unbeaten)
-    assert [cost[i] for i in front] == sorted(cost[i] for i in front)
-    order = rng.permutation(12)
-    again = pareto_front(cost[order].tolist(), quality[order].tolist())
-    assert {(cost[order][i], quality[order][i]) for i in again} == unbeaten
-
-
-def test_nothing_has_no_front() -> None:
-    assert pareto_front([], []) == []
-    assert pareto_front([1.0, math.nan], [math.nan, 2.0]) == []
 
 
 def test_figures_have_short_names() -> None:
