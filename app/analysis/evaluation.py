@@ -61,6 +61,7 @@ from ffmap.app.analysis.run_labels import labelled_lidars
 from ffmap.app.folder import names as run_names
 from ffmap.app.folder.atomic import write_json
 from ffmap.app.folder.finished_run import FinishedRun
+from ffmap.app.folder.pictures import write_overlays
 from ffmap.app.folder.room_files import outlines
 from ffmap.app.tables import in_markdown
 from ffmap.blueprints import entities
@@ -120,8 +121,8 @@ def evaluate_run(run: FinishedRun, truth_bag: BagPath | None = None, workers: in
         run_names.check_same_run(run_names.RunFolder(run.path), run.record)
         write_json(run.path / run_names.METRICS, comparison.metrics)
         if comparison.maps:
-            map_figures.write_overlays(
-                run.path / run_names.OVERLAY, comparison.maps, "truth", map_figures.walls_direction_deg(run.path)
+            write_overlays(
+                run.path / run_names.OVERLAY, comparison.maps, map_figures.walls_direction_deg(run.path)
             )
         if layer is not None and comparison.tally is not None:
             _write_layer(run, layer, comparison, comparison.tally)

@@ -9,7 +9,8 @@ from rich.table import Table
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.maps.area_graph import Segmented
-from ffmap.app.analysis.map_figures import hundredfold, maps_table
+from ffmap.app.analysis.map_figures import maps_table
+from ffmap.app.folder.pictures import percent
 from ffmap.app.tables import make_table
 
 Metrics = dict[str, Any]
@@ -48,11 +49,11 @@ def in_one_line(metrics: Metrics) -> str:
     """The figures that a person asks for first, and what could not be compared."""
     said = []
     if "area" in metrics:
-        said.append(f"wall F1 {hundredfold(metrics['area'][Label.WALL.name.lower()]['f1'])} %")
+        said.append(f"wall F1 {percent(metrics['area'][Label.WALL.name.lower()]['f1'])} %")
     if (doors := metrics.get("doors")) is not None:
         said.append(f"{doors['found_count']} of {doors['passed']} doors found, {doors['invented_count']} invented")
     if (rooms := metrics.get("rooms")) is not None:
-        said.append(f"rooms {hundredfold(rooms['recall'])} % recalled")
+        said.append(f"rooms {percent(rooms['recall'])} % recalled")
     if (trajectory := metrics.get("trajectory")) is not None:
         said.append(f"poses off by {_centimetres(trajectory['ate_rmse_m'])}")
     said += [f"not compared: {reason}" for reason in metrics.get("missing", ())]
@@ -86,7 +87,7 @@ def _label_rows(metrics: Metrics) -> Iterator[list[str]]:
         name = label.name.lower()
         own = [metrics["area"][name][figure] for figure in ("precision", "recall", "f1")]
         figures = (*own, *PAPER.get(label, (None, None, None)), metrics["area_scan"][name]["f1"])
-        yield [name, *map(hundredfold, figures)]
+        yield [name, *map(percent, figures)]
 
 
 def _statistics_rows(statistics: Metrics) -> Iterator[list[str]]:
@@ -99,23 +100,23 @@ def _statistics_rows(statistics: Metrics) -> Iterator[list[str]]:
 
 def _rows_of_maps(rooms_of_maps: Metrics) -> Iterator[list[str]]:
     for name, rooms in rooms_of_maps.items():
-        found = [str(rooms["found"]), hundredfold(rooms["recall"]), hundredfold(rooms["precision"])]
+        found = [str(rooms["found"]), percent(rooms["recall"]), percent(rooms["precision"])]
         yield [_SEGMENTED[Segmented(name)], *found, str(len(rooms["split"])), str(len(rooms["merged"]))]
 
 
 def _other_rows(metrics: Metrics) -> Iterator[tuple[str, str]]:
     if (doors := metrics.get("doors")) is not None:
-        yield "doors found", f"{doors['found_count']} of {doors['passed']} passed, {hundredfold(doors['found'])} %"
-        invented = f"{doors['invented_count']} of {doors['detections']}, {hundredfold(doors['invented'])} %"
+        yield "doors found", f"{doors['found_count']} of {doors['passed']} passed, {percent(doors['found'])} %"
+        invented = f"{doors['invented_count']} of {doors['detections']}, {percent(doors['invented'])} %"
         yield "doors invented", invented
         yield "width error, mean", _centimetres(doors["width_error_m"])
-        yield "state right", f"{hundredfold(doors['state_right'])} %"
+        yield "state right", f"{percent(doors['state_right'])} %"
     if "area" in metrics:
-        yield "outside kept as structure", f"{hundredfold(metrics['area']['outside_kept_as_structure'])} %"
+        yield "outside kept as structure", f"{percent(metrics['area']['outside_kept_as_structure'])} %"
     if (rooms := metrics.get("rooms")) is not None:
         entered = f"({rooms['entered']} of {rooms['true']} true rooms)"
-        yield "rooms entered, recall", f"{hundredfold(rooms['recall'])} % {entered}"
-        yield "rooms found, precision", f"{hundredfold(rooms['precision'])} % ({rooms['found']} rooms)"
+        yield "rooms entered, recall", f"{percent(rooms['recall'])} % {entered}"
+        yield "rooms found, precision", f"{percent(rooms['precision'])} % ({rooms['found']} rooms)"
         yield "rooms split", ", ".join(rooms["split"]) or "none"
         yield "rooms merged", ", ".join(" and ".join(pair) for pair in rooms["merged"]) or "none"
     if (trajectory := metrics.get("trajectory")) is not None:

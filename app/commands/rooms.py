@@ -16,7 +16,8 @@ from ffmap.algorithms.truth.rooms import RoomFigures, compare_room_images, rooms
 from ffmap.app.folder.atomic import write_json
 from ffmap.app.folder.map_files import read_image, read_map
 from ffmap.app.folder.names import METRICS, ROOMS, check_no_run_loses
-from ffmap.app.folder.room_files import topology, write_picture, write_rooms
+from ffmap.app.folder.pictures import write_rooms_picture
+from ffmap.app.folder.room_files import topology, write_rooms
 from ffmap.app.own_command import view_command
 from ffmap.app.parameters import RoomsParameters
 from ffmap.app.setup.settings import load_settings
@@ -171,7 +172,7 @@ def _write(
         # First: it says whose the others are.
         write_json(out / TOPOLOGY, {"map": str(path.resolve()), **topology(graph)})
         write_rooms(out / ROOMS, graph)
-        write_picture(out / PICTURE, grid, graph)
+        write_rooms_picture(out / PICTURE, grid, graph)
         if figures is not None:
             write_json(out / METRICS, {"rooms": _figures([figures])})
         write_recording(out / RECORDING, graph)

@@ -11,7 +11,7 @@ import shapely
 from ffmap.algorithms.base.scan import FloatArray, UInt8Array
 from ffmap.algorithms.maps.area_graph import AreaGraph
 from ffmap.algorithms.maps.grid import GridMap
-from ffmap.app.folder.room_files import inner_point, room_color
+from ffmap.app.folder.pictures import inner_point, room_color
 from ffmap.app.record.building import log_grid
 from ffmap.app.record.log import Log, evidence, open_log
 from ffmap.app.record.shapes import at_height, strips, ui_radius

@@ -19,7 +19,8 @@ from ffmap.algorithms.maps.grid import GridMap
 from ffmap.algorithms.scan.summary import Features, select_scans
 from ffmap.app.folder.map_files import write_grid
 from ffmap.app.folder.names import DOORS, FLOOR_PLAN_DXF, FLOOR_PLAN_SVG, WALLS, map_file, rooms_file
-from ffmap.app.folder.plan_files import write_dxf, write_svg
+from ffmap.app.folder.pictures import write_floor_plan
+from ffmap.app.folder.plan_dxf import write_dxf
 from ffmap.app.folder.room_files import door_rooms, topology, write_rooms
 from ffmap.app.folder.walls_and_doors import write_doors, write_walls
 from ffmap.app.record.building import log_building, log_fused_walls, log_grid
@@ -143,7 +144,7 @@ def _write(run: Run, building: Building, maps: Maps) -> None:
         for name, graph in ({Segmented.FURNITURE_FREE: maps.rooms} | dict(maps.compared_rooms)).items():
             write_rooms(folder / rooms_file(name), graph)
     if Output.PLAN in outputs:
-        write_svg(folder / FLOOR_PLAN_SVG, maps.plan, run.inputs.bag_path.name)
+        write_floor_plan(folder / FLOOR_PLAN_SVG, maps.plan, run.inputs.bag_path.name)
         write_dxf(folder / FLOOR_PLAN_DXF, maps.plan)
     if Output.MAPS in outputs:
         for map_name, grid in _grids(maps).items():

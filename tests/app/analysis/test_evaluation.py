@@ -16,13 +16,13 @@ from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.truth.tally import CUBE_M
 from ffmap.app.analysis import counting
 from ffmap.app.analysis.evaluation import evaluate_run, has_truth, read_building, read_doors
-from ffmap.app.analysis.map_figures import TITLES
 from ffmap.app.analysis.metrics_tables import PAPER_STATISTICS, format_metrics, in_one_line, print_metrics
 from ffmap.app.folder.atomic import write_geojson, write_json
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.labelled_bag import write_labelled_bag
 from ffmap.app.folder.labels_file import LabelsWriter
 from ffmap.app.folder.map_files import write_grid
+from ffmap.app.folder.pictures import MAP_TITLES
 from ffmap.loaders.bag import make_typestore, open_bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
@@ -274,7 +274,7 @@ def test_tables_cut_no_word_on_a_narrow_terminal(capsys: pytest.CaptureFixture[s
     monkeypatch.setenv("COLUMNS", "80")
     figures = dict.fromkeys(("mean", "standard_deviation", "min", "max"), 123_456.0)
     one = {"precision": 0.99, "recall": 0.98, "error_m": 0.01, "doors_blocked": 150, "doors_passed": 181}
-    maps = {name: one | {"precision_without_cabinets": 1.0} for name in TITLES}
+    maps = {name: one | {"precision_without_cabinets": 1.0} for name in MAP_TITLES}
     print_metrics({"statistics": dict.fromkeys(PAPER_STATISTICS, figures), "maps": maps})
     printed = capsys.readouterr().out
     assert "…" not in printed

@@ -13,10 +13,11 @@ import shapely
 from ffmap.algorithms.base.segments import turned
 from ffmap.algorithms.maps.floor_plan import FloorPlan, Leaf, PlanDoor
 from ffmap.algorithms.scan.doors import DoorState
-from ffmap.app.folder.plan_files import LAYERS, MM_PER_M, write_dxf, write_svg
+from ffmap.app.folder import pictures
+from ffmap.app.folder.pictures import INCHES_PER_M, write_floor_plan
+from ffmap.app.folder.plan_dxf import LAYERS, write_dxf
 
 SVG = "{http://www.w3.org/2000/svg}"
-PARTS = ("rooms", "assumeds", "walls", "columns", "windows", "doors")
 
 
 @dataclass(frozen=True)
@@ -69,102 +70,73 @@ def turned_plan() -> FloorPlan:
     return FloorPlan(parts[0], parts[1], parts[2], doors, parts[3], rooms, TURN_DEG)
 
 
-def group(root: ElementTree.Element, name: str) -> ElementTree.Element:
-    found = root.find(f"{SVG}g[@id='{name}']")
-    assert found is not None
+PT_PER_M = 72 * INCHES_PER_M
+
+
+def drawn(path: Path) -> dict[str, np.ndarray]:
+    """Corners (n, 2) of each part by its name, in metres on the sheet, y up."""
+    root = ElementTree.parse(path).getroot()
+    height = float(root.get("viewBox", "").split()[3])
+    found = {}
+    for group in root.iter(f"{SVG}g"):
+        name = group.get("id", "")
+        if re.fullmatch(r"[a-z]+-\d+", name) and (outline := group.find(f"{SVG}path")) is not None:
+            pairs = re.findall(r"[ML] (-?[\d.]+) (-?[\d.]+)", outline.get("d", ""))
+            found[name] = np.array(pairs, float) * [1, -1] / PT_PER_M + [0, height / PT_PER_M]
     return found
 
 
-def numbers(path: str) -> np.ndarray:
-    return np.array([[float(v) for v in pair] for pair in re.findall(r"(-?[\d.]+),(-?[\d.]+)", path)])
+def texts(path: Path) -> str:
+    return " ".join(ElementTree.parse(path).getroot().itertext())
 
 
-def test_svg_is_to_scale_with_y_up(tmp_path: Path):
-    write_svg(tmp_path / "plan.svg", PLAN, "drive.bag")
-    root = ElementTree.parse(tmp_path / "plan.svg").getroot()
-    assert root.get("width", "").endswith("mm")
-    walls = [numbers(p.get("d", "")) for p in root.iter(f"{SVG}path") if p.get("class") == "wall"]
-    assert len(walls) == 2
-    np.testing.assert_allclose(np.ptp(walls[0], axis=0), [1.0 * MM_PER_M, 0.2 * MM_PER_M])
-    column = next(numbers(p.get("d", "")) for p in root.iter(f"{SVG}path") if p.get("class") == "column")
-    # The column lies further up in the map than the first wall, so higher on paper.
-    assert column[:, 1].max() < walls[0][:, 1].min()
-    box = [float(v) for v in root.get("viewBox", "").split()]
-    every = np.concatenate([numbers(p.get("d", "")) for p in root.iter(f"{SVG}path")])
-    assert (every >= 0).all()
-    assert (every <= box[2:]).all()
+def test_the_plan_is_to_scale_with_y_up(tmp_path: Path) -> None:
+    write_floor_plan(tmp_path / "plan.svg", PLAN, "drive.bag")
+    parts = drawn(tmp_path / "plan.svg")
+    wall, column = (next(v for k, v in parts.items() if k.startswith(kind)) for kind in ("wall", "column"))
+    np.testing.assert_allclose(np.ptp(wall, axis=0), [1.0, 0.2], atol=1e-3)
+    assert column[:, 1].min() > wall[:, 1].max()
+    assert all((corners >= 0).all() for corners in parts.values())
 
 
-def test_svg_shows_doors_rooms_and_scale(tmp_path: Path):
-    write_svg(tmp_path / "plan.svg", PLAN, "drive.bag")
-    root = ElementTree.parse(tmp_path / "plan.svg").getroot()
-    kinds = [p.get("class") for name in ("doors", "rooms") for p in group(root, name).iter(f"{SVG}path")]
-    assert kinds.count("swing") == 1
-    assert kinds.count("leaf") == 2
-    assert kinds.count("unknown") == 1
-    assert kinds.count("room") == 2
-    texts = [t.text for t in root.iter(f"{SVG}text")]
-    for words in ("Room 1", "<R&D>", "16.6 m²", "x", "y", "5", "m"):
-        assert words in texts
-    swing = next(p.get("d", "") for p in group(root, "doors") if p.get("class") == "swing")
-    start, end = numbers(swing)
-    # From where the leaf is when shut, along the wall, to where it stood, a quarter turn counter-clockwise in the map.
-    np.testing.assert_allclose(end - start, [-0.9 * MM_PER_M, -0.9 * MM_PER_M], atol=0.02)
-    assert " 0 0 0 " in swing
+def test_the_plan_shows_doors_rooms_and_scale(tmp_path: Path) -> None:
+    write_floor_plan(tmp_path / "plan.svg", PLAN, "drive.bag")
+    parts = drawn(tmp_path / "plan.svg")
+    kinds = [name.split("-")[0] for name in parts]
+    assert [kinds.count(kind) for kind in ("swing", "leaf", "closed", "unseen", "room")] == [1, 1, 1, 1, 2]
+    for words in ("Room 1", "<R&D>", "16.6 m²", "scale 1:100", "drive.bag"):
+        assert words in texts(tmp_path / "plan.svg")
+    swing = parts[next(name for name in parts if name.startswith("swing"))]
+    # From its closed place along the wall to where the leaf was seen, a quarter turn counter-clockwise.
+    np.testing.assert_allclose(swing[-1] - swing[0], [-0.9, 0.9], atol=2e-3)
 
 
-@pytest.mark.parametrize("name", ["rooms", "assumeds", "walls", "columns", "windows", "doors", "room-names"])
-def test_the_plan_is_drawn_square_to_its_walls(tmp_path: Path, name: str):
-    write_svg(tmp_path / "plan.svg", PLAN, "drive.bag")
-    write_svg(tmp_path / "turned.svg", turned_plan(), "drive.bag")
-    straight, other = (group(ElementTree.parse(tmp_path / f"{n}.svg").getroot(), name) for n in ("plan", "turned"))
-    assert len(straight) == len(other) > 0
-    for one, same in zip(straight, other, strict=True):
-        assert one.text == same.text
-        for key in ("x", "y"):
-            assert float(same.get(key, 0)) == pytest.approx(float(one.get(key, 0)), abs=0.011)
-        np.testing.assert_allclose(numbers(same.get("d", "")), numbers(one.get("d", "")), atol=0.011)
+def test_the_plan_is_drawn_square_to_its_walls(tmp_path: Path) -> None:
+    write_floor_plan(tmp_path / "plan.svg", PLAN, "drive.bag")
+    write_floor_plan(tmp_path / "turned.svg", turned_plan(), "drive.bag")
+    straight, other = drawn(tmp_path / "plan.svg"), drawn(tmp_path / "turned.svg")
+    assert straight.keys() == other.keys()
+    for name, corners in straight.items():
+        np.testing.assert_allclose(other[name], corners, atol=2e-3)
+    assert "turned by 22.0°" in texts(tmp_path / "turned.svg")
 
 
-def test_the_axes_of_the_map_are_turned_with_the_plan(tmp_path: Path):
-    write_svg(tmp_path / "plan.svg", turned_plan(), "drive.bag")
-    foot = group(ElementTree.parse(tmp_path / "plan.svg").getroot(), "foot")
-    arrows = [numbers(p.get("d", ""))[:2] for p in foot.iter(f"{SVG}path")][1:]
-    along = [np.degrees(np.arctan2(-(tip - origin)[1], (tip - origin)[0])) for origin, tip in arrows]
-    assert along == pytest.approx([22.0, 112.0], abs=0.1)
-    assert "turned by 22.0° to draw walls square" in [t.text for t in foot.iter(f"{SVG}text")]
+def test_the_legend_names_what_occurs_and_nothing_else(tmp_path: Path) -> None:
+    def legend(plan: FloorPlan) -> set[str]:
+        write_floor_plan(tmp_path / "plan.svg", plan, "drive.bag")
+        said = texts(tmp_path / "plan.svg")
+        return {kind for kind, (words, _) in pictures._KINDS.items() if words in said}
+
+    assert legend(PLAN) == set(pictures._KINDS)
+    assert legend(EMPTY) == set()
+    some = replace(PLAN, columns=(), windows=(), doors=PLAN.doors[1:2])
+    assert legend(some) == {"wall", "assumed", "closed", "room"}
 
 
-def test_the_legend_tells_what_occurs_and_nothing_else(tmp_path: Path):
-    def legend(plan: FloorPlan) -> tuple[list[str | None], set[str | None]]:
-        write_svg(tmp_path / "plan.svg", plan, "drive.bag")
-        root = ElementTree.parse(tmp_path / "plan.svg").getroot()
-        assert all(
-            0 <= float(t.get("y", -1)) <= float(root.get("viewBox", "").split()[3]) for t in root.iter(f"{SVG}text")
-        )
-        own = group(root, "legend")
-        drawn = {p.get("class") for name in PARTS for p in root.iterfind(f"{SVG}g[@id='{name}']/{SVG}path")}
-        assert drawn - {"doorway"} <= {e.get("class") for e in own}
-        return [t.text for t in own.iter(f"{SVG}text")], drawn
-
-    assert legend(PLAN)[0] == [
-        "wall, both sides seen",
-        "wall, one side seen, its thickness assumed",
-        "column",
-        "window",
-        "closed door",
-        "open door, its leaf as it stood",
-        "open doorway, no leaf seen",
-        "room as far as seen; colours tell rooms apart",
-    ]
-    assert legend(PLAN)[1] >= {"wall", "assumed", "column", "window", "pane", "leaf", "swing", "unknown", "room"}
-    assert legend(EMPTY)[0] == []
-    assert legend(replace(PLAN, columns=(), windows=(), doors=PLAN.doors[1:2]))[0] == [
-        "wall, both sides seen",
-        "wall, one side seen, its thickness assumed",
-        "closed door",
-        "room as far as seen; colours tell rooms apart",
-    ]
+def test_the_same_plan_is_the_same_file(tmp_path: Path) -> None:
+    for name in ("a.svg", "b.svg"):
+        write_floor_plan(tmp_path / name, PLAN, "drive.bag")
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
 
 
 def test_dxf_keeps_map_coordinates_and_opens_square(tmp_path: Path):
@@ -201,7 +173,7 @@ def test_dxf_is_clean_and_in_metres(tmp_path: Path):
 
 
 def test_an_empty_plan_is_still_a_drawing(tmp_path: Path):
-    write_svg(tmp_path / "plan.svg", EMPTY, "empty.bag")
+    write_floor_plan(tmp_path / "plan.svg", EMPTY, "empty.bag")
     assert ElementTree.parse(tmp_path / "plan.svg").getroot().tag == f"{SVG}svg"
     write_dxf(tmp_path / "plan.dxf", EMPTY)
     assert not ezdxf.readfile(tmp_path / "plan.dxf").audit().has_errors
