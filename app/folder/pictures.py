@@ -82,7 +82,7 @@ def write_floor_plan(path: Path, plan: FloorPlan, title: str) -> None:
     left, top = float(low[0]) - _MARGIN_M, float(high[1]) + _MARGIN_M
     width = max(float(high[0] - low[0]) + 2 * _MARGIN_M, _WIDTH_MIN_M)
     foot = float(low[1]) - _MARGIN_M
-    axes = _sheet(width * INCHES_PER_M, (top - foot + _FOOT_M) * INCHES_PER_M)
+    figure, axes = _sheet(width * INCHES_PER_M, (top - foot + _FOOT_M) * INCHES_PER_M)
     axes.set_xlim(left, left + width)
     axes.set_ylim(foot - _FOOT_M, top)
 
@@ -123,7 +123,7 @@ def write_floor_plan(path: Path, plan: FloorPlan, title: str) -> None:
         axes.text(x, y - 0.38, f"{room.area_m2:.1f} m²", ha="center", size=7.5, color=_DARK)
     _draw_foot(axes, title, plan, left, foot, width)
     with written_whole(path) as part:
-        _save(axes.figure, part, "svg")
+        _save(figure, part, "svg")
 
 
 def extent(plan: FloorPlan) -> tuple[FloatArray, FloatArray]:
@@ -172,9 +172,11 @@ def _draw_foot(
         axes.text(at[0], at[1] - 0.4, str(metre), ha="center", size=7.5, color=_DARK)
     origin = np.array([left + 8.2, foot - 1.7])
     for name, angle_deg in (("x", 0.0), ("y", 90.0)):
-        tip = origin + turned(np.array([0.8, 0.0]), angle_deg - plan.direction_deg)
-        axes.annotate("", tip, origin, arrowprops={"arrowstyle": "->", "color": _DARK, "lw": 0.7})
-        axes.text(*(origin + 1.25 * (tip - origin)), name, ha="center", va="center", size=7.5)
+        along = turned(np.array([0.8, 0.0]), angle_deg - plan.direction_deg)
+        ends = [(float(x), float(y)) for x, y in (origin, origin + along, origin + 1.25 * along)]
+        arrow = {"arrowstyle": "->", "color": _DARK, "lw": 0.7}
+        axes.annotate("", ends[1], ends[0], arrowprops=arrow)
+        axes.text(ends[2][0], ends[2][1], name, ha="center", va="center", size=7.5)
     turn = f"{round(-plan.direction_deg, 1) + 0.0:.1f}".replace("-", "−")
     words = f"axes of the map's coordinates,\nturned by {turn}° to draw walls upright"
     axes.text(left + 9.8, foot - 1.5, words, size=7.5, va="center", color=_DARK)
@@ -268,7 +270,8 @@ def _draw_overlay(axes: "Axes", one: ComparedMap, direction_deg: float, px_per_m
         interpolation="nearest",
         transform=turn + axes.transData,
     )
-    axes.set_facecolor(tuple(v / 255 for v in entities.AGREEMENTS[Agreement.NOTHING][1]))
+    red, green, blue = (value / 255 for value in entities.AGREEMENTS[Agreement.NOTHING][1])
+    axes.set_facecolor((red, green, blue))
     axes.set_aspect("equal")
     axes.tick_params(labelsize=14)
     axes.set_xlabel("m", fontsize=14)
@@ -309,7 +312,7 @@ def write_rooms_picture(path: Path, grid: GridMap, graph: AreaGraph) -> None:
     zoom = max(1, _PICTURE_PX // max(cells.shape))
     inches_per_m = zoom / (step * grid.cell_m) / _DPI
     size_m = grid.cell_m * step * np.array(cells.shape[::-1])
-    axes = _sheet(*(size_m * inches_per_m))
+    figure, axes = _sheet(*(size_m * inches_per_m))
     low, high = grid.origin, grid.origin + size_m
     axes.imshow(
         pixels,
@@ -329,7 +332,7 @@ def write_rooms_picture(path: Path, grid: GridMap, graph: AreaGraph) -> None:
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
     with written_whole(path) as part:
-        _save(axes.figure, part, "png")
+        _save(figure, part, "png")
 
 
 def room_color(index: int) -> entities.Color:
@@ -348,15 +351,15 @@ def inner_point(room: Room) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def _sheet(width_inches: float, height_inches: float) -> "Axes":
-    """Axes that fill a figure, without a frame."""
+def _sheet(width_inches: float, height_inches: float) -> "tuple[Figure, Axes]":
+    """A figure with axes that fill it, without a frame."""
     # Imported here: matplotlib takes half a second, and only finished maps are drawn.
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width_inches, height_inches))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.axis("off")
-    return axes
+    return figure, axes
 
 
 def _patch(

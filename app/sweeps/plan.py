@@ -174,7 +174,8 @@ class Study:
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
             # The constant liar keeps the trials of one batch apart.
             sampler = optuna.samplers.TPESampler(seed=seed, constant_liar=True)
-        direction = "minimize" if less_is_better(objective) else "maximize"
+        better = optuna.study.StudyDirection
+        direction = better.MINIMIZE if less_is_better(objective) else better.MAXIMIZE
         self._study = optuna.create_study(sampler=sampler, direction=direction)
         self._parameters = parameters
         self._failed = optuna.trial.TrialState.FAIL
