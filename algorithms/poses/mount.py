@@ -57,11 +57,13 @@ def refine_mount(
     scans: Sequence[Scan],
     T_base_sensor: FloatArray,
     returns_max: int = 20_000,
+    agree_m: float = 0.0,
 ) -> Mount | None:
     """The mount near the given one (4, 4) at which the scans lie best on the patches; None where too little of them does.
 
     patches: what the horizontal lidar saw, in the trajectory's frame. trajectory: of the base; an error of its poses moves what
-    both lidars see alike. scans: of the vertical lidar.
+    both lidars see alike. scans: of the vertical lidar. agree_m: RMS of the distances up to which the given one is kept, with
+    unknown (NaN) `sigma`.
     """
     points_base, stamp_ns = _returns(scans, T_base_sensor, returns_max)
     if len(patches.centre) < _RETURNS_MIN or len(points_base) < _RETURNS_MIN:
@@ -71,6 +73,9 @@ def refine_mount(
     moving = _Moving.of(points_base, stamp_ns, trajectory)
     matched = _match(moving, patches, tree, _REACHES_M[-3])
     rms_before_m = _rms(moving.distances(x, *matched))
+    if rms_before_m <= agree_m and np.count_nonzero(matched[0]) >= _RETURNS_MIN:
+        kept = (T_base_sensor, 0.0, np.full(7, np.nan), rms_before_m, rms_before_m)
+        return Mount(*kept, np.count_nonzero(matched[0]))
     for reach_m in _REACHES_M:
         moving = _Moving.of(transforms.apply(T_correction, points_base), stamp_ns + round(1e9 * clock_s), trajectory)
         matched = _match(moving, patches, tree, reach_m)
@@ -101,6 +106,16 @@ def refine_mount(
         _rms(residual_m),
         len(residual_m),
     )
+
+
+def surfaces_rms_m(
+    patches: Patches, trajectory: Trajectory, scans: Sequence[Scan], T_base_sensor: FloatArray, returns_max: int
+) -> float:
+    """RMS distance (m) of the scans' returns from the patches, as `Mount.rms_before_m`; NaN where they do not meet."""
+    if not len(patches.centre):
+        return float("nan")
+    moving = _Moving.of(*_returns(scans, T_base_sensor, returns_max), trajectory)
+    return _rms(moving.distances(np.zeros(7), *_match(moving, patches, cKDTree(patches.centre), _REACHES_M[-3])))
 
 
 def _moved(x: FloatArray) -> FloatArray:

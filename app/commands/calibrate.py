@@ -11,18 +11,16 @@ import typer
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.trajectory import Trajectory, place_scan
-from ffmap.algorithms.poses.hand_eye import find_mount, turns_aligned
 from ffmap.app.folder.atomic import written_whole
 from ffmap.app.progress import Progress
 from ffmap.app.record.calibration import write_calibration
 from ffmap.app.run.mount_check import CheckedMount, check_mounts, map_of, scans_of
-from ffmap.app.run.odometry import Odometry
-from ffmap.app.setup.inputs import InputOptions, Inputs, Sensor, find_inputs
+from ffmap.app.run.stage_mounts import drive_alone, mount_by_motion
+from ffmap.app.setup.inputs import InputOptions, Inputs, find_inputs
 from ffmap.app.setup.settings import Settings, load_settings
 from ffmap.app.tables import make_table, table_console
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
-from ffmap.loaders.rig import MountCorrection
 
 _SCANS, _RETURNS = 200, 60_000
 """Number of scans of each lidar that are used, spread over the drive, and of returns that are laid on the other's map."""
@@ -32,9 +30,6 @@ _SCALE = np.array([np.degrees(1.0)] * 3 + [100.0] * 3 + [1e3])
 """To degrees, centimetres and milliseconds."""
 _KNOWN = (*(0.1,) * 3, *(1.0,) * 3, 2.0)
 """Degrees, centimetres and milliseconds up to which each of the seven is well known."""
-_HITS_MIN, _RIVAL_MAX = 0.3, 0.9
-"""Share of a lidar's returns that have to meet the other's for its mount to be found by them, and what any other mount may have of
-that."""
 _MOTION = (
     *("drive past walls on all sides, and over a floor that both lidars see",) * 3,
     "turn on the spot once: along the way a shift does what a clock does",
@@ -63,14 +58,16 @@ def calibrate(
         raise InputError(
             f"{bag}: one lidar alone has no mount to refine; give a bag of two, 'ffmap info {bag.words}' lists them"
         )
-    # By the horizontal lidar alone: a mount that is off would bend the poses.
-    settings = load_settings(None, ["refinement.companion_points_max=0"])
+    settings = load_settings(None, [])
     with Progress(quiet) as progress:
-        odometry = _drive(inputs, horizontal, settings, seconds, progress)
+        odometry = drive_alone(inputs, horizontal, settings, seconds, progress)
         if from_motion:
             seen = map_of(inputs, odometry, settings, _SCANS)
-            motions = [_mount_by_motion(inputs, s, odometry, seen, settings, seconds, progress) for s in inputs.others]
-            inputs = inputs.with_mounts(motions)
+            motions = [mount_by_motion(inputs, s, odometry, seen, settings, seconds, progress) for s in inputs.others]
+            for unknown in motions:
+                if isinstance(unknown, str):
+                    raise InputError(f"{bag}: {unknown}")
+            inputs = inputs.with_mounts(found for found in motions if not isinstance(found, str))
         progress.stage("mount", None)
         checked = check_mounts(inputs, odometry, settings, _SCANS, _SCANS, _RETURNS) if len(odometry) > 1 else []
         found = {mount.topic for mount in checked}
@@ -90,53 +87,6 @@ def calibrate(
     typer.echo(f"rig file: {out}  (ffmap run {bag.words} --rig {out})")
     if recording is not None:
         typer.echo(f"recording: {recording}  (before red, after green; ffmap view {recording})")
-
-
-def _drive(inputs: Inputs, sensor: Sensor, settings: Settings, seconds: float, progress: Progress) -> Trajectory:
-    """T_odom_base of the first seconds of the drive by one lidar, loops closed: what drifts would be taken for the mount."""
-    sensor = replace(sensor, index=sensor.index.until(int(sensor.index.stamp_ns[0] + 1e9 * seconds)))
-    progress.stage(f"odometry of {sensor.lidar.topic}", len(sensor.index))
-    odometry = Odometry(inputs, sensor, settings)
-    for _ in odometry:
-        progress.advance()
-    return odometry.trajectory
-
-
-def _mount_by_motion(
-    inputs: Inputs,
-    sensor: Sensor,
-    odometry: Trajectory,
-    seen: FloatArray,
-    settings: Settings,
-    seconds: float,
-    progress: Progress,
-) -> MountCorrection:
-    """About where a vertical lidar sits, by its own turns and by what it sees; raises InputError where they do not tell.
-
-    odometry, seen: T_odom_base by the horizontal lidar, and what it saw (n, 3) in that frame.
-    """
-    topic = sensor.lidar.topic
-    alone = replace(sensor, lidar=replace(sensor.lidar, T_base_sensor=np.eye(4)))
-    aligned = turns_aligned(odometry, _drive(inputs, alone, settings, seconds, progress))
-    if aligned is None:
-        raise InputError(
-            f"{inputs.bag_path}: the robot turns too little to tell where {topic} sits; drive a bend or turn on the spot, or say "
-            "about where it sits in --rig FILE"
-        )
-    progress.stage(f"mount of {topic}", None)
-    found = find_mount(seen, odometry, scans_of(inputs, alone, odometry, settings, _SCANS), *aligned)
-    if found is None:
-        told = "one of them sees nothing"
-    elif found.rival_hits > _RIVAL_MAX * found.hits:
-        told = f"turned by {found.rival_deg:.0f} deg it fits as well"
-    elif found.hits < _HITS_MIN:
-        told = f"{100 * found.hits:.0f} % of its returns meet the other lidar's"
-    else:
-        return MountCorrection(topic, tuple(map(tuple, found.T_base_sensor.tolist())), sensor.lidar.decoding.clock_ns)
-    raise InputError(
-        f"{inputs.bag_path}: what the lidars see does not tell where {topic} sits ({told}); drive into another room and turn "
-        "there, or say about where it sits in --rig FILE"
-    )
 
 
 def _laid(inputs: Inputs, odometry: Trajectory, settings: Settings) -> FloatArray:

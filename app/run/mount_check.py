@@ -1,6 +1,5 @@
-"""Whether a vertical lidar sits where it is said to, and by which clock it runs, by the first scans that are registered."""
+"""Check the extrinsics and the clock of the vertical lidars by the surfaces that the horizontal lidar sees too."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,7 +7,7 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray, Scan, within_range
 from ffmap.algorithms.base.trajectory import Trajectory, place_scan
-from ffmap.algorithms.poses.mount import Mount, refine_mount
+from ffmap.algorithms.poses.mount import Mount, refine_mount, surfaces_rms_m
 from ffmap.algorithms.poses.patches import Patches
 from ffmap.app.setup.inputs import Inputs, Sensor
 from ffmap.app.setup.settings import Settings
@@ -26,25 +25,20 @@ _MAPPED, _LAID, _RETURNS = 16, 20, 10_000
 """Number of scans of the horizontal lidar that make the patches, of the vertical one that are laid on them, and of its returns."""
 _MAP_POINTS = 12_000
 """Maximum number of returns of one scan in the map."""
-TURN_MIN_DEG, LONGEST_S = 60.0, 60.0
-"""Turn, or else time, after which a mount that is off is refined: without a turn, clock and shift cannot be told apart. It is worth
-waiting for one: after 25 s of a straight way a clock was known to 15 ms, after the turn that followed to 4."""
-
-
-class MountOffError(Exception):
-    """Vertical lidars sit elsewhere than was said; `mounts` tell where. Not the user's error: the run begins again with them."""
-
-    def __init__(self, mounts: "Sequence[CheckedMount]") -> None:
-        super().__init__("a mount is off")
-        self.mounts = mounts
+_REFINED_DEG, _REFINED_M = 5.0, 0.1
+"""Maximum change by a refinement. A mount that is farther off may settle on the next wall. A clock may be off by any time."""
+_NOISE_MAX = 1.5
+"""Maximum distance between the surfaces of both lidars after a refinement, as a multiple of the horizontal lidar's own. Refined
+mounts have 1.05 to 1.15; mounts that settled on other surfaces 2.2 and 3.4."""
 
 
 @dataclass(frozen=True)
 class CheckedMount:
-    """What the first seconds tell of a vertical lidar's mount, and what it is off by where that is certain.
+    """What a drive shows of a vertical lidar's mount, and what it is off by where that is certain.
 
     topic: the lidar's. alone: whether it is the only one whose mount matters. change: (7,) what was found less what was given, as
-    of `Mount.change`. clock_given_ns: what was added to its times already.
+    of `Mount.change`. clock_given_ns: what was added to its times already. own_rms_m: RMS distance (m) of the horizontal lidar's
+    returns from the surfaces of its other scans.
     """
 
     topic: str
@@ -53,6 +47,17 @@ class CheckedMount:
     change: FloatArray
     clock_given_ns: int
     is_off: bool
+    own_rms_m: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the surfaces of both lidars agree to the noise at the mount that was found."""
+        return not self.found.rms_after_m > _NOISE_MAX * self.own_rms_m
+
+    @property
+    def is_refined(self) -> bool:
+        """Whether the mount that was found is near enough to the given one to be used."""
+        return self.agrees and self.off_deg <= _REFINED_DEG and self.off_m <= _REFINED_M
 
     @property
     def off_deg(self) -> float:
@@ -78,8 +83,11 @@ class CheckedMount:
         found, used = self.found, "refined" if self.is_off else "as given"
         told = {"off_deg": self.off_deg, "off_m": self.off_m, "clock_s": found.clock_s}
         told |= {"rms_as_given_m": found.rms_before_m, "rms_refined_m": found.rms_after_m}
-        sigma = {"rotation_deg": np.degrees(found.sigma[:3]), "shift_m": found.sigma[3:6], "clock_s": found.sigma[6:]}
+        told |= {"rms_horizontal_m": self.own_rms_m}
         record: dict[str, Any] = {"used": used, **{name: round(value, 6) for name, value in told.items()}}
+        if not np.isfinite(found.sigma).all():
+            return record
+        sigma = {"rotation_deg": np.degrees(found.sigma[:3]), "shift_m": found.sigma[3:6], "clock_s": found.sigma[6:]}
         record["sigma"] = {name: [round(float(v), 6) for v in values] for name, values in sigma.items()}
         if self.is_off:
             record |= {"T_base_sensor": found.T_base_sensor.tolist(), "clock_ns": self.correction.clock_ns}
@@ -103,40 +111,36 @@ def check_mounts(
     mapped: int = _MAPPED,
     laid: int = _LAID,
     returns: int = _RETURNS,
+    keep_agreeing: bool = False,
 ) -> list[CheckedMount]:
     """The mounts by the scans that were registered, of each vertical lidar that has enough in sight that the horizontal one sees
     too; none where there is but one lidar.
 
     odometry: T_odom_base.
     mapped, laid: number of the horizontal lidar's scans that make the patches, and of a vertical one's that are laid on them;
-    returns: of those, at most.
+    returns: of those, at most. keep_agreeing: whether a mount at which the surfaces agree to the noise is not refined.
     """
     if inputs.horizontal is None or not inputs.others:
         return []
     patches = Patches.of(map_of(inputs, odometry, settings, mapped), cube_m=0.1, neighbours=16)
-    checked = (_check(inputs, sensor, patches, odometry, settings, laid, returns) for sensor in inputs.others)
-    return [mount for mount in checked if mount is not None]
+    # Those between the scans that made the patches.
+    own, T = scans_of(inputs, inputs.horizontal, odometry, settings, 2 * mapped - 1)[1::2], inputs.horizontal.lidar.T_base_sensor
+    own_rms_m = surfaces_rms_m(patches, odometry, own, T, returns)
+    checked = []
+    for sensor in inputs.others:
+        scans, T_given = scans_of(inputs, sensor, odometry, settings, laid), sensor.lidar.T_base_sensor
+        agree_m = _BETTER * own_rms_m if keep_agreeing else 0.0
+        if found := refine_mount(patches, odometry, scans, T_given, returns, agree_m):
+            alone, clock_ns = len(inputs.others) == 1, sensor.lidar.decoding.clock_ns
+            change = found.change(T_given)
+            checked.append(CheckedMount(sensor.lidar.topic, alone, found, change, clock_ns, _is_off(found, change), own_rms_m))
+    return checked
 
 
-def _check(
-    inputs: Inputs,
-    sensor: Sensor,
-    patches: Patches,
-    odometry: Trajectory,
-    settings: Settings,
-    laid: int,
-    returns: int,
-) -> CheckedMount | None:
-    T_given = sensor.lidar.T_base_sensor
-    found = refine_mount(patches, odometry, scans_of(inputs, sensor, odometry, settings, laid), T_given, returns)
-    if found is None:
-        return None
-    change = found.change(T_given)
+def _is_off(found: Mount, change: FloatArray) -> bool:
     least = np.array([np.radians(_OFF_DEG)] * 3 + [_OFF_M] * 3 + [_OFF_S])
     off = np.abs(change) > np.maximum(least, _SIGMAS * found.sigma)
-    is_off = bool(off.any()) and found.rms_before_m > _BETTER * found.rms_after_m
-    alone, clock_ns = len(inputs.others) == 1, sensor.lidar.decoding.clock_ns
-    return CheckedMount(sensor.lidar.topic, alone, found, change, clock_ns, is_off)
+    return bool(off.any()) and found.rms_before_m > _BETTER * found.rms_after_m
 
 
 def map_of(inputs: Inputs, odometry: Trajectory, settings: Settings, count: int) -> FloatArray:
@@ -161,10 +165,3 @@ def scans_of(inputs: Inputs, sensor: Sensor, odometry: Trajectory, settings: Set
                     scans.append(near)
     return scans
 
-
-def has_turned(odometry: Trajectory) -> bool:
-    """Whether the drive so far tells a clock from a shift, or has lasted so long that the mount is refined all the same."""
-    forward = odometry.T_map_base[:, :3, 0]
-    turned_deg = np.degrees(np.arccos(np.clip(forward @ forward[0], -1.0, 1.0))).max(initial=0.0)
-    elapsed_s = (odometry.stamp_ns[-1] - odometry.stamp_ns[0]) / 1e9
-    return bool(turned_deg > TURN_MIN_DEG or elapsed_s > LONGEST_S)

@@ -10,7 +10,6 @@ from ffmap.algorithms.poses.odometry import Registration, weakness
 from ffmap.algorithms.poses.pose_graph import PoseGraph
 from ffmap.app.record.odometry import log_odometry_frame, log_pose_graph, log_registrations
 from ffmap.app.run.context import Run
-from ffmap.app.run.mount_check import CheckedMount, MountOffError, check_mounts, has_turned
 from ffmap.app.run.odometry import Odometry
 from ffmap.app.run.odometry_cache import CACHE_VARIABLE, cache_folder
 from ffmap.app.run.poses import KnownPoses, RunPoses, level_by_first_scans, levelled, shows_level
@@ -19,8 +18,6 @@ from ffmap.app.setup.inputs import why_skipped
 from ffmap.loaders.errors import InputError
 
 _LOGGED_AT_ONCE = 50
-_TO_REFINE = 80, 80, 40_000
-"""Scans of either lidar, and returns, by which a mount that is off is refined; fewer show that it is."""
 
 
 def find_poses(run: Run, given: Trajectory | None, labeller: Labeller | None) -> RunPoses:
@@ -66,7 +63,6 @@ def _register(run: Run, labeller: Labeller | None) -> tuple[Odometry, Level, lis
     waiting: list[Registration] = []
     weak: list[str] = []
     level: Level | None = None
-    mounts: list[CheckedMount] = []
     for registration in odometry:
         registered.append(registration.index)
         if len(odometry) == 1 and run.log:
@@ -76,19 +72,13 @@ def _register(run: Run, labeller: Labeller | None) -> tuple[Odometry, Level, lis
         run.progress.advance()
         if level is None and shows_level(odometry.stamp_ns, run.settings):
             level = level_by_first_scans(run.inputs, odometry.registered(), run.settings)
-            mounts = _check(run, odometry)
-        if _any_off(mounts) and has_turned(odometry.registered()):
-            mounts = _confirmed(run, odometry, mounts)
-        if level is None or _any_off(mounts):
-            # Nothing is told, nor done, that a mount that is off would take back.
+        if level is None:
             continue
         if len(waiting) >= _LOGGED_AT_ONCE:
             weak += _log(run, waiting)
             waiting = []
         if labeller is not None:
             labeller.go_on(_known(odometry, level))
-    if _any_off(mounts):
-        _confirmed(run, odometry, mounts)
     weak += _log(run, waiting)
     if not registered:
         raise InputError(f"{run.inputs.bag_path}: {sensor.lidar.topic} has no usable cloud; 'ffmap info' tells more")
@@ -98,33 +88,6 @@ def _register(run: Run, labeller: Labeller | None) -> tuple[Odometry, Level, lis
     if level is None:
         level = level_by_first_scans(run.inputs, odometry.registered(), run.settings)
     return odometry, level, weak
-
-
-def _check(run: Run, odometry: Odometry, *much: int) -> list[CheckedMount]:
-    """The mounts as what was registered so far shows them; none where they are not to be looked into, or cannot be.
-
-    much: scans and returns, as of `check_mounts`.
-    """
-    if not run.options.refine_mount:
-        return []
-    mounts = check_mounts(run.inputs, odometry.registered(), run.settings, *much)
-    if mounts and mounts[0].alone:
-        run.record["mount"] = mounts[0].record
-    elif mounts:
-        run.record["mounts"] = {mount.topic: mount.record for mount in mounts}
-    return mounts
-
-
-def _any_off(mounts: list[CheckedMount]) -> bool:
-    return any(mount.is_off for mount in mounts)
-
-
-def _confirmed(run: Run, odometry: Odometry, first: list[CheckedMount]) -> list[CheckedMount]:
-    """The mounts by all that was registered, where that shows them right after all; raises MountOffError where any is off."""
-    mounts = _check(run, odometry, *_TO_REFINE) or first
-    if off := [mount for mount in mounts if mount.is_off]:
-        raise MountOffError(off)
-    return mounts
 
 
 def _known(odometry: Odometry, level: Level) -> KnownPoses:

@@ -1,4 +1,4 @@
-"""A run from beginning to end: odometry, scans, building, final.
+"""A run from beginning to end: mounts, odometry, scans, building, final.
 
 Scans are labelled while others are still registered, and placed in the map once all poses are final: the last loop of a drive
 may move the first scan.
@@ -10,7 +10,6 @@ import uuid
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,12 +23,11 @@ from ffmap.app.progress import Progress
 from ffmap.app.record.log import Log
 from ffmap.app.record.odometry import log_trajectory
 from ffmap.app.record.stream import Recording, send_properties
-from ffmap.app.record.whole_run import layout, log_sensors, log_static, log_warnings
+from ffmap.app.record.whole_run import layout, log_static, log_warnings
 from ffmap.app.run.context import Run, RunOptions, RunState
-from ffmap.app.run.mount_check import MountOffError
-from ffmap.app.run.poses import RunPoses
 from ffmap.app.run.stage_building import build, draw, take_maps
 from ffmap.app.run.stage_final import finish
+from ffmap.app.run.stage_mounts import settle_mounts
 from ffmap.app.run.stage_odometry import find_poses
 from ffmap.app.run.stage_scans import Labeller
 from ffmap.app.run.workers import make_pool
@@ -89,11 +87,15 @@ def run(
 
 
 def _run_stages(run: Run, given: Trajectory | None) -> None:
+    if given is None:
+        with run.stage("mounts"):
+            run = settle_mounts(run)
     _log_start(run)
     with _pool(run) as pool:
         try:
             with run.stage("odometry"):
-                run, labeller, poses = _find_poses(run, pool, given)
+                labeller = Labeller(run, pool) if run.inputs.verticals else None
+                poses = find_poses(run, given, labeller)
             # Before any scan is labelled with these poses, so that a run that is resumed knows what they were made from.
             run.folder.write_json({**run.record, "bag": run.state.bag_as_read(run.record), "outcome": "running"})
             if labeller is None:
@@ -112,22 +114,6 @@ def _run_stages(run: Run, given: Trajectory | None) -> None:
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-
-
-def _find_poses(run: Run, pool: Executor, given: Trajectory | None) -> tuple[Run, Labeller | None, RunPoses]:
-    """The poses, and who labels by them; the run is another one where a vertical lidar was found to sit elsewhere."""
-    labeller = Labeller(run, pool) if run.inputs.verticals else None
-    try:
-        return run, labeller, find_poses(run, given, labeller)
-    except MountOffError as error:
-        for mount in error.mounts:
-            run.warn(mount.warning)
-        options = replace(run.options, refine_mount=False)
-        run = replace(run, inputs=run.inputs.with_mounts(mount.correction for mount in error.mounts), options=options)
-    if run.log is not None:
-        log_sensors(run.log, _sensors(run))
-    labeller = Labeller(run, pool)
-    return run, labeller, find_poses(run, given, labeller)
 
 
 @contextmanager

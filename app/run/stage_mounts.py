@@ -1,0 +1,126 @@
+"""What a run does before its stages: check the extrinsics of the vertical lidars, which poses and labels depend on."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.algorithms.poses.hand_eye import find_mount, turns_aligned
+from ffmap.app.progress import Progress
+from ffmap.app.run.context import Run
+from ffmap.app.run.mount_check import CheckedMount, check_mounts, map_of, scans_of
+from ffmap.app.run.odometry import Odometry
+from ffmap.app.setup.inputs import Inputs, Sensor
+from ffmap.app.setup.settings import Settings
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.rig import MountCorrection
+
+_FIRST_S, _LONG_S = 8.0, 60.0
+"""Duration of the drive that shows a mount to be off, and of the drive by which it is refined: shift and clock are told apart by
+turns. After 25 s of a straight way a clock was known to 15 ms, after the turn that followed to 4."""
+_TO_REFINE = 80, 80, 40_000
+"""Scans of either lidar, and returns, by which a mount is refined; fewer show that it is off."""
+_SCANS = 200
+"""Number of scans of each lidar that a mount is searched with."""
+_HITS_MIN, _RIVAL_MAX = 0.3, 0.9
+"""Share of a lidar's returns that have to meet the other's for its mount to be found by them, and what any other mount may have of
+that."""
+
+
+def settle_mounts(run: Run) -> Run:
+    """Return the run with refined extrinsics where the given ones are off, and record what was found.
+
+    Raises InputError where extrinsics are off by more than a refinement can mend.
+    """
+    inputs, horizontal = run.inputs, run.inputs.horizontal
+    if horizontal is None or not inputs.others or not run.options.refine_mount:
+        return run
+    odometry = drive_alone(inputs, horizontal, run.settings, _FIRST_S, run.progress)
+    mounts = check_mounts(inputs, odometry, run.settings, keep_agreeing=True)
+    if any(mount.is_off for mount in mounts):
+        odometry = drive_alone(inputs, horizontal, run.settings, _LONG_S, run.progress)
+        mounts = check_mounts(inputs, odometry, run.settings, *_TO_REFINE)
+    if mounts and mounts[0].alone:
+        run.record["mount"] = mounts[0].record
+    elif mounts:
+        run.record["mounts"] = {mount.topic: mount.record for mount in mounts}
+    off = [mount for mount in mounts if mount.is_off]
+    for mount in off:
+        if not mount.is_refined:
+            raise InputError(_refusal(run, mount, odometry))
+        run.warn(mount.warning)
+    return replace(run, inputs=inputs.with_mounts(mount.correction for mount in off)) if off else run
+
+
+def _refusal(run: Run, mount: CheckedMount, odometry: Trajectory) -> str:
+    """Name the transform that is wrong, about what it should be, and the way out."""
+    inputs, bag = run.inputs, run.inputs.bag_path
+    sensor = next(sensor for sensor in inputs.others if sensor.lidar.topic == mount.topic)
+    fits: MountCorrection | str = mount.correction
+    if not mount.agrees:
+        seen = map_of(inputs, odometry, run.settings, _SCANS)
+        fits = mount_by_motion(inputs, sensor, odometry, seen, run.settings, _LONG_S, run.progress)
+    child = sensor.lidar.frame_id
+    edges = (edge for edge in inputs.rig.static_transforms if edge.child == child)
+    parent = next((edge.parent for edge in edges), inputs.rig.base_frame)
+    needed = ""
+    if not isinstance(fits, str) and (T := inputs.with_mounts([fits]).rig.tree.between(parent, child)) is not None:
+        shift = ", ".join(f"{v:.2f}" for v in T[:3, 3])
+        turn = ", ".join(f"{v:.0f}" for v in Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True))
+        needed = f"; about x, y, z = {shift} m and roll, pitch, yaw = {turn} deg would fit"
+    apart_cm, noise_cm = 100 * mount.found.rms_before_m, 100 * mount.own_rms_m
+    return (
+        f"{bag}: the transform {parent} -> {child} is wrong: surfaces that {mount.topic} and the horizontal lidar see are "
+        f"{apart_cm:.1f} cm apart (noise: {noise_cm:.1f}){needed}. Run 'ffmap calibrate {bag.words} --from-motion --out "
+        f"rig.toml', then 'ffmap run {bag.words} --rig rig.toml'; --mount as-given uses it all the same"
+    )
+
+
+def drive_alone(inputs: Inputs, sensor: Sensor, settings: Settings, seconds: float, progress: Progress) -> Trajectory:
+    """T_odom_base of the first seconds of the drive by one lidar, loops closed: extrinsics that are off would bend the poses."""
+    sensor = replace(sensor, index=sensor.index.until(int(sensor.index.stamp_ns[0] + 1e9 * seconds)))
+    progress.stage(f"odometry of {sensor.lidar.topic}", len(sensor.index))
+    refinement = settings.refinement.model_copy(update={"enabled": True, "companion_points_max": 0})
+    odometry = Odometry(inputs, sensor, settings.model_copy(update={"refinement": refinement}))
+    for _ in odometry:
+        progress.advance()
+    return odometry.trajectory
+
+
+def mount_by_motion(
+    inputs: Inputs,
+    sensor: Sensor,
+    odometry: Trajectory,
+    seen: FloatArray,
+    settings: Settings,
+    seconds: float,
+    progress: Progress,
+) -> MountCorrection | str:
+    """About where a vertical lidar sits, by its own turns and by what it sees; in words what to do where they do not tell.
+
+    odometry, seen: T_odom_base by the horizontal lidar, and what it saw (n, 3) in that frame.
+    """
+    topic = sensor.lidar.topic
+    alone = replace(sensor, lidar=replace(sensor.lidar, T_base_sensor=np.eye(4)))
+    aligned = turns_aligned(odometry, drive_alone(inputs, alone, settings, seconds, progress))
+    if aligned is None:
+        return (
+            f"the robot turns too little to tell where {topic} sits; drive a bend or turn on the spot, or say "
+            "about where it sits in --rig FILE"
+        )
+    progress.stage(f"mount of {topic}", None)
+    found = find_mount(seen, odometry, scans_of(inputs, alone, odometry, settings, _SCANS), *aligned)
+    if found is None:
+        told = "one of them sees nothing"
+    elif found.rival_hits > _RIVAL_MAX * found.hits:
+        told = f"turned by {found.rival_deg:.0f} deg it fits as well"
+    elif found.hits < _HITS_MIN:
+        told = f"{100 * found.hits:.0f} % of its returns meet the other lidar's"
+    else:
+        return MountCorrection(topic, tuple(map(tuple, found.T_base_sensor.tolist())), sensor.lidar.decoding.clock_ns)
+    return (
+        f"what the lidars see does not tell where {topic} sits ({told}); drive into another room and turn "
+        "there, or say about where it sits in --rig FILE"
+    )
