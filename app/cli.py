@@ -143,6 +143,7 @@ class Run(HowToRun):
             overrides=(*(self.set_ or ()), *doors),
             bag_options=self.bag_options,
             trajectory=self.trajectory,
+            trajectory_frame=self.trajectory_frame,
             mount=self.mount,
             detail=self.detail.value,
             spawn=self.spawn,

@@ -68,6 +68,9 @@ class HowToRun(OfTheBag):
     trajectory: str | None = option(
         None, help="Poses T_map_base in place of the odometry: a TUM file, or a topic of the bag."
     )
+    trajectory_frame: str | None = option(
+        None, metavar="FRAME", help="The frame that --trajectory holds poses of.  [default: the one that the clouds fit]"
+    )
     mount: Literal["refine", "as-given"] = option(
         "refine",
         help="Of two lidars or more: whether a vertical one's place and clock are refined where the first seconds show them off.",

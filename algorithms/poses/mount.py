@@ -17,6 +17,8 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.poses.patches import Patches
 
+REACH_M = 0.1
+"""Maximum distance of a return from its patch where their agreement is measured."""
 _REACHES_M = (0.6, 0.4, 0.25, 0.15, 0.1, 0.07, 0.07)
 """Maximum distance of a return from its patch, round by round."""
 _LOSS_M = 0.02
@@ -71,7 +73,7 @@ def refine_mount(
     tree = cKDTree(patches.centre)
     T_correction, clock_s, x = np.eye(4), 0.0, np.zeros(7)
     moving = _Moving.of(points_base, stamp_ns, trajectory)
-    matched = _match(moving, patches, tree, _REACHES_M[-3])
+    matched = _match(moving, patches, tree, REACH_M)
     rms_before_m = _rms(moving.distances(x, *matched))
     if rms_before_m <= agree_m and np.count_nonzero(matched[0]) >= _RETURNS_MIN:
         kept = (T_base_sensor, 0.0, np.full(7, np.nan), rms_before_m, rms_before_m)
@@ -115,7 +117,7 @@ def surfaces_rms_m(
     if not len(patches.centre):
         return float("nan")
     moving = _Moving.of(*_returns(scans, T_base_sensor, returns_max), trajectory)
-    return _rms(moving.distances(np.zeros(7), *_match(moving, patches, cKDTree(patches.centre), _REACHES_M[-3])))
+    return _rms(moving.distances(np.zeros(7), *_match(moving, patches, cKDTree(patches.centre), REACH_M)))
 
 
 def _moved(x: FloatArray) -> FloatArray:

@@ -95,8 +95,9 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
     if isinstance(scan, SkippedScan):
         raise InputError(f"--scan {number}: was skipped ({scan.reason}); give another scan")
     scan = within_range(scan, settings.scan.range_max_m)
-    trajectory = run.part("options").get("trajectory")
-    poses = poses_of(inputs, given_poses(trajectory, inputs, settings), settings)
+    options = run.part("options")
+    given = given_poses(options.get("trajectory"), inputs, settings, options.get("trajectory_frame"))
+    poses = poses_of(inputs, given, settings)
     margin_ns = int(settings.trajectory.extrapolate_s * 1e9)
     if not poses.registered.covers(np.array([scan.start_ns, scan.end_ns]), margin_ns).all():
         raise InputError(f"--scan {number}: was skipped (no pose at its time); give another scan")

@@ -157,7 +157,9 @@ def _run_of(
             known = path.resolve() if path.is_file() else None
             files[name] = hashlib.sha256(known.read_bytes()).hexdigest() if known else ""
             options += [f"--{name}", str(known or value)]
-    options += ["--horizontal", words.horizontal] if words.horizontal is not None else []
+    for name in ("horizontal", "trajectory_frame"):
+        if (value := getattr(words, name)) is not None:
+            options += [f"--{name.replace('_', '-')}", value]
     options += [word for topic in words.vertical or () for word in ("--vertical", topic)]
     options += [word for override in overrides_of(settings) for word in ("--set", override)]
     stamps = digest_stamps(inputs.used(words.trajectory is not None))

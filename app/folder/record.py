@@ -22,6 +22,7 @@ class _Options(BaseModel):
     vertical: str | list[str] | None = None
     time_from: Literal["auto", "azimuth", "none"] | None = None
     trajectory: str | None = None
+    trajectory_frame: str | None = None
     detail: str | None = None
 
 

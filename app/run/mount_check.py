@@ -1,5 +1,6 @@
 """Check the extrinsics and the clock of the vertical lidars by the surfaces that the horizontal lidar sees too."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -146,22 +147,30 @@ def _is_off(found: Mount, change: FloatArray) -> bool:
 def map_of(inputs: Inputs, odometry: Trajectory, settings: Settings, count: int) -> FloatArray:
     """(n, 3) some returns of some of the horizontal lidar's scans, where they lie."""
     assert inputs.horizontal is not None
+    scans = scans_of(inputs, inputs.horizontal, odometry, settings, count)
+    return laid_out(scans, odometry, inputs.horizontal.lidar.T_base_sensor)
+
+
+def laid_out(scans: Sequence[Scan], odometry: Trajectory, T_base_sensor: FloatArray) -> FloatArray:
+    """(n, 3) some returns of scans, where they lie."""
     points: list[FloatArray] = [np.zeros((0, 3))]
-    for scan in scans_of(inputs, inputs.horizontal, odometry, settings, count):
-        placed = place_scan(scan, odometry, inputs.horizontal.lidar.T_base_sensor)
+    for scan in scans:
+        placed = place_scan(scan, odometry, T_base_sensor)
         points.append(placed.to_map(placed.points_level[:: max(1, len(scan) // _MAP_POINTS)]))
     return np.concatenate(points).astype(np.float64)
 
 
-def scans_of(inputs: Inputs, sensor: Sensor, odometry: Trajectory, settings: Settings, count: int) -> list[Scan]:
-    """Some of a lidar's scans, at most `count`, spread over the time of the poses."""
+def scans_of(
+    inputs: Inputs, sensor: Sensor, odometry: Trajectory, settings: Settings, count: int, together: int = 1
+) -> list[Scan]:
+    """Some of a lidar's scans, at most `count` times `together` successive ones, spread over the time of the poses."""
     covered = np.flatnonzero(odometry.covers(sensor.index.stamp_ns, margin_ns=-100_000_000))
-    chosen = covered[np.unique(np.linspace(0, len(covered) - 1, min(count, len(covered))).astype(int))]
+    last = max(len(covered) - together, 0)
+    chosen = covered[np.unique(np.linspace(0, last, min(count, len(covered))).astype(int))]
     scans: list[Scan] = []
     with open_bag(inputs.bag_path) as bag:
         for number in chosen.tolist():
-            for _, scan in read_scans(bag, sensor.index, number, 1, sensor.lidar.decoding):
+            for _, scan in read_scans(bag, sensor.index, number, together, sensor.lidar.decoding):
                 if isinstance(scan, Scan) and len(near := within_range(scan, settings.scan.range_max_m)):
                     scans.append(near)
     return scans
-

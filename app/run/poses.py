@@ -14,6 +14,7 @@ from ffmap.algorithms.base.trajectory import Trajectory, place_scan
 from ffmap.algorithms.poses.levelling import Level, level_map
 from ffmap.app.run.blocks import points_in_map
 from ffmap.app.run.odometry import Odometry
+from ffmap.app.run.trajectory_frame import find_pose_frame
 from ffmap.app.setup.inputs import Inputs
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag import open_bag
@@ -30,6 +31,8 @@ a millimetre of a kilometre, but half a metre of the northing of a place."""
 _FLOOR_OFF_M = 0.1
 """Distance in metres of the floor from the height 0 of such poses beyond which the steps after this one would not find it."""
 _LEAN_MAX_DEG = 30.0
+_LEVEL_DEG = 1.0
+"""Angle between the z axis of poses that are a sensor's and the upright beyond which their own axes are that sensor's too."""
 _JUMP_M, _SPEED_MAX_M_S = 10.0, 100.0
 """Distance in metres and speed of a step between poses beyond which they are of another frame, or not in metres."""
 _GAP_S = 1.0
@@ -91,32 +94,44 @@ class KnownPoses:
 class GivenPoses:
     """Poses from outside, as a run uses them: those of the bag's time, in a map whose origin is near them, on the floor.
 
-    trajectory: T_map_base. origin_m: (3,) where the map's origin lies in the poses' own frame, whose axes the map keeps;
-    zeros where that frame's own origin will do. warnings: what a user must know of that.
+    trajectory: T_map_base. frame: that the given poses are of. origin_m: (3,) where the map's origin lies in the poses' own
+    frame, whose axes the map keeps if they are upright; zeros where that frame's own origin will do. warnings: what a user must know of that.
     """
 
     trajectory: Trajectory
+    frame: str
     origin_m: FloatArray
     warnings: tuple[str, ...]
 
 
-def given_poses(name: str | None, inputs: Inputs, settings: Settings) -> GivenPoses | None:
+def given_poses(
+    name: str | None, inputs: Inputs, settings: Settings, frame: str | None = None
+) -> GivenPoses | None:
     """Poses from a TUM file, or from a topic of the bag where no such file is there; None where none are named.
 
+    frame: that the poses are of; None to find it by the clouds.
     Raises InputError where it is neither, where no cloud has a pose, and where no robot can have had these poses.
     """
     if name is None:
         return None
-    read = _read_poses(name, inputs)
+    read = _read_poses(name, inputs, frame)
     _check_plausible(name, read)
+    found = find_pose_frame(name, read, inputs, settings, frame)
+    if found.name != inputs.rig.base_frame:
+        read = Trajectory(read.stamp_ns, read.T_map_base @ found.T_frame_base)
     first = read.T_map_base[0, :3, 3]
     origin_m = np.round(first) * [1, 1, 0] if np.hypot(*first[:2]) > _FAR_M else np.zeros(3)
     # Wherever the poses lie, the floor below the first of them is looked for near the origin.
     from_first = read.moved(transforms.make_transform(translation=-first))
     level = level_by_first_scans(inputs, from_first, settings)
-    warnings = []
+    warnings = found.warnings(name, inputs.rig.base_frame)
+    lean_deg = float(np.degrees(np.arccos(np.clip(level.T_map_odom[2, 2], -1.0, 1.0))))
+    if found.name != inputs.rig.base_frame and lean_deg > _LEVEL_DEG:
+        # Axes of a sensor at its first pose: the map has those of a run without poses.
+        origin_m = first + transforms.invert(level.T_map_odom)[:3, 3]
+        return GivenPoses(from_first.moved(level.T_map_odom), found.name, origin_m, tuple(warnings))
     if np.isfinite(level.floor_rms_m):
-        _check_upright(name, level, inputs)
+        _check_upright(name, lean_deg, inputs)
         floor_m = first[2] - float((level.T_map_odom @ from_first.T_map_base[0])[2, 3])
         origin_m[2] = floor_m if abs(floor_m) > _FLOOR_OFF_M else 0.0
     else:
@@ -133,7 +148,8 @@ def given_poses(name: str | None, inputs: Inputs, settings: Settings) -> GivenPo
             f"the map's origin, on the floor and near the first pose, is at x {x:.0f}, y {y:.0f}, z {z:.3f} m in the frame of "
             f"{name}: add that to the map's coordinates to have its (run.json: map_origin)"
         )
-    return GivenPoses(read.moved(transforms.make_transform(translation=-origin_m)), origin_m, tuple(warnings))
+    moved = read.moved(transforms.make_transform(translation=-origin_m))
+    return GivenPoses(moved, found.name, origin_m, tuple(warnings))
 
 
 def check_lidars_meet(inputs: Inputs) -> None:
@@ -149,9 +165,9 @@ def check_lidars_meet(inputs: Inputs) -> None:
             raise InputError(f"{inputs.bag_path}: no vertical cloud has a pose: {problem}")
 
 
-def _read_poses(name: str, inputs: Inputs) -> Trajectory:
+def _read_poses(name: str, inputs: Inputs, frame: str | None) -> Trajectory:
     """The poses of the bag's own time, and the nearest before and after it."""
-    whole = _read_all_poses(name, inputs)
+    whole = _read_all_poses(name, inputs, frame or inputs.rig.base_frame)
     sensor = inputs.vertical or inputs.horizontal
     assert sensor is not None
     stamps = sensor.index.stamp_ns[sensor.index.usable]
@@ -183,8 +199,7 @@ def _check_plausible(name: str, poses: Trajectory) -> None:
         )
 
 
-def _check_upright(name: str, level: Level, inputs: Inputs) -> None:
-    lean_deg = float(np.degrees(np.arccos(np.clip(level.T_map_odom[2, 2], -1.0, 1.0))))
+def _check_upright(name: str, lean_deg: float, inputs: Inputs) -> None:
     if lean_deg > _LEAN_MAX_DEG:
         wrong = f"its z axis leans {lean_deg:.0f} deg off the upright that walls and floor show"
         raise InputError(
@@ -192,12 +207,12 @@ def _check_upright(name: str, level: Level, inputs: Inputs) -> None:
         )
 
 
-def _read_all_poses(name: str, inputs: Inputs) -> Trajectory:
+def _read_all_poses(name: str, inputs: Inputs, frame: str) -> Trajectory:
     if Path(name).exists():
         return read_tum(Path(name))
     with open_bag(inputs.bag_path) as bag:
         if name in bag.topics:
-            return read_pose_topic(bag, name, inputs.rig.base_frame, inputs.rig.tree)
+            return read_pose_topic(bag, name, frame, inputs.rig.tree)
     path = inputs.bag_path
     raise InputError(
         f"--trajectory {name}: is neither a file nor a topic of {path}; 'ffmap info {path.words}' lists the topics"

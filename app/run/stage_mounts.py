@@ -51,7 +51,9 @@ def settle_mounts(run: Run) -> Run:
         if not mount.is_refined:
             raise InputError(_refusal(run, mount, odometry))
         run.warn(mount.warning)
-    return replace(run, inputs=inputs.with_mounts(mount.correction for mount in off)) if off else run
+    return (
+        replace(run, inputs=inputs.with_mounts(mount.correction for mount in off)) if off else run
+    )
 
 
 def _refusal(run: Run, mount: CheckedMount, odometry: Trajectory) -> str:
@@ -66,9 +68,14 @@ def _refusal(run: Run, mount: CheckedMount, odometry: Trajectory) -> str:
     edges = (edge for edge in inputs.rig.static_transforms if edge.child == child)
     parent = next((edge.parent for edge in edges), inputs.rig.base_frame)
     needed = ""
-    if not isinstance(fits, str) and (T := inputs.with_mounts([fits]).rig.tree.between(parent, child)) is not None:
+    if (
+        not isinstance(fits, str)
+        and (T := inputs.with_mounts([fits]).rig.tree.between(parent, child)) is not None
+    ):
         shift = ", ".join(f"{v:.2f}" for v in T[:3, 3])
-        turn = ", ".join(f"{v:.0f}" for v in Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True))
+        turn = ", ".join(
+            f"{round(v)}" for v in Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)
+        )
         needed = f"; about x, y, z = {shift} m and roll, pitch, yaw = {turn} deg would fit"
     apart_cm, noise_cm = 100 * mount.found.rms_before_m, 100 * mount.own_rms_m
     return (
@@ -78,9 +85,13 @@ def _refusal(run: Run, mount: CheckedMount, odometry: Trajectory) -> str:
     )
 
 
-def drive_alone(inputs: Inputs, sensor: Sensor, settings: Settings, seconds: float, progress: Progress) -> Trajectory:
+def drive_alone(
+    inputs: Inputs, sensor: Sensor, settings: Settings, seconds: float, progress: Progress
+) -> Trajectory:
     """T_odom_base of the first seconds of the drive by one lidar, loops closed: extrinsics that are off would bend the poses."""
-    sensor = replace(sensor, index=sensor.index.until(int(sensor.index.stamp_ns[0] + 1e9 * seconds)))
+    sensor = replace(
+        sensor, index=sensor.index.until(int(sensor.index.stamp_ns[0] + 1e9 * seconds))
+    )
     progress.stage(f"odometry of {sensor.lidar.topic}", len(sensor.index))
     refinement = settings.refinement.model_copy(update={"enabled": True, "companion_points_max": 0})
     odometry = Odometry(inputs, sensor, settings.model_copy(update={"refinement": refinement}))
@@ -111,7 +122,9 @@ def mount_by_motion(
             "about where it sits in --rig FILE"
         )
     progress.stage(f"mount of {topic}", None)
-    found = find_mount(seen, odometry, scans_of(inputs, alone, odometry, settings, _SCANS), *aligned)
+    found = find_mount(
+        seen, odometry, scans_of(inputs, alone, odometry, settings, _SCANS), *aligned
+    )
     if found is None:
         told = "one of them sees nothing"
     elif found.rival_hits > _RIVAL_MAX * found.hits:
@@ -119,7 +132,9 @@ def mount_by_motion(
     elif found.hits < _HITS_MIN:
         told = f"{100 * found.hits:.0f} % of its returns meet the other lidar's"
     else:
-        return MountCorrection(topic, tuple(map(tuple, found.T_base_sensor.tolist())), sensor.lidar.decoding.clock_ns)
+        return MountCorrection(
+            topic, tuple(map(tuple, found.T_base_sensor.tolist())), sensor.lidar.decoding.clock_ns
+        )
     return (
         f"what the lidars see does not tell where {topic} sits ({told}); drive into another room and turn "
         "there, or say about where it sits in --rig FILE"

@@ -46,6 +46,8 @@ class Arguments:
     overrides: tuple[str, ...] = ()
     bag_options: InputOptions = field(default_factory=InputOptions)
     trajectory: str | None = None
+    trajectory_frame: str | None = None
+    """The frame that the poses are of; None to find it."""
     detail: str = "lines"
     spawn: bool = False
     connect: str | None = None
@@ -65,7 +67,7 @@ class Arguments:
 
 
 _OF_THE_BAG = tuple(option.name for option in fields(InputOptions) if option.name != "mounts")
-_STORED = (*_OF_THE_BAG, "mount", "trajectory", "detail", "outputs", "evaluate")
+_STORED = (*_OF_THE_BAG, "mount", "trajectory", "trajectory_frame", "detail", "outputs", "evaluate")
 """Arguments that run.json keeps, for a run that is resumed."""
 
 
@@ -105,7 +107,7 @@ def make_ready(arguments: Arguments, stack: ExitStack) -> Ready:
     run_folder.clear(folder)
     record = stages.first_record(inputs, settings, stored(arguments), arguments.trajectory)
     if given is not None:
-        record["map_origin"] = given.origin_m.tolist()
+        record |= {"map_origin": given.origin_m.tolist(), "poses_frame": given.frame}
     return Ready(arguments, settings, inputs, given, home, folder, options, record)
 
 
@@ -145,7 +147,7 @@ def _options(arguments: Arguments) -> RunOptions:
 def _find(arguments: Arguments, bag: BagPath, settings: Settings) -> tuple[Inputs, GivenPoses | None]:
     """The bag's lidars, and the poses that were given, if any."""
     inputs = find_inputs(bag, arguments.bag_options)
-    given = given_poses(arguments.trajectory, inputs, settings)
+    given = given_poses(arguments.trajectory, inputs, settings, arguments.trajectory_frame)
     if given is None:
         check_lidars_meet(inputs)
         return inputs, None
